@@ -1,0 +1,1 @@
+//! Calibration campaigns: excitation, fuel optimisation, maps, controllers, validation

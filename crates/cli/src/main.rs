@@ -1,0 +1,2 @@
+//! The dynocal command-line tool.
+fn main() {}

@@ -1,0 +1,3 @@
+//! Optimal test-signal design: information, criteria, constraints, search.
+
+pub mod criterion;

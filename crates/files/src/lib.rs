@@ -1,0 +1,1 @@
+//! Reading and writing measurement and result files

@@ -1,0 +1,9 @@
+//! Signals, data, dynamic models, estimation and validation; the contract with a plant.
+//!
+//! Usable alone: from a test signal to a validated model. Time runs down the rows everywhere; a matrix of
+//! inputs is a flat row-major slice `u[t * m + i]` (N x m), a sensitivity matrix `s[t * p + k]` (N x p).
+
+pub mod data;
+pub mod model;
+pub mod plant;
+pub mod signal;

@@ -1,0 +1,105 @@
+//! The contract of a dynamic model.
+//!
+//! A model is a structure with parameters theta (p of them), m inputs and one output:
+//!
+//! ```text
+//! y(t) = f(u(t-k), y(t-j); theta)          simulated (free run): y on the right is the model's own output
+//! ```
+//!
+//! Everything else stands on what this trait gives: estimation, covariance, information matrices, exact
+//! design gradients and fuel optimisation. All work goes to buffers that the caller owns.
+
+use dynocal_numerics::status::Status;
+
+pub mod poly;
+
+/// One experiment as a model sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Run<'a> {
+    /// Inputs, N x m row-major.
+    pub u: &'a [f64],
+    /// Output, N: measured values. Free run reads `y[..start]` only; one-step prediction reads all of it.
+    pub y: &'a [f64],
+    /// First sample that is computed; at least [`Model::max_lag`].
+    pub start: usize,
+}
+
+impl Run<'_> {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.y.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.y.is_empty()
+    }
+}
+
+/// A dynamic model structure with one output. Implementations are stateless: theta is passed in.
+pub trait Model: Send + Sync {
+    /// Number of inputs m.
+    fn n_inputs(&self) -> usize;
+
+    /// Number of parameters p.
+    fn n_params(&self) -> usize;
+
+    /// Longest lag of any input or output: the least value of [`Run::start`].
+    fn max_lag(&self) -> usize;
+
+    /// Longest lag of the output alone (0: no recursion).
+    fn output_lag(&self) -> usize;
+
+    /// Name of parameter k in the user's terms, e.g. `inj(t-1)*spark(t-1)`.
+    fn param_name(&self, k: usize) -> String;
+
+    /// Whether the one-step prediction is linear in theta (then least squares is direct).
+    fn is_linear_in_params(&self) -> bool;
+
+    /// Free run: `y[..start]` is copied from `run.y`, the rest computed.
+    ///
+    /// Returns [`Status::Diverged`] as soon as a value is not finite (the rest of `y` is then NaN).
+    fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status;
+
+    /// One-step-ahead prediction from measured outputs; `yhat[..start]` is copied from `run.y`.
+    fn predict(&self, theta: &[f64], run: &Run, yhat: &mut [f64]);
+
+    /// Free run and its exact output sensitivities S = dy/dtheta (N x p row-major; rows before `start` zero):
+    ///
+    /// ```text
+    /// s_k(t) = df/dtheta_k + sum_j df/dy(t-j) s_k(t-j)
+    /// ```
+    fn sensitivities(&self, theta: &[f64], run: &Run, y: &mut [f64], s: &mut [f64]) -> Status;
+
+    /// Jacobian of the one-step prediction with respect to theta (N x p row-major; rows before `start` zero).
+    /// For a model that is linear in its parameters these are the regressors.
+    fn one_step_jacobian(&self, theta: &[f64], run: &Run, s: &mut [f64]);
+
+    /// Adjoint of [`Model::sensitivities`] with respect to the inputs:
+    ///
+    /// ```text
+    /// u_bar += (dy/du)' y_bar + (dS/du)' s_bar
+    /// ```
+    ///
+    /// `y`, `s` are what [`Model::sensitivities`] gave for the same `theta` and `run`; `y_bar` (N), `s_bar` (N x p)
+    /// are the weights, `u_bar` (N x m) is added to. Rows before `start` of the weights are ignored. An empty
+    /// `s_bar` (then `s` may be empty too) asks for the output term only.
+    fn sensitivity_adjoint(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        y: &[f64],
+        s: &[f64],
+        y_bar: &[f64],
+        s_bar: &[f64],
+        u_bar: &mut [f64],
+    );
+
+    /// The (input, lag) pairs that the one-step prediction reads, in a fixed order (w of them).
+    fn window(&self) -> &[(usize, usize)];
+
+    /// One-step prediction at sample `t` with its gradient (w) and Hessian (w x w row-major) with respect to the
+    /// inputs of [`Model::window`]; past outputs are `run.y`.
+    fn window_derivatives(&self, theta: &[f64], run: &Run, t: usize, grad: &mut [f64], hess: &mut [f64])
+    -> f64;
+}

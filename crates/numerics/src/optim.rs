@@ -1,0 +1,66 @@
+//! The contract of an optimiser, so that algorithms can be compared on equal terms:
+//! a problem (bounds, derivatives as available) in, iterate history and a status out.
+
+use crate::registry::{self, BuildError, Member};
+use crate::status::{Iterate, Status};
+
+/// A smooth objective over a box.
+///
+/// `value_gradient` may return a non-finite value: that trial is then a bad trial, not an end.
+pub trait Objective {
+    /// Number of variables n.
+    fn n(&self) -> usize;
+
+    /// Objective at `x`; fills its gradient (n) when `grad` is not empty.
+    fn value_gradient(&mut self, x: &[f64], grad: &mut [f64]) -> f64;
+}
+
+/// Box bounds; infinite where there is none.
+#[derive(Clone, Debug)]
+pub struct Bounds {
+    /// Lower bounds (n).
+    pub lower: Vec<f64>,
+    /// Upper bounds (n).
+    pub upper: Vec<f64>,
+}
+
+/// When to stop.
+#[derive(Clone, Copy, Debug)]
+pub struct Budget {
+    /// Most evaluations of the objective.
+    pub evaluations: usize,
+    /// Projected-gradient norm, relative to its value at the start, at which the search has converged.
+    pub gradient_tolerance: f64,
+    /// Relative decrease of the objective over one iteration below which the search ends as converged.
+    pub value_tolerance: f64,
+}
+
+/// What an optimiser found.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Best point (n).
+    pub x: Vec<f64>,
+    /// Objective there.
+    pub value: f64,
+    /// How it ended.
+    pub status: Status,
+    /// One entry per iteration.
+    pub history: Vec<Iterate>,
+}
+
+/// An optimiser for bounded problems.
+pub trait Optimiser: Send + Sync {
+    /// Minimises `problem` over `bounds` from `x0`.
+    fn minimise(&self, problem: &mut dyn Objective, bounds: &Bounds, x0: &[f64], budget: &Budget) -> Outcome;
+}
+
+/// All bounded optimisers.
+pub static OPTIMISERS: &[Member<dyn Optimiser>] = &[];
+
+/// Builds the optimiser `name` from the keys of a spec.
+///
+/// # Errors
+/// [`BuildError`] with the nearest known name.
+pub fn optimiser(name: &str, keys: &toml::Table) -> Result<Box<dyn Optimiser>, BuildError> {
+    registry::build("optimiser", OPTIMISERS, name, keys)
+}
