@@ -1,0 +1,382 @@
+//! From a table to experiments: channel roles and units, time, trajectories, split.
+
+use std::path::Path;
+
+use dynocal_ident::data::{Channel, Dataset, Role};
+use serde::{Deserialize, Serialize};
+
+use crate::error::FilesError;
+use crate::table::{Column, Table, UnitSource};
+use crate::{csv_io, parquet_io, units};
+
+/// A column that becomes a channel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChannelSpec {
+    /// Column in the file.
+    pub column: String,
+    /// Name of the channel; usually that of the column.
+    pub name: String,
+    /// Unit that is expected; where absent the file must give it.
+    pub unit: Option<String>,
+    /// Whether a differing unit of the file is converted (exact conversions only) instead of refused.
+    pub convert: bool,
+    /// Role.
+    pub role: Role,
+}
+
+/// Where time comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Time {
+    /// Rows are this many seconds apart.
+    Sampled {
+        /// Sample time in s.
+        sample_time_s: f64,
+    },
+    /// A column of time stamps, checked to be uniform.
+    Column {
+        /// Column name.
+        column: String,
+        /// Unit of the stamps where the file does not say it.
+        unit: Option<String>,
+    },
+}
+
+/// How a table is read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Layout {
+    /// Channels.
+    pub channels: Vec<ChannelSpec>,
+    /// Time.
+    pub time: Time,
+    /// Column whose change starts a new experiment.
+    pub trajectory: Option<String>,
+    /// Leading samples of every experiment that only initialise states.
+    pub init_samples: usize,
+}
+
+/// Which rows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Select {
+    /// All.
+    All,
+    /// Those where `column` is one of `values`.
+    Values {
+        /// Split column.
+        column: String,
+        /// Values as text (`10` matches the number 10).
+        values: Vec<String>,
+    },
+    /// Zero-based half-open ranges of data rows.
+    Rows(Vec<(usize, usize)>),
+}
+
+/// Format of a data file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Format {
+    /// CSV, plain or gzip.
+    Csv,
+    /// Parquet.
+    Parquet,
+}
+
+/// Reads a file as a table; without `format` the ending of the name tells it.
+///
+/// # Errors
+/// [`FilesError`].
+pub fn read_table(path: &Path, format: Option<Format>) -> Result<Table, FilesError> {
+    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let by_name = || {
+        if name.ends_with(".csv") || name.ends_with(".csv.gz") || name.ends_with(".txt") {
+            Some(Format::Csv)
+        } else if name.ends_with(".parquet") {
+            Some(Format::Parquet)
+        } else {
+            None
+        }
+    };
+    match format.or_else(by_name) {
+        Some(Format::Csv) => csv_io::read(path),
+        Some(Format::Parquet) => parquet_io::read(path),
+        None => Err(FilesError::Format { path: path.display().to_string() }),
+    }
+}
+
+/// Reads one experiment that [`csv_io::write_dataset`] wrote (or any CSV with a column `time [s]` and units in the
+/// header). Columns that are neither input nor output become auxiliary.
+///
+/// # Errors
+/// [`FilesError`].
+///
+/// # Examples
+/// ```
+/// use dynocal_files::{csv_io, dataset};
+/// use dynocal_ident::data::{Channel, Dataset, Role};
+/// let channel = |name: &str, unit: &str, role, values| Channel { name: name.into(), unit: unit.into(), role, values };
+/// let data = Dataset {
+///     name: "ident01".into(),
+///     sample_time_s: 0.03,
+///     channels: vec![
+///         channel("inj", "mg", Role::Input, vec![20.0, 21.0, 22.5]),
+///         channel("torque", "Nm", Role::Output, vec![30.0, 31.0 / 3.0, 33.0]),
+///     ],
+///     init_samples: 0,
+///     origin: "doc".into(),
+/// };
+/// let tmp = tempfile::tempdir().unwrap();
+/// let path = tmp.path().join("ident01.csv.gz");
+/// csv_io::write_dataset(&path, &data).unwrap();
+/// let back = dataset::read_dataset(&path, &["inj"], &["torque"]).unwrap();
+/// assert_eq!(back.channels, data.channels);
+/// assert_eq!(back.sample_time_s, data.sample_time_s);
+/// ```
+pub fn read_dataset(path: &Path, inputs: &[&str], outputs: &[&str]) -> Result<Dataset, FilesError> {
+    let table = read_table(path, None)?;
+    for name in inputs.iter().chain(outputs) {
+        table.column(name)?;
+    }
+    let role = |name: &str| {
+        if inputs.contains(&name) {
+            Role::Input
+        } else if outputs.contains(&name) {
+            Role::Output
+        } else {
+            Role::Auxiliary
+        }
+    };
+    let channels = table
+        .columns
+        .iter()
+        .filter(|c| c.name != "time")
+        .map(|c| ChannelSpec {
+            column: c.name.clone(),
+            name: c.name.clone(),
+            unit: None,
+            convert: false,
+            role: role(&c.name),
+        })
+        .collect();
+    let time = Time::Column { column: "time".into(), unit: None };
+    let layout = Layout { channels, time, trajectory: None, init_samples: 0 };
+    let mut all = datasets(&table, &layout, &Select::All)?;
+    let mut data = all.remove(0);
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    data.name = name.split('.').next().unwrap_or(&name).to_string();
+    Ok(data)
+}
+
+/// The experiments of a table: every contiguous run of selected rows with one trajectory value is one.
+///
+/// # Errors
+/// [`FilesError`]: column or unit missing or different, cell not finite, time not uniform, selection empty.
+pub fn datasets(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<Dataset>, FilesError> {
+    let units = layout
+        .channels
+        .iter()
+        .map(|c| unit_of(table, table.column(&c.column)?, c))
+        .collect::<Result<Vec<_>, _>>()?;
+    let runs = split(table, layout.trajectory.as_deref(), select)?;
+    let mut seen = std::collections::BTreeMap::new();
+    let mut out = Vec::with_capacity(runs.len());
+    for (from, to) in runs {
+        let mut channels = Vec::with_capacity(layout.channels.len());
+        for (spec, (unit, scale, offset)) in layout.channels.iter().zip(&units) {
+            let raw = table.numbers(&spec.column, from, to)?;
+            let values = if *scale == 1.0 && *offset == 0.0 {
+                raw.to_vec()
+            } else {
+                raw.iter().map(|x| x * scale + offset).collect()
+            };
+            channels.push(Channel { name: spec.name.clone(), unit: unit.clone(), role: spec.role, values });
+        }
+        let data = Dataset {
+            name: experiment_name(table, layout, from, &mut seen)?,
+            sample_time_s: sample_time(table, &layout.time, from, to)?,
+            channels,
+            init_samples: layout.init_samples,
+            origin: format!("{}, {} to {}", table.file, table.place(from), table.place(to - 1)),
+        };
+        data.check()?;
+        out.push(data);
+    }
+    Ok(out)
+}
+
+/// Unit of a channel with the scale and offset that bring the column into it.
+fn unit_of(table: &Table, column: &Column, spec: &ChannelSpec) -> Result<(String, f64, f64), FilesError> {
+    let wanted = spec.unit.as_deref().map(units::normalise);
+    match (&column.unit, wanted) {
+        (None, None) => Err(FilesError::NoUnit { path: table.file.clone(), column: column.name.clone() }),
+        (None, Some(w)) => Ok((w, 1.0, 0.0)),
+        (Some((found, _)), None) => Ok((found.clone(), 1.0, 0.0)),
+        (Some((found, _)), Some(w)) if *found == w => Ok((w, 1.0, 0.0)),
+        // `roughness_s` need not be in seconds: a spec that says "no unit" overrules the hint of a suffix.
+        (Some((_, UnitSource::Suffix)), Some(w)) if w == "-" => Ok((w, 1.0, 0.0)),
+        (Some((found, _)), Some(w)) => match units::conversion(found, &w) {
+            Some((scale, offset)) if spec.convert => Ok((w, scale, offset)),
+            exact => Err(FilesError::Unit {
+                path: table.file.clone(),
+                column: column.name.clone(),
+                found: found.clone(),
+                expected: w,
+                hint: exact
+                    .map(|_| " (`convert = true` for this channel converts it)".into())
+                    .unwrap_or_default(),
+            }),
+        },
+    }
+}
+
+/// Half-open row ranges of the experiments.
+fn split(
+    table: &Table,
+    trajectory: Option<&str>,
+    select: &Select,
+) -> Result<Vec<(usize, usize)>, FilesError> {
+    let rows = table.rows();
+    let mut ranges = match select {
+        Select::All => vec![(0, rows)],
+        Select::Rows(r) => {
+            if let Some((from, to)) = r.iter().find(|(a, b)| a >= b || *b > rows) {
+                return Err(FilesError::Rows { path: table.file.clone(), from: *from, to: *to, rows });
+            }
+            r.clone()
+        }
+        Select::Values { column, values } => rows_with(table, column, values)?,
+    };
+    if let Some(name) = trajectory {
+        let cells = &table.column(name)?.cells;
+        let mut cut = Vec::new();
+        for (from, to) in ranges {
+            let mut start = from;
+            for row in from + 1..to {
+                if !cells.same(row - 1, row) {
+                    cut.push((start, row));
+                    start = row;
+                }
+            }
+            cut.push((start, to));
+        }
+        ranges = cut;
+    }
+    Ok(ranges)
+}
+
+/// Contiguous ranges of rows whose `column` is one of `values`; every value must occur.
+fn rows_with(table: &Table, column: &str, values: &[String]) -> Result<Vec<(usize, usize)>, FilesError> {
+    let cells = &table.column(column)?.cells;
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    let mut met = vec![false; values.len()];
+    let mut known: Vec<String> = Vec::new();
+    let mut current: Option<usize> = None;
+    for row in 0..table.rows() {
+        // Labels are only made where the value changes: files are long, splits are few.
+        if row == 0 || !cells.same(row - 1, row) {
+            let label = cells.label(row);
+            current = values.iter().position(|v| *v == label);
+            if known.len() < 12 && !known.contains(&label) {
+                known.push(label);
+            }
+        }
+        let Some(k) = current else { continue };
+        met[k] = true;
+        match ranges.last_mut() {
+            Some(r) if r.1 == row => r.1 = row + 1,
+            _ => ranges.push((row, row + 1)),
+        }
+    }
+    match met.iter().position(|m| !m) {
+        Some(k) => Err(FilesError::NoSuchValue {
+            path: table.file.clone(),
+            column: column.into(),
+            found: values[k].clone(),
+            known,
+        }),
+        None => Ok(ranges),
+    }
+}
+
+fn experiment_name(
+    table: &Table,
+    layout: &Layout,
+    row: usize,
+    seen: &mut std::collections::BTreeMap<String, usize>,
+) -> Result<String, FilesError> {
+    let base = match &layout.trajectory {
+        Some(name) => format!("{name}-{}", table.column(name)?.cells.label(row)),
+        None => "record".into(),
+    };
+    let count = seen.entry(base.clone()).or_insert(0);
+    *count += 1;
+    Ok(if *count == 1 { base } else { format!("{base}.{count}") })
+}
+
+/// Sample time of the rows `from..to`, with the stamps checked where there are any.
+fn sample_time(table: &Table, time: &Time, from: usize, to: usize) -> Result<f64, FilesError> {
+    match time {
+        Time::Sampled { sample_time_s } => Ok(*sample_time_s),
+        Time::Column { column, unit } => {
+            let stamps = table.numbers(column, from, to)?;
+            let c = table.column(column)?;
+            let found = unit.as_deref().map(units::normalise).or(c.unit.as_ref().map(|u| u.0.clone()));
+            let Some(found) = found else {
+                return Err(FilesError::NoUnit { path: table.file.clone(), column: column.clone() });
+            };
+            let Some((scale, _)) = units::conversion(&found, "s") else {
+                return Err(FilesError::Unit {
+                    path: table.file.clone(),
+                    column: column.clone(),
+                    found,
+                    expected: "s".into(),
+                    hint: " (or ms, min, h)".into(),
+                });
+            };
+            uniform(table, column, stamps, scale, from)
+        }
+    }
+}
+
+/// Common interval of `stamps * scale`, in s.
+fn uniform(table: &Table, column: &str, stamps: &[f64], scale: f64, from: usize) -> Result<f64, FilesError> {
+    if stamps.len() < 2 {
+        return Err(FilesError::Data(dynocal_ident::data::DataError::TooShort {
+            record: table.file.clone(),
+            found: stamps.len(),
+            expected: 2,
+            why: format!("two time stamps in `{column}` give the sample time"),
+        }));
+    }
+    let mut intervals: Vec<f64> = stamps.windows(2).map(|w| (w[1] - w[0]) * scale).collect();
+    let place = |k: usize| table.place(from + k + 1);
+    if let Some(k) = intervals.iter().position(|d| *d == 0.0) {
+        return Err(FilesError::RepeatedTime {
+            path: table.file.clone(),
+            place: place(k),
+            column: column.into(),
+            time_s: stamps[k + 1] * scale,
+        });
+    }
+    // The median is what the record means even when some stamps are wrong.
+    let middle = intervals.len() / 2;
+    let expected = *intervals.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
+    // Stamps are printed with few digits: half a percent of an interval is rounding, not a gap.
+    let tolerance = 5e-3 * expected.abs()
+        + 4.0 * f64::EPSILON * stamps.iter().fold(0.0_f64, |m, t| m.max(t.abs())) * scale;
+    if let Some(k) = intervals.iter().position(|d| expected <= 0.0 || (d - expected).abs() > tolerance) {
+        return Err(FilesError::NonUniformTime {
+            path: table.file.clone(),
+            place: place(k),
+            column: column.into(),
+            found_s: intervals[k],
+            expected_s: expected,
+        });
+    }
+    intervals.clear();
+    let mean = (stamps[stamps.len() - 1] - stamps[0]) * scale / (stamps.len() - 1) as f64;
+    Ok(round_digits(mean))
+}
+
+/// Ten significant digits: the mean of rounded stamps must not turn 0.03 into 0.030000000000000002.
+fn round_digits(x: f64) -> f64 {
+    format!("{x:.9e}").parse().unwrap_or(x)
+}

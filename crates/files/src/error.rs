@@ -1,0 +1,216 @@
+//! What can be wrong with a file, said with its name, place, what was found and what was expected.
+
+use dynocal_ident::data::DataError;
+
+/// A file cannot be read, written or understood.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FilesError {
+    /// Opening or reading failed.
+    #[error("cannot read {path}: {reason}")]
+    Read {
+        /// File.
+        path: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// Writing failed; nothing half-written is left under the final name.
+    #[error("cannot write {path}: {reason}")]
+    Write {
+        /// File.
+        path: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// There is no data in the file.
+    #[error("{path} is empty: expected {expected}")]
+    Empty {
+        /// File.
+        path: String,
+        /// What should be there.
+        expected: &'static str,
+    },
+    /// The ending of the name says nothing about the format.
+    #[error(
+        "{path}: format not known from the name; expected .csv, .csv.gz or .parquet (or name the format)"
+    )]
+    Format {
+        /// File.
+        path: String,
+    },
+    /// The bytes do not follow the format.
+    #[error("{path}: not a valid {format} file: {reason}")]
+    Malformed {
+        /// File.
+        path: String,
+        /// Format name.
+        format: &'static str,
+        /// What is wrong, with the place if known.
+        reason: String,
+    },
+    /// A row has too few or too many cells.
+    #[error("{path}, line {line}: found {found} cells, expected {expected} as in the header")]
+    Ragged {
+        /// File.
+        path: String,
+        /// Line in the file, from 1.
+        line: u64,
+        /// Cells found.
+        found: usize,
+        /// Cells in the header.
+        expected: usize,
+    },
+    /// Two columns have one name.
+    #[error("{path}: the header names column `{column}` twice")]
+    DuplicateColumn {
+        /// File.
+        path: String,
+        /// Column.
+        column: String,
+    },
+    /// No column of that name.
+    #[error("{path}: no column `{found}`{}; columns are: {}", did_you_mean(.nearest), .known.join(", "))]
+    NoColumn {
+        /// File.
+        path: String,
+        /// Name asked for.
+        found: String,
+        /// A known name that is near.
+        nearest: Option<String>,
+        /// Names there are.
+        known: Vec<String>,
+    },
+    /// A cell is not a finite number.
+    #[error("{path}, {place}, column `{column}`: found `{found}`, expected a finite number")]
+    Cell {
+        /// File.
+        path: String,
+        /// Line of a text file or row of a binary one, e.g. `line 17`.
+        place: String,
+        /// Column.
+        column: String,
+        /// The cell as written.
+        found: String,
+    },
+    /// The unit in the file is not the unit that was asked for.
+    #[error("{path}, column `{column}`: found unit `{found}`, expected `{expected}`{hint}")]
+    Unit {
+        /// File.
+        path: String,
+        /// Column.
+        column: String,
+        /// Unit in the header.
+        found: String,
+        /// Unit in the spec.
+        expected: String,
+        /// What to do about it.
+        hint: String,
+    },
+    /// Neither file nor spec gives a unit.
+    #[error(
+        "{path}, column `{column}`: no unit in the header and none given; write `{column} [unit]` in the file or `unit = \"...\"` for the channel (`-` for none)"
+    )]
+    NoUnit {
+        /// File.
+        path: String,
+        /// Column.
+        column: String,
+    },
+    /// Time stamps are not equally spaced.
+    #[error(
+        "{path}, {place}, time column `{column}`: interval {found_s} s to the row before, expected {expected_s} s: time stamps must be uniform (resample the record, or give `sample_time_s` instead of the time column)"
+    )]
+    NonUniformTime {
+        /// File.
+        path: String,
+        /// First row that is off, e.g. `line 17`.
+        place: String,
+        /// Time column.
+        column: String,
+        /// Interval found, in s.
+        found_s: f64,
+        /// Interval expected, in s.
+        expected_s: f64,
+    },
+    /// A time stamp occurs twice in a row.
+    #[error("{path}, {place}, time column `{column}`: time stamp {time_s} s is repeated")]
+    RepeatedTime {
+        /// File.
+        path: String,
+        /// First repeated row, e.g. `line 17`.
+        place: String,
+        /// Time column.
+        column: String,
+        /// The stamp, in s.
+        time_s: f64,
+    },
+    /// A selection of rows that the file does not have.
+    #[error(
+        "{path}: rows {from}..{to} asked for, expected a range within 0..{rows} (zero-based, end excluded)"
+    )]
+    Rows {
+        /// File.
+        path: String,
+        /// First row asked for.
+        from: usize,
+        /// End of the range.
+        to: usize,
+        /// Rows in the file.
+        rows: usize,
+    },
+    /// A selection by value that matches no row.
+    #[error("{path}: no row has `{column}` = `{found}`; values are: {}", .known.join(", "))]
+    NoSuchValue {
+        /// File.
+        path: String,
+        /// Split column.
+        column: String,
+        /// Value asked for.
+        found: String,
+        /// Values there are (the first few).
+        known: Vec<String>,
+    },
+    /// The folder holds something that is not this run.
+    #[error(
+        "{path} is not empty and not a run of `dynocal {expected}` ({found}): choose another --out folder or remove it"
+    )]
+    ForeignFolder {
+        /// Folder.
+        path: String,
+        /// What was met there.
+        found: String,
+        /// The verb that wanted to write there.
+        expected: String,
+    },
+    /// A JSON file of another kind or a newer version.
+    #[error("{path}: found {found}, expected {expected}")]
+    Schema {
+        /// File.
+        path: String,
+        /// What the file says it is.
+        found: String,
+        /// What was to be read.
+        expected: String,
+    },
+    /// The record itself is not usable.
+    #[error(transparent)]
+    Data(#[from] DataError),
+}
+
+fn did_you_mean(nearest: &Option<String>) -> String {
+    nearest.as_ref().map(|n| format!(" (did you mean `{n}`?)")).unwrap_or_default()
+}
+
+/// The system's reason in the user's terms.
+pub(crate) fn reason(e: &std::io::Error) -> String {
+    use std::io::ErrorKind as K;
+    let plain = match e.kind() {
+        K::StorageFull | K::QuotaExceeded => "the disk is full",
+        K::PermissionDenied => "no permission",
+        K::ReadOnlyFilesystem => "the file system is read-only",
+        K::NotADirectory => "a part of the path is a file, not a folder",
+        K::IsADirectory => "it is a folder",
+        K::NotFound => "no such file or folder",
+        _ => return e.to_string(),
+    };
+    plain.to_string()
+}

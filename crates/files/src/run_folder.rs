@@ -1,0 +1,251 @@
+//! The folder of a run.
+//!
+//! ```text
+//! OUT/run.json                 which verb made it (so that a foreign folder is never overwritten)
+//! OUT/spec.json                the spec as understood
+//! OUT/steps/01-excite/...      files of a step; step.json is written last and says that it is finished
+//! OUT/summary.json             results that a program reads (no times)
+//! OUT/timing.json              wall times, the only file that differs between equal runs
+//! OUT/log.txt                  what happened, line by line
+//! ```
+//!
+//! A step is skipped when its `step.json` carries the digest of the same inputs and its files are still those
+//! that it wrote. The inputs of a step are its part of the spec, the seed and the digests of the results that it
+//! builds on, so a change runs exactly the steps that depend on it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{FilesError, reason};
+use crate::json;
+
+const STEP_VERSION: u32 = 1;
+
+/// FNV-1a digest of `bytes`, 128 bits as 32 hexadecimal digits (detects change, not malice).
+pub fn digest(bytes: &[u8]) -> String {
+    const OFFSET: u128 = 0x6c62_272e_07bb_0142_62b8_2175_6295_c58d;
+    const PRIME: u128 = 0x0000_0000_0100_0000_0000_0000_0000_013b;
+    let h = bytes.iter().fold(OFFSET, |h, b| (h ^ u128::from(*b)).wrapping_mul(PRIME));
+    format!("{h:032x}")
+}
+
+/// Digest of a value through its JSON text.
+///
+/// # Errors
+/// [`FilesError::Malformed`] when the value cannot be written as JSON.
+pub fn digest_of<T: Serialize + ?Sized>(value: &T) -> Result<String, FilesError> {
+    Ok(digest(json::to_text(value)?.as_bytes()))
+}
+
+#[derive(Serialize, Deserialize)]
+struct Marker {
+    tool: String,
+    version: String,
+    kind: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct StepRecord<T> {
+    step_version: u32,
+    step: String,
+    inputs_digest: String,
+    result_digest: String,
+    /// Digest of every file of the step.
+    files: BTreeMap<String, String>,
+    result: T,
+}
+
+/// A finished step.
+#[derive(Clone, Debug)]
+pub struct Done<T> {
+    /// What the step found.
+    pub result: T,
+    /// Digest of result and files: goes into the inputs of the steps that build on it.
+    pub digest: String,
+    /// Folder of the step.
+    pub folder: PathBuf,
+    /// Whether it was taken from an earlier run instead of computed.
+    pub resumed: bool,
+}
+
+/// The folder of one run.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    steps: usize,
+    timing: Vec<(String, f64)>,
+    started: Instant,
+}
+
+impl RunFolder {
+    /// Makes the folder, or continues in it when the same verb (`kind`, e.g. `calibrate`) made it.
+    /// `spec` is stored as `spec.json`.
+    ///
+    /// # Errors
+    /// [`FilesError::ForeignFolder`] when the folder holds something else, [`FilesError::Write`] when it cannot be
+    /// written.
+    ///
+    /// # Examples
+    /// ```
+    /// use dynocal_files::{FilesError, run_folder::RunFolder};
+    /// let tmp = tempfile::tempdir().unwrap();
+    /// let spec = 3.0;
+    /// for pass in 0..2 {
+    ///     let mut run = RunFolder::open(&tmp.path().join("run"), "example", &spec).unwrap();
+    ///     let done = run.step("square", &(spec, 1u64), |_| Ok::<f64, FilesError>(spec * spec)).unwrap();
+    ///     assert_eq!(done.result, 9.0);
+    ///     assert_eq!(done.resumed, pass == 1);
+    /// }
+    /// ```
+    pub fn open<S: Serialize + ?Sized>(path: &Path, kind: &str, spec: &S) -> Result<Self, FilesError> {
+        let marker = path.join("run.json");
+        if marker.exists() {
+            let m: Marker =
+                json::read(&marker).map_err(|_| foreign(path, kind, "run.json of another tool"))?;
+            if m.tool != "dynocal" || m.kind != kind {
+                return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
+            }
+        } else if let Some(entry) = fs::read_dir(path).ok().and_then(|mut d| d.next()).and_then(Result::ok) {
+            return Err(foreign(path, kind, &format!("it holds `{}`", entry.file_name().to_string_lossy())));
+        }
+        json::write(
+            &marker,
+            &Marker { tool: "dynocal".into(), version: env!("CARGO_PKG_VERSION").into(), kind: kind.into() },
+        )?;
+        json::write(&path.join("spec.json"), spec)?;
+        let run = Self { path: path.into(), steps: 0, timing: Vec::new(), started: Instant::now() };
+        run.log(&format!("dynocal {} {kind}", env!("CARGO_PKG_VERSION")))?;
+        Ok(run)
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Runs the step `name`, or takes its result from an earlier run with the same `inputs`.
+    ///
+    /// `work` gets the folder of the step, writes its files there and returns the result. Steps are numbered in the
+    /// order of the calls. An error or an interruption leaves the step unfinished, so that the next run does it again.
+    ///
+    /// # Errors
+    /// Those of `work` and [`FilesError`] from reading and writing.
+    pub fn step<T, E, I, F>(&mut self, name: &str, inputs: &I, work: F) -> Result<Done<T>, E>
+    where
+        T: Serialize + DeserializeOwned,
+        I: Serialize + ?Sized,
+        E: From<FilesError>,
+        F: FnOnce(&Path) -> Result<T, E>,
+    {
+        self.steps += 1;
+        let label = format!("{:02}-{name}", self.steps);
+        let folder = self.path.join("steps").join(&label);
+        let inputs_digest = digest_of(&(STEP_VERSION, env!("CARGO_PKG_VERSION"), name, inputs))?;
+        if let Some(done) = earlier(&folder, &inputs_digest) {
+            self.log(&format!("{label}: taken from the earlier run"))?;
+            return Ok(done);
+        }
+        let start = Instant::now();
+        clear(&folder)?;
+        self.log(&format!("{label}: started"))?;
+        let result = work(&folder)?;
+        let files = files_digest(&folder)?;
+        let result_digest = digest_of(&(&result, &files))?;
+        let record = StepRecord {
+            step_version: STEP_VERSION,
+            step: label.clone(),
+            inputs_digest,
+            result_digest: result_digest.clone(),
+            files,
+            result,
+        };
+        json::write(&folder.join("step.json"), &record)?;
+        self.log(&format!("{label}: finished"))?;
+        self.timing.push((label, start.elapsed().as_secs_f64()));
+        self.write_timing()?;
+        Ok(Done { result: record.result, digest: result_digest, folder, resumed: false })
+    }
+
+    /// Appends a line to `log.txt`.
+    ///
+    /// # Errors
+    /// [`FilesError::Write`].
+    pub fn log(&self, line: &str) -> Result<(), FilesError> {
+        let path = self.path.join("log.txt");
+        fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .and_then(|mut f| writeln!(f, "{line}"))
+            .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: reason(&e) })
+    }
+
+    /// Writes `summary.json` (schema `dynocal/summary`, version 1) and returns its path.
+    ///
+    /// # Errors
+    /// [`FilesError::Write`].
+    pub fn write_summary<T: Serialize>(&self, summary: &T) -> Result<PathBuf, FilesError> {
+        let path = self.path.join("summary.json");
+        json::write_versioned(&path, "dynocal/summary", 1, summary)?;
+        self.write_timing()?;
+        Ok(path)
+    }
+
+    fn write_timing(&self) -> Result<(), FilesError> {
+        let steps: serde_json::Map<String, serde_json::Value> =
+            self.timing.iter().map(|(n, t)| (n.clone(), (*t).into())).collect();
+        let total = self.started.elapsed().as_secs_f64();
+        json::write(
+            &self.path.join("timing.json"),
+            &serde_json::json!({ "unit": "s", "total": total, "steps": steps }),
+        )
+    }
+}
+
+fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {
+    FilesError::ForeignFolder { path: path.display().to_string(), found: found.into(), expected: kind.into() }
+}
+
+/// The finished step in `folder`, if it had the same inputs and its files are untouched.
+fn earlier<T: DeserializeOwned>(folder: &Path, inputs_digest: &str) -> Option<Done<T>> {
+    let record: StepRecord<T> = json::read(&folder.join("step.json")).ok()?;
+    let same = record.step_version == STEP_VERSION
+        && record.inputs_digest == inputs_digest
+        && files_digest(folder).ok()? == record.files;
+    same.then(|| Done {
+        result: record.result,
+        digest: record.result_digest,
+        folder: folder.into(),
+        resumed: true,
+    })
+}
+
+/// An empty folder for a step that starts: what an unfinished one left must not be taken for its result.
+fn clear(folder: &Path) -> Result<(), FilesError> {
+    let fail =
+        |e: std::io::Error| FilesError::Write { path: folder.display().to_string(), reason: reason(&e) };
+    if folder.exists() {
+        fs::remove_dir_all(folder).map_err(fail)?;
+    }
+    fs::create_dir_all(folder).map_err(fail)
+}
+
+fn files_digest(folder: &Path) -> Result<BTreeMap<String, String>, FilesError> {
+    let fail =
+        |p: &Path, e: std::io::Error| FilesError::Read { path: p.display().to_string(), reason: reason(&e) };
+    let mut out = BTreeMap::new();
+    for entry in fs::read_dir(folder).map_err(|e| fail(folder, e))? {
+        let path = entry.map_err(|e| fail(folder, e))?.path();
+        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        if path.is_file() && name != "step.json" && !name.ends_with(".tmp") {
+            out.insert(name, digest(&fs::read(&path).map_err(|e| fail(&path, e))?));
+        }
+    }
+    Ok(out)
+}
