@@ -82,7 +82,9 @@ pub enum DataError {
         found: f64,
     },
     /// An input that never changes cannot be identified.
-    #[error("{record}: input `{channel}` is constant ({value}) over all {samples} samples: it excites nothing; remove it from the inputs or record a test that moves it")]
+    #[error(
+        "{record}: input `{channel}` is constant ({value}) over all {samples} samples: it excites nothing; remove it from the inputs or record a test that moves it"
+    )]
     ConstantInput {
         /// Record name.
         record: String,

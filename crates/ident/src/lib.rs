@@ -6,4 +6,5 @@
 pub mod data;
 pub mod model;
 pub mod plant;
+pub mod select;
 pub mod signal;

@@ -11,7 +11,9 @@
 
 use dynocal_numerics::status::Status;
 
+pub mod literature;
 pub mod poly;
+pub mod structures;
 
 /// One experiment as a model sees it.
 #[derive(Clone, Copy, Debug)]
@@ -100,6 +102,12 @@ pub trait Model: Send + Sync {
 
     /// One-step prediction at sample `t` with its gradient (w) and Hessian (w x w row-major) with respect to the
     /// inputs of [`Model::window`]; past outputs are `run.y`.
-    fn window_derivatives(&self, theta: &[f64], run: &Run, t: usize, grad: &mut [f64], hess: &mut [f64])
-    -> f64;
+    fn window_derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64;
 }

@@ -1,0 +1,190 @@
+//! Free run, prediction, sensitivities and window derivatives of polynomial NARX models.
+
+use dynocal_numerics::status::Status;
+
+use super::PolyNarx;
+use super::program::{MAX_OUTPUT_LAGS, Program, Scratch};
+use crate::model::{Model, Run};
+
+impl Model for PolyNarx {
+    fn n_inputs(&self) -> usize {
+        self.inputs.len()
+    }
+
+    fn n_params(&self) -> usize {
+        self.regressors.len()
+    }
+
+    fn max_lag(&self) -> usize {
+        self.program.max_lag
+    }
+
+    fn output_lag(&self) -> usize {
+        self.program.output_lags.last().copied().unwrap_or(0)
+    }
+
+    fn param_name(&self, k: usize) -> String {
+        self.regressors[k].format(&self.inputs, &self.output)
+    }
+
+    fn is_linear_in_params(&self) -> bool {
+        true
+    }
+
+    fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status {
+        let program = &self.program;
+        let start = begin(program, run, y);
+        let mut scratch = Scratch::new();
+        for (t0, len) in blocks(program, start, run.len()) {
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, None);
+            for i in 0..len {
+                let t = t0 + i;
+                y[t] = scratch.sum[i] + program.recursive_sum(theta, run.u, y, t);
+                if !y[t].is_finite() {
+                    y[t..].fill(f64::NAN);
+                    return Status::Diverged;
+                }
+            }
+        }
+        Status::Converged
+    }
+
+    fn predict(&self, theta: &[f64], run: &Run, yhat: &mut [f64]) {
+        let program = &self.program;
+        let start = begin(program, run, yhat);
+        let mut scratch = Scratch::new();
+        for (t0, len) in blocks(program, start, run.len()) {
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, None);
+            for i in 0..len {
+                yhat[t0 + i] = scratch.sum[i] + program.recursive_sum(theta, run.u, run.y, t0 + i);
+            }
+        }
+    }
+
+    fn sensitivities(&self, theta: &[f64], run: &Run, y: &mut [f64], s: &mut [f64]) -> Status {
+        let program = &self.program;
+        let p = self.n_params();
+        let start = begin(program, run, y);
+        s[..(start * p).min(run.len() * p)].fill(0.0);
+        let mut scratch = Scratch::new();
+        let mut gradient = [0.0; MAX_OUTPUT_LAGS];
+        let a = &mut gradient[..program.output_lags.len()];
+        for (t0, len) in blocks(program, start, run.len()) {
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, Some(s));
+            for i in 0..len {
+                let t = t0 + i;
+                y[t] = scratch.sum[i] + program.recursive_sum(theta, run.u, y, t);
+                if !y[t].is_finite() {
+                    y[t..].fill(f64::NAN);
+                    s[t * p..].fill(f64::NAN);
+                    return Status::Diverged;
+                }
+                if program.recursive.is_empty() {
+                    continue;
+                }
+                fill_recursive_terms(program, run.u, y, t, &mut s[t * p..(t + 1) * p]);
+                program.output_gradient(theta, run.u, y, t, a);
+                let (past, now) = s.split_at_mut(t * p);
+                for (lag, a) in program.output_lags.iter().zip(a.iter()) {
+                    // Rows before the start are zero: nothing to add.
+                    if t >= start + lag {
+                        let earlier = &past[(t - lag) * p..(t - lag + 1) * p];
+                        for (x, v) in now[..p].iter_mut().zip(earlier) {
+                            *x += a * v;
+                        }
+                    }
+                }
+            }
+        }
+        Status::Converged
+    }
+
+    fn one_step_jacobian(&self, theta: &[f64], run: &Run, s: &mut [f64]) {
+        let program = &self.program;
+        let p = self.n_params();
+        let start = run.start.max(program.max_lag).min(run.len());
+        s[..start * p].fill(0.0);
+        let mut scratch = Scratch::new();
+        for (t0, len) in blocks(program, start, run.len()) {
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, Some(s));
+            for t in t0..t0 + len {
+                fill_recursive_terms(program, run.u, run.y, t, &mut s[t * p..(t + 1) * p]);
+            }
+        }
+    }
+
+    fn sensitivity_adjoint(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        y: &[f64],
+        s: &[f64],
+        y_bar: &[f64],
+        s_bar: &[f64],
+        u_bar: &mut [f64],
+    ) {
+        super::adjoint::sensitivity_adjoint(&self.program, theta, run, y, s, y_bar, s_bar, u_bar);
+    }
+
+    fn window(&self) -> &[(usize, usize)] {
+        &self.program.window
+    }
+
+    fn window_derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64 {
+        let program = &self.program;
+        let w = program.window.len();
+        grad.fill(0.0);
+        hess.fill(0.0);
+        let u = program.input_window(run.u, t);
+        let mut value = 0.0;
+        for k in 0..program.terms.len() {
+            let gain = theta[k] * program.output_product(k, run.y, t);
+            let taps = program.taps(k);
+            value += gain * program.input_product(k, u);
+            for (a, tap_a) in taps.iter().enumerate() {
+                let except = |skip: usize| {
+                    let kept = taps.iter().enumerate().filter(|(i, _)| *i != a && *i != skip);
+                    kept.fold(gain, |x, (_, tap)| x * u[tap.shift])
+                };
+                grad[tap_a.window] += except(a);
+                for (b, tap_b) in taps.iter().enumerate() {
+                    if a != b {
+                        hess[tap_a.window * w + tap_b.window] += except(b);
+                    }
+                }
+            }
+        }
+        value
+    }
+}
+
+/// Copies the initial values and returns the first sample that is computed.
+fn begin(program: &Program, run: &Run, y: &mut [f64]) -> usize {
+    let start = run.start.max(program.max_lag).min(run.len());
+    y[..start].copy_from_slice(&run.y[..start]);
+    start
+}
+
+/// (first sample, length) of the blocks of `start..n`.
+fn blocks(program: &Program, start: usize, n: usize) -> impl Iterator<Item = (usize, usize)> {
+    let block = program.block_len();
+    (start..n).step_by(block).map(move |t0| (t0, block.min(n - t0)))
+}
+
+/// I_k(t) O_k(t) of the recursive terms into their places of one row.
+fn fill_recursive_terms(program: &Program, u: &[f64], y: &[f64], t: usize, row: &mut [f64]) {
+    if program.recursive.is_empty() {
+        return;
+    }
+    let window = program.input_window(u, t);
+    for &k in &program.recursive {
+        row[k] = program.input_product(k, window) * program.output_product(k, y, t);
+    }
+}

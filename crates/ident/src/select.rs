@@ -1,0 +1,3 @@
+//! Structure selection: candidate pools and forward regression.
+
+pub mod pool;
