@@ -1,0 +1,170 @@
+//! What happens between steps: latched events, injection, sums, torque sensor.
+
+use crate::combustion::{Charge, Wiebe};
+use crate::engine::VirtualEngine;
+use crate::grid::EventKind;
+use crate::state::{CycleRecord, EXHAUST, INTAKE, Sums};
+use std::f64::consts::PI;
+
+impl VirtualEngine {
+    /// Handle every event up to the present cell.
+    #[inline]
+    pub(crate) fn events(&mut self) {
+        while let Some(event) = self.grid.events.get(self.state.next_event).copied() {
+            if event.cell > self.state.cell {
+                break;
+            }
+            self.event(event.cylinder, event.kind);
+            self.state.next_event += 1;
+        }
+    }
+
+    fn event(&mut self, c: usize, kind: EventKind) {
+        let geometry = &self.params.geometry;
+        let s = &mut self.state;
+        let u = &s.inputs;
+        let m = &mut s.cylinders[c];
+        let [air, fuel, products] = [0, 1, 2].map(|i| s.gas.mass_kg[i][c]);
+        match kind {
+            EventKind::ExchangeBegins => {
+                m.last.gross_work_j = m.work_j;
+                m.last.exchange_work_j = m.exchange_work_j;
+                m.work_j = 0.0;
+            }
+            EventKind::CycleEnds => {
+                m.last = CycleRecord {
+                    peak_pa: m.running_peak_pa,
+                    peak_deg: m.running_peak_deg,
+                    residual: m.residual,
+                    lambda: m.lambda,
+                    trapped_kg: m.trapped_kg,
+                    ca_deg: [0.1, 0.5, 0.9].map(|x| m.wiebe.angle_of_fraction_deg(x)),
+                    ..m.last
+                };
+                m.running_peak_pa = 0.0;
+                s.peak_mean_pa = 0.25 * s.cylinders.iter().map(|m| m.last.peak_pa).sum::<f64>();
+            }
+            EventKind::Injection => m.to_inject_kg += 1e-6 * u.injection_mg,
+            EventKind::ExchangeEnds => {
+                m.exchange_work_j = m.work_j;
+                m.work_j = 0.0;
+            }
+            EventKind::Closed => {
+                let node = &self.grid.nodes[self.grid.local_nodes(s.cell)[c]];
+                let t = s.t_k[c];
+                let p = self.model.gas.mass_r_j_k([air, fuel, products]) * t / node.volume_m3;
+                m.woschni_ref = geometry.displacement_m3() * t / (p * node.volume_m3);
+                m.motored_ref = p / node.motored;
+            }
+            EventKind::Spark => {
+                let gas = &self.model.gas;
+                let all_fuel = fuel + s.gas.liquid_kg[c];
+                let total = air + all_fuel + products;
+                m.trapped_kg = total;
+                m.residual = products / total;
+                m.lambda = gas.lambda(air, all_fuel, 0.0);
+                let limited = all_fuel.min(air / gas.afr_stoich).max(0.0);
+                m.burnable_kg = self.params.burn.burnable_share(m.lambda) * limited;
+                let wiebe: Wiebe = self.params.burn.wiebe(&Charge {
+                    speed_rpm: u.speed_rpm,
+                    spark_deg: u.spark_deg,
+                    wiebe_m: u.wiebe_m,
+                    duration_deg: u.burn_duration_deg,
+                    trapped_kg: total,
+                    residual: m.residual,
+                    lambda: m.lambda,
+                });
+                m.wiebe = wiebe;
+            }
+        }
+    }
+
+    /// Injected mass by exact overlap of the injection with the step.
+    #[inline]
+    pub(crate) fn inject(&mut self, dt_s: f64) {
+        let most = self.params.injection.rate_kg_s * dt_s;
+        let s = &mut self.state;
+        for c in 0..4 {
+            let left = s.cylinders[c].to_inject_kg;
+            if left > 0.0 {
+                let part = left.min(most);
+                s.cylinders[c].to_inject_kg = left - part;
+                s.gas.liquid_kg[c] += part;
+                s.ledger.injected_kg += part;
+            }
+        }
+    }
+
+    /// Sums, balance sheet and sensors after a step of `cells` cells; rates are those of the midpoint.
+    pub(crate) fn account(&mut self, cells: usize, dt: f64, middle: &[usize; 4]) {
+        let s = &mut self.state;
+        let k = &self.k;
+        let mut power = 0.0;
+        for c in 0..4 {
+            power += k.work[c];
+            let m = &mut s.cylinders[c];
+            m.work_j += dt * k.work[c];
+            if k.p[c] > m.running_peak_pa {
+                m.running_peak_pa = k.p[c];
+                m.running_peak_deg = self.grid.nodes[middle[c]].phi_deg;
+            }
+        }
+        let work = dt * power;
+        let part = work / cells as f64;
+        for old in &mut s.work_ring_j[s.cell..s.cell + cells] {
+            s.work_sum_j += part - *old;
+            *old = part;
+        }
+        let g = &self.params.geometry;
+        let fmep = self.params.friction.fmep_pa(s.peak_mean_pa, self.held.piston_speed);
+        let friction_nm = fmep * 4.0 * g.displacement_m3() / (4.0 * PI);
+        let mean_nm = s.work_sum_j / (4.0 * PI) - friction_nm;
+        for _ in 0..cells {
+            s.torque_sensor_nm += self.held.lag_per_cell * (mean_nm - s.torque_sensor_nm);
+        }
+        let [air, fuel, products] = [0, 1, 2].map(|i| s.gas.mass_kg[i][EXHAUST]);
+        let sums = Sums {
+            time_s: dt,
+            lambda_s: dt * self.model.gas.lambda(air, fuel, products),
+            map_pa_s: dt * k.p[INTAKE],
+            exhaust_pa_s: dt * k.p[EXHAUST],
+            air_kg: dt * k.throttle,
+            exhaust_kg: dt * k.turbine,
+            exhaust_kg_k: dt * k.turbine * s.t_k[EXHAUST],
+            work_j: work,
+            friction_nm_s: dt * friction_nm,
+            torque_nm_s: dt * s.torque_sensor_nm,
+        };
+        s.interval.add(&sums);
+        s.running.add(&sums);
+        let l = &mut s.ledger;
+        l.work_j += work;
+        l.wall_heat_j += dt * k.wall;
+        l.burned_kg += dt * k.burned;
+        l.evaporation_j += dt * k.evaporated * self.model.evaporation_j_kg;
+        l.enthalpy_in_j += dt * k.enthalpy_in;
+        l.mass_in_kg += dt * (k.throttle - k.tail);
+        s.time_s += dt;
+        s.cell += cells;
+        self.turn_over();
+    }
+
+    /// Half-turn means and wrap of the cycle.
+    #[inline]
+    fn turn_over(&mut self) {
+        let s = &mut self.state;
+        let cells = self.grid.cells;
+        if s.cell % (cells / 4) == 0 {
+            s.half_turns[s.slot] = s.running;
+            s.slot = (s.slot + 1) & 3;
+            s.running = Sums::default();
+        }
+        if s.cell >= cells {
+            s.cell -= cells;
+            s.cycle += 1;
+            s.next_event = 0;
+            // The running difference would drift by rounding: start each cycle from the exact sum.
+            s.work_sum_j = s.work_ring_j.iter().sum();
+        }
+    }
+}

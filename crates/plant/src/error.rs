@@ -1,0 +1,70 @@
+//! Errors of the virtual engine.
+
+use thiserror::Error;
+
+/// What can go wrong when an engine is built, driven or asked to settle.
+#[derive(Debug, Error)]
+pub enum PlantError {
+    /// A parameter is not finite or outside its physical range.
+    #[error("engine parameter `{name}` = {found}: expected {expected}")]
+    Parameter {
+        /// Name as in the TOML file.
+        name: &'static str,
+        /// The value given.
+        found: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// The parameter text is not valid TOML for [`crate::params::EngineParams`].
+    #[error("engine parameter file: {0}")]
+    Toml(#[from] Box<toml::de::Error>),
+    /// An input is not finite or outside the box of the engine.
+    #[error("input `{name}` = {found} {unit}: expected {low}..{high} {unit}")]
+    Input {
+        /// Input name.
+        name: &'static str,
+        /// The value given.
+        found: f64,
+        /// Lower bound.
+        low: f64,
+        /// Upper bound.
+        high: f64,
+        /// Unit of the three numbers.
+        unit: &'static str,
+    },
+    /// A snapshot belongs to an engine with another crank-angle grid.
+    #[error("snapshot has {found} torque cells per cycle: expected {expected}")]
+    Snapshot {
+        /// Cells in the snapshot.
+        found: usize,
+        /// Cells of this engine.
+        expected: usize,
+    },
+    /// The operating point was not reached in the time allowed.
+    #[error(
+        "no steady state at {speed_rpm} rpm, {torque_nm} Nm, spark {spark_deg} deg after {time_s:.1} s: \
+         torque error {torque_error_nm:.3} Nm, lambda error {lambda_error:.4}"
+    )]
+    NotSettled {
+        /// Engine speed.
+        speed_rpm: f64,
+        /// Torque asked for.
+        torque_nm: f64,
+        /// Spark advance.
+        spark_deg: f64,
+        /// Simulated time used.
+        time_s: f64,
+        /// Remaining torque error.
+        torque_error_nm: f64,
+        /// Remaining lambda error.
+        lambda_error: f64,
+    },
+    /// A number of the state is not finite: the step is too large or the inputs are unphysical.
+    #[error("the gas state of volume {volume} is not finite or has negative mass at t = {time_s:.4} s")]
+    Diverged {
+        /// Volume number (0..3 cylinders, 4 charge pipe, 5 intake, 6 exhaust, 7 catalyst).
+        volume: usize,
+        /// Simulated time.
+        time_s: f64,
+    },
+}

@@ -1,0 +1,71 @@
+//! Inputs of the engine and their box.
+
+use crate::error::PlantError;
+use serde::{Deserialize, Serialize};
+
+/// What the test bed sets. Sampled and held; fuel is latched at the start of injection (300 deg
+/// BTDC firing) and spark, Wiebe exponent and burn duration 60 deg BTDC firing, per cylinder.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Inputs {
+    /// Engine speed \[rpm\], 600..6500.
+    pub speed_rpm: f64,
+    /// Throttle angle \[deg\], 0..90.
+    pub throttle_deg: f64,
+    /// Spark advance \[deg BTDC firing\], -10..55.
+    pub spark_deg: f64,
+    /// Injected fuel \[mg per cylinder and cycle\], 0..120.
+    pub injection_mg: f64,
+    /// Maximum opening point of the intake valves \[deg BTDC firing\] (locked: 231, thesis).
+    pub intake_mop_deg_btdc: f64,
+    /// Maximum opening point of the exhaust valves \[deg ATDC firing\] (locked: 256, thesis).
+    pub exhaust_mop_deg_atdc: f64,
+    /// Wastegate orifice diameter \[mm\], 0..28 (part load fixed at 28, thesis).
+    pub wastegate_mm: f64,
+    /// Wiebe exponent \[-\] (2 for the maps, thesis 6.4).
+    pub wiebe_m: f64,
+    /// Imposed 10-90 % burn duration \[deg\]; the burn sub-model when absent.
+    pub burn_duration_deg: Option<f64>,
+}
+
+impl Default for Inputs {
+    /// 2000 rpm near 70 Nm.
+    fn default() -> Self {
+        Self {
+            speed_rpm: 2000.0,
+            throttle_deg: 16.0,
+            spark_deg: 19.0,
+            injection_mg: 16.7,
+            intake_mop_deg_btdc: 231.0,
+            exhaust_mop_deg_atdc: 256.0,
+            wastegate_mm: 28.0,
+            wiebe_m: 2.0,
+            burn_duration_deg: None,
+        }
+    }
+}
+
+impl Inputs {
+    /// Check every input against the box of the engine.
+    ///
+    /// # Errors
+    /// [`PlantError::Input`] for the first input that is not finite or outside.
+    pub fn check(&self) -> Result<(), PlantError> {
+        let rows = [
+            ("speed", self.speed_rpm, 600.0, 6500.0, "rpm"),
+            ("throttle", self.throttle_deg, 0.0, 90.0, "deg"),
+            ("spark", self.spark_deg, -10.0, 55.0, "deg"),
+            ("injection", self.injection_mg, 0.0, 120.0, "mg"),
+            ("intake_mop", self.intake_mop_deg_btdc, 180.0, 300.0, "deg"),
+            ("exhaust_mop", self.exhaust_mop_deg_atdc, 180.0, 300.0, "deg"),
+            ("wastegate", self.wastegate_mm, 0.0, 28.0, "mm"),
+            ("wiebe_m", self.wiebe_m, 0.5, 6.0, "-"),
+            ("burn_duration", self.burn_duration_deg.unwrap_or(20.0), 10.0, 80.0, "deg"),
+        ];
+        for (name, found, low, high, unit) in rows {
+            if !(found >= low && found <= high) {
+                return Err(PlantError::Input { name, found, low, high, unit });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,22 @@
+//! What answers a test: the virtual engine and literature systems.
+//!
+//! [`engine::VirtualEngine`] is a crank-angle resolved 2.0 l four-cylinder gasoline engine of the
+//! filling-and-emptying kind (level F0): eight gas volumes, three conserved species, direct injection,
+//! Wiebe combustion with a burn sub-model, Woschni heat transfer, Chen-Flynn friction. It stands in
+//! for the engine model of the thesis (chapters 3, 6, 7).
+
+mod bookkeeping;
+pub mod combustion;
+pub mod engine;
+pub mod error;
+pub mod gas;
+pub mod geometry;
+mod grid;
+pub mod heat;
+mod initial;
+pub mod inputs;
+pub mod orifice;
+pub mod outputs;
+pub mod params;
+pub mod state;
+mod step;

@@ -1,0 +1,348 @@
+//! Right-hand side of the gas state and the explicit midpoint step.
+
+use crate::gas::{GasModel, VOLUMES};
+use crate::grid::{Grid, Node};
+use crate::heat;
+use crate::inputs::Inputs;
+use crate::orifice::PsiTable;
+use crate::params::EngineParams;
+use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
+
+/// Quantities that only change with the inputs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Held {
+    /// Crank speed \[rad/s\] and \[deg/s\].
+    pub(crate) omega: f64,
+    pub(crate) deg_s: f64,
+    /// Wanted step \[cells\].
+    pub(crate) step_cells: usize,
+    pub(crate) throttle_m2: f64,
+    pub(crate) turbine_m2: f64,
+    pub(crate) intake_shift: usize,
+    pub(crate) exhaust_shift: usize,
+    pub(crate) gas_exchange_w: f64,
+    pub(crate) closed_w: f64,
+    pub(crate) piston_speed: f64,
+    /// Share of the torque error that the sensor makes up per cell.
+    pub(crate) lag_per_cell: f64,
+}
+
+impl Held {
+    pub(crate) fn new(p: &EngineParams, grid: &Grid, u: &Inputs) -> Self {
+        let deg_s = 6.0 * u.speed_rpm;
+        let s = &p.stepping;
+        let step_cells = if s.fixed_cells > 0 {
+            s.fixed_cells
+        } else {
+            // Largest of 2, 1, 0.5 deg that keeps dt below the stability limit of open valves.
+            let mut cells = 2 * s.cells_per_deg;
+            while cells > 1 && cells as f64 * grid.cell_deg / deg_s > s.max_step_s {
+                cells /= 2;
+            }
+            cells
+        };
+        let piston_speed = p.geometry.mean_piston_speed_m_s(u.speed_rpm);
+        let wastegate_m = 1e-3 * u.wastegate_mm;
+        let wastegate_m2 = 0.25 * std::f64::consts::PI * wastegate_m * wastegate_m;
+        Self {
+            omega: deg_s.to_radians(),
+            deg_s,
+            step_cells,
+            throttle_m2: p.throttle.area_m2(u.throttle_deg),
+            turbine_m2: p.exhaust.turbine_m2 + p.exhaust.wastegate_discharge * wastegate_m2,
+            intake_shift: grid.valve_shift(720.0 - u.intake_mop_deg_btdc),
+            exhaust_shift: grid.valve_shift(u.exhaust_mop_deg_atdc),
+            gas_exchange_w: 6.18 * piston_speed,
+            closed_w: 2.28 * piston_speed,
+            piston_speed,
+            lag_per_cell: -(-grid.cell_deg / deg_s / p.torque_lag_s).exp_m1(),
+        }
+    }
+}
+
+/// Constants of the right-hand side.
+#[derive(Debug, Clone)]
+pub(crate) struct Model {
+    pub(crate) gas: GasModel,
+    pub(crate) psi: PsiTable,
+    pub(crate) manifold_m3: [f64; VOLUMES],
+    pub(crate) ua_w_k: [f64; VOLUMES],
+    pub(crate) wall_k: [f64; VOLUMES],
+    pub(crate) ambient_pa: f64,
+    pub(crate) tail_m2: f64,
+    pub(crate) woschni: f64,
+    pub(crate) cylinder_wall_k: f64,
+    pub(crate) burn_end_deg: f64,
+    pub(crate) evaporation_1_s: f64,
+    pub(crate) evaporation_j_kg: f64,
+}
+
+impl Model {
+    pub(crate) fn new(p: &EngineParams) -> Self {
+        let (i, e, c) = (&p.intake_manifold, &p.exhaust_manifold, &p.catalyst);
+        Self {
+            gas: p.gas.clone(),
+            psi: PsiTable::default(),
+            manifold_m3: [1.0, 1.0, 1.0, 1.0, p.charge_pipe_m3, i.volume_m3, e.volume_m3, c.volume_m3],
+            ua_w_k: [0.0, 0.0, 0.0, 0.0, 0.0, i.ua_w_k, e.ua_w_k, c.ua_w_k],
+            wall_k: [0.0, 0.0, 0.0, 0.0, 0.0, i.wall_k, e.wall_k, c.wall_k],
+            ambient_pa: p.ambient.pressure_pa,
+            tail_m2: p.exhaust.tailpipe_m2,
+            woschni: heat::woschni_constant(p.heat.scale, p.geometry.bore_m),
+            cylinder_wall_k: p.heat.wall_k,
+            burn_end_deg: p.burn.end_deg,
+            evaporation_1_s: 1.0 / p.injection.evaporation_s,
+            evaporation_j_kg: p.injection.charge_share * p.gas.latent_j_kg,
+        }
+    }
+}
+
+/// Time derivatives and the powers and flows that belong to them.
+#[derive(Debug, Clone)]
+pub(crate) struct Rates {
+    pub(crate) mass: [[f64; VOLUMES]; 3],
+    pub(crate) energy: [f64; VOLUMES],
+    pub(crate) liquid: [f64; 4],
+    /// Pressures \[Pa\].
+    pub(crate) p: [f64; VOLUMES],
+    /// p dV/dt per cylinder \[W\].
+    pub(crate) work: [f64; 4],
+    /// Heat to all walls \[W\].
+    pub(crate) wall: f64,
+    /// Fuel burned \[kg/s\].
+    pub(crate) burned: f64,
+    /// Liquid evaporated \[kg/s\].
+    pub(crate) evaporated: f64,
+    /// Flow through the throttle \[kg/s\].
+    pub(crate) throttle: f64,
+    /// Flow out of the exhaust manifold \[kg/s\].
+    pub(crate) turbine: f64,
+    /// Flow out of the tailpipe \[kg/s\].
+    pub(crate) tail: f64,
+    /// Enthalpy into the engine \[W\].
+    pub(crate) enthalpy_in: f64,
+}
+
+impl Rates {
+    pub(crate) const ZERO: Self = Self {
+        mass: [[0.0; VOLUMES]; 3],
+        energy: [0.0; VOLUMES],
+        liquid: [0.0; 4],
+        p: [0.0; VOLUMES],
+        work: [0.0; 4],
+        wall: 0.0,
+        burned: 0.0,
+        evaporated: 0.0,
+        throttle: 0.0,
+        turbine: 0.0,
+        tail: 0.0,
+        enthalpy_in: 0.0,
+    };
+}
+
+/// Properties of all volumes at one stage.
+struct Stage {
+    p: [f64; VOLUMES],
+    gamma: [f64; VOLUMES],
+    inv_m: [f64; VOLUMES],
+    h: [f64; VOLUMES],
+    /// p/sqrt(R T).
+    drive: [f64; VOLUMES],
+}
+
+impl Model {
+    /// Derivatives of `gas` with the cylinders at `nodes`; `t_k` is guess and result.
+    pub(crate) fn rates(
+        &self,
+        gas: &Gas,
+        nodes: &[usize; 4],
+        grid: &Grid,
+        held: &Held,
+        cylinders: &[Cylinder; 4],
+        t_k: &mut [f64; VOLUMES],
+        k: &mut Rates,
+    ) {
+        let mut volume = self.manifold_m3;
+        let mut at: [&Node; 4] = [&grid.nodes[0]; 4];
+        for c in 0..4 {
+            at[c] = &grid.nodes[nodes[c]];
+            volume[c] = at[c].volume_m3;
+        }
+        let s = self.properties(gas, &volume, t_k);
+        *k = Rates::ZERO;
+        self.manifold_flows(&s, gas, held, t_k, k);
+        let period = 2 * grid.cells;
+        for c in 0..4 {
+            let wrap = |i: usize| if i >= period { i - period } else { i };
+            let intake = grid.intake_m2[wrap(nodes[c] + held.intake_shift)];
+            if intake > 0.0 {
+                self.exchange(&s, gas, INTAKE, c, intake, k);
+            }
+            let exhaust = grid.exhaust_m2[wrap(nodes[c] + held.exhaust_shift)];
+            if exhaust > 0.0 {
+                self.exchange(&s, gas, c, EXHAUST, exhaust, k);
+            }
+            self.cylinder_rates(&s, gas, c, at[c], held, &cylinders[c], t_k[c], k);
+        }
+        k.p = s.p;
+    }
+
+    #[inline]
+    fn properties(&self, gas: &Gas, volume: &[f64; VOLUMES], t_k: &mut [f64; VOLUMES]) -> Stage {
+        let mut mcv = [0.0; VOLUMES];
+        self.gas.temperatures(&gas.mass_kg, &gas.energy_j, t_k, &mut mcv);
+        let [ra, rf, rp] = self.gas.r_j_kg_k;
+        let [ma, mf, mp] = &gas.mass_kg;
+        let mut s = Stage {
+            p: [0.0; VOLUMES],
+            gamma: [0.0; VOLUMES],
+            inv_m: [0.0; VOLUMES],
+            h: [0.0; VOLUMES],
+            drive: [0.0; VOLUMES],
+        };
+        for v in 0..VOLUMES {
+            let mr = ma[v] * ra + mf[v] * rf + mp[v] * rp;
+            let pv = mr * t_k[v];
+            let m = ma[v] + mf[v] + mp[v];
+            s.inv_m[v] = 1.0 / m;
+            s.p[v] = pv / volume[v];
+            s.gamma[v] = 1.0 + mr / mcv[v];
+            s.h[v] = (gas.energy_j[v] + pv) * s.inv_m[v];
+            s.drive[v] = s.p[v] / (pv * s.inv_m[v]).sqrt();
+        }
+        s
+    }
+
+    /// Flow between two volumes with the composition and enthalpy of the upstream one; returns the
+    /// signed mass flow from `a` to `b` \[kg/s\].
+    #[inline]
+    fn exchange(&self, s: &Stage, gas: &Gas, a: usize, b: usize, area_m2: f64, k: &mut Rates) -> f64 {
+        let forward = s.p[a] >= s.p[b];
+        let (u, d) = if forward { (a & 7, b & 7) } else { (b & 7, a & 7) };
+        let flow = area_m2 * s.drive[u] * self.psi.psi(s.p[d] / s.p[u], s.gamma[u]);
+        let share = flow * s.inv_m[u];
+        for i in 0..3 {
+            let part = share * gas.mass_kg[i][u];
+            k.mass[i][u] -= part;
+            k.mass[i][d] += part;
+        }
+        let power = flow * s.h[u];
+        k.energy[u] -= power;
+        k.energy[d] += power;
+        if forward { flow } else { -flow }
+    }
+
+    fn manifold_flows(&self, s: &Stage, gas: &Gas, held: &Held, t_k: &[f64; VOLUMES], k: &mut Rates) {
+        k.throttle = self.exchange(s, gas, PIPE, INTAKE, held.throttle_m2, k);
+        // The charge pipe is a reservoir at ambient state while the turbocharger is off.
+        k.enthalpy_in = -k.energy[PIPE];
+        for i in 0..3 {
+            k.mass[i][PIPE] = 0.0;
+        }
+        k.energy[PIPE] = 0.0;
+        k.turbine = self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
+        // Reverse flow returns exhaust gas, never ambient air: pulsation would dilute the lambda signal.
+        let (p, pa) = (s.p[CATALYST], self.ambient_pa);
+        let (gamma, drive) = (s.gamma[CATALYST], s.drive[CATALYST]);
+        k.tail = self.tail_m2
+            * if p >= pa {
+                drive * self.psi.psi(pa / p, gamma)
+            } else {
+                -drive * (pa / p) * self.psi.psi(p / pa, gamma)
+            };
+        for i in 0..3 {
+            k.mass[i][CATALYST] -= k.tail * s.inv_m[CATALYST] * gas.mass_kg[i][CATALYST];
+        }
+        let out = k.tail * s.h[CATALYST];
+        k.energy[CATALYST] -= out;
+        k.enthalpy_in -= out;
+        for v in INTAKE..VOLUMES {
+            let q = self.ua_w_k[v] * (t_k[v] - self.wall_k[v]);
+            k.energy[v] -= q;
+            k.wall += q;
+        }
+    }
+
+    /// Piston work, wall heat, combustion and evaporation of cylinder `c`.
+    #[inline]
+    fn cylinder_rates(
+        &self,
+        s: &Stage,
+        gas: &Gas,
+        c: usize,
+        at: &Node,
+        held: &Held,
+        memory: &Cylinder,
+        t_k: f64,
+        k: &mut Rates,
+    ) {
+        let p = s.p[c];
+        let phi = at.phi_deg;
+        let work = p * at.dvolume * held.omega;
+        let burning = phi > memory.wiebe.start_deg && phi < self.burn_end_deg;
+        let mut wall = 0.0;
+        if self.woschni > 0.0 {
+            // Gas exchange from 110 to 616 deg of the cycle (phi = -104 deg).
+            let w = if !(-104.0..110.0).contains(&phi) {
+                held.gas_exchange_w
+            } else if phi >= memory.wiebe.start_deg {
+                let rise = (p - memory.motored_ref * at.motored).max(0.0);
+                held.closed_w + 3.24e-3 * memory.woschni_ref * rise
+            } else {
+                held.closed_w
+            };
+            wall = heat::woschni(self.woschni, p, t_k, w) * at.wall_m2 * (t_k - self.cylinder_wall_k);
+        }
+        let mut energy = -work - wall;
+        if burning && memory.burnable_kg > 0.0 {
+            let b = memory.burnable_kg * memory.wiebe.rate_per_deg(phi) * held.deg_s;
+            k.mass[0][c] -= self.gas.afr_stoich * b;
+            k.mass[1][c] -= b;
+            k.mass[2][c] += (self.gas.afr_stoich + 1.0) * b;
+            energy += self.gas.lhv_j_kg * b;
+            k.burned += b;
+        }
+        if gas.liquid_kg[c] > 0.0 {
+            let e = gas.liquid_kg[c] * self.evaporation_1_s;
+            k.liquid[c] = -e;
+            k.mass[1][c] += e;
+            energy -= self.evaporation_j_kg * e;
+            k.evaporated += e;
+        }
+        k.energy[c] += energy;
+        k.work[c] = work;
+        k.wall += wall;
+    }
+}
+
+/// `out = start + dt * k` for all gas quantities.
+#[inline]
+pub(crate) fn advance(start: &Gas, k: &Rates, dt_s: f64, out: &mut Gas) {
+    for i in 0..3 {
+        for v in 0..VOLUMES {
+            out.mass_kg[i][v] = start.mass_kg[i][v] + dt_s * k.mass[i][v];
+        }
+    }
+    for v in 0..VOLUMES {
+        out.energy_j[v] = start.energy_j[v] + dt_s * k.energy[v];
+    }
+    for c in 0..4 {
+        out.liquid_kg[c] = start.liquid_kg[c] + dt_s * k.liquid[c];
+    }
+}
+
+/// `gas += dt * k`.
+#[inline]
+pub(crate) fn add(gas: &mut Gas, k: &Rates, dt_s: f64) {
+    for i in 0..3 {
+        for v in 0..VOLUMES {
+            gas.mass_kg[i][v] += dt_s * k.mass[i][v];
+        }
+    }
+    for v in 0..VOLUMES {
+        gas.energy_j[v] += dt_s * k.energy[v];
+    }
+    for c in 0..4 {
+        gas.liquid_kg[c] += dt_s * k.liquid[c];
+    }
+}
