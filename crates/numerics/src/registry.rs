@@ -75,7 +75,12 @@ pub fn build<T: ?Sized>(
         Some(m) => (m.build)(keys),
         None => {
             let known: Vec<String> = table.iter().map(|m| m.doc.name.to_string()).collect();
-            Err(BuildError::UnknownMember { family, found: name.into(), nearest: nearest(name, &known), known })
+            Err(BuildError::UnknownMember {
+                family,
+                found: name.into(),
+                nearest: nearest(name, &known),
+                known,
+            })
         }
     }
 }
