@@ -1,1 +1,12 @@
-//! Calibration campaigns: excitation, fuel optimisation, maps, controllers, validation
+//! Calibration campaigns: excitation, fuel optimisation, maps, controllers, validation.
+//!
+//! A campaign sees a plant only as `&mut dyn Plant`: a test bed, a recording and the virtual engine are the same
+//! thing to it.
+
+pub mod control;
+pub mod engine_model;
+pub mod excite;
+pub mod fuel;
+pub mod map;
+pub mod record;
+pub mod validate;
