@@ -1,0 +1,286 @@
+//! Value and exact gradient of a design problem.
+
+use super::term::TermWork;
+use super::{Convention, DesignProblem};
+use crate::channel::Layout;
+use crate::error::DesignError;
+use dynocal_numerics::status::Status;
+
+/// Multipliers of the range constraints of a problem (augmented Lagrangian): rate limits, then outputs per sample.
+#[derive(Clone, Debug)]
+pub(crate) struct Multipliers {
+    pub(crate) penalty: f64,
+    pub(crate) rate: Vec<f64>,
+    pub(crate) output: Vec<Vec<f64>>,
+}
+
+/// Evaluates a [`DesignProblem`]; all buffers are allocated once.
+///
+/// The search minimises `f(x) = ln sum_i w_i J_i`, or the plain sum where a criterion may be negative, over the
+/// variables x of the [`Layout`].
+#[derive(Clone)]
+pub struct Evaluator<'a> {
+    layout: Layout,
+    convention: Convention,
+    pad: usize,
+    start: usize,
+    logarithmic: bool,
+    /// Padded record, (N + pad) x m.
+    u: Vec<f64>,
+    u_bar: Vec<f64>,
+    terms: Vec<TermWork<'a>>,
+    total: f64,
+    count: usize,
+}
+
+impl<'a> Evaluator<'a> {
+    /// Checks the problem and allocates.
+    ///
+    /// # Errors
+    /// What [`DesignProblem::check`] finds; [`DesignError::Diverged`] for an objective signal that the model
+    /// cannot follow.
+    pub fn new(problem: &DesignProblem<'a>) -> Result<Self, DesignError> {
+        let layout = problem.check()?;
+        let (pad, start) = problem.padding();
+        let size = (problem.n_samples + pad) * problem.channels.len();
+        let terms = problem.terms.iter().map(|t| TermWork::new(problem, *t)).collect::<Result<Vec<_>, _>>()?;
+        let logarithmic = problem.terms.iter().filter_map(|t| t.criterion).all(|c| c.is_positive());
+        Ok(Self {
+            layout,
+            convention: problem.convention,
+            pad,
+            start,
+            logarithmic,
+            u: vec![0.0; size],
+            u_bar: vec![0.0; size],
+            terms,
+            total: f64::NAN,
+            count: 0,
+        })
+    }
+
+    /// The map between free variables and samples.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Evaluations so far.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Samples (N x m) of the last evaluation.
+    pub fn inputs(&self) -> &[f64] {
+        &self.u[self.pad * self.layout.n_channels()..]
+    }
+
+    /// Predicted output (N) of term `i` at the last evaluation.
+    pub fn output(&self, i: usize) -> &[f64] {
+        &self.terms[i].y[self.pad..]
+    }
+
+    /// Lower factor L = R' and column scales of the information of term `i` at the last evaluation.
+    pub fn factors(&self, i: usize) -> (&[f64], &[f64]) {
+        self.terms[i].factors()
+    }
+
+    /// Raw sensitivities of term `i` at the last evaluation, rows that count.
+    pub fn sensitivities(&self, i: usize) -> &[f64] {
+        self.terms[i].counted()
+    }
+
+    /// Weighted criterion of the samples `u` (N x m), factored by QR and with extremes exact. Infinite where the
+    /// information is singular or a model diverges.
+    pub fn value(&mut self, u: &[f64]) -> f64 {
+        self.load(u);
+        if !self.simulate() {
+            return f64::INFINITY;
+        }
+        let mut sum = 0.0;
+        for t in self.terms.iter_mut().filter(|t| t.term.criterion.is_some()) {
+            if !t.factor(true) {
+                return f64::INFINITY;
+            }
+            sum += t.term.weight * t.exact_value();
+        }
+        sum
+    }
+
+    /// Weighted criterion (p-norms of order `sharpness` for extremes) of the samples `u` (N x m) and its gradient
+    /// in the samples (N x m). Infinite where singular or diverged; the gradient is then zero.
+    pub fn value_gradient(&mut self, u: &[f64], sharpness: f64, gradient: &mut [f64]) -> f64 {
+        self.load(u);
+        self.clear();
+        let value = self.forward(sharpness);
+        gradient.fill(0.0);
+        if value.is_finite() {
+            self.backward(1.0);
+            gradient.copy_from_slice(&self.u_bar[self.pad * self.layout.n_channels()..]);
+        }
+        value
+    }
+
+    /// The search objective at `x` and its gradient, with the augmented Lagrangian of the constraints when given.
+    pub(crate) fn objective(
+        &mut self,
+        x: &[f64],
+        sharpness: f64,
+        multipliers: Option<&Multipliers>,
+        grad: &mut [f64],
+    ) -> f64 {
+        let m = self.layout.n_channels();
+        self.layout.fill(x, &mut self.u[self.pad * m..]);
+        self.fill_pad();
+        self.clear();
+        let sum = self.forward(sharpness);
+        grad.fill(0.0);
+        if !sum.is_finite() || (self.logarithmic && sum <= 0.0) {
+            return f64::INFINITY;
+        }
+        let mut f = if self.logarithmic { sum.ln() } else { sum };
+        if let Some(mu) = multipliers {
+            f += self.penalise_outputs(mu);
+        }
+        self.backward(if self.logarithmic { 1.0 / sum } else { 1.0 });
+        self.layout.gather(&self.u_bar[self.pad * m..], grad);
+        if let Some(mu) = multipliers {
+            f += penalise_rates(&self.layout, mu, x, grad);
+        }
+        f
+    }
+
+    /// The criterion of the last evaluation (p-norms where extreme).
+    pub(crate) fn total(&self) -> f64 {
+        self.total
+    }
+
+    fn load(&mut self, u: &[f64]) {
+        let m = self.layout.n_channels();
+        self.u[self.pad * m..].copy_from_slice(u);
+        self.fill_pad();
+    }
+
+    fn fill_pad(&mut self) {
+        let m = self.layout.n_channels();
+        if self.convention == Convention::Hold {
+            let (pad, rest) = self.u.split_at_mut(self.pad * m);
+            pad.chunks_exact_mut(m).for_each(|row| row.copy_from_slice(&rest[..m]));
+        }
+    }
+
+    fn clear(&mut self) {
+        self.terms.iter_mut().for_each(|t| t.y_bar.fill(0.0));
+    }
+
+    fn simulate(&mut self) -> bool {
+        self.count += 1;
+        self.terms.iter_mut().all(|t| t.simulate(&self.u) == Status::Converged)
+    }
+
+    fn forward(&mut self, sharpness: f64) -> f64 {
+        self.total = f64::INFINITY;
+        if !self.simulate() {
+            return f64::INFINITY;
+        }
+        let mut sum = 0.0;
+        for t in self.terms.iter_mut().filter(|t| t.term.criterion.is_some()) {
+            if !t.factor(false) {
+                return f64::INFINITY;
+            }
+            sum += t.term.weight * t.value_gradient(sharpness);
+        }
+        self.total = if sum.is_nan() { f64::INFINITY } else { sum };
+        self.total
+    }
+
+    fn backward(&mut self, outer: f64) {
+        self.u_bar.fill(0.0);
+        for t in &mut self.terms {
+            t.adjoint(&self.u, outer * t.term.weight, &mut self.u_bar);
+        }
+        // What stands before the record: copies of the first sample, or constants.
+        let m = self.layout.n_channels();
+        if self.convention == Convention::Hold {
+            let (pad, rest) = self.u_bar.split_at_mut(self.pad * m);
+            for row in pad.chunks_exact(m) {
+                crate::kernel::axpy(1.0, row, &mut rest[..m]);
+            }
+        }
+    }
+
+    /// Terms with limits: (term, lower, range) with the margin taken off.
+    fn limits(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        self.terms.iter().enumerate().filter_map(|(i, t)| {
+            t.term.limits.map(|l| (i, l.lower + l.margin, l.upper - l.lower - 2.0 * l.margin))
+        })
+    }
+
+    /// Multipliers at zero for the constraints of this problem; `None` when there is none.
+    pub(crate) fn multipliers(&self, penalty: f64) -> Option<Multipliers> {
+        let rows = self.u.len() / self.layout.n_channels();
+        let output: Vec<Vec<f64>> = self.limits().map(|_| vec![0.0; rows]).collect();
+        let rate = vec![0.0; self.layout.rates().len()];
+        (!rate.is_empty() || !output.is_empty()).then_some(Multipliers { penalty, rate, output })
+    }
+
+    fn penalise_outputs(&mut self, mu: &Multipliers) -> f64 {
+        let mut f = 0.0;
+        let limits: Vec<_> = self.limits().collect();
+        for ((i, lower, range), lambda) in limits.into_iter().zip(&mu.output) {
+            let t = &mut self.terms[i];
+            for k in self.start..t.y.len() {
+                let (value, slope) = penalty((t.y[k] - lower) / range, 0.0, 1.0, lambda[k], mu.penalty);
+                f += value;
+                t.y_bar[k] = slope / range;
+            }
+        }
+        f
+    }
+
+    /// Moves the multipliers to the slopes of the penalties at the last evaluation (made at `x`).
+    pub(crate) fn update(&self, x: &[f64], mu: &mut Multipliers) {
+        for ((i, lower, range), lambda) in self.limits().zip(&mut mu.output) {
+            let t = &self.terms[i];
+            for k in self.start..t.y.len() {
+                lambda[k] = penalty((t.y[k] - lower) / range, 0.0, 1.0, lambda[k], mu.penalty).1;
+            }
+        }
+        for (r, lambda) in self.layout.rates().iter().zip(&mut mu.rate) {
+            *lambda = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty).1;
+        }
+    }
+
+    /// Largest violation of an output limit (margin included) at the last evaluation, as a share of the range.
+    pub(crate) fn output_violation(&self) -> f64 {
+        self.limits().fold(0.0, |worst: f64, (i, lower, range)| {
+            self.terms[i].y[self.start..].iter().fold(worst, |w, y| {
+                let z = (y - lower) / range;
+                w.max(z - 1.0).max(-z)
+            })
+        })
+    }
+
+    /// First sample of the record whose output is computed.
+    pub(crate) fn first_computed(&self) -> usize {
+        self.start - self.pad
+    }
+}
+
+fn penalise_rates(layout: &Layout, mu: &Multipliers, x: &[f64], grad: &mut [f64]) -> f64 {
+    let mut f = 0.0;
+    for (r, lambda) in layout.rates().iter().zip(&mu.rate) {
+        let (value, slope) = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty);
+        f += value;
+        grad[r.j] += slope;
+        grad[r.j - 1] -= slope;
+    }
+    f
+}
+
+/// Augmented-Lagrangian term of `lower <= c <= upper` and its slope: with z = c + lambda / rho and v the distance
+/// of z to the range, `rho v^2 / 2 - lambda^2 / (2 rho)`; the slope rho v is the next multiplier.
+fn penalty(c: f64, lower: f64, upper: f64, lambda: f64, rho: f64) -> (f64, f64) {
+    let z = c + lambda / rho;
+    let v = z - z.clamp(lower, upper);
+    (0.5 * rho * v * v - 0.5 * lambda * lambda / rho, rho * v)
+}
