@@ -6,6 +6,7 @@
 //! - [`units`]: unit names, their aliases, exact conversions
 //! - [`json`]: results with a schema version
 //! - [`run_folder`]: the folder of a run, resumable step by step
+//! - [`spec`]: TOML specs with every fault named at once
 
 pub mod atomic;
 pub mod csv_io;
@@ -14,6 +15,7 @@ pub mod error;
 pub mod json;
 pub mod parquet_io;
 pub mod run_folder;
+pub mod spec;
 pub mod table;
 pub mod units;
 
