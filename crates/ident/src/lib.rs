@@ -4,7 +4,10 @@
 //! inputs is a flat row-major slice `u[t * m + i]` (N x m), a sensitivity matrix `s[t * p + k]` (N x p).
 
 pub mod data;
+pub mod estimate;
+pub mod experiment;
 pub mod model;
 pub mod plant;
 pub mod select;
 pub mod signal;
+pub mod validate;

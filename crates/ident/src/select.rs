@@ -1,3 +1,4 @@
 //! Structure selection: candidate pools and forward regression.
 
+pub mod frols;
 pub mod pool;

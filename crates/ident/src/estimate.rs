@@ -1,0 +1,197 @@
+//! Parameter estimation: the contract, its table, and what every estimator reports.
+
+mod covariance;
+pub mod ols;
+pub mod sem;
+
+use dynocal_numerics::linalg::LinalgError;
+use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
+use dynocal_numerics::status::{Iterate, Status};
+use serde::{Deserialize, Serialize};
+
+use crate::data::DataError;
+use crate::experiment::Experiment;
+use crate::model::Model;
+
+/// An estimator: model structure and experiments in, parameters with what is known about them out.
+pub trait Estimator: Send + Sync {
+    /// Estimates the parameters of `model` from all experiments together.
+    ///
+    /// `start` is a start point (p) for iterative estimators; without one they start from least squares.
+    /// `interrupt` is asked often and ends the search with the best point so far.
+    ///
+    /// # Errors
+    /// [`EstimateError`]: the data cannot give an answer, or no stable start exists.
+    fn estimate(
+        &self,
+        model: &dyn Model,
+        data: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError>;
+}
+
+/// Which error a fit made small.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Minimised {
+    /// One-step prediction error (PEM).
+    OneStep,
+    /// Free-run simulation error (SEM).
+    FreeRun,
+}
+
+/// An estimate.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Fit {
+    /// Name of the estimator.
+    pub estimator: String,
+    /// Which error [`Fit::mse`] is.
+    pub minimised: Minimised,
+    /// Parameters (p).
+    pub theta: Vec<f64>,
+    /// Names of the parameters.
+    pub names: Vec<String>,
+    /// Covariance of the parameters, p x p row-major: `s2 (J'J)^-1` with `s2 = |e|^2 / (n - p)`, valid for white
+    /// errors. Zero rows for parameters that the data do not determine.
+    pub covariance: Vec<f64>,
+    /// Standard errors (p): square roots of its diagonal; NaN for parameters that the data do not determine.
+    pub std_errors: Vec<f64>,
+    /// Mean of the (weighted) squared errors on the data used.
+    pub mse: f64,
+    /// `s2` of the covariance.
+    pub noise_variance: f64,
+    /// Scored samples.
+    pub samples: usize,
+    /// Numerical rank of the Jacobian; below p some parameters are not determined.
+    pub rank: usize,
+    /// How the estimator ended.
+    pub status: Status,
+    /// Evaluations of the cost.
+    pub evaluations: usize,
+    /// Iterations (the objective is the sum of squares).
+    pub history: Vec<Iterate>,
+    /// What the user should know, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// No estimate is possible.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EstimateError {
+    /// The data do not fit the task.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// Least squares needs a model that is linear in its parameters.
+    #[error(
+        "{estimator}: the model is not linear in its {params} parameters; give a start point or another estimator"
+    )]
+    NotLinear {
+        /// Estimator.
+        estimator: &'static str,
+        /// Number of parameters.
+        params: usize,
+    },
+    /// A start point of the wrong length.
+    #[error("start point has {found} entries, the model has {expected} parameters")]
+    Start {
+        /// Entries found.
+        found: usize,
+        /// Parameters.
+        expected: usize,
+    },
+    /// The free run diverges and no repaired start was found.
+    #[error(
+        "the free run of the model `{model}` diverges on {record} from sample {sample} on, also with all output terms shrunk; try fewer output terms or a start point"
+    )]
+    Unstable {
+        /// First regressors of the model.
+        model: String,
+        /// Record.
+        record: String,
+        /// First non-finite sample.
+        sample: usize,
+    },
+    /// The linear algebra met values it cannot handle (overflow in the regressors).
+    #[error("{estimator}: {source}")]
+    Numeric {
+        /// Estimator.
+        estimator: &'static str,
+        /// What happened.
+        source: LinalgError,
+    },
+}
+
+/// All estimators.
+pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
+    Member {
+        doc: MemberDoc {
+            name: "ols",
+            what: "one-step prediction error by column-scaled QR least squares (PEM)",
+            params: &[ParamDoc {
+                name: "ridge",
+                unit: "-",
+                default: "0",
+                what: "weight on squared parameters, each in units of its regressor's rms, relative to the number of samples",
+            }],
+        },
+        build: |keys| Ok(Box::new(registry::keys::<ols::Ols>("ols", keys)?)),
+    },
+    Member {
+        doc: MemberDoc {
+            name: "sem",
+            what: "simulation (free-run) error by Levenberg-Marquardt with exact recursive sensitivities",
+            params: &[
+                ParamDoc {
+                    name: "max_evaluations",
+                    unit: "-",
+                    default: "200",
+                    what: "most cost evaluations per start",
+                },
+                ParamDoc {
+                    name: "cost_tolerance",
+                    unit: "-",
+                    default: "1e-12",
+                    what: "relative decrease that ends the search",
+                },
+                ParamDoc {
+                    name: "restarts",
+                    unit: "-",
+                    default: "0",
+                    what: "further starts around the first one",
+                },
+                ParamDoc {
+                    name: "spread",
+                    unit: "-",
+                    default: "0.1",
+                    what: "relative spread of the further starts",
+                },
+                ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the further starts" },
+            ],
+        },
+        build: |keys| Ok(Box::new(registry::keys::<sem::Sem>("sem", keys)?)),
+    },
+];
+
+/// Builds the estimator `name` from the keys of a spec.
+///
+/// # Errors
+/// [`BuildError`] with the nearest known name.
+pub fn estimator(name: &str, keys: &toml::Table) -> Result<Box<dyn Estimator>, BuildError> {
+    registry::build("estimator", ESTIMATORS, name, keys)
+}
+
+/// Documentation of all estimators.
+pub fn docs() -> Vec<MemberDoc> {
+    ESTIMATORS.iter().map(|m| m.doc).collect()
+}
+
+/// All parameter names.
+fn names(model: &dyn Model) -> Vec<String> {
+    (0..model.n_params()).map(|k| model.param_name(k)).collect()
+}
+
+/// The model in a few words, for messages.
+fn short_name(names: &[String]) -> String {
+    let head = names.iter().take(3).cloned().collect::<Vec<_>>().join(" + ");
+    if names.len() > 3 { format!("{head} + ... ({} terms)", names.len()) } else { head }
+}

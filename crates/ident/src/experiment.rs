@@ -1,0 +1,149 @@
+//! Datasets in the shape that models take: inputs row-major, output, first scored sample.
+
+use crate::data::{DataError, Dataset};
+use crate::model::{Model, Run};
+
+/// One experiment for one model output.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Experiment {
+    /// Name of the record.
+    pub name: String,
+    /// Inputs, N x m row-major.
+    pub u: Vec<f64>,
+    /// Measured output, N.
+    pub y: Vec<f64>,
+    /// Leading samples that only initialise and enter no score (at least; a model with longer lags takes more).
+    pub init_samples: usize,
+    /// Weights of the squared errors (N), or empty for all one.
+    pub weights: Vec<f64>,
+}
+
+impl Experiment {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.y.len()
+    }
+
+    /// Whether there is no sample.
+    pub fn is_empty(&self) -> bool {
+        self.y.is_empty()
+    }
+
+    /// First sample that `model` computes and that is scored: `max(init_samples, longest lag)`. A free run starts
+    /// there from the measured outputs before it.
+    pub fn first(&self, model: &dyn Model) -> usize {
+        self.init_samples.max(model.max_lag())
+    }
+
+    /// What the model needs.
+    pub fn run(&self, model: &dyn Model) -> Run<'_> {
+        Run { u: &self.u, y: &self.y, start: self.first(model) }
+    }
+
+    /// The same record with `rows` samples of zero inputs and output before it, which then initialise: every
+    /// sample of the record is scored and all delays start at rest.
+    pub fn at_rest(&self, rows: usize) -> Self {
+        let pad = |v: &[f64], n: usize| -> Vec<f64> {
+            std::iter::repeat_n(0.0, n).chain(v.iter().copied()).collect()
+        };
+        let m = self.u.len().checked_div(self.y.len()).unwrap_or(0);
+        let weights = if self.weights.is_empty() { Vec::new() } else { pad(&self.weights, rows) };
+        Self {
+            name: self.name.clone(),
+            u: pad(&self.u, rows * m),
+            y: pad(&self.y, rows),
+            init_samples: rows,
+            weights,
+        }
+    }
+
+    /// Weight of sample t.
+    pub(crate) fn weight(&self, t: usize) -> f64 {
+        self.weights.get(t).copied().unwrap_or(1.0)
+    }
+}
+
+/// Takes `inputs` and `output` out of each dataset and checks them: lengths, finite samples, one common sample
+/// time, and every input moving in at least one record.
+///
+/// # Errors
+/// The first [`DataError`] found.
+pub fn experiments(
+    datasets: &[Dataset],
+    inputs: &[String],
+    output: &str,
+) -> Result<Vec<Experiment>, DataError> {
+    let mut out = Vec::with_capacity(datasets.len());
+    for d in datasets {
+        d.check()?;
+        let expected = datasets[0].sample_time_s;
+        // Time stamps rarely hold the same last digit in two files.
+        if (d.sample_time_s - expected).abs() > 1e-6 * expected {
+            return Err(DataError::SampleTime {
+                record: d.name.clone(),
+                found: d.sample_time_s,
+                expected: format!("{expected} s as in {}", datasets[0].name),
+            });
+        }
+        out.push(Experiment {
+            name: d.name.clone(),
+            u: d.matrix(inputs)?,
+            y: d.values(output)?.to_vec(),
+            init_samples: d.init_samples,
+            weights: Vec::new(),
+        });
+    }
+    for (i, channel) in inputs.iter().enumerate() {
+        let values = || out.iter().flat_map(|e| e.u.iter().skip(i).step_by(inputs.len()));
+        if let Some(&value) = values().next()
+            && values().all(|v| *v == value)
+        {
+            let record = out.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+            let samples = values().count();
+            return Err(DataError::ConstantInput { record, channel: channel.clone(), value, samples });
+        }
+    }
+    Ok(out)
+}
+
+/// Total number of scored samples.
+///
+/// # Errors
+/// [`DataError::TooShort`] when a record ends before its first scored sample, or all together hold fewer scored
+/// samples than the model has parameters; [`DataError::Length`] when inputs or weights do not fit the output.
+pub fn usable_samples(model: &dyn Model, data: &[Experiment]) -> Result<usize, DataError> {
+    let mut total = 0;
+    for e in data {
+        let m = model.n_inputs();
+        let fault = |channel: &str, found| DataError::Length {
+            record: e.name.clone(),
+            channel: channel.into(),
+            found,
+            expected: e.len(),
+        };
+        if e.u.len() != m * e.len() {
+            return Err(fault("inputs", e.u.len() / m.max(1)));
+        }
+        if !e.weights.is_empty() && e.weights.len() != e.len() {
+            return Err(fault("weights", e.weights.len()));
+        }
+        let first = e.first(model);
+        if e.len() <= first {
+            let why = format!("{first} samples initialise, one must be left");
+            return Err(DataError::TooShort {
+                record: e.name.clone(),
+                found: e.len(),
+                expected: first + 1,
+                why,
+            });
+        }
+        total += e.len() - first;
+    }
+    let p = model.n_params();
+    if total < p {
+        let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+        let why = format!("{p} parameters");
+        return Err(DataError::TooShort { record, found: total, expected: p, why });
+    }
+    Ok(total)
+}

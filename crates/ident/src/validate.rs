@@ -1,0 +1,198 @@
+//! Validation: scores that say what they are, and residual correlations.
+
+use dynocal_numerics::status::Status;
+use serde::{Deserialize, Serialize};
+
+use crate::experiment::Experiment;
+use crate::model::{Model, Run};
+
+/// How the outputs that are scored were computed. Never compare scores of different kinds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// From measured past outputs.
+    OneStep,
+    /// From outputs measured up to k samples before.
+    KStep(usize),
+    /// From the model's own past outputs.
+    FreeRun,
+}
+
+/// Whether the parameters have seen the data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Seen {
+    /// Data of the estimation.
+    Identification,
+    /// Other data.
+    Unseen,
+}
+
+/// What the model output is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reference {
+    /// Measured output.
+    Noisy,
+    /// True output without noise (simulated studies only).
+    NoiseFree,
+}
+
+/// Fit numbers of one model on one or several experiments.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// How the outputs were computed.
+    pub kind: Kind,
+    /// Whether the data were used for estimation.
+    pub data: Seen,
+    /// What it is compared with.
+    pub reference: Reference,
+    /// Scored samples.
+    pub samples: usize,
+    /// Mean squared error.
+    pub mse: f64,
+    /// Root of it.
+    pub rmse: f64,
+    /// `1 - sum e^2 / sum (z - mean z)^2` (thesis eq. 2.48), the mean over all scored samples.
+    pub r2: f64,
+    /// `1 - |e| / |z - mean z|`, the NRMSE fit.
+    pub nrmse_fit: f64,
+    /// 95 % of the absolute errors are at most this.
+    pub error_95: f64,
+    /// Largest absolute error.
+    pub error_max: f64,
+    /// `Diverged` when a free run did not stay finite; the numbers are then NaN.
+    pub status: Status,
+}
+
+/// Scores of `z` against `zhat`.
+///
+/// ```
+/// use dynocal_ident::validate::{Kind, Reference, Seen, score_values};
+/// let s = score_values(&[1.0, 2.0, 3.0], &[1.0, 2.0, 4.0], Kind::OneStep, Seen::Unseen, Reference::Noisy);
+/// assert_eq!((s.r2, s.mse), (0.5, 1.0 / 3.0));
+/// ```
+pub fn score_values(z: &[f64], zhat: &[f64], kind: Kind, data: Seen, reference: Reference) -> Score {
+    let n = z.len();
+    let mean = z.iter().sum::<f64>() / n as f64;
+    let spread: f64 = z.iter().map(|v| (v - mean).powi(2)).sum();
+    let mut errors: Vec<f64> = z.iter().zip(zhat).map(|(a, b)| (a - b).abs()).collect();
+    let sum: f64 = errors.iter().map(|e| e * e).sum();
+    errors.sort_by(f64::total_cmp);
+    let rank = ((0.95 * n as f64).ceil() as usize).clamp(1, n.max(1));
+    Score {
+        kind,
+        data,
+        reference,
+        samples: n,
+        mse: sum / n as f64,
+        rmse: (sum / n as f64).sqrt(),
+        r2: 1.0 - sum / spread,
+        nrmse_fit: 1.0 - (sum / spread).sqrt(),
+        error_95: errors.get(rank - 1).copied().unwrap_or(f64::NAN),
+        error_max: errors.last().copied().unwrap_or(f64::NAN),
+        status: if sum.is_finite() { Status::Converged } else { Status::Diverged },
+    }
+}
+
+/// Output of the model on one experiment, computed as `kind` says; samples before the first computed one are the
+/// measured ones.
+pub fn output(model: &dyn Model, theta: &[f64], e: &Experiment, kind: Kind) -> Vec<f64> {
+    let run = e.run(model);
+    let mut y = vec![0.0; e.len()];
+    match kind {
+        Kind::OneStep => model.predict(theta, &run, &mut y),
+        Kind::FreeRun => {
+            model.simulate(theta, &run, &mut y);
+        }
+        Kind::KStep(k) => k_step(model, theta, &run, k.max(1), &mut y),
+    }
+    y
+}
+
+/// Prediction k samples ahead: for every t a free run over the last k samples from the measured outputs before.
+fn k_step(model: &dyn Model, theta: &[f64], run: &Run, k: usize, y: &mut [f64]) {
+    let (m, lag) = (model.n_inputs(), model.max_lag());
+    let start = run.start.min(run.len());
+    y[..start].copy_from_slice(&run.y[..start]);
+    let mut tail = vec![0.0; lag + k];
+    for t in start..run.len() {
+        // Near the start fewer samples are free: nothing before it is computed.
+        let free = k.min(t + 1 - start);
+        let from = t + 1 - free - lag;
+        let part = Run { u: &run.u[from * m..(t + 1) * m], y: &run.y[from..=t], start: lag };
+        let tail = &mut tail[..lag + free];
+        model.simulate(theta, &part, tail);
+        y[t] = tail[lag + free - 1];
+    }
+}
+
+/// Scores the model on all experiments together, against their measured outputs.
+pub fn score(model: &dyn Model, theta: &[f64], data: &[Experiment], kind: Kind, seen: Seen) -> Score {
+    let (mut z, mut zhat) = (Vec::new(), Vec::new());
+    for e in data {
+        let first = e.first(model).min(e.len());
+        z.extend_from_slice(&e.y[first..]);
+        zhat.extend_from_slice(&output(model, theta, e, kind)[first..]);
+    }
+    score_values(&z, &zhat, kind, seen, Reference::Noisy)
+}
+
+/// The same against outputs without noise, one slice per experiment.
+pub fn score_noise_free(
+    model: &dyn Model,
+    theta: &[f64],
+    data: &[Experiment],
+    noise_free: &[&[f64]],
+    kind: Kind,
+    seen: Seen,
+) -> Score {
+    let (mut z, mut zhat) = (Vec::new(), Vec::new());
+    for (e, truth) in data.iter().zip(noise_free) {
+        let first = e.first(model).min(e.len());
+        z.extend_from_slice(&truth[first..]);
+        zhat.extend_from_slice(&output(model, theta, e, kind)[first..]);
+    }
+    score_values(&z, &zhat, kind, seen, Reference::NoiseFree)
+}
+
+/// Normalised correlation of two series over lags with its bound for independent series.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Correlation {
+    /// Lags in samples.
+    pub lags: Vec<usize>,
+    /// Correlation coefficients.
+    pub values: Vec<f64>,
+    /// 95 % bound `1.96 / sqrt(n)` for independent white series.
+    pub bound: f64,
+    /// Share of the values (lag 0 of an autocorrelation left out) outside the bound.
+    pub share_outside: f64,
+}
+
+/// Autocorrelation of residuals at the lags 0 to `max_lag`.
+pub fn autocorrelation(e: &[f64], max_lag: usize) -> Correlation {
+    correlation(e, e, max_lag, 1)
+}
+
+/// Correlation of residuals e(t) with past inputs u(t - lag), lags 0 to `max_lag`.
+pub fn cross_correlation(e: &[f64], u: &[f64], max_lag: usize) -> Correlation {
+    correlation(e, u, max_lag, 0)
+}
+
+fn correlation(e: &[f64], u: &[f64], max_lag: usize, first_tested: usize) -> Correlation {
+    let n = e.len().min(u.len());
+    let centred = |v: &[f64]| -> Vec<f64> {
+        let mean = v[..n].iter().sum::<f64>() / n as f64;
+        v[..n].iter().map(|x| x - mean).collect()
+    };
+    let (e, u) = (centred(e), centred(u));
+    let norm = (e.iter().map(|v| v * v).sum::<f64>() * u.iter().map(|v| v * v).sum::<f64>()).sqrt();
+    let lags: Vec<usize> = (0..=max_lag.min(n.saturating_sub(1))).collect();
+    let values: Vec<f64> =
+        lags.iter().map(|&lag| e[lag..].iter().zip(&u).map(|(a, b)| a * b).sum::<f64>() / norm).collect();
+    let bound = 1.96 / (n as f64).sqrt();
+    let tested = &values[first_tested.min(values.len())..];
+    let outside = tested.iter().filter(|v| v.abs() > bound).count();
+    let share_outside = if tested.is_empty() { 0.0 } else { outside as f64 / tested.len() as f64 };
+    Correlation { lags, values, bound, share_outside }
+}
