@@ -3,12 +3,15 @@
 //! [`engine::VirtualEngine`] is a crank-angle resolved 2.0 l four-cylinder gasoline engine of the
 //! filling-and-emptying kind (level F0): eight gas volumes, three conserved species, direct injection,
 //! Wiebe combustion with a burn sub-model, Woschni heat transfer, Chen-Flynn friction. It stands in
-//! for the engine model of the thesis (chapters 3, 6, 7).
+//! for the engine model of the thesis (chapters 3, 6, 7). [`bed::EngineBed`] puts it behind the plant
+//! contract of the identification crate; [`statics`] finds steady points and best spark.
 
+pub mod bed;
 mod bookkeeping;
 pub mod combustion;
 pub mod engine;
 pub mod error;
+mod flatten;
 pub mod gas;
 pub mod geometry;
 mod grid;
@@ -18,5 +21,7 @@ pub mod inputs;
 pub mod orifice;
 pub mod outputs;
 pub mod params;
+pub mod sensors;
 pub mod state;
+pub mod statics;
 mod step;

@@ -92,7 +92,9 @@ impl Model {
             cylinder_wall_k: p.heat.wall_k,
             burn_end_deg: p.burn.end_deg,
             evaporation_1_s: 1.0 / p.injection.evaporation_s,
-            evaporation_j_kg: p.injection.charge_share * p.gas.latent_j_kg,
+            // Vapour enters the charge with its enthalpy at 298.15 K (u = 0, so R T), less the latent heat
+            // that the charge has to supply.
+            evaporation_j_kg: p.injection.charge_share * p.gas.latent_j_kg - p.gas.r_j_kg_k[1] * 298.15,
         }
     }
 }

@@ -1,0 +1,90 @@
+//! The engine state as a list of numbers and back (for saved plant states).
+
+use crate::state::{EngineState, Sums};
+
+/// Visits every number of a state in a fixed order; counters travel as exact f64.
+fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
+    s.gas.mass_kg.iter_mut().flatten().for_each(&mut *f);
+    s.gas.energy_j.iter_mut().for_each(&mut *f);
+    s.gas.liquid_kg.iter_mut().for_each(&mut *f);
+    s.t_k.iter_mut().for_each(&mut *f);
+    s.t_before_k.iter_mut().for_each(&mut *f);
+    for c in &mut s.cylinders {
+        let (w, l) = (&mut c.wiebe, &mut c.last);
+        [&mut w.start_deg, &mut w.duration_deg, &mut w.m, &mut w.a].into_iter().for_each(&mut *f);
+        [&mut c.to_inject_kg, &mut c.burnable_kg, &mut c.woschni_ref, &mut c.motored_ref]
+            .into_iter()
+            .for_each(&mut *f);
+        [&mut c.residual, &mut c.lambda, &mut c.trapped_kg, &mut c.running_peak_pa]
+            .into_iter()
+            .for_each(&mut *f);
+        [&mut c.running_peak_deg, &mut c.work_j, &mut c.exchange_work_j].into_iter().for_each(&mut *f);
+        [&mut l.peak_pa, &mut l.peak_deg, &mut l.gross_work_j, &mut l.exchange_work_j]
+            .into_iter()
+            .for_each(&mut *f);
+        [&mut l.residual, &mut l.lambda, &mut l.trapped_kg].into_iter().for_each(&mut *f);
+        l.ca_deg.iter_mut().for_each(&mut *f);
+    }
+    let u = &mut s.inputs;
+    [&mut u.speed_rpm, &mut u.throttle_deg, &mut u.spark_deg, &mut u.injection_mg]
+        .into_iter()
+        .for_each(&mut *f);
+    [&mut u.intake_mop_deg_btdc, &mut u.exhaust_mop_deg_atdc, &mut u.wastegate_mm, &mut u.wiebe_m]
+        .into_iter()
+        .for_each(&mut *f);
+    // A missing duration travels as -1: durations are positive.
+    let mut duration = u.burn_duration_deg.unwrap_or(-1.0);
+    f(&mut duration);
+    u.burn_duration_deg = (duration > 0.0).then_some(duration);
+    s.work_ring_j.iter_mut().for_each(&mut *f);
+    [&mut s.time_s, &mut s.remainder_deg, &mut s.work_sum_j, &mut s.torque_sensor_nm, &mut s.peak_mean_pa]
+        .into_iter()
+        .for_each(&mut *f);
+    for sums in s.half_turns.iter_mut().chain([&mut s.interval, &mut s.running]) {
+        visit_sums(sums, f);
+    }
+    let l = &mut s.ledger;
+    [&mut l.work_j, &mut l.wall_heat_j, &mut l.burned_kg, &mut l.evaporation_j].into_iter().for_each(&mut *f);
+    [&mut l.enthalpy_in_j, &mut l.mass_in_kg, &mut l.injected_kg].into_iter().for_each(&mut *f);
+    for counter in [&mut s.cell, &mut s.next_event, &mut s.slot] {
+        let mut x = *counter as f64;
+        f(&mut x);
+        *counter = x as usize;
+    }
+    let mut cycle = s.cycle as f64;
+    f(&mut cycle);
+    s.cycle = cycle as u64;
+}
+
+fn visit_sums(s: &mut Sums, f: &mut impl FnMut(&mut f64)) {
+    [&mut s.time_s, &mut s.lambda_s, &mut s.map_pa_s, &mut s.exhaust_pa_s, &mut s.air_kg]
+        .into_iter()
+        .for_each(&mut *f);
+    [&mut s.exhaust_kg, &mut s.exhaust_kg_k, &mut s.work_j, &mut s.friction_nm_s, &mut s.torque_nm_s]
+        .into_iter()
+        .for_each(&mut *f);
+}
+
+impl EngineState {
+    /// Append every number of the state to `out`.
+    pub fn to_numbers(&self, out: &mut Vec<f64>) {
+        visit(&mut self.clone(), &mut |x| out.push(*x));
+    }
+
+    /// Take every number from `numbers` (made by [`Self::to_numbers`] of an engine with the same grid);
+    /// false when the count does not fit or an index is out of range.
+    pub fn load_numbers(&mut self, numbers: &[f64]) -> bool {
+        let mut count = 0;
+        visit(self, &mut |_| count += 1);
+        if numbers.len() != count {
+            return false;
+        }
+        let mut source = numbers.iter();
+        visit(self, &mut |x| {
+            if let Some(v) = source.next() {
+                *x = *v;
+            }
+        });
+        self.slot < self.half_turns.len()
+    }
+}
