@@ -20,8 +20,8 @@ const Charts = (function () {
     let next = 0;
     return series.map((s) => {
       const own = ROLES[s.role];
-      // A second line of the same role must not look like the first.
-      if (own && !seen[s.role]) { seen[s.role] = true; return own; }
+      // A second line of the same role must not look like the first; bounds may.
+      if (own && (s.role === 'limit' || !seen[s.role])) { seen[s.role] = true; return own; }
       return free[next++ % free.length];
     });
   }
@@ -39,7 +39,9 @@ const Charts = (function () {
   function label(v, d) {
     if (v === 0 || Math.abs(v) < d * 1e-6) return '0';
     if (Math.abs(v) >= 1e6 || d < 1e-5) return v.toExponential(Math.max(0, Math.floor(Math.log10(Math.abs(v))) - Math.floor(Math.log10(d)))).replace('+', '');
-    return v.toFixed(Math.max(0, -Math.floor(Math.log10(d) + 1e-9)));
+    let decimals = 0; // as many as the step needs: 2.5 needs one
+    while (decimals < 10 && Math.abs(d * 10 ** decimals - Math.round(d * 10 ** decimals)) > 1e-6 * d * 10 ** decimals) decimals++;
+    return v.toFixed(decimals);
   }
   function short(v, digits) {
     if (!finite(v)) return '–';
@@ -117,7 +119,7 @@ const Charts = (function () {
     const paint = colours(p.series);
     const head = element('div', 'panel-head', host);
     element('span', 'axis-name', head, name(p.y));
-    legend(head, p.series.map((s, i) => ({ label: s.label, colour: paint[i], shape: s.line ? (dashed(s.role) ? 'dash' : '') : 'dot' })));
+    legend(head, p.series.map((s, i) => ({ label: s.label, colour: paint[i], shape: s.line ? (dashed(s.role) ? 'dash' : '') : 'dot' })).filter((e) => e.label));
     const own = element('div', 'own', host), canvas = element('canvas', '', own);
     element('div', 'axis-below', host, name(p.x));
     const full = { x: extent(p.series.map((s) => s.x), 0.04), y: extent(p.series.map((s) => s.y), 0.06) };
@@ -241,10 +243,10 @@ const Charts = (function () {
       const py = (v) => box.b - (v - y[0]) / (y[1] - y[0]) * (box.b - box.t);
       if (smooth) fill(c, box, x, y, (u, v) => bilinear(p, u, v), shade);
       else cells(c, p, ex, ey, px, py, shade);
+      if (p.overlay) clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => curve(c, p.overlay, INK, { px, py }));
       if (smooth) contour(c, box, p, px, py, ticks(range[0], range[1], 8));
       axes(c, box, x, y, false);
-      if (p.cell_values) values(c, p, px, py, shade, smooth);
-      if (p.overlay) clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => curve(c, p.overlay, INK, { px, py }));
+      if (p.cell_values) values(c, p, px, py, shade, smooth, range);
       bar(c, box, range, shade);
     }
     hover(canvas, () => box, ui, (q) => {
@@ -287,15 +289,19 @@ const Charts = (function () {
       c.fillRect(l, t, r - l, b - t);
     }
   }
-  function values(c, p, px, py, shade, smooth) {
-    const nx = p.xs.length, room = Math.abs(px(p.xs[Math.min(1, nx - 1)]) - px(p.xs[0]));
-    if (smooth || (nx > 1 && room < 34)) return; // numbers would overlap: the cursor reads them
+  function values(c, p, px, py, shade, smooth, range) {
+    if (smooth) return;
+    const nx = p.xs.length, step = Math.pow(10, Math.floor(Math.log10(range[1] - range[0])) - 2);
+    const text = p.zs.map((z) => (finite(z) ? label(z, step) : ''));
+    const gaps = (v, at) => v.slice(1).map((b, i) => Math.abs(at(b) - at(v[i])));
+    const wide = Math.max(...text.map((t) => c.measureText(t).width));
+    if (Math.min(...gaps(p.xs, px), 1e9) < wide + 4 || Math.min(...gaps(p.ys, py), 1e9) < 15) return; // the cursor reads them
     c.textAlign = 'center'; c.textBaseline = 'middle';
     p.zs.forEach((z, k) => {
       if (!finite(z)) return;
       const rgb = shade(z);
       c.fillStyle = 0.3 * rgb[0] + 0.59 * rgb[1] + 0.11 * rgb[2] > 140 ? INK : '#fff';
-      c.fillText(short(z, 3), px(p.xs[k % nx]), py(p.ys[Math.floor(k / nx)]));
+      c.fillText(text[k], px(p.xs[k % nx]), py(p.ys[Math.floor(k / nx)]));
     });
   }
   // Marching squares on a refined grid, so that the lines follow the bilinear surface that is filled.
@@ -389,7 +395,9 @@ const Charts = (function () {
         const top = box.t + g * pitch + gap / 2;
         c.fillStyle = INK; c.textBaseline = 'middle'; c.textAlign = narrow ? 'left' : 'right';
         const limit = narrow ? w - 8 : column - 10;
-        c.fillText(fit(c, text, limit), narrow ? 4 : column - 8, narrow ? top + 8 : top + group / 2);
+        const shown = fit(c, text, limit);
+        if (narrow) { c.fillStyle = '#fff'; c.fillRect(box.l + 1, top, c.measureText(shown).width + 4, 17); c.fillStyle = INK; }
+        c.fillText(shown, narrow ? 6 : column - 8, narrow ? top + 8 : top + group / 2);
         p.series.forEach((s, i) => {
           const v = s.v[g], y = top + above + i * (thick + 2), from = px(0), to = finite(v) ? px(v) : from;
           c.fillStyle = paint[i]; c.fillRect(Math.min(from, to), y, Math.max(1, Math.abs(to - from)), thick);

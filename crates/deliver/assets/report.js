@@ -50,7 +50,7 @@
         { ...axis, size: 56, space: 32, values },
       ],
       series: [{}].concat(lines.map((s, i) => ({
-        label: s.label, stroke: paint[i], width: s.level ? 1.2 : 1.5,
+        label: s.label, stroke: paint[i], width: s.level ? 1.2 : s.role === 'measured' ? 2 : 1.4, // simulated lies on top
         dash: dashed(s.role) ? [6, 4] : undefined,
         points: s.level || s.held ? { show: false } : { size: 4 },
         paths: s.held ? uPlot.paths.stepped({ align: 1 }) : undefined,

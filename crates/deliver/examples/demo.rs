@@ -143,10 +143,7 @@ fn autocorrelation() -> Block {
         Axis::new("Correlation", ""),
     );
     let curve = XySeries { line: true, points: true, ..XySeries::new("torque residual", lag, value) };
-    plot.series(curve)
-        .series(bound(1.0))
-        .series(XySeries { label: "-95 % bound".into(), ..bound(-1.0) })
-        .into()
+    plot.series(curve).series(bound(1.0)).series(XySeries { label: String::new(), ..bound(-1.0) }).into()
 }
 
 fn calibration() -> Section {

@@ -40,6 +40,16 @@ pub fn significant(value: f64, digits: usize) -> String {
     }
 }
 
+/// As [`significant`], without zeros at the end: for a number that stands alone, where `0.030000` only distracts.
+pub(crate) fn trimmed(value: f64, digits: usize) -> String {
+    let text = significant(value, digits);
+    let (mantissa, exponent) = text.split_at(text.find('e').unwrap_or(text.len()));
+    if !mantissa.contains('.') {
+        return text;
+    }
+    format!("{}{exponent}", mantissa.trim_end_matches('0').trim_end_matches('.'))
+}
+
 /// `value` rounded to `digits` significant digits.
 pub(crate) fn rounded(value: f64, digits: usize) -> f64 {
     if !value.is_finite() {

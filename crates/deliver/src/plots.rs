@@ -106,7 +106,7 @@ pub struct Panel {
     pub series: Vec<Series>,
     /// Constant bounds, drawn dashed.
     pub levels: Vec<Level>,
-    /// Vertical range at first; fitted to the data when not given.
+    /// Fixed vertical range; fitted to the visible data when not given.
     pub range: Option<[f64; 2]>,
 }
 

@@ -8,7 +8,7 @@ use minijinja::{Environment, context};
 use serde::Serialize;
 
 use crate::model::{Align, Block, Cell, Check, KeyValue, Report, Table};
-use crate::numbers::significant;
+use crate::numbers::{significant, trimmed};
 use crate::plots::{Bars, HeatMap, TimePlot, XyPlot};
 use crate::view::{self, PlotView};
 
@@ -285,8 +285,8 @@ impl<'a> CheckView<'a> {
         CheckView {
             id: &check.id,
             what: &check.what,
-            asked: cell_text(&check.asked, TABLE_DIGITS),
-            measured: cell_text(&check.measured, TABLE_DIGITS),
+            asked: single(&check.asked),
+            measured: single(&check.measured),
             unit: &check.unit,
             verdict: match check.holds {
                 Some(true) => "holds",
@@ -299,7 +299,7 @@ impl<'a> CheckView<'a> {
 }
 
 fn key_values(items: &[KeyValue]) -> Vec<(&str, String, &str)> {
-    items.iter().map(|i| (i.key.as_str(), cell_text(&i.value, TABLE_DIGITS), i.unit.as_str())).collect()
+    items.iter().map(|i| (i.key.as_str(), single(&i.value), i.unit.as_str())).collect()
 }
 
 fn table_view(table: &Table) -> Result<Item<'_>, DeliverError> {
@@ -326,6 +326,14 @@ fn cell_text(cell: &Cell, digits: usize) -> String {
         Cell::Number(value) => significant(*value, digits),
         Cell::Text(text) => text.clone(),
         Cell::Empty => "–".to_owned(),
+    }
+}
+
+/// A cell outside a table.
+fn single(cell: &Cell) -> String {
+    match cell {
+        Cell::Number(value) => trimmed(*value, TABLE_DIGITS),
+        _ => cell_text(cell, TABLE_DIGITS),
     }
 }
 
