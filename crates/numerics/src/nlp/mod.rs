@@ -1,0 +1,138 @@
+//! Sparse nonlinear programming: a primal-dual filter interior point (Waechter and Biegler 2006).
+//!
+//! ```text
+//! minimise f(x)   subject to   c(x) = 0,   xl <= x <= xu
+//! ```
+//!
+//! Inequalities become equalities with bounded slacks in the problem's own formulation.
+//!
+//! Reference: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search algorithm
+//! for large-scale nonlinear programming, Mathematical Programming 106 (2006), 25-57.
+
+mod barrier;
+mod filter;
+mod ipm;
+mod iterate;
+mod kkt;
+mod line_search;
+mod model;
+mod restoration;
+
+use crate::status::{Iterate, Status};
+
+/// A sparse nonlinear program with exact first and second derivatives.
+///
+/// Structures are fixed: `jacobian_structure` and `hessian_structure` give (row, column) pairs once, the value
+/// calls fill the same positions. The Hessian holds its lower triangle. Duplicate entries are summed. Bounds are
+/// infinite on entry of [`SparseNlp::bounds`].
+pub trait SparseNlp {
+    /// Number of variables.
+    fn n(&self) -> usize;
+    /// Number of equality constraints.
+    fn m(&self) -> usize;
+    /// Bounds of the variables, infinite where there is none.
+    fn bounds(&self, lower: &mut [f64], upper: &mut [f64]);
+    /// Start point.
+    fn start(&self, x: &mut [f64]);
+    /// Objective.
+    fn objective(&mut self, x: &[f64]) -> f64;
+    /// Gradient of the objective (n).
+    fn gradient(&mut self, x: &[f64], grad: &mut [f64]);
+    /// Constraints (m).
+    fn constraints(&mut self, x: &[f64], c: &mut [f64]);
+    /// (row, column) of each Jacobian entry.
+    fn jacobian_structure(&self) -> Vec<(usize, usize)>;
+    /// Values of the Jacobian entries.
+    fn jacobian(&mut self, x: &[f64], values: &mut [f64]);
+    /// (row, column) of each entry of the lower triangle of the Hessian of the Lagrangian.
+    fn hessian_structure(&self) -> Vec<(usize, usize)>;
+    /// Values of the Hessian of `sigma f + multipliers' c`.
+    fn hessian(&mut self, x: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]);
+}
+
+/// Options of the interior point.
+#[derive(Clone, Copy, Debug)]
+pub struct NlpOptions {
+    /// Scaled KKT error at which it has converged.
+    pub tolerance: f64,
+    /// Most iterations.
+    pub max_iterations: usize,
+}
+
+impl Default for NlpOptions {
+    fn default() -> Self {
+        Self { tolerance: 1e-8, max_iterations: 500 }
+    }
+}
+
+/// What the interior point found.
+#[derive(Clone, Debug)]
+pub struct NlpOutcome {
+    /// Point (n).
+    pub x: Vec<f64>,
+    /// Multipliers of the constraints (m).
+    pub multipliers: Vec<f64>,
+    /// Objective.
+    pub objective: f64,
+    /// Largest |c(x)|.
+    pub violation: f64,
+    /// How it ended.
+    pub status: Status,
+    /// One entry per iteration.
+    pub history: Vec<Iterate>,
+}
+
+/// Solves `problem`; `interrupt` is asked once per iteration.
+///
+/// The status is
+/// - `Converged`: scaled KKT error within the tolerance,
+/// - `Infeasible`: an empty box, or a stationary point of the violation with positive violation,
+/// - `Stalled`: no acceptable step although the point is (nearly) feasible,
+/// - `Limit`, `Interrupted`, and `Diverged` when the functions are not finite at the start.
+///
+/// Variables whose bounds coincide are held at them. The returned point lies inside of the bounds.
+///
+/// ```
+/// use dynocal_numerics::nlp::{NlpOptions, SparseNlp, solve};
+/// /// Nearest point to the origin on x + y = 2 with x <= 0.5.
+/// struct Nearest;
+/// impl SparseNlp for Nearest {
+///     fn n(&self) -> usize { 2 }
+///     fn m(&self) -> usize { 1 }
+///     fn bounds(&self, _lower: &mut [f64], upper: &mut [f64]) { upper[0] = 0.5; }
+///     fn start(&self, x: &mut [f64]) { x.fill(0.0); }
+///     fn objective(&mut self, x: &[f64]) -> f64 { x[0] * x[0] + x[1] * x[1] }
+///     fn gradient(&mut self, x: &[f64], g: &mut [f64]) { (g[0], g[1]) = (2.0 * x[0], 2.0 * x[1]); }
+///     fn constraints(&mut self, x: &[f64], c: &mut [f64]) { c[0] = x[0] + x[1] - 2.0; }
+///     fn jacobian_structure(&self) -> Vec<(usize, usize)> { vec![(0, 0), (0, 1)] }
+///     fn jacobian(&mut self, _: &[f64], v: &mut [f64]) { v.fill(1.0); }
+///     fn hessian_structure(&self) -> Vec<(usize, usize)> { vec![(0, 0), (1, 1)] }
+///     fn hessian(&mut self, _: &[f64], sigma: f64, _: &[f64], v: &mut [f64]) { v.fill(2.0 * sigma); }
+/// }
+/// let found = solve(&mut Nearest, &NlpOptions::default(), &|| false);
+/// assert!(found.status.is_success());
+/// assert!((found.x[0] - 0.5).abs() < 1e-7 && (found.objective - 2.5).abs() < 1e-6);
+/// ```
+pub fn solve(problem: &mut dyn SparseNlp, options: &NlpOptions, interrupt: &dyn Fn() -> bool) -> NlpOutcome {
+    let (n, m) = (problem.n(), problem.m());
+    let mut start = vec![0.0; n];
+    problem.start(&mut start);
+    match model::Model::new(problem) {
+        Ok(model) => {
+            let mut ipm = ipm::Ipm::new(model, *options);
+            let status = ipm.run(interrupt);
+            ipm.into_outcome(status)
+        }
+        Err(trivial) => NlpOutcome {
+            x: start,
+            multipliers: vec![0.0; m],
+            objective: f64::NAN,
+            violation: f64::INFINITY,
+            status: match trivial {
+                model::Trivial::EmptyBox => Status::Infeasible,
+                model::Trivial::NotFinite => Status::Diverged,
+            },
+            history: Vec::new(),
+        },
+    }
+}
