@@ -4,7 +4,7 @@
 //! times in one design, so that the call overhead of a general library is larger than the work itself.
 
 /// Dot product with four independent sums, so that it vectorises.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len());
     let (a, b) = (&a[..n], &b[..n]);
     let mut sum = [0.0; 4];
@@ -19,14 +19,14 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// `y += a x`.
-pub fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
+pub(crate) fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
     for (yi, xi) in y.iter_mut().zip(x) {
         *yi += a * xi;
     }
 }
 
 /// `g += s' s` for `s` (n x p): lower triangle only; [`mirror`] completes it.
-pub fn gram_add(s: &[f64], p: usize, g: &mut [f64]) {
+pub(crate) fn gram_add(s: &[f64], p: usize, g: &mut [f64]) {
     let mut blocks = s.chunks_exact(4 * p);
     for block in &mut blocks {
         let (r0, rest) = block.split_at(p);
@@ -49,7 +49,7 @@ pub fn gram_add(s: &[f64], p: usize, g: &mut [f64]) {
 }
 
 /// Copies the lower triangle of `g` (p x p) to the upper one.
-pub fn mirror(g: &mut [f64], p: usize) {
+pub(crate) fn mirror(g: &mut [f64], p: usize) {
     for i in 0..p {
         for j in 0..i {
             g[j * p + i] = g[i * p + j];
@@ -58,7 +58,7 @@ pub fn mirror(g: &mut [f64], p: usize) {
 }
 
 /// `out = s b` for `s` (n x p) and `b` (p x p), in tiles of 4 rows x 4 columns that stay in registers.
-pub fn multiply(s: &[f64], b: &[f64], p: usize, out: &mut [f64]) {
+pub(crate) fn multiply(s: &[f64], b: &[f64], p: usize, out: &mut [f64]) {
     let full = p - p % 4;
     for (rows, o) in s.chunks(4 * p).zip(out.chunks_mut(4 * p)) {
         if rows.len() < 4 * p {
@@ -109,7 +109,7 @@ fn tile(rows: &[f64], b: &[f64], p: usize, j: usize, out: &mut [f64]) {
 
 /// Cholesky factor L of the symmetric matrix `a` (p x p, lower triangle read): `a = l l'`, upper triangle zero.
 /// Returns the smallest pivot relative to its diagonal entry; at or below zero: not positive definite (`l` unusable).
-pub fn cholesky(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
+pub(crate) fn cholesky(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
     let mut least = f64::INFINITY;
     for i in 0..p {
         let (done, rest) = l.split_at_mut(i * p);
@@ -132,7 +132,7 @@ pub fn cholesky(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
 }
 
 /// Inverse of the lower triangular `l` (p x p), lower triangular.
-pub fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
+pub(crate) fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
     for i in 0..p {
         let (done, rest) = inv.split_at_mut(i * p);
         let row = &mut rest[..p];
@@ -149,7 +149,7 @@ pub fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
 }
 
 /// `out = l' l` (p x p, symmetric, complete) for lower triangular `l`: with `l = L^-1` this is `(L L')^-1`.
-pub fn lower_gram(l: &[f64], p: usize, out: &mut [f64]) {
+pub(crate) fn lower_gram(l: &[f64], p: usize, out: &mut [f64]) {
     out.fill(0.0);
     for k in 0..p {
         let row = &l[k * p..k * p + k + 1];
@@ -163,7 +163,7 @@ pub fn lower_gram(l: &[f64], p: usize, out: &mut [f64]) {
 /// Triangular factor of a tall matrix by Householder reflections: `a` (n x p **column**-major, overwritten) = Q R;
 /// `l` receives R' (lower triangular, p x p row-major) with non-negative diagonal. Needs no n >= p: missing rows
 /// count as zeros.
-pub fn qr_factor(a: &mut [f64], n: usize, p: usize, l: &mut [f64]) {
+pub(crate) fn qr_factor(a: &mut [f64], n: usize, p: usize, l: &mut [f64]) {
     l.fill(0.0);
     for k in 0..p {
         let (head, tail) = a.split_at_mut((k + 1) * n);
@@ -197,7 +197,7 @@ pub fn qr_factor(a: &mut [f64], n: usize, p: usize, l: &mut [f64]) {
 /// `l` (so of R for `l = R'`), by one-sided Jacobi rotations: small singular values keep their relative accuracy.
 ///
 /// `columns` (p x p) is work space; row k of `v` is the vector that belongs to `sigma[k]`.
-pub fn svd(l: &[f64], p: usize, columns: &mut [f64], sigma: &mut [f64], v: &mut [f64]) {
+pub(crate) fn svd(l: &[f64], p: usize, columns: &mut [f64], sigma: &mut [f64], v: &mut [f64]) {
     columns.copy_from_slice(l);
     v.fill(0.0);
     for k in 0..p {

@@ -29,7 +29,6 @@ pub struct Evaluator<'a> {
     u: Vec<f64>,
     u_bar: Vec<f64>,
     terms: Vec<TermWork<'a>>,
-    total: f64,
     count: usize,
 }
 
@@ -54,7 +53,6 @@ impl<'a> Evaluator<'a> {
             u: vec![0.0; size],
             u_bar: vec![0.0; size],
             terms,
-            total: f64::NAN,
             count: 0,
         })
     }
@@ -120,7 +118,7 @@ impl<'a> Evaluator<'a> {
         value
     }
 
-    /// The search objective at `x` and its gradient, with the augmented Lagrangian of the constraints when given.
+    /// The search objective at `x` and its gradient (none where `grad` is empty), with the augmented Lagrangian of the constraints when given.
     pub(crate) fn objective(
         &mut self,
         x: &[f64],
@@ -133,13 +131,15 @@ impl<'a> Evaluator<'a> {
         self.fill_pad();
         self.clear();
         let sum = self.forward(sharpness);
-        grad.fill(0.0);
         if !sum.is_finite() || (self.logarithmic && sum <= 0.0) {
             return f64::INFINITY;
         }
         let mut f = if self.logarithmic { sum.ln() } else { sum };
         if let Some(mu) = multipliers {
             f += self.penalise_outputs(mu);
+        }
+        if grad.is_empty() {
+            return multipliers.map_or(f, |mu| f + penalise_rates(&self.layout, mu, x, grad));
         }
         self.backward(if self.logarithmic { 1.0 / sum } else { 1.0 });
         self.layout.gather(&self.u_bar[self.pad * m..], grad);
@@ -149,9 +149,14 @@ impl<'a> Evaluator<'a> {
         f
     }
 
-    /// The criterion of the last evaluation (p-norms where extreme).
-    pub(crate) fn total(&self) -> f64 {
-        self.total
+    /// The criterion that belongs to a search objective.
+    pub(crate) fn undo_logarithm(&self, f: f64) -> f64 {
+        if self.logarithmic { f.exp() } else { f }
+    }
+
+    /// Whether a criterion is approached through p-norms.
+    pub(crate) fn has_extreme(&self) -> bool {
+        self.terms.iter().filter_map(|t| t.term.criterion).any(|c| c.is_extreme())
     }
 
     fn load(&mut self, u: &[f64]) {
@@ -178,7 +183,6 @@ impl<'a> Evaluator<'a> {
     }
 
     fn forward(&mut self, sharpness: f64) -> f64 {
-        self.total = f64::INFINITY;
         if !self.simulate() {
             return f64::INFINITY;
         }
@@ -189,8 +193,7 @@ impl<'a> Evaluator<'a> {
             }
             sum += t.term.weight * t.value_gradient(sharpness);
         }
-        self.total = if sum.is_nan() { f64::INFINITY } else { sum };
-        self.total
+        if sum.is_nan() { f64::INFINITY } else { sum }
     }
 
     fn backward(&mut self, outer: f64) {
@@ -271,8 +274,10 @@ fn penalise_rates(layout: &Layout, mu: &Multipliers, x: &[f64], grad: &mut [f64]
     for (r, lambda) in layout.rates().iter().zip(&mu.rate) {
         let (value, slope) = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty);
         f += value;
-        grad[r.j] += slope;
-        grad[r.j - 1] -= slope;
+        if !grad.is_empty() {
+            grad[r.j] += slope;
+            grad[r.j - 1] -= slope;
+        }
     }
     f
 }

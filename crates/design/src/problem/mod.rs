@@ -4,6 +4,7 @@ mod evaluate;
 mod term;
 
 pub use evaluate::Evaluator;
+pub(crate) use evaluate::Multipliers;
 
 use crate::channel::{Channel, Layout};
 use crate::criterion::Criterion;

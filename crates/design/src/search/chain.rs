@@ -1,0 +1,225 @@
+//! What every search shares: one evaluator, its budget, constrained local runs, the best design so far.
+
+use super::lbfgs::{Ended, Lbfgs, Stop};
+use super::{DesignOptions, Watch};
+use crate::problem::{Evaluator, Multipliers};
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::status::Iterate;
+
+/// A design in the free variables.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidate {
+    pub(crate) x: Vec<f64>,
+    /// Search objective.
+    pub(crate) f: f64,
+    /// Output violation as a share of the range (rates and bounds are exact).
+    pub(crate) violation: f64,
+    pub(crate) converged: bool,
+    /// Multipliers at the end, for warm starts.
+    pub(crate) multipliers: Option<Multipliers>,
+}
+
+/// State of one search from one start.
+pub struct Chain<'w, 'a> {
+    pub(crate) evaluator: Evaluator<'a>,
+    pub(crate) rng: Rng64,
+    pub(crate) best: Option<Candidate>,
+    pub(crate) history: Vec<Iterate>,
+    solver: Lbfgs,
+    budget: usize,
+    tolerance: f64,
+    decrease: f64,
+    gradient: f64,
+    extreme: bool,
+    constrained: bool,
+    watch: Watch<'w>,
+    sink: Vec<f64>,
+}
+
+/// Order of the p-norms at the end of a search, and on the way to it.
+const SHARPNESS: [f64; 3] = [8.0, 30.0, 120.0];
+
+impl<'w, 'a> Chain<'w, 'a> {
+    pub(crate) fn new(evaluator: Evaluator<'a>, options: &DesignOptions, stream: u64, watch: Watch<'w>) -> Self {
+        let n = evaluator.layout().len();
+        let constrained = evaluator.multipliers(1.0).is_some();
+        let extreme = evaluator.has_extreme();
+        Self {
+            evaluator,
+            rng: Rng64::stream(options.seed, stream),
+            best: None,
+            history: Vec::new(),
+            solver: Lbfgs::new(n),
+            budget: options.evaluations,
+            tolerance: options.output_tolerance,
+            decrease: options.value_tolerance,
+            gradient: options.gradient_tolerance,
+            extreme,
+            constrained,
+            watch,
+            sink: Vec::new(),
+        }
+    }
+
+    /// Evaluations left.
+    pub(crate) fn left(&self) -> usize {
+        if self.interrupted() { 0 } else { self.budget.saturating_sub(self.evaluator.count()) }
+    }
+
+    pub(crate) fn interrupted(&self) -> bool {
+        (self.watch.interrupt)()
+    }
+
+    pub(crate) fn is_constrained(&self) -> bool {
+        self.constrained
+    }
+
+    fn last_sharpness(&self) -> f64 {
+        SHARPNESS[SHARPNESS.len() - 1]
+    }
+
+    /// Objective and output violation at `x` without derivatives.
+    pub(crate) fn value(&mut self, x: &[f64]) -> (f64, f64) {
+        let sharpness = self.last_sharpness();
+        let f = self.evaluator.objective(x, sharpness, None, &mut []);
+        (f, if f.is_finite() { self.evaluator.output_violation() } else { f64::INFINITY })
+    }
+
+    /// Local run from `x` with at most `budget` evaluations; `warm` multipliers spare the outer iterations.
+    ///
+    /// `rough` stops early: enough to tell whether a kick leads anywhere.
+    pub(crate) fn refine(
+        &mut self,
+        x: &[f64],
+        budget: usize,
+        rough: bool,
+        warm: Option<Multipliers>,
+    ) -> Candidate {
+        let end = self.evaluator.count() + budget.min(self.left());
+        let mut x = x.to_vec();
+        self.evaluator.layout().repair(&mut x);
+        let factor = if rough { 30.0 } else { 1.0 };
+        let first = if self.extreme && !rough { 0 } else { SHARPNESS.len() - 1 };
+        let mut multipliers = warm;
+        let mut ended = Ended { value: f64::INFINITY, converged: false, optimality: f64::INFINITY };
+        for q in &SHARPNESS[first..] {
+            let stages = SHARPNESS.len() - first;
+            let left = end.saturating_sub(self.evaluator.count());
+            let share = if *q == self.last_sharpness() { left } else { left / stages };
+            ended = if self.constrained {
+                self.constrained_run(&mut x, *q, share, factor, &mut multipliers)
+            } else {
+                self.smooth_run(&mut x, *q, share, factor, None)
+            };
+        }
+        self.evaluator.layout().repair(&mut x);
+        let (f, violation) = self.value(&x);
+        self.note(f, violation, ended.optimality);
+        Candidate { x, f, violation, converged: ended.converged, multipliers }
+    }
+
+    fn smooth_run(
+        &mut self,
+        x: &mut [f64],
+        q: f64,
+        budget: usize,
+        factor: f64,
+        multipliers: Option<&Multipliers>,
+    ) -> Ended {
+        let layout = self.evaluator.layout();
+        let (lower, upper) = (layout.bounds().0.to_vec(), layout.bounds().1.to_vec());
+        let stop =
+            Stop { evaluations: budget, gradient: self.gradient * factor, decrease: self.decrease * factor };
+        let (evaluator, interrupt) = (&mut self.evaluator, self.watch.interrupt);
+        let mut f = |x: &[f64], g: &mut [f64]| {
+            // An interrupted run meets bad trials only and ends at its best point.
+            if interrupt() { f64::NAN } else { evaluator.objective(x, q, multipliers, g) }
+        };
+        self.solver.minimise(&mut f, &lower, &upper, x, &stop)
+    }
+
+    /// Augmented Lagrangian: local runs on the box with multipliers for rates and outputs in between.
+    fn constrained_run(
+        &mut self,
+        x: &mut [f64],
+        q: f64,
+        budget: usize,
+        factor: f64,
+        warm: &mut Option<Multipliers>,
+    ) -> Ended {
+        let end = self.evaluator.count() + budget;
+        let mut mu = match warm.take().or_else(|| self.evaluator.multipliers(20.0)) {
+            Some(mu) => mu,
+            None => return self.smooth_run(x, q, budget, factor, None),
+        };
+        let (mut before, mut value_before) = (f64::INFINITY, f64::INFINITY);
+        let mut ended = Ended { value: f64::INFINITY, converged: false, optimality: f64::INFINITY };
+        for outer in 0..40 {
+            let left = end.saturating_sub(self.evaluator.count());
+            if left < 3 || self.interrupted() {
+                break;
+            }
+            // Early multipliers are guesses, so that early runs need no precision.
+            let loose = factor * f64::max(1.0, 100.0 * 0.2f64.powi(outer));
+            ended = self.smooth_run(x, q, (left / 3).clamp(2, 150).min(left - 1), loose, Some(&mu));
+            let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
+            let violation = self.evaluator.output_violation().max(self.evaluator.layout().rate_violation(x));
+            self.evaluator.update(x, &mut mu);
+            if violation > 0.3 * before && violation > self.tolerance {
+                mu.penalty = (3.0 * mu.penalty).min(1e7);
+            }
+            let settled = (f - value_before).abs() <= 10.0 * self.decrease * factor;
+            if violation <= 0.5 * self.tolerance && (settled || outer > 15) {
+                *warm = Some(mu);
+                return ended;
+            }
+            (before, value_before) = (violation.min(before), f);
+        }
+        *warm = Some(mu);
+        Ended { converged: false, ..ended }
+    }
+
+    /// Whether the output limits hold within the tolerance.
+    pub(crate) fn feasible(&self, violation: f64) -> bool {
+        violation <= self.tolerance
+    }
+
+    /// Whether `a` is better than `b`: feasible before infeasible, then by violation or objective.
+    pub(crate) fn better(&self, a: (f64, f64), b: (f64, f64)) -> bool {
+        match (self.feasible(a.1), self.feasible(b.1)) {
+            (true, true) => a.0 < b.0,
+            (false, false) => a.1 < b.1,
+            (feasible, _) => feasible && a.0.is_finite(),
+        }
+    }
+
+    /// Takes `candidate` as the best design if it is better than the present one.
+    pub(crate) fn offer(&mut self, candidate: Candidate) -> bool {
+        let better = match &self.best {
+            None => candidate.f.is_finite(),
+            Some(b) => self.better((candidate.f, candidate.violation), (b.f, b.violation)),
+        };
+        if better {
+            self.best = Some(candidate);
+        }
+        better
+    }
+
+    /// One line of history.
+    pub(crate) fn note(&mut self, f: f64, violation: f64, optimality: f64) {
+        let best = self.best.as_ref().map_or(f, |b| b.f);
+        let improved = self.history.is_empty() || f < best;
+        let objective = self.evaluator.undo_logarithm(f);
+        let line = Iterate { evaluations: self.evaluator.count(), objective, violation, optimality };
+        if improved {
+            self.history.push(line);
+        }
+        (self.watch.progress)(&line);
+    }
+
+    /// Scratch of the length of the variables.
+    pub(crate) fn scratch(&mut self) -> Vec<f64> {
+        self.sink.resize(self.evaluator.layout().len(), 0.0);
+        self.sink.clone()
+    }
+}

@@ -1,0 +1,112 @@
+//! Iterated local search with random kicks.
+
+use super::{Chain, Search};
+use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
+use serde::Deserialize;
+
+/// A local run, then random kicks of the best design, each followed by a short local run that goes on only where it
+/// leads to a better design. Design problems have very many local optima of nearly equal value, so that a
+/// kick of a few samples keeps most of what was won (iterated local search, Lourenco, Martin & Stuetzle 2003).
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct Kicks {
+    window: usize,
+    rough_evaluations: usize,
+    patience: f64,
+}
+
+impl Default for Kicks {
+    fn default() -> Self {
+        Self { window: 6, rough_evaluations: 30, patience: 0.01 }
+    }
+}
+
+/// Its row in the table.
+pub(super) const MEMBER: Member<dyn Search> = Member {
+    doc: MemberDoc {
+        name: "kicks",
+        what: "local run, then random kicks of the best design with short local runs",
+        params: &[
+            ParamDoc {
+                name: "window",
+                unit: "free values",
+                default: "6",
+                what: "longest stretch of a record that a kick draws anew",
+            },
+            ParamDoc {
+                name: "rough_evaluations",
+                unit: "-",
+                default: "30",
+                what: "evaluations after a kick before it is judged",
+            },
+            ParamDoc {
+                name: "patience",
+                unit: "-",
+                default: "0.01",
+                what: "search objective above the best one up to which a judged kick is pursued",
+            },
+        ],
+    },
+    build: |keys| registry::keys::<Kicks>("search kicks", keys).map(|k| Box::new(k) as Box<dyn Search>),
+};
+
+impl Kicks {
+    /// Draws a stretch of every channel anew, or a few free values anywhere.
+    fn kick(&self, chain: &mut Chain, x: &mut [f64]) {
+        let layout = chain.evaluator.layout().clone();
+        let (lower, upper) = layout.bounds();
+        let everywhere = chain.rng.uniform() < 0.3;
+        let (at, length) = (chain.rng.uniform(), 1 + chain.rng.below(self.window.max(1)));
+        for i in 0..layout.n_channels() {
+            let range = layout.variables(i);
+            let n = range.len();
+            if n == 0 {
+                continue;
+            }
+            for k in 0..length.min(n) {
+                let k = if everywhere {
+                    chain.rng.below(n)
+                } else {
+                    ((at * n as f64) as usize + k).min(n - 1)
+                };
+                let j = range.start + k;
+                x[j] = chain.rng.uniform_in(lower[j], upper[j]);
+            }
+        }
+        layout.repair(x);
+    }
+}
+
+impl Search for Kicks {
+    fn run(&self, chain: &mut Chain, x0: &[f64]) {
+        let total = chain.left();
+        // The last part of the budget polishes the best design to the tolerance.
+        let polish = total / 8;
+        let first = chain.refine(x0, if chain.is_constrained() { total / 2 } else { total / 4 }, false, None);
+        chain.offer(first);
+        while chain.left() > polish + 2 * self.rough_evaluations {
+            let Some(best) = chain.best.clone() else { break };
+            let mut x = best.x.clone();
+            self.kick(chain, &mut x);
+            let rough = if chain.is_constrained() { 4 * self.rough_evaluations } else { self.rough_evaluations };
+            let tried = chain.refine(&x, rough, true, best.multipliers.clone());
+            if tried.f < best.f + self.patience && tried.f.is_finite() {
+                let left = chain.left().saturating_sub(polish);
+                let kept = chain.refine(&tried.x, left.min(5 * rough), true, tried.multipliers.clone());
+                chain.offer(kept);
+            }
+            chain.offer(tried);
+        }
+        if let Some(best) = chain.best.clone() {
+            let left = chain.left();
+            let last = chain.refine(&best.x, left, false, best.multipliers.clone());
+            let converged = last.converged;
+            // Converged is a statement about the point that is returned, also where the polish changed nothing.
+            if !chain.offer(last)
+                && let Some(b) = &mut chain.best
+            {
+                b.converged |= converged;
+            }
+        }
+    }
+}
