@@ -2,6 +2,8 @@
 
 #![allow(dead_code, unreachable_pub)] // shared by several test programs
 
+pub mod ocp;
+
 use dynocal_numerics::nlp::SparseNlp;
 use std::ops::{Add, Mul, Neg, Sub};
 
