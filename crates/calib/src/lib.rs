@@ -3,10 +3,12 @@
 //! A campaign sees a plant only as `&mut dyn Plant`: a test bed, a recording and the virtual engine are the same
 //! thing to it.
 
+pub mod chain;
 pub mod control;
 pub mod engine_model;
 pub mod excite;
 pub mod fuel;
+pub mod identify;
 pub mod map;
 pub mod record;
 pub mod validate;

@@ -1,2 +1,28 @@
-//! The dynocal command-line tool.
-fn main() {}
+//! The dynocal command-line tool: it parses, calls and shows; the mathematics is in the crates below.
+
+mod common;
+mod failure;
+mod interrupt;
+mod progress;
+mod table;
+mod verbs;
+
+use std::process::ExitCode;
+
+use failure::Exit;
+
+fn main() -> ExitCode {
+    // A panic is always our bug, never the user's: say so instead of showing a backtrace.
+    std::panic::set_hook(Box::new(|info| {
+        eprintln!("error: this is a bug in dynocal, not in your input: {info}");
+        eprintln!("  hint: please report it with the command and its spec on the project's issue page");
+    }));
+    let outcome = std::panic::catch_unwind(|| {
+        let matches = verbs::command().get_matches();
+        verbs::run(&matches).unwrap_or_else(|failure| {
+            failure.print();
+            Exit::CouldNot
+        })
+    });
+    outcome.unwrap_or(Exit::CouldNot).into()
+}

@@ -1,0 +1,59 @@
+//! Flags of every verb that computes.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::failure::Failure;
+use crate::progress::Progress;
+
+/// Flags of every verb that computes.
+#[derive(Args, Debug, Clone)]
+pub(crate) struct Common {
+    /// Print summary.json on standard output; everything else goes to standard error
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Say nothing but errors
+    #[arg(long, short)]
+    quiet: bool,
+    /// Seed of every random choice; overrides the spec
+    #[arg(long, value_name = "N")]
+    pub(crate) seed: Option<u64>,
+    /// Threads for independent work; results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Run folder; overrides the spec
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+impl Common {
+    /// Sets threads and Ctrl-C up; returns where progress goes.
+    pub(crate) fn start(&self) -> Result<Progress, Failure> {
+        if let Some(n) = self.threads {
+            rayon::ThreadPoolBuilder::new().num_threads(usize::from(n)).build_global()?;
+        }
+        crate::interrupt::install()?;
+        Ok(Progress::new(self.quiet))
+    }
+
+    /// Whether a human-readable result is wanted on standard output.
+    pub(crate) fn shows_text(&self) -> bool {
+        !self.json && !self.quiet
+    }
+
+    /// Prints the summary at `path` on standard output where `--json` asks for it.
+    pub(crate) fn print_summary(&self, path: &Path) -> Result<(), Failure> {
+        if self.json {
+            print(&std::fs::read_to_string(path)?);
+        }
+        Ok(())
+    }
+}
+
+/// Prints to standard output; a reader that has gone away is not our error.
+pub(crate) fn print(text: &str) {
+    let mut out = std::io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}

@@ -1,0 +1,65 @@
+//! How a verb ends: exit codes, and errors with their causes and a hint.
+
+use std::error::Error;
+use std::process::ExitCode;
+
+/// Exit codes of every verb.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Exit {
+    /// 0: done.
+    Done,
+    /// 1: done, but not converged or not valid; the warnings say why.
+    NotValid,
+    /// 2: could not.
+    CouldNot,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(e: Exit) -> Self {
+        ExitCode::from(match e {
+            Exit::Done => 0,
+            Exit::NotValid => 1,
+            Exit::CouldNot => 2,
+        })
+    }
+}
+
+/// Why a verb could not do its work.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    error: Box<dyn Error>,
+    hint: Option<String>,
+}
+
+impl<E: Error + 'static> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self { error: Box::new(error), hint: None }
+    }
+}
+
+impl Failure {
+    /// The same with a hint at what to do.
+    pub(crate) fn hint(mut self, text: impl Into<String>) -> Self {
+        self.hint = Some(text.into());
+        self
+    }
+
+    /// Prints error, causes and hint to standard error.
+    pub(crate) fn print(&self) {
+        let mut shown = self.error.to_string();
+        eprintln!("error: {shown}");
+        let mut cause = self.error.source();
+        while let Some(c) = cause {
+            let text = c.to_string();
+            // Messages that already contain their cause need not say it twice.
+            if !shown.contains(&text) {
+                eprintln!("  because: {text}");
+            }
+            shown = text;
+            cause = c.source();
+        }
+        if let Some(hint) = &self.hint {
+            eprintln!("  hint: {hint}");
+        }
+    }
+}
