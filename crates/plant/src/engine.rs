@@ -35,6 +35,19 @@ pub struct VirtualEngine {
     mid: Gas,
 }
 
+/// State of one gas volume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GasState {
+    /// Pressure \[Pa\].
+    pub p_pa: f64,
+    /// Temperature \[K\].
+    pub t_k: f64,
+    /// Volume \[m3\].
+    pub volume_m3: f64,
+    /// Masses of air, fuel vapour, products \[kg\].
+    pub mass_kg: [f64; 3],
+}
+
 impl VirtualEngine {
     /// An engine at rest state (manifolds near ambient, hot exhaust), driven by `Inputs::default()`.
     ///
@@ -157,6 +170,28 @@ impl VirtualEngine {
     /// Replace the contents of one volume: masses of air, fuel vapour, products \[kg\] and temperature \[K\].
     pub fn set_volume(&mut self, volume: usize, mass_kg: [f64; 3], t_k: f64) {
         set_volume(&mut self.state, &self.params, volume, mass_kg, t_k);
+    }
+
+    /// Pressure, temperature and volume of one gas volume at the present angle.
+    pub fn gas_state(&self, volume: usize) -> GasState {
+        let s = &self.state;
+        let mass_kg = [0, 1, 2].map(|i| s.gas.mass_kg[i][volume]);
+        let gas = &self.model.gas;
+        let mut t_k = s.t_k[volume];
+        for _ in 0..20 {
+            let step =
+                (s.gas.energy_j[volume] - gas.energy_j(mass_kg, t_k)) / gas.heat_capacity_j_k(mass_kg, t_k);
+            t_k += step;
+            if step.abs() < 1e-9 {
+                break;
+            }
+        }
+        let volume_m3 = if volume < 4 {
+            self.grid.nodes[self.grid.local_nodes(s.cell)[volume]].volume_m3
+        } else {
+            self.model.manifold_m3[volume]
+        };
+        GasState { p_pa: gas.mass_r_j_k(mass_kg) * t_k / volume_m3, t_k, volume_m3, mass_kg }
     }
 
     /// Local crank angle of cylinder `c` (0..3) \[deg after firing TDC, 0..720\].
