@@ -1,4 +1,24 @@
 //! Test signals: the contract and its table.
+//!
+//! ```
+//! use dynocal_ident::signal;
+//! use dynocal_numerics::rng::Rng64;
+//! let keys = toml::from_str("lo = 10\nhi = 90\nhold_s = 3")?;
+//! let mut torque_nm = vec![0.0; 2000];
+//! signal::signal("aprbs", &keys)?.fill(&mut torque_nm, 0.03, &mut Rng64::new(1))?;
+//! assert!(torque_nm.iter().all(|v| [10.0, 30.0, 50.0, 70.0, 90.0].contains(v)));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod aprbs;
+mod chirp;
+mod common;
+mod multisine;
+mod prbs;
+mod random_walk;
+mod staircase;
+mod sweep;
+mod udrn;
 
 use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc};
 use dynocal_numerics::rng::Rng64;
@@ -15,7 +35,16 @@ pub trait Signal: Send + Sync {
 }
 
 /// All test signals.
-pub static SIGNALS: &[Member<dyn Signal>] = &[];
+pub static SIGNALS: &[Member<dyn Signal>] = &[
+    aprbs::MEMBER,
+    prbs::MEMBER,
+    udrn::MEMBER,
+    random_walk::MEMBER,
+    multisine::MEMBER,
+    staircase::MEMBER,
+    sweep::MEMBER,
+    chirp::MEMBER,
+];
 
 /// Builds the signal `name` from the keys of a spec.
 ///

@@ -1,0 +1,113 @@
+//! Simulation, sensitivities and adjoint of eq. (4.17); simulation-error estimation; forward regression.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use dynocal_ident::estimate::Estimator;
+use dynocal_ident::estimate::ols::Ols;
+use dynocal_ident::estimate::sem::Sem;
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::{Model, Run, literature};
+use dynocal_ident::select::frols::{Stop, frols};
+use dynocal_ident::select::pool::PoolSpec;
+use dynocal_numerics::rng::Rng64;
+
+fn recursion(c: &mut Criterion) {
+    let lit = literature::torque_4_17();
+    for n in [100, 1000] {
+        let mut rng = Rng64::new(1);
+        let u: Vec<f64> = (0..n)
+            .flat_map(|_| {
+                [rng.uniform_in(2000.0, 6000.0), rng.uniform_in(0.4, 0.6), rng.uniform_in(1000.0, 2000.0)]
+            })
+            .collect();
+        let (zeros, p) = (vec![0.0; n], lit.theta.len());
+        let run = Run { u: &u, y: &zeros, start: 10 };
+        let (mut y, mut s, mut u_bar) = (vec![0.0; n], vec![0.0; n * p], vec![0.0; n * 3]);
+        let mut group = c.benchmark_group(format!("torque_4_17_{n}"));
+        group.throughput(Throughput::Elements(n as u64));
+        group.bench_function("simulate", |b| {
+            b.iter(|| lit.model.simulate(black_box(&lit.theta), &run, &mut y))
+        });
+        group.bench_function("sensitivities", |b| {
+            b.iter(|| lit.model.sensitivities(black_box(&lit.theta), &run, &mut y, &mut s))
+        });
+        let (y_bar, s_bar) = (vec![1.0; n], vec![1.0; n * p]);
+        group.bench_function("adjoint", |b| {
+            b.iter(|| {
+                lit.model.sensitivity_adjoint(black_box(&lit.theta), &run, &y, &s, &y_bar, &s_bar, &mut u_bar)
+            })
+        });
+        group.finish();
+    }
+}
+
+/// A record like that of chapter 5: 1000 samples, inputs held 10, 10 and 100, output error variance 0.5.
+fn chapter_5() -> Experiment {
+    let lit = literature::torque_5_3();
+    let mut rng = Rng64::new(5);
+    let (n, mut u) = (1000, Vec::new());
+    let (mut a, mut b, mut s) = (0.0, 0.0, 0.0);
+    for t in 0..n {
+        if t % 10 == 0 {
+            (a, b) = (rng.uniform_in(0.42, 0.5), rng.uniform_in(16.0, 34.0));
+        }
+        if t % 100 == 0 {
+            s = rng.uniform_in(1000.0, 1800.0);
+        }
+        u.extend([a, b, s]);
+    }
+    let mut y = vec![0.0; n];
+    let zeros = vec![0.0; n];
+    lit.model.simulate(&lit.theta, &Run { u: &u, y: &zeros, start: 7 }, &mut y);
+    y.iter_mut().for_each(|v| *v += 0.5f64.sqrt() * rng.normal());
+    Experiment { name: "chapter 5".into(), u, y, init_samples: 0, weights: Vec::new() }
+}
+
+fn estimation(c: &mut Criterion) {
+    let model = literature::torque_5_3().model;
+    let data = [chapter_5()];
+    let mut group = c.benchmark_group("chapter_5");
+    group.bench_function("ols", |b| {
+        b.iter(|| Ols::default().estimate(&model, black_box(&data), None, &|| false))
+    });
+    group.bench_function("sem", |b| {
+        b.iter(|| Sem::default().estimate(&model, black_box(&data), None, &|| false))
+    });
+    group.finish();
+}
+
+/// 4000 samples, 250 candidates, 40 terms.
+fn selection(c: &mut Criterion) {
+    let names: Vec<String> = ["a", "b", "c"].map(String::from).to_vec();
+    let lagged: Vec<(usize, usize)> = (0..3).flat_map(|i| (1..=6).map(move |lag| (i, lag))).collect();
+    let spec = PoolSpec {
+        cubic: vec![(0, 1), (1, 1), (2, 1)],
+        output_lags: vec![1, 2],
+        output_times: lagged[..18].to_vec(),
+        lagged,
+    };
+    let candidates: Vec<_> = spec.candidates().into_iter().take(250).collect();
+    let pool = PolyNarx::new(names, "y".into(), candidates).unwrap();
+    let mut rng = Rng64::new(7);
+    let n = 4006;
+    let u: Vec<f64> = (0..3 * n).map(|_| rng.uniform_in(0.5, 1.5)).collect();
+    let mut y = vec![0.0; n];
+    for t in 6..n {
+        y[t] = 0.7 * y[t - 1]
+            + u[3 * (t - 1)] * u[3 * (t - 3) + 1]
+            + u[3 * (t - 2) + 2].powi(3)
+            + 0.1 * rng.normal();
+    }
+    let data = [Experiment { name: "pool".into(), u, y, init_samples: 0, weights: Vec::new() }];
+    let mut group = c.benchmark_group("frols");
+    group.sample_size(10);
+    group.bench_function(format!("{}_candidates_40_terms", pool.n_params()), |b| {
+        b.iter(|| frols(&pool, black_box(&data), Stop::Terms(40)))
+    });
+    group.finish();
+}
+
+criterion_group!(benches, recursion, estimation, selection);
+criterion_main!(benches);
