@@ -13,16 +13,17 @@ const Charts = (function () {
   const finite = (v) => typeof v === 'number' && Number.isFinite(v);
 
   // Colours of a panel: roles first, then the palette without the colours that the roles took.
-  function colours(series) {
-    const taken = series.map((s) => ROLES[s.role]);
-    const free = PALETTE.filter((c) => !taken.includes(c));
+  // A label keeps its colour in all panels of a plot: give the `known` of the first panel to the next.
+  function colours(series, known) {
+    known = known || { taken: series.map((s) => ROLES[s.role]), of: new Map() };
+    const free = PALETTE.filter((c) => !known.taken.includes(c));
     const seen = {};
-    let next = 0;
     return series.map((s) => {
       const own = ROLES[s.role];
       // A second line of the same role must not look like the first; bounds may.
       if (own && (s.role === 'limit' || !seen[s.role])) { seen[s.role] = true; return own; }
-      return free[next++ % free.length];
+      if (!known.of.has(s.label)) known.of.set(s.label, free[known.of.size % free.length]);
+      return known.of.get(s.label);
     });
   }
 
@@ -137,6 +138,7 @@ const Charts = (function () {
       ui.zoomed(view !== full);
       draw(width);
     });
+    ui.readout = readout(own);
     ui.reset.addEventListener('click', () => { view = full; ui.zoomed(false); draw(width); });
     hover(canvas, () => box, ui, (q) => {
       const x = view.x[0] + (q.x - box.l) / (box.r - box.l) * (view.x[1] - view.x[0]);
@@ -198,6 +200,8 @@ const Charts = (function () {
     canvas.addEventListener('pointercancel', end);
     canvas.addEventListener('dblclick', () => zoom());
   }
+  // Lies on the chart, so that nothing moves when it appears.
+  const readout = (own) => element('span', 'readout', own);
   function hover(canvas, box, ui, text) {
     canvas.addEventListener('pointermove', (e) => {
       const q = canvas.getBoundingClientRect(), b = box(), at = { x: e.clientX - q.left, y: e.clientY - q.top };
@@ -230,6 +234,7 @@ const Charts = (function () {
     z.style.marginLeft = 'auto';
     const own = element('div', 'own', host), canvas = element('canvas', '', own);
     element('div', 'axis-below', host, name(p.x));
+    ui.readout = readout(own);
     const edges = (v) => v.length < 2 ? [v[0] - 0.5, v[0] + 0.5] :
       [1.5 * v[0] - 0.5 * v[1], ...v.slice(1).map((b, i) => 0.5 * (v[i] + b)), 1.5 * v[v.length - 1] - 0.5 * v[v.length - 2]];
     const ex = edges(p.xs), ey = edges(p.ys);

@@ -6,10 +6,9 @@
   const body = document.body;
   const drawn = () => { body.dataset.plotsDrawn = String(Number(body.dataset.plotsDrawn) + 1); };
 
-  // The head of a plot: text under the cursor and the button that undoes a zoom.
+  // The button that undoes a zoom.
   function controls(host) {
-    const head = host.closest('figure');
-    const ui = { readout: head.querySelector('.readout'), reset: head.querySelector('.reset') };
+    const ui = { reset: host.closest('figure').querySelector('.reset') };
     ui.zoomed = (on) => { ui.reset.hidden = !on; };
     return ui;
   }
@@ -17,7 +16,10 @@
   function timePlot(host, p, ui) {
     const t = p.t.n === undefined ? p.t : Array.from({ length: p.t.n }, (_, k) => p.t.start + k * p.t.step);
     const span = [t[0], t[t.length - 1]];
-    const charts = p.panels.map((panel, k) => panelChart(host, p, panel, t, k, ui, () => charts));
+    const known = { taken: p.panels.flatMap((panel) => panel.series.map((s) => ROLES[s.role])), of: new Map() };
+    const charts = p.panels.map((panel, k) => panelChart(host, p, panel, t, k, ui, known));
+    const below = element('div', 'axis-below', host, name(p.x));
+    ui.readout = element('span', 'value', below);
     ui.reset.addEventListener('click', () => charts.forEach((u) => u.setScale('x', { min: span[0], max: span[1] })));
     return {
       draw(width) { charts.forEach((u, k) => u.setSize({ width, height: height(p.panels.length, width, k) })); },
@@ -30,10 +32,10 @@
     return base + (k === panels - 1 ? 26 : 0);
   }
 
-  function panelChart(host, p, panel, t, k, ui, charts) {
+  function panelChart(host, p, panel, t, k, ui, known) {
     const last = k === p.panels.length - 1;
     const lines = panel.series.concat(panel.levels.map((l) => ({ label: l.label, role: 'limit', level: true, v: new Array(t.length).fill(l.at) })));
-    const paint = colours(lines).map((c, i) => (lines[i].level ? ROLES.limit : c));
+    const paint = colours(lines, known);
     const head = element('div', 'panel-head', host);
     element('span', 'axis-name', head, name(panel.y));
     const entries = lineLegend(head, lines, paint, (i, on) => chart.setSeries(i + 1, { show: on }));
@@ -65,13 +67,12 @@
         setCursor: [(u) => {
           const i = u.cursor.idx, on = i != null && u.cursor.left >= 0;
           entries.forEach((e, j) => { if (!lines[j].level) e.textContent = on ? short(lines[j].v[i]) : ''; });
-          ui.readout.textContent = on ? p.x.label + ' ' + short(t[i], 7) + ' ' + p.x.unit : '';
+          if (ui.readout) ui.readout.textContent = on ? short(t[i], 7) : '';
         }],
       },
     };
     const chart = new uPlot(options, [t].concat(lines.map((s) => s.v)), host);
     touch(chart.over);
-    if (last) element('div', 'axis-below', host, name(p.x));
     return chart;
   }
 
@@ -106,9 +107,10 @@
     c.restore();
   }
 
-  // uPlot listens to the mouse only: a sideways finger becomes one, an upright finger scrolls the page.
+  // uPlot listens to the mouse only: a sideways finger becomes one, an upright finger scrolls the page. It drops moves
+  // by nothing, hence movementX.
   function touch(over) {
-    const pass = (type, target, e) => target.dispatchEvent(new MouseEvent(type, { clientX: e.clientX, clientY: e.clientY, button: 0, bubbles: true, cancelable: true, view: window }));
+    const pass = (type, target, e) => target.dispatchEvent(new MouseEvent(type, { clientX: e.clientX, clientY: e.clientY, movementX: 1, button: 0, bubbles: true, cancelable: true, view: window }));
     over.addEventListener('pointerdown', (e) => { if (e.pointerType === 'touch') pass('mousedown', over, e); });
     over.addEventListener('pointermove', (e) => { if (e.pointerType === 'touch') pass('mousemove', over, e); });
     over.addEventListener('pointerup', (e) => { if (e.pointerType === 'touch') pass('mouseup', document, e); });
