@@ -54,6 +54,8 @@ impl Default for BedSettings {
 
 const INPUTS: usize = 4;
 const OUTPUTS: usize = 5;
+/// Numbers in front of a saved state: time, two halves of the seed, samples drawn.
+const HEAD: usize = 4;
 
 /// Engine on an ideal dynamometer (speed is imposed at once).
 ///
@@ -230,14 +232,16 @@ impl Plant for EngineBed {
 
     fn save(&self) -> PlantState {
         let (seed, samples) = self.noise.position();
-        let mut numbers = vec![self.time_s, f64::from_bits(seed), samples as f64];
+        // The seed travels as two halves: every 32-bit number is exact in f64 and in JSON.
+        let (high, low) = ((seed >> 32) as f64, (seed & 0xffff_ffff) as f64);
+        let mut numbers = vec![self.time_s, high, low, samples as f64];
         numbers.extend(self.outside.iter().map(|&o| f64::from(u8::from(o))));
         self.engine.state().to_numbers(&mut numbers);
         PlantState(numbers)
     }
 
     fn restore(&mut self, state: &PlantState) -> Result<(), PlantError> {
-        let head = 3 + self.outside.len();
+        let head = HEAD + self.outside.len();
         let wrong = || PlantError::Call(format!("{} numbers are no state of this bed", state.0.len()));
         let body = state.0.get(head..).ok_or_else(wrong)?;
         let mut engine_state = self.start.clone();
@@ -246,8 +250,9 @@ impl Plant for EngineBed {
         }
         self.engine.restore(&engine_state).map_err(|e| PlantError::Call(e.to_string()))?;
         self.time_s = state.0[0];
-        self.noise.set_position(state.0[1].to_bits(), state.0[2] as u64);
-        for (o, x) in self.outside.iter_mut().zip(&state.0[3..head]) {
+        let seed = ((state.0[1] as u64) << 32) | state.0[2] as u64;
+        self.noise.set_position(seed, state.0[3] as u64);
+        for (o, x) in self.outside.iter_mut().zip(&state.0[HEAD..head]) {
             *o = *x != 0.0;
         }
         Ok(())

@@ -1,0 +1,39 @@
+//! Stepping, sampling and setting inputs never allocate.
+
+use dynocal_ident::plant::Plant;
+use dynocal_plant::bed::{BedSettings, EngineBed};
+use dynocal_plant::engine::VirtualEngine;
+use dynocal_plant::inputs::Inputs;
+use dynocal_plant::params::EngineParams;
+use dynocal_plant::sensors::NoiseLevels;
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use std::alloc::System;
+
+#[global_allocator]
+static COUNTER: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+// One test only: the counter is global to the process.
+#[test]
+fn no_allocation_while_stepping() {
+    let mut engine = VirtualEngine::new(&EngineParams::thesis()).unwrap();
+    let settings =
+        BedSettings { noise: NoiseLevels { torque_nm: 1.0, lambda: 0.01 }, ..BedSettings::default() };
+    let mut bed = EngineBed::new(&EngineParams::thesis(), settings).unwrap();
+    let mut y = [0.0; 5];
+    let region = Region::new(COUNTER);
+    let mut torque = 0.0;
+    for i in 0..40 {
+        let speed_rpm = 1000.0 + 100.0 * f64::from(i);
+        engine.set_inputs(Inputs { speed_rpm, ..Inputs::default() }).unwrap();
+        engine.advance_time(0.01);
+        torque += engine.outputs().torque_nm;
+        bed.step(&[15.0, 20.0, 14.0, 2000.0], 0.03, &mut y).unwrap();
+    }
+    let change = region.change();
+    assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");
+    assert!(torque.is_finite());
+    // The counter itself works: a vector is seen.
+    let region = Region::new(COUNTER);
+    let v = std::hint::black_box(vec![torque; 100]);
+    assert!(region.change().allocations >= 1 && v.len() == 100);
+}
