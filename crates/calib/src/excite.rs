@@ -1,9 +1,6 @@
-//! Excitation in closed loop (thesis section 7.4.1): references for the loops, and the records they give.
+//! Excitation in closed loop (thesis section 7.4.1): references for the loops.
 
-use crate::control::LoopGains;
-use crate::record::{ActuatorLimits, Bed, Demand, Plan, run_plan};
-use dynocal_ident::data::Dataset;
-use dynocal_ident::plant::PlantError;
+use crate::record::Demand;
 use dynocal_ident::signal;
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
@@ -83,59 +80,69 @@ pub fn references(
     rng: &mut Rng64,
 ) -> Result<References, BuildError> {
     let n = (spec.record_s / sample_time_s).round() as usize;
-    let mut aprbs = |range: Range, third: f64| -> Result<Vec<f64>, BuildError> {
-        let keys = table(&[
-            ("min", range.0),
-            ("max", range.1),
-            ("hold_s", spec.hold_s),
-            ("offset_s", third * spec.hold_s / 3.0),
-        ]);
-        let mut keys = keys;
-        keys.insert("levels".into(), toml::Value::Integer(spec.levels as i64));
-        let mut u = vec![0.0; n];
-        signal::signal("aprbs", &keys)?.fill(&mut u, sample_time_s, rng)?;
-        Ok(u)
+    let mut level = |range: Range, third: f64| {
+        aprbs(range, spec.levels, spec.hold_s, third * spec.hold_s / 3.0, n, sample_time_s, rng)
     };
-    let torque = aprbs(spec.torque_nm, 0.0)?;
-    let lambda = aprbs(spec.lambda, 1.0)?;
-    let spark_deg = aprbs(spec.spark_deg, 2.0)?;
+    let torque = level(spec.torque_nm, 0.0)?;
+    let lambda = level(spec.lambda, 1.0)?;
+    let spark_deg = level(spec.spark_deg, 2.0)?;
+    let speed_rpm = speed_sweep(spec, sweep_s, n, sample_time_s)?;
+    let demand = torque.iter().zip(&lambda).map(|(t, l)| Demand { torque_nm: *t, lambda: *l }).collect();
+    Ok(References { demand, spark_deg, speed_rpm })
+}
+
+/// `n` samples of an APRBS.
+///
+/// # Errors
+/// [`BuildError`] when the numbers do not fit the signal.
+pub fn aprbs(
+    range: Range,
+    levels: usize,
+    hold_s: f64,
+    phase_s: f64,
+    n: usize,
+    sample_time_s: f64,
+    rng: &mut Rng64,
+) -> Result<Vec<f64>, BuildError> {
+    let mut keys =
+        table(&[("lo", range.0), ("hi", range.1), ("hold_s", hold_s), ("phase_s", phase_s)]);
+    keys.insert("levels".into(), toml::Value::Integer(levels as i64));
+    let mut u = vec![0.0; n];
+    signal::signal("aprbs", &keys)?.fill(&mut u, sample_time_s, rng)?;
+    Ok(u)
+}
+
+/// `n` samples of the triangular speed sweep, `sweep_s` from end to end.
+///
+/// # Errors
+/// [`BuildError`] when the numbers do not fit the signal.
+pub fn speed_sweep(
+    spec: &ExciteSpec,
+    sweep_s: f64,
+    n: usize,
+    sample_time_s: f64,
+) -> Result<Vec<f64>, BuildError> {
     let keys = table(&[
-        ("min", spec.speed_rpm.0),
-        ("max", spec.speed_rpm.1),
-        ("rise_s", sweep_s),
+        ("lo", spec.speed_rpm.0),
+        ("hi", spec.speed_rpm.1),
+        ("period_s", 2.0 * (sweep_s + spec.dwell_s)),
         ("dwell_s", spec.dwell_s),
     ]);
-    let mut speed_rpm = vec![0.0; n];
-    signal::signal("triangle", &keys)?.fill(&mut speed_rpm, sample_time_s, rng)?;
-    let demand =
-        torque.iter().zip(&lambda).map(|(t, l)| Demand { torque_nm: *t, lambda: *l }).collect();
-    Ok(References { demand, spark_deg, speed_rpm })
+    let mut u = vec![0.0; n];
+    // The sweep has nothing random in it.
+    signal::signal("sweep", &keys)?.fill(&mut u, sample_time_s, &mut Rng64::new(0))?;
+    Ok(u)
 }
 
 fn table(pairs: &[(&str, f64)]) -> toml::Table {
     pairs.iter().map(|(k, v)| ((*k).to_string(), toml::Value::Float(*v))).collect()
 }
 
-/// Runs references in closed loop and records the experiment.
-///
-/// # Errors
-/// [`PlantError`] of the plant.
-pub fn run_references(
-    bed: &mut Bed,
-    name: &str,
-    references: &References,
-    gains: LoopGains,
-    limits: ActuatorLimits,
-) -> Result<Dataset, PlantError> {
+/// Feedforward rows for running references in closed loop: spark and speed as asked, fuel and throttle at a rough
+/// start point from which the loops go on.
+pub fn plan_of(references: &References) -> Vec<[f64; 4]> {
     let first = references.demand.first().map_or(50.0, |d| d.torque_nm);
-    // A rough start point; the loops find the rest while the record has not begun.
     let (inj, throttle) = (4.0 + 0.18 * first, 5.0 + 0.15 * first);
-    let feedforward: Vec<[f64; 4]> = references
-        .spark_deg
-        .iter()
-        .zip(&references.speed_rpm)
-        .map(|(spark, speed)| [inj, *spark, throttle, *speed])
-        .collect();
-    let plan = Plan { feedforward: &feedforward, demand: &references.demand, gains, limits, settle_s: 3.0 };
-    run_plan(bed, name, &plan)
+    let rows = references.spark_deg.iter().zip(&references.speed_rpm);
+    rows.map(|(spark, speed)| [inj, *spark, throttle, *speed]).collect()
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 pub mod lagged;
 pub mod published;
+pub mod start;
 pub mod static_map;
 pub mod structured;
 
