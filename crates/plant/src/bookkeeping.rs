@@ -154,7 +154,7 @@ impl VirtualEngine {
     fn turn_over(&mut self) {
         let s = &mut self.state;
         let cells = self.grid.cells;
-        if s.cell % (cells / 4) == 0 {
+        if s.cell >= (s.slot + 1) * (cells / 4) {
             s.half_turns[s.slot] = s.running;
             s.slot = (s.slot + 1) & 3;
             s.running = Sums::default();

@@ -160,7 +160,8 @@ impl VirtualEngine {
         for volume in 0..VOLUMES {
             let finite = g.energy_j[volume].is_finite() && self.state.t_k[volume].is_finite();
             // Species that burn or leave may end a rounding error below zero.
-            if !finite || g.mass_kg.iter().any(|m| !(m[volume] >= -1e-9)) {
+            let negative = g.mass_kg.iter().any(|m| m[volume] < -1e-9 || m[volume].is_nan());
+            if !finite || negative {
                 return Err(PlantError::Diverged { volume, time_s: self.state.time_s });
             }
         }

@@ -305,16 +305,23 @@ impl EngineParams {
                 });
             }
         }
-        let cells = self.stepping.cells_per_deg;
-        if !(1..=16).contains(&cells) {
-            let found = cells as f64;
-            return Err(PlantError::Parameter { name: "stepping.cells_per_deg", found, expected: "1..16" });
+        // Steps are powers of two of a cell, so that a longer step always finds the grid of a shorter one.
+        let (cells, fixed) = (self.stepping.cells_per_deg, self.stepping.fixed_cells);
+        if !(cells <= 16 && cells.is_power_of_two()) {
+            let expected = "1, 2, 4, 8 or 16";
+            return Err(PlantError::Parameter {
+                name: "stepping.cells_per_deg",
+                found: cells as f64,
+                expected,
+            });
         }
-        let fixed = self.stepping.fixed_cells;
-        if fixed > 4 * cells || (fixed > 0 && (720 * cells) % fixed != 0) {
-            let found = fixed as f64;
-            let expected = "0, or at most 4 deg and a divisor of the cycle";
-            return Err(PlantError::Parameter { name: "stepping.fixed_cells", found, expected });
+        if fixed > 4 * cells || (fixed > 0 && !fixed.is_power_of_two()) {
+            let expected = "0 or a power of two, at most 4 deg";
+            return Err(PlantError::Parameter {
+                name: "stepping.fixed_cells",
+                found: fixed as f64,
+                expected,
+            });
         }
         Ok(())
     }

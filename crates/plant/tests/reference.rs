@@ -98,7 +98,8 @@ fn step_responses_from_60_nm() {
         statics::settle(&mut settled, start, number(row, "spark_opt_degBTDC"), SettleOptions::default())
             .unwrap();
     settled.advance_time(3.0);
-    let steps: [(&str, fn(&mut Inputs)); 4] = [
+    type Change = fn(&mut Inputs);
+    let steps: [(&str, Change); 4] = [
         ("INJ -3 mg", |u| u.injection_mg -= 3.0),
         ("SA -10 deg", |u| u.spark_deg -= 10.0),
         ("throttle +3 deg", |u| u.throttle_deg += 3.0),
