@@ -213,7 +213,7 @@ fn blow_down_between_two_volumes() {
     let mut p = closed_params(GasModel::constant_gamma(gamma, 287.0), 0, 2);
     p.throttle.diameter0_m = 1e-12;
     p.throttle.slope_m_per_deg = 0.0;
-    p.exhaust.turbine_m2 = 2e-5;
+    p.exhaust.turbine_m2 = 2e-4;
     p.exhaust.wastegate_discharge = 0.0;
     // A tailpipe of 1e-40 m2 passes less than the last digit.
     p.exhaust.tailpipe_m2 = 1e-40;
@@ -230,19 +230,19 @@ fn blow_down_between_two_volumes() {
     };
     let (m0, e0) = sum(&e);
     // Adiabatic discharge while choked: p/p0 = (1 + (g-1)/2 t/tau)^(-2g/(g-1)).
-    let tau = v1 / (2e-5 * orifice::psi_choked(gamma) * (287.0 * t1).sqrt());
+    let tau = v1 / (2e-4 * orifice::psi_choked(gamma) * (287.0 * t1).sqrt());
     for _ in 0..5 {
-        e.advance_time(0.03);
+        e.advance_time(0.003);
         let x = 1.0 + 0.5 * (gamma - 1.0) * e.state().time_s / tau;
         let expected = p1 * x.powf(-2.0 * gamma / (gamma - 1.0));
         assert!(e.gas_state(CATALYST).p_pa < 0.5 * expected, "still choked");
         close(e.gas_state(EXHAUST).p_pa, expected, 1e-6);
     }
-    e.advance_time(20.0);
+    e.advance_time(1.0);
     let (m1, e1) = sum(&e);
-    // Thousands of additions of rounding size 1e-16 each; energies are relative to m cv T.
-    close(m1, m0, 1e-14 * 10.0);
-    assert!((e1 - e0).abs() < 1e-13 * m0 * 717.5 * 400.0, "energy {:e}", e1 - e0);
+    // Energies are relative to m cv T.
+    close(m1, m0, 1e-14);
+    assert!((e1 - e0).abs() < 1e-14 * m0 * 717.5 * 400.0, "energy {:e}", e1 - e0);
     close(e.gas_state(EXHAUST).p_pa, e.gas_state(CATALYST).p_pa, 1e-9);
 }
 
