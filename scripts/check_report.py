@@ -142,7 +142,7 @@ def main():
     parser.add_argument("--id", action="append", default=[], help="element id that must be there (repeatable)")
     parser.add_argument("--screenshot", help="also write a picture of the page to this PNG file")
     parser.add_argument("--width", type=int, default=WIDTHS[0], help="width of the picture in px")
-    parser.add_argument("--height", type=int, default=6000, help="height of the picture in px")
+    parser.add_argument("--height", type=int, default=7000, help="height of the picture in px")
     arguments = parser.parse_args()
     try:
         if not arguments.report.is_file():

@@ -34,7 +34,8 @@ const Charts = (function () {
   }
   function ticks(low, high, count) {
     const d = step(high - low, count), out = [];
-    for (let k = Math.ceil(low / d - 1e-9); k * d <= high + 1e-9 * d; k++) out.push(k * d);
+    const first = Math.ceil(low / d - 1e-9), n = Math.min(100, Math.floor(high / d + 1e-9) - first); // bounded: k + 1 may be k
+    for (let i = 0; i <= n; i++) out.push((first + i) * d);
     return { step: d, at: out };
   }
   function label(v, d) {
@@ -132,6 +133,9 @@ const Charts = (function () {
       box = { l: 56, t: 6, r: w - 12, b: h - 26 };
       map = axes(c, box, view.x, view.y, true);
       clip(c, box, () => p.series.forEach((s, i) => curve(c, s, paint[i], map)));
+      if (!p.series.some((s) => s.x.some((v, k) => finite(v) && finite(s.y[k])))) {
+        c.textAlign = 'center'; c.fillStyle = SOFT; c.fillText('no finite value', (box.l + box.r) / 2, (box.t + box.b) / 2);
+      }
     }
     zoomable(own, canvas, () => box, (a, b) => {
       view = a ? { x: back(a.x, b.x, view.x, box.l, box.r), y: back(b.y, a.y, view.y, box.b, box.t) } : full;

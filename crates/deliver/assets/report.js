@@ -4,6 +4,8 @@
   'use strict';
   const { element, colours, dashed, name, label, short, finite, swatch, ROLES, FONT, SOFT, GRID, FRAME } = Charts;
   const body = document.body;
+  // uPlot knows steps up to 1e16; a model that ran away needs more.
+  const HUGE_STEPS = Array.from({ length: 480 }, (_, k) => [1, 2, 5][k % 3] * Math.pow(10, Math.floor(k / 3)));
   const drawn = () => { body.dataset.plotsDrawn = String(Number(body.dataset.plotsDrawn) + 1); };
 
   // The button that undoes a zoom.
@@ -39,17 +41,18 @@
     const head = element('div', 'panel-head', host);
     element('span', 'axis-name', head, name(panel.y));
     const entries = lineLegend(head, lines, paint, (i, on) => chart.setSeries(i + 1, { show: on }));
+    const huge = lines.some((s) => s.v.some((v) => Math.abs(v) > 1e14));
     let first = true;
     const values = (u, splits, axis, space, step) => splits.map((v) => (v == null ? '' : label(v, step)));
     const axis = { font: FONT, stroke: SOFT, grid: { stroke: GRID, width: 1 }, ticks: { stroke: FRAME, width: 1, size: 4 }, gap: 4 };
     const options = {
-      width: 600, height: height(p.panels.length, 600, k), padding: [5, 14, last ? 0 : 2, 0],
+      width: 600, height: height(p.panels.length, 600, k), padding: [8, 14, last ? 0 : 2, 0],
       legend: { show: false },
       cursor: { y: false, sync: { key: p.id, scales: ['x', null] }, points: { size: 6 } },
-      scales: { x: { time: false }, y: panel.range ? { range: () => panel.range } : {} },
+      scales: { x: { time: false }, y: { range: (u, low, high) => panel.range || (low == null ? [0, 1] : uPlot.rangeNum(low, high, 0.1, true)) } },
       axes: [
         { ...axis, size: last ? 28 : 6, space: 70, values: last ? values : (u, s) => s.map(() => '') },
-        { ...axis, size: 56, space: 32, values },
+        { ...axis, size: 56, space: 32, values, ...(huge ? { incrs: HUGE_STEPS } : {}) },
       ],
       series: [{}].concat(lines.map((s, i) => ({
         label: s.label, stroke: paint[i], width: s.level ? 1.2 : s.role === 'measured' ? 2 : 1.4, // simulated lies on top
@@ -71,9 +74,16 @@
         }],
       },
     };
-    const chart = new uPlot(options, [t].concat(lines.map((s) => s.v)), host);
+    const chart = new uPlot(options, [t].concat(lines.map((s) => bounded(s.v, panel.range))), host);
     touch(chart.over);
     return chart;
+  }
+
+  // A canvas drops a line that runs far outside: with a fixed range it ends a little beyond it.
+  function bounded(values, range) {
+    if (!range) return values;
+    const far = 5 * (range[1] - range[0]);
+    return values.map((v) => (v == null ? v : Math.min(range[1] + far, Math.max(range[0] - far, v))));
   }
 
   // Buttons that hide a line, with its value under the cursor.
@@ -84,7 +94,7 @@
       item.type = 'button';
       item.title = 'hide or show';
       swatch(item, paint[i], dashed(s.role) ? 'dash' : '');
-      element('span', '', item, s.label);
+      element('span', '', item, s.label + (s.v.some(finite) ? '' : ' (no finite value)'));
       item.addEventListener('click', () => show(i, !item.classList.toggle('off')));
       return element('span', 'value', item, s.level ? short(s.v[0]) : '');
     });

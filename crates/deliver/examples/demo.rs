@@ -27,6 +27,7 @@ fn main() -> Result<(), dynocal_deliver::DeliverError> {
         .section(identification())
         .section(calibration())
         .section(maps())
+        .section(odd_data())
         .section(appendix());
     print!("{}", render(&report)?);
     Ok(())
@@ -236,6 +237,53 @@ fn curves(speed: &[f64]) -> XyPlot {
         plot = plot.line(format!("{n} rpm"), spark, fuel);
     }
     plot.caption("One curve per speed at 50 Nm.")
+}
+
+/// What a run that went wrong hands over: the page must show it, not fall over it.
+fn odd_data() -> Section {
+    let mut diverging: Vec<f64> = (0..200).map(|k| 1.02_f64.powi(5 * k)).collect();
+    diverging.extend([f64::INFINITY; 50]);
+    let gaps: Vec<f64> = (0..250).map(|k| if k % 50 < 10 { f64::NAN } else { f64::from(k).sqrt() }).collect();
+    let axis = || Axis::new("Speed", "rpm");
+    Section::new("Odd data")
+        .block(
+            TimePlot::sampled("Diverging, constant, interrupted and empty lines", TS_S, 250)
+                .panel(Panel::new("Diverging", "Nm").simulated(diverging.clone()))
+                .panel(Panel::new("The same, range fixed", "Nm").simulated(diverging).range(0.0, 100.0))
+                .panel(
+                    Panel::new("Constant", "Nm").line("constant", vec![1e-9; 250]).line("interrupted", gaps),
+                )
+                .panel(Panel::new("Nothing finite", "Nm").line("empty", vec![f64::NAN; 250])),
+        )
+        .columns(vec![
+            TimePlot::new("One sample", [3.0]).panel(Panel::new("Torque", "Nm").line("torque", [5.0])).into(),
+            XyPlot::new("No finite point", axis(), axis()).points("none", [f64::NAN], [1.0]).into(),
+            HeatMap::new(
+                "One cell",
+                (axis(), vec![1000.0]),
+                (axis(), vec![1.0]),
+                (Axis::new("Fuel", "mg"), vec![7.0]),
+            )
+            .cell_values()
+            .into(),
+            HeatMap::new(
+                "Holes",
+                (axis(), vec![1.0, 2.0, 4.0]),
+                (axis(), vec![1.0, 2.0]),
+                (Axis::new("Fuel", "mg"), vec![1.0, f64::NAN, 3.0, 4.0, 5.0, 6.0]),
+            )
+            .contours()
+            .into(),
+            Bars::new(
+                "Zero, missing, both signs",
+                Axis::new("Gain", "%"),
+                ["a rather long name of a category that is cut at the end of the line", "missing", "below"],
+            )
+            .series("gain", [0.0, f64::NAN, -3.0])
+            .series("rival", [2.0, 1.0, 0.5])
+            .into(),
+            Bars::new("All zero", Axis::new("Gain", "%"), ["a"]).series("gain", [0.0]).into(),
+        ])
 }
 
 fn appendix() -> Section {

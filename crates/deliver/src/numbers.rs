@@ -5,6 +5,9 @@ use serde::ser::{Serialize, SerializeSeq, Serializer};
 /// Significant digits of plotted data: finer than a pixel on any screen.
 pub(crate) const PLOT_DIGITS: usize = 6;
 
+/// Larger values are gaps like non-finite ones: a run that went away, whose range would overflow in the page.
+const PLOT_LARGEST: f64 = 1e150;
+
 /// `value` with `digits` significant digits: fixed notation from 1e-4 to 1e7, otherwise exponential; trailing zeros
 /// are kept, because they say how exact the number is.
 ///
@@ -76,7 +79,7 @@ pub(crate) struct CompactNumber(pub(crate) f64, pub(crate) usize);
 impl Serialize for CompactNumber {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let value = rounded(self.0, self.1);
-        if !value.is_finite() {
+        if !value.is_finite() || value.abs() > PLOT_LARGEST {
             serializer.serialize_none()
         } else if value.fract() == 0.0 && value.abs() < 1e15 {
             serializer.serialize_i64(value as i64)

@@ -285,7 +285,7 @@ impl<'a> CheckView<'a> {
         CheckView {
             id: &check.id,
             what: &check.what,
-            asked: single(&check.asked),
+            asked: if check.asked == Cell::Empty { String::new() } else { single(&check.asked) },
             measured: single(&check.measured),
             unit: &check.unit,
             verdict: match check.holds {

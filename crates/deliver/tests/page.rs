@@ -106,6 +106,15 @@ fn data_are_rounded_to_six_digits_and_gaps_stay_gaps() {
 }
 
 #[test]
+fn values_that_would_overflow_the_page_are_gaps() {
+    let html =
+        render(&with(plot(vec![0.0, 1.0, 2.0, 3.0], vec![1.0, 1e151, -1e300, 2e149]))).expect("a page");
+    let drawn = &data(&html)[0]["panels"][0]["series"][0]["v"];
+    let drawn: Vec<Option<f64>> = serde_json::from_value(drawn.clone()).expect("numbers and gaps");
+    assert_eq!(drawn, [Some(1.0), None, None, Some(2e149)]);
+}
+
+#[test]
 fn non_uniform_stamps_are_listed() {
     let html = render(&with(plot(vec![0.0, 1.0, 3.0], vec![1.0; 3]))).expect("a page");
     assert_eq!(data(&html)[0]["t"].to_string(), "[0,1,3]");
