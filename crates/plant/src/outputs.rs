@@ -29,7 +29,7 @@ pub struct Outputs {
     pub boost_kpa: f64,
     /// Exhaust-manifold temperature, present value \[K\].
     pub exhaust_k: f64,
-    /// Exhaust gas temperature, flow-weighted cycle mean at the manifold outlet \[K\].
+    /// Exhaust gas temperature: manifold temperature weighted with the tailpipe flow over the cycle \[K\].
     pub egt_k: f64,
     /// Air flow, cycle mean \[g/s\].
     pub air_g_s: f64,

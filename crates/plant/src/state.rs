@@ -90,9 +90,9 @@ pub struct Sums {
     pub exhaust_pa_s: f64,
     /// Air through the throttle \[kg\].
     pub air_kg: f64,
-    /// Gas out of the exhaust manifold \[kg\].
+    /// Gas out of the tailpipe \[kg\].
     pub exhaust_kg: f64,
-    /// Integral of flow times temperature out of the exhaust manifold \[kg K\].
+    /// Integral of tailpipe flow times exhaust-manifold temperature \[kg K\].
     pub exhaust_kg_k: f64,
     /// Work of the gas on the pistons \[J\].
     pub work_j: f64,

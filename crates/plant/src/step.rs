@@ -117,8 +117,6 @@ pub(crate) struct Rates {
     pub(crate) evaporated: f64,
     /// Flow through the throttle \[kg/s\].
     pub(crate) throttle: f64,
-    /// Flow out of the exhaust manifold \[kg/s\].
-    pub(crate) turbine: f64,
     /// Flow out of the tailpipe \[kg/s\].
     pub(crate) tail: f64,
     /// Enthalpy into the engine \[W\].
@@ -136,7 +134,6 @@ impl Rates {
         burned: 0.0,
         evaporated: 0.0,
         throttle: 0.0,
-        turbine: 0.0,
         tail: 0.0,
         enthalpy_in: 0.0,
     };
@@ -242,7 +239,7 @@ impl Model {
             k.mass[i][PIPE] = 0.0;
         }
         k.energy[PIPE] = 0.0;
-        k.turbine = self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
+        self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
         // Reverse flow returns exhaust gas, never ambient air: pulsation would dilute the lambda signal.
         let (p, pa) = (s.p[CATALYST], self.ambient_pa);
         let (gamma, drive) = (s.gamma[CATALYST], s.drive[CATALYST]);

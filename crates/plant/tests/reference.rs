@@ -58,8 +58,10 @@ fn spread_of_the_reference_table() {
     let reference: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let rows = reference["static_reference"].as_array().unwrap();
     assert_eq!(rows.len(), 121);
-    // Every 12th of 11 x 11 points: the diagonal from (1000 rpm, 0 Nm) to (3000 rpm, 100 Nm).
+    // Of 11 x 11 points the diagonal from (1000 rpm, 0 Nm) to (3000 rpm, 100 Nm), idle at 2000 and 3000 rpm
+    // and full torque at 1000 rpm; the whole table is compared by the example `table`.
     rows.iter().step_by(12).for_each(compare);
+    [10, 55, 110].into_iter().for_each(|i| compare(&rows[i]));
 }
 
 #[test]
