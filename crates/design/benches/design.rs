@@ -14,7 +14,13 @@ fn signal_u0() -> Vec<f64> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/reference/design_u0.json");
     let text = std::fs::read_to_string(path).expect("the reduced reference lies in the repository");
     let v: serde_json::Value = serde_json::from_str(&text).expect("valid JSON");
-    v["u"].as_array().into_iter().flatten().flat_map(|r| r.as_array().into_iter().flatten()).filter_map(|x| x.as_f64()).collect()
+    v["u"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .flat_map(|r| r.as_array().into_iter().flatten())
+        .filter_map(|x| x.as_f64())
+        .collect()
 }
 
 fn scales() -> Vec<f64> {
@@ -66,9 +72,14 @@ fn designs() {
         ("output", "d", -450.3),
         ("output", "ai", 9.85e4),
     ];
-    println!("{:8}{:4}{:>12}{:>12}{:>12}{:>12}{:>10}", "limits", "J", "wanted", "median", "best", "worst", "CPU s");
+    println!(
+        "{:8}{:4}{:>12}{:>12}{:>12}{:>12}{:>10}",
+        "limits", "J", "wanted", "median", "best", "worst", "CPU s"
+    );
     let only = std::env::var("CASES").unwrap_or_default();
-    for (kind, name, target) in wanted.into_iter().filter(|(k, n, _)| only.is_empty() || only.contains(&format!("{k}-{n},"))) {
+    for (kind, name, target) in
+        wanted.into_iter().filter(|(k, n, _)| only.is_empty() || only.contains(&format!("{k}-{n},")))
+    {
         let c = criterion(name, &Default::default()).expect("known");
         let mut term = Term {
             objective_signal: &u0,
@@ -88,11 +99,16 @@ fn designs() {
         let before = cpu_s();
         let mut ends: Vec<f64> = (0..10)
             .map(|seed| {
-                let options = DesignOptions { seed, evaluations, ..Default::default() };
+                let search = std::env::var("SEARCH").unwrap_or("kicks".into());
+                let options = DesignOptions { search, seed, evaluations, ..Default::default() };
                 let found = design(&problem, &options, &|| false, &|_| {}).expect("well posed");
                 let spent = (found.status, found.evaluations, found.start_value);
                 if std::env::var_os("VERBOSE").is_some() {
-                    println!("   {seed}: {} {spent:?} {:?}", found.value, found.safety[0].worst.map(|w| w.distance));
+                    println!(
+                        "   {seed}: {} {spent:?} {:?}",
+                        found.value,
+                        found.safety[0].worst.map(|w| w.distance)
+                    );
                 }
                 found.value
             })

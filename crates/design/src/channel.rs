@@ -157,7 +157,8 @@ impl Layout {
             lower.resize(start + c.knots(n), 0.0);
             upper.resize(start + c.knots(n), if c.upper > c.lower { 1.0 } else { 0.0 });
             let range = c.upper - c.lower;
-            if let (Some(b), Some(r), true) = (c.before, c.rate_per_sample, start < lower.len() && range > 0.0)
+            if let (Some(b), Some(r), true) =
+                (c.before, c.rate_per_sample, start < lower.len() && range > 0.0)
             {
                 lower[start] = ((b - r - c.lower) / range).clamp(0.0, 1.0);
                 upper[start] = ((b + r - c.lower) / range).clamp(0.0, 1.0);
@@ -345,11 +346,8 @@ mod tests {
     fn contradicting_limits_are_named_with_the_size_of_the_conflict() {
         let crossed = Layout::new(&[Channel::free("inj", 5.0, 2.0)], 10).unwrap_err();
         assert!(matches!(&crossed, DesignError::Conflict { by, .. } if *by == 3.0), "{crossed}");
-        let far = Channel {
-            rate_per_sample: Some(1.0),
-            before: Some(-4.0),
-            ..Channel::free("spark", 0.0, 30.0)
-        };
+        let far =
+            Channel { rate_per_sample: Some(1.0), before: Some(-4.0), ..Channel::free("spark", 0.0, 30.0) };
         let far = Layout::new(&[far], 10).unwrap_err();
         assert!(matches!(&far, DesignError::Conflict { by, .. } if *by == 3.0), "{far}");
         assert!(far.to_string().contains("spark") && far.to_string().contains("rate limit 1"), "{far}");

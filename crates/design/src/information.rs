@@ -129,7 +129,8 @@ impl std::fmt::Display for Singular {
 pub fn report(model: &dyn Model, s: &[f64], noise_variance: f64, reference_scale: &[f64]) -> Report {
     let p = model.n_params();
     let rows = s.len() / p;
-    let norms: Vec<f64> = (0..p).map(|k| s.chunks_exact(p).map(|r| r[k] * r[k]).sum::<f64>().sqrt()).collect();
+    let norms: Vec<f64> =
+        (0..p).map(|k| s.chunks_exact(p).map(|r| r[k] * r[k]).sum::<f64>().sqrt()).collect();
     // A column of zeros keeps scale 1 and shows as a zero singular value.
     let scale: Vec<f64> = norms.iter().map(|n| if *n > 0.0 { *n } else { 1.0 }).collect();
     let mut tall = vec![0.0; rows * p];
@@ -168,8 +169,12 @@ pub fn report(model: &dyn Model, s: &[f64], noise_variance: f64, reference_scale
 }
 
 fn direction(model: &dyn Model, v: &[f64]) -> Vec<(String, f64)> {
-    let mut d: Vec<(String, f64)> =
-        v.iter().enumerate().filter(|(_, c)| c.abs() > 0.01).map(|(k, c)| (model.param_name(k), *c)).collect();
+    let mut d: Vec<(String, f64)> = v
+        .iter()
+        .enumerate()
+        .filter(|(_, c)| c.abs() > 0.01)
+        .map(|(k, c)| (model.param_name(k), *c))
+        .collect();
     d.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
     d
 }

@@ -38,7 +38,8 @@ pub fn safety(problem: &DesignProblem, evaluator: &Evaluator) -> Vec<Safety> {
         .map(|(i, term)| {
             let y = evaluator.output(i);
             let computed = || y.iter().enumerate().skip(first);
-            let range = computed().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (_, v)| (a.min(*v), b.max(*v)));
+            let range =
+                computed().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (_, v)| (a.min(*v), b.max(*v)));
             let worst = term.limits.and_then(|l| {
                 let (lower, upper) = (l.lower + l.margin, l.upper - l.margin);
                 computed()

@@ -33,9 +33,16 @@ fn check_case(root: &Value, signal: &str, case: &str, u: &[f64], u0: &[f64]) {
         assert_eq!(found.unseen.len(), found.p - found.rank);
         return;
     }
-    for (key, name) in
-        [("JD", "d"), ("JA", "a"), ("JWA", "wa"), ("JI", "i"), ("JG", "g"), ("JAI", "ai"), ("JE", "e"), ("JV", "v")]
-    {
+    for (key, name) in [
+        ("JD", "d"),
+        ("JA", "a"),
+        ("JWA", "wa"),
+        ("JI", "i"),
+        ("JG", "g"),
+        ("JAI", "ai"),
+        ("JE", "e"),
+        ("JV", "v"),
+    ] {
         let c = named(name);
         let p = problem(term(&model, c.as_ref(), u0, &scale), 100, conv);
         let found = Evaluator::new(&p).unwrap().value(u);
@@ -49,7 +56,8 @@ fn check_case(root: &Value, signal: &str, case: &str, u: &[f64], u0: &[f64]) {
     let Report::Regular(found) = report(&model.model, &s, model.noise_variance, &scale) else {
         panic!("{at}: reported as singular")
     };
-    for (key, list) in [("crlb_std", &found.crlb_std), ("fim_scaled_eigenvalues", &found.scaled_eigenvalues)] {
+    for (key, list) in [("crlb_std", &found.crlb_std), ("fim_scaled_eigenvalues", &found.scaled_eigenvalues)]
+    {
         for (k, e) in numbers(&v[key]).iter().enumerate() {
             assert_close(list[k], *e, 1e-9, &format!("{at} {key} {k}"));
         }
@@ -96,9 +104,8 @@ fn every_reference_case() {
 fn a_two_level_signal_is_singular_and_the_report_names_the_square() {
     let model = chapter_4_model("torque");
     let mut g = dynocal_numerics::rng::Rng64::new(11);
-    let u: Vec<f64> = (0..300)
-        .map(|k| [[2000.0, 6000.0], [0.4, 0.6], [1000.0, 2000.0]][k % 3][g.below(2)])
-        .collect();
+    let u: Vec<f64> =
+        (0..300).map(|k| [[2000.0, 6000.0], [0.4, 0.6], [1000.0, 2000.0]][k % 3][g.below(2)]).collect();
     let (_, s) = simulate(&model.model, &model.theta, &u, 3, Convention::Trim, 10, 0.0).unwrap();
     let Report::Singular(found) = report(&model.model, &s, 80.0, &[]) else { panic!("must be singular") };
     assert!(found.rank < found.p);

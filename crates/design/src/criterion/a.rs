@@ -9,7 +9,11 @@ pub(super) struct A;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "a", what: "A-optimal: tr M^-1, the sum of the parameter variances in raw units", params: &[] },
+    doc: MemberDoc {
+        name: "a",
+        what: "A-optimal: tr M^-1, the sum of the parameter variances in raw units",
+        params: &[],
+    },
     build: |keys| no_keys::<A>("a", keys),
 };
 

@@ -10,7 +10,11 @@ pub(super) struct Ai;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "ai", what: "adapted I-optimal (4.50): parameter variances weighted with the sensitivities of the objective signal", params: &[] },
+    doc: MemberDoc {
+        name: "ai",
+        what: "adapted I-optimal (4.50): parameter variances weighted with the sensitivities of the objective signal",
+        params: &[],
+    },
     build: |keys| no_keys::<Ai>("ai", keys),
 };
 

@@ -9,7 +9,11 @@ pub(super) struct D;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "d", what: "D-optimal: -ln det M, the volume of the confidence ellipsoid of the parameters", params: &[] },
+    doc: MemberDoc {
+        name: "d",
+        what: "D-optimal: -ln det M, the volume of the confidence ellipsoid of the parameters",
+        params: &[],
+    },
     build: |keys| no_keys::<D>("d", keys),
 };
 

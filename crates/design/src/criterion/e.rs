@@ -15,7 +15,11 @@ pub(super) struct E;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "e", what: "E-optimal: largest variance of any unit combination of the scaled parameters, 1 / lambda_min", params: &[] },
+    doc: MemberDoc {
+        name: "e",
+        what: "E-optimal: largest variance of any unit combination of the scaled parameters, 1 / lambda_min",
+        params: &[],
+    },
     build: |keys| no_keys::<E>("e", keys),
 };
 

@@ -14,7 +14,11 @@ pub(super) struct G;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "g", what: "G-optimal (4.51): largest variance of the predicted output over the objective signal", params: &[] },
+    doc: MemberDoc {
+        name: "g",
+        what: "G-optimal (4.51): largest variance of the predicted output over the objective signal",
+        params: &[],
+    },
     build: |keys| no_keys::<G>("g", keys),
 };
 

@@ -11,7 +11,11 @@ pub(super) struct I;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "i", what: "I-optimal: summed variance of the predicted output over the objective signal", params: &[] },
+    doc: MemberDoc {
+        name: "i",
+        what: "I-optimal: summed variance of the predicted output over the objective signal",
+        params: &[],
+    },
     build: |keys| no_keys::<I>("i", keys),
 };
 

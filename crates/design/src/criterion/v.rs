@@ -11,7 +11,11 @@ pub(super) struct V;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "v", what: "V-optimal: mean variance of the predicted output over the objective signal (I divided by its length)", params: &[] },
+    doc: MemberDoc {
+        name: "v",
+        what: "V-optimal: mean variance of the predicted output over the objective signal (I divided by its length)",
+        params: &[],
+    },
     build: |keys| no_keys::<V>("v", keys),
 };
 

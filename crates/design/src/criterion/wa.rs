@@ -11,7 +11,11 @@ pub(super) struct Wa;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
-    doc: MemberDoc { name: "wa", what: "weighted A-optimal (4.35): parameter variances weighted with the sensitivities of the design itself", params: &[] },
+    doc: MemberDoc {
+        name: "wa",
+        what: "weighted A-optimal (4.35): parameter variances weighted with the sensitivities of the design itself",
+        params: &[],
+    },
     build: |keys| no_keys::<Wa>("wa", keys),
 };
 

@@ -42,7 +42,8 @@ impl<'a> Evaluator<'a> {
         let layout = problem.check()?;
         let (pad, start) = problem.padding();
         let size = (problem.n_samples + pad) * problem.channels.len();
-        let terms = problem.terms.iter().map(|t| TermWork::new(problem, *t)).collect::<Result<Vec<_>, _>>()?;
+        let terms =
+            problem.terms.iter().map(|t| TermWork::new(problem, *t)).collect::<Result<Vec<_>, _>>()?;
         let logarithmic = problem.terms.iter().filter_map(|t| t.criterion).all(|c| c.is_positive());
         Ok(Self {
             layout,

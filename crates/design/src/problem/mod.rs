@@ -145,7 +145,11 @@ impl DesignProblem<'_> {
             Err(DesignError::Shape { what: format!("{}: {what}", term.name), found, expected })
         };
         let number = |what: &str, found: f64, expected: &str| {
-            Err(DesignError::Number { what: format!("{}: {what}", term.name), found, expected: expected.into() })
+            Err(DesignError::Number {
+                what: format!("{}: {what}", term.name),
+                found,
+                expected: expected.into(),
+            })
         };
         if term.model.n_inputs() != m {
             return shape("inputs of the model against channels", term.model.n_inputs(), m);
@@ -166,7 +170,11 @@ impl DesignProblem<'_> {
             return shape("prior rows", term.prior.len(), p * term.prior.len().div_ceil(p));
         }
         if !term.objective_signal.len().is_multiple_of(m) {
-            return shape("objective signal", term.objective_signal.len(), m * term.objective_signal.len() / m);
+            return shape(
+                "objective signal",
+                term.objective_signal.len(),
+                m * term.objective_signal.len() / m,
+            );
         }
         if !(term.weight >= 0.0 && term.weight.is_finite()) {
             return number("weight", term.weight, "a number that is not negative");

@@ -47,7 +47,8 @@ impl<'a> TermWork<'a> {
         let mut scratch = Scratch::default();
         scratch.fit(p, n0);
         let square = vec![0.0; p * p];
-        let reference = if term.reference_scale.is_empty() { vec![1.0; p] } else { term.reference_scale.to_vec() };
+        let reference =
+            if term.reference_scale.is_empty() { vec![1.0; p] } else { term.reference_scale.to_vec() };
         Ok(Self {
             term,
             start,

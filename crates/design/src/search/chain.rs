@@ -36,11 +36,20 @@ pub struct Chain<'w, 'a> {
     sink: Vec<f64>,
 }
 
+/// First penalty of a constraint violation in units of its range: small, so that the search first finds a good record
+/// and then moves it into the limits; large ones freeze the constraints that the start happens to meet.
+const FIRST_PENALTY: f64 = 1.0;
+
 /// Order of the p-norms at the end of a search, and on the way to it.
 const SHARPNESS: [f64; 3] = [8.0, 30.0, 120.0];
 
 impl<'w, 'a> Chain<'w, 'a> {
-    pub(crate) fn new(evaluator: Evaluator<'a>, options: &DesignOptions, stream: u64, watch: Watch<'w>) -> Self {
+    pub(crate) fn new(
+        evaluator: Evaluator<'a>,
+        options: &DesignOptions,
+        stream: u64,
+        watch: Watch<'w>,
+    ) -> Self {
         let n = evaluator.layout().len();
         let constrained = evaluator.multipliers(1.0).is_some();
         let extreme = evaluator.has_extreme();
@@ -106,7 +115,9 @@ impl<'w, 'a> Chain<'w, 'a> {
             let stages = SHARPNESS.len() - first;
             let left = end.saturating_sub(self.evaluator.count());
             let share = if *q == self.last_sharpness() { left } else { left / stages };
-            ended = if self.constrained {
+            ended = if self.constrained && rough && multipliers.is_some() {
+                return self.probe(&mut x, *q, share, factor, multipliers);
+            } else if self.constrained {
                 self.constrained_run(&mut x, *q, share, factor, &mut multipliers)
             } else {
                 self.smooth_run(&mut x, *q, share, factor, None)
@@ -116,6 +127,20 @@ impl<'w, 'a> Chain<'w, 'a> {
         let (f, violation) = self.value(&x);
         self.note(f, violation, ended.optimality);
         Candidate { x, f, violation, converged: ended.converged, multipliers }
+    }
+
+    /// One run at fixed multipliers: its Lagrangian tells whether a kick leads anywhere, long before the
+    /// constraints hold again.
+    fn probe(
+        &mut self,
+        x: &mut [f64],
+        q: f64,
+        budget: usize,
+        factor: f64,
+        multipliers: Option<Multipliers>,
+    ) -> Candidate {
+        let ended = self.smooth_run(x, q, budget, factor, multipliers.as_ref());
+        Candidate { x: x.to_vec(), f: ended.value, violation: f64::INFINITY, converged: false, multipliers }
     }
 
     fn smooth_run(
@@ -148,7 +173,8 @@ impl<'w, 'a> Chain<'w, 'a> {
         warm: &mut Option<Multipliers>,
     ) -> Ended {
         let end = self.evaluator.count() + budget;
-        let mut mu = match warm.take().or_else(|| self.evaluator.multipliers(20.0)) {
+        let warmed = warm.is_some();
+        let mut mu = match warm.take().or_else(|| self.evaluator.multipliers(FIRST_PENALTY)) {
             Some(mu) => mu,
             None => return self.smooth_run(x, q, budget, factor, None),
         };
@@ -160,7 +186,7 @@ impl<'w, 'a> Chain<'w, 'a> {
                 break;
             }
             // Early multipliers are guesses, so that early runs need no precision.
-            let loose = factor * f64::max(1.0, 100.0 * 0.2f64.powi(outer));
+            let loose = if warmed { factor } else { factor * f64::max(1.0, 100.0 * 0.2f64.powi(outer)) };
             ended = self.smooth_run(x, q, (left / 3).clamp(2, 150).min(left - 1), loose, Some(&mu));
             let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
             let violation = self.evaluator.output_violation().max(self.evaluator.layout().rate_violation(x));

@@ -12,7 +12,11 @@ pub(super) struct Compass;
 
 /// Its row in the table.
 pub(super) const MEMBER: Member<dyn Search> = Member {
-    doc: MemberDoc { name: "compass", what: "cyclic pattern search over the free values, without derivatives", params: &[] },
+    doc: MemberDoc {
+        name: "compass",
+        what: "cyclic pattern search over the free values, without derivatives",
+        params: &[],
+    },
     build: |keys| no_keys::<Compass>("compass", keys),
 };
 

@@ -64,11 +64,8 @@ impl Kicks {
                 continue;
             }
             for k in 0..length.min(n) {
-                let k = if everywhere {
-                    chain.rng.below(n)
-                } else {
-                    ((at * n as f64) as usize + k).min(n - 1)
-                };
+                let k =
+                    if everywhere { chain.rng.below(n) } else { ((at * n as f64) as usize + k).min(n - 1) };
                 let j = range.start + k;
                 x[j] = chain.rng.uniform_in(lower[j], upper[j]);
             }
@@ -88,14 +85,25 @@ impl Search for Kicks {
             let Some(best) = chain.best.clone() else { break };
             let mut x = best.x.clone();
             self.kick(chain, &mut x);
-            let rough = if chain.is_constrained() { 4 * self.rough_evaluations } else { self.rough_evaluations };
+            let rough = self.rough_evaluations;
             let tried = chain.refine(&x, rough, true, best.multipliers.clone());
             if tried.f < best.f + self.patience && tried.f.is_finite() {
                 let left = chain.left().saturating_sub(polish);
-                let kept = chain.refine(&tried.x, left.min(5 * rough), true, tried.multipliers.clone());
+                let kept = if chain.is_constrained() {
+                    let probed = chain.refine(&tried.x, left.min(5 * rough), true, tried.multipliers.clone());
+                    if probed.f >= best.f - 1e-4 {
+                        continue;
+                    }
+                    let left = chain.left().saturating_sub(polish);
+                    chain.refine(&probed.x, left.min(10 * rough), false, probed.multipliers.clone())
+                } else {
+                    chain.refine(&tried.x, left.min(5 * rough), true, None)
+                };
                 chain.offer(kept);
             }
-            chain.offer(tried);
+            if !chain.is_constrained() {
+                chain.offer(tried);
+            }
         }
         if let Some(best) = chain.best.clone() {
             let left = chain.left();

@@ -182,7 +182,11 @@ impl Lbfgs {
             }
             // Minimiser of the parabola through both values and the slope, kept within sensible shares.
             let parabola = -0.5 * t * slope / ((v - value) / t - slope);
-            t = if v.is_finite() && parabola.is_finite() { parabola.clamp(0.1 * t, 0.5 * t) } else { 0.2 * t };
+            t = if v.is_finite() && parabola.is_finite() {
+                parabola.clamp(0.1 * t, 0.5 * t)
+            } else {
+                0.2 * t
+            };
         }
         (None, budget.min(25))
     }

@@ -43,7 +43,10 @@ pub fn search(name: &str, keys: &toml::Table) -> Result<Box<dyn Search>, BuildEr
     registry::build("search", SEARCHES, name, keys)
 }
 
-fn no_keys<T: Search + Default + 'static>(name: &str, keys: &toml::Table) -> Result<Box<dyn Search>, BuildError> {
+fn no_keys<T: Search + Default + 'static>(
+    name: &str,
+    keys: &toml::Table,
+) -> Result<Box<dyn Search>, BuildError> {
     match keys.keys().next() {
         None => Ok(Box::new(T::default())),
         Some(k) => Err(BuildError::Keys {

@@ -80,5 +80,8 @@ pub fn term<'a>(
 }
 
 pub fn assert_close(found: f64, expected: f64, relative: f64, what: &str) {
-    assert!((found - expected).abs() <= relative * expected.abs(), "{what}: found {found}, expected {expected}");
+    assert!(
+        (found - expected).abs() <= relative * expected.abs(),
+        "{what}: found {found}, expected {expected}"
+    );
 }

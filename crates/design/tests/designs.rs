@@ -1,0 +1,178 @@
+//! Whole designs: published bars, limits that must hold, conformance of every search.
+
+mod common;
+
+use common::*;
+use dynocal_design::channel::{Channel, Shape};
+use dynocal_design::error::DesignError;
+use dynocal_design::problem::{Convention, DesignProblem, Evaluator, OutputLimits, Term};
+use dynocal_design::search::{DesignOptions, DesignOutcome, Failure, SEARCHES, design, random_record};
+use dynocal_numerics::status::Status;
+
+fn run(problem: &DesignProblem, options: &DesignOptions) -> DesignOutcome {
+    design(problem, options, &|| false, &|_| {}).unwrap()
+}
+
+fn median(problem: &DesignProblem, seeds: u64) -> f64 {
+    let mut v: Vec<f64> =
+        (0..seeds).map(|seed| run(problem, &DesignOptions { seed, ..Default::default() }).value).collect();
+    v.sort_by(f64::total_cmp);
+    0.5 * (v[(v.len() - 1) / 2] + v[v.len() / 2])
+}
+
+/// Medians of ten random starts against those of CasADi with IPOPT on the same problems.
+#[test]
+fn medians_reach_the_interior_point_bars() {
+    let (u0, root) = core();
+    let model = chapter_4_model("torque");
+    let scale = numbers(&root["c_torque"]);
+    for (name, bar) in
+        [("d", -436.2), ("ai", 2.138e5), ("a", 899.0), ("wa", 1.954e5), ("i", 984.0), ("g", 13.23)]
+    {
+        let c = named(name);
+        let found = median(&problem(term(&model, c.as_ref(), &u0, &scale), 100, Convention::Trim), 10);
+        println!("{name}: median {found}, bar {bar}");
+        assert!(found <= bar, "{name}: median {found}, asked {bar}");
+    }
+}
+
+#[test]
+fn rate_limited_medians_reach_the_interior_point_bars() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    for (name, bar) in [("d", -401.0), ("ai", 8.93e5)] {
+        let c = named(name);
+        let mut p = problem(term(&model, c.as_ref(), &u0, &[]), 100, Convention::Trim);
+        p.channels.iter_mut().zip([500.0, 0.025, 125.0]).for_each(|(c, r)| c.rate_per_sample = Some(r));
+        let found = median(&p, 10);
+        println!("rate {name}: median {found}, bar {bar}");
+        assert!(found <= bar, "{name}: median {found}, asked {bar}");
+    }
+}
+
+/// Every search: within the bounds, never worse than a given start, the same twice, reproducible value.
+#[test]
+fn searches_keep_their_contract() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    let ai = named("ai");
+    let mut p = problem(term(&model, ai.as_ref(), &u0, &[]), 60, Convention::Trim);
+    p.channels[2].rate_per_sample = Some(200.0);
+    let start = random_record(&p, 3).unwrap();
+    let started = Evaluator::new(&p).unwrap().value(&start);
+    for member in SEARCHES {
+        let options = DesignOptions {
+            search: member.doc.name.into(),
+            evaluations: 600,
+            starts: 2,
+            start: Some(start.clone()),
+            ..Default::default()
+        };
+        let (a, b) = (run(&p, &options), run(&p, &options));
+        assert_eq!(a.u, b.u, "{}: not the same twice", member.doc.name);
+        assert!(a.value <= started, "{}: {} from {started}", member.doc.name, a.value);
+        for (t, row) in a.u.chunks_exact(3).enumerate() {
+            for (v, c) in row.iter().zip(&p.channels) {
+                assert!((c.lower..=c.upper).contains(v));
+            }
+            assert!(t == 0 || (row[2] - a.u[t * 3 - 1]).abs() <= 200.0);
+        }
+        assert_eq!(Evaluator::new(&p).unwrap().value(&a.u), a.value);
+        assert!(a.evaluations <= 1300, "{}: {} evaluations", member.doc.name, a.evaluations);
+    }
+}
+
+/// A chain-like record: held and ramped channels, a given one, two models, limits on both outputs.
+#[test]
+fn a_record_with_holds_ramps_and_output_limits_keeps_them_all() {
+    let (u0, _) = core();
+    let (torque, lambda) = (chapter_4_model("torque"), chapter_4_model("lambda"));
+    let d = named("d");
+    let n = 300;
+    let limits = OutputLimits { lower: -10.0, upper: 40.0, margin: 1.0 };
+    let mut p =
+        problem(Term { limits: Some(limits), ..term(&torque, d.as_ref(), &u0, &[]) }, n, Convention::Hold);
+    let near_one = OutputLimits { lower: -0.5, upper: 2.5, margin: 0.1 };
+    p.terms.push(Term { limits: Some(near_one), ..term(&lambda, d.as_ref(), &u0, &[]) });
+    p.channels[0].hold = 10;
+    p.channels[1] = Channel {
+        hold: 5,
+        shape: Shape::Linear,
+        rate_per_sample: Some(0.02),
+        before: Some(0.5),
+        ..p.channels[1].clone()
+    };
+    let speed: Vec<f64> = (0..n).map(|t| 1500.0 + 400.0 * (t as f64 / 20.0).sin()).collect();
+    p.channels[2] = Channel::given("speed", speed.clone());
+    let found = run(&p, &DesignOptions { evaluations: 600, ..Default::default() });
+    assert!(found.status != Status::Infeasible, "{:?}", found.status);
+    assert!(found.value < found.start_value);
+    for s in &found.safety {
+        let worst = s.worst.unwrap();
+        assert!(worst.distance >= -1e-6 * 50.0, "{}: {worst:?}", s.name);
+        assert_eq!(s.predicted[worst.sample], worst.output);
+    }
+    for t in 0..n {
+        assert_eq!(found.u[t * 3 + 2], speed[t]);
+        assert!(t % 10 == 0 || found.u[t * 3] == found.u[t * 3 - 3]);
+        let before = if t == 0 { 0.5 } else { found.u[t * 3 - 2] };
+        assert!((found.u[t * 3 + 1] - before).abs() <= 0.02 + 1e-12);
+    }
+}
+
+/// Limits that no input can meet end as infeasible with the output, the sample and the distance.
+#[test]
+fn unreachable_output_limits_are_reported_not_hidden() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    let d = named("d");
+    let limits = OutputLimits { lower: 900.0, upper: 1000.0, margin: 0.0 };
+    let p =
+        problem(Term { limits: Some(limits), ..term(&model, d.as_ref(), &u0, &[]) }, 60, Convention::Trim);
+    let found = run(&p, &DesignOptions { evaluations: 400, ..Default::default() });
+    assert_eq!(found.status, Status::Infeasible);
+    let worst = found.safety[0].worst.unwrap();
+    assert!(worst.distance < 0.0 && worst.limit == 900.0, "{worst:?}");
+}
+
+#[test]
+fn wrong_problems_are_refused_in_words() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    let (d, ai) = (named("d"), named("ai"));
+    let refuse = |p: &DesignProblem| match design(p, &DesignOptions::default(), &|| false, &|_| {}) {
+        Err(Failure::Problem(e)) => e,
+        other => panic!("not refused: {other:?}"),
+    };
+    let good = || problem(term(&model, d.as_ref(), &u0, &[]), 100, Convention::Trim);
+    let mut p = good();
+    p.terms = vec![term(&model, ai.as_ref(), &[], &[])];
+    assert!(matches!(refuse(&p), DesignError::NoObjectiveSignal { .. }));
+    let mut p = good();
+    p.terms[0].limits = Some(OutputLimits { lower: 0.0, upper: 10.0, margin: 6.0 });
+    assert!(refuse(&p).to_string().contains("conflict by 2"), "{}", refuse(&p));
+    let mut p = good();
+    p.n_samples = 10;
+    assert!(matches!(refuse(&p), DesignError::Shape { .. }));
+    // Twenty samples cannot tell twenty-three parameters: named, not a number.
+    let mut p = good();
+    p.n_samples = 30;
+    let text = refuse(&p).to_string();
+    assert!(text.contains("rank 20 of 23"), "{text}");
+    let unknown = DesignOptions { search: "kick".into(), ..Default::default() };
+    let Err(Failure::Search(e)) = design(&good(), &unknown, &|| false, &|_| {}) else { panic!("must fail") };
+    assert!(e.to_string().contains("did you mean `kicks`"), "{e}");
+}
+
+#[test]
+fn an_interrupt_ends_the_search_with_the_best_so_far() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    let d = named("d");
+    let p = problem(term(&model, d.as_ref(), &u0, &[]), 100, Convention::Trim);
+    let asked = std::sync::atomic::AtomicUsize::new(0);
+    let stop = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) > 50;
+    let found = design(&p, &DesignOptions::default(), &stop, &|_| {}).unwrap();
+    assert_eq!(found.status, Status::Interrupted);
+    assert!(found.value < found.start_value && found.evaluations < 200);
+}
