@@ -90,7 +90,7 @@ impl StepSolver {
         }
         let floor = mu;
         let mut size = norm2(&self.q);
-        if !(size <= 1.1 * delta) {
+        if size > 1.1 * delta || size.is_nan() {
             mu = self.search_mu(model, delta, floor);
             size = norm2(&self.q);
         }

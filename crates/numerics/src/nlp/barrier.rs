@@ -41,7 +41,7 @@ pub(super) struct BarrierRule {
 
 impl BarrierRule {
     pub(super) fn new(tolerance: f64) -> Self {
-        let mu_min = (0.1 * tolerance).min(1e-9).max(1e-14);
+        let mu_min = (0.1 * tolerance).clamp(1e-14, 1e-9);
         Self { mode: Mode::Free, mu: 0.1, mu_min, mu_max: 1e5, tolerance, accepted: Vec::new(), fresh: true }
     }
 

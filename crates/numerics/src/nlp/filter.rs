@@ -65,7 +65,7 @@ impl Filter {
 
     /// Tests a trial at step length `alpha`.
     pub(super) fn test(&self, here: &Here, alpha: f64, theta: f64, phi: f64) -> Option<Accepted> {
-        if !(theta.is_finite() && phi.is_finite()) || !self.allows(theta, phi) {
+        if !(theta.is_finite() && phi.is_finite() && self.allows(theta, phi)) {
             return None;
         }
         let armijo = less(phi - here.phi, ETA_PHI * alpha * here.slope, here.phi);

@@ -46,10 +46,9 @@ impl Ipm<'_> {
             if let Some(kind) = self.filter.test(&here, alpha, theta, phi) {
                 return self.move_to_trial(f, alpha, &here, kind);
             }
-            if first && theta.is_finite() && theta >= here.theta && self.model.m > 0 {
-                if let Some((f, kind)) = self.correct(alpha, mu, tau, &here, theta) {
-                    return self.move_to_trial(f, alpha, &here, kind);
-                }
+            let worse = first && theta.is_finite() && theta >= here.theta && self.model.m > 0;
+            if worse && let Some((f, kind)) = self.correct(alpha, mu, tau, &here, theta) {
+                return self.move_to_trial(f, alpha, &here, kind);
             }
             first = false;
             alpha *= 0.5;
@@ -111,7 +110,7 @@ impl Ipm<'_> {
             if let Some(kind) = self.filter.test(here, alpha, theta, phi) {
                 return Some((f, kind));
             }
-            if !(theta <= KAPPA_SOC * last) {
+            if theta > KAPPA_SOC * last || theta.is_nan() {
                 return None;
             }
             last = theta;

@@ -49,7 +49,7 @@ impl<'a> Model<'a> {
         let (n_full, m) = (problem.n(), problem.m());
         let (mut lower, mut upper) = (vec![f64::NEG_INFINITY; n_full], vec![f64::INFINITY; n_full]);
         problem.bounds(&mut lower, &mut upper);
-        if lower.iter().zip(&upper).any(|(l, u)| !(l <= u)) {
+        if lower.iter().zip(&upper).any(|(l, u)| l > u || l.is_nan() || u.is_nan()) {
             return Err(Trivial::EmptyBox);
         }
         let mut full_x = vec![0.0; n_full];
@@ -113,9 +113,8 @@ impl<'a> Model<'a> {
         if !grad.iter().chain(&jac).all(|v| v.is_finite()) {
             return Err(Trivial::NotFinite);
         }
-        let factor = |g: f64| if g > LARGEST_GRADIENT { (LARGEST_GRADIENT / g).max(1e-8) } else { 1.0 };
-        self.objective_scale = factor(norm_inf(&grad));
-        self.constraint_scale = largest.into_iter().map(factor).collect();
+        self.objective_scale = scale_of(norm_inf(&grad));
+        self.constraint_scale = largest.into_iter().map(scale_of).collect();
         Ok(())
     }
 
@@ -176,4 +175,9 @@ impl<'a> Model<'a> {
             lambda.iter().zip(&self.constraint_scale).map(|(l, s)| l * s / self.objective_scale).collect();
         (self.full_x, objective, norm_inf(&c), multipliers)
     }
+}
+
+/// Factor that brings a largest derivative down to [`LARGEST_GRADIENT`].
+fn scale_of(largest: f64) -> f64 {
+    if largest > LARGEST_GRADIENT { (LARGEST_GRADIENT / largest).max(1e-8) } else { 1.0 }
 }

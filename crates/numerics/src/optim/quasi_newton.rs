@@ -165,7 +165,8 @@ impl Search {
             axpy(p.weight - beta, &p.s, &mut self.d);
             zero_held(&mut self.d, free);
         }
-        if !(dot(&self.d, &self.g) < 0.0) || gamma.is_none() {
+        let slope = dot(&self.d, &self.g);
+        if slope >= 0.0 || slope.is_nan() || gamma.is_none() {
             self.pairs.clear();
             for k in 0..self.d.len() {
                 self.d[k] = if self.free[k] { -self.g[k] } else { 0.0 };
