@@ -1,7 +1,7 @@
 //! What the test bed reads.
 
 use crate::params::EngineParams;
-use crate::state::{EXHAUST, EngineState, INTAKE, Sums};
+use crate::state::{EXHAUST, EngineState, Sums};
 use crate::step::{Held, Model, Rates};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -105,7 +105,4 @@ impl Outputs {
             time_s: s.time_s,
         }
     }
-
-    /// Intake-manifold volume number, for readers of the raw state.
-    pub const INTAKE_VOLUME: usize = INTAKE;
 }
