@@ -115,9 +115,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             let stages = SHARPNESS.len() - first;
             let left = end.saturating_sub(self.evaluator.count());
             let share = if *q == self.last_sharpness() { left } else { left / stages };
-            ended = if self.constrained && rough && multipliers.is_some() {
-                return self.probe(&mut x, *q, share, factor, multipliers);
-            } else if self.constrained {
+            ended = if self.constrained {
                 self.constrained_run(&mut x, *q, share, factor, &mut multipliers)
             } else {
                 self.smooth_run(&mut x, *q, share, factor, None)
@@ -127,20 +125,6 @@ impl<'w, 'a> Chain<'w, 'a> {
         let (f, violation) = self.value(&x);
         self.note(f, violation, ended.optimality);
         Candidate { x, f, violation, converged: ended.converged, multipliers }
-    }
-
-    /// One run at fixed multipliers: its Lagrangian tells whether a kick leads anywhere, long before the
-    /// constraints hold again.
-    fn probe(
-        &mut self,
-        x: &mut [f64],
-        q: f64,
-        budget: usize,
-        factor: f64,
-        multipliers: Option<Multipliers>,
-    ) -> Candidate {
-        let ended = self.smooth_run(x, q, budget, factor, multipliers.as_ref());
-        Candidate { x: x.to_vec(), f: ended.value, violation: f64::INFINITY, converged: false, multipliers }
     }
 
     fn smooth_run(

@@ -50,6 +50,9 @@ pub(super) const MEMBER: Member<dyn Search> = Member {
     build: |keys| registry::keys::<Kicks>("search kicks", keys).map(|k| Box::new(k) as Box<dyn Search>),
 };
 
+/// Evaluations of one constrained local run after a kick.
+const CONSTRAINED_RUN: usize = 900;
+
 impl Kicks {
     /// Draws a stretch of every channel anew, or a few free values anywhere.
     fn kick(&self, chain: &mut Chain, x: &mut [f64]) {
@@ -85,25 +88,22 @@ impl Search for Kicks {
             let Some(best) = chain.best.clone() else { break };
             let mut x = best.x.clone();
             self.kick(chain, &mut x);
-            let rough = self.rough_evaluations;
-            let tried = chain.refine(&x, rough, true, best.multipliers.clone());
-            if tried.f < best.f + self.patience && tried.f.is_finite() {
+            if chain.is_constrained() {
+                // Multipliers belong to samples that the kick has moved: start again from a small penalty, which also
+                // lets the record leave its limits for a better place.
                 let left = chain.left().saturating_sub(polish);
-                let kept = if chain.is_constrained() {
-                    let probed = chain.refine(&tried.x, left.min(5 * rough), true, tried.multipliers.clone());
-                    if probed.f >= best.f - 1e-4 {
-                        continue;
-                    }
-                    let left = chain.left().saturating_sub(polish);
-                    chain.refine(&probed.x, left.min(10 * rough), false, probed.multipliers.clone())
-                } else {
-                    chain.refine(&tried.x, left.min(5 * rough), true, None)
-                };
+                let found = chain.refine(&x, left.min(CONSTRAINED_RUN), false, None);
+                chain.offer(found);
+                continue;
+            }
+            let rough = self.rough_evaluations;
+            let tried = chain.refine(&x, rough, true, None);
+            if tried.f < best.f + self.patience {
+                let left = chain.left().saturating_sub(polish);
+                let kept = chain.refine(&tried.x, left.min(5 * rough), true, None);
                 chain.offer(kept);
             }
-            if !chain.is_constrained() {
-                chain.offer(tried);
-            }
+            chain.offer(tried);
         }
         if let Some(best) = chain.best.clone() {
             let left = chain.left();
