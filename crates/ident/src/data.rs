@@ -163,6 +163,25 @@ impl Dataset {
         Ok(rows)
     }
 
+    /// A copy with one more channel, `f` of each sample of channel `from` (e.g. 1/speed, 1/lambda).
+    ///
+    /// # Errors
+    /// [`DataError::NoChannel`]; [`DataError::NonFinite`] (of the new channel) when `f` is not finite somewhere.
+    pub fn with_derived(
+        &self,
+        from: &str,
+        name: &str,
+        unit: &str,
+        role: Role,
+        f: impl Fn(f64) -> f64,
+    ) -> Result<Self, DataError> {
+        let values: Vec<f64> = self.values(from)?.iter().map(|v| f(*v)).collect();
+        let mut copy = self.clone();
+        copy.channels.push(Channel { name: name.into(), unit: unit.into(), role, values });
+        copy.check()?;
+        Ok(copy)
+    }
+
     /// Names of the channels with `role`, in file order.
     pub fn names(&self, role: Role) -> Vec<String> {
         self.channels.iter().filter(|c| c.role == role).map(|c| c.name.clone()).collect()

@@ -166,6 +166,12 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
                     what: "relative spread of the further starts",
                 },
                 ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the further starts" },
+                ParamDoc {
+                    name: "ridge",
+                    unit: "-",
+                    default: "0",
+                    what: "weight on squared parameters, as of ols",
+                },
             ],
         },
         build: |keys| Ok(Box::new(registry::keys::<sem::Sem>("sem", keys)?)),

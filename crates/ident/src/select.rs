@@ -2,3 +2,4 @@
 
 pub mod frols;
 pub mod pool;
+pub mod prune;

@@ -1,12 +1,15 @@
 //! Forward regression: recovers a known structure, its path obeys its defining identities.
 
-use dynocal_ident::estimate::Estimator;
 use dynocal_ident::estimate::ols::Ols;
+use dynocal_ident::estimate::sem::Sem;
+use dynocal_ident::estimate::{Estimator, Minimised};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::frols::{Stop, frols};
 use dynocal_ident::select::pool::PoolSpec;
+use dynocal_ident::select::prune::{best_on, prune};
+use dynocal_ident::validate::{Kind, Seen, score};
 use dynocal_numerics::rng::Rng64;
 
 const TRUE_TERMS: [&str; 5] = ["u(t-1)", "u(t-1)*v(t-2)", "v(t-1)^2", "y(t-1)", "u(t-2)*y(t-1)"];
@@ -128,4 +131,45 @@ fn dependent_candidates_are_never_taken() {
     let pool = PolyNarx::parse(&["u", "v"], "y", &["u(t-1)", "v(t-1)", "u(t-2)", "v(t-2)"]).unwrap();
     let selection = frols(&pool, &data, Stop::Terms(4)).unwrap();
     assert_eq!(selection.terms, 2);
+}
+
+/// From a model with many terms, elimination on the simulation error keeps the true ones and improves unseen data.
+#[test]
+fn pruning_removes_the_spurious_terms_of_an_output_error_system() {
+    let truth = PolyNarx::parse(&["u", "v"], "y", &TRUE_TERMS).unwrap();
+    let record = |seed: u64| -> Vec<Experiment> {
+        let mut clean = data(0.0, seed);
+        let mut rng = Rng64::new(100 + seed);
+        clean.iter_mut().for_each(|e| e.y.iter_mut().for_each(|v| *v += 0.1 * rng.normal()));
+        clean
+    };
+    let (ident, selection) = (record(1), record(2));
+    // The true terms among 20 others.
+    let others = pool()
+        .regressors()
+        .iter()
+        .filter(|r| !truth.regressors().contains(r))
+        .take(20)
+        .cloned()
+        .collect::<Vec<_>>();
+    let all = truth.regressors().iter().cloned().chain(others).collect();
+    let start = PolyNarx::new(names(), "y".into(), all).unwrap();
+    let path = prune(&start, &ident, &Sem::default(), 4, &|| false).unwrap();
+    assert_eq!(path.len(), 25 - 4 + 1);
+    for (i, p) in path.iter().enumerate() {
+        assert_eq!(p.model.n_params(), 25 - i);
+        assert_eq!(p.removed.is_none(), i == 0);
+        assert_eq!(p.fit.minimised, Minimised::FreeRun);
+    }
+    let five = &path[20].model;
+    let mut found = five.regressor_texts();
+    let mut expected = truth.regressor_texts();
+    found.sort();
+    expected.sort();
+    assert_eq!(found, expected);
+    let best = best_on(&path, &selection).unwrap();
+    let error =
+        |i: usize| score(&path[i].model, &path[i].fit.theta, &selection, Kind::FreeRun, Seen::Unseen).mse;
+    assert!((0..path.len()).all(|i| error(best) <= error(i)));
+    assert!(path[best].model.n_params() < 25 && path[best].model.n_params() >= 5);
 }

@@ -34,11 +34,14 @@ pub struct Sem {
     pub spread: f64,
     /// Seed of the further starts.
     pub seed: u64,
+    /// Ridge weight as in [`Ols`]: parameters count in units of their regressor's rms. A little of it keeps
+    /// models with many terms from cancelling large contributions against each other.
+    pub ridge: f64,
 }
 
 impl Default for Sem {
     fn default() -> Self {
-        Self { max_evaluations: 200, cost_tolerance: 1e-12, restarts: 0, spread: 0.1, seed: 0 }
+        Self { max_evaluations: 200, cost_tolerance: 1e-12, restarts: 0, spread: 0.1, seed: 0, ridge: 0.0 }
     }
 }
 
@@ -51,14 +54,14 @@ impl Estimator for Sem {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
         let samples = usable_samples(model, data)?;
-        let mut problem = SimulationError::new(model, data);
+        let mut problem = SimulationError::new(model, data, self.ridge, samples);
         let mut warnings = Vec::new();
         let start = match start {
             Some(theta) if theta.len() != model.n_params() => {
                 return Err(EstimateError::Start { found: theta.len(), expected: model.n_params() });
             }
             Some(theta) => theta.to_vec(),
-            None => least_squares_start(model, data, samples, &mut problem, &mut warnings)?,
+            None => least_squares_start(model, data, samples, self.ridge, &mut problem, &mut warnings)?,
         };
         if !problem.cost(&start).is_finite() {
             return Err(problem.unstable(&start));
@@ -106,17 +109,26 @@ struct SimulationError<'a> {
     data: &'a [Experiment],
     rows: usize,
     y: Vec<f64>,
+    /// Weight of each parameter; empty without ridge.
+    ridge: Vec<f64>,
 }
 
 impl<'a> SimulationError<'a> {
-    fn new(model: &'a dyn Model, data: &'a [Experiment]) -> Self {
+    fn new(model: &'a dyn Model, data: &'a [Experiment], ridge: f64, samples: usize) -> Self {
         let longest = data.iter().map(Experiment::len).max().unwrap_or(0);
-        Self { model, data, rows: data.iter().map(Experiment::len).sum(), y: vec![0.0; longest] }
+        let rows = data.iter().map(Experiment::len).sum();
+        let ridge = if ridge > 0.0 { ridge_weights(model, data, ridge, samples) } else { Vec::new() };
+        Self { model, data, rows, y: vec![0.0; longest], ridge }
+    }
+
+    /// Sum of squares of the free-run errors alone.
+    fn error_cost(&self, r: &[f64]) -> f64 {
+        r[..self.rows].iter().map(|v| v * v).sum()
     }
 
     /// Sum of squares; infinite when a free run diverges.
     fn cost(&mut self, theta: &[f64]) -> f64 {
-        let mut r = vec![0.0; self.rows];
+        let mut r = vec![0.0; self.residuals()];
         let cost: f64 =
             if self.residual(theta, &mut r) { r.iter().map(|v| v * v).sum() } else { f64::INFINITY };
         if cost.is_finite() { cost } else { f64::INFINITY }
@@ -143,11 +155,13 @@ impl<'a> SimulationError<'a> {
         mut warnings: Vec<String>,
     ) -> Result<Fit, EstimateError> {
         let p = self.model.n_params();
-        let (mut r, mut jac) = (vec![0.0; self.rows], vec![0.0; self.rows * p]);
+        let rows = self.residuals();
+        let (mut r, mut jac) = (vec![0.0; rows], vec![0.0; rows * p]);
         self.residual_jacobian(&found.x, &mut r, &mut jac);
+        let cost = self.error_cost(&r);
         let numeric = |source| EstimateError::Numeric { estimator: "sem", source };
-        let factor = pivoted_r(&jac, self.rows, p, 0.0).map_err(numeric)?;
-        let noise_variance = found.cost / (samples - factor.rank).max(1) as f64;
+        let factor = pivoted_r(&jac, rows, p, 0.0).map_err(numeric)?;
+        let noise_variance = cost / (samples - factor.rank).max(1) as f64;
         let (covariance, std_errors) = covariance(&factor, p, noise_variance).map_err(numeric)?;
         let names = names(self.model);
         warnings.extend(rank_warning(&factor, &names));
@@ -166,7 +180,7 @@ impl<'a> SimulationError<'a> {
             names,
             covariance,
             std_errors,
-            mse: found.cost / samples as f64,
+            mse: cost / samples as f64,
             noise_variance,
             samples,
             rank: factor.rank,
@@ -184,7 +198,7 @@ impl LeastSquares for SimulationError<'_> {
     }
 
     fn residuals(&self) -> usize {
-        self.rows
+        self.rows + self.ridge.len()
     }
 
     fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
@@ -197,6 +211,7 @@ impl LeastSquares for SimulationError<'_> {
             fill_residuals(e, run.start, y, &mut r[row..row + e.len()]);
             row += e.len();
         }
+        self.fill_ridge(x, r);
         true
     }
 
@@ -217,8 +232,32 @@ impl LeastSquares for SimulationError<'_> {
             }
             row += e.len();
         }
+        self.fill_ridge(x, r);
+        jac[self.rows * p..].fill(0.0);
+        for (k, w) in self.ridge.iter().enumerate() {
+            jac[(self.rows + k) * p + k] = *w;
+        }
         true
     }
+}
+
+impl SimulationError<'_> {
+    fn fill_ridge(&self, x: &[f64], r: &mut [f64]) {
+        for ((r, w), v) in r[self.rows..].iter_mut().zip(&self.ridge).zip(x) {
+            *r = w * v;
+        }
+    }
+}
+
+/// `sqrt(ridge n) rms(phi_k)` of each parameter.
+fn ridge_weights(model: &dyn Model, data: &[Experiment], ridge: f64, samples: usize) -> Vec<f64> {
+    let p = model.n_params();
+    let (phi, _) = regression(model, data, samples);
+    let mut square = vec![0.0; p];
+    for row in phi.chunks_exact(p) {
+        square.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
+    }
+    square.iter().map(|s| (ridge * s).sqrt()).collect()
 }
 
 fn fill_residuals(e: &Experiment, start: usize, y: &[f64], r: &mut [f64]) {
@@ -236,10 +275,11 @@ fn least_squares_start(
     model: &dyn Model,
     data: &[Experiment],
     samples: usize,
+    ridge: f64,
     problem: &mut SimulationError,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<f64>, EstimateError> {
-    let theta = Ols::default().estimate(model, data, None, &|| false)?.theta;
+    let theta = Ols { ridge }.estimate(model, data, None, &|| false)?.theta;
     let cost = problem.cost(&theta);
     // Worse than twice the spread about the mean: the linear start misleads more than a shrunk one.
     if cost <= 2.0 * spread(model, data) {

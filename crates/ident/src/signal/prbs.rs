@@ -104,9 +104,9 @@ mod tests {
         let mut factors = Vec::new();
         let mut q = 2;
         while q * q <= v {
-            if v % q == 0 {
+            if v.is_multiple_of(q) {
                 factors.push(q);
-                while v % q == 0 {
+                while v.is_multiple_of(q) {
                     v /= q;
                 }
             }
