@@ -163,7 +163,7 @@ impl DesignProblem<'_> {
         if !term.reference_scale.is_empty() && term.reference_scale.len() != p {
             return shape("reference scales", term.reference_scale.len(), p);
         }
-        if let Some(c) = term.reference_scale.iter().find(|c| !(**c > 0.0)) {
+        if let Some(c) = term.reference_scale.iter().find(|c| c.is_nan() || **c <= 0.0) {
             return number("reference scale", *c, "a positive number");
         }
         if !term.prior.len().is_multiple_of(p) {
@@ -180,7 +180,7 @@ impl DesignProblem<'_> {
             return number("weight", term.weight, "a number that is not negative");
         }
         if let Some(l) = term.limits
-            && !(l.lower + l.margin < l.upper - l.margin)
+            && (l.lower + l.margin).partial_cmp(&(l.upper - l.margin)) != Some(std::cmp::Ordering::Less)
         {
             return Err(DesignError::Conflict {
                 first: format!("{} lower limit {} with margin {}", term.name, l.lower, l.margin),

@@ -34,6 +34,8 @@ pub struct Chain<'w, 'a> {
     constrained: bool,
     watch: Watch<'w>,
     sink: Vec<f64>,
+    /// Constrained runs whose Lagrangian stays above this value are given up.
+    pub(crate) give_up: f64,
 }
 
 /// First penalty of a constraint violation in units of its range: small, so that the search first finds a good record
@@ -67,6 +69,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             constrained,
             watch,
             sink: Vec::new(),
+            give_up: f64::INFINITY,
         }
     }
 
@@ -179,6 +182,11 @@ impl<'w, 'a> Chain<'w, 'a> {
                 mu.penalty = (3.0 * mu.penalty).min(1e7);
             }
             let settled = (f - value_before).abs() <= 10.0 * self.decrease * factor;
+            // The Lagrangian approaches the constrained optimum from below: a run that is above the best already will
+            // not come back.
+            if outer > 0 && f > self.give_up {
+                break;
+            }
             if violation <= 0.5 * self.tolerance && (settled || outer > 15) {
                 *warm = Some(mu);
                 return ended;

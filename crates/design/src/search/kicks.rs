@@ -92,7 +92,9 @@ impl Search for Kicks {
                 // Multipliers belong to samples that the kick has moved: start again from a small penalty, which also
                 // lets the record leave its limits for a better place.
                 let left = chain.left().saturating_sub(polish);
+                chain.give_up = best.f;
                 let found = chain.refine(&x, left.min(CONSTRAINED_RUN), false, None);
+                chain.give_up = f64::INFINITY;
                 chain.offer(found);
                 continue;
             }

@@ -21,6 +21,7 @@ pub(crate) struct Stop {
 /// How a local run ended.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ended {
+    #[cfg_attr(not(test), expect(dead_code, reason = "callers evaluate the repaired point themselves"))]
     pub(crate) value: f64,
     pub(crate) converged: bool,
     /// Largest component of the projected gradient.

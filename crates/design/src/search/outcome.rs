@@ -20,7 +20,7 @@ pub struct DesignOptions {
     pub keys: toml::Table,
     /// Number of starts; the first is `start` where that is given, the others are random.
     pub starts: usize,
-    /// Evaluations of the criterion per start.
+    /// Evaluations of the criterion per start; under output limits twice the default still pays.
     pub evaluations: usize,
     /// Seed of all random numbers.
     pub seed: u64,
