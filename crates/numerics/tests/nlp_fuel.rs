@@ -213,6 +213,7 @@ fn rate_limited_fuel_optimum_of_the_reference_record_is_reached() {
     );
     assert_eq!(found.status, Status::Converged);
     assert!(found.violation < 1e-6);
-    assert!((found.objective - TIGHT_RATE_LIMITED).abs() < 2e-7 * TIGHT_RATE_LIMITED);
+    // An interior point stops on the inner side of the bounds: above the tight value, by less than 1e-7.
+    assert!((found.objective - TIGHT_RATE_LIMITED).abs() < 7e-8, "{}", found.objective);
     assert!(found.history.len() <= 60);
 }

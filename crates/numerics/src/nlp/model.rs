@@ -6,6 +6,9 @@ use crate::linalg::norm_inf;
 
 /// Gradients larger than this are scaled down to it.
 const LARGEST_GRADIENT: f64 = 100.0;
+/// An objective whose largest derivative is smaller than this is scaled up to it, by this factor at most.
+const SMALLEST_GRADIENT: f64 = 1e-2;
+const LARGEST_LIFT: f64 = 1e3;
 /// Relative relaxation of the bounds: an interior exists even where two inequalities meet.
 const BOUND_RELAXATION: f64 = 1e-9;
 
@@ -113,7 +116,11 @@ impl<'a> Model<'a> {
         if !grad.iter().chain(&jac).all(|v| v.is_finite()) {
             return Err(Trivial::NotFinite);
         }
-        self.objective_scale = scale_of(norm_inf(&grad));
+        // A flat objective is scaled up as well, else the tolerance would let it stop far from the optimum.
+        let steepest = norm_inf(&grad);
+        let flat = steepest > 0.0 && steepest < SMALLEST_GRADIENT;
+        self.objective_scale =
+            if flat { (SMALLEST_GRADIENT / steepest).min(LARGEST_LIFT) } else { scale_of(steepest) };
         self.constraint_scale = largest.into_iter().map(scale_of).collect();
         Ok(())
     }
