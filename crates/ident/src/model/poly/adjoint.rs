@@ -56,7 +56,14 @@ pub(super) fn sensitivity_adjoint(
         }
         let u = program.input_window(run.u, t);
         let u_out = &mut u_bar[(t - program.max_lag) * program.m..(t + 1) * program.m];
-        for &k in &program.exogenous {
+        for &(k, a) in &program.singles {
+            u_out[a] += weight[k];
+        }
+        for &(k, a, b) in &program.pairs {
+            u_out[a] += weight[k] * u[b];
+            u_out[b] += weight[k] * u[a];
+        }
+        for &k in &program.longer {
             distribute(program.taps(k), u, weight[k], u_out);
         }
         if ring > 0 {
@@ -118,7 +125,15 @@ fn recursive_terms(
         }
     }
     let u = program.input_window(run.u, t);
-    for &k in &program.recursive {
+    for term in &program.linear {
+        // O = y(t-lag), dO = 1, no second derivative.
+        let k = term.k;
+        distribute(program.taps(k), u, weight[k] * y[t - term.lag] + theta[k] * a_bar[term.slot], u_out);
+        if t >= start + term.lag {
+            later.y[(t - term.lag) % later.ring] += program.input_product(k, u) * weight[k];
+        }
+    }
+    for &k in &program.general {
         let factors = program.outputs(k);
         let mut input_weight = weight[k] * program.output_product(k, y, t);
         for (j, f) in factors.iter().enumerate() {

@@ -40,6 +40,14 @@ pub(super) struct Term {
     outputs: (usize, usize),
 }
 
+/// A term `I_k(t) y(t - lag)`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LinearTerm {
+    pub(super) k: usize,
+    pub(super) lag: usize,
+    pub(super) slot: usize,
+}
+
 /// Compiled structure.
 #[derive(Clone, Debug)]
 pub(super) struct Program {
@@ -52,6 +60,16 @@ pub(super) struct Program {
     pub(super) exogenous: Vec<usize>,
     /// Terms with outputs.
     pub(super) recursive: Vec<usize>,
+    /// Those of them with one output factor of power one: nearly all that occur, and O_k, dO_k/dy are then plain.
+    pub(super) linear: Vec<LinearTerm>,
+    /// The others.
+    pub(super) general: Vec<usize>,
+    /// Exogenous terms of one tap: (term, shift).
+    pub(super) singles: Vec<(usize, usize)>,
+    /// Exogenous terms of two taps: (term, shift, shift).
+    pub(super) pairs: Vec<(usize, usize, usize)>,
+    /// Exogenous terms of three and more taps.
+    pub(super) longer: Vec<usize>,
     /// Distinct output lags, ascending.
     pub(super) output_lags: Vec<usize>,
     /// Distinct (input, lag) pairs, sorted.
@@ -112,7 +130,45 @@ impl Program {
             terms.push(Term { taps: (tap0, taps.len()), outputs: (output0, outputs.len()) });
             if r.reads_output() { recursive.push(k) } else { exogenous.push(k) }
         }
-        Self { m, max_lag, terms, taps, outputs, exogenous, recursive, output_lags, window }
+        let mut program = Self {
+            m,
+            max_lag,
+            terms,
+            taps,
+            outputs,
+            exogenous,
+            recursive,
+            linear: Vec::new(),
+            general: Vec::new(),
+            singles: Vec::new(),
+            pairs: Vec::new(),
+            longer: Vec::new(),
+            output_lags,
+            window,
+        };
+        program.classify();
+        program
+    }
+
+    /// Sorts the terms into those with a short way and the others.
+    fn classify(&mut self) {
+        for &k in &self.recursive {
+            match self.outputs(k) {
+                [f] if f.power == 1 => {
+                    let (lag, slot) = (f.lag, f.slot);
+                    self.linear.push(LinearTerm { k, lag, slot });
+                }
+                _ => self.general.push(k),
+            }
+        }
+        for &k in &self.exogenous {
+            match self.taps(k) {
+                [] => {}
+                [a] => self.singles.push((k, a.shift)),
+                [a, b] => self.pairs.push((k, a.shift, b.shift)),
+                _ => self.longer.push(k),
+            }
+        }
     }
 
     pub(super) fn taps(&self, k: usize) -> &[Tap] {
@@ -146,16 +202,24 @@ impl Program {
             return 0.0;
         }
         let window = self.input_window(u, t);
-        self.recursive.iter().fold(0.0, |sum, &k| {
-            sum + theta[k] * self.input_product(k, window) * self.output_product(k, y, t)
-        })
+        let mut sum = 0.0;
+        for term in &self.linear {
+            sum += theta[term.k] * self.input_product(term.k, window) * y[t - term.lag];
+        }
+        for &k in &self.general {
+            sum += theta[k] * self.input_product(k, window) * self.output_product(k, y, t);
+        }
+        sum
     }
 
     /// Fills `a` (one value per entry of [`Program::output_lags`]) with df/dy(t - lag).
     pub(super) fn output_gradient(&self, theta: &[f64], u: &[f64], y: &[f64], t: usize, a: &mut [f64]) {
         a.fill(0.0);
         let window = self.input_window(u, t);
-        for &k in &self.recursive {
+        for term in &self.linear {
+            a[term.slot] += theta[term.k] * self.input_product(term.k, window);
+        }
+        for &k in &self.general {
             let gain = theta[k] * self.input_product(k, window);
             let factors = self.outputs(k);
             for (i, f) in factors.iter().enumerate() {

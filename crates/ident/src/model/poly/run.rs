@@ -184,7 +184,10 @@ fn fill_recursive_terms(program: &Program, u: &[f64], y: &[f64], t: usize, row: 
         return;
     }
     let window = program.input_window(u, t);
-    for &k in &program.recursive {
+    for term in &program.linear {
+        row[term.k] = program.input_product(term.k, window) * y[t - term.lag];
+    }
+    for &k in &program.general {
         row[k] = program.input_product(k, window) * program.output_product(k, y, t);
     }
 }
