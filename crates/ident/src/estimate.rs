@@ -56,6 +56,7 @@ pub struct Fit {
     /// errors. Zero rows for parameters that the data do not determine.
     pub covariance: Vec<f64>,
     /// Standard errors (p): square roots of its diagonal; NaN for parameters that the data do not determine.
+    #[serde(deserialize_with = "crate::nullable::numbers")]
     pub std_errors: Vec<f64>,
     /// Mean of the (weighted) squared errors on the data used.
     pub mse: f64,

@@ -50,16 +50,22 @@ pub struct Score {
     /// Scored samples.
     pub samples: usize,
     /// Mean squared error.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub mse: f64,
     /// Root of it.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub rmse: f64,
     /// `1 - sum e^2 / sum (z - mean z)^2` (thesis eq. 2.48), the mean over all scored samples.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub r2: f64,
     /// `1 - |e| / |z - mean z|`, the NRMSE fit.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub nrmse_fit: f64,
     /// 95 % of the absolute errors are at most this.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub error_95: f64,
     /// Largest absolute error.
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub error_max: f64,
     /// `Diverged` when a free run did not stay finite; the numbers are then NaN.
     pub status: Status,

@@ -104,6 +104,10 @@ fn dependent_regressors_are_named_and_the_rest_is_estimated() {
         );
         assert!((fit.theta[0] + 2.0 * fit.theta[1] - 2.0).abs() < 1e-8, "{:?}", fit.theta);
         assert_eq!(fit.std_errors.iter().filter(|v| v.is_nan()).count(), 1);
+        let stored = serde_json::to_string(&fit).unwrap();
+        let read: dynocal_ident::estimate::Fit = serde_json::from_str(&stored).unwrap();
+        assert_eq!(read.theta, fit.theta);
+        assert_eq!(read.std_errors.iter().filter(|v| v.is_nan()).count(), 1);
     }
 }
 

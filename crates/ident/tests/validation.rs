@@ -29,6 +29,12 @@ fn scores_by_hand() {
     let bad = score_values(&[1.0, 2.0], &[1.0, f64::NAN], Kind::FreeRun, Seen::Unseen, Reference::Noisy);
     assert_eq!(bad.status, Status::Diverged);
     assert!(bad.r2.is_nan());
+    // A stored score of a diverged run is read back as such.
+    let stored = serde_json::to_string(&bad).unwrap();
+    let read: dynocal_ident::validate::Score = serde_json::from_str(&stored).unwrap();
+    assert!(read.mse.is_nan() && read.r2.is_nan() && read.status == Status::Diverged, "{stored}");
+    let stored = serde_json::to_string(&s).unwrap();
+    assert_eq!(serde_json::from_str::<dynocal_ident::validate::Score>(&stored).unwrap(), s);
 }
 
 fn example() -> (PolyNarx, [f64; 4], Experiment) {
