@@ -2,6 +2,7 @@
 
 mod common;
 mod failure;
+mod identify_report;
 mod interrupt;
 mod progress;
 mod table;

@@ -92,6 +92,9 @@ fn exact_data_give_the_exact_model_and_only_json_on_standard_output() {
     assert_eq!((&free["kind"], &free["data"]), (&"free_run".into(), &"unseen".into()));
     assert!(free["rmse"].as_f64().unwrap() < 1e-9);
     assert_eq!(free["samples"], 98);
+    let report = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
+    has(&report, "Unseen records");
+    has(&report, "test-record");
     let model: serde_json::Value =
         dynocal_files::json::read(&tmp.path().join("run/steps/01-identify/model.json")).unwrap();
     let theta: Vec<f64> =

@@ -11,7 +11,7 @@ use dynocal_ident::validate::{Kind, Seen};
 use super::Verb;
 use crate::common::{Common, print};
 use crate::failure::{Exit, Failure};
-use crate::{interrupt, table};
+use crate::{identify_report, interrupt, table};
 
 pub(crate) const VERB: Verb =
     Verb { name: "identify", describe: |c| Identify::augment_args(c.about(ABOUT)), run };
@@ -42,13 +42,14 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let outcome = job::run(&job, &|text| progress.note(text), &asked);
     progress.finish();
     let (found, folder) = outcome.map_err(with_hint)?;
+    identify_report::write(&found, folder.path())?;
     for warning in &found.warnings {
         eprintln!("warning: {warning}");
     }
     args.common.print_summary(&folder.path().join("summary.json"))?;
     if args.common.shows_text() {
         print(&text(&found));
-        print(&format!("\nrun folder: {}\n", folder.path().display()));
+        print(&format!("\nreport: {}\n", folder.path().join("report.html").display()));
     }
     Ok(if found.valid { Exit::Done } else { Exit::NotValid })
 }
