@@ -11,6 +11,7 @@ use dynocal_ident::model::Model as _;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::frols::{Stop, frols};
 use dynocal_ident::select::pool::PoolSpec;
+use dynocal_ident::select::prune::prune;
 use dynocal_ident::validate::{Kind, Seen, score_values};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
@@ -113,8 +114,19 @@ fn identify_output(
 }
 
 fn estimators(spec: &IdentifySpec) -> [(Box<dyn Estimator>, &'static str); 2] {
-    let sem = Sem { max_evaluations: spec.max_evaluations, cost_tolerance: 1e-7, ..Sem::default() };
-    [(Box::new(Ols::default()), "one-step error"), (Box::new(sem), "simulation error")]
+    [
+        (Box::new(Ols::default()), "one-step error"),
+        (Box::new(simulation_error(spec)), "simulation error"),
+    ]
+}
+
+fn simulation_error(spec: &IdentifySpec) -> Sem {
+    Sem {
+        max_evaluations: spec.max_evaluations,
+        cost_tolerance: 1e-6,
+        ridge: spec.ridge,
+        ..Sem::default()
+    }
 }
 
 /// Inputs of every engine model, in this order: the actuators and the derived cycle duration.
@@ -142,8 +154,18 @@ fn select(ctx: &Context, output: &str, ident: &[Dataset]) -> Result<(PolyNarx, T
     let fault = |reason: String| ChainError::Identify { what: format!("structure of {output}"), reason };
     let pool =
         PolyNarx::new(inputs.clone(), name.into(), pool.candidates()).map_err(|e| fault(e.to_string()))?;
-    let selection = frols(&pool, &data, Stop::Terms(terms)).map_err(|e| fault(e.to_string()))?;
-    Ok((selection.model, transform))
+    // One-step prediction says little about the free run: forward selection takes more terms than wanted, backward
+    // elimination on the simulation error brings them down.
+    let wide = Stop::Terms(terms + spec.surplus_terms);
+    let selection = frols(&pool, &data, wide).map_err(|e| fault(e.to_string()))?;
+    let mut data = data;
+    if transform == Transform::Reciprocal {
+        weigh_as_measured(&mut data);
+    }
+    let sem = simulation_error(&IdentifySpec { max_evaluations: 12, ..spec.clone() });
+    let path = prune(&selection.model, &data, &sem, terms, &|| (ctx.interrupt)())
+        .map_err(|e| fault(e.to_string()))?;
+    Ok((path.last().map_or(selection.model, |p| p.model.clone()), transform))
 }
 
 // Input numbers in the pools: INJ, spark, throttle, speed, cycle.

@@ -78,6 +78,10 @@ pub struct IdentifySpec {
     pub torque_terms: usize,
     /// Terms of the selected lambda model (in 1/lambda).
     pub lambda_terms: usize,
+    /// Terms that forward selection takes beyond these, for backward elimination to choose from.
+    pub surplus_terms: usize,
+    /// Ridge of the simulation-error search, relative to the regressors' size.
+    pub ridge: f64,
     /// Leading samples of each record that enter no score.
     pub init_samples: usize,
     /// Most cost evaluations of the simulation-error search.
@@ -86,7 +90,7 @@ pub struct IdentifySpec {
 
 impl Default for IdentifySpec {
     fn default() -> Self {
-        Self { torque_terms: 30, lambda_terms: 40, init_samples: 10, max_evaluations: 60 }
+        Self { torque_terms: 30, lambda_terms: 40, surplus_terms: 30, ridge: 0.0, init_samples: 10, max_evaluations: 60 }
     }
 }
 
