@@ -88,6 +88,30 @@ pub fn identify_pair(
     Ok((torque?, lambda?))
 }
 
+/// Estimates the chosen structures again on more records, starting from their last parameters.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn estimate_again(
+    ctx: &Context,
+    previous: (&OutputModels, &OutputModels),
+    identification: &[Dataset],
+    validation: &[Dataset],
+) -> Result<(OutputModels, OutputModels), ChainError> {
+    let derive = |set: &[Dataset]| set.iter().map(with_derived).collect::<Result<Vec<_>, DataError>>();
+    let (ident, val) = (derive(identification)?, derive(validation)?);
+    let job = |models: &OutputModels| -> Result<OutputModels, ChainError> {
+        let old = &models.best().model;
+        let sem = simulation_error(&ctx.spec.identify);
+        let task = Task { output: &models.output, transform: old.transform, ident: &ident, val: &val };
+        let name = format!("{}, all records", models.best().name.trim_end_matches(", all records"));
+        let candidate = task.estimate(ctx, &name, &old.structure, &sem, Some(&old.theta))?;
+        Ok(OutputModels { candidates: vec![candidate], chosen: 0, ..models.clone() })
+    };
+    let (torque, lambda) = rayon::join(|| job(previous.0), || job(previous.1));
+    Ok((torque?, lambda?))
+}
+
 fn identify_output(
     ctx: &Context,
     output: &str,
@@ -96,15 +120,16 @@ fn identify_output(
 ) -> Result<OutputModels, ChainError> {
     let spec = &ctx.spec.identify;
     let published = published_structure(output)?;
-    let mut candidates = Vec::new();
-    for (estimator, label) in estimators(spec) {
-        let name = format!("published structure (7.8), {label}");
-        candidates.push(estimate(ctx, &name, output, Transform::Identity, &published, estimator, ident, val)?);
-    }
     let (structure, transform) = select(ctx, output, ident)?;
-    for (estimator, label) in estimators(spec) {
-        let name = format!("selected structure, {label}");
-        candidates.push(estimate(ctx, &name, output, transform, &structure, estimator, ident, val)?);
+    let mut candidates = Vec::new();
+    for (structure, transform, kind) in
+        [(&published, Transform::Identity, "published structure (7.8)"), (&structure, transform, "selected structure")]
+    {
+        let task = Task { output, transform, ident, val };
+        for (estimator, label) in estimators(spec) {
+            let name = format!("{kind}, {label}");
+            candidates.push(task.estimate(ctx, &name, structure, estimator.as_ref(), None)?);
+        }
     }
     let score = |c: &Candidate| c.unseen_r2.unwrap_or(f64::NEG_INFINITY);
     let best = candidates.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
@@ -204,50 +229,59 @@ fn lambda_pool() -> PoolSpec {
     }
 }
 
-fn estimate(
-    ctx: &Context,
-    name: &str,
-    output: &str,
+/// One output on one set of records.
+struct Task<'a> {
+    output: &'a str,
     transform: Transform,
-    structure: &PolyNarx,
-    estimator: Box<dyn Estimator>,
-    ident: &[Dataset],
-    val: &[Dataset],
-) -> Result<Candidate, ChainError> {
-    ctx.check_interrupt()?;
-    let column = if transform == Transform::Reciprocal { "phi" } else { output };
-    let mut data = experiments(ident, structure.inputs(), column)?;
-    if transform == Transform::Reciprocal {
-        weigh_as_measured(&mut data);
-    }
-    let fit = estimator.estimate(structure, &data, None, &|| (ctx.interrupt)()).map_err(|e| {
-        ChainError::Identify { what: format!("{output} model, {name}"), reason: e.to_string() }
-    })?;
-    let model = EngineModel {
-        schema_version: 1,
-        output: output.into(),
-        transform,
-        sample_time_s: ident[0].sample_time_s,
-        origin: name.into(),
-        structure: structure.clone(),
-        theta: fit.theta.clone(),
-    };
-    let mut scores = Vec::new();
-    for (set, data) in [(ident, Seen::Identification), (val, Seen::Unseen)] {
-        for record in set {
-            scores.push(free_run_score(&model, record, data)?);
+    ident: &'a [Dataset],
+    val: &'a [Dataset],
+}
+
+impl Task<'_> {
+    fn estimate(
+        &self,
+        ctx: &Context,
+        name: &str,
+        structure: &PolyNarx,
+        estimator: &dyn Estimator,
+        start: Option<&[f64]>,
+    ) -> Result<Candidate, ChainError> {
+        ctx.check_interrupt()?;
+        let (output, transform) = (self.output, self.transform);
+        let column = if transform == Transform::Reciprocal { "phi" } else { output };
+        let mut data = experiments(self.ident, structure.inputs(), column)?;
+        if transform == Transform::Reciprocal {
+            weigh_as_measured(&mut data);
         }
+        let fit = estimator.estimate(structure, &data, start, &|| (ctx.interrupt)()).map_err(|e| {
+            ChainError::Identify { what: format!("{output} model, {name}"), reason: e.to_string() }
+        })?;
+        let model = EngineModel {
+            schema_version: 1,
+            output: output.into(),
+            transform,
+            sample_time_s: self.ident[0].sample_time_s,
+            origin: name.into(),
+            structure: structure.clone(),
+            theta: fit.theta.clone(),
+        };
+        let mut scores = Vec::new();
+        for (set, data) in [(self.ident, Seen::Identification), (self.val, Seen::Unseen)] {
+            for record in set {
+                scores.push(free_run_score(&model, record, data)?);
+            }
+        }
+        Ok(Candidate {
+            name: name.into(),
+            status: fit.status,
+            evaluations: fit.evaluations,
+            std_errors: finite(&fit),
+            unseen_r2: mean_r2(&scores),
+            scores,
+            model,
+            warnings: fit.warnings,
+        })
     }
-    Ok(Candidate {
-        name: name.into(),
-        status: fit.status,
-        evaluations: fit.evaluations,
-        std_errors: finite(&fit),
-        unseen_r2: mean_r2(&scores),
-        scores,
-        model,
-        warnings: fit.warnings,
-    })
 }
 
 fn finite(fit: &Fit) -> Vec<Option<f64>> {

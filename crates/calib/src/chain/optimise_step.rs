@@ -2,7 +2,7 @@
 
 use super::context::{ChainError, Context, Event, RecordRef, save_records};
 use super::excite_step::LEAD_IN_S;
-use super::models::{OutputModels, identify_pair};
+use super::models::{OutputModels, estimate_again};
 use crate::control::LoopGains;
 use crate::engine_model::{EngineModel, cycle_s};
 use crate::excite::{aprbs, speed_sweep};
@@ -74,18 +74,17 @@ pub struct OptimiseResult {
 pub fn optimise(
     ctx: &Context,
     folder: &Path,
-    torque: &EngineModel,
-    lambda: &EngineModel,
+    models: (&OutputModels, &OutputModels),
     identification: &[Dataset],
     validation: &[Dataset],
 ) -> Result<OptimiseResult, ChainError> {
     let spec = &ctx.spec.optimise;
-    let (mut torque, mut lambda) = (torque.clone(), lambda.clone());
+    let mut models = (models.0.clone(), models.1.clone());
     let mut data = identification.to_vec();
     let mut passes = Vec::new();
     for k in 1..=spec.passes {
-        let pass = one_pass(ctx, folder, k, &torque, &lambda, &mut data, validation)?;
-        (torque, lambda) = (pass.torque.best().model.clone(), pass.lambda.best().model.clone());
+        let pass = one_pass(ctx, folder, k, (&models.0, &models.1), &mut data, validation)?;
+        models = (pass.torque.clone(), pass.lambda.clone());
         (ctx.tell)(Event::Fraction(k as f64 / spec.passes as f64));
         passes.push(pass);
     }
@@ -97,12 +96,12 @@ fn one_pass(
     ctx: &Context,
     folder: &Path,
     k: usize,
-    torque: &EngineModel,
-    lambda: &EngineModel,
+    models: (&OutputModels, &OutputModels),
     data: &mut Vec<Dataset>,
     validation: &[Dataset],
 ) -> Result<Pass, ChainError> {
     ctx.check_interrupt()?;
+    let (torque, lambda) = (&models.0.best().model, &models.1.best().model);
     let start = start_record(ctx, k, torque, lambda, data)?;
     let outcome =
         fuel::minimise_fuel(&ctx.spec.optimise.program, torque, lambda, &start, &|| (ctx.interrupt)())?;
@@ -121,7 +120,7 @@ fn one_pass(
     let measured_fuel_kg_h = mean_fuel(&optimum_run, first)?;
     let fuel_per_work_ratio = fuel_per_work(&optimum_run, first)? / fuel_per_work(&start_run, first)?;
     data.extend([start_run, optimum_run]);
-    let (torque_models, lambda_models) = identify_pair(ctx, data, validation)?;
+    let (torque_models, lambda_models) = estimate_again(ctx, models, data, validation)?;
     Ok(Pass {
         pass: k,
         status: outcome.status,

@@ -187,8 +187,8 @@ fn step_optimise(
     let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &design.digest);
     run_step(ctx, folder, "optimise", &inputs, |path| {
         let r = all_identification(ctx, result)?;
-        let (torque, lambda) = (&design.result.torque.best().model, &design.result.lambda.best().model);
-        let done = optimise(ctx, path, torque, lambda, &r.identification, &r.validation)?;
+        let models = (&design.result.torque, &design.result.lambda);
+        let done = optimise(ctx, path, models, &r.identification, &r.validation)?;
         if let Some(last) = done.passes.last() {
             save_models(path, &last.torque, &last.lambda)?;
         }

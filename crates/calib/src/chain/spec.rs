@@ -90,7 +90,7 @@ pub struct IdentifySpec {
 
 impl Default for IdentifySpec {
     fn default() -> Self {
-        Self { torque_terms: 30, lambda_terms: 40, surplus_terms: 30, ridge: 0.0, init_samples: 10, max_evaluations: 60 }
+        Self { torque_terms: 30, lambda_terms: 40, surplus_terms: 30, ridge: 1e-5, init_samples: 10, max_evaluations: 60 }
     }
 }
 
@@ -135,7 +135,7 @@ impl Default for DesignSpec {
             rate: [4.0, 10.0, 4.0],
             torque_nm: (5.0, 95.0),
             lambda: (0.85, 1.15),
-            max_evaluations: 150,
+            max_evaluations: 300,
         }
     }
 }
