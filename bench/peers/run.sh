@@ -1,0 +1,10 @@
+#!/usr/bin/env bash
+# All comparisons, one after the other: DYNOCAL_REFERENCE_DIR=... bench/peers/run.sh
+set -uo pipefail
+cd "$(dirname "$0")"
+[ -x .venv/bin/python ] || bash setup.sh || exit 2
+missed=0
+for script in sensitivities.py design.py fuel.py; do
+    .venv/bin/python "$script" || missed=1
+done
+exit "$missed"
