@@ -7,6 +7,7 @@ use clap::Args;
 
 use crate::failure::Failure;
 use crate::progress::Progress;
+use crate::step_progress::StepProgress;
 
 /// Flags of every verb that computes.
 #[derive(Args, Debug, Clone)]
@@ -31,11 +32,22 @@ pub(crate) struct Common {
 impl Common {
     /// Sets threads and Ctrl-C up; returns where progress goes.
     pub(crate) fn start(&self) -> Result<Progress, Failure> {
+        self.prepare()?;
+        Ok(Progress::new(self.quiet))
+    }
+
+    /// The same for a verb that works in the steps of a calibration.
+    pub(crate) fn start_steps(&self) -> Result<StepProgress, Failure> {
+        self.prepare()?;
+        Ok(StepProgress::new(self.quiet))
+    }
+
+    fn prepare(&self) -> Result<(), Failure> {
         if let Some(n) = self.threads {
             rayon::ThreadPoolBuilder::new().num_threads(usize::from(n)).build_global()?;
         }
         crate::interrupt::install()?;
-        Ok(Progress::new(self.quiet))
+        Ok(())
     }
 
     /// Whether a human-readable result is wanted on standard output.

@@ -10,7 +10,7 @@ use crate::table;
 
 pub(crate) const VERB: Verb = Verb { name: "list", describe: |c| List::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "List signals, criteria, optimisers, models and estimators with their parameters";
+const ABOUT: &str = "List signals, models, estimators, criteria, plants, optimisers and studies with their parameters";
 
 #[derive(Args, Debug)]
 struct List {
@@ -29,6 +29,7 @@ static FAMILIES: &[Family] = &[
     ("models", dynocal_ident::model::structures::docs),
     ("estimators", dynocal_ident::estimate::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
+    ("plants", || crate::plants::PLANTS.iter().map(|p| p.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];
 

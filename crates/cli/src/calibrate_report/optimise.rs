@@ -1,0 +1,133 @@
+//! Step 4: the promised and the measured fuel.
+
+use dynocal_calib::chain::context::ChainError;
+use dynocal_calib::chain::optimise_step::{OptimiseResult, Pass};
+use dynocal_calib::chain::validate_step::BestSpark;
+use dynocal_deliver::{Axis, Bars, Cell, Column, Details, KeyValue, Section, Table};
+use dynocal_files::run_folder::Done;
+
+use super::models::{table, terms};
+use super::parts::{Simulated, change, plot, record};
+use crate::campaign::verdict::word;
+
+/// The whole step.
+pub(super) fn section(
+    o: &Done<OptimiseResult>,
+    best: Option<&BestSpark>,
+    dt: f64,
+) -> Result<Section, ChainError> {
+    let passes = &o.result.passes;
+    let mut section = Section::new("Fuel optimisation").id("optimise").text(
+        "Fuel of a record at equal torque and lambda at every sample. The demand is the models' response to a feasible start; start and optimum are measured with small loops that hold it.",
+    );
+    section = section.block(fuel(passes, best));
+    if let Some(b) = best {
+        section = section.key_values(vec![
+            KeyValue::new(
+                "Fuel with the spark of the static map on the record of the last pass",
+                b.fuel_kg_h,
+                "kg/h",
+            ),
+            KeyValue::new("Share of its saving that the optimum realised", 100.0 * b.share_of_saving, "%"),
+        ]);
+    }
+    section = section.columns(vec![bars(passes, best).into(), convergence(passes).into()]);
+    for p in passes {
+        let simulated = Simulated { torque: &p.torque.best().model, lambda: &p.lambda.best().model };
+        section = section.heading(format!("Pass {}", p.pass));
+        let titles = [
+            format!("Pass {}, optimum: demand, measured and re-identified models", p.pass),
+            format!("Pass {}, start: demand, measured and re-identified models", p.pass),
+        ];
+        // The optimum is what the pass is about; it comes before its start.
+        for (reference, title) in p.records.iter().rev().zip(titles) {
+            section = section.block(plot(title, &record(&o.folder, reference, dt)?, Some(simulated))?);
+        }
+    }
+    if let Some(last) = passes.last() {
+        let mut details = Details::new("Models after the last pass: candidates and terms");
+        for m in [&last.torque, &last.lambda] {
+            details =
+                details.block(table(m, &format!("Candidates for {}", m.output))).block(terms(m, m.best()));
+        }
+        section = section.block(details);
+    }
+    Ok(section)
+}
+
+fn fuel(passes: &[Pass], best: Option<&BestSpark>) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("Record"),
+        Column::number("Start", "kg/h").digits(5),
+        Column::number("Optimum", "kg/h").digits(5),
+        Column::number("Promised", "%").digits(3),
+        Column::number("Measured", "%").digits(3),
+        Column::number("Gap", "points").digits(2),
+        Column::number("Fuel per work", "%").digits(3),
+        Column::number("Torque error", "Nm").digits(3),
+        Column::number("Lambda error", "").digits(3),
+    ])
+    .caption("Promised against measured fuel, change from start to optimum (measured kg/h; errors are RMS against the demand). Fuel per torque work is biased by friction where torque differs.");
+    for p in passes {
+        table = table.row([
+            format!("pass {}", p.pass).into(),
+            p.measured_start_fuel_kg_h.into(),
+            p.measured_fuel_kg_h.into(),
+            change(p.promised_ratio).into(),
+            change(p.measured_ratio).into(),
+            (100.0 * (p.promised_ratio - p.measured_ratio).abs()).into(),
+            change(p.fuel_per_work_ratio).into(),
+            p.torque_rms_nm.into(),
+            Cell::from(p.lambda_rms),
+        ]);
+    }
+    if let (Some(b), Some(last)) = (best, passes.last()) {
+        table = table.row([
+            Cell::from("best-spark map"),
+            last.measured_start_fuel_kg_h.into(),
+            b.fuel_kg_h.into(),
+            Cell::Empty,
+            change(b.ratio).into(),
+            Cell::Empty,
+            Cell::Empty,
+            Cell::Empty,
+            Cell::Empty,
+        ]);
+    }
+    table
+}
+
+fn bars(passes: &[Pass], best: Option<&BestSpark>) -> Bars {
+    let mut names: Vec<String> = passes.iter().map(|p| format!("pass {}", p.pass)).collect();
+    let mut promised: Vec<f64> = passes.iter().map(|p| change(p.promised_ratio)).collect();
+    let mut measured: Vec<f64> = passes.iter().map(|p| change(p.measured_ratio)).collect();
+    if let Some(b) = best {
+        names.push("best-spark map".into());
+        promised.push(f64::NAN);
+        measured.push(change(b.ratio));
+    }
+    Bars::new("Fuel against the start record", Axis::new("Change", "%"), names)
+        .series("promised", promised)
+        .series("measured", measured)
+}
+
+fn convergence(passes: &[Pass]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("Pass"),
+        Column::text("Ended"),
+        Column::number("Iterations", ""),
+        Column::number("Torque violation", "Nm").digits(2),
+        Column::number("Lambda violation", "").digits(2),
+    ])
+    .caption("The optimisation: largest violation of the demand by the models' free run");
+    for p in passes {
+        table = table.row([
+            p.pass.into(),
+            word(p.status).into(),
+            p.iterations.into(),
+            p.torque_violation_nm.into(),
+            Cell::from(p.lambda_violation),
+        ]);
+    }
+    table
+}

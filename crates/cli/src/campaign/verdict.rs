@@ -1,0 +1,185 @@
+//! Whether a calibration may be used as it is, and what to know before.
+
+use dynocal_calib::chain::models::OutputModels;
+use dynocal_calib::chain::run::ChainResult;
+use dynocal_calib::chain::spec::CalibrateSpec;
+use dynocal_numerics::status::Status;
+
+/// Largest violation of the demands at which an optimum counts as feasible, in Nm and in lambda.
+pub(crate) const VIOLATION: f64 = 1e-6;
+/// Torque and lambda errors above which a point of the static map was not reached.
+const STATIC_ERROR: (f64, f64) = (1.0, 0.02);
+
+/// Warnings and what they mean together.
+pub(crate) struct Verdict {
+    /// False when something did not converge or must not be used.
+    pub(crate) valid: bool,
+    /// The worst way in which a step ended.
+    pub(crate) status: Status,
+    /// Sentences, most important first.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Collects what makes a run invalid, and what is only worth knowing.
+struct Findings {
+    faults: Vec<String>,
+    notes: Vec<String>,
+    status: Status,
+}
+
+impl Findings {
+    fn fault(&mut self, status: Status, text: String) {
+        if self.faults.is_empty() {
+            self.status = status;
+        }
+        self.faults.push(text);
+    }
+}
+
+/// Judges a run as far as it went.
+pub(crate) fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
+    let mut f = Findings { faults: Vec::new(), notes: Vec::new(), status: Status::Converged };
+    if let Some(o) = &r.optimise {
+        passes(&o.result.passes, &mut f);
+    }
+    if let Some(v) = &r.validate {
+        comparison(&v.result, &mut f);
+    }
+    if let Some(d) = &r.design {
+        design(&d.result, &mut f);
+    }
+    models(r, &mut f);
+    if let Some(i) = &r.invert
+        && i.result.published.is_none()
+    {
+        f.notes.push(
+            "The published map (7.18) has no stable fit on these records: it is not in the comparison."
+                .into(),
+        );
+    }
+    if spec.plant.torque_noise_nm > 0.0 || spec.plant.lambda_noise > 0.0 {
+        f.notes.push(format!(
+            "Records carry sensor noise (torque {} Nm, lambda {}); static map and comparison of the maps are run without it.",
+            spec.plant.torque_noise_nm, spec.plant.lambda_noise
+        ));
+    }
+    let valid = f.faults.is_empty();
+    f.faults.extend(f.notes);
+    Verdict { valid, status: f.status, warnings: f.faults }
+}
+
+fn passes(passes: &[dynocal_calib::chain::optimise_step::Pass], f: &mut Findings) {
+    for p in passes {
+        if !p.status.is_success() {
+            let text = format!(
+                "The fuel optimisation of pass {} ended as `{}` after {} iterations.",
+                p.pass,
+                word(p.status),
+                p.iterations
+            );
+            f.fault(p.status, text);
+        }
+        let feasible = p.torque_violation_nm < VIOLATION && p.lambda_violation < VIOLATION;
+        if !feasible {
+            let text = format!(
+                "The optimum of pass {} misses its demand by up to {:.2e} Nm and {:.2e} in lambda (allowed: {VIOLATION:e}).",
+                p.pass, p.torque_violation_nm, p.lambda_violation
+            );
+            f.fault(Status::Infeasible, text);
+        }
+    }
+}
+
+fn comparison(v: &dynocal_calib::chain::validate_step::ValidateResult, f: &mut Findings) {
+    let missed = v
+        .static_map
+        .points
+        .iter()
+        .filter(|p| p.torque_error_nm.abs() > STATIC_ERROR.0 || p.lambda_error.abs() > STATIC_ERROR.1)
+        .count();
+    if missed > 0 {
+        f.notes.push(format!(
+            "{missed} of {} points of the static map missed torque by more than {} Nm or lambda by more than {}.",
+            v.static_map.points.len(),
+            STATIC_ERROR.0,
+            STATIC_ERROR.1
+        ));
+    }
+    for s in v.scores.iter().filter(|s| !s.torque_rms_nm.is_finite() || !s.lambda_rms.is_finite()) {
+        f.fault(Status::Diverged, format!("The {} has no finite result in {}.", s.map, s.scenario));
+    }
+}
+
+fn design(d: &dynocal_calib::chain::design_step::DesignResult, f: &mut Findings) {
+    match d.status {
+        Some(s @ (Status::Infeasible | Status::Diverged)) => {
+            f.fault(s, format!("The test signal has no design within its limits: `{}`.", word(s)));
+        }
+        Some(s @ (Status::Limit | Status::Stalled)) => f.notes.push(format!(
+            "The search for the test signal ended as `{}` after {} evaluations: the design is better than its start, not proven the best.",
+            word(s),
+            d.evaluations
+        )),
+        _ => {}
+    }
+    for s in &d.safety {
+        let (low, high) = s.measured_range;
+        if low < s.limits.0 || high > s.limits.1 {
+            f.notes.push(format!(
+                "While the designed record ran, {} was between {low:.3} and {high:.3}; its limits are {} to {}.",
+                s.output, s.limits.0, s.limits.1
+            ));
+        }
+    }
+}
+
+fn models(r: &ChainResult, f: &mut Findings) {
+    for (stage, m) in stages(r) {
+        let best = m.best();
+        if best.unseen_r2.is_none() {
+            f.fault(
+                Status::Diverged,
+                format!("Every {} model of the step `{stage}` diverged on an unseen record.", m.output),
+            );
+        }
+        if !best.status.is_success() {
+            f.notes.push(format!(
+                "The {} model of the step `{stage}` was estimated until `{}` after {} evaluations.",
+                m.output,
+                word(best.status),
+                best.evaluations
+            ));
+        }
+        f.notes
+            .extend(best.warnings.iter().map(|w| format!("{} model of the step `{stage}`: {w}", m.output)));
+    }
+}
+
+/// All pairs of models of a run with the step that they come from, in order.
+pub(crate) fn stages(r: &ChainResult) -> Vec<(String, &OutputModels)> {
+    let mut out: Vec<(String, &OutputModels)> = Vec::new();
+    if let Some(d) = &r.identify {
+        out.extend([&d.result.torque, &d.result.lambda].map(|m| ("identify".into(), m)));
+    }
+    if let Some(d) = &r.design
+        && d.result.status.is_some()
+    {
+        out.extend([&d.result.torque, &d.result.lambda].map(|m| ("design".into(), m)));
+    }
+    for p in r.optimise.iter().flat_map(|d| &d.result.passes) {
+        out.extend([&p.torque, &p.lambda].map(|m| (format!("optimise, pass {}", p.pass), m)));
+    }
+    out
+}
+
+/// A status as it stands in JSON.
+pub(crate) fn word(s: Status) -> &'static str {
+    match s {
+        Status::Converged => "converged",
+        Status::Stalled => "stalled",
+        Status::Limit => "limit",
+        Status::Infeasible => "infeasible",
+        Status::Diverged => "diverged",
+        Status::Interrupted => "interrupted",
+    }
+}
