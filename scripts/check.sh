@@ -1,0 +1,129 @@
+#!/usr/bin/env bash
+# Everything that must hold before a change goes in: formatting, lints, documentation, tests, and the demo at reduced
+# length with its report opened in a browser. Installs what is missing (Debian, as root or with sudo).
+#
+#     bash scripts/check.sh
+#
+# DYNOCAL_REFERENCE_DIR names the folder with the larger reference data. Without it the tests that need it say SKIPPED;
+# with it nothing may skip. The release profile is used throughout, so that dependencies compile once.
+set -uo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+export CARGO_TERM_COLOR="${CARGO_TERM_COLOR:-never}" CARGO_TERM_PROGRESS_WHEN=never DEBIAN_FRONTEND=noninteractive
+NEXTEST_VERSION=0.9.143
+work="$(mktemp -d)"
+trap 'rm -rf "$work"' EXIT
+failed=()
+notes=()
+
+say() { printf '\n== %s\n' "$*"; }
+
+# step NAME COMMAND...: runs it, keeps going when it fails.
+step() {
+    local name="$1" before=$SECONDS
+    shift
+    say "$name"
+    if "$@" </dev/null; then
+        notes+=("ok      $((SECONDS - before)) s  $name")
+    else
+        failed+=("$name")
+        notes+=("FAILED  $((SECONDS - before)) s  $name")
+    fi
+}
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"; else sudo --non-interactive "$@"; fi
+}
+
+find_browser() { command -v "${CHROMIUM:-chromium}" || command -v chromium-browser || command -v google-chrome; }
+
+install_missing() {
+    local packages=()
+    command -v cc >/dev/null || packages+=(gcc libc6-dev)
+    command -v python3 >/dev/null || packages+=(python3)
+    find_browser >/dev/null || packages+=(chromium)
+    if [ "${#packages[@]}" -gt 0 ]; then
+        as_root apt-get update -qq && as_root apt-get install -y -qq --no-install-recommends "${packages[@]}" || return 1
+    fi
+    cargo fmt --version >/dev/null 2>&1 || rustup component add rustfmt || return 1
+    cargo clippy --version >/dev/null 2>&1 || rustup component add clippy || return 1
+    if ! cargo nextest --version >/dev/null 2>&1; then
+        cargo install --quiet --locked "cargo-nextest@$NEXTEST_VERSION" || return 1
+    fi
+    cargo --version && cargo nextest --version | head -n 1 && python3 --version && echo "browser: $(find_browser)"
+}
+
+documentation() { RUSTDOCFLAGS="-D warnings" cargo doc --quiet --release --workspace --no-deps --locked; }
+
+# Tests print the reason when they skip; nextest shows what passing tests print only when asked, so the whole goes
+# to a file, of which the summary is shown, or all of it after a failure.
+tests() {
+    local log="$work/tests.log" skipped
+    cargo nextest run --release --workspace --locked --no-fail-fast --success-output final \
+        >"$log" 2>&1 || { cat "$log"; return 1; }
+    grep -E '^ +(Summary|SLOW)' "$log"
+    skipped="$(grep -c 'SKIPPED' "$log")"
+    [ "$skipped" = 0 ] && return 0
+    grep 'SKIPPED' "$log" | sort | uniq -c
+    if [ -n "${DYNOCAL_REFERENCE_DIR:-}" ]; then
+        echo "error: $skipped tests skipped although DYNOCAL_REFERENCE_DIR is set"
+        return 1
+    fi
+    notes+=("note    $skipped tests skipped: DYNOCAL_REFERENCE_DIR is not set")
+}
+
+doc_tests() { cargo test --quiet --release --doc --workspace --locked; }
+
+# Seven steps on the virtual engine in a shorter campaign. It may end as not converged (1), it must not fail (2).
+demo() {
+    local code=0
+    cargo run --quiet --release --locked -- calibrate examples/gtdi/quick.toml --out "$work/quick" --quiet || code=$?
+    [ "$code" -le 1 ] || { echo "error: exit code $code"; return 1; }
+    python3 - "$work/quick/summary.json" <<'PYTHON'
+import json, sys
+summary = json.load(open(sys.argv[1], encoding="utf-8"))
+print("status:", summary["status"], "| valid:", summary["valid"], "| warnings:", len(summary["warnings"]))
+for warning in summary["warnings"]:
+    print("  ", warning)
+PYTHON
+}
+
+demo_report() {
+    python3 scripts/check_report.py "$work/quick/report.html" \
+        --text torque --text lambda --text fuel --text "Nm" --text "kg/h"
+}
+
+measured_file() {
+    cargo run --quiet --release --locked -- identify examples/gas_furnace/identify.toml --out "$work/furnace" --quiet &&
+        python3 scripts/check_report.py "$work/furnace/report.html" --text co2
+}
+
+report_check_itself() {
+    cargo run --quiet --release --locked -p dynocal-deliver --example demo >"$work/demo.html" &&
+        python3 scripts/test_check_report.py "$work/demo.html"
+}
+
+step "tools" install_missing
+[ "${#failed[@]}" = 0 ] || { echo "error: the tools could not be installed"; exit 1; }
+[ -n "${DYNOCAL_REFERENCE_DIR:-}" ] && echo "reference data: $DYNOCAL_REFERENCE_DIR" || echo "reference data: not given"
+step "formatting" cargo fmt --all --check
+step "clippy, warnings are errors" cargo clippy --quiet --release --workspace --all-targets --locked -- -D warnings
+step "documentation, warnings are errors" documentation
+step "tests" tests
+step "documentation examples" doc_tests
+step "demo: calibrate, reduced length" demo
+step "demo: its report in a browser" demo_report
+step "demo: identify a measured file, its report in a browser" measured_file
+step "the report check notices broken reports" report_check_itself
+if cargo deny --version >/dev/null 2>&1; then
+    step "licences, bans, sources" cargo deny --offline --log-level error check licenses bans sources
+else
+    notes+=("note    cargo-deny is not installed: licences not checked (cargo install --locked cargo-deny)")
+fi
+
+say "summary"
+printf '%s\n' "${notes[@]}"
+if [ "${#failed[@]}" -gt 0 ]; then
+    printf 'FAILED: %s\n' "${failed[@]}"
+    exit 1
+fi
+echo "all checks passed in $SECONDS s"
