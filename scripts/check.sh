@@ -89,7 +89,8 @@ PYTHON
 
 demo_report() {
     python3 scripts/check_report.py "$work/quick/report.html" \
-        --text torque --text lambda --text fuel --text "Nm" --text "kg/h"
+        --text Excitation --text Models --text "Test signal design" --text "Fuel optimisation" --text "Dynamic map" \
+        --text "Comparison of the maps" --text "Free-run R2" --text "Nm" --text "kg/h"
 }
 
 measured_file() {
