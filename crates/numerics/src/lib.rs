@@ -10,3 +10,4 @@ pub mod optim;
 pub mod registry;
 pub mod rng;
 pub mod status;
+mod vector_state;

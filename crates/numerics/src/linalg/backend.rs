@@ -27,6 +27,7 @@ impl BlockedQr {
         let a = MatMut::from_column_major_slice_mut(a, self.rows, self.cols);
         let h = MatMut::from_column_major_slice_mut(&mut self.coefficients, self.block, self.cols);
         qr_in_place(a, h, Par::Seq, MemStack::new(&mut self.memory), Default::default());
+        crate::vector_state::clear();
     }
 }
 
@@ -54,6 +55,7 @@ pub fn gram_upper(a: &[f64], rows: usize, cols: usize, gram: &mut [f64]) -> Resu
         1.0,
         Par::Seq,
     );
+    crate::vector_state::clear();
     Ok(())
 }
 
@@ -72,6 +74,7 @@ pub fn symmetric_eigenvalues(a: &[f64], n: usize) -> Result<Vec<f64>, LinalgErro
     let mut values = MatRef::from_row_major_slice(a, n, n)
         .self_adjoint_eigenvalues(Side::Lower)
         .map_err(|_| LinalgError::NotFinite { what: "symmetric_eigenvalues", index: 0 })?;
+    crate::vector_state::clear();
     values.sort_by(f64::total_cmp);
     Ok(values)
 }

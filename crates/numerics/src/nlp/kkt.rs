@@ -110,7 +110,9 @@ impl Kkt {
     }
 
     fn factor(&mut self) -> Inertia {
-        match self.solver.factor(&self.matrix, None) {
+        let status = self.solver.factor(&self.matrix, None);
+        crate::vector_state::clear();
+        match status {
             FactorStatus::Success | FactorStatus::WrongInertia { .. } => match self.solver.inertia() {
                 Some(i) if i.zero > 0 => Inertia::Singular,
                 Some(i) if i.positive == self.n && i.negative == self.m => Inertia::Right,
@@ -168,7 +170,9 @@ impl Kkt {
 
     /// Solves with the last factorisation; `false` on a failure or non-finite result.
     pub(super) fn solve(&self, rhs: &[f64], out: &mut [f64]) -> bool {
-        self.solver.solve_refined_into(&self.matrix, rhs, out, RefineOptions::with_max_steps(1)).is_ok()
+        let solved = self.solver.solve_refined_into(&self.matrix, rhs, out, RefineOptions::with_max_steps(1));
+        crate::vector_state::clear();
+        solved.is_ok()
             && out.iter().all(|v| v.is_finite())
     }
 }
