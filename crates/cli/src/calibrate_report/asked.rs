@@ -2,7 +2,7 @@
 
 use dynocal_calib::chain::run::ChainResult;
 use dynocal_calib::chain::validate_step::DYNAMIC;
-use dynocal_deliver::{Axis, Bars, Cell, Column, KeyValue, Report, Section, Table};
+use dynocal_deliver::{Axis, Bars, Cell, Column, KeyValue, Report, Section, Table, significant};
 
 use super::parts::change;
 use crate::campaign::summary::Summary;
@@ -46,15 +46,15 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     let mut items = Vec::new();
     for m in s.models.iter().rev().take(2).rev() {
         let best = m.candidates.iter().find(|c| c.name == m.chosen);
-        let r2 = best.and_then(|c| c.unseen_r2).map(|v| 100.0 * v);
+        let r2 = best.and_then(|c| c.unseen_r2).map(|v| significant(100.0 * v, 4));
         items.push(KeyValue::new(format!("Free-run R2 of {}, unseen records", m.output), r2, "%"));
     }
     if let Some(p) = s.passes.last() {
-        items.push(KeyValue::new("Fuel promised, last pass", change(p.promised_ratio), "%"));
-        items.push(KeyValue::new("Fuel measured, last pass", change(p.measured_ratio), "%"));
+        items.push(KeyValue::new("Fuel promised, last pass", significant(change(p.promised_ratio), 3), "%"));
+        items.push(KeyValue::new("Fuel measured, last pass", significant(change(p.measured_ratio), 3), "%"));
     }
     if let Some(b) = s.best_spark {
-        items.push(KeyValue::new("Fuel with the best-spark map", change(b.ratio), "%"));
+        items.push(KeyValue::new("Fuel with the best-spark map", significant(change(b.ratio), 3), "%"));
     }
     if let Some(v) = &r.validate {
         let of_map = || v.result.scores.iter().filter(|m| m.map == DYNAMIC);
@@ -64,10 +64,10 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
                 points.torque_offset_nm,
                 "Nm",
             ));
-            items.push(KeyValue::new("Worst steady lambda offset", points.lambda_offset, ""));
+            items.push(KeyValue::new("Worst steady lambda offset", significant(points.lambda_offset, 3), ""));
         }
         if let Some(steps) = of_map().nth(1) {
-            items.push(KeyValue::new("Lambda spike on torque steps", steps.lambda_spike, ""));
+            items.push(KeyValue::new("Lambda spike on torque steps", significant(steps.lambda_spike, 3), ""));
         }
     }
     let b = &s.bed;

@@ -24,7 +24,11 @@ pub(super) fn section(v: &Done<ValidateResult>, summary: &Summary, dt: f64) -> R
     );
     for scenario in scenarios {
         let scores: Vec<&MapScore> = r.scores.iter().filter(|s| s.scenario == scenario).collect();
-        section = section.heading(capital(scenario)).block(table(scenario, &scores)).columns(bars(&scores));
+        section = section
+            .heading(capital(scenario))
+            .block(table("Torque: offsets are worst means of the last second of a point", &TORQUE, &scores))
+            .block(table("Lambda: the spike is the largest distance from 1", &LAMBDA, &scores))
+            .columns(bars(&scores));
         let mut runs = Vec::new();
         for s in &scores {
             let name = format!("{}, {scenario}", s.map);
@@ -34,6 +38,9 @@ pub(super) fn section(v: &Done<ValidateResult>, summary: &Summary, dt: f64) -> R
         }
         if let Some((_, first)) = runs.first() {
             section = section.block(outputs(scenario, first, &runs)?);
+            if let Some(window) = zoom(first)? {
+                section = section.columns(zoomed(&runs, window)?);
+            }
             section = section
                 .block(Details::new("Actuators of all maps").block(actuators(scenario, first, &runs)?));
         }
@@ -49,38 +56,32 @@ fn capital(text: &str) -> String {
     letters.next().map_or_else(String::new, |c| c.to_uppercase().chain(letters).collect())
 }
 
-fn table(scenario: &str, scores: &[&MapScore]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("Map"),
-        Column::number("Torque RMS", "Nm").digits(3),
-        Column::number("Lambda RMS", "").digits(3),
-        Column::number("Torque offset", "Nm").digits(3),
-        Column::number("Lambda offset", "").digits(3),
-        Column::number("Torque settling", "s").digits(3),
-        Column::number("mean", "s").digits(3),
-        Column::number("Lambda settling", "s").digits(3),
-        Column::number("Lambda spike", "").digits(3),
-        Column::number("Economy", "Nm/mg").digits(4),
-        Column::number("at equal lambda", "Nm/mg").digits(4),
-    ])
-    .caption(format!(
-        "{}: offsets are worst values of the last second, the spike is the largest |lambda - 1|",
-        capital(scenario)
-    ));
+/// A column: heading, unit, value.
+type Number = (&'static str, &'static str, fn(&MapScore) -> f64);
+
+const TORQUE: [Number; 6] = [
+    ("RMS error", "Nm", |s| s.torque_rms_nm),
+    ("Worst offset", "Nm", |s| s.torque_offset_nm),
+    ("Worst settling", "s", |s| s.torque_settling_s),
+    ("Mean settling", "s", |s| s.torque_settling_mean_s),
+    ("Economy", "Nm/mg", |s| s.economy_nm_mg),
+    ("Economy at equal lambda", "Nm/mg", |s| s.economy_equal_lambda_nm_mg),
+];
+const LAMBDA: [Number; 6] = [
+    ("RMS error", "", |s| s.lambda_rms),
+    ("Mean error", "", |s| s.lambda_error_mean),
+    ("Worst offset", "", |s| s.lambda_offset),
+    ("Worst settling", "s", |s| s.lambda_settling_s),
+    ("Spike, lean", "", |s| s.lambda_spike_lean),
+    ("Spike, rich", "", |s| s.lambda_spike_rich),
+];
+
+fn table(caption: &str, columns: &[Number], scores: &[&MapScore]) -> Table {
+    let head = columns.iter().map(|(label, unit, _)| Column::number(*label, *unit).digits(3));
+    let mut table = Table::new([Column::text("Map")].into_iter().chain(head).collect()).caption(caption);
     for s in scores {
-        let row = vec![
-            s.map.as_str().into(),
-            s.torque_rms_nm.into(),
-            s.lambda_rms.into(),
-            s.torque_offset_nm.into(),
-            s.lambda_offset.into(),
-            s.torque_settling_s.into(),
-            s.torque_settling_mean_s.into(),
-            s.lambda_settling_s.into(),
-            s.lambda_spike.into(),
-            s.economy_nm_mg.into(),
-            Cell::from(s.economy_equal_lambda_nm_mg),
-        ];
+        let numbers = columns.iter().map(|(_, _, value)| Cell::from(value(s)));
+        let row: Vec<Cell> = [Cell::from(s.map.as_str())].into_iter().chain(numbers).collect();
         table = if s.map == DYNAMIC { table.stressed_row(row) } else { table.row(row) };
     }
     table
@@ -123,6 +124,43 @@ fn outputs(scenario: &str, first: &Dataset, runs: &[(&str, Dataset)]) -> Result<
     .panel(torque)
     .panel(lambda)
     .panel(speed))
+}
+
+/// Seconds shown before and after a change of the demand.
+const ZOOM_S: (f64, f64) = (0.3, 2.7);
+
+/// Samples around the two largest changes of the demanded torque, up and down.
+fn zoom(run: &Dataset) -> Result<Option<[usize; 2]>, ChainError> {
+    let demand = run.values("torque_demand")?;
+    let step = |t: &usize| demand[*t] - demand[*t - 1];
+    let by = |a: &usize, b: &usize| step(a).total_cmp(&step(b)).then(b.cmp(a));
+    let (up, down) = (
+        (1..demand.len()).max_by(by),
+        (1..demand.len()).max_by(|a, b| step(b).total_cmp(&step(a)).then(b.cmp(a))),
+    );
+    Ok(up.zip(down).map(|(u, d)| [u, d]))
+}
+
+/// Torque and lambda of all maps around two changes.
+fn zoomed(runs: &[(&str, Dataset)], at: [usize; 2]) -> Result<Vec<dynocal_deliver::Block>, ChainError> {
+    let mut blocks = Vec::new();
+    for (switch, title) in at.into_iter().zip(["Largest step up", "Largest step down"]) {
+        let Some((_, first)) = runs.first() else { continue };
+        let dt = first.sample_time_s;
+        let from = switch.saturating_sub((ZOOM_S.0 / dt) as usize);
+        let to = (switch + (ZOOM_S.1 / dt) as usize).min(first.len());
+        let time: Vec<f64> = (from..to).map(|t| dt * t as f64).collect();
+        let demand = first.values("torque_demand")?[from..to].to_vec();
+        let mut torque =
+            Panel::new("Torque", "Nm").series(Series::new("demand", demand).role(Role::Demand).held());
+        let mut lambda = Panel::new("Lambda", "");
+        for (map, run) in runs {
+            torque = torque.line(*map, run.values("torque")?[from..to].to_vec());
+            lambda = lambda.line(*map, run.values("lambda")?[from..to].to_vec());
+        }
+        blocks.push(TimePlot::new(title, time).panel(torque).panel(lambda).into());
+    }
+    Ok(blocks)
 }
 
 fn actuators(scenario: &str, first: &Dataset, runs: &[(&str, Dataset)]) -> Result<TimePlot, ChainError> {
