@@ -106,8 +106,8 @@ report_check_itself() {
 step "tools" install_missing
 [ "${#failed[@]}" = 0 ] || { echo "error: the tools could not be installed"; exit 1; }
 [ -n "${DYNOCAL_REFERENCE_DIR:-}" ] && echo "reference data: $DYNOCAL_REFERENCE_DIR" || echo "reference data: not given"
-step "formatting" cargo fmt --all --check
-step "clippy, warnings are errors" cargo clippy --quiet --release --workspace --all-targets --locked -- -D warnings
+step "formatting" cargo fmt --all --check -- --color never
+step "clippy, warnings are errors" cargo clippy --quiet --release --workspace --all-targets --locked --keep-going -- -D warnings
 step "documentation, warnings are errors" documentation
 step "tests" tests
 step "documentation examples" doc_tests
