@@ -9,6 +9,7 @@ mod interrupt;
 mod plants;
 mod progress;
 mod step_progress;
+mod studies;
 mod table;
 mod verbs;
 

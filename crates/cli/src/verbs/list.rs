@@ -30,6 +30,7 @@ static FAMILIES: &[Family] = &[
     ("estimators", dynocal_ident::estimate::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
     ("plants", || crate::plants::PLANTS.iter().map(|p| p.doc).collect()),
+    ("studies", || crate::studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];
 

@@ -23,10 +23,13 @@ macro_rules! verbs {
 }
 mod calibrate_text;
 
-verbs!(
+verbs![
     calibrate, //
-    identify, report, list,
-);
+    identify,  //
+    study,     //
+    report,    //
+    list,      //
+];
 
 /// The verbs with a file each, and the steps of `calibrate`, which share one.
 fn all() -> impl Iterator<Item = &'static Verb> {

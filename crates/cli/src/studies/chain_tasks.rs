@@ -1,0 +1,146 @@
+//! Tasks of the study `chain`.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use dynocal_calib::chain::context::{ChainError, Event, load_records};
+use dynocal_calib::chain::run::{ChainResult, STEPS};
+use dynocal_calib::chain::spec::CalibrateSpec;
+use dynocal_calib::map::{FeedforwardMap, Reference};
+use dynocal_files::{FilesError, json as json_files};
+use serde_json::{Value, json};
+
+use super::Surroundings;
+use crate::campaign::{self, Campaign};
+
+/// Ids of the sections that a complete report has.
+const SECTIONS: [&str; 9] =
+    ["result", "excite", "models", "design", "optimise", "maps", "validate", "spec", "files"];
+
+/// A calibration: its summary, and what only its records and its map can tell.
+pub(super) fn calibrate(name: &str, spec: &CalibrateSpec, around: &Surroundings) -> Result<Value, ChainError> {
+    let campaign = Campaign { name: name.into(), spec: spec.clone(), out: around.runs.join(name) };
+    let tell = |e: Event| {
+        if let Event::Step(k, of, step) = e {
+            (around.note)(&format!("  step {k} of {of}: {step}"));
+        }
+    };
+    let done = campaign::run(&campaign, "validate", &tell, around.interrupt)?;
+    let summary: Value = json_files::read(&done.summary)?;
+    let html = text(&done.report)?;
+    let missing: Vec<&str> =
+        SECTIONS.into_iter().filter(|id| !html.contains(&format!("<section id=\"{id}\""))).collect();
+    Ok(json!({
+        "summary": summary,
+        "lambda_1_99": lambda_range(&done.result, spec)?,
+        "rest_difference": rest_difference(&done.result, spec),
+        "report_missing": missing,
+        "report_ends": html.trim_end().ends_with("</html>"),
+    }))
+}
+
+fn text(path: &Path) -> Result<String, ChainError> {
+    std::fs::read_to_string(path)
+        .map_err(|e| FilesError::Read { path: path.display().to_string(), reason: e.to_string() }.into())
+}
+
+/// Lambda that 1 % and 99 % of the samples of the identification records lie below.
+fn lambda_range(r: &ChainResult, spec: &CalibrateSpec) -> Result<Option<[f64; 2]>, ChainError> {
+    let Some(excite) = &r.excite else { return Ok(None) };
+    let records = load_records(&excite.folder, &excite.result.identification, spec.sample_time_s)?;
+    let mut lambda = Vec::new();
+    for record in &records {
+        lambda.extend_from_slice(record.values("lambda")?);
+    }
+    lambda.sort_by(f64::total_cmp);
+    let at = |share: f64| lambda.get((share * (lambda.len() as f64 - 1.0)) as usize).copied();
+    Ok(at(0.01).zip(at(0.99)).map(|(a, b)| [a, b]))
+}
+
+/// Largest difference between what the dynamic map gives after a long held demand and its static part, relative to
+/// the range of the actuator: its window differences must vanish.
+fn rest_difference(r: &ChainResult, spec: &CalibrateSpec) -> Option<f64> {
+    let map = &r.invert.as_ref()?.result.dynamic;
+    let s = &spec.validate.scenario;
+    let mut worst = 0.0f64;
+    for i in 0..5 {
+        for j in 0..5 {
+            let between = |(a, b): (f64, f64), k: usize| a + (b - a) * k as f64 / 4.0;
+            let demand =
+                Reference { torque_nm: between(s.torque_nm, i), lambda: 1.0, speed_rpm: between(s.speed_rpm, j) };
+            // Starts elsewhere, so that the window has seen a transient before it comes to rest.
+            let mut record = vec![Reference { torque_nm: demand.torque_nm + 10.0, ..demand }; 40];
+            record.extend(vec![demand; 400]);
+            let at_rest = *map.drive(&record, spec.sample_time_s).last()?;
+            let steady = map.steady(demand);
+            for c in 0..3 {
+                let range = map.limits.upper[c] - map.limits.lower[c];
+                worst = worst.max((at_rest[c] - steady[c]).abs() / range);
+            }
+        }
+    }
+    Some(worst)
+}
+
+/// Runs a short calibration, runs it again, and runs it interrupted: the files must come out the same.
+pub(super) fn interruption(name: &str, spec: &CalibrateSpec, around: &Surroundings) -> Result<Value, ChainError> {
+    let campaign = |part: &str| Campaign {
+        name: name.into(),
+        spec: spec.clone(),
+        out: around.runs.join(format!("{name}-{part}")),
+    };
+    let run = |c: &Campaign, resumed: &AtomicUsize| {
+        let tell = |e: Event| {
+            if let Event::Resumed(_) = e {
+                resumed.fetch_add(1, Ordering::Relaxed);
+            }
+        };
+        campaign::run(c, "validate", &tell, around.interrupt)
+    };
+    let (whole, broken) = (campaign("whole"), campaign("broken"));
+    let none = AtomicUsize::new(0);
+    let first = run(&whole, &none)?;
+    let bytes = text(&first.summary)?;
+    let resumed_whole = AtomicUsize::new(0);
+    let again = run(&whole, &resumed_whole)?;
+
+    // Interrupted as Ctrl-C does it, once the optimisation has begun.
+    let asked = AtomicBool::new(false);
+    let tell = |e: Event| {
+        if let Event::Step(_, _, "optimise") = e {
+            asked.store(true, Ordering::Relaxed);
+        }
+    };
+    let stop = || asked.load(Ordering::Relaxed) || (around.interrupt)();
+    let left = clean(&broken.out).and_then(|()| match campaign::run(&broken, "validate", &tell, &stop) {
+        Err(ChainError::Interrupted) => Ok(true),
+        Ok(_) => Ok(false),
+        // A search that is stopped inside may say so in its own words.
+        Err(_) if asked.load(Ordering::Relaxed) => Ok(true),
+        Err(e) => Err(e),
+    })?;
+    let kept = (0..STEPS.len())
+        .filter(|k| campaign::load::step_folder(&broken.out, *k).join("step.json").exists())
+        .count();
+    let resumed_broken = AtomicUsize::new(0);
+    let completed = run(&broken, &resumed_broken)?;
+    Ok(json!({
+        "steps": STEPS.len(),
+        "resumed": resumed_whole.into_inner(),
+        "resume_same_bytes": bytes == text(&again.summary)?,
+        "interrupted": left,
+        "steps_kept": kept,
+        "steps_resumed": resumed_broken.into_inner(),
+        "completed_same_bytes": bytes == text(&completed.summary)?,
+        "completed_same_report": text(&first.report)? == text(&completed.report)?,
+    }))
+}
+
+/// Takes away what an earlier, unfinished task left.
+fn clean(folder: &Path) -> Result<(), ChainError> {
+    if folder.exists() {
+        std::fs::remove_dir_all(folder)
+            .map_err(|e| FilesError::Write { path: folder.display().to_string(), reason: e.to_string() })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,76 @@
+//! `dynocal study NAME`: a named comparison with its checks.
+
+use std::path::Path;
+
+use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_calib::chain::context::{ChainError, Event};
+
+use super::Verb;
+use crate::common::{Common, print};
+use crate::failure::{Exit, Failure};
+use crate::studies::{self, Check, Options, STUDIES};
+use crate::{interrupt, table};
+
+pub(crate) const VERB: Verb = Verb { name: "study", describe: |c| Study::augment_args(c.about(ABOUT)), run };
+
+const ABOUT: &str = "Run a study; exit code 1 when one of its checks does not hold";
+
+#[derive(Args, Debug)]
+struct Study {
+    /// Name of the study (`dynocal list studies`)
+    #[arg(value_parser = clap::builder::PossibleValuesParser::new(STUDIES.iter().map(|s| s.doc.name)))]
+    name: String,
+    /// Reduced length: shows that everything runs, not the numbers of the study
+    #[arg(long = "quick")]
+    reduced: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
+    let args = Study::from_arg_matches(matches)?;
+    let Some(study) = studies::find(&args.name) else { return Ok(Exit::CouldNot) };
+    let progress = args.common.start_steps()?;
+    let options = Options { seed: args.common.seed.unwrap_or(1), reduced: args.reduced };
+    let folder = if args.reduced { format!("study-{}-quick", args.name) } else { format!("study-{}", args.name) };
+    let out = args.common.out.clone().unwrap_or_else(|| Path::new("runs").join(folder));
+    let note = |text: &str| progress.tell(Event::Note(text.into()));
+    let outcome = studies::run(study, options, &out, &interrupt::asked, &note);
+    progress.finish();
+    let done = outcome.map_err(|e| {
+        let interrupted = matches!(e, ChainError::Interrupted);
+        let failure = Failure::from(e);
+        if interrupted { failure.hint("the same command goes on with the tasks that are left") } else { failure }
+    })?;
+    args.common.print_summary(&done.summary)?;
+    if args.common.shows_text() {
+        if args.reduced {
+            print("reduced length: the numbers are not those of the study\n\n");
+        }
+        print(&text(&done.checks));
+        print(&format!("\n{}\n", done.report.display()));
+    }
+    Ok(if studies::all_hold(&done.checks) { Exit::Done } else { Exit::NotValid })
+}
+
+fn text(checks: &[Check]) -> String {
+    let rows: Vec<Vec<String>> = checks
+        .iter()
+        .map(|c| {
+            let verdict = match c.holds {
+                Some(true) => "holds",
+                Some(false) => "DOES NOT HOLD",
+                None => "reported",
+            };
+            vec![
+                c.id.clone(),
+                c.asked.clone().unwrap_or_default(),
+                c.measured.map_or("none".into(), |m| dynocal_deliver::significant(m, 5)),
+                c.unit.into(),
+                verdict.into(),
+                c.note.clone(),
+            ]
+        })
+        .collect();
+    table::render(&["check", "asked", "measured", "unit", "verdict", "note"], &rows, &[1, 2])
+}
