@@ -132,8 +132,9 @@ pub struct MapScore {
     pub economy_nm_mg: f64,
     /// Mean |lambda - 1| of the same record: economy is comparable only at equal lambda error.
     pub lambda_error_mean: f64,
-    /// Economy over the samples at which every compared map is within 0.01 of lambda 1.
-    pub economy_equal_lambda_nm_mg: f64,
+    /// Economy over the samples at which every compared map is within 0.01 of lambda 1; none when there is no such
+    /// sample.
+    pub economy_equal_lambda_nm_mg: Option<f64>,
 }
 
 /// Runs `map` through `scenario` open loop and records it; the raw demand is recorded beside.
@@ -242,7 +243,7 @@ fn score_one(
         lambda_spike_rich: rich,
         economy_nm_mg: m.torque.iter().sum::<f64>() / m.inj.iter().sum::<f64>(),
         lambda_error_mean: m.lambda.iter().map(|l| (l - 1.0).abs()).sum::<f64>() / n as f64,
-        economy_equal_lambda_nm_mg: sum(m.torque, comparable) / sum(m.inj, comparable),
+        economy_equal_lambda_nm_mg: Some(sum(m.torque, comparable) / sum(m.inj, comparable)).filter(|v| v.is_finite()),
     }
 }
 

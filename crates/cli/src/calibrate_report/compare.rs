@@ -57,23 +57,23 @@ fn capital(text: &str) -> String {
 }
 
 /// A column: heading, unit, value.
-type Number = (&'static str, &'static str, fn(&MapScore) -> f64);
+type Number = (&'static str, &'static str, fn(&MapScore) -> Option<f64>);
 
 const TORQUE: [Number; 6] = [
-    ("RMS error", "Nm", |s| s.torque_rms_nm),
-    ("Worst offset", "Nm", |s| s.torque_offset_nm),
-    ("Worst settling", "s", |s| s.torque_settling_s),
-    ("Mean settling", "s", |s| s.torque_settling_mean_s),
-    ("Economy", "Nm/mg", |s| s.economy_nm_mg),
+    ("RMS error", "Nm", |s| Some(s.torque_rms_nm)),
+    ("Worst offset", "Nm", |s| Some(s.torque_offset_nm)),
+    ("Worst settling", "s", |s| Some(s.torque_settling_s)),
+    ("Mean settling", "s", |s| Some(s.torque_settling_mean_s)),
+    ("Economy", "Nm/mg", |s| Some(s.economy_nm_mg)),
     ("Economy at equal lambda", "Nm/mg", |s| s.economy_equal_lambda_nm_mg),
 ];
 const LAMBDA: [Number; 6] = [
-    ("RMS error", "", |s| s.lambda_rms),
-    ("Mean error", "", |s| s.lambda_error_mean),
-    ("Worst offset", "", |s| s.lambda_offset),
-    ("Worst settling", "s", |s| s.lambda_settling_s),
-    ("Spike, lean", "", |s| s.lambda_spike_lean),
-    ("Spike, rich", "", |s| s.lambda_spike_rich),
+    ("RMS error", "", |s| Some(s.lambda_rms)),
+    ("Mean error", "", |s| Some(s.lambda_error_mean)),
+    ("Worst offset", "", |s| Some(s.lambda_offset)),
+    ("Worst settling", "s", |s| Some(s.lambda_settling_s)),
+    ("Spike, lean", "", |s| Some(s.lambda_spike_lean)),
+    ("Spike, rich", "", |s| Some(s.lambda_spike_rich)),
 ];
 
 fn table(caption: &str, columns: &[Number], scores: &[&MapScore]) -> Table {

@@ -18,7 +18,7 @@ pub(super) fn section(d: &Done<DesignResult>, dt: f64) -> Result<Section, ChainE
     };
     let mut section = section
         .text(format!(
-            "The record is designed for the identified models within limits on actuators, rates, predicted torque and predicted lambda; the search ended as `{}` after {} evaluations.",
+            "The record is designed to tell most about the parameters of the identified models within the limits of the spec; the search ended as `{}` after {} evaluations.",
             word(status),
             r.evaluations
         ))
@@ -26,10 +26,7 @@ pub(super) fn section(d: &Done<DesignResult>, dt: f64) -> Result<Section, ChainE
         .block(safety(r));
     let simulated = Simulated { torque: &r.torque.best().model, lambda: &r.lambda.best().model };
     for reference in &r.records {
-        let title = format!(
-            "{}: measured over the re-identified models; demand is the prediction of the design",
-            reference.name
-        );
+        let title = format!("{}: measured over the re-identified models", reference.name);
         section = section.block(plot(title, &record(&d.folder, reference, dt)?, Some(simulated))?);
     }
     for output in [&r.torque, &r.lambda] {
@@ -87,9 +84,7 @@ fn safety(r: &DesignResult) -> Table {
         Column::number("at", "s").digits(4),
         Column::text("Measured"),
     ])
-    .caption(
-        "Safety: predicted outputs against their limits. The margin is twice the error on unseen records.",
-    );
+    .caption("Safety: outputs against their limits");
     for s in &r.safety {
         let u = if s.output == "torque" { unit("Nm") } else { "" };
         let name = if u.is_empty() { s.output.clone() } else { format!("{} [{u}]", s.output) };

@@ -22,81 +22,57 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     if !PAIRS.contains(&s.invert.pairs.as_str()) {
         faults.unknown("invert.pairs", &s.invert.pairs, &PAIRS.map(str::to_string));
     }
-    durations(s, faults);
-    ranges(s, faults);
+    // NaN and infinity are numbers of TOML: they reach this point as well.
+    if let Ok(table) = toml::Table::try_from(s) {
+        numbers(&table, "", faults);
+    }
+    start_rate(s, faults);
     counts(s, faults);
-    for (key, axis) in [
-        ("validate.static_map.torque_nm", &s.validate.static_map.torque_nm),
-        ("validate.static_map.speed_rpm", &s.validate.static_map.speed_rpm),
-    ] {
-        if axis.is_empty() || axis.windows(2).any(|w| w[0] >= w[1]) || axis.iter().any(|v| !v.is_finite()) {
-            faults.push(key, format!("{axis:?}"), "increasing numbers");
+}
+
+/// Times that may be zero: a lag of zero is the static map itself, a sweep may turn without a dwell, a step may be
+/// instantaneous.
+const MAY_BE_ZERO: [&str; 3] = ["lag_s", "dwell_s", "ramp_s"];
+/// Pairs that are levels, not limits.
+const LEVELS: [&str; 1] = ["step_nm"];
+
+/// Durations and ranges, recognised by their names, so that a new key of any step is checked too.
+fn numbers(table: &toml::Table, path: &str, faults: &mut Faults) {
+    for (key, value) in table {
+        let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+        match value {
+            toml::Value::Table(t) => numbers(t, &path, faults),
+            toml::Value::Float(v) if key.ends_with("_s") => {
+                let fits = v.is_finite() && (*v > 0.0 || (*v == 0.0 && MAY_BE_ZERO.contains(&key.as_str())));
+                if !fits {
+                    faults.push(&path, v, "a positive number, s");
+                }
+            }
+            toml::Value::Array(items) if !LEVELS.contains(&key.as_str()) => axis(&path, key, items, faults),
+            _ => {}
         }
     }
 }
 
-fn durations(s: &CalibrateSpec, faults: &mut Faults) {
-    let v = &s.validate;
-    for (key, value) in [
-        ("excite.record_s", s.excite.record_s),
-        ("excite.hold_s", s.excite.hold_s),
-        ("excite.sweep_s", s.excite.sweep_s),
-        ("design.record_s", s.design.record_s),
-        ("design.hold_s", s.design.hold_s),
-        ("optimise.record_s", s.optimise.record_s),
-        ("optimise.hold_s", s.optimise.hold_s),
-        ("validate.scenario.point_s", v.scenario.point_s),
-        ("validate.scenario.step_s", v.scenario.step_s),
-        ("validate.static_map.settle_s", v.static_map.settle_s),
-        ("validate.static_map.average_s", v.static_map.average_s),
-    ] {
-        faults.positive(key, value, "s");
+/// A pair `[lower, upper]` or a grid: increasing numbers.
+fn axis(path: &str, key: &str, items: &[toml::Value], faults: &mut Faults) {
+    let units = [("_nm", "Nm"), ("_rpm", "rpm"), ("_mg", "mg"), ("_deg", "deg"), ("lambda", "-")];
+    let Some((_, unit)) = units.iter().find(|(ending, _)| key.ends_with(ending)) else { return };
+    let values: Vec<f64> = items.iter().filter_map(toml::Value::as_float).collect();
+    let increasing = values.windows(2).all(|w| w[0] < w[1]) && values.iter().all(|v| v.is_finite());
+    if values.is_empty() || !increasing {
+        faults.push(path, format!("{values:?}"), format!("increasing numbers, lower before upper, {unit}"));
     }
-    // A lag of zero is the static map itself, and a sweep may turn without a dwell.
-    faults.range("validate.lag_s", v.lag_s, 0.0, 10.0, "s");
-    faults.range("excite.dwell_s", s.excite.dwell_s, 0.0, 1e4, "s");
 }
 
-fn ranges(s: &CalibrateSpec, faults: &mut Faults) {
-    let (e, d, o, v) = (&s.excite, &s.design, &s.optimise, &s.validate.scenario);
-    for (key, (lower, upper), unit) in [
-        ("excite.torque_nm", e.torque_nm, "Nm"),
-        ("excite.lambda", e.lambda, "-"),
-        ("excite.spark_deg", e.spark_deg, "deg"),
-        ("excite.speed_rpm", e.speed_rpm, "rpm"),
-        ("design.inj_mg", d.inj_mg, "mg"),
-        ("design.spark_deg", d.spark_deg, "deg"),
-        ("design.throttle_deg", d.throttle_deg, "deg"),
-        ("design.torque_nm", d.torque_nm, "Nm"),
-        ("design.lambda", d.lambda, "-"),
-        ("optimise.torque_nm", o.torque_nm, "Nm"),
-        ("optimise.lambda", o.lambda, "-"),
-        ("optimise.program.inj_mg", o.program.inj_mg, "mg"),
-        ("optimise.program.spark_deg", o.program.spark_deg, "deg"),
-        ("optimise.program.throttle_deg", o.program.throttle_deg, "deg"),
-        ("validate.scenario.torque_nm", v.torque_nm, "Nm"),
-        ("validate.scenario.speed_rpm", v.speed_rpm, "rpm"),
-    ] {
-        // NaN fails too.
-        let ordered = lower < upper && lower.is_finite() && upper.is_finite();
-        if !ordered {
-            faults.push(
-                key,
-                format!("[{lower}, {upper}]"),
-                format!("[lower, upper] with lower < upper, {unit}"),
-            );
-        }
-    }
-    faults.positive("optimise.program.spark_rate_deg", o.program.spark_rate_deg, "deg per sample");
-    let rate = o.start_spark_rate_deg;
-    if !(rate > 0.0 && rate <= o.program.spark_rate_deg) {
+fn start_rate(s: &CalibrateSpec, faults: &mut Faults) {
+    let (rate, limit) = (s.optimise.start_spark_rate_deg, s.optimise.program.spark_rate_deg);
+    faults.positive("optimise.program.spark_rate_deg", limit, "deg per sample");
+    if !(rate > 0.0 && rate <= limit) {
         faults.push(
             "optimise.start_spark_rate_deg",
             rate,
-            format!(
-                "a positive number, deg per sample, at most optimise.program.spark_rate_deg = {} (else the start is not feasible)",
-                o.program.spark_rate_deg
-            ),
+            format!("a positive number, deg per sample, at most optimise.program.spark_rate_deg = {limit}, else the start is not feasible"),
         );
     }
 }

@@ -78,7 +78,12 @@ pub(crate) fn run(
         interrupt,
         tell,
     };
-    let result = run::run(&ctx, &mut folder, until)?;
+    // A search that is stopped inside says so in its own words; to the user it is one thing.
+    let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
+        ChainError::Files(_) | ChainError::NeedsMeasurement { .. } => e,
+        _ if interrupt() => ChainError::Interrupted,
+        _ => e,
+    })?;
     tell(Event::Step(run::STEPS.len() + 1, run::STEPS.len() + 1, "report"));
     let verdict = verdict::of(spec, &result);
     let files = load::files(&campaign.out, &result)?;

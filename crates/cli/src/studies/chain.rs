@@ -37,8 +37,10 @@ const REDUCED: &str = include_str!("../../../../examples/gtdi/quick.toml");
 const SHORTEST: &str = include_str!("shortest.toml");
 
 fn tasks(o: &Options) -> Vec<Task> {
-    let base = || if o.reduced { toml::from_str(REDUCED).map_err(spec_error) } else { Ok(CalibrateSpec::default()) };
-    let with_seed = move |seed: u64| -> Result<CalibrateSpec, ChainError> { Ok(CalibrateSpec { seed, ..base()? }) };
+    let base =
+        || if o.reduced { toml::from_str(REDUCED).map_err(spec_error) } else { Ok(CalibrateSpec::default()) };
+    let with_seed =
+        move |seed: u64| -> Result<CalibrateSpec, ChainError> { Ok(CalibrateSpec { seed, ..base()? }) };
     let seeds = if o.reduced { 1 } else { 3 };
     let mut tasks: Vec<Task> =
         (o.seed..o.seed + seeds).map(|seed| calibration(format!("{SEED}{seed}"), with_seed(seed))).collect();
@@ -86,7 +88,8 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
     let rows: Vec<_> = runs.iter().map(|r| row(&r.value)).collect();
     for (k, (name, unit, _)) in rows.first().into_iter().flatten().enumerate() {
         let cells = rows.iter().map(|r| Cell::from(r.get(k).and_then(|n| n.2)));
-        table = table.row([Cell::from(*name), Cell::from(*unit)].into_iter().chain(cells).collect::<Vec<_>>());
+        table =
+            table.row([Cell::from(*name), Cell::from(*unit)].into_iter().chain(cells).collect::<Vec<_>>());
     }
     let files = runs.iter().map(|r| format!("runs/{}/report.html", r.name)).collect::<Vec<_>>().join("\n");
     report.section(Section::new("Calibrations").block(table).code("Reports of the calibrations", files))

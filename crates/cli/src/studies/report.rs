@@ -34,5 +34,6 @@ pub(super) fn html(
         });
     }
     let report = (study.sections)(report, results);
-    render(&report).map_err(|e| ChainError::Identify { what: "report of the study".into(), reason: e.to_string() })
+    render(&report)
+        .map_err(|e| ChainError::Identify { what: "report of the study".into(), reason: e.to_string() })
 }

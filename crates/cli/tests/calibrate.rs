@@ -1,0 +1,185 @@
+//! `dynocal calibrate`, its steps and `report`, end to end on the shortest calibration.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use assert_cmd::Command;
+
+/// The shortest calibration that still does every step.
+fn shortest() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/studies/shortest.toml")
+}
+
+struct Outcome {
+    code: i32,
+    stdout: String,
+    stderr: String,
+}
+
+fn dynocal(folder: &Path, args: &[&str]) -> Outcome {
+    let out = Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap();
+    Outcome {
+        code: out.status.code().unwrap(),
+        stdout: String::from_utf8(out.stdout).unwrap(),
+        stderr: String::from_utf8(out.stderr).unwrap(),
+    }
+}
+
+fn written(folder: &Path, spec: &str) -> PathBuf {
+    let path = folder.join("spec.toml");
+    std::fs::write(&path, spec).unwrap();
+    path
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+#[test]
+fn equal_bytes_for_any_number_of_threads_resume_and_report() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = shortest();
+    let spec = spec.to_str().unwrap();
+    let one = dynocal(tmp.path(), &["calibrate", spec, "--out", "one", "--threads", "1"]);
+    assert!(one.code == 0 || one.code == 1, "{}", one.stderr);
+    assert!(one.stdout.trim_end().ends_with("one/report.html"), "{}", one.stdout);
+    let lines: Vec<&str> = one.stderr.lines().filter(|l| l.starts_with("step ")).collect();
+    assert_eq!(lines.len(), 7, "{}", one.stderr);
+    let two = dynocal(tmp.path(), &["calibrate", spec, "--out", "two", "--threads", "2", "--json"]);
+    assert_eq!(one.code, two.code);
+    for file in ["summary.json", "report.html"] {
+        assert_eq!(
+            text(&tmp.path().join("one").join(file)),
+            text(&tmp.path().join("two").join(file)),
+            "{file}"
+        );
+    }
+    // With --json standard output is the summary and nothing else.
+    let summary: serde_json::Value = serde_json::from_str(&two.stdout).unwrap();
+    assert_eq!(two.stdout, text(&tmp.path().join("two/summary.json")));
+    assert_eq!(summary["schema"], "dynocal/summary");
+    assert_eq!(summary["valid"].as_bool(), Some(one.code == 0));
+    assert_eq!(summary["steps"].as_array().unwrap().len(), 6);
+    // Bed times follow from the spec: records of 18, 9 and 18 s with 3 s before each.
+    assert_eq!(summary["bed"]["identification_s"].as_f64(), Some(42.0));
+    assert_eq!(summary["bed"]["total_s"].as_f64(), Some(42.0 + 12.0 + 42.0));
+    assert!(summary.to_string().len() > 1000 && !two.stdout.contains("elapsed"));
+
+    let before = text(&tmp.path().join("one/summary.json"));
+    let again = dynocal(tmp.path(), &["calibrate", spec, "--out", "one"]);
+    assert_eq!(again.stderr.matches("taken from the earlier run").count(), 6, "{}", again.stderr);
+    assert_eq!(text(&tmp.path().join("one/summary.json")), before);
+
+    let report = tmp.path().join("one/report.html");
+    let page = text(&report);
+    std::fs::remove_file(&report).unwrap();
+    let rebuilt = dynocal(tmp.path(), &["report", "one"]);
+    assert_eq!(rebuilt.code, one.code);
+    assert_eq!(text(&report), page);
+    assert_eq!(text(&tmp.path().join("one/summary.json")), before);
+}
+
+#[test]
+fn steps_are_verbs_in_one_folder() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = shortest();
+    let spec = spec.to_str().unwrap();
+    let excite = dynocal(tmp.path(), &["excite", spec, "--out", "run"]);
+    assert_eq!(excite.code, 0, "{}", excite.stderr);
+    assert!(excite.stdout.contains("run/steps/01-excite/ident01.csv"), "{}", excite.stdout);
+    assert!(!tmp.path().join("run/steps/02-identify").exists());
+    let model = dynocal(tmp.path(), &["model", spec, "--out", "run"]);
+    assert!(model.stdout.contains("run/steps/02-identify/torque_model.json"), "{}", model.stdout);
+    assert_eq!(model.stderr.matches("taken from the earlier run").count(), 1, "{}", model.stderr);
+    // Another seed changes every record: nothing may be taken over.
+    let other = dynocal(tmp.path(), &["excite", spec, "--out", "run", "--seed", "7"]);
+    assert_eq!(other.stderr.matches("taken from the earlier run").count(), 0, "{}", other.stderr);
+}
+
+#[test]
+fn ctrl_c_keeps_finished_steps_and_the_next_start_goes_on() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = shortest();
+    let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("dynocal"))
+        .current_dir(tmp.path())
+        .args(["calibrate", spec.to_str().unwrap(), "--out", "run"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let begun = lines.by_ref().map(Result::unwrap).find(|l| l.starts_with("step 2 of 7"));
+    assert!(begun.is_some());
+    let sent = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let rest: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(2), "{rest:?}");
+    assert!(rest.iter().any(|l| l.contains("finished steps are kept")), "{rest:?}");
+    let next = dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap(), "--out", "run"]);
+    assert!(next.code == 0 || next.code == 1, "{}", next.stderr);
+    assert!(next.stderr.contains("taken from the earlier run"), "{}", next.stderr);
+    assert!(tmp.path().join("run/report.html").exists());
+}
+
+#[test]
+fn faults_of_a_spec_are_named_all_at_once() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = written(
+        tmp.path(),
+        "sed = 3\n[plant]\nname = \"virtual_engin\"\n[excite]\ntorque_nm = [90.0, 10.0]\nhold_s = -1.0\n[optimise]\npasses = 0\n",
+    );
+    let out = dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap()]);
+    assert_eq!(out.code, 2);
+    assert_eq!(out.stdout, "");
+    for part in [
+        "has 5 faults",
+        "spec.toml:1: `sed`",
+        "did you mean `seed`?",
+        "did you mean `virtual_engine`?",
+        "`excite.torque_nm`: found [90.0, 10.0], expected increasing numbers, lower before upper, Nm",
+        "`excite.hold_s`: found -1, expected a positive number, s",
+        "`optimise.passes`: found 0, expected a whole number of at least 1",
+    ] {
+        assert!(out.stderr.contains(part), "{part}\n{}", out.stderr);
+    }
+    assert!(!tmp.path().join("runs").exists());
+}
+
+#[test]
+fn a_real_bed_gets_a_plan_and_is_waited_for() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = written(tmp.path(), "[plant]\nname = \"bed\"\n[excite]\nrecord_s = 30.0\n");
+    let out = dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap(), "--threads", "1"]);
+    assert_eq!(out.code, 1, "{}", out.stderr);
+    assert!(out.stderr.contains("runs/spec/measured/ident01.csv"), "{}", out.stderr);
+    let plan = text(&tmp.path().join("runs/spec/steps/01-excite/ident01.plan.csv"));
+    assert!(plan.lines().next().unwrap().contains("torque_demand [Nm]"), "{plan:.200}");
+    // 30 s at 0.03 s, and the heading.
+    assert_eq!(plan.lines().count(), 1001);
+}
+
+#[test]
+fn folders_of_others_are_left_alone() {
+    let tmp = tempfile::tempdir().unwrap();
+    std::fs::create_dir(tmp.path().join("mine")).unwrap();
+    std::fs::write(tmp.path().join("mine/notes.txt"), "keep").unwrap();
+    let out = dynocal(tmp.path(), &["calibrate", shortest().to_str().unwrap(), "--out", "mine"]);
+    assert_eq!(out.code, 2);
+    assert!(out.stderr.contains("notes.txt") && out.stderr.contains("--out"), "{}", out.stderr);
+    let report = dynocal(tmp.path(), &["report", "mine"]);
+    assert_eq!(report.code, 2);
+    assert!(report.stderr.contains("run.json"), "{}", report.stderr);
+}
+
+#[test]
+fn plants_and_studies_are_listed() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plants = dynocal(tmp.path(), &["list", "plants"]);
+    assert!(
+        plants.stdout.contains("virtual_engine") && plants.stdout.contains(".torque_noise_nm"),
+        "{}",
+        plants.stdout
+    );
+    assert!(dynocal(tmp.path(), &["list", "studies"]).stdout.contains("chain"));
+}
