@@ -26,7 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Ok(Box::new(bed))
     };
     let t0 = std::time::Instant::now();
-    let tell = |e: Event| if let Event::Step(..) | Event::Resumed(_) = e { eprintln!("{:7.2} {e:?}", t0.elapsed().as_secs_f64()) };
+    let tell = |e: Event| if true { eprintln!("{:7.2} {e:?}", t0.elapsed().as_secs_f64()) };
     let ctx = Context { spec: &spec, plants: Some(&plants), measured: "measured".into(), interrupt: &|| false, tell: &tell };
     let mut folder = RunFolder::open(std::path::Path::new(&args[1]), "calibrate", &spec)?;
     let r = run(&ctx, &mut folder, &args[2])?;

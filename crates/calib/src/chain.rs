@@ -6,6 +6,7 @@ pub mod excite_step;
 pub mod invert_step;
 pub mod models;
 pub mod optimise_step;
+pub mod reference_design;
 pub mod run;
 pub mod spec;
 pub mod validate_step;

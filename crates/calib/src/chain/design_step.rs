@@ -1,25 +1,24 @@
 //! Step 3: an optimal test signal for the identified models, run on the plant, and what it gained.
 //!
-//! The record is designed in the inputs with limits on the predicted torque and lambda (an open-loop design lets
-//! lambda run wild), and is run with the small loops holding the prediction.
+//! The record is designed in the reference space (demanded torque, demanded lambda, spark, speed) and run through
+//! the loops, because an open-loop design in the inputs lets lambda run wild.
 
 use super::context::{ChainError, Context, Event, RecordRef, save_records};
-use super::excite_step::{LEAD_IN_S, extra_record};
+use super::excite_step::{LEAD_IN_S, extra_record, through_loops};
 use super::models::{OutputModels, identify_pair};
-use super::optimise_step::{hold, response_and_actuators};
+use super::optimise_step::response_and_actuators;
+use super::reference_design::{ReferenceLayout, ReferenceObjective, model_inputs};
 use super::run::ModelsResult;
-use crate::engine_model::{CYCLE, EngineModel, cycle_s};
-use crate::excite::references;
+use crate::engine_model::EngineModel;
 use crate::map::start::StartRule;
-use crate::map::{Reference, filter_torque};
 use crate::record::Demand;
-use dynocal_design::channel::{Channel, Shape};
+use dynocal_design::channel::Channel;
 use dynocal_design::criterion::{self, Criterion};
-use dynocal_design::problem::{Convention, DesignProblem, Evaluator, OutputLimits, Term};
-use dynocal_design::search::{DesignOptions, DesignOutcome, design as search};
+use dynocal_design::problem::{Convention, DesignProblem, Evaluator, Term};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::linalg::QrWork;
+use dynocal_numerics::optim::{Bounds, Budget, Optimiser, Outcome, QuasiNewton};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
@@ -30,7 +29,7 @@ use std::path::Path;
 pub struct CriterionValue {
     /// Criterion.
     pub criterion: String,
-    /// Value of the start record (torque and lambda model added up).
+    /// Value of the start record: D added up over both models, others relative (both models count one half).
     pub start: Option<f64>,
     /// Value of the design.
     pub design: Option<f64>,
@@ -43,11 +42,11 @@ pub struct SafetyLine {
     pub output: String,
     /// Least and largest prediction.
     pub range: (f64, f64),
-    /// Limits.
+    /// Demanded range.
     pub limits: (f64, f64),
-    /// Margin kept, from the error on unseen records.
+    /// Twice the model's error on unseen records: what the prediction is good for.
     pub margin: f64,
-    /// Worst distance to a limit beyond the margin.
+    /// Least distance of the prediction to the ends of the demanded range; negative where a transient leaves it.
     pub worst_distance: f64,
     /// When, in s.
     pub worst_time_s: f64,
@@ -125,7 +124,7 @@ pub fn design(
     let plan = planned(ctx, models, identification)?;
     (ctx.tell)(Event::Fraction(0.5));
     let (designed, rival) = rayon::join(
-        || hold(ctx, folder, "design01", &plan.feedforward, &plan.demand),
+        || through_loops(ctx, folder, "design01", &plan.feedforward, &plan.demand),
         || extra_record(ctx, folder, "comparison01", 0),
     );
     let (designed, rival) = (designed?, rival?);
@@ -148,8 +147,8 @@ pub fn design(
     }
     let spec = &ctx.spec.design;
     Ok(DesignResult {
-        status: Some(plan.outcome.status),
-        evaluations: plan.outcome.evaluations,
+        status: Some(plan.status),
+        evaluations: plan.evaluations,
         criteria: plan.criteria,
         safety,
         gains,
@@ -169,7 +168,8 @@ fn range(y: &[f64]) -> (f64, f64) {
 struct Planned {
     feedforward: Vec<[f64; 4]>,
     demand: Vec<Demand>,
-    outcome: DesignOutcome,
+    status: Status,
+    evaluations: usize,
     criteria: Vec<CriterionValue>,
     safety: Vec<SafetyLine>,
 }
@@ -184,91 +184,126 @@ struct Known<'a> {
 }
 
 fn planned(ctx: &Context, models: &ModelsResult, identification: &[Dataset]) -> Result<Planned, ChainError> {
-    let spec = &ctx.spec.design;
-    let start = start_inputs(ctx, identification)?;
-    let n = start.len();
-    let first = reference_start(ctx);
+    let (spec, dt) = (&ctx.spec.design, ctx.spec.sample_time_s);
+    let n = (spec.record_s / dt).round() as usize;
     let known = [
-        known(&models.torque, spec.torque_nm, identification, first.torque_nm)?,
-        known(&models.lambda, spec.lambda, identification, first.lambda)?,
+        known(&models.torque, spec.torque_nm, identification)?,
+        known(&models.lambda, spec.lambda, identification)?,
     ];
-    let build = |e: &dyn std::fmt::Display| ChainError::Design(e.to_string());
-    let d = criterion::criterion(&spec.criterion, &toml::Table::new())?;
-    let channels = channels(ctx, &start);
-    let objective: Vec<f64> = rows(&start);
-    let main = problem(&channels, n, &known, d.as_ref(), &objective);
-    let options = DesignOptions {
-        search: "local".into(),
-        evaluations: spec.max_evaluations,
-        starts: 1,
-        seed: ctx.spec.seed,
-        start: Some(objective.clone()),
-        output_tolerance: 0.01,
-        ..DesignOptions::default()
-    };
-    let outcome = search(&main, &options, ctx.interrupt, &|_| ()).map_err(|e| build(&e))?;
+    let pairs = identification.iter().map(response_and_actuators).collect::<Result<Vec<_>, DataError>>()?;
+    let rule = StartRule::fit(&pairs, ctx.map_limits())?.without_look_ahead();
+    let layout = ReferenceLayout::new(spec, n, dt);
+    let start = start_variables(ctx, &layout);
+    let start_inputs = model_inputs(&rule, &layout.reference(&start));
+    let fault = |e: &dyn std::fmt::Display| ChainError::Design(e.to_string());
+    let c = criterion::criterion(&spec.criterion, &toml::Table::new())?;
+    let weights = weights(n, &known, &spec.criterion, c.as_ref(), &start_inputs)?;
+    let main = problem(n, &known, weights, c.as_ref(), &start_inputs);
+    let evaluator = Evaluator::new(&main).map_err(|e| fault(&e))?;
+    let mut objective = ReferenceObjective::new(&layout, &rule, evaluator, layout.bounds(spec));
+    let outcome = search(ctx, &mut objective, &start);
     ctx.check_interrupt()?;
-    let mut criteria = Vec::new();
-    for name in ["d", "ai"] {
-        let c = criterion::criterion(name, &toml::Table::new())?;
-        let p = problem(&channels, n, &known, c.as_ref(), &objective);
-        let mut evaluator = Evaluator::new(&p).map_err(|e| build(&e))?;
-        let mut value = |u: &[f64]| Some(evaluator.value(u)).filter(|v: &f64| v.is_finite());
-        criteria.push(CriterionValue {
-            criterion: name.into(),
-            start: value(&objective),
-            design: value(&outcome.u),
-        });
-    }
-    let dt = ctx.spec.sample_time_s;
-    let safety = safety_lines(&known, &outcome, dt);
-    let m = channels.len();
-    let feedforward =
-        (0..n).map(|t| std::array::from_fn(|c| outcome.u[t * m + c])).collect::<Vec<[f64; 4]>>();
-    let predicted = |k: usize| -> Vec<f64> {
-        outcome.safety[k].predicted.iter().map(|v| known[k].model.transform.apply(*v)).collect()
+    let best = objective.unscaled(&outcome.x);
+    let reference = layout.reference(&best);
+    let inputs = model_inputs(&rule, &reference);
+    let criteria = criteria(n, &known, &start_inputs, &inputs)?;
+    let safety = safety_lines(&known, &inputs, n, dt);
+    let demand = reference.iter().map(|r| Demand { torque_nm: r[0], lambda: r[1] }).collect();
+    let feedforward = inputs.chunks_exact(5).map(|u| [u[0], u[1], u[2], u[3]]).collect();
+    let evaluations = outcome.history.last().map_or(0, |h| h.evaluations);
+    Ok(Planned { feedforward, demand, status: outcome.status, evaluations, criteria, safety })
+}
+
+/// Bounded quasi-Newton on the criterion's logarithm-free value: D is already one, and it is the default.
+fn search(ctx: &Context, objective: &mut ReferenceObjective, start: &[f64]) -> Outcome {
+    let (lower, upper) = objective.bounds.clone();
+    let z: Vec<f64> = start.iter().zip(lower.iter().zip(&upper)).map(|(x, (a, b))| (x - a) / (b - a)).collect();
+    let bounds = Bounds { lower: vec![0.0; z.len()], upper: vec![1.0; z.len()] };
+    let budget = Budget {
+        evaluations: ctx.spec.design.max_evaluations,
+        gradient_tolerance: 1e-3,
+        value_tolerance: 1e-7,
     };
-    let (torque, lambda) = (predicted(0), predicted(1));
-    let demand = torque.iter().zip(&lambda).map(|(t, l)| Demand { torque_nm: *t, lambda: *l }).collect();
-    Ok(Planned { feedforward, demand, outcome, criteria, safety })
+    QuasiNewton::default().minimise(objective, &bounds, &z, &budget)
+}
+
+/// D and AI of the start and of the design, on top of what the earlier records tell.
+fn criteria(n: usize, known: &[Known; 2], start: &[f64], design: &[f64]) -> Result<Vec<CriterionValue>, ChainError> {
+    ["d", "ai"]
+        .iter()
+        .map(|name| {
+            let c = criterion::criterion(name, &toml::Table::new())?;
+            let p = problem(n, known, weights(n, known, name, c.as_ref(), start)?, c.as_ref(), start);
+            let mut evaluator = Evaluator::new(&p).map_err(|e| ChainError::Design(e.to_string()))?;
+            let mut value = |u: &[f64]| Some(evaluator.value(u)).filter(|v: &f64| v.is_finite());
+            Ok(CriterionValue { criterion: (*name).into(), start: value(start), design: value(design) })
+        })
+        .collect()
+}
+
+/// A start by the first recipe: random levels of an APRBS, speed up and down.
+fn start_variables(ctx: &Context, layout: &ReferenceLayout) -> Vec<f64> {
+    let (lower, upper) = layout.bounds(&ctx.spec.design);
+    let mut rng = Rng64::stream(ctx.spec.seed, 250);
+    let levels = ctx.spec.excite.levels.max(2);
+    // Strictly inside the box: a variable that starts at a bound may see no way back.
+    let level = |k: usize| 0.05 + 0.9 * k as f64 / (levels - 1) as f64;
+    lower.iter().zip(&upper).map(|(a, b)| a + level(rng.below(levels)) * (b - a)).collect()
+}
+
+/// Weights that make both models count alike (in the spirit of eq. 4.54): each criterion relative to its value at the
+/// start. D is a logarithm and needs none.
+fn weights(
+    n: usize,
+    known: &[Known; 2],
+    name: &str,
+    c: &dyn Criterion,
+    start: &[f64],
+) -> Result<[f64; 2], ChainError> {
+    if name == "d" {
+        return Ok([1.0, 1.0]);
+    }
+    let value = |weights: [f64; 2]| -> Result<f64, ChainError> {
+        let p = problem(n, known, weights, c, start);
+        let mut evaluator = Evaluator::new(&p).map_err(|e| ChainError::Design(e.to_string()))?;
+        Ok(evaluator.value(start))
+    };
+    let scale = |v: f64| if v.is_finite() && v != 0.0 { 0.5 / v.abs() } else { 1.0 };
+    Ok([scale(value([1.0, 0.0])?), scale(value([0.0, 1.0])?)])
 }
 
 /// The same record seen by one criterion.
 fn problem<'a>(
-    channels: &[Channel],
     n_samples: usize,
     known: &'a [Known<'a>; 2],
+    weights: [f64; 2],
     c: &'a dyn Criterion,
     objective: &'a [f64],
 ) -> DesignProblem<'a> {
     let terms = known
         .iter()
-        .map(|k| {
-            let apply = |v: f64| k.model.transform.apply(v);
-            let (a, b) = (apply(k.limits.0), apply(k.limits.1));
+        .zip(weights)
+        .map(|(k, weight)| {
             // Error level in the model's own output: near lambda 1 an error of phi is one of lambda.
             let variance = k.rmse * k.rmse;
             let mut term = Term::new(&k.model.output, &k.model.structure, &k.model.theta, variance, c);
-            term.initial_output = apply(k.initial);
+            term.initial_output = k.model.transform.apply(k.initial);
             term.prior = &k.prior;
             term.objective_signal = objective;
-            term.limits = Some(OutputLimits { lower: a.min(b), upper: a.max(b), margin: margin(k) });
+            term.weight = weight;
             term
         })
         .collect();
-    DesignProblem { channels: channels.to_vec(), n_samples, convention: Convention::Trim, start: 0, terms }
-}
-
-/// Distance kept to the limits: twice the error on unseen records, because model error dominates.
-fn margin(k: &Known) -> f64 {
-    (2.0 * k.rmse).min(0.2 * (k.limits.1 - k.limits.0))
+    // The references bound the inputs, so the channels themselves are free.
+    let free = |name: &str| Channel::free(name, -1e9, 1e9);
+    let channels = ["inj", "spark", "throttle", "speed", "cycle"].map(free).to_vec();
+    DesignProblem { channels, n_samples, convention: Convention::Trim, start: 0, terms }
 }
 
 fn known<'a>(
     models: &'a OutputModels,
     limits: (f64, f64),
     identification: &[Dataset],
-    initial: f64,
 ) -> Result<Known<'a>, ChainError> {
     let best = models.best();
     let unseen: Vec<f64> = best
@@ -278,6 +313,7 @@ fn known<'a>(
         .filter_map(|s| s.rmse)
         .collect();
     let rmse = unseen.iter().fold(0.0f64, |m, v| m.max(*v)).max(1e-6);
+    let initial = 0.5 * (limits.0 + limits.1);
     Ok(Known { model: &best.model, rmse, limits, prior: prior(&best.model, identification)?, initial })
 }
 
@@ -301,73 +337,27 @@ fn prior(model: &EngineModel, records: &[Dataset]) -> Result<Vec<f64>, ChainErro
     Ok(r)
 }
 
-fn reference_start(ctx: &Context) -> Reference {
-    let d = &ctx.spec.design;
-    let speed = ctx.spec.excite.speed_rpm.0;
-    Reference { torque_nm: 0.5 * (d.torque_nm.0 + d.torque_nm.1), lambda: 1.0, speed_rpm: speed }
-}
-
-/// A feasible start: the start rule along an excitation-like reference, one row (INJ, spark, throttle, speed) a sample.
-fn start_inputs(ctx: &Context, identification: &[Dataset]) -> Result<Vec<[f64; 4]>, ChainError> {
-    let (d, dt) = (&ctx.spec.design, ctx.spec.sample_time_s);
-    let mut e = ctx.spec.excite.clone();
-    e.record_s = d.record_s;
-    let shrink = |(a, b): (f64, f64), by: f64| (a + by * (b - a), b - by * (b - a));
-    e.torque_nm = shrink(d.torque_nm, 0.12);
-    e.lambda = shrink(d.lambda, 0.3);
-    e.spark_deg = shrink(d.spark_deg, 0.02);
-    let mut rng = Rng64::stream(ctx.spec.seed, 250);
-    let r = references(&e, e.sweep_s + 0.7, dt, &mut rng)?;
-    let torque = filter_torque(&r.demand.iter().map(|d| d.torque_nm).collect::<Vec<_>>(), dt);
-    let reference: Vec<Reference> = (0..torque.len())
-        .map(|t| Reference { torque_nm: torque[t], lambda: r.demand[t].lambda, speed_rpm: r.speed_rpm[t] })
-        .collect();
-    let pairs = identification.iter().map(response_and_actuators).collect::<Result<Vec<_>, DataError>>()?;
-    let rule = StartRule::fit(&pairs, ctx.map_limits())?;
-    let u = rule.drive(&reference, &r.spark_deg);
-    Ok(u.iter().zip(&r.speed_rpm).map(|(u, s)| [u[0], u[1], u[2], *s]).collect())
-}
-
-/// Model inputs of a record of actuators: the four actuators and the derived cycle duration.
-fn rows(u: &[[f64; 4]]) -> Vec<f64> {
-    u.iter().flat_map(|u| [u[0], u[1], u[2], u[3], cycle_s(u[3])]).collect()
-}
-
-fn channels(ctx: &Context, start: &[[f64; 4]]) -> Vec<Channel> {
-    let spec = &ctx.spec.design;
-    let hold = (spec.hold_s / ctx.spec.sample_time_s).round().max(1.0) as usize;
-    let bounds = [("inj", spec.inj_mg), ("spark", spec.spark_deg), ("throttle", spec.throttle_deg)];
-    let mut channels: Vec<Channel> = bounds
-        .iter()
-        .zip(spec.rate)
-        .map(|((name, (lower, upper)), rate)| Channel {
-            hold,
-            // Ramps between the free values: a bed's actuators do not jump, and torque and lambda stay together.
-            shape: Shape::Linear,
-            rate_per_sample: Some(rate / hold as f64),
-            ..Channel::free(name, *lower, *upper)
-        })
-        .collect();
-    channels.push(Channel::given("speed", start.iter().map(|u| u[3]).collect()));
-    channels.push(Channel::given(CYCLE, start.iter().map(|u| cycle_s(u[3])).collect()));
-    channels
-}
-
-fn safety_lines(known: &[Known; 2], outcome: &DesignOutcome, dt: f64) -> Vec<SafetyLine> {
+/// Free run of the models over the design: how far outputs are predicted to leave the demanded range in transients.
+fn safety_lines(known: &[Known; 2], inputs: &[f64], n: usize, dt: f64) -> Vec<SafetyLine> {
     known
         .iter()
-        .zip(&outcome.safety)
-        .map(|(k, s)| {
-            let apply = |v: f64| k.model.transform.apply(v);
-            let (a, b) = (apply(s.range.0), apply(s.range.1));
-            let worst = s.worst.as_ref();
+        .map(|k| {
+            let y0 = vec![k.model.transform.apply(k.initial); n];
+            let mut y = vec![0.0; n];
+            // The record starts from rest, so the first two seconds only bring the model there.
+            let skip = ((2.0 / dt) as usize).min(n - 1);
+            let run = Run { u: inputs, y: &y0, start: k.model.structure.max_lag() };
+            k.model.structure.simulate(&k.model.theta, &run, &mut y);
+            let predicted: Vec<f64> = y.iter().map(|v| k.model.transform.apply(*v)).collect();
+            let beyond = |v: f64| (k.limits.0 - v).max(v - k.limits.1);
+            let worst = (skip..n).max_by(|a, b| beyond(predicted[*a]).total_cmp(&beyond(predicted[*b])));
             SafetyLine {
                 output: k.model.output.clone(),
-                range: (a.min(b), a.max(b)),
+                range: range(&predicted[skip..]),
                 limits: k.limits,
-                margin: margin(k),
-                worst_distance: worst.map_or(f64::MAX, |w| w.distance),
-                worst_time_s: worst.map_or(0.0, |w| w.sample as f64 * dt),
+                margin: 2.0 * k.rmse,
+                worst_distance: worst.map_or(0.0, |t| -beyond(predicted[t])),
+                worst_time_s: worst.map_or(0.0, |t| t as f64 * dt),
                 measured_range: (0.0, 0.0),
             }
         })

@@ -2,6 +2,7 @@
 
 use super::context::{ChainError, Context, RecordRef, gains, save_records};
 use crate::excite::{References, plan_of, references};
+use crate::record::{Demand, Plan};
 use dynocal_ident::data::Dataset;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
@@ -87,10 +88,23 @@ pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Re
 }
 
 fn run(ctx: &Context, folder: &Path, name: &str, references: &References) -> Result<Dataset, ChainError> {
-    let feedforward = plan_of(references);
-    let plan = crate::record::Plan {
-        feedforward: &feedforward,
-        demand: &references.demand,
+    through_loops(ctx, folder, name, &plan_of(references), &references.demand)
+}
+
+/// Runs references through the excitation loops over a feedforward.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn through_loops(
+    ctx: &Context,
+    folder: &Path,
+    name: &str,
+    feedforward: &[[f64; 4]],
+    demand: &[Demand],
+) -> Result<Dataset, ChainError> {
+    let plan = Plan {
+        feedforward,
+        demand,
         gains: gains(&ctx.spec.excite.gains)?,
         limits: ctx.actuator_limits(),
         settle_s: LEAD_IN_S,

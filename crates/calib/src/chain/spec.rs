@@ -94,30 +94,30 @@ impl Default for IdentifySpec {
     }
 }
 
-/// The optimal test signal.
+/// The optimal test signal, designed in the reference space: levels of demanded torque, lambda, spark and speed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DesignSpec {
     /// Whether to design at all.
     pub enabled: bool,
-    /// Criterion that is minimised (`d`, `ai`); the other one is reported beside.
+    /// Criterion that is minimised (`d`, `ai`, ...); `d` and `ai` are reported.
     pub criterion: String,
     /// Length of the designed record in s.
     pub record_s: f64,
-    /// Shortest time in s for which an actuator is held.
+    /// Time in s for which torque, lambda and spark are held.
     pub hold_s: f64,
-    /// Limits of INJ in mg.
-    pub inj_mg: (f64, f64),
+    /// Time in s from one level to the next: the rate limit, range over this time.
+    pub ramp_s: f64,
+    /// Time in s between the points of the speed profile, which is linear in between: its rate limit.
+    pub speed_point_s: f64,
+    /// Limits of the demanded torque in Nm.
+    pub torque_nm: (f64, f64),
+    /// Limits of the demanded lambda.
+    pub lambda: (f64, f64),
     /// Limits of spark advance in deg.
     pub spark_deg: (f64, f64),
-    /// Limits of the throttle angle in deg.
-    pub throttle_deg: (f64, f64),
-    /// Largest change per held step of INJ in mg, spark in deg, throttle in deg.
-    pub rate: [f64; 3],
-    /// Limits on the predicted torque in Nm.
-    pub torque_nm: (f64, f64),
-    /// Limits on the predicted lambda.
-    pub lambda: (f64, f64),
+    /// Limits of the engine speed in rpm.
+    pub speed_rpm: (f64, f64),
     /// Most evaluations of criterion and gradient.
     pub max_evaluations: usize,
 }
@@ -128,13 +128,13 @@ impl Default for DesignSpec {
             enabled: true,
             criterion: "d".into(),
             record_s: 60.0,
-            hold_s: 0.3,
-            inj_mg: (3.0, 24.0),
+            hold_s: 3.0,
+            ramp_s: 0.3,
+            speed_point_s: 3.0,
+            torque_nm: (10.0, 90.0),
+            lambda: (0.9, 1.1),
             spark_deg: (5.0, 30.0),
-            throttle_deg: (2.0, 25.0),
-            rate: [4.0, 10.0, 4.0],
-            torque_nm: (5.0, 95.0),
-            lambda: (0.85, 1.15),
+            speed_rpm: (1000.0, 3000.0),
             max_evaluations: 300,
         }
     }
