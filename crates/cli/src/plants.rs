@@ -74,8 +74,11 @@ pub(crate) fn check(spec: &PlantSpec, faults: &mut Faults) {
     }
 }
 
+/// A parameter set by name.
+type Set = (&'static str, fn() -> EngineParams);
+
 /// Parameter sets of the virtual engine.
-const SETS: [(&str, fn() -> EngineParams); 1] = [("thesis", EngineParams::thesis)];
+const SETS: [Set; 1] = [("thesis", EngineParams::thesis)];
 
 fn check_virtual_engine(spec: &PlantSpec, faults: &mut Faults) {
     if !SETS.iter().any(|s| s.0 == spec.parameters) {

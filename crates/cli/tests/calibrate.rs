@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use assert_cmd::Command;
+use dynocal_files::atomic;
 
 /// The shortest calibration that still does every step.
 fn shortest() -> PathBuf {
@@ -28,7 +29,7 @@ fn dynocal(folder: &Path, args: &[&str]) -> Outcome {
 
 fn written(folder: &Path, spec: &str) -> PathBuf {
     let path = folder.join("spec.toml");
-    std::fs::write(&path, spec).unwrap();
+    atomic::write(&path, spec.as_bytes()).unwrap();
     path
 }
 
@@ -163,7 +164,7 @@ fn a_real_bed_gets_a_plan_and_is_waited_for() {
 fn folders_of_others_are_left_alone() {
     let tmp = tempfile::tempdir().unwrap();
     std::fs::create_dir(tmp.path().join("mine")).unwrap();
-    std::fs::write(tmp.path().join("mine/notes.txt"), "keep").unwrap();
+    atomic::write(&tmp.path().join("mine/notes.txt"), b"keep").unwrap();
     let out = dynocal(tmp.path(), &["calibrate", shortest().to_str().unwrap(), "--out", "mine"]);
     assert_eq!(out.code, 2);
     assert!(out.stderr.contains("notes.txt") && out.stderr.contains("--out"), "{}", out.stderr);

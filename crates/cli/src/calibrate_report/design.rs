@@ -18,7 +18,7 @@ pub(super) fn section(d: &Done<DesignResult>, dt: f64) -> Result<Section, ChainE
     };
     let mut section = section
         .text(format!(
-            "The record is designed to tell most about the parameters of the identified models within the limits of the spec; the search ended as `{}` after {} evaluations.",
+            "The record is designed to tell most about the parameters of the identified models within the limits of the spec; the search ended as \"{}\" after {} evaluations.",
             word(status),
             r.evaluations
         ))

@@ -55,32 +55,31 @@ pub(super) fn table(m: &OutputModels, caption: &str) -> Table {
     let u = unit(&m.unit);
     let mut table = Table::new(vec![
         Column::text("Model"),
-        Column::text("Data"),
-        Column::number("RMSE", u).digits(3),
-        Column::number("95 % of errors below", u).digits(3),
-        Column::number("R2", "%").digits(4),
+        Column::number("RMSE, unseen", u).digits(3),
+        Column::number("95 % below, unseen", u).digits(3),
+        Column::number("R2, unseen", "%").digits(4),
+        Column::number("RMSE, ident.", u).digits(3),
+        Column::number("R2, ident.", "%").digits(4),
         Column::number("Parameters", ""),
         Column::text("Ended"),
     ])
     .caption(caption);
     for (k, c) in m.candidates.iter().enumerate() {
-        for (data, name) in [(Seen::Unseen, "unseen"), (Seen::Identification, "identification")] {
-            let row = row(c, data, name);
-            table =
-                if k == m.chosen && data == Seen::Unseen { table.stressed_row(row) } else { table.row(row) };
-        }
+        let row = row(c);
+        table = if k == m.chosen { table.stressed_row(row) } else { table.row(row) };
     }
     table
 }
 
-fn row(c: &Candidate, data: Seen, name: &str) -> Vec<Cell> {
+fn row(c: &Candidate) -> Vec<Cell> {
     let number = |v: Option<f64>| v.map_or(Cell::from("diverged"), Cell::from);
     vec![
         c.name.as_str().into(),
-        name.into(),
-        number(root_mean_square(c, data)),
-        number(worst_p95(c, data)),
-        number(percent(mean_r2(c, data))),
+        number(root_mean_square(c, Seen::Unseen)),
+        number(worst_p95(c, Seen::Unseen)),
+        number(percent(mean_r2(c, Seen::Unseen))),
+        number(root_mean_square(c, Seen::Identification)),
+        number(percent(mean_r2(c, Seen::Identification))),
         c.model.theta.len().into(),
         format!("{}, {} evaluations", word(c.status), c.evaluations).into(),
     ]

@@ -98,17 +98,17 @@ fn fuel(passes: &[Pass], best: Option<&BestSpark>) -> Table {
 }
 
 fn bars(passes: &[Pass], best: Option<&BestSpark>) -> Bars {
-    let mut names: Vec<String> = passes.iter().map(|p| format!("pass {}", p.pass)).collect();
-    let mut promised: Vec<f64> = passes.iter().map(|p| change(p.promised_ratio)).collect();
-    let mut measured: Vec<f64> = passes.iter().map(|p| change(p.measured_ratio)).collect();
-    if let Some(b) = best {
-        names.push("best-spark map".into());
-        promised.push(f64::NAN);
-        measured.push(change(b.ratio));
+    let mut names = Vec::new();
+    let mut changes = Vec::new();
+    for p in passes {
+        names.extend([format!("pass {}, promised", p.pass), format!("pass {}, measured", p.pass)]);
+        changes.extend([change(p.promised_ratio), change(p.measured_ratio)]);
     }
-    Bars::new("Fuel against the start record", Axis::new("Change", "%"), names)
-        .series("promised", promised)
-        .series("measured", measured)
+    if let Some(b) = best {
+        names.push("best-spark map, measured".into());
+        changes.push(change(b.ratio));
+    }
+    Bars::new("Fuel against the start record", Axis::new("Change", "%"), names).series("fuel", changes)
 }
 
 fn convergence(passes: &[Pass]) -> Table {

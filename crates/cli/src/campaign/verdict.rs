@@ -72,7 +72,7 @@ fn passes(passes: &[dynocal_calib::chain::optimise_step::Pass], f: &mut Findings
     for p in passes {
         if !p.status.is_success() {
             let text = format!(
-                "The fuel optimisation of pass {} ended as `{}` after {} iterations.",
+                "The fuel optimisation of pass {} ended as \"{}\" after {} iterations.",
                 p.pass,
                 word(p.status),
                 p.iterations
@@ -113,10 +113,10 @@ fn comparison(v: &dynocal_calib::chain::validate_step::ValidateResult, f: &mut F
 fn design(d: &dynocal_calib::chain::design_step::DesignResult, f: &mut Findings) {
     match d.status {
         Some(s @ (Status::Infeasible | Status::Diverged)) => {
-            f.fault(s, format!("The test signal has no design within its limits: `{}`.", word(s)));
+            f.fault(s, format!("The test signal has no design within its limits (the search ended as \"{}\").", word(s)));
         }
         Some(s @ (Status::Limit | Status::Stalled)) => f.notes.push(format!(
-            "The search for the test signal ended as `{}` after {} evaluations: the design is better than its start, not proven the best.",
+            "The search for the test signal ended as \"{}\" after {} evaluations: the design is better than its start, not proven the best.",
             word(s),
             d.evaluations
         )),
@@ -139,19 +139,18 @@ fn models(r: &ChainResult, f: &mut Findings) {
         if best.unseen_r2.is_none() {
             f.fault(
                 Status::Diverged,
-                format!("Every {} model of the step `{stage}` diverged on an unseen record.", m.output),
+                format!("Every {} model of the step {stage} diverged on an unseen record.", m.output),
             );
         }
         if !best.status.is_success() {
             f.notes.push(format!(
-                "The {} model of the step `{stage}` was estimated until `{}` after {} evaluations.",
+                "The {} model of the step {stage} was estimated until \"{}\" after {} evaluations.",
                 m.output,
                 word(best.status),
                 best.evaluations
             ));
         }
-        f.notes
-            .extend(best.warnings.iter().map(|w| format!("{} model of the step `{stage}`: {w}", m.output)));
+        f.notes.extend(best.warnings.iter().map(|w| format!("{} model of the step {stage}: {w}", m.output)));
     }
 }
 

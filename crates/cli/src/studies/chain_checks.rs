@@ -3,52 +3,9 @@
 use dynocal_calib::chain::validate_step::DYNAMIC;
 use serde_json::Value;
 
+use super::asked::Asked;
 use super::chain::{INTERRUPTION, NOISE, SEED};
 use super::{Check, TaskResult};
-
-/// How a measured number is judged.
-#[derive(Clone, Copy)]
-enum Asked {
-    AtMost(f64),
-    AtLeast(f64),
-    Below(f64),
-    Above(f64),
-    Reported,
-}
-
-impl Asked {
-    fn text(self) -> Option<String> {
-        match self {
-            Asked::AtMost(v) => Some(format!("<= {v}")),
-            Asked::AtLeast(v) => Some(format!(">= {v}")),
-            Asked::Below(v) => Some(format!("< {v}")),
-            Asked::Above(v) => Some(format!("> {v}")),
-            Asked::Reported => None,
-        }
-    }
-
-    /// A number that is missing does not hold.
-    fn holds(self, measured: Option<f64>) -> Option<bool> {
-        let is = |f: &dyn Fn(f64) -> bool| Some(measured.is_some_and(f));
-        match self {
-            Asked::AtMost(v) => is(&|m| m <= v),
-            Asked::AtLeast(v) => is(&|m| m >= v),
-            Asked::Below(v) => is(&|m| m < v),
-            Asked::Above(v) => is(&|m| m > v),
-            Asked::Reported => None,
-        }
-    }
-
-    /// Of several runs, the number that is hardest to accept.
-    fn worst(self, values: &[Option<f64>]) -> Option<f64> {
-        let all: Option<Vec<f64>> = values.iter().copied().collect();
-        let pick = match self {
-            Asked::AtLeast(_) | Asked::Above(_) => f64::min,
-            Asked::AtMost(_) | Asked::Below(_) | Asked::Reported => f64::max,
-        };
-        all?.into_iter().reduce(pick)
-    }
-}
 
 /// A number of a calibration.
 type Measure = fn(&Value) -> Option<f64>;
@@ -78,7 +35,7 @@ static ROWS: &[Row] = &[
         "Selected structure against the published one, free-run R2 on unseen records, smaller gain of torque and lambda",
         "points",
         Asked::Above(0.0),
-        |v| over_published(v),
+        over_published,
         "",
     ),
     Row(
@@ -302,7 +259,7 @@ static ROWS: &[Row] = &[
         "Sections that the report lacks",
         "",
         Asked::AtMost(0.0),
-        |v| report(v),
+        report,
         "written whole, with all sections",
     ),
     Row(

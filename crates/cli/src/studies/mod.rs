@@ -3,6 +3,7 @@
 //! A study is a list of independent tasks, each a pure function of its inputs to a JSON result, and a reduction of
 //! all results to checks. Tasks know nothing of each other. One file per study, one line in [`STUDIES`].
 
+mod asked;
 mod chain;
 mod chain_checks;
 mod chain_tasks;
@@ -36,6 +37,9 @@ pub(crate) struct Surroundings<'a> {
     pub(crate) note: &'a (dyn Fn(&str) + Sync),
 }
 
+/// What a task does.
+pub(crate) type Work = dyn Fn(&Surroundings) -> Result<Value, ChainError>;
+
 /// One task.
 pub(crate) struct Task {
     /// Name, unique in the study.
@@ -43,7 +47,7 @@ pub(crate) struct Task {
     /// Everything that its result depends on.
     pub(crate) inputs: Value,
     /// Does it.
-    pub(crate) run: Box<dyn Fn(&Surroundings) -> Result<Value, ChainError>>,
+    pub(crate) run: Box<Work>,
 }
 
 /// The result of a task.
