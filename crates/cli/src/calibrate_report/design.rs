@@ -77,14 +77,14 @@ fn safety(r: &DesignResult) -> Table {
     let range = |(a, b): (f64, f64)| format!("{a:.3} to {b:.3}");
     let mut table = Table::new(vec![
         Column::text("Output"),
-        Column::text("Limits"),
-        Column::number("Margin kept", "").digits(3),
+        Column::text("Demanded range"),
+        Column::number("2 x model error", "").digits(3),
         Column::text("Predicted"),
-        Column::number("Distance left", "").digits(3),
+        Column::number("Least distance", "").digits(3),
         Column::number("at", "s").digits(4),
         Column::text("Measured"),
     ])
-    .caption("Safety: outputs against their limits");
+    .caption("Safety: predicted and measured outputs against the range that is demanded (negative distance: a transient leaves it)");
     for s in &r.safety {
         let u = if s.output == "torque" { unit("Nm") } else { "" };
         let name = if u.is_empty() { s.output.clone() } else { format!("{} [{u}]", s.output) };

@@ -122,15 +122,6 @@ fn design(d: &dynocal_calib::chain::design_step::DesignResult, f: &mut Findings)
         )),
         _ => {}
     }
-    for s in &d.safety {
-        let (low, high) = s.measured_range;
-        if low < s.limits.0 || high > s.limits.1 {
-            f.notes.push(format!(
-                "While the designed record ran, {} was between {low:.3} and {high:.3}; its limits are {} to {}.",
-                s.output, s.limits.0, s.limits.1
-            ));
-        }
-    }
 }
 
 fn models(r: &ChainResult, f: &mut Findings) {

@@ -63,12 +63,28 @@ static ROWS: &[Row] = &[
         "criterion that the spec asks for",
     ),
     Row(
-        "design-safety",
-        "Least distance of predicted torque and lambda to their limits, as share of the allowed range",
+        "design-limits",
+        "Least distance of the designed demand (torque, lambda, spark, speed) to its limits, as share of the range",
         "%",
         Asked::AtLeast(0.0),
-        safety,
-        "beyond the margin kept for model error: see the design section of each report",
+        |v| v["design"]["least_distance"].as_f64().map(|d| 100.0 * d),
+        "",
+    ),
+    Row(
+        "design-lambda-low",
+        "Lambda that 1 % of the samples of the designed record lie below",
+        "",
+        Asked::AtLeast(0.5),
+        |v| v["design"]["lambda_1_99"][0].as_f64(),
+        "the loops hold lambda while the design runs",
+    ),
+    Row(
+        "design-lambda-high",
+        "Lambda that 99 % of the samples of the designed record lie below",
+        "",
+        Asked::AtMost(1.6),
+        |v| v["design"]["lambda_1_99"][1].as_f64(),
+        "",
     ),
     Row(
         "design-gain-torque",
@@ -394,19 +410,6 @@ fn criterion_change(v: &Value) -> Option<f64> {
     let wanted = &v["summary"]["spec"]["design"]["criterion"];
     let c = v["summary"]["design"]["criteria"].as_array()?.iter().find(|c| c["criterion"] == *wanted)?;
     Some(c["design"].as_f64()? - c["start"].as_f64()?)
-}
-
-fn safety(v: &Value) -> Option<f64> {
-    let lines = v["summary"]["design"]["safety"].as_array()?;
-    let distances: Option<Vec<f64>> = lines
-        .iter()
-        .map(|s| {
-            let (low, high) = (s["limits"][0].as_f64()?, s["limits"][1].as_f64()?);
-            let distance = (s["range"][0].as_f64()? - low).min(high - s["range"][1].as_f64()?);
-            Some(100.0 * distance / (high - low))
-        })
-        .collect();
-    distances?.into_iter().reduce(f64::min)
 }
 
 /// What the designed record gained over the identification data number `base`, in points.

@@ -8,6 +8,7 @@ use dynocal_calib::chain::run::{ChainResult, STEPS};
 use dynocal_calib::chain::spec::CalibrateSpec;
 use dynocal_calib::map::{FeedforwardMap, Reference};
 use dynocal_files::{FilesError, json as json_files};
+use dynocal_ident::data::Dataset;
 use serde_json::{Value, json};
 
 use super::Surroundings;
@@ -36,7 +37,8 @@ pub(super) fn calibrate(
         SECTIONS.into_iter().filter(|id| !html.contains(&format!("<section id=\"{id}\""))).collect();
     Ok(json!({
         "summary": summary,
-        "lambda_1_99": lambda_range(&done.result, spec)?,
+        "lambda_1_99": excited_lambda(&done.result, spec)?,
+        "design": designed(&done.result, spec)?,
         "rest_difference": rest_difference(&done.result, spec),
         "report_missing": missing,
         "report_ends": html.trim_end().ends_with("</html>"),
@@ -49,16 +51,43 @@ fn text(path: &Path) -> Result<String, ChainError> {
 }
 
 /// Lambda that 1 % and 99 % of the samples of the identification records lie below.
-fn lambda_range(r: &ChainResult, spec: &CalibrateSpec) -> Result<Option<[f64; 2]>, ChainError> {
+fn excited_lambda(r: &ChainResult, spec: &CalibrateSpec) -> Result<Option<[f64; 2]>, ChainError> {
     let Some(excite) = &r.excite else { return Ok(None) };
-    let records = load_records(&excite.folder, &excite.result.identification, spec.sample_time_s)?;
+    lambda_range(&load_records(&excite.folder, &excite.result.identification, spec.sample_time_s)?)
+}
+
+fn lambda_range(records: &[Dataset]) -> Result<Option<[f64; 2]>, ChainError> {
     let mut lambda = Vec::new();
-    for record in &records {
+    for record in records {
         lambda.extend_from_slice(record.values("lambda")?);
     }
     lambda.sort_by(f64::total_cmp);
     let at = |share: f64| lambda.get((share * (lambda.len() as f64 - 1.0)) as usize).copied();
     Ok(at(0.01).zip(at(0.99)).map(|(a, b)| [a, b]))
+}
+
+/// The designed record as it was run: lambda, and the least distance of what was demanded to its limits, as a share
+/// of the allowed range.
+fn designed(r: &ChainResult, spec: &CalibrateSpec) -> Result<Value, ChainError> {
+    let Some(design) = &r.design else { return Ok(Value::Null) };
+    let records = load_records(&design.folder, &design.result.records, spec.sample_time_s)?;
+    let d = &spec.design;
+    let mut least = f64::INFINITY;
+    for record in &records {
+        for (name, (low, high)) in [
+            ("torque_demand", d.torque_nm),
+            ("lambda_demand", d.lambda),
+            ("spark", d.spark_deg),
+            ("speed", d.speed_rpm),
+        ] {
+            let nearest =
+                record.values(name)?.iter().map(|v| (v - low).min(high - v)).fold(f64::INFINITY, f64::min);
+            least = least.min(nearest / (high - low));
+        }
+    }
+    // A level that is at its limit may round to either side of it.
+    let least = if least.abs() < 1e-12 { 0.0 } else { least };
+    Ok(json!({ "least_distance": least, "lambda_1_99": lambda_range(&records)? }))
 }
 
 /// Largest difference between what the dynamic map gives after a long held demand and its static part, relative to
