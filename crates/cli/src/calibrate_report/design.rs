@@ -81,7 +81,7 @@ fn safety(r: &DesignResult) -> Table {
         Column::number("2 x model error", "").digits(3),
         Column::text("Predicted"),
         Column::number("Least distance", "").digits(3),
-        Column::number("at", "s").digits(4),
+        Column::number("at time", "s").digits(4),
         Column::text("Measured"),
     ])
     .caption("Safety: predicted and measured outputs against the range that is demanded (negative distance: a transient leaves it)");
