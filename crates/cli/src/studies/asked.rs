@@ -34,14 +34,15 @@ impl Asked {
         }
     }
 
-    /// Of several runs, the number that is hardest to accept.
+    /// Of several runs, the number that is hardest to accept; their mean where nothing is asked.
     pub(super) fn worst(self, values: &[Option<f64>]) -> Option<f64> {
-        let all: Option<Vec<f64>> = values.iter().copied().collect();
+        let all = values.iter().copied().collect::<Option<Vec<f64>>>().filter(|v| !v.is_empty())?;
         let pick = match self {
             Asked::AtLeast(_) | Asked::Above(_) => f64::min,
-            Asked::AtMost(_) | Asked::Below(_) | Asked::Reported => f64::max,
+            Asked::AtMost(_) | Asked::Below(_) => f64::max,
+            Asked::Reported => return Some(all.iter().sum::<f64>() / all.len() as f64),
         };
-        all?.into_iter().reduce(pick)
+        all.into_iter().reduce(pick)
     }
 }
 
@@ -60,6 +61,7 @@ mod tests {
         assert_eq!(Asked::AtMost(2.5).worst(&[Some(1.0), None]), None);
         assert_eq!(Asked::AtMost(2.5).holds(None), Some(false));
         assert_eq!(Asked::Below(1.0).holds(Some(f64::NAN)), Some(false));
+        assert_eq!(Asked::Reported.worst(&values), Some(2.0));
         assert_eq!(Asked::Reported.holds(None), None);
     }
 }
