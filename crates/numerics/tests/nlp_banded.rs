@@ -130,3 +130,94 @@ fn the_nonlinear_bounded_problem_is_solved_to_a_kkt_point() {
     }
     assert!(active > 10, "the bounds are meant to matter");
 }
+
+/// The same problem with its variables in another order, by which neighbours in time are no longer neighbours: the
+/// factorisation then takes its general way instead of the one along the chain.
+struct Scattered {
+    of: Masses,
+    /// Variable `k` of this problem is variable `at[k]` of the other.
+    at: Vec<usize>,
+    place: Vec<usize>,
+    x: Vec<f64>,
+    buffer: Vec<f64>,
+}
+
+impl Scattered {
+    fn new(of: Masses) -> Self {
+        let n = of.n();
+        // A stride without a common factor with n.
+        let stride = (n * 5 / 13..).find(|&s| gcd(s, n) == 1).expect("n and n + 1 differ");
+        let at: Vec<usize> = (0..n).map(|k| k * stride % n).collect();
+        let mut place = vec![0; n];
+        at.iter().enumerate().for_each(|(k, &j)| place[j] = k);
+        Self { x: vec![0.0; n], buffer: vec![0.0; n], at, place, of }
+    }
+
+    fn load(&mut self, x: &[f64]) {
+        self.at.iter().zip(x).for_each(|(&j, v)| self.x[j] = *v);
+    }
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+impl SparseNlp for Scattered {
+    fn n(&self) -> usize {
+        self.of.n()
+    }
+    fn m(&self) -> usize {
+        self.of.m()
+    }
+    fn bounds(&self, lower: &mut [f64], upper: &mut [f64]) {
+        let (mut l, mut u) = (lower.to_vec(), upper.to_vec());
+        self.of.bounds(&mut l, &mut u);
+        self.at.iter().enumerate().for_each(|(k, &j)| (lower[k], upper[k]) = (l[j], u[j]));
+    }
+    fn start(&self, x: &mut [f64]) {
+        let mut full = x.to_vec();
+        self.of.start(&mut full);
+        self.at.iter().zip(x).for_each(|(&j, x)| *x = full[j]);
+    }
+    fn objective(&mut self, x: &[f64]) -> f64 {
+        self.load(x);
+        self.of.objective(&self.x)
+    }
+    fn gradient(&mut self, x: &[f64], grad: &mut [f64]) {
+        self.load(x);
+        self.of.gradient(&self.x, &mut self.buffer);
+        self.at.iter().zip(grad).for_each(|(&j, g)| *g = self.buffer[j]);
+    }
+    fn constraints(&mut self, x: &[f64], c: &mut [f64]) {
+        self.load(x);
+        self.of.constraints(&self.x, c);
+    }
+    fn jacobian_structure(&self) -> Vec<(usize, usize)> {
+        self.of.jacobian_structure().into_iter().map(|(r, c)| (r, self.place[c])).collect()
+    }
+    fn jacobian(&mut self, x: &[f64], values: &mut [f64]) {
+        self.load(x);
+        self.of.jacobian(&self.x, values);
+    }
+    fn hessian_structure(&self) -> Vec<(usize, usize)> {
+        let lower =
+            |(i, j): (usize, usize)| (self.place[i].max(self.place[j]), self.place[i].min(self.place[j]));
+        self.of.hessian_structure().into_iter().map(lower).collect()
+    }
+    fn hessian(&mut self, x: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]) {
+        self.load(x);
+        self.of.hessian(&self.x, sigma, multipliers, values);
+    }
+}
+
+#[test]
+fn the_order_of_the_variables_does_not_matter() {
+    let mut scattered = Scattered::new(Masses::nonlinear(300));
+    let found = solve(&mut scattered, &NlpOptions::default(), &|| false);
+    let straight = solve(&mut Masses::nonlinear(300), &NlpOptions::default(), &|| false);
+    assert_eq!((found.status, straight.status), (Status::Converged, Status::Converged));
+    assert!((found.objective - straight.objective).abs() < 1e-8 * straight.objective.abs());
+    for (&j, v) in scattered.at.iter().zip(&found.x) {
+        assert!((straight.x[j] - v).abs() < 1e-4, "variable {j}: {v} {}", straight.x[j]);
+    }
+}

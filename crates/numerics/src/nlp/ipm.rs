@@ -53,11 +53,13 @@ pub(super) struct Ipm<'a> {
 impl<'a> Ipm<'a> {
     pub(super) fn new(model: Model<'a>, options: NlpOptions) -> Self {
         let (n, m) = (model.n, model.m);
+        let bounded: Vec<bool> =
+            model.lower.iter().zip(&model.upper).map(|(l, u)| l.is_finite() || u.is_finite()).collect();
         let direction =
             || Direction { dx: vec![0.0; n], dlambda: vec![0.0; m], dzl: vec![0.0; n], dzu: vec![0.0; n] };
         Self {
             point: Point::new(&model),
-            kkt: Kkt::new(n, m, &model.hess_at, &model.jac_at),
+            kkt: Kkt::new(m, &model.hess_at, &model.jac_at, &bounded),
             filter: Filter::new(1.0),
             rule: BarrierRule::new(options.tolerance),
             direction: direction(),

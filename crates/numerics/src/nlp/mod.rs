@@ -11,6 +11,8 @@
 
 mod barrier;
 mod filter;
+mod front;
+mod frontal;
 mod ipm;
 mod iterate;
 mod kkt;
