@@ -1,7 +1,10 @@
 //! Parameter estimation: the contract, its table, and what every estimator reports.
 
 mod covariance;
+pub mod iv;
 pub mod ols;
+pub mod pem;
+pub mod rls;
 pub mod sem;
 
 use dynocal_numerics::linalg::LinalgError;
@@ -82,6 +85,9 @@ pub enum EstimateError {
     /// The data do not fit the task.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// The orders do not fit the channels.
+    #[error(transparent)]
+    Structure(#[from] crate::model::poly::StructureError),
     /// Least squares needs a model that is linear in its parameters.
     #[error(
         "{estimator}: the model is not linear in its {params} parameters; give a start point or another estimator"
@@ -136,6 +142,33 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
             }],
         },
         build: |keys| Ok(Box::new(registry::keys::<ols::Ols>("ols", keys)?)),
+    },
+    Member {
+        doc: MemberDoc {
+            name: "iv",
+            what: "instrumental variables from the free run of least squares, eqs. (2.18) to (2.21)",
+            params: &[
+                ParamDoc {
+                    name: "four_step",
+                    unit: "-",
+                    default: "true",
+                    what: "whether a noise model then filters the instruments",
+                },
+                ParamDoc {
+                    name: "noise_order",
+                    unit: "samples",
+                    default: "0",
+                    what: "order of that noise model; 0 for the number of parameters",
+                },
+                ParamDoc {
+                    name: "reference_order",
+                    unit: "samples",
+                    default: "4",
+                    what: "order of the models from an external reference, where there is one",
+                },
+            ],
+        },
+        build: |keys| Ok(Box::new(registry::keys::<iv::Iv>("iv", keys)?)),
     },
     Member {
         doc: MemberDoc {

@@ -11,6 +11,7 @@
 
 use dynocal_numerics::status::Status;
 
+pub mod linear;
 pub mod literature;
 pub mod poly;
 pub mod structures;

@@ -90,6 +90,18 @@ pub enum StructureError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// Orders that do not belong to the inputs one to one.
+    #[error("the model of `{output}` has orders for {found} inputs, expected {expected}: {}", .inputs.join(", "))]
+    Orders {
+        /// Output name.
+        output: String,
+        /// Inputs with orders.
+        found: usize,
+        /// Inputs.
+        expected: usize,
+        /// Their names.
+        inputs: Vec<String>,
+    },
     /// No regressor at all.
     #[error("the model of `{output}` has no regressor")]
     Empty {

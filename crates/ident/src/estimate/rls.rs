@@ -1,0 +1,106 @@
+//! Recursive least squares with forgetting, for online use.
+//!
+//! ```text
+//! theta(t) = argmin sum_s lambda^(t-s) (y(s) - phi(s)' theta)^2  +  lambda^t (theta - theta_0)' P_0^-1 (theta - theta_0)
+//!
+//! K = P phi / (lambda + phi'P phi)     theta += K (y - phi'theta)     P <- (P - K phi'P) / lambda
+//! ```
+//!
+//! P = S S' is carried by its root S (Potter's update), so that rounding cannot make it indefinite however long it
+//! runs; one update costs O(p^2).
+//!
+//! Reference: L. Ljung, System Identification (1999), section 11.2; G. J. Bierman, Factorization Methods for Discrete
+//! Sequential Estimation (1977), chapter V.
+
+/// Variances grow to this multiple of the start's at most, however long the excitation is missing.
+const LARGEST_GROWTH: f64 = 1e3;
+
+/// State of the recursion.
+///
+/// ```
+/// use dynocal_ident::estimate::rls::Rls;
+/// // y = 2 - 3 x, seen one sample after the other.
+/// let mut rls = Rls::new(&[0.0, 0.0], 1e8, 1.0);
+/// for x in [0.0, 1.0, 2.0, 3.0] {
+///     rls.update(&[1.0, x], 2.0 - 3.0 * x);
+/// }
+/// assert!((rls.theta()[0] - 2.0).abs() < 1e-6 && (rls.theta()[1] + 3.0).abs() < 1e-6);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Rls {
+    theta: Vec<f64>,
+    /// S with P = S S', p x p row-major.
+    root: Vec<f64>,
+    forgetting: f64,
+    largest: f64,
+    projected: Vec<f64>,
+    gain: Vec<f64>,
+}
+
+impl Rls {
+    /// Starts at `theta` with P = `variance` I; `forgetting` in (0, 1], 1 forgets nothing. Memory: `1/(1 - forgetting)`
+    /// samples.
+    ///
+    /// # Panics
+    /// When `variance` or `forgetting` are outside their ranges: they are the program's choice, not data.
+    pub fn new(theta: &[f64], variance: f64, forgetting: f64) -> Self {
+        assert!(forgetting > 0.0 && forgetting <= 1.0, "forgetting {forgetting} is not in (0, 1]");
+        assert!(variance > 0.0 && variance.is_finite(), "variance {variance} is not positive");
+        let p = theta.len();
+        let mut root = vec![0.0; p * p];
+        (0..p).for_each(|k| root[k * p + k] = variance.sqrt());
+        Self {
+            theta: theta.to_vec(),
+            root,
+            forgetting,
+            largest: LARGEST_GROWTH * variance,
+            projected: vec![0.0; p],
+            gain: vec![0.0; p],
+        }
+    }
+
+    /// Takes one sample with regressors `phi` (p) and output `y`; returns the error of the prediction before it.
+    /// A sample that is not finite changes nothing and gives NaN.
+    pub fn update(&mut self, phi: &[f64], y: f64) -> f64 {
+        let p = self.theta.len();
+        let error = y - phi.iter().zip(&self.theta).map(|(a, b)| a * b).sum::<f64>();
+        if !error.is_finite() {
+            return f64::NAN;
+        }
+        // f = S'phi, then K = S f / (lambda + f'f).
+        self.projected.fill(0.0);
+        for (row, x) in self.root.chunks_exact(p.max(1)).zip(phi) {
+            self.projected.iter_mut().zip(row).for_each(|(f, s)| *f += s * x);
+        }
+        let lambda = self.forgetting;
+        let beta = lambda + self.projected.iter().map(|f| f * f).sum::<f64>();
+        for (g, row) in self.gain.iter_mut().zip(self.root.chunks_exact(p.max(1))) {
+            *g = row.iter().zip(&self.projected).map(|(s, f)| s * f).sum();
+        }
+        let alpha = 1.0 / (beta + (lambda * beta).sqrt());
+        // Without excitation P would grow without bound in the directions that are not seen.
+        let growth = 1.0 / lambda.sqrt();
+        for i in 0..p {
+            let row = &mut self.root[i * p..(i + 1) * p];
+            row.iter_mut().zip(&self.projected).for_each(|(s, f)| *s -= alpha * self.gain[i] * f);
+            let variance: f64 = row.iter().map(|s| s * s).sum::<f64>() * growth * growth;
+            let factor = if variance > self.largest { (self.largest / variance).sqrt() } else { 1.0 };
+            row.iter_mut().for_each(|s| *s *= growth * factor);
+            self.theta[i] += self.gain[i] / beta * error;
+        }
+        error
+    }
+
+    /// Parameters (p).
+    pub fn theta(&self) -> &[f64] {
+        &self.theta
+    }
+
+    /// P (p x p row-major): covariance of the parameters in units of the noise variance.
+    pub fn covariance(&self) -> Vec<f64> {
+        let p = self.theta.len();
+        let row = |i: usize| &self.root[i * p..(i + 1) * p];
+        let entry = |i: usize, j: usize| row(i).iter().zip(row(j)).map(|(a, b)| a * b).sum();
+        (0..p * p).map(|ij| entry(ij / p, ij % p)).collect()
+    }
+}
