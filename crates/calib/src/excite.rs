@@ -104,8 +104,7 @@ pub fn aprbs(
     sample_time_s: f64,
     rng: &mut Rng64,
 ) -> Result<Vec<f64>, BuildError> {
-    let mut keys =
-        table(&[("lo", range.0), ("hi", range.1), ("hold_s", hold_s), ("phase_s", phase_s)]);
+    let mut keys = table(&[("lo", range.0), ("hi", range.1), ("hold_s", hold_s), ("phase_s", phase_s)]);
     keys.insert("levels".into(), toml::Value::Integer(levels as i64));
     let mut u = vec![0.0; n];
     signal::signal("aprbs", &keys)?.fill(&mut u, sample_time_s, rng)?;

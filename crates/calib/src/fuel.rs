@@ -77,7 +77,9 @@ pub enum FuelError {
     #[error(transparent)]
     Data(#[from] DataError),
     /// The demand cannot be formed.
-    #[error("the {output} model is unstable in free run on the start inputs of `{record}`: no demand can be formed from it")]
+    #[error(
+        "the {output} model is unstable in free run on the start inputs of `{record}`: no demand can be formed from it"
+    )]
     Unstable {
         /// Output.
         output: String,
@@ -85,7 +87,9 @@ pub enum FuelError {
         record: String,
     },
     /// The start itself breaks a limit.
-    #[error("start inputs of `{record}` break the limits: {channel} is {found} {unit} at sample {sample}, allowed {lower} to {upper}")]
+    #[error(
+        "start inputs of `{record}` break the limits: {channel} is {found} {unit} at sample {sample}, allowed {lower} to {upper}"
+    )]
     Start {
         /// Record.
         record: String,
@@ -132,8 +136,7 @@ pub fn minimise_fuel(
     check_start(spec, start, &names)?;
     let first = torque.structure.max_lag().max(lambda.structure.max_lag());
     let speed = start.values("speed")?;
-    let given: Vec<f64> =
-        speed.iter().flat_map(|s| [*s, crate::engine_model::cycle_s(*s)]).collect();
+    let given: Vec<f64> = speed.iter().flat_map(|s| [*s, crate::engine_model::cycle_s(*s)]).collect();
     let torque_run = ModelRun::new(torque, start, first)?;
     let lambda_run = ModelRun::new(lambda, start, first)?;
     let fuel_spec = FuelSpec {
@@ -149,8 +152,7 @@ pub fn minimise_fuel(
     let mut x0 = vec![0.0; problem.n()];
     problem.start(&mut x0);
     let start_fuel_kg_h = problem.fuel_kg_h(&x0);
-    let options =
-        NlpOptions { tolerance: spec.tolerance, max_iterations: spec.max_iterations, ..Default::default() };
+    let options = NlpOptions { tolerance: spec.tolerance, max_iterations: spec.max_iterations };
     let outcome = nlp::solve(&mut problem, &options, interrupt);
     let inputs = problem.inputs(&outcome.x);
     let torque_violation_nm = torque_run.violation(&inputs, &given, n);
@@ -173,7 +175,7 @@ fn check_start(spec: &OptimiseSpec, start: &Dataset, names: &[String]) -> Result
     for (name, (lower, upper)) in names.iter().zip([spec.inj_mg, spec.spark_deg, spec.throttle_deg]) {
         let channel = start.channel(name)?;
         let outside = |v: &f64| !(lower - 1e-9..=upper + 1e-9).contains(v);
-        if let Some(sample) = channel.values.iter().position(|v| outside(v)) {
+        if let Some(sample) = channel.values.iter().position(outside) {
             return Err(FuelError::Start {
                 record: start.name.clone(),
                 channel: name.clone(),

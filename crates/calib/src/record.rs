@@ -183,7 +183,7 @@ pub fn run_plan(bed: &mut Bed, name: &str, plan: &Plan) -> Result<Dataset, Plant
         let u = actuators(0, y);
         y = bed.step(&u)?;
     }
-    let mut columns: Vec<Vec<f64>> = vec![Vec::with_capacity(n); 6];
+    let mut columns: Vec<Vec<f64>> = (0..6).map(|_| Vec::with_capacity(n)).collect();
     for t in 0..n {
         let u = actuators(t, y);
         for (column, value) in columns.iter_mut().zip(u.iter().chain([&y.0, &y.1])) {

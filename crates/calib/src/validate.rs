@@ -89,7 +89,7 @@ pub fn random_points(spec: &ValidateSpec, sample_time_s: f64, rng: &mut Rng64) -
 /// Torque steps between two levels at constant speed.
 pub fn torque_steps(spec: &ValidateSpec, sample_time_s: f64) -> Scenario {
     let hold = (spec.step_s / sample_time_s).round() as usize;
-    let level = |k: usize| if k % 2 == 0 { spec.step_nm.0 } else { spec.step_nm.1 };
+    let level = |k: usize| if k.is_multiple_of(2) { spec.step_nm.0 } else { spec.step_nm.1 };
     let demand = (0..=spec.steps)
         .flat_map(|k| {
             let r = Reference { torque_nm: level(k), lambda: 1.0, speed_rpm: spec.step_speed_rpm };
@@ -243,7 +243,8 @@ fn score_one(
         lambda_spike_rich: rich,
         economy_nm_mg: m.torque.iter().sum::<f64>() / m.inj.iter().sum::<f64>(),
         lambda_error_mean: m.lambda.iter().map(|l| (l - 1.0).abs()).sum::<f64>() / n as f64,
-        economy_equal_lambda_nm_mg: Some(sum(m.torque, comparable) / sum(m.inj, comparable)).filter(|v| v.is_finite()),
+        economy_equal_lambda_nm_mg: Some(sum(m.torque, comparable) / sum(m.inj, comparable))
+            .filter(|v| v.is_finite()),
     }
 }
 

@@ -3,8 +3,8 @@
 use super::spec::CalibrateSpec;
 use crate::control::LoopGains;
 use crate::fuel::FuelError;
-use crate::map::structured::MapError;
 use crate::map::MapLimits;
+use crate::map::structured::MapError;
 use crate::record::{ActuatorLimits, Bed, Plan, run_plan};
 use dynocal_files::FilesError;
 use dynocal_files::csv_io;
@@ -47,7 +47,9 @@ pub enum ChainError {
     #[error("design: {0}")]
     Design(String),
     /// A real bed must measure first.
-    #[error("the plan `{plan}` waits to be run on the bed: put the measured record at `{measured}` (columns inj [mg], spark [deg], throttle [deg], speed [rpm], torque [Nm], lambda [-]) and start again: finished steps are kept")]
+    #[error(
+        "the plan `{plan}` waits to be run on the bed: put the measured record at `{measured}` (columns inj [mg], spark [deg], throttle [deg], speed [rpm], torque [Nm], lambda [-]) and start again: finished steps are kept"
+    )]
     NeedsMeasurement {
         /// Plan that was written.
         plan: String,
@@ -157,7 +159,13 @@ impl Context<'_> {
     ///
     /// # Errors
     /// [`ChainError`].
-    pub fn measure(&self, folder: &Path, name: &str, plan: &Plan, noise: bool) -> Result<Dataset, ChainError> {
+    pub fn measure(
+        &self,
+        folder: &Path,
+        name: &str,
+        plan: &Plan,
+        noise: bool,
+    ) -> Result<Dataset, ChainError> {
         self.check_interrupt()?;
         if self.plants.is_some() {
             let mut plant = self.plant(noise)?;
@@ -236,7 +244,11 @@ pub fn save_records(folder: &Path, records: &[Dataset]) -> Result<Vec<RecordRef>
 ///
 /// # Errors
 /// [`FilesError`].
-pub fn load_records(folder: &Path, refs: &[RecordRef], sample_time_s: f64) -> Result<Vec<Dataset>, FilesError> {
+pub fn load_records(
+    folder: &Path,
+    refs: &[RecordRef],
+    sample_time_s: f64,
+) -> Result<Vec<Dataset>, FilesError> {
     refs.iter()
         .map(|r| {
             let mut d = read_record(&folder.join(&r.file), &r.name)?;

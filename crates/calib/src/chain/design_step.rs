@@ -129,9 +129,7 @@ pub fn design(
     );
     let (designed, rival) = (designed?, rival?);
     (ctx.tell)(Event::Fraction(0.7));
-    let with = |extra: &Dataset| -> Vec<Dataset> {
-        identification.iter().chain([extra]).cloned().collect()
-    };
+    let with = |extra: &Dataset| -> Vec<Dataset> { identification.iter().chain([extra]).cloned().collect() };
     let (torque, lambda) = identify_pair(ctx, &with(&designed), validation)?;
     (ctx.tell)(Event::Fraction(0.85));
     let (torque_rival, lambda_rival) = identify_pair(ctx, &with(&rival), validation)?;
@@ -217,7 +215,8 @@ fn planned(ctx: &Context, models: &ModelsResult, identification: &[Dataset]) -> 
 /// Bounded quasi-Newton on the criterion's logarithm-free value: D is already one, and it is the default.
 fn search(ctx: &Context, objective: &mut ReferenceObjective, start: &[f64]) -> Outcome {
     let (lower, upper) = objective.bounds.clone();
-    let z: Vec<f64> = start.iter().zip(lower.iter().zip(&upper)).map(|(x, (a, b))| (x - a) / (b - a)).collect();
+    let z: Vec<f64> =
+        start.iter().zip(lower.iter().zip(&upper)).map(|(x, (a, b))| (x - a) / (b - a)).collect();
     let bounds = Bounds { lower: vec![0.0; z.len()], upper: vec![1.0; z.len()] };
     let budget = Budget {
         evaluations: ctx.spec.design.max_evaluations,
@@ -228,7 +227,12 @@ fn search(ctx: &Context, objective: &mut ReferenceObjective, start: &[f64]) -> O
 }
 
 /// D and AI of the start and of the design, on top of what the earlier records tell.
-fn criteria(n: usize, known: &[Known; 2], start: &[f64], design: &[f64]) -> Result<Vec<CriterionValue>, ChainError> {
+fn criteria(
+    n: usize,
+    known: &[Known; 2],
+    start: &[f64],
+    design: &[f64],
+) -> Result<Vec<CriterionValue>, ChainError> {
     ["d", "ai"]
         .iter()
         .map(|name| {
@@ -323,8 +327,7 @@ fn prior(model: &EngineModel, records: &[Dataset]) -> Result<Vec<f64>, ChainErro
     let mut all = Vec::new();
     for record in records {
         let u = model.input_rows(record)?;
-        let y: Vec<f64> =
-            record.values(&model.output)?.iter().map(|v| model.transform.apply(*v)).collect();
+        let y: Vec<f64> = record.values(&model.output)?.iter().map(|v| model.transform.apply(*v)).collect();
         let n = y.len();
         let (mut out, mut s) = (vec![0.0; n], vec![0.0; n * p]);
         let start = model.structure.max_lag();

@@ -153,8 +153,15 @@ fn published(
         ctx.check_interrupt()?;
         let experiments = shifted(data, c);
         // The least-squares start of these structures is often unstable: several starts are worth their time.
-        let sem = Sem { max_evaluations: 100, restarts: 3, seed: ctx.spec.seed, cost_tolerance: 1e-8, ..Sem::default() };
-        let jobs: [(&str, &dyn Estimator); 2] = [("one-step error", &Ols::default()), ("simulation error", &sem)];
+        let sem = Sem {
+            max_evaluations: 100,
+            restarts: 3,
+            seed: ctx.spec.seed,
+            cost_tolerance: 1e-8,
+            ..Sem::default()
+        };
+        let jobs: [(&str, &dyn Estimator); 2] =
+            [("one-step error", &Ols::default()), ("simulation error", &sem)];
         for (estimator, job) in jobs {
             let fit = job.estimate(model, &experiments, None, &|| (ctx.interrupt)());
             let (r2, status) = match &fit {

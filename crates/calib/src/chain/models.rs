@@ -6,8 +6,8 @@ use crate::engine_model::{CYCLE, EngineModel, Transform, with_derived};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::{Estimator, Fit, ols::Ols, sem::Sem};
 use dynocal_ident::experiment::{Experiment, experiments};
-use dynocal_ident::model::literature;
 use dynocal_ident::model::Model as _;
+use dynocal_ident::model::literature;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::frols::{Stop, frols};
 use dynocal_ident::select::pool::PoolSpec;
@@ -122,9 +122,10 @@ fn identify_output(
     let published = published_structure(output)?;
     let (structure, transform) = select(ctx, output, ident)?;
     let mut candidates = Vec::new();
-    for (structure, transform, kind) in
-        [(&published, Transform::Identity, "published structure (7.8)"), (&structure, transform, "selected structure")]
-    {
+    for (structure, transform, kind) in [
+        (&published, Transform::Identity, "published structure (7.8)"),
+        (&structure, transform, "selected structure"),
+    ] {
         let task = Task { output, transform, ident, val };
         for (estimator, label) in estimators(spec) {
             let name = format!("{kind}, {label}");
@@ -139,19 +140,11 @@ fn identify_output(
 }
 
 fn estimators(spec: &IdentifySpec) -> [(Box<dyn Estimator>, &'static str); 2] {
-    [
-        (Box::new(Ols::default()), "one-step error"),
-        (Box::new(simulation_error(spec)), "simulation error"),
-    ]
+    [(Box::new(Ols::default()), "one-step error"), (Box::new(simulation_error(spec)), "simulation error")]
 }
 
 fn simulation_error(spec: &IdentifySpec) -> Sem {
-    Sem {
-        max_evaluations: spec.max_evaluations,
-        cost_tolerance: 1e-6,
-        ridge: spec.ridge,
-        ..Sem::default()
-    }
+    Sem { max_evaluations: spec.max_evaluations, cost_tolerance: 1e-6, ridge: spec.ridge, ..Sem::default() }
 }
 
 /// Inputs of every engine model, in this order: the actuators and the derived cycle duration.
@@ -162,8 +155,10 @@ pub fn model_inputs() -> Vec<String> {
 /// The published structure over [`model_inputs`], so that all models of a campaign share their inputs.
 fn published_structure(output: &str) -> Result<PolyNarx, ChainError> {
     let model = if output == "torque" { literature::torque_7_8() } else { literature::lambda_7_8() }.model;
-    PolyNarx::parse(&model_inputs(), output, &model.regressor_texts())
-        .map_err(|e| ChainError::Identify { what: format!("published {output} model"), reason: e.to_string() })
+    PolyNarx::parse(&model_inputs(), output, &model.regressor_texts()).map_err(|e| ChainError::Identify {
+        what: format!("published {output} model"),
+        reason: e.to_string(),
+    })
 }
 
 /// Structure by forward selection (FROLS) from the pool of the feasibility study.

@@ -163,9 +163,8 @@ fn wish(ctx: &Context, k: usize) -> Result<Wish, ChainError> {
     let spark = level(ctx.spec.excite.spark_deg, 5, 3.0)?;
     let e = &ctx.spec.excite;
     let speed = speed_sweep(e, e.sweep_s + 1.3 * k as f64, n, dt)?;
-    let reference = (0..n)
-        .map(|t| Reference { torque_nm: torque[t], lambda: lambda[t], speed_rpm: speed[t] })
-        .collect();
+    let reference =
+        (0..n).map(|t| Reference { torque_nm: torque[t], lambda: lambda[t], speed_rpm: speed[t] }).collect();
     Ok(Wish { reference, spark_deg: rate_limited(&spark, spec.start_spark_rate_deg) })
 }
 

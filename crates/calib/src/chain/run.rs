@@ -216,7 +216,12 @@ fn step_invert(
         })?;
         let optima = with_init(ctx, optima)?;
         let done = invert(ctx, &optima, &last.torque.best().model, &last.lambda.best().model)?;
-        dynocal_files::json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 1, &done.dynamic)?;
+        dynocal_files::json::write_versioned(
+            &path.join("dynamic_map.json"),
+            "dynocal/dynamic-map",
+            1,
+            &done.dynamic,
+        )?;
         Ok(done)
     })
 }
@@ -231,7 +236,12 @@ fn step_validate(
     run_step(ctx, folder, "validate", &inputs, |path| {
         let last = optimise.result.passes.last().ok_or(ChainError::Interrupted)?;
         let done = validate(ctx, path, &invert.result, last, &optimise.folder)?;
-        dynocal_files::json::write_versioned(&path.join("static_map.json"), "dynocal/static-map", 1, &done.static_map)?;
+        dynocal_files::json::write_versioned(
+            &path.join("static_map.json"),
+            "dynocal/static-map",
+            1,
+            &done.static_map,
+        )?;
         Ok(done)
     })
 }
@@ -240,10 +250,6 @@ fn step_validate(
 ///
 /// # Errors
 /// [`ChainError`].
-pub fn step_records(
-    ctx: &Context,
-    folder: &Path,
-    refs: &[RecordRef],
-) -> Result<Vec<Dataset>, ChainError> {
+pub fn step_records(ctx: &Context, folder: &Path, refs: &[RecordRef]) -> Result<Vec<Dataset>, ChainError> {
     with_init(ctx, load_records(folder, refs, ctx.spec.sample_time_s)?)
 }

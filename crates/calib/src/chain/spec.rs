@@ -66,7 +66,12 @@ pub struct PlantSpec {
 
 impl Default for PlantSpec {
     fn default() -> Self {
-        Self { name: "virtual_engine".into(), parameters: "thesis".into(), torque_noise_nm: 0.0, lambda_noise: 0.0 }
+        Self {
+            name: "virtual_engine".into(),
+            parameters: "thesis".into(),
+            torque_noise_nm: 0.0,
+            lambda_noise: 0.0,
+        }
     }
 }
 
@@ -90,7 +95,14 @@ pub struct IdentifySpec {
 
 impl Default for IdentifySpec {
     fn default() -> Self {
-        Self { torque_terms: 30, lambda_terms: 40, surplus_terms: 30, ridge: 1e-5, init_samples: 10, max_evaluations: 60 }
+        Self {
+            torque_terms: 30,
+            lambda_terms: 40,
+            surplus_terms: 30,
+            ridge: 1e-5,
+            init_samples: 10,
+            max_evaluations: 60,
+        }
     }
 }
 
@@ -168,7 +180,7 @@ impl Default for ChainOptimiseSpec {
             record_s: 60.0,
             torque_nm: (12.0, 88.0),
             lambda: (0.95, 1.05),
-            hold_s: 1.8,
+            hold_s: 1.5,
             start_spark_rate_deg: 0.8,
             program: OptimiseSpec::default(),
         }

@@ -21,8 +21,25 @@ const AHEAD: [usize; 3] = [2, 4, 7];
 fn static_terms(r: &Reference, spark_deg: f64) -> [f64; STATIC] {
     let [t, l, n, i, s] = scaled(r, spark_deg);
     [
-        1.0, t, t * t, t * t * t, n, n * n, i, t * n, t * i, t * t * n, l, l * l, l * t, l * n, s, s * s, s * t,
-        s * n, s * s * t,
+        1.0,
+        t,
+        t * t,
+        t * t * t,
+        n,
+        n * n,
+        i,
+        t * n,
+        t * i,
+        t * t * n,
+        l,
+        l * l,
+        l * t,
+        l * n,
+        s,
+        s * s,
+        s * t,
+        s * n,
+        s * s * t,
     ]
 }
 
@@ -35,10 +52,16 @@ fn static_derivatives(r: &Reference, spark_deg: f64) -> [[f64; STATIC]; 4] {
     let scale = |row: [f64; STATIC], by: f64| row.map(|v| v * by);
     let o = 0.0;
     [
-        scale([o, 1.0, 2.0 * t, 3.0 * t * t, o, o, o, n, i, 2.0 * t * n, o, o, l, o, o, o, s, o, s * s], 1.0 / 50.0),
+        scale(
+            [o, 1.0, 2.0 * t, 3.0 * t * t, o, o, o, n, i, 2.0 * t * n, o, o, l, o, o, o, s, o, s * s],
+            1.0 / 50.0,
+        ),
         scale([o, o, o, o, o, o, o, o, o, o, 1.0, 2.0 * l, t, n, o, o, o, o, o], 1.0 / 0.1),
         // n = N/2000 grows, i = 2000/N falls with speed: dn = n d, di = -i d.
-        scale([o, o, o, o, n, 2.0 * n * n, -i, t * n, -t * i, t * t * n, o, o, o, l * n, o, o, o, s * n, o], d),
+        scale(
+            [o, o, o, o, n, 2.0 * n * n, -i, t * n, -t * i, t * t * n, o, o, o, l * n, o, o, o, s * n, o],
+            d,
+        ),
         scale([o, o, o, o, o, o, o, o, o, o, o, o, o, o, 1.0, 2.0 * s, t, n, 2.0 * s * t], 1.0 / 15.0),
     ]
 }
@@ -151,8 +174,7 @@ mod tests {
     fn derivatives_agree_with_central_differences() {
         let limits = MapLimits { lower: [-1e6; 3], upper: [1e6; 3] };
         let coefficients: Vec<f64> = (0..STATIC).map(|k| 1.0 + 0.3 * (k as f64).sin()).collect();
-        let rule =
-            StartRule { coefficients: [coefficients.clone(), coefficients], limits, ahead: false };
+        let rule = StartRule { coefficients: [coefficients.clone(), coefficients], limits, ahead: false };
         let (r, spark) = (Reference { torque_nm: 37.0, lambda: 1.04, speed_rpm: 1650.0 }, 13.0);
         let exact = rule.derivatives(&r, spark);
         let value = |v: [f64; 4]| {

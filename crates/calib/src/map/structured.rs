@@ -43,7 +43,7 @@ impl Default for StructuredShape {
             torque_offsets: vec![4, 3, 2, 1, -2, -6],
             lambda_offsets: vec![4, 2, -2],
             speed_offsets: vec![3, -3],
-            ridge: 1e-7,
+            ridge: 1e-4,
             steady_weight: 11.0,
             steady_torque_nm: 1.5,
             steady_lambda: 0.015,
@@ -71,7 +71,11 @@ impl Region {
                 .map(f)
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)))
         };
-        Self { torque_nm: span(|r| r.torque_nm), lambda: span(|r| r.lambda), speed_rpm: span(|r| r.speed_rpm) }
+        Self {
+            torque_nm: span(|r| r.torque_nm),
+            lambda: span(|r| r.lambda),
+            speed_rpm: span(|r| r.speed_rpm),
+        }
     }
 
     /// `r` moved to the nearest point of the region.
@@ -139,8 +143,8 @@ fn static_terms(r: &Reference, row: &mut Vec<f64>) {
 /// Names of the coefficients, in order (T in units of 50 Nm, N of 2000 rpm, L = (lambda - 1) / 0.1).
 pub fn term_names(shape: &StructuredShape) -> Vec<String> {
     let mut names: Vec<String> = [
-        "1", "T", "T^2", "T^3", "N", "N^2", "1/N", "T*N", "T/N", "T^2*N", "T^2/N", "T*N^2", "L", "L^2", "L*T",
-        "L*N", "L/N", "L*T*N",
+        "1", "T", "T^2", "T^3", "N", "N^2", "1/N", "T*N", "T/N", "T^2*N", "T^2/N", "T*N^2", "L", "L^2",
+        "L*T", "L*N", "L/N", "L*T*N",
     ]
     .iter()
     .map(|s| (*s).to_string())
@@ -266,7 +270,8 @@ impl FeedforwardMap for StructuredMap {
                 let at = |k: i32| {
                     let i = late(t, k);
                     // Speed is measured, not demanded: the map's centre uses the present one.
-                    let speed = demand[if k > 0 { t } else { (t as i64 + i64::from(k)).max(0) as usize }].speed_rpm;
+                    let speed =
+                        demand[if k > 0 { t } else { (t as i64 + i64::from(k)).max(0) as usize }].speed_rpm;
                     self.region.clamp(Reference {
                         torque_nm: filtered[i],
                         lambda: demand[i].lambda,
@@ -316,7 +321,11 @@ mod tests {
                 let ahead = r[(t + 4).min(r.len() - 1)].torque_nm - r[t].torque_nm;
                 let i = 2000.0 / r[t].speed_rpm;
                 let torque = r[t].torque_nm;
-                [4.0 + 0.18 * torque + 0.05 * ahead, 25.0 - 0.1 * torque * i, 5.0 + 0.2 * torque + 0.3 * ahead * i]
+                [
+                    4.0 + 0.18 * torque + 0.05 * ahead,
+                    25.0 - 0.1 * torque * i,
+                    5.0 + 0.2 * torque + 0.3 * ahead * i,
+                ]
             })
             .collect();
         let data = [Pairs { response: &r[..1900], actuators: &u[..1900] }];
