@@ -9,10 +9,12 @@
 //! Everything else stands on what this trait gives: estimation, covariance, information matrices, exact
 //! design gradients and fuel optimisation. All work goes to buffers that the caller owns.
 
+use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
 pub mod linear;
 pub mod literature;
+pub mod neural;
 pub mod poly;
 pub mod structures;
 
@@ -58,6 +60,11 @@ pub trait Model: Send + Sync {
 
     /// Whether the one-step prediction is linear in theta (then least squares is direct).
     fn is_linear_in_params(&self) -> bool;
+
+    /// Parameters (p) to start a search from, for models that have no least-squares start.
+    fn random_start(&self, _rng: &mut Rng64) -> Option<Vec<f64>> {
+        None
+    }
 
     /// Free run: `y[..start]` is copied from `run.y`, the rest computed.
     ///

@@ -36,6 +36,15 @@ fn cases() -> Vec<Case> {
             keys.insert("degree".into(), 3.into());
             keys.insert("output_products".into(), true.into());
         }
+        if member.doc.name == "neural" {
+            // Two output lags and ranges that are not [-1, 1], so that no scale can be forgotten.
+            keys.insert("output_lags".into(), 2.into());
+            keys.insert("hidden".into(), 4.into());
+            let range = |lo: f64, hi: f64| toml::Value::from(vec![lo, hi]);
+            let ranges = [("a", range(-1.0, 2.0)), ("b", range(-0.5, 0.5)), ("y", range(-3.0, 1.0))];
+            let table: toml::Table = ranges.into_iter().map(|(k, v)| (k.to_string(), v)).collect();
+            keys.insert("ranges".into(), toml::Value::Table(table));
+        }
         let inputs: Vec<String> = ["a", "b", "c", "d"].iter().map(|s| s.to_string()).collect();
         let model = (member.build)(&keys).unwrap().model(&inputs, "y").unwrap();
         let mut rng = Rng64::stream(11, i as u64);
