@@ -66,6 +66,11 @@ pub struct FuelProblem<'a> {
     rate_rows: usize,
     hessian_structure: Vec<(usize, usize)>,
     increment_slots: Vec<[usize; 3]>,
+    /// Where `gradients` and each equality's `seconds` were taken: one pass gives both, and the interior point
+    /// asks for both at the same point.
+    derived_at: Vec<f64>,
+    /// Entries of the Jacobian's equality rows.
+    gradients: Vec<f64>,
 }
 
 struct EqualityRows<'a> {
@@ -81,6 +86,8 @@ struct EqualityRows<'a> {
     predicted: Vec<f64>,
     grad: Vec<f64>,
     hess: Vec<f64>,
+    /// Second derivatives of all rows at `derived_at`, `[row * pairs + pair]`.
+    seconds: Vec<f64>,
 }
 
 impl<'a> FuelProblem<'a> {
@@ -112,6 +119,7 @@ impl<'a> FuelProblem<'a> {
                     predicted: vec![0.0; n_samples],
                     grad: vec![0.0; w],
                     hess: vec![0.0; w * w],
+                    seconds: Vec::new(),
                     eq,
                 }
             })
@@ -128,6 +136,8 @@ impl<'a> FuelProblem<'a> {
             rate_rows,
             hessian_structure: Vec::new(),
             increment_slots: Vec::new(),
+            derived_at: Vec::new(),
+            gradients: Vec::new(),
         };
         problem.lay_out_hessian();
         problem
@@ -220,6 +230,34 @@ impl<'a> FuelProblem<'a> {
     fn load(&mut self, x: &[f64]) {
         for row in &mut self.equalities {
             row.load(&self.spec, x, false);
+        }
+    }
+
+    /// First and second derivatives of the models at `x`.
+    fn differentiate(&mut self, x: &[f64]) {
+        let x = &x[..self.decisions];
+        if self.derived_at == x {
+            return;
+        }
+        self.load(x);
+        self.derived_at.clear();
+        self.derived_at.extend_from_slice(x);
+        self.gradients.clear();
+        let (first, n) = (self.spec.first, self.n_samples);
+        let decided = |t: usize| t >= first && t + 1 < n;
+        for row in &mut self.equalities {
+            let w = row.window.len();
+            let run = Run { u: &row.u, y: row.eq.demand, start: first };
+            row.seconds.clear();
+            for t in first + 1..n {
+                row.eq.model.window_derivatives(row.eq.theta, &run, t, &mut row.grad, &mut row.hess);
+                for (entry, g) in row.window.iter().zip(&row.grad) {
+                    if entry.is_some_and(|(_, lag)| decided(t - lag)) {
+                        self.gradients.push(*g);
+                    }
+                }
+                row.seconds.extend(row.pairs.iter().map(|&(a, b)| row.hess[a * w + b]));
+            }
         }
     }
 }
@@ -368,22 +406,9 @@ impl SparseNlp for FuelProblem<'_> {
     }
 
     fn jacobian(&mut self, x: &[f64], values: &mut [f64]) {
-        self.load(x);
-        let (first, n) = (self.spec.first, self.n_samples);
-        let decided = |t: usize| t >= first && t + 1 < n;
-        let mut e = 0;
-        for row in &mut self.equalities {
-            let run = Run { u: &row.u, y: row.eq.demand, start: first };
-            for t in first + 1..n {
-                row.eq.model.window_derivatives(row.eq.theta, &run, t, &mut row.grad, &mut row.hess);
-                for (entry, g) in row.window.iter().zip(&row.grad) {
-                    if entry.is_some_and(|(_, lag)| decided(t - lag)) {
-                        values[e] = *g;
-                        e += 1;
-                    }
-                }
-            }
-        }
+        self.differentiate(x);
+        let mut e = self.gradients.len();
+        values[..e].copy_from_slice(&self.gradients);
         for r in 0..self.rate_rows {
             values[e] = 1.0;
             e += 1;
@@ -401,23 +426,19 @@ impl SparseNlp for FuelProblem<'_> {
     }
 
     fn hessian(&mut self, x: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]) {
-        self.load(x);
+        self.differentiate(x);
         values.fill(0.0);
-        let mut k = 0;
-        for row in &mut self.equalities {
-            let w = row.window.len();
-            let run = Run { u: &row.u, y: row.eq.demand, start: self.spec.first };
-            let mut s = 0;
-            for t in self.spec.first + 1..self.n_samples {
-                row.eq.model.window_derivatives(row.eq.theta, &run, t, &mut row.grad, &mut row.hess);
-                for &(a, b) in &row.pairs {
-                    let slot = row.slots[s];
-                    s += 1;
+        let mut multiplier = multipliers.iter();
+        for row in &self.equalities {
+            let samples = self.n_samples - 1 - self.spec.first;
+            let pairs = row.pairs.len();
+            for (k, m) in multiplier.by_ref().take(samples).enumerate() {
+                let range = k * pairs..(k + 1) * pairs;
+                for (&slot, second) in row.slots[range.clone()].iter().zip(&row.seconds[range]) {
                     if slot != usize::MAX {
-                        values[slot] += multipliers[k] * row.hess[a * w + b];
+                        values[slot] += m * second;
                     }
                 }
-                k += 1;
             }
         }
         let mean = 2.0 * sigma / (self.decisions / CHANNELS) as f64;

@@ -1,7 +1,7 @@
 //! The dense front of [`super::frontal`]: partial factorisation with threshold pivoting.
 
 /// Largest entry of L is 1 over this.
-const THRESHOLD: f64 = 0.01;
+const THRESHOLD: f64 = 1e-4;
 /// What is smaller than this times the largest original entry of its row is zero to rounding.
 const ZERO: f64 = 10.0 * f64::EPSILON;
 /// Share of a 2x2 determinant that must survive its subtraction.
@@ -75,7 +75,7 @@ impl Front {
     /// largest over the fully summed ones stands.
     #[inline(always)]
     fn largest(&self, c: usize, but: usize) -> (f64, f64, usize) {
-        let (mut all, mut best, mut at) = (0.0f64, 0.0f64, c);
+        let (mut best, mut at) = (0.0f64, c);
         for j in self.done..self.summed {
             let v = if j == c || j == but { 0.0 } else { self.at(c, j).abs() };
             if v > best {
@@ -83,7 +83,8 @@ impl Front {
             }
         }
         let below = &self.a[c * self.most + self.summed..c * self.most + self.width];
-        all = below.iter().fold(all, |m, v| m.max(v.abs())).max(best);
+        let larger = |m: f64, v: f64| if v > m { v } else { m };
+        let all = below.iter().fold(best, |m, v| larger(m, v.abs()));
         (all, best, at)
     }
 

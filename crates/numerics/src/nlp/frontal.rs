@@ -16,7 +16,7 @@
 use super::front::{Front, Pivot};
 
 /// Columns that are taken up together.
-const TOGETHER: usize = 8;
+const TOGETHER: usize = 6;
 /// Widest front that is worth it: beyond, a tree of fronts wins.
 const WIDEST: usize = 64;
 /// Room for delayed pivots beside the widest front.
@@ -149,7 +149,7 @@ impl Frontal {
 
     /// Factorises the matrix with these values; none when the delayed pivots do not fit into the front.
     pub(super) fn factor(&mut self, values: &[f64]) -> Option<Signs> {
-        pulp::Arch::new().dispatch(|| self.factor_wide(values))
+        pulp::Arch::new().dispatch(Factor(self, values))
     }
 
     #[inline(always)]
@@ -237,7 +237,7 @@ impl Frontal {
 
     /// Solves with the last factorisation, which must have found all pivots.
     pub(super) fn solve(&mut self, rhs: &[f64], out: &mut [f64]) {
-        pulp::Arch::new().dispatch(|| self.solve_wide(rhs, out));
+        pulp::Arch::new().dispatch(Solve(self, rhs, out));
     }
 
     #[inline(always)]
@@ -264,6 +264,28 @@ impl Frontal {
         for k in 0..*order {
             out[k] = x[position[k]];
         }
+    }
+}
+
+/// Compiled once for each width of vectors; plain closures would not be.
+struct Factor<'a>(&'a mut Frontal, &'a [f64]);
+struct Solve<'a>(&'a mut Frontal, &'a [f64], &'a mut [f64]);
+
+impl pulp::WithSimd for Factor<'_> {
+    type Output = Option<Signs>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Option<Signs> {
+        self.0.factor_wide(self.1)
+    }
+}
+
+impl pulp::WithSimd for Solve<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        self.0.solve_wide(self.1, self.2);
     }
 }
 
