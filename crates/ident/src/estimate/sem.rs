@@ -61,7 +61,10 @@ impl Estimator for Sem {
                 return Err(EstimateError::Start { found: theta.len(), expected: model.n_params() });
             }
             Some(theta) => theta.to_vec(),
-            None => least_squares_start(model, data, samples, self.ridge, &mut problem, &mut warnings)?,
+            None => match model.random_start(&mut Rng64::stream(self.seed, 0)) {
+                Some(theta) => theta,
+                None => least_squares_start(model, data, samples, self.ridge, &mut problem, &mut warnings)?,
+            },
         };
         if !problem.cost(&start).is_finite() {
             return Err(problem.unstable(&start));
@@ -90,7 +93,7 @@ impl Sem {
                 break;
             }
             let mut rng = Rng64::stream(self.seed, 1 + i as u64);
-            let x0: Vec<f64> = start.iter().map(|v| v * (1.0 + self.spread * rng.normal())).collect();
+            let x0 = further_start(problem.model, start, self.spread, &mut rng);
             let other = levenberg_marquardt_interruptible(problem, &x0, &options, interrupt);
             let evaluations = best.evaluations + other.evaluations;
             // A diverged start has infinite cost and never wins.
@@ -103,18 +106,25 @@ impl Sem {
     }
 }
 
+/// Random parameters where the model has such, else `start` with a relative spread.
+pub(super) fn further_start(model: &dyn Model, start: &[f64], spread: f64, rng: &mut Rng64) -> Vec<f64> {
+    model
+        .random_start(rng)
+        .unwrap_or_else(|| start.iter().map(|v| v * (1.0 + spread * rng.normal())).collect())
+}
+
 /// The residuals of all experiments, one row per sample; rows before the first scored sample are zero.
-struct SimulationError<'a> {
+pub(super) struct SimulationError<'a> {
     model: &'a dyn Model,
     data: &'a [Experiment],
     rows: usize,
     y: Vec<f64>,
     /// Weight of each parameter; empty without ridge.
-    ridge: Vec<f64>,
+    pub(super) ridge: Vec<f64>,
 }
 
 impl<'a> SimulationError<'a> {
-    fn new(model: &'a dyn Model, data: &'a [Experiment], ridge: f64, samples: usize) -> Self {
+    pub(super) fn new(model: &'a dyn Model, data: &'a [Experiment], ridge: f64, samples: usize) -> Self {
         let longest = data.iter().map(Experiment::len).max().unwrap_or(0);
         let rows = data.iter().map(Experiment::len).sum();
         let ridge = if ridge > 0.0 { ridge_weights(model, data, ridge, samples) } else { Vec::new() };
@@ -127,14 +137,20 @@ impl<'a> SimulationError<'a> {
     }
 
     /// Sum of squares; infinite when a free run diverges.
-    fn cost(&mut self, theta: &[f64]) -> f64 {
+    pub(super) fn cost(&mut self, theta: &[f64]) -> f64 {
         let mut r = vec![0.0; self.residuals()];
         let cost: f64 =
             if self.residual(theta, &mut r) { r.iter().map(|v| v * v).sum() } else { f64::INFINITY };
         if cost.is_finite() { cost } else { f64::INFINITY }
     }
 
-    fn unstable(&mut self, theta: &[f64]) -> EstimateError {
+    /// Mean of the squared (weighted) errors over the scored samples; infinite when a free run diverges.
+    pub(super) fn mean_square(&mut self, theta: &[f64]) -> f64 {
+        let samples: usize = self.data.iter().map(|e| e.len().saturating_sub(e.first(self.model))).sum();
+        self.cost(theta) / samples.max(1) as f64
+    }
+
+    pub(super) fn unstable(&mut self, theta: &[f64]) -> EstimateError {
         let model = short_name(&names(self.model));
         for e in self.data {
             let y = &mut self.y[..e.len()];
@@ -148,7 +164,7 @@ impl<'a> SimulationError<'a> {
         EstimateError::Unstable { model, record, sample: 0 }
     }
 
-    fn report(
+    pub(super) fn report(
         &mut self,
         found: LmOutcome,
         samples: usize,
@@ -271,7 +287,7 @@ fn fill_residuals(e: &Experiment, start: usize, y: &[f64], r: &mut [f64]) {
 }
 
 /// Least squares, repaired when its free run is useless.
-fn least_squares_start(
+pub(super) fn least_squares_start(
     model: &dyn Model,
     data: &[Experiment],
     samples: usize,
@@ -300,7 +316,7 @@ fn least_squares_start(
 }
 
 /// Weighted sum of squares of the scored outputs about their mean.
-fn spread(model: &dyn Model, data: &[Experiment]) -> f64 {
+pub(super) fn spread(model: &dyn Model, data: &[Experiment]) -> f64 {
     let scored = || data.iter().flat_map(|e| (e.first(model)..e.len()).map(|t| (e.y[t], e.weight(t))));
     let total: f64 = scored().map(|(_, w)| w).sum();
     let mean = scored().map(|(y, w)| w * y).sum::<f64>() / total;
