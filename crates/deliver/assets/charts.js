@@ -95,7 +95,7 @@ const Charts = (function () {
   function axes(c, box, x, y, grid) {
     const px = (v) => box.l + (v - x[0]) / (x[1] - x[0]) * (box.r - box.l);
     const py = (v) => box.b - (v - y[0]) / (y[1] - y[0]) * (box.b - box.t);
-    const tx = ticks(x[0], x[1], (box.r - box.l) / 70), ty = ticks(y[0], y[1], (box.b - box.t) / 38);
+    const tx = ticks(x[0], x[1], (box.r - box.l) / 50), ty = ticks(y[0], y[1], (box.b - box.t) / 38);
     c.fillStyle = SOFT; c.strokeStyle = grid ? GRID : FRAME;
     c.textAlign = 'center'; c.textBaseline = 'top';
     for (const v of tx.at) {

@@ -1,7 +1,7 @@
 //! Step 5: from measured optimal records to the dynamic map that is delivered, and the published map beside it.
 
 use super::context::{ChainError, Context};
-use super::optimise_step::response_and_actuators;
+use super::optimise_step::{END_EFFECT, response_and_actuators};
 use crate::engine_model::EngineModel;
 use crate::map::published::{PUBLISHED_SHIFT, PublishedMap, input_rows, structures};
 use crate::map::structured::{Pairs, StructuredMap};
@@ -79,7 +79,9 @@ pub fn invert(
                     (r.torque_nm, r.lambda) = (t[k], l[k]);
                 }
             }
-            Ok((response, actuators))
+            let n = response.len().saturating_sub(END_EFFECT);
+            response.truncate(n);
+            Ok((response, actuators[..n].to_vec()))
         })
         .collect::<Result<_, ChainError>>()?;
     let pairs: Vec<Pairs> = data.iter().map(|(r, a)| Pairs { response: r, actuators: a }).collect();

@@ -116,6 +116,8 @@ fn one_pass(
     let records = save_records(folder, &[start_run.clone(), optimum_run.clone()])?;
     let first = outcome.first;
     let error = errors(&optimum_run, &outcome)?;
+    let start_fuel_kg_h = mean_fuel_of(&start_inputs, 3, speed, first);
+    let promised_fuel_kg_h = mean_fuel_of(&outcome.inputs, 3, speed, first);
     let measured_start_fuel_kg_h = mean_fuel(&start_run, first)?;
     let measured_fuel_kg_h = mean_fuel(&optimum_run, first)?;
     let fuel_per_work_ratio = fuel_per_work(&optimum_run, first)? / fuel_per_work(&start_run, first)?;
@@ -125,9 +127,9 @@ fn one_pass(
         pass: k,
         status: outcome.status,
         iterations: outcome.iterations,
-        start_fuel_kg_h: outcome.start_fuel_kg_h,
-        promised_fuel_kg_h: outcome.fuel_kg_h,
-        promised_ratio: outcome.fuel_kg_h / outcome.start_fuel_kg_h,
+        start_fuel_kg_h,
+        promised_fuel_kg_h,
+        promised_ratio: promised_fuel_kg_h / start_fuel_kg_h,
         torque_violation_nm: outcome.torque_violation_nm,
         lambda_violation: outcome.lambda_violation,
         measured_start_fuel_kg_h,
@@ -167,6 +169,10 @@ fn wish(ctx: &Context, k: usize) -> Result<Wish, ChainError> {
         (0..n).map(|t| Reference { torque_nm: torque[t], lambda: lambda[t], speed_rpm: speed[t] }).collect();
     Ok(Wish { reference, spark_deg: rate_limited(&spark, spec.start_spark_rate_deg) })
 }
+
+/// Samples at the end of a record that count for nothing: what is injected there acts after the end, so that the
+/// optimum leaves it out.
+pub const END_EFFECT: usize = 12;
 
 /// Samples at the head of the start record in which everything is held: the models' histories are then at rest.
 const HELD_HEAD: usize = 12;
@@ -298,20 +304,24 @@ pub fn hold(
     Ok(record)
 }
 
-/// Mean fuel in kg/h over the decided samples `first..n-1`.
+/// Mean fuel in kg/h from sample `first` to the end effect.
 ///
 /// # Errors
 /// [`DataError`].
 pub fn mean_fuel(run: &Dataset, first: usize) -> Result<f64, DataError> {
-    let (inj, speed) = (run.values("inj")?, run.values("speed")?);
-    let range = first..inj.len() - 1;
+    Ok(mean_fuel_of(run.values("inj")?, 1, run.values("speed")?, first))
+}
+
+/// The same for every `stride`-th entry of `inj_mg`.
+fn mean_fuel_of(inj_mg: &[f64], stride: usize, speed_rpm: &[f64], first: usize) -> f64 {
+    let range = first..speed_rpm.len().saturating_sub(END_EFFECT);
     let n = range.len() as f64;
-    Ok(range.map(|t| fuel_kg_h(inj[t], speed[t])).sum::<f64>() / n)
+    range.map(|t| fuel_kg_h(inj_mg[t * stride], speed_rpm[t])).sum::<f64>() / n
 }
 
 fn fuel_per_work(run: &Dataset, first: usize) -> Result<f64, DataError> {
     let (torque, speed) = (run.values("torque")?, run.values("speed")?);
-    let work: f64 = (first..torque.len() - 1).map(|t| torque[t] * speed[t]).sum();
+    let work: f64 = (first..torque.len().saturating_sub(END_EFFECT)).map(|t| torque[t] * speed[t]).sum();
     Ok(mean_fuel(run, first)? / work)
 }
 

@@ -79,9 +79,12 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
         ("static map", b.static_map_s),
         ("comparison of the maps", b.map_comparison_s),
     ];
-    let mut table =
-        Table::new(vec![Column::text("Records"), Column::number("Bed time", "s"), Column::text("Purpose")])
-            .caption("Bed time, lead-in and settling included");
+    let mut table = Table::new(vec![
+        Column::text("Records"),
+        Column::number("Bed time", "s").digits(3),
+        Column::text("Purpose"),
+    ])
+    .caption("Bed time, lead-in and settling included");
     for (name, time_s) in needed {
         table = table.row([name.into(), time_s.into(), "calibration".into()]);
     }

@@ -167,7 +167,7 @@ fn actuators(scenario: &str, first: &Dataset, runs: &[(&str, Dataset)]) -> Resul
     let mut plot =
         TimePlot::sampled(format!("{}: actuators", capital(scenario)), first.sample_time_s, first.len());
     for (name, label, unit) in
-        [("inj", "Injected mass", "mg"), ("spark", "Spark advance", "°CA"), ("throttle", "Throttle", "°")]
+        [("inj", "Injected mass", "mg"), ("spark", "Spark advance", "deg BTDC"), ("throttle", "Throttle", "deg")]
     {
         let mut panel = Panel::new(label, unit);
         for (map, run) in runs {
@@ -183,8 +183,8 @@ fn points(r: &ValidateResult) -> Details {
         Column::number("Torque", "Nm"),
         Column::number("Speed", "rpm"),
         Column::number("INJ", "mg").digits(4),
-        Column::number("Best spark", "°CA").digits(4),
-        Column::number("Throttle", "°").digits(4),
+        Column::number("Best spark", "deg BTDC").digits(4),
+        Column::number("Throttle", "deg").digits(4),
         Column::number("Torque error", "Nm").digits(2),
         Column::number("Lambda error", "").digits(2),
     ])

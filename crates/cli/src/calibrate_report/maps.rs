@@ -12,7 +12,7 @@ use crate::campaign::verdict::word;
 
 /// Points of the drawn grid along speed and torque.
 const GRID: (usize, usize) = (19, 13);
-const ACTUATORS: [(&str, &str); 3] = [("Injected mass", "mg"), ("Spark advance", "°CA"), ("Throttle", "°")];
+const ACTUATORS: [(&str, &str); 3] = [("Injected mass", "mg"), ("Spark advance", "deg BTDC"), ("Throttle", "deg")];
 
 /// The whole step.
 pub(super) fn section(i: &InvertResult, rival: Option<&StaticMap>, scenario: &ValidateSpec) -> Section {
@@ -104,8 +104,8 @@ fn coefficients(i: &InvertResult) -> Details {
     let mut table = Table::new(vec![
         Column::text("Term"),
         Column::number("INJ", "mg").digits(5),
-        Column::number("Spark", "°CA").digits(5),
-        Column::number("Throttle", "°").digits(5),
+        Column::number("Spark", "deg BTDC").digits(5),
+        Column::number("Throttle", "deg").digits(5),
     ])
     .caption("T in units of 50 Nm, N of 2000 rpm, L = (lambda - 1) / 0.1");
     for (k, name) in term_names(&d.shape).iter().enumerate() {

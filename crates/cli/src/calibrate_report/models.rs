@@ -60,7 +60,8 @@ pub(super) fn table(m: &OutputModels, caption: &str) -> Table {
         Column::number("R2, unseen", "%").digits(4),
         Column::number("RMSE, ident.", u).digits(3),
         Column::number("R2, ident.", "%").digits(4),
-        Column::number("Parameters", ""),
+        Column::number("Terms", ""),
+        Column::number("Eval.", ""),
         Column::text("Ended"),
     ])
     .caption(caption);
@@ -81,7 +82,8 @@ fn row(c: &Candidate) -> Vec<Cell> {
         number(root_mean_square(c, Seen::Identification)),
         number(percent(mean_r2(c, Seen::Identification))),
         c.model.theta.len().into(),
-        format!("{}, {} evaluations", word(c.status), c.evaluations).into(),
+        c.evaluations.into(),
+        word(c.status).into(),
     ]
 }
 

@@ -116,10 +116,10 @@ fn convergence(passes: &[Pass]) -> Table {
         Column::text("Pass"),
         Column::text("Ended"),
         Column::number("Iterations", ""),
-        Column::number("Torque violation", "Nm").digits(2),
-        Column::number("Lambda violation", "").digits(2),
+        Column::number("Torque", "Nm").digits(2),
+        Column::number("Lambda", "").digits(2),
     ])
-    .caption("The optimisation: largest violation of the demand by the models' free run");
+    .caption("Convergence, and the largest violation of the demands by the models' free run");
     for p in passes {
         table = table.row([
             p.pass.into(),

@@ -47,8 +47,8 @@ pub(super) fn plot(
 pub(super) fn actuators(mut plot: TimePlot, record: &Dataset) -> Result<TimePlot, ChainError> {
     for (name, label, unit) in [
         ("inj", "Injected mass", "mg"),
-        ("spark", "Spark advance", "°CA"),
-        ("throttle", "Throttle", "°"),
+        ("spark", "Spark advance", "deg BTDC"),
+        ("throttle", "Throttle", "deg"),
         ("speed", "Speed", "rpm"),
     ] {
         plot = plot.panel(Panel::new(label, unit).held(name, record.values(name)?.to_vec()));
