@@ -3,12 +3,11 @@
 //! The record is designed in the reference space (demanded torque, demanded lambda, spark, speed) and run through
 //! the loops, because an open-loop design in the inputs lets lambda run wild.
 
-use super::context::{ChainError, Context, Event, RecordRef, save_records};
+use super::context::{ChainError, Context, Event, RecordRef, gains, save_records};
 use super::excite_step::{LEAD_IN_S, extra_record, through_loops};
-use super::models::{OutputModels, identify_pair};
+use super::models::{ModelsResult, OutputModels, identify_pair};
 use super::optimise_step::response_and_actuators;
 use super::reference_design::{ReferenceLayout, ReferenceObjective, model_inputs};
-use super::run::ModelsResult;
 use crate::engine_model::EngineModel;
 use crate::map::start::StartRule;
 use crate::record::Demand;
@@ -124,7 +123,16 @@ pub fn design(
     let plan = planned(ctx, models, identification)?;
     (ctx.tell)(Event::Fraction(0.5));
     let (designed, rival) = rayon::join(
-        || through_loops(ctx, folder, "design01", &plan.feedforward, &plan.demand),
+        || {
+            through_loops(
+                ctx,
+                folder,
+                "design01",
+                &plan.feedforward,
+                &plan.demand,
+                gains(&ctx.spec.excite.gains)?,
+            )
+        },
         || extra_record(ctx, folder, "comparison01", 0),
     );
     let (designed, rival) = (designed?, rival?);

@@ -1,6 +1,7 @@
 //! Step 1: identification and validation records in closed loop.
 
 use super::context::{ChainError, Context, RecordRef, gains, save_records};
+use crate::control::LoopGains;
 use crate::excite::{References, plan_of, references};
 use crate::record::{Demand, Plan};
 use dynocal_ident::data::Dataset;
@@ -88,10 +89,11 @@ pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Re
 }
 
 fn run(ctx: &Context, folder: &Path, name: &str, references: &References) -> Result<Dataset, ChainError> {
-    through_loops(ctx, folder, name, &plan_of(references), &references.demand)
+    let gains = gains(&ctx.spec.excite.gains)?;
+    through_loops(ctx, folder, name, &plan_of(references), &references.demand, gains)
 }
 
-/// Runs references through the excitation loops over a feedforward.
+/// Runs a demand through loops with `gains` over a feedforward.
 ///
 /// # Errors
 /// [`ChainError`].
@@ -101,14 +103,9 @@ pub fn through_loops(
     name: &str,
     feedforward: &[[f64; 4]],
     demand: &[Demand],
+    gains: LoopGains,
 ) -> Result<Dataset, ChainError> {
-    let plan = Plan {
-        feedforward,
-        demand,
-        gains: gains(&ctx.spec.excite.gains)?,
-        limits: ctx.actuator_limits(),
-        settle_s: LEAD_IN_S,
-    };
+    let plan = Plan { feedforward, demand, gains, limits: ctx.actuator_limits(), settle_s: LEAD_IN_S };
     let mut record = ctx.measure(folder, name, &plan, true)?;
     record.init_samples = ctx.spec.identify.init_samples;
     Ok(record)

@@ -72,6 +72,15 @@ impl OutputModels {
     }
 }
 
+/// Models of one step.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ModelsResult {
+    /// Torque.
+    pub torque: OutputModels,
+    /// Lambda.
+    pub lambda: OutputModels,
+}
+
 /// Identifies both outputs.
 ///
 /// # Errors

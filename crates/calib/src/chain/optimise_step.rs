@@ -1,7 +1,7 @@
 //! Step 4: optimise fuel over a record made for it, measure the promise on the plant, re-identify, repeat.
 
 use super::context::{ChainError, Context, Event, RecordRef, save_records};
-use super::excite_step::LEAD_IN_S;
+use super::excite_step::{LEAD_IN_S, through_loops};
 use super::models::{OutputModels, estimate_again};
 use crate::control::LoopGains;
 use crate::engine_model::{EngineModel, cycle_s};
@@ -9,7 +9,7 @@ use crate::excite::{aprbs, speed_sweep};
 use crate::fuel::{self, FuelOutcome};
 use crate::map::start::{StartRule, rate_limited};
 use crate::map::{Actuators, FirstOrder, REFERENCE_FILTER_S, Reference, filter_torque};
-use crate::record::{Demand, INPUTS, Plan, fuel_kg_h};
+use crate::record::{Demand, INPUTS, fuel_kg_h};
 use dynocal_ident::data::{Channel, DataError, Dataset, Role};
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::rng::Rng64;
@@ -292,16 +292,7 @@ pub fn hold(
     feedforward: &[[f64; 4]],
     demand: &[Demand],
 ) -> Result<Dataset, ChainError> {
-    let plan = Plan {
-        feedforward,
-        demand,
-        gains: LoopGains::TRIM,
-        limits: ctx.actuator_limits(),
-        settle_s: LEAD_IN_S,
-    };
-    let mut record = ctx.measure(folder, name, &plan, true)?;
-    record.init_samples = ctx.spec.identify.init_samples;
-    Ok(record)
+    through_loops(ctx, folder, name, feedforward, demand, LoopGains::TRIM)
 }
 
 /// Mean fuel in kg/h from sample `first` to the end effect.

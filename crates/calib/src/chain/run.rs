@@ -4,26 +4,17 @@ use super::context::{ChainError, Context, Event, RecordRef, load_records};
 use super::design_step::{DesignResult, design};
 use super::excite_step::{ExciteResult, excite};
 use super::invert_step::{InvertResult, invert};
-use super::models::{OutputModels, identify_pair};
+use super::models::{ModelsResult, OutputModels, identify_pair};
 use super::optimise_step::{OptimiseResult, optimise};
 use super::validate_step::{ValidateResult, validate};
 use dynocal_files::run_folder::{Done, RunFolder};
 use dynocal_ident::data::Dataset;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::path::Path;
 
 /// Steps of a campaign that measure and compute; the report is the seventh.
 pub const STEPS: [&str; 6] = ["excite", "identify", "design", "optimise", "invert", "validate"];
-
-/// Models of one step.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct ModelsResult {
-    /// Torque.
-    pub torque: OutputModels,
-    /// Lambda.
-    pub lambda: OutputModels,
-}
 
 /// Everything that a campaign found, as far as it went.
 #[derive(Debug, Default)]
