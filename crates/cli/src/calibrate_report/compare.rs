@@ -166,9 +166,11 @@ fn zoomed(runs: &[(&str, Dataset)], at: [usize; 2]) -> Result<Vec<dynocal_delive
 fn actuators(scenario: &str, first: &Dataset, runs: &[(&str, Dataset)]) -> Result<TimePlot, ChainError> {
     let mut plot =
         TimePlot::sampled(format!("{}: actuators", capital(scenario)), first.sample_time_s, first.len());
-    for (name, label, unit) in
-        [("inj", "Injected mass", "mg"), ("spark", "Spark advance", "deg BTDC"), ("throttle", "Throttle", "deg")]
-    {
+    for (name, label, unit) in [
+        ("inj", "Injected mass", "mg"),
+        ("spark", "Spark advance", "deg BTDC"),
+        ("throttle", "Throttle", "deg"),
+    ] {
         let mut panel = Panel::new(label, unit);
         for (map, run) in runs {
             panel = panel.held(*map, run.values(name)?.to_vec());

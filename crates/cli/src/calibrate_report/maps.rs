@@ -12,7 +12,8 @@ use crate::campaign::verdict::word;
 
 /// Points of the drawn grid along speed and torque.
 const GRID: (usize, usize) = (19, 13);
-const ACTUATORS: [(&str, &str); 3] = [("Injected mass", "mg"), ("Spark advance", "deg BTDC"), ("Throttle", "deg")];
+const ACTUATORS: [(&str, &str); 3] =
+    [("Injected mass", "mg"), ("Spark advance", "deg BTDC"), ("Throttle", "deg")];
 
 /// The whole step.
 pub(super) fn section(i: &InvertResult, rival: Option<&StaticMap>, scenario: &ValidateSpec) -> Section {

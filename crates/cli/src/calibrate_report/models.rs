@@ -2,8 +2,9 @@
 
 use dynocal_calib::chain::context::ChainError;
 use dynocal_calib::chain::excite_step::ExciteResult;
+use dynocal_calib::chain::models::ModelsResult;
 use dynocal_calib::chain::models::{Candidate, OutputModels};
-use dynocal_calib::chain::run::{ChainResult, ModelsResult};
+use dynocal_calib::chain::run::ChainResult;
 use dynocal_calib::engine_model::Transform;
 use dynocal_deliver::{Axis, Bars, Cell, Column, Details, Section, Table};
 use dynocal_files::run_folder::Done;
