@@ -1,12 +1,16 @@
-//! Simulation, sensitivities and adjoint of eq. (4.17); simulation-error estimation; forward regression.
+//! Simulation, sensitivities and adjoint of eq. (4.17); simulation-error estimation; forward regression; linear models
+//! with noise; a network.
 
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use dynocal_ident::estimate::Estimator;
 use dynocal_ident::estimate::ols::Ols;
+use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::estimate::sem::Sem;
 use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::linear::LinearModel;
+use dynocal_ident::model::neural::NeuralNarx;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::model::{Model, Run, literature};
 use dynocal_ident::select::frols::{Stop, frols};
@@ -109,5 +113,79 @@ fn selection(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, recursion, estimation, selection);
+/// Prediction-error estimation of one system per structure, 2000 samples, from the least-squares start.
+fn linear(c: &mut Criterion) {
+    let cases = [
+        ("arx", LinearModel::arx(&["u"], "y", 2, 2, 1), vec![-1.5, 0.7, 1.0, 0.5]),
+        ("armax", LinearModel::armax(&["u"], "y", 2, 2, 2, 1), vec![-1.5, 0.7, 1.0, 0.5, -1.0, 0.2]),
+        ("oe", LinearModel::oe(&["u"], "y", 2, 2, 1), vec![1.0, 0.5, -1.5, 0.7]),
+        ("bj", LinearModel::bj(&["u"], "y", 2, 1, 1, 2, 1), vec![1.0, 0.5, 0.8, -0.9, -1.5, 0.7]),
+        ("fir_arma", LinearModel::bj(&["u"], "y", 2, 1, 1, 0, 1), vec![1.0, 0.5, 0.6, -0.8]),
+        ("arma", LinearModel::arma("y", 1, 2), vec![0.6, -1.2, 0.5]),
+    ];
+    let mut group = c.benchmark_group("linear_pem_2000");
+    for (name, model, theta) in cases {
+        let data = [linear_record(&model, &theta)];
+        group.bench_function(name, |b| {
+            b.iter(|| Pem::default().estimate(&model, black_box(&data), None, &|| false))
+        });
+    }
+    group.finish();
+}
+
+/// The system driven by a random binary input and noise of standard deviation 0.5.
+fn linear_record(model: &LinearModel, theta: &[f64]) -> Experiment {
+    let p = model.polynomials(theta);
+    let (n, mut rng) = (2000, Rng64::new(3));
+    let back = |c: &[f64], x: &[f64], t: usize| -> f64 {
+        (1..c.len()).filter(|j| *j <= t).map(|j| c[j] * x[t - j]).sum()
+    };
+    let (mut u, mut y, mut e, mut v, mut w) =
+        (vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+    for t in 0..n {
+        u[t] = if rng.uniform() < 0.5 { -1.0 } else { 1.0 };
+        e[t] = 0.5 * rng.normal();
+        v[t] = e[t] + back(&p.c, &e, t) - back(&p.d, &v, t);
+        if let (Some(b), Some(f)) = (p.b.first(), p.f.first()) {
+            w[t] = back(b, &u, t) - back(f, &w, t);
+        }
+        y[t] = w[t] + v[t] - back(&p.a, &y, t);
+    }
+    let u = if model.n_inputs() == 0 { Vec::new() } else { u };
+    Experiment { name: "linear".into(), u, y, init_samples: 0, weights: Vec::new() }
+}
+
+/// 10 neurons, lags 1 to 5 of four inputs and one of the output (231 weights), 2000 samples.
+fn network(c: &mut Criterion) {
+    let (n, m, mut rng) = (2000, 4, Rng64::new(13));
+    let names = ["inj", "spark", "throttle", "speed"];
+    let net = NeuralNarx::new(&names, "torque", 10, 5, 1).unwrap();
+    let mut u = vec![0.0; n * m];
+    for t in 0..n {
+        for i in 0..m {
+            u[t * m + i] = if t % 50 == 0 { rng.uniform_in(-1.0, 1.0) } else { u[(t - 1) * m + i] };
+        }
+    }
+    let truth = net.random_start(&mut Rng64::new(1)).unwrap();
+    let start = net.random_start(&mut Rng64::new(2)).unwrap();
+    let mut y = vec![0.0; n];
+    net.simulate(&truth, &Run { u: &u, y: &vec![0.0; n], start: 5 }, &mut y);
+    let data = [Experiment { name: "network".into(), u, y, init_samples: 0, weights: Vec::new() }];
+    let run = data[0].run(&net);
+    let (mut y, mut s) = (vec![0.0; n], vec![0.0; n * net.n_params()]);
+    let mut group = c.benchmark_group("network_231_weights_2000");
+    group.sample_size(10);
+    group.bench_function("simulate", |b| b.iter(|| net.simulate(black_box(&start), &run, &mut y)));
+    group.bench_function("jacobian", |b| {
+        b.iter(|| net.sensitivities(black_box(&start), &run, &mut y, &mut s))
+    });
+    // Ten trials and the report of the covariance; a tenth of it is about one iteration.
+    let sem = Sem { max_evaluations: 11, ..Sem::default() };
+    group.bench_function("ten_lm_iterations", |b| {
+        b.iter(|| sem.estimate(&net, black_box(&data), Some(&start), &|| false))
+    });
+    group.finish();
+}
+
+criterion_group!(benches, recursion, estimation, selection, linear, network);
 criterion_main!(benches);

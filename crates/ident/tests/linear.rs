@@ -8,6 +8,7 @@ use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::estimate::{EstimateError, Fit};
 use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::linear::structures::{LINEAR_STRUCTURES, linear_structure};
 use dynocal_ident::model::linear::{InputOrders, LinearModel, PredictionErrors};
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::rng::Rng64;
@@ -296,4 +297,37 @@ fn unfit_tasks_are_errors_with_names() {
     e.y.truncate(2);
     e.u.truncate(2);
     assert!(pem(&s.model, &e, None).unwrap_err().to_string().contains("2 parameters"));
+}
+
+/// Every row of the table: its defaults are what it documents, it knows no other keys, and it is estimated.
+#[test]
+fn every_linear_structure_is_built_and_estimated() {
+    let inputs: Vec<String> = ["a", "b"].map(String::from).to_vec();
+    for member in LINEAR_STRUCTURES {
+        let name = member.doc.name;
+        let plain = (member.build)(&toml::Table::new()).unwrap().model(&inputs, "y").unwrap();
+        // The documented defaults, written out, give the same model.
+        let mut keys = toml::Table::new();
+        for p in member.doc.params {
+            keys.insert(p.name.into(), toml::Value::Integer(p.default.parse().unwrap()));
+        }
+        assert_eq!((member.build)(&keys).unwrap().model(&inputs, "y").unwrap(), plain, "{name}");
+        keys.insert("order".into(), 1.into());
+        let fault = (member.build)(&keys).err().unwrap().to_string();
+        assert!(fault.contains("`order`") && fault.contains(name), "{fault}");
+        // Polynomials with small roots: every order is stable and excited. The general form is over-parametrised when A
+        // and F stand together, so only its cost is judged.
+        let theta: Vec<f64> = (0..plain.n_params()).map(|k| 0.3 + 0.05 * (k % 3) as f64).collect();
+        let s = System { model: plain.clone(), theta, noise_std: 0.2, feedback: 0.0 };
+        let e = simulate(&s, 1500, 6);
+        let mut eps = vec![0.0; e.len()];
+        assert!(PredictionErrors::new(&plain, &e.u, &e.y).errors(&s.theta, &mut eps), "{name}");
+        let truth = eps.iter().map(|v| v * v).sum::<f64>() / e.len() as f64;
+        let found = fit(&plain, std::slice::from_ref(&e));
+        assert!(found.mse <= truth && found.mse > 0.9 * truth, "{name}: {} and {truth}", found.mse);
+    }
+    let keys: toml::Table = "nf = { a = 1, c = 2 }".parse().unwrap();
+    let fault = linear_structure("oe", &keys).unwrap().model(&inputs, "y").unwrap_err().to_string();
+    assert!(fault.contains("no channel `c`") && fault.contains("a, b"), "{fault}");
+    assert!(linear_structure("armaxx", &toml::Table::new()).err().unwrap().to_string().contains("`armax`"));
 }

@@ -18,6 +18,7 @@
 
 mod errors;
 pub(crate) mod filter;
+pub mod structures;
 
 use serde::{Deserialize, Serialize};
 
