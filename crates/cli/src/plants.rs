@@ -101,3 +101,95 @@ fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, Plant
     let bed = EngineBed::new(&params(), settings).map_err(|e| PlantError::Call(e.to_string()))?;
     Ok(Box::new(bed))
 }
+
+/// Conformance: what every plant of the table must do, whatever it is.
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_ident::plant::Causality;
+
+    const DT_S: f64 = 0.03;
+
+    /// Every plant that can be made here, with sensor noise.
+    fn each(check: impl Fn(&str, Box<dyn Plant>)) {
+        let spec = PlantSpec { torque_noise_nm: 1.0, lambda_noise: 0.01, ..PlantSpec::default() };
+        let made: Vec<_> = PLANTS.iter().filter_map(|m| m.make.map(|make| (m.doc.name, make))).collect();
+        assert!(!made.is_empty());
+        for (name, make) in made {
+            check(name, make(&spec, true).expect("plant with default keys"));
+        }
+    }
+
+    fn starts(plant: &dyn Plant) -> (Vec<f64>, usize) {
+        let of = |c| plant.variables().iter().filter(move |v| v.causality == c);
+        (of(Causality::Input).map(|v| v.start).collect(), of(Causality::Output).count())
+    }
+
+    /// Outputs over `n` steps of inputs that move a little about the start.
+    fn run(plant: &mut dyn Plant, n: usize) -> Vec<f64> {
+        let (u, outputs) = starts(plant);
+        let mut y = vec![0.0; outputs];
+        (0..n)
+            .flat_map(|t| {
+                let u: Vec<f64> = u.iter().map(|v| v * (1.0 + 0.02 * (0.3 * t as f64).sin())).collect();
+                plant.step(&u, DT_S, &mut y).expect("inputs near the start");
+                y.clone()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn inputs_come_first_and_start_in_their_range() {
+        each(|name, plant| {
+            let v = plant.variables();
+            let inputs = v.iter().take_while(|v| v.causality == Causality::Input).count();
+            assert!(inputs > 0 && v[inputs..].iter().all(|v| v.causality == Causality::Output), "{name}");
+            assert!(v.iter().all(|v| v.min <= v.start && v.start <= v.max && !v.unit.is_empty()), "{name}");
+        });
+    }
+
+    #[test]
+    fn reset_gives_an_identical_rerun_and_another_seed_other_noise() {
+        each(|name, mut plant| {
+            plant.reset(5);
+            let first = run(plant.as_mut(), 20);
+            plant.reset(5);
+            assert_eq!(first, run(plant.as_mut(), 20), "{name}");
+            assert!((plant.time_s() - 20.0 * DT_S).abs() < 1e-9, "{name}");
+            plant.reset(6);
+            assert_ne!(first, run(plant.as_mut(), 20), "{name}");
+        });
+    }
+
+    #[test]
+    fn a_restored_state_continues_exactly() {
+        each(|name, mut plant| {
+            run(plant.as_mut(), 7);
+            let state = plant.save();
+            let expected = run(plant.as_mut(), 15);
+            plant.restore(&state).expect("own state");
+            assert_eq!(expected, run(plant.as_mut(), 15), "{name}");
+            let short = dynocal_ident::plant::PlantState(vec![0.0]);
+            assert!(plant.restore(&short).is_err(), "{name}: a foreign state is refused");
+        });
+    }
+
+    #[test]
+    fn inputs_outside_their_range_are_refused_and_change_nothing() {
+        each(|name, mut plant| {
+            let (start, outputs) = starts(plant.as_ref());
+            let mut y = vec![0.0; outputs];
+            for i in 0..start.len() {
+                let variable = plant.variables()[i].clone();
+                for bad in [variable.max + 1.0 + variable.max.abs(), f64::NAN] {
+                    let before = plant.save();
+                    let mut u = start.clone();
+                    u[i] = bad;
+                    let error = plant.step(&u, DT_S, &mut y).expect_err("refused").to_string();
+                    assert!(error.contains(&variable.name), "{name}: {error}");
+                    assert_eq!(before, plant.save(), "{name}");
+                }
+            }
+        });
+    }
+}
