@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::progress::Progress;
 use crate::step_progress::StepProgress;
 
-/// Flags of every verb that computes.
+// No doc comment: clap would show it in `--help` in place of each verb's own description.
 #[derive(Args, Debug, Clone)]
 pub(crate) struct Common {
     /// Print summary.json on standard output; everything else goes to standard error
