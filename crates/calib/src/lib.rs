@@ -4,6 +4,7 @@
 //! thing to it.
 
 pub mod chain;
+pub mod chapter4;
 pub mod control;
 pub mod engine_model;
 pub mod excite;
