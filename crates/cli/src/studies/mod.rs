@@ -7,6 +7,7 @@ mod asked;
 mod chain;
 mod chain_checks;
 mod chain_tasks;
+mod chapter4;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -88,7 +89,7 @@ pub(crate) struct Study {
 }
 
 /// All studies.
-pub(crate) static STUDIES: &[Study] = &[chain::STUDY];
+pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {
