@@ -26,6 +26,7 @@ mod calibrate_text;
 verbs![
     calibrate, //
     identify,  //
+    signal,    //
     study,     //
     report,    //
     list,      //
