@@ -4,7 +4,8 @@
 //! filling-and-emptying kind (level F0): eight gas volumes, three conserved species, direct injection,
 //! Wiebe combustion with a burn sub-model, Woschni heat transfer, Chen-Flynn friction. It stands in
 //! for the engine model of the thesis (chapters 3, 6, 7). [`bed::EngineBed`] puts it behind the plant
-//! contract of the identification crate; [`statics`] finds steady points and best spark.
+//! contract of the identification crate; [`statics`] finds steady points and best spark; [`verification`] and
+//! [`transients`] measure what the engine is compared by.
 
 pub mod bed;
 mod bookkeeping;
@@ -25,3 +26,6 @@ pub mod sensors;
 pub mod state;
 pub mod statics;
 mod step;
+pub mod trace;
+pub mod transients;
+pub mod verification;
