@@ -8,6 +8,10 @@ mod chain;
 mod chain_checks;
 mod chain_tasks;
 mod chapter4;
+mod engine;
+mod engine_checks;
+mod engine_tables;
+mod engine_tasks;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -20,12 +24,15 @@ use serde::Serialize;
 use serde_json::Value;
 
 /// How a study is run.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct Options {
     /// First seed; a study with several seeds counts on from it.
     pub(crate) seed: u64,
     /// Reduced length: proves that everything runs, not the numbers.
     pub(crate) reduced: bool,
+    /// File of reference values, for a study that compares with one. What it holds counts, not where it lies.
+    #[serde(skip)]
+    pub(crate) reference: Option<PathBuf>,
 }
 
 /// What a task gets from its surroundings.
@@ -89,7 +96,7 @@ pub(crate) struct Study {
 }
 
 /// All studies.
-pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY];
+pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY, engine::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {
@@ -110,7 +117,7 @@ struct Summary<'a> {
     valid: bool,
     reduced_length: bool,
     warnings: Vec<String>,
-    options: Options,
+    options: &'a Options,
     checks: &'a [Check],
     tasks: Vec<&'a str>,
     files: Vec<String>,
@@ -119,13 +126,13 @@ struct Summary<'a> {
 /// Runs a study in `out`; finished tasks of an earlier run are taken over.
 pub(crate) fn run(
     study: &Study,
-    options: Options,
+    options: &Options,
     out: &Path,
     interrupt: &(dyn Fn() -> bool + Sync),
     note: &(dyn Fn(&str) + Sync),
 ) -> Result<Finished, ChainError> {
     let mut folder = RunFolder::open(out, "study", &(study.doc.name, options))?;
-    let tasks = (study.tasks)(&options);
+    let tasks = (study.tasks)(options);
     let mut results = Vec::new();
     for (k, task) in tasks.iter().enumerate() {
         if interrupt() {
@@ -137,8 +144,8 @@ pub(crate) fn run(
         results.push(TaskResult { name: task.name.clone(), value: done.result });
     }
     let checks = (study.reduce)(&results);
-    let warnings = warnings(&options, &checks);
-    let html = report::html(study, &options, &checks, &warnings, &results)?;
+    let warnings = warnings(options, &checks);
+    let html = report::html(study, options, &checks, &warnings, &results)?;
     let report = out.join("report.html");
     dynocal_files::atomic::write(&report, html.as_bytes())?;
     let summary = folder.write_summary(&Summary {

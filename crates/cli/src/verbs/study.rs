@@ -1,6 +1,6 @@
 //! `dynocal study NAME`: a named comparison with its checks.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_calib::chain::context::{ChainError, Event};
@@ -23,6 +23,10 @@ struct Study {
     /// Reduced length: shows that everything runs, not the numbers of the study
     #[arg(long = "quick")]
     reduced: bool,
+    /// Reference values that the study compares with (`engine`: virtual_engine_reference.json, otherwise that of
+    /// $DYNOCAL_REFERENCE_DIR/reference)
+    #[arg(long, value_name = "FILE")]
+    reference: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -31,11 +35,15 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Study::from_arg_matches(matches)?;
     let Some(study) = studies::find(&args.name) else { return Ok(Exit::CouldNot) };
     let progress = args.common.start_steps()?;
-    let options = Options { seed: args.common.seed.unwrap_or(1), reduced: args.reduced };
+    let options = Options {
+        seed: args.common.seed.unwrap_or(1),
+        reduced: args.reduced,
+        reference: args.reference.clone(),
+    };
     let folder = if args.reduced { format!("study-{}-quick", args.name) } else { format!("study-{}", args.name) };
     let out = args.common.out.clone().unwrap_or_else(|| Path::new("runs").join(folder));
     let note = |text: &str| progress.tell(Event::Note(text.into()));
-    let outcome = studies::run(study, options, &out, &interrupt::asked, &note);
+    let outcome = studies::run(study, &options, &out, &interrupt::asked, &note);
     progress.finish();
     let done = outcome.map_err(|e| {
         let interrupted = matches!(e, ChainError::Interrupted);
