@@ -29,6 +29,7 @@ verbs![
     signal,    //
     study,     //
     report,    //
+    engine,    //
     list,      //
 ];
 

@@ -1,0 +1,59 @@
+//! `dynocal engine`.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+
+fn engine(folder: &Path, args: &[&str]) -> (i32, String, String) {
+    let mut command = Command::cargo_bin("dynocal").unwrap();
+    let out = command.current_dir(folder).arg("engine").args(args).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (out.status.code().unwrap(), text(out.stdout), text(out.stderr))
+}
+
+/// The value of a quantity in the table of one point.
+fn value(table: &str, name: &str) -> f64 {
+    let line = table.lines().find(|l| l.split_whitespace().next() == Some(name)).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_point_at_a_torque_with_best_spark() {
+    let tmp = tempfile::tempdir().unwrap();
+    let args = ["point", "--torque-nm", "70", "--csv", "p.csv", "--report", "p.html"];
+    let (code, stdout, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    // Reference table: 18.95 deg, 16.754 mg.
+    assert!((value(&stdout, "spark") - 18.95).abs() < 0.7 && (value(&stdout, "inj") - 16.754).abs() < 0.08);
+    let table = dynocal_files::csv_io::read(&tmp.path().join("p.csv")).unwrap();
+    assert!((table.numbers("torque", 0, 1).unwrap()[0] - 70.0).abs() < 0.05);
+    let page = std::fs::read_to_string(tmp.path().join("p.html")).unwrap();
+    assert!(page.contains("p-V diagram") && page.trim_end().ends_with("</html>"));
+}
+
+#[test]
+fn a_sweep_of_spark_has_its_maximum_inside() {
+    let tmp = tempfile::tempdir().unwrap();
+    let args = ["sweep", "spark", "--from", "-5", "--to", "45", "--points", "6", "--csv", "s.csv"];
+    let (code, stdout, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(stdout.lines().count(), 7, "{stdout}");
+    let table = dynocal_files::csv_io::read(&tmp.path().join("s.csv")).unwrap();
+    let torque = table.numbers("torque", 0, 6).unwrap();
+    assert_eq!(table.numbers("spark", 0, 6).unwrap(), [-5.0, 5.0, 15.0, 25.0, 35.0, 45.0]);
+    assert!(torque[2].min(torque[3]) > torque[1].max(torque[4]), "{torque:?}");
+    assert!(torque[1] > torque[0] && torque[4] > torque[5], "{torque:?}");
+}
+
+#[test]
+fn motored_needs_torque_and_faults_are_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let (code, stdout, _) = engine(tmp.path(), &["motored", "--speed-rpm", "2000"]);
+    // Case 8 of the specification: -10.3 Nm, 19.2 bar.
+    assert_eq!(code, 0);
+    assert!((value(&stdout, "torque") + 10.3).abs() < 0.06 && (value(&stdout, "pmax") - 19.2).abs() < 0.06);
+    let (code, _, stderr) = engine(tmp.path(), &["point", "--speed-rpm", "9000"]);
+    assert!(code == 2 && stderr.contains("9000") && stderr.contains("6500"), "{stderr}");
+    let (code, _, stderr) = engine(tmp.path(), &["point", "--torque-nm", "500"]);
+    assert!(code == 2 && stderr.contains("500 Nm"), "{stderr}");
+}
