@@ -33,7 +33,7 @@ pub(super) fn best(row: &Value, part: &str, key: &str) -> Option<f64> {
 }
 
 /// The row of a torque at 2000 rpm.
-pub(super) fn at_2000<'a>(results: &'a [TaskResult], torque_nm: f64) -> &'a Value {
+pub(super) fn at_2000(results: &[TaskResult], torque_nm: f64) -> &Value {
     let points = of(results, &format!("{STATIC}2000"))["points"].as_array();
     let found = points.into_iter().flatten().find(|r| r["target"]["torque_nm"] == torque_nm);
     found.unwrap_or(&Value::Null)
