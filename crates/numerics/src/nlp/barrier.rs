@@ -15,6 +15,8 @@ const FIXED_SHARE: f64 = 0.8;
 const KAPPA_EPSILON: f64 = 10.0;
 const KAPPA_MU: f64 = 0.2;
 const THETA_MU: f64 = 1.5;
+/// Least mu of the free mode relative to the KKT error.
+const ERROR_SHARE: f64 = 1e-2;
 /// Largest mu relative to the mean complementarity at the start.
 const MU_MAX_FACTOR: f64 = 1e3;
 
@@ -118,9 +120,11 @@ impl BarrierRule {
         changed
     }
 
-    /// Mehrotra's rule: `mu = (after / now)^3 now`, with the mean complementarity after the affine step.
-    pub(super) fn probe(&mut self, now: f64, after: f64) {
+    /// Mehrotra's rule: `mu = (after / now)^3 now`, with the mean complementarity after the affine step, but not below
+    /// a share of the KKT error: a barrier that falls ahead of the other conditions pins the point to its bounds.
+    pub(super) fn probe(&mut self, now: f64, after: f64, error: f64) {
         let sigma = (after / now).powi(3).clamp(0.0, 100.0);
-        self.mu = (sigma * now).clamp(self.mu_min, self.mu_max);
+        let least = (ERROR_SHARE * error).clamp(self.mu_min, now.max(self.mu_min));
+        self.mu = (sigma * now).max(least).clamp(self.mu_min, self.mu_max);
     }
 }
