@@ -33,7 +33,9 @@ const Charts = (function () {
     return (f <= 1 ? 1 : f <= 2 ? 2 : f <= 5 ? 5 : 10) * power;
   }
   function ticks(low, high, count) {
-    const d = step(high - low, count), out = [];
+    let d = step(high - low, count), out = [];
+    // One tick gives no scale: finer steps until there are three, where the axis has a length at all.
+    for (let finer = count; high > low && Math.floor(high / d) - Math.ceil(low / d) < 2 && finer < 20; ) d = step(high - low, ++finer);
     const first = Math.ceil(low / d - 1e-9), n = Math.min(100, Math.floor(high / d + 1e-9) - first); // bounded: k + 1 may be k
     for (let i = 0; i <= n; i++) out.push((first + i) * d);
     return { step: d, at: out };

@@ -71,6 +71,12 @@ pub enum ChainError {
     },
 }
 
+/// Least fuel in mg that loops and maps use: a motored cylinder has no lambda that a loop could hold.
+pub const MIN_FUEL_MG: f64 = 1.0;
+
+/// Throttle angle in deg above which nothing changes any more.
+pub const OPEN_THROTTLE_DEG: f64 = 60.0;
+
 /// Makes plants: with the sensor noise of the spec, or free of noise.
 pub type PlantFactory<'a> = &'a (dyn Fn(bool) -> Result<Box<dyn Plant>, PlantError> + Sync);
 
@@ -132,11 +138,10 @@ impl Context<'_> {
     /// Actuator limits of every closed-loop run.
     pub fn actuator_limits(&self) -> ActuatorLimits {
         let p = &self.spec.optimise.program;
-        // A little fuel is kept: a motored cylinder has no lambda that a loop could hold.
         ActuatorLimits {
-            inj_mg: (p.inj_mg.0.max(1.0), p.inj_mg.1),
+            inj_mg: (p.inj_mg.0.max(MIN_FUEL_MG), p.inj_mg.1),
             spark_deg: p.spark_deg,
-            throttle_deg: (p.throttle_deg.0, p.throttle_deg.1.min(60.0)),
+            throttle_deg: (p.throttle_deg.0, p.throttle_deg.1.min(OPEN_THROTTLE_DEG)),
         }
     }
 

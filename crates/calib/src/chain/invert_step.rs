@@ -177,7 +177,8 @@ fn published(
                 r2,
                 status,
             });
-            if let (Ok(fit), "simulation error") = (fit, estimator) {
+            // A fit whose free run diverges is no map.
+            if let (Ok(fit), "simulation error", Some(_)) = (fit, estimator, r2) {
                 theta[c] = fit.theta;
             }
         }

@@ -9,8 +9,8 @@ use super::optimise_step::{OptimiseResult, optimise};
 use super::validate_step::{ValidateResult, validate};
 use dynocal_files::run_folder::{Done, RunFolder};
 use dynocal_ident::data::Dataset;
-use serde::de::DeserializeOwned;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::path::Path;
 
 /// Steps of a campaign that measure and compute; the report is the seventh.
@@ -83,7 +83,13 @@ fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     work: impl FnOnce(&Path) -> Result<T, ChainError>,
 ) -> Result<Done<T>, ChainError> {
     let common = (ctx.spec.seed, ctx.spec.sample_time_s, &ctx.spec.plant, inputs);
-    Ok(tell_resumed(ctx, folder.step(name, &common, work)?, name))
+    let done = folder.step(name, &common, |path| {
+        let result = work(path)?;
+        // An estimate that was interrupted is a result to its estimator, but none of a finished step.
+        ctx.check_interrupt()?;
+        Ok::<T, ChainError>(result)
+    })?;
+    Ok(tell_resumed(ctx, done, name))
 }
 
 fn step_excite(ctx: &Context, folder: &mut RunFolder) -> Result<Done<ExciteResult>, ChainError> {

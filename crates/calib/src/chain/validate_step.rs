@@ -24,7 +24,8 @@ pub struct BestSpark {
     /// Its ratio to the start record.
     pub ratio: f64,
     /// Share of the possible saving that the optimum realised: (1 - measured) / (1 - best spark).
-    pub share_of_saving: f64,
+    /// None when the perfect spark saves nothing.
+    pub share_of_saving: Option<f64>,
 }
 
 /// What step 6 leaves behind.
@@ -125,7 +126,8 @@ fn best_spark(
     save_records(folder, std::slice::from_ref(&run))?;
     let fuel_kg_h = mean_fuel(&run, last.first)?;
     let ratio = fuel_kg_h / last.measured_start_fuel_kg_h;
-    Ok(BestSpark { fuel_kg_h, ratio, share_of_saving: (1.0 - last.measured_ratio) / (1.0 - ratio) })
+    let share_of_saving = Some((1.0 - last.measured_ratio) / (1.0 - ratio)).filter(|v| v.is_finite());
+    Ok(BestSpark { fuel_kg_h, ratio, share_of_saving })
 }
 
 fn run_all(

@@ -269,6 +269,13 @@ fn split(typed: Option<&TypedSplit>, faults: &mut Faults) -> Option<(Select, Opt
                     faults.push(key, format!("[{a}, {b}]"), "[first, end) with first < end, zero-based rows");
                 }
             }
+            let all: Vec<(usize, usize)> = rows.iter().chain(s.test_rows.iter().flatten()).copied().collect();
+            let shared = |k: usize| all[..k].iter().find(|r| r.0 < all[k].1 && all[k].0 < r.1);
+            if let Some((other, k)) = (1..all.len()).find_map(|k| shared(k).map(|r| (r, k))) {
+                let found = format!("[{}, {}] and [{}, {}]", other.0, other.1, all[k].0, all[k].1);
+                let expected = "rows that no two ranges share: what is called unseen must not have been seen";
+                faults.push("split", found, expected);
+            }
             Some((Select::Rows(rows.clone()), s.test_rows.clone().map(Select::Rows)))
         }
         _ => {

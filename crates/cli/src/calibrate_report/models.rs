@@ -56,11 +56,11 @@ pub(super) fn table(m: &OutputModels, caption: &str) -> Table {
     let u = unit(&m.unit);
     let mut table = Table::new(vec![
         Column::text("Model"),
-        Column::number("RMSE, unseen", u).digits(3),
-        Column::number("95 % below, unseen", u).digits(3),
-        Column::number("R2, unseen", "%").digits(4),
-        Column::number("RMSE, ident.", u).digits(3),
-        Column::number("R2, ident.", "%").digits(4),
+        Column::number("RMSE unseen", u).digits(3),
+        Column::number("95 % unseen", u).digits(3),
+        Column::number("R2 unseen", "%").digits(4),
+        Column::number("RMSE ident.", u).digits(3),
+        Column::number("R2 ident.", "%").digits(4),
         Column::number("Terms", ""),
         Column::number("Eval.", ""),
         Column::text("Ended"),

@@ -28,10 +28,14 @@ pub(super) fn section(
                 b.fuel_kg_h,
                 "kg/h",
             ),
-            KeyValue::new("Share of its saving that the optimum realised", 100.0 * b.share_of_saving, "%"),
+            KeyValue::new(
+                "Share of its saving that the optimum realised",
+                b.share_of_saving.map_or(f64::NAN, |v| 100.0 * v),
+                "%",
+            ),
         ]);
     }
-    section = section.columns(vec![bars(passes, best).into(), convergence(passes).into()]);
+    section = section.block(bars(passes, best)).block(convergence(passes));
     for p in passes {
         let simulated = Simulated { torque: &p.torque.best().model, lambda: &p.lambda.best().model };
         section = section.heading(format!("Pass {}", p.pass));

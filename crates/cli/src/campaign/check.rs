@@ -1,6 +1,6 @@
 //! Faults of a calibration spec that its types cannot show.
 
-use dynocal_calib::chain::context::gains;
+use dynocal_calib::chain::context::{MIN_FUEL_MG, OPEN_THROTTLE_DEG, gains};
 use dynocal_calib::chain::spec::CalibrateSpec;
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
@@ -27,8 +27,68 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
         numbers(&table, "", faults);
     }
     start_rate(s, faults);
+    program(s, faults);
+    lengths(s, faults);
     counts(s, faults);
 }
+
+/// Limits and weights of the fuel program, and the ridge of the models.
+fn program(s: &CalibrateSpec, faults: &mut Faults) {
+    let p = &s.optimise.program;
+    if p.inj_mg.1.is_finite() && p.inj_mg.1 <= MIN_FUEL_MG {
+        let expected = format!("an upper limit above {MIN_FUEL_MG} mg, the least fuel that the loops use");
+        faults.push("optimise.program.inj_mg", format!("{:?}", p.inj_mg), expected);
+    }
+    if p.throttle_deg.0 >= OPEN_THROTTLE_DEG {
+        let expected = format!("a lower limit below {OPEN_THROTTLE_DEG} deg, where the throttle is open");
+        faults.push("optimise.program.throttle_deg", format!("{:?}", p.throttle_deg), expected);
+    }
+    faults.positive("optimise.program.tolerance", p.tolerance, "-");
+    for (k, weight) in p.increment_weight.iter().enumerate() {
+        faults.range(
+            &format!("optimise.program.increment_weight[{k}]"),
+            *weight,
+            0.0,
+            1e6,
+            "kg/h per unit^2",
+        );
+    }
+    faults.range("identify.ridge", s.identify.ridge, 0.0, 1.0, "-");
+    faults.range("invert.shape.ridge", s.invert.shape.ridge, 0.0, 1.0, "-");
+    for (key, range) in [("excite.spark_deg", s.excite.spark_deg), ("design.spark_deg", s.design.spark_deg)] {
+        if range.0 < p.spark_deg.0 || range.1 > p.spark_deg.1 {
+            let expected = format!("inside optimise.program.spark_deg = {:?}, deg BTDC", p.spark_deg);
+            faults.push(key, format!("{range:?}"), expected);
+        }
+    }
+    let shape = &s.invert.shape;
+    let offsets = shape.torque_offsets.iter().chain(&shape.lambda_offsets).chain(&shape.speed_offsets);
+    if let Some(far) = offsets.clone().find(|k| **k > shape.look_ahead as i32) {
+        let expected = format!("offsets up to invert.shape.look_ahead = {} samples", shape.look_ahead);
+        faults.push("invert.shape", far, expected);
+    }
+    if let Some(far) = offsets.clone().find(|k| **k < -MAP_MEMORY) {
+        faults.push("invert.shape", far, format!("offsets from -{MAP_MEMORY} samples on"));
+    }
+}
+
+/// Records that are long enough for what is done with them.
+fn lengths(s: &CalibrateSpec, faults: &mut Faults) {
+    for (key, value, least) in [
+        ("excite.record_s", s.excite.record_s, 10.0),
+        ("design.record_s", s.design.record_s, 10.0),
+        ("optimise.record_s", s.optimise.record_s, 10.0),
+        ("validate.scenario.point_s", s.validate.scenario.point_s, 2.0),
+        ("validate.scenario.step_s", s.validate.scenario.step_s, 2.0),
+    ] {
+        if value < least {
+            faults.push(key, value, format!("at least {least} s"));
+        }
+    }
+}
+
+/// Farthest past sample that the map may look at.
+const MAP_MEMORY: i32 = 60;
 
 /// Times that may be zero: a lag of zero is the static map itself, a sweep may turn without a dwell, a step may be
 /// instantaneous.

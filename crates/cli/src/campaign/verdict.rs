@@ -7,6 +7,8 @@ use dynocal_numerics::status::Status;
 
 /// Largest violation of the demands at which an optimum counts as feasible, in Nm and in lambda.
 pub(crate) const VIOLATION: f64 = 1e-6;
+/// Difference of promised and measured fuel ratio that is worth a warning, in points.
+const PROMISE_POINTS: f64 = 1.5;
 /// Torque and lambda errors above which a point of the static map was not reached.
 const STATIC_ERROR: (f64, f64) = (1.0, 0.02);
 
@@ -78,6 +80,21 @@ fn passes(passes: &[dynocal_calib::chain::optimise_step::Pass], f: &mut Findings
                 p.iterations
             );
             f.fault(p.status, text);
+        }
+        let points = 100.0 * (p.measured_ratio - p.promised_ratio).abs();
+        if !(p.measured_ratio.is_finite() && p.promised_ratio.is_finite()) {
+            f.fault(Status::Diverged, format!("Pass {} has no finite fuel ratio.", p.pass));
+        } else if p.promised_ratio < 1.0 && p.measured_ratio >= 1.0 {
+            let text = format!(
+                "Pass {} promised to save {:.1} % of fuel and measured {:+.1} %: its optimum must not be used.",
+                p.pass,
+                100.0 * (1.0 - p.promised_ratio),
+                100.0 * (p.measured_ratio - 1.0)
+            );
+            f.fault(Status::Stalled, text);
+        } else if points > PROMISE_POINTS {
+            f.notes
+                .push(format!("Promised and measured fuel of pass {} differ by {points:.1} points.", p.pass));
         }
         let feasible = p.torque_violation_nm < VIOLATION && p.lambda_violation < VIOLATION;
         if !feasible {

@@ -54,7 +54,7 @@ pub(crate) static STEP_VERBS: &[Verb] = &[
 
 #[derive(Args, Debug)]
 struct Calibrate {
-    /// Spec of the calibration (TOML); runs/<its name> is the run folder unless --out says otherwise
+    /// Spec of the calibration (TOML); the run folder is runs/NAME after its file name, unless --out says otherwise
     spec: PathBuf,
     #[command(flatten)]
     common: Common,
