@@ -56,6 +56,11 @@ pub enum ChainError {
         /// Where the record is expected.
         measured: String,
     },
+    /// A step that only a plant in the loop can do.
+    #[error(
+        "the static map and the comparison of the maps step a plant themselves: on a real bed the chain ends with `dynocal invert`, which has written the map; run this step on the virtual engine"
+    )]
+    NeedsPlant,
     /// Ctrl-C.
     #[error("interrupted: finished steps are kept, start again with the same folder to go on")]
     Interrupted,
@@ -119,15 +124,26 @@ impl Context<'_> {
     /// A plant with or without sensor noise.
     ///
     /// # Errors
-    /// [`ChainError::NeedsMeasurement`] for a real bed, [`PlantError`] otherwise.
+    /// [`ChainError::NeedsPlant`] for a real bed, [`PlantError`] otherwise.
     pub fn plant(&self, noise: bool) -> Result<Box<dyn Plant>, ChainError> {
         match self.plants {
             Some(make) => Ok(make(noise)?),
-            None => Err(ChainError::NeedsMeasurement {
-                plan: "static map and comparison".into(),
-                measured: self.measured.display().to_string(),
-            }),
+            None => Err(ChainError::NeedsPlant),
         }
+    }
+
+    /// Digests of the measured records of a real bed by name: another record is another input of every step.
+    pub fn measured_digests(&self) -> Vec<(String, String)> {
+        let Some(entries) = std::fs::read_dir(&self.measured).ok().filter(|_| self.plants.is_none()) else {
+            return Vec::new();
+        };
+        let digest = |path: PathBuf| {
+            let name = path.file_name()?.to_string_lossy().into_owned();
+            Some((name, dynocal_files::run_folder::digest(&std::fs::read(&path).ok()?)))
+        };
+        let mut digests: Vec<_> = entries.filter_map(|e| digest(e.ok()?.path())).collect();
+        digests.sort();
+        digests
     }
 
     /// Whether the plant has sensor noise.

@@ -82,7 +82,7 @@ fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     inputs: &I,
     work: impl FnOnce(&Path) -> Result<T, ChainError>,
 ) -> Result<Done<T>, ChainError> {
-    let common = (ctx.spec.seed, ctx.spec.sample_time_s, &ctx.spec.plant, inputs);
+    let common = (ctx.spec.seed, ctx.spec.sample_time_s, &ctx.spec.plant, ctx.measured_digests(), inputs);
     let done = folder.step(name, &common, |path| {
         let result = work(path)?;
         // An estimate that was interrupted is a result to its estimator, but none of a finished step.

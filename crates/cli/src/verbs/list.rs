@@ -27,8 +27,10 @@ type Family = (&'static str, fn() -> Vec<MemberDoc>);
 static FAMILIES: &[Family] = &[
     ("signals", dynocal_ident::signal::docs),
     ("models", dynocal_ident::model::structures::docs),
+    ("linear-models", dynocal_ident::model::linear::structures::docs),
     ("estimators", dynocal_ident::estimate::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
+    ("searches", || dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect()),
     ("plants", || crate::plants::PLANTS.iter().map(|p| p.doc).collect()),
     ("studies", || crate::studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
