@@ -136,7 +136,10 @@ fn unknown_keys_offer_the_nearest_and_come_all_at_once() {
     has(&e, "(did you mean `init_samples`?)");
     has(&e, "`split.colour`: found an unknown key");
     let e = refused(&SPEC.replace("\"ols\"", "\"olss\""), &record());
-    has(&e, "`model.estimator.name`: found `olss`, expected one of ols, sem (did you mean `ols`?)");
+    has(
+        &e,
+        "`model.estimator.name`: found `olss`, expected one of ols, iv, sem, train (did you mean `ols`?)",
+    );
     let e = refused(&SPEC.replace("na = 1", "n_a = 1"), &record());
     has(&e, "`model.structure.n_a`: found `n_a`");
 }

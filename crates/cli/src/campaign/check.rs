@@ -75,11 +75,11 @@ fn program(s: &CalibrateSpec, faults: &mut Faults) {
 /// Records that are long enough for what is done with them.
 fn lengths(s: &CalibrateSpec, faults: &mut Faults) {
     for (key, value, least) in [
-        ("excite.record_s", s.excite.record_s, 10.0),
-        ("design.record_s", s.design.record_s, 10.0),
-        ("optimise.record_s", s.optimise.record_s, 10.0),
-        ("validate.scenario.point_s", s.validate.scenario.point_s, 2.0),
-        ("validate.scenario.step_s", s.validate.scenario.step_s, 2.0),
+        ("excite.record_s", s.excite.record_s, 3.0),
+        ("design.record_s", s.design.record_s, 3.0),
+        ("optimise.record_s", s.optimise.record_s, 3.0),
+        ("validate.scenario.point_s", s.validate.scenario.point_s, 1.0),
+        ("validate.scenario.step_s", s.validate.scenario.step_s, 1.0),
     ] {
         if value < least {
             faults.push(key, value, format!("at least {least} s"));
