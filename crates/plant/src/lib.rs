@@ -28,4 +28,5 @@ pub mod statics;
 mod step;
 pub mod trace;
 pub mod transients;
+pub mod vehicle;
 pub mod verification;
