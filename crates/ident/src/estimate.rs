@@ -1,17 +1,24 @@
 //! Parameter estimation: the contract, its table, and what every estimator reports.
 
+pub mod cost;
 mod covariance;
+mod fit;
 pub mod iv;
+mod noise;
 pub mod ols;
 pub mod pem;
 pub mod rls;
+pub mod search;
 pub mod sem;
+mod simulation;
 pub mod train;
 
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
-use dynocal_numerics::status::{Iterate, Status};
-use serde::{Deserialize, Serialize};
+
+pub use covariance::{CovarianceChoice, CovarianceKind};
+pub use fit::{Fit, Minimised};
+pub use noise::Residuals;
 
 use crate::data::DataError;
 use crate::experiment::Experiment;
@@ -33,51 +40,6 @@ pub trait Estimator: Send + Sync {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError>;
-}
-
-/// Which error a fit made small.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Minimised {
-    /// One-step prediction error (PEM).
-    OneStep,
-    /// Free-run simulation error (SEM).
-    FreeRun,
-}
-
-/// An estimate.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Fit {
-    /// Name of the estimator.
-    pub estimator: String,
-    /// Which error [`Fit::mse`] is.
-    pub minimised: Minimised,
-    /// Parameters (p).
-    pub theta: Vec<f64>,
-    /// Names of the parameters.
-    pub names: Vec<String>,
-    /// Covariance of the parameters, p x p row-major: `s2 (J'J)^-1` with `s2 = |e|^2 / (n - p)`, valid for white
-    /// errors. Zero rows for parameters that the data do not determine.
-    pub covariance: Vec<f64>,
-    /// Standard errors (p): square roots of its diagonal; NaN for parameters that the data do not determine.
-    #[serde(deserialize_with = "crate::nullable::numbers")]
-    pub std_errors: Vec<f64>,
-    /// Mean of the (weighted) squared errors on the data used.
-    pub mse: f64,
-    /// `s2` of the covariance.
-    pub noise_variance: f64,
-    /// Scored samples.
-    pub samples: usize,
-    /// Numerical rank of the Jacobian; below p some parameters are not determined.
-    pub rank: usize,
-    /// How the estimator ended.
-    pub status: Status,
-    /// Evaluations of the cost.
-    pub evaluations: usize,
-    /// Iterations (the objective is the sum of squares).
-    pub history: Vec<Iterate>,
-    /// What the user should know, in sentences.
-    pub warnings: Vec<String>,
 }
 
 /// No estimate is possible.
@@ -135,12 +97,32 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
         doc: MemberDoc {
             name: "ols",
             what: "one-step prediction error by column-scaled QR least squares (PEM)",
-            params: &[ParamDoc {
-                name: "ridge",
-                unit: "-",
-                default: "0",
-                what: "weight on squared parameters, each in units of its regressor's rms, relative to the number of samples",
-            }],
+            params: &[
+                ParamDoc {
+                    name: "ridge",
+                    unit: "-",
+                    default: "0",
+                    what: "weight on squared parameters, each in units of its regressor's rms, relative to the number of samples",
+                },
+                ParamDoc {
+                    name: "cost",
+                    unit: "-",
+                    default: "\"squared\"",
+                    what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
+                },
+                ParamDoc {
+                    name: "threshold",
+                    unit: "-",
+                    default: "1.345",
+                    what: "where Huber's cost turns linear, in robust standard deviations of the errors",
+                },
+                ParamDoc {
+                    name: "covariance",
+                    unit: "-",
+                    default: "\"auto\"",
+                    what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
+                },
+            ],
         },
         build: |keys| Ok(Box::new(registry::keys::<ols::Ols>("ols", keys)?)),
     },
@@ -174,13 +156,19 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
     Member {
         doc: MemberDoc {
             name: "sem",
-            what: "simulation (free-run) error by Levenberg-Marquardt with exact recursive sensitivities",
+            what: "simulation (free-run) error with exact recursive sensitivities, by Levenberg-Marquardt or another search",
             params: &[
+                ParamDoc {
+                    name: "search",
+                    unit: "-",
+                    default: "\"lm\"",
+                    what: "lm, line_search, quasi_newton, lbfgsb, nelder_mead or pattern_search",
+                },
                 ParamDoc {
                     name: "max_evaluations",
                     unit: "-",
-                    default: "200",
-                    what: "most cost evaluations per start",
+                    default: "0",
+                    what: "most cost evaluations per start; 0: 200 for lm, 200 per parameter for nelder_mead, more for others",
                 },
                 ParamDoc {
                     name: "cost_tolerance",
@@ -206,6 +194,24 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
                     unit: "-",
                     default: "0",
                     what: "weight on squared parameters, as of ols",
+                },
+                ParamDoc {
+                    name: "cost",
+                    unit: "-",
+                    default: "\"squared\"",
+                    what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
+                },
+                ParamDoc {
+                    name: "threshold",
+                    unit: "-",
+                    default: "1.345",
+                    what: "where Huber's cost turns linear, in robust standard deviations of the errors",
+                },
+                ParamDoc {
+                    name: "covariance",
+                    unit: "-",
+                    default: "\"auto\"",
+                    what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
                 },
             ],
         },

@@ -229,8 +229,10 @@ fn ridge_shrinks_by_its_closed_form_in_any_unit() {
     for unit in [1.0, 1e6] {
         let mut e = simulated(&model, &[2.0], 300, 0.1, 4);
         e.u.iter_mut().for_each(|v| *v *= unit);
-        let plain = Ols { ridge: 0.0 }.estimate(&model, std::slice::from_ref(&e), None, &|| false).unwrap();
-        let ridge = Ols { ridge: 0.25 }.estimate(&model, std::slice::from_ref(&e), None, &|| false).unwrap();
+        let plain = Ols::default().estimate(&model, std::slice::from_ref(&e), None, &|| false).unwrap();
+        let ridge = Ols { ridge: 0.25, ..Ols::default() }
+            .estimate(&model, std::slice::from_ref(&e), None, &|| false)
+            .unwrap();
         assert!((ridge.theta[0] * 1.25 / plain.theta[0] - 1.0).abs() < 1e-12);
         // Without output terms simulation is prediction, so both estimators solve the same problem.
         let sem = Sem { ridge: 0.25, ..Sem::default() };

@@ -253,7 +253,7 @@ fn identify(
         let (y, _) = truth(setting, output, &r.u)?;
         let data = [noisy(&y, &r.u, noise, &mut Rng64::stream(seed, stream + k as u64))];
         let ridge = if ranks[k] < model.n_params() { LEAST_NORM_RIDGE } else { 0.0 };
-        Ok(Ols { ridge }.estimate(model, &data, None, &|| false)?.theta)
+        Ok(Ols { ridge, ..Ols::default() }.estimate(model, &data, None, &|| false)?.theta)
     };
     records.par_iter().enumerate().map(one).collect()
 }

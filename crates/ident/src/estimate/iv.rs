@@ -23,7 +23,7 @@ use serde::Deserialize;
 
 use super::covariance::rank_warning;
 use super::ols::{Ols, regression};
-use super::{EstimateError, Estimator, Fit, Minimised, names, short_name};
+use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, short_name};
 use crate::experiment::{Experiment, usable_samples};
 use crate::model::Model;
 use crate::model::linear::filter::{filter, stabilised};
@@ -295,9 +295,11 @@ impl<'a> Task<'a> {
             minimised: Minimised::OneStep,
             theta: found.theta,
             covariance: found.covariance,
+            covariance_kind: CovarianceKind::White,
             std_errors,
             mse: cost / samples as f64,
             noise_variance: found.noise_variance,
+            residuals: Residuals::default(),
             samples,
             rank: found.factor.rank,
             status: Status::Converged,

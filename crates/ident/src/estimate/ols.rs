@@ -1,27 +1,48 @@
-//! Ordinary least squares on the one-step prediction error.
+//! Least squares on the one-step prediction error.
 //!
 //! ```text
-//! theta = argmin sum_t w(t) (y(t) - phi(t)' theta)^2  + ridge n sum_k rms(phi_k)^2 theta_k^2
+//! theta = argmin sum_t w(t) rho(y(t) - phi(t)' theta)  + ridge n sum_k rms(phi_k)^2 theta_k^2
 //! ```
 //!
-//! (thesis eq. 2.15) with the measured outputs in phi, over all experiments together, by Householder QR in unit
-//! column scaling.
+//! (thesis eq. 2.15, rho the square) with the measured outputs in phi, over all experiments together, by Householder QR in
+//! unit column scaling. With Huber's cost ([`super::cost`]) Levenberg-Marquardt follows from there.
 
-use dynocal_numerics::linalg::{LeastSquaresFit, least_squares};
+use dynocal_numerics::linalg::{LeastSquaresFit, dot, least_squares};
+use dynocal_numerics::lm::{LeastSquares, LmOptions, levenberg_marquardt_interruptible};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
-use super::covariance::{covariance, rank_warning};
+use super::cost::{Cost, CostKind, HUBER_THRESHOLD, fit_scale, outlier_note};
+use super::covariance::{CovarianceChoice, Stored};
+use super::fit::Found;
+use super::noise::noise_warning;
 use super::{EstimateError, Estimator, Fit, Minimised, names};
 use crate::experiment::{Experiment, usable_samples};
 use crate::model::Model;
 
 /// Options of least squares.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ols {
     /// Ridge weight; parameters count in units of their regressor's rms, so that it does not depend on units.
     pub ridge: f64,
+    /// Cost of an error.
+    pub cost: CostKind,
+    /// Threshold of Huber's cost in robust standard deviations of the errors.
+    pub threshold: f64,
+    /// What the covariance assumes of the errors.
+    pub covariance: CovarianceChoice,
+}
+
+impl Default for Ols {
+    fn default() -> Self {
+        Self {
+            ridge: 0.0,
+            cost: CostKind::Squared,
+            threshold: HUBER_THRESHOLD,
+            covariance: CovarianceChoice::Auto,
+        }
+    }
 }
 
 impl Estimator for Ols {
@@ -30,7 +51,7 @@ impl Estimator for Ols {
         model: &dyn Model,
         data: &[Experiment],
         _start: Option<&[f64]>,
-        _interrupt: &dyn Fn() -> bool,
+        interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
         let samples = usable_samples(model, data)?;
         let p = model.n_params();
@@ -39,31 +60,54 @@ impl Estimator for Ols {
         }
         let (phi, y) = regression(model, data, samples);
         let solved = solve(&phi, &y, p, self.ridge)?;
-        let names = names(model);
-        let noise_variance = solved.residual_sum_squares / (samples - solved.factor.rank).max(1) as f64;
-        let (covariance, std_errors) = covariance(&solved.factor, p, noise_variance).map_err(numeric)?;
-        let warnings = rank_warning(&solved.factor, &names).into_iter().collect();
-        Ok(Fit {
-            estimator: "ols".into(),
+        let mut problem = Linear { phi: &phi, y: &y, ridge: self.penalties(&phi, p) };
+        let mut errors = problem.errors(&solved.x);
+        let (mut cost, mut warnings) = (Cost::SQUARED, Vec::new());
+        let objective = solved.residual_sum_squares;
+        let (mut theta, mut status, mut evaluations) = (solved.x, Status::Converged, 1);
+        let mut history = vec![Iterate { evaluations: 1, objective, violation: 0.0, optimality: 0.0 }];
+        if self.cost == CostKind::Huber {
+            let options = LmOptions { cost_tolerance: 1e-14, ..LmOptions::default() };
+            let rows = errors.len();
+            let (found, used) = fit_scale(&mut problem, rows, self.threshold, &theta, |costed, x| {
+                levenberg_marquardt_interruptible(costed, x, &options, interrupt)
+            });
+            (theta, status, evaluations, history) =
+                (found.x, found.status, 1 + found.evaluations, found.history);
+            cost = used;
+            errors = problem.errors(&theta);
+            warnings.extend(outlier_note(cost, &errors));
+        }
+        let found = Found {
+            estimator: "ols",
             minimised: Minimised::OneStep,
-            theta: solved.x,
-            names,
-            covariance,
-            std_errors,
-            mse: solved.residual_sum_squares / samples as f64,
-            noise_variance,
-            samples,
-            rank: solved.factor.rank,
-            status: Status::Converged,
-            evaluations: 1,
-            history: vec![Iterate {
-                evaluations: 1,
-                objective: solved.residual_sum_squares,
-                violation: 0.0,
-                optimality: 0.0,
-            }],
+            theta,
+            names: names(model),
+            status,
+            evaluations,
+            history,
             warnings,
-        })
+        };
+        let records = data.iter().map(|e| e.len() - e.first(model)).collect();
+        let mut evidence =
+            Stored { errors: &errors, jacobian: &phi, params: p, records, penalties: &problem.ridge };
+        let mut fit = Fit::new(found, &mut evidence, samples, self.covariance, cost)?;
+        fit.warnings.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals));
+        Ok(fit)
+    }
+}
+
+impl Ols {
+    /// `sqrt(ridge n) rms(phi_k)` of each parameter; empty without ridge.
+    fn penalties(&self, phi: &[f64], p: usize) -> Vec<f64> {
+        if self.ridge <= 0.0 {
+            return Vec::new();
+        }
+        let mut square = vec![0.0; p];
+        for row in phi.chunks_exact(p) {
+            square.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
+        }
+        square.iter().map(|s| (self.ridge * s).sqrt()).collect()
     }
 }
 
@@ -110,4 +154,48 @@ pub(super) fn solve(phi: &[f64], y: &[f64], p: usize, ridge: f64) -> Result<Leas
 
 fn numeric(source: dynocal_numerics::linalg::LinalgError) -> EstimateError {
     EstimateError::Numeric { estimator: "ols", source }
+}
+
+/// `phi theta - y` and the ridge as a problem for Levenberg-Marquardt.
+struct Linear<'a> {
+    phi: &'a [f64],
+    y: &'a [f64],
+    ridge: Vec<f64>,
+}
+
+impl Linear<'_> {
+    fn errors(&self, theta: &[f64]) -> Vec<f64> {
+        self.phi.chunks_exact(theta.len()).zip(self.y).map(|(row, y)| dot(row, theta) - y).collect()
+    }
+}
+
+impl LeastSquares for Linear<'_> {
+    fn n(&self) -> usize {
+        self.phi.len() / self.y.len().max(1)
+    }
+
+    fn residuals(&self) -> usize {
+        self.y.len() + self.ridge.len()
+    }
+
+    fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
+        let (errors, penalties) = r.split_at_mut(self.y.len());
+        for ((r, row), y) in errors.iter_mut().zip(self.phi.chunks_exact(x.len())).zip(self.y) {
+            *r = dot(row, x) - y;
+        }
+        for ((r, w), v) in penalties.iter_mut().zip(&self.ridge).zip(x) {
+            *r = w * v;
+        }
+        r.iter().all(|v| v.is_finite())
+    }
+
+    fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
+        let p = x.len();
+        jac[..self.phi.len()].copy_from_slice(self.phi);
+        jac[self.phi.len()..].fill(0.0);
+        for (k, w) in self.ridge.iter().enumerate() {
+            jac[self.phi.len() + k * p + k] = *w;
+        }
+        self.residual(x, r)
+    }
 }

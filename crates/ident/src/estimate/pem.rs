@@ -17,11 +17,10 @@
 
 mod start;
 
-use dynocal_numerics::linalg::pivoted_r;
 use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
 use serde::Deserialize;
 
-use super::covariance::{covariance, rank_warning};
+use super::fit::Found;
 use super::{EstimateError, Fit, Minimised};
 use crate::data::DataError;
 use crate::experiment::Experiment;
@@ -157,39 +156,23 @@ impl<'a> PredictionError<'a> {
         let p = self.model.n_params();
         let (mut r, mut jac) = (vec![0.0; self.rows], vec![0.0; self.rows * p]);
         self.residual_jacobian(&found.x, &mut r, &mut jac);
-        let cost: f64 = r.iter().map(|v| v * v).sum();
-        let factor = pivoted_r(&jac, self.rows, p, 0.0).map_err(numeric)?;
-        let noise_variance = cost / (samples - factor.rank).max(1) as f64;
-        let (covariance, std_errors) = covariance(&factor, p, noise_variance).map_err(numeric)?;
-        let names = self.model.param_names();
-        let mut warnings: Vec<String> = rank_warning(&factor, &names).into_iter().collect();
-        if !found.status.is_success() {
-            warnings.push(format!(
-                "prediction-error search of `{}` ended as {:?} after {} evaluations",
-                self.model.output, found.status, found.evaluations
-            ));
-        }
-        for part in self.model.unstable_parts(&found.x) {
-            warnings.push(format!(
+        let unstable = self.model.unstable_parts(&found.x).into_iter().map(|part| {
+            format!(
                 "{part} has a root on or outside the unit circle: the standard errors do not hold there; try a lower order"
-            ));
-        }
-        Ok(Fit {
-            estimator: "pem".into(),
+            )
+        });
+        let warnings = unstable.collect();
+        let found = Found {
+            estimator: "pem",
             minimised: Minimised::OneStep,
             theta: found.x,
-            names,
-            covariance,
-            std_errors,
-            mse: cost / samples as f64,
-            noise_variance,
-            samples,
-            rank: factor.rank,
+            names: self.model.param_names(),
             status: found.status,
             evaluations: found.evaluations,
             history: found.history,
             warnings,
-        })
+        };
+        Fit::from_stored(found, &r, &jac, self.data, samples)
     }
 }
 

@@ -214,7 +214,13 @@ fn finite_r(a: &[f64], rows: usize, cols: usize) -> Result<Vec<f64>, LinalgError
 
 /// Pivots the first `n` of the `width` columns of an R factor; also returns the rotated last column
 /// (meaningful when `width > n`).
-fn pivoted_from_r(r: &[f64], width: usize, n: usize, rows: usize, tolerance: f64) -> (PivotedR, Vec<f64>) {
+pub(super) fn pivoted_from_r(
+    r: &[f64],
+    width: usize,
+    n: usize,
+    rows: usize,
+    tolerance: f64,
+) -> (PivotedR, Vec<f64>) {
     let m = width;
     // Column-major copy with unit columns; the right-hand side (column n, if any) keeps its scale.
     let mut c = vec![0.0; m * width];

@@ -12,10 +12,12 @@
 //! Reference: G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., sections 5.2 and 5.4.
 
 mod backend;
+mod gathered;
 mod householder;
 mod triangular;
 
 pub use backend::{gram_upper, symmetric_eigenvalues};
+pub use gathered::{GramRows, QrRows, pivoted_from_gram};
 pub use householder::{LeastSquaresFit, PivotedR, QrWork, least_squares, pivoted_r};
 pub use triangular::{
     cholesky, invert_upper, log_det_gram, solve_upper, solve_upper_transposed, upper_times,

@@ -1,0 +1,133 @@
+//! What an estimator reports, and the one place where it is put together.
+
+use dynocal_numerics::status::{Iterate, Status};
+use serde::{Deserialize, Serialize};
+
+use super::cost::Cost;
+use super::covariance::{
+    CovarianceChoice, CovarianceKind, Evidence, Stored, Uncertainty, rank_warning, uncertainty,
+};
+use super::noise::Residuals;
+use super::{EstimateError, short_name};
+use crate::experiment::Experiment;
+
+/// Which error a fit made small.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Minimised {
+    /// One-step prediction error (PEM).
+    OneStep,
+    /// Free-run simulation error (SEM).
+    FreeRun,
+}
+
+/// An estimate.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Fit {
+    /// Name of the estimator.
+    pub estimator: String,
+    /// Which error [`Fit::mse`] is.
+    pub minimised: Minimised,
+    /// Parameters (p).
+    pub theta: Vec<f64>,
+    /// Names of the parameters.
+    pub names: Vec<String>,
+    /// Covariance of the parameters, p x p row-major, as [`Fit::covariance_kind`] says. Zero rows for parameters that
+    /// the data do not determine.
+    pub covariance: Vec<f64>,
+    /// `white`: `s2 (J'J)^-1` with `s2 = |e|^2 / (n - p)`; `robust`: the sandwich for coloured errors.
+    #[serde(default)]
+    pub covariance_kind: CovarianceKind,
+    /// Standard errors (p): square roots of its diagonal; NaN for parameters that the data do not determine.
+    #[serde(deserialize_with = "crate::nullable::numbers")]
+    pub std_errors: Vec<f64>,
+    /// Mean of the (weighted) squared errors on the data used.
+    pub mse: f64,
+    /// Variance of the errors, `|e|^2 / (n - p)`; with Huber's cost that of their pseudo-values.
+    pub noise_variance: f64,
+    /// Whether the errors are white.
+    #[serde(default)]
+    pub residuals: Residuals,
+    /// Scored samples.
+    pub samples: usize,
+    /// Numerical rank of the Jacobian; below p some parameters are not determined.
+    pub rank: usize,
+    /// How the estimator ended.
+    pub status: Status,
+    /// Evaluations of the cost.
+    pub evaluations: usize,
+    /// Iterations (the objective is the sum of squares, or of the cost where that is another).
+    pub history: Vec<Iterate>,
+    /// What the user should know, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// What a search found: a [`Fit`] without what follows from errors and Jacobian.
+pub(super) struct Found {
+    pub(super) estimator: &'static str,
+    pub(super) minimised: Minimised,
+    pub(super) theta: Vec<f64>,
+    pub(super) names: Vec<String>,
+    pub(super) status: Status,
+    pub(super) evaluations: usize,
+    pub(super) history: Vec<Iterate>,
+    pub(super) warnings: Vec<String>,
+}
+
+impl Fit {
+    /// The report of `found` with the covariance that `evidence` (errors and Jacobian there) gives.
+    pub(super) fn new(
+        found: Found,
+        evidence: &mut dyn Evidence,
+        samples: usize,
+        choice: CovarianceChoice,
+        cost: Cost,
+    ) -> Result<Self, EstimateError> {
+        let known = uncertainty(evidence, samples, found.minimised, choice, cost);
+        let known = known.map_err(|source| EstimateError::Numeric { estimator: found.estimator, source })?;
+        let Uncertainty { covariance, std_errors, kind, residuals, factor, sum_squares, noise_variance } =
+            known;
+        let mut warnings = found.warnings;
+        warnings.extend(rank_warning(&factor, &found.names));
+        if !found.status.is_success() {
+            warnings.push(format!(
+                "the search of `{}` for `{}` ended as {:?} after {} evaluations",
+                found.estimator,
+                short_name(&found.names),
+                found.status,
+                found.evaluations
+            ));
+        }
+        Ok(Self {
+            estimator: found.estimator.into(),
+            minimised: found.minimised,
+            theta: found.theta,
+            names: found.names,
+            covariance,
+            covariance_kind: kind,
+            std_errors,
+            mse: sum_squares / samples.max(1) as f64,
+            noise_variance,
+            residuals,
+            samples,
+            rank: factor.rank,
+            status: found.status,
+            evaluations: found.evaluations,
+            history: found.history,
+            warnings,
+        })
+    }
+
+    /// [`Fit::new`] from errors and Jacobian that are stored whole, row by row for all samples of `data`.
+    pub(super) fn from_stored(
+        found: Found,
+        errors: &[f64],
+        jacobian: &[f64],
+        data: &[Experiment],
+        samples: usize,
+    ) -> Result<Self, EstimateError> {
+        let records = data.iter().map(Experiment::len).collect();
+        let mut evidence = Stored { errors, jacobian, params: found.theta.len(), records, penalties: &[] };
+        Self::new(found, &mut evidence, samples, CovarianceChoice::Auto, Cost::SQUARED)
+    }
+}

@@ -1,0 +1,294 @@
+//! The free-run errors of all experiments as a least-squares problem, and where its searches start.
+
+use dynocal_numerics::lm::{LeastSquares, LmOutcome};
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::status::Status;
+
+use super::cost::Cost;
+use super::covariance::{CovarianceChoice, Stored};
+use super::fit::Found;
+use super::noise::noise_warning;
+use super::ols::{regression, solve};
+use super::{EstimateError, Fit, Minimised, names, short_name};
+use crate::experiment::Experiment;
+use crate::model::Model;
+
+/// Random parameters where the model has such, else `start` with a relative spread.
+pub(super) fn further_start(model: &dyn Model, start: &[f64], spread: f64, rng: &mut Rng64) -> Vec<f64> {
+    model
+        .random_start(rng)
+        .unwrap_or_else(|| start.iter().map(|v| v * (1.0 + spread * rng.normal())).collect())
+}
+
+/// The residuals of all experiments, one row per sample; rows before the first scored sample are zero.
+pub(super) struct SimulationError<'a> {
+    pub(super) model: &'a dyn Model,
+    data: &'a [Experiment],
+    pub(super) rows: usize,
+    y: Vec<f64>,
+    /// Weight of each parameter; empty without ridge.
+    pub(super) ridge: Vec<f64>,
+}
+
+impl<'a> SimulationError<'a> {
+    pub(super) fn new(model: &'a dyn Model, data: &'a [Experiment], ridge: f64, samples: usize) -> Self {
+        let longest = data.iter().map(Experiment::len).max().unwrap_or(0);
+        let rows = data.iter().map(Experiment::len).sum();
+        let ridge = if ridge > 0.0 { ridge_weights(model, data, ridge, samples) } else { Vec::new() };
+        Self { model, data, rows, y: vec![0.0; longest], ridge }
+    }
+
+    /// Free-run errors, zero where not scored; all zero when a free run diverges.
+    pub(super) fn errors(&mut self, theta: &[f64]) -> Vec<f64> {
+        let mut r = vec![0.0; self.residuals()];
+        if !self.residual(theta, &mut r) {
+            r.fill(0.0);
+        }
+        r.truncate(self.rows);
+        r
+    }
+
+    /// Sum of squares; infinite when a free run diverges.
+    pub(super) fn cost(&mut self, theta: &[f64]) -> f64 {
+        let mut r = vec![0.0; self.residuals()];
+        let cost: f64 =
+            if self.residual(theta, &mut r) { r.iter().map(|v| v * v).sum() } else { f64::INFINITY };
+        if cost.is_finite() { cost } else { f64::INFINITY }
+    }
+
+    /// Mean of the squared (weighted) errors over the scored samples; infinite when a free run diverges.
+    pub(super) fn mean_square(&mut self, theta: &[f64]) -> f64 {
+        let samples: usize = self.data.iter().map(|e| e.len().saturating_sub(e.first(self.model))).sum();
+        self.cost(theta) / samples.max(1) as f64
+    }
+
+    pub(super) fn unstable(&mut self, theta: &[f64]) -> EstimateError {
+        let model = short_name(&names(self.model));
+        for e in self.data {
+            let y = &mut self.y[..e.len()];
+            if self.model.simulate(theta, &e.run(self.model), y) != Status::Converged {
+                let sample = y.iter().position(|v| !v.is_finite()).unwrap_or(e.len());
+                return EstimateError::Unstable { model, record: e.name.clone(), sample };
+            }
+        }
+        // Finite values whose squares overflow.
+        let record = self.data.first().map(|e| e.name.clone()).unwrap_or_default();
+        EstimateError::Unstable { model, record, sample: 0 }
+    }
+
+    /// The fit of a search that ended in `found`.
+    pub(super) fn report(
+        &mut self,
+        found: LmOutcome,
+        samples: usize,
+        warnings: Vec<String>,
+    ) -> Result<Fit, EstimateError> {
+        self.report_as(found, samples, warnings, CovarianceChoice::Auto, Cost::SQUARED)
+    }
+
+    pub(super) fn report_as(
+        &mut self,
+        found: LmOutcome,
+        samples: usize,
+        warnings: Vec<String>,
+        choice: CovarianceChoice,
+        cost: Cost,
+    ) -> Result<Fit, EstimateError> {
+        let p = self.model.n_params();
+        let (mut r, mut jac) = (vec![0.0; self.residuals()], vec![0.0; self.residuals() * p]);
+        self.residual_jacobian(&found.x, &mut r, &mut jac);
+        let records = self.data.iter().map(Experiment::len).collect();
+        let mut evidence = Stored {
+            errors: &r[..self.rows],
+            jacobian: &jac[..self.rows * p],
+            params: p,
+            records,
+            penalties: &self.ridge,
+        };
+        let found = Found {
+            estimator: "sem",
+            minimised: Minimised::FreeRun,
+            theta: found.x,
+            names: names(self.model),
+            status: found.status,
+            evaluations: found.evaluations,
+            history: found.history,
+            warnings,
+        };
+        let mut fit = Fit::new(found, &mut evidence, samples, choice, cost)?;
+        fit.warnings.extend(noise_warning(self.model, &fit.theta, self.data, fit.minimised, &fit.residuals));
+        Ok(fit)
+    }
+}
+
+impl LeastSquares for SimulationError<'_> {
+    fn n(&self) -> usize {
+        self.model.n_params()
+    }
+
+    fn residuals(&self) -> usize {
+        self.rows + self.ridge.len()
+    }
+
+    fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
+        let mut row = 0;
+        for e in self.data {
+            let (run, y) = (e.run(self.model), &mut self.y[..e.len()]);
+            if self.model.simulate(x, &run, y) != Status::Converged {
+                return false;
+            }
+            fill_residuals(e, run.start, y, &mut r[row..row + e.len()]);
+            row += e.len();
+        }
+        self.fill_ridge(x, r);
+        true
+    }
+
+    fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
+        let p = self.model.n_params();
+        let mut row = 0;
+        for e in self.data {
+            let (run, y) = (e.run(self.model), &mut self.y[..e.len()]);
+            let s = &mut jac[row * p..(row + e.len()) * p];
+            if self.model.sensitivities(x, &run, y, s) != Status::Converged {
+                return false;
+            }
+            fill_residuals(e, run.start, y, &mut r[row..row + e.len()]);
+            if !e.weights.is_empty() {
+                for (w, s) in e.weights.iter().zip(s.chunks_exact_mut(p)) {
+                    s.iter_mut().for_each(|v| *v *= w.sqrt());
+                }
+            }
+            row += e.len();
+        }
+        self.fill_ridge(x, r);
+        jac[self.rows * p..].fill(0.0);
+        for (k, w) in self.ridge.iter().enumerate() {
+            jac[(self.rows + k) * p + k] = *w;
+        }
+        true
+    }
+}
+
+impl SimulationError<'_> {
+    fn fill_ridge(&self, x: &[f64], r: &mut [f64]) {
+        for ((r, w), v) in r[self.rows..].iter_mut().zip(&self.ridge).zip(x) {
+            *r = w * v;
+        }
+    }
+}
+
+/// `sqrt(ridge n) rms(phi_k)` of each parameter.
+fn ridge_weights(model: &dyn Model, data: &[Experiment], ridge: f64, samples: usize) -> Vec<f64> {
+    let p = model.n_params();
+    let (phi, _) = regression(model, data, samples);
+    let mut square = vec![0.0; p];
+    for row in phi.chunks_exact(p) {
+        square.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
+    }
+    square.iter().map(|s| (ridge * s).sqrt()).collect()
+}
+
+fn fill_residuals(e: &Experiment, start: usize, y: &[f64], r: &mut [f64]) {
+    r[..start].fill(0.0);
+    for t in start..e.len() {
+        r[t] = y[t] - e.y[t];
+    }
+    for (v, w) in r.iter_mut().zip(&e.weights) {
+        *v *= w.sqrt();
+    }
+}
+
+/// Least squares, repaired when its free run is useless.
+pub(super) fn least_squares_start(
+    model: &dyn Model,
+    data: &[Experiment],
+    samples: usize,
+    ridge: f64,
+    problem: &mut SimulationError,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<f64>, EstimateError> {
+    if !model.is_linear_in_params() {
+        return Err(EstimateError::NotLinear { estimator: "ols", params: model.n_params() });
+    }
+    let (phi, y) = regression(model, data, samples);
+    let theta = solve(&phi, &y, model.n_params(), ridge)?.x;
+    let cost = problem.cost(&theta);
+    // Worse than twice the spread about the mean: the linear start misleads more than a shrunk one.
+    if cost <= 2.0 * spread(model, data) {
+        return Ok(theta);
+    }
+    let repaired = shrink_output_terms(model, data, samples, &theta, problem)?;
+    match repaired {
+        Some((better, gain, better_cost)) if better_cost < cost => {
+            warnings.push(format!(
+                "the free run of the least-squares start {}; the search started from output terms times {gain}",
+                if cost.is_finite() { "is worse than the mean" } else { "diverges" },
+            ));
+            Ok(better)
+        }
+        _ if cost.is_finite() => Ok(theta),
+        _ => Err(problem.unstable(&theta)),
+    }
+}
+
+/// Weighted sum of squares of the scored outputs about their mean.
+pub(super) fn spread(model: &dyn Model, data: &[Experiment]) -> f64 {
+    let scored = || data.iter().flat_map(|e| (e.first(model)..e.len()).map(|t| (e.y[t], e.weight(t))));
+    let total: f64 = scored().map(|(_, w)| w).sum();
+    let mean = scored().map(|(y, w)| w * y).sum::<f64>() / total;
+    scored().map(|(y, w)| w * (y - mean).powi(2)).sum()
+}
+
+/// Tries `theta` with all output coefficients times a gain below one and the others refitted by least squares;
+/// returns the one with the least free-run error, its gain and its cost.
+fn shrink_output_terms(
+    model: &dyn Model,
+    data: &[Experiment],
+    samples: usize,
+    theta: &[f64],
+    problem: &mut SimulationError,
+) -> Result<Option<(Vec<f64>, f64, f64)>, EstimateError> {
+    let p = theta.len();
+    let recursive = output_params(model, data);
+    let free: Vec<usize> = (0..p).filter(|k| !recursive[*k]).collect();
+    let (phi, y) = regression(model, data, samples);
+    let exogenous: Vec<f64> = phi.chunks_exact(p).flat_map(|row| free.iter().map(|&k| row[k])).collect();
+    let mut best: Option<(Vec<f64>, f64, f64)> = None;
+    for gain in [0.99, 0.97, 0.95, 0.9, 0.8, 0.6, 0.4, 0.2, 0.0] {
+        let mut trial: Vec<f64> = (0..p).map(|k| if recursive[k] { gain * theta[k] } else { 0.0 }).collect();
+        if !free.is_empty() {
+            let rest: Vec<f64> = phi
+                .chunks_exact(p)
+                .zip(&y)
+                .map(|(row, y)| y - row.iter().zip(&trial).map(|(a, b)| a * b).sum::<f64>())
+                .collect();
+            for (k, v) in free.iter().zip(solve(&exogenous, &rest, free.len(), 0.0)?.x) {
+                trial[*k] = v;
+            }
+        }
+        let cost = problem.cost(&trial);
+        if cost < best.as_ref().map_or(f64::INFINITY, |b| b.2) {
+            best = Some((trial, gain, cost));
+        }
+    }
+    Ok(best)
+}
+
+/// Which parameters multiply past outputs: those whose regressor changes with the output.
+fn output_params(model: &dyn Model, data: &[Experiment]) -> Vec<bool> {
+    let p = model.n_params();
+    let mut reads = vec![false; p];
+    for e in data {
+        let run = e.run(model);
+        let moved: Vec<f64> = e.y.iter().map(|v| 2.0 * v + 1.0).collect();
+        let (mut a, mut b) = (vec![0.0; e.len() * p], vec![0.0; e.len() * p]);
+        let theta = vec![0.0; p];
+        model.one_step_jacobian(&theta, &run, &mut a);
+        model.one_step_jacobian(&theta, &crate::model::Run { y: &moved, ..run }, &mut b);
+        for (i, (x, y)) in a.iter().zip(&b).enumerate() {
+            reads[i % p] |= x != y;
+        }
+    }
+    reads
+}
