@@ -7,7 +7,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::frols::{Stop, frols};
-use dynocal_ident::select::pool::PoolSpec;
+use dynocal_ident::select::pool::{Pool, PoolSpec};
 use dynocal_ident::select::prune::{best_on, prune};
 use dynocal_ident::validate::{Kind, Seen, score};
 use dynocal_numerics::rng::Rng64;
@@ -89,7 +89,7 @@ fn path_errors_equal_least_squares_with_the_same_terms() {
         scored.iter().map(|v| v * v).sum::<f64>() / scored.len() as f64
     };
     for terms in [1, 2, 5, 10, 20] {
-        let model = selection.first(&pool, terms).unwrap();
+        let model = selection.first(&Pool::from(&pool), terms).unwrap();
         // The chosen terms may have shorter lags: score the same samples.
         let data: Vec<Experiment> =
             data.iter().map(|e| Experiment { init_samples: pool.max_lag(), ..e.clone() }).collect();

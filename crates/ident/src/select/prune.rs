@@ -6,13 +6,114 @@
 //! parameters, until few are left. One at a time: removing several of a correlated group at once loses what each of
 //! them could have carried alone. Which model of the way down to use is for data to say that no estimate has seen.
 
+use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
+use super::basis::Basis;
+use super::frols::{Frols, Stop};
+use super::path::{AIC_RHO, Action, Change, Selection, Step, step};
+use super::pool::Pool;
+use super::{Select, SelectError};
 use crate::estimate::sem::Sem;
 use crate::estimate::{EstimateError, Estimator, Fit};
 use crate::experiment::Experiment;
 use crate::model::poly::PolyNarx;
 use crate::validate::{Kind, Seen, score};
+
+/// Elimination on the simulation error from what forward regression took.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Prune {
+    /// Terms that forward regression takes first.
+    pub from: usize,
+    /// Fewest terms.
+    pub min_terms: usize,
+    /// Share of each record, at its end, that chooses among the models on the way down; 0: the data of the fit choose.
+    pub selection: f64,
+}
+
+impl Default for Prune {
+    fn default() -> Self {
+        Self { from: 30, min_terms: 3, selection: 0.25 }
+    }
+}
+
+pub(super) const MEMBER: Member<dyn Select> = Member {
+    doc: MemberDoc {
+        name: "prune",
+        what: "forward regression to more terms than wanted, then elimination on the simulation error",
+        params: &[
+            ParamDoc {
+                name: "from",
+                unit: "-",
+                default: "30",
+                what: "terms that forward regression takes first",
+            },
+            ParamDoc { name: "min_terms", unit: "-", default: "3", what: "fewest terms" },
+            super::SELECTION_SHARE,
+        ],
+    },
+    build,
+};
+
+fn build(keys: &toml::Table) -> Result<Box<dyn Select>, BuildError> {
+    let s: Prune = registry::keys("prune", keys)?;
+    let fault = |message: String| Err(BuildError::Keys { member: "prune".into(), message });
+    if s.min_terms == 0 || s.from < s.min_terms {
+        return fault(format!(
+            "from is {}, min_terms is {}, expected from >= min_terms >= 1",
+            s.from, s.min_terms
+        ));
+    }
+    if !(0.0..1.0).contains(&s.selection) {
+        return fault(format!("selection is {}, expected 0 to below 1", s.selection));
+    }
+    Ok(Box::new(s))
+}
+
+impl Select for Prune {
+    fn select(
+        &self,
+        pool: &Pool,
+        data: &[Experiment],
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Selection, SelectError> {
+        let (fitted, selecting) = super::split(data, self.selection, pool.max_lag());
+        let wide = Frols { stop: Stop::Terms(self.from) }.select(pool, &fitted, interrupt)?;
+        let start: Vec<usize> = wide.path.iter().map(|s| s.candidate).collect();
+        let models = prune(&wide.model, &fitted, &Sem::default(), self.min_terms, interrupt)?;
+        super::interrupted(interrupt)?;
+        let small = Pool::from(&wide.model);
+        let mut basis = Basis::new(&small, &fitted, 1)?;
+        let mut path: Vec<Step> = wide.path;
+        let mut before = path.last().map_or(basis.total(), |s| s.mse * basis.n() as f64);
+        for p in &models[1..] {
+            let left: Vec<usize> = (0..small.candidates().len())
+                .filter(|&k| p.model.regressors().contains(&small.candidates()[k]))
+                .collect();
+            basis.restart(&left);
+            let out = p.removed.as_deref().and_then(|r| start.iter().find(|&&k| pool.text(k) == r));
+            let change = Change {
+                candidate: out.copied().unwrap_or_default(),
+                action: Action::Removed,
+                terms: left.len(),
+                before,
+                after: basis.residual_sum_squares(),
+                press: basis.press(),
+            };
+            before = change.after;
+            path.push(step(pool, basis.n(), basis.total(), AIC_RHO, change));
+        }
+        // The last forward step and each removal are the models on the way down.
+        let first = path.len() - models.len();
+        for (row, p) in path[first..].iter_mut().zip(&models) {
+            let mse = score(&p.model, &p.fit.theta, &selecting, Kind::FreeRun, Seen::Unseen).mse;
+            row.free_run = Some(if mse.is_finite() { mse } else { f64::INFINITY });
+        }
+        let kept = best_on(&models, &selecting).unwrap_or(models.len() - 1);
+        Selection::new(pool, Vec::new(), path, first + kept + 1)
+    }
+}
 
 /// One model on the way down.
 #[derive(Clone, Debug, Serialize, Deserialize)]
