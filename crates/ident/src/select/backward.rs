@@ -85,8 +85,9 @@ impl Select for Backward {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Selection, SelectError> {
         let p = pool.candidates().len();
-        let basis = Basis::new(pool, data, p + 1)?;
+        let basis = Basis::new(pool, data, 1)?;
         let n = basis.n();
+        more_than(n, p, data, format!("{p} candidates, all of which are in at first"))?;
         if n.saturating_mul(p) > MOST_ENTRIES {
             let message = format!(
                 "backward elimination starts from all {p} candidates over {n} samples, expected at most \
@@ -139,6 +140,15 @@ impl Select for Backward {
     }
 }
 
+/// n samples are enough for p terms.
+fn more_than(n: usize, p: usize, data: &[Experiment], why: String) -> Result<(), SelectError> {
+    if n > p {
+        return Ok(());
+    }
+    let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+    Err(EstimateError::from(DataError::TooShort { record, found: n, expected: p + 1, why }).into())
+}
+
 /// The regression on all terms that are left.
 struct Full {
     /// Columns (n each) of the terms that are left, and their places in the pool.
@@ -184,12 +194,7 @@ impl Full {
             (fit, rows) = self.solve().map_err(numeric)?;
         }
         let (p, n) = (self.left.len(), self.y.len());
-        if p == 0 || n <= p {
-            let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
-            let why = format!("{p} independent candidates");
-            let fault = DataError::TooShort { record, found: n, expected: p + 1, why };
-            return Err(EstimateError::from(fault).into());
-        }
+        more_than(n, p, data, format!("{p} independent candidates"))?;
         let mut r_inverse = vec![0.0; p * p];
         invert_upper(&fit.factor.r, p, &mut r_inverse).map_err(numeric)?;
         // Back from pivoted order and unit columns.
