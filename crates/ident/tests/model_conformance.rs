@@ -55,7 +55,28 @@ fn cases() -> Vec<Case> {
         let theta = (0..model.n_params()).map(|_| rng.uniform_in(-0.9, 0.9) / p.sqrt()).collect();
         cases.push(Case { name: member.doc.name.into(), model, theta, u, y0 });
     }
+    cases.push(functions());
     cases
+}
+
+/// Functions of inputs, of outputs and of both, alone and in products. The kinks of `abs` and `pos` lie outside of
+/// what the signals reach, where central differences would average over them.
+fn functions() -> Case {
+    let texts = [
+        "y(t-1)",
+        "sqrt(a(t) + 2)",
+        "tanh(3*y(t-1) - 3*y(t-2) + a(t-1))",
+        "b(t-1)^2*abs(y(t-1) + 0.25*c(t-2) + 5)^2",
+        "y(t-3)*pos(4 - a(t-1) - y(t-1))*sqrt(3 + y(t-2))",
+        "sin(2*b(t))*cos(c(t-1) - y(t-4))*y(t-1)^2",
+        "exp(-1.5*d(t-2))",
+    ];
+    let model = PolyNarx::parse(&["a", "b", "c", "d"], "y", &texts).unwrap();
+    let mut rng = Rng64::stream(12, 0);
+    let mut draw = |n: usize, half: f64| (0..n).map(|_| rng.uniform_in(-half, half)).collect::<Vec<f64>>();
+    let (u, y0) = (draw(N * 4, 1.0), draw(N, 0.5));
+    let theta = vec![0.4, 0.2, 0.15, 0.004, 0.02, 0.2, 0.05];
+    Case { name: "functions".into(), model: Box::new(model), theta, u, y0 }
 }
 
 fn close(a: f64, b: f64, relative: f64, scale: f64, what: &str) {

@@ -5,15 +5,20 @@
 //! ```
 //!
 //! (thesis eqs. 2.3 and 4.17). Linear in the parameters for one-step prediction, recursive in free run. FIR and
-//! ARX models are the members of degree 1.
+//! ARX models are the members of degree 1. A factor may also be a [`Function`] with fixed numbers of a combination of
+//! lagged channels, `tanh(2000*x(t-1) - 2000*x(t-2))`.
 
 mod adjoint;
+pub mod function;
 mod program;
 pub mod regressor;
 mod run;
+mod shaped;
+mod text;
 
 use serde::{Deserialize, Serialize};
 
+pub use function::{Function, Shape};
 pub use regressor::{Factor, Regressor, Source, StructureError};
 
 use program::{MAX_OUTPUT_LAGS, Program};

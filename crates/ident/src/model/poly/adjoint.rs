@@ -19,6 +19,7 @@
 //! ```
 
 use super::program::{MAX_OUTPUT_LAGS, Program, Tap, first_derivative, second_derivative};
+use super::shaped::Place;
 use crate::model::Run;
 
 /// See [`crate::model::Model::sensitivity_adjoint`].
@@ -65,6 +66,13 @@ pub(super) fn sensitivity_adjoint(
         }
         for &k in &program.longer {
             distribute(program.taps(k), u, weight[k], u_out);
+        }
+        for term in &program.shaped {
+            term.gradient(u, y, t, |place, slope| {
+                if let Place::Input { shift, .. } = place {
+                    u_out[shift] += weight[term.k] * slope;
+                }
+            });
         }
         if ring > 0 {
             recursive_terms(program, theta, run, y, s, start, t, &s_now, &weight, u_out, &mut later);
@@ -148,6 +156,21 @@ fn recursive_terms(
             }
             later.y[(t - f.lag) % later.ring] += inputs * g;
         }
+    }
+    // Here the reads are weighted one by one: r(t-i) += w_k dphi/dr_i + theta_k sum_j abar_j d2phi/dr_i dy(t-j).
+    for term in &program.shaped_recursive {
+        let k = term.k;
+        let mut give = |place: Place, g: f64| match place {
+            Place::Input { shift, .. } => u_out[shift] += g,
+            Place::Output { lag, .. } if t >= start + lag => later.y[(t - lag) % later.ring] += g,
+            Place::Output { .. } => {}
+        };
+        term.gradient(u, y, t, |place, slope| give(place, weight[k] * slope));
+        term.hessian(u, y, t, |place, other, second| {
+            if let Place::Output { slot, .. } = other {
+                give(place, theta[k] * a_bar[slot] * second);
+            }
+        });
     }
 }
 

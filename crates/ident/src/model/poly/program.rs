@@ -5,6 +5,7 @@
 //! that the loop over time vectorises); only the terms with outputs are evaluated sample by sample.
 
 use super::regressor::{Regressor, Source};
+use super::shaped::{Place, ShapedTerm};
 
 /// Samples per block.
 pub(super) const BLOCK: usize = 64;
@@ -70,6 +71,10 @@ pub(super) struct Program {
     pub(super) pairs: Vec<(usize, usize, usize)>,
     /// Exogenous terms of three and more taps.
     pub(super) longer: Vec<usize>,
+    /// Terms with functions that do not read the output; not in the lists above, without taps and outputs.
+    pub(super) shaped: Vec<ShapedTerm>,
+    /// Terms with functions that do, or whose plain factors do.
+    pub(super) shaped_recursive: Vec<ShapedTerm>,
     /// Distinct output lags, ascending.
     pub(super) output_lags: Vec<usize>,
     /// Distinct (input, lag) pairs, sorted.
@@ -91,14 +96,14 @@ impl Scratch {
 
 impl Program {
     pub(super) fn new(m: usize, regressors: &[Regressor]) -> Self {
-        let all = || regressors.iter().flat_map(|r| r.factors().iter());
-        let max_lag = all().map(|f| f.lag).max().unwrap_or(0);
+        let all = || regressors.iter().flat_map(|r| r.reads());
+        let max_lag = all().map(|(_, lag)| lag).max().unwrap_or(0);
         let mut window = Vec::new();
         let mut output_lags = Vec::new();
-        for f in all() {
-            match f.source {
-                Source::Input(i) => window.push((i, f.lag)),
-                Source::Output => output_lags.push(f.lag),
+        for (source, lag) in all() {
+            match source {
+                Source::Input(i) => window.push((i, lag)),
+                Source::Output => output_lags.push(lag),
             }
         }
         window.sort_unstable();
@@ -108,7 +113,21 @@ impl Program {
 
         let (mut taps, mut outputs, mut terms) = (Vec::new(), Vec::new(), Vec::new());
         let (mut exogenous, mut recursive) = (Vec::new(), Vec::new());
+        let (mut shaped, mut shaped_recursive) = (Vec::new(), Vec::new());
+        let place = |source, lag| match source {
+            Source::Input(i) => Place::Input {
+                shift: (max_lag - lag) * m + i,
+                window: window.partition_point(|w| *w < (i, lag)),
+            },
+            Source::Output => Place::Output { lag, slot: output_lags.partition_point(|l| *l < lag) },
+        };
         for (k, r) in regressors.iter().enumerate() {
+            if !r.functions().is_empty() {
+                let list = if r.reads_output() { &mut shaped_recursive } else { &mut shaped };
+                list.push(ShapedTerm::new(k, r, place));
+                terms.push(Term { taps: (taps.len(), taps.len()), outputs: (outputs.len(), outputs.len()) });
+                continue;
+            }
             let (tap0, output0) = (taps.len(), outputs.len());
             for f in r.factors() {
                 match f.source {
@@ -143,6 +162,8 @@ impl Program {
             singles: Vec::new(),
             pairs: Vec::new(),
             longer: Vec::new(),
+            shaped,
+            shaped_recursive,
             output_lags,
             window,
         };
@@ -198,7 +219,7 @@ impl Program {
 
     /// sum of theta_k I_k(t) O_k(t) over the recursive terms.
     pub(super) fn recursive_sum(&self, theta: &[f64], u: &[f64], y: &[f64], t: usize) -> f64 {
-        if self.recursive.is_empty() {
+        if !self.is_recursive() {
             return 0.0;
         }
         let window = self.input_window(u, t);
@@ -209,7 +230,15 @@ impl Program {
         for &k in &self.general {
             sum += theta[k] * self.input_product(k, window) * self.output_product(k, y, t);
         }
+        for term in &self.shaped_recursive {
+            sum += theta[term.k] * term.value(window, y, t);
+        }
         sum
+    }
+
+    /// Whether any term reads the output.
+    pub(super) fn is_recursive(&self) -> bool {
+        !self.recursive.is_empty() || !self.shaped_recursive.is_empty()
     }
 
     /// Fills `a` (one value per entry of [`Program::output_lags`]) with df/dy(t - lag).
@@ -225,6 +254,13 @@ impl Program {
             for (i, f) in factors.iter().enumerate() {
                 a[f.slot] += gain * first_derivative(factors, i, y, t);
             }
+        }
+        for term in &self.shaped_recursive {
+            term.gradient(window, y, t, |place, slope| {
+                if let Place::Output { slot, .. } = place {
+                    a[slot] += theta[term.k] * slope;
+                }
+            });
         }
     }
 
@@ -279,6 +315,15 @@ impl Program {
             if let Some(s) = s.as_deref_mut() {
                 for (x, v) in s[t0 * p + k..].iter_mut().step_by(p).zip(product.iter()) {
                     *x = *v;
+                }
+            }
+        }
+        for term in &self.shaped {
+            for (i, x) in sum.iter_mut().enumerate() {
+                let v = term.value(self.input_window(u, t0 + i), &[], t0 + i);
+                *x += theta[term.k] * v;
+                if let Some(s) = s.as_deref_mut() {
+                    s[(t0 + i) * p + term.k] = v;
                 }
             }
         }

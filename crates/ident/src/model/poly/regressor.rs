@@ -1,6 +1,7 @@
-//! Regressors: products of lagged inputs and outputs, and their text form.
+//! Regressors: products of lagged inputs and outputs and of functions of them, and their text form.
 
-use dynocal_numerics::registry::nearest;
+use super::function::{Function, delay};
+use super::text::{Context, Parsed};
 
 /// Longest lag that a structure may have, in samples: a typing error must not become a huge window.
 pub const MAX_LAG: usize = 10_000;
@@ -27,12 +28,13 @@ pub struct Factor {
     pub power: u32,
 }
 
-/// A product of factors; no factor is the constant regressor `1`.
+/// A product of factors and functions; no factor is the constant regressor `1`.
 ///
 /// Factors are kept sorted and merged, so that equal products compare equal.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Regressor {
     factors: Vec<Factor>,
+    functions: Vec<Function>,
 }
 
 /// A model structure is not well formed.
@@ -117,7 +119,7 @@ fn hint(nearest: &Option<String>) -> String {
 impl Regressor {
     /// The constant regressor.
     pub fn constant() -> Self {
-        Self { factors: Vec::new() }
+        Self { factors: Vec::new(), functions: Vec::new() }
     }
 
     /// The product of `factors`; equal sources and lags are merged by adding their powers.
@@ -131,58 +133,82 @@ impl Regressor {
                 _ => merged.push(f),
             }
         }
-        Self { factors: merged }
+        Self { factors: merged, functions: Vec::new() }
+    }
+
+    /// This regressor times `functions`; equal functions are merged by adding their powers.
+    pub fn with_functions(mut self, functions: &[Function]) -> Self {
+        self.functions.extend(functions.iter().filter(|f| f.power > 0).cloned());
+        self.functions.sort();
+        let mut merged: Vec<Function> = Vec::with_capacity(self.functions.len());
+        for f in self.functions {
+            match merged.last_mut() {
+                Some(last) if (last.shape, &last.reads, last.offset) == (f.shape, &f.reads, f.offset) => {
+                    last.power += f.power;
+                }
+                _ => merged.push(f),
+            }
+        }
+        Self { factors: self.factors, functions: merged }
     }
 
     /// `input_i(t - lag)`.
     pub fn input(i: usize, lag: usize) -> Self {
-        Self { factors: vec![Factor { source: Source::Input(i), lag, power: 1 }] }
+        Self::new(vec![Factor { source: Source::Input(i), lag, power: 1 }])
     }
 
     /// `output(t - lag)`.
     pub fn output(lag: usize) -> Self {
-        Self { factors: vec![Factor { source: Source::Output, lag, power: 1 }] }
+        Self::new(vec![Factor { source: Source::Output, lag, power: 1 }])
     }
 
     /// The product of two regressors.
     pub fn times(&self, other: &Self) -> Self {
         Self::new(self.factors.iter().chain(&other.factors).copied().collect())
+            .with_functions(&self.functions)
+            .with_functions(&other.functions)
     }
 
-    /// Factors, sorted: inputs by number, then lag; the output last.
+    /// Plain factors, sorted: inputs by number, then lag; the output last. Not all of the regressor where
+    /// [`Regressor::functions`] is not empty.
     pub fn factors(&self) -> &[Factor] {
         &self.factors
     }
 
+    /// Factors that are functions, sorted.
+    pub fn functions(&self) -> &[Function] {
+        &self.functions
+    }
+
+    /// Everything that is read, as (source, lag).
+    pub fn reads(&self) -> impl Iterator<Item = (Source, usize)> {
+        let inside = self.functions.iter().flat_map(|f| f.reads.iter().map(|r| (r.source, r.lag)));
+        self.factors.iter().map(|f| (f.source, f.lag)).chain(inside)
+    }
+
     /// Sum of the powers.
     pub fn degree(&self) -> u32 {
-        self.factors.iter().map(|f| f.power).sum()
+        self.factors.iter().map(|f| f.power).chain(self.functions.iter().map(|f| f.power)).sum()
     }
 
     /// Whether a factor reads the output.
     pub fn reads_output(&self) -> bool {
-        self.factors.iter().any(|f| f.source == Source::Output)
+        self.reads().any(|(source, _)| source == Source::Output)
     }
 
     /// Text form with the user's channel names, e.g. `inj(t-1)*spark(t-3)^2`, `speed(t)`, `1`.
     pub fn format(&self, inputs: &[String], output: &str) -> String {
-        if self.factors.is_empty() {
-            return "1".into();
-        }
-        let parts: Vec<String> = self
-            .factors
-            .iter()
-            .map(|f| {
-                let name = match f.source {
-                    Source::Input(i) => inputs.get(i).map_or("?", String::as_str),
-                    Source::Output => output,
-                };
-                let lag = if f.lag == 0 { String::new() } else { format!("-{}", f.lag) };
-                let power = if f.power == 1 { String::new() } else { format!("^{}", f.power) };
-                format!("{name}(t{lag}){power}")
-            })
-            .collect();
-        parts.join("*")
+        let name = |source| match source {
+            Source::Input(i) => inputs.get(i).map_or("?", String::as_str),
+            Source::Output => output,
+        };
+        let plain = self.factors.iter().map(|f| {
+            let power = if f.power == 1 { String::new() } else { format!("^{}", f.power) };
+            format!("{}({}){power}", name(f.source), delay(f.lag))
+        });
+        let functions = self.functions.iter().map(|f| f.format(|s| name(s).to_string()));
+        let parts: Vec<String> = plain.chain(functions).collect();
+        if parts.is_empty() { "1".into() } else { parts.join("*") }
     }
 
     /// Reads the text form.
@@ -194,9 +220,14 @@ impl Regressor {
         if trimmed == "1" {
             return Ok(Self::constant());
         }
-        let factors: Result<Vec<Factor>, StructureError> =
-            trimmed.split('*').map(|part| parse_factor(part.trim(), trimmed, inputs, output)).collect();
-        let regressor = Self::new(factors?);
+        let (mut factors, mut functions) = (Vec::new(), Vec::new());
+        for parsed in (Context { text: trimmed, inputs, output }).factors()? {
+            match parsed {
+                Parsed::Plain(f) => factors.push(f),
+                Parsed::Function(f) => functions.push(f),
+            }
+        }
+        let regressor = Self::new(factors).with_functions(&functions);
         regressor.check(inputs, output)?;
         Ok(regressor)
     }
@@ -207,13 +238,13 @@ impl Regressor {
     /// [`StructureError::Range`].
     pub fn check(&self, inputs: &[String], output: &str) -> Result<(), StructureError> {
         let text = || self.format(inputs, output);
-        for f in &self.factors {
-            let least = usize::from(f.source == Source::Output);
-            if f.lag < least || f.lag > MAX_LAG {
+        for (source, lag) in self.reads() {
+            let least = usize::from(source == Source::Output);
+            if lag < least || lag > MAX_LAG {
                 let expected = format!("{least} to {MAX_LAG} samples");
-                return Err(StructureError::Range { text: text(), what: "lag", found: f.lag, expected });
+                return Err(StructureError::Range { text: text(), what: "lag", found: lag, expected });
             }
-            if let Source::Input(i) = f.source
+            if let Source::Input(i) = source
                 && i >= inputs.len()
             {
                 let expected = format!("below {}", inputs.len());
@@ -227,44 +258,4 @@ impl Regressor {
         }
         Ok(())
     }
-}
-
-/// `name(t-lag)^power`.
-fn parse_factor(part: &str, text: &str, inputs: &[String], output: &str) -> Result<Factor, StructureError> {
-    let syntax =
-        |found: &str, expected| StructureError::Syntax { text: text.into(), found: found.into(), expected };
-    let open = part.find('(').ok_or_else(|| syntax(part, "`name(t-lag)` or `name(t-lag)^power`"))?;
-    let close = part.find(')').filter(|c| *c > open).ok_or_else(|| syntax(part, "a closing `)`"))?;
-    let (name, delay, rest) = (part[..open].trim(), part[open + 1..close].trim(), part[close + 1..].trim());
-    let source = match inputs.iter().position(|n| n == name) {
-        Some(i) => Source::Input(i),
-        None if name == output => Source::Output,
-        None => {
-            let known: Vec<String> = inputs.iter().cloned().chain([output.to_string()]).collect();
-            let nearest = nearest(name, &known);
-            return Err(StructureError::UnknownChannel {
-                text: text.into(),
-                found: name.into(),
-                nearest,
-                known,
-            });
-        }
-    };
-    let delay = delay.strip_prefix('t').ok_or_else(|| syntax(delay, "`t` or `t-lag`"))?.trim();
-    let lag = match delay.strip_prefix('-') {
-        Some(digits) => digits.trim().parse().map_err(|_| syntax(digits, "a lag in samples"))?,
-        None if delay.is_empty() => 0,
-        None => return Err(syntax(delay, "`t` or `t-lag`")),
-    };
-    let power = match rest.strip_prefix('^') {
-        Some(digits) => digits
-            .trim()
-            .parse()
-            .ok()
-            .filter(|p| (1..=MAX_DEGREE).contains(p))
-            .ok_or_else(|| syntax(digits, "a power from 1 to 12"))?,
-        None if rest.is_empty() => 1,
-        None => return Err(syntax(rest, "`^power` or `*`")),
-    };
-    Ok(Factor { source, lag, power })
 }

@@ -4,6 +4,7 @@ use dynocal_numerics::status::Status;
 
 use super::PolyNarx;
 use super::program::{MAX_OUTPUT_LAGS, Program, Scratch};
+use super::shaped::Place;
 use crate::model::{Model, Run};
 
 impl Model for PolyNarx {
@@ -79,7 +80,7 @@ impl Model for PolyNarx {
                     s[t * p..].fill(f64::NAN);
                     return Status::Diverged;
                 }
-                if program.recursive.is_empty() {
+                if !program.is_recursive() {
                     continue;
                 }
                 fill_recursive_terms(program, run.u, y, t, &mut s[t * p..(t + 1) * p]);
@@ -144,7 +145,7 @@ impl Model for PolyNarx {
         hess.fill(0.0);
         let u = program.input_window(run.u, t);
         let mut value = 0.0;
-        for k in 0..program.terms.len() {
+        for &k in program.exogenous.iter().chain(&program.recursive) {
             let gain = theta[k] * program.output_product(k, run.y, t);
             let taps = program.taps(k);
             value += gain * program.input_product(k, u);
@@ -160,6 +161,19 @@ impl Model for PolyNarx {
                     }
                 }
             }
+        }
+        for term in program.shaped.iter().chain(&program.shaped_recursive) {
+            term.gradient(u, run.y, t, |place, slope| {
+                if let Place::Input { window, .. } = place {
+                    grad[window] += theta[term.k] * slope;
+                }
+            });
+            term.hessian(u, run.y, t, |a, b, second| {
+                if let (Place::Input { window: a, .. }, Place::Input { window: b, .. }) = (a, b) {
+                    hess[a * w + b] += theta[term.k] * second;
+                }
+            });
+            value += theta[term.k] * term.value(u, run.y, t);
         }
         value
     }
@@ -180,7 +194,7 @@ fn blocks(program: &Program, start: usize, n: usize) -> impl Iterator<Item = (us
 
 /// I_k(t) O_k(t) of the recursive terms into their places of one row.
 fn fill_recursive_terms(program: &Program, u: &[f64], y: &[f64], t: usize, row: &mut [f64]) {
-    if program.recursive.is_empty() {
+    if !program.is_recursive() {
         return;
     }
     let window = program.input_window(u, t);
@@ -189,5 +203,8 @@ fn fill_recursive_terms(program: &Program, u: &[f64], y: &[f64], t: usize, row: 
     }
     for &k in &program.general {
         row[k] = program.input_product(k, window) * program.output_product(k, y, t);
+    }
+    for term in &program.shaped_recursive {
+        row[term.k] = term.value(window, y, t);
     }
 }
