@@ -38,6 +38,29 @@ fn faults_are_named() {
 }
 
 #[test]
+fn functions_are_read_and_printed_in_one_canonical_form() {
+    for (written, printed) in [
+        ("sqrt(torque(t-1))", "sqrt(torque(t-1))"),
+        ("tanh( 2e3*torque(t-1)-2000 * torque(t-2) )^2", "tanh(2000*torque(t-1) - 2000*torque(t-2))^2"),
+        ("pos(-inj(t)+ 0.5 -1/speed(t))", "pos(-inj(t) - 1/speed(t) + 0.5)"),
+        ("abs(1 - spark(t-3))*inj(t)*abs(-spark(t-3)+1)", "inj(t)*abs(-spark(t-3) + 1)^2"),
+        ("exp(inj(t) + inj(t) - 3e-9)", "exp(2*inj(t) - 3e-9)"),
+    ] {
+        let model = parse(written).unwrap();
+        assert_eq!(model.param_name(0), printed);
+        let json = serde_json::to_string(&model).unwrap();
+        assert_eq!(serde_json::from_str::<PolyNarx>(&json).unwrap(), model, "{json}");
+    }
+    let message = |r: &str| parse(r).unwrap_err().to_string();
+    assert!(message("tan(inj(t))").contains("expected one of abs, cos, exp, pos, sin, sqrt, tanh"));
+    assert!(message("abs(2*ing(t))").contains("did you mean `inj`?"));
+    assert!(message("abs(inj(t) spark(t))").contains("expected `+` or `-`"));
+    assert!(message("abs(inj(t) - inj(t))").contains("at least one lagged channel"));
+    assert!(message("sqrt(inj(t-1)").contains("regressor `sqrt(inj(t-1)`"));
+    assert!(message("sqrt(torque(t))").contains("found lag 0, expected 1"));
+}
+
+#[test]
 fn duplicates_empty_models_and_bad_names_are_refused() {
     let twice = PolyNarx::parse(&["a", "b"], "y", &["1", "a(t)*b(t)", "b(t)*a(t)"]).unwrap_err();
     assert_eq!(twice.to_string(), "regressor `a(t)*b(t)` is listed twice (places 2 and 3)");
