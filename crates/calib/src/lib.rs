@@ -5,6 +5,7 @@
 
 pub mod chain;
 pub mod chapter4;
+pub mod chapter5;
 pub mod control;
 pub mod engine_model;
 pub mod excite;

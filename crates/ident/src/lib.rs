@@ -7,7 +7,7 @@ pub mod data;
 pub mod estimate;
 pub mod experiment;
 pub mod model;
-mod nullable;
+pub mod nullable;
 pub mod plant;
 pub mod select;
 pub mod signal;

@@ -8,6 +8,7 @@ mod chain;
 mod chain_checks;
 mod chain_tasks;
 mod chapter4;
+mod chapter5;
 mod engine;
 mod engine_checks;
 mod engine_tables;
@@ -96,7 +97,7 @@ pub(crate) struct Study {
 }
 
 /// All studies.
-pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY, engine::STUDY];
+pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY, chapter5::STUDY, engine::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {

@@ -1,0 +1,90 @@
+//! Study `chapter5`: what it is worth to identify a simulation model by its simulation error (thesis chapter 5 and
+//! section 7.4).
+//!
+//! The thesis stands beside ours in every table; every section says how the thesis was read.
+
+mod known;
+
+use dynocal_calib::chain::context::ChainError;
+use dynocal_calib::chapter5::Chapter5Error;
+use dynocal_deliver::{Cell, Report};
+use dynocal_numerics::registry::MemberDoc;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use super::asked::Asked;
+use super::{Check, Options, Study, Surroundings, Task, TaskResult};
+
+pub(super) const STUDY: Study = Study {
+    doc: MemberDoc {
+        name: "chapter5",
+        what: "Prediction error against simulation error: the known system and the engine models of thesis chapter 5 and section 7.4",
+        params: &[],
+    },
+    tasks,
+    reduce,
+    sections,
+};
+
+fn tasks(o: &Options) -> Vec<Task> {
+    known::tasks(o)
+}
+
+fn reduce(results: &[TaskResult]) -> Vec<Check> {
+    known::checks(results)
+}
+
+fn sections(report: Report, results: &[TaskResult]) -> Report {
+    known::sections(report, results)
+}
+
+/// A task whose result is that of a computation of the chapter.
+fn task<T: serde::Serialize>(
+    name: &str,
+    inputs: Value,
+    run: impl Fn(&(dyn Fn() -> bool + Sync)) -> Result<T, Chapter5Error> + 'static,
+) -> Task {
+    let of = name.to_string();
+    let work = move |around: &Surroundings| match run(around.interrupt) {
+        Ok(found) => serde_json::to_value(found)
+            .map_err(|e| ChainError::Identify { what: of.clone(), reason: e.to_string() }),
+        Err(Chapter5Error::Interrupted) => Err(ChainError::Interrupted),
+        Err(e) => Err(ChainError::Identify { what: format!("chapter 5, {of}"), reason: e.to_string() }),
+    };
+    Task { name: name.into(), inputs, run: Box::new(work) }
+}
+
+/// The result of the task `name`; none where it cannot be read, and then its checks fail.
+fn result<T: DeserializeOwned>(results: &[TaskResult], name: &str) -> Option<T> {
+    let found = results.iter().find(|r| r.name == name)?;
+    serde_json::from_value(found.value.clone()).ok()
+}
+
+fn check(
+    id: impl Into<String>,
+    what: impl Into<String>,
+    asked: Asked,
+    measured: Option<f64>,
+    unit: &'static str,
+    note: impl Into<String>,
+) -> Check {
+    Check {
+        id: id.into(),
+        what: what.into(),
+        asked: asked.text(),
+        measured,
+        unit,
+        holds: asked.holds(measured),
+        note: note.into(),
+    }
+}
+
+/// R2 as the thesis prints it.
+fn percent(r2: f64) -> f64 {
+    100.0 * r2
+}
+
+/// Parameters in one cell.
+fn vector(theta: &[f64]) -> Cell {
+    theta.iter().map(|v| dynocal_deliver::significant(*v, 4)).collect::<Vec<_>>().join(", ").into()
+}
