@@ -1,7 +1,10 @@
 //! Records of an engine as the thesis took them: random inputs in open loop (section 5.5) and references in closed loop
 //! (section 7.4.1).
 
-use dynocal_ident::data::Dataset;
+use std::path::Path;
+
+use dynocal_files::{FilesError, csv_io};
+use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -141,4 +144,42 @@ fn measure(plants: PlantFactory, name: &str, plan: &Plan) -> Result<Dataset, Cha
     let mut bed = Bed::new(plant.as_mut(), SAMPLE_TIME_S)?;
     bed.reset(0);
     Ok(run_plan(&mut bed, name, plan)?)
+}
+
+/// An engine record of the reference data: columns `INJ_mg`, `SA_deg`, `theta_deg`, `N_rpm`, `T_Nm`, `lambda`.
+///
+/// # Errors
+/// [`Chapter5Error::Files`] with what is wrong in the file.
+pub fn read(path: &Path) -> Result<Dataset, Chapter5Error> {
+    let table = csv_io::read(path)?;
+    let columns = [
+        ("INJ_mg", "inj", "mg", Role::Input),
+        ("SA_deg", "spark", "deg", Role::Input),
+        ("theta_deg", "throttle", "deg", Role::Input),
+        ("N_rpm", "speed", "rpm", Role::Input),
+        ("T_Nm", "torque", "Nm", Role::Output),
+        ("lambda", "lambda", "-", Role::Output),
+    ];
+    let channels = columns
+        .into_iter()
+        .map(|(column, name, unit, role)| {
+            let values = table.numbers(column, 0, table.rows())?.to_vec();
+            Ok(Channel { name: name.into(), unit: unit.into(), role, values })
+        })
+        .collect::<Result<Vec<_>, FilesError>>()?;
+    let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Dataset {
+        name,
+        sample_time_s: SAMPLE_TIME_S,
+        channels,
+        init_samples: 0,
+        origin: "reference data".into(),
+    })
+}
+
+/// Variance of a channel about its mean.
+pub fn variance(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n
 }
