@@ -52,6 +52,9 @@ pub enum Chapter5Error {
     /// A structure does not fit its channels.
     #[error(transparent)]
     Structure(#[from] StructureError),
+    /// A search is unknown.
+    #[error("{0}")]
+    Method(String),
     /// Interrupted.
     #[error("interrupted")]
     Interrupted,

@@ -40,7 +40,12 @@ fn searches_reach_the_reference() {
     for row in SEARCHES {
         let found = search(row.method, &model, &record, row.budget, &|| false).unwrap();
         let mse = Fitness::of(&model, &found.theta, &record, Kind::FreeRun).mse;
-        println!("{}: {mse} of {} in {} evaluations", row.method.name(), row.reference_mse, found.evaluations);
+        println!(
+            "{}: {mse} of {} in {} evaluations",
+            row.method.name(),
+            row.reference_mse,
+            found.evaluations
+        );
         assert!(found.evaluations <= row.budget);
         if let Some(asked) = row.asked {
             assert!(mse <= asked * (1.0 + 1e-9), "{}: {mse} of {asked}", row.method.name());

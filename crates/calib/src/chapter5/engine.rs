@@ -77,13 +77,8 @@ pub fn open_loop(
             spark_deg: spec.spark_deg,
             throttle_deg: spec.throttle_deg,
         };
-        let plan = Plan {
-            feedforward: &rows,
-            demand: &[],
-            gains: LoopGains::RETUNED,
-            limits,
-            settle_s: LEAD_IN_S,
-        };
+        let plan =
+            Plan { feedforward: &rows, demand: &[], gains: LoopGains::RETUNED, limits, settle_s: LEAD_IN_S };
         let mut record = measure(plants, &format!("random{k:02}"), &plan)?;
         for channel in record.channels.iter_mut().filter(|c| c.name == "lambda") {
             channel.values.iter_mut().for_each(|v| *v = v.min(spec.lambda_cap));

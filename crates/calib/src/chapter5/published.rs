@@ -159,5 +159,47 @@ pub const LAMBDA_7_8: EngineModel = EngineModel {
 
 /// The same structures on the stored engine records of the reference data: free-run MSE on the identification record
 /// by prediction and by simulation error.
-pub const REFERENCE_7_8: [(f64, f64); 2] =
-    [(31.268_972_433_088_14, 13.781_077_218_798_88), (0.004_232_792_724_751_107, 0.003_210_359_251_488_556_4)];
+pub const REFERENCE_7_8: [(f64, f64); 2] = [
+    (31.268_972_433_088_14, 13.781_077_218_798_88),
+    (0.004_232_792_724_751_107, 0.003_210_359_251_488_556_4),
+];
+
+/// A row of Table 7.1.
+#[derive(Clone, Copy, Debug)]
+pub struct LayerSize {
+    /// Neurons of the hidden layer.
+    pub hidden: usize,
+    /// MSE of torque: training, validation, test (in this order as read; the columns carry no names in the text).
+    pub mse: [f64; 3],
+}
+
+/// Table 7.1.
+pub const TABLE_7_1: [LayerSize; 4] = [
+    LayerSize { hidden: 5, mse: [25.58, 51.70, 31.15] },
+    LayerSize { hidden: 10, mse: [20.45, 39.01, 27.76] },
+    LayerSize { hidden: 20, mse: [20.32, 41.97, 27.10] },
+    LayerSize { hidden: 30, mse: [19.31, 35.84, 28.75] },
+];
+
+/// Fit of a network, with that of the polynomial beside it.
+#[derive(Clone, Copy, Debug)]
+pub struct NetworkRow {
+    /// MSE.
+    pub mse: f64,
+    /// R2 in percent.
+    pub r2: f64,
+    /// MSE of the polynomial by simulation error.
+    pub polynomial_mse: f64,
+}
+
+/// Table 7.2 (polynomials: Table 7.4) on the identification record: torque, lambda.
+pub const TABLE_7_2: [NetworkRow; 2] = [
+    NetworkRow { mse: 92.86, r2: 91.13, polynomial_mse: 125.68 },
+    NetworkRow { mse: 0.0251, r2: 89.52, polynomial_mse: 0.0247 },
+];
+
+/// Table 7.5, means over ten unseen records: torque, lambda.
+pub const TABLE_7_5: [NetworkRow; 2] = [
+    NetworkRow { mse: 47.11, r2: 95.41, polynomial_mse: 150.95 },
+    NetworkRow { mse: 0.0254, r2: 88.27, polynomial_mse: 0.0277 },
+];

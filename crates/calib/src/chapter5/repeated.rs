@@ -70,10 +70,7 @@ pub fn repeat(
         let model = torque_5_3().model;
         let ols = Ols::default().estimate(&model, data, None, &|| interrupt())?;
         let sem = Sem::default().estimate(&model, data, None, &|| interrupt())?;
-        Ok(Pair {
-            ols: reached(ols, &identification, &unseen),
-            sem: reached(sem, &identification, &unseen),
-        })
+        Ok(Pair { ols: reached(ols, &identification, &unseen), sem: reached(sem, &identification, &unseen) })
     };
     (0..repeats).into_par_iter().map(one).collect::<Vec<_>>().into_iter().collect()
 }

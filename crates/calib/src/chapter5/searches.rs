@@ -2,11 +2,11 @@
 
 use dynocal_ident::estimate::Estimator;
 use dynocal_ident::estimate::ols::Ols;
+use dynocal_ident::estimate::search::SearchMethod;
 use dynocal_ident::estimate::sem::Sem;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
 use dynocal_ident::validate::{Kind, output};
-use dynocal_numerics::optim::{Bounds, Budget, Objective, optimiser};
 use dynocal_numerics::status::Status;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ pub enum Method {
     LeastSquares,
     /// Pattern search (mesh adaptive).
     PatternSearch,
-    /// Line searches along quasi-Newton directions with the exact gradient (L-BFGS-B).
+    /// Line searches along quasi-Newton directions with the exact gradient.
     LineSearch,
     /// Nelder-Mead simplex.
     NelderMead,
@@ -69,111 +69,23 @@ pub fn search(
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Found, Chapter5Error> {
     let data = std::slice::from_ref(record);
-    let start = Ols::default().estimate(model, data, None, interrupt)?;
-    let by_table = match method {
+    let search = match method {
         Method::LeastSquares => {
+            let start = Ols::default().estimate(model, data, None, interrupt)?;
             let (theta, status) = (start.theta, start.status);
             return Ok(Found { method, theta, evaluations: 1, status, history: Vec::new() });
         }
-        Method::LevenbergMarquardt => {
-            let options = Sem { max_evaluations: evaluations, ..Sem::default() };
-            let fit = options.estimate(model, data, None, interrupt)?;
-            let n = fit.samples as f64;
-            let history = fit.history.iter().map(|i| (i.evaluations, i.objective / n)).collect();
-            let (theta, status, evaluations) = (fit.theta, fit.status, fit.evaluations);
-            return Ok(Found { method, theta, evaluations, status, history });
-        }
         Method::PatternSearch => "pattern_search",
-        Method::LineSearch => "lbfgsb",
+        Method::LineSearch => "line_search",
         Method::NelderMead => "nelder_mead",
+        Method::LevenbergMarquardt => "lm",
     };
-    let mut cost = Cost::new(model, record, &start.theta, interrupt);
-    let free = Bounds {
-        lower: vec![f64::NEG_INFINITY; start.theta.len()],
-        upper: vec![f64::INFINITY; start.theta.len()],
-    };
-    let budget = Budget { evaluations, gradient_tolerance: 1e-8, value_tolerance: 1e-15 };
-    let ones = vec![1.0; start.theta.len()];
-    let found = optimiser(by_table, &toml::Table::new())?.minimise(&mut cost, &free, &ones, &budget);
-    let theta = cost.parameters(&found.x);
-    let status = if interrupt() { Status::Interrupted } else { found.status };
-    let history = found.history.iter().map(|i| (i.evaluations, i.objective)).collect();
-    Ok(Found { method, theta, evaluations: cost.evaluations, status, history })
-}
-
-/// Mean squared simulation error in parameters relative to their least-squares values: raw parameters differ by 1e4.
-struct Cost<'a> {
-    model: &'a dyn Model,
-    record: &'a Experiment,
-    scale: Vec<f64>,
-    theta: Vec<f64>,
-    y: Vec<f64>,
-    s: Vec<f64>,
-    evaluations: usize,
-    interrupt: &'a dyn Fn() -> bool,
-}
-
-impl<'a> Cost<'a> {
-    fn new(
-        model: &'a dyn Model,
-        record: &'a Experiment,
-        start: &[f64],
-        interrupt: &'a dyn Fn() -> bool,
-    ) -> Self {
-        let p = start.len();
-        Self {
-            model,
-            record,
-            scale: start.iter().map(|v| if *v == 0.0 { 1.0 } else { *v }).collect(),
-            theta: vec![0.0; p],
-            y: vec![0.0; record.len()],
-            s: vec![0.0; record.len() * p],
-            evaluations: 0,
-            interrupt,
-        }
-    }
-
-    fn parameters(&self, x: &[f64]) -> Vec<f64> {
-        x.iter().zip(&self.scale).map(|(x, s)| x * s).collect()
-    }
-}
-
-impl Objective for Cost<'_> {
-    fn n(&self) -> usize {
-        self.scale.len()
-    }
-
-    fn value_gradient(&mut self, x: &[f64], grad: &mut [f64]) -> f64 {
-        // Past an interruption every trial is a bad one: the search ends where it is.
-        if (self.interrupt)() {
-            return f64::INFINITY;
-        }
-        self.evaluations += 1;
-        for ((t, x), s) in self.theta.iter_mut().zip(x).zip(&self.scale) {
-            *t = x * s;
-        }
-        let run = self.record.run(self.model);
-        let (first, n, p) = (run.start, run.len(), self.scale.len());
-        let status = if grad.is_empty() {
-            self.model.simulate(&self.theta, &run, &mut self.y)
-        } else {
-            self.model.sensitivities(&self.theta, &run, &mut self.y, &mut self.s)
-        };
-        if status != Status::Converged {
-            return f64::INFINITY;
-        }
-        grad.fill(0.0);
-        let scored = (n - first) as f64;
-        let mut sum = 0.0;
-        for t in first..n {
-            let e = self.y[t] - run.y[t];
-            sum += e * e;
-            for (k, g) in grad.iter_mut().enumerate() {
-                *g += 2.0 * e * self.s[t * p + k] * self.scale[k] / scored;
-            }
-        }
-        sum / scored
-    }
+    let search = SearchMethod::named(search).map_err(Chapter5Error::Method)?;
+    let options = Sem { search, max_evaluations: evaluations, ..Sem::default() };
+    let fit = options.estimate(model, data, None, interrupt)?;
+    let n = fit.samples as f64;
+    let history = fit.history.iter().map(|i| (i.evaluations, i.objective / n)).collect();
+    Ok(Found { method, theta: fit.theta, evaluations: fit.evaluations, status: fit.status, history })
 }
 
 /// A method with the scores of what it found.

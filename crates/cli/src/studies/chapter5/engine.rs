@@ -1,13 +1,14 @@
 //! Polynomial engine models: Tables 5.3 to 5.7 on random inputs in open loop, eqs. (7.9), (7.10) with Tables 7.3 to 7.5
 //! in closed loop, and the latter on the stored records of the reference data.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dynocal_calib::chapter5::engine::{self, SAMPLE_TIME_S};
 use dynocal_calib::chapter5::polynomials::{self, Both, Estimated, both};
 use dynocal_calib::chapter5::published::{self, EngineModel};
 use dynocal_calib::chapter5::{Chapter5Error, Fitness};
 use dynocal_calib::control::LoopGains;
+use dynocal_calib::excite::ExciteSpec;
 use dynocal_deliver::{Cell, Column, Panel, Report, Section, Table, TimePlot};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::literature;
@@ -22,8 +23,6 @@ use super::{check, percent, plant, reference, result, task};
 const RANDOM: &str = "engine-random-inputs";
 const LOOP: &str = "engine-closed-loop";
 const STORED: &str = "stored-engine-records";
-/// Unseen records of Tables 5.7 and 7.5.
-const UNSEEN: u64 = 10;
 /// Part of a record that is drawn, in samples.
 const DRAWN: usize = 700;
 /// The two outputs with what the thesis printed: open loop, closed loop.
@@ -33,17 +32,32 @@ const UNITS: [&str; 2] = ["Nm", ""];
 
 /// Torque and lambda models from the same records.
 #[derive(Serialize, Deserialize)]
-struct Models {
-    models: [Both; 2],
+pub(super) struct Models {
+    pub(super) models: [Both; 2],
     /// Standard deviation of torque and variance of lambda in the identification record.
     torque_std_nm: f64,
     lambda_variance: f64,
 }
 
+/// Unseen records of Tables 5.7 and 7.5.
+pub(super) fn unseen_records(o: &Options) -> u64 {
+    if o.reduced { 2 } else { 10 }
+}
+
+/// Length of a record in s.
+fn record_s(o: &Options) -> f64 {
+    if o.reduced { 15.0 } else { 60.0 }
+}
+
+/// Records of section 7.4.
+pub(super) fn closed_loop_spec(o: &Options) -> ExciteSpec {
+    ExciteSpec { record_s: record_s(o), ..engine::closed_loop_spec() }
+}
+
 pub(super) fn tasks(o: &Options) -> Vec<Task> {
-    let (seed, unseen) = (o.seed, if o.reduced { 2 } else { UNSEEN });
-    let open = engine::OpenLoop::default();
-    let closed = engine::closed_loop_spec();
+    let (seed, unseen) = (o.seed, unseen_records(o));
+    let open = engine::OpenLoop { record_s: record_s(o), ..engine::OpenLoop::default() };
+    let closed = closed_loop_spec(o);
     let of_open = json!({ "seed": seed, "unseen": unseen, "records": open });
     let of_closed = json!({ "seed": seed, "unseen": unseen, "records": closed });
     let mut tasks = vec![
@@ -58,8 +72,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
             models(&structures_7_8(), &records, interrupt)
         }),
     ];
-    if let Some(folder) = reference(o) {
-        let files = ["engine_ident.csv", "engine_val01.csv", "engine_val02.csv"].map(|f| folder.join(f));
+    if let Some(files) = reference(o).map(|f| stored_files(&f)) {
         let digests: Vec<Option<String>> = files.iter().map(|f| digest(f)).collect();
         tasks.push(task(STORED, json!(digests), move |interrupt| {
             let records = files.iter().map(|f| engine::read(f)).collect::<Result<Vec<_>, _>>()?;
@@ -69,8 +82,19 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
     tasks
 }
 
-fn digest(file: &Path) -> Option<String> {
+/// Identification, then two other records.
+pub(super) fn stored_files(folder: &Path) -> [PathBuf; 3] {
+    ["engine_ident.csv", "engine_val01.csv", "engine_val02.csv"].map(|f| folder.join(f))
+}
+
+/// What a task depends on is what a file holds, not where it lies.
+pub(super) fn digest(file: &Path) -> Option<String> {
     std::fs::read(file).ok().map(|bytes| dynocal_files::run_folder::digest(&bytes))
+}
+
+/// The polynomial models of section 7.4.
+pub(super) fn closed_loop_models(results: &[TaskResult]) -> Option<Models> {
+    result(results, LOOP)
 }
 
 fn structures_7_8() -> [PolyNarx; 2] {
@@ -84,7 +108,8 @@ fn models(
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Models, Chapter5Error> {
     let of = |s: &PolyNarx| both(s, &records[0], &records[1..], &|| interrupt());
-    let variance = |name: &str| -> Result<f64, Chapter5Error> { Ok(engine::variance(records[0].values(name)?)) };
+    let variance =
+        |name: &str| -> Result<f64, Chapter5Error> { Ok(engine::variance(records[0].values(name)?)) };
     Ok(Models {
         models: [of(&structures[0])?, of(&structures[1])?],
         torque_std_nm: variance("torque")?.sqrt(),
@@ -140,7 +165,10 @@ fn stored_checks(found: &Both, (pem, sem): (f64, f64)) -> [Check; 2] {
     [
         check(
             format!("stored-{}-pem", found.output),
-            format!("Stored engine record, {} of (7.8): free-run MSE of PEM, distance to the reference", found.output),
+            format!(
+                "Stored engine record, {} of (7.8): free-run MSE of PEM, distance to the reference",
+                found.output
+            ),
             Asked::AtMost(1e-6),
             Some(distance.abs()),
             "",
@@ -148,7 +176,10 @@ fn stored_checks(found: &Both, (pem, sem): (f64, f64)) -> [Check; 2] {
         ),
         check(
             format!("stored-{}-sem", found.output),
-            format!("Stored engine record, {} of (7.8): free-run MSE of SEM over the reference", found.output),
+            format!(
+                "Stored engine record, {} of (7.8): free-run MSE of SEM over the reference",
+                found.output
+            ),
             Asked::AtMost(1.0 + 1e-6),
             Some(found.sem.free_run.mse / sem),
             "",
@@ -161,7 +192,7 @@ pub(super) fn sections(mut report: Report, results: &[TaskResult]) -> Report {
     if let Some(f) = result::<Models>(results, RANDOM) {
         report = report.section(random_section(&f));
     }
-    if let Some(f) = result::<Models>(results, LOOP) {
+    if let Some(f) = closed_loop_models(results) {
         let section = Section::new("Polynomial models of section 7.4 in closed loop").id("closed-loop").text(
             "Thesis: structures (7.8); T demand 0 to 100 Nm, lambda demand 0.9 to 1.1, spark 5 to 30 deg as five-level APRBS of 3 s (7.6), speed from a road load, loops (7.5); 60 s at 0.03 s. PEM gives (7.9) and Table 7.3; SEM on a record designed by the AI criterion gives (7.10) and Table 7.4; ten other records give Table 7.5.",
         ).text(

@@ -3,12 +3,18 @@
 //!
 //! The thesis stands beside ours in every table; every section says how the thesis was read.
 
+mod engine;
 mod known;
+
+use std::path::{Path, PathBuf};
 
 use dynocal_calib::chain::context::ChainError;
 use dynocal_calib::chapter5::Chapter5Error;
 use dynocal_deliver::{Cell, Report};
+use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_numerics::registry::MemberDoc;
+use dynocal_plant::bed::{BedSettings, EngineBed};
+use dynocal_plant::params::EngineParams;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
@@ -27,15 +33,37 @@ pub(super) const STUDY: Study = Study {
 };
 
 fn tasks(o: &Options) -> Vec<Task> {
-    known::tasks(o)
+    let mut tasks = known::tasks(o);
+    tasks.extend(engine::tasks(o));
+    tasks
 }
 
 fn reduce(results: &[TaskResult]) -> Vec<Check> {
-    known::checks(results)
+    let mut checks = known::checks(results);
+    checks.extend(engine::checks(results));
+    checks
 }
 
 fn sections(report: Report, results: &[TaskResult]) -> Report {
-    known::sections(report, results)
+    engine::sections(known::sections(report, results), results)
+}
+
+/// The virtual engine of the thesis set, without sensor noise.
+fn plant(_noise: bool) -> Result<Box<dyn Plant>, PlantError> {
+    let settings = BedSettings::default();
+    let bed =
+        EngineBed::new(&EngineParams::thesis(), settings).map_err(|e| PlantError::Call(e.to_string()))?;
+    Ok(Box::new(bed))
+}
+
+/// Where the stored engine records lie: beside the file asked for, else in the folder that the environment names, else
+/// nowhere.
+fn reference(o: &Options) -> Option<PathBuf> {
+    let folder = match &o.reference {
+        Some(file) => file.parent().unwrap_or(Path::new(".")).to_path_buf(),
+        None => Path::new(&std::env::var_os("DYNOCAL_REFERENCE_DIR")?).join("reference"),
+    };
+    Some(folder.join("estimation_inputs"))
 }
 
 /// A task whose result is that of a computation of the chapter.
