@@ -1,5 +1,6 @@
 //! From a table to experiments: channel roles and units, time, trajectories, split.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use dynocal_ident::data::{Channel, Dataset, Role};
@@ -39,7 +40,18 @@ pub enum Time {
         /// Unit of the stamps where the file does not say it.
         unit: Option<String>,
     },
+    /// A column of time stamps that only have to increase. They become an auxiliary channel [`STAMPS`] in s, and the
+    /// sample time is NaN until the record is resampled.
+    Stamps {
+        /// Column name.
+        column: String,
+        /// Unit of the stamps where the file does not say it.
+        unit: Option<String>,
+    },
 }
+
+/// Name of the channel that holds the stamps of [`Time::Stamps`].
+pub const STAMPS: &str = "time";
 
 /// How a table is read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -52,6 +64,20 @@ pub struct Layout {
     pub trajectory: Option<String>,
     /// Leading samples of every experiment that only initialise states.
     pub init_samples: usize,
+    /// What an empty cell means.
+    #[serde(default)]
+    pub missing: Missing,
+}
+
+/// What an empty cell or NaN in a channel means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Missing {
+    /// A fault of the file.
+    #[default]
+    Refuse,
+    /// A missing sample, NaN in the dataset.
+    Mark,
 }
 
 /// Which rows.
@@ -157,7 +183,7 @@ pub fn read_dataset(path: &Path, inputs: &[&str], outputs: &[&str]) -> Result<Da
         })
         .collect();
     let time = Time::Column { column: "time".into(), unit: None };
-    let layout = Layout { channels, time, trajectory: None, init_samples: 0 };
+    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
     let mut all = datasets(&table, &layout, &Select::All)?;
     let mut data = all.remove(0);
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
@@ -181,7 +207,10 @@ pub fn datasets(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<D
     for (from, to) in runs {
         let mut channels = Vec::with_capacity(layout.channels.len());
         for (spec, (unit, scale, offset)) in layout.channels.iter().zip(&units) {
-            let raw = table.numbers(&spec.column, from, to)?;
+            let raw = match layout.missing {
+                Missing::Refuse => Cow::Borrowed(table.numbers(&spec.column, from, to)?),
+                Missing::Mark => table.numbers_or_missing(&spec.column, from, to)?,
+            };
             let values = if *scale == 1.0 && *offset == 0.0 {
                 raw.to_vec()
             } else {
@@ -189,14 +218,18 @@ pub fn datasets(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<D
             };
             channels.push(Channel { name: spec.name.clone(), unit: unit.clone(), role: spec.role, values });
         }
+        let (sample_time_s, stamps) = clock(table, &layout.time, from, to)?;
+        channels.extend(stamps);
         let data = Dataset {
             name: experiment_name(table, layout, from, &mut seen)?,
-            sample_time_s: sample_time(table, &layout.time, from, to)?,
+            sample_time_s,
             channels,
             init_samples: layout.init_samples,
             origin: format!("{}, {} to {}", table.file, table.place(from), table.place(to - 1)),
         };
-        data.check()?;
+        if layout.missing == Missing::Refuse && !matches!(layout.time, Time::Stamps { .. }) {
+            data.check()?;
+        }
         out.push(data);
     }
     Ok(out)
@@ -311,33 +344,59 @@ fn experiment_name(
     Ok(if *count == 1 { base } else { format!("{base}.{count}") })
 }
 
-/// Sample time of the rows `from..to`, with the stamps checked where there are any.
-fn sample_time(table: &Table, time: &Time, from: usize, to: usize) -> Result<f64, FilesError> {
+/// Sample time of the rows `from..to`, with the stamps checked where there are any, and the stamps as a channel where
+/// they are to be kept.
+fn clock(table: &Table, time: &Time, from: usize, to: usize) -> Result<(f64, Option<Channel>), FilesError> {
     match time {
-        Time::Sampled { sample_time_s } => Ok(*sample_time_s),
+        Time::Sampled { sample_time_s } => Ok((*sample_time_s, None)),
         Time::Column { column, unit } => {
-            let stamps = table.numbers(column, from, to)?;
-            let c = table.column(column)?;
-            let found = unit.as_deref().map(units::normalise).or(c.unit.as_ref().map(|u| u.0.clone()));
-            let Some(found) = found else {
-                return Err(FilesError::NoUnit { path: table.file.clone(), column: column.clone() });
-            };
-            let Some((scale, _)) = units::conversion(&found, "s") else {
-                return Err(FilesError::Unit {
-                    path: table.file.clone(),
-                    column: column.clone(),
-                    found,
-                    expected: "s".into(),
-                    hint: " (or ms, min, h)".into(),
-                });
-            };
-            uniform(table, column, stamps, scale, from)
+            let (stamps, scale) = stamps(table, column, unit.as_deref(), from, to)?;
+            Ok((uniform(table, column, stamps, scale, from)?, None))
+        }
+        Time::Stamps { column, unit } => {
+            let (stamps, scale) = stamps(table, column, unit.as_deref(), from, to)?;
+            increasing(table, column, stamps, scale, from)?;
+            let values = stamps.iter().map(|t| t * scale).collect();
+            let (name, unit) = (STAMPS.to_string(), "s".to_string());
+            Ok((f64::NAN, Some(Channel { name, unit, role: Role::Auxiliary, values })))
         }
     }
 }
 
-/// Common interval of `stamps * scale`, in s.
-fn uniform(table: &Table, column: &str, stamps: &[f64], scale: f64, from: usize) -> Result<f64, FilesError> {
+/// The stamps as they stand in the file and the factor that brings them to s.
+fn stamps<'a>(
+    table: &'a Table,
+    column: &str,
+    unit: Option<&str>,
+    from: usize,
+    to: usize,
+) -> Result<(&'a [f64], f64), FilesError> {
+    let stamps = table.numbers(column, from, to)?;
+    let c = table.column(column)?;
+    let found = unit.map(units::normalise).or(c.unit.as_ref().map(|u| u.0.clone()));
+    let Some(found) = found else {
+        return Err(FilesError::NoUnit { path: table.file.clone(), column: column.into() });
+    };
+    match units::conversion(&found, "s") {
+        Some((scale, _)) => Ok((stamps, scale)),
+        None => Err(FilesError::Unit {
+            path: table.file.clone(),
+            column: column.into(),
+            found,
+            expected: "s".into(),
+            hint: " (or ms, min, h)".into(),
+        }),
+    }
+}
+
+/// Intervals of `stamps * scale` in s, all positive.
+fn increasing(
+    table: &Table,
+    column: &str,
+    stamps: &[f64],
+    scale: f64,
+    from: usize,
+) -> Result<Vec<f64>, FilesError> {
     if stamps.len() < 2 {
         return Err(FilesError::Data(dynocal_ident::data::DataError::TooShort {
             record: table.file.clone(),
@@ -346,32 +405,43 @@ fn uniform(table: &Table, column: &str, stamps: &[f64], scale: f64, from: usize)
             why: format!("two time stamps in `{column}` give the sample time"),
         }));
     }
-    let mut intervals: Vec<f64> = stamps.windows(2).map(|w| (w[1] - w[0]) * scale).collect();
-    let place = |k: usize| table.place(from + k + 1);
-    if let Some(k) = intervals.iter().position(|d| *d == 0.0) {
-        return Err(FilesError::RepeatedTime {
+    let intervals: Vec<f64> = stamps.windows(2).map(|w| (w[1] - w[0]) * scale).collect();
+    match intervals.iter().position(|d| *d <= 0.0) {
+        None => Ok(intervals),
+        Some(k) if intervals[k] == 0.0 => Err(FilesError::RepeatedTime {
             path: table.file.clone(),
-            place: place(k),
+            place: table.place(from + k + 1),
             column: column.into(),
             time_s: stamps[k + 1] * scale,
-        });
+        }),
+        Some(k) => Err(FilesError::BackwardTime {
+            path: table.file.clone(),
+            place: table.place(from + k + 1),
+            column: column.into(),
+            time_s: stamps[k + 1] * scale,
+            before_s: stamps[k] * scale,
+        }),
     }
+}
+
+/// Common interval of `stamps * scale`, in s.
+fn uniform(table: &Table, column: &str, stamps: &[f64], scale: f64, from: usize) -> Result<f64, FilesError> {
+    let intervals = increasing(table, column, stamps, scale, from)?;
     // The median is what the record means even when some stamps are wrong.
     let middle = intervals.len() / 2;
     let expected = *intervals.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
     // Stamps are printed with few digits: half a percent of an interval is rounding, not a gap.
     let tolerance = 5e-3 * expected.abs()
         + 4.0 * f64::EPSILON * stamps.iter().fold(0.0_f64, |m, t| m.max(t.abs())) * scale;
-    if let Some(k) = intervals.iter().position(|d| expected <= 0.0 || (d - expected).abs() > tolerance) {
+    if let Some(k) = intervals.iter().position(|d| (d - expected).abs() > tolerance) {
         return Err(FilesError::NonUniformTime {
             path: table.file.clone(),
-            place: place(k),
+            place: table.place(from + k + 1),
             column: column.into(),
             found_s: intervals[k],
             expected_s: expected,
         });
     }
-    intervals.clear();
     let mean = (stamps[stamps.len() - 1] - stamps[0]) * scale / (stamps.len() - 1) as f64;
     Ok(round_digits(mean))
 }

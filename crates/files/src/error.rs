@@ -143,6 +143,22 @@ pub enum FilesError {
         /// The stamp, in s.
         time_s: f64,
     },
+    /// A time stamp before the one of the row above.
+    #[error(
+        "{path}, {place}, time column `{column}`: time stamp {time_s} s after {before_s} s, expected stamps that increase"
+    )]
+    BackwardTime {
+        /// File.
+        path: String,
+        /// First row that goes back, e.g. `line 17`.
+        place: String,
+        /// Time column.
+        column: String,
+        /// The stamp, in s.
+        time_s: f64,
+        /// The stamp before it, in s.
+        before_s: f64,
+    },
     /// A selection of rows that the file does not have.
     #[error(
         "{path}: rows {from}..{to} asked for, expected a range within 0..{rows} (zero-based, end excluded)"

@@ -266,10 +266,7 @@ fn take_out(
         fault.found = "nothing".into();
         fault.expected = "this key".into();
     } else {
-        // "invalid type: string \"a\", expected f64"
-        let (found, expected) = message.split_once(", expected ").unwrap_or((message, "another value"));
-        fault.found = found.trim_start_matches("invalid type: ").trim_start_matches("invalid value: ").into();
-        fault.expected = expected.replace("f64", "a number").replace("usize", "a whole number");
+        (fault.found, fault.expected) = plain(message);
     }
     faults.0.push(fault);
     match place {
@@ -281,6 +278,62 @@ fn take_out(
             gone
         }
         None => false,
+    }
+}
+
+/// What a reading fault says, in words for people: what was found and what was expected.
+///
+/// ```
+/// use dynocal_files::spec::plain;
+/// let (found, expected) = plain("invalid type: string \"two\", expected u64");
+/// assert_eq!((found.as_str(), expected.as_str()), ("the text \"two\"", "a whole number, 0 or more"));
+/// let (found, expected) = plain("invalid length 1, expected a tuple of size 2");
+/// assert_eq!((found.as_str(), expected.as_str()), ("a list of 1", "a list of 2 values"));
+/// ```
+pub fn plain(message: &str) -> (String, String) {
+    let message = message.lines().next().unwrap_or("");
+    let (found, expected) = match message.split_once(", expected ") {
+        Some(parts) => parts,
+        None if message.contains("out of range") || message.contains("did not match any variant") => {
+            ("a value of another kind", "a value as the documentation of the key shows it")
+        }
+        None => (message, "another value"),
+    };
+    let found = found.trim_start_matches("invalid type: ").trim_start_matches("invalid value: ");
+    let found = match found.split_once(' ') {
+        Some(("string", text)) => format!("the text {text}"),
+        Some(("integer" | "boolean", value)) => value.trim_matches('`').to_string(),
+        Some(("floating", value)) => value.trim_start_matches("point ").trim_matches('`').to_string(),
+        Some(("invalid", length)) if length.starts_with("length ") => format!("a list of {}", &length[7..]),
+        Some(("unit", _)) => "nothing".into(),
+        _ => match found {
+            "map" => "a table".into(),
+            "sequence" => "a list".into(),
+            other => other.to_string(),
+        },
+    };
+    (found, wanted(expected))
+}
+
+/// The expectation of a reader in the words of a user.
+fn wanted(expected: &str) -> String {
+    if let Some(size) =
+        expected.strip_prefix("a tuple of size ").or(expected.strip_prefix("an array of length "))
+    {
+        return format!("a list of {} values", size.split(' ').next().unwrap_or(size));
+    }
+    let word = expected.split([' ', ',']).next().unwrap_or("");
+    match (word, expected) {
+        ("f64" | "f32", _) => "a number".into(),
+        ("u64" | "u32" | "u16" | "u8" | "usize", _) => "a whole number, 0 or more".into(),
+        ("i64" | "i32" | "i16" | "i8" | "isize", _) => "a whole number".into(),
+        ("bool", _) | (_, "a boolean") => "true or false".into(),
+        ("struct" | "internally" | "map", _) | (_, "a map") => "a table { key = value, .. }".into(),
+        ("sequence", _) | (_, "a sequence") => "a list [ .. ]".into(),
+        ("enum", _) | (_, "a string" | "variant identifier" | "string or table" | "path string") => {
+            "a text in quotes".into()
+        }
+        _ => expected.into(),
     }
 }
 

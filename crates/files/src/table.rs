@@ -1,5 +1,7 @@
 //! A file as it is: named columns of numbers or text, before anything is known about roles.
 
+use std::borrow::Cow;
+
 use dynocal_numerics::registry::nearest;
 
 use crate::error::FilesError;
@@ -128,6 +130,48 @@ impl Table {
             }
         }
     }
+
+    /// The numbers of column `name` in the rows `from..to`, NaN where the cell is empty or says that the sample is
+    /// missing (`NA`, `n/a`, `NaN`, `null`, `none`, `-`, `?`).
+    ///
+    /// # Errors
+    /// [`FilesError::NoColumn`], [`FilesError::Cell`] with the first cell that is infinite or other text.
+    pub fn numbers_or_missing(
+        &self,
+        name: &str,
+        from: usize,
+        to: usize,
+    ) -> Result<Cow<'_, [f64]>, FilesError> {
+        let bad = |row: usize, found: String| FilesError::Cell {
+            path: self.file.clone(),
+            place: self.place(row),
+            column: name.into(),
+            found,
+        };
+        match &self.column(name)?.cells {
+            Cells::Number(v) => match v[from..to].iter().position(|x| x.is_infinite()) {
+                Some(k) => Err(bad(from + k, format!("{}", v[from + k]))),
+                None => Ok(Cow::Borrowed(&v[from..to])),
+            },
+            Cells::Text(v) => {
+                // A file with decimal commas keeps them in a column that holds words as well.
+                let number =
+                    |(k, text): (usize, &String)| match text.trim().replacen(',', ".", 1).parse::<f64>() {
+                        Ok(x) if !x.is_infinite() => Ok(x),
+                        _ if is_missing(text) => Ok(f64::NAN),
+                        _ => Err(bad(from + k, text.clone())),
+                    };
+                v[from..to].iter().enumerate().map(number).collect::<Result<Vec<_>, _>>().map(Cow::Owned)
+            }
+        }
+    }
+}
+
+/// Texts that stand for a missing sample.
+const MISSING: [&str; 8] = ["", "na", "n/a", "nan", "null", "none", "-", "?"];
+
+fn is_missing(text: &str) -> bool {
+    MISSING.iter().any(|m| text.trim().eq_ignore_ascii_case(m))
 }
 
 fn describe(value: f64, text_file: bool) -> String {

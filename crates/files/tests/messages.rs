@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table};
+use dynocal_files::dataset::{ChannelSpec, Layout, Missing, STAMPS, Select, Time, datasets, read_table};
 use dynocal_files::run_folder::RunFolder;
 use dynocal_files::table::{Cells, Table};
 use dynocal_files::{FilesError, atomic, csv_io, json, spec};
@@ -24,6 +24,7 @@ fn layout(time: Time) -> Layout {
         time,
         trajectory: None,
         init_samples: 0,
+        missing: Missing::Refuse,
     }
 }
 
@@ -113,6 +114,51 @@ fn time_stamps() {
     assert_eq!(e, "bed.csv, line 4, time column `time`: time stamp 0.03 s is repeated");
     let e = message("time [mg],inj [mg],torque [Nm]\n0,1,1\n1,1,1\n", stamps());
     assert_eq!(e, "bed.csv, column `time`: found unit `mg`, expected `s` (or ms, min, h)");
+}
+
+#[test]
+fn empty_cells_are_missing_samples_only_where_asked() {
+    let text = "inj [mg],torque [Nm]\n1,2\n,3\n2,NA\n3,nan\n";
+    let table = csv_io::parse("bed.csv", text.as_bytes()).unwrap();
+    let e = datasets(&table, &layout(sampled()), &Select::All).unwrap_err().to_string();
+    assert!(e.contains("bed.csv, line 3, column `inj`"), "{e}");
+    let marked = Layout { missing: Missing::Mark, ..layout(sampled()) };
+    let d = datasets(&table, &marked, &Select::All).unwrap();
+    let missing =
+        |name: &str| -> Vec<bool> { d[0].values(name).unwrap().iter().map(|v| v.is_nan()).collect() };
+    assert_eq!(missing("inj"), [false, true, false, false]);
+    assert_eq!(missing("torque"), [false, false, true, true]);
+    // What is neither a number nor a word for "missing" stays a fault, and so does an infinite value.
+    for (cell, line) in [("broken", 2), ("inf", 2)] {
+        let text = format!("inj [mg],torque [Nm]\n{cell},2\n1,3\n");
+        let table = csv_io::parse("bed.csv", text.as_bytes()).unwrap();
+        let e = datasets(&table, &marked, &Select::All).unwrap_err().to_string();
+        assert_eq!(
+            e,
+            format!("bed.csv, line {line}, column `inj`: found `{cell}`, expected a finite number")
+        );
+    }
+    // Decimal commas survive in a column with words.
+    let table = csv_io::parse("bed.csv", b"inj [mg];torque [Nm]\n1,5;2\nNA;3\n2,5;4\n").unwrap();
+    let d = datasets(&table, &marked, &Select::All).unwrap();
+    let inj = d[0].values("inj").unwrap();
+    assert!(inj[0] == 1.5 && inj[1].is_nan() && inj[2] == 2.5, "{inj:?}");
+}
+
+#[test]
+fn irregular_stamps_are_kept_as_a_channel_where_asked() {
+    let irregular = Time::Stamps { column: "time".into(), unit: None };
+    let text = "time [ms],inj [mg],torque [Nm]\n0,1,1\n30,1,1\n70,1,1\n100,1,1\n130,1,1\n";
+    let table = csv_io::parse("bed.csv", text.as_bytes()).unwrap();
+    let d = datasets(&table, &layout(irregular.clone()), &Select::All).unwrap();
+    assert!(d[0].sample_time_s.is_nan());
+    assert_eq!(d[0].values(STAMPS).unwrap(), [0.0, 0.03, 0.07, 0.1, 0.13]);
+    assert_eq!(d[0].channel(STAMPS).unwrap().role, Role::Auxiliary);
+    let e = message("time [s],inj [mg],torque [Nm]\n0,1,1\n2,1,1\n1,1,1\n", irregular);
+    assert_eq!(
+        e,
+        "bed.csv, line 4, time column `time`: time stamp 1 s after 2 s, expected stamps that increase"
+    );
 }
 
 #[test]
@@ -312,6 +358,7 @@ fn real_engine_record_in_parquet() {
         time: Time::Sampled { sample_time_s: 0.1 },
         trajectory: Some("traj".into()),
         init_samples: 5,
+        missing: Missing::Refuse,
     };
     let by = |v: &str| Select::Values { column: "split".into(), values: vec![v.into()] };
     let (train, test) =

@@ -37,6 +37,19 @@ pub trait Structure: Send + Sync {
     /// # Errors
     /// As [`Structure::model`].
     fn polynomial(&self, inputs: &[String], output: &str) -> Result<Option<PolyNarx>, StructureError>;
+
+    /// The same as a network scaled to `data`, for what stores it; `None` for other kinds of model.
+    ///
+    /// # Errors
+    /// As [`Structure::model`].
+    fn network(
+        &self,
+        _inputs: &[String],
+        _output: &str,
+        _data: &[Experiment],
+    ) -> Result<Option<NeuralNarx>, StructureError> {
+        Ok(None)
+    }
 }
 
 /// One row of the table for a structure of the thesis: it takes no keys, and the user's channel names.
