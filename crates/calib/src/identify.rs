@@ -1,8 +1,13 @@
-//! From a measured file to a validated model: load, split, structure, estimate, score, write.
+//! From a measured file to validated models: load, split, prepare, structure, estimate, score, write.
 //!
 //! [`spec`] reads what the user wrote and checks it as a whole, [`job`] does the work with what `ident` offers,
 //! [`result`] is what comes out.
 
+pub mod fit;
 pub mod job;
+pub mod load;
 pub mod result;
+pub mod score;
+pub mod set;
 pub mod spec;
+pub mod stored;

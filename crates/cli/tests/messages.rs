@@ -138,7 +138,7 @@ fn unknown_keys_offer_the_nearest_and_come_all_at_once() {
     let e = refused(&SPEC.replace("\"ols\"", "\"olss\""), &record());
     has(
         &e,
-        "`model.estimator.name`: found `olss`, expected one of ols, iv, sem, train (did you mean `ols`?)",
+        "`model.estimator.name`: found `olss`, expected one of ols, iv, sem, train, pem (did you mean `ols`?)",
     );
     let e = refused(&SPEC.replace("na = 1", "n_a = 1"), &record());
     has(&e, "`model.structure.n_a`: found `n_a`");
@@ -207,7 +207,7 @@ fn free_run_that_diverges_is_done_but_not_valid() {
     let spec = SPEC.replace("[[0, 200]]", "[[0, 1000]]").replace("[[200, 300]]", "[[1000, 9000]]");
     let (_tmp, o) = identify(&spec, &text, &[]);
     assert_eq!(o.code, 1, "{}{}", o.stdout, o.stderr);
-    has(&o.stderr, "warning: the free run of the model diverges on test record `record` from sample");
+    has(&o.stderr, "warning: the free run of the model of `y` diverges on test record `record` from sample");
     has(&o.stdout, "diverged");
 }
 

@@ -1,33 +1,66 @@
 //! What an identification gives.
 
-use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::frols::Step;
-use dynocal_ident::validate::{self, Kind, Reference, Seen};
+use dynocal_ident::validate::{Correlation, Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
+
+use super::stored::{Fitted, Stored};
+use dynocal_ident::model::poly::StructureError;
 
 /// Schema name of a model file.
 pub const MODEL_SCHEMA: &str = "dynocal/model";
 /// Version of the model file.
-pub const MODEL_VERSION: u32 = 1;
+pub const MODEL_VERSION: u32 = 2;
 
 /// A model with everything that is needed to simulate it elsewhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelFile {
-    /// Inputs, output and regressors.
-    pub structure: PolyNarx,
-    /// Units of the inputs.
-    pub input_units: Vec<String>,
-    /// Unit of the output.
-    pub output_unit: String,
+    /// Inputs, output and form; networks with their scaling.
+    pub structure: Stored,
+    /// Inputs.
+    pub inputs: Vec<Quantity>,
+    /// Output.
+    pub output: Quantity,
     /// Sample time in s.
     pub sample_time_s: f64,
     /// Parameters with their names.
     pub parameters: Vec<Parameter>,
     /// Estimator.
     pub estimator: String,
+    /// Variance of the errors that the estimator made small, in squared units of the output.
+    pub noise_variance: f64,
     /// Where the data came from.
     pub origin: String,
+}
+
+impl ModelFile {
+    /// The model, ready to simulate.
+    ///
+    /// # Errors
+    /// [`StructureError`] when parameters and structure do not belong together.
+    pub fn fitted(&self) -> Result<Fitted, StructureError> {
+        let theta: Vec<f64> = self.parameters.iter().map(|p| p.value).collect();
+        let p = self.structure.n_params();
+        if theta.len() != p {
+            return Err(StructureError::Orders {
+                output: self.output.name.clone(),
+                found: theta.len(),
+                expected: p,
+                inputs: self.inputs.iter().map(|q| q.name.clone()).collect(),
+            });
+        }
+        Fitted::new(self.structure.clone(), theta)
+    }
+}
+
+/// A channel of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Quantity {
+    /// Name.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
 }
 
 /// One estimated parameter.
@@ -37,16 +70,20 @@ pub struct Parameter {
     pub name: String,
     /// Value.
     pub value: f64,
-    /// Standard error for white errors; absent where the data do not determine the parameter.
+    /// Standard error; absent where the data do not determine the parameter.
     pub std_error: Option<f64>,
 }
 
-/// Fit numbers over all scored samples of all records together.
+/// Fit numbers over all scored samples of all records of one part together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Score {
+    /// Modelled channel.
+    pub output: String,
+    /// Part of the data: `estimation`, `selection`, `test`, or the name of a test set.
+    pub part: String,
     /// Whether the parameters have seen the data.
     pub data: Seen,
-    /// One step ahead or free run.
+    /// One step ahead, k steps ahead or free run.
     pub kind: Kind,
     /// What it is compared with (measured: noisy).
     pub reference: Reference,
@@ -58,34 +95,62 @@ pub struct Score {
     pub rmse: Option<f64>,
     /// Mean squared error.
     pub mse: Option<f64>,
+    /// 95 % of the absolute errors are at most this.
+    pub error_95: Option<f64>,
+    /// Half width of the band that was asked for.
+    pub band: Option<f64>,
+    /// Share of the errors inside it, in percent.
+    pub in_band_percent: Option<f64>,
     /// `1 - SSE / SST` in percent (thesis eq. 2.48), SST about the mean of the scored samples.
     pub r2_percent: Option<f64>,
     /// `1 - sqrt(SSE / SST)` in percent.
     pub nrmse_fit_percent: Option<f64>,
-    /// 95 % of the absolute errors are at most this.
-    pub error_95: Option<f64>,
     /// Unit of the output.
     pub unit: String,
 }
 
-impl Score {
-    /// The score of `ident` over `records` records. JSON has no NaN, so a diverged free run has no numbers.
-    pub fn new(s: &validate::Score, records: usize, unit: &str) -> Self {
-        let finite = |x: f64| x.is_finite().then_some(x);
-        Self {
-            data: s.data,
-            kind: s.kind,
-            reference: s.reference,
-            records,
-            samples: s.samples,
-            rmse: finite(s.rmse),
-            mse: finite(s.mse),
-            r2_percent: finite(100.0 * s.r2),
-            nrmse_fit_percent: finite(100.0 * s.nrmse_fit),
-            error_95: finite(s.error_95),
-            unit: unit.into(),
-        }
-    }
+/// What the one-step errors of a part still hold.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ResidualTests {
+    /// Part of the data.
+    pub part: String,
+    /// Which errors: one step or free run.
+    pub kind: Kind,
+    /// Autocorrelation.
+    pub auto: Correlation,
+    /// Correlation with each input.
+    pub cross: Vec<(String, Correlation)>,
+}
+
+/// One modelled output.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Modelled {
+    /// Modelled channel.
+    pub target: String,
+    /// Its unit.
+    pub unit: String,
+    /// Driving channels.
+    pub inputs: Vec<String>,
+    /// Structure.
+    pub structure: String,
+    /// Estimator.
+    pub estimator: String,
+    /// How the estimator ended.
+    pub status: Status,
+    /// Parameters with standard errors.
+    pub parameters: Vec<Parameter>,
+    /// Numerical rank of the problem.
+    pub rank: usize,
+    /// Cost evaluations.
+    pub evaluations: usize,
+    /// Samples that entered the estimate.
+    pub samples: usize,
+    /// Path of the structure selection; empty without one.
+    pub selection: Vec<Step>,
+    /// Residual correlations, of the estimation and the last unseen part.
+    pub residuals: Vec<ResidualTests>,
+    /// Model file, relative to the run folder.
+    pub file: String,
 }
 
 /// Result of the job: the body of `summary.json`.
@@ -95,32 +160,29 @@ pub struct Identified {
     pub verb: String,
     /// Name of the run.
     pub name: String,
-    /// How the estimator ended.
-    pub status: Status,
-    /// Whether the model may be used without a warning: converged, and every free run finite.
+    /// Whether the models may be used without a warning: converged, and every free run finite.
     pub valid: bool,
     /// What the user should know, most important first.
     pub warnings: Vec<String>,
-    /// Modelled channel.
-    pub target: String,
-    /// Driving channels.
-    pub inputs: Vec<String>,
-    /// Structure and estimator.
-    pub structure: String,
-    /// Estimator.
-    pub estimator: String,
-    /// Number of parameters.
-    pub parameters: usize,
-    /// Numerical rank of the problem.
-    pub rank: usize,
-    /// Cost evaluations.
-    pub evaluations: usize,
-    /// Samples that entered the estimate.
-    pub samples: usize,
-    /// Path of the structure selection; empty without one.
-    pub selection: Vec<Step>,
-    /// Fit numbers.
+    /// One for each target.
+    pub models: Vec<Modelled>,
+    /// Fit numbers of all targets.
     pub scores: Vec<Score>,
+    /// Records with measured and computed outputs.
+    pub records: Vec<RecordFile>,
     /// Files of the step, relative to the run folder.
     pub files: Vec<String>,
+}
+
+/// A record with its computed outputs in a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordFile {
+    /// Part of the data.
+    pub part: String,
+    /// Name of the record.
+    pub record: String,
+    /// Whether the parameters have seen it.
+    pub data: Seen,
+    /// File, relative to the run folder.
+    pub file: String,
 }

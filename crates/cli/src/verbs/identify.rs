@@ -6,7 +6,6 @@ use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_calib::identify::job::{self, IdentifyError};
 use dynocal_calib::identify::result::{Identified, Score};
 use dynocal_calib::identify::spec::{self, Overrides};
-use dynocal_ident::validate::{Kind, Seen};
 
 use super::Verb;
 use crate::common::{Common, print};
@@ -22,9 +21,9 @@ const ABOUT: &str = "Identify a dynamic model from a measured file (CSV or Parqu
 struct Identify {
     /// Spec of the identification (TOML)
     spec: PathBuf,
-    /// Data file instead of the one that the spec names
+    /// Data file instead of those that the spec names; several are several experiments
     #[arg(long, value_name = "FILE")]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -71,35 +70,49 @@ fn with_hint(e: IdentifyError) -> Failure {
 }
 
 fn text(found: &Identified) -> String {
-    let head = format!(
-        "{}: {} from {}\n{} {}, {} parameters (rank {}), {} samples, {:?} after {} evaluations\n\n",
-        found.name,
-        found.target,
-        found.inputs.join(", "),
-        found.structure,
-        found.estimator,
-        found.parameters,
-        found.rank,
-        found.samples,
-        found.status,
-        found.evaluations
-    );
-    let rows: Vec<Vec<String>> = found.scores.iter().map(row).collect();
-    let unit = found.scores.first().map_or("-", |s| s.unit.as_str());
-    let rmse = format!("RMSE [{unit}]");
-    let header = ["data", "output", "records", "samples", &rmse, "R2 [%]", "NRMSE fit [%]"];
-    head + &table::render(&header, &rows, &[2, 3, 4, 5, 6])
+    let mut out = format!("{}\n", found.name);
+    for m in &found.models {
+        out += &format!(
+            "\n{} from {}\n{} {}, {} parameters (rank {}), {} samples, {:?} after {} evaluations\n\n",
+            m.target,
+            m.inputs.join(", "),
+            m.structure,
+            m.estimator,
+            m.parameters.len(),
+            m.rank,
+            m.samples,
+            m.status,
+            m.evaluations
+        );
+        let own: Vec<&Score> = found.scores.iter().filter(|s| s.output == m.target).collect();
+        let banded = own.iter().any(|s| s.band.is_some());
+        let rows: Vec<Vec<String>> = own.iter().map(|s| row(s, banded)).collect();
+        let (rmse, within) = (format!("RMSE [{}]", m.unit), format!("95 % within [{}]", m.unit));
+        let mut header = vec!["data", "output", "records", "samples", &rmse, &within];
+        if banded {
+            header.push("in band [%]");
+        }
+        header.extend(["R2 [%]", "NRMSE fit [%]"]);
+        let right: Vec<usize> = (2..header.len()).collect();
+        out += &table::render(&header, &rows, &right);
+    }
+    out
 }
 
-fn row(s: &Score) -> Vec<String> {
+fn row(s: &Score, banded: bool) -> Vec<String> {
     let number = |x: Option<f64>, digits: usize| x.map_or("diverged".into(), |v| format!("{v:.digits$}"));
-    vec![
-        if s.data == Seen::Unseen { "unseen" } else { "estimation" }.into(),
-        if s.kind == Kind::FreeRun { "free run" } else { "one step" }.into(),
+    let error = |x: Option<f64>| x.map_or("diverged".into(), |v| dynocal_deliver::significant(v, 5));
+    let mut cells = vec![
+        s.part.clone(),
+        identify_report::kind_text(s.kind),
         s.records.to_string(),
         s.samples.to_string(),
-        number(s.rmse, 5),
-        number(s.r2_percent, 3),
-        number(s.nrmse_fit_percent, 3),
-    ]
+        error(s.rmse),
+        error(s.error_95),
+    ];
+    if banded {
+        cells.push(s.in_band_percent.map_or("-".into(), |v| format!("{v:.1}")));
+    }
+    cells.extend([number(s.r2_percent, 3), number(s.nrmse_fit_percent, 3)]);
+    cells
 }

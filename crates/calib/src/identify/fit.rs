@@ -1,0 +1,152 @@
+//! The estimate of one target: structure, selection of terms, start, estimator.
+
+use dynocal_ident::estimate::pem::Pem;
+use dynocal_ident::estimate::train::Train;
+use dynocal_ident::estimate::{self, Fit};
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::{Model, linear, structures};
+use dynocal_ident::select::frols::{Step, frols};
+use dynocal_numerics::registry::{self, BuildError};
+use dynocal_numerics::status::Status;
+
+use super::job::IdentifyError;
+use super::spec::{Family, Selecting, Target};
+use super::stored::{Fitted, Stored};
+
+/// An estimated model of one target.
+#[derive(Clone, Debug)]
+pub struct Estimated {
+    /// The model.
+    pub model: Fitted,
+    /// What the estimator says.
+    pub fit: Fit,
+    /// Path of the selection; empty without one.
+    pub selection: Vec<Step>,
+}
+
+/// The prediction-error estimator from its keys.
+///
+/// # Errors
+/// [`BuildError`].
+pub fn pem(keys: &toml::Table) -> Result<Pem, BuildError> {
+    registry::keys("pem", keys)
+}
+
+/// What runs beside the work.
+#[derive(Clone, Copy)]
+pub struct Around<'a> {
+    /// Told what happens.
+    pub note: &'a dyn Fn(&str),
+    /// Asked often whether to stop.
+    pub interrupt: &'a dyn Fn() -> bool,
+}
+
+/// Estimates one target from `data`; `selecting` are records that choose between candidates, where the spec has some.
+///
+/// # Errors
+/// [`IdentifyError`].
+pub fn estimate(
+    t: &Target,
+    data: &[Experiment],
+    selecting: &[Experiment],
+    around: Around,
+) -> Result<Estimated, IdentifyError> {
+    let (stored, selection) = structure(t, data, around)?;
+    (around.note)(&format!(
+        "{}: estimating {} parameters by {} from {} records, {} samples",
+        t.target,
+        stored.n_params(),
+        t.estimator,
+        data.len(),
+        data.iter().map(Experiment::len).sum::<usize>()
+    ));
+    let fit = match &stored {
+        Stored::Linear(m) => pem(&t.estimator_keys)?.estimate(m, data, None, around.interrupt)?,
+        other => {
+            let Some(m) = other.narx() else { return Err(IdentifyError::Interrupted) };
+            narx(t, m, data, selecting, around)?
+        }
+    };
+    if fit.status == Status::Interrupted {
+        return Err(IdentifyError::Interrupted);
+    }
+    let model = Fitted::new(stored, fit.theta.clone()).map_err(estimate::EstimateError::from)?;
+    Ok(Estimated { model, fit, selection })
+}
+
+/// The structure of the spec over the data, or the terms selected from it.
+fn structure(t: &Target, data: &[Experiment], around: Around) -> Result<(Stored, Vec<Step>), IdentifyError> {
+    let (name, keys) = (&t.structure.name, &t.structure.keys);
+    let failed = estimate::EstimateError::from;
+    if t.structure.family == Family::Linear {
+        let model = linear::structures::linear_structure(name, keys)?.model(&t.inputs, &t.target);
+        return Ok((Stored::Linear(model.map_err(failed)?), Vec::new()));
+    }
+    let built = structures::structure(name, keys)?;
+    if let Some(network) = built.network(&t.inputs, &t.target, data).map_err(failed)? {
+        return Ok((Stored::Neural(network), Vec::new()));
+    }
+    let Some(pool) = built.polynomial(&t.inputs, &t.target).map_err(failed)? else {
+        let message = format!("the structure `{name}` has no form that a model file can hold");
+        return Err(BuildError::Keys { member: name.clone(), message }.into());
+    };
+    match &t.select {
+        None => Ok((Stored::Polynomial(pool), Vec::new())),
+        Some(select) => selected(&pool, select, data, around),
+    }
+}
+
+fn selected(
+    pool: &PolyNarx,
+    select: &Selecting,
+    data: &[Experiment],
+    around: Around,
+) -> Result<(Stored, Vec<Step>), IdentifyError> {
+    (around.note)(&format!("selecting terms from a pool of {}", pool.n_params()));
+    let selection = frols(pool, &share(data, select.max_samples, pool.max_lag()), select.stop)?;
+    (around.note)(&format!("selected {}", selection.model.regressor_texts().join(", ")));
+    Ok((Stored::Polynomial(selection.model), selection.path))
+}
+
+/// The same share of the start of every record, so that all together hold about `samples` samples.
+fn share(data: &[Experiment], samples: usize, lag: usize) -> Vec<Experiment> {
+    let total: usize = data.iter().map(Experiment::len).sum();
+    if samples >= total {
+        return data.to_vec();
+    }
+    data.iter()
+        .map(|e| {
+            let first = e.init_samples.max(lag);
+            let n = (e.len() * samples / total).clamp((first + 1).min(e.len()), e.len());
+            let m = e.u.len() / e.len().max(1);
+            let weights = e.weights.iter().take(n).copied().collect();
+            Experiment { u: e.u[..n * m].to_vec(), y: e.y[..n].to_vec(), weights, ..e.clone() }
+        })
+        .collect()
+}
+
+fn narx(
+    t: &Target,
+    model: &dyn Model,
+    data: &[Experiment],
+    selecting: &[Experiment],
+    around: Around,
+) -> Result<Fit, IdentifyError> {
+    // Early stopping watches the selection records of the spec instead of an end cut off the estimation records.
+    if t.estimator == "train" && !selecting.is_empty() {
+        let train: Train = registry::keys("train", &t.estimator_keys)?;
+        return Ok(train.train(model, data, selecting, None, around.interrupt)?.fit);
+    }
+    let estimator = estimate::estimator(&t.estimator, &t.estimator_keys)?;
+    let rows: usize = data.iter().map(Experiment::len).sum();
+    let mut start = None;
+    if t.warm_start_samples > 0 && t.warm_start_samples < rows {
+        let part = share(data, t.warm_start_samples, model.max_lag());
+        let samples: usize = part.iter().map(Experiment::len).sum();
+        (around.note)(&format!("first estimate from {samples} samples"));
+        let first = estimator.estimate(model, &part, None, around.interrupt)?;
+        start = (first.status != Status::Interrupted).then_some(first.theta);
+    }
+    Ok(estimator.estimate(model, data, start.as_deref(), around.interrupt)?)
+}

@@ -1,0 +1,183 @@
+//! From files to the parts of the data: estimation, selection, test.
+
+use dynocal_files::dataset::{Layout, Select, datasets, read_table};
+use dynocal_ident::data::Dataset;
+use dynocal_ident::validate::Seen;
+
+use super::job::IdentifyError;
+use super::spec::{Job, Source, Split, TestSet};
+
+/// Records with one purpose.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// `estimation`, `selection`, `test`, or the name of a test set.
+    pub name: String,
+    /// Whether the estimate sees it.
+    pub seen: Seen,
+    /// Records.
+    pub records: Vec<Dataset>,
+}
+
+/// All parts, the estimation first.
+///
+/// # Errors
+/// [`IdentifyError`]: files, columns, units; a part that holds nothing.
+pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError> {
+    let mut found = [Vec::new(), Vec::new(), Vec::new()];
+    let several = job.sources.len() > 1;
+    for source in &job.sources {
+        note(&format!("reading {}", source.file.display()));
+        for (part, mut records) in found.iter_mut().zip(split_file(job, source)?) {
+            if several {
+                let stem = stem(source);
+                records.iter_mut().for_each(|d| d.name = format!("{stem}-{}", d.name));
+            }
+            part.append(&mut records);
+        }
+    }
+    let names = ["estimation", "selection", "test"];
+    let seen = [Seen::Identification, Seen::Unseen, Seen::Unseen];
+    let mut parts: Vec<Part> = names
+        .iter()
+        .zip(seen)
+        .zip(found)
+        .filter(|(_, records)| !records.is_empty())
+        .map(|((name, seen), records)| Part { name: (*name).into(), seen, records })
+        .collect();
+    for test in &job.tests {
+        parts.push(test_set(job, test, note)?);
+    }
+    alike(&parts)?;
+    Ok(parts)
+}
+
+fn stem(source: &Source) -> String {
+    let name = source.file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    name.split('.').next().unwrap_or(&name).to_string()
+}
+
+fn split_file(job: &Job, source: &Source) -> Result<[Vec<Dataset>; 3], IdentifyError> {
+    let table = read_table(&source.file, source.format)?;
+    let read = |s: &Select| datasets(&table, &job.layout, s);
+    match &job.split {
+        Split::Rows { estimation, selection, test } => {
+            let maybe = |s: &Option<Select>| s.as_ref().map_or(Ok(Vec::new()), read);
+            Ok([read(estimation)?, maybe(selection)?, maybe(test)?])
+        }
+        Split::Shares { fractions, blocks } => Ok(shares(&read(&Select::All)?, fractions, *blocks)),
+    }
+}
+
+fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, IdentifyError> {
+    note(&format!("reading {}", test.source.file.display()));
+    let table = read_table(&test.source.file, test.source.format)?;
+    let mut layout: Layout = job.layout.clone();
+    for c in &mut layout.channels {
+        if let Some(column) = test.columns.get(&c.name) {
+            c.column.clone_from(column);
+        }
+    }
+    if let Some(n) = test.init_samples {
+        layout.init_samples = n;
+    }
+    // A test file need not be cut as the estimation file is.
+    if layout.trajectory.as_ref().is_some_and(|c| table.column(c).is_err()) {
+        layout.trajectory = None;
+    }
+    let records = datasets(&table, &layout, &Select::All)?;
+    Ok(Part { name: test.name.clone(), seen: Seen::Unseen, records })
+}
+
+/// Every record cut into `blocks` blocks that are dealt to the three parts so that their shares come out; neighbours of
+/// one part stay one record.
+fn shares(records: &[Dataset], fractions: &[f64; 3], blocks: usize) -> [Vec<Dataset>; 3] {
+    let mut out = [Vec::new(), Vec::new(), Vec::new()];
+    for d in records {
+        for (part, from, to) in deal(d.len(), fractions, blocks) {
+            let name = format!("{}-{from}", d.name);
+            out[part].push(cut(d, from, to, if (from, to) == (0, d.len()) { d.name.clone() } else { name }));
+        }
+    }
+    out
+}
+
+/// Pieces `(part, from, to)` of a record of `n` samples.
+fn deal(n: usize, fractions: &[f64; 3], blocks: usize) -> Vec<(usize, usize, usize)> {
+    let at = |share: f64| (share * n as f64).round() as usize;
+    if blocks <= 1 {
+        let (a, b) = (at(fractions[0]), at(fractions[0] + fractions[1]));
+        return [(0, 0, a), (1, a, b), (2, b, n)].into_iter().filter(|(_, from, to)| from < to).collect();
+    }
+    let mut dealt = [0usize; 3];
+    let mut pieces: Vec<(usize, usize, usize)> = Vec::new();
+    for k in 0..blocks {
+        let (from, to) = (k * n / blocks, (k + 1) * n / blocks);
+        // The part that lags most behind its share gets the block.
+        let behind = |p: usize| fractions[p] * to as f64 - dealt[p] as f64;
+        let part = (1..3).fold(0, |best, p| if behind(p) > behind(best) { p } else { best });
+        dealt[part] += to - from;
+        match pieces.last_mut() {
+            Some(last) if last.0 == part => last.2 = to,
+            _ if from < to => pieces.push((part, from, to)),
+            _ => {}
+        }
+    }
+    pieces
+}
+
+fn cut(d: &Dataset, from: usize, to: usize, name: String) -> Dataset {
+    let mut piece = Dataset { name, channels: Vec::new(), ..d.clone() };
+    for c in &d.channels {
+        let values = c.values[from..to].to_vec();
+        piece.channels.push(dynocal_ident::data::Channel {
+            name: c.name.clone(),
+            unit: c.unit.clone(),
+            role: c.role,
+            values,
+        });
+    }
+    piece.origin = format!("{}, samples {from} to {}", d.origin, to.saturating_sub(1));
+    piece
+}
+
+/// Units are the same in all records, or the numbers mean different things.
+fn alike(parts: &[Part]) -> Result<(), IdentifyError> {
+    let mut all = parts.iter().flat_map(|p| &p.records);
+    let Some(first) = all.next() else { return Ok(()) };
+    for d in all {
+        for c in &d.channels {
+            let expected = first.channel(&c.name)?;
+            if c.unit != expected.unit {
+                return Err(IdentifyError::Unit {
+                    record: d.name.clone(),
+                    channel: c.name.clone(),
+                    found: c.unit.clone(),
+                    expected: expected.unit.clone(),
+                    other: first.name.clone(),
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::deal;
+
+    #[test]
+    fn shares_in_order_and_in_blocks() {
+        assert_eq!(deal(100, &[0.7, 0.15, 0.15], 1), [(0, 0, 70), (1, 70, 85), (2, 85, 100)]);
+        assert_eq!(deal(10, &[0.5, 0.0, 0.5], 1), [(0, 0, 5), (2, 5, 10)]);
+        for blocks in [2, 7, 20, 33] {
+            let pieces = deal(1000, &[0.7, 0.15, 0.15], blocks);
+            // Every sample once, in order; shares right to within two blocks.
+            assert_eq!((pieces[0].1, pieces[pieces.len() - 1].2), (0, 1000));
+            assert!(pieces.windows(2).all(|w| w[0].2 == w[1].1 && w[0].0 != w[1].0), "{pieces:?}");
+            for (part, share) in [(0, 700.0), (1, 150.0), (2, 150.0)] {
+                let got: usize = pieces.iter().filter(|p| p.0 == part).map(|p| p.2 - p.1).sum();
+                assert!((got as f64 - share).abs() <= 2000.0 / blocks as f64, "{blocks} {part} {got}");
+            }
+        }
+    }
+}

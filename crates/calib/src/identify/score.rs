@@ -1,0 +1,224 @@
+//! Scores of a set of models on one part of the data, and the records that are kept.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use dynocal_files::csv_io;
+use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation};
+
+use super::job::IdentifyError;
+use super::load::Part;
+use super::result::{RecordFile, ResidualTests, Score};
+use super::set::Set;
+use super::spec::Validation;
+
+/// What scoring one part gives.
+#[derive(Debug, Default)]
+pub struct Scored {
+    /// Scores, target by target.
+    pub scores: Vec<Score>,
+    /// Residual correlations of each target, as the kinds asked for say.
+    pub residuals: Vec<(String, ResidualTests)>,
+    /// Free runs that leave the finite.
+    pub diverged: Vec<String>,
+    /// Files written.
+    pub records: Vec<RecordFile>,
+}
+
+/// Errors of one target and kind of output over all records of a part.
+#[derive(Default)]
+struct Errors {
+    z: Vec<f64>,
+    computed: Vec<f64>,
+    /// Inputs of the same samples, one after the other.
+    u: Vec<Vec<f64>>,
+}
+
+/// Scores `set` on `part`; `minimised` says of each target which of its errors should be white. Records go to `dir`.
+///
+/// # Errors
+/// [`IdentifyError`]: a record too short to score, or files.
+pub fn score(
+    part: &Part,
+    set: &Set,
+    minimised: &[Kind],
+    v: &Validation,
+    dir: &Path,
+) -> Result<Scored, IdentifyError> {
+    let mut kinds = vec![Kind::OneStep];
+    kinds.extend(v.k_steps.iter().map(|k| Kind::KStep(*k)));
+    kinds.push(Kind::FreeRun);
+    let mut scored = Scored::default();
+    let mut errors: BTreeMap<(usize, usize), Errors> = BTreeMap::new();
+    for d in &part.records {
+        let shaped = set.shaped(d)?;
+        long_enough(set, &shaped)?;
+        let mut kept: Vec<(String, String, Vec<f64>)> = Vec::new();
+        for (j, kind) in kinds.iter().enumerate() {
+            for (k, found) in set.outputs(&shaped, *kind).into_iter().enumerate() {
+                let Some(found) = found else { continue };
+                let target = &set.members[k].target;
+                if *kind == Kind::FreeRun
+                    && let Some(text) = diverged(&shaped[k], &found, target, &part.name)
+                {
+                    scored.diverged.push(text);
+                }
+                let first = set.members[k].model.first(&shaped[k]);
+                errors.entry((k, j)).or_default().add(&shaped[k], &found, first, minimised[k] == *kind);
+                if let Some(label) = label(*kind) {
+                    kept.push((format!("{target}_{label}"), d.channel(target)?.unit.clone(), found));
+                }
+            }
+        }
+        let name = format!("{}-{}.csv", file_name(&part.name), file_name(&d.name));
+        write_record(&dir.join(&name), set, d, &kept)?;
+        scored.records.push(RecordFile {
+            part: part.name.clone(),
+            record: d.name.clone(),
+            data: part.seen,
+            file: name,
+        });
+    }
+    for ((k, j), e) in errors {
+        let member = &set.members[k];
+        let unit = part.records[0].channel(&member.target)?.unit.clone();
+        scored.scores.push(e.score(part, &member.target, kinds[j], v, unit));
+        if minimised[k] == kinds[j] {
+            let tests = e.tests(part, &member.inputs, kinds[j], v.residual_lags);
+            scored.residuals.push((member.target.clone(), tests));
+        }
+    }
+    Ok(scored)
+}
+
+impl Errors {
+    fn add(&mut self, e: &Experiment, found: &[f64], first: usize, with_inputs: bool) {
+        self.z.extend_from_slice(&e.y[first..]);
+        self.computed.extend_from_slice(&found[first..]);
+        if with_inputs {
+            let m = e.u.len().checked_div(e.len()).unwrap_or(0);
+            self.u.resize(m, Vec::new());
+            for (i, u) in self.u.iter_mut().enumerate() {
+                u.extend(e.u[first * m..].iter().skip(i).step_by(m));
+            }
+        }
+    }
+
+    fn score(&self, part: &Part, target: &str, kind: Kind, v: &Validation, unit: String) -> Score {
+        // A missing sample is nothing to compare with.
+        let known = |(z, _): &(&f64, &f64)| !z.is_nan();
+        let (z, computed): (Vec<f64>, Vec<f64>) =
+            self.z.iter().zip(&self.computed).filter(known).map(|(z, c)| (*z, *c)).unzip();
+        let s = validate::score_values(&z, &computed, kind, part.seen, Reference::Noisy);
+        let finite = |x: f64| x.is_finite().then_some(x);
+        let band = v.band.get(target).copied();
+        let inside = |half: f64| {
+            let n = z.iter().zip(&computed).filter(|(z, c)| (*z - *c).abs() <= half).count();
+            100.0 * n as f64 / z.len().max(1) as f64
+        };
+        Score {
+            output: target.into(),
+            part: part.name.clone(),
+            data: part.seen,
+            kind,
+            reference: Reference::Noisy,
+            records: part.records.len(),
+            samples: s.samples,
+            rmse: finite(s.rmse),
+            mse: finite(s.mse),
+            error_95: finite(s.error_95),
+            band,
+            in_band_percent: band.filter(|_| s.rmse.is_finite()).map(inside),
+            r2_percent: finite(100.0 * s.r2),
+            nrmse_fit_percent: finite(100.0 * s.nrmse_fit),
+            unit,
+        }
+    }
+
+    fn tests(&self, part: &Part, inputs: &[String], kind: Kind, lags: usize) -> ResidualTests {
+        // An error that is not known is no error; it leaves the correlations of the others as they are.
+        let e: Vec<f64> = self
+            .z
+            .iter()
+            .zip(&self.computed)
+            .map(|(z, c)| z - c)
+            .map(|v| if v.is_finite() { v } else { 0.0 })
+            .collect();
+        let cross = inputs.iter().zip(&self.u).map(|(n, u)| (n.clone(), cross_correlation(&e, u, lags)));
+        ResidualTests {
+            part: part.name.clone(),
+            kind,
+            auto: autocorrelation(&e, lags),
+            cross: cross.collect(),
+        }
+    }
+}
+
+fn label(kind: Kind) -> Option<&'static str> {
+    match kind {
+        Kind::OneStep => Some("one_step"),
+        Kind::FreeRun => Some("free_run"),
+        Kind::KStep(_) => None,
+    }
+}
+
+fn diverged(e: &Experiment, found: &[f64], target: &str, part: &str) -> Option<String> {
+    let known = |t: usize| e.y[t].is_nan();
+    let t = (0..found.len()).find(|t| !found[*t].is_finite() && !known(*t))?;
+    Some(format!(
+        "the free run of the model of `{target}` diverges on {part} record `{}` from sample {t} on: use the estimator `sem` or fewer output terms",
+        e.name
+    ))
+}
+
+fn long_enough(set: &Set, shaped: &[Experiment]) -> Result<(), DataError> {
+    for (m, e) in set.members.iter().zip(shaped) {
+        let first = m.model.first(e);
+        if e.len() <= first {
+            let why = format!("{first} samples initialise, one must be left to score");
+            return Err(DataError::TooShort {
+                record: e.name.clone(),
+                found: e.len(),
+                expected: first + 1,
+                why,
+            });
+        }
+    }
+    Ok(())
+}
+
+fn file_name(name: &str) -> String {
+    name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '.' || c == '-' { c } else { '_' }).collect()
+}
+
+fn write_record(
+    path: &Path,
+    set: &Set,
+    d: &Dataset,
+    computed: &[(String, String, Vec<f64>)],
+) -> Result<(), IdentifyError> {
+    let time: Vec<f64> = (0..d.len()).map(|t| t as f64 * d.sample_time_s).collect();
+    let mut columns: Vec<(String, &str, &[f64])> = vec![("time".into(), "s", &time)];
+    for m in &set.members {
+        let c = d.channel(&m.target)?;
+        columns.push((format!("{}_measured", c.name), &c.unit, &c.values));
+    }
+    for (name, unit, values) in computed {
+        columns.push((name.clone(), unit, values));
+    }
+    let mut inputs: Vec<&String> = Vec::new();
+    for name in set.members.iter().flat_map(|m| &m.inputs) {
+        let is_target = set.members.iter().any(|m| m.target == *name);
+        if !is_target && !inputs.contains(&name) {
+            inputs.push(name);
+        }
+    }
+    for name in inputs {
+        let c = d.channel(name)?;
+        columns.push((c.name.clone(), &c.unit, &c.values));
+    }
+    let columns: Vec<(&str, &str, &[f64])> = columns.iter().map(|(n, u, v)| (n.as_str(), *u, *v)).collect();
+    Ok(csv_io::write_columns(path, &columns)?)
+}

@@ -1,0 +1,96 @@
+//! The spec as typed. Keys that must be there are options, so that one missing key does not hide other faults.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use dynocal_files::dataset::{Format, Missing};
+use dynocal_ident::data::Role;
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Typed {
+    pub(super) name: Option<String>,
+    pub(super) out: Option<PathBuf>,
+    pub(super) data: Option<TypedData>,
+    pub(super) channels: Option<Vec<TypedChannel>>,
+    pub(super) split: Option<TypedSplit>,
+    pub(super) test: Option<Vec<TypedTest>>,
+    pub(super) prepare: Option<Vec<toml::Table>>,
+    pub(super) model: Option<TypedModel>,
+    pub(super) validate: Option<TypedValidate>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedData {
+    pub(super) file: Option<String>,
+    pub(super) files: Option<Vec<String>>,
+    pub(super) format: Option<Format>,
+    pub(super) sample_time_s: Option<f64>,
+    pub(super) time: Option<String>,
+    pub(super) time_unit: Option<String>,
+    pub(super) trajectory: Option<String>,
+    pub(super) init_samples: Option<usize>,
+    pub(super) missing: Option<Missing>,
+    pub(super) multisine_period: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedChannel {
+    pub(super) column: Option<String>,
+    pub(super) name: Option<String>,
+    pub(super) unit: Option<String>,
+    #[serde(default)]
+    pub(super) convert: bool,
+    pub(super) role: Option<Role>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedSplit {
+    pub(super) column: Option<String>,
+    pub(super) estimation: Option<Vec<toml::Value>>,
+    pub(super) selection: Option<Vec<toml::Value>>,
+    pub(super) test: Option<Vec<toml::Value>>,
+    pub(super) estimation_rows: Option<Vec<(usize, usize)>>,
+    pub(super) selection_rows: Option<Vec<(usize, usize)>>,
+    pub(super) test_rows: Option<Vec<(usize, usize)>>,
+    pub(super) fractions: Option<Vec<f64>>,
+    pub(super) blocks: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedTest {
+    pub(super) name: Option<String>,
+    pub(super) file: Option<String>,
+    pub(super) format: Option<Format>,
+    pub(super) init_samples: Option<usize>,
+    pub(super) columns: Option<BTreeMap<String, String>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedModel {
+    pub(super) target: Option<String>,
+    pub(super) targets: Option<Vec<String>>,
+    pub(super) inputs: Option<Vec<String>>,
+    pub(super) structure: Option<toml::Table>,
+    pub(super) structures: Option<BTreeMap<String, toml::Table>>,
+    pub(super) select: Option<toml::Table>,
+    pub(super) warm_start_samples: Option<usize>,
+    pub(super) estimator: Option<toml::Table>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedValidate {
+    pub(super) k_steps: Option<Vec<usize>>,
+    pub(super) band: Option<BTreeMap<String, f64>>,
+    pub(super) folds: Option<usize>,
+    pub(super) stability_runs: Option<usize>,
+    pub(super) residual_lags: Option<usize>,
+    pub(super) confidence: Option<f64>,
+}

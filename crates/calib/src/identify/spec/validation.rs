@@ -1,0 +1,80 @@
+//! How a model is judged: table `validate`.
+
+use std::collections::BTreeMap;
+
+use dynocal_files::spec::Faults;
+use serde::Serialize;
+
+use super::typed::TypedValidate;
+
+/// What is computed after the fit beside one step and free run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Validation {
+    /// Horizons of predictions, in samples.
+    pub k_steps: Vec<usize>,
+    /// Half width of the band that errors should stay in, in the unit of the target; by target.
+    pub band: BTreeMap<String, f64>,
+    /// Blocks of the cross-validation; 0 for none.
+    pub folds: usize,
+    /// Free runs on random inputs within the limits of the record; 0 for none.
+    pub stability_runs: usize,
+    /// Lags of the residual correlations.
+    pub residual_lags: usize,
+    /// Level of confidence of bands and bounds.
+    pub confidence: f64,
+}
+
+impl Default for Validation {
+    fn default() -> Self {
+        Self {
+            k_steps: Vec::new(),
+            band: BTreeMap::new(),
+            folds: 0,
+            stability_runs: 20,
+            residual_lags: 25,
+            confidence: 0.95,
+        }
+    }
+}
+
+/// The table with its defaults.
+pub(super) fn validation(
+    typed: Option<&TypedValidate>,
+    targets: &[String],
+    faults: &mut Faults,
+) -> Validation {
+    let mut v = Validation::default();
+    let Some(t) = typed else { return v };
+    if let Some(k) = &t.k_steps {
+        if k.iter().any(|k| *k == 0) {
+            faults.push("validate.k_steps", "0", "horizons of 1 sample or more");
+        }
+        v.k_steps = k.clone();
+        v.k_steps.sort_unstable();
+        v.k_steps.dedup();
+        // One step has its own row.
+        v.k_steps.retain(|k| *k > 1);
+    }
+    for (name, half_width) in t.band.iter().flatten() {
+        if !targets.contains(name) {
+            faults.unknown("validate.band", name, targets);
+        }
+        faults.positive(
+            &format!("validate.band.{name}"),
+            *half_width,
+            "half width in the unit of the target",
+        );
+        v.band.insert(name.clone(), *half_width);
+    }
+    v.folds = t.folds.unwrap_or(v.folds);
+    if v.folds == 1 {
+        faults.push("validate.folds", "1", "0 for no cross-validation, or 2 and more blocks");
+    }
+    v.stability_runs = t.stability_runs.unwrap_or(v.stability_runs);
+    v.residual_lags = t.residual_lags.unwrap_or(v.residual_lags);
+    v.confidence = t.confidence.unwrap_or(v.confidence);
+    if !(0.5..1.0).contains(&v.confidence) {
+        faults.push("validate.confidence", v.confidence, "a level from 0.5 to below 1, e.g. 0.95");
+    }
+    v
+}

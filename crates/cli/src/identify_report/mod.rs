@@ -1,0 +1,50 @@
+//! The report of an identification: it arranges what the run folder holds and computes nothing.
+
+mod models;
+mod records;
+mod residuals;
+mod scores;
+
+use std::path::Path;
+
+use dynocal_calib::identify::result::Identified;
+use dynocal_deliver::{Report, render};
+use dynocal_files::atomic;
+
+use crate::failure::Failure;
+
+pub(crate) use scores::kind_text;
+
+/// Writes `report.html` into the run folder.
+pub(crate) fn write(found: &Identified, folder: &Path) -> Result<(), Failure> {
+    let mut report = Report::new(format!("Identification: {}", found.name)).subtitle(subtitle(found));
+    for warning in &found.warnings {
+        report = report.warning(warning.as_str());
+    }
+    report = report.section(scores::section(found));
+    report = report.section(records::section(found, folder)?);
+    report = report.section(residuals::section(found));
+    report = report.section(models::section(found));
+    atomic::write(&folder.join("report.html"), render(&report)?.as_bytes())?;
+    Ok(())
+}
+
+fn subtitle(found: &Identified) -> String {
+    let one = |m: &dynocal_calib::identify::result::Modelled| {
+        format!(
+            "{} from {}: {} with {} parameters, estimated by {}",
+            m.target,
+            m.inputs.join(", "),
+            m.structure,
+            m.parameters.len(),
+            m.estimator
+        )
+    };
+    match found.models.as_slice() {
+        [m] => one(m),
+        all => {
+            let targets: Vec<&str> = all.iter().map(|m| m.target.as_str()).collect();
+            format!("{} outputs: {}", all.len(), targets.join(", "))
+        }
+    }
+}
