@@ -94,7 +94,7 @@ fn exact_data_give_the_exact_model_and_only_json_on_standard_output() {
     assert_eq!(free["samples"], 98);
     let report = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
     has(&report, "Unseen records");
-    has(&report, "test-record");
+    has(&report, "test: record");
     let model: serde_json::Value =
         dynocal_files::json::read(&tmp.path().join("run/steps/01-identify/model.json")).unwrap();
     let theta: Vec<f64> =

@@ -4,13 +4,14 @@ use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::estimate::train::Train;
 use dynocal_ident::estimate::{self, Fit};
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::model::{Model, linear, structures};
-use dynocal_ident::select::frols::{Step, frols};
+use dynocal_ident::select::pool::Pool;
+use dynocal_ident::select::{self, Selection};
 use dynocal_numerics::registry::{self, BuildError};
 use dynocal_numerics::status::Status;
 
 use super::job::IdentifyError;
+use super::result::{ModelFile, Parameter};
 use super::spec::{Family, Selecting, Target};
 use super::stored::{Fitted, Stored};
 
@@ -19,10 +20,12 @@ use super::stored::{Fitted, Stored};
 pub struct Estimated {
     /// The model.
     pub model: Fitted,
-    /// What the estimator says.
-    pub fit: Fit,
-    /// Path of the selection; empty without one.
-    pub selection: Vec<Step>,
+    /// What the estimator says; none for a model that was read from a file.
+    pub fit: Option<Fit>,
+    /// Parameters with standard errors.
+    pub parameters: Vec<Parameter>,
+    /// How the terms were selected; none where they were given.
+    pub selection: Option<Selection>,
 }
 
 /// The prediction-error estimator from its keys.
@@ -72,41 +75,67 @@ pub fn estimate(
         return Err(IdentifyError::Interrupted);
     }
     let model = Fitted::new(stored, fit.theta.clone()).map_err(estimate::EstimateError::from)?;
-    Ok(Estimated { model, fit, selection })
+    let parameters = parameters(&fit);
+    Ok(Estimated { model, fit: Some(fit), parameters, selection })
+}
+
+fn parameters(fit: &Fit) -> Vec<Parameter> {
+    let known = |s: &f64| s.is_finite().then_some(*s);
+    let all = fit.names.iter().zip(&fit.theta).zip(&fit.std_errors);
+    all.map(|((n, v), s)| Parameter { name: n.clone(), value: *v, std_error: known(s) }).collect()
+}
+
+/// The model of a file, as if it had just been estimated.
+///
+/// # Errors
+/// [`IdentifyError`]: parameters and structure do not belong together.
+pub fn saved(file: &ModelFile) -> Result<Estimated, IdentifyError> {
+    let model = file.fitted().map_err(estimate::EstimateError::from)?;
+    Ok(Estimated { model, fit: None, parameters: file.parameters.clone(), selection: None })
 }
 
 /// The structure of the spec over the data, or the terms selected from it.
-fn structure(t: &Target, data: &[Experiment], around: Around) -> Result<(Stored, Vec<Step>), IdentifyError> {
+fn structure(
+    t: &Target,
+    data: &[Experiment],
+    around: Around,
+) -> Result<(Stored, Option<Selection>), IdentifyError> {
+    if let Some(select) = &t.select
+        && let Some(pool) = &select.pool
+    {
+        return selected(&pool.pool(&t.inputs, &t.target)?, select, data, around);
+    }
     let (name, keys) = (&t.structure.name, &t.structure.keys);
     let failed = estimate::EstimateError::from;
     if t.structure.family == Family::Linear {
         let model = linear::structures::linear_structure(name, keys)?.model(&t.inputs, &t.target);
-        return Ok((Stored::Linear(model.map_err(failed)?), Vec::new()));
+        return Ok((Stored::Linear(model.map_err(failed)?), None));
     }
     let built = structures::structure(name, keys)?;
     if let Some(network) = built.network(&t.inputs, &t.target, data).map_err(failed)? {
-        return Ok((Stored::Neural(network), Vec::new()));
+        return Ok((Stored::Neural(network), None));
     }
     let Some(pool) = built.polynomial(&t.inputs, &t.target).map_err(failed)? else {
         let message = format!("the structure `{name}` has no form that a model file can hold");
         return Err(BuildError::Keys { member: name.clone(), message }.into());
     };
     match &t.select {
-        None => Ok((Stored::Polynomial(pool), Vec::new())),
-        Some(select) => selected(&pool, select, data, around),
+        None => Ok((Stored::Polynomial(pool), None)),
+        Some(select) => selected(&Pool::from(&pool), select, data, around),
     }
 }
 
 fn selected(
-    pool: &PolyNarx,
+    pool: &Pool,
     select: &Selecting,
     data: &[Experiment],
     around: Around,
-) -> Result<(Stored, Vec<Step>), IdentifyError> {
-    (around.note)(&format!("selecting terms from a pool of {}", pool.n_params()));
-    let selection = frols(pool, &share(data, select.max_samples, pool.max_lag()), select.stop)?;
-    (around.note)(&format!("selected {}", selection.model.regressor_texts().join(", ")));
-    Ok((Stored::Polynomial(selection.model), selection.path))
+) -> Result<(Stored, Option<Selection>), IdentifyError> {
+    (around.note)(&format!("selecting terms from a pool of {}", pool.candidates().len()));
+    let method = select::selection(&select.method, &select.keys)?;
+    let found = method.select(pool, &share(data, select.max_samples, pool.max_lag()), around.interrupt)?;
+    (around.note)(&format!("selected {}", found.model.regressor_texts().join(", ")));
+    Ok((Stored::Polynomial(found.model.clone()), Some(found)))
 }
 
 /// The same share of the start of every record, so that all together hold about `samples` samples.

@@ -1,19 +1,19 @@
 //! The work of an identification, step by step into a run folder.
 
-use std::path::Path;
+use std::path;
 
 use dynocal_files::run_folder::{RunFolder, digest};
 use dynocal_files::{FilesError, csv_io, json};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::{EstimateError, Minimised};
 use dynocal_ident::experiment::{Experiment, experiments};
-use dynocal_ident::select::frols::SelectError;
+use dynocal_ident::select::SelectError;
 use dynocal_ident::validate::Kind;
 use dynocal_numerics::registry::BuildError;
 
-use super::fit::{Around, Estimated, estimate};
+use super::fit::{Around, Estimated, estimate, saved};
 use super::load::{Part, parts};
-use super::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Parameter, Quantity};
+use super::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Path, Quantity};
 use super::score::{Scored, score};
 use super::set::{Member, Set, shape};
 use super::spec::{Job, Target};
@@ -90,32 +90,33 @@ pub fn run(
     Ok((done.result, folder))
 }
 
-fn digest_of_file(path: &Path) -> Result<String, FilesError> {
+fn digest_of_file(path: &path::Path) -> Result<String, FilesError> {
     let bytes = std::fs::read(path).map_err(|_| missing(path))?;
     Ok(digest(&bytes))
 }
 
 /// The reader knows best how to say what is wrong with a file that cannot even be opened.
-fn missing(path: &Path) -> FilesError {
+fn missing(path: &path::Path) -> FilesError {
     match csv_io::read(path) {
         Err(e) => e,
         Ok(_) => FilesError::Read { path: path.display().to_string(), reason: "it changed meanwhile".into() },
     }
 }
 
-fn work(job: &Job, dir: &Path, around: Around) -> Result<Identified, IdentifyError> {
+fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, IdentifyError> {
     let parts = parts(job, around.note)?;
-    let estimated = job
-        .targets
-        .iter()
-        .map(|t| estimate_target(t, &parts, around))
-        .collect::<Result<Vec<Estimated>, _>>()?;
+    let estimated = if job.saved.is_empty() {
+        job.targets.iter().map(|t| estimate_target(t, &parts, around)).collect::<Result<Vec<_>, _>>()?
+    } else {
+        sampled_alike(job, &parts)?;
+        job.saved.iter().map(saved).collect::<Result<Vec<_>, _>>()?
+    };
     let set = Set::new(job.targets.iter().zip(&estimated).map(member).collect());
     if let Some((target, input)) = set.loop_at_once() {
         return Err(IdentifyError::Loop { target: target.into(), input: input.into() });
     }
     (around.note)("scoring");
-    let minimised: Vec<Kind> = estimated.iter().map(|e| minimised(&e.fit.minimised)).collect();
+    let minimised: Vec<Kind> = estimated.iter().map(minimised).collect();
     let mut scored = Vec::new();
     for part in &parts {
         scored.push(score(part, &set, &minimised, &job.validate, dir)?);
@@ -131,11 +132,26 @@ fn member((t, e): (&Target, &Estimated)) -> Member {
     Member { target: t.target.clone(), inputs: t.inputs.clone(), model: e.model.clone() }
 }
 
-fn minimised(m: &Minimised) -> Kind {
-    match m {
-        Minimised::OneStep => Kind::OneStep,
-        Minimised::FreeRun => Kind::FreeRun,
+/// The errors that should be small: of a saved model those of the free run.
+fn minimised(e: &Estimated) -> Kind {
+    match e.fit.as_ref().map(|f| f.minimised) {
+        Some(Minimised::OneStep) => Kind::OneStep,
+        Some(Minimised::FreeRun) | None => Kind::FreeRun,
     }
+}
+
+/// A model counts samples: records in another sample time are another system.
+fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
+    for (m, d) in job.saved.iter().flat_map(|m| parts.iter().flat_map(|p| &p.records).map(move |d| (m, d))) {
+        if (d.sample_time_s - m.sample_time_s).abs() > 1e-6 * m.sample_time_s {
+            return Err(DataError::SampleTime {
+                record: d.name.clone(),
+                found: d.sample_time_s,
+                expected: format!("{} s as in the model of `{}`", m.sample_time_s, m.output.name),
+            });
+        }
+    }
+    Ok(())
 }
 
 fn estimate_target(t: &Target, parts: &[Part], around: Around) -> Result<Estimated, IdentifyError> {
@@ -152,19 +168,11 @@ fn modelled(
     e: &Estimated,
     d: &Dataset,
     scored: &[Scored],
-    dir: &Path,
+    dir: &path::Path,
 ) -> Result<Modelled, IdentifyError> {
     let quantity = |name: &String| -> Result<Quantity, DataError> {
         Ok(Quantity { name: name.clone(), unit: d.channel(name)?.unit.clone() })
     };
-    let parameters: Vec<Parameter> = e
-        .fit
-        .names
-        .iter()
-        .zip(&e.fit.theta)
-        .zip(&e.fit.std_errors)
-        .map(|((n, v), s)| Parameter { name: n.clone(), value: *v, std_error: s.is_finite().then_some(*s) })
-        .collect();
     let origin = job.sources.iter().filter_map(|s| s.file.file_name()).map(|n| n.to_string_lossy());
     let output = quantity(&t.target)?;
     let file = ModelFile {
@@ -172,11 +180,12 @@ fn modelled(
         inputs: t.inputs.iter().map(quantity).collect::<Result<_, _>>()?,
         output: output.clone(),
         sample_time_s: d.sample_time_s,
-        parameters: parameters.clone(),
-        estimator: e.fit.estimator.clone(),
-        noise_variance: e.fit.noise_variance,
+        parameters: e.parameters.clone(),
+        estimator: t.estimator.clone(),
+        noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
         origin: origin.collect::<Vec<_>>().join(", "),
     };
+    let file = job.saved.iter().find(|m| m.output.name == t.target).cloned().unwrap_or(file);
     let name = if job.targets.len() == 1 { "model.json".into() } else { format!("model-{}.json", t.target) };
     json::write_versioned(&dir.join(&name), MODEL_SCHEMA, MODEL_VERSION, &file)?;
     let own = |s: &Scored| {
@@ -188,12 +197,12 @@ fn modelled(
         inputs: t.inputs.clone(),
         structure: t.structure.name.clone(),
         estimator: t.estimator.clone(),
-        status: e.fit.status,
-        parameters,
-        rank: e.fit.rank,
-        evaluations: e.fit.evaluations,
-        samples: e.fit.samples,
-        selection: e.selection.clone(),
+        status: e.fit.as_ref().map(|f| f.status),
+        parameters: e.parameters.clone(),
+        rank: e.fit.as_ref().map(|f| f.rank),
+        evaluations: e.fit.as_ref().map(|f| f.evaluations),
+        samples: e.fit.as_ref().map(|f| f.samples),
+        selection: e.selection.as_ref().map(|s| Path { pool: s.pool, kept: s.steps, steps: s.path.clone() }),
         residuals: scored.iter().flat_map(own).collect(),
         file: in_step(&name),
     })
@@ -212,11 +221,12 @@ fn finish(
 ) -> Identified {
     // Divergence matters more than anything that the estimators say.
     let mut warnings: Vec<String> = scored.iter().flat_map(|s| s.diverged.clone()).collect();
-    let mut valid = warnings.is_empty() && estimated.iter().all(|e| e.fit.status.is_success());
+    let mut valid =
+        warnings.is_empty() && estimated.iter().flat_map(|e| &e.fit).all(|f| f.status.is_success());
     valid &= parts.iter().all(|p| !p.records.is_empty());
     for (t, e) in job.targets.iter().zip(estimated) {
         let of = |w: &String| if job.targets.len() > 1 { format!("{}: {w}", t.target) } else { w.clone() };
-        warnings.extend(e.fit.warnings.iter().map(of));
+        warnings.extend(e.fit.iter().flat_map(|f| &f.warnings).map(of));
     }
     if parts.iter().all(|p| p.name == "estimation" || p.name == "selection") {
         warnings.push("no test data in the split: nothing says how the model does on unseen data".into());

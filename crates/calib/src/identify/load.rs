@@ -36,7 +36,10 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         }
     }
     let names = ["estimation", "selection", "test"];
-    let seen = [Seen::Identification, Seen::Unseen, Seen::Unseen];
+    // A model that is only scored has seen none of them.
+    let names = if job.saved.is_empty() { names } else { ["record", "selection", "test"] };
+    let first = if job.saved.is_empty() { Seen::Identification } else { Seen::Unseen };
+    let seen = [first, Seen::Unseen, Seen::Unseen];
     let mut parts: Vec<Part> = names
         .iter()
         .zip(seen)

@@ -1,6 +1,6 @@
 //! What an identification gives.
 
-use dynocal_ident::select::frols::Step;
+use dynocal_ident::select::Step;
 use dynocal_ident::validate::{Correlation, Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub struct ModelFile {
     /// Estimator.
     pub estimator: String,
     /// Variance of the errors that the estimator made small, in squared units of the output.
-    pub noise_variance: f64,
+    pub noise_variance: Option<f64>,
     /// Where the data came from.
     pub origin: String,
 }
@@ -122,6 +122,17 @@ pub struct ResidualTests {
     pub cross: Vec<(String, Correlation)>,
 }
 
+/// The way of a selection of terms.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Path {
+    /// Number of candidates.
+    pub pool: usize,
+    /// Number of steps that were kept.
+    pub kept: usize,
+    /// All steps.
+    pub steps: Vec<Step>,
+}
+
 /// One modelled output.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Modelled {
@@ -135,18 +146,18 @@ pub struct Modelled {
     pub structure: String,
     /// Estimator.
     pub estimator: String,
-    /// How the estimator ended.
-    pub status: Status,
+    /// How the estimator ended; this and the next three are absent for a model from a file.
+    pub status: Option<Status>,
     /// Parameters with standard errors.
     pub parameters: Vec<Parameter>,
     /// Numerical rank of the problem.
-    pub rank: usize,
+    pub rank: Option<usize>,
     /// Cost evaluations.
-    pub evaluations: usize,
+    pub evaluations: Option<usize>,
     /// Samples that entered the estimate.
-    pub samples: usize,
-    /// Path of the structure selection; empty without one.
-    pub selection: Vec<Step>,
+    pub samples: Option<usize>,
+    /// How the terms were selected; absent where they were given.
+    pub selection: Option<Path>,
     /// Residual correlations, of the estimation and the last unseen part.
     pub residuals: Vec<ResidualTests>,
     /// Model file, relative to the run folder.

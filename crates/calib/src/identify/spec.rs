@@ -2,6 +2,7 @@
 
 mod member;
 mod model;
+mod saved;
 mod source;
 mod split;
 mod typed;
@@ -13,6 +14,8 @@ use std::path::{Path, PathBuf};
 use dynocal_files::dataset::Layout;
 use dynocal_files::spec::{Faults, LoadError, load};
 use serde::Serialize;
+
+use super::result::ModelFile;
 
 use typed::Typed;
 
@@ -55,6 +58,8 @@ pub struct Job {
     pub validate: Validation,
     /// Seed of what the validation draws.
     pub seed: u64,
+    /// Models that are scored instead of estimated; none for an estimation.
+    pub saved: Vec<ModelFile>,
     /// Run folder.
     pub out: PathBuf,
 }
@@ -100,6 +105,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         targets: targets?,
         validate,
         seed: over.seed.unwrap_or(0),
+        saved: Vec::new(),
     })
 }
 
@@ -116,6 +122,7 @@ impl Job {
             ("targets", serde_json::json!(self.targets)),
             ("validate", serde_json::json!(self.validate)),
             ("seed", serde_json::json!(self.seed)),
+            ("saved", serde_json::json!(self.saved)),
         ])
     }
 }

@@ -4,6 +4,7 @@ mod models;
 mod records;
 mod residuals;
 mod scores;
+mod selection;
 
 use std::path::Path;
 
@@ -13,6 +14,7 @@ use dynocal_files::atomic;
 
 use crate::failure::Failure;
 
+pub(crate) use models::ended;
 pub(crate) use scores::kind_text;
 
 /// Writes `report.html` into the run folder.

@@ -15,14 +15,14 @@ pub(super) fn section(found: &Identified) -> Section {
         section = section.heading(m.target.as_str()).key_values(vec![
             KeyValue::new("Structure", m.structure.as_str(), ""),
             KeyValue::new("Estimator", m.estimator.as_str(), ""),
-            KeyValue::new("Ended", format!("{:?} after {} evaluations", m.status, m.evaluations), ""),
+            KeyValue::new("Ended", ended(m), ""),
             KeyValue::new("Parameters", m.parameters.len(), ""),
             KeyValue::new("Rank", m.rank, ""),
             KeyValue::new("Samples", m.samples, ""),
             KeyValue::new("File", m.file.as_str(), ""),
         ]);
-        if !m.selection.is_empty() {
-            section.push(path(m));
+        if let Some(path) = &m.selection {
+            section = super::selection::add(section, path);
         }
         let parameters = parameters(m);
         if m.parameters.len() > SHOWN {
@@ -35,6 +35,14 @@ pub(super) fn section(found: &Identified) -> Section {
     section
 }
 
+/// How the estimate ended, in words.
+pub(crate) fn ended(m: &Modelled) -> String {
+    match (m.status, m.evaluations) {
+        (Some(status), Some(n)) => format!("{status:?} after {n} evaluations"),
+        _ => "read from a file, not estimated".into(),
+    }
+}
+
 fn parameters(m: &Modelled) -> Table {
     let mut table = Table::new(vec![
         Column::text("Parameter"),
@@ -45,29 +53,6 @@ fn parameters(m: &Modelled) -> Table {
     for p in &m.parameters {
         let ratio = p.std_error.filter(|s| *s > 0.0).map(|s| p.value.abs() / s);
         table = table.row([p.name.as_str().into(), p.value.into(), p.std_error.into(), ratio.into()]);
-    }
-    table
-}
-
-fn path(m: &Modelled) -> Table {
-    let mut table = Table::new(vec![
-        Column::number("Step", "-"),
-        Column::text("Term"),
-        Column::number("Error reduction", "%").digits(4),
-        Column::number("Sum", "%").digits(6),
-        Column::number("One-step MSE", ""),
-        Column::number("BIC", "-"),
-    ])
-    .caption("Path of the selection");
-    for (k, s) in m.selection.iter().enumerate() {
-        table = table.row([
-            (k + 1).into(),
-            s.regressor.as_str().into(),
-            (100.0 * s.err).into(),
-            (100.0 * s.cumulative).into(),
-            s.mse.into(),
-            s.bic.into(),
-        ]);
     }
     table
 }

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_calib::identify::job::{self, IdentifyError};
-use dynocal_calib::identify::result::{Identified, Score};
-use dynocal_calib::identify::spec::{self, Overrides};
+use dynocal_calib::identify::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Score};
+use dynocal_calib::identify::spec::{self, Job, Overrides};
+use dynocal_files::json;
 
 use super::Verb;
 use crate::common::{Common, print};
@@ -20,9 +21,14 @@ const ABOUT: &str = "Identify a dynamic model from a measured file (CSV or Parqu
 #[derive(Args, Debug)]
 struct Identify {
     /// Spec of the identification (TOML)
-    spec: PathBuf,
-    /// Data file instead of those that the spec names; several are several experiments
+    #[arg(required_unless_present = "model")]
+    spec: Option<PathBuf>,
+    /// Score this model.json on the data instead of estimating; several run as one set. Without a spec, `--data` has
+    /// columns with the names of the channels
     #[arg(long, value_name = "FILE")]
+    model: Vec<PathBuf>,
+    /// Data file instead of those that the spec names; several are several experiments
+    #[arg(long, value_name = "FILE", required_unless_present = "spec")]
     data: Vec<PathBuf>,
     #[command(flatten)]
     common: Common,
@@ -33,7 +39,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let progress = args.common.start()?;
     let overrides =
         Overrides { data: args.data.clone(), seed: args.common.seed, out: args.common.out.clone() };
-    let job = spec::read(&args.spec, &overrides)?;
+    let job = job_of(&args, &overrides)?;
     let asked = || {
         progress.evaluation();
         interrupt::asked()
@@ -51,6 +57,16 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         print(&format!("\nreport: {}\n", folder.path().join("report.html").display()));
     }
     Ok(if found.valid { Exit::Done } else { Exit::NotValid })
+}
+
+fn job_of(args: &Identify, overrides: &Overrides) -> Result<Job, Failure> {
+    let read = |path: &PathBuf| json::read_versioned::<ModelFile>(path, MODEL_SCHEMA, MODEL_VERSION);
+    let models = args.model.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    match &args.spec {
+        Some(path) if models.is_empty() => Ok(spec::read(path, overrides)?),
+        Some(path) => Ok(spec::read(path, overrides)?.with_models(models)),
+        None => Ok(Job::of_models(models, overrides)?),
+    }
 }
 
 fn with_hint(e: IdentifyError) -> Failure {
@@ -73,16 +89,14 @@ fn text(found: &Identified) -> String {
     let mut out = format!("{}\n", found.name);
     for m in &found.models {
         out += &format!(
-            "\n{} from {}\n{} {}, {} parameters (rank {}), {} samples, {:?} after {} evaluations\n\n",
+            "\n{} from {}\n{} {}, {} parameters{}, {}\n\n",
             m.target,
             m.inputs.join(", "),
             m.structure,
             m.estimator,
             m.parameters.len(),
-            m.rank,
-            m.samples,
-            m.status,
-            m.evaluations
+            size(m),
+            identify_report::ended(m)
         );
         let own: Vec<&Score> = found.scores.iter().filter(|s| s.output == m.target).collect();
         let banded = own.iter().any(|s| s.band.is_some());
@@ -97,6 +111,13 @@ fn text(found: &Identified) -> String {
         out += &table::render(&header, &rows, &right);
     }
     out
+}
+
+fn size(m: &Modelled) -> String {
+    match (m.rank, m.samples) {
+        (Some(rank), Some(samples)) => format!(" (rank {rank}), {samples} samples"),
+        _ => String::new(),
+    }
 }
 
 fn row(s: &Score, banded: bool) -> Vec<String> {

@@ -157,6 +157,12 @@ pub(super) fn noise_warning(
         return None;
     }
     let other = other_errors(model, theta, data, minimised)?;
+    let square = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+    let output: f64 = data.iter().map(|e| square(&e.y)).sum();
+    // The colour of rounding says nothing.
+    if other.iter().map(|e| square(e)).sum::<f64>() <= 1e-20 * output {
+        return None;
+    }
     let (other, _) = describe(other.iter().map(Vec::as_slice));
     let percent = |r: &Residuals| (100.0 * r.predictable).round();
     if other.predictable > 0.5 * own.predictable {

@@ -5,8 +5,8 @@ use dynocal_files::spec::Faults;
 use dynocal_ident::data::Role;
 use dynocal_ident::estimate;
 use dynocal_ident::model::{linear, structures};
-use dynocal_ident::select::frols::Stop;
-use serde::Serialize;
+use dynocal_ident::select::{self, pool::PoolKeys};
+use serde::{Deserialize, Serialize};
 
 use super::member::{built, member, member_of};
 use super::typed::TypedModel;
@@ -53,11 +53,18 @@ pub enum Family {
 /// How terms are selected.
 #[derive(Clone, Debug, Serialize)]
 pub struct Selecting {
-    /// When to stop.
-    pub stop: Stop,
+    /// Name of the method.
+    pub method: String,
+    /// Its keys.
+    pub keys: toml::Table,
+    /// Candidates; none where the structure is the pool.
+    pub pool: Option<PoolKeys>,
     /// Most samples that are looked at (the same share of the start of every record).
     pub max_samples: usize,
 }
+
+/// Name of the structure that only a pool describes.
+pub(super) const POOL: &str = "pool";
 
 /// Name of the prediction-error estimator of linear models with noise models.
 pub const PEM: &str = "pem";
@@ -82,24 +89,34 @@ pub(super) fn targets(
         faults.unknown("model.structures", name, &names);
     }
     let estimator = estimator(m, seed, faults);
+    let select = m.select.as_ref().map(|s| selecting(s, faults));
+    // Where a pool is described, it stands for the structure.
+    let pool = select.as_ref().and_then(|s| s.as_ref()?.pool.clone());
     let mut out = Vec::new();
     for name in &names {
         let own = m.structures.as_ref().and_then(|s| s.get(name));
         let key = own.map_or("model.structure".to_string(), |_| format!("model.structures.{name}"));
         let table = own.cloned().or_else(|| m.structure.clone());
-        let Some((structure, mut keys)) = member(&key, &table, faults) else { continue };
+        let found = match (&pool, &table) {
+            (Some(_), None) => Some((POOL.to_string(), toml::Table::new())),
+            _ => member(&key, &table, faults),
+        };
+        let Some((structure, mut keys)) = found else { continue };
         let Some((estimator, estimator_keys)) = &estimator else { continue };
+        if select.as_ref().is_some_and(Option::is_none) {
+            continue;
+        }
         localise(&mut keys, name, &all);
         let family = family(&structure, estimator);
         let inputs = inputs(m, channels, name, &keys);
         let spec = StructureSpec { name: structure, keys, family };
-        let Some(()) = fits(&key, &spec, &inputs, name, faults) else { continue };
+        let Some(()) = fits(&key, &spec, &inputs, name, pool.as_ref(), faults) else { continue };
         agree(&spec, estimator, faults);
         out.push(Target {
             target: name.clone(),
             inputs,
             structure: spec,
-            select: m.select.as_ref().and_then(|s| selecting(s, faults)),
+            select: select.clone().flatten(),
             warm_start_samples: m.warm_start_samples.unwrap_or(0),
             estimator: estimator.clone(),
             estimator_keys: estimator_keys.clone(),
@@ -203,7 +220,24 @@ fn family(structure: &str, estimator: &str) -> Family {
 }
 
 /// Whether the structure can be built over these channels.
-fn fits(key: &str, s: &StructureSpec, inputs: &[String], target: &str, faults: &mut Faults) -> Option<()> {
+fn fits(
+    key: &str,
+    s: &StructureSpec,
+    inputs: &[String],
+    target: &str,
+    pool: Option<&PoolKeys>,
+    faults: &mut Faults,
+) -> Option<()> {
+    if let Some(pool) = pool {
+        let expected = "a pool over the inputs and the target";
+        pool.pool(inputs, target).map_err(|e| faults.push("model.select.pool", e, expected)).ok()?;
+        if s.name == POOL {
+            return Some(());
+        }
+        let expected = "either a pool or a structure that is the pool";
+        faults.push(key, "a pool in model.select as well", expected);
+        return None;
+    }
     let result = match s.family {
         Family::Linear => {
             let built = built(key, "name", linear::structures::linear_structure(&s.name, &s.keys), faults)?;
@@ -214,8 +248,12 @@ fn fits(key: &str, s: &StructureSpec, inputs: &[String], target: &str, faults: &
             if !known {
                 let names = structures::MODEL_STRUCTURES.iter().map(|m| m.doc.name);
                 let linear = linear::structures::LINEAR_STRUCTURES.iter().map(|m| m.doc.name);
-                let mut all: Vec<String> = names.chain(linear).map(str::to_string).collect();
-                all.dedup();
+                let mut all: Vec<String> = names.map(str::to_string).collect();
+                for name in linear.map(str::to_string) {
+                    if !all.contains(&name) {
+                        all.push(name);
+                    }
+                }
                 faults.unknown(&format!("{key}.name"), &s.name, &all);
                 return None;
             }
@@ -264,16 +302,29 @@ fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(
 }
 
 fn selecting(table: &toml::Table, faults: &mut Faults) -> Option<Selecting> {
-    let number =
-        |key: &str| table.get(key).and_then(toml::Value::as_integer).and_then(|n| usize::try_from(n).ok());
-    let stop = match (number("terms"), number("bic_max_terms")) {
-        (Some(n), None) if n > 0 => Stop::Terms(n),
-        (None, Some(max_terms)) if max_terms > 0 => Stop::Bic { max_terms },
-        _ => {
-            faults.push("model.select", "another combination", "either terms or bic_max_terms, at least 1");
-            return None;
-        }
+    let key = "model.select";
+    let mut keys = table.clone();
+    let max_samples = match keys.remove("max_samples") {
+        None => Some(MAX_SAMPLES),
+        Some(v) => v.as_integer().and_then(|n| usize::try_from(n).ok()).filter(|n| *n > 0),
     };
-    let _ = member_of;
-    Some(Selecting { stop, max_samples: number("max_samples").unwrap_or(50_000) })
+    if max_samples.is_none() {
+        faults.push("model.select.max_samples", "another value", "a whole number, 1 or more");
+    }
+    let pool = match keys.remove("pool") {
+        None => Some(None),
+        Some(v) => match PoolKeys::deserialize(v) {
+            Ok(pool) => Some(Some(pool)),
+            Err(e) => {
+                faults.push("model.select.pool", e.message(), "{ ny, nu, nk, degree, cross, constant }");
+                None
+            }
+        },
+    };
+    let (method, keys) = member_of(key, "name", &keys, "see `dynocal list selections`", faults)?;
+    built(key, "name", select::selection(&method, &keys), faults)?;
+    Some(Selecting { method, keys, pool: pool?, max_samples: max_samples? })
 }
+
+/// Samples that a selection looks at where the spec does not say: more change no choice, but take their time.
+const MAX_SAMPLES: usize = 50_000;

@@ -1,0 +1,108 @@
+//! The preparation of the spec: learnt on the estimation records, repeated on all others.
+
+use std::path::Path;
+
+use dynocal_files::csv_io;
+use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::prepare::{Note, Planned, prepare, repeat, restore};
+use dynocal_numerics::registry::BuildError;
+
+use super::job::IdentifyError;
+use super::load::Part;
+use super::result::{Prepared, Stage};
+use super::spec::{Job, StepSpec};
+
+/// Most samples of the record that is kept of every stage, to be looked at.
+const KEPT: usize = 4000;
+
+/// Steps as the preparation wants them.
+///
+/// # Errors
+/// [`BuildError`].
+pub fn plan(steps: &[StepSpec]) -> Result<Vec<Planned>, BuildError> {
+    steps.iter().map(|s| Planned::new(&s.step, &s.keys)).collect()
+}
+
+/// Prepares all parts in place. What a step learns (means, scales) it learns from the estimation; the first estimation
+/// record is written to `dir` before the first step and after each.
+///
+/// # Errors
+/// [`IdentifyError`]: a step that a record cannot take, or files.
+pub fn prepare_parts(job: &Job, parts: &mut [Part], dir: &Path) -> Result<Vec<Prepared>, IdentifyError> {
+    if job.prepare.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut steps = plan(&job.prepare)?;
+    let mut out: Vec<Prepared> = Vec::new();
+    for part in parts {
+        let mut stages: Vec<Dataset> = Vec::new();
+        let first = out.is_empty();
+        let mut watch = |_: usize, records: &[Dataset]| {
+            if first && let Some(d) = records.first() {
+                stages.push(head(d));
+            }
+        };
+        let (records, notes) = prepare(&steps, std::mem::take(&mut part.records), &mut watch)?;
+        part.records = records;
+        if first {
+            steps = repeat(&steps, &notes)?;
+        }
+        let stages = write(&stages, &job.prepare, dir)?;
+        out.push(Prepared { part: part.name.clone(), notes, stages });
+    }
+    Ok(out)
+}
+
+/// The start of a record.
+fn head(d: &Dataset) -> Dataset {
+    let mut d = d.clone();
+    d.channels.iter_mut().for_each(|c| c.values.truncate(KEPT));
+    d
+}
+
+fn write(stages: &[Dataset], steps: &[StepSpec], dir: &Path) -> Result<Vec<Stage>, IdentifyError> {
+    let mut out = Vec::new();
+    for (k, d) in stages.iter().enumerate() {
+        let step = k.checked_sub(1).map_or("recorded", |k| steps[k].step.as_str());
+        let file = format!("prepare-{k}-{step}.csv");
+        let stamps = d.channels.iter().find(|c| c.name == dynocal_files::dataset::STAMPS);
+        let time: Vec<f64> = match stamps {
+            Some(c) => c.values.clone(),
+            None => (0..d.len()).map(|t| t as f64 * d.sample_time_s).collect(),
+        };
+        let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &time)];
+        for c in d.channels.iter().filter(|c| c.name != "time") {
+            columns.push((&c.name, &c.unit, &c.values));
+        }
+        csv_io::write_columns(&dir.join(&file), &columns)?;
+        out.push(Stage { step: step.into(), record: d.name.clone(), file });
+    }
+    Ok(out)
+}
+
+/// `values` of a channel of a prepared record in the channel's own unit and level.
+///
+/// # Errors
+/// [`IdentifyError`]: a trend whose time is lost.
+pub fn restored(
+    notes: &[Note],
+    d: &Dataset,
+    channel: &str,
+    values: &mut [f64],
+) -> Result<(), IdentifyError> {
+    Ok(restore(notes, &d.name, channel, d.sample_time_s, values)?)
+}
+
+/// Unit of a channel before all steps.
+///
+/// # Errors
+/// [`DataError::NoChannel`].
+pub fn own_unit(notes: &[Note], d: &Dataset, channel: &str) -> Result<String, DataError> {
+    let first = notes.iter().flat_map(|n| &n.changes).find_map(|c| match &c.effect {
+        dynocal_ident::prepare::Effect::Divided { unit, .. } if c.channel.as_deref() == Some(channel) => {
+            Some(unit.clone())
+        }
+        _ => None,
+    });
+    first.map_or_else(|| Ok(d.channel(channel)?.unit.clone()), Ok)
+}
