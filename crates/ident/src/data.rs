@@ -1,4 +1,9 @@
-//! Uniformly sampled records.
+//! Records: channels of equal length, usually uniformly sampled.
+//!
+//! A sample that is not known is NaN, no other number marks it and no other value but a finite one is a sample. What
+//! needs every sample calls [`Dataset::check`]; what can deal with missing ones calls [`Dataset::check_marked`].
+//! A record whose stamps are not uniform has a sample time of NaN and its stamps in a channel (see
+//! [`crate::prepare`], step `resample`).
 
 use serde::{Deserialize, Serialize};
 
@@ -23,18 +28,60 @@ pub struct Channel {
     pub unit: String,
     /// Role.
     pub role: Role,
-    /// Samples.
+    /// Samples; NaN where one is missing.
+    #[serde(deserialize_with = "crate::nullable::numbers")]
     pub values: Vec<f64>,
 }
 
-/// One experiment: uniformly sampled channels of equal length.
+/// Consecutive missing samples of one channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gap {
+    /// First missing sample.
+    pub from: usize,
+    /// One past the last.
+    pub to: usize,
+}
+
+impl Gap {
+    /// Number of missing samples.
+    pub fn samples(&self) -> usize {
+        self.to - self.from
+    }
+}
+
+/// Runs of consecutive samples for which `bad` holds, in order.
+pub fn runs(n: usize, bad: impl Fn(usize) -> bool) -> Vec<Gap> {
+    let mut found: Vec<Gap> = Vec::new();
+    for t in (0..n).filter(|t| bad(*t)) {
+        match found.last_mut() {
+            Some(gap) if gap.to == t => gap.to = t + 1,
+            _ => found.push(Gap { from: t, to: t + 1 }),
+        }
+    }
+    found
+}
+
+impl Channel {
+    /// The channel with other samples.
+    pub fn with(&self, values: Vec<f64>) -> Self {
+        Self { name: self.name.clone(), unit: self.unit.clone(), role: self.role, values }
+    }
+
+    /// The gaps of the channel, in order.
+    pub fn gaps(&self) -> Vec<Gap> {
+        runs(self.values.len(), |t| self.values[t].is_nan())
+    }
+}
+
+/// One experiment: channels of equal length.
 ///
 /// Several experiments are a `Vec<Dataset>`. Estimation never changes its input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dataset {
     /// Name of the experiment, e.g. `ident01`.
     pub name: String,
-    /// Sample time in s.
+    /// Sample time in s; NaN while the stamps are not uniform (they then stand in a channel).
+    #[serde(deserialize_with = "crate::nullable::number")]
     pub sample_time_s: f64,
     /// Channels, all of one length.
     pub channels: Vec<Channel>,
@@ -80,6 +127,16 @@ pub enum DataError {
         sample: usize,
         /// The value.
         found: f64,
+    },
+    /// A channel without a single sample.
+    #[error("{record}: channel `{channel}` is missing in all {samples} samples: leave it out or record it")]
+    AllMissing {
+        /// Record name.
+        record: String,
+        /// Channel name.
+        channel: String,
+        /// Number of samples.
+        samples: usize,
     },
     /// An input that never changes cannot be identified.
     #[error(
@@ -187,18 +244,60 @@ impl Dataset {
         self.channels.iter().filter(|c| c.role == role).map(|c| c.name.clone()).collect()
     }
 
+    /// Samples `from..to` as a record of its own, under `name`; the origin says which they are.
+    pub fn part(&self, from: usize, to: usize, name: String) -> Self {
+        let cut = |c: &Channel| c.with(c.values[from..to].to_vec());
+        Self {
+            name,
+            sample_time_s: self.sample_time_s,
+            channels: self.channels.iter().map(cut).collect(),
+            init_samples: self.init_samples,
+            origin: format!("{}, samples {from} to {}", self.origin, to.saturating_sub(1)),
+        }
+    }
+
     /// Checks that lengths agree, the sample time is positive and every sample finite.
     ///
     /// # Errors
     /// The first fault found.
     pub fn check(&self) -> Result<(), DataError> {
         if !(self.sample_time_s > 0.0 && self.sample_time_s.is_finite()) {
+            let expected = if self.sample_time_s.is_nan() {
+                "uniform stamps: a step `resample` in the preparation makes them"
+            } else {
+                "a positive number"
+            };
             return Err(DataError::SampleTime {
                 record: self.name.clone(),
                 found: self.sample_time_s,
-                expected: "a positive number".into(),
+                expected: expected.into(),
             });
         }
+        self.check_samples(f64::is_finite)
+    }
+
+    /// The same with missing samples (NaN) and stamps that are not uniform (sample time NaN) allowed; a channel must
+    /// have one sample at least.
+    ///
+    /// # Errors
+    /// The first fault found.
+    pub fn check_marked(&self) -> Result<(), DataError> {
+        if self.sample_time_s <= 0.0 || self.sample_time_s.is_infinite() {
+            let (record, found) = (self.name.clone(), self.sample_time_s);
+            return Err(DataError::SampleTime { record, found, expected: "a positive number".into() });
+        }
+        self.check_samples(|v| !v.is_infinite())?;
+        match self.channels.iter().find(|c| !c.values.is_empty() && c.values.iter().all(|v| v.is_nan())) {
+            Some(c) => Err(DataError::AllMissing {
+                record: self.name.clone(),
+                channel: c.name.clone(),
+                samples: self.len(),
+            }),
+            None => Ok(()),
+        }
+    }
+
+    fn check_samples(&self, allowed: impl Fn(f64) -> bool) -> Result<(), DataError> {
         for c in &self.channels {
             if c.values.len() != self.len() {
                 return Err(DataError::Length {
@@ -208,7 +307,7 @@ impl Dataset {
                     expected: self.len(),
                 });
             }
-            if let Some((t, v)) = c.values.iter().enumerate().find(|(_, v)| !v.is_finite()) {
+            if let Some((t, v)) = c.values.iter().enumerate().find(|(_, v)| !allowed(**v)) {
                 return Err(DataError::NonFinite {
                     record: self.name.clone(),
                     channel: c.name.clone(),

@@ -8,9 +8,9 @@ use crate::model::{Model, Run};
 pub struct Experiment {
     /// Name of the record.
     pub name: String,
-    /// Inputs, N x m row-major.
+    /// Inputs, N x m row-major; NaN where a sample is missing (see [`experiments_marked`]).
     pub u: Vec<f64>,
-    /// Measured output, N.
+    /// Measured output, N; NaN where a sample is missing.
     pub y: Vec<f64>,
     /// Leading samples that only initialise and enter no score (at least; a model with longer lags takes more).
     pub init_samples: usize,
@@ -73,16 +73,44 @@ pub fn experiments(
     inputs: &[String],
     output: &str,
 ) -> Result<Vec<Experiment>, DataError> {
+    datasets.iter().try_for_each(Dataset::check)?;
+    collect(datasets, inputs, output)
+}
+
+/// The same for records with missing samples: they stay NaN in [`Experiment::u`] and [`Experiment::y`], for an
+/// estimator that deals with them. Channels that are not asked for may hold anything.
+///
+/// # Errors
+/// The first [`DataError`] found, a record in which one of the channels has no sample included.
+pub fn experiments_marked(
+    datasets: &[Dataset],
+    inputs: &[String],
+    output: &str,
+) -> Result<Vec<Experiment>, DataError> {
+    for d in datasets {
+        let wanted = inputs.iter().map(String::as_str).chain([output]);
+        let channels = wanted.map(|name| d.channel(name).cloned()).collect::<Result<Vec<_>, _>>()?;
+        let seen = Dataset { channels, origin: String::new(), name: d.name.clone(), ..*d };
+        seen.check_marked()?;
+    }
+    collect(datasets, inputs, output)
+}
+
+fn collect(datasets: &[Dataset], inputs: &[String], output: &str) -> Result<Vec<Experiment>, DataError> {
     let mut out = Vec::with_capacity(datasets.len());
     for d in datasets {
-        d.check()?;
         let expected = datasets[0].sample_time_s;
         // Time stamps rarely hold the same last digit in two files.
-        if (d.sample_time_s - expected).abs() > 1e-6 * expected {
+        let alike = (d.sample_time_s - expected).abs() <= 1e-6 * expected;
+        if !alike {
             return Err(DataError::SampleTime {
                 record: d.name.clone(),
                 found: d.sample_time_s,
-                expected: format!("{expected} s as in {}", datasets[0].name),
+                expected: if expected.is_nan() {
+                    "uniform stamps: a step `resample` in the preparation makes them".into()
+                } else {
+                    format!("{expected} s as in {}", datasets[0].name)
+                },
             });
         }
         out.push(Experiment {
@@ -94,7 +122,8 @@ pub fn experiments(
         });
     }
     for (i, channel) in inputs.iter().enumerate() {
-        let values = || out.iter().flat_map(|e| e.u.iter().skip(i).step_by(inputs.len()));
+        let values =
+            || out.iter().flat_map(|e| e.u.iter().skip(i).step_by(inputs.len())).filter(|v| !v.is_nan());
         if let Some(&value) = values().next()
             && values().all(|v| *v == value)
         {

@@ -5,10 +5,12 @@
 
 pub mod data;
 pub mod estimate;
+pub mod excitation;
 pub mod experiment;
 pub mod model;
 pub mod nullable;
 pub mod plant;
+pub mod prepare;
 pub mod select;
 pub mod signal;
 pub mod validate;

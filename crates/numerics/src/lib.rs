@@ -3,6 +3,7 @@
 //! Nothing here knows what an engine is. The linear-algebra backend is named in [`linalg`] only, the
 //! random generator in [`rng`] only, the sparse factorisation in [`nlp`] only.
 
+pub mod fft;
 pub mod linalg;
 pub mod lm;
 pub mod nlp;
