@@ -109,6 +109,10 @@ impl Crank {
         // a s + (b - a) s^2 / (2 h) = d, in the form that does not cancel for b near a.
         let d = (phi - self.phi[i]).max(0.0);
         let s = 2.0 * d / (a + (a * a + 2.0 * (b - a) / h * d).max(0.0).sqrt());
-        Some((self.t[i] + s.min(h), i))
+        // An instant that misses a sample by rounding only is on it.
+        let s = if s < SLACK * h { 0.0 } else { s };
+        Some(if s > (1.0 - SLACK) * h { (self.t[i + 1], i) } else { (self.t[i] + s, i) })
     }
 }
+
+const SLACK: f64 = 1e-8;

@@ -213,7 +213,7 @@ impl Section {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZeroPhase {
     sections: Vec<Section>,
-    /// Samples after which the slowest pole has decayed to 1e-6.
+    /// Samples after which the slowest pole has decayed to 1e-10.
     memory: usize,
 }
 
@@ -237,7 +237,7 @@ impl ZeroPhase {
         let w: Vec<f64> = edges.iter().map(|f| (PI * f * dt_s).tan()).collect();
         let sections = sections(band, order, &w);
         let radius = sections.iter().map(Section::radius).fold(0.0, f64::max);
-        Ok(Self { sections, memory: (1e-6f64.ln() / radius.ln()).ceil() as usize })
+        Ok(Self { sections, memory: (1e-10f64.ln() / radius.ln()).ceil() as usize })
     }
 
     /// Gain forward and backward at `f_hz` for samples `dt_s` apart.

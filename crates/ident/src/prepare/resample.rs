@@ -158,7 +158,8 @@ pub(super) fn sampled(
         let mut known = Known::new(t, &channel.values);
         let one = |x| match by {
             By::Line => known.line(x, gap),
-            By::Previous => known.previous(x, gap),
+            // A stamp that is later by rounding only is not later.
+            By::Previous => known.previous(x + 1e-7 * grid.step_s, gap),
             By::Mean => known.mean(x, grid.step_s, gap),
         };
         channel.with(grid.instants(last).map(one).collect())
