@@ -97,7 +97,7 @@ fn coverage_counts_cells() {
     assert_eq!((ca.occupied, cb.occupied, cb.span, ca.outside), (0.5, 1.0, 1.0, 0.0));
     assert!((ca.span - 0.5).abs() < 0.01);
     let apart = pair_coverage(&ca, &cb, &a, &b);
-    assert_eq!((apart.occupied, apart.of_reachable, apart.counts.iter().sum::<usize>()), (0.5, 1.0, 5000));
+    assert_eq!((apart.occupied, apart.of_reachable, apart.counts.iter().sum::<usize>()), (1.0, 1.0, 5000));
     let together = pair_coverage(&cb, &cb, &b, &b);
     assert_eq!((together.occupied, together.of_reachable), (0.1, 0.1));
     assert!(coverage("a", &[f64::NAN], None).is_none());

@@ -33,7 +33,8 @@ pub struct PairCoverage {
     pub a: String,
     /// The other.
     pub b: String,
-    /// Share of the [`PAIR_CELLS`] x [`PAIR_CELLS`] cells of both ranges that hold at least one sample.
+    /// Share of the [`PAIR_CELLS`] x [`PAIR_CELLS`] cells between least and greatest value of both that hold at least
+    /// one sample.
     pub occupied: f64,
     /// The same of those cells that the two inputs could reach if every value of one met every value of the other:
     /// small where the inputs were moved together.
@@ -75,12 +76,13 @@ pub fn coverage(name: &str, values: &[f64], range: Option<(f64, f64)>) -> Option
     })
 }
 
-/// Coverage of two inputs together, in the ranges of their own coverage.
+/// Coverage of two inputs together, between their least and greatest values.
 pub fn pair_coverage(a: &Coverage, b: &Coverage, values_a: &[f64], values_b: &[f64]) -> PairCoverage {
     let mut counts = vec![0; PAIR_CELLS * PAIR_CELLS];
+    let (span_a, span_b) = ((a.minimum, a.maximum), (b.minimum, b.maximum));
     let (mut rows, mut columns) = ([false; PAIR_CELLS], [false; PAIR_CELLS]);
     for (x, y) in values_a.iter().zip(values_b) {
-        if let (Some(i), Some(j)) = (cell(*x, a.range, PAIR_CELLS), cell(*y, b.range, PAIR_CELLS)) {
+        if let (Some(i), Some(j)) = (cell(*x, span_a, PAIR_CELLS), cell(*y, span_b, PAIR_CELLS)) {
             counts[i * PAIR_CELLS + j] += 1;
             (rows[i], columns[j]) = (true, true);
         }

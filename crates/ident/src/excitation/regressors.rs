@@ -23,9 +23,14 @@ impl Dependency {
         let Some(((first, name), rest)) = self.combination.split_first() else {
             return format!("{} = 0", self.term);
         };
-        let mut text = format!("{} = {} {name}", self.term, digits(*first));
+        // The constant term is called 1.
+        let product = |c: f64, name: &str| match name {
+            "1" => digits(c),
+            name => format!("{} {name}", digits(c)),
+        };
+        let mut text = format!("{} = {}", self.term, product(*first, name));
         for (c, name) in rest {
-            text += &format!(" {} {} {name}", if *c < 0.0 { '-' } else { '+' }, digits(c.abs()));
+            text += &format!(" {} {}", if *c < 0.0 { '-' } else { '+' }, product(c.abs(), name));
         }
         text
     }
