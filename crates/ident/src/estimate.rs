@@ -69,6 +69,14 @@ pub enum EstimateError {
         /// Parameters.
         expected: usize,
     },
+    /// A linear start was asked of a structure that has no linear path.
+    #[error(
+        "start = \"linear\": the model `{model}` has no linear path; a network has one with `direct = true`"
+    )]
+    NoLinearPath {
+        /// First parameters of the model.
+        model: String,
+    },
     /// The free run diverges and no repaired start was found.
     #[error(
         "the free run of the model `{model}` diverges on {record} from sample {sample} on, also with all output terms shrunk; try fewer output terms or a start point"
@@ -217,47 +225,7 @@ pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
         },
         build: |keys| Ok(Box::new(registry::keys::<sem::Sem>("sem", keys)?)),
     },
-    Member {
-        doc: MemberDoc {
-            name: "train",
-            what: "simulation error from several starts in parallel with early stopping on a selection set (networks)",
-            params: &[
-                ParamDoc { name: "starts", unit: "-", default: "8", what: "number of starts" },
-                ParamDoc {
-                    name: "max_evaluations",
-                    unit: "-",
-                    default: "120",
-                    what: "most cost evaluations per start",
-                },
-                ParamDoc {
-                    name: "selection",
-                    unit: "-",
-                    default: "0.15",
-                    what: "share of each record, at its end, that selects instead of being fitted",
-                },
-                ParamDoc {
-                    name: "patience",
-                    unit: "-",
-                    default: "15",
-                    what: "moves without a better selection score that end a search",
-                },
-                ParamDoc {
-                    name: "penalty",
-                    unit: "-",
-                    default: "0",
-                    what: "weight on squared parameters, relative to the spread of the output",
-                },
-                ParamDoc {
-                    name: "spread",
-                    unit: "-",
-                    default: "0.1",
-                    what: "relative spread of further starts of a model without random ones",
-                },
-                ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the starts" },
-            ],
-        },
-        build: |keys| Ok(Box::new(registry::keys::<train::Train>("train", keys)?)),
-    },
+    train::MEMBER,
 ];
 
 /// Builds the estimator `name` from the keys of a spec.

@@ -41,6 +41,16 @@ impl Run<'_> {
     }
 }
 
+/// A start at which a model with a linear path is an ARX model: all but the parameters of that path stay as drawn and do
+/// not contribute.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinearPath {
+    /// Parameters (p).
+    pub theta: Vec<f64>,
+    /// Places of the parameters in which the model is then linear, free run and prediction alike.
+    pub places: Vec<usize>,
+}
+
 /// A dynamic model structure with one output. Implementations are stateless: theta is passed in.
 pub trait Model: Send + Sync {
     /// Number of inputs m.
@@ -66,6 +76,11 @@ pub trait Model: Send + Sync {
         None
     }
 
+    /// The linear path, for structures that have one beside others.
+    fn linear_path(&self, _rng: &mut Rng64) -> Option<LinearPath> {
+        None
+    }
+
     /// Free run: `y[..start]` is copied from `run.y`, the rest computed.
     ///
     /// Returns [`Status::Diverged`] as soon as a value is not finite (the rest of `y` is then NaN).
@@ -80,6 +95,27 @@ pub trait Model: Send + Sync {
     /// s_k(t) = df/dtheta_k + sum_j df/dy(t-j) s_k(t-j)
     /// ```
     fn sensitivities(&self, theta: &[f64], run: &Run, y: &mut [f64], s: &mut [f64]) -> Status;
+
+    /// [`Model::sensitivities`] in blocks of about `rows` samples, for records whose N x p matrix would be too long to
+    /// keep: `take(t, y, s)` gets output and rows of the samples from t on, block by block, from `start` to the end.
+    /// Structures that keep only what the recursion reads say so here; for the others the whole matrix is computed first.
+    fn sensitivity_blocks(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        rows: usize,
+        y: &mut [f64],
+        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+    ) -> Status {
+        let (p, start, rows) = (self.n_params().max(1), run.start.min(run.len()), rows.max(1));
+        let mut s = vec![0.0; run.len() * p];
+        let status = self.sensitivities(theta, run, y, &mut s);
+        if status == Status::Converged {
+            let blocks = y[start..].chunks(rows).zip(s[start * p..].chunks(rows * p));
+            blocks.enumerate().for_each(|(i, (y, s))| take(start + i * rows, y, s));
+        }
+        status
+    }
 
     /// Jacobian of the one-step prediction with respect to theta (N x p row-major; rows before `start` zero).
     /// For a model that is linear in its parameters these are the regressors.

@@ -25,26 +25,9 @@ impl Case {
 /// Every row of the table with channels that suit it, and one structure with all that a polynomial can hold.
 fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
-    for (i, member) in MODEL_STRUCTURES.iter().enumerate() {
-        let mut keys = toml::Table::new();
-        if member.doc.name == "polynomial" {
-            let texts =
-                ["1", "a(t)^3*b(t-2)", "a(t-1)*y(t-1)^2", "y(t-1)*y(t-3)^2*c(t-1)", "y(t-2)^3", "c(t-3)"];
-            keys.insert("regressors".into(), toml::Value::from(texts.to_vec()));
-        }
-        if member.doc.name == "poly_arx" {
-            keys.insert("degree".into(), 3.into());
-            keys.insert("output_products".into(), true.into());
-        }
-        if member.doc.name == "neural" {
-            // Two output lags and ranges that are not [-1, 1], so that no scale can be forgotten.
-            keys.insert("output_lags".into(), 2.into());
-            keys.insert("hidden".into(), 4.into());
-            let range = |lo: f64, hi: f64| toml::Value::from(vec![lo, hi]);
-            let ranges = [("a", range(-1.0, 2.0)), ("b", range(-0.5, 0.5)), ("y", range(-3.0, 1.0))];
-            let table: toml::Table = ranges.into_iter().map(|(k, v)| (k.to_string(), v)).collect();
-            keys.insert("ranges".into(), toml::Value::Table(table));
-        }
+    let rows =
+        MODEL_STRUCTURES.iter().flat_map(|m| variants(m.doc.name).into_iter().map(move |keys| (m, keys)));
+    for (i, (member, keys)) in rows.enumerate() {
         let inputs: Vec<String> = ["a", "b", "c", "d"].iter().map(|s| s.to_string()).collect();
         let model = (member.build)(&keys).unwrap().model(&inputs, "y").unwrap();
         let mut rng = Rng64::stream(11, i as u64);
@@ -53,7 +36,8 @@ fn cases() -> Vec<Case> {
         // Small parameters keep every structure stable on inputs in [-1, 1].
         let p = model.n_params() as f64;
         let theta = (0..model.n_params()).map(|_| rng.uniform_in(-0.9, 0.9) / p.sqrt()).collect();
-        cases.push(Case { name: member.doc.name.into(), model, theta, u, y0 });
+        let name = format!("{} {keys}", member.doc.name);
+        cases.push(Case { name, model, theta, u, y0 });
     }
     cases.push(functions());
     cases
@@ -77,6 +61,26 @@ fn functions() -> Case {
     let (u, y0) = (draw(N * 4, 1.0), draw(N, 0.5));
     let theta = vec![0.4, 0.2, 0.15, 0.004, 0.02, 0.2, 0.05];
     Case { name: "functions".into(), model: Box::new(model), theta, u, y0 }
+}
+
+/// Keys under which a structure is tried.
+fn variants(name: &str) -> Vec<toml::Table> {
+    let texts: &[&str] = match name {
+        "polynomial" => &[
+            "regressors = ['1', 'a(t)^3*b(t-2)', 'a(t-1)*y(t-1)^2', 'y(t-1)*y(t-3)^2*c(t-1)', 'y(t-2)^3', 'c(t-3)']",
+        ],
+        "poly_arx" => &["degree = 3\noutput_products = true"],
+        // Two output lags and ranges that are not [-1, 1], so that no scale can be forgotten.
+        "neural" => &[
+            "hidden = 4\noutput_lags = 2\nranges = { a = [-1.0, 2.0], b = [-0.5, 0.5], y = [-3.0, 1.0] }",
+            "hidden = [4, 3]\ninput_lags = 2\noutput_lags = 3\ndirect = true\nactivation = 'sigmoid'
+             lags = { a = [0, 1], c = [3, 4], d = [1, 0] }\nranges = { d = [0.0, 3.0], y = [-1.0, 2.0] }",
+            "hidden = [3, 2, 3]\ninput_lags = 1\noutput_lags = 2\nactivation = 'softplus'\nranges = { y = [-2.0, 1.0] }",
+            "hidden = 5\ninput_lags = 1\noutput_lags = 0\ndirect = true",
+        ],
+        _ => &[""],
+    };
+    texts.iter().map(|text| text.parse().unwrap()).collect()
 }
 
 fn close(a: f64, b: f64, relative: f64, scale: f64, what: &str) {
@@ -110,6 +114,27 @@ fn sensitivities_agree_with_central_differences() {
                     &format!("{} s_{k}({t})", c.name),
                 );
             }
+        }
+    }
+}
+
+/// Block by block, whatever their length, and also where the structure has no path of its own.
+#[test]
+fn blocks_are_the_rows_of_the_sensitivities() {
+    for c in cases() {
+        let (p, run) = (c.model.n_params(), c.run());
+        let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
+        c.model.sensitivities(&c.theta, &run, &mut y, &mut s);
+        for rows in [1, 7, 64, 2 * N] {
+            let (mut next, mut buffer) = (run.start, vec![0.0; N]);
+            let status =
+                c.model.sensitivity_blocks(&c.theta, &run, rows, &mut buffer, &mut |t, outputs, block| {
+                    assert_eq!(t, next, "{}", c.name);
+                    assert_eq!(outputs, &y[t..t + outputs.len()], "{} {rows}", c.name);
+                    assert_eq!(block, &s[t * p..(t + outputs.len()) * p], "{} {rows}", c.name);
+                    next += outputs.len();
+                });
+            assert_eq!((status, next), (Status::Converged, N), "{}", c.name);
         }
     }
 }

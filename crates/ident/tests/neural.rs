@@ -3,8 +3,6 @@
 mod common;
 
 use common::{column, engine, reference, relative};
-use dynocal_ident::estimate::Estimator;
-use dynocal_ident::estimate::sem::Sem;
 use dynocal_ident::estimate::train::Train;
 use dynocal_ident::experiment::{Experiment, experiments};
 use dynocal_ident::model::Model;
@@ -70,11 +68,10 @@ fn raw_starts_reach_a_good_fit_in_thirty_iterations() {
     let y = &data[0].y[5..];
     let mean = y.iter().sum::<f64>() / y.len() as f64;
     let spread: f64 = y.iter().map(|v| (v - mean).powi(2)).sum();
-    for seed in 0..3 {
+    let options = Train { starts: 1, selection: 0.0, max_evaluations: 60, ..Train::default() };
+    for seed in 0..6 {
         let start = net.random_start(&mut Rng64::new(seed)).unwrap();
-        let fit = Sem { max_evaluations: 60, ..Sem::default() }
-            .estimate(&net, &data, Some(&start), &|| false)
-            .unwrap();
+        let fit = options.train(&net, &data, &[], Some(&start), &|| false).unwrap().fit;
         let reached = fit.history.iter().position(|i| 1.0 - i.objective / spread >= 0.999);
         println!("seed {seed}: R2 0.999 after {reached:?} iterations");
         assert!(reached.is_some_and(|i| i <= 30), "seed {seed}: {reached:?}");
@@ -96,9 +93,10 @@ fn best_of_eight_starts_generalises() {
             score(&net, &found.fit.theta, std::slice::from_ref(e), Kind::FreeRun, Seen::Unseen).r2
         };
         println!(
-            "{output}: start {} of {:?}; R2 {:.6} fitted, {:.6} selection, {:.6} unseen",
+            "{output}: start {} of {:?}; {} evaluations, R2 {:.6} fitted, {:.6} selection, {:.6} unseen",
             found.best,
             found.scores,
+            found.fit.evaluations,
             r2(&e),
             r2(&select),
             r2(&unseen)

@@ -12,11 +12,13 @@
 
 mod step;
 
-use crate::linalg::dot;
+use crate::linalg::{axpy, dot};
 use crate::status::{Iterate, Status};
 use step::{Model, StepSolver};
 
 /// A nonlinear least-squares problem: minimise `|r(x)|^2`.
+///
+/// A long record need not store its Jacobian: where [`LeastSquares::by_blocks`] holds, only J'J and J'r are kept.
 pub trait LeastSquares {
     /// Number of variables n.
     fn n(&self) -> usize;
@@ -26,6 +28,18 @@ pub trait LeastSquares {
     fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool;
     /// Residuals and their Jacobian (row-major, residuals x n) at `x`.
     fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool;
+    /// Whether the Jacobian is taken by [`LeastSquares::jacobian_blocks`] and never stored whole.
+    fn by_blocks(&self) -> bool {
+        false
+    }
+    /// Gives residuals and Jacobian at `x` in blocks of some rows each, `take(r, jac)`; rows of zeros may be left out.
+    /// `false` when something is not finite.
+    fn jacobian_blocks(&mut self, x: &[f64], take: &mut dyn FnMut(&[f64], &[f64])) -> bool {
+        let (mut r, mut jac) = (vec![0.0; self.residuals()], vec![0.0; self.residuals() * self.n()]);
+        let finite = self.residual_jacobian(x, &mut r, &mut jac);
+        take(&r, &jac);
+        finite
+    }
 }
 
 /// Options of Levenberg-Marquardt.
@@ -39,11 +53,20 @@ pub struct LmOptions {
     pub gradient_tolerance: f64,
     /// First trust radius in units of |D x0| (of 1 when x0 = 0). Large values trust the first Gauss-Newton step.
     pub initial_radius: f64,
+    /// Least damping mu, relative to the squared column scale. From 1e-12 on the step always comes from J'J, never from
+    /// a QR factorisation: right for models with many parameters of which only the output counts.
+    pub least_damping: f64,
 }
 
 impl Default for LmOptions {
     fn default() -> Self {
-        Self { max_evaluations: 200, cost_tolerance: 1e-12, gradient_tolerance: 1e-10, initial_radius: 100.0 }
+        Self {
+            max_evaluations: 200,
+            cost_tolerance: 1e-12,
+            gradient_tolerance: 1e-10,
+            initial_radius: 100.0,
+            least_damping: 0.0,
+        }
     }
 }
 
@@ -138,7 +161,9 @@ struct Search<'a> {
     options: LmOptions,
     x: Vec<f64>,
     r: Vec<f64>,
+    /// Empty when the problem comes by blocks.
     jac: Vec<f64>,
+    by_blocks: bool,
     gradient: Vec<f64>,
     column_norm: Vec<f64>,
     scale: Vec<f64>,
@@ -158,21 +183,22 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(problem: &'a mut dyn LeastSquares, x0: &[f64], options: &LmOptions) -> Self {
-        let (n, m) = (problem.n(), problem.residuals());
+        let (n, m, by_blocks) = (problem.n(), problem.residuals(), problem.by_blocks());
         assert_eq!(x0.len(), n, "the start point must have one entry per variable");
         Self {
             problem,
             options: *options,
             x: x0.to_vec(),
             r: vec![0.0; m],
-            jac: vec![0.0; m * n],
+            jac: if by_blocks { Vec::new() } else { vec![0.0; m * n] },
+            by_blocks,
             gradient: vec![0.0; n],
             column_norm: vec![0.0; n],
             scale: vec![0.0; n],
             step: vec![0.0; n],
             trial_x: vec![0.0; n],
             trial_r: vec![0.0; m],
-            steps: StepSolver::new(m, n),
+            steps: StepSolver::new(m, n, options.least_damping, by_blocks),
             cost: f64::INFINITY,
             radius: 0.0,
             optimality: f64::INFINITY,
@@ -183,22 +209,17 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Residuals and Jacobian at `x`; gradient, column norms, scale and optimality from them.
+    /// Residuals and Jacobian at `x`; Gram matrix, gradient, column norms, scale and optimality from them.
     fn linearise(&mut self) -> bool {
-        let ok = self.problem.residual_jacobian(&self.x, &mut self.r, &mut self.jac);
+        self.gradient.fill(0.0);
         self.jacobians += 1;
-        let cost = dot(&self.r, &self.r);
+        let (ok, cost) = if self.by_blocks { self.gather_blocks() } else { self.gather_whole() };
         if !ok || !cost.is_finite() {
             return false;
         }
         let n = self.x.len();
-        self.gradient.fill(0.0);
-        self.column_norm.fill(0.0);
-        for (row, ri) in self.jac.chunks_exact(n.max(1)).zip(&self.r) {
-            for ((g, c), v) in self.gradient.iter_mut().zip(self.column_norm.iter_mut()).zip(row) {
-                *g += v * ri;
-                *c += v * v;
-            }
+        for (k, c) in self.column_norm.iter_mut().enumerate() {
+            *c = self.steps.square_of_column(k);
         }
         let finite = |v: &[f64]| v.iter().all(|a| a.is_finite());
         if !finite(&self.gradient) || !finite(&self.column_norm) {
@@ -215,7 +236,7 @@ impl<'a> Search<'a> {
             .filter(|&k| self.column_norm[k] > 0.0 && norm > 0.0)
             .map(|k| self.gradient[k].abs() / (self.column_norm[k] * norm))
             .fold(0.0, f64::max);
-        self.steps.set_jacobian();
+        self.steps.scale_gram(&self.scale);
         self.history.push(Iterate {
             evaluations: self.evaluations,
             objective: self.cost,
@@ -223,6 +244,28 @@ impl<'a> Search<'a> {
             optimality: self.optimality,
         });
         true
+    }
+
+    fn gather_whole(&mut self) -> (bool, f64) {
+        let ok = self.problem.residual_jacobian(&self.x, &mut self.r, &mut self.jac);
+        let cost = dot(&self.r, &self.r);
+        if ok && cost.is_finite() {
+            self.steps.clear_gram();
+            self.steps.add_rows(&self.jac);
+            add_gradient(&self.r, &self.jac, &mut self.gradient);
+        }
+        (ok, cost)
+    }
+
+    fn gather_blocks(&mut self) -> (bool, f64) {
+        let (steps, gradient, mut cost) = (&mut self.steps, &mut self.gradient, 0.0);
+        steps.clear_gram();
+        let ok = self.problem.jacobian_blocks(&self.x, &mut |r, jac| {
+            steps.add_rows(jac);
+            add_gradient(r, jac, gradient);
+            cost += dot(r, r);
+        });
+        (ok, cost)
     }
 
     fn first_radius(&mut self) {
@@ -288,8 +331,13 @@ impl<'a> Search<'a> {
     /// (|J p|^2, mu |D p|^2) relative to the cost.
     fn predicted(&mut self, mu: f64) -> (f64, f64) {
         let n = self.x.len();
-        let linear: f64 = self.jac.chunks_exact(n.max(1)).map(|row| dot(row, &self.step).powi(2)).sum();
         let damped = mu * self.scaled_norm(true).powi(2);
+        let linear: f64 = if self.by_blocks {
+            // (J'J + mu D^2) p = -J'r.
+            (-dot(&self.gradient, &self.step) - damped).max(0.0)
+        } else {
+            self.jac.chunks_exact(n.max(1)).map(|row| dot(row, &self.step).powi(2)).sum()
+        };
         (linear / self.cost, damped / self.cost)
     }
 
@@ -333,6 +381,13 @@ impl<'a> Search<'a> {
             jacobians: self.jacobians,
             history: self.history,
         }
+    }
+}
+
+/// `gradient += J' r` for some rows.
+fn add_gradient(r: &[f64], jac: &[f64], gradient: &mut [f64]) {
+    for (row, ri) in jac.chunks_exact(gradient.len().max(1)).zip(r) {
+        axpy(*ri, row, gradient);
     }
 }
 

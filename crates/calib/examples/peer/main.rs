@@ -2,12 +2,13 @@
 //! and prints the result with the CPU time of one computation. Start-up and reading are not counted.
 //!
 //! ```text
-//! peer sensitivities|estimation|criterion|design|fuel INPUT.json
+//! peer sensitivities|estimation|criterion|design|fuel|neural INPUT.json
 //! ```
 
 mod design;
 mod estimation;
 mod fuel;
+mod neural;
 mod sensitivities;
 
 use serde_json::{Value, json};
@@ -19,7 +20,7 @@ const LEAST_CPU_S: f64 = 1.0;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [what, path] = arguments.as_slice() else {
-        return Err("usage: peer sensitivities|estimation|criterion|design|fuel INPUT.json".into());
+        return Err("usage: peer sensitivities|estimation|criterion|design|fuel|neural INPUT.json".into());
     };
     let input: Value = serde_json::from_str(&std::fs::read_to_string(path)?)?;
     let result = match what.as_str() {
@@ -28,6 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "criterion" => design::evaluate(&input)?,
         "design" => design::search(&input)?,
         "fuel" => fuel::run(&input)?,
+        "neural" => neural::run(&input)?,
         other => return Err(format!("unknown comparison `{other}`").into()),
     };
     println!("{result}");

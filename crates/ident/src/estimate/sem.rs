@@ -20,7 +20,7 @@ use super::{EstimateError, Estimator, Fit};
 use crate::experiment::{Experiment, usable_samples};
 use crate::model::Model;
 
-pub(super) use super::simulation::{SimulationError, further_start, least_squares_start, spread};
+pub(super) use super::simulation::{SimulationError, further_start, least_squares_start};
 
 /// Options of simulation-error estimation.
 #[derive(Clone, Copy, Debug, Deserialize)]

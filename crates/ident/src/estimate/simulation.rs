@@ -56,12 +56,6 @@ impl<'a> SimulationError<'a> {
         if cost.is_finite() { cost } else { f64::INFINITY }
     }
 
-    /// Mean of the squared (weighted) errors over the scored samples; infinite when a free run diverges.
-    pub(super) fn mean_square(&mut self, theta: &[f64]) -> f64 {
-        let samples: usize = self.data.iter().map(|e| e.len().saturating_sub(e.first(self.model))).sum();
-        self.cost(theta) / samples.max(1) as f64
-    }
-
     pub(super) fn unstable(&mut self, theta: &[f64]) -> EstimateError {
         let model = short_name(&names(self.model));
         for e in self.data {
@@ -77,15 +71,6 @@ impl<'a> SimulationError<'a> {
     }
 
     /// The fit of a search that ended in `found`.
-    pub(super) fn report(
-        &mut self,
-        found: LmOutcome,
-        samples: usize,
-        warnings: Vec<String>,
-    ) -> Result<Fit, EstimateError> {
-        self.report_as(found, samples, warnings, CovarianceChoice::Auto, Cost::SQUARED)
-    }
-
     pub(super) fn report_as(
         &mut self,
         found: LmOutcome,

@@ -2,11 +2,9 @@
 
 use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
 use serde::Deserialize;
-use std::collections::BTreeMap;
 
 use super::Model;
 use super::literature::{self, LiteratureModel};
-use super::neural::NeuralNarx;
 use super::poly::{PolyNarx, Regressor, StructureError};
 use crate::experiment::Experiment;
 use crate::select::pool::products;
@@ -116,34 +114,7 @@ pub static MODEL_STRUCTURES: &[Member<dyn Structure>] = &[
         },
         build: |keys| Ok(Box::new(registry::keys::<PolyArx>("poly_arx", keys)?)),
     },
-    Member {
-        doc: MemberDoc {
-            name: "neural",
-            what: "neural NARX with one hidden layer of tanh neurons, channels scaled to their ranges",
-            params: &[
-                ParamDoc { name: "hidden", unit: "-", default: "10", what: "number of neurons" },
-                ParamDoc {
-                    name: "input_lags",
-                    unit: "samples",
-                    default: "5",
-                    what: "number of lags of each input, from 1",
-                },
-                ParamDoc {
-                    name: "output_lags",
-                    unit: "samples",
-                    default: "1",
-                    what: "number of lags of the output, from 1",
-                },
-                ParamDoc {
-                    name: "ranges",
-                    unit: "channel",
-                    default: "{}",
-                    what: "table of channel = [lowest, highest]; a channel without one takes that of the data",
-                },
-            ],
-        },
-        build: |keys| Ok(Box::new(registry::keys::<Neural>("neural", keys)?)),
-    },
+    super::neural::spec::MEMBER,
     literature_member!(
         "torque_7_8",
         "torque structure of eq. (7.8); inputs inj, spark, throttle, speed",
@@ -262,57 +233,6 @@ impl PolyArx {
             regressors.extend(lagged.iter().map(|r| r.times(&Regressor::output(1))));
         }
         PolyNarx::new(inputs.to_vec(), output.into(), regressors)
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Neural {
-    hidden: usize,
-    input_lags: usize,
-    output_lags: usize,
-    ranges: BTreeMap<String, [f64; 2]>,
-}
-
-impl Default for Neural {
-    fn default() -> Self {
-        Self { hidden: 10, input_lags: 5, output_lags: 1, ranges: BTreeMap::new() }
-    }
-}
-
-impl Neural {
-    fn build(
-        &self,
-        inputs: &[String],
-        output: &str,
-        data: &[Experiment],
-    ) -> Result<NeuralNarx, StructureError> {
-        let names: Vec<&str> = inputs.iter().map(String::as_str).collect();
-        let net = NeuralNarx::new(&names, output, self.hidden, self.input_lags, self.output_lags)?;
-        let net = net.scaled_to(data)?;
-        let (of_inputs, of_output) = net.ranges();
-        let given = |name: &str, found: [f64; 2]| self.ranges.get(name).copied().unwrap_or(found);
-        let of_inputs: Vec<[f64; 2]> = inputs.iter().zip(of_inputs).map(|(n, r)| given(n, r)).collect();
-        net.with_ranges(&of_inputs, given(output, of_output))
-    }
-}
-
-impl Structure for Neural {
-    fn model(&self, inputs: &[String], output: &str) -> Result<Box<dyn Model>, StructureError> {
-        Ok(Box::new(self.build(inputs, output, &[])?))
-    }
-
-    fn model_on(
-        &self,
-        inputs: &[String],
-        output: &str,
-        data: &[Experiment],
-    ) -> Result<Box<dyn Model>, StructureError> {
-        Ok(Box::new(self.build(inputs, output, data)?))
-    }
-
-    fn polynomial(&self, _inputs: &[String], _output: &str) -> Result<Option<PolyNarx>, StructureError> {
-        Ok(None)
     }
 }
 

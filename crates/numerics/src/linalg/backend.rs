@@ -2,6 +2,9 @@
 
 use super::{LinalgError, check_len};
 use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::{
+    LltError, LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
+};
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::qr::no_pivoting::factor::{qr_in_place, qr_in_place_scratch, recommended_block_size};
 use faer::{Accum, MatMut, MatRef, Par, Side};
@@ -37,6 +40,24 @@ impl BlockedQr {
 /// # Errors
 /// [`LinalgError::Shape`] when a slice has the wrong length.
 pub fn gram_upper(a: &[f64], rows: usize, cols: usize, gram: &mut [f64]) -> Result<(), LinalgError> {
+    gram_into(a, rows, cols, gram, Accum::Replace)
+}
+
+/// Adds `A'A` to the upper triangle of `gram`, as [`gram_upper`].
+///
+/// # Errors
+/// [`LinalgError::Shape`] when a slice has the wrong length.
+pub fn gram_upper_add(a: &[f64], rows: usize, cols: usize, gram: &mut [f64]) -> Result<(), LinalgError> {
+    gram_into(a, rows, cols, gram, Accum::Add)
+}
+
+fn gram_into(
+    a: &[f64],
+    rows: usize,
+    cols: usize,
+    gram: &mut [f64],
+    accumulate: Accum,
+) -> Result<(), LinalgError> {
     check_len("matrix", a.len(), rows * cols)?;
     check_len("Gram matrix", gram.len(), cols * cols)?;
     if cols == 0 {
@@ -47,7 +68,7 @@ pub fn gram_upper(a: &[f64], rows: usize, cols: usize, gram: &mut [f64]) -> Resu
     matmul(
         MatMut::from_column_major_slice_mut(gram, cols, cols),
         BlockStructure::TriangularLower,
-        Accum::Replace,
+        accumulate,
         a.transpose(),
         BlockStructure::Rectangular,
         a,
@@ -57,6 +78,27 @@ pub fn gram_upper(a: &[f64], rows: usize, cols: usize, gram: &mut [f64]) -> Resu
     );
     crate::vector_state::clear();
     Ok(())
+}
+
+/// Upper triangular R with R'R = a in place, as [`super::cholesky`].
+pub(super) fn blocked_cholesky(a: &mut [f64], n: usize) -> Result<(), LinalgError> {
+    let scratch = cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default());
+    let mut memory = MemBuffer::new(scratch);
+    // The upper triangle row by row is the lower triangle column by column.
+    let done = cholesky_in_place(
+        MatMut::from_column_major_slice_mut(a, n, n),
+        LltRegularization::default(),
+        Par::Seq,
+        MemStack::new(&mut memory),
+        Default::default(),
+    );
+    crate::vector_state::clear();
+    match done {
+        Ok(_) => Ok(()),
+        Err(LltError::NonPositivePivot { index }) => {
+            Err(LinalgError::Pivot { what: "cholesky", index, value: a[index * n + index] })
+        }
+    }
 }
 
 /// Eigenvalues of a symmetric matrix (n x n, the lower triangle is read), ascending.

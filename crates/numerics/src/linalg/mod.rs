@@ -16,7 +16,7 @@ mod gathered;
 mod householder;
 mod triangular;
 
-pub use backend::{gram_upper, symmetric_eigenvalues};
+pub use backend::{gram_upper, gram_upper_add, symmetric_eigenvalues};
 pub use gathered::{GramRows, QrRows, pivoted_from_gram};
 pub use householder::{LeastSquaresFit, PivotedR, QrWork, least_squares, pivoted_r};
 pub use triangular::{

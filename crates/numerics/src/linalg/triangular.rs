@@ -1,7 +1,11 @@
 //! Triangular matrices and the Cholesky factor. Upper triangular R (n x n, row-major); what stands below its
 //! diagonal is never read.
 
+use super::backend::blocked_cholesky;
 use super::{LinalgError, check_len, dot};
+
+/// Size above which the blocked backend wins over the plain loops.
+const BLOCKED_FROM: usize = 48;
 
 /// Solves `R x = b` in place (`x` holds b on entry).
 ///
@@ -70,6 +74,9 @@ pub fn invert_upper(r: &[f64], n: usize, inv: &mut [f64]) -> Result<(), LinalgEr
 /// [`LinalgError::Pivot`] when `a` is not numerically positive definite.
 pub fn cholesky(a: &mut [f64], n: usize) -> Result<(), LinalgError> {
     check_len("matrix", a.len(), n * n)?;
+    if n >= BLOCKED_FROM {
+        return blocked_cholesky(a, n);
+    }
     for i in 0..n {
         let (done, rest) = a.split_at_mut((i + 1) * n);
         let row = &mut done[i * n..];

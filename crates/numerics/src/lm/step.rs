@@ -8,10 +8,18 @@
 //! from a QR factorisation of `[J D^-1; sqrt(mu) I]`, which is twice as accurate and about twice as slow.
 
 use super::effective;
-use crate::linalg::{QrWork, cholesky, dot, gram_upper, norm2, solve_upper, solve_upper_transposed};
+use crate::linalg::{QrWork, cholesky, dot, gram_upper_add, norm2, solve_upper, solve_upper_transposed};
 
 /// Squared pivot of the unit-diagonal Gram matrix below which its Cholesky step would lose more than half of the digits.
 const GRAM_PIVOT_FLOOR: f64 = 1e-9;
+
+/// Damping from which on every pivot is above that.
+const GRAM_SAFE: f64 = 1e-8;
+/// The same two for a step that need not be exact: all that J'J can give.
+const GRAM_ROUNDING: f64 = 1e-12;
+
+/// Variables from which on a factorisation costs more than what a step of the last digit gains.
+const MANY: usize = 48;
 
 /// The linearised problem at a point.
 pub(super) struct Model<'a> {
@@ -25,13 +33,20 @@ pub(super) struct Model<'a> {
 pub(super) struct StepSolver {
     m: usize,
     n: usize,
+    /// J'J as summed up, upper triangle; then scaled to D^-1 J'J D^-1.
     gram: Vec<f64>,
     factor: Vec<f64>,
     rhs: Vec<f64>,
     q: Vec<f64>,
     w: Vec<f64>,
-    have_gram: bool,
-    orthogonal: Orthogonal,
+    least_damping: f64,
+    /// Pivots below this part of their diagonal are not trusted.
+    pivot_floor: f64,
+    /// Factorisations are dear: the last mu is tried first, and QR only where J'J cannot do.
+    many: bool,
+    /// mu of the last step: the next is likely to be near.
+    last_mu: f64,
+    orthogonal: Option<Orthogonal>,
 }
 
 /// Buffers of the orthogonal path: R of `[J D^-1, r]`, and the small augmented system.
@@ -46,9 +61,25 @@ struct Orthogonal {
     ready: bool,
 }
 
-impl StepSolver {
-    pub(super) fn new(m: usize, n: usize) -> Self {
+impl Orthogonal {
+    fn new(n: usize) -> Self {
         let w = n + 1;
+        Self {
+            tall: None,
+            scaled: Vec::new(),
+            small: QrWork::new(w + n, w),
+            r: vec![0.0; w * w],
+            stacked: vec![0.0; (w + n) * w],
+            factor: vec![0.0; w * w],
+            ready: false,
+        }
+    }
+}
+
+impl StepSolver {
+    /// `by_blocks`: the Jacobian itself is never there, all comes from J'J.
+    pub(super) fn new(m: usize, n: usize, least_damping: f64, by_blocks: bool) -> Self {
+        let gram_only = by_blocks || least_damping >= GRAM_ROUNDING;
         Self {
             m,
             n,
@@ -57,54 +88,104 @@ impl StepSolver {
             rhs: vec![0.0; n],
             q: vec![0.0; n],
             w: vec![0.0; n],
-            have_gram: false,
-            orthogonal: Orthogonal {
-                tall: None,
-                scaled: Vec::new(),
-                small: QrWork::new(w + n, w),
-                r: vec![0.0; w * w],
-                stacked: vec![0.0; (w + n) * w],
-                factor: vec![0.0; w * w],
-                ready: false,
-            },
+            least_damping,
+            pivot_floor: if gram_only { GRAM_ROUNDING } else { GRAM_PIVOT_FLOOR },
+            many: gram_only || n >= MANY,
+            last_mu: 0.0,
+            orthogonal: (!gram_only).then(|| Orthogonal::new(n)),
         }
     }
 
-    /// The Jacobian or the scale has changed.
-    pub(super) fn set_jacobian(&mut self) {
-        self.have_gram = false;
-        self.orthogonal.ready = false;
+    pub(super) fn clear_gram(&mut self) {
+        self.gram.fill(0.0);
+    }
+
+    /// Adds some rows of J to J'J.
+    pub(super) fn add_rows(&mut self, jac: &[f64]) {
+        let rows = jac.len() / self.n.max(1);
+        gram_upper_add(jac, rows, self.n, &mut self.gram).expect("the buffers have the problem's size");
+    }
+
+    /// `|J_k|^2`, before the scaling.
+    pub(super) fn square_of_column(&self, k: usize) -> f64 {
+        self.gram[k * self.n + k]
+    }
+
+    /// J'J is complete: brings it to units of the scale.
+    pub(super) fn scale_gram(&mut self, scale: &[f64]) {
+        let n = self.n;
+        self.w.iter_mut().zip(scale).for_each(|(w, d)| *w = 1.0 / effective(*d));
+        for i in 0..n {
+            let wi = self.w[i];
+            for (g, wj) in self.gram[i * n + i..(i + 1) * n].iter_mut().zip(&self.w[i..]) {
+                *g *= wi * wj;
+            }
+        }
+        if let Some(o) = &mut self.orthogonal {
+            o.ready = false;
+        }
     }
 
     /// Fills `p` with the step for the trust radius `delta` and returns mu.
     pub(super) fn step(&mut self, model: &Model<'_>, delta: f64, p: &mut [f64]) -> f64 {
-        self.prepare(model);
-        // mu = 0 is the Gauss-Newton step; a singular S gets the least damping that rounding can see.
-        let mut mu = 0.0;
-        if !self.solve(model, 0.0) {
-            mu = f64::EPSILON * self.n as f64;
-            if !self.solve(model, mu) {
-                mu = 1e-12;
-                self.solve(model, mu);
+        for k in 0..self.n {
+            self.rhs[k] = -model.gradient[k] / effective(model.scale[k]);
+        }
+        let mut high = norm2(&self.rhs) / delta;
+        // The last mu first: a step of the right length is found at once, one that is too long bounds mu from below.
+        let mut floor = None;
+        let try_last = self.many && self.last_mu > self.least_damping && self.last_mu < high;
+        if try_last && self.solve(model, self.last_mu) {
+            let size = norm2(&self.q);
+            if (size - delta).abs() <= 0.1 * delta {
+                self.unscale(model, p);
+                return self.last_mu;
+            }
+            if size > delta {
+                floor = Some(self.last_mu);
+            } else {
+                high = self.last_mu;
             }
         }
-        let floor = mu;
-        let mut size = norm2(&self.q);
+        let mut mu = floor.unwrap_or_else(|| self.least_damped(model, delta));
+        let size = norm2(&self.q);
         if size > 1.1 * delta || size.is_nan() {
-            mu = self.search_mu(model, delta, floor);
-            size = norm2(&self.q);
+            mu = self.search_mu(model, delta, mu, high);
         }
-        debug_assert!(size.is_finite());
-        for k in 0..self.n {
-            p[k] = self.q[k] / effective(model.scale[k]);
-        }
+        self.last_mu = mu;
+        self.unscale(model, p);
         mu
     }
 
+    /// Solves with the least damping that is sensible and returns it: none where S is regular. A singular S gets the
+    /// least that rounding can see, by QR; but not where a step that J'J can give is already longer than allowed.
+    fn least_damped(&mut self, model: &Model<'_>, delta: f64) -> f64 {
+        let least = self.least_damping;
+        if self.solve_gram(least) {
+            return least;
+        }
+        let safe = least.max(GRAM_SAFE);
+        if self.many && self.solve_gram(safe) && (self.orthogonal.is_none() || norm2(&self.q) > 1.1 * delta) {
+            return safe;
+        }
+        for mu in [0.0, f64::EPSILON * self.n as f64, 1e-12] {
+            if self.solve_orthogonal(model, mu) {
+                return mu;
+            }
+        }
+        1e-12
+    }
+
+    fn unscale(&self, model: &Model<'_>, p: &mut [f64]) {
+        debug_assert!(self.q.iter().all(|v| v.is_finite()));
+        for ((p, q), d) in p.iter_mut().zip(&self.q).zip(model.scale) {
+            *p = q / effective(*d);
+        }
+    }
+
     /// Newton iteration on 1/|q(mu)| = 1/delta with bounds (Hebden; More 1978, section 5).
-    fn search_mu(&mut self, model: &Model<'_>, delta: f64, floor: f64) -> f64 {
-        let mut low = floor;
-        let mut high = norm2(&self.rhs) / delta;
+    fn search_mu(&mut self, model: &Model<'_>, delta: f64, floor: f64, high: f64) -> f64 {
+        let (mut low, mut high) = (floor, high);
         let mut next = self.newton_mu(floor, delta).clamp(low, high.max(low));
         let mut mu = floor;
         for _ in 0..12 {
@@ -142,25 +223,13 @@ impl StepSolver {
         mu + (size / delta - 1.0) * size * size / dot(&self.w, &self.w)
     }
 
-    fn prepare(&mut self, model: &Model<'_>) {
-        for k in 0..self.n {
-            self.rhs[k] = -model.gradient[k] / effective(model.scale[k]);
-        }
-        if self.have_gram {
-            return;
-        }
-        let n = self.n;
-        gram_upper(model.jac, self.m, n, &mut self.gram).expect("the buffers have the problem's size");
-        for i in 0..n {
-            for j in i..n {
-                self.gram[i * n + j] /= effective(model.scale[i]) * effective(model.scale[j]);
-            }
-        }
-        self.have_gram = true;
-    }
-
     /// Solves (S + mu I) q = rhs into `q`, the factor into `factor`; `false` when it is singular.
     fn solve(&mut self, model: &Model<'_>, mu: f64) -> bool {
+        self.solve_gram(mu) || (self.orthogonal.is_some() && self.solve_orthogonal(model, mu))
+    }
+
+    /// The same from the Cholesky factor alone; `false` where that has lost too many digits.
+    fn solve_gram(&mut self, mu: f64) -> bool {
         let n = self.n;
         self.factor.copy_from_slice(&self.gram);
         for k in 0..n {
@@ -168,9 +237,9 @@ impl StepSolver {
         }
         let sound = cholesky(&mut self.factor, n).is_ok()
             && (0..n)
-                .all(|k| self.factor[k * n + k].powi(2) > GRAM_PIVOT_FLOOR * (self.gram[k * n + k] + mu));
+                .all(|k| self.factor[k * n + k].powi(2) > self.pivot_floor * (self.gram[k * n + k] + mu));
         if !sound {
-            return self.solve_orthogonal(model, mu);
+            return false;
         }
         self.q.copy_from_slice(&self.rhs);
         solve_upper_transposed(&self.factor, n, &mut self.q).is_ok()
@@ -181,7 +250,7 @@ impl StepSolver {
     /// The same from the QR factorisation of `[J D^-1, r; sqrt(mu) I, 0]`.
     fn solve_orthogonal(&mut self, model: &Model<'_>, mu: f64) -> bool {
         let (n, w) = (self.n, self.n + 1);
-        let o = &mut self.orthogonal;
+        let Some(o) = &mut self.orthogonal else { return false };
         if !o.ready {
             o.scaled.clear();
             for (row, r) in model.jac.chunks_exact(n.max(1)).zip(model.r) {

@@ -1,85 +1,66 @@
 //! Free run, prediction, sensitivities and window derivatives of neural NARX models.
 
-use dynocal_numerics::linalg::{axpy, dot};
+use dynocal_numerics::linalg::axpy;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
-use super::{MAX_HIDDEN, MAX_WIDTH, NeuralNarx};
-use crate::model::{Model, Run};
-
-/// The parameters by name.
-pub(super) struct Weights<'a> {
-    pub(super) w1: &'a [f64],
-    pub(super) b1: &'a [f64],
-    pub(super) w2: &'a [f64],
-    b2: f64,
-}
-
-/// What one sample needs.
-pub(super) struct Layer {
-    /// Scaled regressors (the first q entries).
-    pub(super) z: [f64; MAX_WIDTH],
-    /// Outputs of the neurons (the first h entries).
-    pub(super) h: [f64; MAX_HIDDEN],
-}
-
-impl Layer {
-    pub(super) fn new() -> Self {
-        Self { z: [0.0; MAX_WIDTH], h: [0.0; MAX_HIDDEN] }
-    }
-}
+use super::NeuralNarx;
+use super::network::Pass;
+use crate::model::{LinearPath, Model, Run};
 
 impl NeuralNarx {
-    pub(super) fn weights<'a>(&self, theta: &'a [f64]) -> Weights<'a> {
-        let (h, q) = (self.hidden, self.width());
-        let (w1, rest) = theta.split_at(h * q);
-        let (b1, rest) = rest.split_at(h);
-        Weights { w1, b1, w2: &rest[..h], b2: rest[h] }
-    }
-
     /// Regressors of sample t with past outputs `y`, then the neurons; returns the output in its unit.
-    pub(super) fn forward(&self, w: &Weights, u: &[f64], y: &[f64], t: usize, layer: &mut Layer) -> f64 {
-        let (m, q, inputs) = (self.inputs.len(), self.width(), self.window.len());
-        for (z, &(i, lag)) in layer.z.iter_mut().zip(&self.window) {
+    pub(super) fn forward(&self, theta: &[f64], u: &[f64], y: &[f64], t: usize, pass: &mut Pass) -> f64 {
+        let (m, inputs) = (self.inputs.len(), self.window.len());
+        for (z, &(i, lag)) in pass.z.iter_mut().zip(&self.window) {
             *z = self.input_scales[i].scaled(u[(t - lag) * m + i]);
         }
-        for (z, lag) in layer.z[inputs..q].iter_mut().zip(1..) {
+        for (z, lag) in pass.z[inputs..self.width()].iter_mut().zip(1..) {
             *z = self.output_scale.scaled(y[t - lag]);
         }
-        let z = &layer.z[..q];
-        let mut sum = w.b2;
-        for (j, (h, row)) in layer.h.iter_mut().zip(w.w1.chunks_exact(q)).enumerate() {
-            *h = (w.b1[j] + dot(row, z)).tanh();
-            sum += w.w2[j] * *h;
-        }
-        self.output_scale.centre + self.output_scale.half * sum
+        self.output_scale.centre + self.output_scale.half * self.network.forward(theta, pass)
     }
 
-    /// df/dtheta at the sample in `layer`, in the unit of the output, into `row` (p).
-    fn direct_gradient(&self, w: &Weights, layer: &Layer, row: &mut [f64]) {
-        let (h, q, half) = (self.hidden, self.width(), self.output_scale.half);
-        let (w1, rest) = row.split_at_mut(h * q);
-        let (b1, rest) = rest.split_at_mut(h);
-        for (j, row) in w1.chunks_exact_mut(q).enumerate() {
-            let g = half * w.w2[j] * (1.0 - layer.h[j] * layer.h[j]);
-            row.iter_mut().zip(&layer.z).for_each(|(v, z)| *v = g * z);
-            b1[j] = g;
-            rest[j] = half * layer.h[j];
-        }
-        rest[h] = half;
+    /// df/dy(t - lag), after the network's backward pass; the scales of output and regressor cancel.
+    pub(super) fn output_gradient(&self, theta: &[f64], pass: &Pass, lag: usize) -> f64 {
+        self.network.slope_of(theta, pass, self.window.len() + lag - 1)
     }
 
-    /// df/dy(t - lag); the scales of output and regressor cancel.
-    pub(super) fn output_gradient(&self, w: &Weights, layer: &Layer, lag: usize) -> f64 {
-        let (q, place) = (self.width(), self.window.len() + lag - 1);
-        (0..self.hidden).map(|j| w.w2[j] * (1.0 - layer.h[j] * layer.h[j]) * w.w1[j * q + place]).sum()
+    /// First sample that is computed.
+    pub(super) fn first(&self, run: &Run) -> usize {
+        run.start.max(self.max_lag()).min(run.len())
     }
 
-    /// First sample that is computed; the initial values are copied.
+    /// The same, after the initial values are copied.
     fn begin(&self, run: &Run, y: &mut [f64]) -> usize {
-        let start = run.start.max(self.max_lag()).min(run.len());
+        let start = self.first(run);
         y[..start].copy_from_slice(&run.y[..start]);
         start
+    }
+
+    /// Output of sample t into `y` and its sensitivities into `now` (p); `past` holds the rows of the samples before,
+    /// the last one at its end. `false` when the output is not finite.
+    fn step(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        y: &mut [f64],
+        past: &[f64],
+        now: &mut [f64],
+        pass: &mut Pass,
+    ) -> bool {
+        y[t] = self.forward(theta, run.u, y, t, pass);
+        if !y[t].is_finite() {
+            return false;
+        }
+        let p = now.len();
+        self.network.backward(theta, pass);
+        self.network.gradient(pass, self.output_scale.half, now);
+        for (row, lag) in past.rchunks_exact(p).zip(1..=self.layout.output_lags) {
+            axpy(self.output_gradient(theta, pass, lag), row, now);
+        }
+        true
     }
 }
 
@@ -89,32 +70,22 @@ impl Model for NeuralNarx {
     }
 
     fn n_params(&self) -> usize {
-        self.hidden * (self.width() + 2) + 1
+        self.network.params
     }
 
     fn max_lag(&self) -> usize {
-        let inputs = if self.inputs.is_empty() { 0 } else { self.input_lags };
-        inputs.max(self.output_lags)
+        self.window.iter().map(|w| w.1).max().unwrap_or(0).max(self.layout.output_lags)
     }
 
     fn output_lag(&self) -> usize {
-        self.output_lags
+        self.layout.output_lags
     }
 
     fn param_name(&self, k: usize) -> String {
-        let (h, q) = (self.hidden, self.width());
-        if k < h * q {
-            let (neuron, place) = (k / q + 1, k % q);
-            return match self.window.get(place) {
-                Some(&(i, lag)) => format!("neuron {neuron}: {}(t-{lag})", self.inputs[i]),
-                None => format!("neuron {neuron}: {}(t-{})", self.output, place + 1 - self.window.len()),
-            };
-        }
-        match k - h * q {
-            j if j < h => format!("neuron {}: offset", j + 1),
-            j if j < 2 * h => format!("output of neuron {}", j + 1 - h),
-            _ => "offset".into(),
-        }
+        self.network.param_name(k, &|place| match self.window.get(place) {
+            Some(&(i, lag)) => format!("{}(t-{lag})", self.inputs[i]),
+            None => format!("{}(t-{})", self.output, place + 1 - self.window.len()),
+        })
     }
 
     fn is_linear_in_params(&self) -> bool {
@@ -125,10 +96,17 @@ impl Model for NeuralNarx {
         Some(self.draw(rng))
     }
 
+    fn linear_path(&self, rng: &mut Rng64) -> Option<LinearPath> {
+        let places = self.network.linear_path()?;
+        let mut theta = self.draw(rng);
+        theta[self.network.output_weights()].fill(0.0);
+        Some(LinearPath { theta, places: places.collect() })
+    }
+
     fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status {
-        let (w, mut layer) = (self.weights(theta), Layer::new());
+        let mut pass = Pass::new();
         for t in self.begin(run, y)..run.len() {
-            y[t] = self.forward(&w, run.u, y, t, &mut layer);
+            y[t] = self.forward(theta, run.u, y, t, &mut pass);
             if !y[t].is_finite() {
                 y[t..].fill(f64::NAN);
                 return Status::Diverged;
@@ -138,41 +116,67 @@ impl Model for NeuralNarx {
     }
 
     fn predict(&self, theta: &[f64], run: &Run, yhat: &mut [f64]) {
-        let (w, mut layer) = (self.weights(theta), Layer::new());
+        let mut pass = Pass::new();
         for t in self.begin(run, yhat)..run.len() {
-            yhat[t] = self.forward(&w, run.u, run.y, t, &mut layer);
+            yhat[t] = self.forward(theta, run.u, run.y, t, &mut pass);
         }
     }
 
     fn sensitivities(&self, theta: &[f64], run: &Run, y: &mut [f64], s: &mut [f64]) -> Status {
-        let (w, mut layer, p) = (self.weights(theta), Layer::new(), self.n_params());
+        let (mut pass, p) = (Pass::new(), self.n_params());
         let start = self.begin(run, y);
         s[..start * p].fill(0.0);
         for t in start..run.len() {
-            y[t] = self.forward(&w, run.u, y, t, &mut layer);
-            if !y[t].is_finite() {
+            let (past, now) = s.split_at_mut(t * p);
+            // Rows before the start are zero: nothing to add.
+            if !self.step(theta, run, t, y, &past[start * p..], &mut now[..p], &mut pass) {
                 y[t..].fill(f64::NAN);
                 s[t * p..].fill(f64::NAN);
                 return Status::Diverged;
-            }
-            let (past, now) = s.split_at_mut(t * p);
-            let now = &mut now[..p];
-            self.direct_gradient(&w, &layer, now);
-            // Rows before the start are zero: nothing to add.
-            for lag in 1..=self.output_lags.min(t - start) {
-                axpy(self.output_gradient(&w, &layer, lag), &past[(t - lag) * p..(t - lag + 1) * p], now);
             }
         }
         Status::Converged
     }
 
+    fn sensitivity_blocks(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        rows: usize,
+        y: &mut [f64],
+        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+    ) -> Status {
+        let (mut pass, p, lags) = (Pass::new(), self.n_params(), self.layout.output_lags);
+        let (start, rows) = (self.begin(run, y), rows.max(lags).max(1));
+        // The rows that the recursion still reads stand before those of the block.
+        let mut s = vec![0.0; (lags + rows) * p];
+        let mut t = start;
+        while t < run.len() {
+            let count = rows.min(run.len() - t);
+            let known = lags.min(t - start);
+            for i in 0..count {
+                let (past, now) = s.split_at_mut((lags + i) * p);
+                let past = &past[(lags - known) * p..];
+                if !self.step(theta, run, t + i, y, past, &mut now[..p], &mut pass) {
+                    y[t + i..].fill(f64::NAN);
+                    return Status::Diverged;
+                }
+            }
+            take(t, &y[t..t + count], &s[lags * p..(lags + count) * p]);
+            s.copy_within(count * p..(count + lags) * p, 0);
+            t += count;
+        }
+        Status::Converged
+    }
+
     fn one_step_jacobian(&self, theta: &[f64], run: &Run, s: &mut [f64]) {
-        let (w, mut layer, p) = (self.weights(theta), Layer::new(), self.n_params());
-        let start = run.start.max(self.max_lag()).min(run.len());
+        let (mut pass, p) = (Pass::new(), self.n_params());
+        let start = self.first(run);
         s[..start * p].fill(0.0);
         for t in start..run.len() {
-            self.forward(&w, run.u, run.y, t, &mut layer);
-            self.direct_gradient(&w, &layer, &mut s[t * p..(t + 1) * p]);
+            self.forward(theta, run.u, run.y, t, &mut pass);
+            self.network.backward(theta, &mut pass);
+            self.network.gradient(&pass, self.output_scale.half, &mut s[t * p..(t + 1) * p]);
         }
     }
 
@@ -201,21 +205,16 @@ impl Model for NeuralNarx {
         grad: &mut [f64],
         hess: &mut [f64],
     ) -> f64 {
-        let (w, mut layer) = (self.weights(theta), Layer::new());
-        let (q, n) = (self.width(), self.window.len());
-        let value = self.forward(&w, run.u, run.y, t, &mut layer);
-        grad.fill(0.0);
+        let (mut pass, n) = (Pass::new(), self.window.len());
+        let value = self.forward(theta, run.u, run.y, t, &mut pass);
+        self.network.backward(theta, &mut pass);
         hess.fill(0.0);
-        for (j, row) in w.w1.chunks_exact(q).enumerate() {
-            let h = layer.h[j];
-            let slope = self.output_scale.half * w.w2[j] * (1.0 - h * h);
-            let curvature = -2.0 * h * slope;
-            for (a, &(i, _)) in self.window.iter().enumerate() {
-                let da = row[a] / self.input_scales[i].half;
-                grad[a] += slope * da;
-                for (b, &(k, _)) in self.window.iter().enumerate() {
-                    hess[a * n + b] += curvature * da * row[b] / self.input_scales[k].half;
-                }
+        self.network.hessian(theta, &pass, n, hess);
+        for (a, &(i, _)) in self.window.iter().enumerate() {
+            let gain = self.output_scale.half / self.input_scales[i].half;
+            grad[a] = gain * self.network.slope_of(theta, &pass, a);
+            for (h, &(k, _)) in hess[a * n..(a + 1) * n].iter_mut().zip(&self.window) {
+                *h *= gain / self.input_scales[k].half;
             }
         }
         value
