@@ -5,6 +5,7 @@ use serde::Deserialize;
 
 use super::Model;
 use super::literature::{self, LiteratureModel};
+use super::neural::NeuralNarx;
 use super::poly::{PolyNarx, Regressor, StructureError};
 use crate::experiment::Experiment;
 use crate::select::pool::products;

@@ -158,6 +158,15 @@ impl Structure for Neural {
     fn polynomial(&self, _inputs: &[String], _output: &str) -> Result<Option<PolyNarx>, StructureError> {
         Ok(None)
     }
+
+    fn network(
+        &self,
+        inputs: &[String],
+        output: &str,
+        data: &[Experiment],
+    ) -> Result<Option<NeuralNarx>, StructureError> {
+        self.build(inputs, output, data).map(Some)
+    }
 }
 
 /// A number of neurons or a list of them.
