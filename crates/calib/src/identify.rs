@@ -3,9 +3,11 @@
 //! [`spec`] reads what the user wrote and checks it as a whole, [`job`] does the work with what `ident` offers,
 //! [`result`] is what comes out.
 
+pub mod before;
 pub mod fit;
 pub mod job;
 pub mod load;
+pub mod prepare;
 pub mod result;
 pub mod score;
 pub mod set;

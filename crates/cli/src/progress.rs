@@ -1,7 +1,7 @@
 //! Progress on standard error: a live line on a terminal, plain lines elsewhere, nothing when quiet.
 
-use std::cell::Cell;
 use std::io::IsTerminal;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// Where progress goes.
 pub(crate) struct Progress {
     kind: Kind,
-    evaluations: Cell<u64>,
+    evaluations: AtomicU64,
 }
 
 enum Kind {
@@ -32,12 +32,12 @@ impl Progress {
         } else {
             Kind::Lines
         };
-        Self { kind, evaluations: Cell::new(0) }
+        Self { kind, evaluations: AtomicU64::new(0) }
     }
 
     /// A new part of the work begins.
     pub(crate) fn note(&self, text: &str) {
-        self.evaluations.set(0);
+        self.evaluations.store(0, Ordering::Relaxed);
         match &self.kind {
             Kind::Quiet => {}
             Kind::Lines => eprintln!("{text}"),
@@ -55,9 +55,9 @@ impl Progress {
 
     /// One more evaluation of an iteration whose number of steps nobody knows beforehand.
     pub(crate) fn evaluation(&self) {
-        self.evaluations.set(self.evaluations.get() + 1);
+        let count = self.evaluations.fetch_add(1, Ordering::Relaxed) + 1;
         if let Kind::Live(bar) = &self.kind {
-            bar.set_prefix(format!("(evaluation {})", self.evaluations.get()));
+            bar.set_prefix(format!("(evaluation {count})"));
         }
     }
 

@@ -40,9 +40,9 @@ pub fn pem(keys: &toml::Table) -> Result<Pem, BuildError> {
 #[derive(Clone, Copy)]
 pub struct Around<'a> {
     /// Told what happens.
-    pub note: &'a dyn Fn(&str),
+    pub note: &'a (dyn Fn(&str) + Sync),
     /// Asked often whether to stop.
-    pub interrupt: &'a dyn Fn() -> bool,
+    pub interrupt: &'a (dyn Fn() -> bool + Sync),
 }
 
 /// Estimates one target from `data`; `selecting` are records that choose between candidates, where the spec has some.

@@ -6,13 +6,17 @@ use dynocal_files::run_folder::{RunFolder, digest};
 use dynocal_files::{FilesError, csv_io, json};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::{EstimateError, Minimised};
-use dynocal_ident::experiment::{Experiment, experiments};
+use dynocal_ident::experiment::{Experiment, experiments, experiments_marked};
+use dynocal_ident::prepare::{Note, PrepareError};
 use dynocal_ident::select::SelectError;
 use dynocal_ident::validate::Kind;
 use dynocal_numerics::registry::BuildError;
+use rayon::prelude::*;
 
+use super::before::before;
 use super::fit::{Around, Estimated, estimate, saved};
 use super::load::{Part, parts};
+use super::prepare::prepare_parts;
 use super::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Path, Quantity};
 use super::score::{Scored, score};
 use super::set::{Member, Set, shape};
@@ -30,6 +34,9 @@ pub enum IdentifyError {
     /// Estimation.
     #[error(transparent)]
     Estimate(#[from] EstimateError),
+    /// Preparation.
+    #[error(transparent)]
+    Prepare(#[from] PrepareError),
     /// Structure selection.
     #[error(transparent)]
     Select(#[from] SelectError),
@@ -75,8 +82,8 @@ pub enum IdentifyError {
 /// [`IdentifyError`].
 pub fn run(
     job: &Job,
-    note: &dyn Fn(&str),
-    interrupt: &dyn Fn() -> bool,
+    note: &(dyn Fn(&str) + Sync),
+    interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<(Identified, RunFolder), IdentifyError> {
     let files = job.sources.iter().chain(job.tests.iter().map(|t| &t.source));
     let digests: Vec<String> = files.map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?;
@@ -104,9 +111,12 @@ fn missing(path: &path::Path) -> FilesError {
 }
 
 fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, IdentifyError> {
-    let parts = parts(job, around.note)?;
+    let mut parts = parts(job, around.note)?;
+    let preparation = prepare_parts(job, &mut parts, dir)?;
+    let first = if job.saved.is_empty() { before(job, &parts[0].records)? } else { None };
     let estimated = if job.saved.is_empty() {
-        job.targets.iter().map(|t| estimate_target(t, &parts, around)).collect::<Result<Vec<_>, _>>()?
+        // Targets share nothing but the data.
+        job.targets.par_iter().map(|t| estimate_target(t, &parts, around)).collect::<Result<Vec<_>, _>>()?
     } else {
         sampled_alike(job, &parts)?;
         job.saved.iter().map(saved).collect::<Result<Vec<_>, _>>()?
@@ -119,13 +129,19 @@ fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, Ident
     let minimised: Vec<Kind> = estimated.iter().map(minimised).collect();
     let mut scored = Vec::new();
     for part in &parts {
-        scored.push(score(part, &set, &minimised, &job.validate, dir)?);
+        let notes = preparation.iter().find(|p| p.part == part.name).map_or(&[][..], |p| &p.notes);
+        scored.push(score(part, notes, &set, &minimised, &job.validate, dir)?);
     }
     let mut models = Vec::new();
     for (t, e) in job.targets.iter().zip(&estimated) {
-        models.push(modelled(job, t, e, &parts[0].records[0], &scored, dir)?);
+        let notes = preparation.first().map_or(&[][..], |p| &p.notes);
+        models.push(modelled(job, t, e, (&parts[0].records[0], notes), &scored, dir)?);
     }
-    Ok(finish(job, &parts, &estimated, models, scored))
+    let mut found = finish(job, &parts, &estimated, models, scored);
+    found.files.extend(preparation.iter().flat_map(|p| &p.stages).map(|s| s.file.clone()));
+    found.preparation = preparation;
+    found.before = first;
+    Ok(found)
 }
 
 fn member((t, e): (&Target, &Estimated)) -> Member {
@@ -155,7 +171,14 @@ fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
 }
 
 fn estimate_target(t: &Target, parts: &[Part], around: Around) -> Result<Estimated, IdentifyError> {
-    let data = experiments(&parts[0].records, &t.inputs, &t.target)?;
+    // Missing samples are for those who asked for them.
+    let marked =
+        parts[0].records.iter().any(|d| d.channels.iter().any(|c| c.values.iter().any(|v| v.is_nan())));
+    let data = if marked {
+        experiments_marked(&parts[0].records, &t.inputs, &t.target)?
+    } else {
+        experiments(&parts[0].records, &t.inputs, &t.target)?
+    };
     let selecting = parts.iter().filter(|p| p.name == "selection").flat_map(|p| &p.records);
     let selecting: Vec<Experiment> =
         selecting.map(|d| shape(d, &t.inputs, &t.target)).collect::<Result<_, _>>()?;
@@ -166,7 +189,7 @@ fn modelled(
     job: &Job,
     t: &Target,
     e: &Estimated,
-    d: &Dataset,
+    (d, notes): (&Dataset, &[Note]),
     scored: &[Scored],
     dir: &path::Path,
 ) -> Result<Modelled, IdentifyError> {
@@ -183,6 +206,7 @@ fn modelled(
         parameters: e.parameters.clone(),
         estimator: t.estimator.clone(),
         noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
+        preparation: notes.to_vec(),
         origin: origin.collect::<Vec<_>>().join(", "),
     };
     let file = job.saved.iter().find(|m| m.output.name == t.target).cloned().unwrap_or(file);
@@ -208,7 +232,8 @@ fn modelled(
     })
 }
 
-fn in_step(name: &str) -> String {
+/// A file of the step, relative to the run folder.
+pub(super) fn in_step(name: &str) -> String {
     format!("steps/01-identify/{name}")
 }
 
@@ -246,6 +271,8 @@ fn finish(
         valid,
         warnings,
         files: files.collect(),
+        preparation: Vec::new(),
+        before: None,
         models,
         scores,
         records,

@@ -7,7 +7,7 @@ use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::prepare::{Note, Planned, prepare, repeat, restore};
 use dynocal_numerics::registry::BuildError;
 
-use super::job::IdentifyError;
+use super::job::{IdentifyError, in_step};
 use super::load::Part;
 use super::result::{Prepared, Stage};
 use super::spec::{Job, StepSpec};
@@ -75,7 +75,7 @@ fn write(stages: &[Dataset], steps: &[StepSpec], dir: &Path) -> Result<Vec<Stage
             columns.push((&c.name, &c.unit, &c.values));
         }
         csv_io::write_columns(&dir.join(&file), &columns)?;
-        out.push(Stage { step: step.into(), record: d.name.clone(), file });
+        out.push(Stage { step: step.into(), record: d.name.clone(), file: in_step(&file) });
     }
     Ok(out)
 }
@@ -84,12 +84,7 @@ fn write(stages: &[Dataset], steps: &[StepSpec], dir: &Path) -> Result<Vec<Stage
 ///
 /// # Errors
 /// [`IdentifyError`]: a trend whose time is lost.
-pub fn restored(
-    notes: &[Note],
-    d: &Dataset,
-    channel: &str,
-    values: &mut [f64],
-) -> Result<(), IdentifyError> {
+pub fn restored(notes: &[Note], d: &Dataset, channel: &str, values: &mut [f64]) -> Result<(), IdentifyError> {
     Ok(restore(notes, &d.name, channel, d.sample_time_s, values)?)
 }
 

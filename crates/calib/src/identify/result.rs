@@ -1,12 +1,14 @@
 //! What an identification gives.
 
+use dynocal_ident::model::poly::StructureError;
+use dynocal_ident::prepare::Note;
 use dynocal_ident::select::Step;
 use dynocal_ident::validate::{Correlation, Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
+use super::before::Before;
 use super::stored::{Fitted, Stored};
-use dynocal_ident::model::poly::StructureError;
 
 /// Schema name of a model file.
 pub const MODEL_SCHEMA: &str = "dynocal/model";
@@ -30,6 +32,9 @@ pub struct ModelFile {
     pub estimator: String,
     /// Variance of the errors that the estimator made small, in squared units of the output.
     pub noise_variance: Option<f64>,
+    /// What was done to the records before the estimate: other records need the same.
+    #[serde(default)]
+    pub preparation: Vec<Note>,
     /// Where the data came from.
     pub origin: String,
 }
@@ -134,7 +139,7 @@ pub struct Path {
 }
 
 /// One modelled output.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Modelled {
     /// Modelled channel.
     pub target: String,
@@ -165,7 +170,7 @@ pub struct Modelled {
 }
 
 /// Result of the job: the body of `summary.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Identified {
     /// Always `identify`.
     pub verb: String,
@@ -175,6 +180,10 @@ pub struct Identified {
     pub valid: bool,
     /// What the user should know, most important first.
     pub warnings: Vec<String>,
+    /// What was done to the records of each part before the fit; empty where nothing was.
+    pub preparation: Vec<Prepared>,
+    /// What the estimation records say before the fit; absent for models that are only scored.
+    pub before: Option<Before>,
     /// One for each target.
     pub models: Vec<Modelled>,
     /// Fit numbers of all targets.
@@ -183,6 +192,28 @@ pub struct Identified {
     pub records: Vec<RecordFile>,
     /// Files of the step, relative to the run folder.
     pub files: Vec<String>,
+}
+
+/// The preparation of one part.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Prepared {
+    /// Part of the data.
+    pub part: String,
+    /// What each step did.
+    pub notes: Vec<Note>,
+    /// The first record before the first step and after each; of the estimation only.
+    pub stages: Vec<Stage>,
+}
+
+/// A record between two steps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// Step that made it; `recorded` before the first.
+    pub step: String,
+    /// Name of the record.
+    pub record: String,
+    /// File, relative to the run folder.
+    pub file: String,
 }
 
 /// A record with its computed outputs in a file.

@@ -6,12 +6,14 @@ use std::path::Path;
 use dynocal_files::csv_io;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::experiment::Experiment;
+use dynocal_ident::prepare::Note;
 use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation};
 
 use super::job::IdentifyError;
 use super::load::Part;
+use super::prepare::{own_unit, restored};
 use super::result::{RecordFile, ResidualTests, Score};
-use super::set::Set;
+use super::set::{Member, Set};
 use super::spec::Validation;
 
 /// What scoring one part gives.
@@ -42,6 +44,7 @@ struct Errors {
 /// [`IdentifyError`]: a record too short to score, or files.
 pub fn score(
     part: &Part,
+    notes: &[Note],
     set: &Set,
     minimised: &[Kind],
     v: &Validation,
@@ -56,9 +59,15 @@ pub fn score(
         let shaped = set.shaped(d)?;
         long_enough(set, &shaped)?;
         let mut kept: Vec<(String, String, Vec<f64>)> = Vec::new();
+        let measured = measured(set, notes, d, &shaped)?;
+        for (m, z) in set.members.iter().zip(&measured) {
+            let unit = own_unit(notes, d, &m.target)?;
+            kept.push((format!("{}_measured", m.target), unit, z.clone()));
+        }
         for (j, kind) in kinds.iter().enumerate() {
             for (k, found) in set.outputs(&shaped, *kind).into_iter().enumerate() {
-                let Some(found) = found else { continue };
+                let Some(mut found) = found else { continue };
+                restored(notes, d, &set.members[k].target, &mut found)?;
                 let target = &set.members[k].target;
                 if *kind == Kind::FreeRun
                     && let Some(text) = diverged(&shaped[k], &found, target, &part.name)
@@ -66,9 +75,10 @@ pub fn score(
                     scored.diverged.push(text);
                 }
                 let first = set.members[k].model.first(&shaped[k]);
-                errors.entry((k, j)).or_default().add(&shaped[k], &found, first, minimised[k] == *kind);
+                let inputs = (minimised[k] == *kind).then_some(shaped[k].u.as_slice());
+                errors.entry((k, j)).or_default().add(&measured[k], &found, first, inputs);
                 if let Some(label) = label(*kind) {
-                    kept.push((format!("{target}_{label}"), d.channel(target)?.unit.clone(), found));
+                    kept.push((format!("{target}_{label}"), own_unit(notes, d, target)?, found));
                 }
             }
         }
@@ -83,7 +93,7 @@ pub fn score(
     }
     for ((k, j), e) in errors {
         let member = &set.members[k];
-        let unit = part.records[0].channel(&member.target)?.unit.clone();
+        let unit = own_unit(notes, &part.records[0], &member.target)?;
         scored.scores.push(e.score(part, &member.target, kinds[j], v, unit));
         if minimised[k] == kinds[j] {
             let tests = e.tests(part, &member.inputs, kinds[j], v.residual_lags);
@@ -94,14 +104,15 @@ pub fn score(
 }
 
 impl Errors {
-    fn add(&mut self, e: &Experiment, found: &[f64], first: usize, with_inputs: bool) {
-        self.z.extend_from_slice(&e.y[first..]);
+    /// Adds one record; `inputs` (row-major) where correlations with them are wanted.
+    fn add(&mut self, z: &[f64], found: &[f64], first: usize, inputs: Option<&[f64]>) {
+        self.z.extend_from_slice(&z[first..]);
         self.computed.extend_from_slice(&found[first..]);
-        if with_inputs {
-            let m = e.u.len().checked_div(e.len()).unwrap_or(0);
+        if let Some(inputs) = inputs {
+            let m = inputs.len().checked_div(z.len()).unwrap_or(0);
             self.u.resize(m, Vec::new());
             for (i, u) in self.u.iter_mut().enumerate() {
-                u.extend(e.u[first * m..].iter().skip(i).step_by(m));
+                u.extend(inputs[first * m..].iter().skip(i).step_by(m));
             }
         }
     }
@@ -156,6 +167,21 @@ impl Errors {
     }
 }
 
+/// Measured outputs of all targets in their own units.
+fn measured(
+    set: &Set,
+    notes: &[Note],
+    d: &Dataset,
+    shaped: &[Experiment],
+) -> Result<Vec<Vec<f64>>, IdentifyError> {
+    let one = |(m, e): (&Member, &Experiment)| {
+        let mut z = e.y.clone();
+        restored(notes, d, &m.target, &mut z)?;
+        Ok(z)
+    };
+    set.members.iter().zip(shaped).map(one).collect()
+}
+
 fn label(kind: Kind) -> Option<&'static str> {
     match kind {
         Kind::OneStep => Some("one_step"),
@@ -201,10 +227,6 @@ fn write_record(
 ) -> Result<(), IdentifyError> {
     let time: Vec<f64> = (0..d.len()).map(|t| t as f64 * d.sample_time_s).collect();
     let mut columns: Vec<(String, &str, &[f64])> = vec![("time".into(), "s", &time)];
-    for m in &set.members {
-        let c = d.channel(&m.target)?;
-        columns.push((format!("{}_measured", c.name), &c.unit, &c.values));
-    }
     for (name, unit, values) in computed {
         columns.push((name.clone(), unit, values));
     }

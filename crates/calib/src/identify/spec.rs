@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dynocal_files::dataset::Layout;
-use dynocal_files::spec::{Faults, LoadError, load};
+use dynocal_files::spec::{Faults, LoadError, SpecError, load};
 use serde::Serialize;
 
 use super::result::ModelFile;
@@ -33,6 +33,8 @@ pub struct Overrides {
     pub seed: Option<u64>,
     /// Run folder.
     pub out: Option<PathBuf>,
+    /// Folder of the reference data, instead of the environment variable that a spec names.
+    pub reference: Option<PathBuf>,
 }
 
 /// An identification as understood: nothing left to default, nothing left to fail for a typing error.
@@ -75,19 +77,32 @@ pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
     load(path, |typed: &Typed, faults| check(typed, &folder, &stem, overrides, faults))
 }
 
+/// The same for a spec that is there as text; `file` is its name in messages, and files in it are relative to the
+/// working folder.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
+    let stem = file.split('.').next().unwrap_or(file);
+    dynocal_files::spec::parse(file, text, |typed: &Typed, faults| {
+        check(typed, Path::new(""), stem, overrides, faults)
+    })
+}
+
 fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Faults) -> Option<Job> {
     let data = t.data.as_ref();
     if data.is_none() {
         faults.push("data", "nothing", "a table [data] with the keys file and sample_time_s (or time)");
     }
-    let sources = source::sources(data, folder, &over.data, faults);
+    let place = source::Place { folder, reference: over.reference.as_deref() };
+    let sources = source::sources(data, &place, &over.data, faults);
     let channels = source::channels(t.channels.as_deref().unwrap_or(&[]), faults);
     let names: Vec<String> = channels.iter().map(|c| c.name.clone()).collect();
     let prepare = source::steps(t.prepare.as_deref().unwrap_or(&[]), faults);
     let resampled = prepare.iter().any(|s| s.step == "resample");
     let layout = data.and_then(|d| source::layout(d, channels.clone(), resampled, faults));
     let split = split::split(t.split.as_ref(), faults);
-    let tests = source::tests(t.test.as_deref().unwrap_or(&[]), &names, folder, faults);
+    let tests = source::tests(t.test.as_deref().unwrap_or(&[]), &names, &place, faults);
     let targets = model::targets(t.model.as_ref(), &channels, over.seed, faults);
     let target_names: Vec<String> = targets.iter().flatten().map(|t| t.target.clone()).collect();
     let validate = validation::validation(t.validate.as_ref(), &target_names, faults);

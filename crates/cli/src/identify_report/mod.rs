@@ -1,6 +1,8 @@
 //! The report of an identification: it arranges what the run folder holds and computes nothing.
 
+mod before;
 mod models;
+mod preparation;
 mod records;
 mod residuals;
 mod scores;
@@ -24,6 +26,9 @@ pub(crate) fn write(found: &Identified, folder: &Path) -> Result<(), Failure> {
         report = report.warning(warning.as_str());
     }
     report = report.section(scores::section(found));
+    for section in [preparation::section(found, folder)?, before::section(found)].into_iter().flatten() {
+        report = report.section(section);
+    }
     report = report.section(records::section(found, folder)?);
     report = report.section(residuals::section(found));
     report = report.section(models::section(found));

@@ -48,7 +48,9 @@ pub(super) fn section(found: &Identified, folder: &Path) -> Result<Option<Sectio
 fn sentences(part: &str, all: &[String]) -> Block {
     let shown = all.iter().take(SENTENCES).map(|s| format!("{part}: {s}")).collect::<Vec<_>>().join("\n");
     if all.len() <= SENTENCES {
-        return Block::Paragraph { text: if all.is_empty() { format!("{part}: nothing to do") } else { shown } };
+        return Block::Paragraph {
+            text: if all.is_empty() { format!("{part}: nothing to do") } else { shown },
+        };
     }
     let text = all.iter().map(|s| format!("{part}: {s}")).collect::<Vec<_>>().join("\n");
     Details::new(format!("{part}: {} changes", all.len())).block(Block::Paragraph { text }).into()

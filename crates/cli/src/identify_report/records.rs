@@ -70,6 +70,12 @@ fn plot(found: &Identified, record: &Record, r: &RecordFile) -> Result<TimePlot,
         if record.column(&free).is_ok() {
             panel = panel.simulated(column(&free)?);
         }
+        for side in ["low", "high"] {
+            let name = format!("{}_{side}", m.target);
+            if record.column(&name).is_ok() {
+                panel = panel.line(format!("{side} bound"), column(&name)?);
+            }
+        }
         plot = plot.panel(panel);
     }
     let mut inputs: Vec<&String> = Vec::new();

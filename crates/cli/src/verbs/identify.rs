@@ -37,8 +37,12 @@ struct Identify {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Identify::from_arg_matches(matches)?;
     let progress = args.common.start()?;
-    let overrides =
-        Overrides { data: args.data.clone(), seed: args.common.seed, out: args.common.out.clone() };
+    let overrides = Overrides {
+        data: args.data.clone(),
+        seed: args.common.seed,
+        out: args.common.out.clone(),
+        reference: None,
+    };
     let job = job_of(&args, &overrides)?;
     let asked = || {
         progress.evaluation();

@@ -29,6 +29,7 @@ static FAMILIES: &[Family] = &[
     ("models", dynocal_ident::model::structures::docs),
     ("linear-models", dynocal_ident::model::linear::structures::docs),
     ("estimators", dynocal_ident::estimate::docs),
+    ("preparation", dynocal_ident::prepare::docs),
     ("selections", dynocal_ident::select::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
     ("searches", || dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect()),

@@ -1,6 +1,7 @@
 //! Members of a family named in a spec: name and keys, built once to see that they fit.
 
 use dynocal_files::spec::{Faults, plain};
+use dynocal_ident::prepare::Planned;
 use dynocal_numerics::registry::BuildError;
 
 /// Name and keys of a table like `{ name = "arx", na = 2 }`, `name` being the key that names the member.
@@ -65,7 +66,6 @@ pub(super) fn built<T>(
 }
 
 /// Whether a step of the preparation can be built.
-pub(super) fn check_step(key: &str, step: &str, _keys: &toml::Table, faults: &mut Faults) -> Option<()> {
-    faults.push(&format!("{key}.step"), format!("`{step}`"), "no step: there are none yet");
-    None
+pub(super) fn check_step(key: &str, step: &str, keys: &toml::Table, faults: &mut Faults) -> Option<()> {
+    built(key, "step", Planned::new(step, keys), faults).map(|_| ())
 }

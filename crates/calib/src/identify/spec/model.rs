@@ -41,6 +41,19 @@ pub struct StructureSpec {
     pub family: Family,
 }
 
+impl Target {
+    /// A linear ARX by least squares over the same channels instead: what every other model has to beat.
+    pub fn linear(&mut self, na: usize, nb: usize, nk: usize) {
+        let number = |n: usize| toml::Value::Integer(i64::try_from(n).unwrap_or(i64::MAX));
+        let keys = [("na", na), ("nb", nb), ("nk", nk)].map(|(k, n)| (k.to_string(), number(n)));
+        let keys = keys.into_iter().collect();
+        self.structure = StructureSpec { name: "arx".into(), keys, family: Family::Narx };
+        self.select = None;
+        self.warm_start_samples = 0;
+        (self.estimator, self.estimator_keys) = ("ols".into(), toml::Table::new());
+    }
+}
+
 /// Kinds of structures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum Family {
@@ -284,6 +297,16 @@ fn agree(s: &StructureSpec, estimator: &str, faults: &mut Faults) {
 
 fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(String, toml::Table)> {
     let (name, mut keys) = member("model.estimator", &m.estimator, faults)?;
+    // Keys of the estimator that may stand beside it.
+    let beside =
+        [("initial", &m.initial), ("cost", &m.cost), ("search", &m.search), ("covariance", &m.covariance)];
+    for (key, value) in beside {
+        if let Some(value) = value
+            && keys.insert(key.into(), value.clone()).is_some()
+        {
+            faults.push(&format!("model.{key}"), "the same key in model.estimator", "it in one place");
+        }
+    }
     if name == PEM {
         built("model.estimator", "name", crate::identify::fit::pem(&keys), faults)?;
         return Some((name, keys));

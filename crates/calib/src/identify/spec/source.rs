@@ -41,13 +41,26 @@ pub struct StepSpec {
     pub keys: toml::Table,
 }
 
+/// Environment variable that names the folder of the reference data.
+const REFERENCE: &str = "DYNOCAL_REFERENCE_DIR";
+
+/// What paths in a spec are relative to.
+#[derive(Clone, Copy)]
+pub(super) struct Place<'a> {
+    /// Folder of the spec.
+    pub(super) folder: &'a Path,
+    /// Folder of the reference data, where the command line names it.
+    pub(super) reference: Option<&'a Path>,
+}
+
 /// A path relative to the spec; `${NAME}/rest` for data that cannot be kept beside it.
-fn path_of(key: &str, file: &str, folder: &Path, faults: &mut Faults) -> Option<PathBuf> {
+fn path_of(key: &str, file: &str, place: &Place, faults: &mut Faults) -> Option<PathBuf> {
     let Some((name, rest)) = file.strip_prefix("${").and_then(|r| r.split_once('}')) else {
-        return Some(folder.join(file));
+        return Some(place.folder.join(file));
     };
-    match std::env::var_os(name) {
-        Some(v) => Some(PathBuf::from(v).join(rest.trim_start_matches('/'))),
+    let given = if name == REFERENCE { place.reference.map(PathBuf::from) } else { None };
+    match given.or_else(|| std::env::var_os(name).map(PathBuf::from)) {
+        Some(v) => Some(v.join(rest.trim_start_matches('/'))),
         None => {
             let expected = format!("the environment variable {name}, or --data FILE");
             faults.push(key, format!("`{file}` with {name} not set"), expected);
@@ -59,7 +72,7 @@ fn path_of(key: &str, file: &str, folder: &Path, faults: &mut Faults) -> Option<
 /// The estimation files: those of the command line instead of those of the spec.
 pub(super) fn sources(
     data: Option<&TypedData>,
-    folder: &Path,
+    place: &Place,
     over: &[PathBuf],
     faults: &mut Faults,
 ) -> Option<Vec<Source>> {
@@ -69,7 +82,7 @@ pub(super) fn sources(
     }
     let data = data?;
     let one = |key: &str, f: &String, faults: &mut Faults| {
-        Some(Source { file: path_of(key, f, folder, faults)?, format: data.format })
+        Some(Source { file: path_of(key, f, place, faults)?, format: data.format })
     };
     match (&data.file, &data.files) {
         (Some(f), None) => Some(vec![one("data.file", f, faults)?]),
@@ -93,7 +106,7 @@ pub(super) fn sources(
 pub(super) fn tests(
     typed: &[TypedTest],
     names: &[String],
-    folder: &Path,
+    place: &Place,
     faults: &mut Faults,
 ) -> Vec<TestSet> {
     let mut out: Vec<TestSet> = Vec::new();
@@ -110,7 +123,7 @@ pub(super) fn tests(
         for channel in columns.keys().filter(|c| !names.contains(c)) {
             faults.unknown(&key("columns"), channel, names);
         }
-        if let Some(path) = path_of(&key("file"), &file, folder, faults) {
+        if let Some(path) = path_of(&key("file"), &file, place, faults) {
             let source = Source { file: path, format: t.format };
             out.push(TestSet { name, source, init_samples: t.init_samples, columns });
         }

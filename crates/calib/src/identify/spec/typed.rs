@@ -82,6 +82,10 @@ pub(super) struct TypedModel {
     pub(super) select: Option<toml::Table>,
     pub(super) warm_start_samples: Option<usize>,
     pub(super) estimator: Option<toml::Table>,
+    pub(super) initial: Option<toml::Value>,
+    pub(super) cost: Option<toml::Value>,
+    pub(super) search: Option<toml::Value>,
+    pub(super) covariance: Option<toml::Value>,
 }
 
 #[derive(Deserialize)]
