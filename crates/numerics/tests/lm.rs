@@ -297,3 +297,78 @@ fn a_column_without_influence_and_a_rank_deficient_jacobian_are_survived() {
     assert!((4.0 * s.powi(3) - 14.0 * s - 2.0).abs() < 1e-6, "s = {s}");
     assert_eq!(found.x[2], 7.0);
 }
+
+/// 80 variables, 200 residuals r = A x + sin(A x) / 2 - b with b of a known x, three columns of A dependent on others.
+struct Large {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    by_blocks: bool,
+}
+
+const LARGE: (usize, usize) = (200, 80);
+
+impl Large {
+    fn new(by_blocks: bool) -> Self {
+        let (m, n) = LARGE;
+        let mut rng = dynocal_numerics::rng::Rng64::new(4);
+        let mut a: Vec<f64> = (0..m * n).map(|_| rng.normal()).collect();
+        for row in a.chunks_exact_mut(n) {
+            (row[10], row[20], row[30]) = (row[1] - row[2], row[3] + row[4], 2.0 * row[5]);
+        }
+        let x: Vec<f64> = (0..n).map(|_| 0.3 * rng.normal()).collect();
+        let mut problem = Self { a, b: vec![0.0; m], by_blocks };
+        let mut r = vec![0.0; m];
+        problem.residual(&x, &mut r);
+        problem.b = r;
+        problem
+    }
+}
+
+impl LeastSquares for Large {
+    fn n(&self) -> usize {
+        LARGE.1
+    }
+    fn residuals(&self) -> usize {
+        LARGE.0
+    }
+    fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
+        for ((r, row), b) in r.iter_mut().zip(self.a.chunks_exact(LARGE.1)).zip(&self.b) {
+            let v: f64 = row.iter().zip(x).map(|(a, x)| a * x).sum();
+            *r = v + 0.5 * v.sin() - b;
+        }
+        true
+    }
+    fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
+        for (row, out) in self.a.chunks_exact(LARGE.1).zip(jac.chunks_exact_mut(LARGE.1)) {
+            let v: f64 = row.iter().zip(x).map(|(a, x)| a * x).sum();
+            out.iter_mut().zip(row).for_each(|(o, a)| *o = a * (1.0 + 0.5 * v.cos()));
+        }
+        self.residual(x, r)
+    }
+    fn by_blocks(&self) -> bool {
+        self.by_blocks
+    }
+    fn jacobian_blocks(&mut self, x: &[f64], take: &mut dyn FnMut(&[f64], &[f64])) -> bool {
+        let (m, n) = LARGE;
+        let (mut r, mut jac) = (vec![0.0; m], vec![0.0; m * n]);
+        let finite = self.residual_jacobian(x, &mut r, &mut jac);
+        for (r, jac) in r.chunks(37).zip(jac.chunks(37 * n)) {
+            take(r, jac);
+        }
+        finite
+    }
+}
+
+/// The minimum is zero by construction, whole or in blocks, with or without a least damping, rank deficient as it is.
+#[test]
+fn many_variables_in_blocks_reach_the_same_minimum() {
+    for (by_blocks, least_damping) in [(false, 0.0), (false, 1e-12), (true, 0.0), (true, 1e-12)] {
+        let mut problem = Large::new(by_blocks);
+        let start = vec![0.0; LARGE.1];
+        let options = LmOptions { least_damping, ..LmOptions::default() };
+        let found = levenberg_marquardt(&mut problem, &start, &options);
+        let scale: f64 = problem.b.iter().map(|b| b * b).sum();
+        let what = format!("blocks {by_blocks}, damping {least_damping}: {:?}", found.status);
+        assert!(found.status.is_success() && found.cost < 1e-20 * scale, "{what}, {} of {scale}", found.cost);
+    }
+}

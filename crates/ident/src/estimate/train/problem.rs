@@ -344,3 +344,59 @@ fn fill_errors(y: &[f64], measured: &[f64], weights: &[f64], errors: &mut [f64])
         *r = if *w > 0.0 { w.sqrt() * (y - z) } else { 0.0 };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::train::division::{Division, Shares, divide};
+    use crate::model::neural::NeuralNarx;
+    use dynocal_numerics::rng::Rng64;
+
+    /// Over whole records, one step, and subrecords that do not divide the record; with weights, rows that are not
+    /// fitted, a missing value (whole records), several blocks and a penalty.
+    #[test]
+    fn blocks_are_the_derivatives_of_the_errors() {
+        let mut rng = Rng64::new(3);
+        let mut record = |n: usize| Experiment {
+            name: "record".into(),
+            u: (0..n).map(|_| rng.uniform_in(-1.0, 1.0)).collect(),
+            y: (0..n).map(|_| rng.uniform_in(-1.0, 1.0)).collect(),
+            init_samples: 4,
+            weights: (0..n).map(|_| rng.uniform_in(0.5, 2.0)).collect(),
+        };
+        let complete = [record(300), record(41)];
+        let mut gapped = complete.clone();
+        gapped[0].y[200] = f64::NAN;
+        let net = NeuralNarx::new(&["u"], "y", 2, 2, 2).unwrap();
+        let shares = Shares { division: Division::Random, selection: 0.2, test: 0.1, block: 1, seed: 1 };
+        let x = net.random_start(&mut Rng64::new(7)).unwrap();
+        let p = x.len();
+        // Only the whole free run does not read what was measured later on.
+        for (horizon, data) in [(0, &gapped), (1, &complete), (7, &complete)] {
+            let weights = divide(&net, data, &shares);
+            let mut task = Task::new(&net, data, &weights);
+            task.horizon = horizon;
+            task.penalty = vec![0.3; p];
+            let m = task.residuals();
+            let (mut r, mut jac, mut up, mut down) =
+                (vec![0.0; m], vec![0.0; m * p], vec![0.0; m], vec![0.0; m]);
+            assert!(task.residual_jacobian(&x, &mut r, &mut jac));
+            let mut by_blocks = 0.0;
+            task.jacobian_blocks(&x, &mut |r, _| by_blocks += r.iter().map(|v| v * v).sum::<f64>());
+            assert!((by_blocks / task.cost(&x) - 1.0).abs() < 1e-13);
+            for k in 0..p {
+                let moved =
+                    |h: f64| x.iter().enumerate().map(|(i, v)| if i == k { v + h } else { *v }).collect();
+                let (plus, minus): (Vec<f64>, Vec<f64>) = (moved(1e-6), moved(-1e-6));
+                assert!(task.residual(&plus, &mut up) && task.residual(&minus, &mut down));
+                for i in 0..m {
+                    let difference = (up[i] - down[i]) / 2e-6;
+                    assert!(
+                        (jac[i * p + k] - difference).abs() < 1e-7,
+                        "horizon {horizon} row {i} parameter {k}"
+                    );
+                }
+            }
+        }
+    }
+}
