@@ -20,7 +20,7 @@ use crate::data::DataError;
 use crate::estimate::EstimateError;
 use crate::experiment::Experiment;
 use crate::model::Model;
-use crate::model::poly::{Factor, PolyNarx, Regressor};
+use crate::model::poly::{Factor, Function, PolyNarx, Regressor};
 
 /// A candidate whose part outside the chosen ones is shorter than this (relative to its length) is dependent.
 const DEPENDENT: f64 = 1e-7;
@@ -335,20 +335,31 @@ impl Basis {
     }
 }
 
-/// The distinct variables of a pool, and each candidate as a sorted list of them.
+/// The distinct variables of a pool (lagged channels and functions of them), and each candidate as a sorted list of
+/// them.
 fn variables_and_products(pool: &Pool) -> (Vec<Regressor>, Vec<Vec<usize>>) {
-    let alone = |f: &Factor| Factor { power: 1, ..*f };
-    let mut variables: Vec<Factor> =
-        pool.candidates().iter().flat_map(|r| r.factors().iter().map(alone)).collect();
+    let split = |r: &Regressor| -> Vec<(Regressor, u32)> {
+        let plain = r.factors().iter().map(|f| (Regressor::new(vec![Factor { power: 1, ..*f }]), f.power));
+        let functions = r.functions().iter().map(|f| {
+            let alone = Function { power: 1, ..f.clone() };
+            (Regressor::constant().with_functions(&[alone]), f.power)
+        });
+        plain.chain(functions).collect()
+    };
+    let parts: Vec<Vec<(Regressor, u32)>> = pool.candidates().iter().map(split).collect();
+    let mut variables: Vec<Regressor> = parts.iter().flatten().map(|(v, _)| v.clone()).collect();
     variables.sort_unstable();
     variables.dedup();
-    let place = |f: &Factor| variables.partition_point(|v| *v < alone(f));
-    let products = pool
-        .candidates()
-        .iter()
-        .map(|r| r.factors().iter().flat_map(|f| std::iter::repeat_n(place(f), f.power as usize)).collect())
-        .collect();
-    (variables.iter().map(|f| Regressor::new(vec![*f])).collect(), products)
+    let product = |parts: &Vec<(Regressor, u32)>| -> Vec<usize> {
+        let mut places: Vec<usize> = parts
+            .iter()
+            .flat_map(|(v, power)| std::iter::repeat_n(variables.partition_point(|w| w < v), *power as usize))
+            .collect();
+        places.sort_unstable();
+        places
+    };
+    let products = parts.iter().map(product).collect();
+    (variables, products)
 }
 
 impl Samples {

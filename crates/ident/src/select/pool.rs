@@ -61,12 +61,12 @@ impl Pool {
 
     /// Place of the constant, if it is a candidate.
     pub fn constant(&self) -> Option<usize> {
-        self.candidates.iter().position(|r| r.factors().is_empty())
+        self.candidates.iter().position(|r| r.degree() == 0)
     }
 
     /// Longest lag of any candidate.
     pub fn max_lag(&self) -> usize {
-        self.candidates.iter().flat_map(|r| r.factors()).map(|f| f.lag).max().unwrap_or(0)
+        self.candidates.iter().flat_map(Regressor::reads).map(|(_, lag)| lag).max().unwrap_or(0)
     }
 
     /// The structure of some candidates, in the order of the pool.
