@@ -173,3 +173,31 @@ fn pruning_removes_the_spurious_terms_of_an_output_error_system() {
     assert!((0..path.len()).all(|i| error(best) <= error(i)));
     assert!(path[best].model.n_params() < 25 && path[best].model.n_params() >= 5);
 }
+
+/// Functions are candidates like any other: the friction of an axis is found among powers of its velocity.
+#[test]
+fn functions_are_selected_from_a_pool() {
+    let texts = [
+        "1",
+        "x(t-1)",
+        "x(t-2)",
+        "u(t-1)",
+        "u(t-1)^2",
+        "tanh(20*x(t-1) - 20*x(t-2))",
+        "abs(x(t-1))",
+        "x(t-1)^3",
+    ];
+    let pool = PolyNarx::parse(&["u"], "x", &texts).unwrap();
+    let mut rng = Rng64::stream(31, 0);
+    let u: Vec<f64> = (0..1500).map(|_| rng.normal()).collect();
+    let mut x = vec![0.0; u.len()];
+    for t in 2..x.len() {
+        let friction = (20.0_f64 * (x[t - 1] - x[t - 2])).tanh();
+        x[t] = 1.5 * x[t - 1] - 0.6 * x[t - 2] + 0.5 * u[t - 1] - 0.4 * friction + 0.02 * rng.normal();
+    }
+    let record = Experiment { name: "axis".into(), u, y: x, init_samples: 2, weights: Vec::new() };
+    let found = frols(&pool, &[record], Stop::Terms(4)).unwrap();
+    let mut terms = found.model.regressor_texts();
+    terms.sort();
+    assert_eq!(terms, ["tanh(20*x(t-1) - 20*x(t-2))", "u(t-1)", "x(t-1)", "x(t-2)"]);
+}
