@@ -34,7 +34,8 @@ fn values<'a>(d: &'a Dataset, name: &str) -> &'a [f64] {
 fn sines_leave_the_filter_with_the_gain_of_the_formula_and_no_phase() {
     let (dt, n) = (0.01, 6000);
     let w = |f: f64| (PI * f * dt).tan();
-    let cases: [(Band, usize, fn(f64, f64, f64) -> f64); 8] = [
+    type Ratio = fn(f64, f64, f64) -> f64;
+    let cases: [(Band, usize, Ratio); 8] = [
         (Band::Low(5.0), 4, |w, a, _| w / a),
         (Band::Low(5.0), 3, |w, a, _| w / a),
         (Band::High(5.0), 4, |w, a, _| a / w),
@@ -303,6 +304,32 @@ fn cycles_on_a_speed_ramp_have_their_exact_instants_and_means() {
     let refused = attempt(&[("event", "per = 'cycle'\nspeed = 'y'")], &given).unwrap_err();
     assert!(refused.contains("`y` is in `Nm`, expected rpm"), "{refused}");
     assert!(attempt(&[("event", "per = 'cycle'")], &given).is_err());
+}
+
+/// A record of a combustion analyser has one row per cycle and knows the mean speed of each: its time follows.
+#[test]
+fn a_record_per_cycle_comes_to_time() {
+    let line = |t: f64| 20.0 + 1.5 * t;
+    let when =
+        |k: usize| 2.0 * 720.0 * k as f64 / (6000.0 + (36e6f64 + 4.0 * 1500.0 * 720.0 * k as f64).sqrt());
+    let each = |f: &dyn Fn(f64, f64) -> f64| (0..80).map(|k| f(when(k), when(k + 1))).collect::<Vec<_>>();
+    let given = record(
+        0.1,
+        vec![
+            channel("speed", "rpm", Role::Input, each(&|a, b| 120.0 / (b - a))),
+            channel("y", "bar", Role::Output, each(&|a, b| line(0.5 * (a + b)))),
+        ],
+    );
+    let keys = "per = 'time'\nsample_time_s = 0.02\nfrom = 'cycle'\nspeed = 'speed'";
+    let (out, _) = run(&[("event", keys)], &given);
+    let first = (0.5 * (when(0) + when(1)) / 0.02).ceil() * 0.02;
+    for (k, v) in values(&out, "y").iter().enumerate() {
+        assert!((v - line(first + 0.02 * k as f64)).abs() < 1e-9, "{k}: {v}");
+    }
+    assert!(out.check().is_ok() && out.channels.len() == 2);
+    let refused = attempt(&[("event", "per = 'time'\nsample_time_s = 0.02")], &given).unwrap_err();
+    assert!(refused.contains("from"), "{refused}");
+    assert!(attempt(&[("event", "per = 'time'\nsample_time_s = 0.02\nfrom = 'cycle'")], &given).is_err());
 }
 
 /// Held inputs come back as they were held: a level that changes at events only.

@@ -26,6 +26,7 @@ type Family = (&'static str, fn() -> Vec<MemberDoc>);
 
 static FAMILIES: &[Family] = &[
     ("signals", dynocal_ident::signal::docs),
+    ("steps", dynocal_ident::prepare::docs),
     ("models", dynocal_ident::model::structures::docs),
     ("linear-models", dynocal_ident::model::linear::structures::docs),
     ("estimators", dynocal_ident::estimate::docs),

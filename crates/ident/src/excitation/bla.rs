@@ -106,18 +106,20 @@ pub enum BlaError {
     },
 }
 
+type Spectrum = Vec<Complex<f64>>;
+
 /// Spectra of one realisation, averaged over its periods; scaled so that a line is an amplitude.
 struct Spectra {
-    u: Vec<Complex<f64>>,
-    y: Vec<Complex<f64>>,
+    u: Spectrum,
+    y: Spectrum,
     /// Every period.
-    each: Vec<(Vec<Complex<f64>>, Vec<Complex<f64>>)>,
+    each: Vec<(Spectrum, Spectrum)>,
 }
 
 impl Spectra {
     fn new(r: &Realisation, period: usize, dft: &RealDft) -> Self {
         let lines = period / 2 + 1;
-        let spectrum = |x: &[f64]| -> Vec<Complex<f64>> {
+        let spectrum = |x: &[f64]| -> Spectrum {
             dft.transform(x).into_iter().map(|v| v * (2.0 / period as f64)).collect()
         };
         let each: Vec<_> =

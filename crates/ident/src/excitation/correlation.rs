@@ -9,6 +9,7 @@
 //! The bound holds for independent inputs that change slowly (M. S. Bartlett, J. R. Stat. Soc. 98 (1935) 536-543);
 //! for white inputs it is 1.96 / sqrt(n). L is where the slower of the two autocorrelations has died out.
 
+use dynocal_numerics::fft::RealDft;
 use serde::Serialize;
 
 /// Correlation of two inputs.
@@ -27,9 +28,6 @@ pub struct InputCorrelation {
     /// 95 % bound of `r` for independent inputs with these autocorrelations.
     pub bound: f64,
 }
-
-/// Longest lag of an autocorrelation that counts in the bound.
-const LONGEST: usize = 2000;
 
 /// Correlation of `a` and `b` at the lags up to `max_lag`; none for constants and fewer than three samples. Rows in
 /// which one of them is missing are left out of every sum.
@@ -70,16 +68,23 @@ pub fn correlation(a: (&str, &[f64]), b: (&str, &[f64]), max_lag: usize) -> Opti
         }
     }
     let white = 2.0 / (count as f64).sqrt();
-    let mut sum = 1.0;
-    for l in 1..LONGEST.min(n / 4) {
-        let (ra, rb) = (dot(&x, &x, l) / xx, dot(&y, &y, l) / yy);
-        sum += 2.0 * ra * rb;
-        if ra.abs() < white && rb.abs() < white {
-            break;
-        }
-    }
+    let (ra, rb) = (autocorrelation(&x), autocorrelation(&y));
+    // From where both have died out on, what is left of them is noise.
+    let died = (1..n / 4).find(|l| ra[*l].abs() < white && rb[*l].abs() < white);
+    let sum = 1.0 + 2.0 * (1..died.unwrap_or(n / 4)).map(|l| ra[l] * rb[l]).sum::<f64>();
     let bound = 1.96 * (sum.max(1.0) / count as f64).sqrt();
     Some(InputCorrelation { a: a.0.into(), b: b.0.into(), r, r_max, lag, bound })
+}
+
+/// Equation 2.46 at all lags, by the transform of the power spectrum of the samples with as many zeros behind them.
+fn autocorrelation(x: &[f64]) -> Vec<f64> {
+    let size = (2 * x.len()).next_power_of_two();
+    let dft = RealDft::new(size);
+    let half: Vec<f64> = dft.transform(x).iter().map(|v| v.norm_sqr()).collect();
+    // The spectrum is real and even, so that the same transform leads back.
+    let power: Vec<f64> = (0..size).map(|k| half[k.min(size - k)]).collect();
+    let r = dft.transform(&power);
+    (0..x.len()).map(|l| r[l].re / r[0].re).collect()
 }
 
 /// `sum x(t) y(t - lag)`.

@@ -43,7 +43,7 @@ pub(super) const MEMBER: Member<dyn Step> = Member {
         if step.channels.is_empty() {
             return Err(key_fault(NAME, "found no channels, expected at least one that reports late".into()));
         }
-        if !step.seconds.is_finite() || !(step.strokes >= 0.0 && step.strokes.is_finite()) {
+        if !(step.seconds.is_finite() && step.strokes >= 0.0 && step.strokes.is_finite()) {
             let message = format!(
                 "found seconds = {}, strokes = {}, expected a finite time and zero or more strokes",
                 step.seconds, step.strokes

@@ -11,12 +11,13 @@
 //! `event_start` and `event_time` (s): where event k begins, and the instant that its sample stands for (its middle
 //! in time, for points its start). Its sample time is the time of an event at one nominal speed, the same for all
 //! records: models of it count events, and seconds are true at that speed only. `per = "time"` is the way back, by
-//! `event_time` on the line or held from `event_start` on.
+//! `event_time` on the line or held from `event_start` on. A record that was taken on a crank angle base has no such
+//! channels; `from` says what its rows are, and the mean speed n_k of every row when they were: event k takes D / (6 n_k).
 
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::Deserialize;
 
-use super::common::{change, fault, key_fault, positive};
+use super::common::{change, chosen, complete, fault, key_fault, positive};
 use super::crank::{Crank, Source};
 use super::resample::{self, Grid};
 use super::{Change, Effect, Outcome, PrepareError, Step};
@@ -102,8 +103,13 @@ pub(super) const MEMBER: Member<dyn Step> = Member {
         if !back && step.speed.is_some() == step.angle.is_some() {
             return Err(key_fault(NAME, "expected either `speed` or `angle`, a channel".into()));
         }
-        if step.degrees.is_some() && step.per != Per::Degree {
-            return Err(key_fault(NAME, "`degrees` goes with per = \"degree\"".into()));
+        if step.from.is_some() && (!back || step.from == Some(Per::Time) || step.speed.is_none()) {
+            let message =
+                "`from` is degree, stroke, revolution or cycle, and goes with per = \"time\" and `speed`";
+            return Err(key_fault(NAME, message.into()));
+        }
+        if step.degrees.is_some() && step.base() != Per::Degree {
+            return Err(key_fault(NAME, "`degrees` goes with per or from = \"degree\"".into()));
         }
         if !step.offset_deg.is_finite() {
             return Err(key_fault(
@@ -149,6 +155,7 @@ struct Event {
     by: By,
     inputs: Option<By>,
     nominal_rpm: Option<f64>,
+    from: Option<Per>,
     time: Option<String>,
     sample_time_s: Option<f64>,
 }
@@ -175,8 +182,13 @@ impl Step for Event {
 }
 
 impl Event {
+    /// What an event is, on the way there or back.
+    fn base(&self) -> Per {
+        self.from.unwrap_or(self.per)
+    }
+
     fn every_deg(&self) -> f64 {
-        match self.per {
+        match self.base() {
             Per::Degree | Per::Time => self.degrees.unwrap_or(1.0),
             Per::Stroke => 180.0,
             Per::Revolution => 360.0,
@@ -275,15 +287,14 @@ impl Event {
     fn back(&self, records: Vec<Dataset>, dt_s: f64) -> Result<Outcome, PrepareError> {
         let mut outcome = Outcome::default();
         for record in records {
-            let instants = record.values(INSTANT)?.to_vec();
-            let starts = record.values(START)?;
+            let (starts, instants) = self.instants(&record)?;
             let is_held = |c: &Channel| self.method(c.role) == By::Point;
             let interval = (instants[instants.len() - 1] - instants[0]) / (instants.len() - 1).max(1) as f64;
             resample::fine_enough(NAME, &record, dt_s, interval)?;
             let first_s = (instants.first().copied().unwrap_or(0.0) / dt_s - 1e-6).ceil() * dt_s;
             // Held samples count from the start of their event, the others from its middle.
             let shift = |held: bool, stamps: &[f64]| {
-                let t = if held { starts.to_vec() } else { stamps.to_vec() };
+                let t = if held { starts.clone() } else { stamps.to_vec() };
                 let mut part = record.clone();
                 part.channels.retain(|c| is_held(c) == held && c.name != START && c.name != INSTANT);
                 (part, t)
@@ -325,6 +336,39 @@ impl Event {
             outcome.records.push(out);
         }
         Ok(outcome)
+    }
+}
+
+impl Event {
+    /// Start of every event, and the instant that its sample stands for, in s.
+    fn instants(&self, record: &Dataset) -> Result<(Vec<f64>, Vec<f64>), PrepareError> {
+        let (Some(_), Some(name)) = (self.from, &self.speed) else {
+            if record.channel(INSTANT).is_err() {
+                let message = format!(
+                    "no channel `{INSTANT}`: the record comes from no step `event`; `from` and `speed` say what its rows are"
+                );
+                return Err(fault(NAME, record, message));
+            }
+            return Ok((record.values(START)?.to_vec(), record.values(INSTANT)?.to_vec()));
+        };
+        let c = chosen(record, Some(std::slice::from_ref(name)), &[])?[0];
+        if record.channels[c].unit != "rpm" {
+            let message = format!("`{name}` is in `{}`, expected rpm", record.channels[c].unit);
+            return Err(fault(NAME, record, message));
+        }
+        let speed = complete(NAME, record, c)?;
+        if let Some(k) = speed.iter().position(|n| *n <= 0.0) {
+            let message = format!("`{name}` is {} rpm at sample {k}: the crank must turn", speed[k]);
+            return Err(fault(NAME, record, message));
+        }
+        let (mut starts, mut instants, mut t) = (Vec::new(), Vec::new(), 0.0);
+        for n in speed {
+            let duration = self.every_deg() / (6.0 * n);
+            starts.push(t);
+            instants.push(if self.by == By::Point { t } else { t + 0.5 * duration });
+            t += duration;
+        }
+        Ok((starts, instants))
     }
 }
 
