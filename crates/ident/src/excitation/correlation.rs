@@ -34,8 +34,8 @@ pub struct InputCorrelation {
 ///
 /// ```
 /// use dynocal_ident::excitation::correlation::correlation;
-/// let a: Vec<f64> = (0..100).map(|t| (0.9 * t as f64).sin()).collect();
-/// let b: Vec<f64> = (0..100).map(|t| if t < 2 { 0.0 } else { 3.0 - 2.0 * a[t - 2] }).collect();
+/// let a: Vec<f64> = (0..100).map(|t| (0.05 * (t * t) as f64).sin()).collect();
+/// let b: Vec<f64> = (0..100).map(|t| if t < 2 { 3.0 } else { 3.0 - 2.0 * a[t - 2] }).collect();
 /// let c = correlation(("a", &a), ("b", &b), 5).unwrap();
 /// assert!(c.lag == 2 && c.r_max < -0.95);
 /// ```
