@@ -7,6 +7,7 @@ use dynocal_ident::estimate::{Estimator, Fit};
 use dynocal_ident::experiment::{Experiment, experiments};
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::validate::{Kind, output};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{Chapter5Error, Fitness};
@@ -37,6 +38,57 @@ impl Estimated {
     pub fn mean_unseen(&self) -> Fitness {
         Fitness::mean(&self.unseen)
     }
+}
+
+/// Both estimators with each record in turn as the identification record and all others unseen: one record of 60 s
+/// decides little between them.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Crossed {
+    /// Mean free-run MSE on the unseen records by prediction error, one per identification record.
+    #[serde(deserialize_with = "dynocal_ident::nullable::numbers")]
+    pub pem: Vec<f64>,
+    /// The same by simulation error.
+    #[serde(deserialize_with = "dynocal_ident::nullable::numbers")]
+    pub sem: Vec<f64>,
+}
+
+impl Crossed {
+    /// Mean of simulation error over mean of prediction error.
+    pub fn ratio(&self) -> f64 {
+        self.sem.iter().sum::<f64>() / self.pem.iter().sum::<f64>()
+    }
+
+    /// Identification records on which simulation error gave the better model.
+    pub fn wins(&self) -> usize {
+        self.sem.iter().zip(&self.pem).filter(|(s, p)| s < p).count()
+    }
+}
+
+/// Crosses `records`, in parallel.
+///
+/// # Errors
+/// As [`both`].
+pub fn crossed(
+    model: &PolyNarx,
+    records: &[Dataset],
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Crossed, Chapter5Error> {
+    let data = experiments(records, model.inputs(), model.output())?;
+    let one = |k: usize| -> Result<(f64, f64), Chapter5Error> {
+        if interrupt() {
+            return Err(Chapter5Error::Interrupted);
+        }
+        let mut others = data.clone();
+        let identification = [others.remove(k)];
+        let pem = Ols::default().estimate(model, &identification, None, &|| interrupt())?;
+        let sem = Sem::default().estimate(model, &identification, None, &|| interrupt())?;
+        let of = |theta: &[f64]| Fitness::mean_over(model, theta, &others, Kind::FreeRun).mse;
+        Ok((of(&pem.theta), of(&sem.theta)))
+    };
+    let found: Vec<(f64, f64)> =
+        (0..data.len()).into_par_iter().map(one).collect::<Vec<_>>().into_iter().collect::<Result<_, _>>()?;
+    let (pem, sem) = found.into_iter().unzip();
+    Ok(Crossed { pem, sem })
 }
 
 /// Both estimators on one structure.

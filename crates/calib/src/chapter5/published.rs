@@ -17,9 +17,9 @@ pub struct Search {
     pub reference_evaluations: usize,
     /// Evaluations that ours may take: those of the reference where a method does not end by itself.
     pub budget: usize,
-    /// What ours must reach, where the reference is a bound (the least squares are exact, Levenberg-Marquardt ends at
-    /// the unique optimum, the simplex has 200 evaluations per parameter as in the thesis' time).
-    pub asked: Option<f64>,
+    /// What ours must reach: the reference where that is exact (least squares, the unique optimum), else its rounded
+    /// result, of the pattern search the worse of two.
+    pub asked: f64,
 }
 
 /// Table 5.1.
@@ -31,7 +31,7 @@ pub const SEARCHES: [Search; 5] = [
         reference_mse: 0.5561114021022748,
         reference_evaluations: 1,
         budget: 1,
-        asked: Some(0.5561114021022748),
+        asked: 0.5561114021022748,
     },
     Search {
         method: Method::PatternSearch,
@@ -40,7 +40,7 @@ pub const SEARCHES: [Search; 5] = [
         reference_mse: 0.5268056528030198,
         reference_evaluations: 24_010,
         budget: 24_000,
-        asked: Some(0.5345988982852033),
+        asked: 0.5345988982852033,
     },
     Search {
         method: Method::LineSearch,
@@ -49,7 +49,7 @@ pub const SEARCHES: [Search; 5] = [
         reference_mse: 0.5012109809187021,
         reference_evaluations: 5_223,
         budget: 6_000,
-        asked: Some(0.50122),
+        asked: 0.50122,
     },
     Search {
         method: Method::NelderMead,
@@ -58,7 +58,7 @@ pub const SEARCHES: [Search; 5] = [
         reference_mse: 0.503366886320861,
         reference_evaluations: 2_400,
         budget: 2_400,
-        asked: Some(0.5034),
+        asked: 0.5034,
     },
     Search {
         method: Method::LevenbergMarquardt,
@@ -67,7 +67,7 @@ pub const SEARCHES: [Search; 5] = [
         reference_mse: 0.501210980607983,
         reference_evaluations: 9,
         budget: 200,
-        asked: Some(0.501210980607983),
+        asked: 0.501210980607983,
     },
 ];
 

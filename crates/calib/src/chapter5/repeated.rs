@@ -38,6 +38,8 @@ pub struct Pair {
     pub ols: Reached,
     /// Simulation error.
     pub sem: Reached,
+    /// Free-run MSE on the identification record of the least-squares parameters rounded as printed in (5.6).
+    pub ols_rounded: f64,
 }
 
 /// Both estimators on `repeats` records with noise where `noise` says, inputs and noise new each time.
@@ -70,9 +72,21 @@ pub fn repeat(
         let model = torque_5_3().model;
         let ols = Ols::default().estimate(&model, data, None, &|| interrupt())?;
         let sem = Sem::default().estimate(&model, data, None, &|| interrupt())?;
-        Ok(Pair { ols: reached(ols, &identification, &unseen), sem: reached(sem, &identification, &unseen) })
+        let rounded = Fitness::of(&model, &as_printed(&ols.theta), &data[0], Kind::FreeRun);
+        Ok(Pair {
+            ols: reached(ols, &identification, &unseen),
+            sem: reached(sem, &identification, &unseen),
+            ols_rounded: rounded.mse,
+        })
     };
     (0..repeats).into_par_iter().map(one).collect::<Vec<_>>().into_iter().collect()
+}
+
+/// Decimals of the parameters in (5.6).
+const DECIMALS: [i32; 12] = [2, 1, 2, 2, 3, 4, 3, 3, 2, 2, 2, 2];
+
+fn as_printed(theta: &[f64]) -> Vec<f64> {
+    theta.iter().zip(DECIMALS).map(|(v, d)| (v * 10f64.powi(d)).round() / 10f64.powi(d)).collect()
 }
 
 fn reached(fit: Fit, identification: &Record, unseen: &[Record]) -> Reached {

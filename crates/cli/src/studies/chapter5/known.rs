@@ -1,8 +1,9 @@
 //! Tables 5.1 and 5.2, and the known system with noise at its output or in its equation.
 
+use dynocal_calib::chapter4::statistics;
 use dynocal_calib::chapter5::known::{self, Noise};
 use dynocal_calib::chapter5::published::{self, SEARCHES};
-use dynocal_calib::chapter5::repeated::{Pair, mean, repeat};
+use dynocal_calib::chapter5::repeated::{Pair, Reached, mean, repeat};
 use dynocal_calib::chapter5::searches::{Compared, Method, compare};
 use dynocal_calib::chapter5::{Chapter5Error, Fitness};
 use dynocal_deliver::{Axis, Cell, Column, Panel, Report, Section, Table, TimePlot, XyPlot};
@@ -98,21 +99,17 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
 
 fn search_check(found: Option<&Searches>, row: &published::Search) -> Check {
     let ours = found.and_then(|f| f.rows.iter().find(|r| r.found.method == row.method));
-    let asked = row.asked.map_or(Asked::Reported, |a| Asked::AtMost(a * (1.0 + 1e-9)));
     let id = row.method.name().split([',', ' ', '(']).next().unwrap_or_default().to_lowercase();
-    check(
-        format!("search-{id}"),
-        format!("MSE of the free run on the stored record: {}", row.method.name()),
-        asked,
-        ours.map(|r| r.free_run.mse),
-        "Nm^2",
+    let what = format!("MSE of the free run on the stored record: {}", row.method.name());
+    let asked = Asked::AtMost(row.asked * (1.0 + 1e-9));
+    let note = ours.map_or(String::new(), |r| {
         format!(
-            "{} evaluations; reference {:.6} in {}",
-            ours.map_or(0, |r| r.found.evaluations),
-            row.reference_mse,
-            row.reference_evaluations
-        ),
-    )
+            "{:.15} in {} evaluations; reference {:.15} in {}",
+            r.free_run.mse, r.found.evaluations, row.reference_mse, row.reference_evaluations
+        )
+    });
+    let made = check(format!("search-{id}"), what, asked, ours.map(|r| r.free_run.mse), "Nm^2", note);
+    Check { asked: Some(format!("<= {} (1 + 1e-9)", row.asked)), ..made }
 }
 
 fn repeated_checks(results: &[TaskResult]) -> Vec<Check> {
@@ -184,7 +181,7 @@ fn known_section(f: &Searches) -> Section {
     let mut section = Section::new("Known system: Tables 5.1 and 5.2").id("known").text(
         "Thesis: system (5.3) with (5.4), inputs within (5.5), noise variance 0.5; OLS gives (5.6), whose free run has MSE 0.97; three searches lower it (Table 5.1), ten other records validate (Table 5.2).",
     ).text(
-        "Reading: u1 as a fraction (in percent the output would vary a hundred times more); noise at the output, as printed; inputs held 10, 10 and 100 samples, which the printed R2 and MSE imply; free run from the seven measured samples that the lags need, scores over samples 7 to 999. Identification record: the one stored with the tests, on which the reference was computed; validation: ten fresh records. All searches are those of the estimator `sem` and start from least squares. Evaluations are counted instead of time. The thesis' 0.97 is not reached by full-precision least squares (0.543 on average over 50 records); with the rounded digits of (5.6) it would be.",
+        "Reading: u1 as a fraction (in percent the output would vary a hundred times more); noise at the output, as printed; inputs held 10, 10 and 100 samples, which the printed R2 and MSE imply; free run from the seven measured samples that the lags need, scores over samples 7 to 999. Identification record: the one stored with the tests, on which the reference was computed; validation: ten fresh records. All searches are those of the estimator `sem` and start from least squares. Evaluations are counted instead of time.",
     );
     section.push(search_table(f));
     section.push(validation_table(f));
@@ -204,9 +201,7 @@ fn search_table(f: &Searches) -> Table {
         Column::number("Evaluations", ""),
         Column::text("Ended"),
         Column::number("Reference MSE", "Nm^2").digits(8),
-        Column::number("Reference evaluations", ""),
-        Column::number("Unseen MSE", "Nm^2").digits(5),
-        Column::number("Unseen R2", "%").digits(4),
+        Column::number("Evaluations", ""),
     ])
     .caption("Table 5.1: simulation error by search method, free run");
     for row in SEARCHES {
@@ -221,8 +216,6 @@ fn search_table(f: &Searches) -> Table {
             format!("{:?}", r.found.status).to_lowercase().into(),
             row.reference_mse.into(),
             row.reference_evaluations.into(),
-            r.unseen.mse.into(),
-            percent(r.unseen.r2).into(),
         ];
         table = if row.method == Method::LevenbergMarquardt {
             table.stressed_row(cells)
@@ -320,41 +313,56 @@ fn traces(f: &Searches) -> TimePlot {
         .caption("The first 40 s of the identification record.")
 }
 
+/// Median.
+fn median(pairs: &[Pair], f: impl Fn(&Pair) -> f64) -> f64 {
+    statistics::median(&pairs.iter().map(f).collect::<Vec<_>>()).unwrap_or(f64::NAN)
+}
+
 fn noise_section(output: Option<Vec<Pair>>, equation: Option<Vec<Pair>>) -> Section {
     let n = output.as_ref().map_or(0, Vec::len);
     let mut section = Section::new("Where simulation error wins and where it loses").id("noise").text(format!(
-        "{n} identification records of the known system with new inputs and noise each, ten unseen ones for all. With noise at the output, SEM is maximum likelihood; with noise in the equation, z(t) = f(z, u) + e(t), least squares is, and SEM must lose. One-step and free-run errors stand in columns of their own."
+        "{n} identification records of the known system with new inputs and noise each, ten unseen ones for all. With noise at the output, SEM is maximum likelihood; with noise in the equation, z(t) = f(z, u) + e(t), least squares is, and SEM must lose. One-step and free-run errors stand in rows of their own."
     ));
-    let mut table = Table::new(vec![
-        Column::text("Noise"),
-        Column::text("Estimator"),
-        Column::number("One step, identification", "Nm^2").digits(4),
-        Column::number("Free run, identification", "Nm^2").digits(4),
-        Column::number("Free run to noise-free, identification", "Nm^2").digits(4),
-        Column::number("One step, unseen", "Nm^2").digits(4),
-        Column::number("Free run to noise-free, unseen", "Nm^2").digits(4),
-        Column::number("Warned of its residuals", "%").digits(3),
-    ])
-    .caption("Mean squared errors, means over the records");
-    for (name, pairs) in [("output", &output), ("equation", &equation)] {
-        let Some(pairs) = pairs else { continue };
-        for (estimator, of) in [("OLS", (|p| &p.ols) as fn(&Pair) -> &_), ("SEM", |p| &p.sem)] {
-            table = table.row(vec![
-                name.into(),
-                estimator.into(),
-                mean(pairs, |p| of(p).one_step.mse).into(),
-                mean(pairs, |p| of(p).free_run.mse).into(),
-                mean(pairs, |p| of(p).to_noise_free).into(),
-                mean(pairs, |p| of(p).unseen_one_step).into(),
-                mean(pairs, |p| of(p).unseen_to_noise_free).into(),
-                Cell::from(100.0 * mean(pairs, |p| f64::from(!of(p).warnings.is_empty()))),
-            ]);
-        }
+    if let Some(pairs) = &output {
+        section = section.text(format!(
+            "The thesis' free run of least squares has MSE 0.97; here it has {:.3} on average. With the parameters rounded as printed in (5.6) the median is {:.2}: 1 less the sum of the output parameters is 0.2, which magnifies rounding. That may explain the thesis' number; it does not prove it.",
+            mean(pairs, |p| p.ols.free_run.mse),
+            median(pairs, |p| p.ols_rounded)
+        ));
     }
-    section.push(table);
+    section.push(noise_table(&[output.as_deref(), equation.as_deref()]));
     let warning = equation.iter().flatten().find_map(|p| p.sem.warnings.first());
     if let Some(text) = warning {
         section = section.text(format!("What the estimator says under equation noise: \"{text}\""));
     }
     section
+}
+
+type Number = (&'static str, fn(&Reached) -> f64);
+
+fn noise_table(noises: &[Option<&[Pair]>; 2]) -> Table {
+    let mut columns = vec![Column::text("Mean over the records")];
+    for noise in ["Output noise", "Equation noise"] {
+        for estimator in ["OLS", "SEM"] {
+            columns.push(Column::number(format!("{noise}: {estimator}"), "").digits(4));
+        }
+    }
+    let rows: [Number; 6] = [
+        ("One-step MSE, identification, Nm^2", |r| r.one_step.mse),
+        ("Free-run MSE, identification, Nm^2", |r| r.free_run.mse),
+        ("Free-run MSE against the noise-free output, identification, Nm^2", |r| r.to_noise_free),
+        ("One-step MSE, unseen, Nm^2", |r| r.unseen_one_step),
+        ("Free-run MSE against the noise-free output, unseen, Nm^2", |r| r.unseen_to_noise_free),
+        ("Fits that warn of their residuals, %", |r| if r.warnings.is_empty() { 0.0 } else { 100.0 }),
+    ];
+    let mut table = Table::new(columns).caption("Errors by noise and estimator");
+    for (name, of) in rows {
+        let mut cells: Vec<Cell> = vec![name.into()];
+        for pairs in noises {
+            cells.push(pairs.map(|p| mean(p, |p| of(&p.ols))).into());
+            cells.push(pairs.map(|p| mean(p, |p| of(&p.sem))).into());
+        }
+        table = table.row(cells);
+    }
+    table
 }
