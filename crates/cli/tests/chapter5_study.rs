@@ -36,6 +36,11 @@ fn the_reduced_study_runs_and_its_orderings_hold() {
         "table-5-2",
         "equation-noise-one-step",
         "equation-noise-free-run",
+        // What is fitted is smaller by construction, whatever the engine does.
+        "engine-random-inputs-torque",
+        "engine-random-inputs-lambda",
+        "engine-closed-loop-torque",
+        "engine-closed-loop-lambda",
     ] {
         let check = checks.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("no {id}"));
         assert_eq!(check["holds"], true, "{check}");
@@ -44,7 +49,15 @@ fn the_reduced_study_runs_and_its_orderings_hold() {
     let ratio = checks.iter().find(|c| c["id"] == "output-noise").unwrap();
     assert!(ratio["measured"].as_f64().unwrap() > 2.0, "{ratio}");
     let report = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
-    for part in ["Table 5.1", "Table 5.2", "eq. (5.4)", "</html>"] {
+    for part in [
+        "Table 5.1",
+        "Table 5.6",
+        "Tables 7.3, 7.4",
+        "Table 7.1",
+        "Tables 7.2 and 7.5",
+        "eq. (5.4)",
+        "</html>",
+    ] {
         assert!(report.contains(part), "no {part}");
     }
     assert_eq!(run(tmp.path()), first, "a second run takes the finished tasks over");

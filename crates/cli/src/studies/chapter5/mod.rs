@@ -5,6 +5,7 @@
 
 mod engine;
 mod known;
+mod networks;
 
 use std::path::{Path, PathBuf};
 
@@ -35,17 +36,20 @@ pub(super) const STUDY: Study = Study {
 fn tasks(o: &Options) -> Vec<Task> {
     let mut tasks = known::tasks(o);
     tasks.extend(engine::tasks(o));
+    tasks.extend(networks::tasks(o));
     tasks
 }
 
 fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let mut checks = known::checks(results);
     checks.extend(engine::checks(results));
+    checks.extend(networks::checks(results));
     checks
 }
 
 fn sections(report: Report, results: &[TaskResult]) -> Report {
-    engine::sections(known::sections(report, results), results)
+    let report = engine::sections(known::sections(report, results), results);
+    networks::sections(report, results)
 }
 
 /// The virtual engine of the thesis set, without sensor noise.
