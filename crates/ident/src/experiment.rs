@@ -57,6 +57,20 @@ impl Experiment {
         }
     }
 
+    /// Samples `from..to` as a record of their own, the first `init_samples` of them not scored.
+    pub(crate) fn part(&self, from: usize, to: usize, init_samples: usize) -> Self {
+        let m = self.u.len().checked_div(self.len()).unwrap_or(0);
+        // Weights of a wrong length are left as they are, for the check of the data to name.
+        let right = self.weights.len() == self.len();
+        Self {
+            name: self.name.clone(),
+            u: self.u[from * m..to * m].to_vec(),
+            y: self.y[from..to].to_vec(),
+            init_samples,
+            weights: if right { self.weights[from..to].to_vec() } else { self.weights.clone() },
+        }
+    }
+
     /// Weight of sample t.
     pub(crate) fn weight(&self, t: usize) -> f64 {
         self.weights.get(t).copied().unwrap_or(1.0)

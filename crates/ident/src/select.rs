@@ -175,24 +175,9 @@ fn split(data: &[Experiment], share: f64, lag: usize) -> (Vec<Experiment>, Vec<E
         .map(|e| {
             let cut = ((1.0 - share) * e.len() as f64).round() as usize;
             // The end starts from measured values before the cut.
-            (part(&e, 0, cut, e.init_samples), part(&e, cut.saturating_sub(lag), e.len(), lag))
+            (e.part(0, cut, e.init_samples), e.part(cut.saturating_sub(lag), e.len(), lag))
         })
         .unzip()
-}
-
-/// Samples `from..to` of a record.
-fn part(e: &Experiment, from: usize, to: usize, init_samples: usize) -> Experiment {
-    let m = e.u.len().checked_div(e.len()).unwrap_or(0);
-    // Weights of a wrong length are left as they are, for the check of the data to name.
-    let right = e.weights.len() == e.len();
-    let weights = if right { e.weights[from..to].to_vec() } else { e.weights.clone() };
-    Experiment {
-        name: e.name.clone(),
-        u: e.u[from * m..to * m].to_vec(),
-        y: e.y[from..to].to_vec(),
-        init_samples,
-        weights,
-    }
 }
 
 /// Asked once a step.

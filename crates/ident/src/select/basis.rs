@@ -11,7 +11,7 @@
 //! forms the most promising columns themselves, orthogonalises them twice, and takes the best of these exact ones once
 //! no bound lies above it. The answer is that of Gram-Schmidt on the stored matrix.
 
-use dynocal_numerics::linalg::{axpy, dot};
+use dynocal_numerics::linalg::{axpy, dot, invert_upper};
 
 use super::SelectError;
 use super::pool::Pool;
@@ -318,14 +318,13 @@ impl Basis {
         let theta = self.theta(None);
         let s2 = self.residual_sum_squares() / (self.n() - m).max(1) as f64;
         // X = Q A with unit upper triangular A: (X'X)^-1 = A^-1 D^-1 A^-T, D = diag(q'q).
-        let mut inverse = vec![0.0; m * m];
-        for j in 0..m {
-            inverse[j * m + j] = 1.0;
-            for i in (0..j).rev() {
-                let sum: f64 = (i + 1..=j).map(|k| self.chosen[k].coefficients[i] * inverse[k * m + j]).sum();
-                inverse[i * m + j] = -sum;
-            }
+        let (mut a, mut inverse) = (vec![0.0; m * m], vec![0.0; m * m]);
+        for (j, c) in self.chosen.iter().enumerate() {
+            a[j * m + j] = 1.0;
+            c.coefficients.iter().enumerate().for_each(|(i, v)| a[i * m + j] = *v);
         }
+        // A unit diagonal has no zero pivot.
+        let _ = invert_upper(&a, m, &mut inverse);
         (0..m)
             .map(|k| {
                 let own: f64 = (k..m).map(|j| inverse[k * m + j].powi(2) / self.chosen[j].norm).sum();
