@@ -136,6 +136,7 @@ fn a_plan_is_judged_where_its_lagged_inputs_and_simulated_outputs_leave_the_data
     for kind in KINDS {
         let boundary = learn(Space::of(&model), &data, &keys(kind, 0.99)).unwrap();
         assert_eq!((boundary.dim(), boundary.space.max_lag()), (2, 1));
+        assert_eq!(boundary.space.names(&["u".into()], "y"), ["u(t-1)", "y(t-1)"]);
         // Each input is within its range; held at its limit it drives y to 5, where random inputs never were.
         let (mut plan, zeros) = (vec![0.0; 100], vec![0.0; 100]);
         plan[40..70].fill(0.98);
@@ -146,7 +147,9 @@ fn a_plan_is_judged_where_its_lagged_inputs_and_simulated_outputs_leave_the_data
             found.worst,
             found.sample
         );
-        assert!(found.distances[..40].iter().all(|d| *d <= 1.0) && found.share_outside < 0.3);
+        assert!(found.distances[..40].iter().all(|d| *d <= 1.0));
+        // Outside from some samples after 40 to some after 70.
+        assert!((0.15..0.4).contains(&found.share_outside), "{}", found.share_outside);
         let by_hand = {
             let (mut y, mut worst) = (vec![0.0; 100], 0.0f64);
             for t in 1..100 {

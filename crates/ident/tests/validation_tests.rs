@@ -102,10 +102,10 @@ fn tests_of_residuals_reject_at_their_level_and_see_what_is_there() {
     let moving: Vec<f64> = normals(501, &mut rng).windows(2).map(|w| w[1] + 0.4 * w[0]).collect();
     assert!(whiteness(&moving, 20, 0).p_value < 1e-6);
     assert_eq!(whiteness(&moving, 20, 3).degrees, 17);
-    let u = coloured(500, 0.5, &mut rng);
-    let e: Vec<f64> = (0..500).map(|t| rng.normal() + if t >= 3 { 0.3 * u[t - 3] } else { 0.0 }).collect();
+    let u = coloured(2000, 0.5, &mut rng);
+    let e: Vec<f64> = (0..2000).map(|t| rng.normal() + if t >= 3 { 0.3 * u[t - 3] } else { 0.0 }).collect();
     assert!(independence(&e, &u, 10).p_value < 1e-6);
-    assert!(independence(&e, &vec![1.0; 500], 10).p_value.is_nan());
+    assert!(independence(&e, &vec![1.0; 2000], 10).p_value.is_nan());
 }
 
 /// Two independent coloured series: the bound of white ones would be left by most lags.

@@ -2,13 +2,14 @@
 //! and prints the result with the CPU time of one computation. Start-up and reading are not counted.
 //!
 //! ```text
-//! peer sensitivities|estimation|criterion|design|fuel|neural INPUT.json
+//! peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json
 //! ```
 
 mod design;
 mod estimation;
 mod fuel;
 mod neural;
+mod selection;
 mod sensitivities;
 
 use serde_json::{Value, json};
@@ -20,7 +21,7 @@ const LEAST_CPU_S: f64 = 1.0;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [what, path] = arguments.as_slice() else {
-        return Err("usage: peer sensitivities|estimation|criterion|design|fuel|neural INPUT.json".into());
+        return Err("usage: peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json".into());
     };
     let input: Value = serde_json::from_str(&std::fs::read_to_string(path)?)?;
     let result = match what.as_str() {
@@ -30,6 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "design" => design::search(&input)?,
         "fuel" => fuel::run(&input)?,
         "neural" => neural::run(&input)?,
+        "selection" => selection::run(&input)?,
         other => return Err(format!("unknown comparison `{other}`").into()),
     };
     println!("{result}");

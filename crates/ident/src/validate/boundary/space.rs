@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::poly::Regressor;
 
 /// Lagged inputs, then lagged outputs, of one sample.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,6 +61,13 @@ impl Space {
     /// Number of coordinates.
     pub fn dim(&self) -> usize {
         self.inputs.len() + self.outputs.len()
+    }
+
+    /// The coordinates in text form, e.g. `inj(t-1)`.
+    pub fn names(&self, inputs: &[String], output: &str) -> Vec<String> {
+        let of_inputs = self.inputs.iter().map(|&(i, lag)| Regressor::input(i, lag));
+        let all = of_inputs.chain(self.outputs.iter().map(|&lag| Regressor::output(lag)));
+        all.map(|r| r.format(inputs, output)).collect()
     }
 
     /// Longest lag.
