@@ -11,10 +11,8 @@ use dynocal_ident::model::Model;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::select::forward::{Forward, Rank};
 use dynocal_ident::select::frols::{Stop, frols};
-use dynocal_ident::select::pool::Pool;
-use dynocal_ident::select::{
-    Action, Backward, SELECTIONS, Select, SelectError, Selection, Simulation, Stepwise,
-};
+use dynocal_ident::select::pool::{Pool, PoolKeys};
+use dynocal_ident::select::{Action, Backward, Select, Selection, Simulation, Stepwise};
 use dynocal_ident::validate::{Kind, Seen, score};
 use dynocal_numerics::linalg::{axpy, dot, least_squares};
 use dynocal_numerics::rng::Rng64;
@@ -79,6 +77,12 @@ fn gram_schmidt(pool: &Pool, data: &[Experiment], terms: usize) -> Vec<(usize, f
     taken
 }
 
+/// Lagged channels and functions of them up to degree 2.
+fn functions() -> Pool {
+    let variables = ["tanh(y(t-1))", "pos(u(t-2))"].map(String::from).to_vec();
+    PoolKeys { variables, ..keys(2, 2, 2) }.pool(&["u".to_string()], "y").unwrap()
+}
+
 #[test]
 fn columns_that_are_never_stored_give_the_answer_of_gram_schmidt_on_the_stored_matrix() {
     let mut weighted = record(700, 0.05, 2);
@@ -88,6 +92,8 @@ fn columns_that_are_never_stored_give_the_answer_of_gram_schmidt_on_the_stored_m
         (pool(3, 3, 3), vec![record(900, 0.05, 1), record(400, 0.05, 4)], 15),
         (pool(2, 4, 2), vec![weighted], 12),
         (pool(3, 3, 3), vec![slow(1500)], 6),
+        // Functions of lagged channels beside and within products.
+        (functions(), vec![record(900, 0.05, 6)], 9),
         // Four factors, and a record that ends within a block of samples.
         (pool(2, 2, 4), vec![record(1029, 0.01, 5)], 10),
     ];

@@ -72,6 +72,16 @@ fn pools_from_a_spec() {
         of("ny = 0\nnu = 1\nnk = 0\ndegree = 2\nconstant = false\nregressors = [\"torque(t-1)\"]").unwrap();
     let expected = ["inj(t)", "spark(t)", "inj(t)^2", "inj(t)*spark(t)", "spark(t)^2", "torque(t-1)"];
     assert_eq!(texts(&more), expected);
+    let shaped =
+        of("ny = 1\nnu = 0\ndegree = 2\nconstant = false\nvariables = [\"sqrt(torque(t-2))\"]").unwrap();
+    let expected = [
+        "torque(t-1)",
+        "sqrt(torque(t-2))",
+        "torque(t-1)^2",
+        "torque(t-1)*sqrt(torque(t-2))",
+        "sqrt(torque(t-2))^2",
+    ];
+    assert_eq!((texts(&shaped).as_slice(), shaped.max_lag()), (&expected.map(String::from)[..], 2));
     for (text, part) in [
         ("nu = { injj = 2 }", "did you mean `inj`?"),
         ("ny = 40\nnu = 40\ndegree = 8", "expected at most 1000000"),

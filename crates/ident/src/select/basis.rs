@@ -11,6 +11,8 @@
 //! forms the most promising columns themselves, orthogonalises them twice, and takes the best of these exact ones once
 //! no bound lies above it. The answer is that of Gram-Schmidt on the stored matrix.
 
+use std::collections::BTreeSet;
+
 use dynocal_numerics::linalg::{axpy, dot, invert_upper};
 
 use super::SelectError;
@@ -20,7 +22,8 @@ use crate::data::DataError;
 use crate::estimate::EstimateError;
 use crate::experiment::Experiment;
 use crate::model::Model;
-use crate::model::poly::{Factor, Function, PolyNarx, Regressor};
+use crate::model::poly::function::Function;
+use crate::model::poly::{Factor, PolyNarx, Regressor};
 
 /// A candidate whose part outside the chosen ones is shorter than this (relative to its length) is dependent.
 const DEPENDENT: f64 = 1e-7;
@@ -334,31 +337,42 @@ impl Basis {
     }
 }
 
-/// The distinct variables of a pool (lagged channels and functions of them), and each candidate as a sorted list of
-/// them.
-fn variables_and_products(pool: &Pool) -> (Vec<Regressor>, Vec<Vec<usize>>) {
-    let split = |r: &Regressor| -> Vec<(Regressor, u32)> {
-        let plain = r.factors().iter().map(|f| (Regressor::new(vec![Factor { power: 1, ..*f }]), f.power));
-        let functions = r.functions().iter().map(|f| {
-            let alone = Function { power: 1, ..f.clone() };
-            (Regressor::constant().with_functions(&[alone]), f.power)
+/// What products are made of: a lagged channel or a function of some, to the power one.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Variable {
+    Plain(Factor),
+    Function(Function),
+}
+
+impl Variable {
+    /// Those of a regressor, powers repeated, in their order.
+    fn all(r: &Regressor) -> Vec<Self> {
+        let plain = r
+            .factors()
+            .iter()
+            .flat_map(|f| std::iter::repeat_n(Variable::Plain(Factor { power: 1, ..*f }), f.power as usize));
+        let functions = r.functions().iter().flat_map(|f| {
+            std::iter::repeat_n(Variable::Function(Function { power: 1, ..f.clone() }), f.power as usize)
         });
         plain.chain(functions).collect()
-    };
-    let parts: Vec<Vec<(Regressor, u32)>> = pool.candidates().iter().map(split).collect();
-    let mut variables: Vec<Regressor> = parts.iter().flatten().map(|(v, _)| v.clone()).collect();
-    variables.sort_unstable();
-    variables.dedup();
-    let product = |parts: &Vec<(Regressor, u32)>| -> Vec<usize> {
-        let mut places: Vec<usize> = parts
-            .iter()
-            .flat_map(|(v, power)| std::iter::repeat_n(variables.partition_point(|w| w < v), *power as usize))
-            .collect();
-        places.sort_unstable();
-        places
-    };
-    let products = parts.iter().map(product).collect();
-    (variables, products)
+    }
+
+    fn regressor(&self) -> Regressor {
+        match self {
+            Variable::Plain(f) => Regressor::new(vec![*f]),
+            Variable::Function(f) => Regressor::constant().with_functions(std::slice::from_ref(f)),
+        }
+    }
+}
+
+/// The distinct variables of a pool, and each candidate as a sorted list of them.
+fn variables_and_products(pool: &Pool) -> (Vec<Regressor>, Vec<Vec<usize>>) {
+    let candidates: Vec<Vec<Variable>> = pool.candidates().iter().map(Variable::all).collect();
+    let variables: BTreeSet<&Variable> = candidates.iter().flatten().collect();
+    let variables: Vec<&Variable> = variables.into_iter().collect();
+    let place = |v: &Variable| variables.partition_point(|other| *other < v);
+    let products = candidates.iter().map(|c| c.iter().map(place).collect()).collect();
+    (variables.iter().map(|v| v.regressor()).collect(), products)
 }
 
 impl Samples {
