@@ -1,6 +1,8 @@
 //! The boundary of what was identified: calibrated, monotone, differentiable, storable.
 
-use dynocal_ident::experiment::Experiment;
+mod common;
+
+use dynocal_ident::experiment::{Experiment, experiments};
 use dynocal_ident::model::Run;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::validate::boundary::{
@@ -195,4 +197,34 @@ fn still_channels_missing_samples_and_bad_requests() {
     assert_eq!(documented, ["kind", "quantile", "points"]);
     let read: BoundaryKeys = toml::from_str("kind = \"hull\"\nquantile = 0.9\npoints = 100").unwrap();
     assert_eq!(read, BoundaryKeys { kind: RegionKind::Hull, quantile: 0.9, points: 100 });
+}
+
+/// Records of one engine under one kind of test: most of a new one lies inside, a corner that the controller never visits
+/// does not, although every channel is within its range there.
+#[test]
+fn an_engine_record_bounds_new_ones_and_refuses_a_corner() {
+    let (Some(ident), Some(new)) = (
+        common::reference("estimation_inputs/engine_ident.csv"),
+        common::reference("estimation_inputs/engine_val01.csv"),
+    ) else {
+        return;
+    };
+    let inputs: Vec<String> = ["inj", "spark", "throttle", "speed"].map(String::from).to_vec();
+    let of = |path| experiments(&[common::engine(path)], &inputs, "torque").unwrap();
+    let (ident, new) = (of(&ident), of(&new));
+    for kind in KINDS {
+        let boundary = learn(Space::of_inputs(4), &ident, &keys(kind, 0.99)).unwrap();
+        let (own, other) =
+            (coverage(&boundary, &ident[0].u, &ident[0].y, 0), coverage(&boundary, &new[0].u, &new[0].y, 0));
+        println!(
+            "{kind:?}: {:.3} of its own samples outside, {:.3} of a new record, worst {:.2}",
+            own.share_outside, other.share_outside, other.worst
+        );
+        assert!(own.share_outside <= 0.02 && other.share_outside < 0.1, "{kind:?}");
+        // Most fuel, closed throttle: lambda far below anything measured.
+        let column = |i: usize| ident[0].u.iter().skip(i).step_by(4).copied();
+        let most = |i| column(i).fold(f64::NEG_INFINITY, f64::max);
+        let corner = [most(0), 17.5, -(column(2).map(|v| -v).fold(f64::NEG_INFINITY, f64::max)), most(3)];
+        assert!(boundary.distance(&corner) > 1.0, "{kind:?}: {}", boundary.distance(&corner));
+    }
 }

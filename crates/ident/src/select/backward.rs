@@ -113,10 +113,7 @@ impl Select for Backward {
             step(pool, n, total, rho, change)
         };
         let mut path: Vec<Step> = Vec::new();
-        for k in std::mem::take(&mut full.dependent) {
-            let rss = dot(&full.e, &full.e);
-            path.push(row(&full, k, rss));
-        }
+        leave_out_dependent(&mut full, &mut path, &row);
         let independent = path.len();
         let start = row(&full, 0, dot(&full.e, &full.e));
         while full.left.len() > self.min_terms {
@@ -127,16 +124,25 @@ impl Select for Backward {
             }
             let (candidate, before) = (full.left[j], dot(&full.e, &full.e));
             full.remove(j);
-            if (path.len() + 1 - independent).is_multiple_of(REFACTOR) {
-                full.factor(data)?;
-            }
             path.push(row(&full, candidate, before));
+            if (path.len() - independent).is_multiple_of(REFACTOR) {
+                full.factor(data)?;
+                leave_out_dependent(&mut full, &mut path, &row);
+            }
         }
         // The state before the first true removal competes with those after it.
         let mut states = vec![start];
         states.extend_from_slice(&path[independent..]);
         let steps = independent + self.stop.steps(&states).saturating_sub(1);
         Selection::new(pool, (0..p).collect(), path, steps)
+    }
+}
+
+/// Rows of the terms that the last factorisation found dependent: nothing changes without them.
+fn leave_out_dependent(full: &mut Full, path: &mut Vec<Step>, row: &dyn Fn(&Full, usize, f64) -> Step) {
+    let rss = dot(&full.e, &full.e);
+    for k in std::mem::take(&mut full.dependent) {
+        path.push(row(full, k, rss));
     }
 }
 

@@ -235,8 +235,9 @@ impl Basis {
         })
     }
 
-    /// The candidates with the largest gains, exact, the largest first; at most `count`.
+    /// The candidates with the largest gains, exact, the largest first; at most `count` (at least 1).
     pub(crate) fn best(&self, count: usize) -> Vec<Column> {
+        let count = count.max(1);
         let mut bounds: Vec<(f64, usize)> =
             (0..self.products.len()).filter_map(|i| self.bound(i).map(|b| (b, i))).collect();
         bounds.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
