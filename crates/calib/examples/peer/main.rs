@@ -21,7 +21,9 @@ const LEAST_CPU_S: f64 = 1.0;
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [what, path] = arguments.as_slice() else {
-        return Err("usage: peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json".into());
+        return Err(
+            "usage: peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json".into()
+        );
     };
     let input: Value = serde_json::from_str(&std::fs::read_to_string(path)?)?;
     let result = match what.as_str() {
