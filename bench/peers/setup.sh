@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Virtual environment of the peers: bench/peers/.venv
+# Virtual environments of the peers: bench/peers/.venv, and .venv-sippy for SIPPY, which pins an older NumPy
 set -euo pipefail
 cd "$(dirname "$0")"
 python3 -m venv .venv
@@ -9,3 +9,6 @@ python3 -m venv .venv
 python3 -m venv .venv-selection
 .venv-selection/bin/pip install --quiet --requirement requirements-selection.txt
 .venv-selection/bin/pip freeze
+python3 -m venv .venv-sippy
+.venv-sippy/bin/pip install --quiet --requirement requirements-sippy.txt
+.venv-sippy/bin/pip freeze

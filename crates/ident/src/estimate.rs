@@ -3,7 +3,9 @@
 pub mod cost;
 mod covariance;
 mod fit;
+pub mod initial;
 pub mod iv;
+pub mod missing;
 mod noise;
 pub mod ols;
 pub mod pem;
@@ -88,6 +90,18 @@ pub enum EstimateError {
         record: String,
         /// First non-finite sample.
         sample: usize,
+    },
+    /// More is unknown than can be estimated together.
+    #[error(
+        "{record}: {found} missing samples and initial states, expected at most {most}: bridge short gaps or split the record at long ones"
+    )]
+    Missing {
+        /// Record.
+        record: String,
+        /// Unknowns.
+        found: usize,
+        /// Most that are estimated together.
+        most: usize,
     },
     /// The linear algebra met values it cannot handle (overflow in the regressors).
     #[error("{estimator}: {source}")]

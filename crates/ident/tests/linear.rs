@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::systems::{System, simulate};
 use common::{dataset, reference, relative};
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::estimate::pem::Pem;
@@ -11,7 +12,6 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::linear::structures::{LINEAR_STRUCTURES, linear_structure};
 use dynocal_ident::model::linear::{InputOrders, LinearModel, PredictionErrors};
 use dynocal_ident::model::{Model, Run};
-use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
 fn fit(model: &LinearModel, data: &[Experiment]) -> Fit {
@@ -95,48 +95,6 @@ fn plain_start(model: &LinearModel, ls: &[f64]) -> Vec<f64> {
     }
     p.b[0][o.nk..].copy_from_slice(zeros);
     model.parameters(&p)
-}
-
-/// Truth and orders of a simulated system.
-struct System {
-    model: LinearModel,
-    theta: Vec<f64>,
-    noise_std: f64,
-    feedback: f64,
-}
-
-/// Record of a system, written out by the difference equation of each part (independent of the filters tested).
-/// Inputs are binary references minus `feedback` times the output.
-fn simulate(s: &System, n: usize, seed: u64) -> Experiment {
-    let m = s.model.n_inputs();
-    let p = s.model.polynomials(&s.theta);
-    let mut rng = Rng64::new(seed);
-    let mut r = vec![1.0; m];
-    let (mut u, mut y) = (vec![0.0; n * m], vec![0.0; n]);
-    let (mut e, mut v, mut w) = (vec![0.0; n], vec![0.0; n], vec![vec![0.0; n]; m]);
-    let back = |c: &[f64], x: &[f64], t: usize| -> f64 {
-        (1..c.len()).filter(|j| *j <= t).map(|j| c[j] * x[t - j]).sum()
-    };
-    for t in 0..n {
-        for i in 0..m {
-            if rng.uniform() < 0.3 {
-                r[i] = -r[i];
-            }
-            u[t * m + i] = r[i];
-        }
-        e[t] = s.noise_std * rng.normal();
-        v[t] = e[t] + back(&p.c, &e, t) - back(&p.d, &v, t);
-        let mut driven = v[t];
-        for i in 0..m {
-            let b: f64 = (0..p.b[i].len()).filter(|j| *j <= t).map(|j| p.b[i][j] * u[(t - j) * m + i]).sum();
-            w[i][t] = b - back(&p.f[i], &w[i], t);
-            driven += w[i][t];
-        }
-        y[t] = driven - back(&p.a, &y, t);
-        // A loop is closed around delayed inputs only.
-        (0..m).for_each(|i| u[t * m + i] -= s.feedback * y[t]);
-    }
-    Experiment { name: "simulated".into(), u, y, init_samples: 0, weights: Vec::new() }
 }
 
 fn systems() -> Vec<(&'static str, System)> {
@@ -291,7 +249,7 @@ fn unfit_tasks_are_errors_with_names() {
     let mut wrong = s.model.clone();
     wrong.inputs.push("v".into());
     assert!(pem(&wrong, &e, None).unwrap_err().to_string().contains("orders for 1 inputs, expected 2: u, v"));
-    e.y[7] = f64::NAN;
+    e.y[7] = f64::INFINITY;
     let text = pem(&s.model, &e, None).unwrap_err().to_string();
     assert!(text.contains("channel `y`, sample 7"), "{text}");
     e.y.truncate(2);

@@ -2,12 +2,13 @@
 //! and prints the result with the CPU time of one computation. Start-up and reading are not counted.
 //!
 //! ```text
-//! peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json
+//! peer sensitivities|estimation|linear|criterion|design|fuel|neural|selection INPUT.json
 //! ```
 
 mod design;
 mod estimation;
 mod fuel;
+mod linear;
 mod neural;
 mod selection;
 mod sensitivities;
@@ -15,20 +16,21 @@ mod sensitivities;
 use serde_json::{Value, json};
 use std::error::Error;
 
+/// What can be compared.
+const KINDS: &str = "sensitivities|estimation|linear|criterion|design|fuel|neural|selection";
 /// Least CPU time in s over which computations are repeated: Linux counts hundredths.
 const LEAST_CPU_S: f64 = 1.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [what, path] = arguments.as_slice() else {
-        return Err(
-            "usage: peer sensitivities|estimation|criterion|design|fuel|neural|selection INPUT.json".into()
-        );
+        return Err(format!("usage: peer {KINDS} INPUT.json").into());
     };
     let input: Value = serde_json::from_str(&std::fs::read_to_string(path)?)?;
     let result = match what.as_str() {
         "sensitivities" => sensitivities::run(&input)?,
         "estimation" => estimation::run(&input)?,
+        "linear" => linear::run(&input)?,
         "criterion" => design::evaluate(&input)?,
         "design" => design::search(&input)?,
         "fuel" => fuel::run(&input)?,

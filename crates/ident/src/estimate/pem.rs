@@ -4,9 +4,11 @@
 //! theta = argmin sum_t w(t) eps(t; theta)^2,   eps = D/C (A y - sum B_i/F_i u_i)
 //! ```
 //!
-//! by Levenberg-Marquardt with the exact gradient of [`crate::model::linear`]. All filters are at rest before the
-//! first sample of each experiment; its initialising samples run through them and enter no score. A trial with an
-//! unstable filter gives a large or non-finite error and is a bad trial, nothing more.
+//! by Levenberg-Marquardt with the exact gradient of [`crate::model::linear`]. Before the first sample of each record the
+//! filters are at rest, hold measured values, or states that are estimated with the parameters ([`Initial`]);
+//! initialising samples run through them and enter no score. NaN is a missing sample: see
+//! [`crate::estimate::missing`]. A trial with an unstable filter gives a large or non-finite error and is a bad trial,
+//! nothing more.
 //!
 //! The start is least squares throughout: a high-order ARX model gives the innovations and the noise-free response,
 //! from which the wanted polynomials follow linearly.
@@ -15,30 +17,36 @@
 //! Biometrika 69 (1982); K. Steiglitz, L. E. McBride, IEEE Trans. Autom. Control 10 (1965); L. Ljung, System
 //! Identification (1999), section 10.4.
 
+mod further;
+mod problem;
 mod start;
 
 use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
 use serde::Deserialize;
 
 use super::fit::Found;
+use super::initial::Initial;
+use super::missing::Recovered;
 use super::{EstimateError, Fit, Minimised};
-use crate::data::DataError;
 use crate::experiment::Experiment;
-use crate::model::linear::{LinearModel, PredictionErrors};
+use crate::model::linear::LinearModel;
+use problem::PredictionError;
 
 /// Options of prediction-error estimation.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pem {
-    /// Most cost evaluations.
+    /// Most cost evaluations of one search.
     pub max_evaluations: usize,
     /// Relative decrease of the cost at which the search has converged.
     pub cost_tolerance: f64,
+    /// What stands before the first sample.
+    pub initial: Initial,
 }
 
 impl Default for Pem {
     fn default() -> Self {
-        Self { max_evaluations: 200, cost_tolerance: 1e-14 }
+        Self { max_evaluations: 200, cost_tolerance: 1e-14, initial: Initial::Zero }
     }
 }
 
@@ -68,27 +76,76 @@ impl Pem {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
+        Ok(self.estimate_missing(model, data, start, interrupt)?.0)
+    }
+
+    /// The same with the missing samples (NaN) as the fit reconstructs them.
+    ///
+    /// # Errors
+    /// As of [`Pem::estimate`].
+    pub fn estimate_missing(
+        &self,
+        model: &LinearModel,
+        data: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
         model.check()?;
-        let samples = scored_samples(model, data)?;
         let p = model.n_params();
-        let mut problem = PredictionError::new(model, data);
-        let start = match start {
+        let mut problem = PredictionError::new(model, data, self.initial)?;
+        let mut starts = match start {
             Some(theta) if theta.len() != p => {
                 return Err(EstimateError::Start { found: theta.len(), expected: p });
             }
-            Some(theta) => theta.to_vec(),
-            None => start::least_squares_start(model, data).map_err(numeric)?,
+            Some(theta) => vec![theta.to_vec()],
+            None => {
+                let records: Vec<&Experiment> = problem.records.iter().map(|r| r.e.as_ref()).collect();
+                start::least_squares_starts(model, &records).map_err(numeric)?
+            }
         };
-        // The start is a guess: when it is worse than no model at all, no model is the better one.
-        let nothing = vec![0.0; p];
-        let start = if problem.cost(&start) <= problem.cost(&nothing) { start } else { nothing };
+        // A start is a guess: when it is worse than no model at all, no model is the better one.
+        starts.push(vec![0.0; p]);
+        let given = start.is_some();
+        let found = self.search(&mut problem, model, starts, given, interrupt);
+        let fit = report(&mut problem, model, data, found)?;
+        let recovered = problem.recovered(&fit);
+        Ok((fit, recovered))
+    }
+
+    /// From the best start; when that took many steps and was not the caller's own, from further ones too.
+    fn search(
+        &self,
+        problem: &mut PredictionError,
+        model: &LinearModel,
+        mut starts: Vec<Vec<f64>>,
+        given: bool,
+        interrupt: &dyn Fn() -> bool,
+    ) -> LmOutcome {
         let options = LmOptions {
             max_evaluations: self.max_evaluations,
             cost_tolerance: self.cost_tolerance,
             ..LmOptions::default()
         };
-        let found = levenberg_marquardt_interruptible(&mut problem, &start, &options, interrupt);
-        problem.report(found, samples)
+        let mut r = vec![0.0; problem.rows];
+        let costs: Vec<f64> = starts.iter().map(|theta| problem.cost(theta, &mut r)).collect();
+        let best = (0..costs.len()).min_by(|i, j| costs[*i].total_cmp(&costs[*j])).unwrap_or(0);
+        let mut found =
+            levenberg_marquardt_interruptible(problem, &starts.swap_remove(best), &options, interrupt);
+        if given || found.evaluations <= further::DOUBTFUL {
+            return found;
+        }
+        for theta in further::starts(problem, model, &found.x) {
+            if interrupt() {
+                break;
+            }
+            let mut other = levenberg_marquardt_interruptible(problem, &theta, &options, interrupt);
+            let evaluations = found.evaluations + other.evaluations;
+            if other.cost < found.cost {
+                std::mem::swap(&mut found, &mut other);
+            }
+            found.evaluations = evaluations;
+        }
+        found
     }
 }
 
@@ -96,130 +153,41 @@ fn numeric(source: dynocal_numerics::linalg::LinalgError) -> EstimateError {
     EstimateError::Numeric { estimator: "pem", source }
 }
 
-/// Number of scored samples of all records after checks of their shape.
-fn scored_samples(model: &LinearModel, data: &[Experiment]) -> Result<usize, EstimateError> {
-    let (m, p) = (model.n_inputs(), model.n_params());
-    let mut total = 0;
-    for e in data {
-        let fault = |channel: &str, found| DataError::Length {
-            record: e.name.clone(),
-            channel: channel.into(),
-            found,
-            expected: e.len(),
-        };
-        if e.u.len() != m * e.len() {
-            return Err(fault("inputs", e.u.len() / m.max(1)).into());
-        }
-        if !e.weights.is_empty() && e.weights.len() != e.len() {
-            return Err(fault("weights", e.weights.len()).into());
-        }
-        if let Some(i) = e.u.iter().chain(&e.y).position(|v| !v.is_finite()) {
-            let (channel, sample, found) = if i < e.u.len() {
-                (model.inputs[i % m].clone(), i / m, e.u[i])
-            } else {
-                (model.output.clone(), i - e.u.len(), e.y[i - e.u.len()])
-            };
-            return Err(DataError::NonFinite { record: e.name.clone(), channel, sample, found }.into());
-        }
-        total += e.len().saturating_sub(e.init_samples);
-    }
-    if total <= p {
-        let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
-        let why = format!("{p} parameters and the noise variance");
-        return Err(DataError::TooShort { record, found: total, expected: p + 1, why }.into());
-    }
-    Ok(total)
-}
-
-/// The prediction errors of all experiments, one row per sample; initialising samples count zero.
-struct PredictionError<'a> {
-    model: &'a LinearModel,
-    data: &'a [Experiment],
-    records: Vec<PredictionErrors<'a>>,
-    rows: usize,
-}
-
-impl<'a> PredictionError<'a> {
-    fn new(model: &'a LinearModel, data: &'a [Experiment]) -> Self {
-        let records = data.iter().map(|e| PredictionErrors::new(model, &e.u, &e.y)).collect();
-        Self { model, data, records, rows: data.iter().map(Experiment::len).sum() }
-    }
-
-    fn cost(&mut self, theta: &[f64]) -> f64 {
-        let mut r = vec![0.0; self.rows];
-        let cost: f64 =
-            if self.residual(theta, &mut r) { r.iter().map(|v| v * v).sum() } else { f64::INFINITY };
-        if cost.is_finite() { cost } else { f64::INFINITY }
-    }
-
-    fn report(&mut self, found: LmOutcome, samples: usize) -> Result<Fit, EstimateError> {
-        let p = self.model.n_params();
-        let (mut r, mut jac) = (vec![0.0; self.rows], vec![0.0; self.rows * p]);
-        self.residual_jacobian(&found.x, &mut r, &mut jac);
-        let unstable = self.model.unstable_parts(&found.x).into_iter().map(|part| {
-            format!(
-                "{part} has a root on or outside the unit circle: the standard errors do not hold there; try a lower order"
-            )
-        });
-        let warnings = unstable.collect();
-        let found = Found {
-            estimator: "pem",
-            minimised: Minimised::OneStep,
-            theta: found.x,
-            names: self.model.param_names(),
-            status: found.status,
-            evaluations: found.evaluations,
-            history: found.history,
-            warnings,
-        };
-        Fit::from_stored(found, &r, &jac, self.data, samples)
-    }
-}
-
-impl LeastSquares for PredictionError<'_> {
-    fn n(&self) -> usize {
-        self.model.n_params()
-    }
-
-    fn residuals(&self) -> usize {
-        self.rows
-    }
-
-    fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
-        let mut row = 0;
-        for (e, record) in self.data.iter().zip(&mut self.records) {
-            let r = &mut r[row..row + e.len()];
-            if !record.errors(x, r) {
-                return false;
-            }
-            weigh(e, r, 1);
-            row += e.len();
-        }
-        true
-    }
-
-    fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
-        let p = self.model.n_params();
-        let mut row = 0;
-        for (e, record) in self.data.iter().zip(&mut self.records) {
-            let (r, jac) = (&mut r[row..row + e.len()], &mut jac[row * p..(row + e.len()) * p]);
-            if !record.jacobian(x, r, jac) {
-                return false;
-            }
-            weigh(e, r, 1);
-            weigh(e, jac, p);
-            row += e.len();
-        }
-        true
-    }
-}
-
-/// Zeroes the initialising rows and multiplies the others by the root of their weight.
-fn weigh(e: &Experiment, rows: &mut [f64], width: usize) {
-    rows[..e.init_samples.min(e.len()) * width].fill(0.0);
-    if !e.weights.is_empty() && width > 0 {
-        for (w, row) in e.weights.iter().zip(rows.chunks_exact_mut(width)) {
-            row.iter_mut().for_each(|v| *v *= w.sqrt());
-        }
-    }
+fn report(
+    problem: &mut PredictionError,
+    model: &LinearModel,
+    data: &[Experiment],
+    found: LmOutcome,
+) -> Result<Fit, EstimateError> {
+    let p = model.n_params();
+    let (mut r, mut jac) = (vec![0.0; problem.rows], vec![0.0; problem.rows * p]);
+    problem.residual_jacobian(&found.x, &mut r, &mut jac);
+    // The factor of the likelihood belongs to the search, not to the errors.
+    let gain = problem.likelihood_scale();
+    r.iter_mut().chain(&mut jac).for_each(|v| *v /= gain);
+    let unstable = model.unstable_parts(&found.x).into_iter().map(|part| {
+        format!(
+            "{part} has a root on or outside the unit circle: the standard errors do not hold there; try a lower order"
+        )
+    });
+    let warnings = unstable.collect();
+    let found = Found {
+        estimator: "pem",
+        minimised: Minimised::OneStep,
+        theta: found.x,
+        names: model.param_names(),
+        status: found.status,
+        evaluations: found.evaluations,
+        history: found.history,
+        warnings,
+    };
+    let samples = problem.samples;
+    let mut fit = Fit::from_stored(found, &r, &jac, data, samples)?;
+    // States and missing inputs were fitted too.
+    let free = samples.saturating_sub(fit.rank) as f64;
+    let factor = free / (free - problem.nuisance_parameters() as f64).max(1.0);
+    fit.noise_variance *= factor;
+    fit.covariance.iter_mut().for_each(|v| *v *= factor);
+    fit.std_errors.iter_mut().for_each(|v| *v *= factor.sqrt());
+    Ok(fit)
 }

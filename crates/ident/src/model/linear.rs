@@ -23,6 +23,7 @@ pub mod structures;
 use serde::{Deserialize, Serialize};
 
 pub use errors::PredictionErrors;
+pub(crate) use errors::Unknown;
 
 use super::poly::{PolyNarx, Regressor, StructureError};
 use filter::{multiply, stable};
@@ -165,19 +166,33 @@ impl LinearModel {
 
     /// The polynomials for `theta` (p).
     pub fn polynomials(&self, theta: &[f64]) -> Polynomials {
-        let mut rest = theta;
-        let mut take = |n: usize| {
-            let (head, tail) = rest.split_at(n);
-            rest = tail;
-            head
+        let monic = |n: usize| -> Vec<f64> { (0..=n).map(|j| f64::from(u8::from(j == 0))).collect() };
+        let mut p = Polynomials {
+            a: monic(self.na),
+            b: self.orders.iter().map(|o| vec![0.0; o.nk + o.nb]).collect(),
+            c: monic(self.nc),
+            d: monic(self.nd),
+            f: self.orders.iter().map(|o| monic(o.nf)).collect(),
         };
-        let monic = |v: &[f64]| -> Vec<f64> { std::iter::once(1.0).chain(v.iter().copied()).collect() };
-        let a = monic(take(self.na));
-        let b = self.orders.iter().map(|o| [&vec![0.0; o.nk][..], take(o.nb)].concat()).collect();
-        let c = monic(take(self.nc));
-        let d = monic(take(self.nd));
-        let f = self.orders.iter().map(|o| monic(take(o.nf))).collect();
-        Polynomials { a, b, c, d, f }
+        self.fill(theta, &mut p);
+        p
+    }
+
+    /// The same into polynomials of these orders.
+    pub(crate) fn fill(&self, theta: &[f64], p: &mut Polynomials) {
+        let mut rest = theta;
+        let mut take = |into: &mut [f64]| {
+            let (head, tail) = rest.split_at(into.len());
+            into.copy_from_slice(head);
+            rest = tail;
+        };
+        take(&mut p.a[1..]);
+        for (o, b) in self.orders.iter().zip(&mut p.b) {
+            take(&mut b[o.nk..]);
+        }
+        take(&mut p.c[1..]);
+        take(&mut p.d[1..]);
+        p.f.iter_mut().for_each(|f| take(&mut f[1..]));
     }
 
     /// Parameters (p) from polynomials: the inverse of [`LinearModel::polynomials`].

@@ -1,6 +1,8 @@
 //! Reading of reference records. Columns are checked by name, so that a test cannot read the wrong channel.
 #![allow(dead_code)]
 
+pub(crate) mod systems;
+
 use std::path::PathBuf;
 
 use dynocal_ident::data::{Channel, Dataset, Role};

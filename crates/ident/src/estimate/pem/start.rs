@@ -17,13 +17,16 @@ const REDUCTION_PASSES: usize = 4;
 /// One signal per experiment.
 type Signals = Vec<Vec<f64>>;
 
-/// Start parameters (p) with stable C and F.
-pub(super) fn least_squares_start(model: &LinearModel, data: &[Experiment]) -> Result<Vec<f64>, LinalgError> {
+/// Start parameters (p each) with stable C and F.
+pub(super) fn least_squares_starts(
+    model: &LinearModel,
+    data: &[&Experiment],
+) -> Result<Vec<Vec<f64>>, LinalgError> {
     let mut p = model.polynomials(&vec![0.0; model.n_params()]);
     let with_f = model.orders.iter().any(|o| o.nf > 0);
     if model.nc + model.nd == 0 && !with_f {
         // ARX: the errors are linear in the parameters, the first step of the search is the answer.
-        return Ok(model.parameters(&p));
+        return Ok(vec![model.parameters(&p)]);
     }
     let s = Records::new(model, data);
     let long = s.high_order(model)?;
@@ -39,7 +42,7 @@ pub(super) fn least_squares_start(model: &LinearModel, data: &[Experiment]) -> R
         s.noise_part(model, &long.innovations, &mut p)?;
     }
     p.c = stabilised(&p.c);
-    Ok(model.parameters(&p))
+    Ok(vec![model.parameters(&p)])
 }
 
 /// Terms `sign * signal(t - first) ..` of a regression.
@@ -64,7 +67,7 @@ struct Records {
 }
 
 impl Records {
-    fn new(model: &LinearModel, data: &[Experiment]) -> Self {
+    fn new(model: &LinearModel, data: &[&Experiment]) -> Self {
         let m = model.n_inputs();
         let channel =
             |i: usize| data.iter().map(|e| e.u.iter().skip(i).step_by(m).copied().collect()).collect();

@@ -2,36 +2,110 @@
 //!
 //! A polynomial is a slice of coefficients of q^0, q^-1, ..; denominators are monic.
 
+use dynocal_numerics::linalg::axpy;
+
 /// `out = num / den x`, all states zero before the first sample.
 pub(crate) fn filter(num: &[f64], den: &[f64], x: &[f64], out: &mut [f64]) {
-    let (head, tail) = (num.len().max(den.len()) - 1, x.len());
-    // The first samples lack history; after them every sum has its full length.
-    for t in 0..head.min(tail) {
-        let forward: f64 = num.iter().take(t + 1).enumerate().map(|(j, c)| c * x[t - j]).sum();
-        let back: f64 = den.iter().take(t + 1).enumerate().skip(1).map(|(j, c)| c * out[t - j]).sum();
-        out[t] = forward - back;
+    moving(num, x, out);
+    recurse(den, out);
+}
+
+/// `out = num x`, tap by tap along the record: no tap waits for another.
+pub(crate) fn moving(num: &[f64], x: &[f64], out: &mut [f64]) {
+    let n = x.len();
+    match num.first() {
+        Some(&c) if c == 1.0 => out.copy_from_slice(x),
+        Some(&c) if c != 0.0 => out.iter_mut().zip(x).for_each(|(o, v)| *o = c * v),
+        _ => out.fill(0.0),
     }
-    for t in head..tail {
-        let mut v = 0.0;
-        for (j, c) in num.iter().enumerate() {
-            v += c * x[t - j];
+    for (j, &c) in num.iter().enumerate().take(n).skip(1) {
+        if c != 0.0 {
+            axpy(c, &x[..n - j], &mut out[j..]);
         }
-        for (j, c) in den.iter().enumerate().skip(1) {
-            v -= c * out[t - j];
+    }
+}
+
+/// `x = x / den` in place, from rest. The common orders keep their states in registers.
+pub(crate) fn recurse(den: &[f64], x: &mut [f64]) {
+    match den {
+        [] | [_] => {}
+        [_, a] => recurse_order([*a], x),
+        [_, a, b] => recurse_order([*a, *b], x),
+        [_, a, b, c] => recurse_order([*a, *b, *c], x),
+        [_, a, b, c, d] => recurse_order([*a, *b, *c, *d], x),
+        _ => recurse_from(den, x, 0),
+    }
+}
+
+fn recurse_order<const K: usize>(den: [f64; K], x: &mut [f64]) {
+    let mut past = [0.0; K];
+    for v in x {
+        // The newest state comes last: it is the one that is waited for.
+        let mut sum = *v;
+        for k in (0..K).rev() {
+            sum -= den[k] * past[k];
         }
-        out[t] = v;
+        for k in (1..K).rev() {
+            past[k] = past[k - 1];
+        }
+        past[0] = sum;
+        *v = sum;
+    }
+}
+
+/// `x = x / den` in place from sample `start` on; what stands before it is the history.
+pub(crate) fn recurse_from(den: &[f64], x: &mut [f64], start: usize) {
+    for t in start..x.len() {
+        let back: f64 = den.iter().enumerate().take(t + 1).skip(1).map(|(j, c)| c * x[t - j]).sum();
+        x[t] -= back;
+    }
+}
+
+/// Two signals through the same recursion in one pass: each waits for itself, not for the other.
+pub(crate) fn recurse_pair(den: &[f64], x: &mut [f64], y: &mut [f64]) {
+    match den {
+        [_, a] => pair_order([*a], x, y),
+        [_, a, b] => pair_order([*a, *b], x, y),
+        [_, a, b, c] => pair_order([*a, *b, *c], x, y),
+        [_, a, b, c, d] => pair_order([*a, *b, *c, *d], x, y),
+        _ => {
+            recurse(den, x);
+            recurse(den, y);
+        }
+    }
+}
+
+fn pair_order<const K: usize>(den: [f64; K], x: &mut [f64], y: &mut [f64]) {
+    let mut past = [[0.0; 2]; K];
+    for (v, w) in x.iter_mut().zip(y) {
+        let mut sum = [*v, *w];
+        for k in (0..K).rev() {
+            sum[0] -= den[k] * past[k][0];
+            sum[1] -= den[k] * past[k][1];
+        }
+        for k in (1..K).rev() {
+            past[k] = past[k - 1];
+        }
+        past[0] = sum;
+        [*v, *w] = sum;
     }
 }
 
 /// Product of two polynomials.
 pub(crate) fn multiply(a: &[f64], b: &[f64]) -> Vec<f64> {
     let mut out = vec![0.0; (a.len() + b.len()).saturating_sub(1)];
+    multiply_into(a, b, &mut out);
+    out
+}
+
+/// The same into a slice of its length.
+pub(crate) fn multiply_into(a: &[f64], b: &[f64], out: &mut [f64]) {
+    out.fill(0.0);
     for (i, x) in a.iter().enumerate() {
         for (j, y) in b.iter().enumerate() {
             out[i + j] += x * y;
         }
     }
-    out
 }
 
 /// Whether all roots of a monic polynomial (in q) lie inside the unit circle: every reflection coefficient of the
