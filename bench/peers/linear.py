@@ -99,12 +99,10 @@ problem = json.load(sys.stdin)
 u, y = np.array(problem["u"]), np.array(problem["y"])
 na, nb, nc, nd, nf, nk = problem["orders"]
 kind = problem["kind"]
-orders = {"ARX": ([na, [nb], [nk]],), "ARMAX": ([na, [nb], nc, [nk]],), "OE": ([[nb], nf, [nk]],),
-          "BJ": ([[nb], nc, nd, nf, [nk]],)}[kind]
-names = {"ARX": "ARX_orders", "ARMAX": "ARMAX_orders", "OE": "OE_orders", "BJ": "BJ_orders"}
+orders = {"ARX": [na, nb, nk], "ARMAX": [na, nb, nc, nk], "OE": [nb, nf, nk], "BJ": [nb, nc, nd, nf, nk]}[kind]
 def run():
     with contextlib.redirect_stdout(io.StringIO()):
-        return system_identification(y, u, kind, **{names[kind]: orders[0]})
+        return system_identification(y, u, kind, **{kind + "_orders": orders})
 run()
 before, calls = time.process_time(), 0
 while calls < 2 or time.process_time() - before < 0.5:
