@@ -19,7 +19,8 @@ fn free_run(name: &str) -> Option<Vec<(String, f64)>> {
     let job = spec::read(Path::new(&file), &overrides).unwrap();
     let (found, _) = job::run(&job, &|_| {}, &|| false).unwrap();
     let scores = found.scores.iter().filter(|s| s.kind == Kind::FreeRun);
-    Some(scores.map(|s| (s.part.clone(), s.rmse)).collect())
+    // A run that diverged has no score.
+    Some(scores.map(|s| (s.part.clone(), s.rmse.unwrap_or(f64::INFINITY))).collect())
 }
 
 fn check(name: &str, published: &[(&str, f64)]) {
