@@ -6,6 +6,7 @@ mod fit;
 pub mod initial;
 pub mod iv;
 pub mod missing;
+pub mod narmax;
 mod noise;
 pub mod ols;
 pub mod pem;

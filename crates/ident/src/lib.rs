@@ -7,6 +7,7 @@ pub mod data;
 pub mod estimate;
 pub mod excitation;
 pub mod experiment;
+pub mod linear;
 pub mod model;
 pub mod nullable;
 pub mod plant;

@@ -154,4 +154,26 @@ pub trait Model: Send + Sync {
         grad: &mut [f64],
         hess: &mut [f64],
     ) -> f64;
+
+    /// Derivatives of the one-step prediction at sample `t` with respect to the past outputs `y(t-1) ..
+    /// y(t-output_lag)`, past outputs being `run.y`. By central differences unless the model knows better.
+    fn output_derivatives(&self, theta: &[f64], run: &Run, t: usize, grad: &mut [f64]) {
+        let (m, lag) = (self.n_inputs(), self.max_lag());
+        let from = t - lag;
+        let mut y = run.y[from..=t].to_vec();
+        let mut predicted = vec![0.0; lag + 1];
+        let mut at = |y: &[f64]| {
+            self.predict(theta, &Run { u: &run.u[from * m..(t + 1) * m], y, start: lag }, &mut predicted);
+            predicted[lag]
+        };
+        for (j, g) in (1..).zip(grad.iter_mut()) {
+            let value = y[lag - j];
+            let h = 6e-6 * (1.0 + value.abs());
+            y[lag - j] = value + h;
+            let up = at(&y);
+            y[lag - j] = value - h;
+            *g = (up - at(&y)) / (2.0 * h);
+            y[lag - j] = value;
+        }
+    }
 }

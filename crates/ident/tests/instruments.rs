@@ -8,7 +8,7 @@ use dynocal_ident::data::Role;
 use dynocal_ident::estimate::Estimator;
 use dynocal_ident::estimate::iv::Iv;
 use dynocal_ident::estimate::ols::Ols;
-use dynocal_ident::estimate::rls::Rls;
+use dynocal_ident::estimate::rls::{OnlineModel, Rls};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::model::{Model, Run};
@@ -208,4 +208,49 @@ fn a_drifting_parameter_is_tracked() {
     assert_eq!(quick.theta()[0], before);
     assert!(quick.covariance()[0] <= 1e7 * 1.000_001);
     assert!(quick.update(&[f64::NAN], 1.0).is_nan() && quick.theta()[0] == before);
+}
+
+/// On the regressors of a polynomial model, sample by sample: without forgetting it ends at least squares, whatever is
+/// missing is left out, and after a reset a changed plant is found.
+#[test]
+fn a_model_is_identified_online() {
+    let model = PolyNarx::parse(&["u"], "y", &["1", "u(t-1)", "u(t-3)^2", "y(t-2)"]).unwrap();
+    let (truth, n) = ([0.2, 1.0, -0.5, 0.6], 500);
+    let mut rng = Rng64::new(2);
+    let plant = |gain: f64, rng: &mut Rng64, seen: &mut dyn FnMut(f64, f64)| {
+        let (mut u, mut y) = (vec![0.0; n], vec![0.0; n]);
+        for t in 0..n {
+            u[t] = rng.uniform_in(-1.0, 1.0);
+            if t >= 3 {
+                y[t] =
+                    truth[0] + gain * truth[1] * u[t - 1] + truth[2] * u[t - 3].powi(2) + truth[3] * y[t - 2];
+                y[t] += 0.1 * rng.normal();
+            }
+            seen(u[t], y[t]);
+        }
+        (u, y)
+    };
+    let mut online = OnlineModel::new(&model, &[0.0; 4], 1e8, 1.0).unwrap();
+    let (u, y) = plant(1.0, &mut rng, &mut |u, y| {
+        online.update(&[u], y);
+    });
+    let data = [Experiment { name: "online".into(), u, y, init_samples: 0, weights: vec![] }];
+    let ols = Ols::default().estimate(&model, &data, None, &|| false).unwrap();
+    for k in 0..4 {
+        assert!((online.rls().theta()[k] - ols.theta[k]).abs() < 1e-7, "{k}");
+        let stated = (ols.noise_variance * online.rls().covariance()[k * 4 + k]).sqrt();
+        assert!((stated / ols.std_errors[k] - 1.0).abs() < 1e-5, "{k}");
+    }
+    let before = online.rls().theta().to_vec();
+    assert!(online.update(&[0.3], f64::NAN).is_nan() && online.rls().theta() == before);
+    // Twice the gain: a reset lets it be followed, without one the past weighs as much as the present.
+    let mut stubborn = OnlineModel::new(&model, &before, 1e-5, 1.0).unwrap();
+    online.reset(1e4);
+    plant(2.0, &mut rng, &mut |u, y| {
+        online.update(&[u], y);
+        stubborn.update(&[u], y);
+    });
+    assert!((online.rls().theta()[1] - 2.0).abs() < 0.05, "{:?}", online.rls().theta());
+    assert!((stubborn.rls().theta()[1] - 2.0).abs() > 0.3, "{:?}", stubborn.rls().theta());
+    assert!(OnlineModel::new(&model, &[0.0; 3], 1.0, 1.0).is_err());
 }

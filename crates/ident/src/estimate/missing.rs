@@ -241,6 +241,15 @@ impl Unknowns {
         }
     }
 
+    /// Writes the solution of the last projection into `errors`.
+    pub(super) fn apply(&self, errors: &mut PredictionErrors) {
+        for ((what, sample), z) in self.places.iter().zip(&self.z) {
+            if z.is_finite() {
+                errors.add(*what, *sample, *z);
+            }
+        }
+    }
+
     /// `log det(G_y'G_y)` of the scored missing outputs.
     pub(super) fn log_det(&self) -> f64 {
         let n = self.places.len();
@@ -290,7 +299,7 @@ impl Unknowns {
         (0..n)
             .map(|i| {
                 let variance = dot(&inverse[i * n..(i + 1) * n], &inverse[i * n..(i + 1) * n]);
-                let seen = sound && !self.columns[i].1.is_empty();
+                let seen = sound && self.columns[i].1.iter().any(|v| *v != 0.0);
                 let std = if seen { variance.sqrt() / self.scale[i] } else { f64::NAN };
                 (self.places[i].0, self.places[i].1, self.z[i], std)
             })

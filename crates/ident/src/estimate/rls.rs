@@ -12,6 +12,9 @@
 //! Reference: L. Ljung, System Identification (1999), section 11.2; G. J. Bierman, Factorization Methods for Discrete
 //! Sequential Estimation (1977), chapter V.
 
+use super::EstimateError;
+use crate::model::{Model, Run};
+
 /// Variances grow to this multiple of the start's at most, however long the excitation is missing.
 const LARGEST_GROWTH: f64 = 1e3;
 
@@ -102,5 +105,110 @@ impl Rls {
         let row = |i: usize| &self.root[i * p..(i + 1) * p];
         let entry = |i: usize, j: usize| row(i).iter().zip(row(j)).map(|(a, b)| a * b).sum();
         (0..p * p).map(|ij| entry(ij / p, ij % p)).collect()
+    }
+
+    /// Forgets how certain the parameters are (P = `variance` I) and keeps their values: after a change that is known, such
+    /// as another actuator, the next samples count in full.
+    ///
+    /// # Panics
+    /// When `variance` is not positive and finite.
+    pub fn reset(&mut self, variance: f64) {
+        assert!(variance > 0.0 && variance.is_finite(), "variance {variance} is not positive");
+        let p = self.theta.len();
+        self.root.fill(0.0);
+        (0..p).for_each(|k| self.root[k * p + k] = variance.sqrt());
+        self.largest = LARGEST_GROWTH * variance;
+    }
+}
+
+/// Recursive least squares on the regressors of a model, one sample after the other.
+///
+/// ```
+/// use dynocal_ident::estimate::rls::OnlineModel;
+/// use dynocal_ident::model::poly::PolyNarx;
+/// // y(t) = 0.5 y(t-1) + u(t)^2
+/// let model = PolyNarx::parse(&["u"], "y", &["u(t)^2", "y(t-1)"])?;
+/// let mut online = OnlineModel::new(&model, &[0.0, 0.0], 1e8, 1.0)?;
+/// let mut y = 0.0;
+/// for t in 0..40 {
+///     let u = f64::from((t * t) % 5) - 1.0;
+///     y = 0.5 * y + u * u;
+///     online.update(&[u], y);
+/// }
+/// assert!((online.rls().theta()[0] - 1.0).abs() < 1e-6 && (online.rls().theta()[1] - 0.5).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct OnlineModel<'a> {
+    model: &'a dyn Model,
+    rls: Rls,
+    /// The last samples, as many as the model looks back and the present one.
+    u: Vec<f64>,
+    y: Vec<f64>,
+    jacobian: Vec<f64>,
+    /// Samples seen, up to the length of the window.
+    seen: usize,
+}
+
+impl<'a> OnlineModel<'a> {
+    /// Starts at `theta` (p); see [`Rls::new`] for the others.
+    ///
+    /// # Errors
+    /// [`EstimateError::NotLinear`], or [`EstimateError::Start`] for a start of another length.
+    ///
+    /// # Panics
+    /// As of [`Rls::new`].
+    pub fn new(
+        model: &'a dyn Model,
+        theta: &[f64],
+        variance: f64,
+        forgetting: f64,
+    ) -> Result<Self, EstimateError> {
+        let (p, window) = (model.n_params(), model.max_lag() + 1);
+        if !model.is_linear_in_params() {
+            return Err(EstimateError::NotLinear { estimator: "rls", params: p });
+        }
+        if theta.len() != p {
+            return Err(EstimateError::Start { found: theta.len(), expected: p });
+        }
+        Ok(Self {
+            model,
+            rls: Rls::new(theta, variance, forgetting),
+            u: vec![0.0; window * model.n_inputs()],
+            y: vec![0.0; window],
+            jacobian: vec![0.0; window * p],
+            seen: 0,
+        })
+    }
+
+    /// Takes the inputs (m) and the output of one sample; returns the error of the prediction before it, NaN while
+    /// the lags are not filled and where a sample in them is missing (NaN): such samples teach nothing.
+    ///
+    /// # Panics
+    /// When `u` does not hold the model's inputs.
+    pub fn update(&mut self, u: &[f64], y: f64) -> f64 {
+        let (m, window) = (self.model.n_inputs(), self.y.len());
+        assert_eq!(u.len(), m, "one value for each input");
+        self.u.copy_within(m.., 0);
+        self.y.copy_within(1.., 0);
+        self.u[(window - 1) * m..].copy_from_slice(u);
+        self.y[window - 1] = y;
+        self.seen = (self.seen + 1).min(window);
+        if self.seen < window {
+            return f64::NAN;
+        }
+        let p = self.model.n_params();
+        let run = Run { u: &self.u, y: &self.y, start: window - 1 };
+        self.model.one_step_jacobian(self.rls.theta(), &run, &mut self.jacobian);
+        self.rls.update(&self.jacobian[(window - 1) * p..], y)
+    }
+
+    /// Parameters and covariance.
+    pub fn rls(&self) -> &Rls {
+        &self.rls
+    }
+
+    /// [`Rls::reset`].
+    pub fn reset(&mut self, variance: f64) {
+        self.rls.reset(variance);
     }
 }

@@ -18,6 +18,7 @@
 
 mod errors;
 pub(crate) mod filter;
+mod predict;
 pub mod structures;
 
 use serde::{Deserialize, Serialize};

@@ -66,7 +66,7 @@ impl Pool {
 
     /// Longest lag of any candidate.
     pub fn max_lag(&self) -> usize {
-        self.candidates.iter().flat_map(Regressor::reads).map(|(_, lag)| lag).max().unwrap_or(0)
+        self.candidates.iter().flat_map(|r| r.reads()).map(|(_, lag)| lag).max().unwrap_or(0)
     }
 
     /// The structure of some candidates, in the order of the pool.
@@ -124,6 +124,8 @@ pub struct PoolKeys {
     pub cross: bool,
     /// Whether the constant is a candidate.
     pub constant: bool,
+    /// Further variables as text, multiplied like lagged channels.
+    pub variables: Vec<String>,
     /// Further candidates as text.
     pub regressors: Vec<String>,
 }
@@ -137,6 +139,7 @@ impl Default for PoolKeys {
             degree: 2,
             cross: true,
             constant: true,
+            variables: Vec::new(),
             regressors: Vec::new(),
         }
     }
@@ -166,6 +169,12 @@ pub static POOL_KEYS: &[ParamDoc] = &[
     },
     ParamDoc { name: "constant", unit: "-", default: "true", what: "whether the constant is a candidate" },
     ParamDoc {
+        name: "variables",
+        unit: "-",
+        default: "[]",
+        what: "further variables as text, multiplied like lagged channels, e.g. `sqrt(level(t-1))`",
+    },
+    ParamDoc {
         name: "regressors",
         unit: "-",
         default: "[]",
@@ -186,6 +195,9 @@ impl PoolKeys {
             variables.extend((first..first + lookup(&self.nu, name, 0)).map(|lag| Regressor::input(i, lag)));
         }
         variables.extend((1..=self.ny).map(Regressor::output));
+        for text in &self.variables {
+            variables.push(Regressor::parse(text, inputs, output).map_err(EstimateError::from)?);
+        }
         let mut candidates = if self.constant { vec![Regressor::constant()] } else { Vec::new() };
         if self.cross {
             candidates.extend(products(&variables, self.degree));
@@ -211,7 +223,7 @@ impl PoolKeys {
                 return fault(format!("{key}: no input `{name}`{hint}; inputs are: {}", inputs.join(", ")));
             }
         }
-        let mut variables = self.ny;
+        let mut variables = self.ny.saturating_add(self.variables.len());
         let mut longest = self.ny;
         for name in inputs {
             let (first, lags) = (lookup(&self.nk, name, 1), lookup(&self.nu, name, 0));

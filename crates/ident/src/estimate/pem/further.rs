@@ -26,7 +26,8 @@ const EFFORT: usize = 1 << 15;
 /// Start points beside `found`, each with its A and B of least squares.
 pub(super) fn starts(problem: &mut PredictionError, model: &LinearModel, found: &[f64]) -> Vec<Vec<f64>> {
     let p = model.n_params();
-    let count = (EFFORT / problem.rows.max(1)).clamp(LEAST, MOST);
+    let most = if problem.has_unknowns() { LEAST } else { MOST };
+    let count = (EFFORT / problem.rows.max(1)).clamp(LEAST, most);
     let (mut r, mut jac) = (vec![0.0; problem.rows], vec![0.0; problem.rows * p]);
     let mut out = Vec::with_capacity(count);
     for k in 0..count {

@@ -62,6 +62,11 @@ impl<'a> PredictionError<'a> {
         self.records.iter().map(|r| r.unknowns.parameters()).sum()
     }
 
+    /// Whether anything but the parameters is estimated: an evaluation then costs many times more.
+    pub(super) fn has_unknowns(&self) -> bool {
+        self.records.iter().any(|r| !r.unknowns.is_empty())
+    }
+
     pub(super) fn cost(&mut self, theta: &[f64], r: &mut [f64]) -> f64 {
         let cost: f64 = if self.residual(theta, r) { r.iter().map(|v| v * v).sum() } else { f64::INFINITY };
         if cost.is_finite() { cost } else { f64::INFINITY }
@@ -81,13 +86,13 @@ impl<'a> PredictionError<'a> {
             return out;
         }
         for (k, record) in self.records.iter().enumerate() {
-            let m = self.model.n_inputs();
             for (what, sample, change, std) in record.unknowns.solution() {
-                let (channel, guess) = match what {
-                    Unknown::Output => (&self.model.output, record.e.y[sample]),
-                    Unknown::Input(i) => (&self.model.inputs[i], record.e.u[sample * m + i]),
+                let channel = match what {
+                    Unknown::Output => &self.model.output,
+                    Unknown::Input(i) => &self.model.inputs[i],
                     Unknown::InputState(_) | Unknown::NoiseState => continue,
                 };
+                let guess = record.errors.value(what, sample);
                 let std_error = std * fit.noise_variance.sqrt();
                 out.push(Recovered {
                     record: k,
@@ -236,7 +241,15 @@ impl LeastSquares for PredictionError<'_> {
                 if !record.unknowns.refresh(&record.errors, e) {
                     return false;
                 }
-                // Variable projection with the Jacobian of Kaufman (1975): the gradient is exact.
+                record.unknowns.project(r, 1, 0);
+                // Variable projection with the Jacobian of Kaufman (1975): where the unknowns have their best values for
+                // this x the gradient is exact.
+                record.unknowns.apply(&mut record.errors);
+                if !record.errors.jacobian(x, r, jac) {
+                    return false;
+                }
+                weigh(e, record.first, r, 1);
+                weigh(e, record.first, jac, p);
                 (0..p).for_each(|k| record.unknowns.project(jac, p, k));
                 record.unknowns.project(r, 1, 0);
             }

@@ -25,6 +25,8 @@ pub struct PredictionErrors<'a> {
     y: Vec<f64>,
     /// Samples before this one only start the filters; 0 for filters at rest.
     start: usize,
+    /// Initial states: which, at which sample, value.
+    states: Vec<(Unknown, usize, f64)>,
     polynomials: Polynomials,
     /// C F_i.
     shaped: Vec<Vec<f64>>,
@@ -66,6 +68,7 @@ impl<'a> PredictionErrors<'a> {
             u: (0..m).map(channel).collect(),
             y: y.to_vec(),
             start: start.min(n),
+            states: Vec::new(),
             polynomials: model.polynomials(&vec![0.0; model.n_params()]),
             shaped: model.orders.iter().map(|o| vec![0.0; o.nf + model.nc + 1]).collect(),
             at: Vec::new(),
@@ -167,6 +170,9 @@ impl<'a> PredictionErrors<'a> {
         let sharing = self.model.orders.iter().filter(|o| o.nf > 0).count().max(1) as f64;
         for (i, w) in self.w.iter_mut().enumerate() {
             moving(&p.b[i], &self.u[i], w);
+            for (_, t, v) in self.states.iter().filter(|s| s.0 == Unknown::InputState(i)) {
+                w[*t] += v;
+            }
             if start > 0 && self.model.orders[i].nf > 0 {
                 w[..start].iter_mut().zip(&self.y).for_each(|(w, y)| *w = y / sharing);
                 recurse_from(&p.f[i], w, start);
@@ -177,6 +183,9 @@ impl<'a> PredictionErrors<'a> {
         }
         self.x[..start].fill(0.0);
         moving(&p.d, &self.x, &mut self.eps);
+        for (_, t, v) in self.states.iter().filter(|s| s.0 == Unknown::NoiseState) {
+            self.eps[*t] += v;
+        }
         recurse(&p.c, &mut self.eps);
         dot(&self.eps, &self.eps).is_finite()
     }
@@ -198,6 +207,31 @@ impl<'a> PredictionErrors<'a> {
             Unknown::Input(i) => through(&p.b[i], &p.f[i], &through(&p.d, &p.c, &impulse)),
             Unknown::InputState(i) => through(&[1.0], &p.f[i], &through(&p.d, &p.c, &impulse)),
             Unknown::NoiseState => through(&[1.0], &p.c, &impulse),
+        }
+    }
+
+    /// Adds `change` to a quantity that is not known.
+    pub(crate) fn add(&mut self, of: Unknown, sample: usize, change: f64) {
+        self.at.clear();
+        match of {
+            Unknown::Output => self.y[sample] += change,
+            Unknown::Input(i) => self.u[i][sample] += change,
+            Unknown::InputState(_) | Unknown::NoiseState if sample >= self.y.len() => {}
+            Unknown::InputState(_) | Unknown::NoiseState => {
+                match self.states.iter_mut().find(|s| s.0 == of && s.1 == sample) {
+                    Some(state) => state.2 += change,
+                    None => self.states.push((of, sample, change)),
+                }
+            }
+        }
+    }
+
+    /// Present value of a sample of the output or an input; of a state, 0.
+    pub(crate) fn value(&self, of: Unknown, sample: usize) -> f64 {
+        match of {
+            Unknown::Output => self.y[sample],
+            Unknown::Input(i) => self.u[i][sample],
+            Unknown::InputState(_) | Unknown::NoiseState => 0.0,
         }
     }
 

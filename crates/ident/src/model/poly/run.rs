@@ -131,6 +131,16 @@ impl Model for PolyNarx {
         &self.program.window
     }
 
+    fn output_derivatives(&self, theta: &[f64], run: &Run, t: usize, grad: &mut [f64]) {
+        let mut gradient = [0.0; MAX_OUTPUT_LAGS];
+        let a = &mut gradient[..self.program.output_lags.len()];
+        self.program.output_gradient(theta, run.u, run.y, t, a);
+        grad.fill(0.0);
+        for (lag, a) in self.program.output_lags.iter().zip(a.iter()) {
+            grad[lag - 1] = *a;
+        }
+    }
+
     fn window_derivatives(
         &self,
         theta: &[f64],
