@@ -13,7 +13,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::linear::{LinearFit, fit_linear};
 use dynocal_ident::model::linear::{LinearModel, PredictionErrors};
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::validate::{self, Kind, Seen};
+use dynocal_ident::validate::{self, Kind};
 
 /// One-step residuals are the prediction errors, from rest and from measured values; k-step errors are sums of k of them;
 /// without noise every output is the measured one.
