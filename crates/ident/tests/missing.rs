@@ -65,7 +65,9 @@ fn missing_outputs_are_states() {
     // Scores skip what is not there.
     let score = found.score(&data, Kind::OneStep, Seen::Identification);
     assert_eq!(score.samples, fit.samples);
-    assert!((score.mse / 0.25 - 1.0).abs() < 0.35, "{}", score.mse);
+    // A missing output is replaced by its own prediction, which costs something in the samples after it.
+    let free_run = found.score(&data, Kind::FreeRun, Seen::Identification);
+    assert!(score.mse > 0.2 && score.mse < 0.5 * free_run.mse, "{} and {}", score.mse, free_run.mse);
 }
 
 /// The criterion is the likelihood of the observed samples: against the closed form for an autoregression of order one,
