@@ -1,5 +1,6 @@
 //! Parameter estimation: the contract, its table, and what every estimator reports.
 
+pub mod bands;
 pub mod cost;
 mod covariance;
 mod fit;

@@ -3,12 +3,12 @@
 //! ```text
 //! white     s2 (J'J)^-1,                                      s2 = |e|^2 / (n - p)
 //! robust    n/(n-p) (J'J)^-1 M (J'J)^-1
-//!           M = J' R J,  R the covariance of the errors' autoregressive description      free-run errors
-//!           M = sum_k (1 - |k|/(L+1)) sum_t g(t) g(t-k)',  g(t) = J(t)' e(t)             one-step errors
+//!           M = J' R J,  R the covariance of the errors' autoregressive description      rows of inputs only
+//!           M = sum_k (1 - |k|/(L+1)) sum_t g(t) g(t-k)',  g(t) = J(t)' e(t)             else
 //! ```
 //!
-//! Sensitivities of a free run depend on inputs only, so that the errors' own autocovariance is all that is needed;
-//! regressors with measured outputs depend on the errors, so that products of both are summed (Newey and West). The lags
+//! Sensitivities of a free run, and regressors without outputs, depend on inputs only, so that the errors' own
+//! autocovariance is all that is needed; regressors with measured outputs depend on the errors, so that products of both are summed (Newey and West). The lags
 //! L follow from Andrews' rule for that kernel, `L + 1 = 1.1447 (alpha n)^(1/3)`, with alpha from first-order
 //! autoregressions of the components of g.
 //!
@@ -22,7 +22,6 @@ use dynocal_numerics::linalg::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::Minimised;
 use super::cost::Cost;
 use super::noise::{self, Autoregression, Residuals};
 
@@ -57,6 +56,8 @@ pub enum CovarianceKind {
 pub(super) trait Evidence {
     /// Number of parameters.
     fn params(&self) -> usize;
+    /// Whether the rows depend on inputs only, so that errors and rows are independent.
+    fn exogenous(&self) -> bool;
     /// Roots of the diagonal that a ridge adds to J'J; empty without one.
     fn penalties(&self) -> &[f64] {
         &[]
@@ -73,11 +74,16 @@ pub(super) struct Stored<'a> {
     /// Rows of each record.
     pub(super) records: Vec<usize>,
     pub(super) penalties: &'a [f64],
+    pub(super) exogenous: bool,
 }
 
 impl Evidence for Stored<'_> {
     fn params(&self) -> usize {
         self.params
+    }
+
+    fn exogenous(&self) -> bool {
+        self.exogenous
     }
 
     fn penalties(&self) -> &[f64] {
@@ -110,7 +116,6 @@ pub(super) struct Uncertainty {
 pub(super) fn uncertainty(
     evidence: &mut dyn Evidence,
     samples: usize,
-    minimised: Minimised,
     choice: CovarianceChoice,
     cost: Cost,
 ) -> Result<Uncertainty, LinalgError> {
@@ -137,10 +142,8 @@ pub(super) fn uncertainty(
     };
     let bread = inverse(&factor, p)?;
     let (kind, covariance) = if robust {
-        let meat = match minimised {
-            Minimised::FreeRun => filtered_meat(evidence, &ar),
-            Minimised::OneStep => score_meat(evidence, &errors),
-        };
+        let meat =
+            if evidence.exogenous() { filtered_meat(evidence, &ar) } else { score_meat(evidence, &errors) };
         let gain = samples as f64 / free;
         (CovarianceKind::Robust, sandwich(&bread, &meat, p).into_iter().map(|v| gain * v).collect())
     } else {

@@ -83,7 +83,7 @@ impl Fit {
         choice: CovarianceChoice,
         cost: Cost,
     ) -> Result<Self, EstimateError> {
-        let known = uncertainty(evidence, samples, found.minimised, choice, cost);
+        let known = uncertainty(evidence, samples, choice, cost);
         let known = known.map_err(|source| EstimateError::Numeric { estimator: found.estimator, source })?;
         let Uncertainty { covariance, std_errors, kind, residuals, factor, sum_squares, noise_variance } =
             known;
@@ -127,7 +127,8 @@ impl Fit {
         samples: usize,
     ) -> Result<Self, EstimateError> {
         let records = data.iter().map(Experiment::len).collect();
-        let mut evidence = Stored { errors, jacobian, params: found.theta.len(), records, penalties: &[] };
+        let mut evidence =
+            Stored { errors, jacobian, params: found.theta.len(), records, penalties: &[], exogenous: false };
         Self::new(found, &mut evidence, samples, CovarianceChoice::Auto, Cost::SQUARED)
     }
 }

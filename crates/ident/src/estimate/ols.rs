@@ -89,8 +89,14 @@ impl Estimator for Ols {
             warnings,
         };
         let records = data.iter().map(|e| e.len() - e.first(model)).collect();
-        let mut evidence =
-            Stored { errors: &errors, jacobian: &phi, params: p, records, penalties: &problem.ridge };
+        let mut evidence = Stored {
+            errors: &errors,
+            jacobian: &phi,
+            params: p,
+            records,
+            penalties: &problem.ridge,
+            exogenous: model.output_lag() == 0,
+        };
         let mut fit = Fit::new(found, &mut evidence, samples, self.covariance, cost)?;
         fit.warnings.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals));
         Ok(fit)

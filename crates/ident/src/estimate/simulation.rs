@@ -89,6 +89,7 @@ impl<'a> SimulationError<'a> {
             params: p,
             records,
             penalties: &self.ridge,
+            exogenous: true,
         };
         let found = Found {
             estimator: "sem",

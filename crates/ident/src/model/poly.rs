@@ -9,6 +9,7 @@
 //! lagged channels, `tanh(2000*x(t-1) - 2000*x(t-2))`.
 
 mod adjoint;
+mod filter;
 pub mod function;
 mod program;
 pub mod regressor;

@@ -192,38 +192,51 @@ impl Program {
         }
     }
 
+    #[inline(always)]
     pub(super) fn taps(&self, k: usize) -> &[Tap] {
         let (lo, hi) = self.terms[k].taps;
         &self.taps[lo..hi]
     }
 
+    #[inline(always)]
     pub(super) fn outputs(&self, k: usize) -> &[OutputFactor] {
         let (lo, hi) = self.terms[k].outputs;
         &self.outputs[lo..hi]
     }
 
     /// Inputs that sample `t` can read.
+    #[inline(always)]
     pub(super) fn input_window<'a>(&self, u: &'a [f64], t: usize) -> &'a [f64] {
         &u[(t - self.max_lag) * self.m..(t + 1) * self.m]
     }
 
     /// I_k(t) from the window of sample t.
+    #[inline(always)]
     pub(super) fn input_product(&self, k: usize, window: &[f64]) -> f64 {
         self.taps(k).iter().fold(1.0, |x, tap| x * window[tap.shift])
     }
 
     /// O_k(t).
+    #[inline(always)]
     pub(super) fn output_product(&self, k: usize, y: &[f64], t: usize) -> f64 {
         self.outputs(k).iter().fold(1.0, |x, f| x * power(y[t - f.lag], f.power))
     }
 
-    /// sum of theta_k I_k(t) O_k(t) over the recursive terms.
-    pub(super) fn recursive_sum(&self, theta: &[f64], u: &[f64], y: &[f64], t: usize) -> f64 {
+    /// `exogenous` plus the sum of theta_k I_k(t) O_k(t) over the recursive terms.
+    #[inline(always)]
+    pub(super) fn with_recursive_sum(
+        &self,
+        exogenous: f64,
+        theta: &[f64],
+        u: &[f64],
+        y: &[f64],
+        t: usize,
+    ) -> f64 {
         if !self.is_recursive() {
-            return 0.0;
+            return exogenous;
         }
         let window = self.input_window(u, t);
-        let mut sum = 0.0;
+        let mut sum = exogenous;
         for term in &self.linear {
             sum += theta[term.k] * self.input_product(term.k, window) * y[t - term.lag];
         }
@@ -242,6 +255,7 @@ impl Program {
     }
 
     /// Fills `a` (one value per entry of [`Program::output_lags`]) with df/dy(t - lag).
+    #[inline(always)]
     pub(super) fn output_gradient(&self, theta: &[f64], u: &[f64], y: &[f64], t: usize, a: &mut [f64]) {
         a.fill(0.0);
         let window = self.input_window(u, t);
@@ -281,7 +295,8 @@ impl Program {
     }
 
     /// For the samples `t0..t0 + len`: `scratch.sum` = sum of theta_k I_k(t) over the exogenous terms, and, when
-    /// `s` is given, its entries `s[t p + k]` = I_k(t).
+    /// `s` (rows from `t0` on) is given, its entries `s[(t - t0) p + k]` = I_k(t).
+    #[inline(always)]
     pub(super) fn exogenous_block(
         &self,
         theta: &[f64],
@@ -301,19 +316,22 @@ impl Program {
         let (product, sum) = (&mut product[..len], &mut sum[..len]);
         sum.fill(0.0);
         for &k in &self.exogenous {
-            let taps = self.taps(k);
+            let (taps, gain) = (self.taps(k), theta[k]);
             if transposed {
                 let row = |tap: &Tap| &channels[tap.channel * rows + self.max_lag - tap.lag..][..len];
+                if s.is_none() {
+                    add_rows(taps, row, gain, sum);
+                    continue;
+                }
                 multiply_rows(taps, row, product);
             } else {
                 multiply_strided(taps, u, self.m, t0, product);
             }
-            let gain = theta[k];
             for (x, v) in sum.iter_mut().zip(product.iter()) {
                 *x += gain * v;
             }
             if let Some(s) = s.as_deref_mut() {
-                for (x, v) in s[t0 * p + k..].iter_mut().step_by(p).zip(product.iter()) {
+                for (x, v) in s[k..].iter_mut().step_by(p).zip(product.iter()) {
                     *x = *v;
                 }
             }
@@ -323,14 +341,32 @@ impl Program {
                 let v = term.value(self.input_window(u, t0 + i), &[], t0 + i);
                 *x += theta[term.k] * v;
                 if let Some(s) = s.as_deref_mut() {
-                    s[(t0 + i) * p + term.k] = v;
+                    s[i * p + term.k] = v;
                 }
             }
         }
     }
 }
 
+/// `sum += gain * product of the taps`, the product not kept.
+#[inline(always)]
+fn add_rows<'a>(taps: &[Tap], row: impl Fn(&Tap) -> &'a [f64], gain: f64, sum: &mut [f64]) {
+    match taps {
+        [] => sum.iter_mut().for_each(|x| *x += gain),
+        [a] => sum.iter_mut().zip(row(a)).for_each(|(x, a)| *x += gain * a),
+        [a, b] => sum.iter_mut().zip(row(a)).zip(row(b)).for_each(|((x, a), b)| *x += gain * (a * b)),
+        [a, b, rest @ ..] => {
+            // Factors from left to right as in `multiply_rows`, so that both give the same bits.
+            let (a, b) = (row(a), row(b));
+            for (i, x) in sum.iter_mut().enumerate() {
+                *x += gain * rest.iter().fold(a[i] * b[i], |v, tap| v * row(tap)[i]);
+            }
+        }
+    }
+}
+
 /// Row-major samples x m to m contiguous channels.
+#[inline(always)]
 fn transpose(u: &[f64], m: usize, rows: usize, channels: &mut [f64]) {
     for i in 0..m {
         for (x, v) in channels[i * rows..(i + 1) * rows].iter_mut().zip(u[i..].iter().step_by(m)) {
@@ -339,6 +375,7 @@ fn transpose(u: &[f64], m: usize, rows: usize, channels: &mut [f64]) {
     }
 }
 
+#[inline(always)]
 fn multiply_rows<'a>(taps: &[Tap], row: impl Fn(&Tap) -> &'a [f64], product: &mut [f64]) {
     match taps {
         [] => product.fill(1.0),
@@ -359,6 +396,7 @@ fn multiply_rows<'a>(taps: &[Tap], row: impl Fn(&Tap) -> &'a [f64], product: &mu
     }
 }
 
+#[inline(always)]
 fn multiply_strided(taps: &[Tap], u: &[f64], m: usize, t0: usize, product: &mut [f64]) {
     product.fill(1.0);
     for tap in taps {

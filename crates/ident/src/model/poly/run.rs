@@ -3,6 +3,7 @@
 use dynocal_numerics::status::Status;
 
 use super::PolyNarx;
+use super::filter::{Filter, add_past_rows};
 use super::program::{MAX_OUTPUT_LAGS, Program, Scratch};
 use super::shaped::Place;
 use crate::model::{Model, Run};
@@ -33,71 +34,27 @@ impl Model for PolyNarx {
     }
 
     fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status {
-        let program = &self.program;
-        let start = begin(program, run, y);
-        let mut scratch = Scratch::new();
-        for (t0, len) in blocks(program, start, run.len()) {
-            program.exogenous_block(theta, run.u, t0, len, &mut scratch, None);
-            for i in 0..len {
-                let t = t0 + i;
-                y[t] = scratch.sum[i] + program.recursive_sum(theta, run.u, y, t);
-                if !y[t].is_finite() {
-                    y[t..].fill(f64::NAN);
-                    return Status::Diverged;
-                }
-            }
-        }
-        Status::Converged
+        pulp::Arch::new().dispatch(FreeRun { program: &self.program, theta, run, y })
     }
 
     fn predict(&self, theta: &[f64], run: &Run, yhat: &mut [f64]) {
         let program = &self.program;
         let start = begin(program, run, yhat);
+        let filter = Filter::of(program, theta);
         let mut scratch = Scratch::new();
         for (t0, len) in blocks(program, start, run.len()) {
             program.exogenous_block(theta, run.u, t0, len, &mut scratch, None);
-            for i in 0..len {
-                yhat[t0 + i] = scratch.sum[i] + program.recursive_sum(theta, run.u, run.y, t0 + i);
+            for (t, sum) in (t0..t0 + len).zip(&scratch.sum) {
+                yhat[t] = match &filter {
+                    Some(filter) => filter.one(*sum, run.y, t),
+                    None => program.with_recursive_sum(*sum, theta, run.u, run.y, t),
+                };
             }
         }
     }
 
     fn sensitivities(&self, theta: &[f64], run: &Run, y: &mut [f64], s: &mut [f64]) -> Status {
-        let program = &self.program;
-        let p = self.n_params();
-        let start = begin(program, run, y);
-        s[..(start * p).min(run.len() * p)].fill(0.0);
-        let mut scratch = Scratch::new();
-        let mut gradient = [0.0; MAX_OUTPUT_LAGS];
-        let a = &mut gradient[..program.output_lags.len()];
-        for (t0, len) in blocks(program, start, run.len()) {
-            program.exogenous_block(theta, run.u, t0, len, &mut scratch, Some(s));
-            for i in 0..len {
-                let t = t0 + i;
-                y[t] = scratch.sum[i] + program.recursive_sum(theta, run.u, y, t);
-                if !y[t].is_finite() {
-                    y[t..].fill(f64::NAN);
-                    s[t * p..].fill(f64::NAN);
-                    return Status::Diverged;
-                }
-                if !program.is_recursive() {
-                    continue;
-                }
-                fill_recursive_terms(program, run.u, y, t, &mut s[t * p..(t + 1) * p]);
-                program.output_gradient(theta, run.u, y, t, a);
-                let (past, now) = s.split_at_mut(t * p);
-                for (lag, a) in program.output_lags.iter().zip(a.iter()) {
-                    // Rows before the start are zero: nothing to add.
-                    if t >= start + lag {
-                        let earlier = &past[(t - lag) * p..(t - lag + 1) * p];
-                        for (x, v) in now[..p].iter_mut().zip(earlier) {
-                            *x += a * v;
-                        }
-                    }
-                }
-            }
-        }
-        Status::Converged
+        pulp::Arch::new().dispatch(Sensitivities { program: &self.program, theta, run, y, s })
     }
 
     fn one_step_jacobian(&self, theta: &[f64], run: &Run, s: &mut [f64]) {
@@ -107,7 +64,7 @@ impl Model for PolyNarx {
         s[..start * p].fill(0.0);
         let mut scratch = Scratch::new();
         for (t0, len) in blocks(program, start, run.len()) {
-            program.exogenous_block(theta, run.u, t0, len, &mut scratch, Some(s));
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, Some(&mut s[t0 * p..]));
             for t in t0..t0 + len {
                 fill_recursive_terms(program, run.u, run.y, t, &mut s[t * p..(t + 1) * p]);
             }
@@ -189,6 +146,133 @@ impl Model for PolyNarx {
     }
 }
 
+/// [`Model::simulate`], compiled for the widest registers there are: the terms without outputs of a block at a time.
+struct FreeRun<'a, 'r> {
+    program: &'a Program,
+    theta: &'a [f64],
+    run: &'a Run<'r>,
+    y: &'a mut [f64],
+}
+
+impl pulp::WithSimd for FreeRun<'_, '_> {
+    type Output = Status;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Status {
+        let Self { program, theta, run, y } = self;
+        let start = begin(program, run, y);
+        let filter = Filter::of(program, theta);
+        let mut scratch = Scratch::new();
+        for (t0, len) in blocks(program, start, run.len()) {
+            program.exogenous_block(theta, run.u, t0, len, &mut scratch, None);
+            let finite = output_block(program, &filter, theta, run.u, y, t0, &scratch.sum[..len]);
+            if finite < len {
+                y[t0 + finite..].fill(f64::NAN);
+                return Status::Diverged;
+            }
+        }
+        Status::Converged
+    }
+}
+
+/// Output of the samples from `t0` on from the sums of their terms without outputs; returns how many are finite.
+#[inline(always)]
+fn output_block(
+    program: &Program,
+    filter: &Option<Filter<'_>>,
+    theta: &[f64],
+    u: &[f64],
+    y: &mut [f64],
+    t0: usize,
+    sums: &[f64],
+) -> usize {
+    match filter {
+        Some(filter) => filter.output(sums, y, t0),
+        None => {
+            for (t, sum) in (t0..t0 + sums.len()).zip(sums) {
+                y[t] = program.with_recursive_sum(*sum, theta, u, y, t);
+            }
+        }
+    }
+    let y = &y[t0..t0 + sums.len()];
+    // Without branches first: nearly every block is finite, and 0 v is 0 for finite v only.
+    let trace: f64 = y.iter().map(|v| 0.0 * v).sum();
+    if trace == 0.0 { y.len() } else { y.iter().position(|v| !v.is_finite()).unwrap_or(y.len()) }
+}
+
+/// [`Model::sensitivities`], compiled for the widest registers there are: several columns at a time.
+struct Sensitivities<'a, 'r> {
+    program: &'a Program,
+    theta: &'a [f64],
+    run: &'a Run<'r>,
+    y: &'a mut [f64],
+    s: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Sensitivities<'_, '_> {
+    type Output = Status;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Status {
+        let Self { program, theta, run, y, s } = self;
+        let p = theta.len();
+        let start = begin(program, run, y);
+        s[..(start * p).min(run.len() * p)].fill(0.0);
+        let filter = Filter::of(program, theta);
+        let mut scratch = Scratch::new();
+        for (t0, len) in blocks(program, start, run.len()) {
+            let finite =
+                sensitivity_block(program, &filter, theta, run.u, y, t0, len, s, t0 * p, &mut scratch);
+            if finite < len {
+                let t = t0 + finite;
+                y[t..].fill(f64::NAN);
+                s[t * p..].fill(f64::NAN);
+                return Status::Diverged;
+            }
+        }
+        Status::Converged
+    }
+}
+
+/// Output and rows of the samples `t0..t0 + len`; row `t0` stands at `s[at..]`, those of the past before it. Returns how
+/// many samples are finite.
+#[inline(always)]
+fn sensitivity_block(
+    program: &Program,
+    filter: &Option<Filter<'_>>,
+    theta: &[f64],
+    u: &[f64],
+    y: &mut [f64],
+    t0: usize,
+    len: usize,
+    s: &mut [f64],
+    at: usize,
+    scratch: &mut Scratch,
+) -> usize {
+    let p = theta.len();
+    program.exogenous_block(theta, u, t0, len, scratch, Some(&mut s[at..]));
+    let finite = output_block(program, filter, theta, u, y, t0, &scratch.sum[..len]);
+    if let Some(filter) = filter {
+        for term in &program.linear {
+            let past = &y[t0 - term.lag..];
+            for (x, v) in s[at + term.k..].iter_mut().step_by(p).zip(past).take(finite) {
+                *x = *v;
+            }
+        }
+        filter.rows(s, at, finite, p);
+    } else if program.is_recursive() {
+        let mut gradient = [0.0; MAX_OUTPUT_LAGS];
+        let a = &mut gradient[..program.output_lags.len()];
+        for i in 0..finite {
+            let (t, row) = (t0 + i, at + i * p);
+            fill_recursive_terms(program, u, y, t, &mut s[row..row + p]);
+            program.output_gradient(theta, u, y, t, a);
+            add_past_rows(s, row, p, &program.output_lags, a);
+        }
+    }
+    finite
+}
+
 /// Copies the initial values and returns the first sample that is computed.
 fn begin(program: &Program, run: &Run, y: &mut [f64]) -> usize {
     let start = run.start.max(program.max_lag).min(run.len());
@@ -203,6 +287,7 @@ fn blocks(program: &Program, start: usize, n: usize) -> impl Iterator<Item = (us
 }
 
 /// I_k(t) O_k(t) of the recursive terms into their places of one row.
+#[inline(always)]
 fn fill_recursive_terms(program: &Program, u: &[f64], y: &[f64], t: usize, row: &mut [f64]) {
     if !program.is_recursive() {
         return;
