@@ -231,6 +231,10 @@ impl Evidence for Task<'_> {
     }
 
     /// Rows of the free runs over whole records; those without weight are zero.
+    fn exogenous(&self) -> bool {
+        true
+    }
+
     fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
         let (p, theta) = (self.model.n_params(), std::mem::take(&mut self.estimate));
         let (mut r, mut jac) = (Vec::new(), Vec::new());
