@@ -237,6 +237,16 @@ fn gaps_are_listed_filled_when_short_and_split_when_long() {
     assert_eq!(out[0].channels[1].values[11], 9.0);
     assert_eq!(runs_of(&notes[0], Became::Missing), [(0, 1), (40, 48)].map(|(from, to)| Gap { from, to }));
 
+    // Every part begins with samples that initialise: 39 and 48 samples are left, 45 are needed.
+    let slow = Dataset { init_samples: 35, ..given.clone() };
+    let (out, notes) = run(&[("missing", "")], &[slow]);
+    assert_eq!((out.len(), out[0].len(), out[0].init_samples), (1, 48, 35));
+    let told = notes[0].sentences().join("\n");
+    assert!(
+        told.contains("a: samples 1 to 39 given up: 39 samples, 35 initialise and at least 10 more"),
+        "{told}"
+    );
+
     let all = plan(&[("missing", "longer = 'refuse'")]);
     let message = prepare(&all, vec![given], &mut |_, _| ()).unwrap_err().to_string();
     assert!(message.contains("`u`") && message.contains("46 to 51"), "{message}");

@@ -35,7 +35,7 @@ pub(super) const LEAST: ParamDoc = ParamDoc {
     name: "least_samples",
     unit: "samples",
     default: "10",
-    what: "shorter parts of a split record are given up",
+    what: "parts of a split record that have fewer after those that initialise are given up",
 };
 
 /// Default of [`LEAST`].

@@ -78,7 +78,8 @@ pub(super) fn uniform(step: &'static str, record: &Dataset) -> Result<f64, Prepa
     Err(fault(step, record, message))
 }
 
-/// Splits `record` at the rows `out`, which vanish; parts of fewer than `least` rows are given up.
+/// Splits `record` at the rows `out`, which vanish; parts that have fewer than `least` rows after those that initialise
+/// are given up, for no model could be scored on them.
 pub(super) fn split(record: Dataset, out: &[Gap], least: usize, outcome: &mut Outcome) {
     if out.is_empty() {
         outcome.records.push(record);
@@ -88,8 +89,15 @@ pub(super) fn split(record: Dataset, out: &[Gap], least: usize, outcome: &mut Ou
     let starts = std::iter::once(0).chain(out.iter().map(|g| g.to));
     let ends = out.iter().map(|g| g.from).chain([record.len()]);
     for (from, to) in starts.zip(ends).filter(|(from, to)| from < to) {
-        if to - from < least {
-            let why = format!("{} samples, at least {least} are asked for", to - from);
+        let init = record.init_samples;
+        if to - from < init + least {
+            let why = match init {
+                0 => format!("{} samples, at least {least} are asked for", to - from),
+                _ => format!(
+                    "{} samples, {init} initialise and at least {least} more are asked for",
+                    to - from
+                ),
+            };
             outcome.changes.push(change(&record, None, Effect::Dropped { from, to, why }));
             continue;
         }
