@@ -73,7 +73,7 @@ pub static MODEL_STRUCTURES: &[Member<dyn Structure>] = &[
                 name: "regressors",
                 unit: "-",
                 default: "",
-                what: "list of products, e.g. `1`, `inj(t-1)*spark(t-3)^2`, `torque(t-1)`",
+                what: "list of products, e.g. `1`, `inj(t-1)*spark(t-3)^2`, `torque(t-1)`; a factor may be abs, cos, exp, pos (positive part), sin, sqrt or tanh of a combination, `tanh(20*x(t-1) - 20*x(t-2) + 0.5)`",
             }],
         },
         build: |keys| Ok(Box::new(registry::keys::<Listed>("polynomial", keys)?)),
