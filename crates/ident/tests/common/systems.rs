@@ -96,7 +96,7 @@ pub(crate) fn random_theta(model: &LinearModel, rng: &mut Rng64) -> Vec<f64> {
 pub(crate) fn random_system(case: u64) -> (System, Experiment) {
     let mut rng = Rng64::stream(4711, case);
     let kind = case % 7;
-    let closed = case % 3 == 0 && kind != 5;
+    let closed = case.is_multiple_of(3) && kind != 5;
     let m = if kind == 5 { 0 } else { 1 + rng.below(2) };
     let order = |rng: &mut Rng64, most: usize| 1 + rng.below(most);
     let orders = (0..m)
@@ -111,8 +111,8 @@ pub(crate) fn random_system(case: u64) -> (System, Experiment) {
         output: "y".into(),
         na: if matches!(kind, 0 | 1 | 6) { order(&mut rng, 3) } else { 0 },
         orders,
-        nc: if matches!(kind, 1 | 3 | 4 | 5 | 6) { order(&mut rng, 2) } else { 0 },
-        nd: if matches!(kind, 3 | 4 | 5 | 6) { order(&mut rng, 2) } else { 0 },
+        nc: if matches!(kind, 1 | 3..=6) { order(&mut rng, 2) } else { 0 },
+        nd: if matches!(kind, 3..=6) { order(&mut rng, 2) } else { 0 },
     };
     let n = [300, 600, 1200][rng.below(3)];
     let level = 10f64.powf(rng.uniform_in(-1.0, 0.5));

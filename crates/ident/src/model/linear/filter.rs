@@ -14,7 +14,7 @@ pub(crate) fn filter(num: &[f64], den: &[f64], x: &[f64], out: &mut [f64]) {
 pub(crate) fn moving(num: &[f64], x: &[f64], out: &mut [f64]) {
     let n = x.len();
     match num.first() {
-        Some(&c) if c == 1.0 => out.copy_from_slice(x),
+        Some(&1.0) => out.copy_from_slice(x),
         Some(&c) if c != 0.0 => out.iter_mut().zip(x).for_each(|(o, v)| *o = c * v),
         _ => out.fill(0.0),
     }
