@@ -298,13 +298,13 @@ fn true_terms_are_recovered_by_every_method_that_judges_one_step_prediction() {
     // known to take more. Candidates as they are (eq. 2.34) mislead where output lags are correlated: the best
     // one may not reach the F to enter while another would. And backward, where cubic terms of y(t-1) and y(t-2) explain
     // each other, a true one may be the first to go. Nothing is asked of these two here; their steps are tested above.
-    let methods: [(&str, &str, Option<(usize, usize)>); 6] = [
-        ("frols", "stop = \"bic\"\nmax_terms = 12", Some((38, 20))),
-        ("frols", "stop = \"press\"\nmax_terms = 12", Some((38, 400))),
-        ("forward", "f_to_enter = 10.8", Some((38, 10))),
+    let methods: [(&str, &str, Option<[usize; 2]>); 6] = [
+        ("frols", "stop = \"bic\"\nmax_terms = 12", Some([38, 20])),
+        ("frols", "stop = \"press\"\nmax_terms = 12", Some([38, 400])),
+        ("forward", "f_to_enter = 10.8", Some([38, 10])),
         ("forward", "f_to_enter = 10.8\nrank = \"correlation\"", None),
         ("backward", "f_to_remove = 10.8", None),
-        ("stepwise", "f_to_enter = 10.8\nf_to_remove = 10.0", Some((38, 10))),
+        ("stepwise", "f_to_enter = 10.8\nf_to_remove = 10.0", Some([38, 10])),
     ];
     for (name, text, asked) in methods {
         let method = dynocal_ident::select::selection(name, &toml::from_str(text).unwrap()).unwrap();
@@ -318,7 +318,7 @@ fn true_terms_are_recovered_by_every_method_that_judges_one_step_prediction() {
         }
         println!("{name} {text:?}: {kept} of 40 hold all true terms, {extra} terms too many");
         assert!(
-            asked.is_none_or(|(least, most)| kept >= least && extra <= most),
+            asked.is_none_or(|[least, most]| kept >= least && extra <= most),
             "{name} {text}: {kept} {extra}"
         );
     }

@@ -246,7 +246,7 @@ fn stability_of_free_runs_on_random_inputs() {
     let mut rng = Rng64::new(43);
     let u: Vec<f64> = (0..1000).map(|_| rng.uniform_in(-1.0, 1.0)).collect();
     let e = experiment("gain", u.clone(), [&[0.0], &u[..999]].concat());
-    let found = free_run_stability(&fir, &[2.0], &[e.clone()], &[], &Trials::default()).unwrap();
+    let found = free_run_stability(&fir, &[2.0], std::slice::from_ref(&e), &[], &Trials::default()).unwrap();
     assert!((0.49..=0.5).contains(&found.largest_excursion), "{}", found.largest_excursion);
     // Stable for inputs that change at every sample, not for those that are held.
     let cubic = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)", "y(t-1)^3"]).unwrap();

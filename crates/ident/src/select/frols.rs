@@ -5,7 +5,7 @@
 //! ```
 //!
 //! At each step the candidate with the largest error reduction ratio is taken, over all experiments together. The
-//! columns of the candidates are never stored (see [`super::tree`] for how): ten lags of two channels at degree 4, 10 626
+//! columns of the candidates are never stored (`select/tree.rs` says how): ten lags of two channels at degree 4, 10 626
 //! candidates over 25 000 samples, take the memory of 20 columns. The path holds every step, so that the number of
 //! terms can be chosen afterwards.
 //!

@@ -34,6 +34,9 @@ struct Parent {
     paired: bool,
 }
 
+/// (variable, candidate) of each continuation of a product.
+type Children = Vec<(usize, usize)>;
+
 /// The products of a pool, as a tree over their variables.
 #[derive(Clone, Debug)]
 pub(crate) struct Tree {
@@ -42,8 +45,7 @@ pub(crate) struct Tree {
     /// Products kept for a block: (column, variable). Columns are 0: ones, 1..=V: variables, then these.
     kept: Vec<(usize, usize)>,
     parents: Vec<Parent>,
-    /// (variable, candidate).
-    children: Vec<(usize, usize)>,
+    children: Children,
     /// The candidate without factors.
     constant: Option<usize>,
 }
@@ -51,7 +53,7 @@ pub(crate) struct Tree {
 impl Tree {
     /// The tree of products, each given as its sorted list of variables (below `variables`), powers repeated.
     pub(crate) fn new(variables: usize, products: &[Vec<usize>]) -> Self {
-        let mut by_parent: BTreeMap<&[usize], Vec<(usize, usize)>> = BTreeMap::new();
+        let mut by_parent: BTreeMap<&[usize], Children> = BTreeMap::new();
         let mut constant = None;
         for (i, p) in products.iter().enumerate() {
             match p.split_last() {
@@ -74,12 +76,11 @@ impl Tree {
                 }
             }
         }
-        let mut order: Vec<(Vec<(usize, usize)>, &[usize])> =
-            by_parent.into_iter().map(|(p, c)| (c, p)).collect();
+        let mut order: Vec<(&[usize], Children)> = by_parent.into_iter().collect();
         let by = |c: &[(usize, usize)]| c.iter().map(|c| c.0).collect::<Vec<_>>();
-        order.sort_by_cached_key(|(c, p)| (by(c), p.len(), p.to_vec()));
+        order.sort_by_cached_key(|(p, c)| (by(c), p.len(), p.to_vec()));
         let (mut parents, mut children) = (Vec::<Parent>::new(), Vec::new());
-        for (c, p) in &order {
+        for (p, c) in &order {
             let (slot, times) = match (slots.get(*p), p.split_last()) {
                 (Some(&slot), _) => (slot, None),
                 (None, Some((&last, rest))) => (slots[rest], Some(last)),
@@ -91,7 +92,7 @@ impl Tree {
         }
         let mut i = 0;
         while i + 1 < parents.len() {
-            parents[i].paired = by(&order[i].0) == by(&order[i + 1].0);
+            parents[i].paired = by(&order[i].1) == by(&order[i + 1].1);
             i += 1 + usize::from(parents[i].paired);
         }
         Self { variables, candidates: products.len(), kept, parents, children, constant }
