@@ -71,7 +71,7 @@ fn record(name: &str, n: usize, missing: f64, uniform: bool, rng: &mut Rng64) ->
 fn sound(records: &[Dataset], what: &str) {
     assert!(!records.is_empty(), "{what}");
     for r in records {
-        assert!(r.len() > 0 && r.channels.iter().all(|c| c.values.len() == r.len()), "{what}: {}", r.name);
+        assert!(!r.is_empty() && r.channels.iter().all(|c| c.values.len() == r.len()), "{what}: {}", r.name);
         assert!(r.channels.iter().all(|c| c.values.iter().all(|v| !v.is_infinite())), "{what}: {}", r.name);
         assert!(r.sample_time_s.is_nan() || r.sample_time_s > 0.0, "{what}");
     }
