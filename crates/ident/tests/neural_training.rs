@@ -1,7 +1,7 @@
 //! Training: divisions, stages, starts, studies of sizes, ensembles, each on records whose right answer is known.
 
 use dynocal_ident::estimate::EstimateError;
-use dynocal_ident::estimate::train::{Division, Start, Train, best, layer_sizes, mean_free_run};
+use dynocal_ident::estimate::train::{Division, Start, Train, bagged, best, layer_sizes, mean_free_run};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
 use dynocal_ident::model::neural::{Activation, Layout, NeuralNarx};
@@ -117,6 +117,10 @@ fn the_mean_of_free_runs_is_no_worse_than_its_members_on_average() {
     let together = mse(&unseen.y, &mean_free_run(&net, &members, &unseen));
     assert!(together <= single.iter().sum::<f64>() / 3.0, "{together} of {single:?}");
     assert_eq!(mean_free_run(&net, &members[..1], &unseen), output(&net, members[0], &unseen, Kind::FreeRun));
+    // Each bag is the training with its own seed.
+    let bags = bagged(&options, 2, &net, &data, &|| false).unwrap();
+    let second = Train { seed: 1, ..options }.train(&net, &data, &[], None, &|| false).unwrap();
+    assert_eq!(bags, [found.fit.theta, second.fit.theta]);
 }
 
 /// Two neurons cannot hold what six can: the study shows it on all three kinds of samples.

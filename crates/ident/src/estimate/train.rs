@@ -37,7 +37,7 @@ use dynocal_numerics::status::Status;
 use serde::Deserialize;
 
 pub use division::Division;
-pub use ensemble::{best, mean_free_run};
+pub use ensemble::{bagged, best, mean_free_run};
 pub use sizes::{SizeScore, layer_sizes};
 pub(super) use spec::MEMBER;
 pub use starts::Start;

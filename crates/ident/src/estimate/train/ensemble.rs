@@ -1,6 +1,7 @@
 //! Several trained networks together: the mean of their free runs.
 
-use super::Training;
+use super::{Train, Training};
+use crate::estimate::EstimateError;
 use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::validate::{Kind, output};
@@ -11,6 +12,25 @@ pub fn best(training: &Training, count: usize) -> Vec<&[f64]> {
         (0..training.scores.len()).filter(|i| training.scores[*i].is_finite()).collect();
     order.sort_by(|a, b| training.scores[*a].total_cmp(&training.scores[*b]));
     order.into_iter().take(count).map(|i| training.thetas[i].as_slice()).collect()
+}
+
+/// The best parameter vectors of `bags` trainings with the seeds from `train.seed` on: other starts and, where samples
+/// are drawn for selection, another division each time, so that every sample is fitted by most members (L. Breiman,
+/// Bagging predictors, Machine Learning 24 (1996)).
+///
+/// # Errors
+/// As [`Train::train`].
+pub fn bagged(
+    train: &Train,
+    bags: usize,
+    model: &dyn Model,
+    data: &[Experiment],
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Vec<Vec<f64>>, EstimateError> {
+    let seeds = (0..bags.max(1)).map(|i| train.seed + i as u64);
+    seeds
+        .map(|seed| Ok(Train { seed, ..train.clone() }.train(model, data, &[], None, interrupt)?.fit.theta))
+        .collect()
 }
 
 /// Mean of the free runs of `model` under several parameter vectors (N):
