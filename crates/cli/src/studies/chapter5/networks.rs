@@ -1,12 +1,12 @@
 //! Networks of section 7.4.2: Tables 7.1, 7.2 and the columns of Table 7.5, on the virtual engine in closed loop and on
 //! the stored records of the reference data.
 
+use dynocal_calib::chapter5::Fitness;
 use dynocal_calib::chapter5::engine::{self, SAMPLE_TIME_S};
 use dynocal_calib::chapter5::networks::{
     self, Options as Training, Size, Trained, best_of_divisions, best_of_starts,
 };
 use dynocal_calib::chapter5::published::{NetworkRow, TABLE_7_1, TABLE_7_2, TABLE_7_5};
-use dynocal_calib::chapter5::{Chapter5Error, Fitness};
 use dynocal_calib::control::LoopGains;
 use dynocal_deliver::{Axis, Bars, Cell, Column, Panel, Report, Section, Table, TimePlot};
 use dynocal_ident::data::Dataset;
@@ -57,12 +57,13 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
         let inputs = json!({ "records": spec, "unseen": unseen, "training": options, "trainings": trainings, "starts": starts });
         let spec = spec.clone();
         tasks.push(task(name, inputs, move |interrupt| {
-            let count = 2 + unseen;
-            let all = engine::closed_loop(&plant, &spec, LoopGains::RETUNED, options.seed, count, interrupt)?;
-            let (selection, rest) = all.split_last().ok_or(Chapter5Error::Interrupted)?;
+            // Identification, the unseen ones of the polynomial models, and the one that selects.
+            let all =
+                engine::closed_loop(&plant, &spec, LoopGains::RETUNED, options.seed, 2 + unseen, interrupt)?;
+            let (first, others, selection) = (&all[0], &all[1..all.len() - 1], &all[all.len() - 1]);
             Ok(Networks {
-                divisions: best_of_divisions(&rest[0], &rest[1..], of, trainings, &options, interrupt)?,
-                starts: best_of_starts(&rest[0], selection, &rest[1..], of, starts, &options, interrupt)?,
+                divisions: best_of_divisions(first, others, of, trainings, &options, interrupt)?,
+                starts: best_of_starts(first, selection, others, of, starts, &options, interrupt)?,
             })
         }));
     }
