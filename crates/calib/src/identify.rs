@@ -3,8 +3,11 @@
 //! [`spec`] reads what the user wrote and checks it as a whole, [`job`] does the work with what `ident` offers,
 //! [`result`] is what comes out.
 
+pub mod after;
 pub mod before;
+pub mod bounds;
 pub mod fit;
+pub mod gaps;
 pub mod job;
 pub mod load;
 pub mod prepare;

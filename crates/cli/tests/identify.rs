@@ -300,3 +300,120 @@ fn records_that_cannot_tell_the_parameters() {
     assert_eq!(o.summary()["models"][0]["rank"], 3);
     assert!(!Path::new("run").exists());
 }
+
+#[test]
+fn preparation_is_noted_and_scores_are_in_the_channels_own_unit() {
+    // A level of 300 Nm on top, and three spikes in the estimation rows.
+    let spiked: Vec<(f64, f64)> = rows(300)
+        .into_iter()
+        .enumerate()
+        .map(|(t, (u, y))| (u, y + 300.0 + if [40, 90, 150].contains(&t) { 500.0 } else { 0.0 }))
+        .collect();
+    let steps = "[[prepare]]\nstep = \"hampel\"\nchannels = [\"y\"]\nhalf_width = 10\nn_sigma = 6.0\naction = \"mark\"\n\
+                 [[prepare]]\nstep = \"offset\"\n";
+    let spec = format!("{HEAD}{ROWS}{steps}{ARX}");
+    let o = identify(&spec, &[("bed.csv", csv("u [mg],y [Nm]", &spiked))]);
+    let s = o.summary();
+    let found = score(&s, "y", "test", &"free_run".into());
+    assert_eq!(found["unit"], "Nm");
+    assert!(found["rmse"].as_f64().unwrap() < 1e-8, "{found}");
+    let notes = s["preparation"][0]["notes"].as_array().unwrap();
+    assert_eq!((&notes[0]["step"], &notes[1]["step"]), (&"hampel".into(), &"offset".into()));
+    // Exactly the planted samples are marked, and what was subtracted from the test record is what the estimation gave.
+    let runs = &notes[0]["changes"][0]["effect"]["runs"];
+    let from: Vec<u64> = runs.as_array().unwrap().iter().map(|g| g["from"].as_u64().unwrap()).collect();
+    assert_eq!(from, [40, 90, 150]);
+    let level = |part: usize| {
+        let changes = s["preparation"][part]["notes"][1]["changes"].as_array().unwrap();
+        changes.iter().find(|c| c["channel"] == "y").unwrap()["effect"]["level"].as_f64().unwrap()
+    };
+    assert!(level(0) > 250.0 && level(0) == level(1));
+    let model = o.json("steps/01-identify/model.json");
+    assert_eq!(model["preparation"].as_array().unwrap().len(), 2);
+    let page = o.report();
+    has(&page, "1. hampel");
+    has(&page, "2. offset");
+    let e = refused(&spec.replace("\"hampel\"", "\"hampl\""), &[]);
+    has(&e, "`prepare[1].step`: found `hampl`");
+    has(&e, "did you mean `hampel`?");
+}
+
+#[test]
+fn missing_cells_are_left_out_where_the_spec_says_so() {
+    let text: String = record(300)
+        .lines()
+        .enumerate()
+        .map(|(k, l)| {
+            let (u, y) = l.split_once(',').unwrap();
+            match k {
+                30 | 31 | 77 => format!("{u},\n"),
+                120 | 160 => format!(",{y}\n"),
+                _ => format!("{l}\n"),
+            }
+        })
+        .collect();
+    let marked = HEAD.replace("init_samples = 2\n", "init_samples = 2\nmissing = \"mark\"\n");
+    let o = identify(&format!("{marked}{ROWS}{ARX}"), &[("bed.csv", text.clone())]);
+    let s = o.summary();
+    for (p, truth) in s["models"][0]["parameters"].as_array().unwrap().iter().zip([0.5, 2.0, 0.8]) {
+        assert!((p["value"].as_f64().unwrap() - truth).abs() < 1e-9, "{p} {truth}");
+    }
+    has(&o.stderr, "5 missing samples bridged");
+    assert!(rmse(&s, "y", "test") < 1e-9);
+    // Not without being asked, and not where a channel has nothing at all.
+    let e = refused(&format!("{HEAD}{ROWS}{ARX}"), &[("bed.csv", text)]);
+    has(&e, "bed.csv, line 31, column `y`");
+    let empty = record(300).lines().enumerate().fold(String::new(), |s, (k, l)| {
+        let y = l.split_once(',').unwrap().1;
+        s + &if k == 0 { format!("{l}\n") } else { format!("NaN,{y}\n") }
+    });
+    let e = refused(&format!("{marked}{ROWS}{ARX}"), &[("bed.csv", empty)]);
+    has(&e, "channel `u` is missing in all 200 samples");
+    // A gap longer than the model remembers is named.
+    let gap = record(300).lines().enumerate().fold(String::new(), |s, (k, l)| {
+        let u = l.split_once(',').unwrap().0;
+        s + &if (100..140).contains(&k) { format!("{u},\n") } else { format!("{l}\n") }
+    });
+    let o = identify(&format!("{marked}{ROWS}{ARX}"), &[("bed.csv", gap)]);
+    has(&o.stderr, "a gap of 40 samples in `y` is longer than the longest lag (1)");
+}
+
+#[test]
+fn irregular_stamps_need_a_step_that_resamples() {
+    // A ramp is a ramp at any sample time.
+    let mut text = String::from("time [s],u [mg],y [Nm]\n");
+    for k in 0..400 {
+        let t = 0.1 * f64::from(k) + if k % 3 == 1 { 0.04 } else { 0.0 };
+        text += &format!("{t},{},{}\n", (0.9 * t).sin() + (2.3 * t).cos(), 3.0 * t);
+    }
+    let timed = HEAD.replace("sample_time_s = 0.1", "time = \"time\"");
+    let e = refused(&format!("{timed}{ARX}"), &[("bed.csv", text.clone())]);
+    has(&e, "time column `time`: interval");
+    let step = "[[prepare]]\nstep = \"resample\"\nsample_time_s = 0.05\n";
+    let o = identify(&format!("{timed}{step}{ARX}"), &[("bed.csv", text)]);
+    let s = o.summary();
+    let samples = score(&s, "y", "estimation", &"one_step".into())["samples"].as_u64().unwrap();
+    assert!((790..=800).contains(&samples), "{samples}");
+    assert_eq!(o.json("steps/01-identify/model.json")["sample_time_s"], 0.05);
+}
+
+#[test]
+fn a_saved_model_scores_another_record() {
+    let o = identify(&format!("{HEAD}{ROWS}{ARX}"), &[("bed.csv", record(300)), ("other.csv", record(120))]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    let model = "run/steps/01-identify/model.json";
+    let args = ["identify", "--model", model, "--data", "other.csv", "--out", "again", "--json"];
+    let o = run(o.folder, &args);
+    let s = o.summary();
+    let found = score(&s, "y", "record", &"free_run".into());
+    assert!(found["rmse"].as_f64().unwrap() < 1e-9 && found["data"] == "unseen" && found["samples"] == 119);
+    assert_eq!(s["models"][0]["status"], Value::Null);
+    // With a spec, its layout is used; another sample time is another system.
+    let o = run(o.folder, &["identify", "spec.toml", "--model", model, "--out", "third", "--json"]);
+    assert_eq!(score(&o.summary(), "y", "test", &"free_run".into())["samples"], 98);
+    let spec = std::fs::read_to_string(o.folder.path().join("spec.toml")).unwrap();
+    let other = spec.replace("sample_time_s = 0.1", "sample_time_s = 0.2");
+    atomic::write(&o.folder.path().join("spec.toml"), other.as_bytes()).unwrap();
+    let o = run(o.folder, &["identify", "spec.toml", "--model", model, "--out", "fourth"]);
+    has(&o.stderr, "sample time 0.2 s, expected 0.1 s as in the model of `y`");
+}

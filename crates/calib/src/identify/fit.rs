@@ -10,6 +10,7 @@ use dynocal_ident::select::{self, Selection};
 use dynocal_numerics::registry::{self, BuildError};
 use dynocal_numerics::status::Status;
 
+use super::gaps::bridge;
 use super::job::IdentifyError;
 use super::result::{ModelFile, Parameter};
 use super::spec::{Family, Selecting, Target};
@@ -68,7 +69,10 @@ pub fn estimate(
         Stored::Linear(m) => pem(&t.estimator_keys)?.estimate(m, data, None, around.interrupt)?,
         other => {
             let Some(m) = other.narx() else { return Err(IdentifyError::Interrupted) };
-            narx(t, m, data, selecting, around)?
+            let whole = bridge(t, m, data, t.estimator != "ols");
+            let mut fit = narx(t, m, &whole.data, selecting, around)?;
+            fit.warnings.extend(whole.remarks);
+            fit
         }
     };
     if fit.status == Status::Interrupted {

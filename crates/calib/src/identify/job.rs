@@ -5,15 +5,19 @@ use std::path;
 use dynocal_files::run_folder::{RunFolder, digest};
 use dynocal_files::{FilesError, csv_io, json};
 use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::estimate::{EstimateError, Minimised};
 use dynocal_ident::experiment::{Experiment, experiments, experiments_marked};
 use dynocal_ident::prepare::{Note, PrepareError};
 use dynocal_ident::select::SelectError;
 use dynocal_ident::validate::Kind;
+use dynocal_ident::validate::boundary::BoundaryModel;
 use dynocal_numerics::registry::BuildError;
 use rayon::prelude::*;
 
+use super::after::{After, after};
 use super::before::before;
+use super::bounds::free_run_bounds;
 use super::fit::{Around, Estimated, estimate, saved};
 use super::load::{Part, parts};
 use super::prepare::prepare_parts;
@@ -126,16 +130,26 @@ fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, Ident
         return Err(IdentifyError::Loop { target: target.into(), input: input.into() });
     }
     (around.note)("scoring");
+    let fitted: Vec<Vec<Experiment>> = job
+        .targets
+        .iter()
+        .map(|t| parts[0].records.iter().map(|d| Ok(bridged(&shape(d, &t.inputs, &t.target)?).0)).collect())
+        .collect::<Result<_, DataError>>()?;
     let minimised: Vec<Kind> = estimated.iter().map(minimised).collect();
     let mut scored = Vec::new();
     for part in &parts {
         let notes = preparation.iter().find(|p| p.part == part.name).map_or(&[][..], |p| &p.notes);
-        scored.push(score(part, notes, &set, &minimised, &job.validate, dir)?);
+        let bounds = |k: usize, r: &Experiment| {
+            // The band of one model says nothing about a set that runs together.
+            if set.is_coupled() { None } else { free_run_bounds(job, &estimated[k], &fitted[k], r) }
+        };
+        scored.push(score(part, notes, &set, &minimised, &job.validate, &bounds, dir)?);
     }
     let mut models = Vec::new();
     for (t, e) in job.targets.iter().zip(&estimated) {
+        let judged = after(job, t, e, &parts, around)?;
         let notes = preparation.first().map_or(&[][..], |p| &p.notes);
-        models.push(modelled(job, t, e, (&parts[0].records[0], notes), &scored, dir)?);
+        models.push(modelled(job, t, e, (&parts[0].records[0], notes), &scored, judged, dir)?);
     }
     let mut found = finish(job, &parts, &estimated, models, scored);
     found.files.extend(preparation.iter().flat_map(|p| &p.stages).map(|s| s.file.clone()));
@@ -191,6 +205,7 @@ fn modelled(
     e: &Estimated,
     (d, notes): (&Dataset, &[Note]),
     scored: &[Scored],
+    (after, boundary): (After, Option<BoundaryModel>),
     dir: &path::Path,
 ) -> Result<Modelled, IdentifyError> {
     let quantity = |name: &String| -> Result<Quantity, DataError> {
@@ -206,6 +221,7 @@ fn modelled(
         parameters: e.parameters.clone(),
         estimator: t.estimator.clone(),
         noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
+        boundary,
         preparation: notes.to_vec(),
         origin: origin.collect::<Vec<_>>().join(", "),
     };
@@ -228,6 +244,7 @@ fn modelled(
         samples: e.fit.as_ref().map(|f| f.samples),
         selection: e.selection.as_ref().map(|s| Path { pool: s.pool, kept: s.steps, steps: s.path.clone() }),
         residuals: scored.iter().flat_map(own).collect(),
+        after,
         file: in_step(&name),
     })
 }

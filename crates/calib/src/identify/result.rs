@@ -3,10 +3,12 @@
 use dynocal_ident::model::poly::StructureError;
 use dynocal_ident::prepare::Note;
 use dynocal_ident::select::Step;
+use dynocal_ident::validate::boundary::BoundaryModel;
 use dynocal_ident::validate::{Correlation, Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
+use super::after::After;
 use super::before::Before;
 use super::stored::{Fitted, Stored};
 
@@ -32,6 +34,9 @@ pub struct ModelFile {
     pub estimator: String,
     /// Variance of the errors that the estimator made small, in squared units of the output.
     pub noise_variance: Option<f64>,
+    /// What of the space of lagged inputs and outputs was identified; absent where it could not be learnt.
+    #[serde(default)]
+    pub boundary: Option<BoundaryModel>,
     /// What was done to the records before the estimate: other records need the same.
     #[serde(default)]
     pub preparation: Vec<Note>,
@@ -165,6 +170,8 @@ pub struct Modelled {
     pub selection: Option<Path>,
     /// Residual correlations, of the estimation and the last unseen part.
     pub residuals: Vec<ResidualTests>,
+    /// Spread, stability, boundary.
+    pub after: After,
     /// Model file, relative to the run folder.
     pub file: String,
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use dynocal_files::csv_io;
 use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::prepare::Note;
 use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation};
@@ -15,6 +16,9 @@ use super::prepare::{own_unit, restored};
 use super::result::{RecordFile, ResidualTests, Score};
 use super::set::{Member, Set};
 use super::spec::Validation;
+
+/// Lower and upper bound of a measurement about the free run of a target, by its place in the set.
+pub type Bounds<'a> = dyn Fn(usize, &Experiment) -> Option<(Vec<f64>, Vec<f64>)> + 'a;
 
 /// What scoring one part gives.
 #[derive(Debug, Default)]
@@ -48,6 +52,7 @@ pub fn score(
     set: &Set,
     minimised: &[Kind],
     v: &Validation,
+    bounds: &Bounds,
     dir: &Path,
 ) -> Result<Scored, IdentifyError> {
     let mut kinds = vec![Kind::OneStep];
@@ -60,12 +65,13 @@ pub fn score(
         long_enough(set, &shaped)?;
         let mut kept: Vec<(String, String, Vec<f64>)> = Vec::new();
         let measured = measured(set, notes, d, &shaped)?;
+        let whole: Vec<Experiment> = shaped.iter().map(|e| bridged(e).0).collect();
         for (m, z) in set.members.iter().zip(&measured) {
             let unit = own_unit(notes, d, &m.target)?;
             kept.push((format!("{}_measured", m.target), unit, z.clone()));
         }
         for (j, kind) in kinds.iter().enumerate() {
-            for (k, found) in set.outputs(&shaped, *kind).into_iter().enumerate() {
+            for (k, found) in set.outputs(&whole, *kind).into_iter().enumerate() {
                 let Some(mut found) = found else { continue };
                 restored(notes, d, &set.members[k].target, &mut found)?;
                 let target = &set.members[k].target;
@@ -80,6 +86,15 @@ pub fn score(
                 if let Some(label) = label(*kind) {
                     kept.push((format!("{target}_{label}"), own_unit(notes, d, target)?, found));
                 }
+            }
+        }
+        for (k, e) in whole.iter().enumerate() {
+            let target = &set.members[k].target;
+            let Some((mut low, mut high)) = bounds(k, e) else { continue };
+            for (label, values) in [("low", &mut low), ("high", &mut high)] {
+                restored(notes, d, target, values)?;
+                let unit = own_unit(notes, d, target)?;
+                kept.push((format!("{target}_{label}"), unit, std::mem::take(values)));
             }
         }
         let name = format!("{}-{}.csv", file_name(&part.name), file_name(&d.name));

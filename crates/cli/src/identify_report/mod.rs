@@ -1,5 +1,6 @@
 //! The report of an identification: it arranges what the run folder holds and computes nothing.
 
+mod after;
 mod before;
 mod models;
 mod preparation;
@@ -31,6 +32,7 @@ pub(crate) fn write(found: &Identified, folder: &Path) -> Result<(), Failure> {
     }
     report = report.section(records::section(found, folder)?);
     report = report.section(residuals::section(found));
+    report = report.section(after::section(found));
     report = report.section(models::section(found));
     atomic::write(&folder.join("report.html"), render(&report)?.as_bytes())?;
     Ok(())

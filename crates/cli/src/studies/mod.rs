@@ -4,6 +4,8 @@
 //! all results to checks. Tasks know nothing of each other. One file per study, one line in [`STUDIES`].
 
 mod asked;
+mod benchmark_cases;
+mod benchmarks;
 mod chain;
 mod chain_checks;
 mod chain_tasks;
@@ -34,6 +36,9 @@ pub(crate) struct Options {
     /// File of reference values, for a study that compares with one. What it holds counts, not where it lies.
     #[serde(skip)]
     pub(crate) reference: Option<PathBuf>,
+    /// Folder of measured data, for a study that needs some.
+    #[serde(skip)]
+    pub(crate) data: Option<PathBuf>,
 }
 
 /// What a task gets from its surroundings.
@@ -97,7 +102,8 @@ pub(crate) struct Study {
 }
 
 /// All studies.
-pub(crate) static STUDIES: &[Study] = &[chain::STUDY, chapter4::STUDY, chapter5::STUDY, engine::STUDY];
+pub(crate) static STUDIES: &[Study] =
+    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, engine::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {

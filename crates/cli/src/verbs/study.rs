@@ -27,6 +27,10 @@ struct Study {
     /// $DYNOCAL_REFERENCE_DIR/reference)
     #[arg(long, value_name = "FILE")]
     reference: Option<PathBuf>,
+    /// Folder of measured data (`benchmarks`: with `data/sysid` and `data/engine`; otherwise that of
+    /// $DYNOCAL_REFERENCE_DIR)
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -39,6 +43,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         seed: args.common.seed.unwrap_or(1),
         reduced: args.reduced,
         reference: args.reference.clone(),
+        data: args.data.clone(),
     };
     let folder = if args.reduced { format!("study-{}-quick", args.name) } else { format!("study-{}", args.name) };
     let out = args.common.out.clone().unwrap_or_else(|| Path::new("runs").join(folder));

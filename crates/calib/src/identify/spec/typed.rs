@@ -97,4 +97,5 @@ pub(super) struct TypedValidate {
     pub(super) stability_runs: Option<usize>,
     pub(super) residual_lags: Option<usize>,
     pub(super) confidence: Option<f64>,
+    pub(super) boundary: Option<toml::Table>,
 }

@@ -3,8 +3,11 @@
 use std::collections::BTreeMap;
 
 use dynocal_files::spec::Faults;
+use dynocal_ident::validate::boundary::BoundaryKeys;
+use dynocal_numerics::registry;
 use serde::Serialize;
 
+use super::member::built;
 use super::typed::TypedValidate;
 
 /// What is computed after the fit beside one step and free run.
@@ -22,6 +25,8 @@ pub struct Validation {
     pub residual_lags: usize,
     /// Level of confidence of bands and bounds.
     pub confidence: f64,
+    /// How the boundary of what was identified is learnt.
+    pub boundary: BoundaryKeys,
 }
 
 impl Default for Validation {
@@ -33,6 +38,7 @@ impl Default for Validation {
             stability_runs: 20,
             residual_lags: 25,
             confidence: 0.95,
+            boundary: BoundaryKeys::default(),
         }
     }
 }
@@ -75,6 +81,11 @@ pub(super) fn validation(
     v.confidence = t.confidence.unwrap_or(v.confidence);
     if !(0.5..1.0).contains(&v.confidence) {
         faults.push("validate.confidence", v.confidence, "a level from 0.5 to below 1, e.g. 0.95");
+    }
+    if let Some(keys) = &t.boundary
+        && let Some(b) = built("validate.boundary", "kind", registry::keys("boundary", keys), faults)
+    {
+        v.boundary = b;
     }
     v
 }
