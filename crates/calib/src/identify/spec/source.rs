@@ -62,7 +62,7 @@ fn path_of(key: &str, file: &str, place: &Place, faults: &mut Faults) -> Option<
     match given.or_else(|| std::env::var_os(name).map(PathBuf::from)) {
         Some(v) => Some(v.join(rest.trim_start_matches('/'))),
         None => {
-            let expected = format!("the environment variable {name}, or --data FILE");
+            let expected = format!("the environment variable {name}, or --data");
             faults.push(key, format!("`{file}` with {name} not set"), expected);
             None
         }
