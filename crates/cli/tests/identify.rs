@@ -180,7 +180,8 @@ fn linear_model_with_noise_is_stored_and_scored() {
     let split = "[split]\nestimation_rows = [[0, 1000]]\ntest_rows = [[1000, 1500]]\n";
     let model =
         "[model]\nstructure = { name = \"armax\", na = 1, nb = 1, nc = 1 }\nestimator = { name = \"pem\" }\n";
-    let o = identify(&format!("{HEAD}{split}{model}"), &[("bed.csv", text.clone())]);
+    let steps = "[validate]\nk_steps = [2]\n";
+    let o = identify(&format!("{HEAD}{split}{model}{steps}"), &[("bed.csv", text.clone())]);
     let s = o.summary();
     let file = o.json("steps/01-identify/model.json");
     assert_eq!((&file["structure"]["kind"], &file["structure"]["nc"]), (&"linear".into(), &1.into()));
@@ -194,6 +195,29 @@ fn linear_model_with_noise_is_stored_and_scored() {
     assert!((one - 0.3).abs() < 0.04, "{one}");
     let expected = (0.09_f64 * (1.0 + 1.96 / 0.36)).sqrt();
     assert!((free - expected).abs() < 0.25 * expected, "{free} {expected}");
+    // Two steps: e(t) + 1.4 e(t-1).
+    let kind = serde_json::json!({ "k_step": 2 });
+    let two = score(&s, "y", "test", &kind)["rmse"].as_f64().unwrap();
+    assert!((two / (0.3 * (1.0 + 1.96_f64).sqrt()) - 1.0).abs() < 0.12, "{two}");
+    // The same system as a polynomial with innovations: the same numbers, by another estimator.
+    let terms = r#"["y(t-1)", "u(t-1)", "e(t-1)"]"#;
+    let narmax = format!(
+        "[model]\nstructure = {{ name = \"narmax\", regressors = {terms} }}\nestimator = {{ name = \"els\" }}\n"
+    );
+    let o = identify(&format!("{HEAD}{split}{narmax}{steps}"), &[("bed.csv", text.clone())]);
+    let other = o.summary();
+    let stored = o.json("steps/01-identify/model.json");
+    assert_eq!(stored["structure"]["kind"], "narmax");
+    for (p, truth) in stored["parameters"].as_array().unwrap().iter().zip([0.8, 2.0, 0.6]) {
+        let (value, error) = (p["value"].as_f64().unwrap(), p["std_error"].as_f64().unwrap());
+        assert!((value - truth).abs() < 4.0 * error && error < 0.1, "{p} {truth}");
+    }
+    for kind in ["one_step".into(), kind, "free_run".into()] {
+        let of = |s: &Value| score(s, "y", "test", &kind)["rmse"].as_f64().unwrap();
+        assert!((of(&other) / of(&s) - 1.0).abs() < 0.03, "{kind}: {} {}", of(&other), of(&s));
+    }
+    let wrong = format!("{HEAD}{split}{}", narmax.replace("els", "ols"));
+    has(&refused(&wrong, &[("bed.csv", text.clone())]), "`els` for the structure `narmax`");
     // The estimator and the structure have to agree.
     let wrong = format!("{HEAD}{split}{}", model.replace("pem", "ols"));
     has(&refused(&wrong, &[("bed.csv", text.clone())]), "expected `pem` for the structure `armax`");

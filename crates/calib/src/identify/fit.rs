@@ -1,14 +1,17 @@
 //! The estimate of one target: structure, selection of terms, start, estimator.
 
+use dynocal_ident::estimate::narmax::{Els, Narmax};
 use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::estimate::train::Train;
 use dynocal_ident::estimate::{self, Fit};
 use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::poly::StructureError;
 use dynocal_ident::model::{Model, linear, structures};
 use dynocal_ident::select::pool::Pool;
 use dynocal_ident::select::{self, Selection};
 use dynocal_numerics::registry::{self, BuildError};
 use dynocal_numerics::status::Status;
+use serde::Deserialize;
 
 use super::gaps::bridge;
 use super::job::IdentifyError;
@@ -35,6 +38,31 @@ pub struct Estimated {
 /// [`BuildError`].
 pub fn pem(keys: &toml::Table) -> Result<Pem, BuildError> {
     registry::keys("pem", keys)
+}
+
+/// Extended least squares from its keys.
+///
+/// # Errors
+/// [`BuildError`].
+pub fn els(keys: &toml::Table) -> Result<Els, BuildError> {
+    registry::keys("els", keys)
+}
+
+/// Keys of the structure with innovations.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NarmaxKeys {
+    regressors: Vec<String>,
+}
+
+/// The structure with innovations from its keys.
+///
+/// # Errors
+/// [`BuildError`]: keys, or regressors that do not fit the channels.
+pub fn narmax(keys: &toml::Table, inputs: &[String], target: &str) -> Result<Narmax, BuildError> {
+    let read: NarmaxKeys = registry::keys("narmax", keys)?;
+    let refused = |e: StructureError| BuildError::Keys { member: "narmax".into(), message: e.to_string() };
+    Narmax::parse(inputs, target, &read.regressors).map_err(refused)
 }
 
 /// What runs beside the work.
@@ -67,6 +95,12 @@ pub fn estimate(
     ));
     let fit = match &stored {
         Stored::Linear(m) => pem(&t.estimator_keys)?.estimate(m, data, None, around.interrupt)?,
+        Stored::Narmax(m) => {
+            let whole = bridge(t, m.with_innovations(), data, false);
+            let mut fit = els(&t.estimator_keys)?.estimate(m, &whole.data, around.interrupt)?;
+            fit.warnings.extend(whole.remarks);
+            fit
+        }
         other => {
             let Some(m) = other.narx() else { return Err(IdentifyError::Interrupted) };
             let whole = bridge(t, m, data, t.estimator != "ols");
@@ -114,6 +148,9 @@ fn structure(
     if t.structure.family == Family::Linear {
         let model = linear::structures::linear_structure(name, keys)?.model(&t.inputs, &t.target);
         return Ok((Stored::Linear(model.map_err(failed)?), None));
+    }
+    if t.structure.family == Family::Narmax {
+        return Ok((Stored::Narmax(narmax(keys, &t.inputs, &t.target)?), None));
     }
     let built = structures::structure(name, keys)?;
     if let Some(network) = built.network(&t.inputs, &t.target, data).map_err(failed)? {

@@ -1,5 +1,6 @@
 //! Structures of every kind in one form that a file can hold, and the outputs of a fitted one.
 
+use dynocal_ident::estimate::narmax::Narmax;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::linear::{LinearModel, PredictionErrors};
 use dynocal_ident::model::neural::NeuralNarx;
@@ -18,6 +19,8 @@ pub enum Stored {
     Neural(NeuralNarx),
     /// Linear with a noise model.
     Linear(LinearModel),
+    /// Polynomial NARMAX.
+    Narmax(Narmax),
 }
 
 impl Stored {
@@ -27,15 +30,16 @@ impl Stored {
             Stored::Polynomial(m) => m.n_params(),
             Stored::Neural(m) => m.n_params(),
             Stored::Linear(m) => m.n_params(),
+            Stored::Narmax(m) => m.with_innovations().n_params(),
         }
     }
 
-    /// The structure as a NARX model; none for linear ones with a noise model.
+    /// The structure as a NARX model; none for those with a noise model.
     pub fn narx(&self) -> Option<&dyn Model> {
         match self {
             Stored::Polynomial(m) => Some(m),
             Stored::Neural(m) => Some(m),
-            Stored::Linear(_) => None,
+            Stored::Linear(_) | Stored::Narmax(_) => None,
         }
     }
 }
@@ -45,7 +49,7 @@ impl Stored {
 pub struct Fitted {
     stored: Stored,
     theta: Vec<f64>,
-    /// The part of a linear model that the inputs drive, with its parameters; none for a time series.
+    /// The part of a model with a noise model that the inputs drive, with its parameters; none for a time series.
     driven: Option<(PolyNarx, Vec<f64>)>,
 }
 
@@ -53,10 +57,11 @@ impl Fitted {
     /// `theta` (p) as estimated.
     ///
     /// # Errors
-    /// [`StructureError`] of a linear model whose names cannot stand in regressors.
+    /// [`StructureError`] of a model whose names cannot stand in regressors.
     pub fn new(stored: Stored, theta: Vec<f64>) -> Result<Self, StructureError> {
         let driven = match &stored {
             Stored::Linear(m) if m.n_inputs() > 0 => Some(m.deterministic(&theta)?),
+            Stored::Narmax(m) => m.driven(&theta)?,
             _ => None,
         };
         Ok(Self { stored, theta, driven })
@@ -85,6 +90,7 @@ impl Fitted {
     pub fn first(&self, e: &Experiment) -> usize {
         let lag = match &self.stored {
             Stored::Linear(m) => m.max_lag().max(self.driven.as_ref().map_or(0, |d| d.0.max_lag())),
+            Stored::Narmax(m) => m.max_lag(),
             other => other.narx().map_or(0, Model::max_lag),
         };
         e.init_samples.max(lag)
@@ -96,7 +102,11 @@ impl Fitted {
         if let Some(m) = self.stored.narx() {
             return Some(validate::output(m, &self.theta, e, kind));
         }
-        let Stored::Linear(linear) = &self.stored else { return None };
+        let linear = match &self.stored {
+            Stored::Narmax(m) => return Some(m.output(&self.theta, e, kind)),
+            Stored::Linear(m) => m,
+            _ => return None,
+        };
         let first = self.first(e);
         match kind {
             Kind::FreeRun => {
@@ -114,7 +124,11 @@ impl Fitted {
                 let predicted = |(t, (y, eps)): (usize, (&f64, &f64))| if t < first { *y } else { y - eps };
                 Some(e.y.iter().zip(&eps).enumerate().map(predicted).collect())
             }
-            Kind::KStep(_) => None,
+            Kind::KStep(k) => {
+                let mut y = vec![0.0; e.len()];
+                linear.predict(&self.theta, &Run { u: &e.u, y: &e.y, start: first.min(e.len()) }, k, &mut y);
+                Some(y)
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! `dynocal list [FAMILY]`: what there is, from the tables that the parser of specs uses.
 
 use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_ident::estimate::{narmax, pem};
 use dynocal_numerics::registry::MemberDoc;
 
 use super::Verb;
@@ -26,10 +27,9 @@ type Family = (&'static str, fn() -> Vec<MemberDoc>);
 
 static FAMILIES: &[Family] = &[
     ("signals", dynocal_ident::signal::docs),
-    ("steps", dynocal_ident::prepare::docs),
-    ("models", dynocal_ident::model::structures::docs),
+    ("models", || with(dynocal_ident::model::structures::docs(), &[narmax::STRUCTURE])),
     ("linear-models", dynocal_ident::model::linear::structures::docs),
-    ("estimators", dynocal_ident::estimate::docs),
+    ("estimators", || with(dynocal_ident::estimate::docs(), &[pem::PEM, narmax::ELS])),
     ("preparation", dynocal_ident::prepare::docs),
     ("selections", dynocal_ident::select::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
@@ -38,6 +38,12 @@ static FAMILIES: &[Family] = &[
     ("studies", || crate::studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];
+
+/// Members of a table, and those beside it that have a contract of their own.
+fn with(mut table: Vec<MemberDoc>, beside: &[MemberDoc]) -> Vec<MemberDoc> {
+    table.extend(beside);
+    table
+}
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = List::from_arg_matches(matches)?;

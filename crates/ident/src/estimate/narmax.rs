@@ -11,6 +11,7 @@
 //! (1999), eq. (10.63) (pseudolinear regression).
 
 use dynocal_numerics::linalg::{axpy, dot, least_squares};
+use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::{Deserialize, Serialize};
 
@@ -18,12 +19,39 @@ use super::fit::Found;
 use super::{EstimateError, Fit, Minimised};
 use crate::data::DataError;
 use crate::experiment::{Experiment, usable_samples};
-use crate::model::poly::{PolyNarx, StructureError};
+use crate::model::poly::{PolyNarx, Source, StructureError};
 use crate::model::{Model, Run};
 use crate::validate::{Kind, Reference, Score, Seen, score_values};
 
 /// Name of the innovations in regressors.
 pub const INNOVATION: &str = "e";
+
+/// The structure as a spec names it.
+pub const STRUCTURE: MemberDoc = MemberDoc {
+    name: "narmax",
+    what: "polynomial with products of lagged inputs, outputs and innovations `e(t-k)`; estimator els",
+    params: &[ParamDoc {
+        name: "regressors",
+        unit: "-",
+        default: "",
+        what: "terms as text, e.g. [\"y(t-1)\", \"inj(t-1)^2\", \"e(t-1)\"]",
+    }],
+};
+
+/// The estimator as a spec names it.
+pub const ELS: MemberDoc = MemberDoc {
+    name: "els",
+    what: "extended least squares: residuals of one pass are the innovations of the next; structure narmax",
+    params: &[
+        ParamDoc { name: "max_passes", unit: "-", default: "200", what: "most passes" },
+        ParamDoc {
+            name: "tolerance",
+            unit: "standard errors",
+            default: "1e-6",
+            what: "largest change of a parameter at which the passes have converged",
+        },
+    ],
+};
 
 /// A polynomial NARMAX structure: a polynomial NARX model with the innovations as its last input.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,6 +129,23 @@ impl Narmax {
     /// The model as a NARX model whose last input is the innovation: with zeros there its free run is that of this model.
     pub fn with_innovations(&self) -> &PolyNarx {
         &self.with_innovations
+    }
+
+    /// What the free run simulates, where innovations are zero: the terms without them, with their parameters. None where
+    /// every term has one.
+    ///
+    /// # Errors
+    /// [`StructureError`] of the smaller structure.
+    pub fn driven(&self, theta: &[f64]) -> Result<Option<(PolyNarx, Vec<f64>)>, StructureError> {
+        let innovation = Source::Input(self.inputs().len());
+        let own = self.with_innovations.regressors().iter().zip(theta);
+        let left = own.filter(|(r, _)| r.reads().all(|(source, _)| source != innovation));
+        let (terms, theta): (Vec<_>, Vec<f64>) = left.map(|(r, v)| (r.clone(), *v)).unzip();
+        if terms.is_empty() {
+            return Ok(None);
+        }
+        let output = self.with_innovations.output().to_string();
+        Ok(Some((PolyNarx::new(self.inputs().to_vec(), output, terms)?, theta)))
     }
 
     /// Longest lag.

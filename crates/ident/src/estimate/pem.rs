@@ -22,6 +22,7 @@ mod problem;
 mod start;
 
 use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
+use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use serde::Deserialize;
 
 use super::fit::Found;
@@ -31,6 +32,32 @@ use super::{EstimateError, Fit, Minimised};
 use crate::experiment::Experiment;
 use crate::model::linear::LinearModel;
 use problem::PredictionError;
+
+/// The estimator as a spec names it.
+pub const PEM: MemberDoc = MemberDoc {
+    name: "pem",
+    what: "prediction error of linear structures with a noise model, exact gradient; missing samples are unknowns",
+    params: &[
+        ParamDoc {
+            name: "max_evaluations",
+            unit: "-",
+            default: "200",
+            what: "most cost evaluations of one search",
+        },
+        ParamDoc {
+            name: "cost_tolerance",
+            unit: "-",
+            default: "1e-14",
+            what: "relative decrease of the cost at which the search has converged",
+        },
+        ParamDoc {
+            name: "initial",
+            unit: "-",
+            default: "zero",
+            what: "what stands before the first sample: zero, data, or estimate",
+        },
+    ],
+};
 
 /// Options of prediction-error estimation.
 #[derive(Clone, Copy, Debug, Deserialize)]

@@ -3,7 +3,7 @@
 use dynocal_files::dataset::ChannelSpec;
 use dynocal_files::spec::Faults;
 use dynocal_ident::data::Role;
-use dynocal_ident::estimate;
+use dynocal_ident::estimate::{self, narmax, pem};
 use dynocal_ident::model::{linear, structures};
 use dynocal_ident::select::{self, pool::PoolKeys};
 use serde::{Deserialize, Serialize};
@@ -61,6 +61,8 @@ pub enum Family {
     Narx,
     /// Linear with a noise model, estimated by prediction errors.
     Linear,
+    /// Polynomial with innovations, estimated by extended least squares.
+    Narmax,
 }
 
 /// How terms are selected.
@@ -80,7 +82,7 @@ pub struct Selecting {
 pub(super) const POOL: &str = "pool";
 
 /// Name of the prediction-error estimator of linear models with noise models.
-pub const PEM: &str = "pem";
+pub const PEM: &str = pem::PEM.name;
 
 /// All targets of the table; `seed` replaces that of estimators which have one.
 pub(super) fn targets(
@@ -125,6 +127,10 @@ pub(super) fn targets(
         let spec = StructureSpec { name: structure, keys, family };
         let Some(()) = fits(&key, &spec, &inputs, name, pool.as_ref(), faults) else { continue };
         agree(&spec, estimator, faults);
+        if m.select.is_some() && family != Family::Narx {
+            let expected = "no selection: terms are selected from NARX structures";
+            faults.push("model.select", format!("the structure `{}`", spec.name), expected);
+        }
         out.push(Target {
             target: name.clone(),
             inputs,
@@ -227,6 +233,9 @@ fn localise(keys: &mut toml::Table, target: &str, channels: &[String]) {
 
 /// `arx` stands in both tables: the estimator decides.
 fn family(structure: &str, estimator: &str) -> Family {
+    if structure == narmax::STRUCTURE.name {
+        return Family::Narmax;
+    }
     let in_linear = linear::structures::LINEAR_STRUCTURES.iter().any(|m| m.doc.name == structure);
     let in_narx = structures::MODEL_STRUCTURES.iter().any(|m| m.doc.name == structure);
     if in_linear && (estimator == PEM || !in_narx) { Family::Linear } else { Family::Narx }
@@ -256,11 +265,16 @@ fn fits(
             let built = built(key, "name", linear::structures::linear_structure(&s.name, &s.keys), faults)?;
             built.model(inputs, target).map(|_| ())
         }
+        Family::Narmax => {
+            return built(key, "name", crate::identify::fit::narmax(&s.keys, inputs, target), faults)
+                .map(|_| ());
+        }
         Family::Narx => {
             let known = structures::MODEL_STRUCTURES.iter().any(|m| m.doc.name == s.name);
             if !known {
                 let names = structures::MODEL_STRUCTURES.iter().map(|m| m.doc.name);
                 let linear = linear::structures::LINEAR_STRUCTURES.iter().map(|m| m.doc.name);
+                let linear = linear.chain([narmax::STRUCTURE.name]);
                 let mut all: Vec<String> = names.map(str::to_string).collect();
                 for name in linear.map(str::to_string) {
                     if !all.contains(&name) {
@@ -285,6 +299,14 @@ fn agree(s: &StructureSpec, estimator: &str, faults: &mut Faults) {
             let expected = format!("`{PEM}` for the structure `{}`, which has a noise model", s.name);
             faults.push("model.estimator.name", format!("`{estimator}`"), expected);
         }
+        Family::Narmax if estimator != narmax::ELS.name => {
+            let expected = "`els` for the structure `narmax`, which has innovations";
+            faults.push("model.estimator.name", format!("`{estimator}`"), expected);
+        }
+        Family::Narx | Family::Linear if estimator == narmax::ELS.name => {
+            let expected = "`narmax` for the estimator `els`";
+            faults.push("model.structure.name", format!("`{}`", s.name), expected);
+        }
         Family::Narx if estimator == PEM => {
             let linear: Vec<&str> =
                 linear::structures::LINEAR_STRUCTURES.iter().map(|m| m.doc.name).collect();
@@ -307,6 +329,10 @@ fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(
             faults.push(&format!("model.{key}"), "the same key in model.estimator", "it in one place");
         }
     }
+    if name == narmax::ELS.name {
+        built("model.estimator", "name", crate::identify::fit::els(&keys), faults)?;
+        return Some((name, keys));
+    }
     if name == PEM {
         built("model.estimator", "name", crate::identify::fit::pem(&keys), faults)?;
         return Some((name, keys));
@@ -316,7 +342,10 @@ fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(
         keys.insert("seed".into(), toml::Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
     }
     if doc.is_none() {
-        let known = estimate::docs().into_iter().map(|d| d.name.to_string()).chain([PEM.to_string()]);
+        let known = estimate::docs()
+            .into_iter()
+            .map(|d| d.name.to_string())
+            .chain([PEM.to_string(), narmax::ELS.name.into()]);
         faults.unknown("model.estimator.name", &name, &known.collect::<Vec<_>>());
         return None;
     }

@@ -80,6 +80,7 @@ fn target(m: &ModelFile) -> Target {
         Stored::Polynomial(_) => ("polynomial", Family::Narx),
         Stored::Neural(_) => ("neural", Family::Narx),
         Stored::Linear(_) => ("linear", Family::Linear),
+        Stored::Narmax(_) => ("narmax", Family::Narmax),
     };
     Target {
         target: m.output.name.clone(),
