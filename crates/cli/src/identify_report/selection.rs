@@ -74,9 +74,13 @@ fn errors(path: &Path) -> XyPlot {
 fn criteria(path: &Path) -> XyPlot {
     let mut plot =
         XyPlot::new("Criteria along the path", Axis::new("Step", "-"), Axis::new("Criterion", "-"));
-    let all: [(&str, fn(&Step) -> f64); 3] = [("AIC", |s| s.aic), ("BIC", |s| s.bic), ("FPE", |s| s.fpe)];
-    for (name, f) in all {
-        let (x, y) = over_steps(path, f);
+    for name in ["AIC", "BIC", "FPE"] {
+        let value = |s: &Step| match name {
+            "AIC" => s.aic,
+            "BIC" => s.bic,
+            _ => s.fpe,
+        };
+        let (x, y) = over_steps(path, value);
         plot = plot.line(name, x, y);
     }
     plot

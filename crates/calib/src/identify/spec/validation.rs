@@ -52,7 +52,7 @@ pub(super) fn validation(
     let mut v = Validation::default();
     let Some(t) = typed else { return v };
     if let Some(k) = &t.k_steps {
-        if k.iter().any(|k| *k == 0) {
+        if k.contains(&0) {
             faults.push("validate.k_steps", "0", "horizons of 1 sample or more");
         }
         v.k_steps = k.clone();
