@@ -65,7 +65,7 @@ def main():
     verdict.check(f"MSE <= {ASKED_MSE} (1 + 1e-9)", mse[0] <= ASKED_MSE * (1 + 1e-9), f"{mse[0]:.15f}")
     verdict.check("MSE no worse than the peer's by more than 1e-9", mse[0] <= mse[1] * (1 + 1e-9), f"{mse[0] / mse[1] - 1:.1e}")
     verdict.check("at most 10 evaluations", mine["evaluations"] <= 10, mine["evaluations"])
-    verdict.check("no slower than the peer", own <= seconds, f"{own / seconds:.3g} of its time")
+    verdict.check("at most 0.3 of the peer's time", own <= 0.3 * seconds, f"{own / seconds:.3g} of its time")
     verdict.end()
 
 

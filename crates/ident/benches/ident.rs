@@ -47,11 +47,11 @@ fn recursion(c: &mut Criterion) {
     }
 }
 
-/// A record like that of chapter 5: 1000 samples, inputs held 10, 10 and 100, output error variance 0.5.
-fn chapter_5() -> Experiment {
+/// A record like that of chapter 5: n samples, inputs held 10, 10 and 100, output error variance 0.5.
+fn chapter_5(n: usize) -> Experiment {
     let lit = literature::torque_5_3();
     let mut rng = Rng64::new(5);
-    let (n, mut u) = (1000, Vec::new());
+    let mut u = Vec::with_capacity(3 * n);
     let (mut a, mut b, mut s) = (0.0, 0.0, 0.0);
     for t in 0..n {
         if t % 10 == 0 {
@@ -69,9 +69,37 @@ fn chapter_5() -> Experiment {
     Experiment { name: "chapter 5".into(), u, y, init_samples: 0, weights: Vec::new() }
 }
 
+/// Cost per sample of free run and estimation from a thousand to a million samples; the long ones by blocks.
+fn long_records(c: &mut Criterion) {
+    let (torque, model) = (literature::torque_4_17(), literature::torque_5_3().model);
+    let mut group = c.benchmark_group("long_records");
+    group.sample_size(10);
+    for n in [1000, 10_000, 100_000, 1_000_000] {
+        let mut rng = Rng64::new(1);
+        let u: Vec<f64> = (0..n)
+            .flat_map(|_| {
+                [rng.uniform_in(2000.0, 6000.0), rng.uniform_in(0.4, 0.6), rng.uniform_in(1000.0, 2000.0)]
+            })
+            .collect();
+        let (zeros, mut y) = (vec![0.0; n], vec![0.0; n]);
+        let run = Run { u: &u, y: &zeros, start: 10 };
+        group.throughput(Throughput::Elements(n as u64));
+        group.bench_function(format!("simulate_23_terms_{n}"), |b| {
+            b.iter(|| torque.model.simulate(black_box(&torque.theta), &run, &mut y))
+        });
+        // Seven evaluations whatever the noise: the cost of a sample, not of a convergence.
+        let sem = Sem { max_evaluations: 7, cost_tolerance: 0.0, ..Sem::default() };
+        let data = [chapter_5(n)];
+        group.bench_function(format!("sem_{n}"), |b| {
+            b.iter(|| sem.estimate(&model, black_box(&data), None, &|| false))
+        });
+    }
+    group.finish();
+}
+
 fn estimation(c: &mut Criterion) {
     let model = literature::torque_5_3().model;
-    let data = [chapter_5()];
+    let data = [chapter_5(1000)];
     let mut group = c.benchmark_group("chapter_5");
     group.bench_function("ols", |b| {
         b.iter(|| Ols::default().estimate(&model, black_box(&data), None, &|| false))
@@ -187,5 +215,5 @@ fn network(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, recursion, estimation, selection, linear, network);
+criterion_group!(benches, recursion, estimation, long_records, selection, linear, network);
 criterion_main!(benches);

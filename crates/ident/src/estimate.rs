@@ -14,7 +14,9 @@ pub mod pem;
 pub mod rls;
 pub mod search;
 pub mod sem;
+pub mod several;
 mod simulation;
+mod stability;
 pub mod train;
 
 use dynocal_numerics::linalg::LinalgError;

@@ -19,6 +19,9 @@ use super::{Fit, Minimised};
 use crate::experiment::Experiment;
 use crate::model::Model;
 
+/// Rows of sensitivities at a time.
+const BLOCK: usize = 512;
+
 /// Output of a model with what is known of its accuracy; NaN from where a free run diverges.
 #[derive(Clone, Debug, Serialize)]
 pub struct Band {
@@ -87,27 +90,32 @@ pub fn band(model: &dyn Model, fit: &Fit, data: &[Experiment], e: &Experiment, k
     let p = model.n_params();
     let run = e.run(model);
     let start = run.start.min(e.len());
-    let (mut y, mut j) = (vec![0.0; e.len()], vec![0.0; e.len() * p]);
-    match kind {
-        Minimised::OneStep => {
-            model.predict(&fit.theta, &run, &mut y);
-            model.one_step_jacobian(&fit.theta, &run, &mut j);
-        }
-        Minimised::FreeRun => {
-            model.sensitivities(&fit.theta, &run, &mut y, &mut j);
-        }
-    }
+    let mut y = vec![0.0; e.len()];
     let variance = |row: &[f64]| -> f64 {
         (0..p).map(|i| row[i] * dot(&fit.covariance[i * p..(i + 1) * p], row)).sum::<f64>().max(0.0)
     };
-    let mut std_model = vec![0.0; e.len()];
-    let mut std_measured = vec![0.0; e.len()];
-    for t in start..e.len() {
-        // `max` above would hide a NaN of a run that has diverged.
-        let v = if y[t].is_finite() { variance(&j[t * p..(t + 1) * p]) } else { f64::NAN };
-        std_model[t] = v.sqrt();
-        std_measured[t] = (v + noise_variance).sqrt();
+    // Standard deviations stay NaN where a free run has diverged.
+    let mut std_model = vec![f64::NAN; e.len()];
+    std_model[..start].fill(0.0);
+    match kind {
+        Minimised::OneStep => {
+            let mut j = vec![0.0; e.len() * p];
+            model.predict(&fit.theta, &run, &mut y);
+            model.one_step_jacobian(&fit.theta, &run, &mut j);
+            for (std, row) in std_model.iter_mut().zip(j.chunks_exact(p.max(1))).skip(start) {
+                *std = variance(row).sqrt();
+            }
+        }
+        Minimised::FreeRun => {
+            model.sensitivity_blocks(&fit.theta, &run, BLOCK, &mut y, &mut |t, _, rows| {
+                for (std, row) in std_model[t..].iter_mut().zip(rows.chunks_exact(p.max(1))) {
+                    *std = variance(row).sqrt();
+                }
+            });
+        }
     }
+    let mut std_measured: Vec<f64> = std_model.iter().map(|s| (s * s + noise_variance).sqrt()).collect();
+    std_measured[..start].fill(0.0);
     Band { kind, start, y, std_model, std_measured, noise_variance }
 }
 

@@ -187,6 +187,37 @@ impl LeastSquares for Costed<'_> {
         finite
     }
 
+    fn by_blocks(&self) -> bool {
+        self.inner.by_blocks()
+    }
+
+    fn jacobian_blocks(&mut self, x: &[f64], take: &mut dyn FnMut(&[f64], &[f64])) -> bool {
+        // Penalties come last, in a block of their own: each block waits until it is known whether it is that one.
+        let (n, cost, penalties) = (self.inner.n(), self.cost, self.residuals() > self.errors);
+        let (mut errors, mut slopes): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+        let transform = |errors: &mut [f64], slopes: &mut [f64]| {
+            for (e, row) in errors.iter_mut().zip(slopes.chunks_exact_mut(n.max(1))) {
+                let slope = cost.transform(e);
+                row.iter_mut().for_each(|v| *v *= slope);
+            }
+        };
+        let finite = self.inner.jacobian_blocks(x, &mut |r, rows| {
+            transform(&mut errors, &mut slopes);
+            if !errors.is_empty() {
+                take(&errors, &slopes);
+            }
+            errors.clear();
+            errors.extend_from_slice(r);
+            slopes.clear();
+            slopes.extend_from_slice(rows);
+        });
+        if !penalties {
+            transform(&mut errors, &mut slopes);
+        }
+        take(&errors, &slopes);
+        finite
+    }
+
     fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
         let n = self.inner.n();
         let finite = self.inner.residual_jacobian(x, r, jac);

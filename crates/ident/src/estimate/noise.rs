@@ -205,7 +205,8 @@ fn other_errors(
             Minimised::OneStep => {}
         }
         for (t, v) in y.iter_mut().enumerate() {
-            *v = if t < run.start { 0.0 } else { e.weight(t).sqrt() * (*v - e.y[t]) };
+            let error = e.weight(t).sqrt() * (*v - e.y[t]);
+            *v = if t < run.start || error.is_nan() { 0.0 } else { error };
         }
         Some(y)
     };

@@ -17,6 +17,7 @@ use super::covariance::{CovarianceChoice, Stored};
 use super::fit::Found;
 use super::noise::noise_warning;
 use super::{EstimateError, Estimator, Fit, Minimised, names};
+use crate::data::DataError;
 use crate::experiment::{Experiment, usable_samples};
 use crate::model::Model;
 
@@ -59,6 +60,12 @@ impl Estimator for Ols {
             return Err(EstimateError::NotLinear { estimator: "ols", params: p });
         }
         let (phi, y) = regression(model, data, samples);
+        let samples = y.len();
+        if samples < p {
+            let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+            let why = format!("{p} parameters; rows with missing samples are left out");
+            return Err(DataError::TooShort { record, found: samples, expected: p, why }.into());
+        }
         let solved = solve(&phi, &y, p, self.ridge)?;
         let mut problem = Linear { phi: &phi, y: &y, ridge: self.penalties(&phi, p) };
         let mut errors = problem.errors(&solved.x);
@@ -88,7 +95,7 @@ impl Estimator for Ols {
             history,
             warnings,
         };
-        let records = data.iter().map(|e| e.len() - e.first(model)).collect();
+        let records = kept_rows(model, data);
         let mut evidence = Stored {
             errors: &errors,
             jacobian: &phi,
@@ -117,7 +124,8 @@ impl Ols {
     }
 }
 
-/// Weighted regressors (samples x p, row-major) and outputs of the scored samples of all experiments.
+/// Weighted regressors (samples x p, row-major) and outputs of the scored samples of all experiments; a row in which a
+/// sample is missing (NaN) is left out.
 pub(crate) fn regression(model: &dyn Model, data: &[Experiment], samples: usize) -> (Vec<f64>, Vec<f64>) {
     let p = model.n_params();
     // A model that is linear in theta has the same regressors for every theta.
@@ -129,12 +137,24 @@ pub(crate) fn regression(model: &dyn Model, data: &[Experiment], samples: usize)
         let rows = &mut rows[..e.len() * p];
         model.one_step_jacobian(&theta, &run, rows);
         for t in run.start..e.len() {
-            let w = e.weight(t).sqrt();
-            phi.extend(rows[t * p..(t + 1) * p].iter().map(|v| w * v));
+            let (w, row) = (e.weight(t).sqrt(), &rows[t * p..(t + 1) * p]);
+            if e.y[t].is_nan() || row.iter().any(|v| v.is_nan()) {
+                continue;
+            }
+            phi.extend(row.iter().map(|v| w * v));
             y.push(w * e.y[t]);
         }
     }
     (phi, y)
+}
+
+/// Rows of [`regression`] that come from each record: all scored samples where none is missing.
+fn kept_rows(model: &dyn Model, data: &[Experiment]) -> Vec<usize> {
+    let whole = |e: &Experiment| e.len() - e.first(model);
+    if data.iter().all(|e| e.u.iter().chain(&e.y).all(|v| !v.is_nan())) {
+        return data.iter().map(whole).collect();
+    }
+    data.iter().map(|e| regression(model, std::slice::from_ref(e), whole(e)).1.len()).collect()
 }
 
 /// Least squares with the ridge in units of the columns' rms.

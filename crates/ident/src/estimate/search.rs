@@ -174,7 +174,6 @@ struct Scaled<'a> {
     first: f64,
     x: Vec<f64>,
     r: Vec<f64>,
-    jac: Vec<f64>,
     evaluations: usize,
     jacobians: usize,
     interrupted: bool,
@@ -189,15 +188,15 @@ impl<'a> Scaled<'a> {
         interrupt: &'a dyn Fn() -> bool,
     ) -> Option<Self> {
         let (n, m) = (problem.n(), problem.residuals());
-        let (mut r, mut jac) = (vec![0.0; m], vec![0.0; m * n]);
-        let finite = problem.residual_jacobian(start, &mut r, &mut jac);
-        let first = dot(&r, &r);
+        let (mut first, mut size) = (0.0, vec![0.0; n]);
+        let finite = problem.jacobian_blocks(start, &mut |r, jac| {
+            first += dot(r, r);
+            for row in jac.chunks_exact(n.max(1)) {
+                size.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
+            }
+        });
         if !finite || !first.is_finite() {
             return None;
-        }
-        let mut size = vec![0.0; n];
-        for row in jac.chunks_exact(n.max(1)) {
-            size.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
         }
         // A parameter that starts from zero, or moves nothing, takes the other measure.
         let by_size = |k: usize| if size[k] > 0.0 { (first / size[k]).sqrt() } else { 1.0 };
@@ -205,6 +204,7 @@ impl<'a> Scaled<'a> {
             (0..n).map(|k| if smooth || start[k] == 0.0 { by_size(k) } else { start[k].abs() }).collect();
         let first = if first > 0.0 { first } else { 1.0 };
         let x = start.to_vec();
+        let r = vec![0.0; m];
         Some(Self {
             problem,
             interrupt,
@@ -212,7 +212,6 @@ impl<'a> Scaled<'a> {
             first,
             x,
             r,
-            jac,
             evaluations: 0,
             jacobians: 0,
             interrupted: false,
@@ -233,22 +232,20 @@ impl Objective for Scaled<'_> {
         }
         self.evaluations += 1;
         self.x.iter_mut().zip(z).zip(&self.scale).for_each(|((x, z), d)| *x = z * d);
-        let finite = if grad.is_empty() {
-            self.problem.residual(&self.x, &mut self.r)
-        } else {
-            self.jacobians += 1;
-            self.problem.residual_jacobian(&self.x, &mut self.r, &mut self.jac)
-        };
-        if !finite {
-            return f64::INFINITY;
+        if grad.is_empty() {
+            let finite = self.problem.residual(&self.x, &mut self.r);
+            return if finite { dot(&self.r, &self.r) / self.first } else { f64::INFINITY };
         }
-        if !grad.is_empty() {
-            grad.fill(0.0);
-            for (row, r) in self.jac.chunks_exact(self.x.len().max(1)).zip(&self.r) {
+        self.jacobians += 1;
+        grad.fill(0.0);
+        let (n, mut cost) = (self.x.len(), 0.0);
+        let finite = self.problem.jacobian_blocks(&self.x, &mut |r, jac| {
+            cost += dot(r, r);
+            for (row, r) in jac.chunks_exact(n.max(1)).zip(r) {
                 grad.iter_mut().zip(row).for_each(|(g, v)| *g += r * v);
             }
-            grad.iter_mut().zip(&self.scale).for_each(|(g, d)| *g *= 2.0 * d / self.first);
-        }
-        dot(&self.r, &self.r) / self.first
+        });
+        grad.iter_mut().zip(&self.scale).for_each(|(g, d)| *g *= 2.0 * d / self.first);
+        if finite { cost / self.first } else { f64::INFINITY }
     }
 }

@@ -16,8 +16,9 @@ use serde::Deserialize;
 use super::cost::{Cost, CostKind, HUBER_THRESHOLD, fit_scale, outlier_note};
 use super::covariance::CovarianceChoice;
 use super::search::{Limits, SearchMethod, search};
+use super::simulation::free_run_samples;
 use super::{EstimateError, Estimator, Fit};
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
 use crate::model::Model;
 
 pub(super) use super::simulation::{SimulationError, further_start, least_squares_start};
@@ -74,9 +75,10 @@ impl Estimator for Sem {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        let samples = usable_samples(model, data)?;
+        let samples = free_run_samples(model, data)?;
         let mut problem = SimulationError::new(model, data, self.ridge, samples);
         let mut warnings = Vec::new();
+        let given = start.is_some() || model.random_start(&mut Rng64::stream(self.seed, 0)).is_some();
         let start = match start {
             Some(theta) if theta.len() != model.n_params() => {
                 return Err(EstimateError::Start { found: theta.len(), expected: model.n_params() });
@@ -87,7 +89,8 @@ impl Estimator for Sem {
                 None => least_squares_start(model, data, samples, self.ridge, &mut problem, &mut warnings)?,
             },
         };
-        if !problem.cost(&start).is_finite() {
+        // A least-squares start has been looked at.
+        if given && !problem.cost(&start).is_finite() {
             return Err(problem.unstable(&start));
         }
         if self.cost == CostKind::Squared {

@@ -1,17 +1,20 @@
 //! The free-run errors of all experiments as a least-squares problem, and where its searches start.
 
+use dynocal_numerics::linalg::{GramRows, pivoted_from_gram, solve_upper, solve_upper_transposed};
 use dynocal_numerics::lm::{LeastSquares, LmOutcome};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
 use super::cost::Cost;
-use super::covariance::{CovarianceChoice, Stored};
+use super::covariance::{CovarianceChoice, Evidence};
 use super::fit::Found;
 use super::noise::noise_warning;
 use super::ols::{regression, solve};
+use super::stability::stability_warning;
 use super::{EstimateError, Fit, Minimised, names, short_name};
-use crate::experiment::Experiment;
-use crate::model::Model;
+use crate::data::DataError;
+use crate::experiment::{Experiment, usable_samples};
+use crate::model::{Model, Run};
 
 /// Random parameters where the model has such, else `start` with a relative spread.
 pub(super) fn further_start(model: &dyn Model, start: &[f64], spread: f64, rng: &mut Rng64) -> Vec<f64> {
@@ -26,6 +29,8 @@ pub(super) struct SimulationError<'a> {
     data: &'a [Experiment],
     pub(super) rows: usize,
     y: Vec<f64>,
+    /// Entries of the Jacobian above which it is not stored whole.
+    stored: usize,
     /// Weight of each parameter; empty without ridge.
     pub(super) ridge: Vec<f64>,
 }
@@ -35,7 +40,7 @@ impl<'a> SimulationError<'a> {
         let longest = data.iter().map(Experiment::len).max().unwrap_or(0);
         let rows = data.iter().map(Experiment::len).sum();
         let ridge = if ridge > 0.0 { ridge_weights(model, data, ridge, samples) } else { Vec::new() };
-        Self { model, data, rows, y: vec![0.0; longest], ridge }
+        Self { model, data, rows, y: vec![0.0; longest], stored: STORED, ridge }
     }
 
     /// Free-run errors, zero where not scored; all zero when a free run diverges.
@@ -79,18 +84,7 @@ impl<'a> SimulationError<'a> {
         choice: CovarianceChoice,
         cost: Cost,
     ) -> Result<Fit, EstimateError> {
-        let p = self.model.n_params();
-        let (mut r, mut jac) = (vec![0.0; self.residuals()], vec![0.0; self.residuals() * p]);
-        self.residual_jacobian(&found.x, &mut r, &mut jac);
-        let records = self.data.iter().map(Experiment::len).collect();
-        let mut evidence = Stored {
-            errors: &r[..self.rows],
-            jacobian: &jac[..self.rows * p],
-            params: p,
-            records,
-            penalties: &self.ridge,
-            exogenous: true,
-        };
+        let theta = found.x.clone();
         let found = Found {
             estimator: "sem",
             minimised: Minimised::FreeRun,
@@ -101,15 +95,94 @@ impl<'a> SimulationError<'a> {
             history: found.history,
             warnings,
         };
+        let mut evidence = Rerun { problem: self, theta: &theta };
         let mut fit = Fit::new(found, &mut evidence, samples, choice, cost)?;
         fit.warnings.extend(noise_warning(self.model, &fit.theta, self.data, fit.minimised, &fit.residuals));
+        fit.warnings.extend(stability_warning(self.model, &fit.theta, self.data));
         Ok(fit)
+    }
+}
+
+/// Entries of a Jacobian from which on it is not stored whole (128 MB).
+const STORED: usize = 16_000_000;
+
+/// Errors and Jacobian of a fit at its parameters, run again whenever they are asked for.
+struct Rerun<'b, 'a> {
+    problem: &'b mut SimulationError<'a>,
+    theta: &'b [f64],
+}
+
+impl Evidence for Rerun<'_, '_> {
+    fn params(&self) -> usize {
+        self.theta.len()
+    }
+
+    fn exogenous(&self) -> bool {
+        true
+    }
+
+    fn penalties(&self) -> &[f64] {
+        &self.problem.ridge
+    }
+
+    fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
+        self.problem.blocks(self.theta, take);
+    }
+}
+
+impl SimulationError<'_> {
+    /// Weighted errors and sensitivities of the scored samples, `take(record, errors, rows)`.
+    fn blocks(&mut self, x: &[f64], take: &mut dyn FnMut(usize, &[f64], &[f64])) -> bool {
+        let p = self.model.n_params();
+        let (mut r, mut rows) = (Vec::with_capacity(2 * ROWS), Vec::with_capacity(2 * ROWS * p));
+        for (record, e) in self.data.iter().enumerate() {
+            let (run, y) = (e.run(self.model), &mut self.y[..e.len()]);
+            let mut each = |from: usize, y: &[f64], s: &[f64]| {
+                if e.weights.is_empty() && !e.y[from..from + y.len()].iter().any(|v| v.is_nan()) {
+                    r.clear();
+                    r.extend(y.iter().zip(&e.y[from..]).map(|(a, b)| a - b));
+                    return take(record, &r, s);
+                }
+                r.clear();
+                rows.clear();
+                for (i, row) in s.chunks_exact(p.max(1)).enumerate() {
+                    let t = from + i;
+                    // A missing output is not scored.
+                    let root = if e.y[t].is_nan() { 0.0 } else { e.weight(t).sqrt() };
+                    r.push(if root == 0.0 { 0.0 } else { root * (y[i] - e.y[t]) });
+                    rows.extend(row.iter().map(|v| root * v));
+                }
+                take(record, &r, &rows);
+            };
+            if self.model.sensitivity_blocks(x, &run, ROWS, y, &mut each) != Status::Converged {
+                return false;
+            }
+        }
+        true
     }
 }
 
 impl LeastSquares for SimulationError<'_> {
     fn n(&self) -> usize {
         self.model.n_params()
+    }
+
+    fn by_blocks(&self) -> bool {
+        self.rows * self.model.n_params() > self.stored
+    }
+
+    fn jacobian_blocks(&mut self, x: &[f64], take: &mut dyn FnMut(&[f64], &[f64])) -> bool {
+        let finite = self.blocks(x, &mut |_, r, rows| take(r, rows));
+        let p = self.ridge.len();
+        let (mut r, mut rows) = (vec![0.0; p], vec![0.0; p * p]);
+        for (k, w) in self.ridge.iter().enumerate() {
+            r[k] = w * x[k];
+            rows[k * p + k] = *w;
+        }
+        if p > 0 {
+            take(&r, &rows);
+        }
+        finite
     }
 
     fn residuals(&self) -> usize {
@@ -145,6 +218,9 @@ impl LeastSquares for SimulationError<'_> {
                     s.iter_mut().for_each(|v| *v *= w.sqrt());
                 }
             }
+            for t in (run.start..e.len()).filter(|t| e.y[*t].is_nan()) {
+                s[t * p..(t + 1) * p].fill(0.0);
+            }
             row += e.len();
         }
         self.fill_ridge(x, r);
@@ -164,6 +240,42 @@ impl SimulationError<'_> {
     }
 }
 
+/// Number of scored samples of a free run: all of [`usable_samples`] whose output is not missing (NaN).
+///
+/// # Errors
+/// As of [`usable_samples`]; [`DataError::NonFinite`] for an input that is not a number or an output that a free run starts
+/// from: those must be filled, the record be cut there, or the model be one that takes missing samples as unknowns.
+pub(super) fn free_run_samples(model: &dyn Model, data: &[Experiment]) -> Result<usize, DataError> {
+    let mut samples = usable_samples(model, data)?;
+    for e in data {
+        let m = model.n_inputs().max(1);
+        let fault =
+            |channel, sample, found| DataError::NonFinite { record: e.name.clone(), channel, sample, found };
+        if let Some(k) = e.u.iter().position(|v| !v.is_finite()) {
+            return Err(fault(format!("input {}", k % m + 1), k / m, e.u[k]));
+        }
+        let first = e.first(model);
+        let infinite = |t: &usize| {
+            e.y[*t].is_infinite() || (e.y[*t].is_nan() && *t < first && *t + model.output_lag() >= first)
+        };
+        if let Some(t) = (0..e.len()).find(infinite) {
+            return Err(fault("output".into(), t, e.y[t]));
+        }
+        samples -= e.y[first..].iter().filter(|v| v.is_nan()).count();
+    }
+    let p = model.n_params();
+    if samples < p {
+        let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+        return Err(DataError::TooShort {
+            record,
+            found: samples,
+            expected: p,
+            why: format!("{p} parameters"),
+        });
+    }
+    Ok(samples)
+}
+
 /// `sqrt(ridge n) rms(phi_k)` of each parameter.
 fn ridge_weights(model: &dyn Model, data: &[Experiment], ridge: f64, samples: usize) -> Vec<f64> {
     let p = model.n_params();
@@ -178,7 +290,8 @@ fn ridge_weights(model: &dyn Model, data: &[Experiment], ridge: f64, samples: us
 fn fill_residuals(e: &Experiment, start: usize, y: &[f64], r: &mut [f64]) {
     r[..start].fill(0.0);
     for t in start..e.len() {
-        r[t] = y[t] - e.y[t];
+        // A missing output is not scored.
+        r[t] = if e.y[t].is_nan() { 0.0 } else { y[t] - e.y[t] };
     }
     for (v, w) in r.iter_mut().zip(&e.weights) {
         *v *= w.sqrt();
@@ -197,8 +310,13 @@ pub(super) fn least_squares_start(
     if !model.is_linear_in_params() {
         return Err(EstimateError::NotLinear { estimator: "ols", params: model.n_params() });
     }
-    let (phi, y) = regression(model, data, samples);
-    let theta = solve(&phi, &y, model.n_params(), ridge)?.x;
+    let theta = match normal_equations(model, data, ridge) {
+        Some(theta) => theta,
+        None => {
+            let (phi, y) = regression(model, data, samples);
+            solve(&phi, &y, model.n_params(), ridge)?.x
+        }
+    };
     let cost = problem.cost(&theta);
     // Worse than twice the spread about the mean: the linear start misleads more than a shrunk one.
     if cost <= 2.0 * spread(model, data) {
@@ -220,10 +338,65 @@ pub(super) fn least_squares_start(
 
 /// Weighted sum of squares of the scored outputs about their mean.
 pub(super) fn spread(model: &dyn Model, data: &[Experiment]) -> f64 {
-    let scored = || data.iter().flat_map(|e| (e.first(model)..e.len()).map(|t| (e.y[t], e.weight(t))));
-    let total: f64 = scored().map(|(_, w)| w).sum();
-    let mean = scored().map(|(y, w)| w * y).sum::<f64>() / total;
-    scored().map(|(y, w)| w * (y - mean).powi(2)).sum()
+    let (mut total, mut sum) = (0.0, 0.0);
+    let scored = |add: &mut dyn FnMut(f64, f64)| {
+        for e in data {
+            for t in e.first(model)..e.len() {
+                if !e.y[t].is_nan() {
+                    add(e.y[t], e.weight(t));
+                }
+            }
+        }
+    };
+    scored(&mut |y, w| {
+        total += w;
+        sum += w * y;
+    });
+    let (mean, mut square) = (sum / total, 0.0);
+    scored(&mut |y, w| square += w * (y - mean).powi(2));
+    square
+}
+
+/// Rows of regressors that are gathered at a time.
+const ROWS: usize = 512;
+
+/// Least squares from normal equations, block by block: a start needs few digits. `None` where they keep too few.
+fn normal_equations(model: &dyn Model, data: &[Experiment], ridge: f64) -> Option<Vec<f64>> {
+    let (m, p, lag) = (model.n_inputs(), model.n_params(), model.max_lag());
+    let w = p + 1;
+    let theta = vec![0.0; p];
+    let (mut regressors, mut rows) = (vec![0.0; (ROWS + lag) * p], Vec::with_capacity(ROWS * w));
+    let mut gram = GramRows::new(w);
+    for e in data {
+        for from in (e.first(model)..e.len()).step_by(ROWS) {
+            let to = (from + ROWS).min(e.len());
+            let run = Run { u: &e.u[(from - lag) * m..to * m], y: &e.y[from - lag..to], start: lag };
+            let regressors = &mut regressors[..run.len() * p];
+            model.one_step_jacobian(&theta, &run, regressors);
+            rows.clear();
+            for (t, phi) in (from..to).zip(regressors[lag * p..].chunks_exact(p)) {
+                let root = e.weight(t).sqrt();
+                if e.y[t].is_nan() || phi.iter().any(|v| v.is_nan()) {
+                    continue;
+                }
+                rows.extend(phi.iter().map(|v| root * v));
+                rows.push(root * e.y[t]);
+            }
+            gram.push(&rows).ok()?;
+        }
+    }
+    let mut normal = vec![0.0; p * p];
+    for i in 0..p {
+        normal[i * p + i..(i + 1) * p].copy_from_slice(&gram.gram[i * w + i..i * w + p]);
+        normal[i * p + i] *= 1.0 + ridge;
+    }
+    let factor = pivoted_from_gram(&normal, p)?;
+    let mut z: Vec<f64> = factor.order.iter().map(|k| gram.gram[k * w + p] / factor.scale[*k]).collect();
+    solve_upper_transposed(&factor.r, p, &mut z).ok()?;
+    solve_upper(&factor.r, p, &mut z).ok()?;
+    let mut theta = vec![0.0; p];
+    factor.order.iter().zip(&z).for_each(|(k, z)| theta[*k] = z / factor.scale[*k]);
+    theta.iter().all(|v| v.is_finite()).then_some(theta)
 }
 
 /// Tries `theta` with all output coefficients times a gain below one and the others refitted by least squares;

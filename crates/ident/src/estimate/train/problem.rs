@@ -230,11 +230,11 @@ impl Evidence for Task<'_> {
         self.model.n_params()
     }
 
-    /// Rows of the free runs over whole records; those without weight are zero.
     fn exogenous(&self) -> bool {
         true
     }
 
+    /// Rows of the free runs over whole records; those without weight are zero.
     fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
         let (p, theta) = (self.model.n_params(), std::mem::take(&mut self.estimate));
         let (mut r, mut jac) = (Vec::new(), Vec::new());

@@ -57,6 +57,40 @@ impl Model for PolyNarx {
         pulp::Arch::new().dispatch(Sensitivities { program: &self.program, theta, run, y, s })
     }
 
+    fn sensitivity_blocks(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        rows: usize,
+        y: &mut [f64],
+        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+    ) -> Status {
+        let program = &self.program;
+        let (p, lag, block) = (self.n_params(), self.output_lag(), program.block_len());
+        let start = begin(program, run, y);
+        let filter = Filter::of(program, theta);
+        let mut scratch = Scratch::new();
+        let chunk = block * rows.div_ceil(block).max(1);
+        // The rows that the recursion reads, then those of the chunk.
+        let mut s = vec![0.0; (lag + chunk) * p];
+        for from in (start..run.len()).step_by(chunk) {
+            let to = (from + chunk).min(run.len());
+            for t0 in (from..to).step_by(block) {
+                let (len, at) = (block.min(to - t0), (lag + t0 - from) * p);
+                let (s, scratch) = (&mut s[..], &mut scratch);
+                let rows = Rows { program, filter: &filter, theta, u: run.u, y, t0, len, s, at, scratch };
+                let finite = pulp::Arch::new().dispatch(rows);
+                if finite < len {
+                    y[t0 + finite..].fill(f64::NAN);
+                    return Status::Diverged;
+                }
+            }
+            take(from, &y[from..to], &s[lag * p..(lag + to - from) * p]);
+            s.copy_within((to - from) * p..(to - from + lag) * p, 0);
+        }
+        Status::Converged
+    }
+
     fn one_step_jacobian(&self, theta: &[f64], run: &Run, s: &mut [f64]) {
         let program = &self.program;
         let p = self.n_params();
@@ -231,6 +265,30 @@ impl pulp::WithSimd for Sensitivities<'_, '_> {
             }
         }
         Status::Converged
+    }
+}
+
+/// [`sensitivity_block`] by itself.
+struct Rows<'a> {
+    program: &'a Program,
+    filter: &'a Option<Filter<'a>>,
+    theta: &'a [f64],
+    u: &'a [f64],
+    y: &'a mut [f64],
+    t0: usize,
+    len: usize,
+    s: &'a mut [f64],
+    at: usize,
+    scratch: &'a mut Scratch,
+}
+
+impl pulp::WithSimd for Rows<'_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> usize {
+        let Self { program, filter, theta, u, y, t0, len, s, at, scratch } = self;
+        sensitivity_block(program, filter, theta, u, y, t0, len, s, at, scratch)
     }
 }
 
