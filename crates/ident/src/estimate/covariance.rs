@@ -52,6 +52,9 @@ pub enum CovarianceKind {
     Robust,
 }
 
+/// Takes `(record, errors, rows of the Jacobian)`.
+pub(super) type TakeRows<'a> = dyn FnMut(usize, &[f64], &[f64]) + 'a;
+
 /// Errors and their Jacobian at the estimate, in order of time, record by record; rows that are not scored are zero.
 pub(super) trait Evidence {
     /// Number of parameters.
@@ -63,7 +66,7 @@ pub(super) trait Evidence {
         &[]
     }
     /// Calls `take(record, errors, rows of the Jacobian)` for consecutive blocks.
-    fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64]));
+    fn visit(&mut self, take: &mut TakeRows<'_>);
 }
 
 /// Evidence that is stored whole.
@@ -90,7 +93,7 @@ impl Evidence for Stored<'_> {
         self.penalties
     }
 
-    fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
+    fn visit(&mut self, take: &mut TakeRows<'_>) {
         let (p, mut row) = (self.params, 0);
         for (record, rows) in self.records.iter().enumerate() {
             let end = row + rows;

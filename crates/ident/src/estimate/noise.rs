@@ -93,12 +93,12 @@ pub(super) fn autoregression(c: &[f64], n: usize) -> Autoregression {
     let mut best_aic = n as f64 * c[0].ln();
     let (mut a, mut variance): (Vec<f64>, f64) = (Vec::new(), c[0]);
     for order in 1..c.len() {
-        if !(variance > 0.0) {
+        if variance.is_nan() || variance <= 0.0 {
             break;
         }
         let known: f64 = a.iter().enumerate().map(|(j, a)| a * taper(order - 1 - j)).sum();
         let reflection = (taper(order) - known) / variance;
-        if !(reflection.abs() < 1.0) {
+        if reflection.is_nan() || reflection.abs() >= 1.0 {
             break;
         }
         let mirrored: Vec<f64> = a.iter().rev().copied().collect();

@@ -6,7 +6,7 @@ use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
 use super::cost::Cost;
-use super::covariance::{CovarianceChoice, Evidence};
+use super::covariance::{CovarianceChoice, Evidence, TakeRows};
 use super::fit::Found;
 use super::noise::noise_warning;
 use super::ols::{regression, solve};
@@ -125,14 +125,14 @@ impl Evidence for Rerun<'_, '_> {
         &self.problem.ridge
     }
 
-    fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
+    fn visit(&mut self, take: &mut TakeRows<'_>) {
         self.problem.blocks(self.theta, take);
     }
 }
 
 impl SimulationError<'_> {
     /// Weighted errors and sensitivities of the scored samples, `take(record, errors, rows)`.
-    fn blocks(&mut self, x: &[f64], take: &mut dyn FnMut(usize, &[f64], &[f64])) -> bool {
+    fn blocks(&mut self, x: &[f64], take: &mut TakeRows<'_>) -> bool {
         let p = self.model.n_params();
         let (mut r, mut rows) = (Vec::with_capacity(2 * ROWS), Vec::with_capacity(2 * ROWS * p));
         for (record, e) in self.data.iter().enumerate() {

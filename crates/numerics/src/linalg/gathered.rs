@@ -35,7 +35,8 @@ pub fn pivoted_from_gram(gram: &[f64], n: usize) -> Option<PivotedR> {
     let mut r = vec![0.0; n * n];
     for k in 0..n {
         let best = (k..n).fold(k, |b, j| if s[j * n + j] > s[b * n + b] { j } else { b });
-        if !(s[best * n + best] > GRAM_FLOOR) {
+        let pivot = s[best * n + best];
+        if pivot.is_nan() || pivot <= GRAM_FLOOR {
             return None;
         }
         swap_symmetric(&mut s, n, k, best);

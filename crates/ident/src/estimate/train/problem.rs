@@ -13,7 +13,7 @@ use dynocal_numerics::lm::LeastSquares;
 use dynocal_numerics::status::Status;
 
 use super::division::Weights;
-use crate::estimate::covariance::Evidence;
+use crate::estimate::covariance::{Evidence, TakeRows};
 use crate::experiment::Experiment;
 use crate::model::{Model, Run};
 
@@ -235,7 +235,7 @@ impl Evidence for Task<'_> {
     }
 
     /// Rows of the free runs over whole records; those without weight are zero.
-    fn visit(&mut self, take: &mut dyn FnMut(usize, &[f64], &[f64])) {
+    fn visit(&mut self, take: &mut TakeRows<'_>) {
         let (p, theta) = (self.model.n_params(), std::mem::take(&mut self.estimate));
         let (mut r, mut jac) = (Vec::new(), Vec::new());
         for (record, (e, w)) in self.data.iter().zip(self.weights).enumerate() {
