@@ -16,9 +16,9 @@
 //! use dynocal_ident::model::poly::PolyNarx;
 //! use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, Space, learn};
 //!
-//! let u: Vec<f64> = (0..600).map(|t| ((t * t * 7919) % 101) as f64 / 50.0 - 1.0).collect();
-//! let mut y = vec![0.0; 600];
-//! (1..600).for_each(|t| y[t] = 0.5 * y[t - 1] + u[t - 1]);
+//! let u: Vec<f64> = (0..400).map(|t| ((t * t * 7919) % 101) as f64 / 50.0 - 1.0).collect();
+//! let mut y = vec![0.0; 400];
+//! (1..400).for_each(|t| y[t] = 0.5 * y[t - 1] + u[t - 1]);
 //! let data = [Experiment { name: "demo".into(), u, y, init_samples: 0, weights: vec![] }];
 //! let model = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"])?;
 //! let boundary = learn(Space::of(&model), &data, &BoundaryKeys::default())?;
