@@ -141,13 +141,14 @@ def main():
     net = Network(u, y)
     verdict = Verdict("LM iteration of a network with 231 weights in free run, 1995 samples",
                       f"NumPy recursion, J'J and Cholesky, Marquardt damping; {ITERATIONS} iterations from the stored start")
-    mine = ours("neural", {"u": u.ravel(), "y": y, "theta": theta, "iterations": ITERATIONS})
     jacobian_s, (_, exact) = measure(lambda: net.jacobian(theta))
     exact = exact.copy()
     banded_s, (_, banded) = measure(lambda: net.jacobian_banded(theta))
     train_s, (_, cost, trials) = measure(lambda: train(net, theta, ITERATIONS, net.jacobian))
+    # As many evaluations for both; what ours needs for the report of the covariance belongs to no iteration.
+    mine = ours("neural", {"u": u.ravel(), "y": y, "theta": theta, "evaluations": trials + 1})
     train_banded_s, _ = measure(lambda: train(net, theta, ITERATIONS, net.jacobian_banded))
-    own_jacobian, own = mine["jacobian_time"]["cpu_s"], mine["time"]["cpu_s"] / mine["iterations"]
+    own_jacobian, own = mine["jacobian_time"]["cpu_s"], (mine["time"]["cpu_s"] - mine["report_time"]["cpu_s"]) / mine["iterations"]
     verdict.row("Jacobian: dynocal", own_jacobian)
     verdict.row("Jacobian: NumPy, recursion in Python", jacobian_s, own_jacobian)
     verdict.row("Jacobian: SciPy solve_banded for the recursion", banded_s, own_jacobian)
@@ -169,7 +170,7 @@ def main():
     verdict.check("both Jacobians are the same", difference <= 1e-10, f"{difference:.1e}")
     norm = np.linalg.norm(own_jac)
     verdict.check(f"its Frobenius norm is {FROBENIUS} to 1e-10", abs(norm / FROBENIUS - 1) <= 1e-10, repr(float(norm)))
-    verdict.check("error after these iterations no worse than the peer's", mine["cost"] <= cost, f"{mine['cost'] / cost:.3g} of it")
+    verdict.check("error after as many evaluations no worse than the peer's", mine["cost"] <= cost, f"{mine['cost'] / cost:.3g} of it")
     ratio = own / (train_s / ITERATIONS)
     verdict.check(f"at most {ASKED_RATIO} of NumPy's time per iteration", ratio <= ASKED_RATIO, f"{ratio:.3g}")
     verdict.end()

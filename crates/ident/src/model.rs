@@ -41,6 +41,9 @@ impl Run<'_> {
     }
 }
 
+/// What takes a block of a free run: its first sample, the outputs, and the rows of the sensitivities.
+pub type TakeRows<'a> = dyn FnMut(usize, &[f64], &[f64]) + 'a;
+
 /// A start at which a model with a linear path is an ARX model: all but the parameters of that path stay as drawn and do
 /// not contribute.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,7 +108,7 @@ pub trait Model: Send + Sync {
         run: &Run,
         rows: usize,
         y: &mut [f64],
-        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+        take: &mut TakeRows<'_>,
     ) -> Status {
         let (p, start, rows) = (self.n_params().max(1), run.start.min(run.len()), rows.max(1));
         let mut s = vec![0.0; run.len() * p];

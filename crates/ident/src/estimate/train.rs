@@ -38,7 +38,7 @@ use serde::Deserialize;
 
 pub use division::Division;
 pub use ensemble::{bagged, best, mean_free_run};
-pub use sizes::{SizeScore, layer_sizes};
+pub use sizes::{BuildSize, SizeScore, layer_sizes};
 pub(super) use spec::MEMBER;
 pub use starts::Start;
 

@@ -24,6 +24,9 @@ pub struct SizeScore {
     pub trainings: usize,
 }
 
+/// Builds the model with these neurons in its hidden layers.
+pub type BuildSize<'a> = dyn Fn(&[usize]) -> Result<Box<dyn Model>, EstimateError> + 'a;
+
 /// Trains every size `trainings` times, each time with another division and other starts (seeds from `train.seed` on),
 /// and gives the mean scores of the chosen points, one row per size.
 ///
@@ -33,7 +36,7 @@ pub fn layer_sizes(
     train: &Train,
     sizes: &[Vec<usize>],
     trainings: usize,
-    build: &dyn Fn(&[usize]) -> Result<Box<dyn Model>, EstimateError>,
+    build: &BuildSize<'_>,
     data: &[Experiment],
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Vec<SizeScore>, EstimateError> {

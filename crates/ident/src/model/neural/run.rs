@@ -6,7 +6,7 @@ use dynocal_numerics::status::Status;
 
 use super::NeuralNarx;
 use super::network::Pass;
-use crate::model::{LinearPath, Model, Run};
+use crate::model::{LinearPath, Model, Run, TakeRows};
 
 impl NeuralNarx {
     /// Regressors of sample t with past outputs `y`, then the neurons; returns the output in its unit.
@@ -144,7 +144,7 @@ impl Model for NeuralNarx {
         run: &Run,
         rows: usize,
         y: &mut [f64],
-        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+        take: &mut TakeRows<'_>,
     ) -> Status {
         let (mut pass, p, lags) = (Pass::new(), self.n_params(), self.layout.output_lags);
         let (start, rows) = (self.begin(run, y), rows.max(lags).max(1));
