@@ -6,7 +6,7 @@ use super::PolyNarx;
 use super::filter::{Filter, add_past_rows};
 use super::program::{MAX_OUTPUT_LAGS, Program, Scratch};
 use super::shaped::Place;
-use crate::model::{Model, Run};
+use crate::model::{Model, Run, TakeRows};
 
 impl Model for PolyNarx {
     fn n_inputs(&self) -> usize {
@@ -63,7 +63,7 @@ impl Model for PolyNarx {
         run: &Run,
         rows: usize,
         y: &mut [f64],
-        take: &mut dyn FnMut(usize, &[f64], &[f64]),
+        take: &mut TakeRows<'_>,
     ) -> Status {
         let program = &self.program;
         let (p, lag, block) = (self.n_params(), self.output_lag(), program.block_len());
