@@ -57,3 +57,33 @@ fn motored_needs_torque_and_faults_are_named() {
     let (code, _, stderr) = engine(tmp.path(), &["point", "--torque-nm", "500"]);
     assert!(code == 2 && stderr.contains("500 Nm"), "{stderr}");
 }
+
+#[test]
+fn a_cycle_is_driven_and_its_file_is_read_in_the_units_it_says() {
+    let tmp = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(tmp.path().join(name), text).unwrap();
+    write("short.csv", "time [s],speed [km/h]\n0,0\n2,0\n10,36\n16,36\n22,0\n24,0\n");
+    let args = ["cycle", "short.csv", "--csv", "drive.csv", "--report", "drive.html"];
+    let (code, stdout, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    // The polygon's own distance: 40 + 60 + 30 m.
+    let number = |name: &str| -> f64 {
+        let line = stdout.lines().find(|l| l.starts_with(name)).unwrap();
+        line[name.len()..].split_whitespace().next().unwrap().parse().unwrap()
+    };
+    assert!((number("distance") - 0.130).abs() < 0.004, "{stdout}");
+    let table = dynocal_files::csv_io::read(&tmp.path().join("drive.csv")).unwrap();
+    let fuel = table.numbers("fuel", 0, table.rows()).unwrap();
+    // The table's fuel flow every 0.2 s sums up to the total within its sampling.
+    let sum_g: f64 = fuel.iter().map(|kg_h| kg_h / 3.6 * 0.2).sum();
+    assert!((sum_g / number("fuel  ") - 1.0).abs() < 0.03, "{sum_g}\n{stdout}");
+    let page = std::fs::read_to_string(tmp.path().join("drive.html")).unwrap();
+    assert!(page.contains("Where the engine runs") && page.trim_end().ends_with("</html>"));
+
+    write("knots.csv", "time_s,speed [kn]\n0,0\n1,1\n");
+    let (code, _, stderr) = engine(tmp.path(), &["cycle", "knots.csv"]);
+    assert!(code == 2 && stderr.contains("speed is in kn") && stderr.contains("km/h"), "{stderr}");
+    write("back.csv", "time_s,speed_mps\n0,0\n2,1\n1,1\n");
+    let (code, _, stderr) = engine(tmp.path(), &["cycle", "back.csv"]);
+    assert!(code == 2 && stderr.contains("back.csv: row 3"), "{stderr}");
+}

@@ -12,11 +12,16 @@
 
 pub mod analysis;
 mod aprbs;
+mod band_noise;
 mod chirp;
 mod common;
+mod lines;
 mod multisine;
 mod prbs;
+mod ramp_hold;
 mod random_walk;
+mod rbs;
+mod space_filling;
 mod staircase;
 mod sweep;
 mod udrn;
@@ -39,8 +44,12 @@ pub trait Signal: Send + Sync {
 pub static SIGNALS: &[Member<dyn Signal>] = &[
     aprbs::MEMBER,
     prbs::MEMBER,
+    rbs::MEMBER,
     udrn::MEMBER,
+    band_noise::MEMBER,
     random_walk::MEMBER,
+    ramp_hold::MEMBER,
+    space_filling::MEMBER,
     multisine::MEMBER,
     staircase::MEMBER,
     sweep::MEMBER,

@@ -12,6 +12,10 @@ fn keys() -> BTreeMap<&'static str, &'static str> {
     BTreeMap::from([
         ("aprbs", "lo = -1.0\nhi = 3.0\nlevels = 5\nhold_s = 0.9\nphase_s = 0.3"),
         ("prbs", "lo = -1.0\nhi = 3.0\norder = 7\nhold_s = 0.06"),
+        ("rbs", "lo = -1.0\nhi = 3.0\nhold_s = 0.06\nchange = 0.3"),
+        ("band_noise", "lo = -1.0\nhi = 3.0\nf_max_hz = 4.0"),
+        ("ramp_hold", "lo = -1.0\nhi = 3.0\nrate_per_s = 2.0\nhold_s = 0.6"),
+        ("space_filling", "lo = -1.0\nhi = 3.0\nhold_s = 0.3\nramp_s = 0.3\nchannel = 2\nchannels = 3"),
         ("udrn", "lo = -1.0\nhi = 3.0\nhold_s = 0.3\nphase_s = 0.15"),
         ("random_walk", "lo = -1.0\nhi = 3.0\nstep = 0.5\nhold_s = 0.06"),
         ("multisine", "lo = -1.0\nhi = 3.0\nf_min_hz = 0.2\nf_max_hz = 4.0"),
@@ -70,6 +74,14 @@ fn every_member_refuses_bad_keys() {
     assert!(fault("chirp", "lo = 0\nhi = 1\nf_start_hz = 1\nf_end_hz = 50", 100).contains("below"));
     assert!(fault("sweep", "lo = 0\nhi = 1\nperiod_s = 2\ndwell_s = 1", 100).contains("half the period"));
     assert!(fault("random_walk", "lo = 0\nhi = 1\nstep = 2\nhold_s = 1", 100).contains("at most 1"));
+    assert!(fault("rbs", "lo = 0\nhi = 1\nhold_s = 1\nchange = 1.5", 9).contains("probability"));
+    assert!(fault("band_noise", "lo = 0\nhi = 1\nf_max_hz = 50", 100).contains("below"));
+    assert!(fault("ramp_hold", "lo = 0\nhi = 1\nhold_s = 1\nrate_per_s = 0", 9).contains("positive"));
+    assert!(
+        fault("space_filling", "lo = 0\nhi = 1\nhold_s = 1\nchannel = 2", 9)
+            .contains("channel = 2 of channels = 1")
+    );
+    assert!(fault("aprbs", "lo = 0\nhi = 1\nhold_s = 1\nhold_max_s = 0.5", 9).contains("at least hold_s"));
     assert!(fault("aprb", "lo = 0\nhi = 1", 9).contains("did you mean `aprbs`"));
 }
 
@@ -155,6 +167,24 @@ fn random_walk_steps_by_its_step_or_reflects() {
     assert!(reflections > 0);
 }
 
+/// Amplitude of the line `k` of a record, by the defining sum.
+fn amplitude(u: &[f64], k: usize) -> f64 {
+    let n = u.len();
+    let (mut re, mut im) = (0.0, 0.0);
+    for (t, v) in u.iter().enumerate() {
+        let a = std::f64::consts::TAU * ((k * t) % n) as f64 / n as f64;
+        re += v * a.cos();
+        im += v * a.sin();
+    }
+    (re * re + im * im).sqrt() * 2.0 / n as f64
+}
+
+/// Peak over rms about the middle of the limits -1 and 3.
+fn crest(u: &[f64]) -> f64 {
+    let rms = (u.iter().map(|v| (v - 1.0).powi(2)).sum::<f64>() / u.len() as f64).sqrt();
+    u.iter().fold(0.0f64, |m, v| m.max((v - 1.0).abs())) / rms
+}
+
 /// Flat spectrum on the lines of the band, nothing elsewhere, and a crest factor far below that of one phase.
 #[test]
 fn multisine_has_a_flat_band_and_nothing_else() {
@@ -162,15 +192,7 @@ fn multisine_has_a_flat_band_and_nothing_else() {
     let u = member("multisine", n, 1);
     let mean = u.iter().sum::<f64>() / n as f64;
     assert!((mean - 1.0).abs() < 1e-12);
-    let amplitude = |k: usize| {
-        let (mut re, mut im) = (0.0, 0.0);
-        for (t, v) in u.iter().enumerate() {
-            let a = std::f64::consts::TAU * ((k * t) % n) as f64 / n as f64;
-            re += (v - mean) * a.cos();
-            im += (v - mean) * a.sin();
-        }
-        (re * re + im * im).sqrt() * 2.0 / n as f64
-    };
+    let amplitude = |k: usize| amplitude(&u, k);
     // Lines are 1 / 30 s apart: 0.2 Hz is number 6, 4 Hz is number 120.
     let level = amplitude(6);
     for k in 1..n / 2 {
@@ -228,4 +250,131 @@ fn chirp_crosses_its_middle_where_the_phase_says() {
         let cycles = f0 * t + (f1 - f0) * t * t / (2.0 * record_s);
         assert!((cycles - (k + 1) as f64).abs() < 0.01, "crossing {k}: {cycles}");
     }
+}
+
+/// Clipping keeps the flat band and brings the crest factor below that of Schroeder's phases, near the 1.4 to 1.5 that
+/// the literature gives for many lines.
+#[test]
+fn optimised_phases_lower_the_crest_factor() {
+    for (f_min, f_max) in [(0.2, 4.0), (0.034, 1.0), (1.0, 12.0)] {
+        let band = format!("lo = -1.0\nhi = 3.0\nf_min_hz = {f_min}\nf_max_hz = {f_max}\n");
+        let schroeder = fill("multisine", &band, 1000, 1);
+        let best = fill("multisine", &format!("{band}phases = \"optimised\""), 1000, 1);
+        assert!(
+            crest(&best) < crest(&schroeder) && crest(&best) < 1.6,
+            "{}, {}",
+            crest(&schroeder),
+            crest(&best)
+        );
+        let (first, last) = ((f_min * 30.0_f64).ceil() as usize, (f_max * 30.0_f64) as usize);
+        let level = amplitude(&best, first);
+        for k in 1..500 {
+            let expected = if (first..=last).contains(&k) { level } else { 0.0 };
+            assert!((amplitude(&best, k) - expected).abs() < 1e-10, "line {k}");
+        }
+    }
+}
+
+/// Flat below 4 Hz, nothing above; other seeds, other phases; moments of a normal distribution within the sampling error
+/// of 120 lines (a sum of F random-phase sines has kurtosis 3 - 1.5 / F).
+#[test]
+fn band_noise_is_flat_and_normal() {
+    let n = 1000;
+    let u = member("band_noise", n, 1);
+    let level = amplitude(&u, 1);
+    for k in 1..n / 2 {
+        let expected = if k <= 120 { level } else { 0.0 };
+        assert!((amplitude(&u, k) - expected).abs() < 1e-10, "line {k}");
+    }
+    assert!(u != member("band_noise", n, 2));
+    let mut kurtosis = 0.0;
+    for seed in 0..40 {
+        let u = member("band_noise", n, seed);
+        let moment = |p: i32| u.iter().map(|v| (v - 1.0).powi(p)).sum::<f64>() / n as f64;
+        kurtosis += moment(4) / moment(2).powi(2) / 40.0;
+    }
+    assert!((kurtosis - 3.0).abs() < 0.1, "{kurtosis}");
+}
+
+/// Autocorrelation (1 - 2 p)^k over k clocks, within 4 standard errors of 200 000 clocks.
+#[test]
+fn rbs_has_the_autocorrelation_of_its_probability() {
+    for p in [0.5f64, 0.3, 0.1] {
+        let u = fill("rbs", &format!("lo = -1\nhi = 1\nhold_s = 0.03\nchange = {p}"), 200_000, 3);
+        assert!(u.iter().all(|v| v.abs() == 1.0));
+        for k in 1..=5 {
+            let r = u.iter().zip(&u[k..]).map(|(a, b)| a * b).sum::<f64>() / (u.len() - k) as f64;
+            let rho = 1.0 - 2.0 * p;
+            // Bartlett's formula for a first-order process: (1 + rho^2) / (1 - rho^2) bounds it.
+            let error = ((1.0 + rho * rho) / (1.0 - rho * rho) / u.len() as f64).sqrt();
+            assert!((r - rho.powi(k as i32)).abs() < 4.0 * error, "p {p}, lag {k}: {r}");
+        }
+    }
+    let held = member("rbs", 2000, 5);
+    assert!(held.chunks(2).all(|c| c[0] == c[1]));
+}
+
+#[test]
+fn ramp_hold_keeps_its_gradient_and_its_hold() {
+    let u = member("ramp_hold", 5000, 2);
+    let (step, mut run, mut holds) = (2.0 * DT_S, 0, 0);
+    for t in 1..u.len() {
+        let change = (u[t] - u[t - 1]).abs();
+        assert!(change <= step + 1e-12);
+        if change == 0.0 {
+            run += 1;
+        } else {
+            // 20 samples at a level are 19 unchanged ones.
+            assert!(run == 0 || run == 19, "sample {t}: {run}");
+            holds += usize::from(run > 0);
+            run = 0;
+        }
+    }
+    assert!(holds > 50, "{holds}");
+}
+
+/// Two channels visit each of 8 x 8 cells within 128 levels, whatever the shift (128 random points miss 64 e^-2 = 8.5 of
+/// them); the largest gap of one channel is that of the
+/// three-distance theorem.
+#[test]
+fn space_filling_levels_fill_their_box() {
+    for seed in 0..20 {
+        let channel = |j: u32| {
+            let keys = format!("lo = 0\nhi = 1\nhold_s = 0.03\nchannel = {j}\nchannels = 2");
+            fill("space_filling", &keys, 128, 2 * seed + u64::from(j))
+        };
+        let (a, b) = (channel(1), channel(2));
+        let mut seen = [false; 64];
+        a.iter().zip(&b).for_each(|(x, y)| seen[(x * 8.0) as usize * 8 + (y * 8.0) as usize] = true);
+        let missed = seen.iter().filter(|s| !**s).count();
+        assert!(missed <= 2, "seed {seed}: {missed} cells missed");
+        let mut one = fill("space_filling", "lo = 0\nhi = 1\nhold_s = 0.03", 128, seed);
+        one.sort_by(f64::total_cmp);
+        let gap = one.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
+        // Golden ratio g, n from F(11) = 89 to F(12) - 1 = 143 points: gaps are g^-9, g^-10, g^-11.
+        let g = 0.5 * (1.0 + 5.0f64.sqrt());
+        assert!(gap <= g.powi(-9) + 1e-12, "{gap}");
+    }
+    let ramp = member("space_filling", 2000, 1);
+    let largest = ramp.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max);
+    assert!(largest <= 4.0 / 0.3 * DT_S, "gradient above (hi - lo) / ramp_s: {largest}");
+    assert!(ramp.chunks(20).all(|c| c[..c.len().min(10)].iter().all(|v| *v == c[0])));
+}
+
+#[test]
+fn aprbs_draws_its_hold_between_two_times() {
+    let u = fill("aprbs", "lo = 0\nhi = 1\nhold_s = 0.3\nhold_max_s = 0.6", 30_000, 1);
+    let mut counts = [0usize; 32];
+    let mut run = 1;
+    for t in 1..u.len() {
+        if u[t] == u[t - 1] {
+            run += 1;
+        } else {
+            counts[run.min(31)] += 1;
+            run = 1;
+        }
+    }
+    // 11 holds from 10 to 20 samples, about 181 each: standard deviation 13.
+    assert!((10..=20).all(|k| (120..245).contains(&counts[k])), "{counts:?}");
+    assert_eq!(counts.iter().sum::<usize>(), counts[10..=20].iter().sum::<usize>());
 }

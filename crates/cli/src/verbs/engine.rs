@@ -1,4 +1,4 @@
-//! `dynocal engine point|sweep|motored`: the virtual engine without a spec.
+//! `dynocal engine point|sweep|motored|cycle`: the virtual engine without a spec.
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +13,7 @@ use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_gu
 use dynocal_plant::trace::CylinderTrace;
 
 use super::Verb;
+use super::engine_cycle::Cycle;
 use crate::common::print;
 use crate::failure::{Exit, Failure};
 use crate::table;
@@ -20,7 +21,7 @@ use crate::table;
 pub(crate) const VERB: Verb =
     Verb { name: "engine", describe: |c| Engine::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, or motored";
+const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, motored, or in a car";
 
 /// Time at constant inputs before the outputs are averaged, and the time of averaging (thesis 6.6.1) \[s\].
 const SETTLE_S: f64 = 9.0;
@@ -71,6 +72,8 @@ enum What {
         #[command(flatten)]
         files: Files,
     },
+    /// In a car that follows a drive cycle
+    Cycle(Cycle),
 }
 
 #[derive(Args, Debug, Clone, Copy)]
@@ -140,6 +143,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Engine::from_arg_matches(matches)?;
     let mut engine = VirtualEngine::new(&EngineParams::thesis())?;
     let (title, points, files) = match args.what {
+        What::Cycle(cycle) => return cycle.run(),
         What::Point { at, files } => ("Engine: point", vec![at.point(&mut engine)?], files),
         What::Sweep { input, from, to, points, at, files } => {
             let (mut u, _) = at.point(&mut engine)?;

@@ -22,6 +22,7 @@ macro_rules! verbs {
     };
 }
 mod calibrate_text;
+mod engine_cycle;
 
 verbs![
     calibrate, //

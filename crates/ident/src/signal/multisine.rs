@@ -1,4 +1,4 @@
-//! Multisine with Schroeder phases.
+//! Multisine with phases of low crest factor.
 //!
 //! ```text
 //! u(t) ~ sum_{k=1}^{F} cos(2 pi f_k t + phi_k),   phi_k = -pi k (k - 1) / F
@@ -7,19 +7,18 @@
 //! on the frequencies f_k that are multiples of 1 / record length, so that the spectrum is flat in the band and
 //! zero elsewhere. (M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85-89: low crest factor.)
 
-use std::f64::consts::PI;
-
 use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
 use dynocal_numerics::rng::Rng64;
 use serde::Deserialize;
 
 use super::Signal;
-use super::common::{check_positive, check_range, fault};
+use super::common::{check_positive, check_range};
+use super::lines::{Lines, scale_into};
 
 pub(super) const MEMBER: Member<dyn Signal> = Member {
     doc: MemberDoc {
         name: "multisine",
-        what: "sum of sines with equal amplitudes in a band, Schroeder phases, scaled to the limits",
+        what: "sum of sines with equal amplitudes in a band and a low crest factor, scaled to the limits",
         params: &[
             ParamDoc { name: "lo", unit: "channel", default: "", what: "least value" },
             ParamDoc { name: "hi", unit: "channel", default: "", what: "greatest value" },
@@ -29,6 +28,12 @@ pub(super) const MEMBER: Member<dyn Signal> = Member {
                 unit: "Hz",
                 default: "",
                 what: "upper end of the band, below half the sample rate",
+            },
+            ParamDoc {
+                name: "phases",
+                unit: "-",
+                default: "schroeder",
+                what: "schroeder; optimised (less crest factor by repeated clipping); random",
             },
         ],
     },
@@ -41,6 +46,16 @@ pub(super) const MEMBER: Member<dyn Signal> = Member {
     },
 };
 
+/// How the phases are chosen.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Phases {
+    #[default]
+    Schroeder,
+    Optimised,
+    Random,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Multisine {
@@ -48,46 +63,23 @@ struct Multisine {
     hi: f64,
     f_min_hz: f64,
     f_max_hz: f64,
+    #[serde(default)]
+    phases: Phases,
 }
 
 impl Signal for Multisine {
-    fn fill(&self, u: &mut [f64], dt_s: f64, _rng: &mut Rng64) -> Result<(), BuildError> {
+    fn fill(&self, u: &mut [f64], dt_s: f64, rng: &mut Rng64) -> Result<(), BuildError> {
         check_positive("multisine", "sample time", dt_s)?;
-        let n = u.len();
-        if n == 0 {
+        if u.is_empty() {
             return Ok(());
         }
-        let record_s = n as f64 * dt_s;
-        // Ends that are multiples up to rounding count as inside the band.
-        let first = (self.f_min_hz * record_s - 1e-9).ceil().max(1.0) as usize;
-        let last = (self.f_max_hz * record_s + 1e-9).floor() as usize;
-        if last < first || 2 * last >= n {
-            return Err(fault(
-                "multisine",
-                format!(
-                    "found a band of {} to {} Hz, expected at least one multiple of {} Hz, below {} Hz",
-                    self.f_min_hz,
-                    self.f_max_hz,
-                    1.0 / record_s,
-                    0.5 / dt_s
-                ),
-            ));
-        }
-        let lines = last - first + 1;
-        for (t, x) in u.iter_mut().enumerate() {
-            let line = |k: usize| {
-                let phase = -PI * (k * (k + 1)) as f64 / lines as f64;
-                // The product is reduced modulo n first: the argument stays small and exact.
-                (2.0 * PI * (((first + k) * t) % n) as f64 / n as f64 + phase).cos()
-            };
-            *x = (0..lines).map(line).sum();
-        }
-        // One gain for both sides, so that the mean is the middle of the limits and no line is added.
-        let peak = u.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        let (middle, half) = (0.5 * (self.lo + self.hi), 0.5 * (self.hi - self.lo));
-        for x in u.iter_mut() {
-            *x = (middle + half * *x / peak).clamp(self.lo, self.hi);
-        }
+        let lines = Lines::in_band("multisine", (self.f_min_hz, self.f_max_hz), u.len(), dt_s)?;
+        let phases = match self.phases {
+            Phases::Schroeder => lines.schroeder(),
+            Phases::Optimised => lines.clipped(lines.schroeder()),
+            Phases::Random => lines.random(rng),
+        };
+        scale_into(u, &lines.sum(&phases), self.lo, self.hi);
         Ok(())
     }
 }
