@@ -111,13 +111,16 @@ impl SteadyGrid {
         (self.between(speed_rpm, |r| r.motored_nm), self.between(speed_rpm, full))
     }
 
-    /// Throttle \[deg\] and spark \[deg BTDC\] for a torque at a speed, linear between the points.
+    /// Throttle \[deg\] and spark \[deg BTDC\] for a torque at a speed, linear between the points. Below the least torque
+    /// that settled the throttle follows the lowest slope down to closed.
     pub fn actuators_deg(&self, speed_rpm: f64, torque_nm: f64) -> (f64, f64) {
-        let at = |r: &SpeedRow, values: &[f64]| interpolate(&r.torque_nm, values, torque_nm);
-        (
-            self.between(speed_rpm, |r| at(r, &r.throttle_deg)),
-            self.between(speed_rpm, |r| at(r, &r.spark_deg)),
-        )
+        let throttle = |r: &SpeedRow| {
+            let (x, y) = (&r.torque_nm, &r.throttle_deg);
+            let below = (torque_nm - x[0]).min(0.0) * (y[1] - y[0]) / (x[1] - x[0]);
+            (interpolate(x, y, torque_nm) + below).max(CLOSED_DEG)
+        };
+        let spark = |r: &SpeedRow| interpolate(&r.torque_nm, &r.spark_deg, torque_nm);
+        (self.between(speed_rpm, throttle), self.between(speed_rpm, spark))
     }
 
     fn between(&self, speed_rpm: f64, value: impl Fn(&SpeedRow) -> f64) -> f64 {
@@ -179,7 +182,7 @@ impl MapController for GridController {
         self.trim_nm =
             (self.trim_nm + dt_s * INTEGRAL_PER_S * (demand - y.torque_cycle_nm)).clamp(-20.0, 20.0);
         let (throttle_deg, spark_deg) =
-            self.grid.actuators_deg(speed_rpm, (demand + self.trim_nm).clamp(0.0, most));
+            self.grid.actuators_deg(speed_rpm, (demand + self.trim_nm).clamp(-20.0, most.max(0.0)));
         let air_mg = 1e3 * y.air_g_s * 120.0 / speed_rpm / 4.0;
         let injection_mg = (air_mg / engine.params().gas.afr_stoich).clamp(0.0, 120.0);
         Inputs { throttle_deg, spark_deg, injection_mg, ..now }
