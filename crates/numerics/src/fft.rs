@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use realfft::{RealFftPlanner, RealToComplex};
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 pub use realfft::num_complex::Complex;
 
@@ -19,12 +19,14 @@ pub use realfft::num_complex::Complex;
 pub struct RealDft {
     n: usize,
     plan: Arc<dyn RealToComplex<f64>>,
+    back: Arc<dyn ComplexToReal<f64>>,
 }
 
 impl RealDft {
     /// Plans the transform of `n` samples.
     pub fn new(n: usize) -> Self {
-        Self { n, plan: RealFftPlanner::new().plan_fft_forward(n.max(1)) }
+        let mut planner = RealFftPlanner::new();
+        Self { n, plan: planner.plan_fft_forward(n.max(1)), back: planner.plan_fft_inverse(n.max(1)) }
     }
 
     /// Spectrum of the first n samples, n/2 + 1 lines; missing ones at the end count as zero.
@@ -35,6 +37,24 @@ impl RealDft {
         match self.plan.process(&mut work, &mut out) {
             Ok(()) => out,
             Err(e) => unreachable!("both buffers have the planned length: {e}"),
+        }
+    }
+
+    /// The n samples of a spectrum: undoes [`RealDft::transform`]. Missing lines count as zero, and so do the imaginary
+    /// parts of the ends, which real samples do not have.
+    pub fn inverse(&self, spectrum: &[Complex<f64>]) -> Vec<f64> {
+        let mut work = self.back.make_input_vec();
+        let lines = work.len();
+        let scale = 1.0 / self.n.max(1) as f64;
+        work.iter_mut().zip(spectrum).for_each(|(w, s)| *w = s * scale);
+        work[0].im = 0.0;
+        if self.n % 2 == 0 {
+            work[lines - 1].im = 0.0;
+        }
+        let mut out = self.back.make_output_vec();
+        match self.back.process(&mut work, &mut out) {
+            Ok(()) => out,
+            Err(e) => unreachable!("both buffers have the planned length and real ends: {e}"),
         }
     }
 }
@@ -49,7 +69,10 @@ mod tests {
     fn equals_its_definition() {
         for n in [1, 2, 12, 45, 97] {
             let x: Vec<f64> = (0..n).map(|t| ((t * t) as f64 * 0.37).sin() + 0.2).collect();
-            for (k, found) in RealDft::new(n).transform(&x).iter().enumerate() {
+            let dft = RealDft::new(n);
+            let back = dft.inverse(&dft.transform(&x));
+            assert!(x.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-14 * n as f64), "n = {n}");
+            for (k, found) in dft.transform(&x).iter().enumerate() {
                 let angle = |t: usize| TAU * (k * t % n) as f64 / n as f64;
                 let re: f64 = x.iter().enumerate().map(|(t, v)| v * angle(t).cos()).sum();
                 let im: f64 = x.iter().enumerate().map(|(t, v)| -v * angle(t).sin()).sum();

@@ -2,10 +2,9 @@
 
 use std::f64::consts::PI;
 
+use dynocal_numerics::fft::{Complex, RealDft};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
-use realfft::RealFftPlanner;
-use realfft::num_complex::Complex64;
 
 use super::common::fault;
 
@@ -62,12 +61,10 @@ impl Lines {
     /// (1988) 145-147.)
     pub(super) fn clipped(self, start: Vec<f64>) -> Vec<f64> {
         const STEPS: usize = 400;
-        let mut planner = RealFftPlanner::<f64>::new();
-        let forward = planner.plan_fft_forward(self.n);
-        let mut spectrum = forward.make_output_vec();
+        let dft = RealDft::new(self.n);
         let (mut phases, mut best) = (start.clone(), (f64::INFINITY, start));
         for step in 0..STEPS {
-            let mut u = self.sum(&phases);
+            let mut u = self.sum_by(&dft, &phases);
             let peak = u.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             if peak < best.0 {
                 best = (peak, phases.clone());
@@ -75,9 +72,7 @@ impl Lines {
             // Mild clipping at last: what is cut off then hardly disturbs the lines.
             let level = peak * (0.80 + 0.19 * step as f64 / STEPS as f64);
             u.iter_mut().for_each(|v| *v = v.clamp(-level, level));
-            if forward.process(&mut u, &mut spectrum).is_err() {
-                break;
-            }
+            let spectrum = dft.transform(&u);
             phases.iter_mut().zip(&spectrum[self.first..]).for_each(|(p, s)| *p = s.arg());
         }
         best.1
@@ -85,17 +80,15 @@ impl Lines {
 
     /// `u(t) = sum_k cos(2 pi k t / n + phi_k)`.
     pub(super) fn sum(self, phases: &[f64]) -> Vec<f64> {
-        let inverse = RealFftPlanner::<f64>::new().plan_fft_inverse(self.n);
-        let mut spectrum = inverse.make_input_vec();
+        self.sum_by(&RealDft::new(self.n), phases)
+    }
+
+    fn sum_by(self, dft: &RealDft, phases: &[f64]) -> Vec<f64> {
+        let mut spectrum = vec![Complex::new(0.0, 0.0); self.n / 2 + 1];
         for (s, p) in spectrum[self.first..].iter_mut().zip(phases) {
-            *s = Complex64::from_polar(0.5, *p);
+            *s = Complex::from_polar(0.5 * self.n as f64, *p);
         }
-        let mut u = inverse.make_output_vec();
-        // The transform refuses lengths and ends that are not real only; neither can come up here.
-        if inverse.process(&mut spectrum, &mut u).is_err() {
-            u.fill(0.0);
-        }
-        u
+        dft.inverse(&spectrum)
     }
 }
 
