@@ -49,7 +49,7 @@ fn nelder_mead_gets_as_far_as_the_peer() {
 fn pattern_search_gets_as_far_as_the_peer() {
     let fit = by("pattern_search", 24_000);
     println!("24000 evaluations: {}, {:?} after {}", fit.mse, fit.status, fit.evaluations);
-    assert!(fit.mse <= 0.5346 && fit.mse < START && fit.mse >= BEST * (1.0 - 1e-9), "{}", fit.mse);
+    assert!(fit.mse <= 0.5346 && fit.mse >= BEST * (1.0 - 1e-9), "{}", fit.mse);
 }
 
 /// Line search with the exact gradient: the peer's L-BFGS needs 5223 evaluations for 0.5012109809.
