@@ -61,7 +61,9 @@ fn motored_needs_torque_and_faults_are_named() {
 #[test]
 fn a_cycle_is_driven_and_its_file_is_read_in_the_units_it_says() {
     let tmp = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| std::fs::write(tmp.path().join(name), text).unwrap();
+    let write = |name: &str, text: &str| {
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap()
+    };
     write("short.csv", "time [s],speed [km/h]\n0,0\n2,0\n10,36\n16,36\n22,0\n24,0\n");
     let args = ["cycle", "short.csv", "--csv", "drive.csv", "--report", "drive.html"];
     let (code, stdout, stderr) = engine(tmp.path(), &args);

@@ -48,7 +48,7 @@ impl RealDft {
         let scale = 1.0 / self.n.max(1) as f64;
         work.iter_mut().zip(spectrum).for_each(|(w, s)| *w = s * scale);
         work[0].im = 0.0;
-        if self.n % 2 == 0 {
+        if self.n.is_multiple_of(2) {
             work[lines - 1].im = 0.0;
         }
         let mut out = self.back.make_output_vec();

@@ -129,7 +129,7 @@ impl Cycle {
         let cycle =
             DriveCycle::new(times.to_vec(), speeds).map_err(|source| FileError::Cycle { file, source })?;
         match self.seconds {
-            Some(s) if !(s >= 2.0) => Err(FileError::Seconds(s).into()),
+            Some(s) if s.is_nan() || s < 2.0 => Err(FileError::Seconds(s).into()),
             Some(s) => Ok(cycle.shortened(s)),
             None => Ok(cycle),
         }
