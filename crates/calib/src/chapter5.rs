@@ -57,6 +57,14 @@ pub enum Chapter5Error {
     /// A search is unknown.
     #[error("{0}")]
     Method(String),
+    /// Fewer records than a comparison needs.
+    #[error("{found} engine records, expected {expected}")]
+    Records {
+        /// Records found.
+        found: usize,
+        /// Records needed.
+        expected: usize,
+    },
     /// Interrupted.
     #[error("interrupted")]
     Interrupted,

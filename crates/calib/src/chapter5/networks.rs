@@ -107,7 +107,7 @@ pub struct Trained {
     pub scores: Vec<f64>,
     /// The best one.
     pub best: usize,
-    /// Free run on the identification record.
+    /// Free run on the identification record, the first where there are several.
     pub identification: Fitness,
     /// Free run on the selection record, where there is one.
     pub selection: Option<Fitness>,
@@ -155,12 +155,12 @@ pub fn best_of_divisions(
     Ok(trained(&net, &thetas[best], scores, best, &data[0], None, &experiments_of(unseen, of)?))
 }
 
-/// `starts` random starts fitted to the whole identification record, stopped and chosen on the selection record.
+/// `starts` random starts fitted to all of the identification records, stopped and chosen on the selection record.
 ///
 /// # Errors
 /// As [`sizes`].
 pub fn best_of_starts(
-    identification: &Dataset,
+    identification: &[Dataset],
     selection: &Dataset,
     unseen: &[Dataset],
     of: &str,
@@ -168,7 +168,7 @@ pub fn best_of_starts(
     options: &Options,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Trained, Chapter5Error> {
-    let data = experiments_of(std::slice::from_ref(identification), of)?;
+    let data = experiments_of(identification, of)?;
     let selecting = experiments_of(std::slice::from_ref(selection), of)?;
     let net = network(of, &data)?;
     let train = Train {
