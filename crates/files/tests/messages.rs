@@ -320,7 +320,7 @@ fn all_faults_of_a_spec_at_once() {
     .unwrap_err();
     let lines: Vec<String> = e.to_string().lines().map(str::to_string).collect();
     assert_eq!(lines[0], "s.toml has 5 faults");
-    assert_eq!(lines[1], "  s.toml:1: `gain`: found string \"high\", expected a number");
+    assert_eq!(lines[1], "  s.toml:1: `gain`: found the text \"high\", expected a number");
     assert_eq!(
         lines[2],
         "  s.toml:4: `split.colum`: found an unknown key, expected one of column (did you mean `column`?)"

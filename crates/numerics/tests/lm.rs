@@ -369,6 +369,8 @@ fn many_variables_in_blocks_reach_the_same_minimum() {
         let found = levenberg_marquardt(&mut problem, &start, &options);
         let scale: f64 = problem.b.iter().map(|b| b * b).sum();
         let what = format!("blocks {by_blocks}, damping {least_damping}: {:?}", found.status);
-        assert!(found.status.is_success() && found.cost < 1e-20 * scale, "{what}, {} of {scale}", found.cost);
+        // At a sum of squares of rounding the last step may also find nothing left to gain.
+        let ended = found.status.is_success() || found.status == Status::Stalled;
+        assert!(ended && found.cost < 1e-20 * scale, "{what}, {} of {scale}", found.cost);
     }
 }
