@@ -23,6 +23,7 @@ impl VirtualEngine {
         let geometry = &self.params.geometry;
         let s = &mut self.state;
         let u = &s.inputs;
+        let d = &self.deviations;
         let m = &mut s.cylinders[c];
         let [air, fuel, products] = [0, 1, 2].map(|i| s.gas.mass_kg[i][c]);
         match kind {
@@ -30,6 +31,11 @@ impl VirtualEngine {
                 m.last.gross_work_j = m.work_j;
                 m.last.exchange_work_j = m.exchange_work_j;
                 m.work_j = 0.0;
+                // Port injection goes on the closed intake valve, so that the fuel waits for the next induction.
+                if let Some(port) = &self.params.port {
+                    let fuel = 1e-6 * u.injection_mg * d.fuel_share[c];
+                    m.film.inject(port, d.film_factor, fuel, s.time_s);
+                }
             }
             EventKind::CycleEnds => {
                 m.last = CycleRecord {
@@ -44,7 +50,12 @@ impl VirtualEngine {
                 m.running_peak_pa = 0.0;
                 s.peak_mean_pa = 0.25 * s.cylinders.iter().map(|m| m.last.peak_pa).sum::<f64>();
             }
-            EventKind::Injection => m.to_inject_kg += 1e-6 * u.injection_mg,
+            EventKind::Injection => {
+                m.to_inject_kg += match &self.params.port {
+                    None => 1e-6 * u.injection_mg * d.fuel_share[c],
+                    Some(port) => m.film.induct(port, d.film_factor, s.time_s),
+                };
+            }
             EventKind::ExchangeEnds => {
                 m.exchange_work_j = m.work_j;
                 m.work_j = 0.0;
@@ -64,7 +75,9 @@ impl VirtualEngine {
                 m.residual = products / total;
                 m.lambda = gas.lambda(air, all_fuel, 0.0);
                 let limited = all_fuel.min(air / gas.afr_stoich).max(0.0);
-                m.burnable_kg = self.params.burn.burnable_share(m.lambda) * limited;
+                let scale = d.scatter.cycle(d.seed, s.cycle, c);
+                let share = self.params.burn.burnable_share(m.lambda) * scale.heat;
+                m.burnable_kg = share.min(1.0) * limited;
                 let wiebe: Wiebe = self.params.burn.wiebe(&Charge {
                     speed_rpm: u.speed_rpm,
                     spark_deg: u.spark_deg,
@@ -74,7 +87,7 @@ impl VirtualEngine {
                     residual: m.residual,
                     lambda: m.lambda,
                 });
-                m.wiebe = wiebe;
+                m.wiebe = wiebe.stretched(u.spark_deg, d.burn_share[c] * scale.burn);
             }
         }
     }
@@ -116,7 +129,8 @@ impl VirtualEngine {
             *old = part;
         }
         let g = &self.params.geometry;
-        let fmep = self.params.friction.fmep_pa(s.peak_mean_pa, self.held.piston_speed);
+        let warm = self.params.friction.fmep_pa(s.peak_mean_pa, self.held.piston_speed);
+        let fmep = self.held.friction_factor * warm;
         let friction_nm = fmep * 4.0 * g.displacement_m3() / (4.0 * PI);
         let mean_nm = s.work_sum_j / (4.0 * PI) - friction_nm;
         for _ in 0..cells {
@@ -140,6 +154,7 @@ impl VirtualEngine {
         let l = &mut s.ledger;
         l.work_j += work;
         l.wall_heat_j += dt * k.wall;
+        l.cylinder_heat_j += dt * k.cylinder_wall;
         l.burned_kg += dt * k.burned;
         l.evaporation_j += dt * k.evaporated * self.model.evaporation_j_kg;
         l.enthalpy_in_j += dt * k.enthalpy_in;

@@ -23,6 +23,16 @@ impl Wiebe {
         Self { start_deg, duration_deg, m, a }
     }
 
+    /// The same curve with delay after the spark and duration times `factor`.
+    #[must_use]
+    pub fn stretched(self, spark_deg: f64, factor: f64) -> Self {
+        if factor == 1.0 {
+            return self;
+        }
+        let start_deg = -spark_deg + factor * (self.start_deg + spark_deg);
+        Self { start_deg, duration_deg: factor * self.duration_deg, ..self }
+    }
+
     /// Burned fraction x_b at `phi_deg`.
     pub fn burned(&self, phi_deg: f64) -> f64 {
         let y = (phi_deg - self.start_deg) / self.duration_deg;

@@ -9,6 +9,7 @@ use crate::outputs::Outputs;
 use crate::params::EngineParams;
 use crate::state::{CycleRecord, EngineState, Gas, Sums};
 use crate::step::{Held, Model, Rates, add, advance};
+use crate::testbed::deviations::Deviations;
 use std::sync::Arc;
 
 /// Crank-angle resolved four-cylinder gasoline engine, filling-and-emptying level (F0).
@@ -30,6 +31,7 @@ pub struct VirtualEngine {
     pub(crate) model: Arc<Model>,
     pub(crate) grid: Arc<Grid>,
     pub(crate) held: Held,
+    pub(crate) deviations: Deviations,
     pub(crate) state: EngineState,
     pub(crate) k: Rates,
     mid: Gas,
@@ -57,7 +59,8 @@ impl VirtualEngine {
         params.check()?;
         let grid = Grid::new(params);
         let inputs = Inputs::default();
-        let held = Held::new(params, &grid, &inputs);
+        let deviations = Deviations::default();
+        let held = Held::new(params, &grid, &inputs, &deviations);
         let state = initial_state(params, &grid, inputs);
         let mid = state.gas.clone();
         Ok(Self {
@@ -65,6 +68,7 @@ impl VirtualEngine {
             model: Arc::new(Model::new(params)),
             grid: Arc::new(grid),
             held,
+            deviations,
             state,
             k: Rates::ZERO,
             mid,
@@ -83,10 +87,19 @@ impl VirtualEngine {
     pub fn set_inputs(&mut self, inputs: Inputs) -> Result<(), PlantError> {
         inputs.check()?;
         if inputs != self.state.inputs {
-            self.held = Held::new(&self.params, &self.grid, &inputs);
+            self.held = Held::new(&self.params, &self.grid, &inputs, &self.deviations);
             self.state.inputs = inputs;
         }
         Ok(())
+    }
+
+    /// Sets in what this engine differs from the ideal one from now on. Deviations are no part of the state: whoever
+    /// sets them sets them again after [`Self::restore`].
+    pub fn set_deviations(&mut self, deviations: Deviations) {
+        if deviations != self.deviations {
+            self.held = Held::new(&self.params, &self.grid, &self.state.inputs, &deviations);
+            self.deviations = deviations;
+        }
     }
 
     /// Advance by an angle \[deg\]; what is less than a step is carried to the next call.
@@ -147,7 +160,7 @@ impl VirtualEngine {
         }
         state.inputs.check()?;
         self.state.clone_from(state);
-        self.held = Held::new(&self.params, &self.grid, &state.inputs);
+        self.held = Held::new(&self.params, &self.grid, &state.inputs, &self.deviations);
         Ok(())
     }
 

@@ -24,6 +24,8 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
             .for_each(&mut *f);
         [&mut l.residual, &mut l.lambda, &mut l.trapped_kg].into_iter().for_each(&mut *f);
         l.ca_deg.iter_mut().for_each(&mut *f);
+        let film = &mut c.film;
+        [&mut film.film_kg, &mut film.airborne_kg, &mut film.time_s].into_iter().for_each(&mut *f);
     }
     let u = &mut s.inputs;
     [&mut u.speed_rpm, &mut u.throttle_deg, &mut u.spark_deg, &mut u.injection_mg]
@@ -45,7 +47,9 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     }
     let l = &mut s.ledger;
     [&mut l.work_j, &mut l.wall_heat_j, &mut l.burned_kg, &mut l.evaporation_j].into_iter().for_each(&mut *f);
-    [&mut l.enthalpy_in_j, &mut l.mass_in_kg, &mut l.injected_kg].into_iter().for_each(&mut *f);
+    [&mut l.enthalpy_in_j, &mut l.mass_in_kg, &mut l.injected_kg, &mut l.cylinder_heat_j]
+        .into_iter()
+        .for_each(&mut *f);
     for counter in [&mut s.cell, &mut s.next_event, &mut s.slot] {
         let mut x = *counter as f64;
         f(&mut x);

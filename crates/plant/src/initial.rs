@@ -6,11 +6,13 @@ use crate::grid::Grid;
 use crate::inputs::Inputs;
 use crate::params::EngineParams;
 use crate::state::{CATALYST, CycleRecord, Cylinder, EXHAUST, EngineState, Gas, INTAKE, Ledger, PIPE, Sums};
+use crate::testbed::film::Film;
 
 /// Cylinders and intake filled with air at half an atmosphere, exhaust with hot products.
 pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> EngineState {
     let cylinder = Cylinder {
         to_inject_kg: 0.0,
+        film: Film::default(),
         burnable_kg: 0.0,
         wiebe: Wiebe::new(0.0, p.burn.duration_deg, inputs.wiebe_m),
         woschni_ref: 0.0,

@@ -26,6 +26,7 @@ pub mod sensors;
 pub mod state;
 pub mod statics;
 mod step;
+pub mod testbed;
 pub mod trace;
 pub mod transients;
 pub mod vehicle;

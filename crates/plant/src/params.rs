@@ -7,6 +7,7 @@ use crate::combustion::BurnModel;
 use crate::error::PlantError;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
+use crate::testbed::film::FilmModel;
 use serde::{Deserialize, Serialize};
 
 /// Ambient air.
@@ -178,8 +179,11 @@ pub struct EngineParams {
     pub catalyst: Manifold,
     /// Exhaust restrictions.
     pub exhaust: Exhaust,
-    /// Direct injection.
+    /// Injection into the cylinder: rate and evaporation (with `port`: of what is inducted).
     pub injection: Injection,
+    /// Fuel film of port injection; absent with direct injection.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub port: Option<FilmModel>,
     /// Combustion.
     pub burn: BurnModel,
     /// Heat transfer in the cylinder.
@@ -215,6 +219,7 @@ impl EngineParams {
             exhaust_manifold: Manifold { volume_m3: 0.002, ua_w_k: 10.0, wall_k: 550.0 },
             catalyst: Manifold { volume_m3: 0.005, ua_w_k: 8.0, wall_k: 600.0 },
             exhaust: Exhaust { turbine_m2: 330e-6, wastegate_discharge: 0.65, tailpipe_m2: 900e-6 },
+            port: None,
             injection: Injection { rate_kg_s: 0.01, evaporation_s: 0.002, charge_share: 0.8 },
             burn: BurnModel::thesis(),
             heat: HeatTransfer { scale: 0.90, wall_k: 440.0 },
@@ -304,6 +309,12 @@ impl EngineParams {
                     expected: "0..720 deg, lift >= 0, head > 0",
                 });
             }
+        }
+        if let Some(port) = &self.port
+            && !((0.0..=1.0).contains(&port.share) && port.tau_s > 0.0)
+        {
+            let expected = "a share of 0..1 and a positive time constant";
+            return Err(PlantError::Parameter { name: "port.share", found: port.share, expected });
         }
         // Steps are powers of two of a cell, so that a longer step always finds the grid of a shorter one.
         let (cells, fixed) = (self.stepping.cells_per_deg, self.stepping.fixed_cells);

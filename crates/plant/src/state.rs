@@ -3,6 +3,7 @@
 use crate::combustion::Wiebe;
 use crate::gas::VOLUMES;
 use crate::inputs::Inputs;
+use crate::testbed::film::Film;
 use serde::{Deserialize, Serialize};
 
 /// Volume number of the charge pipe.
@@ -30,6 +31,8 @@ pub struct Gas {
 pub struct Cylinder {
     /// Fuel still to be injected in this cycle \[kg\].
     pub to_inject_kg: f64,
+    /// Fuel in the intake port (port injection).
+    pub film: Film,
     /// Fuel that burns in this cycle \[kg\].
     pub burnable_kg: f64,
     /// Burn curve.
@@ -124,6 +127,8 @@ pub struct Ledger {
     pub work_j: f64,
     /// Heat to all walls \[J\].
     pub wall_heat_j: f64,
+    /// Heat to the walls of the cylinders \[J\].
+    pub cylinder_heat_j: f64,
     /// Fuel burned \[kg\].
     pub burned_kg: f64,
     /// Heat taken by evaporation \[J\].

@@ -7,6 +7,7 @@ use crate::inputs::Inputs;
 use crate::orifice::PsiTable;
 use crate::params::EngineParams;
 use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
+use crate::testbed::deviations::Deviations;
 
 /// Quantities that only change with the inputs.
 #[derive(Debug, Clone, Default)]
@@ -25,10 +26,12 @@ pub(crate) struct Held {
     pub(crate) piston_speed: f64,
     /// Share of the torque error that the sensor makes up per cell.
     pub(crate) lag_per_cell: f64,
+    pub(crate) cylinder_wall_k: f64,
+    pub(crate) friction_factor: f64,
 }
 
 impl Held {
-    pub(crate) fn new(p: &EngineParams, grid: &Grid, u: &Inputs) -> Self {
+    pub(crate) fn new(p: &EngineParams, grid: &Grid, u: &Inputs, d: &Deviations) -> Self {
         let deg_s = 6.0 * u.speed_rpm;
         let s = &p.stepping;
         let step_cells = if s.fixed_cells > 0 {
@@ -56,6 +59,8 @@ impl Held {
             closed_w: 2.28 * piston_speed,
             piston_speed,
             lag_per_cell: -(-grid.cell_deg / deg_s / p.torque_lag_s).exp_m1(),
+            cylinder_wall_k: d.cylinder_wall_k.unwrap_or(p.heat.wall_k),
+            friction_factor: d.friction_factor,
         }
     }
 }
@@ -71,7 +76,6 @@ pub(crate) struct Model {
     pub(crate) ambient_pa: f64,
     pub(crate) tail_m2: f64,
     pub(crate) woschni: f64,
-    pub(crate) cylinder_wall_k: f64,
     pub(crate) burn_end_deg: f64,
     pub(crate) evaporation_1_s: f64,
     pub(crate) evaporation_j_kg: f64,
@@ -89,7 +93,6 @@ impl Model {
             ambient_pa: p.ambient.pressure_pa,
             tail_m2: p.exhaust.tailpipe_m2,
             woschni: heat::woschni_constant(p.heat.scale, p.geometry.bore_m),
-            cylinder_wall_k: p.heat.wall_k,
             burn_end_deg: p.burn.end_deg,
             evaporation_1_s: 1.0 / p.injection.evaporation_s,
             // Vapour enters the charge with its enthalpy at 298.15 K (u = 0, so R T), less the latent heat
@@ -109,8 +112,9 @@ pub(crate) struct Rates {
     pub(crate) p: [f64; VOLUMES],
     /// p dV/dt per cylinder \[W\].
     pub(crate) work: [f64; 4],
-    /// Heat to all walls \[W\].
+    /// Heat to all walls and to those of the cylinders \[W\].
     pub(crate) wall: f64,
+    pub(crate) cylinder_wall: f64,
     /// Fuel burned \[kg/s\].
     pub(crate) burned: f64,
     /// Liquid evaporated \[kg/s\].
@@ -131,6 +135,7 @@ impl Rates {
         p: [0.0; VOLUMES],
         work: [0.0; 4],
         wall: 0.0,
+        cylinder_wall: 0.0,
         burned: 0.0,
         evaporated: 0.0,
         throttle: 0.0,
@@ -290,7 +295,7 @@ impl Model {
             } else {
                 held.closed_w
             };
-            wall = heat::woschni(self.woschni, p, t_k, w) * at.wall_m2 * (t_k - self.cylinder_wall_k);
+            wall = heat::woschni(self.woschni, p, t_k, w) * at.wall_m2 * (t_k - held.cylinder_wall_k);
         }
         let mut energy = -work - wall;
         if burning && memory.burnable_kg > 0.0 {
@@ -311,6 +316,7 @@ impl Model {
         k.energy[c] += energy;
         k.work[c] = work;
         k.wall += wall;
+        k.cylinder_wall += wall;
     }
 }
 
