@@ -1,6 +1,12 @@
 //! Input channels of a design: amplitude, rate, hold, and the map from free variables to samples.
 
+mod layout;
+
+pub use layout::Layout;
+pub(crate) use layout::SAFE;
+
 use crate::error::DesignError;
+use crate::limits::Region;
 
 /// How a channel moves between its free values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -29,6 +35,14 @@ pub struct Channel {
     pub shape: Shape,
     /// Value before the first sample (the rate limit then covers the first sample too).
     pub before: Option<f64>,
+    /// Value of the first free value: the operating point that the record starts from.
+    pub start: Option<f64>,
+    /// Value of the last sample: the operating point that the record ends at.
+    pub end: Option<f64>,
+    /// The only values that the channel may take at its free values (any order); empty: all within the bounds.
+    pub levels: Vec<f64>,
+    /// Regions in the plane of this channel and others, kept at every sample.
+    pub regions: Vec<Region>,
     /// Samples of a channel that is not designed (e.g. a given speed profile), N of them.
     pub given: Option<Vec<f64>>,
 }
@@ -44,6 +58,10 @@ impl Channel {
             hold: 1,
             shape: Shape::Hold,
             before: None,
+            start: None,
+            end: None,
+            levels: Vec::new(),
+            regions: Vec::new(),
             given: None,
         }
     }
@@ -69,215 +87,136 @@ impl Channel {
         self.rate_per_sample.map(|r| r * samples).filter(|r| *r < self.upper - self.lower)
     }
 
+    /// Bounds within which the free values lie: the box, or the ends of the levels.
+    fn span(&self) -> (f64, f64) {
+        let ends =
+            (self.levels.iter().copied().reduce(f64::min), self.levels.iter().copied().reduce(f64::max));
+        match ends {
+            (Some(a), Some(b)) if self.given.is_none() => (a.max(self.lower), b.min(self.upper)),
+            _ => (self.lower, self.upper),
+        }
+    }
+
+    fn number(&self, what: &str, found: f64, expected: &str) -> Result<(), DesignError> {
+        let what = format!("{}: {what}", self.name);
+        Err(DesignError::Number { what, found, expected: expected.into() })
+    }
+
     fn check(&self, n: usize) -> Result<(), DesignError> {
-        let name = &self.name;
-        let number = |what: &str, found: f64, expected: &str| {
-            Err(DesignError::Number { what: format!("{name}: {what}"), found, expected: expected.into() })
-        };
         if let Some(v) = &self.given {
             if v.len() != n {
-                return Err(DesignError::Shape {
-                    what: format!("{name}: given samples"),
-                    found: v.len(),
-                    expected: n,
-                });
+                let what = format!("{}: given samples", self.name);
+                return Err(DesignError::Shape { what, found: v.len(), expected: n });
             }
             return match v.iter().find(|v| !v.is_finite()) {
-                Some(v) => number("given sample", *v, "a finite number"),
+                Some(v) => self.number("given sample", *v, "a finite number"),
                 None => Ok(()),
             };
         }
         for bound in [self.lower, self.upper] {
             if !bound.is_finite() {
-                return number("bound", bound, "a finite number");
+                return self.number("bound", bound, "a finite number");
             }
         }
         if self.lower > self.upper {
-            return Err(self.conflict(format!("upper bound {}", self.upper), self.lower - self.upper));
+            let (first, second) =
+                (format!("lower bound {}", self.lower), format!("upper bound {}", self.upper));
+            return Err(self.conflict(first, second, self.lower - self.upper, None));
         }
         if self.hold == 0 {
-            return number("hold", 0.0, "at least 1 sample");
+            return self.number("hold", 0.0, "at least 1 sample");
         }
-        match (self.rate_per_sample, self.before) {
-            (Some(r), _) if !(r > 0.0 && r.is_finite()) => number("rate limit", r, "a positive number"),
-            (_, Some(b)) if !b.is_finite() => number("value before the record", b, "a finite number"),
-            (Some(r), Some(b)) if b + r < self.lower => Err(self.reach(b, r, self.lower - b - r)),
-            (Some(r), Some(b)) if b - r > self.upper => Err(self.reach(b, r, b - r - self.upper)),
+        if self.hold > n {
+            let (first, second) =
+                (format!("hold of {} samples", self.hold), format!("record of {n} samples"));
+            return Err(self.conflict(first, second, (self.hold - n) as f64, None));
+        }
+        match self.rate_per_sample {
+            Some(r) if !(r > 0.0 && r.is_finite()) => {
+                return self.number("rate limit", r, "a positive number");
+            }
+            _ => {}
+        }
+        match self.before {
+            Some(b) if !b.is_finite() => return self.number("value before the record", b, "a finite number"),
+            _ => {}
+        }
+        self.check_levels()?;
+        self.check_point("start", self.start, 0)?;
+        self.check_point("end", self.end, n.saturating_sub(1))?;
+        self.check_reach(n)
+    }
+
+    fn check_levels(&self) -> Result<(), DesignError> {
+        for v in &self.levels {
+            if !v.is_finite() {
+                return self.number("level", *v, "a finite number");
+            }
+            if *v < self.lower || *v > self.upper {
+                let by = (self.lower - v).max(v - self.upper);
+                return Err(self.conflict(format!("level {v}"), self.bounds_text(), by, None));
+            }
+        }
+        Ok(())
+    }
+
+    /// Start and end lie within the bounds and, where there are levels, on one of them.
+    fn check_point(&self, what: &str, value: Option<f64>, sample: usize) -> Result<(), DesignError> {
+        let Some(v) = value else { return Ok(()) };
+        if !v.is_finite() {
+            return self.number(what, v, "a finite number");
+        }
+        if v < self.lower || v > self.upper {
+            let by = (self.lower - v).max(v - self.upper);
+            return Err(self.conflict(format!("{what} {v}"), self.bounds_text(), by, Some(sample)));
+        }
+        let nearest = self.levels.iter().min_by(|a, b| (*a - v).abs().total_cmp(&(*b - v).abs()));
+        match nearest {
+            Some(l) if *l != v => {
+                let second = format!("the levels, the nearest of which is {l}");
+                Err(self.conflict(format!("{what} {v}"), second, (l - v).abs(), Some(sample)))
+            }
             _ => Ok(()),
         }
     }
 
-    fn conflict(&self, second: String, by: f64) -> DesignError {
-        let first = format!("{} lower bound {}", self.name, self.lower);
-        DesignError::Conflict { first, second, by, sample: None }
-    }
-
-    fn reach(&self, before: f64, rate: f64, by: f64) -> DesignError {
-        DesignError::Conflict {
-            first: format!("{} bounds {} to {}", self.name, self.lower, self.upper),
-            second: format!("rate limit {rate} per sample from {before} before the record"),
-            by,
-            sample: Some(0),
-        }
-    }
-}
-
-/// A rate limit in the free variables: `|x[j] - x[j-1]| <= limit`.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RateLimit {
-    /// Index j of the later variable.
-    pub(crate) j: usize,
-    /// Limit in units of x.
-    pub(crate) limit: f64,
-}
-
-/// The map between free variables x (each in \[0, 1\] of its channel's range) and input samples.
-#[derive(Clone, Debug)]
-pub struct Layout {
-    channels: Vec<Channel>,
-    n: usize,
-    /// First variable of each channel, and one more.
-    first: Vec<usize>,
-    lower: Vec<f64>,
-    upper: Vec<f64>,
-    rates: Vec<RateLimit>,
-}
-
-impl Layout {
-    /// Layout of `channels` over `n` samples.
-    ///
-    /// # Errors
-    /// The first limit that makes no sense, or limits that contradict each other, with names and numbers.
-    pub fn new(channels: &[Channel], n: usize) -> Result<Self, DesignError> {
-        let mut first = vec![0];
-        let (mut lower, mut upper, mut rates) = (Vec::new(), Vec::new(), Vec::new());
-        for c in channels {
-            c.check(n)?;
-            let start = lower.len();
-            lower.resize(start + c.knots(n), 0.0);
-            upper.resize(start + c.knots(n), if c.upper > c.lower { 1.0 } else { 0.0 });
-            let range = c.upper - c.lower;
-            if let (Some(b), Some(r), true) =
-                (c.before, c.rate_per_sample, start < lower.len() && range > 0.0)
-            {
-                lower[start] = ((b - r - c.lower) / range).clamp(0.0, 1.0);
-                upper[start] = ((b + r - c.lower) / range).clamp(0.0, 1.0);
-            }
-            if let Some(r) = c.knot_rate() {
-                rates.extend((start + 1..lower.len()).map(|j| RateLimit { j, limit: r / range }));
-            }
-            first.push(lower.len());
-        }
-        if lower.iter().zip(&upper).all(|(l, u)| l == u) {
-            return Err(DesignError::NothingFree);
-        }
-        Ok(Self { channels: channels.to_vec(), n, first, lower, upper, rates })
-    }
-
-    /// Number of free variables.
-    pub fn len(&self) -> usize {
-        self.lower.len()
-    }
-
-    /// Whether there is none (never for a layout that was built).
-    pub fn is_empty(&self) -> bool {
-        self.lower.is_empty()
-    }
-
-    /// Number of samples N.
-    pub fn n_samples(&self) -> usize {
-        self.n
-    }
-
-    /// Number of channels m.
-    pub fn n_channels(&self) -> usize {
-        self.channels.len()
-    }
-
-    /// Bounds of the free variables.
-    pub fn bounds(&self) -> (&[f64], &[f64]) {
-        (&self.lower, &self.upper)
-    }
-
-    pub(crate) fn rates(&self) -> &[RateLimit] {
-        &self.rates
-    }
-
-    /// Range of variables of channel `i`.
-    pub(crate) fn variables(&self, i: usize) -> std::ops::Range<usize> {
-        self.first[i]..self.first[i + 1]
-    }
-
-    /// Fills the samples `u` (N x m) from the variables `x`.
-    pub fn fill(&self, x: &[f64], u: &mut [f64]) {
-        let m = self.channels.len();
-        for (i, c) in self.channels.iter().enumerate() {
-            let x = &x[self.variables(i)];
-            let at = |k: usize| (c.lower + x[k] * (c.upper - c.lower)).clamp(c.lower, c.upper);
-            for t in 0..self.n {
-                u[t * m + i] = match (&c.given, c.shape) {
-                    (Some(v), _) => v[t],
-                    (None, Shape::Hold) => at(t / c.hold),
-                    (None, Shape::Linear) => {
-                        let (k, w) = (t / c.hold, (t % c.hold) as f64 / c.hold as f64);
-                        if w > 0.0 { (1.0 - w) * at(k) + w * at(k + 1) } else { at(k) }
-                    }
-                };
+    /// Whether the rate limit leads from the value before to the bounds and the start, and from there to the end.
+    fn check_reach(&self, n: usize) -> Result<(), DesignError> {
+        let Some(r) = self.rate_per_sample else { return Ok(()) };
+        let (lower, upper) = self.span();
+        let slack = 1e-9 * (upper - lower).abs();
+        if let Some(b) = self.before {
+            let (near, far) = self.start.map_or((lower, upper), |s| (s, s));
+            let by = (near - b - r).max(b - r - far);
+            if by > slack {
+                let first = self.start.map_or(self.bounds_text(), |s| format!("start {s}"));
+                let second = format!("rate limit {r} per sample from {b} before the record");
+                return Err(self.conflict(first, second, by, Some(0)));
             }
         }
-    }
-
-    /// Adjoint of [`Layout::fill`]: fills the gradient with respect to x from that with respect to u (N x m).
-    pub fn gather(&self, u_bar: &[f64], x_bar: &mut [f64]) {
-        let m = self.channels.len();
-        x_bar.fill(0.0);
-        for (i, c) in self.channels.iter().enumerate().filter(|(_, c)| c.given.is_none()) {
-            let range = c.upper - c.lower;
-            let x = &mut x_bar[self.first[i]..self.first[i + 1]];
-            for t in 0..self.n {
-                let g = range * u_bar[t * m + i];
-                let (k, w) = (t / c.hold, (t % c.hold) as f64 / c.hold as f64);
-                match c.shape {
-                    Shape::Linear if w > 0.0 => {
-                        x[k] += (1.0 - w) * g;
-                        x[k + 1] += w * g;
-                    }
-                    _ => x[k] += g,
-                }
+        // One change per hold, of one sample (a step) or of the whole hold (a ramp).
+        let changes = match self.shape {
+            Shape::Hold => (n - 1) / self.hold,
+            Shape::Linear => (n - 1) / self.hold * self.hold,
+        };
+        let from = [(self.start, 0), (self.before, 1)].into_iter().find_map(|(v, more)| v.map(|v| (v, more)));
+        if let (Some((s, more)), Some(e)) = (from, self.end) {
+            let by = (e - s).abs() - r * (changes + more) as f64;
+            if by > slack {
+                let first = format!("start {s} and end {e}");
+                let second = format!("rate limit {r} per sample in {} changes", changes + more);
+                return Err(self.conflict(first, second, by, Some(n - 1)));
             }
         }
+        Ok(())
     }
 
-    /// Variables of given samples `u` (N x m), taken where the free values sit and moved into bounds and rates.
-    pub fn read(&self, u: &[f64], x: &mut [f64]) {
-        let m = self.channels.len();
-        for (i, c) in self.channels.iter().enumerate() {
-            let range = c.upper - c.lower;
-            for (k, j) in self.variables(i).enumerate() {
-                let v = u[(k * c.hold).min(self.n - 1) * m + i];
-                x[j] = if range > 0.0 { (v - c.lower) / range } else { 0.0 };
-            }
-        }
-        self.repair(x);
+    fn bounds_text(&self) -> String {
+        format!("bounds {} to {}", self.lower, self.upper)
     }
 
-    /// Moves `x` into the bounds and then, from the first sample on, into the rate limits. Exactly feasible
-    /// afterwards, because a value within reach of one inside the bounds can always stay inside them.
-    pub fn repair(&self, x: &mut [f64]) {
-        for (v, (l, u)) in x.iter_mut().zip(self.lower.iter().zip(&self.upper)) {
-            *v = v.clamp(*l, *u);
-        }
-        for r in &self.rates {
-            let before = x[r.j - 1];
-            // The last bits of u = lower + x range must not exceed the limit, hence the small safety factor.
-            let limit = r.limit * (1.0 - 1e-12);
-            x[r.j] = x[r.j].clamp(before - limit, before + limit).clamp(self.lower[r.j], self.upper[r.j]);
-        }
-    }
-
-    /// Largest violation of a rate limit by `x`, in units of the channel's range.
-    pub fn rate_violation(&self, x: &[f64]) -> f64 {
-        self.rates.iter().map(|r| (x[r.j] - x[r.j - 1]).abs() - r.limit).fold(0.0, f64::max)
+    fn conflict(&self, first: String, second: String, by: f64, sample: Option<usize>) -> DesignError {
+        DesignError::Conflict { first: format!("{} {first}", self.name), second, by, sample }
     }
 }
 

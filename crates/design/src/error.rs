@@ -24,7 +24,7 @@ pub enum DesignError {
         expected: String,
     },
     /// Two limits contradict each other.
-    #[error("infeasible limits: {first} and {second} conflict by {by}{}", at(.sample))]
+    #[error("infeasible limits: {first} and {second} conflict by {}{}", tidy(*.by), at(.sample))]
     Conflict {
         /// First limit with its number.
         first: String,
@@ -34,6 +34,16 @@ pub enum DesignError {
         by: f64,
         /// Sample where it happens, if at one.
         sample: Option<usize>,
+    },
+    /// A region makes no sense.
+    #[error("region `{name}`: found {found}, expected {expected}")]
+    Region {
+        /// Name of the region.
+        name: String,
+        /// What is there.
+        found: String,
+        /// What was expected.
+        expected: String,
     },
     /// A criterion needs an objective signal and none is given.
     #[error("{term}: the criterion weighs predictions over an objective signal, but none is given")]
@@ -67,4 +77,15 @@ pub enum DesignError {
 
 fn at(sample: &Option<usize>) -> String {
     sample.map_or_else(String::new, |t| format!(" at sample {t}"))
+}
+
+/// A number for people: what rounding has left behind the tenth digit is taken off.
+pub(crate) fn tidy(v: f64) -> f64 {
+    if v == 0.0 || !v.is_finite() {
+        return v;
+    }
+    let unit = 10f64.powi(v.abs().log10().floor() as i32 - 9);
+    let rounded = (v / unit).round() * unit;
+    // Through text, because the product of the digits and the power of ten is not a short number either.
+    format!("{rounded:.9e}").parse().unwrap_or(rounded)
 }

@@ -10,6 +10,7 @@ pub mod criterion;
 pub mod error;
 pub mod information;
 mod kernel;
+pub mod limits;
 pub mod problem;
 pub mod safety;
 pub mod search;

@@ -11,6 +11,7 @@ use dynocal_numerics::status::Status;
 pub(crate) struct Multipliers {
     pub(crate) penalty: f64,
     pub(crate) rate: Vec<f64>,
+    pub(crate) region: Vec<f64>,
     pub(crate) output: Vec<Vec<f64>>,
 }
 
@@ -224,7 +225,9 @@ impl<'a> Evaluator<'a> {
         let rows = self.u.len() / self.layout.n_channels();
         let output: Vec<Vec<f64>> = self.limits().map(|_| vec![0.0; rows]).collect();
         let rate = vec![0.0; self.layout.rates().len()];
-        (!rate.is_empty() || !output.is_empty()).then_some(Multipliers { penalty, rate, output })
+        let region = vec![0.0; self.layout.regions.len()];
+        let any = !rate.is_empty() || !region.is_empty() || !output.is_empty();
+        any.then_some(Multipliers { penalty, rate, region, output })
     }
 
     fn penalise_outputs(&mut self, mu: &Multipliers) -> f64 {
@@ -252,6 +255,10 @@ impl<'a> Evaluator<'a> {
         for (r, lambda) in self.layout.rates().iter().zip(&mut mu.rate) {
             *lambda = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty).1;
         }
+        for (g, lambda) in mu.region.iter_mut().enumerate() {
+            let passed = self.layout.regions.condition(g, x).0;
+            *lambda = penalty(passed, f64::NEG_INFINITY, 0.0, *lambda, mu.penalty).1;
+        }
     }
 
     /// Largest violation of an output limit (margin included) at the last evaluation, as a share of the range.
@@ -278,6 +285,14 @@ fn penalise_rates(layout: &Layout, mu: &Multipliers, x: &[f64], grad: &mut [f64]
         if !grad.is_empty() {
             grad[r.j] += slope;
             grad[r.j - 1] -= slope;
+        }
+    }
+    for (g, lambda) in mu.region.iter().enumerate() {
+        let (passed, terms) = layout.regions.condition(g, x);
+        let (value, slope) = penalty(passed, f64::NEG_INFINITY, 0.0, *lambda, mu.penalty);
+        f += value;
+        if !grad.is_empty() {
+            terms.iter().for_each(|(j, a)| grad[*j] += slope * a);
         }
     }
     f

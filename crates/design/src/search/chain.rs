@@ -78,6 +78,11 @@ impl<'w, 'a> Chain<'w, 'a> {
         if self.interrupted() { 0 } else { self.budget.saturating_sub(self.evaluator.count()) }
     }
 
+    /// A budget of `evaluations` more from here.
+    pub(crate) fn grant(&mut self, evaluations: usize) {
+        self.budget = self.evaluator.count() + evaluations;
+    }
+
     pub(crate) fn interrupted(&self) -> bool {
         (self.watch.interrupt)()
     }
@@ -94,7 +99,13 @@ impl<'w, 'a> Chain<'w, 'a> {
     pub(crate) fn value(&mut self, x: &[f64]) -> (f64, f64) {
         let sharpness = self.last_sharpness();
         let f = self.evaluator.objective(x, sharpness, None, &mut []);
-        (f, if f.is_finite() { self.evaluator.output_violation() } else { f64::INFINITY })
+        if !f.is_finite() {
+            return (f, f64::INFINITY);
+        }
+        // A region that is not kept is no matter of tolerance.
+        let region = self.evaluator.layout().region_violation(x);
+        let region = if region > 0.0 { 1.0 + region } else { 0.0 };
+        (f, self.evaluator.output_violation().max(region))
     }
 
     /// Local run from `x` with at most `budget` evaluations; `warm` multipliers spare the outer iterations.
@@ -176,7 +187,8 @@ impl<'w, 'a> Chain<'w, 'a> {
             let loose = if warmed { factor } else { factor * f64::max(1.0, 100.0 * 0.2f64.powi(outer)) };
             ended = self.smooth_run(x, q, (left / 3).clamp(2, 150).min(left - 1), loose, Some(&mu));
             let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
-            let violation = self.evaluator.output_violation().max(self.evaluator.layout().rate_violation(x));
+            let violation =
+                self.evaluator.output_violation().max(self.evaluator.layout().coupling_violation(x));
             self.evaluator.update(x, &mut mu);
             if violation > 0.3 * before && violation > self.tolerance {
                 mu.penalty = (3.0 * mu.penalty).min(1e7);

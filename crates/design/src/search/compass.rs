@@ -40,7 +40,7 @@ impl Search for Compass {
                     }
                     trial.copy_from_slice(&x);
                     trial[j] = to;
-                    if layout.rate_violation(&trial) > 0.0 {
+                    if layout.coupling_violation(&trial) > 0.0 {
                         continue;
                     }
                     let found = chain.value(&trial);

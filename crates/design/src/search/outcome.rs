@@ -4,6 +4,7 @@ use super::chain::{Candidate, Chain};
 use super::{Search, Watch, search};
 use crate::channel::Layout;
 use crate::error::DesignError;
+use crate::limits::levels;
 use crate::problem::{DesignProblem, Evaluator};
 use crate::safety::{Safety, safety};
 use dynocal_numerics::registry::BuildError;
@@ -190,6 +191,7 @@ fn run_one(
     chain.offer(Candidate { x: x.clone(), f, violation, converged: false, multipliers: None });
     let start_value = chain.evaluator.undo_logarithm(f);
     method.run(&mut chain, &x);
+    levels::exchange(&mut chain, options.evaluations);
     let Some(best) = chain.best.take() else {
         return Err(no_start(problem, &mut chain, &x, 1));
     };
@@ -290,6 +292,7 @@ pub fn random_record(problem: &DesignProblem, seed: u64) -> Result<Vec<f64>, Des
     let (lower, upper) = layout.bounds();
     let mut x: Vec<f64> = (0..layout.len()).map(|j| rng.uniform_in(lower[j], upper[j])).collect();
     layout.repair(&mut x);
+    layout.round(&mut x);
     let mut u = vec![0.0; problem.n_samples * problem.channels.len()];
     layout.fill(&x, &mut u);
     Ok(u)
