@@ -15,6 +15,34 @@ pub enum PlantError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// A parameter is not finite or outside its range.
+    #[error("engine parameter `{name}` = {found}: expected {low} to {high}")]
+    ParameterRange {
+        /// Name as in the TOML file.
+        name: &'static str,
+        /// The value given.
+        found: f64,
+        /// Least allowed value.
+        low: f64,
+        /// Greatest allowed value.
+        high: f64,
+    },
+    /// A parameter of a file is out of range.
+    #[error("line {line}: {source}")]
+    ParameterLine {
+        /// Line of the file, from 1.
+        line: usize,
+        /// Which parameter and its range.
+        source: Box<PlantError>,
+    },
+    /// No embedded parameter set has that name.
+    #[error("no parameter set `{found}`: expected one of {known}, or a TOML file")]
+    ParameterSet {
+        /// The name given.
+        found: String,
+        /// The names that exist.
+        known: String,
+    },
     /// The parameter text is not valid TOML for [`crate::params::EngineParams`].
     #[error("engine parameter file: {0}")]
     Toml(#[from] Box<toml::de::Error>),

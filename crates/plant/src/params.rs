@@ -1,10 +1,14 @@
-//! Every constant of the engine, with unit and source.
+//! Every constant of the engine, with unit and source. The values lie in `parameters/*.toml`.
 //!
 //! Source tags: \[T\] thesis, \[C\] calibrated against the thesis, \[L\] literature, \[H\] textbook value
 //! (Heywood class), \[A\] engineering assumption.
 
+mod check;
+mod sets;
+
+pub use sets::{PARAMETER_SETS, ParameterSet};
+
 use crate::combustion::BurnModel;
-use crate::error::PlantError;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
 use crate::testbed::film::FilmModel;
@@ -197,143 +201,16 @@ pub struct EngineParams {
 }
 
 impl EngineParams {
-    /// The thesis engine (2.0 l, four cylinders, turbocharger off, *thesis mode* of combustion).
+    /// The thesis engine (2.0 l, four cylinders, turbocharger off, *thesis mode* of combustion): `parameters/thesis.toml`.
+    ///
+    /// # Panics
+    /// Never: the embedded text is read by the tests.
     pub fn thesis() -> Self {
-        let valve = |duration_deg, lift_m, head_m| Valve {
-            duration_deg,
-            lift_m,
-            head_m,
-            count: 2.0,
-            flow_coefficient: 0.60,
-            lift_slope: 5.6,
-        };
-        Self {
-            geometry: Geometry::thesis(),
-            gas: GasModel::gasoline(),
-            ambient: Ambient { pressure_pa: 101_325.0, temperature_k: 298.15 },
-            throttle: Throttle { diameter0_m: 0.0027, slope_m_per_deg: 0.000_455, discharge: 0.90 },
-            intake_valve: valve(248.0, 0.0086, 0.0325),
-            exhaust_valve: valve(240.0, 0.0084, 0.0285),
-            charge_pipe_m3: 0.006,
-            intake_manifold: Manifold { volume_m3: 0.0045, ua_w_k: 4.0, wall_k: 318.0 },
-            exhaust_manifold: Manifold { volume_m3: 0.002, ua_w_k: 10.0, wall_k: 550.0 },
-            catalyst: Manifold { volume_m3: 0.005, ua_w_k: 8.0, wall_k: 600.0 },
-            exhaust: Exhaust { turbine_m2: 330e-6, wastegate_discharge: 0.65, tailpipe_m2: 900e-6 },
-            port: None,
-            injection: Injection { rate_kg_s: 0.01, evaporation_s: 0.002, charge_share: 0.8 },
-            burn: BurnModel::thesis(),
-            heat: HeatTransfer { scale: 0.90, wall_k: 440.0 },
-            friction: Friction {
-                constant_pa: 8000.0,
-                peak_share: 0.004,
-                linear_pa_s_m: 5000.0,
-                quadratic_pa_s2_m2: 90.0,
-            },
-            torque_lag_s: 0.15,
-            stepping: Stepping { cells_per_deg: 2, fixed_cells: 0, max_step_s: 85e-6 },
-        }
-    }
-
-    /// Read a parameter set from TOML text.
-    ///
-    /// # Errors
-    /// [`PlantError::Toml`] for text that does not fit, [`PlantError::Parameter`] for values out of range.
-    ///
-    /// ```
-    /// use dynocal_plant::params::EngineParams;
-    /// let p = EngineParams::thesis();
-    /// let back = EngineParams::from_toml(&p.to_toml()).unwrap();
-    /// assert_eq!(p, back);
-    /// ```
-    pub fn from_toml(text: &str) -> Result<Self, PlantError> {
-        let p: Self = toml::from_str(text).map_err(|e| PlantError::Toml(Box::new(e)))?;
-        p.check()?;
-        Ok(p)
-    }
-
-    /// The parameter set as TOML text.
-    pub fn to_toml(&self) -> String {
-        // Plain numbers in plain tables always serialise; an empty text would fail to parse back.
-        toml::to_string_pretty(self).unwrap_or_default()
+        Self::named("thesis").expect("the embedded parameter set is valid")
     }
 
     /// Displacement of the whole engine \[m3\].
     pub fn displacement_m3(&self) -> f64 {
         4.0 * self.geometry.displacement_m3()
-    }
-
-    /// Refuse values that no engine has (they would only show later as a failed step).
-    ///
-    /// # Errors
-    /// [`PlantError::Parameter`] naming the first offending value.
-    pub fn check(&self) -> Result<(), PlantError> {
-        let g = &self.geometry;
-        let positive: [(&'static str, f64); 19] = [
-            ("geometry.bore_m", g.bore_m),
-            ("geometry.stroke_m", g.stroke_m),
-            ("geometry.compression_ratio", g.compression_ratio - 1.0),
-            ("geometry.conrod_m", g.conrod_m - 0.5 * g.stroke_m - g.pin_offset_m.abs()),
-            ("gas.afr_stoich", self.gas.afr_stoich),
-            ("gas.lhv_j_kg", self.gas.lhv_j_kg),
-            ("ambient.pressure_pa", self.ambient.pressure_pa),
-            ("ambient.temperature_k", self.ambient.temperature_k),
-            ("throttle.diameter0_m", self.throttle.diameter0_m),
-            ("intake_manifold.volume_m3", self.intake_manifold.volume_m3),
-            ("exhaust_manifold.volume_m3", self.exhaust_manifold.volume_m3),
-            ("catalyst.volume_m3", self.catalyst.volume_m3),
-            ("charge_pipe_m3", self.charge_pipe_m3),
-            ("exhaust.tailpipe_m2", self.exhaust.tailpipe_m2),
-            ("injection.rate_kg_s", self.injection.rate_kg_s),
-            ("injection.evaporation_s", self.injection.evaporation_s),
-            ("burn.duration_deg", self.burn.duration_deg),
-            ("torque_lag_s", self.torque_lag_s),
-            ("stepping.max_step_s", self.stepping.max_step_s),
-        ];
-        for (name, found) in positive {
-            if !(found.is_finite() && found > 0.0) {
-                return Err(PlantError::Parameter {
-                    name,
-                    found,
-                    expected: "a finite positive (margin) value",
-                });
-            }
-        }
-        for (name, v) in [
-            ("intake_valve.duration_deg", &self.intake_valve),
-            ("exhaust_valve.duration_deg", &self.exhaust_valve),
-        ] {
-            if !(v.duration_deg > 0.0 && v.duration_deg <= 720.0 && v.lift_m >= 0.0 && v.head_m > 0.0) {
-                return Err(PlantError::Parameter {
-                    name,
-                    found: v.duration_deg,
-                    expected: "0..720 deg, lift >= 0, head > 0",
-                });
-            }
-        }
-        if let Some(port) = &self.port
-            && !((0.0..=1.0).contains(&port.share) && port.tau_s > 0.0)
-        {
-            let expected = "a share of 0..1 and a positive time constant";
-            return Err(PlantError::Parameter { name: "port.share", found: port.share, expected });
-        }
-        // Steps are powers of two of a cell, so that a longer step always finds the grid of a shorter one.
-        let (cells, fixed) = (self.stepping.cells_per_deg, self.stepping.fixed_cells);
-        if !(cells <= 16 && cells.is_power_of_two()) {
-            let expected = "1, 2, 4, 8 or 16";
-            return Err(PlantError::Parameter {
-                name: "stepping.cells_per_deg",
-                found: cells as f64,
-                expected,
-            });
-        }
-        if fixed > 4 * cells || (fixed > 0 && !fixed.is_power_of_two()) {
-            let expected = "0 or a power of two, at most 4 deg";
-            return Err(PlantError::Parameter {
-                name: "stepping.fixed_cells",
-                found: fixed as f64,
-                expected,
-            });
-        }
-        Ok(())
     }
 }

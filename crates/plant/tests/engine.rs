@@ -207,7 +207,7 @@ fn errors_name_the_offender() {
     assert_eq!(&before, e.state());
     let mut p = EngineParams::thesis();
     p.geometry.compression_ratio = 0.9;
-    assert!(matches!(VirtualEngine::new(&p), Err(PlantError::Parameter { .. })));
+    assert!(matches!(VirtualEngine::new(&p), Err(PlantError::ParameterRange { .. })));
     assert!(EngineParams::from_toml("bore = 1").is_err());
 }
 

@@ -1,0 +1,134 @@
+//! Ranges of the parameters: values that no engine has would only show later as a failed step.
+
+use super::EngineParams;
+use crate::error::PlantError;
+
+/// A key, its value, the range it must lie in.
+pub(crate) type Range = (&'static str, f64, f64, f64);
+
+/// The first value outside its range (both ends allowed), or not finite.
+pub(crate) fn first_outside(rows: &[Range]) -> Result<(), PlantError> {
+    match rows.iter().find(|(_, v, low, high)| !(v.is_finite() && v >= low && v <= high)) {
+        Some(&(name, found, low, high)) => Err(PlantError::ParameterRange { name, found, low, high }),
+        None => Ok(()),
+    }
+}
+
+impl EngineParams {
+    /// Refuses values that no engine has.
+    ///
+    /// # Errors
+    /// [`PlantError::ParameterRange`] or [`PlantError::Parameter`] naming the first offending value and its range.
+    pub fn check(&self) -> Result<(), PlantError> {
+        self.check_mechanics()?;
+        self.check_gas_path()?;
+        self.check_combustion()?;
+        self.check_stepping()
+    }
+
+    fn check_mechanics(&self) -> Result<(), PlantError> {
+        let (g, f) = (&self.geometry, &self.friction);
+        first_outside(&[
+            ("geometry.bore_m", g.bore_m, 0.02, 0.5),
+            ("geometry.stroke_m", g.stroke_m, 0.02, 0.5),
+            ("geometry.pin_offset_m", g.pin_offset_m, -0.01, 0.01),
+            ("geometry.conrod_m", g.conrod_m, 0.75 * g.stroke_m + g.pin_offset_m.abs(), 1.5),
+            ("geometry.compression_ratio", g.compression_ratio, 3.0, 30.0),
+            ("geometry.piston_area_m2", g.piston_area_m2, 0.0, 1.0),
+            ("geometry.head_area_ratio", g.head_area_ratio, 0.0, 5.0),
+            ("geometry.clearance_height_m", g.clearance_height_m, 0.0, 0.05),
+            ("friction.constant_pa", f.constant_pa, 0.0, 5e5),
+            ("friction.peak_share", f.peak_share, 0.0, 0.1),
+            ("friction.linear_pa_s_m", f.linear_pa_s_m, 0.0, 1e5),
+            ("friction.quadratic_pa_s2_m2", f.quadratic_pa_s2_m2, 0.0, 1e4),
+            ("torque_lag_s", self.torque_lag_s, 1e-4, 10.0),
+        ])
+    }
+
+    fn check_gas_path(&self) -> Result<(), PlantError> {
+        let (i, e, c) = (&self.intake_manifold, &self.exhaust_manifold, &self.catalyst);
+        let (iv, ev, x, t) = (&self.intake_valve, &self.exhaust_valve, &self.exhaust, &self.throttle);
+        first_outside(&[
+            ("ambient.pressure_pa", self.ambient.pressure_pa, 3e4, 1.2e5),
+            ("ambient.temperature_k", self.ambient.temperature_k, 220.0, 340.0),
+            ("gas.afr_stoich", self.gas.afr_stoich, 5.0, 40.0),
+            ("gas.lhv_j_kg", self.gas.lhv_j_kg, 1e7, 1.3e8),
+            ("gas.latent_j_kg", self.gas.latent_j_kg, 0.0, 2e6),
+            ("throttle.diameter0_m", t.diameter0_m, 1e-15, 0.1),
+            ("throttle.slope_m_per_deg", t.slope_m_per_deg, 0.0, 0.01),
+            ("throttle.discharge", t.discharge, 0.0, 1.0),
+            ("intake_valve.duration_deg", iv.duration_deg, 100.0, 720.0),
+            ("intake_valve.lift_m", iv.lift_m, 0.0, 0.05),
+            ("intake_valve.head_m", iv.head_m, 0.005, 0.2),
+            ("intake_valve.count", iv.count, 0.0, 4.0),
+            ("intake_valve.flow_coefficient", iv.flow_coefficient, 0.0, 1.0),
+            ("intake_valve.lift_slope", iv.lift_slope, 0.0, 20.0),
+            ("exhaust_valve.duration_deg", ev.duration_deg, 100.0, 720.0),
+            ("exhaust_valve.lift_m", ev.lift_m, 0.0, 0.05),
+            ("exhaust_valve.head_m", ev.head_m, 0.005, 0.2),
+            ("exhaust_valve.count", ev.count, 0.0, 4.0),
+            ("exhaust_valve.flow_coefficient", ev.flow_coefficient, 0.0, 1.0),
+            ("exhaust_valve.lift_slope", ev.lift_slope, 0.0, 20.0),
+            ("charge_pipe_m3", self.charge_pipe_m3, 1e-4, 0.1),
+            ("intake_manifold.volume_m3", i.volume_m3, 1e-4, 0.1),
+            ("intake_manifold.ua_w_k", i.ua_w_k, 0.0, 1e3),
+            ("intake_manifold.wall_k", i.wall_k, 220.0, 600.0),
+            ("exhaust_manifold.volume_m3", e.volume_m3, 1e-4, 0.1),
+            ("exhaust_manifold.ua_w_k", e.ua_w_k, 0.0, 1e3),
+            ("exhaust_manifold.wall_k", e.wall_k, 220.0, 1300.0),
+            ("catalyst.volume_m3", c.volume_m3, 1e-4, 0.1),
+            ("catalyst.ua_w_k", c.ua_w_k, 0.0, 1e3),
+            ("catalyst.wall_k", c.wall_k, 220.0, 1300.0),
+            ("exhaust.turbine_m2", x.turbine_m2, 0.0, 0.05),
+            ("exhaust.wastegate_discharge", x.wastegate_discharge, 0.0, 1.0),
+            ("exhaust.tailpipe_m2", x.tailpipe_m2, 1e-45, 0.05),
+            ("injection.rate_kg_s", self.injection.rate_kg_s, 1e-4, 1.0),
+            ("injection.evaporation_s", self.injection.evaporation_s, 1e-4, 1.0),
+            ("injection.charge_share", self.injection.charge_share, 0.0, 1.0),
+        ])?;
+        match &self.port {
+            Some(f) => {
+                first_outside(&[("port.share", f.share, 0.0, 1.0), ("port.tau_s", f.tau_s, 1e-4, 100.0)])
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn check_combustion(&self) -> Result<(), PlantError> {
+        let (b, h) = (&self.burn, &self.heat);
+        first_outside(&[
+            ("burn.duration_deg", b.duration_deg, 2.0, 150.0),
+            ("burn.delay_deg", b.delay_deg, 0.0, 60.0),
+            ("burn.speed_exponent", b.speed_exponent, -2.0, 2.0),
+            ("burn.residual_exponent", b.residual_exponent, 0.0, 3.0),
+            ("burn.mass_exponent", b.mass_exponent, -2.0, 2.0),
+            ("burn.lambda_exponent", b.lambda_exponent, 0.0, 3.0),
+            ("burn.late_weight", b.late_weight, 0.0, 2.0),
+            ("burn.early_weight", b.early_weight, 0.0, 2.0),
+            ("burn.efficiency", b.efficiency, 0.0, 1.0),
+            ("burn.efficiency_bump", b.efficiency_bump, 0.0, 1.0 - b.efficiency.clamp(0.0, 1.0)),
+            ("burn.lean_limit_lambda", b.lean_limit_lambda, 1.0, 10.0),
+            ("burn.lean_width_lambda", b.lean_width_lambda, 0.001, 5.0),
+            ("burn.end_deg", b.end_deg, 60.0, 180.0),
+            ("heat.scale", h.scale, 0.0, 5.0),
+            ("heat.wall_k", h.wall_k, 220.0, 800.0),
+        ])
+    }
+
+    fn check_stepping(&self) -> Result<(), PlantError> {
+        let s = &self.stepping;
+        first_outside(&[("stepping.max_step_s", s.max_step_s, 1e-7, 1e-2)])?;
+        // Steps are powers of two of a cell, so that a longer step always finds the grid of a shorter one.
+        let (cells, fixed) = (s.cells_per_deg, s.fixed_cells);
+        let refuse = |name, found: usize, expected: &'static str| {
+            Err(PlantError::Parameter { name, found: found as f64, expected })
+        };
+        if !(cells <= 16 && cells.is_power_of_two()) {
+            return refuse("stepping.cells_per_deg", cells, "1, 2, 4, 8 or 16");
+        }
+        if fixed > 4 * cells || (fixed > 0 && !fixed.is_power_of_two()) {
+            return refuse("stepping.fixed_cells", fixed, "0 or a power of two, at most 4 deg");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,93 @@
+//! Parameter sets: the embedded ones by name, others from TOML text, with errors that name the line.
+
+use super::EngineParams;
+use crate::error::PlantError;
+use dynocal_numerics::registry::MemberDoc;
+
+/// An embedded parameter set.
+#[derive(Debug)]
+pub struct ParameterSet {
+    /// Name and what it is.
+    pub doc: MemberDoc,
+    /// The documented TOML file.
+    pub text: &'static str,
+}
+
+/// All embedded parameter sets.
+pub static PARAMETER_SETS: &[ParameterSet] = &[ParameterSet {
+    doc: MemberDoc {
+        name: "thesis",
+        what: "2.0 l, naturally aspirated range, imposed burn law: reproduces the published behaviour",
+        params: &[],
+    },
+    text: include_str!("../../parameters/thesis.toml"),
+}];
+
+impl EngineParams {
+    /// The embedded set of that name.
+    ///
+    /// # Errors
+    /// [`PlantError::ParameterSet`] for an unknown name.
+    ///
+    /// ```
+    /// use dynocal_plant::params::EngineParams;
+    /// assert_eq!(EngineParams::named("thesis")?, EngineParams::thesis());
+    /// # Ok::<(), dynocal_plant::error::PlantError>(())
+    /// ```
+    pub fn named(name: &str) -> Result<Self, PlantError> {
+        match PARAMETER_SETS.iter().find(|s| s.doc.name == name) {
+            Some(set) => Self::from_toml(set.text),
+            None => Err(PlantError::ParameterSet {
+                found: name.into(),
+                known: PARAMETER_SETS.iter().map(|s| s.doc.name).collect::<Vec<_>>().join(", "),
+            }),
+        }
+    }
+
+    /// Read a parameter set from TOML text.
+    ///
+    /// # Errors
+    /// [`PlantError::Toml`] for an unknown or missing key or a wrong type (with its line), [`PlantError::ParameterLine`]
+    /// for a value out of range.
+    ///
+    /// ```
+    /// use dynocal_plant::params::EngineParams;
+    /// let p = EngineParams::thesis();
+    /// let back = EngineParams::from_toml(&p.to_toml()).unwrap();
+    /// assert_eq!(p, back);
+    /// ```
+    pub fn from_toml(text: &str) -> Result<Self, PlantError> {
+        let p: Self = toml::from_str(text).map_err(|e| PlantError::Toml(Box::new(e)))?;
+        p.check().map_err(|e| match &e {
+            PlantError::Parameter { name, .. } | PlantError::ParameterRange { name, .. } => {
+                match line_of(text, name) {
+                    Some(line) => PlantError::ParameterLine { line, source: Box::new(e) },
+                    None => e,
+                }
+            }
+            _ => e,
+        })?;
+        Ok(p)
+    }
+
+    /// The parameter set as TOML text.
+    pub fn to_toml(&self) -> String {
+        // Plain numbers in plain tables always serialise; an empty text would fail to parse back.
+        toml::to_string_pretty(self).unwrap_or_default()
+    }
+}
+
+/// Line (from 1) of the key `table.key` (or `key`) in TOML text written with `[table]` headers.
+fn line_of(text: &str, name: &str) -> Option<usize> {
+    let (table, key) = name.rsplit_once('.').unwrap_or(("", name));
+    let mut inside = String::new();
+    for (k, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if let Some(rest) = line.strip_prefix('[') {
+            inside = rest.split(']').next().unwrap_or_default().trim().to_owned();
+        } else if inside == table && line.split('=').next().is_some_and(|k| k.trim() == key) {
+            return Some(k + 1);
+        }
+    }
+    None
+}
