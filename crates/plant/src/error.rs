@@ -43,6 +43,16 @@ pub enum PlantError {
         /// The names that exist.
         known: String,
     },
+    /// A key of the bed is out of range or names nothing.
+    #[error("{key} = {found}: expected {expected}")]
+    Bed {
+        /// Key as in a spec.
+        key: String,
+        /// The value given.
+        found: String,
+        /// What is allowed.
+        expected: String,
+    },
     /// The parameter text is not valid TOML for [`crate::params::EngineParams`].
     #[error("engine parameter file: {0}")]
     Toml(#[from] Box<toml::de::Error>),

@@ -1,8 +1,35 @@
 //! The test bed around the engine, and what a real engine adds to the ideal one.
 //!
-//! The engine itself is deterministic, has four equal cylinders and warm walls, and is driven at an imposed speed.
-//! [`deviations`] holds what the bed changes inside it: scatter from cycle to cycle, unequal cylinders, wall and oil
-//! temperature; [`film`] is the fuel film of port injection.
+//! | part | file |
+//! |---|---|
+//! | dynamometer: speed at once, speed of a rotor with inertia, load | [`dynamometer`] |
+//! | lags, rates, PI controllers | [`dynamics`] |
+//! | transport delay | [`delay`] |
+//! | sensors: transport, lag, drift, noise, quantisation | [`sensor`] |
+//! | limits with back-off | [`guard`] |
+//! | cycles that scatter, cylinders that differ | [`deviations`] |
+//! | walls, coolant, oil | [`thermal`] |
+//! | catalyst | [`catalyst`] |
+//! | fuel film of port injection | [`film`] |
+//! | fuel cut-off and idle | [`idle`] |
+//!
+//! [`bed::EngineBed`] puts them together behind the plant contract; [`settings::BedOptions`] are its keys, all ideal by
+//! default.
 
+pub mod bed;
+pub mod catalyst;
+pub mod delay;
 pub mod deviations;
+pub mod dynamics;
+pub mod dynamometer;
 pub mod film;
+pub mod guard;
+pub mod idle;
+mod inputs;
+mod plant;
+pub mod quantity;
+pub mod sensor;
+pub mod settings;
+pub mod state;
+pub mod thermal;
+mod variables;

@@ -6,6 +6,8 @@ use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::sensors::NoiseLevels;
+use dynocal_plant::testbed::dynamometer::{DynoMode, DynoSettings};
+use dynocal_plant::testbed::settings::BedOptions;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
 
@@ -19,6 +21,13 @@ fn no_allocation_while_stepping() {
     let settings =
         BedSettings { noise: NoiseLevels { torque_nm: 1.0, lambda: 0.01 }, ..BedSettings::default() };
     let mut bed = EngineBed::new(&EngineParams::thesis(), settings).unwrap();
+    // Everything that moves on a bed, under load.
+    let options = BedOptions {
+        dynamometer: DynoSettings { mode: DynoMode::Load, ..DynoSettings::default() },
+        ..BedOptions::real()
+    };
+    let mut real =
+        EngineBed::new(&EngineParams::thesis(), BedSettings { options, ..BedSettings::default() }).unwrap();
     let mut y = [0.0; 5];
     let region = Region::new(COUNTER);
     let mut torque = 0.0;
@@ -28,6 +37,7 @@ fn no_allocation_while_stepping() {
         engine.advance_time(0.01);
         torque += engine.outputs().torque_nm;
         bed.step(&[15.0, 20.0, 14.0, 2000.0], 0.03, &mut y).unwrap();
+        real.step(&[16.7, 19.0, 15.85, 68.0], 0.03, &mut y).unwrap();
     }
     let change = region.change();
     assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");

@@ -1,14 +1,16 @@
 //! The bed keeps the plant contract.
 
 use dynocal_ident::plant::{Causality, Plant, PlantError, variable_index};
-use dynocal_plant::bed::{BedSettings, EngineBed, OutputLimit};
+use dynocal_plant::bed::{BedSettings, EngineBed, LimitSettings};
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::sensors::NoiseLevels;
+use dynocal_plant::testbed::settings::BedOptions;
 
 const START: [f64; 4] = [16.754, 18.95, 15.85, 2000.0];
 
-fn bed(noise: NoiseLevels, limits: Vec<OutputLimit>) -> EngineBed {
-    EngineBed::new(&EngineParams::thesis(), BedSettings { noise, limits, ..BedSettings::default() }).unwrap()
+fn bed(noise: NoiseLevels, limits: Vec<LimitSettings>) -> EngineBed {
+    let options = BedOptions { limits, ..BedOptions::default() };
+    EngineBed::new(&EngineParams::thesis(), BedSettings { noise, options, ..BedSettings::default() }).unwrap()
 }
 
 fn record(bed: &mut EngineBed, n: usize) -> Vec<[f64; 5]> {
@@ -95,7 +97,7 @@ fn refuses_bad_inputs_and_keeps_its_state() {
 
 #[test]
 fn a_touched_limit_is_reported_once() {
-    let limit = OutputLimit { what: "torque".to_owned(), min: -50.0, max: 60.0 };
+    let limit = LimitSettings::report("torque", -50.0, 60.0);
     let mut b = bed(NoiseLevels::default(), vec![limit]);
     let mut y = [0.0; 5];
     for _ in 0..5 {

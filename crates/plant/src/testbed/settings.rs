@@ -1,0 +1,281 @@
+//! How a bed is set up. Every default is ideal: nothing between the commands and the engine.
+
+use super::catalyst::CatalystSettings;
+use super::deviations::Scatter;
+use super::dynamics::{ActuatorSettings, PiGains};
+use super::dynamometer::{DynoMode, DynoSettings};
+use super::guard::{Action, LimitSettings};
+use super::idle::IdleSettings;
+use super::inputs;
+use super::quantity;
+use super::sensor::SensorSettings;
+use super::thermal::ThermalSettings;
+use crate::error::PlantError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Loops of the bed; a closed loop turns its input into a demand.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LoopSettings {
+    /// Input `torque_demand` in place of `throttle`.
+    pub torque: bool,
+    /// Input `lambda_demand` in place of `inj`.
+    pub lambda: bool,
+    /// Throttle \[deg\] per torque error \[Nm\], and per second.
+    pub torque_gains: PiGains,
+    /// Fuel \[mg\] per lambda error, and per second.
+    pub lambda_gains: PiGains,
+}
+
+impl Default for LoopSettings {
+    /// Open; gains of thesis eq. (6.1).
+    fn default() -> Self {
+        Self {
+            torque: false,
+            lambda: false,
+            torque_gains: PiGains { proportional: 0.007, integral: 0.15 },
+            lambda_gains: PiGains { proportional: -1.5, integral: -20.0 },
+        }
+    }
+}
+
+/// What a real engine adds.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RealEngine {
+    /// Seed of what distinguishes the cylinders; the scatter has the seed of the run.
+    pub cylinder_seed: u64,
+    /// Scatter from cycle to cycle.
+    pub scatter: Scatter,
+    /// Standard deviation of the cylinders' fuel \[-\].
+    pub fuel_imbalance: f64,
+    /// Standard deviation of the cylinders' burn delay and duration \[-\].
+    pub burn_imbalance: f64,
+    /// Warm-up of walls, coolant and oil.
+    pub warm_up: Option<ThermalSettings>,
+    /// Catalyst.
+    pub catalyst: Option<CatalystSettings>,
+    /// Fuel cut-off and idle control.
+    pub idle: Option<IdleSettings>,
+}
+
+/// Everything about a bed that is not the engine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BedOptions {
+    /// Interval in which the bed acts \[s\]. An ideal bed acts once in a sample.
+    pub tick_s: f64,
+    /// Inputs outside their range are set to its end and reported, in place of an error.
+    pub saturate: bool,
+    /// Inputs beside the standard four: `intake_cam`, `exhaust_cam`, `wastegate`, `wiebe_m`.
+    pub inputs: Vec<String>,
+    /// Quantities to be read beside the five standard outputs.
+    pub outputs: Vec<String>,
+    /// Dynamometer.
+    pub dynamometer: DynoSettings,
+    /// Throttle actuator.
+    pub throttle: ActuatorSettings,
+    /// Wastegate actuator.
+    pub wastegate: ActuatorSettings,
+    /// Sensors by the name of their quantity.
+    pub sensors: BTreeMap<String, SensorSettings>,
+    /// Loops of the bed.
+    pub loops: LoopSettings,
+    /// Limits.
+    pub limits: Vec<LimitSettings>,
+    /// What a real engine adds.
+    pub engine: RealEngine,
+}
+
+impl Default for BedOptions {
+    /// The ideal bed.
+    fn default() -> Self {
+        Self {
+            tick_s: 2e-3,
+            saturate: false,
+            inputs: Vec::new(),
+            outputs: Vec::new(),
+            dynamometer: DynoSettings::default(),
+            throttle: ActuatorSettings::default(),
+            wastegate: ActuatorSettings::default(),
+            sensors: BTreeMap::new(),
+            loops: LoopSettings::default(),
+            limits: Vec::new(),
+            engine: RealEngine::default(),
+        }
+    }
+}
+
+impl BedOptions {
+    /// The bed of a real engine: scatter, unequal cylinders, warm engine, actuators and sensors with lags, a catalyst.
+    ///
+    /// Lags are of the usual size: throttle 50 ms (Guzzella and Onder 2010 class), thermocouple of 1.5 mm 1 s, wide-band
+    /// lambda sensor 50 ms behind 0.5 g of gas.
+    pub fn real() -> Self {
+        let sensor = |lag_s, transport_g, quantum| SensorSettings {
+            lag_s,
+            transport_g,
+            quantum,
+            ..SensorSettings::default()
+        };
+        let sensors = [
+            ("lambda", sensor(0.05, 0.5, 0.001)),
+            ("egt", sensor(1.0, 0.0, 0.25)),
+            ("torque", sensor(0.0, 0.0, 0.05)),
+            ("map", sensor(0.005, 0.0, 0.05)),
+        ];
+        Self {
+            throttle: ActuatorSettings { lag_s: 0.05, rate_per_s: 400.0 },
+            wastegate: ActuatorSettings { lag_s: 0.15, rate_per_s: 0.0 },
+            sensors: sensors.into_iter().map(|(n, s)| (n.to_owned(), s)).collect(),
+            engine: RealEngine {
+                scatter: Scatter { heat: 0.012, burn: 0.05 },
+                cylinder_seed: 1,
+                fuel_imbalance: 0.01,
+                burn_imbalance: 0.02,
+                warm_up: Some(ThermalSettings { start_k: 363.15, ..ThermalSettings::default() }),
+                catalyst: Some(CatalystSettings::default()),
+                idle: None,
+            },
+            ..Self::default()
+        }
+    }
+
+    /// Options by the name of the parameter set: real for the physical engines, ideal for `thesis`.
+    pub fn of_set(name: &str) -> Self {
+        if name.starts_with("gtdi_2l") || name.starts_with("pfi_1_6l") {
+            Self::real()
+        } else {
+            Self::default()
+        }
+    }
+
+    /// Whether the bed acts between samples.
+    pub(crate) fn acts(&self) -> bool {
+        self.dynamometer.mode != DynoMode::Speed
+            || !self.throttle.ideal()
+            || !self.wastegate.ideal()
+            || self.sensors.values().any(|s| !s.is_static())
+            || self.loops.torque
+            || self.loops.lambda
+            || self.limits.iter().any(|l| l.action != Action::Report)
+            || self.engine.warm_up.is_some()
+            || self.engine.catalyst.is_some()
+            || self.engine.idle.is_some()
+    }
+
+    /// Refuses what no bed has.
+    ///
+    /// # Errors
+    /// [`PlantError::Bed`] naming the first key that is out of range.
+    pub fn check(&self) -> Result<(), PlantError> {
+        let d = &self.dynamometer;
+        range("bed.tick_s", self.tick_s, 1e-4, 0.02)?;
+        range("bed.dynamometer.engine_kg_m2", d.engine_kg_m2, 1e-3, 10.0)?;
+        range("bed.dynamometer.rotor_kg_m2", d.rotor_kg_m2, 0.0, 100.0)?;
+        range("bed.dynamometer.torque_limit_nm", d.torque_limit_nm, 1.0, 5000.0)?;
+        range("bed.dynamometer.least_rpm", d.least_rpm, 600.0, 6500.0)?;
+        range("bed.dynamometer.most_rpm", d.most_rpm, d.least_rpm + 1.0, 6500.0)?;
+        for (key, a) in [("bed.throttle", &self.throttle), ("bed.wastegate", &self.wastegate)] {
+            range(&format!("{key}.lag_s"), a.lag_s, 0.0, 10.0)?;
+            range(&format!("{key}.rate_per_s"), a.rate_per_s, 0.0, 1e6)?;
+        }
+        for (name, s) in &self.sensors {
+            known("bed.sensors", name)?;
+            let key = |k: &str| format!("bed.sensors.{name}.{k}");
+            range(&key("delay_s"), s.delay_s, 0.0, 10.0)?;
+            range(&key("transport_g"), s.transport_g, 0.0, 50.0)?;
+            range(&key("lag_s"), s.lag_s, 0.0, 100.0)?;
+            range(&key("noise"), s.noise, 0.0, 1e6)?;
+            range(&key("drift"), s.drift, 0.0, 1e6)?;
+            range(&key("drift_s"), s.drift_s, 1e-3, 1e9)?;
+            range(&key("quantum"), s.quantum, 0.0, 1e6)?;
+        }
+        for name in &self.inputs {
+            if inputs::find(name).is_none() {
+                let names: Vec<&str> = inputs::EXTRA.iter().map(|i| i.name).collect();
+                return Err(unknown("bed.inputs", name, &names));
+            }
+        }
+        for name in &self.outputs {
+            known("bed.outputs", name)?;
+        }
+        for l in &self.limits {
+            known("bed.limits", &l.what)?;
+            range(&format!("bed.limits {}.within_s", l.what), l.within_s, 0.05, 1e3)?;
+            range(&format!("bed.limits {}.recover_per_s", l.what), l.recover_per_s, 0.0, 100.0)?;
+            for bound in [l.max, l.min].into_iter().flatten() {
+                range(&format!("bed.limits {}", l.what), bound, -1e9, 1e9)?;
+            }
+        }
+        self.engine.check()
+    }
+}
+
+impl RealEngine {
+    fn check(&self) -> Result<(), PlantError> {
+        range("bed.engine.scatter.heat", self.scatter.heat, 0.0, 0.3)?;
+        range("bed.engine.scatter.burn", self.scatter.burn, 0.0, 0.3)?;
+        range("bed.engine.fuel_imbalance", self.fuel_imbalance, 0.0, 0.2)?;
+        range("bed.engine.burn_imbalance", self.burn_imbalance, 0.0, 0.2)?;
+        if let Some(t) = &self.warm_up {
+            range("bed.engine.warm_up.start_k", t.start_k, 240.0, 400.0)?;
+            range("bed.engine.warm_up.ambient_k", t.ambient_k, 230.0, 330.0)?;
+            for c in t.capacity_j_k {
+                range("bed.engine.warm_up.capacity_j_k", c, 500.0, 1e6)?;
+            }
+            for (key, ua) in [
+                ("wall_coolant_w_k", t.wall_coolant_w_k),
+                ("coolant_oil_w_k", t.coolant_oil_w_k),
+                ("radiator_w_k", t.radiator_w_k),
+                ("oil_ambient_w_k", t.oil_ambient_w_k),
+            ] {
+                range(&format!("bed.engine.warm_up.{key}"), ua, 0.0, 5e3)?;
+            }
+            let [begins, open] = t.thermostat_k;
+            range("bed.engine.warm_up.thermostat_k", open - begins, 1.0, 50.0)?;
+        }
+        if let Some(c) = &self.catalyst {
+            range("bed.engine.catalyst.start_k", c.start_k, 230.0, 1300.0)?;
+            range("bed.engine.catalyst.capacity_j_k", c.capacity_j_k, 50.0, 1e5)?;
+            range("bed.engine.catalyst.effectiveness", c.effectiveness, 0.0, 1.0)?;
+            range("bed.engine.catalyst.width_k", c.width_k, 1.0, 200.0)?;
+            range("bed.engine.catalyst.oxygen_g", c.oxygen_g, 0.01, 50.0)?;
+            range("bed.engine.catalyst.sharpness", c.sharpness, 0.5, 100.0)?;
+        }
+        if let Some(i) = &self.idle {
+            range("bed.engine.idle.idle_rpm", i.idle_rpm, 600.0, 2000.0)?;
+            range("bed.engine.idle.return_rpm", i.return_rpm, i.idle_rpm, 6500.0)?;
+            range("bed.engine.idle.cut_rpm", i.cut_rpm, i.return_rpm, 6500.0)?;
+            range("bed.engine.idle.spark_reserve_deg", i.spark_reserve_deg, 0.0, 30.0)?;
+            range("bed.engine.idle.afr", i.afr, 5.0, 30.0)?;
+            range("bed.engine.idle.range_deg", i.range_deg.1 - i.range_deg.0, 0.0, 90.0)?;
+        }
+        Ok(())
+    }
+}
+
+fn range(key: &str, found: f64, low: f64, high: f64) -> Result<(), PlantError> {
+    if found >= low && found <= high {
+        return Ok(());
+    }
+    Err(PlantError::Bed {
+        key: key.to_owned(),
+        found: found.to_string(),
+        expected: format!("{low} to {high}"),
+    })
+}
+
+fn known(key: &str, name: &str) -> Result<(), PlantError> {
+    if quantity::find(name).is_some() {
+        return Ok(());
+    }
+    let names: Vec<&str> = quantity::quantities().map(|q| q.0).collect();
+    Err(unknown(key, name, &names))
+}
+
+fn unknown(key: &str, name: &str, names: &[&str]) -> PlantError {
+    let expected = format!("one of {}", names.join(", "));
+    PlantError::Bed { key: key.to_owned(), found: name.to_owned(), expected }
+}
