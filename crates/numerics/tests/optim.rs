@@ -1,6 +1,9 @@
 //! Conformance of every bounded optimiser in the table.
 
-use dynocal_numerics::optim::{Bounds, Budget, OPTIMISERS, Objective, Optimiser, Outcome, optimiser};
+use dynocal_numerics::optim::{
+    Annealing, Bounds, Budget, Genetic, InteriorPoint, OPTIMISERS, Objective, Optimiser, Outcome,
+    SequentialQuadratic, TrustRegion, optimiser,
+};
 use dynocal_numerics::status::Status;
 
 /// Objective from closures, counting evaluations and checking the bounds.
@@ -24,15 +27,25 @@ impl<F: FnMut(&[f64], &mut [f64]) -> f64> Objective for Counted<F> {
     }
 }
 
+/// The table, and the searches that stay out of it because they need a box, a seed or dense matrices, or are here to be compared with.
 fn members() -> Vec<(&'static str, Box<dyn Optimiser>)> {
+    let annealing = Annealing { temperature: 1.0, cooling: 0.8, steps: 10, levels: 100, seed: 3 };
+    let more: [(&'static str, Box<dyn Optimiser>); 5] = [
+        ("trust_region", Box::new(TrustRegion::default())),
+        ("sequential_quadratic", Box::new(SequentialQuadratic::default())),
+        ("interior_point", Box::new(InteriorPoint)),
+        ("genetic", Box::new(Genetic { population: 20, seed: 3 })),
+        ("annealing", Box::new(annealing)),
+    ];
     OPTIMISERS
         .iter()
         .map(|m| (m.doc.name, optimiser(m.doc.name, &toml::Table::new()).expect("defaults build")))
+        .chain(more)
         .collect()
 }
 
 fn needs_gradient(name: &str) -> bool {
-    matches!(name, "quasi_newton" | "lbfgsb")
+    matches!(name, "quasi_newton" | "lbfgsb" | "trust_region" | "sequential_quadratic" | "interior_point")
 }
 
 /// sum w_k (x_k - t_k)^2 with a coupling term; convex. Target partly outside of the box [-1, 1]^4.

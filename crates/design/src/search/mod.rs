@@ -4,12 +4,19 @@
 //! several starts in parallel. Streams of random numbers belong to starts, not threads, so that the result does not
 //! depend on the number of threads.
 
+mod annealing;
+mod bounded;
 mod chain;
 mod compass;
+mod genetic;
+mod interior_point;
 mod kicks;
 mod lbfgs;
 mod local;
 mod outcome;
+mod pattern;
+mod sqp;
+mod trust_region;
 
 pub use chain::Chain;
 pub use outcome::{DesignOptions, DesignOutcome, FIRST_FREE_STREAM, Failure, design, random_record};
@@ -30,10 +37,25 @@ pub struct Watch<'w> {
 pub trait Search: Send + Sync {
     /// Searches from the variables `x0`.
     fn run(&self, chain: &mut Chain, x0: &[f64]);
+
+    /// Free values that it can take at most.
+    fn most_variables(&self) -> usize {
+        usize::MAX
+    }
 }
 
 /// All searches.
-pub static SEARCHES: &[Member<dyn Search>] = &[kicks::MEMBER, local::MEMBER, compass::MEMBER];
+pub static SEARCHES: &[Member<dyn Search>] = &[
+    kicks::MEMBER,
+    local::MEMBER,
+    compass::MEMBER,
+    trust_region::MEMBER,
+    sqp::MEMBER,
+    interior_point::MEMBER,
+    pattern::MEMBER,
+    genetic::MEMBER,
+    annealing::MEMBER,
+];
 
 /// Builds the search `name` from the keys of a spec.
 ///

@@ -123,6 +123,7 @@ pub fn design(
     let method = search(&options.search, &options.keys)?;
     let prototype = Evaluator::new(problem)?;
     check_start(problem, options)?;
+    check_size(prototype.layout().len(), options, method.as_ref())?;
     let watch = Watch { interrupt, progress };
     let ends: Vec<Result<End, DesignError>> = (0..options.starts.max(1))
         .into_par_iter()
@@ -169,6 +170,18 @@ fn check_start(problem: &DesignProblem, options: &DesignOptions) -> Result<(), D
         }
         _ => Ok(()),
     }
+}
+
+fn check_size(n: usize, options: &DesignOptions, method: &dyn Search) -> Result<(), DesignError> {
+    let most = method.most_variables();
+    if n <= most {
+        return Ok(());
+    }
+    Err(DesignError::Number {
+        what: format!("search {}: free values", options.search),
+        found: n as f64,
+        expected: format!("at most {most} (dense matrices); `kicks` or `local` take more"),
+    })
 }
 
 fn run_one(

@@ -1,4 +1,4 @@
-//! Optimisers of the crate basin behind our contract; the only module that names it.
+//! Optimisers of the crate basin behind our contract; with `basin_global` the only module that names it.
 //!
 //! The derivative-free ones work in variables that are scaled to the box (or to the start where there is none).
 
@@ -68,17 +68,17 @@ struct Simplex {}
 struct PatternSearch {}
 
 /// The problem as basin sees it: `x = shift + scale y`.
-struct Bridge<'p, 'a> {
+pub(super) struct Bridge<'p, 'a> {
     // basin evaluates through shared references; our objectives own buffers.
     probe: &'p RefCell<Probe<'a>>,
     shift: Vec<f64>,
     scale: Vec<f64>,
-    lower: Vec<f64>,
-    upper: Vec<f64>,
+    pub(super) lower: Vec<f64>,
+    pub(super) upper: Vec<f64>,
 }
 
 impl<'p, 'a> Bridge<'p, 'a> {
-    fn new(probe: &'p RefCell<Probe<'a>>, bounds: &Bounds, scaled: bool) -> (Self, Vec<f64>) {
+    pub(super) fn new(probe: &'p RefCell<Probe<'a>>, bounds: &Bounds, scaled: bool) -> (Self, Vec<f64>) {
         let x0 = probe.borrow().start();
         let (mut shift, mut scale) = (vec![0.0; x0.len()], vec![1.0; x0.len()]);
         for k in (0..x0.len()).filter(|_| scaled) {
@@ -92,6 +92,14 @@ impl<'p, 'a> Bridge<'p, 'a> {
         let map = |v: &[f64]| (0..v.len()).map(|k| (v[k] - shift[k]) / scale[k]).collect::<Vec<f64>>();
         let (lower, upper, y0) = (map(&bounds.lower), map(&bounds.upper), map(&x0));
         (Self { probe, shift, scale, lower, upper }, y0)
+    }
+
+    /// Puts bounds one unit from `y0` where there is none.
+    pub(super) fn close_box(&mut self, y0: &[f64]) {
+        for k in 0..y0.len() {
+            self.lower[k] = if self.lower[k].is_finite() { self.lower[k] } else { y0[k] - 1.0 };
+            self.upper[k] = if self.upper[k].is_finite() { self.upper[k] } else { y0[k] + 1.0 };
+        }
     }
 
     fn evaluate(&self, y: &[f64], grad: &mut [f64]) -> Result<f64, BudgetUsed> {
@@ -153,7 +161,7 @@ impl Constraints for SmoothBridge<'_, '_> {
 }
 
 /// How basin's ending reads in our terms.
-fn status(ended: Result<TerminationCode, BudgetUsed>, converged: bool) -> Status {
+pub(super) fn status(ended: Result<TerminationCode, BudgetUsed>, converged: bool) -> Status {
     match ended {
         Err(BudgetUsed) | Ok(TerminationCode::MaxIter | TerminationCode::MaxCostEvals) => Status::Limit,
         Ok(_) if converged => Status::Converged,
@@ -170,6 +178,7 @@ macro_rules! run {
         }
     };
 }
+pub(super) use run;
 
 impl Optimiser for LimitedMemory {
     fn minimise(&self, problem: &mut dyn Objective, bounds: &Bounds, x0: &[f64], budget: &Budget) -> Outcome {

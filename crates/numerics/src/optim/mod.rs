@@ -1,11 +1,20 @@
 //! The contract of an optimiser, so that algorithms can be compared on equal terms:
 //! a problem (bounds, derivatives as available) in, iterate history and a status out.
 
+mod basin_global;
 mod basin_members;
+mod interior_point;
+mod limited;
 mod probe;
 mod quasi_newton;
+mod sequential_quadratic;
+mod trust_region;
 
+pub use basin_global::{Annealing, Genetic};
+pub use interior_point::InteriorPoint;
 pub use quasi_newton::QuasiNewton;
+pub use sequential_quadratic::SequentialQuadratic;
+pub use trust_region::TrustRegion;
 
 use crate::registry::{self, BuildError, Member};
 use crate::status::{Iterate, Status};
