@@ -3,7 +3,12 @@
 //! The matrices here are tall and thin (100 to 2000 rows, 20 to 60 columns) and are factored a hundred thousand
 //! times in one design, so that the call overhead of a general library is larger than the work itself.
 
+mod tiles;
+
+pub(crate) use tiles::{gram_add, multiply};
+
 /// Dot product with four independent sums, so that it vectorises.
+#[inline(always)]
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len());
     let (a, b) = (&a[..n], &b[..n]);
@@ -19,32 +24,10 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// `y += a x`.
+#[inline(always)]
 pub(crate) fn axpy(a: f64, x: &[f64], y: &mut [f64]) {
     for (yi, xi) in y.iter_mut().zip(x) {
         *yi += a * xi;
-    }
-}
-
-/// `g += s' s` for `s` (n x p): lower triangle only; [`mirror`] completes it.
-pub(crate) fn gram_add(s: &[f64], p: usize, g: &mut [f64]) {
-    let mut blocks = s.chunks_exact(4 * p);
-    for block in &mut blocks {
-        let (r0, rest) = block.split_at(p);
-        let (r1, rest) = rest.split_at(p);
-        let (r2, r3) = rest.split_at(p);
-        for i in 0..p {
-            let a = [r0[i], r1[i], r2[i], r3[i]];
-            let (x0, x1, x2, x3) = (&r0[..=i], &r1[..=i], &r2[..=i], &r3[..=i]);
-            let row = &mut g[i * p..=i * p + i];
-            for j in 0..row.len() {
-                row[j] += (a[0] * x0[j] + a[1] * x1[j]) + (a[2] * x2[j] + a[3] * x3[j]);
-            }
-        }
-    }
-    for row in blocks.remainder().chunks_exact(p) {
-        for i in 0..p {
-            axpy(row[i], &row[..=i], &mut g[i * p..=i * p + i]);
-        }
     }
 }
 
@@ -57,82 +40,53 @@ pub(crate) fn mirror(g: &mut [f64], p: usize) {
     }
 }
 
-/// `out = s b` for `s` (n x p) and `b` (p x p), in tiles of 4 rows x 4 columns that stay in registers.
-pub(crate) fn multiply(s: &[f64], b: &[f64], p: usize, out: &mut [f64]) {
-    let full = p - p % 4;
-    for (rows, o) in s.chunks(4 * p).zip(out.chunks_mut(4 * p)) {
-        if rows.len() < 4 * p {
-            for (row, o) in rows.chunks_exact(p).zip(o.chunks_exact_mut(p)) {
-                o.fill(0.0);
-                for k in 0..p {
-                    axpy(row[k], &b[k * p..(k + 1) * p], o);
-                }
-            }
-            continue;
-        }
-        for j in (0..full).step_by(4) {
-            tile(rows, b, p, j, o);
-        }
-        for j in full..p {
-            let mut acc = [0.0; 4];
-            for k in 0..p {
-                let bk = b[k * p + j];
-                for r in 0..4 {
-                    acc[r] += rows[r * p + k] * bk;
-                }
-            }
-            for r in 0..4 {
-                o[r * p + j] = acc[r];
-            }
-        }
-    }
-}
-
-fn tile(rows: &[f64], b: &[f64], p: usize, j: usize, out: &mut [f64]) {
-    let (r0, rest) = rows.split_at(p);
-    let (r1, rest) = rest.split_at(p);
-    let (r2, r3) = rest.split_at(p);
-    let mut acc = [[0.0; 4]; 4];
-    for (k, bk) in b.chunks_exact(p).enumerate() {
-        let bk = [bk[j], bk[j + 1], bk[j + 2], bk[j + 3]];
-        let a = [r0[k], r1[k], r2[k], r3[k]];
-        for r in 0..4 {
-            for c in 0..4 {
-                acc[r][c] += a[r] * bk[c];
-            }
-        }
-    }
-    for r in 0..4 {
-        out[r * p + j..r * p + j + 4].copy_from_slice(&acc[r]);
-    }
-}
-
 /// Cholesky factor L of the symmetric matrix `a` (p x p, lower triangle read): `a = l l'`, upper triangle zero.
 /// Returns the smallest pivot relative to its diagonal entry; at or below zero: not positive definite (`l` unusable).
 pub(crate) fn cholesky(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
-    let mut least = f64::INFINITY;
+    pulp::Arch::new().dispatch(|| cholesky_kernel(a, p, l))
+}
+
+/// Right-looking on the rows of L', which are long where the work is, and transposed at the end.
+#[inline(always)]
+fn cholesky_kernel(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
     for i in 0..p {
-        let (done, rest) = l.split_at_mut(i * p);
-        let row = &mut rest[..p];
-        for j in 0..i {
-            let lj = &done[j * p..j * p + p];
-            row[j] = (a[i * p + j] - dot(&row[..j], &lj[..j])) / lj[j];
+        for j in 0..=i {
+            l[j * p + i] = a[i * p + j];
         }
-        let pivot = a[i * p + i] - dot(&row[..i], &row[..i]);
+    }
+    let mut least = f64::INFINITY;
+    for k in 0..p {
+        let (done, rest) = l.split_at_mut((k + 1) * p);
+        let row = &mut done[k * p + k..];
+        let pivot = row[0];
         // A NaN pivot must count as a failure too, so it is turned into one here.
-        let relative = if pivot > 0.0 { pivot / a[i * p + i] } else { -1.0 };
+        let relative = if pivot > 0.0 { pivot / a[k * p + k] } else { -1.0 };
         least = least.min(relative);
         if least <= 0.0 {
             return least;
         }
-        row[i] = pivot.sqrt();
-        row[i + 1..].fill(0.0);
+        let root = 1.0 / pivot.sqrt();
+        row.iter_mut().for_each(|v| *v *= root);
+        for (i, target) in (k + 1..p).zip(rest.chunks_exact_mut(p)) {
+            axpy(-row[i - k], &row[i - k..], &mut target[i..]);
+        }
+    }
+    for i in 0..p {
+        for j in 0..i {
+            l[i * p + j] = l[j * p + i];
+            l[j * p + i] = 0.0;
+        }
     }
     least
 }
 
 /// Inverse of the lower triangular `l` (p x p), lower triangular.
 pub(crate) fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
+    pulp::Arch::new().dispatch(|| invert_lower_kernel(l, p, inv));
+}
+
+#[inline(always)]
+fn invert_lower_kernel(l: &[f64], p: usize, inv: &mut [f64]) {
     for i in 0..p {
         let (done, rest) = inv.split_at_mut(i * p);
         let row = &mut rest[..p];
@@ -148,15 +102,10 @@ pub(crate) fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
     }
 }
 
-/// `out = l' l` (p x p, symmetric, complete) for lower triangular `l`: with `l = L^-1` this is `(L L')^-1`.
+/// `out = l' l` (p x p, symmetric, complete): with `l = L^-1` this is `(L L')^-1`.
 pub(crate) fn lower_gram(l: &[f64], p: usize, out: &mut [f64]) {
     out.fill(0.0);
-    for k in 0..p {
-        let row = &l[k * p..k * p + k + 1];
-        for i in 0..=k {
-            axpy(row[i], &row[..=i], &mut out[i * p..=i * p + i]);
-        }
-    }
+    gram_add(l, p, out);
     mirror(out, p);
 }
 
@@ -228,8 +177,9 @@ fn rotate(columns: &mut [f64], v: &mut [f64], p: usize, i: usize, j: usize) -> b
         return false;
     }
     let zeta = (b - a) / (2.0 * c);
-    let t = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
-    let cs = 1.0 / t.hypot(1.0);
+    // Where the square overflows, t is zero and the columns are orthogonal already.
+    let t = zeta.signum() / (zeta.abs() + (1.0 + zeta * zeta).sqrt());
+    let cs = 1.0 / (1.0 + t * t).sqrt();
     turn(ci, cj, cs, cs * t);
     let (vi, vj) = pair(v, p, i, j);
     turn(vi, vj, cs, cs * t);

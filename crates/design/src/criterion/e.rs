@@ -1,7 +1,7 @@
 //! E: the direction in parameter space that is seen worst.
 
 use super::{Criterion, Information, Scratch, no_keys};
-use crate::kernel::{gram_add, mirror, svd};
+use crate::kernel::{multiply, svd};
 use dynocal_numerics::registry::{Member, MemberDoc};
 
 /// `J_E = 1 / lambda_min(C^-1 M C^-1)` with the reference scales C = diag(c): the variance of the parameter
@@ -48,23 +48,61 @@ impl Criterion for E {
         work.v[info.p - 1]
     }
 
-    /// `dJ_q/dA_c = -sum_k (mu_k / J_q)^(q-1) mu_k^2 / sigma^2 e_k e_k'`, then from the reference to the used scales.
+    /// With `B = sigma^2 C D^-1 A^-1 D^-1 C`, whose eigenvalues are the mu_k, `J_q = (tr B^q)^(1/q)` and `dJ_q/dA =
+    /// -J_q^(1-q) / sigma^2 D C^-1 B^(q+1) C^-1 D`: a dozen products in place of a decomposition. The order is rounded
+    /// to a whole number.
     fn value_gradient(&self, info: &Information, q: f64, work: &mut Scratch, gram_bar: &mut [f64]) -> f64 {
-        let p = info.p;
-        spectrum(info, work);
-        let worst = work.v[p - 1];
-        let norm = worst * work.v[..p].iter().map(|m| (m / worst).powf(q)).sum::<f64>().powf(1.0 / q);
-        for k in 0..p {
-            let mu = work.v[k];
-            let root = (mu / norm).powf(0.5 * (q - 1.0)) * mu / info.noise_variance.sqrt();
+        let (p, q) = (info.p, q.round().max(1.0));
+        let ratio = |k: usize| info.reference_scale[k] / info.scale[k];
+        let b = &mut work.rows[..p * p];
+        for i in 0..p {
             for j in 0..p {
-                work.rows[k * p + j] = root * work.b[k * p + j] * info.scale[j] / info.reference_scale[j];
+                b[i * p + j] = info.noise_variance * ratio(i) * info.inverse[i * p + j] * ratio(j);
             }
         }
-        gram_bar.fill(0.0);
-        gram_add(&work.rows[..p * p], p, gram_bar);
-        mirror(gram_bar, p);
-        gram_bar.iter_mut().for_each(|g| *g = -*g);
-        norm
+        let size = (0..p).map(|k| b[k * p + k]).sum::<f64>();
+        b.iter_mut().for_each(|v| *v /= size);
+        let log_scale = power(b, p, q as u32, &mut work.a, &mut work.b, &mut work.c);
+        let trace = (0..p).map(|k| work.b[k * p + k]).sum::<f64>();
+        let norm = ((trace.ln() + log_scale) / q).exp();
+        multiply(&work.b, b, p, gram_bar);
+        // In units of B over its trace: J_q^(1-q) B^(q+1) = size^2 norm b^(q+1) / tr(b^q).
+        let factor = -norm * size * size / (trace * info.noise_variance);
+        for i in 0..p {
+            for j in 0..p {
+                gram_bar[i * p + j] *= factor / (ratio(i) * ratio(j));
+            }
+        }
+        norm * size
+    }
+}
+
+/// `result = b^q`, divided by `exp` of what is returned, by repeated squaring; every power is brought to trace 1.
+fn power(b: &[f64], p: usize, mut q: u32, square: &mut [f64], result: &mut [f64], work: &mut [f64]) -> f64 {
+    let normalise = |m: &mut [f64]| {
+        let trace: f64 = (0..p).map(|k| m[k * p + k]).sum();
+        m.iter_mut().for_each(|v| *v /= trace);
+        trace.ln()
+    };
+    square.copy_from_slice(b);
+    let (mut first, mut log_square, mut log_result) = (true, 0.0, 0.0);
+    loop {
+        if q & 1 == 1 {
+            if first {
+                result.copy_from_slice(square);
+            } else {
+                multiply(result, square, p, work);
+                result.copy_from_slice(work);
+            }
+            first = false;
+            log_result += log_square + normalise(result);
+        }
+        q >>= 1;
+        if q == 0 {
+            return log_result;
+        }
+        multiply(square, square, p, work);
+        square.copy_from_slice(work);
+        log_square = 2.0 * log_square + normalise(square);
     }
 }
