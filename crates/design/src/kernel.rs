@@ -43,7 +43,22 @@ pub(crate) fn mirror(g: &mut [f64], p: usize) {
 /// Cholesky factor L of the symmetric matrix `a` (p x p, lower triangle read): `a = l l'`, upper triangle zero.
 /// Returns the smallest pivot relative to its diagonal entry; at or below zero: not positive definite (`l` unusable).
 pub(crate) fn cholesky(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
-    pulp::Arch::new().dispatch(|| cholesky_kernel(a, p, l))
+    pulp::Arch::new().dispatch(Cholesky { a, p, l })
+}
+
+struct Cholesky<'a> {
+    a: &'a [f64],
+    p: usize,
+    l: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Cholesky<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> f64 {
+        cholesky_kernel(self.a, self.p, self.l)
+    }
 }
 
 /// Right-looking on the rows of L', which are long where the work is, and transposed at the end.
@@ -82,7 +97,22 @@ fn cholesky_kernel(a: &[f64], p: usize, l: &mut [f64]) -> f64 {
 
 /// Inverse of the lower triangular `l` (p x p), lower triangular.
 pub(crate) fn invert_lower(l: &[f64], p: usize, inv: &mut [f64]) {
-    pulp::Arch::new().dispatch(|| invert_lower_kernel(l, p, inv));
+    pulp::Arch::new().dispatch(InvertLower { l, p, inv });
+}
+
+struct InvertLower<'a> {
+    l: &'a [f64],
+    p: usize,
+    inv: &'a mut [f64],
+}
+
+impl pulp::WithSimd for InvertLower<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        invert_lower_kernel(self.l, self.p, self.inv);
+    }
 }
 
 #[inline(always)]

@@ -5,6 +5,7 @@
 //! predictions, best. From the bottom: [`information`] (what a record tells), [`criterion`] (one number of it),
 //! [`problem`] (value and exact gradient with respect to every free sample), [`search`], [`safety`].
 
+pub mod certificate;
 pub mod channel;
 pub mod criterion;
 pub mod error;

@@ -74,6 +74,12 @@ pub trait Model: Send + Sync {
     /// Whether the one-step prediction is linear in theta (then least squares is direct).
     fn is_linear_in_params(&self) -> bool;
 
+    /// The polynomial structure behind the model, where there is one: what follows from the degrees of its regressors
+    /// needs to see them.
+    fn as_polynomial(&self) -> Option<&poly::PolyNarx> {
+        None
+    }
+
     /// Parameters (p) to start a search from, for models that have no least-squares start.
     fn random_start(&self, _rng: &mut Rng64) -> Option<Vec<f64>> {
         None

@@ -22,6 +22,10 @@ impl Criterion for D {
         false
     }
 
+    fn is_log_det(&self) -> bool {
+        true
+    }
+
     fn value(&self, info: &Information, _: &mut Scratch) -> f64 {
         let p = info.p;
         let half: f64 = (0..p).map(|k| (info.factor[k * p + k] * info.scale[k]).ln()).sum();

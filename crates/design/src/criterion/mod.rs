@@ -110,6 +110,12 @@ pub trait Criterion: Send + Sync {
         false
     }
 
+    /// Whether J is -ln det M, for which an upper bound of all designs can be computed
+    /// ([`crate::certificate::certify`]).
+    fn is_log_det(&self) -> bool {
+        false
+    }
+
     /// Exact value J. Infinite where a needed objective signal is missing.
     fn value(&self, info: &Information, work: &mut Scratch) -> f64;
 

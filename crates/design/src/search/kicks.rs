@@ -1,5 +1,6 @@
 //! Iterated local search with random kicks.
 
+use super::chain::Candidate;
 use super::{Chain, Search};
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::Deserialize;
@@ -13,11 +14,12 @@ pub(super) struct Kicks {
     window: usize,
     rough_evaluations: usize,
     patience: f64,
+    temperature: f64,
 }
 
 impl Default for Kicks {
     fn default() -> Self {
-        Self { window: 6, rough_evaluations: 30, patience: 0.01 }
+        Self { window: 6, rough_evaluations: 30, patience: 0.01, temperature: 0.003 }
     }
 }
 
@@ -43,7 +45,13 @@ pub(super) const MEMBER: Member<dyn Search> = Member {
                 name: "patience",
                 unit: "-",
                 default: "0.01",
-                what: "search objective above the best one up to which a judged kick is pursued",
+                what: "search objective above the one before the kick up to which it is pursued",
+            },
+            ParamDoc {
+                name: "temperature",
+                unit: "-",
+                default: "0.003",
+                what: "search objective by which a design after a kick may be worse and still be kicked on, at the start; falls to 0 with the budget",
             },
         ],
     },
@@ -77,6 +85,28 @@ impl Kicks {
     }
 }
 
+impl Kicks {
+    /// A short run from `x`, a longer one where that comes near to the design `from` before the kick.
+    fn free(&self, chain: &mut Chain, x: &[f64], from: &Candidate, left: usize) -> Candidate {
+        let rough = self.rough_evaluations;
+        let tried = chain.refine(x, rough, true, None);
+        if tried.f >= from.f + self.patience {
+            return tried;
+        }
+        let kept = chain.refine(&tried.x, left.saturating_sub(rough).min(5 * rough), true, None);
+        if kept.f < tried.f { kept } else { tried }
+    }
+
+    /// Multipliers belong to samples that the kick has moved: starts again from a small penalty, which also lets the
+    /// record leave its limits for a better place.
+    fn constrained(&self, chain: &mut Chain, x: &[f64], from: &Candidate, left: usize) -> Candidate {
+        chain.give_up = if chain.feasible(from.violation) { from.f + self.patience } else { f64::INFINITY };
+        let found = chain.refine(x, left.min(CONSTRAINED_RUN), false, None);
+        chain.give_up = f64::INFINITY;
+        found
+    }
+}
+
 impl Search for Kicks {
     fn run(&self, chain: &mut Chain, x0: &[f64]) {
         let total = chain.left();
@@ -84,28 +114,25 @@ impl Search for Kicks {
         let polish = total / 8;
         let first = chain.refine(x0, if chain.is_constrained() { total / 2 } else { total / 4 }, false, None);
         chain.offer(first);
+        let mut current = chain.best.clone();
+        let room = chain.left().saturating_sub(polish).max(1);
         while chain.left() > polish + 2 * self.rough_evaluations {
-            let Some(best) = chain.best.clone() else { break };
-            let mut x = best.x.clone();
+            let Some(from) = current.clone() else { break };
+            let mut x = from.x.clone();
             self.kick(chain, &mut x);
-            if chain.is_constrained() {
-                // Multipliers belong to samples that the kick has moved: start again from a small penalty, which also
-                // lets the record leave its limits for a better place.
-                let left = chain.left().saturating_sub(polish);
-                chain.give_up = best.f;
-                let found = chain.refine(&x, left.min(CONSTRAINED_RUN), false, None);
-                chain.give_up = f64::INFINITY;
-                chain.offer(found);
-                continue;
+            let left = chain.left().saturating_sub(polish);
+            let found = match chain.is_constrained() {
+                true => self.constrained(chain, &x, &from, left),
+                false => self.free(chain, &x, &from, left),
+            };
+            // Metropolis' rule, cooling with the budget: a record that is a little worse may be on the way to a better.
+            let temperature = self.temperature * left as f64 / room as f64;
+            let worse = -temperature * (1.0 - chain.rng.uniform()).ln();
+            let accept = chain.better((found.f - worse, found.violation), (from.f, from.violation));
+            chain.offer(found.clone());
+            if accept {
+                current = Some(found);
             }
-            let rough = self.rough_evaluations;
-            let tried = chain.refine(&x, rough, true, None);
-            if tried.f < best.f + self.patience {
-                let left = chain.left().saturating_sub(polish);
-                let kept = chain.refine(&tried.x, left.min(5 * rough), true, None);
-                chain.offer(kept);
-            }
-            chain.offer(tried);
         }
         if let Some(best) = chain.best.clone() {
             let left = chain.left();

@@ -5,7 +5,7 @@
 //! projection arc under an Armijo test. Unlike a generalised Cauchy point it costs nothing beyond the two loops,
 //! which matters where an evaluation takes a few tens of microseconds.
 
-use crate::kernel::{axpy, dot};
+use crate::kernel::dot;
 
 /// When a local run ends.
 #[derive(Clone, Copy, Debug)]
@@ -123,6 +123,11 @@ impl Lbfgs {
 
     /// Quasi-Newton direction on the free variables to `self.d`; returns its slope.
     fn direction(&mut self) -> f64 {
+        pulp::Arch::new().dispatch(Direction(self))
+    }
+
+    #[inline(always)]
+    fn two_loops(&mut self) -> f64 {
         let mut rho = [0.0; MEMORY];
         let mut alpha = [0.0; MEMORY];
         for (d, (g, m)) in self.d.iter_mut().zip(self.g.iter().zip(&self.free)) {
@@ -212,7 +217,20 @@ impl Lbfgs {
     }
 }
 
+/// [`Lbfgs::direction`], compiled for the widest registers there are.
+struct Direction<'a>(&'a mut Lbfgs);
+
+impl pulp::WithSimd for Direction<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> f64 {
+        self.0.two_loops()
+    }
+}
+
 /// `s' y` and `y' y` over the free variables.
+#[inline(always)]
 fn masked(s: &[f64], y: &[f64], free: &[f64]) -> (f64, f64) {
     let (mut sy, mut yy) = ([0.0; 4], [0.0; 4]);
     let n = s.len() - s.len() % 4;
@@ -230,10 +248,10 @@ fn masked(s: &[f64], y: &[f64], free: &[f64]) -> (f64, f64) {
     (sy.iter().sum(), yy.iter().sum())
 }
 
+#[inline(always)]
 fn subtract_masked(d: &mut [f64], a: f64, v: &[f64], free: &[f64]) {
-    axpy(-a, v, d);
-    for (d, m) in d.iter_mut().zip(free) {
-        *d *= m;
+    for ((d, v), m) in d.iter_mut().zip(v).zip(free) {
+        *d = (*d - a * v) * m;
     }
 }
 

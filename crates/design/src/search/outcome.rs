@@ -2,6 +2,7 @@
 
 use super::chain::{Candidate, Chain};
 use super::{Search, Watch, search};
+use crate::certificate::{Certificate, NoCertificate, certify};
 use crate::channel::Layout;
 use crate::error::DesignError;
 use crate::limits::levels;
@@ -33,6 +34,8 @@ pub struct DesignOptions {
     pub gradient_tolerance: f64,
     /// Decrease of the search objective over eight iterations that ends a local run.
     pub value_tolerance: f64,
+    /// Whether to bound what any record could reach (seconds of work for twenty regressors).
+    pub certify: bool,
 }
 
 impl Default for DesignOptions {
@@ -47,6 +50,7 @@ impl Default for DesignOptions {
             output_tolerance: 1e-6,
             gradient_tolerance: 1e-6,
             value_tolerance: 1e-6,
+            certify: false,
         }
     }
 }
@@ -68,6 +72,8 @@ pub struct DesignOutcome {
     pub safety: Vec<Safety>,
     /// Evaluations of all chains.
     pub evaluations: usize,
+    /// What no record can beat, or why there is no such bound; none where it was not asked for.
+    pub certificate: Option<Result<Certificate, NoCertificate>>,
 }
 
 /// A design could not be made.
@@ -140,7 +146,13 @@ pub fn design(
         }
     }
     match (best, failure) {
-        (Some(best), _) => Ok(finish(problem, prototype, best, evaluations, interrupt())),
+        (Some(best), _) => {
+            let mut found = finish(problem, prototype, best, evaluations, interrupt());
+            if options.certify && !interrupt() {
+                found.certificate = Some(certify(problem, found.value));
+            }
+            Ok(found)
+        }
         (None, Some(e)) => Err(e.into()),
         (None, None) => Err(DesignError::NoStart { tried: 0, detail: "no start was run".into() }.into()),
     }
@@ -289,6 +301,7 @@ fn finish(
         history: best.history,
         status,
         evaluations,
+        certificate: None,
     }
 }
 
