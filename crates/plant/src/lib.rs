@@ -22,6 +22,7 @@ pub mod inputs;
 pub mod orifice;
 pub mod outputs;
 pub mod params;
+pub mod perturb;
 pub mod sensors;
 pub mod state;
 pub mod statics;

@@ -3,6 +3,7 @@
 //! | part | file |
 //! |---|---|
 //! | dynamometer: speed at once, speed of a rotor with inertia, load | [`dynamometer`] |
+//! | air-bleed valve | [`bleed`] |
 //! | lags, rates, PI controllers | [`dynamics`] |
 //! | transport delay | [`delay`] |
 //! | sensors: transport, lag, drift, noise, quantisation | [`sensor`] |
@@ -17,6 +18,7 @@
 //! default.
 
 pub mod bed;
+pub mod bleed;
 pub mod catalyst;
 pub mod delay;
 pub mod deviations;

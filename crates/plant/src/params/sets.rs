@@ -14,17 +14,27 @@ pub struct ParameterSet {
 }
 
 /// All embedded parameter sets.
-pub static PARAMETER_SETS: &[ParameterSet] = &[ParameterSet {
-    doc: MemberDoc {
-        name: "thesis",
-        what: "2.0 l, naturally aspirated range, imposed burn law: reproduces the published behaviour",
-        params: &[],
+pub static PARAMETER_SETS: &[ParameterSet] = &[
+    ParameterSet {
+        doc: MemberDoc {
+            name: "thesis",
+            what: "2.0 l, naturally aspirated range, imposed burn law: reproduces the published behaviour",
+            params: &[],
+        },
+        text: include_str!("../../parameters/thesis.toml"),
     },
-    text: include_str!("../../parameters/thesis.toml"),
-}];
+    ParameterSet {
+        doc: MemberDoc {
+            name: "pfi_1_6l",
+            what: "1.6 l, port injection with fuel film, after thesis Table 3.1",
+            params: &[],
+        },
+        text: include_str!("../../parameters/pfi_1_6l.toml"),
+    },
+];
 
 impl EngineParams {
-    /// The embedded set of that name.
+    /// The embedded set of that name, or one like it: `perturbed:SEED`, `perturbed:SET:SEED`.
     ///
     /// # Errors
     /// [`PlantError::ParameterSet`] for an unknown name.
@@ -35,6 +45,9 @@ impl EngineParams {
     /// # Ok::<(), dynocal_plant::error::PlantError>(())
     /// ```
     pub fn named(name: &str) -> Result<Self, PlantError> {
+        if let Some((set, seed)) = crate::perturb::parse(name) {
+            return crate::perturb::perturbed(&Self::named(set)?, seed);
+        }
         match PARAMETER_SETS.iter().find(|s| s.doc.name == name) {
             Some(set) => Self::from_toml(set.text),
             None => Err(PlantError::ParameterSet {

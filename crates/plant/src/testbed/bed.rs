@@ -1,5 +1,6 @@
 //! The test bed: the engine with dynamometer, actuators, sensors and limits behind the plant contract.
 
+use super::bleed::equivalent_angle_deg;
 use super::deviations::Deviations;
 use super::dynamics::Lag;
 use super::dynamometer::DynoMode;
@@ -64,7 +65,7 @@ const MIXTURE_S: f64 = 1.0;
 /// Engine on a bed.
 ///
 /// Inputs in this order: `inj` \[mg\], `spark` \[deg\], `throttle` \[deg\], `speed` \[rpm\], then those of
-/// [`BedOptions::inputs`]. With closed loops `lambda_demand` \[-\] stands in place of `inj` and `torque_demand` \[Nm\] in
+/// [`BedOptions::inputs`] and `air_bleed` \[-\] where there is such a valve. With closed loops `lambda_demand` \[-\] stands in place of `inj` and `torque_demand` \[Nm\] in
 /// place of `throttle`; in load mode `load` \[Nm\] in place of `speed`. Outputs: `torque` \[Nm\] (sensor: 720 deg mean and
 /// lag), `lambda` \[-\] (mean over the step), `map` \[kPa\], `egt` \[K\], `fuel` \[kg/h\], then those of
 /// [`BedOptions::outputs`].
@@ -127,6 +128,7 @@ impl EngineBed {
         let sensors: Vec<SensorSettings> =
             outputs.iter().map(|&q| o.sensors.get(QUANTITIES[q].name).copied().unwrap_or_default()).collect();
         let u = settings.start;
+        let inputs = INPUTS + extra.len() + usize::from(o.air_bleed.is_some());
         let state = BedState {
             time_s: 0.0,
             seed: 0,
@@ -134,10 +136,11 @@ impl EngineBed {
             dyno: o.dynamometer.at(u.speed_rpm, 0.0),
             throttle: Lag::new(u.throttle_deg),
             wastegate: Lag::new(u.wastegate_mm),
+            bleed: Lag::new(o.air_bleed.map_or(0.0, |b| b.start)),
             integrals: [u.throttle_deg, u.injection_mg],
             sensors: Vec::new(),
             guards: vec![GuardState::default(); limits.len()],
-            saturated: vec![false; INPUTS + extra.len()],
+            saturated: vec![false; inputs],
             fuelled_s: MIXTURE_S,
             idle: IdleState::default(),
             thermal: real.warm_up.map(|t| t.start()),
@@ -149,7 +152,7 @@ impl EngineBed {
             engine,
             deviations,
             variables: Vec::new(),
-            held: vec![0.0; INPUTS + extra.len()],
+            held: vec![0.0; inputs],
             extra,
             outputs,
             sensors,
@@ -165,7 +168,13 @@ impl EngineBed {
     /// Settles the engine at the start inputs and takes the start state.
     fn settle(&mut self) -> Result<(), EngineError> {
         let settings = &self.settings;
-        self.engine.set_inputs(settings.start)?;
+        let mut u = settings.start;
+        if let Some(b) = &settings.options.air_bleed {
+            let throttle = &self.engine.params().throttle;
+            let more_m2 = 1e-6 * b.open_mm2 * b.start;
+            u.throttle_deg = equivalent_angle_deg(throttle, u.throttle_deg, more_m2);
+        }
+        self.engine.set_inputs(u)?;
         self.apply_deviations();
         self.engine.advance_time(self.settings.settle_s);
         self.engine.check_state()?;
@@ -284,6 +293,13 @@ impl EngineBed {
         let speed_rpm = turn.omega * 30.0 / std::f64::consts::PI;
         let h_s = h_s.min(most_deg / (6.0 * speed_rpm));
         let throttle_deg = o.throttle.step(&mut s.throttle, commands.throttle_deg, h_s);
+        let throttle_deg = match &o.air_bleed {
+            None => throttle_deg,
+            Some(b) => {
+                let command = self.held[INPUTS + self.extra.len()];
+                b.step(&mut s.bleed, command, &self.engine.params().throttle, throttle_deg, h_s)
+            }
+        };
         let wastegate_mm = o.wastegate.step(&mut s.wastegate, commands.wastegate_mm, h_s);
         // The demanded speed itself in ideal mode: no detour through rad/s.
         let ideal = o.dynamometer.mode == DynoMode::Speed;

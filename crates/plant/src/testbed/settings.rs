@@ -1,5 +1,6 @@
 //! How a bed is set up. Every default is ideal: nothing between the commands and the engine.
 
+use super::bleed::BleedSettings;
 use super::catalyst::CatalystSettings;
 use super::deviations::Scatter;
 use super::dynamics::{ActuatorSettings, PiGains};
@@ -78,6 +79,8 @@ pub struct BedOptions {
     pub throttle: ActuatorSettings,
     /// Wastegate actuator.
     pub wastegate: ActuatorSettings,
+    /// Air-bleed valve beside the throttle: one more input.
+    pub air_bleed: Option<BleedSettings>,
     /// Sensors by the name of their quantity.
     pub sensors: BTreeMap<String, SensorSettings>,
     /// Loops of the bed.
@@ -99,6 +102,7 @@ impl Default for BedOptions {
             dynamometer: DynoSettings::default(),
             throttle: ActuatorSettings::default(),
             wastegate: ActuatorSettings::default(),
+            air_bleed: None,
             sensors: BTreeMap::new(),
             loops: LoopSettings::default(),
             limits: Vec::new(),
@@ -144,10 +148,11 @@ impl BedOptions {
 
     /// Options by the name of the parameter set: real for the physical engines, ideal for `thesis`.
     pub fn of_set(name: &str) -> Self {
-        if name.starts_with("gtdi_2l") || name.starts_with("pfi_1_6l") {
-            Self::real()
-        } else {
-            Self::default()
+        let set = crate::perturb::parse(name).map_or(name, |p| p.0);
+        match set {
+            "gtdi_2l" => Self::real(),
+            "pfi_1_6l" => Self { air_bleed: Some(BleedSettings::default()), ..Self::real() },
+            _ => Self::default(),
         }
     }
 
@@ -156,6 +161,7 @@ impl BedOptions {
         self.dynamometer.mode != DynoMode::Speed
             || !self.throttle.ideal()
             || !self.wastegate.ideal()
+            || self.air_bleed.is_some()
             || self.sensors.values().any(|s| !s.is_static())
             || self.loops.torque
             || self.loops.lambda
@@ -180,6 +186,10 @@ impl BedOptions {
         for (key, a) in [("bed.throttle", &self.throttle), ("bed.wastegate", &self.wastegate)] {
             range(&format!("{key}.lag_s"), a.lag_s, 0.0, 10.0)?;
             range(&format!("{key}.rate_per_s"), a.rate_per_s, 0.0, 1e6)?;
+        }
+        if let Some(b) = &self.air_bleed {
+            range("bed.air_bleed.open_mm2", b.open_mm2, 0.0, 5e3)?;
+            range("bed.air_bleed.start", b.start, 0.0, 1.0)?;
         }
         for (name, s) in &self.sensors {
             known("bed.sensors", name)?;

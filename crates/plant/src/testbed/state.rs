@@ -23,6 +23,8 @@ pub struct BedState {
     pub throttle: Lag,
     /// Wastegate behind its actuator \[mm\].
     pub wastegate: Lag,
+    /// Air-bleed valve behind its actuator \[-\].
+    pub bleed: Lag,
     /// Integrals of the torque loop \[deg\] and of the lambda loop \[mg\].
     pub integrals: [f64; 2],
     /// One for each output.
@@ -50,7 +52,9 @@ impl BedState {
         self.seed = ((halves[0] as u64) << 32) | halves[1] as u64;
         self.samples = halves[2] as u64;
         self.dyno.visit(f);
-        [&mut self.throttle.value, &mut self.wastegate.value].into_iter().for_each(&mut *f);
+        [&mut self.throttle.value, &mut self.wastegate.value, &mut self.bleed.value]
+            .into_iter()
+            .for_each(&mut *f);
         self.integrals.iter_mut().for_each(&mut *f);
         self.sensors.iter_mut().for_each(|s| s.visit(f));
         self.guards.iter_mut().for_each(|g| g.visit(f));

@@ -46,6 +46,9 @@ pub(crate) fn variables(
         let e = &EXTRA[row];
         all.push(input(e.name, e.unit, e.range, *(e.field)(&mut u)));
     }
+    if let Some(b) = &o.air_bleed {
+        all.push(input("air_bleed", "-", (0.0, 1.0), b.start));
+    }
     for (&row, &start) in outputs.iter().zip(values) {
         let q = &QUANTITIES[row];
         all.push(Variable { causality: Causality::Output, ..input(q.name, q.unit, q.range, start) });
