@@ -7,7 +7,9 @@ use dynocal_files::spec::Faults;
 use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use dynocal_plant::bed::{BedSettings, EngineBed};
-use dynocal_plant::params::EngineParams;
+use dynocal_plant::error::PlantError as EngineError;
+use dynocal_plant::params::{EngineParams, PARAMETER_SETS};
+use dynocal_plant::testbed::settings::BedOptions;
 
 /// Makes a plant, with the sensor noise of the spec or free of noise.
 type Make = fn(&PlantSpec, noise: bool) -> Result<Box<dyn Plant>, PlantError>;
@@ -29,7 +31,18 @@ pub(crate) static PLANTS: &[PlantMember] = &[
             name: "virtual_engine",
             what: "Embedded gasoline engine: crank-angle resolved, speed imposed by an ideal dynamometer",
             params: &[
-                ParamDoc { name: "parameters", unit: "-", default: "thesis", what: "Parameter set (thesis)" },
+                ParamDoc {
+                    name: "parameters",
+                    unit: "-",
+                    default: "thesis",
+                    what: "Parameter set, perturbed:SEED, perturbed:SET:SEED, or a file *.toml",
+                },
+                ParamDoc {
+                    name: "bed",
+                    unit: "-",
+                    default: "by set",
+                    what: "Table: dynamometer, loops, actuators, sensors, limits, real engine (docs/testbed.md)",
+                },
                 ParamDoc {
                     name: "torque_noise_nm",
                     unit: "Nm",
@@ -74,31 +87,50 @@ pub(crate) fn check(spec: &PlantSpec, faults: &mut Faults) {
     }
 }
 
-/// A parameter set by name.
-type Set = (&'static str, fn() -> EngineParams);
-
-/// Parameter sets of the virtual engine.
-const SETS: [Set; 1] = [("thesis", EngineParams::thesis)];
-
 fn check_virtual_engine(spec: &PlantSpec, faults: &mut Faults) {
-    if !SETS.iter().any(|s| s.0 == spec.parameters) {
-        faults.unknown("plant.parameters", &spec.parameters, &SETS.map(|s| s.0.to_string()));
+    match parameters(&spec.parameters) {
+        Ok(_) => {}
+        Err(EngineError::ParameterSet { .. }) => {
+            let known: Vec<String> = PARAMETER_SETS.iter().map(|s| s.doc.name.to_string()).collect();
+            faults.unknown("plant.parameters", &spec.parameters, &known);
+        }
+        Err(e) => faults.push("plant.parameters", &spec.parameters, e),
+    }
+    if let Err(e) = BedOptions::from_table(&spec.parameters, &spec.bed) {
+        match e {
+            EngineError::Bed { key, found, expected } => {
+                faults.push(&format!("plant.{key}"), found, expected);
+            }
+            e => faults.push("plant.bed", "a bed", e),
+        }
     }
     faults.range("plant.torque_noise_nm", spec.torque_noise_nm, 0.0, 20.0, "Nm");
     faults.range("plant.lambda_noise", spec.lambda_noise, 0.0, 0.2, "");
 }
 
+/// Parameters by the name of an embedded set, `perturbed:SEED`, `perturbed:SET:SEED`, or from a file `*.toml`.
+pub(crate) fn parameters(name: &str) -> Result<EngineParams, EngineError> {
+    if !name.ends_with(".toml") {
+        return EngineParams::named(name);
+    }
+    let text = std::fs::read_to_string(name).map_err(|e| EngineError::Bed {
+        key: "parameters".into(),
+        found: name.into(),
+        expected: format!("a file that can be read ({e})"),
+    })?;
+    EngineParams::from_toml(&text)
+}
+
 fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, PlantError> {
-    let (name, params) = SETS
-        .iter()
-        .find(|s| s.0 == spec.parameters)
-        .ok_or_else(|| PlantError::Call(format!("no parameter set `{}`", spec.parameters)))?;
-    let mut settings = BedSettings { set_name: (*name).into(), ..BedSettings::default() };
+    let refused = |e: EngineError| PlantError::Call(e.to_string());
+    let params = parameters(&spec.parameters).map_err(refused)?;
+    let options = BedOptions::from_table(&spec.parameters, &spec.bed).map_err(refused)?;
+    let mut settings = BedSettings { set_name: spec.parameters.clone(), options, ..BedSettings::default() };
     if noise {
         settings.noise.torque_nm = spec.torque_noise_nm;
         settings.noise.lambda = spec.lambda_noise;
     }
-    let bed = EngineBed::new(&params(), settings).map_err(|e| PlantError::Call(e.to_string()))?;
+    let bed = EngineBed::new(&params, settings).map_err(refused)?;
     Ok(Box::new(bed))
 }
 
@@ -110,7 +142,7 @@ mod tests {
 
     const DT_S: f64 = 0.03;
 
-    /// Every plant that can be made here, with sensor noise.
+    /// Every plant that can be made here, with sensor noise, and the virtual engine on beds with everything on.
     fn each(check: impl Fn(&str, Box<dyn Plant>)) {
         let spec = PlantSpec { torque_noise_nm: 1.0, lambda_noise: 0.01, ..PlantSpec::default() };
         let made: Vec<_> = PLANTS.iter().filter_map(|m| m.make.map(|make| (m.doc.name, make))).collect();
@@ -118,6 +150,36 @@ mod tests {
         for (name, make) in made {
             check(name, make(&spec, true).expect("plant with default keys"));
         }
+        let beds = [
+            ("real bed", "thesis", "real = true\n[loops]\ntorque = true\nlambda = true"),
+            ("load mode", "thesis", "dynamometer.mode = \"load\"\n[[limits]]\nwhat = \"pmax\"\nmax = 60.0"),
+            ("port injection", "pfi_1_6l", ""),
+            ("another engine", "perturbed:3", "dynamometer.mode = \"inertial_speed\""),
+        ];
+        for (name, parameters, bed) in beds {
+            let bed: toml::Table = toml::from_str(bed).expect("TOML");
+            let spec = PlantSpec { parameters: parameters.into(), bed, ..spec.clone() };
+            check(name, virtual_engine(&spec, true).expect("a bed"));
+        }
+    }
+
+    #[test]
+    fn faulty_beds_are_named_with_their_key() {
+        let fault = |parameters: &str, bed: &str| {
+            let bed = toml::from_str(bed).expect("TOML");
+            let spec = PlantSpec { parameters: parameters.into(), bed, ..PlantSpec::default() };
+            let mut faults = Faults::default();
+            check(&spec, &mut faults);
+            assert!(!faults.is_empty(), "{parameters} {spec:?}");
+            virtual_engine(&spec, false).err().map(|e| e.to_string()).unwrap_or_default()
+        };
+        assert!(fault("v8", "").contains("v8"));
+        assert!(fault("nowhere.toml", "").contains("nowhere.toml"));
+        assert!(fault("thesis", "tick_s = 3.0").contains("bed.tick_s"));
+        assert!(fault("thesis", "tock_s = 3.0").contains("tock_s"));
+        assert!(fault("thesis", "outputs = [\"horsepower\"]").contains("horsepower"));
+        assert!(fault("thesis", "sensors.torque.lag_s = -1.0").contains("sensors.torque.lag_s"));
+        assert!(fault("thesis", "real = 3").contains("bed.real"));
     }
 
     fn starts(plant: &dyn Plant) -> (Vec<f64>, usize) {

@@ -33,5 +33,6 @@ pub mod quantity;
 pub mod sensor;
 pub mod settings;
 pub mod state;
+mod table;
 pub mod thermal;
 mod variables;

@@ -62,6 +62,9 @@ pub struct PlantSpec {
     pub torque_noise_nm: f64,
     /// Standard deviation of white noise on lambda.
     pub lambda_noise: f64,
+    /// What the plant's bed is like; keys belong to the plant.
+    #[serde(skip_serializing_if = "toml::Table::is_empty")]
+    pub bed: toml::Table,
 }
 
 impl Default for PlantSpec {
@@ -71,6 +74,7 @@ impl Default for PlantSpec {
             parameters: "thesis".into(),
             torque_noise_nm: 0.0,
             lambda_noise: 0.0,
+            bed: toml::Table::new(),
         }
     }
 }
