@@ -14,4 +14,5 @@ mod kernel;
 pub mod limits;
 pub mod problem;
 pub mod safety;
+pub mod schedule;
 pub mod search;

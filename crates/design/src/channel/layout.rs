@@ -48,7 +48,7 @@ fn tube(c: &Channel, n: usize) -> Result<(Vec<f64>, Vec<f64>), DesignError> {
     }
     if let Some(e) = c.end {
         // The last sample of a ramp may lie between two free values: both are then the end.
-        let part = c.shape == Shape::Linear && (n - 1) % c.hold != 0;
+        let part = c.shape == Shape::Linear && !(n - 1).is_multiple_of(c.hold);
         for j in k.saturating_sub(if part { 2 } else { 1 })..k {
             if j == 0 && c.start.is_some_and(|s| s != e) {
                 let first = format!("{} start {} and end {e}", c.name, c.start.unwrap_or(e));
