@@ -7,6 +7,7 @@ pub mod chain;
 pub mod chapter4;
 pub mod chapter5;
 pub mod control;
+pub mod design_spec;
 pub mod engine_model;
 pub mod excite;
 pub mod fuel;

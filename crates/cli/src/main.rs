@@ -3,6 +3,7 @@
 mod calibrate_report;
 mod campaign;
 mod common;
+mod design_report;
 mod failure;
 mod identify_report;
 mod interrupt;

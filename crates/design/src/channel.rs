@@ -19,7 +19,7 @@ pub enum Shape {
 }
 
 /// One input channel of a design.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Channel {
     /// Name, e.g. `inj`.
     pub name: String,

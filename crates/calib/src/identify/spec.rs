@@ -19,6 +19,7 @@ use super::result::ModelFile;
 
 use typed::Typed;
 
+pub(crate) use member::built;
 pub use model::{Family, PEM, Selecting, StructureSpec, Target};
 pub use source::{Source, StepSpec, TestSet};
 pub use split::Split;

@@ -31,8 +31,8 @@ pub(crate) static STEP_VERBS: &[Verb] = &[
         run: |m| run_until(m, "identify", Some(1)),
     },
     Verb {
-        name: "design",
-        describe: |c| describe(c, "Step 3 of calibrate: design and run an optimal test signal"),
+        name: "test",
+        describe: |c| describe(c, "Step 3 of calibrate: design an optimal test signal and run it"),
         run: |m| run_until(m, "design", Some(2)),
     },
     Verb {

@@ -27,6 +27,7 @@ mod engine_cycle;
 verbs![
     calibrate, //
     identify,  //
+    design,    //
     signal,    //
     study,     //
     report,    //

@@ -4,7 +4,8 @@ use crate::channel::{Channel, Layout, Shape};
 use crate::error::{DesignError, tidy};
 
 /// A region that the samples of several channels keep to, channels by name.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Region {
     /// `sum coefficient * channel <= bound` at every sample.
     AtMost {

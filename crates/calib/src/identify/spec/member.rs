@@ -33,7 +33,7 @@ pub(super) fn member(
 }
 
 /// What was built, or the fault in words for the user.
-pub(super) fn built<T>(
+pub(crate) fn built<T>(
     key: &str,
     name: &str,
     result: Result<T, BuildError>,

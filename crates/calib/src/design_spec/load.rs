@@ -1,0 +1,474 @@
+//! Models, records and the objective signal that a spec names.
+
+use std::path::Path;
+
+use dynocal_design::channel::Channel;
+use dynocal_design::criterion::{Criterion, criterion};
+use dynocal_design::error::DesignError;
+use dynocal_design::information::sensitivities;
+use dynocal_design::problem::Convention;
+use dynocal_design::search::{FIRST_FREE_STREAM, Failure};
+use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
+use dynocal_files::{FilesError, json};
+use dynocal_ident::data::{DataError, Dataset, Role};
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::literature::{self, LiteratureModel};
+use dynocal_ident::model::poly::{PolyNarx, StructureError};
+use dynocal_ident::model::{Model, Run};
+use dynocal_ident::signal;
+use dynocal_ident::validate::boundary::{BoundaryKeys, BoundaryModel, Space, learn};
+use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::rng::Rng64;
+
+use super::{Job, ModelSpec, Objective, OutputSpec, Source};
+use crate::identify::result::{MODEL_SCHEMA, MODEL_VERSION, ModelFile};
+use crate::identify::stored::Stored;
+
+/// A model of the literature: name, unit of its output, parameters.
+type Known = (&'static str, &'static str, fn() -> LiteratureModel);
+
+/// Models of the literature that have parameters.
+pub static LITERATURE: &[Known] = &[
+    ("torque_4_17", "Nm", literature::torque_4_17),
+    ("lambda_4_53", "-", literature::lambda_4_53),
+    ("torque_5_3", "Nm", literature::torque_5_3),
+    ("torque_7_8", "Nm", literature::torque_7_8),
+    ("lambda_7_8", "-", literature::lambda_7_8),
+];
+
+/// A design could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DesignJobError {
+    /// Files.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// Records.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// A model file whose parts do not belong together.
+    #[error("{file}: {source}")]
+    Structure {
+        /// Model file.
+        file: String,
+        /// What does not fit.
+        source: StructureError,
+    },
+    /// A criterion, search or signal that cannot be built.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The problem as stated.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// The search.
+    #[error(transparent)]
+    Search(#[from] Failure),
+    /// A model needs channels that the plan does not have, or has them in another order.
+    #[error("{model}: found the channels {found}, expected {expected}")]
+    Channels {
+        /// Model.
+        model: String,
+        /// Channels of the plan.
+        found: String,
+        /// What the model needs.
+        expected: String,
+    },
+    /// A model for another sample time.
+    #[error("{model}: found sample_time_s = {found} in the spec, expected {expected} s, that of the model")]
+    SampleTime {
+        /// Model.
+        model: String,
+        /// In the spec.
+        found: f64,
+        /// Of the model.
+        expected: f64,
+    },
+    /// A model without a noise level.
+    #[error("{model}: no noise level is known, expected the key noise_std (in {unit})")]
+    NoNoise {
+        /// Model.
+        model: String,
+        /// Unit of its output.
+        unit: String,
+    },
+    /// A model that nothing drives, or with a form that has no sensitivities.
+    #[error("{model}: found a {kind} that the inputs do not drive, expected a model with inputs")]
+    NotDriven {
+        /// Model.
+        model: String,
+        /// Kind.
+        kind: String,
+    },
+    /// A model whose free run grows without bound within the limits.
+    #[error(
+        "{model} is unstable: on a random record within the limits its free run grows from {early:.4} to {late:.4} {unit} \
+         in {samples} samples; expected a stable model (see `stability` in the report of `dynocal identify`)"
+    )]
+    Unstable {
+        /// Model.
+        model: String,
+        /// Largest output in the first quarter.
+        early: f64,
+        /// Largest output in the last quarter.
+        late: f64,
+        /// Unit.
+        unit: String,
+        /// Samples that were run.
+        samples: usize,
+    },
+    /// The objective signal asks for predictions where the plan may not go.
+    #[error(
+        "objective signal: found {channel} = {value} {unit} at sample {sample}, expected {lower} to {upper} {unit}, the \
+         limits of the channel"
+    )]
+    Objective {
+        /// Channel.
+        channel: String,
+        /// Value.
+        value: f64,
+        /// Unit.
+        unit: String,
+        /// Sample.
+        sample: usize,
+        /// Least value.
+        lower: f64,
+        /// Largest value.
+        upper: f64,
+    },
+    /// Stopped before there was anything.
+    #[error("interrupted before a design was found")]
+    Interrupted,
+}
+
+/// A model of the design with everything that is known about it.
+pub struct Loaded {
+    /// Name of the output.
+    pub name: String,
+    /// Its unit.
+    pub unit: String,
+    /// Model over all channels of the plan.
+    pub model: Box<dyn Model>,
+    /// Parameters.
+    pub theta: Vec<f64>,
+    /// Variance of the output noise.
+    pub noise_variance: f64,
+    /// Criterion with its name.
+    pub criterion: Option<(String, Box<dyn Criterion>)>,
+    /// Weight.
+    pub weight: f64,
+    /// Output before the record.
+    pub initial_output: f64,
+    /// Sensitivities of earlier records.
+    pub prior: Vec<f64>,
+    /// Records that the model has not seen.
+    pub held_out: Vec<Experiment>,
+    /// What was identified.
+    pub boundary: Option<BoundaryModel>,
+    /// Limits of the output.
+    pub limits: Option<OutputSpec>,
+    /// Where it comes from.
+    pub origin: String,
+}
+
+/// Everything that a design needs.
+pub struct Inputs {
+    /// Channels, those from files with their samples.
+    pub channels: Vec<Channel>,
+    /// Models.
+    pub models: Vec<Loaded>,
+    /// Objective signal (N0 x m) where the spec gives one.
+    pub objective: Option<Vec<f64>>,
+}
+
+/// Reads what the job names and checks that it belongs together.
+///
+/// # Errors
+/// [`DesignJobError`].
+pub fn load(job: &Job) -> Result<Inputs, DesignJobError> {
+    let mut channels = Vec::new();
+    for c in &job.channels {
+        let mut channel = c.channel.clone();
+        if let Some(file) = &c.file {
+            let one = [(channel.name.clone(), c.unit.clone())];
+            let record = record(file, &one, None, job.sample_time_s)?;
+            let regions = std::mem::take(&mut channel.regions);
+            channel =
+                Channel { regions, ..Channel::given(&channel.name, record.values(&one[0].0)?.to_vec()) };
+        }
+        channels.push(channel);
+    }
+    let models = job.models.iter().map(|m| loaded(job, m)).collect::<Result<Vec<_>, _>>()?;
+    for m in models.iter().filter(|m| !(m.noise_variance > 0.0)) {
+        let (what, expected) = (format!("{}: noise variance", m.name), "a positive number".into());
+        return Err(DesignError::Number { what, found: m.noise_variance, expected }.into());
+    }
+    let objective = objective(job, &channels)?;
+    Ok(Inputs { channels, models, objective })
+}
+
+fn loaded(job: &Job, spec: &ModelSpec) -> Result<Loaded, DesignJobError> {
+    let names: Vec<String> = job.channels.iter().map(|c| c.channel.name.clone()).collect();
+    let mut out = match &spec.source {
+        Source::Literature(name) => of_literature(name, &names, job.sample_time_s)?,
+        Source::File(path) => of_file(path, &names, job.sample_time_s)?,
+    };
+    if let Some(s) = spec.noise_std {
+        out.noise_variance = s * s;
+    } else if out.noise_variance.is_nan() {
+        return Err(DesignJobError::NoNoise { model: out.name, unit: out.unit });
+    }
+    let build = |name: &String| criterion(name, &toml::Table::new()).map(|c| (name.clone(), c));
+    out.criterion = spec.criterion.as_ref().map(build).transpose()?;
+    out.weight = spec.weight;
+    out.limits = spec.limits.clone();
+    // Before a record within limits the output is somewhere between them.
+    let middle = spec.limits.as_ref().map(|l| 0.5 * (l.lower + l.upper));
+    out.initial_output = spec.initial_output.or(middle).unwrap_or(0.0);
+    let inputs: Vec<(String, String)> =
+        job.channels.iter().map(|c| (c.channel.name.clone(), c.unit.clone())).collect();
+    let mut seen = Vec::new();
+    for file in &spec.prior {
+        let d = record(file, &inputs, None, job.sample_time_s)?;
+        let (u, m) = (d.matrix(&names)?, names.len());
+        let rows =
+            sensitivities(out.model.as_ref(), &out.theta, &u, m, Convention::Trim, 0, out.initial_output)
+                .map_err(|_| DesignError::Diverged { term: out.name.clone(), record: d.name.clone() })?;
+        out.prior.extend(rows);
+        seen.extend(experiment(file, &inputs, &out, job.sample_time_s).ok());
+    }
+    for file in &spec.held_out {
+        out.held_out.push(experiment(file, &inputs, &out, job.sample_time_s)?);
+    }
+    if out.boundary.is_none() && !seen.is_empty() {
+        out.boundary = learn(Space::of(out.model.as_ref()), &seen, &BoundaryKeys::default()).ok();
+    }
+    Ok(out)
+}
+
+fn blank(
+    name: &str,
+    unit: &str,
+    model: Box<dyn Model>,
+    theta: Vec<f64>,
+    noise: f64,
+    origin: String,
+) -> Loaded {
+    Loaded {
+        name: name.into(),
+        unit: unit.into(),
+        model,
+        theta,
+        noise_variance: noise,
+        criterion: None,
+        weight: 1.0,
+        initial_output: 0.0,
+        prior: Vec::new(),
+        held_out: Vec::new(),
+        boundary: None,
+        limits: None,
+        origin,
+    }
+}
+
+fn of_literature(name: &str, channels: &[String], dt_s: f64) -> Result<Loaded, DesignJobError> {
+    let known = LITERATURE.iter().find(|l| l.0 == name);
+    let Some((_, unit, make)) = known else {
+        let known = LITERATURE.iter().map(|l| l.0.to_string()).collect();
+        return Err(
+            BuildError::UnknownMember { family: "model", found: name.into(), known, nearest: None }.into()
+        );
+    };
+    let found = make();
+    same_time(name, dt_s, found.sample_time_s)?;
+    let model = over(&found.model, found.model.inputs(), found.model.output(), channels)?;
+    // A model that is printed without a noise level has none to design for.
+    let noise = if found.noise_variance > 0.0 { found.noise_variance } else { f64::NAN };
+    Ok(blank(found.model.output(), unit, Box::new(model), found.theta, noise, found.source.into()))
+}
+
+fn same_time(model: &str, found: f64, expected: f64) -> Result<(), DesignJobError> {
+    match (found - expected).abs() <= 1e-6 * expected {
+        true => Ok(()),
+        false => Err(DesignJobError::SampleTime { model: model.into(), found, expected }),
+    }
+}
+
+fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, DesignJobError> {
+    let file: ModelFile = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
+    let shown = path.display().to_string();
+    same_time(&shown, dt_s, file.sample_time_s)?;
+    let fault = |source| DesignJobError::Structure { file: shown.clone(), source };
+    let fitted = file.fitted().map_err(fault)?;
+    let inputs: Vec<String> = file.inputs.iter().map(|q| q.name.clone()).collect();
+    let output = &file.output;
+    let Some((simulated, theta)) = fitted.simulated() else {
+        return Err(DesignJobError::NotDriven { model: shown, kind: "time series".into() });
+    };
+    let theta = theta.to_vec();
+    let model: Box<dyn Model> = match &file.structure {
+        Stored::Neural(m) if inputs == channels => Box::new(m.clone()),
+        Stored::Neural(_) => {
+            return Err(DesignJobError::Channels {
+                model: shown,
+                found: channels.join(", "),
+                expected: format!(
+                    "{} in this order (a network takes its inputs as they are)",
+                    inputs.join(", ")
+                ),
+            });
+        }
+        _ => Box::new(over(simulated, &inputs, &output.name, channels)?),
+    };
+    let mut out =
+        blank(&output.name, &output.unit, model, theta, file.noise_variance.unwrap_or(f64::NAN), shown);
+    out.boundary = file.boundary.map(|mut b| {
+        for (i, _) in &mut b.space.inputs {
+            *i = inputs.get(*i).and_then(|n| channels.iter().position(|c| c == n)).unwrap_or(*i);
+        }
+        b
+    });
+    Ok(out)
+}
+
+/// The same polynomial over all channels of the plan.
+fn over(
+    model: &dyn Model,
+    inputs: &[String],
+    output: &str,
+    channels: &[String],
+) -> Result<PolyNarx, DesignJobError> {
+    if let Some(missing) = inputs.iter().find(|n| !channels.contains(n)) {
+        return Err(DesignJobError::Channels {
+            model: output.into(),
+            found: channels.join(", "),
+            expected: format!("`{missing}` as well, which the model needs"),
+        });
+    }
+    let regressors: Vec<String> = (0..model.n_params()).map(|k| model.param_name(k)).collect();
+    PolyNarx::parse(channels, output, &regressors)
+        .map_err(|source| DesignJobError::Structure { file: output.into(), source })
+}
+
+/// A record with the wanted columns; other units are converted.
+fn record(
+    path: &Path,
+    inputs: &[(String, String)],
+    output: Option<(&str, &str)>,
+    dt_s: f64,
+) -> Result<Dataset, DesignJobError> {
+    let table = read_table(path, None)?;
+    let spec = |name: &str, unit: &str, role| ChannelSpec {
+        column: name.into(),
+        name: name.into(),
+        unit: Some(unit.into()),
+        convert: true,
+        role,
+    };
+    let mut channels: Vec<ChannelSpec> = inputs.iter().map(|(n, u)| spec(n, u, Role::Input)).collect();
+    channels.extend(output.map(|(n, u)| spec(n, u, Role::Output)));
+    let time = match table.column("time") {
+        Ok(_) => Time::Column { column: "time".into(), unit: None },
+        Err(_) => Time::Sampled { sample_time_s: dt_s },
+    };
+    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+    let mut all = datasets(&table, &layout, &Select::All)?;
+    let mut d = all.remove(0);
+    d.name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    d.check()?;
+    match (d.sample_time_s - dt_s).abs() <= 1e-6 * dt_s {
+        true => Ok(d),
+        false => Err(DataError::SampleTime {
+            record: d.name,
+            found: d.sample_time_s,
+            expected: format!("{dt_s} s as in the spec"),
+        }
+        .into()),
+    }
+}
+
+fn experiment(
+    path: &Path,
+    inputs: &[(String, String)],
+    m: &Loaded,
+    dt_s: f64,
+) -> Result<Experiment, DesignJobError> {
+    let d = record(path, inputs, Some((&m.name, &m.unit)), dt_s)?;
+    let names: Vec<String> = inputs.iter().map(|i| i.0.clone()).collect();
+    Ok(Experiment {
+        name: d.name.clone(),
+        u: d.matrix(&names)?,
+        y: d.values(&m.name)?.to_vec(),
+        init_samples: 0,
+        weights: Vec::new(),
+    })
+}
+
+fn objective(job: &Job, channels: &[Channel]) -> Result<Option<Vec<f64>>, DesignJobError> {
+    let m = channels.len();
+    let u = match &job.objective {
+        Objective::Everywhere => return Ok(None),
+        Objective::File(path) => {
+            let inputs: Vec<(String, String)> =
+                job.channels.iter().map(|c| (c.channel.name.clone(), c.unit.clone())).collect();
+            let names: Vec<String> = inputs.iter().map(|i| i.0.clone()).collect();
+            record(path, &inputs, None, job.sample_time_s)?.matrix(&names)?
+        }
+        Objective::Signals { samples, signals } => {
+            let mut u = vec![0.0; samples * m];
+            for (i, s) in signals.iter().enumerate() {
+                let mut column = match (s, &channels[i].given) {
+                    (None, Some(v)) => v.iter().copied().cycle().take(*samples).collect(),
+                    _ => vec![0.0; *samples],
+                };
+                if let Some((name, keys)) = s {
+                    let mut rng = Rng64::stream(job.seed, FIRST_FREE_STREAM + 1000 + i as u64);
+                    signal::signal(name, keys)?.fill(&mut column, job.sample_time_s, &mut rng)?;
+                }
+                column.iter().enumerate().for_each(|(t, v)| u[t * m + i] = *v);
+            }
+            u
+        }
+    };
+    for (k, v) in u.iter().enumerate() {
+        let c = &channels[k % m];
+        let slack = 1e-9 * (c.upper - c.lower).abs();
+        if c.given.is_none() && !(c.lower - slack <= *v && *v <= c.upper + slack) {
+            return Err(DesignJobError::Objective {
+                channel: c.name.clone(),
+                value: *v,
+                unit: job.channels[k % m].unit.clone(),
+                sample: k / m,
+                lower: c.lower,
+                upper: c.upper,
+            });
+        }
+    }
+    Ok(Some(u))
+}
+
+/// Samples over which a free run must not grow.
+const STABLE_SAMPLES: usize = 4000;
+/// Growth from the first to the last quarter that no stable model shows on a repeated record.
+const GROWTH: f64 = 10.0;
+
+/// Refuses a model whose free run grows on the record `u` (N x m), repeated.
+///
+/// # Errors
+/// [`DesignJobError::Unstable`].
+pub fn check_stable(m: &Loaded, u: &[f64]) -> Result<(), DesignJobError> {
+    let width = m.model.n_inputs();
+    let samples = STABLE_SAMPLES.max(4 * u.len() / width);
+    let long: Vec<f64> = u.iter().copied().cycle().take(samples * width).collect();
+    let initial = vec![m.initial_output; samples];
+    let mut y = vec![0.0; samples];
+    let run = Run { u: &long, y: &initial, start: m.model.max_lag().min(samples) };
+    m.model.simulate(&m.theta, &run, &mut y);
+    let largest = |part: &[f64]| {
+        part.iter().fold(0.0f64, |a, v| if v.is_finite() { a.max(v.abs()) } else { f64::INFINITY })
+    };
+    let (early, late) = (largest(&y[..samples / 4]), largest(&y[3 * samples / 4..]));
+    if late > GROWTH * early.max(m.noise_variance.sqrt()) || !late.is_finite() {
+        let (model, unit) = (m.name.clone(), m.unit.clone());
+        return Err(DesignJobError::Unstable { model, early, late, unit, samples });
+    }
+    Ok(())
+}

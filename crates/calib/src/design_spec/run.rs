@@ -1,0 +1,310 @@
+//! The work of a design: search, margins, comparison, files.
+
+use std::path::Path;
+
+use dynocal_design::channel::Layout;
+use dynocal_design::problem::{DesignProblem, Evaluator, OutputLimits, Term};
+use dynocal_design::search::{DesignOptions, DesignOutcome, design};
+use dynocal_files::csv_io;
+use dynocal_files::run_folder::RunFolder;
+use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_numerics::status::{Iterate, Status};
+
+use super::load::{DesignJobError, Inputs, check_stable, load};
+use super::margins::{MarginBasis, MarginUsed, margin_of};
+use super::result::{CriterionLine, Curves, Designed, InformationLine, Quantity, SafetyLine};
+use super::rivals::{efficiencies, uniform};
+use super::{Job, Objective, judge};
+
+/// Designs that are made at most until the bands keep the limits.
+const ROUNDS: usize = 3;
+/// Margins stay below this share of the range, so that something is left.
+const MOST_MARGIN: f64 = 0.45;
+
+/// What listens to a running design.
+#[derive(Clone, Copy)]
+pub struct Around<'a> {
+    /// Told what happens.
+    pub note: &'a (dyn Fn(&str) + Sync),
+    /// Told after every local run of the search.
+    pub progress: &'a (dyn Fn(&Iterate) + Sync),
+    /// Asked often; `true` ends the search with the best design so far.
+    pub interrupt: &'a (dyn Fn() -> bool + Sync),
+}
+
+/// Makes the design and writes `design.csv`, `predicted.csv` and `summary.json` into the run folder.
+///
+/// # Errors
+/// [`DesignJobError`].
+pub fn run(job: &Job, around: Around) -> Result<(Designed, Curves, RunFolder), DesignJobError> {
+    let inputs = load(job)?;
+    let (designed, curves) = make(job, &inputs, around)?;
+    let folder = RunFolder::open(&job.out, "design", job)?;
+    write(job, &designed, &curves, folder.path())?;
+    folder.write_summary(&designed)?;
+    Ok((designed, curves, folder))
+}
+
+/// The design itself, without files.
+///
+/// # Errors
+/// [`DesignJobError`].
+pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Curves), DesignJobError> {
+    let mut margins: Vec<Option<MarginUsed>> = inputs.models.iter().map(margin_of).collect();
+    let (objective, objective_text) = objective(job, inputs)?;
+    inputs.models.iter().try_for_each(|m| check_stable(m, &objective))?;
+    let mut options = DesignOptions {
+        search: job.search.name.clone(),
+        keys: job.search.keys.clone(),
+        starts: job.search.starts,
+        evaluations: job.search.evaluations,
+        seed: job.seed,
+        ..DesignOptions::default()
+    };
+    let (mut rounds, mut evaluations) = (0, 0);
+    let (found, curves, safety) = loop {
+        rounds += 1;
+        (around.note)(&format!("round {rounds}: {} starts of {}", job.search.starts, job.search.name));
+        let problem = problem(job, inputs, &objective, &margins);
+        let found = design(&problem, &options, around.interrupt, around.progress)?;
+        evaluations += found.evaluations;
+        let (curves, safety) = judged(job, inputs, &margins, &problem, &found);
+        // The margin of the search is one number, the band grows where the plan leaves what was identified.
+        let widened = rounds < ROUNDS && found.status != Status::Interrupted && widen(&mut margins, &safety);
+        if !widened {
+            break (found, curves, safety);
+        }
+        options.start = Some(found.u);
+    };
+    (around.note)("comparing with random signals of the same limits");
+    let problem = problem(job, inputs, &objective, &margins);
+    let mut e = Evaluator::new(&problem)?;
+    e.value(&found.u);
+    let information = judge::information(&problem, &inputs.models, &e);
+    let rivals = efficiencies(&problem, &inputs.models, &objective, &found.u, job.rivals, job.seed)?;
+    let (coverage, pairs, correlations) = judge::inputs(&inputs.channels, &found.u);
+    let warnings = warnings(&found, &safety, &information, inputs);
+    let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= -1e-6);
+    let seen = information.iter().all(|i| i.rank == i.parameters);
+    let channels = job.channels.iter().map(|c| quantity(&c.channel.name, &c.unit)).collect();
+    Ok((
+        Designed {
+            verb: "design".into(),
+            name: job.name.clone(),
+            valid: !matches!(found.status, Status::Interrupted | Status::Infeasible) && kept && seen,
+            warnings,
+            status: found.status,
+            samples: job.samples,
+            sample_time_s: job.sample_time_s,
+            channels,
+            value: found.value,
+            start_value: found.start_value,
+            criteria: criteria(&problem, inputs, &found.u)?,
+            efficiencies: rivals,
+            objective: objective_text,
+            safety,
+            information,
+            coverage,
+            pairs,
+            correlations,
+            history: found.history,
+            evaluations,
+            rounds,
+            files: ["design.csv", "predicted.csv", "report.html"].map(str::to_string).to_vec(),
+        },
+        curves,
+    ))
+}
+
+fn quantity(name: &str, unit: &str) -> Quantity {
+    Quantity { name: name.into(), unit: unit.into() }
+}
+
+/// The problem with the present margins.
+fn problem<'a>(
+    job: &Job,
+    inputs: &'a Inputs,
+    objective: &'a [f64],
+    margins: &[Option<MarginUsed>],
+) -> DesignProblem<'a> {
+    let term = |(m, margin): (&'a super::load::Loaded, &Option<MarginUsed>)| Term {
+        name: &m.name,
+        model: m.model.as_ref(),
+        theta: &m.theta,
+        noise_variance: m.noise_variance,
+        initial_output: m.initial_output,
+        criterion: m.criterion.as_ref().map(|c| c.1.as_ref()),
+        weight: m.weight,
+        objective_signal: objective,
+        reference_scale: &[],
+        prior: &m.prior,
+        limits: m.limits.as_ref().zip(margin.as_ref()).map(|(l, q)| OutputLimits {
+            lower: l.lower,
+            upper: l.upper,
+            margin: q.kept,
+        }),
+    };
+    DesignProblem {
+        channels: inputs.channels.clone(),
+        n_samples: job.samples,
+        convention: job.convention,
+        start: 0,
+        terms: inputs.models.iter().zip(margins).map(term).collect(),
+    }
+}
+
+/// The objective signal (N0 x m) and what it is.
+fn objective(job: &Job, inputs: &Inputs) -> Result<(Vec<f64>, String), DesignJobError> {
+    Ok(match (&inputs.objective, &job.objective) {
+        (Some(u), Objective::File(path)) => (u.clone(), format!("record {}", path.display())),
+        (Some(u), _) => (u.clone(), "test signals of the spec".into()),
+        // Global accuracy (thesis section 4.8.1): what may be asked is anything within the limits.
+        (None, _) => {
+            let layout = Layout::new(&inputs.channels, job.samples)?;
+            let text = "a uniformly distributed record within the limits (global accuracy)";
+            (uniform(&layout, job.seed), text.into())
+        }
+    })
+}
+
+/// Outputs with bands and their safety report.
+fn judged(
+    job: &Job,
+    inputs: &Inputs,
+    margins: &[Option<MarginUsed>],
+    problem: &DesignProblem,
+    found: &DesignOutcome,
+) -> (Curves, Vec<SafetyLine>) {
+    let units: Vec<Quantity> = inputs.models.iter().map(|m| quantity(&m.name, &m.unit)).collect();
+    let outputs = found.safety.iter().map(|s| s.predicted.clone()).collect();
+    let trimmed = problem.convention == dynocal_design::problem::Convention::Trim;
+    let first = if trimmed { problem.max_lag().max(problem.start) } else { 0 };
+    judge::safety(&inputs.models, margins, &units, &found.u, outputs, first, job.sample_time_s)
+}
+
+/// Widens margins whose band passes a limit; whether any was.
+fn widen(margins: &mut [Option<MarginUsed>], safety: &[SafetyLine]) -> bool {
+    let mut any = false;
+    for (margin, line) in margins.iter_mut().zip(safety) {
+        let (Some(q), Some(limits), Some((over, _))) = (margin, line.limits, line.least_distance_of_band)
+        else {
+            continue;
+        };
+        let wider = (q.kept - 1.05 * over).min(MOST_MARGIN * (limits.1 - limits.0));
+        if over < -1e-6 && wider > q.kept {
+            (q.kept, any) = (wider, true);
+        }
+    }
+    any
+}
+
+fn criteria(
+    problem: &DesignProblem,
+    inputs: &Inputs,
+    u: &[f64],
+) -> Result<Vec<CriterionLine>, DesignJobError> {
+    let mut out = Vec::new();
+    for (term, m) in problem.terms.iter().zip(&inputs.models) {
+        let Some((name, _)) = &m.criterion else { continue };
+        let one = DesignProblem { terms: vec![Term { weight: 1.0, ..*term }], ..problem.clone() };
+        let value = Evaluator::new(&one)?.value(u);
+        out.push(CriterionLine { model: m.name.clone(), criterion: name.clone(), weight: m.weight, value });
+    }
+    Ok(out)
+}
+
+fn warnings(
+    found: &DesignOutcome,
+    safety: &[SafetyLine],
+    information: &[InformationLine],
+    inputs: &Inputs,
+) -> Vec<String> {
+    let mut out = Vec::new();
+    for s in safety {
+        let (name, unit) = (&s.output.name, &s.output.unit);
+        let (Some((distance, at)), Some((band, when))) = (s.least_distance, s.least_distance_of_band) else {
+            continue;
+        };
+        if distance < 0.0 {
+            out.push(format!(
+                "the prediction of `{name}` passes a limit by {:.4} {unit} at {at:.2} s: no record that keeps all limits \
+                 was found",
+                -distance
+            ));
+        } else if band < -1e-6 {
+            out.push(format!(
+                "the band of `{name}` passes a limit by {:.4} {unit} at {when:.2} s: the stated rate does not hold there",
+                -band
+            ));
+        }
+        match s.margin.map(|m| m.basis) {
+            Some(MarginBasis::Range) => out.push(format!(
+                "nothing is known about the error of `{name}` on unseen records: its margin is a share of the range (give \
+                 held_out or margin)"
+            )),
+            Some(MarginBasis::FewBlocks) => out.push(format!(
+                "the margin of `{name}` stands on {} held-out blocks, too few for a quantile at its rate",
+                s.margin.map_or(0, |m| m.blocks)
+            )),
+            _ => {}
+        }
+        if let Some((worst, share)) = s.outside.filter(|o| o.1 > 0.05) {
+            out.push(format!(
+                "{:.0} % of the plan lie outside of what the model of `{name}` was identified on (up to {worst:.2} of its \
+                 boundary): there the band is a guess",
+                100.0 * share
+            ));
+        }
+    }
+    for i in information.iter().filter(|i| i.rank < i.parameters) {
+        out.push(format!("the record sees {} of {} parameters of `{}`", i.rank, i.parameters, i.model));
+    }
+    for (k, c) in inputs.channels.iter().enumerate() {
+        let used = |m: &super::load::Loaded| m.model.window().iter().any(|w| w.0 == k);
+        if !inputs.models.iter().any(used) {
+            out.push(format!("no model uses the channel `{}`: what it does is arbitrary", c.name));
+        }
+    }
+    match found.status {
+        Status::Interrupted => out.push("interrupted: the best design so far".into()),
+        Status::Infeasible if out.is_empty() => {
+            out.push("no record that keeps all limits was found within the budget".into());
+        }
+        _ => {}
+    }
+    out
+}
+
+fn write(job: &Job, designed: &Designed, curves: &Curves, folder: &Path) -> Result<(), DesignJobError> {
+    let m = designed.channels.len();
+    let channel = |(i, q): (usize, &Quantity)| Channel {
+        name: q.name.clone(),
+        unit: q.unit.clone(),
+        role: Role::Input,
+        values: curves.u.iter().skip(i).step_by(m).copied().collect(),
+    };
+    let data = Dataset {
+        name: job.name.clone(),
+        sample_time_s: job.sample_time_s,
+        channels: designed.channels.iter().enumerate().map(channel).collect(),
+        init_samples: 0,
+        origin: format!("design with seed {}", job.seed),
+    };
+    csv_io::write_dataset(&folder.join("design.csv"), &data)?;
+    let time: Vec<f64> = (0..job.samples).map(|t| t as f64 * job.sample_time_s).collect();
+    // Samples that only initialise have no prediction and stay out.
+    let first =
+        (0..job.samples).find(|t| curves.outputs.iter().all(|o| o.0[*t].is_finite())).unwrap_or(job.samples);
+    let mut columns: Vec<(String, String, Vec<f64>)> =
+        vec![("time".into(), "s".into(), time[first..].to_vec())];
+    for (line, (y, half)) in designed.safety.iter().zip(&curves.outputs) {
+        let (name, unit) = (&line.output.name, &line.output.unit);
+        columns.push((name.clone(), unit.clone(), y[first..].to_vec()));
+        if line.limits.is_some() {
+            columns.push((format!("{name}_band"), unit.clone(), half[first..].to_vec()));
+        }
+    }
+    let columns: Vec<(&str, &str, &[f64])> = columns.iter().map(|c| (&c.0[..], &c.1[..], &c.2[..])).collect();
+    csv_io::write_columns(&folder.join("predicted.csv"), &columns)?;
+    Ok(())
+}

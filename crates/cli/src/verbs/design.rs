@@ -1,0 +1,119 @@
+//! `dynocal design SPEC`: the most informative test signal within the limits of a user's own spec.
+
+use std::path::PathBuf;
+
+use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_calib::design_spec::load::DesignJobError;
+use dynocal_calib::design_spec::result::{Designed, SafetyLine};
+use dynocal_calib::design_spec::run::{Around, run as make};
+use dynocal_calib::design_spec::{Overrides, read};
+use dynocal_deliver::significant;
+use dynocal_design::error::DesignError;
+use dynocal_design::search::Failure as SearchFailure;
+
+use super::Verb;
+use crate::common::{Common, print};
+use crate::failure::{Exit, Failure};
+use crate::{design_report, interrupt, table};
+
+pub(crate) const VERB: Verb =
+    Verb { name: "design", describe: |c| Design::augment_args(c.about(ABOUT)), run };
+
+const ABOUT: &str = "Design the most informative test signal within limits (spec: examples/design/spec.toml)";
+
+#[derive(Args, Debug)]
+struct Design {
+    /// Spec of the design (TOML)
+    spec: PathBuf,
+    #[command(flatten)]
+    common: Common,
+}
+
+fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
+    let args = Design::from_arg_matches(matches)?;
+    let progress = args.common.start()?;
+    let job = read(&args.spec, &Overrides { seed: args.common.seed, out: args.common.out.clone() })?;
+    let around = Around {
+        note: &|text| progress.note(text),
+        progress: &|_| (),
+        interrupt: &|| {
+            progress.evaluation();
+            interrupt::asked()
+        },
+    };
+    let outcome = make(&job, around);
+    progress.finish();
+    let (found, curves, folder) = outcome.map_err(with_hint)?;
+    design_report::write(&job, &found, &curves, folder.path())?;
+    for warning in &found.warnings {
+        eprintln!("warning: {warning}");
+    }
+    args.common.print_summary(&folder.path().join("summary.json"))?;
+    if args.common.shows_text() {
+        print(&text(&found));
+        let files = ["design.csv", "report.html"].map(|f| folder.path().join(f).display().to_string());
+        print(&format!("\n{}\n", files.join("\n")));
+    }
+    Ok(if found.valid { Exit::Done } else { Exit::NotValid })
+}
+
+fn with_hint(e: DesignJobError) -> Failure {
+    let hint = match &e {
+        DesignJobError::Design(d) | DesignJobError::Search(SearchFailure::Problem(d)) => match d {
+            DesignError::NoStart { .. } => {
+                Some("leave out regressors, widen the limits, lengthen the record, or give earlier records in `prior`")
+            }
+            DesignError::Conflict { .. } => Some("one of the two has to give way"),
+            _ => None,
+        },
+        DesignJobError::NotDriven { .. } => Some("see `dynocal list models`"),
+        _ => None,
+    };
+    match hint {
+        Some(h) => Failure::from(e).hint(h),
+        None => e.into(),
+    }
+}
+
+fn text(found: &Designed) -> String {
+    let mut out = format!(
+        "{}: {} samples of {} s, {}\n\n",
+        found.name,
+        found.samples,
+        significant(found.sample_time_s, 4),
+        design_report::ended(found.status)
+    );
+    let rows: Vec<Vec<String>> = found
+        .efficiencies
+        .iter()
+        .map(|e| {
+            let of = |v: f64| if v.is_finite() { format!("{v:.1}") } else { "none".into() };
+            vec![e.model.clone(), e.rival.clone(), of(e.d_percent.0), of(e.i_percent.0), of(e.amplitude_percent)]
+        })
+        .collect();
+    out += "Efficiency of random signals of the same limits, the design being 100 % (medians):\n\n";
+    let header = ["model", "signal", "D [%]", "I [%]", "amplitude left [%]"];
+    out += &table::render(&header, &rows, &[2, 3, 4]);
+    let limited: Vec<&SafetyLine> = found.safety.iter().filter(|s| s.limits.is_some()).collect();
+    if !limited.is_empty() {
+        let rows: Vec<Vec<String>> = limited.iter().map(|s| safety(s)).collect();
+        out += "\nPredicted outputs and their limits:\n\n";
+        let header = ["output", "unit", "predicted", "limits", "margin", "band to limit", "at [s]"];
+        out += &table::render(&header, &rows, &[4, 5, 6]);
+    }
+    out
+}
+
+fn safety(s: &SafetyLine) -> Vec<String> {
+    let range = |r: (f64, f64)| format!("{} to {}", significant(r.0, 4), significant(r.1, 4));
+    let (distance, at) = s.least_distance_of_band.unwrap_or((f64::NAN, f64::NAN));
+    vec![
+        s.output.name.clone(),
+        s.output.unit.clone(),
+        range(s.predicted),
+        s.limits.map_or(String::new(), range),
+        s.margin.map_or(String::new(), |m| significant(m.value, 3)),
+        significant(distance, 3),
+        format!("{at:.2}"),
+    ]
+}
