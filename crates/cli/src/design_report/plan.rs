@@ -44,32 +44,45 @@ pub(super) fn section(job: &Job, found: &Designed, curves: &Curves) -> Section {
     Section::new("Plan").block(inputs).block(outputs)
 }
 
-/// The safety table.
+/// The safety table, and what the margins stand on.
 pub(super) fn safety(found: &Designed) -> Section {
     let mut table = Table::new(vec![
         Column::text("Output"),
-        Column::text("Predicted"),
-        Column::text("Limits"),
-        Column::text("Margin"),
+        Column::number("Predicted", "from").digits(4),
+        Column::number("", "to").digits(4),
+        Column::number("Limits", "from").digits(4),
+        Column::number("", "to").digits(4),
         Column::number("Prediction to limit", "").digits(4),
         Column::number("Band to limit", "").digits(4),
         Column::number("Worst at", "s").digits(4),
-        Column::number("Plan outside of what was identified", "%").digits(3),
     ]);
     for s in &found.safety {
-        let range = |r: (f64, f64)| format!("{:.5} to {:.5} {}", r.0, r.1, s.output.unit);
         table = table.row(vec![
-            s.output.name.as_str().into(),
-            range(s.predicted).into(),
-            s.limits.map_or("none".into(), range).into(),
-            s.margin.map_or(String::new(), |m| margin(&m, &s.output.unit)).into(),
+            format!("{} [{}]", s.output.name, s.output.unit).into(),
+            s.predicted.0.into(),
+            s.predicted.1.into(),
+            Cell::from(s.limits.map(|l| l.0)),
+            Cell::from(s.limits.map(|l| l.1)),
             Cell::from(s.least_distance.map(|d| d.0)),
             Cell::from(s.least_distance_of_band.map(|d| d.0)),
             Cell::from(s.least_distance_of_band.map(|d| d.1)),
-            Cell::from(s.outside.map(|o| 100.0 * o.1)),
         ]);
     }
-    Section::new("Safety").block(table).text(
+    let mut section = Section::new("Safety").block(table);
+    for s in &found.safety {
+        let margin =
+            s.margin.map(|m| format!("Margin of {}: {}.", s.output.name, margin(&m, &s.output.unit)));
+        let outside = s.outside.map(|(worst, share)| {
+            format!(
+                " {:.1} % of the plan lie outside of what its model was identified on, at most {worst:.2} of the boundary.",
+                100.0 * share
+            )
+        });
+        if let Some(text) = margin.map(|m| m + &outside.unwrap_or_default()) {
+            section = section.text(text);
+        }
+    }
+    section.text(
         "The band is the margin about the prediction; it grows with the square of the distance to what was identified. \
          Distances are to the nearer limit, negative where it is passed. On the bed a supervisor should still watch the \
          measured outputs.",
