@@ -1,9 +1,10 @@
 //! What happens between steps: latched events, injection, sums, torque sensor.
 
 use crate::combustion::{Charge, Wiebe};
+use crate::end_gas::{EndGas, ZoneStep};
 use crate::engine::VirtualEngine;
 use crate::grid::EventKind;
-use crate::state::{CycleRecord, EXHAUST, INTAKE, Sums};
+use crate::state::{CycleRecord, EXHAUST, INTAKE, PIPE, Sums};
 use std::f64::consts::PI;
 
 impl VirtualEngine {
@@ -23,6 +24,7 @@ impl VirtualEngine {
         let geometry = &self.params.geometry;
         let s = &mut self.state;
         let u = &s.inputs;
+        let boosted = &self.model.boosted;
         let d = &self.deviations;
         let m = &mut s.cylinders[c];
         let [air, fuel, products] = [0, 1, 2].map(|i| s.gas.mass_kg[i][c]);
@@ -45,8 +47,14 @@ impl VirtualEngine {
                     lambda: m.lambda,
                     trapped_kg: m.trapped_kg,
                     ca_deg: [0.1, 0.5, 0.9].map(|x| m.wiebe.angle_of_fraction_deg(x)),
+                    knock: m.end_gas.knock,
+                    burned_k: m.end_gas.burned_k,
                     ..m.last
                 };
+                if let (Some((model, _)), Some(table)) = (&boosted.emissions, &boosted.table) {
+                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable);
+                }
+                m.end_gas.t_k = 0.0;
                 m.running_peak_pa = 0.0;
                 s.peak_mean_pa = 0.25 * s.cylinders.iter().map(|m| m.last.peak_pa).sum::<f64>();
             }
@@ -66,6 +74,11 @@ impl VirtualEngine {
                 let p = self.model.gas.mass_r_j_k([air, fuel, products]) * t / node.volume_m3;
                 m.woschni_ref = geometry.displacement_m3() * t / (p * node.volume_m3);
                 m.motored_ref = p / node.motored;
+                if boosted.zones() {
+                    m.end_gas = EndGas::closed(&self.model.gas, [air, fuel, products], p, t);
+                    let total = air + fuel + products;
+                    m.end_gas.entrained = 1e-6 * m.last.emissions.no_ppm * products / total;
+                }
             }
             EventKind::Spark => {
                 let gas = &self.model.gas;
@@ -74,9 +87,16 @@ impl VirtualEngine {
                 m.trapped_kg = total;
                 m.residual = products / total;
                 m.lambda = gas.lambda(air, all_fuel, 0.0);
+                m.stable = self.params.burn.stability(m.lambda, m.residual);
+                if let (Some(energy), Some(table)) = (&boosted.burned, &boosted.table) {
+                    m.held = table.held(m.lambda, energy.dissociation);
+                    m.bound_j_kg = energy.bound_j_kg * (1.0 / m.lambda - 1.0).clamp(0.0, 2.0);
+                }
                 let limited = all_fuel.min(air / gas.afr_stoich).max(0.0);
                 let scale = d.scatter.cycle(d.seed, s.cycle, c);
-                let share = self.params.burn.burnable_share(m.lambda) * scale.heat;
+                let share = self.params.burn.burnable_share(m.lambda)
+                    * self.params.burn.dilution_share(m.residual)
+                    * scale.heat;
                 m.burnable_kg = share.min(1.0) * limited;
                 let wiebe: Wiebe = self.params.burn.wiebe(&Charge {
                     speed_rpm: u.speed_rpm,
@@ -110,6 +130,9 @@ impl VirtualEngine {
 
     /// Sums, balance sheet and sensors after a step of `cells` cells; rates are those of the midpoint.
     pub(crate) fn account(&mut self, cells: usize, dt: f64, middle: &[usize; 4]) {
+        if self.model.boosted.zones() {
+            self.follow_zones(dt, middle);
+        }
         let s = &mut self.state;
         let k = &self.k;
         let mut power = 0.0;
@@ -143,6 +166,9 @@ impl VirtualEngine {
             map_pa_s: dt * k.p[INTAKE],
             exhaust_pa_s: dt * k.p[EXHAUST],
             air_kg: dt * k.throttle,
+            pipe_pa_s: dt * k.p[PIPE],
+            egr_kg: dt * k.egr,
+            surge_s: dt * k.surge,
             exhaust_kg: dt * k.tail,
             exhaust_kg_k: dt * k.tail * s.t_k[EXHAUST],
             work_j: work,
@@ -158,10 +184,33 @@ impl VirtualEngine {
         l.burned_kg += dt * k.burned;
         l.evaporation_j += dt * k.evaporated * self.model.evaporation_j_kg;
         l.enthalpy_in_j += dt * k.enthalpy_in;
-        l.mass_in_kg += dt * (k.throttle - k.tail);
+        l.mass_in_kg += dt * (k.inflow - k.tail);
+        l.bound_j += dt * k.bound;
+        l.compressor_j += dt * k.compressor;
+        l.turbine_j += dt * k.turbine;
         s.time_s += dt;
         s.cell += cells;
         self.turn_over();
+    }
+
+    /// Unburned gas, knock integral and burned zone of closed cylinders, with the state in the middle of the step.
+    fn follow_zones(&mut self, dt_s: f64, middle: &[usize; 4]) {
+        let boosted = &self.model.boosted;
+        for c in 0..4 {
+            let m = &mut self.state.cylinders[c];
+            let phi = self.grid.nodes[middle[c]].phi_deg;
+            // From intake closing (a temperature is there) to the opening of the exhaust.
+            if m.end_gas.t_k == 0.0 || phi > 150.0 {
+                continue;
+            }
+            let (p_pa, t_k) = (self.k.p[c], self.state.t_k[c]);
+            let burned = m.wiebe.burned(phi);
+            let step = ZoneStep { dt_s, p_pa, t_k, burned, lambda: m.lambda };
+            m.end_gas.advance(boosted.knock.as_ref(), &step);
+            if let Some((model, table)) = &boosted.emissions {
+                m.end_gas.react(table, &ZoneStep { dt_s: model.no_factor * dt_s, ..step });
+            }
+        }
     }
 
     /// Half-turn means and wrap of the cycle.

@@ -95,6 +95,19 @@ pub struct BurnModel {
     pub lean_width_lambda: f64,
     /// End of heat release \[deg ATDC\].
     pub end_deg: f64,
+    /// Limit of dilution; absent, burned gas never puts the flame out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dilution: Option<DilutionLimit>,
+}
+
+/// Share of cycles that burn against the share of burned gas in the charge: 1/(1 + exp((x - limit)/width)).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DilutionLimit {
+    /// Share of burned gas (residual and recirculated) at which half of the fuel stays unburned \[-\].
+    pub limit: f64,
+    /// Width \[-\].
+    pub width: f64,
 }
 
 /// Charge of one cylinder when the burn is latched.
@@ -133,7 +146,19 @@ impl BurnModel {
             lean_limit_lambda: 4.0,
             lean_width_lambda: 0.40,
             end_deg: 170.0,
+            dilution: None,
         }
+    }
+
+    /// Share of cycles that burn: lean limit and, where there is one, limit of dilution.
+    pub fn stability(&self, lambda: f64, residual: f64) -> f64 {
+        let lean = 1.0 / (1.0 + ((lambda - self.lean_limit_lambda) / self.lean_width_lambda).exp());
+        lean * self.dilution_share(residual)
+    }
+
+    /// The limit of dilution alone.
+    pub fn dilution_share(&self, residual: f64) -> f64 {
+        self.dilution.map_or(1.0, |d| 1.0 / (1.0 + ((residual - d.limit) / d.width).exp()))
     }
 
     /// Share of min(fuel, air/AFR) that burns.

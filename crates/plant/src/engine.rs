@@ -1,5 +1,6 @@
 //! The virtual engine: construction, stepping, outputs, snapshots.
 
+use crate::dissociation::HeldEnergy;
 use crate::error::PlantError;
 use crate::gas::VOLUMES;
 use crate::grid::Grid;
@@ -86,6 +87,16 @@ impl VirtualEngine {
     /// [`PlantError::Input`] when an input is outside the box; the old inputs stay in force.
     pub fn set_inputs(&mut self, inputs: Inputs) -> Result<(), PlantError> {
         inputs.check()?;
+        if inputs.egr_mm > 0.0 && self.params.egr.is_none() {
+            // The engine has no such path: its box ends at 0.
+            return Err(PlantError::Input {
+                name: "egr",
+                found: inputs.egr_mm,
+                low: 0.0,
+                high: 0.0,
+                unit: "mm",
+            });
+        }
         if inputs != self.state.inputs {
             self.held = Held::new(&self.params, &self.grid, &inputs, &self.deviations);
             self.state.inputs = inputs;
@@ -191,10 +202,12 @@ impl VirtualEngine {
         let s = &self.state;
         let mass_kg = [0, 1, 2].map(|i| s.gas.mass_kg[i][volume]);
         let gas = &self.model.gas;
+        let held = if volume < 4 { s.cylinders[volume].held } else { HeldEnergy::default() };
         let mut t_k = s.t_k[volume];
         for _ in 0..20 {
-            let step =
-                (s.gas.energy_j[volume] - gas.energy_j(mass_kg, t_k)) / gas.heat_capacity_j_k(mass_kg, t_k);
+            let (d, slope) = held.at(t_k);
+            let step = (s.gas.energy_j[volume] - gas.energy_j(mass_kg, t_k) - mass_kg[2] * d)
+                / (gas.heat_capacity_j_k(mass_kg, t_k) + mass_kg[2] * slope);
             t_k += step;
             if step.abs() < 1e-9 {
                 break;

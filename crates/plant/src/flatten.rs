@@ -7,6 +7,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     s.gas.mass_kg.iter_mut().flatten().for_each(&mut *f);
     s.gas.energy_j.iter_mut().for_each(&mut *f);
     s.gas.liquid_kg.iter_mut().for_each(&mut *f);
+    f(&mut s.gas.shaft_rad_s);
     s.t_k.iter_mut().for_each(&mut *f);
     s.t_before_k.iter_mut().for_each(&mut *f);
     for c in &mut s.cylinders {
@@ -24,6 +25,25 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
             .for_each(&mut *f);
         [&mut l.residual, &mut l.lambda, &mut l.trapped_kg].into_iter().for_each(&mut *f);
         l.ca_deg.iter_mut().for_each(&mut *f);
+        let (h, z, e) = (&mut c.held, &mut c.end_gas, &mut l.emissions);
+        [&mut c.stable, &mut c.bound_j_kg, &mut h.a, &mut h.b_k, &mut h.off_j_kg]
+            .into_iter()
+            .for_each(&mut *f);
+        [
+            &mut z.t_k,
+            &mut z.p_pa,
+            &mut z.knock,
+            &mut z.x_no,
+            &mut z.burned,
+            &mut z.burned_k,
+            &mut z.entrained,
+        ]
+        .into_iter()
+        .for_each(&mut *f);
+        z.kappa.iter_mut().for_each(&mut *f);
+        [&mut l.knock, &mut l.burned_k, &mut e.no_ppm, &mut e.co_pct, &mut e.hc_ppm]
+            .into_iter()
+            .for_each(&mut *f);
         let film = &mut c.film;
         [&mut film.film_kg, &mut film.airborne_kg, &mut film.time_s].into_iter().for_each(&mut *f);
     }
@@ -34,6 +54,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     [&mut u.intake_mop_deg_btdc, &mut u.exhaust_mop_deg_atdc, &mut u.wastegate_mm, &mut u.wiebe_m]
         .into_iter()
         .for_each(&mut *f);
+    f(&mut u.egr_mm);
     // A missing duration travels as -1: durations are positive.
     let mut duration = u.burn_duration_deg.unwrap_or(-1.0);
     f(&mut duration);
@@ -50,6 +71,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     [&mut l.enthalpy_in_j, &mut l.mass_in_kg, &mut l.injected_kg, &mut l.cylinder_heat_j]
         .into_iter()
         .for_each(&mut *f);
+    [&mut l.bound_j, &mut l.compressor_j, &mut l.turbine_j].into_iter().for_each(&mut *f);
     for counter in [&mut s.cell, &mut s.next_event, &mut s.slot] {
         let mut x = *counter as f64;
         f(&mut x);
@@ -64,6 +86,7 @@ fn visit_sums(s: &mut Sums, f: &mut impl FnMut(&mut f64)) {
     [&mut s.time_s, &mut s.lambda_s, &mut s.map_pa_s, &mut s.exhaust_pa_s, &mut s.air_kg]
         .into_iter()
         .for_each(&mut *f);
+    [&mut s.pipe_pa_s, &mut s.egr_kg, &mut s.surge_s].into_iter().for_each(&mut *f);
     [&mut s.exhaust_kg, &mut s.exhaust_kg_k, &mut s.work_j, &mut s.friction_nm_s, &mut s.torque_nm_s]
         .into_iter()
         .for_each(&mut *f);

@@ -87,6 +87,13 @@ impl GasModel {
         1e-3 * horner_u(&c, 1e-3 * t_k).1
     }
 
+    /// Both at once: U \[J\] and m cv \[J/K\].
+    #[inline]
+    pub(crate) fn energy_and_capacity(&self, mass_kg: [f64; 3], t_k: f64) -> (f64, f64) {
+        let (u, du) = horner_u(&self.mix(mass_kg), 1e-3 * t_k);
+        (u, 1e-3 * du)
+    }
+
     /// m R \[J/K\] of the masses.
     pub fn mass_r_j_k(&self, mass_kg: [f64; 3]) -> f64 {
         mass_kg.iter().zip(&self.r_j_kg_k).map(|(m, r)| m * r).sum()

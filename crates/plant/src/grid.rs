@@ -115,10 +115,13 @@ impl Grid {
         self.offset_cells.map(|o| 2 * if cell >= o { cell - o } else { cell + self.cells - o })
     }
 
-    /// Shift that turns a local node into an index of a valve table for the opening point `mop_deg`.
-    pub(crate) fn valve_shift(&self, mop_deg: f64) -> usize {
-        let period = 2 * self.cells as i64;
-        let shift = ((360.0 - mop_deg) * 2.0 / self.cell_deg).round() as i64;
-        shift.rem_euclid(period) as usize
+    /// Shift that turns a local node into an index of a valve table for the opening point `mop_deg`: whole half cells
+    /// and the rest.
+    pub(crate) fn valve_shift(&self, mop_deg: f64) -> (usize, f64) {
+        let period = 2.0 * self.cells as f64;
+        let shift = ((360.0 - mop_deg) * 2.0 / self.cell_deg).rem_euclid(period);
+        let whole = (shift + 1e-9).floor();
+        let rest = shift - whole;
+        (whole as usize % (2 * self.cells), if rest < 1e-9 { 0.0 } else { rest })
     }
 }

@@ -1,6 +1,8 @@
 //! State of a new engine.
 
 use crate::combustion::Wiebe;
+use crate::dissociation::HeldEnergy;
+use crate::end_gas::EndGas;
 use crate::gas::VOLUMES;
 use crate::grid::Grid;
 use crate::inputs::Inputs;
@@ -19,6 +21,10 @@ pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> En
         motored_ref: 0.0,
         residual: 0.0,
         lambda: 9.99,
+        stable: 1.0,
+        bound_j_kg: 0.0,
+        held: HeldEnergy::default(),
+        end_gas: EndGas::default(),
         trapped_kg: 0.0,
         running_peak_pa: 0.0,
         running_peak_deg: 0.0,
@@ -28,7 +34,12 @@ pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> En
     };
     let nodes = grid.local_nodes(0);
     let mut state = EngineState {
-        gas: Gas { mass_kg: [[0.0; VOLUMES]; 3], energy_j: [0.0; VOLUMES], liquid_kg: [0.0; 4] },
+        gas: Gas {
+            mass_kg: [[0.0; VOLUMES]; 3],
+            energy_j: [0.0; VOLUMES],
+            liquid_kg: [0.0; 4],
+            shaft_rad_s: p.turbocharger.map_or(0.0, |t| t.least_rad_s),
+        },
         t_k: [300.0; VOLUMES],
         t_before_k: [300.0; VOLUMES],
         cylinders: [cylinder.clone(), cylinder.clone(), cylinder.clone(), cylinder],

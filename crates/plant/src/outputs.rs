@@ -25,7 +25,7 @@ pub struct Outputs {
     pub map_kpa: f64,
     /// Exhaust-manifold pressure, cycle mean \[kPa\].
     pub exhaust_kpa: f64,
-    /// Charge-pipe (boost) pressure \[kPa\].
+    /// Charge-pipe (boost) pressure, cycle mean \[kPa\]; ambient without a turbocharger.
     pub boost_kpa: f64,
     /// Exhaust-manifold temperature, present value \[K\].
     pub exhaust_k: f64,
@@ -53,6 +53,20 @@ pub struct Outputs {
     pub volumetric_efficiency: f64,
     /// Brake specific fuel consumption \[g/kWh\]; infinite without brake power.
     pub bsfc_g_kwh: f64,
+    /// Speed of the turbocharger \[rpm\]; 0 without one.
+    pub turbo_rpm: f64,
+    /// Share of the last cycle in which the compressor surged \[-\].
+    pub surge: f64,
+    /// Recirculated gas over recirculated gas and air \[-\].
+    pub egr_rate: f64,
+    /// Knock integral, the worst of the four last cycles \[-\]; 1 is the onset, 0 where it is not followed.
+    pub knock: f64,
+    /// Nitric oxide before the catalyst, mean of the last cycles, wet \[ppm\].
+    pub no_ppm: f64,
+    /// Carbon monoxide \[%\].
+    pub co_pct: f64,
+    /// Unburned fuel \[ppm C1\].
+    pub hc_ppm: f64,
     /// Simulated time \[s\].
     pub time_s: f64,
 }
@@ -84,7 +98,10 @@ impl Outputs {
             lambda_cycle: or_now(&cycle),
             map_kpa: 1e-3 * mean(cycle.map_pa_s, cycle.time_s),
             exhaust_kpa: 1e-3 * mean(cycle.exhaust_pa_s, cycle.time_s),
-            boost_kpa: 1e-3 * p.ambient.pressure_pa,
+            boost_kpa: match p.turbocharger {
+                Some(_) => 1e-3 * mean(cycle.pipe_pa_s, cycle.time_s),
+                None => 1e-3 * p.ambient.pressure_pa,
+            },
             exhaust_k: s.t_k[EXHAUST],
             egt_k: if cycle.exhaust_kg > 0.0 {
                 cycle.exhaust_kg_k / cycle.exhaust_kg
@@ -102,6 +119,13 @@ impl Outputs {
             residual: per_cylinder(&|c| c.residual),
             volumetric_efficiency: air_kg_s / (rho * 4.0 * v_d * held.deg_s / 720.0),
             bsfc_g_kwh: if power_kw > 0.0 { 1e3 * fuel_kg_h / power_kw } else { f64::INFINITY },
+            turbo_rpm: s.gas.shaft_rad_s * 30.0 / PI,
+            surge: mean(cycle.surge_s, cycle.time_s),
+            egr_rate: mean(cycle.egr_kg, cycle.egr_kg + cycle.air_kg),
+            knock: s.cylinders.iter().map(|c| c.last.knock).fold(0.0, f64::max),
+            no_ppm: per_cylinder(&|c| c.emissions.no_ppm),
+            co_pct: per_cylinder(&|c| c.emissions.co_pct),
+            hc_ppm: per_cylinder(&|c| c.emissions.hc_ppm),
             time_s: s.time_s,
         }
     }

@@ -8,10 +8,16 @@ mod sets;
 
 pub use sets::{PARAMETER_SETS, ParameterSet};
 
+use crate::cams::CamSchedule;
 use crate::combustion::BurnModel;
+use crate::dissociation::BurnedEnergy;
+use crate::egr::EgrPath;
+use crate::emissions::EmissionsModel;
+use crate::end_gas::KnockModel;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
 use crate::testbed::film::FilmModel;
+use crate::turbocharger::Turbocharger;
 use serde::{Deserialize, Serialize};
 
 /// Ambient air.
@@ -190,6 +196,24 @@ pub struct EngineParams {
     pub port: Option<FilmModel>,
     /// Combustion.
     pub burn: BurnModel,
+    /// Turbocharger; absent, the charge pipe stands at ambient state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turbocharger: Option<Turbocharger>,
+    /// External exhaust-gas recirculation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub egr: Option<EgrPath>,
+    /// Knock integral.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub knock: Option<KnockModel>,
+    /// Dissociation and rich mixture; absent, burned gas is frozen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub burned_energy: Option<BurnedEnergy>,
+    /// Engine-out emissions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub emissions: Option<EmissionsModel>,
+    /// Cam positions of the engine controller.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cams: Option<CamSchedule>,
     /// Heat transfer in the cylinder.
     pub heat: HeatTransfer,
     /// Friction.

@@ -1,6 +1,9 @@
 //! The state of the engine: plain numbers, cloned for snapshots.
 
 use crate::combustion::Wiebe;
+use crate::dissociation::HeldEnergy;
+use crate::emissions::EngineOut;
+use crate::end_gas::EndGas;
 use crate::gas::VOLUMES;
 use crate::inputs::Inputs;
 use crate::testbed::film::Film;
@@ -24,6 +27,8 @@ pub struct Gas {
     pub energy_j: [f64; VOLUMES],
     /// Liquid fuel in the cylinders \[kg\].
     pub liquid_kg: [f64; 4],
+    /// Speed of the turbocharger's shaft \[rad/s\]; it is integrated with the gas.
+    pub shaft_rad_s: f64,
 }
 
 /// What one cylinder remembers between events.
@@ -45,6 +50,14 @@ pub struct Cylinder {
     pub residual: f64,
     /// Lambda of the charge at the spark latch \[-\].
     pub lambda: f64,
+    /// Share of cycles like this one that burn \[-\].
+    pub stable: f64,
+    /// Energy bound in CO and H2 per mass of burned fuel \[J/kg\].
+    pub bound_j_kg: f64,
+    /// Energy of dissociation of the charge.
+    pub held: HeldEnergy,
+    /// Unburned gas and burned zone.
+    pub end_gas: EndGas,
     /// Trapped mass at the spark latch \[kg\].
     pub trapped_kg: f64,
     /// Running peak pressure \[Pa\] and its angle \[deg ATDC\].
@@ -78,6 +91,12 @@ pub struct CycleRecord {
     pub trapped_kg: f64,
     /// Angles of 10, 50 and 90 % burned \[deg ATDC\] (of the burnable fuel).
     pub ca_deg: [f64; 3],
+    /// Knock integral at 90 % burned \[-\]; 1 is the onset.
+    pub knock: f64,
+    /// Hottest burned zone \[K\].
+    pub burned_k: f64,
+    /// Engine-out emissions.
+    pub emissions: EngineOut,
 }
 
 /// Sums over time since they were last cleared.
@@ -93,6 +112,12 @@ pub struct Sums {
     pub exhaust_pa_s: f64,
     /// Air through the throttle \[kg\].
     pub air_kg: f64,
+    /// Integral of the charge-pipe pressure \[Pa s\].
+    pub pipe_pa_s: f64,
+    /// Exhaust gas recirculated \[kg\].
+    pub egr_kg: f64,
+    /// Time in which the compressor surged \[s\].
+    pub surge_s: f64,
     /// Gas out of the tailpipe \[kg\].
     pub exhaust_kg: f64,
     /// Integral of tailpipe flow times exhaust-manifold temperature \[kg K\].
@@ -112,6 +137,9 @@ impl Sums {
         self.map_pa_s += o.map_pa_s;
         self.exhaust_pa_s += o.exhaust_pa_s;
         self.air_kg += o.air_kg;
+        self.pipe_pa_s += o.pipe_pa_s;
+        self.egr_kg += o.egr_kg;
+        self.surge_s += o.surge_s;
         self.exhaust_kg += o.exhaust_kg;
         self.exhaust_kg_k += o.exhaust_kg_k;
         self.work_j += o.work_j;
@@ -133,12 +161,18 @@ pub struct Ledger {
     pub burned_kg: f64,
     /// Heat taken by evaporation \[J\].
     pub evaporation_j: f64,
-    /// Enthalpy in minus out through throttle and tailpipe \[J\].
+    /// Enthalpy in minus out through throttle (with a turbocharger: compressor) and tailpipe \[J\].
     pub enthalpy_in_j: f64,
-    /// Gas mass in minus out through throttle and tailpipe \[kg\].
+    /// Gas mass in minus out through throttle (with a turbocharger: compressor) and tailpipe \[kg\].
     pub mass_in_kg: f64,
     /// Fuel injected \[kg\].
     pub injected_kg: f64,
+    /// Energy bound in CO and H2 on rich mixture \[J\].
+    pub bound_j: f64,
+    /// Work of the compressor on the gas \[J\].
+    pub compressor_j: f64,
+    /// Work of the gas on the turbine \[J\].
+    pub turbine_j: f64,
 }
 
 /// Everything that changes while the engine runs.

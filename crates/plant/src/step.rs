@@ -1,5 +1,6 @@
 //! Right-hand side of the gas state and the explicit midpoint step.
 
+use crate::boosted::Boosted;
 use crate::gas::{GasModel, VOLUMES};
 use crate::grid::{Grid, Node};
 use crate::heat;
@@ -19,8 +20,12 @@ pub(crate) struct Held {
     pub(crate) step_cells: usize,
     pub(crate) throttle_m2: f64,
     pub(crate) turbine_m2: f64,
-    pub(crate) intake_shift: usize,
-    pub(crate) exhaust_shift: usize,
+    /// Share of the turbine in that area.
+    pub(crate) turbine_share: f64,
+    pub(crate) egr_m2: f64,
+    /// Whole half cells and the rest of the shift of each cam.
+    pub(crate) intake_shift: (usize, f64),
+    pub(crate) exhaust_shift: (usize, f64),
     pub(crate) gas_exchange_w: f64,
     pub(crate) closed_w: f64,
     pub(crate) piston_speed: f64,
@@ -47,12 +52,15 @@ impl Held {
         let piston_speed = p.geometry.mean_piston_speed_m_s(u.speed_rpm);
         let wastegate_m = 1e-3 * u.wastegate_mm;
         let wastegate_m2 = 0.25 * std::f64::consts::PI * wastegate_m * wastegate_m;
+        let turbine_m2 = p.exhaust.turbine_m2 + p.exhaust.wastegate_discharge * wastegate_m2;
         Self {
             omega: deg_s.to_radians(),
             deg_s,
             step_cells,
             throttle_m2: p.throttle.area_m2(u.throttle_deg),
-            turbine_m2: p.exhaust.turbine_m2 + p.exhaust.wastegate_discharge * wastegate_m2,
+            turbine_m2,
+            turbine_share: p.exhaust.turbine_m2 / turbine_m2.max(f64::MIN_POSITIVE),
+            egr_m2: p.egr.map_or(0.0, |e| e.area_m2(u.egr_mm)),
             intake_shift: grid.valve_shift(720.0 - u.intake_mop_deg_btdc),
             exhaust_shift: grid.valve_shift(u.exhaust_mop_deg_atdc),
             gas_exchange_w: 6.18 * piston_speed,
@@ -79,6 +87,7 @@ pub(crate) struct Model {
     pub(crate) burn_end_deg: f64,
     pub(crate) evaporation_1_s: f64,
     pub(crate) evaporation_j_kg: f64,
+    pub(crate) boosted: Boosted,
 }
 
 impl Model {
@@ -98,6 +107,7 @@ impl Model {
             // Vapour enters the charge with its enthalpy at 298.15 K (u = 0, so R T), less the latent heat
             // that the charge has to supply.
             evaporation_j_kg: p.injection.charge_share * p.gas.latent_j_kg - p.gas.r_j_kg_k[1] * 298.15,
+            boosted: Boosted::new(p),
         }
     }
 }
@@ -125,6 +135,16 @@ pub(crate) struct Rates {
     pub(crate) tail: f64,
     /// Enthalpy into the engine \[W\].
     pub(crate) enthalpy_in: f64,
+    /// Flow into the engine (throttle or compressor) and recirculated \[kg/s\].
+    pub(crate) inflow: f64,
+    pub(crate) egr: f64,
+    /// Power of compressor and turbine, energy bound in CO and H2 \[W\].
+    pub(crate) compressor: f64,
+    pub(crate) turbine: f64,
+    pub(crate) bound: f64,
+    /// Shaft of the turbocharger \[rad/s2\]; 1 while the compressor surges.
+    pub(crate) shaft: f64,
+    pub(crate) surge: f64,
 }
 
 impl Rates {
@@ -141,17 +161,24 @@ impl Rates {
         throttle: 0.0,
         tail: 0.0,
         enthalpy_in: 0.0,
+        inflow: 0.0,
+        egr: 0.0,
+        compressor: 0.0,
+        turbine: 0.0,
+        bound: 0.0,
+        shaft: 0.0,
+        surge: 0.0,
     };
 }
 
 /// Properties of all volumes at one stage.
-struct Stage {
-    p: [f64; VOLUMES],
-    gamma: [f64; VOLUMES],
+pub(crate) struct Stage {
+    pub(crate) p: [f64; VOLUMES],
+    pub(crate) gamma: [f64; VOLUMES],
     inv_m: [f64; VOLUMES],
     h: [f64; VOLUMES],
     /// p/sqrt(R T).
-    drive: [f64; VOLUMES],
+    pub(crate) drive: [f64; VOLUMES],
 }
 
 impl Model {
@@ -172,17 +199,22 @@ impl Model {
             at[c] = &grid.nodes[nodes[c]];
             volume[c] = at[c].volume_m3;
         }
-        let s = self.properties(gas, &volume, t_k);
+        let s = self.properties(gas, &volume, cylinders, t_k);
         *k = Rates::ZERO;
         self.manifold_flows(&s, gas, held, t_k, k);
         let period = 2 * grid.cells;
         for c in 0..4 {
-            let wrap = |i: usize| if i >= period { i - period } else { i };
-            let intake = grid.intake_m2[wrap(nodes[c] + held.intake_shift)];
+            // A cam between two nodes of the grid: areas in between (the tables are padded).
+            let area = |table: &[f64], (whole, rest): (usize, f64)| {
+                let i = nodes[c] + whole;
+                let i = if i >= period { i - period } else { i };
+                if rest == 0.0 { table[i] } else { table[i] + rest * (table[i + 1] - table[i]) }
+            };
+            let intake = area(&grid.intake_m2, held.intake_shift);
             if intake > 0.0 {
                 self.exchange(&s, gas, INTAKE, c, intake, k);
             }
-            let exhaust = grid.exhaust_m2[wrap(nodes[c] + held.exhaust_shift)];
+            let exhaust = area(&grid.exhaust_m2, held.exhaust_shift);
             if exhaust > 0.0 {
                 self.exchange(&s, gas, c, EXHAUST, exhaust, k);
             }
@@ -192,9 +224,19 @@ impl Model {
     }
 
     #[inline]
-    fn properties(&self, gas: &Gas, volume: &[f64; VOLUMES], t_k: &mut [f64; VOLUMES]) -> Stage {
+    fn properties(
+        &self,
+        gas: &Gas,
+        volume: &[f64; VOLUMES],
+        cylinders: &[Cylinder; 4],
+        t_k: &mut [f64; VOLUMES],
+    ) -> Stage {
         let mut mcv = [0.0; VOLUMES];
+        let guess = [t_k[0], t_k[1], t_k[2], t_k[3]];
         self.gas.temperatures(&gas.mass_kg, &gas.energy_j, t_k, &mut mcv);
+        if self.boosted.burned.is_some() {
+            self.dissociated(gas, cylinders, &guess, t_k, &mut mcv);
+        }
         let [ra, rf, rp] = self.gas.r_j_kg_k;
         let [ma, mf, mp] = &gas.mass_kg;
         let mut s = Stage {
@@ -220,7 +262,15 @@ impl Model {
     /// Flow between two volumes with the composition and enthalpy of the upstream one; returns the
     /// signed mass flow from `a` to `b` \[kg/s\].
     #[inline]
-    fn exchange(&self, s: &Stage, gas: &Gas, a: usize, b: usize, area_m2: f64, k: &mut Rates) -> f64 {
+    pub(crate) fn exchange(
+        &self,
+        s: &Stage,
+        gas: &Gas,
+        a: usize,
+        b: usize,
+        area_m2: f64,
+        k: &mut Rates,
+    ) -> f64 {
         let forward = s.p[a] >= s.p[b];
         let (u, d) = if forward { (a & 7, b & 7) } else { (b & 7, a & 7) };
         let flow = area_m2 * s.drive[u] * self.psi.psi(s.p[d] / s.p[u], s.gamma[u]);
@@ -238,13 +288,25 @@ impl Model {
 
     fn manifold_flows(&self, s: &Stage, gas: &Gas, held: &Held, t_k: &[f64; VOLUMES], k: &mut Rates) {
         k.throttle = self.exchange(s, gas, PIPE, INTAKE, held.throttle_m2, k);
-        // The charge pipe is a reservoir at ambient state while the turbocharger is off.
-        k.enthalpy_in = -k.energy[PIPE];
-        for i in 0..3 {
-            k.mass[i][PIPE] = 0.0;
+        let turbo = &self.boosted.turbo;
+        if turbo.is_none() {
+            // The charge pipe is a reservoir at ambient state while the turbocharger is off.
+            k.enthalpy_in = -k.energy[PIPE];
+            for i in 0..3 {
+                k.mass[i][PIPE] = 0.0;
+            }
+            k.energy[PIPE] = 0.0;
+            k.inflow = k.throttle;
         }
-        k.energy[PIPE] = 0.0;
-        self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
+        let flow = self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
+        if let Some(turbo) = turbo {
+            self.turbocharger(turbo, s, gas, held, flow, t_k[EXHAUST], k);
+        }
+        if let Some(path) = &self.boosted.egr
+            && held.egr_m2 > 0.0
+        {
+            self.recirculate(path, s, gas, held, t_k[EXHAUST], k);
+        }
         // Reverse flow returns exhaust gas, never ambient air: pulsation would dilute the lambda signal.
         let (p, pa) = (s.p[CATALYST], self.ambient_pa);
         let (gamma, drive) = (s.gamma[CATALYST], s.drive[CATALYST]);
@@ -303,8 +365,9 @@ impl Model {
             k.mass[0][c] -= self.gas.afr_stoich * b;
             k.mass[1][c] -= b;
             k.mass[2][c] += (self.gas.afr_stoich + 1.0) * b;
-            energy += self.gas.lhv_j_kg * b;
+            energy += (self.gas.lhv_j_kg - memory.bound_j_kg) * b;
             k.burned += b;
+            k.bound += memory.bound_j_kg * b;
         }
         if gas.liquid_kg[c] > 0.0 {
             let e = gas.liquid_kg[c] * self.evaporation_1_s;
@@ -334,6 +397,7 @@ pub(crate) fn advance(start: &Gas, k: &Rates, dt_s: f64, out: &mut Gas) {
     for c in 0..4 {
         out.liquid_kg[c] = start.liquid_kg[c] + dt_s * k.liquid[c];
     }
+    out.shaft_rad_s = start.shaft_rad_s + dt_s * k.shaft;
 }
 
 /// `gas += dt * k`.
@@ -350,4 +414,5 @@ pub(crate) fn add(gas: &mut Gas, k: &Rates, dt_s: f64) {
     for c in 0..4 {
         gas.liquid_kg[c] += dt_s * k.liquid[c];
     }
+    gas.shaft_rad_s += dt_s * k.shaft;
 }

@@ -23,6 +23,7 @@ impl EngineParams {
         self.check_mechanics()?;
         self.check_gas_path()?;
         self.check_combustion()?;
+        self.check_boosted()?;
         self.check_stepping()
     }
 
@@ -110,9 +111,66 @@ impl EngineParams {
             ("burn.lean_limit_lambda", b.lean_limit_lambda, 1.0, 10.0),
             ("burn.lean_width_lambda", b.lean_width_lambda, 0.001, 5.0),
             ("burn.end_deg", b.end_deg, 60.0, 180.0),
+            ("burn.dilution.limit", b.dilution.map_or(0.5, |d| d.limit), 0.05, 2.0),
+            ("burn.dilution.width", b.dilution.map_or(0.5, |d| d.width), 1e-3, 1.0),
             ("heat.scale", h.scale, 0.0, 5.0),
             ("heat.wall_k", h.wall_k, 220.0, 800.0),
         ])
+    }
+
+    fn check_boosted(&self) -> Result<(), PlantError> {
+        if let Some(t) = &self.turbocharger {
+            first_outside(&[
+                ("turbocharger.compressor_m", t.compressor_m, 0.01, 0.3),
+                ("turbocharger.head_coefficient", t.head_coefficient, 0.2, 3.0),
+                ("turbocharger.flow_coefficient", t.flow_coefficient, 0.01, 0.5),
+                ("turbocharger.compressor_efficiency", t.compressor_efficiency, 0.3, 1.0),
+                ("turbocharger.compressor_falloff", t.compressor_falloff, 0.0, 5.0),
+                ("turbocharger.best_flow_ratio", t.best_flow_ratio, 0.1, 1.0),
+                ("turbocharger.turbine_m", t.turbine_m, 0.01, 0.3),
+                ("turbocharger.turbine_efficiency", t.turbine_efficiency, 0.1, 1.0),
+                ("turbocharger.best_speed_ratio", t.best_speed_ratio, 0.2, 1.5),
+                ("turbocharger.mechanical_efficiency", t.mechanical_efficiency, 0.1, 1.0),
+                ("turbocharger.friction_w_s2", t.friction_w_s2, 0.0, 1e-3),
+                ("turbocharger.inertia_kg_m2", t.inertia_kg_m2, 1e-7, 1e-2),
+                ("turbocharger.cooling", t.cooling, 0.0, 1.0),
+                ("turbocharger.least_rad_s", t.least_rad_s, 10.0, 5000.0),
+            ])?;
+        }
+        if let Some(e) = &self.egr {
+            first_outside(&[
+                ("egr.discharge", e.discharge, 0.0, 1.0),
+                ("egr.cooling", e.cooling, 0.0, 1.0),
+                ("egr.coolant_k", e.coolant_k, 220.0, 500.0),
+            ])?;
+        }
+        if let Some(k) = &self.knock {
+            first_outside(&[
+                ("knock.octane", k.octane, 60.0, 130.0),
+                ("knock.delay_factor", k.delay_factor, 0.05, 20.0),
+            ])?;
+        }
+        if let Some(b) = &self.burned_energy {
+            first_outside(&[
+                ("burned_energy.dissociation", b.dissociation, 0.0, 2.0),
+                ("burned_energy.bound_j_kg", b.bound_j_kg, 0.0, 2e7),
+            ])?;
+        }
+        if let Some(e) = &self.emissions {
+            first_outside(&[
+                ("emissions.crevice_share", e.crevice_share, 0.0, 0.2),
+                ("emissions.unmixed_share", e.unmixed_share, 0.0, 0.5),
+                ("emissions.no_factor", e.no_factor, 0.0, 10.0),
+            ])?;
+        }
+        match &self.cams {
+            Some(c) if !c.fits() => Err(PlantError::Parameter {
+                name: "cams.speed_rpm",
+                found: c.speed_rpm.len() as f64,
+                expected: "two or more rising speeds, each list as long, positions of 180 to 300 deg, full above part load",
+            }),
+            _ => Ok(()),
+        }
     }
 
     fn check_stepping(&self) -> Result<(), PlantError> {

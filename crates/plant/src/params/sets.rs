@@ -31,6 +31,14 @@ pub static PARAMETER_SETS: &[ParameterSet] = &[
         },
         text: include_str!("../../parameters/pfi_1_6l.toml"),
     },
+    ParameterSet {
+        doc: MemberDoc {
+            name: "gtdi_2l",
+            what: "2.0 l turbocharged, physical mode: knock, cam phasing, recirculation, emissions; class values",
+            params: &[],
+        },
+        text: include_str!("../../parameters/gtdi_2l.toml"),
+    },
 ];
 
 impl EngineParams {

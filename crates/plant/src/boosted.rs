@@ -1,0 +1,148 @@
+//! Level F1 in the right-hand side: turbocharger, recirculation, dissociated gas in the cylinders.
+//!
+//! Every part is optional; an engine without them runs through none of this.
+
+use crate::dissociation::{BurnedEnergy, BurnedTable};
+use crate::egr::EgrPath;
+use crate::emissions::EmissionsModel;
+use crate::end_gas::KnockModel;
+use crate::gas::VOLUMES;
+use crate::nitric_oxide::ZeldovichTable;
+use crate::params::EngineParams;
+use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
+use crate::step::{Held, Model, Rates, Stage};
+use crate::turbocharger::Turbocharger;
+
+/// Constants and tables of level F1.
+#[derive(Debug, Clone)]
+pub(crate) struct Boosted {
+    pub(crate) turbo: Option<Turbocharger>,
+    pub(crate) egr: Option<EgrPath>,
+    pub(crate) knock: Option<KnockModel>,
+    pub(crate) burned: Option<BurnedEnergy>,
+    /// Present with `burned` or `emissions`.
+    pub(crate) table: Option<BurnedTable>,
+    pub(crate) emissions: Option<(EmissionsModel, ZeldovichTable)>,
+    ambient_k: f64,
+    /// Density \[kg/m3\] and enthalpy \[J/kg\] of ambient air.
+    rho: f64,
+    enthalpy: f64,
+}
+
+impl Boosted {
+    pub(crate) fn new(p: &EngineParams) -> Self {
+        let (t_k, r) = (p.ambient.temperature_k, p.gas.r_j_kg_k[0]);
+        Self {
+            turbo: p.turbocharger,
+            egr: p.egr,
+            knock: p.knock,
+            burned: p.burned_energy,
+            table: (p.burned_energy.is_some() || p.emissions.is_some()).then(BurnedTable::default),
+            emissions: p.emissions.map(|e| (e, ZeldovichTable::default())),
+            ambient_k: t_k,
+            rho: p.ambient.pressure_pa / (r * t_k),
+            enthalpy: p.gas.energy_j([1.0, 0.0, 0.0], t_k) + r * t_k,
+        }
+    }
+
+    /// Whether unburned gas and burned zone are followed.
+    pub(crate) fn zones(&self) -> bool {
+        self.knock.is_some() || self.emissions.is_some()
+    }
+}
+
+impl Model {
+    /// The compressor fills the charge pipe; the turbine takes its power out of what flows to the catalyst.
+    pub(crate) fn turbocharger(
+        &self,
+        t: &Turbocharger,
+        s: &Stage,
+        gas: &Gas,
+        held: &Held,
+        flow: f64,
+        t_k: f64,
+        k: &mut Rates,
+    ) {
+        let b = &self.boosted;
+        let w = gas.shaft_rad_s;
+        let c = t.compressor(w, s.p[PIPE], self.ambient_pa, b.ambient_k, b.rho);
+        let cooled = t.cooling * c.power_w;
+        k.mass[0][PIPE] += c.flow_kg_s;
+        k.energy[PIPE] += c.flow_kg_s * b.enthalpy + c.power_w - cooled;
+        k.wall += cooled;
+        k.enthalpy_in += c.flow_kg_s * b.enthalpy;
+        k.inflow = c.flow_kg_s;
+        k.compressor = c.power_w;
+        k.surge = f64::from(u8::from(c.surge));
+        let gamma = s.gamma[EXHAUST];
+        let kappa = (gamma - 1.0) / gamma;
+        let cp = gas_constant(s, EXHAUST, t_k) / kappa;
+        let through = flow * held.turbine_share;
+        let power = t.turbine_power_w(w, through, cp, kappa, t_k, s.p[CATALYST] / s.p[EXHAUST]);
+        k.energy[CATALYST] -= power;
+        k.turbine = power;
+        k.shaft = t.acceleration(w, power, c.power_w);
+    }
+
+    /// Exhaust gas to the intake manifold, cooled.
+    pub(crate) fn recirculate(
+        &self,
+        e: &EgrPath,
+        s: &Stage,
+        gas: &Gas,
+        held: &Held,
+        t_k: f64,
+        k: &mut Rates,
+    ) {
+        if s.p[EXHAUST] <= s.p[INTAKE] {
+            return;
+        }
+        let before = k.energy[INTAKE];
+        k.egr = self.exchange(s, gas, EXHAUST, INTAKE, held.egr_m2, k);
+        let gamma = s.gamma[EXHAUST];
+        let cp = gas_constant(s, EXHAUST, t_k) * gamma / (gamma - 1.0);
+        // No colder than the energy that came along.
+        let carried = k.energy[INTAKE] - before;
+        let cooled = (e.cooling * k.egr * cp * (t_k - e.coolant_k)).clamp(0.0, carried.max(0.0));
+        k.energy[INTAKE] -= cooled;
+        k.wall += cooled;
+    }
+
+    /// Temperatures of hot cylinders with the energy of dissociation: E = sum m u(T) + m_p d(T).
+    pub(crate) fn dissociated(
+        &self,
+        gas: &Gas,
+        cylinders: &[Cylinder; 4],
+        guess: &[f64; 4],
+        t_k: &mut [f64; VOLUMES],
+        mcv: &mut [f64; VOLUMES],
+    ) {
+        for c in 0..4 {
+            let held = &cylinders[c].held;
+            if held.at(t_k[c]).0 == 0.0 {
+                continue;
+            }
+            let mass = [0, 1, 2].map(|i| gas.mass_kg[i][c]);
+            // The frozen temperature lies above: start from the last one where that is hot too.
+            let mut t = if guess[c] > 1600.0 { guess[c] } else { t_k[c] };
+            for _ in 0..12 {
+                let (d, slope) = held.at(t);
+                let (u, cv) = self.gas.energy_and_capacity(mass, t);
+                let cap = cv + mass[2] * slope;
+                let step = (gas.energy_j[c] - u - mass[2] * d) / cap;
+                t = (t + step).clamp(150.0, 4000.0);
+                mcv[c] = cap;
+                if step.abs() < 0.02 {
+                    break;
+                }
+            }
+            t_k[c] = t;
+        }
+    }
+}
+
+/// R \[J/kg/K\] of the gas of a volume, from its pressure drive p/sqrt(R T).
+fn gas_constant(s: &Stage, v: usize, t_k: f64) -> f64 {
+    let root = s.p[v] / s.drive[v];
+    root * root / t_k
+}

@@ -1,0 +1,58 @@
+//! Cam positions over speed and load, as an engine controller would hold them.
+
+use serde::{Deserialize, Serialize};
+
+/// Maximum opening points over speed, at no load and at full load; linear in between.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CamSchedule {
+    /// Speeds \[rpm\], rising.
+    pub speed_rpm: Vec<f64>,
+    /// Intake at part load (up to `part_load_kpa`) \[deg BTDC firing\], one per speed.
+    pub intake_part_deg: Vec<f64>,
+    /// Exhaust at part load \[deg ATDC firing\].
+    pub exhaust_part_deg: Vec<f64>,
+    /// Intake at full load (from `full_load_kpa`) \[deg BTDC firing\].
+    pub intake_full_deg: Vec<f64>,
+    /// Exhaust at full load \[deg ATDC firing\].
+    pub exhaust_full_deg: Vec<f64>,
+    /// Intake-manifold pressures of part and full load \[kPa\].
+    pub part_load_kpa: f64,
+    /// Full load \[kPa\].
+    pub full_load_kpa: f64,
+}
+
+impl CamSchedule {
+    /// Intake \[deg BTDC\] and exhaust \[deg ATDC\] opening points at a speed \[rpm\] and manifold pressure \[kPa\].
+    pub fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
+        let load =
+            ((map_kpa - self.part_load_kpa) / (self.full_load_kpa - self.part_load_kpa)).clamp(0.0, 1.0);
+        let over = |part: &[f64], full: &[f64]| {
+            let (a, b) = (self.speed(part, speed_rpm), self.speed(full, speed_rpm));
+            a + load * (b - a)
+        };
+        (
+            over(&self.intake_part_deg, &self.intake_full_deg),
+            over(&self.exhaust_part_deg, &self.exhaust_full_deg),
+        )
+    }
+
+    /// Linear over speed, held at the ends.
+    fn speed(&self, y: &[f64], speed_rpm: f64) -> f64 {
+        let x = &self.speed_rpm;
+        let k = x.partition_point(|v| *v <= speed_rpm).clamp(1, x.len() - 1);
+        let w = ((speed_rpm - x[k - 1]) / (x[k] - x[k - 1])).clamp(0.0, 1.0);
+        y[k - 1] + w * (y[k] - y[k - 1])
+    }
+
+    /// Whether the lists fit: as long as the speeds, two or more, rising; inside the box of the inputs.
+    pub fn fits(&self) -> bool {
+        let n = self.speed_rpm.len();
+        let lists =
+            [&self.intake_part_deg, &self.exhaust_part_deg, &self.intake_full_deg, &self.exhaust_full_deg];
+        n >= 2
+            && self.speed_rpm.windows(2).all(|w| w[1] > w[0])
+            && lists.iter().all(|l| l.len() == n && l.iter().all(|v| (180.0..=300.0).contains(v)))
+            && self.full_load_kpa > self.part_load_kpa
+    }
+}

@@ -1,0 +1,135 @@
+//! Energy held by dissociated burned gas, and energy bound in carbon monoxide and hydrogen on rich mixture.
+//!
+//! The species of the gas model are frozen. Real burned gas holds d(T, lambda) more energy than frozen gas, up to a
+//! tenth of the heating value at 2700 K, which comes back as the gas cools. The energy of a cylinder becomes
+//! E = sum m_i u_i(T) + m_p d(T), with d = exp(a - b/T) - exp(a - b/T_off) above T_off and a, b from equilibrium at
+//! 2300 and 2700 K for the lambda of the charge. As E stays the conserved quantity, nothing is lost or gained; gas that
+//! leaves the cylinder takes the rest along and is recombined in the exhaust.
+//!
+//! On rich mixture the frozen species are products and left-over fuel; real gas splits that fuel into CO and H2
+//! (water-gas equilibrium, frozen near 1740 K: Heywood 4.9), which binds energy. The burn releases less by
+//! `bound_j_kg` (1/lambda - 1) per mass of burned fuel.
+
+use crate::equilibrium;
+use serde::{Deserialize, Serialize};
+
+/// Temperature below which burned gas is frozen \[K\].
+const OFF_K: f64 = 1500.0;
+/// Temperatures \[K\] and pressure \[Pa\] of the fit of d.
+const FIT_K: [f64; 2] = [2300.0, 2700.0];
+const FIT_PA: f64 = 30e5;
+/// Temperature \[K\] and pressure \[Pa\] at which CO, H2, CO2 and H2O freeze.
+pub const FREEZE_K: f64 = 1740.0;
+const FREEZE_PA: f64 = 10e5;
+/// Range and spacing of lambda.
+const LAMBDA: (f64, f64, f64) = (0.6, 2.0, 0.02);
+
+/// Constants of the energy of burned gas.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BurnedEnergy {
+    /// Multiplier of d(T, lambda) \[-\]: 1 is equilibrium, 0 frozen gas.
+    pub dissociation: f64,
+    /// Energy bound per mass of fuel above stoichiometric \[J/kg\]. Chemically 14.5e6; the frozen vapour that stands for
+    /// CO and H2 has too high a heat capacity, which takes 0.6e6 off at 1000 K and 4.3e6 at 2400 K.
+    pub bound_j_kg: f64,
+}
+
+/// d(T) of one charge.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct HeldEnergy {
+    /// a \[-\], with d in J per kg of products; 0 switches off.
+    pub a: f64,
+    /// b \[K\].
+    pub b_k: f64,
+    /// exp(a - b/T_off) \[J/kg\].
+    pub off_j_kg: f64,
+}
+
+impl HeldEnergy {
+    /// d \[J/kg products\] and its derivative \[J/kg/K\].
+    #[inline]
+    pub fn at(&self, t_k: f64) -> (f64, f64) {
+        if t_k <= OFF_K || self.off_j_kg == 0.0 {
+            return (0.0, 0.0);
+        }
+        let e = (self.a - self.b_k / t_k).exp();
+        (e - self.off_j_kg, e * self.b_k / (t_k * t_k))
+    }
+}
+
+/// d and the composition of frozen exhaust against lambda.
+#[derive(Debug, Clone)]
+pub struct BurnedTable {
+    /// ln d at the two temperatures of the fit.
+    ln_d: Vec<[f64; 2]>,
+    /// Mole fractions of CO, H2 and O2 in the frozen exhaust of complete combustion.
+    frozen: Vec<[f64; 3]>,
+}
+
+impl Default for BurnedTable {
+    fn default() -> Self {
+        let n = ((LAMBDA.1 - LAMBDA.0) / LAMBDA.2).round() as usize;
+        let rows = (0..=n).map(|k| row(LAMBDA.0 + LAMBDA.2 * k as f64));
+        let (ln_d, frozen) = rows.unzip();
+        Self { ln_d, frozen }
+    }
+}
+
+/// ln d at the temperatures of the fit and the frozen composition of one lambda.
+fn row(lambda: f64) -> ([f64; 2], [f64; 3]) {
+    let Some(frozen) = frozen(lambda) else { return ([f64::NEG_INFINITY; 2], [0.0; 3]) };
+    let of_stoich = 14.7 * lambda.min(1.0) + lambda.min(1.0);
+    let products_kg = frozen.mass_kg() * of_stoich / (1.0 + 14.7 * lambda);
+    let ln_d = FIT_K.map(|t| match equilibrium::burned(lambda, t, FIT_PA) {
+        Some(hot) => ((hot.internal_energy_j(t) - frozen.internal_energy_j(t)) / products_kg).max(1.0).ln(),
+        None => 0.0,
+    });
+    (ln_d, [equilibrium::CO, equilibrium::H2, equilibrium::O2].map(|i| frozen.x[i]))
+}
+
+/// Exhaust that froze at [`FREEZE_K`]; lean, complete combustion.
+pub fn frozen(lambda: f64) -> Option<equilibrium::BurnedGas> {
+    if lambda < 1.0 {
+        return equilibrium::burned(lambda, FREEZE_K, FREEZE_PA);
+    }
+    let (c, h) = equilibrium::FUEL;
+    let o2 = equilibrium::FUEL_O2;
+    let parts = [
+        (equilibrium::CO2, c),
+        (equilibrium::H2O, 0.5 * h),
+        (equilibrium::O2, (lambda - 1.0) * o2),
+        (equilibrium::N2, lambda * o2 * 0.79 / 0.21),
+    ];
+    let moles: f64 = parts.iter().map(|p| p.1).sum();
+    let mut x = [0.0; equilibrium::SPECIES];
+    parts.iter().for_each(|(i, n)| x[*i] = n / moles);
+    Some(equilibrium::BurnedGas { x, moles })
+}
+
+impl BurnedTable {
+    /// Index and weight of a lambda, held at the ends of the table.
+    fn place(&self, lambda: f64) -> (usize, f64) {
+        let s = ((lambda - LAMBDA.0) / LAMBDA.2).clamp(0.0, (self.ln_d.len() - 1) as f64);
+        let k = (s as usize).min(self.ln_d.len() - 2);
+        (k, s - k as f64)
+    }
+
+    /// d(T) of a charge of `lambda`, times `scale`.
+    pub fn held(&self, lambda: f64, scale: f64) -> HeldEnergy {
+        if scale <= 0.0 {
+            return HeldEnergy::default();
+        }
+        let (k, w) = self.place(lambda);
+        let [cool, hot] = [0, 1].map(|j| (1.0 - w) * self.ln_d[k][j] + w * self.ln_d[k + 1][j]);
+        let b_k = (hot - cool) / (1.0 / FIT_K[0] - 1.0 / FIT_K[1]);
+        let a = hot + b_k / FIT_K[1] + scale.ln();
+        HeldEnergy { a, b_k, off_j_kg: (a - b_k / OFF_K).exp() }
+    }
+
+    /// Mole fractions of CO, H2 and O2 in exhaust of `lambda` that froze at [`FREEZE_K`].
+    pub fn frozen(&self, lambda: f64) -> [f64; 3] {
+        let (k, w) = self.place(lambda);
+        [0, 1, 2].map(|j| (1.0 - w) * self.frozen[k][j] + w * self.frozen[k + 1][j])
+    }
+}

@@ -1,0 +1,119 @@
+//! The unburned gas of a cylinder from intake closing on: its temperature, the knock integral, and the burned zone.
+//!
+//! T_u follows isentropic compression, dT_u/T_u = kappa(T_u) dp/p with kappa = R/c_p of the trapped mixture. Knock is
+//! the Livengood-Wu integral of dt/tau until 90 % burned with the delay of Douaud and Eyzat (SAE 780080)
+//!
+//! tau \[ms\] = K 17.68 (ON/100)^3.402 p\[atm\]^-1.7 exp(3800/T_u);
+//!
+//! 1 is the onset. Valid for the gasoline of the correlation (octane 80 to 100), no two-stage ignition, no cyclic
+//! scatter: it is an index. The burned zone holds what is left of the mean temperature, T_b = (T - (1 - x_b) T_u)/x_b
+//! (equal gas constants); nitric oxide forms there.
+
+use crate::gas::GasModel;
+use crate::nitric_oxide::{FROZEN_K, ZeldovichTable};
+use serde::{Deserialize, Serialize};
+
+/// Constants of the knock integral.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnockModel {
+    /// Octane number ON.
+    pub octane: f64,
+    /// Multiplier K of the delay \[-\]; 1 as published.
+    pub delay_factor: f64,
+}
+
+impl KnockModel {
+    /// Ignition delay \[s\] of end gas at `p_pa`, `t_k`.
+    ///
+    /// ```
+    /// use dynocal_plant::end_gas::KnockModel;
+    /// let k = KnockModel { octane: 100.0, delay_factor: 1.0 };
+    /// let expected = 17.68e-3 * 40f64.powf(-1.7) * (3800.0f64 / 850.0).exp();
+    /// assert!((k.delay_s(40.0 * 101_325.0, 850.0) / expected - 1.0).abs() < 1e-12);
+    /// ```
+    #[inline]
+    pub fn delay_s(&self, p_pa: f64, t_k: f64) -> f64 {
+        let octane = self.delay_factor * 17.68e-3 * (self.octane / 100.0).powf(3.402);
+        octane * (3800.0 / t_k - 1.7 * (p_pa / 101_325.0).ln()).exp()
+    }
+}
+
+/// Unburned gas and burned zone of one cylinder in the running cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct EndGas {
+    /// Temperature of the unburned gas \[K\]; 0 while nothing is followed.
+    pub t_k: f64,
+    /// Pressure of the last step \[Pa\].
+    pub p_pa: f64,
+    /// kappa at 0 K and its slope \[1/K\].
+    pub kappa: [f64; 2],
+    /// Knock integral.
+    pub knock: f64,
+    /// Mole fraction of NO in the burned zone.
+    pub x_no: f64,
+    /// Burned share at the last step.
+    pub burned: f64,
+    /// Hottest burned zone of the cycle \[K\].
+    pub burned_k: f64,
+    /// Mole fraction of NO that residual gas brings into the charge.
+    pub entrained: f64,
+}
+
+/// One step of a cylinder.
+#[derive(Debug, Clone, Copy)]
+pub struct ZoneStep {
+    /// Time \[s\].
+    pub dt_s: f64,
+    /// Pressure in the middle of the step \[Pa\].
+    pub p_pa: f64,
+    /// Mean temperature \[K\].
+    pub t_k: f64,
+    /// Burned share of the charge.
+    pub burned: f64,
+    /// Lambda of the charge.
+    pub lambda: f64,
+}
+
+impl EndGas {
+    /// Intake closed: follow gas of these masses (air, fuel, products) from `p_pa`, `t_k`.
+    pub fn closed(gas: &GasModel, mass_kg: [f64; 3], p_pa: f64, t_k: f64) -> Self {
+        let r = gas.mass_r_j_k(mass_kg);
+        let kappa = |t: f64| r / (gas.heat_capacity_j_k(mass_kg, t) + r);
+        let (cool, hot) = (kappa(400.0), kappa(900.0));
+        let slope = (hot - cool) / 500.0;
+        Self { t_k, p_pa, kappa: [cool - 400.0 * slope, slope], ..Self::default() }
+    }
+
+    /// Follows the unburned gas and the knock integral over a step.
+    #[inline]
+    pub fn advance(&mut self, knock: Option<&KnockModel>, s: &ZoneStep) {
+        let kappa = self.kappa[0] + self.kappa[1] * self.t_k;
+        self.t_k *= (kappa * (s.p_pa / self.p_pa).ln()).exp();
+        self.p_pa = s.p_pa;
+        if let Some(model) = knock
+            && s.burned < 0.9
+        {
+            self.knock += s.dt_s / model.delay_s(s.p_pa, self.t_k);
+        }
+    }
+
+    /// Nitric oxide of the burned zone over a step: fresh burned gas dilutes it, the mechanism forms or destroys it.
+    #[inline]
+    pub fn react(&mut self, table: &ZeldovichTable, s: &ZoneStep) {
+        // A thin zone has no temperature of its own.
+        if s.burned < 0.02 {
+            return;
+        }
+        if s.burned > self.burned {
+            let fresh = s.burned - self.burned;
+            self.x_no = (self.x_no * self.burned + self.entrained * fresh) / s.burned;
+            self.burned = s.burned;
+        }
+        let t_k = ((s.t_k - (1.0 - s.burned) * self.t_k) / s.burned).min(3200.0);
+        self.burned_k = self.burned_k.max(t_k);
+        if t_k > FROZEN_K {
+            self.x_no = table.at(s.lambda, t_k, s.p_pa).advance(self.x_no, t_k, s.p_pa, s.dt_s);
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! Steady points over the whole map of a boosted engine: what a controller would hold there.
+//!
+//! Once a cycle: throttle and then wastegate follow the torque (bounded by boost), fuel follows the air at the lambda
+//! asked for, which is enriched where the exhaust gets too hot, the spark places 50 % burned where it is best unless the
+//! knock integral stands in the way, and the cams follow the schedule of the parameter set.
+
+use crate::engine::VirtualEngine;
+use crate::error::PlantError;
+use crate::inputs::Inputs;
+use crate::outputs::Outputs;
+use crate::params::EngineParams;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What a point is asked for, and what it must not pass.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LoadRequest {
+    /// Speed \[rpm\].
+    pub speed_rpm: f64,
+    /// Brake torque \[Nm\].
+    pub torque_nm: f64,
+    /// Lambda where nothing asks for enrichment \[-\].
+    pub lambda: f64,
+    /// Limits.
+    pub limits: LoadLimits,
+}
+
+/// Limits of a point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LoadLimits {
+    /// Intake-manifold pressure \[kPa\].
+    pub map_kpa: f64,
+    /// Exhaust temperature \[K\].
+    pub egt_k: f64,
+    /// Knock integral \[-\].
+    pub knock: f64,
+    /// Turbocharger speed \[rpm\].
+    pub turbo_rpm: f64,
+    /// Angle of 50 % burned without knock \[deg ATDC\].
+    pub ca50_deg: f64,
+    /// Richest mixture that may cool the exhaust \[-\].
+    pub least_lambda: f64,
+    /// Simulated time after which the point is given up \[s\].
+    pub time_s: f64,
+}
+
+impl Default for LoadLimits {
+    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 50 % burned at 8 deg, lambda 0.75, 60 s.
+    fn default() -> Self {
+        Self {
+            map_kpa: 240.0,
+            egt_k: 1223.0,
+            knock: 1.0,
+            turbo_rpm: 220e3,
+            ca50_deg: 8.0,
+            least_lambda: 0.75,
+            time_s: 60.0,
+        }
+    }
+}
+
+/// A point and what held it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LoadPoint {
+    /// What was asked.
+    pub request: LoadRequest,
+    /// Inputs at the end.
+    pub inputs: Inputs,
+    /// Outputs, means of the last cycles.
+    pub outputs: Outputs,
+    /// Lambda held \[-\].
+    pub lambda: f64,
+    /// The torque is reached within 1 Nm.
+    pub reached: bool,
+    /// The spark stands at the knock limit.
+    pub knock_limited: bool,
+    /// Everything stood still before the time was over.
+    pub settled: bool,
+    /// Simulated time \[s\].
+    pub time_s: f64,
+}
+
+/// Cycles that must stand still, and over which the outputs are averaged.
+const STILL: usize = 25;
+/// Widest throttle and wastegate.
+const OPEN_DEG: f64 = 90.0;
+const OPEN_MM: f64 = 28.0;
+
+/// Controller state of one point.
+struct Controller {
+    request: LoadRequest,
+    u: Inputs,
+    lambda: f64,
+    error_before: Option<f64>,
+    shaft_before: f64,
+}
+
+impl Controller {
+    /// One cycle: new inputs; whether everything stands still.
+    fn cycle(&mut self, p: &EngineParams, y: &Outputs) -> bool {
+        let cycle_s = 120.0 / self.u.speed_rpm;
+        let load_still = self.load(p, y, cycle_s);
+        let spark_still = self.spark(y);
+        let hot = y.egt_k - self.request.limits.egt_k;
+        let lambda = self.lambda - (2e-5 * hot).clamp(-1e-3, 1e-3);
+        self.lambda = lambda.clamp(self.request.limits.least_lambda, self.request.lambda);
+        let lambda_still = hot.abs() < 2.0
+            || (hot < 0.0 && self.lambda >= self.request.lambda)
+            || (hot > 0.0 && self.lambda <= self.request.limits.least_lambda);
+        let air_mg = 1e3 * y.air_g_s * cycle_s / 4.0;
+        self.u.injection_mg = (air_mg / (p.gas.afr_stoich * self.lambda)).clamp(0.0, 120.0);
+        if let Some(cams) = &p.cams {
+            let (intake, exhaust) = cams.at(self.u.speed_rpm, y.map_kpa);
+            // A phaser takes a few tenths of a second.
+            let share = (cycle_s / 0.3).min(1.0);
+            self.u.intake_mop_deg_btdc += share * (intake - self.u.intake_mop_deg_btdc);
+            self.u.exhaust_mop_deg_atdc += share * (exhaust - self.u.exhaust_mop_deg_atdc);
+        }
+        let shaft_still = (y.turbo_rpm - self.shaft_before).abs() <= 2e-5 * y.turbo_rpm;
+        self.shaft_before = y.turbo_rpm;
+        load_still && spark_still && lambda_still && shaft_still
+    }
+
+    /// Throttle first, then the wastegate.
+    fn load(&mut self, p: &EngineParams, y: &Outputs, cycle_s: f64) -> bool {
+        let limits = &self.request.limits;
+        // Torque that the limits of boost and shaft leave, in Nm.
+        let boost = 1.7 * (limits.map_kpa - y.map_kpa);
+        let shaft = 2e-3 * (limits.turbo_rpm - y.turbo_rpm);
+        let error = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft);
+        let change = error - self.error_before.unwrap_or(error);
+        self.error_before = Some(error);
+        let u = &mut self.u;
+        let boosted = p.turbocharger.is_some();
+        let on_wastegate = boosted && u.throttle_deg >= OPEN_DEG && (error > 0.0 || u.wastegate_mm < OPEN_MM);
+        if on_wastegate {
+            // Flow goes with the square of the diameter: small openings move slowly.
+            let gain = 0.2 + u.wastegate_mm / OPEN_MM;
+            let mm = gain * (0.04 * change + 0.05 * cycle_s * error);
+            u.wastegate_mm = (u.wastegate_mm - mm.clamp(-1.0, 1.0)).clamp(0.0, OPEN_MM);
+            return error.abs() < 0.3 || (error > 0.0 && u.wastegate_mm <= 0.0);
+        }
+        let fill_s = p.intake_manifold.volume_m3 / (0.75 * p.displacement_m3()) * cycle_s;
+        let closed_loop_s = fill_s + 4.0 * cycle_s;
+        let d = p.throttle.diameter0_m + p.throttle.slope_m_per_deg * u.throttle_deg;
+        let load_nm = self.request.torque_nm.max(0.0) + 25.0;
+        let slope_nm_deg = 2.0 * load_nm * p.throttle.slope_m_per_deg / d;
+        let deg = (fill_s * change + cycle_s * error) / (closed_loop_s * slope_nm_deg);
+        u.throttle_deg = (u.throttle_deg + deg.clamp(-2.0, 2.0)).clamp(0.0, OPEN_DEG);
+        error.abs() < 0.1 || (error > 0.0 && u.throttle_deg >= OPEN_DEG && !boosted)
+    }
+
+    /// The spark places 50 % burned; the knock integral bounds it.
+    fn spark(&mut self, y: &Outputs) -> bool {
+        let phase = y.ca50_deg - self.request.limits.ca50_deg;
+        let knock = 8.0 * (self.request.limits.knock - y.knock);
+        let off = phase.min(knock);
+        self.u.spark_deg = (self.u.spark_deg + (0.2 * off).clamp(-0.5, 0.5)).clamp(-10.0, 55.0);
+        off.abs() < 0.1 || self.u.spark_deg <= -10.0
+    }
+}
+
+/// Brings an engine to a point and holds it; the engine keeps its state, so that neighbouring points start close.
+///
+/// # Errors
+/// [`PlantError::Input`] for a speed outside the box, [`PlantError::Diverged`].
+///
+/// ```
+/// use dynocal_plant::{engine::VirtualEngine, full_load::*, params::EngineParams};
+/// let mut engine = VirtualEngine::new(&EngineParams::named("gtdi_2l")?)?;
+/// let limits = LoadLimits::default();
+/// let request = LoadRequest { speed_rpm: 2000.0, torque_nm: 60.0, lambda: 1.0, limits };
+/// let point = hold_load(&mut engine, request)?;
+/// assert!(point.reached && (point.outputs.ca50_deg - 8.0).abs() < 0.5);
+/// # Ok::<(), dynocal_plant::error::PlantError>(())
+/// ```
+pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<LoadPoint, PlantError> {
+    let p = engine.params().clone();
+    let u = Inputs {
+        speed_rpm: request.speed_rpm,
+        wiebe_m: 2.0,
+        burn_duration_deg: None,
+        ..engine.state().inputs
+    };
+    let mut control =
+        Controller { request, u, lambda: request.lambda, error_before: None, shaft_before: 0.0 };
+    engine.set_inputs(u)?;
+    let start_s = engine.state().time_s;
+    let mut still = 0;
+    loop {
+        engine.advance_angle(720.0);
+        let y = engine.outputs();
+        still = if control.cycle(&p, &y) { still + 1 } else { 0 };
+        let time_s = y.time_s - start_s;
+        if still >= STILL || time_s > request.limits.time_s {
+            let settled = still >= STILL;
+            let inputs = engine.state().inputs;
+            // Whole cycles, so that pulsation averages out.
+            let average_s = 10.0 * 120.0 / request.speed_rpm;
+            let outputs = crate::statics::steady(engine, inputs, 0.0, average_s)?;
+            return Ok(LoadPoint {
+                request,
+                inputs,
+                outputs,
+                lambda: control.lambda,
+                reached: (outputs.torque_nm - request.torque_nm).abs() < 1.0,
+                knock_limited: outputs.ca50_deg > request.limits.ca50_deg + 0.5,
+                settled,
+                time_s,
+            });
+        }
+        engine.set_inputs(control.u)?;
+    }
+}
+
+/// Points at each speed, from low to high torque with one engine; parallel over speeds, the same for any number of
+/// threads.
+///
+/// # Errors
+/// [`PlantError`] of the parameters; each point carries its own result.
+pub fn load_map(
+    params: &EngineParams,
+    speeds_rpm: &[f64],
+    torques_nm: &[f64],
+    limits: LoadLimits,
+) -> Result<Vec<Vec<Result<LoadPoint, PlantError>>>, PlantError> {
+    let engine = VirtualEngine::new(params)?;
+    Ok(speeds_rpm
+        .par_iter()
+        .map(|&speed_rpm| {
+            let mut engine = engine.clone();
+            let at = |t: &f64| LoadRequest { speed_rpm, torque_nm: *t, lambda: 1.0, limits };
+            torques_nm.iter().map(|t| hold_load(&mut engine, at(t))).collect()
+        })
+        .collect())
+}
