@@ -36,6 +36,8 @@ pub struct LoadLimits {
     pub knock: f64,
     /// Turbocharger speed \[rpm\].
     pub turbo_rpm: f64,
+    /// Peak pressure, mean of the cycles \[bar\].
+    pub pmax_bar: f64,
     /// Angle of 50 % burned without knock \[deg ATDC\].
     pub ca50_deg: f64,
     /// Richest mixture that may cool the exhaust \[-\].
@@ -45,13 +47,14 @@ pub struct LoadLimits {
 }
 
 impl Default for LoadLimits {
-    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 50 % burned at 8 deg, lambda 0.75, 60 s.
+    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 110 bar, 50 % burned at 8 deg, lambda 0.75, 60 s.
     fn default() -> Self {
         Self {
             map_kpa: 240.0,
             egt_k: 1223.0,
             knock: 1.0,
             turbo_rpm: 220e3,
+            pmax_bar: 110.0,
             ca50_deg: 8.0,
             least_lambda: 0.75,
             time_s: 60.0,
@@ -72,7 +75,7 @@ pub struct LoadPoint {
     pub lambda: f64,
     /// The torque is reached within 1 Nm.
     pub reached: bool,
-    /// The spark stands at the knock limit.
+    /// The spark stands at the limit of knock or of peak pressure.
     pub knock_limited: bool,
     /// Everything stood still before the time was over.
     pub settled: bool,
@@ -136,7 +139,7 @@ impl Controller {
         if on_wastegate {
             // Flow goes with the square of the diameter: small openings move slowly.
             let gain = 0.2 + u.wastegate_mm / OPEN_MM;
-            let mm = gain * (0.04 * change + 0.05 * cycle_s * error);
+            let mm = gain * (0.08 * change + 0.04 * cycle_s * error);
             u.wastegate_mm = (u.wastegate_mm - mm.clamp(-1.0, 1.0)).clamp(0.0, OPEN_MM);
             return error.abs() < 0.3 || (error > 0.0 && u.wastegate_mm <= 0.0);
         }
@@ -150,11 +153,12 @@ impl Controller {
         error.abs() < 0.1 || (error > 0.0 && u.throttle_deg >= OPEN_DEG && !boosted)
     }
 
-    /// The spark places 50 % burned; the knock integral bounds it.
+    /// The spark places 50 % burned; knock integral and peak pressure bound it.
     fn spark(&mut self, y: &Outputs) -> bool {
         let phase = y.ca50_deg - self.request.limits.ca50_deg;
         let knock = 8.0 * (self.request.limits.knock - y.knock);
-        let off = phase.min(knock);
+        let peak = 0.3 * (self.request.limits.pmax_bar - y.pmax_bar);
+        let off = phase.min(knock).min(peak);
         self.u.spark_deg = (self.u.spark_deg + (0.2 * off).clamp(-0.5, 0.5)).clamp(-10.0, 55.0);
         off.abs() < 0.1 || self.u.spark_deg <= -10.0
     }
