@@ -2,7 +2,7 @@
 //!
 //! Every part is optional; an engine without them runs through none of this.
 
-use crate::dissociation::{BurnedEnergy, BurnedTable};
+use crate::dissociation::{self, BurnedEnergy, BurnedTable};
 use crate::egr::EgrPath;
 use crate::emissions::EmissionsModel;
 use crate::end_gas::KnockModel;
@@ -119,7 +119,7 @@ impl Model {
     ) {
         for c in 0..4 {
             let held = &cylinders[c].held;
-            if held.at(t_k[c]).0 == 0.0 {
+            if t_k[c] <= dissociation::OFF_K {
                 continue;
             }
             let mass = [0, 1, 2].map(|i| gas.mass_kg[i][c]);

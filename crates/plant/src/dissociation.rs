@@ -7,20 +7,24 @@
 //! leaves the cylinder takes the rest along and is recombined in the exhaust.
 //!
 //! On rich mixture the frozen species are products and left-over fuel; real gas splits that fuel into CO and H2
-//! (water-gas equilibrium, frozen near 1740 K: Heywood 4.9), which binds energy. The burn releases less by
-//! `bound_j_kg` (1/lambda - 1) per mass of burned fuel.
+//! (water-gas equilibrium, frozen near 1740 K: Heywood 4.9), which binds energy: the burn releases less by `bound_j_kg`
+//! (1/lambda - 1) per mass of burned fuel. Vapour also has a higher heat capacity than the CO and H2 that it stands
+//! for, by 2700 J/(kg K) of fuel above stoichiometric between 1000 and 2400 K (equilibrium against the gas model); above
+//! T_off the held energy takes it off again.
 
 use crate::equilibrium;
 use serde::{Deserialize, Serialize};
 
 /// Temperature below which burned gas is frozen \[K\].
-const OFF_K: f64 = 1500.0;
+pub(crate) const OFF_K: f64 = 1500.0;
 /// Temperatures \[K\] and pressure \[Pa\] of the fit of d.
 const FIT_K: [f64; 2] = [2300.0, 2700.0];
 const FIT_PA: f64 = 30e5;
 /// Temperature \[K\] and pressure \[Pa\] at which CO, H2, CO2 and H2O freeze.
 pub const FREEZE_K: f64 = 1740.0;
 const FREEZE_PA: f64 = 10e5;
+/// Heat capacity of fuel vapour above that of the CO and H2 that it stands for, per mass of excess fuel \[J/kg/K\].
+const SURPLUS_J_KG_K: f64 = 2700.0;
 /// Range and spacing of lambda.
 const LAMBDA: (f64, f64, f64) = (0.6, 2.0, 0.02);
 
@@ -30,8 +34,8 @@ const LAMBDA: (f64, f64, f64) = (0.6, 2.0, 0.02);
 pub struct BurnedEnergy {
     /// Multiplier of d(T, lambda) \[-\]: 1 is equilibrium, 0 frozen gas.
     pub dissociation: f64,
-    /// Energy bound per mass of fuel above stoichiometric \[J/kg\]. Chemically 14.5e6; the frozen vapour that stands for
-    /// CO and H2 has too high a heat capacity, which takes 0.6e6 off at 1000 K and 4.3e6 at 2400 K.
+    /// Energy bound per mass of fuel above stoichiometric \[J/kg\]: 14.5e6 at 298 K by the heating values of CO and H2;
+    /// 12.7e6 counted at 1500 K, where the vapour that stands for them holds 1.8e6 more than they do.
     pub bound_j_kg: f64,
 }
 
@@ -44,6 +48,8 @@ pub struct HeldEnergy {
     pub b_k: f64,
     /// exp(a - b/T_off) \[J/kg\].
     pub off_j_kg: f64,
+    /// Heat capacity that the vapour has too much \[J/kg/K of products\].
+    pub surplus_j_kg_k: f64,
 }
 
 impl HeldEnergy {
@@ -54,7 +60,8 @@ impl HeldEnergy {
             return (0.0, 0.0);
         }
         let e = (self.a - self.b_k / t_k).exp();
-        (e - self.off_j_kg, e * self.b_k / (t_k * t_k))
+        let surplus = self.surplus_j_kg_k;
+        (e - self.off_j_kg - surplus * (t_k - OFF_K), e * self.b_k / (t_k * t_k) - surplus)
     }
 }
 
@@ -124,7 +131,13 @@ impl BurnedTable {
         let [cool, hot] = [0, 1].map(|j| (1.0 - w) * self.ln_d[k][j] + w * self.ln_d[k + 1][j]);
         let b_k = (hot - cool) / (1.0 / FIT_K[0] - 1.0 / FIT_K[1]);
         let a = hot + b_k / FIT_K[1] + scale.ln();
-        HeldEnergy { a, b_k, off_j_kg: (a - b_k / OFF_K).exp() }
+        let excess = (1.0 / lambda - 1.0).clamp(0.0, 2.0) / 15.7;
+        HeldEnergy {
+            a,
+            b_k,
+            off_j_kg: (a - b_k / OFF_K).exp(),
+            surplus_j_kg_k: scale * SURPLUS_J_KG_K * excess,
+        }
     }
 
     /// Mole fractions of CO, H2 and O2 in exhaust of `lambda` that froze at [`FREEZE_K`].

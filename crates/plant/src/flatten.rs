@@ -26,7 +26,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
         [&mut l.residual, &mut l.lambda, &mut l.trapped_kg].into_iter().for_each(&mut *f);
         l.ca_deg.iter_mut().for_each(&mut *f);
         let (h, z, e) = (&mut c.held, &mut c.end_gas, &mut l.emissions);
-        [&mut c.stable, &mut c.bound_j_kg, &mut h.a, &mut h.b_k, &mut h.off_j_kg]
+        [&mut c.stable, &mut c.bound_j_kg, &mut h.a, &mut h.b_k, &mut h.off_j_kg, &mut h.surplus_j_kg_k]
             .into_iter()
             .for_each(&mut *f);
         [
