@@ -18,6 +18,8 @@ static COUNTER: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 #[test]
 fn no_allocation_while_stepping() {
     let mut engine = VirtualEngine::new(&EngineParams::thesis()).unwrap();
+    // With turbocharger, dissociation, knock, emissions and recirculation.
+    let mut boosted = VirtualEngine::new(&EngineParams::named("gtdi_2l").unwrap()).unwrap();
     let settings =
         BedSettings { noise: NoiseLevels { torque_nm: 1.0, lambda: 0.01 }, ..BedSettings::default() };
     let mut bed = EngineBed::new(&EngineParams::thesis(), settings).unwrap();
@@ -36,6 +38,10 @@ fn no_allocation_while_stepping() {
         engine.set_inputs(Inputs { speed_rpm, ..Inputs::default() }).unwrap();
         engine.advance_time(0.01);
         torque += engine.outputs().torque_nm;
+        let injection_mg = 1.5 * f64::from(i);
+        boosted.set_inputs(Inputs { speed_rpm, injection_mg, egr_mm: 3.0, ..Inputs::default() }).unwrap();
+        boosted.advance_time(0.02);
+        torque += boosted.outputs().no_ppm;
         bed.step(&[15.0, 20.0, 14.0, 2000.0], 0.03, &mut y).unwrap();
         real.step(&[16.7, 19.0, 15.85, 68.0], 0.03, &mut y).unwrap();
     }
