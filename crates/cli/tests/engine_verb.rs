@@ -89,3 +89,62 @@ fn a_cycle_is_driven_and_its_file_is_read_in_the_units_it_says() {
     let (code, _, stderr) = engine(tmp.path(), &["cycle", "back.csv"]);
     assert!(code == 2 && stderr.contains("back.csv: row 3"), "{stderr}");
 }
+
+#[test]
+fn a_transient_from_a_file_on_a_bed() {
+    let tmp = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(tmp.path().join(name), text).unwrap();
+    write("u.csv", "time_s,throttle_deg,inj [mg]\n0,15.85,16.754\n0.5,20,20\n1.0,25,24\n");
+    write(
+        "bed.toml",
+        "real = true\noutputs = [\"pmax\", \"throttle_angle\"]\n[[limits]]\nwhat = \"pmax\"\nmax = 36.0\n",
+    );
+    let args = [
+        "transient",
+        "u.csv",
+        "--bed",
+        "bed.toml",
+        "--every-s",
+        "0.02",
+        "--csv",
+        "y.csv",
+        "--report",
+        "y.html",
+    ];
+    let (code, stdout, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("throttle_angle") && stdout.contains("pmax"), "{stdout}");
+    // 1.5 s in samples of 20 ms; the last row holds as long as the one before it.
+    let table = dynocal_files::csv_io::read(&tmp.path().join("y.csv")).unwrap();
+    assert_eq!(table.rows(), 75);
+    let column = |name: &str| table.numbers(name, 0, 75).unwrap().to_vec();
+    let (time, throttle, angle) = (column("time"), column("throttle"), column("throttle_angle"));
+    assert!((time[74] - 1.5).abs() < 1e-9 && throttle[24] == 15.85 && throttle[25] == 20.0);
+    // The actuator's lag of 50 ms, exact for a held command.
+    let lag = 20.0 - (20.0 - 15.85) * (-0.02f64 / 0.05).exp();
+    assert!((angle[25] - lag).abs() < 1e-9, "{} {lag}", angle[25]);
+    assert!(column("torque")[74] > column("torque")[0] + 20.0);
+    let page = std::fs::read_to_string(tmp.path().join("y.html")).unwrap();
+    assert!(page.contains("throttle_angle") && page.trim_end().ends_with("</html>"));
+    // The same again is the same file; by crank angle there is a row a cycle.
+    let before = std::fs::read(tmp.path().join("y.csv")).unwrap();
+    assert_eq!(engine(tmp.path(), &args).0, 0);
+    assert_eq!(std::fs::read(tmp.path().join("y.csv")).unwrap(), before);
+    let args = ["transient", "u.csv", "--every-deg", "720", "--csv", "c.csv"];
+    assert_eq!(engine(tmp.path(), &args).0, 0);
+    let table = dynocal_files::csv_io::read(&tmp.path().join("c.csv")).unwrap();
+    assert_eq!(table.rows(), 25, "1.5 s at 2000 rpm are 25 cycles");
+    // Faults name file, column, key.
+    write("bad.csv", "time_s,gas\n0,1\n1,2\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "bad.csv"]);
+    assert!(code == 2 && stderr.contains("gas") && stderr.contains("throttle"), "{stderr}");
+    write("bad.csv", "time_s,speed [rpm]\n0,2000\n1,9000\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "bad.csv"]);
+    assert!(code == 2 && stderr.contains("9000") && stderr.contains("speed"), "{stderr}");
+    write("soft.toml", "saturate = true\n");
+    let (code, stdout, _) = engine(tmp.path(), &["transient", "bad.csv", "--bed", "soft.toml"]);
+    assert!(code == 0 && stdout.contains("speed saturated"), "{stdout}");
+    write("odd.toml", "dynamometer.mode = \"sideways\"\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "odd.toml"]);
+    assert!(code == 2 && stderr.contains("sideways"), "{stderr}");
+}

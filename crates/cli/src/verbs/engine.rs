@@ -1,4 +1,4 @@
-//! `dynocal engine point|sweep|motored|cycle`: the virtual engine without a spec.
+//! `dynocal engine point|sweep|motored|transient|cycle`: the virtual engine without a spec.
 
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,7 @@ use dynocal_plant::trace::CylinderTrace;
 
 use super::Verb;
 use super::engine_cycle::Cycle;
+use super::engine_transient::Transient;
 use crate::common::print;
 use crate::failure::{Exit, Failure};
 use crate::table;
@@ -72,6 +73,8 @@ enum What {
         #[command(flatten)]
         files: Files,
     },
+    /// On its bed, with inputs from a file
+    Transient(Transient),
     /// In a car that follows a drive cycle
     Cycle(Cycle),
 }
@@ -144,6 +147,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let mut engine = VirtualEngine::new(&EngineParams::thesis())?;
     let (title, points, files) = match args.what {
         What::Cycle(cycle) => return cycle.run(),
+        What::Transient(transient) => return transient.run(),
         What::Point { at, files } => ("Engine: point", vec![at.point(&mut engine)?], files),
         What::Sweep { input, from, to, points, at, files } => {
             let (mut u, _) = at.point(&mut engine)?;
