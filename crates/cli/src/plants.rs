@@ -125,7 +125,8 @@ fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, Plant
     let refused = |e: EngineError| PlantError::Call(e.to_string());
     let params = parameters(&spec.parameters).map_err(refused)?;
     let options = BedOptions::from_table(&spec.parameters, &spec.bed).map_err(refused)?;
-    let mut settings = BedSettings { set_name: spec.parameters.clone(), options, ..BedSettings::default() };
+    let set = BedSettings::of_set(&spec.parameters, &params).map_err(refused)?;
+    let mut settings = BedSettings { options, ..set };
     if noise {
         settings.noise.torque_nm = spec.torque_noise_nm;
         settings.noise.lambda = spec.lambda_noise;

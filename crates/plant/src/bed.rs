@@ -1,4 +1,5 @@
 //! The bed under its short name.
 
-pub use crate::testbed::bed::{BedSettings, EngineBed};
+pub use crate::testbed::bed::EngineBed;
 pub use crate::testbed::guard::LimitSettings;
+pub use crate::testbed::start::BedSettings;

@@ -8,35 +8,41 @@ use dynocal_numerics::rng::Rng64;
 pub const SHARE: f64 = 0.2;
 
 /// A parameter that is varied: key, share of [`SHARE`], place.
-type Row = (&'static str, f64, fn(&mut EngineParams) -> &mut f64);
+type Row = (&'static str, f64, fn(&mut EngineParams) -> Option<&mut f64>);
 
 /// Volumes, burn, residuals, friction, heat, actuators and sensor. Those in which a fifth would make another kind of
 /// engine (valve timing, efficiency, throttle slope, which acts by its square) move less.
 static ROWS: &[Row] = &[
-    ("charge_pipe_m3", 1.0, |p| &mut p.charge_pipe_m3),
-    ("intake_manifold.volume_m3", 1.0, |p| &mut p.intake_manifold.volume_m3),
-    ("exhaust_manifold.volume_m3", 1.0, |p| &mut p.exhaust_manifold.volume_m3),
-    ("catalyst.volume_m3", 1.0, |p| &mut p.catalyst.volume_m3),
-    ("burn.duration_deg", 1.0, |p| &mut p.burn.duration_deg),
-    ("burn.delay_deg", 1.0, |p| &mut p.burn.delay_deg),
-    ("burn.speed_exponent", 1.0, |p| &mut p.burn.speed_exponent),
-    ("burn.mass_exponent", 1.0, |p| &mut p.burn.mass_exponent),
-    ("burn.residual_exponent", 1.0, |p| &mut p.burn.residual_exponent),
-    ("burn.efficiency", 0.15, |p| &mut p.burn.efficiency),
-    ("intake_valve.duration_deg", 0.15, |p| &mut p.intake_valve.duration_deg),
-    ("exhaust_valve.duration_deg", 0.15, |p| &mut p.exhaust_valve.duration_deg),
-    ("exhaust.turbine_m2", 1.0, |p| &mut p.exhaust.turbine_m2),
-    ("exhaust.tailpipe_m2", 1.0, |p| &mut p.exhaust.tailpipe_m2),
-    ("heat.scale", 1.0, |p| &mut p.heat.scale),
-    ("friction.constant_pa", 1.0, |p| &mut p.friction.constant_pa),
-    ("friction.peak_share", 1.0, |p| &mut p.friction.peak_share),
-    ("friction.linear_pa_s_m", 1.0, |p| &mut p.friction.linear_pa_s_m),
-    ("friction.quadratic_pa_s2_m2", 1.0, |p| &mut p.friction.quadratic_pa_s2_m2),
-    ("throttle.diameter0_m", 1.0, |p| &mut p.throttle.diameter0_m),
-    ("throttle.slope_m_per_deg", 0.5, |p| &mut p.throttle.slope_m_per_deg),
-    ("injection.rate_kg_s", 1.0, |p| &mut p.injection.rate_kg_s),
-    ("injection.evaporation_s", 1.0, |p| &mut p.injection.evaporation_s),
-    ("torque_lag_s", 1.0, |p| &mut p.torque_lag_s),
+    ("charge_pipe_m3", 1.0, |p| Some(&mut p.charge_pipe_m3)),
+    ("intake_manifold.volume_m3", 1.0, |p| Some(&mut p.intake_manifold.volume_m3)),
+    ("exhaust_manifold.volume_m3", 1.0, |p| Some(&mut p.exhaust_manifold.volume_m3)),
+    ("catalyst.volume_m3", 1.0, |p| Some(&mut p.catalyst.volume_m3)),
+    ("burn.duration_deg", 1.0, |p| Some(&mut p.burn.duration_deg)),
+    ("burn.delay_deg", 1.0, |p| Some(&mut p.burn.delay_deg)),
+    ("burn.speed_exponent", 1.0, |p| Some(&mut p.burn.speed_exponent)),
+    ("burn.mass_exponent", 1.0, |p| Some(&mut p.burn.mass_exponent)),
+    ("burn.residual_exponent", 1.0, |p| Some(&mut p.burn.residual_exponent)),
+    ("burn.efficiency", 0.15, |p| Some(&mut p.burn.efficiency)),
+    ("intake_valve.duration_deg", 0.15, |p| Some(&mut p.intake_valve.duration_deg)),
+    ("exhaust_valve.duration_deg", 0.15, |p| Some(&mut p.exhaust_valve.duration_deg)),
+    ("exhaust.turbine_m2", 1.0, |p| Some(&mut p.exhaust.turbine_m2)),
+    ("exhaust.tailpipe_m2", 1.0, |p| Some(&mut p.exhaust.tailpipe_m2)),
+    ("heat.scale", 1.0, |p| Some(&mut p.heat.scale)),
+    ("friction.constant_pa", 1.0, |p| Some(&mut p.friction.constant_pa)),
+    ("friction.peak_share", 1.0, |p| Some(&mut p.friction.peak_share)),
+    ("friction.linear_pa_s_m", 1.0, |p| Some(&mut p.friction.linear_pa_s_m)),
+    ("friction.quadratic_pa_s2_m2", 1.0, |p| Some(&mut p.friction.quadratic_pa_s2_m2)),
+    ("throttle.diameter0_m", 1.0, |p| Some(&mut p.throttle.diameter0_m)),
+    ("throttle.slope_m_per_deg", 0.5, |p| Some(&mut p.throttle.slope_m_per_deg)),
+    ("injection.rate_kg_s", 1.0, |p| Some(&mut p.injection.rate_kg_s)),
+    ("injection.evaporation_s", 1.0, |p| Some(&mut p.injection.evaporation_s)),
+    ("port.share", 1.0, |p| p.port.as_mut().map(|f| &mut f.share)),
+    ("port.tau_s", 1.0, |p| p.port.as_mut().map(|f| &mut f.tau_s)),
+    ("turbocharger.inertia_kg_m2", 1.0, |p| p.turbocharger.as_mut().map(|t| &mut t.inertia_kg_m2)),
+    ("turbocharger.flow_coefficient", 0.5, |p| p.turbocharger.as_mut().map(|t| &mut t.flow_coefficient)),
+    ("turbocharger.turbine_efficiency", 0.25, |p| p.turbocharger.as_mut().map(|t| &mut t.turbine_efficiency)),
+    ("knock.delay_factor", 1.0, |p| p.knock.as_mut().map(|k| &mut k.delay_factor)),
+    ("torque_lag_s", 1.0, |p| Some(&mut p.torque_lag_s)),
 ];
 
 /// `base` with each parameter of the list times a factor of its own, drawn uniformly within the stated share.
@@ -58,7 +64,11 @@ pub fn perturbed(base: &EngineParams, seed: u64) -> Result<EngineParams, PlantEr
     let mut rng = Rng64::new(seed);
     for (_, share, place) in ROWS {
         let limit = SHARE * share;
-        *place(&mut p) *= 1.0 + rng.uniform_in(-limit, limit);
+        // Drawn for every row, so that a seed means the same whatever parts the engine has.
+        let factor = 1.0 + rng.uniform_in(-limit, limit);
+        if let Some(value) = place(&mut p) {
+            *value *= factor;
+        }
     }
     p.check()?;
     Ok(p)

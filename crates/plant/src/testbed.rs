@@ -32,6 +32,7 @@ mod plant;
 pub mod quantity;
 pub mod sensor;
 pub mod settings;
+pub mod start;
 pub mod state;
 mod table;
 pub mod thermal;

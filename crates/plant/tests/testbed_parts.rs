@@ -372,7 +372,7 @@ fn the_catalyst_stores_oxygen_breaks_through_and_lights_off() {
     let mut s = c.start();
     s.brick_k = 900.0;
     s.filling = 0.0;
-    let lean = Feed { gas_g: 20.0 * h, gas_k: 900.0, lambda: 1.05 };
+    let lean = Feed { gas_g: 20.0 * h, gas_k: 900.0, lambda: 1.05, afr: 14.7, lhv_j_g: 43e3 };
     let rate = CatalystSettings::excess_oxygen_g(&lean) / h;
     assert!((rate - 0.232 * 20.0 * 1.05 * 14.7 / (1.0 + 1.05 * 14.7) * (1.0 - 1.0 / 1.05)).abs() < 1e-12);
     let eta = c.conversion(900.0);
@@ -425,7 +425,7 @@ fn the_catalyst_stores_oxygen_breaks_through_and_lights_off() {
     let mut last = b.brick_k;
     // Ten time constants of 48 s.
     for _ in 0..24_000 {
-        c.step(&mut b, &Feed { gas_g: 20.0 * 0.02, gas_k: 800.0, lambda: 1.0 }, 0.02);
+        c.step(&mut b, &Feed { gas_g: 20.0 * 0.02, gas_k: 800.0, lambda: 1.0, ..lean }, 0.02);
         assert!(b.brick_k >= last - 1e-9);
         last = b.brick_k;
     }

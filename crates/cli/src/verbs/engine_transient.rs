@@ -125,7 +125,8 @@ impl Transient {
         };
         let first =
             |name: &str| column_of(data, name).and_then(|i| data.numbers(&data.columns[i].name, 0, 1).ok());
-        let mut start = BedSettings::default().start;
+        let set = BedSettings::of_set(&self.parameters, &params)?;
+        let mut start = set.start;
         let fields: [(&str, &mut f64); 4] = [
             ("inj", &mut start.injection_mg),
             ("spark", &mut start.spark_deg),
@@ -138,8 +139,7 @@ impl Transient {
             }
         }
         let start = if options.saturate { saturated(start) } else { start };
-        let settings =
-            BedSettings { set_name: self.parameters.clone(), start, options, ..BedSettings::default() };
+        let settings = BedSettings { start, options, ..set };
         Ok(EngineBed::new(&params, settings)?)
     }
 

@@ -5,53 +5,20 @@ use super::deviations::Deviations;
 use super::dynamics::Lag;
 use super::dynamometer::DynoMode;
 use super::guard::{Commands, Found, GuardState};
-use super::idle::IdleState;
+use super::idle::{IdleState, Shaft};
 use super::inputs::{self, EXTRA};
 use super::quantity::{self, QUANTITIES, Readings, STANDARD};
 use super::sensor::{SensorSettings, quantise};
-use super::settings::BedOptions;
+use super::start::BedSettings;
 use super::state::BedState;
 use super::variables::variables;
 use crate::engine::VirtualEngine;
 use crate::error::PlantError as EngineError;
 use crate::inputs::Inputs;
 use crate::params::EngineParams;
-use crate::sensors::{NoiseLevels, SensorNoise};
+use crate::sensors::SensorNoise;
 use crate::state::EngineState;
 use dynocal_ident::plant::{LimitEvent, PlantError, Variable};
-
-/// How a bed is set up.
-#[derive(Debug, Clone)]
-pub struct BedSettings {
-    /// Name of the parameter set, for the origin of records.
-    pub set_name: String,
-    /// Inputs of the start state.
-    pub start: Inputs,
-    /// Simulated time at the start inputs before the record begins \[s\].
-    pub settle_s: f64,
-    /// White noise of the torque and lambda sensors.
-    pub noise: NoiseLevels,
-    /// Everything else about the bed.
-    pub options: BedOptions,
-}
-
-impl Default for BedSettings {
-    /// Thesis set at 2000 rpm, 70 Nm, lambda 1, on an ideal bed.
-    fn default() -> Self {
-        Self {
-            set_name: "thesis".to_owned(),
-            start: Inputs {
-                throttle_deg: 15.85,
-                spark_deg: 18.95,
-                injection_mg: 16.754,
-                ..Inputs::default()
-            },
-            settle_s: 4.0,
-            noise: NoiseLevels::default(),
-            options: BedOptions::default(),
-        }
-    }
-}
 
 /// Inputs that every bed has.
 const INPUTS: usize = 4;
@@ -59,16 +26,18 @@ const INPUTS: usize = 4;
 const SENSORS: u64 = 0x5e05_0000_0000_0000;
 /// Streams of one sample.
 const CHANNELS: u64 = 64;
+/// Time constant of a cam phaser that follows its schedule \[s\].
+const PHASER_S: f64 = 0.3;
 /// Time after fuel has returned from which lambda says something about the mixture \[s\].
 const MIXTURE_S: f64 = 1.0;
 
 /// Engine on a bed.
 ///
 /// Inputs in this order: `inj` \[mg\], `spark` \[deg\], `throttle` \[deg\], `speed` \[rpm\], then those of
-/// [`BedOptions::inputs`] and `air_bleed` \[-\] where there is such a valve. With closed loops `lambda_demand` \[-\] stands in place of `inj` and `torque_demand` \[Nm\] in
+/// [`super::settings::BedOptions::inputs`] and `air_bleed` \[-\] where there is such a valve. With closed loops `lambda_demand` \[-\] stands in place of `inj` and `torque_demand` \[Nm\] in
 /// place of `throttle`; in load mode `load` \[Nm\] in place of `speed`. Outputs: `torque` \[Nm\] (sensor: 720 deg mean and
 /// lag), `lambda` \[-\] (mean over the step), `map` \[kPa\], `egt` \[K\], `fuel` \[kg/h\], then those of
-/// [`BedOptions::outputs`].
+/// [`super::settings::BedOptions::outputs`].
 ///
 /// ```
 /// use dynocal_ident::plant::Plant;
@@ -137,6 +106,7 @@ impl EngineBed {
             throttle: Lag::new(u.throttle_deg),
             wastegate: Lag::new(u.wastegate_mm),
             bleed: Lag::new(o.air_bleed.map_or(0.0, |b| b.start)),
+            cams: [Lag::new(u.intake_mop_deg_btdc), Lag::new(u.exhaust_mop_deg_atdc)],
             integrals: [u.throttle_deg, u.injection_mg],
             sensors: Vec::new(),
             guards: vec![GuardState::default(); limits.len()],
@@ -310,6 +280,12 @@ impl EngineBed {
             speed_rpm: if ideal { self.held[3] } else { speed_rpm },
             ..self.engine.state().inputs
         };
+        if let Some(schedule) = &self.engine.params().cams {
+            let [intake, exhaust] = &mut self.state.cams;
+            let at = schedule.at(u.speed_rpm, self.engine.outputs().map_kpa);
+            u.intake_mop_deg_btdc = intake.step(at.0, PHASER_S, h_s);
+            u.exhaust_mop_deg_atdc = exhaust.step(at.1, PHASER_S, h_s);
+        }
         for (row, value) in self.extra.iter().zip(&self.held[INPUTS..]) {
             *(EXTRA[*row].field)(&mut u) = *value;
         }
@@ -345,9 +321,11 @@ impl EngineBed {
             c.injection_mg = o.loops.lambda_gains.step(fuel, error, (0.0, 120.0), h_s);
         }
         if let Some(idle) = &o.engine.idle {
-            let rpm = s.dyno.speed_rpm();
-            let air_mg = 1e3 * self.engine.outputs().air_g_s * 120.0 / rpm / 4.0;
-            c = idle.step(&mut s.idle, c, rpm, air_mg, h_s);
+            let free = o.dynamometer.mode == DynoMode::Load;
+            let shaft = Shaft { rpm: s.dyno.speed_rpm(), free };
+            let air_mg = 1e3 * self.engine.outputs().air_g_s * 120.0 / shaft.rpm / 4.0;
+            let fuel_mg = air_mg / self.engine.params().gas.afr_stoich;
+            c = idle.step(&mut s.idle, c, shaft, fuel_mg, h_s);
         }
         c.backed_off(&o.limits, &s.guards)
     }
@@ -377,10 +355,13 @@ impl EngineBed {
         }
         let flow_g_s = y.air_g_s + y.fuel_kg_h / 3.6;
         if let (Some(settings), Some(c)) = (&o.engine.catalyst, &mut s.catalyst) {
+            let gas = &self.engine.params().gas;
             let feed = super::catalyst::Feed {
                 gas_g: flow_g_s * h_s,
                 gas_k: y.exhaust_k,
                 lambda: y.lambda_interval,
+                afr: gas.afr_stoich,
+                lhv_j_g: 1e-3 * gas.lhv_j_kg,
             };
             settings.step(c, &feed, h_s);
         }

@@ -75,10 +75,13 @@ pub struct Feed {
     pub gas_k: f64,
     /// Lambda.
     pub lambda: f64,
+    /// Stoichiometric air over fuel.
+    pub afr: f64,
+    /// Lower heating value of the fuel \[J/g\].
+    pub lhv_j_g: f64,
 }
 
-const AFR: f64 = 14.7;
-const LHV_J_G: f64 = 43.0e3;
+/// Heat capacity of exhaust gas.
 const CP_J_G_K: f64 = 1.15;
 
 impl CatalystSettings {
@@ -94,7 +97,8 @@ impl CatalystSettings {
 
     /// Oxygen above stoichiometric in a feed \[g\], negative when rich.
     pub fn excess_oxygen_g(feed: &Feed) -> f64 {
-        let air_g = feed.gas_g * feed.lambda * AFR / (1.0 + feed.lambda * AFR);
+        let air_over_fuel = feed.lambda * feed.afr;
+        let air_g = feed.gas_g * air_over_fuel / (1.0 + air_over_fuel);
         OXYGEN * air_g * (1.0 - 1.0 / feed.lambda)
     }
 
@@ -103,9 +107,9 @@ impl CatalystSettings {
         let gas_g = feed.gas_g.max(0.0);
         let feed = Feed { gas_g, lambda: feed.lambda.clamp(0.3, 9.99), ..*feed };
         let eta = self.conversion(s.brick_k);
-        let fuel_g = gas_g / (1.0 + feed.lambda * AFR);
+        let fuel_g = gas_g / (1.0 + feed.lambda * feed.afr);
         let heat = self.effectiveness * gas_g * CP_J_G_K * (feed.gas_k - s.brick_k)
-            + eta * self.exotherm * fuel_g * LHV_J_G
+            + eta * self.exotherm * fuel_g * feed.lhv_j_g
             - h_s * self.ambient_w_k * (s.brick_k - self.ambient_k);
         s.brick_k += heat / self.capacity_j_k;
         let excess = Self::excess_oxygen_g(&feed);

@@ -1,8 +1,10 @@
 //! Limits: watched each tick, reported as events, and kept by backing off.
 //!
 //! A limit that is exceeded moves its actuator away at a fixed rate. What is still exceeded after half the allowed time
-//! trips: fuel is cut, the wastegate opens and the throttle closes until the quantity has been inside for the hold time.
-//! Without fuel, pressure, knock, temperature and boost fall within a few cycles, which is what the other half is for.
+//! trips: fuel is cut and the wastegate opens (a limit that closes the throttle closes it) until the quantity has been
+//! inside for the hold time. Without fuel, peak pressure, knock and exhaust temperature fall within a few cycles, boost
+//! and shaft as fast as the turbine runs down, which is what the other half is for. The throttle stays open in a trip of
+//! boost: behind a closed one the charge pipe would keep its pressure for seconds.
 
 use serde::{Deserialize, Serialize};
 
@@ -164,6 +166,10 @@ impl Commands {
         if states.iter().any(|s| s.trip_s > 0.0) {
             self.injection_mg = 0.0;
             self.wastegate_mm = 28.0;
+        }
+        let closes =
+            |(l, s): (&LimitSettings, &GuardState)| s.trip_s > 0.0 && l.action == Action::CloseThrottle;
+        if limits.iter().zip(states).any(closes) {
             self.throttle_deg = 0.0;
         }
         self

@@ -24,8 +24,6 @@ pub struct IdleSettings {
     pub spark_reserve_deg: f64,
     /// Spark \[deg\] per speed error \[rpm\].
     pub spark_gain: f64,
-    /// Air over fuel that idle control injects for.
-    pub afr: f64,
 }
 
 impl Default for IdleSettings {
@@ -39,7 +37,6 @@ impl Default for IdleSettings {
             range_deg: (0.0, 20.0),
             spark_reserve_deg: 12.0,
             spark_gain: 0.15,
-            afr: 14.7,
         }
     }
 }
@@ -55,12 +52,22 @@ pub struct IdleState {
     pub integral_deg: f64,
 }
 
+/// The shaft as the controller sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shaft {
+    /// Speed \[rpm\].
+    pub rpm: f64,
+    /// The speed follows from the torques (load mode), nothing imposes it.
+    pub free: bool,
+}
+
 impl IdleSettings {
-    /// Commands after cut-off and idle control; `air_mg` is the air of the last cycle per cylinder.
-    pub fn step(&self, s: &mut IdleState, mut c: Commands, rpm: f64, air_mg: f64, h_s: f64) -> Commands {
+    /// Commands after cut-off and, where the speed is free, idle control; `fuel_mg` is the fuel for the air of the last
+    /// cycle.
+    pub fn step(&self, s: &mut IdleState, mut c: Commands, shaft: Shaft, fuel_mg: f64, h_s: f64) -> Commands {
         let released = c.throttle_deg <= self.released_deg;
-        s.cut = released && rpm > if s.cut { self.return_rpm } else { self.cut_rpm };
-        if !released || s.cut {
+        s.cut = released && shaft.rpm > if s.cut { self.return_rpm } else { self.cut_rpm };
+        if !released || s.cut || !shaft.free {
             s.idle = false;
             if s.cut {
                 c.injection_mg = 0.0;
@@ -72,12 +79,12 @@ impl IdleSettings {
             s.idle = true;
             s.integral_deg = c.throttle_deg.max(2.0);
         }
-        let error = self.idle_rpm - rpm;
+        let error = self.idle_rpm - shaft.rpm;
         c.throttle_deg = self.gains.step(&mut s.integral_deg, error, self.range_deg, h_s);
         let reserve = self.spark_reserve_deg;
         let spark_deg = c.spark_deg - reserve + (self.spark_gain * error).clamp(-reserve, reserve);
         c.spark_deg = spark_deg.clamp(-10.0, 55.0);
-        c.injection_mg = (air_mg / self.afr).clamp(0.0, 120.0);
+        c.injection_mg = fuel_mg.clamp(0.0, 120.0);
         c
     }
 }

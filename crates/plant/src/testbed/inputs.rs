@@ -23,6 +23,7 @@ pub(crate) static EXTRA: &[ExtraInput] = &[
         field: |u| &mut u.exhaust_mop_deg_atdc,
     },
     ExtraInput { name: "wastegate", unit: "mm", range: (0.0, 28.0), field: |u| &mut u.wastegate_mm },
+    ExtraInput { name: "egr", unit: "mm", range: (0.0, 25.0), field: |u| &mut u.egr_mm },
     ExtraInput { name: "wiebe_m", unit: "-", range: (0.5, 6.0), field: |u| &mut u.wiebe_m },
 ];
 

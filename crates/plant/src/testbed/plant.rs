@@ -61,9 +61,10 @@ impl Plant for EngineBed {
 
     fn describe(&self) -> String {
         let n = &self.settings.noise;
+        let level = if self.engine.params().turbocharger.is_some() { "F1" } else { "F0" };
         let bed = if self.settings.options == BedOptions::default() { "" } else { ", bed with options" };
         format!(
-            "virtual engine F0, parameter set `{}`{bed}, noise {} Nm / {} lambda, dynocal-plant {}",
+            "virtual engine {level}, parameter set `{}`{bed}, noise {} Nm / {} lambda, dynocal-plant {}",
             self.settings.set_name,
             n.torque_nm,
             n.lambda,

@@ -72,6 +72,15 @@ pub(crate) static QUANTITIES: &[Quantity] = &[
             |r| least_burned_share(r.engine),
         )
     },
+    quantity("knock", "-", (0.0, 1e3), "Knock integral, worst of the last cycles; 1 is the onset", |r| {
+        r.y.knock
+    }),
+    quantity("turbo_speed", "rpm", (0.0, 4e5), "Speed of the turbocharger", |r| r.y.turbo_rpm),
+    quantity("surge", "-", (0.0, 1.0), "Share of the cycle in which the compressor surged", |r| r.y.surge),
+    quantity("egr_rate", "-", (0.0, 1.0), "Recirculated gas over recirculated gas and air", |r| r.y.egr_rate),
+    quantity("no", "ppm", (0.0, 2e4), "Nitric oxide before the catalyst, wet", |r| r.y.no_ppm),
+    quantity("co", "%", (0.0, 30.0), "Carbon monoxide before the catalyst", |r| r.y.co_pct),
+    quantity("hc", "ppm", (0.0, 1e6), "Unburned fuel before the catalyst, C1", |r| r.y.hc_ppm),
     quantity("throttle_angle", "deg", (0.0, 90.0), "Throttle behind its actuator", |r| r.bed.throttle.value),
     quantity("wastegate_bore", "mm", (0.0, 28.0), "Wastegate behind its actuator", |r| r.bed.wastegate.value),
     quantity("spark_angle", "deg", (-10.0, 55.0), "Spark after back-off", |r| {

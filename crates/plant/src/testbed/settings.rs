@@ -69,7 +69,8 @@ pub struct BedOptions {
     pub tick_s: f64,
     /// Inputs outside their range are set to its end and reported, in place of an error.
     pub saturate: bool,
-    /// Inputs beside the standard four: `intake_cam`, `exhaust_cam`, `wastegate`, `wiebe_m`.
+    /// Inputs beside the standard four: `intake_cam`, `exhaust_cam`, `wastegate`, `egr`, `wiebe_m`. Cams that are no
+    /// inputs follow the schedule of the parameter set, if it has one.
     pub inputs: Vec<String>,
     /// Quantities to be read beside the five standard outputs.
     pub outputs: Vec<String>,
@@ -140,7 +141,7 @@ impl BedOptions {
                 burn_imbalance: 0.02,
                 warm_up: Some(ThermalSettings { start_k: 363.15, ..ThermalSettings::default() }),
                 catalyst: Some(CatalystSettings::default()),
-                idle: None,
+                idle: Some(IdleSettings::default()),
             },
             ..Self::default()
         }
@@ -259,7 +260,6 @@ impl RealEngine {
             range("bed.engine.idle.return_rpm", i.return_rpm, i.idle_rpm, 6500.0)?;
             range("bed.engine.idle.cut_rpm", i.cut_rpm, i.return_rpm, 6500.0)?;
             range("bed.engine.idle.spark_reserve_deg", i.spark_reserve_deg, 0.0, 30.0)?;
-            range("bed.engine.idle.afr", i.afr, 5.0, 30.0)?;
             range("bed.engine.idle.range_deg", i.range_deg.1 - i.range_deg.0, 0.0, 90.0)?;
         }
         Ok(())

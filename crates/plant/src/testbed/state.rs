@@ -25,6 +25,8 @@ pub struct BedState {
     pub wastegate: Lag,
     /// Air-bleed valve behind its actuator \[-\].
     pub bleed: Lag,
+    /// Opening points of the cams that follow a schedule, intake and exhaust \[deg\].
+    pub cams: [Lag; 2],
     /// Integrals of the torque loop \[deg\] and of the lambda loop \[mg\].
     pub integrals: [f64; 2],
     /// One for each output.
@@ -55,6 +57,7 @@ impl BedState {
         [&mut self.throttle.value, &mut self.wastegate.value, &mut self.bleed.value]
             .into_iter()
             .for_each(&mut *f);
+        self.cams.iter_mut().for_each(|c| f(&mut c.value));
         self.integrals.iter_mut().for_each(&mut *f);
         self.sensors.iter_mut().for_each(|s| s.visit(f));
         self.guards.iter_mut().for_each(|g| g.visit(f));

@@ -1,9 +1,9 @@
 //! Variables of a bed.
 
-use super::bed::BedSettings;
 use super::dynamometer::DynoMode;
 use super::inputs::EXTRA;
 use super::quantity::QUANTITIES;
+use super::start::BedSettings;
 use dynocal_ident::plant::{Causality, Variable};
 
 /// Inputs, then outputs with the values that they start from.
