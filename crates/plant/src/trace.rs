@@ -68,6 +68,31 @@ impl CylinderTrace {
         Ok(out)
     }
 
+    /// Apparent net heat release \[J/deg\] at each sample, dQ/dphi = g/(g-1) p dV/dphi + 1/(g-1) V dp/dphi with constant
+    /// `gamma` (Heywood 9.27); 0 at both ends. Valid from intake closing to exhaust opening.
+    ///
+    /// ```
+    /// use dynocal_plant::trace::CylinderTrace;
+    /// // Isentropic: none. Pressure rises at constant volume: V dp/(g - 1).
+    /// let v: Vec<f64> = (0..200).map(|k| 1e-4 * (1.0 + 0.001 * f64::from(k))).collect();
+    /// let p = v.iter().map(|v| 1e5 * (v / 1e-4).powf(-1.3)).collect();
+    /// let angle: Vec<f64> = (0..200).map(f64::from).collect();
+    /// let t = CylinderTrace { angle_deg: angle.clone(), volume_m3: v, pressure_pa: p, ..CylinderTrace::default() };
+    /// assert!(t.heat_release_j_deg(1.3).iter().all(|q| q.abs() < 1e-6));
+    /// let p = angle.iter().map(|a| 1e5 + 100.0 * a).collect();
+    /// let t = CylinderTrace { angle_deg: angle, volume_m3: vec![1e-4; 200], pressure_pa: p, ..CylinderTrace::default() };
+    /// assert!((t.heat_release_j_deg(1.3)[100] - 1e-4 * 100.0 / 0.3).abs() < 1e-9);
+    /// ```
+    pub fn heat_release_j_deg(&self, gamma: f64) -> Vec<f64> {
+        let (p, v, a) = (&self.pressure_pa, &self.volume_m3, &self.angle_deg);
+        let inner = |k: usize| {
+            let span = a[k + 1] - a[k - 1];
+            let (dv, dp) = (v[k + 1] - v[k - 1], p[k + 1] - p[k - 1]);
+            (gamma * p[k] * dv + v[k] * dp) / ((gamma - 1.0) * span)
+        };
+        (0..p.len()).map(|k| if k == 0 || k + 1 >= p.len() { 0.0 } else { inner(k) }).collect()
+    }
+
     /// Work of the gas on the piston over the trace \[J\]: the integral of p dV by the trapezoidal rule.
     pub fn work_j(&self) -> f64 {
         let p = self.pressure_pa.windows(2).zip(self.volume_m3.windows(2));

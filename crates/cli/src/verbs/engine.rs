@@ -1,4 +1,4 @@
-//! `dynocal engine point|sweep|motored|transient|cycle`: the virtual engine without a spec.
+//! `dynocal engine point|sweep|motored|map|full-load|transient|cycle`: the virtual engine without a spec.
 
 use std::path::{Path, PathBuf};
 
@@ -8,21 +8,21 @@ use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::outputs::Outputs;
-use dynocal_plant::params::EngineParams;
 use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
 use dynocal_plant::trace::CylinderTrace;
 
 use super::Verb;
 use super::engine_cycle::Cycle;
 use super::engine_transient::Transient;
+use super::engine_map::{FullLoad, Map};
 use crate::common::print;
 use crate::failure::{Exit, Failure};
-use crate::table;
+use crate::{plants, table};
 
 pub(crate) const VERB: Verb =
     Verb { name: "engine", describe: |c| Engine::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, motored, or in a car";
+const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, a map or full load, motored, or in a car";
 
 /// Time at constant inputs before the outputs are averaged, and the time of averaging (thesis 6.6.1) \[s\].
 const SETTLE_S: f64 = 9.0;
@@ -30,6 +30,9 @@ const AVERAGE_S: f64 = 1.0;
 
 #[derive(Args, Debug)]
 struct Engine {
+    /// Parameter set: a name (`dynocal list parameters`), `perturbed:SEED`, or a file like crates/plant/parameters/*.toml
+    #[arg(long, global = true, default_value = "thesis", value_name = "NAME|FILE.toml")]
+    parameters: String,
     #[command(subcommand)]
     what: What,
 }
@@ -75,6 +78,10 @@ enum What {
     },
     /// On its bed, with inputs from a file
     Transient(Transient),
+    /// Grid of speed and torque as an engine controller holds it: boost, knock limit, exhaust temperature
+    Map(Map),
+    /// Most torque over speed within the limits
+    FullLoad(FullLoad),
     /// In a car that follows a drive cycle
     Cycle(Cycle),
 }
@@ -121,6 +128,7 @@ enum Input {
     IntakeCam,
     ExhaustCam,
     Wastegate,
+    Egr,
     WiebeM,
 }
 
@@ -134,20 +142,24 @@ impl Input {
             Input::IntakeCam => &mut u.intake_mop_deg_btdc,
             Input::ExhaustCam => &mut u.exhaust_mop_deg_atdc,
             Input::Wastegate => &mut u.wastegate_mm,
+            Input::Egr => &mut u.egr_mm,
             Input::WiebeM => &mut u.wiebe_m,
         } = value;
     }
 }
 
 /// Inputs and outputs of one point.
-type Point = (Inputs, Outputs);
+pub(super) type Point = (Inputs, Outputs);
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Engine::from_arg_matches(matches)?;
-    let mut engine = VirtualEngine::new(&EngineParams::thesis())?;
+    let params = plants::parameters(&args.parameters)?;
+    let mut engine = VirtualEngine::new(&params)?;
     let (title, points, files) = match args.what {
-        What::Cycle(cycle) => return cycle.run(),
         What::Transient(transient) => return transient.run(),
+        What::Cycle(cycle) => return cycle.run(&args.parameters, &params),
+        What::Map(map) => return map.run(&args.parameters, &params),
+        What::FullLoad(load) => return load.run(&args.parameters, &params),
         What::Point { at, files } => ("Engine: point", vec![at.point(&mut engine)?], files),
         What::Sweep { input, from, to, points, at, files } => {
             let (mut u, _) = at.point(&mut engine)?;
@@ -169,7 +181,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     }
     if let Some(path) = &files.report {
         let trace = CylinderTrace::record(&mut engine, 0)?;
-        let page = render(&report(title, &points, &trace))?;
+        let page = render(&report(title, &args.parameters, &points, &trace))?;
         dynocal_files::atomic::write(path, page.as_bytes())?;
         print(&format!("\n{}\n", path.display()));
     }
@@ -201,9 +213,9 @@ impl At {
 }
 
 /// A column: name, unit, significant digits on the terminal, value.
-type Quantity = (&'static str, &'static str, usize, fn(&Point) -> f64);
+pub(super) type Quantity = (&'static str, &'static str, usize, fn(&Point) -> f64);
 
-static QUANTITIES: &[Quantity] = &[
+pub(super) static QUANTITIES: &[Quantity] = &[
     ("speed", "rpm", 4, |p| p.0.speed_rpm),
     ("throttle", "deg", 4, |p| p.0.throttle_deg),
     ("spark", "deg", 4, |p| p.0.spark_deg),
@@ -211,6 +223,7 @@ static QUANTITIES: &[Quantity] = &[
     ("intake_cam", "deg", 4, |p| p.0.intake_mop_deg_btdc),
     ("exhaust_cam", "deg", 4, |p| p.0.exhaust_mop_deg_atdc),
     ("wastegate", "mm", 3, |p| p.0.wastegate_mm),
+    ("egr", "mm", 3, |p| p.0.egr_mm),
     ("wiebe_m", "-", 3, |p| p.0.wiebe_m),
     ("torque", "Nm", 5, |p| p.1.torque_nm),
     ("lambda", "-", 4, |p| p.1.lambda),
@@ -227,10 +240,18 @@ static QUANTITIES: &[Quantity] = &[
     ("burn_10_90", "deg", 4, |p| p.1.burn_deg),
     ("residual", "-", 3, |p| p.1.residual),
     ("vol_eff", "-", 3, |p| p.1.volumetric_efficiency),
+    ("boost", "kPa", 4, |p| p.1.boost_kpa),
+    ("exhaust", "kPa", 4, |p| p.1.exhaust_kpa),
+    ("turbo", "rpm", 4, |p| p.1.turbo_rpm),
+    ("knock", "-", 3, |p| p.1.knock),
+    ("egr_rate", "-", 3, |p| p.1.egr_rate),
+    ("no", "ppm", 3, |p| p.1.no_ppm),
+    ("co", "%", 3, |p| p.1.co_pct),
+    ("hc", "ppm", 3, |p| p.1.hc_ppm),
 ];
 
 /// One quantity per line for a few points, otherwise one point per line with what is read most.
-fn show(points: &[Point]) {
+pub(super) fn show(points: &[Point]) {
     const SHORT: [&str; 11] =
         ["speed", "throttle", "spark", "inj", "torque", "lambda", "map", "egt", "bsfc", "pmax", "ca50"];
     let text = |q: &Quantity, p: &Point| dynocal_deliver::significant((q.3)(p), q.2);
@@ -248,7 +269,7 @@ fn show(points: &[Point]) {
     print(&table::render(&header, &rows, &right));
 }
 
-fn csv(path: &Path, points: &[Point]) -> Result<(), Failure> {
+pub(super) fn csv(path: &Path, points: &[Point]) -> Result<(), Failure> {
     let values: Vec<Vec<f64>> = QUANTITIES.iter().map(|q| points.iter().map(q.3).collect()).collect();
     let columns: Vec<(&str, &str, &[f64])> =
         QUANTITIES.iter().zip(&values).map(|(q, v)| (q.0, q.1, v.as_slice())).collect();
@@ -256,8 +277,8 @@ fn csv(path: &Path, points: &[Point]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn report(title: &str, points: &[Point], t: &CylinderTrace) -> Report {
-    let mut report = Report::new(title).subtitle("Virtual engine, parameter set thesis");
+fn report(title: &str, set: &str, points: &[Point], t: &CylinderTrace) -> Report {
+    let mut report = Report::new(title).subtitle(format!("Virtual engine, parameter set {set}"));
     if let Some(p) = points.last() {
         for q in QUANTITIES {
             report = report.fact(format!("{} [{}]", q.0, q.1), dynocal_deliver::significant((q.3)(p), q.2));
@@ -289,8 +310,25 @@ fn report(title: &str, points: &[Point], t: &CylinderTrace) -> Report {
         curve("Temperature", Axis::new("Temperature", "K"), t.temperature_k.clone()),
         curve("Gas in the cylinder", Axis::new("Mass", "mg"), mg),
         curve("Burned share", Axis::new("Share", ""), t.burned.clone()),
+        heat_release(t),
     ];
     let text = "First cylinder, one cycle at the last point.";
     let traces = traces.into_iter().fold(Section::new("Traces").text(text), Section::block);
     report.section(Section::new("Pressure and volume").text(text).columns(pv)).section(traces)
+}
+
+/// Apparent heat release between intake closing and exhaust opening.
+fn heat_release(t: &CylinderTrace) -> Block {
+    const GAMMA: f64 = 1.3;
+    let rate = t.heat_release_j_deg(GAMMA);
+    let closed = t.angle_deg.iter().zip(rate).filter(|(a, _)| (-60.0..100.0).contains(*a));
+    let (angle, rate): (Vec<f64>, Vec<f64>) = closed.map(|(a, q)| (*a, q)).unzip();
+    XyPlot::new(
+        "Apparent heat release",
+        Axis::new("Angle after firing dead centre", "deg"),
+        Axis::new("Rate", "J/deg"),
+    )
+    .line("Cylinder 1", angle, rate)
+    .caption("From pressure and volume with a constant ratio of heat capacities of 1.3: net of wall heat.")
+    .into()
 }

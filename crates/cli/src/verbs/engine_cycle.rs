@@ -67,7 +67,7 @@ enum FileError {
 
 impl Cycle {
     /// Measures the controller's grid, drives the cycle, shows the result.
-    pub(crate) fn run(&self) -> Result<Exit, Failure> {
+    pub(crate) fn run(&self, set: &str, params: &EngineParams) -> Result<Exit, Failure> {
         interrupt::install()?;
         let cycle = self.cycle()?;
         let units = match self.road_load {
@@ -77,7 +77,7 @@ impl Cycle {
         };
         let mut car = Car { grade: self.grade, ..Car::thesis() };
         car.road_load.units = units;
-        let engine = VirtualEngine::new(&EngineParams::thesis())?;
+        let engine = VirtualEngine::new(params)?;
         let bar = bar(cycle.duration_s());
         bar.set_message("steady points for the controller");
         let grid = SteadyGrid::measure(&engine, &GRID_RPM, GRID_TORQUES)?;
@@ -102,7 +102,7 @@ impl Cycle {
         }
         if let Some(path) = &self.report {
             let name = self.file.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-            dynocal_files::atomic::write(path, render(&report(&name, &log, &facts))?.as_bytes())?;
+            dynocal_files::atomic::write(path, render(&report(&name, set, &log, &facts))?.as_bytes())?;
             print(&format!("\n{}\n", path.display()));
         }
         // A part of a cycle is no result of it.
@@ -237,9 +237,9 @@ fn csv(path: &Path, log: &DriveLog) -> Result<(), Failure> {
     Ok(())
 }
 
-fn report(name: &str, log: &DriveLog, facts: &[Fact]) -> Report {
+fn report(name: &str, set: &str, log: &DriveLog, facts: &[Fact]) -> Report {
     let mut report = Report::new(format!("Drive cycle {name}"))
-        .subtitle("Virtual engine, parameter set thesis, in the car of thesis Table 3.3");
+        .subtitle(format!("Virtual engine, parameter set {set}, in the car of thesis Table 3.3"));
     for (what, value, unit) in facts {
         report = report.fact(format!("{what} [{unit}]"), value.clone());
     }

@@ -11,7 +11,7 @@ use crate::table;
 
 pub(crate) const VERB: Verb = Verb { name: "list", describe: |c| List::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "List signals, models, estimators, criteria, plants, optimisers and studies with their parameters";
+const ABOUT: &str = "List signals, models, estimators, criteria, plants, engine parameters, optimisers and studies with their parameters";
 
 #[derive(Args, Debug)]
 struct List {
@@ -34,6 +34,7 @@ static FAMILIES: &[Family] = &[
     ("selections", dynocal_ident::select::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
     ("searches", || dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect()),
+    ("parameters", || dynocal_plant::params::PARAMETER_SETS.iter().map(|s| s.doc).collect()),
     ("plants", || crate::plants::PLANTS.iter().map(|p| p.doc).collect()),
     ("studies", || crate::studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
