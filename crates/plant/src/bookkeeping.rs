@@ -75,7 +75,11 @@ impl VirtualEngine {
                 m.woschni_ref = geometry.displacement_m3() * t / (p * node.volume_m3);
                 m.motored_ref = p / node.motored;
                 if boosted.zones() {
-                    m.end_gas = EndGas::closed(&self.model.gas, [air, fuel, products], p, t);
+                    // The temperature kept is that of the step before: one Newton correction to the present one.
+                    let mass = [air, fuel, products];
+                    let (u, cv) = self.model.gas.energy_and_capacity(mass, t);
+                    let now = t + (s.gas.energy_j[c] - u) / cv;
+                    m.end_gas = EndGas::closed(&self.model.gas, mass, p * now / t, now);
                     let total = air + fuel + products;
                     m.end_gas.entrained = 1e-6 * m.last.emissions.no_ppm * products / total;
                 }

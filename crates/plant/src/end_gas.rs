@@ -46,8 +46,8 @@ pub struct EndGas {
     pub t_k: f64,
     /// Pressure of the last step \[Pa\].
     pub p_pa: f64,
-    /// kappa at 0 K and its slope \[1/K\].
-    pub kappa: [f64; 2],
+    /// Coefficients of the parabola kappa(T), lowest power first.
+    pub kappa: [f64; 3],
     /// Knock integral.
     pub knock: f64,
     /// Mole fraction of NO in the burned zone.
@@ -80,16 +80,21 @@ impl EndGas {
     pub fn closed(gas: &GasModel, mass_kg: [f64; 3], p_pa: f64, t_k: f64) -> Self {
         let r = gas.mass_r_j_k(mass_kg);
         let kappa = |t: f64| r / (gas.heat_capacity_j_k(mass_kg, t) + r);
-        let (cool, hot) = (kappa(400.0), kappa(900.0));
-        let slope = (hot - cool) / 500.0;
-        Self { t_k, p_pa, kappa: [cool - 400.0 * slope, slope], ..Self::default() }
+        // Newton's form through three temperatures of a compression, expanded.
+        let [a, b, c] = [350.0, 600.0, 900.0];
+        let first = (kappa(b) - kappa(a)) / (b - a);
+        let second = ((kappa(c) - kappa(b)) / (c - b) - first) / (c - a);
+        let parabola = [kappa(a) - first * a + second * a * b, first - second * (a + b), second];
+        Self { t_k, p_pa, kappa: parabola, ..Self::default() }
     }
 
     /// Follows the unburned gas and the knock integral over a step.
     #[inline]
     pub fn advance(&mut self, knock: Option<&KnockModel>, s: &ZoneStep) {
-        let kappa = self.kappa[0] + self.kappa[1] * self.t_k;
-        self.t_k *= (kappa * (s.p_pa / self.p_pa).ln()).exp();
+        let kappa = |t: f64| self.kappa[0] + t * (self.kappa[1] + t * self.kappa[2]);
+        let ln = (s.p_pa / self.p_pa).ln();
+        let middle = self.t_k * (1.0 + 0.5 * kappa(self.t_k) * ln);
+        self.t_k *= (kappa(middle) * ln).exp();
         self.p_pa = s.p_pa;
         if let Some(model) = knock
             && s.burned < 0.9

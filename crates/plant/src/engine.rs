@@ -8,7 +8,7 @@ use crate::initial::{initial_state, set_volume};
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
 use crate::params::EngineParams;
-use crate::state::{CycleRecord, EngineState, Gas, Sums};
+use crate::state::{CycleRecord, EXHAUST, EngineState, Gas, Sums};
 use crate::step::{Held, Model, Rates, add, advance};
 use crate::testbed::deviations::Deviations;
 use std::sync::Arc;
@@ -257,8 +257,25 @@ impl VirtualEngine {
         let middle = start.map(|i| i + cells);
         self.model.rates(&self.mid, &middle, &self.grid, &self.held, &s.cylinders, &mut guess, &mut self.k);
         add(&mut s.gas, &self.k, dt);
+        restore_positive(&mut s.gas);
         s.t_before_k = t_start;
         s.t_k = guess;
         self.account(cells, dt, &middle);
+    }
+}
+
+/// A flow that turns between start and middle of a step can carry away a species that was not there. What a cylinder
+/// is short of comes from the exhaust manifold, so that mass and energy stay exact.
+#[inline]
+fn restore_positive(gas: &mut Gas) {
+    // Rounding stays where it is.
+    const SHORT_KG: f64 = -1e-13;
+    for species in &mut gas.mass_kg {
+        for c in 0..4 {
+            if species[c] < SHORT_KG {
+                species[EXHAUST] += species[c];
+                species[c] = 0.0;
+            }
+        }
     }
 }

@@ -115,6 +115,12 @@ impl Grid {
         self.offset_cells.map(|o| 2 * if cell >= o { cell - o } else { cell + self.cells - o })
     }
 
+    /// Area of both kinds of valves at the dead centre of gas exchange \[m2\].
+    pub(crate) fn overlap_m2(&self, intake: (usize, f64), exhaust: (usize, f64)) -> f64 {
+        let at = |table: &[f64], shift: (usize, f64)| table[(self.cells + shift.0) % (2 * self.cells)];
+        at(&self.intake_m2, intake) + at(&self.exhaust_m2, exhaust)
+    }
+
     /// Shift that turns a local node into an index of a valve table for the opening point `mop_deg`: whole half cells
     /// and the rest.
     pub(crate) fn valve_shift(&self, mop_deg: f64) -> (usize, f64) {

@@ -11,6 +11,7 @@ pub mod bed;
 mod bookkeeping;
 mod boosted;
 pub mod cams;
+pub mod class_values;
 pub mod combustion;
 pub mod dissociation;
 pub mod egr;
