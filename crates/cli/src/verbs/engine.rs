@@ -156,7 +156,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let params = plants::parameters(&args.parameters)?;
     let mut engine = VirtualEngine::new(&params)?;
     let (title, points, files) = match args.what {
-        What::Transient(transient) => return transient.run(),
+        What::Transient(mut transient) => {
+            transient.parameters = args.parameters;
+            return transient.run();
+        }
         What::Cycle(cycle) => return cycle.run(&args.parameters, &params),
         What::Map(map) => return map.run(&args.parameters, &params),
         What::FullLoad(load) => return load.run(&args.parameters, &params),

@@ -25,9 +25,9 @@ pub(crate) struct Transient {
     /// Inputs: a CSV with a column of time in s and columns named as inputs of the bed (`time [s], throttle [deg], ..`);
     /// each row holds until the next, inputs without a column stay at their start
     file: PathBuf,
-    /// Parameter set: a name, perturbed:SEED, perturbed:SET:SEED, or a TOML file
-    #[arg(long, default_value = "thesis", value_name = "NAME")]
-    parameters: String,
+    /// Parameter set, of the verb.
+    #[arg(skip)]
+    pub(crate) parameters: String,
     /// Bed: a TOML file with the keys of `[plant.bed]` (docs/testbed.md)
     #[arg(long, value_name = "FILE")]
     bed: Option<PathBuf>,
