@@ -1,14 +1,24 @@
 //! Statistics of test signals on the known engine models of thesis chapter 4.
 //!
 //! The torque model (4.17) and the lambda model (4.53) play the engine: a [`source::Source`] gives identification
-//! signals of 100 samples, least squares gives a model from each noisy record, and unseen random signals say how
-//! well it predicts. A [`population::Population`] holds what came out, with standard errors; [`published`] holds
-//! what the thesis printed and what an independent implementation found; [`fir`] is its Example 1.
+//! signals of 100 samples (kept by a [`library::Library`]), least squares gives a model from each noisy record, and
+//! unseen signals say how well it predicts. A [`population::Population`] holds what came out, with standard errors.
+//! [`constrained`] does so under output and rate limits, [`iterative`] repeats design and estimation,
+//! [`objective_signal`] designs for one case, [`convergence`] compares searches, [`fir`] is Example 1; [`published`]
+//! holds what the thesis printed and what an independent implementation found.
 //!
 //! Readings: convention `trim` (y(1..10) = 0, sums over t = 11..100), ABV as a fraction, regressor 17 of (4.17)
 //! counted once, term 15 of (4.53) read as u3(t) u3(t-7), R2 in free run against noisy unseen outputs.
 
+pub mod constrained;
+pub mod convergence;
+pub mod correlation;
+pub mod distribution;
 pub mod fir;
+pub mod iterative;
+pub mod library;
+mod models;
+pub mod objective_signal;
 pub mod population;
 pub mod published;
 pub mod source;
@@ -26,6 +36,17 @@ use serde::{Deserialize, Serialize};
 pub const SAMPLES: usize = 100;
 /// Longest lag of both models: samples that only initialise.
 pub const START: usize = 10;
+
+/// How large a population is.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Size {
+    /// Identification signals.
+    pub identification: usize,
+    /// Validation signals of each kind.
+    pub validation: usize,
+    /// Seed of all random numbers.
+    pub seed: u64,
+}
 
 /// The objective signal U0 of the prediction criteria: an APRBS with five levels.
 const U0: &str = include_str!("../../../tests/reference/design_u0.json");

@@ -1,13 +1,14 @@
 //! Populations of thesis chapter 4 against an independent implementation, and their invariances.
 
-use dynocal_calib::chapter4::population::{NOISE, Population, Size, VALIDATION, measure};
+use dynocal_calib::chapter4::library::Library;
+use dynocal_calib::chapter4::population::{NOISE, Population, VALIDATION, measure};
 use dynocal_calib::chapter4::published::R2_TORQUE;
 use dynocal_calib::chapter4::source::{DesignCriterion, Source, signals};
-use dynocal_calib::chapter4::{Chapter4Error, Output, Setting};
+use dynocal_calib::chapter4::{Chapter4Error, Output, Setting, Size};
 
 fn measured(source: Source, n: usize) -> Population {
     let size = Size { identification: n, validation: n, seed: 11 };
-    measure(&Setting::new().unwrap(), source, size, &|| false).unwrap()
+    measure(&Library::new(size).unwrap(), source, &|| false).unwrap()
 }
 
 /// Mean R2 of models from random signals, all noise levels and kinds of unseen signals.

@@ -26,7 +26,7 @@ pub enum Rows {
     Zero,
 }
 
-/// `tr(M^-1)` of the input `u`; infinite where M is singular.
+/// `tr(M^-1)` of the input `u`; infinite where M is singular. The sum of [`variances`].
 ///
 /// ```
 /// use dynocal_calib::chapter4::fir::{Rows, trace_of_inverse};
@@ -37,6 +37,11 @@ pub enum Rows {
 /// assert!((trace_of_inverse(&u, Rows::Trim) - 0.03).abs() < 1e-15);
 /// ```
 pub fn trace_of_inverse(u: &[f64], rows: Rows) -> f64 {
+    variances(u, rows).iter().sum()
+}
+
+/// Variances of the three parameters, the diagonal of M^-1 (Table 4.2); infinite where M is singular.
+pub fn variances(u: &[f64], rows: Rows) -> [f64; 3] {
     let (mut a, mut b, mut c, mut d, mut e, mut f) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let at = |t: usize, lag: usize| if t >= lag { u[t - lag] } else { 0.0 };
     let first = if rows == Rows::Trim { 3 } else { 0 };
@@ -52,7 +57,10 @@ pub fn trace_of_inverse(u: &[f64], rows: Rows) -> f64 {
     let (m11, m22, m33) = (b * c - f * f, a * c - e * e, a * b - d * d);
     let determinant = a * m11 - d * (d * c - e * f) + e * (d * f - e * b);
     // Relative to the determinant of the diagonal, so that the test does not depend on the amplitude.
-    if determinant <= 1e-12 * a * b * c { f64::INFINITY } else { (m11 + m22 + m33) / determinant }
+    if determinant <= 1e-12 * a * b * c {
+        return [f64::INFINITY; 3];
+    }
+    [m11 / determinant, m22 / determinant, m33 / determinant]
 }
 
 /// Lower bound of J_A: every diagonal entry of M at most the number of its rows that see a sample, times 100.
@@ -100,13 +108,13 @@ fn flip(u: &mut [f64], i: usize, j: usize) {
     }
 }
 
-/// J_A of `n` uniformly distributed random signals.
-pub fn udrn(rows: Rows, n: usize, seed: u64) -> Vec<f64> {
+/// Variances of the parameters of `n` uniformly distributed random signals.
+pub fn udrn(rows: Rows, n: usize, seed: u64) -> Vec<[f64; 3]> {
     (0..n)
         .map(|k| {
             let mut rng = Rng64::stream(seed, (1 << 20) + k as u64);
             let u: Vec<f64> = (0..SAMPLES).map(|_| rng.uniform_in(-AMPLITUDE, AMPLITUDE)).collect();
-            trace_of_inverse(&u, rows)
+            variances(&u, rows)
         })
         .collect()
 }
@@ -130,7 +138,8 @@ mod tests {
     /// Thesis 8.51e-4 (one signal), median of an independent population 9.4e-4.
     #[test]
     fn random_signals_are_three_times_worse() {
-        let median = crate::chapter4::statistics::median(&udrn(Rows::Trim, 400, 1)).unwrap();
+        let j_a: Vec<f64> = udrn(Rows::Trim, 400, 1).iter().map(|v| v.iter().sum()).collect();
+        let median = crate::chapter4::statistics::median(&j_a).unwrap();
         assert!((median / 9.4357e-4 - 1.0).abs() < 0.03, "{median}");
     }
 }

@@ -1,34 +1,13 @@
 //! What a kind of signal is worth: criteria, models identified with it, and their scores on unseen signals.
 
-use dynocal_design::information::{Report, report};
 use dynocal_design::problem::Evaluator;
-use dynocal_ident::estimate::Estimator;
-use dynocal_ident::estimate::ols::Ols;
-use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::Model;
-use dynocal_ident::validate::{Kind, Reference, Seen, output, score_values};
-use dynocal_numerics::rng::Rng64;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::source::{DesignCriterion, Record, Source, problem, signals, term};
-use super::statistics::{Stat, crossed, median};
-use super::{Chapter4Error, Output, SAMPLES, START, Setting};
-
-/// Ridge of the minimum-norm estimate, relative to the squared rms of a column: its limit to zero is the solution of
-/// least norm with columns of unit rms, and the directions that are seen have squared singular values above 1e-6.
-const LEAST_NORM_RIDGE: f64 = 1e-13;
-
-/// How large a population is.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub struct Size {
-    /// Identification signals.
-    pub identification: usize,
-    /// Validation signals of each kind.
-    pub validation: usize,
-    /// Seed of all random numbers.
-    pub seed: u64,
-}
+use super::library::Library;
+use super::models::{Told, identify, relative_error, told, unseen, validate};
+use super::source::{DesignCriterion, Record, Source, problem, term};
+use super::statistics::{Stat, median};
+use super::{Chapter4Error, Output, Setting, Size};
 
 /// Statistics of one criterion.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -90,6 +69,11 @@ pub struct Population {
     pub scores: Vec<Score>,
     /// Errors of the parameters.
     pub parameters: Vec<ParameterError>,
+    /// Lower bounds of the standard deviations of the torque parameters (p), at noise variance 80; empty where a signal
+    /// is singular.
+    pub bounds: Vec<Stat>,
+    /// Estimates of the torque parameters (p), one per signal, at noise variance 80.
+    pub estimates: Vec<Stat>,
 }
 
 impl Population {
@@ -113,8 +97,15 @@ impl Population {
     }
 }
 
-/// Kinds of validation signals.
+/// Kinds of random validation signals.
 pub const VALIDATION: [Source; 3] = [Source::Prbs, Source::Aprbs, Source::Udrn];
+
+/// Kinds of designed validation signals of torque models (U_G, U_I and U_AI of Tables 4.11, 4.14 and 4.15).
+pub const DESIGNED: [Source; 3] = [
+    Source::Design(DesignCriterion::G),
+    Source::Design(DesignCriterion::I),
+    Source::Design(DesignCriterion::Ai),
+];
 
 /// Noise variances of the chapter: torque in Nm^2 (Tables 4.11, 4.14, 4.15), then lambda.
 pub const NOISE: [(Output, f64); 4] =
@@ -126,89 +117,90 @@ pub const NOISE: [(Output, f64); 4] =
 /// [`Chapter4Error`].
 ///
 /// ```
-/// use dynocal_calib::chapter4::population::{Size, measure};
-/// use dynocal_calib::chapter4::{Output, Setting, source::Source};
-/// let size = Size { identification: 4, validation: 4, seed: 1 };
-/// let found = measure(&Setting::new()?, Source::Prbs, size, &|| false)?;
+/// use dynocal_calib::chapter4::library::Library;
+/// use dynocal_calib::chapter4::population::measure;
+/// use dynocal_calib::chapter4::{Size, source::Source};
+/// let library = Library::new(Size { identification: 2, validation: 2, seed: 1 })?;
+/// let found = measure(&library, Source::Prbs, &|| false)?;
 /// // On two levels u1, u1^2 and the constant are one: a PRBS cannot tell the torque parameters.
 /// assert_eq!(found.rank[0], (22, 22));
 /// # Ok::<(), dynocal_calib::chapter4::Chapter4Error>(())
 /// ```
 pub fn measure(
-    setting: &Setting,
+    library: &Library,
     source: Source,
-    size: Size,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Population, Chapter4Error> {
-    let records = signals(setting, source, size.identification, 1, size.seed, interrupt)?;
+    let (setting, size) = (&library.setting, library.size);
+    let records = library.identification(source, interrupt)?;
     let objectives: Option<Vec<f64>> = records.iter().map(|r| r.objective).collect();
     let ten = objectives.as_ref().map(|o| o[..o.len().min(10)].to_vec());
-    let mut rank = [(0, 0); 2];
-    let (mut criteria, mut scores, mut parameters) = (Vec::new(), Vec::new(), Vec::new());
+    let mut found = Population {
+        source,
+        size,
+        rank: [(0, 0); 2],
+        median_of_ten: ten.as_deref().and_then(median),
+        best_of_ten: ten.and_then(|o| o.into_iter().reduce(f64::min)),
+        objective: objectives.and_then(|o| Stat::of(&o)),
+        criteria: Vec::new(),
+        scores: Vec::new(),
+        parameters: Vec::new(),
+        bounds: Vec::new(),
+        estimates: Vec::new(),
+    };
     for (k, output) in [Output::Torque, Output::Lambda].into_iter().enumerate() {
-        let ranks = ranks(setting, output, &records)?;
-        rank[k] = (ranks.iter().copied().min().unwrap_or(0), ranks.iter().copied().max().unwrap_or(0));
-        criteria.extend(criterion_statistics(setting, output, &records)?);
-        for (i, &(_, noise)) in NOISE.iter().enumerate().filter(|(_, n)| n.0 == output) {
-            let models = identify(setting, output, noise, &records, &ranks, stream(3, source, i), size.seed)?;
-            parameters.push(parameter_error(setting, output, noise, &models));
-            for kind in VALIDATION {
-                let unseen = unseen(setting, output, noise, kind, i, size)?;
-                scores.push(validate(setting, output, noise, kind, &models, &unseen));
-            }
+        let told = told(setting, output, &records)?;
+        let ranks = || told.iter().map(|t| t.rank);
+        found.rank[k] = (ranks().min().unwrap_or(0), ranks().max().unwrap_or(0));
+        found.criteria.extend(criterion_statistics(setting, output, &records)?);
+        if output == Output::Torque {
+            found.bounds = bound_statistics(&told);
         }
+        for level in (0..NOISE.len()).filter(|i| NOISE[*i].0 == output) {
+            add_models(library, &mut found, (&records, &told), level, interrupt)?;
+        }
+    }
+    Ok(found)
+}
+
+/// Identifies and validates models at one noise variance.
+fn add_models(
+    library: &Library,
+    found: &mut Population,
+    (records, told): (&[Record], &[Told]),
+    level: usize,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<(), Chapter4Error> {
+    let (setting, seed, (output, noise)) = (&library.setting, library.size.seed, NOISE[level]);
+    let models = identify(setting, output, noise, records, told, (seed, stream(3, found.source, level)))?;
+    let errors: Vec<f64> = models.iter().map(|m| relative_error(setting, output, m)).collect();
+    found.parameters.push(ParameterError { output, noise_variance: noise, stat: Stat::of(&errors) });
+    if (output, noise) == (Output::Torque, 80.0) {
+        found.estimates = columns(&models);
+    }
+    let designed: &[Source] = if output == Output::Torque { &DESIGNED } else { &[] };
+    for &kind in VALIDATION.iter().chain(designed) {
+        let records = library.validation(kind, interrupt)?;
+        let unseen = unseen(setting, output, noise, &records, (seed, stream(4, kind, level)))?;
+        let scored = validate(setting, output, &models, &unseen);
+        found.scores.push(Score {
+            output,
+            noise_variance: noise,
+            validation: kind,
+            r2: scored.r2.0,
+            se: scored.r2.1,
+            r2_noise_free: scored.r2_noise_free,
+        });
         if interrupt() {
             return Err(Chapter4Error::Interrupted);
         }
     }
-    Ok(Population {
-        source,
-        size,
-        rank,
-        median_of_ten: ten.as_deref().and_then(median),
-        best_of_ten: ten.and_then(|o| o.into_iter().reduce(f64::min)),
-        objective: objectives.and_then(|o| Stat::of(&o)),
-        criteria,
-        scores,
-        parameters,
-    })
+    Ok(())
 }
 
 /// Streams of noise: one per set, kind of signal and noise variance.
 fn stream(set: u64, source: Source, level: usize) -> u64 {
-    let kind = match source {
-        Source::Prbs => 0,
-        Source::Aprbs => 1,
-        Source::Udrn => 2,
-        Source::Design(c) => 3 + c as u64,
-        Source::Composite(c) => 16 + c as u64,
-    };
-    set << 40 | kind << 32 | (level as u64) << 28
-}
-
-/// Output of the known model; rows before the start are zero.
-fn truth(setting: &Setting, output: Output, u: &[f64]) -> Result<(Vec<f64>, Vec<f64>), Chapter4Error> {
-    let m = setting.model(output);
-    let p = m.model.n_params();
-    let zeros = vec![0.0; SAMPLES];
-    let run = dynocal_ident::model::Run { u, y: &zeros, start: START };
-    let (mut y, mut s) = (vec![0.0; SAMPLES], vec![0.0; SAMPLES * p]);
-    match m.model.sensitivities(&m.theta, &run, &mut y, &mut s) {
-        dynocal_numerics::status::Status::Converged => Ok((y, s.split_off(START * p))),
-        _ => Err(Chapter4Error::Diverged { model: m.source }),
-    }
-}
-
-fn ranks(setting: &Setting, output: Output, records: &[Record]) -> Result<Vec<usize>, Chapter4Error> {
-    let m = setting.model(output);
-    let one = |r: &Record| -> Result<usize, Chapter4Error> {
-        let (_, s) = truth(setting, output, &r.u)?;
-        Ok(match report(&m.model, &s, m.noise_variance, &[]) {
-            Report::Regular(_) => m.model.n_params(),
-            Report::Singular(s) => s.rank,
-        })
-    };
-    records.par_iter().map(one).collect()
+    set << 40 | source.number() << 32 | (level as u64) << 28
 }
 
 fn criterion_statistics(
@@ -218,7 +210,7 @@ fn criterion_statistics(
 ) -> Result<Vec<CriterionStat>, Chapter4Error> {
     let one = |criterion: DesignCriterion| -> Result<CriterionStat, Chapter4Error> {
         let built = criterion.build()?;
-        let terms = vec![term(setting, output, built.as_ref(), 1.0)];
+        let terms = vec![term(setting, output, built.as_ref(), 1.0, &setting.u0)];
         let mut evaluator = Evaluator::new(&problem(setting, terms))?;
         let values: Vec<f64> = records.iter().map(|r| evaluator.value(&r.u)).collect();
         Ok(CriterionStat { output, criterion, stat: Stat::of(&values) })
@@ -226,94 +218,13 @@ fn criterion_statistics(
     DesignCriterion::ALL.into_iter().map(one).collect()
 }
 
-/// A noisy record: outputs of the known model and white noise of the variance at every sample.
-fn noisy(y: &[f64], u: &[f64], noise: f64, rng: &mut Rng64) -> Experiment {
-    let deviation = noise.sqrt();
-    Experiment {
-        name: String::new(),
-        u: u.to_vec(),
-        y: y.iter().map(|v| v + deviation * rng.normal()).collect(),
-        init_samples: START,
-        weights: Vec::new(),
-    }
+fn bound_statistics(told: &[Told]) -> Vec<Stat> {
+    let regular: Option<Vec<Vec<f64>>> = told.iter().map(|t| t.bounds.clone()).collect();
+    regular.map_or_else(Vec::new, |b| columns(&b))
 }
 
-/// Least squares with the measured z(t-10) as a regressor; of least norm where the record is singular.
-fn identify(
-    setting: &Setting,
-    output: Output,
-    noise: f64,
-    records: &[Record],
-    ranks: &[usize],
-    stream: u64,
-    seed: u64,
-) -> Result<Vec<Vec<f64>>, Chapter4Error> {
-    let model = &setting.model(output).model;
-    let one = |(k, r): (usize, &Record)| -> Result<Vec<f64>, Chapter4Error> {
-        let (y, _) = truth(setting, output, &r.u)?;
-        let data = [noisy(&y, &r.u, noise, &mut Rng64::stream(seed, stream + k as u64))];
-        let ridge = if ranks[k] < model.n_params() { LEAST_NORM_RIDGE } else { 0.0 };
-        Ok(Ols { ridge, ..Ols::default() }.estimate(model, &data, None, &|| false)?.theta)
-    };
-    records.par_iter().enumerate().map(one).collect()
-}
-
-fn parameter_error(setting: &Setting, output: Output, noise: f64, models: &[Vec<f64>]) -> ParameterError {
-    let theta = &setting.model(output).theta;
-    let one = |found: &Vec<f64>| {
-        found.iter().zip(theta).map(|(f, t)| ((f - t) / t).abs()).sum::<f64>() / theta.len() as f64
-    };
-    let values: Vec<f64> = models.iter().map(one).collect();
-    ParameterError { output, noise_variance: noise, stat: Stat::of(&values) }
-}
-
-/// A validation record with its output before the noise.
-struct Unseen {
-    experiment: Experiment,
-    noise_free: Vec<f64>,
-}
-
-/// Validation records: the same for every kind of identification signal, so that kinds are compared in pairs.
-fn unseen(
-    setting: &Setting,
-    output: Output,
-    noise: f64,
-    kind: Source,
-    level: usize,
-    size: Size,
-) -> Result<Vec<Unseen>, Chapter4Error> {
-    let records = signals(setting, kind, size.validation, 2, size.seed, &|| false)?;
-    let one = |(k, r): (usize, Record)| -> Result<Unseen, Chapter4Error> {
-        let (y, _) = truth(setting, output, &r.u)?;
-        let mut rng = Rng64::stream(size.seed, stream(4, kind, level) + k as u64);
-        Ok(Unseen { experiment: noisy(&y, &r.u, noise, &mut rng), noise_free: y })
-    };
-    records.into_iter().enumerate().map(one).collect()
-}
-
-fn validate(
-    setting: &Setting,
-    of: Output,
-    noise: f64,
-    kind: Source,
-    models: &[Vec<f64>],
-    unseen: &[Unseen],
-) -> Score {
-    let model = &setting.model(of).model;
-    let r2 = |z: &[f64], y: &[f64], reference| {
-        100.0 * score_values(&z[START..], &y[START..], Kind::FreeRun, Seen::Unseen, reference).r2
-    };
-    let pairs: Vec<(f64, f64)> = models
-        .par_iter()
-        .flat_map_iter(|theta| {
-            unseen.iter().map(|v| {
-                let y = output(model, theta, &v.experiment, Kind::FreeRun);
-                (r2(&v.experiment.y, &y, Reference::Noisy), r2(&v.noise_free, &y, Reference::NoiseFree))
-            })
-        })
-        .collect();
-    let (noisy, free): (Vec<f64>, Vec<f64>) = pairs.into_iter().unzip();
-    let (mean, se) = crossed(&noisy, unseen.len());
-    let (r2_noise_free, _) = crossed(&free, unseen.len());
-    Score { output: of, noise_variance: noise, validation: kind, r2: mean, se, r2_noise_free }
+/// Statistics of every column of equally long rows.
+fn columns(rows: &[Vec<f64>]) -> Vec<Stat> {
+    let p = rows.first().map_or(0, Vec::len);
+    (0..p).filter_map(|k| Stat::of(&rows.iter().map(|r| r[k]).collect::<Vec<f64>>())).collect()
 }

@@ -1,5 +1,7 @@
 //! Numbers that others found: the thesis, and an independent implementation of the same readings.
 
+pub mod tables;
+
 use super::Output;
 use super::source::{DesignCriterion, Source};
 

@@ -1,5 +1,6 @@
 //! Where identification and validation signals come from.
 
+use dynocal_design::channel::Channel;
 use dynocal_design::criterion::{Criterion, criterion};
 use dynocal_design::problem::{Convention, DesignProblem, Term};
 use dynocal_design::search::{DesignOptions, design};
@@ -97,6 +98,22 @@ impl Source {
         }
     }
 
+    /// Whether a search makes it.
+    pub fn is_designed(self) -> bool {
+        matches!(self, Source::Design(_) | Source::Composite(_))
+    }
+
+    /// Number of the kind in streams of noise.
+    pub(super) fn number(self) -> u64 {
+        match self {
+            Source::Prbs => 0,
+            Source::Aprbs => 1,
+            Source::Udrn => 2,
+            Source::Design(c) => 3 + c as u64,
+            Source::Composite(c) => 16 + c as u64,
+        }
+    }
+
     /// Random stream of the kind: kinds never share numbers.
     fn stream(self) -> u64 {
         match self {
@@ -117,10 +134,10 @@ pub struct Record {
     pub objective: Option<f64>,
 }
 
-/// `n` signals of a kind; `set` tells independent sets of random signals apart.
+/// `n` signals of a kind; `set` (from 1 on) tells independent sets of signals apart.
 ///
-/// Number k of a design starts from random numbers of `seed + k` alone, with the default search and budget, so that
-/// one design is one run from one start.
+/// Number k of a design of the first set starts from random numbers of `seed + k` alone, with the default search and
+/// budget, so that one design is one run from one start.
 ///
 /// # Errors
 /// [`Chapter4Error`] of a design, or [`Chapter4Error::Interrupted`].
@@ -132,39 +149,41 @@ pub fn signals(
     seed: u64,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Record>, Chapter4Error> {
+    let start = |k: usize| seed.wrapping_add(set.saturating_sub(1) << 32).wrapping_add(k as u64);
     (0..n)
         .into_par_iter()
         .map(|k| match source {
             Source::Design(c) => {
                 let c = c.build()?;
-                let terms = vec![term(setting, Output::Torque, c.as_ref(), 1.0)];
-                designed(&problem(setting, terms), seed + k as u64, interrupt)
+                let terms = vec![term(setting, Output::Torque, c.as_ref(), 1.0, &setting.u0)];
+                designed(&problem(setting, terms), start(k), interrupt)
             }
             Source::Composite(c) => {
                 let (torque, lambda) = c.weights();
                 let c = c.build()?;
                 let terms = vec![
-                    term(setting, Output::Torque, c.as_ref(), torque),
-                    term(setting, Output::Lambda, c.as_ref(), lambda),
+                    term(setting, Output::Torque, c.as_ref(), torque, &setting.u0),
+                    term(setting, Output::Lambda, c.as_ref(), lambda, &setting.u0),
                 ];
-                designed(&problem(setting, terms), seed + k as u64, interrupt)
+                designed(&problem(setting, terms), start(k), interrupt)
             }
-            _ => Ok(random(setting, source, seed, set << 32 | source.stream() << 24 | k as u64)),
+            _ => Ok(random(&setting.channels, source, seed, set << 32 | source.stream() << 24 | k as u64)),
         })
         .collect()
 }
 
-/// The term of one output: criterion over U0 at the printed parameters.
+/// The term of one output: criterion over the objective signal at the printed parameters.
 pub(super) fn term<'a>(
     setting: &'a Setting,
     output: Output,
     criterion: &'a dyn Criterion,
     weight: f64,
+    objective_signal: &'a [f64],
 ) -> Term<'a> {
     let m = setting.model(output);
     let model: &dyn Model = &m.model;
     Term {
-        objective_signal: &setting.u0,
+        objective_signal,
         weight,
         ..Term::new(output.name(), model, &m.theta, m.noise_variance, criterion)
     }
@@ -181,7 +200,8 @@ pub(super) fn problem<'a>(setting: &Setting, terms: Vec<Term<'a>>) -> DesignProb
     }
 }
 
-fn designed(
+/// One run of the default search from one start.
+pub(super) fn designed(
     problem: &DesignProblem,
     seed: u64,
     interrupt: &(dyn Fn() -> bool + Sync),
@@ -194,11 +214,12 @@ fn designed(
     Ok(Record { u: found.u, objective: Some(found.value) })
 }
 
-fn random(setting: &Setting, source: Source, seed: u64, stream: u64) -> Record {
+/// A random signal in the boxes of `channels`.
+pub(super) fn random(channels: &[Channel], source: Source, seed: u64, stream: u64) -> Record {
     let mut rng = Rng64::stream(seed, stream);
-    let mut u = Vec::with_capacity(SAMPLES * setting.channels.len());
+    let mut u = Vec::with_capacity(SAMPLES * channels.len());
     for _ in 0..SAMPLES {
-        for c in &setting.channels {
+        for c in channels {
             let share = match source {
                 Source::Prbs => rng.below(2) as f64,
                 Source::Aprbs => rng.below(5) as f64 / 4.0,
