@@ -1,5 +1,10 @@
 //! Populations of thesis chapter 4 against an independent implementation, and their invariances.
 
+use dynocal_calib::chapter4::constrained::{Limits, constrained};
+use dynocal_calib::chapter4::convergence::{SEARCHES, converge};
+use dynocal_calib::chapter4::correlation::correlations;
+use dynocal_calib::chapter4::distribution::distribution;
+use dynocal_calib::chapter4::iterative::{Use, iterate};
 use dynocal_calib::chapter4::library::Library;
 use dynocal_calib::chapter4::population::{NOISE, Population, VALIDATION, measure};
 use dynocal_calib::chapter4::published::R2_TORQUE;
@@ -95,4 +100,102 @@ fn stored_references_are_those_of_the_file() {
             assert!((stored[1].as_f64().unwrap() - se).abs() < 1e-3, "{key} {kind}");
         }
     }
+}
+
+/// Standard deviations of estimates over repeated experiments are those of the bound, within what a biased least-squares
+/// estimate with a measured regressor allows; designed signals scatter less.
+#[test]
+fn repeated_estimates_scatter_as_the_bound_says() {
+    let library = Library::new(Size { identification: 1, validation: 1, seed: 5 }).unwrap();
+    let of = |source| distribution(&library, source, 400, &|| false).unwrap();
+    let (random, designed) = (of(Source::Udrn), of(Source::Design(DesignCriterion::D)));
+    for d in [&random, &designed] {
+        let ratio = d.deviation / d.bound;
+        assert!((0.8..1.25).contains(&ratio), "{:?}: {} against {}", d.source, d.deviation, d.bound);
+    }
+    assert!(designed.deviation < random.deviation);
+}
+
+/// Bounds of a population: A falls below random signals in the sum of squares, D in the mean ratio.
+#[test]
+fn bounds_of_designs_lie_below_those_of_random_signals() {
+    let (random, d) = (measured(Source::Udrn, 6), measured(Source::Design(DesignCriterion::D), 6));
+    assert_eq!((random.bounds.len(), d.bounds.len()), (23, 23));
+    let ratio = d.bounds.iter().zip(&random.bounds).map(|(a, b)| a.mean / b.mean).sum::<f64>() / 23.0;
+    assert!(ratio < 0.8, "{ratio}");
+    // J_A is the sum of the squared bounds, signal by signal: means obey Jensen's inequality.
+    let j_a = random.criterion(Output::Torque, DesignCriterion::A).unwrap().mean;
+    let of_means: f64 = random.bounds.iter().map(|b| b.mean * b.mean).sum();
+    assert!(of_means <= j_a && of_means > 0.5 * j_a, "{of_means} {j_a}");
+}
+
+/// Signs of correlation do not matter, equal signals correlate fully, and random ones as the theory says.
+#[test]
+fn correlations_are_those_of_independent_signals() {
+    let library = Library::new(Size { identification: 1, validation: 100, seed: 2 }).unwrap();
+    let theory = (2.0 / (std::f64::consts::PI * 99.0)).sqrt();
+    for source in [Source::Prbs, Source::Aprbs, Source::Udrn] {
+        for (mean, se) in correlations(&library, source, &|| false).unwrap().mean_se {
+            assert!((mean - theory).abs() <= 4.0 * se + 0.002, "{source:?}: {mean} ({se}), theory {theory}");
+        }
+    }
+}
+
+/// Within limits: they are kept, AI designs lead in every column, two levels stay singular, and the shares of the box and
+/// the criterion are those of an independent implementation (0.43, 0.58, 0.70 of the box).
+#[test]
+fn output_limits_are_kept_and_designs_use_them() {
+    let size = Size { identification: 12, validation: 12, seed: 3 };
+    let found = constrained(&Setting::new().unwrap(), Limits::Output, size, &|| false).unwrap();
+    assert!(found.rows.iter().all(|r| r.violation <= 5e-5), "{:?}", found.rows);
+    let (ai, others) = found.rows.split_last().unwrap();
+    assert!(others[0].criterion.is_none(), "a PRBS is singular");
+    for (row, share) in others.iter().zip([0.43, 0.58, 0.70]) {
+        let s = row.share.unwrap();
+        assert!((s.mean - share).abs() < 0.05, "{:?}: {}, reference {share}", row.kind, s.mean);
+    }
+    assert!(ai.criterion.unwrap().median < 0.1 * others[1].criterion.unwrap().median);
+}
+
+#[test]
+fn rate_limits_are_kept_by_walks_and_designs() {
+    let size = Size { identification: 10, validation: 10, seed: 3 };
+    for levels in [9, 5] {
+        let limits = Limits::Rate { levels };
+        let found = constrained(&Setting::new().unwrap(), limits, size, &|| false).unwrap();
+        let [walk, ai] = &found.rows[..] else { panic!("two rows") };
+        assert!(walk.violation <= 1e-9 && ai.violation <= 1e-9, "{} {}", walk.violation, ai.violation);
+        let (w, a) = (walk.criterion.unwrap().median, ai.criterion.unwrap().median);
+        assert!(a < 0.5 * w, "{levels}: {a} against {w}");
+    }
+}
+
+/// The same start for every search, histories that fall, and an end that is the criterion of the record.
+#[test]
+fn searches_start_equal_and_never_rise() {
+    let setting = Setting::new().unwrap();
+    let mut starts = Vec::new();
+    for search in SEARCHES {
+        let found = converge(&setting, search, DesignCriterion::A, 400, 2, 4, &|| false).unwrap();
+        for path in &found.paths {
+            assert!(path.best.windows(2).all(|w| w[1].1 < w[0].1), "{search}");
+            assert!(path.evaluations <= 401 && path.end <= path.start, "{search}: {path:?}");
+            let last = path.best.last().unwrap().1;
+            assert!((last / path.end - 1.0).abs() < 1e-6, "{search}: {last} {}", path.end);
+        }
+        starts.push(found.paths.iter().map(|p| p.start).collect::<Vec<f64>>());
+    }
+    assert!(starts.windows(2).all(|w| w[0] == w[1]), "{starts:?}");
+}
+
+/// Data of all iterations, used, lead on; the latest record alone does not.
+#[test]
+fn pooled_iterations_approach_the_truth() {
+    let size = Size { identification: 12, validation: 0, seed: 2 };
+    let of = |data| iterate(&Setting::new().unwrap(), data, size, &|| false).unwrap().error;
+    let (pooled, fresh) = (of(Use::Pooled), of(Use::Fresh));
+    let mean = |e: &[Option<dynocal_calib::chapter4::statistics::Stat>], k: usize| e[k].unwrap().mean;
+    assert_eq!(mean(&pooled, 1), mean(&fresh, 1), "the first iteration is the same");
+    assert!(mean(&pooled, 5) < 0.5 * mean(&pooled, 0));
+    assert!(mean(&pooled, 5) < mean(&fresh, 5));
 }

@@ -121,6 +121,8 @@ pub struct Row {
     pub violation: f64,
     /// Mean R2 in percent on noisy signals of each kind of the table, and its standard error.
     pub r2: Vec<(f64, f64)>,
+    /// The first signal (N x 3).
+    pub example: Vec<f64>,
 }
 
 /// A table.
@@ -182,6 +184,7 @@ pub fn constrained(
             criterion: criterion(setting, limits, &records)?,
             violation: violation(setting, limits, &records)?,
             r2,
+            example: records.first().map_or_else(Vec::new, |r| r.u.clone()),
         });
         if interrupt() {
             return Err(Chapter4Error::Interrupted);

@@ -74,6 +74,8 @@ pub struct Population {
     pub bounds: Vec<Stat>,
     /// Estimates of the torque parameters (p), one per signal, at noise variance 80.
     pub estimates: Vec<Stat>,
+    /// The first signal (N x 3).
+    pub example: Vec<f64>,
 }
 
 impl Population {
@@ -147,6 +149,7 @@ pub fn measure(
         parameters: Vec::new(),
         bounds: Vec::new(),
         estimates: Vec::new(),
+        example: records.first().map_or_else(Vec::new, |r| r.u.clone()),
     };
     for (k, output) in [Output::Torque, Output::Lambda].into_iter().enumerate() {
         let told = told(setting, output, &records)?;

@@ -3,10 +3,10 @@
 use dynocal_calib::chapter4::Size;
 use dynocal_calib::chapter4::constrained::{Constrained, Kind, Limits, constrained};
 use dynocal_calib::chapter4::published::tables::{CONSTRAINED, Constrained as Printed};
-use dynocal_deliver::{Cell, Column, Section, Table};
+use dynocal_deliver::{Cell, Column, Panel, Section, Table, TimePlot};
 use serde_json::json;
 
-use super::{Asked, Check, Shared, Task, TaskResult, check, result};
+use super::{Asked, Check, SAMPLE_S, Shared, Task, TaskResult, check, result};
 
 const ALL: [Limits; 3] = [Limits::Output, Limits::Rate { levels: 9 }, Limits::Rate { levels: 5 }];
 
@@ -136,4 +136,23 @@ pub(super) fn rates(results: &[TaskResult]) -> Section {
     )
     .block(table(results, ALL[1], &caption(9)))
     .block(table(results, ALL[2], &caption(5)))
+    .block(examples(results))
+}
+
+/// Figure 4.20: a random walk and a design with the same largest step.
+fn examples(results: &[TaskResult]) -> TimePlot {
+    let found = found(results, ALL[1]);
+    let rows = found.map(|f| f.rows).unwrap_or_default();
+    let samples = rows.first().map_or(0, |r| r.example.len() / 3);
+    let mut plot =
+        TimePlot::sampled("A random walk and a rate-limited design (Figure 4.20)", SAMPLE_S, samples);
+    for (i, (name, unit)) in [("u1", "us"), ("u2", ""), ("u3", "rpm")].into_iter().enumerate() {
+        let mut panel = Panel::new(name, unit);
+        for row in &rows {
+            let u: Vec<f64> = row.example.iter().skip(i).step_by(3).copied().collect();
+            panel = panel.held(row.kind.name().to_uppercase(), u);
+        }
+        plot = plot.panel(panel);
+    }
+    plot.caption("9 levels: largest steps of 500 us, 0.025 and 125 rpm per sample of 0.1 s")
 }

@@ -57,6 +57,8 @@ const SOURCES: [Source; 11] = [
 /// Torque noise variance of Tables 4.9 to 4.13, 4.17 and that of lambda in Table 4.18.
 const TORQUE_NOISE: f64 = 80.0;
 const LAMBDA_NOISE: f64 = 0.04;
+/// Sampling time of both models.
+const SAMPLE_S: f64 = 0.1;
 
 /// What tasks compute from.
 type Shared = Arc<Result<Library, Chapter4Error>>;

@@ -1,13 +1,13 @@
 //! Objective values: Tables 4.3, 4.6 and 4.9.
 
 use dynocal_calib::chapter4::Output;
-use dynocal_calib::chapter4::population::Population;
+use dynocal_calib::chapter4::population::{DESIGNED, Population, VALIDATION};
 use dynocal_calib::chapter4::published;
 use dynocal_calib::chapter4::published::tables::TABLE_4_3;
 use dynocal_calib::chapter4::source::{DesignCriterion, Source};
-use dynocal_deliver::{Cell, Column, Section, Table};
+use dynocal_deliver::{Cell, Column, Panel, Section, Table, TimePlot};
 
-use super::{Asked, Check, check, label, of};
+use super::{Asked, Check, SAMPLE_S, check, label, of};
 
 /// One start per design: what a user gets from one run.
 pub(super) fn checks(all: &[Population]) -> Vec<Check> {
@@ -145,6 +145,21 @@ pub(super) fn criteria(all: &[Population]) -> Section {
         .id("criteria")
         .text("Reading: the thesis' PRBS values are rounding noise of a singular matrix (rank 22 of 23: u1, u1^2 and 1 depend on each other on two levels). Its APRBS column is U0 itself, for which J_I is the number of parameters times the noise variance (1840); signals of other seeds are larger.")
         .block(table)
+        .block(examples(all))
+}
+
+/// Figure 4.19: the fuel pulse width of one signal of each kind.
+fn examples(all: &[Population]) -> TimePlot {
+    let kinds = VALIDATION.into_iter().chain(DESIGNED);
+    let samples = all.first().map_or(0, |p| p.example.len() / 3);
+    let mut plot = TimePlot::sampled("One signal of each kind (Figure 4.19)", SAMPLE_S, samples);
+    for source in kinds {
+        let u1: Vec<f64> =
+            of(all, source).map_or_else(Vec::new, |p| p.example.iter().step_by(3).copied().collect());
+        let panel = Panel::new(label(source), "us").range(1800.0, 6200.0).held("u1", u1);
+        plot = plot.panel(panel);
+    }
+    plot.caption("Fuel pulse width of the first signal of each population")
 }
 
 fn is_table_4_6(row: &published::Criterion) -> bool {
