@@ -22,12 +22,20 @@ fn the_reduced_study_runs_and_its_exact_checks_hold() {
     let checks = summary["checks"].as_array().unwrap();
     assert!(checks.iter().all(|c| c["measured"].is_number()), "{checks:?}");
     let exact = ["prbs-rank-torque-most", "prbs-rank-torque-least", "prbs-rank-lambda-most"];
-    for id in exact.into_iter().chain(["prbs-rank-lambda-least", "example-1-1", "example-1-2"]) {
+    let kept = ["kept-output-limits", "kept-rate-limits-9-levels", "kept-rate-limits-5-levels"];
+    let more = ["prbs-rank-lambda-least", "example-1-1", "example-1-2"];
+    for id in exact.into_iter().chain(more).chain(kept) {
         let check = checks.iter().find(|c| c["id"] == id).unwrap();
         assert_eq!(check["holds"], true, "{check}");
     }
     let report = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
-    for part in ["Table 4.17", "Table 4.18", "singular, rank 22", "noise variance 160", "</html>"] {
+    for table in 2..=18 {
+        assert!(report.contains(&format!("Table 4.{table}")), "no Table 4.{table}");
+    }
+    for figure in [12, 13, 14, 15, 16, 19, 20] {
+        assert!(report.contains(&format!("Figure 4.{figure}")), "no Figure 4.{figure}");
+    }
+    for part in ["singular, rank 22", "noise variance 160", "</html>"] {
         assert!(report.contains(part), "no {part}");
     }
     assert_eq!(run(), first, "a second run takes the finished tasks over");

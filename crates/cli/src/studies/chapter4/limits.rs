@@ -131,19 +131,21 @@ pub(super) fn outputs(results: &[TaskResult]) -> Section {
 pub(super) fn rates(results: &[TaskResult]) -> Section {
     let caption =
         |levels: usize| format!("Table 4.13, {levels} levels: mean R2 of torque models, noise variance 80");
-    Section::new("Rate limits").id("rate-limits").text(
+    let section = Section::new("Rate limits").id("rate-limits").text(
         "The largest step is the range of the box divided by 8 (9 levels: 500 us, 0.025, 125 rpm) or 4 (5 levels). Random walks take the largest step at every sample and turn at the box; designs stay within it. Reference: an independent implementation; its J_AI of the design is the median of 10 interior-point starts.",
     )
     .block(table(results, ALL[1], &caption(9)))
-    .block(table(results, ALL[2], &caption(5)))
-    .block(examples(results))
+    .block(table(results, ALL[2], &caption(5)));
+    match examples(results) {
+        Some(plot) => section.block(plot),
+        None => section,
+    }
 }
 
 /// Figure 4.20: a random walk and a design with the same largest step.
-fn examples(results: &[TaskResult]) -> TimePlot {
-    let found = found(results, ALL[1]);
-    let rows = found.map(|f| f.rows).unwrap_or_default();
-    let samples = rows.first().map_or(0, |r| r.example.len() / 3);
+fn examples(results: &[TaskResult]) -> Option<TimePlot> {
+    let rows = found(results, ALL[1])?.rows;
+    let samples = rows.first().map(|r| r.example.len() / 3).filter(|n| *n > 0)?;
     let mut plot =
         TimePlot::sampled("A random walk and a rate-limited design (Figure 4.20)", SAMPLE_S, samples);
     for (i, (name, unit)) in [("u1", "us"), ("u2", ""), ("u3", "rpm")].into_iter().enumerate() {
@@ -154,5 +156,5 @@ fn examples(results: &[TaskResult]) -> TimePlot {
         }
         plot = plot.panel(panel);
     }
-    plot.caption("9 levels: largest steps of 500 us, 0.025 and 125 rpm per sample of 0.1 s")
+    Some(plot.caption("9 levels: largest steps of 500 us, 0.025 and 125 rpm per sample of 0.1 s"))
 }

@@ -141,25 +141,27 @@ pub(super) fn criteria(all: &[Population]) -> Section {
         };
         table = table.row(head.into_iter().chain(rest).collect::<Vec<_>>());
     }
-    Section::new("Criteria of the signals")
+    let section = Section::new("Criteria of the signals")
         .id("criteria")
         .text("Reading: the thesis' PRBS values are rounding noise of a singular matrix (rank 22 of 23: u1, u1^2 and 1 depend on each other on two levels). Its APRBS column is U0 itself, for which J_I is the number of parameters times the noise variance (1840); signals of other seeds are larger.")
-        .block(table)
-        .block(examples(all))
+        .block(table);
+    match examples(all) {
+        Some(plot) => section.block(plot),
+        None => section,
+    }
 }
 
 /// Figure 4.19: the fuel pulse width of one signal of each kind.
-fn examples(all: &[Population]) -> TimePlot {
+fn examples(all: &[Population]) -> Option<TimePlot> {
     let kinds = VALIDATION.into_iter().chain(DESIGNED);
-    let samples = all.first().map_or(0, |p| p.example.len() / 3);
+    let samples = all.first().map(|p| p.example.len() / 3).filter(|n| *n > 0)?;
     let mut plot = TimePlot::sampled("One signal of each kind (Figure 4.19)", SAMPLE_S, samples);
     for source in kinds {
-        let u1: Vec<f64> =
-            of(all, source).map_or_else(Vec::new, |p| p.example.iter().step_by(3).copied().collect());
+        let u1: Vec<f64> = of(all, source)?.example.iter().step_by(3).copied().collect();
         let panel = Panel::new(label(source), "us").range(1800.0, 6200.0).held("u1", u1);
         plot = plot.panel(panel);
     }
-    plot.caption("Fuel pulse width of the first signal of each population")
+    Some(plot.caption("Fuel pulse width of the first signal of each population"))
 }
 
 fn is_table_4_6(row: &published::Criterion) -> bool {
