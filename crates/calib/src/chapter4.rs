@@ -42,8 +42,10 @@ pub const START: usize = 10;
 pub struct Size {
     /// Identification signals.
     pub identification: usize,
-    /// Validation signals of each kind.
+    /// Validation signals of each random kind.
     pub validation: usize,
+    /// Validation signals of each designed kind: fewer, because each costs a search; 0 for none.
+    pub designed: usize,
     /// Seed of all random numbers.
     pub seed: u64,
 }

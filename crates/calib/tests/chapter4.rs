@@ -12,7 +12,7 @@ use dynocal_calib::chapter4::source::{DesignCriterion, Source, signals};
 use dynocal_calib::chapter4::{Chapter4Error, Output, Setting, Size};
 
 fn measured(source: Source, n: usize) -> Population {
-    let size = Size { identification: n, validation: n, seed: 11 };
+    let size = Size { identification: n, validation: n, designed: 0, seed: 11 };
     measure(&Library::new(size).unwrap(), source, &|| false).unwrap()
 }
 
@@ -106,7 +106,7 @@ fn stored_references_are_those_of_the_file() {
 /// estimate with a measured regressor allows; designed signals scatter less.
 #[test]
 fn repeated_estimates_scatter_as_the_bound_says() {
-    let library = Library::new(Size { identification: 1, validation: 1, seed: 5 }).unwrap();
+    let library = Library::new(Size { identification: 1, validation: 1, designed: 0, seed: 5 }).unwrap();
     let of = |source| distribution(&library, source, 400, &|| false).unwrap();
     let (random, designed) = (of(Source::Udrn), of(Source::Design(DesignCriterion::D)));
     for d in [&random, &designed] {
@@ -132,7 +132,7 @@ fn bounds_of_designs_lie_below_those_of_random_signals() {
 /// Signs of correlation do not matter, equal signals correlate fully, and random ones as the theory says.
 #[test]
 fn correlations_are_those_of_independent_signals() {
-    let library = Library::new(Size { identification: 1, validation: 100, seed: 2 }).unwrap();
+    let library = Library::new(Size { identification: 1, validation: 100, designed: 0, seed: 2 }).unwrap();
     let theory = (2.0 / (std::f64::consts::PI * 99.0)).sqrt();
     for source in [Source::Prbs, Source::Aprbs, Source::Udrn] {
         for (mean, se) in correlations(&library, source, &|| false).unwrap().mean_se {
@@ -145,7 +145,7 @@ fn correlations_are_those_of_independent_signals() {
 /// the criterion are those of an independent implementation (0.43, 0.58, 0.70 of the box).
 #[test]
 fn output_limits_are_kept_and_designs_use_them() {
-    let size = Size { identification: 12, validation: 12, seed: 3 };
+    let size = Size { identification: 12, validation: 12, designed: 6, seed: 3 };
     let found = constrained(&Setting::new().unwrap(), Limits::Output, size, &|| false).unwrap();
     assert!(found.rows.iter().all(|r| r.violation <= 5e-5), "{:?}", found.rows);
     let (ai, others) = found.rows.split_last().unwrap();
@@ -159,7 +159,7 @@ fn output_limits_are_kept_and_designs_use_them() {
 
 #[test]
 fn rate_limits_are_kept_by_walks_and_designs() {
-    let size = Size { identification: 10, validation: 10, seed: 3 };
+    let size = Size { identification: 10, validation: 10, designed: 5, seed: 3 };
     for levels in [9, 5] {
         let limits = Limits::Rate { levels };
         let found = constrained(&Setting::new().unwrap(), limits, size, &|| false).unwrap();
@@ -191,7 +191,7 @@ fn searches_start_equal_and_never_rise() {
 /// Data of all iterations, used, lead on; the latest record alone does not.
 #[test]
 fn pooled_iterations_approach_the_truth() {
-    let size = Size { identification: 12, validation: 0, seed: 2 };
+    let size = Size { identification: 12, validation: 0, designed: 0, seed: 2 };
     let of = |data| iterate(&Setting::new().unwrap(), data, size, &|| false).unwrap().error;
     let (pooled, fresh) = (of(Use::Pooled), of(Use::Fresh));
     let mean = |e: &[Option<dynocal_calib::chapter4::statistics::Stat>], k: usize| e[k].unwrap().mean;

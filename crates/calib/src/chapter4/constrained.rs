@@ -13,8 +13,6 @@ use super::{Chapter4Error, Output, SAMPLES, START, Setting, Size};
 
 /// Torque noise variance of both tables.
 const NOISE: f64 = 80.0;
-/// Validation signals that are designed.
-const DESIGNED_VALIDATION: usize = 40;
 
 /// The limits of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -149,7 +147,7 @@ struct Made {
 /// ```
 /// use dynocal_calib::chapter4::constrained::{Limits, constrained};
 /// use dynocal_calib::chapter4::{Setting, Size};
-/// let size = Size { identification: 2, validation: 2, seed: 1 };
+/// let size = Size { identification: 2, validation: 2, designed: 2, seed: 1 };
 /// let found = constrained(&Setting::new()?, Limits::Rate { levels: 5 }, size, &|| false)?;
 /// assert!(found.rows.iter().all(|r| r.violation <= 1e-9));
 /// # Ok::<(), dynocal_calib::chapter4::Chapter4Error>(())
@@ -163,7 +161,7 @@ pub fn constrained(
     let kinds = limits.kinds();
     let mut validation = Vec::new();
     for &kind in &kinds {
-        let n = if kind == Kind::Ai { size.validation.min(DESIGNED_VALIDATION) } else { size.validation };
+        let n = if kind == Kind::Ai { size.designed } else { size.validation };
         let made = make(setting, limits, kind, n, 2, size.seed, interrupt)?;
         let records: Vec<Record> = made.into_iter().map(|m| m.record).collect();
         let stream = 9 << 40 | kind.number() << 32;

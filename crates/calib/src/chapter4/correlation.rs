@@ -29,7 +29,7 @@ pub struct Correlations {
 /// use dynocal_calib::chapter4::correlation::correlations;
 /// use dynocal_calib::chapter4::library::Library;
 /// use dynocal_calib::chapter4::{Size, source::Source};
-/// let library = Library::new(Size { identification: 2, validation: 60, seed: 1 })?;
+/// let library = Library::new(Size { identification: 2, validation: 60, designed: 0, seed: 1 })?;
 /// let found = correlations(&library, Source::Udrn, &|| false)?;
 /// assert!(found.mean_se.iter().all(|(mean, se)| (mean - 0.080).abs() < 4.0 * se + 1e-3));
 /// # Ok::<(), dynocal_calib::chapter4::Chapter4Error>(())

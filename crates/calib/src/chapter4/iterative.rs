@@ -60,7 +60,7 @@ pub struct Iterations {
 /// ```
 /// use dynocal_calib::chapter4::iterative::{Use, iterate};
 /// use dynocal_calib::chapter4::{Setting, Size};
-/// let size = Size { identification: 3, validation: 0, seed: 1 };
+/// let size = Size { identification: 3, validation: 0, designed: 0, seed: 1 };
 /// let found = iterate(&Setting::new()?, Use::Pooled, size, &|| false)?;
 /// let mean = |k: usize| found.error[k].as_ref().map(|s| s.mean).unwrap();
 /// assert!((mean(0) - 2.08).abs() < 0.01 && mean(5) < mean(1));

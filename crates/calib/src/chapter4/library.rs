@@ -6,15 +6,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::source::{Record, Source, signals};
 use super::{Chapter4Error, Setting, Size};
 
-/// Validation signals that are designed: fewer than random ones, because each costs a search.
-const DESIGNED_VALIDATION: usize = 40;
-
 /// Identification and validation signals of one setting, size and seed.
 ///
 /// ```
 /// use dynocal_calib::chapter4::library::Library;
 /// use dynocal_calib::chapter4::{Size, source::Source};
-/// let library = Library::new(Size { identification: 3, validation: 4, seed: 1 })?;
+/// let library = Library::new(Size { identification: 3, validation: 4, designed: 0, seed: 1 })?;
 /// let (a, b) = (library.identification(Source::Udrn, &|| false)?, library.validation(Source::Udrn, &|| false)?);
 /// assert_eq!((a.len(), b.len()), (3, 4));
 /// assert_ne!(a[0].u, b[0].u);
@@ -58,8 +55,7 @@ impl Library {
         source: Source,
         interrupt: &(dyn Fn() -> bool + Sync),
     ) -> Result<Arc<Vec<Record>>, Chapter4Error> {
-        let designed = source.is_designed();
-        let n = if designed { self.size.validation.min(DESIGNED_VALIDATION) } else { self.size.validation };
+        let n = if source.is_designed() { self.size.designed } else { self.size.validation };
         self.get(source, 2, n, interrupt)
     }
 

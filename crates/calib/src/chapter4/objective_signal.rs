@@ -17,6 +17,8 @@ use super::{Chapter4Error, Output, SAMPLES, START, Setting};
 
 /// Torque noise variance.
 const NOISE: f64 = 80.0;
+/// Samples of a long objective signal.
+const LONG: usize = 10 * SAMPLES;
 /// Designs of each kind at most.
 const MOST_DESIGNS: usize = 40;
 
@@ -30,14 +32,16 @@ pub enum Origin {
     ForUdrn,
     /// I-optimal for a two-level objective signal.
     ForPrbs,
-    /// I-optimal for a record of the control loop.
+    /// I-optimal for one record of the control loop of the same length.
     ForLoop,
-    /// AI-optimal for a record of the control loop.
-    AiForLoop,
+    /// I-optimal for ten times as much of the control loop.
+    ForLongLoop,
+    /// AI-optimal for the same.
+    AiForLongLoop,
 }
 
 /// Rows of the comparison.
-pub const ORIGINS: [Origin; 8] = [
+pub const ORIGINS: [Origin; 9] = [
     Origin::Known(Source::Aprbs),
     Origin::Known(Source::Udrn),
     Origin::Known(Source::Design(DesignCriterion::D)),
@@ -45,7 +49,8 @@ pub const ORIGINS: [Origin; 8] = [
     Origin::ForUdrn,
     Origin::ForPrbs,
     Origin::ForLoop,
-    Origin::AiForLoop,
+    Origin::ForLongLoop,
+    Origin::AiForLongLoop,
 ];
 
 impl Origin {
@@ -57,8 +62,9 @@ impl Origin {
             Origin::Known(s) => s.name().to_uppercase(),
             Origin::ForUdrn => "I for a UDRN".into(),
             Origin::ForPrbs => "I for a PRBS".into(),
-            Origin::ForLoop => "I for the control loop".into(),
-            Origin::AiForLoop => "AI for the control loop".into(),
+            Origin::ForLoop => "I for one record of the loop".into(),
+            Origin::ForLongLoop => "I for ten records of the loop".into(),
+            Origin::AiForLongLoop => "AI for ten records of the loop".into(),
         }
     }
 }
@@ -96,7 +102,7 @@ pub fn compare(library: &Library, interrupt: &(dyn Fn() -> bool + Sync)) -> Resu
     let n = library.size.identification.min(MOST_DESIGNS);
     let loops = (0..library.size.validation)
         .into_par_iter()
-        .map(|k| control_loop(setting, seed, 1 + k as u64))
+        .map(|k| control_loop(setting, seed, 1 + k as u64, SAMPLES))
         .collect::<Result<Vec<Record>, _>>()?;
     let kinds: [(&[Record], u64); 3] = [
         (&loops, 0),
@@ -145,8 +151,9 @@ fn records(
         }
         Origin::ForUdrn => (DesignCriterion::I, library.validation(Source::Udrn, interrupt)?[0].u.clone()),
         Origin::ForPrbs => (DesignCriterion::I, library.validation(Source::Prbs, interrupt)?[0].u.clone()),
-        Origin::ForLoop => (DesignCriterion::I, control_loop(setting, seed, 0)?.u),
-        Origin::AiForLoop => (DesignCriterion::Ai, control_loop(setting, seed, 0)?.u),
+        Origin::ForLoop => (DesignCriterion::I, control_loop(setting, seed, 0, SAMPLES)?.u),
+        Origin::ForLongLoop => (DesignCriterion::I, control_loop(setting, seed, 0, LONG)?.u),
+        Origin::AiForLongLoop => (DesignCriterion::Ai, control_loop(setting, seed, 0, LONG)?.u),
     };
     let built = criterion.build()?;
     let one = |k: usize| {
@@ -158,7 +165,7 @@ fn records(
 
 /// Inputs of torque control over one record: u1 by an integrating controller with a proportional part on the torque of
 /// the sample before, u2 in slow ramps, u3 a slow walk; demands stay where the box can reach them.
-fn control_loop(setting: &Setting, seed: u64, number: u64) -> Result<Record, Chapter4Error> {
+fn control_loop(setting: &Setting, seed: u64, number: u64, samples: usize) -> Result<Record, Chapter4Error> {
     const WARM_UP: usize = 60;
     // us per Nm.
     const PROPORTIONAL: f64 = 20.0;
@@ -166,7 +173,7 @@ fn control_loop(setting: &Setting, seed: u64, number: u64) -> Result<Record, Cha
     let mut rng = Rng64::stream(seed, 12 << 40 | number);
     let c = &setting.channels;
     let m = &setting.torque;
-    let n = WARM_UP + SAMPLES;
+    let n = WARM_UP + samples;
     let middle = |i: usize| 0.5 * (c[i].lower + c[i].upper);
     let mut u: Vec<f64> = (0..n * 3).map(|k| middle(k % 3)).collect();
     let (mut demand, mut abv_to, mut integral) = (12.0, middle(1), middle(0));
@@ -204,7 +211,8 @@ mod tests {
     #[test]
     fn the_loop_stays_in_the_box_and_controls() {
         let setting = Setting::new().unwrap();
-        let (a, b) = (control_loop(&setting, 1, 0).unwrap(), control_loop(&setting, 1, 1).unwrap());
+        let (a, b) =
+            (control_loop(&setting, 1, 0, SAMPLES).unwrap(), control_loop(&setting, 1, 1, SAMPLES).unwrap());
         assert_ne!(a.u, b.u);
         for row in a.u.chunks_exact(3) {
             for (v, c) in row.iter().zip(&setting.channels) {

@@ -122,7 +122,7 @@ pub const NOISE: [(Output, f64); 4] =
 /// use dynocal_calib::chapter4::library::Library;
 /// use dynocal_calib::chapter4::population::measure;
 /// use dynocal_calib::chapter4::{Size, source::Source};
-/// let library = Library::new(Size { identification: 2, validation: 2, seed: 1 })?;
+/// let library = Library::new(Size { identification: 2, validation: 2, designed: 0, seed: 1 })?;
 /// let found = measure(&library, Source::Prbs, &|| false)?;
 /// // On two levels u1, u1^2 and the constant are one: a PRBS cannot tell the torque parameters.
 /// assert_eq!(found.rank[0], (22, 22));
@@ -181,7 +181,8 @@ fn add_models(
     if (output, noise) == (Output::Torque, 80.0) {
         found.estimates = columns(&models);
     }
-    let designed: &[Source] = if output == Output::Torque { &DESIGNED } else { &[] };
+    let wanted = output == Output::Torque && library.size.designed > 0;
+    let designed: &[Source] = if wanted { &DESIGNED } else { &[] };
     for &kind in VALIDATION.iter().chain(designed) {
         let records = library.validation(kind, interrupt)?;
         let unseen = unseen(setting, output, noise, &records, (seed, stream(4, kind, level)))?;

@@ -60,12 +60,15 @@ const LAMBDA_NOISE: f64 = 0.04;
 /// Sampling time of both models.
 const SAMPLE_S: f64 = 0.1;
 
+/// Designed validation signals of each kind.
+const DESIGNED: usize = 40;
+
 /// What tasks compute from.
 type Shared = Arc<Result<Library, Chapter4Error>>;
 
 fn tasks(o: &Options) -> Vec<Task> {
     let n = if o.reduced { 3 } else { 100 };
-    let size = Size { identification: n, validation: n, seed: o.seed };
+    let size = Size { identification: n, validation: n, designed: n.min(DESIGNED), seed: o.seed };
     let shared: Shared = Arc::new(Library::new(size));
     let mut tasks: Vec<Task> = SOURCES
         .iter()

@@ -70,7 +70,7 @@ pub(super) fn checks(all: &[Population], results: &[TaskResult]) -> Vec<Check> {
     checks.push(check(
         "iteration-pooled",
         "Mean relative error of the parameters after five iterations of design, all data used",
-        Asked::Below(0.5 * first),
+        Asked::Below((50.0 * first).round() / 100.0),
         last(&pooled),
         "",
         format!(
