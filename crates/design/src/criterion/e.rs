@@ -1,6 +1,6 @@
 //! E: the direction in parameter space that is seen worst.
 
-use super::{Criterion, Information, Scratch, no_keys};
+use super::{Active, Criterion, Information, Scratch, no_keys};
 use crate::kernel::{multiply, svd};
 use dynocal_numerics::registry::{Member, MemberDoc};
 
@@ -41,6 +41,21 @@ fn spectrum(info: &Information, work: &mut Scratch) {
 impl Criterion for E {
     fn is_extreme(&self) -> bool {
         true
+    }
+
+    /// `z_k = A^-1 D^-1 C e_k` of the eigenvectors e_k of the largest mu.
+    fn active(&self, info: &Information, band: f64, work: &mut Scratch) -> Option<Active> {
+        let p = info.p;
+        spectrum(info, work);
+        let worst = work.v[p - 1];
+        let direction = |k: usize| -> Vec<f64> {
+            let e: Vec<f64> =
+                (0..p).map(|j| work.b[k * p + j] * info.reference_scale[j] / info.scale[j]).collect();
+            info.inverse.chunks_exact(p).map(|row| crate::kernel::dot(row, &e)).collect()
+        };
+        let near = (0..p).rev().filter(|k| work.v[*k] >= (1.0 - band) * worst);
+        let directions = near.map(direction).collect();
+        Some(Active { worst, directions, factor: info.noise_variance, spectral: true })
     }
 
     fn value(&self, info: &Information, work: &mut Scratch) -> f64 {

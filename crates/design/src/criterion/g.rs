@@ -1,6 +1,6 @@
 //! G: largest variance of the predicted objective output.
 
-use super::{Criterion, Information, Scratch, no_keys, sandwich};
+use super::{Active, Criterion, Information, Scratch, no_keys, sandwich};
 use crate::kernel::{dot, gram_add, mirror};
 use dynocal_numerics::registry::{Member, MemberDoc};
 
@@ -50,6 +50,21 @@ impl Criterion for G {
 
     fn is_extreme(&self) -> bool {
         true
+    }
+
+    /// `z_t = A^-1 x_t'` of the worst points.
+    fn active(&self, info: &Information, band: f64, work: &mut Scratch) -> Option<Active> {
+        let (p, m) = (info.p, info.objective?);
+        let (worst, _) = variances(info, &m.s0, work);
+        let n0 = m.s0.len() / p;
+        let mut near: Vec<usize> = (0..n0).filter(|t| work.v[*t] >= (1.0 - band) * worst).collect();
+        near.sort_by(|a, b| work.v[*b].total_cmp(&work.v[*a]));
+        let direction = |t: usize| -> Vec<f64> {
+            let x: Vec<f64> = (0..p).map(|k| m.s0[t * p + k] / info.scale[k]).collect();
+            info.inverse.chunks_exact(p).map(|row| dot(row, &x)).collect()
+        };
+        let directions = near.into_iter().map(direction).collect();
+        Some(Active { worst, directions, factor: info.noise_variance, spectral: false })
     }
 
     fn value(&self, info: &Information, work: &mut Scratch) -> f64 {

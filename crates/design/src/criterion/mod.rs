@@ -92,6 +92,20 @@ impl Scratch {
     }
 }
 
+/// The pieces of a maximum or an extreme eigenvalue that are nearly as large as the worst; the derivative of each in A
+/// has rank one, `dJ_k/dA = -factor z_k z_k'`.
+#[derive(Clone, Debug)]
+pub struct Active {
+    /// Value of the worst piece, J.
+    pub worst: f64,
+    /// Directions z_k (p each), the worst first.
+    pub directions: Vec<Vec<f64>>,
+    /// Factor of the derivative.
+    pub factor: f64,
+    /// Whether pieces mix, `-factor sum_ij Z_ij z_i z_j'` with Z >= 0 of trace one, as those of an eigenvalue do.
+    pub spectral: bool,
+}
+
 /// An optimality criterion: a scalar of the information that is minimised, with its exact gradient.
 pub trait Criterion: Send + Sync {
     /// Whether it needs an objective signal U0 ([`Information::objective`]).
@@ -114,6 +128,11 @@ pub trait Criterion: Send + Sync {
     /// ([`crate::certificate::certify`]).
     fn is_log_det(&self) -> bool {
         false
+    }
+
+    /// For a criterion that [`Criterion::is_extreme`]: its pieces of at least `1 - band` of the worst.
+    fn active(&self, _info: &Information, _band: f64, _work: &mut Scratch) -> Option<Active> {
+        None
     }
 
     /// Exact value J. Infinite where a needed objective signal is missing.

@@ -3,6 +3,7 @@
 use super::term::TermWork;
 use super::{Convention, DesignProblem};
 use crate::channel::Layout;
+use crate::criterion::Active;
 use crate::error::DesignError;
 use dynocal_numerics::status::Status;
 
@@ -149,6 +150,26 @@ impl<'a> Evaluator<'a> {
             f += penalise_rates(&self.layout, mu, x, grad);
         }
         f
+    }
+
+    /// Pieces of the criterion of a problem of one model at `x`; `None` where it is singular.
+    pub(crate) fn active(&mut self, x: &[f64], band: f64) -> Option<Active> {
+        let m = self.layout.n_channels();
+        self.layout.fill(x, &mut self.u[self.pad * m..]);
+        self.fill_pad();
+        self.clear();
+        if !self.simulate() || !self.terms[0].factor(true) {
+            return None;
+        }
+        self.terms[0].active(band)
+    }
+
+    /// Gradient in x of what has the derivative `gram_bar` (p x p) in A, at the record of [`Evaluator::active`].
+    pub(crate) fn piece_gradient(&mut self, gram_bar: &[f64], grad: &mut [f64]) {
+        self.terms[0].set_gram_bar(gram_bar);
+        let weight = self.terms[0].term.weight;
+        self.backward(if weight > 0.0 { 1.0 / weight } else { 1.0 });
+        self.layout.gather(&self.u_bar[self.pad * self.layout.n_channels()..], grad);
     }
 
     /// The criterion that belongs to a search objective.

@@ -1,7 +1,7 @@
 //! One model of a design with its buffers: record in, criterion and its adjoint out.
 
 use super::{DesignProblem, Term};
-use crate::criterion::{Information, Moments, Scratch};
+use crate::criterion::{Active, Information, Moments, Scratch};
 use crate::error::DesignError;
 use crate::kernel;
 use dynocal_ident::model::Run;
@@ -153,6 +153,25 @@ impl<'a> TermWork<'a> {
             self.moments.as_ref(),
         );
         criterion.value(&info, &mut self.scratch)
+    }
+
+    /// Pieces of the factored criterion near the worst.
+    pub(crate) fn active(&mut self, band: f64) -> Option<Active> {
+        let info = information(
+            &self.term,
+            &self.scale,
+            &self.reference_scale,
+            &self.factor,
+            &self.factor_inverse,
+            &self.inverse,
+            self.moments.as_ref(),
+        );
+        self.term.criterion?.active(&info, band, &mut self.scratch)
+    }
+
+    /// Sets the gradient in the Gram matrix for [`TermWork::adjoint`].
+    pub(crate) fn set_gram_bar(&mut self, gram_bar: &[f64]) {
+        self.gram_bar.copy_from_slice(gram_bar);
     }
 
     /// Criterion (p-norm of order `sharpness` where it is an extreme) and its gradient in the Gram matrix, which is

@@ -42,8 +42,19 @@ pub struct Chain<'w, 'a> {
 /// and then moves it into the limits; large ones freeze the constraints that the start happens to meet.
 const FIRST_PENALTY: f64 = 1.0;
 
+/// Orders of the p-norms when the search is over: from the smooth landscape to the maximum itself.
+const FINAL_SHARPNESS: [f64; 4] = [120.0, 400.0, 1500.0, 6000.0];
+
 /// Order of the p-norms at the end of a search, and on the way to it.
 const SHARPNESS: [f64; 3] = [8.0, 30.0, 120.0];
+
+/// Order at which a p-norm is the maximum but for the last digits.
+const EXACT: f64 = 1e6;
+
+/// Evaluations that a search leaves for [`Chain::sharpen`].
+pub(super) fn sharpening(options: &DesignOptions) -> usize {
+    options.evaluations / 8
+}
 
 impl<'w, 'a> Chain<'w, 'a> {
     pub(crate) fn new(
@@ -61,7 +72,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             best: None,
             history: Vec::new(),
             solver: Lbfgs::new(n),
-            budget: options.evaluations,
+            budget: options.evaluations - if extreme { sharpening(options) } else { 0 },
             tolerance: options.output_tolerance,
             decrease: options.value_tolerance,
             gradient: options.gradient_tolerance,
@@ -139,6 +150,36 @@ impl<'w, 'a> Chain<'w, 'a> {
         let (f, violation) = self.value(&x);
         self.note(f, violation, ended.optimality);
         Candidate { x, f, violation, converged: ended.converged, multipliers }
+    }
+
+    /// Local runs from the best design towards the maximum itself, kept where its exact value falls and limits hold.
+    pub(crate) fn sharpen(&mut self, budget: usize) {
+        let Some(best) = self.best.clone().filter(|_| self.extreme) else { return };
+        self.budget += budget;
+        let exact = |chain: &mut Self, x: &[f64]| chain.evaluator.objective(x, EXACT, None, &mut []);
+        let mut value = exact(self, &best.x);
+        let (mut x, mut multipliers) = (best.x.clone(), best.multipliers.clone());
+        for (k, q) in FINAL_SHARPNESS.into_iter().enumerate() {
+            let share = self.left().saturating_sub(2) / (FINAL_SHARPNESS.len() - k);
+            let ended = match self.constrained {
+                true => self.constrained_run(&mut x, q, share, 1.0, &mut multipliers),
+                false => self.smooth_run(&mut x, q, share, 1.0, None),
+            };
+            self.evaluator.layout().repair(&mut x);
+            let found = exact(self, &x);
+            let violation = self.evaluator.output_violation();
+            if found < value && self.feasible(violation) >= self.feasible(best.violation) {
+                value = found;
+                let (f, _) = self.value(&x);
+                self.best = Some(Candidate {
+                    x: x.clone(),
+                    f,
+                    violation,
+                    converged: ended.converged,
+                    multipliers: multipliers.clone(),
+                });
+            }
+        }
     }
 
     fn smooth_run(

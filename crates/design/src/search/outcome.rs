@@ -1,6 +1,6 @@
 //! The entry point of the crate: a problem in, a record out.
 
-use super::chain::{Candidate, Chain};
+use super::chain::{Candidate, Chain, sharpening};
 use super::{Search, Watch, search};
 use crate::certificate::{Certificate, NoCertificate, certify};
 use crate::channel::Layout;
@@ -216,6 +216,7 @@ fn run_one(
     chain.offer(Candidate { x: x.clone(), f, violation, converged: false, multipliers: None });
     let start_value = chain.evaluator.undo_logarithm(f);
     method.run(&mut chain, &x);
+    chain.sharpen(sharpening(options));
     levels::exchange(&mut chain, options.evaluations);
     let Some(best) = chain.best.take() else {
         return Err(no_start(problem, &mut chain, &x, 1));
