@@ -47,21 +47,30 @@ pub(crate) fn evaluate(input: &Value) -> Result<Value, Box<dyn Error>> {
     })
 }
 
-/// Input also `starts` (list of N x 3). Output: `values`, mean CPU time of one design with its set-up.
+/// Input also `starts` (list of N x 3), `evaluations` (default those of the search), `repeats` (default 1: all starts
+/// that often, for the clock's sake). Output: `values`, mean CPU time of one design with its set-up.
 pub(crate) fn search(input: &Value) -> Result<Value, Box<dyn Error>> {
     let starts: Vec<Vec<f64>> = serde_json::from_value(input["starts"].clone())?;
     with_problem(input, |problem| {
         let (mut values, mut evaluations, mut records) = (Vec::new(), Vec::new(), Vec::new());
-        let before = cpu_s()?;
-        for (seed, start) in starts.iter().enumerate() {
-            let options =
-                DesignOptions { seed: seed as u64, start: Some(start.clone()), ..Default::default() };
-            let found = design(problem, &options, &|| false, &|_| {})?;
-            values.push(found.value);
-            evaluations.push(found.evaluations);
-            records.push(found.u);
+        let mut options = DesignOptions::default();
+        if let Some(n) = input["evaluations"].as_u64() {
+            options.evaluations = n as usize;
         }
-        let time = json!({"cpu_s": (cpu_s()? - before) / starts.len() as f64, "calls": starts.len()});
+        let repeats = input["repeats"].as_u64().unwrap_or(1).max(1) as usize;
+        let before = cpu_s()?;
+        for (k, start) in starts.iter().cycle().take(repeats * starts.len()).enumerate() {
+            let seed = (k % starts.len()) as u64;
+            let options = DesignOptions { seed, start: Some(start.clone()), ..options.clone() };
+            let found = design(problem, &options, &|| false, &|_| {})?;
+            if k < starts.len() {
+                values.push(found.value);
+                evaluations.push(found.evaluations);
+                records.push(found.u);
+            }
+        }
+        let calls = repeats * starts.len();
+        let time = json!({"cpu_s": (cpu_s()? - before) / calls as f64, "calls": calls});
         Ok(json!({"time": time, "values": values, "evaluations": evaluations, "records": records}))
     })
 }
