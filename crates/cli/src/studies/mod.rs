@@ -11,6 +11,7 @@ mod chain_checks;
 mod chain_tasks;
 mod chapter4;
 mod chapter5;
+mod design;
 mod engine;
 mod engine_checks;
 mod engine_tables;
@@ -103,7 +104,7 @@ pub(crate) struct Study {
 
 /// All studies.
 pub(crate) static STUDIES: &[Study] =
-    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, engine::STUDY];
+    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, design::STUDY, engine::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {
