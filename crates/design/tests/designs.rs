@@ -13,40 +13,118 @@ fn run(problem: &DesignProblem, options: &DesignOptions) -> DesignOutcome {
     design(problem, options, &|| false, &|_| {}).unwrap()
 }
 
-fn median(problem: &DesignProblem, seeds: u64) -> f64 {
-    let mut v: Vec<f64> =
-        (0..seeds).map(|seed| run(problem, &DesignOptions { seed, ..Default::default() }).value).collect();
+/// Values of ten random starts, the best first.
+fn ten(problem: &DesignProblem, evaluations: usize) -> Vec<f64> {
+    let one = |seed| {
+        let found = run(problem, &DesignOptions { seed, evaluations, ..Default::default() });
+        assert!(found.status != Status::Infeasible);
+        found.value
+    };
+    let mut v: Vec<f64> = (0..10).map(one).collect();
     v.sort_by(f64::total_cmp);
-    0.5 * (v[(v.len() - 1) / 2] + v[v.len() / 2])
+    v
 }
 
-/// Medians of ten random starts against those of CasADi with IPOPT on the same problems.
+/// Median and best of ten single starts against those of CasADi with IPOPT.
+fn reaches(what: &str, problem: &DesignProblem, evaluations: usize, median: f64, best: f64) {
+    let v = ten(problem, evaluations);
+    let found = 0.5 * (v[4] + v[5]);
+    println!("{what}: median {found}, asked {median}; best {}, asked {best}", v[0]);
+    assert!(found <= median, "{what}: median {found}, asked {median}");
+    assert!(v[0] <= best, "{what}: best {}, asked {best}", v[0]);
+}
+
+/// The default budget, or half of it where that is enough.
 #[test]
-fn medians_reach_the_interior_point_bars() {
+fn starts_in_a_box_reach_the_interior_point_bars() {
     let (u0, root) = core();
     let model = chapter_4_model("torque");
     let scale = numbers(&root["c_torque"]);
-    for (name, bar) in
-        [("d", -436.2), ("ai", 2.138e5), ("a", 899.0), ("wa", 1.954e5), ("i", 984.0), ("g", 13.23)]
-    {
+    for (name, evaluations, median, best) in [
+        ("d", 2000, -436.2, -436.89),
+        ("ai", 4000, 2.138e5, 2.045e5),
+        ("a", 2000, 899.0, 849.0),
+        ("wa", 2000, 1.954e5, 1.886e5),
+        ("i", 2000, 984.0, 963.5),
+        ("g", 4000, 13.23, 13.11),
+    ] {
         let c = named(name);
-        let found = median(&problem(term(&model, c.as_ref(), &u0, &scale), 100, Convention::Trim), 10);
-        println!("{name}: median {found}, bar {bar}");
-        assert!(found <= bar, "{name}: median {found}, asked {bar}");
+        let p = problem(term(&model, c.as_ref(), &u0, &scale), 100, Convention::Trim);
+        reaches(name, &p, evaluations, median, best);
     }
 }
 
+/// The best of ten is not known for these limits: the median stands for it.
 #[test]
-fn rate_limited_medians_reach_the_interior_point_bars() {
+fn rate_limited_starts_reach_the_interior_point_bars() {
     let (u0, _) = core();
     let model = chapter_4_model("torque");
-    for (name, bar) in [("d", -401.0), ("ai", 8.93e5)] {
+    for (name, bar) in [("d", -401.0), ("ai", 8.93e5), ("a", 1204.0)] {
         let c = named(name);
         let mut p = problem(term(&model, c.as_ref(), &u0, &[]), 100, Convention::Trim);
         p.channels.iter_mut().zip([500.0, 0.025, 125.0]).for_each(|(c, r)| c.rate_per_sample = Some(r));
-        let found = median(&p, 10);
-        println!("rate {name}: median {found}, bar {bar}");
-        assert!(found <= bar, "{name}: median {found}, asked {bar}");
+        reaches(&format!("rate {name}"), &p, 4000, bar, bar);
+    }
+}
+
+/// Output limits take more evaluations per run: twice the default.
+#[test]
+fn output_limited_starts_reach_the_interior_point_bars() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    for (name, bar) in [("d", -450.29), ("ai", 9.85e4), ("a", 354.0)] {
+        let c = named(name);
+        let limits = Some(OutputLimits { lower: -10.0, upper: 40.0, margin: 0.0 });
+        let mut p = problem(Term { limits, ..term(&model, c.as_ref(), &u0, &[]) }, 100, Convention::Trim);
+        p.channels = vec![
+            Channel::free("fpw", 1800.0, 6200.0),
+            Channel::free("abv", 0.35, 0.65),
+            Channel::free("speed", 800.0, 2200.0),
+        ];
+        reaches(&format!("output {name}"), &p, 8000, bar, bar);
+    }
+}
+
+/// Torque and lambda together, weights of Table 4.16, and lambda alone.
+#[test]
+fn composites_and_lambda_reach_the_interior_point_bars() {
+    let (u0, _) = core();
+    let (torque, lambda) = (chapter_4_model("torque"), chapter_4_model("lambda"));
+    for (name, weights, median, best) in [
+        ("d", (477.91, 802.84), -614_448.0, -614_936.0),
+        ("ai", (1.0 / 1.8109e6, 2.0 / 3945.2), 0.6768, 0.6636),
+    ] {
+        let c = named(name);
+        let of = |model, weight| Term { weight, ..term(model, c.as_ref(), &u0, &[]) };
+        let mut p = problem(of(&torque, weights.0), 100, Convention::Trim);
+        p.terms.push(of(&lambda, weights.1));
+        reaches(&format!("composite {name}"), &p, 2000, median, best);
+    }
+    for (name, median) in [("d", -507.8), ("ai", 936.0)] {
+        let c = named(name);
+        let p = problem(term(&lambda, c.as_ref(), &u0, &[]), 100, Convention::Trim);
+        reaches(&format!("lambda {name}"), &p, 1000, median, median);
+    }
+}
+
+/// A tenth of what 60 CPU seconds allow ends beyond the best values that were known: two chains of 40 to 120 s of an
+/// iterated local search in the box, 40 interior point runs under rate limits.
+#[test]
+fn longer_searches_pass_the_best_known_values() {
+    let (u0, _) = core();
+    let (torque, lambda) = (chapter_4_model("torque"), chapter_4_model("lambda"));
+    for (what, model, name, rates, best) in
+        [("lambda", &lambda, "d", false, -508.328), ("torque, rates", &torque, "ai", true, 7.883e5)]
+    {
+        let c = named(name);
+        let mut p = problem(term(model, c.as_ref(), &u0, &[]), 100, Convention::Trim);
+        if rates {
+            let limits = p.channels.iter_mut().zip([500.0, 0.025, 125.0]);
+            limits.for_each(|(c, r)| c.rate_per_sample = Some(r));
+        }
+        let found = run(&p, &DesignOptions { evaluations: 60_000, ..Default::default() });
+        println!("{what} {name}: {}, best known {best}", found.value);
+        assert!(found.value < best, "{what} {name}: {}", found.value);
     }
 }
 
