@@ -6,7 +6,7 @@ use dynocal_calib::chapter4::source::{DesignCriterion, Source};
 use dynocal_calib::chapter4::{Output, published};
 use dynocal_deliver::{Cell, Column, Section, Table};
 
-use super::{LAMBDA_NOISE, TORQUE_NOISE, label, of};
+use super::{LAMBDA_NOISE, TORQUE_NOISE, label, of, with_error};
 
 pub(super) fn weights(all: &[Population]) -> Section {
     let mut table = Table::new(vec![
@@ -50,14 +50,12 @@ pub(super) fn scores(all: &[Population]) -> Section {
         let mut columns = vec![
             Column::text("Model"),
             Column::number("e: thesis", "").digits(3),
-            Column::number("ours", "").digits(3),
-            Column::number("SE", "").digits(2),
+            Column::number("ours (SE)", ""),
             Column::number("reference", "").digits(3),
         ];
         for kind in VALIDATION {
             columns.push(Column::number(format!("{}: thesis", label(kind)), "%").digits(4));
-            columns.push(Column::number("ours", "%").digits(3));
-            columns.push(Column::number("SE", "").digits(2));
+            columns.push(Column::number("ours (SE)", "%"));
             columns.push(Column::number("reference", "%").digits(3));
         }
         let mut table = Table::new(columns).caption(caption);
@@ -75,16 +73,14 @@ fn row_of(all: &[Population], row: &published::Mimo, noise: f64) -> Vec<Cell> {
     let mut cells: Vec<Cell> = vec![
         label(row.source).into(),
         row.error.0.into(),
-        e.map(|s| s.mean).into(),
-        e.map(|s| s.se).into(),
+        with_error(e.map(|s| (s.mean, s.se)), 2),
         row.error.1.into(),
     ];
     for (k, kind) in VALIDATION.into_iter().enumerate() {
         let score = population.and_then(|p| p.score(row.output, noise, kind));
         cells.extend([
             row.thesis[k].into(),
-            score.map(|s| s.r2).into(),
-            score.map(|s| s.se).into(),
+            with_error(score.map(|s| (s.r2, s.se)), 1),
             Cell::from(row.reference[k]),
         ]);
     }

@@ -20,7 +20,7 @@ use dynocal_calib::chapter4::library::Library;
 use dynocal_calib::chapter4::population::{Population, measure};
 use dynocal_calib::chapter4::source::{DesignCriterion, Source};
 use dynocal_calib::chapter4::{Chapter4Error, Size};
-use dynocal_deliver::Report;
+use dynocal_deliver::{Cell, Report};
 use dynocal_numerics::registry::MemberDoc;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -138,6 +138,11 @@ fn check(
         holds: asked.holds(measured),
         note,
     }
+}
+
+/// A mean with its standard error in brackets.
+fn with_error(pair: Option<(f64, f64)>, decimals: usize) -> Cell {
+    pair.map_or(Cell::Empty, |(mean, se)| format!("{mean:.decimals$} ({se:.decimals$})").into())
 }
 
 /// Name of a kind of signal in a table.

@@ -81,7 +81,7 @@ pub(super) fn section(results: &[TaskResult]) -> Section {
     );
     section.push(Block::from(table_a(&all)));
     section.push(plot_of(&all, &SEARCHES[..3], "Local methods (Figure 4.12)", Some(400)));
-    section.push(plot_of(&all, &SEARCHES, "All searches", None));
+    section.push(plot_of(&all, &SEARCHES[3..], "Global methods, compass, local and the default", None));
     for (search, title, below) in [
         ("annealing", "Simulated annealing (Figure 4.13)", "mean of the trials at each temperature"),
         ("genetic", "Genetic algorithm (Figure 4.14)", "mean of each generation"),
@@ -91,7 +91,8 @@ pub(super) fn section(results: &[TaskResult]) -> Section {
         }
     }
     if let Some(path) = first(&all, "pattern_search") {
-        section.push(Block::Columns { blocks: mesh_plots(path) });
+        section.push(pattern_plot(path));
+        section.push(Block::from(mesh_table(path)));
     }
     section.push(Block::from(table_rest(results)));
     section
@@ -178,25 +179,24 @@ fn told_plot(path: &Path, title: &str, below: &str) -> XyPlot {
     )
 }
 
-fn mesh_plots(path: &Path) -> Vec<Block> {
+fn pattern_plot(path: &Path) -> XyPlot {
     let (x, y) = logarithms(path.told.iter().map(|t| (t.0, t.1)));
-    let (mx, my) = logarithms(path.told.iter().map(|t| (t.0, t.2)));
-    vec![
-        Block::from(
-            XyPlot::new(
-                "Pattern search (Figure 4.15)",
-                Axis::new("Evaluations", ""),
-                Axis::new(LOGARITHM, ""),
-            )
-            .line("objective", x, y),
-        ),
-        Block::from(
-            XyPlot::new(
-                "Its mesh",
-                Axis::new("Evaluations", ""),
-                Axis::new("log10 mesh, share of the box", ""),
-            )
-            .line("mesh", mx, my),
-        ),
-    ]
+    XyPlot::new("Pattern search (Figure 4.15)", Axis::new("Evaluations", ""), Axis::new(LOGARITHM, "")).line(
+        "objective",
+        x,
+        y,
+    )
+}
+
+/// How fine the mesh became: a mesh that never shrinks means that full steps still helped when the budget ended.
+fn mesh_table(path: &Path) -> Table {
+    let meshes = path.told.iter().map(|t| t.2);
+    let (least, largest) = meshes.clone().fold((f64::INFINITY, 0.0f64), |(l, u), m| (l.min(m), u.max(m)));
+    Table::new(vec![
+        Column::text("Mesh of the pattern search"),
+        Column::number("share of the box", "").digits(3),
+    ])
+    .row([Cell::from("largest"), largest.into()])
+    .row([Cell::from("least"), least.into()])
+    .row([Cell::from("at the end of the budget"), meshes.last().into()])
 }

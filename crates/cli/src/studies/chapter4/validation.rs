@@ -9,7 +9,9 @@ use dynocal_calib::chapter4::{Output, Size, published};
 use dynocal_deliver::{Cell, Column, Section, Table};
 use serde_json::json;
 
-use super::{Asked, Check, SOURCES, Shared, TORQUE_NOISE, Task, TaskResult, check, label, of, result};
+use super::{
+    Asked, Check, SOURCES, Shared, TORQUE_NOISE, Task, TaskResult, check, label, of, result, with_error,
+};
 
 const CORRELATE: &str = "correlations";
 const CASES: &str = "objective-signals";
@@ -145,8 +147,7 @@ fn random_columns(all: &[Population], noise: f64, number: &str) -> Table {
     let mut columns = vec![Column::text("Model")];
     for kind in VALIDATION {
         columns.push(Column::number(format!("{}: thesis", label(kind)), "%").digits(4));
-        columns.push(Column::number("ours", "%").digits(3));
-        columns.push(Column::number("SE", "").digits(2));
+        columns.push(Column::number("ours (SE)", "%"));
         columns.push(Column::number("reference", "%").digits(3));
         columns.push(Column::number("noise-free", "%").digits(3));
     }
@@ -162,8 +163,7 @@ fn random_columns(all: &[Population], noise: f64, number: &str) -> Table {
         for (k, kind) in VALIDATION.into_iter().enumerate() {
             let score = of(all, source).and_then(|p| p.score(Output::Torque, noise, kind));
             row.push(thesis.map(|t| t[k]).into());
-            row.push(score.map(|s| s.r2).into());
-            row.push(score.map(|s| s.se).into());
+            row.push(with_error(score.map(|s| (s.r2, s.se)), 1));
             row.push(known.map(|r| r.reference[k].0).into());
             row.push(score.map(|s| s.r2_noise_free).into());
         }
@@ -176,8 +176,7 @@ fn designed_columns(all: &[Population], noise: f64, number: &str) -> Table {
     let mut columns = vec![Column::text("Model")];
     for kind in DESIGNED {
         columns.push(Column::number(format!("U_{}: thesis", label(kind)), "%").digits(4));
-        columns.push(Column::number("ours", "%").digits(3));
-        columns.push(Column::number("SE", "").digits(2));
+        columns.push(Column::number("ours (SE)", "%"));
         columns.push(Column::number("noise-free", "%").digits(3));
     }
     let swapped = if noise == 160.0 { "; two swapped entries of the print put right" } else { "" };
@@ -190,8 +189,7 @@ fn designed_columns(all: &[Population], noise: f64, number: &str) -> Table {
         for (k, kind) in DESIGNED.into_iter().enumerate() {
             let score = of(all, source).and_then(|p| p.score(Output::Torque, noise, kind));
             row.push(thesis.map(|t| t[k]).into());
-            row.push(score.map(|s| s.r2).into());
-            row.push(score.map(|s| s.se).into());
+            row.push(with_error(score.map(|s| (s.r2, s.se)), 1));
             row.push(score.map(|s| s.r2_noise_free).into());
         }
         table = table.row(row);
