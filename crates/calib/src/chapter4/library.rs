@@ -6,6 +6,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::source::{Record, Source, signals};
 use super::{Chapter4Error, Setting, Size};
 
+/// Signals by the name of their kind and the number of their set.
+type Made = BTreeMap<(String, u64), Arc<Vec<Record>>>;
+
 /// Identification and validation signals of one setting, size and seed.
 ///
 /// ```
@@ -22,7 +25,7 @@ pub struct Library {
     pub setting: Setting,
     /// Size of the populations.
     pub size: Size,
-    made: Mutex<BTreeMap<(String, u64), Arc<Vec<Record>>>>,
+    made: Mutex<Made>,
 }
 
 impl Library {

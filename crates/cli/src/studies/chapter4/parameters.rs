@@ -171,7 +171,7 @@ fn distribution_plot(found: &[Distribution]) -> Option<XyPlot> {
     const CLASSES: usize = 40;
     let all = || found.iter().flat_map(|d| d.estimates.iter().copied());
     let (low, high) = all().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-    if !(high > low) {
+    if high <= low || !(high - low).is_finite() {
         return None;
     }
     let width = (high - low) / CLASSES as f64;

@@ -198,5 +198,5 @@ fn mesh_table(path: &Path) -> Table {
     ])
     .row([Cell::from("largest"), largest.into()])
     .row([Cell::from("least"), least.into()])
-    .row([Cell::from("at the end of the budget"), meshes.last().into()])
+    .row([Cell::from("at the end of the budget"), path.told.last().map(|t| t.2).into()])
 }
