@@ -148,3 +148,25 @@ fn a_transient_from_a_file_on_a_bed() {
     let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "odd.toml"]);
     assert!(code == 2 && stderr.contains("sideways"), "{stderr}");
 }
+
+#[test]
+fn the_example_of_a_bed_runs() {
+    let tmp = tempfile::tempdir().unwrap();
+    let at = |name: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/testbed").join(name);
+        path.to_str().unwrap().to_owned()
+    };
+    let (inputs, bed) = (at("inputs.csv"), at("bed.toml"));
+    let (code, stdout, stderr) =
+        engine(tmp.path(), &["transient", &inputs, "--bed", &bed, "--every-s", "0.05", "--csv", "y.csv"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stdout.contains("pmax"), "{stdout}");
+    let table = dynocal_files::csv_io::read(&tmp.path().join("y.csv")).unwrap();
+    let n = table.rows();
+    let column = |name: &str| table.numbers(name, 0, n).unwrap().to_vec();
+    let (speed, coolant, torque) = (column("engine_speed"), column("coolant"), column("torque"));
+    assert!(speed.iter().all(|v| (600.0..=6500.0).contains(v)));
+    assert!(coolant[n - 1] > coolant[0] + 1.0, "warms up");
+    // Readings are multiples of the converter's step.
+    assert!(torque.iter().all(|t| ((t / 0.1).round() - t / 0.1).abs() < 1e-6));
+}
