@@ -134,3 +134,34 @@ fn the_set_comes_with_its_real_bed_at_its_start_point() {
     let cov = (work.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / work.len() as f64).sqrt() / mean;
     assert!(cov > 0.009 && cov < 0.02, "{cov}");
 }
+
+#[test]
+fn a_real_bed_stands_random_inputs_over_the_whole_box_in_every_mode() {
+    use dynocal_plant::testbed::dynamometer::DynoMode;
+    for (mode, seed) in [(DynoMode::Speed, 1), (DynoMode::InertialSpeed, 2), (DynoMode::Load, 3)] {
+        let mut options = BedOptions::real();
+        options.dynamometer.mode = mode;
+        options.inputs = ["wastegate", "egr", "intake_cam"].map(str::to_owned).to_vec();
+        options.outputs =
+            ["engine_speed", "pmax", "catalyst", "coolant", "oxygen"].map(str::to_owned).to_vec();
+        let mut bed = gtdi(options);
+        bed.reset(seed);
+        let (inputs, outputs): (Vec<_>, Vec<_>) =
+            bed.variables().to_vec().into_iter().partition(|v| v.causality == Causality::Input);
+        let mut rng = Rng64::new(seed);
+        let mut u: Vec<f64> = inputs.iter().map(|v| v.start).collect();
+        let mut y = vec![0.0; outputs.len()];
+        for _ in 0..400 {
+            for (u, v) in u.iter_mut().zip(&inputs) {
+                if rng.uniform() < 0.1 {
+                    *u = rng.uniform_in(v.min, v.max);
+                }
+            }
+            bed.step(&u, 0.02, &mut y).unwrap();
+            assert!(y.iter().all(|v| v.is_finite()), "{mode:?}: {y:?}");
+            bed.engine().check_state().unwrap();
+            assert!(y[5] > 599.0 && y[5] < 6501.0 && (0.0..=1.0).contains(&y[9]), "{mode:?}: {y:?}");
+            assert!(y[7] > 250.0 && y[7] < 1600.0 && y[8] > 290.0 && y[8] < 400.0, "{mode:?}: {y:?}");
+        }
+    }
+}

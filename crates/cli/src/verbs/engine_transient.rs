@@ -8,7 +8,6 @@ use dynocal_files::table::Table;
 use dynocal_files::units;
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, Variable};
 use dynocal_plant::bed::{BedSettings, EngineBed};
-use dynocal_plant::inputs::Inputs;
 use dynocal_plant::testbed::settings::BedOptions;
 
 use crate::common::print;
@@ -138,7 +137,7 @@ impl Transient {
                 *field = value;
             }
         }
-        let start = if options.saturate { saturated(start) } else { start };
+        let start = if options.saturate { start.saturated() } else { start };
         let settings = BedSettings { start, options, ..set };
         Ok(EngineBed::new(&params, settings)?)
     }
@@ -213,17 +212,6 @@ impl Transient {
             .section(Section::new("Outputs").block(plot("Outputs", Causality::Output)))
             .section(Section::new("Inputs").block(plot("Inputs", Causality::Input)))
             .section(Section::new("Events").text("Limits that were touched, the first 200.").block(events))
-    }
-}
-
-/// Start inputs inside the box of the engine, for beds that saturate.
-fn saturated(u: Inputs) -> Inputs {
-    Inputs {
-        injection_mg: u.injection_mg.clamp(0.0, 120.0),
-        spark_deg: u.spark_deg.clamp(-10.0, 55.0),
-        throttle_deg: u.throttle_deg.clamp(0.0, 90.0),
-        speed_rpm: u.speed_rpm.clamp(600.0, 6500.0),
-        ..u
     }
 }
 

@@ -181,6 +181,8 @@ impl BedOptions {
         range("bed.tick_s", self.tick_s, 1e-4, 0.02)?;
         range("bed.dynamometer.engine_kg_m2", d.engine_kg_m2, 1e-3, 10.0)?;
         range("bed.dynamometer.rotor_kg_m2", d.rotor_kg_m2, 0.0, 100.0)?;
+        range("bed.dynamometer.gains.proportional", d.gains.proportional, 0.0, 1e4)?;
+        range("bed.dynamometer.gains.integral", d.gains.integral, 0.0, 1e6)?;
         range("bed.dynamometer.torque_limit_nm", d.torque_limit_nm, 1.0, 5000.0)?;
         range("bed.dynamometer.least_rpm", d.least_rpm, 600.0, 6500.0)?;
         range("bed.dynamometer.most_rpm", d.most_rpm, d.least_rpm + 1.0, 6500.0)?;
@@ -244,6 +246,8 @@ impl RealEngine {
             ] {
                 range(&format!("bed.engine.warm_up.{key}"), ua, 0.0, 5e3)?;
             }
+            range("bed.engine.warm_up.friction_share", t.friction_share, 0.0, 1.0)?;
+            range("bed.engine.warm_up.viscosity_exponent", t.viscosity_exponent, 0.0, 1.0)?;
             let [begins, open] = t.thermostat_k;
             range("bed.engine.warm_up.thermostat_k", open - begins, 1.0, 50.0)?;
         }
@@ -252,6 +256,10 @@ impl RealEngine {
             range("bed.engine.catalyst.capacity_j_k", c.capacity_j_k, 50.0, 1e5)?;
             range("bed.engine.catalyst.effectiveness", c.effectiveness, 0.0, 1.0)?;
             range("bed.engine.catalyst.width_k", c.width_k, 1.0, 200.0)?;
+            range("bed.engine.catalyst.exotherm", c.exotherm, 0.0, 1.0)?;
+            range("bed.engine.catalyst.ambient_k", c.ambient_k, 230.0, 330.0)?;
+            range("bed.engine.catalyst.ambient_w_k", c.ambient_w_k, 0.0, 1e3)?;
+            range("bed.engine.catalyst.light_off_k", c.light_off_k, 300.0, 1300.0)?;
             range("bed.engine.catalyst.oxygen_g", c.oxygen_g, 0.01, 50.0)?;
             range("bed.engine.catalyst.sharpness", c.sharpness, 0.5, 100.0)?;
         }
