@@ -7,6 +7,7 @@ use dynocal_numerics::registry::MemberDoc;
 use dynocal_plant::verification::ReferencePoint;
 use serde_json::{Value, json};
 
+use super::engine_boosted::tasks as boosted_tasks;
 use super::engine_checks::checks;
 use super::engine_tables::sections;
 use super::engine_tasks::{self as work, StaticTask};
@@ -15,7 +16,7 @@ use super::{Options, Study, Surroundings, Task};
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
         name: "engine",
-        what: "The virtual engine: reference table, verification cases, comparison with the thesis",
+        what: "The virtual engine: reference table, verification cases, comparison with the thesis, class values of gtdi_2l",
         params: &[],
     },
     tasks,
@@ -70,10 +71,15 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks.push(task(TRANSIENTS.into(), Value::Null, work::transients));
     let (seed, time_s) = (o.seed, if o.reduced { 30.0 } else { 600.0 });
     tasks.push(task(RANDOM.into(), json!([seed, time_s]), move || work::random_inputs(seed, time_s)));
+    tasks.extend(boosted_tasks(o));
     tasks
 }
 
-fn task(name: String, inputs: Value, run: impl Fn() -> Result<Value, ChainError> + 'static) -> Task {
+pub(super) fn task(
+    name: String,
+    inputs: Value,
+    run: impl Fn() -> Result<Value, ChainError> + 'static,
+) -> Task {
     Task { name, inputs, run: Box::new(move |_: &Surroundings| run()) }
 }
 

@@ -52,7 +52,14 @@ pub(super) fn transient(results: &[TaskResult], name: &str, key: &str) -> Option
     found["numbers"][key].as_f64().or_else(|| found[key].as_f64())
 }
 
-fn check(id: &str, what: &str, unit: &'static str, asked: Asked, measured: Option<f64>, note: &str) -> Check {
+pub(super) fn check(
+    id: &str,
+    what: &str,
+    unit: &'static str,
+    asked: Asked,
+    measured: Option<f64>,
+    note: &str,
+) -> Check {
     Check {
         id: id.into(),
         what: what.into(),
@@ -72,6 +79,7 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     out.extend(open_throttle(results));
     out.extend(spark(results));
     out.extend(thesis(results));
+    out.extend(super::engine_boosted::checks(results));
     out
 }
 

@@ -12,12 +12,13 @@ use super::engine_checks::{at_2000, best, fuel_line, of, range, rows, transient}
 
 /// Sections below the checks.
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
-    report
+    let report = report
         .section(Section::new("Thesis and prototype").block(comparison(results)))
         .section(Section::new("Static map").block(fuel_plot(results)).block(map_table(results)))
         .section(Section::new("Spark at 2000 rpm, 70 Nm").columns(spark_plots(results)))
         .section(responses(results))
-        .section(Section::new("Open throttle").block(open_table(results)))
+        .section(Section::new("Open throttle").block(open_table(results)));
+    super::engine_boosted_tables::sections(report, results)
 }
 
 fn text(values: &[Option<f64>], digits: usize) -> String {
@@ -174,7 +175,7 @@ fn map_table(results: &[TaskResult]) -> dynocal_deliver::Details {
     dynocal_deliver::Details::new("All points of the static map").block(table)
 }
 
-fn numbers(v: &Value) -> Vec<f64> {
+pub(super) fn numbers(v: &Value) -> Vec<f64> {
     v.as_array().into_iter().flatten().map(|x| x.as_f64().unwrap_or(f64::NAN)).collect()
 }
 

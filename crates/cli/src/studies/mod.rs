@@ -13,6 +13,8 @@ mod chapter4;
 mod chapter5;
 mod design;
 mod engine;
+mod engine_boosted;
+mod engine_boosted_tables;
 mod engine_checks;
 mod engine_tables;
 mod engine_tasks;
