@@ -70,6 +70,11 @@ impl Pi {
         Self { gains, integral: start, lower, upper }
     }
 
+    /// The integral part, for a state that is saved.
+    pub fn integral(&self) -> f64 {
+        self.integral
+    }
+
     /// Actuator value for `error` (demand minus measurement) after a step of `dt_s` over the feedforward.
     pub fn step(&mut self, feedforward: f64, error: f64, dt_s: f64) -> f64 {
         let base = feedforward + self.gains.kp * error;

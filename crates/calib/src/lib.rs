@@ -12,6 +12,7 @@ pub mod engine_model;
 pub mod excite;
 pub mod fuel;
 pub mod identify;
+pub mod loops;
 pub mod map;
 pub mod record;
 pub mod validate;

@@ -1,0 +1,89 @@
+//! The engine of thesis section 4.10 as a black box: speed, spark and throttle move, lambda is held at 1 by fuel.
+
+use dynocal_design::channel::Channel;
+use dynocal_ident::data::Dataset;
+use dynocal_ident::model::poly::{PolyNarx, StructureError};
+use dynocal_ident::plant::{Plant, PlantError};
+
+use crate::chain::context::PlantFactory;
+use crate::loops::LoopError;
+use crate::loops::bed::TestBed;
+use crate::loops::lambda_hold::{FuelMap, HoldSpec, LambdaHeld};
+
+/// Sample time of the section in s.
+pub const SAMPLE_TIME_S: f64 = 0.3;
+/// Output that is identified.
+pub const OUTPUT: &str = "torque";
+
+/// Plants with held lambda, all with the same learned fuel.
+pub struct Engine<'a> {
+    plants: PlantFactory<'a>,
+    hold: HoldSpec,
+    fuel: FuelMap,
+    /// Box of the section.
+    pub bed: TestBed,
+}
+
+impl<'a> Engine<'a> {
+    /// Learns the fuel that holds lambda, without noise, once for all plants.
+    ///
+    /// # Errors
+    /// [`PlantError`] of the plant.
+    pub fn new(plants: PlantFactory<'a>) -> Result<Self, PlantError> {
+        let hold = HoldSpec::default();
+        let fuel = FuelMap::learn(plants(false)?, &hold)?;
+        let (speed, throttle) = (hold.speed_rpm, hold.throttle_deg);
+        let channels = vec![
+            Channel::free("speed", speed.0, speed.1),
+            Channel::free("spark", 10.0, 30.0),
+            Channel::free("throttle", throttle.0, throttle.1),
+        ];
+        let bed = TestBed { channels, sample_time_s: SAMPLE_TIME_S, settle_s: 3.0 };
+        Ok(Self { plants, hold, fuel, bed })
+    }
+
+    /// A plant, with sensor noise or without, at its start with noise of `seed`.
+    ///
+    /// # Errors
+    /// [`PlantError`] of the plant.
+    pub fn plant(&self, noise: bool, seed: u64) -> Result<LambdaHeld, PlantError> {
+        let mut plant = LambdaHeld::new((self.plants)(noise)?, self.hold.clone(), self.fuel.clone())?;
+        plant.reset(seed);
+        Ok(plant)
+    }
+
+    /// Measures the samples `u` on a fresh plant.
+    ///
+    /// # Errors
+    /// [`LoopError`] of the plant.
+    pub fn measure(&self, noise: bool, seed: u64, name: &str, u: &[f64]) -> Result<Dataset, LoopError> {
+        self.bed.measure(&mut self.plant(noise, seed)?, name, u)
+    }
+
+    /// The affine model (4.52).
+    ///
+    /// # Errors
+    /// Never for this list.
+    pub fn affine(&self) -> Result<PolyNarx, StructureError> {
+        let mut terms = vec!["1"];
+        terms.extend(LAGGED);
+        PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)
+    }
+
+    /// The same inputs with all products up to the second degree, and the last output: a quadratic NARX.
+    ///
+    /// # Errors
+    /// Never for this list.
+    pub fn quadratic(&self) -> Result<PolyNarx, StructureError> {
+        let mut terms: Vec<String> = vec!["1".into()];
+        for (i, a) in LAGGED.iter().enumerate() {
+            terms.push((*a).into());
+            terms.extend(LAGGED[i..].iter().map(|b| if a == b { format!("{a}^2") } else { format!("{a}*{b}") }));
+        }
+        terms.push(format!("{OUTPUT}(t-1)"));
+        PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)
+    }
+}
+
+/// Lagged inputs of (4.52).
+const LAGGED: [&str; 5] = ["speed(t-1)", "speed(t-2)", "spark(t-1)", "throttle(t-1)", "throttle(t-2)"];

@@ -1,0 +1,45 @@
+//! Paired comparisons over seeds.
+
+use dynocal_ident::validate::spread::Spread;
+use serde::{Deserialize, Serialize};
+
+/// Mean of paired differences a - b over seeds with its 95 % t interval.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Paired {
+    /// Pairs.
+    pub n: usize,
+    /// Mean of a - b.
+    pub mean: f64,
+    /// Lower end of the interval.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+    /// Pairs with a > b.
+    pub greater: usize,
+}
+
+impl Paired {
+    /// Of the differences `a - b`; none when lengths differ, fewer than two pairs, or a value is not finite.
+    ///
+    /// ```
+    /// use dynocal_calib::loops::shown::paired::Paired;
+    /// let d = Paired::of(&[2.0, 4.0, 6.0], &[1.0, 2.0, 3.0]).unwrap();
+    /// assert_eq!((d.mean, d.greater), (2.0, 3));
+    /// assert!(d.low < 0.0 && d.high > 4.0);
+    /// ```
+    pub fn of(a: &[f64], b: &[f64]) -> Option<Self> {
+        let d: Vec<f64> = a.iter().zip(b).map(|(x, y)| x - y).collect();
+        if a.len() != b.len() || d.len() < 2 || d.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        let s = Spread::of(&d, 0.95);
+        let greater = d.iter().filter(|v| **v > 0.0).count();
+        Some(Self { n: d.len(), mean: s.mean, low: s.low, high: s.high, greater })
+    }
+
+    /// Of the logarithms of the ratios `a / b`, so that exp(mean) is the geometric mean ratio.
+    pub fn ratios(a: &[f64], b: &[f64]) -> Option<Self> {
+        let ln = |v: &[f64]| v.iter().map(|x| x.ln()).collect::<Vec<_>>();
+        Self::of(&ln(a), &ln(b))
+    }
+}
