@@ -60,6 +60,8 @@ fn mean_output(data: &[Experiment]) -> f64 {
 pub struct Aim {
     /// Name of a criterion of [`dynocal_design::criterion::CRITERIA`].
     pub criterion: String,
+    /// Its keys.
+    pub keys: toml::Table,
     /// Objective signal U0 (N0 x m): where predictions shall be good.
     pub objective: Vec<f64>,
     /// Whether the record adds to what the records so far tell; otherwise it is designed for itself.
@@ -142,7 +144,7 @@ pub fn next_record(
     limits: Limits,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<DesignOutcome, LoopError> {
-    let c = criterion(&aim.criterion, &toml::Table::new())?;
+    let c = criterion(&aim.criterion, &aim.keys)?;
     let mut posed = problem(bed, samples, terms(structures, known, aim, c.as_ref(), limits));
     if structures.len() > 1 {
         balance(&mut posed, aim.search.seed)?;

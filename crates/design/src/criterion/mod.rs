@@ -22,6 +22,7 @@ mod d;
 mod e;
 mod g;
 mod i;
+mod mse;
 mod v;
 mod wa;
 
@@ -151,7 +152,7 @@ pub trait Criterion: Send + Sync {
 
 /// All criteria.
 pub static CRITERIA: &[Member<dyn Criterion>] =
-    &[d::MEMBER, a::MEMBER, wa::MEMBER, e::MEMBER, g::MEMBER, i::MEMBER, v::MEMBER, ai::MEMBER];
+    &[d::MEMBER, a::MEMBER, wa::MEMBER, e::MEMBER, g::MEMBER, i::MEMBER, v::MEMBER, ai::MEMBER, mse::MEMBER];
 
 /// Builds the criterion `name` from the keys of a spec.
 ///

@@ -55,6 +55,10 @@ pub enum Campaign {
     Quadratic,
     /// Both structures by I.
     Both,
+    Guard(f64),
+    GuardD(f64),
+    BoxA(f64),
+    BoxQ(f64),
 }
 
 impl Campaign {
@@ -65,6 +69,10 @@ impl Campaign {
             Campaign::Affine => "design for the affine model (AI)".into(),
             Campaign::Quadratic => "design for the quadratic NARX (I)".into(),
             Campaign::Both => "design for both structures (I)".into(),
+            Campaign::Guard(w) => format!("guard {w}"),
+            Campaign::GuardD(w) => format!("guard D {w}"),
+            Campaign::BoxA(w) => format!("box affine {w}"),
+            Campaign::BoxQ(w) => format!("box quad {w}"),
         }
     }
 }
@@ -77,20 +85,26 @@ pub enum Way {
     Affine,
     /// The quadratic NARX by its simulation error.
     Quadratic,
-    /// The affine model that comes nearest to the identified quadratic NARX over the objective signal.
+    /// Cubic
+    Cubic,
+    /// The affine model that comes nearest to the identified cubic NARX over the objective signal.
     Reduced,
+    /// The quadratic NARX that comes nearest to it.
+    ReducedQuadratic,
 }
 
 impl Way {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Affine, Self::Quadratic, Self::Reduced];
+    pub const ALL: [Self; 5] = [Self::Affine, Self::Quadratic, Self::Cubic, Self::Reduced, Self::ReducedQuadratic];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Way::Affine => "affine (4.52)",
             Way::Quadratic => "quadratic NARX",
-            Way::Reduced => "affine, reduced from the quadratic NARX",
+            Way::Cubic => "cubic NARX",
+            Way::Reduced => "affine, reduced from the cubic NARX",
+            Way::ReducedQuadratic => "quadratic, reduced from the cubic NARX",
         }
     }
 }
@@ -136,6 +150,8 @@ pub struct Setting<'a> {
     pub engine: &'a Engine<'a>,
     affine: PolyNarx,
     quadratic: PolyNarx,
+    guard: PolyNarx,
+    fir: PolyNarx,
     objective: Vec<f64>,
     random: Vec<Experiment>,
     ramps: Vec<Experiment>,
@@ -172,6 +188,8 @@ impl<'a> Setting<'a> {
             engine,
             affine: engine.affine().map_err(structure)?,
             quadratic: engine.quadratic().map_err(structure)?,
+            guard: engine.guard().map_err(structure)?,
+            fir: engine.doubted_affine().map_err(structure)?,
             objective,
             random: unseen(Kind::Udrn, 0)?,
             ramps: unseen(Kind::SpaceFilling { hold: 3, ramp: 3 }, 1 << 20)?,
@@ -266,17 +284,34 @@ impl<'a> Setting<'a> {
             Structure { output: OUTPUT, model: &self.affine, weight: 1.0 },
             Structure { output: OUTPUT, model: &self.quadratic, weight: 1.0 },
         ];
+        let guard = Structure { output: OUTPUT, model: &self.guard, weight: 1.0 };
+        let g;
+        let mut keys = toml::Table::new();
         let (structures, criterion, adds) = match campaign {
             Campaign::Random(kind) => {
                 let u = kind.record(bed, size.samples(), &mut rng)?;
                 return Ok(vec![self.engine.measure(true, noise, "random", &u)?]);
             }
+            Campaign::BoxA(lack) => {
+                keys.insert("left_out".into(), toml::Value::Integer(15));
+                keys.insert("lack".into(), toml::Value::Float(lack));
+                g = [Structure { output: OUTPUT, model: &self.fir, weight: 1.0 }; 2];
+                (&g[..1], "mse", true)
+            }
+            Campaign::BoxQ(lack) => {
+                keys.insert("left_out".into(), toml::Value::Integer(10));
+                keys.insert("lack".into(), toml::Value::Float(lack));
+                g = [guard; 2];
+                (&g[..1], "mse", true)
+            }
             Campaign::Affine => (&both[..1], "ai", false),
             Campaign::Quadratic => (&both[1..], "i", true),
             Campaign::Both => (&both[..], "i", true),
+            Campaign::Guard(w) => { g = [both[1], Structure { weight: w, ..guard }]; (if w > 90.0 { &g[1..] } else { &g[..] }, "i", true) }
+            Campaign::GuardD(w) => { g = [both[1], Structure { weight: w, ..guard }]; (if w > 90.0 { &g[1..] } else if w <= 0.0 { &g[..1] } else { &g[..] }, "d", true) }
         };
         let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
-        let aim = Aim { criterion: criterion.into(), objective: self.objective.clone(), adds, search };
+        let aim = Aim { criterion: criterion.into(), keys, objective: self.objective.clone(), adds, search };
         let rounds =
             Rounds { bed, structures, aim: &aim, samples: size.designed, rounds: size.rounds, limits: &[] };
         let mut plant = self.engine.plant(true, noise)?;
@@ -287,11 +322,15 @@ impl<'a> Setting<'a> {
 
     /// Rank and errors on both unseen sets.
     fn score(&self, way: Way, data: &[Experiment]) -> Result<(usize, f64, f64), LoopError> {
-        let model: &PolyNarx = if way == Way::Quadratic { &self.quadratic } else { &self.affine };
+        let model: &PolyNarx = match way {
+            Way::Affine | Way::Reduced => &self.affine,
+            Way::Quadratic | Way::ReducedQuadratic => &self.quadratic,
+            Way::Cubic => &self.guard,
+        };
         let fit = match way {
-            Way::Reduced => {
-                let rich = identify(&self.quadratic, data)?;
-                let reduced = self.reduce(&rich.theta)?;
+            Way::Reduced | Way::ReducedQuadratic => {
+                let rich = identify(&self.guard, data)?;
+                let reduced = self.reduce(model, &rich.theta)?;
                 dynocal_ident::estimate::Fit { rank: rich.rank, ..reduced }
             }
             _ => identify(model, data)?,
@@ -301,7 +340,7 @@ impl<'a> Setting<'a> {
     }
 
     /// The affine model nearest to the quadratic one over the objective signal.
-    fn reduce(&self, theta: &[f64]) -> Result<dynocal_ident::estimate::Fit, LoopError> {
+    fn reduce(&self, model: &PolyNarx, theta: &[f64]) -> Result<dynocal_ident::estimate::Fit, LoopError> {
         let m = self.quadratic.n_inputs();
         let n = self.objective.len() / m;
         let lag = self.quadratic.max_lag();
@@ -313,9 +352,9 @@ impl<'a> Setting<'a> {
             weights: Vec::new(),
         };
         // The free run forgets its start within a few samples of a pole near 0.25.
-        e.y = output(&self.quadratic, theta, &e, Computed::FreeRun);
+        e.y = output(&self.guard, theta, &e, Computed::FreeRun);
         e.init_samples = 10;
-        identify(&self.affine, &[e])
+        identify(model, &[e])
     }
 
     /// Variance of the unseen outputs.

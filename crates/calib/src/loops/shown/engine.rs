@@ -2,8 +2,9 @@
 
 use dynocal_design::channel::Channel;
 use dynocal_ident::data::Dataset;
-use dynocal_ident::model::poly::{PolyNarx, StructureError};
+use dynocal_ident::model::poly::{PolyNarx, Regressor, StructureError};
 use dynocal_ident::plant::{Plant, PlantError};
+use dynocal_ident::select::pool::products;
 
 use crate::chain::context::PlantFactory;
 use crate::loops::LoopError;
@@ -70,6 +71,17 @@ impl<'a> Engine<'a> {
         PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)
     }
 
+    /// The affine model followed by all products of second degree of its inputs: what it leaves out.
+    ///
+    /// # Errors
+    /// Never for this list.
+    pub fn doubted_affine(&self) -> Result<PolyNarx, StructureError> {
+        let mut terms = self.affine()?.regressor_texts();
+        let more = self.quadratic()?.regressor_texts();
+        terms.extend(more.into_iter().filter(|t| t.contains('*') || t.contains('^')));
+        PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)
+    }
+
     /// The same inputs with all products up to the second degree, and the last output: a quadratic NARX.
     ///
     /// # Errors
@@ -82,6 +94,19 @@ impl<'a> Engine<'a> {
         }
         terms.push(format!("{OUTPUT}(t-1)"));
         PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)
+    }
+
+    /// The quadratic NARX with the third-degree products of the inputs of the last sample: potential terms, which a
+    /// design for the quadratic one had better be able to see.
+    ///
+    /// # Errors
+    /// Never for this list.
+    pub fn guard(&self) -> Result<PolyNarx, StructureError> {
+        let mut terms = self.quadratic()?.regressor_texts();
+        let last: Vec<Regressor> = (0..self.bed.channels.len()).map(|i| Regressor::input(i, 1)).collect();
+        let names = self.bed.names();
+        terms.extend(products(&last, 3).iter().filter(|r| r.degree() == 3).map(|r| r.format(&names, OUTPUT)));
+        PolyNarx::parse(&names, OUTPUT, &terms)
     }
 }
 
