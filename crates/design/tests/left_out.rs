@@ -39,9 +39,14 @@ fn one_term_left_out_is_the_plain_formula() {
     let bias = alias * alias * moment(&u0, 2) - 2.0 * alias * moment(&u0, 3) + moment(&u0, 4);
     let n0 = 49.0;
     let expected =
-        sigma2 * moment(&u0, 2) / moment(&u, 2) / n0 + lack * sigma2 / moment(&u0, 4) * bias;
+        sigma2 * moment(&u0, 2) / moment(&u, 2) / n0
+            + lack * sigma2 / (moment(&u0, 4) - moment(&u0, 3).powi(2) / moment(&u0, 2)) * bias;
     let found = Evaluator::new(&p).unwrap().value(&u);
     assert_close(found, expected, 1e-12, "mse");
+    // The objective signal as the record: the bias is the least possible one.
+    let p = DesignProblem { n_samples: 50, ..p };
+    let found = Evaluator::new(&p).unwrap().value(&u0);
+    assert_close(found, sigma2 / n0 + lack * sigma2, 1e-12, "objective signal as record");
 }
 
 #[test]

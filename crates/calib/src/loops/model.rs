@@ -84,3 +84,14 @@ pub fn mean_square(model: &dyn Model, theta: &[f64], records: &[Experiment]) -> 
     let e = errors(model, theta, records);
     e.iter().map(|v| v * v).sum::<f64>() / e.len() as f64
 }
+
+/// Lack of fit of the model `kept` beside `full`, which has further terms: how much larger its mean squared error is, in
+/// units of the variance of `full`, without what further parameters explain by chance.
+///
+/// # Errors
+/// [`LoopError::Estimate`] for records that do not fit the models.
+pub fn lack_of_fit(kept: &dyn Model, full: &dyn Model, records: &[Experiment]) -> Result<f64, LoopError> {
+    let (small, large) = (identify(kept, records)?, identify(full, records)?);
+    let chance = (full.n_params() as f64 - kept.n_params() as f64) / large.samples as f64;
+    Ok(((small.mse - large.mse) / large.noise_variance - chance).max(0.0))
+}

@@ -1,7 +1,7 @@
 //! MSE: mean squared error of the predictions of a model that leaves terms out.
 
 use super::{Criterion, Information, Scratch, scaled_moments};
-use crate::kernel::{axpy, dot};
+use crate::kernel::{axpy, cholesky, dot};
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::Deserialize;
 
@@ -10,12 +10,14 @@ use serde::Deserialize;
 ///
 /// ```text
 /// J = (1/N0) [ sigma^2 tr(M11^-1 W11) + sum_j k_j b_j ]
-/// b_j = g_j' W11 g_j - 2 g_j' w12_j + w22_jj,    g_j = M11^-1 m12_j,    k_j = lack sigma^2 N0 / (q w22_jj)
+/// b_j = g_j' W11 g_j - 2 g_j' w12_j + w22_jj,    g_j = M11^-1 m12_j
+/// k_j = lack sigma^2 N0 / (q r_j),               r_j = w22_jj - w12_j' W11^-1 w12_j
 /// ```
 ///
 /// the mean over the objective signal of variance and squared bias (G. E. P. Box and N. R. Draper, J. Am. Stat. Assoc. 54
-/// (1959) 622-654), the terms left out being independent, of mean zero, and together `lack` times the noise variance
-/// there. A design for variance alone goes to the ends of the box, where a model that is too simple errs most. With no
+/// (1959) 622-654). The terms left out are independent, of mean zero, and what the kept ones cannot follow of them over the
+/// objective signal is together `lack` times the noise variance, shared equally; the bias is then at least
+/// `lack sigma^2`, which a record whose moments are those of the objective signal reaches. A design for variance alone goes to the ends of the box, where a model that is too simple errs most. With no
 /// term left out it is V.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -62,6 +64,30 @@ pub(super) const MEMBER: Member<dyn Criterion> = Member {
     },
 };
 
+/// Least share of a term left out that the kept ones cannot follow: below it the term is one of them.
+const LEAST_REST: f64 = 1e-9;
+
+/// `r_j` of the terms from `kept` on, into `rest`, from the scaled moments `w` (p x p). False where W11 is singular: the
+/// objective signal does not see all kept parameters.
+fn rests(w: &[f64], p: usize, kept: usize, square: &mut [f64], factor: &mut [f64], rest: &mut [f64]) -> bool {
+    for i in 0..kept {
+        square[i * kept..(i + 1) * kept].copy_from_slice(&w[i * p..i * p + kept]);
+    }
+    // NaN is no pivot either.
+    let regular = cholesky(&square[..kept * kept], kept, &mut factor[..kept * kept]) > 0.0;
+    for (j, r) in (kept..p).zip(rest.iter_mut()) {
+        // Forward substitution by rows; the solution overwrites the head of `square`, which has been factored.
+        let mut followed = 0.0;
+        for i in 0..kept {
+            let known = dot(&factor[i * kept..i * kept + i], &square[..i]);
+            square[i] = (w[i * p + j] - known) / factor[i * kept + i];
+            followed += square[i] * square[i];
+        }
+        *r = (w[j * p + j] - followed).max(LEAST_REST * w[j * p + j]);
+    }
+    regular
+}
+
 /// `out = L11^-T x` or `L11^-1 x` from the inverse of the whole factor, whose leading block is the inverse of L11.
 fn back(inverse: &[f64], p: usize, x: &[f64], out: &mut [f64]) {
     out.fill(0.0);
@@ -93,6 +119,11 @@ impl Mse {
         }
         // Variance: columns of X = A11^-1 W11, whose trace it is; its gradient is -sigma^2 X A11^-1.
         let (half, rest) = rows.split_at_mut(p);
+        let (g, rest) = rest.split_at_mut(p);
+        let (h, rest_of) = rest.split_at_mut(p);
+        if !rests(w, p, kept, product, solved, &mut rest_of[..self.left_out]) {
+            return f64::INFINITY;
+        }
         let mut value = 0.0;
         for i in 0..kept {
             ahead(inverse, p, &w[i * p..i * p + kept], &mut half[..kept]);
@@ -109,9 +140,8 @@ impl Mse {
             }
         }
         // Squared bias of every term left out.
-        let (g, h) = rest.split_at_mut(p);
         for j in kept..p {
-            let doubt = self.lack * sigma2 * n0 / (self.left_out as f64 * w[j * p + j].max(f64::MIN_POSITIVE));
+            let doubt = self.lack * sigma2 * n0 / (self.left_out as f64 * rest_of[j - kept]);
             back(inverse, p, &info.factor[j * p..j * p + kept], &mut g[..kept]);
             for i in 0..kept {
                 v[i] = dot(&w[i * p..i * p + kept], &g[..kept]) - w[i * p + j];
@@ -142,12 +172,12 @@ impl Criterion for Mse {
     }
 
     fn value(&self, info: &Information, work: &mut Scratch) -> f64 {
-        work.rows.resize(work.rows.len().max(3 * info.p), 0.0);
+        work.rows.resize(work.rows.len().max(4 * info.p), 0.0);
         self.evaluate(info, work, None)
     }
 
     fn value_gradient(&self, info: &Information, _: f64, work: &mut Scratch, gram_bar: &mut [f64]) -> f64 {
-        work.rows.resize(work.rows.len().max(3 * info.p), 0.0);
+        work.rows.resize(work.rows.len().max(4 * info.p), 0.0);
         self.evaluate(info, work, Some(gram_bar))
     }
 }

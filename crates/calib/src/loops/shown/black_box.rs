@@ -2,9 +2,10 @@
 
 use dynocal_design::search::DesignOptions;
 use dynocal_ident::data::Dataset;
+use dynocal_ident::estimate::Fit;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
-use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::poly::{PolyNarx, StructureError};
 use dynocal_ident::validate::{Kind as Computed, output};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::engine::{Engine, OUTPUT};
 use super::signals::Kind;
 use crate::loops::LoopError;
-use crate::loops::model::{identify, mean_square};
+use crate::loops::model::{identify, lack_of_fit, mean_square};
 use crate::loops::plan::{Aim, Structure};
 use crate::loops::rounds::{Rounds, iterate};
 
@@ -49,30 +50,29 @@ impl Size {
 pub enum Campaign {
     /// One record of a kind.
     Random(Kind),
-    /// The affine model by AI, as the thesis does it.
+    /// The affine model by AI, each record for itself, as the thesis does it.
     Affine,
+    /// The affine model by the mean squared error that products of second degree, left out, would cause.
+    DoubtedAffine,
     /// The quadratic NARX by I.
     Quadratic,
-    /// Both structures by I.
-    Both,
-    Guard(f64),
-    GuardD(f64),
-    BoxA(f64),
-    BoxQ(f64),
+    /// The quadratic NARX by the mean squared error that terms of third degree, left out, would cause.
+    DoubtedQuadratic,
 }
 
 impl Campaign {
+    /// The designed ones.
+    pub const DESIGNED: [Self; 4] =
+        [Self::Affine, Self::DoubtedAffine, Self::Quadratic, Self::DoubtedQuadratic];
+
     /// Name in tables.
     pub fn name(self) -> String {
         match self {
             Campaign::Random(kind) => kind.name(),
-            Campaign::Affine => "design for the affine model (AI)".into(),
-            Campaign::Quadratic => "design for the quadratic NARX (I)".into(),
-            Campaign::Both => "design for both structures (I)".into(),
-            Campaign::Guard(w) => format!("guard {w}"),
-            Campaign::GuardD(w) => format!("guard D {w}"),
-            Campaign::BoxA(w) => format!("box affine {w}"),
-            Campaign::BoxQ(w) => format!("box quad {w}"),
+            Campaign::Affine => "design: affine, AI".into(),
+            Campaign::DoubtedAffine => "design: affine in doubt, MSE".into(),
+            Campaign::Quadratic => "design: quadratic NARX, I".into(),
+            Campaign::DoubtedQuadratic => "design: quadratic NARX in doubt, MSE".into(),
         }
     }
 }
@@ -85,26 +85,20 @@ pub enum Way {
     Affine,
     /// The quadratic NARX by its simulation error.
     Quadratic,
-    /// Cubic
-    Cubic,
-    /// The affine model that comes nearest to the identified cubic NARX over the objective signal.
+    /// The affine model that comes nearest to the identified quadratic NARX over the objective signal.
     Reduced,
-    /// The quadratic NARX that comes nearest to it.
-    ReducedQuadratic,
 }
 
 impl Way {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Affine, Self::Quadratic, Self::Cubic, Self::Reduced, Self::ReducedQuadratic];
+    pub const ALL: [Self; 3] = [Self::Affine, Self::Quadratic, Self::Reduced];
 
     /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Way::Affine => "affine (4.52)",
             Way::Quadratic => "quadratic NARX",
-            Way::Cubic => "cubic NARX",
-            Way::Reduced => "affine, reduced from the cubic NARX",
-            Way::ReducedQuadratic => "quadratic, reduced from the cubic NARX",
+            Way::Reduced => "affine, reduced from the quadratic NARX",
         }
     }
 }
@@ -150,12 +144,15 @@ pub struct Setting<'a> {
     pub engine: &'a Engine<'a>,
     affine: PolyNarx,
     quadratic: PolyNarx,
-    guard: PolyNarx,
-    fir: PolyNarx,
+    doubted_affine: PolyNarx,
+    doubted_quadratic: PolyNarx,
     objective: Vec<f64>,
     random: Vec<Experiment>,
     ramps: Vec<Experiment>,
 }
+
+/// Least lack of fit that a structure is suspected of, in units of the noise variance: a short record shows no less.
+const LEAST_LACK: f64 = 0.05;
 
 /// Streams of the records, one range for each use.
 const OBJECTIVE: u64 = 1 << 40;
@@ -180,7 +177,7 @@ impl<'a> Setting<'a> {
             engine.bed.experiments(&records?, OUTPUT)
         };
         let objective = Kind::Udrn.record(&engine.bed, 200, &mut Rng64::stream(size.seed, OBJECTIVE))?;
-        let structure = |e: dynocal_ident::model::poly::StructureError| LoopError::Model {
+        let structure = |e: StructureError| LoopError::Model {
             what: "structure".into(),
             reason: e.to_string(),
         };
@@ -188,8 +185,8 @@ impl<'a> Setting<'a> {
             engine,
             affine: engine.affine().map_err(structure)?,
             quadratic: engine.quadratic().map_err(structure)?,
-            guard: engine.guard().map_err(structure)?,
-            fir: engine.doubted_affine().map_err(structure)?,
+            doubted_affine: engine.doubted_affine().map_err(structure)?,
+            doubted_quadratic: engine.doubted_quadratic().map_err(structure)?,
             objective,
             random: unseen(Kind::Udrn, 0)?,
             ramps: unseen(Kind::SpaceFilling { hold: 3, ramp: 3 }, 1 << 20)?,
@@ -280,58 +277,47 @@ impl<'a> Setting<'a> {
         let bed = &self.engine.bed;
         let mut rng = Rng64::stream(seed, CAMPAIGN);
         let noise = CAMPAIGN + seed;
-        let both = [
-            Structure { output: OUTPUT, model: &self.affine, weight: 1.0 },
-            Structure { output: OUTPUT, model: &self.quadratic, weight: 1.0 },
-        ];
-        let guard = Structure { output: OUTPUT, model: &self.guard, weight: 1.0 };
-        let g;
-        let mut keys = toml::Table::new();
-        let (structures, criterion, adds) = match campaign {
+        let (kept, model, criterion, adds) = match campaign {
             Campaign::Random(kind) => {
                 let u = kind.record(bed, size.samples(), &mut rng)?;
                 return Ok(vec![self.engine.measure(true, noise, "random", &u)?]);
             }
-            Campaign::BoxA(lack) => {
-                keys.insert("left_out".into(), toml::Value::Integer(15));
-                keys.insert("lack".into(), toml::Value::Float(lack));
-                g = [Structure { output: OUTPUT, model: &self.fir, weight: 1.0 }; 2];
-                (&g[..1], "mse", true)
-            }
-            Campaign::BoxQ(lack) => {
-                keys.insert("left_out".into(), toml::Value::Integer(10));
-                keys.insert("lack".into(), toml::Value::Float(lack));
-                g = [guard; 2];
-                (&g[..1], "mse", true)
-            }
-            Campaign::Affine => (&both[..1], "ai", false),
-            Campaign::Quadratic => (&both[1..], "i", true),
-            Campaign::Both => (&both[..], "i", true),
-            Campaign::Guard(w) => { g = [both[1], Structure { weight: w, ..guard }]; (if w > 90.0 { &g[1..] } else { &g[..] }, "i", true) }
-            Campaign::GuardD(w) => { g = [both[1], Structure { weight: w, ..guard }]; (if w > 90.0 { &g[1..] } else if w <= 0.0 { &g[..1] } else { &g[..] }, "d", true) }
+            Campaign::Affine => (&self.affine, &self.affine, "ai", false),
+            Campaign::DoubtedAffine => (&self.affine, &self.doubted_affine, "mse", true),
+            Campaign::Quadratic => (&self.quadratic, &self.quadratic, "i", true),
+            Campaign::DoubtedQuadratic => (&self.quadratic, &self.doubted_quadratic, "mse", true),
         };
-        let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
-        let aim = Aim { criterion: criterion.into(), keys, objective: self.objective.clone(), adds, search };
-        let rounds =
-            Rounds { bed, structures, aim: &aim, samples: size.designed, rounds: size.rounds, limits: &[] };
         let mut plant = self.engine.plant(true, noise)?;
         let u = Kind::Udrn.record(bed, size.initial, &mut rng)?;
         let initial = vec![bed.measure(&mut plant, "initial", &u)?];
+        let mut keys = toml::Table::new();
+        if criterion == "mse" {
+            let lack = lack_of_fit(kept, model, &bed.experiments(&initial, OUTPUT)?)?.max(LEAST_LACK);
+            let left_out = model.n_params() - kept.n_params();
+            keys.insert("left_out".into(), toml::Value::Integer(left_out as i64));
+            keys.insert("lack".into(), toml::Value::Float(lack));
+        }
+        let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
+        let aim = Aim { criterion: criterion.into(), keys, objective: self.objective.clone(), adds, search };
+        let structures = [Structure { output: OUTPUT, model, weight: 1.0 }];
+        let rounds = Rounds {
+            bed,
+            structures: &structures,
+            aim: &aim,
+            samples: size.designed,
+            rounds: size.rounds,
+            limits: &[],
+        };
         Ok(iterate(&mut plant, &rounds, initial, interrupt)?.records)
     }
 
     /// Rank and errors on both unseen sets.
     fn score(&self, way: Way, data: &[Experiment]) -> Result<(usize, f64, f64), LoopError> {
-        let model: &PolyNarx = match way {
-            Way::Affine | Way::Reduced => &self.affine,
-            Way::Quadratic | Way::ReducedQuadratic => &self.quadratic,
-            Way::Cubic => &self.guard,
-        };
+        let model = if way == Way::Quadratic { &self.quadratic } else { &self.affine };
         let fit = match way {
-            Way::Reduced | Way::ReducedQuadratic => {
-                let rich = identify(&self.guard, data)?;
-                let reduced = self.reduce(model, &rich.theta)?;
-                dynocal_ident::estimate::Fit { rank: rich.rank, ..reduced }
+            Way::Reduced => {
+                let rich = identify(&self.quadratic, data)?;
+                Fit { rank: rich.rank, ..self.reduce(&rich.theta)? }
             }
             _ => identify(model, data)?,
         };
@@ -340,7 +326,7 @@ impl<'a> Setting<'a> {
     }
 
     /// The affine model nearest to the quadratic one over the objective signal.
-    fn reduce(&self, model: &PolyNarx, theta: &[f64]) -> Result<dynocal_ident::estimate::Fit, LoopError> {
+    fn reduce(&self, theta: &[f64]) -> Result<Fit, LoopError> {
         let m = self.quadratic.n_inputs();
         let n = self.objective.len() / m;
         let lag = self.quadratic.max_lag();
@@ -352,9 +338,9 @@ impl<'a> Setting<'a> {
             weights: Vec::new(),
         };
         // The free run forgets its start within a few samples of a pole near 0.25.
-        e.y = output(&self.guard, theta, &e, Computed::FreeRun);
+        e.y = output(&self.quadratic, theta, &e, Computed::FreeRun);
         e.init_samples = 10;
-        identify(model, &[e])
+        identify(&self.affine, &[e])
     }
 
     /// Variance of the unseen outputs.

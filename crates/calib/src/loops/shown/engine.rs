@@ -7,9 +7,11 @@ use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_ident::select::pool::products;
 
 use crate::chain::context::PlantFactory;
+use super::known::Sequenced;
 use crate::loops::LoopError;
 use crate::loops::bed::TestBed;
 use crate::loops::lambda_hold::{FuelMap, HoldSpec, LambdaHeld};
+use crate::loops::plan::Structure;
 
 /// Sample time of the section in s.
 pub const SAMPLE_TIME_S: f64 = 0.3;
@@ -101,12 +103,40 @@ impl<'a> Engine<'a> {
     ///
     /// # Errors
     /// Never for this list.
-    pub fn guard(&self) -> Result<PolyNarx, StructureError> {
+    pub fn doubted_quadratic(&self) -> Result<PolyNarx, StructureError> {
         let mut terms = self.quadratic()?.regressor_texts();
         let last: Vec<Regressor> = (0..self.bed.channels.len()).map(|i| Regressor::input(i, 1)).collect();
         let names = self.bed.names();
         terms.extend(products(&last, 3).iter().filter(|r| r.degree() == 3).map(|r| r.format(&names, OUTPUT)));
         PolyNarx::parse(&names, OUTPUT, &terms)
+    }
+}
+
+/// The quadratic NARX on the engine, for sequential design.
+pub struct SequencedEngine<'a> {
+    /// Engine.
+    pub engine: &'a Engine<'a>,
+    /// Structure.
+    pub model: PolyNarx,
+    /// Variance of the torque noise in Nm^2.
+    pub noise_variance: f64,
+}
+
+impl Sequenced for SequencedEngine<'_> {
+    fn bed(&self) -> &TestBed {
+        &self.engine.bed
+    }
+
+    fn structure(&self) -> Structure<'_> {
+        Structure { output: OUTPUT, model: &self.model, weight: 1.0 }
+    }
+
+    fn fresh(&self, noise: bool, seed: u64) -> Result<Box<dyn Plant>, PlantError> {
+        Ok(Box::new(self.engine.plant(noise, seed)?))
+    }
+
+    fn noise_variance(&self) -> f64 {
+        self.noise_variance
     }
 }
 

@@ -4,5 +4,9 @@
 
 pub mod black_box;
 pub mod engine;
+pub mod known;
+pub mod mimo;
 pub mod paired;
+pub mod pools;
 pub mod signals;
+pub mod violations;
