@@ -21,6 +21,21 @@ pub struct Structure<'a> {
     pub model: &'a dyn Model,
     /// How much it counts among the structures.
     pub weight: f64,
+    /// The model that is used in the end, where `model` has further terms that are only in doubt (criterion `mse`);
+    /// otherwise `model` itself.
+    pub kept: Option<&'a dyn Model>,
+}
+
+impl<'a> Structure<'a> {
+    /// A structure with weight 1 and nothing in doubt.
+    pub fn new(output: &'a str, model: &'a dyn Model) -> Self {
+        Self { output, model, weight: 1.0, kept: None }
+    }
+
+    /// The model that is used in the end.
+    pub fn used(&self) -> &'a dyn Model {
+        self.kept.unwrap_or(self.model)
+    }
 }
 
 /// A structure with its parameters.

@@ -155,9 +155,17 @@ fn run(
             next_record(&bed, spec.structures, &known, &aim, spec.samples, &narrowed, interrupt)?;
         let (stage, expected) = match &stop {
             Some(rule) => {
-                let (stage, planned) = outlook(spec, &aim, &known[0], &design.u, rule)?;
-                history.push(stage);
-                (Some(stage), Some(forecast(&history, planned, rule.noise, rule.threshold)?))
+                let (stage, planned) = outlook(spec, &aim, &campaign.records, &design.u, rule)?;
+                // The free run of an early estimate may diverge: it says nothing but that testing must go on.
+                let usable = stage.held_out.is_finite() && planned.is_finite();
+                let expected = match usable {
+                    true => {
+                        history.push(stage);
+                        Some(forecast(&history, planned, rule.noise, rule.threshold)?)
+                    }
+                    false => None,
+                };
+                (Some(stage), expected)
             }
             None => (None, None),
         };
@@ -206,11 +214,12 @@ fn limits(
 fn outlook(
     spec: &Rounds,
     aim: &Aim,
-    known: &Known,
+    records: &[Dataset],
     u: &[f64],
     rule: &StopRule,
 ) -> Result<(Stage, f64), LoopError> {
-    let s = &spec.structures[0];
+    let s = Structure::new(spec.structures[0].output, spec.structures[0].used());
+    let known = &know(spec.bed, &[s], records)?[0];
     let held_out = spec.bed.experiments(rule.held_out, s.output)?;
     let variance = |factor: &[f64]| relative_variance(s.model, known, factor, &aim.objective);
     let stage = Stage {

@@ -18,6 +18,7 @@ mod engine_boosted_tables;
 mod engine_checks;
 mod engine_tables;
 mod engine_tasks;
+mod loops;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -106,7 +107,7 @@ pub(crate) struct Study {
 
 /// All studies.
 pub(crate) static STUDIES: &[Study] =
-    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, design::STUDY, engine::STUDY];
+    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, design::STUDY, engine::STUDY, loops::STUDY];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {

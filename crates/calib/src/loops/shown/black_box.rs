@@ -11,10 +11,10 @@ use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::engine::{Engine, OUTPUT};
+use super::engine::{Engine, OUTPUT, doubt};
 use super::signals::Kind;
 use crate::loops::LoopError;
-use crate::loops::model::{identify, lack_of_fit, mean_square};
+use crate::loops::model::{identify, mean_square};
 use crate::loops::plan::{Aim, Structure};
 use crate::loops::rounds::{Rounds, iterate};
 
@@ -150,9 +150,6 @@ pub struct Setting<'a> {
     random: Vec<Experiment>,
     ramps: Vec<Experiment>,
 }
-
-/// Least lack of fit that a structure is suspected of, in units of the noise variance: a short record shows no less.
-const LEAST_LACK: f64 = 0.05;
 
 /// Streams of the records, one range for each use.
 const OBJECTIVE: u64 = 1 << 40;
@@ -290,16 +287,13 @@ impl<'a> Setting<'a> {
         let mut plant = self.engine.plant(true, noise)?;
         let u = Kind::Udrn.record(bed, size.initial, &mut rng)?;
         let initial = vec![bed.measure(&mut plant, "initial", &u)?];
-        let mut keys = toml::Table::new();
-        if criterion == "mse" {
-            let lack = lack_of_fit(kept, model, &bed.experiments(&initial, OUTPUT)?)?.max(LEAST_LACK);
-            let left_out = model.n_params() - kept.n_params();
-            keys.insert("left_out".into(), toml::Value::Integer(left_out as i64));
-            keys.insert("lack".into(), toml::Value::Float(lack));
-        }
+        let keys = match criterion {
+            "mse" => doubt(kept, model, &bed.experiments(&initial, OUTPUT)?)?,
+            _ => toml::Table::new(),
+        };
         let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
         let aim = Aim { criterion: criterion.into(), keys, objective: self.objective.clone(), adds, search };
-        let structures = [Structure { output: OUTPUT, model, weight: 1.0 }];
+        let structures = [Structure::new(OUTPUT, model)];
         let rounds = Rounds {
             bed,
             structures: &structures,

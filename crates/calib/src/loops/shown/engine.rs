@@ -2,6 +2,8 @@
 
 use dynocal_design::channel::Channel;
 use dynocal_ident::data::Dataset;
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::Model;
 use dynocal_ident::model::poly::{PolyNarx, Regressor, StructureError};
 use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_ident::select::pool::products;
@@ -11,6 +13,7 @@ use super::known::Sequenced;
 use crate::loops::LoopError;
 use crate::loops::bed::TestBed;
 use crate::loops::lambda_hold::{FuelMap, HoldSpec, LambdaHeld};
+use crate::loops::model::lack_of_fit;
 use crate::loops::plan::Structure;
 
 /// Sample time of the section in s.
@@ -118,6 +121,8 @@ pub struct SequencedEngine<'a> {
     pub engine: &'a Engine<'a>,
     /// Structure.
     pub model: PolyNarx,
+    /// The same with the terms that are in doubt.
+    pub doubted: PolyNarx,
     /// Variance of the torque noise in Nm^2.
     pub noise_variance: f64,
 }
@@ -128,7 +133,12 @@ impl Sequenced for SequencedEngine<'_> {
     }
 
     fn structure(&self) -> Structure<'_> {
-        Structure { output: OUTPUT, model: &self.model, weight: 1.0 }
+        Structure { kept: Some(&self.model), ..Structure::new(OUTPUT, &self.doubted) }
+    }
+
+    fn criterion(&self, first: &[Dataset]) -> Result<(String, toml::Table), LoopError> {
+        let data = self.engine.bed.experiments(first, OUTPUT)?;
+        Ok(("mse".into(), doubt(&self.model, &self.doubted, &data)?))
     }
 
     fn fresh(&self, noise: bool, seed: u64) -> Result<Box<dyn Plant>, PlantError> {
@@ -138,6 +148,22 @@ impl Sequenced for SequencedEngine<'_> {
     fn noise_variance(&self) -> f64 {
         self.noise_variance
     }
+}
+
+/// Least lack of fit that a structure is suspected of, in units of the noise variance: a short record shows no less.
+const LEAST_LACK: f64 = 0.05;
+
+/// Keys of the criterion `mse` for a model `kept` and the same with terms in doubt, from what records show of the lack.
+///
+/// # Errors
+/// [`LoopError`] of an estimation.
+pub fn doubt(kept: &PolyNarx, full: &PolyNarx, data: &[Experiment]) -> Result<toml::Table, LoopError> {
+    let lack = lack_of_fit(kept, full, data)?.max(LEAST_LACK);
+    let left_out = full.n_params() - kept.n_params();
+    Ok(toml::Table::from_iter([
+        ("left_out".to_string(), toml::Value::Integer(left_out as i64)),
+        ("lack".to_string(), toml::Value::Float(lack)),
+    ]))
 }
 
 /// Lagged inputs of (4.52).

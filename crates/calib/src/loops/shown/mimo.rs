@@ -1,4 +1,5 @@
-//! One record for two outputs (thesis section 4.11) on the engine: torque and lambda from fuel, throttle and speed.
+//! One record for two outputs (thesis section 4.11) on the engine: torque and lambda from fuel, spark, throttle and
+//! speed.
 
 use dynocal_design::channel::Channel;
 use dynocal_design::search::DesignOptions;
@@ -79,15 +80,18 @@ pub struct Size {
 fn bed() -> TestBed {
     let channels = vec![
         Channel::free("inj", 8.5, 10.5),
+        Channel::free("spark", 10.0, 30.0),
         Channel::free("throttle", 9.5, 11.5),
         Channel::free("speed", 1800.0, 2200.0),
     ];
     TestBed { channels, sample_time_s: 0.3, settle_s: 3.0 }
 }
 
-/// All inputs at two lags, all products of second degree at the first, and the last output.
+/// All inputs at two lags, all products of second degree at the first, and the last output. Lambda does not read the
+/// spark.
 fn structure(output: &str) -> Result<PolyNarx, StructureError> {
-    let names = bed().names();
+    let all = bed().names();
+    let names: Vec<&String> = all.iter().filter(|n| output == OUTPUTS[0] || *n != "spark").collect();
     let mut terms: Vec<String> = vec!["1".into()];
     for lag in [1, 2] {
         terms.extend(names.iter().map(|n| format!("{n}(t-{lag})")));
@@ -97,7 +101,7 @@ fn structure(output: &str) -> Result<PolyNarx, StructureError> {
         terms.extend(names[i + 1..].iter().map(|b| format!("{a}(t-1)*{b}(t-1)")));
     }
     terms.push(format!("{output}(t-1)"));
-    PolyNarx::parse(&names, output, &terms)
+    PolyNarx::parse(&all, output, &terms)
 }
 
 /// Records for every purpose and seed, and the errors of both models.
@@ -137,7 +141,7 @@ pub fn compare(
         let both: Vec<Structure> = OUTPUTS
             .iter()
             .zip(&models)
-            .map(|(output, model)| Structure { output, model, weight: 1.0 })
+            .map(|(output, model)| Structure::new(output, model))
             .collect();
         let structures = match of {
             For::Random => {

@@ -94,7 +94,7 @@ pub fn observe(
             rate: setup.rate,
             caution: setup.caution,
         }];
-        let structures = [Structure { output: OUTPUT, model, weight: 1.0 }];
+        let structures = [Structure::new(OUTPUT, model)];
         let rounds = Rounds {
             bed: &engine.bed,
             structures: &structures,
