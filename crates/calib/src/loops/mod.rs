@@ -1,4 +1,39 @@
 //! Loops of test design and measurement: what a campaign does with designed records.
+//!
+//! [`iterate`] identifies, designs, measures and starts again (thesis Figure 4.2); [`sequential`] does so minute by minute in
+//! one long test, given all data so far, and ends when [`stop`] says that the next minute is worth too little. Designs may
+//! be for a [`pool`] of structures, [`robust`] over a distribution of parameters, for several outputs at once, and
+//! within limits whose [`margin`] comes from held-out errors. [`lambda_hold`] keeps the mixture of an engine while a test
+//! moves the air, [`rehearsal`] puts a model in the place of the plant. [`shown`] measures what all this is worth.
+//!
+//! ```
+//! use dynocal_calib::loops::bed::TestBed;
+//! use dynocal_calib::loops::plan::{Aim, Structure};
+//! use dynocal_calib::loops::rehearsal::{Input, ModelPlant};
+//! use dynocal_calib::loops::{Rounds, iterate};
+//! use dynocal_design::{channel::Channel, search::DesignOptions};
+//! use dynocal_ident::{model::poly::PolyNarx, plant::Plant};
+//!
+//! let model = PolyNarx::parse(&["u"], "y", &["1", "u(t-1)", "u(t-1)^2", "y(t-1)"])?;
+//! let input = Input { name: "u".into(), unit: "-".into(), min: -1.0, max: 1.0, start: 0.0 };
+//! let truth = vec![0.1, 1.0, 0.4, 0.5];
+//! let mut plant = ModelPlant::new(Box::new(model.clone()), truth.clone(), "y", vec![input], 0.1)?;
+//! let bed =
+//!     TestBed { channels: vec![Channel::free("u", -1.0, 1.0)], sample_time_s: 0.3, settle_s: 1.0 };
+//!
+//! // A first record by hand, then two designed ones of 40 samples.
+//! let first: Vec<f64> = (0..30).map(|t| 0.5 * (0.7 * t as f64).sin()).collect();
+//! let initial = vec![bed.measure(&mut plant, "first", &first)?];
+//! let search = DesignOptions { evaluations: 200, ..DesignOptions::default() };
+//! let aim = Aim { criterion: "d".into(), keys: Default::default(), objective: vec![], adds: true, search };
+//! let structures = [Structure::new("y", &model)];
+//! let rounds =
+//!     Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 40, rounds: 2, limits: &[] };
+//! let done = iterate(&mut plant, &rounds, initial, &|| false)?;
+//! let (before, after) = (&done.rounds[0].known[0].fit, &done.known[0].fit);
+//! assert!(after.std_errors[1] < 0.5 * before.std_errors[1]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod bed;
 pub mod lambda_hold;
@@ -12,6 +47,8 @@ pub mod rounds;
 pub mod shown;
 pub mod stop;
 pub mod variance;
+
+pub use rounds::{Campaign, Limit, Round, Rounds, StopRule, iterate, sequential};
 
 use dynocal_design::error::DesignError;
 use dynocal_design::search::Failure;

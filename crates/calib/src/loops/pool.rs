@@ -4,6 +4,34 @@
 //! `J_i* / J_i(u)` for criteria that are variances, `exp((J_i* - J_i(u)) / p_i)` for D. A design for the pool minimises
 //! the weighted mean of the inverse efficiencies (for D: of minus their logarithms), a sum of the criteria of one
 //! design problem.
+//!
+//! ```
+//! use dynocal_calib::loops::pool::Pool;
+//! use dynocal_design::channel::Channel;
+//! use dynocal_design::criterion::criterion;
+//! use dynocal_design::problem::{Convention, DesignProblem, Term};
+//! use dynocal_design::search::DesignOptions;
+//! use dynocal_ident::model::poly::PolyNarx;
+//!
+//! // A line and a parabola: two levels are best for the one and useless for the other.
+//! let line = PolyNarx::parse(&["u"], "y", &["1", "u(t-1)"])?;
+//! let parabola = PolyNarx::parse(&["u"], "y", &["1", "u(t-1)", "u(t-1)^2"])?;
+//! let d = criterion("d", &Default::default())?;
+//! let (two, three) = ([0.0; 2], [0.0; 3]);
+//! let problem = DesignProblem {
+//!     channels: vec![Channel::free("u", -1.0, 1.0)],
+//!     n_samples: 31,
+//!     convention: Convention::Trim,
+//!     start: 1,
+//!     terms: vec![Term::new("line", &line, &two, 1.0, d.as_ref()), Term::new("parabola", &parabola, &three, 1.0, d.as_ref())],
+//! };
+//! let options = DesignOptions { evaluations: 400, ..DesignOptions::default() };
+//! let pool = Pool::new(&problem, &options, &|| false)?;
+//! let both = pool.design(&problem, &options, &|| false)?;
+//! let [alone, together] = [&pool.alone[0], &both.u].map(|u| pool.efficiencies(&problem, u));
+//! assert!(alone?[1] < 0.01 && together?.iter().all(|e| *e > 0.8));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use dynocal_design::problem::{DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, DesignOutcome, design};

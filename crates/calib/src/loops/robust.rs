@@ -11,6 +11,34 @@
 //!
 //! A robust record minimises the mean of the losses or the mean of their worst share (conditional value at risk,
 //! Rockafellar and Uryasev, J. Risk 2 (2000) 21-41), as weighted sums of the criteria of one design problem.
+//!
+//! ```
+//! use dynocal_calib::loops::robust::{Ensemble, Risk};
+//! use dynocal_design::channel::Channel;
+//! use dynocal_design::criterion::criterion;
+//! use dynocal_design::problem::{Convention, DesignProblem, Term};
+//! use dynocal_design::search::{DesignOptions, design};
+//! use dynocal_ident::model::poly::PolyNarx;
+//!
+//! // A lag whose pole is somewhere between 0.1 and 0.9.
+//! let model = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"])?;
+//! let draws: Vec<Vec<f64>> = [0.1, 0.5, 0.9].iter().map(|a| vec![1.0, *a]).collect();
+//! let d = criterion("d", &Default::default())?;
+//! let problem = DesignProblem {
+//!     channels: vec![Channel::free("u", -1.0, 1.0)],
+//!     n_samples: 40,
+//!     convention: Convention::Hold,
+//!     start: 0,
+//!     terms: vec![Term::new("y", &model, &draws[0], 1.0, d.as_ref())],
+//! };
+//! let options = DesignOptions { evaluations: 300, ..DesignOptions::default() };
+//! let nominal = design(&problem, &options, &|| false, &|_| {})?.u;
+//! let ensemble = Ensemble::new(&problem, &draws, &options, &|| false)?;
+//! let robust = ensemble.design(Risk::Cvar(0.3), &nominal, &options, &|| false)?;
+//! let worst = |losses: &[f64]| Risk::Cvar(0.3).of(losses);
+//! assert!(worst(&robust.losses) < worst(&ensemble.losses(&nominal)?));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use dynocal_design::problem::{DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, design};

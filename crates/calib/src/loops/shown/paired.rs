@@ -56,7 +56,7 @@ pub struct Ratio {
 }
 
 impl Ratio {
-    /// Of `sum a / sum b`; none for fewer than three pairs or a value that is not finite.
+    /// Of `sum a / sum b`; none for fewer than two pairs or a value that is not finite.
     ///
     /// ```
     /// use dynocal_calib::loops::shown::paired::Ratio;
@@ -65,7 +65,7 @@ impl Ratio {
     /// ```
     pub fn of(a: &[f64], b: &[f64]) -> Option<Self> {
         let n = a.len();
-        if n != b.len() || n < 3 || a.iter().chain(b).any(|v| !v.is_finite()) {
+        if n != b.len() || n < 2 || a.iter().chain(b).any(|v| !v.is_finite()) {
             return None;
         }
         let (sa, sb) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());

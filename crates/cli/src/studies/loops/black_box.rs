@@ -21,8 +21,8 @@ fn size(o: &Options) -> Size {
     Size {
         seed: o.seed,
         seeds: seeds(o, 20),
-        initial: 60,
-        designed: if o.reduced { 40 } else { 120 },
+        initial: if o.reduced { 44 } else { 60 },
+        designed: if o.reduced { 12 } else { 120 },
         rounds: 2,
         unseen: if o.reduced { 1 } else { 10 },
         evaluations: if o.reduced { 150 } else { 2000 },

@@ -54,7 +54,7 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
 
 /// Campaigns of a full and of a reduced study.
 fn seeds(o: &Options, full: u64) -> u64 {
-    if o.reduced { 3 } else { full }
+    if o.reduced { 2 } else { full }
 }
 
 /// The virtual engine of the thesis set.

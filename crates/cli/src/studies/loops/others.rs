@@ -27,8 +27,8 @@ fn setup(o: &Options) -> Setup {
     Setup {
         seed: o.seed,
         seeds: seeds(o, 20),
-        samples: if o.reduced { 60 } else { 100 },
-        rounds: if o.reduced { 2 } else { 3 },
+        samples: if o.reduced { 40 } else { 100 },
+        rounds: if o.reduced { 1 } else { 3 },
         limits_nm: (-23.0, 0.0),
         rate: 0.05,
         caution: 2.0,
@@ -54,7 +54,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
         seed,
         seeds: count,
         initial: 60,
-        samples: if o.reduced { 40 } else { 100 },
+        samples: if o.reduced { 20 } else { 100 },
         unseen: if o.reduced { 1 } else { 4 },
         evaluations,
     };

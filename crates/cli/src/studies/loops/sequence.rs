@@ -15,17 +15,17 @@ const TASKS: [(&str, &str); 2] =
 
 fn sizes(o: &Options) -> [SequentialSize; 2] {
     let evaluations = if o.reduced { 100 } else { 1000 };
-    let (samples, rounds) = if o.reduced { (40, 2) } else { (200, 3) };
+    let (samples, rounds) = if o.reduced { (20, 2) } else { (200, 3) };
     let known = SequentialSize {
         seed: o.seed,
         seeds: seeds(o, 20),
         initial: 30,
         samples: 60,
         rounds: if o.reduced { 2 } else { 4 },
-        held_out: 200,
+        held_out: if o.reduced { 60 } else { 200 },
         evaluations,
     };
-    [known, SequentialSize { initial: if o.reduced { 60 } else { 100 }, samples, rounds, ..known }]
+    [known, SequentialSize { initial: if o.reduced { 44 } else { 100 }, samples, rounds, ..known }]
 }
 
 pub(super) fn tasks(o: &Options) -> Vec<Task> {
