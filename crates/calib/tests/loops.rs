@@ -17,6 +17,7 @@ use dynocal_ident::data::Dataset;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::plant::{Causality, Plant};
 use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::status::Status;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
@@ -90,7 +91,8 @@ fn a_rehearsal_continues_exactly_from_a_saved_state() {
 fn rounds_pool_their_records_within_the_limits_of_the_bed() {
     let (bed, m, aim) = (bed(), model(), aim("d", Vec::new()));
     let structures = [Structure::new("y", &m)];
-    let rounds = Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 40, rounds: 3, limits: &[] };
+    let rounds =
+        Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 40, rounds: 3, limits: &[] };
     let mut p = plant(0.2);
     let initial = first(&mut p, 30);
     let done = iterate(&mut p, &rounds, initial, &|| false).unwrap();
@@ -116,7 +118,8 @@ fn a_sequential_test_goes_on_where_it_stands_and_stops_when_told() {
     let objective = Kind::Udrn.record(&bed, 60, &mut Rng64::new(5)).unwrap();
     let aim = aim("i", objective);
     let structures = [Structure::new("y", &m)];
-    let rounds = Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 30, rounds: 3, limits: &[] };
+    let rounds =
+        Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 30, rounds: 3, limits: &[] };
     let run = |threshold: f64| {
         let mut p = plant(0.2);
         let initial = first(&mut p, 30);
@@ -157,7 +160,10 @@ fn a_right_structure_keeps_its_output_limits_at_the_stated_rate() {
         for (round, record) in done.rounds.iter().zip(&done.records[1..]) {
             let (_, lower, upper) = round.limits[0];
             assert!(lower > -1.0 && upper < 1.5);
-            assert!(round.design.safety[0].worst.unwrap().distance > -1e-5);
+            // Limits hold or the design says that they do not.
+            let distance = round.design.safety[0].worst.unwrap().distance;
+            let held = distance >= -1e-6 * (upper - lower) - 1e-12;
+            assert_eq!(held, round.design.status != Status::Infeasible, "{distance}");
             let y = record.values("y").unwrap();
             beyond += y.iter().filter(|v| **v > 1.5 || **v < -1.0).count();
             all += y.len();
@@ -217,9 +223,25 @@ fn draws_have_their_distribution() {
 /// The same result for any number of threads.
 #[test]
 fn comparisons_do_not_depend_on_threads() {
-    let size = SequentialSize { seed: 4, seeds: 3, initial: 40, samples: 20, rounds: 2, held_out: 40, evaluations: 60 };
-    let robust =
-        RobustSize { seed: 4, seeds: 1, initial: 60, samples: 30, draws: 3, fresh: 3, share: 0.4, evaluations: 60 };
+    let size = SequentialSize {
+        seed: 4,
+        seeds: 3,
+        initial: 40,
+        samples: 20,
+        rounds: 2,
+        held_out: 40,
+        evaluations: 60,
+    };
+    let robust = RobustSize {
+        seed: 4,
+        seeds: 1,
+        initial: 60,
+        samples: 30,
+        draws: 3,
+        fresh: 3,
+        share: 0.4,
+        evaluations: 60,
+    };
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
@@ -239,8 +261,12 @@ fn the_fuel_holds_lambda_while_the_air_moves() {
     let spec = HoldSpec { settle_s: 2.0, ..HoldSpec::default() };
     let fuel = FuelMap::learn(engine(), &spec).unwrap();
     let mut held = LambdaHeld::new(engine(), spec, fuel).unwrap();
-    let names: Vec<&str> =
-        held.variables().iter().filter(|v| v.causality == Causality::Input).map(|v| v.name.as_str()).collect();
+    let names: Vec<&str> = held
+        .variables()
+        .iter()
+        .filter(|v| v.causality == Causality::Input)
+        .map(|v| v.name.as_str())
+        .collect();
     assert_eq!(names, ["spark", "throttle", "speed"]);
     let channels = vec![
         Channel::free("speed", 2000.0, 4000.0),
@@ -275,10 +301,11 @@ fn wrong_calls_are_refused() {
     let records = first(&mut p, 30);
     let structures = [Structure::new("y", &m)];
     let aim = aim("z", Vec::new());
-    let rounds = Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 20, rounds: 1, limits: &[] };
+    let rounds =
+        Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 20, rounds: 1, limits: &[] };
     assert!(matches!(iterate(&mut p, &rounds, records.clone(), &|| false), Err(LoopError::Build(_))));
     let missing = [Structure::new("torque", &m)];
     assert!(matches!(know(&bed, &missing, &records), Err(LoopError::Data(_))));
     let data = bed.experiments(&records, "y").unwrap();
-    assert!(information(&m, &[0.0, 1.0, 0.0, 0.0, 1e9], &data).is_err(), "a diverging model");
+    assert!(information(&m, &[0.0, 1.0, 0.0, 0.0, 1e30], &data).is_err(), "a diverging model");
 }

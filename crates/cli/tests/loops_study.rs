@@ -25,7 +25,14 @@ fn the_reduced_study_runs_and_its_exact_checks_hold() {
         assert_eq!(check["holds"], true, "{check}");
     }
     // One number of every task.
-    for id in ["black-box-nonlinear-udrn", "limits-affine", "pool-d", "robust-mean", "two-outputs-torque", "sequential-engine"] {
+    for id in [
+        "black-box-nonlinear-udrn",
+        "limits-affine",
+        "pool-d",
+        "robust-mean",
+        "two-outputs-torque",
+        "sequential-engine",
+    ] {
         let check = checks.iter().find(|c| c["id"] == id).unwrap();
         assert!(check["measured"].is_number(), "{check}");
     }

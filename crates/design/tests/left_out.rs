@@ -25,8 +25,7 @@ fn one_term_left_out_is_the_plain_formula() {
     let (u, u0) = (uniform_record(&channels(), 30, 1), uniform_record(&channels(), 50, 2));
     let (sigma2, lack) = (0.7, 2.5);
     let c = criterion("mse", &keys(1, lack)).unwrap();
-    let term =
-        Term { objective_signal: &u0, ..Term::new("y", &model, &[0.3, -0.2], sigma2, c.as_ref()) };
+    let term = Term { objective_signal: &u0, ..Term::new("y", &model, &[0.3, -0.2], sigma2, c.as_ref()) };
     let p = DesignProblem {
         channels: channels(),
         n_samples: 30,
@@ -38,9 +37,8 @@ fn one_term_left_out_is_the_plain_formula() {
     let alias = moment(&u, 3) / moment(&u, 2);
     let bias = alias * alias * moment(&u0, 2) - 2.0 * alias * moment(&u0, 3) + moment(&u0, 4);
     let n0 = 49.0;
-    let expected =
-        sigma2 * moment(&u0, 2) / moment(&u, 2) / n0
-            + lack * sigma2 / (moment(&u0, 4) - moment(&u0, 3).powi(2) / moment(&u0, 2)) * bias;
+    let expected = sigma2 * moment(&u0, 2) / moment(&u, 2) / n0
+        + lack * sigma2 / (moment(&u0, 4) - moment(&u0, 3).powi(2) / moment(&u0, 2)) * bias;
     let found = Evaluator::new(&p).unwrap().value(&u);
     assert_close(found, expected, 1e-12, "mse");
     // The objective signal as the record: the bias is the least possible one.

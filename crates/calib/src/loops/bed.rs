@@ -58,8 +58,10 @@ impl TestBed {
             .zip(&self.channels)
             .map(|(v, c)| (c.name.clone(), v.map_or_else(|| "-".into(), |v| v.unit.clone()), Role::Input))
             .chain(outputs.iter().map(|v| (v.name.clone(), v.unit.clone(), Role::Output)));
-        let channels =
-            meta.zip(columns).map(|((name, unit, role), values)| Column { name, unit, role, values }).collect();
+        let channels = meta
+            .zip(columns)
+            .map(|((name, unit, role), values)| Column { name, unit, role, values })
+            .collect();
         Ok(Dataset {
             name: name.into(),
             sample_time_s: self.sample_time_s,

@@ -124,8 +124,20 @@ impl LambdaHeld {
         let variables: Vec<Variable> = all.iter().filter(|v| v.name != FUEL).cloned().collect();
         let state = LoopState { integral_mg: 0.0, feedforward_mg: 0.0, lambda: spec.lambda };
         let inputs = start.clone();
-        let mut held =
-            Self { plant, spec, map, variables, fuel, speed, throttle, lambda, fuel_range, start, inputs, state };
+        let mut held = Self {
+            plant,
+            spec,
+            map,
+            variables,
+            fuel,
+            speed,
+            throttle,
+            lambda,
+            fuel_range,
+            start,
+            inputs,
+            state,
+        };
         held.reset(0);
         Ok(held)
     }

@@ -86,7 +86,8 @@ mod tests {
         let record = |seed: u64, n: usize| {
             let mut g = Rng64::new(seed);
             let u: Vec<f64> = (0..n).map(|_| g.uniform()).collect();
-            let y = (0..n).map(|t| if t > 0 { 3.0 * u[t - 1] } else { 0.0 } + g.uniform_in(-1.0, 1.0)).collect();
+            let y =
+                (0..n).map(|t| if t > 0 { 3.0 * u[t - 1] } else { 0.0 } + g.uniform_in(-1.0, 1.0)).collect();
             Experiment { name: "r".into(), u, y, init_samples: 1, weights: Vec::new() }
         };
         let (mut beyond, mut all) = (0, 0);

@@ -105,8 +105,7 @@ pub fn draws(
     if let Some(k) = scale.iter().position(|s| !(s.is_finite() && *s > 0.0)) {
         return Err(fault(format!("`{}` has no variance", model.param_name(k))));
     }
-    let mut factor: Vec<f64> =
-        (0..p * p).map(|i| covariance[i] / (scale[i / p] * scale[i % p])).collect();
+    let mut factor: Vec<f64> = (0..p * p).map(|i| covariance[i] / (scale[i / p] * scale[i % p])).collect();
     (0..p).for_each(|k| factor[k * p + k] += 1e-10);
     cholesky(&mut factor, p).map_err(|e| fault(e.to_string()))?;
     let mut rng = Rng64::stream(seed, 77);

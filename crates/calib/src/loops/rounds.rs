@@ -149,10 +149,10 @@ fn run(
                 (name.as_str(), OutputLimits { lower: *lower, upper: *upper, margin: 0.0 })
             })
             .collect();
-        let search = DesignOptions { seed: spec.aim.search.seed.wrapping_add(1000 * k as u64), ..aim.search.clone() };
+        let search =
+            DesignOptions { seed: spec.aim.search.seed.wrapping_add(1000 * k as u64), ..aim.search.clone() };
         let aim = Aim { search, ..aim.clone() };
-        let design =
-            next_record(&bed, spec.structures, &known, &aim, spec.samples, &narrowed, interrupt)?;
+        let design = next_record(&bed, spec.structures, &known, &aim, spec.samples, &narrowed, interrupt)?;
         let (stage, expected) = match &stop {
             Some(rule) => {
                 let (stage, planned) = outlook(spec, &aim, &campaign.records, &design.u, rule)?;
@@ -194,11 +194,7 @@ fn bed_now(bed: &TestBed, records: &[Dataset], course: Course) -> Result<TestBed
 }
 
 /// Limits of the predictions with margins from held-out blocks of the records so far.
-fn limits(
-    spec: &Rounds,
-    records: &[Dataset],
-    round: usize,
-) -> Result<Vec<(String, f64, f64)>, LoopError> {
+fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<(String, f64, f64)>, LoopError> {
     let mut out = Vec::new();
     for l in spec.limits {
         let Some(s) = spec.structures.iter().find(|s| s.output == l.output) else { continue };

@@ -174,10 +174,8 @@ impl<'a> Setting<'a> {
             engine.bed.experiments(&records?, OUTPUT)
         };
         let objective = Kind::Udrn.record(&engine.bed, 200, &mut Rng64::stream(size.seed, OBJECTIVE))?;
-        let structure = |e: StructureError| LoopError::Model {
-            what: "structure".into(),
-            reason: e.to_string(),
-        };
+        let structure =
+            |e: StructureError| LoopError::Model { what: "structure".into(), reason: e.to_string() };
         Ok(Self {
             engine,
             affine: engine.affine().map_err(structure)?,
@@ -245,8 +243,10 @@ impl<'a> Setting<'a> {
             let records = self.records(campaign, size, size.seed + k, interrupt)?;
             let data = self.engine.bed.experiments(&records, OUTPUT)?;
             let scores = Way::ALL.iter().map(|way| self.score(*way, &data)).collect::<Result<_, _>>()?;
-            let lambda: Vec<f64> =
-                records.iter().flat_map(|r| r.values("lambda").map(<[f64]>::to_vec).unwrap_or_default()).collect();
+            let lambda: Vec<f64> = records
+                .iter()
+                .flat_map(|r| r.values("lambda").map(<[f64]>::to_vec).unwrap_or_default())
+                .collect();
             Ok((scores, lambda.iter().map(|l| (l - 1.0).abs()).sum::<f64>() / lambda.len() as f64))
         };
         let all: Result<Vec<_>, LoopError> = (0..size.seeds).into_par_iter().map(one).collect();

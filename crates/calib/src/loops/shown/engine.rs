@@ -8,8 +8,8 @@ use dynocal_ident::model::poly::{PolyNarx, Regressor, StructureError};
 use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_ident::select::pool::products;
 
-use crate::chain::context::PlantFactory;
 use super::known::Sequenced;
+use crate::chain::context::PlantFactory;
 use crate::loops::LoopError;
 use crate::loops::bed::TestBed;
 use crate::loops::lambda_hold::{FuelMap, HoldSpec, LambdaHeld};
@@ -95,7 +95,9 @@ impl<'a> Engine<'a> {
         let mut terms: Vec<String> = vec!["1".into()];
         for (i, a) in LAGGED.iter().enumerate() {
             terms.push((*a).into());
-            terms.extend(LAGGED[i..].iter().map(|b| if a == b { format!("{a}^2") } else { format!("{a}*{b}") }));
+            terms.extend(
+                LAGGED[i..].iter().map(|b| if a == b { format!("{a}^2") } else { format!("{a}*{b}") }),
+            );
         }
         terms.push(format!("{OUTPUT}(t-1)"));
         PolyNarx::parse(&self.bed.names(), OUTPUT, &terms)

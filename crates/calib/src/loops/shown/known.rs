@@ -56,7 +56,8 @@ impl Known {
     }
 
     fn plant(&self, noise: bool, seed: u64) -> Result<ModelPlant, PlantError> {
-        let input = |name: &str| Input { name: name.into(), unit: "-".into(), min: -1.0, max: 1.0, start: 0.0 };
+        let input =
+            |name: &str| Input { name: name.into(), unit: "-".into(), min: -1.0, max: 1.0, start: 0.0 };
         let deviation = if noise { self.noise } else { 0.0 };
         let inputs = vec![input("u"), input("v")];
         let mut plant =
@@ -254,8 +255,14 @@ pub fn compare(
         let (criterion, keys) = system.criterion(&initial)?;
         let aim = Aim { criterion, keys, objective: objective.clone(), adds: true, search };
         let structures = [s];
-        let rounds =
-            Rounds { bed, structures: &structures, aim: &aim, samples: size.samples, rounds: size.rounds, limits: &[] };
+        let rounds = Rounds {
+            bed,
+            structures: &structures,
+            aim: &aim,
+            samples: size.samples,
+            rounds: size.rounds,
+            limits: &[],
+        };
         // The rule only watches: what comes after its stop is to be observed too.
         let rule = StopRule { held_out: &held_out, noise: system.noise_variance(), threshold: 0.0 };
         let campaign = sequential(plant.as_mut(), &rounds, initial.clone(), Some(rule), interrupt)?;

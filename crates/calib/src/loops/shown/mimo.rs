@@ -114,8 +114,7 @@ pub fn compare(
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Errors>, LoopError> {
     let bed = bed();
-    let fault =
-        |e: StructureError| LoopError::Model { what: "structure".into(), reason: e.to_string() };
+    let fault = |e: StructureError| LoopError::Model { what: "structure".into(), reason: e.to_string() };
     let models = [structure(OUTPUTS[0]).map_err(fault)?, structure(OUTPUTS[1]).map_err(fault)?];
     let unseen: Result<Vec<Dataset>, LoopError> = (0..size.unseen)
         .into_par_iter()
@@ -138,11 +137,8 @@ pub fn compare(
         plant.reset((11 << 40) + seed);
         let first = Kind::Udrn.record(&bed, size.initial, &mut rng)?;
         let mut records = vec![bed.measure(plant.as_mut(), "initial", &first)?];
-        let both: Vec<Structure> = OUTPUTS
-            .iter()
-            .zip(&models)
-            .map(|(output, model)| Structure::new(output, model))
-            .collect();
+        let both: Vec<Structure> =
+            OUTPUTS.iter().zip(&models).map(|(output, model)| Structure::new(output, model)).collect();
         let structures = match of {
             For::Random => {
                 let u = Kind::Udrn.record(&bed, size.samples, &mut rng)?;

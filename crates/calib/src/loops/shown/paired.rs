@@ -70,11 +70,8 @@ impl Ratio {
         }
         let (sa, sb) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());
         let ratio = sa / sb;
-        let pseudo: Vec<f64> = a
-            .iter()
-            .zip(b)
-            .map(|(x, y)| n as f64 * ratio - (n as f64 - 1.0) * (sa - x) / (sb - y))
-            .collect();
+        let pseudo: Vec<f64> =
+            a.iter().zip(b).map(|(x, y)| n as f64 * ratio - (n as f64 - 1.0) * (sa - x) / (sb - y)).collect();
         let s = Spread::of(&pseudo, 0.95);
         let half = 0.5 * (s.high - s.low);
         Some(Self { ratio, low: ratio - half, high: ratio + half })

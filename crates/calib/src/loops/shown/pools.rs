@@ -49,8 +49,7 @@ pub fn efficiencies(
     evaluations: usize,
 ) -> Result<Efficiencies, LoopError> {
     let objective = Kind::Udrn.record(&engine.bed, 200, &mut Rng64::stream(first_seed, 6 << 40))?;
-    let structures: Vec<Structure> =
-        models.iter().map(|(_, model)| Structure::new(OUTPUT, *model)).collect();
+    let structures: Vec<Structure> = models.iter().map(|(_, model)| Structure::new(OUTPUT, *model)).collect();
     let one = |k: u64| -> Result<Vec<Vec<f64>>, LoopError> {
         let seed = first_seed + k;
         let u = Kind::Udrn.record(&engine.bed, 100, &mut Rng64::stream(seed, (6 << 40) + 1))?;

@@ -83,10 +83,19 @@ pub fn observe(
         let mut plant = engine.plant(true, (5 << 40) + seed)?;
         let u = Kind::Udrn.record(&middle(&engine.bed, setup.first_box), setup.samples, &mut rng)?;
         let initial = vec![engine.bed.measure(&mut plant, "initial", &u)?];
-        let search =
-            DesignOptions { seed, evaluations: setup.evaluations, output_tolerance: 1e-3, ..DesignOptions::default() };
-        let aim =
-            Aim { criterion: "d".into(), keys: toml::Table::new(), objective: Vec::new(), adds: true, search };
+        let search = DesignOptions {
+            seed,
+            evaluations: setup.evaluations,
+            output_tolerance: 1e-3,
+            ..DesignOptions::default()
+        };
+        let aim = Aim {
+            criterion: "d".into(),
+            keys: toml::Table::new(),
+            objective: Vec::new(),
+            adds: true,
+            search,
+        };
         let limits = [Limit {
             output: OUTPUT.into(),
             lower: setup.limits_nm.0,

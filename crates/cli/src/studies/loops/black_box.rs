@@ -42,7 +42,8 @@ fn candidates(o: &Options) -> (Vec<Kind>, Vec<Kind>) {
 pub(super) fn tasks(o: &Options) -> Vec<Task> {
     let (size, (aprbs, plans)) = (size(o), candidates(o));
     let training = if o.reduced { 1 } else { 2 };
-    let inputs = json!({ "size": size, "aprbs": aprbs, "plans": plans, "training": training, "noise": super::NOISE });
+    let inputs =
+        json!({ "size": size, "aprbs": aprbs, "plans": plans, "training": training, "noise": super::NOISE });
     vec![task(NAME, inputs, move |around| {
         let engine = Engine::new(&plant)?;
         let setting = Setting::new(&engine, size)?;
@@ -158,7 +159,12 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let Some(b) = result::<BlackBox>(results, NAME) else { return report };
     let text = format!(
         "Virtual engine, speed 2000 to 4000 rpm, spark 10 to 30 deg, throttle 2 to 8 deg, sample time 0.3 s, lambda held at 1 by fuel (feedforward learned on the bed and a PI loop at 0.03 s); torque noise 2 Nm, lambda noise 0.01 (standard deviations). Every campaign has {} samples: rivals in one record, designs after a UDRN record of {} samples in {} records of {} (Figure 4.2, records pooled). No rate limit for anybody. The APRBS and the space-filling plan are the best of their kind on separate training records. Errors: free run on {} unseen records of each kind without noise, {} seeds, paired.",
-        b.size.samples(), b.size.initial, b.size.rounds, b.size.designed, b.size.unseen, b.size.seeds
+        b.size.samples(),
+        b.size.initial,
+        b.size.rounds,
+        b.size.designed,
+        b.size.unseen,
+        b.size.seeds
     );
     let mut section = Section::new("Black box on the engine").id("black-box").text(text).text(
         "Criteria: AI (4.50) and I see variance only and send a record to the ends of the box, where a model that is too simple errs most. MSE adds the squared bias that terms left out would cause (Box and Draper), with the lack of fit that the first record shows.",

@@ -119,7 +119,10 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
         let found = limits.as_ref().map(|l| &l[i]);
         let last = found.and_then(|f| f.rounds.last());
         let rounds = found.map_or(String::new(), |f| {
-            let each = f.rounds.iter().map(|r| format!("{:.3}", share(r.at_limit_beyond, r.at_limit).unwrap_or(0.0)));
+            let each = f
+                .rounds
+                .iter()
+                .map(|r| format!("{:.3}", share(r.at_limit_beyond, r.at_limit).unwrap_or(0.0)));
             format!("round by round: {}", each.collect::<Vec<_>>().join(", "))
         });
         checks.push(check(
@@ -137,7 +140,10 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
         let paired = pair.and_then(|(pool, one)| Paired::of(&pool, &one));
         checks.push(check(
             format!("pool-{c}"),
-            format!("{}: least efficiency over the structures, pool less best design for one, lower end of 95 %", c.to_uppercase()),
+            format!(
+                "{}: least efficiency over the structures, pool less best design for one, lower end of 95 %",
+                c.to_uppercase()
+            ),
             Asked::Above(0.0),
             paired.as_ref().map(|p| p.low),
             "",
@@ -267,11 +273,8 @@ fn outputs_section(found: Option<Vec<Errors>>) -> Section {
     ])
     .caption("Free run on unseen random records without noise, mean over seeds");
     for e in found.iter().flatten() {
-        table = table.row(vec![
-            e.of.name().into(),
-            mean(&e.mse[0]).into(),
-            Cell::from(1e4 * mean(&e.mse[1])),
-        ]);
+        table =
+            table.row(vec![e.of.name().into(), mean(&e.mse[0]).into(), Cell::from(1e4 * mean(&e.mse[1]))]);
     }
     Section::new("One record for two outputs").id("two-outputs").text(
         "Fuel, spark, throttle and speed move about 2000 rpm and 30 Nm; quadratic NARX of torque and lambda, lambda without spark. I-designs of 100 samples after 60 random ones; the composite weighs each criterion with its value for a random record (4.54 in relative form).",
