@@ -106,8 +106,15 @@ pub(crate) struct Study {
 }
 
 /// All studies.
-pub(crate) static STUDIES: &[Study] =
-    &[benchmarks::STUDY, chain::STUDY, chapter4::STUDY, chapter5::STUDY, design::STUDY, engine::STUDY, loops::STUDY];
+pub(crate) static STUDIES: &[Study] = &[
+    benchmarks::STUDY,
+    chain::STUDY,
+    chapter4::STUDY,
+    chapter5::STUDY,
+    design::STUDY,
+    engine::STUDY,
+    loops::STUDY,
+];
 
 /// The study of that name.
 pub(crate) fn find(name: &str) -> Option<&'static Study> {
