@@ -181,7 +181,7 @@ fn solve(m: &mut [[f64; 6]; 5]) -> Option<[f64; 5]> {
     for k in 0..5 {
         let p = (k..5).max_by(|a, b| m[*a][k].abs().total_cmp(&m[*b][k].abs()))?;
         m.swap(k, p);
-        if !(m[k][k].abs() > 1e-280) {
+        if m[k][k].is_nan() || m[k][k].abs() <= 1e-280 {
             return None;
         }
         for r in k + 1..5 {

@@ -47,7 +47,7 @@ pub struct LoadLimits {
 }
 
 impl Default for LoadLimits {
-    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 110 bar, 50 % burned at 8 deg, lambda 0.75, 60 s.
+    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 110 bar, 50 % burned at 8 deg, lambda 0.75, 120 s.
     fn default() -> Self {
         Self {
             map_kpa: 240.0,
@@ -57,7 +57,7 @@ impl Default for LoadLimits {
             pmax_bar: 110.0,
             ca50_deg: 8.0,
             least_lambda: 0.75,
-            time_s: 60.0,
+            time_s: 120.0,
         }
     }
 }

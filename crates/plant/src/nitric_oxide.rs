@@ -19,7 +19,8 @@ pub const FROZEN_K: f64 = 1700.0;
 /// Grids: lambda, T \[K\], ln p (p in Pa).
 const LAMBDA: Axis = Axis { from: 0.65, step: 0.05, count: 20 };
 const T_K: Axis = Axis { from: FROZEN_K, step: 50.0, count: 31 };
-const LN_P: Axis = Axis { from: 12.899_219_826_090_119, step: 1.609_437_912_434_100_3, count: 4 };
+// 4, 20, 100, 500 bar.
+const LN_P: Axis = Axis { from: 12.899_219_826_090_12, step: 1.609_437_912_434_1, count: 4 };
 
 /// Rate constants of reactions 1 to 3, forward \[cm3/mol/s\].
 pub fn rate_constants(t_k: f64) -> [f64; 3] {
