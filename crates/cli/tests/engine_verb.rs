@@ -93,7 +93,9 @@ fn a_cycle_is_driven_and_its_file_is_read_in_the_units_it_says() {
 #[test]
 fn a_transient_from_a_file_on_a_bed() {
     let tmp = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| std::fs::write(tmp.path().join(name), text).unwrap();
+    let write = |name: &str, text: &str| {
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap()
+    };
     write("u.csv", "time_s,throttle_deg,inj [mg]\n0,15.85,16.754\n0.5,20,20\n1.0,25,24\n");
     write(
         "bed.toml",
