@@ -15,4 +15,5 @@ pub mod identify;
 pub mod loops;
 pub mod map;
 pub mod record;
+pub mod supervisor;
 pub mod validate;
