@@ -79,6 +79,8 @@ pub struct Job {
     pub search: SearchSpec,
     /// Random signals of each rival kind.
     pub rivals: usize,
+    /// Whether the upper bound of the information is computed, which takes a while.
+    pub certificate: bool,
     /// Seed.
     pub seed: u64,
 }
@@ -153,6 +155,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         objective: objective?,
         search: search?,
         rivals: t.rivals.unwrap_or(20),
+        certificate: t.certificate.unwrap_or(false),
         seed: over.seed.or(t.seed).unwrap_or(1),
     })
 }

@@ -93,3 +93,67 @@ fn requests_that_cannot_be_met_are_refused_in_words() {
     refused(&with(&["lo=0", "hi=1", "hold_s=0.1"], "1e12", "0.1"), "--length-s");
     refused(&["aprb", "--length-s", "1", "--sample-time-s", "0.1"], "aprbs");
 }
+
+/// The example with several channels: all of them in one file, with correlation and coverage of every pair.
+#[test]
+fn several_channels_come_from_a_spec_with_their_correlation() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/design/signals.toml");
+    let o = signal(tmp.path(), &[spec.to_str().unwrap(), "--out", "run", "--json"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    let summary: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
+    let table = dynocal_files::csv_io::read(&tmp.path().join("run/signal.csv")).unwrap();
+    let of = |name: &str| table.numbers(name, 0, 600).unwrap().to_vec();
+    assert!(of("throttle").iter().all(|v| [10.0, 15.0, 20.0, 25.0, 30.0].contains(v)));
+    assert!(of("spark").iter().all(|v| [10.0, 30.0].contains(v)));
+    assert_eq!(table.column("speed").unwrap().unit.as_ref().unwrap().0, "rpm");
+    // Thesis eq. 2.45 by its definition.
+    let correlation = |a: &[f64], b: &[f64]| {
+        let n = a.len() as f64;
+        let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);
+        let sum = |x: &[f64], mx: f64, y: &[f64], my: f64| -> f64 {
+            x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum()
+        };
+        sum(a, ma, b, mb) / (sum(a, ma, a, ma) * sum(b, mb, b, mb)).sqrt()
+    };
+    for c in summary["correlations"].as_array().unwrap() {
+        let (a, b) = (c["a"].as_str().unwrap(), c["b"].as_str().unwrap());
+        assert!((c["r"].as_f64().unwrap() - correlation(&of(a), &of(b))).abs() < 1e-12, "{c}");
+    }
+    assert_eq!(summary["pairs"].as_array().unwrap().len(), 3);
+    let report = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
+    for part in ["Channels together", "coverage", "speed (multisine)", "Power spectral density"] {
+        assert!(report.contains(part), "no {part}");
+    }
+    // Two channels that are the same are told apart by nothing.
+    let twice = "length_s = 20.0\nsample_time_s = 0.1\nchannels = [\n\
+        { name = \"a\", unit = \"-\", signal = { name = \"staircase\", lo = 0.0, hi = 1.0, hold_s = 0.5 } },\n\
+        { name = \"b\", unit = \"-\", signal = { name = \"staircase\", lo = 0.0, hi = 5.0, hold_s = 0.5 } },\n]\n";
+    let path = tmp.path().join("twice.toml");
+    dynocal_files::atomic::write(&path, twice.as_bytes()).unwrap();
+    let o = signal(tmp.path(), &["twice.toml", "--out", "twice"]);
+    assert!(o.code == 0 && o.stderr.contains("`a` and `b` move together (correlation 1.00"), "{}", o.stderr);
+}
+
+#[test]
+fn faults_of_a_spec_are_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let refused = |text: &str, parts: &[&str]| {
+        dynocal_files::atomic::write(&tmp.path().join("s.toml"), text.as_bytes()).unwrap();
+        let o = signal(tmp.path(), &["s.toml", "--out", "run"]);
+        assert_eq!((o.code, o.stdout.as_str()), (2, ""), "{}", o.stderr);
+        for part in parts {
+            assert!(o.stderr.contains(part) && !o.stderr.contains("bug in"), "no `{part}` in:\n{}", o.stderr);
+        }
+    };
+    let whole = "length_s = 20.0\nsample_time_s = 0.1\n[[channels]]\nname = \"a\"\nunit = \"-\"\n\
+        signal = { name = \"udrn\", lo = 0.0, hi = 1.0, hold_s = 0.1 }\n";
+    refused(&whole.replace("udrn", "udrm"), &["s.toml:6: `channels[1].signal.name`", "did you mean `udrn`?"]);
+    refused(&whole.replace("hold_s", "holds"), &["`channels[1].signal`", "holds"]);
+    refused(&whole.replace("unit = \"-\"\n", ""), &["`channels[1].unit`: found nothing"]);
+    refused(&whole.replace("length_s = 20.0\n", ""), &["`length_s`: found nothing"]);
+    refused(&whole.replace("20.0", "0.1"), &["`length_s`: found 1 samples"]);
+    refused("length_s = 20.0\nsample_time_s = 0.1\n", &["`channels`: found nothing"]);
+    let o = signal(tmp.path(), &["udrn", "--length-s", "3"]);
+    assert!(o.code == 2 && o.stderr.contains("--sample-time-s is missing"), "{}", o.stderr);
+}

@@ -80,6 +80,17 @@ pub struct InformationLine {
     pub bounds: Vec<(String, f64, Option<f64>)>,
 }
 
+/// How near the design is to what no record can pass.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Bound {
+    /// No record within the limits has a J_D below this; absent where no bound is known.
+    pub bound: Option<f64>,
+    /// D-efficiency of the design against the bound, at least, in percent.
+    pub efficiency_percent: Option<f64>,
+    /// Why there is no bound.
+    pub none_because: Option<String>,
+}
+
 /// The design, the body of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Designed {
@@ -107,6 +118,8 @@ pub struct Designed {
     pub criteria: Vec<CriterionLine>,
     /// Rivals of the same limits.
     pub efficiencies: Vec<Efficiency>,
+    /// Optimality certificate, where the spec asks for it.
+    pub certificate: Option<Bound>,
     /// What the objective signal is.
     pub objective: String,
     /// Safety report.

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use dynocal_design::certificate::certify;
 use dynocal_design::channel::Layout;
 use dynocal_design::problem::{DesignProblem, Evaluator, OutputLimits, Term};
 use dynocal_design::search::{DesignOptions, DesignOutcome, design};
@@ -12,7 +13,7 @@ use dynocal_numerics::status::{Iterate, Status};
 
 use super::load::{DesignJobError, Inputs, check_stable, load};
 use super::margins::{MarginBasis, MarginUsed, margin_of};
-use super::result::{CriterionLine, Curves, Designed, InformationLine, Quantity, SafetyLine};
+use super::result::{Bound, CriterionLine, Curves, Designed, InformationLine, Quantity, SafetyLine};
 use super::rivals::{efficiencies, uniform};
 use super::{Job, Objective, judge};
 
@@ -86,6 +87,7 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
     let warnings = warnings(&found, &safety, &information, inputs);
     let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= -1e-6);
     let seen = information.iter().all(|i| i.rank == i.parameters);
+    let criteria = criteria(&problem, inputs, &found.u)?;
     let channels = job.channels.iter().map(|c| quantity(&c.channel.name, &c.unit)).collect();
     Ok((
         Designed {
@@ -99,8 +101,9 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
             channels,
             value: found.value,
             start_value: found.start_value,
-            criteria: criteria(&problem, inputs, &found.u)?,
             efficiencies: rivals,
+            certificate: if job.certificate { Some(certificate(&problem, &criteria)) } else { None },
+            criteria,
             objective: objective_text,
             safety,
             information,
@@ -114,6 +117,18 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
         },
         curves,
     ))
+}
+
+/// The certificate of a design (equivalence theorem), or why there is none.
+fn certificate(problem: &DesignProblem, criteria: &[CriterionLine]) -> Bound {
+    let value = criteria.first().map_or(f64::NAN, |c| c.value);
+    match certify(problem, value) {
+        Ok(c) => {
+            let (bound, efficiency) = (Some(c.bound), Some(100.0 * c.efficiency));
+            Bound { bound, efficiency_percent: efficiency, none_because: None }
+        }
+        Err(e) => Bound { bound: None, efficiency_percent: None, none_because: Some(e.to_string()) },
+    }
 }
 
 fn quantity(name: &str, unit: &str) -> Quantity {

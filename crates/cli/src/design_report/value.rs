@@ -1,6 +1,6 @@
 //! What the design is worth, and how it was found.
 
-use dynocal_calib::design_spec::result::Designed;
+use dynocal_calib::design_spec::result::{Bound, Designed};
 use dynocal_deliver::{Axis, Cell, Column, Section, Table, XyPlot};
 
 /// Efficiencies first, criterion values after them.
@@ -46,7 +46,7 @@ pub(super) fn section(found: &Designed) -> Section {
             c.value.into(),
         ]);
     }
-    Section::new("What the design is worth")
+    let section = Section::new("What the design is worth")
         .text(
             "D: with an efficiency of 50 % a signal has to be twice as long for the same volume of the confidence \
              ellipsoid of the parameters. I: the same for the mean variance of the predictions over the objective signal. \
@@ -55,7 +55,25 @@ pub(super) fn section(found: &Designed) -> Section {
         )
         .block(rivals)
         .text(format!("Objective signal: {}.", found.objective))
-        .block(criteria)
+        .block(criteria);
+    match &found.certificate {
+        Some(bound) => section.text(certificate(bound)),
+        None => section,
+    }
+}
+
+fn certificate(found: &Bound) -> String {
+    match (found.bound, found.efficiency_percent) {
+        (Some(bound), Some(percent)) => format!(
+            "Certificate: no record within the amplitude limits has a J_D below {bound:.2} (equivalence theorem); the \
+             design reaches a D-efficiency of {percent:.1} % of that bound at least. The bound leaves out rates, holds and \
+             regions, and no record need reach it."
+        ),
+        _ => format!(
+            "No certificate of optimality: {}.",
+            found.none_because.as_deref().unwrap_or("none is known")
+        ),
+    }
 }
 
 /// Convergence of the best start.

@@ -25,6 +25,7 @@ mod calibrate_text;
 mod engine_cycle;
 mod engine_map;
 mod engine_transient;
+mod signal_set;
 
 verbs![
     calibrate, //

@@ -1,4 +1,5 @@
-//! `dynocal signal NAME`: makes a test signal, analyses it and writes it to a file.
+//! `dynocal signal NAME`: makes a test signal, analyses it and writes it to a file. `dynocal signal SPEC.toml` makes
+//! several channels together (see [`super::signal_set`]).
 
 use std::path::{Path, PathBuf};
 
@@ -8,11 +9,11 @@ use dynocal_files::run_folder::RunFolder;
 use dynocal_files::{atomic, csv_io};
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::signal::analysis::{Analysis, analyse};
-use dynocal_ident::signal::{SIGNALS, signal};
+use dynocal_ident::signal::signal;
 use dynocal_numerics::rng::Rng64;
 use serde::Serialize;
 
-use super::Verb;
+use super::{Verb, signal_set};
 use crate::common::{Common, print};
 use crate::failure::{Exit, Failure};
 use crate::table;
@@ -23,26 +24,25 @@ pub(crate) const VERB: Verb =
 const ABOUT: &str = "Make a test signal, analyse it and write it as CSV (`dynocal list signals`)";
 
 /// Most samples of one signal: a day at 100 Hz.
-const MOST_SAMPLES: f64 = 1e7;
+pub(super) const MOST_SAMPLES: f64 = 1e7;
 /// Most lags of the autocorrelation.
-const LAGS: usize = 200;
+pub(super) const LAGS: usize = 200;
 /// Most samples that are drawn, and most lines of the spectrum: a page must stay light.
 const DRAWN: usize = 5000;
 
 #[derive(Args, Debug)]
 struct Signal {
-    /// Name of the signal
-    #[arg(value_parser = clap::builder::PossibleValuesParser::new(SIGNALS.iter().map(|s| s.doc.name)))]
+    /// Name of the signal (`dynocal list signals`), or a spec (*.toml) with several channels
     name: String,
     /// Parameters as key=value, e.g. --keys lo=10 hi=90 hold_s=3
     #[arg(long, value_name = "KEY=VALUE", num_args = 1..)]
     keys: Vec<String>,
-    /// Length in s
+    /// Length in s; a spec has its own
     #[arg(long, value_name = "S")]
-    length_s: f64,
-    /// Sample time in s
+    length_s: Option<f64>,
+    /// Sample time in s; a spec has its own
     #[arg(long, value_name = "S")]
-    sample_time_s: f64,
+    sample_time_s: Option<f64>,
     /// Name of the channel in the file
     #[arg(long, default_value = "u")]
     channel: String,
@@ -58,10 +58,17 @@ struct Signal {
 enum SignalError {
     #[error("--keys {found}: expected KEY=VALUE, e.g. hold_s=3{reason}")]
     Key { found: String, reason: String },
+    #[error("--{flag} is missing: expected {expected}")]
+    Missing { flag: &'static str, expected: &'static str },
     #[error("--{flag} {found}: expected {expected}")]
     Number { flag: &'static str, found: f64, expected: String },
     #[error("signal {name}: a sample is not a finite number")]
     NotFinite { name: String },
+}
+
+/// A signal that cannot be analysed.
+pub(super) fn not_finite(name: &str) -> impl std::error::Error + 'static {
+    SignalError::NotFinite { name: name.into() }
 }
 
 /// The request as understood: what a folder must hold to make the same file again.
@@ -90,11 +97,17 @@ struct Summary<'a> {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Signal::from_arg_matches(matches)?;
     args.common.start()?.finish();
+    if args.name.ends_with(".toml") {
+        return signal_set::run(Path::new(&args.name), &args.common);
+    }
+    let given = |flag, value: Option<f64>, expected| value.ok_or(SignalError::Missing { flag, expected });
+    let sample_time_s = given("sample-time-s", args.sample_time_s, "the sample time in s")?;
+    let length_s = given("length-s", args.length_s, "the length in s")?;
     let request = Request {
         name: &args.name,
         keys: keys(&args.keys)?,
-        samples: samples(args.length_s, args.sample_time_s)?,
-        sample_time_s: args.sample_time_s,
+        samples: samples(length_s, sample_time_s)?,
+        sample_time_s,
         channel: &args.channel,
         unit: &args.unit,
         seed: args.common.seed.unwrap_or(1),
@@ -178,21 +191,21 @@ fn write(request: &Request, u: &[f64], found: &Analysis, out: &Path) -> Result<P
 }
 
 /// Numbers of the signal: name, value, unit.
-fn numbers<'a>(request: &Request<'a>, a: &Analysis) -> Vec<(&'static str, Option<f64>, &'a str)> {
+fn numbers<'a>(unit: &'a str, a: &Analysis) -> Vec<(&'static str, Option<f64>, &'a str)> {
     vec![
         ("Samples", Some(a.samples as f64), "-"),
-        ("Mean", Some(a.mean), request.unit),
-        ("Standard deviation", Some(a.standard_deviation), request.unit),
-        ("Least value", Some(a.minimum), request.unit),
-        ("Greatest value", Some(a.maximum), request.unit),
-        ("Largest step", Some(a.largest_step), request.unit),
+        ("Mean", Some(a.mean), unit),
+        ("Standard deviation", Some(a.standard_deviation), unit),
+        ("Least value", Some(a.minimum), unit),
+        ("Greatest value", Some(a.maximum), unit),
+        ("Largest step", Some(a.largest_step), unit),
         ("Crest factor", a.crest_factor, "-"),
         ("Coverage of the range", Some(100.0 * a.coverage), "%"),
     ]
 }
 
 fn text(request: &Request, a: &Analysis) -> String {
-    let rows: Vec<Vec<String>> = numbers(request, a)
+    let rows: Vec<Vec<String>> = numbers(request.unit, a)
         .into_iter()
         .map(|(name, value, unit)| {
             let value = value.map_or("none".into(), |v| dynocal_deliver::significant(v, 5));
@@ -203,7 +216,22 @@ fn text(request: &Request, a: &Analysis) -> String {
 }
 
 fn report(request: &Request, u: &[f64], a: &Analysis) -> Report {
-    let facts = numbers(request, a)
+    let section = analysed(Section::new("Signal"), (request.channel, request.unit), request.sample_time_s, u, a);
+    Report::new(format!("Test signal: {}", request.name))
+        .fact("Sample time", format!("{} s", request.sample_time_s))
+        .fact("Seed", request.seed.to_string())
+        .section(section.code("Keys", request.keys.to_string()))
+}
+
+/// Adds numbers, time, autocorrelation, spectrum and amplitudes of one channel (name and unit) to its section.
+pub(super) fn analysed(
+    section: Section,
+    (name, unit): (&str, &str),
+    dt_s: f64,
+    u: &[f64],
+    a: &Analysis,
+) -> Section {
+    let facts = numbers(unit, a)
         .into_iter()
         .map(|(name, value, unit)| KeyValue::new(name, Cell::from(value), unit))
         .collect();
@@ -213,12 +241,12 @@ fn report(request: &Request, u: &[f64], a: &Analysis) -> Report {
     } else {
         String::new()
     };
-    let time = TimePlot::sampled("Signal", request.sample_time_s, drawn.len())
-        .panel(Panel::new(request.channel, request.unit).held(request.channel, drawn))
+    let time = TimePlot::sampled("Signal", dt_s, drawn.len())
+        .panel(Panel::new(name, unit).held(name, drawn))
         .caption(caption);
-    let mut section = Section::new("Signal").key_values(facts).block(time);
+    let mut section = section.key_values(facts).block(time);
     if let Some(r) = &a.autocorrelation {
-        let lag_s: Vec<f64> = r.lags.iter().map(|l| *l as f64 * request.sample_time_s).collect();
+        let lag_s: Vec<f64> = r.lags.iter().map(|l| *l as f64 * dt_s).collect();
         section = section.block(
             XyPlot::new("Autocorrelation", Axis::new("lag", "s"), Axis::new("correlation", "-"))
                 .line("autocorrelation", lag_s, r.values.clone())
@@ -227,12 +255,12 @@ fn report(request: &Request, u: &[f64], a: &Analysis) -> Report {
     }
     let s = &a.spectrum;
     let lines = s.density.len().min(DRAWN);
-    section = section
+    section
         .block(
             XyPlot::new(
                 "Power spectral density",
                 Axis::new("frequency", "Hz"),
-                Axis::new("density", format!("({})^2/Hz", request.unit)),
+                Axis::new("density", format!("({unit})^2/Hz")),
             )
             .line("density", &s.frequency_hz[..lines], &s.density[..lines])
             .caption(format!("One-sided, about the mean; mean of {} segments", s.segments)),
@@ -240,13 +268,9 @@ fn report(request: &Request, u: &[f64], a: &Analysis) -> Report {
         .block(
             Bars::new(
                 "Amplitude density",
-                Axis::new("share per unit", format!("1/({})", request.unit)),
+                Axis::new("share per unit", format!("1/({unit})")),
                 a.amplitudes.middle.iter().map(|m| dynocal_deliver::significant(*m, 4)),
             )
             .series("density", a.amplitudes.density.clone()),
-        );
-    Report::new(format!("Test signal: {}", request.name))
-        .fact("Sample time", format!("{} s", request.sample_time_s))
-        .fact("Seed", request.seed.to_string())
-        .section(section.code("Keys", request.keys.to_string()))
+        )
 }
