@@ -122,8 +122,51 @@ fn designs() {
     }
 }
 
+/// Designs of growing length to a projected gradient of 1e-4 of its start: J_D of the torque model, one local run.
+fn growth() {
+    let (d, model) = (criterion("d", &Default::default()).expect("known"), torque_4_17());
+    println!("{:>9}{:>14}{:>14}{:>14}{:>10}", "samples", "evaluations", "J_D", "gradient", "CPU s");
+    for n_samples in [100, 1000, 10_000] {
+        let problem = DesignProblem {
+            channels: channels("box"),
+            n_samples,
+            convention: Convention::Trim,
+            start: 10,
+            terms: vec![Term::new("torque", &model.model, &model.theta, model.noise_variance, d.as_ref())],
+        };
+        let start = random_record(&problem, 2).expect("well posed");
+        let before = projected_gradient(&problem, &start);
+        let options = DesignOptions {
+            search: "local".into(),
+            start: Some(start),
+            evaluations: 6000,
+            gradient_tolerance: 1e-4 * before,
+            value_tolerance: 0.0,
+            ..Default::default()
+        };
+        let from = cpu_s();
+        let found = design(&problem, &options, &|| false, &|_| {}).expect("well posed");
+        let cpu = cpu_s().zip(from).map_or(f64::NAN, |(a, b)| a - b);
+        let left = projected_gradient(&problem, &found.u) / before;
+        println!("{n_samples:9}{:14}{:14.4}{left:14.2e}{cpu:10.2}", found.evaluations, found.value);
+    }
+}
+
+/// Largest component of the projected gradient per unit of range.
+fn projected_gradient(problem: &DesignProblem, u: &[f64]) -> f64 {
+    let mut g = vec![0.0; u.len()];
+    Evaluator::new(problem).expect("well posed").value_gradient(u, 8.0, &mut g);
+    u.iter().zip(&g).enumerate().fold(0.0, |worst, (k, (u, g))| {
+        let c = &problem.channels[k % problem.channels.len()];
+        let range = c.upper - c.lower;
+        let x = (u - c.lower) / range;
+        worst.max(((x - g * range).clamp(0.0, 1.0) - x).abs())
+    })
+}
+
 fn main() {
     designs();
+    growth();
     if std::env::var_os("DESIGNS_ONLY").is_some() {
         return;
     }

@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn products_equal_the_plain_loops() {
-        for (n, p) in [(1, 1), (7, 3), (13, 4), (30, 7), (9, 9)] {
+        for (n, p) in [(1, 1), (7, 3), (13, 4), (30, 7), (9, 9), (3, 23), (90, 17), (41, 23), (8, 32)] {
             let (s, b) = (random(n * p, 1), random(p * p, 2));
             let mut g = vec![0.0; p * p];
             gram_add(&s, p, &mut g);

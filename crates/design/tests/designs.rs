@@ -128,6 +128,31 @@ fn longer_searches_pass_the_best_known_values() {
     }
 }
 
+/// Streams belong to starts and parts, not to threads: one thread and three give the same bytes.
+#[test]
+fn designs_and_bounds_do_not_depend_on_the_number_of_threads() {
+    let texts = ["1", "a(t)", "a(t-1)*b(t)", "a(t-2)^2", "b(t-1)^2", "y(t-1)"];
+    let model = dynocal_ident::model::poly::PolyNarx::parse(&["a", "b"], "y", &texts).unwrap();
+    let d = named("d");
+    let term = Term::new("y", &model, &[1.0, 0.5, 0.3, 0.2, -0.4, 0.4], 1.0, d.as_ref());
+    let p = DesignProblem {
+        channels: ["a", "b"].map(|name| Channel::free(name, -1.0, 1.0)).to_vec(),
+        n_samples: 60,
+        convention: Convention::Trim,
+        start: 2,
+        terms: vec![term],
+    };
+    let options = DesignOptions { starts: 4, evaluations: 300, certify: true, ..Default::default() };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| run(&p, &options))
+    };
+    let (one, three) = (on(1), on(3));
+    assert_eq!((&one.u, one.value, one.evaluations), (&three.u, three.value, three.evaluations));
+    assert!(one.certificate.as_ref().is_some_and(|c| c.is_ok()));
+    assert_eq!(one.certificate, three.certificate);
+}
+
 /// Every search: within the bounds, never worse than a given start, the same twice, reproducible value.
 #[test]
 fn searches_keep_their_contract() {
