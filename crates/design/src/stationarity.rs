@@ -86,8 +86,11 @@ impl Cone<'_> {
         let mut left = g.to_vec();
         for (j, v) in left.iter_mut().enumerate() {
             let (low, high) = (self.x[j] - lower[j] < 1e-9, upper[j] - self.x[j] < 1e-9);
-            if low && high || low && *v > 0.0 || high && *v < 0.0 {
-                *v = 0.0;
+            if low {
+                *v = v.min(0.0);
+            }
+            if high {
+                *v = v.max(0.0);
             }
         }
         left
