@@ -193,6 +193,9 @@ fn bed_now(bed: &TestBed, records: &[Dataset], course: Course) -> Result<TestBed
     Ok(now)
 }
 
+/// Share of the range of an output that both margins take at most: a poor first model leaves something to design in.
+const MOST_OF_RANGE: f64 = 0.8;
+
 /// Limits of the predictions with margins from held-out blocks of the records so far.
 fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<(String, f64, f64)>, LoopError> {
     let mut out = Vec::new();
@@ -200,7 +203,10 @@ fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<(Strin
         let Some(s) = spec.structures.iter().find(|s| s.output == l.output) else { continue };
         let data = spec.bed.experiments(records, s.output)?;
         let margins = held_out_margins(s.model, &data, l.rate, &Blocks::default())?;
-        let factor = if round == 0 { l.caution } else { 1.0 };
+        let asked = if round == 0 { l.caution } else { 1.0 };
+        let most =
+            MOST_OF_RANGE * (l.upper - l.lower) / (margins.lower + margins.upper).max(f64::MIN_POSITIVE);
+        let factor = asked.min(most);
         out.push((l.output.clone(), l.lower + factor * margins.lower, l.upper - factor * margins.upper));
     }
     Ok(out)

@@ -216,14 +216,9 @@ impl<'a> Setting<'a> {
                 .collect();
             Ok(each?.iter().sum())
         };
-        let mut best = (f64::INFINITY, kinds[0]);
-        for kind in kinds {
-            let found = error(kind)?;
-            if found < best.0 {
-                best = (found, *kind);
-            }
-        }
-        Ok(best.1)
+        let errors: Result<Vec<f64>, LoopError> = kinds.iter().map(error).collect();
+        let best = kinds.iter().zip(errors?).min_by(|a, b| a.1.total_cmp(&b.1));
+        best.map(|b| *b.0).ok_or(LoopError::Shape { what: "kinds to choose from", found: 0, expected: 1 })
     }
 
     /// Runs the campaign for every seed and scores its models.

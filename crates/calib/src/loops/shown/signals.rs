@@ -67,7 +67,7 @@ impl Kind {
                 Kind::Aprbs { levels, hold } => {
                     set("hold_s", hold as f64 * dt);
                     // Channels do not switch together.
-                    set("phase_s", (i % hold) as f64 * dt);
+                    set("phase_s", (i % hold.max(1)) as f64 * dt);
                     ("aprbs", vec![("levels", levels)])
                 }
                 Kind::SpaceFilling { hold, ramp } => {

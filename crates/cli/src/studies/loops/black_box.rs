@@ -170,9 +170,31 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         "Criteria: AI (4.50) and I see variance only and send a record to the ends of the box, where a model that is too simple errs most. MSE adds the squared bias that terms left out would cause (Box and Draper), with the lack of fit that the first record shows.",
     );
     for way in Way::ALL {
-        section = section.block(errors_table(&b, way));
+        section = section.text(verdict(&b, way)).block(errors_table(&b, way));
     }
     report.section(section.block(thesis_table(&b)))
+}
+
+/// Which designs are better than UDRN and which are worse than the best rival, in words.
+fn verdict(b: &BlackBox, way: Way) -> String {
+    let (udrn, best) = (errors(b, Campaign::Random(Kind::Udrn), way), best_rival(b, way));
+    let of = |c: &Campaign| {
+        let designed = errors(b, *c, way);
+        let against = |rival: Option<&[f64]>| match Paired::of(rival?, designed?)? {
+            p if p.low > 0.0 => Some("better"),
+            p if p.high < 0.0 => Some("worse"),
+            _ => Some("no different"),
+        };
+        let said = |found: Option<&'static str>| found.unwrap_or("not compared");
+        format!(
+            "{}: {} than UDRN, {} than the best rival",
+            c.name(),
+            said(against(udrn)),
+            said(against(best.map(|r| r.1)))
+        )
+    };
+    let all: Vec<String> = Campaign::DESIGNED.iter().map(of).collect();
+    format!("{}, random records, by the 95 % intervals. {}.", way.name(), all.join("; "))
 }
 
 fn errors_table(b: &BlackBox, way: Way) -> Table {
