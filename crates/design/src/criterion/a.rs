@@ -11,7 +11,7 @@ pub(super) struct A;
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
     doc: MemberDoc {
         name: "a",
-        what: "A-optimal: tr M^-1, the sum of the parameter variances in raw units",
+        what: "A-optimal: tr M^-1, the sum of the parameter variances in raw units: it mixes units, so that the largest number wins",
         params: &[],
     },
     build: |keys| no_keys::<A>("a", keys),

@@ -12,7 +12,7 @@ pub(super) struct Ai;
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
     doc: MemberDoc {
         name: "ai",
-        what: "adapted I-optimal (4.50): parameter variances weighted with the sensitivities of the objective signal",
+        what: "adapted I-optimal (4.50): parameter variances weighted with the sensitivities of the objective signal: it neglects the correlation of the parameters, which i has",
         params: &[],
     },
     build: |keys| no_keys::<Ai>("ai", keys),

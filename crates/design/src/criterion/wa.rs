@@ -13,7 +13,7 @@ pub(super) struct Wa;
 pub(super) const MEMBER: Member<dyn Criterion> = Member {
     doc: MemberDoc {
         name: "wa",
-        what: "weighted A-optimal (4.35): parameter variances weighted with the sensitivities of the design itself",
+        what: "weighted A-optimal (4.35): parameter variances weighted with the sensitivities of the design itself: blind to amplitude",
         params: &[],
     },
     build: |keys| no_keys::<Wa>("wa", keys),
