@@ -447,9 +447,10 @@ impl Tracker<'_> {
             let (value, band) = (f + d, self.band(*f));
             let passes =
                 |value: f64, limit: f64| Some((w.output.clone(), Reason::Predicted { value, limit, ahead }));
-            if !(value + band <= w.upper) {
+            // A prediction that is not finite is within no limit.
+            if !(f64::NEG_INFINITY..=w.upper).contains(&(value + band)) {
                 passes(value + band, w.upper)
-            } else if !(value - band >= w.lower) {
+            } else if !(w.lower..=f64::INFINITY).contains(&(value - band)) {
                 passes(value - band, w.lower)
             } else {
                 None
@@ -468,7 +469,7 @@ impl Tracker<'_> {
         let margin = if w.predictor.is_some() { 0.0 } else { w.margin };
         let limit = if y > w.upper - margin {
             w.upper
-        } else if !(y >= w.lower + margin) {
+        } else if !(w.lower + margin..=f64::INFINITY).contains(&y) {
             w.lower
         } else {
             return None;

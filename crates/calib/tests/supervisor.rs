@@ -43,7 +43,7 @@ impl Plant for Toy {
     }
     fn step(&mut self, inputs: &[f64], dt_s: f64, outputs: &mut [f64]) -> Result<(), PlantError> {
         let (u, time_s) = (inputs[0], self.state[3]);
-        if !(u.abs() <= 4.0) {
+        if !(-4.0..=4.0).contains(&u) {
             let (name, unit) = ("u".into(), "-".into());
             return Err(PlantError::OutOfRange { name, found: u, unit, min: -4.0, max: 4.0, time_s });
         }

@@ -197,7 +197,7 @@ pub fn load(job: &Job) -> Result<Inputs, DesignJobError> {
         channels.push(channel);
     }
     let models = job.models.iter().map(|m| loaded(job, m)).collect::<Result<Vec<_>, _>>()?;
-    for m in models.iter().filter(|m| !(m.noise_variance > 0.0)) {
+    if let Some(m) = models.iter().find(|m| m.noise_variance.is_nan() || m.noise_variance <= 0.0) {
         let (what, expected) = (format!("{}: noise variance", m.name), "a positive number".into());
         return Err(DesignError::Number { what, found: m.noise_variance, expected }.into());
     }
