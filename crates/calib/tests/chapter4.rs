@@ -6,6 +6,7 @@ use dynocal_calib::chapter4::correlation::correlations;
 use dynocal_calib::chapter4::distribution::distribution;
 use dynocal_calib::chapter4::iterative::{Use, iterate};
 use dynocal_calib::chapter4::library::Library;
+use dynocal_calib::chapter4::objective_signal::{Origin, compare};
 use dynocal_calib::chapter4::population::{NOISE, Population, VALIDATION, measure};
 use dynocal_calib::chapter4::published::R2_TORQUE;
 use dynocal_calib::chapter4::source::{DesignCriterion, Source, signals};
@@ -198,4 +199,20 @@ fn pooled_iterations_approach_the_truth() {
     assert_eq!(mean(&pooled, 1), mean(&fresh, 1), "the first iteration is the same");
     assert!(mean(&pooled, 5) < 0.5 * mean(&pooled, 0));
     assert!(mean(&pooled, 5) < mean(&fresh, 5));
+}
+
+/// A design for the control loop predicts the loop better than random signals of the same length do, and any design for
+/// broadband signals beats them on those.
+#[test]
+fn objective_signals_decide_what_a_model_is_good_at() {
+    let library = Library::new(Size { identification: 10, validation: 30, designed: 0, seed: 4 }).unwrap();
+    let found = compare(&library, &|| false).unwrap();
+    for c in &found {
+        println!("{}: loop {:?}, APRBS {:?}, UDRN {:?}", c.origin.name(), c.on_loop, c.on_aprbs, c.on_udrn);
+    }
+    let of = |origin| found.iter().find(|c| c.origin == origin).unwrap();
+    let random = of(Origin::Known(Source::Udrn));
+    assert!(of(Origin::ForLongLoop).on_loop.rmse < random.on_loop.rmse);
+    assert!(of(Origin::ForUdrn).on_udrn.rmse < random.on_udrn.rmse);
+    assert!(of(Origin::Known(Source::Design(DesignCriterion::I))).on_aprbs.rmse < random.on_aprbs.rmse);
 }
