@@ -110,12 +110,14 @@ impl Case {
 
     /// What counts as having reached the best known value.
     pub(super) fn within(&self) -> f64 {
-        match self.criterion {
+        let v = match self.criterion {
             "d" if self.kind != Kind::Both => self.best_known + WITHIN.1,
             "d" => self.best_known + WITHIN.1 * (WEIGHTS_D.0 + WEIGHTS_D.1),
             "e" => self.best_known * (1.0 - WITHIN.0),
             _ => self.best_known * (1.0 + WITHIN.0),
-        }
+        };
+        // Seven digits: what is asked is read by people.
+        format!("{v:.6e}").parse().unwrap_or(v)
     }
 
     /// Evaluations of a single start: runs that have to meet output limits take more of them.
