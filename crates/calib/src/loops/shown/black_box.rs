@@ -37,6 +37,9 @@ pub struct Size {
     pub evaluations: usize,
 }
 
+/// Rank, and the mean squared errors on random and on ramped unseen records.
+type Score = (usize, f64, f64);
+
 impl Size {
     /// Samples of a whole campaign.
     pub fn samples(&self) -> usize {
@@ -231,7 +234,7 @@ impl<'a> Setting<'a> {
         size: Size,
         interrupt: &(dyn Fn() -> bool + Sync),
     ) -> Result<Compared, LoopError> {
-        let one = |k: u64| -> Result<(Vec<(usize, f64, f64)>, f64), LoopError> {
+        let one = |k: u64| -> Result<(Vec<Score>, f64), LoopError> {
             if interrupt() {
                 return Err(LoopError::Interrupted);
             }
@@ -301,7 +304,7 @@ impl<'a> Setting<'a> {
     }
 
     /// Rank and errors on both unseen sets.
-    fn score(&self, way: Way, data: &[Experiment]) -> Result<(usize, f64, f64), LoopError> {
+    fn score(&self, way: Way, data: &[Experiment]) -> Result<Score, LoopError> {
         let model = if way == Way::Quadratic { &self.quadratic } else { &self.affine };
         let fit = match way {
             Way::Reduced => {
