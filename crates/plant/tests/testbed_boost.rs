@@ -22,7 +22,7 @@ fn limits_of_combustion_are_not_exceeded_for_longer_than_stated() {
     let ranges = [(20.0, 75.0), (15.0, 45.0), (30.0, 90.0), (1500.0, 3500.0), (0.0, 12.0)];
     let limits = [
         limit("knock", Some(1.0), None, Action::RetardSpark, 0.5),
-        limit("egt", Some(1000.0), None, Action::Enrich, 0.5),
+        limit("egt", Some(980.0), None, Action::Enrich, 0.5),
         limit("burned_share", None, Some(0.5), Action::Enrich, 0.5),
     ];
     kept(&limits, ranges);

@@ -115,7 +115,9 @@ mod tests {
     fn a_single_stage_takes_the_residual_variance() {
         let found = forecast(&[stage(3.0, 0.2)], 0.1, 0.0, 0.1).unwrap();
         assert!((found.factor - 2.0).abs() < 1e-12 && (found.floor - 2.6).abs() < 1e-12, "{found:?}");
-        assert!((found.reduction - 0.2).abs() < 1e-12 && !found.stop);
+        // 0.2 of 3.0: below a tenth, above a twentieth.
+        assert!((found.reduction - 0.2).abs() < 1e-12 && found.stop);
+        assert!(!forecast(&[stage(3.0, 0.2)], 0.1, 0.0, 0.05).unwrap().stop);
     }
 
     /// A long exact history outweighs a wrong residual variance, in proportion to its spread.
