@@ -119,9 +119,6 @@ impl Known {
         let data = self.bed.experiments(&[self.random(true, seed, 1, size.initial)?], OUTPUT)?;
         let fit = identify(&self.model, &data)?;
         let u0 = Kind::Udrn.record(&self.bed, 200, &mut Rng64::stream(seed, 2))?;
-        let stable = Stable { u: &u0, initial_output: 0.0, bound: 10.0 };
-        let drawn = |n, s| draws(&self.model, &fit.theta, &fit.covariance, n, s, stable);
-        let (few, fresh) = (drawn(size.draws, seed)?, drawn(size.fresh, seed + 1_000_000)?);
         let c = criterion("d", &toml::Table::new())?;
         let variance = fit.noise_variance;
         let term = Term::new(OUTPUT, &self.model, &fit.theta, variance, c.as_ref());
@@ -129,6 +126,11 @@ impl Known {
         let options = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
         let never = || false;
         let nominal = design(&posed, &options, &never, &|_| {})?.u;
+        // A design drives harder than a random record, and a draw must be stable under both to be judged at all.
+        let driven = [u0, nominal.clone()].concat();
+        let stable = Stable { u: &driven, initial_output: 0.0, bound: 10.0 };
+        let drawn = |n, s| draws(&self.model, &fit.theta, &fit.covariance, n, s, stable);
+        let (few, fresh) = (drawn(size.draws, seed)?, drawn(size.fresh, seed + 1_000_000)?);
         // Losses are measured from designs that start at the nominal one, so that a poor local optimum hides none.
         let options = DesignOptions { start: Some(nominal.clone()), ..options };
         let ensemble = Ensemble::new(&posed, &few, &options, &never)?;
