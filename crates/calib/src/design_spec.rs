@@ -79,7 +79,7 @@ pub struct Job {
     pub search: SearchSpec,
     /// Random signals of each rival kind.
     pub rivals: usize,
-    /// Whether the upper bound of the information is computed, which takes a while.
+    /// Whether the upper bound of the information is computed, which takes a while; by default for `d` of one model.
     pub certificate: bool,
     /// Seed.
     pub seed: u64,
@@ -142,6 +142,8 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let models = models::models(t.models.as_deref().unwrap_or(&[]), dt_s, folder, faults);
     let objective = models::objective(t.objective.as_ref(), &channels, dt_s, folder, faults);
     let search = search(t.search.as_ref(), faults);
+    let criteria: Vec<&str> = models.iter().filter_map(|m| m.criterion.as_deref()).collect();
+    let d_of_one_model = criteria == ["d"];
     let name = t.name.clone().unwrap_or_else(|| stem.to_string());
     let out = over.out.clone().or_else(|| t.out.as_ref().map(|o| folder.join(o)));
     Some(Job {
@@ -155,7 +157,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         objective: objective?,
         search: search?,
         rivals: t.rivals.unwrap_or(20),
-        certificate: t.certificate.unwrap_or(false),
+        certificate: t.certificate.unwrap_or(d_of_one_model),
         seed: over.seed.or(t.seed).unwrap_or(1),
     })
 }

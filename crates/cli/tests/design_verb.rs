@@ -55,6 +55,7 @@ fn refused(spec: &str, files: &[(&str, &str)], parts: &[&str]) {
 
 /// The box of thesis eq. (4.16) with its torque model and few evaluations.
 const TORQUE: &str = r#"
+certificate = false
 length_s = 10.0
 sample_time_s = 0.1
 convention = "trim"
@@ -106,8 +107,23 @@ fn the_example_keeps_all_its_limits_and_beats_random_signals() {
         // The best of the random signals, not only the median.
         assert!(e["d_percent"][2].as_f64().unwrap() < 60.0, "{e}");
     }
+    // A bound is below every design, hence also below this one, and the efficiency follows from both.
+    let (bound, value) =
+        (s["certificate"]["bound"].as_f64().unwrap(), s["criteria"][0]["value"].as_f64().unwrap());
+    let percent = s["certificate"]["efficiency_percent"].as_f64().unwrap();
+    assert!(
+        bound < value && (percent - 100.0 * ((bound - value) / 23.0).exp()).abs() < 1e-6,
+        "{bound} {percent}"
+    );
     let page = std::fs::read_to_string(o.folder.path().join("run/report.html")).unwrap();
-    for part in ["What the design is worth", "Predicted outputs", "band, upper", "resonance", "Convergence"] {
+    for part in [
+        "Certificate",
+        "What the design is worth",
+        "Predicted outputs",
+        "band, upper",
+        "resonance",
+        "Convergence",
+    ] {
         assert!(page.contains(part), "no {part}");
     }
 }

@@ -88,6 +88,10 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
     let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= -1e-6);
     let seen = information.iter().all(|i| i.rank == i.parameters);
     let criteria = criteria(&problem, inputs, &found.u)?;
+    let bound = (job.certificate && !(around.interrupt)()).then(|| {
+        (around.note)("bounding the information of every record within the limits (`certificate = false` leaves it out)");
+        certificate(&problem, &criteria)
+    });
     let channels = job.channels.iter().map(|c| quantity(&c.channel.name, &c.unit)).collect();
     Ok((
         Designed {
@@ -102,7 +106,7 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
             value: found.value,
             start_value: found.start_value,
             efficiencies: rivals,
-            certificate: if job.certificate { Some(certificate(&problem, &criteria)) } else { None },
+            certificate: bound,
             criteria,
             objective: objective_text,
             safety,

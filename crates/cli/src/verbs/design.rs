@@ -94,6 +94,9 @@ fn text(found: &Designed) -> String {
     out += "Efficiency of random signals of the same limits, the design being 100 % (medians):\n\n";
     let header = ["model", "signal", "D [%]", "I [%]", "amplitude left [%]"];
     out += &table::render(&header, &rows, &[2, 3, 4]);
+    if let Some((bound, percent)) = found.certificate.as_ref().and_then(|b| b.bound.zip(b.efficiency_percent)) {
+        out += &format!("\nNo record within the amplitude limits has J_D below {bound:.2}: at least {percent:.1} % of it reached.\n");
+    }
     let limited: Vec<&SafetyLine> = found.safety.iter().filter(|s| s.limits.is_some()).collect();
     if !limited.is_empty() {
         let rows: Vec<Vec<String>> = limited.iter().map(|s| safety(s)).collect();
