@@ -28,7 +28,10 @@ use dynocal_deliver::Report;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_numerics::registry::MemberDoc;
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
+
+use asked::Asked;
 
 /// How a study is run.
 #[derive(Clone, Debug, Serialize)]
@@ -197,4 +200,30 @@ fn warnings(options: &Options, checks: &[Check]) -> Vec<String> {
         out.push(format!("{} of {} checks do not hold: {}.", failed.len(), checks.len(), failed.join(", ")));
     }
     out
+}
+
+/// The result of the task `name`; none where it cannot be read, and then its checks fail.
+fn result<T: DeserializeOwned>(results: &[TaskResult], name: &str) -> Option<T> {
+    let found = results.iter().find(|r| r.name == name)?;
+    serde_json::from_value(found.value.clone()).ok()
+}
+
+/// A check of `measured` against what is `asked`.
+fn check(
+    id: impl Into<String>,
+    what: impl Into<String>,
+    asked: Asked,
+    measured: Option<f64>,
+    unit: &'static str,
+    note: impl Into<String>,
+) -> Check {
+    Check {
+        id: id.into(),
+        what: what.into(),
+        asked: asked.text(),
+        measured,
+        unit,
+        holds: asked.holds(measured),
+        note: note.into(),
+    }
 }

@@ -67,7 +67,7 @@ fn kept(results: &[TaskResult], limits: Limits) -> Check {
         Asked::AtMost(most),
         worst,
         unit,
-        "predicted by the known model, which is the engine here".into(),
+        "predicted by the known model, which is the engine here",
     )
 }
 

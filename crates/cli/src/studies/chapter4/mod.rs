@@ -23,11 +23,10 @@ use dynocal_calib::chapter4::{Chapter4Error, Size};
 use dynocal_deliver::{Cell, Report};
 use dynocal_numerics::registry::MemberDoc;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::asked::Asked;
-use super::{Check, Options, Study, Surroundings, Task, TaskResult};
+use super::{Check, Options, Study, Surroundings, Task, TaskResult, check, result};
 
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
@@ -106,12 +105,6 @@ fn task<T: Serialize>(
     Task { name, inputs, run: Box::new(work) }
 }
 
-/// The result of the task `name`; none where it cannot be read, and then its checks fail.
-fn result<T: DeserializeOwned>(results: &[TaskResult], name: &str) -> Option<T> {
-    let found = results.iter().find(|r| r.name == name)?;
-    serde_json::from_value(found.value.clone()).ok()
-}
-
 /// The populations that can be read; a missing one makes its checks fail.
 fn populations(results: &[TaskResult]) -> Vec<Population> {
     SOURCES.iter().filter_map(|s| result(results, &s.name())).collect()
@@ -119,25 +112,6 @@ fn populations(results: &[TaskResult]) -> Vec<Population> {
 
 fn of(populations: &[Population], source: Source) -> Option<&Population> {
     populations.iter().find(|p| p.source == source)
-}
-
-fn check(
-    id: impl Into<String>,
-    what: impl Into<String>,
-    asked: Asked,
-    measured: Option<f64>,
-    unit: &'static str,
-    note: String,
-) -> Check {
-    Check {
-        id: id.into(),
-        what: what.into(),
-        asked: asked.text(),
-        measured,
-        unit,
-        holds: asked.holds(measured),
-        note,
-    }
 }
 
 /// A mean with its standard error in brackets.

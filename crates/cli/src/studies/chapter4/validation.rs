@@ -83,7 +83,7 @@ fn order_check(all: &[Population], noise: f64) -> Check {
         asked,
         asked.worst(&steps),
         "%",
-        "columns PRBS, APRBS, UDRN, U_G, U_I and U_AI of Tables 4.11, 4.14 and 4.15".into(),
+        "columns PRBS, APRBS, UDRN, U_G, U_I and U_AI of Tables 4.11, 4.14 and 4.15",
     )
 }
 

@@ -13,11 +13,9 @@ use dynocal_numerics::registry::MemberDoc;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::sensors::NoiseLevels;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::asked::Asked;
-use super::{Check, Options, Study, Surroundings, Task, TaskResult};
+use super::{Check, Options, Study, Surroundings, Task, TaskResult, check, result};
 
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
@@ -80,31 +78,6 @@ fn task<T: serde::Serialize>(
         Err(e) => Err(ChainError::Identify { what: of.clone(), reason: e.to_string() }),
     };
     Task { name: name.into(), inputs, run: Box::new(work) }
-}
-
-/// The result of the task `name`; none where it cannot be read, and then its checks fail.
-fn result<T: DeserializeOwned>(results: &[TaskResult], name: &str) -> Option<T> {
-    let found = results.iter().find(|r| r.name == name)?;
-    serde_json::from_value(found.value.clone()).ok()
-}
-
-fn check(
-    id: impl Into<String>,
-    what: impl Into<String>,
-    asked: Asked,
-    measured: Option<f64>,
-    unit: &'static str,
-    note: impl Into<String>,
-) -> Check {
-    Check {
-        id: id.into(),
-        what: what.into(),
-        asked: asked.text(),
-        measured,
-        unit,
-        holds: asked.holds(measured),
-        note: note.into(),
-    }
 }
 
 /// A structure of a fixed list of regressors.
