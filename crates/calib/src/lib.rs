@@ -3,15 +3,10 @@
 //! A campaign sees a plant only as `&mut dyn Plant`: a test bed, a recording and the virtual engine are the same
 //! thing to it.
 
-pub mod chain;
-pub mod chapter4;
-pub mod chapter5;
 pub mod control;
-pub mod design_spec;
 pub mod engine_model;
 pub mod excite;
 pub mod fuel;
-pub mod identify;
 pub mod loops;
 pub mod map;
 pub mod record;

@@ -14,6 +14,11 @@ pub(crate) enum Exit {
     CouldNot,
 }
 
+/// How a verb ends whose result is usable (0) or not (1).
+pub(crate) fn exit(valid: bool) -> Exit {
+    if valid { Exit::Done } else { Exit::NotValid }
+}
+
 impl From<Exit> for ExitCode {
     fn from(e: Exit) -> Self {
         ExitCode::from(match e {

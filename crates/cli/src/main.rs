@@ -1,16 +1,10 @@
 //! The dynocal command-line tool: it parses, calls and shows; the mathematics is in the crates below.
 
-mod calibrate_report;
-mod campaign;
 mod common;
-mod design_report;
 mod failure;
-mod identify_report;
 mod interrupt;
-mod plants;
 mod progress;
 mod step_progress;
-mod studies;
 mod table;
 mod verbs;
 

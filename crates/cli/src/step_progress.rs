@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 use std::sync::Mutex;
 
-use dynocal_calib::chain::context::Event;
+use dynocal_jobs::calibrate::context::Event;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// Rough shares of the seven steps in the whole time, for the bar only.

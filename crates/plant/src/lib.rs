@@ -4,14 +4,13 @@
 //! filling-and-emptying kind (level F0): eight gas volumes, three conserved species, direct injection,
 //! Wiebe combustion with a burn sub-model, Woschni heat transfer, Chen-Flynn friction. It stands in
 //! for the engine model of the thesis (chapters 3, 6, 7). [`bed::EngineBed`] puts it behind the plant
-//! contract of the identification crate; [`statics`] finds steady points and best spark; [`verification`] and
-//! [`transients`] measure what the engine is compared by.
+//! contract of the identification crate;
+//! [`statics`] finds steady points and best spark; [`plants`] is the table that specs name.
 
 pub mod bed;
 mod bookkeeping;
 mod boosted;
 pub mod cams;
-pub mod class_values;
 pub mod combustion;
 pub mod dissociation;
 pub mod egr;
@@ -33,13 +32,12 @@ pub mod orifice;
 pub mod outputs;
 pub mod params;
 pub mod perturb;
+pub mod plants;
 pub mod sensors;
 pub mod state;
 pub mod statics;
 mod step;
 pub mod testbed;
 pub mod trace;
-pub mod transients;
 pub mod turbocharger;
 pub mod vehicle;
-pub mod verification;

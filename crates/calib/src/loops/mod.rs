@@ -4,7 +4,7 @@
 //! one long test, given all data so far, and ends when [`stop`] says that the next minute is worth too little. Designs may
 //! be for a [`pool`] of structures, [`robust`] over a distribution of parameters, for several outputs at once, and
 //! within limits whose [`margin`] comes from held-out errors. [`lambda_hold`] keeps the mixture of an engine while a test
-//! moves the air, [`rehearsal`] puts a model in the place of the plant. [`shown`] measures what all this is worth.
+//! moves the air, [`rehearsal`] puts a model in the place of the plant.
 //!
 //! ```
 //! use dynocal_calib::loops::bed::TestBed;
@@ -44,7 +44,6 @@ pub mod pool;
 pub mod rehearsal;
 pub mod robust;
 pub mod rounds;
-pub mod shown;
 pub mod stop;
 pub mod variance;
 

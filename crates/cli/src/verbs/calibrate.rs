@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, Command, FromArgMatches};
-use dynocal_calib::chain::context::ChainError;
-use dynocal_calib::chain::run::STEPS;
+use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::run::STEPS;
 
 use super::Verb;
-use crate::campaign::{self, Campaign, Finished, load};
+use dynocal_jobs::calibrate::job::{self, Campaign, Finished};
+use dynocal_jobs::calibrate::store;
 use crate::common::{Common, print};
-use crate::failure::{Exit, Failure};
+use crate::failure::{Exit, Failure, exit};
 use crate::interrupt;
 use crate::step_progress::StepProgress;
 
@@ -68,13 +69,13 @@ fn describe(command: Command, about: &'static str) -> Command {
 fn run_until(matches: &ArgMatches, until: &str, own: Option<usize>) -> Result<Exit, Failure> {
     let args = Calibrate::from_arg_matches(matches)?;
     let progress = args.common.start_steps()?;
-    let campaign = campaign::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
-    let outcome = campaign::run(&campaign, until, &|e| progress.tell(e), &interrupt::asked);
+    let campaign = job::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
+    let outcome = job::run(&campaign, until, &|e| progress.tell(e), &interrupt::asked);
     progress.finish();
     match outcome {
         Ok(done) => {
             show(&args.common, &progress, &campaign, &done, own)?;
-            Ok(done.exit())
+            Ok(exit(done.valid))
         }
         // The campaign is not over: a bed has to run a plan first.
         Err(e @ ChainError::NeedsMeasurement { .. }) => {
@@ -124,7 +125,7 @@ fn show(
 }
 
 fn files(run: &Path, k: usize) -> Result<String, Failure> {
-    let folder = load::step_folder(run, k);
+    let folder = store::step_folder(run, k);
     let mut names: Vec<String> = std::fs::read_dir(&folder)?
         .filter_map(Result::ok)
         .map(|e| format!("  {}\n", folder.join(e.file_name()).display()))

@@ -1,9 +1,9 @@
 //! The results of a calibration in a few lines for the terminal.
 
-use dynocal_calib::chain::run::ChainResult;
+use dynocal_jobs::calibrate::run::ChainResult;
 
-use crate::campaign::verdict::stages;
 use crate::table;
+use dynocal_jobs::calibrate::verdict::stages;
 
 /// Tables of what was found, as far as the run went.
 pub(crate) fn results(r: &ChainResult) -> String {

@@ -3,18 +3,19 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_calib::design_spec::load::DesignJobError;
-use dynocal_calib::design_spec::result::{Designed, SafetyLine};
-use dynocal_calib::design_spec::run::{Around, run as make};
-use dynocal_calib::design_spec::{Overrides, read};
-use dynocal_deliver::significant;
+use dynocal_jobs::design::load::DesignJobError;
+use dynocal_jobs::design::result::{Designed, SafetyLine};
+use dynocal_jobs::design::run::{Around, run as make};
+use dynocal_jobs::design::{Overrides, read};
+use dynocal_report::significant;
 use dynocal_design::error::DesignError;
 use dynocal_design::search::Failure as SearchFailure;
 
 use super::Verb;
 use crate::common::{Common, print};
 use crate::failure::{Exit, Failure};
-use crate::{design_report, interrupt, table};
+use crate::{interrupt, table};
+use dynocal_jobs::design::page as design_report;
 
 pub(crate) const VERB: Verb =
     Verb { name: "design", describe: |c| Design::augment_args(c.about(ABOUT)), run };

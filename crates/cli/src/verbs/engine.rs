@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches, Subcommand, ValueEnum};
-use dynocal_deliver::{Axis, Block, Report, Section, XyPlot, render};
+use dynocal_report::{Axis, Block, Report, Section, XyPlot, render};
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::inputs::Inputs;
@@ -17,7 +17,8 @@ use super::engine_transient::Transient;
 use super::engine_map::{FullLoad, Map};
 use crate::common::print;
 use crate::failure::{Exit, Failure};
-use crate::{plants, table};
+use crate::table;
+use dynocal_plant::plants;
 
 pub(crate) const VERB: Verb =
     Verb { name: "engine", describe: |c| Engine::augment_args(c.about(ABOUT)), run };
@@ -257,7 +258,7 @@ pub(super) static QUANTITIES: &[Quantity] = &[
 pub(super) fn show(points: &[Point]) {
     const SHORT: [&str; 11] =
         ["speed", "throttle", "spark", "inj", "torque", "lambda", "map", "egt", "bsfc", "pmax", "ca50"];
-    let text = |q: &Quantity, p: &Point| dynocal_deliver::significant((q.3)(p), q.2);
+    let text = |q: &Quantity, p: &Point| dynocal_report::significant((q.3)(p), q.2);
     if let [p] = points {
         let rows: Vec<Vec<String>> =
             QUANTITIES.iter().map(|q| vec![q.0.into(), text(q, p), q.1.into()]).collect();
@@ -284,7 +285,7 @@ fn report(title: &str, set: &str, points: &[Point], t: &CylinderTrace) -> Report
     let mut report = Report::new(title).subtitle(format!("Virtual engine, parameter set {set}"));
     if let Some(p) = points.last() {
         for q in QUANTITIES {
-            report = report.fact(format!("{} [{}]", q.0, q.1), dynocal_deliver::significant((q.3)(p), q.2));
+            report = report.fact(format!("{} [{}]", q.0, q.1), dynocal_report::significant((q.3)(p), q.2));
         }
     }
     let litre: Vec<f64> = t.volume_m3.iter().map(|v| 1e3 * v).collect();

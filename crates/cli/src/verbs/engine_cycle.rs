@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use dynocal_deliver::{Axis, Block, Panel, Report, Section, TimePlot, XyPlot, render, significant};
 use dynocal_files::table::{Column, Table};
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::params::EngineParams;
@@ -11,6 +10,7 @@ use dynocal_plant::vehicle::{
     Car, CycleError, DriveCycle, DriveLog, DriveOptions, EngineInCar, LoadUnits, PowerSource, SteadyGrid,
     drive,
 };
+use dynocal_report::{Axis, Block, Panel, Report, Section, TimePlot, XyPlot, render, significant};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::common::print;

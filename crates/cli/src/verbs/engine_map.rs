@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dynocal_deliver::{Axis, Block, HeatMap, Report, Section, XyPlot, render};
 use dynocal_plant::full_load::{LoadLimits, LoadPoint, load_map};
 use dynocal_plant::params::EngineParams;
+use dynocal_report::{Axis, Block, HeatMap, Report, Section, XyPlot, render};
 
 use super::engine::{Point, QUANTITIES, Quantity, csv, show};
 use crate::common::print;

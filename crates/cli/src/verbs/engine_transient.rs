@@ -3,16 +3,17 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dynocal_deliver::{Block, Cell, Column as Head, Panel, Report, Section, TimePlot, render, significant};
 use dynocal_files::table::Table;
 use dynocal_files::units;
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, Variable};
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::testbed::settings::BedOptions;
+use dynocal_report::{Block, Cell, Column as Head, Panel, Report, Section, TimePlot, render, significant};
 
 use crate::common::print;
 use crate::failure::{Exit, Failure};
-use crate::{interrupt, plants, table};
+use crate::{interrupt, table};
+use dynocal_plant::plants;
 
 /// Most points of a plot.
 const PLOTTED: usize = 4000;
@@ -193,7 +194,7 @@ impl Transient {
             plot.into()
         };
         let name = self.file.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let mut events = dynocal_deliver::Table::new(vec![
+        let mut events = dynocal_report::Table::new(vec![
             Head::number("Time", "s"),
             Head::text("What"),
             Head::number("Value", ""),

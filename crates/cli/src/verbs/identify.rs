@@ -3,15 +3,16 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_calib::identify::job::{self, IdentifyError};
-use dynocal_calib::identify::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Score};
-use dynocal_calib::identify::spec::{self, Job, Overrides};
+use dynocal_jobs::identify::job::{self, IdentifyError};
+use dynocal_jobs::identify::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Score};
+use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_files::json;
 
 use super::Verb;
 use crate::common::{Common, print};
 use crate::failure::{Exit, Failure};
-use crate::{identify_report, interrupt, table};
+use crate::{interrupt, table};
+use dynocal_jobs::identify::page as identify_report;
 
 pub(crate) const VERB: Verb =
     Verb { name: "identify", describe: |c| Identify::augment_args(c.about(ABOUT)), run };
@@ -126,7 +127,7 @@ fn size(m: &Modelled) -> String {
 
 fn row(s: &Score, banded: bool) -> Vec<String> {
     let number = |x: Option<f64>, digits: usize| x.map_or("diverged".into(), |v| format!("{v:.digits$}"));
-    let error = |x: Option<f64>| x.map_or("diverged".into(), |v| dynocal_deliver::significant(v, 5));
+    let error = |x: Option<f64>| x.map_or("diverged".into(), |v| dynocal_report::significant(v, 5));
     let mut cells = vec![
         s.part.clone(),
         identify_report::kind_text(s.kind),

@@ -35,8 +35,8 @@ static FAMILIES: &[Family] = &[
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
     ("searches", || dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect()),
     ("parameters", || dynocal_plant::params::PARAMETER_SETS.iter().map(|s| s.doc).collect()),
-    ("plants", || crate::plants::PLANTS.iter().map(|p| p.doc).collect()),
-    ("studies", || crate::studies::STUDIES.iter().map(|s| s.doc).collect()),
+    ("plants", || dynocal_plant::plants::PLANTS.iter().map(|p| p.doc).collect()),
+    ("studies", || dynocal_studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];
 

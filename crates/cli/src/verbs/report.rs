@@ -5,9 +5,11 @@ use std::path::PathBuf;
 use clap::{ArgMatches, Args, FromArgMatches};
 
 use super::Verb;
-use crate::campaign;
+use dynocal_files::FilesError;
+use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::job;
 use crate::common::print;
-use crate::failure::{Exit, Failure};
+use crate::failure::{Exit, Failure, exit};
 
 pub(crate) const VERB: Verb = Verb { name: "report", describe: |c| Report::augment_args(c.about(ABOUT)), run };
 
@@ -27,11 +29,21 @@ struct Report {
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Report::from_arg_matches(matches)?;
-    let done = campaign::rebuild(&args.run)?;
+    let done = job::rebuild(&args.run).map_err(with_hint)?;
     if args.json {
         print(&std::fs::read_to_string(&done.summary)?);
     } else if !args.quiet {
         print(&format!("{}\n", done.report.display()));
     }
-    Ok(done.exit())
+    Ok(exit(done.valid))
+}
+
+fn with_hint(e: ChainError) -> Failure {
+    let foreign = matches!(&e, ChainError::Files(FilesError::ForeignFolder { .. } | FilesError::Read { .. }));
+    let failure = Failure::from(e);
+    if foreign {
+        failure.hint("give the folder that `dynocal calibrate` wrote, e.g. runs/calibrate")
+    } else {
+        failure
+    }
 }

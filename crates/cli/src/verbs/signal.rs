@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_deliver::{Axis, Bars, Cell, KeyValue, Panel, Report, Section, TimePlot, XyPlot, render};
+use dynocal_report::{Axis, Bars, Cell, KeyValue, Panel, Report, Section, TimePlot, XyPlot, render};
 use dynocal_files::run_folder::RunFolder;
 use dynocal_files::{atomic, csv_io};
 use dynocal_ident::data::{Channel, Dataset, Role};
@@ -208,7 +208,7 @@ fn text(request: &Request, a: &Analysis) -> String {
     let rows: Vec<Vec<String>> = numbers(request.unit, a)
         .into_iter()
         .map(|(name, value, unit)| {
-            let value = value.map_or("none".into(), |v| dynocal_deliver::significant(v, 5));
+            let value = value.map_or("none".into(), |v| dynocal_report::significant(v, 5));
             vec![name.into(), value, unit.into()]
         })
         .collect();
@@ -269,7 +269,7 @@ pub(super) fn analysed(
             Bars::new(
                 "Amplitude density",
                 Axis::new("share per unit", format!("1/({unit})")),
-                a.amplitudes.middle.iter().map(|m| dynocal_deliver::significant(*m, 4)),
+                a.amplitudes.middle.iter().map(|m| dynocal_report::significant(*m, 4)),
             )
             .series("density", a.amplitudes.density.clone()),
         )

@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 
-use dynocal_deliver::{Axis, Cell, Column, HeatMap, Report, Section, Table, XyPlot, render};
 use dynocal_files::run_folder::RunFolder;
 use dynocal_files::spec::{Faults, load};
 use dynocal_files::{atomic, csv_io};
@@ -14,6 +13,7 @@ use dynocal_ident::signal::analysis::{Analysis, analyse};
 use dynocal_ident::signal::signal;
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
+use dynocal_report::{Axis, Cell, Column, HeatMap, Report, Section, Table, XyPlot, render};
 use serde::{Deserialize, Serialize};
 
 use super::signal::{LAGS, MOST_SAMPLES, analysed};
@@ -216,7 +216,7 @@ fn make(request: &Request) -> Result<Made, Failure> {
 }
 
 fn text(request: &Request, made: &Made) -> String {
-    let number = |v: f64| dynocal_deliver::significant(v, 4);
+    let number = |v: f64| dynocal_report::significant(v, 4);
     let rows: Vec<Vec<String>> = request
         .channels
         .iter()

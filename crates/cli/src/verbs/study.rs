@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_calib::chain::context::{ChainError, Event};
+use dynocal_jobs::calibrate::context::Event;
 
 use super::Verb;
 use crate::common::{Common, print};
 use crate::failure::{Exit, Failure};
-use crate::studies::{self, Check, Options, STUDIES};
+use dynocal_studies::{self as studies, Check, Options, STUDIES, StudyError};
 use crate::{interrupt, table};
 
 pub(crate) const VERB: Verb = Verb { name: "study", describe: |c| Study::augment_args(c.about(ABOUT)), run };
@@ -51,7 +51,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let outcome = studies::run(study, &options, &out, &interrupt::asked, &note);
     progress.finish();
     let done = outcome.map_err(|e| {
-        let interrupted = matches!(e, ChainError::Interrupted);
+        let interrupted = matches!(e, StudyError::Interrupted | StudyError::Calibrate(dynocal_jobs::calibrate::context::ChainError::Interrupted));
         let failure = Failure::from(e);
         if interrupted { failure.hint("the same command goes on with the tasks that are left") } else { failure }
     })?;
@@ -78,7 +78,7 @@ fn text(checks: &[Check]) -> String {
             vec![
                 c.id.clone(),
                 c.asked.clone().unwrap_or_default(),
-                c.measured.map_or("none".into(), |m| dynocal_deliver::significant(m, 5)),
+                c.measured.map_or("none".into(), |m| dynocal_report::significant(m, 5)),
                 c.unit.into(),
                 verdict.into(),
                 c.note.clone(),

@@ -1,0 +1,103 @@
+//! What `calibrate`, its steps and `study` share: a checked spec in, a finished run folder out.
+
+use std::path::{Path, PathBuf};
+
+use crate::calibrate::context::{ChainError, Context, Event};
+use crate::calibrate::run::{self, ChainResult};
+use crate::calibrate::spec::CalibrateSpec;
+use dynocal_files::run_folder::RunFolder;
+use dynocal_files::spec::load;
+use dynocal_ident::plant::{Plant, PlantError};
+
+use super::summary::Summary;
+use super::{check, page, store, verdict};
+use dynocal_files::spec::LoadError;
+use dynocal_plant::plants;
+
+/// Kind of the run folder: all steps work in the folder of the whole calibration.
+pub const KIND: &str = "calibrate";
+
+/// A checked spec and where its run goes.
+pub struct Campaign {
+    /// Name of the spec file.
+    pub name: String,
+    /// The checked spec.
+    pub spec: CalibrateSpec,
+    /// Run folder.
+    pub out: PathBuf,
+}
+
+/// A run that reached the step it was asked for.
+pub struct Finished {
+    /// What the steps found.
+    pub result: ChainResult,
+    /// False when a result must not be used as it is.
+    pub valid: bool,
+    /// Sentences, most important first.
+    pub warnings: Vec<String>,
+    /// Path of summary.json.
+    pub summary: PathBuf,
+    /// Path of report.html.
+    pub report: PathBuf,
+}
+
+/// Reads and checks the spec at `path`; seed and folder may come from the command line.
+pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, LoadError> {
+    let spec = load(path, |typed: &CalibrateSpec, faults| {
+        check::check(typed, faults);
+        Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
+    })?;
+    let name = path.file_stem().map_or_else(|| "calibrate".into(), |s| s.to_string_lossy().into_owned());
+    let out = out.map_or_else(|| Path::new("runs").join(&name), Path::to_path_buf);
+    Ok(Campaign { name, spec, out })
+}
+
+/// Runs the steps up to `until` and writes summary and report.
+pub fn run(
+    campaign: &Campaign,
+    until: &str,
+    tell: &(dyn Fn(Event) + Sync),
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Finished, ChainError> {
+    let spec = &campaign.spec;
+    let mut folder = RunFolder::open(&campaign.out, KIND, spec)?;
+    let make = plants::find(&spec.plant.name).and_then(|p| p.make);
+    let factory = |noise: bool| -> Result<Box<dyn Plant>, PlantError> {
+        match make {
+            Some(make) => make(&spec.plant, noise),
+            None => Err(PlantError::Call(format!("plant `{}` is run outside", spec.plant.name))),
+        }
+    };
+    let ctx = Context {
+        spec,
+        plants: make.is_some().then_some(&factory),
+        measured: campaign.out.join("measured"),
+        interrupt,
+        tell,
+    };
+    // A search that is stopped inside says so in its own words; to the user it is one thing.
+    let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
+        ChainError::Files(_) | ChainError::NeedsMeasurement { .. } => e,
+        _ if interrupt() => ChainError::Interrupted,
+        _ => e,
+    })?;
+    tell(Event::Step(run::STEPS.len() + 1, run::STEPS.len() + 1, "report"));
+    let verdict = verdict::of(spec, &result);
+    let files = store::files(&campaign.out, &result)?;
+    let summary = Summary::new(&campaign.name, spec, &result, &verdict, &files);
+    let report = page::write(&campaign.out, &summary, &result)?;
+    let summary = folder.write_summary(&summary)?;
+    Ok(Finished { result, valid: verdict.valid, warnings: verdict.warnings, summary, report })
+}
+
+/// Builds summary and report again from the finished steps of a run folder.
+pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
+    let (name, spec, result) = store::run(path)?;
+    let verdict = verdict::of(&spec, &result);
+    let files = store::files(path, &result)?;
+    let summary = Summary::new(&name, &spec, &result, &verdict, &files);
+    let report = page::write(path, &summary, &result)?;
+    let summary_path = path.join("summary.json");
+    dynocal_files::json::write_versioned(&summary_path, "dynocal/summary", 1, &summary)?;
+    Ok(Finished { result, valid: verdict.valid, warnings: verdict.warnings, summary: summary_path, report })
+}

@@ -1,0 +1,116 @@
+//! Head, overview, spec and files.
+
+use crate::calibrate::run::ChainResult;
+use crate::calibrate::validate_step::DYNAMIC;
+use dynocal_report::{Axis, Bars, Cell, Column, KeyValue, Report, Section, Table, significant};
+
+use super::parts::change;
+use crate::calibrate::summary::Summary;
+use crate::calibrate::verdict::word;
+
+/// Title, warnings and facts.
+pub(super) fn head(s: &Summary, r: &ChainResult) -> Report {
+    let subtitle = match s.steps.last() {
+        Some(last) if *last != "validate" => format!("{}: steps up to `{last}`", s.name),
+        _ => format!("{}: from the first test signal to the validated dynamic map", s.name),
+    };
+    let plant = &s.spec.plant;
+    let mut report = Report::new(&s.spec.title)
+        .subtitle(subtitle)
+        .fact(
+            "Plant",
+            if plant.name == "bed" {
+                plant.name.clone()
+            } else {
+                format!("{}, {}", plant.name, plant.parameters)
+            },
+        )
+        .fact("Seed", s.spec.seed.to_string())
+        .fact("Sample time", format!("{} s", s.spec.sample_time_s))
+        .fact("Bed time", format!("{:.0} s", r.bed_s()))
+        .fact("Status", if s.valid { "valid" } else { word(s.status) });
+    if plant.torque_noise_nm > 0.0 || plant.lambda_noise > 0.0 {
+        report = report.fact(
+            "Sensor noise",
+            format!("torque {} Nm, lambda {}", plant.torque_noise_nm, plant.lambda_noise),
+        );
+    }
+    for warning in s.warnings {
+        report = report.warning(warning.as_str());
+    }
+    report
+}
+
+/// The main numbers and the bed times.
+pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
+    let mut items = Vec::new();
+    for m in s.models.iter().rev().take(2).rev() {
+        let best = m.candidates.iter().find(|c| c.name == m.chosen);
+        let r2 = best.and_then(|c| c.unseen_r2).map(|v| significant(100.0 * v, 4));
+        items.push(KeyValue::new(format!("Free-run R2 of {}, unseen records", m.output), r2, "%"));
+    }
+    if let Some(p) = s.passes.last() {
+        items.push(KeyValue::new("Fuel promised, last pass", significant(change(p.promised_ratio), 3), "%"));
+        items.push(KeyValue::new("Fuel measured, last pass", significant(change(p.measured_ratio), 3), "%"));
+    }
+    if let Some(b) = s.best_spark {
+        items.push(KeyValue::new("Fuel with the best-spark map", significant(change(b.ratio), 3), "%"));
+    }
+    if let Some(v) = &r.validate {
+        let of_map = || v.result.scores.iter().filter(|m| m.map == DYNAMIC);
+        if let Some(points) = of_map().next() {
+            items.push(KeyValue::new(
+                "Worst steady torque offset of the dynamic map",
+                points.torque_offset_nm,
+                "Nm",
+            ));
+            items.push(KeyValue::new("Worst steady lambda offset", significant(points.lambda_offset, 3), ""));
+        }
+        if let Some(steps) = of_map().nth(1) {
+            items.push(KeyValue::new("Lambda spike on torque steps", significant(steps.lambda_spike, 3), ""));
+        }
+    }
+    let b = &s.bed;
+    let needed =
+        [("identification", b.identification_s), ("design", b.design_s), ("optimisation", b.optimisation_s)];
+    let beside = [
+        ("validation records", b.validation_records_s),
+        ("record that the design is compared with", b.design_comparison_s),
+        ("static map", b.static_map_s),
+        ("comparison of the maps", b.map_comparison_s),
+    ];
+    let mut table = Table::new(vec![
+        Column::text("Records"),
+        Column::number("Bed time", "s").digits(3),
+        Column::text("Purpose"),
+    ])
+    .caption("Bed time, lead-in and settling included");
+    for (name, time_s) in needed {
+        table = table.row([name.into(), time_s.into(), "calibration".into()]);
+    }
+    table = table.stressed_row([Cell::from("together"), b.total_s.into(), "calibration".into()]);
+    for (name, time_s) in beside {
+        table = table.row([name.into(), time_s.into(), "proof and comparison".into()]);
+    }
+    let bars = Bars::new("Bed time", Axis::new("Time", "s"), needed.iter().chain(&beside).map(|b| b.0))
+        .series("bed time", needed.iter().chain(&beside).map(|b| b.1).collect::<Vec<f64>>());
+    Section::new("Result").id("result").key_values(items).columns(vec![table.into(), bars.into()])
+}
+
+/// The spec as understood.
+pub(super) fn spec(s: &Summary) -> Section {
+    let text = toml::to_string_pretty(s.spec).unwrap_or_else(|e| format!("the spec cannot be shown: {e}"));
+    Section::new("Spec").id("spec").text("The spec as understood, with all defaults filled in.").block(
+        dynocal_report::Details::new("Show the spec")
+            .block(dynocal_report::Block::Code { caption: "calibrate.toml".into(), text }),
+    )
+}
+
+/// What lies in the run folder.
+pub(super) fn files(s: &Summary) -> Section {
+    let mut table = Table::new(vec![Column::text("File"), Column::text("What it is")]);
+    for f in s.files {
+        table = table.row([f.file.as_str().into(), Cell::from(f.what.as_str())]);
+    }
+    Section::new("Files").id("files").text("Paths inside the run folder.").block(table)
+}

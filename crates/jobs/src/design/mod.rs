@@ -1,0 +1,192 @@
+//! A user's own design: from a spec with models, limits and a criterion to a test signal with its safety report.
+//!
+//! [`read`] takes what the user wrote and checks it as a whole, [`load`] reads the models and records that it names,
+//! [`run`] searches and judges, [`result`] is what comes out.
+
+mod channels;
+mod judge;
+pub mod load;
+pub mod margins;
+mod models;
+pub mod page;
+pub mod result;
+mod rivals;
+pub mod run;
+mod typed;
+
+use std::path::{Path, PathBuf};
+
+use dynocal_design::channel::Channel;
+use dynocal_design::problem::Convention;
+use dynocal_files::spec::{Faults, LoadError, SpecError};
+use serde::Serialize;
+
+pub use models::{ModelSpec, Objective, OutputSpec, Source};
+use typed::Typed;
+
+/// What the command line changes in a spec.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Seed of the search.
+    pub seed: Option<u64>,
+    /// Run folder.
+    pub out: Option<PathBuf>,
+}
+
+/// A channel of the plan.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlanChannel {
+    /// Limits; samples of a given channel are read later.
+    pub channel: Channel,
+    /// Unit.
+    pub unit: String,
+    /// File that gives the samples of a channel that is not designed.
+    pub file: Option<PathBuf>,
+}
+
+/// How to search.
+#[derive(Clone, Debug, Serialize)]
+pub struct SearchSpec {
+    /// Name.
+    pub name: String,
+    /// Its keys.
+    pub keys: toml::Table,
+    /// Starts.
+    pub starts: usize,
+    /// Evaluations per start.
+    pub evaluations: usize,
+}
+
+/// A design as understood.
+#[derive(Clone, Debug, Serialize)]
+pub struct Job {
+    /// Name of the run.
+    pub name: String,
+    /// Run folder.
+    pub out: PathBuf,
+    /// Sample time in s.
+    pub sample_time_s: f64,
+    /// Samples of the record.
+    pub samples: usize,
+    /// What stands before the record.
+    pub convention: Convention,
+    /// Channels in the order of the plan.
+    pub channels: Vec<PlanChannel>,
+    /// Models.
+    pub models: Vec<ModelSpec>,
+    /// Objective signal.
+    pub objective: Objective,
+    /// Search.
+    pub search: SearchSpec,
+    /// Random signals of each rival kind.
+    pub rivals: usize,
+    /// Whether the upper bound of the information is computed, which takes a while; by default for `d` of one model.
+    pub certificate: bool,
+    /// Seed.
+    pub seed: u64,
+}
+
+/// Reads and checks the spec at `path`. Files in it are relative to its folder.
+///
+/// # Errors
+/// [`LoadError`] with every fault.
+pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
+    let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
+    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    dynocal_files::spec::load(path, |t: &Typed, faults| check(t, &folder, &stem, overrides, faults))
+}
+
+/// The same for a spec that is there as text; `file` is its name in messages.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+///
+/// ```
+/// let text = r#"
+/// length_s = 10.0
+/// sample_time_s = 0.1
+/// [[channels]]
+/// name = "fpw"
+/// unit = "us"
+/// lower = 2000.0
+/// uper = 6000.0
+/// "#;
+/// let faults = crate::design::parse("plan.toml", text, &Default::default()).unwrap_err().to_string();
+/// assert!(faults.contains("did you mean `upper`?") && faults.contains("`models`"), "{faults}");
+/// ```
+pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
+    let stem = file.split('.').next().unwrap_or(file);
+    dynocal_files::spec::parse(file, text, |t: &Typed, faults| {
+        check(t, Path::new(""), stem, overrides, faults)
+    })
+}
+
+/// Longest record, in samples.
+const MOST_SAMPLES: f64 = 1e6;
+
+fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Faults) -> Option<Job> {
+    let dt = faults.required("sample_time_s", &t.sample_time_s, "sample time, s");
+    let length = faults.required("length_s", &t.length_s, "length of the record, s");
+    dt.into_iter().for_each(|v| faults.positive("sample_time_s", v, "s"));
+    length.into_iter().for_each(|v| faults.positive("length_s", v, "s"));
+    let samples = dt.zip(length).map(|(dt, length)| (length / dt).round()).filter(|n| n.is_finite());
+    if let Some(n) = samples.filter(|n| !(1.0..=MOST_SAMPLES).contains(n)) {
+        faults.push("length_s", format!("{n} samples"), format!("1 to {MOST_SAMPLES:e} samples"));
+    }
+    let dt_s = dt.filter(|v| *v > 0.0).unwrap_or(1.0);
+    let typed_channels = t.channels.as_deref().unwrap_or(&[]);
+    if typed_channels.is_empty() {
+        faults.push("channels", "nothing", "a table [[channels]] for every input of the models");
+    }
+    let mut channels = channels::channels(typed_channels, dt_s, folder, faults);
+    channels::regions(t.regions.as_deref().unwrap_or(&[]), &mut channels, faults);
+    let models = models::models(t.models.as_deref().unwrap_or(&[]), dt_s, folder, faults);
+    let objective = models::objective(t.objective.as_ref(), &channels, dt_s, folder, faults);
+    let search = search(t.search.as_ref(), faults);
+    let criteria: Vec<&str> = models.iter().filter_map(|m| m.criterion.as_deref()).collect();
+    let d_of_one_model = criteria == ["d"];
+    let name = t.name.clone().unwrap_or_else(|| stem.to_string());
+    let out = over.out.clone().or_else(|| t.out.as_ref().map(|o| folder.join(o)));
+    Some(Job {
+        out: out.unwrap_or_else(|| Path::new("runs").join(&name)),
+        name,
+        sample_time_s: dt?,
+        samples: samples? as usize,
+        convention: t.convention.unwrap_or(Convention::Hold),
+        channels,
+        models,
+        objective: objective?,
+        search: search?,
+        rivals: t.rivals.unwrap_or(20),
+        certificate: t.certificate.unwrap_or(d_of_one_model),
+        seed: over.seed.or(t.seed).unwrap_or(1),
+    })
+}
+
+fn search(table: Option<&toml::Table>, faults: &mut Faults) -> Option<SearchSpec> {
+    let mut keys = table.cloned().unwrap_or_default();
+    let default = dynocal_design::search::DesignOptions::default();
+    let mut number = |key: &str, default: usize| match keys.remove(key) {
+        None => Some(default),
+        Some(v) => match v.as_integer().and_then(|n| usize::try_from(n).ok()).filter(|n| *n > 0) {
+            Some(n) => Some(n),
+            None => {
+                faults.push(&format!("search.{key}"), v, "a whole number, 1 or more");
+                None
+            }
+        },
+    };
+    let starts = number("starts", 4);
+    let evaluations = number("evaluations", default.evaluations);
+    let name = match keys.remove("name") {
+        None => default.search,
+        Some(toml::Value::String(name)) => name,
+        Some(v) => {
+            faults.push("search.name", v, "a name (see `dynocal list searches`)");
+            return None;
+        }
+    };
+    let built = dynocal_design::search::search(&name, &keys).map(|_| ());
+    crate::identify::spec::built("search", "name", built, faults)?;
+    Some(SearchSpec { name, keys, starts: starts?, evaluations: evaluations? })
+}

@@ -1,0 +1,19 @@
+//! From a measured file to validated models: load, split, prepare, structure, estimate, score, write.
+//!
+//! [`spec`] reads what the user wrote and checks it as a whole, [`job`] does the work with what `ident` offers,
+//! [`result`] is what comes out.
+
+pub mod after;
+pub mod before;
+pub mod bounds;
+pub mod fit;
+pub mod gaps;
+pub mod job;
+pub mod load;
+pub mod page;
+pub mod prepare;
+pub mod result;
+pub mod score;
+pub mod set;
+pub mod spec;
+pub mod stored;

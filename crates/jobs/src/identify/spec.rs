@@ -1,0 +1,144 @@
+//! The spec of an identification: as typed, and as understood.
+
+mod member;
+mod model;
+mod saved;
+mod source;
+mod split;
+mod typed;
+mod validation;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use dynocal_files::dataset::Layout;
+use dynocal_files::spec::{Faults, LoadError, SpecError, load};
+use serde::Serialize;
+
+use super::result::ModelFile;
+
+use typed::Typed;
+
+pub use member::built;
+pub use model::{Family, PEM, Selecting, StructureSpec, Target};
+pub use source::{Source, StepSpec, TestSet};
+pub use split::Split;
+pub use validation::Validation;
+
+/// What the command line changes in a spec.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Data files instead of those that the spec names; none for those of the spec.
+    pub data: Vec<PathBuf>,
+    /// Seed for every part that draws random numbers.
+    pub seed: Option<u64>,
+    /// Run folder.
+    pub out: Option<PathBuf>,
+    /// Folder of the reference data, instead of the environment variable that a spec names.
+    pub reference: Option<PathBuf>,
+}
+
+/// An identification as understood: nothing left to default, nothing left to fail for a typing error.
+#[derive(Clone, Debug, Serialize)]
+pub struct Job {
+    /// Name of the run.
+    pub name: String,
+    /// Data files; several are several experiments.
+    pub sources: Vec<Source>,
+    /// Channels, time, trajectories.
+    pub layout: Layout,
+    /// Samples of one period, where the inputs are periodic multisines.
+    pub multisine_period: Option<usize>,
+    /// Division into estimation, selection and test.
+    pub split: Split,
+    /// Test records in files of their own.
+    pub tests: Vec<TestSet>,
+    /// Steps of the preparation.
+    pub prepare: Vec<StepSpec>,
+    /// What is identified.
+    pub targets: Vec<Target>,
+    /// How it is judged.
+    pub validate: Validation,
+    /// Seed of what the validation draws.
+    pub seed: u64,
+    /// Models that are scored instead of estimated; none for an estimation.
+    pub saved: Vec<ModelFile>,
+    /// Run folder.
+    pub out: PathBuf,
+}
+
+/// Reads and checks the spec at `path`. Files in it are relative to its folder; `${NAME}` stands for the
+/// environment variable NAME.
+///
+/// # Errors
+/// [`LoadError`] with every fault.
+pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
+    let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
+    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    load(path, |typed: &Typed, faults| check(typed, &folder, &stem, overrides, faults))
+}
+
+/// The same for a spec that is there as text; `file` is its name in messages, and files in it are relative to the
+/// working folder.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
+    let stem = file.split('.').next().unwrap_or(file);
+    dynocal_files::spec::parse(file, text, |typed: &Typed, faults| {
+        check(typed, Path::new(""), stem, overrides, faults)
+    })
+}
+
+fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Faults) -> Option<Job> {
+    let data = t.data.as_ref();
+    if data.is_none() {
+        faults.push("data", "nothing", "a table [data] with the keys file and sample_time_s (or time)");
+    }
+    let place = source::Place { folder, reference: over.reference.as_deref() };
+    let sources = source::sources(data, &place, &over.data, faults);
+    let channels = source::channels(t.channels.as_deref().unwrap_or(&[]), faults);
+    let names: Vec<String> = channels.iter().map(|c| c.name.clone()).collect();
+    let prepare = source::steps(t.prepare.as_deref().unwrap_or(&[]), faults);
+    let resampled = prepare.iter().any(|s| s.step == "resample");
+    let layout = data.and_then(|d| source::layout(d, channels.clone(), resampled, faults));
+    let split = split::split(t.split.as_ref(), faults);
+    let tests = source::tests(t.test.as_deref().unwrap_or(&[]), &names, &place, faults);
+    let targets = model::targets(t.model.as_ref(), &channels, over.seed, faults);
+    let target_names: Vec<String> = targets.iter().flatten().map(|t| t.target.clone()).collect();
+    let validate = validation::validation(t.validate.as_ref(), &target_names, faults);
+    let name = t.name.clone().unwrap_or_else(|| stem.to_string());
+    let out = over.out.clone().or_else(|| t.out.as_ref().map(|o| folder.join(o)));
+    Some(Job {
+        out: out.unwrap_or_else(|| Path::new("runs").join(&name)),
+        name,
+        sources: sources?,
+        layout: layout?,
+        multisine_period: data.and_then(|d| d.multisine_period),
+        split: split?,
+        tests,
+        prepare,
+        targets: targets?,
+        validate,
+        seed: over.seed.unwrap_or(0),
+        saved: Vec::new(),
+    })
+}
+
+impl Job {
+    /// The part of the job that decides the result, for the digest of the step; where files lie does not count.
+    pub fn inputs(&self) -> BTreeMap<&'static str, serde_json::Value> {
+        let tests: Vec<_> = self.tests.iter().map(|t| (&t.name, &t.init_samples, &t.columns)).collect();
+        BTreeMap::from([
+            ("layout", serde_json::json!(self.layout)),
+            ("multisine_period", serde_json::json!(self.multisine_period)),
+            ("split", serde_json::json!(self.split)),
+            ("tests", serde_json::json!(tests)),
+            ("prepare", serde_json::json!(self.prepare)),
+            ("targets", serde_json::json!(self.targets)),
+            ("validate", serde_json::json!(self.validate)),
+            ("seed", serde_json::json!(self.seed)),
+            ("saved", serde_json::json!(self.saved)),
+        ])
+    }
+}

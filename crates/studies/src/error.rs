@@ -1,0 +1,46 @@
+//! Why a study cannot go on.
+
+use dynocal_files::FilesError;
+use dynocal_files::spec::LoadError;
+use dynocal_ident::data::DataError;
+use dynocal_ident::plant::PlantError;
+use dynocal_jobs::calibrate::context::ChainError;
+
+/// A study cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// A file.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// A spec of the study's own.
+    #[error(transparent)]
+    Spec(#[from] LoadError),
+    /// A record.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// A plant.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// A calibration that the study runs.
+    #[error(transparent)]
+    Calibrate(#[from] ChainError),
+    /// A task failed.
+    #[error("{what}: {reason}")]
+    Task {
+        /// Task or step.
+        what: String,
+        /// Reason.
+        reason: String,
+    },
+    /// The result of a task is not what its reduction reads.
+    #[error("result of the task `{task}`: {reason}")]
+    Result {
+        /// Task.
+        task: String,
+        /// Reason.
+        reason: String,
+    },
+    /// Ctrl-C.
+    #[error("interrupted: finished tasks are kept, start again with the same folder to go on")]
+    Interrupted,
+}
