@@ -23,7 +23,7 @@ pub enum StudyError {
     Plant(#[from] PlantError),
     /// A calibration that the study runs.
     #[error(transparent)]
-    Calibrate(#[from] ChainError),
+    Calibrate(Box<ChainError>),
     /// A task failed.
     #[error("{what}: {reason}")]
     Task {
@@ -43,4 +43,13 @@ pub enum StudyError {
     /// Ctrl-C.
     #[error("interrupted: finished tasks are kept, start again with the same folder to go on")]
     Interrupted,
+}
+
+impl From<ChainError> for StudyError {
+    fn from(e: ChainError) -> Self {
+        match e {
+            ChainError::Interrupted => Self::Interrupted,
+            e => Self::Calibrate(Box::new(e)),
+        }
+    }
 }

@@ -51,7 +51,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let outcome = studies::run(study, &options, &out, &interrupt::asked, &note);
     progress.finish();
     let done = outcome.map_err(|e| {
-        let interrupted = matches!(e, StudyError::Interrupted | StudyError::Calibrate(dynocal_jobs::calibrate::context::ChainError::Interrupted));
+        let interrupted = matches!(e, StudyError::Interrupted);
         let failure = Failure::from(e);
         if interrupted { failure.hint("the same command goes on with the tasks that are left") } else { failure }
     })?;
