@@ -1,6 +1,5 @@
 //! Flags of every verb that computes.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,6 +7,7 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::progress::Progress;
 use crate::step_progress::StepProgress;
+use crate::terminal::print;
 
 // No doc comment: clap would show it in `--help` in place of each verb's own description.
 #[derive(Args, Debug, Clone)]
@@ -58,14 +58,8 @@ impl Common {
     /// Prints the summary at `path` on standard output where `--json` asks for it.
     pub(crate) fn print_summary(&self, path: &Path) -> Result<(), Failure> {
         if self.json {
-            print(&std::fs::read_to_string(path)?);
+            print(&std::fs::read_to_string(path)?)?;
         }
         Ok(())
     }
-}
-
-/// Prints to standard output; a reader that has gone away is not our error.
-pub(crate) fn print(text: &str) {
-    let mut out = std::io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::process::ExitCode;
 
+use crate::terminal::say;
+
 /// Exit codes of every verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Exit {
@@ -52,19 +54,19 @@ impl Failure {
     /// Prints error, causes and hint to standard error.
     pub(crate) fn print(&self) {
         let mut shown = self.error.to_string();
-        eprintln!("error: {shown}");
+        say(&format!("error: {shown}"));
         let mut cause = self.error.source();
         while let Some(c) = cause {
             let text = c.to_string();
             // Messages that already contain their cause need not say it twice.
             if !shown.contains(&text) {
-                eprintln!("  because: {text}");
+                say(&format!("  because: {text}"));
             }
             shown = text;
             cause = c.source();
         }
         if let Some(hint) = &self.hint {
-            eprintln!("  hint: {hint}");
+            say(&format!("  hint: {hint}"));
         }
     }
 }

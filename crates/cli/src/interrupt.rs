@@ -1,5 +1,6 @@
 //! Ctrl-C: the first asks the work to stop at the next good point, the second ends the process.
 
+use crate::terminal::say;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static ASKED: AtomicBool = AtomicBool::new(false);
@@ -13,7 +14,7 @@ pub(crate) fn install() -> Result<(), ctrlc::Error> {
         if ASKED.swap(true, Ordering::Relaxed) {
             std::process::exit(KILLED);
         }
-        eprintln!("stopping at the next safe point; press Ctrl-C again to end at once");
+        say("stopping at the next safe point; press Ctrl-C again to end at once");
     })
 }
 

@@ -6,20 +6,25 @@ mod interrupt;
 mod progress;
 mod step_progress;
 mod table;
+mod terminal;
 mod verbs;
 
 use std::process::ExitCode;
 
 use failure::Exit;
+use terminal::say;
 
 fn main() -> ExitCode {
     // A panic is always our bug, never the user's: say so instead of showing a backtrace.
     std::panic::set_hook(Box::new(|info| {
-        eprintln!("error: this is a bug in dynocal, not in your input: {info}");
-        eprintln!("  hint: please report it with the command and its spec on the project's issue page");
+        say(&format!("error: this is a bug in dynocal, not in your input: {info}"));
+        say("  hint: please report it with the command and its spec on the project's issue page");
     }));
     let outcome = std::panic::catch_unwind(|| {
-        let matches = verbs::command().get_matches();
+        let matches = match verbs::command().try_get_matches() {
+            Ok(matches) => matches,
+            Err(e) => return terminal::parsed(&e),
+        };
         verbs::run(&matches).unwrap_or_else(|failure| {
             failure.print();
             Exit::CouldNot

@@ -6,6 +6,8 @@ use std::sync::Mutex;
 use dynocal_jobs::calibrate::context::Event;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::terminal::say;
+
 /// Rough shares of the seven steps in the whole time, for the bar only.
 const SHARES: [f64; 7] = [0.10, 0.12, 0.28, 0.34, 0.03, 0.12, 0.01];
 /// Length of the bar in units.
@@ -59,7 +61,7 @@ impl StepProgress {
     pub(crate) fn line(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(text),
-            None if !self.quiet => eprintln!("{text}"),
+            None if !self.quiet => say(text),
             None => {}
         }
     }

@@ -12,3 +12,4 @@ pub mod registry;
 pub mod rng;
 pub mod status;
 mod vector_state;
+pub mod watch;

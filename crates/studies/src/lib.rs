@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 use dynocal_files::run_folder::RunFolder;
 use dynocal_numerics::registry::MemberDoc;
+use dynocal_numerics::watch::Watch;
 use dynocal_report::Report;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -45,10 +46,8 @@ pub struct Options {
 pub struct Surroundings<'a> {
     /// Folder that the task may keep runs in.
     pub runs: PathBuf,
-    /// Whether to stop.
-    pub interrupt: &'a (dyn Fn() -> bool + Sync),
-    /// A line of progress.
-    pub note: &'a (dyn Fn(&str) + Sync),
+    /// Whether to stop, and where lines of progress go.
+    pub watch: Watch<'a>,
 }
 
 /// What a task does.
@@ -143,22 +142,20 @@ struct Summary<'a> {
 }
 
 /// Runs a study in `out`; finished tasks of an earlier run are taken over.
-pub fn run(
-    study: &Study,
-    options: &Options,
-    out: &Path,
-    interrupt: &(dyn Fn() -> bool + Sync),
-    note: &(dyn Fn(&str) + Sync),
-) -> Result<Finished, StudyError> {
+///
+/// # Errors
+/// [`StudyError`].
+pub fn run(study: &Study, options: &Options, out: &Path, watch: Watch) -> Result<Finished, StudyError> {
     let mut folder = RunFolder::open(out, "study", &(study.doc.name, options))?;
     let tasks = (study.tasks)(options);
     let mut results = Vec::new();
     for (k, task) in tasks.iter().enumerate() {
-        if interrupt() {
+        if watch.interrupted() {
             return Err(StudyError::Interrupted);
         }
-        note(&format!("task {} of {}: {}", k + 1, tasks.len(), task.name));
-        let around = Surroundings { runs: out.join("runs"), interrupt, note };
+        watch.fraction(k as f64 / tasks.len() as f64);
+        watch.note(&format!("task {} of {}: {}", k + 1, tasks.len(), task.name));
+        let around = Surroundings { runs: out.join("runs"), watch };
         let done = folder.step(&task.name, &task.inputs, |_| (task.run)(&around))?;
         results.push(TaskResult { name: task.name.clone(), value: done.result });
     }

@@ -17,7 +17,7 @@ fn free_run(name: &str) -> Option<Vec<(String, f64)>> {
     let file = format!("{}/../../examples/benchmarks/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     let overrides = spec::Overrides { out: Some(folder.path().join(name)), ..spec::Overrides::default() };
     let job = spec::read(Path::new(&file), &overrides).unwrap();
-    let (found, _) = job::run(&job, &|_| {}, &|| false).unwrap();
+    let (found, _) = job::run(&job, dynocal_numerics::watch::Watch::silent()).unwrap();
     let scores = found.scores.iter().filter(|s| s.kind == Kind::FreeRun);
     // A run that diverged has no score.
     Some(scores.map(|s| (s.part.clone(), s.rmse.unwrap_or(f64::INFINITY))).collect())

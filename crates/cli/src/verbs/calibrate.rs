@@ -9,7 +9,8 @@ use dynocal_jobs::calibrate::run::STEPS;
 use super::Verb;
 use dynocal_jobs::calibrate::job::{self, Campaign, Finished};
 use dynocal_jobs::calibrate::store;
-use crate::common::{Common, print};
+use crate::common::Common;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure, exit};
 use crate::interrupt;
 use crate::step_progress::StepProgress;
@@ -115,11 +116,11 @@ fn show(
     }
     common.print_summary(&done.summary)?;
     if common.shows_text() {
-        print(&super::calibrate_text::results(&done.result));
+        print(&super::calibrate_text::results(&done.result))?;
         if let Some(k) = own {
-            print(&format!("files of the step {}:\n{}", STEPS[k], files(&campaign.out, k)?));
+            print(&format!("files of the step {}:\n{}", STEPS[k], files(&campaign.out, k)?))?;
         }
-        print(&format!("run folder: {}\n{}\n", campaign.out.display(), done.report.display()));
+        print(&format!("run folder: {}\n{}\n", campaign.out.display(), done.report.display()))?;
     }
     Ok(())
 }

@@ -5,16 +5,17 @@ use std::path::PathBuf;
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::design::load::DesignJobError;
 use dynocal_jobs::design::result::{Designed, SafetyLine};
-use dynocal_jobs::design::run::{Around, run as make};
+use dynocal_jobs::design::run::run as make;
 use dynocal_jobs::design::{Overrides, read};
 use dynocal_report::significant;
 use dynocal_design::error::DesignError;
 use dynocal_design::search::Failure as SearchFailure;
 
 use super::Verb;
-use crate::common::{Common, print};
+use crate::common::Common;
+use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure};
-use crate::{interrupt, table};
+use crate::table;
 use dynocal_jobs::design::page as design_report;
 
 pub(crate) const VERB: Verb =
@@ -34,26 +35,16 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Design::from_arg_matches(matches)?;
     let progress = args.common.start()?;
     let job = read(&args.spec, &Overrides { seed: args.common.seed, out: args.common.out.clone() })?;
-    let around = Around {
-        note: &|text| progress.note(text),
-        progress: &|_| (),
-        interrupt: &|| {
-            progress.evaluation();
-            interrupt::asked()
-        },
-    };
-    let outcome = make(&job, around);
-    progress.finish();
-    let (found, curves, folder) = outcome.map_err(with_hint)?;
+    let (found, curves, folder) = progress.during(|watch| make(&job, watch)).map_err(with_hint)?;
     design_report::write(&job, &found, &curves, folder.path())?;
     for warning in &found.warnings {
-        eprintln!("warning: {warning}");
+        say(&format!("warning: {warning}"));
     }
     args.common.print_summary(&folder.path().join("summary.json"))?;
     if args.common.shows_text() {
-        print(&text(&found));
+        print(&text(&found))?;
         let files = ["design.csv", "report.html"].map(|f| folder.path().join(f).display().to_string());
-        print(&format!("\n{}\n", files.join("\n")));
+        print(&format!("\n{}\n", files.join("\n")))?;
     }
     Ok(if found.valid { Exit::Done } else { Exit::NotValid })
 }

@@ -15,7 +15,7 @@ use super::Verb;
 use super::engine_cycle::Cycle;
 use super::engine_transient::Transient;
 use super::engine_map::{FullLoad, Map};
-use crate::common::print;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure};
 use crate::table;
 use dynocal_plant::plants;
@@ -179,7 +179,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
             ("Engine: motored", vec![(u, steady(&mut engine, u, SETTLE_S, AVERAGE_S)?)], files)
         }
     };
-    show(&points);
+    show(&points)?;
     if let Some(path) = &files.csv {
         csv(path, &points)?;
     }
@@ -187,7 +187,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         let trace = CylinderTrace::record(&mut engine, 0)?;
         let page = render(&report(title, &args.parameters, &points, &trace))?;
         dynocal_files::atomic::write(path, page.as_bytes())?;
-        print(&format!("\n{}\n", path.display()));
+        print(&format!("\n{}\n", path.display()))?;
     }
     Ok(Exit::Done)
 }
@@ -255,7 +255,7 @@ pub(super) static QUANTITIES: &[Quantity] = &[
 ];
 
 /// One quantity per line for a few points, otherwise one point per line with what is read most.
-pub(super) fn show(points: &[Point]) {
+pub(super) fn show(points: &[Point]) -> Result<(), Failure> {
     const SHORT: [&str; 11] =
         ["speed", "throttle", "spark", "inj", "torque", "lambda", "map", "egt", "bsfc", "pmax", "ca50"];
     let text = |q: &Quantity, p: &Point| dynocal_report::significant((q.3)(p), q.2);
@@ -270,7 +270,7 @@ pub(super) fn show(points: &[Point]) {
     let rows: Vec<Vec<String>> =
         points.iter().map(|p| columns.iter().map(|q| text(q, p)).collect()).collect();
     let right: Vec<usize> = (0..columns.len()).collect();
-    print(&table::render(&header, &rows, &right));
+    print(&table::render(&header, &rows, &right))
 }
 
 pub(super) fn csv(path: &Path, points: &[Point]) -> Result<(), Failure> {

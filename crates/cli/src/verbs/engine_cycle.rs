@@ -13,8 +13,8 @@ use dynocal_plant::vehicle::{
 use dynocal_report::{Axis, Block, Panel, Report, Section, TimePlot, XyPlot, render, significant};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::common::print;
 use crate::failure::{Exit, Failure};
+use crate::terminal::print;
 use crate::{interrupt, table};
 
 /// Speeds of the steady points of the controller \[rpm\], and points a speed.
@@ -96,14 +96,14 @@ impl Cycle {
             .iter()
             .map(|(name, value, unit)| vec![(*name).into(), value.clone(), (*unit).into()])
             .collect();
-        print(&table::render(&["quantity", "value", "unit"], &rows, &[1]));
+        print(&table::render(&["quantity", "value", "unit"], &rows, &[1]))?;
         if let Some(path) = &self.csv {
             csv(path, &log)?;
         }
         if let Some(path) = &self.report {
             let name = self.file.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             dynocal_files::atomic::write(path, render(&report(&name, set, &log, &facts))?.as_bytes())?;
-            print(&format!("\n{}\n", path.display()));
+            print(&format!("\n{}\n", path.display()))?;
         }
         // A part of a cycle is no result of it.
         Ok(if interrupt::asked() { Exit::NotValid } else { Exit::Done })

@@ -8,8 +8,8 @@ use dynocal_plant::params::EngineParams;
 use dynocal_report::{Axis, Block, HeatMap, Report, Section, XyPlot, render};
 
 use super::engine::{Point, QUANTITIES, Quantity, csv, show};
-use crate::common::print;
 use crate::failure::{Exit, Failure};
+use crate::terminal::{print, say};
 
 #[derive(Args, Debug)]
 pub(crate) struct Map {
@@ -97,7 +97,7 @@ impl Limits {
         }
         if let Some(path) = &self.report {
             dynocal_files::atomic::write(path, render(&report)?.as_bytes())?;
-            print(&format!("\n{}\n", path.display()));
+            print(&format!("\n{}\n", path.display()))?;
         }
         Ok(())
     }
@@ -125,7 +125,7 @@ fn verdict(rows: &[Vec<LoadPoint>]) -> Exit {
     let moving: Vec<&LoadPoint> = rows.iter().flatten().filter(|p| !p.settled).collect();
     for p in &moving {
         let (n, t) = (p.request.speed_rpm, p.request.torque_nm);
-        eprintln!("warning: {n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s);
+        say(&format!("warning: {n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s));
     }
     if moving.is_empty() { Exit::Done } else { Exit::NotValid }
 }
@@ -136,7 +136,7 @@ impl Map {
         let torques = grid("torque-nm", &self.torque_nm)?;
         let rows = run_grid(params, &speeds, &torques, &self.limits)?;
         let points = points(&rows);
-        show(&points);
+        show(&points)?;
         let missed = rows.iter().flatten().filter(|p| !p.reached).count();
         let mut report = Report::new("Engine: map")
             .subtitle(format!("Virtual engine, parameter set {set}"))
@@ -186,7 +186,7 @@ impl FullLoad {
         let speeds = grid("speed-rpm", &self.speed_rpm)?;
         let rows = run_grid(params, &speeds, &[self.torque_nm], &self.limits)?;
         let points = points(&rows);
-        show(&points);
+        show(&points)?;
         let mut section = Section::new("Full load");
         for quantity in
             ["torque", "map", "exhaust", "turbo", "spark", "ca50", "knock", "lambda", "egt", "bsfc", "pmax"]

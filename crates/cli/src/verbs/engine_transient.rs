@@ -10,8 +10,8 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::testbed::settings::BedOptions;
 use dynocal_report::{Block, Cell, Column as Head, Panel, Report, Section, TimePlot, render, significant};
 
-use crate::common::print;
 use crate::failure::{Exit, Failure};
+use crate::terminal::print;
 use crate::{interrupt, table};
 use dynocal_plant::plants;
 
@@ -93,8 +93,8 @@ impl Transient {
         bed.reset(self.seed);
         let record = self.record(&mut bed, &drive)?;
         let rows = ranges(bed.variables(), &record);
-        print(&table::render(&["variable", "unit", "least", "mean", "greatest"], &rows, &[2, 3, 4]));
-        print(&events_text(&record.events));
+        print(&table::render(&["variable", "unit", "least", "mean", "greatest"], &rows, &[2, 3, 4]))?;
+        print(&events_text(&record.events))?;
         if let Some(path) = &self.csv {
             let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &record.time_s)];
             for (v, x) in bed.variables().iter().zip(&record.values) {
@@ -105,7 +105,7 @@ impl Transient {
         if let Some(path) = &self.report {
             let page = render(&self.page(&bed, &record))?;
             dynocal_files::atomic::write(path, page.as_bytes())?;
-            print(&format!("\n{}\n", path.display()));
+            print(&format!("\n{}\n", path.display()))?;
         }
         // A part of a record is no result of it.
         Ok(if interrupt::asked() { Exit::NotValid } else { Exit::Done })

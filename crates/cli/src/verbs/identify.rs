@@ -9,9 +9,10 @@ use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_files::json;
 
 use super::Verb;
-use crate::common::{Common, print};
+use crate::common::Common;
+use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure};
-use crate::{interrupt, table};
+use crate::table;
 use dynocal_jobs::identify::page as identify_report;
 
 pub(crate) const VERB: Verb =
@@ -45,21 +46,15 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         reference: None,
     };
     let job = job_of(&args, &overrides)?;
-    let asked = || {
-        progress.evaluation();
-        interrupt::asked()
-    };
-    let outcome = job::run(&job, &|text| progress.note(text), &asked);
-    progress.finish();
-    let (found, folder) = outcome.map_err(with_hint)?;
+    let (found, folder) = progress.during(|watch| job::run(&job, watch)).map_err(with_hint)?;
     identify_report::write(&found, folder.path())?;
     for warning in &found.warnings {
-        eprintln!("warning: {warning}");
+        say(&format!("warning: {warning}"));
     }
     args.common.print_summary(&folder.path().join("summary.json"))?;
     if args.common.shows_text() {
-        print(&text(&found));
-        print(&format!("\nreport: {}\n", folder.path().join("report.html").display()));
+        print(&text(&found))?;
+        print(&format!("\nreport: {}\n", folder.path().join("report.html").display()))?;
     }
     Ok(if found.valid { Exit::Done } else { Exit::NotValid })
 }

@@ -5,7 +5,7 @@ use dynocal_ident::estimate::{narmax, pem};
 use dynocal_numerics::registry::MemberDoc;
 
 use super::Verb;
-use crate::common::print;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure};
 use crate::table;
 
@@ -52,10 +52,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     if args.json {
         let all: serde_json::Map<String, serde_json::Value> =
             wanted.map(|(name, docs)| ((*name).to_string(), serde_json::json!(docs()))).collect();
-        print(&format!("{}\n", serde_json::to_string_pretty(&all)?));
+        print(&format!("{}\n", serde_json::to_string_pretty(&all)?))?;
     } else {
         let parts: Vec<String> = wanted.map(|(name, docs)| format!("{name}\n\n{}", text(&docs()))).collect();
-        print(&parts.join("\n"));
+        print(&parts.join("\n"))?;
     }
     Ok(Exit::Done)
 }

@@ -8,7 +8,7 @@ use super::Verb;
 use dynocal_files::FilesError;
 use dynocal_jobs::calibrate::context::ChainError;
 use dynocal_jobs::calibrate::job;
-use crate::common::print;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure, exit};
 
 pub(crate) const VERB: Verb = Verb { name: "report", describe: |c| Report::augment_args(c.about(ABOUT)), run };
@@ -31,9 +31,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Report::from_arg_matches(matches)?;
     let done = job::rebuild(&args.run).map_err(with_hint)?;
     if args.json {
-        print(&std::fs::read_to_string(&done.summary)?);
+        print(&std::fs::read_to_string(&done.summary)?)?;
     } else if !args.quiet {
-        print(&format!("{}\n", done.report.display()));
+        print(&format!("{}\n", done.report.display()))?;
     }
     Ok(exit(done.valid))
 }

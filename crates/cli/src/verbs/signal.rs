@@ -14,7 +14,8 @@ use dynocal_numerics::rng::Rng64;
 use serde::Serialize;
 
 use super::{Verb, signal_set};
-use crate::common::{Common, print};
+use crate::common::Common;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure};
 use crate::table;
 
@@ -96,7 +97,7 @@ struct Summary<'a> {
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Signal::from_arg_matches(matches)?;
-    args.common.start()?.finish();
+    args.common.start()?;
     if args.name.ends_with(".toml") {
         return signal_set::run(Path::new(&args.name), &args.common);
     }
@@ -124,8 +125,8 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let summary = write(&request, &u, &found, &out)?;
     args.common.print_summary(&summary)?;
     if args.common.shows_text() {
-        print(&text(&request, &found));
-        print(&format!("\n{}\n{}\n", out.join("signal.csv").display(), out.join("report.html").display()));
+        print(&text(&request, &found))?;
+        print(&format!("\n{}\n{}\n", out.join("signal.csv").display(), out.join("report.html").display()))?;
     }
     Ok(Exit::Done)
 }

@@ -17,9 +17,10 @@ use dynocal_report::{Axis, Cell, Column, HeatMap, Report, Section, Table, XyPlot
 use serde::{Deserialize, Serialize};
 
 use super::signal::{LAGS, MOST_SAMPLES, analysed};
-use crate::common::{Common, print};
+use crate::common::Common;
 use crate::failure::{Exit, Failure};
 use crate::table;
+use crate::terminal::{print, say};
 
 /// Points of a pair that are drawn.
 const DRAWN: usize = 4000;
@@ -121,13 +122,13 @@ pub(super) fn run(path: &Path, common: &Common) -> Result<Exit, Failure> {
         files: ["signal.csv", "report.html"],
     })?;
     for warning in &made.warnings {
-        eprintln!("warning: {warning}");
+        say(&format!("warning: {warning}"));
     }
     common.print_summary(&summary)?;
     if common.shows_text() {
-        print(&text(&request, &made));
+        print(&text(&request, &made))?;
         let files = ["signal.csv", "report.html"].map(|f| request.out.join(f).display().to_string());
-        print(&format!("\n{}\n", files.join("\n")));
+        print(&format!("\n{}\n", files.join("\n")))?;
     }
     Ok(Exit::Done)
 }

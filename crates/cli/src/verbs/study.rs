@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::calibrate::context::Event;
 
 use super::Verb;
-use crate::common::{Common, print};
+use crate::common::Common;
+use crate::terminal::print;
 use crate::failure::{Exit, Failure};
 use dynocal_studies::{self as studies, Check, Options, STUDIES, StudyError};
-use crate::{interrupt, table};
+use crate::table;
 
 pub(crate) const VERB: Verb = Verb { name: "study", describe: |c| Study::augment_args(c.about(ABOUT)), run };
 
@@ -38,7 +38,7 @@ struct Study {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Study::from_arg_matches(matches)?;
     let Some(study) = studies::find(&args.name) else { return Ok(Exit::CouldNot) };
-    let progress = args.common.start_steps()?;
+    let progress = args.common.start()?;
     let options = Options {
         seed: args.common.seed.unwrap_or(1),
         reduced: args.reduced,
@@ -47,10 +47,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     };
     let folder = if args.reduced { format!("study-{}-quick", args.name) } else { format!("study-{}", args.name) };
     let out = args.common.out.clone().unwrap_or_else(|| Path::new("runs").join(folder));
-    let note = |text: &str| progress.tell(Event::Note(text.into()));
-    let outcome = studies::run(study, &options, &out, &interrupt::asked, &note);
-    progress.finish();
-    let done = outcome.map_err(|e| {
+    let done = progress.during(|watch| studies::run(study, &options, &out, watch)).map_err(|e| {
         let interrupted = matches!(e, StudyError::Interrupted);
         let failure = Failure::from(e);
         if interrupted { failure.hint("the same command goes on with the tasks that are left") } else { failure }
@@ -58,10 +55,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     args.common.print_summary(&done.summary)?;
     if args.common.shows_text() {
         if args.reduced {
-            print("reduced length: the numbers are not those of the study\n\n");
+            print("reduced length: the numbers are not those of the study\n\n")?;
         }
-        print(&text(&done.checks));
-        print(&format!("\n{}\n", done.report.display()));
+        print(&text(&done.checks))?;
+        print(&format!("\n{}\n", done.report.display()))?;
     }
     Ok(if studies::all_hold(&done.checks) { Exit::Done } else { Exit::NotValid })
 }

@@ -9,7 +9,8 @@ use dynocal_design::search::{DesignOptions, DesignOutcome, design};
 use dynocal_files::csv_io;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_ident::data::{Channel, Dataset, Role};
-use dynocal_numerics::status::{Iterate, Status};
+use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
 
 use super::load::{DesignJobError, Inputs, check_stable, load};
 use super::margins::{MarginBasis, MarginUsed, margin_of};
@@ -22,24 +23,13 @@ const ROUNDS: usize = 3;
 /// Margins stay below this share of the range, so that something is left.
 const MOST_MARGIN: f64 = 0.45;
 
-/// What listens to a running design.
-#[derive(Clone, Copy)]
-pub struct Around<'a> {
-    /// Told what happens.
-    pub note: &'a (dyn Fn(&str) + Sync),
-    /// Told after every local run of the search.
-    pub progress: &'a (dyn Fn(&Iterate) + Sync),
-    /// Asked often; `true` ends the search with the best design so far.
-    pub interrupt: &'a (dyn Fn() -> bool + Sync),
-}
-
 /// Makes the design and writes `design.csv`, `predicted.csv` and `summary.json` into the run folder.
 ///
 /// # Errors
 /// [`DesignJobError`].
-pub fn run(job: &Job, around: Around) -> Result<(Designed, Curves, RunFolder), DesignJobError> {
+pub fn run(job: &Job, watch: Watch) -> Result<(Designed, Curves, RunFolder), DesignJobError> {
     let inputs = load(job)?;
-    let (designed, curves) = make(job, &inputs, around)?;
+    let (designed, curves) = make(job, &inputs, watch)?;
     let folder = RunFolder::open(&job.out, "design", job)?;
     write(job, &designed, &curves, folder.path())?;
     folder.write_summary(&designed)?;
@@ -50,7 +40,7 @@ pub fn run(job: &Job, around: Around) -> Result<(Designed, Curves, RunFolder), D
 ///
 /// # Errors
 /// [`DesignJobError`].
-pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Curves), DesignJobError> {
+pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curves), DesignJobError> {
     let mut margins: Vec<Option<MarginUsed>> = inputs.models.iter().map(margin_of).collect();
     let (objective, objective_text) = objective(job, inputs)?;
     inputs.models.iter().try_for_each(|m| check_stable(m, &objective))?;
@@ -65,9 +55,9 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
     let (mut rounds, mut evaluations) = (0, 0);
     let (found, curves, safety) = loop {
         rounds += 1;
-        (around.note)(&format!("round {rounds}: {} starts of {}", job.search.starts, job.search.name));
+        watch.note(&format!("round {rounds}: {} starts of {}", job.search.starts, job.search.name));
         let problem = problem(job, inputs, &objective, &margins);
-        let found = design(&problem, &options, around.interrupt, around.progress)?;
+        let found = design(&problem, &options, watch.interrupt, &|_| ())?;
         evaluations += found.evaluations;
         let (curves, safety) = judged(job, inputs, &margins, &problem, &found);
         // The margin of the search is one number, the band grows where the plan leaves what was identified.
@@ -77,7 +67,7 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
         }
         options.start = Some(found.u);
     };
-    (around.note)("comparing with random signals of the same limits");
+    watch.note("comparing with random signals of the same limits");
     let problem = problem(job, inputs, &objective, &margins);
     let mut e = Evaluator::new(&problem)?;
     e.value(&found.u);
@@ -88,8 +78,8 @@ pub fn make(job: &Job, inputs: &Inputs, around: Around) -> Result<(Designed, Cur
     let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= -1e-6);
     let seen = information.iter().all(|i| i.rank == i.parameters);
     let criteria = criteria(&problem, inputs, &found.u)?;
-    let bound = (job.certificate && !(around.interrupt)()).then(|| {
-        (around.note)("bounding the information of every record within the limits (`certificate = false` leaves it out)");
+    let bound = (job.certificate && !watch.interrupted()).then(|| {
+        watch.note("bounding the information of every record within the limits (`certificate = false` leaves it out)");
         certificate(&problem, &criteria)
     });
     let channels = job.channels.iter().map(|c| quantity(&c.channel.name, &c.unit)).collect();

@@ -10,11 +10,12 @@ use dynocal_ident::validate::stability::{Stability, Trials, free_run_stability};
 use dynocal_ident::validate::{Kind, Reference, score_values};
 use serde::{Deserialize, Serialize};
 
-use super::fit::{Around, Estimated};
+use super::fit::Estimated;
 use super::job::IdentifyError;
 use super::load::Part;
 use super::set::shape;
 use super::spec::{Job, Target};
+use dynocal_numerics::watch::Watch;
 
 /// What is known of one model beyond its scores.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -64,7 +65,7 @@ pub fn after(
     t: &Target,
     e: &Estimated,
     parts: &[Part],
-    around: Around,
+    watch: Watch,
 ) -> Result<(After, Option<BoundaryModel>), IdentifyError> {
     let mut out = After::default();
     let mut shaped: Vec<(&Part, Vec<Experiment>)> = Vec::new();
@@ -85,7 +86,7 @@ pub fn after(
         out.stability = Some(free_run_stability(model, theta, data, &unseen, &trials)?);
     }
     if job.validate.folds > 1 && job.saved.is_empty() {
-        cross(job, t, e, data, &mut out, around)?;
+        cross(job, t, e, data, &mut out, watch)?;
     }
     let boundary = match learn(Space::of(model), data, &job.validate.boundary) {
         Ok(b) => Some(b),
@@ -118,16 +119,16 @@ fn cross(
     e: &Estimated,
     data: &[Experiment],
     out: &mut After,
-    around: Around,
+    watch: Watch,
 ) -> Result<(), IdentifyError> {
     let Some(model) = e.model.stored().narx() else {
         out.remarks.push("no cross-validation: the estimator `pem` has none yet".into());
         return Ok(());
     };
-    (around.note)(&format!("{}: cross-validation in {} folds", t.target, job.validate.folds));
+    watch.note(&format!("{}: cross-validation in {} folds", t.target, job.validate.folds));
     let blocks = Blocks { folds: job.validate.folds, gap: 0, confidence: job.validate.confidence };
     let estimator = estimate::estimator(&t.estimator, &t.estimator_keys)?;
-    let found = cross_validate(model, data, estimator.as_ref(), &blocks, around.interrupt)?;
+    let found = cross_validate(model, data, estimator.as_ref(), &blocks, watch.interrupt)?;
     out.remarks.extend(found.failed.iter().map(|f| format!("cross-validation: {f}")));
     out.folds = Some(found);
     Ok(())

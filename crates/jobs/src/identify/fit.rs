@@ -11,6 +11,7 @@ use dynocal_ident::select::pool::Pool;
 use dynocal_ident::select::{self, Selection};
 use dynocal_numerics::registry::{self, BuildError};
 use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
 use serde::Deserialize;
 
 use super::gaps::bridge;
@@ -65,15 +66,6 @@ pub fn narmax(keys: &toml::Table, inputs: &[String], target: &str) -> Result<Nar
     Narmax::parse(inputs, target, &read.regressors).map_err(refused)
 }
 
-/// What runs beside the work.
-#[derive(Clone, Copy)]
-pub struct Around<'a> {
-    /// Told what happens.
-    pub note: &'a (dyn Fn(&str) + Sync),
-    /// Asked often whether to stop.
-    pub interrupt: &'a (dyn Fn() -> bool + Sync),
-}
-
 /// Estimates one target from `data`; `selecting` are records that choose between candidates, where the spec has some.
 ///
 /// # Errors
@@ -82,10 +74,10 @@ pub fn estimate(
     t: &Target,
     data: &[Experiment],
     selecting: &[Experiment],
-    around: Around,
+    watch: Watch,
 ) -> Result<Estimated, IdentifyError> {
-    let (stored, selection) = structure(t, data, around)?;
-    (around.note)(&format!(
+    let (stored, selection) = structure(t, data, watch)?;
+    watch.note(&format!(
         "{}: estimating {} parameters by {} from {} records, {} samples",
         t.target,
         stored.n_params(),
@@ -94,17 +86,17 @@ pub fn estimate(
         data.iter().map(Experiment::len).sum::<usize>()
     ));
     let fit = match &stored {
-        Stored::Linear(m) => pem(&t.estimator_keys)?.estimate(m, data, None, around.interrupt)?,
+        Stored::Linear(m) => pem(&t.estimator_keys)?.estimate(m, data, None, watch.interrupt)?,
         Stored::Narmax(m) => {
             let whole = bridge(t, m.with_innovations(), data, false);
-            let mut fit = els(&t.estimator_keys)?.estimate(m, &whole.data, around.interrupt)?;
+            let mut fit = els(&t.estimator_keys)?.estimate(m, &whole.data, watch.interrupt)?;
             fit.warnings.extend(whole.remarks);
             fit
         }
         other => {
             let Some(m) = other.narx() else { return Err(IdentifyError::Interrupted) };
             let whole = bridge(t, m, data, t.estimator != "ols");
-            let mut fit = narx(t, m, &whole.data, selecting, around)?;
+            let mut fit = narx(t, m, &whole.data, selecting, watch)?;
             fit.warnings.extend(whole.remarks);
             fit
         }
@@ -136,12 +128,12 @@ pub fn saved(file: &ModelFile) -> Result<Estimated, IdentifyError> {
 fn structure(
     t: &Target,
     data: &[Experiment],
-    around: Around,
+    watch: Watch,
 ) -> Result<(Stored, Option<Selection>), IdentifyError> {
     if let Some(select) = &t.select
         && let Some(pool) = &select.pool
     {
-        return selected(&pool.pool(&t.inputs, &t.target)?, select, data, around);
+        return selected(&pool.pool(&t.inputs, &t.target)?, select, data, watch);
     }
     let (name, keys) = (&t.structure.name, &t.structure.keys);
     let failed = estimate::EstimateError::from;
@@ -162,7 +154,7 @@ fn structure(
     };
     match &t.select {
         None => Ok((Stored::Polynomial(pool), None)),
-        Some(select) => selected(&Pool::from(&pool), select, data, around),
+        Some(select) => selected(&Pool::from(&pool), select, data, watch),
     }
 }
 
@@ -170,12 +162,12 @@ fn selected(
     pool: &Pool,
     select: &Selecting,
     data: &[Experiment],
-    around: Around,
+    watch: Watch,
 ) -> Result<(Stored, Option<Selection>), IdentifyError> {
-    (around.note)(&format!("selecting terms from a pool of {}", pool.candidates().len()));
+    watch.note(&format!("selecting terms from a pool of {}", pool.candidates().len()));
     let method = select::selection(&select.method, &select.keys)?;
-    let found = method.select(pool, &share(data, select.max_samples, pool.max_lag()), around.interrupt)?;
-    (around.note)(&format!("selected {}", found.model.regressor_texts().join(", ")));
+    let found = method.select(pool, &share(data, select.max_samples, pool.max_lag()), watch.interrupt)?;
+    watch.note(&format!("selected {}", found.model.regressor_texts().join(", ")));
     Ok((Stored::Polynomial(found.model.clone()), Some(found)))
 }
 
@@ -201,12 +193,12 @@ fn narx(
     model: &dyn Model,
     data: &[Experiment],
     selecting: &[Experiment],
-    around: Around,
+    watch: Watch,
 ) -> Result<Fit, IdentifyError> {
     // Early stopping watches the selection records of the spec instead of an end cut off the estimation records.
     if t.estimator == "train" && !selecting.is_empty() {
         let train: Train = registry::keys("train", &t.estimator_keys)?;
-        return Ok(train.train(model, data, selecting, None, around.interrupt)?.fit);
+        return Ok(train.train(model, data, selecting, None, watch.interrupt)?.fit);
     }
     let estimator = estimate::estimator(&t.estimator, &t.estimator_keys)?;
     let rows: usize = data.iter().map(Experiment::len).sum();
@@ -214,9 +206,9 @@ fn narx(
     if t.warm_start_samples > 0 && t.warm_start_samples < rows {
         let part = share(data, t.warm_start_samples, model.max_lag());
         let samples: usize = part.iter().map(Experiment::len).sum();
-        (around.note)(&format!("first estimate from {samples} samples"));
-        let first = estimator.estimate(model, &part, None, around.interrupt)?;
+        watch.note(&format!("first estimate from {samples} samples"));
+        let first = estimator.estimate(model, &part, None, watch.interrupt)?;
         start = (first.status != Status::Interrupted).then_some(first.theta);
     }
-    Ok(estimator.estimate(model, data, start.as_deref(), around.interrupt)?)
+    Ok(estimator.estimate(model, data, start.as_deref(), watch.interrupt)?)
 }

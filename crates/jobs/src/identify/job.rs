@@ -13,12 +13,13 @@ use dynocal_ident::select::SelectError;
 use dynocal_ident::validate::Kind;
 use dynocal_ident::validate::boundary::BoundaryModel;
 use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
 use super::after::{After, after};
 use super::before::before;
 use super::bounds::free_run_bounds;
-use super::fit::{Around, Estimated, estimate, saved};
+use super::fit::{Estimated, estimate, saved};
 use super::load::{Part, parts};
 use super::prepare::prepare_parts;
 use super::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Path, Quantity};
@@ -80,22 +81,16 @@ pub enum IdentifyError {
 
 /// Does the job: reads the data, estimates, scores, and writes models, records and summary.
 ///
-/// `note` is told what happens, `interrupt` is asked often.
-///
 /// # Errors
 /// [`IdentifyError`].
-pub fn run(
-    job: &Job,
-    note: &(dyn Fn(&str) + Sync),
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Result<(Identified, RunFolder), IdentifyError> {
+pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyError> {
     let files = job.sources.iter().chain(job.tests.iter().map(|t| &t.source));
     let digests: Vec<String> = files.map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?;
     let mut folder = RunFolder::open(&job.out, "identify", job)?;
     let inputs = (job.inputs(), digests);
-    let done = folder.step("identify", &inputs, |dir| work(job, dir, Around { note, interrupt }))?;
+    let done = folder.step("identify", &inputs, |dir| work(job, dir, watch))?;
     if done.resumed {
-        note("same spec and data as before: result taken from the earlier run");
+        watch.note("same spec and data as before: result taken from the earlier run");
     }
     folder.write_summary(&done.result)?;
     Ok((done.result, folder))
@@ -114,13 +109,13 @@ fn missing(path: &path::Path) -> FilesError {
     }
 }
 
-fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, IdentifyError> {
-    let mut parts = parts(job, around.note)?;
+fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
+    let mut parts = parts(job, watch.note)?;
     let preparation = prepare_parts(job, &mut parts, dir)?;
     let first = if job.saved.is_empty() { before(job, &parts[0].records)? } else { None };
     let estimated = if job.saved.is_empty() {
         // Targets share nothing but the data.
-        job.targets.par_iter().map(|t| estimate_target(t, &parts, around)).collect::<Result<Vec<_>, _>>()?
+        job.targets.par_iter().map(|t| estimate_target(t, &parts, watch)).collect::<Result<Vec<_>, _>>()?
     } else {
         sampled_alike(job, &parts)?;
         job.saved.iter().map(saved).collect::<Result<Vec<_>, _>>()?
@@ -129,7 +124,7 @@ fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, Ident
     if let Some((target, input)) = set.loop_at_once() {
         return Err(IdentifyError::Loop { target: target.into(), input: input.into() });
     }
-    (around.note)("scoring");
+    watch.note("scoring");
     let fitted: Vec<Vec<Experiment>> = job
         .targets
         .iter()
@@ -147,7 +142,7 @@ fn work(job: &Job, dir: &path::Path, around: Around) -> Result<Identified, Ident
     }
     let mut models = Vec::new();
     for (t, e) in job.targets.iter().zip(&estimated) {
-        let judged = after(job, t, e, &parts, around)?;
+        let judged = after(job, t, e, &parts, watch)?;
         let notes = preparation.first().map_or(&[][..], |p| &p.notes);
         models.push(modelled(job, t, e, (&parts[0].records[0], notes), &scored, judged, dir)?);
     }
@@ -184,7 +179,7 @@ fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
     Ok(())
 }
 
-fn estimate_target(t: &Target, parts: &[Part], around: Around) -> Result<Estimated, IdentifyError> {
+fn estimate_target(t: &Target, parts: &[Part], watch: Watch) -> Result<Estimated, IdentifyError> {
     // Missing samples are for those who asked for them.
     let marked =
         parts[0].records.iter().any(|d| d.channels.iter().any(|c| c.values.iter().any(|v| v.is_nan())));
@@ -196,7 +191,7 @@ fn estimate_target(t: &Target, parts: &[Part], around: Around) -> Result<Estimat
     let selecting = parts.iter().filter(|p| p.name == "selection").flat_map(|p| &p.records);
     let selecting: Vec<Experiment> =
         selecting.map(|d| shape(d, &t.inputs, &t.target)).collect::<Result<_, _>>()?;
-    estimate(t, &data, &selecting, around)
+    estimate(t, &data, &selecting, watch)
 }
 
 fn modelled(

@@ -14,6 +14,7 @@ use dynocal_jobs::identify::job::{self, IdentifyError};
 use dynocal_jobs::identify::result::Score;
 use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_numerics::registry::MemberDoc;
+use dynocal_numerics::watch::Watch;
 use dynocal_report::{Cell, Column, Report, Section, Table};
 use serde_json::{Value, json};
 
@@ -58,8 +59,8 @@ fn task(case: &'static Case, o: &Options, linear: bool) -> Task {
         run: Box::new(move |around: &Surroundings| {
             let out = around.runs.join(&folder);
             let job = job_of(case, data.clone(), out, reduced, linear)?;
-            let note = |text: &str| (around.note)(&format!("{folder}: {text}"));
-            let found = job::run(&job, &note, &|| (around.interrupt)()).map_err(|e| failed(case, e))?;
+            let note = |text: &str| around.watch.note(&format!("{folder}: {text}"));
+            let found = job::run(&job, Watch { note: &note, ..around.watch }).map_err(|e| failed(case, e))?;
             let models: Vec<Value> = found
                 .0
                 .models

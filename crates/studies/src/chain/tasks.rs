@@ -27,10 +27,10 @@ pub(super) fn calibrate(
     let campaign = Campaign { name: name.into(), spec: spec.clone(), out: around.runs.join(name) };
     let tell = |e: Event| {
         if let Event::Step(k, of, step) = e {
-            (around.note)(&format!("  step {k} of {of}: {step}"));
+            around.watch.note(&format!("  step {k} of {of}: {step}"));
         }
     };
-    let done = job::run(&campaign, "validate", &tell, around.interrupt)?;
+    let done = job::run(&campaign, "validate", &tell, around.watch.interrupt)?;
     let summary: Value = json_files::read(&done.summary)?;
     let html = text(&done.report)?;
     let missing: Vec<&str> =
@@ -135,7 +135,7 @@ pub(super) fn interruption(
                 resumed.fetch_add(1, Ordering::Relaxed);
             }
         };
-        job::run(c, "validate", &tell, around.interrupt)
+        job::run(c, "validate", &tell, around.watch.interrupt)
     };
     let (whole, broken) = (campaign("whole"), campaign("broken"));
     let none = AtomicUsize::new(0);
@@ -151,7 +151,7 @@ pub(super) fn interruption(
             asked.store(true, Ordering::Relaxed);
         }
     };
-    let stop = || asked.load(Ordering::Relaxed) || (around.interrupt)();
+    let stop = || asked.load(Ordering::Relaxed) || around.watch.interrupted();
     let left = clean(&broken.out).and_then(|()| match job::run(&broken, "validate", &tell, &stop) {
         Err(ChainError::Interrupted) => Ok(true),
         Ok(_) => Ok(false),

@@ -97,7 +97,7 @@ fn task<T: Serialize>(
     let failed = move |reason: String| StudyError::Task { what: format!("chapter 4, {of}"), reason };
     let work = move |around: &Surroundings| match shared.as_ref() {
         Err(e) => Err(failed(e.to_string())),
-        Ok(library) => match run(library, around.interrupt) {
+        Ok(library) => match run(library, around.watch.interrupt) {
             Ok(found) => serde_json::to_value(found).map_err(|e| failed(e.to_string())),
             Err(Chapter4Error::Interrupted) => Err(StudyError::Interrupted),
             Err(e) => Err(failed(e.to_string())),

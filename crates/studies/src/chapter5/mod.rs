@@ -76,7 +76,7 @@ fn task<T: serde::Serialize>(
     run: impl Fn(&(dyn Fn() -> bool + Sync)) -> Result<T, Chapter5Error> + 'static,
 ) -> Task {
     let of = name.to_string();
-    let work = move |around: &Surroundings| match run(around.interrupt) {
+    let work = move |around: &Surroundings| match run(around.watch.interrupt) {
         Ok(found) => serde_json::to_value(found)
             .map_err(|e| StudyError::Task { what: of.clone(), reason: e.to_string() }),
         Err(Chapter5Error::Interrupted) => Err(StudyError::Interrupted),

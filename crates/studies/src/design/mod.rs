@@ -87,7 +87,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         .map(|case| Task {
             name: case.name(),
             inputs: json!({ "case": case.name(), "length": length }),
-            run: Box::new(move |around: &Surroundings| Ok(json!(run(case, length, around.interrupt)?))),
+            run: Box::new(move |around: &Surroundings| Ok(json!(run(case, length, around.watch.interrupt)?))),
         })
         .collect()
 }

@@ -54,8 +54,8 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
             .into_iter()
             .chain(Campaign::DESIGNED)
             .map(|c| {
-                (around.note)(&format!("  {}", c.name()));
-                setting.compare(c, size, around.interrupt)
+                around.watch.note(&format!("  {}", c.name()));
+                setting.compare(c, size, around.watch.interrupt)
             })
             .collect::<Result<_, _>>()?;
         Ok(BlackBox { size, variance: setting.variance(), compared })

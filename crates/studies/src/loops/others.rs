@@ -63,8 +63,8 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
             let engine = Engine::new(&plant)?;
             let (affine, quadratic) = (built(engine.affine())?, built(engine.quadratic())?);
             Ok([
-                observe(&engine, "affine (4.52)", &affine, setup, around.interrupt)?,
-                observe(&engine, "quadratic NARX", &quadratic, setup, around.interrupt)?,
+                observe(&engine, "affine (4.52)", &affine, setup, around.watch.interrupt)?,
+                observe(&engine, "quadratic NARX", &quadratic, setup, around.watch.interrupt)?,
             ])
         }),
         task(
@@ -86,7 +86,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
             built(Known::new(KNOWN_NOISE))?.robust(robust)
         }),
         task(OUTPUTS, json!({ "size": outputs, "noise": super::NOISE }), move |around| {
-            mimo::compare(&plant, outputs, around.interrupt)
+            mimo::compare(&plant, outputs, around.watch.interrupt)
         }),
     ]
 }

@@ -33,7 +33,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
     let unseen = if o.reduced { 1 } else { 6 };
     vec![
         task(TASKS[0].0, json!({ "size": known, "noise": KNOWN_NOISE, "unseen": 10 }), move |around| {
-            compare(&built(Known::new(KNOWN_NOISE))?, known, 10, around.interrupt)
+            compare(&built(Known::new(KNOWN_NOISE))?, known, 10, around.watch.interrupt)
         }),
         task(TASKS[1].0, json!({ "size": engine, "noise": NOISE, "unseen": unseen }), move |around| {
             let bed = Engine::new(&plant)?;
@@ -43,7 +43,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
                 doubted: built(bed.doubted_quadratic())?,
                 noise_variance: NOISE.torque_nm.powi(2),
             };
-            compare(&system, engine, unseen, around.interrupt)
+            compare(&system, engine, unseen, around.watch.interrupt)
         }),
     ]
 }
