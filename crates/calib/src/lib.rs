@@ -9,6 +9,7 @@ pub mod excite;
 pub mod fuel;
 pub mod loops;
 pub mod map;
+pub mod problem;
 pub mod record;
 pub mod supervisor;
 pub mod validate;

@@ -4,6 +4,7 @@
 //! inputs is a flat row-major slice `u[t * m + i]` (N x m), a sensitivity matrix `s[t * p + k]` (N x p).
 
 pub mod data;
+pub mod derived;
 pub mod estimate;
 pub mod excitation;
 pub mod experiment;
