@@ -3,11 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use dynocal_jobs::place::Overrides;
 
 use crate::failure::Failure;
 use crate::progress::Progress;
 use crate::step_progress::StepProgress;
 use crate::terminal::print;
+
+/// Most threads: enough for any machine of today, few enough for the smallest to live on.
+const MOST_THREADS: i64 = 512;
 
 // No doc comment: clap would show it in `--help` in place of each verb's own description.
 #[derive(Args, Debug, Clone)]
@@ -22,7 +26,7 @@ pub(crate) struct Common {
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
     /// Threads for independent work; results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
     threads: Option<u16>,
     /// Run folder; overrides the spec
     #[arg(long, value_name = "DIR")]
@@ -48,6 +52,11 @@ impl Common {
         }
         crate::interrupt::install()?;
         Ok(())
+    }
+
+    /// What the arguments change in a spec.
+    pub(crate) fn overrides(&self) -> Overrides {
+        Overrides { seed: self.seed, out: self.out.clone() }
     }
 
     /// Whether a human-readable result is wanted on standard output.

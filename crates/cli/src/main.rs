@@ -11,7 +11,7 @@ mod verbs;
 
 use std::process::ExitCode;
 
-use failure::Exit;
+use failure::{Exit, Failure};
 use terminal::say;
 
 fn main() -> ExitCode {
@@ -23,12 +23,25 @@ fn main() -> ExitCode {
     let outcome = std::panic::catch_unwind(|| {
         let matches = match verbs::command().try_get_matches() {
             Ok(matches) => matches,
-            Err(e) => return terminal::parsed(&e),
+            Err(e) => return unparsed(&e).unwrap_or_else(could_not),
         };
-        verbs::run(&matches).unwrap_or_else(|failure| {
-            failure.print();
-            Exit::CouldNot
-        })
+        verbs::run(&matches).unwrap_or_else(could_not)
     });
     outcome.unwrap_or(Exit::CouldNot).into()
+}
+
+fn could_not(failure: Failure) -> Exit {
+    failure.print();
+    Exit::CouldNot
+}
+
+/// The command line gave help, or a complaint, instead of a verb.
+fn unparsed(e: &clap::Error) -> Result<Exit, Failure> {
+    let text = e.render().to_string();
+    if e.use_stderr() {
+        say(text.trim_end());
+        return Ok(Exit::CouldNot);
+    }
+    terminal::print(&text)?;
+    Ok(Exit::Done)
 }

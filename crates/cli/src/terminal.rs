@@ -5,21 +5,19 @@
 
 use std::io::{ErrorKind, Write};
 
-use crate::failure::{Exit, Failure};
-
 /// Standard output takes no more: a full disk is the user's to know.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write to standard output: {0}")]
-struct Output(std::io::Error);
+pub(crate) struct OutputError(std::io::Error);
 
 /// Prints to standard output. A reader that has gone away is not our error; a result that could not be written is.
 ///
 /// # Errors
 /// The text could not be written whole.
-pub(crate) fn print(text: &str) -> Result<(), Failure> {
+pub(crate) fn print(text: &str) -> Result<(), OutputError> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Output(e).into()),
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(OutputError(e)),
         _ => Ok(()),
     }
 }
@@ -28,20 +26,4 @@ pub(crate) fn print(text: &str) -> Result<(), Failure> {
 pub(crate) fn say(line: &str) {
     let mut err = std::io::stderr().lock();
     let _ = writeln!(err, "{line}");
-}
-
-/// How the program ends where the command line gave help or a complaint instead of a verb.
-pub(crate) fn parsed(e: &clap::Error) -> Exit {
-    let text = e.render().to_string();
-    if e.use_stderr() {
-        say(text.trim_end());
-        return Exit::CouldNot;
-    }
-    match print(&text) {
-        Ok(()) => Exit::Done,
-        Err(failure) => {
-            failure.print();
-            Exit::CouldNot
-        }
-    }
 }

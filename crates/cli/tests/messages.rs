@@ -217,7 +217,7 @@ fn folders_that_cannot_be_written() {
     assert_eq!(o.code, 0, "{}", o.stderr);
     let o = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "bed.csv/run"]);
     assert_eq!(o.code, 2);
-    has(&o.stderr, "error: cannot write bed.csv/run/run.json: a part of the path is a file, not a folder");
+    has(&o.stderr, "error: cannot write bed.csv/run: a part of the path is a file, not a folder");
     let o = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "."]);
     assert_eq!(o.code, 2);
     has(&o.stderr, "is not empty and not a run of `dynocal identify`");

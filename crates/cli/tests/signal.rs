@@ -44,7 +44,7 @@ fn a_signal_is_written_with_its_numbers_and_is_the_same_for_the_same_seed() {
     let o = signal(tmp.path(), &[&APRBS[..], &["--json", "--seed", "4"]].concat());
     assert_eq!(o.code, 0, "{}", o.stderr);
     let summary: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
-    let a = &summary["analysis"];
+    let a = &summary["analyses"][0];
     assert_eq!((&a["samples"], &a["minimum"], &a["maximum"]), (&600.into(), &10.0.into(), &90.0.into()));
     let table = dynocal_files::csv_io::read(&tmp.path().join("run/signal.csv")).unwrap();
     let torque = table.column("torque").unwrap();

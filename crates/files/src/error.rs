@@ -21,6 +21,12 @@ pub enum FilesError {
         /// What the system said.
         reason: String,
     },
+    /// Another run works in the folder.
+    #[error("{path}: another run works in this folder: wait for its end, or give another folder")]
+    Busy {
+        /// Folder.
+        path: String,
+    },
     /// There is no data in the file.
     #[error("{path} is empty: expected {expected}")]
     Empty {

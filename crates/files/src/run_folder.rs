@@ -6,7 +6,7 @@
 //! OUT/steps/01-excite/...      files of a step; step.json is written last and says that it is finished
 //! OUT/summary.json             results that a program reads (no times)
 //! OUT/timing.json              wall times, the only file that differs between equal runs
-//! OUT/log.txt                  what happened, line by line
+//! OUT/log.txt                  what happened, line by line; locked while a run works in the folder
 //! ```
 //!
 //! A step is skipped when its `step.json` carries the digest of the same inputs and its files are still those
@@ -81,15 +81,17 @@ pub struct RunFolder {
     steps: usize,
     timing: Vec<(String, f64)>,
     started: Instant,
+    /// `log.txt`, held open: its lock tells another run that the folder is taken, and goes with this process.
+    log: fs::File,
 }
 
 impl RunFolder {
     /// Makes the folder, or continues in it when the same verb (`kind`, e.g. `calibrate`) made it.
-    /// `spec` is stored as `spec.json`.
+    /// `spec` is stored as `spec.json`. Temporary files that a killed run has left are removed.
     ///
     /// # Errors
-    /// [`FilesError::ForeignFolder`] when the folder holds something else, [`FilesError::Write`] when it cannot be
-    /// written.
+    /// [`FilesError::ForeignFolder`] when the folder holds something else, [`FilesError::Busy`] when another run works in
+    /// it, [`FilesError::Write`] when it cannot be written.
     ///
     /// # Examples
     /// ```
@@ -114,12 +116,14 @@ impl RunFolder {
         } else if let Some(entry) = fs::read_dir(path).ok().and_then(|mut d| d.next()).and_then(Result::ok) {
             return Err(foreign(path, kind, &format!("it holds `{}`", entry.file_name().to_string_lossy())));
         }
+        let log = locked_log(path)?;
+        sweep(path);
         json::write(
             &marker,
             &Marker { tool: "dynocal".into(), version: env!("CARGO_PKG_VERSION").into(), kind: kind.into() },
         )?;
         json::write(&path.join("spec.json"), spec)?;
-        let run = Self { path: path.into(), steps: 0, timing: Vec::new(), started: Instant::now() };
+        let run = Self { path: path.into(), steps: 0, timing: Vec::new(), started: Instant::now(), log };
         run.log(&format!("dynocal {} {kind}", env!("CARGO_PKG_VERSION")))?;
         Ok(run)
     }
@@ -177,13 +181,7 @@ impl RunFolder {
     /// # Errors
     /// [`FilesError::Write`].
     pub fn log(&self, line: &str) -> Result<(), FilesError> {
-        let path = self.path.join("log.txt");
-        fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .and_then(|mut f| writeln!(f, "{line}"))
-            .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: reason(&e) })
+        writeln!(&self.log, "{line}").map_err(|e| unwritten(&self.path.join("log.txt"), &e))
     }
 
     /// Writes `summary.json` (schema `dynocal/summary`, version 1) and returns its path.
@@ -212,18 +210,46 @@ fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {
     FilesError::ForeignFolder { path: path.display().to_string(), found: found.into(), expected: kind.into() }
 }
 
-/// The finished step in `folder`, if it had the same inputs and its files are untouched.
+fn unwritten(path: &Path, e: &std::io::Error) -> FilesError {
+    FilesError::Write { path: path.display().to_string(), reason: reason(e) }
+}
+
+/// The log of the folder, opened for lines at its end and locked. A file system without locks goes without.
+fn locked_log(folder: &Path) -> Result<fs::File, FilesError> {
+    let path = folder.join("log.txt");
+    fs::create_dir_all(folder).map_err(|e| unwritten(folder, &e))?;
+    let log = fs::OpenOptions::new().create(true).append(true).open(&path);
+    let log = log.map_err(|e| unwritten(&path, &e))?;
+    match log.try_lock() {
+        Err(fs::TryLockError::WouldBlock) => Err(FilesError::Busy { path: folder.display().to_string() }),
+        _ => Ok(log),
+    }
+}
+
+/// Removes the temporary files (see [`crate::atomic`]) of a run that was killed while it wrote, in the folder and in
+/// its steps. Nobody else writes there: the folder is locked.
+fn sweep(folder: &Path) {
+    let entries = |f: &Path| fs::read_dir(f).into_iter().flatten().filter_map(Result::ok).map(|e| e.path());
+    let steps = entries(&folder.join("steps")).filter(|p| p.is_dir());
+    for place in [folder.to_path_buf(), folder.join("steps")].into_iter().chain(steps) {
+        let stray = |p: &PathBuf| {
+            let name = p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            p.is_file() && name.starts_with('.') && name.ends_with(".tmp")
+        };
+        // One that cannot be removed does no harm.
+        entries(&place).filter(stray).for_each(|p| drop(fs::remove_file(p)));
+    }
+}
+
+/// The finished step in `folder`, if it had the same inputs and its result and files are untouched.
 fn earlier<T: DeserializeOwned>(folder: &Path, inputs_digest: &str) -> Option<Done<T>> {
-    let record: StepRecord<T> = json::read(&folder.join("step.json")).ok()?;
+    let record: StepRecord<serde_json::Value> = json::read(&folder.join("step.json")).ok()?;
     let same = record.step_version == STEP_VERSION
         && record.inputs_digest == inputs_digest
-        && files_digest(folder).ok()? == record.files;
-    same.then(|| Done {
-        result: record.result,
-        digest: record.result_digest,
-        folder: folder.into(),
-        resumed: true,
-    })
+        && files_digest(folder).ok()? == record.files
+        && digest_of(&(&record.result, &record.files)).ok()? == record.result_digest;
+    let result = serde_json::from_value(record.result).ok()?;
+    same.then(|| Done { result, digest: record.result_digest, folder: folder.into(), resumed: true })
 }
 
 /// An empty folder for a step that starts: what an unfinished one left must not be taken for its result.

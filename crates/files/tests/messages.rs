@@ -398,3 +398,20 @@ fn parquet_round_trip_and_broken_bytes() {
     let e = read_table(&path, None).unwrap_err().to_string();
     assert!(e.contains("x.parquet: not a valid Parquet file"), "{e}");
 }
+
+/// A result that was edited by hand is not taken for what the step found.
+#[test]
+fn an_edited_result_is_computed_again() {
+    let tmp = tempfile::tempdir().unwrap();
+    let go = || {
+        let mut run = RunFolder::open(tmp.path(), "test", &1).unwrap();
+        run.step("a", &1, |_| Ok::<f64, FilesError>(0.125)).unwrap()
+    };
+    assert_eq!((go().resumed, go().resumed), (false, true));
+    let path = tmp.path().join("steps/01-a/step.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert!(text.contains("0.125"));
+    atomic::write(&path, text.replace("0.125", "0.25").as_bytes()).unwrap();
+    let again = go();
+    assert_eq!((again.result, again.resumed), (0.125, false));
+}

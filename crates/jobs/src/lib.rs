@@ -7,5 +7,8 @@
 
 pub mod calibrate;
 pub mod design;
+pub mod engine;
 pub mod identify;
 pub mod page;
+pub mod place;
+pub mod signal;

@@ -6,7 +6,7 @@ use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::design::load::DesignJobError;
 use dynocal_jobs::design::result::{Designed, SafetyLine};
 use dynocal_jobs::design::run::run as make;
-use dynocal_jobs::design::{Overrides, read};
+use dynocal_jobs::design::read;
 use dynocal_report::significant;
 use dynocal_design::error::DesignError;
 use dynocal_design::search::Failure as SearchFailure;
@@ -34,7 +34,7 @@ struct Design {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Design::from_arg_matches(matches)?;
     let progress = args.common.start()?;
-    let job = read(&args.spec, &Overrides { seed: args.common.seed, out: args.common.out.clone() })?;
+    let job = read(&args.spec, &args.common.overrides())?;
     let (found, curves, folder) = progress.during(|watch| make(&job, watch)).map_err(with_hint)?;
     design_report::write(&job, &found, &curves, folder.path())?;
     for warning in &found.warnings {

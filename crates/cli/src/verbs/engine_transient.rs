@@ -83,7 +83,6 @@ struct Record {
 impl Transient {
     /// Drives the bed, shows ranges and events, writes what was asked for.
     pub(crate) fn run(&self) -> Result<Exit, Failure> {
-        interrupt::install()?;
         if !(self.every_s > 0.0 && self.every_s <= 10.0) {
             return Err(FileError::Sample(self.every_s).into());
         }

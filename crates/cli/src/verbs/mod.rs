@@ -25,7 +25,6 @@ mod calibrate_text;
 mod engine_cycle;
 mod engine_map;
 mod engine_transient;
-mod signal_set;
 
 verbs![
     calibrate, //

@@ -21,17 +21,10 @@ use dynocal_design::problem::Convention;
 use dynocal_files::spec::{Faults, LoadError, SpecError};
 use serde::Serialize;
 
+pub use crate::place::Overrides;
+use crate::place::Place;
 pub use models::{ModelSpec, Objective, OutputSpec, Source};
 use typed::Typed;
-
-/// What the command line changes in a spec.
-#[derive(Clone, Debug, Default)]
-pub struct Overrides {
-    /// Seed of the search.
-    pub seed: Option<u64>,
-    /// Run folder.
-    pub out: Option<PathBuf>,
-}
 
 /// A channel of the plan.
 #[derive(Clone, Debug, Serialize)]
@@ -91,9 +84,7 @@ pub struct Job {
 /// # Errors
 /// [`LoadError`] with every fault.
 pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
-    let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-    let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-    dynocal_files::spec::load(path, |t: &Typed, faults| check(t, &folder, &stem, overrides, faults))
+    dynocal_files::spec::load(path, |t: &Typed, faults| check(t, path, overrides, faults))
 }
 
 /// The same for a spec that is there as text; `file` is its name in messages.
@@ -115,16 +106,14 @@ pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
 /// assert!(faults.contains("did you mean `upper`?") && faults.contains("`models`"), "{faults}");
 /// ```
 pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
-    let stem = file.split('.').next().unwrap_or(file);
-    dynocal_files::spec::parse(file, text, |t: &Typed, faults| {
-        check(t, Path::new(""), stem, overrides, faults)
-    })
+    dynocal_files::spec::parse(file, text, |t: &Typed, faults| check(t, Path::new(file), overrides, faults))
 }
 
 /// Longest record, in samples.
 const MOST_SAMPLES: f64 = 1e6;
 
-fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Faults) -> Option<Job> {
+fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
+    let folder = spec.parent().unwrap_or(Path::new(""));
     let dt = faults.required("sample_time_s", &t.sample_time_s, "sample time, s");
     let length = faults.required("length_s", &t.length_s, "length of the record, s");
     dt.into_iter().for_each(|v| faults.positive("sample_time_s", v, "s"));
@@ -145,11 +134,10 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let search = search(t.search.as_ref(), faults);
     let criteria: Vec<&str> = models.iter().filter_map(|m| m.criterion.as_deref()).collect();
     let d_of_one_model = criteria == ["d"];
-    let name = t.name.clone().unwrap_or_else(|| stem.to_string());
-    let out = over.out.clone().or_else(|| t.out.as_ref().map(|o| folder.join(o)));
+    let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     Some(Job {
-        out: out.unwrap_or_else(|| Path::new("runs").join(&name)),
-        name,
+        out: place.out,
+        name: place.name,
         sample_time_s: dt?,
         samples: samples? as usize,
         convention: t.convention.unwrap_or(Convention::Hold),

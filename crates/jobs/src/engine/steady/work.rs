@@ -1,0 +1,75 @@
+//! Steady points on the engine.
+
+use dynocal_numerics::watch::Watch;
+use dynocal_plant::engine::VirtualEngine;
+use dynocal_plant::inputs::Inputs;
+use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
+use dynocal_plant::trace::CylinderTrace;
+
+use super::{At, MOST_POINTS, Spec, Steady};
+use crate::engine::quantities::Point;
+use crate::engine::{Engine, EngineJobError};
+
+/// Time at constant inputs before the outputs are averaged, and the time of averaging (thesis 6.6.1) \[s\].
+const SETTLE_S: f64 = 9.0;
+const AVERAGE_S: f64 = 1.0;
+
+/// Holds every point until it is steady.
+///
+/// # Errors
+/// [`EngineJobError`]: inputs out of range, a torque that is not reached, an interruption.
+pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJobError> {
+    let mut engine = VirtualEngine::new(&engine.params)?;
+    let points = match *spec {
+        Spec::Point(at) => vec![settled(&mut engine, at)?],
+        Spec::Motored { speed_rpm, throttle_deg } => {
+            let u = Inputs { speed_rpm, throttle_deg, injection_mg: 0.0, ..Inputs::default() };
+            vec![held(&mut engine, u)?]
+        }
+        Spec::Sweep { input, from, to, points, at } => {
+            if !(2..=MOST_POINTS).contains(&points) {
+                let expected = format!("2 to {MOST_POINTS}");
+                return Err(EngineJobError::Number { name: "points".into(), found: points as f64, expected });
+            }
+            let start = settled(&mut engine, at)?.inputs;
+            let mut all = Vec::with_capacity(points);
+            for k in 0..points {
+                if watch.interrupted() {
+                    return Err(EngineJobError::Interrupted);
+                }
+                watch.fraction(k as f64 / points as f64);
+                let mut u = start;
+                input.set(&mut u, from + (to - from) * k as f64 / (points - 1) as f64);
+                all.push(held(&mut engine, u)?);
+            }
+            all
+        }
+    };
+    Ok(Steady { points, trace: CylinderTrace::record(&mut engine, 0)? })
+}
+
+fn held(engine: &mut VirtualEngine, inputs: Inputs) -> Result<Point, EngineJobError> {
+    Ok(Point { inputs, outputs: steady(engine, inputs, SETTLE_S, AVERAGE_S)? })
+}
+
+fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> {
+    let speed_rpm = at.speed_rpm;
+    let Some(torque_nm) = at.torque_nm else {
+        let d = Inputs::default();
+        let u = Inputs {
+            speed_rpm,
+            throttle_deg: at.throttle_deg.unwrap_or(d.throttle_deg),
+            injection_mg: at.injection_mg.unwrap_or(d.injection_mg),
+            spark_deg: at.spark_deg.unwrap_or(d.spark_deg),
+            ..d
+        };
+        return held(engine, u);
+    };
+    let target = Target { speed_rpm, torque_nm, lambda: at.lambda };
+    let options = SettleOptions::default();
+    let point = match at.spark_deg {
+        Some(spark) => settle(engine, target, spark, options)?,
+        None => best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options)?,
+    };
+    Ok(Point { inputs: point.inputs, outputs: point.outputs })
+}

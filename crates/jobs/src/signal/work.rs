@@ -1,0 +1,75 @@
+//! The work: fill every channel, analyse it, see how the channels go together.
+
+use dynocal_ident::excitation::correlation::correlation;
+use dynocal_ident::excitation::coverage::{Coverage, coverage, pair_coverage};
+use dynocal_ident::signal::analysis::analyse;
+use dynocal_ident::signal::signal;
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::watch::Watch;
+
+use super::result::{Made, SignalError};
+use super::spec::{Job, Wanted};
+
+/// Most lags of the autocorrelation.
+const LAGS: usize = 200;
+/// Correlation from which effects are hard to tell apart, whatever chance allows.
+const TOGETHER: f64 = 0.3;
+
+/// Makes and analyses the signals in memory.
+///
+/// # Errors
+/// [`SignalError`]: keys that do not fit, a sample that is not finite, an interruption.
+pub fn make(job: &Job, watch: Watch) -> Result<Made, SignalError> {
+    let lags = LAGS.min(job.samples / 2);
+    let (mut columns, mut analyses) = (Vec::new(), Vec::new());
+    for (k, w) in job.channels.iter().enumerate() {
+        if watch.interrupted() {
+            return Err(SignalError::Interrupted);
+        }
+        watch.fraction(k as f64 / job.channels.len() as f64);
+        let u = fill(w, job, k as u64)?;
+        let not_finite = || SignalError::NotFinite { channel: w.name.clone(), signal: w.signal.clone() };
+        analyses.push(analyse(&u, job.sample_time_s, lags).ok_or_else(not_finite)?);
+        columns.push(u);
+    }
+    let coverage: Vec<Coverage> =
+        job.channels.iter().zip(&columns).filter_map(|(w, u)| coverage(&w.name, u, None)).collect();
+    let mut made = Made {
+        columns,
+        analyses,
+        coverage,
+        pairs: Vec::new(),
+        correlations: Vec::new(),
+        warnings: Vec::new(),
+    };
+    together(job, lags, &mut made);
+    Ok(made)
+}
+
+fn fill(w: &Wanted, job: &Job, stream: u64) -> Result<Vec<f64>, SignalError> {
+    let refused = |source| SignalError::Build { channel: w.name.clone(), source };
+    let mut u = vec![0.0; job.samples];
+    let made = signal(&w.signal, &w.keys).map_err(refused)?;
+    made.fill(&mut u, job.sample_time_s, &mut Rng64::stream(job.seed, stream)).map_err(refused)?;
+    Ok(u)
+}
+
+/// Coverage and correlation of every pair.
+fn together(job: &Job, lags: usize, made: &mut Made) {
+    for b in 1..made.coverage.len() {
+        for a in 0..b {
+            let (u, v) = (&made.columns[a], &made.columns[b]);
+            made.pairs.push(pair_coverage(&made.coverage[a], &made.coverage[b], u, v));
+            let named = |k: usize, u| (job.channels[k].name.as_str(), u);
+            let Some(c) = correlation(named(a, &u[..]), named(b, &v[..]), lags) else { continue };
+            if c.r.abs() > c.bound.max(TOGETHER) {
+                made.warnings.push(format!(
+                    "`{}` and `{}` move together (correlation {:.2}, independent ones stay within {:.2}): their effects are \
+                     hard to tell apart",
+                    c.a, c.b, c.r, c.bound
+                ));
+            }
+            made.correlations.push(c);
+        }
+    }
+}
