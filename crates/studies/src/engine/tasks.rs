@@ -102,18 +102,18 @@ pub(super) fn spark() -> Result<Value, StudyError> {
 
 pub(super) fn transients() -> Result<Value, StudyError> {
     transients_inner().map_err(|e| match e {
-        Inner::Chain(e) => e,
+        Inner::Chain(e) => *e,
         Inner::Plant(e) => failed("transients")(e),
     })
 }
 
 enum Inner {
-    Chain(StudyError),
+    Chain(Box<StudyError>),
     Plant(PlantError),
 }
 impl From<StudyError> for Inner {
     fn from(e: StudyError) -> Self {
-        Inner::Chain(e)
+        Inner::Chain(Box::new(e))
     }
 }
 impl From<PlantError> for Inner {
