@@ -1,4 +1,4 @@
-//! Calibration campaigns: excitation, fuel optimisation, maps, controllers, validation.
+//! Calibration campaigns: excitation, optimisation over records, maps, controllers, validation.
 //!
 //! A campaign sees a plant only as `&mut dyn Plant`: a test bed, a recording and the virtual engine are the same
 //! thing to it.
@@ -9,6 +9,7 @@ pub mod excite;
 pub mod fuel;
 pub mod loops;
 pub mod map;
+pub mod optimise;
 pub mod problem;
 pub mod record;
 pub mod supervisor;

@@ -375,6 +375,13 @@ pub struct Monomial {
     pub powers: Vec<(String, i32)>,
 }
 
+impl Monomial {
+    /// Its value where `of` says what the channels are.
+    pub fn value(&self, of: impl Fn(&str) -> f64) -> f64 {
+        self.powers.iter().fold(self.factor, |v, (name, p)| v * of(name).powi(*p))
+    }
+}
+
 fn name(key: &str, found: &str, known: &mut Vec<String>, faults: &mut Faults) {
     if found.trim().is_empty() || known.iter().any(|n| n == found) {
         faults.push(key, format!("`{found}`"), "a name of its own");

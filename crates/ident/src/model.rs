@@ -185,4 +185,49 @@ pub trait Model: Send + Sync {
             y[lag - j] = value;
         }
     }
+
+    /// One-step prediction at sample `t` with its gradient (w + l) and Hessian (w + l square, row-major) with respect to the
+    /// inputs of [`Model::window`], then the past outputs `y(t-1) .. y(t-l)`, l being [`Model::output_lag`] and past outputs
+    /// `run.y`. What concerns past outputs is by central differences unless the model knows better.
+    fn joint_derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64 {
+        let (w, l, m, lag) = (self.window().len(), self.output_lag(), self.n_inputs(), self.max_lag());
+        let n = w + l;
+        let from = t - lag;
+        let u = &run.u[from * m..(t + 1) * m];
+        let mut y = run.y[from..=t].to_vec();
+        let mut square = vec![0.0; w * w];
+        let mut at = |y: &[f64], g: &mut [f64]| {
+            let run = Run { u, y, start: lag };
+            let value = self.window_derivatives(theta, &run, lag, &mut g[..w], &mut square);
+            self.output_derivatives(theta, &run, lag, &mut g[w..]);
+            value
+        };
+        let (mut up, mut down) = (vec![0.0; n], vec![0.0; n]);
+        for j in 1..=l {
+            let value = y[lag - j];
+            let h = 1e-4 * (1.0 + value.abs());
+            y[lag - j] = value + h;
+            at(&y, &mut up);
+            y[lag - j] = value - h;
+            at(&y, &mut down);
+            y[lag - j] = value;
+            for k in 0..n {
+                let second = (up[k] - down[k]) / (2.0 * h);
+                hess[(w + j - 1) * n + k] = second;
+                hess[k * n + w + j - 1] = second;
+            }
+        }
+        let value = at(&y, grad);
+        for a in 0..w {
+            hess[a * n..a * n + w].copy_from_slice(&square[a * w..(a + 1) * w]);
+        }
+        value
+    }
 }

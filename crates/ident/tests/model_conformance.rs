@@ -262,6 +262,41 @@ fn window_derivatives_agree_with_prediction_and_differences() {
     }
 }
 
+/// Gradient and Hessian over inputs and past outputs: the parts over inputs are those of the window, the rest agrees with
+/// differences.
+#[test]
+fn joint_derivatives_agree_with_prediction_and_differences() {
+    for c in cases() {
+        let (m, run, w, l) = (c.model.n_inputs(), c.run(), c.model.window().len(), c.model.output_lag());
+        let n = w + l;
+        let mut yhat = vec![0.0; N];
+        c.model.predict(&c.theta, &run, &mut yhat);
+        let (mut grad, mut hess) = (vec![0.0; n], vec![0.0; n * n]);
+        let (mut up, mut down, mut unused) = (vec![0.0; n], vec![0.0; n], vec![0.0; n * n]);
+        for t in [run.start, 77, N - 1] {
+            let value = c.model.joint_derivatives(&c.theta, &run, t, &mut grad, &mut hess);
+            close(value, yhat[t], 1e-13, 1.0, &c.name);
+            for a in 0..n {
+                let h = 1e-5;
+                let mut moved = |by: f64, g: &mut [f64]| {
+                    let (mut u, mut y) = (c.u.clone(), run.y.to_vec());
+                    match c.model.window().get(a) {
+                        Some(&(input, lag)) => u[(t - lag) * m + input] += by,
+                        None => y[t - (a - w + 1)] += by,
+                    }
+                    c.model.joint_derivatives(&c.theta, &Run { u: &u, y: &y, ..run }, t, g, &mut unused)
+                };
+                let (plus, minus) = (moved(h, &mut up), moved(-h, &mut down));
+                close(grad[a], (plus - minus) / (2.0 * h), 1e-8, 1.0, &format!("{} grad {a}", c.name));
+                for b in 0..n {
+                    let difference = (up[b] - down[b]) / (2.0 * h);
+                    close(hess[a * n + b], difference, 1e-8, 1.0, &format!("{} hess {a} {b}", c.name));
+                }
+            }
+        }
+    }
+}
+
 /// The thesis model written out by hand, another way round (per sample, from the equation).
 #[test]
 fn torque_4_17_is_the_printed_equation() {

@@ -1,75 +1,70 @@
-//! Fuel over a record with exact torque and lambda, bounds and the spark rate limit: the product's own program.
+//! Fuel over a record with exact torque and lambda, bounds and the spark rate limit: the product's own way.
 
 use crate::{measure, numbers};
-use dynocal_calib::fuel::problem::{Equality, FuelProblem, FuelSpec, Source};
+use dynocal_calib::optimise::model::OutputModel;
+use dynocal_calib::optimise::{OptimiseOptions, optimise_models};
+use dynocal_calib::problem::CalibrationProblem;
+use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::model::{Model, Run};
-use dynocal_numerics::nlp::{NlpOptions, solve};
 use serde_json::{Value, json};
 use std::error::Error;
 
-/// Structure, parameters and demand of one output.
+const INPUTS: [&str; 4] = ["inj", "spark", "throttle", "speed"];
+
+/// Structure and parameters of one output.
 struct Output {
     structure: PolyNarx,
     theta: Vec<f64>,
-    demand: Vec<f64>,
+    y: Vec<f64>,
 }
 
-/// Input: `u` (N x 4: INJ, SA, throttle, speed), `first`, `rate`, `bounds`, and for `torque` and `lambda` their
-/// `regressors`, `theta`, `y` (of which `y[first - 1]` starts the demand). Output: inputs (N x 3), fuel, CPU time
-/// of building and solving.
+/// Input: `u` (N x 4: INJ, SA, throttle, speed), `rate` in deg per sample, `bounds`, and for `torque` and `lambda` their
+/// `regressors`, `theta`, `y` (of which the first samples start the demand). Output: inputs (N x 3), fuel, CPU time of
+/// building and solving.
 pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     let u = numbers(input, "u")?;
-    let n = u.len() / 4;
-    let first = input["first"].as_u64().ok_or("no first sample")? as usize;
-    let outputs = [output(input, "torque", &u, first)?, output(input, "lambda", &u, first)?];
-    let start: Vec<f64> = u.chunks_exact(4).flat_map(|r| [r[0], r[1], r[2]]).collect();
-    let speed: Vec<f64> = u.chunks_exact(4).map(|r| r[3]).collect();
-    let bounds: [(f64, f64); 3] = serde_json::from_value(input["bounds"].clone())?;
-    let rate = input["rate"].as_f64().ok_or("no rate")?;
-    let build = || {
-        let spec = FuelSpec {
-            start: &start,
-            given: &speed,
-            n_given: 1,
-            first,
-            bounds,
-            spark_rate_deg: rate,
-            increment_weight: [0.0; 3],
-        };
-        let sources = || [0, 1, 2].map(Source::Decision).into_iter().chain([Source::Given(0)]).collect();
-        let equalities = outputs.iter().map(|o| Equality {
-            model: &o.structure,
-            theta: &o.theta,
-            inputs: sources(),
-            demand: &o.demand,
-        });
-        FuelProblem::new(spec, equalities.collect())
+    let outputs = [output(input, "torque")?, output(input, "lambda")?];
+    let models = ["torque", "lambda"].map(|n| n.to_string());
+    let channel = |name: &str, role, values| Channel { name: name.into(), unit: "-".into(), role, values };
+    let column = |c: usize| u.iter().skip(c).step_by(4).copied().collect::<Vec<f64>>();
+    let inputs = INPUTS.iter().enumerate().map(|(c, name)| channel(name, Role::Input, column(c)));
+    let measured = models.iter().zip(&outputs).map(|(name, o)| channel(name, Role::Output, o.y.clone()));
+    let start = Dataset {
+        name: "start".into(),
+        sample_time_s: 1.0,
+        channels: inputs.chain(measured).collect(),
+        init_samples: 0,
+        origin: "peer".into(),
     };
+    let mut problem = CalibrationProblem::thesis();
+    let bounds: [(f64, f64); 3] = serde_json::from_value(input["bounds"].clone())?;
+    for (c, bounds) in problem.inputs.iter_mut().zip(bounds) {
+        (c.lower, c.upper) = bounds;
+        c.increment_weight = 0.0;
+    }
+    problem.inputs[1].rate_per_s = input["rate"].as_f64();
+    let of = |k: usize| OutputModel::plain(&models[k], &outputs[k].structure, &outputs[k].theta, &INPUTS);
     let mut last = None;
     let time = measure(|| {
-        let mut problem = build();
-        let found = solve(&mut problem, &NlpOptions::default(), &|| false);
-        let inputs = problem.inputs(&found.x);
-        last = Some((problem.fuel_kg_h(&found.x), inputs, found));
+        last =
+            optimise_models(&problem, &[of(0), of(1)], &start, &OptimiseOptions::default(), &|| false).ok();
     })?;
-    let (fuel, inputs, found) = last.ok_or("not solved")?;
+    let found = last.ok_or("not solved")?;
+    let inputs: Vec<f64> =
+        (0..start.len()).flat_map(|t| found.inputs.iter().map(move |c| c.values[t])).collect();
     Ok(json!({
         "time": time,
         "status": format!("{:?}", found.status),
-        "iterations": found.history.len().saturating_sub(1),
-        "fuel_kg_h": fuel,
+        "iterations": found.iterations,
+        "fuel_kg_h": found.objective,
         "inputs": inputs,
-        "samples": n,
+        "samples": start.len(),
     }))
 }
 
-fn output(input: &Value, name: &str, u: &[f64], first: usize) -> Result<Output, Box<dyn Error>> {
+fn output(input: &Value, name: &str) -> Result<Output, Box<dyn Error>> {
     let of = &input[name];
     let texts: Vec<String> = serde_json::from_value(of["regressors"].clone())?;
-    let structure = PolyNarx::parse(&["inj", "spark", "throttle", "speed"], name, &texts)?;
-    let (theta, y) = (numbers(of, "theta")?, numbers(of, "y")?);
-    let mut demand = vec![0.0; y.len()];
-    structure.simulate(&theta, &Run { u, y: &y, start: first }, &mut demand);
-    Ok(Output { structure, theta, demand })
+    let structure = PolyNarx::parse(&INPUTS, name, &texts)?;
+    Ok(Output { structure, theta: numbers(of, "theta")?, y: numbers(of, "y")? })
 }

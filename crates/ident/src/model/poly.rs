@@ -11,6 +11,7 @@
 mod adjoint;
 mod filter;
 pub mod function;
+mod joint;
 mod program;
 pub mod regressor;
 mod run;

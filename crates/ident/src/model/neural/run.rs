@@ -219,4 +219,31 @@ impl Model for NeuralNarx {
         }
         value
     }
+
+    fn joint_derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64 {
+        let (mut pass, n) = (Pass::new(), self.width());
+        let value = self.forward(theta, run.u, run.y, t, &mut pass);
+        self.network.backward(theta, &mut pass);
+        hess.fill(0.0);
+        self.network.hessian(theta, &pass, n, hess);
+        let half = |entry: usize| match self.window.get(entry) {
+            Some(&(i, _)) => self.input_scales[i].half,
+            None => self.output_scale.half,
+        };
+        for a in 0..n {
+            let gain = self.output_scale.half / half(a);
+            grad[a] = gain * self.network.slope_of(theta, &pass, a);
+            for (b, h) in hess[a * n..(a + 1) * n].iter_mut().enumerate() {
+                *h *= gain / half(b);
+            }
+        }
+        value
+    }
 }

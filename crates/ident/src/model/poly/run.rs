@@ -182,6 +182,17 @@ impl Model for PolyNarx {
         }
         value
     }
+
+    fn joint_derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64 {
+        super::joint::derivatives(&self.program, theta, run, t, grad, hess)
+    }
 }
 
 /// [`Model::simulate`], compiled for the widest registers there are: the terms without outputs of a block at a time.

@@ -1,0 +1,117 @@
+//! Why an optimisation could not be set up.
+
+use dynocal_ident::data::DataError;
+use dynocal_ident::derived::DerivedError;
+
+/// Why an optimisation could not be set up.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum OptimiseError {
+    /// The record lacks something.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// A derived channel cannot be computed.
+    #[error(transparent)]
+    Derived(#[from] DerivedError),
+    /// The demand cannot be formed.
+    #[error(
+        "the {output} model is unstable in free run on the start inputs of `{record}`: no demand can be formed from it"
+    )]
+    Unstable {
+        /// Output.
+        output: String,
+        /// Record.
+        record: String,
+    },
+    /// The start itself breaks a limit.
+    #[error(
+        "start inputs of `{record}` break the limits: {channel} is {found} {unit} at sample {sample}, allowed {lower} to {upper}"
+    )]
+    Start {
+        /// Record.
+        record: String,
+        /// Channel.
+        channel: String,
+        /// Value.
+        found: f64,
+        /// Unit.
+        unit: String,
+        /// Sample.
+        sample: usize,
+        /// Lower limit.
+        lower: f64,
+        /// Upper limit.
+        upper: f64,
+    },
+    /// An input of a model that nothing gives.
+    #[error(
+        "the {output} model reads `{found}`, which is neither an input that may move nor given nor the output of another model; these are: {known}"
+    )]
+    Input {
+        /// Output of the model.
+        output: String,
+        /// Name.
+        found: String,
+        /// Known names.
+        known: String,
+    },
+    /// An output of the problem that no model computes.
+    #[error("no model computes `{output}`, which the problem {role}; models are there for: {known}")]
+    NoModel {
+        /// Output.
+        output: String,
+        /// What the problem says of it.
+        role: &'static str,
+        /// Outputs of the models.
+        known: String,
+    },
+    /// A model that the problem does not know, or a second one of an output.
+    #[error("the model of `{output}` is {found}; expected one model for each output of the problem: {known}")]
+    Model {
+        /// Output.
+        output: String,
+        /// What is wrong with it.
+        found: &'static str,
+        /// Outputs of the problem.
+        known: String,
+    },
+    /// Models that read each other's outputs in a ring.
+    #[error("the models of {outputs} read each other's outputs in a ring: the optimisation needs an order")]
+    Ring {
+        /// Their outputs.
+        outputs: String,
+    },
+    /// An input that no model reads: nothing would hold it.
+    #[error(
+        "no model reads the input `{input}`: nothing would decide its value; leave it out of the problem"
+    )]
+    Unread {
+        /// Input.
+        input: String,
+    },
+    /// A record that is too short for the models' memory.
+    #[error(
+        "`{record}` has {found} samples; the models reach back {lag} samples, so at least {expected} are needed"
+    )]
+    Short {
+        /// Record.
+        record: String,
+        /// Samples.
+        found: usize,
+        /// Longest lag.
+        lag: usize,
+        /// Samples needed.
+        expected: usize,
+    },
+    /// Sample times differ.
+    #[error("`{record}` is sampled every {found} s, the model of `{output}` every {expected} s")]
+    SampleTime {
+        /// Record.
+        record: String,
+        /// Its sample time in s.
+        found: f64,
+        /// Output of the model.
+        output: String,
+        /// Its sample time in s.
+        expected: f64,
+    },
+}

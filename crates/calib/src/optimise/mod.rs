@@ -1,0 +1,187 @@
+//! Optimisation over a record: the inputs of a whole transient at once (thesis section 7.5), for any calibration problem.
+//!
+//! A start record gives the given channels, the inputs to begin with and the first samples of the outputs. The demand of
+//! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction; it is
+//! solved as one sparse program over all samples ([`program`] has the equations).
+//!
+//! ```
+//! use dynocal_calib::optimise::{OptimiseOptions, model::OutputModel, optimise_models};
+//! use dynocal_calib::problem::CalibrationProblem;
+//! use dynocal_ident::data::{Channel, Dataset, Role};
+//! use dynocal_ident::model::poly::PolyNarx;
+//!
+//! // Heat from two burners, the second one cheaper: the demand moves to it as far as its limit lets it.
+//! let problem: CalibrationProblem = toml::from_str(r#"
+//!     inputs = [{ name = "a", unit = "kW", lower = 0.0, upper = 9.0 }, { name = "b", unit = "kW", lower = 0.0, upper = 2.0 }]
+//!     demands = [{ output = "heat", unit = "kW", lower = 0.0, upper = 11.0 }]
+//!     minimise = [{ channel = "a", weight = 2.0 }, { channel = "b", weight = 1.0 }]
+//! "#)?;
+//! let heat = PolyNarx::parse(&["a", "b"], "heat", &["a(t-1)", "b(t-1)", "heat(t-1)"])?;
+//! let model = OutputModel::plain("heat", &heat, &[0.5, 0.5, 0.5], &["a", "b"]);
+//! let channel = |name: &str, role, v| Channel { name: name.into(), unit: "kW".into(), role, values: vec![v; 50] };
+//! let start = Dataset {
+//!     name: "start".into(),
+//!     sample_time_s: 1.0,
+//!     channels: vec![channel("a", Role::Input, 4.0), channel("b", Role::Input, 1.0), channel("heat", Role::Output, 5.0)],
+//!     init_samples: 0,
+//!     origin: "example".into(),
+//! };
+//! let found = optimise_models(&problem, &[model], &start, &OptimiseOptions::default(), &|| false)?;
+//! assert!(found.status.is_success());
+//! assert!((found.start_objective - 9.0).abs() < 1e-12 && (found.objective - 8.0).abs() < 1e-6);
+//! assert!(found.violations.iter().all(|v| v.largest < 1e-6));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod error;
+pub mod model;
+pub mod program;
+mod result;
+mod segments;
+mod setup;
+mod shortfall;
+
+pub use error::OptimiseError;
+pub use result::{Optimum, PartOutcome, TermValue, Violation};
+pub use segments::{Seam, Segments};
+pub use shortfall::Shortfall;
+
+use crate::problem::CalibrationProblem;
+use dynocal_ident::data::Dataset;
+use dynocal_numerics::nlp::{self, NlpOptions};
+use dynocal_numerics::status::Status;
+use model::OutputModel;
+use program::Program;
+use serde::{Deserialize, Serialize};
+use setup::Setup;
+
+/// What becomes of the inputs at the end of the record, where part of what they do is not seen any more.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndCondition {
+    /// They are free; inputs that act only after the end are held.
+    #[default]
+    Free,
+    /// Inputs whose effect reaches beyond the end are those of the start record.
+    Start,
+}
+
+/// What becomes of the inputs before the first sample that all models can compute.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum History {
+    /// They are those of the start record.
+    #[default]
+    Fixed,
+    /// They are decided as well.
+    Free,
+}
+
+/// Options of an optimisation over a record.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimiseOptions {
+    /// Scaled KKT error at which it has converged.
+    pub tolerance: f64,
+    /// Most iterations.
+    pub max_iterations: usize,
+    /// Inputs at the end.
+    pub end: EndCondition,
+    /// Time in s by which the record is continued, with its last inputs and given channels held, before it is optimised;
+    /// what is added is cut off again. What an optimum does because nobody looks beyond its end it then does out of sight.
+    pub extend_s: f64,
+    /// Inputs before the first decided sample.
+    pub history: History,
+    /// How the record is gone through.
+    pub way: Way,
+}
+
+/// How a record is gone through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Way {
+    /// All samples at once.
+    #[default]
+    Batch,
+    /// In segments.
+    Segments(Segments),
+}
+
+impl Default for OptimiseOptions {
+    fn default() -> Self {
+        let (end, history) = (EndCondition::default(), History::default());
+        Self { tolerance: 1e-8, max_iterations: 500, end, extend_s: 0.0, history, way: Way::Batch }
+    }
+}
+
+/// Optimises the inputs of `start` for `problem`; `interrupt` is asked once per iteration.
+///
+/// # Errors
+/// [`OptimiseError`]: problem, models and record do not belong together, or no demand can be formed.
+pub fn optimise_models(
+    problem: &CalibrationProblem,
+    models: &[OutputModel<'_>],
+    start: &Dataset,
+    options: &OptimiseOptions,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Optimum, OptimiseError> {
+    let samples = start.len();
+    let more = (options.extend_s / start.sample_time_s).round().max(0.0) as usize;
+    let extended = if more > 0 { extended(start, more) } else { start.clone() };
+    let setup = Setup::new(problem, models, &extended, options)?;
+    let found = match options.way {
+        Way::Batch => batch(&setup, options, interrupt),
+        Way::Segments(spec) => segments::solve(&setup, options, &spec, interrupt),
+    };
+    let mut optimum = Optimum::new(&setup, &found, samples);
+    if !matches!(found.status, Status::Converged | Status::Interrupted) {
+        optimum.shortfalls = shortfall::shortfalls(&setup, options, interrupt);
+    }
+    Ok(optimum)
+}
+
+/// Columns that a search ended with.
+struct Found {
+    status: Status,
+    iterations: usize,
+    /// Samples x columns.
+    values: Vec<f64>,
+    parts: Vec<PartOutcome>,
+}
+
+/// The whole of a setup at once.
+fn batch(setup: &Setup<'_>, options: &OptimiseOptions, interrupt: &dyn Fn() -> bool) -> Found {
+    let mut program = Program::new(setup.parts());
+    let nlp_options = NlpOptions { tolerance: options.tolerance, max_iterations: options.max_iterations };
+    let found = nlp::solve(&mut program, &nlp_options, interrupt);
+    program.load(&found.x);
+    Found {
+        status: found.status,
+        iterations: found.history.len().saturating_sub(1),
+        values: program.columns.all().to_vec(),
+        parts: Vec::new(),
+    }
+}
+
+/// The program that [`optimise_models`] solves, for tests and for callers with a solver of their own.
+///
+/// # Errors
+/// As [`optimise_models`].
+pub fn parts<'a>(
+    problem: &'a CalibrationProblem,
+    models: &[OutputModel<'a>],
+    start: &Dataset,
+    options: &OptimiseOptions,
+) -> Result<program::Parts<'a>, OptimiseError> {
+    Ok(Setup::new(problem, models, start, options)?.parts())
+}
+
+/// The record with its last row repeated.
+fn extended(record: &Dataset, more: usize) -> Dataset {
+    let mut out = record.clone();
+    for c in &mut out.channels {
+        let last = c.values.last().copied().unwrap_or(f64::NAN);
+        c.values.resize(c.values.len() + more, last);
+    }
+    out
+}

@@ -1,0 +1,459 @@
+//! From problem, models and start record to a program: names become columns, demands are formed, readings resolved.
+
+use super::error::OptimiseError;
+use super::model::OutputModel;
+use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
+use super::{EndCondition, History, OptimiseOptions};
+use crate::problem::{CalibrationProblem, LimitChannel, Monomial};
+use dynocal_ident::data::Dataset;
+use dynocal_ident::model::Run;
+use dynocal_numerics::status::Status;
+use std::ops::Range;
+
+/// Slack of the check that a start is inside of its bounds, relative to their width.
+const INSIDE: f64 = 1e-9;
+
+/// Names, samples and values that a program was made from.
+pub(super) struct Setup<'a> {
+    pub(super) problem: &'a CalibrationProblem,
+    /// Models in an order in which each reads only outputs of those before it.
+    pub(super) models: Vec<OutputModel<'a>>,
+    pub(super) samples: usize,
+    pub(super) sample_time_s: f64,
+    /// Longest lag of any model.
+    pub(super) lag: usize,
+    /// First decided sample, and one past the last.
+    pub(super) from: usize,
+    pub(super) to: usize,
+    /// Names of the columns: inputs, then outputs that are not demanded.
+    pub(super) columns: Vec<String>,
+    /// Start values, samples x columns.
+    pub(super) start: Vec<f64>,
+    /// Given channels and demands by name, in the user's unit.
+    pub(super) given: Vec<(String, Vec<f64>)>,
+    /// Demands and limits made soft.
+    elastic: Option<Elastic>,
+    options: OptimiseOptions,
+}
+
+/// Prices of a program whose demands and output limits are soft.
+#[derive(Clone, Copy, Debug)]
+struct Elastic {
+    /// Price of an output's whole range, mean over samples.
+    price: f64,
+    /// Weight of the objective proper.
+    objective: f64,
+}
+
+/// What is asked of an output that is a column.
+pub(super) struct Asked {
+    pub(super) output: String,
+    pub(super) column: usize,
+    /// `demand`, `lower`, `upper`.
+    pub(super) of: &'static str,
+    pub(super) values: Vec<f64>,
+    /// Its range, or the size of its limit.
+    pub(super) size: f64,
+}
+
+impl<'a> Setup<'a> {
+    pub(super) fn new(
+        problem: &'a CalibrationProblem,
+        models: &[OutputModel<'a>],
+        start: &Dataset,
+        options: &OptimiseOptions,
+    ) -> Result<Self, OptimiseError> {
+        problem.check_record(start)?;
+        let models = in_order(problem, models)?;
+        check_start(problem, start)?;
+        let samples = start.len();
+        let lag = models.iter().map(|m| m.model.max_lag()).max().unwrap_or(0);
+        let expected = 2 * lag + 2;
+        if samples < expected {
+            return Err(OptimiseError::Short { record: start.name.clone(), found: samples, lag, expected });
+        }
+        let through = |m: &OutputModel| m.model.window().iter().any(|(_, lag)| *lag == 0);
+        let to = if models.iter().any(through) { samples } else { samples - 1 };
+        let demands = problem.demand_names();
+        let free: Vec<String> =
+            models.iter().map(|m| m.output.clone()).filter(|o| !demands.contains(o)).collect();
+        let columns: Vec<String> = problem.input_names().into_iter().chain(free).collect();
+        let mut setup = Self {
+            problem,
+            models,
+            samples,
+            sample_time_s: start.sample_time_s,
+            lag,
+            from: if options.history == History::Free { 0 } else { lag },
+            to,
+            start: vec![0.0; samples * columns.len()],
+            columns,
+            given: Vec::new(),
+            elastic: None,
+            options: *options,
+        };
+        for name in problem.given_names() {
+            let values = start.values(&name)?.to_vec();
+            setup.given.push((name, values));
+        }
+        for name in problem.input_names() {
+            setup.put_column(&name, start.values(&name)?);
+        }
+        setup.respond(start)?;
+        Ok(setup)
+    }
+
+    /// Simulates all models on the start inputs: demands, and starts of the other outputs.
+    fn respond(&mut self, record: &Dataset) -> Result<(), OptimiseError> {
+        for k in 0..self.models.len() {
+            let m = self.models[k].clone();
+            let measured: Vec<f64> = record.values(&m.output)?.iter().map(|y| m.way.to_model(*y)).collect();
+            let y = self.free_run(&m, &self.start, &measured, self.lag);
+            let Some(y) = y else {
+                let (output, record) = (m.output.clone(), record.name.clone());
+                return Err(OptimiseError::Unstable { output, record });
+            };
+            let values: Vec<f64> = y.iter().map(|v| m.way.to_user(*v)).collect();
+            match self.columns.contains(&m.output) {
+                true => self.put_column(&m.output, &values),
+                false => self.given.push((m.output.clone(), values)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Free run of a model on the columns `values` from sample `first` on, in the model's output; none when it diverges.
+    pub(super) fn free_run(
+        &self,
+        m: &OutputModel,
+        values: &[f64],
+        y: &[f64],
+        first: usize,
+    ) -> Option<Vec<f64>> {
+        let width = self.columns.len();
+        let readings: Vec<Reading> =
+            m.inputs.iter().map(|s| self.reading(&s.monomial, s.offset, s.scale)).collect();
+        let mut u = vec![0.0; self.samples * readings.len()];
+        for t in 0..self.samples {
+            let row = &values[t * width..(t + 1) * width];
+            for (i, r) in readings.iter().enumerate() {
+                u[t * readings.len() + i] = r.value(t, row);
+            }
+        }
+        let mut out = vec![0.0; self.samples];
+        let status = m.model.simulate(m.theta, &Run { u: &u, y, start: first }, &mut out);
+        (status != Status::Diverged).then_some(out)
+    }
+
+    /// Samples `range` as a setup of their own, with the columns `values` (of all samples) as start and history.
+    pub(super) fn slice(&self, values: &[f64], range: Range<usize>, end: EndCondition) -> Self {
+        let width = self.columns.len();
+        let given = self.given.iter().map(|(n, v)| (n.clone(), v[range.clone()].to_vec())).collect();
+        Self {
+            problem: self.problem,
+            models: self.models.clone(),
+            samples: range.len(),
+            sample_time_s: self.sample_time_s,
+            lag: self.lag,
+            from: if range.start == 0 { self.from } else { self.lag },
+            to: range.len() - (self.samples - self.to),
+            columns: self.columns.clone(),
+            start: values[range.start * width..range.end * width].to_vec(),
+            given,
+            elastic: self.elastic,
+            options: OptimiseOptions { end, ..self.options },
+        }
+    }
+
+    /// The same with demanded outputs as columns, and all that is asked of outputs soft: `price` for an output's whole
+    /// range, `objective` the weight of the objective proper.
+    pub(super) fn elastic(&self, price: f64, objective: f64) -> Self {
+        let demands = self.problem.demand_names();
+        let width = self.columns.len();
+        let mut columns = self.columns.clone();
+        columns.extend(demands.iter().cloned());
+        let mut start = Vec::with_capacity(self.samples * columns.len());
+        for t in 0..self.samples {
+            start.extend_from_slice(&self.start[t * width..(t + 1) * width]);
+            start.extend(demands.iter().map(|d| self.given(d).map_or(0.0, |v| v[t])));
+        }
+        Self {
+            problem: self.problem,
+            models: self.models.clone(),
+            given: self.given.clone(),
+            elastic: Some(Elastic { price, objective }),
+            columns,
+            start,
+            ..*self
+        }
+    }
+
+    /// All that is asked of outputs that are columns.
+    pub(super) fn asked(&self) -> Vec<Asked> {
+        let column = |name: &str| self.columns.iter().position(|n| n == name);
+        let demands = self.problem.demands.iter().filter_map(|d| {
+            let values = self.given(&d.output)?.to_vec();
+            let (output, size) = (d.output.clone(), d.upper - d.lower);
+            Some(Asked { column: column(&output)?, output, of: "demand", values, size })
+        });
+        let limits = self.problem.limits.iter().flat_map(|l| {
+            let limit = |of, value: Option<f64>| {
+                let (output, value) = (l.output.clone(), value?);
+                let size = match (l.lower, l.upper) {
+                    (Some(lower), Some(upper)) => upper - lower,
+                    _ => value.abs().max(1e-3),
+                };
+                Some(Asked { column: column(&output)?, output, of, values: vec![value; self.samples], size })
+            };
+            limit("lower", l.lower).into_iter().chain(limit("upper", l.upper)).collect::<Vec<_>>()
+        });
+        demands.chain(limits).collect()
+    }
+
+    fn put_column(&mut self, name: &str, values: &[f64]) {
+        let width = self.columns.len();
+        if let Some(c) = self.columns.iter().position(|n| n == name) {
+            for (t, v) in values.iter().enumerate() {
+                self.start[t * width + c] = *v;
+            }
+        }
+    }
+
+    /// Given channel or demand by name.
+    pub(super) fn given(&self, name: &str) -> Option<&[f64]> {
+        self.given.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_slice())
+    }
+
+    /// Splits a monomial into columns and the product of what is imposed, times `factor`.
+    fn product(&self, monomial: &Monomial, factor: f64) -> Product {
+        let mut gain = vec![factor * monomial.factor; self.samples];
+        let mut powers = Vec::new();
+        for (name, p) in &monomial.powers {
+            if let Some(c) = self.columns.iter().position(|n| n == name) {
+                powers.push((c, *p));
+            } else if let Some(values) = self.given(name) {
+                gain.iter_mut().zip(values).for_each(|(g, v)| *g *= v.powi(*p));
+            }
+        }
+        Product { gain, powers }
+    }
+
+    fn reading(&self, monomial: &Monomial, offset: f64, scale: f64) -> Reading {
+        let plain = monomial.powers.len() == 1;
+        let product = self.product(monomial, 1.0 / scale);
+        let shift = -offset / scale;
+        match product.powers[..] {
+            [] => Reading::Given(product.gain.into_iter().map(|g| g + shift).collect()),
+            [(column, 1)] if plain => Reading::Linear { column, gain: product.gain[0], shift },
+            _ => Reading::Product { product, shift },
+        }
+    }
+
+    /// The parts of the program over all samples.
+    pub(super) fn parts(&self) -> Parts<'a> {
+        let rows: Vec<ModelRow> = self.models.iter().map(|m| self.row(m)).collect();
+        let divisor = (self.to - self.from) as f64;
+        let share = self.elastic.map_or(1.0, |e| e.objective);
+        Parts {
+            columns: self.program_columns(&rows),
+            values: self.start.clone(),
+            objective: self
+                .problem
+                .minimise
+                .iter()
+                .map(|term| self.mean(&self.problem.monomial(&term.channel), term.weight * share))
+                .collect(),
+            sums: self.mean_limits().into_iter().map(|(_, sum, upper)| SumLimit { sum, upper }).collect(),
+            soft: match self.elastic {
+                Some(e) => self.all_soft(e.price / divisor),
+                None => self.problem.limits.iter().flat_map(|l| self.soft(l)).collect(),
+            },
+            divisor,
+            rows,
+        }
+    }
+
+    /// Means of the channels of the objective, without their weights.
+    pub(super) fn objective_sums(&self) -> Vec<Sum> {
+        let mean = |channel: &str| self.mean(&self.problem.monomial(channel), 1.0);
+        self.problem.minimise.iter().map(|term| mean(&term.channel)).collect()
+    }
+
+    /// Channels whose mean is limited, with that mean and its limit.
+    pub(super) fn mean_limits(&self) -> Vec<(String, Sum, f64)> {
+        let limited = self.problem.limits.iter().filter_map(|l| Some((&l.output, l.mean_upper?)));
+        limited
+            .map(|(name, upper)| (name.clone(), self.mean(&self.problem.monomial(name), 1.0), upper))
+            .collect()
+    }
+
+    fn row(&self, m: &OutputModel<'a>) -> ModelRow<'a> {
+        let model_of = |values: Vec<f64>| values.into_iter().map(|y| m.way.to_model(y)).collect::<Vec<f64>>();
+        let (target, output) = match self.columns.iter().position(|n| *n == m.output) {
+            None => (Target::Demand, model_of(self.given(&m.output).unwrap_or(&[]).to_vec())),
+            Some(c) => {
+                let own = Monomial { factor: m.way.factor, powers: vec![(m.output.clone(), m.way.power)] };
+                let values = self.start.iter().skip(c).step_by(self.columns.len()).copied().collect();
+                (Target::Column(self.reading(&own, m.way.offset, m.way.scale)), model_of(values))
+            }
+        };
+        ModelRow {
+            model: m.model,
+            theta: m.theta,
+            readings: m.inputs.iter().map(|s| self.reading(&s.monomial, s.offset, s.scale)).collect(),
+            target,
+            output,
+            from: self.first_equation(),
+        }
+    }
+
+    /// First sample whose outputs the decisions reach.
+    pub(super) fn first_equation(&self) -> usize {
+        let through = self.to == self.samples;
+        (self.from + usize::from(!through)).max(self.lag)
+    }
+
+    fn program_columns(&self, rows: &[ModelRow]) -> Vec<Column> {
+        let mut columns = Vec::new();
+        for (c, input) in self.problem.inputs.iter().enumerate() {
+            let lags = || rows.iter().flat_map(|r| lags(r, c));
+            // Samples that only act after the end of the record follow the last one that acts within.
+            let (reach, held) = match self.options.end {
+                EndCondition::Free => (lags().min(), true),
+                EndCondition::Start => (lags().max(), false),
+            };
+            let end = self.samples.saturating_sub(reach.unwrap_or(0));
+            columns.push(Column {
+                decided: self.from..end.max(self.from),
+                held,
+                bounds: (input.lower, input.upper),
+                rate: input.rate_per_s.map_or(f64::INFINITY, |r| r * self.sample_time_s),
+                increment_weight: input.increment_weight,
+            });
+        }
+        let outputs = &self.columns[self.problem.inputs.len()..];
+        for name in outputs {
+            let limit = self.problem.limits.iter().find(|l| l.output == *name);
+            let hard = limit.filter(|l| l.soft_weight.is_none() && self.elastic.is_none());
+            columns.push(Column {
+                decided: self.first_equation()..self.samples,
+                held: false,
+                bounds: (
+                    hard.and_then(|l| l.lower).unwrap_or(f64::NEG_INFINITY),
+                    hard.and_then(|l| l.upper).unwrap_or(f64::INFINITY),
+                ),
+                rate: f64::INFINITY,
+                increment_weight: 0.0,
+            });
+        }
+        columns
+    }
+
+    /// Mean of `weight * monomial`: over the decided samples, and one later where outputs alone stand in it, so that the
+    /// last inputs act on it.
+    fn mean(&self, monomial: &Monomial, weight: f64) -> Sum {
+        let divisor = (self.to - self.from) as f64;
+        let product = self.product(monomial, weight / divisor);
+        let inputs = self.problem.inputs.len();
+        let outputs_only = !product.powers.is_empty() && product.powers.iter().all(|(c, _)| *c >= inputs);
+        let shift = usize::from(outputs_only && self.to < self.samples);
+        Sum { product, from: self.from + shift, to: self.to + shift }
+    }
+
+    /// Everything that is asked of outputs as soft limits.
+    fn all_soft(&self, price: f64) -> Vec<SoftLimit> {
+        let mut out = Vec::new();
+        for a in self.asked() {
+            let price = price / a.size;
+            let limit = |above| SoftLimit { column: a.column, above, limit: a.values.clone(), price };
+            if a.of != "upper" {
+                out.push(limit(false));
+            }
+            if a.of != "lower" {
+                out.push(limit(true));
+            }
+        }
+        out
+    }
+
+    fn soft(&self, l: &LimitChannel) -> Vec<SoftLimit> {
+        let column = self.columns.iter().position(|n| *n == l.output);
+        let (Some(column), Some(weight)) = (column, l.soft_weight) else { return Vec::new() };
+        let price = weight / (self.to - self.from) as f64;
+        let limit = |value: f64, above| SoftLimit { column, above, limit: vec![value; self.samples], price };
+        l.lower.map(|v| limit(v, false)).into_iter().chain(l.upper.map(|v| limit(v, true))).collect()
+    }
+}
+
+/// Delays with which a row reads column `c`.
+fn lags<'b>(row: &'b ModelRow, c: usize) -> impl Iterator<Item = usize> + 'b {
+    let reads = move |i: usize| row.readings[i].columns().contains(&c);
+    row.model.window().iter().filter(move |(i, _)| reads(*i)).map(|(_, lag)| *lag)
+}
+
+/// Checks which outputs the models compute and what they read; sorts them so that each reads outputs of earlier ones only.
+fn in_order<'a>(
+    problem: &CalibrationProblem,
+    models: &[OutputModel<'a>],
+) -> Result<Vec<OutputModel<'a>>, OptimiseError> {
+    let outputs: Vec<String> = problem.demand_names().into_iter().chain(problem.other_outputs()).collect();
+    let names: Vec<String> = models.iter().map(|m| m.output.clone()).collect();
+    let known = || outputs.join(", ");
+    for (k, name) in names.iter().enumerate() {
+        let found = match (outputs.contains(name), names[..k].contains(name)) {
+            (false, _) => "of an output that the problem does not name",
+            (_, true) => "the second one of that output",
+            _ => continue,
+        };
+        return Err(OptimiseError::Model { output: name.clone(), found, known: known() });
+    }
+    for (k, output) in outputs.iter().enumerate() {
+        if !names.contains(output) {
+            let role = if k < problem.demands.len() { "demands" } else { "limits or frees" };
+            return Err(OptimiseError::NoModel { output: output.clone(), role, known: names.join(", ") });
+        }
+    }
+    let there: Vec<String> =
+        problem.input_names().into_iter().chain(problem.given_names()).chain(names.clone()).collect();
+    for m in models {
+        if let Some(found) = m.channels().find(|c| !there.iter().any(|n| n == c)) {
+            let (output, found) = (m.output.clone(), found.to_string());
+            return Err(OptimiseError::Input { output, found, known: there.join(", ") });
+        }
+    }
+    for input in problem.input_names() {
+        if !models.iter().any(|m| m.channels().any(|c| c == input)) {
+            return Err(OptimiseError::Unread { input });
+        }
+    }
+    let (mut sorted, mut left) = (Vec::new(), models.to_vec());
+    while !left.is_empty() {
+        let waits = |m: &OutputModel| m.channels().any(|c| left.iter().any(|l| l.output == c));
+        let Some(next) = left.iter().position(|m| !waits(m)) else {
+            let outputs: Vec<String> = left.iter().map(|m| m.output.clone()).collect();
+            return Err(OptimiseError::Ring { outputs: outputs.join(", ") });
+        };
+        sorted.push(left.remove(next));
+    }
+    Ok(sorted)
+}
+
+fn check_start(problem: &CalibrationProblem, start: &Dataset) -> Result<(), OptimiseError> {
+    for input in &problem.inputs {
+        let channel = start.channel(&input.name)?;
+        let slack = INSIDE * (input.upper - input.lower);
+        let outside = |v: &f64| !(input.lower - slack..=input.upper + slack).contains(v);
+        if let Some(sample) = channel.values.iter().position(outside) {
+            return Err(OptimiseError::Start {
+                record: start.name.clone(),
+                channel: input.name.clone(),
+                found: channel.values[sample],
+                unit: channel.unit.clone(),
+                sample,
+                lower: input.lower,
+                upper: input.upper,
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,5 @@
+//! Optimisation over a record.
+
+mod cases;
+mod common;
+mod reference;
