@@ -3,11 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use dynocal_jobs::estimate::Estimate;
 use dynocal_jobs::place::Overrides;
+use dynocal_report::significant;
 
-use crate::failure::Failure;
+use crate::failure::{Exit, Failure};
 use crate::progress::Progress;
 use crate::step_progress::StepProgress;
+use crate::table;
 use crate::terminal::print;
 
 /// Most threads: enough for any machine of today, few enough for the smallest to live on.
@@ -31,6 +34,24 @@ pub(crate) struct Common {
     /// Run folder; overrides the spec
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+}
+
+// For verbs with a spec. No doc comment, as above.
+#[derive(Args, Debug, Clone, Copy)]
+pub(crate) struct Check {
+    /// Check spec and data, show the plan with what it takes in memory and work, and run nothing
+    #[arg(long)]
+    pub(crate) check: bool,
+}
+
+/// Shows the plan of a job; one that is too large is refused.
+pub(crate) fn show_plan(plan: &Estimate) -> Result<Exit, Failure> {
+    let mut rows: Vec<Vec<String>> = plan.plan.iter().map(|l| vec![l.what.clone(), l.text.clone()]).collect();
+    rows.push(vec!["memory".into(), format!("about {} MB", significant(1e-6 * plan.memory_bytes, 2))]);
+    rows.push(vec!["work".into(), format!("about {} operations", significant(plan.operations, 2))]);
+    print(&format!("{}\n\n{}", plan.name, table::render(&["what", "plan"], &rows, &[])))?;
+    plan.allowed()?;
+    Ok(Exit::Done)
 }
 
 impl Common {

@@ -120,3 +120,23 @@ fn names_do_not_lead_out_of_runs() {
     let names: Vec<_> = fs::read_dir(tmp.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names, ["inner"]);
 }
+
+/// `--check` reads spec and data, shows the plan with what it takes, and writes nothing.
+#[test]
+fn a_check_runs_nothing() {
+    let tmp = tempfile::tempdir().unwrap();
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
+    for (verb, spec, parts) in [
+        ("signal", "design/signals.toml", &["memory", "600 samples"][..]),
+        ("design", "design/spec.toml", &["memory", "300 samples", "torque"]),
+    ] {
+        let spec = examples.join(spec);
+        let out = dynocal(tmp.path()).args([verb, spec.to_str().unwrap(), "--check"]).output().unwrap();
+        let text = String::from_utf8(out.stdout).unwrap();
+        assert_eq!(out.status.code(), Some(0), "{verb}: {}", String::from_utf8_lossy(&out.stderr));
+        assert!(parts.iter().all(|p| text.contains(p)), "{verb}: {text}");
+        let out = dynocal(tmp.path()).args([verb, "none.toml", "--check"]).output().unwrap();
+        assert_eq!(out.status.code(), Some(2), "{verb}");
+    }
+    assert_eq!(fs::read_dir(tmp.path()).unwrap().count(), 0, "nothing was written");
+}

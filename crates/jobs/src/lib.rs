@@ -8,6 +8,7 @@
 pub mod calibrate;
 pub mod design;
 pub mod engine;
+pub mod estimate;
 pub mod identify;
 pub mod page;
 pub mod place;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_jobs::design::estimate::estimate;
 use dynocal_jobs::design::load::DesignJobError;
 use dynocal_jobs::design::result::{Designed, SafetyLine};
 use dynocal_jobs::design::run::run as make;
@@ -12,7 +13,7 @@ use dynocal_design::error::DesignError;
 use dynocal_design::search::Failure as SearchFailure;
 
 use super::Verb;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure};
 use crate::table;
@@ -28,6 +29,8 @@ struct Design {
     /// Spec of the design (TOML)
     spec: PathBuf,
     #[command(flatten)]
+    plan: Check,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -35,6 +38,11 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Design::from_arg_matches(matches)?;
     let progress = args.common.start()?;
     let job = read(&args.spec, &args.common.overrides())?;
+    let plan = estimate(&job).map_err(with_hint)?;
+    if args.plan.check {
+        return show_plan(&plan);
+    }
+    plan.allowed()?;
     let (found, curves, folder) = progress.during(|watch| make(&job, watch)).map_err(with_hint)?;
     design_report::write(&job, &found, &curves, folder.path())?;
     for warning in &found.warnings {

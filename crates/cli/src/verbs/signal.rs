@@ -7,11 +7,12 @@ use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_ident::signal::signal;
 use dynocal_jobs::place::{Place, is_name};
 use dynocal_jobs::signal::spec::{self, MOST_SAMPLES, Wanted};
+use dynocal_jobs::signal::work::estimate;
 use dynocal_jobs::signal::{Job, Made, page, run as make, store};
 use dynocal_report::significant;
 
 use super::Verb;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::failure::{Exit, Failure};
 use crate::table;
 use crate::terminal::{print, say};
@@ -41,6 +42,8 @@ struct Signal {
     #[arg(long, default_value = "-")]
     unit: String,
     #[command(flatten)]
+    plan: Check,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -63,6 +66,11 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     } else {
         one(&args)?
     };
+    let plan = estimate(&job);
+    if args.plan.check {
+        return show_plan(&plan);
+    }
+    plan.allowed()?;
     let (made, folder) = progress.during(|watch| make(&job, watch))?;
     for warning in &made.warnings {
         say(&format!("warning: {warning}"));

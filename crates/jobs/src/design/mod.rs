@@ -4,6 +4,7 @@
 //! [`run`] searches and judges, [`result`] is what comes out.
 
 mod channels;
+pub mod estimate;
 mod judge;
 pub mod load;
 pub mod margins;

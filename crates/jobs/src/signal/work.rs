@@ -9,11 +9,25 @@ use dynocal_numerics::watch::Watch;
 
 use super::result::{Made, SignalError};
 use super::spec::{Job, Wanted};
+use crate::estimate::Estimate;
 
 /// Most lags of the autocorrelation.
 const LAGS: usize = 200;
 /// Correlation from which effects are hard to tell apart, whatever chance allows.
 const TOGETHER: f64 = 0.3;
+
+/// What making the signals takes: samples, and the segments and lags of their analysis.
+pub fn estimate(job: &Job) -> Estimate {
+    let (n, m) = (job.samples as f64, job.channels.len() as f64);
+    let length = format!("{} samples of {} s", job.samples, job.sample_time_s);
+    let plan =
+        Estimate::new(&job.name).line("record", length).line("run folder", job.out.display().to_string());
+    job.channels
+        .iter()
+        .fold(plan, |plan, c| plan.line(format!("channel {}", c.name), format!("{} [{}]", c.signal, c.unit)))
+        .memory(8.0 * n * (2.0 * m + 4.0))
+        .work(m * n * (2.0 * LAGS as f64 + 5.0 * n.log2()))
+}
 
 /// Makes and analyses the signals in memory.
 ///

@@ -1,0 +1,34 @@
+//! Modules of this crate point down only.
+
+#[path = "../../../tests/common/layers.rs"]
+mod layers;
+
+use std::path::Path;
+
+/// Lowest first.
+const ORDER: &[&str] = &[
+    "control",
+    "engine_model",
+    "problem",
+    "supervisor",
+    "loops",
+    "record",
+    "steady",
+    "optimise",
+    "excite",
+    "fuel",
+    "map",
+    "validate",
+];
+
+#[test]
+fn no_module_uses_one_above_it() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let faults = layers::faults(&src, ORDER);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    // The arrows are really read: these are there.
+    let arrows = layers::arrows(&src);
+    for (from, to) in [("validate", "map")] {
+        assert!(arrows.contains_key(&(from.into(), to.into())), "{from} uses {to}");
+    }
+}

@@ -1,0 +1,87 @@
+//! Dynamic powertrain calibration as one toolchain: which test next, which model, which actuator positions over time,
+//! which map.
+//!
+//! # The problem
+//!
+//! A powertrain has inputs u (throttle, injection, spark, ..), given operating channels v (speed) and outputs y (torque,
+//! lambda, ..). Sampled every `sample_time_s`, row t holds the inputs that act from instant t on and the outputs that
+//! are measured at instant t.
+//!
+//! *Identify.* A dynamic model with parameters theta, free of measured outputs once it runs,
+//!
+//! ```text
+//! y(t) = f(u(t-1), .., u(t-n), v(t-1), .., y(t-1), .., y(t-n); theta)
+//! theta_hat = argmin  sum_t (y_measured(t) - y(t; theta))^2
+//! ```
+//!
+//! *Design.* The record that tells most about theta within the limits of inputs, their rates and the predicted outputs,
+//!
+//! ```text
+//! min over u   J(M(u)),   M = 1/sigma^2  sum_t  dy(t)/dtheta  dy(t)/dtheta',   e.g. J_D = -log det M
+//! ```
+//!
+//! *Optimise.* The inputs that cost least over a whole transient, torque and lambda held on their demand w,
+//!
+//! ```text
+//! min over u   sum_t  cost(u(t), v(t), y(t))   subject to   y(t) = w(t),   lower <= u <= upper,   |u(t) - u(t-1)| <= rate
+//! ```
+//!
+//! *Invert.* A causal map from demand to inputs that does the same without looking ahead, and *validate* it beside a
+//! static map on the plant.
+//!
+//! # The house
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`numerics`] | linear algebra, random numbers, least squares, searches, interior point |
+//! | [`ident`] | signals, records, models, estimation, validation, the contract with a plant |
+//! | [`design`] | information, criteria, limits, search for the next record |
+//! | [`plant`] | the virtual engine and its test bed |
+//! | [`files`] | measurement files, specs, run folders |
+//! | [`calib`] | optimisation of records, maps, loops of design and measurement |
+//! | [`report`] | pages from finished results |
+//! | [`jobs`] | what the program does: a typed spec in, a result and a run folder out |
+//!
+//! # Example
+//!
+//! A record of a first-order lag, its model, and how well the model runs free:
+//!
+//! ```
+//! use dynocal::prelude::*;
+//!
+//! // y(t) = 0.8 y(t-1) + 0.5 u(t-1)
+//! let keys = toml::from_str("lo = -1.0\nhi = 1.0\nhold_s = 0.2")?;
+//! let mut u = vec![0.0; 400];
+//! signal("aprbs", &keys)?.fill(&mut u, 0.1, &mut Rng64::new(1))?;
+//! let mut y = vec![0.0; 400];
+//! for t in 1..400 {
+//!     y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1];
+//! }
+//! let channel = |name: &str, role, values| Channel { name: name.into(), unit: "-".into(), role, values };
+//! let record = Dataset {
+//!     name: "lag".into(),
+//!     sample_time_s: 0.1,
+//!     channels: vec![channel("u", Role::Input, u), channel("y", Role::Output, y)],
+//!     init_samples: 0,
+//!     origin: "computed".into(),
+//! };
+//! let data = experiments(&[record], &["u".into()], "y")?;
+//! let model = PolyNarx::parse(&["u"], "y", &["y(t-1)", "u(t-1)"])?;
+//! let fit = estimator("ols", &toml::Table::new())?.estimate(&model, &data, None, &|| false)?;
+//! assert!((fit.theta[0] - 0.8).abs() < 1e-9 && (fit.theta[1] - 0.5).abs() < 1e-9);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, simulate a stored
+//! model, calibrate on the virtual engine.
+
+pub use dynocal_calib as calib;
+pub use dynocal_design as design;
+pub use dynocal_files as files;
+pub use dynocal_ident as ident;
+pub use dynocal_jobs as jobs;
+pub use dynocal_numerics as numerics;
+pub use dynocal_plant as plant;
+pub use dynocal_report as report;
+
+pub mod prelude;
