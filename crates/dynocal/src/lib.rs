@@ -72,8 +72,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, simulate a stored
-//! model, calibrate on the virtual engine.
+//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record,
+//! calibrate on the virtual engine.
 
 pub use dynocal_calib as calib;
 pub use dynocal_design as design;
