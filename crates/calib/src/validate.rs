@@ -2,9 +2,10 @@
 
 use crate::control::LoopGains;
 use crate::map::{FeedforwardMap, Reference};
-use crate::record::{ActuatorLimits, Bed, Plan, run_plan};
+use crate::record::{ActuatorLimits, engine_plan};
 use dynocal_ident::data::{Channel, Dataset, Role};
-use dynocal_ident::plant::PlantError;
+use dynocal_ident::plant::Plant;
+use dynocal_ident::play::{PlayError, Unwatched, play};
 use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
 
@@ -140,20 +141,20 @@ pub struct MapScore {
 /// Runs `map` through `scenario` open loop and records it; the raw demand is recorded beside.
 ///
 /// # Errors
-/// [`PlantError`] of the plant.
+/// [`PlayError`] of the player.
 pub fn run_map(
-    bed: &mut Bed,
+    plant: &mut dyn Plant,
+    sample_time_s: f64,
     map: &dyn FeedforwardMap,
     scenario: &Scenario,
     limits: ActuatorLimits,
-) -> Result<Dataset, PlantError> {
-    let dt = bed.sample_time_s();
-    let drive = map.drive(&scenario.demand, dt);
+) -> Result<Dataset, PlayError> {
+    let drive = map.drive(&scenario.demand, sample_time_s);
     let feedforward: Vec<[f64; 4]> =
         drive.iter().zip(&scenario.demand).map(|(u, r)| [u[0], u[1], u[2], r.speed_rpm]).collect();
-    let plan = Plan { feedforward: &feedforward, demand: &[], gains: LoopGains::TRIM, limits, settle_s: 4.0 };
     let name = format!("{}, {}", map.name(), scenario.name);
-    let mut record = run_plan(bed, &name, &plan)?;
+    let plan = engine_plan(&name, sample_time_s, &feedforward, &[], LoopGains::TRIM, limits, 4.0);
+    let mut record = play(plant, &plan, &mut Unwatched)?.whole()?.record;
     let demand = scenario.demand.iter().map(|r| r.torque_nm).collect();
     record.channels.push(Channel {
         name: "torque_demand".into(),

@@ -1,9 +1,11 @@
 //! Designed records on a plant: which inputs a test moves, how it is sampled, and the run itself.
 
 use dynocal_design::channel::{Channel, Shape};
-use dynocal_ident::data::{Channel as Column, Dataset, Role};
+use dynocal_ident::data::Dataset;
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::plant::{Causality, Plant, Variable, variable_index};
+use dynocal_ident::plan::{Plan, PlanChannel};
+use dynocal_ident::plant::{Causality, Plant};
+use dynocal_ident::play::{Unwatched, play};
 
 use super::LoopError;
 
@@ -25,50 +27,23 @@ impl TestBed {
     /// and earlier. The plant goes on from the state it is in.
     ///
     /// # Errors
-    /// [`LoopError::Plant`] for an unknown input or one outside the plant's range; [`LoopError::Shape`].
+    /// [`LoopError::Play`] for an unknown input or one outside the plant's range; [`LoopError::Shape`].
     pub fn measure(&self, plant: &mut dyn Plant, name: &str, u: &[f64]) -> Result<Dataset, LoopError> {
         let m = self.channels.len();
         if u.is_empty() || m == 0 || !u.len().is_multiple_of(m) {
             return Err(LoopError::Shape { what: "samples of a record", found: u.len(), expected: m.max(1) });
         }
-        let places = self
-            .channels
-            .iter()
-            .map(|c| variable_index(plant, Causality::Input, &c.name))
-            .collect::<Result<Vec<_>, _>>()?;
         let variables = plant.variables().to_vec();
-        let of = |c: Causality| variables.iter().filter(move |v| v.causality == c);
-        let mut inputs: Vec<f64> = of(Causality::Input).map(|v| v.start).collect();
-        let outputs: Vec<&Variable> = of(Causality::Output).collect();
-        let mut y: Vec<f64> = outputs.iter().map(|v| v.start).collect();
-        let mut columns: Vec<Vec<f64>> = vec![Vec::with_capacity(u.len() / m); m + outputs.len()];
-        let settle = (self.settle_s / self.sample_time_s).ceil() as usize;
-        for k in 0..settle + u.len() / m {
-            let t = k.saturating_sub(settle);
-            let row = &u[t * m..(t + 1) * m];
-            if k >= settle {
-                columns.iter_mut().zip(row.iter().chain(&y)).for_each(|(c, v)| c.push(*v));
-            }
-            places.iter().zip(row).for_each(|(i, v)| inputs[*i] = *v);
-            plant.step(&inputs, self.sample_time_s, &mut y)?;
-        }
-        let meta = places
-            .iter()
-            .map(|i| of(Causality::Input).nth(*i))
-            .zip(&self.channels)
-            .map(|(v, c)| (c.name.clone(), v.map_or_else(|| "-".into(), |v| v.unit.clone()), Role::Input))
-            .chain(outputs.iter().map(|v| (v.name.clone(), v.unit.clone(), Role::Output)));
-        let channels = meta
-            .zip(columns)
-            .map(|((name, unit, role), values)| Column { name, unit, role, values })
-            .collect();
-        Ok(Dataset {
-            name: name.into(),
-            sample_time_s: self.sample_time_s,
-            channels,
-            init_samples: 0,
-            origin: plant.describe(),
-        })
+        // An input that the plant does not have is the player's to refuse.
+        let unit = |name: &str| {
+            let mut inputs = variables.iter().filter(|v| v.causality == Causality::Input);
+            inputs.find(|v| v.name == name).map_or("-", |v| v.unit.as_str())
+        };
+        let column = |i: usize| u.iter().skip(i).step_by(m).copied().collect();
+        let channels = self.channels.iter().enumerate();
+        let channels = channels.map(|(i, c)| PlanChannel::free(&c.name, unit(&c.name), column(i))).collect();
+        let plan = Plan::open_loop(name, self.sample_time_s, channels).settled(self.settle_s);
+        Ok(play(plant, &plan, &mut Unwatched)?.whole()?.record)
     }
 
     /// Names of the designed channels.

@@ -4,11 +4,10 @@
 //! feedforward of fuel from the air that throttle and speed let in, learned on the bed itself, and a small PI loop on
 //! the measured lambda, both at a sample time of their own inside the sample of the test.
 
+use dynocal_ident::pi::{Pi, PiGains};
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, variable_index};
 use dynocal_numerics::linalg::least_squares;
 use serde::{Deserialize, Serialize};
-
-use crate::control::{Pi, PiGains};
 
 /// How lambda is held.
 #[derive(Clone, Debug, PartialEq)]

@@ -54,14 +54,18 @@ use dynocal_design::search::Failure;
 use dynocal_ident::data::DataError;
 use dynocal_ident::estimate::EstimateError;
 use dynocal_ident::plant::PlantError;
+use dynocal_ident::play::PlayError;
 use dynocal_numerics::registry::BuildError;
 
 /// A loop could not go on.
 #[derive(Debug, thiserror::Error)]
 pub enum LoopError {
-    /// The plant refused a record.
+    /// The plant refused a call.
     #[error(transparent)]
     Plant(#[from] PlantError),
+    /// The plant refused a record.
+    #[error(transparent)]
+    Play(#[from] PlayError),
     /// A record lacks something.
     #[error(transparent)]
     Data(#[from] DataError),

@@ -1,9 +1,10 @@
 //! The conventional static map (thesis chapter 6): best spark at each operating point, found on the bed.
 
 use super::{Actuators, FeedforwardMap, MapLimits, Reference};
-use crate::control::{LoopGains, Pi};
-use crate::record::Bed;
-use dynocal_ident::plant::PlantError;
+use crate::control::LoopGains;
+use crate::record::{ActuatorLimits, Demand, engine_plan};
+use dynocal_ident::plant::{Plant, PlantError};
+use dynocal_ident::play::{Band, PlayError, UntilStill, play};
 use serde::{Deserialize, Serialize};
 
 /// Operating grid and settling rule of the static calibration.
@@ -69,45 +70,50 @@ struct Steady {
     lambda_error: f64,
 }
 
+/// A plant with the bed time spent on it.
+struct Bed<'a> {
+    plant: &'a mut dyn Plant,
+    sample_time_s: f64,
+    used_s: f64,
+}
+
 fn settle(
     bed: &mut Bed,
     spec: &StaticSpec,
     limits: &MapLimits,
     target: (f64, f64),
     start: Actuators,
-) -> Result<Steady, PlantError> {
+) -> Result<Steady, PlayError> {
     let (torque_nm, speed_rpm) = target;
-    let dt = bed.sample_time_s();
-    let gains = LoopGains::RETUNED;
-    let mut throttle_loop = Pi::new(gains.torque, start[2], limits.lower[2], limits.upper[2]);
-    let mut fuel_loop = Pi::new(gains.lambda, start[0], limits.lower[0], limits.upper[0]);
-    let mut u = [start[0], start[1], start[2], speed_rpm];
-    let mut y = bed.step(&u)?;
+    let dt = bed.sample_time_s;
     // A bed engineer goes on when the needles stand still: 0.5 s inside a narrow band ends the wait early.
     let (still, most) = ((0.5 / dt) as usize, (spec.settle_s / dt) as usize);
-    let mut quiet = 0;
-    for _ in 0..most {
-        u[2] = throttle_loop.step(0.0, torque_nm - y.0, dt);
-        u[0] = fuel_loop.step(0.0, 1.0 - y.1, dt);
-        y = bed.step(&u)?;
-        let inside = (y.0 - torque_nm).abs() < 0.02 && (y.1 - 1.0).abs() < 2e-4;
-        quiet = if inside { quiet + 1 } else { 0 };
-        if quiet >= still {
-            break;
-        }
-    }
     let n = (spec.average_s / dt).round().max(1.0) as usize;
-    let mut sum = [0.0; 3];
-    let (mut torque_error_nm, mut lambda_error) = (0.0f64, 0.0f64);
-    for _ in 0..n {
-        u[2] = throttle_loop.step(0.0, torque_nm - y.0, dt);
-        u[0] = fuel_loop.step(0.0, 1.0 - y.1, dt);
-        y = bed.step(&u)?;
-        (0..3).for_each(|c| sum[c] += u[c] / n as f64);
-        torque_error_nm = torque_error_nm.max((y.0 - torque_nm).abs());
-        lambda_error = lambda_error.max((y.1 - 1.0).abs());
-    }
-    Ok(Steady { actuators: sum, torque_error_nm, lambda_error })
+    let rows = vec![[start[0], start[1], start[2], speed_rpm]; most + n];
+    let demand = vec![Demand { torque_nm, lambda: 1.0 }; most + n];
+    let of = |i: usize| (limits.lower[i], limits.upper[i]);
+    let actuators = ActuatorLimits { inj_mg: of(0), spark_deg: of(1), throttle_deg: of(2) };
+    let plan = engine_plan("static point", dt, &rows, &demand, LoopGains::RETUNED, actuators, 0.0);
+    let band = |output: &str, value, half_width| Band { output: output.into(), value, half_width };
+    let bands = vec![band("torque", torque_nm, 0.02), band("lambda", 1.0, 2e-4)];
+    let mut rest = UntilStill::new(bands, still, n);
+    let played = play(bed.plant, &plan, &mut rest)?;
+    bed.used_s += played.used_s;
+    let played = if rest.reached() { played } else { played.whole()? };
+    let last = |name: &str| -> Result<&[f64], PlayError> {
+        let values = played.record.values(name)?;
+        Ok(&values[values.len().saturating_sub(n)..])
+    };
+    let mean = |name: &str| Ok::<f64, PlayError>(last(name)?.iter().sum::<f64>() / n as f64);
+    let worst = |name: &str, value: f64| {
+        Ok::<f64, PlayError>(last(name)?.iter().fold(0.0f64, |a, y| a.max((y - value).abs())))
+    };
+    let actuators = [mean("inj")?, mean("spark")?, mean("throttle")?];
+    Ok(Steady {
+        actuators,
+        torque_error_nm: worst("torque", torque_nm)?,
+        lambda_error: worst("lambda", 1.0)?,
+    })
 }
 
 /// Best spark at one operating point by golden section on fuel, finished by a parabola through the best three.
@@ -115,17 +121,17 @@ fn settle(
 /// Fuel over spark at held torque and lambda has one minimum, so a bracket never loses it.
 ///
 /// # Errors
-/// [`PlantError`] of the plant.
-pub fn best_spark(
+/// [`PlayError`] of the player.
+fn best_spark(
     bed: &mut Bed,
     spec: &StaticSpec,
     limits: &MapLimits,
     target: (f64, f64),
     start: Actuators,
-) -> Result<StaticPoint, PlantError> {
+) -> Result<StaticPoint, PlayError> {
     let mut seen: Vec<(f64, Steady)> = Vec::new();
     let mut warm = start;
-    let mut evaluate = |spark: f64, seen: &mut Vec<(f64, Steady)>| -> Result<f64, PlantError> {
+    let mut evaluate = |spark: f64, seen: &mut Vec<(f64, Steady)>| -> Result<f64, PlayError> {
         warm[1] = spark;
         let s = settle(bed, spec, limits, target, warm)?;
         warm = s.actuators;
@@ -177,24 +183,26 @@ fn parabola_minimum(seen: &[(f64, Steady)]) -> Option<f64> {
 }
 
 impl StaticMap {
-    /// Calibrates one row of the grid (all speeds of one torque) on `bed`.
+    /// Calibrates one row of the grid (all speeds of one torque) on `plant`: its points and the bed time in s.
     ///
     /// # Errors
-    /// [`PlantError`] of the plant.
+    /// [`PlayError`] of the player.
     pub fn calibrate_row(
-        bed: &mut Bed,
+        plant: &mut dyn Plant,
+        sample_time_s: f64,
         spec: &StaticSpec,
         limits: &MapLimits,
         torque_nm: f64,
-    ) -> Result<Vec<StaticPoint>, PlantError> {
+    ) -> Result<(Vec<StaticPoint>, f64), PlayError> {
+        let mut bed = Bed { plant, sample_time_s, used_s: 0.0 };
         let mut start = [4.0 + 0.18 * torque_nm, 20.0, 5.0 + 0.15 * torque_nm];
         let mut points = Vec::new();
         for &speed in &spec.speed_rpm {
-            let point = best_spark(bed, spec, limits, (torque_nm, speed), start)?;
+            let point = best_spark(&mut bed, spec, limits, (torque_nm, speed), start)?;
             start = point.actuators;
             points.push(point);
         }
-        Ok(points)
+        Ok((points, bed.used_s))
     }
 
     /// Puts the rows of the grid together.

@@ -5,11 +5,13 @@ use dynocal_calib::control::LoopGains;
 use dynocal_calib::fuel::FuelError;
 use dynocal_calib::map::MapLimits;
 use dynocal_calib::map::structured::MapError;
-use dynocal_calib::record::{ActuatorLimits, Bed, Plan, run_plan};
+use dynocal_calib::record::ActuatorLimits;
 use dynocal_files::FilesError;
 use dynocal_files::csv_io;
-use dynocal_ident::data::{Channel, DataError, Dataset, Role};
+use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::plan::Plan;
 use dynocal_ident::plant::{Plant, PlantError};
+use dynocal_ident::play::{PlayError, RecordFault, Unwatched, check_record, play};
 use dynocal_numerics::registry::BuildError;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -26,6 +28,19 @@ pub enum ChainError {
     /// The plant.
     #[error(transparent)]
     Plant(#[from] PlantError),
+    /// A plan that could not be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+    /// A measured record is not what its plan asked for.
+    #[error("{file} is not a record of the plan `{plan}`: {}", .faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Record {
+        /// File.
+        file: String,
+        /// Plan.
+        plan: String,
+        /// Every fault.
+        faults: Vec<RecordFault>,
+    },
     /// A member of a table.
     #[error(transparent)]
     Build(#[from] BuildError),
@@ -48,11 +63,15 @@ pub enum ChainError {
     Design(String),
     /// A real bed must measure first.
     #[error(
-        "the plan `{plan}` waits to be run on the bed: put the measured record at `{measured}` (columns inj [mg], spark [deg], throttle [deg], speed [rpm], torque [Nm], lambda [-]) and start again: finished steps are kept"
+        "the plan `{plan}` ({mode}; its loops and limits stand beside it) waits to be run on the bed: put the measured record at `{measured}` (columns time [s], {columns}) and start again: finished steps are kept"
     )]
     NeedsMeasurement {
         /// Plan that was written.
         plan: String,
+        /// Open or closed loop.
+        mode: String,
+        /// Columns of the record, with units.
+        columns: String,
         /// Where the record is expected.
         measured: String,
     },
@@ -180,30 +199,33 @@ impl Context<'_> {
     ///
     /// # Errors
     /// [`ChainError`].
-    pub fn measure(
-        &self,
-        folder: &Path,
-        name: &str,
-        plan: &Plan,
-        noise: bool,
-    ) -> Result<Dataset, ChainError> {
+    pub fn measure(&self, folder: &Path, plan: &Plan, noise: bool) -> Result<Dataset, ChainError> {
         self.check_interrupt()?;
+        let name = &plan.name;
         if self.plants.is_some() {
             let mut plant = self.plant(noise)?;
-            let mut bed = Bed::new(plant.as_mut(), self.spec.sample_time_s)?;
-            bed.reset(noise_seed(self.spec.seed, name));
-            return Ok(run_plan(&mut bed, name, plan)?);
+            plant.reset(noise_seed(self.spec.seed, name));
+            return Ok(play(plant.as_mut(), plan, &mut Unwatched)?.whole()?.record);
         }
-        let plan_path = folder.join(format!("{name}.plan.csv"));
-        csv_io::write_dataset(&plan_path, &plan_as_dataset(name, plan, self.spec.sample_time_s))?;
+        let plan_path = dynocal_files::plan::write(folder, plan)?;
         let measured = self.measured.join(format!("{name}.csv"));
         if !measured.exists() {
             return Err(ChainError::NeedsMeasurement {
                 plan: plan_path.display().to_string(),
+                mode: plan.mode(),
+                columns: dynocal_files::plan::record_columns(plan),
                 measured: measured.display().to_string(),
             });
         }
-        let mut record = read_record(&measured, name)?;
+        let mut record = dynocal_files::plan::read_record(&measured, plan)?;
+        let faults = check_record(plan, &record);
+        if !faults.is_empty() {
+            let file = measured.display().to_string();
+            return Err(ChainError::Record { file, plan: name.clone(), faults });
+        }
+        // The stamps have been compared: the record has the sample time of the plan.
+        record.channels.retain(|c| c.name != dynocal_files::dataset::STAMPS);
+        record.sample_time_s = plan.sample_time_s;
         record.origin = format!("bed, {}", measured.display());
         Ok(record)
     }
@@ -212,27 +234,6 @@ impl Context<'_> {
 /// Seed of the sensor noise of one record: depends on seed and name only, not on the order of the runs.
 fn noise_seed(seed: u64, name: &str) -> u64 {
     name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
-}
-
-fn plan_as_dataset(name: &str, plan: &Plan, sample_time_s: f64) -> Dataset {
-    let column = |name: &str, unit: &str, values: Vec<f64>| Channel {
-        name: name.into(),
-        unit: unit.into(),
-        role: Role::Input,
-        values,
-    };
-    let ff = |i: usize| plan.feedforward.iter().map(|r| r[i]).collect::<Vec<f64>>();
-    let mut channels = vec![
-        column("inj", "mg", ff(0)),
-        column("spark", "deg", ff(1)),
-        column("throttle", "deg", ff(2)),
-        column("speed", "rpm", ff(3)),
-    ];
-    if !plan.demand.is_empty() {
-        channels.push(column("torque_demand", "Nm", plan.demand.iter().map(|d| d.torque_nm).collect()));
-        channels.push(column("lambda_demand", "-", plan.demand.iter().map(|d| d.lambda).collect()));
-    }
-    Dataset { name: name.into(), sample_time_s, channels, init_samples: 0, origin: "plan".into() }
 }
 
 /// A stored record of a step.

@@ -3,7 +3,7 @@
 use super::context::{ChainError, Context, RecordRef, gains, save_records};
 use dynocal_calib::control::LoopGains;
 use dynocal_calib::excite::{References, plan_of, references};
-use dynocal_calib::record::{Demand, Plan};
+use dynocal_calib::record::{Demand, engine_plan};
 use dynocal_ident::data::Dataset;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
@@ -105,8 +105,9 @@ pub fn through_loops(
     demand: &[Demand],
     gains: LoopGains,
 ) -> Result<Dataset, ChainError> {
-    let plan = Plan { feedforward, demand, gains, limits: ctx.actuator_limits(), settle_s: LEAD_IN_S };
-    let mut record = ctx.measure(folder, name, &plan, true)?;
+    let limits = ctx.actuator_limits();
+    let plan = engine_plan(name, ctx.spec.sample_time_s, feedforward, demand, gains, limits, LEAD_IN_S);
+    let mut record = ctx.measure(folder, &plan, true)?;
     record.init_samples = ctx.spec.identify.init_samples;
     Ok(record)
 }

@@ -62,6 +62,7 @@ fn what(step: &str, name: &str) -> String {
         "dynamic_map.json" => "the dynamic map that is delivered".into(),
         "static_map.json" => "static map that it is compared with".into(),
         _ if name.ends_with(".plan.csv") => "plan for the bed".into(),
+        _ if name.ends_with(".plan.json") => "loops, limits and units of the plan".into(),
         _ if name.ends_with(".csv") => "measured record".into(),
         _ => "file of the step".into(),
     }

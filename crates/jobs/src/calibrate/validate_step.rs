@@ -7,7 +7,7 @@ use super::optimise_step::{Pass, hold, mean_fuel};
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::map::{FeedforwardMap, Reference};
-use dynocal_calib::record::{Bed, Demand};
+use dynocal_calib::record::Demand;
 use dynocal_calib::validate::{MapScore, Scenario, random_points, run_map, score, torque_steps};
 use dynocal_ident::data::Dataset;
 use dynocal_numerics::rng::Rng64;
@@ -88,12 +88,12 @@ fn calibrate_static(ctx: &Context) -> Result<StaticMap, ChainError> {
             ctx.check_interrupt()?;
             // Free of sensor noise: the rival is given its best case.
             let mut plant = ctx.plant(false)?;
-            let mut bed = Bed::new(plant.as_mut(), ctx.spec.sample_time_s)?;
-            bed.reset(ctx.spec.seed);
-            let row = StaticMap::calibrate_row(&mut bed, spec, &ctx.map_limits(), *torque)?;
+            plant.reset(ctx.spec.seed);
+            let dt = ctx.spec.sample_time_s;
+            let row = StaticMap::calibrate_row(plant.as_mut(), dt, spec, &ctx.map_limits(), *torque)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             (ctx.tell)(Event::Fraction(0.7 * done as f64 / spec.torque_nm.len() as f64));
-            Ok((row, bed.used_s()))
+            Ok(row)
         })
         .collect::<Vec<Result<_, ChainError>>>()
         .into_iter()
@@ -143,9 +143,9 @@ fn run_all(
         .map(|&(s, m)| {
             ctx.check_interrupt()?;
             let mut plant = ctx.plant(false)?;
-            let mut bed = Bed::new(plant.as_mut(), ctx.spec.sample_time_s)?;
-            bed.reset(ctx.spec.seed);
-            let record = run_map(&mut bed, maps[m], &scenarios[s], ctx.actuator_limits())?;
+            plant.reset(ctx.spec.seed);
+            let (dt, limits) = (ctx.spec.sample_time_s, ctx.actuator_limits());
+            let record = run_map(plant.as_mut(), dt, maps[m], &scenarios[s], limits)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             (ctx.tell)(Event::Fraction(0.7 + 0.3 * done as f64 / jobs.len() as f64));
             Ok(record)

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use dynocal_files::{FilesError, csv_io};
 use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::plan::Plan;
+use dynocal_ident::play::{Unwatched, play};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -12,7 +14,7 @@ use serde::Serialize;
 use super::{Chapter5Error, udrn};
 use dynocal_calib::control::LoopGains;
 use dynocal_calib::excite::{ExciteSpec, Range, plan_of, references};
-use dynocal_calib::record::{ActuatorLimits, Bed, Plan, run_plan};
+use dynocal_calib::record::{ActuatorLimits, engine_plan};
 use dynocal_jobs::calibrate::context::{MIN_FUEL_MG, OPEN_THROTTLE_DEG, PlantFactory};
 
 /// Sample time of both sections in s.
@@ -77,9 +79,9 @@ pub fn open_loop(
             spark_deg: spec.spark_deg,
             throttle_deg: spec.throttle_deg,
         };
-        let plan =
-            Plan { feedforward: &rows, demand: &[], gains: LoopGains::RETUNED, limits, settle_s: LEAD_IN_S };
-        let mut record = measure(plants, &format!("random{k:02}"), &plan)?;
+        let name = format!("random{k:02}");
+        let plan = engine_plan(&name, SAMPLE_TIME_S, &rows, &[], LoopGains::RETUNED, limits, LEAD_IN_S);
+        let mut record = measure(plants, &plan)?;
         for channel in record.channels.iter_mut().filter(|c| c.name == "lambda") {
             channel.values.iter_mut().for_each(|v| *v = v.min(spec.lambda_cap));
         }
@@ -114,14 +116,8 @@ pub fn closed_loop(
             spark_deg: spec.spark_deg,
             throttle_deg: (0.0, OPEN_THROTTLE_DEG),
         };
-        let plan = Plan {
-            feedforward: &plan_of(&references),
-            demand: &references.demand,
-            gains,
-            limits,
-            settle_s: LEAD_IN_S,
-        };
-        measure(plants, &format!("loop{k:02}"), &plan)
+        let (name, rows) = (format!("loop{k:02}"), plan_of(&references));
+        measure(plants, &engine_plan(&name, SAMPLE_TIME_S, &rows, &references.demand, gains, limits, LEAD_IN_S))
     })
 }
 
@@ -134,11 +130,10 @@ fn all(
     (0..count).into_par_iter().map(checked).collect::<Vec<_>>().into_iter().collect()
 }
 
-fn measure(plants: PlantFactory, name: &str, plan: &Plan) -> Result<Dataset, Chapter5Error> {
+fn measure(plants: PlantFactory, plan: &Plan) -> Result<Dataset, Chapter5Error> {
     let mut plant = plants(false)?;
-    let mut bed = Bed::new(plant.as_mut(), SAMPLE_TIME_S)?;
-    bed.reset(0);
-    Ok(run_plan(&mut bed, name, plan)?)
+    plant.reset(0);
+    Ok(play(plant.as_mut(), plan, &mut Unwatched)?.whole()?.record)
 }
 
 /// An engine record of the reference data: columns `INJ_mg`, `SA_deg`, `theta_deg`, `N_rpm`, `T_Nm`, `lambda`.

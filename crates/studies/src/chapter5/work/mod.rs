@@ -27,6 +27,7 @@ use dynocal_ident::model::Model;
 use dynocal_ident::model::poly::StructureError;
 use dynocal_ident::nullable;
 use dynocal_ident::plant::PlantError;
+use dynocal_ident::play::PlayError;
 use dynocal_ident::signal;
 use dynocal_ident::validate::{Kind, Seen, score};
 use dynocal_numerics::registry::BuildError;
@@ -48,6 +49,9 @@ pub enum Chapter5Error {
     /// The plant.
     #[error(transparent)]
     Plant(#[from] PlantError),
+    /// A plan that could not be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
     /// A signal or method is unknown.
     #[error(transparent)]
     Build(#[from] BuildError),
