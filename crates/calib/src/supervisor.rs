@@ -130,7 +130,9 @@ impl Watchdog for Supervisor<'_> {
             if let Some(p) = t.watched.predictor {
                 let found = p.model.n_inputs();
                 if found != m {
-                    return Err(refused(format!("found {found} inputs, expected the {m} channels of the plan")));
+                    return Err(refused(format!(
+                        "found {found} inputs, expected the {m} channels of the plan"
+                    )));
                 }
                 least = least.max(p.model.max_lag() + 2);
             }

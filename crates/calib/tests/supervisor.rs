@@ -1,16 +1,20 @@
 //! A supervised plan keeps its limits where the model is wrong, and leaves a safe plan alone.
 
-use dynocal_calib::supervisor::{Plan, Predictor, Reason, SupervisorError, Watched, play};
+use dynocal_calib::supervisor::{Predictor, Supervisor, Watched, for_plan};
 use dynocal_design::schedule::{block_scores, margin};
+use dynocal_ident::data::Dataset;
 use dynocal_ident::estimate;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::pi::PiGains;
+use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLimit, PlanLoop};
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::play::{PlayError, Reason, Unwatched, play};
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
-/// y(t) = 0.85 y(t-1) + 0.15 (v + 0.08 v^3), v = u(t-2), with white sensor noise.
+/// y(t) = 0.85 y(t-1) + 0.15 (v + 0.08 v^3), v = u(t-3), with white sensor noise.
 struct Toy {
     variables: [Variable; 2],
     noise: f64,
@@ -86,20 +90,27 @@ fn levels(seed: u64, n: usize, from: f64, to: f64) -> Vec<f64> {
     u
 }
 
-fn measured(seed: u64, u: &[f64]) -> Vec<f64> {
-    let (mut toy, mut y) = (Toy::new(NOISE, seed), [0.0]);
-    u.iter().map(|u| toy.step(&[*u], 0.1, &mut y).map(|()| y[0]).unwrap()).collect()
+/// A plan of the toy: from rest at 0, then `u`, settled for `settle` samples before.
+fn toy_plan(u: &[f64], settle: usize, rate_per_s: Option<f64>) -> Plan {
+    let values = std::iter::once(0.0).chain(u.iter().copied()).collect();
+    let channel = PlanChannel { rate_per_s, ..PlanChannel::free("u", "-", values) };
+    Plan::open_loop("toy", 0.1, vec![channel]).settled(0.1 * settle as f64)
+}
+
+/// Unwatched.
+fn alone(seed: u64, u: &[f64], settle: usize) -> Dataset {
+    play(&mut Toy::new(NOISE, seed), &toy_plan(u, settle, None), &mut Unwatched).unwrap().record
 }
 
 fn experiment(seed: u64, n: usize, size: f64) -> Experiment {
-    let u = levels(seed, n, size, size);
-    let y = measured(seed + 500, &u);
+    let record = alone(seed + 500, &levels(seed, n, size, size), 5);
+    let (u, y) = (record.values("u").unwrap().to_vec(), record.values("y").unwrap().to_vec());
     Experiment { name: "record".into(), u, y, init_samples: 0, weights: vec![] }
 }
 
 /// A linear model from small movements, and its margin at 5 % from held-out ones.
 fn known(seed: u64) -> (PolyNarx, Vec<f64>, f64) {
-    let model = PolyNarx::parse(&["u"], "y", &["u(t-1)", "u(t-2)", "u(t-3)", "y(t-1)"]).unwrap();
+    let model = PolyNarx::parse(&["u"], "y", &["u(t-1)", "u(t-2)", "u(t-3)", "u(t-4)", "y(t-1)"]).unwrap();
     let ols = estimate::estimator("ols", &toml::Table::new()).unwrap();
     let theta = ols.estimate(&model, &[experiment(seed, 600, 1.0)], None, &|| false).unwrap().theta;
     let scores = block_scores(&model, &theta, &[experiment(seed + 1, 800, 1.0)], 20, None);
@@ -107,45 +118,46 @@ fn known(seed: u64) -> (PolyNarx, Vec<f64>, f64) {
     (model, theta, q)
 }
 
+fn largest(y: &[f64]) -> f64 {
+    y.iter().fold(0.0f64, |a, y| a.max(y.abs()))
+}
+
 #[test]
 fn a_plan_that_would_pass_a_limit_is_ended_before_it_does() {
-    let inputs = ["u".to_string()];
     let (mut would, mut stopped, mut passed) = (0, 0, 0);
     let mut share_played = 0.0;
     for seed in 0..200 {
         let (model, theta, margin) = known(10_000 + 10 * seed);
-        let u = levels(seed, 400, 0.5, 3.5);
+        // Within the rate of the way back, so that the plan is played as it is.
+        let u = ramps(&levels(seed, 400, 0.5, 3.5), 0.5);
         let limit = 2.5;
-        let alone = measured(900 + seed, &u);
-        would += u32::from(alone.iter().any(|y| y.abs() > limit));
-        let predictor = Some(Predictor { model: &model, theta: &theta });
-        let watched = [Watched { output: "y".into(), lower: -limit, upper: limit, margin, predictor }];
-        let plan = Plan {
-            sample_time_s: 0.1,
-            inputs: &inputs,
-            u: &u,
-            safe: &[0.0],
-            rate_per_sample: &[0.5],
-            settle: 20,
-        };
-        let mut toy = Toy::new(NOISE, 900 + seed);
-        let done = play(&mut toy, &plan, &watched).unwrap();
-        passed += u32::from(done.least_distance[0] < 0.0);
-        let first = alone.iter().position(|y| y.abs() > limit).unwrap_or(400);
+        let unwatched = alone(900 + seed, &u, 20);
+        let unwatched = unwatched.values("y").unwrap();
+        would += u32::from(largest(unwatched) > limit);
+        let plan = toy_plan(&u, 20, Some(5.0))
+            .with_limits(vec![PlanLimit::between("y", "-", -limit, limit, margin)]);
+        let predictor = Predictor { model: &model, theta: &theta };
+        let mut supervisor = for_plan(&plan, &[("y", predictor)]);
+        let done = play(&mut Toy::new(NOISE, 900 + seed), &plan, &mut supervisor).unwrap();
+        let least = done.least_distance[0].1;
+        passed += u32::from(least < 0.0);
+        let first = unwatched.iter().position(|y| y.abs() > limit).unwrap_or(401);
         share_played += done.played as f64 / first as f64;
         let (y, applied) = (done.record.values("y").unwrap(), done.record.values("u").unwrap());
-        let worst = y.iter().fold(0.0f64, |a, y| a.max(y.abs()));
-        assert!((done.least_distance[0] - (limit - worst)).abs() < 1e-12);
-        assert_eq!(applied[done.before..done.before + done.played], u[..done.played]);
+        let back = done.way_back.as_ref().map_or(&[][..], |b| b.values("y").unwrap());
+        assert!(least <= limit - largest(y).max(largest(back)) + 1e-12, "no measured value is left out");
+        assert_eq!(applied, &plan.channels[0].values[..done.played]);
+        assert_eq!((done.before, done.record.len()), (20, done.played));
         if let Some(stop) = &done.stop {
             stopped += 1;
             assert_eq!(stop.sample, done.played);
             // Back at the safe point, at the rate that was asked for.
-            assert!(applied.ends_with(&[0.0; 20]) && y[y.len() - 1].abs() < 0.5);
-            let back = &applied[done.before + done.played - 1..];
-            assert!(back.windows(2).all(|w| (w[1] - w[0]).abs() <= 0.5 + 1e-12));
+            let way = done.way_back.as_ref().unwrap().values("u").unwrap();
+            assert!(way.ends_with(&[0.0; 20]) && back[back.len() - 1].abs() < 0.5);
+            let course: Vec<f64> = applied.last().into_iter().chain(way).copied().collect();
+            assert!(course.windows(2).all(|w| (w[1] - w[0]).abs() <= 0.5 + 1e-12));
         } else {
-            assert_eq!(done.played, u.len());
+            assert_eq!(done.played, plan.len());
         }
     }
     // The plans do pass the limit, and none does under supervision.
@@ -156,121 +168,148 @@ fn a_plan_that_would_pass_a_limit_is_ended_before_it_does() {
     assert!(share_played / 200.0 > 0.5, "{}", share_played / 200.0);
 }
 
+/// `u` with steps of at most `most`.
+fn ramps(u: &[f64], most: f64) -> Vec<f64> {
+    let mut at = 0.0;
+    u.iter()
+        .map(|v| {
+            at += (v - at).clamp(-most, most);
+            at
+        })
+        .collect()
+}
+
 #[test]
 fn a_safe_plan_is_played_as_it_is() {
-    let inputs = ["u".to_string()];
     for seed in 0..50 {
         let (model, theta, margin) = known(20_000 + 10 * seed);
         let u = levels(seed, 300, 1.0, 1.0);
         let predictor = Some(Predictor { model: &model, theta: &theta });
-        let watched = [Watched { output: "y".into(), lower: -2.0, upper: 2.0, margin, predictor }];
-        let plan = Plan {
-            sample_time_s: 0.1,
-            inputs: &inputs,
-            u: &u,
-            safe: &[0.0],
-            rate_per_sample: &[0.5],
-            settle: 10,
-        };
-        let mut toy = Toy::new(NOISE, seed);
-        let done = play(&mut toy, &plan, &watched).unwrap();
-        assert_eq!((done.stop, done.played, done.record.len()), (None, 300, 310));
+        let watched = Watched { output: "y".into(), lower: -2.0, upper: 2.0, margin, predictor };
+        let plan = toy_plan(&u, 10, None);
+        let done = play(&mut Toy::new(NOISE, seed), &plan, &mut Supervisor::new(vec![watched])).unwrap();
+        assert_eq!((done.stop, done.played, done.record.len()), (None, 301, 301));
         // The plant saw what it would have seen without a supervisor.
-        let mut rest = vec![0.0; 10];
-        rest.extend(&u);
-        assert_eq!(done.record.values("y").unwrap(), measured(seed, &rest));
+        assert_eq!(done.record, alone(seed, &u, 10));
     }
+}
+
+/// A loop leads where nobody planned: the supervisor sees what it is about to apply.
+#[test]
+fn what_a_loop_is_about_to_do_is_watched_too() {
+    let (mut would, mut passed, mut share) = (0, 0, 0.0);
+    for seed in 0..50 {
+        let (model, theta, margin) = known(30_000 + 10 * seed);
+        // The demand grows beyond the limit of 2.5; the feedforward stays at 0.
+        let demand = levels(seed, 400, 0.5, 5.0);
+        let values = std::iter::once(0.0).chain(demand.iter().copied()).collect();
+        let demand = PlanDemand { output: "y".into(), unit: "-".into(), values };
+        let closed = PlanLoop::closed("y", "u", PiGains { ki: 0.8, kp: 0.3 });
+        let mut plan = toy_plan(&[0.0; 400], 20, Some(5.0)).with_loops(vec![demand], vec![closed]);
+        plan.channels[0] = plan.channels[0].clone().within(-4.0, 4.0);
+        let free = play(&mut Toy::new(NOISE, seed), &plan, &mut Unwatched).unwrap().record;
+        let free = free.values("y").unwrap();
+        would += u32::from(largest(free) > 2.5);
+        let plan = plan.with_limits(vec![PlanLimit::between("y", "-", -2.5, 2.5, margin)]);
+        let predictor = Predictor { model: &model, theta: &theta };
+        let done =
+            play(&mut Toy::new(NOISE, seed), &plan, &mut for_plan(&plan, &[("y", predictor)])).unwrap();
+        passed += u32::from(done.least_distance[0].1 < 0.0);
+        // Until it objects, the loop does what it does alone.
+        assert_eq!(done.record.values("y").unwrap(), &free[..done.played]);
+        share += done.played as f64 / free.iter().position(|y| y.abs() > 2.5).unwrap_or(401) as f64;
+    }
+    assert!(would > 30, "{would} of 50 loops pass the limit");
+    assert_eq!(passed, 0, "of {would} loops that pass the limit");
+    assert!(share / 50.0 > 0.5, "{}", share / 50.0);
 }
 
 #[test]
 fn what_the_plant_refuses_and_what_has_no_model_ends_the_plan_too() {
-    let inputs = ["u".to_string()];
-    let plan = |u: &'static [f64]| Plan {
-        sample_time_s: 0.1,
-        inputs: &inputs,
-        u,
-        safe: &[0.0],
-        rate_per_sample: &[0.0],
-        settle: 3,
+    let watched = |output: &str, margin: f64| {
+        Supervisor::new(vec![Watched {
+            output: output.into(),
+            lower: -1.0,
+            upper: 1.0,
+            margin,
+            predictor: None,
+        }])
     };
-    let blind =
-        |margin: f64| [Watched { output: "y".into(), lower: -1.0, upper: 1.0, margin, predictor: None }];
-    let refused = play(&mut Toy::new(0.0, 1), &plan(&[0.5, 9.0, 0.5]), &blind(0.1)).unwrap();
-    let stop = refused.stop.unwrap();
-    assert_eq!((refused.played, stop.sample, stop.output.as_str()), (1, 1, "u"));
-    assert!(matches!(&stop.reason, Reason::Refused(text) if text.contains("outside -4 to 4")), "{stop:?}");
+    let blind = |margin: f64| watched("y", margin);
+    let toy = || Toy::new(0.0, 1);
+    let refused = play(&mut toy(), &toy_plan(&[0.5, 9.0, 0.5], 3, None), &mut blind(0.1)).unwrap();
+    let stop = refused.stop.clone().unwrap();
+    assert_eq!((refused.played, stop.sample, stop.output.as_str()), (2, 2, "u"));
+    assert!(
+        matches!(&stop.reason, Reason::Refused(e) if e.to_string().contains("outside -4 to 4")),
+        "{stop:?}"
+    );
+    assert!(refused.whole().unwrap_err().to_string().contains("2 samples were played"));
     // Without a model the margin is all the warning there is: here enough for what the dead time still lets in.
-    let near = play(&mut Toy::new(0.0, 1), &plan(&[1.5; 40]), &blind(0.6)).unwrap();
+    let plan = toy_plan(&[1.5; 40], 3, None).with_limits(vec![PlanLimit::between("y", "-", -1.0, 1.0, 0.6)]);
+    let near = play(&mut toy(), &plan, &mut for_plan(&plan, &[])).unwrap();
     assert!(matches!(near.stop.unwrap().reason, Reason::Measured { limit: 1.0, .. }));
-    assert!(near.least_distance[0] > 0.0);
-    let safe = Plan { safe: &[3.0], ..plan(&[0.0]) };
-    let error = play(&mut Toy::new(0.0, 1), &Plan { settle: 50, ..safe }, &blind(0.1)).unwrap_err();
-    assert!(matches!(error, SupervisorError::Unsafe { .. }), "{error}");
-    let unknown = [Watched { output: "z".into(), ..blind(0.1)[0].clone() }];
-    let error = play(&mut Toy::new(0.0, 1), &plan(&[0.0]), &unknown).unwrap_err().to_string();
-    assert!(error.contains("no Output `z`") && error.contains('y'), "{error}");
-    let short = Plan { safe: &[], ..plan(&[0.0]) };
-    assert!(play(&mut Toy::new(0.0, 1), &short, &blind(0.1)).unwrap_err().to_string().contains("safe point"));
+    assert!(near.least_distance[0].1 > 0.0);
+    let far = Plan::open_loop("far", 0.1, vec![PlanChannel::free("u", "-", vec![3.0])]).settled(5.0);
+    let error = play(&mut toy(), &far, &mut blind(0.1)).unwrap_err();
+    assert!(matches!(error, PlayError::Unsafe { .. }), "{error}");
+    let error = play(&mut toy(), &toy_plan(&[0.0], 3, None), &mut watched("z", 0.1)).unwrap_err().to_string();
+    assert!(error.contains("no such output") && error.contains('y'), "{error}");
+    let model = PolyNarx::parse(&["u", "v"], "y", &["u(t-1)", "v(t-1)"]).unwrap();
+    let predictor = Predictor { model: &model, theta: &[0.0, 0.0] };
+    let plan = toy_plan(&[0.0], 3, None).with_limits(vec![PlanLimit::upper("y", "-", 1.0, 0.1)]);
+    let error = play(&mut toy(), &plan, &mut for_plan(&plan, &[("y", predictor)])).unwrap_err().to_string();
+    assert!(error.contains("found 2 inputs, expected the 1 channels"), "{error}");
 }
 
 /// On the virtual engine: a plan that leads to more torque than is allowed, with a linear model from small movements.
 #[test]
 fn the_torque_of_the_virtual_engine_stays_below_its_limit() {
-    let inputs = ["inj", "spark", "throttle", "speed"].map(String::from);
+    let names = ["inj", "spark", "throttle", "speed"];
+    let units = ["mg", "deg", "deg", "rpm"];
     let start = [16.754, 18.95, 15.85, 2000.0];
+    let rates = [20.0, 50.0, 20.0, 1000.0];
     let bed = || EngineBed::new(&EngineParams::thesis(), BedSettings::default()).unwrap();
-    // Fuel follows the throttle; levels of 0.8 s that grow.
-    let plan = |seed: u64, n: usize, from: f64, to: f64| -> Vec<f64> {
+    // Fuel follows the throttle; levels of 0.8 s that grow, after the start point.
+    let plan = |seed: u64, n: usize, from: f64, to: f64| -> Plan {
         let mut g = Rng64::new(seed);
-        let mut u = Vec::new();
-        while u.len() < 4 * n {
-            let size = from + (to - from) * u.len() as f64 / (4 * n) as f64;
+        let mut rows = vec![start];
+        while rows.len() < n {
+            let size = from + (to - from) * rows.len() as f64 / n as f64;
             let (a, s) = (g.uniform_in(-0.3 * size, size), g.uniform_in(-size, size));
             for _ in 0..8 {
-                u.extend([start[0] + 1.2 * a, start[1] + s, start[2] + a, start[3]]);
+                rows.push([start[0] + 1.2 * a, start[1] + s, start[2] + a, start[3]]);
             }
         }
-        u.truncate(4 * n);
-        u
-    };
-    let torque = |u: &[f64]| -> Vec<f64> {
-        let (mut bed, mut y) = (bed(), vec![0.0; 5]);
-        let outputs = bed.variables().iter().filter(|v| v.causality == Causality::Output).count();
-        y.resize(outputs, 0.0);
-        u.chunks_exact(4)
-            .map(|u| {
-                bed.step(u, 0.1, &mut y).unwrap();
-                y[0]
-            })
-            .collect()
+        rows.truncate(n);
+        let channel = |i: usize| {
+            let values = rows.iter().map(|r| r[i]).collect();
+            PlanChannel { rate_per_s: Some(rates[i]), ..PlanChannel::free(names[i], units[i], values) }
+        };
+        Plan::open_loop("engine", 0.1, (0..4).map(channel).collect()).settled(1.0)
     };
     let record = |seed: u64| {
-        let u = plan(seed, 160, 1.5, 1.5);
-        let y = torque(&u);
+        let record = play(&mut bed(), &plan(seed, 160, 1.5, 1.5), &mut Unwatched).unwrap().record;
+        let u = record.matrix(&names.map(String::from)).unwrap();
+        let y = record.values("torque").unwrap().to_vec();
         Experiment { name: "record".into(), u, y, init_samples: 2, weights: vec![] }
     };
-    let regressors = ["1", "inj(t)", "inj(t-1)", "spark(t)", "throttle(t)", "throttle(t-1)", "torque(t-1)"];
-    let model = PolyNarx::parse(&inputs, "torque", &regressors).unwrap();
+    let regressors =
+        ["1", "inj(t-1)", "inj(t-2)", "spark(t-1)", "throttle(t-1)", "throttle(t-2)", "torque(t-1)"];
+    let model = PolyNarx::parse(&names.map(String::from), "torque", &regressors).unwrap();
     let ols = estimate::estimator("ols", &toml::Table::new()).unwrap();
     let theta = ols.estimate(&model, &[record(1)], None, &|| false).unwrap().theta;
     let margin = margin(&block_scores(&model, &theta, &[record(2)], 10, None), 0.1).unwrap().value;
-    let u = plan(3, 150, 1.0, 8.0);
     let limit = 95.0;
-    assert!(torque(&u).iter().any(|y| *y > limit + 2.0), "the plan alone passes the limit");
-    let predictor = Some(Predictor { model: &model, theta: &theta });
-    let watched = [Watched { output: "torque".into(), lower: 20.0, upper: limit, margin, predictor }];
-    let rates = [2.0, 5.0, 2.0, 100.0];
-    let played = Plan {
-        sample_time_s: 0.1,
-        inputs: &inputs,
-        u: &u,
-        safe: &start,
-        rate_per_sample: &rates,
-        settle: 10,
-    };
-    let done = play(&mut bed(), &played, &watched).unwrap();
+    let plan =
+        plan(3, 150, 1.0, 8.0).with_limits(vec![PlanLimit::between("torque", "Nm", 20.0, limit, margin)]);
+    let alone = play(&mut bed(), &plan, &mut Unwatched).unwrap();
+    assert!(alone.least_distance[0].1 < -2.0, "the plan alone passes the limit");
+    let predictor = Predictor { model: &model, theta: &theta };
+    let done = play(&mut bed(), &plan, &mut for_plan(&plan, &[("torque", predictor)])).unwrap();
     assert!(done.stop.is_some() && done.played > 5, "{:?}", done.stop);
-    assert!(done.least_distance[0] >= 0.0, "{}", done.least_distance[0]);
-    let y = done.record.values("torque").unwrap();
+    assert!(done.least_distance[0].1 >= 0.0, "{}", done.least_distance[0].1);
+    let back = done.way_back.unwrap();
+    let y = back.values("torque").unwrap();
     assert!((y[y.len() - 1] - 70.0).abs() < 3.0, "back at the safe point: {}", y[y.len() - 1]);
 }

@@ -173,7 +173,8 @@ pub fn read(path: &Path) -> Result<Plan, FilesError> {
         demands.push(PlanDemand { output: d.output, unit: d.unit, values });
     }
     if let Some(extra) = table.columns.iter().find(|c| !known.contains(&c.name)) {
-        let reason = format!("column `{}` is neither a channel nor a demand of {}", extra.name, json_path.display());
+        let reason =
+            format!("column `{}` is neither a channel nor a demand of {}", extra.name, json_path.display());
         return Err(refused(&csv, reason));
     }
     let plan = Plan {

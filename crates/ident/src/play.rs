@@ -127,7 +127,10 @@ impl std::fmt::Display for Stop {
                 "ended before sample {at}: `{what}` was predicted at {value:.4} within {ahead} samples, its limit is {limit}"
             ),
             Reason::Measured { value, limit } => {
-                write!(f, "ended before sample {at}: `{what}` was measured at {value:.4}, its limit is {limit}")
+                write!(
+                    f,
+                    "ended before sample {at}: `{what}` was measured at {value:.4}, its limit is {limit}"
+                )
             }
             Reason::Event(e) => write!(
                 f,

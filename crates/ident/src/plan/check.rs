@@ -116,7 +116,12 @@ fn loops(f: &mut Faults) {
             f.must(gain.is_finite(), format!("{key}.gains.{name}"), gain, "a finite number");
         }
         let earlier = plan.loops[..k].iter().any(|other| other.closed && l.closed && other.input == l.input);
-        f.must(!earlier, format!("{key}.input"), format!("`{}` again", l.input), "one closed loop for an input");
+        f.must(
+            !earlier,
+            format!("{key}.input"),
+            format!("`{}` again", l.input),
+            "one closed loop for an input",
+        );
     }
 }
 
@@ -139,9 +144,13 @@ fn limits(f: &mut Faults) {
 fn names(f: &mut Faults) {
     let plan = f.plan;
     let mut seen: Vec<String> = vec!["time".into()];
-    let columns = plan.channels.iter().enumerate().map(|(k, c)| (format!("channels[{k}].name"), c.name.clone()));
-    let demanded =
-        plan.demands.iter().enumerate().map(|(k, d)| (format!("demands[{k}].output"), demand_name(&d.output)));
+    let columns =
+        plan.channels.iter().enumerate().map(|(k, c)| (format!("channels[{k}].name"), c.name.clone()));
+    let demanded = plan
+        .demands
+        .iter()
+        .enumerate()
+        .map(|(k, d)| (format!("demands[{k}].output"), demand_name(&d.output)));
     let outputs = plan.outputs.iter().enumerate().map(|(k, o)| (format!("outputs[{k}]"), o.clone()));
     for (key, name) in columns.chain(demanded).chain(outputs) {
         f.must(!name.is_empty(), key.clone(), "no name", "a name");

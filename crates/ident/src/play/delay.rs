@@ -30,7 +30,9 @@ pub fn answer(plan: &Plan, y: &[f64]) -> Option<Answer> {
     let changes = smoothed(&changes(y));
     let mut best: Option<(f64, Answer)> = None;
     for (driver, values) in channels.chain(demands) {
-        let Some((strength, samples)) = steepest(&smoothed(&self::changes(&values)), &changes) else { continue };
+        let Some((strength, samples)) = steepest(&smoothed(&self::changes(&values)), &changes) else {
+            continue;
+        };
         if best.as_ref().is_none_or(|(s, _)| *s < strength) {
             best = Some((strength, Answer { driver, samples }));
         }

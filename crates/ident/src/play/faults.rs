@@ -52,7 +52,9 @@ pub enum RecordFault {
         expected_s: f64,
     },
     /// The stamps do not begin at 0.
-    #[error("its stamps begin at {found_s} s, the plan begins at 0 s: rows of another time, or of another clock")]
+    #[error(
+        "its stamps begin at {found_s} s, the plan begins at 0 s: rows of another time, or of another clock"
+    )]
     Start {
         /// First stamp in s.
         found_s: f64,
@@ -88,7 +90,9 @@ pub enum RecordFault {
         planned: f64,
     },
     /// A channel that a loop drives leaves the range that the plan allows.
-    #[error("`{channel}` reaches {found:.4} {unit} at {time_s:.2} s: the plan allows {lower} to {upper} {unit}")]
+    #[error(
+        "`{channel}` reaches {found:.4} {unit} at {time_s:.2} s: the plan allows {lower} to {upper} {unit}"
+    )]
     OutsideRange {
         /// Channel.
         channel: String,
@@ -138,7 +142,9 @@ pub enum RecordFault {
         upper: f64,
     },
     /// A channel stands still where it should move.
-    #[error("`{channel}` stands at {value} {unit} from {from_s:.2} s to {to_s:.2} s while the plan moves: is it recorded?")]
+    #[error(
+        "`{channel}` stands at {value} {unit} from {from_s:.2} s to {to_s:.2} s while the plan moves: is it recorded?"
+    )]
     Constant {
         /// Channel.
         channel: String,
@@ -180,5 +186,9 @@ pub enum RecordFault {
 }
 
 fn shift(delay_s: f64, longest_s: f64) -> &'static str {
-    if delay_s > longest_s { "the output is late against the inputs" } else { "the output is ahead of its cause" }
+    if delay_s > longest_s {
+        "the output is late against the inputs"
+    } else {
+        "the output is ahead of its cause"
+    }
 }

@@ -122,7 +122,8 @@ fn regular(e: &[f64], u: &[f64]) -> Option<Regular> {
     let period = 2.0 * mean;
     let one = period.round() as usize;
     // Neighbours, because a period is no whole number of samples.
-    let sustained = (one.saturating_sub(1)..=one + 1).filter_map(|k| curve.get(k)).fold(-1.0, |a: f64, b| a.max(*b));
+    let sustained =
+        (one.saturating_sub(1)..=one + 1).filter_map(|k| curve.get(k)).fold(-1.0, |a: f64, b| a.max(*b));
     let thirds = (mean_square(&e[..n / 3]), mean_square(&e[n - n / 3..]));
     let lasts = thirds.1 >= 0.25 * thirds.0;
     let together = |k: usize| (covariance(e, u, k).abs()).max(covariance(u, e, k).abs());

@@ -201,7 +201,8 @@ fn range(values: &[f64]) -> (f64, f64) {
 
 fn limits(plan: &Plan, c: &Channel, faults: &mut Vec<RecordFault>) {
     for l in plan.limits.iter().filter(|l| l.output == c.name) {
-        let worst = (0..c.values.len()).min_by(|a, b| l.distance(c.values[*a]).total_cmp(&l.distance(c.values[*b])));
+        let worst =
+            (0..c.values.len()).min_by(|a, b| l.distance(c.values[*a]).total_cmp(&l.distance(c.values[*b])));
         if let Some(t) = worst.filter(|t| l.distance(c.values[*t]) < 0.0) {
             let (lower, upper) = l.range();
             let limit = if c.values[t] > upper { upper } else { lower };

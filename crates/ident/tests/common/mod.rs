@@ -1,6 +1,7 @@
 //! Reading of reference records. Columns are checked by name, so that a test cannot read the wrong channel.
 #![allow(dead_code)]
 
+pub(crate) mod lag;
 pub(crate) mod systems;
 
 use std::path::PathBuf;

@@ -117,7 +117,10 @@ pub fn closed_loop(
             throttle_deg: (0.0, OPEN_THROTTLE_DEG),
         };
         let (name, rows) = (format!("loop{k:02}"), plan_of(&references));
-        measure(plants, &engine_plan(&name, SAMPLE_TIME_S, &rows, &references.demand, gains, limits, LEAD_IN_S))
+        measure(
+            plants,
+            &engine_plan(&name, SAMPLE_TIME_S, &rows, &references.demand, gains, limits, LEAD_IN_S),
+        )
     })
 }
 
