@@ -3,9 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use dynocal_calib::supervisor;
 use dynocal_files::table::Table;
 use dynocal_files::units;
+use dynocal_ident::data::{Channel, Role};
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, Variable};
+use dynocal_ident::play::{Interruptible, Unwatched, Watchdog, play};
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::testbed::settings::BedOptions;
 use dynocal_report::{Block, Cell, Column as Head, Panel, Report, Section, TimePlot, render, significant};
@@ -15,6 +18,8 @@ use crate::terminal::print;
 use crate::{interrupt, table};
 use dynocal_plant::plants;
 
+/// Sample time in s where none is given.
+const EVERY_S: f64 = 0.01;
 /// Most points of a plot.
 const PLOTTED: usize = 4000;
 /// Most events that are shown.
@@ -23,7 +28,8 @@ const SHOWN: usize = 20;
 #[derive(Args, Debug)]
 pub(crate) struct Transient {
     /// Inputs: a CSV with a column of time in s and columns named as inputs of the bed (`time [s], throttle [deg], ..`);
-    /// each row holds until the next, inputs without a column stay at their start
+    /// each row holds until the next, inputs without a column stay at their start. Or a plan, NAME.plan.csv with
+    /// NAME.plan.json beside it: played with its loops and limits at its own sample time (docs/bed.md)
     file: PathBuf,
     /// Parameter set, of the verb.
     #[arg(skip)]
@@ -31,9 +37,9 @@ pub(crate) struct Transient {
     /// Bed: a TOML file with the keys of `[plant.bed]` (docs/testbed.md)
     #[arg(long, value_name = "FILE")]
     bed: Option<PathBuf>,
-    /// Sample time
-    #[arg(long, default_value_t = 0.01, value_name = "S", conflicts_with = "every_deg")]
-    every_s: f64,
+    /// Sample time; 0.01 s where nothing is said
+    #[arg(long, value_name = "S", conflicts_with = "every_deg")]
+    every_s: Option<f64>,
     /// Sample by crank angle instead: 1 a degree, 180 a stroke, 720 a cycle
     #[arg(long, value_name = "DEG")]
     every_deg: Option<f64>,
@@ -65,6 +71,8 @@ enum FileError {
     Bed { file: String, message: String },
     #[error("--every-s {0}: expected more than 0 and at most 10 s")]
     Sample(f64),
+    #[error("{file}: a plan is sampled every {expected_s} s: leave out --every-s and --every-deg")]
+    Sampled { file: String, expected_s: f64 },
 }
 
 /// Inputs over time: for each input of the bed a column of the file, or none.
@@ -73,32 +81,31 @@ struct Drive {
     columns: Vec<Option<Vec<f64>>>,
 }
 
-/// What was recorded: time, then every variable of the bed.
+/// What was recorded: time, then every variable of the bed, or the channels of a plan.
 struct Record {
     time_s: Vec<f64>,
-    values: Vec<Vec<f64>>,
+    channels: Vec<Channel>,
     events: Vec<LimitEvent>,
+    /// Why a plan ended early.
+    stop: Option<String>,
 }
 
 impl Transient {
     /// Drives the bed, shows ranges and events, writes what was asked for.
     pub(crate) fn run(&self) -> Result<Exit, Failure> {
-        if !(self.every_s > 0.0 && self.every_s <= 10.0) {
-            return Err(FileError::Sample(self.every_s).into());
-        }
-        let data = dynocal_files::dataset::read_table(&self.file, None)?;
-        let mut bed = self.bed(&data)?;
-        let drive = read(&data, &inputs(bed.variables()))?;
-        bed.reset(self.seed);
-        let record = self.record(&mut bed, &drive)?;
-        let rows = ranges(bed.variables(), &record);
+        let (bed, record) = match dynocal_files::plan::files(&self.file) {
+            Some(_) => self.played()?,
+            None => self.driven()?,
+        };
+        let rows = ranges(&record);
         print(&table::render(&["variable", "unit", "least", "mean", "greatest"], &rows, &[2, 3, 4]))?;
         print(&events_text(&record.events))?;
+        if let Some(stop) = &record.stop {
+            print(&format!("\nthe plan {stop}\n"))?;
+        }
         if let Some(path) = &self.csv {
             let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &record.time_s)];
-            for (v, x) in bed.variables().iter().zip(&record.values) {
-                columns.push((&v.name, &v.unit, x));
-            }
+            columns.extend(record.channels.iter().map(|c| (c.name.as_str(), c.unit.as_str(), &c.values[..])));
             dynocal_files::csv_io::write_columns(path, &columns)?;
         }
         if let Some(path) = &self.report {
@@ -107,11 +114,55 @@ impl Transient {
             print(&format!("\n{}\n", path.display()))?;
         }
         // A part of a record is no result of it.
-        Ok(if interrupt::asked() { Exit::NotValid } else { Exit::Done })
+        Ok(if interrupt::asked() || record.stop.is_some() { Exit::NotValid } else { Exit::Done })
+    }
+
+    /// A file of inputs on the bed.
+    fn driven(&self) -> Result<(EngineBed, Record), Failure> {
+        let every_s = self.every_s.unwrap_or(EVERY_S);
+        if !(every_s > 0.0 && every_s <= 10.0) {
+            return Err(FileError::Sample(every_s).into());
+        }
+        let data = dynocal_files::dataset::read_table(&self.file, None)?;
+        let first = |name: &str| {
+            let i = column_of(&data, name)?;
+            data.numbers(&data.columns[i].name, 0, 1).ok()?.first().copied()
+        };
+        let mut bed = self.bed(&first)?;
+        let drive = read(&data, &inputs(bed.variables()))?;
+        bed.reset(self.seed);
+        let record = self.record(&mut bed, &drive, every_s)?;
+        Ok((bed, record))
+    }
+
+    /// A plan on the bed, its limits watched by the measured values.
+    fn played(&self) -> Result<(EngineBed, Record), Failure> {
+        let plan = dynocal_files::plan::read(&self.file)?;
+        if self.every_s.is_some() || self.every_deg.is_some() {
+            let file = self.file.display().to_string();
+            return Err(FileError::Sampled { file, expected_s: plan.sample_time_s }.into());
+        }
+        let first =
+            |name: &str| plan.channel(name).and_then(|c| c.applied(plan.sample_time_s).first().copied());
+        let mut bed = self.bed(&first)?;
+        bed.reset(self.seed);
+        let interrupt = || interrupt::asked();
+        let mut limits = supervisor::for_plan(&plan, &[]);
+        let mut unwatched = Unwatched;
+        // Without limits an event of the bed is something to report and no reason to end.
+        let watchdog: &mut dyn Watchdog = if plan.limits.is_empty() { &mut unwatched } else { &mut limits };
+        let played = play(&mut bed, &plan, &mut Interruptible { interrupt: &interrupt, watchdog })?;
+        let record = Record {
+            time_s: (0..played.played).map(|t| t as f64 * plan.sample_time_s).collect(),
+            channels: played.record.channels,
+            events: played.events,
+            stop: played.stop.map(|s| s.to_string()),
+        };
+        Ok((bed, record))
     }
 
     /// The bed, settled at the first row of the file where that gives actuators.
-    fn bed(&self, data: &Table) -> Result<EngineBed, Failure> {
+    fn bed(&self, first: &dyn Fn(&str) -> Option<f64>) -> Result<EngineBed, Failure> {
         let params = plants::parameters(&self.parameters)?;
         let options = match &self.bed {
             None => BedOptions::of_set(&self.parameters),
@@ -122,8 +173,6 @@ impl Transient {
                 BedOptions::from_table(&self.parameters, &given).map_err(|e| fault(e.to_string()))?
             }
         };
-        let first =
-            |name: &str| column_of(data, name).and_then(|i| data.numbers(&data.columns[i].name, 0, 1).ok());
         let set = BedSettings::of_set(&self.parameters, &params)?;
         let mut start = set.start;
         let fields: [(&str, &mut f64); 4] = [
@@ -133,7 +182,7 @@ impl Transient {
             ("speed", &mut start.speed_rpm),
         ];
         for (name, field) in fields {
-            if let Some(value) = first(name).and_then(|v| v.first().copied()) {
+            if let Some(value) = first(name) {
                 *field = value;
             }
         }
@@ -143,12 +192,18 @@ impl Transient {
     }
 
     /// Inputs act at sample instants: a sample that begins at or after the time of a row has its values.
-    fn record(&self, bed: &mut EngineBed, drive: &Drive) -> Result<Record, PlantError> {
+    fn record(&self, bed: &mut EngineBed, drive: &Drive, every_s: f64) -> Result<Record, PlantError> {
         let variables = bed.variables().to_vec();
         let mut u: Vec<f64> = inputs(&variables).iter().map(|v| v.start).collect();
         let mut y = vec![0.0; variables.len() - u.len()];
-        let mut record =
-            Record { time_s: Vec::new(), values: vec![Vec::new(); variables.len()], events: Vec::new() };
+        let channel = |v: &Variable| Channel {
+            name: v.name.clone(),
+            unit: v.unit.clone(),
+            role: if v.causality == Causality::Input { Role::Input } else { Role::Output },
+            values: Vec::new(),
+        };
+        let channels = variables.iter().map(channel).collect();
+        let mut record = Record { time_s: Vec::new(), channels, events: Vec::new(), stop: None };
         let t0 = drive.time_s[0];
         let n = drive.time_s.len();
         // The last row holds as long as the one before it.
@@ -165,11 +220,11 @@ impl Transient {
             }
             match self.every_deg {
                 Some(deg) => bed.step_angle(&u, deg, &mut y)?,
-                None => bed.step(&u, self.every_s.min(end_s - bed.time_s()), &mut y)?,
+                None => bed.step(&u, every_s.min(end_s - bed.time_s()), &mut y)?,
             }
             record.time_s.push(t0 + bed.time_s());
-            for (values, x) in record.values.iter_mut().zip(u.iter().chain(&y)) {
-                values.push(*x);
+            for (c, x) in record.channels.iter_mut().zip(u.iter().chain(&y)) {
+                c.values.push(*x);
             }
             record.events.extend(bed.take_events());
         }
@@ -179,16 +234,14 @@ impl Transient {
     fn page(&self, bed: &EngineBed, record: &Record) -> Report {
         let thin = record.time_s.len().div_ceil(PLOTTED).max(1);
         let thinned = |v: &[f64]| v.iter().copied().step_by(thin).collect::<Vec<f64>>();
-        let plot = |title: &str, causality: Causality| -> Block {
+        let plot = |title: &str, inputs: bool| -> Block {
             let mut plot = TimePlot::new(title, thinned(&record.time_s));
-            for (v, x) in bed.variables().iter().zip(&record.values) {
-                if v.causality == causality {
-                    let panel = Panel::new(v.name.clone(), v.unit.clone());
-                    plot = plot.panel(match causality {
-                        Causality::Input => panel.held(v.name.clone(), thinned(x)),
-                        Causality::Output => panel.line(v.name.clone(), thinned(x)),
-                    });
-                }
+            for c in record.channels.iter().filter(|c| (c.role == Role::Input) == inputs) {
+                let panel = Panel::new(c.name.clone(), c.unit.clone());
+                plot = plot.panel(match inputs {
+                    true => panel.held(c.name.clone(), thinned(&c.values)),
+                    false => panel.line(c.name.clone(), thinned(&c.values)),
+                });
             }
             plot.into()
         };
@@ -209,8 +262,8 @@ impl Transient {
             .fact("Time [s]", significant(record.time_s.last().copied().unwrap_or(0.0), 5))
             .fact("Samples", record.time_s.len().to_string())
             .fact("Events", record.events.len().to_string())
-            .section(Section::new("Outputs").block(plot("Outputs", Causality::Output)))
-            .section(Section::new("Inputs").block(plot("Inputs", Causality::Input)))
+            .section(Section::new("Outputs").block(plot("Outputs", false)))
+            .section(Section::new("Inputs").block(plot("Inputs", true)))
             .section(Section::new("Events").text("Limits that were touched, the first 200.").block(events))
     }
 }
@@ -268,15 +321,16 @@ fn read(data: &Table, inputs: &[Variable]) -> Result<Drive, Failure> {
     Ok(Drive { time_s, columns })
 }
 
-fn ranges(variables: &[Variable], record: &Record) -> Vec<Vec<String>> {
-    let one = |(v, x): (&Variable, &Vec<f64>)| {
+fn ranges(record: &Record) -> Vec<Vec<String>> {
+    let one = |c: &Channel| {
+        let x = &c.values;
         let least = x.iter().copied().fold(f64::INFINITY, f64::min);
         let most = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
         let text = |x: f64| significant(x, 5);
-        vec![v.name.clone(), v.unit.clone(), text(least), text(mean), text(most)]
+        vec![c.name.clone(), c.unit.clone(), text(least), text(mean), text(most)]
     };
-    variables.iter().zip(&record.values).map(one).collect()
+    record.channels.iter().map(one).collect()
 }
 
 fn events_text(events: &[LimitEvent]) -> String {
