@@ -217,12 +217,21 @@ fn linear_model_with_noise_is_stored_and_scored() {
         assert!((of(&other) / of(&s) - 1.0).abs() < 0.03, "{kind}: {} {}", of(&other), of(&s));
     }
     let wrong = format!("{HEAD}{split}{}", narmax.replace("els", "ols"));
-    has(&refused(&wrong, &[("bed.csv", text.clone())]), "`els` for the structure `narmax`");
+    has(
+        &refused(&wrong, &[("bed.csv", text.clone())]),
+        "for the structure `narmax` one of the estimators els; `ols` fits polynomial, arx",
+    );
     // The estimator and the structure have to agree.
     let wrong = format!("{HEAD}{split}{}", model.replace("pem", "ols"));
-    has(&refused(&wrong, &[("bed.csv", text.clone())]), "expected `pem` for the structure `armax`");
+    has(
+        &refused(&wrong, &[("bed.csv", text.clone())]),
+        "for the structure `armax` one of the estimators pem",
+    );
     let wrong = format!("{HEAD}{split}{}", model.replace("armax\", na = 1, nb = 1, nc = 1", "poly_arx\""));
-    has(&refused(&wrong, &[("bed.csv", text)]), "for the estimator `pem`");
+    has(
+        &refused(&wrong, &[("bed.csv", text)]),
+        "for the structure `poly_arx` one of the estimators ols, iv, sem, train; `pem` fits linear_arx, armax",
+    );
 }
 
 #[test]

@@ -28,6 +28,7 @@ mod measure;
 mod windows;
 
 use crate::problem::{Convention, DesignProblem, Term};
+use dynocal_ident::model::form::Form;
 use dynocal_ident::model::poly::{PolyNarx, Source};
 use dynocal_numerics::linalg::symmetric_eigenvalues;
 use windows::Windows;
@@ -122,7 +123,8 @@ const EIGENVALUES: usize = 400;
 /// ```
 pub fn certify(problem: &DesignProblem, value: f64) -> Result<Certificate, NoCertificate> {
     let term = the_term(problem)?;
-    let Some(model) = term.model.as_polynomial() else {
+    let form: &dyn Form = term.model;
+    let Some(model) = form.polynomial() else {
         return Err(NoCertificate::Model { term: term.name.into() });
     };
     let inputs = ranges(problem);

@@ -3,30 +3,33 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use common::*;
 use dynocal_design::channel::Channel;
 use dynocal_design::information::{Report, report, sensitivities};
 use dynocal_design::problem::{Convention, DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, design};
+use dynocal_ident::model::kinds::kind;
 use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::model::structures::structure;
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::rng::Rng64;
 
 /// A model with parameters at which it is stable on inputs in [-1, 1].
 struct Case {
     name: &'static str,
-    model: Box<dyn Model>,
+    model: Arc<dyn Model>,
     theta: Vec<f64>,
 }
 
 fn cases() -> Vec<Case> {
     let inputs: Vec<String> = ["a", "b"].map(String::from).to_vec();
     let keys: toml::Table = "hidden = 3\ninput_lags = 2\noutput_lags = 1".parse().unwrap();
-    let neural = structure("neural", &keys).unwrap().model(&inputs, "y").unwrap();
+    let neural = kind("neural", &keys).unwrap().form(&inputs, "y", &[]).unwrap();
     let mut rng = Rng64::new(3);
-    let drawn: Vec<f64> = (0..neural.n_params()).map(|_| rng.uniform_in(-0.6, 0.6)).collect();
+    let drawn: Vec<f64> = (0..neural.parameters()).map(|_| rng.uniform_in(-0.6, 0.6)).collect();
+    let neural = neural.driven(&drawn).unwrap().unwrap().model;
     let oe = LinearModel::oe(&["a", "b"], "y", 2, 2, 1);
     let (linear, theta) = oe.deterministic(&[0.8, 0.3, -0.5, 0.2, -0.6, 0.1, -0.4, 0.2]).unwrap();
     let texts = [
@@ -40,8 +43,8 @@ fn cases() -> Vec<Case> {
     let functions = PolyNarx::parse(&["a", "b"], "y", &texts).unwrap();
     vec![
         Case { name: "neural", model: neural, theta: drawn },
-        Case { name: "output error", model: Box::new(linear), theta },
-        Case { name: "functions", model: Box::new(functions), theta: vec![0.5, 0.4, 0.1, 0.6, 0.2, 0.3] },
+        Case { name: "output error", model: Arc::new(linear), theta },
+        Case { name: "functions", model: Arc::new(functions), theta: vec![0.5, 0.4, 0.1, 0.6, 0.2, 0.3] },
     ]
 }
 

@@ -59,8 +59,17 @@ pub fn parse(file: &str, bytes: &[u8]) -> Result<Table, FilesError> {
     // Flexible, because our own message names line, found and expected.
     let mut reader =
         ReaderBuilder::new().delimiter(delimiter).flexible(true).has_headers(true).from_reader(bytes);
-    let mut columns = header(file, reader.byte_headers().map_err(malformed)?)?;
+    let head = reader.byte_headers().map_err(malformed)?;
     let decimal_comma = delimiter != b',';
+    let is_number =
+        |cell: &[u8]| number(&String::from_utf8_lossy(cell.trim_ascii()), decimal_comma).is_some();
+    if head.iter().any(|c| !c.trim_ascii().is_empty()) && head.iter().all(is_number) {
+        return Err(FilesError::NoHeader {
+            path: file.into(),
+            found: String::from_utf8_lossy(head.as_slice()).into(),
+        });
+    }
+    let mut columns = header(file, head)?;
     let mut lines = Vec::new();
     let mut record = ByteRecord::new();
     while reader.read_byte_record(&mut record).map_err(malformed)? {
@@ -103,7 +112,9 @@ fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
         let (name, unit) = units::split_header(&String::from_utf8_lossy(cell));
         let unit = match unit {
             Some(u) => Some((u, UnitSource::Bracket)),
-            None => units::from_suffix(&name).map(|u| (u.to_string(), UnitSource::Suffix)),
+            None => units::from_parentheses(&name)
+                .or_else(|| units::from_suffix(&name).map(str::to_string))
+                .map(|u| (u, UnitSource::Suffix)),
         };
         if columns.iter().any(|c| c.name == name) {
             return Err(FilesError::DuplicateColumn { path: file.into(), column: name });

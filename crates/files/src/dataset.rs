@@ -375,7 +375,7 @@ fn stamps<'a>(
     let c = table.column(column)?;
     let found = unit.map(units::normalise).or(c.unit.as_ref().map(|u| u.0.clone()));
     let Some(found) = found else {
-        return Err(FilesError::NoUnit { path: table.file.clone(), column: column.into() });
+        return Err(FilesError::NoTimeUnit { path: table.file.clone(), column: column.into() });
     };
     match units::conversion(&found, "s") {
         Some((scale, _)) => Ok((stamps, scale)),

@@ -121,6 +121,26 @@ pub enum FilesError {
         /// Column.
         column: String,
     },
+    /// The first row holds numbers, not names.
+    #[error(
+        "{path}, line 1: found only numbers ({found:.60}), expected the names of the columns (`name [unit]`): without a header row the first sample would be lost"
+    )]
+    NoHeader {
+        /// File.
+        path: String,
+        /// The first row.
+        found: String,
+    },
+    /// A time column without a unit.
+    #[error(
+        "{path}, time column `{column}`: no unit in the header and none given; write `{column} [s]` in the file or `time_unit = \"s\"` in [data]"
+    )]
+    NoTimeUnit {
+        /// File.
+        path: String,
+        /// Column.
+        column: String,
+    },
     /// Time stamps are not equally spaced.
     #[error(
         "{path}, {place}, time column `{column}`: interval {found_s} s to the row before, expected {expected_s} s: time stamps must be uniform (resample the record, or give `sample_time_s` instead of the time column)"

@@ -22,6 +22,7 @@ const UNITS: &[(&str, &[&str], &[&str])] = &[
     ("kPa", &[], &["kpa"]),
     ("mbar", &[], &["mbar"]),
     ("bar", &[], &["bar"]),
+    ("psi", &["lbf/in2", "lb/in2"], &["psi"]),
     ("kg/h", &["kgh"], &["kgh"]),
     ("g/s", &["gs"], &[]),
     ("kg/s", &[], &[]),
@@ -55,6 +56,8 @@ const CONVERSIONS: &[(&str, &str, f64, f64)] = &[
     ("hPa", "kPa", 0.1, 0.0),
     ("mbar", "kPa", 0.1, 0.0),
     ("bar", "kPa", 100.0, 0.0),
+    // Pound-force (0.45359237 kg under 9.80665 m/s2) per square inch (0.0254 m).
+    ("psi", "kPa", 0.45359237 * 9.80665 / (0.0254 * 0.0254) * 1e-3, 0.0),
     ("g/s", "kg/h", 3.6, 0.0),
     ("kg/s", "kg/h", 3600.0, 0.0),
     ("m/s", "km/h", 3.6, 0.0),
@@ -108,6 +111,20 @@ pub fn conversion(from: &str, to: &str) -> Option<(f64, f64)> {
             None
         }
     })
+}
+
+/// Unit at the end of a column name in parentheses, `Boost (PSI)`, where it is a unit of the table: parentheses may hold
+/// anything else too. The name stays whole.
+///
+/// ```
+/// use dynocal_files::units::from_parentheses;
+/// assert_eq!(from_parentheses("Boost (PSI)").as_deref(), Some("psi"));
+/// assert_eq!(from_parentheses("Lambda (bank 1)"), None);
+/// ```
+pub fn from_parentheses(name: &str) -> Option<String> {
+    let (_, inside) = name.trim().strip_suffix(')')?.rsplit_once('(')?;
+    let unit = normalise(inside);
+    (!inside.trim().is_empty() && UNITS.iter().any(|u| u.0 == unit && u.0 != "-")).then_some(unit)
 }
 
 /// Splits a header cell `name [unit]` into name and unit.

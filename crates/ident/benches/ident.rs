@@ -194,8 +194,8 @@ fn network(c: &mut Criterion) {
             u[t * m + i] = if t % 50 == 0 { rng.uniform_in(-1.0, 1.0) } else { u[(t - 1) * m + i] };
         }
     }
-    let truth = net.random_start(&mut Rng64::new(1)).unwrap();
-    let start = net.random_start(&mut Rng64::new(2)).unwrap();
+    let truth = net.random_start(&mut Rng64::new(1));
+    let start = net.random_start(&mut Rng64::new(2));
     let mut y = vec![0.0; n];
     net.simulate(&truth, &Run { u: &u, y: &vec![0.0; n], start: 5 }, &mut y);
     let data = [Experiment { name: "network".into(), u, y, init_samples: 0, weights: Vec::new() }];

@@ -3,11 +3,11 @@
 pub mod bands;
 pub mod cost;
 mod covariance;
+pub mod els;
 mod fit;
 pub mod initial;
 pub mod iv;
 pub mod missing;
-pub mod narmax;
 mod noise;
 pub mod ols;
 pub mod pem;
@@ -17,22 +17,24 @@ pub mod sem;
 pub mod several;
 mod simulation;
 mod stability;
+mod table;
 pub mod train;
 
 use dynocal_numerics::linalg::LinalgError;
-use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
 
 pub use covariance::{CovarianceChoice, CovarianceKind};
 pub use fit::{Fit, Minimised};
 pub use noise::Residuals;
+pub use table::{ESTIMATORS, EstimatorRow, Fits, Gaps, docs, estimator, row};
 
 use crate::data::DataError;
 use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::form::Form;
 
 /// An estimator: model structure and experiments in, parameters with what is known about them out.
 pub trait Estimator: Send + Sync {
-    /// Estimates the parameters of `model` from all experiments together.
+    /// Estimates the parameters of `model` from all experiments together. Which forms an estimator fits is in its row.
     ///
     /// `start` is a start point (p) for iterative estimators; without one they start from least squares.
     /// `interrupt` is asked often and ends the search with the best point so far.
@@ -41,11 +43,28 @@ pub trait Estimator: Send + Sync {
     /// [`EstimateError`]: the data cannot give an answer, or no stable start exists.
     fn estimate(
         &self,
-        model: &dyn Model,
+        model: &dyn Form,
         data: &[Experiment],
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError>;
+
+    /// The same where other records choose between what was found (early stopping, the best of several starts), and where
+    /// `start` does not replace the estimator's own start but competes with it by the cost on all records: what was found on
+    /// a part of them may be useless on the whole. An estimator that chooses nothing, or searches nothing, leaves them alone.
+    ///
+    /// # Errors
+    /// As of [`Estimator::estimate`].
+    fn estimate_selecting(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        _selecting: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        self.estimate(model, data, start, interrupt)
+    }
 }
 
 /// No estimate is possible.
@@ -57,9 +76,29 @@ pub enum EstimateError {
     /// The orders do not fit the channels.
     #[error(transparent)]
     Structure(#[from] crate::model::poly::StructureError),
+    /// The estimator is made for other forms of models.
+    #[error("the estimator `{estimator}` does not fit a model of the form `{found}`, it fits {expected}")]
+    Form {
+        /// Estimator.
+        estimator: &'static str,
+        /// Form of the model.
+        found: &'static str,
+        /// What it fits.
+        expected: String,
+    },
+    /// A start of the free runs that does not go with the model or the estimator.
+    #[error("{estimator}: initial = \"{}\" does not go with {found}", .rule.key())]
+    Initial {
+        /// Estimator.
+        estimator: &'static str,
+        /// Start that was asked for.
+        rule: crate::model::initial::Initial,
+        /// What was found.
+        found: String,
+    },
     /// Least squares needs a model that is linear in its parameters.
     #[error(
-        "{estimator}: the model is not linear in its {params} parameters; give a start point or another estimator"
+        "{estimator}: the model is not linear in its {params} parameters; `train` and `sem` fit such models"
     )]
     NotLinear {
         /// Estimator.
@@ -85,7 +124,7 @@ pub enum EstimateError {
     },
     /// The free run diverges and no repaired start was found.
     #[error(
-        "the free run of the model `{model}` diverges on {record} from sample {sample} on, also with all output terms shrunk; try fewer output terms or a start point"
+        "the free run of the model `{model}` diverges on {record} from sample {sample} on, also with all output terms shrunk; try fewer output terms or a lower degree"
     )]
     Unstable {
         /// First regressors of the model.
@@ -117,148 +156,6 @@ pub enum EstimateError {
     },
 }
 
-/// All estimators.
-pub static ESTIMATORS: &[Member<dyn Estimator>] = &[
-    Member {
-        doc: MemberDoc {
-            name: "ols",
-            what: "one-step prediction error by column-scaled QR least squares (PEM)",
-            params: &[
-                ParamDoc {
-                    name: "ridge",
-                    unit: "-",
-                    default: "0",
-                    what: "weight on squared parameters, each in units of its regressor's rms, relative to the number of samples",
-                },
-                ParamDoc {
-                    name: "cost",
-                    unit: "-",
-                    default: "\"squared\"",
-                    what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
-                },
-                ParamDoc {
-                    name: "threshold",
-                    unit: "-",
-                    default: "1.345",
-                    what: "where Huber's cost turns linear, in robust standard deviations of the errors",
-                },
-                ParamDoc {
-                    name: "covariance",
-                    unit: "-",
-                    default: "\"auto\"",
-                    what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
-                },
-            ],
-        },
-        build: |keys| Ok(Box::new(registry::keys::<ols::Ols>("ols", keys)?)),
-    },
-    Member {
-        doc: MemberDoc {
-            name: "iv",
-            what: "instrumental variables from the free run of least squares, eqs. (2.18) to (2.21)",
-            params: &[
-                ParamDoc {
-                    name: "four_step",
-                    unit: "-",
-                    default: "true",
-                    what: "whether a noise model then filters the instruments",
-                },
-                ParamDoc {
-                    name: "noise_order",
-                    unit: "samples",
-                    default: "0",
-                    what: "order of that noise model; 0 for the number of parameters",
-                },
-                ParamDoc {
-                    name: "reference_order",
-                    unit: "samples",
-                    default: "4",
-                    what: "order of the models from an external reference, where there is one",
-                },
-            ],
-        },
-        build: |keys| Ok(Box::new(registry::keys::<iv::Iv>("iv", keys)?)),
-    },
-    Member {
-        doc: MemberDoc {
-            name: "sem",
-            what: "simulation (free-run) error with exact recursive sensitivities, by Levenberg-Marquardt or another search",
-            params: &[
-                ParamDoc {
-                    name: "search",
-                    unit: "-",
-                    default: "\"lm\"",
-                    what: "lm, line_search, quasi_newton, lbfgsb, nelder_mead or pattern_search",
-                },
-                ParamDoc {
-                    name: "max_evaluations",
-                    unit: "-",
-                    default: "0",
-                    what: "most cost evaluations per start; 0: 200 for lm, 200 per parameter for nelder_mead, more for others",
-                },
-                ParamDoc {
-                    name: "cost_tolerance",
-                    unit: "-",
-                    default: "1e-12",
-                    what: "relative decrease that ends the search",
-                },
-                ParamDoc {
-                    name: "restarts",
-                    unit: "-",
-                    default: "0",
-                    what: "further starts around the first one",
-                },
-                ParamDoc {
-                    name: "spread",
-                    unit: "-",
-                    default: "0.1",
-                    what: "relative spread of the further starts",
-                },
-                ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the further starts" },
-                ParamDoc {
-                    name: "ridge",
-                    unit: "-",
-                    default: "0",
-                    what: "weight on squared parameters, as of ols",
-                },
-                ParamDoc {
-                    name: "cost",
-                    unit: "-",
-                    default: "\"squared\"",
-                    what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
-                },
-                ParamDoc {
-                    name: "threshold",
-                    unit: "-",
-                    default: "1.345",
-                    what: "where Huber's cost turns linear, in robust standard deviations of the errors",
-                },
-                ParamDoc {
-                    name: "covariance",
-                    unit: "-",
-                    default: "\"auto\"",
-                    what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
-                },
-            ],
-        },
-        build: |keys| Ok(Box::new(registry::keys::<sem::Sem>("sem", keys)?)),
-    },
-    train::MEMBER,
-];
-
-/// Builds the estimator `name` from the keys of a spec.
-///
-/// # Errors
-/// [`BuildError`] with the nearest known name.
-pub fn estimator(name: &str, keys: &toml::Table) -> Result<Box<dyn Estimator>, BuildError> {
-    registry::build("estimator", ESTIMATORS, name, keys)
-}
-
-/// Documentation of all estimators.
-pub fn docs() -> Vec<MemberDoc> {
-    ESTIMATORS.iter().map(|m| m.doc).collect()
-}
-
 /// All parameter names.
 fn names(model: &dyn Model) -> Vec<String> {
     (0..model.n_params()).map(|k| model.param_name(k)).collect()
@@ -268,4 +165,19 @@ fn names(model: &dyn Model) -> Vec<String> {
 fn short_name(names: &[String]) -> String {
     let head = names.iter().take(3).cloned().collect::<Vec<_>>().join(" + ");
     if names.len() > 3 { format!("{head} + ... ({} terms)", names.len()) } else { head }
+}
+
+/// The model as a NARX model, which the estimator needs.
+fn narx<'a>(estimator: &'static str, model: &'a dyn Form) -> Result<&'a dyn Model, EstimateError> {
+    model.dynamics().ok_or_else(|| unfit(estimator, model))
+}
+
+/// The model as the one form that the estimator is made for.
+fn made_for<'a, T: Form>(estimator: &'static str, model: &'a dyn Form) -> Result<&'a T, EstimateError> {
+    model.is_a().ok_or_else(|| unfit(estimator, model))
+}
+
+fn unfit(estimator: &'static str, model: &dyn Form) -> EstimateError {
+    let fits = ESTIMATORS.iter().find(|r| r.doc.name == estimator).map(|r| r.fits.words());
+    EstimateError::Form { estimator, found: model.row().name, expected: fits.unwrap_or_default() }
 }

@@ -1,7 +1,6 @@
 //! Datasets in the shape that models take: inputs row-major, output, first scored sample.
 
 use crate::data::{DataError, Dataset};
-use crate::model::{Model, Run};
 
 /// One experiment for one model output.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,17 +26,6 @@ impl Experiment {
     /// Whether there is no sample.
     pub fn is_empty(&self) -> bool {
         self.y.is_empty()
-    }
-
-    /// First sample that `model` computes and that is scored: `max(init_samples, longest lag)`. A free run starts
-    /// there from the measured outputs before it.
-    pub fn first(&self, model: &dyn Model) -> usize {
-        self.init_samples.max(model.max_lag())
-    }
-
-    /// What the model needs.
-    pub fn run(&self, model: &dyn Model) -> Run<'_> {
-        Run { u: &self.u, y: &self.y, start: self.first(model) }
     }
 
     /// The same record with `rows` samples of zero inputs and output before it, which then initialise: every
@@ -147,46 +135,4 @@ fn collect(datasets: &[Dataset], inputs: &[String], output: &str) -> Result<Vec<
         }
     }
     Ok(out)
-}
-
-/// Total number of scored samples.
-///
-/// # Errors
-/// [`DataError::TooShort`] when a record ends before its first scored sample, or all together hold fewer scored
-/// samples than the model has parameters; [`DataError::Length`] when inputs or weights do not fit the output.
-pub fn usable_samples(model: &dyn Model, data: &[Experiment]) -> Result<usize, DataError> {
-    let mut total = 0;
-    for e in data {
-        let m = model.n_inputs();
-        let fault = |channel: &str, found| DataError::Length {
-            record: e.name.clone(),
-            channel: channel.into(),
-            found,
-            expected: e.len(),
-        };
-        if e.u.len() != m * e.len() {
-            return Err(fault("inputs", e.u.len() / m.max(1)));
-        }
-        if !e.weights.is_empty() && e.weights.len() != e.len() {
-            return Err(fault("weights", e.weights.len()));
-        }
-        let first = e.first(model);
-        if e.len() <= first {
-            let why = format!("{first} samples initialise, one must be left");
-            return Err(DataError::TooShort {
-                record: e.name.clone(),
-                found: e.len(),
-                expected: first + 1,
-                why,
-            });
-        }
-        total += e.len() - first;
-    }
-    let p = model.n_params();
-    if total < p {
-        let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
-        let why = format!("{p} parameters");
-        return Err(DataError::TooShort { record, found: total, expected: p, why });
-    }
-    Ok(total)
 }

@@ -3,6 +3,7 @@
 //! Usable alone: from a test signal to a validated model. Time runs down the rows everywhere; a matrix of
 //! inputs is a flat row-major slice `u[t * m + i]` (N x m), a sensitivity matrix `s[t * p + k]` (N x p).
 
+pub mod correlation;
 pub mod data;
 pub mod derived;
 pub mod estimate;
@@ -18,4 +19,5 @@ pub mod play;
 pub mod prepare;
 pub mod select;
 pub mod signal;
+pub mod stored;
 pub mod validate;

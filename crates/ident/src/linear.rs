@@ -62,7 +62,7 @@ pub fn fit_linear(
 impl LinearFit {
     /// First sample of a record that is scored.
     pub fn first(&self, e: &Experiment) -> usize {
-        let first = if self.initial == Initial::Zero {
+        let first = if self.initial == Initial::Rest {
             e.init_samples
         } else {
             e.init_samples.max(self.model.max_lag())
@@ -78,7 +78,7 @@ impl LinearFit {
         let first = self.first(e);
         // Only inputs and what initialises are bridged: a missing output is predicted.
         measured[first..].copy_from_slice(&e.y[first..]);
-        let start = if self.initial == Initial::Zero { 0 } else { first };
+        let start = if self.initial == Initial::Rest { 0 } else { first };
         if start == 0 {
             measured[..first].copy_from_slice(&e.y[..first]);
         }

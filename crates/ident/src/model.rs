@@ -12,11 +12,21 @@
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
+pub mod fitted;
+pub mod form;
+pub mod initial;
+pub mod kinds;
 pub mod linear;
 pub mod literature;
+mod literature_kinds;
+pub mod narmax;
 pub mod neural;
+mod output;
 pub mod poly;
-pub mod structures;
+mod record;
+
+pub use output::{Kind, output};
+pub use record::usable_samples;
 
 /// One experiment as a model sees it.
 #[derive(Clone, Copy, Debug)]
@@ -54,8 +64,17 @@ pub struct LinearPath {
     pub places: Vec<usize>,
 }
 
+/// What only structures say of themselves that are trained from drawn parameters.
+pub trait Drawn {
+    /// Parameters (p) to start a search from.
+    fn random_start(&self, rng: &mut Rng64) -> Vec<f64>;
+
+    /// The linear path, for structures that have one beside others.
+    fn linear_path(&self, rng: &mut Rng64) -> Option<LinearPath>;
+}
+
 /// A dynamic model structure with one output. Implementations are stateless: theta is passed in.
-pub trait Model: Send + Sync {
+pub trait Model: form::Form {
     /// Number of inputs m.
     fn n_inputs(&self) -> usize;
 
@@ -74,19 +93,8 @@ pub trait Model: Send + Sync {
     /// Whether the one-step prediction is linear in theta (then least squares is direct).
     fn is_linear_in_params(&self) -> bool;
 
-    /// The polynomial structure behind the model, where there is one: what follows from the degrees of its regressors
-    /// needs to see them.
-    fn as_polynomial(&self) -> Option<&poly::PolyNarx> {
-        None
-    }
-
-    /// Parameters (p) to start a search from, for models that have no least-squares start.
-    fn random_start(&self, _rng: &mut Rng64) -> Option<Vec<f64>> {
-        None
-    }
-
-    /// The linear path, for structures that have one beside others.
-    fn linear_path(&self, _rng: &mut Rng64) -> Option<LinearPath> {
+    /// Parameters to start a search from, for models that have no least-squares start.
+    fn drawn(&self) -> Option<&dyn Drawn> {
         None
     }
 

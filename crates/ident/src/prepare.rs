@@ -189,3 +189,31 @@ pub fn repeat(plan: &[Planned], notes: &[Note]) -> Result<Vec<Planned>, BuildErr
     };
     plan.iter().zip(notes).map(one).collect()
 }
+
+/// Steps that repeat what `notes` say, for records that need not have all channels of the estimation: what concerns a
+/// channel that is not `present` is left out, and a step that only concerns such.
+///
+/// # Errors
+/// [`BuildError`] for notes that no step of this crate gave.
+pub fn again(notes: &[Note], present: &[String]) -> Result<Vec<Planned>, BuildError> {
+    let mut plan = Vec::new();
+    for note in notes {
+        let here = |c: &&Change| c.channel.as_ref().is_none_or(|name| present.contains(name));
+        let changes: Vec<Change> = note.changes.iter().filter(here).cloned().collect();
+        let mut keys = note.keys.clone();
+        if let Some(toml::Value::Array(channels)) = keys.get_mut("channels") {
+            channels.retain(|c| c.as_str().is_some_and(|c| present.iter().any(|p| p == c)));
+            if channels.is_empty() {
+                continue;
+            }
+        }
+        let learnt = Planned::new(&note.step, &note.keys)?.step.learnt(&changes);
+        let nothing = changes.is_empty() && note.changes.iter().any(|c| c.channel.is_some());
+        plan.push(match learnt {
+            Some(_) if nothing => continue,
+            Some(step) => Planned { name: note.step.clone(), keys, step },
+            None => Planned::new(&note.step, &keys)?,
+        });
+    }
+    Ok(plan)
+}

@@ -3,15 +3,16 @@
 
 pub mod boundary;
 pub mod cross;
-mod residuals;
 mod score;
 pub mod spread;
 pub mod stability;
 
-pub use residuals::{
+pub use crate::correlation::{
     ChiSquared, Correlation, NamedCorrelation, autocorrelation, cross_correlation, independence,
     nonlinear_tests, whiteness,
 };
 pub use score::{
-    Band, Kind, Reference, Score, Seen, output, score, score_in_band, score_noise_free, score_values,
+    Band, Reference, Score, Seen, score, score_form, score_in_band, score_noise_free, score_values,
 };
+
+pub use crate::model::{Kind, output};

@@ -46,7 +46,7 @@ fn estimated_states_remove_the_bias_of_output_error_models() {
     let mut errors = [[0.0; 2]; 3];
     for seed in 0..runs {
         let data = short_records(8, 50, 0.5, seed);
-        for (row, initial) in errors.iter_mut().zip([Initial::Zero, Initial::Data, Initial::Estimate]) {
+        for (row, initial) in errors.iter_mut().zip([Initial::Rest, Initial::Measured, Initial::Estimated]) {
             let fit = Pem { initial, ..Pem::default() }.estimate(&model, &data, None, &|| false).unwrap();
             for k in 0..2 {
                 row[k] += (fit.theta[k] - truth[k]) / fit.std_errors[k] / runs as f64;
@@ -69,7 +69,7 @@ fn data_start_of_arx_is_least_squares() {
     let arx = LinearModel::arx(&["u"], "y", 2, 2, 1);
     let narx = PolyNarx::arx(&["u".into()], "y", 2, 2, 1, false).unwrap();
     let ols = dynocal_ident::estimate::ols::Ols::default().estimate(&narx, &data, None, &|| false).unwrap();
-    for initial in [Initial::Data, Initial::Estimate] {
+    for initial in [Initial::Measured, Initial::Estimated] {
         let fit = Pem { initial, ..Pem::default() }.estimate(&arx, &data, None, &|| false).unwrap();
         let expected = [-ols.theta[2], -ols.theta[3], ols.theta[0], ols.theta[1]];
         for (found, expected) in fit.theta.iter().zip(expected) {
@@ -97,7 +97,7 @@ fn estimated_initial_outputs_of_a_free_run() {
         }
         // The same as the output-error model with estimated states, scored from the second sample on in both.
         let oe = LinearModel::oe(&["u"], "y", 1, 1, 1);
-        let pem = Pem { initial: Initial::Estimate, ..Pem::default() };
+        let pem = Pem { initial: Initial::Estimated, ..Pem::default() };
         let fit = pem.estimate(&oe, &data, None, &|| false).unwrap();
         assert!(
             (fit.theta[0] - free.fit.theta[0]).abs() < 1e-6

@@ -9,7 +9,7 @@ use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::estimate::{EstimateError, Fit};
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::linear::structures::{LINEAR_STRUCTURES, linear_structure};
+use dynocal_ident::model::kinds::{MODEL_KINDS, ModelKind, kind};
 use dynocal_ident::model::linear::{InputOrders, LinearModel, PredictionErrors};
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::status::Status;
@@ -261,15 +261,19 @@ fn unfit_tasks_are_errors_with_names() {
 #[test]
 fn every_linear_structure_is_built_and_estimated() {
     let inputs: Vec<String> = ["a", "b"].map(String::from).to_vec();
-    for member in LINEAR_STRUCTURES {
+    let of = |member: &ModelKind, keys: &toml::Table| -> LinearModel {
+        let form = (member.build)(keys).unwrap().form(&inputs, "y", &[]).unwrap();
+        form.is_a::<LinearModel>().unwrap().clone()
+    };
+    for member in MODEL_KINDS.iter().filter(|m| m.form.name == "linear") {
         let name = member.doc.name;
-        let plain = (member.build)(&toml::Table::new()).unwrap().model(&inputs, "y").unwrap();
+        let plain = of(member, &toml::Table::new());
         // The documented defaults, written out, give the same model.
         let mut keys = toml::Table::new();
         for p in member.doc.params {
             keys.insert(p.name.into(), toml::Value::Integer(p.default.parse().unwrap()));
         }
-        assert_eq!((member.build)(&keys).unwrap().model(&inputs, "y").unwrap(), plain, "{name}");
+        assert_eq!(of(member, &keys), plain, "{name}");
         keys.insert("order".into(), 1.into());
         let fault = (member.build)(&keys).err().unwrap().to_string();
         assert!(fault.contains("`order`") && fault.contains(name), "{fault}");
@@ -285,7 +289,7 @@ fn every_linear_structure_is_built_and_estimated() {
         assert!(found.mse <= truth && found.mse > 0.9 * truth, "{name}: {} and {truth}", found.mse);
     }
     let keys: toml::Table = "nf = { a = 1, c = 2 }".parse().unwrap();
-    let fault = linear_structure("oe", &keys).unwrap().model(&inputs, "y").unwrap_err().to_string();
+    let fault = kind("oe", &keys).unwrap().form(&inputs, "y", &[]).unwrap_err().to_string();
     assert!(fault.contains("no channel `c`") && fault.contains("a, b"), "{fault}");
-    assert!(linear_structure("armaxx", &toml::Table::new()).err().unwrap().to_string().contains("`armax`"));
+    assert!(kind("armaxx", &toml::Table::new()).err().unwrap().to_string().contains("`armax`"));
 }

@@ -23,17 +23,17 @@ fn predictions_are_the_errors_that_the_fit_minimises() {
         let (s, mut e) = random_system(case);
         let n = e.len();
         let mut eps = vec![0.0; n];
-        for initial in [Initial::Zero, Initial::Data] {
-            e.init_samples = if initial == Initial::Data { 7 } else { 0 };
+        for initial in [Initial::Rest, Initial::Measured] {
+            e.init_samples = if initial == Initial::Measured { 7 } else { 0 };
             let fit = Pem { initial, max_evaluations: 3, ..Pem::default() };
             let mut found = fit_linear(&s.model, std::slice::from_ref(&e), &fit, &|| false).unwrap();
             found.fit.theta.clone_from(&s.theta);
             let first = found.first(&e);
-            let start = if initial == Initial::Data { first } else { 0 };
+            let start = if initial == Initial::Measured { first } else { 0 };
             PredictionErrors::from_measured(&s.model, &e.u, &e.y, start).errors(&s.theta, &mut eps);
             let size = e.y.iter().fold(1.0, |m: f64, v| m.max(v.abs()));
             let general = s.model.na > 0 && s.model.orders.iter().any(|o| o.nf > 0);
-            if general && initial == Initial::Data {
+            if general && initial == Initial::Measured {
                 continue;
             }
             for (found, expected) in found.residuals(&e).iter().zip(&eps[first..]) {
@@ -57,7 +57,7 @@ fn predictions_are_the_errors_that_the_fit_minimises() {
             let e = simulate(&quiet, 200, 1);
             let found = LinearFit {
                 model: s.model.clone(),
-                initial: Initial::Zero,
+                initial: Initial::Rest,
                 fit: Pem { max_evaluations: 2, ..Pem::default() }
                     .estimate(&s.model, &[random_system(case).1], None, &|| false)
                     .unwrap(),
@@ -87,7 +87,7 @@ fn arx_agrees_with_its_narx_form() {
         feedback: 0.0,
     };
     let e = simulate(&s, 300, 2);
-    let options = Pem { initial: Initial::Data, ..Pem::default() };
+    let options = Pem { initial: Initial::Measured, ..Pem::default() };
     let found = fit_linear(&s.model, std::slice::from_ref(&e), &options, &|| false).unwrap();
     let narx = PolyNarx::arx(&["u".into()], "y", 2, 2, 1, false).unwrap();
     let t = &found.fit.theta;

@@ -1,7 +1,10 @@
 //! What every model structure must do: exact derivatives and one meaning of free run and prediction.
 
+use std::sync::Arc;
+
+use dynocal_ident::model::form::Form;
+use dynocal_ident::model::kinds::MODEL_KINDS;
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::model::structures::MODEL_STRUCTURES;
 use dynocal_ident::model::{Model, Run, literature};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
@@ -10,26 +13,33 @@ const N: usize = 150;
 
 struct Case {
     name: String,
-    model: Box<dyn Model>,
+    form: Arc<dyn Form>,
     theta: Vec<f64>,
     u: Vec<f64>,
     y0: Vec<f64>,
 }
 
 impl Case {
+    fn model(&self) -> &dyn Model {
+        self.form.dynamics().unwrap()
+    }
+
     fn run(&self) -> Run<'_> {
-        Run { u: &self.u, y: &self.y0, start: self.model.max_lag() }
+        Run { u: &self.u, y: &self.y0, start: self.model().max_lag() }
     }
 }
 
 /// Every row of the table with channels that suit it, and one structure with all that a polynomial can hold.
 fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
-    let rows =
-        MODEL_STRUCTURES.iter().flat_map(|m| variants(m.doc.name).into_iter().map(move |keys| (m, keys)));
+    let rows = MODEL_KINDS
+        .iter()
+        .filter(|m| m.form.narx)
+        .flat_map(|m| variants(m.doc.name).into_iter().map(move |keys| (m, keys)));
     for (i, (member, keys)) in rows.enumerate() {
         let inputs: Vec<String> = ["a", "b", "c", "d"].iter().map(|s| s.to_string()).collect();
-        let model = (member.build)(&keys).unwrap().model(&inputs, "y").unwrap();
+        let form = (member.build)(&keys).unwrap().form(&inputs, "y", &[]).unwrap();
+        let model = form.dynamics().unwrap();
         let mut rng = Rng64::stream(11, i as u64);
         let u: Vec<f64> = (0..N * 4).map(|_| rng.uniform_in(-1.0, 1.0)).collect();
         let y0: Vec<f64> = (0..N).map(|_| rng.uniform_in(-0.5, 0.5)).collect();
@@ -37,7 +47,7 @@ fn cases() -> Vec<Case> {
         let p = model.n_params() as f64;
         let theta = (0..model.n_params()).map(|_| rng.uniform_in(-0.9, 0.9) / p.sqrt()).collect();
         let name = format!("{} {keys}", member.doc.name);
-        cases.push(Case { name, model, theta, u, y0 });
+        cases.push(Case { name, form, theta, u, y0 });
     }
     cases.push(functions());
     cases
@@ -60,7 +70,7 @@ fn functions() -> Case {
     let mut draw = |n: usize, half: f64| (0..n).map(|_| rng.uniform_in(-half, half)).collect::<Vec<f64>>();
     let (u, y0) = (draw(N * 4, 1.0), draw(N, 0.5));
     let theta = vec![0.4, 0.2, 0.15, 0.004, 0.02, 0.2, 0.05];
-    Case { name: "functions".into(), model: Box::new(model), theta, u, y0 }
+    Case { name: "functions".into(), form: Arc::new(model), theta, u, y0 }
 }
 
 /// Keys under which a structure is tried.
@@ -90,11 +100,11 @@ fn close(a: f64, b: f64, relative: f64, scale: f64, what: &str) {
 #[test]
 fn sensitivities_agree_with_central_differences() {
     for c in cases() {
-        let (p, run) = (c.model.n_params(), c.run());
+        let (p, run) = (c.model().n_params(), c.run());
         let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-        assert_eq!(c.model.sensitivities(&c.theta, &run, &mut y, &mut s), Status::Converged, "{}", c.name);
+        assert_eq!(c.model().sensitivities(&c.theta, &run, &mut y, &mut s), Status::Converged, "{}", c.name);
         let mut free = vec![0.0; N];
-        c.model.simulate(&c.theta, &run, &mut free);
+        c.model().simulate(&c.theta, &run, &mut free);
         assert_eq!(y, free, "{}: sensitivities must see the free run", c.name);
         assert!(s[..run.start * p].iter().all(|v| *v == 0.0), "{}", c.name);
         let (mut up, mut down) = (vec![0.0; N], vec![0.0; N]);
@@ -102,9 +112,9 @@ fn sensitivities_agree_with_central_differences() {
             let h = 1e-6;
             let mut theta = c.theta.clone();
             theta[k] += h;
-            c.model.simulate(&theta, &run, &mut up);
+            c.model().simulate(&theta, &run, &mut up);
             theta[k] -= 2.0 * h;
-            c.model.simulate(&theta, &run, &mut down);
+            c.model().simulate(&theta, &run, &mut down);
             for t in 0..N {
                 close(
                     s[t * p + k],
@@ -122,13 +132,13 @@ fn sensitivities_agree_with_central_differences() {
 #[test]
 fn blocks_are_the_rows_of_the_sensitivities() {
     for c in cases() {
-        let (p, run) = (c.model.n_params(), c.run());
+        let (p, run) = (c.model().n_params(), c.run());
         let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-        c.model.sensitivities(&c.theta, &run, &mut y, &mut s);
+        c.model().sensitivities(&c.theta, &run, &mut y, &mut s);
         for rows in [1, 7, 64, 2 * N] {
             let (mut next, mut buffer) = (run.start, vec![0.0; N]);
             let status =
-                c.model.sensitivity_blocks(&c.theta, &run, rows, &mut buffer, &mut |t, outputs, block| {
+                c.model().sensitivity_blocks(&c.theta, &run, rows, &mut buffer, &mut |t, outputs, block| {
                     assert_eq!(t, next, "{}", c.name);
                     assert_eq!(outputs, &y[t..t + outputs.len()], "{} {rows}", c.name);
                     assert_eq!(block, &s[t * p..(t + outputs.len()) * p], "{} {rows}", c.name);
@@ -142,17 +152,17 @@ fn blocks_are_the_rows_of_the_sensitivities() {
 #[test]
 fn one_step_jacobian_agrees_with_central_differences() {
     for c in cases() {
-        let (p, run) = (c.model.n_params(), c.run());
+        let (p, run) = (c.model().n_params(), c.run());
         let mut s = vec![1.0; N * p];
-        c.model.one_step_jacobian(&c.theta, &run, &mut s);
+        c.model().one_step_jacobian(&c.theta, &run, &mut s);
         let (mut up, mut down) = (vec![0.0; N], vec![0.0; N]);
         for k in 0..p {
             let h = 1e-5;
             let mut theta = c.theta.clone();
             theta[k] += h;
-            c.model.predict(&theta, &run, &mut up);
+            c.model().predict(&theta, &run, &mut up);
             theta[k] -= 2.0 * h;
-            c.model.predict(&theta, &run, &mut down);
+            c.model().predict(&theta, &run, &mut down);
             for t in 0..N {
                 close(s[t * p + k], (up[t] - down[t]) / (2.0 * h), 1e-8, 1.0, &format!("{} {k} {t}", c.name));
             }
@@ -164,27 +174,27 @@ fn one_step_jacobian_agrees_with_central_differences() {
 #[test]
 fn adjoint_is_the_transpose_of_the_input_derivative() {
     for (i, c) in cases().into_iter().enumerate() {
-        let (p, m, run) = (c.model.n_params(), c.model.n_inputs(), c.run());
+        let (p, m, run) = (c.model().n_params(), c.model().n_inputs(), c.run());
         let mut rng = Rng64::stream(5, i as u64);
         let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| rng.uniform_in(-1.0, 1.0)).collect() };
         let (y_bar, s_bar, direction) = (draw(N), draw(N * p), draw(N * m));
         let functional = |u: &[f64], with_s: bool| -> f64 {
             let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-            c.model.sensitivities(&c.theta, &Run { u, ..run }, &mut y, &mut s);
+            c.model().sensitivities(&c.theta, &Run { u, ..run }, &mut y, &mut s);
             let rows = run.start..N;
             let first: f64 = rows.map(|t| y_bar[t] * y[t]).sum();
             let second: f64 = (run.start * p..N * p).map(|j| s_bar[j] * s[j]).sum();
             if with_s { first + second } else { first }
         };
         let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-        c.model.sensitivities(&c.theta, &run, &mut y, &mut s);
+        c.model().sensitivities(&c.theta, &run, &mut y, &mut s);
         for with_s in [true, false] {
             let h = 1e-5;
             let moved = |h: f64| -> Vec<f64> { c.u.iter().zip(&direction).map(|(u, d)| u + h * d).collect() };
             let difference = (functional(&moved(h), with_s) - functional(&moved(-h), with_s)) / (2.0 * h);
             let mut u_bar = vec![0.0; N * m];
             let (s, s_bar) = if with_s { (&s[..], &s_bar[..]) } else { (&[][..], &[][..]) };
-            c.model.sensitivity_adjoint(&c.theta, &run, &y, s, &y_bar, s_bar, &mut u_bar);
+            c.model().sensitivity_adjoint(&c.theta, &run, &y, s, &y_bar, s_bar, &mut u_bar);
             let product: f64 = u_bar.iter().zip(&direction).map(|(a, b)| a * b).sum();
             close(product, difference, 1e-7, 1.0, &format!("{} with_s {with_s}", c.name));
         }
@@ -195,20 +205,20 @@ fn adjoint_is_the_transpose_of_the_input_derivative() {
 #[test]
 fn adjoint_of_single_samples_agrees_with_central_differences() {
     for c in cases() {
-        let (p, m, run) = (c.model.n_params(), c.model.n_inputs(), c.run());
+        let (p, m, run) = (c.model().n_params(), c.model().n_inputs(), c.run());
         let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-        c.model.sensitivities(&c.theta, &run, &mut y, &mut s);
+        c.model().sensitivities(&c.theta, &run, &mut y, &mut s);
         let weight = |j: usize| ((j % 7) as f64 - 3.0) / 3.0;
         let y_bar: Vec<f64> = (0..N).map(weight).collect();
         let s_bar: Vec<f64> = (0..N * p).map(weight).collect();
         let mut u_bar = vec![0.0; N * m];
-        c.model.sensitivity_adjoint(&c.theta, &run, &y, &s, &y_bar, &s_bar, &mut u_bar);
+        c.model().sensitivity_adjoint(&c.theta, &run, &y, &s, &y_bar, &s_bar, &mut u_bar);
         for place in [run.start * m, run.start * m + 1, 40 * m + 2, 100 * m + 1, (N - 2) * m] {
             let functional = |h: f64| -> f64 {
                 let mut u = c.u.clone();
                 u[place] += h;
                 let (mut y, mut s) = (vec![0.0; N], vec![0.0; N * p]);
-                c.model.sensitivities(&c.theta, &Run { u: &u, ..run }, &mut y, &mut s);
+                c.model().sensitivities(&c.theta, &Run { u: &u, ..run }, &mut y, &mut s);
                 let first: f64 = (run.start..N).map(|t| y_bar[t] * y[t]).sum();
                 first + (run.start * p..N * p).map(|j| s_bar[j] * s[j]).sum::<f64>()
             };
@@ -223,11 +233,11 @@ fn free_run_equals_prediction_on_its_own_output() {
     for c in cases() {
         let run = c.run();
         let (mut y, mut yhat) = (vec![0.0; N], vec![0.0; N]);
-        c.model.simulate(&c.theta, &run, &mut y);
-        c.model.predict(&c.theta, &Run { y: &y, ..run }, &mut yhat);
+        c.model().simulate(&c.theta, &run, &mut y);
+        c.model().predict(&c.theta, &Run { y: &y, ..run }, &mut yhat);
         assert_eq!(y, yhat, "{}", c.name);
         let mut again = vec![0.0; N];
-        c.model.simulate(&c.theta, &run, &mut again);
+        c.model().simulate(&c.theta, &run, &mut again);
         assert_eq!(y, again, "{}: same input, same bytes", c.name);
     }
 }
@@ -235,23 +245,23 @@ fn free_run_equals_prediction_on_its_own_output() {
 #[test]
 fn window_derivatives_agree_with_prediction_and_differences() {
     for c in cases() {
-        let (m, run, w) = (c.model.n_inputs(), c.run(), c.model.window().len());
+        let (m, run, w) = (c.model().n_inputs(), c.run(), c.model().window().len());
         let mut yhat = vec![0.0; N];
-        c.model.predict(&c.theta, &run, &mut yhat);
+        c.model().predict(&c.theta, &run, &mut yhat);
         let (mut grad, mut hess) = (vec![0.0; w], vec![0.0; w * w]);
         let (mut up, mut down, mut unused) = (vec![0.0; w], vec![0.0; w], vec![0.0; w * w]);
         for t in [run.start, 77, N - 1] {
-            let value = c.model.window_derivatives(&c.theta, &run, t, &mut grad, &mut hess);
+            let value = c.model().window_derivatives(&c.theta, &run, t, &mut grad, &mut hess);
             close(value, yhat[t], 1e-13, 1.0, &c.name);
-            for (a, &(input, lag)) in c.model.window().iter().enumerate() {
+            for (a, &(input, lag)) in c.model().window().iter().enumerate() {
                 let h = 1e-5;
                 let mut u = c.u.clone();
                 u[(t - lag) * m + input] += h;
                 let plus =
-                    c.model.window_derivatives(&c.theta, &Run { u: &u, ..run }, t, &mut up, &mut unused);
+                    c.model().window_derivatives(&c.theta, &Run { u: &u, ..run }, t, &mut up, &mut unused);
                 u[(t - lag) * m + input] -= 2.0 * h;
                 let minus =
-                    c.model.window_derivatives(&c.theta, &Run { u: &u, ..run }, t, &mut down, &mut unused);
+                    c.model().window_derivatives(&c.theta, &Run { u: &u, ..run }, t, &mut down, &mut unused);
                 close(grad[a], (plus - minus) / (2.0 * h), 1e-8, 1.0, &format!("{} grad {a}", c.name));
                 for b in 0..w {
                     let difference = (up[b] - down[b]) / (2.0 * h);
@@ -267,24 +277,25 @@ fn window_derivatives_agree_with_prediction_and_differences() {
 #[test]
 fn joint_derivatives_agree_with_prediction_and_differences() {
     for c in cases() {
-        let (m, run, w, l) = (c.model.n_inputs(), c.run(), c.model.window().len(), c.model.output_lag());
+        let (m, run, w, l) =
+            (c.model().n_inputs(), c.run(), c.model().window().len(), c.model().output_lag());
         let n = w + l;
         let mut yhat = vec![0.0; N];
-        c.model.predict(&c.theta, &run, &mut yhat);
+        c.model().predict(&c.theta, &run, &mut yhat);
         let (mut grad, mut hess) = (vec![0.0; n], vec![0.0; n * n]);
         let (mut up, mut down, mut unused) = (vec![0.0; n], vec![0.0; n], vec![0.0; n * n]);
         for t in [run.start, 77, N - 1] {
-            let value = c.model.joint_derivatives(&c.theta, &run, t, &mut grad, &mut hess);
+            let value = c.model().joint_derivatives(&c.theta, &run, t, &mut grad, &mut hess);
             close(value, yhat[t], 1e-13, 1.0, &c.name);
             for a in 0..n {
                 let h = 1e-5;
                 let mut moved = |by: f64, g: &mut [f64]| {
                     let (mut u, mut y) = (c.u.clone(), run.y.to_vec());
-                    match c.model.window().get(a) {
+                    match c.model().window().get(a) {
                         Some(&(input, lag)) => u[(t - lag) * m + input] += by,
                         None => y[t - (a - w + 1)] += by,
                     }
-                    c.model.joint_derivatives(&c.theta, &Run { u: &u, y: &y, ..run }, t, g, &mut unused)
+                    c.model().joint_derivatives(&c.theta, &Run { u: &u, y: &y, ..run }, t, g, &mut unused)
                 };
                 let (plus, minus) = (moved(h, &mut up), moved(-h, &mut down));
                 close(grad[a], (plus - minus) / (2.0 * h), 1e-8, 1.0, &format!("{} grad {a}", c.name));

@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::identify::job::{self, IdentifyError};
-use dynocal_jobs::identify::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Score};
+use dynocal_jobs::identify::error::IdentifyError;
+use dynocal_jobs::identify::job;
+use dynocal_jobs::identify::result::{Identified, Modelled, Score};
 use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_files::json;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 
 use super::Verb;
 use crate::common::Common;
@@ -60,7 +62,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 }
 
 fn job_of(args: &Identify, overrides: &Overrides) -> Result<Job, Failure> {
-    let read = |path: &PathBuf| json::read_versioned::<ModelFile>(path, MODEL_SCHEMA, MODEL_VERSION);
+    let read = |path: &PathBuf| json::read_versioned::<StoredModel>(path, MODEL_SCHEMA, MODEL_VERSION);
     let models = args.model.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     match &args.spec {
         Some(path) if models.is_empty() => Ok(spec::read(path, overrides)?),
@@ -71,6 +73,7 @@ fn job_of(args: &Identify, overrides: &Overrides) -> Result<Job, Failure> {
 
 fn with_hint(e: IdentifyError) -> Failure {
     let hint = match &e {
+        IdentifyError::Interrupted => Some("the same command again does it from the start"),
         IdentifyError::Estimate(dynocal_ident::estimate::EstimateError::Unstable { .. }) => {
             Some("see `dynocal list models` for structures with fewer output terms")
         }
@@ -86,7 +89,7 @@ fn with_hint(e: IdentifyError) -> Failure {
 }
 
 fn text(found: &Identified) -> String {
-    let mut out = format!("{}\n", found.name);
+    let mut out = format!("{}\n\n{}\n", found.name, found.verdict.join("\n"));
     for m in &found.models {
         out += &format!(
             "\n{} from {}\n{} {}, {} parameters{}, {}\n\n",
@@ -125,7 +128,7 @@ fn row(s: &Score, banded: bool) -> Vec<String> {
     let error = |x: Option<f64>| x.map_or("diverged".into(), |v| dynocal_report::significant(v, 5));
     let mut cells = vec![
         s.part.clone(),
-        identify_report::kind_text(s.kind),
+        format!("{}{}", identify_report::kind_text(s.kind), if s.outside { " (far outside)" } else { "" }),
         s.records.to_string(),
         s.samples.to_string(),
         error(s.rmse),

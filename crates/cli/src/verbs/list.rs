@@ -1,7 +1,6 @@
 //! `dynocal list [FAMILY]`: what there is, from the tables that the parser of specs uses.
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_ident::estimate::{narmax, pem};
 use dynocal_numerics::registry::MemberDoc;
 
 use super::Verb;
@@ -27,9 +26,8 @@ type Family = (&'static str, fn() -> Vec<MemberDoc>);
 
 static FAMILIES: &[Family] = &[
     ("signals", dynocal_ident::signal::docs),
-    ("models", || with(dynocal_ident::model::structures::docs(), &[narmax::STRUCTURE])),
-    ("linear-models", dynocal_ident::model::linear::structures::docs),
-    ("estimators", || with(dynocal_ident::estimate::docs(), &[pem::PEM, narmax::ELS])),
+    ("models", dynocal_ident::model::kinds::docs),
+    ("estimators", dynocal_ident::estimate::docs),
     ("preparation", dynocal_ident::prepare::docs),
     ("selections", dynocal_ident::select::docs),
     ("criteria", || dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect()),
@@ -39,12 +37,6 @@ static FAMILIES: &[Family] = &[
     ("studies", || dynocal_studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];
-
-/// Members of a table, and those beside it that have a contract of their own.
-fn with(mut table: Vec<MemberDoc>, beside: &[MemberDoc]) -> Vec<MemberDoc> {
-    table.extend(beside);
-    table
-}
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = List::from_arg_matches(matches)?;

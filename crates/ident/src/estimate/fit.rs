@@ -3,12 +3,12 @@
 use dynocal_numerics::status::{Iterate, Status};
 use serde::{Deserialize, Serialize};
 
+use super::EstimateError;
 use super::cost::Cost;
 use super::covariance::{
     CovarianceChoice, CovarianceKind, Evidence, Stored, Uncertainty, rank_warning, uncertainty,
 };
 use super::noise::Residuals;
-use super::{EstimateError, short_name};
 use crate::experiment::Experiment;
 
 /// Which error a fit made small.
@@ -60,6 +60,13 @@ pub struct Fit {
     pub history: Vec<Iterate>,
     /// What the user should know, in sentences.
     pub warnings: Vec<String>,
+    /// What is good to know, in sentences.
+    #[serde(default)]
+    pub notes: Vec<String>,
+    /// Mean squared error by which each start of a search with several was judged, in their order; infinite for those that
+    /// diverged.
+    #[serde(default, deserialize_with = "crate::nullable::numbers")]
+    pub starts: Vec<f64>,
 }
 
 /// What a search found: a [`Fit`] without what follows from errors and Jacobian.
@@ -89,15 +96,6 @@ impl Fit {
             known;
         let mut warnings = found.warnings;
         warnings.extend(rank_warning(&factor, &found.names));
-        if !found.status.is_success() {
-            warnings.push(format!(
-                "the search of `{}` for `{}` ended as {:?} after {} evaluations",
-                found.estimator,
-                short_name(&found.names),
-                found.status,
-                found.evaluations
-            ));
-        }
         Ok(Self {
             estimator: found.estimator.into(),
             minimised: found.minimised,
@@ -115,6 +113,8 @@ impl Fit {
             evaluations: found.evaluations,
             history: found.history,
             warnings,
+            notes: Vec::new(),
+            starts: Vec::new(),
         })
     }
 

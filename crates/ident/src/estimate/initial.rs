@@ -1,5 +1,7 @@
 //! Where the memory of a model stands before its first scored sample.
 
+use std::borrow::Cow;
+
 use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
@@ -8,20 +10,47 @@ use super::fit::Found;
 use super::missing::{MOST_UNKNOWNS, Recovered, bridged};
 use super::sem::Sem;
 use super::{EstimateError, Estimator, Fit, Minimised, names};
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
+use crate::model::usable_samples;
 use crate::model::{Model, Run};
 
-/// Choice of the initial states.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Initial {
-    /// At rest: everything before the record was zero.
-    #[default]
-    Zero,
-    /// From the measured values of the initialising samples.
-    Data,
-    /// Estimated with the parameters, for each record.
-    Estimate,
+pub use crate::model::initial::Initial;
+
+/// The records with free runs that start as `rule` says, for estimators that start them from the outputs before the first
+/// scored sample: at rest zeros stand there.
+///
+/// # Errors
+/// [`EstimateError::Initial`]: a model that is not at rest at zero (with a constant), or a rule that the estimator has not.
+pub(super) fn started<'a>(
+    estimator: &'static str,
+    model: &dyn Model,
+    data: &'a [Experiment],
+    rule: Initial,
+) -> Result<Cow<'a, [Experiment]>, EstimateError> {
+    let fault = |found: &str| EstimateError::Initial { estimator, rule, found: found.into() };
+    match rule {
+        Initial::Measured => Ok(Cow::Borrowed(data)),
+        Initial::Estimated => Err(fault("an estimator that has no initial outputs among its parameters")),
+        Initial::Rest => {
+            let (m, lag) = (model.n_inputs(), model.max_lag());
+            let (u, y, mut out) = (vec![0.0; (lag + 1) * m], vec![0.0; lag + 1], vec![0.0; lag + 1]);
+            let theta = vec![1.0; model.n_params()];
+            model.predict(&theta, &Run { u: &u, y: &y, start: lag }, &mut out);
+            if out[lag] != 0.0 {
+                return Err(fault("a model that is not at rest at zero (a constant, or scaled channels)"));
+            }
+            let padded = |e: &Experiment| {
+                let mut p = e.at_rest(lag);
+                if e.init_samples > 0 {
+                    // They run freely too, and enter no score.
+                    p.weights.resize(p.y.len(), 1.0);
+                    p.weights[lag..(lag + e.init_samples).min(p.y.len())].fill(0.0);
+                }
+                p
+            };
+            Ok(Cow::Owned(data.iter().map(padded).collect()))
+        }
+    }
 }
 
 /// Free-run fit of any model whose initial outputs, and missing inputs (NaN), are estimated with the parameters.

@@ -18,15 +18,50 @@
 use dynocal_numerics::linalg::{
     LinalgError, PivotedR, dot, least_squares, pivoted_r, solve_upper_transposed,
 };
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
 use super::covariance::rank_warning;
 use super::ols::{Ols, regression};
-use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, short_name};
-use crate::experiment::{Experiment, usable_samples};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, narx, short_name};
+use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::form::Form;
 use crate::model::linear::filter::{filter, stabilised};
+use crate::model::usable_samples;
+
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "iv",
+        what: "instrumental variables from the free run of least squares, eqs. (2.18) to (2.21)",
+        params: &[
+            ParamDoc {
+                name: "four_step",
+                unit: "-",
+                default: "true",
+                what: "whether a noise model then filters the instruments",
+            },
+            ParamDoc {
+                name: "noise_order",
+                unit: "samples",
+                default: "0",
+                what: "order of that noise model; 0 for the number of parameters",
+            },
+            ParamDoc {
+                name: "reference_order",
+                unit: "samples",
+                default: "4",
+                what: "order of the models from an external reference, where there is one",
+            },
+        ],
+    },
+    fits: Fits::Narx,
+    gaps: Gaps::Bridged { free_run: true },
+    build: |keys| Ok(Box::new(registry::keys::<Iv>("iv", keys)?)),
+};
 
 /// Options of the instrumental-variable estimator.
 ///
@@ -65,12 +100,12 @@ impl Default for Iv {
 impl Estimator for Iv {
     fn estimate(
         &self,
-        model: &dyn Model,
+        model: &dyn Form,
         data: &[Experiment],
         _start: Option<&[f64]>,
         _interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        self.estimate_with(model, data, None)
+        self.estimate_with(narx("iv", model)?, data, None)
     }
 }
 
@@ -306,6 +341,8 @@ impl<'a> Task<'a> {
             evaluations,
             history: vec![Iterate { evaluations, objective: cost, violation: 0.0, optimality: 0.0 }],
             warnings: rank_warning(&found.factor, &names).into_iter().collect(),
+            notes: Vec::new(),
+            starts: Vec::new(),
             names,
         })
     }

@@ -144,14 +144,22 @@ pub(super) fn describe<'a>(records: impl Iterator<Item = &'a [f64]> + Clone) -> 
     (residuals, ar)
 }
 
+/// How much less a fit of p parameters may make its own cost than the truth has it, in `p` over the effective number of
+/// errors (their colour allowed for): least squares within that is as good.
+const GAIN: f64 = 4.0;
+
 /// A sentence when the errors speak for the other kind of noise than the one that the fit assumes: the free-run errors of
 /// a system with equation noise are coloured and its one-step errors white, with output noise it is the other way round.
+///
+/// A structure that misses some of the system looks like equation noise too. `rival` tells the two apart: the free-run cost
+/// of least squares over that of the fit. Least squares is consistent under equation noise and biased by a wrong structure.
 pub(super) fn noise_warning(
     model: &dyn Model,
     theta: &[f64],
     data: &[Experiment],
     minimised: Minimised,
     own: &Residuals,
+    rival: Option<f64>,
 ) -> Option<String> {
     if model.output_lag() == 0 || !own.coloured || own.predictable < NOTABLE {
         return None;
@@ -173,12 +181,32 @@ pub(super) fn noise_warning(
         ));
     }
     Some(match minimised {
-        Minimised::FreeRun => format!(
-            "output-error method, but the residuals look like equation noise (free-run errors predict {}% of their own \
-             variance, one-step errors {}%): one-step prediction (`ols`, ARMAX) would be more efficient",
-            percent(own),
-            percent(&other)
-        ),
+        Minimised::FreeRun => {
+            let seen = format!(
+                "the past of the free-run errors predicts {}% of their variance, that of the one-step errors {}%",
+                percent(own),
+                percent(&other)
+            );
+            match rival {
+                Some(r) if r <= 1.0 + GAIN * theta.len() as f64 / own.effective_samples.max(1.0) => format!(
+                    "{seen}: equation noise; least squares (`ols`) was compared, its free-run error is {:.2} times as large, and \
+                     its parameters are more exact",
+                    r.sqrt()
+                ),
+                Some(r) if r.is_finite() => format!(
+                    "{seen}: as equation noise does, or a structure that misses some of the system (inputs, lags, products); least \
+                     squares was compared, its free-run error is {:.2} times as large, which speaks for the structure",
+                    r.sqrt()
+                ),
+                Some(_) => format!(
+                    "{seen}: a structure that misses some of the system (inputs, lags, products); least squares was compared, its \
+                     free run diverges"
+                ),
+                None => format!(
+                    "{seen}: equation noise, or a structure that misses some of the system (inputs, lags, products)"
+                ),
+            }
+        }
         Minimised::OneStep => format!(
             "one-step method, but the residuals look like output noise (one-step errors predict {}% of their own \
              variance, free-run errors {}%): the parameters are biased, simulation error (`sem`) or an OE model would \

@@ -9,6 +9,7 @@
 
 use dynocal_numerics::linalg::{LeastSquaresFit, dot, least_squares};
 use dynocal_numerics::lm::{LeastSquares, LmOptions, levenberg_marquardt_interruptible};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
@@ -16,10 +17,50 @@ use super::cost::{Cost, CostKind, HUBER_THRESHOLD, fit_scale, outlier_note};
 use super::covariance::{CovarianceChoice, Stored};
 use super::fit::Found;
 use super::noise::noise_warning;
-use super::{EstimateError, Estimator, Fit, Minimised, names};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{EstimateError, Estimator, Fit, Minimised, names, narx};
 use crate::data::DataError;
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::form::Form;
+use crate::model::usable_samples;
+
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "ols",
+        what: "one-step prediction error by column-scaled QR least squares (PEM)",
+        params: &[
+            ParamDoc {
+                name: "ridge",
+                unit: "-",
+                default: "0",
+                what: "weight on squared parameters, each in units of its regressor's rms, relative to the number of samples",
+            },
+            ParamDoc {
+                name: "cost",
+                unit: "-",
+                default: "\"squared\"",
+                what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
+            },
+            ParamDoc {
+                name: "threshold",
+                unit: "-",
+                default: "1.345",
+                what: "where Huber's cost turns linear, in robust standard deviations of the errors",
+            },
+            ParamDoc {
+                name: "covariance",
+                unit: "-",
+                default: "\"auto\"",
+                what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
+            },
+        ],
+    },
+    fits: Fits::Narx,
+    gaps: Gaps::Bridged { free_run: false },
+    build: |keys| Ok(Box::new(registry::keys::<Ols>("ols", keys)?)),
+};
 
 /// Options of least squares.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -49,11 +90,12 @@ impl Default for Ols {
 impl Estimator for Ols {
     fn estimate(
         &self,
-        model: &dyn Model,
+        model: &dyn Form,
         data: &[Experiment],
         _start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
+        let model = narx("ols", model)?;
         let samples = usable_samples(model, data)?;
         let p = model.n_params();
         if !model.is_linear_in_params() {
@@ -105,7 +147,7 @@ impl Estimator for Ols {
             exogenous: model.output_lag() == 0,
         };
         let mut fit = Fit::new(found, &mut evidence, samples, self.covariance, cost)?;
-        fit.warnings.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals));
+        fit.warnings.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals, None));
         Ok(fit)
     }
 }

@@ -22,41 +22,48 @@ mod problem;
 mod start;
 
 use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
-use dynocal_numerics::registry::{MemberDoc, ParamDoc};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use serde::Deserialize;
 
 use super::fit::Found;
-use super::initial::Initial;
 use super::missing::Recovered;
-use super::{EstimateError, Fit, Minimised};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{EstimateError, Estimator, Fit, Minimised, made_for};
 use crate::experiment::Experiment;
+use crate::model::form::Form;
+use crate::model::initial::Initial;
 use crate::model::linear::LinearModel;
 use problem::PredictionError;
 
-/// The estimator as a spec names it.
-pub const PEM: MemberDoc = MemberDoc {
-    name: "pem",
-    what: "prediction error of linear structures with a noise model, exact gradient; missing samples are unknowns",
-    params: &[
-        ParamDoc {
-            name: "max_evaluations",
-            unit: "-",
-            default: "200",
-            what: "most cost evaluations of one search",
-        },
-        ParamDoc {
-            name: "cost_tolerance",
-            unit: "-",
-            default: "1e-14",
-            what: "relative decrease of the cost at which the search has converged",
-        },
-        ParamDoc {
-            name: "initial",
-            unit: "-",
-            default: "zero",
-            what: "what stands before the first sample: zero, data, or estimate",
-        },
-    ],
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "pem",
+        what: "prediction error of linear structures with a noise model, exact gradient; missing samples are unknowns",
+        params: &[
+            ParamDoc {
+                name: "max_evaluations",
+                unit: "-",
+                default: "200",
+                what: "most cost evaluations of one search",
+            },
+            ParamDoc {
+                name: "cost_tolerance",
+                unit: "-",
+                default: "1e-14",
+                what: "relative decrease of the cost at which the search has converged",
+            },
+            ParamDoc {
+                name: "initial",
+                unit: "-",
+                default: "rest",
+                what: "what stands before the first sample: `rest`, `measured` outputs, or `estimated` with the parameters",
+            },
+        ],
+    },
+    fits: Fits::Forms(&["linear"]),
+    gaps: Gaps::Estimated,
+    build: |keys| Ok(Box::new(registry::keys::<Pem>("pem", keys)?)),
 };
 
 /// Options of prediction-error estimation.
@@ -73,7 +80,31 @@ pub struct Pem {
 
 impl Default for Pem {
     fn default() -> Self {
-        Self { max_evaluations: 200, cost_tolerance: 1e-14, initial: Initial::Zero }
+        Self { max_evaluations: 200, cost_tolerance: 1e-14, initial: Initial::Rest }
+    }
+}
+
+impl Estimator for Pem {
+    fn estimate(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        Pem::estimate(self, made_for::<LinearModel>("pem", model)?, data, start, interrupt)
+    }
+
+    fn estimate_selecting(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        _selecting: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = made_for::<LinearModel>("pem", model)?;
+        Ok(self.from_starts(model, data, Starts::Competing(start), interrupt)?.0)
     }
 }
 
@@ -117,22 +148,45 @@ impl Pem {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
+        self.from_starts(model, data, start.map_or(Starts::Competing(None), Starts::Given), interrupt)
+    }
+
+    fn from_starts(
+        &self,
+        model: &LinearModel,
+        data: &[Experiment],
+        start: Starts,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
         model.check()?;
         let p = model.n_params();
-        let mut problem = PredictionError::new(model, data, self.initial)?;
-        let mut starts = match start {
-            Some(theta) if theta.len() != p => {
-                return Err(EstimateError::Start { found: theta.len(), expected: p });
-            }
-            Some(theta) => vec![theta.to_vec()],
-            None => {
-                let records: Vec<&Experiment> = problem.records.iter().map(|r| r.e.as_ref()).collect();
-                start::least_squares_starts(model, &records).map_err(numeric)?
-            }
+        let problem = PredictionError::new(model, data, self.initial)?;
+        let (Starts::Competing(Some(theta)) | Starts::Given(theta)) = start else {
+            let starts = own_starts(&problem, model)?;
+            return self.searched(problem, model, data, starts, false, interrupt);
         };
+        if theta.len() != p {
+            return Err(EstimateError::Start { found: theta.len(), expected: p });
+        }
+        let given = matches!(start, Starts::Given(_));
+        let mut starts = vec![theta.to_vec()];
+        if !given {
+            starts.extend(own_starts(&problem, model)?);
+        }
+        self.searched(problem, model, data, starts, given, interrupt)
+    }
+
+    fn searched(
+        &self,
+        mut problem: PredictionError,
+        model: &LinearModel,
+        data: &[Experiment],
+        mut starts: Vec<Vec<f64>>,
+        given: bool,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
         // A start is a guess: when it is worse than no model at all, no model is the better one.
-        starts.push(vec![0.0; p]);
-        let given = start.is_some();
+        starts.push(vec![0.0; model.n_params()]);
         let found = self.search(&mut problem, model, starts, given, interrupt);
         let fit = report(&mut problem, model, data, found)?;
         let recovered = problem.recovered(&fit);
@@ -174,6 +228,20 @@ impl Pem {
         }
         found
     }
+}
+
+/// Where the search begins.
+#[derive(Clone, Copy)]
+enum Starts<'a> {
+    /// At the caller's point.
+    Given(&'a [f64]),
+    /// At the best of least squares and, where there is one, the caller's point.
+    Competing(Option<&'a [f64]>),
+}
+
+fn own_starts(problem: &PredictionError, model: &LinearModel) -> Result<Vec<Vec<f64>>, EstimateError> {
+    let records: Vec<&Experiment> = problem.records.iter().map(|r| r.e.as_ref()).collect();
+    start::least_squares_starts(model, &records).map_err(numeric)
 }
 
 fn numeric(source: dynocal_numerics::linalg::LinalgError) -> EstimateError {

@@ -9,17 +9,95 @@
 //! least-squares estimate; when its free run is useless, the output terms are shrunk until one is found that is not.
 
 use dynocal_numerics::lm::{LeastSquares, LmOutcome};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 use serde::Deserialize;
 
 use super::cost::{Cost, CostKind, HUBER_THRESHOLD, fit_scale, outlier_note};
 use super::covariance::CovarianceChoice;
+use super::initial::{FreeStates, Initial, started};
 use super::search::{Limits, SearchMethod, search};
 use super::simulation::free_run_samples;
-use super::{EstimateError, Estimator, Fit};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{EstimateError, Estimator, Fit, narx};
 use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::form::Form;
+
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "sem",
+        what: "simulation (free-run) error with exact recursive sensitivities, by Levenberg-Marquardt or another search",
+        params: &[
+            ParamDoc {
+                name: "search",
+                unit: "-",
+                default: "\"lm\"",
+                what: "lm, line_search, quasi_newton, lbfgsb, nelder_mead or pattern_search",
+            },
+            ParamDoc {
+                name: "max_evaluations",
+                unit: "-",
+                default: "0",
+                what: "most cost evaluations per start; 0: 200 for lm, 200 per parameter for nelder_mead, more for others",
+            },
+            ParamDoc {
+                name: "cost_tolerance",
+                unit: "-",
+                default: "1e-12",
+                what: "relative decrease that ends the search",
+            },
+            ParamDoc {
+                name: "restarts",
+                unit: "-",
+                default: "0",
+                what: "further starts around the first one",
+            },
+            ParamDoc {
+                name: "spread",
+                unit: "-",
+                default: "0.1",
+                what: "relative spread of the further starts",
+            },
+            ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the further starts" },
+            ParamDoc {
+                name: "initial",
+                unit: "-",
+                default: "\"measured\"",
+                what: "where free runs start: `rest`, `measured` outputs, or outputs `estimated` with the parameters",
+            },
+            ParamDoc {
+                name: "ridge",
+                unit: "-",
+                default: "0",
+                what: "weight on squared parameters, as of ols",
+            },
+            ParamDoc {
+                name: "cost",
+                unit: "-",
+                default: "\"squared\"",
+                what: "cost of an error: squared, or huber, which outliers pull with a constant force only",
+            },
+            ParamDoc {
+                name: "threshold",
+                unit: "-",
+                default: "1.345",
+                what: "where Huber's cost turns linear, in robust standard deviations of the errors",
+            },
+            ParamDoc {
+                name: "covariance",
+                unit: "-",
+                default: "\"auto\"",
+                what: "white, robust (sandwich for coloured errors), or auto: as a test of the errors says",
+            },
+        ],
+    },
+    fits: Fits::Narx,
+    gaps: Gaps::Bridged { free_run: true },
+    build: |keys| Ok(Box::new(registry::keys::<Sem>("sem", keys)?)),
+};
 
 pub(super) use super::simulation::{SimulationError, further_start, least_squares_start};
 
@@ -37,6 +115,8 @@ pub struct Sem {
     pub spread: f64,
     /// Seed of the further starts.
     pub seed: u64,
+    /// Where the free runs start.
+    pub initial: Initial,
     /// Ridge weight as in [`super::ols::Ols`]: parameters count in units of their regressor's rms. A little of it keeps
     /// models with many terms from cancelling large contributions against each other.
     pub ridge: f64,
@@ -58,6 +138,7 @@ impl Default for Sem {
             restarts: 0,
             spread: 0.1,
             seed: 0,
+            initial: Initial::Measured,
             ridge: 0.0,
             search: SearchMethod::default(),
             cost: CostKind::Squared,
@@ -70,46 +151,142 @@ impl Default for Sem {
 impl Estimator for Sem {
     fn estimate(
         &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = narx("sem", model)?;
+        if self.initial == Initial::Estimated {
+            return self.with_states(model, data, start, interrupt);
+        }
+        let data = &*started("sem", model, data, self.initial)?;
+        let mut task = Free::new(self, model, data)?;
+        let start = match start {
+            Some(theta) => task.given(theta)?,
+            None => task.own()?,
+        };
+        task.fit(self, &start, interrupt)
+    }
+
+    fn estimate_selecting(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        _selecting: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = narx("sem", model)?;
+        if self.initial == Initial::Estimated {
+            // The states need a start of their own: the better of both from measured outputs.
+            let measured = Self { initial: Initial::Measured, ..*self };
+            let first = measured.estimate_selecting(model, data, &[], start, interrupt)?;
+            return self.with_states(model, data, Some(&first.theta), interrupt);
+        }
+        let data = &*started("sem", model, data, self.initial)?;
+        let mut task = Free::new(self, model, data)?;
+        let start = match start {
+            Some(theta) => task.best(theta)?,
+            None => task.own()?,
+        };
+        task.fit(self, &start, interrupt)
+    }
+}
+
+/// The free-run errors of the records with what is known of their starts.
+struct Free<'a> {
+    model: &'a dyn Model,
+    data: &'a [Experiment],
+    samples: usize,
+    problem: SimulationError<'a>,
+    warnings: Vec<String>,
+    ridge: f64,
+    seed: u64,
+}
+
+impl<'a> Free<'a> {
+    fn new(sem: &Sem, model: &'a dyn Model, data: &'a [Experiment]) -> Result<Self, EstimateError> {
+        let samples = free_run_samples(model, data)?;
+        let problem = SimulationError::new(model, data, sem.ridge, samples);
+        Ok(Self { model, data, samples, problem, warnings: Vec::new(), ridge: sem.ridge, seed: sem.seed })
+    }
+
+    /// A start of the caller's; its free run must be finite.
+    fn given(&mut self, theta: &[f64]) -> Result<Vec<f64>, EstimateError> {
+        let (found, expected) = (theta.len(), self.model.n_params());
+        if found != expected {
+            return Err(EstimateError::Start { found, expected });
+        }
+        if self.problem.cost(theta).is_finite() {
+            Ok(theta.to_vec())
+        } else {
+            Err(self.problem.unstable(theta))
+        }
+    }
+
+    /// Least squares, or a drawn start for models that have such.
+    fn own(&mut self) -> Result<Vec<f64>, EstimateError> {
+        match self.model.drawn().map(|d| d.random_start(&mut Rng64::stream(self.seed, 0))) {
+            Some(theta) => self.given(&theta),
+            None => {
+                let (model, data, samples) = (self.model, self.data, self.samples);
+                least_squares_start(model, data, samples, self.ridge, &mut self.problem, &mut self.warnings)
+            }
+        }
+    }
+
+    /// The better of both on all records.
+    fn best(&mut self, given: &[f64]) -> Result<Vec<f64>, EstimateError> {
+        match (self.given(given), self.own()) {
+            (Ok(a), Ok(b)) if self.problem.cost(&a) <= self.problem.cost(&b) => {
+                self.warnings.clear();
+                Ok(a)
+            }
+            (_, Ok(b)) => Ok(b),
+            (given, Err(_)) => given,
+        }
+    }
+
+    fn fit(mut self, sem: &Sem, start: &[f64], interrupt: &dyn Fn() -> bool) -> Result<Fit, EstimateError> {
+        let (model, samples) = (self.model, self.samples);
+        if sem.cost == CostKind::Squared {
+            let best = sem.search(&mut self.problem, model, start, interrupt);
+            return self.problem.report_as(best, samples, self.warnings, sem.covariance, Cost::SQUARED);
+        }
+        let rows = self.problem.rows;
+        // Further starts serve the first scale only: the later ones set out from a minimum.
+        let mut first = true;
+        let (best, cost) = fit_scale(&mut self.problem, rows, sem.threshold, start, |costed, x| {
+            let restarts = if std::mem::take(&mut first) { sem.restarts } else { 0 };
+            Sem { restarts, ..*sem }.search(costed, model, x, interrupt)
+        });
+        self.warnings.extend(outlier_note(cost, &self.problem.errors(&best.x)));
+        self.problem.report_as(best, samples, self.warnings, sem.covariance, cost)
+    }
+}
+
+impl Sem {
+    /// With the outputs before the first scored sample of each record as further parameters.
+    fn with_states(
+        &self,
         model: &dyn Model,
         data: &[Experiment],
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        let samples = free_run_samples(model, data)?;
-        let mut problem = SimulationError::new(model, data, self.ridge, samples);
-        let mut warnings = Vec::new();
-        let given = start.is_some() || model.random_start(&mut Rng64::stream(self.seed, 0)).is_some();
-        let start = match start {
-            Some(theta) if theta.len() != model.n_params() => {
-                return Err(EstimateError::Start { found: theta.len(), expected: model.n_params() });
-            }
-            Some(theta) => theta.to_vec(),
-            None => match model.random_start(&mut Rng64::stream(self.seed, 0)) {
-                Some(theta) => theta,
-                None => least_squares_start(model, data, samples, self.ridge, &mut problem, &mut warnings)?,
-            },
-        };
-        // A least-squares start has been looked at.
-        if given && !problem.cost(&start).is_finite() {
-            return Err(problem.unstable(&start));
+        let plain = Sem { initial: Initial::Measured, ..Sem::default() };
+        let asked =
+            (self.search, self.restarts, self.cost) == (plain.search, 0, plain.cost) && self.ridge == 0.0;
+        if !asked {
+            let found = "search, restarts, ridge or cost beside it".into();
+            return Err(EstimateError::Initial { estimator: "sem", rule: self.initial, found });
         }
-        if self.cost == CostKind::Squared {
-            let best = self.search(&mut problem, model, &start, interrupt);
-            return problem.report_as(best, samples, warnings, self.covariance, Cost::SQUARED);
-        }
-        let rows = problem.rows;
-        // Further starts serve the first scale only: the later ones set out from a minimum.
-        let mut first = true;
-        let (best, cost) = fit_scale(&mut problem, rows, self.threshold, &start, |costed, x| {
-            let restarts = if std::mem::take(&mut first) { self.restarts } else { 0 };
-            Self { restarts, ..*self }.search(costed, model, x, interrupt)
-        });
-        warnings.extend(outlier_note(cost, &problem.errors(&best.x)));
-        problem.report_as(best, samples, warnings, self.covariance, cost)
+        let most = if self.max_evaluations == 0 { 200 } else { self.max_evaluations };
+        let states = FreeStates { max_evaluations: most, cost_tolerance: self.cost_tolerance, outputs: true };
+        Ok(states.estimate(model, data, start, interrupt)?.fit)
     }
-}
 
-impl Sem {
     /// The best of all starts.
     fn search(
         &self,

@@ -13,13 +13,15 @@ use super::ols::{regression, solve};
 use super::stability::stability_warning;
 use super::{EstimateError, Fit, Minimised, names, short_name};
 use crate::data::DataError;
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
+use crate::model::usable_samples;
 use crate::model::{Model, Run};
 
 /// Random parameters where the model has such, else `start` with a relative spread.
 pub(super) fn further_start(model: &dyn Model, start: &[f64], spread: f64, rng: &mut Rng64) -> Vec<f64> {
     model
-        .random_start(rng)
+        .drawn()
+        .map(|d| d.random_start(rng))
         .unwrap_or_else(|| start.iter().map(|v| v * (1.0 + spread * rng.normal())).collect())
 }
 
@@ -95,9 +97,23 @@ impl<'a> SimulationError<'a> {
             history: found.history,
             warnings,
         };
+        let (model, data) = (self.model, self.data);
         let mut evidence = Rerun { problem: self, theta: &theta };
         let mut fit = Fit::new(found, &mut evidence, samples, choice, cost)?;
-        fit.warnings.extend(noise_warning(self.model, &fit.theta, self.data, fit.minimised, &fit.residuals));
+        let own = self.cost(&theta);
+        if own > spread(model, data) {
+            // Sensitivities of a run that goes nowhere near the data say nothing of the data.
+            fit.warnings.retain(|w| !w.starts_with("rank "));
+            fit.warnings.push(format!(
+                "the free run of the estimate is worse than the mean of the output (RMSE {:.4e}): no useful minimum was found",
+                fit.mse.sqrt()
+            ));
+            return Ok(fit);
+        }
+        let least_squares =
+            if model.is_linear_in_params() { normal_equations(model, data, 0.0) } else { None };
+        let rival = least_squares.map(|theta| self.cost(&theta) / own.max(f64::MIN_POSITIVE));
+        fit.notes.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals, rival));
         fit.warnings.extend(stability_warning(self.model, &fit.theta, self.data));
         Ok(fit)
     }

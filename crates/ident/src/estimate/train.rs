@@ -39,12 +39,16 @@ use serde::Deserialize;
 pub use division::Division;
 pub use ensemble::{bagged, best, mean_free_run};
 pub use sizes::{BuildSize, SizeScore, layer_sizes};
-pub(super) use spec::MEMBER;
+pub(super) use spec::ROW;
+use starts::Given;
 pub use starts::Start;
 
-use super::{EstimateError, Estimator, Fit};
-use crate::experiment::{Experiment, usable_samples};
+use super::initial::{Initial, started};
+use super::{EstimateError, Estimator, Fit, narx};
+use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::form::Form;
+use crate::model::usable_samples;
 use division::{Shares, Weights, divide, whole};
 use problem::{Scores, Task};
 
@@ -76,6 +80,8 @@ pub struct Train {
     pub penalty: f64,
     /// Relative spread of the further starts of a model that has no random ones.
     pub spread: f64,
+    /// Where the free runs start: from measured outputs, or at rest.
+    pub initial: Initial,
     /// Seed of the starts and of the division.
     pub seed: u64,
 }
@@ -83,7 +89,7 @@ pub struct Train {
 impl Default for Train {
     fn default() -> Self {
         Self {
-            starts: 8,
+            starts: 12,
             start: Start::Random,
             max_evaluations: 120,
             horizons: Vec::new(),
@@ -95,6 +101,7 @@ impl Default for Train {
             patience: 15,
             penalty: 0.0,
             spread: 0.1,
+            initial: Initial::Measured,
             seed: 0,
         }
     }
@@ -118,12 +125,25 @@ pub struct Training {
 impl Estimator for Train {
     fn estimate(
         &self,
-        model: &dyn Model,
+        model: &dyn Form,
         data: &[Experiment],
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        Ok(self.train(model, data, &[], start, interrupt)?.fit)
+        Ok(self.train(narx("train", model)?, data, &[], start, interrupt)?.fit)
+    }
+
+    /// Early stopping watches `selecting` instead of samples divided off the records.
+    fn estimate_selecting(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        selecting: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = narx("train", model)?;
+        Ok(self.from_starts(model, data, selecting, Given::Beside(start), interrupt)?.fit)
     }
 }
 
@@ -160,12 +180,25 @@ impl Train {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Training, EstimateError> {
+        self.from_starts(model, data, selection, Given::First(start), interrupt)
+    }
+
+    fn from_starts(
+        &self,
+        model: &dyn Model,
+        data: &[Experiment],
+        selection: &[Experiment],
+        given: Given,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Training, EstimateError> {
+        let data = &*started("train", model, data, self.initial)?;
+        let selection = &*started("train", model, selection, self.initial)?;
         let samples = usable_samples(model, data)?;
         let weights = if selection.is_empty() { self.divided(model, data) } else { whole(model, data) };
         let selecting = whole(model, selection);
         let job = Job { train: self, model, data, weights: &weights, selection, selecting: &selecting };
         let mut task = Task::new(model, data, &weights);
-        let starts = starts::all(self, model, data, samples, &mut task, start)?;
+        let starts = starts::all(self, model, data, samples, &mut task, given)?;
         let results = self.run_all(&job, &starts, interrupt);
         report::training(&job, results, &starts)
     }
@@ -230,7 +263,7 @@ impl Job<'_> {
             let p = self.model.n_params();
             task.penalty = vec![self.train.penalty * self.spread() / p as f64; p];
             // Only the places matter: any stream does.
-            let path = self.model.linear_path(&mut Rng64::new(0));
+            let path = self.model.drawn().and_then(|d| d.linear_path(&mut Rng64::new(0)));
             path.iter().flat_map(|path| &path.places).for_each(|k| task.penalty[*k] = 0.0);
         }
         task

@@ -5,8 +5,9 @@ use serde::Serialize;
 
 use crate::estimate::EstimateError;
 use crate::estimate::ols::regression;
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
 use crate::model::Model;
+use crate::model::usable_samples;
 
 /// A term that is a combination of others.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -87,13 +87,18 @@ impl SampleTimeCheck {
             );
         };
         let found = format!(
-            "`{}` rises in {:.3} s after a step of `{}`, that is {:.1} samples of {} s",
-            self.output, r.rise_s, r.input, r.samples, self.sample_time_s
+            "`{}` rises in {} s after a step of `{}`, that is {:.1} samples of {} s",
+            self.output,
+            digits(r.rise_s),
+            r.input,
+            r.samples,
+            self.sample_time_s
         );
         match self.verdict {
             Verdict::TooSlow => format!(
-                "{found}: too slow, a dynamic model needs {FEWEST} to {MOST} samples there; sample at {from:.3} to \
-                 {to:.3} s"
+                "{found}: too slow, a dynamic model needs {FEWEST} to {MOST} samples there; sample at {} to {} s",
+                digits(from),
+                digits(to)
             ),
             Verdict::TooFast => format!(
                 "{found}: faster than needed, {FEWEST} to {MOST} samples there are enough; `decimate` by {} makes \
@@ -103,6 +108,12 @@ impl SampleTimeCheck {
             _ => found,
         }
     }
+}
+
+/// Three significant digits, without an exponent.
+fn digits(v: f64) -> String {
+    let decimals = (2 - v.abs().max(1e-12).log10().floor() as i32).clamp(0, 12) as usize;
+    format!("{v:.decimals$}")
 }
 
 /// Rise time of a step response (one sample per sample time, the step at sample 0) from 10 to 90 % of its final value,

@@ -10,7 +10,7 @@
 //! Each input has its own orders and delay; A, C and D are common. The parameters stand in the order
 //! `A, B_1 .. B_m, C, D, F_1 .. F_m` without the leading ones.
 //!
-//! These models are a family of their own: their one-step prediction remembers more than lagged inputs and
+//! These models are a form of their own: their one-step prediction remembers more than lagged inputs and
 //! outputs, which is what [`crate::model::Model`] promises. What drives everything after the estimation is the
 //! deterministic part, and that is a NARX model: [`LinearModel::deterministic`].
 //!
@@ -18,8 +18,9 @@
 
 mod errors;
 pub(crate) mod filter;
+mod kept;
 mod predict;
-pub mod structures;
+pub(super) mod structures;
 
 use serde::{Deserialize, Serialize};
 
@@ -83,6 +84,9 @@ pub struct Polynomials {
     pub f: Vec<Vec<f64>>,
 }
 
+/// Highest order, and longest delay in samples.
+const MOST_ORDER: usize = 1000;
+
 impl LinearModel {
     /// ARX: `A y = sum B_i u_i + e` (thesis eq. 2.10 without constant).
     pub fn arx(inputs: &[&str], output: &str, na: usize, nb: usize, nk: usize) -> Self {
@@ -126,6 +130,16 @@ impl LinearModel {
                 found: self.orders.len(),
                 expected: self.inputs.len(),
                 inputs: self.inputs.clone(),
+            });
+        }
+        let orders = self.orders.iter().flat_map(|o| [("nb", o.nb), ("nf", o.nf), ("nk", o.nk)]);
+        let mut all = orders.chain([("na", self.na), ("nc", self.nc), ("nd", self.nd)]);
+        if let Some((what, found)) = all.find(|(_, n)| *n > MOST_ORDER) {
+            return Err(StructureError::Range {
+                text: format!("orders of `{}`", self.output),
+                what,
+                found,
+                expected: format!("at most {MOST_ORDER}"),
             });
         }
         if self.n_params() == 0 {

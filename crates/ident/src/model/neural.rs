@@ -270,7 +270,7 @@ impl NeuralNarx {
 
     /// Random weights that leave the neurons in their sloping range: every row of W and w uniform with the variance
     /// of one over its length. The direct path is left out.
-    fn draw(&self, rng: &mut Rng64) -> Vec<f64> {
+    pub fn random_start(&self, rng: &mut Rng64) -> Vec<f64> {
         let mut theta = Vec::with_capacity(self.network.params);
         let mut uniform = |n: usize, count: usize, theta: &mut Vec<f64>| {
             let limit = (3.0 / n as f64).sqrt();

@@ -12,10 +12,12 @@ mod adjoint;
 mod filter;
 pub mod function;
 mod joint;
+pub mod products;
 mod program;
 pub mod regressor;
 mod run;
 mod shaped;
+pub(super) mod spec;
 mod text;
 
 use serde::{Deserialize, Serialize};

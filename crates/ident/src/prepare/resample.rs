@@ -10,8 +10,8 @@ use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::Deserialize;
 
 use super::common::{change, fault, key_fault, median, positive, stamps};
-use super::{Effect, Outcome, PrepareError, Step};
-use crate::data::{Dataset, Role};
+use super::{Became, Effect, Outcome, PrepareError, Step};
+use crate::data::{Dataset, Gap, Role, runs};
 
 const NAME: &str = "resample";
 
@@ -99,7 +99,9 @@ impl Step for Resample {
                     record.name, self.sample_time_s
                 ));
             }
-            outcome.records.push(sampled(&record, &t, time, &grid, method, &mut outcome.changes));
+            let out = sampled(&record, &t, time, &grid, method, &mut outcome.changes);
+            outcome.remarks.extend(lost(&record, &out, time, grid.max_gap_s));
+            outcome.records.push(out);
         }
         Ok(outcome)
     }
@@ -155,11 +157,13 @@ pub(super) fn sampled(
             true => (By::Line, f64::INFINITY),
             false => (method(channel.role), grid.max_gap_s),
         };
-        let mut known = Known::new(t, &channel.values);
+        if Some(c) != time {
+            gaps(record, c, t, by, gap, changes);
+        }
+        let mut known = Known::new(t, &channel.values, 1e-6 * grid.step_s);
         let one = |x| match by {
             By::Line => known.line(x, gap),
-            // A stamp that is later by rounding only is not later.
-            By::Previous => known.previous(x + 1e-7 * grid.step_s, gap),
+            By::Previous => known.previous(x, gap),
             By::Mean => known.mean(x, grid.step_s, gap),
         };
         channel.with(grid.instants(last).map(one).collect())
@@ -185,18 +189,59 @@ pub(super) fn sampled(
     out
 }
 
-/// The known samples of a channel and where in them the last question was; questions come in rising order.
+/// What becomes of the empty cells of a channel: bridged where the known neighbours are near enough, else missing.
+fn gaps(
+    record: &Dataset,
+    channel: usize,
+    t: &[f64],
+    by: By,
+    longest_s: f64,
+    changes: &mut Vec<super::Change>,
+) {
+    let values = &record.channels[channel].values;
+    let empty = runs(values.len(), |k| values[k].is_nan());
+    let near = |g: &Gap| g.from > 0 && g.to < values.len() && t[g.to] - t[g.from - 1] <= longest_s;
+    let (bridged, missing): (Vec<Gap>, Vec<Gap>) = empty.into_iter().partition(near);
+    let became = if by == By::Previous { Became::Held } else { Became::Interpolated };
+    for (runs, became) in [(bridged, became), (missing, Became::Missing)] {
+        if !runs.is_empty() {
+            changes.push(change(record, Some(channel), Effect::Samples { runs, became }));
+        }
+    }
+}
+
+/// New samples that nothing is known of although the record has no empty cell there: its stamps lie too far apart.
+fn lost(record: &Dataset, out: &Dataset, time: Option<usize>, longest_s: f64) -> Vec<String> {
+    let one = |(c, channel): (usize, &crate::data::Channel)| {
+        let missing = channel.values.iter().filter(|v| v.is_nan()).count();
+        let wanted = Some(c) != time && missing > 0;
+        wanted.then(|| {
+            format!(
+                "{}, {}: {missing} of {} new samples are missing: they lie in gaps longer than {longest_s} s (`max_gap_s`) or \
+                 beyond the known samples",
+                record.name,
+                channel.name,
+                out.len()
+            )
+        })
+    };
+    out.channels.iter().enumerate().filter_map(one).collect()
+}
+
+/// The known samples of a channel and where in them the last question was; questions come in rising order. A question
+/// within `slack` of a stamp is at that stamp: the same instant written in two ways is one instant.
 struct Known {
     t: Vec<f64>,
     x: Vec<f64>,
     at: usize,
+    slack: f64,
 }
 
 impl Known {
-    fn new(t: &[f64], x: &[f64]) -> Self {
+    fn new(t: &[f64], x: &[f64], slack: f64) -> Self {
         let known = t.iter().zip(x).filter(|(_, x)| !x.is_nan()).map(|(t, x)| (*t, *x));
         let (t, x) = known.unzip();
-        Self { t, x, at: 0 }
+        Self { t, x, at: 0, slack }
     }
 
     /// Moves to the last known sample at or before `t`; none where there is no such.
@@ -208,7 +253,10 @@ impl Known {
     }
 
     fn line(&mut self, t: f64, gap: f64) -> f64 {
-        let Some(i) = self.seek(t) else { return f64::NAN };
+        let Some(i) = self.seek(t + self.slack) else { return f64::NAN };
+        if (t - self.t[i]).abs() <= self.slack {
+            return self.x[i];
+        }
         self.between(i, t, gap)
     }
 
@@ -226,7 +274,7 @@ impl Known {
     }
 
     fn previous(&mut self, t: f64, gap: f64) -> f64 {
-        match self.seek(t) {
+        match self.seek(t + self.slack) {
             Some(i) if t - self.t[i] <= gap => self.x[i],
             _ => f64::NAN,
         }
@@ -236,7 +284,7 @@ impl Known {
     fn mean(&mut self, t: f64, width: f64, gap: f64) -> f64 {
         let (Some(first), Some(last)) = (self.t.first(), self.t.last()) else { return f64::NAN };
         let (from, to) = ((t - 0.5 * width).max(*first), (t + 0.5 * width).min(*last));
-        if t < *first || t > *last {
+        if t < *first - self.slack || t > *last + self.slack {
             return f64::NAN;
         }
         let Some(start) = self.seek(from) else { return f64::NAN };

@@ -410,7 +410,7 @@ impl Samples {
 /// Records that hold something to score, of the right shape; fewer samples than candidates are no fault here.
 fn usable_records(model: &PolyNarx, data: &[Experiment]) -> Result<(), SelectError> {
     let some = !data.is_empty() && data.iter().all(|e| e.len() > e.first(model));
-    match crate::experiment::usable_samples(model, data) {
+    match crate::model::usable_samples(model, data) {
         Err(DataError::TooShort { .. }) if some => Ok(()),
         Err(e) => Err(EstimateError::from(e).into()),
         Ok(_) => Ok(()),

@@ -10,6 +10,8 @@ use crate::estimate::EstimateError;
 use crate::model::poly::regressor::{MAX_DEGREE, MAX_LAG};
 use crate::model::poly::{PolyNarx, Regressor};
 
+pub use crate::model::poly::products::{dedup, products};
+
 /// Most candidates of a generated pool: ten lags of three channels at degree five have 324 632.
 pub const MAX_CANDIDATES: usize = 1_000_000;
 
@@ -260,36 +262,6 @@ fn lookup(per: &PerInput, name: &str, otherwise: usize) -> usize {
     }
 }
 
-/// All products of 1 to `degree` of the given variables, repetition allowed: first the variables themselves, then
-/// the products of two, and so on; each product once.
-pub fn products(variables: &[Regressor], degree: u32) -> Vec<Regressor> {
-    let mut all = Vec::new();
-    // Each entry carries the place of its last variable, so that every product is built in one order only.
-    let mut level: Vec<(Regressor, usize)> =
-        if degree == 0 { Vec::new() } else { variables.iter().cloned().zip(0..).collect() };
-    for d in 1..=degree {
-        let next = if d == degree {
-            Vec::new()
-        } else {
-            let grow = |(r, last): &(Regressor, usize)| {
-                let (r, last) = (r.clone(), *last);
-                (last..variables.len()).map(move |i| (r.times(&variables[i]), i)).collect::<Vec<_>>()
-            };
-            level.iter().flat_map(grow).collect()
-        };
-        all.extend(level.into_iter().map(|(r, _)| r));
-        level = next;
-    }
-    dedup(all)
-}
-
-/// Removes later copies, keeps the order.
-pub fn dedup(mut regressors: Vec<Regressor>) -> Vec<Regressor> {
-    let mut seen = std::collections::BTreeSet::new();
-    regressors.retain(|r| seen.insert(r.clone()));
-    regressors
-}
-
 /// What a pool holds, over the inputs of one model.
 #[derive(Clone, Debug, Default)]
 pub struct PoolSpec {
@@ -324,16 +296,6 @@ impl PoolSpec {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn number_of_products_is_binomial() {
-        let v: Vec<Regressor> = (0..6).map(|i| Regressor::input(i, 1)).collect();
-        // Multisets of size d from n: C(n + d - 1, d).
-        assert_eq!(products(&v, 1).len(), 6);
-        assert_eq!(products(&v, 2).len(), 6 + 21);
-        assert_eq!(products(&v, 3).len(), 6 + 21 + 56);
-        assert_eq!(products(&v, 0).len(), 0);
-    }
 
     #[test]
     fn pool_has_each_candidate_once() {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use serde::Serialize;
 
-use crate::validate::{Correlation, autocorrelation};
+use crate::correlation::{Correlation, autocorrelation};
 
 /// Longest segment of the spectrum, in samples: longer records are cut into segments whose spectra are averaged.
 pub const SEGMENT: usize = 4096;

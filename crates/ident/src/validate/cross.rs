@@ -7,11 +7,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::spread::{ScorePool, Spread};
-use super::{Kind, Seen, score};
+use super::{Kind, Seen, score_form};
 use crate::data::DataError;
 use crate::estimate::{EstimateError, Estimator};
 use crate::experiment::Experiment;
-use crate::model::Model;
+use crate::model::form::Form;
 
 /// How blocks are cut.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,13 +93,13 @@ pub fn folds(data: &[Experiment], lag: usize, blocks: &Blocks) -> Result<Vec<Fol
 /// # Errors
 /// [`EstimateError`] when the records are too short for the folds. A fold whose fit fails is reported, not an error.
 pub fn cross_validate(
-    model: &dyn Model,
+    model: &dyn Form,
     data: &[Experiment],
     estimator: &dyn Estimator,
     blocks: &Blocks,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<CrossValidation, EstimateError> {
-    let lag = model.max_lag();
+    let lag = model.memory();
     let (mut one_step, mut free_run, mut failed, mut thetas) = (vec![], vec![], vec![], vec![]);
     let folds = folds(data, lag, blocks)?;
     for (k, (fitted, scored)) in folds.iter().enumerate() {
@@ -109,10 +109,12 @@ pub fn cross_validate(
         }
         match estimator.estimate(model, fitted, None, interrupt) {
             Ok(fit) => {
-                let of =
-                    |kind| (format!("fold {}", k + 1), score(model, &fit.theta, scored, kind, Seen::Unseen));
-                one_step.push(of(Kind::OneStep));
-                free_run.push(of(Kind::FreeRun));
+                for (kind, into) in [(Kind::OneStep, &mut one_step), (Kind::FreeRun, &mut free_run)] {
+                    into.extend(
+                        score_form(model, &fit.theta, scored, kind, Seen::Unseen)?
+                            .map(|s| (format!("fold {}", k + 1), s)),
+                    );
+                }
                 thetas.push(fit.theta);
             }
             Err(e) => failed.push(format!("fold {}: {e}", k + 1)),
@@ -127,7 +129,7 @@ pub fn cross_validate(
         gap: blocks.gap.max(lag),
         one_step: ScorePool::of(one_step, blocks.confidence),
         free_run: ScorePool::of(free_run, blocks.confidence),
-        parameters: if thetas.is_empty() { vec![] } else { (0..model.n_params()).map(parameter).collect() },
+        parameters: if thetas.is_empty() { vec![] } else { (0..model.parameters()).map(parameter).collect() },
         failed,
     })
 }

@@ -4,19 +4,9 @@ use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
 use crate::experiment::Experiment;
-use crate::model::{Model, Run};
-
-/// How the outputs that are scored were computed. Never compare scores of different kinds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// From measured past outputs.
-    OneStep,
-    /// From outputs measured up to k samples before.
-    KStep(usize),
-    /// From the model's own past outputs.
-    FreeRun,
-}
+use crate::model::form::Form;
+use crate::model::poly::StructureError;
+use crate::model::{Kind, Model, output};
 
 /// Whether the parameters have seen the data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,6 +14,8 @@ pub enum Kind {
 pub enum Seen {
     /// Data of the estimation.
     Identification,
+    /// Data that chose between candidates (early stopping, the best of several starts): no test any more.
+    Selection,
     /// Other data.
     Unseen,
 }
@@ -138,38 +130,6 @@ pub fn score_in_band(
     Score { inside: Some(Band { half_width, share }), ..score_values(z, zhat, kind, data, reference) }
 }
 
-/// Output of the model on one experiment, computed as `kind` says; samples before the first computed one are the
-/// measured ones.
-pub fn output(model: &dyn Model, theta: &[f64], e: &Experiment, kind: Kind) -> Vec<f64> {
-    let run = e.run(model);
-    let mut y = vec![0.0; e.len()];
-    match kind {
-        Kind::OneStep => model.predict(theta, &run, &mut y),
-        Kind::FreeRun => {
-            model.simulate(theta, &run, &mut y);
-        }
-        Kind::KStep(k) => k_step(model, theta, &run, k.max(1), &mut y),
-    }
-    y
-}
-
-/// Prediction k samples ahead, y(t | t-k): measured outputs up to t-k, inputs up to t. For every t a free run over the last k samples from the measured outputs before.
-fn k_step(model: &dyn Model, theta: &[f64], run: &Run, k: usize, y: &mut [f64]) {
-    let (m, lag) = (model.n_inputs(), model.max_lag());
-    let start = run.start.min(run.len());
-    y[..start].copy_from_slice(&run.y[..start]);
-    let mut tail = vec![0.0; lag + k];
-    for t in start..run.len() {
-        // Near the start fewer samples are free: nothing before it is computed.
-        let free = k.min(t + 1 - start);
-        let from = t + 1 - free - lag;
-        let part = Run { u: &run.u[from * m..(t + 1) * m], y: &run.y[from..=t], start: lag };
-        let tail = &mut tail[..lag + free];
-        model.simulate(theta, &part, tail);
-        y[t] = tail[lag + free - 1];
-    }
-}
-
 /// Scores the model on all experiments together, against their measured outputs.
 pub fn score(model: &dyn Model, theta: &[f64], data: &[Experiment], kind: Kind, seen: Seen) -> Score {
     let (mut z, mut zhat) = (Vec::new(), Vec::new());
@@ -197,4 +157,26 @@ pub fn score_noise_free(
         zhat.extend_from_slice(&output(model, theta, e, kind)[first..]);
     }
     score_values(&z, &zhat, kind, seen, Reference::NoiseFree)
+}
+
+/// Scores of any form, its free runs starting as is usual for it. None where it has no such output.
+///
+/// # Errors
+/// [`StructureError`] where what its inputs drive cannot be written as a NARX model.
+pub fn score_form(
+    form: &dyn Form,
+    theta: &[f64],
+    data: &[Experiment],
+    kind: Kind,
+    seen: Seen,
+) -> Result<Option<Score>, StructureError> {
+    let (driven, initial) = (form.driven(theta)?, form.row().initial);
+    let (mut z, mut zhat) = (Vec::new(), Vec::new());
+    for e in data {
+        let Some(y) = form.computed(theta, driven.as_ref(), e, kind, initial) else { return Ok(None) };
+        let first = e.init_samples.max(form.memory()).min(e.len());
+        z.extend_from_slice(&e.y[first..]);
+        zhat.extend_from_slice(&y[first..]);
+    }
+    Ok(Some(score_values(&z, &zhat, kind, seen, Reference::Noisy)))
 }

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::data::DataError;
-use crate::experiment::{Experiment, usable_samples};
+use crate::experiment::Experiment;
+use crate::model::usable_samples;
 use crate::model::{Model, Run};
 
 /// What is tried.

@@ -13,16 +13,16 @@ use dynocal_files::{FilesError, json};
 use dynocal_ident::data::{DataError, Dataset, Role};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::literature::{self, LiteratureModel};
+use dynocal_ident::model::neural::NeuralNarx;
 use dynocal_ident::model::poly::{PolyNarx, StructureError};
 use dynocal_ident::model::{Model, Run};
 use dynocal_ident::signal;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredError, StoredModel};
 use dynocal_ident::validate::boundary::{BoundaryKeys, BoundaryModel, Space, learn};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
 
 use super::{Job, ModelSpec, Objective, OutputSpec, Source};
-use crate::identify::result::{MODEL_SCHEMA, MODEL_VERSION, ModelFile};
-use crate::identify::stored::Stored;
 
 /// A model of the literature: name, unit of its output, parameters.
 type Known = (&'static str, &'static str, fn() -> LiteratureModel);
@@ -45,6 +45,24 @@ pub enum DesignJobError {
     /// Records.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// A stored model that cannot be used.
+    #[error("{file}: {source}")]
+    Stored {
+        /// File.
+        file: String,
+        /// What is wrong.
+        source: StoredError,
+    },
+    /// A model in other units than those of the plan.
+    #[error(
+        "{file}: the model was estimated from shifted, scaled or derived channels ({channels}), a design needs one of the channels as they are: identify it without the steps `offset` and `scale` and without derived channels"
+    )]
+    Prepared {
+        /// File.
+        file: String,
+        /// Channels that are changed before the model sees them.
+        channels: String,
+    },
     /// A model file whose parts do not belong together.
     #[error("{file}: {source}")]
     Structure {
@@ -293,20 +311,22 @@ fn same_time(model: &str, found: f64, expected: f64) -> Result<(), DesignJobErro
 }
 
 fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, DesignJobError> {
-    let file: ModelFile = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
+    let file: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
     let shown = path.display().to_string();
     same_time(&shown, dt_s, file.sample_time_s)?;
-    let fault = |source| DesignJobError::Structure { file: shown.clone(), source };
+    let fault = |source| DesignJobError::Stored { file: shown.clone(), source };
     let fitted = file.fitted().map_err(fault)?;
+    as_measured(&file, &shown)?;
     let inputs: Vec<String> = file.inputs.iter().map(|q| q.name.clone()).collect();
     let output = &file.output;
     let Some((simulated, theta)) = fitted.simulated() else {
         return Err(DesignJobError::NotDriven { model: shown, kind: "time series".into() });
     };
     let theta = theta.to_vec();
-    let model: Box<dyn Model> = match &file.structure {
-        Stored::Neural(m) if inputs == channels => Box::new(m.clone()),
-        Stored::Neural(_) => {
+    let network = file.structure.form().is_a::<NeuralNarx>();
+    let model: Box<dyn Model> = match network {
+        Some(m) if inputs == channels => Box::new(m.clone()),
+        Some(_) => {
             return Err(DesignJobError::Channels {
                 model: shown,
                 found: channels.join(", "),
@@ -316,7 +336,7 @@ fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, Design
                 ),
             });
         }
-        _ => Box::new(over(simulated, &inputs, &output.name, channels)?),
+        None => Box::new(over(simulated, &inputs, &output.name, channels)?),
     };
     let mut out =
         blank(&output.name, &output.unit, model, theta, file.noise_variance.unwrap_or(f64::NAN), shown);
@@ -327,6 +347,17 @@ fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, Design
         b
     });
     Ok(out)
+}
+
+/// A design works in the units of its channels: a model of shifted, scaled or derived channels is another one.
+fn as_measured(file: &StoredModel, shown: &str) -> Result<(), DesignJobError> {
+    let fault = |source| DesignJobError::Stored { file: shown.into(), source };
+    let way = file.pointwise().map_err(fault)?;
+    let changed: Vec<String> = way.changed();
+    match changed.is_empty() {
+        true => Ok(()),
+        false => Err(DesignJobError::Prepared { file: shown.into(), channels: changed.join(", ") }),
+    }
 }
 
 /// The same polynomial over all channels of the plan.

@@ -10,8 +10,8 @@ use dynocal_ident::validate::stability::{Stability, Trials, free_run_stability};
 use dynocal_ident::validate::{Kind, Reference, score_values};
 use serde::{Deserialize, Serialize};
 
+use super::error::IdentifyError;
 use super::fit::Estimated;
-use super::job::IdentifyError;
 use super::load::Part;
 use super::set::shape;
 use super::spec::{Job, Target};
@@ -121,14 +121,10 @@ fn cross(
     out: &mut After,
     watch: Watch,
 ) -> Result<(), IdentifyError> {
-    let Some(model) = e.model.stored().narx() else {
-        out.remarks.push("no cross-validation: the estimator `pem` has none yet".into());
-        return Ok(());
-    };
     watch.note(&format!("{}: cross-validation in {} folds", t.target, job.validate.folds));
     let blocks = Blocks { folds: job.validate.folds, gap: 0, confidence: job.validate.confidence };
     let estimator = estimate::estimator(&t.estimator, &t.estimator_keys)?;
-    let found = cross_validate(model, data, estimator.as_ref(), &blocks, watch.interrupt)?;
+    let found = cross_validate(e.model.form(), data, estimator.as_ref(), &blocks, watch.interrupt)?;
     out.remarks.extend(found.failed.iter().map(|f| format!("cross-validation: {f}")));
     out.folds = Some(found);
     Ok(())

@@ -19,7 +19,7 @@ pub fn free_run_bounds(
     data: &[Experiment],
     r: &Experiment,
 ) -> Option<(Vec<f64>, Vec<f64>)> {
-    let (model, fit): (&dyn Model, _) = (e.model.stored().narx()?, e.fit.as_ref()?);
+    let (model, fit): (&dyn Model, _) = (e.model.form().dynamics()?, e.fit.as_ref()?);
     if r.len().saturating_mul(model.n_params()) > ENTRIES {
         return None;
     }

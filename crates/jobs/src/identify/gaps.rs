@@ -6,7 +6,7 @@
 use dynocal_ident::data::runs;
 use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::Model;
+use dynocal_ident::model::form::Form;
 
 use super::spec::Target;
 
@@ -20,8 +20,12 @@ pub struct Bridged {
 }
 
 /// Bridges the gaps of `data` for a fit of `model`; `free_run` where the estimator simulates.
-pub fn bridge(t: &Target, model: &dyn Model, data: &[Experiment], free_run: bool) -> Bridged {
+pub fn bridge(t: &Target, model: &dyn Form, data: &[Experiment], free_run: bool) -> Bridged {
     let mut out = Bridged::default();
+    // A prediction with a noise model may remember every sample as long as the longest.
+    let whole = || (0..t.inputs.len()).flat_map(|i| (0..=model.memory()).map(move |lag| (i, lag))).collect();
+    let window: Vec<(usize, usize)> = model.dynamics().map_or_else(whole, |m| m.window().to_vec());
+    let output_lag = model.dynamics().map_or(model.memory(), dynocal_ident::model::Model::output_lag);
     for e in data {
         let (mut whole, missing) = bridged(e);
         if missing.is_empty() {
@@ -31,12 +35,12 @@ pub fn bridge(t: &Target, model: &dyn Model, data: &[Experiment], free_run: bool
         let n = e.len();
         let mut weights = if e.weights.is_empty() { vec![1.0; n] } else { e.weights.clone() };
         for &t in &missing.outputs {
-            let reach = if free_run { 0 } else { model.output_lag() };
+            let reach = if free_run { 0 } else { output_lag };
             weights[t..(t + reach + 1).min(n)].fill(0.0);
         }
         if !free_run {
             for &(i, t) in &missing.inputs {
-                let lags = model.window().iter().filter(|w| w.0 == i);
+                let lags = window.iter().filter(|w| w.0 == i);
                 lags.filter(|w| t + w.1 < n).for_each(|w| weights[t + w.1] = 0.0);
             }
         }
@@ -54,9 +58,9 @@ pub fn bridge(t: &Target, model: &dyn Model, data: &[Experiment], free_run: bool
 }
 
 /// A straight line over more samples than the model remembers is an invented record.
-fn long_gaps(t: &Target, model: &dyn Model, e: &Experiment) -> Vec<String> {
-    let m = model.n_inputs();
-    let lag = model.max_lag().max(1);
+fn long_gaps(t: &Target, model: &dyn Form, e: &Experiment) -> Vec<String> {
+    let m = t.inputs.len();
+    let lag = model.memory().max(1);
     let mut out = Vec::new();
     let mut tell = |channel: &str, longest: usize| {
         if longest > lag {

@@ -6,78 +6,31 @@ use dynocal_files::run_folder::{RunFolder, digest};
 use dynocal_files::{FilesError, csv_io, json};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::missing::bridged;
-use dynocal_ident::estimate::{EstimateError, Minimised};
+use dynocal_ident::estimate::{self, Minimised};
 use dynocal_ident::experiment::{Experiment, experiments, experiments_marked};
-use dynocal_ident::prepare::{Note, PrepareError};
-use dynocal_ident::select::SelectError;
-use dynocal_ident::validate::Kind;
+use dynocal_ident::prepare::Note;
+use dynocal_ident::stored::{self, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredError, StoredModel};
 use dynocal_ident::validate::boundary::BoundaryModel;
-use dynocal_numerics::registry::BuildError;
+use dynocal_ident::validate::{Kind, Seen};
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
 use super::after::{After, after};
+use super::baseline::baseline;
 use super::before::before;
 use super::bounds::free_run_bounds;
+use super::curves::curves;
+use super::error::IdentifyError;
+use super::finding::{Finding, Grade, sorted};
 use super::fit::{Estimated, estimate, saved};
+use super::judge::{losses, of_fit, of_model};
 use super::load::{Part, parts};
-use super::prepare::prepare_parts;
-use super::result::{Identified, MODEL_SCHEMA, MODEL_VERSION, ModelFile, Modelled, Path, Quantity};
-use super::score::{Scored, score};
+use super::prepare::{own_unit, prepare_parts, restored};
+use super::result::{Identified, Modelled, Path, Prepared, in_step};
+use super::score::{Judged, Scored, score};
 use super::set::{Member, Set, shape};
 use super::spec::{Job, Target};
-
-/// The job could not be done.
-#[derive(Debug, thiserror::Error)]
-pub enum IdentifyError {
-    /// Files.
-    #[error(transparent)]
-    Files(#[from] FilesError),
-    /// Data.
-    #[error(transparent)]
-    Data(#[from] DataError),
-    /// Estimation.
-    #[error(transparent)]
-    Estimate(#[from] EstimateError),
-    /// Preparation.
-    #[error(transparent)]
-    Prepare(#[from] PrepareError),
-    /// Structure selection.
-    #[error(transparent)]
-    Select(#[from] SelectError),
-    /// A checked member cannot be built any more.
-    #[error(transparent)]
-    Build(#[from] BuildError),
-    /// Records in different units.
-    #[error(
-        "{record}: channel `{channel}` is in `{found}`, in {other} it is in `{expected}`: convert one of them"
-    )]
-    Unit {
-        /// Record.
-        record: String,
-        /// Channel.
-        channel: String,
-        /// Its unit.
-        found: String,
-        /// Unit elsewhere.
-        expected: String,
-        /// Record that has it.
-        other: String,
-    },
-    /// Outputs that depend on each other at the same sample.
-    #[error(
-        "the model of `{target}` uses the output `{input}` of the same sample, which is computed by another model: use `{input}(t-1)` or an earlier sample"
-    )]
-    Loop {
-        /// Target.
-        target: String,
-        /// Output that is used at once.
-        input: String,
-    },
-    /// The user stopped it.
-    #[error("interrupted before the estimate was finished; run the same command again")]
-    Interrupted,
-}
+use super::verdict::verdict;
 
 /// Does the job: reads the data, estimates, scores, and writes models, records and summary.
 ///
@@ -111,6 +64,8 @@ fn missing(path: &path::Path) -> FilesError {
 
 fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
     let mut parts = parts(job, watch.note)?;
+    let measured = measured(&parts[0].records);
+    fit_records(job, &parts)?;
     let preparation = prepare_parts(job, &mut parts, dir)?;
     let first = if job.saved.is_empty() { before(job, &parts[0].records)? } else { None };
     let estimated = if job.saved.is_empty() {
@@ -120,6 +75,7 @@ fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Identif
         sampled_alike(job, &parts)?;
         job.saved.iter().map(saved).collect::<Result<Vec<_>, _>>()?
     };
+    let estimated: Vec<Estimated> = estimated.into_iter().map(|e| e.starting(job.validate.initial)).collect();
     let set = Set::new(job.targets.iter().zip(&estimated).map(member).collect());
     if let Some((target, input)) = set.loop_at_once() {
         return Err(IdentifyError::Loop { target: target.into(), input: input.into() });
@@ -130,7 +86,8 @@ fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Identif
         .iter()
         .map(|t| parts[0].records.iter().map(|d| Ok(bridged(&shape(d, &t.inputs, &t.target)?).0)).collect())
         .collect::<Result<_, DataError>>()?;
-    let minimised: Vec<Kind> = estimated.iter().map(minimised).collect();
+    let judged: Vec<Judged> =
+        job.targets.iter().zip(&estimated).map(|(t, e)| judged(t, e, &measured)).collect();
     let mut scored = Vec::new();
     for part in &parts {
         let notes = preparation.iter().find(|p| p.part == part.name).map_or(&[][..], |p| &p.notes);
@@ -138,18 +95,38 @@ fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Identif
             // The band of one model says nothing about a set that runs together.
             if set.is_coupled() { None } else { free_run_bounds(job, &estimated[k], &fitted[k], r) }
         };
-        scored.push(score(part, notes, &set, &minimised, &job.validate, &bounds, dir)?);
+        scored.push(score(part, notes, &set, &judged, &job.validate, &bounds, dir)?);
     }
     let mut models = Vec::new();
-    for (t, e) in job.targets.iter().zip(&estimated) {
+    for (k, (t, e)) in job.targets.iter().zip(&estimated).enumerate() {
         let judged = after(job, t, e, &parts, watch)?;
         let notes = preparation.first().map_or(&[][..], |p| &p.notes);
-        models.push(modelled(job, t, e, (&parts[0].records[0], notes), &scored, judged, dir)?);
+        let whole = (&parts[0].records[0], notes, measured.as_slice());
+        let mut model = modelled(job, t, e, whole, &scored, judged, dir)?;
+        if job.saved.is_empty()
+            && !set.is_coupled()
+            && let Some((driven, _)) = e.model.simulated()
+        {
+            let notes =
+                |part: &str| preparation.iter().find(|p| p.part == part).map_or(vec![], |p| p.notes.clone());
+            model.baseline = baseline(t, driven, &parts, &notes)?;
+        }
+        if let Some((driven, theta)) = e.model.simulated() {
+            let d = &parts[0].records[0];
+            // The covariance belongs to the parameters of the form, which are those of what is driven only in NARX models.
+            let fit = e.fit.as_ref().filter(|_| e.model.form().dynamics().is_some());
+            let found = curves(driven, theta, fit, &t.inputs, &fitted[k], d.sample_time_s);
+            let own = |values: &mut [f64]| restored(notes, d, &t.target, values);
+            let level = job.validate.confidence;
+            model.curves = found.into_iter().map(|c| c.restored(level, own)).collect::<Result<_, _>>()?;
+        }
+        models.push(model);
     }
-    let mut found = finish(job, &parts, &estimated, models, scored);
+    let mut found = finish(job, &parts, &estimated, models, scored, &preparation);
     found.files.extend(preparation.iter().flat_map(|p| &p.stages).map(|s| s.file.clone()));
     found.preparation = preparation;
     found.before = first;
+    found.verdict = verdict(&found);
     Ok(found)
 }
 
@@ -163,6 +140,45 @@ fn minimised(e: &Estimated) -> Kind {
         Some(Minimised::OneStep) => Kind::OneStep,
         Some(Minimised::FreeRun) | None => Kind::FreeRun,
     }
+}
+
+/// What is known of a target before it is scored.
+fn judged(t: &Target, e: &Estimated, measured: &[stored::Seen]) -> Judged {
+    let seen = measured.iter().find(|s| s.name == t.target);
+    let by_free_run = estimate::row("sem").is_ok_and(|r| r.fits.covers(e.model.form().row()));
+    let one_step = e.fit.as_ref().is_some_and(|f| f.minimised == Minimised::OneStep);
+    let advice = if by_free_run && one_step {
+        "estimate it by the errors of its free run (estimator `sem`), or with fewer output terms"
+    } else {
+        "fewer output terms, a lower degree, or records that cover these inputs"
+    };
+    Judged {
+        minimised: minimised(e),
+        range: seen.map_or([f64::NAN; 2], |s| [s.minimum, s.maximum]),
+        advice: advice.into(),
+    }
+}
+
+/// Saved models take their channels in their own units.
+fn fit_records(job: &Job, parts: &[Part]) -> Result<(), IdentifyError> {
+    for d in parts.iter().flat_map(|p| &p.records) {
+        for m in &job.saved {
+            for q in m.measured() {
+                let c = d.channel(&q.name)?;
+                if c.unit != q.unit {
+                    return Err(StoredError::Unit {
+                        record: d.name.clone(),
+                        channel: q.name,
+                        found: c.unit.clone(),
+                        expected: q.unit,
+                        output: m.output.name.clone(),
+                    }
+                    .into());
+                }
+            }
+        }
+    }
+    Ok(())
 }
 
 /// A model counts samples: records in another sample time are another system.
@@ -198,18 +214,18 @@ fn modelled(
     job: &Job,
     t: &Target,
     e: &Estimated,
-    (d, notes): (&Dataset, &[Note]),
+    (d, notes, measured): (&Dataset, &[Note], &[stored::Seen]),
     scored: &[Scored],
     (after, boundary): (After, Option<BoundaryModel>),
     dir: &path::Path,
 ) -> Result<Modelled, IdentifyError> {
     let quantity = |name: &String| -> Result<Quantity, DataError> {
-        Ok(Quantity { name: name.clone(), unit: d.channel(name)?.unit.clone() })
+        Ok(Quantity { name: name.clone(), unit: own_unit(notes, d, name)? })
     };
     let origin = job.sources.iter().filter_map(|s| s.file.file_name()).map(|n| n.to_string_lossy());
     let output = quantity(&t.target)?;
-    let file = ModelFile {
-        structure: e.model.stored().clone(),
+    let mut file = StoredModel {
+        structure: e.model.any().clone(),
         inputs: t.inputs.iter().map(quantity).collect::<Result<_, _>>()?,
         output: output.clone(),
         sample_time_s: d.sample_time_s,
@@ -217,9 +233,14 @@ fn modelled(
         estimator: t.estimator.clone(),
         noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
         boundary,
+        derived: derived_for(job, t),
         preparation: notes.to_vec(),
+        initial: job.validate.initial,
+        seen: measured.to_vec(),
         origin: origin.collect::<Vec<_>>().join(", "),
     };
+    let behind = file.measured();
+    file.seen.retain(|s| behind.iter().any(|q| q.name == s.name));
     let file = job.saved.iter().find(|m| m.output.name == t.target).cloned().unwrap_or(file);
     let name = if job.targets.len() == 1 { "model.json".into() } else { format!("model-{}.json", t.target) };
     json::write_versioned(&dir.join(&name), MODEL_SCHEMA, MODEL_VERSION, &file)?;
@@ -239,14 +260,43 @@ fn modelled(
         samples: e.fit.as_ref().map(|f| f.samples),
         selection: e.selection.as_ref().map(|s| Path { pool: s.pool, kept: s.steps, steps: s.path.clone() }),
         residuals: scored.iter().flat_map(own).collect(),
+        baseline: None,
+        curves: Vec::new(),
         after,
         file: in_step(&name),
     })
 }
 
-/// A file of the step, relative to the run folder.
-pub(super) fn in_step(name: &str) -> String {
-    format!("steps/01-identify/{name}")
+/// Units and ranges of the channels of the estimation, as they were measured.
+fn measured(records: &[Dataset]) -> Vec<stored::Seen> {
+    let channels = records.first().map_or(&[][..], |d| &d.channels);
+    let one = |c: &dynocal_ident::data::Channel| {
+        let values =
+            || records.iter().filter_map(|d| d.values(&c.name).ok()).flatten().filter(|v| v.is_finite());
+        let least = values().copied().fold(f64::INFINITY, f64::min);
+        let most = values().copied().fold(f64::NEG_INFINITY, f64::max);
+        (least <= most).then(|| stored::Seen {
+            name: c.name.clone(),
+            unit: c.unit.clone(),
+            minimum: least,
+            maximum: most,
+        })
+    };
+    channels.iter().filter_map(one).collect()
+}
+
+/// The derived channels that the model of a target reads or computes, and those that they follow from.
+fn derived_for(job: &Job, t: &Target) -> Vec<dynocal_ident::derived::Derived> {
+    let mut needed: Vec<&String> = t.inputs.iter().chain([&t.target]).collect();
+    let mut out = Vec::new();
+    for d in job.derive.iter().rev().map(|d| &d.channel) {
+        if needed.contains(&&d.name) {
+            needed.extend(d.powers.keys());
+            out.push(d.clone());
+        }
+    }
+    out.reverse();
+    out
 }
 
 fn finish(
@@ -255,19 +305,19 @@ fn finish(
     estimated: &[Estimated],
     models: Vec<Modelled>,
     scored: Vec<Scored>,
+    preparation: &[Prepared],
 ) -> Identified {
-    // Divergence matters more than anything that the estimators say.
-    let mut warnings: Vec<String> = scored.iter().flat_map(|s| s.diverged.clone()).collect();
-    let mut valid =
-        warnings.is_empty() && estimated.iter().flat_map(|e| &e.fit).all(|f| f.status.is_success());
-    valid &= parts.iter().all(|p| !p.records.is_empty());
+    let mut findings: Vec<Finding> = scored.iter().flat_map(|s| s.findings.clone()).collect();
     for (t, e) in job.targets.iter().zip(estimated) {
-        let of = |w: &String| if job.targets.len() > 1 { format!("{}: {w}", t.target) } else { w.clone() };
-        warnings.extend(e.fit.iter().flat_map(|f| &f.warnings).map(of));
+        findings.extend(e.fit.iter().flat_map(|f| of_fit(t, f)));
     }
-    if parts.iter().all(|p| p.name == "estimation" || p.name == "selection") {
-        warnings.push("no test data in the split: nothing says how the model does on unseen data".into());
+    findings.extend(models.iter().flat_map(of_model));
+    findings.extend(losses(preparation));
+    if parts.iter().all(|p| p.seen != Seen::Unseen) {
+        let text = "no test data in the split: nothing says how the model does on unseen data";
+        findings.push(Finding::new(Grade::Warning, "", text));
     }
+    let findings = sorted(findings);
     let (mut scores, mut records) = (Vec::new(), Vec::new());
     for s in scored {
         scores.extend(s.scores);
@@ -280,10 +330,13 @@ fn finish(
     Identified {
         verb: "identify".into(),
         name: job.name.clone(),
-        valid,
-        warnings,
+        verdict: Vec::new(),
+        valid: findings.iter().all(|f| f.grade != Grade::Fault),
+        warnings: findings.iter().filter(|f| f.grade != Grade::Note).map(Finding::sentence).collect(),
+        findings,
         files: files.collect(),
         preparation: Vec::new(),
+        confidence: job.validate.confidence,
         before: None,
         models,
         scores,

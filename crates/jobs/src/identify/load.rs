@@ -1,11 +1,13 @@
 //! From files to the parts of the data: estimation, selection, test.
 
+use std::path::Path;
+
 use dynocal_files::dataset::{Layout, Select, datasets, read_table};
-use dynocal_ident::data::Dataset;
+use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
 
-use super::job::IdentifyError;
-use super::spec::{Job, Source, Split, TestSet};
+use super::error::IdentifyError;
+use super::spec::{DeriveSpec, Job, Source, Split, TestSet};
 
 /// Records with one purpose.
 #[derive(Clone, Debug)]
@@ -39,7 +41,8 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
     // A model that is only scored has seen none of them.
     let names = if job.saved.is_empty() { names } else { ["record", "selection", "test"] };
     let first = if job.saved.is_empty() { Seen::Identification } else { Seen::Unseen };
-    let seen = [first, Seen::Unseen, Seen::Unseen];
+    let second = if job.saved.is_empty() { Seen::Selection } else { Seen::Unseen };
+    let seen = [first, second, Seen::Unseen];
     let mut parts: Vec<Part> = names
         .iter()
         .zip(seen)
@@ -47,11 +50,42 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         .filter(|(_, records)| !records.is_empty())
         .map(|((name, seen), records)| Part { name: (*name).into(), seen, records })
         .collect();
+    // What estimates is never taken from what tests.
+    if parts.first().is_none_or(|p| p.name != names[0]) {
+        let record = job.sources.iter().map(stem).collect::<Vec<_>>().join(", ");
+        let why = format!("the split leaves nothing for the {}", names[0]);
+        return Err(DataError::TooShort { record, found: 0, expected: 1, why }.into());
+    }
     for test in &job.tests {
+        if let Some(same) = job.sources.iter().find(|s| same_file(&s.file, &test.source.file)) {
+            return Err(IdentifyError::SameFile {
+                test: test.name.clone(),
+                file: same.file.display().to_string(),
+            });
+        }
         parts.push(test_set(job, test, note)?);
     }
     alike(&parts)?;
+    for record in parts.iter_mut().flat_map(|p| &mut p.records) {
+        derive(&job.derive, record)?;
+    }
     Ok(parts)
+}
+
+/// Adds the derived channels.
+fn derive(channels: &[DeriveSpec], record: &mut Dataset) -> Result<(), IdentifyError> {
+    for d in channels {
+        d.channel.add_to(record, d.role)?;
+    }
+    Ok(())
+}
+
+/// Whether two paths lead to one file.
+fn same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => a == b,
+    }
 }
 
 fn stem(source: &Source) -> String {

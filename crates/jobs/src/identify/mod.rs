@@ -4,11 +4,16 @@
 //! [`result`] is what comes out.
 
 pub mod after;
+pub mod baseline;
 pub mod before;
 pub mod bounds;
+pub mod curves;
+pub mod error;
+pub mod finding;
 pub mod fit;
 pub mod gaps;
 pub mod job;
+pub mod judge;
 pub mod load;
 pub mod page;
 pub mod prepare;
@@ -16,4 +21,4 @@ pub mod result;
 pub mod score;
 pub mod set;
 pub mod spec;
-pub mod stored;
+pub mod verdict;

@@ -4,11 +4,12 @@ use std::path::Path;
 
 use dynocal_files::csv_io;
 use dynocal_ident::data::{DataError, Dataset};
-use dynocal_ident::prepare::{Note, Planned, prepare, repeat, restore};
+use dynocal_ident::prepare::{Note, Planned, again, prepare, repeat, restore};
 use dynocal_numerics::registry::BuildError;
 
-use super::job::{IdentifyError, in_step};
+use super::error::IdentifyError;
 use super::load::Part;
+use super::result::in_step;
 use super::result::{Prepared, Stage};
 use super::spec::{Job, StepSpec};
 
@@ -29,10 +30,14 @@ pub fn plan(steps: &[StepSpec]) -> Result<Vec<Planned>, BuildError> {
 /// # Errors
 /// [`IdentifyError`]: a step that a record cannot take, or files.
 pub fn prepare_parts(job: &Job, parts: &mut [Part], dir: &Path) -> Result<Vec<Prepared>, IdentifyError> {
-    if job.prepare.is_empty() {
+    let mut steps = match job.saved.first() {
+        Some(_) => stored(job, parts)?,
+        None => plan(&job.prepare)?,
+    };
+    if steps.is_empty() {
         return Ok(Vec::new());
     }
-    let mut steps = plan(&job.prepare)?;
+    let names: Vec<String> = steps.iter().map(|s| s.name.clone()).collect();
     let mut out: Vec<Prepared> = Vec::new();
     for part in parts {
         let mut stages: Vec<Dataset> = Vec::new();
@@ -44,13 +49,32 @@ pub fn prepare_parts(job: &Job, parts: &mut [Part], dir: &Path) -> Result<Vec<Pr
         };
         let (records, notes) = prepare(&steps, std::mem::take(&mut part.records), &mut watch)?;
         part.records = records;
-        if first {
+        if first && job.saved.is_empty() {
             steps = repeat(&steps, &notes)?;
         }
-        let stages = write(&stages, &job.prepare, dir)?;
+        let stages = write(&stages, &names, dir)?;
         out.push(Prepared { part: part.name.clone(), notes, stages });
     }
     Ok(out)
+}
+
+/// The preparation that is stored with the models: what they were estimated on is what they are scored on. It takes the
+/// place of that of the spec.
+fn stored(job: &Job, parts: &[Part]) -> Result<Vec<Planned>, IdentifyError> {
+    let Some(first) = job.saved.first() else { return Ok(Vec::new()) };
+    let alike = |a: &Note, b: &Note| (&a.step, &a.keys, &a.changes) == (&b.step, &b.keys, &b.changes);
+    for other in &job.saved[1..] {
+        let same = first.preparation.len() == other.preparation.len()
+            && first.preparation.iter().zip(&other.preparation).all(|(a, b)| alike(a, b));
+        if !same {
+            let (first, second) = (first.output.name.clone(), other.output.name.clone());
+            return Err(IdentifyError::Preparations { first, second });
+        }
+    }
+    let records = parts.iter().flat_map(|p| &p.records);
+    let present: Vec<String> =
+        records.take(1).flat_map(|d| d.channels.iter().map(|c| c.name.clone())).collect();
+    Ok(again(&first.preparation, &present)?)
 }
 
 /// The start of a record.
@@ -60,10 +84,10 @@ fn head(d: &Dataset) -> Dataset {
     d
 }
 
-fn write(stages: &[Dataset], steps: &[StepSpec], dir: &Path) -> Result<Vec<Stage>, IdentifyError> {
+fn write(stages: &[Dataset], steps: &[String], dir: &Path) -> Result<Vec<Stage>, IdentifyError> {
     let mut out = Vec::new();
     for (k, d) in stages.iter().enumerate() {
-        let step = k.checked_sub(1).map_or("recorded", |k| steps[k].step.as_str());
+        let step = k.checked_sub(1).map_or("recorded", |k| steps[k].as_str());
         let file = format!("prepare-{k}-{step}.csv");
         let stamps = d.channels.iter().find(|c| c.name == dynocal_files::dataset::STAMPS);
         let time: Vec<f64> = match stamps {

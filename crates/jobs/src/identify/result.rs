@@ -1,88 +1,16 @@
 //! What an identification gives.
 
-use dynocal_ident::model::poly::StructureError;
 use dynocal_ident::prepare::Note;
 use dynocal_ident::select::Step;
-use dynocal_ident::validate::boundary::BoundaryModel;
+use dynocal_ident::stored::Parameter;
 use dynocal_ident::validate::{Correlation, Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
 use super::after::After;
 use super::before::Before;
-use super::stored::{Fitted, Stored};
-
-/// Schema name of a model file.
-pub const MODEL_SCHEMA: &str = "dynocal/model";
-/// Version of the model file.
-pub const MODEL_VERSION: u32 = 2;
-
-/// A model with everything that is needed to simulate it elsewhere.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ModelFile {
-    /// Inputs, output and form; networks with their scaling.
-    pub structure: Stored,
-    /// Inputs.
-    pub inputs: Vec<Quantity>,
-    /// Output.
-    pub output: Quantity,
-    /// Sample time in s.
-    pub sample_time_s: f64,
-    /// Parameters with their names.
-    pub parameters: Vec<Parameter>,
-    /// Estimator.
-    pub estimator: String,
-    /// Variance of the errors that the estimator made small, in squared units of the output.
-    pub noise_variance: Option<f64>,
-    /// What of the space of lagged inputs and outputs was identified; absent where it could not be learnt.
-    #[serde(default)]
-    pub boundary: Option<BoundaryModel>,
-    /// What was done to the records before the estimate: other records need the same.
-    #[serde(default)]
-    pub preparation: Vec<Note>,
-    /// Where the data came from.
-    pub origin: String,
-}
-
-impl ModelFile {
-    /// The model, ready to simulate.
-    ///
-    /// # Errors
-    /// [`StructureError`] when parameters and structure do not belong together.
-    pub fn fitted(&self) -> Result<Fitted, StructureError> {
-        let theta: Vec<f64> = self.parameters.iter().map(|p| p.value).collect();
-        let p = self.structure.n_params();
-        if theta.len() != p {
-            return Err(StructureError::Orders {
-                output: self.output.name.clone(),
-                found: theta.len(),
-                expected: p,
-                inputs: self.inputs.iter().map(|q| q.name.clone()).collect(),
-            });
-        }
-        Fitted::new(self.structure.clone(), theta)
-    }
-}
-
-/// A channel of a model.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Quantity {
-    /// Name.
-    pub name: String,
-    /// Unit.
-    pub unit: String,
-}
-
-/// One estimated parameter.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Parameter {
-    /// Regressor that it multiplies.
-    pub name: String,
-    /// Value.
-    pub value: f64,
-    /// Standard error; absent where the data do not determine the parameter.
-    pub std_error: Option<f64>,
-}
+use super::curves::InputCurves;
+use super::finding::Finding;
 
 /// Fit numbers over all scored samples of all records of one part together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,6 +25,9 @@ pub struct Score {
     pub kind: Kind,
     /// What it is compared with (measured: noisy).
     pub reference: Reference,
+    /// Whether a free run leaves everything that was measured: the numbers then say only that.
+    #[serde(default)]
+    pub outside: bool,
     /// Number of records.
     pub records: usize,
     /// Number of scored samples.
@@ -117,6 +48,18 @@ pub struct Score {
     pub nrmse_fit_percent: Option<f64>,
     /// Unit of the output.
     pub unit: String,
+    /// How the errors of a free run are spread.
+    #[serde(default)]
+    pub histogram: Option<Histogram>,
+}
+
+/// Numbers of errors in cells of equal width; what lies beyond the ends is in the cells there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Histogram {
+    /// Middle of each cell, in the unit of the output.
+    pub centres: Vec<f64>,
+    /// Errors in it.
+    pub counts: Vec<usize>,
 }
 
 /// What the one-step errors of a part still hold.
@@ -141,6 +84,19 @@ pub struct Path {
     pub kept: usize,
     /// All steps.
     pub steps: Vec<Step>,
+}
+
+/// Scores of a linear model from the same records.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Baseline {
+    /// Structure in words.
+    pub structure: String,
+    /// Part of the data that is scored.
+    pub part: String,
+    /// Root of the mean squared error of the free run, in the unit of the output; absent where it diverges.
+    pub rmse: Option<f64>,
+    /// `1 - SSE / SST` in percent.
+    pub r2_percent: Option<f64>,
 }
 
 /// One modelled output.
@@ -170,6 +126,12 @@ pub struct Modelled {
     pub selection: Option<Path>,
     /// Residual correlations, of the estimation and the last unseen part.
     pub residuals: Vec<ResidualTests>,
+    /// A linear model from the same records: what every other one has to beat.
+    #[serde(default)]
+    pub baseline: Option<Baseline>,
+    /// What the model does at rest, after a step and over frequency, input by input.
+    #[serde(default)]
+    pub curves: Vec<InputCurves>,
     /// Spread, stability, boundary.
     pub after: After,
     /// Model file, relative to the run folder.
@@ -183,12 +145,21 @@ pub struct Identified {
     pub verb: String,
     /// Name of the run.
     pub name: String,
-    /// Whether the models may be used without a warning: converged, and every free run finite.
+    /// What came out, against what, and what to do next, in sentences.
+    #[serde(default)]
+    pub verdict: Vec<String>,
+    /// Whether the models may be used: no finding is a fault.
     pub valid: bool,
-    /// What the user should know, most important first.
+    /// Findings that are faults or warnings, as sentences, most important first.
     pub warnings: Vec<String>,
+    /// What the user should know, graded, most important first.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
     /// What was done to the records of each part before the fit; empty where nothing was.
     pub preparation: Vec<Prepared>,
+    /// Level of confidence of intervals and bounds.
+    #[serde(default)]
+    pub confidence: f64,
     /// What the estimation records say before the fit; absent for models that are only scored.
     pub before: Option<Before>,
     /// One for each target.
@@ -234,4 +205,9 @@ pub struct RecordFile {
     pub data: Seen,
     /// File, relative to the run folder.
     pub file: String,
+}
+
+/// A file of the step, relative to the run folder.
+pub(crate) fn in_step(name: &str) -> String {
+    format!("steps/01-identify/{name}")
 }

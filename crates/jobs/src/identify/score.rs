@@ -10,10 +10,11 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::prepare::Note;
 use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation};
 
-use super::job::IdentifyError;
+use super::error::IdentifyError;
+use super::finding::{Finding, Grade};
 use super::load::Part;
 use super::prepare::{own_unit, restored};
-use super::result::{RecordFile, ResidualTests, Score};
+use super::result::{Histogram, RecordFile, ResidualTests, Score};
 use super::set::{Member, Set};
 use super::spec::Validation;
 
@@ -27,22 +28,39 @@ pub struct Scored {
     pub scores: Vec<Score>,
     /// Residual correlations of each target, as the kinds asked for say.
     pub residuals: Vec<(String, ResidualTests)>,
-    /// Free runs that leave the finite.
-    pub diverged: Vec<String>,
+    /// Free runs that leave everything measured.
+    pub findings: Vec<Finding>,
     /// Files written.
     pub records: Vec<RecordFile>,
 }
+
+/// What is known of the model of one target before it is scored.
+#[derive(Clone, Debug)]
+pub struct Judged {
+    /// Which of its errors should be white.
+    pub minimised: Kind,
+    /// Least and greatest value of the output in the estimation, in its own unit.
+    pub range: [f64; 2],
+    /// What helps against a free run that diverges.
+    pub advice: String,
+}
+
+/// A free run that leaves the measured range by more than so many times its width says nothing any more: a mean would be
+/// better by an order of magnitude.
+const BEYOND: f64 = 3.0;
 
 /// Errors of one target and kind of output over all records of a part.
 #[derive(Default)]
 struct Errors {
     z: Vec<f64>,
     computed: Vec<f64>,
+    /// Whether a free run leaves everything measured.
+    outside: bool,
     /// Inputs of the same samples, one after the other.
     u: Vec<Vec<f64>>,
 }
 
-/// Scores `set` on `part`; `minimised` says of each target which of its errors should be white. Records go to `dir`.
+/// Scores `set` on `part`. Records go to `dir`.
 ///
 /// # Errors
 /// [`IdentifyError`]: a record too short to score, or files.
@@ -50,7 +68,7 @@ pub fn score(
     part: &Part,
     notes: &[Note],
     set: &Set,
-    minimised: &[Kind],
+    judged: &[Judged],
     v: &Validation,
     bounds: &Bounds,
     dir: &Path,
@@ -76,12 +94,13 @@ pub fn score(
                 restored(notes, d, &set.members[k].target, &mut found)?;
                 let target = &set.members[k].target;
                 if *kind == Kind::FreeRun
-                    && let Some(text) = diverged(&shaped[k], &found, target, &part.name)
+                    && let Some(text) = diverged(&shaped[k], &measured[k], &found, &judged[k], &part.name)
                 {
-                    scored.diverged.push(text);
+                    scored.findings.push(Finding::new(Grade::Fault, target.as_str(), text));
+                    errors.entry((k, j)).or_default().outside = true;
                 }
                 let first = set.members[k].model.first(&shaped[k]);
-                let inputs = (minimised[k] == *kind).then_some(shaped[k].u.as_slice());
+                let inputs = (judged[k].minimised == *kind).then_some(shaped[k].u.as_slice());
                 errors.entry((k, j)).or_default().add(&measured[k], &found, first, inputs);
                 if let Some(label) = label(*kind) {
                     kept.push((format!("{target}_{label}"), own_unit(notes, d, target)?, found));
@@ -110,7 +129,7 @@ pub fn score(
         let member = &set.members[k];
         let unit = own_unit(notes, &part.records[0], &member.target)?;
         scored.scores.push(e.score(part, &member.target, kinds[j], v, unit));
-        if minimised[k] == kinds[j] {
+        if judged[k].minimised == kinds[j] {
             let tests = e.tests(part, &member.inputs, kinds[j], v.residual_lags);
             scored.residuals.push((member.target.clone(), tests));
         }
@@ -150,6 +169,7 @@ impl Errors {
             data: part.seen,
             kind,
             reference: Reference::Noisy,
+            outside: self.outside,
             records: part.records.len(),
             samples: s.samples,
             rmse: finite(s.rmse),
@@ -160,6 +180,7 @@ impl Errors {
             r2_percent: finite(100.0 * s.r2),
             nrmse_fit_percent: finite(100.0 * s.nrmse_fit),
             unit,
+            histogram: (kind == Kind::FreeRun).then(|| histogram(&z, &computed)).flatten(),
         }
     }
 
@@ -180,6 +201,27 @@ impl Errors {
             cross: cross.collect(),
         }
     }
+}
+
+/// Cells of a histogram; odd, so that zero is the middle of one.
+const CELLS: usize = 25;
+
+/// Errors (measured minus computed) in cells out to the 99th percentile of their size.
+fn histogram(z: &[f64], computed: &[f64]) -> Option<Histogram> {
+    let errors: Vec<f64> = z.iter().zip(computed).map(|(z, c)| z - c).filter(|e| e.is_finite()).collect();
+    let mut sizes: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let reach = *sizes.get((sizes.len() * 99) / 100)?;
+    if reach <= 0.0 {
+        return None;
+    }
+    let width = 2.0 * reach / CELLS as f64;
+    let mut counts = vec![0; CELLS];
+    for e in &errors {
+        counts[(((e + reach) / width).floor().max(0.0) as usize).min(CELLS - 1)] += 1;
+    }
+    let centres = (0..CELLS).map(|k| -reach + (k as f64 + 0.5) * width).collect();
+    Some(Histogram { centres, counts })
 }
 
 /// Measured outputs of all targets in their own units.
@@ -205,13 +247,25 @@ fn label(kind: Kind) -> Option<&'static str> {
     }
 }
 
-fn diverged(e: &Experiment, found: &[f64], target: &str, part: &str) -> Option<String> {
-    let known = |t: usize| e.y[t].is_nan();
-    let t = (0..found.len()).find(|t| !found[*t].is_finite() && !known(*t))?;
-    Some(format!(
-        "the free run of the model of `{target}` diverges on {part} record `{}` from sample {t} on: use the estimator `sem` or fewer output terms",
-        e.name
-    ))
+/// What is wrong with a free run that is not finite or far from everything that was measured.
+fn diverged(e: &Experiment, measured: &[f64], found: &[f64], judged: &Judged, part: &str) -> Option<String> {
+    let known = |t: &usize| !e.y[*t].is_nan();
+    let (low, high) = measured
+        .iter()
+        .chain(&judged.range)
+        .filter(|v| v.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    let width = if high > low { high - low } else { high.abs().max(1.0) };
+    let out = |v: f64| (v - high).max(low - v).max(0.0) / width;
+    let far = |t: &usize| !found[*t].is_finite() || out(found[*t]) > BEYOND;
+    let t = (0..found.len()).filter(known).find(far)?;
+    let most = found.iter().map(|v| if v.is_finite() { out(*v) } else { f64::INFINITY }).fold(0.0, f64::max);
+    let how = if most.is_finite() {
+        format!("leaves the measured range by {most:.1} times its width")
+    } else {
+        "diverges".into()
+    };
+    Some(format!("the free run {how} on {part} record `{}`, from sample {t} on: {}", e.name, judged.advice))
 }
 
 fn long_enough(set: &Set, shaped: &[Experiment]) -> Result<(), DataError> {

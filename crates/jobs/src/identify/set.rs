@@ -6,10 +6,9 @@
 
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::fitted::Fitted;
 use dynocal_ident::model::{Model, Run};
 use dynocal_ident::validate::Kind;
-
-use super::stored::Fitted;
 
 /// One model of the set.
 #[derive(Clone, Debug)]
@@ -159,13 +158,12 @@ fn piece(e: &Experiment, from: usize, to: usize) -> Experiment {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identify::stored::Stored;
     use dynocal_ident::data::{Channel, Role};
     use dynocal_ident::model::poly::PolyNarx;
 
     fn member(target: &str, inputs: &[&str], terms: &[&str], theta: &[f64]) -> Member {
         let model = PolyNarx::parse(inputs, target, terms).unwrap();
-        let model = Fitted::new(Stored::Polynomial(model), theta.to_vec()).unwrap();
+        let model = Fitted::new(model, theta.to_vec()).unwrap();
         Member { target: target.into(), inputs: inputs.iter().map(|s| s.to_string()).collect(), model }
     }
 

@@ -1,5 +1,6 @@
 //! The spec of an identification: as typed, and as understood.
 
+mod derive;
 mod member;
 mod model;
 mod saved;
@@ -13,14 +14,14 @@ use std::path::{Path, PathBuf};
 
 use dynocal_files::dataset::Layout;
 use dynocal_files::spec::{Faults, LoadError, SpecError, load};
+use dynocal_ident::stored::StoredModel;
 use serde::Serialize;
-
-use super::result::ModelFile;
 
 use typed::Typed;
 
+pub use derive::DeriveSpec;
 pub use member::built;
-pub use model::{Family, PEM, Selecting, StructureSpec, Target};
+pub use model::{Selecting, StructureSpec, Target};
 pub use source::{Source, StepSpec, TestSet};
 pub use split::Split;
 pub use validation::Validation;
@@ -53,6 +54,8 @@ pub struct Job {
     pub split: Split,
     /// Test records in files of their own.
     pub tests: Vec<TestSet>,
+    /// Channels that follow from others.
+    pub derive: Vec<DeriveSpec>,
     /// Steps of the preparation.
     pub prepare: Vec<StepSpec>,
     /// What is identified.
@@ -62,7 +65,7 @@ pub struct Job {
     /// Seed of what the validation draws.
     pub seed: u64,
     /// Models that are scored instead of estimated; none for an estimation.
-    pub saved: Vec<ModelFile>,
+    pub saved: Vec<StoredModel>,
     /// Run folder.
     pub out: PathBuf,
 }
@@ -99,12 +102,14 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let sources = source::sources(data, &place, &over.data, faults);
     let channels = source::channels(t.channels.as_deref().unwrap_or(&[]), faults);
     let names: Vec<String> = channels.iter().map(|c| c.name.clone()).collect();
+    let derive = derive::derive(t.derive.as_deref().unwrap_or(&[]), &channels, faults);
+    let all: Vec<_> = channels.iter().cloned().chain(derive::as_channels(&derive)).collect();
     let prepare = source::steps(t.prepare.as_deref().unwrap_or(&[]), faults);
     let resampled = prepare.iter().any(|s| s.step == "resample");
     let layout = data.and_then(|d| source::layout(d, channels.clone(), resampled, faults));
     let split = split::split(t.split.as_ref(), faults);
     let tests = source::tests(t.test.as_deref().unwrap_or(&[]), &names, &place, faults);
-    let targets = model::targets(t.model.as_ref(), &channels, over.seed, faults);
+    let targets = model::targets(t.model.as_ref(), &all, over.seed, faults);
     let target_names: Vec<String> = targets.iter().flatten().map(|t| t.target.clone()).collect();
     let validate = validation::validation(t.validate.as_ref(), &target_names, faults);
     let name = t.name.clone().unwrap_or_else(|| stem.to_string());
@@ -117,6 +122,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         multisine_period: data.and_then(|d| d.multisine_period),
         split: split?,
         tests,
+        derive,
         prepare,
         targets: targets?,
         validate,
@@ -134,6 +140,7 @@ impl Job {
             ("multisine_period", serde_json::json!(self.multisine_period)),
             ("split", serde_json::json!(self.split)),
             ("tests", serde_json::json!(tests)),
+            ("derive", serde_json::json!(self.derive)),
             ("prepare", serde_json::json!(self.prepare)),
             ("targets", serde_json::json!(self.targets)),
             ("validate", serde_json::json!(self.validate)),

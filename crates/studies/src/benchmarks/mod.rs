@@ -10,7 +10,8 @@ use std::path::PathBuf;
 
 use crate::StudyError;
 use dynocal_ident::validate::{Kind, Seen};
-use dynocal_jobs::identify::job::{self, IdentifyError};
+use dynocal_jobs::identify::error::IdentifyError;
+use dynocal_jobs::identify::job;
 use dynocal_jobs::identify::result::Score;
 use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_numerics::registry::MemberDoc;

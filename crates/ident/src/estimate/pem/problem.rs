@@ -140,8 +140,8 @@ fn record<'a>(
         (std::borrow::Cow::Owned(whole), missing)
     };
     let lag = e.init_samples.max(model.max_lag());
-    let measured = initial == Initial::Data && (model.na == 0 || model.orders.iter().all(|o| o.nf == 0));
-    let first = if initial == Initial::Zero { e.init_samples } else { lag };
+    let measured = initial == Initial::Measured && (model.na == 0 || model.orders.iter().all(|o| o.nf == 0));
+    let first = if initial == Initial::Rest { e.init_samples } else { lag };
     if first >= e.len() {
         let why = format!("{first} samples initialise, one must be left");
         return Err(
@@ -150,13 +150,13 @@ fn record<'a>(
     }
     let mut states = Vec::new();
     let errors = match initial {
-        Initial::Data if measured => {
+        Initial::Measured if measured => {
             // What stands before the first prediction is taken as it is.
             missing.outputs.retain(|t| *t >= first);
             missing.inputs.retain(|(_, t)| *t >= first);
             PredictionErrors::from_measured(model, &whole.u, &whole.y, first)
         }
-        Initial::Zero => PredictionErrors::new(model, &whole.u, &whole.y),
+        Initial::Rest => PredictionErrors::new(model, &whole.u, &whole.y),
         _ => {
             for (i, o) in model.orders.iter().enumerate() {
                 states.extend((0..o.nf).map(|j| (Unknown::InputState(i), first + j)));

@@ -3,8 +3,7 @@
 use super::{Train, Training};
 use crate::estimate::EstimateError;
 use crate::experiment::Experiment;
-use crate::model::Model;
-use crate::validate::{Kind, output};
+use crate::model::{Kind, Model, output};
 
 /// The `count` best parameter vectors of a training by selection score, the best first; diverged starts are left out.
 pub fn best(training: &Training, count: usize) -> Vec<&[f64]> {

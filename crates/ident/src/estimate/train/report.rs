@@ -37,8 +37,28 @@ pub(super) fn training(
         if job.model.is_linear_in_params() { CovarianceChoice::Auto } else { CovarianceChoice::White };
     let mut task = Task::new(job.model, job.data, job.weights);
     task.estimate.clone_from(&outcome.x);
-    let fit = Fit::new(found, &mut task, fitted, choice, Cost::SQUARED)?;
+    let mut fit = Fit::new(found, &mut task, fitted, choice, Cost::SQUARED)?;
+    fit.notes.extend(spread(&scores));
+    fit.starts.clone_from(&scores);
     Ok(Training { fit, thetas, scores, test_scores, best })
+}
+
+/// How far the starts of a training lie apart: one number for a result that depends on the draw is half of it.
+fn spread(scores: &[f64]) -> Option<String> {
+    let mut errors: Vec<f64> = scores.iter().filter(|s| s.is_finite()).map(|s| s.sqrt()).collect();
+    errors.sort_by(f64::total_cmp);
+    let (best, worst) = (errors.first()?, errors.last()?);
+    if scores.len() < 2 {
+        return None;
+    }
+    let median = 0.5 * (errors[(errors.len() - 1) / 2] + errors[errors.len() / 2]);
+    let lost = scores.len() - errors.len();
+    let diverged = if lost > 0 { format!("; {lost} diverged") } else { String::new() };
+    Some(format!(
+        "{} starts: RMSE on the samples that select {best:.4} for the best, {median:.4} for the median, {worst:.4} for the worst \
+         (in the unit of the prepared output){diverged}; another seed gives another best",
+        scores.len()
+    ))
 }
 
 /// Says on which record and from which sample on the first start diverges.

@@ -1,17 +1,17 @@
 //! Training as a row of the table of estimators.
 
-use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 
 use super::Train;
-use crate::estimate::Estimator;
+use crate::estimate::table::{EstimatorRow, Fits, Gaps};
 
 /// Row of the table.
-pub(in crate::estimate) const MEMBER: Member<dyn Estimator> = Member {
+pub(in crate::estimate) const ROW: EstimatorRow = EstimatorRow {
     doc: MemberDoc {
         name: "train",
         what: "simulation error from several starts in parallel with early stopping on selection samples (networks)",
         params: &[
-            ParamDoc { name: "starts", unit: "-", default: "8", what: "number of starts" },
+            ParamDoc { name: "starts", unit: "-", default: "12", what: "number of starts" },
             ParamDoc {
                 name: "start",
                 unit: "-",
@@ -74,6 +74,12 @@ pub(in crate::estimate) const MEMBER: Member<dyn Estimator> = Member {
                 what: "relative spread of further starts of a model without random ones",
             },
             ParamDoc {
+                name: "initial",
+                unit: "-",
+                default: "measured",
+                what: "where free runs start: `measured` outputs, or `rest`",
+            },
+            ParamDoc {
                 name: "seed",
                 unit: "-",
                 default: "0",
@@ -81,5 +87,7 @@ pub(in crate::estimate) const MEMBER: Member<dyn Estimator> = Member {
             },
         ],
     },
+    fits: Fits::Narx,
+    gaps: Gaps::Bridged { free_run: true },
     build: |keys| Ok(Box::new(registry::keys::<Train>("train", keys)?)),
 };

@@ -24,6 +24,15 @@ pub enum Start {
     Linear,
 }
 
+/// A start of the caller's.
+#[derive(Clone, Copy)]
+pub(super) enum Given<'a> {
+    /// In place of the first.
+    First(Option<&'a [f64]>),
+    /// One more.
+    Beside(Option<&'a [f64]>),
+}
+
 /// Ridge of the linear start, relative to the regressors: keeps copies of slow channels from cancelling each other.
 const LINEAR_RIDGE: f64 = 1e-10;
 
@@ -34,21 +43,22 @@ pub(super) fn all(
     data: &[Experiment],
     samples: usize,
     task: &mut Task,
-    given: Option<&[f64]>,
+    given: Given,
 ) -> Result<Vec<Vec<f64>>, EstimateError> {
-    if let Some(theta) = given.filter(|theta| theta.len() != model.n_params()) {
+    let (Given::First(theta) | Given::Beside(theta)) = given;
+    if let Some(theta) = theta.filter(|theta| theta.len() != model.n_params()) {
         return Err(EstimateError::Start { found: theta.len(), expected: model.n_params() });
     }
     let drawn = |i: usize, task: &mut Task| -> Result<Option<Vec<f64>>, EstimateError> {
         let mut rng = Rng64::stream(train.seed, i as u64);
         if train.start != Start::Linear {
-            return Ok(model.random_start(&mut rng));
+            return Ok(model.drawn().map(|d| d.random_start(&mut rng)));
         }
         linear(model, task, &mut rng).map(Some)
     };
     let first = match given {
-        Some(theta) => theta.to_vec(),
-        None => match drawn(0, task)? {
+        Given::First(Some(theta)) => theta.to_vec(),
+        _ => match drawn(0, task)? {
             Some(theta) => theta,
             None => {
                 let mut problem = SimulationError::new(model, data, 0.0, samples);
@@ -64,13 +74,16 @@ pub(super) fn all(
         };
         starts.push(drawn(i, task)?.unwrap_or_else(around));
     }
+    if let Given::Beside(Some(theta)) = given {
+        starts.push(theta.to_vec());
+    }
     Ok(starts)
 }
 
 /// The linear path by least squares; shrunk until its free run is finite.
 fn linear(model: &dyn Model, task: &mut Task, rng: &mut Rng64) -> Result<Vec<f64>, EstimateError> {
     let missing = || EstimateError::NoLinearPath { model: short_name(&names(model)) };
-    let path = model.linear_path(rng).ok_or_else(missing)?;
+    let path = model.drawn().and_then(|d| d.linear_path(rng)).ok_or_else(missing)?;
     let fitted = task.fit_linear(&path.theta, &path.places, LINEAR_RIDGE).unwrap_or(path.theta);
     for gain in [1.0, 0.98, 0.9, 0.7, 0.4] {
         let mut theta = fitted.clone();

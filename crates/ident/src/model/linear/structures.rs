@@ -1,25 +1,29 @@
-//! The table of linear structures with noise models: from a name and keys in a spec to a model for given channels.
+//! Linear structures with noise models as rows of the table of model kinds, and their form in a file.
 //!
-//! It stands beside [`crate::model::structures::MODEL_STRUCTURES`] because these models are estimated by prediction
-//! errors of their own ([`crate::estimate::pem`]); what leaves them is a NARX model like all others
-//! ([`LinearModel::deterministic`]).
+//! They are estimated by prediction errors of their own (estimator `pem`); what leaves them is a NARX model like all
+//! others ([`LinearModel::deterministic`]).
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc, ParamDoc};
+use dynocal_numerics::registry::{self, BuildError, MemberDoc, ParamDoc};
 use serde::Deserialize;
 
 use super::{InputOrders, LinearModel};
+use crate::experiment::Experiment;
+use crate::model::form::{Form, FormRow};
+use crate::model::initial::Initial;
+use crate::model::kinds::{ModelKind, Structure};
 use crate::model::poly::StructureError;
 
-/// A linear structure before it knows its channels.
-pub trait LinearStructure: Send + Sync {
-    /// The model of `output` driven by `inputs`.
-    ///
-    /// # Errors
-    /// [`StructureError`] when an order is given for a channel that is not an input, or nothing is left to estimate.
-    fn model(&self, inputs: &[String], output: &str) -> Result<LinearModel, StructureError>;
-}
+/// The form in a file. Its poles are those of the system and may be slow: the noise of a measured start would be carried
+/// through the whole run.
+pub(super) static FORM: FormRow = FormRow {
+    name: "linear",
+    narx: false,
+    initial: Initial::Estimated,
+    read: |text| Ok(Arc::new(serde_json::from_value::<LinearModel>(text)?)),
+};
 
 const NA: ParamDoc =
     ParamDoc { name: "na", unit: "samples", default: "2", what: "order of A (past outputs)" };
@@ -47,47 +51,29 @@ const ND: ParamDoc =
     ParamDoc { name: "nd", unit: "samples", default: "1", what: "order of D (noise denominator)" };
 
 /// One row: which orders the structure has is what its `params` list.
-macro_rules! member {
-    ($name:literal, $what:literal, $params:expr) => {
-        Member {
+macro_rules! linear_kind {
+    ($row:ident, $name:literal, $what:literal, $params:expr) => {
+        /// Row of the table.
+        pub(in crate::model) const $row: ModelKind = ModelKind {
             doc: MemberDoc { name: $name, what: $what, params: $params },
+            form: &FORM,
             build: |keys| build($name, $params, keys),
-        }
+        };
     };
 }
 
-/// All linear structures.
-pub static LINEAR_STRUCTURES: &[Member<dyn LinearStructure>] = &[
-    member!("arx", "A y = sum B u + e", &[NA, NB, NK]),
-    member!("armax", "A y = sum B u + C e", &[NA, NB, NC, NK]),
-    member!("oe", "output error: y = sum B/F u + e", &[NB, NF, NK]),
-    member!("bj", "Box-Jenkins: y = sum B/F u + C/D e", &[NB, NC, ND, NF, NK]),
-    member!("fir_arma", "FIR with ARMA noise: y = sum B u + C/D e", &[NB, NC, ND, NK]),
-    member!("arma", "time series without inputs: y = C/D e", &[NC, ND]),
-    member!("linear", "the general form: A y = sum B/F u + C/D e", &[NA, NB, NC, ND, NF, NK]),
-];
-
-/// Builds the linear structure `name` from the keys of a spec.
-///
-/// ```
-/// use dynocal_ident::model::linear::structures::linear_structure;
-/// let keys = "nb = 1\nnf = { inj = 1, spark = 2 }\nnk = { inj = 5 }".parse().unwrap();
-/// let model = linear_structure("oe", &keys)?.model(&["inj".into(), "spark".into()], "torque").unwrap();
-/// assert_eq!(model.param_names(), ["b0(inj)", "b0(spark)", "f1(inj)", "f1(spark)", "f2(spark)"]);
-/// assert_eq!((model.orders[0].nk, model.orders[1].nk), (5, 1));
-/// # Ok::<(), dynocal_numerics::registry::BuildError>(())
-/// ```
-///
-/// # Errors
-/// [`BuildError`] with the nearest known name.
-pub fn linear_structure(name: &str, keys: &toml::Table) -> Result<Box<dyn LinearStructure>, BuildError> {
-    registry::build("linear structure", LINEAR_STRUCTURES, name, keys)
-}
-
-/// Documentation of all linear structures.
-pub fn docs() -> Vec<MemberDoc> {
-    LINEAR_STRUCTURES.iter().map(|m| m.doc).collect()
-}
+linear_kind!(
+    LINEAR_ARX,
+    "linear_arx",
+    "A y = sum B u + e: as `arx`, but without constant, with orders of each input, and missing samples are estimated",
+    &[NA, NB, NK]
+);
+linear_kind!(ARMAX, "armax", "A y = sum B u + C e", &[NA, NB, NC, NK]);
+linear_kind!(OE, "oe", "output error: y = sum B/F u + e", &[NB, NF, NK]);
+linear_kind!(BJ, "bj", "Box-Jenkins: y = sum B/F u + C/D e", &[NB, NC, ND, NF, NK]);
+linear_kind!(FIR_ARMA, "fir_arma", "FIR with ARMA noise: y = sum B u + C/D e", &[NB, NC, ND, NK]);
+linear_kind!(ARMA, "arma", "time series without inputs: y = C/D e", &[NC, ND]);
+linear_kind!(LINEAR, "linear", "the general linear form: A y = sum B/F u + C/D e", &[NA, NB, NC, ND, NF, NK]);
 
 /// One order for all inputs, or one for each that is named.
 #[derive(Clone, Debug, Deserialize)]
@@ -141,7 +127,7 @@ fn build(
     name: &'static str,
     params: &'static [ParamDoc],
     keys: &toml::Table,
-) -> Result<Box<dyn LinearStructure>, BuildError> {
+) -> Result<Box<dyn Structure>, BuildError> {
     let known = |key: &str| params.iter().find(|p| p.name == key);
     if let Some(key) = keys.keys().find(|k| known(k).is_none()) {
         let names: Vec<&str> = params.iter().map(|p| p.name).collect();
@@ -168,8 +154,13 @@ fn build(
     }))
 }
 
-impl LinearStructure for Checked {
-    fn model(&self, inputs: &[String], output: &str) -> Result<LinearModel, StructureError> {
+impl Structure for Checked {
+    fn form(
+        &self,
+        inputs: &[String],
+        output: &str,
+        _data: &[Experiment],
+    ) -> Result<Arc<dyn Form>, StructureError> {
         let inputs = if self.with_inputs { inputs } else { &[] };
         for (what, table) in [("nb", &self.nb.0), ("nf", &self.nf.0), ("nk", &self.nk.0)] {
             if let Some(found) = table.unknown(inputs) {
@@ -195,6 +186,6 @@ impl LinearStructure for Checked {
             nd: self.nd,
         };
         model.check()?;
-        Ok(model)
+        Ok(Arc::new(model))
     }
 }

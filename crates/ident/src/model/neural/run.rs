@@ -6,7 +6,7 @@ use dynocal_numerics::status::Status;
 
 use super::NeuralNarx;
 use super::network::Pass;
-use crate::model::{LinearPath, Model, Run, TakeRows};
+use crate::model::{Drawn, LinearPath, Model, Run, TakeRows};
 
 impl NeuralNarx {
     /// Regressors of sample t with past outputs `y`, then the neurons; returns the output in its unit.
@@ -64,6 +64,19 @@ impl NeuralNarx {
     }
 }
 
+impl Drawn for NeuralNarx {
+    fn random_start(&self, rng: &mut Rng64) -> Vec<f64> {
+        self.random_start(rng)
+    }
+
+    fn linear_path(&self, rng: &mut Rng64) -> Option<LinearPath> {
+        let places = self.network.linear_path()?;
+        let mut theta = self.random_start(rng);
+        theta[self.network.output_weights()].fill(0.0);
+        Some(LinearPath { theta, places: places.collect() })
+    }
+}
+
 impl Model for NeuralNarx {
     fn n_inputs(&self) -> usize {
         self.inputs.len()
@@ -83,6 +96,7 @@ impl Model for NeuralNarx {
 
     fn param_name(&self, k: usize) -> String {
         self.network.param_name(k, &|place| match self.window.get(place) {
+            Some(&(i, 0)) => format!("{}(t)", self.inputs[i]),
             Some(&(i, lag)) => format!("{}(t-{lag})", self.inputs[i]),
             None => format!("{}(t-{})", self.output, place + 1 - self.window.len()),
         })
@@ -92,15 +106,8 @@ impl Model for NeuralNarx {
         false
     }
 
-    fn random_start(&self, rng: &mut Rng64) -> Option<Vec<f64>> {
-        Some(self.draw(rng))
-    }
-
-    fn linear_path(&self, rng: &mut Rng64) -> Option<LinearPath> {
-        let places = self.network.linear_path()?;
-        let mut theta = self.draw(rng);
-        theta[self.network.output_weights()].fill(0.0);
-        Some(LinearPath { theta, places: places.collect() })
+    fn drawn(&self) -> Option<&dyn Drawn> {
+        Some(self)
     }
 
     fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status {

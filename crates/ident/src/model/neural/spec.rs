@@ -1,19 +1,22 @@
-//! The network as a row of the table of model structures.
+//! The network as a row of the table of model kinds, and its form in a file.
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::sync::Arc;
 
-use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use serde::de::{self, Deserialize, Deserializer, SeqAccess, Visitor};
 
 use super::{Activation, Layout, NeuralNarx, Scaling};
 use crate::experiment::Experiment;
 use crate::model::Model;
-use crate::model::poly::{PolyNarx, StructureError};
-use crate::model::structures::Structure;
+use crate::model::form::{Driven, Form, FormRow};
+use crate::model::initial::Initial;
+use crate::model::kinds::{ModelKind, Structure};
+use crate::model::poly::StructureError;
 
 /// Row of the table.
-pub(in crate::model) const MEMBER: Member<dyn Structure> = Member {
+pub(in crate::model) const KIND: ModelKind = ModelKind {
     doc: MemberDoc {
         name: "neural",
         what: "neural NARX: layers of neurons over lagged inputs and outputs, channels scaled inside",
@@ -68,6 +71,7 @@ pub(in crate::model) const MEMBER: Member<dyn Structure> = Member {
             },
         ],
     },
+    form: &FORM,
     build: |keys| Ok(Box::new(registry::keys::<Neural>("neural", keys)?)),
 };
 
@@ -109,6 +113,14 @@ impl Neural {
         let names: Vec<&str> = inputs.iter().map(String::as_str).collect();
         self.known(self.lags.keys(), &names)?;
         self.known(self.ranges.keys(), &[&names[..], &[output]].concat())?;
+        if let Some((input, [first, last])) = self.lags.iter().find(|(_, [first, last])| *first > last + 1) {
+            return Err(StructureError::Range {
+                text: format!("lags of `{input}`"),
+                what: "first lag",
+                found: *first,
+                expected: format!("at most the last lag {last} ([first, last]; [1, 0] for none)"),
+            });
+        }
         let lags = |name: &str| self.lags.get(name).copied().unwrap_or([1, self.input_lags]);
         let layout = Layout {
             hidden: self.hidden.0.clone(),
@@ -141,31 +153,56 @@ impl Neural {
     }
 }
 
+/// The form in a file.
+static FORM: FormRow = FormRow {
+    name: "neural",
+    narx: true,
+    initial: Initial::Measured,
+    read: |text| Ok(Arc::new(serde_json::from_value::<NeuralNarx>(text)?)),
+};
+
 impl Structure for Neural {
-    fn model(&self, inputs: &[String], output: &str) -> Result<Box<dyn Model>, StructureError> {
-        Ok(Box::new(self.build(inputs, output, &[])?))
-    }
-
-    fn model_on(
+    fn form(
         &self,
         inputs: &[String],
         output: &str,
         data: &[Experiment],
-    ) -> Result<Box<dyn Model>, StructureError> {
-        Ok(Box::new(self.build(inputs, output, data)?))
+    ) -> Result<Arc<dyn Form>, StructureError> {
+        Ok(Arc::new(self.build(inputs, output, data)?))
+    }
+}
+
+impl Form for NeuralNarx {
+    fn row(&self) -> &'static FormRow {
+        &FORM
     }
 
-    fn polynomial(&self, _inputs: &[String], _output: &str) -> Result<Option<PolyNarx>, StructureError> {
-        Ok(None)
+    fn inputs(&self) -> &[String] {
+        &self.inputs
     }
 
-    fn network(
-        &self,
-        inputs: &[String],
-        output: &str,
-        data: &[Experiment],
-    ) -> Result<Option<NeuralNarx>, StructureError> {
-        self.build(inputs, output, data).map(Some)
+    fn output(&self) -> &str {
+        &self.output
+    }
+
+    fn parameter_names(&self) -> Vec<String> {
+        (0..self.n_params()).map(|k| self.param_name(k)).collect()
+    }
+
+    fn memory(&self) -> usize {
+        self.max_lag()
+    }
+
+    fn dynamics(&self) -> Option<&dyn Model> {
+        Some(self)
+    }
+
+    fn driven(&self, theta: &[f64]) -> Result<Option<Driven>, StructureError> {
+        Ok(Some(Driven { model: Arc::new(self.clone()), theta: theta.to_vec() }))
+    }
+
+    fn text(&self) -> Result<serde_json::Value, serde_json::Error> {
+        serde_json::to_value(self)
     }
 }
 

@@ -92,6 +92,18 @@ pub enum StructureError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// Parameters that do not belong to the structure.
+    #[error("the model of `{output}` from {} has {found} parameters, its structure {expected}", .inputs.join(", "))]
+    Parameters {
+        /// Output name.
+        output: String,
+        /// Parameters found.
+        found: usize,
+        /// Parameters of the structure.
+        expected: usize,
+        /// Inputs.
+        inputs: Vec<String>,
+    },
     /// Orders that do not belong to the inputs one to one.
     #[error("the model of `{output}` has orders for {found} inputs, expected {expected}: {}", .inputs.join(", "))]
     Orders {

@@ -33,10 +33,6 @@ impl Model for PolyNarx {
         true
     }
 
-    fn as_polynomial(&self) -> Option<&PolyNarx> {
-        Some(self)
-    }
-
     fn simulate(&self, theta: &[f64], run: &Run, y: &mut [f64]) -> Status {
         pulp::Arch::new().dispatch(FreeRun { program: &self.program, theta, run, y })
     }

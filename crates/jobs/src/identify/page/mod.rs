@@ -1,13 +1,16 @@
 //! The report of an identification: it arranges what the run folder holds and computes nothing.
 
 mod after;
+mod agreement;
 mod before;
+mod curves;
 mod models;
 mod preparation;
 mod records;
 mod residuals;
 mod scores;
 mod selection;
+mod verdict;
 
 use std::path::Path;
 
@@ -26,11 +29,14 @@ pub fn write(found: &Identified, folder: &Path) -> Result<(), PageError> {
     for warning in &found.warnings {
         report = report.warning(warning.as_str());
     }
-    report = report.section(scores::section(found));
+    report = report.section(verdict::section(found)).section(scores::section(found));
     for section in [preparation::section(found, folder)?, before::section(found)].into_iter().flatten() {
         report = report.section(section);
     }
-    report = report.section(records::section(found, folder)?);
+    report = report.section(records::section(found, folder)?).section(agreement::section(found, folder)?);
+    if let Some(section) = curves::section(found) {
+        report = report.section(section);
+    }
     report = report.section(residuals::section(found));
     report = report.section(after::section(found));
     report = report.section(models::section(found));

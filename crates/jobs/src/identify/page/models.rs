@@ -1,5 +1,6 @@
 //! Parameters and the path of the selection.
 
+use crate::identify::judge::in_words;
 use crate::identify::result::{Identified, Modelled};
 use dynocal_report::{Column, Details, KeyValue, Section, Table};
 
@@ -38,7 +39,9 @@ pub(super) fn section(found: &Identified) -> Section {
 /// How the estimate ended, in words.
 pub fn ended(m: &Modelled) -> String {
     match (m.status, m.evaluations) {
-        (Some(status), Some(n)) => format!("{status:?} after {n} evaluations"),
+        (Some(status), Some(n)) => {
+            format!("{} after {n} evaluations", in_words(status).trim_end_matches(','))
+        }
         _ => "read from a file, not estimated".into(),
     }
 }

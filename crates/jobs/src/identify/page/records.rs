@@ -73,10 +73,17 @@ fn plot(found: &Identified, record: &Record, r: &RecordFile) -> Result<TimePlot,
         for side in ["low", "high"] {
             let name = format!("{}_{side}", m.target);
             if record.column(&name).is_ok() {
-                panel = panel.line(format!("{side} bound"), column(&name)?);
+                panel =
+                    panel.line(format!("{side} bound, {:.0} %", 100.0 * found.confidence), column(&name)?);
             }
         }
         plot = plot.panel(panel);
+        if record.column(&free).is_ok() {
+            let errors: Vec<f64> =
+                column(&measured)?.iter().zip(column(&free)?).map(|(z, y)| z - y).collect();
+            plot = plot
+                .panel(Panel::new(format!("error of {}", m.target), unit(&measured)?).line("error", errors));
+        }
     }
     let mut inputs: Vec<&String> = Vec::new();
     for name in found.models.iter().flat_map(|m| &m.inputs) {

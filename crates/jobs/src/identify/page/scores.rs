@@ -47,7 +47,7 @@ fn table(target: &str, unit: &str, scores: &[&Score]) -> Table {
         let number = |x: Option<f64>| x.map_or(Cell::from("diverged"), Cell::from);
         let mut row: Vec<Cell> = vec![
             s.part.as_str().into(),
-            kind_text(s.kind).into(),
+            format!("{}{}", kind_text(s.kind), if s.outside { " (useless: far outside)" } else { "" }).into(),
             s.records.into(),
             s.samples.into(),
             number(s.rmse),

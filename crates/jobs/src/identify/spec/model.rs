@@ -1,10 +1,13 @@
 //! What is identified and how: table `model`.
 
+use std::sync::Arc;
+
 use dynocal_files::dataset::ChannelSpec;
 use dynocal_files::spec::Faults;
 use dynocal_ident::data::Role;
-use dynocal_ident::estimate::{self, narmax, pem};
-use dynocal_ident::model::{linear, structures};
+use dynocal_ident::estimate;
+use dynocal_ident::model::form::Form;
+use dynocal_ident::model::kinds;
 use dynocal_ident::select::{self, pool::PoolKeys};
 use serde::{Deserialize, Serialize};
 
@@ -37,8 +40,6 @@ pub struct StructureSpec {
     pub name: String,
     /// Keys.
     pub keys: toml::Table,
-    /// Which table it stands in.
-    pub family: Family,
 }
 
 impl Target {
@@ -47,22 +48,11 @@ impl Target {
         let number = |n: usize| toml::Value::Integer(i64::try_from(n).unwrap_or(i64::MAX));
         let keys = [("na", na), ("nb", nb), ("nk", nk)].map(|(k, n)| (k.to_string(), number(n)));
         let keys = keys.into_iter().collect();
-        self.structure = StructureSpec { name: "arx".into(), keys, family: Family::Narx };
+        self.structure = StructureSpec { name: "arx".into(), keys };
         self.select = None;
         self.warm_start_samples = 0;
         (self.estimator, self.estimator_keys) = ("ols".into(), toml::Table::new());
     }
-}
-
-/// Kinds of structures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum Family {
-    /// NARX: polynomial or neural.
-    Narx,
-    /// Linear with a noise model, estimated by prediction errors.
-    Linear,
-    /// Polynomial with innovations, estimated by extended least squares.
-    Narmax,
 }
 
 /// How terms are selected.
@@ -80,9 +70,6 @@ pub struct Selecting {
 
 /// Name of the structure that only a pool describes.
 pub(super) const POOL: &str = "pool";
-
-/// Name of the prediction-error estimator of linear models with noise models.
-pub const PEM: &str = pem::PEM.name;
 
 /// All targets of the table; `seed` replaces that of estimators which have one.
 pub(super) fn targets(
@@ -122,14 +109,18 @@ pub(super) fn targets(
             continue;
         }
         localise(&mut keys, name, &all);
-        let family = family(&structure, estimator);
         let inputs = inputs(m, channels, name, &keys);
-        let spec = StructureSpec { name: structure, keys, family };
-        let Some(()) = fits(&key, &spec, &inputs, name, pool.as_ref(), faults) else { continue };
-        agree(&spec, estimator, faults);
-        if m.select.is_some() && family != Family::Narx {
-            let expected = "no selection: terms are selected from NARX structures";
-            faults.push("model.select", format!("the structure `{}`", spec.name), expected);
+        let spec = StructureSpec { name: structure, keys };
+        match &pool {
+            Some(pool) => drop(selected_from(&key, &spec, &inputs, name, pool, faults)),
+            None => {
+                let Some(form) = built_over(&key, &spec, &inputs, name, faults) else { continue };
+                agree(&spec, estimator, faults);
+                if m.select.is_some() && form.polynomial().is_none() {
+                    let expected = "no selection: terms are selected from polynomial structures";
+                    faults.push("model.select", format!("the structure `{}`", spec.name), expected);
+                }
+            }
         }
         out.push(Target {
             target: name.clone(),
@@ -231,90 +222,51 @@ fn localise(keys: &mut toml::Table, target: &str, channels: &[String]) {
     }
 }
 
-/// `arx` stands in both tables: the estimator decides.
-fn family(structure: &str, estimator: &str) -> Family {
-    if structure == narmax::STRUCTURE.name {
-        return Family::Narmax;
-    }
-    let in_linear = linear::structures::LINEAR_STRUCTURES.iter().any(|m| m.doc.name == structure);
-    let in_narx = structures::MODEL_STRUCTURES.iter().any(|m| m.doc.name == structure);
-    if in_linear && (estimator == PEM || !in_narx) { Family::Linear } else { Family::Narx }
-}
-
-/// Whether the structure can be built over these channels.
-fn fits(
+/// The structure over these channels.
+fn built_over(
     key: &str,
     s: &StructureSpec,
     inputs: &[String],
     target: &str,
-    pool: Option<&PoolKeys>,
     faults: &mut Faults,
-) -> Option<()> {
-    if let Some(pool) = pool {
-        let expected = "a pool over the inputs and the target";
-        pool.pool(inputs, target).map_err(|e| faults.push("model.select.pool", e, expected)).ok()?;
-        if s.name == POOL {
-            return Some(());
-        }
-        let expected = "either a pool or a structure that is the pool";
-        faults.push(key, "a pool in model.select as well", expected);
-        return None;
-    }
-    let result = match s.family {
-        Family::Linear => {
-            let built = built(key, "name", linear::structures::linear_structure(&s.name, &s.keys), faults)?;
-            built.model(inputs, target).map(|_| ())
-        }
-        Family::Narmax => {
-            return built(key, "name", crate::identify::fit::narmax(&s.keys, inputs, target), faults)
-                .map(|_| ());
-        }
-        Family::Narx => {
-            let known = structures::MODEL_STRUCTURES.iter().any(|m| m.doc.name == s.name);
-            if !known {
-                let names = structures::MODEL_STRUCTURES.iter().map(|m| m.doc.name);
-                let linear = linear::structures::LINEAR_STRUCTURES.iter().map(|m| m.doc.name);
-                let linear = linear.chain([narmax::STRUCTURE.name]);
-                let mut all: Vec<String> = names.map(str::to_string).collect();
-                for name in linear.map(str::to_string) {
-                    if !all.contains(&name) {
-                        all.push(name);
-                    }
-                }
-                faults.unknown(&format!("{key}.name"), &s.name, &all);
-                return None;
-            }
-            built(key, "name", structures::structure(&s.name, &s.keys), faults)?
-                .model(inputs, target)
-                .map(|_| ())
-        }
-    };
-    result.map_err(|e| faults.push(key, e, "a structure over the inputs and the target")).ok()
+) -> Option<Arc<dyn Form>> {
+    let built = built(key, "name", kinds::kind(&s.name, &s.keys), faults)?;
+    let form = built.form(inputs, target, &[]);
+    form.map_err(|e| faults.push(key, e, "a structure over the inputs and the target")).ok()
 }
 
-/// A structure with a noise model needs the estimator that knows noise models, and the other way round.
-fn agree(s: &StructureSpec, estimator: &str, faults: &mut Faults) {
-    match s.family {
-        Family::Linear if estimator != PEM => {
-            let expected = format!("`{PEM}` for the structure `{}`, which has a noise model", s.name);
-            faults.push("model.estimator.name", format!("`{estimator}`"), expected);
-        }
-        Family::Narmax if estimator != narmax::ELS.name => {
-            let expected = "`els` for the structure `narmax`, which has innovations";
-            faults.push("model.estimator.name", format!("`{estimator}`"), expected);
-        }
-        Family::Narx | Family::Linear if estimator == narmax::ELS.name => {
-            let expected = "`narmax` for the estimator `els`";
-            faults.push("model.structure.name", format!("`{}`", s.name), expected);
-        }
-        Family::Narx if estimator == PEM => {
-            let linear: Vec<&str> =
-                linear::structures::LINEAR_STRUCTURES.iter().map(|m| m.doc.name).collect();
-            let expected = format!("one of {} for the estimator `{PEM}`", linear.join(", "));
-            faults.push("model.structure.name", format!("`{}`", s.name), expected);
-        }
-        _ => {}
+/// The pool over these channels, in place of a structure.
+fn selected_from(
+    key: &str,
+    s: &StructureSpec,
+    inputs: &[String],
+    target: &str,
+    pool: &PoolKeys,
+    faults: &mut Faults,
+) {
+    if let Err(e) = pool.pool(inputs, target) {
+        faults.push("model.select.pool", e, "a pool over the inputs and the target");
     }
+    if s.name != POOL {
+        faults.push(key, "a pool in model.select as well", "either a pool or a structure that is the pool");
+    }
+}
+
+/// Which estimators fit which kinds of models stands in their rows.
+fn agree(s: &StructureSpec, estimator: &str, faults: &mut Faults) {
+    let (Ok(kind), Ok(row)) = (kinds::row(&s.name), estimate::row(estimator)) else { return };
+    if row.fits.covers(kind.form) {
+        return;
+    }
+    let others = estimate::ESTIMATORS.iter().filter(|r| r.fits.covers(kind.form)).map(|r| r.doc.name);
+    let kinds = row.fits.kinds().map(|k| k.doc.name);
+    let expected = format!(
+        "for the structure `{}` one of the estimators {}; `{estimator}` fits {}",
+        s.name,
+        others.collect::<Vec<_>>().join(", "),
+        kinds.collect::<Vec<_>>().join(", ")
+    );
+    faults.push("model.estimator.name", format!("`{estimator}`"), expected);
 }
 
 fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(String, toml::Table)> {
@@ -329,27 +281,11 @@ fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(
             faults.push(&format!("model.{key}"), "the same key in model.estimator", "it in one place");
         }
     }
-    if name == narmax::ELS.name {
-        built("model.estimator", "name", crate::identify::fit::els(&keys), faults)?;
-        return Some((name, keys));
-    }
-    if name == PEM {
-        built("model.estimator", "name", crate::identify::fit::pem(&keys), faults)?;
-        return Some((name, keys));
-    }
-    let doc = estimate::docs().into_iter().find(|d| d.name == name);
-    if let (Some(seed), true) = (seed, doc.is_some_and(|d| d.params.iter().any(|p| p.name == "seed"))) {
+    let row = built("model.estimator", "name", estimate::row(&name), faults)?;
+    if let (Some(seed), true) = (seed, row.doc.params.iter().any(|p| p.name == "seed")) {
         keys.insert("seed".into(), toml::Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
     }
-    if doc.is_none() {
-        let known = estimate::docs()
-            .into_iter()
-            .map(|d| d.name.to_string())
-            .chain([PEM.to_string(), narmax::ELS.name.into()]);
-        faults.unknown("model.estimator.name", &name, &known.collect::<Vec<_>>());
-        return None;
-    }
-    built("model.estimator", "name", estimate::estimator(&name, &keys), faults)?;
+    built("model.estimator", "name", (row.build)(&keys), faults)?;
     Some((name, keys))
 }
 

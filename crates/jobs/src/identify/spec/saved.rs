@@ -3,14 +3,14 @@
 use dynocal_files::FilesError;
 use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, read_table};
 use dynocal_ident::data::Role;
+use dynocal_ident::stored::{Quantity, StoredModel};
 
-use super::model::{Family, StructureSpec, Target};
+use super::derive::DeriveSpec;
+use super::model::{StructureSpec, Target};
 use super::source::Source;
 use super::split::Split;
 use super::validation::Validation;
 use super::{Job, Overrides};
-use crate::identify::result::{ModelFile, Quantity};
-use crate::identify::stored::Stored;
 
 impl Job {
     /// A job without a spec that scores `models` on the data files of the command line: columns have the names of the
@@ -18,7 +18,7 @@ impl Job {
     ///
     /// # Errors
     /// [`FilesError`]: no readable data file.
-    pub fn of_models(models: Vec<ModelFile>, over: &Overrides) -> Result<Self, FilesError> {
+    pub fn of_models(models: Vec<StoredModel>, over: &Overrides) -> Result<Self, FilesError> {
         let sources: Vec<Source> =
             over.data.iter().map(|f| Source { file: f.clone(), format: None }).collect();
         let stamped = match sources.first() {
@@ -32,11 +32,12 @@ impl Job {
             Time::Sampled { sample_time_s }
         };
         let mut channels: Vec<ChannelSpec> = Vec::new();
-        let outputs = models.iter().map(|m| (&m.output, Role::Output));
-        let inputs = models.iter().flat_map(|m| m.inputs.iter().map(|q| (q, Role::Input)));
-        for (q, role) in outputs.chain(inputs) {
-            if !channels.iter().any(|c| c.name == q.name) {
-                channels.push(channel(q, role));
+        let outputs = models.iter().map(|m| (m.user_output(), Role::Output));
+        let all = models.iter().flat_map(|m| m.measured().into_iter().map(|q| (q, Role::Input)));
+        for (q, role) in outputs.chain(all) {
+            let modelled = models.iter().any(|m| m.derived.iter().any(|d| d.name == q.name));
+            if !modelled && !channels.iter().any(|c| c.name == q.name) {
+                channels.push(channel(&q, role));
             }
         }
         let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
@@ -47,6 +48,7 @@ impl Job {
             multisine_period: None,
             split: Split::Rows { estimation: Select::All, selection: None, test: None },
             tests: Vec::new(),
+            derive: Vec::new(),
             prepare: Vec::new(),
             targets: Vec::new(),
             validate: Validation::default(),
@@ -58,8 +60,15 @@ impl Job {
     }
 
     /// The same job with `models` instead of an estimate: all its records are unseen.
-    pub fn with_models(mut self, models: Vec<ModelFile>) -> Self {
+    pub fn with_models(mut self, models: Vec<StoredModel>) -> Self {
         self.targets = models.iter().map(target).collect();
+        for (m, d) in models.iter().flat_map(|m| m.derived.iter().map(move |d| (m, d))) {
+            let role = if m.output.name == d.name { Role::Output } else { Role::Input };
+            self.derive.retain(|own| own.channel.name != d.name || own.channel == *d);
+            if !self.derive.iter().any(|own| own.channel.name == d.name) {
+                self.derive.push(DeriveSpec { channel: d.clone(), role });
+            }
+        }
         self.saved = models;
         self
     }
@@ -75,17 +84,11 @@ fn channel(q: &Quantity, role: Role) -> ChannelSpec {
     }
 }
 
-fn target(m: &ModelFile) -> Target {
-    let (name, family) = match &m.structure {
-        Stored::Polynomial(_) => ("polynomial", Family::Narx),
-        Stored::Neural(_) => ("neural", Family::Narx),
-        Stored::Linear(_) => ("linear", Family::Linear),
-        Stored::Narmax(_) => ("narmax", Family::Narmax),
-    };
+fn target(m: &StoredModel) -> Target {
     Target {
         target: m.output.name.clone(),
         inputs: m.inputs.iter().map(|q| q.name.clone()).collect(),
-        structure: StructureSpec { name: name.into(), keys: toml::Table::new(), family },
+        structure: StructureSpec { name: m.structure.form().row().name.into(), keys: toml::Table::new() },
         select: None,
         warm_start_samples: 0,
         estimator: m.estimator.clone(),

@@ -58,6 +58,14 @@ fn values(s: &TypedSplit, faults: &mut Faults) -> Option<Split> {
     let part = |v: &Vec<toml::Value>| -> Vec<String> { v.iter().map(label).collect() };
     let (estimation, selection, test) =
         (part(estimation), s.selection.as_ref().map(part), s.test.as_ref().map(part));
+    let lists =
+        [("estimation", Some(&estimation)), ("selection", selection.as_ref()), ("test", test.as_ref())];
+    for (key, values) in lists {
+        if values.is_some_and(Vec::is_empty) {
+            let expected = "at least one value; leave the key out where there are none";
+            faults.push(&format!("split.{key}"), "an empty list", expected);
+        }
+    }
     let all: Vec<&String> =
         [Some(&estimation), selection.as_ref(), test.as_ref()].into_iter().flatten().flatten().collect();
     if let Some(k) = (1..all.len()).find(|k| all[..*k].contains(&all[*k])) {
@@ -84,6 +92,13 @@ fn rows(s: &TypedSplit, faults: &mut Faults) -> Option<Split> {
     ];
     let mut all: Vec<(usize, usize)> = Vec::new();
     for (key, ranges) in parts {
+        if ranges.is_some_and(Vec::is_empty) {
+            faults.push(
+                key,
+                "an empty list",
+                "at least one [first, end); leave the key out where there are none",
+            );
+        }
         for r in ranges.into_iter().flatten() {
             if r.0 >= r.1 {
                 let expected = "[first, end) with first < end, zero-based rows";

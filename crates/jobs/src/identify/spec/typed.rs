@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use dynocal_files::dataset::{Format, Missing};
 use dynocal_ident::data::Role;
+use dynocal_ident::model::initial::Initial;
 use serde::Deserialize;
 
 #[derive(Deserialize)]
@@ -14,6 +15,7 @@ pub(super) struct Typed {
     pub(super) out: Option<PathBuf>,
     pub(super) data: Option<TypedData>,
     pub(super) channels: Option<Vec<TypedChannel>>,
+    pub(super) derive: Option<Vec<TypedDerive>>,
     pub(super) split: Option<TypedSplit>,
     pub(super) test: Option<Vec<TypedTest>>,
     pub(super) prepare: Option<Vec<toml::Table>>,
@@ -44,6 +46,16 @@ pub(super) struct TypedChannel {
     pub(super) unit: Option<String>,
     #[serde(default)]
     pub(super) convert: bool,
+    pub(super) role: Option<Role>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedDerive {
+    pub(super) name: Option<String>,
+    pub(super) unit: Option<String>,
+    pub(super) factor: Option<f64>,
+    pub(super) powers: Option<BTreeMap<String, i32>>,
     pub(super) role: Option<Role>,
 }
 
@@ -96,6 +108,7 @@ pub(super) struct TypedValidate {
     pub(super) folds: Option<usize>,
     pub(super) stability_runs: Option<usize>,
     pub(super) residual_lags: Option<usize>,
+    pub(super) initial: Option<Initial>,
     pub(super) confidence: Option<f64>,
     pub(super) boundary: Option<toml::Table>,
 }

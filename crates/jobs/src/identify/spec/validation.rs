@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use dynocal_files::spec::Faults;
+use dynocal_ident::model::initial::Initial;
 use dynocal_ident::validate::boundary::BoundaryKeys;
 use dynocal_numerics::registry;
 use serde::Serialize;
@@ -23,6 +24,8 @@ pub struct Validation {
     pub stability_runs: usize,
     /// Lags of the residual correlations.
     pub residual_lags: usize,
+    /// How free runs start; absent: as is usual for the kind of model.
+    pub initial: Option<Initial>,
     /// Level of confidence of bands and bounds.
     pub confidence: f64,
     /// How the boundary of what was identified is learnt.
@@ -37,11 +40,17 @@ impl Default for Validation {
             folds: 0,
             stability_runs: 20,
             residual_lags: 25,
+            initial: None,
             confidence: 0.95,
             boundary: BoundaryKeys::default(),
         }
     }
 }
+
+/// More than these is a typing error, or work that no machine ends.
+const MOST_STEPS: usize = 10_000;
+const MOST_FOLDS: usize = 1000;
+const MOST_RUNS: usize = 100_000;
 
 /// The table with its defaults.
 pub(super) fn validation(
@@ -72,12 +81,23 @@ pub(super) fn validation(
         );
         v.band.insert(name.clone(), *half_width);
     }
+    for (key, found, most) in [
+        ("k_steps", v.k_steps.last().copied(), MOST_STEPS),
+        ("folds", t.folds, MOST_FOLDS),
+        ("stability_runs", t.stability_runs, MOST_RUNS),
+        ("residual_lags", t.residual_lags, MOST_STEPS),
+    ] {
+        if let Some(found) = found.filter(|n| *n > most) {
+            faults.push(&format!("validate.{key}"), found, format!("{most} or less"));
+        }
+    }
     v.folds = t.folds.unwrap_or(v.folds);
     if v.folds == 1 {
         faults.push("validate.folds", "1", "0 for no cross-validation, or 2 and more blocks");
     }
     v.stability_runs = t.stability_runs.unwrap_or(v.stability_runs);
     v.residual_lags = t.residual_lags.unwrap_or(v.residual_lags);
+    v.initial = t.initial;
     v.confidence = t.confidence.unwrap_or(v.confidence);
     if !(0.5..1.0).contains(&v.confidence) {
         faults.push("validate.confidence", v.confidence, "a level from 0.5 to below 1, e.g. 0.95");

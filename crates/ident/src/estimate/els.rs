@@ -1,8 +1,4 @@
-//! Polynomial NARMAX models by extended least squares.
-//!
-//! ```text
-//! y(t) = sum_k theta_k phi_k(u, y, e) + e(t)        phi_k a product of lagged inputs, outputs and innovations
-//! ```
+//! Extended least squares for polynomial NARMAX models.
 //!
 //! The innovations are not measured: each pass regresses on the residuals of the pass before, until they repeat. A model
 //! without terms in `e` is plain least squares; where the equation noise is coloured, that is biased and this is not.
@@ -11,54 +7,38 @@
 //! (1999), eq. (10.63) (pseudolinear regression).
 
 use dynocal_numerics::linalg::{axpy, dot, least_squares};
-use dynocal_numerics::registry::{MemberDoc, ParamDoc};
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use super::fit::Found;
-use super::{EstimateError, Fit, Minimised};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{EstimateError, Estimator, Fit, Minimised, made_for};
 use crate::data::DataError;
-use crate::experiment::{Experiment, usable_samples};
-use crate::model::poly::{PolyNarx, Source, StructureError};
-use crate::model::{Model, Run};
-use crate::validate::{Kind, Reference, Score, Seen, score_values};
+use crate::experiment::Experiment;
+use crate::model::form::Form;
+use crate::model::narmax::{Narmax, padded};
+use crate::model::{Model, Run, usable_samples};
 
-/// Name of the innovations in regressors.
-pub const INNOVATION: &str = "e";
-
-/// The structure as a spec names it.
-pub const STRUCTURE: MemberDoc = MemberDoc {
-    name: "narmax",
-    what: "polynomial with products of lagged inputs, outputs and innovations `e(t-k)`; estimator els",
-    params: &[ParamDoc {
-        name: "regressors",
-        unit: "-",
-        default: "",
-        what: "terms as text, e.g. [\"y(t-1)\", \"inj(t-1)^2\", \"e(t-1)\"]",
-    }],
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "els",
+        what: "extended least squares: residuals of one pass are the innovations of the next; structure narmax",
+        params: &[
+            ParamDoc { name: "max_passes", unit: "-", default: "200", what: "most passes" },
+            ParamDoc {
+                name: "tolerance",
+                unit: "standard errors",
+                default: "1e-6",
+                what: "largest change of a parameter at which the passes have converged",
+            },
+        ],
+    },
+    fits: Fits::Forms(&["narmax"]),
+    gaps: Gaps::Bridged { free_run: false },
+    build: |keys| Ok(Box::new(registry::keys::<Els>("els", keys)?)),
 };
-
-/// The estimator as a spec names it.
-pub const ELS: MemberDoc = MemberDoc {
-    name: "els",
-    what: "extended least squares: residuals of one pass are the innovations of the next; structure narmax",
-    params: &[
-        ParamDoc { name: "max_passes", unit: "-", default: "200", what: "most passes" },
-        ParamDoc {
-            name: "tolerance",
-            unit: "standard errors",
-            default: "1e-6",
-            what: "largest change of a parameter at which the passes have converged",
-        },
-    ],
-};
-
-/// A polynomial NARMAX structure: a polynomial NARX model with the innovations as its last input.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Narmax {
-    with_innovations: PolyNarx,
-}
 
 /// Options of extended least squares.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -76,165 +56,24 @@ impl Default for Els {
     }
 }
 
-impl Narmax {
-    /// A structure from regressors in text form, `e(t-1)` being the innovation of the sample before.
-    ///
-    /// ```
-    /// use dynocal_ident::estimate::narmax::Narmax;
-    /// let model = Narmax::parse(&["inj"], "torque", &["inj(t-1)", "torque(t-1)", "e(t-1)", "inj(t-1)*e(t-2)"])?;
-    /// assert_eq!(model.regressor_texts()[3], "inj(t-1)*e(t-2)");
-    /// assert!(Narmax::parse(&["inj"], "torque", &["e(t)"]).is_err());
-    /// # Ok::<(), dynocal_ident::model::poly::StructureError>(())
-    /// ```
-    ///
-    /// # Errors
-    /// [`StructureError`]: as of [`PolyNarx::parse`]; an innovation without lag; a channel that is named `e`.
-    pub fn parse<A: AsRef<str>, B: AsRef<str>>(
-        inputs: &[A],
-        output: &str,
-        regressors: &[B],
-    ) -> Result<Self, StructureError> {
-        let mut names: Vec<&str> = inputs.iter().map(AsRef::as_ref).collect();
-        if names.contains(&INNOVATION) || output == INNOVATION {
-            return Err(StructureError::Name {
-                found: INNOVATION.into(),
-                expected: "another name: in this structure `e` is the innovation",
-            });
-        }
-        names.push(INNOVATION);
-        let with_innovations = PolyNarx::parse(&names, output, regressors)?;
-        let now = (names.len() - 1, 0);
-        if with_innovations.window().contains(&now) {
-            return Err(StructureError::Range {
-                text: "e(t)".into(),
-                what: "lag",
-                found: 0,
-                expected: "1 or more: the innovation of a sample is not known before it".into(),
-            });
-        }
-        Ok(Self { with_innovations })
+impl Estimator for Els {
+    fn estimate(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        _start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        Els::estimate(self, made_for::<Narmax>("els", model)?, data, interrupt)
     }
-
-    /// Regressors in text form.
-    pub fn regressor_texts(&self) -> Vec<String> {
-        self.with_innovations.regressor_texts()
-    }
-
-    /// Names of the measured inputs.
-    pub fn inputs(&self) -> &[String] {
-        let all = self.with_innovations.inputs();
-        &all[..all.len() - 1]
-    }
-
-    /// The model as a NARX model whose last input is the innovation: with zeros there its free run is that of this model.
-    pub fn with_innovations(&self) -> &PolyNarx {
-        &self.with_innovations
-    }
-
-    /// What the free run simulates, where innovations are zero: the terms without them, with their parameters. None where
-    /// every term has one.
-    ///
-    /// # Errors
-    /// [`StructureError`] of the smaller structure.
-    pub fn driven(&self, theta: &[f64]) -> Result<Option<(PolyNarx, Vec<f64>)>, StructureError> {
-        let innovation = Source::Input(self.inputs().len());
-        let own = self.with_innovations.regressors().iter().zip(theta);
-        let left = own.filter(|(r, _)| r.reads().all(|(source, _)| source != innovation));
-        let (terms, theta): (Vec<_>, Vec<f64>) = left.map(|(r, v)| (r.clone(), *v)).unzip();
-        if terms.is_empty() {
-            return Ok(None);
-        }
-        let output = self.with_innovations.output().to_string();
-        Ok(Some((PolyNarx::new(self.inputs().to_vec(), output, terms)?, theta)))
-    }
-
-    /// Longest lag.
-    pub fn max_lag(&self) -> usize {
-        self.with_innovations.max_lag()
-    }
-
-    /// First sample of a record that is scored.
-    pub fn first(&self, e: &Experiment) -> usize {
-        e.init_samples.max(self.max_lag()).min(e.len())
-    }
-
-    /// Output of the model on a record (N): one step and k steps use the innovations up to then, the free run has none.
-    pub fn output(&self, theta: &[f64], e: &Experiment, kind: Kind) -> Vec<f64> {
-        let mut u = padded(e, self.inputs().len());
-        let first = self.first(e);
-        let mut y = e.y.clone();
-        match kind {
-            Kind::FreeRun => {
-                let run = Run { u: &u, y: &e.y, start: first };
-                self.with_innovations.simulate(theta, &run, &mut y);
-            }
-            Kind::OneStep => self.innovations(theta, e, &mut u, Some(&mut y)),
-            Kind::KStep(k) => {
-                self.innovations(theta, e, &mut u, None);
-                self.k_step(theta, e, &u, k.max(1), &mut y);
-            }
-        }
-        y
-    }
-
-    /// Scores of all records together.
-    pub fn score(&self, theta: &[f64], data: &[Experiment], kind: Kind, seen: Seen) -> Score {
-        let (mut z, mut zhat) = (Vec::new(), Vec::new());
-        for e in data {
-            let first = self.first(e);
-            z.extend_from_slice(&e.y[first..]);
-            zhat.extend_from_slice(&self.output(theta, e, kind)[first..]);
-        }
-        score_values(&z, &zhat, kind, seen, Reference::Noisy)
-    }
-
-    /// Fills the innovations into the last column of `u`, and the predictions that they are the errors of.
-    fn innovations(&self, theta: &[f64], e: &Experiment, u: &mut [f64], mut predicted: Option<&mut [f64]>) {
-        let (width, lag) = (self.inputs().len() + 1, self.max_lag());
-        let mut tail = vec![0.0; lag + 1];
-        for t in self.first(e)..e.len() {
-            let from = t - lag;
-            let run = Run { u: &u[from * width..(t + 1) * width], y: &e.y[from..=t], start: lag };
-            self.with_innovations.predict(theta, &run, &mut tail);
-            u[(t + 1) * width - 1] = e.y[t] - tail[lag];
-            if let Some(p) = &mut predicted {
-                p[t] = tail[lag];
-            }
-        }
-    }
-
-    /// For every t a free run over the last k samples, in which no innovation is known.
-    fn k_step(&self, theta: &[f64], e: &Experiment, u: &[f64], k: usize, y: &mut [f64]) {
-        let (width, lag, first) = (self.inputs().len() + 1, self.max_lag(), self.first(e));
-        let mut tail = vec![0.0; lag + k];
-        for t in first..e.len() {
-            let free = k.min(t + 1 - first);
-            let from = t + 1 - free - lag;
-            let mut part = u[from * width..(t + 1) * width].to_vec();
-            (lag..lag + free).for_each(|i| part[(i + 1) * width - 1] = 0.0);
-            let run = Run { u: &part, y: &e.y[from..=t], start: lag };
-            let tail = &mut tail[..lag + free];
-            self.with_innovations.simulate(theta, &run, tail);
-            y[t] = tail[lag + free - 1];
-        }
-    }
-}
-
-/// The inputs with a last column of zeros.
-fn padded(e: &Experiment, m: usize) -> Vec<f64> {
-    let mut u = Vec::with_capacity(e.len() * (m + 1));
-    for t in 0..e.len() {
-        u.extend_from_slice(&e.u[t * m..(t + 1) * m]);
-        u.push(0.0);
-    }
-    u
 }
 
 impl Els {
     /// Estimates the parameters of `model` from all records together.
     ///
     /// ```
-    /// use dynocal_ident::estimate::narmax::{Els, Narmax};
+    /// use dynocal_ident::estimate::els::Els;
+    /// use dynocal_ident::model::narmax::Narmax;
     /// use dynocal_ident::experiment::Experiment;
     /// let u: Vec<f64> = (0..80).map(|t| f64::from((t * t / 3) % 7) - 3.0).collect();
     /// let e: Vec<f64> = (0..80).map(|t| 0.1 * (f64::from((t * t * 7) % 11) - 5.0)).collect();
@@ -261,7 +100,7 @@ impl Els {
         }
         let mut records: Vec<Experiment> =
             data.iter().map(|e| Experiment { u: padded(e, m), ..e.clone() }).collect();
-        let narx = &model.with_innovations;
+        let narx = model.with_innovations();
         let samples = usable_samples(narx, &records)?;
         let mut theta = vec![0.0; narx.n_params()];
         let (mut history, mut status) = (Vec::new(), Status::Limit);
@@ -310,7 +149,7 @@ fn check(model: &Narmax, e: &Experiment) -> Result<(), DataError> {
         let (channel, sample, found) = if i < e.u.len() {
             (model.inputs()[i % m].clone(), i / m, e.u[i])
         } else {
-            (model.with_innovations.output().to_string(), i - e.u.len(), e.y[i - e.u.len()])
+            (model.with_innovations().output().to_string(), i - e.u.len(), e.y[i - e.u.len()])
         };
         return Err(DataError::NonFinite { record: e.name.clone(), channel, sample, found });
     }
@@ -331,7 +170,7 @@ fn change(old: &[f64], new: &[f64], phi: &[f64], variance: f64) -> f64 {
 
 /// The residuals of a pass become the innovations of the next; those before the first scored sample are zero.
 fn residuals(model: &Narmax, theta: &[f64], records: &mut [Experiment]) {
-    let narx = &model.with_innovations;
+    let narx = model.with_innovations();
     let width = narx.n_inputs();
     for e in records {
         let mut predicted = vec![0.0; e.len()];
@@ -358,7 +197,7 @@ fn report(
     history: Vec<Iterate>,
     samples: usize,
 ) -> Result<Fit, EstimateError> {
-    let narx = &model.with_innovations;
+    let narx = model.with_innovations();
     let (p, width, window) = (narx.n_params(), narx.n_inputs(), narx.window());
     let rows: usize = data.iter().map(Experiment::len).sum();
     let (mut r, mut jac, mut row) = (vec![0.0; rows], vec![0.0; rows * p], 0);

@@ -1,0 +1,78 @@
+//! A linear model with the same memory, from the same records: what every other one has to beat.
+
+use dynocal_ident::data::DataError;
+use dynocal_ident::estimate::Estimator;
+use dynocal_ident::estimate::missing::bridged;
+use dynocal_ident::estimate::ols::Ols;
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::model::fitted::Fitted;
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::{Kind, Model};
+use dynocal_ident::prepare::Note;
+use dynocal_ident::validate::{Reference, Seen, score_values};
+
+use super::error::IdentifyError;
+use super::load::Part;
+use super::prepare::restored;
+use super::result::Baseline;
+use super::set::shape;
+use super::spec::Target;
+
+/// Longest memory of the linear model, in samples.
+const OUTPUT_LAGS: usize = 4;
+const INPUT_LAGS: usize = 10;
+/// Most entries of its regressors.
+const ENTRIES: usize = 20_000_000;
+
+/// A linear ARX model by least squares from the first part, scored in free run on the last unseen one. None where the model
+/// is itself one, the records are too short or too long for it, or it cannot be estimated.
+///
+/// # Errors
+/// [`IdentifyError`]: a channel is not there, or a trend cannot be added back.
+pub fn baseline(
+    t: &Target,
+    model: &dyn Model,
+    parts: &[Part],
+    notes: &dyn Fn(&str) -> Vec<Note>,
+) -> Result<Option<Baseline>, IdentifyError> {
+    let Some(part) = parts.iter().rev().find(|p| p.seen == Seen::Unseen) else { return Ok(None) };
+    if t.inputs.is_empty() || (t.structure.name == "arx" && t.estimator == "ols") {
+        return Ok(None);
+    }
+    let lags = || model.window().iter().map(|w| w.1);
+    let nk = lags().min().unwrap_or(1);
+    let nb = (lags().max().unwrap_or(1) + 1).saturating_sub(nk).clamp(1, INPUT_LAGS);
+    let na = model.output_lag().clamp(1, OUTPUT_LAGS);
+    let Ok(linear) = PolyNarx::arx(&t.inputs, &t.target, na, nb, nk, true) else { return Ok(None) };
+    let whole = |p: &Part| -> Result<Vec<Experiment>, DataError> {
+        p.records.iter().map(|d| Ok(bridged(&shape(d, &t.inputs, &t.target)?).0)).collect()
+    };
+    let data = whole(&parts[0])?;
+    let samples: usize = data.iter().map(Experiment::len).sum();
+    let fits = samples > 2 * linear.n_params() && samples.saturating_mul(linear.n_params()) < ENTRIES;
+    if !fits {
+        return Ok(None);
+    }
+    let Ok(fit) = Ols::default().estimate(&linear, &data, None, &|| false) else { return Ok(None) };
+    let structure = format!("linear ARX (na = {na}, nb = {nb}, nk = {nk}, constant)");
+    let fitted = Fitted::new(linear, fit.theta)?;
+    let (mut z, mut zhat) = (Vec::new(), Vec::new());
+    let notes = notes(&part.name);
+    for (d, e) in part.records.iter().zip(whole(part)?) {
+        let first = fitted.first(&e).min(e.len());
+        let Some(mut y) = fitted.output(&e, Kind::FreeRun) else { return Ok(None) };
+        let mut measured = d.values(&t.target)?.to_vec();
+        restored(&notes, d, &t.target, &mut y)?;
+        restored(&notes, d, &t.target, &mut measured)?;
+        z.extend_from_slice(&measured[first..]);
+        zhat.extend_from_slice(&y[first..]);
+    }
+    let s = score_values(&z, &zhat, Kind::FreeRun, part.seen, Reference::Noisy);
+    let finite = |v: f64| v.is_finite().then_some(v);
+    Ok(Some(Baseline {
+        structure,
+        part: part.name.clone(),
+        rmse: finite(s.rmse),
+        r2_percent: finite(100.0 * s.r2),
+    }))
+}

@@ -1,0 +1,102 @@
+//! What estimate, validation and preparation say, as findings.
+
+use dynocal_ident::data::Gap;
+use dynocal_ident::estimate::Fit;
+use dynocal_ident::prepare::{Became, Effect};
+use dynocal_numerics::status::Status;
+
+use super::finding::{Finding, Grade};
+use super::result::{Modelled, Prepared};
+use super::spec::Target;
+
+/// Share of random free runs that may diverge before the model is at fault; fewer are a warning.
+const UNSTABLE: f64 = 0.05;
+/// Share of the samples outside the boundary, in percent, above which a part is called an extrapolation.
+const OUTSIDE: f64 = 10.0;
+
+/// What an estimate says of itself.
+pub fn of_fit(t: &Target, f: &Fit) -> Vec<Finding> {
+    let mut out = Vec::new();
+    if !f.status.is_success() {
+        let text = format!(
+            "the search of `{}` {} after {} evaluations",
+            f.estimator,
+            in_words(f.status),
+            f.evaluations
+        );
+        out.push(Finding::new(Grade::Fault, t.target.as_str(), text));
+    }
+    let warning = |w: &String| Finding::new(Grade::Warning, t.target.as_str(), w.as_str());
+    out.extend(f.warnings.iter().map(warning));
+    out.extend(f.notes.iter().map(|n| Finding::new(Grade::Note, t.target.as_str(), n.as_str())));
+    out
+}
+
+/// How a search ended.
+pub fn in_words(status: Status) -> &'static str {
+    match status {
+        Status::Converged => "converged",
+        Status::Stalled => "found no better point although its tolerance is not met,",
+        Status::Limit => "used up its evaluations without converging,",
+        Status::Infeasible => "found no point that keeps the limits",
+        Status::Diverged => "met no finite value",
+        Status::Interrupted => "was interrupted",
+    }
+}
+
+/// What stability and coverage say of a model.
+pub fn of_model(m: &Modelled) -> Vec<Finding> {
+    let mut out = Vec::new();
+    if let Some(s) = m.after.stability.as_ref().filter(|s| s.share_diverged > 0.0) {
+        let grade = if s.share_diverged > UNSTABLE { Grade::Fault } else { Grade::Warning };
+        let text = format!(
+            "{:.0} of {} free runs on random inputs within the limits of the estimation records leave the range of the output by \
+             more than ten times its width: it is unstable on a part of them",
+            (s.share_diverged * s.runs as f64).round(),
+            s.runs
+        );
+        out.push(Finding::new(grade, m.target.as_str(), text));
+    }
+    for c in m.after.coverage.iter().filter(|c| c.outside_percent > OUTSIDE) {
+        let text = format!(
+            "{:.0} % of the samples of {} lie outside of what was identified: their scores are those of an extrapolation",
+            c.outside_percent, c.part
+        );
+        out.push(Finding::new(Grade::Warning, m.target.as_str(), text));
+    }
+    out
+}
+
+/// Samples that the preparation filled, left missing or gave up, counted for each part and step.
+pub fn losses(preparation: &[Prepared]) -> Vec<Finding> {
+    let mut out = Vec::new();
+    for p in preparation {
+        for note in &p.notes {
+            let (mut filled, mut lost, mut dropped) = (0, 0, 0);
+            for c in &note.changes {
+                match &c.effect {
+                    Effect::Samples { runs, became: Became::Missing | Became::CutOut } => {
+                        lost += runs.iter().map(Gap::samples).sum::<usize>();
+                    }
+                    Effect::Samples { runs, .. } => filled += runs.iter().map(Gap::samples).sum::<usize>(),
+                    Effect::Dropped { from, to, .. } => dropped += to - from,
+                    _ => {}
+                }
+            }
+            let counts = [
+                (filled, "values filled in"),
+                (lost, "values missing or cut out"),
+                (dropped, "samples given up"),
+            ];
+            let said: Vec<String> =
+                counts.iter().filter(|c| c.0 > 0).map(|(n, what)| format!("{n} {what}")).collect();
+            if !said.is_empty() {
+                let text = format!("step {}: {}", note.step, said.join(", "));
+                out.push(Finding::new(Grade::Note, p.part.as_str(), text));
+            }
+            let remark = |r: &String| Finding::new(Grade::Warning, p.part.as_str(), r.as_str());
+            out.extend(note.remarks.iter().map(remark));
+        }
+    }
+    out
+}

@@ -1,0 +1,113 @@
+//! The result of an identification in words: what came out, against what, what to do next.
+
+use dynocal_ident::validate::{Kind, Seen};
+
+use super::finding::Grade;
+use super::result::{Identified, Modelled, Score};
+
+/// A share of the variance below which a free run is called poor, and above which it is called close, in percent.
+const POOR: f64 = 50.0;
+const CLOSE: f64 = 90.0;
+/// A linear model this much better, or at most this much worse, is the better choice.
+const AS_GOOD: f64 = 1.02;
+
+/// Sentences for every target, then what to do next.
+pub fn verdict(found: &Identified) -> Vec<String> {
+    let mut out: Vec<String> = found.models.iter().map(|m| target(found, m)).collect();
+    out.push(next(found));
+    out
+}
+
+/// The score that says most: the free run on the last unseen part, else on the estimation.
+fn telling<'a>(found: &'a Identified, m: &Modelled) -> Option<&'a Score> {
+    let of = |seen: Option<Seen>| {
+        let own = found.scores.iter().rev().filter(|s| s.output == m.target);
+        own.filter(|s| seen.is_none_or(|seen| s.data == seen)).find(|s| s.kind == Kind::FreeRun)
+    };
+    of(Some(Seen::Unseen))
+        .or_else(|| of(None))
+        .or_else(|| found.scores.iter().rev().find(|s| s.output == m.target))
+}
+
+fn target(found: &Identified, m: &Modelled) -> String {
+    let Some(s) = telling(found, m) else { return format!("The model of {} has no score.", m.target) };
+    let on = match s.data {
+        Seen::Unseen => format!("the unseen records ({})", s.part),
+        Seen::Selection => format!("the records that chose it ({}); there are no unseen ones", s.part),
+        Seen::Identification => "the records that it was estimated from; there are no unseen ones".into(),
+    };
+    let how = if s.kind == Kind::FreeRun { "in free run" } else { "one step ahead" };
+    let (Some(rmse), Some(r2)) = (s.rmse, s.r2_percent) else {
+        return format!("The model of {} diverges on {on}.", m.target);
+    };
+    let number = |v: f64| dynocal_report::significant(v, 3);
+    let size = if s.outside {
+        "is useless"
+    } else if r2 < POOR {
+        "is poor"
+    } else if r2 < CLOSE {
+        "follows"
+    } else {
+        "is close"
+    };
+    let mut text = format!(
+        "The model of {} {size} on {on}: {how} it explains {} % of the variance, RMSE {} {}",
+        m.target,
+        number(r2),
+        number(rmse),
+        m.unit
+    );
+    if let Some(e) = s.error_95 {
+        text += &format!(", 95 % of the errors within {} {}", number(e), m.unit);
+    }
+    text += ".";
+    match m.baseline.as_ref().filter(|b| b.part == s.part).map(|b| (b, b.rmse)) {
+        Some((b, Some(linear))) => {
+            text += &format!(
+                " A {} from the same records has an RMSE of {} {} there ({} times as much).",
+                b.structure,
+                number(linear),
+                m.unit,
+                number(linear / rmse)
+            );
+        }
+        Some((b, None)) => text += &format!(" A {} from the same records diverges there.", b.structure),
+        None => {}
+    }
+    text
+}
+
+fn next(found: &Identified) -> String {
+    let fault = found.findings.iter().find(|f| f.grade == Grade::Fault);
+    if let Some(f) = fault {
+        return format!("Do not use it as it is. First: {}", f.sentence());
+    }
+    let beaten = found.models.iter().find(|m| {
+        let own = telling(found, m).and_then(|s| s.rmse);
+        let linear = m.baseline.as_ref().and_then(|b| b.rmse);
+        matches!((own, linear), (Some(own), Some(linear)) if linear <= AS_GOOD * own)
+    });
+    if let Some(m) = beaten {
+        return format!(
+            "Next: for {} take the linear model, or another structure: this one is not worth its terms.",
+            m.target
+        );
+    }
+    if !found.scores.iter().any(|s| s.data == Seen::Unseen) {
+        return "Next: keep records apart that nothing sees before the scores (table split, or [[test]])."
+            .into();
+    }
+    let poor =
+        found.models.iter().find(|m| telling(found, m).and_then(|s| s.r2_percent).is_some_and(|r| r < POOR));
+    if let Some(m) = poor {
+        return format!(
+            "Next: {} needs more than this: inputs that are missing, longer lags, products of inputs, or records that excite it \
+             (residual correlations and the excitation below say which).",
+            m.target
+        );
+    }
+    match found.findings.iter().find(|f| f.grade == Grade::Warning) {
+        Some(f) => format!("Use it with care: {}", f.sentence()),
+        None => "It may be used within the ranges of its records.".into(),
+    }
+}
