@@ -34,21 +34,26 @@
 //! ```
 
 mod error;
+mod horizon;
 pub mod model;
+mod prices;
 pub mod program;
 mod result;
 mod segments;
 mod setup;
 mod shortfall;
+mod starts;
 
 pub use error::OptimiseError;
+pub use horizon::Horizon;
+pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use segments::{Seam, Segments};
 pub use shortfall::Shortfall;
 
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
-use dynocal_numerics::nlp::{self, NlpOptions};
+use dynocal_numerics::nlp::{self, NlpOptions, NlpOutcome};
 use dynocal_numerics::status::Status;
 use model::OutputModel;
 use program::Program;
@@ -94,6 +99,8 @@ pub struct OptimiseOptions {
     pub history: History,
     /// How the record is gone through.
     pub way: Way,
+    /// Number of starts of a batch: the record, and others with single inputs at other levels. The best end is taken.
+    pub starts: usize,
 }
 
 /// How a record is gone through.
@@ -105,12 +112,15 @@ pub enum Way {
     Batch,
     /// In segments.
     Segments(Segments),
+    /// Step by step, with a view of limited length.
+    Horizon(Horizon),
 }
 
 impl Default for OptimiseOptions {
     fn default() -> Self {
         let (end, history) = (EndCondition::default(), History::default());
-        Self { tolerance: 1e-8, max_iterations: 500, end, extend_s: 0.0, history, way: Way::Batch }
+        let way = Way::default();
+        Self { tolerance: 1e-8, max_iterations: 500, end, extend_s: 0.0, history, way, starts: 1 }
     }
 }
 
@@ -130,11 +140,12 @@ pub fn optimise_models(
     let extended = if more > 0 { extended(start, more) } else { start.clone() };
     let setup = Setup::new(problem, models, &extended, options)?;
     let found = match options.way {
-        Way::Batch => batch(&setup, options, interrupt),
+        Way::Batch => whole(&setup, options, interrupt),
+        Way::Horizon(spec) => horizon::solve(&setup, options, &spec, interrupt),
         Way::Segments(spec) => segments::solve(&setup, options, &spec, interrupt),
     };
     let mut optimum = Optimum::new(&setup, &found, samples);
-    if !matches!(found.status, Status::Converged | Status::Interrupted) {
+    if !matches!(found.status, Status::Converged | Status::Interrupted) && options.way == Way::Batch {
         optimum.shortfalls = shortfall::shortfalls(&setup, options, interrupt);
     }
     Ok(optimum)
@@ -147,20 +158,86 @@ struct Found {
     /// Samples x columns.
     values: Vec<f64>,
     parts: Vec<PartOutcome>,
+    prices: Vec<Price>,
+}
+
+impl Found {
+    /// Nothing yet: the start.
+    fn start(setup: &Setup<'_>) -> Self {
+        let values = setup.start.clone();
+        Self { status: Status::Converged, iterations: 0, values, parts: Vec::new(), prices: Vec::new() }
+    }
 }
 
 /// The whole of a setup at once.
 fn batch(setup: &Setup<'_>, options: &OptimiseOptions, interrupt: &dyn Fn() -> bool) -> Found {
+    batch_from(setup, options, None, interrupt)
+}
+
+/// The same; `warm` is the barrier parameter to begin with where the start is nearly optimal.
+fn batch_from(
+    setup: &Setup<'_>,
+    options: &OptimiseOptions,
+    warm: Option<f64>,
+    interrupt: &dyn Fn() -> bool,
+) -> Found {
     let mut program = Program::new(setup.parts());
-    let nlp_options = NlpOptions { tolerance: options.tolerance, max_iterations: options.max_iterations };
-    let found = nlp::solve(&mut program, &nlp_options, interrupt);
-    program.load(&found.x);
-    Found {
-        status: found.status,
-        iterations: found.history.len().saturating_sub(1),
+    let (found, _) = search(&mut program, options, warm, interrupt);
+    found
+}
+
+/// Solves a program; the outcome of the interior point beside the columns.
+fn search(
+    program: &mut Program<'_>,
+    options: &OptimiseOptions,
+    warm: Option<f64>,
+    interrupt: &dyn Fn() -> bool,
+) -> (Found, NlpOutcome) {
+    let (tolerance, max_iterations) = (options.tolerance, options.max_iterations);
+    let nlp_options = NlpOptions { tolerance, max_iterations, warm_barrier: warm };
+    let outcome = nlp::solve(program, &nlp_options, interrupt);
+    program.load(&outcome.x);
+    let found = Found {
+        status: outcome.status,
+        iterations: outcome.history.len().saturating_sub(1),
         values: program.columns.all().to_vec(),
         parts: Vec::new(),
+        prices: Vec::new(),
+    };
+    (found, outcome)
+}
+
+/// The whole of a setup at once, with prices, from the start record and from `starts - 1` others.
+fn whole(setup: &Setup<'_>, options: &OptimiseOptions, interrupt: &dyn Fn() -> bool) -> Found {
+    let mut best: Option<(f64, Found)> = None;
+    let mut parts = Vec::new();
+    for k in 0..options.starts.max(1) {
+        let mut program = Program::new(setup.parts());
+        if k > 0 {
+            starts::other(setup, &mut program, k);
+        }
+        let (mut found, outcome) = search(&mut program, options, None, interrupt);
+        let (status, iterations) = (found.status, found.iterations);
+        let (from_s, to_s) = (0.0, setup.samples as f64 * setup.sample_time_s);
+        parts.push(PartOutcome { from_s, to_s, status, iterations });
+        found.prices = prices::prices(setup, &mut program, &outcome);
+        let solved = |f: &Found| f.status.is_success();
+        let better = best.as_ref().is_none_or(|(value, so_far)| {
+            solved(&found) && !solved(so_far)
+                || solved(&found) == solved(so_far) && outcome.objective < *value
+        });
+        if better {
+            best = Some((outcome.objective, found));
+        }
+        if interrupt() {
+            break;
+        }
     }
+    let mut found = best.map_or_else(|| Found::start(setup), |b| b.1);
+    if options.starts > 1 {
+        found.parts = parts;
+    }
+    found
 }
 
 /// The program that [`optimise_models`] solves, for tests and for callers with a solver of their own.

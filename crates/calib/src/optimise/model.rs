@@ -57,6 +57,11 @@ impl OutputWay {
         (self.factor * y.powi(self.power) - self.offset) / self.scale
     }
 
+    /// Derivative of the model's output with respect to the user's.
+    pub fn slope(&self, y: f64) -> f64 {
+        self.factor * f64::from(self.power) * y.powi(self.power - 1) / self.scale
+    }
+
     /// The user's output for the model's.
     pub fn to_user(&self, y: f64) -> f64 {
         let v = (y * self.scale + self.offset) / self.factor;

@@ -1,6 +1,7 @@
 //! What an optimisation over a record found.
 
 use super::Found;
+use super::prices::Price;
 use super::program::Sum;
 use super::setup::Setup;
 use super::shortfall::Shortfall;
@@ -81,6 +82,8 @@ pub struct Optimum {
     pub parts: Vec<PartOutcome>,
     /// Where and by how much the problem cannot be met; empty when it was solved.
     pub shortfalls: Vec<Shortfall>,
+    /// What demands and limits cost; empty where the record was not optimised as a whole.
+    pub prices: Vec<Price>,
     /// What the free run of the models on the optimal inputs violates, one entry for each thing asked.
     pub violations: Vec<Violation>,
 }
@@ -117,6 +120,7 @@ impl Optimum {
             terms,
             parts: found.parts.clone(),
             shortfalls: Vec::new(),
+            prices: found.prices.clone(),
             violations: violations(setup, &found.values, samples),
         }
     }

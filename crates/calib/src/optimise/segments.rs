@@ -81,14 +81,14 @@ fn in_turn(
     ahead: usize,
     interrupt: &dyn Fn() -> bool,
 ) -> Found {
-    let mut found =
-        Found { status: Status::Converged, iterations: 0, values: setup.start.clone(), parts: Vec::new() };
+    let mut found = Found::start(setup);
     for (k, segment) in segments.iter().enumerate() {
         let range = samples_of(setup, segment, ahead);
         let last = k + 1 == segments.len();
         let end = if last { options.end } else { EndCondition::Free };
         let part = batch(&setup.slice(&found.values, range.clone(), end), options, interrupt);
-        found.take(setup, segment, &range, last, &part);
+        // The plan beyond the segment is where the next one starts.
+        found.take(setup, segment, &range, segment.start..range.end, &part);
         if part.status == Status::Interrupted {
             break;
         }
@@ -114,36 +114,28 @@ fn side_by_side(
         (range, part)
     };
     let parts: Vec<_> = segments.iter().enumerate().map(solve).collect();
-    let mut found =
-        Found { status: Status::Converged, iterations: 0, values: setup.start.clone(), parts: Vec::new() };
-    for (k, (segment, (range, part))) in segments.iter().zip(&parts).enumerate() {
-        found.take(setup, segment, range, k + 1 == segments.len(), part);
+    let mut found = Found::start(setup);
+    for (segment, (range, part)) in segments.iter().zip(&parts) {
+        let end = if segment.end == setup.to { setup.samples } else { segment.end };
+        found.take(setup, segment, range, segment.start..end, part);
     }
     found
 }
 
 impl Found {
-    /// Takes the inputs of `segment` from a part over the samples `range`, and its outputs.
+    /// Takes samples `taken` of a part that decided `segment` over the samples `range`.
     fn take(
         &mut self,
         setup: &Setup<'_>,
         segment: &Range<usize>,
         range: &Range<usize>,
-        last: bool,
+        taken: Range<usize>,
         part: &Found,
     ) {
         let width = setup.columns.len();
-        let end = if last { setup.samples } else { segment.end };
-        let from = segment.start - range.start;
-        let to = end - range.start;
-        self.values[segment.start * width..end * width]
-            .copy_from_slice(&part.values[from * width..to * width]);
-        // Outputs are known one sample further than the inputs that lead to them.
-        if !last && end < setup.samples && setup.to < setup.samples {
-            let inputs = setup.problem.inputs.len();
-            self.values[end * width + inputs..(end + 1) * width]
-                .copy_from_slice(&part.values[to * width + inputs..(to + 1) * width]);
-        }
+        let from = (taken.start - range.start) * width;
+        self.values[taken.start * width..taken.end * width]
+            .copy_from_slice(&part.values[from..from + taken.len() * width]);
         self.iterations += part.iterations;
         if self.status == Status::Converged {
             self.status = part.status;

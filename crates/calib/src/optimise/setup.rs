@@ -3,7 +3,7 @@
 use super::error::OptimiseError;
 use super::model::OutputModel;
 use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
-use super::{EndCondition, History, OptimiseOptions};
+use super::{EndCondition, Found, History, OptimiseOptions};
 use crate::problem::{CalibrationProblem, LimitChannel, Monomial};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::Run;
@@ -186,6 +186,19 @@ impl<'a> Setup<'a> {
             start,
             ..*self
         }
+    }
+
+    /// Takes the columns of `found` that `plain` has, too: the way back from [`Setup::elastic`].
+    pub(super) fn narrowed(&self, plain: &Self, found: &mut Found) {
+        let kept = plain.columns.len();
+        found.values =
+            found.values.chunks_exact(self.columns.len()).flat_map(|row| row[..kept].to_vec()).collect();
+    }
+
+    /// Objective of the start, by its terms alone.
+    pub(super) fn start_objective(&self) -> f64 {
+        let terms = self.problem.minimise.iter().zip(self.objective_sums());
+        terms.map(|(term, sum)| term.weight * sum.value_of(&self.start, self.columns.len())).sum()
     }
 
     /// All that is asked of outputs that are columns.

@@ -240,3 +240,115 @@ fn what_does_not_belong_together_is_named() {
     let text = solve(&[unstable, lambda], &start).to_string();
     assert!(text.contains("torque model is unstable in free run"), "{text}");
 }
+
+/// Two burners, the cheaper one at its limit: every price is known by hand.
+#[test]
+fn prices_are_the_slopes_of_the_optimum() {
+    let of = |limit: f64, demand: f64| {
+        let p = problem(&format!(
+            r#"
+            minimise = [{{ channel = "a", weight = 2.0 }}, {{ channel = "b" }}]
+            inputs = [
+                {{ name = "a", unit = "kW", lower = 0.0, upper = 9.0 }},
+                {{ name = "b", unit = "kW", lower = 0.0, upper = {limit} }},
+            ]
+            demands = [{{ output = "heat", unit = "kW", lower = 0.0, upper = 20.0 }}]
+            "#
+        ));
+        let heat =
+            PolyNarx::parse(&["a", "b"], "heat", &["a(t-1)", "b(t-1)", "heat(t-1)"]).expect("structure");
+        let models = [OutputModel::plain("heat", &heat, &[0.5, 0.5, 0.5], &["a", "b"])];
+        let mut start = record(50, &mut Rng64::new(7));
+        start.channels = vec![
+            channel("a", "kW", Role::Input, vec![demand - 1.0; 50]),
+            channel("b", "kW", Role::Input, vec![1.0; 50]),
+            channel("heat", "kW", Role::Output, vec![demand; 50]),
+        ];
+        optimise_models(&p, &models, &start, &OptimiseOptions::default(), &|| false).expect("solved")
+    };
+    let found = of(2.0, 5.0);
+    let price = |of: &str, channel: &str| {
+        found.prices.iter().find(|p| p.of == of && p.channel == channel).expect("price").price
+    };
+    // One more unit of b replaces one of a.
+    assert!((price("upper", "b") - -1.0).abs() < 1e-5, "{}", price("upper", "b"));
+    assert!(price("upper", "a").abs() < 1e-5 && price("lower", "a").abs() < 1e-5);
+    // One unit more heat at all samples but the first: 2 units of a at once, then 1; a costs 2; 48 samples are decided.
+    let expected = 2.0 * (2.0 + 47.0) / 48.0;
+    assert!((price("demand", "heat") - expected).abs() < 1e-5, "{}", price("demand", "heat"));
+    // And as the solution itself changes.
+    let slope = (of(2.1, 5.0).objective - found.objective) / 0.1;
+    assert!((slope - price("upper", "b")).abs() < 1e-4, "{slope}");
+}
+
+/// Means with a limit, and the price of the limit.
+#[test]
+fn a_limited_mean_is_kept_and_has_its_price() {
+    let of = |upper: f64| {
+        let p = problem(&format!(
+            r#"
+            minimise = [{{ channel = "b" }}]
+            inputs = [
+                {{ name = "a", unit = "kW", lower = 0.0, upper = 9.0 }},
+                {{ name = "b", unit = "kW", lower = 0.0, upper = 9.0 }},
+            ]
+            demands = [{{ output = "heat", unit = "kW", lower = 0.0, upper = 20.0 }}]
+            limits = [{{ output = "smoke", unit = "g", mean_upper = {upper} }}]
+            "#
+        ));
+        let heat = PolyNarx::parse(&["a", "b"], "heat", &["a(t-1)", "b(t-1)"]).expect("structure");
+        let smoke = PolyNarx::parse(&["a"], "smoke", &["a(t-1)^2", "smoke(t-1)"]).expect("structure");
+        let models = [
+            OutputModel::plain("heat", &heat, &[1.0, 1.0], &["a", "b"]),
+            OutputModel::plain("smoke", &smoke, &[0.5, 0.5], &["a"]),
+        ];
+        let mut start = record(80, &mut Rng64::new(7));
+        start.channels = vec![
+            channel("a", "kW", Role::Input, vec![1.0; 80]),
+            channel("b", "kW", Role::Input, vec![3.0; 80]),
+            channel("heat", "kW", Role::Output, vec![4.0; 80]),
+            channel("smoke", "g", Role::Output, vec![1.0; 80]),
+        ];
+        optimise_models(&p, &models, &start, &OptimiseOptions::default(), &|| false).expect("solved")
+    };
+    let (found, more) = (of(4.0), of(4.01));
+    assert_eq!(found.status, Status::Converged);
+    assert!(found.violations.iter().all(|v| v.largest < 1e-6), "{:?}", found.violations);
+    let smoke = found.outputs.iter().find(|c| c.name == "smoke").expect("smoke");
+    let mean = smoke.values[2..].iter().sum::<f64>() / 78.0;
+    assert!((mean - 4.0).abs() < 1e-6, "{mean}");
+    let price = found.prices.iter().find(|p| p.of == "mean_upper").expect("price").price;
+    let slope = (more.objective - found.objective) / 0.01;
+    assert!(price < 0.0 && (slope - price).abs() < 1e-3 * price.abs(), "{slope} {price}");
+}
+
+/// A limit beyond reach: y follows u with at most u = 5, so 2 u = 10 is the most; 12 is asked from the start on.
+#[test]
+fn a_limit_beyond_reach_names_time_amount_and_input() {
+    let p = problem(
+        r#"
+        minimise = [{ channel = "u" }]
+        inputs = [{ name = "u", unit = "bar", lower = 0.0, upper = 5.0 }]
+        limits = [{ output = "y", unit = "K", lower = 12.0 }]
+        "#,
+    );
+    let y = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"]).expect("structure");
+    let models = [OutputModel::plain("y", &y, &[1.0, 0.5], &["u"])];
+    let mut start = record(40, &mut Rng64::new(7));
+    start.channels =
+        vec![channel("u", "bar", Role::Input, vec![2.0; 40]), channel("y", "K", Role::Output, vec![4.0; 40])];
+    let found = optimise_models(&p, &models, &start, &OptimiseOptions::default(), &|| false).expect("set up");
+    assert_eq!(found.status, Status::Infeasible);
+    let [s] = &found.shortfalls[..] else { panic!("{:?}", found.shortfalls) };
+    // y(2) = 4 / 2 + 5 = 7 misses most.
+    assert!(
+        (s.from_s - 0.06).abs() < 1e-9 && (s.largest - -5.0).abs() < 1e-4 && (s.at_s - 0.06).abs() < 1e-9,
+        "{s:?}"
+    );
+    assert_eq!(s.inputs, ["u at 5 bar"]);
+    assert!(
+        s.sentence().contains("y misses its lower limit from 0.06 to 1.17 s by up to -5.0000 K"),
+        "{}",
+        s.sentence()
+    );
+}

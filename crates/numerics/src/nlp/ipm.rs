@@ -58,7 +58,7 @@ impl<'a> Ipm<'a> {
         let direction =
             || Direction { dx: vec![0.0; n], dlambda: vec![0.0; m], dzl: vec![0.0; n], dzu: vec![0.0; n] };
         Self {
-            point: Point::new(&model),
+            point: Point::new(&model, options.warm_barrier),
             kkt: Kkt::new(m, &model.hess_at, &model.jac_at, &bounded),
             filter: Filter::new(1.0),
             rule: BarrierRule::new(options.tolerance),

@@ -9,6 +9,8 @@ const MULTIPLIER_REFERENCE: f64 = 100.0;
 const KAPPA_SIGMA: f64 = 1e10;
 /// The start is moved into the box by this share of the bound or of the box width.
 const BOUND_PUSH: f64 = 1e-2;
+/// The same for a start that is nearly optimal.
+const WARM_PUSH: f64 = 1e-5;
 
 /// A point and the function values there (all in the scaled problem).
 pub(super) struct Point {
@@ -43,19 +45,22 @@ impl Errors {
 }
 
 impl Point {
-    pub(super) fn new(model: &Model<'_>) -> Self {
+    pub(super) fn new(model: &Model<'_>, warm_barrier: Option<f64>) -> Self {
         let (n, m) = (model.n, model.m);
         let mut x = vec![0.0; n];
         model.start(&mut x);
+        let push = if warm_barrier.is_some() { WARM_PUSH } else { BOUND_PUSH };
         for k in 0..n {
-            x[k] = inside(x[k], model.lower[k], model.upper[k]);
+            x[k] = inside(x[k], model.lower[k], model.upper[k], push);
         }
-        let one_if = |b: &f64| if b.is_finite() { 1.0 } else { 0.0 };
+        // On the central path of the barrier parameter, else 1 (section 3.6).
+        let mu = warm_barrier.map(|mu| mu * model.objective_scale);
+        let start = |slack: f64| if slack.is_finite() { mu.map_or(1.0, |mu| mu / slack) } else { 0.0 };
         Self {
+            zl: x.iter().zip(&model.lower).map(|(x, b)| start(x - b)).collect(),
+            zu: x.iter().zip(&model.upper).map(|(x, b)| start(b - x)).collect(),
             x,
             lambda: vec![0.0; m],
-            zl: model.lower.iter().map(one_if).collect(),
-            zu: model.upper.iter().map(one_if).collect(),
             f: f64::NAN,
             c: vec![0.0; m],
             grad: vec![0.0; n],
@@ -226,10 +231,10 @@ pub(super) fn fraction_to_zero(z: &[f64], dz: &[f64], tau: f64) -> f64 {
 }
 
 /// A start strictly inside of the bounds (section 3.6).
-fn inside(x: f64, lower: f64, upper: f64) -> f64 {
+fn inside(x: f64, lower: f64, upper: f64, push: f64) -> f64 {
     let width = upper - lower;
-    let from_low = lower + (BOUND_PUSH * lower.abs().max(1.0)).min(BOUND_PUSH * width);
-    let from_up = upper - (BOUND_PUSH * upper.abs().max(1.0)).min(BOUND_PUSH * width);
+    let from_low = lower + (push * lower.abs().max(1.0)).min(push * width);
+    let from_up = upper - (push * upper.abs().max(1.0)).min(push * width);
     let x = if lower.is_finite() { x.max(from_low) } else { x };
     if upper.is_finite() { x.min(from_up) } else { x }
 }

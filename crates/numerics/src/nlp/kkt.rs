@@ -90,19 +90,17 @@ fn general_solver() -> Solver {
         .with_scaling(ScalingStrategy::InfNorm)
 }
 
-/// Variables with a finite bound, one Jacobian entry and no Hessian entry; one per row.
-fn find_slacks(m: usize, hess: &[(usize, usize)], jac: &[(usize, usize)], bounded: &[bool]) -> Vec<Slack> {
+/// Variables with a finite bound, one Jacobian entry and no Hessian entry.
+fn find_slacks(hess: &[(usize, usize)], jac: &[(usize, usize)], bounded: &[bool]) -> Vec<Slack> {
     let mut uses = vec![0usize; bounded.len()];
     jac.iter().for_each(|e| uses[e.1] += 1);
     hess.iter().for_each(|e| {
         uses[e.0] += 2;
         uses[e.1] += 2;
     });
-    let mut taken = vec![false; m];
     let mut slacks = Vec::new();
     for (entry, &(row, variable)) in jac.iter().enumerate() {
-        if uses[variable] == 1 && bounded[variable] && !taken[row] {
-            taken[row] = true;
+        if uses[variable] == 1 && bounded[variable] {
             slacks.push(Slack { variable, row, entry, coefficient: 0.0, diagonal: 1.0 });
         }
     }
@@ -126,7 +124,7 @@ impl Kkt {
     /// Structure from (row, column) of the lower triangle of W and of J, duplicates being summed, and from which
     /// variables have a finite bound.
     pub(super) fn new(m: usize, hess: &[(usize, usize)], jac: &[(usize, usize)], bounded: &[bool]) -> Self {
-        let slacks = find_slacks(m, hess, jac, bounded);
+        let slacks = find_slacks(hess, jac, bounded);
         let mut place = vec![0; bounded.len()];
         slacks.iter().for_each(|s| place[s.variable] = usize::MAX);
         let kept: Vec<usize> = (0..bounded.len()).filter(|&j| place[j] == 0).collect();

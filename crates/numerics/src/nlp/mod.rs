@@ -62,11 +62,14 @@ pub struct NlpOptions {
     pub tolerance: f64,
     /// Most iterations.
     pub max_iterations: usize,
+    /// For a start that is nearly optimal: the barrier parameter to begin with. The start is then hardly moved off its
+    /// bounds.
+    pub warm_barrier: Option<f64>,
 }
 
 impl Default for NlpOptions {
     fn default() -> Self {
-        Self { tolerance: 1e-8, max_iterations: 500 }
+        Self { tolerance: 1e-8, max_iterations: 500, warm_barrier: None }
     }
 }
 

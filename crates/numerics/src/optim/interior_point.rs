@@ -45,6 +45,7 @@ impl Optimiser for InteriorPoint {
         let options = NlpOptions {
             tolerance: budget.gradient_tolerance.clamp(1e-10, 1e-3),
             max_iterations: budget.evaluations,
+            ..NlpOptions::default()
         };
         let found = solve(&mut program, &options, &|| over.get() || settled.get());
         let status = match (over.get(), settled.get()) {

@@ -2,6 +2,7 @@
 
 #![allow(dead_code, unreachable_pub)] // shared by several test programs
 
+pub mod formula;
 pub mod ocp;
 
 use dynocal_numerics::nlp::SparseNlp;
@@ -23,7 +24,7 @@ impl Jet {
     }
 
     /// A function of this quantity with value f, derivatives d and dd.
-    fn chain(&self, f: f64, d: f64, dd: f64) -> Self {
+    pub fn chain(&self, f: f64, d: f64, dd: f64) -> Self {
         let n = self.g.len();
         let h = (0..n * n).map(|k| d * self.h[k] + dd * self.g[k / n] * self.g[k % n]).collect();
         Self { v: f, g: self.g.iter().map(|g| d * g).collect(), h }

@@ -54,6 +54,11 @@ impl Columns {
         Self { columns, samples, values, at, places }
     }
 
+    /// Bounds of column `c`.
+    pub fn bounds(&self, c: usize) -> (f64, f64) {
+        self.columns[c].bounds
+    }
+
     pub(super) fn width(&self) -> usize {
         self.columns.len()
     }
@@ -69,7 +74,7 @@ impl Columns {
     }
 
     /// Variable of column `c` at sample `t`, or [`FIXED`].
-    pub(super) fn variable(&self, t: usize, c: usize) -> usize {
+    pub fn variable(&self, t: usize, c: usize) -> usize {
         self.at[t * self.width() + c]
     }
 
@@ -85,6 +90,15 @@ impl Columns {
     /// Column of variable `v`.
     pub(super) fn column_of(&self, v: usize) -> usize {
         self.places[v] % self.width()
+    }
+
+    /// Sets all variables of column `c` to `value`.
+    pub fn level(&mut self, c: usize, value: f64) {
+        for v in 0..self.count() {
+            if self.column_of(v) == c {
+                self.values[self.places[v]] = value;
+            }
+        }
     }
 
     /// Takes the values of the variables (as many as there are).

@@ -159,9 +159,20 @@ impl<'a> Program<'a> {
         self.rows.iter().map(|r| r.samples.len()).sum()
     }
 
-    /// Sample and model (in the order they were given) of each of the models' equations.
-    pub fn equations(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.rows.iter().enumerate().flat_map(|(k, r)| r.samples.iter().map(move |&t| (k, t)))
+    /// The models with the samples that have an equation, in the order of the equations.
+    pub fn model_rows(&self) -> impl Iterator<Item = (&ModelRow<'a>, &[usize])> + '_ {
+        self.rows.iter().map(|r| (&r.row, r.samples.as_slice()))
+    }
+
+    /// Columns of the rate limits in the order of their equations, which follow those of the models, and the number of
+    /// limits of sums, which follow them.
+    pub fn inequalities(&self) -> (Vec<usize>, usize) {
+        (self.rates.iter().map(|r| r.0).collect(), self.sums.len())
+    }
+
+    /// Derivative of `multipliers' equations` of model `k` with respect to its demand (N), in the model's output.
+    pub fn demand_slopes(&self, k: usize, multipliers: &[f64]) -> Vec<f64> {
+        self.rows[k].demand_slopes(multipliers)
     }
 
     /// Takes the point `x`.

@@ -283,6 +283,21 @@ impl<'a> Rows<'a> {
         }
     }
 
+    /// Derivative of `multipliers' equations` with respect to the output (N) at the present point.
+    pub(super) fn demand_slopes(&self, multipliers: &[f64]) -> Vec<f64> {
+        let mut slopes = vec![0.0; self.y.len()];
+        let mut of_past = vec![0.0; self.row.model.output_lag()];
+        let run = Run { u: &self.u, y: &self.y, start: self.row.from };
+        for (&t, l) in self.samples.iter().zip(multipliers) {
+            self.row.model.output_derivatives(self.row.theta, &run, t, &mut of_past);
+            slopes[t] -= l;
+            for (lag, slope) in (1..).zip(&of_past) {
+                slopes[t - lag] += l * slope;
+            }
+        }
+        slopes
+    }
+
     /// Which second derivatives exist at all: a structural zero of a polynomial is zero at every point, a structural
     /// non-zero almost nowhere, so a few random points decide.
     fn find_pairs(&mut self) {
