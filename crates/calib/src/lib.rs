@@ -12,5 +12,6 @@ pub mod map;
 pub mod optimise;
 pub mod problem;
 pub mod record;
+pub mod steady;
 pub mod supervisor;
 pub mod validate;

@@ -25,11 +25,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod measured;
 mod pointwise;
 mod run;
 
 use serde::{Deserialize, Serialize};
 
+pub use measured::MeasuredModel;
 pub use pointwise::Pointwise;
 pub use run::{Computed, Outside};
 

@@ -1,16 +1,20 @@
-//! The strong simple rival: the static map with a first-order lag on INJ and SA.
+//! The strong simple rival: the static map with a first-order lag on all actuators but the one that leads.
 //!
-//! Throttle acts at once, fuel and spark follow the air: `tau = 0.12 s x 2000 / N`.
+//! The actuator that moves the air acts at once, the others follow it: with `tau` at the middle of the operating channel,
+//! `tau(N) = tau m/N` (a delay of so many engine cycles). `tau` is a line search on the run's own data, so that the rival is at
+//! its best.
 
 use super::static_map::StaticMap;
-use super::{Actuators, FeedforwardMap, FirstOrder, Reference};
+use super::{FeedforwardMap, FirstOrder, Ports, Rows};
 
-/// Static map with lagged fuel and spark.
+/// Static map with lagged followers.
 pub struct LaggedStaticMap<'a> {
     /// The map behind it.
     pub map: &'a StaticMap,
-    /// Time constant at 2000 rpm in s.
-    pub tau_at_2000_rpm_s: f64,
+    /// Time constant in s at the middle of the given axis.
+    pub tau_s: f64,
+    /// Number of the actuator that leads; the others are lagged.
+    pub leader: usize,
 }
 
 impl FeedforwardMap for LaggedStaticMap<'_> {
@@ -18,18 +22,31 @@ impl FeedforwardMap for LaggedStaticMap<'_> {
         "static map with lag"
     }
 
-    fn drive(&self, demand: &[Reference], sample_time_s: f64) -> Vec<Actuators> {
-        let Some(first) = demand.first() else { return Vec::new() };
-        let start = self.map.at(first);
-        let (mut inj, mut spark) = (FirstOrder::new(start[0]), FirstOrder::new(start[1]));
-        demand
-            .iter()
-            .map(|r| {
-                let u = self.map.at(r);
-                let tau = self.tau_at_2000_rpm_s * 2000.0 / r.speed_rpm;
-                [inj.step(u[0], sample_time_s, tau), spark.step(u[1], sample_time_s, tau), u[2]]
-            })
-            .collect()
+    fn ports(&self) -> &Ports {
+        &self.map.ports
+    }
+
+    fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows {
+        let mut out = self.map.drive(reference, sample_time_s);
+        if out.is_empty() {
+            return out;
+        }
+        let middle = self.map.middle_of_given();
+        let given = self.map.ports.demands.len();
+        let mut lags: Vec<FirstOrder> = out.row(0).iter().map(|u| FirstOrder::new(*u)).collect();
+        for t in 0..out.len() {
+            let at = reference.row(t).get(given).copied();
+            let tau = match (at, middle) {
+                (Some(n), Some(m)) if n > 0.0 => self.tau_s * m / n,
+                _ => self.tau_s,
+            };
+            for (c, (v, lag)) in out.row_mut(t).iter_mut().zip(&mut lags).enumerate() {
+                if c != self.leader {
+                    *v = lag.step(*v, sample_time_s, tau);
+                }
+            }
+        }
+        out
     }
 
     fn latency_s(&self, _sample_time_s: f64) -> f64 {

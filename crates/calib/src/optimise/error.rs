@@ -12,6 +12,9 @@ pub enum OptimiseError {
     /// A derived channel cannot be computed.
     #[error(transparent)]
     Derived(#[from] DerivedError),
+    /// A stored model cannot be used sample by sample.
+    #[error(transparent)]
+    Stored(#[from] dynocal_ident::stored::StoredError),
     /// The demand cannot be formed.
     #[error(
         "the {output} model is unstable in free run on the start inputs of `{record}`: no demand can be formed from it"

@@ -43,6 +43,7 @@ mod segments;
 mod setup;
 mod shortfall;
 mod starts;
+mod stored;
 
 pub use error::OptimiseError;
 pub use horizon::Horizon;
@@ -50,6 +51,7 @@ pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use segments::{Seam, Segments};
 pub use shortfall::Shortfall;
+pub use stored::{StoredOutput, optimise_record};
 
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;

@@ -1,8 +1,8 @@
-//! `dynocal calibrate SPEC` and its steps as verbs of their own: all work in the same run folder.
+//! `dynocal calibrate SPEC`: all steps, or up to one of them, in one run folder.
 
 use std::path::{Path, PathBuf};
 
-use clap::{ArgMatches, Args, Command, FromArgMatches};
+use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::calibrate::context::ChainError;
 use dynocal_jobs::calibrate::run::STEPS;
 
@@ -15,60 +15,25 @@ use crate::failure::{Exit, Failure, exit};
 use crate::interrupt;
 use crate::step_progress::StepProgress;
 
-pub(crate) const VERB: Verb =
-    Verb { name: "calibrate", describe: |c| describe(c, ABOUT), run: |m| run_until(m, "validate", None) };
+pub(crate) const VERB: Verb = Verb { name: "calibrate", describe: |c| Calibrate::augment_args(c.about(ABOUT)), run };
 
 const ABOUT: &str = "Calibrate: excite, identify, design, optimise, invert, validate, report";
-
-/// The steps of `calibrate`; each runs what it builds on unless that is finished already.
-pub(crate) static STEP_VERBS: &[Verb] = &[
-    Verb {
-        name: "excite",
-        describe: |c| describe(c, "Step 1 of calibrate: measure identification and validation records"),
-        run: |m| run_until(m, "excite", Some(0)),
-    },
-    Verb {
-        name: "model",
-        describe: |c| describe(c, "Step 2 of calibrate: identify the torque and lambda models"),
-        run: |m| run_until(m, "identify", Some(1)),
-    },
-    Verb {
-        name: "test",
-        describe: |c| describe(c, "Step 3 of calibrate: design an optimal test signal and run it"),
-        run: |m| run_until(m, "design", Some(2)),
-    },
-    Verb {
-        name: "optimise",
-        describe: |c| describe(c, "Step 4 of calibrate: minimise fuel over a record and measure the result"),
-        run: |m| run_until(m, "optimise", Some(3)),
-    },
-    Verb {
-        name: "invert",
-        describe: |c| describe(c, "Step 5 of calibrate: turn the optimal records into a dynamic map"),
-        run: |m| run_until(m, "invert", Some(4)),
-    },
-    Verb {
-        name: "validate",
-        describe: |c| describe(c, "Step 6 of calibrate: compare the dynamic map with its rivals"),
-        run: |m| run_until(m, "validate", Some(5)),
-    },
-];
 
 #[derive(Args, Debug)]
 struct Calibrate {
     /// Spec of the calibration (TOML); the run folder is runs/NAME after its file name, unless --out says otherwise
     spec: PathBuf,
+    /// Last step that is run; it runs what it builds on unless that is finished already, and ends with its files
+    #[arg(long, value_name = "STEP", value_parser = clap::builder::PossibleValuesParser::new(STEPS))]
+    until: Option<String>,
     #[command(flatten)]
     common: Common,
 }
 
-fn describe(command: Command, about: &'static str) -> Command {
-    Calibrate::augment_args(command.about(about))
-}
-
-/// Runs up to the step `until`; a step verb (`own` is its number from 0) ends with the files of its step.
-fn run_until(matches: &ArgMatches, until: &str, own: Option<usize>) -> Result<Exit, Failure> {
+fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Calibrate::from_arg_matches(matches)?;
+    let until = args.until.as_deref().unwrap_or(STEPS[STEPS.len() - 1]);
+    let own = args.until.as_ref().and_then(|name| STEPS.iter().position(|s| s == name));
     let progress = args.common.start_steps()?;
     let campaign = job::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
     let outcome = job::run(&campaign, until, &|e| progress.tell(e), &interrupt::asked);

@@ -14,14 +14,15 @@ pub(crate) fn results(r: &ChainResult) -> String {
 }
 
 fn models(r: &ChainResult) -> String {
-    let rows: Vec<Vec<String>> = stages(r)
-        .iter()
-        .map(|(step, m)| {
-            let best = m.best();
-            let r2 = best.unseen_r2.map_or("diverged".into(), |v| format!("{:.2}", 100.0 * v));
-            vec![step.clone(), m.output.clone(), best.name.clone(), best.model.theta.len().to_string(), r2]
-        })
-        .collect();
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (step, m) in stages(r) {
+        for o in &m.outputs {
+            let best = o.best();
+            let r2 = best.unseen_r2.map_or("none".into(), |v| format!("{:.2}", 100.0 * v));
+            let size = best.model.parameters.len().to_string();
+            rows.push(vec![step.clone(), o.output.clone(), best.name.clone(), size, r2]);
+        }
+    }
     if rows.is_empty() {
         return String::new();
     }
@@ -39,38 +40,38 @@ fn passes(r: &ChainResult) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    if let Some(v) = &r.validate {
-        rows.push(vec!["best spark".into(), "-".into(), percent(v.result.best_spark.ratio)]);
+    if let Some(fixed) = r.validate.as_ref().and_then(|v| v.result.static_on_record.as_ref()) {
+        rows.push(vec!["free inputs of the static map".into(), "-".into(), percent(fixed.ratio)]);
     }
-    table::render(&["fuel against the start record", "promised [%]", "measured [%]"], &rows, &[1, 2])
+    table::render(&["objective against the start record", "promised [%]", "measured [%]"], &rows, &[1, 2])
 }
 
 fn maps(r: &ChainResult) -> String {
     let Some(v) = &r.validate else { return String::new() };
-    let rows: Vec<Vec<String>> = v
-        .result
-        .scores
-        .iter()
-        .map(|s| {
-            vec![
+    let mut rows = Vec::new();
+    for s in &v.result.scores {
+        for d in &s.demands {
+            rows.push(vec![
                 s.scenario.clone(),
                 s.map.clone(),
-                format!("{:.2}", s.torque_rms_nm),
-                format!("{:.2}", s.torque_offset_nm),
-                format!("{:.4}", s.lambda_offset),
-                format!("{:.3}", s.lambda_spike),
-                format!("{:.2}", s.torque_settling_s),
-            ]
-        })
-        .collect();
+                d.output.clone(),
+                format!("{:.4}", d.rms),
+                format!("{:.4}", d.offset),
+                format!("{:.4}", d.integral_s),
+                format!("{:.4}", d.spike()),
+                format!("{:.2}", d.settling_s),
+            ]);
+        }
+    }
     let head = [
         "scenario",
         "map",
-        "torque RMS [Nm]",
-        "offset [Nm]",
-        "lambda offset",
-        "lambda spike",
+        "demand",
+        "RMS",
+        "worst offset",
+        "integral per step [s]",
+        "spike",
         "settling [s]",
     ];
-    table::render(&head, &rows, &[2, 3, 4, 5, 6])
+    table::render(&head, &rows, &[3, 4, 5, 6, 7])
 }

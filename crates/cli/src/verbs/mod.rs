@@ -37,11 +37,6 @@ verbs![
     list,      //
 ];
 
-/// The verbs with a file each, and the steps of `calibrate`, which share one.
-fn all() -> impl Iterator<Item = &'static Verb> {
-    VERBS.iter().take(1).chain(calibrate::STEP_VERBS).chain(&VERBS[1..])
-}
-
 /// The whole command line.
 pub(crate) fn command() -> Command {
     let root = Command::new("dynocal")
@@ -50,13 +45,13 @@ pub(crate) fn command() -> Command {
         .after_help("Exit codes: 0 done, 1 done but not converged or not valid, 2 could not.")
         .subcommand_required(true)
         .arg_required_else_help(true);
-    all().fold(root, |c, v| c.subcommand((v.describe)(Command::new(v.name))))
+    VERBS.iter().fold(root, |c, v| c.subcommand((v.describe)(Command::new(v.name))))
 }
 
 /// Runs the verb that was asked for.
 pub(crate) fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let Some((name, args)) = matches.subcommand() else { return Ok(Exit::CouldNot) };
-    match all().find(|v| v.name == name) {
+    match VERBS.iter().find(|v| v.name == name) {
         Some(verb) => (verb.run)(args),
         None => Ok(Exit::CouldNot),
     }

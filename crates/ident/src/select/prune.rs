@@ -30,11 +30,14 @@ pub struct Prune {
     pub min_terms: usize,
     /// Share of each record, at its end, that chooses among the models on the way down; 0: the data of the fit choose.
     pub selection: f64,
+    /// The smallest model is kept whose mean squared error on what chooses is at most so much above the least, as a share
+    /// of it; 0: the least.
+    pub slack: f64,
 }
 
 impl Default for Prune {
     fn default() -> Self {
-        Self { from: 30, min_terms: 3, selection: 0.25 }
+        Self { from: 30, min_terms: 3, selection: 0.25, slack: 0.0 }
     }
 }
 
@@ -51,6 +54,12 @@ pub(super) const MEMBER: Member<dyn Select> = Member {
             },
             ParamDoc { name: "min_terms", unit: "-", default: "3", what: "fewest terms" },
             super::SELECTION_SHARE,
+            ParamDoc {
+                name: "slack",
+                unit: "-",
+                default: "0",
+                what: "the smallest model is kept whose mean squared error on what chooses is at most so much above the least, as a share of it",
+            },
         ],
     },
     build,
@@ -67,6 +76,9 @@ fn build(keys: &toml::Table) -> Result<Box<dyn Select>, BuildError> {
     }
     if !(0.0..1.0).contains(&s.selection) {
         return fault(format!("selection is {}, expected 0 to below 1", s.selection));
+    }
+    if !(s.slack >= 0.0 && s.slack.is_finite()) {
+        return fault(format!("slack is {}, expected a number of at least 0", s.slack));
     }
     Ok(Box::new(s))
 }
@@ -110,7 +122,7 @@ impl Select for Prune {
             let mse = score(&p.model, &p.fit.theta, &selecting, Kind::FreeRun, Seen::Unseen).mse;
             row.free_run = Some(if mse.is_finite() { mse } else { f64::INFINITY });
         }
-        let kept = best_on(&models, &selecting).unwrap_or(models.len() - 1);
+        let kept = smallest_on(&models, &selecting, self.slack).unwrap_or(models.len() - 1);
         Selection::new(pool, Vec::new(), path, first + kept + 1)
     }
 }
@@ -154,6 +166,14 @@ pub fn best_on(path: &[Pruned], data: &[Experiment]) -> Option<usize> {
     let error = |p: &Pruned| score(&p.model, &p.fit.theta, data, Kind::FreeRun, Seen::Unseen).mse;
     let errors: Vec<f64> = path.iter().map(error).collect();
     (0..path.len()).filter(|&i| errors[i].is_finite()).min_by(|&a, &b| errors[a].total_cmp(&errors[b]))
+}
+
+/// The smallest model of a way down (the largest first) whose free-run error on `data` is at most `slack` above the least.
+fn smallest_on(path: &[Pruned], data: &[Experiment], slack: f64) -> Option<usize> {
+    let error = |p: &Pruned| score(&p.model, &p.fit.theta, data, Kind::FreeRun, Seen::Unseen).mse;
+    let errors: Vec<f64> = path.iter().map(error).collect();
+    let best = best_on(path, data)?;
+    (best..path.len()).rev().find(|&i| errors[i] <= (1.0 + slack) * errors[best])
 }
 
 /// The model without term k, estimated again; `None` when that fails.

@@ -155,6 +155,39 @@ impl Pointwise {
         (value - self.output.offset) / self.output.scale
     }
 
+    /// Whether an input of the structure follows from a measured channel.
+    pub fn reads(&self, input: &str, measured: &str) -> bool {
+        match self.derived.iter().find(|d| d.name == input) {
+            Some(d) => d.powers.keys().any(|source| self.reads(source, measured)),
+            None => input == measured,
+        }
+    }
+
+    /// Second derivative of input `i` of the structure with respect to two measured channels there.
+    pub fn curvature(&self, i: usize, a: &str, b: &str, of: &dyn Fn(&str) -> f64) -> f64 {
+        let (name, affine) = &self.inputs[i];
+        self.bend(name, a, b, of) / affine.scale
+    }
+
+    /// Whether the user's output is a straight line over the structure's.
+    pub fn output_is_affine(&self) -> bool {
+        self.transform.as_ref().is_none_or(|t| t.powers.values().all(|p| *p == 1))
+    }
+
+    /// First and second derivative of the user's output with respect to the structure's at the value `z`.
+    ///
+    /// `y = (v/f)^(1/p)`, `v = offset + scale z`: `y' = scale y / (p v)`, `y'' = scale^2 (1 - p) y / (p v)^2`.
+    pub fn output_slopes(&self, z: f64) -> (f64, f64) {
+        let scale = self.output.scale;
+        let Some((t, power)) = self.transform.as_ref().and_then(|t| Some((t, *t.powers.values().next()?)))
+        else {
+            return (scale, 0.0);
+        };
+        let v = self.output.offset + scale * z;
+        let (y, p) = (t.inverted(v).unwrap_or(v), f64::from(power));
+        (scale * y / (p * v), scale * scale * (1.0 - p) * y / (p * v).powi(2))
+    }
+
     fn channel(&self, name: &str, of: &dyn Fn(&str) -> f64) -> f64 {
         match self.derived.iter().find(|d| d.name == name) {
             Some(d) => d.value(|source| self.channel(source, of)),
@@ -171,5 +204,27 @@ impl Pointwise {
                 d.powers.keys().map(|s| d.derivative(s, at) * self.slope(s, measured, of)).sum()
             }
         }
+    }
+
+    /// Second derivative of a channel with respect to two measured ones. A monomial of measured channels has
+    /// `p_a p_b d/(c_a c_b)` and, on the diagonal, `p (p - 1) d/c^2`.
+    fn bend(&self, name: &str, a: &str, b: &str, of: &dyn Fn(&str) -> f64) -> f64 {
+        let Some(d) = self.derived.iter().find(|d| d.name == name) else { return 0.0 };
+        let at = |source: &str| self.channel(source, of);
+        let value = d.value(at);
+        let mut sum = 0.0;
+        for (s, p) in &d.powers {
+            let (x, power) = (at(s), f64::from(*p));
+            sum += d.derivative(s, at) * self.bend(s, a, b, of);
+            for (r, q) in &d.powers {
+                let second = if s == r {
+                    power * (power - 1.0) * value / (x * x)
+                } else {
+                    power * f64::from(*q) * value / (x * at(r))
+                };
+                sum += second * self.slope(s, a, of) * self.slope(r, b, of);
+            }
+        }
+        sum
     }
 }

@@ -1,10 +1,8 @@
 //! Faults of a calibration spec that its types cannot show.
 
-use crate::calibrate::context::{MIN_FUEL_MG, OPEN_THROTTLE_DEG, gains};
-use crate::calibrate::spec::CalibrateSpec;
+use super::spec::CalibrateSpec;
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
-
 use dynocal_plant::plants;
 
 /// Reports every fault of `s`.
@@ -17,9 +15,9 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
             faults.unknown(&f.key, &f.found, &f.known);
         }
     }
-    if let Err(e) = gains(&s.excite.gains) {
-        faults.push("excite.gains", format!("`{}`", s.excite.gains), e);
-    }
+    s.problem.check("problem", faults);
+    loops(s, faults);
+    names(s, faults);
     if !CRITERIA.iter().any(|m| m.doc.name == s.design.criterion) {
         let known: Vec<String> = CRITERIA.iter().map(|m| m.doc.name.to_string()).collect();
         faults.unknown("design.criterion", &s.design.criterion, &known);
@@ -32,53 +30,115 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     if let Ok(table) = toml::Table::try_from(s) {
         numbers(&table, "", faults);
     }
-    start_rate(s, faults);
-    program(s, faults);
+    shape(s, faults);
     lengths(s, faults);
     counts(s, faults);
 }
 
-/// Limits and weights of the fuel program, and the ridge of the models.
-fn program(s: &CalibrateSpec, faults: &mut Faults) {
-    let p = &s.optimise.program;
-    if p.inj_mg.1.is_finite() && p.inj_mg.1 <= MIN_FUEL_MG {
-        let expected = format!("an upper limit above {MIN_FUEL_MG} mg, the least fuel that the loops use");
-        faults.push("optimise.program.inj_mg", format!("{:?}", p.inj_mg), expected);
+/// Every demand has a loop, every loop an input of its own.
+fn loops(s: &CalibrateSpec, faults: &mut Faults) {
+    let inputs = s.problem.input_names();
+    let demands = s.problem.demand_names();
+    if demands.is_empty() {
+        faults.push("problem.demands", "none", "at least one output that follows a demand");
     }
-    if p.throttle_deg.0 >= OPEN_THROTTLE_DEG {
-        let expected = format!("a lower limit below {OPEN_THROTTLE_DEG} deg, where the throttle is open");
-        faults.push("optimise.program.throttle_deg", format!("{:?}", p.throttle_deg), expected);
-    }
-    faults.positive("optimise.program.tolerance", p.tolerance, "-");
-    for (k, weight) in p.increment_weight.iter().enumerate() {
-        faults.range(
-            &format!("optimise.program.increment_weight[{k}]"),
-            *weight,
-            0.0,
-            1e6,
-            "kg/h per unit^2",
-        );
-    }
-    faults.range("identify.ridge", s.identify.ridge, 0.0, 1.0, "-");
-    faults.range("invert.shape.ridge", s.invert.shape.ridge, 0.0, 1.0, "-");
-    for (key, range) in [("excite.spark_deg", s.excite.spark_deg), ("design.spark_deg", s.design.spark_deg)] {
-        if range.0 < p.spark_deg.0 || range.1 > p.spark_deg.1 {
-            let expected = format!("inside optimise.program.spark_deg = {:?}, deg BTDC", p.spark_deg);
-            faults.push(key, format!("{range:?}"), expected);
+    let mut driven: Vec<&str> = Vec::new();
+    for (k, l) in s.loops.iter().enumerate() {
+        if !demands.contains(&l.output) {
+            faults.unknown(&format!("loops[{k}].output"), &l.output, &demands);
+        }
+        if !inputs.contains(&l.input) {
+            faults.unknown(&format!("loops[{k}].input"), &l.input, &inputs);
+        }
+        if driven.contains(&l.input.as_str()) {
+            faults.push(
+                &format!("loops[{k}].input"),
+                format!("`{}`", l.input),
+                "an input that no other loop drives",
+            );
+        }
+        driven.push(&l.input);
+        let gains = [l.gains.ki, l.gains.kp, l.trim().ki, l.trim().kp];
+        if gains.iter().any(|g| !g.is_finite() || g.abs() > 1e6) || gains[0] == 0.0 {
+            faults.push(&format!("loops[{k}].gains"), format!("{:?}", l.gains), "finite gains, ki not 0");
         }
     }
-    let shape = &s.invert.shape;
-    let offsets = shape.torque_offsets.iter().chain(&shape.lambda_offsets).chain(&shape.speed_offsets);
-    if let Some(far) = offsets.clone().find(|k| **k > shape.look_ahead as i32) {
-        let expected = format!("offsets up to invert.shape.look_ahead = {} samples", shape.look_ahead);
-        faults.push("invert.shape", far, expected);
-    }
-    if let Some(far) = offsets.clone().find(|k| **k < -MAP_MEMORY) {
-        faults.push("invert.shape", far, format!("offsets from -{MAP_MEMORY} samples on"));
+    for d in demands.iter().filter(|d| !s.loops.iter().any(|l| l.output == **d)) {
+        faults.push("loops", format!("none for `{d}`"), format!("a loop for every demand, e.g. {{ output = \"{d}\", input = .., gains = {{ ki = .., kp = .. }} }}"));
     }
 }
 
-/// Records that are long enough for what is done with them.
+/// Channels that tables are keyed by.
+fn names(s: &CalibrateSpec, faults: &mut Faults) {
+    let inputs = s.problem.input_names();
+    let demands = s.problem.demand_names();
+    let given = s.problem.given_names();
+    let outputs: Vec<String> = demands.iter().cloned().chain(s.problem.other_outputs()).collect();
+    let all = |parts: &[&Vec<String>]| parts.iter().flat_map(|p| p.iter().cloned()).collect::<Vec<_>>();
+    let mut each = |key: &str, found: Vec<&String>, known: Vec<String>| {
+        for name in found.into_iter().filter(|n| !known.contains(n)) {
+            faults.unknown(key, name, &known);
+        }
+    };
+    each("excite.ranges", s.excite.ranges.keys().collect(), all(&[&inputs, &given, &demands]));
+    each("excite.start", s.excite.start.keys().collect(), inputs.clone());
+    each("optimise.ranges", s.optimise.ranges.keys().collect(), demands.clone());
+    each("identify.models", s.identify.models.keys().collect(), outputs.clone());
+    each("identify.files", s.identify.files.keys().collect(), outputs.clone());
+    each("validate.scenario.bands", s.validate.scenario.bands.keys().collect(), demands.clone());
+    each("invert.shape.offsets", s.invert.shape.offsets.keys().collect(), all(&[&demands, &given]));
+    each("invert.shape.filter_s", s.invert.shape.filter_s.keys().collect(), demands);
+    for (key, ranges) in [("excite", &s.excite.ranges), ("optimise", &s.optimise.ranges)] {
+        for (name, r) in ranges {
+            if !(r.0.is_finite() && r.1.is_finite() && r.0 < r.1) {
+                faults.push(
+                    &format!("{key}.ranges.{name}"),
+                    format!("{r:?}"),
+                    "two numbers, lower before upper",
+                );
+            }
+            let bounds = s.problem.inputs.iter().find(|i| i.name == *name);
+            if let Some(i) = bounds.filter(|i| r.0 < i.lower || r.1 > i.upper) {
+                let expected = format!("inside problem.inputs, {} to {} {}", i.lower, i.upper, i.unit);
+                faults.push(&format!("{key}.ranges.{name}"), format!("{r:?}"), expected);
+            }
+        }
+    }
+}
+
+/// Farthest past sample that the map may look at.
+const MAP_MEMORY: i32 = 60;
+
+fn shape(s: &CalibrateSpec, faults: &mut Faults) {
+    let shape = &s.invert.shape;
+    faults.range("invert.shape.ridge", shape.ridge, 0.0, 1.0, "-");
+    if shape.look_ahead > MAP_MEMORY as usize {
+        faults.push("invert.shape.look_ahead", shape.look_ahead, format!("at most {MAP_MEMORY} samples"));
+    }
+    let refs = s.problem.demands.iter().map(|d| &d.output).chain(s.problem.given.iter().map(|g| &g.name));
+    for (k, name) in refs.enumerate() {
+        let role = if k == 0 {
+            0
+        } else if k < s.problem.demands.len() {
+            1
+        } else {
+            2
+        };
+        for offset in shape.offsets_of(name, role) {
+            // The window of a demand ends where the newest demand is.
+            let most = if role < 2 { shape.look_ahead as i32 } else { MAP_MEMORY };
+            if *offset > most || *offset < -MAP_MEMORY || *offset == 0 {
+                let key = format!("invert.shape.offsets.{name}");
+                faults.push(&key, offset, format!("from -{MAP_MEMORY} to {most} samples, not 0"));
+            }
+        }
+    }
+}
+
+/// Most samples of one record.
+const MOST_SAMPLES: f64 = 2e5;
+
+/// Records that are long enough for what is done with them, and not too long for memory.
 fn lengths(s: &CalibrateSpec, faults: &mut Faults) {
     for (key, value, least) in [
         ("excite.record_s", s.excite.record_s, 3.0),
@@ -87,22 +147,17 @@ fn lengths(s: &CalibrateSpec, faults: &mut Faults) {
         ("validate.scenario.point_s", s.validate.scenario.point_s, 1.0),
         ("validate.scenario.step_s", s.validate.scenario.step_s, 1.0),
     ] {
-        if value < least {
-            faults.push(key, value, format!("at least {least} s"));
+        let most = MOST_SAMPLES * s.sample_time_s;
+        if !(value >= least && value <= most) {
+            faults.push(key, value, format!("{least} to {most} s"));
         }
     }
 }
 
-/// Farthest past sample that the map may look at.
-const MAP_MEMORY: i32 = 60;
+/// Times that may be zero.
+const MAY_BE_ZERO: [&str; 3] = ["dwell_s", "ramp_s", "lead_in_s"];
 
-/// Times that may be zero: a lag of zero is the static map itself, a sweep may turn without a dwell, a step may be
-/// instantaneous.
-const MAY_BE_ZERO: [&str; 3] = ["lag_s", "dwell_s", "ramp_s"];
-/// Pairs that are levels, not limits.
-const LEVELS: [&str; 1] = ["step_nm"];
-
-/// Durations and ranges, recognised by their names, so that a new key of any step is checked too.
+/// Durations, recognised by their names, so that a new key of any step is checked too.
 fn numbers(table: &toml::Table, path: &str, faults: &mut Faults) {
     for (key, value) in table {
         let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
@@ -110,63 +165,68 @@ fn numbers(table: &toml::Table, path: &str, faults: &mut Faults) {
             toml::Value::Table(t) => numbers(t, &path, faults),
             toml::Value::Float(v) if key.ends_with("_s") => {
                 let fits = v.is_finite() && (*v > 0.0 || (*v == 0.0 && MAY_BE_ZERO.contains(&key.as_str())));
-                if !fits {
+                if !(fits && *v <= 1e6) {
                     faults.push(&path, v, "a positive number, s");
                 }
             }
-            toml::Value::Array(items) if !LEVELS.contains(&key.as_str()) => axis(&path, key, items, faults),
+            toml::Value::Array(items) if ["demand", "given"].contains(&key.as_str()) => {
+                let values: Vec<f64> = items.iter().filter_map(toml::Value::as_float).collect();
+                let increasing =
+                    values.windows(2).all(|w| w[0] < w[1]) && values.iter().all(|v| v.is_finite());
+                if !values.is_empty() && !increasing {
+                    faults.push(&path, format!("{values:?}"), "increasing numbers");
+                }
+            }
             _ => {}
         }
     }
 }
 
-/// A pair `[lower, upper]` or a grid: increasing numbers.
-fn axis(path: &str, key: &str, items: &[toml::Value], faults: &mut Faults) {
-    let units = [("_nm", "Nm"), ("_rpm", "rpm"), ("_mg", "mg"), ("_deg", "deg"), ("lambda", "-")];
-    let Some((_, unit)) = units.iter().find(|(ending, _)| key.ends_with(ending)) else { return };
-    let values: Vec<f64> = items.iter().filter_map(toml::Value::as_float).collect();
-    let increasing = values.windows(2).all(|w| w[0] < w[1]) && values.iter().all(|v| v.is_finite());
-    if values.is_empty() || !increasing {
-        faults.push(path, format!("{values:?}"), format!("increasing numbers, lower before upper, {unit}"));
-    }
-}
-
-fn start_rate(s: &CalibrateSpec, faults: &mut Faults) {
-    let (rate, limit) = (s.optimise.start_spark_rate_deg, s.optimise.program.spark_rate_deg);
-    faults.positive("optimise.program.spark_rate_deg", limit, "deg per sample");
-    if !(rate > 0.0 && rate <= limit) {
-        faults.push(
-            "optimise.start_spark_rate_deg",
-            rate,
-            format!("a positive number, deg per sample, at most optimise.program.spark_rate_deg = {limit}, else the start is not feasible"),
-        );
-    }
-}
-
 fn counts(s: &CalibrateSpec, faults: &mut Faults) {
-    for (key, value, least) in [
-        ("excite.identification_records", s.excite.identification_records, 1),
-        ("excite.validation_records", s.excite.validation_records, 1),
-        ("excite.levels", s.excite.levels, 2),
-        ("identify.torque_terms", s.identify.torque_terms, 1),
-        ("identify.lambda_terms", s.identify.lambda_terms, 1),
-        ("identify.max_evaluations", s.identify.max_evaluations, 1),
-        ("design.max_evaluations", s.design.max_evaluations, 1),
-        ("optimise.passes", s.optimise.passes, 1),
-        ("validate.scenario.points", s.validate.scenario.points, 1),
-        ("validate.scenario.steps", s.validate.scenario.steps, 1),
+    let e = &s.excite;
+    for (key, value, least, most) in [
+        ("excite.levels", e.levels, 2, 1000),
+        ("identify.terms", s.identify.terms, 1, 1000),
+        ("identify.lags", s.identify.lags, 1, 50),
+        ("identify.init_samples", s.identify.init_samples, 0, 100_000),
+        ("design.max_evaluations", s.design.max_evaluations, 1, 1_000_000),
+        ("design.starts", s.design.starts, 1, 1000),
+        ("optimise.passes", s.optimise.passes, 1, 100),
+        ("optimise.max_iterations", s.optimise.max_iterations, 1, 100_000),
+        ("validate.scenario.points", s.validate.scenario.points, 1, 10_000),
+        ("validate.scenario.steps", s.validate.scenario.steps, 1, 10_000),
+        ("validate.static_map.search.sweeps", s.validate.static_map.search.sweeps, 1, 100),
     ] {
-        if value < least {
-            faults.push(key, value, format!("a whole number of at least {least}"));
+        if value < least || value > most {
+            faults.push(key, value, format!("a whole number from {least} to {most}"));
         }
     }
-    let samples = s.excite.record_s / s.sample_time_s * s.excite.identification_records as f64;
-    let terms = s.identify.torque_terms.max(s.identify.lambda_terms) + s.identify.surplus_terms;
-    if samples.is_finite() && samples < 5.0 * terms as f64 {
-        faults.push(
-            "excite.record_s",
-            s.excite.record_s,
-            format!("identification records long enough for {terms} terms (at least 5 samples for each)"),
-        );
+    faults.range(
+        "validate.static_map.search.tolerance",
+        s.validate.static_map.search.tolerance,
+        1e-4,
+        0.5,
+        "-",
+    );
+    if e.identification_files.is_empty() {
+        for (key, value) in [
+            ("excite.identification_records", e.identification_records),
+            ("excite.validation_records", e.validation_records),
+        ] {
+            if !(1..=1000).contains(&value) {
+                faults.push(key, value, "a whole number from 1 to 1000");
+            }
+        }
+        let samples = e.record_s / s.sample_time_s * e.identification_records as f64;
+        let terms = s.identify.terms + s.identify.terms / 3 + 30;
+        if samples.is_finite() && samples < 5.0 * terms as f64 {
+            faults.push(
+                "excite.record_s",
+                e.record_s,
+                format!("identification records long enough for {terms} candidate terms (at least 5 samples for each)"),
+            );
+        }
+    } else if e.validation_files.is_empty() {
+        faults.push("excite.validation_files", "none", "at least one record that the models have not seen");
     }
 }

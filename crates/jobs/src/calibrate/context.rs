@@ -1,17 +1,20 @@
 //! What every step of a campaign shares: the spec, the plant and the way to interrupt and report.
 
+use super::channels::Channels;
 use super::spec::CalibrateSpec;
-use dynocal_calib::control::LoopGains;
-use dynocal_calib::fuel::FuelError;
-use dynocal_calib::map::MapLimits;
 use dynocal_calib::map::structured::MapError;
-use dynocal_calib::record::ActuatorLimits;
+use dynocal_calib::optimise::OptimiseError;
+use dynocal_calib::supervisor::{self, Predictor};
 use dynocal_files::FilesError;
 use dynocal_files::csv_io;
+use dynocal_files::dataset;
 use dynocal_ident::data::{DataError, Dataset};
-use dynocal_ident::plan::Plan;
-use dynocal_ident::plant::{Plant, PlantError};
-use dynocal_ident::play::{PlayError, RecordFault, Unwatched, check_record, play};
+use dynocal_ident::derived::DerivedError;
+use dynocal_ident::pi::PiGains;
+use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_ident::plant::{Causality, Plant, PlantError};
+use dynocal_ident::play::{self, PlayError, RecordFault};
+use dynocal_ident::stored::{StoredError, StoredModel};
 use dynocal_numerics::registry::BuildError;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -25,31 +28,27 @@ pub enum ChainError {
     /// A record.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// A derived channel.
+    #[error(transparent)]
+    Derived(#[from] DerivedError),
     /// The plant.
     #[error(transparent)]
     Plant(#[from] PlantError),
-    /// A plan that could not be played.
+    /// A plan that cannot be played.
     #[error(transparent)]
     Play(#[from] PlayError),
-    /// A measured record is not what its plan asked for.
-    #[error("{file} is not a record of the plan `{plan}`: {}", .faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
-    Record {
-        /// File.
-        file: String,
-        /// Plan.
-        plan: String,
-        /// Every fault.
-        faults: Vec<RecordFault>,
-    },
     /// A member of a table.
     #[error(transparent)]
     Build(#[from] BuildError),
     /// The optimisation.
     #[error(transparent)]
-    Fuel(#[from] FuelError),
+    Optimise(#[from] OptimiseError),
     /// The map.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// A stored model.
+    #[error(transparent)]
+    Model(#[from] StoredError),
     /// Estimation or selection.
     #[error("{what}: {reason}")]
     Identify {
@@ -61,23 +60,43 @@ pub enum ChainError {
     /// The test signal.
     #[error("design: {0}")]
     Design(String),
+    /// A plan ended early.
+    #[error(
+        "the record `{record}` {stop}; what was measured is kept in `{kept}`. Narrow `excite.ranges` or `design`, or move the limit"
+    )]
+    Stopped {
+        /// Record.
+        record: String,
+        /// Where and why.
+        stop: String,
+        /// File with what was measured.
+        kept: String,
+    },
     /// A real bed must measure first.
     #[error(
-        "the plan `{plan}` ({mode}; its loops and limits stand beside it) waits to be run on the bed: put the measured record at `{measured}` (columns time [s], {columns}) and start again: finished steps are kept"
+        "{} wait to be run on the bed:\n{}\nPut each measured record at the path that stands beside it, with the channels {channels}, and start again: finished steps are kept (docs/bed.md)",
+        if waiting.len() == 1 { "a plan".to_string() } else { format!("{} plans", waiting.len()) },
+        waiting.join("\n")
     )]
     NeedsMeasurement {
-        /// Plan that was written.
-        plan: String,
-        /// Open or closed loop.
-        mode: String,
-        /// Columns of the record, with units.
-        columns: String,
-        /// Where the record is expected.
+        /// `plan -> measured`, one line for each.
+        waiting: Vec<String>,
+        /// Channels of the record.
+        channels: String,
+    },
+    /// A record of a bed that is not what the plan asked for.
+    #[error("`{measured}` is not the record of the plan `{plan}`:\n{}", faults.join("\n"))]
+    Record {
+        /// Measured file.
         measured: String,
+        /// Plan.
+        plan: String,
+        /// What differs, in sentences.
+        faults: Vec<String>,
     },
     /// A step that only a plant in the loop can do.
     #[error(
-        "the static map and the comparison of the maps step a plant themselves: on a real bed the chain ends with `dynocal invert`, which has written the map; run this step on the virtual engine"
+        "the static map and the comparison of the maps step a plant themselves: on a real bed the chain ends with `dynocal calibrate SPEC --until invert`, which has written the map"
     )]
     NeedsPlant,
     /// Ctrl-C.
@@ -95,12 +114,6 @@ pub enum ChainError {
     },
 }
 
-/// Least fuel in mg that loops and maps use: a motored cylinder has no lambda that a loop could hold.
-pub const MIN_FUEL_MG: f64 = 1.0;
-
-/// Throttle angle in deg above which nothing changes any more.
-pub const OPEN_THROTTLE_DEG: f64 = 60.0;
-
 /// Makes plants: with the sensor noise of the spec, or free of noise.
 pub type PlantFactory<'a> = &'a (dyn Fn(bool) -> Result<Box<dyn Plant>, PlantError> + Sync);
 
@@ -117,10 +130,23 @@ pub enum Event {
     Note(String),
 }
 
+/// How loops are used in a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// They find the operating points.
+    Lead,
+    /// They trim a feedforward.
+    Trim,
+    /// They are open.
+    Open,
+}
+
 /// Shared by all steps.
 pub struct Context<'a> {
     /// The checked spec.
     pub spec: &'a CalibrateSpec,
+    /// Its channels by their parts.
+    pub channels: Channels,
     /// Where plants come from; none for a real bed.
     pub plants: Option<PlantFactory<'a>>,
     /// Folder with measured records when the plant is a real bed.
@@ -165,70 +191,188 @@ impl Context<'_> {
         digests
     }
 
-    /// Whether the plant has sensor noise.
+    /// Whether the plant has sensor noise, as far as the spec says.
     pub fn noisy(&self) -> bool {
         self.spec.plant.torque_noise_nm > 0.0 || self.spec.plant.lambda_noise > 0.0
     }
 
-    /// Actuator limits of every closed-loop run.
-    pub fn actuator_limits(&self) -> ActuatorLimits {
-        let p = &self.spec.optimise.program;
-        ActuatorLimits {
-            inj_mg: (p.inj_mg.0.max(MIN_FUEL_MG), p.inj_mg.1),
-            spark_deg: p.spark_deg,
-            throttle_deg: (p.throttle_deg.0, p.throttle_deg.1.min(OPEN_THROTTLE_DEG)),
+    /// Values at which the inputs that may move begin: those of the spec, else the plant's own, else the middles of their
+    /// ranges; inside the bounds of the problem.
+    ///
+    /// # Errors
+    /// [`ChainError::Plant`].
+    pub fn start_inputs(&self) -> Result<Vec<f64>, ChainError> {
+        let variables = match self.plants {
+            Some(make) => make(false)?.variables().to_vec(),
+            None => Vec::new(),
+        };
+        let own = |name: &str| {
+            let v = variables.iter().find(|v| v.causality == Causality::Input && v.name == name);
+            v.map(|v| v.start)
+        };
+        let start = |i: &dynocal_calib::problem::InputChannel| {
+            let value = self.spec.excite.start.get(&i.name).copied().or_else(|| own(&i.name));
+            value.unwrap_or(0.5 * (i.lower + i.upper)).clamp(i.lower, i.upper)
+        };
+        Ok(self.spec.problem.inputs.iter().map(start).collect())
+    }
+
+    /// Gains of the loop of demand number `k`.
+    pub fn gains(&self, k: usize, tone: Tone) -> PiGains {
+        let output = &self.channels.demands[k];
+        let spec = self.spec.loops.iter().find(|l| l.output == *output);
+        let none = PiGains { ki: 0.0, kp: 0.0 };
+        match tone {
+            Tone::Trim => spec.map_or(none, super::spec::LoopSpec::trim),
+            _ => spec.map_or(none, |l| l.gains),
         }
     }
 
-    /// The actuator limits as numbers, for the digest of a step.
-    pub fn actuator_limits_key(&self) -> [f64; 6] {
-        let l = self.actuator_limits();
-        [l.inj_mg.0, l.inj_mg.1, l.spark_deg.0, l.spark_deg.1, l.throttle_deg.0, l.throttle_deg.1]
+    /// A plan of inputs that may move, given channels and demands (one column each, in the order of the problem).
+    pub fn plan(
+        &self,
+        name: &str,
+        inputs: Vec<Vec<f64>>,
+        given: Vec<Vec<f64>>,
+        demands: Vec<Vec<f64>>,
+        tone: Tone,
+    ) -> Plan {
+        let problem = &self.spec.problem;
+        let moved = problem
+            .inputs
+            .iter()
+            .zip(inputs)
+            .map(|(i, values)| PlanChannel::free(&i.name, &i.unit, values).within(i.lower, i.upper));
+        let imposed =
+            problem.given.iter().zip(given).map(|(g, values)| PlanChannel::free(&g.name, &g.unit, values));
+        let channels = moved.chain(imposed).collect();
+        let loops = (0..problem.demands.len())
+            .zip(&self.channels.driven)
+            .map(|(k, input)| PlanLoop {
+                output: self.channels.demands[k].clone(),
+                input: self.channels.inputs[*input].clone(),
+                gains: self.gains(k, tone),
+                closed: tone != Tone::Open && !demands.is_empty(),
+            })
+            .collect();
+        let demands = problem
+            .demands
+            .iter()
+            .zip(demands)
+            .map(|(d, values)| PlanDemand { output: d.output.clone(), unit: d.unit.clone(), values })
+            .collect();
+        let mut plan = Plan::open_loop(name, self.spec.sample_time_s, channels)
+            .with_loops(demands, loops)
+            .with_limits(self.spec.abort.clone())
+            .settled(self.spec.excite.lead_in_s);
+        plan.outputs = self.channels.outputs();
+        plan
     }
 
-    /// The same limits for maps.
-    pub fn map_limits(&self) -> MapLimits {
-        let l = self.actuator_limits();
-        MapLimits {
-            lower: [l.inj_mg.0, l.spark_deg.0, l.throttle_deg.0],
-            upper: [l.inj_mg.1, l.spark_deg.1, l.throttle_deg.1],
-        }
-    }
-
-    /// Runs a plan on the plant, or writes it and reads the measured record when the plant is a real bed.
+    /// Runs a plan on the plant under the supervisor, or writes it and reads the measured record when the plant is a real
+    /// bed.
     ///
     /// # Errors
     /// [`ChainError`].
     pub fn measure(&self, folder: &Path, plan: &Plan, noise: bool) -> Result<Dataset, ChainError> {
+        self.measure_with(folder, plan, noise, &[])
+    }
+
+    /// The same with models of outputs, which let the supervisor look ahead.
+    ///
+    /// # Errors
+    /// [`ChainError`].
+    pub fn measure_with(
+        &self,
+        folder: &Path,
+        plan: &Plan,
+        noise: bool,
+        models: &[&StoredModel],
+    ) -> Result<Dataset, ChainError> {
         self.check_interrupt()?;
-        let name = &plan.name;
-        if self.plants.is_some() {
+        let mut record = if self.plants.is_some() {
             let mut plant = self.plant(noise)?;
-            plant.reset(noise_seed(self.spec.seed, name));
-            return Ok(play(plant.as_mut(), plan, &mut Unwatched)?.whole()?.record);
-        }
-        let plan_path = dynocal_files::plan::write(folder, plan)?;
-        let measured = self.measured.join(format!("{name}.csv"));
+            plant.reset(noise_seed(self.spec.seed, &plan.name));
+            let inputs: Vec<String> = plan.channels.iter().map(|c| c.name.clone()).collect();
+            // Only outputs with an abort rule are watched.
+            let watched =
+                models.iter().filter(|m| plan.limits.iter().any(|l| l.output == m.user_output().name));
+            let views = watched
+                .map(|m| Ok((m.user_output().name, m.over(&inputs)?)))
+                .collect::<Result<Vec<_>, StoredError>>()?;
+            let predictors: Vec<(&str, Predictor)> = views
+                .iter()
+                .map(|(name, v)| (name.as_str(), Predictor { model: v, theta: v.theta() }))
+                .collect();
+            let mut watchdog = supervisor::for_plan(plan, &predictors);
+            let played = play::play(plant.as_mut(), plan, &mut watchdog)?;
+            if let Some(stop) = played.stop {
+                let kept = folder.join(format!("{}.stopped.csv", plan.name));
+                csv_io::write_dataset(&kept, &played.record)?;
+                let (record, kept) = (plan.name.clone(), kept.display().to_string());
+                return Err(ChainError::Stopped { record, stop: stop.to_string(), kept });
+            }
+            played.record
+        } else {
+            self.from_bed(folder, plan)?
+        };
+        record.init_samples = self.spec.identify.init_samples;
+        Ok(record)
+    }
+
+    /// The record of a plan that a bed has played, checked against it; the plan is written for the bed.
+    fn from_bed(&self, folder: &Path, plan: &Plan) -> Result<Dataset, ChainError> {
+        let path = dynocal_files::plan::write(folder, plan)?;
+        let measured = self.measured.join(format!("{}.csv", plan.name));
         if !measured.exists() {
-            return Err(ChainError::NeedsMeasurement {
-                plan: plan_path.display().to_string(),
-                mode: plan.mode(),
-                columns: dynocal_files::plan::record_columns(plan),
-                measured: measured.display().to_string(),
-            });
+            let waiting = vec![format!("  {} ({}) -> {}", path.display(), plan.mode(), measured.display())];
+            let channels = dynocal_files::plan::record_columns(plan);
+            return Err(ChainError::NeedsMeasurement { waiting, channels });
         }
         let mut record = dynocal_files::plan::read_record(&measured, plan)?;
-        let faults = check_record(plan, &record);
+        let faults: Vec<String> =
+            play::check_record(plan, &record).iter().map(RecordFault::to_string).collect();
         if !faults.is_empty() {
-            let file = measured.display().to_string();
-            return Err(ChainError::Record { file, plan: name.clone(), faults });
+            let (measured, plan) = (measured.display().to_string(), path.display().to_string());
+            return Err(ChainError::Record { measured, plan, faults });
         }
         // The stamps have been compared: the record has the sample time of the plan.
-        record.channels.retain(|c| c.name != dynocal_files::dataset::STAMPS);
+        record.channels.retain(|c| c.name != dataset::STAMPS);
         record.sample_time_s = plan.sample_time_s;
         record.origin = format!("bed, {}", measured.display());
         Ok(record)
     }
+
+    /// A record with the channels of the problem from a file.
+    ///
+    /// # Errors
+    /// [`ChainError::Files`].
+    pub fn read_record(&self, path: &Path, name: &str) -> Result<Dataset, ChainError> {
+        let (inputs, outputs) = (self.channels.plant_inputs(), self.channels.outputs());
+        let mut d = dataset::read_dataset(path, &texts(&inputs), &texts(&outputs))?;
+        d.name = name.into();
+        d.init_samples = self.spec.identify.init_samples;
+        Ok(d)
+    }
+
+    /// Reads the records of a step back, bit for bit.
+    ///
+    /// # Errors
+    /// [`ChainError::Files`].
+    pub fn load_records(&self, folder: &Path, refs: &[RecordRef]) -> Result<Vec<Dataset>, ChainError> {
+        let one = |r: &RecordRef| {
+            let mut d = self.read_record(&folder.join(&r.file), &r.name)?;
+            // The time column is rounded, the spec is not.
+            d.sample_time_s = self.spec.sample_time_s;
+            d.origin.clone_from(&r.origin);
+            Ok(d)
+        };
+        refs.iter().map(one).collect()
+    }
+}
+
+fn texts(names: &[String]) -> Vec<&str> {
+    names.iter().map(String::as_str).collect()
 }
 
 /// Seed of the sensor noise of one record: depends on seed and name only, not on the order of the runs.
@@ -236,8 +380,15 @@ fn noise_seed(seed: u64, name: &str) -> u64 {
     name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
+/// Name of a file without folder and endings.
+pub(super) fn stem(path: &Path) -> String {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    name.split('.').next().unwrap_or(&name).to_string()
+}
+
 /// A stored record of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RecordRef {
     /// Name.
     pub name: String,
@@ -260,43 +411,4 @@ pub fn save_records(folder: &Path, records: &[Dataset]) -> Result<Vec<RecordRef>
             Ok(RecordRef { name: r.name.clone(), file, origin: r.origin.clone() })
         })
         .collect()
-}
-
-/// Reads the records of a step back, bit for bit.
-///
-/// # Errors
-/// [`FilesError`].
-pub fn load_records(
-    folder: &Path,
-    refs: &[RecordRef],
-    sample_time_s: f64,
-) -> Result<Vec<Dataset>, FilesError> {
-    refs.iter()
-        .map(|r| {
-            let mut d = read_record(&folder.join(&r.file), &r.name)?;
-            // The time column is rounded, the spec is not.
-            d.sample_time_s = sample_time_s;
-            d.origin.clone_from(&r.origin);
-            Ok(d)
-        })
-        .collect()
-}
-
-fn read_record(path: &Path, name: &str) -> Result<Dataset, FilesError> {
-    let inputs: Vec<&str> = dynocal_calib::record::INPUTS.to_vec();
-    let mut d = dynocal_files::dataset::read_dataset(path, &inputs, &["torque", "lambda"])?;
-    d.name = name.into();
-    Ok(d)
-}
-
-/// Gains by name, as the spec gives them.
-///
-/// # Errors
-/// [`ChainError::Spec`] with the names there are.
-pub fn gains(name: &str) -> Result<LoopGains, ChainError> {
-    LoopGains::named(name).ok_or_else(|| ChainError::Spec {
-        key: "excite.gains".into(),
-        found: format!("\"{name}\""),
-        expected: format!("one of {}", LoopGains::NAMES.join(", ")),
-    })
 }

@@ -1,30 +1,28 @@
 //! Step 1: identification and validation records in closed loop.
 
-use super::context::{ChainError, Context, RecordRef, gains, save_records};
-use dynocal_calib::control::LoopGains;
-use dynocal_calib::excite::{References, plan_of, references};
-use dynocal_calib::record::{Demand, engine_plan};
+use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::signals::{aprbs, sweep};
 use dynocal_ident::data::Dataset;
+use dynocal_ident::plan::Plan;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What step 1 leaves behind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ExciteResult {
     /// Identification records.
     pub identification: Vec<RecordRef>,
-    /// Validation records of other seeds and speed periods.
+    /// Validation records of other seeds and sweep periods.
     pub validation: Vec<RecordRef>,
-    /// Bed time of the identification records in s.
+    /// Bed time of the identification records in s; 0 for records that were there before.
     pub identification_bed_s: f64,
     /// Bed time of the validation records in s.
     pub validation_bed_s: f64,
 }
-
-/// Time before a record in which the loops find the first operating point, in s.
-pub const LEAD_IN_S: f64 = 3.0;
 
 /// Stream numbers of the random generator: one per record, far apart per purpose.
 mod stream {
@@ -38,22 +36,24 @@ mod stream {
 /// [`ChainError`].
 pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
+    if !spec.identification_files.is_empty() {
+        return taken_over(ctx, folder);
+    }
     let total = spec.identification_records + spec.validation_records;
-    let done = std::sync::atomic::AtomicUsize::new(0);
+    let done = AtomicUsize::new(0);
     let records = (0..total)
         .into_par_iter()
         .map(|k| {
-            let (name, references) = record_references(ctx, k)?;
-            let record = run(ctx, folder, &name, &references)?;
-            let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            (ctx.tell)(super::context::Event::Fraction(done as f64 / total as f64));
+            let record = ctx.measure(folder, &record_plan(ctx, k)?, true)?;
+            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+            (ctx.tell)(Event::Fraction(done as f64 / total as f64));
             Ok(record)
         })
         .collect::<Vec<Result<Dataset, ChainError>>>()
         .into_iter()
         .collect::<Result<Vec<_>, _>>()?;
     let (identification, validation) = records.split_at(spec.identification_records);
-    let bed_s = |n: usize| n as f64 * (spec.record_s + LEAD_IN_S);
+    let bed_s = |n: usize| n as f64 * (spec.record_s + spec.lead_in_s);
     Ok(ExciteResult {
         identification: save_records(folder, identification)?,
         validation: save_records(folder, validation)?,
@@ -62,19 +62,33 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
     })
 }
 
-/// Name and references of record `k`: identification records first.
-fn record_references(ctx: &Context, k: usize) -> Result<(String, References), ChainError> {
+/// Records that are there already.
+fn taken_over(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
+    let spec = &ctx.spec.excite;
+    let read = |files: &[std::path::PathBuf]| -> Result<Vec<Dataset>, ChainError> {
+        files.iter().map(|f| ctx.read_record(f, &super::context::stem(f))).collect()
+    };
+    let (identification, validation) = (read(&spec.identification_files)?, read(&spec.validation_files)?);
+    Ok(ExciteResult {
+        identification: save_records(folder, &identification)?,
+        validation: save_records(folder, &validation)?,
+        identification_bed_s: 0.0,
+        validation_bed_s: 0.0,
+    })
+}
+
+/// Plan of record `k`: identification records first.
+fn record_plan(ctx: &Context, k: usize) -> Result<Plan, ChainError> {
     let spec = &ctx.spec.excite;
     let ident = spec.identification_records;
-    let (name, number, sweep_s) = if k < ident {
-        // Sweeps of different periods, so that speed and the 3 s levels do not repeat together.
-        (format!("ident{:02}", k + 1), stream::IDENTIFICATION + k as u64, spec.sweep_s + k as f64)
-    } else {
-        let v = k - ident;
-        (format!("val{:02}", v + 1), stream::VALIDATION + v as u64, spec.sweep_s - 1.0 + 1.7 * v as f64)
-    };
-    let mut rng = Rng64::stream(ctx.spec.seed, number);
-    Ok((name, references(spec, sweep_s, ctx.spec.sample_time_s, &mut rng)?))
+    if k < ident {
+        // Sweeps of different periods, so that the given channel and the levels do not repeat together.
+        let number = stream::IDENTIFICATION + k as u64;
+        return excitation(ctx, &format!("ident{:02}", k + 1), number, spec.sweep_s + k as f64);
+    }
+    let v = k - ident;
+    let (number, sweep_s) = (stream::VALIDATION + v as u64, spec.sweep_s - 1.0 + 1.7 * v as f64);
+    excitation(ctx, &format!("val{:02}", v + 1), number, sweep_s)
 }
 
 /// One more identification record by the same recipe, of a stream of its own.
@@ -82,32 +96,50 @@ fn record_references(ctx: &Context, k: usize) -> Result<(String, References), Ch
 /// # Errors
 /// [`ChainError`].
 pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Result<Dataset, ChainError> {
-    let spec = &ctx.spec.excite;
-    let mut rng = Rng64::stream(ctx.spec.seed, stream::IDENTIFICATION + 50 + number);
-    let references = references(spec, spec.sweep_s + 0.5, ctx.spec.sample_time_s, &mut rng)?;
-    run(ctx, folder, name, &references)
+    let stream = stream::IDENTIFICATION + 50 + number;
+    ctx.measure(folder, &excitation(ctx, name, stream, ctx.spec.excite.sweep_s + 0.5)?, true)
 }
 
-fn run(ctx: &Context, folder: &Path, name: &str, references: &References) -> Result<Dataset, ChainError> {
-    let gains = gains(&ctx.spec.excite.gains)?;
-    through_loops(ctx, folder, name, &plan_of(references), &references.demand, gains)
-}
-
-/// Runs a demand through loops with `gains` over a feedforward.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn through_loops(
-    ctx: &Context,
-    folder: &Path,
-    name: &str,
-    feedforward: &[[f64; 4]],
-    demand: &[Demand],
-    gains: LoopGains,
-) -> Result<Dataset, ChainError> {
-    let limits = ctx.actuator_limits();
-    let plan = engine_plan(name, ctx.spec.sample_time_s, feedforward, demand, gains, limits, LEAD_IN_S);
-    let mut record = ctx.measure(folder, &plan, true)?;
-    record.init_samples = ctx.spec.identify.init_samples;
-    Ok(record)
+/// Levels on every demand and every free input, displaced by equal parts of the hold time; given channels swept.
+fn excitation(ctx: &Context, name: &str, stream: u64, sweep_s: f64) -> Result<Plan, ChainError> {
+    let (spec, problem, channels) = (&ctx.spec.excite, &ctx.spec.problem, &ctx.channels);
+    let dt = ctx.spec.sample_time_s;
+    let n = (spec.record_s / dt).round() as usize;
+    let mut rng = Rng64::stream(ctx.spec.seed, stream);
+    let range = |name: &str, own: (f64, f64)| spec.ranges.get(name).copied().unwrap_or(own);
+    let moved = channels.demands.len() + channels.free.len();
+    let mut number = 0;
+    let mut levels = |name: &str, own: (f64, f64)| {
+        let phase_s = number as f64 * spec.hold_s / moved as f64;
+        number += 1;
+        aprbs(range(name, own), spec.levels, spec.hold_s, phase_s, n, dt, &mut rng)
+    };
+    let demands = problem
+        .demands
+        .iter()
+        .map(|d| levels(&d.output, (d.lower, d.upper)))
+        .collect::<Result<Vec<_>, _>>()?;
+    let free = channels
+        .free
+        .iter()
+        .map(|&k| {
+            let i = &problem.inputs[k];
+            levels(&i.name, (i.lower, i.upper))
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let start = ctx.start_inputs()?;
+    let mut inputs: Vec<Vec<f64>> = start.iter().map(|v| vec![*v; n]).collect();
+    for (&k, values) in channels.free.iter().zip(free) {
+        inputs[k] = values;
+    }
+    let given = problem
+        .given
+        .iter()
+        .enumerate()
+        .map(|(k, g)| {
+            let period = sweep_s * (1.0 + 0.37 * k as f64);
+            sweep(range(&g.name, (g.lower, g.upper)), period, spec.dwell_s, n, dt)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(ctx.plan(name, inputs, given, demands, Tone::Lead))
 }

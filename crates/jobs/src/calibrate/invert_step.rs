@@ -1,20 +1,22 @@
-//! Step 5: from measured optimal records to the dynamic map that is delivered, and the published map beside it.
+//! Step 5: from measured optimal records to the dynamic map that is delivered, and the published map beside it where the
+//! problem is the thesis'.
 
 use super::context::{ChainError, Context};
-use super::optimise_step::{END_EFFECT, response_and_actuators};
-use dynocal_calib::engine_model::EngineModel;
-use dynocal_calib::map::published::{PUBLISHED_SHIFT, PublishedMap, input_rows, structures};
+use super::optimise_step::END_EFFECT;
+use dynocal_calib::map::Rows;
+use dynocal_calib::map::published::{self, PUBLISHED_SHIFT, PublishedMap};
 use dynocal_calib::map::structured::{Pairs, StructuredMap};
-use dynocal_calib::map::{Actuators, Reference};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::estimate::{Estimator, ols::Ols, sem::Sem};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::{Model, Run};
+use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
 /// Fit of one actuator by one map on the identification data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct InverseScore {
     /// Map.
     pub map: String,
@@ -22,7 +24,7 @@ pub struct InverseScore {
     pub actuator: String,
     /// Estimator.
     pub estimator: String,
-    /// R2 of the simulated actuator; none when the free run is unstable.
+    /// R2 of the simulated actuator; none when the free run is unstable or the actuator does not move.
     pub r2: Option<f64>,
     /// How the estimator ended.
     pub status: Status,
@@ -30,10 +32,11 @@ pub struct InverseScore {
 
 /// What step 5 leaves behind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct InvertResult {
     /// The map that is delivered.
     pub dynamic: StructuredMap,
-    /// The published structure, for comparison; none when no stable fit was found.
+    /// The published structure, for comparison; none when no stable fit was found or the problem is another.
     pub published: Option<PublishedMap>,
     /// Fits.
     pub scores: Vec<InverseScore>,
@@ -41,89 +44,100 @@ pub struct InvertResult {
     pub pairs: String,
     /// Records used.
     pub records: Vec<String>,
+    /// Records of passes that were left out because their optimum must not be used.
+    pub left_out: Vec<String>,
 }
 
-type Record = (Vec<Reference>, Vec<Actuators>);
+/// Response and actuators of one record.
+type Record = (Rows, Rows);
 
-/// Fits both maps on the optimal records.
+/// Fits both maps on the optimal records; `models` by output, in the order of the demands first.
 ///
 /// # Errors
 /// [`ChainError`].
 pub fn invert(
     ctx: &Context,
     optima: &[Dataset],
-    torque: &EngineModel,
-    lambda: &EngineModel,
+    left_out: Vec<String>,
+    models: &[&StoredModel],
 ) -> Result<InvertResult, ChainError> {
     let simulated = match ctx.spec.invert.pairs.as_str() {
         "measured" => false,
         "simulated" => true,
-        "auto" => ctx.noisy(),
-        other => {
-            return Err(ChainError::Spec {
-                key: "invert.pairs".into(),
-                found: format!("\"{other}\""),
-                expected: "one of auto, measured, simulated".into(),
-            });
-        }
+        _ => ctx.noisy(),
     };
-    let data: Vec<Record> = optima
-        .iter()
-        .map(|d| {
-            let (mut response, actuators) = response_and_actuators(d)?;
-            if simulated {
-                // Noise in the regressors biases an inverse towards zero; the model's free run has none.
-                let (t, _) = torque.simulate(d)?;
-                let (l, _) = lambda.simulate(d)?;
-                for (k, r) in response.iter_mut().enumerate() {
-                    (r.torque_nm, r.lambda) = (t[k], l[k]);
-                }
-            }
-            let n = response.len().saturating_sub(END_EFFECT);
-            response.truncate(n);
-            Ok((response, actuators[..n].to_vec()))
-        })
-        .collect::<Result<_, ChainError>>()?;
+    let data: Vec<Record> =
+        optima.iter().map(|d| pairs_of(ctx, d, simulated, models)).collect::<Result<_, _>>()?;
     let pairs: Vec<Pairs> = data.iter().map(|(r, a)| Pairs { response: r, actuators: a }).collect();
-    let dynamic = StructuredMap::fit(&ctx.spec.invert.shape, &pairs, ctx.map_limits())?;
+    let dynamic = StructuredMap::fit(&ctx.spec.invert.shape, &ctx.channels.ports, &pairs)?;
     let mut scores = structured_scores(&dynamic, &data);
-    let published = published(ctx, &data, &mut scores)?;
+    let published = match published::fits(&ctx.channels.ports) {
+        true => published_map(ctx, &data, &mut scores)?,
+        false => None,
+    };
     Ok(InvertResult {
         dynamic,
         published,
         scores,
         pairs: if simulated { "simulated" } else { "measured" }.into(),
         records: optima.iter().map(|d| d.name.clone()).collect(),
+        left_out,
     })
 }
 
-const ACTUATORS: [&str; 3] = ["inj", "spark", "throttle"];
+fn pairs_of(
+    ctx: &Context,
+    record: &Dataset,
+    simulated: bool,
+    models: &[&StoredModel],
+) -> Result<Record, ChainError> {
+    let (mut response, mut actuators) = (ctx.channels.references(record)?, ctx.channels.actuators(record)?);
+    if simulated {
+        // Noise in the regressors biases an inverse towards zero; the model's free run has none.
+        for (k, demand) in ctx.channels.demands.iter().enumerate() {
+            let Some(model) = models.iter().find(|m| m.user_output().name == *demand) else { continue };
+            if let Some(run) = model.simulate(record, None)?.into_iter().next() {
+                response.set_column(k, &run.y);
+            }
+        }
+    }
+    let n = response.len().saturating_sub(END_EFFECT);
+    response.truncate(n);
+    actuators.truncate(n);
+    Ok((response, actuators))
+}
 
 fn structured_scores(map: &StructuredMap, data: &[Record]) -> Vec<InverseScore> {
-    (0..3)
-        .map(|c| {
-            let (mut y, mut z) = (Vec::new(), Vec::new());
-            for (response, actuators) in data {
-                for t in 0..response.len() {
-                    y.push(map.at(response, t)[c]);
-                    z.push(actuators[t][c]);
-                }
+    let width = map.ports.actuators.len();
+    let mut u = vec![0.0; width];
+    let mut columns = vec![(Vec::new(), Vec::new()); width];
+    for (response, actuators) in data {
+        for t in 0..response.len() {
+            map.at(response, t, &mut u);
+            for (c, (y, z)) in columns.iter_mut().enumerate() {
+                y.push(u[c]);
+                z.push(actuators.row(t)[c]);
             }
-            InverseScore {
-                map: "structured inverse".into(),
-                actuator: ACTUATORS[c].into(),
-                estimator: "least squares".into(),
-                r2: Some(r2(&y, &z)),
-                status: Status::Converged,
-            }
+        }
+    }
+    map.ports
+        .actuators
+        .iter()
+        .zip(columns)
+        .map(|(port, (y, z))| InverseScore {
+            map: "structured inverse".into(),
+            actuator: port.name.clone(),
+            estimator: "least squares".into(),
+            r2: r2(&y, &z),
+            status: Status::Converged,
         })
         .collect()
 }
 
-fn r2(y: &[f64], z: &[f64]) -> f64 {
+fn r2(y: &[f64], z: &[f64]) -> Option<f64> {
     let mean = z.iter().sum::<f64>() / z.len().max(1) as f64;
     let sse: f64 = y.iter().zip(z).map(|(a, b)| (a - b).powi(2)).sum();
-    1.0 - sse / z.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+    Some(1.0 - sse / z.iter().map(|v| (v - mean).powi(2)).sum::<f64>()).filter(|v| v.is_finite())
 }
 
 /// Records shifted by eq. (7.17): response at t + shift explains the actuator at t.
@@ -132,10 +146,11 @@ fn shifted(data: &[Record], actuator: usize) -> Vec<Experiment> {
         .enumerate()
         .map(|(k, (response, actuators))| {
             let n = response.len().saturating_sub(PUBLISHED_SHIFT);
+            let from = PUBLISHED_SHIFT.min(response.len()) * response.width();
             Experiment {
                 name: format!("optimal record {}", k + 1),
-                u: input_rows(&response[PUBLISHED_SHIFT.min(response.len())..]),
-                y: actuators[..n].iter().map(|a| a[actuator]).collect(),
+                u: response.values()[from..].to_vec(),
+                y: (0..n).map(|t| actuators.row(t)[actuator]).collect(),
                 init_samples: 4,
                 weights: Vec::new(),
             }
@@ -143,12 +158,12 @@ fn shifted(data: &[Record], actuator: usize) -> Vec<Experiment> {
         .collect()
 }
 
-fn published(
+fn published_map(
     ctx: &Context,
     data: &[Record],
     scores: &mut Vec<InverseScore>,
 ) -> Result<Option<PublishedMap>, ChainError> {
-    let models = structures();
+    let models = published::structures();
     let mut theta: [Vec<f64>; 3] = Default::default();
     let mut stable = true;
     for (c, model) in models.iter().enumerate() {
@@ -172,7 +187,7 @@ fn published(
             };
             scores.push(InverseScore {
                 map: "published inverse (7.18)".into(),
-                actuator: ACTUATORS[c].into(),
+                actuator: published::ACTUATORS[c].into(),
                 estimator: estimator.into(),
                 r2,
                 status,
@@ -184,8 +199,8 @@ fn published(
         }
         stable &= !theta[c].is_empty();
     }
-    let limits = ctx.map_limits();
-    Ok(stable.then_some(PublishedMap { models, theta, shift: PUBLISHED_SHIFT, limits }))
+    let ports = ctx.channels.ports.clone();
+    Ok(stable.then_some(PublishedMap { ports, models, theta, shift: PUBLISHED_SHIFT }))
 }
 
 fn simulated_r2(model: &dyn Model, theta: &[f64], data: &[Experiment]) -> Option<f64> {
@@ -197,5 +212,5 @@ fn simulated_r2(model: &dyn Model, theta: &[f64], data: &[Experiment]) -> Option
         y.extend_from_slice(&out[start..]);
         z.extend_from_slice(&e.y[start..]);
     }
-    Some(r2(&y, &z)).filter(|v| v.is_finite())
+    r2(&y, &z)
 }

@@ -9,6 +9,7 @@ use dynocal_files::run_folder::RunFolder;
 use dynocal_files::spec::load;
 use dynocal_ident::plant::{Plant, PlantError};
 
+use super::channels::Channels;
 use super::summary::Summary;
 use super::{check, page, store, verdict};
 use dynocal_files::spec::LoadError;
@@ -35,6 +36,8 @@ pub struct Finished {
     pub valid: bool,
     /// Sentences, most important first.
     pub warnings: Vec<String>,
+    /// What came out, against what.
+    pub verdict: String,
     /// Path of summary.json.
     pub summary: PathBuf,
     /// Path of report.html.
@@ -70,6 +73,7 @@ pub fn run(
     };
     let ctx = Context {
         spec,
+        channels: Channels::of(spec),
         plants: make.is_some().then_some(&factory),
         measured: campaign.out.join("measured"),
         interrupt,
@@ -85,9 +89,16 @@ pub fn run(
     let verdict = verdict::of(spec, &result);
     let files = store::files(&campaign.out, &result)?;
     let summary = Summary::new(&campaign.name, spec, &result, &verdict, &files);
-    let report = page::write(&campaign.out, &summary, &result)?;
+    let report = page::write(&campaign.out, &ctx, &summary, &result)?;
     let summary = folder.write_summary(&summary)?;
-    Ok(Finished { result, valid: verdict.valid, warnings: verdict.warnings, summary, report })
+    Ok(Finished {
+        result,
+        valid: verdict.valid,
+        warnings: verdict.warnings,
+        verdict: verdict.words,
+        summary,
+        report,
+    })
 }
 
 /// Builds summary and report again from the finished steps of a run folder.
@@ -96,8 +107,24 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
     let verdict = verdict::of(&spec, &result);
     let files = store::files(path, &result)?;
     let summary = Summary::new(&name, &spec, &result, &verdict, &files);
-    let report = page::write(path, &summary, &result)?;
+    // Nothing is run: the report reads records and models of the folder.
+    let ctx = Context {
+        spec: &spec,
+        channels: Channels::of(&spec),
+        plants: None,
+        measured: path.join("measured"),
+        interrupt: &|| false,
+        tell: &|_| (),
+    };
+    let report = page::write(path, &ctx, &summary, &result)?;
     let summary_path = path.join("summary.json");
     dynocal_files::json::write_versioned(&summary_path, "dynocal/summary", 1, &summary)?;
-    Ok(Finished { result, valid: verdict.valid, warnings: verdict.warnings, summary: summary_path, report })
+    Ok(Finished {
+        result,
+        valid: verdict.valid,
+        warnings: verdict.warnings,
+        verdict: verdict.words,
+        summary: summary_path,
+        report,
+    })
 }

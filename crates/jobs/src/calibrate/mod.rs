@@ -1,16 +1,24 @@
-//! The campaign end to end: seven steps, each a function from files to files.
+//! A calibration end to end: six steps, each a function from files to files, and the report.
+//!
+//! `calibrate` is a composition of other jobs. Step 2 writes specs of `identify` and runs them, step 3 one of `design`, step 4
+//! optimises the [calibration problem](dynocal_calib::problem) over a record; each step may be given a file instead of being run:
+//! measured records (`excite.identification_files`), a stored model (`identify.files`), a designed and measured record
+//! (`design.record`). Every product can be taken out of the run folder and used elsewhere.
 
+pub mod channels;
 mod check;
 pub mod context;
+mod design_spec;
 pub mod design_step;
 pub mod excite_step;
 pub mod invert_step;
 pub mod job;
+mod model_spec;
 pub mod models;
 pub mod optimise_step;
 pub mod page;
-pub mod reference_design;
 pub mod run;
+mod signals;
 pub mod spec;
 pub mod store;
 pub mod summary;

@@ -1,28 +1,32 @@
-//! Steps 2 and 4: identification of the torque and lambda models of an engine from closed-loop records.
+//! Models of the outputs of a campaign, by the job `identify`: a spec for every output and candidate, written beside its
+//! result, so that `dynocal identify` can repeat each.
 
 use super::context::{ChainError, Context};
-use super::spec::IdentifySpec;
-use dynocal_calib::engine_model::{CYCLE, EngineModel, Transform, with_derived};
-use dynocal_ident::data::{DataError, Dataset};
-use dynocal_ident::estimate::{Estimator, Fit, ols::Ols, sem::Sem};
-use dynocal_ident::experiment::{Experiment, experiments};
-use dynocal_ident::model::Model as _;
-use dynocal_ident::model::literature;
-use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::select::frols::{Stop, frols};
-use dynocal_ident::select::pool::PoolSpec;
-use dynocal_ident::select::prune::prune;
-use dynocal_ident::validate::{Kind, Seen, score_values};
+use super::model_spec::{Candidates, candidates, refit, spec_text};
+use crate::identify::error::IdentifyError;
+use crate::identify::job::work;
+use crate::identify::result::Identified;
+use crate::identify::spec::{self, Overrides};
+use dynocal_files::{atomic, json};
+use dynocal_ident::data::Dataset;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
+use dynocal_ident::validate::{Kind, Reference, Seen, score_values};
 use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// Free-run fit of one model on one record, in the user's unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FreeRunScore {
     /// Record.
     pub record: String,
     /// Identification or unseen data.
     pub data: Seen,
+    /// Whether the record chose between the candidates: then it is not unseen, whatever `data` says of the parameters.
+    pub chooses: bool,
     /// Root mean square error in the output's unit; none when the free run diverged.
     pub rmse: Option<f64>,
     /// 95th percentile of |error|.
@@ -33,27 +37,29 @@ pub struct FreeRunScore {
 
 /// One candidate model with its free-run scores.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Candidate {
-    /// Name, e.g. `selected, simulation error`.
+    /// Name, e.g. `torque-1, prune and sem`.
     pub name: String,
     /// The model.
-    pub model: EngineModel,
-    /// How the estimator ended.
+    pub model: StoredModel,
+    /// How the estimator ended; converged for a model from a file.
     pub status: Status,
     /// Cost evaluations.
     pub evaluations: usize,
-    /// Standard errors of the parameters (valid for white errors only).
-    pub std_errors: Vec<Option<f64>>,
     /// Scores on every record.
     pub scores: Vec<FreeRunScore>,
-    /// Mean R2 over the unseen records; none when one diverged.
+    /// Mean R2 over the records that choose; none when one diverged.
+    pub choosing_r2: Option<f64>,
+    /// Mean R2 over the unseen records; none when one diverged or there is none.
     pub unseen_r2: Option<f64>,
-    /// Warnings of the estimator.
+    /// Warnings of the job `identify`.
     pub warnings: Vec<String>,
 }
 
 /// All candidates of one output; the chosen one goes on.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct OutputModels {
     /// Output.
     pub output: String,
@@ -61,7 +67,7 @@ pub struct OutputModels {
     pub unit: String,
     /// Candidates.
     pub candidates: Vec<Candidate>,
-    /// Index of the candidate with the best mean R2 on unseen records.
+    /// Index of the candidate with the best free run on the records that choose.
     pub chosen: usize,
 }
 
@@ -72,256 +78,238 @@ impl OutputModels {
     }
 }
 
-/// Models of one step.
+/// Models of one step, in the order of the outputs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ModelsResult {
-    /// Torque.
-    pub torque: OutputModels,
-    /// Lambda.
-    pub lambda: OutputModels,
+    /// By output.
+    pub outputs: Vec<OutputModels>,
 }
 
-/// Identifies both outputs.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn identify_pair(
-    ctx: &Context,
-    identification: &[Dataset],
-    validation: &[Dataset],
-) -> Result<(OutputModels, OutputModels), ChainError> {
-    let derive = |set: &[Dataset]| set.iter().map(with_derived).collect::<Result<Vec<_>, DataError>>();
-    let (ident, val) = (derive(identification)?, derive(validation)?);
-    let job = |output: &str| identify_output(ctx, output, &ident, &val);
-    let (torque, lambda) = rayon::join(|| job("torque"), || job("lambda"));
-    Ok((torque?, lambda?))
-}
-
-/// Estimates the chosen structures again on more records, starting from their last parameters.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn estimate_again(
-    ctx: &Context,
-    previous: (&OutputModels, &OutputModels),
-    identification: &[Dataset],
-    validation: &[Dataset],
-) -> Result<(OutputModels, OutputModels), ChainError> {
-    let derive = |set: &[Dataset]| set.iter().map(with_derived).collect::<Result<Vec<_>, DataError>>();
-    let (ident, val) = (derive(identification)?, derive(validation)?);
-    let job = |models: &OutputModels| -> Result<OutputModels, ChainError> {
-        let old = &models.best().model;
-        let sem = simulation_error(&ctx.spec.identify);
-        let task = Task { output: &models.output, transform: old.transform, ident: &ident, val: &val };
-        let name = format!("{}, all records", models.best().name.trim_end_matches(", all records"));
-        let candidate = task.estimate(ctx, &name, &old.structure, &sem, Some(&old.theta))?;
-        Ok(OutputModels { candidates: vec![candidate], chosen: 0, ..models.clone() })
-    };
-    let (torque, lambda) = rayon::join(|| job(previous.0), || job(previous.1));
-    Ok((torque?, lambda?))
-}
-
-fn identify_output(
-    ctx: &Context,
-    output: &str,
-    ident: &[Dataset],
-    val: &[Dataset],
-) -> Result<OutputModels, ChainError> {
-    let spec = &ctx.spec.identify;
-    let published = published_structure(output)?;
-    let (structure, transform) = select(ctx, output, ident)?;
-    let mut candidates = Vec::new();
-    for (structure, transform, kind) in [
-        (&published, Transform::Identity, "published structure (7.8)"),
-        (&structure, transform, "selected structure"),
-    ] {
-        let task = Task { output, transform, ident, val };
-        for (estimator, label) in estimators(spec) {
-            let name = format!("{kind}, {label}");
-            candidates.push(task.estimate(ctx, &name, structure, estimator.as_ref(), None)?);
-        }
+impl ModelsResult {
+    /// The chosen models.
+    pub fn chosen(&self) -> Vec<&StoredModel> {
+        self.outputs.iter().map(|o| &o.best().model).collect()
     }
-    let score = |c: &Candidate| c.unseen_r2.unwrap_or(f64::NEG_INFINITY);
-    let best = candidates.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
-    let chosen = candidates.iter().position(|c| score(c) == best).unwrap_or(0);
-    let unit = if output == "torque" { "Nm" } else { "-" };
-    Ok(OutputModels { output: output.into(), unit: unit.into(), candidates, chosen })
 }
 
-fn estimators(spec: &IdentifySpec) -> [(Box<dyn Estimator>, &'static str); 2] {
-    [(Box::new(Ols::default()), "one-step error"), (Box::new(simulation_error(spec)), "simulation error")]
+/// Records of an identification: files that estimate, and measured records that choose and judge.
+pub struct ModelData<'a> {
+    /// Estimation records with the files they stand in.
+    pub identification: &'a [(Dataset, PathBuf)],
+    /// Validation records.
+    pub validation: &'a [Dataset],
 }
 
-fn simulation_error(spec: &IdentifySpec) -> Sem {
-    Sem { max_evaluations: spec.max_evaluations, cost_tolerance: 1e-6, ridge: spec.ridge, ..Sem::default() }
+impl ModelData<'_> {
+    /// Number of validation records that choose between candidates.
+    fn choosing(&self) -> usize {
+        usize::from(self.validation.len() > 1)
+    }
 }
 
-/// Inputs of every engine model, in this order: the actuators and the derived cycle duration.
-pub fn model_inputs() -> Vec<String> {
-    dynocal_calib::record::INPUTS.iter().map(|s| (*s).to_string()).chain([CYCLE.to_string()]).collect()
-}
-
-/// The published structure over [`model_inputs`], so that all models of a campaign share their inputs.
-fn published_structure(output: &str) -> Result<PolyNarx, ChainError> {
-    let model = if output == "torque" { literature::torque_7_8() } else { literature::lambda_7_8() }.model;
-    PolyNarx::parse(&model_inputs(), output, &model.regressor_texts()).map_err(|e| ChainError::Identify {
-        what: format!("published {output} model"),
-        reason: e.to_string(),
+/// Identifies all outputs in `folder`.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn identify_all(ctx: &Context, folder: &Path, data: &ModelData) -> Result<ModelsResult, ChainError> {
+    each_output(ctx, |output| {
+        if let Some(file) = ctx.spec.identify.files.get(output) {
+            let model: StoredModel = json::read_versioned(file, MODEL_SCHEMA, MODEL_VERSION)?;
+            return output_models(ctx, output, vec![stored(ctx, output, file, model, data)?]);
+        }
+        let found = candidates(ctx, output, data.identification)?;
+        run_candidates(ctx, folder, output, &found, data)
     })
 }
 
-/// Structure by forward selection (FROLS) from the pool of the feasibility study.
-fn select(ctx: &Context, output: &str, ident: &[Dataset]) -> Result<(PolyNarx, Transform), ChainError> {
-    let spec = &ctx.spec.identify;
-    let inputs = model_inputs();
-    let (pool, terms, transform, name) = if output == "torque" {
-        (torque_pool(), spec.torque_terms, Transform::Identity, "torque")
-    } else {
-        (lambda_pool(), spec.lambda_terms, Transform::Reciprocal, "phi")
-    };
-    let data = experiments(ident, &inputs, name)?;
-    let fault = |reason: String| ChainError::Identify { what: format!("structure of {output}"), reason };
-    let pool =
-        PolyNarx::new(inputs.clone(), name.into(), pool.candidates()).map_err(|e| fault(e.to_string()))?;
-    // One-step prediction says little about the free run: forward selection takes more terms than wanted, backward
-    // elimination on the simulation error brings them down.
-    let wide = Stop::Terms(terms + spec.surplus_terms);
-    let selection = frols(&pool, &data, wide).map_err(|e| fault(e.to_string()))?;
-    let mut data = data;
-    if transform == Transform::Reciprocal {
-        weigh_as_measured(&mut data);
-    }
-    let sem = simulation_error(&IdentifySpec { max_evaluations: 12, ..spec.clone() });
-    let path = prune(&selection.model, &data, &sem, terms, &|| (ctx.interrupt)())
-        .map_err(|e| fault(e.to_string()))?;
-    Ok((path.last().map_or(selection.model, |p| p.model.clone()), transform))
-}
-
-// Input numbers in the pools: INJ, spark, throttle, speed, cycle.
-const INJ: usize = 0;
-const SPARK: usize = 1;
-const THROTTLE: usize = 2;
-const SPEED: usize = 3;
-const CYCLE_S: usize = 4;
-
-fn lags(input: usize, lags: std::ops::RangeInclusive<usize>) -> impl Iterator<Item = (usize, usize)> {
-    lags.map(move |l| (input, l))
-}
-
-fn torque_pool() -> PoolSpec {
-    PoolSpec {
-        lagged: lags(INJ, 1..=5)
-            .chain(lags(SPARK, 1..=3))
-            .chain(lags(THROTTLE, 1..=5))
-            .chain([(SPEED, 1), (SPEED, 3), (CYCLE_S, 1)])
-            .collect(),
-        cubic: vec![(INJ, 2), (SPARK, 1), (THROTTLE, 2), (CYCLE_S, 1)],
-        output_lags: vec![1, 2],
-        output_times: vec![(SPEED, 1), (CYCLE_S, 1), (INJ, 1), (THROTTLE, 1)],
-    }
-}
-
-fn lambda_pool() -> PoolSpec {
-    PoolSpec {
-        lagged: lags(INJ, 1..=8)
-            .chain(lags(THROTTLE, 1..=6))
-            .chain([(SPEED, 1), (SPEED, 3), (CYCLE_S, 1)])
-            .collect(),
-        cubic: vec![(INJ, 3), (THROTTLE, 2), (CYCLE_S, 1)],
-        output_lags: vec![1, 2],
-        output_times: vec![(SPEED, 1), (CYCLE_S, 1), (INJ, 1), (THROTTLE, 1)],
-    }
-}
-
-/// One output on one set of records.
-struct Task<'a> {
-    output: &'a str,
-    transform: Transform,
-    ident: &'a [Dataset],
-    val: &'a [Dataset],
-}
-
-impl Task<'_> {
-    fn estimate(
-        &self,
-        ctx: &Context,
-        name: &str,
-        structure: &PolyNarx,
-        estimator: &dyn Estimator,
-        start: Option<&[f64]>,
-    ) -> Result<Candidate, ChainError> {
-        ctx.check_interrupt()?;
-        let (output, transform) = (self.output, self.transform);
-        let column = if transform == Transform::Reciprocal { "phi" } else { output };
-        let mut data = experiments(self.ident, structure.inputs(), column)?;
-        if transform == Transform::Reciprocal {
-            weigh_as_measured(&mut data);
-        }
-        let fit = estimator.estimate(structure, &data, start, &|| (ctx.interrupt)()).map_err(|e| {
-            ChainError::Identify { what: format!("{output} model, {name}"), reason: e.to_string() }
-        })?;
-        let model = EngineModel {
-            schema_version: 1,
-            output: output.into(),
-            transform,
-            sample_time_s: self.ident[0].sample_time_s,
-            origin: name.into(),
-            structure: structure.clone(),
-            theta: fit.theta.clone(),
+/// Estimates the chosen structures again on more records.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn identify_again(
+    ctx: &Context,
+    folder: &Path,
+    previous: &ModelsResult,
+    data: &ModelData,
+) -> Result<ModelsResult, ChainError> {
+    each_output(ctx, |output| {
+        let Some(old) = previous.outputs.iter().find(|o| o.output == output) else {
+            return Err(ChainError::Identify { what: output.into(), reason: "no earlier model".into() });
         };
-        let mut scores = Vec::new();
-        for (set, data) in [(self.ident, Seen::Identification), (self.val, Seen::Unseen)] {
-            for record in set {
-                scores.push(free_run_score(&model, record, data)?);
-            }
+        match refit(ctx, &old.best().model) {
+            Some(again) => run_candidates(ctx, folder, output, &again, data),
+            // Another kind of model: the candidates as they were.
+            None => run_candidates(ctx, folder, output, &candidates(ctx, output, data.identification)?, data),
         }
-        Ok(Candidate {
-            name: name.into(),
-            status: fit.status,
-            evaluations: fit.evaluations,
-            std_errors: finite(&fit),
-            unseen_r2: mean_r2(&scores),
-            scores,
-            model,
-            warnings: fit.warnings,
+    })
+}
+
+fn each_output(
+    ctx: &Context,
+    job: impl Fn(&str) -> Result<OutputModels, ChainError> + Sync,
+) -> Result<ModelsResult, ChainError> {
+    let outputs = ctx.channels.outputs();
+    let found: Vec<Result<OutputModels, ChainError>> = outputs.par_iter().map(|o| job(o)).collect();
+    Ok(ModelsResult { outputs: found.into_iter().collect::<Result<_, _>>()? })
+}
+
+fn run_candidates(
+    ctx: &Context,
+    folder: &Path,
+    output: &str,
+    candidates: &Candidates,
+    data: &ModelData,
+) -> Result<OutputModels, ChainError> {
+    let found = candidates
+        .tables
+        .iter()
+        .enumerate()
+        .map(|(k, c)| {
+            ctx.check_interrupt()?;
+            let name = format!("{output}-{}", k + 1);
+            let text = spec_text(ctx, &name, c, &candidates.derive, data.identification, folder)?;
+            let path = folder.join(format!("{name}.toml"));
+            atomic::write(&path, text.as_bytes())?;
+            candidate(ctx, &path, &name, &c.what, data)
         })
+        .collect::<Result<Vec<_>, ChainError>>()?;
+    output_models(ctx, output, found)
+}
+
+fn output_models(
+    ctx: &Context,
+    output: &str,
+    candidates: Vec<Candidate>,
+) -> Result<OutputModels, ChainError> {
+    let score = |c: &Candidate| c.choosing_r2.unwrap_or(f64::NEG_INFINITY);
+    let best = candidates.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
+    let chosen = candidates.iter().position(|c| score(c) == best).unwrap_or(0);
+    let unit = ctx.spec.problem.unit(output).unwrap_or("-").into();
+    Ok(OutputModels { output: output.into(), unit, candidates, chosen })
+}
+
+/// One candidate: the job `identify` on the spec at `path`, in a folder beside it.
+fn candidate(
+    ctx: &Context,
+    path: &Path,
+    name: &str,
+    what: &str,
+    data: &ModelData,
+) -> Result<Candidate, ChainError> {
+    let fault = |e: &dyn std::fmt::Display| ChainError::Identify { what: name.into(), reason: e.to_string() };
+    let overrides = Overrides { seed: Some(ctx.spec.seed), ..Overrides::default() };
+    let job = spec::read(path, &overrides).map_err(|e| fault(&e))?;
+    let dir = path.with_extension("");
+    std::fs::create_dir_all(&dir).map_err(|e| fault(&e))?;
+    let watch = Watch { interrupt: ctx.interrupt, ..Watch::silent() };
+    let found: Identified = work(&job, &dir, watch).map_err(|e| match e {
+        IdentifyError::Interrupted => ChainError::Interrupted,
+        e => fault(&e),
+    })?;
+    let modelled = found.models.first().ok_or_else(|| fault(&"no model came out"))?;
+    // The job names its files as seen from a run folder of its own.
+    let file = Path::new(&modelled.file).file_name().map_or_else(|| dir.clone(), |f| dir.join(f));
+    let model: StoredModel = json::read_versioned(&file, MODEL_SCHEMA, MODEL_VERSION)?;
+    let scores = scores(ctx, &model, data)?;
+    Ok(Candidate {
+        name: format!("{name}, {what}"),
+        status: modelled.status.unwrap_or(Status::Converged),
+        evaluations: modelled.evaluations.unwrap_or(0),
+        choosing_r2: mean_r2(&scores, |s| s.chooses),
+        unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
+        scores,
+        model,
+        warnings: found.warnings,
+    })
+}
+
+/// A model that was identified elsewhere, scored on the records of this campaign.
+fn stored(
+    ctx: &Context,
+    output: &str,
+    file: &Path,
+    model: StoredModel,
+    data: &ModelData,
+) -> Result<Candidate, ChainError> {
+    let found = model.user_output().name;
+    if found != output {
+        return Err(ChainError::Spec {
+            key: format!("identify.files.{output}"),
+            found: format!("`{}`, a model of `{found}`", file.display()),
+            expected: format!("a model of `{output}`"),
+        });
     }
-}
-
-fn finite(fit: &Fit) -> Vec<Option<f64>> {
-    fit.std_errors.iter().map(|v| v.is_finite().then_some(*v)).collect()
-}
-
-/// An error in `phi = 1/lambda` is one of `lambda^2` times its size in lambda: weights that make the fit count
-/// errors of lambda itself.
-fn weigh_as_measured(data: &mut [Experiment]) {
-    for e in data {
-        e.weights = e.y.iter().map(|phi| phi.abs().max(0.3).powi(-4)).collect();
+    let dt = ctx.spec.sample_time_s;
+    if (model.sample_time_s - dt).abs() > 1e-6 * dt {
+        return Err(ChainError::Spec {
+            key: format!("identify.files.{output}"),
+            found: format!("`{}`, sampled at {} s", file.display(), model.sample_time_s),
+            expected: format!("a model in the sample time of the campaign, {dt} s"),
+        });
     }
+    let scores = scores(ctx, &model, data)?;
+    Ok(Candidate {
+        name: format!("from {}", file.display()),
+        status: Status::Converged,
+        evaluations: 0,
+        choosing_r2: mean_r2(&scores, |s| s.chooses),
+        unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
+        scores,
+        model,
+        warnings: Vec::new(),
+    })
 }
 
-fn mean_r2(scores: &[FreeRunScore]) -> Option<f64> {
-    let unseen: Vec<&FreeRunScore> = scores.iter().filter(|s| s.data == Seen::Unseen).collect();
-    let sum: Option<f64> = unseen.iter().map(|s| s.r2).sum();
-    sum.filter(|_| !unseen.is_empty()).map(|s| s / unseen.len() as f64)
+fn mean_r2(scores: &[FreeRunScore], which: impl Fn(&FreeRunScore) -> bool) -> Option<f64> {
+    let wanted: Vec<&FreeRunScore> = scores.iter().filter(|s| which(s)).collect();
+    let sum: Option<f64> = wanted.iter().map(|s| s.r2).sum();
+    sum.filter(|_| !wanted.is_empty()).map(|s| s / wanted.len() as f64)
+}
+
+/// Free runs over all records. Where no record chooses, the identification records do.
+fn scores(ctx: &Context, model: &StoredModel, data: &ModelData) -> Result<Vec<FreeRunScore>, ChainError> {
+    ctx.check_interrupt()?;
+    let choosing = data.choosing();
+    let seen = data.identification.iter().map(|(d, _)| (d, Seen::Identification, choosing == 0));
+    let unseen = data.validation.iter().enumerate().map(|(k, d)| (d, Seen::Unseen, k < choosing));
+    seen.chain(unseen).map(|(d, data, chooses)| free_run_score(model, d, data, chooses)).collect()
 }
 
 /// Free run of `model` on `record`, scored in the measured unit after the initialisation window.
-///
-/// # Errors
-/// [`DataError`] when a channel is missing.
-pub fn free_run_score(model: &EngineModel, record: &Dataset, data: Seen) -> Result<FreeRunScore, DataError> {
-    let (y, status) = model.simulate(record)?;
-    let measured = record.values(&model.output)?;
-    let first = record.init_samples.max(model.structure.max_lag());
-    let reference = dynocal_ident::validate::Reference::Noisy;
-    let score = score_values(&measured[first..], &y[first..], Kind::FreeRun, data, reference);
-    let value = |v: f64| (status == Status::Converged && v.is_finite()).then_some(v);
+fn free_run_score(
+    model: &StoredModel,
+    record: &Dataset,
+    data: Seen,
+    chooses: bool,
+) -> Result<FreeRunScore, ChainError> {
+    let (mut y, mut z) = (Vec::new(), Vec::new());
+    for run in model.simulate(record, None)? {
+        let measured = run.measured.unwrap_or_default();
+        y.extend_from_slice(&run.y[run.first.min(run.y.len())..]);
+        z.extend_from_slice(&measured[run.first.min(measured.len())..]);
+    }
+    let score = score_values(&z, &y, Kind::FreeRun, data, Reference::Noisy);
+    let finite = y.iter().all(|v| v.is_finite());
+    let value = |v: f64| (finite && v.is_finite()).then_some(v);
     Ok(FreeRunScore {
         record: record.name.clone(),
         data,
+        chooses,
         rmse: value(score.rmse),
         p95: value(score.error_95),
         r2: value(score.r2),
     })
+}
+
+/// Writes the chosen models as files of their own.
+///
+/// # Errors
+/// [`ChainError::Files`].
+pub fn save_models(folder: &Path, models: &ModelsResult) -> Result<(), ChainError> {
+    for o in &models.outputs {
+        let file = folder.join(format!("{}_model.json", o.output));
+        json::write_versioned(&file, MODEL_SCHEMA, MODEL_VERSION, &o.best().model)?;
+    }
+    Ok(())
 }

@@ -1,24 +1,40 @@
-//! Step 4: optimise fuel over a record made for it, measure the promise on the plant, re-identify, repeat.
+//! Step 4: optimise over a record made for it, measure the promise on the plant, identify again, repeat.
 
-use super::context::{ChainError, Context, Event, RecordRef, save_records};
-use super::excite_step::{LEAD_IN_S, through_loops};
-use super::models::{OutputModels, estimate_again};
-use dynocal_calib::control::LoopGains;
-use dynocal_calib::engine_model::{EngineModel, cycle_s};
-use dynocal_calib::excite::{aprbs, speed_sweep};
-use dynocal_calib::fuel::{self, FuelOutcome};
+use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::models::{ModelData, ModelsResult, identify_again};
+use super::signals::{aprbs, sweep};
+use dynocal_calib::map::filter::filtered;
 use dynocal_calib::map::start::{StartRule, rate_limited};
-use dynocal_calib::map::{Actuators, FirstOrder, REFERENCE_FILTER_S, Reference, filter_torque};
-use dynocal_calib::record::{Demand, INPUTS, fuel_kg_h};
-use dynocal_ident::data::{Channel, DataError, Dataset, Role};
-use dynocal_ident::model::{Model, Run};
+use dynocal_calib::map::structured::StructuredShape;
+use dynocal_calib::map::{Port, Rows};
+use dynocal_calib::optimise::{OptimiseOptions, Optimum, optimise_record};
+use dynocal_calib::validate::{inner, objective};
+use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// By how much a demand was missed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Miss {
+    /// Output.
+    pub output: String,
+    /// Its unit.
+    pub unit: String,
+    /// Largest violation of the demand, or of the limits, by the free run of the model.
+    pub violation: f64,
+    /// Root mean square of (measured - demanded) of the measured optimum; none for an output without a demand.
+    pub measured_rms: Option<f64>,
+    /// Mean of (measured - demanded).
+    pub measured_mean: Option<f64>,
+}
 
 /// One pass: the promise and the measurement, and the models that were identified with it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Pass {
     /// Number from 1.
     pub pass: usize,
@@ -26,46 +42,46 @@ pub struct Pass {
     pub status: Status,
     /// Iterations.
     pub iterations: usize,
-    /// Model fuel of the start in kg/h.
-    pub start_fuel_kg_h: f64,
-    /// Model fuel of the optimum in kg/h.
-    pub promised_fuel_kg_h: f64,
+    /// Mean objective of the start, by the start inputs.
+    pub start: f64,
+    /// Mean objective of the optimum, by its inputs and the models.
+    pub promised: f64,
     /// Promised ratio.
     pub promised_ratio: f64,
-    /// Largest violation of the torque demand by the free run of the model, in Nm.
-    pub torque_violation_nm: f64,
-    /// Largest violation of the lambda demand.
-    pub lambda_violation: f64,
-    /// Fuel of the start, measured with the loops holding the demand, in kg/h.
-    pub measured_start_fuel_kg_h: f64,
-    /// Fuel of the optimum, measured the same way, in kg/h.
-    pub measured_fuel_kg_h: f64,
+    /// Mean objective of the start, measured with the loops holding the demand.
+    pub measured_start: f64,
+    /// Mean objective of the optimum, measured the same way.
+    pub measured: f64,
     /// Measured ratio.
     pub measured_ratio: f64,
-    /// Ratio of fuel per torque work, optimum over start (biased by friction where torque differs).
-    pub fuel_per_work_ratio: f64,
-    /// Root mean square torque error of the measured optimum against the demand, in Nm.
-    pub torque_rms_nm: f64,
-    /// Root mean square lambda error of the measured optimum.
-    pub lambda_rms: f64,
+    /// By output.
+    pub misses: Vec<Miss>,
     /// First decided sample.
     pub first: usize,
+    /// Demands, one column each.
+    pub demands: Vec<Vec<f64>>,
     /// Measured records: start, optimum.
     pub records: Vec<RecordRef>,
-    /// Models identified from all records so far, this pass included.
-    pub torque: OutputModels,
-    /// The same for lambda.
-    pub lambda: OutputModels,
+    /// Whether the optimum may be used for the map and the next models (see [`Pass::judge`]).
+    pub usable: bool,
+    /// Why not, in a sentence; empty when it is.
+    pub reason: String,
+    /// Models identified from all usable records so far.
+    pub models: ModelsResult,
 }
 
 /// What step 4 leaves behind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct OptimiseResult {
     /// Passes in order.
     pub passes: Vec<Pass>,
     /// Bed time in s.
     pub bed_s: f64,
 }
+
+/// Largest violation of a demand at which an optimum counts as feasible, as a share of its range.
+pub const VIOLATION: f64 = 1e-6;
 
 /// Runs all passes.
 ///
@@ -74,21 +90,21 @@ pub struct OptimiseResult {
 pub fn optimise(
     ctx: &Context,
     folder: &Path,
-    models: (&OutputModels, &OutputModels),
-    identification: &[Dataset],
+    models: &ModelsResult,
+    identification: &[(Dataset, PathBuf)],
     validation: &[Dataset],
 ) -> Result<OptimiseResult, ChainError> {
     let spec = &ctx.spec.optimise;
-    let mut models = (models.0.clone(), models.1.clone());
+    let mut models = models.clone();
     let mut data = identification.to_vec();
     let mut passes = Vec::new();
     for k in 1..=spec.passes {
-        let pass = one_pass(ctx, folder, k, (&models.0, &models.1), &mut data, validation)?;
-        models = (pass.torque.clone(), pass.lambda.clone());
+        let pass = one_pass(ctx, folder, k, &models, &mut data, validation)?;
+        models = pass.models.clone();
         (ctx.tell)(Event::Fraction(k as f64 / spec.passes as f64));
         passes.push(pass);
     }
-    let bed_s = 2.0 * spec.passes as f64 * (spec.record_s + LEAD_IN_S);
+    let bed_s = 2.0 * spec.passes as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
     Ok(OptimiseResult { passes, bed_s })
 }
 
@@ -96,233 +112,300 @@ fn one_pass(
     ctx: &Context,
     folder: &Path,
     k: usize,
-    models: (&OutputModels, &OutputModels),
-    data: &mut Vec<Dataset>,
+    models: &ModelsResult,
+    data: &mut Vec<(Dataset, PathBuf)>,
     validation: &[Dataset],
 ) -> Result<Pass, ChainError> {
     ctx.check_interrupt()?;
-    let (torque, lambda) = (&models.0.best().model, &models.1.best().model);
-    let start = start_record(ctx, k, torque, lambda, data)?;
-    let outcome =
-        fuel::minimise_fuel(&ctx.spec.optimise.program, torque, lambda, &start, &|| (ctx.interrupt)())?;
+    let chosen = models.chosen();
+    let start = start_record(ctx, k, &chosen, data)?;
+    let options = OptimiseOptions {
+        max_iterations: ctx.spec.optimise.max_iterations,
+        tolerance: ctx.spec.optimise.tolerance,
+        // What an optimum does because nobody looks beyond its end it does out of sight.
+        extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
+        ..OptimiseOptions::default()
+    };
+    let optimum = optimise_record(&ctx.spec.problem, &chosen, &start, &options, &|| (ctx.interrupt)())?;
     ctx.check_interrupt()?;
-    let start_inputs = start.matrix(&INPUTS[..3].iter().map(|s| (*s).to_string()).collect::<Vec<_>>())?;
-    let speed = start.values("speed")?;
+    let start_inputs = columns(&start, &ctx.channels.inputs)?;
+    let given = columns(&start, &ctx.channels.given)?;
+    let values = |channels: &[Channel]| channels.iter().map(|c| c.values.clone()).collect::<Vec<_>>();
+    let (demands, optimal) = (values(&optimum.demands), values(&optimum.inputs));
+    let hold = |name: String, inputs: Vec<Vec<f64>>| {
+        let plan = ctx.plan(&name, inputs, given.clone(), demands.clone(), Tone::Trim);
+        ctx.measure_with(folder, &plan, true, &chosen)
+    };
     let (start_run, optimum_run) = rayon::join(
-        || held(ctx, folder, &format!("pass{k}_start"), &start_inputs, speed, &outcome),
-        || held(ctx, folder, &format!("pass{k}_optimum"), &outcome.inputs, speed, &outcome),
+        || hold(format!("pass{k}_start"), start_inputs.clone()),
+        || hold(format!("pass{k}_optimum"), optimal.clone()),
     );
     let (start_run, optimum_run) = (start_run?, optimum_run?);
     let records = save_records(folder, &[start_run.clone(), optimum_run.clone()])?;
-    let first = outcome.first;
-    let error = errors(&optimum_run, &outcome)?;
-    let start_fuel_kg_h = mean_fuel_of(&start_inputs, 3, speed, first);
-    let promised_fuel_kg_h = mean_fuel_of(&outcome.inputs, 3, speed, first);
-    let measured_start_fuel_kg_h = mean_fuel(&start_run, first)?;
-    let measured_fuel_kg_h = mean_fuel(&optimum_run, first)?;
-    let fuel_per_work_ratio = fuel_per_work(&optimum_run, first)? / fuel_per_work(&start_run, first)?;
-    data.extend([start_run, optimum_run]);
-    let (torque_models, lambda_models) = estimate_again(ctx, models, data, validation)?;
-    Ok(Pass {
+    let first = optimum.first;
+    let (measured_start, measured) =
+        (mean_objective(ctx, &start_run, first)?, mean_objective(ctx, &optimum_run, first)?);
+    let mut pass = Pass {
         pass: k,
-        status: outcome.status,
-        iterations: outcome.iterations,
-        start_fuel_kg_h,
-        promised_fuel_kg_h,
-        promised_ratio: promised_fuel_kg_h / start_fuel_kg_h,
-        torque_violation_nm: outcome.torque_violation_nm,
-        lambda_violation: outcome.lambda_violation,
-        measured_start_fuel_kg_h,
-        measured_fuel_kg_h,
-        measured_ratio: measured_fuel_kg_h / measured_start_fuel_kg_h,
-        fuel_per_work_ratio,
-        torque_rms_nm: error.0,
-        lambda_rms: error.1,
+        status: optimum.status,
+        iterations: optimum.iterations,
+        start: optimum.start_objective,
+        promised: optimum.objective,
+        promised_ratio: optimum.objective / optimum.start_objective,
+        measured_start,
+        measured,
+        measured_ratio: measured / measured_start,
+        misses: misses(ctx, &optimum, &optimum_run)?,
         first,
+        demands: demands.clone(),
         records,
-        torque: torque_models,
-        lambda: lambda_models,
-    })
+        usable: true,
+        reason: String::new(),
+        models: models.clone(),
+    };
+    pass.judge(ctx);
+    // What the plant answered to the start is a record like any other; a bad optimum must not teach the next model.
+    data.push((start_run, folder.join(&pass.records[0].file)));
+    if pass.usable {
+        data.push((optimum_run, folder.join(&pass.records[1].file)));
+    }
+    let place = folder.join(format!("pass{k}"));
+    std::fs::create_dir_all(&place)
+        .map_err(|e| ChainError::Identify { what: place.display().to_string(), reason: e.to_string() })?;
+    pass.models = identify_again(ctx, &place, models, &ModelData { identification: data, validation })?;
+    Ok(pass)
 }
 
-/// A reference that the engine can follow: filtered torque levels, lambda near 1, spark at random.
-struct Wish {
-    reference: Vec<Reference>,
-    spark_deg: Vec<f64>,
+impl Pass {
+    /// Decides whether the optimum may be used: the search ended well, demands are met on the models, something promised to
+    /// save saved, and what was measured is near what was demanded.
+    fn judge(&mut self, ctx: &Context) {
+        let range = |output: &str| {
+            let d = ctx.spec.problem.demands.iter().find(|d| d.output == output);
+            d.map_or(1.0, |d| d.upper - d.lower)
+        };
+        let missed =
+            self.misses.iter().find(|m| m.violation.is_nan() || m.violation > VIOLATION * range(&m.output));
+        let lead = ctx.channels.demands.first();
+        let most_rms = |m: &Miss| range(&m.output) * if Some(&m.output) == lead { FAR_LEAD } else { FAR };
+        let beyond = |v: Option<f64>, most: f64| v.is_some_and(|v| v.is_nan() || v.abs() > most);
+        let is_far = |m: &&Miss| {
+            beyond(m.measured_rms, most_rms(m)) || beyond(m.measured_mean, OFFSET * range(&m.output))
+        };
+        let far = self.misses.iter().find(is_far);
+        self.reason = if let Some(m) = missed {
+            format!("its {} misses the demand by {:.2e} {} on the models", m.output, m.violation, m.unit)
+        } else if !(self.measured_ratio.is_finite() && self.promised_ratio.is_finite()) {
+            "what it costs is not a finite number".into()
+        } else if self.promised_ratio < 1.0 && self.measured_ratio >= 1.0 {
+            format!(
+                "it promised to save {:.1} % and measured {:+.1} %",
+                100.0 * (1.0 - self.promised_ratio),
+                100.0 * (self.measured_ratio - 1.0)
+            )
+        } else if let Some(m) = far {
+            let (rms, mean) = (m.measured_rms.unwrap_or(f64::NAN), m.measured_mean.unwrap_or(f64::NAN));
+            format!(
+                "its measured {} is {rms:.3} {} (RMS) from the demand, {mean:+.3} in the mean",
+                m.output, m.unit
+            )
+        } else {
+            String::new()
+        };
+        self.usable = self.reason.is_empty();
+    }
 }
 
-fn wish(ctx: &Context, k: usize) -> Result<Wish, ChainError> {
-    let (spec, dt) = (&ctx.spec.optimise, ctx.spec.sample_time_s);
-    let n = (spec.record_s / dt).round() as usize;
-    let mut rng = Rng64::stream(ctx.spec.seed, 300 + k as u64);
-    let mut level = |range, levels, hold_s| aprbs(range, levels, hold_s, 0.0, n, dt, &mut rng);
-    let torque = filter_torque(&level(spec.torque_nm, 9, spec.hold_s)?, dt);
-    let mut lag = FirstOrder::new(1.0);
-    let lambda: Vec<f64> = level(spec.lambda, 5, 2.3 * spec.hold_s)?
-        .iter()
-        .map(|l| lag.step(*l, dt, REFERENCE_FILTER_S[1]))
-        .collect();
-    let spark = level(ctx.spec.excite.spark_deg, 5, 3.0)?;
-    let e = &ctx.spec.excite;
-    let speed = speed_sweep(e, e.sweep_s + 1.3 * k as f64, n, dt)?;
-    let reference =
-        (0..n).map(|t| Reference { torque_nm: torque[t], lambda: lambda[t], speed_rpm: speed[t] }).collect();
-    Ok(Wish { reference, spark_deg: rate_limited(&spark, spec.start_spark_rate_deg) })
-}
+/// RMS of the measured leading demand from which on a pass must not be used, as a share of the demand's range.
+const FAR_LEAD: f64 = 0.08;
+/// The same of further demands, whose range is narrow beside what transients do.
+const FAR: f64 = 0.3;
+/// Mean distance of a measured demand from which on a pass must not be used, as a share of its range.
+const OFFSET: f64 = 0.03;
 
-/// Samples at the end of a record that count for nothing: what is injected there acts after the end, so that the
-/// optimum leaves it out.
+/// Samples at the end of a record that count for nothing: what is applied there acts after the end, so that the optimum
+/// leaves it out.
 pub const END_EFFECT: usize = 12;
 
 /// Samples at the head of the start record in which everything is held: the models' histories are then at rest.
 const HELD_HEAD: usize = 12;
 
+/// Share of a rate limit that the start uses, so that it is inside.
+const START_RATE: f64 = 0.8;
+
+fn columns(record: &Dataset, names: &[String]) -> Result<Vec<Vec<f64>>, ChainError> {
+    Ok(names.iter().map(|n| record.values(n).map(<[f64]>::to_vec)).collect::<Result<_, _>>()?)
+}
+
+/// A record of references that the plant can follow, with start inputs that roughly give them.
 fn start_record(
     ctx: &Context,
     k: usize,
-    torque: &EngineModel,
-    lambda: &EngineModel,
-    data: &[Dataset],
+    models: &[&StoredModel],
+    data: &[(Dataset, PathBuf)],
 ) -> Result<Dataset, ChainError> {
-    let mut wish = wish(ctx, k)?;
-    let (r0, s0) = (wish.reference[0], wish.spark_deg[0]);
-    wish.reference[..HELD_HEAD].fill(r0);
-    wish.spark_deg[..HELD_HEAD].fill(s0);
-    wish.spark_deg = rate_limited(&wish.spark_deg, ctx.spec.optimise.start_spark_rate_deg);
-    let pairs = data.iter().map(response_and_actuators).collect::<Result<Vec<_>, _>>()?;
-    let rule = StartRule::fit(&pairs, ctx.map_limits())?;
-    let mut inputs = rule.drive(&wish.reference, &wish.spark_deg);
-    let u0 = inputs[0];
-    inputs[..HELD_HEAD].fill(u0);
-    let n = inputs.len();
-    let column = |c: usize| inputs.iter().map(|u| u[c]).collect::<Vec<f64>>();
-    let speed: Vec<f64> = wish.reference.iter().map(|r| r.speed_rpm).collect();
-    let at_rest = |m: &EngineModel, guess: f64| vec![steady_output(m, u0, speed[0], guess); n];
+    let (spec, problem, channels) = (&ctx.spec.optimise, &ctx.spec.problem, &ctx.channels);
+    let dt = ctx.spec.sample_time_s;
+    let n = (spec.record_s / dt).round() as usize;
+    let mut rng = Rng64::stream(ctx.spec.seed, 300 + k as u64);
+    let mut demands = Vec::new();
+    for (j, d) in problem.demands.iter().enumerate() {
+        // The leading demand goes through nearly all of its range, the others stay about their middles.
+        let own = inner((d.lower, d.upper), if j == 0 { 0.025 } else { 0.25 });
+        let range = spec.ranges.get(&d.output).copied().unwrap_or(own);
+        let (levels, hold_s) = if j == 0 { (9, spec.hold_s) } else { (5, 2.3 * spec.hold_s) };
+        let raw = aprbs(range, levels, hold_s, 0.0, n, dt, &mut rng)?;
+        let lags = if j == 0 {
+            ctx.spec.invert.shape.filter_of(&d.output, 0).to_vec()
+        } else {
+            vec![StructuredShape::FILTER_S[1]]
+        };
+        demands.push(held_head(filtered(&raw, &lags, dt)));
+    }
+    let mut free = Vec::new();
+    for &i in &channels.free {
+        let c = &problem.inputs[i];
+        let range = ctx.spec.excite.ranges.get(&c.name).copied().unwrap_or((c.lower, c.upper));
+        let levels = aprbs(range, ctx.spec.excite.levels, ctx.spec.excite.hold_s, 0.0, n, dt, &mut rng)?;
+        let rate = c.rate_per_s.map_or(f64::INFINITY, |r| START_RATE * r * dt);
+        free.push(rate_limited(&held_head(levels), rate));
+    }
+    let mut given = Vec::new();
+    for (j, g) in problem.given.iter().enumerate() {
+        let e = &ctx.spec.excite;
+        let period = (e.sweep_s + 1.3 * k as f64) * (1.0 + 0.37 * j as f64);
+        let range = e.ranges.get(&g.name).copied().unwrap_or((g.lower, g.upper));
+        given.push(held_head(sweep(range, period, e.dwell_s, n, dt)?));
+    }
+    let all: Vec<&[f64]> = demands.iter().chain(&given).chain(&free).map(Vec::as_slice).collect();
+    let driven = start_rule(ctx, data)?.drive(&Rows::from_columns(&all));
+    let mut inputs = vec![Vec::new(); channels.inputs.len()];
+    for (c, &i) in channels.driven.iter().enumerate() {
+        let rate = problem.inputs[i].rate_per_s.map_or(f64::INFINITY, |r| START_RATE * r * dt);
+        inputs[i] = rate_limited(&held_head(driven.column(c)), rate);
+    }
+    for (values, &i) in free.into_iter().zip(&channels.free) {
+        inputs[i] = values;
+    }
+    Ok(record_of(ctx, k, inputs, given, &demands, models))
+}
+
+/// The first samples held at their first value.
+fn held_head(mut values: Vec<f64>) -> Vec<f64> {
+    let n = HELD_HEAD.min(values.len());
+    let first = values.first().copied().unwrap_or(0.0);
+    values[..n].fill(first);
+    values
+}
+
+fn start_rule(ctx: &Context, data: &[(Dataset, PathBuf)]) -> Result<StartRule, ChainError> {
+    let (problem, channels) = (&ctx.spec.problem, &ctx.channels);
+    let ports = &channels.ports;
+    let free: Vec<Port> = channels
+        .free
+        .iter()
+        .map(|&i| Port { name: problem.inputs[i].name.clone(), unit: problem.inputs[i].unit.clone() })
+        .collect();
+    let driven: Vec<_> = channels.driven.iter().map(|&i| ports.actuators[i].clone()).collect();
+    let names = |list: &[Port]| list.iter().map(|p| p.name.clone()).collect::<Vec<_>>();
+    let references = [names(&ports.demands), names(&ports.given), names(&free)].concat();
+    let actuators: Vec<String> = driven.iter().map(|p| p.name.clone()).collect();
+    let records = data
+        .iter()
+        .map(|(d, _)| Ok((channels.rows(d, &references)?, channels.rows(d, &actuators)?)))
+        .collect::<Result<Vec<_>, ChainError>>()?;
+    Ok(StartRule::fit(&ports.demands, &ports.given, &free, &driven, &records)?)
+}
+
+/// The start as a record; outputs stand at the models' rest under the first inputs.
+fn record_of(
+    ctx: &Context,
+    k: usize,
+    inputs: Vec<Vec<f64>>,
+    given: Vec<Vec<f64>>,
+    demands: &[Vec<f64>],
+    models: &[&StoredModel],
+) -> Dataset {
+    let problem = &ctx.spec.problem;
+    let n = demands.first().map_or(0, Vec::len);
     let channel = |name: &str, unit: &str, role: Role, values: Vec<f64>| Channel {
         name: name.into(),
         unit: unit.into(),
         role,
         values,
     };
-    Ok(Dataset {
+    let mut channels: Vec<Channel> = problem
+        .inputs
+        .iter()
+        .zip(inputs)
+        .map(|(i, v)| channel(&i.name, &i.unit, Role::Input, v))
+        .chain(problem.given.iter().zip(given).map(|(g, v)| channel(&g.name, &g.unit, Role::Input, v)))
+        .collect();
+    let mut record = Dataset {
         name: format!("pass{k}_start"),
         sample_time_s: ctx.spec.sample_time_s,
-        channels: vec![
-            channel("inj", "mg", Role::Input, column(0)),
-            channel("spark", "deg", Role::Input, column(1)),
-            channel("throttle", "deg", Role::Input, column(2)),
-            channel("torque", "Nm", Role::Output, at_rest(torque, r0.torque_nm)),
-            channel("lambda", "-", Role::Output, at_rest(lambda, r0.lambda)),
-            channel("speed", "rpm", Role::Input, speed),
-        ],
+        channels: channels.clone(),
         init_samples: 0,
         origin: "start rule".into(),
-    })
-}
-
-/// Where a model comes to rest under held inputs, in the user's unit; `guess` when it does not.
-fn steady_output(model: &EngineModel, u: Actuators, speed_rpm: f64, guess: f64) -> f64 {
-    let n = 400;
-    let row: Vec<f64> = model
-        .structure
-        .inputs()
-        .iter()
-        .map(|name| match name.as_str() {
-            "inj" => u[0],
-            "spark" => u[1],
-            "throttle" => u[2],
-            "speed" => speed_rpm,
-            _ => cycle_s(speed_rpm),
-        })
-        .collect();
-    let inputs = row.repeat(n);
-    let y0 = vec![model.transform.apply(guess); n];
-    let mut y = vec![0.0; n];
-    let run = Run { u: &inputs, y: &y0, start: model.structure.max_lag() };
-    model.structure.simulate(&model.theta, &run, &mut y);
-    if y[n - 1].is_finite() { model.transform.apply(y[n - 1]) } else { guess }
-}
-
-/// Measured response and applied actuators of a record.
-///
-/// # Errors
-/// [`DataError`].
-pub fn response_and_actuators(record: &Dataset) -> Result<(Vec<Reference>, Vec<Actuators>), DataError> {
-    let get = |name: &str| record.values(name);
-    let (t, l, s) = (get("torque")?, get("lambda")?, get("speed")?);
-    let (i, a, h) = (get("inj")?, get("spark")?, get("throttle")?);
-    Ok((0..record.len())
-        .map(|k| (Reference { torque_nm: t[k], lambda: l[k], speed_rpm: s[k] }, [i[k], a[k], h[k]]))
-        .unzip())
-}
-
-/// Runs actuators as feedforward with the small loops holding the promised torque and lambda.
-fn held(
-    ctx: &Context,
-    folder: &Path,
-    name: &str,
-    inputs: &[f64],
-    speed: &[f64],
-    outcome: &FuelOutcome,
-) -> Result<Dataset, ChainError> {
-    let feedforward: Vec<[f64; 4]> =
-        inputs.chunks_exact(3).zip(speed).map(|(u, s)| [u[0], u[1], u[2], *s]).collect();
-    let demand = demands(outcome);
-    hold(ctx, folder, name, &feedforward, &demand)
-}
-
-/// Torque and lambda demand of an outcome, sample by sample.
-pub fn demands(outcome: &FuelOutcome) -> Vec<Demand> {
-    outcome
-        .torque_demand_nm
-        .iter()
-        .zip(&outcome.lambda_demand)
-        .map(|(t, l)| Demand { torque_nm: *t, lambda: *l })
-        .collect()
-}
-
-/// Runs a feedforward with the trim loops holding `demand`.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn hold(
-    ctx: &Context,
-    folder: &Path,
-    name: &str,
-    feedforward: &[[f64; 4]],
-    demand: &[Demand],
-) -> Result<Dataset, ChainError> {
-    through_loops(ctx, folder, name, feedforward, demand, LoopGains::TRIM)
-}
-
-/// Mean fuel in kg/h from sample `first` to the end effect.
-///
-/// # Errors
-/// [`DataError`].
-pub fn mean_fuel(run: &Dataset, first: usize) -> Result<f64, DataError> {
-    Ok(mean_fuel_of(run.values("inj")?, 1, run.values("speed")?, first))
-}
-
-/// The same for every `stride`-th entry of `inj_mg`.
-fn mean_fuel_of(inj_mg: &[f64], stride: usize, speed_rpm: &[f64], first: usize) -> f64 {
-    let range = first..speed_rpm.len().saturating_sub(END_EFFECT);
-    let n = range.len() as f64;
-    range.map(|t| fuel_kg_h(inj_mg[t * stride], speed_rpm[t])).sum::<f64>() / n
-}
-
-fn fuel_per_work(run: &Dataset, first: usize) -> Result<f64, DataError> {
-    let (torque, speed) = (run.values("torque")?, run.values("speed")?);
-    let work: f64 = (first..torque.len().saturating_sub(END_EFFECT)).map(|t| torque[t] * speed[t]).sum();
-    Ok(mean_fuel(run, first)? / work)
-}
-
-fn errors(run: &Dataset, outcome: &FuelOutcome) -> Result<(f64, f64), DataError> {
-    let rms = |y: &[f64], d: &[f64]| {
-        let e = y.iter().zip(d).skip(outcome.first).map(|(a, b)| (a - b).powi(2));
-        (e.sum::<f64>() / (y.len() - outcome.first) as f64).sqrt()
     };
-    Ok((
-        rms(run.values("torque")?, &outcome.torque_demand_nm),
-        rms(run.values("lambda")?, &outcome.lambda_demand),
-    ))
+    for output in ctx.channels.outputs() {
+        let guess = problem.demands.iter().position(|d| d.output == output).map(|j| demands[j][0]);
+        let model = models.iter().find(|m| m.user_output().name == output);
+        let at_rest = model.and_then(|m| rest_of(m, &record));
+        let value = at_rest.or(guess).unwrap_or(0.0);
+        let unit = problem.unit(&output).unwrap_or("-").to_string();
+        channels.push(channel(&output, &unit, Role::Output, vec![value; n]));
+    }
+    record.channels = channels;
+    record
+}
+
+/// Where a model rests under the first inputs of a record, in the user's unit; none where it does not.
+fn rest_of(model: &StoredModel, record: &Dataset) -> Option<f64> {
+    let n = 400;
+    let mut held = record.clone();
+    for c in &mut held.channels {
+        c.values = vec![c.values.first().copied()?; n];
+    }
+    let y = model.simulate(&held, None).ok()?.into_iter().next()?.y;
+    y.last().copied().filter(|v| v.is_finite())
+}
+
+/// Mean objective from sample `first` to the end effect.
+///
+/// # Errors
+/// [`ChainError`] when the record lacks a channel.
+pub fn mean_objective(ctx: &Context, run: &Dataset, first: usize) -> Result<f64, ChainError> {
+    let values = objective(&ctx.spec.problem, run)?;
+    let range = first..values.len().saturating_sub(END_EFFECT);
+    let n = range.len().max(1) as f64;
+    Ok(values[range].iter().sum::<f64>() / n)
+}
+
+fn misses(ctx: &Context, optimum: &Optimum, run: &Dataset) -> Result<Vec<Miss>, ChainError> {
+    let unit = |name: &str| ctx.spec.problem.unit(name).unwrap_or("-").to_string();
+    ctx.channels
+        .outputs()
+        .into_iter()
+        .map(|output| {
+            let demand = optimum.demands.iter().find(|d| d.name == output);
+            let errors: Option<Vec<f64>> = match demand {
+                Some(d) => {
+                    let pairs = run.values(&output)?.iter().zip(&d.values).skip(optimum.first);
+                    Some(pairs.map(|(y, d)| y - d).collect())
+                }
+                None => None,
+            };
+            let mean = |f: &dyn Fn(f64) -> f64| {
+                errors.as_ref().map(|e| e.iter().map(|v| f(*v)).sum::<f64>() / e.len().max(1) as f64)
+            };
+            Ok(Miss {
+                unit: unit(&output),
+                violation: optimum.violation(&output),
+                measured_rms: mean(&|e| e * e).map(f64::sqrt),
+                measured_mean: mean(&|e| e),
+                output,
+            })
+        })
+        .collect()
 }

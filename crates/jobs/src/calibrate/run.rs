@@ -1,17 +1,18 @@
-//! The seven steps in order inside one run folder; finished steps of an earlier run are taken over.
+//! The steps in order inside one run folder; finished steps of an earlier run are taken over.
 
-use super::context::{ChainError, Context, Event, RecordRef, load_records};
+use super::context::{ChainError, Context, Event, RecordRef};
 use super::design_step::{DesignResult, design};
 use super::excite_step::{ExciteResult, excite};
 use super::invert_step::{InvertResult, invert};
-use super::models::{ModelsResult, OutputModels, identify_pair};
-use super::optimise_step::{OptimiseResult, optimise};
+use super::models::{ModelData, ModelsResult, identify_all, save_models};
+use super::optimise_step::{OptimiseResult, Pass, optimise};
 use super::validate_step::{ValidateResult, validate};
+use dynocal_files::json;
 use dynocal_files::run_folder::{Done, RunFolder};
 use dynocal_ident::data::Dataset;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Steps of a campaign that measure and compute; the report is the seventh.
 pub const STEPS: [&str; 6] = ["excite", "identify", "design", "optimise", "invert", "validate"];
@@ -49,7 +50,7 @@ impl ChainResult {
 pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainResult, ChainError> {
     let mut result = ChainResult::default();
     let last = STEPS.iter().position(|s| *s == until).ok_or_else(|| ChainError::Spec {
-        key: "step".into(),
+        key: "--until".into(),
         found: until.into(),
         expected: format!("one of {}", STEPS.join(", ")),
     })?;
@@ -68,13 +69,6 @@ pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainRe
     Ok(result)
 }
 
-fn tell_resumed<T>(ctx: &Context, done: Done<T>, step: &'static str) -> Done<T> {
-    if done.resumed {
-        (ctx.tell)(Event::Resumed(step));
-    }
-    done
-}
-
 fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     ctx: &Context,
     folder: &mut RunFolder,
@@ -82,18 +76,38 @@ fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     inputs: &I,
     work: impl FnOnce(&Path) -> Result<T, ChainError>,
 ) -> Result<Done<T>, ChainError> {
-    let common = (ctx.spec.seed, ctx.spec.sample_time_s, &ctx.spec.plant, ctx.measured_digests(), inputs);
-    let done = folder.step(name, &common, |path| {
+    let s = ctx.spec;
+    let common = (s.seed, s.sample_time_s, &s.plant, &s.problem, &s.loops, &s.abort);
+    let done = folder.step(name, &(common, ctx.measured_digests(), inputs), |path| {
         let result = work(path)?;
         // An estimate that was interrupted is a result to its estimator, but none of a finished step.
         ctx.check_interrupt()?;
         Ok::<T, ChainError>(result)
     })?;
-    Ok(tell_resumed(ctx, done, name))
+    if done.resumed {
+        (ctx.tell)(Event::Resumed(name));
+    }
+    Ok(done)
+}
+
+/// Digests of files that the spec names: another content is another input of the step.
+fn digests(files: &[&PathBuf]) -> Result<Vec<String>, ChainError> {
+    files
+        .iter()
+        .map(|path| {
+            let bytes = std::fs::read(path).map_err(|e| dynocal_files::FilesError::Read {
+                path: path.display().to_string(),
+                reason: e.to_string(),
+            })?;
+            Ok(dynocal_files::run_folder::digest(&bytes))
+        })
+        .collect()
 }
 
 fn step_excite(ctx: &Context, folder: &mut RunFolder) -> Result<Done<ExciteResult>, ChainError> {
-    let inputs = (&ctx.spec.excite, &ctx.spec.identify.init_samples, ctx.actuator_limits_key());
+    let e = &ctx.spec.excite;
+    let files: Vec<&PathBuf> = e.identification_files.iter().chain(&e.validation_files).collect();
+    let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?);
     run_step(ctx, folder, "excite", &inputs, |path| excite(ctx, path))
 }
 
@@ -103,26 +117,25 @@ fn needed<'a, T>(step: &'a Option<Done<T>>, name: &str) -> Result<&'a Done<T>, C
 }
 
 struct Records {
-    identification: Vec<Dataset>,
+    identification: Vec<(Dataset, PathBuf)>,
     validation: Vec<Dataset>,
+}
+
+fn with_files(
+    ctx: &Context,
+    folder: &Path,
+    refs: &[RecordRef],
+) -> Result<Vec<(Dataset, PathBuf)>, ChainError> {
+    let records = ctx.load_records(folder, refs)?;
+    Ok(records.into_iter().zip(refs).map(|(d, r)| (d, folder.join(&r.file))).collect())
 }
 
 fn records(ctx: &Context, result: &ChainResult) -> Result<Records, ChainError> {
     let excite = needed(&result.excite, "excite")?;
-    let load = |refs: &[RecordRef]| -> Result<Vec<Dataset>, ChainError> {
-        with_init(ctx, load_records(&excite.folder, refs, ctx.spec.sample_time_s)?)
-    };
     Ok(Records {
-        identification: load(&excite.result.identification)?,
-        validation: load(&excite.result.validation)?,
+        identification: with_files(ctx, &excite.folder, &excite.result.identification)?,
+        validation: ctx.load_records(&excite.folder, &excite.result.validation)?,
     })
-}
-
-fn with_init(ctx: &Context, mut records: Vec<Dataset>) -> Result<Vec<Dataset>, ChainError> {
-    for r in &mut records {
-        r.init_samples = ctx.spec.identify.init_samples;
-    }
-    Ok(records)
 }
 
 fn step_identify(
@@ -130,25 +143,15 @@ fn step_identify(
     folder: &mut RunFolder,
     result: &ChainResult,
 ) -> Result<Done<ModelsResult>, ChainError> {
-    let inputs = (&ctx.spec.identify, &needed(&result.excite, "excite")?.digest);
+    let files: Vec<&PathBuf> = ctx.spec.identify.files.values().collect();
+    let inputs = (&ctx.spec.identify, &needed(&result.excite, "excite")?.digest, digests(&files)?);
     run_step(ctx, folder, "identify", &inputs, |path| {
         let r = records(ctx, result)?;
-        let (torque, lambda) = identify_pair(ctx, &r.identification, &r.validation)?;
-        save_models(path, &torque, &lambda)?;
-        Ok(ModelsResult { torque, lambda })
+        let data = ModelData { identification: &r.identification, validation: &r.validation };
+        let models = identify_all(ctx, path, &data)?;
+        save_models(path, &models)?;
+        Ok(models)
     })
-}
-
-/// Writes the chosen models as files of their own.
-///
-/// # Errors
-/// [`ChainError::Files`].
-pub fn save_models(path: &Path, torque: &OutputModels, lambda: &OutputModels) -> Result<(), ChainError> {
-    for models in [torque, lambda] {
-        let file = path.join(format!("{}_model.json", models.output));
-        dynocal_files::json::write(&file, &models.best().model)?;
-    }
-    Ok(())
 }
 
 fn step_design(
@@ -157,11 +160,12 @@ fn step_design(
     result: &ChainResult,
 ) -> Result<Done<DesignResult>, ChainError> {
     let identify = needed(&result.identify, "identify")?;
-    let inputs = (&ctx.spec.design, &ctx.spec.excite, &identify.digest);
+    let files: Vec<&PathBuf> = ctx.spec.design.record.iter().collect();
+    let inputs = (&ctx.spec.design, &ctx.spec.excite, &identify.digest, digests(&files)?);
     run_step(ctx, folder, "design", &inputs, |path| {
         let r = records(ctx, result)?;
         let done = design(ctx, path, &identify.result, &r.identification, &r.validation)?;
-        save_models(path, &done.torque, &done.lambda)?;
+        save_models(path, &done.models)?;
         Ok(done)
     })
 }
@@ -170,8 +174,7 @@ fn step_design(
 fn all_identification(ctx: &Context, result: &ChainResult) -> Result<Records, ChainError> {
     let mut r = records(ctx, result)?;
     let design = needed(&result.design, "design")?;
-    let extra = load_records(&design.folder, &design.result.records, ctx.spec.sample_time_s)?;
-    r.identification.extend(with_init(ctx, extra)?);
+    r.identification.extend(with_files(ctx, &design.folder, &design.result.records)?);
     Ok(r)
 }
 
@@ -181,15 +184,23 @@ fn step_optimise(
     result: &ChainResult,
 ) -> Result<Done<OptimiseResult>, ChainError> {
     let design = needed(&result.design, "design")?;
-    let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &design.digest);
+    let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &ctx.spec.excite, &design.digest);
     run_step(ctx, folder, "optimise", &inputs, |path| {
         let r = all_identification(ctx, result)?;
-        let models = (&design.result.torque, &design.result.lambda);
-        let done = optimise(ctx, path, models, &r.identification, &r.validation)?;
+        let done = optimise(ctx, path, &design.result.models, &r.identification, &r.validation)?;
         if let Some(last) = done.passes.last() {
-            save_models(path, &last.torque, &last.lambda)?;
+            save_models(path, &last.models)?;
         }
         Ok(done)
+    })
+}
+
+/// The last pass, which is the best informed one.
+fn last_pass(result: &OptimiseResult) -> Result<&Pass, ChainError> {
+    result.passes.last().ok_or_else(|| ChainError::Spec {
+        key: "optimise.passes".into(),
+        found: "0".into(),
+        expected: "at least 1".into(),
     })
 }
 
@@ -201,24 +212,21 @@ fn step_invert(
     let optimise = needed(&result.optimise, "optimise")?;
     let inputs = (&ctx.spec.invert, &optimise.digest);
     run_step(ctx, folder, "invert", &inputs, |path| {
-        let mut optima = Vec::new();
-        for pass in &optimise.result.passes {
-            // The second record of a pass is the optimum.
-            optima.extend(load_records(&optimise.folder, &pass.records[1..], ctx.spec.sample_time_s)?);
+        let passes = &optimise.result.passes;
+        let last = last_pass(&optimise.result)?;
+        let any = passes.iter().any(|p| p.usable);
+        let (mut optima, mut left_out) = (Vec::new(), Vec::new());
+        for pass in passes {
+            // Without a usable pass the map learns from the last one all the same, and the verdict says so.
+            if pass.usable || (!any && pass.pass == last.pass) {
+                // The second record of a pass is the optimum.
+                optima.extend(ctx.load_records(&optimise.folder, &pass.records[1..])?);
+            } else {
+                left_out.push(format!("pass {}: {}", pass.pass, pass.reason));
+            }
         }
-        let last = optimise.result.passes.last().ok_or_else(|| ChainError::Spec {
-            key: "optimise.passes".into(),
-            found: "0".into(),
-            expected: "at least 1".into(),
-        })?;
-        let optima = with_init(ctx, optima)?;
-        let done = invert(ctx, &optima, &last.torque.best().model, &last.lambda.best().model)?;
-        dynocal_files::json::write_versioned(
-            &path.join("dynamic_map.json"),
-            "dynocal/dynamic-map",
-            1,
-            &done.dynamic,
-        )?;
+        let done = invert(ctx, &optima, left_out, &last.models.chosen())?;
+        json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 2, &done.dynamic)?;
         Ok(done)
     })
 }
@@ -231,22 +239,10 @@ fn step_validate(
     let (invert, optimise) = (needed(&result.invert, "invert")?, needed(&result.optimise, "optimise")?);
     let inputs = (&ctx.spec.validate, &invert.digest);
     run_step(ctx, folder, "validate", &inputs, |path| {
-        let last = optimise.result.passes.last().ok_or(ChainError::Interrupted)?;
-        let done = validate(ctx, path, &invert.result, last, &optimise.folder)?;
-        dynocal_files::json::write_versioned(
-            &path.join("static_map.json"),
-            "dynocal/static-map",
-            1,
-            &done.static_map,
-        )?;
+        let last = last_pass(&optimise.result)?;
+        let models = last.models.chosen();
+        let done = validate(ctx, path, &invert.result, last, &optimise.folder, &models)?;
+        json::write_versioned(&path.join("static_map.json"), "dynocal/static-map", 2, &done.static_map)?;
         Ok(done)
     })
-}
-
-/// Measured records of a campaign by step, for plots.
-///
-/// # Errors
-/// [`ChainError`].
-pub fn step_records(ctx: &Context, folder: &Path, refs: &[RecordRef]) -> Result<Vec<Dataset>, ChainError> {
-    with_init(ctx, load_records(folder, refs, ctx.spec.sample_time_s)?)
 }

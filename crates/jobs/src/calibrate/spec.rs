@@ -1,12 +1,18 @@
 //! The spec of a calibration as the user writes it. Every key has a default that works on the virtual engine.
 
-use dynocal_calib::excite::ExciteSpec;
-use dynocal_calib::fuel::OptimiseSpec;
-use dynocal_calib::map::static_map::StaticSpec;
 use dynocal_calib::map::structured::StructuredShape;
+use dynocal_calib::problem::CalibrationProblem;
+use dynocal_calib::steady::SearchSpec;
 use dynocal_calib::validate::ValidateSpec;
+use dynocal_ident::pi::PiGains;
+use dynocal_ident::plan::PlanLimit;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// A range.
+pub type Range = (f64, f64);
 
 /// A whole calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,18 +26,24 @@ pub struct CalibrateSpec {
     pub sample_time_s: f64,
     /// The plant.
     pub plant: PlantSpec,
+    /// What may move, what must be met, what is minimised.
+    pub problem: CalibrationProblem,
+    /// Loops that hold demanded outputs, one for each demand.
+    pub loops: Vec<LoopSpec>,
+    /// Abort rules of every record that is played: the plan ends before an output passes them, and what was measured is kept.
+    pub abort: Vec<PlanLimit>,
     /// Step 1: excitation.
     pub excite: ExciteSpec,
     /// Step 2: models.
     pub identify: IdentifySpec,
     /// Step 3: optimal test signal.
     pub design: DesignSpec,
-    /// Step 4: fuel optimisation.
-    pub optimise: ChainOptimiseSpec,
+    /// Step 4: optimisation over a record.
+    pub optimise: OptimiseSpec,
     /// Step 5: inverse map.
     pub invert: InvertSpec,
     /// Step 6: static map and comparison.
-    pub validate: ChainValidateSpec,
+    pub validate: CompareSpec,
 }
 
 impl Default for CalibrateSpec {
@@ -41,72 +53,180 @@ impl Default for CalibrateSpec {
             seed: 1,
             sample_time_s: 0.03,
             plant: PlantSpec::default(),
+            problem: engine_problem(),
+            loops: vec![
+                LoopSpec::new("torque", "throttle", (0.3, 0.2), (0.3, 0.05)),
+                LoopSpec::new("lambda", "inj", (-40.0, -8.0), (-10.0, -1.5)),
+            ],
+            abort: Vec::new(),
             excite: ExciteSpec::default(),
             identify: IdentifySpec::default(),
             design: DesignSpec::default(),
-            optimise: ChainOptimiseSpec::default(),
+            optimise: OptimiseSpec::default(),
             invert: InvertSpec::default(),
-            validate: ChainValidateSpec::default(),
+            validate: CompareSpec::default(),
         }
     }
 }
 
-/// Structures and estimation.
+/// The problem of the thesis with the bounds that loops and maps on an engine need: a motored cylinder has no lambda that a loop
+/// could hold, and above 60 deg nothing changes any more in a throttle.
+fn engine_problem() -> CalibrationProblem {
+    let mut problem = CalibrationProblem::thesis();
+    for i in &mut problem.inputs {
+        match i.name.as_str() {
+            "inj" => i.lower = 1.0,
+            "throttle" => i.upper = 60.0,
+            _ => {}
+        }
+    }
+    problem
+}
+
+/// A loop that holds a demanded output by one input.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoopSpec {
+    /// Demanded output.
+    pub output: String,
+    /// Input that the loop drives.
+    pub input: String,
+    /// Gains with which the loop finds an operating point (excitation, static map).
+    pub gains: PiGains,
+    /// Smaller gains that only trim a feedforward: they hold what was promised without taking over. A quarter of `gains`
+    /// where they are not given.
+    #[serde(default)]
+    pub trim: Option<PiGains>,
+}
+
+impl LoopSpec {
+    fn new(output: &str, input: &str, gains: Range, trim: Range) -> Self {
+        let pi = |(ki, kp): Range| PiGains { ki, kp };
+        Self { output: output.into(), input: input.into(), gains: pi(gains), trim: Some(pi(trim)) }
+    }
+
+    /// Gains that only trim.
+    pub fn trim(&self) -> PiGains {
+        self.trim.unwrap_or(PiGains { ki: 0.25 * self.gains.ki, kp: 0.25 * self.gains.kp })
+    }
+}
+
+/// The excitation in closed loop (thesis section 7.4.1): levels of an APRBS on every demand and on every input that no loop
+/// drives, displaced against each other, and a triangular sweep of the given channels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExciteSpec {
+    /// Length of one record in s.
+    pub record_s: f64,
+    /// Identification records.
+    pub identification_records: usize,
+    /// Validation records, of other seeds and sweep periods; where there are at least two, the first chooses between
+    /// candidates, the others only judge.
+    pub validation_records: usize,
+    /// Ranges by channel where they are not those of the problem.
+    pub ranges: BTreeMap<String, Range>,
+    /// Values at which inputs that loops drive begin, where the plant's own are not wanted (a real bed has none).
+    pub start: BTreeMap<String, f64>,
+    /// Levels of the APRBS.
+    pub levels: usize,
+    /// Hold time of the APRBS in s.
+    pub hold_s: f64,
+    /// Duration of a sweep of a given channel from end to end, in s.
+    pub sweep_s: f64,
+    /// Dwell at both ends of the sweep in s.
+    pub dwell_s: f64,
+    /// Time before each record in which the loops find the first operating point, in s.
+    pub lead_in_s: f64,
+    /// Records of an earlier campaign or of a bed (CSV or Parquet with the channels of the problem) instead of step 1: for
+    /// identification.
+    pub identification_files: Vec<PathBuf>,
+    /// The same for validation.
+    pub validation_files: Vec<PathBuf>,
+}
+
+impl Default for ExciteSpec {
+    fn default() -> Self {
+        Self {
+            record_s: 60.0,
+            identification_records: 2,
+            validation_records: 3,
+            ranges: BTreeMap::new(),
+            start: BTreeMap::new(),
+            levels: 5,
+            hold_s: 3.0,
+            sweep_s: 7.0,
+            dwell_s: 1.0,
+            lead_in_s: 3.0,
+            identification_files: Vec::new(),
+            validation_files: Vec::new(),
+        }
+    }
+}
+
+/// Models of the demanded and limited outputs. The tables are those of a spec of `dynocal identify`; what is not given is
+/// generated from the problem (`steps/02-identify/*.toml` shows it, and `dynocal identify` runs it).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IdentifySpec {
-    /// Terms of the selected torque model.
-    pub torque_terms: usize,
-    /// Terms of the selected lambda model (in 1/lambda).
-    pub lambda_terms: usize,
-    /// Terms that forward selection takes beyond these, for backward elimination to choose from.
-    pub surplus_terms: usize,
-    /// Ridge of the simulation-error search, relative to the regressors' size.
-    pub ridge: f64,
     /// Leading samples of each record that enter no score.
     pub init_samples: usize,
-    /// Most cost evaluations of the simulation-error search.
-    pub max_evaluations: usize,
+    /// Further derived channels for the pools of candidates, beside those of the problem.
+    pub derive: Vec<dynocal_ident::derived::Derived>,
+    /// Steps of the preparation.
+    pub prepare: Vec<toml::Table>,
+    /// Candidates by output: tables `[model]` of `dynocal identify`; the one with the best free run on the records that
+    /// choose goes on.
+    pub models: BTreeMap<String, Vec<toml::Table>>,
+    /// Stored models by output (`model.json` of `dynocal identify`) instead of an estimate.
+    pub files: BTreeMap<String, PathBuf>,
+    /// Terms of a generated polynomial; a third more for outputs that are modelled by their reciprocal.
+    pub terms: usize,
+    /// Longest lag of a generated pool in samples; doubled for outputs that are modelled by their reciprocal, whose sensor
+    /// lies behind a transport.
+    pub lags: usize,
+    /// Judgement: the table `[validate]` of `dynocal identify`.
+    pub validate: toml::Table,
 }
 
 impl Default for IdentifySpec {
     fn default() -> Self {
         Self {
-            torque_terms: 30,
-            lambda_terms: 40,
-            surplus_terms: 30,
-            ridge: 1e-5,
             init_samples: 10,
-            max_evaluations: 60,
+            derive: Vec::new(),
+            prepare: Vec::new(),
+            models: BTreeMap::new(),
+            files: BTreeMap::new(),
+            terms: 30,
+            lags: 5,
+            validate: toml::Table::new(),
         }
     }
 }
 
-/// The optimal test signal, designed in the reference space: levels of demanded torque, lambda, spark and speed.
+/// The optimal test signal: inputs designed by `dynocal design` for the identified models within the limits of the problem,
+/// played with trimming loops about the predicted outputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DesignSpec {
     /// Whether to design at all.
     pub enabled: bool,
-    /// Criterion that is minimised (`d`, `ai`, ...); `d` and `ai` are reported.
+    /// A record that was designed and measured elsewhere, instead of a design.
+    pub record: Option<PathBuf>,
+    /// Criterion that is minimised (`d`, `i`, ...).
     pub criterion: String,
     /// Length of the designed record in s.
     pub record_s: f64,
-    /// Time in s for which torque, lambda and spark are held.
+    /// Least time at a value in s.
     pub hold_s: f64,
-    /// Time in s from one level to the next: the rate limit, range over this time.
+    /// Least time in which an input that a loop drives goes through its range, in s.
     pub ramp_s: f64,
-    /// Time in s between the points of the speed profile, which is linear in between: its rate limit.
-    pub speed_point_s: f64,
-    /// Limits of the demanded torque in Nm.
-    pub torque_nm: (f64, f64),
-    /// Limits of the demanded lambda.
-    pub lambda: (f64, f64),
-    /// Limits of spark advance in deg.
-    pub spark_deg: (f64, f64),
-    /// Limits of the engine speed in rpm.
-    pub speed_rpm: (f64, f64),
-    /// Most evaluations of criterion and gradient.
+    /// Time between the corners of given channels in s.
+    pub given_point_s: f64,
+    /// Share of the demanded range by which predicted outputs may leave it, at either end.
+    pub excess: f64,
+    /// Starts of the search.
+    pub starts: usize,
+    /// Most evaluations of criterion and gradient per start.
     pub max_evaluations: usize,
 }
 
@@ -114,51 +234,46 @@ impl Default for DesignSpec {
     fn default() -> Self {
         Self {
             enabled: true,
+            record: None,
             criterion: "d".into(),
             record_s: 60.0,
-            hold_s: 3.0,
-            ramp_s: 0.3,
-            speed_point_s: 3.0,
-            torque_nm: (10.0, 90.0),
-            lambda: (0.9, 1.1),
-            spark_deg: (5.0, 30.0),
-            speed_rpm: (1000.0, 3000.0),
-            max_evaluations: 300,
+            hold_s: 1.5,
+            ramp_s: 1.5,
+            given_point_s: 3.0,
+            excess: 1.0,
+            starts: 1,
+            max_evaluations: 100,
         }
     }
 }
 
-/// Fuel optimisation in passes.
+/// Optimisation over a record, in passes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ChainOptimiseSpec {
-    /// Passes: optimise, measure, re-identify.
+pub struct OptimiseSpec {
+    /// Passes: optimise, measure, identify again.
     pub passes: usize,
     /// Length of each record in s.
     pub record_s: f64,
-    /// Torque levels of the reference in Nm.
-    pub torque_nm: (f64, f64),
-    /// Lambda range of the reference.
-    pub lambda: (f64, f64),
-    /// Hold time of the torque levels in s.
+    /// Ranges of the demands where they are not the inner parts of those of the problem.
+    pub ranges: BTreeMap<String, Range>,
+    /// Hold time of the levels of the leading demand in s.
     pub hold_s: f64,
-    /// Largest change of spark per sample of the start record, in deg: below the limit of the optimisation, so that
-    /// the start is feasible.
-    pub start_spark_rate_deg: f64,
-    /// The program.
-    pub program: OptimiseSpec,
+    /// Most iterations of the interior point.
+    pub max_iterations: usize,
+    /// Scaled KKT error at which it has converged.
+    pub tolerance: f64,
 }
 
-impl Default for ChainOptimiseSpec {
+impl Default for OptimiseSpec {
     fn default() -> Self {
         Self {
             passes: 2,
             record_s: 60.0,
-            torque_nm: (12.0, 88.0),
-            lambda: (0.95, 1.05),
+            ranges: BTreeMap::new(),
             hold_s: 1.5,
-            start_spark_rate_deg: 0.8,
-            program: OptimiseSpec::default(),
+            max_iterations: 300,
+            tolerance: 1e-8,
         }
     }
 }
@@ -169,7 +284,7 @@ impl Default for ChainOptimiseSpec {
 pub struct InvertSpec {
     /// Shape of the structured inverse.
     pub shape: StructuredShape,
-    /// Whether the map learns from the re-identified model's simulated output instead of the measured one (better
+    /// Whether the map learns from the re-identified models' simulated outputs instead of the measured ones (better
     /// when sensors are noisy); `auto` decides by the noise of the plant.
     pub pairs: String,
 }
@@ -180,20 +295,30 @@ impl Default for InvertSpec {
     }
 }
 
-/// Static map and comparison.
+/// Grid of the static map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct ChainValidateSpec {
+pub struct StaticSpec {
+    /// Axis of the leading demand; five values over the inner three quarters of its range where it is empty.
+    pub demand: Vec<f64>,
+    /// Axis of the first given channel; five values over the inner nine tenths of its range where it is empty.
+    pub given: Vec<f64>,
+    /// Search of the inputs that no loop drives.
+    pub search: SearchSpec,
+}
+
+impl Default for StaticSpec {
+    fn default() -> Self {
+        Self { demand: Vec::new(), given: Vec::new(), search: SearchSpec::default() }
+    }
+}
+
+/// Static map and comparison.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CompareSpec {
     /// Grid of the static map.
     pub static_map: StaticSpec,
     /// Scenarios.
     pub scenario: ValidateSpec,
-    /// Time constant of the lagged static map at 2000 rpm in s.
-    pub lag_s: f64,
-}
-
-impl Default for ChainValidateSpec {
-    fn default() -> Self {
-        Self { static_map: StaticSpec::default(), scenario: ValidateSpec::default(), lag_s: 0.12 }
-    }
 }

@@ -42,6 +42,7 @@ pub fn files(run: &Path, result: &ChainResult) -> Result<Vec<RunFile>, FilesErro
         let mut names: Vec<String> = std::fs::read_dir(&folder)
             .map_err(|e| FilesError::Read { path: folder.display().to_string(), reason: e.to_string() })?
             .filter_map(Result::ok)
+            .filter(|e| e.path().is_file())
             .map(|e| e.file_name().to_string_lossy().into_owned())
             .filter(|n| !n.ends_with(".tmp"))
             .collect();
@@ -57,12 +58,17 @@ pub fn files(run: &Path, result: &ChainResult) -> Result<Vec<RunFile>, FilesErro
 fn what(step: &str, name: &str) -> String {
     match name {
         "step.json" => format!("result of the step {step}"),
-        "torque_model.json" => "chosen torque model".into(),
-        "lambda_model.json" => "chosen lambda model".into(),
+        _ if name.ends_with("_model.json") => {
+            format!(
+                "chosen {} model (`dynocal identify --model`, `design`, `simulate`)",
+                name.trim_end_matches("_model.json")
+            )
+        }
         "dynamic_map.json" => "the dynamic map that is delivered".into(),
         "static_map.json" => "static map that it is compared with".into(),
-        _ if name.ends_with(".plan.csv") => "plan for the bed".into(),
-        _ if name.ends_with(".plan.json") => "loops, limits and units of the plan".into(),
+        "design.toml" => "spec of the design (`dynocal design`)".into(),
+        _ if name.ends_with(".toml") => "spec of the model (`dynocal identify`)".into(),
+        _ if name.ends_with(".plan.csv") || name.ends_with(".plan.json") => "plan for the bed".into(),
         _ if name.ends_with(".csv") => "measured record".into(),
         _ => "file of the step".into(),
     }

@@ -1,20 +1,19 @@
 //! `summary.json` of a calibration: results only, equal for equal runs (keys: docs/summary.md).
 
-use crate::calibrate::design_step::{CriterionValue, Gain, SafetyLine};
-use crate::calibrate::invert_step::InverseScore;
-use crate::calibrate::models::{FreeRunScore, OutputModels};
-use crate::calibrate::optimise_step::Pass;
-use crate::calibrate::run::{ChainResult, STEPS};
-use crate::calibrate::spec::CalibrateSpec;
-use crate::calibrate::validate_step::BestSpark;
+use super::design_step::Gain;
+use super::invert_step::InverseScore;
+use super::models::{FreeRunScore, OutputModels};
+use super::optimise_step::{Miss, Pass};
+use super::run::{ChainResult, STEPS};
+use super::spec::CalibrateSpec;
+use super::store::{RunFile, finished};
+use super::validate_step::StaticOnRecord;
+use super::verdict::{Verdict, stages};
+use crate::design::result::{CriterionLine, SafetyLine};
 use dynocal_calib::map::static_map::StaticPoint;
 use dynocal_calib::validate::MapScore;
-use dynocal_ident::validate::{Kind, Reference, Seen};
 use dynocal_numerics::status::Status;
 use serde::Serialize;
-
-use super::store::{RunFile, finished};
-use super::verdict::{Verdict, stages};
 
 /// Results of a calibration.
 #[derive(Serialize)]
@@ -23,16 +22,18 @@ pub(crate) struct Summary<'a> {
     pub(crate) name: &'a str,
     pub(crate) status: Status,
     pub(crate) valid: bool,
+    pub(crate) verdict: &'a str,
     pub(crate) warnings: &'a [String],
     pub(crate) steps: Vec<&'static str>,
     pub(crate) spec: &'a CalibrateSpec,
     pub(crate) bed: BedTimes,
     pub(crate) models: Vec<Models<'a>>,
     pub(crate) design: Option<Design<'a>>,
-    pub(crate) passes: Vec<PassLine>,
-    pub(crate) best_spark: Option<&'a BestSpark>,
+    pub(crate) passes: Vec<PassLine<'a>>,
+    pub(crate) static_on_record: Option<&'a StaticOnRecord>,
     pub(crate) inverse: Option<Inverse<'a>>,
     pub(crate) static_map: Option<&'a [StaticPoint]>,
+    pub(crate) lag_s: Option<f64>,
     pub(crate) maps: &'a [MapScore],
     pub(crate) files: &'a [RunFile],
 }
@@ -68,50 +69,38 @@ pub(crate) struct CandidateLine<'a> {
     pub(crate) parameters: usize,
     pub(crate) status: Status,
     pub(crate) evaluations: usize,
-    pub unseen_r2: Option<f64>,
-    pub(crate) scores: Vec<ScoreLine<'a>>,
-}
-
-/// A score with what it is a score of.
-#[derive(Serialize)]
-pub(crate) struct ScoreLine<'a> {
-    pub(crate) record: &'a str,
-    pub(crate) data: Seen,
-    pub(crate) kind: Kind,
-    pub(crate) reference: Reference,
-    pub(crate) rmse: Option<f64>,
-    pub p95: Option<f64>,
-    pub r2: Option<f64>,
+    pub(crate) choosing_r2: Option<f64>,
+    pub(crate) unseen_r2: Option<f64>,
+    pub(crate) scores: &'a [FreeRunScore],
 }
 
 /// The test signal.
 #[derive(Serialize)]
 pub(crate) struct Design<'a> {
     pub(crate) status: Option<Status>,
+    pub(crate) left_out: &'a str,
     pub(crate) evaluations: usize,
-    pub(crate) criteria: &'a [CriterionValue],
+    pub(crate) criteria: &'a [CriterionLine],
     pub(crate) safety: &'a [SafetyLine],
     pub(crate) gains: &'a [Gain],
 }
 
 /// One pass of the optimisation.
 #[derive(Serialize)]
-pub(crate) struct PassLine {
+pub(crate) struct PassLine<'a> {
     pub(crate) pass: usize,
     pub(crate) status: Status,
+    pub(crate) usable: bool,
+    pub(crate) reason: &'a str,
     pub(crate) iterations: usize,
-    pub(crate) start_fuel_kg_h: f64,
-    pub(crate) promised_fuel_kg_h: f64,
+    pub(crate) start: f64,
+    pub(crate) promised: f64,
     pub(crate) promised_ratio: f64,
-    pub(crate) measured_start_fuel_kg_h: f64,
-    pub(crate) measured_fuel_kg_h: f64,
+    pub(crate) measured_start: f64,
+    pub(crate) measured: f64,
     pub(crate) measured_ratio: f64,
     pub(crate) promise_gap_points: f64,
-    pub(crate) fuel_per_work_ratio: f64,
-    pub(crate) torque_violation_nm: f64,
-    pub(crate) lambda_violation: f64,
-    pub(crate) torque_rms_nm: f64,
-    pub(crate) lambda_rms: f64,
+    pub(crate) misses: &'a [Miss],
 }
 
 /// Fits of the inverse maps.
@@ -119,6 +108,7 @@ pub(crate) struct PassLine {
 pub(crate) struct Inverse<'a> {
     pub(crate) pairs: &'a str,
     pub(crate) records: &'a [String],
+    pub(crate) left_out: &'a [String],
     pub(crate) scores: &'a [InverseScore],
 }
 
@@ -132,31 +122,38 @@ impl<'a> Summary<'a> {
         files: &'a [RunFile],
     ) -> Self {
         let validate = r.validate.as_ref().map(|d| &d.result);
+        let models = stages(r);
+        let models =
+            models.into_iter().flat_map(|(step, m)| m.outputs.iter().map(move |o| lines(step.clone(), o)));
         Self {
             verb: super::job::KIND,
             name,
             status: verdict.status,
             valid: verdict.valid,
+            verdict: &verdict.words,
             warnings: &verdict.warnings,
             steps: STEPS[..finished(r)].to_vec(),
             spec,
             bed: bed_times(r),
-            models: stages(r).into_iter().map(|(step, m)| models(step, m)).collect(),
+            models: models.collect(),
             design: r.design.as_ref().map(|d| Design {
                 status: d.result.status,
+                left_out: &d.result.left_out,
                 evaluations: d.result.evaluations,
                 criteria: &d.result.criteria,
                 safety: &d.result.safety,
                 gains: &d.result.gains,
             }),
             passes: r.optimise.iter().flat_map(|d| &d.result.passes).map(pass).collect(),
-            best_spark: validate.map(|v| &v.best_spark),
+            static_on_record: validate.and_then(|v| v.static_on_record.as_ref()),
             inverse: r.invert.as_ref().map(|d| Inverse {
                 pairs: &d.result.pairs,
                 records: &d.result.records,
+                left_out: &d.result.left_out,
                 scores: &d.result.scores,
             }),
             static_map: validate.map(|v| v.static_map.points.as_slice()),
+            lag_s: validate.map(|v| v.lag_s),
             maps: validate.map_or(&[], |v| &v.scores),
             files,
         }
@@ -179,50 +176,37 @@ fn bed_times(r: &ChainResult) -> BedTimes {
     }
 }
 
-fn models(step: String, m: &OutputModels) -> Models<'_> {
+fn lines(step: String, m: &OutputModels) -> Models<'_> {
     let candidates = m
         .candidates
         .iter()
         .map(|c| CandidateLine {
             name: &c.name,
-            parameters: c.model.theta.len(),
+            parameters: c.model.parameters.len(),
             status: c.status,
             evaluations: c.evaluations,
+            choosing_r2: c.choosing_r2,
             unseen_r2: c.unseen_r2,
-            scores: c.scores.iter().map(score).collect(),
+            scores: &c.scores,
         })
         .collect();
     Models { step, output: &m.output, unit: &m.unit, chosen: &m.best().name, candidates }
 }
 
-fn score(s: &FreeRunScore) -> ScoreLine<'_> {
-    ScoreLine {
-        record: &s.record,
-        data: s.data,
-        kind: Kind::FreeRun,
-        reference: Reference::Noisy,
-        rmse: s.rmse,
-        p95: s.p95,
-        r2: s.r2,
-    }
-}
-
-fn pass(p: &Pass) -> PassLine {
+fn pass(p: &Pass) -> PassLine<'_> {
     PassLine {
         pass: p.pass,
         status: p.status,
+        usable: p.usable,
+        reason: &p.reason,
         iterations: p.iterations,
-        start_fuel_kg_h: p.start_fuel_kg_h,
-        promised_fuel_kg_h: p.promised_fuel_kg_h,
+        start: p.start,
+        promised: p.promised,
         promised_ratio: p.promised_ratio,
-        measured_start_fuel_kg_h: p.measured_start_fuel_kg_h,
-        measured_fuel_kg_h: p.measured_fuel_kg_h,
+        measured_start: p.measured_start,
+        measured: p.measured,
         measured_ratio: p.measured_ratio,
         promise_gap_points: 100.0 * (p.promised_ratio - p.measured_ratio).abs(),
-        fuel_per_work_ratio: p.fuel_per_work_ratio,
-        torque_violation_nm: p.torque_violation_nm,
-        lambda_violation: p.lambda_violation,
-        torque_rms_nm: p.torque_rms_nm,
-        lambda_rms: p.lambda_rms,
+        misses: &p.misses,
     }
 }

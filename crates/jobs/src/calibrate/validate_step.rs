@@ -1,49 +1,57 @@
-//! Step 6: the delivered map against its rivals on the plant, and the fuel of a perfect spark.
+//! Step 6: the delivered map against its rivals on the plant.
 
-use super::context::{ChainError, Context, Event, RecordRef, load_records, save_records};
-use super::excite_step::LEAD_IN_S;
+use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
 use super::invert_step::InvertResult;
-use super::optimise_step::{Pass, hold, mean_fuel};
+use super::optimise_step::Pass;
 use dynocal_calib::map::lagged::LaggedStaticMap;
-use dynocal_calib::map::static_map::StaticMap;
-use dynocal_calib::map::{FeedforwardMap, Reference};
-use dynocal_calib::record::Demand;
-use dynocal_calib::validate::{MapScore, Scenario, random_points, run_map, score, torque_steps};
-use dynocal_ident::data::Dataset;
+use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
+use dynocal_calib::map::{FeedforwardMap, Rows};
+use dynocal_calib::steady::hold::{Resting, hold};
+use dynocal_calib::steady::search::{FreeInput, Setting};
+use dynocal_calib::steady::{Held, best_point};
+use dynocal_calib::validate::{MapScore, Scenario, demand_steps, inner, random_points, reference_row, score};
+use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::plant::Plant;
+use dynocal_ident::play::PlayError;
+use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The perfect spark on the record of the last pass.
+/// The objective with the static map's free inputs on the record of the last pass.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BestSpark {
-    /// Fuel over the record with the static map's spark and the same torque and lambda held, in kg/h.
-    pub fuel_kg_h: f64,
+#[serde(deny_unknown_fields)]
+pub struct StaticOnRecord {
+    /// Mean objective with the demands of the pass held and the static map's values of the inputs that no loop drives.
+    pub objective: f64,
     /// Its ratio to the start record.
     pub ratio: f64,
-    /// Share of the possible saving that the optimum realised: (1 - measured) / (1 - best spark).
-    /// None when the perfect spark saves nothing.
+    /// Share of the saving that the static map's values reach: (1 - measured) / (1 - this ratio). None when they save
+    /// nothing.
     pub share_of_saving: Option<f64>,
 }
 
 /// What step 6 leaves behind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ValidateResult {
     /// The static map.
     pub static_map: StaticMap,
-    /// Scores of all maps in all scenarios.
+    /// Time constant of the lagged static map in s, from a line search on the identified models.
+    pub lag_s: f64,
+    /// Scores of all maps in all scenarios, the delivered map first.
     pub scores: Vec<MapScore>,
-    /// The perfect spark.
-    pub best_spark: BestSpark,
+    /// The static map's free inputs on the record of the last pass.
+    pub static_on_record: Option<StaticOnRecord>,
     /// Measured records of all runs.
     pub records: Vec<RecordRef>,
     /// Bed time of the comparison in s (the static map's stands with it).
     pub bed_s: f64,
 }
 
-/// Names of the maps that are compared, delivered map first.
+/// Name of the map that is delivered.
 pub const DYNAMIC: &str = "dynamic map";
 
 /// Runs the step.
@@ -56,82 +64,305 @@ pub fn validate(
     inverse: &InvertResult,
     last: &Pass,
     optimise_folder: &Path,
+    models: &[&StoredModel],
 ) -> Result<ValidateResult, ChainError> {
     let static_map = calibrate_static(ctx)?;
-    let best_spark = best_spark(ctx, folder, &static_map, last, optimise_folder)?;
-    let spec = &ctx.spec.validate;
-    let lagged = LaggedStaticMap { map: &static_map, tau_at_2000_rpm_s: spec.lag_s };
+    let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
+    let leader = ctx.channels.driven.first().copied().unwrap_or(0);
+    let steps = demand_steps(spec, problem, dt);
+    let lag_s = best_lag(ctx, &static_map, leader, &steps, models)?;
+    let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
+    let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
     let mut maps: Vec<&dyn FeedforwardMap> = vec![&inverse.dynamic, &static_map, &lagged];
     maps.extend(inverse.published.as_ref().map(|m| m as &dyn FeedforwardMap));
-    let dt = ctx.spec.sample_time_s;
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
-    let scenarios = [random_points(&spec.scenario, dt, &mut rng), torque_steps(&spec.scenario, dt)];
-    let runs = run_all(ctx, &maps, &scenarios)?;
+    let scenarios = [random_points(spec, problem, dt, &mut rng), steps];
+    let runs = run_all(ctx, folder, &maps, &scenarios)?;
     let names: Vec<&str> = maps.iter().map(|m| m.name()).collect();
     let mut scores = Vec::new();
     for (scenario, records) in scenarios.iter().zip(&runs) {
-        scores.extend(score(&spec.scenario, scenario, &names, &records.iter().collect::<Vec<_>>())?);
+        scores.extend(score(spec, problem, scenario, &names, &records.iter().collect::<Vec<_>>())?);
     }
     let all: Vec<Dataset> = runs.into_iter().flatten().collect();
-    let bed_s = all.iter().map(|r| r.len() as f64 * dt + LEAD_IN_S).sum();
-    Ok(ValidateResult { static_map, scores, best_spark, records: save_records(folder, &all)?, bed_s })
+    let bed_s = all.iter().map(|r| r.len() as f64 * dt + ctx.spec.excite.lead_in_s).sum();
+    let records = save_records(folder, &all)?;
+    Ok(ValidateResult { static_map, lag_s, scores, static_on_record, records, bed_s })
 }
 
-/// One static map, torque rows in parallel on plants of their own.
+/// `n` values over a range.
+fn spread((lower, upper): (f64, f64), n: usize) -> Vec<f64> {
+    (0..n).map(|k| lower + (upper - lower) * k as f64 / (n - 1) as f64).collect()
+}
+
+/// Points on each axis of the static map where the spec gives none.
+const AXIS: usize = 5;
+
+/// One static map, rows of the leading demand in parallel on plants of their own.
 fn calibrate_static(ctx: &Context) -> Result<StaticMap, ChainError> {
-    let spec = &ctx.spec.validate.static_map;
+    let (spec, problem) = (&ctx.spec.validate.static_map, &ctx.spec.problem);
+    let or = |own: &Vec<f64>, range: (f64, f64), share: f64| match own.is_empty() {
+        true => spread(inner(range, share), AXIS),
+        false => own.clone(),
+    };
+    let lead = problem.demands.first().map_or((0.0, 1.0), |d| (d.lower, d.upper));
+    let demand = or(&spec.demand, lead, 0.125);
+    let given = match problem.given.first() {
+        Some(g) => or(&spec.given, (g.lower, g.upper), 0.05),
+        None => vec![0.0],
+    };
     let done = AtomicUsize::new(0);
-    let rows = spec
-        .torque_nm
+    let rows = demand
         .par_iter()
-        .map(|torque| {
+        .map(|level| {
             ctx.check_interrupt()?;
-            // Free of sensor noise: the rival is given its best case.
-            let mut plant = ctx.plant(false)?;
-            plant.reset(ctx.spec.seed);
-            let dt = ctx.spec.sample_time_s;
-            let row = StaticMap::calibrate_row(plant.as_mut(), dt, spec, &ctx.map_limits(), *torque)?;
+            let row = static_row(ctx, *level, &given)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            (ctx.tell)(Event::Fraction(0.7 * done as f64 / spec.torque_nm.len() as f64));
+            (ctx.tell)(Event::Fraction(0.7 * done as f64 / demand.len() as f64));
             Ok(row)
         })
         .collect::<Vec<Result<_, ChainError>>>()
         .into_iter()
         .collect::<Result<Vec<_>, _>>()?;
     let bed_s = rows.iter().map(|(_, s)| s).sum();
-    Ok(StaticMap::from_rows(spec, rows.into_iter().map(|(r, _)| r).collect(), bed_s))
+    let points = rows.into_iter().flat_map(|(r, _)| r).collect();
+    Ok(StaticMap { ports: ctx.channels.ports.clone(), demand, given, points, bed_s })
 }
 
-fn best_spark(
+/// All points of one demand, each started from its neighbour; with the bed seconds that they took.
+fn static_row(ctx: &Context, level: f64, given: &[f64]) -> Result<(Vec<StaticPoint>, f64), ChainError> {
+    let (problem, channels) = (&ctx.spec.problem, &ctx.channels);
+    // Free of sensor noise: the rival is given its best case.
+    let mut plant = ctx.plant(false)?;
+    plant.reset(ctx.spec.seed);
+    let search = &ctx.spec.validate.static_map.search;
+    let mut start = ctx.start_inputs()?;
+    let free: Vec<FreeInput> = channels
+        .free
+        .iter()
+        .map(|&k| FreeInput { place: k, range: (problem.inputs[k].lower, problem.inputs[k].upper) })
+        .collect();
+    // A free input begins in the middle of its range.
+    free.iter().for_each(|f| start[f.place] = 0.5 * (f.range.0 + f.range.1));
+    start.extend(problem.given.iter().map(|g| 0.5 * (g.lower + g.upper)));
+    let (mut points, mut bed_s) = (Vec::new(), 0.0);
+    for &at in given {
+        let reference = reference_row(problem, level, problem.given.first().map(|_| at));
+        start[channels.inputs.len()..].copy_from_slice(&reference[channels.demands.len()..]);
+        let mut measure = |u: &[f64]| {
+            let held = hold_point(ctx, plant.as_mut(), u, &reference)?;
+            bed_s += held.used_s;
+            Ok(Setting { cost: cost(ctx, &held), held })
+        };
+        let best = best_point(search, &free, &start, &mut measure)?;
+        start.clone_from(&best.held.inputs);
+        points.push(StaticPoint {
+            demand: level,
+            given: at,
+            actuators: best.held.inputs[..channels.inputs.len()].to_vec(),
+            errors: best.held.errors.clone(),
+            objective: objective_at(ctx, &best.held),
+            missed: missed(ctx, &best.held),
+        });
+    }
+    Ok((points, bed_s))
+}
+
+/// Holds the demands of one row of references from the inputs `u` (moved, then given).
+fn hold_point(ctx: &Context, plant: &mut dyn Plant, u: &[f64], reference: &[f64]) -> Result<Held, PlayError> {
+    let (problem, channels) = (&ctx.spec.problem, &ctx.channels);
+    let spec = &ctx.spec.validate.static_map.search.hold;
+    let n = spec.samples(ctx.spec.sample_time_s);
+    let (moved, given) = u.split_at(channels.inputs.len());
+    let held = |values: &[f64]| values.iter().map(|v| vec![*v; n]).collect::<Vec<_>>();
+    let demands = held(&reference[..channels.demands.len()]);
+    let plan = ctx.plan("hold", held(moved), held(given), demands, Tone::Lead).settled(0.0);
+    let resting: Vec<Resting> = problem
+        .demands
+        .iter()
+        .zip(reference)
+        .map(|(d, demand)| Resting {
+            output: d.output.clone(),
+            demand: *demand,
+            resolution: RESOLUTION * (d.upper - d.lower),
+        })
+        .collect();
+    hold(plant, spec, &plan, &resting)
+}
+
+/// Change of an output that counts as none, as a share of the range of its demand.
+const RESOLUTION: f64 = 2.5e-4;
+/// Error of a held demand from which on a point counts as missed, as a share of its range.
+const MISSED: f64 = 0.0125;
+/// Price of a limit that is passed by its own size, in units of the objective's size.
+const PRICE: f64 = 10.0;
+
+/// Mean value of a channel of a held point.
+fn held_value(ctx: &Context, h: &Held, name: &str) -> f64 {
+    let inputs = ctx.channels.plant_inputs();
+    let outputs = ctx.channels.outputs();
+    let input = inputs.iter().position(|n| n == name).map(|k| h.inputs[k]);
+    input.or_else(|| outputs.iter().position(|n| n == name).map(|k| h.outputs[k])).unwrap_or(f64::NAN)
+}
+
+fn objective_at(ctx: &Context, h: &Held) -> f64 {
+    let problem = &ctx.spec.problem;
+    let term = |t: &dynocal_calib::problem::ObjectiveTerm| {
+        let m = problem.monomial(&t.channel);
+        t.weight * m.powers.iter().fold(m.factor, |p, (name, k)| p * held_value(ctx, h, name).powi(*k))
+    };
+    problem.minimise.iter().map(term).sum()
+}
+
+/// Objective of a held point, dearer by what it passes limits and misses demands.
+fn cost(ctx: &Context, h: &Held) -> f64 {
+    let problem = &ctx.spec.problem;
+    let base = objective_at(ctx, h);
+    let passed = |value: f64, lower: Option<f64>, upper: Option<f64>| {
+        let over = upper.map_or(0.0, |u| (value - u).max(0.0) / u.abs().max(1e-12));
+        over + lower.map_or(0.0, |l| (l - value).max(0.0) / l.abs().max(1e-12))
+    };
+    let limits: f64 =
+        problem.limits.iter().map(|l| passed(held_value(ctx, h, &l.output), l.lower, l.upper)).sum();
+    let missed: f64 = h
+        .errors
+        .iter()
+        .zip(&problem.demands)
+        .map(|(e, d)| (e.abs() / (d.upper - d.lower) - MISSED).max(0.0))
+        .sum();
+    let all = base + PRICE * base.abs() * (limits + missed);
+    if all.is_finite() { all } else { f64::MAX }
+}
+
+/// Why a point was not reached as asked, with the loop input that stands at its limit; empty when it was.
+fn missed(ctx: &Context, h: &Held) -> String {
+    let problem = &ctx.spec.problem;
+    let mut out = Vec::new();
+    for (k, (e, &input)) in h.errors.iter().zip(&ctx.channels.driven).enumerate() {
+        let d = &problem.demands[k];
+        if e.abs() > MISSED * (d.upper - d.lower) {
+            let (value, i) = (h.inputs[input], &problem.inputs[input]);
+            let edge = 1e-3 * (i.upper - i.lower);
+            let why = if value <= i.lower + edge || value >= i.upper - edge {
+                format!("`{}` stands at its limit {value:.4}", i.name)
+            } else {
+                "it did not come to rest".into()
+            };
+            out.push(format!("{} is {e:+.3} {} off: {why}", d.output, d.unit));
+        }
+    }
+    out.join("; ")
+}
+
+/// Longest time constant that the line search of the lagged rival looks at, in s.
+const LONGEST_LAG_S: f64 = 0.6;
+
+/// The lag at which the static map holds the other demands best on the steps, by the identified models: the strong simple
+/// rival at its best, tuned on the run's own data.
+fn best_lag(
+    ctx: &Context,
+    map: &StaticMap,
+    leader: usize,
+    steps: &Scenario,
+    models: &[&StoredModel],
+) -> Result<f64, ChainError> {
+    let others = &ctx.channels.demands[1..];
+    let judged: Vec<&&StoredModel> =
+        models.iter().filter(|m| others.contains(&m.user_output().name)).collect();
+    if judged.is_empty() {
+        return Ok(0.0);
+    }
+    let integral = |tau_s: f64| -> Result<f64, ChainError> {
+        let lagged = LaggedStaticMap { map, tau_s, leader };
+        let record = as_record(ctx, &lagged.drive(&steps.reference, ctx.spec.sample_time_s), steps);
+        let mut sum = 0.0;
+        for m in &judged {
+            let name = m.user_output().name;
+            let k = ctx.channels.demands.iter().position(|d| *d == name).unwrap_or(0);
+            let d = &ctx.spec.problem.demands[k];
+            for run in m.simulate(&record, None)? {
+                let from = steps.switches.get(1).copied().unwrap_or(0);
+                let error = |t: usize| (run.y[t] - steps.reference.row(t)[k]).abs() / (d.upper - d.lower);
+                sum += (from..run.y.len()).map(error).sum::<f64>();
+            }
+        }
+        Ok(if sum.is_finite() { sum } else { f64::MAX })
+    };
+    let mut best = (f64::INFINITY, 0.0);
+    for k in 0..=30 {
+        let tau_s = LONGEST_LAG_S * f64::from(k) / 30.0;
+        let value = integral(tau_s)?;
+        if value < best.0 {
+            best = (value, tau_s);
+        }
+    }
+    Ok(best.1)
+}
+
+/// Inputs of a scenario as a record without outputs.
+fn as_record(ctx: &Context, drive: &Rows, scenario: &Scenario) -> Dataset {
+    let problem = &ctx.spec.problem;
+    let demands = problem.demands.len();
+    let input = |name: &str, unit: &str, values: Vec<f64>| Channel {
+        name: name.into(),
+        unit: unit.into(),
+        role: Role::Input,
+        values,
+    };
+    let moved = problem.inputs.iter().enumerate().map(|(k, i)| input(&i.name, &i.unit, drive.column(k)));
+    let given = problem.given.iter().enumerate();
+    let given = given.map(|(k, g)| input(&g.name, &g.unit, scenario.reference.column(demands + k)));
+    Dataset {
+        name: scenario.name.clone(),
+        sample_time_s: ctx.spec.sample_time_s,
+        channels: moved.chain(given).collect(),
+        init_samples: 0,
+        origin: "map".into(),
+    }
+}
+
+fn static_on_record(
     ctx: &Context,
     folder: &Path,
     map: &StaticMap,
     last: &Pass,
     optimise_folder: &Path,
-) -> Result<BestSpark, ChainError> {
-    let records = load_records(optimise_folder, &last.records, ctx.spec.sample_time_s)?;
-    let optimum = &records[1];
-    let (torque, lambda) = (optimum.values("torque_demand")?, optimum.values("lambda_demand")?);
-    let speed = optimum.values("speed")?;
-    let reference: Vec<Reference> = (0..optimum.len())
-        .map(|t| Reference { torque_nm: torque[t], lambda: lambda[t], speed_rpm: speed[t] })
-        .collect();
-    // Fuel and throttle as optimised, spark from the map: the loops trim what the other spark needs.
-    let (inj, throttle) = (optimum.values("inj")?, optimum.values("throttle")?);
-    let feedforward: Vec<[f64; 4]> =
-        (0..optimum.len()).map(|t| [inj[t], map.at(&reference[t])[1], throttle[t], speed[t]]).collect();
-    let demand: Vec<Demand> =
-        reference.iter().map(|r| Demand { torque_nm: r.torque_nm, lambda: r.lambda }).collect();
-    let run = hold(ctx, folder, "best_spark", &feedforward, &demand)?;
+) -> Result<Option<StaticOnRecord>, ChainError> {
+    if ctx.channels.free.is_empty() {
+        return Ok(None);
+    }
+    let records = ctx.load_records(optimise_folder, &last.records)?;
+    let Some(optimum) = records.get(1) else { return Ok(None) };
+    let reference = ctx.channels.references(optimum)?;
+    let mut actuators = ctx.channels.actuators(optimum)?;
+    let mut u = vec![0.0; actuators.width()];
+    for t in 0..actuators.len() {
+        map.at(reference.row(t), &mut u);
+        // What loops drive stays as optimised: they trim what the other inputs need.
+        ctx.channels.free.iter().for_each(|&k| actuators.row_mut(t)[k] = u[k]);
+    }
+    let n = actuators.len();
+    let inputs = (0..actuators.width()).map(|k| actuators.column(k)).collect();
+    let given = ctx
+        .channels
+        .given
+        .iter()
+        .map(|g| Ok(optimum.values(g)?.to_vec()))
+        .collect::<Result<_, ChainError>>()?;
+    let demands = last.demands.clone();
+    debug_assert!(demands.iter().all(|d| d.len() == n));
+    let plan = ctx.plan("static_on_record", inputs, given, demands, Tone::Trim);
+    let run = ctx.measure(folder, &plan, true)?;
     save_records(folder, std::slice::from_ref(&run))?;
-    let fuel_kg_h = mean_fuel(&run, last.first)?;
-    let ratio = fuel_kg_h / last.measured_start_fuel_kg_h;
-    let share_of_saving = Some((1.0 - last.measured_ratio) / (1.0 - ratio)).filter(|v| v.is_finite());
-    Ok(BestSpark { fuel_kg_h, ratio, share_of_saving })
+    let objective = super::optimise_step::mean_objective(ctx, &run, last.first)?;
+    let ratio = objective / last.measured_start;
+    let share_of_saving =
+        Some((1.0 - last.measured_ratio) / (1.0 - ratio)).filter(|v| v.is_finite() && ratio < 1.0);
+    Ok(Some(StaticOnRecord { objective, ratio, share_of_saving }))
 }
 
 fn run_all(
     ctx: &Context,
+    folder: &Path,
     maps: &[&dyn FeedforwardMap],
     scenarios: &[Scenario],
 ) -> Result<Vec<Vec<Dataset>>, ChainError> {
@@ -141,11 +372,7 @@ fn run_all(
     let records = jobs
         .par_iter()
         .map(|&(s, m)| {
-            ctx.check_interrupt()?;
-            let mut plant = ctx.plant(false)?;
-            plant.reset(ctx.spec.seed);
-            let (dt, limits) = (ctx.spec.sample_time_s, ctx.actuator_limits());
-            let record = run_map(plant.as_mut(), dt, maps[m], &scenarios[s], limits)?;
+            let record = run_map(ctx, folder, maps[m], &scenarios[s])?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             (ctx.tell)(Event::Fraction(0.7 + 0.3 * done as f64 / jobs.len() as f64));
             Ok(record)
@@ -155,4 +382,21 @@ fn run_all(
         .collect::<Result<Vec<_>, _>>()?;
     let mut records = records.into_iter();
     Ok(scenarios.iter().map(|_| records.by_ref().take(maps.len()).collect()).collect())
+}
+
+/// Runs a map through a scenario open loop; the raw demands are recorded beside.
+fn run_map(
+    ctx: &Context,
+    folder: &Path,
+    map: &dyn FeedforwardMap,
+    scenario: &Scenario,
+) -> Result<Dataset, ChainError> {
+    let drive = map.drive(&scenario.reference, ctx.spec.sample_time_s);
+    let demands = ctx.channels.demands.len();
+    let inputs = (0..drive.width()).map(|k| drive.column(k)).collect();
+    let given = (0..ctx.channels.given.len()).map(|k| scenario.reference.column(demands + k)).collect();
+    let wanted = (0..demands).map(|k| scenario.reference.column(k)).collect();
+    let name = format!("{}, {}", map.name(), scenario.name);
+    let plan = ctx.plan(&name, inputs, given, wanted, Tone::Open).settled(4.0);
+    ctx.measure(folder, &plan, false)
 }

@@ -1,21 +1,28 @@
 //! Whether a calibration may be used as it is, and what to know before.
+//!
+//! The verdict follows the *final* map: it must have finite results on the plant, and no fault of the models or of the last
+//! pass that it stands on. A pass that must not be used is left out of map and models, and said. Against the rivals the
+//! delivered map is compared in words, also where it is not better.
 
-use crate::calibrate::models::OutputModels;
-use crate::calibrate::run::ChainResult;
-use crate::calibrate::spec::CalibrateSpec;
+use super::models::ModelsResult;
+use super::run::ChainResult;
+use super::spec::CalibrateSpec;
+use super::validate_step::{DYNAMIC, ValidateResult};
+use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
 
-/// Largest violation of the demands at which an optimum counts as feasible, in Nm and in lambda.
-pub const VIOLATION: f64 = 1e-6;
-/// Difference of promised and measured fuel ratio that is worth a warning, in points.
+/// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
-/// Torque and lambda errors above which a point of the static map was not reached.
-const STATIC_ERROR: (f64, f64) = (1.0, 0.02);
+/// Steady offset of a delivered map from which on it must not be used, as a share of the range of the leading demand and of
+/// further ones, whose range is narrow.
+const MOST_OFFSET: [f64; 2] = [0.05, 0.15];
 
 /// Warnings and what they mean together.
 pub struct Verdict {
-    /// False when something did not converge or must not be used.
+    /// False when the final map must not be used.
     pub valid: bool,
+    /// What came out, against what, in one or two sentences.
+    pub words: String,
     /// The worst way in which a step ended.
     pub status: Status,
     /// Sentences, most important first.
@@ -41,23 +48,14 @@ impl Findings {
 /// Judges a run as far as it went.
 pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     let mut f = Findings { faults: Vec::new(), notes: Vec::new(), status: Status::Converged };
-    if let Some(o) = &r.optimise {
-        passes(&o.result.passes, &mut f);
-    }
+    passes(spec, r, &mut f);
     if let Some(v) = &r.validate {
-        comparison(&v.result, &mut f);
+        comparison(spec, &v.result, &mut f);
     }
-    if let Some(d) = &r.design {
-        design(&d.result, &mut f);
-    }
+    design(r, &mut f);
     models(r, &mut f);
-    if let Some(i) = &r.invert
-        && i.result.published.is_none()
-    {
-        f.notes.push(
-            "The published map (7.18) has no stable fit on these records: it is not in the comparison."
-                .into(),
-        );
+    if let Some(i) = &r.invert {
+        f.notes.extend(i.result.left_out.iter().map(|l| format!("Left out of the map: {l}.")));
     }
     if spec.plant.torque_noise_nm > 0.0 || spec.plant.lambda_noise > 0.0 {
         f.notes.push(format!(
@@ -66,117 +64,228 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
         ));
     }
     let valid = f.faults.is_empty();
+    let words = words(spec, r, valid);
     f.faults.extend(f.notes);
-    Verdict { valid, status: f.status, warnings: f.faults }
+    Verdict { valid, words, status: f.status, warnings: f.faults }
 }
 
-fn passes(passes: &[crate::calibrate::optimise_step::Pass], f: &mut Findings) {
+fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
+    let Some(o) = &r.optimise else { return };
+    let passes = &o.result.passes;
+    let last = passes.last().map_or(0, |p| p.pass);
     for p in passes {
-        if !p.status.is_success() {
-            let text = format!(
-                "The fuel optimisation of pass {} ended as \"{}\" after {} iterations.",
+        if !p.usable {
+            let text = format!("The optimum of pass {} must not be used: {}.", p.pass, p.reason);
+            if p.pass == last {
+                f.fault(p.status, text);
+            } else {
+                f.notes.push(text);
+            }
+        } else if !p.status.is_success() {
+            f.notes.push(format!(
+                "The optimisation of pass {} ended as \"{}\" after {} iterations; its demands are met.",
                 p.pass,
                 word(p.status),
                 p.iterations
-            );
-            f.fault(p.status, text);
+            ));
         }
         let points = 100.0 * (p.measured_ratio - p.promised_ratio).abs();
-        if !(p.measured_ratio.is_finite() && p.promised_ratio.is_finite()) {
-            f.fault(Status::Diverged, format!("Pass {} has no finite fuel ratio.", p.pass));
-        } else if p.promised_ratio < 1.0 && p.measured_ratio >= 1.0 {
-            let text = format!(
-                "Pass {} promised to save {:.1} % of fuel and measured {:+.1} %: its optimum must not be used.",
-                p.pass,
-                100.0 * (1.0 - p.promised_ratio),
-                100.0 * (p.measured_ratio - 1.0)
-            );
-            f.fault(Status::Stalled, text);
-        } else if points > PROMISE_POINTS {
-            f.notes
-                .push(format!("Promised and measured fuel of pass {} differ by {points:.1} points.", p.pass));
-        }
-        let feasible = p.torque_violation_nm < VIOLATION && p.lambda_violation < VIOLATION;
-        if !feasible {
-            let text = format!(
-                "The optimum of pass {} misses its demand by up to {:.2e} Nm and {:.2e} in lambda (allowed: {VIOLATION:e}).",
-                p.pass, p.torque_violation_nm, p.lambda_violation
-            );
-            f.fault(Status::Infeasible, text);
+        if points > PROMISE_POINTS {
+            let what = objective_words(spec);
+            f.notes.push(format!(
+                "Promised and measured {what} of pass {} differ by {points:.1} points.",
+                p.pass
+            ));
         }
     }
 }
 
-fn comparison(v: &crate::calibrate::validate_step::ValidateResult, f: &mut Findings) {
-    let missed = v
-        .static_map
-        .points
-        .iter()
-        .filter(|p| p.torque_error_nm.abs() > STATIC_ERROR.0 || p.lambda_error.abs() > STATIC_ERROR.1)
-        .count();
-    if missed > 0 {
+/// What is minimised, in words.
+pub(crate) fn objective_words(spec: &CalibrateSpec) -> String {
+    let names: Vec<&str> = spec.problem.minimise.iter().map(|t| t.channel.as_str()).collect();
+    names.join(" + ")
+}
+
+fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
+    let missed: Vec<_> = v.static_map.points.iter().filter(|p| !p.missed.is_empty()).collect();
+    if let Some(first) = missed.first() {
         f.notes.push(format!(
-            "{missed} of {} points of the static map missed torque by more than {} Nm or lambda by more than {}.",
+            "{} of {} points of the static map were not reached, e.g. at {} and {}: {}.",
+            missed.len(),
             v.static_map.points.len(),
-            STATIC_ERROR.0,
-            STATIC_ERROR.1
+            first.demand,
+            first.given,
+            first.missed
         ));
     }
-    for s in v.scores.iter().filter(|s| !s.torque_rms_nm.is_finite() || !s.lambda_rms.is_finite()) {
-        f.fault(Status::Diverged, format!("The {} has no finite result in {}.", s.map, s.scenario));
+    for s in &v.scores {
+        let finite = s.objective.is_finite() && s.demands.iter().all(|d| d.rms.is_finite());
+        if !finite {
+            f.fault(Status::Diverged, format!("The {} has no finite result in {}.", s.map, s.scenario));
+        }
+    }
+    for s in v.scores.iter().filter(|s| s.map == DYNAMIC) {
+        for (k, (d, range)) in s.demands.iter().zip(&spec.problem.demands).enumerate() {
+            let most = MOST_OFFSET[k.min(1)];
+            if d.offset > most * (range.upper - range.lower) {
+                f.fault(
+                    Status::Stalled,
+                    format!(
+                        "The dynamic map leaves a steady offset of {:.3} {} in {} ({}): more than {} % of its range.",
+                        d.offset,
+                        d.unit,
+                        d.output,
+                        s.scenario,
+                        100.0 * most
+                    ),
+                );
+            }
+        }
+        f.notes.extend(beaten(v, s));
     }
 }
 
-fn design(d: &crate::calibrate::design_step::DesignResult, f: &mut Findings) {
-    match d.status {
-        Some(s @ (Status::Infeasible | Status::Diverged)) => {
-            f.fault(s, format!("The test signal has no design within its limits (the search ended as \"{}\").", word(s)));
+/// Rivals that are better than the delivered map in the same scenario, in words.
+fn beaten(v: &ValidateResult, own: &MapScore) -> Vec<String> {
+    let rivals = v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != own.map);
+    let mut out = Vec::new();
+    for rival in rivals {
+        for (a, b) in own.demands.iter().zip(&rival.demands).skip(1) {
+            if b.integral_s < a.integral_s && b.spike() < a.spike() {
+                out.push(format!(
+                    "In {} the {} holds {} better than the dynamic map: integral {:.4} against {:.4} s, spike {:.4} against {:.4}.",
+                    own.scenario,
+                    rival.map,
+                    a.output,
+                    b.integral_s,
+                    a.integral_s,
+                    b.spike(),
+                    a.spike()
+                ));
+            }
         }
-        Some(s @ (Status::Limit | Status::Stalled)) => f.notes.push(format!(
-            "The search for the test signal ended as \"{}\" after {} evaluations: the design is better than its start, not proven the best.",
-            word(s),
-            d.evaluations
-        )),
-        _ => {}
+    }
+    out
+}
+
+fn design(r: &ChainResult, f: &mut Findings) {
+    let Some(d) = r.design.as_ref().map(|d| &d.result) else { return };
+    if !d.left_out.is_empty() && !d.left_out.starts_with("no design was asked") {
+        f.notes.push(format!(
+            "The campaign went on without a designed record: {}.",
+            d.left_out.trim_end_matches('.')
+        ));
+    }
+    if let Some(s @ (Status::Infeasible | Status::Diverged)) = d.status {
+        f.notes.push(format!(
+            "The test signal does not keep its limits on the models (the search ended as \"{}\").",
+            word(s)
+        ));
+    }
+    let of = |data: &str| d.gains.iter().find(|g| g.data.starts_with(data));
+    if let (Some(own), Some(other)) = (of("with the designed"), of("with one more")) {
+        let worse: Vec<String> = own
+            .r2
+            .iter()
+            .zip(&other.r2)
+            .filter(|(a, b)| b.1 >= a.1)
+            .map(|((name, a), (_, b))| {
+                format!(
+                    "{name} {:.2} against {:.2} %",
+                    100.0 * a.unwrap_or(f64::NAN),
+                    100.0 * b.unwrap_or(f64::NAN)
+                )
+            })
+            .collect();
+        if !worse.is_empty() {
+            f.notes.push(format!(
+                "The designed record was worth no more than one more record of the first recipe (free-run R2 on unseen records): {}.",
+                worse.join(", ")
+            ));
+        }
     }
 }
 
 fn models(r: &ChainResult, f: &mut Findings) {
-    for (stage, m) in stages(r) {
-        let best = m.best();
-        if best.unseen_r2.is_none() {
-            f.fault(
-                Status::Diverged,
-                format!("Every {} model of the step {stage} diverged on an unseen record.", m.output),
-            );
+    let all = stages(r);
+    let last = all.last().map(|(stage, _)| stage.clone());
+    for (stage, m) in &all {
+        let decides = Some(stage) == last.as_ref();
+        for o in &m.outputs {
+            let best = o.best();
+            if best.scores.iter().any(|s| s.r2.is_none()) {
+                let text = format!("The {} model of the step {stage} diverges on a record.", o.output);
+                if decides { f.fault(Status::Diverged, text) } else { f.notes.push(text) }
+            }
+            if !best.status.is_success() && decides {
+                f.notes.push(format!(
+                    "The {} model of the step {stage} was estimated until \"{}\" after {} evaluations.",
+                    o.output,
+                    word(best.status),
+                    best.evaluations
+                ));
+            }
+            if decides {
+                f.notes.extend(
+                    best.warnings.iter().map(|w| format!("{} model of the step {stage}: {w}", o.output)),
+                );
+            }
         }
-        if !best.status.is_success() {
-            f.notes.push(format!(
-                "The {} model of the step {stage} was estimated until \"{}\" after {} evaluations.",
-                m.output,
-                word(best.status),
-                best.evaluations
-            ));
-        }
-        f.notes.extend(best.warnings.iter().map(|w| format!("{} model of the step {stage}: {w}", m.output)));
     }
 }
 
-/// All pairs of models of a run with the step that they come from, in order.
-pub fn stages(r: &ChainResult) -> Vec<(String, &OutputModels)> {
-    let mut out: Vec<(String, &OutputModels)> = Vec::new();
-    if let Some(d) = &r.identify {
-        out.extend([&d.result.torque, &d.result.lambda].map(|m| ("identify".into(), m)));
-    }
-    if let Some(d) = &r.design
-        && d.result.status.is_some()
-    {
-        out.extend([&d.result.torque, &d.result.lambda].map(|m| ("design".into(), m)));
-    }
+/// All sets of models of a run with the step that they come from, in order.
+pub fn stages(r: &ChainResult) -> Vec<(String, &ModelsResult)> {
+    let mut out: Vec<(String, &ModelsResult)> = Vec::new();
+    out.extend(r.identify.iter().map(|d| ("identify".into(), &d.result)));
+    out.extend(
+        r.design.iter().filter(|d| !d.result.records.is_empty()).map(|d| ("design".into(), &d.result.models)),
+    );
     for p in r.optimise.iter().flat_map(|d| &d.result.passes) {
-        out.extend([&p.torque, &p.lambda].map(|m| (format!("optimise, pass {}", p.pass), m)));
+        out.push((format!("optimise, pass {}", p.pass), &p.models));
     }
     out
+}
+
+/// One or two sentences at the top of the page.
+fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
+    let Some(v) = r.validate.as_ref().map(|d| &d.result) else {
+        let done = super::store::finished(r);
+        return format!(
+            "{done} of {} steps are finished; there is no map to judge yet.",
+            super::run::STEPS.len()
+        );
+    };
+    let mut parts = Vec::new();
+    for own in v.scores.iter().filter(|s| s.map == DYNAMIC) {
+        let rivals: Vec<&MapScore> =
+            v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC).collect();
+        for d in own.demands.iter().skip(1) {
+            let best = rivals
+                .iter()
+                .filter_map(|s| s.demand(&d.output).map(|o| (o.integral_s, s.map.as_str())))
+                .filter(|(i, _)| i.is_finite())
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            if let Some((integral, map)) = best {
+                parts.push(format!(
+                    "{}: integral of the {} error per step {:.4} s against {integral:.4} s of the {map}, the best rival",
+                    own.scenario, d.output, d.integral_s
+                ));
+            }
+        }
+        if let Some(rival) = rivals.iter().find(|s| s.map == "static map") {
+            parts.push(format!(
+                "{}: {} {:.4} against {:.4} of the static map",
+                own.scenario,
+                objective_words(spec),
+                own.objective,
+                rival.objective
+            ));
+        }
+    }
+    let head =
+        if valid { "The dynamic map may be used." } else { "The dynamic map must not be used as it is." };
+    format!("{head} {}.", parts.join("; "))
 }
 
 /// A status as it stands in JSON.

@@ -53,16 +53,6 @@ pub enum DesignJobError {
         /// What is wrong.
         source: StoredError,
     },
-    /// A model in other units than those of the plan.
-    #[error(
-        "{file}: the model was estimated from shifted, scaled or derived channels ({channels}), a design needs one of the channels as they are: identify it without the steps `offset` and `scale` and without derived channels"
-    )]
-    Prepared {
-        /// File.
-        file: String,
-        /// Channels that are changed before the model sees them.
-        channels: String,
-    },
     /// A model file whose parts do not belong together.
     #[error("{file}: {source}")]
     Structure {
@@ -316,7 +306,10 @@ fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, Design
     same_time(&shown, dt_s, file.sample_time_s)?;
     let fault = |source| DesignJobError::Stored { file: shown.clone(), source };
     let fitted = file.fitted().map_err(fault)?;
-    as_measured(&file, &shown)?;
+    let way = file.pointwise().map_err(fault)?;
+    if !way.changed().is_empty() {
+        return over_measured(&file, shown, channels);
+    }
     let inputs: Vec<String> = file.inputs.iter().map(|q| q.name.clone()).collect();
     let output = &file.output;
     let Some((simulated, theta)) = fitted.simulated() else {
@@ -349,15 +342,13 @@ fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, Design
     Ok(out)
 }
 
-/// A design works in the units of its channels: a model of shifted, scaled or derived channels is another one.
-fn as_measured(file: &StoredModel, shown: &str) -> Result<(), DesignJobError> {
-    let fault = |source| DesignJobError::Stored { file: shown.into(), source };
-    let way = file.pointwise().map_err(fault)?;
-    let changed: Vec<String> = way.changed();
-    match changed.is_empty() {
-        true => Ok(()),
-        false => Err(DesignJobError::Prepared { file: shown.into(), channels: changed.join(", ") }),
-    }
+/// A model of derived, shifted or scaled channels as one of the channels of the plan. What it takes as its noise, and where it
+/// was identified, is said in its prepared units: the spec gives `noise_std` in the user's.
+fn over_measured(file: &StoredModel, shown: String, channels: &[String]) -> Result<Loaded, DesignJobError> {
+    let model =
+        file.over(channels).map_err(|source| DesignJobError::Stored { file: shown.clone(), source })?;
+    let (output, theta) = (file.user_output(), model.theta().to_vec());
+    Ok(blank(&output.name, &output.unit, Box::new(model), theta, f64::NAN, shown))
 }
 
 /// The same polynomial over all channels of the plan.

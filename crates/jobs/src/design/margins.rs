@@ -2,12 +2,12 @@
 
 use dynocal_design::schedule::{self, Basis, Schedule};
 use dynocal_ident::validate::boundary::{Coverage, coverage};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::load::Loaded;
 
 /// What a margin stands on, in a spec.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MarginBasis {
     /// A key of the spec.
@@ -21,7 +21,7 @@ pub enum MarginBasis {
 }
 
 /// A margin with what it stands on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MarginUsed {
     /// Distance inside the identified region, in the unit of the output.
     pub value: f64,

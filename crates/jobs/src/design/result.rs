@@ -3,12 +3,12 @@
 use dynocal_ident::excitation::correlation::InputCorrelation;
 use dynocal_ident::excitation::coverage::{Coverage, PairCoverage};
 use dynocal_numerics::status::{Iterate, Status};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::margins::MarginUsed;
 
 /// Name and unit.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
     /// Name.
     pub name: String,
@@ -17,7 +17,7 @@ pub struct Quantity {
 }
 
 /// Criterion of one model at the design.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CriterionLine {
     /// Model.
     pub model: String,
@@ -47,7 +47,7 @@ pub struct Efficiency {
 }
 
 /// A predicted output against its limits.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SafetyLine {
     /// Output.
     pub output: Quantity,

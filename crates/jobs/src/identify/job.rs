@@ -62,7 +62,11 @@ fn missing(path: &path::Path) -> FilesError {
     }
 }
 
-fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
+/// The work of a job in memory; files go into `dir`.
+///
+/// # Errors
+/// [`IdentifyError`].
+pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
     let mut parts = parts(job, watch.note)?;
     let measured = measured(&parts[0].records);
     fit_records(job, &parts)?;

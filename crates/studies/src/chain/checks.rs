@@ -1,25 +1,85 @@
 //! Checks of the study `chain`, all computed from the summaries of its runs.
 
+use dynocal_calib::validate::DemandScore;
 use dynocal_jobs::calibrate::validate_step::DYNAMIC;
 use serde_json::Value;
 
+use super::tasks::Calibrated;
 use super::{INTERRUPTION, NOISE, SEED};
 use crate::asked::Asked;
 use crate::{Check, TaskResult};
 
 /// A number of a calibration.
-type Measure = fn(&Value) -> Option<f64>;
+type Measure = fn(&Calibrated) -> Option<f64>;
 
 /// A check over all seeds: id, what, unit, asked, number, note.
 struct Row(&'static str, &'static str, &'static str, Asked, Measure, &'static str);
 
+/// The number of one output.
+fn of(list: &[(String, Option<f64>)], output: &str) -> Option<f64> {
+    list.iter().find(|(name, _)| name == output)?.1
+}
+
+/// A score of one map for one demand in scenario number `scenario`.
+fn map(
+    c: &Calibrated,
+    scenario: usize,
+    map: &str,
+    demand: &str,
+    number: fn(&DemandScore) -> f64,
+) -> Option<f64> {
+    c.maps.iter().filter(|s| s.map == map).nth(scenario)?.demand(demand).map(number)
+}
+
+/// The delivered map's number over the least of all rivals in the same scenario: below 1 no rival is as good.
+fn over_best_rival(
+    c: &Calibrated,
+    scenario: usize,
+    demand: &str,
+    number: fn(&DemandScore) -> f64,
+) -> Option<f64> {
+    let own = c.maps.iter().filter(|s| s.map == DYNAMIC).nth(scenario)?;
+    let rivals = c.maps.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC);
+    let best =
+        rivals.filter_map(|s| s.demand(demand).map(number)).filter(|v| v.is_finite()).reduce(f64::min)?;
+    Some(number(own.demand(demand)?) / best)
+}
+
+fn spike(d: &DemandScore) -> f64 {
+    d.spike()
+}
+
+fn offset(d: &DemandScore) -> f64 {
+    d.offset
+}
+
+fn integral(d: &DemandScore) -> f64 {
+    d.integral_s
+}
+
+fn settling(d: &DemandScore) -> f64 {
+    d.settling_s
+}
+
+fn percent_saved(ratio: Option<f64>) -> Option<f64> {
+    ratio.map(|r| 100.0 * (1.0 - r))
+}
+
 static ROWS: &[Row] = &[
+    Row(
+        "valid",
+        "Runs whose map may be used (1: yes)",
+        "",
+        Asked::AtLeast(1.0),
+        |c| Some(f64::from(u8::from(c.valid))),
+        "the verdict of the run itself",
+    ),
     Row(
         "excite-lambda-low",
         "Lambda that 1 % of the identification samples lie below",
         "",
         Asked::AtLeast(0.5),
-        |v| v["lambda_1_99"][0].as_f64(),
+        |c| c.excited_lambda.map(|l| l.0),
         "closed loop keeps lambda where it can be measured and burnt",
     ),
     Row(
@@ -27,15 +87,7 @@ static ROWS: &[Row] = &[
         "Lambda that 99 % of the identification samples lie below",
         "",
         Asked::AtMost(1.6),
-        |v| v["lambda_1_99"][1].as_f64(),
-        "",
-    ),
-    Row(
-        "identify-selected",
-        "Selected structure against the published one, free-run R2 on unseen records, smaller gain of torque and lambda",
-        "points",
-        Asked::Above(0.0),
-        over_published,
+        |c| c.excited_lambda.map(|l| l.1),
         "",
     ),
     Row(
@@ -43,47 +95,31 @@ static ROWS: &[Row] = &[
         "Free-run R2 of torque, mean over the unseen records, after the last pass",
         "%",
         Asked::AtLeast(99.0),
-        |v| final_r2(v, "torque"),
-        "wanted: 99.5",
+        |c| of(&c.final_r2, "torque").map(|v| 100.0 * v),
+        "wanted: 99.5; the record that chose between candidates is not among them",
     ),
     Row(
         "fit-lambda",
         "Free-run R2 of lambda, mean over the unseen records, after the last pass",
         "%",
         Asked::AtLeast(96.0),
-        |v| final_r2(v, "lambda"),
+        |c| of(&c.final_r2, "lambda").map(|v| 100.0 * v),
         "wanted: 99",
-    ),
-    Row(
-        "design-criterion",
-        "Criterion of the designed record minus that of its start",
-        "",
-        Asked::Below(0.0),
-        criterion_change,
-        "criterion that the spec asks for",
-    ),
-    Row(
-        "design-limits",
-        "Least distance of the designed demand (torque, lambda, spark, speed) to its limits, as share of the range",
-        "%",
-        Asked::AtLeast(0.0),
-        |v| v["design"]["least_distance"].as_f64().map(|d| 100.0 * d),
-        "",
     ),
     Row(
         "design-lambda-low",
         "Lambda that 1 % of the samples of the designed record lie below",
         "",
         Asked::AtLeast(0.5),
-        |v| v["design"]["lambda_1_99"][0].as_f64(),
-        "the loops hold lambda while the design runs",
+        |c| c.designed_lambda.map(|l| l.0),
+        "trimming loops hold the predicted lambda while the design runs",
     ),
     Row(
         "design-lambda-high",
         "Lambda that 99 % of the samples of the designed record lie below",
         "",
         Asked::AtMost(1.6),
-        |v| v["design"]["lambda_1_99"][1].as_f64(),
+        |c| c.designed_lambda.map(|l| l.1),
         "",
     ),
     Row(
@@ -91,7 +127,7 @@ static ROWS: &[Row] = &[
         "Unseen R2 of torque gained by the designed record",
         "points",
         Asked::Reported,
-        |v| gain(v, "torque_r2", 0),
+        |c| of(&c.design_gain, "torque").map(|v| 100.0 * v),
         "",
     ),
     Row(
@@ -99,7 +135,7 @@ static ROWS: &[Row] = &[
         "Unseen R2 of lambda gained by the designed record",
         "points",
         Asked::Reported,
-        |v| gain(v, "lambda_r2", 0),
+        |c| of(&c.design_gain, "lambda").map(|v| 100.0 * v),
         "",
     ),
     Row(
@@ -107,7 +143,7 @@ static ROWS: &[Row] = &[
         "Unseen R2 of torque: designed record minus one more record of the first recipe",
         "points",
         Asked::Reported,
-        |v| gain(v, "torque_r2", 2),
+        |c| of(&c.design_against_rival, "torque").map(|v| 100.0 * v),
         "",
     ),
     Row(
@@ -115,7 +151,7 @@ static ROWS: &[Row] = &[
         "Unseen R2 of lambda: designed record minus one more record of the first recipe",
         "points",
         Asked::Reported,
-        |v| gain(v, "lambda_r2", 2),
+        |c| of(&c.design_against_rival, "lambda").map(|v| 100.0 * v),
         "",
     ),
     Row(
@@ -123,15 +159,23 @@ static ROWS: &[Row] = &[
         "Passes whose optimisation did not converge",
         "",
         Asked::AtMost(0.0),
-        |v| passes(v).map(|p| count(p, |q| q["status"] != "converged")),
+        |c| Some(c.unconverged_passes as f64),
         "",
+    ),
+    Row(
+        "optimise-usable",
+        "Passes whose optimum must not be used",
+        "",
+        Asked::AtMost(0.0),
+        |c| Some(c.unusable_passes as f64),
+        "they are left out of map and models",
     ),
     Row(
         "optimise-torque-violation",
         "Largest violation of the torque demand by the optimum",
         "Nm",
         Asked::Below(1e-6),
-        |v| worst_pass(v, "torque_violation_nm"),
+        |c| violation(c, "torque"),
         "",
     ),
     Row(
@@ -139,23 +183,15 @@ static ROWS: &[Row] = &[
         "Largest violation of the lambda demand by the optimum",
         "",
         Asked::Below(1e-6),
-        |v| worst_pass(v, "lambda_violation"),
+        |c| violation(c, "lambda"),
         "",
-    ),
-    Row(
-        "optimise-passes",
-        "Passes that ran",
-        "",
-        Asked::AtLeast(2.0),
-        |v| passes(v).map(|p| p.len() as f64),
-        "optimise, measure, identify again, repeat",
     ),
     Row(
         "optimise-promise",
         "Promised against measured fuel ratio, last pass",
         "points",
         Asked::AtMost(1.5),
-        |v| last_pass(v, "promise_gap_points"),
+        |c| c.promised_ratio.zip(c.measured_ratio).map(|(p, m)| 100.0 * (p - m).abs()),
         "wanted: 0.4",
     ),
     Row(
@@ -163,39 +199,31 @@ static ROWS: &[Row] = &[
         "Fuel saved by the optimum, measured",
         "%",
         Asked::Reported,
-        |v| last_pass(v, "measured_ratio").map(|r| 100.0 * (1.0 - r)),
-        "",
+        |c| percent_saved(c.measured_ratio),
+        "against random spark",
     ),
     Row(
         "optimise-best-spark",
-        "Fuel saved by a perfect spark on the same record",
+        "Fuel saved by the static map's spark on the same record",
         "%",
         Asked::Reported,
-        |v| v["summary"]["best_spark"]["ratio"].as_f64().map(|r| 100.0 * (1.0 - r)),
+        |c| percent_saved(c.static_ratio),
         "",
     ),
     Row(
         "optimise-share",
-        "Share of the saving of a perfect spark",
+        "Share of the saving of the static map's spark",
         "%",
         Asked::Reported,
-        |v| v["summary"]["best_spark"]["share_of_saving"].as_f64().map(|s| 100.0 * s),
+        |c| c.share_of_saving.map(|s| 100.0 * s),
         "",
-    ),
-    Row(
-        "invert-rest",
-        "Dynamic map at rest minus its static part, share of the actuator's range",
-        "",
-        Asked::AtMost(1e-6),
-        |v| v["rest_difference"].as_f64(),
-        "window differences vanish in steady state",
     ),
     Row(
         "offset-torque",
         "Worst steady torque offset of the dynamic map",
         "Nm",
         Asked::AtMost(1.5),
-        |v| map(v, POINTS, DYNAMIC, "torque_offset_nm"),
+        |c| map(c, POINTS, DYNAMIC, "torque", offset),
         "random points; wanted: 0.8",
     ),
     Row(
@@ -203,7 +231,7 @@ static ROWS: &[Row] = &[
         "Worst steady lambda offset of the dynamic map",
         "",
         Asked::AtMost(0.03),
-        |v| map(v, POINTS, DYNAMIC, "lambda_offset"),
+        |c| map(c, POINTS, DYNAMIC, "lambda", offset),
         "random points; wanted: 0.010",
     ),
     Row(
@@ -211,7 +239,7 @@ static ROWS: &[Row] = &[
         "Lambda spike of the dynamic map on torque steps",
         "",
         Asked::AtMost(0.10),
-        |v| map(v, STEPS, DYNAMIC, "lambda_spike"),
+        |c| map(c, STEPS, DYNAMIC, "lambda", spike),
         "wanted: 0.035",
     ),
     Row(
@@ -219,15 +247,60 @@ static ROWS: &[Row] = &[
         "The same of the static map",
         "",
         Asked::Reported,
-        |v| map(v, STEPS, "static map", "lambda_spike"),
+        |c| map(c, STEPS, "static map", "lambda", spike),
         "",
+    ),
+    Row(
+        "spike-lagged",
+        "The same of the lagged static map, its lag tuned on the run's own models",
+        "",
+        Asked::Reported,
+        |c| map(c, STEPS, LAGGED, "lambda", spike),
+        "",
+    ),
+    Row("lag", "Tuned lag of that rival", "s", Asked::Reported, |c| c.lag_s, "at the middle speed"),
+    Row(
+        "integral-steps",
+        "Lambda integral per step of the dynamic map over that of the best rival, torque steps",
+        "",
+        Asked::Reported,
+        |c| over_best_rival(c, STEPS, "lambda", integral),
+        "below 1: no rival is as good",
+    ),
+    Row(
+        "integral-points",
+        "The same on random points",
+        "",
+        Asked::Reported,
+        |c| over_best_rival(c, POINTS, "lambda", integral),
+        "below 1: no rival is as good",
+    ),
+    Row(
+        "spike-over-rival",
+        "Lambda spike of the dynamic map over that of the best rival, torque steps",
+        "",
+        Asked::Reported,
+        |c| over_best_rival(c, STEPS, "lambda", spike),
+        "below 1: no rival is as good",
+    ),
+    Row(
+        "spike-over-static",
+        "Lambda spike of the dynamic map over that of the static map, torque steps",
+        "",
+        Asked::AtMost(0.5),
+        |c| {
+            map(c, STEPS, DYNAMIC, "lambda", spike)
+                .zip(map(c, STEPS, "static map", "lambda", spike))
+                .map(|(a, b)| a / b)
+        },
+        "the weakest rival; the best one is above",
     ),
     Row(
         "settling",
         "Worst torque settling of the dynamic map, random points",
         "s",
         Asked::AtMost(1.5),
-        |v| map(v, POINTS, DYNAMIC, "torque_settling_s"),
+        |c| map(c, POINTS, DYNAMIC, "torque", settling),
         "counted from the raw demand, look-ahead included",
     ),
     Row(
@@ -235,23 +308,7 @@ static ROWS: &[Row] = &[
         "The same of the static map",
         "s",
         Asked::Reported,
-        |v| map(v, POINTS, "static map", "torque_settling_s"),
-        "",
-    ),
-    Row(
-        "rival-ran",
-        "Scenarios in which the lagged static map was run",
-        "",
-        Asked::AtLeast(2.0),
-        |v| v["summary"]["maps"].as_array().map(|m| count(m, |s| s["map"] == LAGGED)),
-        "the strong simple rival",
-    ),
-    Row(
-        "rival-spike",
-        "Lambda spike of the lagged static map on torque steps",
-        "",
-        Asked::Reported,
-        |v| map(v, STEPS, LAGGED, "lambda_spike"),
+        |c| map(c, POINTS, "static map", "torque", settling),
         "",
     ),
     Row(
@@ -259,15 +316,7 @@ static ROWS: &[Row] = &[
         "Worst steady torque offset of the lagged static map",
         "Nm",
         Asked::Reported,
-        |v| map(v, POINTS, LAGGED, "torque_offset_nm"),
-        "",
-    ),
-    Row(
-        "rival-settling",
-        "Worst torque settling of the lagged static map, random points",
-        "s",
-        Asked::Reported,
-        |v| map(v, POINTS, LAGGED, "torque_settling_s"),
+        |c| map(c, POINTS, LAGGED, "torque", offset),
         "",
     ),
     Row(
@@ -275,7 +324,7 @@ static ROWS: &[Row] = &[
         "Sections that the report lacks",
         "",
         Asked::AtMost(0.0),
-        report,
+        |c| Some(c.report_missing.len() as f64),
         "written whole, with all sections",
     ),
     Row(
@@ -283,26 +332,23 @@ static ROWS: &[Row] = &[
         "Bed time of identification, design and optimisation records",
         "s",
         Asked::AtMost(600.0),
-        |v| v["summary"]["bed"]["total_s"].as_f64(),
+        |c| Some(c.bed_s),
         "",
     ),
-    Row(
-        "bed-time-static",
-        "Bed time of the static map",
-        "s",
-        Asked::Reported,
-        |v| v["summary"]["bed"]["static_map_s"].as_f64(),
-        "",
-    ),
+    Row("bed-time-static", "Bed time of the static map", "s", Asked::Reported, |c| c.static_bed_s, ""),
     Row(
         "bed-time-validation",
         "Bed time of the validation records",
         "s",
         Asked::Reported,
-        |v| v["summary"]["bed"]["validation_records_s"].as_f64(),
+        |c| c.validation_bed_s,
         "",
     ),
 ];
+
+fn violation(c: &Calibrated, output: &str) -> Option<f64> {
+    c.violations.iter().find(|(name, _)| name == output).map(|(_, v)| *v)
+}
 
 const LAGGED: &str = "static map with lag";
 /// Position of the scenarios among those that a map is scored in.
@@ -311,14 +357,17 @@ const STEPS: usize = 1;
 
 /// All checks.
 pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
-    let seeds: Vec<&TaskResult> = results.iter().filter(|r| r.name.starts_with(SEED)).collect();
+    let read = |r: &TaskResult| crate::result::<Calibrated>(results, &r.name);
+    let seeds: Vec<Option<Calibrated>> =
+        results.iter().filter(|r| r.name.starts_with(SEED)).map(read).collect();
     let mut out: Vec<Check> = ROWS.iter().map(|r| over_seeds(r, &seeds)).collect();
-    if let Some(noisy) = results.iter().find(|r| r.name == NOISE) {
+    if results.iter().any(|r| r.name == NOISE) {
+        let noisy = crate::result::<Calibrated>(results, NOISE);
         out.extend(ROWS.iter().filter(|r| NOISY.contains(&r.0)).map(|r| Check {
             id: format!("noise-{}", r.0),
             what: format!("With sensor noise: {}", r.1),
             asked: None,
-            measured: (r.4)(&noisy.value),
+            measured: noisy.as_ref().and_then(r.4),
             unit: r.2,
             holds: None,
             note: "torque 1 Nm, lambda 0.01, white".into(),
@@ -342,12 +391,12 @@ const NOISY: [&str; 7] = [
 ];
 
 /// Name, unit and value of every number of one calibration.
-pub(super) fn row(v: &Value) -> Vec<(&'static str, &'static str, Option<f64>)> {
-    ROWS.iter().map(|r| (r.1, r.2, (r.4)(v))).collect()
+pub(super) fn row(c: Option<&Calibrated>) -> Vec<(&'static str, &'static str, Option<f64>)> {
+    ROWS.iter().map(|r| (r.1, r.2, c.and_then(r.4))).collect()
 }
 
-fn over_seeds(r: &Row, seeds: &[&TaskResult]) -> Check {
-    let values: Vec<Option<f64>> = seeds.iter().map(|s| (r.4)(&s.value)).collect();
+fn over_seeds(r: &Row, seeds: &[Option<Calibrated>]) -> Check {
+    let values: Vec<Option<f64>> = seeds.iter().map(|c| c.as_ref().and_then(r.4)).collect();
     let measured = r.3.worst(&values);
     let shown: Vec<String> =
         values.iter().map(|v| v.map_or("none".into(), |v| dynocal_report::significant(v, 4))).collect();
@@ -362,70 +411,6 @@ fn over_seeds(r: &Row, seeds: &[&TaskResult]) -> Check {
         holds: r.3.holds(measured),
         note,
     }
-}
-
-fn count(values: &[Value], is: impl Fn(&Value) -> bool) -> f64 {
-    values.iter().filter(|v| is(v)).count() as f64
-}
-
-fn passes(v: &Value) -> Option<&Vec<Value>> {
-    v["summary"]["passes"].as_array()
-}
-
-fn last_pass(v: &Value, key: &str) -> Option<f64> {
-    passes(v)?.last()?[key].as_f64()
-}
-
-fn worst_pass(v: &Value, key: &str) -> Option<f64> {
-    let all: Option<Vec<f64>> = passes(v)?.iter().map(|p| p[key].as_f64()).collect();
-    all?.into_iter().reduce(f64::max)
-}
-
-/// The chosen candidate of the last step that identified `output`, in percent.
-fn final_r2(v: &Value, output: &str) -> Option<f64> {
-    let models = v["summary"]["models"].as_array()?.iter().rfind(|m| m["output"] == output)?;
-    let chosen = models["candidates"].as_array()?.iter().find(|c| c["name"] == models["chosen"])?;
-    chosen["unseen_r2"].as_f64().map(|r2| 100.0 * r2)
-}
-
-/// Best selected minus best published candidate of the first identification, the smaller one of both outputs.
-fn over_published(v: &Value) -> Option<f64> {
-    let of_step = v["summary"]["models"].as_array()?.iter().filter(|m| m["step"] == "identify");
-    let gains: Option<Vec<f64>> = of_step
-        .map(|m| {
-            let candidates = m["candidates"].as_array()?;
-            let best = |kind: &str| {
-                let of_kind =
-                    candidates.iter().filter(|c| c["name"].as_str().is_some_and(|n| n.starts_with(kind)));
-                // A free run that diverged explains nothing.
-                of_kind.map(|c| c["unseen_r2"].as_f64().unwrap_or(f64::NEG_INFINITY)).reduce(f64::max)
-            };
-            Some(100.0 * (best("selected")? - best("published")?))
-        })
-        .collect();
-    gains?.into_iter().reduce(f64::min)
-}
-
-fn criterion_change(v: &Value) -> Option<f64> {
-    let wanted = &v["summary"]["spec"]["design"]["criterion"];
-    let c = v["summary"]["design"]["criteria"].as_array()?.iter().find(|c| c["criterion"] == *wanted)?;
-    Some(c["design"].as_f64()? - c["start"].as_f64()?)
-}
-
-/// What the designed record gained over the identification data number `base`, in points.
-fn gain(v: &Value, key: &str, base: usize) -> Option<f64> {
-    let gains = v["summary"]["design"]["gains"].as_array()?;
-    Some(100.0 * (gains.get(1)?[key].as_f64()? - gains.get(base)?[key].as_f64()?))
-}
-
-/// A score of one map in scenario number `scenario`.
-fn map(v: &Value, scenario: usize, map: &str, key: &str) -> Option<f64> {
-    v["summary"]["maps"].as_array()?.iter().filter(|s| s["map"] == map).nth(scenario)?[key].as_f64()
-}
-
-fn report(v: &Value) -> Option<f64> {
-    let missing = v["report_missing"].as_array()?.len() as f64;
-    Some(if v["report_ends"].as_bool()? { missing } else { missing + 1.0 })
 }
 
 fn interruption(v: &Value) -> Vec<Check> {

@@ -88,7 +88,8 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
     let head = [Column::text("Number"), Column::text("Unit")];
     let columns = head.into_iter().chain(runs.iter().map(|r| Column::number(r.name.as_str(), "").digits(4)));
     let mut table = Table::new(columns.collect()).caption("The numbers of every calibration");
-    let rows: Vec<_> = runs.iter().map(|r| row(&r.value)).collect();
+    let read = |r: &&TaskResult| crate::result::<tasks::Calibrated>(results, &r.name);
+    let rows: Vec<_> = runs.iter().map(|r| row(read(r).as_ref())).collect();
     for (k, (name, unit, _)) in rows.first().into_iter().flatten().enumerate() {
         let cells = rows.iter().map(|r| Cell::from(r.get(k).and_then(|n| n.2)));
         table =

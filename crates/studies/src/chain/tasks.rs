@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use dynocal_calib::map::{FeedforwardMap, Reference};
-use dynocal_files::{FilesError, json as json_files};
-use dynocal_ident::data::Dataset;
-use dynocal_jobs::calibrate::context::{ChainError, Event, load_records};
+use dynocal_calib::validate::MapScore;
+use dynocal_files::FilesError;
+use dynocal_jobs::calibrate::context::{ChainError, Event, RecordRef};
 use dynocal_jobs::calibrate::run::{ChainResult, STEPS};
 use dynocal_jobs::calibrate::spec::CalibrateSpec;
+use dynocal_numerics::status::Status;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::{StudyError, Surroundings};
@@ -18,7 +19,47 @@ use dynocal_jobs::calibrate::job::{self, Campaign};
 const SECTIONS: [&str; 9] =
     ["result", "excite", "models", "design", "optimise", "maps", "validate", "spec", "files"];
 
-/// A calibration: its summary, and what only its records and its map can tell.
+/// What the study keeps of one calibration: the numbers behind its checks.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Calibrated {
+    /// Whether the run calls its map usable.
+    pub(super) valid: bool,
+    /// Lambda that 1 % and 99 % of the identification samples lie below.
+    pub(super) excited_lambda: Option<(f64, f64)>,
+    /// The same of the designed record.
+    pub(super) designed_lambda: Option<(f64, f64)>,
+    /// Free-run R2 on unseen records after the last pass, by output.
+    pub(super) final_r2: Vec<(String, Option<f64>)>,
+    /// R2 gained by the designed record over the identification records, by output.
+    pub(super) design_gain: Vec<(String, Option<f64>)>,
+    /// R2 of the designed record less that of one more record of the first recipe, by output.
+    pub(super) design_against_rival: Vec<(String, Option<f64>)>,
+    /// Passes, and those whose optimum is not usable.
+    pub(super) passes: usize,
+    pub(super) unusable_passes: usize,
+    pub(super) unconverged_passes: usize,
+    /// Largest violation of a demand on the models, by output.
+    pub(super) violations: Vec<(String, f64)>,
+    /// Ratios of the last pass.
+    pub(super) promised_ratio: Option<f64>,
+    pub(super) measured_ratio: Option<f64>,
+    /// Ratio with the static map's spark on the same record, and the share of its saving that was reached.
+    pub(super) static_ratio: Option<f64>,
+    pub(super) share_of_saving: Option<f64>,
+    /// Tuned lag of the rival in s.
+    pub(super) lag_s: Option<f64>,
+    /// All scores.
+    pub(super) maps: Vec<MapScore>,
+    /// Bed times in s.
+    pub(super) bed_s: f64,
+    pub(super) static_bed_s: Option<f64>,
+    pub(super) validation_bed_s: Option<f64>,
+    /// Sections that the report lacks.
+    pub(super) report_missing: Vec<String>,
+}
+
+/// A calibration in a folder of its own.
 pub(super) fn calibrate(
     name: &str,
     spec: &CalibrateSpec,
@@ -31,18 +72,66 @@ pub(super) fn calibrate(
         }
     };
     let done = job::run(&campaign, "validate", &tell, around.watch.interrupt)?;
-    let summary: Value = json_files::read(&done.summary)?;
     let html = text(&done.report)?;
-    let missing: Vec<&str> =
-        SECTIONS.into_iter().filter(|id| !html.contains(&format!("<section id=\"{id}\""))).collect();
-    Ok(json!({
-        "summary": summary,
-        "lambda_1_99": excited_lambda(&done.result, spec)?,
-        "design": designed(&done.result, spec)?,
-        "rest_difference": rest_difference(&done.result, spec),
-        "report_missing": missing,
-        "report_ends": html.trim_end().ends_with("</html>"),
-    }))
+    let mut missing: Vec<String> = SECTIONS
+        .into_iter()
+        .filter(|id| !html.contains(&format!("<section id=\"{id}\"")))
+        .map(str::to_string)
+        .collect();
+    if !html.trim_end().ends_with("</html>") {
+        missing.push("its end".into());
+    }
+    let found = calibrated(&done, missing)?;
+    serde_json::to_value(found).map_err(|e| StudyError::Result { task: name.into(), reason: e.to_string() })
+}
+
+fn calibrated(done: &job::Finished, report_missing: Vec<String>) -> Result<Calibrated, StudyError> {
+    let r = &done.result;
+    let excited = r.excite.as_ref().map(|d| (&d.folder, &d.result.identification));
+    let designed = r.design.as_ref().map(|d| (&d.folder, &d.result.records));
+    let passes = r.optimise.as_ref().map_or(&[][..], |d| &d.result.passes);
+    let last = passes.last();
+    let outputs = last.map_or(&[][..], |p| &p.models.outputs);
+    let mut violations: Vec<(String, f64)> = Vec::new();
+    for m in passes.iter().flat_map(|p| &p.misses) {
+        match violations.iter_mut().find(|(name, _)| *name == m.output) {
+            Some((_, worst)) => *worst = worst.max(m.violation),
+            None => violations.push((m.output.clone(), m.violation)),
+        }
+    }
+    let v = r.validate.as_ref().map(|d| &d.result);
+    let fixed = v.and_then(|v| v.static_on_record.as_ref());
+    Ok(Calibrated {
+        valid: done.valid,
+        excited_lambda: excited.map(|(f, refs)| lambda_range(f, refs)).transpose()?.flatten(),
+        designed_lambda: designed.map(|(f, refs)| lambda_range(f, refs)).transpose()?.flatten(),
+        final_r2: outputs.iter().map(|o| (o.output.clone(), o.best().unseen_r2)).collect(),
+        design_gain: gains(r, "identification"),
+        design_against_rival: gains(r, "with one more"),
+        passes: passes.len(),
+        unusable_passes: passes.iter().filter(|p| !p.usable).count(),
+        unconverged_passes: passes.iter().filter(|p| p.status != Status::Converged).count(),
+        violations,
+        promised_ratio: last.map(|p| p.promised_ratio),
+        measured_ratio: last.map(|p| p.measured_ratio),
+        static_ratio: fixed.map(|f| f.ratio),
+        share_of_saving: fixed.and_then(|f| f.share_of_saving),
+        lag_s: v.map(|v| v.lag_s),
+        maps: v.map_or(Vec::new(), |v| v.scores.clone()),
+        bed_s: r.bed_s(),
+        static_bed_s: v.map(|v| v.static_map.bed_s),
+        validation_bed_s: r.excite.as_ref().map(|d| d.result.validation_bed_s),
+        report_missing,
+    })
+}
+
+/// R2 of the designed record less that of other identification data, by output.
+fn gains(r: &ChainResult, base: &str) -> Vec<(String, Option<f64>)> {
+    let Some(d) = r.design.as_ref().map(|d| &d.result) else { return Vec::new() };
+    let of = |data: &str| d.gains.iter().find(|g| g.data.starts_with(data));
+    let (Some(own), Some(other)) = (of("with the designed"), of(base)) else { return Vec::new() };
+    let pairs = own.r2.iter().zip(&other.r2);
+    pairs.map(|((name, a), (_, b))| (name.clone(), a.zip(*b).map(|(a, b)| a - b))).collect()
 }
 
 fn text(path: &Path) -> Result<String, StudyError> {
@@ -50,72 +139,16 @@ fn text(path: &Path) -> Result<String, StudyError> {
         .map_err(|e| FilesError::Read { path: path.display().to_string(), reason: e.to_string() }.into())
 }
 
-/// Lambda that 1 % and 99 % of the samples of the identification records lie below.
-fn excited_lambda(r: &ChainResult, spec: &CalibrateSpec) -> Result<Option<[f64; 2]>, StudyError> {
-    let Some(excite) = &r.excite else { return Ok(None) };
-    lambda_range(&load_records(&excite.folder, &excite.result.identification, spec.sample_time_s)?)
-}
-
-fn lambda_range(records: &[Dataset]) -> Result<Option<[f64; 2]>, StudyError> {
+/// Lambda that 1 % and 99 % of the samples of some records lie below; none where they have none.
+fn lambda_range(folder: &Path, refs: &[RecordRef]) -> Result<Option<(f64, f64)>, StudyError> {
     let mut lambda = Vec::new();
-    for record in records {
+    for r in refs {
+        let record = dynocal_files::dataset::read_dataset(&folder.join(&r.file), &[], &[])?;
         lambda.extend_from_slice(record.values("lambda")?);
     }
     lambda.sort_by(f64::total_cmp);
-    let at = |share: f64| lambda.get((share * (lambda.len() as f64 - 1.0)) as usize).copied();
-    Ok(at(0.01).zip(at(0.99)).map(|(a, b)| [a, b]))
-}
-
-/// The designed record as it was run: lambda, and the least distance of what was demanded to its limits, as a share
-/// of the allowed range.
-fn designed(r: &ChainResult, spec: &CalibrateSpec) -> Result<Value, StudyError> {
-    let Some(design) = &r.design else { return Ok(Value::Null) };
-    let records = load_records(&design.folder, &design.result.records, spec.sample_time_s)?;
-    let d = &spec.design;
-    let mut least = f64::INFINITY;
-    for record in &records {
-        for (name, (low, high)) in [
-            ("torque_demand", d.torque_nm),
-            ("lambda_demand", d.lambda),
-            ("spark", d.spark_deg),
-            ("speed", d.speed_rpm),
-        ] {
-            let nearest =
-                record.values(name)?.iter().map(|v| (v - low).min(high - v)).fold(f64::INFINITY, f64::min);
-            least = least.min(nearest / (high - low));
-        }
-    }
-    // A level that is at its limit may round to either side of it.
-    let least = if least.abs() < 1e-12 { 0.0 } else { least };
-    Ok(json!({ "least_distance": least, "lambda_1_99": lambda_range(&records)? }))
-}
-
-/// Largest difference between what the dynamic map gives after a long held demand and its static part, relative to
-/// the range of the actuator: its window differences must vanish.
-fn rest_difference(r: &ChainResult, spec: &CalibrateSpec) -> Option<f64> {
-    let map = &r.invert.as_ref()?.result.dynamic;
-    let s = &spec.validate.scenario;
-    let mut worst = 0.0f64;
-    for i in 0..5 {
-        for j in 0..5 {
-            let between = |(a, b): (f64, f64), k: usize| a + (b - a) * k as f64 / 4.0;
-            let demand = Reference {
-                torque_nm: between(s.torque_nm, i),
-                lambda: 1.0,
-                speed_rpm: between(s.speed_rpm, j),
-            };
-            // Starts elsewhere, so that the window has seen a transient before it comes to rest.
-            let mut record = vec![Reference { torque_nm: demand.torque_nm + 10.0, ..demand }; 40];
-            record.extend(vec![demand; 400]);
-            let at_rest = *map.drive(&record, spec.sample_time_s).last()?;
-            let steady = map.steady(demand);
-            for c in 0..3 {
-                let range = map.limits.upper[c] - map.limits.lower[c];
-                worst = worst.max((at_rest[c] - steady[c]).abs() / range);
-            }
-        }
-    }
-    Some(worst)
+    let at = |share: f64| lambda.get((share * (lambda.len().max(1) - 1) as f64) as usize).copied();
+    Ok(at(0.01).zip(at(0.99)))
 }
 
 /// Runs a short calibration, runs it again, and runs it interrupted: the files must come out the same.

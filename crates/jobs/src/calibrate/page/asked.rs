@@ -1,14 +1,13 @@
 //! Head, overview, spec and files.
 
-use crate::calibrate::run::ChainResult;
-use crate::calibrate::validate_step::DYNAMIC;
+use super::super::run::ChainResult;
+use super::super::summary::Summary;
+use super::super::validate_step::DYNAMIC;
+use super::super::verdict::{objective_words, word};
+use super::parts::{change, unit};
 use dynocal_report::{Axis, Bars, Cell, Column, KeyValue, Report, Section, Table, significant};
 
-use super::parts::change;
-use crate::calibrate::summary::Summary;
-use crate::calibrate::verdict::word;
-
-/// Title, warnings and facts.
+/// Title, verdict, warnings and facts.
 pub(super) fn head(s: &Summary, r: &ChainResult) -> Report {
     let subtitle = match s.steps.last() {
         Some(last) if *last != "validate" => format!("{}: steps up to `{last}`", s.name),
@@ -41,35 +40,49 @@ pub(super) fn head(s: &Summary, r: &ChainResult) -> Report {
     report
 }
 
-/// The main numbers and the bed times.
+/// The verdict, the main numbers and the bed times.
 pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     let mut items = Vec::new();
-    for m in s.models.iter().rev().take(2).rev() {
+    let outputs = r.identify.as_ref().map_or(0, |d| d.result.outputs.len());
+    for m in s.models.iter().rev().take(outputs).rev() {
         let best = m.candidates.iter().find(|c| c.name == m.chosen);
         let r2 = best.and_then(|c| c.unseen_r2).map(|v| significant(100.0 * v, 4));
         items.push(KeyValue::new(format!("Free-run R2 of {}, unseen records", m.output), r2, "%"));
     }
+    let what = objective_words(s.spec);
     if let Some(p) = s.passes.last() {
-        items.push(KeyValue::new("Fuel promised, last pass", significant(change(p.promised_ratio), 3), "%"));
-        items.push(KeyValue::new("Fuel measured, last pass", significant(change(p.measured_ratio), 3), "%"));
+        items.push(KeyValue::new(
+            format!("Promised change of {what}, last pass"),
+            significant(change(p.promised_ratio), 3),
+            "%",
+        ));
+        items.push(KeyValue::new(
+            format!("Measured change of {what}, last pass"),
+            significant(change(p.measured_ratio), 3),
+            "%",
+        ));
     }
-    if let Some(b) = s.best_spark {
-        items.push(KeyValue::new("Fuel with the best-spark map", significant(change(b.ratio), 3), "%"));
+    if let Some(b) = s.static_on_record {
+        items.push(KeyValue::new(
+            format!("The same with the static map's values of the inputs that no loop drives"),
+            significant(change(b.ratio), 3),
+            "%",
+        ));
     }
     if let Some(v) = &r.validate {
-        let of_map = || v.result.scores.iter().filter(|m| m.map == DYNAMIC);
-        if let Some(points) = of_map().next() {
-            items.push(KeyValue::new(
-                "Worst steady torque offset of the dynamic map",
-                points.torque_offset_nm,
-                "Nm",
-            ));
-            items.push(KeyValue::new("Worst steady lambda offset", significant(points.lambda_offset, 3), ""));
-        }
-        if let Some(steps) = of_map().nth(1) {
-            items.push(KeyValue::new("Lambda spike on torque steps", significant(steps.lambda_spike, 3), ""));
+        for own in v.result.scores.iter().filter(|m| m.map == DYNAMIC) {
+            for d in &own.demands {
+                let name = format!("Worst steady {} offset, {}", d.output, own.scenario);
+                items.push(KeyValue::new(name, significant(d.offset, 3), unit(&d.unit)));
+            }
         }
     }
+    let section = Section::new("Result").id("result").text(s.verdict).key_values(items);
+    let (table, bars) = bed(s);
+    section.columns(vec![table.into(), bars.into()])
+}
+
+fn bed(s: &Summary) -> (Table, Bars) {
     let b = &s.bed;
     let needed =
         [("identification", b.identification_s), ("design", b.design_s), ("optimisation", b.optimisation_s)];
@@ -94,7 +107,7 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     }
     let bars = Bars::new("Bed time", Axis::new("Time", "s"), needed.iter().chain(&beside).map(|b| b.0))
         .series("bed time", needed.iter().chain(&beside).map(|b| b.1).collect::<Vec<f64>>());
-    Section::new("Result").id("result").key_values(items).columns(vec![table.into(), bars.into()])
+    (table, bars)
 }
 
 /// The spec as understood.

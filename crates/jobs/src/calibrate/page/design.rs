@@ -1,74 +1,73 @@
 //! Step 3: the designed test signal, its safety and what it gained.
 
-use crate::calibrate::context::ChainError;
-use crate::calibrate::design_step::DesignResult;
+use super::super::context::{ChainError, Context};
+use super::super::design_step::DesignResult;
+use super::super::verdict::word;
+use super::models::table;
+use super::parts::{percent, plot, record, unit};
 use dynocal_files::run_folder::Done;
 use dynocal_report::{Cell, Column, Section, Table};
 
-use super::models::table;
-use super::parts::{Simulated, percent, plot, record, unit};
-use crate::calibrate::verdict::word;
-
 /// The whole step.
-pub(super) fn section(d: &Done<DesignResult>, dt: f64) -> Result<Section, ChainError> {
+pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, ChainError> {
     let r = &d.result;
-    let section = Section::new("Test signal design").id("design");
-    let Some(status) = r.status else {
-        return Ok(section.text("No design was asked for (design.enabled = false)."));
-    };
-    let mut section = section
-        .text(format!(
-            "The record is designed to tell most about the parameters of the identified models within the limits of the spec; the search ended as \"{}\" after {} evaluations.",
+    let mut section = Section::new("Test signal design").id("design");
+    if r.records.is_empty() {
+        return Ok(section.text(format!("{}.", capital(r.left_out.trim_end_matches('.')))));
+    }
+    section = match r.status {
+        Some(status) => section.text(format!(
+            "The record is designed by `dynocal design` (spec: steps/03-design/design.toml) to tell most about the parameters of the identified models within the limits; the search ended as \"{}\" after {} evaluations. It is played with trimming loops about the predicted outputs.",
             word(status),
             r.evaluations
-        ))
-        .columns(vec![criteria(r).into(), gains(r).into()])
-        .block(safety(r));
-    let simulated = Simulated { torque: &r.torque.best().model, lambda: &r.lambda.best().model };
+        )),
+        None => section.text("The record was designed and measured elsewhere."),
+    };
+    section = section.block(gains(r));
+    if !r.criteria.is_empty() {
+        section = section.block(criteria(r));
+    }
+    if !r.safety.is_empty() {
+        section = section.block(safety(r));
+    }
+    let models = r.models.chosen();
     for reference in &r.records {
         let title = format!("{}: measured over the re-identified models", reference.name);
-        section = section.block(plot(title, &record(&d.folder, reference, dt)?, Some(simulated))?);
+        section = section.block(plot(ctx, title, &record(ctx, &d.folder, reference)?, &models)?);
     }
-    for output in [&r.torque, &r.lambda] {
+    for output in &r.models.outputs {
         section = section
             .block(table(output, &format!("Candidates for {} with the designed record", output.output)));
     }
     Ok(section)
 }
 
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |c| c.to_uppercase().chain(letters).collect())
+}
+
 fn criteria(r: &DesignResult) -> Table {
     let mut table = Table::new(vec![
+        Column::text("Model"),
         Column::text("Criterion"),
-        Column::number("Start", "").digits(6),
         Column::number("Design", "").digits(6),
-        Column::number("Change", "").digits(4),
     ])
-    .caption("Criteria, smaller is better (torque and lambda model together)");
+    .caption("Criterion of the design, smaller is better");
     for c in &r.criteria {
-        let change = c.design.zip(c.start).map(|(d, s)| d - s);
-        table = table.row([
-            c.criterion.to_uppercase().into(),
-            c.start.into(),
-            c.design.into(),
-            Cell::from(change),
-        ]);
+        table = table.row([c.model.as_str().into(), c.criterion.to_uppercase().into(), Cell::from(c.value)]);
     }
     table
 }
 
 fn gains(r: &DesignResult) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("Identification data"),
-        Column::number("R2 torque", "%").digits(4),
-        Column::number("R2 lambda", "%").digits(4),
-    ])
-    .caption("What it gained: mean free-run R2 on unseen records");
+    let outputs: Vec<&String> = r.gains.first().map_or(Vec::new(), |g| g.r2.iter().map(|(n, _)| n).collect());
+    let head = outputs.iter().map(|o| Column::number(format!("R2 {o}"), "%").digits(4));
+    let mut table = Table::new([Column::text("Identification data")].into_iter().chain(head).collect())
+        .caption("What it gained: mean free-run R2 on unseen records");
     for g in &r.gains {
-        table = table.row([
-            g.data.as_str().into(),
-            percent(g.torque_r2).into(),
-            Cell::from(percent(g.lambda_r2)),
-        ]);
+        let numbers = g.r2.iter().map(|(_, v)| Cell::from(percent(*v)));
+        table = table.row([Cell::from(g.data.as_str())].into_iter().chain(numbers).collect::<Vec<_>>());
     }
     table
 }
@@ -77,25 +76,24 @@ fn safety(r: &DesignResult) -> Table {
     let range = |(a, b): (f64, f64)| format!("{a:.3} to {b:.3}");
     let mut table = Table::new(vec![
         Column::text("Output"),
-        Column::text("Demanded range"),
-        Column::number("2 x model error", "").digits(3),
+        Column::text("Limits"),
         Column::text("Predicted"),
-        Column::number("Least distance", "").digits(3),
+        Column::number("Band to limit", "").digits(3),
         Column::number("at time", "s").digits(4),
         Column::text("Measured"),
     ])
-    .caption("Safety: predicted and measured outputs against the range that is demanded (negative distance: a transient leaves it)");
+    .caption("Predicted and measured outputs against the limits of the design (negative distance: the band leaves them)");
     for s in &r.safety {
-        let u = if s.output == "torque" { unit("Nm") } else { "" };
-        let name = if u.is_empty() { s.output.clone() } else { format!("{} [{u}]", s.output) };
+        let u = unit(&s.output.unit);
+        let name = if u.is_empty() { s.output.name.clone() } else { format!("{} [{u}]", s.output.name) };
+        let measured = r.measured.iter().find(|m| m.0 == s.output.name).map(|m| range((m.1, m.2)));
         table = table.row([
             name.into(),
-            format!("{} to {}", s.limits.0, s.limits.1).into(),
-            s.margin.into(),
-            range(s.range).into(),
-            s.worst_distance.into(),
-            s.worst_time_s.into(),
-            Cell::from(range(s.measured_range)),
+            s.limits.map_or(String::new(), range).into(),
+            range(s.predicted).into(),
+            s.least_distance_of_band.map(|d| d.0).into(),
+            s.least_distance_of_band.map(|d| d.1).into(),
+            Cell::from(measured.unwrap_or_default()),
         ]);
     }
     table

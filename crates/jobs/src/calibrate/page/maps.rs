@@ -1,81 +1,87 @@
 //! Step 5: the dynamic map in steady state beside the static one.
 
-use crate::calibrate::invert_step::InvertResult;
+use super::super::context::Context;
+use super::super::invert_step::InvertResult;
+use super::super::verdict::word;
+use super::parts::{label, percent, unit};
 use dynocal_calib::map::static_map::StaticMap;
-use dynocal_calib::map::structured::term_names;
-use dynocal_calib::map::{Actuators, Reference};
-use dynocal_calib::validate::ValidateSpec;
+use dynocal_calib::validate::reference_row;
 use dynocal_report::{Axis, Block, Cell, Column, Details, HeatMap, Section, Table};
 
-use super::parts::percent;
-use crate::calibrate::verdict::word;
-
-/// Points of the drawn grid along speed and torque.
+/// Points of the drawn grid along the given channel and the leading demand.
 const GRID: (usize, usize) = (19, 13);
-const ACTUATORS: [(&str, &str); 3] =
-    [("Injected mass", "mg"), ("Spark advance", "deg BTDC"), ("Throttle", "deg")];
 
 /// The whole step.
-pub(super) fn section(i: &InvertResult, rival: Option<&StaticMap>, scenario: &ValidateSpec) -> Section {
+pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>) -> Section {
     let mut section = Section::new("Dynamic map").id("maps").text(format!(
         "Fitted on {} responses of the records {}. It is a static part plus differences over a window of the filtered demand, which vanish in steady state.",
         i.pairs,
         i.records.join(", ")
     ));
-    let grid = Grid::over(scenario);
-    for (c, (name, unit)) in ACTUATORS.iter().enumerate() {
-        let dynamic = grid.values(|r| i.dynamic.steady(r), c);
-        let map = |title: String, z: Vec<f64>| {
-            HeatMap::new(title, grid.x(), grid.y(), (Axis::new(*name, *unit), z)).contours()
-        };
-        let mut blocks: Vec<Block> =
-            vec![map(format!("{name}: dynamic map at rest"), dynamic.clone()).into()];
-        if let Some(rival) = rival {
-            let fixed = grid.values(|r| rival.at(&r), c);
-            let difference: Vec<f64> = dynamic.iter().zip(&fixed).map(|(a, b)| a - b).collect();
-            let (x, y) = points(rival);
-            blocks.push(map(format!("{name}: static map"), fixed).overlay("grid points", x, y).into());
-            let axis = Axis::new(format!("{name}, difference"), *unit);
-            let title = format!("{name}: dynamic minus static");
-            blocks.push(HeatMap::new(title, grid.x(), grid.y(), (axis, difference)).diverging().into());
+    if !i.left_out.is_empty() {
+        section = section.text(format!("Left out: {}.", i.left_out.join("; ")));
+    }
+    if let Some(grid) = Grid::over(ctx) {
+        for (c, port) in i.dynamic.ports.actuators.iter().enumerate() {
+            let (name, u) = (label(&port.name), unit(&port.unit));
+            let dynamic = grid.values(|r| i.dynamic.steady(r)[c]);
+            let map = |title: String, z: Vec<f64>| {
+                HeatMap::new(title, grid.x.clone(), grid.y.clone(), (Axis::new(name.clone(), u), z))
+                    .contours()
+            };
+            let mut blocks: Vec<Block> =
+                vec![map(format!("{name}: dynamic map at rest"), dynamic.clone()).into()];
+            if let Some(rival) = rival {
+                let mut at = vec![0.0; rival.ports.actuators.len()];
+                let fixed = grid.values(|r| {
+                    rival.at(r, &mut at);
+                    at[c]
+                });
+                let difference: Vec<f64> = dynamic.iter().zip(&fixed).map(|(a, b)| a - b).collect();
+                let (x, y): (Vec<f64>, Vec<f64>) = rival.points.iter().map(|p| (p.given, p.demand)).unzip();
+                blocks.push(map(format!("{name}: static map"), fixed).overlay("grid points", x, y).into());
+                let axis = Axis::new(format!("{name}, difference"), u);
+                let title = format!("{name}: dynamic minus static");
+                blocks.push(
+                    HeatMap::new(title, grid.x.clone(), grid.y.clone(), (axis, difference))
+                        .diverging()
+                        .into(),
+                );
+            }
+            section = section.columns(blocks);
         }
-        section = section.columns(blocks);
     }
     section.block(scores(i)).block(coefficients(i))
 }
 
+/// The drawn plane: given channel and leading demand, everything else in its middle.
 struct Grid {
-    speed_rpm: Vec<f64>,
-    torque_nm: Vec<f64>,
+    x: (Axis, Vec<f64>),
+    y: (Axis, Vec<f64>),
+    rows: Vec<Vec<f64>>,
 }
 
 impl Grid {
-    fn over(s: &ValidateSpec) -> Self {
+    /// None where the problem has no given channel.
+    fn over(ctx: &Context) -> Option<Self> {
+        let (problem, scenario) = (&ctx.spec.problem, &ctx.spec.validate.scenario);
         let axis = |(a, b): (f64, f64), n: usize| -> Vec<f64> {
             (0..n).map(|k| a + (b - a) * k as f64 / (n - 1) as f64).collect()
         };
-        Self { speed_rpm: axis(s.speed_rpm, GRID.0), torque_nm: axis(s.torque_nm, GRID.1) }
+        let (given, demand) = (problem.given.first()?, problem.demands.first()?);
+        let x = axis(scenario.given_range(problem)?, GRID.0);
+        let y = axis(scenario.demand_range(problem), GRID.1);
+        let rows = y.iter().flat_map(|t| x.iter().map(|n| reference_row(problem, *t, Some(*n)))).collect();
+        Some(Self {
+            x: (Axis::new(label(&given.name), unit(&given.unit)), x),
+            y: (Axis::new(label(&demand.output), unit(&demand.unit)), y),
+            rows,
+        })
     }
 
-    fn x(&self) -> (Axis, Vec<f64>) {
-        (Axis::new("Speed", "rpm"), self.speed_rpm.clone())
+    fn values(&self, mut map: impl FnMut(&[f64]) -> f64) -> Vec<f64> {
+        self.rows.iter().map(|r| map(r)).collect()
     }
-
-    fn y(&self) -> (Axis, Vec<f64>) {
-        (Axis::new("Torque", "Nm"), self.torque_nm.clone())
-    }
-
-    fn values(&self, map: impl Fn(Reference) -> Actuators, c: usize) -> Vec<f64> {
-        let at = |torque_nm: f64, speed_rpm: f64| map(Reference { torque_nm, lambda: 1.0, speed_rpm })[c];
-        self.torque_nm
-            .iter()
-            .flat_map(|t| self.speed_rpm.iter().map(|n| at(*t, *n)).collect::<Vec<f64>>())
-            .collect()
-    }
-}
-
-fn points(map: &StaticMap) -> (Vec<f64>, Vec<f64>) {
-    map.points.iter().map(|p| (p.speed_rpm, p.torque_nm)).unzip()
 }
 
 fn scores(i: &InvertResult) -> Table {
@@ -88,7 +94,7 @@ fn scores(i: &InvertResult) -> Table {
     ])
     .caption("Fit of the inverse maps on their own data (identification, simulated actuator)");
     for s in &i.scores {
-        let r2 = percent(s.r2).map_or(Cell::from("unstable"), Cell::from);
+        let r2 = percent(s.r2).map_or(Cell::from("unstable or constant"), Cell::from);
         table = table.row([
             s.map.as_str().into(),
             s.actuator.as_str().into(),
@@ -102,20 +108,22 @@ fn scores(i: &InvertResult) -> Table {
 
 fn coefficients(i: &InvertResult) -> Details {
     let d = &i.dynamic;
-    let mut table = Table::new(vec![
-        Column::text("Term"),
-        Column::number("INJ", "mg").digits(5),
-        Column::number("Spark", "deg BTDC").digits(5),
-        Column::number("Throttle", "deg").digits(5),
-    ])
-    .caption("T in units of 50 Nm, N of 2000 rpm, L = (lambda - 1) / 0.1");
-    for (k, name) in term_names(&d.shape).iter().enumerate() {
-        let value = |c: usize| Cell::from(d.coefficients[c].get(k).copied());
-        table = table.row([name.as_str().into(), value(0), value(1), value(2)]);
+    let head = d.ports.actuators.iter().map(|a| Column::number(label(&a.name), unit(&a.unit)).digits(5));
+    let scales: Vec<String> = d
+        .ports
+        .references()
+        .zip(&d.scales)
+        .map(|(p, s)| match s.ratio {
+            true => format!("{} in units of {:.5} {}", p.name, s.unit, unit(&p.unit)),
+            false => format!("{} less {:.5} in units of {:.5} {}", p.name, s.offset, s.unit, unit(&p.unit)),
+        })
+        .collect();
+    let mut table =
+        Table::new([Column::text("Term")].into_iter().chain(head).collect()).caption(scales.join("; "));
+    for (k, name) in d.term_names().iter().enumerate() {
+        let values = d.coefficients.iter().map(|c| Cell::from(c.get(k).copied()));
+        table = table.row([Cell::from(name.as_str())].into_iter().chain(values).collect::<Vec<_>>());
     }
-    Details::new(format!(
-        "Coefficients of the dynamic map ({} terms for each actuator)",
-        d.coefficients[0].len()
-    ))
-    .block(table)
+    Details::new(format!("Coefficients of the dynamic map ({} terms for each actuator)", d.terms.len()))
+        .block(table)
 }

@@ -10,16 +10,20 @@ mod parts;
 
 use std::path::{Path, PathBuf};
 
-use crate::calibrate::context::ChainError;
-use crate::calibrate::run::ChainResult;
+use super::context::{ChainError, Context};
+use super::run::ChainResult;
+use super::summary::Summary;
 use dynocal_files::atomic;
 use dynocal_report::{Report, render};
 
-use crate::calibrate::summary::Summary;
-
 /// Writes `report.html` into the run folder and returns its path.
-pub(crate) fn write(run: &Path, summary: &Summary, result: &ChainResult) -> Result<PathBuf, ChainError> {
-    let report = build(summary, result)?;
+pub(crate) fn write(
+    run: &Path,
+    ctx: &Context,
+    summary: &Summary,
+    result: &ChainResult,
+) -> Result<PathBuf, ChainError> {
+    let report = build(ctx, summary, result)?;
     let html =
         render(&report).map_err(|e| ChainError::Identify { what: "report".into(), reason: e.to_string() })?;
     let path = run.join("report.html");
@@ -27,30 +31,29 @@ pub(crate) fn write(run: &Path, summary: &Summary, result: &ChainResult) -> Resu
     Ok(path)
 }
 
-/// Everything, warnings first.
-fn build(summary: &Summary, r: &ChainResult) -> Result<Report, ChainError> {
-    let dt = summary.spec.sample_time_s;
+/// Everything, the verdict and warnings first.
+fn build(ctx: &Context, summary: &Summary, r: &ChainResult) -> Result<Report, ChainError> {
     let mut report = asked::head(summary, r);
     report = report.section(asked::overview(summary, r));
     if let Some(excite) = &r.excite {
-        report = report.section(models::records(excite, r, dt)?);
+        report = report.section(models::records(ctx, excite, r)?);
     }
     if let Some(identify) = &r.identify {
         report = report.section(models::fits(&identify.result));
     }
     if let Some(d) = &r.design {
-        report = report.section(design::section(d, dt)?);
+        report = report.section(design::section(ctx, d)?);
     }
     if let Some(o) = &r.optimise {
-        let best = r.validate.as_ref().map(|v| &v.result.best_spark);
-        report = report.section(optimise::section(o, best, dt)?);
+        let fixed = r.validate.as_ref().and_then(|v| v.result.static_on_record.as_ref());
+        report = report.section(optimise::section(ctx, o, fixed)?);
     }
     if let Some(i) = &r.invert {
         let rival = r.validate.as_ref().map(|v| &v.result.static_map);
-        report = report.section(maps::section(&i.result, rival, &summary.spec.validate.scenario));
+        report = report.section(maps::section(ctx, &i.result, rival));
     }
     if let Some(v) = &r.validate {
-        report = report.section(compare::section(v, summary, dt)?);
+        report = report.section(compare::section(ctx, v, summary)?);
     }
     Ok(report.section(asked::spec(summary)).section(asked::files(summary)))
 }

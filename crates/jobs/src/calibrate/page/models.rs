@@ -1,36 +1,36 @@
 //! Records of the excitation and the models identified from them.
 
-use crate::calibrate::context::ChainError;
-use crate::calibrate::excite_step::ExciteResult;
-use crate::calibrate::models::ModelsResult;
-use crate::calibrate::models::{Candidate, OutputModels};
-use crate::calibrate::run::ChainResult;
-use dynocal_calib::engine_model::Transform;
+use super::super::context::{ChainError, Context};
+use super::super::excite_step::ExciteResult;
+use super::super::models::{Candidate, FreeRunScore, ModelsResult, OutputModels};
+use super::super::run::ChainResult;
+use super::super::verdict::word;
+use super::parts::{percent, plot, record, unit};
 use dynocal_files::run_folder::Done;
 use dynocal_ident::validate::Seen;
 use dynocal_report::{Axis, Bars, Cell, Column, Details, Section, Table};
 
-use super::parts::{Simulated, percent, plot, record, unit};
-use crate::calibrate::verdict::word;
-
 /// Step 1: every record, with the free runs of the models of step 2.
-pub(super) fn records(excite: &Done<ExciteResult>, r: &ChainResult, dt: f64) -> Result<Section, ChainError> {
-    let simulated = r
-        .identify
-        .as_ref()
-        .map(|m| Simulated { torque: &m.result.torque.best().model, lambda: &m.result.lambda.best().model });
+pub(super) fn records(
+    ctx: &Context,
+    excite: &Done<ExciteResult>,
+    r: &ChainResult,
+) -> Result<Section, ChainError> {
+    let models = r.identify.as_ref().map_or(Vec::new(), |m| m.result.chosen());
     let mut section = Section::new("Excitation").id("excite").text(
-        "Closed loop on torque and lambda: amplitude-modulated steps of demanded torque, demanded lambda and spark, displaced in time, over speed sweeps. The models of the next step run free from the first measured samples.",
+        "Closed loop on the demanded outputs: amplitude-modulated steps of demands and of the inputs that no loop drives, displaced in time, over sweeps of the given channels. The models of the next step run free over them.",
     );
-    section = section.heading("Unseen records");
-    for v in &excite.result.validation {
-        let title = format!("{}: measured over simulated, unseen", v.name);
-        section = section.block(plot(title, &record(&excite.folder, v, dt)?, simulated)?);
+    section = section.heading("Validation records");
+    for (k, v) in excite.result.validation.iter().enumerate() {
+        let chooses = k == 0 && excite.result.validation.len() > 1;
+        let use_of = if chooses { "chose between the candidates" } else { "unseen" };
+        let title = format!("{}: measured over simulated, {use_of}", v.name);
+        section = section.block(plot(ctx, title, &record(ctx, &excite.folder, v)?, &models)?);
     }
     let mut seen = Details::new("Identification records");
     for i in &excite.result.identification {
         let title = format!("{}: measured over simulated, identification", i.name);
-        seen = seen.block(plot(title, &record(&excite.folder, i, dt)?, simulated)?);
+        seen = seen.block(plot(ctx, title, &record(ctx, &excite.folder, i)?, &models)?);
     }
     seen.open = true;
     Ok(section.block(seen))
@@ -40,15 +40,31 @@ pub(super) fn records(excite: &Done<ExciteResult>, r: &ChainResult, dt: f64) -> 
 pub(super) fn fits(m: &ModelsResult) -> Section {
     let mut section = Section::new("Models")
         .id("models")
-        .text("Fit numbers of free runs: the model gets inputs only, after the first measured samples. The best mean R2 on unseen records goes on (stressed rows).");
-    for output in [&m.torque, &m.lambda] {
+        .text("Fit numbers of free runs: the model gets inputs only. The candidate that is best on the record that chooses goes on (stressed rows); the unseen records chose nothing.");
+    for output in &m.outputs {
         section = section.block(table(output, &format!("Candidates for {}", output.output)));
     }
-    section = section.columns(vec![bars(&m.torque).into(), bars(&m.lambda).into()]);
-    for output in [&m.torque, &m.lambda] {
+    section = section.columns(m.outputs.iter().map(|o| bars(o).into()).collect());
+    for output in &m.outputs {
         section = section.block(terms(output, output.best()));
     }
     section
+}
+
+/// Which records a number is over.
+#[derive(Clone, Copy)]
+enum Which {
+    Identification,
+    Choosing,
+    Unseen,
+}
+
+fn of(c: &Candidate, which: Which) -> impl Iterator<Item = &FreeRunScore> {
+    c.scores.iter().filter(move |s| match which {
+        Which::Identification => s.data == Seen::Identification,
+        Which::Choosing => s.chooses,
+        Which::Unseen => s.data == Seen::Unseen && !s.chooses,
+    })
 }
 
 /// Candidates of one output, errors first.
@@ -59,6 +75,7 @@ pub(super) fn table(m: &OutputModels, caption: &str) -> Table {
         Column::number("RMSE unseen", u).digits(3),
         Column::number("95 % unseen", u).digits(3),
         Column::number("R2 unseen", "%").digits(4),
+        Column::number("R2 choosing", "%").digits(4),
         Column::number("RMSE ident.", u).digits(3),
         Column::number("R2 ident.", "%").digits(4),
         Column::number("Terms", ""),
@@ -77,68 +94,69 @@ fn row(c: &Candidate) -> Vec<Cell> {
     let number = |v: Option<f64>| v.map_or(Cell::from("diverged"), Cell::from);
     vec![
         c.name.as_str().into(),
-        number(root_mean_square(c, Seen::Unseen)),
-        number(worst_p95(c, Seen::Unseen)),
-        number(percent(mean_r2(c, Seen::Unseen))),
-        number(root_mean_square(c, Seen::Identification)),
-        number(percent(mean_r2(c, Seen::Identification))),
-        c.model.theta.len().into(),
+        number(root_mean_square(c, Which::Unseen)),
+        number(worst_p95(c, Which::Unseen)),
+        number(percent(mean_r2(c, Which::Unseen))),
+        number(percent(mean_r2(c, Which::Choosing))),
+        number(root_mean_square(c, Which::Identification)),
+        number(percent(mean_r2(c, Which::Identification))),
+        c.model.parameters.len().into(),
         c.evaluations.into(),
         word(c.status).into(),
     ]
 }
 
-fn of(c: &Candidate, data: Seen) -> impl Iterator<Item = &crate::calibrate::models::FreeRunScore> {
-    c.scores.iter().filter(move |s| s.data == data)
-}
-
-/// Root of the mean squared RMSE over the records of `data` (records are equally long).
-fn root_mean_square(c: &Candidate, data: Seen) -> Option<f64> {
-    let squares: Option<Vec<f64>> = of(c, data).map(|s| s.rmse.map(|v| v * v)).collect();
+/// Root of the mean squared RMSE over the records (records are equally long).
+fn root_mean_square(c: &Candidate, which: Which) -> Option<f64> {
+    let squares: Option<Vec<f64>> = of(c, which).map(|s| s.rmse.map(|v| v * v)).collect();
     squares.filter(|v| !v.is_empty()).map(|v| (v.iter().sum::<f64>() / v.len() as f64).sqrt())
 }
 
-fn worst_p95(c: &Candidate, data: Seen) -> Option<f64> {
-    let all: Option<Vec<f64>> = of(c, data).map(|s| s.p95).collect();
+fn worst_p95(c: &Candidate, which: Which) -> Option<f64> {
+    let all: Option<Vec<f64>> = of(c, which).map(|s| s.p95).collect();
     all.and_then(|v| v.into_iter().reduce(f64::max))
 }
 
-fn mean_r2(c: &Candidate, data: Seen) -> Option<f64> {
-    let all: Option<Vec<f64>> = of(c, data).map(|s| s.r2).collect();
+fn mean_r2(c: &Candidate, which: Which) -> Option<f64> {
+    let all: Option<Vec<f64>> = of(c, which).map(|s| s.r2).collect();
     all.filter(|v| !v.is_empty()).map(|v| v.iter().sum::<f64>() / v.len() as f64)
 }
 
 fn bars(m: &OutputModels) -> Bars {
-    let value = |c: &Candidate, data| root_mean_square(c, data).unwrap_or(f64::NAN);
-    let all = |data| m.candidates.iter().map(|c| value(c, data)).collect::<Vec<f64>>();
+    let value = |c: &Candidate, which| root_mean_square(c, which).unwrap_or(f64::NAN);
+    let all = |which| m.candidates.iter().map(|c| value(c, which)).collect::<Vec<f64>>();
     Bars::new(
         format!("Free-run error of {}", m.output),
         Axis::new("RMSE", unit(&m.unit)),
         m.candidates.iter().map(|c| c.name.as_str()),
     )
-    .series("unseen", all(Seen::Unseen))
-    .series("identification", all(Seen::Identification))
+    .series("unseen", all(Which::Unseen))
+    .series("identification", all(Which::Identification))
 }
 
 /// Terms and parameters of one model, collapsed.
 pub(super) fn terms(m: &OutputModels, c: &Candidate) -> Details {
-    let left = match c.model.transform {
-        Transform::Identity => format!("{}(t)", m.output),
-        Transform::Reciprocal => format!("phi(t) = 1/{}(t)", m.output),
-    };
     let mut table = Table::new(vec![
-        Column::text("Term"),
-        Column::number("Parameter", "").digits(6),
+        Column::text("Parameter"),
+        Column::number("Value", "").digits(6),
         Column::number("Standard error", "").digits(2),
     ])
-    .caption(format!("{left} is the sum of these terms"));
-    for (k, (term, theta)) in c.model.structure.regressor_texts().iter().zip(&c.model.theta).enumerate() {
-        let error = c.std_errors.get(k).copied().flatten();
-        table = table.row([term.as_str().into(), (*theta).into(), Cell::from(error)]);
+    .caption(format!("Model of {}(t), in its prepared units", c.model.output.name));
+    for p in &c.model.parameters {
+        table = table.row([p.name.as_str().into(), p.value.into(), Cell::from(p.std_error)]);
     }
-    Details::new(format!("Terms of the chosen {} model ({}): {} parameters", m.output, c.name, c.model.theta.len()))
+    let mut details = Details::new(format!(
+        "The chosen {} model ({}): {} parameters",
+        m.output,
+        c.name,
+        c.model.parameters.len()
+    ));
+    for d in &c.model.derived {
+        details = details.block(dynocal_report::Block::Paragraph { text: d.to_string() });
+    }
+    details
         .block(dynocal_report::Block::Paragraph {
-            text: "Standard errors hold for white equation errors only; the errors of a model that is simpler than the engine are not white, so read them as a lower bound.".into(),
+            text: "The errors of a model that is simpler than the plant are not white: read standard errors as a lower bound.".into(),
         })
         .block(table)
 }

@@ -1,43 +1,29 @@
-//! Step 4: the promised and the measured fuel.
+//! Step 4: what was promised and what was measured.
 
-use crate::calibrate::context::ChainError;
-use crate::calibrate::optimise_step::{OptimiseResult, Pass};
-use crate::calibrate::validate_step::BestSpark;
-use dynocal_files::run_folder::Done;
-use dynocal_report::{Axis, Bars, Cell, Column, Details, KeyValue, Section, Table};
-
+use super::super::context::{ChainError, Context};
+use super::super::optimise_step::{OptimiseResult, Pass};
+use super::super::validate_step::StaticOnRecord;
+use super::super::verdict::{objective_words, word};
 use super::models::{table, terms};
-use super::parts::{Simulated, change, plot, record};
-use crate::calibrate::verdict::word;
+use super::parts::{change, plot, record, unit};
+use dynocal_files::run_folder::Done;
+use dynocal_report::{Axis, Bars, Cell, Column, Details, Section, Table};
 
 /// The whole step.
 pub(super) fn section(
+    ctx: &Context,
     o: &Done<OptimiseResult>,
-    best: Option<&BestSpark>,
-    dt: f64,
+    fixed: Option<&StaticOnRecord>,
 ) -> Result<Section, ChainError> {
     let passes = &o.result.passes;
-    let mut section = Section::new("Fuel optimisation").id("optimise").text(
-        "Fuel of a record at equal torque and lambda at every sample. The demand is the models' response to a feasible start; start and optimum are measured with small loops that hold it.",
-    );
-    section = section.block(fuel(passes, best));
-    if let Some(b) = best {
-        section = section.key_values(vec![
-            KeyValue::new(
-                "Fuel with the spark of the static map on the record of the last pass",
-                b.fuel_kg_h,
-                "kg/h",
-            ),
-            KeyValue::new(
-                "Share of its saving that the optimum realised",
-                b.share_of_saving.map_or(f64::NAN, |v| 100.0 * v),
-                "%",
-            ),
-        ]);
-    }
-    section = section.block(bars(passes, best)).block(convergence(passes));
+    let what = objective_words(ctx.spec);
+    let mut section = Section::new("Optimisation over a record").id("optimise").text(format!(
+        "Least {what} of a record at equal demanded outputs at every sample. The demand is the models' response to a feasible start; start and optimum are measured with small loops that hold it. A pass whose optimum must not be used is left out of the map and of the next models."
+    ));
+    section =
+        section.block(promise(ctx, passes, fixed)).block(bars(&what, passes, fixed)).block(misses(passes));
     for p in passes {
-        let simulated = Simulated { torque: &p.torque.best().model, lambda: &p.lambda.best().model };
+        let models = p.models.chosen();
         section = section.heading(format!("Pass {}", p.pass));
         let titles = [
             format!("Pass {}, optimum: demand, measured and re-identified models", p.pass),
@@ -45,12 +31,12 @@ pub(super) fn section(
         ];
         // The optimum is what the pass is about; it comes before its start.
         for (reference, title) in p.records.iter().rev().zip(titles) {
-            section = section.block(plot(title, &record(&o.folder, reference, dt)?, Some(simulated))?);
+            section = section.block(plot(ctx, title, &record(ctx, &o.folder, reference)?, &models)?);
         }
     }
     if let Some(last) = passes.last() {
         let mut details = Details::new("Models after the last pass: candidates and terms");
-        for m in [&last.torque, &last.lambda] {
+        for m in &last.models.outputs {
             details =
                 details.block(table(m, &format!("Candidates for {}", m.output))).block(terms(m, m.best()));
         }
@@ -59,37 +45,38 @@ pub(super) fn section(
     Ok(section)
 }
 
-fn fuel(passes: &[Pass], best: Option<&BestSpark>) -> Table {
+fn promise(ctx: &Context, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Table {
+    let u = ctx.spec.problem.minimise.first().and_then(|t| ctx.spec.problem.unit(&t.channel)).unwrap_or("");
     let mut table = Table::new(vec![
         Column::text("Record"),
-        Column::number("Start", "kg/h").digits(5),
-        Column::number("Optimum", "kg/h").digits(5),
+        Column::number("Start", unit(u)).digits(5),
+        Column::number("Optimum", unit(u)).digits(5),
         Column::number("Promised", "%").digits(3),
         Column::number("Measured", "%").digits(3),
         Column::number("Gap", "points").digits(2),
-        Column::number("Fuel per work", "%").digits(3),
-        Column::number("Torque error", "Nm").digits(3),
-        Column::number("Lambda error", "").digits(3),
+        Column::text("Ended"),
+        Column::number("Iterations", ""),
+        Column::text("Used"),
     ])
-    .caption("Promised against measured fuel, change from start to optimum (measured kg/h; errors are RMS against the demand). Fuel per torque work is biased by friction where torque differs.");
+    .caption("Promised against measured change from start to optimum (start and optimum as measured)");
     for p in passes {
         table = table.row([
             format!("pass {}", p.pass).into(),
-            p.measured_start_fuel_kg_h.into(),
-            p.measured_fuel_kg_h.into(),
+            p.measured_start.into(),
+            p.measured.into(),
             change(p.promised_ratio).into(),
             change(p.measured_ratio).into(),
             (100.0 * (p.promised_ratio - p.measured_ratio).abs()).into(),
-            change(p.fuel_per_work_ratio).into(),
-            p.torque_rms_nm.into(),
-            Cell::from(p.lambda_rms),
+            word(p.status).into(),
+            p.iterations.into(),
+            Cell::from(if p.usable { "yes".to_string() } else { format!("no: {}", p.reason) }),
         ]);
     }
-    if let (Some(b), Some(last)) = (best, passes.last()) {
+    if let (Some(b), Some(last)) = (fixed, passes.last()) {
         table = table.row([
-            Cell::from("best-spark map"),
-            last.measured_start_fuel_kg_h.into(),
-            b.fuel_kg_h.into(),
+            Cell::from("free inputs of the static map"),
+            last.measured_start.into(),
+            b.objective.into(),
             Cell::Empty,
             change(b.ratio).into(),
             Cell::Empty,
@@ -101,37 +88,44 @@ fn fuel(passes: &[Pass], best: Option<&BestSpark>) -> Table {
     table
 }
 
-fn bars(passes: &[Pass], best: Option<&BestSpark>) -> Bars {
+fn bars(what: &str, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Bars {
     let mut names = Vec::new();
     let mut changes = Vec::new();
     for p in passes {
         names.extend([format!("pass {}, promised", p.pass), format!("pass {}, measured", p.pass)]);
         changes.extend([change(p.promised_ratio), change(p.measured_ratio)]);
     }
-    if let Some(b) = best {
-        names.push("best-spark map, measured".into());
+    if let Some(b) = fixed {
+        names.push("free inputs of the static map, measured".into());
         changes.push(change(b.ratio));
     }
-    Bars::new("Fuel against the start record", Axis::new("Change", "%"), names).series("fuel", changes)
+    Bars::new(format!("{what} against the start record"), Axis::new("Change", "%"), names)
+        .series("change", changes)
 }
 
-fn convergence(passes: &[Pass]) -> Table {
+fn misses(passes: &[Pass]) -> Table {
     let mut table = Table::new(vec![
         Column::text("Pass"),
-        Column::text("Ended"),
-        Column::number("Iterations", ""),
-        Column::number("Torque", "Nm").digits(2),
-        Column::number("Lambda", "").digits(2),
+        Column::text("Output"),
+        Column::number("On the models", "").digits(2),
+        Column::number("RMS measured", "").digits(3),
+        Column::number("Mean measured", "").digits(3),
+        Column::text("Unit"),
     ])
-    .caption("Convergence, and the largest violation of the demands by the models' free run");
+    .caption(
+        "Distance from the demands (or limits): largest of the models' free run, and of the measured optimum",
+    );
     for p in passes {
-        table = table.row([
-            p.pass.into(),
-            word(p.status).into(),
-            p.iterations.into(),
-            p.torque_violation_nm.into(),
-            Cell::from(p.lambda_violation),
-        ]);
+        for m in &p.misses {
+            table = table.row([
+                p.pass.into(),
+                m.output.as_str().into(),
+                m.violation.into(),
+                Cell::from(m.measured_rms),
+                Cell::from(m.measured_mean),
+                Cell::from(unit(&m.unit)),
+            ]);
+        }
     }
     table
 }

@@ -15,7 +15,12 @@ use super::{Chapter5Error, udrn};
 use dynocal_calib::control::LoopGains;
 use dynocal_calib::excite::{ExciteSpec, Range, plan_of, references};
 use dynocal_calib::record::{ActuatorLimits, engine_plan};
-use dynocal_jobs::calibrate::context::{MIN_FUEL_MG, OPEN_THROTTLE_DEG, PlantFactory};
+use dynocal_jobs::calibrate::context::PlantFactory;
+
+/// Least fuel in mg that the loops use: a motored cylinder has no lambda that a loop could hold.
+const MIN_FUEL_MG: f64 = 1.0;
+/// Throttle angle in deg above which nothing changes any more.
+const OPEN_THROTTLE_DEG: f64 = 60.0;
 
 /// Sample time of both sections in s.
 pub const SAMPLE_TIME_S: f64 = 0.03;

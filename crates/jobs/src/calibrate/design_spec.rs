@@ -1,0 +1,162 @@
+//! The spec of the job `design` that a campaign writes, and what its plan is on the models.
+
+use super::context::{ChainError, Context};
+use super::models::ModelsResult;
+use crate::design::result::Curves;
+use dynocal_calib::validate::inner;
+use dynocal_files::json;
+use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
+use dynocal_numerics::watch::Watch;
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+fn table<const N: usize>(pairs: [(&str, Value); N]) -> Table {
+    pairs.into_iter().map(|(k, v)| (k.to_string(), v)).collect()
+}
+
+/// Spec of the design, written beside its result; the models are copied into `folder`.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn design_text(
+    ctx: &Context,
+    folder: &Path,
+    models: &ModelsResult,
+    identification: &[(Dataset, PathBuf)],
+) -> Result<String, ChainError> {
+    let (spec, problem, channels) = (&ctx.spec.design, &ctx.spec.problem, &ctx.channels);
+    let mut list = Vec::new();
+    for (k, i) in problem.inputs.iter().enumerate() {
+        // What a loop drives moves the plant as a whole: it goes through its excited range in the time of a ramp.
+        let range = if channels.driven.contains(&k) {
+            excited(identification, &i.name).unwrap_or((i.lower, i.upper))
+        } else {
+            ctx.spec.excite.ranges.get(&i.name).copied().unwrap_or((i.lower, i.upper))
+        };
+        let mut t = table([
+            ("name", Value::String(i.name.clone())),
+            ("unit", Value::String(i.unit.clone())),
+            ("lower", Value::Float(range.0)),
+            ("upper", Value::Float(range.1)),
+            ("hold_s", Value::Float(spec.hold_s)),
+        ]);
+        if channels.driven.contains(&k) && spec.ramp_s > 0.0 {
+            t.insert("shape".into(), Value::String("linear".into()));
+        }
+        list.push(Value::Table(t));
+    }
+    for g in &problem.given {
+        let range = ctx.spec.excite.ranges.get(&g.name).copied().unwrap_or((g.lower, g.upper));
+        list.push(Value::Table(table([
+            ("name", Value::String(g.name.clone())),
+            ("unit", Value::String(g.unit.clone())),
+            ("lower", Value::Float(range.0)),
+            ("upper", Value::Float(range.1)),
+            ("hold_s", Value::Float(spec.given_point_s)),
+            ("shape", Value::String("linear".into())),
+        ])));
+    }
+    let mut model_tables = Vec::new();
+    for o in &models.outputs {
+        let file = format!("design_{}.json", o.output);
+        json::write_versioned(&folder.join(&file), MODEL_SCHEMA, MODEL_VERSION, &o.best().model)?;
+        let rmse = o.best().scores.iter().filter_map(|s| s.rmse).fold(0.0, f64::max);
+        let mut t = table([
+            ("file", Value::String(file)),
+            ("noise_std", Value::Float(rmse.max(1e-9))),
+            ("criterion", Value::String(spec.criterion.clone())),
+        ]);
+        if let Some(d) = problem.demands.iter().find(|d| d.output == o.output) {
+            let (lower, upper) = inner((d.lower, d.upper), -spec.excess);
+            let limits = table([
+                ("lower", Value::Float(lower)),
+                ("upper", Value::Float(upper)),
+                ("margin", Value::Float((2.0 * rmse).min(0.2 * (upper - lower)))),
+            ]);
+            t.insert("limits".into(), Value::Table(limits));
+            t.insert("initial_output".into(), Value::Float(0.5 * (d.lower + d.upper)));
+        }
+        let prior = identification
+            .iter()
+            .map(|(_, p)| Value::String(super::model_spec::relative(p, folder)))
+            .collect();
+        t.insert("prior".into(), Value::Array(prior));
+        model_tables.push(Value::Table(t));
+    }
+    let search = table([
+        ("name", Value::String("kicks".into())),
+        ("starts", Value::Integer(spec.starts as i64)),
+        ("evaluations", Value::Integer(spec.max_evaluations as i64)),
+    ]);
+    let all = table([
+        ("name", Value::String("design01".into())),
+        ("length_s", Value::Float(spec.record_s)),
+        ("sample_time_s", Value::Float(ctx.spec.sample_time_s)),
+        ("rivals", Value::Integer(4)),
+        ("certificate", Value::Boolean(false)),
+        ("channels", Value::Array(list)),
+        ("models", Value::Array(model_tables)),
+        ("search", Value::Table(search)),
+    ]);
+    toml::to_string(&all).map_err(|e| ChainError::Design(e.to_string()))
+}
+
+/// Range of a channel over the records, 1 % cut off at either end.
+fn excited(records: &[(Dataset, PathBuf)], name: &str) -> Option<(f64, f64)> {
+    let mut all: Vec<f64> =
+        records.iter().filter_map(|(d, _)| d.values(name).ok()).flat_map(|v| v.iter().copied()).collect();
+    all.sort_by(f64::total_cmp);
+    let at = |share: f64| all.get((share * (all.len().max(1) - 1) as f64) as usize).copied();
+    at(0.01).zip(at(0.99)).filter(|(a, b)| a < b)
+}
+
+/// The plan as a record of inputs.
+pub(super) fn as_record(ctx: &Context, curves: &Curves) -> Dataset {
+    let problem = &ctx.spec.problem;
+    let unit = |name: &str| problem.unit(name).unwrap_or("-").to_string();
+    let names = ctx.channels.plant_inputs();
+    let m = names.len();
+    let column = |k: usize| curves.u.iter().skip(k).step_by(m).copied().collect::<Vec<f64>>();
+    Dataset {
+        name: "design01".into(),
+        sample_time_s: ctx.spec.sample_time_s,
+        channels: names
+            .iter()
+            .enumerate()
+            .map(|(k, name)| Channel {
+                name: name.clone(),
+                unit: unit(name),
+                role: Role::Input,
+                values: column(k),
+            })
+            .collect(),
+        init_samples: 0,
+        origin: "design".into(),
+    }
+}
+
+/// Demands of the plan: what the models answer to it, inside the ranges that loops can hold.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn predicted(
+    ctx: &Context,
+    record: &Dataset,
+    models: &[&StoredModel],
+) -> Result<Vec<Vec<f64>>, ChainError> {
+    let mut out = Vec::new();
+    for d in &ctx.spec.problem.demands {
+        let model = models.iter().find(|m| m.user_output().name == d.output);
+        let run = model.map(|m| m.simulate(record, None)).transpose()?.and_then(|r| r.into_iter().next());
+        let Some(run) = run else { return Err(ChainError::Design(format!("no model of `{}`", d.output))) };
+        let (lower, upper) = inner((d.lower, d.upper), -ctx.spec.design.excess);
+        out.push(run.y.iter().map(|y| y.clamp(lower, upper)).collect());
+    }
+    Ok(out)
+}
+
+/// What listens to the design.
+pub(super) fn watch<'a>(ctx: &'a Context) -> Watch<'a> {
+    Watch { interrupt: ctx.interrupt, ..Watch::silent() }
+}
