@@ -28,7 +28,5 @@ fn no_module_uses_one_above_it() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     // The arrows are really read: these are there.
     let arrows = layers::arrows(&src);
-    for (from, to) in [("validate", "map")] {
-        assert!(arrows.contains_key(&(from.into(), to.into())), "{from} uses {to}");
-    }
+    assert!(arrows.contains_key(&("validate".into(), "map".into())), "validate uses map");
 }

@@ -16,7 +16,5 @@ fn no_module_uses_one_above_it() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     // The arrows are really read: these are there.
     let arrows = layers::arrows(&src);
-    for (from, to) in [("chain", "asked")] {
-        assert!(arrows.contains_key(&(from.into(), to.into())), "{from} uses {to}");
-    }
+    assert!(arrows.contains_key(&("chain".into(), "asked".into())), "chain uses asked");
 }

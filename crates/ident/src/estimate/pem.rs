@@ -104,7 +104,7 @@ impl Estimator for Pem {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
         let model = made_for::<LinearModel>("pem", model)?;
-        Ok(self.from_starts(model, data, Starts::Competing(start), interrupt)?.0)
+        Ok(self.search_starts(model, data, Starts::Competing(start), interrupt)?.0)
     }
 }
 
@@ -148,10 +148,10 @@ impl Pem {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
-        self.from_starts(model, data, start.map_or(Starts::Competing(None), Starts::Given), interrupt)
+        self.search_starts(model, data, start.map_or(Starts::Competing(None), Starts::Given), interrupt)
     }
 
-    fn from_starts(
+    fn search_starts(
         &self,
         model: &LinearModel,
         data: &[Experiment],

@@ -143,7 +143,7 @@ impl Estimator for Train {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
         let model = narx("train", model)?;
-        Ok(self.from_starts(model, data, selecting, Given::Beside(start), interrupt)?.fit)
+        Ok(self.search_starts(model, data, selecting, Given::Beside(start), interrupt)?.fit)
     }
 }
 
@@ -180,10 +180,10 @@ impl Train {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Training, EstimateError> {
-        self.from_starts(model, data, selection, Given::First(start), interrupt)
+        self.search_starts(model, data, selection, Given::First(start), interrupt)
     }
 
-    fn from_starts(
+    fn search_starts(
         &self,
         model: &dyn Model,
         data: &[Experiment],

@@ -314,14 +314,14 @@ impl Context<'_> {
             }
             played.record
         } else {
-            self.from_bed(folder, plan)?
+            self.measured_by_bed(folder, plan)?
         };
         record.init_samples = self.spec.identify.init_samples;
         Ok(record)
     }
 
     /// The record of a plan that a bed has played, checked against it; the plan is written for the bed.
-    fn from_bed(&self, folder: &Path, plan: &Plan) -> Result<Dataset, ChainError> {
+    fn measured_by_bed(&self, folder: &Path, plan: &Plan) -> Result<Dataset, ChainError> {
         let path = dynocal_files::plan::write(folder, plan)?;
         let measured = self.measured.join(format!("{}.csv", plan.name));
         if !measured.exists() {

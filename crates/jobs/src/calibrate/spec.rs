@@ -296,7 +296,7 @@ impl Default for InvertSpec {
 }
 
 /// Grid of the static map.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StaticSpec {
     /// Axis of the leading demand; five values over the inner three quarters of its range where it is empty.
@@ -305,12 +305,6 @@ pub struct StaticSpec {
     pub given: Vec<f64>,
     /// Search of the inputs that no loop drives.
     pub search: SearchSpec,
-}
-
-impl Default for StaticSpec {
-    fn default() -> Self {
-        Self { demand: Vec::new(), given: Vec::new(), search: SearchSpec::default() }
-    }
 }
 
 /// Static map and comparison.

@@ -64,7 +64,7 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     }
     if let Some(b) = s.static_on_record {
         items.push(KeyValue::new(
-            format!("The same with the static map's values of the inputs that no loop drives"),
+            "The same with the static map's values of the inputs that no loop drives",
             significant(change(b.ratio), 3),
             "%",
         ));

@@ -112,7 +112,7 @@ pub(super) fn targets(
         let inputs = inputs(m, channels, name, &keys);
         let spec = StructureSpec { name: structure, keys };
         match &pool {
-            Some(pool) => drop(selected_from(&key, &spec, &inputs, name, pool, faults)),
+            Some(pool) => selected_from(&key, &spec, &inputs, name, pool, faults),
             None => {
                 let Some(form) = built_over(&key, &spec, &inputs, name, faults) else { continue };
                 agree(&spec, estimator, faults);
