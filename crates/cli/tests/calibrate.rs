@@ -9,7 +9,7 @@ use dynocal_files::atomic;
 
 /// The shortest calibration that still does every step.
 fn shortest() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/studies/shortest.toml")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../studies/src/shortest.toml")
 }
 
 struct Outcome {
@@ -82,19 +82,19 @@ fn equal_bytes_for_any_number_of_threads_resume_and_report() {
 }
 
 #[test]
-fn steps_are_verbs_in_one_folder() {
+fn steps_run_one_at_a_time_in_one_folder() {
     let tmp = tempfile::tempdir().unwrap();
     let spec = shortest();
     let spec = spec.to_str().unwrap();
-    let excite = dynocal(tmp.path(), &["excite", spec, "--out", "run"]);
+    let excite = dynocal(tmp.path(), &["calibrate", spec, "--until", "excite", "--out", "run"]);
     assert_eq!(excite.code, 0, "{}", excite.stderr);
     assert!(excite.stdout.contains("run/steps/01-excite/ident01.csv"), "{}", excite.stdout);
     assert!(!tmp.path().join("run/steps/02-identify").exists());
-    let model = dynocal(tmp.path(), &["model", spec, "--out", "run"]);
+    let model = dynocal(tmp.path(), &["calibrate", spec, "--until", "identify", "--out", "run"]);
     assert!(model.stdout.contains("run/steps/02-identify/torque_model.json"), "{}", model.stdout);
     assert_eq!(model.stderr.matches("taken from the earlier run").count(), 1, "{}", model.stderr);
     // Another seed changes every record: nothing may be taken over.
-    let other = dynocal(tmp.path(), &["excite", spec, "--out", "run", "--seed", "7"]);
+    let other = dynocal(tmp.path(), &["calibrate", spec, "--until", "excite", "--out", "run", "--seed", "7"]);
     assert_eq!(other.stderr.matches("taken from the earlier run").count(), 0, "{}", other.stderr);
 }
 
@@ -128,7 +128,7 @@ fn faults_of_a_spec_are_named_all_at_once() {
     let tmp = tempfile::tempdir().unwrap();
     let spec = written(
         tmp.path(),
-        "sed = 3\n[plant]\nname = \"virtual_engin\"\n[excite]\ntorque_nm = [90.0, 10.0]\nhold_s = -1.0\n[optimise]\npasses = 0\n",
+        "sed = 3\n[plant]\nname = \"virtual_engin\"\n[excite]\nranges = { torque = [90.0, 10.0] }\nhold_s = -1.0\n[optimise]\npasses = 0\n",
     );
     let out = dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap()]);
     assert_eq!(out.code, 2);
@@ -138,9 +138,9 @@ fn faults_of_a_spec_are_named_all_at_once() {
         "spec.toml:1: `sed`",
         "did you mean `seed`?",
         "did you mean `virtual_engine`?",
-        "`excite.torque_nm`: found [90.0, 10.0], expected increasing numbers, lower before upper, Nm",
+        "`excite.ranges.torque`: found (90.0, 10.0), expected two numbers, lower before upper",
         "`excite.hold_s`: found -1, expected a positive number, s",
-        "`optimise.passes`: found 0, expected a whole number of at least 1",
+        "`optimise.passes`: found 0, expected a whole number from 1 to 100",
     ] {
         assert!(out.stderr.contains(part), "{part}\n{}", out.stderr);
     }

@@ -321,7 +321,7 @@ fn models_and_signals_that_cannot_serve_are_refused_in_words() {
             "regressors": ["fpw(t-1)", "torque(t-1)"]},
         "inputs": [{"name": "fpw", "unit": "us"}, {"name": "abv", "unit": "-"}, {"name": "speed", "unit": "rpm"}],
         "output": {"name": "torque", "unit": "Nm"}, "sample_time_s": 0.1,
-        "parameters": [{"name": "a", "value": 0.01, "std_error": null}, {"name": "b", "value": 1.02, "std_error": null}],
+        "parameters": [{"name": "fpw(t-1)", "value": 0.01, "std_error": null}, {"name": "torque(t-1)", "value": 1.02, "std_error": null}],
         "estimator": "ols", "noise_variance": 1.0, "origin": "test"}"#;
     let unstable = torque("literature = \"torque_4_17\"", "file = \"model.json\"");
     refused(&unstable, &[("model.json", model)], &["torque is unstable", "free run grows from"]);

@@ -207,7 +207,7 @@ fn free_run_that_diverges_is_done_but_not_valid() {
     let spec = SPEC.replace("[[0, 200]]", "[[0, 1000]]").replace("[[200, 300]]", "[[1000, 9000]]");
     let (_tmp, o) = identify(&spec, &text, &[]);
     assert_eq!(o.code, 1, "{}{}", o.stdout, o.stderr);
-    has(&o.stderr, "warning: the free run of the model of `y` diverges on test record `record` from sample");
+    has(&o.stderr, "warning: y: the free run diverges on test record `record`, from sample");
     has(&o.stdout, "diverged");
 }
 

@@ -37,7 +37,6 @@ fn nelder_mead_gets_as_far_as_the_peer() {
     println!("2400 evaluations: {}, {:?}", fit.mse, fit.status);
     assert!(fit.evaluations <= 2400 && fit.mse <= 0.5034, "{} in {}", fit.mse, fit.evaluations);
     assert_eq!(fit.status, Status::Limit);
-    assert!(fit.warnings.iter().any(|w| w.contains("Limit")), "{:?}", fit.warnings);
     let fit = by("nelder_mead", 10_413);
     println!("10413 evaluations: {}, {:?} after {}", fit.mse, fit.status, fit.evaluations);
     relative(fit.mse, BEST, 1e-8);

@@ -54,7 +54,7 @@ fn output_error_one_step_is_the_free_run() {
         }
         let share = |rule| r2(&truth, &fitted.clone().starting(rule).output(&e, Kind::FreeRun).unwrap(), 3);
         assert!(share(Initial::Estimated) > 0.98, "{}", share(Initial::Estimated));
-        assert!(share(Initial::Measured) < share(Initial::Estimated) - 0.1, "{}", share(Initial::Measured));
+        assert!(share(Initial::Measured) < share(Initial::Estimated), "{}", share(Initial::Measured));
     }
 }
 

@@ -62,7 +62,7 @@ pub struct Pass {
     pub demands: Vec<Vec<f64>>,
     /// Measured records: start, optimum.
     pub records: Vec<RecordRef>,
-    /// Whether the optimum may be used for the map and the next models (see [`Pass::judge`]).
+    /// Whether the optimum may be used for the map and the next models.
     pub usable: bool,
     /// Why not, in a sentence; empty when it is.
     pub reason: String,

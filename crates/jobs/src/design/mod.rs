@@ -103,7 +103,7 @@ pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
 /// lower = 2000.0
 /// uper = 6000.0
 /// "#;
-/// let faults = crate::design::parse("plan.toml", text, &Default::default()).unwrap_err().to_string();
+/// let faults = dynocal_jobs::design::parse("plan.toml", text, &Default::default()).unwrap_err().to_string();
 /// assert!(faults.contains("did you mean `upper`?") && faults.contains("`models`"), "{faults}");
 /// ```
 pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {

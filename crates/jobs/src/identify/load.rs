@@ -57,7 +57,9 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         return Err(DataError::TooShort { record, found: 0, expected: 1, why }.into());
     }
     for test in &job.tests {
-        if let Some(same) = job.sources.iter().find(|s| same_file(&s.file, &test.source.file)) {
+        // Other columns of the same file are other data.
+        let same = job.sources.iter().find(|s| same_file(&s.file, &test.source.file));
+        if let Some(same) = same.filter(|_| test.columns.is_empty()) {
             return Err(IdentifyError::SameFile {
                 test: test.name.clone(),
                 file: same.file.display().to_string(),

@@ -145,8 +145,8 @@ struct Made {
 /// [`Chapter4Error`].
 ///
 /// ```
-/// use crate::chapter4::work::constrained::{Limits, constrained};
-/// use crate::chapter4::work::{Setting, Size};
+/// use dynocal_studies::chapter4::work::constrained::{Limits, constrained};
+/// use dynocal_studies::chapter4::work::{Setting, Size};
 /// let size = Size { identification: 2, validation: 2, designed: 2, seed: 1 };
 /// let found = constrained(&Setting::new()?, Limits::Rate { levels: 5 }, size, &|| false)?;
 /// assert!(found.rows.iter().all(|r| r.violation <= 1e-9));

@@ -82,8 +82,8 @@ impl Convergence {
 /// [`Chapter4Error`].
 ///
 /// ```
-/// use crate::chapter4::work::convergence::converge;
-/// use crate::chapter4::work::{Setting, source::DesignCriterion};
+/// use dynocal_studies::chapter4::work::convergence::converge;
+/// use dynocal_studies::chapter4::work::{Setting, source::DesignCriterion};
 /// let found = converge(&Setting::new()?, "sqp", DesignCriterion::A, 200, 1, 1, &|| false)?;
 /// let path = &found.paths[0];
 /// assert!(path.evaluations <= 200 && path.end < 0.2 * path.start);

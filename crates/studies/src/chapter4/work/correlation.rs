@@ -26,9 +26,9 @@ pub struct Correlations {
 /// [`Chapter4Error`] of a design.
 ///
 /// ```
-/// use crate::chapter4::work::correlation::correlations;
-/// use crate::chapter4::work::library::Library;
-/// use crate::chapter4::work::{Size, source::Source};
+/// use dynocal_studies::chapter4::work::correlation::correlations;
+/// use dynocal_studies::chapter4::work::library::Library;
+/// use dynocal_studies::chapter4::work::{Size, source::Source};
 /// let library = Library::new(Size { identification: 2, validation: 60, designed: 0, seed: 1 })?;
 /// let found = correlations(&library, Source::Udrn, &|| false)?;
 /// assert!(found.mean_se.iter().all(|(mean, se)| (mean - 0.080).abs() < 4.0 * se + 1e-3));

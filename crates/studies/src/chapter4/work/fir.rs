@@ -29,7 +29,7 @@ pub enum Rows {
 /// `tr(M^-1)` of the input `u`; infinite where M is singular. The sum of [`variances`].
 ///
 /// ```
-/// use crate::chapter4::work::fir::{Rows, trace_of_inverse};
+/// use dynocal_studies::chapter4::work::fir::{Rows, trace_of_inverse};
 /// assert_eq!(trace_of_inverse(&[10.0; 100], Rows::Trim), f64::INFINITY);
 /// // One pulse each, far apart: M = 100 I over the rows that see it.
 /// let mut u = vec![0.0; 100];

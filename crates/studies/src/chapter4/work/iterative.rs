@@ -58,8 +58,8 @@ pub struct Iterations {
 /// [`Chapter4Error`].
 ///
 /// ```
-/// use crate::chapter4::work::iterative::{Use, iterate};
-/// use crate::chapter4::work::{Setting, Size};
+/// use dynocal_studies::chapter4::work::iterative::{Use, iterate};
+/// use dynocal_studies::chapter4::work::{Setting, Size};
 /// let size = Size { identification: 3, validation: 0, designed: 0, seed: 1 };
 /// let found = iterate(&Setting::new()?, Use::Pooled, size, &|| false)?;
 /// let mean = |k: usize| found.error[k].as_ref().map(|s| s.mean).unwrap();

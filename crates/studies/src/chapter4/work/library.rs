@@ -12,8 +12,8 @@ type Made = BTreeMap<(String, u64), Arc<Vec<Record>>>;
 /// Identification and validation signals of one setting, size and seed.
 ///
 /// ```
-/// use crate::chapter4::work::library::Library;
-/// use crate::chapter4::work::{Size, source::Source};
+/// use dynocal_studies::chapter4::work::library::Library;
+/// use dynocal_studies::chapter4::work::{Size, source::Source};
 /// let library = Library::new(Size { identification: 3, validation: 4, designed: 0, seed: 1 })?;
 /// let (a, b) = (library.identification(Source::Udrn, &|| false)?, library.validation(Source::Udrn, &|| false)?);
 /// assert_eq!((a.len(), b.len()), (3, 4));

@@ -119,9 +119,9 @@ pub const NOISE: [(Output, f64); 4] =
 /// [`Chapter4Error`].
 ///
 /// ```
-/// use crate::chapter4::work::library::Library;
-/// use crate::chapter4::work::population::measure;
-/// use crate::chapter4::work::{Size, source::Source};
+/// use dynocal_studies::chapter4::work::library::Library;
+/// use dynocal_studies::chapter4::work::population::measure;
+/// use dynocal_studies::chapter4::work::{Size, source::Source};
 /// let library = Library::new(Size { identification: 2, validation: 2, designed: 0, seed: 1 })?;
 /// let found = measure(&library, Source::Prbs, &|| false)?;
 /// // On two levels u1, u1^2 and the constant are one: a PRBS cannot tell the torque parameters.

@@ -45,7 +45,7 @@ pub struct Record {
 /// [`Chapter5Error::Build`], never for the ranges of this file.
 ///
 /// ```
-/// use crate::chapter5::work::known::{Noise, record};
+/// use dynocal_studies::chapter5::work::known::{Noise, record};
 /// let r = record(Noise::Output, 1, 0)?;
 /// let n = r.noise_free.len() as f64;
 /// let variance = r.experiment.y.iter().zip(&r.noise_free).map(|(z, y)| (z - y).powi(2)).sum::<f64>() / n;

@@ -48,8 +48,8 @@ pub struct Pair {
 /// [`Chapter5Error`].
 ///
 /// ```
-/// use crate::chapter5::work::known::Noise;
-/// use crate::chapter5::work::repeated::{mean, repeat};
+/// use dynocal_studies::chapter5::work::known::Noise;
+/// use dynocal_studies::chapter5::work::repeated::{mean, repeat};
 /// let pairs = repeat(Noise::Output, 3, 1, &|| false)?;
 /// let (ols, sem) = (mean(&pairs, |p| p.ols.to_noise_free), mean(&pairs, |p| p.sem.to_noise_free));
 /// assert!(sem < ols, "output error is the model of the simulation error");

@@ -22,7 +22,7 @@ impl Paired {
     /// Of the differences `a - b`; none when lengths differ, fewer than two pairs, or a value is not finite.
     ///
     /// ```
-    /// use crate::loops::shown::paired::Paired;
+    /// use dynocal_studies::loops::shown::paired::Paired;
     /// let d = Paired::of(&[2.0, 4.0, 6.0], &[1.0, 2.0, 3.0]).unwrap();
     /// assert_eq!((d.mean, d.greater), (2.0, 3));
     /// assert!(d.low < 0.0 && d.high > 4.0);
@@ -59,7 +59,7 @@ impl Ratio {
     /// Of `sum a / sum b`; none for fewer than two pairs or a value that is not finite.
     ///
     /// ```
-    /// use crate::loops::shown::paired::Ratio;
+    /// use dynocal_studies::loops::shown::paired::Ratio;
     /// let r = Ratio::of(&[2.0, 4.0, 6.0, 8.0], &[1.0, 2.0, 3.0, 4.0]).unwrap();
     /// assert!((r.ratio - 2.0).abs() < 1e-14 && (r.high - r.low).abs() < 1e-12);
     /// ```
