@@ -93,7 +93,7 @@ PYTHON
 
 demo_report() {
     python3 scripts/check_report.py "$work/quick/report.html" \
-        --text Excitation --text Models --text "Test signal design" --text "Fuel optimisation" --text "Dynamic map" \
+        --text Excitation --text Models --text "Test signal design" --text "Optimisation over a record" --text "Dynamic map" \
         --text "Comparison of the maps" --text "Free-run R2" --text "Nm" --text "kg/h"
 }
 
