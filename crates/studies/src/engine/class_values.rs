@@ -150,7 +150,8 @@ pub struct BoxRun {
 /// [`PlantError::Diverged`] for a state that is not finite or a negative mass.
 ///
 /// ```
-/// use dynocal_plant::{class_values::random_box, params::EngineParams};
+/// use dynocal_plant::params::EngineParams;
+/// use dynocal_studies::engine::class_values::random_box;
 /// let run = random_box(&EngineParams::thesis(), 2.0, 0.1, 1)?;
 /// assert!(run.energy_error < 1e-10);
 /// # Ok::<(), dynocal_plant::error::PlantError>(())

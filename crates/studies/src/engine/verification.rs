@@ -65,7 +65,8 @@ impl Default for MapOptions {
 /// [`PlantError::Parameter`] when the engine cannot be built.
 ///
 /// ```
-/// use dynocal_plant::{params::EngineParams, statics::Target, verification::*};
+/// use dynocal_plant::{params::EngineParams, statics::Target};
+/// use dynocal_studies::engine::verification::*;
 /// let target = Target { speed_rpm: 2000.0, torque_nm: 70.0, lambda: 1.0 };
 /// let points = map_points(&EngineParams::thesis(), &[target], MapOptions::default())?;
 /// let point = points[0].as_ref().unwrap();

@@ -150,7 +150,7 @@ struct Made {
 /// let size = Size { identification: 2, validation: 2, designed: 2, seed: 1 };
 /// let found = constrained(&Setting::new()?, Limits::Rate { levels: 5 }, size, &|| false)?;
 /// assert!(found.rows.iter().all(|r| r.violation <= 1e-9));
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub fn constrained(
     setting: &Setting,

@@ -87,7 +87,7 @@ impl Convergence {
 /// let found = converge(&Setting::new()?, "sqp", DesignCriterion::A, 200, 1, 1, &|| false)?;
 /// let path = &found.paths[0];
 /// assert!(path.evaluations <= 200 && path.end < 0.2 * path.start);
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub fn converge(
     setting: &Setting,

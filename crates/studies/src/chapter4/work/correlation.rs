@@ -32,7 +32,7 @@ pub struct Correlations {
 /// let library = Library::new(Size { identification: 2, validation: 60, designed: 0, seed: 1 })?;
 /// let found = correlations(&library, Source::Udrn, &|| false)?;
 /// assert!(found.mean_se.iter().all(|(mean, se)| (mean - 0.080).abs() < 4.0 * se + 1e-3));
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub fn correlations(
     library: &Library,

@@ -64,7 +64,7 @@ pub struct Iterations {
 /// let found = iterate(&Setting::new()?, Use::Pooled, size, &|| false)?;
 /// let mean = |k: usize| found.error[k].as_ref().map(|s| s.mean).unwrap();
 /// assert!((mean(0) - 2.08).abs() < 0.01 && mean(5) < mean(1));
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub fn iterate(
     setting: &Setting,

@@ -18,7 +18,7 @@ type Made = BTreeMap<(String, u64), Arc<Vec<Record>>>;
 /// let (a, b) = (library.identification(Source::Udrn, &|| false)?, library.validation(Source::Udrn, &|| false)?);
 /// assert_eq!((a.len(), b.len()), (3, 4));
 /// assert_ne!(a[0].u, b[0].u);
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub struct Library {
     /// Models, limits and objective signal.

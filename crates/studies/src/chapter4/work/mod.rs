@@ -122,9 +122,9 @@ impl Setting {
     /// [`Chapter4Error::Objective`] when the stored signal U0 is damaged.
     ///
     /// ```
-    /// let s = crate::chapter4::work::Setting::new()?;
+    /// let s = dynocal_studies::chapter4::work::Setting::new()?;
     /// assert_eq!((s.u0.len(), s.channels.len()), (300, 3));
-    /// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+    /// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
     /// ```
     pub fn new() -> Result<Self, Chapter4Error> {
         #[derive(Deserialize)]

@@ -126,7 +126,7 @@ pub const NOISE: [(Output, f64); 4] =
 /// let found = measure(&library, Source::Prbs, &|| false)?;
 /// // On two levels u1, u1^2 and the constant are one: a PRBS cannot tell the torque parameters.
 /// assert_eq!(found.rank[0], (22, 22));
-/// # Ok::<(), crate::chapter4::work::Chapter4Error>(())
+/// # Ok::<(), dynocal_studies::chapter4::work::Chapter4Error>(())
 /// ```
 pub fn measure(
     library: &Library,

@@ -23,7 +23,7 @@ impl Stat {
     /// Statistics of `values`; none when there are fewer than two or one is not finite.
     ///
     /// ```
-    /// let s = crate::chapter4::work::statistics::Stat::of(&[1.0, 2.0, 3.0, 6.0]).unwrap();
+    /// let s = dynocal_studies::chapter4::work::statistics::Stat::of(&[1.0, 2.0, 3.0, 6.0]).unwrap();
     /// assert_eq!((s.mean, s.median), (3.0, 2.5));
     /// assert!((s.se - (14.0f64 / 3.0 / 4.0).sqrt()).abs() < 1e-15);
     /// ```

@@ -51,7 +51,7 @@ pub struct Record {
 /// let variance = r.experiment.y.iter().zip(&r.noise_free).map(|(z, y)| (z - y).powi(2)).sum::<f64>() / n;
 /// // 1000 squares of normal numbers: 0.5 with a standard error of 0.022.
 /// assert!((variance - 0.5).abs() < 0.1);
-/// # Ok::<(), crate::chapter5::work::Chapter5Error>(())
+/// # Ok::<(), dynocal_studies::chapter5::work::Chapter5Error>(())
 /// ```
 pub fn record(noise: Noise, seed: u64, stream: u64) -> Result<Record, Chapter5Error> {
     let system = torque_5_3();

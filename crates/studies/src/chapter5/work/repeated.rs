@@ -53,7 +53,7 @@ pub struct Pair {
 /// let pairs = repeat(Noise::Output, 3, 1, &|| false)?;
 /// let (ols, sem) = (mean(&pairs, |p| p.ols.to_noise_free), mean(&pairs, |p| p.sem.to_noise_free));
 /// assert!(sem < ols, "output error is the model of the simulation error");
-/// # Ok::<(), crate::chapter5::work::Chapter5Error>(())
+/// # Ok::<(), dynocal_studies::chapter5::work::Chapter5Error>(())
 /// ```
 pub fn repeat(
     noise: Noise,
