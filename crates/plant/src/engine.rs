@@ -1,5 +1,6 @@
 //! The virtual engine: construction, stepping, outputs, snapshots.
 
+use crate::deviations::Deviations;
 use crate::dissociation::HeldEnergy;
 use crate::error::PlantError;
 use crate::gas::VOLUMES;
@@ -10,7 +11,6 @@ use crate::outputs::Outputs;
 use crate::params::EngineParams;
 use crate::state::{CycleRecord, EXHAUST, EngineState, Gas, Sums};
 use crate::step::{Held, Model, Rates, add, advance};
-use crate::testbed::deviations::Deviations;
 use std::sync::Arc;
 
 /// Crank-angle resolved four-cylinder gasoline engine, filling-and-emptying level (F0).

@@ -3,12 +3,12 @@
 use crate::combustion::Wiebe;
 use crate::dissociation::HeldEnergy;
 use crate::end_gas::EndGas;
+use crate::film::Film;
 use crate::gas::VOLUMES;
 use crate::grid::Grid;
 use crate::inputs::Inputs;
 use crate::params::EngineParams;
 use crate::state::{CATALYST, CycleRecord, Cylinder, EXHAUST, EngineState, Gas, INTAKE, Ledger, PIPE, Sums};
-use crate::testbed::film::Film;
 
 /// Cylinders and intake filled with air at half an atmosphere, exhaust with hot products.
 pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> EngineState {

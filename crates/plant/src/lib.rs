@@ -9,9 +9,9 @@
 
 pub mod bed;
 mod bookkeeping;
-mod boosted;
 pub mod cams;
 pub mod combustion;
+pub mod deviations;
 pub mod dissociation;
 pub mod egr;
 pub mod emissions;
@@ -19,6 +19,7 @@ pub mod end_gas;
 pub mod engine;
 pub mod equilibrium;
 pub mod error;
+pub mod film;
 mod flatten;
 pub mod full_load;
 pub mod gas;
@@ -31,7 +32,6 @@ pub mod nitric_oxide;
 pub mod orifice;
 pub mod outputs;
 pub mod params;
-pub mod perturb;
 pub mod plants;
 pub mod sensors;
 pub mod state;

@@ -4,6 +4,7 @@
 //! (Heywood class), \[A\] engineering assumption.
 
 mod check;
+pub mod perturb;
 mod sets;
 
 pub use sets::{PARAMETER_SETS, ParameterSet};
@@ -14,9 +15,9 @@ use crate::dissociation::BurnedEnergy;
 use crate::egr::EgrPath;
 use crate::emissions::EmissionsModel;
 use crate::end_gas::KnockModel;
+use crate::film::FilmModel;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
-use crate::testbed::film::FilmModel;
 use crate::turbocharger::Turbocharger;
 use serde::{Deserialize, Serialize};
 

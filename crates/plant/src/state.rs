@@ -4,9 +4,9 @@ use crate::combustion::Wiebe;
 use crate::dissociation::HeldEnergy;
 use crate::emissions::EngineOut;
 use crate::end_gas::EndGas;
+use crate::film::Film;
 use crate::gas::VOLUMES;
 use crate::inputs::Inputs;
-use crate::testbed::film::Film;
 use serde::{Deserialize, Serialize};
 
 /// Volume number of the charge pipe.

@@ -1,6 +1,9 @@
 //! Right-hand side of the gas state and the explicit midpoint step.
 
-use crate::boosted::Boosted;
+mod boosted;
+
+use self::boosted::Boosted;
+use crate::deviations::Deviations;
 use crate::gas::{GasModel, VOLUMES};
 use crate::grid::{Grid, Node};
 use crate::heat;
@@ -8,7 +11,6 @@ use crate::inputs::Inputs;
 use crate::orifice::PsiTable;
 use crate::params::EngineParams;
 use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
-use crate::testbed::deviations::Deviations;
 
 /// Rate at which a volume V and its neighbour level out through an area A, over A/V \[m/s\]: 11.5 g sqrt(R T) (slope of
 /// Psi near equal pressures) for hot gas. The explicit midpoint rule is stable up to 2 over the rate.

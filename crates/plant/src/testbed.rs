@@ -8,10 +8,10 @@
 //! | transport delay | [`delay`] |
 //! | sensors: transport, lag, drift, noise, quantisation | [`sensor`] |
 //! | limits with back-off | [`guard`] |
-//! | cycles that scatter, cylinders that differ | [`deviations`] |
+//! | cycles that scatter, cylinders that differ | [`crate::deviations`] |
 //! | walls, coolant, oil | [`thermal`] |
 //! | catalyst | [`catalyst`] |
-//! | fuel film of port injection | [`film`] |
+//! | fuel film of port injection | [`crate::film`] |
 //! | fuel cut-off and idle | [`idle`] |
 //!
 //! [`bed::EngineBed`] puts them together behind the plant contract; [`settings::BedOptions`] are its keys, all ideal by
@@ -21,10 +21,8 @@ pub mod bed;
 pub mod bleed;
 pub mod catalyst;
 pub mod delay;
-pub mod deviations;
 pub mod dynamics;
 pub mod dynamometer;
-pub mod film;
 pub mod guard;
 pub mod idle;
 mod inputs;

@@ -3,10 +3,10 @@
 use dynocal_ident::plant::{Causality, Plant, PlantError, variable_index};
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
+use dynocal_plant::deviations::Scatter;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::testbed::catalyst::CatalystSettings;
-use dynocal_plant::testbed::deviations::Scatter;
 use dynocal_plant::testbed::dynamometer::{DynoMode, DynoSettings};
 use dynocal_plant::testbed::guard::{Action, LimitSettings};
 use dynocal_plant::testbed::idle::IdleSettings;

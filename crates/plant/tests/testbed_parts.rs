@@ -1,11 +1,11 @@
 //! Parts of the bed against closed solutions and balances, without an engine.
 
+use dynocal_plant::deviations::{Deviations, Scatter};
+use dynocal_plant::film::{Film, FilmModel};
 use dynocal_plant::testbed::catalyst::{CatalystSettings, Feed};
 use dynocal_plant::testbed::delay::DelayLine;
-use dynocal_plant::testbed::deviations::{Deviations, Scatter};
 use dynocal_plant::testbed::dynamics::{ActuatorSettings, Lag, PiGains};
 use dynocal_plant::testbed::dynamometer::{DynoMode, DynoSettings, DynoState};
-use dynocal_plant::testbed::film::{Film, FilmModel};
 use dynocal_plant::testbed::guard::{Action, Found, GuardState, HOLD_S, LimitSettings};
 use dynocal_plant::testbed::sensor::{SensorSettings, quantise};
 use dynocal_plant::testbed::thermal::{ThermalSettings, viscosity_mm2_s};

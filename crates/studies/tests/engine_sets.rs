@@ -6,7 +6,7 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
-use dynocal_plant::perturb::{perturbed, varied};
+use dynocal_plant::params::perturb::{perturbed, varied};
 use dynocal_plant::statics::{SettleOptions, Target, settle, steady};
 use dynocal_plant::testbed::bleed::BleedSettings;
 use dynocal_plant::testbed::settings::BedOptions;

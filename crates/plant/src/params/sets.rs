@@ -53,8 +53,8 @@ impl EngineParams {
     /// # Ok::<(), dynocal_plant::error::PlantError>(())
     /// ```
     pub fn named(name: &str) -> Result<Self, PlantError> {
-        if let Some((set, seed)) = crate::perturb::parse(name) {
-            return crate::perturb::perturbed(&Self::named(set)?, seed);
+        if let Some((set, seed)) = super::perturb::parse(name) {
+            return super::perturb::perturbed(&Self::named(set)?, seed);
         }
         match PARAMETER_SETS.iter().find(|s| s.doc.name == name) {
             Some(set) => Self::from_toml(set.text),

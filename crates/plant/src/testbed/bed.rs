@@ -1,7 +1,6 @@
 //! The test bed: the engine with dynamometer, actuators, sensors and limits behind the plant contract.
 
 use super::bleed::equivalent_angle_deg;
-use super::deviations::Deviations;
 use super::dynamics::Lag;
 use super::dynamometer::DynoMode;
 use super::guard::{Commands, Found, GuardState};
@@ -12,6 +11,7 @@ use super::sensor::{SensorSettings, quantise};
 use super::start::BedSettings;
 use super::state::BedState;
 use super::variables::variables;
+use crate::deviations::Deviations;
 use crate::engine::VirtualEngine;
 use crate::error::PlantError as EngineError;
 use crate::inputs::Inputs;

@@ -2,7 +2,6 @@
 
 use super::bleed::BleedSettings;
 use super::catalyst::CatalystSettings;
-use super::deviations::Scatter;
 use super::dynamics::{ActuatorSettings, PiGains};
 use super::dynamometer::{DynoMode, DynoSettings};
 use super::guard::{Action, LimitSettings};
@@ -11,6 +10,7 @@ use super::inputs;
 use super::quantity;
 use super::sensor::SensorSettings;
 use super::thermal::ThermalSettings;
+use crate::deviations::Scatter;
 use crate::error::PlantError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -149,7 +149,7 @@ impl BedOptions {
 
     /// Options by the name of the parameter set: real for the physical engines, ideal for `thesis`.
     pub fn of_set(name: &str) -> Self {
-        let set = crate::perturb::parse(name).map_or(name, |p| p.0);
+        let set = crate::params::perturb::parse(name).map_or(name, |p| p.0);
         match set {
             "gtdi_2l" => Self::real(),
             "pfi_1_6l" => Self { air_bleed: Some(BleedSettings::default()), ..Self::real() },

@@ -51,7 +51,7 @@ static ROWS: &[Row] = &[
 /// [`PlantError`] when the result is no engine any more.
 ///
 /// ```
-/// use dynocal_plant::{params::EngineParams, perturb::perturbed};
+/// use dynocal_plant::params::{EngineParams, perturb::perturbed};
 /// let base = EngineParams::thesis();
 /// let other = perturbed(&base, 7)?;
 /// assert_eq!(other, perturbed(&base, 7)?);
@@ -82,7 +82,7 @@ pub fn varied() -> impl Iterator<Item = (&'static str, f64)> {
 /// Splits `perturbed:SEED` or `perturbed:SET:SEED` into set and seed; none when `name` is no such name.
 ///
 /// ```
-/// use dynocal_plant::perturb::parse;
+/// use dynocal_plant::params::perturb::parse;
 /// assert_eq!(parse("perturbed:7"), Some(("thesis", 7)));
 /// assert_eq!(parse("perturbed:pfi_1_6l:3"), Some(("pfi_1_6l", 3)));
 /// assert_eq!(parse("thesis"), None);

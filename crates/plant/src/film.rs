@@ -38,7 +38,7 @@ impl Film {
     /// Takes what is airborne at `time_s` into the cylinder \[kg\]; `factor` scales tau (cold walls: above one).
     ///
     /// ```
-    /// use dynocal_plant::testbed::film::{Film, FilmModel};
+    /// use dynocal_plant::film::{Film, FilmModel};
     /// let model = FilmModel { share: 0.3, tau_s: 0.2 };
     /// let mut film = Film::default();
     /// film.inject(&model, 1.0, 10e-6, 0.0);

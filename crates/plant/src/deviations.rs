@@ -32,7 +32,7 @@ impl Scatter {
     /// engine continues with the same cycles.
     ///
     /// ```
-    /// use dynocal_plant::testbed::deviations::Scatter;
+    /// use dynocal_plant::deviations::Scatter;
     /// let s = Scatter { heat: 0.01, burn: 0.05 };
     /// assert_eq!(s.cycle(7, 12, 3), s.cycle(7, 12, 3));
     /// assert_ne!(s.cycle(7, 12, 3), s.cycle(8, 12, 3));
