@@ -1,5 +1,7 @@
 //! The plants that a spec can name in `[plant]`: one row each, for the parser of specs and for `dynocal list plants`.
 
+pub mod literature;
+
 use crate::bed::{BedSettings, EngineBed};
 use crate::error::PlantError as EngineError;
 use crate::params::{EngineParams, PARAMETER_SETS};
@@ -51,7 +53,7 @@ pub struct PlantFault {
 }
 
 impl PlantFault {
-    fn new(key: impl Into<String>, found: impl ToString, expected: impl ToString) -> Self {
+    pub(crate) fn new(key: impl Into<String>, found: impl ToString, expected: impl ToString) -> Self {
         Self { key: key.into(), found: found.to_string(), expected: expected.to_string(), known: Vec::new() }
     }
 
@@ -71,6 +73,8 @@ pub struct PlantMember {
     pub check: fn(&PlantSpec) -> Vec<PlantFault>,
     /// Makes it; none when records are measured outside and read from files.
     pub make: Option<Make>,
+    /// The one sample time at which it answers \[s\]; none where any will do.
+    pub sample_time_s: Option<f64>,
 }
 
 /// All plants.
@@ -108,6 +112,7 @@ pub static PLANTS: &[PlantMember] = &[
         },
         check: check_virtual_engine,
         make: Some(virtual_engine),
+        sample_time_s: None,
     },
     PlantMember {
         doc: MemberDoc {
@@ -117,7 +122,11 @@ pub static PLANTS: &[PlantMember] = &[
         },
         check: |_| Vec::new(),
         make: None,
+        sample_time_s: None,
     },
+    literature::TORQUE_4_17,
+    literature::LAMBDA_4_53,
+    literature::TORQUE_5_3,
 ];
 
 /// The row of `name`.
@@ -200,12 +209,13 @@ mod tests {
     const DT_S: f64 = 0.03;
 
     /// Every plant that can be made here, with sensor noise, and the virtual engine on beds with everything on.
-    fn each(check: impl Fn(&str, Box<dyn Plant>)) {
+    fn each(check: impl Fn(&str, Box<dyn Plant>, f64)) {
         let spec = PlantSpec { torque_noise_nm: 1.0, lambda_noise: 0.01, ..PlantSpec::default() };
-        let made: Vec<_> = PLANTS.iter().filter_map(|m| m.make.map(|make| (m.doc.name, make))).collect();
+        let made: Vec<_> = PLANTS.iter().filter_map(|m| m.make.map(|make| (m, make))).collect();
         assert!(!made.is_empty());
-        for (name, make) in made {
-            check(name, make(&spec, true).expect("plant with default keys"));
+        for (m, make) in made {
+            let plant = make(&spec, true).expect("plant with default keys");
+            check(m.doc.name, plant, m.sample_time_s.unwrap_or(DT_S));
         }
         let beds = [
             ("real bed", "thesis", "real = true\n[loops]\ntorque = true\nlambda = true"),
@@ -216,7 +226,7 @@ mod tests {
         for (name, parameters, bed) in beds {
             let bed: toml::Table = toml::from_str(bed).expect("TOML");
             let spec = PlantSpec { parameters: parameters.into(), bed, ..spec.clone() };
-            check(name, virtual_engine(&spec, true).expect("a bed"));
+            check(name, virtual_engine(&spec, true).expect("a bed"), DT_S);
         }
     }
 
@@ -243,13 +253,13 @@ mod tests {
     }
 
     /// Outputs over `n` steps of inputs that move a little about the start.
-    fn run(plant: &mut dyn Plant, n: usize) -> Vec<f64> {
+    fn run(plant: &mut dyn Plant, n: usize, dt_s: f64) -> Vec<f64> {
         let (u, outputs) = starts(plant);
         let mut y = vec![0.0; outputs];
         (0..n)
             .flat_map(|t| {
                 let u: Vec<f64> = u.iter().map(|v| v * (1.0 + 0.02 * (0.3 * t as f64).sin())).collect();
-                plant.step(&u, DT_S, &mut y).expect("inputs near the start");
+                plant.step(&u, dt_s, &mut y).expect("inputs near the start");
                 y.clone()
             })
             .collect()
@@ -257,7 +267,7 @@ mod tests {
 
     #[test]
     fn inputs_come_first_and_start_in_their_range() {
-        each(|name, plant| {
+        each(|name, plant, _| {
             let v = plant.variables();
             let inputs = v.iter().take_while(|v| v.causality == Causality::Input).count();
             assert!(inputs > 0 && v[inputs..].iter().all(|v| v.causality == Causality::Output), "{name}");
@@ -267,25 +277,25 @@ mod tests {
 
     #[test]
     fn reset_gives_an_identical_rerun_and_another_seed_other_noise() {
-        each(|name, mut plant| {
+        each(|name, mut plant, dt_s| {
             plant.reset(5);
-            let first = run(plant.as_mut(), 20);
+            let first = run(plant.as_mut(), 20, dt_s);
             plant.reset(5);
-            assert_eq!(first, run(plant.as_mut(), 20), "{name}");
-            assert!((plant.time_s() - 20.0 * DT_S).abs() < 1e-9, "{name}");
+            assert_eq!(first, run(plant.as_mut(), 20, dt_s), "{name}");
+            assert!((plant.time_s() - 20.0 * dt_s).abs() < 1e-9, "{name}");
             plant.reset(6);
-            assert_ne!(first, run(plant.as_mut(), 20), "{name}");
+            assert_ne!(first, run(plant.as_mut(), 20, dt_s), "{name}");
         });
     }
 
     #[test]
     fn a_restored_state_continues_exactly() {
-        each(|name, mut plant| {
-            run(plant.as_mut(), 7);
+        each(|name, mut plant, dt_s| {
+            run(plant.as_mut(), 7, dt_s);
             let state = plant.save();
-            let expected = run(plant.as_mut(), 15);
+            let expected = run(plant.as_mut(), 15, dt_s);
             plant.restore(&state).expect("own state");
-            assert_eq!(expected, run(plant.as_mut(), 15), "{name}");
+            assert_eq!(expected, run(plant.as_mut(), 15, dt_s), "{name}");
             let short = dynocal_ident::plant::PlantState(vec![0.0]);
             assert!(plant.restore(&short).is_err(), "{name}: a foreign state is refused");
         });
@@ -293,7 +303,7 @@ mod tests {
 
     #[test]
     fn inputs_outside_their_range_are_refused_and_change_nothing() {
-        each(|name, mut plant| {
+        each(|name, mut plant, dt_s| {
             let (start, outputs) = starts(plant.as_ref());
             let mut y = vec![0.0; outputs];
             for i in 0..start.len() {
@@ -302,11 +312,44 @@ mod tests {
                     let before = plant.save();
                     let mut u = start.clone();
                     u[i] = bad;
-                    let error = plant.step(&u, DT_S, &mut y).expect_err("refused").to_string();
+                    let error = plant.step(&u, dt_s, &mut y).expect_err("refused").to_string();
                     assert!(error.contains(&variable.name), "{name}: {error}");
                     assert_eq!(before, plant.save(), "{name}");
                 }
             }
         });
+    }
+
+    #[test]
+    fn a_published_model_answers_with_its_equation() {
+        use dynocal_ident::model::{Model, Run, literature::lambda_4_53};
+        let spec = PlantSpec { name: "lambda_4_53".into(), ..PlantSpec::default() };
+        assert!(check(&spec).is_empty());
+        let other = PlantSpec { torque_noise_nm: 1.0, ..spec.clone() };
+        assert_eq!(check(&other).len(), 1);
+        let make = find("lambda_4_53").and_then(|m| m.make).expect("a row with a plant");
+        let mut plant = make(&spec, false).expect("at rest");
+        let (start, _) = starts(plant.as_ref());
+        let rest = plant.variables()[3].start;
+        // The free run of the same inputs from rest, in one piece.
+        let (lit, n, m) = (lambda_4_53(), 60, 3);
+        let lag = lit.model.max_lag();
+        let mut u: Vec<f64> = start.iter().copied().cycle().take(m * lag).collect();
+        let mut found = Vec::new();
+        for t in 0..n {
+            let row =
+                [start[0] + 300.0 * (0.7 * f64::from(t)).sin(), start[1], start[2] + 5.0 * f64::from(t)];
+            let mut y = [0.0];
+            plant.step(&row, 0.1, &mut y).expect("inside the box");
+            found.push(y[0]);
+            u.extend(row);
+        }
+        let measured = vec![rest; lag + n as usize];
+        let mut y = vec![0.0; measured.len()];
+        lit.model.simulate(&lit.theta, &Run { u: &u, y: &measured, start: lag }, &mut y);
+        for (a, b) in found.iter().zip(&y[lag..]) {
+            assert!((a - b).abs() < 1e-12 * b.abs().max(1.0), "{a} {b}");
+        }
+        assert!(plant.step(&start, 0.03, &mut [0.0]).is_err(), "the equation has one sample time");
     }
 }

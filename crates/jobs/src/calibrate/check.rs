@@ -15,6 +15,11 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
             faults.unknown(&f.key, &f.found, &f.known);
         }
     }
+    if let Some(only_s) = plants::find(&s.plant.name).and_then(|p| p.sample_time_s)
+        && (s.sample_time_s - only_s).abs() > 1e-9
+    {
+        faults.push("sample_time_s", s.sample_time_s, format!("{only_s} s, that of `{}`", s.plant.name));
+    }
     s.problem.check("problem", faults);
     loops(s, faults);
     names(s, faults);
