@@ -1,8 +1,9 @@
-//! CSV, plain or gzip (told by the first bytes): one header row, then cells.
+//! CSV, plain or gzip (told by the first bytes): as loggers, spreadsheets and calibration tools write it.
 //!
-//! The separator is read off the header (`,`, `;` or tab). With `;` or tab a comma inside a number is its decimal
-//! point. Quoted cells and a byte-order mark are understood. Units stand in the header, `name [unit]`, or as a
-//! suffix of the name, `torque_nm`.
+//! Encoding, separator, preamble, header, a row of units, decimal comma and thousands are guessed by
+//! [`crate::csv_dialect`], told in a note of the table, and fixed by keys. Units stand in the header, `name [unit]`, in
+//! a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a clock become seconds, columns of
+//! `On` and `Off` become 1 and 0; both are told in a note.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
@@ -10,18 +11,38 @@ use std::path::Path;
 
 use csv::{ByteRecord, ReaderBuilder};
 use dynocal_ident::data::Dataset;
+use dynocal_numerics::registry::MemberDoc;
 use flate2::{Compression, GzBuilder, read::MultiGzDecoder};
 
-use crate::atomic;
+use crate::csv_dialect::{self, CsvKeys, Dialect};
 use crate::error::{FilesError, reason};
+use crate::measurement::{Raster, Reader, Whole};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::units;
+use crate::{atomic, csv_cells};
+
+/// Row of the table of formats.
+pub const FORMAT: Reader = Reader {
+    doc: MemberDoc { name: "csv", what: "CSV and its dialects, plain or gzip; read whole", params: &[] },
+    endings: &[".csv", ".csv.gz", ".txt", ".tsv"],
+    recognises: |head| head.starts_with(&[0x1f, 0x8b]),
+    open: |path, keys| Ok(Box::new(Whole::new(read_with(path, &keys.csv)?))),
+    write: Some(write_rasters),
+};
 
 /// Reads a CSV file.
 ///
 /// # Errors
 /// [`FilesError`]: unreadable, empty, ragged row, column named twice, broken gzip or text.
 pub fn read(path: &Path) -> Result<Table, FilesError> {
+    read_with(path, &CsvKeys::default())
+}
+
+/// Reads a CSV file in a dialect that `keys` fix in part or whole.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_with(path: &Path, keys: &CsvKeys) -> Result<Table, FilesError> {
     let name = path.display().to_string();
     let fail = |e: std::io::Error| FilesError::Read { path: name.clone(), reason: reason(&e) };
     let mut bytes = Vec::new();
@@ -33,7 +54,7 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
         })?;
         bytes = plain;
     }
-    parse(&name, &bytes)
+    parse_with(&name, &bytes, keys)
 }
 
 /// Parses CSV text; `file` is its name for messages.
@@ -45,35 +66,62 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
 /// ```
 /// let table = dynocal_files::csv_io::parse("bed.csv", b"time_s,torque [Nm]\n0,30.5\n0.03,31\n").unwrap();
 /// assert_eq!(table.numbers("torque", 0, 2).unwrap(), [30.5, 31.0]);
+///
+/// let logger = b"Logger 7\nZeit;Tq_Brake\ns;lb ft\n0,0;1.024,5\n0,1;1.025,5\n";
+/// let table = dynocal_files::csv_io::parse("log.csv", logger).unwrap();
+/// assert_eq!(table.numbers("Tq_Brake", 0, 2).unwrap(), [1024.5, 1025.5]);
+/// assert_eq!(table.column("Tq_Brake").unwrap().unit.as_ref().unwrap().0, "lbf ft");
+/// assert!(table.notes[0].contains("decimal comma, thousands by `.`, header in line 2, units in the line below"));
 /// ```
 pub fn parse(file: &str, bytes: &[u8]) -> Result<Table, FilesError> {
+    parse_with(file, bytes, &CsvKeys::default())
+}
+
+/// As [`parse`], in a dialect that `keys` fix in part or whole.
+///
+/// # Errors
+/// As [`read`].
+pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, FilesError> {
     let empty =
         || FilesError::Empty { path: file.into(), expected: "a header row and at least one row of data" };
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    if bytes.iter().all(u8::is_ascii_whitespace) {
+    let encoding = keys.encoding.unwrap_or_else(|| csv_dialect::guess_encoding(bytes));
+    let text = csv_dialect::decode(bytes, encoding);
+    if text.trim().is_empty() {
         return Err(empty());
     }
-    let delimiter = delimiter(bytes);
+    let dialect = csv_dialect::guess(&text, encoding, keys);
+    let delimiter = u8::try_from(dialect.separator).map_err(|_| FilesError::Malformed {
+        path: file.into(),
+        format: "CSV",
+        reason: format!("found the separator `{}`, expected an ASCII character", dialect.separator),
+    })?;
+    let skip = dialect.header_line - 1;
+    let body = text.split_inclusive('\n').skip(skip).map(str::len).sum::<usize>();
+    let body = &text[text.len() - body..];
     let malformed =
         |e: csv::Error| FilesError::Malformed { path: file.into(), format: "CSV", reason: e.to_string() };
     // Flexible, because our own message names line, found and expected.
-    let mut reader =
-        ReaderBuilder::new().delimiter(delimiter).flexible(true).has_headers(true).from_reader(bytes);
+    let mut reader = ReaderBuilder::new()
+        .delimiter(delimiter)
+        .flexible(true)
+        .has_headers(true)
+        .from_reader(body.as_bytes());
     let head = reader.byte_headers().map_err(malformed)?;
-    let decimal_comma = delimiter != b',';
     let is_number =
-        |cell: &[u8]| number(&String::from_utf8_lossy(cell.trim_ascii()), decimal_comma).is_some();
+        |cell: &[u8]| csv_dialect::number(&String::from_utf8_lossy(cell.trim_ascii()), &dialect).is_some();
     if head.iter().any(|c| !c.trim_ascii().is_empty()) && head.iter().all(is_number) {
         return Err(FilesError::NoHeader {
             path: file.into(),
+            line: dialect.header_line,
             found: String::from_utf8_lossy(head.as_slice()).into(),
         });
     }
     let mut columns = header(file, head)?;
     let mut lines = Vec::new();
     let mut record = ByteRecord::new();
+    let mut units_pending = dialect.unit_row;
     while reader.read_byte_record(&mut record).map_err(malformed)? {
-        let line = record.position().map_or(0, csv::Position::line);
+        let line = record.position().map_or(0, csv::Position::line) + skip as u64;
         if record.len() != columns.len() {
             return Err(FilesError::Ragged {
                 path: file.into(),
@@ -82,27 +130,31 @@ pub fn parse(file: &str, bytes: &[u8]) -> Result<Table, FilesError> {
                 expected: columns.len(),
             });
         }
+        if std::mem::take(&mut units_pending) {
+            columns.iter_mut().zip(record.iter()).for_each(|(c, cell)| below(c, cell));
+            continue;
+        }
         for (column, cell) in columns.iter_mut().zip(record.iter()) {
-            push(&mut column.cells, cell, decimal_comma);
+            push(&mut column.cells, cell, &dialect);
         }
         lines.push(line);
     }
     if lines.is_empty() {
         return Err(empty());
     }
-    Ok(Table { file: file.into(), columns, lines })
+    let mut notes = vec![format!("read as {}", dialect.describe())];
+    for column in &mut columns {
+        notes.extend(csv_cells::interpret(column));
+    }
+    Ok(Table { file: file.into(), columns, lines, notes })
 }
 
-fn delimiter(bytes: &[u8]) -> u8 {
-    let head = bytes.split(|b| *b == b'\n').next().unwrap_or(bytes);
-    let count = |d: u8| head.iter().filter(|b| **b == d).count();
-    let (comma, semicolon, tab) = (count(b','), count(b';'), count(b'\t'));
-    if semicolon > comma && semicolon >= tab {
-        b';'
-    } else if tab > comma {
-        b'\t'
-    } else {
-        b','
+/// Unit of a column from the cell below its name.
+fn below(column: &mut Column, cell: &[u8]) {
+    let text = String::from_utf8_lossy(cell);
+    let bare = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_string();
+    if !bare.is_empty() {
+        column.unit = Some((units::normalise(&bare), UnitSource::Bracket));
     }
 }
 
@@ -125,11 +177,11 @@ fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
 }
 
 /// Appends a cell; a column of numbers turns into text at the first cell that is no number.
-fn push(cells: &mut Cells, cell: &[u8], decimal_comma: bool) {
+fn push(cells: &mut Cells, cell: &[u8], dialect: &Dialect) {
     let text = String::from_utf8_lossy(cell.trim_ascii());
     match cells {
         Cells::Text(v) => v.push(text.into_owned()),
-        Cells::Number(v) => match number(&text, decimal_comma) {
+        Cells::Number(v) => match csv_dialect::number(&text, dialect) {
             Some(x) => v.push(x),
             None => {
                 let mut t: Vec<String> = v.iter().map(|x| format!("{x}")).collect();
@@ -138,16 +190,6 @@ fn push(cells: &mut Cells, cell: &[u8], decimal_comma: bool) {
             }
         },
     }
-}
-
-fn number(text: &str, decimal_comma: bool) -> Option<f64> {
-    if text.is_empty() {
-        return Some(f64::NAN);
-    }
-    if decimal_comma && text.contains(',') {
-        return text.replacen(',', ".", 1).parse().ok();
-    }
-    text.parse().ok()
 }
 
 /// Writes a dataset: time in s, then every channel as `name [unit]`. Numbers are the shortest decimals that read
@@ -161,6 +203,60 @@ pub fn write_dataset(path: &Path, data: &Dataset) -> Result<(), FilesError> {
     let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &time)];
     columns.extend(data.channels.iter().map(|c| (c.name.as_str(), c.unit.as_str(), c.values.as_slice())));
     write_columns(path, &columns)
+}
+
+/// Writes the only raster of a recording; states in words stay words.
+fn write_rasters(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
+    let raster = only(path, "CSV", rasters)?;
+    let mut columns = vec![("time".to_string(), "s".to_string(), Cells::Number(raster.time_s.clone()))];
+    columns.extend(raster.columns.iter().map(|c| {
+        let unit = c.unit.as_ref().map_or("-", |u| u.0.as_str());
+        (c.name.clone(), unit.to_string(), c.cells.clone())
+    }));
+    atomic::write_with(path, |w| {
+        if path.extension().is_some_and(|e| e == "gz") {
+            let mut z = GzBuilder::new().mtime(0).write(w, Compression::default());
+            write_cells(&mut z, &columns)?;
+            z.finish().map(|_| ())
+        } else {
+            write_cells(w, &columns)
+        }
+    })
+}
+
+/// The only raster, for formats that hold one.
+pub(crate) fn only<'a>(path: &Path, format: &str, rasters: &'a [Raster]) -> Result<&'a Raster, FilesError> {
+    match rasters {
+        [one] => Ok(one),
+        many => Err(FilesError::Write {
+            path: path.display().to_string(),
+            reason: format!("{} rasters, but {format} holds one: merge them first", many.len()),
+        }),
+    }
+}
+
+fn write_cells(w: &mut dyn Write, columns: &[(String, String, Cells)]) -> std::io::Result<()> {
+    let head: Vec<String> = columns.iter().map(|(n, u, _)| quoted(&format!("{n} [{u}]"))).collect();
+    writeln!(w, "{}", head.join(","))?;
+    let rows = columns.iter().map(|c| c.2.len()).min().unwrap_or(0);
+    let mut line = String::new();
+    for t in 0..rows {
+        line.clear();
+        for (k, (_, _, cells)) in columns.iter().enumerate() {
+            if k > 0 {
+                line.push(',');
+            }
+            match cells {
+                // A gap is an empty cell.
+                Cells::Number(v) if v[t].is_nan() => {}
+                Cells::Number(v) => push_number(&mut line, v[t]),
+                Cells::Text(v) => line.push_str(&quoted(&v[t])),
+            }
+        }
+        line.push('\n');
+        w.write_all(line.as_bytes())?;
+    }
+    Ok(())
 }
 
 /// Writes columns (name, unit, values) of equal length; as [`write_dataset`].

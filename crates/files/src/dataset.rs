@@ -7,8 +7,9 @@ use dynocal_ident::data::{Channel, Dataset, Role};
 use serde::{Deserialize, Serialize};
 
 use crate::error::FilesError;
+use crate::measurement::{self, FORMATS, ReadKeys};
 use crate::table::{Column, Table, UnitSource};
-use crate::{csv_io, parquet_io, units};
+use crate::{csv_io, merge, parquet_io, units};
 
 /// A column that becomes a channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,35 +97,53 @@ pub enum Select {
     Rows(Vec<(usize, usize)>),
 }
 
-/// Format of a data file.
+/// Name of a measurement format: a row of [`FORMATS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Format {
-    /// CSV, plain or gzip.
-    Csv,
-    /// Parquet.
-    Parquet,
+#[serde(into = "String", try_from = "String")]
+pub struct Format(&'static str);
+
+impl From<Format> for String {
+    fn from(f: Format) -> String {
+        f.0.into()
+    }
 }
 
-/// Reads a file as a table; without `format` the ending of the name tells it.
+impl TryFrom<String> for Format {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        let known = || FORMATS.iter().map(|f| f.doc.name).collect::<Vec<_>>().join(", ");
+        match FORMATS.iter().find(|f| f.doc.name == name) {
+            Some(f) => Ok(Self(f.doc.name)),
+            None => Err(format!("unknown format `{name}`, expected one of {}", known())),
+        }
+    }
+}
+
+/// Reads a file as a table; without `format` its first bytes or the ending of its name tell it. A file of several
+/// rasters is merged on the time of the fastest one, other channels held ([`crate::merge::Keys::default`]); the notes
+/// of the table say so.
 ///
 /// # Errors
 /// [`FilesError`].
 pub fn read_table(path: &Path, format: Option<Format>) -> Result<Table, FilesError> {
-    let name = path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let by_name = || {
-        if name.ends_with(".csv") || name.ends_with(".csv.gz") || name.ends_with(".txt") {
-            Some(Format::Csv)
-        } else if name.ends_with(".parquet") {
-            Some(Format::Parquet)
-        } else {
-            None
-        }
+    // A name that says nothing is refused before the file is opened: the better message.
+    if format.is_none() && measurement::by_ending(path).is_none() && !path.exists() {
+        return Err(FilesError::Format { path: path.display().to_string(), known: measurement::endings() });
+    }
+    let row = match format {
+        Some(Format(name)) => FORMATS.iter().find(|f| f.doc.name == name),
+        None => measurement::by_ending(path),
     };
-    match format.or_else(by_name) {
-        Some(Format::Csv) => csv_io::read(path),
-        Some(Format::Parquet) => parquet_io::read(path),
-        None => Err(FilesError::Format { path: path.display().to_string() }),
+    let keys = ReadKeys::default();
+    match row.map(|r| r.doc.name) {
+        // Text keeps its line numbers for messages.
+        Some("csv") => csv_io::read(path),
+        Some("parquet") => parquet_io::read(path),
+        name => {
+            let source = measurement::open(path, name, &keys)?;
+            merge::whole(source.as_ref(), &merge::Keys::default())
+        }
     }
 }
 
@@ -251,10 +270,12 @@ fn unit_of(table: &Table, column: &Column, spec: &ChannelSpec) -> Result<(String
                 path: table.file.clone(),
                 column: column.name.clone(),
                 found: found.clone(),
-                expected: w,
-                hint: exact
-                    .map(|_| " (`convert = true` for this channel converts it)".into())
-                    .unwrap_or_default(),
+                expected: w.clone(),
+                hint: match (exact, units::dimension(found), units::dimension(&w)) {
+                    (Some(_), ..) => " (`convert = true` for this channel converts it)".into(),
+                    (None, Some(a), Some(b)) if a != b => format!(": {a} cannot become {b}"),
+                    _ => String::new(),
+                },
             }),
         },
     }

@@ -36,12 +36,12 @@ pub enum FilesError {
         expected: &'static str,
     },
     /// The ending of the name says nothing about the format.
-    #[error(
-        "{path}: format not known from the name; expected .csv, .csv.gz or .parquet (or name the format)"
-    )]
+    #[error("{path}: format not known from the name; expected {known} (or name the format)")]
     Format {
         /// File.
         path: String,
+        /// Endings that are known.
+        known: String,
     },
     /// The bytes do not follow the format.
     #[error("{path}: not a valid {format} file: {reason}")]
@@ -123,12 +123,14 @@ pub enum FilesError {
     },
     /// The first row holds numbers, not names.
     #[error(
-        "{path}, line 1: found only numbers ({found:.60}), expected the names of the columns (`name [unit]`): without a header row the first sample would be lost"
+        "{path}, line {line}: found only numbers ({found:.60}), expected the names of the columns (`name [unit]`): without a header row the first sample would be lost"
     )]
     NoHeader {
         /// File.
         path: String,
-        /// The first row.
+        /// Line of the file, from 1.
+        line: usize,
+        /// The row.
         found: String,
     },
     /// A time column without a unit.
@@ -232,6 +234,14 @@ pub enum FilesError {
         found: String,
         /// What was to be read.
         expected: String,
+    },
+    /// Rasters that cannot be brought onto one time axis.
+    #[error("{path}: the rasters cannot be merged: {reason}")]
+    Merge {
+        /// File.
+        path: String,
+        /// Why.
+        reason: String,
     },
     /// The record itself is not usable.
     #[error(transparent)]

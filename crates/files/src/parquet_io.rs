@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use dynocal_ident::data::Dataset;
+use dynocal_numerics::registry::MemberDoc;
 use parquet::basic::{Compression, ConvertedType, LogicalType, Repetition, Type as Physical, ZstdLevel};
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use parquet::data_type::{ByteArray, DataType, DoubleType};
@@ -15,9 +16,20 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{ColumnDescriptor, Type};
 
+use crate::csv_io;
 use crate::error::{FilesError, reason};
+use crate::measurement::{Raster, Reader, Whole};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::{atomic, units};
+
+/// Row of the table of formats.
+pub const FORMAT: Reader = Reader {
+    doc: MemberDoc { name: "parquet", what: "Parquet with flat columns; read whole", params: &[] },
+    endings: &[".parquet"],
+    recognises: |head| head.starts_with(b"PAR1"),
+    open: |path, _| Ok(Box::new(Whole::new(read(path)?))),
+    write: Some(write_rasters),
+};
 
 /// Reads a Parquet file.
 ///
@@ -67,7 +79,7 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
     if columns.first().is_none_or(|c| c.cells.is_empty()) {
         return Err(empty());
     }
-    Ok(Table { file, columns, lines: Vec::new() })
+    Ok(Table { file, columns, lines: Vec::new(), notes: Vec::new() })
 }
 
 fn malformed(file: &str, reason: &str) -> FilesError {
@@ -191,6 +203,23 @@ pub fn write_dataset(path: &Path, data: &Dataset) -> Result<(), FilesError> {
     let bytes = encode(&columns)
         .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: e.to_string() })?;
     atomic::write(path, &bytes)
+}
+
+/// Writes the only raster of a recording. States in words are refused: the columns are numbers.
+fn write_rasters(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
+    let fail = |reason: String| FilesError::Write { path: path.display().to_string(), reason };
+    let raster = csv_io::only(path, "Parquet", rasters)?;
+    let mut columns = vec![("time [s]".to_string(), raster.time_s.as_slice())];
+    for c in &raster.columns {
+        let Cells::Number(values) = &c.cells else {
+            return Err(fail(format!(
+                "column `{}` holds words, expected numbers (write CSV instead)",
+                c.name
+            )));
+        };
+        columns.push((format!("{} [{}]", c.name, c.unit.as_ref().map_or("-", |u| u.0.as_str())), values));
+    }
+    atomic::write(path, &encode(&columns).map_err(|e| fail(e.to_string()))?)
 }
 
 fn encode(columns: &[(String, &[f64])]) -> Result<Vec<u8>, ParquetError> {

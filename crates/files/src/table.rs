@@ -75,6 +75,8 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Line in the file of each row (text formats); empty where rows have no lines.
     pub lines: Vec<u64>,
+    /// What was decided on the way in (dialect, stamps, merging), in the user's words.
+    pub notes: Vec<String>,
 }
 
 impl Table {

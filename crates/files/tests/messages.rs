@@ -63,7 +63,7 @@ fn empty_files() {
 #[test]
 fn wrong_unit() {
     let e = message("inj [ms],torque [Nm]\n1,2\n", sampled());
-    assert_eq!(e, "bed.csv, column `inj`: found unit `ms`, expected `mg`");
+    assert_eq!(e, "bed.csv, column `inj`: found unit `ms`, expected `mg`: time cannot become mass");
     let e = message("inj [g],torque [Nm]\n1,2\n", sampled());
     assert!(e.ends_with("(`convert = true` for this channel converts it)"), "{e}");
 }
