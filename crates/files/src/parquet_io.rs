@@ -11,6 +11,7 @@ use parquet::basic::{Compression, ConvertedType, LogicalType, Repetition, Type a
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use parquet::data_type::{ByteArray, DataType, DoubleType};
 use parquet::errors::ParquetError;
+use parquet::file::metadata::ColumnChunkMetaData;
 use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
@@ -70,6 +71,7 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
         let mut cells = Grow::default();
         for g in 0..reader.num_row_groups() {
             let group = reader.get_row_group(g).map_err(malformed)?;
+            check_place(&file, &raw, group.metadata().column(k), meta.len())?;
             let rows = usize::try_from(group.metadata().num_rows()).unwrap_or(0);
             let column = group.get_column_reader(k).map_err(malformed)?;
             cells.read(column, rows, &descr).map_err(malformed)?;
@@ -80,6 +82,22 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
         return Err(empty());
     }
     Ok(Table { file, columns, lines: Vec::new(), notes: Vec::new() })
+}
+
+/// The library asserts what a broken file does not keep: where a column lies is checked before it is asked.
+fn check_place(file: &str, name: &str, chunk: &ColumnChunkMetaData, length: u64) -> Result<(), FilesError> {
+    let start = chunk.dictionary_page_offset().unwrap_or_else(|| chunk.data_page_offset());
+    let place = u64::try_from(start).ok().zip(u64::try_from(chunk.compressed_size()).ok());
+    match place.and_then(|(a, n)| a.checked_add(n)) {
+        Some(end) if end <= length && chunk.data_page_offset() >= 0 => Ok(()),
+        _ => {
+            let size = chunk.compressed_size();
+            Err(malformed(
+                file,
+                &format!("column `{name}` claims {size} bytes at {start} of a file of {length}"),
+            ))
+        }
+    }
 }
 
 fn malformed(file: &str, reason: &str) -> FilesError {
