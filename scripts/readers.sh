@@ -25,7 +25,7 @@ done
 if [ ! -f "$target/cdf/cdf_v2.0.0.sl.xsd" ]; then
     mkdir -p "$target/cdf"
     "$target/bin/python" -m pip install --quiet --disable-pip-version-check poetry-core setuptools
-    "$target/bin/python" -m pip download --quiet --disable-pip-version-check --no-deps --no-binary :all: --no-build-isolation \
+    "$target/bin/python" -m pip download --quiet --disable-pip-version-check --no-deps --no-binary asamint --no-build-isolation \
         --dest "$target/cdf" asamint==0.2.2 &&
         tar -xzf "$target"/cdf/asamint-*.tar.gz -C "$target/cdf" --strip-components=4 --wildcards '*/asamint/data/dtds/*' ||
         missing+=("ASAM's schema of CDF 2.0")

@@ -1,0 +1,130 @@
+//! Every export is read by a reader that nobody here wrote.
+
+mod common;
+
+use common::{cdf_schema, python, run, save};
+use dynocal_export::evaluate::Machine;
+use dynocal_export::package::Package;
+use dynocal_export::program::Shape;
+
+/// The package as the checks in Python compare with.
+fn expected(package: &Package, folder: &std::path::Path) -> std::path::PathBuf {
+    save(package, "json", folder);
+    folder.join(format!("{}.json", package.name))
+}
+
+/// Inputs and outputs of the evaluator as text, one sample a line.
+fn record(package: &Package, samples: usize, folder: &std::path::Path) -> std::path::PathBuf {
+    let p = package.program.as_ref().unwrap();
+    let mut machine = Machine::<f64>::new(package).unwrap();
+    let mut text = String::new();
+    for t in 0..samples {
+        let time = t as f64 * p.sample_time_s;
+        let wave = |(k, i): (usize, &dynocal_export::program::Input)| {
+            i.start + 0.2 * i.start.abs().max(1.0) * (1.3 * time + k as f64).sin()
+        };
+        let u: Vec<f64> = p.inputs.iter().enumerate().map(wave).collect();
+        let y = machine.step(&u);
+        let row: Vec<String> = u.iter().chain(&y).map(|x| format!("{x:?}")).collect();
+        text.push_str(&format!("{}\n", row.join(" ")));
+    }
+    let path = folder.join(format!("{}_record.txt", package.name));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn dcm_by_dcm_reader() {
+    let Some(python) = python(&["dcmReader"]) else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let package = common::maps();
+    run(&python, "check_dcm.py", &[&save(&package, "dcm", tmp.path()), &expected(&package, tmp.path())]);
+}
+
+#[test]
+fn cdfx_by_the_schema_of_asam() {
+    let (Some(python), Some(schema)) = (python(&["lxml"]), cdf_schema()) else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let package = common::maps();
+    run(
+        &python,
+        "check_cdfx.py",
+        &[&save(&package, "cdfx", tmp.path()), &expected(&package, tmp.path()), &schema],
+    );
+}
+
+#[test]
+fn a2l_by_pya2ldb_and_a2lfile() {
+    let tmp = tempfile::tempdir().unwrap();
+    let package = common::dynamic_map();
+    let path = save(&package, "a2l", tmp.path());
+    let (file, log) = a2lfile::load(&path, None, true).unwrap();
+    assert!(log.is_empty(), "{log:?}");
+    let faults = file.check();
+    assert!(faults.is_empty(), "{faults:?}");
+    let entries = dynocal_export::a2l::read("x.a2l", &std::fs::read(&path).unwrap()).unwrap();
+    let map = entries.iter().find(|e| e.name == "INJ_MAP").unwrap();
+    assert_eq!((map.kind.as_str(), map.unit.as_str(), map.axes[0].points), ("MAP", "mg", 3));
+    let Some(python) = python(&["pya2l"]) else { return };
+    run(&python, "check_a2l.py", &[&path, &expected(&package, tmp.path())]);
+}
+
+#[test]
+fn mat_by_scipy() {
+    let Some(python) = python(&["scipy"]) else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let package = common::maps();
+    run(&python, "check_mat.py", &[&save(&package, "mat", tmp.path()), &expected(&package, tmp.path())]);
+}
+
+#[test]
+fn python_file_runs() {
+    let Some(python) = python(&["numpy"]) else { return };
+    for package in [common::dynamic_map(), common::network(Shape::Tanh), common::network(Shape::Softplus)] {
+        let tmp = tempfile::tempdir().unwrap();
+        let path = save(&package, "python", tmp.path());
+        run(
+            &python,
+            "check_python.py",
+            &[&path, &record(&package, 2000, tmp.path()), std::path::Path::new(&package.name)],
+        );
+    }
+}
+
+#[test]
+fn onnx_by_onnxruntime() {
+    let Some(python) = python(&["onnx", "onnxruntime"]) else { return };
+    for shape in [Shape::Tanh, Shape::Sigmoid, Shape::Relu, Shape::Softplus] {
+        let package = common::network(shape);
+        let tmp = tempfile::tempdir().unwrap();
+        save(&package, "onnx", tmp.path());
+        let record = record(&package, 300, tmp.path());
+        run(&python, "check_onnx.py", &[tmp.path(), &record, &expected(&package, tmp.path())]);
+    }
+}
+
+#[test]
+fn fmu_by_fmpy() {
+    let Some(python) = python(&["fmpy"]) else { return };
+    for (package, format) in [
+        (common::dynamic_map(), "fmu2"),
+        (common::dynamic_map(), "fmu3"),
+        (common::network(Shape::Tanh), "fmu2"),
+        (common::network(Shape::Tanh), "fmu3"),
+    ] {
+        let tmp = tempfile::tempdir().unwrap();
+        let path = save(&package, format, tmp.path());
+        run(
+            &python,
+            "check_fmu.py",
+            &[&path, &record(&package, 1000, tmp.path()), &expected(&package, tmp.path())],
+        );
+    }
+}
+
+#[test]
+fn planted_faults_of_an_fmu() {
+    let Some(python) = python(&["fmpy"]) else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    run(&python, "check_planted_fmu.py", &[&save(&common::dynamic_map(), "fmu2", tmp.path())]);
+}
