@@ -37,8 +37,9 @@
 //! | [`ident`] | signals, records, models, estimation, validation, the contract with a plant |
 //! | [`design`] | information, criteria, limits, search for the next record |
 //! | [`plant`] | the virtual engine and its test bed |
-//! | [`files`] | measurement files, specs, run folders |
+//! | [`files`] | measurement files (CSV, Parquet, MDF, MAT), specs, run folders |
 //! | [`calib`] | optimisation of records, maps, loops of design and measurement |
+//! | [`export`] | maps, models and controllers in the formats of the neighbours: C, DCM, CDFX, FMU, ONNX, .. |
 //! | [`report`] | pages from finished results |
 //! | [`jobs`] | what the program does: a typed spec in, a result and a run folder out |
 //!
@@ -77,6 +78,7 @@
 
 pub use dynocal_calib as calib;
 pub use dynocal_design as design;
+pub use dynocal_export as export;
 pub use dynocal_files as files;
 pub use dynocal_ident as ident;
 pub use dynocal_jobs as jobs;

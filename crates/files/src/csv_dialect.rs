@@ -61,6 +61,13 @@ pub struct Dialect {
 }
 
 impl Dialect {
+    /// Whether it is the one that needs no word: UTF-8, commas between cells, decimal points, the header in line 1.
+    pub fn is_plain(&self) -> bool {
+        let Self { encoding, separator, decimal, thousands, header_line, unit_row } = self;
+        (*encoding, *separator, *decimal, *thousands, *header_line, *unit_row)
+            == (Encoding::Utf8, ',', '.', None, 1, false)
+    }
+
     /// One line for the user, e.g. `utf-8, separator ;, decimal comma, header in line 3, units below it`.
     pub fn describe(&self) -> String {
         let encoding = match self.encoding {

@@ -1,7 +1,7 @@
 //! CSV, plain or gzip (told by the first bytes): as loggers, spreadsheets and calibration tools write it.
 //!
 //! Encoding, separator, preamble, header, a row of units, decimal comma and thousands are guessed by
-//! [`crate::csv_dialect`], told in a note of the table, and fixed by keys. Units stand in the header, `name [unit]`, in
+//! [`crate::csv_dialect`], told in a note of the table where they are not the plain ones, and fixed by keys. Units stand in the header, `name [unit]`, in
 //! a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a clock become seconds, columns of
 //! `On` and `Off` become 1 and 0; both are told in a note.
 
@@ -142,7 +142,10 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
     if lines.is_empty() {
         return Err(empty());
     }
-    let mut notes = vec![format!("read as {}", dialect.describe())];
+    let mut notes = Vec::new();
+    if !dialect.is_plain() {
+        notes.push(format!("read as {}", dialect.describe()));
+    }
     for column in &mut columns {
         notes.extend(csv_cells::interpret(column));
     }

@@ -1,6 +1,7 @@
 //! From a table to experiments: channel roles and units, time, trajectories, split.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dynocal_ident::data::{Channel, Dataset, Role};
@@ -98,9 +99,16 @@ pub enum Select {
 }
 
 /// Name of a measurement format: a row of [`FORMATS`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "String", try_from = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "String")]
 pub struct Format(&'static str);
+
+// By hand: a derived one would borrow the name from the text.
+impl<'de> Deserialize<'de> for Format {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        Self::try_from(String::deserialize(from)?).map_err(serde::de::Error::custom)
+    }
+}
 
 impl From<Format> for String {
     fn from(f: Format) -> String {
@@ -120,29 +128,66 @@ impl TryFrom<String> for Format {
     }
 }
 
-/// Reads a file as a table; without `format` its first bytes or the ending of its name tell it. A file of several
-/// rasters is merged on the time of the fastest one, other channels held ([`crate::merge::Keys::default`]); the notes
-/// of the table say so.
+/// Reads a file as a table, told nothing about it but its format, or not even that: [`read_table_with`].
 ///
 /// # Errors
 /// [`FilesError`].
 pub fn read_table(path: &Path, format: Option<Format>) -> Result<Table, FilesError> {
+    read_table_with(path, format, &ReadKeys::default())
+}
+
+/// Reads a file as a table; without `format` its first bytes, then the ending of its name tell it. A file of several
+/// rasters is merged on one time axis as `keys.merge` says; by default on that of the raster with most samples, other
+/// channels held. What was decided and what was lost stands in the notes of the table.
+///
+/// # Errors
+/// [`FilesError`].
+///
+/// # Examples
+/// ```
+/// use dynocal_files::dataset::read_table_with;
+/// use dynocal_files::measurement::ReadKeys;
+/// let tmp = tempfile::tempdir().unwrap();
+/// let path = tmp.path().join("bed.csv");
+/// std::fs::write(&path, "time [s],Tq_Brake [Nm]\n0,30.5\n0.02,31\n").unwrap();
+/// let keys = ReadKeys { alias: [("torque".into(), vec!["trq".into(), "Tq_Brake".into()])].into(), ..Default::default() };
+/// let table = read_table_with(&path, None, &keys).unwrap();
+/// assert_eq!(table.numbers("torque", 0, 2).unwrap(), [30.5, 31.0]);
+/// assert_eq!(table.notes, ["column `Tq_Brake` is taken as `torque`"]);
+/// ```
+pub fn read_table_with(path: &Path, format: Option<Format>, keys: &ReadKeys) -> Result<Table, FilesError> {
     // A name that says nothing is refused before the file is opened: the better message.
     if format.is_none() && measurement::by_ending(path).is_none() && !path.exists() {
         return Err(FilesError::Format { path: path.display().to_string(), known: measurement::endings() });
     }
-    let row = match format {
-        Some(Format(name)) => FORMATS.iter().find(|f| f.doc.name == name),
-        None => measurement::by_ending(path),
+    let name = match format {
+        Some(Format(name)) => name,
+        None => measurement::recognise(path)?.doc.name,
     };
-    let keys = ReadKeys::default();
-    match row.map(|r| r.doc.name) {
-        // Text keeps its line numbers for messages.
-        Some("csv") => csv_io::read(path),
-        Some("parquet") => parquet_io::read(path),
+    // Tables as they are, so that messages name lines; others have groups.
+    let one_axis = keys.merge.sample_time_s.is_none();
+    let mut table = match name {
+        "csv" if one_axis => csv_io::read_with(path, &keys.csv)?,
+        "parquet" if one_axis => parquet_io::read(path)?,
         name => {
-            let source = measurement::open(path, name, &keys)?;
-            merge::whole(source.as_ref(), &merge::Keys::default())
+            let source = measurement::open(path, Some(name), keys)?;
+            merge::whole(source.as_ref(), &keys.merge)?
+        }
+    };
+    rename(&mut table, &keys.alias);
+    Ok(table)
+}
+
+/// Gives columns the names of `alias`, where no column has the name already.
+fn rename(table: &mut Table, alias: &BTreeMap<String, Vec<String>>) {
+    for (name, others) in alias {
+        let place = |n: &String| table.columns.iter().position(|c| c.name == *n);
+        if place(name).is_some() {
+            continue;
+        }
+        if let Some(k) = others.iter().find_map(place) {
+            let found = std::mem::replace(&mut table.columns[k].name, name.clone());
+            table.notes.push(format!("column `{found}` is taken as `{name}`"));
         }
     }
 }
@@ -221,7 +266,7 @@ pub fn datasets(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<D
         .map(|c| unit_of(table, table.column(&c.column)?, c))
         .collect::<Result<Vec<_>, _>>()?;
     let runs = split(table, layout.trajectory.as_deref(), select)?;
-    let mut seen = std::collections::BTreeMap::new();
+    let mut seen = BTreeMap::new();
     let mut out = Vec::with_capacity(runs.len());
     for (from, to) in runs {
         let mut channels = Vec::with_capacity(layout.channels.len());
@@ -354,7 +399,7 @@ fn experiment_name(
     table: &Table,
     layout: &Layout,
     row: usize,
-    seen: &mut std::collections::BTreeMap<String, usize>,
+    seen: &mut BTreeMap<String, usize>,
 ) -> Result<String, FilesError> {
     let base = match &layout.trajectory {
         Some(name) => format!("{name}-{}", table.column(name)?.cells.label(row)),

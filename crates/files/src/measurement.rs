@@ -4,6 +4,7 @@
 //! rows of [`FORMATS`]; each opens a file as a [`Source`], which lists groups without reading values and then hands out
 //! the values chunk by chunk, so that a file may be larger than the memory.
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::csv_dialect::CsvKeys;
 use crate::error::{FilesError, reason};
 use crate::table::{Cells, Column, Table, UnitSource};
-use crate::units;
+use crate::{merge, units};
 
 /// A channel before its values are read.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -69,6 +70,10 @@ pub trait Source {
 pub struct ReadKeys {
     /// Dialect of CSV files.
     pub csv: CsvKeys,
+    /// How several rasters come to one time axis.
+    pub merge: merge::Keys,
+    /// Names that a channel may have in files, by the name that it gets: the first that is there is taken.
+    pub alias: BTreeMap<String, Vec<String>>,
 }
 
 /// Opens a file.

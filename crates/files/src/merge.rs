@@ -69,7 +69,11 @@ pub fn whole(source: &dyn Source, keys: &Keys) -> Result<Table, FilesError> {
         && keys.sample_time_s.is_none()
     {
         let all: Vec<usize> = (0..only.channels.len()).collect();
-        return measurement::table(source, 0, &all);
+        let mut table = measurement::table(source, 0, &all)?;
+        if *keys != Keys::default() {
+            table.notes.push("one raster: nothing was merged".into());
+        }
+        return Ok(table);
     }
     let mut table = merge(source.file(), &measurement::rasters(source)?, keys)?;
     table.notes.splice(0..0, source.notes().iter().cloned());

@@ -20,7 +20,7 @@ use dynocal_jobs::identify::page as identify_report;
 pub(crate) const VERB: Verb =
     Verb { name: "identify", describe: |c| Identify::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Identify a dynamic model from a measured file (CSV or Parquet)";
+const ABOUT: &str = "Identify a dynamic model from a measured file (CSV, Parquet, MDF, MAT)";
 
 #[derive(Args, Debug)]
 struct Identify {

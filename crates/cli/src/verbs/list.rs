@@ -10,7 +10,7 @@ use crate::table;
 
 pub(crate) const VERB: Verb = Verb { name: "list", describe: |c| List::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "List signals, models, estimators, criteria, plants, engine parameters, optimisers and studies with their parameters";
+const ABOUT: &str = "List signals, models, estimators, criteria, plants, engine parameters, file formats, optimisers and studies with their parameters";
 
 #[derive(Args, Debug)]
 struct List {
@@ -34,6 +34,8 @@ static FAMILIES: &[Family] = &[
     ("searches", || dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect()),
     ("parameters", || dynocal_plant::params::PARAMETER_SETS.iter().map(|s| s.doc).collect()),
     ("plants", || dynocal_plant::plants::PLANTS.iter().map(|p| p.doc).collect()),
+    ("formats", || dynocal_files::measurement::FORMATS.iter().map(|f| f.doc).collect()),
+    ("exports", || dynocal_export::format::EXPORTS.iter().map(|e| e.doc).collect()),
     ("studies", || dynocal_studies::STUDIES.iter().map(|s| s.doc).collect()),
     ("optimisers", || dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect()),
 ];

@@ -9,7 +9,7 @@ use dynocal_export::package::{Package, Provenance, ValidRange};
 use dynocal_export::program::{Factor, Input, Layer, Op, Output, Program, Shape, Start, Tau, Term};
 
 /// Axis, shared where its name is in capitals.
-pub fn axis(name: &str, unit: &str, input: &str, points: &[f64]) -> Axis {
+pub(crate) fn axis(name: &str, unit: &str, input: &str, points: &[f64]) -> Axis {
     let shared = name.ends_with("_AXIS");
     Axis {
         name: name.into(),
@@ -33,7 +33,7 @@ fn characteristic(name: &str, unit: &str, axes: Vec<Axis>, values: &[f64]) -> Ch
 }
 
 /// Scalar, block, curve, map with own axes (rows longer than six), two maps and a curve on shared axes.
-pub fn maps() -> Package {
+pub(crate) fn maps() -> Package {
     let speed = || axis("SPD_AXIS", "rpm", "speed", &[1000.0, 2000.0, 4000.0]);
     let torque = || axis("TRQ_AXIS", "Nm", "torque", &[50.0, 150.0]);
     let long = [800.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 4000.0, 5000.0];
@@ -97,7 +97,7 @@ fn term(coefficient: f64, factors: &[(usize, u32)]) -> Term {
 
 /// A program with every kind of node whose functions are exact: filters with fixed constants, delays, differences,
 /// clamps, polynomial with recursion, look-ups on shared axes.
-pub fn dynamic_map() -> Package {
+pub(crate) fn dynamic_map() -> Package {
     let mut package = maps();
     package.name = "dyn_map".into();
     let mut p = Program {
@@ -154,7 +154,7 @@ pub fn dynamic_map() -> Package {
 }
 
 /// A neural NARX model: scaled regressors, one hidden layer of tanh, linear output, own output fed back.
-pub fn network(activation: Shape) -> Package {
+pub(crate) fn network(activation: Shape) -> Package {
     let mut p = Program {
         sample_time_s: 0.03,
         inputs: vec![input("u", "mg", 0.0), input("v", "deg", 0.0)],
@@ -190,7 +190,7 @@ fn readers() -> PathBuf {
 }
 
 /// Python with the readers, if it is there and has `modules`; says SKIPPED where not.
-pub fn python(modules: &[&str]) -> Option<PathBuf> {
+pub(crate) fn python(modules: &[&str]) -> Option<PathBuf> {
     let python = std::env::var_os("DYNOCAL_READERS_PYTHON")
         .map_or_else(|| readers().join("bin/python"), PathBuf::from);
     let code = modules.iter().map(|m| format!("import {m}")).collect::<Vec<_>>().join("\n");
@@ -202,7 +202,7 @@ pub fn python(modules: &[&str]) -> Option<PathBuf> {
 }
 
 /// Folder with ASAM's schema of CDF 2.0; says SKIPPED where it is not there.
-pub fn cdf_schema() -> Option<PathBuf> {
+pub(crate) fn cdf_schema() -> Option<PathBuf> {
     let folder = readers().join("cdf");
     if folder.join("cdf_v2.0.0.sl.xsd").is_file() {
         return Some(folder);
@@ -212,9 +212,15 @@ pub fn cdf_schema() -> Option<PathBuf> {
 }
 
 /// Runs a check of `tests/readers` and gives what it printed; fails with its messages.
-pub fn run(python: &Path, script: &str, arguments: &[&Path]) -> String {
+pub(crate) fn run(python: &Path, script: &str, arguments: &[&Path]) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers").join(script);
-    let out = Command::new("timeout").arg("300").arg(python).arg(path).args(arguments).output().unwrap();
+    // Tools that come with a package, as CMake with FMPy, lie beside the interpreter.
+    let beside = python.parent().map(Path::to_path_buf);
+    let usual = std::env::var_os("PATH").unwrap_or_default();
+    let search = std::env::join_paths(beside.into_iter().chain(std::env::split_paths(&usual))).unwrap();
+    let mut command = Command::new("timeout");
+    command.env("PATH", search).arg("300").arg(python).arg(path).args(arguments);
+    let out = command.output().unwrap();
     let text = String::from_utf8_lossy(&out.stdout).into_owned();
     assert!(out.status.success(), "{script}: {text}{}", String::from_utf8_lossy(&out.stderr));
     print!("{text}");
@@ -222,7 +228,7 @@ pub fn run(python: &Path, script: &str, arguments: &[&Path]) -> String {
 }
 
 /// Writes the files of an export into `folder` and gives the path of the first.
-pub fn save(package: &Package, format: &str, folder: &Path) -> PathBuf {
+pub(crate) fn save(package: &Package, format: &str, folder: &Path) -> PathBuf {
     let keys = dynocal_export::format::Keys::default();
     let files =
         dynocal_export::format::write(package, format, &keys).unwrap_or_else(|e| panic!("{format}: {e}"));

@@ -43,8 +43,19 @@ def write(folder, description, leave_out=None, with_binary=True):
     return out
 
 
+def compiles(fmu):
+    done = subprocess.run([sys.executable, "-m", "fmpy", "compile", fmu], capture_output=True, text=True)
+    return done.returncode == 0, done.stdout + done.stderr
+
+
 noticed = 0
 with tempfile.TemporaryDirectory() as folder:
+    # Without a fault every check passes, so that what they notice below is the fault.
+    sound = write(folder, xml)
+    assert not validate_fmu(sound)
+    simulate_fmu(sound, stop_time=0.3, step_size=0.03, output_interval=0.03)
+    passes, said = compiles(write(folder, xml, with_binary=False))
+    assert passes, said
     for fault, (old, new) in faults.items():
         assert old in xml and old != new, fault
         try:
@@ -63,7 +74,6 @@ with tempfile.TemporaryDirectory() as folder:
     except Exception:
         noticed += 1
     bare = write(folder, xml, leave_out="sources/dyn_map.c", with_binary=False)
-    done = subprocess.run([sys.executable, "-m", "fmpy", "compile", bare], capture_output=True, text=True)
-    assert done.returncode != 0, "missing source: not noticed"
+    assert not compiles(bare)[0], "missing source: not noticed"
     noticed += 1
 print(f"FMU: {noticed} of 10 planted faults noticed")

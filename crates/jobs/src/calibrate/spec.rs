@@ -137,7 +137,7 @@ pub struct ExciteSpec {
     pub dwell_s: f64,
     /// Time before each record in which the loops find the first operating point, in s.
     pub lead_in_s: f64,
-    /// Records of an earlier campaign or of a bed (CSV or Parquet with the channels of the problem) instead of step 1: for
+    /// Records of an earlier campaign or of a bed (any measurement format, with the channels of the problem) instead of step 1: for
     /// identification.
     pub identification_files: Vec<PathBuf>,
     /// The same for validation.

@@ -316,6 +316,9 @@ fn finish(
         findings.extend(e.fit.iter().flat_map(|f| of_fit(t, f)));
     }
     findings.extend(models.iter().flat_map(of_model));
+    let read =
+        |p: &Part| p.notes.iter().map(|n| Finding::new(Grade::Note, "", n.as_str())).collect::<Vec<_>>();
+    findings.extend(parts.iter().flat_map(read));
     findings.extend(losses(preparation));
     if parts.iter().all(|p| p.seen != Seen::Unseen) {
         let text = "no test data in the split: nothing says how the model does on unseen data";

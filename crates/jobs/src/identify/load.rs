@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use dynocal_files::dataset::{Layout, Select, datasets, read_table};
+use dynocal_files::dataset::{Layout, Select, datasets, read_table_with};
+use dynocal_files::table::Table;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
 
@@ -18,6 +19,8 @@ pub struct Part {
     pub seen: Seen,
     /// Records.
     pub records: Vec<Dataset>,
+    /// What was decided or lost while its files were read, with the file.
+    pub notes: Vec<String>,
 }
 
 /// All parts, the estimation first.
@@ -27,9 +30,10 @@ pub struct Part {
 pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError> {
     let mut found = [Vec::new(), Vec::new(), Vec::new()];
     let several = job.sources.len() > 1;
+    let mut notes = Vec::new();
     for source in &job.sources {
-        note(&format!("reading {}", source.file.display()));
-        for (part, mut records) in found.iter_mut().zip(split_file(job, source)?) {
+        let table = read_source(source, note, &mut notes)?;
+        for (part, mut records) in found.iter_mut().zip(split_table(job, &table)?) {
             if several {
                 let stem = stem(source);
                 records.iter_mut().for_each(|d| d.name = format!("{stem}-{}", d.name));
@@ -48,13 +52,17 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         .zip(seen)
         .zip(found)
         .filter(|(_, records)| !records.is_empty())
-        .map(|((name, seen), records)| Part { name: (*name).into(), seen, records })
+        .map(|((name, seen), records)| Part { name: (*name).into(), seen, records, notes: Vec::new() })
         .collect();
     // What estimates is never taken from what tests.
     if parts.first().is_none_or(|p| p.name != names[0]) {
         let record = job.sources.iter().map(stem).collect::<Vec<_>>().join(", ");
         let why = format!("the split leaves nothing for the {}", names[0]);
         return Err(DataError::TooShort { record, found: 0, expected: 1, why }.into());
+    }
+    // The files of the parts are the same: their notes are told once.
+    if let Some(first) = parts.first_mut() {
+        first.notes = notes;
     }
     for test in &job.tests {
         // Other columns of the same file are other data.
@@ -95,9 +103,24 @@ fn stem(source: &Source) -> String {
     name.split('.').next().unwrap_or(&name).to_string()
 }
 
-fn split_file(job: &Job, source: &Source) -> Result<[Vec<Dataset>; 3], IdentifyError> {
-    let table = read_table(&source.file, source.format)?;
-    let read = |s: &Select| datasets(&table, &job.layout, s);
+/// Reads a file, says so, and keeps what was decided on the way in.
+fn read_source(
+    source: &Source,
+    note: &dyn Fn(&str),
+    notes: &mut Vec<String>,
+) -> Result<Table, IdentifyError> {
+    note(&format!("reading {}", source.file.display()));
+    let table = read_table_with(&source.file, source.format, &source.keys)?;
+    let name = source.file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    for text in &table.notes {
+        note(text);
+        notes.push(format!("{name}: {text}"));
+    }
+    Ok(table)
+}
+
+fn split_table(job: &Job, table: &Table) -> Result<[Vec<Dataset>; 3], IdentifyError> {
+    let read = |s: &Select| datasets(table, &job.layout, s);
     match &job.split {
         Split::Rows { estimation, selection, test } => {
             let maybe = |s: &Option<Select>| s.as_ref().map_or(Ok(Vec::new()), read);
@@ -108,8 +131,8 @@ fn split_file(job: &Job, source: &Source) -> Result<[Vec<Dataset>; 3], IdentifyE
 }
 
 fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, IdentifyError> {
-    note(&format!("reading {}", test.source.file.display()));
-    let table = read_table(&test.source.file, test.source.format)?;
+    let mut notes = Vec::new();
+    let table = read_source(&test.source, note, &mut notes)?;
     let mut layout: Layout = job.layout.clone();
     for c in &mut layout.channels {
         if let Some(column) = test.columns.get(&c.name) {
@@ -124,7 +147,7 @@ fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, Iden
         layout.trajectory = None;
     }
     let records = datasets(&table, &layout, &Select::All)?;
-    Ok(Part { name: test.name.clone(), seen: Seen::Unseen, records })
+    Ok(Part { name: test.name.clone(), seen: Seen::Unseen, records, notes })
 }
 
 /// Every record cut into `blocks` blocks that are dealt to the three parts so that their shares come out; neighbours of

@@ -108,7 +108,8 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let resampled = prepare.iter().any(|s| s.step == "resample");
     let layout = data.and_then(|d| source::layout(d, channels.clone(), resampled, faults));
     let split = split::split(t.split.as_ref(), faults);
-    let tests = source::tests(t.test.as_deref().unwrap_or(&[]), &names, &place, faults);
+    let tests =
+        source::tests(t.test.as_deref().unwrap_or(&[]), &names, &source::reading(data), &place, faults);
     let targets = model::targets(t.model.as_ref(), &all, over.seed, faults);
     let target_names: Vec<String> = targets.iter().flatten().map(|t| t.target.clone()).collect();
     let validate = validation::validation(t.validate.as_ref(), &target_names, faults);
@@ -136,6 +137,7 @@ impl Job {
     pub fn inputs(&self) -> BTreeMap<&'static str, serde_json::Value> {
         let tests: Vec<_> = self.tests.iter().map(|t| (&t.name, &t.init_samples, &t.columns)).collect();
         BTreeMap::from([
+            ("reading", serde_json::json!(self.sources.first().map(|s| (s.format, &s.keys)))),
             ("layout", serde_json::json!(self.layout)),
             ("multisine_period", serde_json::json!(self.multisine_period)),
             ("split", serde_json::json!(self.split)),

@@ -2,6 +2,7 @@
 
 use dynocal_files::FilesError;
 use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, read_table};
+use dynocal_files::measurement::ReadKeys;
 use dynocal_ident::data::Role;
 use dynocal_ident::stored::{Quantity, StoredModel};
 
@@ -19,8 +20,11 @@ impl Job {
     /// # Errors
     /// [`FilesError`]: no readable data file.
     pub fn of_models(models: Vec<StoredModel>, over: &Overrides) -> Result<Self, FilesError> {
-        let sources: Vec<Source> =
-            over.data.iter().map(|f| Source { file: f.clone(), format: None }).collect();
+        let sources: Vec<Source> = over
+            .data
+            .iter()
+            .map(|f| Source { file: f.clone(), format: None, keys: ReadKeys::default() })
+            .collect();
         let stamped = match sources.first() {
             Some(s) => read_table(&s.file, None)?.column("time").is_ok(),
             None => false,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dynocal_files::dataset::{ChannelSpec, Format, Layout, Time};
+use dynocal_files::measurement::ReadKeys;
 use dynocal_files::spec::Faults;
 use serde::Serialize;
 
@@ -15,8 +16,10 @@ use super::typed::{TypedChannel, TypedData, TypedTest};
 pub struct Source {
     /// Path.
     pub file: PathBuf,
-    /// Its format, where the name does not tell.
+    /// Its format, where neither bytes nor name tell.
     pub format: Option<Format>,
+    /// Dialect, merging of rasters, other names of channels.
+    pub keys: ReadKeys,
 }
 
 /// Records that only test: a file of its own, named in the scores.
@@ -69,6 +72,16 @@ fn path_of(key: &str, file: &str, place: &Place, faults: &mut Faults) -> Option<
     }
 }
 
+/// How files are read: `data.csv`, `data.merge`, `data.alias`.
+pub(super) fn reading(data: Option<&TypedData>) -> ReadKeys {
+    let Some(d) = data else { return ReadKeys::default() };
+    ReadKeys {
+        csv: d.csv.clone().unwrap_or_default(),
+        merge: d.merge.clone().unwrap_or_default(),
+        alias: d.alias.clone().unwrap_or_default(),
+    }
+}
+
 /// The estimation files: those of the command line instead of those of the spec.
 pub(super) fn sources(
     data: Option<&TypedData>,
@@ -76,19 +89,24 @@ pub(super) fn sources(
     over: &[PathBuf],
     faults: &mut Faults,
 ) -> Option<Vec<Source>> {
+    let keys = reading(data);
     if !over.is_empty() {
         let format = data.and_then(|d| d.format);
-        return Some(over.iter().map(|f| Source { file: f.clone(), format }).collect());
+        return Some(over.iter().map(|f| Source { file: f.clone(), format, keys: keys.clone() }).collect());
     }
     let data = data?;
     let one = |key: &str, f: &String, faults: &mut Faults| {
-        Some(Source { file: path_of(key, f, place, faults)?, format: data.format })
+        Some(Source { file: path_of(key, f, place, faults)?, format: data.format, keys: keys.clone() })
     };
     match (&data.file, &data.files) {
         (Some(f), None) => Some(vec![one("data.file", f, faults)?]),
         (None, Some(all)) if !all.is_empty() => all.iter().map(|f| one("data.files", f, faults)).collect(),
         (None, Some(_)) => {
-            faults.push("data.files", "an empty list", "at least one CSV or Parquet file");
+            faults.push(
+                "data.files",
+                "an empty list",
+                "at least one measurement file (`dynocal list formats`)",
+            );
             None
         }
         (Some(_), Some(_)) => {
@@ -96,7 +114,7 @@ pub(super) fn sources(
             None
         }
         (None, None) => {
-            faults.push("data.file", "nothing", "a CSV or Parquet file");
+            faults.push("data.file", "nothing", "a measurement file (`dynocal list formats`)");
             None
         }
     }
@@ -106,13 +124,14 @@ pub(super) fn sources(
 pub(super) fn tests(
     typed: &[TypedTest],
     names: &[String],
+    keys: &ReadKeys,
     place: &Place,
     faults: &mut Faults,
 ) -> Vec<TestSet> {
     let mut out: Vec<TestSet> = Vec::new();
     for (k, t) in typed.iter().enumerate() {
         let key = |part: &str| format!("test[{}].{part}", k + 1);
-        let file = faults.required(&key("file"), &t.file, "a CSV or Parquet file");
+        let file = faults.required(&key("file"), &t.file, "a measurement file (`dynocal list formats`)");
         let name = faults.required(&key("name"), &t.name, "a name for the scores, e.g. \"arrow\"");
         let (Some(file), Some(name)) = (file, name) else { continue };
         if ["estimation", "selection", "test"].contains(&name.as_str()) || out.iter().any(|o| o.name == name)
@@ -124,7 +143,7 @@ pub(super) fn tests(
             faults.unknown(&key("columns"), channel, names);
         }
         if let Some(path) = path_of(&key("file"), &file, place, faults) {
-            let source = Source { file: path, format: t.format };
+            let source = Source { file: path, format: t.format, keys: keys.clone() };
             out.push(TestSet { name, source, init_samples: t.init_samples, columns });
         }
     }

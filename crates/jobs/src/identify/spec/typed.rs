@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use dynocal_files::csv_dialect::CsvKeys;
 use dynocal_files::dataset::{Format, Missing};
+use dynocal_files::merge;
 use dynocal_ident::data::Role;
 use dynocal_ident::model::initial::Initial;
 use serde::Deserialize;
@@ -29,6 +31,9 @@ pub(super) struct TypedData {
     pub(super) file: Option<String>,
     pub(super) files: Option<Vec<String>>,
     pub(super) format: Option<Format>,
+    pub(super) csv: Option<CsvKeys>,
+    pub(super) merge: Option<merge::Keys>,
+    pub(super) alias: Option<BTreeMap<String, Vec<String>>>,
     pub(super) sample_time_s: Option<f64>,
     pub(super) time: Option<String>,
     pub(super) time_unit: Option<String>,
