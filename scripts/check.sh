@@ -5,7 +5,7 @@
 #     bash scripts/check.sh
 #
 # DYNOCAL_REFERENCE_DIR names the folder with the larger reference data. Without it the tests that need it say SKIPPED;
-# with it nothing may skip. The release profile is used throughout, so that dependencies compile once.
+# with it nothing may skip but readers of other houses that cannot be had (SKIPPED READER, named in the summary). The release profile is used throughout, so that dependencies compile once.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 export CARGO_TERM_COLOR="${CARGO_TERM_COLOR:-never}" CARGO_TERM_PROGRESS_WHEN=never DEBIAN_FRONTEND=noninteractive
@@ -42,6 +42,8 @@ install_missing() {
     command -v cc >/dev/null || packages+=(gcc libc6-dev)
     command -v python3 >/dev/null || packages+=(python3)
     find_browser >/dev/null || packages+=(chromium)
+    python3 -c 'import ensurepip' >/dev/null 2>&1 || packages+=(python3-venv)
+    command -v cppcheck >/dev/null || packages+=(cppcheck)
     if [ "${#packages[@]}" -gt 0 ]; then
         as_root apt-get update -qq && as_root apt-get install -y -qq --no-install-recommends "${packages[@]}" || return 1
     fi
@@ -61,13 +63,15 @@ documentation() { RUSTDOCFLAGS="-D warnings" cargo doc --quiet --release --works
 # Tests print the reason when they skip; nextest shows what passing tests print only when asked, so the whole goes
 # to a file, of which the summary is shown, or all of it after a failure.
 tests() {
-    local log="$work/tests.log" skipped
+    local log="$work/tests.log" skipped readers
     cargo nextest run --release --workspace --locked --no-fail-fast --success-output final \
         >"$log" 2>&1 || { cat "$log"; return 1; }
     grep -E '^ +(Summary|SLOW)' "$log"
-    skipped="$(grep -c 'SKIPPED' "$log")"
+    readers="$(grep 'SKIPPED READER' "$log" | sort | uniq -c)"
+    [ -z "$readers" ] || notes+=("note    READERS MISSING, their tests skipped:"$'\n'"$readers")
+    skipped="$(grep -v 'SKIPPED READER' "$log" | grep -c 'SKIPPED')"
     [ "$skipped" = 0 ] && return 0
-    grep 'SKIPPED' "$log" | sort | uniq -c
+    grep -v 'SKIPPED READER' "$log" | grep 'SKIPPED' | sort | uniq -c
     if [ -n "${DYNOCAL_REFERENCE_DIR:-}" ]; then
         echo "error: $skipped tests skipped although DYNOCAL_REFERENCE_DIR is set"
         return 1
@@ -117,6 +121,7 @@ step "tools" install_missing
 step "formatting" cargo fmt --all --check -- --color never
 step "clippy, warnings are errors" cargo clippy --quiet --release --workspace --all-targets --locked --keep-going -- -D warnings
 step "documentation, warnings are errors" documentation
+step "readers of other houses for the formats" bash scripts/readers.sh
 step "tests" tests
 step "documentation examples" doc_tests
 step "demo: calibrate, reduced length" demo

@@ -21,6 +21,7 @@ pub struct ValidRange {
 
 /// Where an export came from; written as a comment into every format.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Provenance {
     /// Run or file.
     pub run: String,
@@ -28,8 +29,12 @@ pub struct Provenance {
     pub spec_digest: String,
     /// Version of the program.
     pub version: String,
-    /// Digest of the data.
+    /// Digest of all that the step of the run read, data among it.
     pub data_digest: String,
+    /// File that holds it in the run.
+    pub file: String,
+    /// Its digest.
+    pub file_digest: String,
     /// Where it is valid.
     pub validity: Vec<ValidRange>,
 }
@@ -46,6 +51,8 @@ impl Provenance {
         say("Run", &self.run);
         say("Spec digest", &self.spec_digest);
         say("Data digest", &self.data_digest);
+        say("File", &self.file);
+        say("File digest", &self.file_digest);
         for r in &self.validity {
             out.push(format!("Valid for {} from {} to {} {}", r.channel, r.lower, r.upper, r.unit));
         }

@@ -31,7 +31,7 @@ const FLAGS: [&str; 14] = [
 fn compiler() -> Option<&'static str> {
     let there = Command::new("gcc").arg("--version").output().is_ok();
     if !there {
-        println!("SKIPPED: no gcc");
+        println!("SKIPPED READER: no gcc");
     }
     there.then_some("gcc")
 }
@@ -204,7 +204,7 @@ fn networks_agree() {
 #[test]
 fn misra_addon_finds_the_listed_deviations_only() {
     if Command::new("cppcheck").arg("--version").output().is_err() {
-        println!("SKIPPED: no cppcheck");
+        println!("SKIPPED READER: no cppcheck");
         return;
     }
     let package = common::dynamic_map();

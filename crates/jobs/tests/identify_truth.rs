@@ -3,6 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use dynocal_files::measurement::{Raster, by_ending};
+use dynocal_files::table::{Cells, Column, UnitSource};
 use dynocal_files::{atomic, json};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 use dynocal_ident::validate::{Kind, Seen};
@@ -345,4 +347,64 @@ fn what_cannot_be_is_refused_by_name() {
     let spec = HEAD.replace("'u'", "'u (g)'\nname = 'u'").replace("'y'", "'y (Nm)'\nname = 'y'");
     has(bench.identify(&format!("{spec}{ARX}")).unwrap_err(), &["u (g)", "`g`", "`mg`"]);
     assert!(Path::new(&bench.path("spec.toml")).exists());
+}
+
+fn raster(name: &str, interval_s: f64, columns: &[(&str, &str, &[f64])]) -> Raster {
+    let column = |(name, unit, v): &(&str, &str, &[f64])| Column {
+        name: (*name).into(),
+        unit: Some(((*unit).into(), UnitSource::Bracket)),
+        cells: Cells::Number(v.to_vec()),
+    };
+    let time_s = (0..columns[0].2.len()).map(|t| t as f64 * interval_s).collect();
+    Raster { name: name.into(), time_s, columns: columns.iter().map(column).collect() }
+}
+
+/// One record in every format of the table gives the same parameters to the last bit.
+#[test]
+fn any_measurement_format_is_identified() {
+    let (u, y) = first_order(300, 11);
+    let bench = Bench::new(&[]);
+    let whole = [raster("bed", 0.1, &[("u", "mg", &u), ("y", "Nm", &y)])];
+    let mut found = Vec::new();
+    for name in ["bed.csv", "bed.csv.gz", "bed.parquet", "bed.mf4", "bed.mat"] {
+        let write = by_ending(&bench.path(name)).and_then(|f| f.write).unwrap();
+        write(&bench.path(name), &whole).unwrap();
+        bench.identify(&format!("{}{ARX}", HEAD.replace("bed.csv", name))).unwrap();
+        let theta = bench.model().theta;
+        assert!(theta.iter().any(|c| (c - 0.8).abs() < 1e-9), "{name}: {theta:?}");
+        found.push(theta);
+    }
+    assert!(found.windows(2).all(|w| w[0] == w[1]), "{found:?}");
+}
+
+/// What a reader decides or loses is a finding; keys of `[data]` decide otherwise.
+#[test]
+fn decisions_of_the_readers_are_told() {
+    let (u, y) = first_order(300, 12);
+    let mut text = String::from("Logger 7\nu;Tq_Brake\nmg;Nm\n");
+    let comma = |x: f64| format!("{x}").replace('.', ",");
+    (0..300).for_each(|t| writeln!(text, "{};{}", comma(u[t]), comma(y[t])).unwrap());
+    let bench = Bench::new(&[("bed.csv", &text)]);
+    let head =
+        HEAD.replace("sample_time_s = 0.1", "sample_time_s = 0.1\nalias = { y = ['trq', 'Tq_Brake'] }");
+    let found = bench.identify(&format!("{head}{ARX}")).unwrap();
+    let said = |text: &str| found.findings.iter().any(|f| f.grade == Grade::Note && f.text.contains(text));
+    assert!(said("separator `;`, decimal comma, header in line 2, units in the line below"));
+    assert!(said("`Tq_Brake` is taken as `y`"), "{:?}", found.findings);
+    assert!(bench.model().theta.iter().any(|c| (c - 2.0).abs() < 1e-9));
+    // A decimal sign that is not that of the file leaves words, and the cell is named.
+    let wrong = head.replace("alias", "csv = { decimal = '.' }\nalias");
+    assert!(bench.identify(&format!("{wrong}{ARX}")).unwrap_err().contains("line 5"));
+
+    // Two rasters: the slower one is held, and that is told.
+    let slow: Vec<f64> = u.iter().step_by(10).copied().collect();
+    let held: Vec<f64> = (0..300).map(|t| slow[t / 10]).collect();
+    let mut z = vec![0.0; 300];
+    (1..300).for_each(|t| z[t] = 0.5 + 0.8 * z[t - 1] + 2.0 * held[t - 1]);
+    let rasters = [raster("fast", 0.1, &[("y", "Nm", &z)]), raster("slow", 1.0, &[("u", "mg", &slow)])];
+    (by_ending(&bench.path("bed.mf4")).and_then(|f| f.write).unwrap())(&bench.path("bed.mf4"), &rasters)
+        .unwrap();
+    let found = bench.identify(&format!("{}{ARX}", HEAD.replace("bed.csv", "bed.mf4"))).unwrap();
+    assert!(found.findings.iter().any(|f| f.text.contains("30 rows held onto 300")), "{:?}", found.findings);
+    assert!(bench.model().theta.iter().any(|c| (c - 2.0).abs() < 1e-9));
 }

@@ -196,7 +196,7 @@ pub(crate) fn python(modules: &[&str]) -> Option<PathBuf> {
     let code = modules.iter().map(|m| format!("import {m}")).collect::<Vec<_>>().join("\n");
     let there = Command::new(&python).args(["-c", &code]).output().is_ok_and(|o| o.status.success());
     if !there {
-        println!("SKIPPED: no Python with {} (run scripts/readers.sh)", modules.join(", "));
+        println!("SKIPPED READER: no Python with {} (run scripts/readers.sh)", modules.join(", "));
     }
     there.then_some(python)
 }
@@ -207,7 +207,7 @@ pub(crate) fn cdf_schema() -> Option<PathBuf> {
     if folder.join("cdf_v2.0.0.sl.xsd").is_file() {
         return Some(folder);
     }
-    println!("SKIPPED: ASAM's schema of CDF 2.0 is not there (run scripts/readers.sh)");
+    println!("SKIPPED READER: ASAM's schema of CDF 2.0 is not there (run scripts/readers.sh)");
     None
 }
 
