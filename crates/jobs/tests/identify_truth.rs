@@ -370,7 +370,7 @@ fn any_measurement_format_is_identified() {
         let write = by_ending(&bench.path(name)).and_then(|f| f.write).unwrap();
         write(&bench.path(name), &whole).unwrap();
         bench.identify(&format!("{}{ARX}", HEAD.replace("bed.csv", name))).unwrap();
-        let theta = bench.model().theta;
+        let theta = bench.model().theta();
         assert!(theta.iter().any(|c| (c - 0.8).abs() < 1e-9), "{name}: {theta:?}");
         found.push(theta);
     }
@@ -391,7 +391,7 @@ fn decisions_of_the_readers_are_told() {
     let said = |text: &str| found.findings.iter().any(|f| f.grade == Grade::Note && f.text.contains(text));
     assert!(said("separator `;`, decimal comma, header in line 2, units in the line below"));
     assert!(said("`Tq_Brake` is taken as `y`"), "{:?}", found.findings);
-    assert!(bench.model().theta.iter().any(|c| (c - 2.0).abs() < 1e-9));
+    assert!(bench.model().theta().iter().any(|c| (c - 2.0).abs() < 1e-9));
     // A decimal sign that is not that of the file leaves words, and the cell is named.
     let wrong = head.replace("alias", "csv = { decimal = '.' }\nalias");
     assert!(bench.identify(&format!("{wrong}{ARX}")).unwrap_err().contains("line 5"));
@@ -406,5 +406,5 @@ fn decisions_of_the_readers_are_told() {
         .unwrap();
     let found = bench.identify(&format!("{}{ARX}", HEAD.replace("bed.csv", "bed.mf4"))).unwrap();
     assert!(found.findings.iter().any(|f| f.text.contains("30 rows held onto 300")), "{:?}", found.findings);
-    assert!(bench.model().theta.iter().any(|c| (c - 2.0).abs() < 1e-9));
+    assert!(bench.model().theta().iter().any(|c| (c - 2.0).abs() < 1e-9));
 }

@@ -46,6 +46,8 @@ pub(crate) fn maps() -> Package {
             spec_digest: "0123456789abcdef".into(),
             version: "0.1.0".into(),
             data_digest: "fedcba9876543210".into(),
+            file: "dynamic_map.json".into(),
+            file_digest: "00112233".into(),
             validity: vec![ValidRange {
                 channel: "speed".into(),
                 unit: "rpm".into(),
