@@ -174,7 +174,7 @@ impl<'a> Code<'a> {
     fn source(&self) -> String {
         let p = &self.prefix;
         let mut s = self.head();
-        let _ = write!(s, "#include \"{p}.h\"\n");
+        let _ = writeln!(s, "#include \"{p}.h\"");
         if c_program::needs_math(self) {
             s.push_str("#include <math.h>\n");
         }

@@ -33,7 +33,7 @@ fn file(package: &Package, c: &Characteristic) -> OutFile {
     key("description", &c.description);
     key("unit", &c.unit);
     for (axis, letter) in c.axes.iter().zip(["x", "y"]) {
-        key(&format!("{letter}"), &axis.name);
+        key(letter, &axis.name);
         key(&format!("{letter}_unit"), &axis.unit);
         key(&format!("{letter}_input"), &axis.input);
         key(&format!("{letter}_shared"), if axis.shared { "yes" } else { "no" });
@@ -67,7 +67,8 @@ pub fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
     let fail = |line: usize, reason: String| ExportError::Malformed { file: file.into(), line, reason };
     let encoding = dialect::guess_encoding(bytes);
     let text = dialect::decode(bytes, encoding);
-    let (comments, body): (Vec<(usize, &str)>, Vec<(usize, &str)>) = text
+    type Lines<'a> = Vec<(usize, &'a str)>;
+    let (comments, body): (Lines, Lines) = text
         .lines()
         .enumerate()
         .map(|(k, l)| (k + 1, l.trim()))

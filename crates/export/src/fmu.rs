@@ -154,7 +154,8 @@ fn compile(sources: &[OutFile]) -> Result<Option<Vec<u8>>, ExportError> {
     let fail = |e: std::io::Error| ExportError::Tool(format!("cannot compile the FMU: {e}"));
     let folder = tempfile::tempdir().map_err(fail)?;
     for s in sources {
-        std::fs::write(folder.path().join(&s.name), &s.bytes).map_err(fail)?;
+        dynocal_files::atomic::write(&folder.path().join(&s.name), &s.bytes)
+            .map_err(|e| ExportError::Tool(format!("cannot compile the FMU: {e}")))?;
     }
     let library = folder.path().join("fmu.so");
     let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".into());

@@ -1,5 +1,7 @@
 //! Every export is read by a reader that nobody here wrote.
 
+#![allow(clippy::disallowed_methods)] // files of tests are written as they are
+
 mod common;
 
 use common::{cdf_schema, python, run, save};

@@ -39,6 +39,8 @@ const UNITS: &[(&str, &[&str], &[&str])] = &[
     ("km/h", &["kph", "kmh"], &["kmh"]),
     ("m/s", &["mps"], &["mps"]),
     ("mph", &["mi/h"], &["mph"]),
+    // Exactly, so that no other case of `kN` is taken for knots or the other way round.
+    ("kn", &["knot", "knots"], &[]),
     ("K", &["kelvin"], &["k"]),
     ("degC", &["°C", "C", "deg C", "celsius", "grad C"], &["degc"]),
     ("degF", &["°F", "F", "deg F", "fahrenheit"], &["degf"]),
@@ -117,6 +119,7 @@ const SCALES: &[Scale] = &[
     row("km/h", "speed", 1e3, 3600.0),
     row("m/s", "speed", 1.0, 1.0),
     row("mph", "speed", 1609.344, 3600.0),
+    row("kn", "speed", 1852.0, 3600.0),
     row("K", "temperature", 1.0, 1.0),
     Scale { unit: "degC", dimension: "temperature", numerator: 1.0, denominator: 1.0, zero: 273.15 },
     Scale { unit: "degF", dimension: "temperature", numerator: 5.0, denominator: 9.0, zero: 459.67 },

@@ -1,5 +1,7 @@
 //! MDF beside asammdf, both ways. The readers are installed by `scripts/readers.sh`; where they are missing this says so.
 
+#![allow(clippy::disallowed_methods)] // broken and foreign files are written as they are
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

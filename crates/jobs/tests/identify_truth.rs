@@ -394,7 +394,7 @@ fn decisions_of_the_readers_are_told() {
     assert!(bench.model().theta().iter().any(|c| (c - 2.0).abs() < 1e-9));
     // A decimal sign that is not that of the file leaves words, and the cell is named.
     let wrong = head.replace("alias", "csv = { decimal = '.' }\nalias");
-    assert!(bench.identify(&format!("{wrong}{ARX}")).unwrap_err().contains("line 5"));
+    assert!(bench.identify(&format!("{wrong}{ARX}")).unwrap_err().contains("line 4"));
 
     // Two rasters: the slower one is held, and that is told.
     let slow: Vec<f64> = u.iter().step_by(10).copied().collect();
