@@ -55,7 +55,26 @@ fn motored_needs_torque_and_faults_are_named() {
     let (code, _, stderr) = engine(tmp.path(), &["point", "--speed-rpm", "9000"]);
     assert!(code == 2 && stderr.contains("9000") && stderr.contains("6500"), "{stderr}");
     let (code, _, stderr) = engine(tmp.path(), &["point", "--torque-nm", "500"]);
-    assert!(code == 2 && stderr.contains("500 Nm"), "{stderr}");
+    assert!(code == 2 && stderr.contains("500 Nm") && stderr.contains("the throttle is open"), "{stderr}");
+}
+
+#[test]
+fn a_boosted_point_is_held_and_a_map_leaves_out_what_is_out_of_reach() {
+    let tmp = tempfile::tempdir().unwrap();
+    let (code, stdout, stderr) =
+        engine(tmp.path(), &["point", "--parameters", "gtdi_2l", "--torque-nm", "200"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!((value(&stdout, "torque") - 200.0).abs() < 1.0, "{stdout}");
+    // Above atmospheric pressure: the wastegate did it.
+    assert!(value(&stdout, "map") > 101.0 && value(&stdout, "throttle") > 89.0, "{stdout}");
+    let map = ["map", "--speed-rpm", "2000", "2000", "1", "--torque-nm", "60", "400", "2", "--csv", "m.csv"];
+    let (code, _, stderr) = engine(tmp.path(), &map);
+    assert_eq!(code, 1, "{stderr}");
+    assert!(stderr.contains("2000 rpm, 400 Nm is out of reach"), "{stderr}");
+    assert!(stderr.contains("the throttle is open"), "{stderr}");
+    let table = dynocal_files::csv_io::read(&tmp.path().join("m.csv")).unwrap();
+    assert_eq!(table.rows(), 1);
+    assert!((table.numbers("torque", 0, 1).unwrap()[0] - 60.0).abs() < 1.0);
 }
 
 #[test]

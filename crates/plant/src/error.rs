@@ -97,6 +97,18 @@ pub enum PlantError {
         /// Remaining lambda error.
         lambda_error: f64,
     },
+    /// The engine does not give the torque.
+    #[error("{torque_nm} Nm at {speed_rpm} rpm is out of reach ({found_nm:.1} Nm were held): {reason}")]
+    OutOfReach {
+        /// Engine speed.
+        speed_rpm: f64,
+        /// Torque asked for.
+        torque_nm: f64,
+        /// Torque held.
+        found_nm: f64,
+        /// What stands in the way.
+        reason: &'static str,
+    },
     /// A number of the state is not finite: the step is too large or the inputs are unphysical.
     #[error("the gas state of volume {volume} is not finite or has negative mass at t = {time_s:.4} s")]
     Diverged {

@@ -62,6 +62,44 @@ impl Default for LoadLimits {
     }
 }
 
+/// What stands at its limit where the torque asked for is not reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Barrier {
+    /// Intake-manifold pressure at its limit.
+    IntakePressure,
+    /// Turbocharger at its limit of speed.
+    TurboSpeed,
+    /// Wastegate closed and throttle open: the turbine has no more.
+    WastegateClosed,
+    /// Throttle open.
+    ThrottleOpen,
+    /// Throttle closed: less torque is not to be had with fuel.
+    ThrottleClosed,
+    /// Injectors at the end of their box.
+    Injection,
+    /// Spark at the end of its box.
+    Spark,
+    /// Nothing: the time allowed was too short.
+    Time,
+}
+
+impl Barrier {
+    /// In words.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::IntakePressure => "the intake pressure stands at its limit",
+            Self::TurboSpeed => "the turbocharger stands at its limit of speed",
+            Self::WastegateClosed => "the wastegate is closed and the throttle open",
+            Self::ThrottleOpen => "the throttle is open",
+            Self::ThrottleClosed => "the throttle is closed",
+            Self::Injection => "the injection stands at the end of its range",
+            Self::Spark => "the spark stands at the end of its range",
+            Self::Time => "nothing stands at its limit, the time allowed was too short",
+        }
+    }
+}
+
 /// A point and what held it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LoadPoint {
@@ -75,6 +113,9 @@ pub struct LoadPoint {
     pub lambda: f64,
     /// The torque is reached within 1 Nm.
     pub reached: bool,
+    /// Why it is not.
+    #[serde(default)]
+    pub barrier: Option<Barrier>,
     /// The spark stands at the limit of knock or of peak pressure.
     pub knock_limited: bool,
     /// Everything stood still before the time was over.
@@ -150,7 +191,8 @@ impl Controller {
         let slope_nm_deg = 2.0 * load_nm * p.throttle.slope_m_per_deg / d;
         let deg = (fill_s * change + cycle_s * error) / (closed_loop_s * slope_nm_deg);
         u.throttle_deg = (u.throttle_deg + deg.clamp(-2.0, 2.0)).clamp(0.0, OPEN_DEG);
-        error.abs() < 0.1 || (error > 0.0 && u.throttle_deg >= OPEN_DEG && !boosted)
+        let at_end = if error > 0.0 { u.throttle_deg >= OPEN_DEG && !boosted } else { u.throttle_deg <= 0.0 };
+        error.abs() < 0.1 || at_end
     }
 
     /// The spark places 50 % burned; knock integral and peak pressure bound it.
@@ -202,18 +244,37 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
             // Whole cycles, so that pulsation averages out.
             let average_s = 10.0 * 120.0 / request.speed_rpm;
             let outputs = crate::statics::steady(engine, inputs, 0.0, average_s)?;
+            let reached = (outputs.torque_nm - request.torque_nm).abs() < 1.0;
             return Ok(LoadPoint {
                 request,
+                barrier: (!reached).then(|| barrier(&p, &request, &inputs, &outputs)),
                 inputs,
                 outputs,
                 lambda: control.lambda,
-                reached: (outputs.torque_nm - request.torque_nm).abs() < 1.0,
+                reached,
                 knock_limited: outputs.ca50_deg > request.limits.ca50_deg + 0.5,
                 settled,
                 time_s,
             });
         }
         engine.set_inputs(control.u)?;
+    }
+}
+
+/// What stands in the way of a torque that is not reached.
+fn barrier(p: &EngineParams, r: &LoadRequest, u: &Inputs, y: &Outputs) -> Barrier {
+    let open = u.throttle_deg >= OPEN_DEG - 0.01;
+    if y.torque_nm > r.torque_nm {
+        return if u.throttle_deg <= 0.01 { Barrier::ThrottleClosed } else { Barrier::Time };
+    }
+    match () {
+        () if y.map_kpa >= r.limits.map_kpa - 1.0 => Barrier::IntakePressure,
+        () if y.turbo_rpm >= 0.995 * r.limits.turbo_rpm => Barrier::TurboSpeed,
+        () if u.injection_mg >= 119.9 => Barrier::Injection,
+        () if u.spark_deg <= -9.9 => Barrier::Spark,
+        () if open && p.turbocharger.is_none() => Barrier::ThrottleOpen,
+        () if open && u.wastegate_mm <= 0.05 => Barrier::WastegateClosed,
+        () => Barrier::Time,
     }
 }
 

@@ -85,7 +85,7 @@ struct At {
     /// Speed
     #[arg(long, default_value_t = 2000.0)]
     speed_rpm: f64,
-    /// Brake torque to settle to; throttle and fuel follow
+    /// Brake torque to settle to; throttle and fuel follow, and boost as in full-load where they do not do
     #[arg(long, allow_negative_numbers = true, conflicts_with_all = ["inj_mg", "throttle_deg"])]
     torque_nm: Option<f64>,
     /// Lambda to settle to

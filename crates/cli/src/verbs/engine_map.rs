@@ -92,7 +92,7 @@ impl FullLoad {
     }
 }
 
-/// Not valid when a point did not come to rest.
+/// Not valid when a point is out of reach or did not come to rest.
 fn finish(engine: &Engine, spec: &Spec, files: &Limits) -> Result<Exit, Failure> {
     let found: Loaded = Progress::new(false).during(|watch| load::run(engine, spec, watch))?;
     let points = found.points();

@@ -86,17 +86,19 @@ pub struct Loaded {
     pub torques_nm: Vec<f64>,
     /// By speed, then by torque.
     pub rows: Vec<Vec<LoadPoint>>,
-    /// Points that did not come to rest.
+    /// Whether it is full load: then the torque asked for is a bound, and none is out of reach.
+    pub full_load: bool,
+    /// Points that did not come to rest, and points of a map that are out of reach, with the reason.
     pub warnings: Vec<String>,
 }
 
 impl Loaded {
-    /// All points, speed by speed.
+    /// The points, speed by speed; a map leaves out what is out of reach.
     pub fn points(&self) -> Vec<Point> {
-        self.rows.iter().flatten().map(point).collect()
+        self.rows.iter().flatten().filter(|p| self.full_load || p.reached).map(point).collect()
     }
 
-    /// Whether every point came to rest.
+    /// Whether every point was reached and came to rest.
     pub fn valid(&self) -> bool {
         self.warnings.is_empty()
     }

@@ -31,9 +31,20 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Loaded, EngineJ
         Ok(points)
     };
     let rows = speeds_rpm.par_iter().map(row).collect::<Result<Vec<_>, _>>()?;
-    let moving = rows.iter().flatten().filter(|p| !p.settled).map(|p| {
-        let (n, t) = (p.request.speed_rpm, p.request.torque_nm);
-        format!("{n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s)
-    });
-    Ok(Loaded { warnings: moving.collect(), speeds_rpm, torques_nm, rows })
+    let full_load = matches!(spec.what, What::FullLoad { .. });
+    let warnings = rows.iter().flatten().filter_map(|p| warning(p, full_load)).collect();
+    Ok(Loaded { warnings, full_load, speeds_rpm, torques_nm, rows })
+}
+
+/// What is not as asked for at a point.
+fn warning(p: &LoadPoint, full_load: bool) -> Option<String> {
+    let (n, t) = (p.request.speed_rpm, p.request.torque_nm);
+    match p.barrier {
+        Some(barrier) if !full_load => {
+            let held = p.outputs.torque_nm;
+            Some(format!("{n} rpm, {t} Nm is out of reach ({held:.1} Nm were held): {}", barrier.reason()))
+        }
+        _ if !p.settled => Some(format!("{n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s)),
+        _ => None,
+    }
 }

@@ -2,6 +2,8 @@
 
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::engine::VirtualEngine;
+use dynocal_plant::error::PlantError;
+use dynocal_plant::full_load::{LoadLimits, LoadRequest, hold_load};
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
 use dynocal_plant::trace::CylinderTrace;
@@ -69,7 +71,27 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
     let options = SettleOptions::default();
     let point = match at.spark_deg {
         Some(spark) => settle(engine, target, spark, options)?,
-        None => best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options)?,
+        None => match best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options) {
+            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target),
+            found => found?,
+        },
     };
     Ok(Point { inputs: point.inputs, outputs: point.outputs })
+}
+
+/// A torque that throttle and best spark alone do not give: with wastegate, knock limit and enrichment as at full load, or
+/// the reason why not.
+fn with_boost(engine: &mut VirtualEngine, target: Target) -> Result<Point, EngineJobError> {
+    let Target { speed_rpm, torque_nm, lambda } = target;
+    // From the start: the point that did not settle may have left the engine anywhere.
+    *engine = VirtualEngine::new(engine.params())?;
+    let request = LoadRequest { speed_rpm, torque_nm, lambda, limits: LoadLimits::default() };
+    let found = hold_load(engine, request)?;
+    match found.barrier {
+        None => Ok(Point { inputs: found.inputs, outputs: found.outputs }),
+        Some(barrier) => {
+            let (found_nm, reason) = (found.outputs.torque_nm, barrier.reason());
+            Err(PlantError::OutOfReach { speed_rpm, torque_nm, found_nm, reason }.into())
+        }
+    }
 }
