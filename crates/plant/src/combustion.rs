@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Wiebe function x_b = 1 - exp(-a ((phi - phi_0)/D)^(m+1)) with D the 10-90 % duration.
+/// Wiebe function x_b = 1 - exp(-a ((phi - phi_0)/D)^(m+1)) with D the 10-90 % duration; with a tail, the share s of the
+/// fuel burns by a second one of [`TAIL`] times the duration from the same start.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Wiebe {
     /// Start of burn phi_0 \[deg after firing TDC\].
@@ -13,14 +14,20 @@ pub struct Wiebe {
     pub m: f64,
     /// Efficiency factor a \[-\], fixed by m and the meaning of D.
     pub a: f64,
+    /// Share s of the tail \[-\].
+    #[serde(default)]
+    pub tail: f64,
 }
+
+/// Duration of the tail over that of the main burn.
+pub const TAIL: f64 = 2.5;
 
 impl Wiebe {
     /// a = (ln(10)^(1/(m+1)) - ln(1/0.9)^(1/(m+1)))^(m+1).
     pub fn new(start_deg: f64, duration_deg: f64, m: f64) -> Self {
         let k = 1.0 / (m + 1.0);
         let a = (10f64.ln().powf(k) - (1.0 / 0.9f64).ln().powf(k)).powf(m + 1.0);
-        Self { start_deg, duration_deg, m, a }
+        Self { start_deg, duration_deg, m, a, tail: 0.0 }
     }
 
     /// The same curve with delay after the spark and duration times `factor`.
@@ -33,16 +40,34 @@ impl Wiebe {
         Self { start_deg, duration_deg: factor * self.duration_deg, ..self }
     }
 
+    /// The same curve with the share `tail` burning slowly.
+    #[must_use]
+    pub fn with_tail(self, tail: f64) -> Self {
+        Self { tail, ..self }
+    }
+
     /// Burned fraction x_b at `phi_deg`.
     pub fn burned(&self, phi_deg: f64) -> f64 {
         let y = (phi_deg - self.start_deg) / self.duration_deg;
-        if y <= 0.0 { 0.0 } else { -(-self.a * y.powf(self.m + 1.0)).exp_m1() }
+        let part = |y: f64| if y <= 0.0 { 0.0 } else { -(-self.a * y.powf(self.m + 1.0)).exp_m1() };
+        if self.tail == 0.0 {
+            return part(y);
+        }
+        (1.0 - self.tail) * part(y) + self.tail * part(y / TAIL)
     }
 
     /// dx_b/dphi \[1/deg\].
     #[inline]
     pub fn rate_per_deg(&self, phi_deg: f64) -> f64 {
         let y = (phi_deg - self.start_deg) / self.duration_deg;
+        if self.tail == 0.0 {
+            return self.rate(y);
+        }
+        (1.0 - self.tail) * self.rate(y) + self.tail / TAIL * self.rate(y / TAIL)
+    }
+
+    #[inline]
+    fn rate(&self, y: f64) -> f64 {
         if y <= 0.0 {
             return 0.0;
         }
@@ -57,7 +82,18 @@ impl Wiebe {
 
     /// Angle \[deg\] at which the fraction `x` (0 < x < 1) is burned.
     pub fn angle_of_fraction_deg(&self, x: f64) -> f64 {
-        self.start_deg + self.duration_deg * (-(-x).ln_1p() / self.a).powf(1.0 / (self.m + 1.0))
+        let y = (-(-x).ln_1p() / self.a).powf(1.0 / (self.m + 1.0));
+        let main = self.start_deg + self.duration_deg * y;
+        if self.tail == 0.0 {
+            return main;
+        }
+        // Between the angle of the main burn and that of the tail alone.
+        let (mut low, mut high) = (main, self.start_deg + TAIL * self.duration_deg * y);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if self.burned(middle) < x { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
     }
 }
 
@@ -95,6 +131,9 @@ pub struct BurnModel {
     pub lean_width_lambda: f64,
     /// End of heat release \[deg ATDC\].
     pub end_deg: f64,
+    /// Share of the fuel that burns in a slow tail ([`TAIL`]) \[-\].
+    #[serde(default)]
+    pub tail_share: f64,
     /// Limit of dilution; absent, burned gas never puts the flame out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dilution: Option<DilutionLimit>,
@@ -146,6 +185,7 @@ impl BurnModel {
             lean_limit_lambda: 4.0,
             lean_width_lambda: 0.40,
             end_deg: 170.0,
+            tail_share: 0.0,
             dilution: None,
         }
     }
@@ -184,6 +224,6 @@ impl BurnModel {
         let z = ((c50 - 8.0) / 10.0).clamp(-2.0, 2.0);
         f *= 1.0 + if z > 0.0 { self.late_weight } else { self.early_weight } * z * z;
         let duration = c.duration_deg.unwrap_or(self.duration_deg * f);
-        Wiebe::new(-c.spark_deg + self.delay_deg * f, duration, c.wiebe_m)
+        Wiebe::new(-c.spark_deg + self.delay_deg * f, duration, c.wiebe_m).with_tail(self.tail_share)
     }
 }

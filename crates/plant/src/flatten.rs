@@ -12,7 +12,9 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     s.t_before_k.iter_mut().for_each(&mut *f);
     for c in &mut s.cylinders {
         let (w, l) = (&mut c.wiebe, &mut c.last);
-        [&mut w.start_deg, &mut w.duration_deg, &mut w.m, &mut w.a].into_iter().for_each(&mut *f);
+        [&mut w.start_deg, &mut w.duration_deg, &mut w.m, &mut w.a, &mut w.tail]
+            .into_iter()
+            .for_each(&mut *f);
         [&mut c.to_inject_kg, &mut c.burnable_kg, &mut c.woschni_ref, &mut c.motored_ref]
             .into_iter()
             .for_each(&mut *f);

@@ -18,6 +18,7 @@ use crate::end_gas::KnockModel;
 use crate::film::FilmModel;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
+use crate::heat::HeatLaw;
 use crate::turbocharger::Turbocharger;
 use serde::{Deserialize, Serialize};
 
@@ -119,7 +120,7 @@ pub struct Injection {
     pub charge_share: f64,
 }
 
-/// Woschni heat transfer in the cylinder \[L/C\].
+/// Heat transfer in the cylinder \[L/C\].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeatTransfer {
@@ -127,6 +128,9 @@ pub struct HeatTransfer {
     pub scale: f64,
     /// Wall temperature \[K\] \[A\].
     pub wall_k: f64,
+    /// Correlation.
+    #[serde(default)]
+    pub law: HeatLaw,
 }
 
 /// Chen-Flynn friction FMEP = a + b p_max + c c_m + d c_m^2 \[C\].

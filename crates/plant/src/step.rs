@@ -6,7 +6,7 @@ use self::boosted::Boosted;
 use crate::deviations::Deviations;
 use crate::gas::{GasModel, VOLUMES};
 use crate::grid::{Grid, Node};
-use crate::heat;
+use crate::heat::{self, HeatLaw};
 use crate::inputs::Inputs;
 use crate::orifice::PsiTable;
 use crate::params::EngineParams;
@@ -97,6 +97,8 @@ pub(crate) struct Model {
     pub(crate) ambient_pa: f64,
     pub(crate) tail_m2: f64,
     pub(crate) woschni: f64,
+    pub(crate) heat_law: HeatLaw,
+    pub(crate) heat_scale: f64,
     pub(crate) burn_end_deg: f64,
     pub(crate) evaporation_1_s: f64,
     pub(crate) evaporation_j_kg: f64,
@@ -115,6 +117,8 @@ impl Model {
             ambient_pa: p.ambient.pressure_pa,
             tail_m2: p.exhaust.tailpipe_m2,
             woschni: heat::woschni_constant(p.heat.scale, p.geometry.bore_m),
+            heat_law: p.heat.law,
+            heat_scale: p.heat.scale,
             burn_end_deg: p.burn.end_deg,
             evaporation_1_s: 1.0 / p.injection.evaporation_s,
             // Vapour enters the charge with its enthalpy at 298.15 K (u = 0, so R T), less the latent heat
@@ -370,7 +374,13 @@ impl Model {
             } else {
                 held.closed_w
             };
-            wall = heat::woschni(self.woschni, p, t_k, w) * at.wall_m2 * (t_k - held.cylinder_wall_k);
+            let h = match self.heat_law {
+                HeatLaw::Woschni => heat::woschni(self.woschni, p, t_k, w),
+                HeatLaw::Hohenberg => {
+                    heat::hohenberg(self.heat_scale, at.volume_m3, p, t_k, held.piston_speed)
+                }
+            };
+            wall = h * at.wall_m2 * (t_k - held.cylinder_wall_k);
         }
         let mut energy = -work - wall;
         if burning && memory.burnable_kg > 0.0 {

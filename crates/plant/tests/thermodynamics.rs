@@ -284,3 +284,19 @@ fn wiebe_anchor_points_and_integral() {
     close(w.a, 0.6102, 1e-4);
     close(w.angle_of_fraction_deg(0.5), 10.434, 1e-4);
 }
+
+#[test]
+fn a_tail_burns_its_share_later_and_nothing_is_lost() {
+    let plain = Wiebe::new(-12.0, 22.0, 2.0);
+    let tailed = plain.with_tail(0.2);
+    for x in [0.05, 0.1, 0.5, 0.9, 0.97] {
+        assert!((tailed.burned(tailed.angle_of_fraction_deg(x)) - x).abs() < 1e-9, "{x}");
+        assert!(tailed.angle_of_fraction_deg(x) > plain.angle_of_fraction_deg(x));
+    }
+    let sum: f64 = (0..30_000).map(|i| 0.01 * tailed.rate_per_deg(-12.0 + 0.01 * (f64::from(i) + 0.5))).sum();
+    close(sum, 1.0, 1e-6);
+    // Long after the main burn what is left is the tail's.
+    let late = 40.0;
+    assert!(1.0 - plain.burned(late) < 2e-3);
+    close((1.0 - tailed.burned(late)) / 0.2, 1.0 - Wiebe::new(-12.0, 55.0, 2.0).burned(late), 0.05);
+}

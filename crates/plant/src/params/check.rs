@@ -113,6 +113,7 @@ impl EngineParams {
             ("burn.end_deg", b.end_deg, 60.0, 180.0),
             ("burn.dilution.limit", b.dilution.map_or(0.5, |d| d.limit), 0.05, 2.0),
             ("burn.dilution.width", b.dilution.map_or(0.5, |d| d.width), 1e-3, 1.0),
+            ("burn.tail_share", b.tail_share, 0.0, 0.9),
             ("heat.scale", h.scale, 0.0, 5.0),
             ("heat.wall_k", h.wall_k, 220.0, 800.0),
         ])

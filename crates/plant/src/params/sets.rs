@@ -39,6 +39,14 @@ pub static PARAMETER_SETS: &[ParameterSet] = &[
         },
         text: include_str!("../../parameters/gtdi_2l.toml"),
     },
+    ParameterSet {
+        doc: MemberDoc {
+            name: "other_1_8l",
+            what: "1.8 l turbocharged, other in structure: bore, cams, burn law, heat law, fuel, sensor; no engine behind it",
+            params: &[],
+        },
+        text: include_str!("../../parameters/other_1_8l.toml"),
+    },
 ];
 
 impl EngineParams {

@@ -361,7 +361,14 @@ impl EngineBed {
                 gas_k: y.exhaust_k,
                 lambda: y.lambda_interval,
                 afr: gas.afr_stoich,
-                lhv_j_g: 1e-3 * gas.lhv_j_kg,
+                unburned_j_g: match self.engine.params().emissions {
+                    Some(_) => super::catalyst::Feed::unburned_of(y.co_pct, y.hc_ppm),
+                    None => super::catalyst::Feed::unburned_share(
+                        1e-3 * gas.lhv_j_kg,
+                        y.lambda_interval,
+                        gas.afr_stoich,
+                    ),
+                },
             };
             settings.step(c, &feed, h_s);
         }

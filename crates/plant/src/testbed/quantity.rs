@@ -99,8 +99,14 @@ pub(crate) static QUANTITIES: &[Quantity] = &[
     quantity("lambda_post", "-", (0.0, 9.99), "Lambda behind the catalyst", |r| {
         r.bed.catalyst.map_or(r.lambda, |c| c.lambda)
     }),
-    quantity("catalyst", "K", (200.0, 1600.0), "Brick of the catalyst", |r| {
-        r.bed.catalyst.map_or(r.y.exhaust_k, |c| c.brick_k)
+    quantity("catalyst", "K", (200.0, 1600.0), "Brick of the catalyst, mean of its cells", |r| {
+        r.bed.catalyst.map_or(r.y.exhaust_k, |c| c.mean_k())
+    }),
+    quantity("catalyst_inlet", "K", (200.0, 1600.0), "First cell of the catalyst", |r| {
+        r.bed.catalyst.map_or(r.y.exhaust_k, |c| c.brick_k[0])
+    }),
+    quantity("conversion", "-", (0.0, 1.0), "Share of the unburned gas that the catalyst converts", |r| {
+        r.bed.catalyst.map_or(0.0, |c| c.conversion)
     }),
     quantity("oxygen", "-", (0.0, 1.0), "Filling of the catalyst's oxygen store", |r| {
         r.bed.catalyst.map_or(0.5, |c| c.filling)

@@ -152,6 +152,18 @@ impl BedOptions {
         let set = crate::params::perturb::parse(name).map_or(name, |p| p.0);
         match set {
             "gtdi_2l" => Self::real(),
+            "other_1_8l" => {
+                let mut bed = Self::real();
+                // Slower and farther sensors than those that the calibration was tuned on.
+                if let Some(lambda) = bed.sensors.get_mut("lambda") {
+                    (lambda.lag_s, lambda.transport_g) = (0.09, 0.8);
+                }
+                if let Some(egt) = bed.sensors.get_mut("egt") {
+                    egt.lag_s = 2.0;
+                }
+                bed.engine.cylinder_seed = 2;
+                bed
+            }
             "pfi_1_6l" => Self { air_bleed: Some(BleedSettings::default()), ..Self::real() },
             _ => Self::default(),
         }
@@ -254,14 +266,21 @@ impl RealEngine {
         if let Some(c) = &self.catalyst {
             range("bed.engine.catalyst.start_k", c.start_k, 230.0, 1300.0)?;
             range("bed.engine.catalyst.capacity_j_k", c.capacity_j_k, 50.0, 1e5)?;
-            range("bed.engine.catalyst.effectiveness", c.effectiveness, 0.0, 1.0)?;
-            range("bed.engine.catalyst.width_k", c.width_k, 1.0, 200.0)?;
-            range("bed.engine.catalyst.exotherm", c.exotherm, 0.0, 1.0)?;
+            range("bed.engine.catalyst.gas_brick_w_k", c.gas_brick_w_k, 1.0, 1e4)?;
+            range("bed.engine.catalyst.pipe_j_k", c.pipe_j_k, 50.0, 1e5)?;
+            range("bed.engine.catalyst.gas_pipe_w_k", c.gas_pipe_w_k, 0.0, 1e3)?;
+            range("bed.engine.catalyst.pipe_ambient_w_k", c.pipe_ambient_w_k, 0.0, 1e3)?;
             range("bed.engine.catalyst.ambient_k", c.ambient_k, 230.0, 330.0)?;
             range("bed.engine.catalyst.ambient_w_k", c.ambient_w_k, 0.0, 1e3)?;
             range("bed.engine.catalyst.light_off_k", c.light_off_k, 300.0, 1300.0)?;
+            range("bed.engine.catalyst.activation_k", c.activation_k, 1e3, 5e4)?;
+            range("bed.engine.catalyst.reference_g_s", c.reference_g_s, 0.1, 1e3)?;
+            range("bed.engine.catalyst.mass_transfer", c.mass_transfer, 1.0, 50.0)?;
             range("bed.engine.catalyst.oxygen_g", c.oxygen_g, 0.01, 50.0)?;
-            range("bed.engine.catalyst.sharpness", c.sharpness, 0.5, 100.0)?;
+            range("bed.engine.catalyst.oxygen_half_g_s", c.oxygen_half_g_s, 1.0, 1e6)?;
+            for rate in c.oxygen_rate {
+                range("bed.engine.catalyst.oxygen_rate", rate, 0.1, 1e3)?;
+            }
         }
         if let Some(i) = &self.idle {
             range("bed.engine.idle.idle_rpm", i.idle_rpm, 600.0, 2000.0)?;
