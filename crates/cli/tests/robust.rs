@@ -128,6 +128,7 @@ fn a_check_runs_nothing() {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
     for (verb, spec, parts) in [
         ("signal", "design/signals.toml", &["memory", "600 samples"][..]),
+        ("identify", "gas_furnace/identify.toml", &["memory", "148 samples", "co2"]),
         ("design", "design/spec.toml", &["memory", "300 samples", "torque"]),
     ] {
         let spec = examples.join(spec);

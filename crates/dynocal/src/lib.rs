@@ -73,7 +73,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record,
+//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record, simulate a stored model,
 //! calibrate on the virtual engine.
 
 pub use dynocal_calib as calib;

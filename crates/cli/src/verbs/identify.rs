@@ -4,14 +4,16 @@ use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::identify::error::IdentifyError;
+use dynocal_jobs::identify::estimate::estimate;
 use dynocal_jobs::identify::job;
+use dynocal_numerics::watch::Watch;
 use dynocal_jobs::identify::result::{Identified, Modelled, Score};
 use dynocal_jobs::identify::spec::{self, Job, Overrides};
 use dynocal_files::json;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 
 use super::Verb;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure};
 use crate::table;
@@ -35,6 +37,8 @@ struct Identify {
     #[arg(long, value_name = "FILE", required_unless_present = "spec")]
     data: Vec<PathBuf>,
     #[command(flatten)]
+    plan: Check,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -48,6 +52,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         reference: None,
     };
     let job = job_of(&args, &overrides)?;
+    if args.plan.check {
+        return show_plan(&estimate(&job, Watch::silent()).map_err(with_hint)?);
+    }
     let (found, folder) = progress.during(|watch| job::run(&job, watch)).map_err(with_hint)?;
     identify_report::write(&found, folder.path())?;
     for warning in &found.warnings {

@@ -29,6 +29,7 @@ mod engine_transient;
 verbs![
     calibrate, //
     identify,  //
+    simulate,  //
     design,    //
     signal,    //
     study,     //

@@ -9,6 +9,7 @@ pub mod before;
 pub mod bounds;
 pub mod curves;
 pub mod error;
+pub mod estimate;
 pub mod finding;
 pub mod fit;
 pub mod gaps;

@@ -17,6 +17,8 @@ use dynocal_files::spec::{Faults, LoadError, SpecError, load};
 use dynocal_ident::stored::StoredModel;
 use serde::Serialize;
 
+use crate::place::Place;
+
 use typed::Typed;
 
 pub use derive::DeriveSpec;
@@ -113,11 +115,12 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let targets = model::targets(t.model.as_ref(), &all, over.seed, faults);
     let target_names: Vec<String> = targets.iter().flatten().map(|t| t.target.clone()).collect();
     let validate = validation::validation(t.validate.as_ref(), &target_names, faults);
-    let name = t.name.clone().unwrap_or_else(|| stem.to_string());
-    let out = over.out.clone().or_else(|| t.out.as_ref().map(|o| folder.join(o)));
+    // A stem may hold dots of its own.
+    let spec = folder.join(format!("{stem}.toml"));
+    let run = Place::of(&spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     Some(Job {
-        out: out.unwrap_or_else(|| Path::new("runs").join(&name)),
-        name,
+        out: run.out,
+        name: run.name,
         sources: sources?,
         layout: layout?,
         multisine_period: data.and_then(|d| d.multisine_period),

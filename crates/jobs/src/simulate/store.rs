@@ -1,0 +1,43 @@
+//! The run folder of a simulation.
+
+use dynocal_files::csv_io;
+use dynocal_files::run_folder::RunFolder;
+
+use super::page;
+use super::result::{Output, SimulateError, Simulated};
+use super::spec::Job;
+
+/// Writes a file for each record and output, the page and the summary.
+///
+/// # Errors
+/// [`SimulateError::Files`], [`SimulateError::Page`].
+pub fn write(job: &Job, found: &Simulated) -> Result<RunFolder, SimulateError> {
+    let folder = RunFolder::open(&job.out, "simulate", job)?;
+    let mut files = vec!["report.html".to_string()];
+    for o in &found.outputs {
+        let name = format!("{}-{}.csv", file_name(&o.record), file_name(&o.output));
+        record(&folder.path().join(&name), o)?;
+        files.push(name);
+    }
+    page::write(found, folder.path())?;
+    folder.write_summary(&Simulated { files, ..found.clone() })?;
+    Ok(folder)
+}
+
+/// Time, simulated and measured output; a run that diverged ends with its last finite sample.
+fn record(path: &std::path::Path, o: &Output) -> Result<(), SimulateError> {
+    let n = o.diverged_at.unwrap_or(o.samples);
+    let time: Vec<f64> = (0..n).map(|t| t as f64 * o.sample_time_s).collect();
+    let measured = format!("{}_measured", o.output);
+    let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &time), (&o.output, &o.unit, &o.y[..n])];
+    if let Some(z) = &o.measured {
+        columns.push((&measured, &o.unit, &z[..n]));
+    }
+    csv_io::write_columns(path, &columns)?;
+    Ok(())
+}
+
+/// A name of a file.
+fn file_name(text: &str) -> String {
+    text.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+}

@@ -1,0 +1,166 @@
+//! The work: read models and records, run every model on every record.
+
+use std::path::Path;
+
+use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
+use dynocal_files::json;
+use dynocal_ident::data::{Dataset, Role};
+use dynocal_ident::stored::{Computed, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+use dynocal_numerics::watch::Watch;
+
+use super::result::{Output, SimulateError, Simulated, Used};
+use super::spec::Job;
+
+/// A model and the file that it came from.
+struct Named {
+    file: String,
+    model: StoredModel,
+}
+
+/// Simulates in memory.
+///
+/// # Errors
+/// [`SimulateError`]: files, channels, units, a start that needs outputs which are not there, an interruption.
+pub fn simulate(job: &Job, watch: Watch) -> Result<Simulated, SimulateError> {
+    let models: Vec<Named> = job.models.iter().map(|f| named(f)).collect::<Result<_, _>>()?;
+    alone(&models)?;
+    let mut records = Vec::new();
+    for file in &job.data {
+        watch.note(&format!("reading {}", file.display()));
+        records.extend(read(file, &models, job)?);
+    }
+    let (mut outputs, mut warnings) = (Vec::new(), Vec::new());
+    for (k, named) in models.iter().enumerate() {
+        for (i, record) in records.iter().enumerate() {
+            if watch.interrupted() {
+                return Err(SimulateError::Interrupted);
+            }
+            watch.fraction((k * records.len() + i) as f64 / (models.len() * records.len()) as f64);
+            let refused = |source| SimulateError::Model { file: named.file.clone(), source };
+            let computed = named.model.simulate(record, job.start).map_err(refused)?;
+            let leaves = named.model.outside(record);
+            warnings.extend(leaves.iter().map(|o| format!("{}: {}", record.name, o.sentence())));
+            for c in computed {
+                warnings.extend(c.remarks.iter().cloned());
+                outputs.push(output(&named.model.user_output(), c));
+            }
+        }
+    }
+    let diverged: Vec<String> = outputs.iter().filter_map(divergence).collect();
+    let valid = diverged.is_empty();
+    warnings.splice(0..0, diverged);
+    let used = models.iter().map(used).collect();
+    Ok(Simulated {
+        verb: "simulate",
+        name: job.name.clone(),
+        valid,
+        warnings,
+        models: used,
+        outputs,
+        files: Vec::new(),
+        records,
+    })
+}
+
+fn named(path: &Path) -> Result<Named, SimulateError> {
+    let file = path.display().to_string();
+    let model: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
+    model.check().map_err(|source| SimulateError::Model { file: file.clone(), source })?;
+    Ok(Named { file, model })
+}
+
+fn used(n: &Named) -> Used {
+    let output = n.model.user_output();
+    Used {
+        file: n.file.clone(),
+        output: output.name,
+        unit: output.unit,
+        inputs: n.model.measured_inputs().into_iter().map(|q| q.name).collect(),
+        parameters: n.model.theta().len(),
+    }
+}
+
+/// No output twice, and none that is the input of another model.
+fn alone(models: &[Named]) -> Result<(), SimulateError> {
+    for (k, n) in models.iter().enumerate() {
+        let output = n.model.user_output().name;
+        if let Some(other) = models[..k].iter().find(|o| o.model.user_output().name == output) {
+            return Err(SimulateError::Twice { file: n.file.clone(), output, other: other.file.clone() });
+        }
+        for other in models.iter().filter(|o| o.file != n.file) {
+            let input = other.model.user_output().name;
+            if n.model.measured_inputs().iter().any(|q| q.name == input) {
+                return Err(SimulateError::Driven { file: n.file.clone(), input, other: other.file.clone() });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The records of a file: columns have the names of the channels, units are converted where they differ. Outputs are
+/// read where the file has them.
+fn read(file: &Path, models: &[Named], job: &Job) -> Result<Vec<Dataset>, SimulateError> {
+    let table = read_table(file, None)?;
+    let mut channels: Vec<ChannelSpec> = Vec::new();
+    let mut add = |q: Quantity, role: Role| {
+        if !channels.iter().any(|c| c.name == q.name) {
+            channels.push(ChannelSpec {
+                column: q.name.clone(),
+                name: q.name,
+                unit: Some(q.unit),
+                convert: true,
+                role,
+            });
+        }
+    };
+    for n in models {
+        n.model.measured_inputs().into_iter().for_each(|q| add(q, Role::Input));
+        let output = n.model.user_output();
+        if table.column(&output.name).is_ok() {
+            add(output, Role::Output);
+        }
+    }
+    let time = match (table.column("time"), models.first()) {
+        (Err(_), Some(n)) => Time::Sampled { sample_time_s: n.model.sample_time_s },
+        _ => Time::Column { column: "time".into(), unit: None },
+    };
+    let layout =
+        Layout { channels, time, trajectory: None, init_samples: job.init_samples, missing: Missing::Refuse };
+    let mut records = datasets(&table, &layout, &Select::All)?;
+    if job.data.len() > 1 {
+        let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        records.iter_mut().for_each(|d| d.name = format!("{stem}-{}", d.name));
+    }
+    Ok(records)
+}
+
+fn output(q: &Quantity, c: Computed) -> Output {
+    let diverged_at = c.y.iter().position(|v| !v.is_finite());
+    let finite = &c.y[..diverged_at.unwrap_or(c.y.len())];
+    let range = finite.iter().fold(None, |r: Option<(f64, f64)>, v| {
+        Some(r.map_or((*v, *v), |(least, greatest)| (least.min(*v), greatest.max(*v))))
+    });
+    let rmse = c.measured.as_ref().filter(|_| diverged_at.is_none()).and_then(|z| {
+        let errors: Vec<f64> = z.iter().zip(&c.y).skip(c.first).map(|(z, y)| z - y).collect();
+        let squares: f64 = errors.iter().map(|e| e * e).sum();
+        (!errors.is_empty()).then(|| (squares / errors.len() as f64).sqrt())
+    });
+    Output {
+        record: c.record,
+        output: q.name.clone(),
+        unit: q.unit.clone(),
+        samples: c.y.len(),
+        sample_time_s: c.sample_time_s,
+        range,
+        diverged_at,
+        rmse,
+        y: c.y,
+        measured: c.measured,
+    }
+}
+
+fn divergence(o: &Output) -> Option<String> {
+    let at = o.diverged_at?;
+    let time_s = at as f64 * o.sample_time_s;
+    Some(format!("{}: the free run of `{}` diverged at {time_s} s (sample {at})", o.record, o.output))
+}
