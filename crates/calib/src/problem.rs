@@ -259,20 +259,7 @@ impl CalibrationProblem {
 
     /// A channel as a monomial of channels that are not derived: its derivations put into each other.
     pub fn monomial(&self, channel: &str) -> Monomial {
-        let mut out = Monomial { factor: 1.0, powers: vec![(channel.to_string(), 1)] };
-        for d in self.derive.iter().rev() {
-            let Some(at) = out.powers.iter().position(|(name, _)| *name == d.name) else { continue };
-            let (_, power) = out.powers.remove(at);
-            out.factor *= d.factor.powi(power);
-            for (name, p) in &d.powers {
-                match out.powers.iter_mut().find(|(known, _)| known == name) {
-                    Some((_, sum)) => *sum += p * power,
-                    None => out.powers.push((name.clone(), p * power)),
-                }
-            }
-            out.powers.retain(|(_, p)| *p != 0);
-        }
-        out
+        monomial(channel, &self.derive)
     }
 
     /// The channels `minimise` names, over a record that has the measured ones: one column each.
@@ -380,6 +367,24 @@ impl Monomial {
     pub fn value(&self, of: impl Fn(&str) -> f64) -> f64 {
         self.powers.iter().fold(self.factor, |v, (name, p)| v * of(name).powi(*p))
     }
+}
+
+/// `channel` as a monomial of channels that `derive` does not derive: its derivations put into each other.
+pub fn monomial(channel: &str, derive: &[Derived]) -> Monomial {
+    let mut out = Monomial { factor: 1.0, powers: vec![(channel.to_string(), 1)] };
+    for d in derive.iter().rev() {
+        let Some(at) = out.powers.iter().position(|(name, _)| *name == d.name) else { continue };
+        let (_, power) = out.powers.remove(at);
+        out.factor *= d.factor.powi(power);
+        for (name, p) in &d.powers {
+            match out.powers.iter_mut().find(|(known, _)| known == name) {
+                Some((_, sum)) => *sum += p * power,
+                None => out.powers.push((name.clone(), p * power)),
+            }
+        }
+        out.powers.retain(|(_, p)| *p != 0);
+    }
+    out
 }
 
 fn name(key: &str, found: &str, known: &mut Vec<String>, faults: &mut Faults) {

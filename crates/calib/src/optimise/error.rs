@@ -105,6 +105,20 @@ pub enum OptimiseError {
         /// Samples needed.
         expected: usize,
     },
+    /// A channel of the record is in another unit than a model takes it.
+    #[error("{record}: `{channel}` is in `{found}`, the model of `{output}` takes it in `{expected}`")]
+    Unit {
+        /// Record.
+        record: String,
+        /// Channel.
+        channel: String,
+        /// Its unit.
+        found: String,
+        /// Output of the model.
+        output: String,
+        /// Unit of the model.
+        expected: String,
+    },
     /// Sample times differ.
     #[error("`{record}` is sampled every {found} s, the model of `{output}` every {expected} s")]
     SampleTime {

@@ -2,9 +2,8 @@
 
 use super::model::{OutputModel, OutputWay, Source};
 use super::{OptimiseError, OptimiseOptions, Optimum, optimise_models};
-use crate::problem::{CalibrationProblem, Monomial};
+use crate::problem::{CalibrationProblem, monomial};
 use dynocal_ident::data::Dataset;
-use dynocal_ident::derived::Derived;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::stored::{StoredError, StoredModel};
 
@@ -54,25 +53,10 @@ impl StoredOutput {
     }
 }
 
-/// A channel as a monomial of measured ones.
-fn monomial(name: &str, derived: &[Derived]) -> Monomial {
-    let mut out = Monomial { factor: 1.0, powers: vec![(name.to_string(), 1)] };
-    for d in derived.iter().rev() {
-        let Some(at) = out.powers.iter().position(|(known, _)| *known == d.name) else { continue };
-        let (_, power) = out.powers.remove(at);
-        out.factor *= d.factor.powi(power);
-        for (channel, p) in &d.powers {
-            match out.powers.iter_mut().find(|(known, _)| known == channel) {
-                Some((_, sum)) => *sum += p * power,
-                None => out.powers.push((channel.clone(), p * power)),
-            }
-        }
-        out.powers.retain(|(_, p)| *p != 0);
-    }
-    out
-}
+/// Largest relative difference of sample times that counts as equal.
+const SAME_TIME: f64 = 1e-6;
 
-/// [`optimise_models`] for stored models.
+/// [`optimise_models`] for stored models, whose units and sample time must be those of the record.
 ///
 /// # Errors
 /// [`OptimiseError`].
@@ -83,7 +67,25 @@ pub fn optimise_record(
     options: &OptimiseOptions,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Optimum, OptimiseError> {
+    models.iter().try_for_each(|m| belongs(m, start))?;
     let taken = models.iter().map(|m| StoredOutput::new(m)).collect::<Result<Vec<_>, _>>()?;
     let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
     optimise_models(problem, &all, start, options, interrupt)
+}
+
+fn belongs(model: &StoredModel, record: &Dataset) -> Result<(), OptimiseError> {
+    let (name, output) = (record.name.clone(), model.user_output().name);
+    let (found, expected) = (record.sample_time_s, model.sample_time_s);
+    if (found - expected).abs() > SAME_TIME * expected {
+        return Err(OptimiseError::SampleTime { record: name, found, output, expected });
+    }
+    for q in model.measured() {
+        let channel = record.channel(&q.name)?;
+        // Old files do not know the unit of every measured channel.
+        if channel.unit != q.unit && q.unit != "-" {
+            let (found, expected) = (channel.unit.clone(), q.unit);
+            return Err(OptimiseError::Unit { record: name, channel: q.name, found, output, expected });
+        }
+    }
+    Ok(())
 }

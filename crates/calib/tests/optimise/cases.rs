@@ -5,12 +5,14 @@ use crate::common::{agrees_with_differences, channel, record};
 use dynocal_calib::optimise::model::{OutputModel, OutputWay, Source};
 use dynocal_calib::optimise::program::Program;
 use dynocal_calib::optimise::{
-    EndCondition, History, OptimiseError, OptimiseOptions, optimise_models, parts,
+    EndCondition, History, OptimiseError, OptimiseOptions, optimise_models, optimise_record, parts,
 };
 use dynocal_calib::problem::{CalibrationProblem, Monomial};
 use dynocal_ident::data::Role;
+use dynocal_ident::derived::Derived;
 use dynocal_ident::model::literature;
 use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::stored::{Quantity, Seen, StoredModel};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
@@ -351,4 +353,68 @@ fn a_limit_beyond_reach_names_time_amount_and_input() {
         "{}",
         s.sentence()
     );
+}
+
+/// A stored model of 1/lambda that reads the cycle duration gives what the same structure gives with its ways by hand.
+#[test]
+fn stored_models_give_what_their_structures_give() {
+    let p = problem(
+        r#"
+        minimise = [{ channel = "inj" }]
+        inputs = [{ name = "inj", unit = "mg", lower = 0.0, upper = 30.0 }]
+        given = [{ name = "speed", unit = "rpm", lower = 500.0, upper = 4000.0 }]
+        limits = [{ output = "lambda", unit = "-", lower = 0.8, upper = 0.95 }]
+        "#,
+    );
+    let structure = PolyNarx::parse(&["inj", "cycle"], "phi", &["inj(t-1)", "cycle(t-1)", "phi(t-1)"])
+        .expect("structure");
+    let theta = [0.04, 1.0, 0.5];
+    let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
+    let derived = |name: &str, unit: &str, factor, channel: &str| Derived {
+        name: name.into(),
+        unit: unit.into(),
+        factor,
+        powers: [(channel.to_string(), -1)].into(),
+    };
+    let mut stored = StoredModel::new(
+        structure.clone(),
+        &theta,
+        vec![quantity("inj", "mg"), quantity("cycle", "s")],
+        quantity("phi", "-"),
+        0.03,
+    )
+    .expect("model");
+    stored.derived = vec![derived("cycle", "s", 120.0, "speed"), derived("phi", "-", 1.0, "lambda")];
+    stored.seen =
+        ["speed", "lambda"].map(|name| seen(name, if name == "speed" { "rpm" } else { "-" })).into();
+    let cycle = Monomial { factor: 120.0, powers: vec![("speed".into(), -1)] };
+    let plain = OutputModel {
+        output: "lambda".into(),
+        model: &structure,
+        theta: &theta,
+        inputs: vec![Source::plain("inj"), Source { monomial: cycle, offset: 0.0, scale: 1.0 }],
+        way: OutputWay { power: -1, ..OutputWay::PLAIN },
+    };
+    let start = record(60, &mut Rng64::new(3));
+    let options = OptimiseOptions::default();
+    let by_hand = optimise_models(&p, &[plain], &start, &options, &|| false).expect("solved");
+    let found = optimise_record(&p, &[&stored], &start, &options, &|| false).expect("solved");
+    assert_eq!(found, by_hand);
+    assert_eq!(found.status, Status::Converged);
+    assert!(
+        found.outputs[0].values[10..].iter().all(|l| (l - 0.95).abs() < 1e-4),
+        "{:?}",
+        found.outputs[0].values
+    );
+    let mut other = start.clone();
+    other.channels[0].unit = "kg".into();
+    let error = optimise_record(&p, &[&stored], &other, &options, &|| false).unwrap_err();
+    assert!(
+        error.to_string().contains("`inj` is in `kg`, the model of `lambda` takes it in `mg`"),
+        "{error}"
+    );
+}
+
+fn seen(name: &str, unit: &str) -> Seen {
+    Seen { name: name.into(), unit: unit.into(), minimum: 0.0, maximum: 1.0 }
 }
