@@ -6,20 +6,7 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] = &[
-    "control",
-    "engine_model",
-    "problem",
-    "supervisor",
-    "loops",
-    "record",
-    "steady",
-    "optimise",
-    "excite",
-    "fuel",
-    "map",
-    "validate",
-];
+const ORDER: &[&str] = &["problem", "supervisor", "loops", "steady", "optimise", "map", "validate"];
 
 #[test]
 fn no_module_uses_one_above_it() {

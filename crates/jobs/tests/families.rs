@@ -14,15 +14,7 @@ fn taken(refusal: Refusal, name: &str) -> Option<BTreeSet<String>> {
     let said = refusal(name, &keys)?;
     let (_, expected) = said.split_once(NO_KEY)?;
     // serde: "unknown field `x`, expected one of `a`, `b`" or "there are no fields".
-    Some(
-        expected
-            .split('`')
-            .skip(1)
-            .step_by(2)
-            .filter(|k| !k.is_empty() && *k != ", ")
-            .map(str::to_string)
-            .collect(),
-    )
+    Some(expected.split('`').skip(2).step_by(2).map(str::to_string).collect())
 }
 
 /// What is wrong with one member, in words.

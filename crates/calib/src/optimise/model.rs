@@ -6,7 +6,6 @@
 //! model output = (factor y^power - offset) / scale           y the user's output
 //! ```
 
-use crate::engine_model::{CYCLE, EngineModel, Transform};
 use crate::problem::Monomial;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::model::Model;
@@ -119,25 +118,5 @@ impl<'a> OutputModel<'a> {
             }
         }
         Ok(rows)
-    }
-}
-
-impl<'a> From<&'a EngineModel> for OutputModel<'a> {
-    fn from(m: &'a EngineModel) -> Self {
-        let source = |name: &String| match name.as_str() {
-            CYCLE => Source {
-                monomial: Monomial { factor: 120.0, powers: vec![("speed".into(), -1)] },
-                ..Source::plain(name)
-            },
-            _ => Source::plain(name),
-        };
-        let power = if m.transform == Transform::Reciprocal { -1 } else { 1 };
-        Self {
-            output: m.output.clone(),
-            model: &m.structure,
-            theta: &m.theta,
-            inputs: m.structure.inputs().iter().map(source).collect(),
-            way: OutputWay { power, ..OutputWay::PLAIN },
-        }
     }
 }

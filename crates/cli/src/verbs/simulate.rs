@@ -21,13 +21,13 @@ const ABOUT: &str = "Simulate stored models on new inputs, without measured outp
 #[derive(Args, Debug)]
 struct Simulate {
     /// Spec of the simulation (TOML); or --model and --data
-    #[arg(required_unless_present_all = ["model", "data"], conflicts_with_all = ["model", "data", "start", "init_samples"])]
+    #[arg(required_unless_present_any = ["model", "data"], conflicts_with_all = ["model", "data", "start", "init_samples"])]
     spec: Option<PathBuf>,
     /// Model file (model.json of `dynocal identify`); several are several outputs
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "data")]
     model: Vec<PathBuf>,
     /// Data file with columns named as the channels of the models; several are several records
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "model")]
     data: Vec<PathBuf>,
     /// Where the models start; without it as each model says where its output was measured, else from rest
     #[arg(long, value_enum)]

@@ -39,6 +39,12 @@ pub(super) const MEMBER: Member<dyn Step> = Member {
                 what: "degree, stroke (180 deg), revolution (360 deg), cycle (720 deg), time (the way back)",
             },
             ParamDoc {
+                name: "from",
+                unit: "-",
+                default: "time",
+                what: "for per = time: what the rows were made per",
+            },
+            ParamDoc {
                 name: "degrees",
                 unit: "deg",
                 default: "1",

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use crate::chapter4::work::statistics::Stat;
 use crate::chapter5::work::engine::{self, SAMPLE_TIME_S};
+use crate::chapter5::work::excite::ExciteSpec;
+use crate::chapter5::work::gains::LoopGains;
 use crate::chapter5::work::polynomials::{self, Both, Crossed, Estimated, both, crossed};
 use crate::chapter5::work::published::{self, EngineModel};
 use crate::chapter5::work::{Chapter5Error, Fitness};
-use dynocal_calib::control::LoopGains;
-use dynocal_calib::excite::ExciteSpec;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::literature;
 use dynocal_ident::model::poly::PolyNarx;

@@ -2,12 +2,12 @@
 //! the stored records of the reference data.
 
 use crate::chapter5::work::engine::{self, SAMPLE_TIME_S};
+use crate::chapter5::work::gains::LoopGains;
 use crate::chapter5::work::networks::{
     self, Options as Training, Size, Trained, best_of_divisions, best_of_starts,
 };
 use crate::chapter5::work::published::{NetworkRow, TABLE_7_1, TABLE_7_2, TABLE_7_5};
 use crate::chapter5::work::{Chapter5Error, Fitness};
-use dynocal_calib::control::LoopGains;
 use dynocal_ident::data::Dataset;
 use dynocal_report::{Axis, Bars, Cell, Column, Panel, Report, Section, Table, TimePlot};
 use serde::{Deserialize, Serialize};

@@ -130,7 +130,7 @@ fn build(
 ) -> Result<Box<dyn Structure>, BuildError> {
     let known = |key: &str| params.iter().find(|p| p.name == key);
     if let Some(key) = keys.keys().find(|k| known(k).is_none()) {
-        let names: Vec<&str> = params.iter().map(|p| p.name).collect();
+        let names: Vec<String> = params.iter().map(|p| format!("`{}`", p.name)).collect();
         return Err(BuildError::Keys {
             member: name.into(),
             message: format!("unknown key `{key}`, expected one of {}", names.join(", ")),

@@ -11,10 +11,10 @@ use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::excite::{ExciteSpec, Range, plan_of, references};
+use super::gains::LoopGains;
+use super::plans::{ActuatorLimits, engine_plan};
 use super::{Chapter5Error, udrn};
-use dynocal_calib::control::LoopGains;
-use dynocal_calib::excite::{ExciteSpec, Range, plan_of, references};
-use dynocal_calib::record::{ActuatorLimits, engine_plan};
 use dynocal_jobs::calibrate::context::PlantFactory;
 
 /// Least fuel in mg that the loops use: a motored cylinder has no lambda that a loop could hold.

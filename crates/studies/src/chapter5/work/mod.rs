@@ -3,17 +3,19 @@
 //! [`known`] is the system (5.3) to (5.5) whose truth is known, with noise at the output (then the simulation error is
 //! the right criterion) or in the equation (then the prediction error is); [`searches`] minimises the simulation error
 //! by the methods of Table 5.1 and by ours, [`repeated`] does both over many records. [`engine`] makes records of an
-//! engine as sections 5.5 and 7.4 did, [`polynomials`] fits their structures and
-//! [`networks`] trains theirs. [`published`] holds what the
-//! thesis printed and what an independent implementation found.
+//! engine as sections 5.5 and 7.4 did ([`excite`] draws references, [`plans`] and [`gains`] hold them in closed loop),
+//! [`polynomials`] fits their structures and [`networks`] trains theirs. [`published`] holds what the thesis printed and what an independent implementation found.
 //!
 //! Readings: u1 is a fraction; inputs are uniform, held 10, 10 and 100 samples (the printed R2 and MSE imply it), 1000
 //! samples; the noise is output error of variance 0.5; a free run starts from the seven measured samples that the lags
 //! need, and scores count the others.
 
 pub mod engine;
+pub mod excite;
+pub mod gains;
 pub mod known;
 pub mod networks;
+pub mod plans;
 pub mod polynomials;
 pub mod published;
 pub mod repeated;

@@ -11,9 +11,9 @@ use dynocal_ident::validate::{Kind, output};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::plans::INPUTS;
 use super::{Chapter5Error, Fitness};
 use crate::chapter4::work::statistics::Stat;
-use dynocal_calib::record::INPUTS;
 
 /// Lags of every input and of the output, eq. (7.7).
 pub const LAGS: (usize, usize) = (5, 1);

@@ -1,6 +1,6 @@
 //! Excitation in closed loop (thesis section 7.4.1): references for the loops.
 
-use crate::record::Demand;
+use super::plans::Demand;
 use dynocal_ident::signal;
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;

@@ -1,7 +1,6 @@
-//! Records of an engine campaign: the order of its actuators, plans from their rows, and the fuel of a record.
+//! Plans of the engine records of chapter 5: the order of the actuators, and loops that hold torque and lambda.
 
-use crate::control::LoopGains;
-use dynocal_ident::data::Dataset;
+use super::gains::LoopGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
 
 /// Names and order of the actuators in every record of an engine campaign.
@@ -77,19 +76,4 @@ pub fn engine_plan(
         PlanLoop::closed("lambda", "inj", gains.lambda),
     ];
     plan.with_loops(demands, loops)
-}
-
-/// Fuel mass flow of eq. 7.11 in kg/h.
-pub fn fuel_kg_h(inj_mg: f64, speed_rpm: f64) -> f64 {
-    1.2e-4 * inj_mg * speed_rpm
-}
-
-/// Mean fuel flow in kg/h of the rows `from..` of a record.
-///
-/// # Errors
-/// [`dynocal_ident::data::DataError::NoChannel`].
-pub fn mean_fuel_kg_h(record: &Dataset, from: usize) -> Result<f64, dynocal_ident::data::DataError> {
-    let (inj, speed) = (record.values("inj")?, record.values("speed")?);
-    let n = (inj.len() - from) as f64;
-    Ok(inj[from..].iter().zip(&speed[from..]).map(|(i, s)| fuel_kg_h(*i, *s)).sum::<f64>() / n)
 }
