@@ -184,3 +184,116 @@ fn plants_and_studies_are_listed() {
     );
     assert!(dynocal(tmp.path(), &["list", "studies"]).stdout.contains("chain"));
 }
+
+/// One river: what `identify` and `design` wrote is what `calibrate` starts from, and nothing of it is done again.
+#[test]
+fn stored_models_and_a_designed_record_are_where_a_calibration_starts() {
+    let tmp = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| {
+        let o = dynocal(tmp.path(), args);
+        assert!(o.code == 0 || o.code == 1, "{args:?}\n{}", o.stderr);
+        o
+    };
+    let spec = shortest();
+    run(&["calibrate", spec.to_str().unwrap(), "--until", "identify", "--out", "first"]);
+    // The specs that the calibration wrote are specs of `dynocal identify`.
+    for output in ["torque", "lambda"] {
+        run(&["identify", &format!("first/steps/02-identify/{output}-1.toml"), "--out", output]);
+    }
+    let design = written(tmp.path(), DESIGN);
+    run(&["design", design.to_str().unwrap(), "--out", "design"]);
+    let played = run(&["engine", "transient", "design/design.plan.csv", "--csv", "designed.csv"]);
+    assert_eq!(played.code, 0, "{}{}", played.stdout, played.stderr);
+
+    let shortest = text(&shortest());
+    let from_files = shortest
+        .replace(
+            "[excite]\n",
+            &format!("[excite]\n{}\n{}\n", files("identification", "ident"), files("validation", "val")),
+        )
+        .replace(
+            "[identify]\n",
+            "[identify]\nfiles = { torque = \"torque/model.json\", lambda = \"lambda/model.json\" }\n",
+        )
+        .replace("[design]\n", "[design]\nrecord = \"designed.csv\"\n");
+    let spec = written(tmp.path(), &from_files);
+    run(&["calibrate", spec.to_str().unwrap(), "--out", "second"]);
+    let model =
+        |file: &str| -> serde_json::Value { serde_json::from_str(&text(&tmp.path().join(file))).unwrap() };
+    for output in ["torque", "lambda"] {
+        let (stored, taken) = (
+            model(&format!("{output}/model.json")),
+            model(&format!("second/steps/02-identify/{output}_model.json")),
+        );
+        assert_eq!(stored["parameters"], taken["parameters"], "{output}");
+        // No estimate was made: no spec of `identify` was written.
+        assert!(!tmp.path().join(format!("second/steps/02-identify/{output}-1.toml")).exists());
+    }
+    assert!(!tmp.path().join("second/steps/03-design/design.toml").exists());
+    let column = |file: &str| -> Vec<f64> {
+        let table = dynocal_files::csv_io::read(&tmp.path().join(file)).unwrap();
+        table.numbers("torque", 0, table.rows()).unwrap().to_vec()
+    };
+    assert_eq!(column("designed.csv"), column("second/steps/03-design/design01.csv"));
+    let summary = model("second/summary.json");
+    // Nothing was measured for the identification; what the optimum and the maps need still is.
+    assert_eq!(summary["bed"]["identification_s"].as_f64(), Some(0.0), "{}", summary["bed"]);
+    assert!(summary["bed"]["total_s"].as_f64().unwrap() > 0.0);
+    assert!(text(&tmp.path().join("second/report.html")).trim_end().ends_with("</html>"));
+}
+
+fn files(kind: &str, name: &str) -> String {
+    let count = if name == "ident" { 2 } else { 1 };
+    let list: Vec<String> =
+        (1..=count).map(|k| format!("\"first/steps/01-excite/{name}{k:02}.csv\"")).collect();
+    format!("{kind}_files = [{}]", list.join(", "))
+}
+
+/// Small movements about a point where open loop is safe.
+const DESIGN: &str = r#"
+length_s = 9.0
+sample_time_s = 0.03
+rivals = 2
+certificate = false
+
+[[channels]]
+name = "inj"
+unit = "mg"
+lower = 11.0
+upper = 13.0
+hold_s = 0.6
+
+[[channels]]
+name = "spark"
+unit = "deg"
+lower = 15.0
+upper = 25.0
+hold_s = 0.6
+
+[[channels]]
+name = "throttle"
+unit = "deg"
+lower = 11.0
+upper = 13.0
+hold_s = 0.6
+
+[[channels]]
+name = "speed"
+unit = "rpm"
+lower = 1900.0
+upper = 2100.0
+hold_s = 1.5
+shape = "linear"
+
+[[models]]
+file = "torque/model.json"
+criterion = "d"
+
+[[models]]
+file = "lambda/model.json"
+criterion = "d"
+
+[search]
+starts = 1
+evaluations = 20
+"#;

@@ -5,7 +5,7 @@ mod common;
 
 use common::{dataset, reference};
 use dynocal_ident::data::Role;
-use dynocal_ident::estimate::Estimator;
+use dynocal_ident::estimate::{Estimator, estimator};
 use dynocal_ident::estimate::iv::Iv;
 use dynocal_ident::estimate::ols::Ols;
 use dynocal_ident::estimate::rls::{OnlineModel, Rls};
@@ -177,6 +177,57 @@ fn forgetting_is_exponential_weighting() {
     let batch = least_squares(&weighted, n, 2, &target, prior * lambda.powi(n as i32)).unwrap();
     for k in 0..2 {
         assert!((rls.theta()[k] - batch.x[k]).abs() < 1e-11);
+    }
+}
+
+/// As an estimator over a record: with a wide start it is least squares with its standard errors, in any units; with
+/// forgetting the last samples decide, and the standard errors are those of the samples that are remembered.
+#[test]
+fn the_estimator_rls_follows_the_last_samples() {
+    let model = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"]).unwrap();
+    let n = 4000;
+    let mut rng = Rng64::new(21);
+    let u: Vec<f64> = (0..n).map(|_| 1e4 * rng.normal()).collect();
+    let noise: Vec<f64> = (0..n).map(|_| 0.1 * rng.normal()).collect();
+    // The gain changes in the middle of the record.
+    let record = |after: f64| {
+        let mut y = vec![0.0; n];
+        for t in 1..n {
+            let gain = if t < n / 2 { 1e-4 } else { after };
+            y[t] = 0.5 * y[t - 1] + gain * u[t - 1] + noise[t];
+        }
+        [Experiment { name: "a".into(), u: u.clone(), y, init_samples: 0, weights: vec![] }]
+    };
+    let fit = |name: &str, keys: &str, data: &[Experiment]| {
+        estimator(name, &toml::from_str(keys).unwrap())
+            .unwrap()
+            .estimate(&model, data, None, &|| false)
+            .unwrap()
+    };
+    let same = record(1e-4);
+    let (batch, wide) = (fit("ols", "", &same), fit("rls", "variance = 1e12", &same));
+    for k in 0..2 {
+        let off = (wide.theta[k] - batch.theta[k]) / batch.std_errors[k];
+        assert!(off.abs() < 1e-3, "parameter {k}: {off} standard errors");
+        assert!((wide.std_errors[k] / batch.std_errors[k] - 1.0).abs() < 1e-6, "parameter {k}");
+    }
+    let data = record(3e-4);
+    let (all, last) = (fit("rls", "", &data), fit("rls", "forgetting = 0.99", &data));
+    assert!((all.theta[0] - 2e-4).abs() < 0.3e-4, "{}", all.theta[0]);
+    assert!(
+        (last.theta[0] - 3e-4).abs() < 4.0 * last.std_errors[0],
+        "{} {}",
+        last.theta[0],
+        last.std_errors[0]
+    );
+    // 100 samples are remembered.
+    let expected = 0.1 / (100.0_f64.sqrt() * 1e4);
+    assert!((last.std_errors[0] / expected - 1.0).abs() < 0.3, "{} {expected}", last.std_errors[0]);
+    for (keys, part) in
+        [("forgetting = 0.0", "`forgetting`"), ("variance = -1.0", "`variance`"), ("lambda = 1", "lambda")]
+    {
+        let fault = estimator("rls", &toml::from_str(keys).unwrap()).err().unwrap().to_string();
+        assert!(fault.contains(part), "{fault}");
     }
 }
 

@@ -13,5 +13,6 @@ pub mod families;
 pub mod identify;
 pub mod page;
 pub mod place;
+pub mod sequential;
 pub mod signal;
 pub mod simulate;

@@ -15,6 +15,7 @@ const ORDER: &[&str] = &[
     "engine",
     "identify",
     "design",
+    "sequential",
     "calibrate",
     "families",
 ];

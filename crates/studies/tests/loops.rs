@@ -40,7 +40,7 @@ fn bed() -> TestBed {
 
 fn aim(criterion: &str, objective: Vec<f64>) -> Aim {
     let search = DesignOptions { evaluations: 200, ..DesignOptions::default() };
-    Aim { criterion: criterion.into(), keys: toml::Table::new(), objective, adds: true, search }
+    Aim { criterion: criterion.into(), keys: toml::Table::new(), objective, adds: true, search, robust: None }
 }
 
 fn first(plant: &mut ModelPlant, samples: usize) -> Vec<Dataset> {

@@ -25,7 +25,7 @@
 //! let first: Vec<f64> = (0..30).map(|t| 0.5 * (0.7 * t as f64).sin()).collect();
 //! let initial = vec![bed.measure(&mut plant, "first", &first)?];
 //! let search = DesignOptions { evaluations: 200, ..DesignOptions::default() };
-//! let aim = Aim { criterion: "d".into(), keys: Default::default(), objective: vec![], adds: true, search };
+//! let aim = Aim { criterion: "d".into(), keys: Default::default(), objective: vec![], adds: true, search, robust: None };
 //! let structures = [Structure::new("y", &model)];
 //! let rounds =
 //!     Rounds { bed: &bed, structures: &structures, aim: &aim, samples: 40, rounds: 2, limits: &[] };

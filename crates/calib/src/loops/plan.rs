@@ -6,11 +6,12 @@ use dynocal_design::search::{DesignOptions, DesignOutcome, design, random_record
 use dynocal_ident::data::Dataset;
 use dynocal_ident::estimate::Fit;
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::Model;
+use dynocal_ident::model::{Model, Run};
 
 use super::LoopError;
 use super::bed::TestBed;
 use super::model::{identify, information};
+use super::robust::{Ensemble, Risk, Stable, draws};
 
 /// One structure for one output: what a loop identifies.
 #[derive(Clone, Copy)]
@@ -83,6 +84,17 @@ pub struct Aim {
     pub adds: bool,
     /// How to search.
     pub search: DesignOptions,
+    /// Whether the record shall be good over the distribution of the estimate, not only at it; for one structure.
+    pub robust: Option<RobustAim>,
+}
+
+/// A record that is good over the distribution of the estimate ([`super::robust`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobustAim {
+    /// Draws of the parameters.
+    pub draws: usize,
+    /// What it makes small over them.
+    pub risk: Risk,
 }
 
 /// Limits of predicted outputs, by output.
@@ -164,6 +176,41 @@ pub fn next_record(
     if structures.len() > 1 {
         balance(&mut posed, aim.search.seed)?;
     }
-    let found = design(&posed, &aim.search, interrupt, &|_| {})?;
+    let mut found = design(&posed, &aim.search, interrupt, &|_| {})?;
+    if let Some(robust) = aim.robust {
+        found.u = over_draws(&posed, &known[0], aim, robust, found.u, interrupt)?;
+    }
     if interrupt() { Err(LoopError::Interrupted) } else { Ok(found) }
+}
+
+/// Predictions further away than this multiple of the nominal ones belong to no engine: such a draw does not count.
+const DRAWN_RANGE: f64 = 10.0;
+
+/// The record of least risk over draws of the estimate, from the one that is best at the estimate.
+fn over_draws(
+    posed: &DesignProblem,
+    known: &Known,
+    aim: &Aim,
+    robust: RobustAim,
+    nominal: Vec<f64>,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<f64>, LoopError> {
+    let [term] = &posed.terms[..] else {
+        return Err(LoopError::Shape {
+            what: "structures of a robust design",
+            found: posed.terms.len(),
+            expected: 1,
+        });
+    };
+    let n = posed.n_samples;
+    let mut y = vec![0.0; n];
+    let before = vec![known.mean_output; n];
+    let start = term.model.max_lag().min(n);
+    term.model.simulate(&known.fit.theta, &Run { u: &nominal, y: &before, start }, &mut y);
+    let most = y.iter().fold(known.mean_output.abs(), |m, v| m.max(v.abs()));
+    let stable = Stable { u: &nominal, initial_output: known.mean_output, bound: DRAWN_RANGE * most };
+    let fit = &known.fit;
+    let drawn = draws(term.model, &fit.theta, &fit.covariance, robust.draws, aim.search.seed, stable)?;
+    let ensemble = Ensemble::new(posed, &drawn, &aim.search, interrupt)?;
+    Ok(ensemble.design(robust.risk, &nominal, &aim.search, interrupt)?.u)
 }

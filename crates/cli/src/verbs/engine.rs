@@ -160,10 +160,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     interrupt::install()?;
     let engine = job::Engine::named(&args.parameters)?;
     let (spec, files) = match args.what {
-        What::Transient(mut transient) => {
-            transient.parameters = args.parameters;
-            return transient.run();
-        }
+        What::Transient(transient) => return transient.run(&engine),
         What::Cycle(cycle) => return cycle.run(&engine),
         What::Map(map) => return map.run(&engine),
         What::FullLoad(load) => return load.run(&engine),

@@ -27,15 +27,16 @@ mod engine_map;
 mod engine_transient;
 
 verbs![
-    calibrate, //
-    identify,  //
-    simulate,  //
-    design,    //
-    signal,    //
-    study,     //
-    report,    //
-    engine,    //
-    list,      //
+    calibrate,  //
+    identify,   //
+    simulate,   //
+    design,     //
+    sequential, //
+    signal,     //
+    study,      //
+    report,     //
+    engine,     //
+    list,       //
 ];
 
 /// The whole command line.

@@ -191,7 +191,7 @@ pub(crate) fn regression(model: &dyn Model, data: &[Experiment], samples: usize)
 }
 
 /// Rows of [`regression`] that come from each record: all scored samples where none is missing.
-fn kept_rows(model: &dyn Model, data: &[Experiment]) -> Vec<usize> {
+pub(super) fn kept_rows(model: &dyn Model, data: &[Experiment]) -> Vec<usize> {
     let whole = |e: &Experiment| e.len() - e.first(model);
     if data.iter().all(|e| e.u.iter().chain(&e.y).all(|v| !v.is_nan())) {
         return data.iter().map(whole).collect();

@@ -1,4 +1,4 @@
-//! Recursive least squares with forgetting, for online use.
+//! Recursive least squares with forgetting: online ([`Rls`], [`OnlineModel`]), and as an estimator over records ([`Recursive`]).
 //!
 //! ```text
 //! theta(t) = argmin sum_s lambda^(t-s) (y(s) - phi(s)' theta)^2  +  lambda^t (theta - theta_0)' P_0^-1 (theta - theta_0)
@@ -12,8 +12,167 @@
 //! Reference: L. Ljung, System Identification (1999), section 11.2; G. J. Bierman, Factorization Methods for Discrete
 //! Sequential Estimation (1977), chapter V.
 
-use super::EstimateError;
-use crate::model::{Model, Run};
+use dynocal_numerics::linalg::dot;
+use dynocal_numerics::registry::{self, BuildError, MemberDoc, ParamDoc};
+use dynocal_numerics::status::{Iterate, Status};
+use serde::Deserialize;
+
+use super::cost::Cost;
+use super::covariance::{CovarianceChoice, Stored};
+use super::fit::Found;
+use super::ols::{kept_rows, regression};
+use super::table::{EstimatorRow, Fits, Gaps};
+use super::{EstimateError, Estimator, Fit, Minimised, names, narx};
+use crate::data::DataError;
+use crate::experiment::Experiment;
+use crate::model::form::Form;
+use crate::model::{Model, Run, usable_samples};
+
+/// Row of the table.
+pub(super) const ROW: EstimatorRow = EstimatorRow {
+    doc: MemberDoc {
+        name: "rls",
+        what: "recursive least squares with forgetting over the records in their order: the last samples count most",
+        params: &[
+            ParamDoc {
+                name: "forgetting",
+                unit: "-",
+                default: "1",
+                what: "weight of a sample against the next one, in (0, 1]; memory 1/(1 - forgetting) samples",
+            },
+            ParamDoc {
+                name: "variance",
+                unit: "-",
+                default: "1e6",
+                what: "variance of the parameters about the start, in units of the noise variance and of each regressor's mean square",
+            },
+        ],
+    },
+    fits: Fits::Narx,
+    gaps: Gaps::Bridged { free_run: false },
+    build: |keys| {
+        let made: Recursive = registry::keys("rls", keys)?;
+        let fault = |key: &str, found: f64, expected: &str| {
+            let message = format!("`{key}`: found {found}, expected {expected}");
+            Err(BuildError::Keys { member: "rls".into(), message })
+        };
+        if !(made.forgetting > 0.0 && made.forgetting <= 1.0) {
+            return fault("forgetting", made.forgetting, "more than 0 and at most 1");
+        }
+        if !(made.variance > 0.0 && made.variance <= 1e300) {
+            return fault("variance", made.variance, "a positive number");
+        }
+        Ok(Box::new(made))
+    },
+};
+
+/// Options of recursive least squares over whole records.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Recursive {
+    /// Weight of a sample against the next one, in (0, 1].
+    pub forgetting: f64,
+    /// Variance of the parameters about the start, in units of the noise variance and of each regressor's mean square.
+    pub variance: f64,
+}
+
+impl Default for Recursive {
+    fn default() -> Self {
+        Self { forgetting: 1.0, variance: 1e6 }
+    }
+}
+
+impl Estimator for Recursive {
+    /// The estimate after the last sample, with `P` times the noise variance as covariance. The noise variance is that of the
+    /// weighted errors at the last estimate, weights summing to the number of samples.
+    fn estimate(
+        &self,
+        model: &dyn Form,
+        data: &[Experiment],
+        start: Option<&[f64]>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = narx("rls", model)?;
+        let (samples, p) = (usable_samples(model, data)?, model.n_params());
+        if !model.is_linear_in_params() {
+            return Err(EstimateError::NotLinear { estimator: "rls", params: p });
+        }
+        if let Some(found) = start.map(<[f64]>::len).filter(|n| *n != p) {
+            return Err(EstimateError::Start { found, expected: p });
+        }
+        let (mut phi, y) = regression(model, data, samples);
+        let n = y.len();
+        if n < p {
+            let record = data.iter().map(|e| e.name.as_str()).collect::<Vec<_>>().join(", ");
+            let why = format!("{p} parameters; rows with missing samples are left out");
+            return Err(DataError::TooShort { record, found: n, expected: p, why }.into());
+        }
+        // In units of each regressor's rms one variance is as wide for all parameters, whatever their units.
+        let scale = rms(&phi, p);
+        phi.chunks_exact_mut(p).for_each(|row| row.iter_mut().zip(&scale).for_each(|(v, s)| *v /= s));
+        let begin: Vec<f64> = (0..p).map(|k| start.map_or(0.0, |theta| theta[k]) * scale[k]).collect();
+        let mut rls = Rls::new(&begin, self.variance, self.forgetting);
+        let (mut status, mut seen) = (Status::Converged, n);
+        for (t, row) in phi.chunks_exact(p).enumerate() {
+            if t % 4096 == 0 && interrupt() {
+                (status, seen) = (Status::Interrupted, t);
+                break;
+            }
+            rls.update(row, y[t]);
+        }
+        let scaled = rls.theta().to_vec();
+        let age = |t: usize| self.forgetting.powf(0.5 * (n - 1 - t) as f64);
+        let remembered: f64 = (0..n).map(|t| age(t).powi(2)).sum();
+        let errors: Vec<f64> = phi
+            .chunks_exact(p)
+            .zip(&y)
+            .enumerate()
+            .map(|(t, (row, y))| (n as f64 / remembered).sqrt() * age(t) * (dot(row, &scaled) - y))
+            .collect();
+        for (t, row) in phi.chunks_exact_mut(p).enumerate() {
+            let weight = age(t);
+            row.iter_mut().zip(&scale).for_each(|(v, s)| *v *= weight * s);
+        }
+        let prior = age(0) * self.forgetting.sqrt() / self.variance.sqrt();
+        let penalties: Vec<f64> = scale.iter().map(|s| prior * s).collect();
+        let objective = errors.iter().map(|e| e * e).sum();
+        let found = Found {
+            estimator: "rls",
+            minimised: Minimised::OneStep,
+            theta: scaled.iter().zip(&scale).map(|(theta, s)| theta / s).collect(),
+            names: names(model),
+            status,
+            evaluations: 1,
+            history: vec![Iterate { evaluations: 1, objective, violation: 0.0, optimality: 0.0 }],
+            warnings: interrupted(seen, n),
+        };
+        let mut evidence = Stored {
+            errors: &errors,
+            jacobian: &phi,
+            params: p,
+            records: kept_rows(model, data),
+            penalties: &penalties,
+            exogenous: model.output_lag() == 0,
+        };
+        // The sandwich for coloured errors knows no weights.
+        let choice = if self.forgetting < 1.0 { CovarianceChoice::White } else { CovarianceChoice::Auto };
+        Fit::new(found, &mut evidence, samples, choice, Cost::SQUARED)
+    }
+}
+
+fn interrupted(seen: usize, all: usize) -> Vec<String> {
+    if seen == all { Vec::new() } else { vec![format!("interrupted after {seen} of {all} samples")] }
+}
+
+/// Root mean square of each column; 1 for a column of zeros.
+fn rms(phi: &[f64], p: usize) -> Vec<f64> {
+    let mut square = vec![0.0; p];
+    for row in phi.chunks_exact(p) {
+        square.iter_mut().zip(row).for_each(|(s, v)| *s += v * v);
+    }
+    let n = (phi.len() / p.max(1)).max(1) as f64;
+    square.iter().map(|s| if *s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect()
+}
 
 /// Variances grow to this multiple of the start's at most, however long the excitation is missing.
 const LARGEST_GROWTH: f64 = 1e3;

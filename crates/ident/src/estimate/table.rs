@@ -2,7 +2,7 @@
 
 use dynocal_numerics::registry::{BuildError, MemberDoc, nearest};
 
-use super::{Estimator, els, iv, ols, pem, sem, train};
+use super::{Estimator, els, iv, ols, pem, rls, sem, train};
 use crate::model::form::FormRow;
 use crate::model::kinds::{MODEL_KINDS, ModelKind};
 
@@ -63,7 +63,8 @@ pub struct EstimatorRow {
 }
 
 /// All estimators.
-pub static ESTIMATORS: &[EstimatorRow] = &[ols::ROW, iv::ROW, sem::ROW, train::ROW, pem::ROW, els::ROW];
+pub static ESTIMATORS: &[EstimatorRow] =
+    &[ols::ROW, rls::ROW, iv::ROW, sem::ROW, train::ROW, pem::ROW, els::ROW];
 
 /// The row of `name`.
 ///

@@ -10,7 +10,7 @@ use super::PlanChannel;
 use super::typed::{TypedChannel, TypedRegion};
 
 /// All channels that are whole; faults of the others are noted.
-pub(super) fn channels(
+pub(crate) fn channels(
     typed: &[TypedChannel],
     dt_s: f64,
     folder: &Path,

@@ -3,17 +3,18 @@
 //! [`read`] takes what the user wrote and checks it as a whole, [`load`] reads the models and records that it names,
 //! [`run`] searches and judges, [`result`] is what comes out.
 
-mod channels;
+pub(crate) mod channels;
 pub mod estimate;
 mod judge;
 pub mod load;
 pub mod margins;
 mod models;
 pub mod page;
+mod plan;
 pub mod result;
 mod rivals;
 pub mod run;
-mod typed;
+pub(crate) mod typed;
 
 use std::path::{Path, PathBuf};
 

@@ -107,7 +107,9 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
             history: found.history,
             evaluations,
             rounds,
-            files: ["design.csv", "predicted.csv", "report.html"].map(str::to_string).to_vec(),
+            files: ["design.csv", "design.plan.csv", "design.plan.json", "predicted.csv", "report.html"]
+                .map(str::to_string)
+                .to_vec(),
         },
         curves,
     ))
@@ -300,6 +302,7 @@ fn write(job: &Job, designed: &Designed, curves: &Curves, folder: &Path) -> Resu
         origin: format!("design with seed {}", job.seed),
     };
     csv_io::write_dataset(&folder.join("design.csv"), &data)?;
+    super::plan::write(job, designed, &data, folder)?;
     let time: Vec<f64> = (0..job.samples).map(|t| t as f64 * job.sample_time_s).collect();
     // Samples that only initialise have no prediction and stay out.
     let first =

@@ -27,7 +27,7 @@ pub(super) struct Typed {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct TypedChannel {
+pub(crate) struct TypedChannel {
     pub(super) name: Option<String>,
     pub(super) unit: Option<String>,
     pub(super) lower: Option<f64>,

@@ -1,6 +1,7 @@
 //! The virtual engine without a campaign: steady points, a map, full load, a drive cycle, a record on its bed.
 //!
-//! Each kind of run is arranged as every job: what is asked ([`steady::Spec`], [`load::Spec`], [`cycle::Spec`]) is
+//! Each kind of run is arranged as every job: what is asked ([`steady::Spec`], [`load::Spec`], [`cycle::Spec`],
+//! [`transient::Spec`]) is
 //! checked, the work runs in memory under a watch and returns a typed result, its page draws it, and [`store`] writes the
 //! files that were asked for.
 //!
@@ -20,6 +21,7 @@ pub mod load;
 pub mod quantities;
 pub mod steady;
 pub mod store;
+pub mod transient;
 
 use dynocal_files::FilesError;
 use dynocal_plant::error::PlantError;
@@ -109,6 +111,20 @@ pub enum EngineJobError {
         file: String,
         /// Why.
         source: CycleError,
+    },
+    /// A file of inputs, or how it is to be sampled.
+    #[error(transparent)]
+    Drive(#[from] transient::DriveFileError),
+    /// The bed fails.
+    #[error(transparent)]
+    Bed(#[from] dynocal_ident::plant::PlantError),
+    /// A plan cannot be played.
+    #[error("{file}: {source}")]
+    Play {
+        /// File.
+        file: String,
+        /// Why.
+        source: dynocal_ident::play::PlayError,
     },
     /// Files.
     #[error(transparent)]

@@ -290,7 +290,14 @@ impl<'a> Setting<'a> {
             _ => toml::Table::new(),
         };
         let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
-        let aim = Aim { criterion: criterion.into(), keys, objective: self.objective.clone(), adds, search };
+        let aim = Aim {
+            criterion: criterion.into(),
+            keys,
+            objective: self.objective.clone(),
+            adds,
+            search,
+            robust: None,
+        };
         let structures = [Structure::new(OUTPUT, model)];
         let rounds = Rounds {
             bed,

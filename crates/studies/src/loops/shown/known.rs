@@ -255,7 +255,7 @@ pub fn compare(
         let at_first = plant.save();
         let search = DesignOptions { seed, evaluations: size.evaluations, ..DesignOptions::default() };
         let (criterion, keys) = system.criterion(&initial)?;
-        let aim = Aim { criterion, keys, objective: objective.clone(), adds: true, search };
+        let aim = Aim { criterion, keys, objective: objective.clone(), adds: true, search, robust: None };
         let structures = [s];
         let rounds = Rounds {
             bed,

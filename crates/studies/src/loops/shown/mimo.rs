@@ -157,6 +157,7 @@ pub fn compare(
                 objective: objective.clone(),
                 adds: true,
                 search,
+                robust: None,
             };
             let rounds =
                 Rounds { bed: &bed, structures, aim: &aim, samples: size.samples, rounds: 1, limits: &[] };

@@ -62,6 +62,7 @@ pub fn efficiencies(
             objective: objective.clone(),
             adds: false,
             search,
+            robust: None,
         };
         let c = criterion(&aim.criterion, &aim.keys)?;
         let posed = problem(&engine.bed, 100, terms(&structures, &known, &aim, c.as_ref(), &[]));

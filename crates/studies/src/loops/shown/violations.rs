@@ -95,6 +95,7 @@ pub fn observe(
             objective: Vec::new(),
             adds: true,
             search,
+            robust: None,
         };
         let limits = [Limit {
             output: OUTPUT.into(),
