@@ -9,7 +9,6 @@ use dynocal_report::significant;
 
 use crate::failure::{Exit, Failure};
 use crate::progress::Progress;
-use crate::step_progress::StepProgress;
 use crate::table;
 use crate::terminal::print;
 
@@ -24,7 +23,7 @@ pub(crate) struct Common {
     pub(crate) json: bool,
     /// Say nothing but errors
     #[arg(long, short)]
-    quiet: bool,
+    pub(crate) quiet: bool,
     /// Seed of every random choice; overrides the spec
     #[arg(long, value_name = "N")]
     pub(crate) seed: Option<u64>,
@@ -57,22 +56,11 @@ pub(crate) fn show_plan(plan: &Estimate) -> Result<Exit, Failure> {
 impl Common {
     /// Sets threads and Ctrl-C up; returns where progress goes.
     pub(crate) fn start(&self) -> Result<Progress, Failure> {
-        self.prepare()?;
-        Ok(Progress::new(self.quiet))
-    }
-
-    /// The same for a verb that works in the steps of a calibration.
-    pub(crate) fn start_steps(&self) -> Result<StepProgress, Failure> {
-        self.prepare()?;
-        Ok(StepProgress::new(self.quiet))
-    }
-
-    fn prepare(&self) -> Result<(), Failure> {
         if let Some(n) = self.threads {
             rayon::ThreadPoolBuilder::new().num_threads(usize::from(n)).build_global()?;
         }
         crate::interrupt::install()?;
-        Ok(())
+        Ok(Progress::new(self.quiet))
     }
 
     /// What the arguments change in a spec.

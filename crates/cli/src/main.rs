@@ -4,7 +4,6 @@ mod common;
 mod failure;
 mod interrupt;
 mod progress;
-mod step_progress;
 mod table;
 mod terminal;
 mod verbs;

@@ -213,7 +213,7 @@ fn stored_models_and_a_designed_record_are_where_a_calibration_starts() {
         )
         .replace(
             "[identify]\n",
-            "[identify]\nfiles = { torque = \"torque/model.json\", lambda = \"lambda/model.json\" }\n",
+            "[identify]\nfiles = { torque = \"torque/steps/01-identify/model.json\", lambda = \"lambda/steps/01-identify/model.json\" }\n",
         )
         .replace("[design]\n", "[design]\nrecord = \"designed.csv\"\n");
     let spec = written(tmp.path(), &from_files);
@@ -222,7 +222,7 @@ fn stored_models_and_a_designed_record_are_where_a_calibration_starts() {
         |file: &str| -> serde_json::Value { serde_json::from_str(&text(&tmp.path().join(file))).unwrap() };
     for output in ["torque", "lambda"] {
         let (stored, taken) = (
-            model(&format!("{output}/model.json")),
+            model(&format!("{output}/steps/01-identify/model.json")),
             model(&format!("second/steps/02-identify/{output}_model.json")),
         );
         assert_eq!(stored["parameters"], taken["parameters"], "{output}");
@@ -286,11 +286,11 @@ hold_s = 1.5
 shape = "linear"
 
 [[models]]
-file = "torque/model.json"
+file = "torque/steps/01-identify/model.json"
 criterion = "d"
 
 [[models]]
-file = "lambda/model.json"
+file = "lambda/steps/01-identify/model.json"
 criterion = "d"
 
 [search]

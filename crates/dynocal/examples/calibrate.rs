@@ -5,18 +5,14 @@
 use std::error::Error;
 use std::path::Path;
 
-use dynocal::jobs::calibrate::context::Event;
 use dynocal::jobs::calibrate::job;
+use dynocal::numerics::watch::Watch;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/gtdi/quick.toml");
     let campaign = job::read(&path, None, Some(Path::new("runs/example-calibrate")))?;
-    let tell = |event: Event| {
-        if let Event::Step(k, of, name) = event {
-            println!("step {k} of {of}: {name}");
-        }
-    };
-    let done = job::run(&campaign, "validate", &tell, &|| false)?;
+    let note = |text: &str| println!("{text}");
+    let done = job::run(&campaign, "validate", Watch { note: &note, ..Watch::silent() })?;
     for warning in &done.warnings {
         println!("warning: {warning}");
     }

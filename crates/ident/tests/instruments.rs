@@ -5,10 +5,10 @@ mod common;
 
 use common::{dataset, reference};
 use dynocal_ident::data::Role;
-use dynocal_ident::estimate::{Estimator, estimator};
 use dynocal_ident::estimate::iv::Iv;
 use dynocal_ident::estimate::ols::Ols;
 use dynocal_ident::estimate::rls::{OnlineModel, Rls};
+use dynocal_ident::estimate::{Estimator, estimator};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::model::{Model, Run};

@@ -1,7 +1,7 @@
 //! A calibration as a library call: `cargo run --release -p dynocal-jobs --example calibrate -- SPEC OUT`.
 
-use dynocal_jobs::calibrate::context::Event;
 use dynocal_jobs::calibrate::job;
+use dynocal_numerics::watch::Watch;
 use std::error::Error;
 use std::path::Path;
 
@@ -11,12 +11,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("expected SPEC OUT".into());
     };
     let campaign = job::read(Path::new(spec), None, Some(Path::new(out)))?;
-    let tell = |e: Event| {
-        if let Event::Step(k, of, name) = e {
-            eprintln!("step {k} of {of}: {name}");
-        }
-    };
-    let done = job::run(&campaign, "validate", &tell, &|| false)?;
+    let note = |text: &str| eprintln!("{text}");
+    let done = job::run(&campaign, "validate", Watch { note: &note, ..Watch::silent() })?;
     println!("{}\n{}", done.verdict, done.report.display());
     Ok(())
 }

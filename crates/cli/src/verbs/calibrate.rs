@@ -10,10 +10,8 @@ use super::Verb;
 use dynocal_jobs::calibrate::job::{self, Campaign, Finished};
 use dynocal_jobs::calibrate::store;
 use crate::common::Common;
-use crate::terminal::print;
+use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure, exit};
-use crate::interrupt;
-use crate::step_progress::StepProgress;
 
 pub(crate) const VERB: Verb = Verb { name: "calibrate", describe: |c| Calibrate::augment_args(c.about(ABOUT)), run };
 
@@ -34,13 +32,11 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Calibrate::from_arg_matches(matches)?;
     let until = args.until.as_deref().unwrap_or(STEPS[STEPS.len() - 1]);
     let own = args.until.as_ref().and_then(|name| STEPS.iter().position(|s| s == name));
-    let progress = args.common.start_steps()?;
+    let progress = args.common.start()?;
     let campaign = job::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
-    let outcome = job::run(&campaign, until, &|e| progress.tell(e), &interrupt::asked);
-    progress.finish();
-    match outcome {
+    match progress.during(|watch| job::run(&campaign, until, watch)) {
         Ok(done) => {
-            show(&args.common, &progress, &campaign, &done, own)?;
+            show(&args.common, &campaign, &done, own)?;
             Ok(exit(done.valid))
         }
         // The campaign is not over: a bed has to run a plan first.
@@ -71,13 +67,14 @@ fn with_hint(e: ChainError, campaign: &Campaign) -> Failure {
 
 fn show(
     common: &Common,
-    progress: &StepProgress,
     campaign: &Campaign,
     done: &Finished,
     own: Option<usize>,
 ) -> Result<(), Failure> {
     for warning in &done.warnings {
-        progress.line(&format!("warning: {warning}"));
+        if !common.quiet {
+            say(&format!("warning: {warning}"));
+        }
     }
     common.print_summary(&done.summary)?;
     if common.shows_text() {

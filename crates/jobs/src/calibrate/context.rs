@@ -16,8 +16,10 @@ use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_ident::play::{self, PlayError, RecordFault};
 use dynocal_ident::stored::{StoredError, StoredModel};
 use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Why a campaign cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -117,19 +119,6 @@ pub enum ChainError {
 /// Makes plants: with the sensor noise of the spec, or free of noise.
 pub type PlantFactory<'a> = &'a (dyn Fn(bool) -> Result<Box<dyn Plant>, PlantError> + Sync);
 
-/// What the caller is told while a campaign runs.
-#[derive(Clone, Debug)]
-pub enum Event {
-    /// A step begins: number (from 1), of, name.
-    Step(usize, usize, &'static str),
-    /// A step was taken from an earlier run.
-    Resumed(&'static str),
-    /// Fraction of the present step that is done.
-    Fraction(f64),
-    /// Something worth a line in the log.
-    Note(String),
-}
-
 /// How loops are used in a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
@@ -151,11 +140,14 @@ pub struct Context<'a> {
     pub plants: Option<PlantFactory<'a>>,
     /// Folder with measured records when the plant is a real bed.
     pub measured: PathBuf,
-    /// Whether to stop.
-    pub interrupt: &'a (dyn Fn() -> bool + Sync),
-    /// Who is told.
-    pub tell: &'a (dyn Fn(Event) + Sync),
+    /// Whether to stop, and who is told.
+    pub watch: Watch<'a>,
+    /// Steps that have begun.
+    pub begun: AtomicUsize,
 }
+
+/// Rough shares of the steps and of the report in the whole time, for progress only.
+const SHARES: [f64; 7] = [0.10, 0.12, 0.28, 0.34, 0.03, 0.12, 0.01];
 
 impl Context<'_> {
     /// Stops when asked to.
@@ -163,7 +155,21 @@ impl Context<'_> {
     /// # Errors
     /// [`ChainError::Interrupted`].
     pub fn check_interrupt(&self) -> Result<(), ChainError> {
-        if (self.interrupt)() { Err(ChainError::Interrupted) } else { Ok(()) }
+        if self.watch.interrupted() { Err(ChainError::Interrupted) } else { Ok(()) }
+    }
+
+    /// Step `k` (from 0) of `of` begins.
+    pub(super) fn begin(&self, k: usize, of: usize, name: &str) {
+        self.begun.store(k, Ordering::Relaxed);
+        self.watch.note(&format!("step {} of {of}: {name}", k + 1));
+        self.fraction(0.0);
+    }
+
+    /// So much of the present step is done.
+    pub(super) fn fraction(&self, done: f64) {
+        let k = self.begun.load(Ordering::Relaxed).min(SHARES.len() - 1);
+        let before: f64 = SHARES[..k].iter().sum();
+        self.watch.fraction(before + SHARES[k] * done.clamp(0.0, 1.0));
     }
 
     /// A plant with or without sensor noise.

@@ -158,5 +158,5 @@ pub(super) fn predicted(
 
 /// What listens to the design.
 pub(super) fn watch<'a>(ctx: &'a Context) -> Watch<'a> {
-    Watch { interrupt: ctx.interrupt, ..Watch::silent() }
+    Watch { interrupt: ctx.watch.interrupt, ..Watch::silent() }
 }

@@ -3,7 +3,7 @@
 //! The inputs are designed within the limits of the problem, outputs predicted within the demanded ranges; the plan is played
 //! with trimming loops about the predicted outputs, so that what the models do not know does not carry the plant away.
 
-use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::design_spec::{design_text, predicted};
 use super::excite_step::extra_record;
 use super::models::{ModelData, ModelsResult, identify_all};
@@ -97,7 +97,7 @@ pub fn design(
         Ok(found) => found,
         Err(reason) => return Ok(nothing(models, &reason)),
     };
-    (ctx.tell)(Event::Fraction(0.5));
+    ctx.fraction(0.5);
     let columns = |names: &[String]| -> Result<Vec<Vec<f64>>, ChainError> {
         Ok(names.iter().map(|n| found.1.values(n).map(<[f64]>::to_vec)).collect::<Result<_, _>>()?)
     };
@@ -153,7 +153,7 @@ fn measured(
     };
     let data = with(&record, folder.join(&records[0].file));
     let models = identify_all(ctx, &place("models")?, &ModelData { identification: &data, validation })?;
-    (ctx.tell)(Event::Fraction(0.8));
+    ctx.fraction(0.8);
     let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
     let mut comparison_bed_s = 0.0;
     // A record of the first recipe beside it, where a plant can measure one.

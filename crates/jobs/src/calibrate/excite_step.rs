@@ -1,6 +1,6 @@
 //! Step 1: identification and validation records in closed loop.
 
-use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::signals::{aprbs, sweep};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::Plan;
@@ -46,7 +46,7 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
         .map(|k| {
             let record = ctx.measure(folder, &record_plan(ctx, k)?, true)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            (ctx.tell)(Event::Fraction(done as f64 / total as f64));
+            ctx.fraction(done as f64 / total as f64);
             Ok(record)
         })
         .collect::<Vec<Result<Dataset, ChainError>>>()

@@ -180,7 +180,7 @@ fn published_map(
         let jobs: [(&str, &dyn Estimator); 2] =
             [("one-step error", &Ols::default()), ("simulation error", &sem)];
         for (estimator, job) in jobs {
-            let fit = job.estimate(model, &experiments, None, &|| (ctx.interrupt)());
+            let fit = job.estimate(model, &experiments, None, &|| ctx.watch.interrupted());
             let (r2, status) = match &fit {
                 Ok(fit) => (simulated_r2(model, &fit.theta, &experiments), fit.status),
                 Err(_) => (None, Status::Diverged),

@@ -1,8 +1,10 @@
 //! What `calibrate`, its steps and `study` share: a checked spec in, a finished run folder out.
 
+use dynocal_numerics::watch::Watch;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicUsize;
 
-use crate::calibrate::context::{ChainError, Context, Event};
+use crate::calibrate::context::{ChainError, Context};
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
 use dynocal_files::run_folder::RunFolder;
@@ -56,12 +58,10 @@ pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campai
 }
 
 /// Runs the steps up to `until` and writes summary and report.
-pub fn run(
-    campaign: &Campaign,
-    until: &str,
-    tell: &(dyn Fn(Event) + Sync),
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Result<Finished, ChainError> {
+///
+/// # Errors
+/// [`ChainError`]; finished steps are kept.
+pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, ChainError> {
     let spec = &campaign.spec;
     let mut folder = RunFolder::open(&campaign.out, KIND, spec)?;
     let make = plants::find(&spec.plant.name).and_then(|p| p.make);
@@ -76,16 +76,16 @@ pub fn run(
         channels: Channels::of(spec),
         plants: make.is_some().then_some(&factory),
         measured: campaign.out.join("measured"),
-        interrupt,
-        tell,
+        watch,
+        begun: AtomicUsize::new(0),
     };
     // A search that is stopped inside says so in its own words; to the user it is one thing.
     let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
         ChainError::Files(_) | ChainError::NeedsMeasurement { .. } => e,
-        _ if interrupt() => ChainError::Interrupted,
+        _ if watch.interrupted() => ChainError::Interrupted,
         _ => e,
     })?;
-    tell(Event::Step(run::STEPS.len() + 1, run::STEPS.len() + 1, "report"));
+    ctx.begin(run::STEPS.len(), run::STEPS.len() + 1, "report");
     let verdict = verdict::of(spec, &result);
     let files = store::files(&campaign.out, &result)?;
     let summary = Summary::new(&campaign.name, spec, &result, &verdict, &files);
@@ -113,8 +113,8 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
         channels: Channels::of(&spec),
         plants: None,
         measured: path.join("measured"),
-        interrupt: &|| false,
-        tell: &|_| (),
+        watch: Watch::silent(),
+        begun: AtomicUsize::new(0),
     };
     let report = page::write(path, &ctx, &summary, &result)?;
     let summary_path = path.join("summary.json");

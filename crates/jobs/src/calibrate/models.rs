@@ -202,7 +202,7 @@ fn candidate(
     let job = spec::read(path, &overrides).map_err(|e| fault(&e))?;
     let dir = path.with_extension("");
     std::fs::create_dir_all(&dir).map_err(|e| fault(&e))?;
-    let watch = Watch { interrupt: ctx.interrupt, ..Watch::silent() };
+    let watch = Watch { interrupt: ctx.watch.interrupt, ..Watch::silent() };
     let found: Identified = work(&job, &dir, watch).map_err(|e| match e {
         IdentifyError::Interrupted => ChainError::Interrupted,
         e => fault(&e),

@@ -1,6 +1,6 @@
 //! Step 4: optimise over a record made for it, measure the promise on the plant, identify again, repeat.
 
-use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::models::{ModelData, ModelsResult, identify_again};
 use super::signals::{aprbs, sweep};
 use dynocal_calib::map::filter::filtered;
@@ -101,7 +101,7 @@ pub fn optimise(
     for k in 1..=spec.passes {
         let pass = one_pass(ctx, folder, k, &models, &mut data, validation)?;
         models = pass.models.clone();
-        (ctx.tell)(Event::Fraction(k as f64 / spec.passes as f64));
+        ctx.fraction(k as f64 / spec.passes as f64);
         passes.push(pass);
     }
     let bed_s = 2.0 * spec.passes as f64 * (spec.record_s + ctx.spec.excite.lead_in_s);
@@ -126,7 +126,7 @@ fn one_pass(
         extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
         ..OptimiseOptions::default()
     };
-    let optimum = optimise_record(&ctx.spec.problem, &chosen, &start, &options, &|| (ctx.interrupt)())?;
+    let optimum = optimise_record(&ctx.spec.problem, &chosen, &start, &options, &|| ctx.watch.interrupted())?;
     ctx.check_interrupt()?;
     let start_inputs = columns(&start, &ctx.channels.inputs)?;
     let given = columns(&start, &ctx.channels.given)?;

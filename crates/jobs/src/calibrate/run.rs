@@ -1,6 +1,6 @@
 //! The steps in order inside one run folder; finished steps of an earlier run are taken over.
 
-use super::context::{ChainError, Context, Event, RecordRef};
+use super::context::{ChainError, Context, RecordRef};
 use super::design_step::{DesignResult, design};
 use super::excite_step::{ExciteResult, excite};
 use super::invert_step::{InvertResult, invert};
@@ -35,6 +35,19 @@ pub struct ChainResult {
 }
 
 impl ChainResult {
+    /// Names of the steps that were taken from an earlier run.
+    pub fn resumed(&self) -> Vec<&'static str> {
+        let taken = [
+            self.excite.as_ref().is_some_and(|d| d.resumed),
+            self.identify.as_ref().is_some_and(|d| d.resumed),
+            self.design.as_ref().is_some_and(|d| d.resumed),
+            self.optimise.as_ref().is_some_and(|d| d.resumed),
+            self.invert.as_ref().is_some_and(|d| d.resumed),
+            self.validate.as_ref().is_some_and(|d| d.resumed),
+        ];
+        STEPS.into_iter().zip(taken).filter(|(_, taken)| *taken).map(|(name, _)| name).collect()
+    }
+
     /// Bed time of identification, design and optimisation records in s.
     pub fn bed_s(&self) -> f64 {
         self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
@@ -56,7 +69,7 @@ pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainRe
     })?;
     for (k, step) in STEPS.iter().enumerate().take(last + 1) {
         ctx.check_interrupt()?;
-        (ctx.tell)(Event::Step(k + 1, STEPS.len() + 1, step));
+        ctx.begin(k, STEPS.len() + 1, step);
         match *step {
             "excite" => result.excite = Some(step_excite(ctx, folder)?),
             "identify" => result.identify = Some(step_identify(ctx, folder, &result)?),
@@ -85,7 +98,7 @@ fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
         Ok::<T, ChainError>(result)
     })?;
     if done.resumed {
-        (ctx.tell)(Event::Resumed(name));
+        ctx.watch.note(&format!("{name}: taken from the earlier run"));
     }
     Ok(done)
 }

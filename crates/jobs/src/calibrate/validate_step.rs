@@ -1,6 +1,6 @@
 //! Step 6: the delivered map against its rivals on the plant.
 
-use super::context::{ChainError, Context, Event, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::invert_step::InvertResult;
 use super::optimise_step::Pass;
 use dynocal_calib::map::lagged::LaggedStaticMap;
@@ -117,7 +117,7 @@ fn calibrate_static(ctx: &Context) -> Result<StaticMap, ChainError> {
             ctx.check_interrupt()?;
             let row = static_row(ctx, *level, &given)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            (ctx.tell)(Event::Fraction(0.7 * done as f64 / demand.len() as f64));
+            ctx.fraction(0.7 * done as f64 / demand.len() as f64);
             Ok(row)
         })
         .collect::<Vec<Result<_, ChainError>>>()
@@ -374,7 +374,7 @@ fn run_all(
         .map(|&(s, m)| {
             let record = run_map(ctx, folder, maps[m], &scenarios[s])?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            (ctx.tell)(Event::Fraction(0.7 + 0.3 * done as f64 / jobs.len() as f64));
+            ctx.fraction(0.7 + 0.3 * done as f64 / jobs.len() as f64);
             Ok(record)
         })
         .collect::<Vec<Result<Dataset, ChainError>>>()

@@ -6,6 +6,8 @@ use dynocal_calib::loops::bed::TestBed;
 use dynocal_calib::loops::model::mean_square;
 use dynocal_calib::loops::plan::{Aim, Known, RobustAim, Structure, know, problem};
 use dynocal_calib::loops::{Campaign, Limit, LoopError, Rounds, StopRule, iterate, sequential};
+use dynocal_design::criterion::criterion;
+use dynocal_design::problem::Term;
 use dynocal_design::search::{DesignOptions, random_record};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::Model;
@@ -44,8 +46,12 @@ pub fn play(job: &Job, watch: Watch) -> Result<Sequenced, SequentialError> {
         .map(|(model, o)| Structure { weight: o.weight, ..Structure::new(&o.name, *model) })
         .collect();
     watch.note("held-out and first record");
+    // A problem needs something to make small; a random record does not look at it.
+    let chosen = criterion(&job.criterion, &toml::Table::new())?;
+    let nothing = vec![0.0; models[0].n_params()];
     let random = |plant: &mut dyn Plant, name: &str, samples: usize, seed: u64| {
-        let u = random_record(&problem(&bed, samples, Vec::new()), job.seed.wrapping_add(seed))
+        let term = Term::new(structures[0].output, models[0], &nothing, 1.0, chosen.as_ref());
+        let u = random_record(&problem(&bed, samples, vec![term]), job.seed.wrapping_add(seed))
             .map_err(LoopError::from)?;
         bed.measure(plant, name, &u)
     };

@@ -1,14 +1,15 @@
 //! Tasks of the study `chain`.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use dynocal_calib::validate::MapScore;
 use dynocal_files::FilesError;
-use dynocal_jobs::calibrate::context::{ChainError, Event, RecordRef};
+use dynocal_jobs::calibrate::context::{ChainError, RecordRef};
 use dynocal_jobs::calibrate::run::{ChainResult, STEPS};
 use dynocal_jobs::calibrate::spec::CalibrateSpec;
 use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -66,12 +67,9 @@ pub(super) fn calibrate(
     around: &Surroundings,
 ) -> Result<Value, StudyError> {
     let campaign = Campaign { name: name.into(), spec: spec.clone(), out: around.runs.join(name) };
-    let tell = |e: Event| {
-        if let Event::Step(k, of, step) = e {
-            around.watch.note(&format!("  step {k} of {of}: {step}"));
-        }
-    };
-    let done = job::run(&campaign, "validate", &tell, around.watch.interrupt)?;
+    let note = |text: &str| around.watch.note(&format!("  {text}"));
+    let watch = Watch { interrupt: around.watch.interrupt, note: &note, ..Watch::silent() };
+    let done = job::run(&campaign, "validate", watch)?;
     let html = text(&done.report)?;
     let mut missing: Vec<String> = SECTIONS
         .into_iter()
@@ -162,46 +160,39 @@ pub(super) fn interruption(
         spec: spec.clone(),
         out: around.runs.join(format!("{name}-{part}")),
     };
-    let run = |c: &Campaign, resumed: &AtomicUsize| {
-        let tell = |e: Event| {
-            if let Event::Resumed(_) = e {
-                resumed.fetch_add(1, Ordering::Relaxed);
-            }
-        };
-        job::run(c, "validate", &tell, around.watch.interrupt)
-    };
+    let quiet = Watch { interrupt: around.watch.interrupt, ..Watch::silent() };
+    let run = |c: &Campaign| job::run(c, "validate", quiet);
     let (whole, broken) = (campaign("whole"), campaign("broken"));
-    let none = AtomicUsize::new(0);
-    let first = run(&whole, &none)?;
+    let first = run(&whole)?;
     let bytes = text(&first.summary)?;
-    let resumed_whole = AtomicUsize::new(0);
-    let again = run(&whole, &resumed_whole)?;
+    let again = run(&whole)?;
 
     // Interrupted as Ctrl-C does it, once the optimisation has begun.
     let asked = AtomicBool::new(false);
-    let tell = |e: Event| {
-        if let Event::Step(_, _, "optimise") = e {
+    let note = |text: &str| {
+        if text.ends_with(": optimise") {
             asked.store(true, Ordering::Relaxed);
         }
     };
     let stop = || asked.load(Ordering::Relaxed) || around.watch.interrupted();
-    let left = clean(&broken.out).and_then(|()| match job::run(&broken, "validate", &tell, &stop) {
-        Err(ChainError::Interrupted) => Ok(true),
-        Ok(_) => Ok(false),
-        Err(e) => Err(e.into()),
+    let left = clean(&broken.out).and_then(|()| {
+        match job::run(&broken, "validate", Watch { interrupt: &stop, note: &note, ..Watch::silent() }) {
+            Err(ChainError::Interrupted) => Ok(true),
+            Ok(_) => Ok(false),
+            Err(e) => Err(e.into()),
+        }
     })?;
     let kept = (0..STEPS.len())
         .filter(|k| dynocal_jobs::calibrate::store::step_folder(&broken.out, *k).join("step.json").exists())
         .count();
-    let resumed_broken = AtomicUsize::new(0);
-    let completed = run(&broken, &resumed_broken)?;
+    let completed = run(&broken)?;
     Ok(json!({
         "steps": STEPS.len(),
-        "resumed": resumed_whole.into_inner(),
+        "resumed": again.result.resumed().len(),
         "resume_same_bytes": bytes == text(&again.summary)?,
         "interrupted": left,
         "steps_kept": kept,
-        "steps_resumed": resumed_broken.into_inner(),
+        "steps_resumed": completed.result.resumed().len(),
         "completed_same_bytes": bytes == text(&completed.summary)?,
         "completed_same_report": text(&first.report)? == text(&completed.report)?,
     }))
