@@ -232,6 +232,8 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         );
     }
     let outputs = outputs(t.outputs.as_deref().unwrap_or(&[]), faults);
+    let search = search(t.search.as_ref(), faults);
+    let robust = robust(t.robust.as_ref(), outputs.len(), faults);
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     Some(Job {
         name: place.name,
@@ -250,8 +252,8 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         plant,
         units: moved.iter().map(|c| c.unit.clone()).collect(),
         channels: moved.into_iter().map(|c| c.channel).collect(),
-        search: search(t.search.as_ref(), faults),
-        robust: robust(t.robust.as_ref(), outputs.len(), faults),
+        search,
+        robust,
         outputs,
     })
 }
@@ -303,12 +305,10 @@ fn output(t: &TypedOutput, key: &str, faults: &mut Faults) -> Option<Output> {
             }
             None
         }
-        found => {
-            faults.push(
-                &format!("{key}.upper"),
-                format!("{found:?}"),
-                "`lower` and `upper`, the second above the first",
-            );
+        (lower, upper) => {
+            let word = |v: Option<f64>| v.map_or("nothing".into(), |v| v.to_string());
+            let found = format!("lower {}, upper {}", word(lower), word(upper));
+            faults.push(&format!("{key}.upper"), found, "both, the second above the first");
             None
         }
     };
