@@ -41,7 +41,7 @@ pub fn safety(problem: &DesignProblem, evaluator: &Evaluator) -> Vec<Safety> {
             let range =
                 computed().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (_, v)| (a.min(*v), b.max(*v)));
             let worst = term.limits.and_then(|l| {
-                let (lower, upper) = (l.lower + l.margin, l.upper - l.margin);
+                let (lower, upper) = l.kept();
                 computed()
                     .map(|(sample, output)| {
                         let below = upper - output < output - lower;

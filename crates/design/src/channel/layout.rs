@@ -163,25 +163,53 @@ impl Layout {
 
     /// Fills the samples `u` (N x m) from the variables `x`.
     pub fn fill(&self, x: &[f64], u: &mut [f64]) {
-        let m = self.channels.len();
-        for (i, c) in self.channels.iter().enumerate() {
-            let x = &x[self.variables(i)];
-            let at = |k: usize| {
-                let v = (c.lower + x[k] * (c.upper - c.lower)).clamp(c.lower, c.upper);
-                // A value on a level is that level to the last bit.
-                c.levels.iter().copied().find(|l| (l - v).abs() <= 1e-12 * (c.upper - c.lower)).unwrap_or(v)
+        (0..self.channels.len()).for_each(|i| self.fill_part(x, i, 0..self.n, u));
+    }
+
+    /// Fills the samples `part` of channel `i` in `u` (N x m) from the variables `x`.
+    pub(crate) fn fill_part(&self, x: &[f64], i: usize, part: std::ops::Range<usize>, u: &mut [f64]) {
+        let (m, c) = (self.channels.len(), &self.channels[i]);
+        let x = &x[self.variables(i)];
+        let at = |k: usize| {
+            let v = (c.lower + x[k] * (c.upper - c.lower)).clamp(c.lower, c.upper);
+            // A value on a level is that level to the last bit.
+            c.levels.iter().copied().find(|l| (l - v).abs() <= 1e-12 * (c.upper - c.lower)).unwrap_or(v)
+        };
+        for t in part {
+            u[t * m + i] = match (&c.given, c.shape) {
+                (Some(v), _) => v[t],
+                (None, Shape::Hold) => at(t / c.hold),
+                (None, Shape::Linear) => {
+                    let (k, w) = (t / c.hold, (t % c.hold) as f64 / c.hold as f64);
+                    if w > 0.0 { (1.0 - w) * at(k) + w * at(k + 1) } else { at(k) }
+                }
             };
-            for t in 0..self.n {
-                u[t * m + i] = match (&c.given, c.shape) {
-                    (Some(v), _) => v[t],
-                    (None, Shape::Hold) => at(t / c.hold),
-                    (None, Shape::Linear) => {
-                        let (k, w) = (t / c.hold, (t % c.hold) as f64 / c.hold as f64);
-                        if w > 0.0 { (1.0 - w) * at(k) + w * at(k + 1) } else { at(k) }
-                    }
-                };
-            }
         }
+    }
+
+    /// Number of the free value of channel `i` that sample `t` follows, counted within the channel.
+    pub(crate) fn knot(&self, i: usize, t: usize) -> usize {
+        t / self.channels[i].hold
+    }
+
+    /// First sample that the variable `j` of channel `i` moves.
+    pub(crate) fn first_sample(&self, i: usize, j: usize) -> usize {
+        let (k, hold) = (j - self.first[i], self.channels[i].hold);
+        match self.channels[i].shape {
+            Shape::Hold => k * hold,
+            Shape::Linear => (k * hold + 1).saturating_sub(hold),
+        }
+    }
+
+    /// Last sample that the variable `j` of channel `i` moves; may lie behind the record.
+    pub(crate) fn last_sample(&self, i: usize, j: usize) -> usize {
+        (j - self.first[i] + 1) * self.channels[i].hold - 1
+    }
+
+    /// Rate limit of channel `i` between neighbouring free values, in x.
+    pub(crate) fn rate(&self, i: usize) -> Option<f64> {
+        let c = &self.channels[i];
+        c.knot_rate().map(|r| r / (c.upper - c.lower))
     }
 
     /// Adjoint of [`Layout::fill`]: fills the gradient with respect to x from that with respect to u (N x m).

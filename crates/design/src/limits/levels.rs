@@ -7,20 +7,14 @@
 //! min sum_j (l_j - x_j)^2,   l_j a level,  |l_j - l_{j-1}| <= rate,  start and end as given
 //! ```
 //!
-//! and improved by exchange: one free value after the other is tried on every other level, the values of the other
-//! channels on a mesh that is halved, until nothing helps (coordinate exchange, R. K. Meyer & C. J. Nachtsheim,
-//! Technometrics 37 (1995) 60-69).
+//! and improved by exchange (module `exchange`).
 
+use super::SAME;
 use crate::channel::Layout;
 use crate::error::{DesignError, tidy};
-use crate::search::Chain;
 
-/// Levels and bounds agree up to this share of the range.
-const SAME: f64 = 1e-9;
 /// Sweeps of projections for the channels without levels.
 const SWEEPS: usize = 500;
-/// First and last mesh of the channels without levels.
-const MESH: (f64, f64) = (0.1, 1e-3);
 
 impl Layout {
     /// Moves the channels with levels to the nearest record on them, then the others into their regions. Nothing
@@ -101,77 +95,4 @@ impl Layout {
         }
         Ok(())
     }
-}
-
-/// Puts the best design of `chain` on the levels and improves it there with a budget of its own. Nothing happens
-/// without levels.
-pub(crate) fn exchange(chain: &mut Chain, evaluations: usize) {
-    let layout = chain.evaluator.layout().clone();
-    let Some(mut best) = chain.best.take() else { return };
-    if !layout.has_levels() {
-        chain.best = Some(best);
-        return;
-    }
-    layout.round(&mut best.x);
-    chain.grant(evaluations);
-    let mut at = chain.value(&best.x);
-    let smooth =
-        (0..layout.n_channels()).any(|i| layout.levels(i).is_empty() && !layout.variables(i).is_empty());
-    let mut mesh = if smooth { MESH.0 } else { MESH.1 };
-    best.converged = false;
-    while chain.left() > 0 {
-        let moved = sweep(chain, &layout, &mut best.x, &mut at, mesh);
-        chain.note(at.0, at.1, mesh);
-        if !moved && mesh <= MESH.1 {
-            best.converged = chain.left() > 0;
-            break;
-        }
-        if !moved {
-            mesh *= 0.5;
-        }
-    }
-    (best.f, best.violation, best.multipliers) = (at.0, at.1, None);
-    chain.best = Some(best);
-}
-
-/// One pass over all free values; whether any was improved.
-fn sweep(chain: &mut Chain, layout: &Layout, x: &mut [f64], at: &mut (f64, f64), mesh: f64) -> bool {
-    let (lower, upper) = layout.bounds();
-    let mut moved = false;
-    for i in 0..layout.n_channels() {
-        for j in layout.variables(i) {
-            let levels = layout.levels(i);
-            let trials: Vec<f64> = match levels.is_empty() {
-                true => [mesh, -mesh].iter().map(|d| (x[j] + d).clamp(lower[j], upper[j])).collect(),
-                false => levels
-                    .iter()
-                    .copied()
-                    .filter(|l| lower[j] - SAME <= *l && *l <= upper[j] + SAME)
-                    .collect(),
-            };
-            for to in trials {
-                let before = x[j];
-                if chain.left() == 0 || to == before {
-                    continue;
-                }
-                x[j] = to;
-                if rates_kept(layout, x, i, j) {
-                    let found = chain.value(x);
-                    if chain.better(found, *at) {
-                        (*at, moved) = (found, true);
-                        continue;
-                    }
-                }
-                x[j] = before;
-            }
-        }
-    }
-    moved
-}
-
-/// Levels may lie a rounding further apart than the rate limit, other values may not.
-fn rates_kept(layout: &Layout, x: &[f64], i: usize, j: usize) -> bool {
-    let slack = if layout.levels(i).is_empty() { 0.0 } else { SAME };
-    let near = layout.rates().iter().filter(|r| r.j == j || r.j == j + 1);
-    near.into_iter().all(|r| (x[r.j] - x[r.j - 1]).abs() <= r.limit * (1.0 + slack))
 }

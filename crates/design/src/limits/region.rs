@@ -290,6 +290,12 @@ impl Regions {
         self.groups.len()
     }
 
+    /// Free variables that condition `g` reads.
+    pub(crate) fn variables(&self, g: usize) -> impl Iterator<Item = usize> + '_ {
+        let group = self.groups[g];
+        self.rows[group.from..group.to].iter().flat_map(|r| self.terms[r.from..r.to].iter().map(|(j, _)| *j))
+    }
+
     /// Condition `g` at `x`: how far it is passed (in ranges of the channels; kept at 0 and below) by the row that is
     /// nearest to being kept, and the terms of that row.
     pub(crate) fn condition(&self, g: usize, x: &[f64]) -> (f64, &[(usize, f64)]) {

@@ -1,5 +1,6 @@
 //! Moves a record into its regions.
 
+use super::ROUNDING;
 use super::region::Regions;
 use crate::channel::{Layout, SAFE};
 use crate::error::DesignError;
@@ -8,8 +9,6 @@ use dynocal_numerics::rng::Rng64;
 /// Rows are kept with this distance (in ranges of the channels) while a record is moved, so that it arrives after
 /// finitely many projections.
 const CLEARANCE: f64 = 1e-9;
-/// Violation that rounding may leave.
-const ROUNDING: f64 = 1e-12;
 /// Sweeps of projections before the way back to the known record is taken, and those in search of that record.
 const SWEEPS: usize = 60;
 const ANCHOR_SWEEPS: usize = 3000;

@@ -16,6 +16,14 @@ pub(crate) struct Multipliers {
     pub(crate) output: Vec<Vec<f64>>,
 }
 
+/// A part of a record.
+pub(crate) struct Part {
+    /// Free variables that belong to it.
+    pub(crate) free: Vec<bool>,
+    /// Its samples.
+    pub(crate) samples: std::ops::Range<usize>,
+}
+
 /// Evaluates a [`DesignProblem`]; all buffers are allocated once.
 ///
 /// The search minimises `f(x) = ln sum_i w_i J_i`, or the plain sum where a criterion may be negative, over the
@@ -26,7 +34,10 @@ pub struct Evaluator<'a> {
     convention: Convention,
     pad: usize,
     start: usize,
+    lag: usize,
     logarithmic: bool,
+    /// Share of the range of every limit that the search aims inside, so that what it ends with keeps the limit itself.
+    aim: f64,
     /// Padded record, (N + pad) x m.
     u: Vec<f64>,
     u_bar: Vec<f64>,
@@ -52,7 +63,9 @@ impl<'a> Evaluator<'a> {
             convention: problem.convention,
             pad,
             start,
+            lag: problem.max_lag(),
             logarithmic,
+            aim: 0.0,
             u: vec![0.0; size],
             u_bar: vec![0.0; size],
             terms,
@@ -129,9 +142,7 @@ impl<'a> Evaluator<'a> {
         multipliers: Option<&Multipliers>,
         grad: &mut [f64],
     ) -> f64 {
-        let m = self.layout.n_channels();
-        self.layout.fill(x, &mut self.u[self.pad * m..]);
-        self.fill_pad();
+        self.load_variables(x);
         self.clear();
         let sum = self.forward(sharpness);
         if !sum.is_finite() || (self.logarithmic && sum <= 0.0) {
@@ -142,21 +153,50 @@ impl<'a> Evaluator<'a> {
             f += self.penalise_outputs(mu);
         }
         if grad.is_empty() {
-            return multipliers.map_or(f, |mu| f + penalise_rates(&self.layout, mu, x, grad));
+            return multipliers.map_or(f, |mu| f + penalise_rates(&self.layout, self.aim, mu, x, grad));
         }
         self.backward(if self.logarithmic { 1.0 / sum } else { 1.0 });
-        self.layout.gather(&self.u_bar[self.pad * m..], grad);
+        self.layout.gather(&self.u_bar[self.pad * self.layout.n_channels()..], grad);
         if let Some(mu) = multipliers {
-            f += penalise_rates(&self.layout, mu, x, grad);
+            f += penalise_rates(&self.layout, self.aim, mu, x, grad);
         }
         f
     }
 
+    /// What [`Evaluator::aim_inside`] was told.
+    pub(crate) fn aimed_inside(&self) -> f64 {
+        self.aim
+    }
+
+    /// Half the sum of squared violations of the aimed limits at `x` (outputs, rates, regions), and its gradient: what a
+    /// restoration makes zero. No sensitivities are needed. Infinite where a model diverges.
+    pub(crate) fn shortfall(&mut self, x: &[f64], grad: &mut [f64]) -> f64 {
+        self.load_variables(x);
+        self.clear();
+        self.count += 1;
+        if !self.terms.iter_mut().all(|t| t.term.limits.is_none() || t.simulate_only(&self.u)) {
+            return f64::INFINITY;
+        }
+        let Some(mu) = self.multipliers(1.0) else { return 0.0 };
+        let mut f = self.penalise_outputs(&mu);
+        self.u_bar.fill(0.0);
+        for t in self.terms.iter_mut().filter(|t| t.term.limits.is_some()) {
+            t.output_adjoint(&self.u, &mut self.u_bar);
+        }
+        self.gather_pad();
+        self.layout.gather(&self.u_bar[self.pad * self.layout.n_channels()..], grad);
+        f += penalise_rates(&self.layout, self.aim, &mu, x, grad);
+        f
+    }
+
+    /// Lets the search aim `share` of the range inside every limit.
+    pub(crate) fn aim_inside(&mut self, share: f64) {
+        self.aim = share.clamp(0.0, 0.1);
+    }
+
     /// Pieces of the criterion of a problem of one model at `x`; `None` where it is singular.
     pub(crate) fn active(&mut self, x: &[f64], band: f64) -> Option<Active> {
-        let m = self.layout.n_channels();
-        self.layout.fill(x, &mut self.u[self.pad * m..]);
-        self.fill_pad();
+        self.load_variables(x);
         self.clear();
         if !self.simulate() || !self.terms[0].factor(true) {
             return None;
@@ -185,6 +225,11 @@ impl<'a> Evaluator<'a> {
     fn load(&mut self, u: &[f64]) {
         let m = self.layout.n_channels();
         self.u[self.pad * m..].copy_from_slice(u);
+        self.fill_pad();
+    }
+
+    fn load_variables(&mut self, x: &[f64]) {
+        self.layout.fill(x, &mut self.u[self.pad * self.layout.n_channels()..]);
         self.fill_pad();
     }
 
@@ -224,7 +269,11 @@ impl<'a> Evaluator<'a> {
         for t in &mut self.terms {
             t.adjoint(&self.u, outer * t.term.weight, &mut self.u_bar);
         }
-        // What stands before the record: copies of the first sample, or constants.
+        self.gather_pad();
+    }
+
+    /// What stands before the record: copies of the first sample, or constants.
+    fn gather_pad(&mut self) {
         let m = self.layout.n_channels();
         if self.convention == Convention::Hold {
             let (pad, rest) = self.u_bar.split_at_mut(self.pad * m);
@@ -234,10 +283,14 @@ impl<'a> Evaluator<'a> {
         }
     }
 
-    /// Terms with limits: (term, lower, range) with the margin taken off.
+    /// Terms with limits: (term, lower, range) that the search aims at, margin taken off.
     fn limits(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         self.terms.iter().enumerate().filter_map(|(i, t)| {
-            t.term.limits.map(|l| (i, l.lower + l.margin, l.upper - l.lower - 2.0 * l.margin))
+            let aimed = |(lower, upper): (f64, f64)| {
+                let inside = self.aim * (upper - lower);
+                (i, lower + inside, upper - lower - 2.0 * inside)
+            };
+            t.term.limits.map(|l| aimed(l.kept()))
         })
     }
 
@@ -249,6 +302,41 @@ impl<'a> Evaluator<'a> {
         let region = vec![0.0; self.layout.regions.len()];
         let any = !rate.is_empty() || !region.is_empty() || !output.is_empty();
         any.then_some(Multipliers { penalty, rate, region, output })
+    }
+
+    /// The part of a record around `length` free values of each channel from sample `from` on: as far as an output reaches
+    /// on both sides.
+    pub(crate) fn around(&self, from: usize, length: usize) -> Part {
+        let layout = &self.layout;
+        let reach = self.lag.max(1);
+        let mut to = from;
+        for (i, c) in layout.channels().iter().enumerate().filter(|(i, _)| !layout.variables(*i).is_empty()) {
+            to = to.max((layout.knot(i, from) + length) * c.hold);
+        }
+        let samples = from.saturating_sub(reach)..(to + reach).min(layout.n_samples());
+        let mut free = vec![false; layout.len()];
+        for i in 0..layout.n_channels() {
+            for j in layout.variables(i) {
+                free[j] =
+                    layout.first_sample(i, j) < samples.end && layout.last_sample(i, j) >= samples.start;
+            }
+        }
+        Part { free, samples }
+    }
+
+    /// Sets the multipliers of a part to zero.
+    pub(crate) fn forget(&self, mu: &mut Multipliers, part: &Part) {
+        for lambda in &mut mu.output {
+            lambda[part.samples.start + self.pad..part.samples.end + self.pad].fill(0.0);
+        }
+        for (_, lambda) in self.layout.rates().iter().zip(&mut mu.rate).filter(|(r, _)| part.free[r.j]) {
+            *lambda = 0.0;
+        }
+        for (g, lambda) in mu.region.iter_mut().enumerate() {
+            if self.layout.regions.variables(g).any(|j| part.free[j]) {
+                *lambda = 0.0;
+            }
+        }
     }
 
     fn penalise_outputs(&mut self, mu: &Multipliers) -> f64 {
@@ -274,22 +362,28 @@ impl<'a> Evaluator<'a> {
             }
         }
         for (r, lambda) in self.layout.rates().iter().zip(&mut mu.rate) {
-            *lambda = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty).1;
+            let limit = aimed_rate(r.limit, self.aim);
+            *lambda = penalty(x[r.j] - x[r.j - 1], -limit, limit, *lambda, mu.penalty).1;
         }
         for (g, lambda) in mu.region.iter_mut().enumerate() {
-            let passed = self.layout.regions.condition(g, x).0;
+            let passed = self.layout.regions.condition(g, x).0 + self.aim;
             *lambda = penalty(passed, f64::NEG_INFINITY, 0.0, *lambda, mu.penalty).1;
         }
     }
 
-    /// Largest violation of an output limit (margin included) at the last evaluation, as a share of the range.
-    pub(crate) fn output_violation(&self) -> f64 {
-        self.limits().fold(0.0, |worst: f64, (i, lower, range)| {
-            self.terms[i].y[self.start..].iter().fold(worst, |w, y| {
-                let z = (y - lower) / range;
-                w.max(z - 1.0).max(-z)
-            })
-        })
+    /// Violation of the output limits (margin included) at the last evaluation, as a share of the range: the largest one
+    /// and the sum over all samples. Both are zero exactly where every limit is kept, without any tolerance.
+    pub(crate) fn output_violation(&self) -> (f64, f64) {
+        let (mut largest, mut sum) = (0.0f64, 0.0);
+        for t in &self.terms {
+            let Some((lower, upper)) = t.term.limits.map(|l| l.kept()) else { continue };
+            for y in &t.y[self.start..] {
+                let over = (y - upper).max(lower - y).max(0.0) / (upper - lower);
+                largest = largest.max(over);
+                sum += over;
+            }
+        }
+        (largest, sum)
     }
 
     /// First sample of the record whose output is computed.
@@ -298,10 +392,16 @@ impl<'a> Evaluator<'a> {
     }
 }
 
-fn penalise_rates(layout: &Layout, mu: &Multipliers, x: &[f64], grad: &mut [f64]) -> f64 {
+/// Rate limit that the search aims at.
+fn aimed_rate(limit: f64, aim: f64) -> f64 {
+    (limit - aim).max(0.5 * limit)
+}
+
+fn penalise_rates(layout: &Layout, aim: f64, mu: &Multipliers, x: &[f64], grad: &mut [f64]) -> f64 {
     let mut f = 0.0;
     for (r, lambda) in layout.rates().iter().zip(&mu.rate) {
-        let (value, slope) = penalty(x[r.j] - x[r.j - 1], -r.limit, r.limit, *lambda, mu.penalty);
+        let limit = aimed_rate(r.limit, aim);
+        let (value, slope) = penalty(x[r.j] - x[r.j - 1], -limit, limit, *lambda, mu.penalty);
         f += value;
         if !grad.is_empty() {
             grad[r.j] += slope;
@@ -310,7 +410,7 @@ fn penalise_rates(layout: &Layout, mu: &Multipliers, x: &[f64], grad: &mut [f64]
     }
     for (g, lambda) in mu.region.iter().enumerate() {
         let (passed, terms) = layout.regions.condition(g, x);
-        let (value, slope) = penalty(passed, f64::NEG_INFINITY, 0.0, *lambda, mu.penalty);
+        let (value, slope) = penalty(passed + aim, f64::NEG_INFINITY, 0.0, *lambda, mu.penalty);
         f += value;
         if !grad.is_empty() {
             terms.iter().for_each(|(j, a)| grad[*j] += slope * a);

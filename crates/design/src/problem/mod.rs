@@ -35,6 +35,14 @@ pub struct OutputLimits {
     pub margin: f64,
 }
 
+impl OutputLimits {
+    /// Least and largest output that a record may have: the limits with the margin taken off. Everything that keeps or
+    /// judges a limit compares with these two numbers.
+    pub fn kept(&self) -> (f64, f64) {
+        (self.lower + self.margin, self.upper - self.margin)
+    }
+}
+
 /// One model of a design: what it contributes to the criterion and which limits its output has.
 #[derive(Clone, Copy)]
 pub struct Term<'a> {
@@ -42,6 +50,9 @@ pub struct Term<'a> {
     pub name: &'a str,
     /// Model; its inputs are the channels of the problem, in the same order.
     pub model: &'a dyn Model,
+    /// The same parameters with the sensitivities of the free run, where `model` has those of prediction errors
+    /// ([`crate::noise_model`]): what predictions over the objective signal depend on. None: those of `model`.
+    pub predictor: Option<&'a dyn Model>,
     /// Parameters (p) at which the information is taken.
     pub theta: &'a [f64],
     /// Variance sigma^2 of the output noise.
@@ -75,6 +86,7 @@ impl<'a> Term<'a> {
         Self {
             name,
             model,
+            predictor: None,
             theta,
             noise_variance,
             initial_output: 0.0,
@@ -153,6 +165,9 @@ impl DesignProblem<'_> {
         };
         if term.model.n_inputs() != m {
             return shape("inputs of the model against channels", term.model.n_inputs(), m);
+        }
+        if let Some(predictor) = term.predictor.filter(|x| (x.n_inputs(), x.n_params()) != (m, p)) {
+            return shape("parameters of the predictor against those of the model", predictor.n_params(), p);
         }
         if term.theta.len() != p {
             return shape("parameters", term.theta.len(), p);

@@ -84,6 +84,18 @@ impl<'a> TermWork<'a> {
         }
     }
 
+    /// Free run alone; `false` where it diverges.
+    pub(crate) fn simulate_only(&mut self, u: &[f64]) -> bool {
+        let run = Run { u, y: &self.initial, start: self.start };
+        self.term.model.simulate(self.term.theta, &run, &mut self.y) == Status::Converged
+    }
+
+    /// Adds to `u_bar` the gradient of `y_bar' y` with respect to the padded record.
+    pub(crate) fn output_adjoint(&self, u: &[f64], u_bar: &mut [f64]) {
+        let run = self.run(u);
+        self.term.model.sensitivity_adjoint(self.term.theta, &run, &self.y, &[], &self.y_bar, &[], u_bar);
+    }
+
     /// Raw sensitivities of the rows that count.
     pub(crate) fn counted(&self) -> &[f64] {
         &self.s[self.start * self.scale.len()..]
@@ -244,7 +256,7 @@ fn objective_moments(problem: &DesignProblem, term: &Term) -> Result<Option<Mome
         return Ok(None);
     }
     let s0 = crate::information::sensitivities(
-        term.model,
+        term.predictor.unwrap_or(term.model),
         term.theta,
         term.objective_signal,
         m,

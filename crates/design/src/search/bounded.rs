@@ -114,7 +114,7 @@ fn constrained(
         let mut objective = Smooth { chain, bounds, sharpness, multipliers: Some(&mu), tells: false };
         *x = method.minimise(&mut objective, bounds, x, &budget(run)).x;
         let f = chain.evaluator.objective(x, sharpness, Some(&mu), &mut []);
-        let violation = chain.evaluator.output_violation().max(chain.evaluator.layout().rate_violation(x));
+        let violation = chain.violation(x);
         chain.evaluator.update(x, &mut mu);
         let mut design = x.clone();
         chain.evaluator.layout().repair(&mut design);

@@ -12,7 +12,8 @@ pub(crate) struct Candidate {
     pub(crate) x: Vec<f64>,
     /// Search objective.
     pub(crate) f: f64,
-    /// Output violation as a share of the range (rates and bounds are exact).
+    /// Sum over all samples of what the outputs pass their limits by, in shares of the range; zero exactly where every
+    /// limit is kept (rates and bounds always are).
     pub(crate) violation: f64,
     pub(crate) converged: bool,
     /// Multipliers at the end, for warm starts.
@@ -26,8 +27,9 @@ pub struct Chain<'w, 'a> {
     pub(crate) best: Option<Candidate>,
     pub(crate) history: Vec<Iterate>,
     solver: Lbfgs,
+    /// Bounds of local runs.
+    bounds: (Vec<f64>, Vec<f64>),
     budget: usize,
-    tolerance: f64,
     decrease: f64,
     gradient: f64,
     extreme: bool,
@@ -48,6 +50,14 @@ const FINAL_SHARPNESS: [f64; 4] = [120.0, 400.0, 1500.0, 6000.0];
 /// Order of the p-norms at the end of a search, and on the way to it.
 const SHARPNESS: [f64; 3] = [8.0, 30.0, 120.0];
 
+/// Precision of a local run on a part of the record, as a multiple of that of the whole.
+const PART: f64 = 30.0;
+/// Penalties of such a run, one after the other.
+const PART_PENALTIES: [f64; 5] = [20.0, 100.0, 500.0, 2500.0, 12_500.0];
+/// Sum of violations (in ranges) below which the end of a local run is moved into its limits, and evaluations for it.
+const RESTORED: f64 = 0.05;
+const RESTORATION: usize = 60;
+
 /// Order at which a p-norm is the maximum but for the last digits.
 const EXACT: f64 = 1e6;
 
@@ -58,12 +68,13 @@ pub(super) fn sharpening(options: &DesignOptions) -> usize {
 
 impl<'w, 'a> Chain<'w, 'a> {
     pub(crate) fn new(
-        evaluator: Evaluator<'a>,
+        mut evaluator: Evaluator<'a>,
         options: &DesignOptions,
         stream: u64,
         watch: Watch<'w>,
     ) -> Self {
         let n = evaluator.layout().len();
+        evaluator.aim_inside(options.output_tolerance);
         let constrained = evaluator.multipliers(1.0).is_some();
         let extreme = evaluator.has_extreme();
         Self {
@@ -72,8 +83,8 @@ impl<'w, 'a> Chain<'w, 'a> {
             best: None,
             history: Vec::new(),
             solver: Lbfgs::new(n),
+            bounds: (Vec::new(), Vec::new()),
             budget: options.evaluations - if extreme { sharpening(options) } else { 0 },
-            tolerance: options.output_tolerance,
             decrease: options.value_tolerance,
             gradient: options.gradient_tolerance,
             extreme,
@@ -113,10 +124,16 @@ impl<'w, 'a> Chain<'w, 'a> {
         if !f.is_finite() {
             return (f, f64::INFINITY);
         }
-        // A region that is not kept is no matter of tolerance.
+        // A region that is not kept is worse than any output.
         let region = self.evaluator.layout().region_violation(x);
-        let region = if region > 0.0 { 1.0 + region } else { 0.0 };
-        (f, self.evaluator.output_violation().max(region))
+        let region = if region > 0.0 { 1e6 + region } else { 0.0 };
+        (f, self.evaluator.output_violation().1 + region)
+    }
+
+    /// Largest violation of the limits themselves, without what the search aims inside of them, by the record `x` that was
+    /// evaluated last: zero exactly where all are kept.
+    pub(crate) fn violation(&self, x: &[f64]) -> f64 {
+        self.evaluator.output_violation().0.max(self.evaluator.layout().coupling_violation(x))
     }
 
     /// Local run from `x` with at most `budget` evaluations; `warm` multipliers spare the outer iterations.
@@ -132,6 +149,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         let end = self.evaluator.count() + budget.min(self.left());
         let mut x = x.to_vec();
         self.evaluator.layout().repair(&mut x);
+        self.hold(None);
         let factor = if rough { 30.0 } else { 1.0 };
         let first = if self.extreme && !rough { 0 } else { SHARPNESS.len() - 1 };
         let mut multipliers = warm;
@@ -146,10 +164,59 @@ impl<'w, 'a> Chain<'w, 'a> {
                 self.smooth_run(&mut x, *q, share, factor, None)
             };
         }
+        self.ended(x, ended, multipliers)
+    }
+
+    /// The same with the variables fixed that `free` does not mark; `multipliers` are those of a design near by.
+    pub(crate) fn refine_part(
+        &mut self,
+        x: &[f64],
+        free: &[bool],
+        budget: usize,
+        multipliers: Option<Multipliers>,
+    ) -> Candidate {
+        let mut x = x.to_vec();
+        let mut warm = multipliers;
+        self.hold(Some((free, &x)));
+        let ended = self.part_run(&mut x, budget.min(self.left()), &mut warm);
+        let found = self.ended(x, ended, warm);
+        self.hold(None);
+        found
+    }
+
+    /// Bounds of the next local runs: those of the layout, or all but the free variables fixed at `x`.
+    fn hold(&mut self, part: Option<(&[bool], &[f64])>) {
+        let (lower, upper) = self.evaluator.layout().bounds();
+        self.bounds = (lower.to_vec(), upper.to_vec());
+        if let Some((free, x)) = part {
+            for j in (0..free.len()).filter(|j| !free[*j]) {
+                (self.bounds.0[j], self.bounds.1[j]) = (x[j], x[j]);
+            }
+        }
+    }
+
+    /// The end of a local run as a design: moved into bounds, rates and regions, then into the output limits.
+    fn ended(&mut self, mut x: Vec<f64>, ended: Ended, multipliers: Option<Multipliers>) -> Candidate {
         self.evaluator.layout().repair(&mut x);
-        let (f, violation) = self.value(&x);
+        let (mut f, mut violation) = self.value(&x);
+        if violation > 0.0 && violation < RESTORED && self.restore(&mut x) {
+            (f, violation) = self.value(&x);
+        }
         self.note(f, violation, ended.optimality);
         Candidate { x, f, violation, converged: ended.converged, multipliers }
+    }
+
+    /// Moves `x` by least squares of the violations to where the search aims, a little inside of all limits.
+    fn restore(&mut self, x: &mut [f64]) -> bool {
+        let (lower, upper) = (self.bounds.0.clone(), self.bounds.1.clone());
+        let stop = Stop { evaluations: RESTORATION.min(self.left()), gradient: 0.0, decrease: 0.0 };
+        let evaluator = &mut self.evaluator;
+        let mut tried = x.to_vec();
+        let mut f = |x: &[f64], g: &mut [f64]| evaluator.shortfall(x, g);
+        self.solver.minimise(&mut f, &lower, &upper, &mut tried, &stop);
+        self.evaluator.layout().repair(&mut tried);
+        x.copy_from_slice(&tried);
+        true
     }
 
     /// Local runs from the best design towards the maximum itself, kept where its exact value falls and limits hold.
@@ -159,6 +226,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         let exact = |chain: &mut Self, x: &[f64]| chain.evaluator.objective(x, EXACT, None, &mut []);
         let mut value = exact(self, &best.x);
         let (mut x, mut multipliers) = (best.x.clone(), best.multipliers.clone());
+        self.hold(None);
         for (k, q) in FINAL_SHARPNESS.into_iter().enumerate() {
             let share = self.left().saturating_sub(2) / (FINAL_SHARPNESS.len() - k);
             let ended = match self.constrained {
@@ -167,7 +235,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             };
             self.evaluator.layout().repair(&mut x);
             let found = exact(self, &x);
-            let violation = self.evaluator.output_violation();
+            let violation = self.evaluator.output_violation().1;
             if found < value && self.feasible(violation) >= self.feasible(best.violation) {
                 value = found;
                 let (f, _) = self.value(&x);
@@ -190,8 +258,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         factor: f64,
         multipliers: Option<&Multipliers>,
     ) -> Ended {
-        let layout = self.evaluator.layout();
-        let (lower, upper) = (layout.bounds().0.to_vec(), layout.bounds().1.to_vec());
+        let (lower, upper) = (&self.bounds.0, &self.bounds.1);
         let stop =
             Stop { evaluations: budget, gradient: self.gradient * factor, decrease: self.decrease * factor };
         let (evaluator, interrupt) = (&mut self.evaluator, self.watch.interrupt);
@@ -199,7 +266,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             // An interrupted run meets bad trials only and ends at its best point.
             if interrupt() { f64::NAN } else { evaluator.objective(x, q, multipliers, g) }
         };
-        self.solver.minimise(&mut f, &lower, &upper, x, &stop)
+        self.solver.minimise(&mut f, lower, upper, x, &stop)
     }
 
     /// Augmented Lagrangian: local runs on the box with multipliers for rates and outputs in between.
@@ -228,10 +295,9 @@ impl<'w, 'a> Chain<'w, 'a> {
             let loose = if warmed { factor } else { factor * f64::max(1.0, 100.0 * 0.2f64.powi(outer)) };
             ended = self.smooth_run(x, q, (left / 3).clamp(2, 150).min(left - 1), loose, Some(&mu));
             let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
-            let violation =
-                self.evaluator.output_violation().max(self.evaluator.layout().coupling_violation(x));
+            let violation = self.violation(x);
             self.evaluator.update(x, &mut mu);
-            if violation > 0.3 * before && violation > self.tolerance {
+            if violation > 0.3 * before && violation > 0.0 {
                 mu.penalty = (3.0 * mu.penalty).min(1e7);
             }
             let settled = (f - value_before).abs() <= 10.0 * self.decrease * factor;
@@ -240,7 +306,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             if outer > 0 && f > self.give_up {
                 break;
             }
-            if violation <= 0.5 * self.tolerance && (settled || outer > 15) {
+            if violation == 0.0 && (settled || outer > 15) {
                 *warm = Some(mu);
                 return ended;
             }
@@ -250,9 +316,35 @@ impl<'w, 'a> Chain<'w, 'a> {
         Ended { converged: false, ..ended }
     }
 
-    /// Whether the output limits hold within the tolerance.
+    /// The augmented Lagrangian on a part of the record: the penalty rises in fixed steps, because what is far from its limits
+    /// has first to find a good place, and what is left of violations is for the restoration.
+    fn part_run(&mut self, x: &mut [f64], budget: usize, warm: &mut Option<Multipliers>) -> Ended {
+        let mut ended = Ended { value: f64::INFINITY, converged: false, optimality: f64::INFINITY };
+        let Some(mut mu) = warm.take().or_else(|| self.evaluator.multipliers(FIRST_PENALTY)) else {
+            return ended;
+        };
+        let (end, q) = (self.evaluator.count() + budget, self.last_sharpness());
+        for (k, penalty) in PART_PENALTIES.into_iter().enumerate() {
+            let left = end.saturating_sub(self.evaluator.count());
+            if left < 3 || self.interrupted() {
+                break;
+            }
+            mu.penalty = penalty;
+            let share = (left / (PART_PENALTIES.len() - k)).max(2);
+            ended = self.smooth_run(x, q, share, PART, Some(&mu));
+            let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
+            self.evaluator.update(x, &mut mu);
+            if f > self.give_up {
+                break;
+            }
+        }
+        *warm = Some(mu);
+        ended
+    }
+
+    /// Whether the output limits hold.
     pub(crate) fn feasible(&self, violation: f64) -> bool {
-        violation <= self.tolerance
+        violation <= 0.0
     }
 
     /// Whether `a` is better than `b`: feasible before infeasible, then by violation or objective.

@@ -61,24 +61,35 @@ pub(super) const MEMBER: Member<dyn Search> = Member {
 };
 
 /// Evaluations of one constrained local run after a kick.
-const CONSTRAINED_RUN: usize = 900;
+const CONSTRAINED_RUN: usize = 300;
+
+/// Where a kick strikes.
+struct Stretch {
+    /// First sample.
+    from: usize,
+    /// Free values of each channel.
+    length: usize,
+}
 
 impl Kicks {
-    /// Draws a stretch of every channel anew, or a few free values anywhere.
-    fn kick(&self, chain: &mut Chain, x: &mut [f64]) {
+    fn stretch(&self, chain: &mut Chain) -> Stretch {
+        let samples = chain.evaluator.layout().n_samples();
+        Stretch { from: chain.rng.below(samples), length: 1 + chain.rng.below(self.window.max(1)) }
+    }
+
+    /// Draws the stretch of every channel anew, or as many free values anywhere.
+    fn kick(&self, chain: &mut Chain, at: &Stretch, everywhere: bool, x: &mut [f64]) {
         let layout = chain.evaluator.layout().clone();
         let (lower, upper) = layout.bounds();
-        let everywhere = chain.rng.uniform() < 0.3;
-        let (at, length) = (chain.rng.uniform(), 1 + chain.rng.below(self.window.max(1)));
         for i in 0..layout.n_channels() {
             let range = layout.variables(i);
             let n = range.len();
             if n == 0 {
                 continue;
             }
-            for k in 0..length.min(n) {
+            for k in 0..at.length.min(n) {
                 let k =
-                    if everywhere { chain.rng.below(n) } else { ((at * n as f64) as usize + k).min(n - 1) };
+                    if everywhere { chain.rng.below(n) } else { (layout.knot(i, at.from) + k).min(n - 1) };
                 let j = range.start + k;
                 x[j] = chain.rng.uniform_in(lower[j], upper[j]);
             }
@@ -99,11 +110,19 @@ impl Kicks {
         if kept.f < tried.f { kept } else { tried }
     }
 
-    /// Multipliers belong to samples that the kick has moved: starts again from a small penalty, which also lets the
-    /// record leave its limits for a better place.
-    fn constrained(&self, chain: &mut Chain, x: &[f64], from: &Candidate, left: usize) -> Candidate {
+    /// Only what is around the stretch may move: the rest of the record keeps its limits as it is, and the multipliers
+    /// there stay what they were. Those around the stretch belong to values that the kick has moved and start from zero.
+    fn constrained(&self, chain: &mut Chain, from: &Candidate, left: usize) -> Candidate {
+        let at = self.stretch(chain);
+        let mut x = from.x.clone();
+        self.kick(chain, &at, false, &mut x);
+        let part = chain.evaluator.around(at.from, at.length);
+        let multipliers = from.multipliers.clone().map(|mut mu| {
+            chain.evaluator.forget(&mut mu, &part);
+            mu
+        });
         chain.give_up = if chain.feasible(from.violation) { from.f + self.patience } else { f64::INFINITY };
-        let found = chain.refine(x, left.min(CONSTRAINED_RUN), false, None);
+        let found = chain.refine_part(&x, &part.free, left.min(CONSTRAINED_RUN), multipliers);
         chain.give_up = f64::INFINITY;
         found
     }
@@ -120,12 +139,15 @@ impl Search for Kicks {
         let room = chain.left().saturating_sub(polish).max(1);
         while chain.left() > polish + 2 * self.rough_evaluations {
             let Some(from) = current.clone() else { break };
-            let mut x = from.x.clone();
-            self.kick(chain, &mut x);
             let left = chain.left().saturating_sub(polish);
             let found = match chain.is_constrained() {
-                true => self.constrained(chain, &x, &from, left),
-                false => self.free(chain, &x, &from, left),
+                true => self.constrained(chain, &from, left),
+                false => {
+                    let mut x = from.x.clone();
+                    let (at, everywhere) = (self.stretch(chain), chain.rng.uniform() < 0.3);
+                    self.kick(chain, &at, everywhere, &mut x);
+                    self.free(chain, &x, &from, left)
+                }
             };
             // Metropolis' rule, cooling with the budget: a record that is a little worse may be on the way to a better.
             let temperature = self.temperature * left as f64 / room as f64;

@@ -5,7 +5,8 @@ use super::{Search, Watch, search};
 use crate::certificate::{Certificate, NoCertificate, certify};
 use crate::channel::Layout;
 use crate::error::DesignError;
-use crate::limits::levels;
+use crate::limits::exchange::exchange;
+use crate::limits::redraw::{Redraw, Values};
 use crate::problem::{DesignProblem, Evaluator};
 use crate::safety::{Safety, safety};
 use dynocal_numerics::registry::BuildError;
@@ -28,7 +29,8 @@ pub struct DesignOptions {
     pub seed: u64,
     /// A record (N x m) to start from; never returned worse, if it is within the limits.
     pub start: Option<Vec<f64>>,
-    /// Largest violation of an output limit that is accepted, as a share of the range of the limits.
+    /// How far inside of the limits the search aims, as a share of their range: a record that it ends with keeps the limits
+    /// themselves, without any tolerance.
     pub output_tolerance: f64,
     /// Largest component of the projected gradient (search objective per unit of range) of a converged design.
     pub gradient_tolerance: f64,
@@ -89,7 +91,7 @@ pub enum Failure {
 
 /// Designs a record: minimises the criterion of `problem` within its limits.
 ///
-/// Bounds, holds and rate limits hold exactly; output limits within `options.output_tolerance`, and when they do not,
+/// Bounds, holds, rate and output limits hold exactly; where output limits could not be kept,
 /// the status is [`Status::Infeasible`] and [`DesignOutcome::safety`] says which output, when and by how much.
 ///
 /// # Errors
@@ -217,7 +219,7 @@ fn run_one(
     let start_value = chain.evaluator.undo_logarithm(f);
     method.run(&mut chain, &x);
     chain.sharpen(sharpening(options));
-    levels::exchange(&mut chain, options.evaluations);
+    exchange(&mut chain, problem, options.evaluations);
     let Some(best) = chain.best.take() else {
         return Err(no_start(problem, &mut chain, &x, 1));
     };
@@ -226,7 +228,8 @@ fn run_one(
 }
 
 /// A random start: uniform values, or a random walk with the largest steps where a rate is limited; drawn towards
-/// the middle of the box while a model diverges or leaves its limits by more than their range.
+/// the middle of the box while a model diverges or leaves its limits by more than their range on average. Then blocks are
+/// drawn anew until the outputs keep their limits: that record is offered, so that one is known whatever the search finds.
 fn draw(
     problem: &DesignProblem,
     layout: &Layout,
@@ -246,7 +249,8 @@ fn draw(
     const HALVINGS: usize = 6;
     for _ in 0..=HALVINGS {
         let (f, violation) = chain.value(x);
-        if f.is_finite() && violation < 1.0 {
+        if f.is_finite() && chain.violation(x) < 1.0 {
+            offer_within(problem, layout, chain, x, violation);
             return Ok(());
         }
         for j in 0..x.len() {
@@ -257,6 +261,20 @@ fn draw(
     match chain.value(x).0.is_finite() {
         true => Ok(()),
         false => Err(no_start(problem, chain, x, HALVINGS + 1)),
+    }
+}
+
+/// Offers the record near `x` whose outputs keep their limits, where draws lead to one.
+fn offer_within(problem: &DesignProblem, layout: &Layout, chain: &mut Chain, x: &[f64], violation: f64) {
+    if violation <= 0.0 {
+        return;
+    }
+    let mut within = x.to_vec();
+    let mut rng = Rng64::new(chain.rng.below(1 << 48) as u64);
+    let mut redraw = Redraw::new(problem, layout, chain.evaluator.aimed_inside(), Values::Uniform);
+    if layout.round(&mut within) && redraw.settle(&mut rng, &mut within, &|| chain.interrupted()) {
+        let (f, violation) = chain.value(&within);
+        chain.offer(Candidate { x: within, f, violation, converged: false, multipliers: None });
     }
 }
 
