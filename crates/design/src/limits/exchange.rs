@@ -26,6 +26,8 @@ const WARM: f64 = 0.3;
 const SAMPLED: usize = 40;
 /// Moves tried for each evaluation at most: most of them may be refused by limits alone.
 const TRIES: usize = 30;
+/// Passes over all free values that are kept for the polish.
+const SWEEPS: usize = 8;
 /// Share of moves that change two values.
 const PAIRS: f64 = 0.4;
 
@@ -104,7 +106,7 @@ impl Exchange<'_, '_> {
     }
 
     fn anneal(&mut self, chain: &mut Chain, rng: &mut Rng64) {
-        let budget = chain.left().saturating_sub(self.sweep_length().min(chain.left() / 2));
+        let budget = chain.left() - (SWEEPS * self.sweep_length()).min(chain.left() / 3);
         let (end, mut tries) = (chain.left() - budget, TRIES * budget);
         let mut changes = Vec::with_capacity(SAMPLED);
         let mut first = f64::INFINITY;

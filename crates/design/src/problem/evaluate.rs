@@ -324,6 +324,11 @@ impl<'a> Evaluator<'a> {
         Part { free, samples }
     }
 
+    /// Whether any output has limits.
+    pub(crate) fn limits_outputs(&self) -> bool {
+        self.terms.iter().any(|t| t.term.limits.is_some())
+    }
+
     /// Sets the multipliers of a part to zero.
     pub(crate) fn forget(&self, mu: &mut Multipliers, part: &Part) {
         for lambda in &mut mu.output {

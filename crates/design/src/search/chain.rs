@@ -27,8 +27,6 @@ pub struct Chain<'w, 'a> {
     pub(crate) best: Option<Candidate>,
     pub(crate) history: Vec<Iterate>,
     solver: Lbfgs,
-    /// Bounds of local runs.
-    bounds: (Vec<f64>, Vec<f64>),
     budget: usize,
     decrease: f64,
     gradient: f64,
@@ -50,10 +48,10 @@ const FINAL_SHARPNESS: [f64; 4] = [120.0, 400.0, 1500.0, 6000.0];
 /// Order of the p-norms at the end of a search, and on the way to it.
 const SHARPNESS: [f64; 3] = [8.0, 30.0, 120.0];
 
-/// Precision of a local run on a part of the record, as a multiple of that of the whole.
-const PART: f64 = 30.0;
+/// Precision of a local run after a kick under output limits, as a multiple of that of others.
+const STEPPED_PRECISION: f64 = 30.0;
 /// Penalties of such a run, one after the other.
-const PART_PENALTIES: [f64; 5] = [20.0, 100.0, 500.0, 2500.0, 12_500.0];
+const STEPPED_PENALTIES: [f64; 6] = [5.0, 25.0, 125.0, 625.0, 3125.0, 15_625.0];
 /// Sum of violations (in ranges) below which the end of a local run is moved into its limits, and evaluations for it.
 const RESTORED: f64 = 0.05;
 const RESTORATION: usize = 60;
@@ -83,7 +81,6 @@ impl<'w, 'a> Chain<'w, 'a> {
             best: None,
             history: Vec::new(),
             solver: Lbfgs::new(n),
-            bounds: (Vec::new(), Vec::new()),
             budget: options.evaluations - if extreme { sharpening(options) } else { 0 },
             decrease: options.value_tolerance,
             gradient: options.gradient_tolerance,
@@ -149,7 +146,6 @@ impl<'w, 'a> Chain<'w, 'a> {
         let end = self.evaluator.count() + budget.min(self.left());
         let mut x = x.to_vec();
         self.evaluator.layout().repair(&mut x);
-        self.hold(None);
         let factor = if rough { 30.0 } else { 1.0 };
         let first = if self.extreme && !rough { 0 } else { SHARPNESS.len() - 1 };
         let mut multipliers = warm;
@@ -167,39 +163,19 @@ impl<'w, 'a> Chain<'w, 'a> {
         self.ended(x, ended, multipliers)
     }
 
-    /// The same with the variables fixed that `free` does not mark; `multipliers` are those of a design near by.
-    pub(crate) fn refine_part(
-        &mut self,
-        x: &[f64],
-        free: &[bool],
-        budget: usize,
-        multipliers: Option<Multipliers>,
-    ) -> Candidate {
-        let mut x = x.to_vec();
-        let mut warm = multipliers;
-        self.hold(Some((free, &x)));
-        let ended = self.part_run(&mut x, budget.min(self.left()), &mut warm);
-        let found = self.ended(x, ended, warm);
-        self.hold(None);
-        found
-    }
-
-    /// Bounds of the next local runs: those of the layout, or all but the free variables fixed at `x`.
-    fn hold(&mut self, part: Option<(&[bool], &[f64])>) {
-        let (lower, upper) = self.evaluator.layout().bounds();
-        self.bounds = (lower.to_vec(), upper.to_vec());
-        if let Some((free, x)) = part {
-            for j in (0..free.len()).filter(|j| !free[*j]) {
-                (self.bounds.0[j], self.bounds.1[j]) = (x[j], x[j]);
-            }
-        }
+    /// The same after a kick: `multipliers` are those of the design before it, and the penalty rises in fixed steps.
+    pub(crate) fn refine_kicked(&mut self, x: &[f64], budget: usize, multipliers: Option<Multipliers>) -> Candidate {
+        let (mut x, mut warm) = (x.to_vec(), multipliers);
+        let ended = self.stepped_run(&mut x, budget.min(self.left()), &mut warm);
+        self.ended(x, ended, warm)
     }
 
     /// The end of a local run as a design: moved into bounds, rates and regions, then into the output limits.
     fn ended(&mut self, mut x: Vec<f64>, ended: Ended, multipliers: Option<Multipliers>) -> Candidate {
         self.evaluator.layout().repair(&mut x);
         let (mut f, mut violation) = self.value(&x);
-        if violation > 0.0 && violation < RESTORED && self.restore(&mut x) {
+        if violation > 0.0 && violation < RESTORED {
+            self.restore(&mut x);
             (f, violation) = self.value(&x);
         }
         self.note(f, violation, ended.optimality);
@@ -207,8 +183,9 @@ impl<'w, 'a> Chain<'w, 'a> {
     }
 
     /// Moves `x` by least squares of the violations to where the search aims, a little inside of all limits.
-    fn restore(&mut self, x: &mut [f64]) -> bool {
-        let (lower, upper) = (self.bounds.0.clone(), self.bounds.1.clone());
+    fn restore(&mut self, x: &mut [f64]) {
+        let layout = self.evaluator.layout();
+        let (lower, upper) = (layout.bounds().0.to_vec(), layout.bounds().1.to_vec());
         let stop = Stop { evaluations: RESTORATION.min(self.left()), gradient: 0.0, decrease: 0.0 };
         let evaluator = &mut self.evaluator;
         let mut tried = x.to_vec();
@@ -216,7 +193,6 @@ impl<'w, 'a> Chain<'w, 'a> {
         self.solver.minimise(&mut f, &lower, &upper, &mut tried, &stop);
         self.evaluator.layout().repair(&mut tried);
         x.copy_from_slice(&tried);
-        true
     }
 
     /// Local runs from the best design towards the maximum itself, kept where its exact value falls and limits hold.
@@ -226,7 +202,6 @@ impl<'w, 'a> Chain<'w, 'a> {
         let exact = |chain: &mut Self, x: &[f64]| chain.evaluator.objective(x, EXACT, None, &mut []);
         let mut value = exact(self, &best.x);
         let (mut x, mut multipliers) = (best.x.clone(), best.multipliers.clone());
-        self.hold(None);
         for (k, q) in FINAL_SHARPNESS.into_iter().enumerate() {
             let share = self.left().saturating_sub(2) / (FINAL_SHARPNESS.len() - k);
             let ended = match self.constrained {
@@ -258,7 +233,8 @@ impl<'w, 'a> Chain<'w, 'a> {
         factor: f64,
         multipliers: Option<&Multipliers>,
     ) -> Ended {
-        let (lower, upper) = (&self.bounds.0, &self.bounds.1);
+        let layout = self.evaluator.layout();
+        let (lower, upper) = (layout.bounds().0.to_vec(), layout.bounds().1.to_vec());
         let stop =
             Stop { evaluations: budget, gradient: self.gradient * factor, decrease: self.decrease * factor };
         let (evaluator, interrupt) = (&mut self.evaluator, self.watch.interrupt);
@@ -266,7 +242,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             // An interrupted run meets bad trials only and ends at its best point.
             if interrupt() { f64::NAN } else { evaluator.objective(x, q, multipliers, g) }
         };
-        self.solver.minimise(&mut f, lower, upper, x, &stop)
+        self.solver.minimise(&mut f, &lower, &upper, x, &stop)
     }
 
     /// Augmented Lagrangian: local runs on the box with multipliers for rates and outputs in between.
@@ -316,22 +292,22 @@ impl<'w, 'a> Chain<'w, 'a> {
         Ended { converged: false, ..ended }
     }
 
-    /// The augmented Lagrangian on a part of the record: the penalty rises in fixed steps, because what is far from its limits
-    /// has first to find a good place, and what is left of violations is for the restoration.
-    fn part_run(&mut self, x: &mut [f64], budget: usize, warm: &mut Option<Multipliers>) -> Ended {
+    /// The augmented Lagrangian with a penalty that rises in fixed steps: what a kick has moved away from its limits has
+    /// first to find a good place, and what is left of violations is for the restoration.
+    fn stepped_run(&mut self, x: &mut [f64], budget: usize, warm: &mut Option<Multipliers>) -> Ended {
         let mut ended = Ended { value: f64::INFINITY, converged: false, optimality: f64::INFINITY };
         let Some(mut mu) = warm.take().or_else(|| self.evaluator.multipliers(FIRST_PENALTY)) else {
             return ended;
         };
         let (end, q) = (self.evaluator.count() + budget, self.last_sharpness());
-        for (k, penalty) in PART_PENALTIES.into_iter().enumerate() {
+        for (k, penalty) in STEPPED_PENALTIES.into_iter().enumerate() {
             let left = end.saturating_sub(self.evaluator.count());
             if left < 3 || self.interrupted() {
                 break;
             }
             mu.penalty = penalty;
-            let share = (left / (PART_PENALTIES.len() - k)).max(2);
-            ended = self.smooth_run(x, q, share, PART, Some(&mu));
+            let share = (left / (STEPPED_PENALTIES.len() - k)).max(2);
+            ended = self.smooth_run(x, q, share, STEPPED_PRECISION, Some(&mu));
             let f = self.evaluator.objective(x, q, Some(&mu), &mut []);
             self.evaluator.update(x, &mut mu);
             if f > self.give_up {

@@ -60,8 +60,9 @@ pub(super) const MEMBER: Member<dyn Search> = Member {
     build: |keys| registry::keys::<Kicks>("search kicks", keys).map(|k| Box::new(k) as Box<dyn Search>),
 };
 
-/// Evaluations of one constrained local run after a kick.
-const CONSTRAINED_RUN: usize = 300;
+/// Evaluations of one local run after a kick, under output limits and under rate limits or regions alone.
+const OUTPUTS_RUN: usize = 500;
+const RATES_RUN: usize = 900;
 
 /// Where a kick strikes.
 struct Stretch {
@@ -110,19 +111,25 @@ impl Kicks {
         if kept.f < tried.f { kept } else { tried }
     }
 
-    /// Only what is around the stretch may move: the rest of the record keeps its limits as it is, and the multipliers
-    /// there stay what they were. Those around the stretch belong to values that the kick has moved and start from zero.
+    /// Under output limits the multipliers stay what they were but for those around the stretch, which belong to values that
+    /// the kick has moved. Rate limits alone are found again from nothing, with a small penalty that lets the record leave
+    /// them for a better place.
     fn constrained(&self, chain: &mut Chain, from: &Candidate, left: usize) -> Candidate {
         let at = self.stretch(chain);
         let mut x = from.x.clone();
-        self.kick(chain, &at, false, &mut x);
-        let part = chain.evaluator.around(at.from, at.length);
-        let multipliers = from.multipliers.clone().map(|mut mu| {
-            chain.evaluator.forget(&mut mu, &part);
-            mu
-        });
+        let everywhere = !chain.evaluator.limits_outputs() && chain.rng.uniform() < 0.3;
+        self.kick(chain, &at, everywhere, &mut x);
         chain.give_up = if chain.feasible(from.violation) { from.f + self.patience } else { f64::INFINITY };
-        let found = chain.refine_part(&x, &part.free, left.min(CONSTRAINED_RUN), multipliers);
+        let found = if chain.evaluator.limits_outputs() {
+            let part = chain.evaluator.around(at.from, at.length);
+            let multipliers = from.multipliers.clone().map(|mut mu| {
+                chain.evaluator.forget(&mut mu, &part);
+                mu
+            });
+            chain.refine_kicked(&x, left.min(OUTPUTS_RUN), multipliers)
+        } else {
+            chain.refine(&x, left.min(RATES_RUN), false, None)
+        };
         chain.give_up = f64::INFINITY;
         found
     }
