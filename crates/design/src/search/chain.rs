@@ -164,7 +164,12 @@ impl<'w, 'a> Chain<'w, 'a> {
     }
 
     /// The same after a kick: `multipliers` are those of the design before it, and the penalty rises in fixed steps.
-    pub(crate) fn refine_kicked(&mut self, x: &[f64], budget: usize, multipliers: Option<Multipliers>) -> Candidate {
+    pub(crate) fn refine_kicked(
+        &mut self,
+        x: &[f64],
+        budget: usize,
+        multipliers: Option<Multipliers>,
+    ) -> Candidate {
         let (mut x, mut warm) = (x.to_vec(), multipliers);
         let ended = self.stepped_run(&mut x, budget.min(self.left()), &mut warm);
         self.ended(x, ended, warm)

@@ -38,7 +38,16 @@ impl StoredModel {
     /// # Errors
     /// [`StoredError`]: a channel is missing, nothing drives the model, or its preparation does not act sample by sample.
     pub fn over(&self, channels: &[String]) -> Result<MeasuredModel, StoredError> {
-        let (inner, way) = (self.driven()?, self.pointwise()?);
+        self.over_with(channels, self.driven()?)
+    }
+
+    /// The same with another model of the structure's inputs and output behind it, e.g. one with the sensitivities of the
+    /// prediction errors.
+    ///
+    /// # Errors
+    /// [`StoredError`] as of [`StoredModel::over`].
+    pub fn over_with(&self, channels: &[String], inner: Driven) -> Result<MeasuredModel, StoredError> {
+        let way = self.pointwise()?;
         for q in self.measured_inputs() {
             if !channels.contains(&q.name) {
                 return Err(StoredError::Channels {

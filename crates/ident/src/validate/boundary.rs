@@ -117,6 +117,13 @@ pub struct BoundaryModel {
     region: Region,
 }
 
+impl BoundaryModel {
+    /// The same boundary in other units: coordinate k becomes `offset + scale x` with `lines[k] = (offset, scale)`.
+    pub fn stretched(&self, lines: &[(f64, f64)]) -> Self {
+        Self { region: self.region.stretched(lines), ..self.clone() }
+    }
+}
+
 impl Boundary for BoundaryModel {
     fn dim(&self) -> usize {
         self.space.dim()

@@ -54,8 +54,9 @@ pub(super) fn safety(
         let predicted = computed().fold((f64::INFINITY, f64::NEG_INFINITY), fold);
         let least = |with: &dyn Fn(usize) -> f64| {
             let l = m.limits.as_ref()?;
+            // In the same order of operations as the search, so that both come to the same verdict to the last bit.
             computed()
-                .map(|(t, y)| ((l.upper - y).min(y - l.lower) - with(t), t as f64 * dt_s))
+                .map(|(t, y)| (((l.upper - with(t)) - y).min(y - (l.lower + with(t))), t as f64 * dt_s))
                 .min_by(|a, b| a.0.total_cmp(&b.0))
         };
         lines.push(SafetyLine {

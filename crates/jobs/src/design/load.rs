@@ -1,6 +1,7 @@
 //! Models, records and the objective signal that a spec names.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use dynocal_design::channel::Channel;
 use dynocal_design::criterion::{Criterion, criterion};
@@ -9,20 +10,19 @@ use dynocal_design::information::sensitivities;
 use dynocal_design::problem::Convention;
 use dynocal_design::search::{FIRST_FREE_STREAM, Failure};
 use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
-use dynocal_files::{FilesError, json};
+use dynocal_files::FilesError;
 use dynocal_ident::data::{DataError, Dataset, Role};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::literature::{self, LiteratureModel};
-use dynocal_ident::model::neural::NeuralNarx;
 use dynocal_ident::model::poly::{PolyNarx, StructureError};
 use dynocal_ident::model::{Model, Run};
 use dynocal_ident::signal;
-use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredError, StoredModel};
+use dynocal_ident::stored::StoredError;
 use dynocal_ident::validate::boundary::{BoundaryKeys, BoundaryModel, Space, learn};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
 
-use super::{Job, ModelSpec, Objective, OutputSpec, Source};
+use super::{Job, ModelSpec, Objective, OutputSpec, Source, stored};
 
 /// A model of the literature: name, unit of its output, parameters.
 type Known = (&'static str, &'static str, fn() -> LiteratureModel);
@@ -78,6 +78,20 @@ pub enum DesignJobError {
         /// Channels of the plan.
         found: String,
         /// What the model needs.
+        expected: String,
+    },
+    /// A channel of the plan in another unit than the model's.
+    #[error(
+        "{model}: found the unit `{found}` of the channel `{channel}` in the spec, expected `{expected}`, that of the model"
+    )]
+    Unit {
+        /// Model.
+        model: String,
+        /// Channel.
+        channel: String,
+        /// In the spec.
+        found: String,
+        /// Of the model.
         expected: String,
     },
     /// A model for another sample time.
@@ -153,8 +167,12 @@ pub struct Loaded {
     pub name: String,
     /// Its unit.
     pub unit: String,
-    /// Model over all channels of the plan.
-    pub model: Box<dyn Model>,
+    /// Model over all channels of the plan; of a model with a noise model, with the sensitivities of its prediction errors.
+    pub model: Arc<dyn Model>,
+    /// The same with the sensitivities of the free run, where they are others.
+    pub predictor: Option<Arc<dyn Model>>,
+    /// What the user should know about the information of this model.
+    pub note: Option<String>,
     /// Parameters.
     pub theta: Vec<f64>,
     /// Variance of the output noise.
@@ -215,14 +233,19 @@ pub fn load(job: &Job) -> Result<Inputs, DesignJobError> {
 
 fn loaded(job: &Job, spec: &ModelSpec) -> Result<Loaded, DesignJobError> {
     let names: Vec<String> = job.channels.iter().map(|c| c.channel.name.clone()).collect();
-    let mut out = match &spec.source {
-        Source::Literature(name) => of_literature(name, &names, job.sample_time_s)?,
-        Source::File(path) => of_file(path, &names, job.sample_time_s)?,
+    let (mut out, linear) = match &spec.source {
+        Source::Literature(name) => (of_literature(name, &names, job.sample_time_s)?, None),
+        Source::File(path) => stored::of_file(path, job, &names)?,
     };
     if let Some(s) = spec.noise_std {
         out.noise_variance = s * s;
     } else if out.noise_variance.is_nan() {
         return Err(DesignJobError::NoNoise { model: out.name, unit: out.unit });
+    }
+    if let Some(linear) = linear {
+        let idle = if job.convention == Convention::Trim { linear.max_lag() } else { 0 };
+        let samples = job.samples.saturating_sub(idle);
+        out.prior.extend(linear.noise_rows(&out.theta, samples, out.noise_variance).unwrap_or_default());
     }
     let build = |name: &String| criterion(name, &toml::Table::new()).map(|c| (name.clone(), c));
     out.criterion = spec.criterion.as_ref().map(build).transpose()?;
@@ -252,10 +275,10 @@ fn loaded(job: &Job, spec: &ModelSpec) -> Result<Loaded, DesignJobError> {
     Ok(out)
 }
 
-fn blank(
+pub(super) fn blank(
     name: &str,
     unit: &str,
-    model: Box<dyn Model>,
+    model: Arc<dyn Model>,
     theta: Vec<f64>,
     noise: f64,
     origin: String,
@@ -264,6 +287,8 @@ fn blank(
         name: name.into(),
         unit: unit.into(),
         model,
+        predictor: None,
+        note: None,
         theta,
         noise_variance: noise,
         criterion: None,
@@ -290,69 +315,18 @@ fn of_literature(name: &str, channels: &[String], dt_s: f64) -> Result<Loaded, D
     let model = over(&found.model, found.model.inputs(), found.model.output(), channels)?;
     // A model that is printed without a noise level has none to design for.
     let noise = if found.noise_variance > 0.0 { found.noise_variance } else { f64::NAN };
-    Ok(blank(found.model.output(), unit, Box::new(model), found.theta, noise, found.source.into()))
+    Ok(blank(found.model.output(), unit, Arc::new(model), found.theta, noise, found.source.into()))
 }
 
-fn same_time(model: &str, found: f64, expected: f64) -> Result<(), DesignJobError> {
+pub(super) fn same_time(model: &str, found: f64, expected: f64) -> Result<(), DesignJobError> {
     match (found - expected).abs() <= 1e-6 * expected {
         true => Ok(()),
         false => Err(DesignJobError::SampleTime { model: model.into(), found, expected }),
     }
 }
 
-fn of_file(path: &Path, channels: &[String], dt_s: f64) -> Result<Loaded, DesignJobError> {
-    let file: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
-    let shown = path.display().to_string();
-    same_time(&shown, dt_s, file.sample_time_s)?;
-    let fault = |source| DesignJobError::Stored { file: shown.clone(), source };
-    let fitted = file.fitted().map_err(fault)?;
-    let way = file.pointwise().map_err(fault)?;
-    if !way.changed().is_empty() {
-        return over_measured(&file, shown, channels);
-    }
-    let inputs: Vec<String> = file.inputs.iter().map(|q| q.name.clone()).collect();
-    let output = &file.output;
-    let Some((simulated, theta)) = fitted.simulated() else {
-        return Err(DesignJobError::NotDriven { model: shown, kind: "time series".into() });
-    };
-    let theta = theta.to_vec();
-    let network = file.structure.form().is_a::<NeuralNarx>();
-    let model: Box<dyn Model> = match network {
-        Some(m) if inputs == channels => Box::new(m.clone()),
-        Some(_) => {
-            return Err(DesignJobError::Channels {
-                model: shown,
-                found: channels.join(", "),
-                expected: format!(
-                    "{} in this order (a network takes its inputs as they are)",
-                    inputs.join(", ")
-                ),
-            });
-        }
-        None => Box::new(over(simulated, &inputs, &output.name, channels)?),
-    };
-    let mut out =
-        blank(&output.name, &output.unit, model, theta, file.noise_variance.unwrap_or(f64::NAN), shown);
-    out.boundary = file.boundary.map(|mut b| {
-        for (i, _) in &mut b.space.inputs {
-            *i = inputs.get(*i).and_then(|n| channels.iter().position(|c| c == n)).unwrap_or(*i);
-        }
-        b
-    });
-    Ok(out)
-}
-
-/// A model of derived, shifted or scaled channels as one of the channels of the plan. What it takes as its noise, and where it
-/// was identified, is said in its prepared units: the spec gives `noise_std` in the user's.
-fn over_measured(file: &StoredModel, shown: String, channels: &[String]) -> Result<Loaded, DesignJobError> {
-    let model =
-        file.over(channels).map_err(|source| DesignJobError::Stored { file: shown.clone(), source })?;
-    let (output, theta) = (file.user_output(), model.theta().to_vec());
-    Ok(blank(&output.name, &output.unit, Box::new(model), theta, f64::NAN, shown))
-}
-
 /// The same polynomial over all channels of the plan.
-fn over(
+pub(super) fn over(
     model: &dyn Model,
     inputs: &[String],
     output: &str,

@@ -15,6 +15,7 @@ pub mod result;
 mod rivals;
 pub mod run;
 pub(crate) mod typed;
+mod stored;
 
 use std::path::{Path, PathBuf};
 
@@ -134,6 +135,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     let models = models::models(t.models.as_deref().unwrap_or(&[]), dt_s, folder, faults);
     let objective = models::objective(t.objective.as_ref(), &channels, dt_s, folder, faults);
     let search = search(t.search.as_ref(), faults);
+    bounds(t, samples, search.as_ref(), faults);
     let criteria: Vec<&str> = models.iter().filter_map(|m| m.criterion.as_deref()).collect();
     let d_of_one_model = criteria == ["d"];
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
@@ -151,6 +153,34 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         certificate: t.certificate.unwrap_or(d_of_one_model),
         seed: over.seed.or(t.seed).unwrap_or(1),
     })
+}
+
+/// Most random signals of each kind that a design is compared with.
+const MOST_RIVALS: usize = 10_000;
+/// Most evaluations of all starts, and of evaluations times samples: days of work.
+const MOST_EVALUATIONS: f64 = 1e9;
+const MOST_WORK: f64 = 1e12;
+
+/// Refuses what would not end, before anything is read or computed.
+fn bounds(t: &Typed, samples: Option<f64>, search: Option<&SearchSpec>, faults: &mut Faults) {
+    if let Some(n) = t.rivals.filter(|n| *n > MOST_RIVALS) {
+        faults.push("rivals", n, format!("{MOST_RIVALS} at most"));
+    }
+    let Some(s) = search else { return };
+    let all = s.starts as f64 * s.evaluations as f64;
+    if all > MOST_EVALUATIONS {
+        faults.push(
+            "search.evaluations",
+            format!("{} in each of {} starts", s.evaluations, s.starts),
+            format!("{MOST_EVALUATIONS:e} in all at most"),
+        );
+    } else if let Some(n) = samples.filter(|n| n * all > MOST_WORK) {
+        faults.push(
+            "search.evaluations",
+            format!("{all} in all over {n} samples, {:.1e} samples to simulate", n * all),
+            format!("{MOST_WORK:e} at most"),
+        );
+    }
 }
 
 fn search(table: Option<&toml::Table>, faults: &mut Faults) -> Option<SearchSpec> {

@@ -29,8 +29,9 @@ const MOST_MARGIN: f64 = 0.45;
 /// [`DesignJobError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Designed, Curves, RunFolder), DesignJobError> {
     let inputs = load(job)?;
-    let (designed, curves) = make(job, &inputs, watch)?;
+    // A folder that cannot be written is known before anything is computed.
     let folder = RunFolder::open(&job.out, "design", job)?;
+    let (designed, curves) = make(job, &inputs, watch)?;
     write(job, &designed, &curves, folder.path())?;
     folder.write_summary(&designed)?;
     Ok((designed, curves, folder))
@@ -61,7 +62,7 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
         evaluations += found.evaluations;
         let (curves, safety) = judged(job, inputs, &margins, &problem, &found);
         // The margin of the search is one number, the band grows where the plan leaves what was identified.
-        let widened = rounds < ROUNDS && found.status != Status::Interrupted && widen(&mut margins, &safety);
+        let widened = rounds < ROUNDS && met_its_margins(&found) && widen(&mut margins, &safety);
         if !widened {
             break (found, curves, safety);
         }
@@ -75,7 +76,7 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
     let rivals = efficiencies(&problem, &inputs.models, &objective, &found.u, job.rivals, job.seed)?;
     let (coverage, pairs, correlations) = judge::inputs(&inputs.channels, &found.u);
     let warnings = warnings(&found, &safety, &information, inputs);
-    let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= -1e-6);
+    let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= 0.0);
     let seen = information.iter().all(|i| i.rank == i.parameters);
     let criteria = criteria(&problem, inputs, &found.u)?;
     let bound = (job.certificate && !watch.interrupted()).then(|| {
@@ -141,6 +142,7 @@ fn problem<'a>(
     let term = |(m, margin): (&'a super::load::Loaded, &Option<MarginUsed>)| Term {
         name: &m.name,
         model: m.model.as_ref(),
+        predictor: m.predictor.as_deref(),
         theta: &m.theta,
         noise_variance: m.noise_variance,
         initial_output: m.initial_output,
@@ -193,6 +195,13 @@ fn judged(
     judge::safety(&inputs.models, margins, &units, &found.u, outputs, first, job.sample_time_s)
 }
 
+/// Whether the search kept the margins that it was given: only then does a band that passes a limit say that they are too
+/// small. A record that passes them says that none was found, and a wider margin would make that worse.
+fn met_its_margins(found: &DesignOutcome) -> bool {
+    let kept = found.safety.iter().filter_map(|s| s.worst).all(|w| w.distance >= 0.0);
+    kept && !matches!(found.status, Status::Interrupted | Status::Infeasible)
+}
+
 /// Widens margins whose band passes a limit; whether any was.
 fn widen(margins: &mut [Option<MarginUsed>], safety: &[SafetyLine]) -> bool {
     let mut any = false;
@@ -202,7 +211,7 @@ fn widen(margins: &mut [Option<MarginUsed>], safety: &[SafetyLine]) -> bool {
             continue;
         };
         let wider = (q.kept - 1.05 * over).min(MOST_MARGIN * (limits.1 - limits.0));
-        if over < -1e-6 && wider > q.kept {
+        if over < 0.0 && wider > q.kept {
             (q.kept, any) = (wider, true);
         }
     }
@@ -242,7 +251,7 @@ fn warnings(
                  was found",
                 -distance
             ));
-        } else if band < -1e-6 {
+        } else if band < 0.0 {
             out.push(format!(
                 "the band of `{name}` passes a limit by {:.4} {unit} at {when:.2} s: the stated rate does not hold there",
                 -band
@@ -267,6 +276,7 @@ fn warnings(
             ));
         }
     }
+    out.extend(inputs.models.iter().filter_map(|m| m.note.clone()));
     for i in information.iter().filter(|i| i.rank < i.parameters) {
         out.push(format!("the record sees {} of {} parameters of `{}`", i.rank, i.parameters, i.model));
     }

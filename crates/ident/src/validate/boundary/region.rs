@@ -89,6 +89,16 @@ impl Region {
         &self.centre
     }
 
+    /// The region of the points `offset + scale x`; white coordinates stay as they are.
+    pub(super) fn stretched(&self, lines: &[(f64, f64)]) -> Self {
+        let mut out = self.clone();
+        for ((centre, own), (offset, scale)) in out.centre.iter_mut().zip(&mut out.scale).zip(lines) {
+            *centre = offset + scale * *centre;
+            *own *= scale;
+        }
+        out
+    }
+
     /// Divides all distances.
     pub(super) fn scale_by(&mut self, unit: f64) {
         self.unit *= if unit > 0.0 && unit.is_finite() { unit } else { 1.0 };
