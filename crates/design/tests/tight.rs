@@ -3,10 +3,11 @@
 mod common;
 
 use common::*;
-use dynocal_design::channel::Channel;
+use dynocal_design::channel::{Channel, Shape};
+use dynocal_design::limits::Values;
 use dynocal_design::problem::{Convention, DesignProblem, Evaluator, OutputLimits, Term};
 use dynocal_design::safety::safety;
-use dynocal_design::search::{DesignOptions, DesignOutcome, design};
+use dynocal_design::search::{DesignOptions, DesignOutcome, design, random_record_within};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
@@ -167,4 +168,41 @@ fn a_larger_budget_pays_under_rates_and_output_limits_together() {
         gains.push(short.value - long.value);
     }
     assert!(gains.iter().all(|g| *g > 0.23), "{gains:?}");
+}
+
+/// Random records are moved into tight limits by drawing blocks anew, under rates, holds and levels too, without being
+/// shrunk: they still reach both ends of every channel.
+#[test]
+fn random_records_are_found_within_tight_limits() {
+    let (u0, _) = core();
+    let model = chapter_4_model("torque");
+    let d = named("d");
+    let mut held = wide();
+    held[1].hold = 3;
+    held[2] = Channel { hold: 4, rate_per_sample: Some(60.0), shape: Shape::Linear, ..held[2].clone() };
+    for (channels, values) in
+        [(on_levels(), Values::Uniform), (wide(), Values::Steps(5)), (held, Values::Uniform)]
+    {
+        let p = limited(term(&model, d.as_ref(), &u0, &[]), channels, 0.5);
+        let mut e = Evaluator::new(&p).unwrap();
+        let mut found = 0;
+        for seed in 0..20 {
+            let Some((u, anew)) = random_record_within(&p, values, &mut Rng64::new(seed)).unwrap() else {
+                continue;
+            };
+            found += 1;
+            e.value(&u);
+            assert!(distance(&p, &e) >= 0.0 && anew < 1.0);
+            for (i, c) in p.channels.iter().enumerate() {
+                let v: Vec<f64> = u.iter().skip(i).step_by(3).copied().collect();
+                assert!(v.iter().all(|v| (c.lower..=c.upper).contains(v)));
+                assert!(c.levels.is_empty() || v.iter().all(|v| c.levels.contains(v)));
+                if let Some(r) = c.rate_per_sample {
+                    assert!(v.windows(2).all(|w| (w[1] - w[0]).abs() <= r * (1.0 + 1e-9)));
+                }
+            }
+        }
+        println!("{found} of 20 found");
+        assert!(found >= 19, "{found} of 20");
+    }
 }

@@ -88,11 +88,11 @@ fn text(found: &Designed) -> String {
         .iter()
         .map(|e| {
             let of = |v: f64| if v.is_finite() { format!("{v:.1}") } else { "none".into() };
-            vec![e.model.clone(), e.rival.clone(), of(e.d_percent.0), of(e.i_percent.0), of(e.amplitude_percent)]
+            vec![e.model.clone(), e.rival.clone(), of(e.d_percent.0), of(e.i_percent.0), of(e.drawn_anew_percent)]
         })
         .collect();
     out += "Efficiency of random signals of the same limits, the design being 100 % (medians):\n\n";
-    let header = ["model", "signal", "D [%]", "I [%]", "amplitude left [%]"];
+    let header = ["model", "signal", "D [%]", "I [%]", "drawn anew [%]"];
     out += &table::render(&header, &rows, &[2, 3, 4]);
     if let Some((bound, percent)) = found.certificate.as_ref().and_then(|b| b.bound.zip(b.efficiency_percent)) {
         out += &format!("\nNo record within the amplitude limits has J_D below {bound:.2}: at least {percent:.1} % of it reached.\n");

@@ -19,7 +19,9 @@ mod sqp;
 mod trust_region;
 
 pub use chain::Chain;
-pub use outcome::{DesignOptions, DesignOutcome, FIRST_FREE_STREAM, Failure, design, random_record};
+pub use outcome::{
+    DesignOptions, DesignOutcome, FIRST_FREE_STREAM, Failure, design, random_record, random_record_within,
+};
 
 use dynocal_numerics::registry::{self, BuildError, Member};
 use dynocal_numerics::status::Iterate;

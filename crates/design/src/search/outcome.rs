@@ -342,3 +342,28 @@ pub fn random_record(problem: &DesignProblem, seed: u64) -> Result<Vec<f64>, Des
     layout.fill(&x, &mut u);
     Ok(u)
 }
+
+/// A random record within all limits, those of the outputs too: drawn from `values`, then blocks are drawn anew where an
+/// output passes its limits. The second number is the share of free values that were drawn anew; none where no record was
+/// found that keeps all limits.
+///
+/// # Errors
+/// What [`DesignProblem::check`] finds.
+pub fn random_record_within(
+    problem: &DesignProblem,
+    values: Values,
+    rng: &mut Rng64,
+) -> Result<Option<(Vec<f64>, f64)>, DesignError> {
+    let layout = problem.check()?;
+    let mut redraw = Redraw::new(problem, &layout, 0.0, values);
+    let mut x = vec![0.0; layout.len()];
+    redraw.draw(rng, &mut x);
+    let drawn = x.clone();
+    if !redraw.is_free() && !redraw.settle(rng, &mut x, &|| false) {
+        return Ok(None);
+    }
+    let anew = x.iter().zip(&drawn).filter(|(a, b)| a != b).count() as f64 / x.len() as f64;
+    let mut u = vec![0.0; problem.n_samples * problem.channels.len()];
+    layout.fill(&x, &mut u);
+    Ok(Some((u, anew)))
+}

@@ -36,10 +36,13 @@ pub struct Efficiency {
     pub model: String,
     /// Rival.
     pub rival: String,
-    /// Signals that were drawn; those within the output limits at a share of their amplitude count only.
+    /// Signals that were found within all limits.
     pub signals: usize,
-    /// Median share of the amplitude about the middle that the output limits leave them, in percent.
-    pub amplitude_percent: f64,
+    /// Median share of the free values that were drawn anew until the outputs kept their limits, in percent.
+    pub drawn_anew_percent: f64,
+    /// Samples that the best of the signals needs for the mean prediction variance of the design, if it goes on as it began:
+    /// the variance falls with the length.
+    pub same_error_samples: f64,
     /// `100 exp(-(J_D,rival - J_D,design) / p)`: median, least and greatest.
     pub d_percent: (f64, f64, f64),
     /// `100 J_I,design / J_I,rival` over the objective signal: median, least and greatest.

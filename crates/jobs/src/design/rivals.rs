@@ -2,70 +2,29 @@
 
 use dynocal_design::channel::Layout;
 use dynocal_design::criterion::{Criterion, criterion};
+use dynocal_design::limits::Values;
 use dynocal_design::problem::{DesignProblem, Evaluator, Term};
-use dynocal_design::safety::safety;
-use dynocal_design::search::FIRST_FREE_STREAM;
+use dynocal_design::search::{FIRST_FREE_STREAM, random_record_within};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 
 use super::load::{DesignJobError, Loaded};
 use super::result::Efficiency;
 
-/// Kinds of rivals: name, and levels (none: uniform).
-const KINDS: [(&str, Option<usize>); 2] = [("aprbs", Some(5)), ("udrn", None)];
-
-/// A record of a kind within all limits of the inputs, in the free variables.
-fn drawn(layout: &Layout, levels: Option<usize>, rng: &mut Rng64) -> Vec<f64> {
-    let (lower, upper) = layout.bounds();
-    let mut x: Vec<f64> = (0..layout.len())
-        .map(|j| {
-            let share = match levels {
-                Some(n) => rng.below(n) as f64 / (n - 1) as f64,
-                None => rng.uniform(),
-            };
-            lower[j] + share * (upper[j] - lower[j])
-        })
-        .collect();
-    layout.repair(&mut x);
-    layout.round(&mut x);
-    x
-}
+/// Kinds of rivals: name, and what values are drawn from. Where an output passes its limits, blocks are drawn anew.
+const KINDS: [(&str, Values); 2] = [("aprbs", Values::Steps(5)), ("udrn", Values::Uniform)];
 
 /// A uniformly distributed record (N x m) within all limits of the inputs.
 pub(super) fn uniform(layout: &Layout, seed: u64) -> Vec<f64> {
-    let x = drawn(layout, None, &mut Rng64::stream(seed, FIRST_FREE_STREAM));
+    let mut rng = Rng64::stream(seed, FIRST_FREE_STREAM);
+    let (lower, upper) = layout.bounds();
+    let mut x: Vec<f64> =
+        (0..layout.len()).map(|j| lower[j] + rng.uniform() * (upper[j] - lower[j])).collect();
+    layout.repair(&mut x);
+    layout.round(&mut x);
     let mut u = vec![0.0; layout.n_samples() * layout.n_channels()];
     layout.fill(&x, &mut u);
     u
-}
-
-/// The record that is drawn towards the middle until the predicted outputs keep their limits, with the share of the
-/// amplitude that is left; none where not even the middle keeps them.
-fn within_outputs(problem: &DesignProblem, e: &mut Evaluator, x: &[f64]) -> Option<(Vec<f64>, f64)> {
-    let layout = e.layout().clone();
-    let (lower, upper) = layout.bounds();
-    let middle: Vec<f64> = lower.iter().zip(upper).map(|(l, u)| 0.5 * (l + u)).collect();
-    let at = |s: f64| {
-        let mut z: Vec<f64> = middle.iter().zip(x).map(|(m, x)| m + s * (x - m)).collect();
-        layout.repair(&mut z);
-        layout.round(&mut z);
-        let mut u = vec![0.0; layout.n_samples() * layout.n_channels()];
-        layout.fill(&z, &mut u);
-        u
-    };
-    let limited = problem.terms.iter().any(|t| t.limits.is_some());
-    let mut keeps = |u: &[f64]| {
-        e.value(u);
-        safety(problem, e).iter().filter_map(|s| s.worst).all(|w| w.distance >= 0.0)
-    };
-    if !limited {
-        return Some((at(1.0), 1.0));
-    }
-    const STEPS: usize = 40;
-    (0..=STEPS).rev().map(|k| k as f64 / STEPS as f64).find_map(|s| {
-        let u = at(s);
-        keeps(&u).then_some((u, s))
-    })
 }
 
 /// Values of D and I of one model alone over a record.
@@ -110,17 +69,15 @@ pub(super) fn efficiencies(
     seed: u64,
 ) -> Result<Vec<Efficiency>, DesignJobError> {
     let judges = judges()?;
-    let e = Evaluator::new(problem)?;
     let mut out = Vec::new();
-    for (k, (rival, levels)) in KINDS.iter().enumerate() {
+    for (k, (rival, values)) in KINDS.iter().enumerate() {
         let found: Vec<(Vec<f64>, f64)> = (0..count)
             .into_par_iter()
             .map(|s| {
                 let stream = FIRST_FREE_STREAM + (((k + 1) as u64) << 20) + s as u64;
-                let x = drawn(e.layout(), *levels, &mut Rng64::stream(seed, stream));
-                within_outputs(problem, &mut e.clone(), &x)
+                random_record_within(problem, *values, &mut Rng64::stream(seed, stream))
             })
-            .collect::<Vec<_>>()
+            .collect::<Result<Vec<_>, _>>()?
             .into_iter()
             .flatten()
             .collect();
@@ -138,7 +95,8 @@ pub(super) fn efficiencies(
                 model: m.name.clone(),
                 rival: (*rival).into(),
                 signals: found.len(),
-                amplitude_percent: 100.0 * spread(&found.iter().map(|f| f.1).collect::<Vec<_>>()).0,
+                drawn_anew_percent: 100.0 * spread(&found.iter().map(|f| f.1).collect::<Vec<_>>()).0,
+                same_error_samples: 100.0 * problem.n_samples as f64 / spread(&of_i).2,
                 d_percent: spread(&of_d),
                 i_percent: spread(&of_i),
             });

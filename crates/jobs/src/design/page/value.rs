@@ -15,7 +15,8 @@ pub(super) fn section(found: &Designed) -> Section {
         Column::text("least to greatest"),
         Column::number("I-efficiency", "%").digits(3),
         Column::text("least to greatest"),
-        Column::number("Amplitude left", "%").digits(3),
+        Column::number("Bed time for the same I", "s").digits(3),
+        Column::number("Drawn anew", "%").digits(3),
     ])
     .caption("Random signals within the same limits; the design is 100 %");
     for e in &found.efficiencies {
@@ -28,7 +29,8 @@ pub(super) fn section(found: &Designed) -> Section {
             d_range,
             i,
             i_range,
-            Cell::from(Some(e.amplitude_percent).filter(|v| v.is_finite())),
+            Cell::from(Some(e.same_error_samples * found.sample_time_s).filter(|v| v.is_finite())),
+            Cell::from(Some(e.drawn_anew_percent).filter(|v| v.is_finite())),
         ]);
     }
     let mut criteria = Table::new(vec![
@@ -50,8 +52,9 @@ pub(super) fn section(found: &Designed) -> Section {
         .text(
             "D: with an efficiency of 50 % a signal has to be twice as long for the same volume of the confidence \
              ellipsoid of the parameters. I: the same for the mean variance of the predictions over the objective signal. \
-             A signal that output limits would shrink is drawn towards the middle until its predictions keep them; what is \
-             left of its amplitude stands in the last column.",
+             The bed time is what the best of the signals needs for the mean variance of the design if it goes on as it \
+             began. Where an output passes its limits, blocks of a signal are drawn anew until all predictions keep them; the \
+             share of its values that were drawn anew stands in the last column.",
         )
         .block(rivals)
         .text(format!("Objective signal: {}.", found.objective))
