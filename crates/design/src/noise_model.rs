@@ -25,6 +25,9 @@ mod narmax;
 pub use linear::LinearInformation;
 pub use narmax::{NarmaxInformation, NoInformation};
 
+/// Why these models are in no file.
+const VIEW: &str = "a model with the information of a design is kept as the model that it is of";
+
 /// `x = num / den x` of the samples from `start` on, at rest before; `den` is monic. `work` is a copy.
 fn filter_from(num: &[f64], den: &[f64], start: usize, x: &mut [f64], work: &mut Vec<f64>) {
     work.clear();

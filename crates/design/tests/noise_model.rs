@@ -6,8 +6,8 @@ use dynocal_design::information::sensitivities;
 use dynocal_design::noise_model::{LinearInformation, NarmaxInformation};
 use dynocal_design::problem::{Convention, DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, design};
-use dynocal_ident::estimate::narmax::Narmax;
 use dynocal_ident::model::linear::{InputOrders, LinearModel, PredictionErrors};
+use dynocal_ident::model::narmax::Narmax;
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::rng::Rng64;
 

@@ -1,7 +1,8 @@
 //! Linear models: output error, Box-Jenkins, ARMAX and the general form.
 
-use super::{filter_back, filter_from, multiply};
+use super::{VIEW, filter_back, filter_from, multiply};
 use crate::kernel;
+use dynocal_ident::model::form::{Driven, Form, FormRow};
 use dynocal_ident::model::linear::{LinearModel, Polynomials, PredictionErrors};
 use dynocal_ident::model::poly::{PolyNarx, StructureError};
 use dynocal_ident::model::{Model, Run};
@@ -213,6 +214,40 @@ impl Column {
             Signal::Output => common,
             Signal::Input(i) | Signal::Response(i) => &of_inputs[i],
         }
+    }
+}
+
+impl Form for LinearInformation {
+    fn row(&self) -> &'static FormRow {
+        self.model.row()
+    }
+
+    fn inputs(&self) -> &[String] {
+        self.model.inputs()
+    }
+
+    fn output(&self) -> &str {
+        self.model.output()
+    }
+
+    fn parameter_names(&self) -> Vec<String> {
+        self.names.clone()
+    }
+
+    fn memory(&self) -> usize {
+        self.model.memory()
+    }
+
+    fn dynamics(&self) -> Option<&dyn Model> {
+        Some(self)
+    }
+
+    fn driven(&self, theta: &[f64]) -> Result<Option<Driven>, StructureError> {
+        Form::driven(&self.model, &self.complete(theta))
+    }
+
+    fn text(&self) -> Result<serde_json::Value, serde_json::Error> {
+        Err(<serde_json::Error as serde::ser::Error>::custom(VIEW))
     }
 }
 

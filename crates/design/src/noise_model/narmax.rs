@@ -10,8 +10,9 @@
 //! of the terms phi without innovations, taken at the response to the inputs: past outputs are measured and no
 //! recursion. What the noise adds through the outputs is left out.
 
-use super::{filter_back, filter_from};
-use dynocal_ident::estimate::narmax::Narmax;
+use super::{VIEW, filter_back, filter_from};
+use dynocal_ident::model::form::{Driven, Form, FormRow};
+use dynocal_ident::model::narmax::Narmax;
 use dynocal_ident::model::poly::{PolyNarx, Source, StructureError};
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::status::Status;
@@ -50,7 +51,7 @@ impl NarmaxInformation {
     /// # Errors
     /// [`NoInformation`].
     pub fn new(model: &Narmax, theta: &[f64]) -> Result<(Self, Vec<f64>), NoInformation> {
-        let (driven, own) = model.driven(theta)?.ok_or(NoInformation::NotDriven)?;
+        let (driven, own) = model.without_innovations(theta)?.ok_or(NoInformation::NotDriven)?;
         let innovation = Source::Input(model.inputs().len());
         let all = model.with_innovations();
         let mut c = vec![1.0];
@@ -86,6 +87,40 @@ impl NarmaxInformation {
             out.push(*y);
         }
         out
+    }
+}
+
+impl Form for NarmaxInformation {
+    fn row(&self) -> &'static FormRow {
+        self.driven.row()
+    }
+
+    fn inputs(&self) -> &[String] {
+        self.driven.inputs()
+    }
+
+    fn output(&self) -> &str {
+        self.driven.output()
+    }
+
+    fn parameter_names(&self) -> Vec<String> {
+        self.driven.parameter_names()
+    }
+
+    fn memory(&self) -> usize {
+        self.driven.memory()
+    }
+
+    fn dynamics(&self) -> Option<&dyn Model> {
+        Some(self)
+    }
+
+    fn driven(&self, theta: &[f64]) -> Result<Option<Driven>, StructureError> {
+        Form::driven(&self.driven, theta)
+    }
+
+    fn text(&self) -> Result<serde_json::Value, serde_json::Error> {
+        Err(<serde_json::Error as serde::ser::Error>::custom(VIEW))
     }
 }
 

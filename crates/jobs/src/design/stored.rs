@@ -6,10 +6,11 @@ use std::sync::Arc;
 
 use dynocal_design::noise_model::{LinearInformation, NarmaxInformation};
 use dynocal_files::{json, units};
-use dynocal_ident::estimate::narmax::Narmax;
+
+use dynocal_ident::model::Model;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::model::linear::LinearModel;
-use dynocal_ident::model::Model;
+use dynocal_ident::model::narmax::Narmax;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Pointwise, Quantity, StoredError, StoredModel};
 use dynocal_ident::validate::boundary::BoundaryModel;
 
