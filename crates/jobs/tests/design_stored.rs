@@ -8,9 +8,9 @@ use dynocal_ident::model::form::AnyForm;
 use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::model::{Model, Run};
+use dynocal_ident::model::Run;
 use dynocal_ident::prepare::{Planned, prepare};
-use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
 use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, Space, coverage, learn};
 use dynocal_jobs::design::{self, Overrides, load};
 use dynocal_numerics::rng::Rng64;
@@ -39,6 +39,12 @@ fn quantity(name: &str, unit: &str) -> Quantity {
     Quantity { name: name.into(), unit: unit.into() }
 }
 
+fn seen(c: &Channel) -> Seen {
+    let (minimum, maximum) =
+        c.values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    Seen { name: c.name.clone(), unit: c.unit.clone(), minimum, maximum }
+}
+
 /// A stored model whose channels are shifted and scaled.
 fn stored(structure: AnyForm, theta: &[f64], inputs: &[(&str, &str)], derived: &[Derived]) -> StoredModel {
     let all = inputs.iter().map(|(n, u)| quantity(n, u)).collect();
@@ -51,6 +57,7 @@ fn stored(structure: AnyForm, theta: &[f64], inputs: &[(&str, &str)], derived: &
     m.derived.iter().for_each(|x| x.add_to(&mut d, Role::Input).unwrap());
     m.preparation = prepare(&plan, vec![d], &mut |_, _| ()).unwrap().1;
     m.noise_variance = Some(0.01);
+    m.seen = record(1).channels.iter().map(seen).collect();
     m
 }
 

@@ -11,7 +11,7 @@ use dynocal_ident::model::Model;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::narmax::Narmax;
-use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Pointwise, Quantity, StoredError, StoredModel};
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Pointwise, StoredError, StoredModel};
 use dynocal_ident::validate::boundary::BoundaryModel;
 
 use super::Job;
@@ -38,7 +38,7 @@ pub(super) fn of_file(
     let fault = |source: StoredError| DesignJobError::Stored { file: shown.clone(), source };
     file.check().map_err(fault)?;
     same_time(&shown, job.sample_time_s, file.sample_time_s)?;
-    same_units(&shown, job, &file.measured_inputs())?;
+    same_units(&shown, job, &file)?;
     let way = file.pointwise().map_err(fault)?;
     let own: Vec<String> = file.inputs.iter().map(|q| q.name.clone()).collect();
     let polynomial = file.structure.form().polynomial().is_some();
@@ -139,9 +139,11 @@ fn in_units(
     Some(out)
 }
 
-/// Refuses a plan whose channels are not in the units of the model.
-fn same_units(model: &str, job: &Job, inputs: &[Quantity]) -> Result<(), DesignJobError> {
-    for q in inputs {
+/// Refuses a plan whose channels are not in the units of the model, as far as it knows them.
+fn same_units(model: &str, job: &Job, file: &StoredModel) -> Result<(), DesignJobError> {
+    let known =
+        |name: &str| file.inputs.iter().any(|q| q.name == name) || file.seen.iter().any(|s| s.name == name);
+    for q in file.measured_inputs().iter().filter(|q| known(&q.name)) {
         let Some(c) = job.channels.iter().find(|c| c.channel.name == q.name) else { continue };
         if units::normalise(&c.unit) != units::normalise(&q.unit) {
             return Err(DesignJobError::Unit {
