@@ -50,8 +50,9 @@ pub trait Estimator: Send + Sync {
     ) -> Result<Fit, EstimateError>;
 
     /// The same where other records choose between what was found (early stopping, the best of several starts), and where
-    /// `start` does not replace the estimator's own start but competes with it by the cost on all records: what was found on
-    /// a part of them may be useless on the whole. An estimator that chooses nothing, or searches nothing, leaves them alone.
+    /// `start` does not replace the estimator's own start but competes with it: both are searched from on all records, and the
+    /// better end counts. What was found on a part of them may be useless on the whole, and a start that costs more may lead
+    /// to the better minimum. An estimator that chooses nothing, or searches nothing, leaves them alone.
     ///
     /// # Errors
     /// As of [`Estimator::estimate`].

@@ -184,6 +184,35 @@ fn coloured_noise_on_regressors_of_outputs() {
     stated_is_too_small(&study.fits(noise, &white), "OLS, coloured, white formula");
 }
 
+/// Two inputs that differ by a millionth: with the difference as a parameter of its own the estimate is the same, and its
+/// covariance follows by `Cov(T theta) = T Cov(theta) T'`. Formed as `(J'J)^-1 M (J'J)^-1` it lost all its digits there, and
+/// standard errors came out as zero.
+#[test]
+fn nearly_equal_inputs_have_the_standard_errors_of_their_difference() {
+    const CLOSE: f64 = 1e-6;
+    let (n, mut rng) = (2000, Rng64::new(17));
+    let (u, v) = (held(n, 5, 18), held(n, 9, 19));
+    let noise = coloured(n, 0.8, 0.2, &mut rng);
+    let mut y = vec![0.0; n];
+    (1..n).for_each(|t| y[t] = u[t - 1] + 0.5 * v[t - 1] + noise[t]);
+    let fit = |second: &dyn Fn(usize) -> f64| {
+        let rows = (0..n).flat_map(|t| [u[t], second(t)]).collect();
+        let e = Experiment { name: "two".into(), u: rows, y: y.clone(), init_samples: 0, weights: vec![] };
+        let model = PolyNarx::parse(&["a", "b"], "y", &["a(t-1)", "b(t-1)"]).unwrap();
+        let ols = Ols { covariance: CovarianceChoice::Robust, ..Ols::default() };
+        ols.estimate(&model, &[e], None, &|| false).unwrap()
+    };
+    let apart = fit(&|t| v[t]);
+    let close = fit(&|t| u[t] + CLOSE * v[t]);
+    assert_eq!((close.rank, close.covariance_kind), (2, CovarianceKind::Robust));
+    // The same output: b' = b / close, a' = a - b'.
+    let c = &apart.covariance;
+    let expected = [(c[0] - 2.0 * c[1] / CLOSE + c[3] / CLOSE.powi(2)).sqrt(), apart.std_errors[1] / CLOSE];
+    for (found, expected) in close.std_errors.iter().zip(expected) {
+        assert!((found / expected - 1.0).abs() < 1e-6, "{found} {expected}");
+    }
+}
+
 #[test]
 fn hubers_cost_states_its_accuracy_among_outliers() {
     let study = output_error();

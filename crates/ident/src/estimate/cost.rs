@@ -87,6 +87,20 @@ impl Cost {
         errors.iter().filter(|e| e.abs() > self.c).count() as f64 / scored.max(1) as f64
     }
 
+    /// This cost of the first `rows` residuals of `problem` at `x`, and the squares of the others; infinite where they cannot
+    /// be computed.
+    pub(super) fn total(self, problem: &mut dyn LeastSquares, rows: usize, x: &[f64]) -> f64 {
+        let mut r = vec![0.0; problem.residuals()];
+        if !problem.residual(x, &mut r) {
+            return f64::INFINITY;
+        }
+        r[..rows].iter_mut().for_each(|e| {
+            self.transform(e);
+        });
+        let total: f64 = r.iter().map(|e| e * e).sum();
+        if total.is_finite() { total } else { f64::INFINITY }
+    }
+
     /// Replaces errors by their pseudo-values `k psi(e) / mean psi'`, with Huber's correction
     /// `k = 1 + p/n (1 - mean psi') / mean psi'` for p parameters.
     pub(super) fn pseudo_values(self, errors: &mut [f64], params: usize) {

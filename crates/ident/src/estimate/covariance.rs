@@ -143,18 +143,24 @@ pub(super) fn uncertainty(
         CovarianceChoice::Robust => true,
         CovarianceChoice::Auto => residuals.coloured,
     };
-    let bread = inverse(&factor, p)?;
     let (kind, covariance) = if robust {
-        let meat =
-            if evidence.exogenous() { filtered_meat(evidence, &ar) } else { score_meat(evidence, &errors) };
+        let white = White { factor: &factor };
+        let meat = if evidence.exogenous() {
+            filtered_meat(evidence, &ar, white)
+        } else {
+            score_meat(evidence, &errors, white)
+        };
         let gain = samples as f64 / free;
-        (CovarianceKind::Robust, sandwich(&bread, &meat, p).into_iter().map(|v| gain * v).collect())
+        let sandwich = covariance_of(&factor, &meat, p)?;
+        (CovarianceKind::Robust, sandwich.into_iter().map(|v| gain * v).collect())
     } else {
+        let bread = inverse(&factor, p)?;
         (CovarianceKind::White, bread.iter().map(|v| noise_variance * v).collect::<Vec<f64>>())
     };
     let mut std_errors = vec![f64::NAN; p];
     for &k in &factor.order[..factor.rank] {
-        std_errors[k] = covariance[k * p + k].max(0.0).sqrt();
+        // What rounding left below zero is not known, and no certainty.
+        std_errors[k] = covariance[k * p + k].sqrt();
     }
     Ok(Uncertainty { covariance, std_errors, kind, residuals, factor, sum_squares, noise_variance })
 }
@@ -195,18 +201,35 @@ fn gather(evidence: &mut dyn Evidence) -> Result<(Vec<Vec<f64>>, PivotedR), Lina
 /// dependent parameters.
 pub(super) fn inverse(factor: &PivotedR, p: usize) -> Result<Vec<f64>, LinalgError> {
     let rank = factor.rank;
+    let mut unit = vec![0.0; rank * rank];
+    (0..rank).for_each(|i| unit[i * rank + i] = 1.0);
+    covariance_of(factor, &unit, p)
+}
+
+/// `R^-1 W R^-T` in the parameters' own units (p x p), zero for dependent ones.
+///
+/// `W = sum v v'` of the rows [`White`] is the sandwich's middle where J'J is the unit matrix: no digits of an
+/// ill-conditioned J cancel, as they do in `(J'J)^-1 M (J'J)^-1`, whose diagonal can come out negative.
+fn covariance_of(factor: &PivotedR, w: &[f64], p: usize) -> Result<Vec<f64>, LinalgError> {
+    let rank = factor.rank;
     let mut r = vec![0.0; rank * rank];
     for i in 0..rank {
         r[i * rank..(i + 1) * rank].copy_from_slice(&factor.r[i * p..i * p + rank]);
     }
-    let mut r_inverse = vec![0.0; rank * rank];
-    invert_upper(&r, rank, &mut r_inverse)?;
+    let mut inverse = vec![0.0; rank * rank];
+    invert_upper(&r, rank, &mut inverse)?;
+    // Rows of R^-1 W, then of R^-1 W R^-T; R^-1 is an upper triangle.
+    let mut half = vec![0.0; rank * rank];
+    for (row, out) in inverse.chunks_exact(rank.max(1)).zip(half.chunks_exact_mut(rank.max(1))) {
+        for (a, w) in row.iter().zip(w.chunks_exact(rank.max(1))).filter(|(a, _)| **a != 0.0) {
+            out.iter_mut().zip(w).for_each(|(o, w)| *o += a * w);
+        }
+    }
     let mut out = vec![0.0; p * p];
     for i in 0..rank {
         for j in i..rank {
             let (a, b) = (factor.order[i], factor.order[j]);
-            // (R'R)^-1 = R^-1 R^-T, rows of an upper triangle.
-            let sum = dot(&r_inverse[i * rank + j..(i + 1) * rank], &r_inverse[j * rank + j..(j + 1) * rank]);
+            let sum = dot(&half[i * rank + j..(i + 1) * rank], &inverse[j * rank + j..(j + 1) * rank]);
             let value = sum / (factor.scale[a] * factor.scale[b]);
             (out[a * p + b], out[b * p + a]) = (value, value);
         }
@@ -214,19 +237,36 @@ pub(super) fn inverse(factor: &PivotedR, p: usize) -> Result<Vec<f64>, LinalgErr
     Ok(out)
 }
 
-/// `B M B` for symmetric B (p x p).
-fn sandwich(bread: &[f64], meat: &[f64], p: usize) -> Vec<f64> {
-    let product = |a: &[f64], b: &[f64]| -> Vec<f64> {
-        let entry = |i: usize, j: usize| (0..p).map(|k| a[i * p + k] * b[k * p + j]).sum::<f64>();
-        (0..p * p).map(|ij| entry(ij / p.max(1), ij % p.max(1))).collect()
-    };
-    product(&product(bread, meat), bread)
+/// Rows of the Jacobian in coordinates in which `J'J` is the unit matrix: `v = R^-T P' D^-1 row` (rank).
+#[derive(Clone, Copy)]
+struct White<'a> {
+    factor: &'a PivotedR,
 }
 
-/// J' R J with R the covariance of the autoregression: rows filtered by `1/A(q)`, each record run out to its end.
-fn filtered_meat(evidence: &mut dyn Evidence, ar: &Autoregression) -> Vec<f64> {
+impl White<'_> {
+    fn rank(self) -> usize {
+        self.factor.rank
+    }
+
+    fn row(self, row: &[f64], v: &mut [f64]) {
+        let (p, f) = (row.len(), self.factor);
+        for (x, k) in v.iter_mut().zip(&f.order) {
+            *x = row[*k] / f.scale[*k];
+        }
+        // R' v = x, row by row of R: the diagonal of a pivoted factor is not zero within its rank.
+        for i in 0..v.len() {
+            v[i] /= f.r[i * p + i];
+            let (done, rest) = v.split_at_mut(i + 1);
+            let ahead = &f.r[i * p + i + 1..i * p + i + 1 + rest.len()];
+            rest.iter_mut().zip(ahead).for_each(|(x, r)| *x -= r * done[i]);
+        }
+    }
+}
+
+/// J' R J in white coordinates, R the covariance of the autoregression: rows filtered by `1/A(q)`, each record run out to its end.
+fn filtered_meat(evidence: &mut dyn Evidence, ar: &Autoregression, white: White) -> Vec<f64> {
     let p = evidence.params();
-    let mut sum = Squares::new(p);
+    let mut sum = Squares::new(white);
     let mut filter = Filter { a: &ar.a, past: vec![0.0; ar.a.len() * p], next: 0, row: vec![0.0; p] };
     let mut current = 0;
     evidence.visit(&mut |record, _, rows| {
@@ -251,7 +291,7 @@ struct Filter<'a> {
 }
 
 impl Filter<'_> {
-    fn step(&mut self, row: &[f64], p: usize, sum: &mut Squares) {
+    fn step(&mut self, row: &[f64], p: usize, sum: &mut Squares<'_>) {
         self.row.copy_from_slice(row);
         let order = self.a.len();
         for (j, a) in self.a.iter().enumerate() {
@@ -268,7 +308,7 @@ impl Filter<'_> {
     }
 
     /// Lets the filter ring until nothing is left of it, then clears it.
-    fn run_out(&mut self, p: usize, sum: &mut Squares) {
+    fn run_out(&mut self, p: usize, sum: &mut Squares<'_>) {
         let zeros = vec![0.0; p];
         let start = self.past.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         for _ in 0..100_000 {
@@ -282,10 +322,10 @@ impl Filter<'_> {
 }
 
 /// Newey-West sum over lags of the products of scores: squares of sums over L + 1 neighbours, over L + 1.
-fn score_meat(evidence: &mut dyn Evidence, errors: &[Vec<f64>]) -> Vec<f64> {
+fn score_meat(evidence: &mut dyn Evidence, errors: &[Vec<f64>], white: White) -> Vec<f64> {
     let p = evidence.params();
     let width = lags(evidence, errors) + 1;
-    let mut sum = Squares::new(p);
+    let mut sum = Squares::new(white);
     let mut window = Window { ring: vec![0.0; width * p], next: 0, total: vec![0.0; p] };
     let (mut current, mut t) = (0, 0);
     evidence.visit(&mut |record, _, rows| {
@@ -310,7 +350,7 @@ struct Window {
 }
 
 impl Window {
-    fn step(&mut self, row: &[f64], e: f64, width: usize, p: usize, sum: &mut Squares) {
+    fn step(&mut self, row: &[f64], e: f64, width: usize, p: usize, sum: &mut Squares<'_>) {
         let old = &mut self.ring[self.next * p..(self.next + 1) * p];
         for ((total, old), v) in self.total.iter_mut().zip(old).zip(row) {
             *total += v * e - *old;
@@ -320,7 +360,7 @@ impl Window {
         sum.add(&self.total);
     }
 
-    fn run_out(&mut self, width: usize, p: usize, sum: &mut Squares) {
+    fn run_out(&mut self, width: usize, p: usize, sum: &mut Squares<'_>) {
         let zeros = vec![0.0; p];
         for _ in 1..width {
             self.step(&zeros, 0.0, width, p, sum);
@@ -365,21 +405,24 @@ fn lags(evidence: &mut dyn Evidence, errors: &[Vec<f64>]) -> usize {
     ((1.1447 * (alpha * n as f64).cbrt()) as usize).min(n / 4)
 }
 
-/// Sum of squares of rows, gathered in blocks.
-struct Squares {
-    p: usize,
+/// Sum of squares of rows in white coordinates, gathered in blocks.
+struct Squares<'a> {
+    white: White<'a>,
     block: Vec<f64>,
     gram: GramRows,
 }
 
-impl Squares {
-    fn new(p: usize) -> Self {
-        Self { p, block: Vec::with_capacity(BLOCK * p), gram: GramRows::new(p) }
+impl<'a> Squares<'a> {
+    fn new(white: White<'a>) -> Self {
+        let rank = white.rank();
+        Self { white, block: Vec::with_capacity(BLOCK * rank), gram: GramRows::new(rank) }
     }
 
     fn add(&mut self, row: &[f64]) {
-        self.block.extend_from_slice(row);
-        if self.block.len() >= BLOCK * self.p {
+        let (rank, from) = (self.white.rank(), self.block.len());
+        self.block.resize(from + rank, 0.0);
+        self.white.row(row, &mut self.block[from..]);
+        if self.block.len() >= BLOCK * rank {
             self.flush();
         }
     }
@@ -392,10 +435,10 @@ impl Squares {
     /// Both triangles of the sum.
     fn finish(mut self) -> Vec<f64> {
         self.flush();
-        let (p, mut full) = (self.p, self.gram.gram);
-        for i in 0..p {
+        let (rank, mut full) = (self.white.rank(), self.gram.gram);
+        for i in 0..rank {
             for j in 0..i {
-                full[i * p + j] = full[j * p + i];
+                full[i * rank + j] = full[j * rank + i];
             }
         }
         full

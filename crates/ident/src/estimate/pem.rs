@@ -10,7 +10,7 @@
 //! [`crate::estimate::missing`]. A trial with an unstable filter gives a large or non-finite error and is a bad trial,
 //! nothing more.
 //!
-//! The start is least squares throughout: a high-order ARX model gives the innovations and the noise-free response,
+//! The start is least squares throughout (one that is given besides is searched from as well, and the better end counts): a high-order ARX model gives the innovations and the noise-free response,
 //! from which the wanted polynomials follow linearly.
 //!
 //! Reference: E. J. Hannan, J. Rissanen, Recursive estimation of mixed autoregressive-moving average order,
@@ -160,45 +160,39 @@ impl Pem {
     ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
         model.check()?;
         let p = model.n_params();
-        let problem = PredictionError::new(model, data, self.initial)?;
-        let (Starts::Competing(Some(theta)) | Starts::Given(theta)) = start else {
-            let starts = own_starts(&problem, model)?;
-            return self.searched(problem, model, data, starts, false, interrupt);
-        };
-        if theta.len() != p {
+        let mut problem = PredictionError::new(model, data, self.initial)?;
+        if let Starts::Competing(Some(theta)) | Starts::Given(theta) = start
+            && theta.len() != p
+        {
             return Err(EstimateError::Start { found: theta.len(), expected: p });
         }
-        let given = matches!(start, Starts::Given(_));
-        let mut starts = vec![theta.to_vec()];
-        if !given {
-            starts.extend(own_starts(&problem, model)?);
-        }
-        self.searched(problem, model, data, starts, given, interrupt)
-    }
-
-    fn searched(
-        &self,
-        mut problem: PredictionError,
-        model: &LinearModel,
-        data: &[Experiment],
-        mut starts: Vec<Vec<f64>>,
-        given: bool,
-        interrupt: &dyn Fn() -> bool,
-    ) -> Result<(Fit, Vec<Recovered>), EstimateError> {
         // A start is a guess: when it is worse than no model at all, no model is the better one.
-        starts.push(vec![0.0; model.n_params()]);
-        let found = self.search(&mut problem, model, starts, given, interrupt);
+        let nothing = vec![0.0; p];
+        let own = |problem: &PredictionError| -> Result<Vec<Vec<f64>>, EstimateError> {
+            let mut starts = own_starts(problem, model)?;
+            starts.push(nothing.clone());
+            Ok(starts)
+        };
+        let groups = match start {
+            Starts::Given(theta) => vec![vec![theta.to_vec(), nothing.clone()]],
+            Starts::Competing(None) => vec![own(&problem)?],
+            // The better start need not lead to the better end.
+            Starts::Competing(Some(theta)) => vec![vec![theta.to_vec()], own(&problem)?],
+        };
+        let given = matches!(start, Starts::Given(_));
+        let found = self.search(&mut problem, model, groups, given, interrupt);
         let fit = report(&mut problem, model, data, found)?;
         let recovered = problem.recovered(&fit);
         Ok((fit, recovered))
     }
 
-    /// From the best start; when that took many steps and was not the caller's own, from further ones too.
+    /// The best end from the best start of each group; when that took many steps and was not the caller's own, from further
+    /// starts too.
     fn search(
         &self,
         problem: &mut PredictionError,
         model: &LinearModel,
-        mut starts: Vec<Vec<f64>>,
+        groups: Vec<Vec<Vec<f64>>>,
         given: bool,
         interrupt: &dyn Fn() -> bool,
     ) -> LmOutcome {
@@ -208,26 +202,51 @@ impl Pem {
             ..LmOptions::default()
         };
         let mut r = vec![0.0; problem.rows];
-        let costs: Vec<f64> = starts.iter().map(|theta| problem.cost(theta, &mut r)).collect();
-        let best = (0..costs.len()).min_by(|i, j| costs[*i].total_cmp(&costs[*j])).unwrap_or(0);
-        let mut found =
-            levenberg_marquardt_interruptible(problem, &starts.swap_remove(best), &options, interrupt);
-        if given || found.evaluations <= further::DOUBTFUL {
+        let mut first: Vec<Vec<f64>> = Vec::new();
+        for mut starts in groups {
+            let costs: Vec<f64> = starts.iter().map(|theta| problem.cost(theta, &mut r)).collect();
+            let best = (0..costs.len()).min_by(|i, j| costs[*i].total_cmp(&costs[*j])).unwrap_or(0);
+            first.push(starts.swap_remove(best));
+        }
+        let mut found: Option<LmOutcome> = None;
+        let mut doubtful = false;
+        for theta in &first {
+            let other = levenberg_marquardt_interruptible(problem, theta, &options, interrupt);
+            doubtful |= other.evaluations > further::DOUBTFUL;
+            found = Some(better(found, other));
+        }
+        let Some(mut found) = found else {
+            // No group: nothing was asked for.
+            return levenberg_marquardt_interruptible(
+                problem,
+                &vec![0.0; model.n_params()],
+                &options,
+                interrupt,
+            );
+        };
+        if given || !doubtful {
             return found;
         }
         for theta in further::starts(problem, model, &found.x) {
             if interrupt() {
                 break;
             }
-            let mut other = levenberg_marquardt_interruptible(problem, &theta, &options, interrupt);
-            let evaluations = found.evaluations + other.evaluations;
-            if other.cost < found.cost {
-                std::mem::swap(&mut found, &mut other);
-            }
-            found.evaluations = evaluations;
+            let other = levenberg_marquardt_interruptible(problem, &theta, &options, interrupt);
+            found = better(Some(found), other);
         }
         found
     }
+}
+
+/// The one with the lower cost, with the evaluations of both.
+fn better(found: Option<LmOutcome>, mut other: LmOutcome) -> LmOutcome {
+    let Some(mut found) = found else { return other };
+    let evaluations = found.evaluations + other.evaluations;
+    if other.cost < found.cost {
+        std::mem::swap(&mut found, &mut other);
+    }
+    found.evaluations = evaluations;
+    found
 }
 
 /// Where the search begins.
@@ -262,10 +281,11 @@ fn report(
     r.iter_mut().chain(&mut jac).for_each(|v| *v /= gain);
     let unstable = model.unstable_parts(&found.x).into_iter().map(|part| {
         format!(
-            "{part} has a root on or outside the unit circle: the standard errors do not hold there; try a lower order"
+            "{part} has a root on or outside the unit circle: there are no standard errors there; try a lower order"
         )
     });
-    let warnings = unstable.collect();
+    let warnings: Vec<String> = unstable.collect();
+    let known = warnings.is_empty();
     let found = Found {
         estimator: "pem",
         minimised: Minimised::OneStep,
@@ -284,5 +304,9 @@ fn report(
     fit.noise_variance *= factor;
     fit.covariance.iter_mut().for_each(|v| *v *= factor);
     fit.std_errors.iter_mut().for_each(|v| *v *= factor.sqrt());
+    if !known {
+        // Sensitivities that grow without bound make every parameter look certain.
+        fit.std_errors.fill(f64::NAN);
+    }
     Ok(fit)
 }

@@ -166,7 +166,7 @@ impl Estimator for Sem {
             Some(theta) => task.given(theta)?,
             None => task.own()?,
         };
-        task.fit(self, &start, interrupt)
+        task.fit(self, vec![start], interrupt)
     }
 
     fn estimate_selecting(
@@ -186,11 +186,11 @@ impl Estimator for Sem {
         }
         let data = &*started("sem", model, data, self.initial)?;
         let mut task = Free::new(self, model, data)?;
-        let start = match start {
-            Some(theta) => task.best(theta)?,
-            None => task.own()?,
+        let starts = match start {
+            Some(theta) => task.both(theta)?,
+            None => vec![task.own()?],
         };
-        task.fit(self, &start, interrupt)
+        task.fit(self, starts, interrupt)
     }
 }
 
@@ -200,69 +200,100 @@ struct Free<'a> {
     data: &'a [Experiment],
     samples: usize,
     problem: SimulationError<'a>,
-    warnings: Vec<String>,
     ridge: f64,
     seed: u64,
+}
+
+/// A start of a search, and what the user should know if it wins.
+struct Begin {
+    theta: Vec<f64>,
+    warnings: Vec<String>,
 }
 
 impl<'a> Free<'a> {
     fn new(sem: &Sem, model: &'a dyn Model, data: &'a [Experiment]) -> Result<Self, EstimateError> {
         let samples = free_run_samples(model, data)?;
         let problem = SimulationError::new(model, data, sem.ridge, samples);
-        Ok(Self { model, data, samples, problem, warnings: Vec::new(), ridge: sem.ridge, seed: sem.seed })
+        Ok(Self { model, data, samples, problem, ridge: sem.ridge, seed: sem.seed })
     }
 
     /// A start of the caller's; its free run must be finite.
-    fn given(&mut self, theta: &[f64]) -> Result<Vec<f64>, EstimateError> {
+    fn given(&mut self, theta: &[f64]) -> Result<Begin, EstimateError> {
         let (found, expected) = (theta.len(), self.model.n_params());
         if found != expected {
             return Err(EstimateError::Start { found, expected });
         }
         if self.problem.cost(theta).is_finite() {
-            Ok(theta.to_vec())
+            Ok(Begin { theta: theta.to_vec(), warnings: Vec::new() })
         } else {
             Err(self.problem.unstable(theta))
         }
     }
 
     /// Least squares, or a drawn start for models that have such.
-    fn own(&mut self) -> Result<Vec<f64>, EstimateError> {
-        match self.model.drawn().map(|d| d.random_start(&mut Rng64::stream(self.seed, 0))) {
-            Some(theta) => self.given(&theta),
-            None => {
-                let (model, data, samples) = (self.model, self.data, self.samples);
-                least_squares_start(model, data, samples, self.ridge, &mut self.problem, &mut self.warnings)
-            }
+    fn own(&mut self) -> Result<Begin, EstimateError> {
+        if let Some(theta) = self.model.drawn().map(|d| d.random_start(&mut Rng64::stream(self.seed, 0))) {
+            return self.given(&theta);
         }
+        let (model, data, samples) = (self.model, self.data, self.samples);
+        let mut warnings = Vec::new();
+        let theta = least_squares_start(model, data, samples, self.ridge, &mut self.problem, &mut warnings)?;
+        Ok(Begin { theta, warnings })
     }
 
-    /// The better of both on all records.
-    fn best(&mut self, given: &[f64]) -> Result<Vec<f64>, EstimateError> {
+    /// Those of both that can be run. Their searches compete, for the better start need not lead to the better end.
+    fn both(&mut self, given: &[f64]) -> Result<Vec<Begin>, EstimateError> {
         match (self.given(given), self.own()) {
-            (Ok(a), Ok(b)) if self.problem.cost(&a) <= self.problem.cost(&b) => {
-                self.warnings.clear();
-                Ok(a)
-            }
-            (_, Ok(b)) => Ok(b),
-            (given, Err(_)) => given,
+            (Ok(a), Ok(b)) => Ok(vec![a, b]),
+            (Ok(one), Err(_)) | (Err(_), Ok(one)) => Ok(vec![one]),
+            (Err(fault), Err(_)) => Err(fault),
         }
     }
 
-    fn fit(mut self, sem: &Sem, start: &[f64], interrupt: &dyn Fn() -> bool) -> Result<Fit, EstimateError> {
-        let (model, samples) = (self.model, self.samples);
+    /// The best end of the searches from all starts.
+    fn fit(
+        mut self,
+        sem: &Sem,
+        starts: Vec<Begin>,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let rows = self.problem.rows;
+        let mut best: Option<(LmOutcome, Cost, Vec<String>)> = None;
+        for start in starts {
+            if best.as_ref().is_some_and(|b| b.0.status == Status::Interrupted) {
+                break;
+            }
+            let (mut other, cost) = self.searched(sem, &start.theta, interrupt);
+            if let Some((found, scale, _)) = &mut best {
+                let evaluations = found.evaluations + other.evaluations;
+                let mut value = |x: &[f64]| scale.total(&mut self.problem, rows, x);
+                if value(&other.x) >= value(&found.x) {
+                    found.evaluations = evaluations;
+                    continue;
+                }
+                other.evaluations = evaluations;
+            }
+            best = Some((other, cost, start.warnings));
+        }
+        let Some((found, cost, mut warnings)) = best else {
+            return Err(EstimateError::Start { found: 0, expected: self.model.n_params() });
+        };
+        warnings.extend(outlier_note(cost, &self.problem.errors(&found.x)));
+        self.problem.report_as(found, self.samples, warnings, sem.covariance, cost)
+    }
+
+    fn searched(&mut self, sem: &Sem, start: &[f64], interrupt: &dyn Fn() -> bool) -> (LmOutcome, Cost) {
+        let model = self.model;
         if sem.cost == CostKind::Squared {
-            let best = sem.search(&mut self.problem, model, start, interrupt);
-            return self.problem.report_as(best, samples, self.warnings, sem.covariance, Cost::SQUARED);
+            return (sem.search(&mut self.problem, model, start, interrupt), Cost::SQUARED);
         }
         let rows = self.problem.rows;
         // Further starts serve the first scale only: the later ones set out from a minimum.
         let mut first = true;
-        let (best, cost) = fit_scale(&mut self.problem, rows, sem.threshold, start, |costed, x| {
+        fit_scale(&mut self.problem, rows, sem.threshold, start, |costed, x| {
             let restarts = if std::mem::take(&mut first) { sem.restarts } else { 0 };
             Sem { restarts, ..*sem }.search(costed, model, x, interrupt)
-        });
-        self.warnings.extend(outlier_note(cost, &self.problem.errors(&best.x)));
-        self.problem.report_as(best, samples, self.warnings, sem.covariance, cost)
+        })
     }
 }
 

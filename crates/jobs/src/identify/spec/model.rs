@@ -25,7 +25,7 @@ pub struct Target {
     pub structure: StructureSpec,
     /// Selection of terms from the structure, which then is the pool.
     pub select: Option<Selecting>,
-    /// Samples of a first, cheap estimate that the full one starts from; 0 for none.
+    /// Samples of a first, cheap estimate that gives the full one a further start; 0 for none.
     pub warm_start_samples: usize,
     /// Name of the estimator.
     pub estimator: String,
