@@ -1,8 +1,9 @@
 //! Dense linear algebra against closed forms and against properties that define the factorisations.
 
 use dynocal_numerics::linalg::{
-    LinalgError, QrWork, cholesky, gram_upper, invert_upper, least_squares, log_det_gram, norm2, pivoted_r,
-    solve_upper, solve_upper_transposed, symmetric_eigenvalues,
+    Factor, LinalgError, QrWork, cholesky, cholesky_inverse, gram_upper, invert_upper, least_squares,
+    log_det_gram, norm2, pivoted_r, product, solve_upper, solve_upper_many, solve_upper_transposed,
+    solve_upper_transposed_many, symmetric_eigenvalues, symmetric_update,
 };
 use dynocal_numerics::rng::Rng64;
 
@@ -194,4 +195,50 @@ fn wrong_shapes_and_non_finite_entries_are_named() {
     assert_eq!(e.to_string(), "matrix: found 3 entries, expected 4");
     let e = pivoted_r(&[1.0, f64::INFINITY], 2, 1, 0.0).expect_err("not finite");
     assert!(matches!(e, LinalgError::NotFinite { index: 1, .. }));
+}
+
+#[test]
+fn blocked_products_inverses_and_solves_agree_with_plain_sums() {
+    for (n, k) in [(1, 1), (7, 3), (60, 5), (130, 40)] {
+        let (a, b) = (random(n + 4, n, 11), random(n, k, 12));
+        // C = A'A + I through the general product and through the symmetric update.
+        let mut general = vec![0.0; n * n];
+        product(1.0, Factor::transposed(&a, n + 4, n), Factor::new(&a, n + 4, n), false, &mut general)
+            .unwrap();
+        let mut c = vec![0.0; n * n];
+        (0..n).for_each(|i| c[i * n + i] = 1.0);
+        symmetric_update(1.0, &a, n + 4, n, &mut c).unwrap();
+        let expected = gram(&a, n + 4, n);
+        for i in 0..n {
+            for j in i..n {
+                let unit = f64::from(u8::from(i == j));
+                assert!((general[i * n + j] - expected[i * n + j]).abs() < 1e-12 * n as f64);
+                assert!((c[i * n + j] - unit - expected[i * n + j]).abs() < 1e-12 * n as f64);
+            }
+        }
+        let full: Vec<f64> = (0..n * n).map(|p| c[(p / n).min(p % n) * n + (p / n).max(p % n)]).collect();
+        let mut r = c.clone();
+        cholesky(&mut r, n).unwrap();
+        let (mut work, mut inverse) = (vec![0.0; n * n], vec![0.0; n * n]);
+        cholesky_inverse(&r, n, &mut work, &mut inverse).unwrap();
+        // Two solves with the factor are one with the matrix.
+        let mut x = b.clone();
+        solve_upper_transposed_many(&r, n, &mut x, k).unwrap();
+        solve_upper_many(&r, n, &mut x, k).unwrap();
+        let mut back = vec![0.0; n * k];
+        product(1.0, Factor::new(&full, n, n), Factor::new(&x, n, k), false, &mut back).unwrap();
+        product(-1.0, Factor::new(&b, n, k), Factor::transposed(&identity(k), k, k), true, &mut back)
+            .unwrap();
+        assert!(back.iter().all(|v| v.abs() < 1e-11 * n as f64), "solve, n = {n}");
+        for i in 0..n {
+            for j in i..n {
+                let row: f64 = (0..n).map(|l| full[i * n + l] * inverse[l.min(j) * n + l.max(j)]).sum();
+                assert!((row - f64::from(u8::from(i == j))).abs() < 1e-11 * n as f64, "inverse, n = {n}");
+            }
+        }
+    }
+}
+
+fn identity(n: usize) -> Vec<f64> {
+    (0..n * n).map(|p| f64::from(u8::from(p / n == p % n))).collect()
 }

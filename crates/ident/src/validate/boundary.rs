@@ -5,9 +5,12 @@
 //! ```text
 //! leverage   |R^-T (x - c)| / s       the ellipsoid of the covariance R'R about the mean c
 //! hull       gauge(x - c) / s         min sum lambda: x - c = sum lambda_i (p_i - c), lambda >= 0, p_i on the hull
+//! star       |x - c| / (r(direction) s)
+//! one_class  sqrt(log(F / f(x)) / log(F / rho)) / s,   f a sum of kernels on the points
 //! ```
 //!
-//! Both grow in proportion to the distance from the centre along every ray. The scale s is the `quantile` of the same
+//! The first three grow in proportion to the distance from the centre along every ray. [`Combined`] makes regions of regions
+//! (and, or, not), [`OperatingBoundary`] has limits that depend on an operating point. The scale s is the `quantile` of the same
 //! number over points that had no part in the region (blocks of the records, held out in turn): new points of the same
 //! distribution lie outside (distance above 1) with the probability `1 - quantile`.
 //!
@@ -29,9 +32,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod combine;
 mod gauge;
+mod one_class;
+mod operating;
 mod region;
 mod space;
+mod star;
 
 use dynocal_numerics::registry::ParamDoc;
 use rayon::prelude::*;
@@ -40,6 +47,8 @@ use serde::{Deserialize, Serialize};
 use crate::experiment::Experiment;
 use crate::model::{Model, Run};
 
+pub use combine::Combined;
+pub use operating::OperatingBoundary;
 use region::Region;
 pub use region::RegionKind;
 pub use space::{Space, SpaceError};
@@ -58,16 +67,26 @@ pub trait Boundary: Send + Sync {
     /// Distance and its gradient (zero at the centre; one of the subgradients where the hull has an edge).
     fn distance_gradient(&self, point: &[f64], gradient: &mut [f64]) -> f64;
 
+    /// Distance to the border in units of the boundary: negative inside, 0 on it, positive outside; with its gradient.
+    fn signed_distance(&self, point: &[f64], gradient: &mut [f64]) -> f64 {
+        self.distance_gradient(point, gradient) - 1.0
+    }
+
     /// Pulls a point outside back to the boundary along the ray to the centre; gives the distance that it had.
     fn clamp(&self, point: &mut [f64]) -> f64 {
-        let distance = self.distance(point);
-        if distance > 1.0 && distance.is_finite() {
-            for (x, c) in point.iter_mut().zip(self.centre()) {
-                *x = c + (*x - c) / distance;
-            }
-        }
-        distance
+        clamp_by_ray(self, point)
     }
+}
+
+/// For a distance that grows in proportion along every ray from the centre.
+fn clamp_by_ray(boundary: &(impl Boundary + ?Sized), point: &mut [f64]) -> f64 {
+    let distance = boundary.distance(point);
+    if distance > 1.0 && distance.is_finite() {
+        for (x, c) in point.iter_mut().zip(boundary.centre()) {
+            *x = c + (*x - c) / distance;
+        }
+    }
+    distance
 }
 
 /// How a boundary is learnt.
@@ -94,7 +113,7 @@ pub static BOUNDARY_KEYS: &[ParamDoc] = &[
         name: "kind",
         unit: "-",
         default: "leverage",
-        what: "leverage: ellipsoid of the covariance of the lagged channels; hull: their convex hull (up to about ten of them)",
+        what: "leverage: ellipsoid of the covariance of the lagged channels; hull: their convex hull (up to about ten of them); star: radius by direction, follows bays; one_class: kernel region, follows islands",
     },
     ParamDoc {
         name: "quantile",
@@ -140,6 +159,13 @@ impl Boundary for BoundaryModel {
     fn distance_gradient(&self, point: &[f64], gradient: &mut [f64]) -> f64 {
         self.region.distance(point, Some(gradient))
     }
+
+    fn clamp(&self, point: &mut [f64]) -> f64 {
+        if self.region.kind() == RegionKind::OneClass {
+            return combine::clamp_by_bisection(self, point);
+        }
+        clamp_by_ray(self, point)
+    }
 }
 
 /// Blocks that are held out in turn for the calibration.
@@ -155,8 +181,31 @@ pub fn learn(space: Space, data: &[Experiment], keys: &BoundaryKeys) -> Result<B
     if !(keys.quantile > 0.0 && keys.quantile < 1.0) {
         return Err(SpaceError::Quantile { found: keys.quantile });
     }
-    let d = space.dim();
     let blocks = space.blocks(data, FOLDS)?;
+    from_blocks(space, blocks, keys)
+}
+
+/// Learns a boundary from steady points `x` (n x d row-major). Every fifth point is held out in turn: neighbours in a
+/// steady table are not alike because of time, and a block of it may be a whole corner of the region.
+///
+/// # Errors
+/// [`SpaceError`]: too few points, a quantile outside (0, 1).
+pub fn learn_steady(x: &[f64], d: usize, keys: &BoundaryKeys) -> Result<BoundaryModel, SpaceError> {
+    if !(keys.quantile > 0.0 && keys.quantile < 1.0) {
+        return Err(SpaceError::Quantile { found: keys.quantile });
+    }
+    let mut blocks = vec![Vec::new(); FOLDS];
+    let finite = x.chunks_exact(d.max(1)).filter(|x| x.iter().all(|v| v.is_finite()));
+    finite.enumerate().for_each(|(i, x)| blocks[i % FOLDS].extend_from_slice(x));
+    from_blocks(Space::of_inputs(d), blocks, keys)
+}
+
+fn from_blocks(
+    space: Space,
+    blocks: Vec<Vec<f64>>,
+    keys: &BoundaryKeys,
+) -> Result<BoundaryModel, SpaceError> {
+    let d = space.dim();
     let samples = blocks.iter().map(Vec::len).sum::<usize>() / d.max(1);
     let least = FOLDS * (d + 2);
     if d == 0 || samples < least || blocks.iter().any(Vec::is_empty) {
@@ -166,7 +215,7 @@ pub fn learn(space: Space, data: &[Experiment], keys: &BoundaryKeys) -> Result<B
         .into_par_iter()
         .map(|out| {
             let others: Vec<f64> = (0..FOLDS).filter(|k| *k != out).flat_map(|k| blocks[k].clone()).collect();
-            let region = Region::fit(keys.kind, &others, d, keys.points);
+            let region = Region::fit(keys.kind, &others, d, keys.points, keys.quantile);
             let held = blocks[out].chunks_exact(d);
             let step = held.len().div_ceil(CALIBRATION);
             held.step_by(step.max(1)).map(|x| region.distance(x, None)).collect()
@@ -177,7 +226,7 @@ pub fn learn(space: Space, data: &[Experiment], keys: &BoundaryKeys) -> Result<B
     // The smallest number that at least the quantile of n + 1 exchangeable points does not exceed.
     let rank = ((distances.len() + 1) as f64 * keys.quantile).ceil() as usize;
     let scale = distances[rank.clamp(1, distances.len()) - 1];
-    let mut region = Region::fit(keys.kind, &blocks.concat(), d, keys.points);
+    let mut region = Region::fit(keys.kind, &blocks.concat(), d, keys.points, keys.quantile);
     region.scale_by(scale);
     Ok(BoundaryModel { space, quantile: keys.quantile, samples, region })
 }

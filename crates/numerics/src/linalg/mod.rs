@@ -16,7 +16,10 @@ mod gathered;
 mod householder;
 mod triangular;
 
-pub use backend::{gram_upper, gram_upper_add, symmetric_eigenvalues};
+pub use backend::{
+    Factor, cholesky_inverse, gram_upper, gram_upper_add, product, solve_upper_many,
+    solve_upper_transposed_many, symmetric_eigenvalues, symmetric_update,
+};
 pub use gathered::{GramRows, QrRows, pivoted_from_gram};
 pub use householder::{LeastSquaresFit, PivotedR, QrWork, least_squares, pivoted_r};
 pub use triangular::{

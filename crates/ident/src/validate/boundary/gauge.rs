@@ -144,4 +144,23 @@ mod tests {
         assert!((gauge(&line, &[0.5, 0.0]).0 - 0.5).abs() < 1e-12);
         assert!((gauge(&line, &[0.0, 0.05]).0 - 1.0).abs() < 1e-12);
     }
+
+    /// Values of the same linear program by SciPy; origin in tests/reference/README.md.
+    #[test]
+    fn gauge_is_that_of_an_independent_linear_program() {
+        let text = include_str!("../../../../../tests/reference/hull.json");
+        let reference: serde_json::Value = serde_json::from_str(text).unwrap();
+        let numbers = |v: &serde_json::Value| -> Vec<f64> {
+            v.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        };
+        for case in reference["cases"].as_array().unwrap() {
+            let (points, d) = (numbers(&case["points"]), case["dim"].as_u64().unwrap() as usize);
+            let expected = numbers(&case["gauge"]);
+            for (b, expected) in numbers(&case["queries"]).chunks_exact(d).zip(&expected) {
+                let (value, normal) = gauge(&points, b);
+                assert!((value - expected).abs() < 1e-8 * (1.0 + expected), "{value} {expected}");
+                assert!((dot(&normal, b) - value).abs() < 1e-8 * (1.0 + expected));
+            }
+        }
+    }
 }

@@ -1,10 +1,12 @@
-//! Ellipsoid and convex hull, both in coordinates in which the data have mean zero and unit covariance.
+//! Ellipsoid, convex hull, star and one-class region, all in coordinates in which the data have mean zero and unit covariance.
 
 use dynocal_numerics::linalg::{cholesky, dot, norm2, solve_upper, solve_upper_transposed};
 use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
 
 use super::gauge::gauge;
+use super::one_class::OneClass;
+use super::star::Star;
 
 /// Part of the unit matrix that is added to the correlation matrix: dependent channels stay a thin region.
 const RIDGE: f64 = 1e-6;
@@ -22,6 +24,10 @@ pub enum RegionKind {
     Leverage,
     /// Convex hull: follows the data closer; needs many points in more than some ten coordinates.
     Hull,
+    /// Star-shaped about the mean: follows bays of the data that a hull fills.
+    Star,
+    /// One-class kernel: follows any shape, islands included.
+    OneClass,
 }
 
 /// A region about a centre. `r`: R'R is the correlation matrix of the scaled coordinates.
@@ -30,16 +36,21 @@ pub(super) struct Region {
     centre: Vec<f64>,
     scale: Vec<f64>,
     r: Vec<f64>,
-    /// Points of the hull in white coordinates, row by row; none for the ellipsoid.
+    /// Points of the hull in white coordinates, row by row; none for the other kinds.
     hull: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    star: Option<Star>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    one_class: Option<OneClass>,
     kind: RegionKind,
     /// What the raw number is divided by.
     unit: f64,
 }
 
 impl Region {
-    /// The region of points (row-major, d each), at least d + 2 of them.
-    pub(super) fn fit(kind: RegionKind, points: &[f64], d: usize, most: usize) -> Self {
+    /// The region of points (row-major, d each), at least d + 2 of them; `inside` is the share that a one-class region is
+    /// made to hold.
+    pub(super) fn fit(kind: RegionKind, points: &[f64], d: usize, most: usize, inside: f64) -> Self {
         let n = (points.len() / d) as f64;
         let mut centre = vec![0.0; d];
         points.chunks_exact(d).for_each(|x| centre.iter_mut().zip(x).for_each(|(c, x)| *c += x / n));
@@ -73,16 +84,27 @@ impl Region {
             }
             r[i * d + i] += RIDGE;
         }
-        let mut region = Self { centre, scale, r, hull: Vec::new(), kind, unit: 1.0 };
+        let mut region =
+            Self { centre, scale, r, hull: Vec::new(), star: None, one_class: None, kind, unit: 1.0 };
         // The ridge keeps it positive definite; where rounding wins after all, channels count as independent.
         if cholesky(&mut region.r, d).is_err() {
             region.r.fill(0.0);
             (0..d).for_each(|i| region.r[i * d + i] = 1.0);
         }
-        if kind == RegionKind::Hull {
-            region.hull = region.support(points, d, most);
+        let white = || points.chunks_exact(d).flat_map(|x| region.white(x)).collect::<Vec<f64>>();
+        match kind {
+            RegionKind::Leverage => {}
+            // All points where that is cheap: the hull is then exact.
+            RegionKind::Hull if points.len() <= most * d => region.hull = white(),
+            RegionKind::Hull => region.hull = region.support(points, d, most),
+            RegionKind::Star => region.star = Some(Star::fit(&white(), d, most)),
+            RegionKind::OneClass => region.one_class = Some(OneClass::fit(&white(), d, most, 1.0 - inside)),
         }
         region
+    }
+
+    pub(super) fn kind(&self) -> RegionKind {
+        self.kind
     }
 
     pub(super) fn centre(&self) -> &[f64] {
@@ -128,6 +150,12 @@ impl Region {
                 (length, z.iter().map(|v| if length > 0.0 { v / length } else { 0.0 }).collect())
             }
             RegionKind::Hull => gauge(&self.hull, &z),
+            RegionKind::Star => {
+                self.star.as_ref().map_or((f64::INFINITY, vec![0.0; z.len()]), |s| s.distance(&z))
+            }
+            RegionKind::OneClass => {
+                self.one_class.as_ref().map_or((f64::INFINITY, vec![0.0; z.len()]), |r| r.distance(&z))
+            }
         };
         if let Some(g) = gradient {
             let _ = solve_upper(&self.r, normal.len(), &mut normal);

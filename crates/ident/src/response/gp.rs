@@ -1,0 +1,20 @@
+//! Gaussian processes: exact with estimated noise, sparse above a stated number of points.
+//!
+//! Inputs and output are scaled to mean zero and standard deviation one; lengths, noise ratio and signal variance are
+//! estimated by the restricted likelihood (`likelihood`), in logarithms, with its exact gradient, from several starts.
+
+mod factors;
+mod fit;
+pub mod kernel;
+pub mod likelihood;
+mod mean;
+mod model;
+mod predict;
+
+pub(super) use fit::MEMBER;
+
+pub use factors::Factors;
+pub use fit::{GaussianProcess, KernelChoice};
+pub use kernel::Kernel;
+pub use mean::Mean;
+pub use model::{GpModel, Hyperparameters};

@@ -1,0 +1,372 @@
+//! Search for the hyperparameters of a Gaussian process.
+
+use dynocal_numerics::optim::{Bounds, Budget, Objective, Optimiser, Outcome, QuasiNewton};
+use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
+use dynocal_numerics::rng::Rng64;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::super::points::Points;
+use super::super::scaling::Scaling;
+use super::super::{Learn, Learnt, LeftOut, ResponseError, ResponseModel};
+use super::kernel::Kernel;
+use super::likelihood::{Problem, Work};
+use super::mean::Mean;
+use super::model::{GpModel, Hyperparameters, Stored, basis};
+
+pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
+    doc: MemberDoc {
+        name: "gaussian_process",
+        what: "Gaussian process with a length for each input and estimated noise",
+        params: &[
+            ParamDoc {
+                name: "kernel",
+                unit: "-",
+                default: "\"auto\"",
+                what: "squared_exponential, matern32, matern52, or auto: the first or the last by the likelihood",
+            },
+            ParamDoc {
+                name: "mean",
+                unit: "-",
+                default: "\"linear\"",
+                what: "zero, constant, linear or quadratic",
+            },
+            ParamDoc {
+                name: "starts",
+                unit: "-",
+                default: "4",
+                what: "starts of the search for each kernel",
+            },
+            ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the starts after the first" },
+            ParamDoc {
+                name: "exact_points",
+                unit: "-",
+                default: "3000",
+                what: "most points that are taken exactly",
+            },
+        ],
+    },
+    build: |keys| Ok(Box::new(registry::keys::<GaussianProcess>("gaussian_process", keys)?)),
+};
+
+/// Bounds of the lengths, in standard deviations of the input: below, neighbours are independent; above, the input
+/// acts through the mean functions or not at all.
+const LENGTHS: [f64; 2] = [0.02, 300.0];
+/// Bounds of the noise ratio: below, the matrix is no longer positive definite in double precision.
+const NOISE: [f64; 2] = [1e-10, 1e3];
+/// From this length on an input counts as lost, and the search is started again with it at a moderate one.
+const LOST: f64 = 50.0;
+/// Lengths and noise ratios from which starts are drawn (in logarithms), and where the first start stands.
+const START_LENGTHS: [f64; 2] = [0.4, 8.0];
+const START_NOISE: [f64; 2] = [1e-4, 0.1];
+const FIRST: [f64; 2] = [1.5, 0.01];
+/// Starts on more points are run on as many of them, and the best goes on with all.
+const SCREEN: usize = 500;
+
+/// Which correlation function is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KernelChoice {
+    /// Squared exponential or Matern 5/2, whichever has the higher restricted likelihood.
+    #[default]
+    Auto,
+    /// Squared exponential.
+    SquaredExponential,
+    /// Matern 3/2.
+    Matern32,
+    /// Matern 5/2.
+    Matern52,
+}
+
+impl KernelChoice {
+    fn kernels(self) -> &'static [Kernel] {
+        match self {
+            Self::Auto => &[Kernel::SquaredExponential, Kernel::Matern52],
+            Self::SquaredExponential => &[Kernel::SquaredExponential],
+            Self::Matern32 => &[Kernel::Matern32],
+            Self::Matern52 => &[Kernel::Matern52],
+        }
+    }
+}
+
+/// Keys of a Gaussian process.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GaussianProcess {
+    /// Correlation function.
+    pub kernel: KernelChoice,
+    /// Mean functions.
+    pub mean: Mean,
+    /// Starts of the search for each kernel.
+    pub starts: usize,
+    /// Seed of the starts after the first.
+    pub seed: u64,
+    /// Most points that are taken exactly.
+    pub exact_points: usize,
+}
+
+impl Default for GaussianProcess {
+    fn default() -> Self {
+        Self { kernel: KernelChoice::Auto, mean: Mean::Linear, starts: 4, seed: 0, exact_points: 3000 }
+    }
+}
+
+impl Learn for GaussianProcess {
+    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+        let q = self.mean.count(points.dim());
+        points.check(q + points.dim() + 2, "a Gaussian process")?;
+        if self.starts == 0 {
+            let (key, found, expected) = ("starts", "0".into(), "at least 1".into());
+            return Err(ResponseError::Key { model: "gaussian_process", key, found, expected });
+        }
+        let scaling = Scaling::of(points);
+        let data = Scaled::new(&scaling, points, self.mean);
+        if points.len() > self.exact_points {
+            return Err(ResponseError::Memory {
+                model: "gaussian_process",
+                points: points.len(),
+                mebibytes: Work::bytes(points.len()) >> 20,
+                most: self.exact_points,
+                key: "exact_points",
+            });
+        }
+        let best = self.search(&data, &points.inputs, interrupt).ok_or_else(|| ResponseError::NoStart {
+            model: "gaussian_process",
+            output: points.output.clone(),
+        })?;
+        self.finish(points, scaling, data, best)
+    }
+}
+
+/// Points in scaled form.
+pub(super) struct Scaled {
+    pub(super) z: Vec<f64>,
+    pub(super) columns: Vec<f64>,
+    pub(super) y: Vec<f64>,
+    pub(super) basis: Vec<f64>,
+    pub(super) d: usize,
+}
+
+impl Scaled {
+    pub(super) fn new(scaling: &Scaling, points: &Points, mean: Mean) -> Self {
+        Self::of(scaling.inputs(points), scaling.outputs(points), points.dim(), mean)
+    }
+
+    fn of(z: Vec<f64>, y: Vec<f64>, d: usize, mean: Mean) -> Self {
+        let columns = (0..d).flat_map(|j| z.iter().skip(j).step_by(d).copied()).collect();
+        let basis = basis(mean, &z, d);
+        Self { z, columns, y, basis, d }
+    }
+
+    pub(super) fn problem(&self, kernel: Kernel) -> Problem<'_> {
+        Problem { kernel, columns: &self.columns, y: &self.y, basis: &self.basis, noise_shape: &[] }
+    }
+
+    /// A seeded choice of `count` points.
+    fn subset(&self, count: usize, seed: u64, mean: Mean) -> Self {
+        let mut rows: Vec<usize> = (0..self.y.len()).collect();
+        let mut rng = Rng64::stream(seed, SUBSET);
+        for i in 0..count.min(rows.len()) {
+            let k = i + rng.below(rows.len() - i);
+            rows.swap(i, k);
+        }
+        rows.truncate(count);
+        rows.sort_unstable();
+        let z = rows.iter().flat_map(|i| self.z[i * self.d..(i + 1) * self.d].iter().copied()).collect();
+        Self::of(z, rows.iter().map(|i| self.y[*i]).collect(), self.d, mean)
+    }
+}
+
+/// Streams of the generator.
+const SUBSET: u64 = 1 << 32;
+const STARTS: u64 = 2 << 32;
+
+/// Where a search ended.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    pub(super) kernel: Kernel,
+    pub(super) theta: Vec<f64>,
+    pub(super) log_likelihood: f64,
+    pub(super) evaluations: usize,
+}
+
+impl GaussianProcess {
+    /// Starts of all kernels, coarsely, on at most `SCREEN` points; then the best one finely on all.
+    fn search(
+        &self,
+        data: &Scaled,
+        names: &[String],
+        interrupt: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Found> {
+        let part = (data.y.len() > SCREEN).then(|| data.subset(SCREEN, self.seed, self.mean));
+        let coarse = part.as_ref().unwrap_or(data);
+        let ends: Vec<Option<Found>> = self
+            .kernels_and_starts(names)
+            .into_par_iter()
+            .map(|(kernel, start)| maximise(&coarse.problem(kernel), &start, Effort::Coarse, interrupt))
+            .collect();
+        // The first of equals, so that the order of the threads does not matter.
+        let best = ends.into_iter().flatten().fold(None, better)?;
+        let best = self.look_for_lost_inputs(coarse, best, interrupt);
+        let fine = maximise(&data.problem(best.kernel), &best.theta, Effort::Fine, interrupt)?;
+        Some(Found { evaluations: fine.evaluations + best.evaluations, ..fine })
+    }
+
+    /// An input at a very long length contributes nothing and its gradient has vanished: from there no search finds it
+    /// again. Each such input is tried once at the length of the first start.
+    fn look_for_lost_inputs(
+        &self,
+        data: &Scaled,
+        best: Found,
+        interrupt: &(dyn Fn() -> bool + Sync),
+    ) -> Found {
+        (0..data.d).filter(|j| best.theta[*j] > LOST.ln()).fold(best.clone(), |best, j| {
+            let mut start = best.theta.clone();
+            start[j] = FIRST[0].ln();
+            let again = maximise(&data.problem(best.kernel), &start, Effort::Coarse, interrupt);
+            again.into_iter().fold(Some(best.clone()), better).unwrap_or(best)
+        })
+    }
+
+    /// The first start is the same for all; the others are drawn from a stream of each input's place in the order of
+    /// names, so that the order of the columns changes nothing.
+    fn kernels_and_starts(&self, names: &[String]) -> Vec<(Kernel, Vec<f64>)> {
+        let mut order: Vec<usize> = (0..names.len()).collect();
+        order.sort_by(|a, b| names[*a].cmp(&names[*b]));
+        let mut starts = vec![vec![FIRST[0].ln(); names.len()]; self.starts];
+        let mut noise = vec![FIRST[1].ln(); self.starts];
+        for s in 1..self.starts {
+            let mut rng = Rng64::stream(self.seed, STARTS + s as u64);
+            noise[s] = rng.uniform_in(START_NOISE[0].ln(), START_NOISE[1].ln());
+            for j in &order {
+                starts[s][*j] = rng.uniform_in(START_LENGTHS[0].ln(), START_LENGTHS[1].ln());
+            }
+        }
+        let with_noise = starts.into_iter().zip(noise).map(|(mut l, g)| {
+            l.push(g);
+            l
+        });
+        let all: Vec<Vec<f64>> = with_noise.collect();
+        self.kernel.kernels().iter().flat_map(|k| all.iter().map(|s| (*k, s.clone()))).collect()
+    }
+
+    fn finish(
+        &self,
+        points: &Points,
+        scaling: Scaling,
+        data: Scaled,
+        best: Found,
+    ) -> Result<Learnt, ResponseError> {
+        let none = || ResponseError::NoStart { model: "gaussian_process", output: points.output.clone() };
+        let d = data.d;
+        let (log_lengths, noise_ratio) = (best.theta[..d].to_vec(), best.theta[d].exp());
+        let (left, signal_variance) = {
+            let problem = data.problem(best.kernel);
+            let mut work = Work::new(points.len());
+            let at =
+                problem.likelihood(&log_lengths, noise_ratio, None, false, &mut work).ok_or_else(none)?;
+            let left = problem.leave_one_out(&log_lengths, noise_ratio, at.signal_variance, &mut work);
+            (left.ok_or_else(none)?, at.signal_variance)
+        };
+        let unit = scaling.output_std;
+        let left_out = LeftOut {
+            residuals: left.residuals.iter().map(|e| e * unit).collect(),
+            variance: left.variance.iter().map(|v| v * unit * unit).collect(),
+        };
+        let mut notes = points.notes();
+        for (name, l) in points.inputs.iter().zip(&log_lengths) {
+            if *l > LOST.ln() {
+                notes.push(format!(
+                    "input `{name}` does not change `{}`: its length is {:.0} of its standard deviations",
+                    points.output,
+                    l.exp()
+                ));
+            }
+        }
+        let hyper = Hyperparameters { log_lengths, noise_ratio, signal_variance };
+        let stored = Stored { scaling, kernel: best.kernel, mean: self.mean, hyper, z: data.z, y: data.y };
+        let model = GpModel::build(stored)?;
+        notes.push(format!(
+            "{}; {} likelihoods were computed",
+            super::super::Response::describe(&model),
+            best.evaluations
+        ));
+        Ok(Learnt { model: ResponseModel::GaussianProcess(model), left_out, notes })
+    }
+}
+
+fn better(best: Option<Found>, other: Found) -> Option<Found> {
+    Some(match best {
+        Some(best) if best.log_likelihood >= other.log_likelihood => best,
+        _ => other,
+    })
+}
+
+/// How far a search goes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Effort {
+    /// Enough to tell the starts apart.
+    Coarse,
+    /// To the maximum.
+    Fine,
+}
+
+/// Maximises the likelihood over log lengths and log noise ratio.
+pub(super) fn maximise(
+    problem: &Problem<'_>,
+    start: &[f64],
+    effort: Effort,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Option<Found> {
+    let d = problem.dim();
+    let bound = |side: usize| -> Vec<f64> {
+        let mut bound = vec![LENGTHS[side].ln(); d];
+        bound.push(NOISE[side].ln());
+        bound
+    };
+    let bounds = Bounds { lower: bound(0), upper: bound(1) };
+    let budget = match effort {
+        Effort::Coarse => Budget { evaluations: 60, gradient_tolerance: 1e-3, value_tolerance: 1e-4 },
+        Effort::Fine => Budget { evaluations: 200, gradient_tolerance: 1e-6, value_tolerance: 1e-8 },
+    };
+    let mut negative = Negative { problem, work: Work::new(problem.n()), interrupt, evaluations: 0 };
+    let Outcome { x, value, .. } = QuasiNewton::default().minimise(&mut negative, &bounds, start, &budget);
+    let evaluations = negative.evaluations;
+    value.is_finite().then_some(Found {
+        kernel: problem.kernel,
+        theta: x,
+        log_likelihood: -value,
+        evaluations,
+    })
+}
+
+/// `-log L` for the search.
+struct Negative<'a> {
+    problem: &'a Problem<'a>,
+    work: Work,
+    interrupt: &'a (dyn Fn() -> bool + Sync),
+    evaluations: usize,
+}
+
+impl Objective for Negative<'_> {
+    fn n(&self) -> usize {
+        self.problem.dim() + 1
+    }
+
+    fn value_gradient(&mut self, x: &[f64], grad: &mut [f64]) -> f64 {
+        // After an interrupt no trial is any good, which ends the search at the best point.
+        if self.evaluations > 0 && (self.interrupt)() {
+            return f64::INFINITY;
+        }
+        self.evaluations += 1;
+        let d = self.problem.dim();
+        let at = self.problem.likelihood(&x[..d], x[d].exp(), None, !grad.is_empty(), &mut self.work);
+        match at {
+            Some(at) => {
+                grad.iter_mut().zip(&at.gradient).for_each(|(g, l)| *g = -l);
+                -at.value
+            }
+            None => f64::INFINITY,
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! Steady points: a table without time. Rows are operating points, columns are named inputs and one output.
+
+use serde::{Deserialize, Serialize};
+
+use crate::data::Dataset;
+
+/// Steady points of one output: `x` is n x d row-major, `y` has n entries.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Points {
+    /// Names of the inputs (d).
+    pub inputs: Vec<String>,
+    /// Name of the output.
+    pub output: String,
+    /// Inputs, n x d row-major.
+    pub x: Vec<f64>,
+    /// Output (n).
+    pub y: Vec<f64>,
+}
+
+/// Points that no response model can be learnt from.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PointsError {
+    /// A channel that the table does not have.
+    #[error(transparent)]
+    Data(#[from] crate::data::DataError),
+    /// Table and names do not fit.
+    #[error("{output}: {found} input values for {points} points, expected {expected} ({inputs} inputs each)")]
+    Shape {
+        /// Output.
+        output: String,
+        /// Values found.
+        found: usize,
+        /// Points.
+        points: usize,
+        /// Values expected.
+        expected: usize,
+        /// Inputs.
+        inputs: usize,
+    },
+    /// A value is not finite.
+    #[error("{channel}: point {row} (counted from 1) is {found}, expected a finite number")]
+    NotFinite {
+        /// Channel.
+        channel: String,
+        /// Row, one-based.
+        row: usize,
+        /// The value.
+        found: f64,
+    },
+    /// An input does not move.
+    #[error(
+        "input `{channel}` is {value} at all {points} points: nothing can be learnt about it; leave it out"
+    )]
+    Constant {
+        /// Channel.
+        channel: String,
+        /// Its value.
+        value: f64,
+        /// Points.
+        points: usize,
+    },
+    /// The output does not move.
+    #[error("output `{channel}` is {value} at all {points} points: there is nothing to learn")]
+    ConstantOutput {
+        /// Channel.
+        channel: String,
+        /// Its value.
+        value: f64,
+        /// Points.
+        points: usize,
+    },
+    /// Too few points.
+    #[error("{output}: {found} points, expected at least {expected} for {inputs} inputs and {what}")]
+    TooFew {
+        /// Output.
+        output: String,
+        /// Points found.
+        found: usize,
+        /// Points needed.
+        expected: usize,
+        /// Inputs.
+        inputs: usize,
+        /// Model.
+        what: String,
+    },
+}
+
+/// Points that share all their inputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Replicates {
+    /// Rows (from 0) of each group of two or more points with equal inputs.
+    pub groups: Vec<Vec<usize>>,
+    /// Rows whose inputs and output both equal those of an earlier row: copies, not repeated measurements.
+    pub copies: Vec<usize>,
+}
+
+impl Points {
+    /// `inputs` and `output` of a table.
+    ///
+    /// # Errors
+    /// [`PointsError`]: unknown channels, channels of different length, values that are not finite.
+    pub fn of_table(table: &Dataset, inputs: &[String], output: &str) -> Result<Self, PointsError> {
+        let columns = inputs.iter().map(|name| table.channel(name)).collect::<Result<Vec<_>, _>>()?;
+        let y = table.channel(output)?.values.clone();
+        let mut x = Vec::with_capacity(y.len() * columns.len());
+        for row in 0..y.len() {
+            x.extend(columns.iter().map(|c| c.values.get(row).copied().unwrap_or(f64::NAN)));
+        }
+        let points = Self { inputs: inputs.to_vec(), output: output.into(), x, y };
+        points.check_finite()?;
+        Ok(points)
+    }
+
+    /// Number of points n.
+    pub fn len(&self) -> usize {
+        self.y.len()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.y.is_empty()
+    }
+
+    /// Number of inputs d.
+    pub fn dim(&self) -> usize {
+        self.inputs.len()
+    }
+
+    /// Inputs of point i (d).
+    pub fn row(&self, i: usize) -> &[f64] {
+        &self.x[i * self.dim()..(i + 1) * self.dim()]
+    }
+
+    /// Column of input j (n).
+    pub fn column(&self, j: usize) -> impl Iterator<Item = f64> + Clone + '_ {
+        self.x.iter().skip(j).step_by(self.dim().max(1)).copied()
+    }
+
+    /// The points of some rows, in the order given.
+    pub fn rows(&self, rows: &[usize]) -> Self {
+        let x = rows.iter().flat_map(|i| self.row(*i).iter().copied()).collect();
+        Self {
+            inputs: self.inputs.clone(),
+            output: self.output.clone(),
+            x,
+            y: rows.iter().map(|i| self.y[*i]).collect(),
+        }
+    }
+
+    /// Largest minus smallest output.
+    pub fn output_range(&self) -> f64 {
+        let (low, high) = range(self.y.iter().copied());
+        high - low
+    }
+
+    /// Checks shape, finite values, moving channels and a least number of points for `what`.
+    ///
+    /// # Errors
+    /// [`PointsError`], which names the channel and the row.
+    pub fn check(&self, least: usize, what: &str) -> Result<(), PointsError> {
+        self.check_finite()?;
+        if self.len() < least.max(2) {
+            return Err(PointsError::TooFew {
+                output: self.output.clone(),
+                found: self.len(),
+                expected: least.max(2),
+                inputs: self.dim(),
+                what: what.into(),
+            });
+        }
+        for (j, channel) in self.inputs.iter().enumerate() {
+            if is_constant(self.column(j)) {
+                let (channel, value, points) = (channel.clone(), self.x[j], self.len());
+                return Err(PointsError::Constant { channel, value, points });
+            }
+        }
+        if is_constant(self.y.iter().copied()) {
+            let (channel, value, points) = (self.output.clone(), self.y[0], self.len());
+            return Err(PointsError::ConstantOutput { channel, value, points });
+        }
+        Ok(())
+    }
+
+    fn check_finite(&self) -> Result<(), PointsError> {
+        let (n, d) = (self.len(), self.dim());
+        if self.x.len() != n * d || d == 0 {
+            let output = self.output.clone();
+            return Err(PointsError::Shape {
+                output,
+                found: self.x.len(),
+                points: n,
+                expected: n * d,
+                inputs: d,
+            });
+        }
+        let bad_x =
+            self.x.iter().position(|v| !v.is_finite()).map(|k| (&self.inputs[k % d], k / d, self.x[k]));
+        let bad_y = self.y.iter().position(|v| !v.is_finite()).map(|k| (&self.output, k, self.y[k]));
+        match bad_x.or(bad_y) {
+            Some((channel, row, found)) => {
+                Err(PointsError::NotFinite { channel: channel.clone(), row: row + 1, found })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Groups of points with exactly equal inputs, in the order of their first rows.
+    pub fn replicates(&self) -> Replicates {
+        let mut order: Vec<usize> = (0..self.len()).collect();
+        let compare = |a: &usize, b: &usize| {
+            let pairs = self.row(*a).iter().zip(self.row(*b));
+            pairs.map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+        };
+        order.sort_by(|a, b| compare(a, b).then(a.cmp(b)));
+        let (mut groups, mut copies) = (Vec::new(), Vec::new());
+        for group in order.chunk_by(|a, b| compare(a, b).is_eq()).filter(|g| g.len() > 1) {
+            let seen = |k: usize| group[..k].iter().any(|i| self.y[*i] == self.y[group[k]]);
+            copies.extend((1..group.len()).filter(|k| seen(*k)).map(|k| group[k]));
+            groups.push(group.to_vec());
+        }
+        groups.sort();
+        copies.sort_unstable();
+        Replicates { groups, copies }
+    }
+
+    /// Sentences on duplicates, for reports; none where all points differ.
+    pub fn notes(&self) -> Vec<String> {
+        let found = self.replicates();
+        let mut notes = Vec::new();
+        if !found.groups.is_empty() {
+            let points: usize = found.groups.iter().map(Vec::len).sum();
+            notes.push(format!(
+                "{}: {points} points lie at {} repeated operating points (first: rows {})",
+                self.output,
+                found.groups.len(),
+                rows_in_words(&found.groups[0])
+            ));
+        }
+        if !found.copies.is_empty() {
+            notes.push(format!(
+                "{}: rows {} repeat inputs and output of an earlier row exactly: copies tell nothing about the noise",
+                self.output,
+                rows_in_words(&found.copies)
+            ));
+        }
+        notes
+    }
+}
+
+/// Rows counted from 1, at most eight of them.
+fn rows_in_words(rows: &[usize]) -> String {
+    let head: Vec<String> = rows.iter().take(8).map(|r| (r + 1).to_string()).collect();
+    let more = if rows.len() > 8 { format!(" and {} more", rows.len() - 8) } else { String::new() };
+    head.join(", ") + &more
+}
+
+/// Smallest and largest of some values.
+pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+}
+
+/// Whether the values differ by no more than rounding.
+fn is_constant(values: impl Iterator<Item = f64>) -> bool {
+    let (low, high) = range(values);
+    high - low <= 1e-12 * high.abs().max(low.abs())
+}
