@@ -20,14 +20,18 @@
 //! # Ok::<(), dynocal_ident::response::ResponseError>(())
 //! ```
 
+pub mod choose;
 mod features;
 pub mod gp;
 pub mod local_linear;
 pub mod mean_of;
+pub mod narx;
 pub mod points;
 pub mod polynomial;
 pub mod rbf;
 pub mod scaling;
+pub mod score;
+pub mod sequential;
 mod stepwise;
 pub mod transform;
 
@@ -232,6 +236,8 @@ pub enum ResponseModel {
     Polynomial(polynomial::PolynomialModel),
     /// Gaussian process.
     GaussianProcess(gp::GpModel),
+    /// Sparse Gaussian process.
+    SparseGaussianProcess(gp::SparseGpModel),
     /// Local linear or quadratic models.
     LocalLinear(local_linear::LocalLinearModel),
     /// Radial basis functions.
@@ -246,6 +252,7 @@ impl ResponseModel {
         match self {
             Self::Polynomial(model) => model,
             Self::GaussianProcess(model) => model,
+            Self::SparseGaussianProcess(model) => model,
             Self::LocalLinear(model) => model,
             Self::Rbf(model) => model,
             Self::MeanOf(model) => model,

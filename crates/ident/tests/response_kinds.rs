@@ -64,7 +64,11 @@ fn derivatives_of_every_kind_are_those_of_differences() {
     for kind in all_kinds() {
         let learnt = learn(&*kind, &p);
         for x in [[0.2, -0.4, 0.33], [-0.7, 0.1, 0.8]] {
-            common::check_response(&learnt.model, &x, 1e-4, 1e-4);
+            // The mean of a process with a very large signal variance has rounding of 1e-7, which asks for a longer step;
+            // a steep split asks for a short one.
+            let process = matches!(learnt.model, ResponseModel::GaussianProcess(_));
+            let (step, second) = if process { (1e-3, 1e-3) } else { (2e-5, 1e-4) };
+            common::check_response(&learnt.model, &x, step, 1e-4, second);
         }
     }
 }

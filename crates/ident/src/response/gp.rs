@@ -5,16 +5,20 @@
 
 mod factors;
 mod fit;
+mod fit_sparse;
 pub mod kernel;
 pub mod likelihood;
 mod mean;
 mod model;
+pub mod noise;
 mod predict;
+mod sparse;
 
 pub(super) use fit::MEMBER;
 
 pub use factors::Factors;
-pub use fit::{GaussianProcess, KernelChoice};
+pub use fit::{GaussianProcess, KernelChoice, NoiseChoice};
 pub use kernel::Kernel;
 pub use mean::Mean;
 pub use model::{GpModel, Hyperparameters};
+pub use sparse::SparseGpModel;

@@ -2,9 +2,9 @@
 
 use dynocal_ident::response::{Ask, Prediction, Response};
 
-/// Gradients and Hessians of mean and variance against central differences at x; `first` and `second` are the relative
+/// Gradients and Hessians of mean and variance against central differences at x with a relative step; `first` and `second` are the relative
 /// tolerances of gradients and Hessians.
-pub(crate) fn check_response(model: &dyn Response, x: &[f64], first: f64, second: f64) {
+pub(crate) fn check_response(model: &dyn Response, x: &[f64], step: f64, first: f64, second: f64) {
     let d = x.len();
     let (mut at, mut up, mut down) = (Prediction::new(d), Prediction::new(d), Prediction::new(d));
     model.predict(x, Ask::Hessian, &mut at);
@@ -13,14 +13,18 @@ pub(crate) fn check_response(model: &dyn Response, x: &[f64], first: f64, second
     // A variance has the rounding of the signal's variance (one or so here), which a difference divides by its step.
     let variance_size = |v: &[f64]| largest(v, 3e-3);
     let close = |found: f64, expected: f64, scale: f64, tolerance: f64, what: &str| {
-        assert!((found - expected).abs() <= tolerance * scale, "{what}: {found}, by differences {expected}");
+        assert!(
+            (found - expected).abs() <= tolerance * scale,
+            "{}: {what}: {found}, by differences {expected}",
+            model.describe()
+        );
     };
     for j in 0..d {
-        let h = 2e-5 * (1.0 + x[j].abs());
+        let h = step * (1.0 + x[j].abs());
         let step =
             |sign: f64| -> Vec<f64> { (0..d).map(|k| if k == j { x[k] + sign * h } else { x[k] }).collect() };
-        model.predict(&step(1.0), Ask::Gradient, &mut up);
-        model.predict(&step(-1.0), Ask::Gradient, &mut down);
+        model.predict(&moved(1.0), Ask::Gradient, &mut up);
+        model.predict(&moved(-1.0), Ask::Gradient, &mut down);
         let of = |a: f64, b: f64| (a - b) / (2.0 * h);
         close(at.gradient[j], of(up.mean, down.mean), size(&at.gradient), first, "gradient");
         let variance = of(up.variance, down.variance);

@@ -13,6 +13,7 @@ use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
 use super::mean::Mean;
 use super::model::{GpModel, Hyperparameters, Stored, basis};
+use super::noise::VaryingNoise;
 
 pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
     doc: MemberDoc {
@@ -51,9 +52,9 @@ pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
 
 /// Bounds of the lengths, in standard deviations of the input: below, neighbours are independent; above, the input
 /// acts through the mean functions or not at all.
-const LENGTHS: [f64; 2] = [0.02, 300.0];
+pub(super) const LENGTHS: [f64; 2] = [0.02, 300.0];
 /// Bounds of the noise ratio: below, the matrix is no longer positive definite in double precision.
-const NOISE: [f64; 2] = [1e-10, 1e3];
+pub(super) const NOISE: [f64; 2] = [1e-10, 1e3];
 /// From this length on an input counts as lost, and the search is started again with it at a moderate one.
 const LOST: f64 = 50.0;
 /// Lengths and noise ratios from which starts are drawn (in logarithms), and where the first start stands.
@@ -89,6 +90,20 @@ impl KernelChoice {
     }
 }
 
+/// How the noise depends on the inputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseChoice {
+    /// Not at all.
+    #[default]
+    Constant,
+    /// Its logarithm is a smooth function of them.
+    Varying,
+}
+
+/// Turns of process and noise.
+const TURNS: usize = 3;
+
 /// Keys of a Gaussian process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -101,13 +116,25 @@ pub struct GaussianProcess {
     pub starts: usize,
     /// Seed of the starts after the first.
     pub seed: u64,
+    /// Whether the noise varies with the inputs.
+    pub noise: NoiseChoice,
     /// Most points that are taken exactly.
     pub exact_points: usize,
+    /// Most inducing points of a sparse process above that; 0 refuses instead.
+    pub inducing_points: usize,
 }
 
 impl Default for GaussianProcess {
     fn default() -> Self {
-        Self { kernel: KernelChoice::Auto, mean: Mean::Linear, starts: 4, seed: 0, exact_points: 3000 }
+        Self {
+            kernel: KernelChoice::Auto,
+            mean: Mean::Linear,
+            starts: 4,
+            seed: 0,
+            noise: NoiseChoice::Constant,
+            exact_points: 3000,
+            inducing_points: 150,
+        }
     }
 }
 
@@ -121,7 +148,8 @@ impl Learn for GaussianProcess {
         }
         let scaling = Scaling::of(points);
         let data = Scaled::new(&scaling, points, self.mean);
-        if points.len() > self.exact_points {
+        let sparse = points.len() > self.exact_points;
+        if sparse && self.inducing_points == 0 {
             return Err(ResponseError::Memory {
                 model: "gaussian_process",
                 points: points.len(),
@@ -130,11 +158,23 @@ impl Learn for GaussianProcess {
                 key: "exact_points",
             });
         }
-        let best = self.search(&data, &points.inputs, interrupt).ok_or_else(|| ResponseError::NoStart {
-            model: "gaussian_process",
-            output: points.output.clone(),
-        })?;
-        self.finish(points, scaling, data, best)
+        let none = || ResponseError::NoStart { model: "gaussian_process", output: points.output.clone() };
+        let start = self.screen(&data, &points.inputs, interrupt).ok_or_else(none)?;
+        if sparse {
+            return self.finish_sparse(points, scaling, &data, &start, interrupt);
+        }
+        let mut best = polish(&data.problem(start.kernel), &start, interrupt).ok_or_else(none)?;
+        let mut noise = None;
+        if self.noise == NoiseChoice::Varying {
+            for _ in 0..TURNS {
+                let learnt = data.noise(&best, noise.as_ref()).ok_or_else(none)?;
+                let shape = data.noise_shape(Some(&learnt));
+                let problem = Problem { noise_shape: &shape, ..data.problem(best.kernel) };
+                best = polish(&problem, &best, interrupt).ok_or_else(none)?;
+                noise = Some(learnt);
+            }
+        }
+        self.finish(points, scaling, data, best, noise)
     }
 }
 
@@ -160,6 +200,26 @@ impl Scaled {
 
     pub(super) fn problem(&self, kernel: Kernel) -> Problem<'_> {
         Problem { kernel, columns: &self.columns, y: &self.y, basis: &self.basis, noise_shape: &[] }
+    }
+
+    /// Factors of the noise variance at the points; none for equal noise.
+    fn noise_shape(&self, noise: Option<&VaryingNoise>) -> Vec<f64> {
+        noise.map_or(Vec::new(), |noise| {
+            self.z.chunks_exact(self.d).map(|z| noise.log_shape(z).exp()).collect()
+        })
+    }
+
+    /// The noise that the left-out residuals show.
+    fn noise(&self, at: &Found, before: Option<&VaryingNoise>) -> Option<VaryingNoise> {
+        let shape = self.noise_shape(before);
+        let problem = Problem { noise_shape: &shape, ..self.problem(at.kernel) };
+        let (lengths, g) = (&at.theta[..self.d], at.theta[self.d].exp());
+        let mut work = Work::new(self.y.len());
+        let s2 = problem.likelihood(lengths, g, None, false, &mut work)?.signal_variance;
+        let left = problem.leave_one_out(lengths, g, s2, &mut work)?;
+        let own = |i: usize| s2 * g * shape.get(i).copied().unwrap_or(1.0);
+        let response: Vec<f64> = (0..self.y.len()).map(|i| (left.variance[i] - own(i)).max(0.0)).collect();
+        VaryingNoise::learn(&self.z, self.d, &left.residuals, &response)
     }
 
     /// A seeded choice of `count` points.
@@ -191,8 +251,8 @@ pub(super) struct Found {
 }
 
 impl GaussianProcess {
-    /// Starts of all kernels, coarsely, on at most `SCREEN` points; then the best one finely on all.
-    fn search(
+    /// Starts of all kernels, coarsely, on at most `SCREEN` points.
+    fn screen(
         &self,
         data: &Scaled,
         names: &[String],
@@ -207,9 +267,7 @@ impl GaussianProcess {
             .collect();
         // The first of equals, so that the order of the threads does not matter.
         let best = ends.into_iter().flatten().fold(None, better)?;
-        let best = self.look_for_lost_inputs(coarse, best, interrupt);
-        let fine = maximise(&data.problem(best.kernel), &best.theta, Effort::Fine, interrupt)?;
-        Some(Found { evaluations: fine.evaluations + best.evaluations, ..fine })
+        Some(self.look_for_lost_inputs(coarse, best, interrupt))
     }
 
     /// An input at a very long length contributes nothing and its gradient has vanished: from there no search finds it
@@ -256,12 +314,14 @@ impl GaussianProcess {
         scaling: Scaling,
         data: Scaled,
         best: Found,
+        noise: Option<VaryingNoise>,
     ) -> Result<Learnt, ResponseError> {
         let none = || ResponseError::NoStart { model: "gaussian_process", output: points.output.clone() };
         let d = data.d;
         let (log_lengths, noise_ratio) = (best.theta[..d].to_vec(), best.theta[d].exp());
         let (left, signal_variance) = {
-            let problem = data.problem(best.kernel);
+            let shape = data.noise_shape(noise.as_ref());
+            let problem = Problem { noise_shape: &shape, ..data.problem(best.kernel) };
             let mut work = Work::new(points.len());
             let at =
                 problem.likelihood(&log_lengths, noise_ratio, None, false, &mut work).ok_or_else(none)?;
@@ -274,17 +334,10 @@ impl GaussianProcess {
             variance: left.variance.iter().map(|v| v * unit * unit).collect(),
         };
         let mut notes = points.notes();
-        for (name, l) in points.inputs.iter().zip(&log_lengths) {
-            if *l > LOST.ln() {
-                notes.push(format!(
-                    "input `{name}` does not change `{}`: its length is {:.0} of its standard deviations",
-                    points.output,
-                    l.exp()
-                ));
-            }
-        }
+        notes.extend(lost_inputs(points, &log_lengths));
         let hyper = Hyperparameters { log_lengths, noise_ratio, signal_variance };
-        let stored = Stored { scaling, kernel: best.kernel, mean: self.mean, hyper, z: data.z, y: data.y };
+        let stored =
+            Stored { scaling, kernel: best.kernel, mean: self.mean, hyper, noise, z: data.z, y: data.y };
         let model = GpModel::build(stored)?;
         notes.push(format!(
             "{}; {} likelihoods were computed",
@@ -293,6 +346,25 @@ impl GaussianProcess {
         ));
         Ok(Learnt { model: ResponseModel::GaussianProcess(model), left_out, notes })
     }
+}
+
+/// The best point of a coarse search, finely on all points.
+fn polish(problem: &Problem<'_>, from: &Found, interrupt: &(dyn Fn() -> bool + Sync)) -> Option<Found> {
+    let fine = maximise(problem, &from.theta, Effort::Fine, interrupt)?;
+    Some(Found { evaluations: fine.evaluations + from.evaluations, ..fine })
+}
+
+/// Sentences on inputs that change nothing.
+pub(super) fn lost_inputs(points: &Points, log_lengths: &[f64]) -> Vec<String> {
+    let lost = points.inputs.iter().zip(log_lengths).filter(|(_, l)| **l > LOST.ln());
+    let words = lost.map(|(name, l)| {
+        format!(
+            "input `{name}` does not change `{}` beyond its trend: its length is {:.0} of its standard deviations",
+            points.output,
+            l.exp()
+        )
+    });
+    words.collect()
 }
 
 fn better(best: Option<Found>, other: Found) -> Option<Found> {

@@ -8,6 +8,7 @@ use super::factors::Factors;
 use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
 use super::mean::Mean;
+use super::noise::VaryingNoise;
 
 /// What the likelihood decides, in scaled inputs and output.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +39,9 @@ pub(super) struct Stored {
     pub(super) kernel: Kernel,
     pub(super) mean: Mean,
     pub(super) hyper: Hyperparameters,
+    /// How the noise varies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) noise: Option<VaryingNoise>,
     /// Scaled inputs, n x d.
     pub(super) z: Vec<f64>,
     /// Scaled output.
@@ -76,8 +80,17 @@ impl GpModel {
             (0..d).map(|j| stored.z.iter().skip(j).step_by(d).copied().collect()).collect();
         let flat = columns.concat();
         let basis = basis(stored.mean, &stored.z, d);
-        let problem =
-            Problem { kernel: stored.kernel, columns: &flat, y: &stored.y, basis: &basis, noise_shape: &[] };
+        let shape: Vec<f64> = stored
+            .noise
+            .as_ref()
+            .map_or(Vec::new(), |noise| stored.z.chunks_exact(d).map(|z| noise.log_shape(z).exp()).collect());
+        let problem = Problem {
+            kernel: stored.kernel,
+            columns: &flat,
+            y: &stored.y,
+            basis: &basis,
+            noise_shape: &shape,
+        };
         let mut work = Work::new(n);
         let (lengths, ratio) = (&stored.hyper.log_lengths, stored.hyper.noise_ratio);
         let none = || ResponseError::NoStart { model: "gaussian_process", output: "stored model".into() };
@@ -111,10 +124,16 @@ impl GpModel {
         scaled.map(|(l, s)| l.exp() * s).collect()
     }
 
-    /// Standard deviation of the noise, in the unit of the output.
+    /// Standard deviation of the noise, in the unit of the output (its geometric mean over the points where it varies).
     pub fn noise_std(&self) -> f64 {
         (self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt()
             * self.stored.scaling.output_std
+    }
+
+    /// Noise over signal variance at a scaled point.
+    pub(super) fn noise_ratio(&self, z: &[f64]) -> f64 {
+        let shape = self.stored.noise.as_ref().map_or(1.0, |noise| noise.log_shape(z).exp());
+        self.stored.hyper.noise_ratio * shape
     }
 
     /// Bytes that the model holds while it is used.
@@ -132,7 +151,7 @@ impl GpModel {
         let mut h = vec![0.0; self.stored.mean.count(d)];
         self.stored.mean.values(&point, &mut h);
         self.correlations(&point, &mut k, &mut slopes);
-        self.factors.append(&h, &k, 1.0 + self.stored.hyper.noise_ratio, y);
+        self.factors.append(&h, &k, 1.0 + self.noise_ratio(&point), y);
         self.columns.iter_mut().zip(&point).for_each(|(column, v)| column.push(*v));
         self.stored.z.extend_from_slice(&point);
         self.stored.y.push(y);

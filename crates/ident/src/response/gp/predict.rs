@@ -41,7 +41,7 @@ impl Response for GpModel {
         out.mean = self.stored.scaling.output_mean + unit * self.factors.mean(h, k);
         if ask >= Ask::Variance {
             out.variance = (s2 * self.factors.variance(h, k, v, t)).max(0.0);
-            out.noise = s2 * hyper.noise_ratio;
+            out.noise = s2 * self.noise_ratio(point);
         }
         if ask >= Ask::Gradient {
             self.factors.slopes(v, t, p);
@@ -71,6 +71,38 @@ impl Response for GpModel {
 }
 
 impl GpModel {
+    /// Covariances of the response at x (d) with that at each reference point (row by row), given the measurements:
+    /// `s^2 (k(x,r) - v_x'v_r + t_x't_r)`.
+    pub fn covariances(&self, x: &[f64], reference: &[f64]) -> Vec<f64> {
+        let (d, n) = (self.columns.len(), self.points());
+        let q = self.stored.mean.count(d);
+        let s2 = self.stored.hyper.signal_variance * self.stored.scaling.output_std.powi(2);
+        let w: Vec<f64> = self.stored.hyper.log_lengths.iter().map(|l| (-2.0 * l).exp()).collect();
+        let rotated = |x: &[f64]| {
+            let (mut z, mut h, mut t) = (vec![0.0; d], vec![0.0; q], vec![0.0; q]);
+            let (mut k, mut slopes, mut v) = (vec![0.0; n], vec![0.0; n], vec![0.0; n]);
+            self.stored.scaling.input(x, &mut z);
+            self.stored.mean.values(&z, &mut h);
+            self.correlations(&z, &mut k, &mut slopes);
+            self.factors.variance(&h, &k, &mut v, &mut t);
+            (z, v, t)
+        };
+        let (z, mut of_v, mut of_t) = rotated(x);
+        // As for a gradient: p and A^-1 t of x make every reference point a scalar product.
+        let mut p = vec![0.0; n];
+        self.factors.slopes(&mut of_v, &mut of_t, &mut p);
+        let (mut other, mut h) = (vec![0.0; d], vec![0.0; q]);
+        let (mut k, mut slopes) = (vec![0.0; n], vec![0.0; n]);
+        let each = reference.chunks_exact(d).map(|r| {
+            self.stored.scaling.input(r, &mut other);
+            self.stored.mean.values(&other, &mut h);
+            self.correlations(&other, &mut k, &mut slopes);
+            let r2 = z.iter().zip(&other).zip(&w).map(|((a, b), w)| w * (a - b) * (a - b)).sum();
+            s2 * (self.stored.kernel.value_slope(r2).0 - dot(&p, &k) + dot(&of_t, &h))
+        });
+        each.collect()
+    }
+
     /// k (n) at a scaled point, with dk/d(r^2) beside.
     pub(super) fn correlations(&self, point: &[f64], k: &mut [f64], slopes: &mut [f64]) {
         pulp::Arch::new().dispatch(Correlations { model: self, point, k, slopes });

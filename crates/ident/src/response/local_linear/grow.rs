@@ -16,6 +16,8 @@ const PATIENCE: usize = 2;
 const TRIED: usize = 3;
 /// Relative improvement of the left-out squares that counts.
 const DECREASE: f64 = 1e-3;
+/// A split is never steeper than over points that spread by this share of the standard deviation of all.
+const NARROWEST: f64 = 0.1;
 /// No point may carry its own local prediction by more than this.
 const LEVERAGE: f64 = 1.0 - 1e-9;
 
@@ -258,7 +260,7 @@ impl<'a> Placement<'a> {
         if !(spread > 1e-12) {
             return None;
         }
-        let factor = self.slope / spread.sqrt();
+        let factor = self.slope / spread.sqrt().max(NARROWEST);
         let normal: Vec<f64> = direction.iter().map(|v| factor * v).collect();
         Some(Split { offset: -dot(&normal, &self.centre) - self.slope * position, normal })
     }

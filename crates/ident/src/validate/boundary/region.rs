@@ -42,6 +42,9 @@ pub(super) struct Region {
     star: Option<Star>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     one_class: Option<OneClass>,
+    /// The deepest point of a one-class region: its mean may lie outside.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    deepest: Option<Vec<f64>>,
     kind: RegionKind,
     /// What the raw number is divided by.
     unit: f64,
@@ -84,8 +87,17 @@ impl Region {
             }
             r[i * d + i] += RIDGE;
         }
-        let mut region =
-            Self { centre, scale, r, hull: Vec::new(), star: None, one_class: None, kind, unit: 1.0 };
+        let mut region = Self {
+            centre,
+            scale,
+            r,
+            hull: Vec::new(),
+            star: None,
+            one_class: None,
+            deepest: None,
+            kind,
+            unit: 1.0,
+        };
         // The ridge keeps it positive definite; where rounding wins after all, channels count as independent.
         if cholesky(&mut region.r, d).is_err() {
             region.r.fill(0.0);
@@ -98,7 +110,12 @@ impl Region {
             RegionKind::Hull if points.len() <= most * d => region.hull = white(),
             RegionKind::Hull => region.hull = region.support(points, d, most),
             RegionKind::Star => region.star = Some(Star::fit(&white(), d, most)),
-            RegionKind::OneClass => region.one_class = Some(OneClass::fit(&white(), d, most, 1.0 - inside)),
+            RegionKind::OneClass => {
+                region.one_class = Some(OneClass::fit(&white(), d, most, 1.0 - inside));
+                let by =
+                    |a: &&[f64], b: &&[f64]| region.distance(a, None).total_cmp(&region.distance(b, None));
+                region.deepest = points.chunks_exact(d).min_by(by).map(<[f64]>::to_vec);
+            }
         }
         region
     }
@@ -108,7 +125,7 @@ impl Region {
     }
 
     pub(super) fn centre(&self) -> &[f64] {
-        &self.centre
+        self.deepest.as_ref().unwrap_or(&self.centre)
     }
 
     /// The region of the points `offset + scale x`; white coordinates stay as they are.

@@ -1,0 +1,201 @@
+//! Score page, nested choice, sequential points, varying noise, sparse processes.
+
+use dynocal_ident::response::choose::{Candidate, choose};
+use dynocal_ident::response::gp::{GaussianProcess, GpModel, Mean, NoiseChoice};
+use dynocal_ident::response::points::range;
+use dynocal_ident::response::score::{FoldKind, Unseen, folds, score_page, sensitivity};
+use dynocal_ident::response::sequential::{Aim, Limit, expected_improvement, next_points};
+use dynocal_ident::response::{Ask, Learn, Points, Prediction, Response, ResponseModel, learner};
+use dynocal_numerics::rng::Rng64;
+
+fn points(
+    n: usize,
+    d: usize,
+    seed: u64,
+    low: f64,
+    high: f64,
+    mut f: impl FnMut(&[f64], &mut Rng64) -> f64,
+) -> Points {
+    let mut rng = Rng64::new(seed);
+    let x: Vec<f64> = (0..n * d).map(|_| rng.uniform_in(low, high)).collect();
+    let y = x.chunks_exact(d).map(|x| f(x, &mut rng)).collect();
+    Points { inputs: (0..d).map(|j| format!("x{j}")).collect(), output: "y".into(), x, y }
+}
+
+fn process(keys: &GaussianProcess, points: &Points) -> GpModel {
+    match keys.learn(points, &|| false).unwrap().model {
+        ResponseModel::GaussianProcess(model) => model,
+        other => panic!("{}", other.describe()),
+    }
+}
+
+fn kind(name: &str) -> Box<dyn Learn> {
+    learner(name, &toml::Table::new()).unwrap()
+}
+
+#[test]
+fn folds_hold_every_point_once() {
+    for how in [FoldKind::Interleaved, FoldKind::Blocks] {
+        let parts = folds(23, 5, how);
+        let mut all = parts.concat();
+        all.sort_unstable();
+        assert_eq!(all, (0..23).collect::<Vec<_>>());
+        assert!(parts.iter().all(|p| p.len() >= 4));
+    }
+    assert_eq!(folds(6, 3, FoldKind::Blocks), [[0, 1], [2, 3], [4, 5]]);
+}
+
+#[test]
+fn sensitivities_are_those_of_a_function_with_known_indices() {
+    // f = x0 + 2 x1 + x1 x2 over [-1, 1]^3: variances 1/3, 4/3, 0 and 1/9 of the product.
+    let p = points(150, 3, 1, -1.0, 1.0, |x, _| x[0] + 2.0 * x[1] + x[1] * x[2]);
+    let model = kind("polynomial").learn(&p, &|| false).unwrap().model;
+    let total = 1.0 / 3.0 + 4.0 / 3.0 + 1.0 / 9.0;
+    let expected = [[1.0 / 3.0, 1.0 / 3.0], [4.0 / 3.0, 4.0 / 3.0 + 1.0 / 9.0], [0.0, 1.0 / 9.0]];
+    for (found, expected) in sensitivity(&model, &p, 3).iter().zip(&expected) {
+        // 2048 draws, and the box of the points is a little smaller than the cube.
+        assert!((found.main - expected[0] / total).abs() < 0.07, "{found:?}");
+        assert!((found.total - expected[1] / total).abs() < 0.05, "{found:?}");
+    }
+}
+
+#[test]
+fn a_score_page_agrees_with_unseen_points() {
+    let f = |x: &[f64], rng: &mut Rng64| (2.0 * x[0]).sin() + x[1] * x[1] + 0.05 * rng.normal();
+    let (p, unseen) = (points(80, 2, 2, -1.0, 1.0, f), points(400, 2, 3, -1.0, 1.0, f));
+    let (model, page) =
+        score_page(&*kind("gaussian_process"), &p, Some(&unseen), 5, FoldKind::Interleaved, &|| false)
+            .unwrap();
+    let apart = page.unseen.unwrap();
+    assert_eq!(apart, Unseen::on(&model, &unseen));
+    for score in [&page.left_out, &page.folds, &apart] {
+        assert!((0.04..0.09).contains(&score.rmse), "{score:?}");
+        assert!(score.coverage > 0.85 && (0.6..1.8).contains(&score.variance_ratio), "{score:?}");
+    }
+    assert!((page.press - 80.0 * page.left_out.rmse.powi(2)).abs() < 1e-9);
+    assert_eq!((page.intersections.len(), page.intersections[0].x.len()), (2, 41));
+}
+
+#[test]
+fn the_simplest_within_one_standard_error_is_chosen_and_said() {
+    let p = points(60, 2, 4, -1.0, 1.0, |x, rng| 1.0 + x[0] - x[1] + 0.1 * rng.normal());
+    let candidates = || {
+        let linear = learner("polynomial", &toml::from_str("degree = 1").unwrap()).unwrap();
+        vec![
+            Candidate { name: "plane".into(), kind: linear },
+            Candidate { name: "cubic".into(), kind: kind("polynomial") },
+            Candidate { name: "radial".into(), kind: kind("rbf") },
+        ]
+    };
+    let (_, choice) = choose(&candidates(), &p, 5, FoldKind::Interleaved, &|| false).unwrap();
+    assert_eq!(choice.chosen, 0, "{choice:?}");
+    assert!(choice.words.starts_with("`y`: plane is taken"), "{}", choice.words);
+    // The error of the whole procedure is about the noise.
+    assert!((0.07..0.15).contains(&choice.nested_rmse), "{choice:?}");
+    let curved = points(60, 2, 5, -1.0, 1.0, |x, rng| (3.0 * x[0]).sin() * x[1] + 0.02 * rng.normal());
+    let (_, choice) = choose(&candidates(), &curved, 5, FoldKind::Interleaved, &|| false).unwrap();
+    assert_ne!(choice.chosen, 0, "{choice:?}");
+}
+
+#[test]
+fn integrated_variance_is_what_a_measurement_takes_off() {
+    for mean in [Mean::Zero, Mean::Linear] {
+        let p = points(30, 2, 6, 0.0, 1.0, |x, rng| (3.0 * x[0]).sin() + x[1] + 0.05 * rng.normal());
+        let model = process(&GaussianProcess { mean, starts: 2, ..Default::default() }, &p);
+        let reference = points(60, 2, 7, 0.0, 1.0, |_, _| 0.0).x;
+        let candidates = points(8, 2, 8, -0.1, 1.1, |_, _| 0.0).x;
+        let integrated = |model: &GpModel| -> f64 {
+            let mut at = Prediction::new(2);
+            let one = |x: &[f64]| {
+                model.predict(x, Ask::Variance, &mut at);
+                at.variance
+            };
+            reference.chunks_exact(2).map(one).sum::<f64>() / 60.0
+        };
+        let before = integrated(&model);
+        let chosen = next_points(&model, Aim::IntegratedVariance, &candidates, &reference, &[], 0.0, 1);
+        let drops: Vec<f64> = candidates
+            .chunks_exact(2)
+            .map(|x| {
+                let mut more = model.clone();
+                more.add(x, 0.0);
+                before - integrated(&more)
+            })
+            .collect();
+        let best = (0..8).max_by(|a, b| drops[*a].total_cmp(&drops[*b])).unwrap();
+        assert_eq!(chosen[0].candidate, best);
+        assert!(
+            (chosen[0].value - drops[best]).abs() < 1e-8 * before.max(1.0),
+            "{} {}",
+            chosen[0].value,
+            drops[best]
+        );
+    }
+}
+
+#[test]
+fn expected_improvement_is_the_mean_over_draws_and_limits_leave_out_candidates() {
+    let mut rng = Rng64::new(9);
+    let n = 200_000;
+    let drawn = (0..n).map(|_| (0.3 - (0.5 + 0.8 * rng.normal())).max(0.0)).sum::<f64>() / f64::from(n);
+    assert!((expected_improvement(0.3, 0.5, 0.8) - drawn).abs() < 0.005);
+    // Torque rises with x0; the limited output crosses its limit at x0 = 0.5.
+    let goal = points(25, 1, 10, 0.0, 1.0, |x, _| -x[0]);
+    let limited = points(25, 1, 11, 0.0, 1.0, |x, rng| 10.0 * x[0] + 0.1 * rng.normal());
+    let keys = GaussianProcess { starts: 1, ..Default::default() };
+    let (goal, limited) = (process(&keys, &goal), process(&keys, &limited));
+    let candidates: Vec<f64> = (0..101).map(|i| f64::from(i) / 100.0).collect();
+    let limits = [Limit { model: &limited, upper: 5.0 }];
+    let chosen = next_points(&goal, Aim::Spread, &candidates, &[], &limits, 0.95, 4);
+    assert_eq!(chosen.len(), 4);
+    assert!(chosen.iter().all(|c| c.probability >= 0.95 && candidates[c.candidate] < 0.5), "{chosen:?}");
+    // No candidate twice.
+    let places: std::collections::BTreeSet<usize> = chosen.iter().map(|c| c.candidate).collect();
+    assert_eq!(places.len(), 4);
+}
+
+#[test]
+fn a_varying_noise_is_found_within_a_tenth() {
+    // Motorcycle-like: calm, then violent, then calming; the standard deviation is known.
+    let std = |x: f64| 0.05 + 0.5 / (1.0 + (-12.0 * (x - 0.35)).exp()) * (1.0 - 0.6 * x);
+    let mean = |x: f64| if x < 0.3 { 0.0 } else { -1.5 * (9.0 * (x - 0.3)).sin() * (-3.0 * (x - 0.3)).exp() };
+    let mut shares = Vec::new();
+    for seed in 0..3 {
+        let p = points(400, 1, 20 + seed, 0.0, 1.0, |x, rng| mean(x[0]) + std(x[0]) * rng.normal());
+        let model =
+            process(&GaussianProcess { noise: NoiseChoice::Varying, starts: 1, ..Default::default() }, &p);
+        let mut at = Prediction::new(1);
+        let squares: f64 = (0..200)
+            .map(|i| {
+                let x = (f64::from(i) + 0.5) / 200.0;
+                model.predict(&[x], Ask::Variance, &mut at);
+                (at.noise.sqrt() - std(x)).powi(2)
+            })
+            .sum();
+        let (low, high) = range((0..200).map(|i| std(f64::from(i) / 199.0)));
+        shares.push((squares / 200.0).sqrt() / (high - low));
+        let stored = serde_json::to_string(&model).unwrap();
+        assert_eq!(serde_json::from_str::<GpModel>(&stored).unwrap(), model);
+    }
+    println!("{shares:?}");
+    // 400 points and a curve of some six degrees of freedom: sqrt(6 / 800) = 9 % of the local value.
+    assert!(shares.iter().sum::<f64>() / 3.0 < 0.1, "{shares:?}");
+}
+
+#[test]
+fn a_sparse_process_is_near_the_exact_one_and_a_refusal_names_the_memory() {
+    let f = |x: &[f64], rng: &mut Rng64| (4.0 * x[0]).sin() + x[1] * x[0] + 0.1 * rng.normal();
+    let (p, test) = (points(700, 2, 30, 0.0, 1.0, f), points(300, 2, 31, 0.0, 1.0, f));
+    let exact = GaussianProcess { starts: 1, ..Default::default() };
+    let sparse = GaussianProcess { exact_points: 600, inducing_points: 60, ..exact.clone() };
+    let a = Unseen::on(&exact.learn(&p, &|| false).unwrap().model, &test);
+    let learnt = sparse.learn(&p, &|| false).unwrap();
+    assert!(matches!(learnt.model, ResponseModel::SparseGaussianProcess(_)));
+    let b = Unseen::on(&learnt.model, &test);
+    assert!(b.rmse < 1.02 * a.rmse, "{} {}", b.rmse, a.rmse);
+    assert!((0.9..0.99).contains(&b.coverage), "{b:?}");
+    assert!((learnt.left_out.rmse() / 0.1 - 1.0).abs() < 0.15, "{}", learnt.left_out.rmse());
+    let refused = GaussianProcess { inducing_points: 0, ..sparse }.learn(&p, &|| false).unwrap_err();
+    // Four matrices of 700 x 700 doubles.
+    assert!(refused.to_string().contains("700 points would take 14 MiB"), "{refused}");
+}
