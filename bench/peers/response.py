@@ -33,7 +33,7 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 warnings.simplefilter("ignore", ConvergenceWarning)
 INPUTS = ["speed", "load", "spark", "lambda", "cam"]
 GP = {"kind": "gaussian_process", "starts": 4}
-KINDS = [GP, {"kind": "polynomial"}, {"kind": "local_linear"}, {"kind": "rbf"}]
+KINDS = [GP, {"kind": "stepwise_polynomial"}, {"kind": "local_linear"}, {"kind": "rbf"}]
 
 
 def engine_like(u):

@@ -30,6 +30,8 @@ pub struct ChannelSpec {
 /// Where time comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Time {
+    /// There is none: rows are points in no order. The sample time of their dataset is 1 and says nothing.
+    Steady,
     /// Rows are this many seconds apart.
     Sampled {
         /// Sample time in s.
@@ -414,6 +416,7 @@ fn experiment_name(
 /// they are to be kept.
 fn clock(table: &Table, time: &Time, from: usize, to: usize) -> Result<(f64, Option<Channel>), FilesError> {
     match time {
+        Time::Steady => Ok((1.0, None)),
         Time::Sampled { sample_time_s } => Ok((*sample_time_s, None)),
         Time::Column { column, unit } => {
             let (stamps, scale) = stamps(table, column, unit.as_deref(), from, to)?;

@@ -5,7 +5,7 @@
 
 use std::time::Instant;
 
-use dynocal_ident::response::{Ask, Points, Prediction, Response, ResponseModel, learner};
+use dynocal_ident::model::response::{Ask, Points, Prediction, Response, ResponseModel, learner};
 use serde::Deserialize;
 use serde_json::json;
 

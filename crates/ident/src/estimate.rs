@@ -7,6 +7,7 @@ pub mod els;
 mod fit;
 pub mod initial;
 pub mod iv;
+pub mod learn;
 pub mod missing;
 mod noise;
 pub mod ols;
@@ -23,7 +24,7 @@ pub mod train;
 use dynocal_numerics::linalg::LinalgError;
 
 pub use covariance::{CovarianceChoice, CovarianceKind};
-pub use fit::{Fit, Minimised};
+pub use fit::{Fit, LearntForm, Minimised};
 pub use noise::Residuals;
 pub use table::{ESTIMATORS, EstimatorRow, Fits, Gaps, docs, estimator, row};
 
@@ -77,6 +78,12 @@ pub enum EstimateError {
     /// The orders do not fit the channels.
     #[error(transparent)]
     Structure(#[from] crate::model::poly::StructureError),
+    /// A response model cannot be learnt from the points.
+    #[error(transparent)]
+    Response(#[from] crate::model::response::ResponseError),
+    /// The keys of a learner, which were checked when its structure was built, are not those of its kind.
+    #[error(transparent)]
+    Keys(#[from] dynocal_numerics::registry::BuildError),
     /// The estimator is made for other forms of models.
     #[error("the estimator `{estimator}` does not fit a model of the form `{found}`, it fits {expected}")]
     Form {

@@ -17,7 +17,6 @@ pub mod plan;
 pub mod plant;
 pub mod play;
 pub mod prepare;
-pub mod response;
 pub mod select;
 pub mod signal;
 pub mod stored;

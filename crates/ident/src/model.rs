@@ -24,6 +24,7 @@ pub mod neural;
 mod output;
 pub mod poly;
 mod record;
+pub mod response;
 
 pub use output::{Kind, output};
 pub use record::usable_samples;

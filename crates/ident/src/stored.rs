@@ -91,7 +91,7 @@ pub struct StoredModel {
     pub inputs: Vec<Quantity>,
     /// Channel that the structure computes.
     pub output: Quantity,
-    /// Sample time in s.
+    /// Sample time in s; without meaning for a model of present values alone ([`StoredModel::is_steady`]).
     pub sample_time_s: f64,
     /// Parameters theta with names and standard errors, in the order of the structure.
     pub parameters: Vec<Parameter>,
@@ -299,6 +299,12 @@ impl StoredModel {
     /// Parameters theta (p).
     pub fn theta(&self) -> Vec<f64> {
         self.parameters.iter().map(|p| p.value).collect()
+    }
+
+    /// Whether the model reads present values alone: it then goes with records of any sample time, and with tables that have
+    /// none.
+    pub fn is_steady(&self) -> bool {
+        self.structure.form().memory() == 0
     }
 
     /// How a free run starts where nothing else is asked for.

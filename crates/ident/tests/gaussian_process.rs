@@ -3,9 +3,9 @@
 #[path = "common/response.rs"]
 mod common;
 
-use dynocal_ident::response::gp::likelihood::{Problem, Work};
-use dynocal_ident::response::gp::{GaussianProcess, GpModel, Kernel, KernelChoice, Mean};
-use dynocal_ident::response::{
+use dynocal_ident::model::response::gp::likelihood::{Problem, Work};
+use dynocal_ident::model::response::gp::{GaussianProcess, GpModel, Kernel, KernelChoice, Mean};
+use dynocal_ident::model::response::{
     Ask, Learn, Learnt, Points, PointsError, Prediction, Response, ResponseError, ResponseModel,
 };
 use dynocal_numerics::rng::Rng64;

@@ -20,7 +20,6 @@ const ORDER: &[&str] = &[
     "plan",
     "play",
     "model",
-    "response",
     "estimate",
     "excitation",
     "validate",

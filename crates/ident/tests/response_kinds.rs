@@ -3,12 +3,12 @@
 #[path = "common/response.rs"]
 mod common;
 
-use dynocal_ident::response::mean_of::MeanOf;
-use dynocal_ident::response::polynomial::influence::Influence;
-use dynocal_ident::response::polynomial::{Heredity, Polynomial, TransformChoice};
-use dynocal_ident::response::rbf::Rbf;
-use dynocal_ident::response::transform::Transform;
-use dynocal_ident::response::{
+use dynocal_ident::model::response::mean_of::MeanOf;
+use dynocal_ident::model::response::polynomial::influence::Influence;
+use dynocal_ident::model::response::polynomial::{Heredity, Polynomial, TransformChoice};
+use dynocal_ident::model::response::rbf::Rbf;
+use dynocal_ident::model::response::transform::Transform;
+use dynocal_ident::model::response::{
     Ask, Learn, Learnt, Points, Prediction, RESPONSES, Response, ResponseModel, learner,
 };
 use dynocal_numerics::linalg::least_squares;
@@ -40,16 +40,20 @@ fn keys(text: &str) -> toml::Table {
 /// Every row of the table, and its options.
 fn all_kinds() -> Vec<Box<dyn Learn>> {
     let texts = [
-        ("polynomial", ""),
-        ("polynomial", "transform = \"log\""),
-        ("polynomial", "transform = \"box_cox\"\ndegree = 2\nheredity = \"weak\""),
-        ("polynomial", "transform = \"logit\"\nlow = 0.0\nhigh = 20.0\nstepwise = false\ndegree = 2"),
+        ("stepwise_polynomial", ""),
+        ("stepwise_polynomial", "transform = \"log\""),
+        ("stepwise_polynomial", "transform = \"box_cox\"\ndegree = 2\nheredity = \"weak\""),
+        (
+            "stepwise_polynomial",
+            "transform = \"logit\"\nlow = 0.0\nhigh = 20.0\nstepwise = false\ndegree = 2",
+        ),
         ("gaussian_process", "starts = 1"),
         ("gaussian_process", "starts = 1\nkernel = \"matern52\"\nmean = \"linear\""),
         ("local_linear", ""),
         ("local_linear", "quadratic = true\nmost = 4\nsteepness = [4.0]"),
         ("rbf", ""),
-        ("mean_of", "models = [{ kind = \"polynomial\" }, { kind = \"rbf\" }]"),
+        ("mean_of", "models = [{ kind = \"stepwise_polynomial\" }, { kind = \"rbf\" }]"),
+        ("best_of", "models = [{ kind = \"stepwise_polynomial\" }, { kind = \"rbf\" }]\nfolds = 3"),
     ];
     // A new row of the table must be added to the list.
     for member in RESPONSES {
@@ -279,7 +283,7 @@ fn a_mean_spreads_where_its_members_disagree() {
 #[test]
 fn wrong_keys_are_named() {
     for (kind, text, expected) in [
-        ("polynomial", "degre = 2", "degre"),
+        ("stepwise_polynomial", "degre = 2", "degre"),
         ("gaussian_proces", "", "did you mean `gaussian_process`"),
         ("mean_of", "models = []", "empty"),
         ("mean_of", "models = [{ degree = 2 }]", "kind"),

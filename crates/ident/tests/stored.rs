@@ -211,6 +211,7 @@ fn every_kind_survives_a_file() {
         let keys: toml::Table = match kind.doc.name {
             "polynomial" => "regressors = ['1', 'a(t-1)*y(t-1)']",
             "narmax" => "regressors = ['a(t-1)', 'e(t-1)']",
+            "mean_of" | "best_of" => "models = [{ kind = 'gaussian_process' }, { kind = 'rbf', most = 5 }]",
             _ => "",
         }
         .parse()
@@ -223,8 +224,15 @@ fn every_kind_survives_a_file() {
         assert!(text.starts_with(&format!("{{\"kind\":\"{}\"", kind.form.name)), "{text}");
         assert_eq!(serde_json::from_str::<dynocal_ident::model::form::AnyForm>(&text).unwrap(), stored);
     }
-    assert_eq!(forms().map(|f| f.name).collect::<Vec<_>>(), ["polynomial", "neural", "narmax", "linear"]);
+    assert_eq!(
+        forms().map(|f| f.name).collect::<Vec<_>>(),
+        ["polynomial", "neural", "narmax", "linear", "response"]
+    );
     let fault =
         serde_json::from_str::<dynocal_ident::model::form::AnyForm>("{\"kind\": \"spline\"}").unwrap_err();
-    assert!(fault.to_string().contains("found `spline`, expected one of polynomial, neural, narmax, linear"));
+    assert!(
+        fault
+            .to_string()
+            .contains("found `spline`, expected one of polynomial, neural, narmax, linear, response")
+    );
 }

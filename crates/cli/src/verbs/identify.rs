@@ -22,7 +22,7 @@ use dynocal_jobs::identify::page as identify_report;
 pub(crate) const VERB: Verb =
     Verb { name: "identify", describe: |c| Identify::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Identify a dynamic model from a measured file (CSV, Parquet, MDF, MAT)";
+const ABOUT: &str = "Identify a dynamic or steady model from a measured file (CSV, Parquet, MDF, MAT)";
 
 #[derive(Args, Debug)]
 struct Identify {
@@ -99,18 +99,16 @@ fn text(found: &Identified) -> String {
     let mut out = format!("{}\n\n{}\n", found.name, found.verdict.join("\n"));
     for m in &found.models {
         out += &format!(
-            "\n{} from {}\n{} {}, {} parameters{}, {}\n\n",
+            "\n{} from {}\n{}{}, {}\n\n",
             m.target,
             m.inputs.join(", "),
-            m.structure,
-            m.estimator,
-            m.parameters.len(),
+            m.what.clone().unwrap_or_else(|| format!("{} {}, {} parameters", m.structure, m.estimator, m.parameters.len())),
             size(m),
             identify_report::ended(m)
         );
         let own: Vec<&Score> = found.scores.iter().filter(|s| s.output == m.target).collect();
         let banded = own.iter().any(|s| s.band.is_some());
-        let rows: Vec<Vec<String>> = own.iter().map(|s| row(s, banded)).collect();
+        let rows: Vec<Vec<String>> = own.iter().map(|s| row(s, banded, found.steady)).collect();
         let (rmse, within) = (format!("RMSE [{}]", m.unit), format!("95 % within [{}]", m.unit));
         let mut header = vec!["data", "output", "records", "samples", &rmse, &within];
         if banded {
@@ -125,17 +123,18 @@ fn text(found: &Identified) -> String {
 
 fn size(m: &Modelled) -> String {
     match (m.rank, m.samples) {
+        (Some(0), Some(samples)) => format!(", {samples} points"),
         (Some(rank), Some(samples)) => format!(" (rank {rank}), {samples} samples"),
         _ => String::new(),
     }
 }
 
-fn row(s: &Score, banded: bool) -> Vec<String> {
+fn row(s: &Score, banded: bool, steady: bool) -> Vec<String> {
     let number = |x: Option<f64>, digits: usize| x.map_or("diverged".into(), |v| format!("{v:.digits$}"));
     let error = |x: Option<f64>| x.map_or("diverged".into(), |v| dynocal_report::significant(v, 5));
     let mut cells = vec![
         s.part.clone(),
-        format!("{}{}", identify_report::kind_text(s.kind), if s.outside { " (far outside)" } else { "" }),
+        format!("{}{}", if steady { "each point".into() } else { identify_report::kind_text(s.kind) }, if s.outside { " (far outside)" } else { "" }),
         s.records.to_string(),
         s.samples.to_string(),
         error(s.rmse),

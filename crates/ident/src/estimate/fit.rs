@@ -10,6 +10,9 @@ use super::covariance::{
 };
 use super::noise::Residuals;
 use crate::experiment::Experiment;
+use crate::model::form::AnyForm;
+use crate::model::response::LeftOut;
+use crate::model::response::choose::Choice;
 
 /// Which error a fit made small.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,6 +70,20 @@ pub struct Fit {
     /// diverged.
     #[serde(default, deserialize_with = "crate::nullable::numbers")]
     pub starts: Vec<f64>,
+    /// What the estimator put into the structure, where theta alone does not say it; not kept with the report of the fit.
+    #[serde(skip)]
+    pub learnt: Option<LearntForm>,
+}
+
+/// A structure with what was learnt in it.
+#[derive(Clone, Debug)]
+pub struct LearntForm {
+    /// The structure, ready to be used with [`Fit::theta`].
+    pub form: AnyForm,
+    /// Each point predicted from the others.
+    pub left_out: LeftOut,
+    /// How it was chosen, where there were several candidates.
+    pub choice: Option<Choice>,
 }
 
 /// What a search found: a [`Fit`] without what follows from errors and Jacobian.
@@ -115,6 +132,7 @@ impl Fit {
             warnings,
             notes: Vec::new(),
             starts: Vec::new(),
+            learnt: None,
         })
     }
 

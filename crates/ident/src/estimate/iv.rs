@@ -343,6 +343,7 @@ impl<'a> Task<'a> {
             warnings: rank_warning(&found.factor, &names).into_iter().collect(),
             notes: Vec::new(),
             starts: Vec::new(),
+            learnt: None,
             names,
         })
     }

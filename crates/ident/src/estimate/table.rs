@@ -2,7 +2,7 @@
 
 use dynocal_numerics::registry::{BuildError, MemberDoc, nearest};
 
-use super::{Estimator, els, iv, ols, pem, rls, sem, train};
+use super::{Estimator, els, iv, learn, ols, pem, rls, sem, train};
 use crate::model::form::FormRow;
 use crate::model::kinds::{MODEL_KINDS, ModelKind};
 
@@ -64,7 +64,7 @@ pub struct EstimatorRow {
 
 /// All estimators.
 pub static ESTIMATORS: &[EstimatorRow] =
-    &[ols::ROW, rls::ROW, iv::ROW, sem::ROW, train::ROW, pem::ROW, els::ROW];
+    &[ols::ROW, rls::ROW, iv::ROW, sem::ROW, train::ROW, pem::ROW, els::ROW, learn::ROW];
 
 /// The row of `name`.
 ///

@@ -15,7 +15,7 @@ use dynocal_numerics::registry::{BuildError, MemberDoc, nearest};
 
 use super::form::{Form, FormRow};
 use super::poly::StructureError;
-use super::{linear, literature_kinds as printed, narmax, neural, poly};
+use super::{linear, literature_kinds as printed, narmax, neural, poly, response};
 use crate::experiment::Experiment;
 
 /// A structure before it knows its channels.
@@ -57,6 +57,12 @@ pub static MODEL_KINDS: &[ModelKind] = &[
     linear::structures::FIR_ARMA,
     linear::structures::ARMA,
     linear::structures::LINEAR,
+    response::kinds::STEPWISE_POLYNOMIAL,
+    response::kinds::GAUSSIAN_PROCESS,
+    response::kinds::LOCAL_LINEAR,
+    response::kinds::RBF,
+    response::kinds::MEAN_OF,
+    response::kinds::BEST_OF,
     printed::TORQUE_7_8,
     printed::LAMBDA_7_8,
     printed::TORQUE_4_17,

@@ -1,6 +1,6 @@
 //! What every response model must hold.
 
-use dynocal_ident::response::{Ask, Prediction, Response};
+use dynocal_ident::model::response::{Ask, Prediction, Response};
 
 /// Gradients and Hessians of mean and variance against central differences at x with a relative step; `first` and `second` are the relative
 /// tolerances of gradients and Hessians.
@@ -21,7 +21,7 @@ pub(crate) fn check_response(model: &dyn Response, x: &[f64], step: f64, first: 
     };
     for j in 0..d {
         let h = step * (1.0 + x[j].abs());
-        let step =
+        let moved =
             |sign: f64| -> Vec<f64> { (0..d).map(|k| if k == j { x[k] + sign * h } else { x[k] }).collect() };
         model.predict(&moved(1.0), Ask::Gradient, &mut up);
         model.predict(&moved(-1.0), Ask::Gradient, &mut down);

@@ -85,7 +85,7 @@ pub fn after(
         let unseen: Vec<Experiment> = shaped[1..].iter().flat_map(|s| s.1.clone()).collect();
         out.stability = Some(free_run_stability(model, theta, data, &unseen, &trials)?);
     }
-    if job.validate.folds > 1 && job.saved.is_empty() {
+    if job.validate.folds > 1 && job.saved.is_empty() && !job.is_steady() {
         cross(job, t, e, data, &mut out, watch)?;
     }
     let boundary = match learn(Space::of(model), data, &job.validate.boundary) {

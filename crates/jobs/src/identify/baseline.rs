@@ -39,6 +39,9 @@ pub fn baseline(
     if t.inputs.is_empty() || (t.structure.name == "arx" && t.estimator == "ols") {
         return Ok(None);
     }
+    if model.max_lag() == 0 {
+        return plane(t, parts, part);
+    }
     let lags = || model.window().iter().map(|w| w.1);
     let nk = lags().min().unwrap_or(1);
     let nb = (lags().max().unwrap_or(1) + 1).saturating_sub(nk).clamp(1, INPUT_LAGS);
@@ -55,15 +58,40 @@ pub fn baseline(
     }
     let Ok(fit) = Ols::default().estimate(&linear, &data, None, &|| false) else { return Ok(None) };
     let structure = format!("linear ARX (na = {na}, nb = {nb}, nk = {nk}, constant)");
-    let fitted = Fitted::new(linear, fit.theta)?;
+    scored(t, linear, fit.theta, structure, part, &notes(&part.name))
+}
+
+/// The same for models of present values: a plane.
+fn plane(t: &Target, parts: &[Part], part: &Part) -> Result<Option<Baseline>, IdentifyError> {
+    let present = t.inputs.iter().map(|name| format!("{name}(t)"));
+    let terms: Vec<String> = ["1".to_string()].into_iter().chain(present).collect();
+    let terms: Vec<&str> = terms.iter().map(String::as_str).collect();
+    let inputs: Vec<&str> = t.inputs.iter().map(String::as_str).collect();
+    let linear = PolyNarx::parse(&inputs, &t.target, &terms)?;
+    let data: Vec<Experiment> =
+        parts[0].records.iter().map(|d| shape(d, &t.inputs, &t.target)).collect::<Result<_, DataError>>()?;
+    let Ok(fit) = Ols::default().estimate(&linear, &data, None, &|| false) else { return Ok(None) };
+    scored(t, linear, fit.theta, "plane (linear in every input)".into(), part, &[])
+}
+
+/// The linear model on the records of a part.
+fn scored(
+    t: &Target,
+    linear: PolyNarx,
+    theta: Vec<f64>,
+    structure: String,
+    part: &Part,
+    notes: &[Note],
+) -> Result<Option<Baseline>, IdentifyError> {
+    let fitted = Fitted::new(linear, theta)?;
     let (mut z, mut zhat) = (Vec::new(), Vec::new());
-    let notes = notes(&part.name);
-    for (d, e) in part.records.iter().zip(whole(part)?) {
+    for d in &part.records {
+        let e = bridged(&shape(d, &t.inputs, &t.target)?).0;
         let first = fitted.first(&e).min(e.len());
         let Some(mut y) = fitted.output(&e, Kind::FreeRun) else { return Ok(None) };
         let mut measured = d.values(&t.target)?.to_vec();
-        restored(&notes, d, &t.target, &mut y)?;
-        restored(&notes, d, &t.target, &mut measured)?;
+        restored(notes, d, &t.target, &mut y)?;
+        restored(notes, d, &t.target, &mut measured)?;
         z.extend_from_slice(&measured[first..]);
         zhat.extend_from_slice(&y[first..]);
     }

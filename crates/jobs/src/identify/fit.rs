@@ -50,14 +50,16 @@ pub fn estimate(
     watch: Watch,
 ) -> Result<Estimated, IdentifyError> {
     let (form, selection) = structure(t, data, watch)?;
-    watch.note(&format!(
-        "{}: estimating {} parameters by {} from {} records, {} samples",
-        t.target,
-        form.form().parameters(),
-        t.estimator,
-        data.len(),
-        data.iter().map(Experiment::len).sum::<usize>()
-    ));
+    let samples = data.iter().map(Experiment::len).sum::<usize>();
+    watch.note(&match form.form().parameters() {
+        0 => format!("{}: {} from {samples} samples by {}", t.target, t.structure.name, t.estimator),
+        p => format!(
+            "{}: estimating {p} parameters by {} from {} records, {samples} samples",
+            t.target,
+            t.estimator,
+            data.len(),
+        ),
+    });
     let (whole, remarks) = match estimate::row(&t.estimator)?.gaps {
         Gaps::Estimated => (data.to_vec(), Vec::new()),
         Gaps::Bridged { free_run } => {
@@ -70,6 +72,8 @@ pub fn estimate(
     if fit.status == Status::Interrupted {
         return Err(IdentifyError::Interrupted);
     }
+    // What an estimator learns into the structure takes its place.
+    let form = fit.learnt.as_ref().map_or(form, |l| l.form.clone());
     let model = Fitted::new(form, fit.theta.clone())?;
     let parameters = parameters(&fit);
     Ok(Estimated { model, fit: Some(fit), parameters, selection })

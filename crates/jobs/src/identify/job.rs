@@ -8,6 +8,8 @@ use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::estimate::{self, Minimised};
 use dynocal_ident::experiment::{Experiment, experiments, experiments_marked};
+use dynocal_ident::model::response::form::ResponseForm;
+use dynocal_ident::model::response::{Response, ResponseModel};
 use dynocal_ident::prepare::Note;
 use dynocal_ident::stored::{self, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredError, StoredModel};
 use dynocal_ident::validate::boundary::BoundaryModel;
@@ -25,6 +27,7 @@ use super::finding::{Finding, Grade, sorted};
 use super::fit::{Estimated, estimate, saved};
 use super::judge::{losses, of_fit, of_model};
 use super::load::{Part, parts};
+use super::points::points;
 use super::prepare::{own_unit, prepare_parts, restored};
 use super::result::{Identified, Modelled, Path, Prepared, in_step};
 use super::score::{Judged, Scored, score};
@@ -71,7 +74,8 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
     let measured = measured(&parts[0].records);
     fit_records(job, &parts)?;
     let preparation = prepare_parts(job, &mut parts, dir)?;
-    let first = if job.saved.is_empty() { before(job, &parts[0].records)? } else { None };
+    let dynamic = job.saved.is_empty() && !job.is_steady();
+    let first = if dynamic { before(job, &parts[0].records)? } else { None };
     let estimated = if job.saved.is_empty() {
         // Targets share nothing but the data.
         job.targets.par_iter().map(|t| estimate_target(t, &parts, watch)).collect::<Result<Vec<_>, _>>()?
@@ -97,9 +101,15 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
         let notes = preparation.iter().find(|p| p.part == part.name).map_or(&[][..], |p| &p.notes);
         let bounds = |k: usize, r: &Experiment| {
             // The band of one model says nothing about a set that runs together.
-            if set.is_coupled() { None } else { free_run_bounds(job, &estimated[k], &fitted[k], r) }
+            if set.is_coupled() || job.is_steady() {
+                None
+            } else {
+                free_run_bounds(job, &estimated[k], &fitted[k], r)
+            }
         };
-        scored.push(score(part, notes, &set, &judged, &job.validate, &bounds, dir)?);
+        // Present values alone: every kind of output is the same.
+        let kinds = if job.is_steady() { vec![Kind::FreeRun] } else { job.validate.kinds() };
+        scored.push(score(part, notes, &set, &judged, (&kinds, &job.validate), &bounds, dir)?);
     }
     let mut models = Vec::new();
     for (k, (t, e)) in job.targets.iter().zip(&estimated).enumerate() {
@@ -115,7 +125,9 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
                 |part: &str| preparation.iter().find(|p| p.part == part).map_or(vec![], |p| p.notes.clone());
             model.baseline = baseline(t, driven, &parts, &notes)?;
         }
-        if let Some((driven, theta)) = e.model.simulated() {
+        if job.is_steady() {
+            model.points = points(job, t, e, &parts, watch)?;
+        } else if let Some((driven, theta)) = e.model.simulated() {
             let d = &parts[0].records[0];
             // The covariance belongs to the parameters of the form, which are those of what is driven only in NARX models.
             let fit = e.fit.as_ref().filter(|_| e.model.form().dynamics().is_some());
@@ -187,7 +199,8 @@ fn fit_records(job: &Job, parts: &[Part]) -> Result<(), IdentifyError> {
 
 /// A model counts samples: records in another sample time are another system.
 fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
-    for (m, d) in job.saved.iter().flat_map(|m| parts.iter().flat_map(|p| &p.records).map(move |d| (m, d))) {
+    let dynamic = job.saved.iter().filter(|m| !m.is_steady());
+    for (m, d) in dynamic.flat_map(|m| parts.iter().flat_map(|p| &p.records).map(move |d| (m, d))) {
         if (d.sample_time_s - m.sample_time_s).abs() > 1e-6 * m.sample_time_s {
             return Err(DataError::SampleTime {
                 record: d.name.clone(),
@@ -256,6 +269,7 @@ fn modelled(
         unit: output.unit,
         inputs: t.inputs.clone(),
         structure: t.structure.name.clone(),
+        what: response(e).map(|r| r.describe()),
         estimator: t.estimator.clone(),
         status: e.fit.as_ref().map(|f| f.status),
         parameters: e.parameters.clone(),
@@ -266,9 +280,15 @@ fn modelled(
         residuals: scored.iter().flat_map(own).collect(),
         baseline: None,
         curves: Vec::new(),
+        points: None,
         after,
         file: in_step(&name),
     })
+}
+
+/// What was learnt, of a response model.
+fn response(e: &Estimated) -> Option<&ResponseModel> {
+    e.model.form().is_a::<ResponseForm>()?.response()
 }
 
 /// Units and ranges of the channels of the estimation, as they were measured.
@@ -338,6 +358,7 @@ fn finish(
         verb: "identify".into(),
         name: job.name.clone(),
         verdict: Vec::new(),
+        steady: job.is_steady(),
         valid: findings.iter().all(|f| f.grade != Grade::Fault),
         warnings: findings.iter().filter(|f| f.grade != Grade::Note).map(Finding::sentence).collect(),
         findings,

@@ -44,9 +44,28 @@ pub fn in_words(status: Status) -> &'static str {
     }
 }
 
-/// What stability and coverage say of a model.
+/// Share of the points in the 95 % band below which the bands are called too narrow.
+const NARROW: f64 = 0.85;
+
+/// What bands say of a response model.
+fn of_bands(m: &Modelled) -> Option<Finding> {
+    let scores = &m.points.as_ref()?.scores;
+    let (what, u) = match (&scores.unseen, &scores.folds) {
+        (Some(u), _) => ("unseen points", u),
+        (None, Some(u)) => ("held-out points", u),
+        (None, None) => ("left-out points", &scores.left_out),
+    };
+    let text = format!(
+        "the 95 % band of a measurement holds {:.0} % of {} {what}: it is too narrow there",
+        100.0 * u.coverage,
+        u.points
+    );
+    (u.coverage < NARROW).then(|| Finding::new(Grade::Warning, m.target.as_str(), text))
+}
+
+/// What stability, coverage and bands say of a model.
 pub fn of_model(m: &Modelled) -> Vec<Finding> {
-    let mut out = Vec::new();
+    let mut out: Vec<Finding> = of_bands(m).into_iter().collect();
     if let Some(s) = m.after.stability.as_ref().filter(|s| s.share_diverged > 0.0) {
         let grade = if s.share_diverged > UNSTABLE { Grade::Fault } else { Grade::Warning };
         let text = format!(
@@ -57,9 +76,10 @@ pub fn of_model(m: &Modelled) -> Vec<Finding> {
         );
         out.push(Finding::new(grade, m.target.as_str(), text));
     }
+    let things = if m.points.is_some() { "points" } else { "samples" };
     for c in m.after.coverage.iter().filter(|c| c.outside_percent > OUTSIDE) {
         let text = format!(
-            "{:.0} % of the samples of {} lie outside of what was identified: their scores are those of an extrapolation",
+            "{:.0} % of the {things} of {} lie outside of what was identified: their scores are those of an extrapolation",
             c.outside_percent, c.part
         );
         out.push(Finding::new(Grade::Warning, m.target.as_str(), text));

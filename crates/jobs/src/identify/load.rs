@@ -123,10 +123,20 @@ fn split_table(job: &Job, table: &Table) -> Result<[Vec<Dataset>; 3], IdentifyEr
     let read = |s: &Select| datasets(table, &job.layout, s);
     match &job.split {
         Split::Rows { estimation, selection, test } => {
-            let maybe = |s: &Option<Select>| s.as_ref().map_or(Ok(Vec::new()), read);
-            Ok([read(estimation)?, maybe(selection)?, maybe(test)?])
+            let whole = |s: &Select| -> Result<Vec<Dataset>, IdentifyError> {
+                let records = read(s)?;
+                Ok(if job.is_steady() { one_table(records) } else { records })
+            };
+            let maybe = |s: &Option<Select>| s.as_ref().map_or(Ok(Vec::new()), whole);
+            Ok([whole(estimation)?, maybe(selection)?, maybe(test)?])
         }
         Split::Shares { fractions, blocks } => Ok(shares(&read(&Select::All)?, fractions, *blocks)),
+        Split::Every { every } => {
+            let all = one_table(read(&Select::All)?);
+            let tests = |row: &usize| row % every == every - 1;
+            let of = |test: bool| all.iter().map(|d| rows(d, |row| tests(row) == test)).collect();
+            Ok([of(false), Vec::new(), of(true)])
+        }
     }
 }
 
@@ -185,6 +195,28 @@ fn deal(n: usize, fractions: &[f64; 3], blocks: usize) -> Vec<(usize, usize, usi
         }
     }
     pieces
+}
+
+/// The points of a steady table belong together, however its rows were dealt out.
+fn one_table(records: Vec<Dataset>) -> Vec<Dataset> {
+    let mut all = records.into_iter();
+    let Some(mut first) = all.next() else { return Vec::new() };
+    for other in all {
+        for (c, more) in first.channels.iter_mut().zip(other.channels) {
+            c.values.extend(more.values);
+        }
+        first.origin = format!("{}; {}", first.origin, other.origin);
+    }
+    vec![first]
+}
+
+/// Some rows of a table.
+fn rows(d: &Dataset, take: impl Fn(&usize) -> bool) -> Dataset {
+    let mut part = d.clone();
+    for c in &mut part.channels {
+        c.values = (0..d.len()).filter(&take).map(|row| c.values[row]).collect();
+    }
+    part
 }
 
 fn cut(d: &Dataset, from: usize, to: usize, name: String) -> Dataset {

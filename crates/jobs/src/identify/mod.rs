@@ -17,6 +17,7 @@ pub mod job;
 pub mod judge;
 pub mod load;
 pub mod page;
+pub mod points;
 pub mod prepare;
 pub mod result;
 pub mod score;

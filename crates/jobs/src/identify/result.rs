@@ -11,6 +11,7 @@ use super::after::After;
 use super::before::Before;
 use super::curves::InputCurves;
 use super::finding::Finding;
+use super::points::PointsPage;
 
 /// Fit numbers over all scored samples of all records of one part together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -110,6 +111,9 @@ pub struct Modelled {
     pub inputs: Vec<String>,
     /// Structure.
     pub structure: String,
+    /// What was learnt into the structure, in words; of response models.
+    #[serde(default)]
+    pub what: Option<String>,
     /// Estimator.
     pub estimator: String,
     /// How the estimator ended; this and the next three are absent for a model from a file.
@@ -132,10 +136,28 @@ pub struct Modelled {
     /// What the model does at rest, after a step and over frequency, input by input.
     #[serde(default)]
     pub curves: Vec<InputCurves>,
+    /// Each point predicted from the others, sections, effects; of response models of steady tables.
+    #[serde(default)]
+    pub points: Option<PointsPage>,
     /// Spread, stability, boundary.
     pub after: After,
     /// Model file, relative to the run folder.
     pub file: String,
+}
+
+impl Modelled {
+    /// What the model is, in words.
+    pub fn in_words(&self) -> String {
+        match &self.what {
+            Some(what) => format!("{what} ({})", self.structure),
+            None => format!(
+                "{} with {} parameters, estimated by {}",
+                self.structure,
+                self.parameters.len(),
+                self.estimator
+            ),
+        }
+    }
 }
 
 /// Result of the job: the body of `summary.json`.
@@ -148,6 +170,9 @@ pub struct Identified {
     /// What came out, against what, and what to do next, in sentences.
     #[serde(default)]
     pub verdict: Vec<String>,
+    /// Whether the data are points without time.
+    #[serde(default)]
+    pub steady: bool,
     /// Whether the models may be used: no finding is a fault.
     pub valid: bool,
     /// Findings that are faults or warnings, as sentences, most important first.

@@ -69,13 +69,10 @@ pub fn score(
     notes: &[Note],
     set: &Set,
     judged: &[Judged],
-    v: &Validation,
+    (kinds, v): (&[Kind], &Validation),
     bounds: &Bounds,
     dir: &Path,
 ) -> Result<Scored, IdentifyError> {
-    let mut kinds = vec![Kind::OneStep];
-    kinds.extend(v.k_steps.iter().map(|k| Kind::KStep(*k)));
-    kinds.push(Kind::FreeRun);
     let mut scored = Scored::default();
     let mut errors: BTreeMap<(usize, usize), Errors> = BTreeMap::new();
     for d in &part.records {

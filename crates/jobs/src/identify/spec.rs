@@ -6,13 +6,14 @@ mod model;
 mod saved;
 mod source;
 mod split;
+mod steady;
 mod typed;
 mod validation;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use dynocal_files::dataset::Layout;
+use dynocal_files::dataset::{Layout, Time};
 use dynocal_files::spec::{Faults, LoadError, SpecError, load};
 use dynocal_ident::stored::StoredModel;
 use serde::Serialize;
@@ -118,11 +119,19 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     // A stem may hold dots of its own.
     let spec = folder.join(format!("{stem}.toml"));
     let run = Place::of(&spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
+    let mut validate = validate;
+    let layout = layout?;
+    if layout.time == Time::Steady {
+        steady::check(t, targets.as_deref(), &mut validate, faults);
+    } else if let Some(every) = t.split.as_ref().and_then(|s| s.test_every) {
+        let expected = "rows in blocks: neighbours of a record in time are no unseen data";
+        faults.push("split.test_every", every, expected);
+    }
     Some(Job {
         out: run.out,
         name: run.name,
         sources: sources?,
-        layout: layout?,
+        layout,
         multisine_period: data.and_then(|d| d.multisine_period),
         split: split?,
         tests,
@@ -136,6 +145,11 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
 }
 
 impl Job {
+    /// Whether the rows are points without time.
+    pub fn is_steady(&self) -> bool {
+        self.layout.time == Time::Steady
+    }
+
     /// The part of the job that decides the result, for the digest of the step; where files lie does not count.
     pub fn inputs(&self) -> BTreeMap<&'static str, serde_json::Value> {
         let tests: Vec<_> = self.tests.iter().map(|t| (&t.name, &t.init_samples, &t.columns)).collect();

@@ -3,6 +3,7 @@
 use dynocal_ident::validate::{Kind, Seen};
 
 use super::finding::Grade;
+use super::points::PointsPage;
 use super::result::{Identified, Modelled, Score};
 
 /// A share of the variance below which a free run is called poor, and above which it is called close, in percent.
@@ -31,12 +32,17 @@ fn telling<'a>(found: &'a Identified, m: &Modelled) -> Option<&'a Score> {
 
 fn target(found: &Identified, m: &Modelled) -> String {
     let Some(s) = telling(found, m) else { return format!("The model of {} has no score.", m.target) };
+    let things = if found.steady { "points" } else { "records" };
     let on = match s.data {
-        Seen::Unseen => format!("the unseen records ({})", s.part),
-        Seen::Selection => format!("the records that chose it ({}); there are no unseen ones", s.part),
-        Seen::Identification => "the records that it was estimated from; there are no unseen ones".into(),
+        Seen::Unseen => format!("the unseen {things} ({})", s.part),
+        Seen::Selection => format!("the {things} that chose it ({}); there are no unseen ones", s.part),
+        Seen::Identification => format!("the {things} that it was estimated from; there are no unseen ones"),
     };
-    let how = if s.kind == Kind::FreeRun { "in free run" } else { "one step ahead" };
+    let how = match s.kind {
+        _ if found.steady => "from its inputs",
+        Kind::FreeRun => "in free run",
+        _ => "one step ahead",
+    };
     let (Some(rmse), Some(r2)) = (s.rmse, s.r2_percent) else {
         return format!("The model of {} diverges on {on}.", m.target);
     };
@@ -64,15 +70,34 @@ fn target(found: &Identified, m: &Modelled) -> String {
     match m.baseline.as_ref().filter(|b| b.part == s.part).map(|b| (b, b.rmse)) {
         Some((b, Some(linear))) => {
             text += &format!(
-                " A {} from the same records has an RMSE of {} {} there ({} times as much).",
+                " A {} from the same {things} has an RMSE of {} {} there ({} times as much).",
                 b.structure,
                 number(linear),
                 m.unit,
                 number(linear / rmse)
             );
         }
-        Some((b, None)) => text += &format!(" A {} from the same records diverges there.", b.structure),
+        Some((b, None)) => text += &format!(" A {} from the same {things} diverges there.", b.structure),
         None => {}
+    }
+    if let Some(p) = &m.points {
+        text += &bands(p, &m.unit);
+    }
+    text
+}
+
+/// What the points say of the bands, and of each point from the others.
+fn bands(p: &PointsPage, unit: &str) -> String {
+    let (left, number) = (&p.scores.left_out, |v: f64| dynocal_report::significant(v, 3));
+    let mut text = format!(" Each point predicted from the others: RMSE {} {unit}", number(left.rmse));
+    match &p.scores.unseen {
+        Some(u) => {
+            text += &format!("; the 95 % band holds {} % of the unseen points.", number(100.0 * u.coverage))
+        }
+        None => text += &format!(", {} % of them in the 95 % band.", number(100.0 * left.coverage)),
+    }
+    if let Some(choice) = &p.choice {
+        text += &format!(" {}", choice.words);
     }
     text
 }
@@ -94,12 +119,20 @@ fn next(found: &Identified) -> String {
         );
     }
     if !found.scores.iter().any(|s| s.data == Seen::Unseen) {
-        return "Next: keep records apart that nothing sees before the scores (table split, or [[test]])."
-            .into();
+        let things = if found.steady { "points" } else { "records" };
+        return format!(
+            "Next: keep {things} apart that nothing sees before the scores (table split, or [[test]])."
+        );
     }
     let poor =
         found.models.iter().find(|m| telling(found, m).and_then(|s| s.r2_percent).is_some_and(|r| r < POOR));
     if let Some(m) = poor {
+        if found.steady {
+            return format!(
+                "Next: {} needs more than this: inputs that are missing, or points where it bends.",
+                m.target
+            );
+        }
         return format!(
             "Next: {} needs more than this: inputs that are missing, longer lags, products of inputs, or records that excite it \
              (residual correlations and the excitation below say which).",
@@ -108,6 +141,7 @@ fn next(found: &Identified) -> String {
     }
     match found.findings.iter().find(|f| f.grade == Grade::Warning) {
         Some(f) => format!("Use it with care: {}", f.sentence()),
+        None if found.steady => "It may be used within the boundary of its points.".into(),
         None => "It may be used within the ranges of its records.".into(),
     }
 }

@@ -116,6 +116,14 @@ pub enum StructureError {
         /// Their names.
         inputs: Vec<String>,
     },
+    /// A structure that holds what it learns, before it has learnt it.
+    #[error("the model of `{output}` has not been learnt: `{kind}` is estimated by `learn`")]
+    NotLearnt {
+        /// Output name.
+        output: String,
+        /// Kind.
+        kind: String,
+    },
     /// No regressor at all.
     #[error("the model of `{output}` has no regressor")]
     Empty {

@@ -6,11 +6,14 @@ use dynocal_report::{Axis, Bars, Cell, Column, KeyValue, Section, Table};
 
 /// The section.
 pub(super) fn section(found: &Identified) -> Section {
-    let mut section = Section::new("Trust").text(
+    let mut section = Section::new("Trust").text(if found.steady {
+        "How far each unseen part is from what was identified (distance 1 is the boundary that holds most of the points of the \
+         estimation: beyond it the model extrapolates)."
+    } else {
         "Spread of the free-run error over records and blocks with the confidence interval of its mean; free runs on random \
          inputs within the limits of the estimation records; and how far each unseen part is from what was identified \
-         (distance 1 is the boundary that holds most of the estimation samples: beyond it the model extrapolates).",
-    );
+         (distance 1 is the boundary that holds most of the estimation samples: beyond it the model extrapolates)."
+    });
     for m in &found.models {
         section = model(section, m);
     }

@@ -5,6 +5,7 @@ mod agreement;
 mod before;
 mod curves;
 mod models;
+mod points;
 mod preparation;
 mod records;
 mod residuals;
@@ -30,6 +31,14 @@ pub fn write(found: &Identified, folder: &Path) -> Result<(), PageError> {
         report = report.warning(warning.as_str());
     }
     report = report.section(verdict::section(found)).section(scores::section(found));
+    if found.steady {
+        for section in points::sections(found) {
+            report = report.section(section);
+        }
+        report = report.section(after::section(found)).section(models::section(found));
+        atomic::write(&folder.join("report.html"), render(&report)?.as_bytes())?;
+        return Ok(());
+    }
     for section in [preparation::section(found, folder)?, before::section(found)].into_iter().flatten() {
         report = report.section(section);
     }
@@ -46,14 +55,7 @@ pub fn write(found: &Identified, folder: &Path) -> Result<(), PageError> {
 
 fn subtitle(found: &Identified) -> String {
     let one = |m: &crate::identify::result::Modelled| {
-        format!(
-            "{} from {}: {} with {} parameters, estimated by {}",
-            m.target,
-            m.inputs.join(", "),
-            m.structure,
-            m.parameters.len(),
-            m.estimator
-        )
+        format!("{} from {}: {}", m.target, m.inputs.join(", "), m.in_words())
     };
     match found.models.as_slice() {
         [m] => one(m),

@@ -9,12 +9,16 @@ const SHOWN: usize = 40;
 
 /// The section.
 pub(super) fn section(found: &Identified) -> Section {
-    let mut section = Section::new("Models").text(
-        "Estimated parameters with standard errors. An estimate smaller than twice its standard error may as well be zero.",
-    );
+    let mut section = Section::new("Models");
+    if found.models.iter().any(|m| !m.parameters.is_empty()) {
+        section = section.text(
+            "Estimated parameters with standard errors. An estimate smaller than twice its standard error may as well be zero.",
+        );
+    }
     for m in &found.models {
         section = section.heading(m.target.as_str()).key_values(vec![
             KeyValue::new("Structure", m.structure.as_str(), ""),
+            KeyValue::new("Learnt", m.what.clone(), ""),
             KeyValue::new("Estimator", m.estimator.as_str(), ""),
             KeyValue::new("Ended", ended(m), ""),
             KeyValue::new("Parameters", m.parameters.len(), ""),
@@ -24,6 +28,9 @@ pub(super) fn section(found: &Identified) -> Section {
         ]);
         if let Some(path) = &m.selection {
             section = super::selection::add(section, path);
+        }
+        if m.parameters.is_empty() {
+            continue;
         }
         let parameters = parameters(m);
         if m.parameters.len() > SHOWN {

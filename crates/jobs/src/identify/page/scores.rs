@@ -15,19 +15,22 @@ pub fn kind_text(kind: Kind) -> String {
 
 /// The section.
 pub(super) fn section(found: &Identified) -> Section {
-    let mut section = Section::new("Fit").text(
-        "Errors in the unit of the output, over all scored samples of all records of a part together. One step: predicted \
-         from measured outputs up to the sample before; k steps: from measured outputs up to k samples before; free run: \
-         from the model's own outputs.",
-    );
+    let text = if found.steady { POINTS } else { SAMPLES };
+    let mut section = Section::new("Fit").text(text);
     for m in &found.models {
         let own: Vec<&Score> = found.scores.iter().filter(|s| s.output == m.target).collect();
-        section.push(table(&m.target, &m.unit, &own));
+        section.push(table(&m.target, &m.unit, &own, found.steady));
     }
     section
 }
 
-fn table(target: &str, unit: &str, scores: &[&Score]) -> Table {
+const SAMPLES: &str = "Errors in the unit of the output, over all scored samples of all records of a part together. One step: predicted \
+     from measured outputs up to the sample before; k steps: from measured outputs up to k samples before; free run: \
+     from the model's own outputs.";
+const POINTS: &str = "Errors in the unit of the output over all points of a part, each predicted from its inputs alone. Those of \
+                      the estimation flatter the model, which has seen them.";
+
+fn table(target: &str, unit: &str, scores: &[&Score], steady: bool) -> Table {
     let band = scores.iter().find_map(|s| s.band);
     let mut columns = vec![
         Column::text("Data"),
@@ -47,7 +50,12 @@ fn table(target: &str, unit: &str, scores: &[&Score]) -> Table {
         let number = |x: Option<f64>| x.map_or(Cell::from("diverged"), Cell::from);
         let mut row: Vec<Cell> = vec![
             s.part.as_str().into(),
-            format!("{}{}", kind_text(s.kind), if s.outside { " (useless: far outside)" } else { "" }).into(),
+            format!(
+                "{}{}",
+                if steady { "each point".into() } else { kind_text(s.kind) },
+                if s.outside { " (useless: far outside)" } else { "" }
+            )
+            .into(),
             s.records.into(),
             s.samples.into(),
             number(s.rmse),

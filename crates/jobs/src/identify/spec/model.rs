@@ -90,7 +90,12 @@ pub(super) fn targets(
     for name in m.structures.iter().flat_map(|s| s.keys()).filter(|n| !names.contains(n)) {
         faults.unknown("model.structures", name, &names);
     }
-    let estimator = estimator(m, seed, faults);
+    // Response models have one way to be learnt, which need not be named.
+    let estimator = if m.estimator.is_none() && m.select.is_none() && all_responses(m) {
+        Some(("learn".to_string(), toml::Table::new()))
+    } else {
+        estimator(m, seed, faults)
+    };
     let select = m.select.as_ref().map(|s| selecting(s, faults));
     // Where a pool is described, it stands for the structure.
     let pool = select.as_ref().and_then(|s| s.as_ref()?.pool.clone());
@@ -109,6 +114,9 @@ pub(super) fn targets(
             continue;
         }
         localise(&mut keys, name, &all);
+        if let (Some(seed), true) = (seed, has_seed(&structure)) {
+            keys.insert("seed".into(), toml::Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
+        }
         let inputs = inputs(m, channels, name, &keys);
         let spec = StructureSpec { name: structure, keys };
         match &pool {
@@ -133,6 +141,20 @@ pub(super) fn targets(
         });
     }
     (out.len() == names.len()).then_some(out)
+}
+
+/// Whether every structure of the table is a response model.
+fn all_responses(m: &TypedModel) -> bool {
+    let of = |table: &toml::Table| {
+        let name = table.get("name").and_then(toml::Value::as_str).unwrap_or_default();
+        kinds::row(name).is_ok_and(|k| k.form.name == "response")
+    };
+    let mut tables = m.structure.iter().chain(m.structures.iter().flat_map(|s| s.values())).peekable();
+    tables.peek().is_some() && tables.all(of)
+}
+
+fn has_seed(structure: &str) -> bool {
+    kinds::row(structure).is_ok_and(|k| k.doc.params.iter().any(|p| p.name == "seed"))
 }
 
 fn target_names(m: &TypedModel, channels: &[ChannelSpec], faults: &mut Faults) -> Option<Vec<String>> {

@@ -32,6 +32,8 @@ impl Job {
         let sample_time_s = models.first().map_or(1.0, |m| m.sample_time_s);
         let time = if stamped {
             Time::Column { column: "time".into(), unit: None }
+        } else if models.iter().all(|m| m.is_steady()) {
+            Time::Steady
         } else {
             Time::Sampled { sample_time_s }
         };

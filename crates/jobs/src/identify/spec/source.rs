@@ -158,6 +158,13 @@ pub(super) fn layout(
     faults: &mut Faults,
 ) -> Option<Layout> {
     let time = match (d.sample_time_s, &d.time) {
+        (None, None) if d.steady == Some(true) => Time::Steady,
+        _ if d.steady == Some(true) => {
+            let expected =
+                "no sample_time_s and no time: the rows of a steady table are points without order";
+            faults.push("data.steady", "a time as well", expected);
+            return None;
+        }
         (Some(dt), None) => {
             faults.positive("data.sample_time_s", dt, "s");
             Time::Sampled { sample_time_s: dt }
@@ -171,7 +178,7 @@ pub(super) fn layout(
             return None;
         }
         (None, None) => {
-            let expected = "the sample time, s, or data.time with a time column";
+            let expected = "the sample time, s, or data.time with a time column, or steady = true for a table without time";
             faults.push("data.sample_time_s", "nothing", expected);
             return None;
         }

@@ -25,10 +25,14 @@ pub enum Split {
         /// Every record is first cut into so many blocks, which are dealt out in turn; 1: three pieces in order.
         blocks: usize,
     },
+    /// Every so many-th row of every table tests, the others estimate: for steady tables.
+    Every {
+        /// Distance of the rows that test.
+        every: usize,
+    },
 }
 
-const SHAPE: &str =
-    "column with estimation (and test) values, or estimation_rows (and test_rows), or fractions (and blocks)";
+const SHAPE: &str = "column with estimation (and test) values, or estimation_rows (and test_rows), or fractions (and blocks), or test_every";
 
 /// The split of the spec; without a table everything estimates.
 pub(super) fn split(typed: Option<&TypedSplit>, faults: &mut Faults) -> Option<Split> {
@@ -38,10 +42,16 @@ pub(super) fn split(typed: Option<&TypedSplit>, faults: &mut Faults) -> Option<S
     let by_rows = s.estimation_rows.is_some() || s.selection_rows.is_some() || s.test_rows.is_some();
     let by_value = s.column.is_some() || s.estimation.is_some() || s.selection.is_some() || s.test.is_some();
     let by_share = s.fractions.is_some() || s.blocks.is_some();
-    match (by_value, by_rows, by_share) {
-        (true, false, false) => values(s, faults),
-        (false, true, false) => rows(s, faults),
-        (false, false, true) => shares(s, faults),
+    match (by_value, by_rows, by_share, s.test_every) {
+        (true, false, false, None) => values(s, faults),
+        (false, true, false, None) => rows(s, faults),
+        (false, false, true, None) => shares(s, faults),
+        (false, false, false, Some(every)) => {
+            if every < 2 {
+                faults.push("split.test_every", every, "2 or more: each so many-th row tests");
+            }
+            Some(Split::Every { every })
+        }
         _ => {
             faults.push("split", "another combination of keys", SHAPE);
             None

@@ -34,6 +34,7 @@ pub(super) struct TypedData {
     pub(super) csv: Option<CsvKeys>,
     pub(super) merge: Option<merge::Keys>,
     pub(super) alias: Option<BTreeMap<String, Vec<String>>>,
+    pub(super) steady: Option<bool>,
     pub(super) sample_time_s: Option<f64>,
     pub(super) time: Option<String>,
     pub(super) time_unit: Option<String>,
@@ -74,6 +75,7 @@ pub(super) struct TypedSplit {
     pub(super) estimation_rows: Option<Vec<(usize, usize)>>,
     pub(super) selection_rows: Option<Vec<(usize, usize)>>,
     pub(super) test_rows: Option<Vec<(usize, usize)>>,
+    pub(super) test_every: Option<usize>,
     pub(super) fractions: Option<Vec<f64>>,
     pub(super) blocks: Option<usize>,
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use dynocal_files::spec::Faults;
 use dynocal_ident::model::initial::Initial;
+use dynocal_ident::validate::Kind;
 use dynocal_ident::validate::boundary::BoundaryKeys;
 use dynocal_numerics::registry;
 use serde::Serialize;
@@ -44,6 +45,14 @@ impl Default for Validation {
             confidence: 0.95,
             boundary: BoundaryKeys::default(),
         }
+    }
+}
+
+impl Validation {
+    /// The outputs that are scored: one step, the horizons that are asked for, free run.
+    pub fn kinds(&self) -> Vec<Kind> {
+        let between = self.k_steps.iter().map(|k| Kind::KStep(*k));
+        [Kind::OneStep].into_iter().chain(between).chain([Kind::FreeRun]).collect()
     }
 }
 

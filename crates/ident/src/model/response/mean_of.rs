@@ -40,20 +40,35 @@ impl MeanOf {
             models: Vec<toml::Table>,
         }
         let keys: Keys = registry::keys("mean_of", keys)?;
-        let wrong = |message: String| BuildError::Keys { member: "mean_of".into(), message };
-        if keys.models.is_empty() {
-            return Err(wrong("`models` is empty, expected one or more tables".into()));
-        }
-        let build = |mut table: toml::Table| match table.remove("kind") {
-            Some(toml::Value::String(kind)) => super::learner(&kind, &table),
-            _ => Err(wrong("each table of `models` needs a `kind`".into())),
-        };
-        Ok(Self { members: keys.models.into_iter().map(build).collect::<Result<_, _>>()? })
+        let members = members("mean_of", keys.models)?.into_iter().map(|(_, kind)| kind).collect();
+        Ok(Self { members })
     }
 }
 
+/// A list of tables as kinds, each with a name for reports: that of the kind with its keys.
+pub(super) fn members(
+    of: &str,
+    tables: Vec<toml::Table>,
+) -> Result<Vec<(String, Box<dyn Learn>)>, BuildError> {
+    let wrong = |message: String| BuildError::Keys { member: of.into(), message };
+    if tables.is_empty() {
+        return Err(wrong("`models` is empty, expected one or more tables".into()));
+    }
+    let mut out: Vec<(String, Box<dyn Learn>)> = Vec::with_capacity(tables.len());
+    for mut table in tables {
+        let Some(toml::Value::String(kind)) = table.remove("kind") else {
+            return Err(wrong("each table of `models` needs a `kind`".into()));
+        };
+        let built = super::learner(&kind, &table)?;
+        let own: Vec<String> = table.iter().map(|(k, v)| format!("{k} = {v}")).collect();
+        let name = if own.is_empty() { kind } else { format!("{kind} ({})", own.join(", ")) };
+        out.push((name, built));
+    }
+    Ok(out)
+}
+
 impl Learn for MeanOf {
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         let learnt =
             self.members.iter().map(|m| m.learn(points, interrupt)).collect::<Result<Vec<_>, _>>()?;
         let (n, count) = (points.len(), learnt.len() as f64);
@@ -71,7 +86,7 @@ impl Learn for MeanOf {
             }
         }
         let models = learnt.into_iter().map(|l| l.model).collect();
-        Ok(Learnt { model: ResponseModel::MeanOf(MeanOfModel { models }), left_out, notes })
+        Ok(Learnt::new(ResponseModel::MeanOf(MeanOfModel { models }), left_out, notes))
     }
 }
 

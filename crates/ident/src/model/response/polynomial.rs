@@ -21,7 +21,7 @@ use influence::Influence;
 
 pub(super) const MEMBER: Member<dyn Learn> = Member {
     doc: MemberDoc {
-        name: "polynomial",
+        name: "stepwise_polynomial",
         what: "polynomial with terms chosen stepwise by PRESS",
         params: &[
             ParamDoc { name: "degree", unit: "-", default: "3", what: "highest degree of a product" },
@@ -53,7 +53,7 @@ pub(super) const MEMBER: Member<dyn Learn> = Member {
             ParamDoc { name: "high", unit: "output", default: "1", what: "upper limit of the logit" },
         ],
     },
-    build: |keys| Ok(Box::new(registry::keys::<Polynomial>("polynomial", keys)?)),
+    build: |keys| Ok(Box::new(registry::keys::<Polynomial>("stepwise_polynomial", keys)?)),
 };
 
 /// What a product asks for.
@@ -134,12 +134,12 @@ pub struct PolynomialModel {
 struct Terms(Vec<Vec<u32>>);
 
 impl Learn for Polynomial {
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         let (n, d) = (points.len(), points.dim());
         points.check(d + 3, "a polynomial")?;
         if self.degree == 0 {
             let (found, expected) = ("0".into(), "at least 1".into());
-            return Err(ResponseError::Key { model: "polynomial", key: "degree", found, expected });
+            return Err(ResponseError::Key { model: "stepwise_polynomial", key: "degree", found, expected });
         }
         let terms = all_terms(d, self.degree);
         let inputs = Scaling::of(points).inputs(points);
@@ -176,7 +176,7 @@ impl Learn for Polynomial {
         ));
         notes.extend(influence.notes(&points.output));
         let model = PolynomialModel { scaling, terms: kept, coefficients, transform, influence };
-        Ok(Learnt { model: ResponseModel::Polynomial(model), left_out, notes })
+        Ok(Learnt::new(ResponseModel::Polynomial(model), left_out, notes))
     }
 }
 

@@ -19,7 +19,7 @@ impl GaussianProcess {
         scaling: Scaling,
         data: &Scaled,
         start: &Found,
-        interrupt: &(dyn Fn() -> bool + Sync),
+        interrupt: &dyn Fn() -> bool,
     ) -> Result<Learnt, ResponseError> {
         let none = || ResponseError::NoStart { model: "gaussian_process", output: points.output.clone() };
         let (n, d) = (points.len(), data.d);
@@ -47,7 +47,7 @@ impl GaussianProcess {
             self.exact_points,
             super::likelihood::Work::bytes(n) >> 20
         ));
-        Ok(Learnt { model: ResponseModel::SparseGaussianProcess(model), left_out, notes })
+        Ok(Learnt::new(ResponseModel::SparseGaussianProcess(model), left_out, notes))
     }
 }
 
@@ -84,7 +84,7 @@ impl Bound<'_> {
 /// The negative bound for the search.
 struct Negative<'a> {
     bound: &'a Bound<'a>,
-    interrupt: &'a (dyn Fn() -> bool + Sync),
+    interrupt: &'a dyn Fn() -> bool,
     evaluations: usize,
 }
 

@@ -124,7 +124,7 @@ fn value(model: &GpModel, aim: Aim, x: &[f64], reference: &[f64], at: &mut Predi
 /// `E max(best - f, 0)` for f ~ N(mean, std^2).
 ///
 /// ```
-/// use dynocal_ident::response::sequential::expected_improvement;
+/// use dynocal_ident::model::response::sequential::expected_improvement;
 /// // At the mean: std / sqrt(2 pi).
 /// assert!((expected_improvement(1.0, 1.0, 2.0) - 0.797_884_560_802_865).abs() < 1e-12);
 /// assert_eq!(expected_improvement(1.0, 0.25, 0.0), 0.75);

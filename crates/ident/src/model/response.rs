@@ -8,7 +8,7 @@
 //! both with respect to the inputs. A prediction writes to buffers that the caller owns.
 //!
 //! ```
-//! use dynocal_ident::response::{Ask, Learn, Points, Prediction, Response, gp::GaussianProcess};
+//! use dynocal_ident::model::response::{Ask, Learn, Points, Prediction, Response, gp::GaussianProcess};
 //!
 //! let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 8.0).collect();
 //! let y = x.iter().map(|x| x.sin()).collect();
@@ -17,15 +17,17 @@
 //! let mut at = Prediction::new(1);
 //! learnt.model.predict(&[1.3], Ask::Gradient, &mut at);
 //! assert!((at.mean - 1.3f64.sin()).abs() < 1e-3 && (at.gradient[0] - 1.3f64.cos()).abs() < 1e-2);
-//! # Ok::<(), dynocal_ident::response::ResponseError>(())
+//! # Ok::<(), dynocal_ident::model::response::ResponseError>(())
 //! ```
 
+pub mod best_of;
 pub mod choose;
 mod features;
+pub mod form;
 pub mod gp;
+pub mod kinds;
 pub mod local_linear;
 pub mod mean_of;
-pub mod narx;
 pub mod points;
 pub mod polynomial;
 pub mod rbf;
@@ -35,9 +37,11 @@ pub mod sequential;
 mod stepwise;
 pub mod transform;
 
+use std::sync::Arc;
+
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::registry::{self, BuildError, Member, MemberDoc};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 pub use points::{Points, PointsError};
 pub use scaling::Scaling;
@@ -148,20 +152,31 @@ pub struct Learnt {
     pub left_out: LeftOut,
     /// Sentences for the report.
     pub notes: Vec<String>,
+    /// How it was chosen, where there were several candidates.
+    #[serde(default)]
+    pub choice: Option<choose::Choice>,
+}
+
+impl Learnt {
+    /// One that nothing was chosen for.
+    fn new(model: ResponseModel, left_out: LeftOut, notes: Vec<String>) -> Self {
+        Self { model, left_out, notes, choice: None }
+    }
 }
 
 /// A kind of response model before it has seen points.
 pub trait Learn: Send + Sync {
-    /// Learns from points. `interrupt` is asked often; the best model so far is then given.
+    /// Learns from points. `interrupt` is asked between and within searches (those that run side by side end first); the best
+    /// model so far is then given.
     ///
     /// # Errors
     /// [`ResponseError`], which names channel, row or size.
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError>;
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError>;
 }
 
 /// All kinds of response models.
 pub static RESPONSES: &[Member<dyn Learn>] =
-    &[polynomial::MEMBER, gp::MEMBER, local_linear::MEMBER, rbf::MEMBER, mean_of::MEMBER];
+    &[polynomial::MEMBER, gp::MEMBER, local_linear::MEMBER, rbf::MEMBER, mean_of::MEMBER, best_of::MEMBER];
 
 /// Builds the kind `name` from the keys of a spec.
 ///
@@ -257,6 +272,28 @@ impl ResponseModel {
             Self::Rbf(model) => model,
             Self::MeanOf(model) => model,
         }
+    }
+}
+
+/// A response model that several share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LearntModel(pub Arc<ResponseModel>);
+
+impl From<Arc<ResponseModel>> for LearntModel {
+    fn from(model: Arc<ResponseModel>) -> Self {
+        Self(model)
+    }
+}
+
+impl Serialize for LearntModel {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for LearntModel {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(Self(Arc::new(ResponseModel::deserialize(deserializer)?)))
     }
 }
 

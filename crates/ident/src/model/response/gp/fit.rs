@@ -40,10 +40,22 @@ pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
             },
             ParamDoc { name: "seed", unit: "-", default: "0", what: "seed of the starts after the first" },
             ParamDoc {
+                name: "noise",
+                unit: "-",
+                default: "\"constant\"",
+                what: "constant, or varying: its logarithm is a smooth function of the inputs",
+            },
+            ParamDoc {
                 name: "exact_points",
                 unit: "-",
                 default: "3000",
                 what: "most points that are taken exactly",
+            },
+            ParamDoc {
+                name: "inducing_points",
+                unit: "-",
+                default: "150",
+                what: "most inducing points of the sparse process that more points ask for; 0 refuses instead",
             },
         ],
     },
@@ -139,7 +151,7 @@ impl Default for GaussianProcess {
 }
 
 impl Learn for GaussianProcess {
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         let q = self.mean.count(points.dim());
         points.check(q + points.dim() + 2, "a Gaussian process")?;
         if self.starts == 0 {
@@ -251,19 +263,14 @@ pub(super) struct Found {
 }
 
 impl GaussianProcess {
-    /// Starts of all kernels, coarsely, on at most `SCREEN` points.
-    fn screen(
-        &self,
-        data: &Scaled,
-        names: &[String],
-        interrupt: &(dyn Fn() -> bool + Sync),
-    ) -> Option<Found> {
+    /// Starts of all kernels, coarsely, on at most `SCREEN` points; they run side by side and are not interrupted.
+    fn screen(&self, data: &Scaled, names: &[String], interrupt: &dyn Fn() -> bool) -> Option<Found> {
         let part = (data.y.len() > SCREEN).then(|| data.subset(SCREEN, self.seed, self.mean));
         let coarse = part.as_ref().unwrap_or(data);
         let ends: Vec<Option<Found>> = self
             .kernels_and_starts(names)
             .into_par_iter()
-            .map(|(kernel, start)| maximise(&coarse.problem(kernel), &start, Effort::Coarse, interrupt))
+            .map(|(kernel, start)| maximise(&coarse.problem(kernel), &start, Effort::Coarse, &|| false))
             .collect();
         // The first of equals, so that the order of the threads does not matter.
         let best = ends.into_iter().flatten().fold(None, better)?;
@@ -272,12 +279,7 @@ impl GaussianProcess {
 
     /// An input at a very long length contributes nothing and its gradient has vanished: from there no search finds it
     /// again. Each such input is tried once at the length of the first start.
-    fn look_for_lost_inputs(
-        &self,
-        data: &Scaled,
-        best: Found,
-        interrupt: &(dyn Fn() -> bool + Sync),
-    ) -> Found {
+    fn look_for_lost_inputs(&self, data: &Scaled, best: Found, interrupt: &dyn Fn() -> bool) -> Found {
         (0..data.d).filter(|j| best.theta[*j] > LOST.ln()).fold(best.clone(), |best, j| {
             let mut start = best.theta.clone();
             start[j] = FIRST[0].ln();
@@ -344,12 +346,12 @@ impl GaussianProcess {
             super::super::Response::describe(&model),
             best.evaluations
         ));
-        Ok(Learnt { model: ResponseModel::GaussianProcess(model), left_out, notes })
+        Ok(Learnt::new(ResponseModel::GaussianProcess(model), left_out, notes))
     }
 }
 
 /// The best point of a coarse search, finely on all points.
-fn polish(problem: &Problem<'_>, from: &Found, interrupt: &(dyn Fn() -> bool + Sync)) -> Option<Found> {
+fn polish(problem: &Problem<'_>, from: &Found, interrupt: &dyn Fn() -> bool) -> Option<Found> {
     let fine = maximise(problem, &from.theta, Effort::Fine, interrupt)?;
     Some(Found { evaluations: fine.evaluations + from.evaluations, ..fine })
 }
@@ -388,7 +390,7 @@ pub(super) fn maximise(
     problem: &Problem<'_>,
     start: &[f64],
     effort: Effort,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Option<Found> {
     let d = problem.dim();
     let bound = |side: usize| -> Vec<f64> {
@@ -416,7 +418,7 @@ pub(super) fn maximise(
 struct Negative<'a> {
     problem: &'a Problem<'a>,
     work: Work,
-    interrupt: &'a (dyn Fn() -> bool + Sync),
+    interrupt: &'a dyn Fn() -> bool,
     evaluations: usize,
 }
 

@@ -79,7 +79,7 @@ struct Functions {
 }
 
 impl Learn for Rbf {
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         let (n, d) = (points.len(), points.dim());
         points.check(d + 4, "radial basis functions")?;
         if self.widths.is_empty() || self.widths.iter().any(|w| !(*w > 0.0 && w.is_finite())) {
@@ -118,7 +118,7 @@ impl Learn for Rbf {
         let model = RbfModel { scaling, functions, coefficients };
         let mut notes = points.notes();
         notes.push(format!("{} of `{}`", model.describe(), points.output));
-        Ok(Learnt { model: ResponseModel::Rbf(model), left_out, notes })
+        Ok(Learnt::new(ResponseModel::Rbf(model), left_out, notes))
     }
 }
 

@@ -81,7 +81,7 @@ pub struct LocalLinearModel {
 }
 
 impl Learn for LocalLinear {
-    fn learn(&self, points: &Points, interrupt: &(dyn Fn() -> bool + Sync)) -> Result<Learnt, ResponseError> {
+    fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         points.check(points.dim() + 4, "local linear models")?;
         if self.steepness.is_empty() || self.steepness.iter().any(|s| !(*s > 0.0 && s.is_finite())) {
             let (found, expected) = (format!("{:?}", self.steepness), "one or more positive numbers".into());
@@ -96,7 +96,7 @@ impl Learn for LocalLinear {
         let model = LocalLinearModel { scaling, tree: grown.tree, coefficients };
         let mut notes = points.notes();
         notes.push(format!("{} of `{}`", model.describe(), points.output));
-        Ok(Learnt { model: ResponseModel::LocalLinear(model), left_out, notes })
+        Ok(Learnt::new(ResponseModel::LocalLinear(model), left_out, notes))
     }
 }
 

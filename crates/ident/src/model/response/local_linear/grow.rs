@@ -70,27 +70,21 @@ impl Local {
     }
 }
 
-/// The best tree over the slopes that are tried.
+/// The best tree over the slopes that are tried. They grow side by side, which is not interrupted; after an interrupt only the
+/// first grows.
 pub(super) fn best(
     keys: &LocalLinear,
     z: &[f64],
     y: &[f64],
     d: usize,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Option<Grown> {
-    let grown: Vec<Option<Grown>> =
-        keys.steepness.par_iter().map(|slope| grow(keys, *slope, z, y, d, interrupt)).collect();
+    let slopes = if interrupt() { &keys.steepness[..1] } else { &keys.steepness[..] };
+    let grown: Vec<Option<Grown>> = slopes.par_iter().map(|slope| grow(keys, *slope, z, y, d)).collect();
     grown.into_iter().flatten().min_by(|a, b| a.press().total_cmp(&b.press()))
 }
 
-fn grow(
-    keys: &LocalLinear,
-    slope: f64,
-    z: &[f64],
-    y: &[f64],
-    d: usize,
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Option<Grown> {
+fn grow(keys: &LocalLinear, slope: f64, z: &[f64], y: &[f64], d: usize) -> Option<Grown> {
     let tree = Tree::root(d, keys.quadratic);
     let k = tree.local_terms();
     let mut x = vec![0.0; y.len() * k];
@@ -99,7 +93,7 @@ fn grow(
     let mut now = Grown { tree, x, y: y.to_vec(), locals: vec![first] };
     let mut best = now.clone();
     let mut idle = 0;
-    while now.tree.leaves.len() < keys.most && idle < PATIENCE && !interrupt() {
+    while now.tree.leaves.len() < keys.most && idle < PATIENCE {
         let Some(next) = now.split_once(slope, z, d) else { break };
         if next.press() < (1.0 - DECREASE) * best.press() {
             best = next.clone();

@@ -180,11 +180,7 @@ fn press(each: impl Iterator<Item = (f64, f64)>) -> f64 {
 
 /// Columns in and out as long as the cost decreases, from the fewest columns and, where there are points for it, from all of
 /// them: forward alone misses products whose factors do nothing alone. The better end is taken.
-pub(super) fn stepwise(
-    pool: &Pool<'_>,
-    y: &[f64],
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Option<LeastSquares> {
+pub(super) fn stepwise(pool: &Pool<'_>, y: &[f64], interrupt: &dyn Fn() -> bool) -> Option<LeastSquares> {
     let few = walk(pool, y, pool.always, interrupt);
     let all: Vec<usize> = (0..pool.columns.len()).collect();
     let room = all.len() <= pool.most && 3 * all.len() <= 2 * y.len();
@@ -192,12 +188,7 @@ pub(super) fn stepwise(
     few.into_iter().chain(many).min_by(|a, b| a.cost().total_cmp(&b.cost()))
 }
 
-fn walk(
-    pool: &Pool<'_>,
-    y: &[f64],
-    start: &[usize],
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Option<LeastSquares> {
+fn walk(pool: &Pool<'_>, y: &[f64], start: &[usize], interrupt: &dyn Fn() -> bool) -> Option<LeastSquares> {
     let mut inside = vec![false; pool.columns.len()];
     start.iter().for_each(|k| inside[*k] = true);
     let mut fit = LeastSquares::of(pool.columns, start, y)?;

@@ -58,7 +58,7 @@ pub fn choose(
     points: &Points,
     count: usize,
     how: FoldKind,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<(Learnt, Choice), ResponseError> {
     let (chosen, errors) = by_one_standard_error(candidates, points, count, how, interrupt)?;
     let (mut squares, mut outer) = (0.0, Vec::new());
@@ -86,7 +86,7 @@ fn by_one_standard_error(
     points: &Points,
     count: usize,
     how: FoldKind,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<(usize, Vec<CandidateError>), ResponseError> {
     let parts = folds(points.len(), count, how);
     let mut errors = Vec::new();

@@ -93,22 +93,33 @@ pub struct ScorePage {
     pub left_out: Unseen,
     /// Sum of squares of the left-out residuals.
     pub press: f64,
-    /// Folds, each learnt again with everything that is chosen from data.
-    pub folds: Unseen,
+    /// Folds, each learnt again with everything that is chosen from data; none where a choice was validated by folds of its own.
+    pub folds: Option<Unseen>,
     /// Points that were kept apart, where there are any.
     pub unseen: Option<Unseen>,
     /// Measured output, and its prediction from the other points: one entry per point.
     pub measured: Vec<f64>,
     /// That prediction.
     pub predicted: Vec<f64>,
-    /// Left-out residuals with the input that they are drawn over stand in the points; here those residuals.
+    /// Left-out residuals (measured minus predicted).
     pub residuals: Vec<f64>,
+    /// The inputs that they are drawn over, one entry per point each.
+    pub inputs: Vec<InputColumn>,
     /// Sections through the middle of the points.
     pub intersections: Vec<Intersection>,
     /// Which input moves the output, alone and together with others.
     pub sensitivity: Vec<Sensitivity>,
     /// Sentences of the fit.
     pub notes: Vec<String>,
+}
+
+/// One input of all points.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputColumn {
+    /// Input.
+    pub input: String,
+    /// Its values.
+    pub x: Vec<f64>,
 }
 
 /// The response over one input, the others at the median of the points.
@@ -145,26 +156,54 @@ pub fn score_page(
     unseen: Option<&Points>,
     count: usize,
     how: FoldKind,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<(ResponseModel, ScorePage), ResponseError> {
     let learnt = kind.learn(points, interrupt)?;
-    let LeftOut { residuals, variance } = learnt.left_out.clone();
+    let held = by_folds(kind, points, count, how, interrupt)?;
+    let page = score_learnt(&learnt.model, &learnt.left_out, points, unseen, Some(held), learnt.notes);
+    Ok((learnt.model, page))
+}
+
+/// Learns without each of `count` folds in turn.
+///
+/// # Errors
+/// [`ResponseError`] when one of the folds cannot be learnt.
+pub fn by_folds(
+    kind: &dyn Learn,
+    points: &Points,
+    count: usize,
+    how: FoldKind,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Unseen, ResponseError> {
     let held = held_out(kind, points, &folds(points.len(), count, how), interrupt)?;
-    let span = points.output_range();
-    let page = ScorePage {
-        what: learnt.model.describe(),
-        left_out: Unseen::of(&residuals, &variance, span),
+    Ok(Unseen::of(&held.errors, &held.variance, points.output_range()))
+}
+
+/// The page of a model that was learnt already.
+pub fn score_learnt(
+    model: &ResponseModel,
+    left_out: &LeftOut,
+    points: &Points,
+    unseen: Option<&Points>,
+    folds: Option<Unseen>,
+    notes: Vec<String>,
+) -> ScorePage {
+    let LeftOut { residuals, variance } = left_out.clone();
+    let column = |j: usize| InputColumn { input: points.inputs[j].clone(), x: points.column(j).collect() };
+    ScorePage {
+        what: model.describe(),
+        left_out: Unseen::of(&residuals, &variance, points.output_range()),
         press: residuals.iter().map(|e| e * e).sum(),
-        folds: Unseen::of(&held.errors, &held.variance, span),
-        unseen: unseen.map(|p| Unseen::on(&learnt.model, p)),
+        folds,
+        unseen: unseen.map(|p| Unseen::on(model, p)),
         measured: points.y.clone(),
         predicted: points.y.iter().zip(&residuals).map(|(y, e)| y - e).collect(),
         residuals,
-        intersections: intersections(&learnt.model, points),
-        sensitivity: sensitivity(&learnt.model, points, 0),
-        notes: learnt.notes,
-    };
-    Ok((learnt.model, page))
+        inputs: (0..points.dim()).map(column).collect(),
+        intersections: intersections(model, points),
+        sensitivity: sensitivity(model, points, 0),
+        notes,
+    }
 }
 
 /// Errors of all held-out points, fold by fold.
@@ -180,7 +219,7 @@ pub(super) fn held_out(
     kind: &dyn Learn,
     points: &Points,
     folds: &[Vec<usize>],
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<Held, ResponseError> {
     let parts = folds.iter().map(|held| {
         let rest: Vec<usize> = (0..points.len()).filter(|i| !held.contains(i)).collect();
