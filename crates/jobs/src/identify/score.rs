@@ -62,6 +62,8 @@ struct Errors {
 
 /// Scores `set` on `part`. Records go to `dir`.
 ///
+/// Without one-step outputs among `kinds` the records are points without time.
+///
 /// # Errors
 /// [`IdentifyError`]: a record too short to score, or files.
 pub fn score(
@@ -73,6 +75,7 @@ pub fn score(
     bounds: &Bounds,
     dir: &Path,
 ) -> Result<Scored, IdentifyError> {
+    let steady = !kinds.contains(&Kind::OneStep);
     let mut scored = Scored::default();
     let mut errors: BTreeMap<(usize, usize), Errors> = BTreeMap::new();
     for d in &part.records {
@@ -99,7 +102,7 @@ pub fn score(
                 let first = set.members[k].model.first(&shaped[k]);
                 let inputs = (judged[k].minimised == *kind).then_some(shaped[k].u.as_slice());
                 errors.entry((k, j)).or_default().add(&measured[k], &found, first, inputs);
-                if let Some(label) = label(*kind) {
+                if let Some(label) = label(*kind, steady) {
                     kept.push((format!("{target}_{label}"), own_unit(notes, d, target)?, found));
                 }
             }
@@ -114,7 +117,7 @@ pub fn score(
             }
         }
         let name = format!("{}-{}.csv", file_name(&part.name), file_name(&d.name));
-        write_record(&dir.join(&name), set, d, &kept)?;
+        write_record(&dir.join(&name), set, d, &kept, steady)?;
         scored.records.push(RecordFile {
             part: part.name.clone(),
             record: d.name.clone(),
@@ -236,8 +239,9 @@ fn measured(
     set.members.iter().zip(shaped).map(one).collect()
 }
 
-fn label(kind: Kind) -> Option<&'static str> {
+fn label(kind: Kind, steady: bool) -> Option<&'static str> {
     match kind {
+        _ if steady => Some("predicted"),
         Kind::OneStep => Some("one_step"),
         Kind::FreeRun => Some("free_run"),
         Kind::KStep(_) => None,
@@ -290,9 +294,13 @@ fn write_record(
     set: &Set,
     d: &Dataset,
     computed: &[(String, String, Vec<f64>)],
+    steady: bool,
 ) -> Result<(), IdentifyError> {
     let time: Vec<f64> = (0..d.len()).map(|t| t as f64 * d.sample_time_s).collect();
     let mut columns: Vec<(String, &str, &[f64])> = vec![("time".into(), "s", &time)];
+    if steady {
+        columns.clear();
+    }
     for (name, unit, values) in computed {
         columns.push((name.clone(), unit, values));
     }

@@ -46,6 +46,7 @@ pub(super) fn section(found: &Identified) -> Section {
 /// How the estimate ended, in words.
 pub fn ended(m: &Modelled) -> String {
     match (m.status, m.evaluations) {
+        (Some(status), _) if m.what.is_some() && status.is_success() => "learnt".into(),
         (Some(status), Some(n)) => {
             format!("{} after {n} evaluations", in_words(status).trim_end_matches(','))
         }

@@ -20,7 +20,7 @@ pub(super) fn sections(found: &Identified) -> Vec<Section> {
     let mut effects = Section::new("What the models do").text(
         "Sections through the median of the points with the 95 % band of the response (not of a measurement). Effects are shares \
          of the variance of the response over the box of the points: of the input alone (main), and with all its interactions \
-         (total).",
+         (total), from 2048 draws: good to some two percent.",
     );
     let mut residuals = Section::new("Left-out errors").text(
         "Measured against predicted from the other points, and the errors over every input: a bend is a missing term, a funnel is \
@@ -51,7 +51,7 @@ fn table(m: &Modelled, s: &ScorePage) -> Table {
         Column::number("RMSE", m.unit.as_str()),
         Column::number("RMSE over the range", "%"),
         Column::number("In the 95 % band", "%"),
-        Column::number("Squared error over predicted variance", "-"),
+        Column::number("Ratio", "-"),
     ])
     .caption(format!("{}: {}", m.target, s.what));
     let rows = [("left out", Some(&s.left_out)), ("folds", s.folds.as_ref()), ("unseen", s.unseen.as_ref())];
