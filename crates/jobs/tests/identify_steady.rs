@@ -171,7 +171,7 @@ fn what_needs_time_is_refused_with_its_key() {
         (format!("{sampled}{SPLIT}{gp}"), "split.test_every"),
         (format!("{DATA}{arx}"), "a structure without lags for a steady table"),
         (rbf(", output_lags = 1"), "a structure without lags for a steady table"),
-        (rbf(", wdths = [1]"), "`input_lags`"),
+        (rbf(", wdths = [1]"), "candidates, input_lags"),
         (rbf("") + "estimator = { name = \"ols\" }\n", "one of the estimators learn"),
         (format!("{DATA}{gp}[validate]\nk_steps = [5]\n"), "validate.k_steps"),
         (format!("{DATA}{gp}[[prepare]]\nstep = \"offset\"\n"), "prepare"),
@@ -190,7 +190,7 @@ fn a_constant_channel_and_a_missing_value_are_named() {
         _ => format!("{line}\n"),
     };
     let said = identify(&spec, &table(30, 6).lines().map(still).collect::<String>()).unwrap_err();
-    assert!(said.contains("input `speed` is 2000 at all 30 points"), "{said}");
+    assert!(said.contains("input `speed` is constant (2000)"), "{said}");
     let said = identify(&spec, &table(30, 6).replacen('\n', "\n2000,,7\n", 1)).unwrap_err();
     assert!(said.contains("load") && said.contains("line 2"), "{said}");
 }
