@@ -9,6 +9,7 @@ pub mod calibrate;
 pub mod design;
 pub mod engine;
 pub mod estimate;
+pub mod export;
 pub mod families;
 pub mod identify;
 pub mod page;

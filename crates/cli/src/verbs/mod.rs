@@ -36,6 +36,7 @@ verbs![
     study,      //
     report,     //
     engine,     //
+    export,     //
     list,       //
 ];
 

@@ -1,0 +1,66 @@
+//! `dynocal export SOURCE --to FORMAT`: maps and models in the formats of the neighbours.
+
+use std::path::PathBuf;
+
+use clap::builder::PossibleValuesParser;
+use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_export::format::{EXPORTS, Keys, Precision};
+use dynocal_export::package::Extrapolation;
+use dynocal_jobs::export::{self, ExportSpec};
+
+use super::Verb;
+use crate::failure::{Exit, Failure};
+use crate::terminal::{print, say};
+
+pub(crate) const VERB: Verb = Verb { name: "export", describe: |c| Export::augment_args(c.about(ABOUT)), run };
+
+const ABOUT: &str = "Export maps and models: C, DCM, CDFX, A2L, FMU, ONNX, .. (`dynocal list exports`)";
+
+#[derive(Args, Debug)]
+struct Export {
+    /// Run folder of `calibrate` (its maps) or `identify` (its models), one of their files, or a map file (.json, .dcm,
+    /// .cdfx, .csv)
+    source: PathBuf,
+    /// Formats
+    #[arg(long, required = true, num_args = 1.., value_name = "FORMAT",
+        value_parser = PossibleValuesParser::new(EXPORTS.iter().map(|e| e.doc.name)))]
+    to: Vec<String>,
+    /// Folder to write into
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    out: PathBuf,
+    /// Arithmetic of generated C
+    #[arg(long, value_parser = ["float", "double"], default_value = "float")]
+    precision: String,
+    /// Look-ups outside their axes
+    #[arg(long, value_parser = ["clip", "linear"], default_value = "clip")]
+    extrapolation: String,
+    /// Sample time in s of a map whose run is not at hand
+    #[arg(long, value_name = "S")]
+    sample_time_s: Option<f64>,
+    /// A2L of the ECU whose limits the characteristics take
+    #[arg(long, value_name = "FILE")]
+    a2l: Option<PathBuf>,
+    /// Print the list of files, and nothing else
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
+    let args = Export::from_arg_matches(matches)?;
+    let double = args.precision == "double";
+    let linear = args.extrapolation == "linear";
+    let spec = ExportSpec {
+        to: args.to,
+        keys: Keys { precision: if double { Precision::Double } else { Precision::Float } },
+        extrapolation: if linear { Extrapolation::Linear } else { Extrapolation::Clip },
+        sample_time_s: args.sample_time_s,
+        a2l: args.a2l,
+    };
+    let done = export::run(&args.source, &args.out, &spec)?;
+    if !args.quiet {
+        done.notes.iter().for_each(|n| say(n));
+    }
+    let paths: String = done.files.iter().map(|p| format!("{}\n", p.display())).collect();
+    print(&paths)?;
+    Ok(Exit::Done)
+}

@@ -1,0 +1,226 @@
+//! What leaves the house: maps and models in the formats of the neighbours.
+//!
+//! A source is a run folder of `calibrate` (its maps) or of `identify` (its models), one of their files, or a file in a
+//! neutral or foreign form (`.json`, `.dcm`, `.cdfx`, `.csv`). It becomes a [`Package`], and a row of the table of exports
+//! writes it.
+
+mod build;
+mod dynamic_map;
+mod model;
+mod origin;
+mod static_map;
+
+use std::path::{Path, PathBuf};
+
+use dynocal_export::ExportError;
+use dynocal_export::format::{self, Keys, OutFile};
+use dynocal_export::package::{Extrapolation, Package};
+use dynocal_files::{FilesError, atomic, json};
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredError, StoredModel};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+pub use dynamic_map::dynamic_map;
+pub use model::model;
+pub use static_map::static_map;
+
+use origin::Origin;
+
+/// What is wanted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ExportSpec {
+    /// Formats (`dynocal list exports`).
+    pub to: Vec<String>,
+    /// Keys of the formats.
+    pub keys: Keys,
+    /// Look-ups outside their axes.
+    pub extrapolation: Extrapolation,
+    /// Sample time in s of a map whose run is not at hand.
+    pub sample_time_s: Option<f64>,
+    /// A2L of the ECU whose limits the characteristics take.
+    pub a2l: Option<PathBuf>,
+}
+
+/// Why nothing left.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportJobError {
+    /// A file.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// A form or format.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// A stored model that cannot be used so.
+    #[error("{path}: {source}")]
+    Model {
+        /// File.
+        path: String,
+        /// Why.
+        source: StoredError,
+    },
+    /// The source is nothing that can be exported.
+    #[error("{path}: {reason}")]
+    Source {
+        /// What was given.
+        path: String,
+        /// Found and expected.
+        reason: String,
+    },
+}
+
+impl ExportJobError {
+    fn source(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Source { path: path.display().to_string(), reason: reason.into() }
+    }
+}
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Exported {
+    /// Files.
+    pub files: Vec<PathBuf>,
+    /// What the user should know.
+    pub notes: Vec<String>,
+}
+
+/// A package with what was decided or lost while it was made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Made {
+    /// Package.
+    pub package: Package,
+    /// Sentences.
+    pub notes: Vec<String>,
+}
+
+/// Exports `source` into `folder`.
+///
+/// # Errors
+/// [`ExportJobError`]; nothing is written unless something fits every format that was asked for.
+pub fn run(source: &Path, folder: &Path, spec: &ExportSpec) -> Result<Exported, ExportJobError> {
+    let mut made = packages(source, spec)?;
+    let mut out = Exported::default();
+    for m in &mut made {
+        m.package.extrapolation = spec.extrapolation;
+        if let Some(path) = &spec.a2l {
+            let entries = dynocal_export::a2l::read(&path.display().to_string(), &read(path)?)?;
+            m.notes.extend(dynocal_export::a2l::adopt(&mut m.package, &entries));
+        }
+        out.notes.append(&mut m.notes);
+    }
+    let mut ready: Vec<OutFile> = Vec::new();
+    for name in &spec.to {
+        let (files, left_out) = written(&made, name, &spec.keys)?;
+        if files.is_empty() {
+            return Err(ExportJobError::source(source, left_out.join("; ")));
+        }
+        ready.extend(files);
+        out.notes.extend(left_out);
+    }
+    for file in ready {
+        let path = folder.join(&file.name);
+        atomic::write(&path, &file.bytes)?;
+        out.files.push(path);
+    }
+    Ok(out)
+}
+
+/// The files of one format, and what it could not hold: a run has several maps, and not every format holds each.
+fn written(made: &[Made], name: &str, keys: &Keys) -> Result<(Vec<OutFile>, Vec<String>), ExportJobError> {
+    let (mut files, mut left_out) = (Vec::new(), Vec::new());
+    for m in made {
+        match format::write(&m.package, name, keys) {
+            Ok(more) => files.extend(more),
+            Err(e @ ExportError::Unfit { .. }) => left_out.push(e.to_string()),
+            Err(e) => return Err(e.into()),
+        }
+    }
+    Ok((files, left_out))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
+    std::fs::read(path)
+        .map_err(|e| FilesError::Read { path: path.display().to_string(), reason: e.to_string() })
+}
+
+/// The packages of a source.
+fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobError> {
+    if !source.is_dir() {
+        return Ok(vec![of_file(source, spec)?]);
+    }
+    let mut found: Vec<PathBuf> = Vec::new();
+    let steps = source.join("steps");
+    let entries = |f: &Path| std::fs::read_dir(f).into_iter().flatten().flatten().map(|e| e.path());
+    for step in entries(&steps).filter(|p| p.is_dir()) {
+        found.extend(entries(&step).filter(|p| p.is_file() && wanted(p)));
+    }
+    found.sort();
+    // The maps are what a calibration is for; its models are named by file.
+    if found.iter().any(|p| is_map(p)) {
+        found.retain(|p| is_map(p));
+    }
+    if found.is_empty() {
+        let reason = "found no map and no model in its steps: expected a finished run of `dynocal calibrate` or \
+                      `dynocal identify`, or a file";
+        return Err(ExportJobError::source(source, reason));
+    }
+    found.iter().map(|p| of_file(p, spec)).collect()
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn is_map(path: &Path) -> bool {
+    ["static_map.json", "dynamic_map.json"].contains(&file_name(path).as_str())
+}
+
+/// `model.json`, or `NAME_model.json` and `model_NAME.json` where there are several.
+fn wanted(path: &Path) -> bool {
+    let name = file_name(path);
+    let model =
+        name.strip_suffix(".json").is_some_and(|stem| stem.starts_with("model") || stem.ends_with("_model"));
+    is_map(path) || (model && schema(path).is_some_and(|s| s == MODEL_SCHEMA))
+}
+
+fn schema(path: &Path) -> Option<String> {
+    let value: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    Some(value.get("schema")?.as_str()?.to_string())
+}
+
+/// A file of any kind.
+fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
+    let bytes = read(path)?;
+    let origin = Origin::of(path, &bytes);
+    let json = path.extension().is_some_and(|e| e == "json");
+    let kind = if json { schema(path).unwrap_or_default() } else { String::new() };
+    let mut made = match kind.as_str() {
+        MODEL_SCHEMA => {
+            let stored: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
+            model(&stored).map_err(|e| e.at(path))?
+        }
+        "dynocal/static-map" => {
+            let map = json::read_versioned(path, "dynocal/static-map", 2)?;
+            static_map(&map, spec.sample_time_s.or(origin.sample_time_s))
+        }
+        "dynocal/dynamic-map" => {
+            let map = json::read_versioned(path, "dynocal/dynamic-map", 2)?;
+            let dt = spec.sample_time_s.or(origin.sample_time_s).ok_or_else(|| {
+                ExportJobError::source(
+                    path,
+                    "found no run with its sample time, expected one around it (or --sample-time-s)",
+                )
+            })?;
+            dynamic_map(&map, dt)
+        }
+        _ => Made { package: format::read(&path.display().to_string(), &bytes)?, notes: Vec::new() },
+    };
+    let validity = std::mem::take(&mut made.package.provenance.validity);
+    if made.package.provenance.version.is_empty() {
+        made.package.provenance = origin.provenance(validity);
+    } else {
+        made.package.provenance.validity = validity;
+    }
+    made.package.check()?;
+    Ok(made)
+}

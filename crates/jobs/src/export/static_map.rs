@@ -1,0 +1,84 @@
+//! The static map: a table for each actuator over given channel and leading demand, and a program that reads them.
+
+use dynocal_calib::map::static_map::StaticMap;
+use dynocal_export::characteristic::{Axis, Characteristic, identifier};
+use dynocal_export::package::{Package, Provenance, ValidRange};
+use dynocal_export::program::Op;
+
+use super::Made;
+use super::build::Build;
+
+fn middle(points: &[f64]) -> f64 {
+    0.5 * (points.first().copied().unwrap_or(0.0) + points.last().copied().unwrap_or(0.0))
+}
+
+fn ends(points: &[f64]) -> (f64, f64) {
+    (points.first().copied().unwrap_or(0.0), points.last().copied().unwrap_or(0.0))
+}
+
+/// Tables on shared axes, x the given channel and y the leading demand; an axis of one point is left out. With a sample
+/// time the program that looks them up goes with them.
+pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
+    let ports = &map.ports;
+    // (name, unit, points), x first: the points of the map lie with the given channel fastest.
+    let given = ports.given.first().map(|p| (p.name.as_str(), p.unit.as_str(), map.given.as_slice()));
+    let lead = ports.demands.first().map(|p| (p.name.as_str(), p.unit.as_str(), map.demand.as_slice()));
+    let along: Vec<_> = given.into_iter().chain(lead).filter(|a| a.2.len() > 1).collect();
+    let axis = |(name, unit, points): &(&str, &str, &[f64])| Axis {
+        name: format!("{}_AXIS", identifier(name).to_uppercase()),
+        description: format!("{name} of the static map"),
+        unit: (*unit).into(),
+        input: identifier(name),
+        points: points.to_vec(),
+        shared: true,
+    };
+    let axes: Vec<Axis> = along.iter().map(axis).collect();
+    let over = along.iter().map(|a| a.0).collect::<Vec<_>>().join(" and ");
+    let characteristics: Vec<Characteristic> = ports
+        .actuators
+        .iter()
+        .enumerate()
+        .map(|(k, a)| Characteristic {
+            name: format!("{}_MAP", identifier(&a.name).to_uppercase()),
+            description: format!("{} over {over}, steady", a.name),
+            unit: a.unit.clone(),
+            axes: axes.clone(),
+            values: map.points.iter().map(|p| p.actuators[k]).collect(),
+            limits: Some((a.lower, a.upper)).filter(|l| l.0.is_finite() && l.1.is_finite()),
+        })
+        .collect();
+    let range = |(name, unit, points): &(&str, &str, &[f64])| {
+        let (lower, upper) = ends(points);
+        ValidRange { channel: (*name).into(), unit: (*unit).into(), lower, upper }
+    };
+    let program = sample_time_s.filter(|_| !along.is_empty()).map(|dt| {
+        let mut b = Build::new(dt);
+        let inputs: Vec<_> = along.iter().map(|a| b.input(a.0, a.1, middle(a.2), Some(ends(a.2)))).collect();
+        for (c, a) in characteristics.iter().zip(&ports.actuators) {
+            let op = Op::Lookup { characteristic: c.name.clone(), inputs: inputs.clone() };
+            let node = b.node(&format!("{}_map", a.name), op);
+            b.output(&a.name, &a.unit, node);
+        }
+        b.program
+    });
+    let missed = map.points.iter().filter(|p| !p.missed.is_empty()).count();
+    let mut notes = Vec::new();
+    if missed > 0 {
+        notes.push(format!("static map: {missed} of {} points were not reached as asked", map.points.len()));
+    }
+    if let Some(held) = ports.demands.get(1..).filter(|d| !d.is_empty()) {
+        let names: Vec<&str> = held.iter().map(|p| p.name.as_str()).collect();
+        notes.push(format!("static map: it holds for one demand of {}", names.join(", ")));
+    }
+    Made {
+        package: Package {
+            name: "static_map".into(),
+            description: "Static map of a calibration".into(),
+            provenance: Provenance { validity: along.iter().map(range).collect(), ..Default::default() },
+            characteristics,
+            program,
+            ..Default::default()
+        },
+        notes,
+    }
+}
