@@ -300,7 +300,7 @@ fn derived_channels_are_part_of_the_program() {
 fn what_does_not_settle_is_told() {
     let made = model(&engine(&["1", "inj(t-1)", "torque(t-1)"], &[1.0, 0.5, 1.01])).unwrap();
     assert!(made.notes.iter().any(|n| n.contains("does not settle")), "{:?}", made.notes);
-    let keys = "na = 1".parse().unwrap();
+    let keys = "nc = 1\nnd = 1".parse().unwrap();
     let form = kind("arma", &keys).unwrap().form(&[], "torque", &[]).unwrap();
     let theta = vec![0.1; form.parameter_names().len()];
     let form = dynocal_ident::model::form::AnyForm(form);
