@@ -99,6 +99,18 @@ pub static FAMILIES: &[Family] = &[
         refusal: None,
     },
     Family {
+        name: "formats",
+        what: "Measurement files that are read",
+        docs: || dynocal_files::measurement::FORMATS.iter().map(|f| f.doc).collect(),
+        refusal: None,
+    },
+    Family {
+        name: "exports",
+        what: "Formats that are written",
+        docs: || dynocal_export::format::EXPORTS.iter().map(|e| e.doc).collect(),
+        refusal: None,
+    },
+    Family {
         name: "optimisers",
         what: "Bounded minimisation",
         docs: || docs(OPTIMISERS),

@@ -17,6 +17,7 @@ const ORDER: &[&str] = &[
     "design",
     "sequential",
     "calibrate",
+    "export",
     "families",
 ];
 

@@ -14,8 +14,8 @@ mod plan;
 pub mod result;
 mod rivals;
 pub mod run;
-pub(crate) mod typed;
 mod stored;
+pub(crate) mod typed;
 
 use std::path::{Path, PathBuf};
 
