@@ -1,12 +1,13 @@
 //! Input channels of a design: amplitude, rate, hold, and the map from free variables to samples.
 
 mod layout;
+pub mod limits;
 
 pub use layout::Layout;
 pub(crate) use layout::SAFE;
 
 use crate::error::DesignError;
-use crate::limits::Region;
+use limits::Region;
 
 /// How a channel moves between its free values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -1,12 +1,24 @@
 //! Fisher information of a model over a record, and what it says about the parameters.
 
 use crate::kernel;
-use crate::problem::Convention;
 use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::status::Status;
 
 /// Relative singular value (columns of unit norm) below which a combination of parameters counts as unseen.
 const RANK_TOLERANCE: f64 = 1e-11;
+
+/// What happens before the first sample, and from which sample the information counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Convention {
+    /// Nothing is assumed: the first max-lag outputs are given, sensitivities and sums begin after them.
+    #[default]
+    Trim,
+    /// The inputs stood at their first values; all samples count.
+    Hold,
+    /// The inputs were zero; all samples count.
+    Zero,
+}
 
 /// The model's output or sensitivities are not finite over the record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

@@ -11,7 +11,6 @@ pub mod criterion;
 pub mod error;
 pub mod information;
 mod kernel;
-pub mod limits;
 pub mod noise_model;
 pub mod problem;
 pub mod safety;

@@ -1,8 +1,8 @@
 //! Regions, levels, start and end: what a record that comes out of a design keeps, and what is said when it cannot.
 
+use dynocal_design::channel::limits::Region;
 use dynocal_design::channel::{Channel, Layout, Shape};
 use dynocal_design::criterion::{Criterion, criterion};
-use dynocal_design::limits::Region;
 use dynocal_design::problem::{Convention, DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, DesignOutcome, Failure, design, random_record};
 use dynocal_ident::model::literature::{LiteratureModel, torque_4_17};

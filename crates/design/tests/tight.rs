@@ -4,9 +4,9 @@ mod common;
 
 use common::*;
 use dynocal_design::channel::{Channel, Shape};
-use dynocal_design::limits::Values;
 use dynocal_design::problem::{Convention, DesignProblem, Evaluator, OutputLimits, Term};
 use dynocal_design::safety::safety;
+use dynocal_design::search::Values;
 use dynocal_design::search::{DesignOptions, DesignOutcome, design, random_record_within};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;

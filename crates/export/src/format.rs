@@ -1,11 +1,26 @@
 //! The table of export formats.
 
+pub mod a2l;
+pub mod c;
+mod c_program;
+pub mod cdfx;
+pub mod csv;
+pub mod dcm;
+mod dcm_read;
+pub mod fmu;
+mod fmu_xml;
+pub mod json;
+pub mod mat;
+pub mod onnx;
+mod protobuf;
+pub mod python;
+pub mod simulink;
+
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
 use crate::error::ExportError;
 use crate::package::Package;
-use crate::{a2l, c, cdfx, csv, dcm, fmu, json, mat, onnx, python, simulink};
 
 /// Arithmetic of generated code.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

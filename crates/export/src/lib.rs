@@ -37,26 +37,11 @@
 //! assert_eq!(back.characteristics[0].values, package.characteristics[0].values);
 //! ```
 
-pub mod a2l;
-pub mod c;
-mod c_program;
-pub mod cdfx;
 pub mod characteristic;
-pub mod csv;
-pub mod dcm;
-mod dcm_read;
 pub mod error;
 pub mod evaluate;
-pub mod fmu;
-mod fmu_xml;
 pub mod format;
-pub mod json;
-pub mod mat;
-pub mod onnx;
 pub mod package;
 pub mod program;
-mod protobuf;
-pub mod python;
-pub mod simulink;
 
 pub use error::ExportError;

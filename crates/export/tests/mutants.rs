@@ -58,7 +58,7 @@ fn no_mutant_panics_hangs_or_takes_the_memory() {
             let bytes = mutate(&file.bytes, &mut rng);
             let start = busy_s();
             let once = || match format {
-                "a2l" => dynocal_export::a2l::read(&file.name, &bytes).map(|_| ()),
+                "a2l" => dynocal_export::format::a2l::read(&file.name, &bytes).map(|_| ()),
                 _ => read(&file.name, &bytes).map(|_| ()),
             };
             let result = std::panic::catch_unwind(once);

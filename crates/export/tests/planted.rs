@@ -120,13 +120,13 @@ fn a2l() {
         ),
         ("missing number", " 0x0 DYN_MAP_RL_VALUES 0 ", " 0x0 DYN_MAP_RL_VALUES ", ""),
     ];
-    assert!(dynocal_export::a2l::read("x.a2l", text.as_bytes()).is_ok());
+    assert!(dynocal_export::format::a2l::read("x.a2l", text.as_bytes()).is_ok());
     for (fault, from, to, says) in cases {
         let from = if text.contains(from) { from.to_string() } else { axis_line(&text) };
         let to = if fault == "axis length" { from.replacen(" 3 ", " 5 ", 1) } else { to.to_string() };
         let broken = text.replacen(&from, &to, 1);
         assert_ne!(broken, text, "{fault}");
-        let e = dynocal_export::a2l::read("x.a2l", broken.as_bytes());
+        let e = dynocal_export::format::a2l::read("x.a2l", broken.as_bytes());
         let e = e.err().unwrap_or_else(|| panic!("{fault}: was read")).to_string();
         assert!(e.contains(says), "{fault}: {e}");
     }
@@ -142,11 +142,11 @@ fn axis_line(text: &str) -> String {
 fn limits_of_an_ecu() {
     let mut package = common::maps();
     let file = write(&package, "a2l", &Keys::default()).unwrap().remove(0);
-    let mut entries = dynocal_export::a2l::read("x.a2l", &file.bytes).unwrap();
+    let mut entries = dynocal_export::format::a2l::read("x.a2l", &file.bytes).unwrap();
     for e in &mut entries {
         e.limits = (0.0, 32.0);
     }
-    let notes = dynocal_export::a2l::adopt(&mut package, &entries);
+    let notes = dynocal_export::format::a2l::adopt(&mut package, &entries);
     assert_eq!(package.characteristics[4].limits, Some((0.0, 32.0)));
     assert!(notes.iter().any(|n| n == "`INJ_MAP`: 1 values outside 0 to 32"), "{notes:?}");
 }

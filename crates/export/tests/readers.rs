@@ -64,7 +64,7 @@ fn a2l_by_pya2ldb_and_a2lfile() {
     assert!(log.is_empty(), "{log:?}");
     let faults = file.check();
     assert!(faults.is_empty(), "{faults:?}");
-    let entries = dynocal_export::a2l::read("x.a2l", &std::fs::read(&path).unwrap()).unwrap();
+    let entries = dynocal_export::format::a2l::read("x.a2l", &std::fs::read(&path).unwrap()).unwrap();
     let map = entries.iter().find(|e| e.name == "INJ_MAP").unwrap();
     assert_eq!((map.kind.as_str(), map.unit.as_str(), map.axes[0].points), ("MAP", "mg", 3));
     let Some(python) = python(&["pya2l"]) else { return };

@@ -9,8 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::FilesError;
 use crate::measurement::{self, FORMATS, ReadKeys};
+use crate::measurement::{csv_io, merge, parquet_io};
 use crate::table::{Column, Table, UnitSource};
-use crate::{csv_io, merge, parquet_io, units};
+use crate::units;
 
 /// A column that becomes a channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -2,8 +2,8 @@
 //!
 //! - [`atomic`]: every output is written whole (temporary name, then rename)
 //! - [`measurement`]: measurement files of any format in [`measurement::FORMATS`], listed and read in pieces
-//! - [`csv_io`], [`csv_dialect`], [`parquet_io`], [`mdf4`], [`mdf3`], [`mat5`], [`mat73`]: the formats
-//! - [`merge`], [`split`]: several rasters on one time axis; long records cut into experiments
+//! - [`csv_io`], [`parquet_io`] and the modules of [`measurement`]: the formats, one file each
+//! - [`measurement::merge`], [`split`]: several rasters on one time axis; long records cut into experiments
 //! - [`dataset`]: table, channel roles and sample time to [`dynocal_ident::data::Dataset`]s
 //! - [`plan`]: a plan as two files, and the record that a bed made of it
 //! - [`units`]: unit names, their aliases, exact conversions
@@ -12,23 +12,10 @@
 //! - [`spec`]: TOML specs with every fault named at once
 
 pub mod atomic;
-mod csv_cells;
-pub mod csv_dialect;
-pub mod csv_io;
 pub mod dataset;
 pub mod error;
 pub mod json;
-pub mod mat;
-pub mod mat5;
-#[cfg(feature = "mat73")]
-pub mod mat73;
-#[cfg(feature = "mdf")]
-pub mod mdf3;
-#[cfg(feature = "mdf")]
-pub mod mdf4;
 pub mod measurement;
-pub mod merge;
-pub mod parquet_io;
 pub mod plan;
 pub mod run_folder;
 pub mod spec;
@@ -37,3 +24,4 @@ pub mod table;
 pub mod units;
 
 pub use error::FilesError;
+pub use measurement::{csv_io, parquet_io};

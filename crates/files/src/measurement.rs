@@ -4,6 +4,20 @@
 //! rows of [`FORMATS`]; each opens a file as a [`Source`], which lists groups without reading values and then hands out
 //! the values chunk by chunk, so that a file may be larger than the memory.
 
+mod csv_cells;
+pub mod csv_dialect;
+pub mod csv_io;
+pub mod mat;
+pub mod mat5;
+#[cfg(feature = "mat73")]
+pub mod mat73;
+#[cfg(feature = "mdf")]
+pub mod mdf3;
+#[cfg(feature = "mdf")]
+pub mod mdf4;
+pub mod merge;
+pub mod parquet_io;
+
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
@@ -11,10 +25,10 @@ use std::path::Path;
 use dynocal_numerics::registry::{MemberDoc, nearest};
 use serde::{Deserialize, Serialize};
 
-use crate::csv_dialect::CsvKeys;
 use crate::error::{FilesError, reason};
+use crate::measurement::csv_dialect::CsvKeys;
 use crate::table::{Cells, Column, Table, UnitSource};
-use crate::{merge, units};
+use crate::units;
 
 /// A channel before its values are read.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -97,15 +111,15 @@ pub struct Reader {
 
 /// Measurement formats.
 pub static FORMATS: &[Reader] = &[
-    crate::csv_io::FORMAT,
-    crate::parquet_io::FORMAT,
+    crate::measurement::csv_io::FORMAT,
+    crate::measurement::parquet_io::FORMAT,
     #[cfg(feature = "mdf")]
-    crate::mdf4::FORMAT,
+    crate::measurement::mdf4::FORMAT,
     #[cfg(feature = "mdf")]
-    crate::mdf3::FORMAT,
-    crate::mat5::FORMAT,
+    crate::measurement::mdf3::FORMAT,
+    crate::measurement::mat5::FORMAT,
     #[cfg(feature = "mat73")]
-    crate::mat73::FORMAT,
+    crate::measurement::mat73::FORMAT,
 ];
 
 /// Opens `path`; without `format` its first bytes and then the ending of its name tell the format.

@@ -12,8 +12,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::{ChannelSpec, Layout, Missing, STAMPS, Select, Time, datasets, read_table};
 use crate::error::FilesError;
+use crate::measurement::csv_io;
 use crate::table::Table;
-use crate::{csv_io, json, units};
+use crate::{json, units};
 
 /// Schema name of the JSON file.
 pub const PLAN_SCHEMA: &str = "dynocal/plan";

@@ -38,7 +38,7 @@ pub enum Cut {
 /// # Examples
 /// ```
 /// use dynocal_files::split::{Cut, ranges};
-/// let table = dynocal_files::csv_io::parse("a.csv", b"run,x\n0,1\n1,2\n1,3\n0,4\n1,5\n1,6\n").unwrap();
+/// let table = dynocal_files::measurement::csv_io::parse("a.csv", b"run,x\n0,1\n1,2\n1,3\n0,4\n1,5\n1,6\n").unwrap();
 /// let cut = Cut::Trigger { column: "run".into(), above: 0.5 };
 /// assert_eq!(ranges(&table, &cut, 2).unwrap(), [(1, 3), (4, 6)]);
 /// ```

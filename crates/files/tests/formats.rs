@@ -4,8 +4,8 @@
 
 use std::path::{Path, PathBuf};
 
+use dynocal_files::measurement::merge::{self, Keys, Rule};
 use dynocal_files::measurement::{Raster, ReadKeys, Source, by_ending, open, rasters, table};
-use dynocal_files::merge::{self, Keys, Rule};
 use dynocal_files::table::{Cells, Column, UnitSource};
 use dynocal_files::{csv_io, units};
 
@@ -53,9 +53,12 @@ fn mdf4_of_asammdf() {
 /// `scipy.io.savemat` and `h5py` wrote the same struct.
 #[test]
 fn mat_of_scipy_and_h5py() {
-    use dynocal_files::mat::MatValue;
+    use dynocal_files::measurement::mat::MatValue;
     let (Some(v5), Some(v73)) = (reference("tiny.mat"), reference("tiny_v73.mat")) else { return };
-    for variables in [dynocal_files::mat5::read(&v5).unwrap(), dynocal_files::mat73::read(&v73).unwrap()] {
+    for variables in [
+        dynocal_files::measurement::mat5::read(&v5).unwrap(),
+        dynocal_files::measurement::mat73::read(&v73).unwrap(),
+    ] {
         let (name, map) = &variables[0];
         assert_eq!(name, "INJ_MAP");
         assert_eq!(map.field("bp_x").and_then(MatValue::as_vector).unwrap(), [1000.0, 2000.0, 4000.0]);
@@ -167,7 +170,7 @@ fn dialects() {
 /// A key wins over the guess; a ragged row is named by its line, preamble counted.
 #[test]
 fn keys_fix_the_dialect() {
-    let keys = dynocal_files::csv_dialect::CsvKeys {
+    let keys = dynocal_files::measurement::csv_dialect::CsvKeys {
         thousands: Some(",".into()),
         decimal: Some('.'),
         ..Default::default()

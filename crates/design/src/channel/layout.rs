@@ -1,8 +1,8 @@
 //! The map between free variables and samples, with the limits in the variables.
 
+use super::limits::Regions;
 use super::{Channel, Shape};
 use crate::error::DesignError;
-use crate::limits::Regions;
 
 /// A rate limit in the free variables: `|x[j] - x[j-1]| <= limit`.
 #[derive(Clone, Copy, Debug)]
@@ -248,7 +248,7 @@ impl Layout {
 
     /// Moves `x` into the bounds and then, from the first sample on, into the rate limits: exactly feasible afterwards,
     /// because every value within the bounds has one within reach that stays inside them. Then, where there are
-    /// regions, into them (see [`crate::limits`]).
+    /// regions, into them (see [`super::limits`]).
     pub fn repair(&self, x: &mut [f64]) {
         self.repair_rates(x);
         self.repair_regions(x);

@@ -9,20 +9,8 @@ pub(crate) use evaluate::Multipliers;
 use crate::channel::{Channel, Layout};
 use crate::criterion::Criterion;
 use crate::error::DesignError;
+pub use crate::information::Convention;
 use dynocal_ident::model::Model;
-
-/// What happens before the first sample, and from which sample the information counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Convention {
-    /// Nothing is assumed: the first max-lag outputs are given, sensitivities and sums begin after them.
-    #[default]
-    Trim,
-    /// The inputs stood at their first values; all samples count.
-    Hold,
-    /// The inputs were zero; all samples count.
-    Zero,
-}
 
 /// Limits on a predicted output.
 #[derive(Clone, Copy, Debug, PartialEq)]

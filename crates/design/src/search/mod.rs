@@ -8,6 +8,8 @@ mod annealing;
 mod bounded;
 mod chain;
 mod compass;
+mod exchange;
+mod forecast;
 mod genetic;
 mod interior_point;
 mod kicks;
@@ -15,6 +17,7 @@ mod lbfgs;
 mod local;
 mod outcome;
 mod pattern;
+mod redraw;
 mod sqp;
 mod trust_region;
 
@@ -22,6 +25,7 @@ pub use chain::Chain;
 pub use outcome::{
     DesignOptions, DesignOutcome, FIRST_FREE_STREAM, Failure, design, random_record, random_record_within,
 };
+pub use redraw::Values;
 
 use dynocal_numerics::registry::{self, BuildError, Member};
 use dynocal_numerics::status::Iterate;

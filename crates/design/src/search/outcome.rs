@@ -1,12 +1,12 @@
 //! The entry point of the crate: a problem in, a record out.
 
 use super::chain::{Candidate, Chain, sharpening};
+use super::exchange::exchange;
+use super::redraw::{Redraw, Values};
 use super::{Search, Watch, search};
 use crate::certificate::{Certificate, NoCertificate, certify};
 use crate::channel::Layout;
 use crate::error::DesignError;
-use crate::limits::exchange::exchange;
-use crate::limits::redraw::{Redraw, Values};
 use crate::problem::{DesignProblem, Evaluator};
 use crate::safety::{Safety, safety};
 use dynocal_numerics::registry::BuildError;

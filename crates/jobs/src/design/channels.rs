@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use dynocal_design::channel::limits::Region;
 use dynocal_design::channel::{Channel, Shape};
-use dynocal_design::limits::Region;
 use dynocal_files::spec::Faults;
 
 use super::PlanChannel;

@@ -2,8 +2,8 @@
 
 use dynocal_design::channel::Layout;
 use dynocal_design::criterion::{Criterion, criterion};
-use dynocal_design::limits::Values;
 use dynocal_design::problem::{DesignProblem, Evaluator, Term};
+use dynocal_design::search::Values;
 use dynocal_design::search::{FIRST_FREE_STREAM, random_record_within};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;

@@ -103,8 +103,8 @@ pub fn run(source: &Path, folder: &Path, spec: &ExportSpec) -> Result<Exported, 
     for m in &mut made {
         m.package.extrapolation = spec.extrapolation;
         if let Some(path) = &spec.a2l {
-            let entries = dynocal_export::a2l::read(&path.display().to_string(), &read(path)?)?;
-            m.notes.extend(dynocal_export::a2l::adopt(&mut m.package, &entries));
+            let entries = dynocal_export::format::a2l::read(&path.display().to_string(), &read(path)?)?;
+            m.notes.extend(dynocal_export::format::a2l::adopt(&mut m.package, &entries));
         }
         out.notes.append(&mut m.notes);
     }

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use dynocal_files::csv_dialect::CsvKeys;
 use dynocal_files::dataset::{Format, Missing};
-use dynocal_files::merge;
+use dynocal_files::measurement::csv_dialect::CsvKeys;
+use dynocal_files::measurement::merge;
 use dynocal_ident::data::Role;
 use dynocal_ident::model::initial::Initial;
 use serde::Deserialize;

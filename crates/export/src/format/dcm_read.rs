@@ -10,8 +10,8 @@ use crate::package::Package;
 /// # Errors
 /// [`ExportError::Malformed`] with the line.
 pub(crate) fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
-    let encoding = dynocal_files::csv_dialect::guess_encoding(bytes);
-    let text = dynocal_files::csv_dialect::decode(bytes, encoding);
+    let encoding = dynocal_files::measurement::csv_dialect::guess_encoding(bytes);
+    let text = dynocal_files::measurement::csv_dialect::decode(bytes, encoding);
     let mut reader = Reader { file, lines: Vec::new(), at: 0, axes: Vec::new() };
     reader.lines = text.lines().enumerate().map(|(k, l)| (k + 1, l.trim())).collect();
     let mut package = reader.file()?;

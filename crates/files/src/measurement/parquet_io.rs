@@ -17,8 +17,8 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{ColumnDescriptor, Type};
 
-use crate::csv_io;
 use crate::error::{FilesError, reason};
+use crate::measurement::csv_io;
 use crate::measurement::{Raster, Reader, Whole};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::{atomic, units};

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use crate::c::{Code, axis_name, values_name};
 use crate::evaluate::fixed_gain;
+use crate::format::c::{Code, axis_name, values_name};
 use crate::program::{Layer, NodeId, Op, Program, Shape, Start, Tau, Term};
 
 /// Whether `math.h` is needed.

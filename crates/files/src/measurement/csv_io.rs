@@ -1,7 +1,7 @@
 //! CSV, plain or gzip (told by the first bytes): as loggers, spreadsheets and calibration tools write it.
 //!
 //! Encoding, separator, preamble, header, a row of units, decimal comma and thousands are guessed by
-//! [`crate::csv_dialect`], told in a note of the table where they are not the plain ones, and fixed by keys. Units stand in the header, `name [unit]`, in
+//! [`crate::measurement::csv_dialect`], told in a note of the table where they are not the plain ones, and fixed by keys. Units stand in the header, `name [unit]`, in
 //! a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a clock become seconds, columns of
 //! `On` and `Off` become 1 and 0; both are told in a note.
 
@@ -14,12 +14,13 @@ use dynocal_ident::data::Dataset;
 use dynocal_numerics::registry::MemberDoc;
 use flate2::{Compression, GzBuilder, read::MultiGzDecoder};
 
-use crate::csv_dialect::{self, CsvKeys, Dialect};
+use crate::atomic;
 use crate::error::{FilesError, reason};
+use crate::measurement::csv_cells;
+use crate::measurement::csv_dialect::{self, CsvKeys, Dialect};
 use crate::measurement::{Raster, Reader, Whole};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::units;
-use crate::{atomic, csv_cells};
 
 /// Row of the table of formats.
 pub const FORMAT: Reader = Reader {
@@ -64,11 +65,11 @@ pub fn read_with(path: &Path, keys: &CsvKeys) -> Result<Table, FilesError> {
 ///
 /// # Examples
 /// ```
-/// let table = dynocal_files::csv_io::parse("bed.csv", b"time_s,torque [Nm]\n0,30.5\n0.03,31\n").unwrap();
+/// let table = dynocal_files::measurement::csv_io::parse("bed.csv", b"time_s,torque [Nm]\n0,30.5\n0.03,31\n").unwrap();
 /// assert_eq!(table.numbers("torque", 0, 2).unwrap(), [30.5, 31.0]);
 ///
 /// let logger = b"Logger 7\nZeit;Tq_Brake\ns;lb ft\n0,0;1.024,5\n0,1;1.025,5\n";
-/// let table = dynocal_files::csv_io::parse("log.csv", logger).unwrap();
+/// let table = dynocal_files::measurement::csv_io::parse("log.csv", logger).unwrap();
 /// assert_eq!(table.numbers("Tq_Brake", 0, 2).unwrap(), [1024.5, 1025.5]);
 /// assert_eq!(table.column("Tq_Brake").unwrap().unit.as_ref().unwrap().0, "lbf ft");
 /// assert!(table.notes[0].contains("decimal comma, thousands by `.`, header in line 2, units in the line below"));

@@ -7,10 +7,10 @@ use std::fmt::Write;
 
 use dynocal_numerics::registry::MemberDoc;
 
-use crate::c::{Code, axis_name, values_name};
-use crate::c_program;
 use crate::characteristic::{Axis, Characteristic};
 use crate::error::ExportError;
+use crate::format::c::{Code, axis_name, values_name};
+use crate::format::c_program;
 use crate::format::{Export, Holds, OutFile, PRECISION, Precision};
 use crate::package::{Package, ascii};
 
@@ -211,8 +211,8 @@ pub struct EntryAxis {
 #[cfg(feature = "a2l")]
 pub fn read(file: &str, bytes: &[u8]) -> Result<Vec<Entry>, ExportError> {
     let fail = |reason: String| ExportError::Malformed { file: file.into(), line: 0, reason };
-    let encoding = dynocal_files::csv_dialect::guess_encoding(bytes);
-    let text = dynocal_files::csv_dialect::decode(bytes, encoding);
+    let encoding = dynocal_files::measurement::csv_dialect::guess_encoding(bytes);
+    let text = dynocal_files::measurement::csv_dialect::decode(bytes, encoding);
     let (parsed, log) = a2lfile::load_from_string(&text, None, true).map_err(|e| fail(e.to_string()))?;
     if let Some(e) = log.into_iter().chain(parsed.check()).next() {
         return Err(fail(e.to_string()));

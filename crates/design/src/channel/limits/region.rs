@@ -76,7 +76,7 @@ impl Region {
     /// polygon as a distance in the plane; at most 0 where it is kept.
     ///
     /// ```
-    /// use dynocal_design::limits::Region;
+    /// use dynocal_design::channel::limits::Region;
     /// let r = Region::forbidden_box("surge", ("speed", [1000.0, 2000.0]), ("throttle", [60.0, 90.0]));
     /// assert!(r.violation(&[1500.0, 70.0]) == 10.0 && r.violation(&[1500.0, 50.0]) == -10.0);
     /// ```

@@ -8,8 +8,8 @@ use std::fmt::Write;
 use dynocal_numerics::registry::MemberDoc;
 
 use crate::characteristic::{Axis, Characteristic, identifier};
-use crate::dcm_read;
 use crate::error::ExportError;
+use crate::format::dcm_read;
 use crate::format::{Export, Holds, OutFile};
 use crate::package::{Package, ascii};
 

@@ -13,19 +13,14 @@
 //! arrive, on the way back to a record that is known to keep everything. A record that comes out of a design keeps
 //! its regions to rounding.
 
-pub(crate) mod exchange;
-mod forecast;
 mod levels;
-pub(crate) mod redraw;
 mod region;
 mod repair;
 
-pub(crate) use forecast::Forecast;
-pub use redraw::Values;
 pub use region::Region;
 pub(crate) use region::Regions;
 
 /// Levels and bounds agree up to this share of the range.
-const SAME: f64 = 1e-9;
+pub(crate) const SAME: f64 = 1e-9;
 /// Violation of a region that rounding may leave.
-const ROUNDING: f64 = 1e-12;
+pub(crate) const ROUNDING: f64 = 1e-12;

@@ -13,7 +13,7 @@ use flate2::write::ZlibEncoder;
 
 use crate::atomic;
 use crate::error::{FilesError, reason};
-use crate::mat::{MatValue, Variables, variables};
+use crate::measurement::mat::{MatValue, Variables, variables};
 use crate::measurement::{Raster, Reader};
 
 /// Row of the table of formats.
@@ -50,8 +50,8 @@ pub fn read(path: &Path) -> Result<Vec<(String, MatValue)>, FilesError> {
 ///
 /// # Examples
 /// ```
-/// use dynocal_files::mat::MatValue;
-/// use dynocal_files::mat5;
+/// use dynocal_files::measurement::mat::MatValue;
+/// use dynocal_files::measurement::mat5;
 /// let variables = vec![("speed".to_string(), MatValue::vector(&[800.0, 900.0]))];
 /// assert_eq!(mat5::parse("a.mat", &mat5::encode(&variables)).unwrap(), variables);
 /// ```

@@ -9,8 +9,8 @@ use dynocal_numerics::registry::MemberDoc;
 use hdf5_pure::{AttrValue, DType, Dataset, Error, File, Group};
 
 use crate::error::{FilesError, reason};
-use crate::mat::{MatValue, Variables};
 use crate::measurement::Reader;
+use crate::measurement::mat::{MatValue, Variables};
 
 /// Row of the table of formats.
 pub const FORMAT: Reader = Reader {

@@ -5,7 +5,8 @@
 //! sample. Where this does not help for long, a longer stretch of all channels is drawn anew and followed again. Rates,
 //! levels and regions hold at every draw.
 
-use super::{Forecast, SAME};
+use super::forecast::Forecast;
+use crate::channel::limits::{ROUNDING, SAME};
 use crate::channel::{Layout, SAFE};
 use crate::problem::DesignProblem;
 use dynocal_numerics::rng::Rng64;
@@ -224,8 +225,6 @@ impl<'l, 'a> Redraw<'l, 'a> {
     }
 
     fn keeps_regions(&self, stretch: std::ops::Range<usize>, x: &[f64]) -> bool {
-        stretch
-            .flat_map(|j| &self.conditions[j])
-            .all(|g| self.layout.regions.condition(*g, x).0 <= super::ROUNDING)
+        stretch.flat_map(|j| &self.conditions[j]).all(|g| self.layout.regions.condition(*g, x).0 <= ROUNDING)
     }
 }

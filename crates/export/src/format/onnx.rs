@@ -8,10 +8,10 @@ use dynocal_numerics::registry::MemberDoc;
 
 use crate::characteristic::identifier;
 use crate::error::ExportError;
+use crate::format::protobuf::Message;
 use crate::format::{Export, Holds, OutFile};
 use crate::package::Package;
 use crate::program::{Layer, Op, Program, Shape};
-use crate::protobuf::Message;
 
 /// Row of the table of exports.
 pub const EXPORT: Export = Export {

@@ -11,10 +11,10 @@ use std::process::Command;
 use dynocal_numerics::registry::MemberDoc;
 use zip::write::SimpleFileOptions;
 
-use crate::c;
 use crate::characteristic::identifier;
 use crate::error::ExportError;
-use crate::fmu_xml;
+use crate::format::c;
+use crate::format::fmu_xml;
 use crate::format::{Export, Holds, Keys, OutFile, Precision};
 use crate::package::Package;
 use crate::program::Program;

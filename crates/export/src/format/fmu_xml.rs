@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use crate::cdfx::escape;
 use crate::characteristic::identifier;
-use crate::fmu::Version;
+use crate::format::cdfx::escape;
+use crate::format::fmu::Version;
 use crate::package::Package;
 use crate::program::Program;
 

@@ -9,11 +9,12 @@
 //! 3. One free value after the other is tried on every other level until nothing helps (coordinate exchange, R. K. Meyer &
 //!    C. J. Nachtsheim, Technometrics 37 (1995) 60-69).
 
+use super::Chain;
+use super::forecast::Forecast;
 use super::redraw::{Redraw, Values};
-use super::{Forecast, SAME};
 use crate::channel::Layout;
+use crate::channel::limits::SAME;
 use crate::problem::DesignProblem;
-use crate::search::Chain;
 use dynocal_numerics::rng::Rng64;
 
 /// First and last mesh of the channels without levels.

@@ -63,7 +63,7 @@ fn file(package: &Package, c: &Characteristic) -> OutFile {
 /// # Errors
 /// [`ExportError::Malformed`] with the line.
 pub fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
-    use dynocal_files::csv_dialect as dialect;
+    use dynocal_files::measurement::csv_dialect as dialect;
     let fail = |line: usize, reason: String| ExportError::Malformed { file: file.into(), line, reason };
     let encoding = dialect::guess_encoding(bytes);
     let text = dialect::decode(bytes, encoding);

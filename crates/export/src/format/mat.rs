@@ -2,8 +2,8 @@
 //!
 //! `bp_x`, `bp_y`, `table` (bp_x along the rows, which is column-major the order x fastest), `unit`.
 
-use dynocal_files::mat::MatValue;
-use dynocal_files::mat5;
+use dynocal_files::measurement::mat::MatValue;
+use dynocal_files::measurement::mat5;
 use dynocal_numerics::registry::MemberDoc;
 
 use crate::characteristic::{Characteristic, identifier};
@@ -27,7 +27,7 @@ fn variables(package: &Package) -> Vec<(String, MatValue)> {
     let mut out: Vec<(String, MatValue)> = package
         .characteristics
         .iter()
-        .map(|c| (dynocal_files::mat::identifier(&c.name), structure(c)))
+        .map(|c| (dynocal_files::measurement::mat::identifier(&c.name), structure(c)))
         .collect();
     out.push(("provenance".into(), MatValue::Text(package.provenance.lines().join("; "))));
     out

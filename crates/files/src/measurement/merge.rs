@@ -88,7 +88,7 @@ pub fn whole(source: &dyn Source, keys: &Keys) -> Result<Table, FilesError> {
 /// # Examples
 /// ```
 /// use dynocal_files::measurement::Raster;
-/// use dynocal_files::merge::{Keys, Rule, merge};
+/// use dynocal_files::measurement::merge::{Keys, Rule, merge};
 /// use dynocal_files::table::{Cells, Column};
 /// let raster = |name: &str, time_s: &[f64], values: &[f64]| Raster {
 ///     name: name.into(),

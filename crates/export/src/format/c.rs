@@ -9,9 +9,9 @@ use std::fmt::Write;
 
 use dynocal_numerics::registry::MemberDoc;
 
-use crate::c_program;
 use crate::characteristic::{Characteristic, identifier};
 use crate::error::ExportError;
+use crate::format::c_program;
 use crate::format::{Export, Holds, Keys, OutFile, PRECISION, Precision};
 use crate::package::{Extrapolation, Package, ascii};
 
