@@ -72,11 +72,11 @@ fn derivatives_of_every_kind_are_those_of_differences() {
             // a steep split asks for a short one.
             let process = matches!(learnt.model, ResponseModel::GaussianProcess(_));
             let (step, second) = if process { (1e-3, 1e-3) } else { (2e-5, 1e-4) };
-            // Two numbers of the size of the signal's variance are subtracted from each other.
+            // n terms of the size of the signal's variance are subtracted from each other.
             let rounding = match &learnt.model {
                 ResponseModel::GaussianProcess(m) => {
                     let variance = m.hyperparameters().signal_variance * p.output_range().powi(2);
-                    f64::EPSILON * variance
+                    f64::EPSILON * p.len() as f64 * variance
                 }
                 _ => 0.0,
             };
