@@ -230,7 +230,7 @@ fn linear_model_with_noise_is_stored_and_scored() {
     let wrong = format!("{HEAD}{split}{}", model.replace("armax\", na = 1, nb = 1, nc = 1", "poly_arx\""));
     has(
         &refused(&wrong, &[("bed.csv", text)]),
-        "for the structure `poly_arx` one of the estimators ols, iv, sem, train; `pem` fits linear_arx, armax",
+        "for the structure `poly_arx` one of the estimators ols, rls, iv, sem, train; `pem` fits linear_arx, armax",
     );
 }
 

@@ -138,7 +138,7 @@ fn unknown_keys_offer_the_nearest_and_come_all_at_once() {
     let e = refused(&SPEC.replace("\"ols\"", "\"olss\""), &record());
     has(
         &e,
-        "`model.estimator.name`: found `olss`, expected one of ols, iv, sem, train, pem, els, learn (did you mean `ols`?)",
+        "`model.estimator.name`: found `olss`, expected one of ols, rls, iv, sem, train, pem, els, learn (did you mean `ols`?)",
     );
     let e = refused(&SPEC.replace("na = 1", "n_a = 1"), &record());
     has(&e, "`model.structure.n_a`: found `n_a`");

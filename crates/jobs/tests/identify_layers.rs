@@ -8,7 +8,7 @@ use std::path::Path;
 /// Lowest first.
 const ORDER: &[&str] = &[
     "error", "finding", "spec", "before", "gaps", "fit", "load", "set", "bounds", "curves", "after",
-    "points", "result", "prepare", "score", "baseline", "judge", "verdict", "job", "page",
+    "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job", "page",
 ];
 
 #[test]

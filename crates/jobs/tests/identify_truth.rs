@@ -392,7 +392,7 @@ fn what_cannot_be_is_refused_by_name() {
     let neural =
         "[model]\nstructure = { name = 'neural', lags = { u = [5, 1] } }\nestimator = { name = 'train' }\n";
     has(fault(neural), &["`u`", "first lag 5"]);
-    has(fault(&ARX.replace("'ols'", "'pem'")), &["`arx`", "ols, iv, sem, train", "linear_arx"]);
+    has(fault(&ARX.replace("'ols'", "'pem'")), &["`arx`", "ols, rls, iv, sem, train", "linear_arx"]);
     for huge in ["2147483648", "9223372036854775807"] {
         has(fault(&ARX.replace("na = 1", &format!("na = {huge}"))), &["longest lag"]);
         has(fault(&format!("{ARX}[validate]\nk_steps = [{huge}]\n")), &["validate.k_steps"]);

@@ -43,7 +43,7 @@ pub(super) const ROW: EstimatorRow = EstimatorRow {
             ParamDoc {
                 name: "variance",
                 unit: "-",
-                default: "1e6",
+                default: "1e12",
                 what: "variance of the parameters about the start, in units of the noise variance and of each regressor's mean square",
             },
         ],
@@ -78,7 +78,7 @@ pub struct Recursive {
 
 impl Default for Recursive {
     fn default() -> Self {
-        Self { forgetting: 1.0, variance: 1e6 }
+        Self { forgetting: 1.0, variance: 1e12 }
     }
 }
 

@@ -45,16 +45,16 @@ impl MeanOf {
     }
 }
 
+/// Kinds with their names for reports.
+pub(super) type Members = Vec<(String, Box<dyn Learn>)>;
+
 /// A list of tables as kinds, each with a name for reports: that of the kind with its keys.
-pub(super) fn members(
-    of: &str,
-    tables: Vec<toml::Table>,
-) -> Result<Vec<(String, Box<dyn Learn>)>, BuildError> {
+pub(super) fn members(of: &str, tables: Vec<toml::Table>) -> Result<Members, BuildError> {
     let wrong = |message: String| BuildError::Keys { member: of.into(), message };
     if tables.is_empty() {
         return Err(wrong("`models` is empty, expected one or more tables".into()));
     }
-    let mut out: Vec<(String, Box<dyn Learn>)> = Vec::with_capacity(tables.len());
+    let mut out: Members = Vec::with_capacity(tables.len());
     for mut table in tables {
         let Some(toml::Value::String(kind)) = table.remove("kind") else {
             return Err(wrong("each table of `models` needs a `kind`".into()));

@@ -64,7 +64,7 @@ impl Transform {
     pub fn inverse(&self, m: f64) -> [f64; 4] {
         match *self {
             Self::None => [m, 1.0, 0.0, 0.0],
-            Self::BoxCox { power } if power == 0.0 => [m.exp(); 4],
+            Self::BoxCox { power: 0.0 } => [m.exp(); 4],
             Self::BoxCox { power: l } => {
                 // Where the power has no value the response has reached its limit.
                 let b = (1.0 + l * m).max(1e-12);
