@@ -169,6 +169,9 @@ fn problem<'a>(term: Term<'a>) -> DesignProblem<'a> {
     DesignProblem { channels, n_samples: N, convention: Convention::Zero, start: 0, terms: vec![term] }
 }
 
+/// Name, information, the model that predicts (where it is another), parameters.
+type Case = (String, Box<dyn Model>, Option<Box<dyn Model>>, Vec<f64>);
+
 #[test]
 fn gradients_equal_differences() {
     let d = criterion("d", &Default::default()).unwrap();
@@ -177,8 +180,7 @@ fn gradients_equal_differences() {
     let texts = ["a(t-1)", "b(t-1)*y(t-1)", "y(t-1)", "a(t-2)^2", "e(t-1)"];
     let narmax = Narmax::parse(&["a", "b"], "y", &texts).unwrap();
     let (of_narmax, narmax_theta) = NarmaxInformation::new(&narmax, &[0.7, 0.2, 0.4, 0.3, -0.5]).unwrap();
-    let mut all: Vec<(String, Box<dyn Model>, Option<Box<dyn Model>>, Vec<f64>)> =
-        vec![("narmax".into(), Box::new(of_narmax), None, narmax_theta)];
+    let mut all: Vec<Case> = vec![("narmax".into(), Box::new(of_narmax), None, narmax_theta)];
     for (name, m, theta) in cases() {
         let (information, own) = LinearInformation::new(&m, &theta).unwrap();
         let prediction: Box<dyn Model> = Box::new(information.prediction());
@@ -305,8 +307,9 @@ fn a_box_jenkins_design_beats_the_best_of_200_random_records() {
     let random = (0..200).map(|k| {
         // Uniform values and steps of five levels, held for one to eight samples.
         let hold = 1 + k % 8;
-        let mut value =
-            |k: usize| if k % 2 == 0 { g.uniform_in(-1.0, 1.0) } else { g.below(5) as f64 / 2.0 - 1.0 };
+        let mut value = |k: usize| {
+            if k.is_multiple_of(2) { g.uniform_in(-1.0, 1.0) } else { g.below(5) as f64 / 2.0 - 1.0 }
+        };
         let blocks: Vec<f64> = (0..2 * N.div_ceil(hold)).map(|_| value(k)).collect();
         let u: Vec<f64> = (0..N).flat_map(|t| [blocks[t / hold * 2], blocks[t / hold * 2 + 1]]).collect();
         judge(&u)

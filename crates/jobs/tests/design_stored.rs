@@ -104,7 +104,7 @@ fn loaded(model: &StoredModel, spec: &str) -> Result<load::Inputs, String> {
     let place = tempfile::tempdir().unwrap();
     json::write_versioned(&place.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, model).unwrap();
     let path = place.path().join("spec.toml");
-    std::fs::write(&path, spec).unwrap();
+    dynocal_files::atomic::write(&path, spec.as_bytes()).unwrap();
     let job = design::read(&path, &Overrides::default()).map_err(|e| e.to_string())?;
     load::load(&job).map_err(|e| e.to_string())
 }

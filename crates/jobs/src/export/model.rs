@@ -64,7 +64,7 @@ pub fn model(stored: &StoredModel) -> Result<Made, ModelFault> {
         Structure::Neural(m, theta) => growing.neural(m, theta),
     };
     growing.feed_back(node);
-    growing.to_user(node)?;
+    growing.user_output(node)?;
     let user = stored.user_output();
     let validity = stored.seen.iter().map(|s| ValidRange {
         channel: s.name.clone(),
@@ -290,7 +290,7 @@ impl<'a> Growing<'a> {
     }
 
     /// From the structure's output to the user's.
-    fn to_user(&mut self, mut node: NodeId) -> Result<(), ModelFault> {
+    fn user_output(&mut self, mut node: NodeId) -> Result<(), ModelFault> {
         let (offset, scale) = (self.pointwise.output.offset, self.pointwise.output.scale);
         let user = self.stored.user_output();
         if (offset, scale) != (0.0, 1.0) {

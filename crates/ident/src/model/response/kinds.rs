@@ -73,6 +73,9 @@ response_kind!(RBF, rbf::MEMBER);
 response_kind!(MEAN_OF, mean_of::MEMBER);
 response_kind!(BEST_OF, best_of::MEMBER);
 
+/// Longest lag in samples.
+const MAX_LAG: usize = 10_000;
+
 #[derive(Deserialize, Default)]
 #[serde(default)]
 struct Lags {
@@ -119,6 +122,15 @@ impl Structure for ResponseStructure {
             let (text, nearest) = (format!("lags of {}", self.learner.name), registry::nearest(key, inputs));
             let (found, known) = (key.clone(), inputs.to_vec());
             return Err(StructureError::UnknownChannel { text, found, nearest, known });
+        }
+        let longest = |what: &'static str, text: String, found: usize| match found {
+            0..=MAX_LAG => Ok(()),
+            _ => Err(StructureError::Range { text, what, found, expected: format!("at most {MAX_LAG}") }),
+        };
+        longest("input_lags", format!("lags of {}", self.learner.name), self.lags.input_lags)?;
+        longest("output_lags", format!("lags of {}", self.learner.name), self.lags.output_lags)?;
+        for (input, [_, last]) in &self.lags.lags {
+            longest("last lag", format!("lags of `{input}`"), *last)?;
         }
         let usual = if self.lags.input_lags == 0 { [0, 0] } else { [1, self.lags.input_lags] };
         let mut window = Vec::new();
