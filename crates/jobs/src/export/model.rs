@@ -52,7 +52,7 @@ enum Structure {
 /// The model as a package.
 ///
 /// # Errors
-/// [`ModelFault`]: nothing drives it, its preparation does not act sample by sample, a kind or a derived output that the
+/// `ModelFault`: nothing drives it, its preparation does not act sample by sample, a kind or a derived output that the
 /// neutral form does not hold.
 pub fn model(stored: &StoredModel) -> Result<Made, ModelFault> {
     stored.check()?;
