@@ -62,7 +62,7 @@ fn errors(found: &Sequenced) -> Table {
         Column::number("With random records instead", "").digits(4),
     ];
     let table =
-        Table::new(head).caption("RMS of the free-run error on the held-out record, which no model has seen");
+        Table::new(head).caption("RMS of the free-run error on the held-out record: no model was estimated from it, the stop rule reads it");
     found.outputs.iter().fold(table, |t, o| {
         let cells: Vec<Cell> = vec![
             o.output.as_str().into(),
