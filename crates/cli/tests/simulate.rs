@@ -181,3 +181,24 @@ fn what_does_not_fit_is_said() {
     write(tmp.path(), "s.toml", "name = \"x\"\n");
     refused(&["s.toml"], &["`models`: found nothing", "`data`: found nothing"]);
 }
+
+/// A run that grows without end is a fault long before its numbers are no numbers.
+#[test]
+fn a_free_run_far_outside_is_not_valid() {
+    let tmp = identified();
+    let text = std::fs::read_to_string(tmp.path().join(MODEL)).unwrap();
+    let mut model: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let parameters = model["parameters"].as_array_mut().unwrap();
+    let pole = parameters.iter_mut().find(|p| p["name"].as_str().unwrap().contains("y(t-1)")).unwrap();
+    pole["value"] = serde_json::json!(1.1);
+    write(tmp.path(), "grows.json", &model.to_string());
+    write(tmp.path(), "new.csv", &record(false));
+    let o = dynocal(
+        tmp.path(),
+        &["simulate", "--model", "grows.json", "--data", "new.csv", "--out", "sim", "--json"],
+    );
+    assert_eq!(o.code, 1, "{}", o.stderr);
+    assert!(o.stderr.contains("times its width"), "{}", o.stderr);
+    let found: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
+    assert!(found["valid"] == false && found["outputs"][0]["diverged_at"].is_null(), "{found}");
+}

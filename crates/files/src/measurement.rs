@@ -111,15 +111,15 @@ pub struct Reader {
 
 /// Measurement formats.
 pub static FORMATS: &[Reader] = &[
-    crate::measurement::csv_io::FORMAT,
-    crate::measurement::parquet_io::FORMAT,
+    csv_io::FORMAT,
+    parquet_io::FORMAT,
     #[cfg(feature = "mdf")]
-    crate::measurement::mdf4::FORMAT,
+    mdf4::FORMAT,
     #[cfg(feature = "mdf")]
-    crate::measurement::mdf3::FORMAT,
-    crate::measurement::mat5::FORMAT,
+    mdf3::FORMAT,
+    mat5::FORMAT,
     #[cfg(feature = "mat73")]
-    crate::measurement::mat73::FORMAT,
+    mat73::FORMAT,
 ];
 
 /// Opens `path`; without `format` its first bytes and then the ending of its name tell the format.

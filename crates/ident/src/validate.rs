@@ -3,6 +3,7 @@
 
 pub mod boundary;
 pub mod cross;
+mod departure;
 mod score;
 pub mod spread;
 pub mod stability;
@@ -11,6 +12,7 @@ pub use crate::correlation::{
     ChiSquared, Correlation, NamedCorrelation, autocorrelation, cross_correlation, independence,
     nonlinear_tests, whiteness,
 };
+pub use departure::{BEYOND, Departure, departure};
 pub use score::{
     Band, Reference, Score, Seen, score, score_form, score_in_band, score_noise_free, score_values,
 };

@@ -8,7 +8,7 @@ use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::prepare::Note;
-use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation};
+use dynocal_ident::validate::{self, Kind, Reference, autocorrelation, cross_correlation, departure};
 
 use super::error::IdentifyError;
 use super::finding::{Finding, Grade};
@@ -44,10 +44,6 @@ pub struct Judged {
     /// What helps against a free run that diverges.
     pub advice: String,
 }
-
-/// A free run that leaves the measured range by more than so many times its width says nothing any more: a mean would be
-/// better by an order of magnitude.
-const BEYOND: f64 = 3.0;
 
 /// Errors of one target and kind of output over all records of a part.
 #[derive(Default)]
@@ -250,22 +246,9 @@ fn label(kind: Kind, steady: bool) -> Option<&'static str> {
 
 /// What is wrong with a free run that is not finite or far from everything that was measured.
 fn diverged(e: &Experiment, measured: &[f64], found: &[f64], judged: &Judged, part: &str) -> Option<String> {
-    let known = |t: &usize| !e.y[*t].is_nan();
-    let (low, high) = measured
-        .iter()
-        .chain(&judged.range)
-        .filter(|v| v.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
-    let width = if high > low { high - low } else { high.abs().max(1.0) };
-    let out = |v: f64| (v - high).max(low - v).max(0.0) / width;
-    let far = |t: &usize| !found[*t].is_finite() || out(found[*t]) > BEYOND;
-    let t = (0..found.len()).filter(known).find(far)?;
-    let most = found.iter().map(|v| if v.is_finite() { out(*v) } else { f64::INFINITY }).fold(0.0, f64::max);
-    let how = if most.is_finite() {
-        format!("leaves the measured range by {most:.1} times its width")
-    } else {
-        "diverges".into()
-    };
+    let range = measured.iter().chain(&judged.range).copied();
+    let far = departure(found, range, |t| !e.y[t].is_nan())?;
+    let (how, t) = (far.words(), far.sample);
     Some(format!("the free run {how} on {part} record `{}`, from sample {t} on: {}", e.name, judged.advice))
 }
 

@@ -77,7 +77,7 @@ fn errors(found: &Sequenced) -> Table {
 
 fn rounds(found: &Sequenced) -> Table {
     let head = vec![
-        Column::number("Round", "").digits(3),
+        Column::text("Round"),
         Column::text("Search"),
         Column::number("Criterion", "").digits(4),
         Column::number("Error before", "").digits(4),
@@ -87,7 +87,7 @@ fn rounds(found: &Sequenced) -> Table {
     let caption = "Error before: RMS of the first output on the held-out record. Expected reduction: of its square, by the record of the round, before it was measured.";
     found.rounds.iter().fold(Table::new(head).caption(caption), |t, r| {
         let cells: Vec<Cell> = vec![
-            (r.round as f64).into(),
+            r.round.to_string().into(),
             format!("{:?}", r.status).to_lowercase().into(),
             r.criterion.into(),
             r.rmse_before.into(),

@@ -205,6 +205,15 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     if !(1..=1000).contains(&rounds) {
         faults.push("rounds", rounds, "1 to 1000");
     }
+    // The rival measures as many samples as the rounds.
+    let all = first as f64 + held_out as f64 + 2.0 * rounds as f64 * length as f64;
+    if all > MOST_SAMPLES {
+        faults.push(
+            "rounds",
+            format!("{all} samples in all"),
+            format!("at most {MOST_SAMPLES:e} in all records"),
+        );
+    }
     for (key, value, most, unit) in [
         ("settle_s", t.settle_s.unwrap_or(3.0), 1e4, "s"),
         ("stop_below", t.stop_below.unwrap_or(0.0), 1.0, "(share of the present squared error)"),

@@ -15,6 +15,7 @@ use dynocal_ident::model::form::Form;
 use dynocal_ident::model::kinds::kind;
 use dynocal_ident::plant::{Causality, Plant, Variable};
 use dynocal_ident::stored::{Quantity, StoredModel};
+use dynocal_ident::validate::departure;
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
@@ -314,11 +315,13 @@ fn round_lines(found: &Campaign) -> Vec<RoundLine> {
 /// Verdict and warnings.
 fn judge(job: &Job, out: &mut Sequenced) {
     let mut warnings = Vec::new();
-    for o in &out.outputs {
-        if o.rmse_designed.is_none() {
+    for (o, y) in out.outputs.iter().zip(&out.computed) {
+        let measured = out.held_out.values(&o.output).unwrap_or_default();
+        if let Some(far) = departure(y, measured.iter().copied(), |_| true) {
             warnings.push(format!(
-                "the free run of the model of `{}` diverges on the held-out record: another structure is needed",
-                o.output
+                "the free run of the model of `{}` {} on the held-out record: another structure is needed",
+                o.output,
+                far.words()
             ));
         }
         let limits = job.outputs.iter().find(|s| s.name == o.output).and_then(|s| s.limits);
@@ -366,7 +369,8 @@ fn verdict(out: &Sequenced) -> String {
             }
         })
         .collect();
-    format!("{played} designed records, then {end}. {}.", each.join("; "))
+    let records = if played == 1 { "record" } else { "records" };
+    format!("{played} designed {records}, then {end}. {}.", each.join("; "))
 }
 
 /// Two errors that differ by less than this share are not told apart by one held-out record.

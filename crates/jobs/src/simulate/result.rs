@@ -14,7 +14,7 @@ pub struct Simulated {
     pub verb: &'static str,
     /// Name of the run.
     pub name: String,
-    /// Whether no output diverged.
+    /// Whether every output stayed near what was measured of it.
     pub valid: bool,
     /// What the user should know, most important first.
     pub warnings: Vec<String>,
@@ -44,6 +44,15 @@ pub struct Used {
     pub parameters: usize,
 }
 
+/// A free run that left what was measured.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Left {
+    /// First sample far outside.
+    pub sample: usize,
+    /// What it does, in words.
+    pub words: String,
+}
+
 /// One output on one record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Output {
@@ -61,6 +70,8 @@ pub struct Output {
     pub range: Option<(f64, f64)>,
     /// First sample that is not a finite number; none where all are.
     pub diverged_at: Option<usize>,
+    /// Where the run left what was ever measured of the output; none where it stays near.
+    pub departure: Option<Left>,
     /// Root mean square of measured less simulated over the scored samples, in the unit of the output; none where the
     /// record has no measured output, or where the run diverged.
     pub rmse: Option<f64>,

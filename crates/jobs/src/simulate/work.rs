@@ -6,9 +6,10 @@ use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, dataset
 use dynocal_files::json;
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::stored::{Computed, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+use dynocal_ident::validate::departure;
 use dynocal_numerics::watch::Watch;
 
-use super::result::{Output, SimulateError, Simulated, Used};
+use super::result::{Left, Output, SimulateError, Simulated, Used};
 use super::spec::Job;
 
 /// A model and the file that it came from.
@@ -42,7 +43,7 @@ pub fn simulate(job: &Job, watch: Watch) -> Result<Simulated, SimulateError> {
             warnings.extend(leaves.iter().map(|o| format!("{}: {}", record.name, o.sentence())));
             for c in computed {
                 warnings.extend(c.remarks.iter().cloned());
-                outputs.push(output(&named.model.user_output(), c));
+                outputs.push(output(&named.model, c));
             }
         }
     }
@@ -134,7 +135,12 @@ fn read(file: &Path, models: &[Named], job: &Job) -> Result<Vec<Dataset>, Simula
     Ok(records)
 }
 
-fn output(q: &Quantity, c: Computed) -> Output {
+/// Whether the free run stays near what was ever measured of the output: in the record, else in the identification.
+fn output(model: &StoredModel, c: Computed) -> Output {
+    let q = model.user_output();
+    let seen = model.seen.iter().filter(|s| s.name == q.name).flat_map(|s| [s.minimum, s.maximum]);
+    let range = seen.chain(c.measured.iter().flatten().copied());
+    let departure = departure(&c.y, range, |_| true).map(|d| Left { sample: d.sample, words: d.words() });
     let diverged_at = c.y.iter().position(|v| !v.is_finite());
     let finite = &c.y[..diverged_at.unwrap_or(c.y.len())];
     let range = finite.iter().fold(None, |r: Option<(f64, f64)>, v| {
@@ -153,6 +159,7 @@ fn output(q: &Quantity, c: Computed) -> Output {
         sample_time_s: c.sample_time_s,
         range,
         diverged_at,
+        departure,
         rmse,
         y: c.y,
         measured: c.measured,
@@ -160,7 +167,10 @@ fn output(q: &Quantity, c: Computed) -> Output {
 }
 
 fn divergence(o: &Output) -> Option<String> {
-    let at = o.diverged_at?;
-    let time_s = at as f64 * o.sample_time_s;
-    Some(format!("{}: the free run of `{}` diverged at {time_s} s (sample {at})", o.record, o.output))
+    let left = o.departure.as_ref()?;
+    let time_s = left.sample as f64 * o.sample_time_s;
+    Some(format!(
+        "{}: the free run of `{}` {}, from {time_s} s (sample {}) on",
+        o.record, o.output, left.words, left.sample
+    ))
 }

@@ -14,6 +14,9 @@ use super::file::{Drive, DriveFileError, column_of, drive};
 use super::{EVERY_S, Every, MOST_VALUES, Spec, Transient};
 use crate::engine::{Engine, EngineJobError};
 
+/// Speed in rpm that stands for one that nobody gives.
+const MOST_RPM: f64 = 1e4;
+
 /// Drives the bed.
 ///
 /// # Errors
@@ -67,7 +70,9 @@ fn fits(spec: &Spec, bed: &EngineBed, inputs: &[Variable], drive: &Drive) -> Res
         Every::Angle { every_deg } => {
             let speed = inputs.iter().position(|v| v.name == "speed");
             let column = speed.and_then(|k| drive.columns[k].as_deref()).unwrap_or(&[]);
-            let most_rpm = column.iter().copied().fold(speed.map_or(0.0, |k| inputs[k].start), f64::max);
+            // A bed without a speed input may run as fast as any engine.
+            let least_rpm = speed.map_or(MOST_RPM, |k| inputs[k].start);
+            let most_rpm = column.iter().copied().fold(least_rpm, f64::max);
             drive.length_s() * 6.0 * most_rpm / every_deg
         }
     };
