@@ -2,7 +2,6 @@
 
 use dynocal_files::run_folder::RunFolder;
 use dynocal_files::{csv_io, json};
-use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION};
 
 use super::page;
@@ -17,7 +16,7 @@ pub fn write(folder: &RunFolder, mut found: Sequenced) -> Result<Sequenced, Sequ
     let mut files = vec!["report.html".to_string()];
     for r in found.records.iter().chain([&found.held_out]) {
         let name = format!("{}.csv", r.name);
-        record(&folder.path().join(&name), r)?;
+        csv_io::write_dataset(&folder.path().join(&name), r)?;
         files.push(name);
     }
     for (model, o) in found.models.iter().zip(&found.outputs) {
@@ -30,12 +29,4 @@ pub fn write(folder: &RunFolder, mut found: Sequenced) -> Result<Sequenced, Sequ
     page::write(&found, folder.path())?;
     folder.write_summary(&found)?;
     Ok(found)
-}
-
-fn record(path: &std::path::Path, r: &Dataset) -> Result<(), SequentialError> {
-    let time: Vec<f64> = (0..r.len()).map(|t| t as f64 * r.sample_time_s).collect();
-    let mut columns: Vec<(&str, &str, &[f64])> = vec![("time", "s", &time)];
-    columns.extend(r.channels.iter().map(|c| (c.name.as_str(), c.unit.as_str(), &c.values[..])));
-    csv_io::write_columns(path, &columns)?;
-    Ok(())
 }
