@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::FilesError;
 use crate::measurement::{self, FORMATS, ReadKeys};
 use crate::measurement::{csv_io, merge, parquet_io};
-use crate::table::{Column, Table, UnitSource};
+use crate::table::{self, Column, Table, UnitSource};
 use crate::units;
 
 /// A column that becomes a channel.
@@ -177,22 +177,9 @@ pub fn read_table_with(path: &Path, format: Option<Format>, keys: &ReadKeys) -> 
             merge::whole(source.as_ref(), &keys.merge)?
         }
     };
-    rename(&mut table, &keys.alias);
+    let renamed = table::rename(&mut table.columns.iter_mut().collect::<Vec<_>>(), &keys.alias);
+    table.notes.extend(renamed);
     Ok(table)
-}
-
-/// Gives columns the names of `alias`, where no column has the name already.
-fn rename(table: &mut Table, alias: &BTreeMap<String, Vec<String>>) {
-    for (name, others) in alias {
-        let place = |n: &String| table.columns.iter().position(|c| c.name == *n);
-        if place(name).is_some() {
-            continue;
-        }
-        if let Some(k) = others.iter().find_map(place) {
-            let found = std::mem::replace(&mut table.columns[k].name, name.clone());
-            table.notes.push(format!("column `{found}` is taken as `{name}`"));
-        }
-    }
 }
 
 /// Reads one experiment that [`csv_io::write_dataset`] wrote (or any CSV with a column `time [s]` and units in the

@@ -107,6 +107,8 @@ pub struct Reader {
     pub open: OpenFile,
     /// Writes rasters, where the format can be written.
     pub write: Option<WriteFile>,
+    /// Whether a written file holds several rasters, or one.
+    pub several: bool,
 }
 
 /// Measurement formats.
@@ -226,32 +228,80 @@ pub struct Raster {
     pub columns: Vec<Column>,
 }
 
+/// The rasters of a file in memory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Recording {
+    /// Groups that have a time channel and rows.
+    pub rasters: Vec<Raster>,
+    /// Groups that were left out, channels that got another name: in the user's words.
+    pub notes: Vec<String>,
+}
+
 /// All groups of a file that have a time channel, with stamps in s and repeated names made distinct
-/// (`speed`, `speed@2` for the second group).
+/// (`speed`, `speed@2` for the second group); what is left out stands in the notes.
 ///
 /// # Errors
 /// [`FilesError`] of the file, or a time channel that is not in a unit of time.
-pub fn rasters(source: &dyn Source) -> Result<Vec<Raster>, FilesError> {
+pub fn recording(source: &dyn Source) -> Result<Recording, FilesError> {
+    recording_of(source, &|_| true)
+}
+
+/// As [`recording`], but only the channels whose name (made distinct) `keep` wants are read.
+///
+/// # Errors
+/// As [`recording`].
+pub fn recording_of(source: &dyn Source, keep: &dyn Fn(&str) -> bool) -> Result<Recording, FilesError> {
     let mut names: Vec<String> = Vec::new();
-    let mut out = Vec::new();
+    let mut out = Recording::default();
     for (g, info) in source.groups().iter().enumerate() {
-        let Some(time) = info.time.or_else(|| time_channel(info)) else { continue };
-        if info.rows == 0 {
+        let time = info.time.or_else(|| time_channel(info));
+        let Some(time) = time.filter(|_| info.rows > 0) else {
+            out.notes.push(left_out(g, info));
+            continue;
+        };
+        let (mut wanted, mut called) = (vec![time], Vec::new());
+        for (k, c) in info.channels.iter().enumerate().filter(|(k, _)| *k != time) {
+            let name = distinct(&c.name, g, &names);
+            if name != c.name {
+                out.notes.push(format!("channel `{}` of group {} is called `{name}`", c.name, g + 1));
+            }
+            names.push(name.clone());
+            if keep(&name) {
+                wanted.push(k);
+                called.push(name);
+            }
+        }
+        if called.is_empty() && info.channels.len() > 1 {
             continue;
         }
-        let all: Vec<usize> = (0..info.channels.len()).collect();
-        let mut columns = table(source, g, &all)?.columns;
-        let stamps = columns.remove(time);
-        let time_s = seconds(source.file(), &stamps)?;
-        for c in &mut columns {
-            if names.contains(&c.name) {
-                c.name = format!("{}@{}", c.name, g + 1);
-            }
-            names.push(c.name.clone());
-        }
-        out.push(Raster { name: info.name.clone(), time_s, columns });
+        let mut columns = table(source, g, &wanted)?.columns;
+        let time_s = seconds(source.file(), &columns.remove(0))?;
+        columns.iter_mut().zip(called).for_each(|(c, name)| c.name = name);
+        out.rasters.push(Raster { name: info.name.clone(), time_s, columns });
     }
     Ok(out)
+}
+
+/// `name`, or where it is taken `name@2` in the second group, `name@2.2` for the second of that group.
+fn distinct(name: &str, group: usize, taken: &[String]) -> String {
+    let mut out = name.to_string();
+    let mut count = 0;
+    while taken.contains(&out) {
+        count += 1;
+        let more = if count > 1 { format!(".{count}") } else { String::new() };
+        out = format!("{name}@{}{more}", group + 1);
+    }
+    out
+}
+
+/// What is said of a group that has no place in time.
+fn left_out(g: usize, info: &GroupInfo) -> String {
+    let name = if info.name.is_empty() { String::new() } else { format!(" `{}`", info.name) };
+    let why = if info.rows == 0 { "holds no rows" } else { "has no time channel" };
+    let all: Vec<&str> = info.channels.iter().map(|c| c.name.as_str()).collect();
+    let more = if all.len() > 5 { ", .." } else { "" };
+    let first = all[..all.len().min(5)].join(", ");
+    format!("group {}{name} {why}: its {} channels ({first}{more}) are left out", g + 1, all.len())
 }
 
 /// The channel that is time by its name, or the first with a unit of time.

@@ -1,6 +1,7 @@
 //! A file as it is: named columns of numbers or text, before anything is known about roles.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 use dynocal_numerics::registry::nearest;
 
@@ -178,4 +179,29 @@ fn is_missing(text: &str) -> bool {
 
 fn describe(value: f64, text_file: bool) -> String {
     if value.is_nan() && text_file { "NaN or an empty cell".into() } else { format!("{value}") }
+}
+
+/// Gives columns the names of `alias`: where no column has a name already, the first of its other names that is there
+/// gets it. Says what was done.
+///
+/// ```
+/// use dynocal_files::table::{Cells, Column, rename};
+/// let mut column = Column { name: "Tq_Brake".into(), unit: None, cells: Cells::Number(vec![]) };
+/// let alias = [("torque".into(), vec!["trq".into(), "Tq_Brake".into()])].into();
+/// assert_eq!(rename(&mut [&mut column], &alias), ["column `Tq_Brake` is taken as `torque`"]);
+/// assert_eq!(column.name, "torque");
+/// ```
+pub fn rename(columns: &mut [&mut Column], alias: &BTreeMap<String, Vec<String>>) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (name, others) in alias {
+        let place = |n: &String| columns.iter().position(|c| c.name == *n);
+        if place(name).is_some() {
+            continue;
+        }
+        if let Some(k) = others.iter().find_map(place) {
+            let found = std::mem::replace(&mut columns[k].name, name.clone());
+            notes.push(format!("column `{found}` is taken as `{name}`"));
+        }
+    }
+    notes
 }

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use dynocal_files::measurement::{Raster, ReadKeys, by_ending, open, rasters};
+use dynocal_files::measurement::{Raster, ReadKeys, by_ending, open, recording};
 use dynocal_files::table::{Cells, Column, UnitSource};
 use serde_json::{Value, json};
 
@@ -49,7 +49,7 @@ fn files_of_asammdf_are_read() {
     for want in &wanted {
         let file = want["file"].as_str().unwrap();
         let source = open(&tmp.path().join(file), None, &ReadKeys::default()).unwrap();
-        let all = rasters(source.as_ref()).unwrap();
+        let all = recording(source.as_ref()).unwrap().rasters;
         assert_eq!(all.len(), 2, "{file}");
         let list = |key: &str| -> Vec<f64> {
             want[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect()
@@ -111,4 +111,41 @@ fn own_files_are_read_by_asammdf() {
     let list = tmp.path().join("wanted.json");
     std::fs::write(&list, serde_json::to_vec(&wanted).unwrap()).unwrap();
     run(&python, "check_mdf.py", &[&path, &list]);
+}
+
+/// Formula, ranges to values, values and ranges to words, and records of two rasters between each other: numbers to rounding,
+/// words exactly.
+#[test]
+fn conversions_to_words_and_unsorted_records_are_read() {
+    let Some(python) = python() else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    run(&python, "make_mdf_more.py", &[tmp.path()]);
+    let wanted: Vec<Value> =
+        serde_json::from_slice(&std::fs::read(tmp.path().join("wanted.json")).unwrap()).unwrap();
+    assert_eq!(wanted.len(), 9);
+    for want in &wanted {
+        let file = want["file"].as_str().unwrap();
+        let source = open(&tmp.path().join(file), None, &ReadKeys::default()).unwrap();
+        assert!(source.notes().is_empty(), "{file}: {:?}", source.notes());
+        let all = recording(source.as_ref()).unwrap();
+        assert!(all.notes.is_empty(), "{file}: {:?}", all.notes);
+        for (name, want) in want["channels"].as_object().unwrap() {
+            let raster = all.rasters.iter().find(|r| r.columns.iter().any(|c| c.name == *name)).unwrap();
+            let stamps = want["time_s"].as_array().unwrap();
+            assert_eq!(raster.time_s.len(), stamps.len(), "{file}, {name}");
+            assert!(raster.time_s.iter().zip(stamps).all(|(t, w)| Some(*t) == w.as_f64()), "{file}, {name}");
+            let values = want["values"].as_array().unwrap();
+            match &raster.columns.iter().find(|c| c.name == *name).unwrap().cells {
+                Cells::Text(words) => {
+                    assert!(words.iter().zip(values).all(|(g, w)| Some(g.as_str()) == w.as_str()), "{file}");
+                }
+                Cells::Number(v) => {
+                    let close = |(g, w): (&f64, &Value)| {
+                        w.as_f64().is_some_and(|w| (g - w).abs() <= 1e-12 * (1.0 + w.abs()))
+                    };
+                    assert!(v.iter().zip(values).all(close), "{file}, {name}");
+                }
+            }
+        }
+    }
 }

@@ -5,9 +5,12 @@
 use std::path::{Path, PathBuf};
 
 use dynocal_files::measurement::merge::{self, Keys, Rule};
-use dynocal_files::measurement::{Raster, ReadKeys, Source, by_ending, open, rasters, table};
+use dynocal_files::measurement::{
+    ChannelInfo, GroupInfo, Raster, ReadKeys, Source, TakeChunk, by_ending, open, recording, recording_of,
+    table,
+};
 use dynocal_files::table::{Cells, Column, UnitSource};
-use dynocal_files::{csv_io, units};
+use dynocal_files::{FilesError, csv_io, units};
 
 fn reference(name: &str) -> Option<PathBuf> {
     match std::env::var("DYNOCAL_REFERENCE_DIR") {
@@ -35,7 +38,7 @@ fn numbers(c: &Column) -> &[f64] {
 fn mdf4_of_asammdf() {
     let Some(path) = reference("tiny.mf4") else { return };
     let source = opened(&path);
-    let all = rasters(source.as_ref()).unwrap();
+    let all = recording(source.as_ref()).unwrap().rasters;
     assert_eq!(all.len(), 2);
     let column = |name: &str| all.iter().flat_map(|r| &r.columns).find(|c| c.name == name).unwrap();
     let speed: Vec<f64> = (0..50).map(|k| f64::from(800 + 5 * k) * 0.5 + 100.0).collect();
@@ -88,7 +91,7 @@ fn own_files_come_back() {
         let path = tmp.path().join(name);
         let write = by_ending(&path).and_then(|f| f.write).unwrap();
         write(&path, std::slice::from_ref(&raster)).unwrap();
-        let back = rasters(opened(&path).as_ref()).unwrap();
+        let back = recording(opened(&path).as_ref()).unwrap().rasters;
         assert_eq!(back.len(), 1, "{name}");
         assert_eq!(back[0].time_s, raster.time_s, "{name}");
         for (a, b) in back[0].columns.iter().zip(&raster.columns) {
@@ -214,4 +217,71 @@ fn first_bytes_tell_the_format() {
     std::fs::write(&foreign, b"hello").unwrap();
     let e = open(&foreign, None, &ReadKeys::default()).err().unwrap().to_string();
     assert!(e.contains("format not known") && e.contains(".mf4"), "{e}");
+}
+
+/// A file of three groups: one raster, one table without time, one raster that never got a sample.
+struct Groups(Vec<GroupInfo>);
+
+impl Groups {
+    fn new() -> Self {
+        let channel = |name: &str, unit: &str| ChannelInfo {
+            name: name.into(),
+            unit: (!unit.is_empty()).then(|| unit.into()),
+            comment: String::new(),
+            text: false,
+        };
+        let group = |name: &str, channels: Vec<ChannelInfo>, time, rows| GroupInfo {
+            name: name.into(),
+            channels,
+            time,
+            rows,
+        };
+        Self(vec![
+            group("fast", vec![channel("clock", "ms"), channel("speed", "rpm")], Some(0), 3),
+            group("limits", vec![channel("speed", "rpm"), channel("torque", "Nm")], None, 2),
+            group("", vec![channel("time", "s"), channel("speed", "rpm"), channel("oil", "degC")], None, 0),
+            group("slow", vec![channel("time", "s"), channel("speed", "rpm")], Some(0), 2),
+        ])
+    }
+}
+
+impl Source for Groups {
+    fn file(&self) -> &str {
+        "a.mf4"
+    }
+
+    fn groups(&self) -> &[GroupInfo] {
+        &self.0
+    }
+
+    fn notes(&self) -> &[String] {
+        &[]
+    }
+
+    fn chunks(&self, group: usize, channels: &[usize], take: &mut TakeChunk<'_>) -> Result<(), FilesError> {
+        let rows = self.0[group].rows as usize;
+        let values = |c: &usize| Cells::Number((0..rows).map(|r| (10 * group + c + r) as f64).collect());
+        take(&channels.iter().map(values).collect::<Vec<_>>())
+    }
+}
+
+/// What has no place in time is named, group by group, and so is a channel that gets another name.
+#[test]
+fn what_is_left_out_is_said() {
+    let found = recording(&Groups::new()).unwrap();
+    let names = |r: &Raster| r.columns.iter().map(|c| c.name.clone()).collect::<Vec<_>>();
+    assert_eq!(found.rasters.iter().map(names).collect::<Vec<_>>(), [["speed"], ["speed@4"]]);
+    assert_eq!(found.rasters[0].time_s, [0.0, 0.001, 0.002]);
+    let said = [
+        "group 2 `limits` has no time channel: its 2 channels (speed, torque) are left out",
+        "group 3 holds no rows: its 3 channels (time, speed, oil) are left out",
+        "channel `speed` of group 4 is called `speed@4`",
+    ];
+    assert_eq!(found.notes, said);
+    // The same where a job reads the file as one table.
+    let table = merge::whole(&Groups::new(), &Keys::default()).unwrap();
+    assert!(said.iter().all(|s| table.notes.iter().any(|n| n == s)), "{:?}", table.notes);
+    let one = recording_of(&Groups::new(), &|name| name == "speed@4").unwrap();
+    assert_eq!(one.rasters.len(), 1);
+    assert_eq!(numbers(&one.rasters[0].columns[0]), [31.0, 32.0]);
 }

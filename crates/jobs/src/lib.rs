@@ -6,6 +6,7 @@
 //! mathematics; jobs see a plant only as `&mut dyn Plant`.
 
 pub mod calibrate;
+pub mod convert;
 pub mod design;
 pub mod engine;
 pub mod estimate;
@@ -15,5 +16,6 @@ pub mod identify;
 pub mod page;
 pub mod place;
 pub mod sequential;
+pub mod show;
 pub mod signal;
 pub mod simulate;

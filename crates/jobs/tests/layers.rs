@@ -10,6 +10,8 @@ const ORDER: &[&str] = &[
     "place",
     "page",
     "estimate",
+    "show",
+    "convert",
     "simulate",
     "signal",
     "engine",

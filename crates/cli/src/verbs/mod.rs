@@ -25,6 +25,7 @@ mod calibrate_text;
 mod engine_cycle;
 mod engine_map;
 mod engine_transient;
+mod reading;
 
 verbs![
     calibrate,  //
@@ -36,6 +37,8 @@ verbs![
     study,      //
     report,     //
     engine,     //
+    show,       //
+    convert,    //
     export,     //
     list,       //
 ];

@@ -29,6 +29,7 @@ pub const FORMAT: Reader = Reader {
     recognises: |head| head.starts_with(&[0x1f, 0x8b]),
     open: |path, keys| Ok(Box::new(Whole::new(read_with(path, &keys.csv)?))),
     write: Some(write_rasters),
+    several: false,
 };
 
 /// Reads a CSV file.
@@ -214,7 +215,7 @@ fn write_rasters(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
     let raster = only(path, "CSV", rasters)?;
     let mut columns = vec![("time".to_string(), "s".to_string(), Cells::Number(raster.time_s.clone()))];
     columns.extend(raster.columns.iter().map(|c| {
-        let unit = c.unit.as_ref().map_or("-", |u| u.0.as_str());
+        let unit = c.unit.as_ref().map_or("", |u| u.0.as_str());
         (c.name.clone(), unit.to_string(), c.cells.clone())
     }));
     atomic::write_with(path, |w| {
@@ -239,8 +240,13 @@ pub(crate) fn only<'a>(path: &Path, format: &str, rasters: &'a [Raster]) -> Resu
     }
 }
 
+/// `name [unit]`; a channel whose unit nobody knows has none, not that of a ratio.
+pub(crate) fn heading(name: &str, unit: &str) -> String {
+    if unit.is_empty() { name.to_string() } else { format!("{name} [{unit}]") }
+}
+
 fn write_cells(w: &mut dyn Write, columns: &[(String, String, Cells)]) -> std::io::Result<()> {
-    let head: Vec<String> = columns.iter().map(|(n, u, _)| quoted(&format!("{n} [{u}]"))).collect();
+    let head: Vec<String> = columns.iter().map(|(n, u, _)| quoted(&heading(n, u))).collect();
     writeln!(w, "{}", head.join(","))?;
     let rows = columns.iter().map(|c| c.2.len()).min().unwrap_or(0);
     let mut line = String::new();

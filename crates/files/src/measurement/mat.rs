@@ -183,7 +183,8 @@ pub(crate) fn variables(rasters: &[Raster]) -> Result<Vec<(String, MatValue)>, S
                 ));
             }
             fields.push((name.clone(), MatValue::vector(values)));
-            stated.push((name, MatValue::Text(c.unit.as_ref().map_or("-".into(), |u| u.0.clone()))));
+            // A channel whose unit nobody knows has none, not that of a ratio.
+            stated.extend(c.unit.as_ref().map(|u| (name, MatValue::Text(u.0.clone()))));
         }
         fields.push(("units".into(), MatValue::Struct(stated)));
         if rasters.len() == 1 {

@@ -25,6 +25,7 @@ pub const FORMAT: Reader = Reader {
     },
     open: |path, _| Ok(Box::new(Variables::new(&path.display().to_string(), read(path)?)?)),
     write: Some(write_rasters),
+    several: true,
 };
 
 /// Largest data that one deflate stream may give: the format's own limit.

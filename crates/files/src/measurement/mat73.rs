@@ -23,6 +23,7 @@ pub const FORMAT: Reader = Reader {
     recognises: |head| head.starts_with(b"\x89HDF\r\n\x1a\n") || head.get(124..128) == Some(b"\x00\x02IM"),
     open: |path, _| Ok(Box::new(Variables::new(&path.display().to_string(), read(path)?)?)),
     write: None,
+    several: false,
 };
 
 const DEPTH: usize = 16;

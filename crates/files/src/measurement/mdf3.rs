@@ -18,6 +18,7 @@ pub const FORMAT: Reader = Reader {
     recognises: |head| head.starts_with(b"MDF     3") || head.starts_with(b"MDF     2"),
     open: |path, _| Ok(Box::new(Mdf3::open(path)?)),
     write: None,
+    several: false,
 };
 
 struct Mdf3 {

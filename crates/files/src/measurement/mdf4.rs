@@ -24,6 +24,7 @@ pub const FORMAT: Reader = Reader {
     recognises: |head| head.starts_with(b"MDF     4") || head.starts_with(b"UnFinMF 4"),
     open: |path, _| Ok(Box::new(Mdf4::open(path)?)),
     write: Some(write),
+    several: true,
 };
 
 /// Rows of one piece.

@@ -75,8 +75,9 @@ pub fn whole(source: &dyn Source, keys: &Keys) -> Result<Table, FilesError> {
         }
         return Ok(table);
     }
-    let mut table = merge(source.file(), &measurement::rasters(source)?, keys)?;
-    table.notes.splice(0..0, source.notes().iter().cloned());
+    let found = measurement::recording(source)?;
+    let mut table = merge(source.file(), &found.rasters, keys)?;
+    table.notes.splice(0..0, source.notes().iter().cloned().chain(found.notes));
     Ok(table)
 }
 

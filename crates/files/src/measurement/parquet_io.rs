@@ -30,6 +30,7 @@ pub const FORMAT: Reader = Reader {
     recognises: |head| head.starts_with(b"PAR1"),
     open: |path, _| Ok(Box::new(Whole::new(read(path)?))),
     write: Some(write_rasters),
+    several: false,
 };
 
 /// Reads a Parquet file.
@@ -235,7 +236,7 @@ fn write_rasters(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
                 c.name
             )));
         };
-        columns.push((format!("{} [{}]", c.name, c.unit.as_ref().map_or("-", |u| u.0.as_str())), values));
+        columns.push((csv_io::heading(&c.name, c.unit.as_ref().map_or("", |u| u.0.as_str())), values));
     }
     atomic::write(path, &encode(&columns).map_err(|e| fail(e.to_string()))?)
 }

@@ -1,0 +1,68 @@
+//! `dynocal show FILE`: channels, units, rates, ranges and gaps of a measurement file.
+
+use std::path::PathBuf;
+
+use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_files::atomic;
+use dynocal_files::measurement::ReadKeys;
+use dynocal_jobs::show::page::{about, page};
+use dynocal_jobs::show::{ChannelSummary, Contents, contents};
+use dynocal_report::{render, significant};
+
+use super::Verb;
+use super::reading::Reading;
+use crate::failure::{Exit, Failure};
+use crate::table;
+use crate::terminal::print;
+
+pub(crate) const VERB: Verb = Verb { name: "show", describe: |c| Show::augment_args(c.about(ABOUT)), run };
+
+const ABOUT: &str = "Show what is in a measurement file (`dynocal list formats`)";
+
+#[derive(Args, Debug)]
+struct Show {
+    /// Measurement file
+    file: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
+    /// Writes a page with plots
+    #[arg(long, value_name = "HTML")]
+    page: Option<PathBuf>,
+    /// Print JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
+    let args = Show::from_arg_matches(matches)?;
+    let keys = ReadKeys { csv: args.reading.dialect()?, ..ReadKeys::default() };
+    let found = contents(&args.file, args.reading.format, &keys)?;
+    if let Some(path) = &args.page {
+        atomic::write(path, render(&page(&found))?.as_bytes())?;
+    }
+    let text = if args.json { format!("{}\n", serde_json::to_string_pretty(&found)?) } else { text(&found) };
+    print(&text)?;
+    Ok(Exit::Done)
+}
+
+fn text(found: &Contents) -> String {
+    let mut out = format!("{} ({})\n", found.file, found.format);
+    found.notes.iter().for_each(|n| out.push_str(&format!("  {n}\n")));
+    for (k, g) in found.groups.iter().enumerate() {
+        let name = if g.name.is_empty() { String::new() } else { format!(" `{}`", g.name) };
+        out.push_str(&format!("\ngroup {}{name}: {}\n", k + 1, about(g)));
+        let rows: Vec<Vec<String>> = g.channels.iter().map(row).collect();
+        let head = ["channel", "unit", "rows", "gaps", "min", "max", "mean"];
+        out.push_str(&table::render(&head, &rows, &[2, 3, 4, 5, 6]));
+    }
+    out
+}
+
+/// The states of a channel of words stand in place of its unit.
+fn row(c: &ChannelSummary) -> Vec<String> {
+    let unit = if c.states.is_empty() { c.unit.clone() } else { c.states.join(", ") };
+    let number = |x: Option<f64>| x.map_or("-".into(), |x| significant(x, 6));
+    let counts = [c.rows.to_string(), c.gaps.to_string()];
+    let values = [number(c.min), number(c.max), number(c.mean)];
+    [c.name.clone(), unit].into_iter().chain(counts).chain(values).collect()
+}
