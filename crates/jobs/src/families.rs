@@ -3,6 +3,7 @@
 //! `dynocal list`, the forms of other faces and the conformance tests read it. The table of studies stands above this
 //! crate and is added by the program.
 
+use dynocal_calib::optimise::WAYS;
 use dynocal_design::criterion::CRITERIA;
 use dynocal_design::search::SEARCHES;
 use dynocal_ident::estimate::ESTIMATORS;
@@ -109,6 +110,12 @@ pub static FAMILIES: &[Family] = &[
         what: "Formats that are written",
         docs: || dynocal_export::format::EXPORTS.iter().map(|e| e.doc).collect(),
         refusal: None,
+    },
+    Family {
+        name: "ways",
+        what: "Ways to optimise over a record",
+        docs: || docs(WAYS),
+        refusal: Some(|name, keys| refused(WAYS, name, keys)),
     },
     Family {
         name: "optimisers",

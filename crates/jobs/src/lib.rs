@@ -13,6 +13,7 @@ pub mod estimate;
 pub mod export;
 pub mod families;
 pub mod identify;
+pub mod optimise;
 pub mod page;
 pub mod place;
 pub mod sequential;

@@ -11,7 +11,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::kinds;
 use dynocal_ident::prepare::{self, Planned, prepare};
 use dynocal_ident::{select, signal};
-use dynocal_jobs::{calibrate, design, identify, signal as signals};
+use dynocal_jobs::{calibrate, design, identify, optimise, signal as signals};
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -120,6 +120,12 @@ fn read(verb: &str, path: &Path) -> bool {
             let Ok(job) = design::read(path, &overrides) else { return false };
             design::estimate::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_finite())
         }
+        "optimise" => {
+            let overrides = dynocal_jobs::place::Overrides { seed: None, out };
+            let Ok(job) = optimise::spec::read(path, &overrides) else { return false };
+            // Models and record are read as far as that goes, and the plan states what it costs.
+            !optimise::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_nan())
+        }
         _ => calibrate::job::read(path, None, out.as_deref()).is_ok(),
     }
 }
@@ -133,6 +139,7 @@ fn examples() -> Vec<(&'static str, PathBuf)> {
         ("identify", "benchmarks/emps.toml"),
         ("signal", "design/signals.toml"),
         ("design", "design/spec.toml"),
+        ("optimise", "optimise/fuel.toml"),
         ("calibrate", "gtdi/calibrate.toml"),
         ("calibrate", "gtdi/quick.toml"),
     ]
@@ -147,6 +154,12 @@ fn no_value_of_any_key_of_a_spec_ends_in_a_panic() {
     for (verb, file) in examples() {
         let text = std::fs::read_to_string(&file).unwrap();
         let root: Table = text.parse().unwrap();
+        if verb == "optimise" {
+            // What is taken is read as far as models and record.
+            for beside in ["torque.json", "lambda.json", "record.csv.gz"] {
+                std::fs::copy(file.with_file_name(beside), tmp.path().join(beside)).unwrap();
+            }
+        }
         let mut all = Vec::new();
         ways(&Value::Table(root.clone()), &[], &mut all);
         assert!(all.len() > 8, "{}", file.display());

@@ -13,6 +13,7 @@ const ORDER: &[&str] = &[
     "show",
     "convert",
     "simulate",
+    "optimise",
     "signal",
     "engine",
     "identify",

@@ -169,3 +169,56 @@ fn printed_optima_are_reached() {
     assert!(50 * wrong.len() <= right + elsewhere.len() + wrong.len(), "{wrong:?}");
     assert!(elsewhere.len() <= 3, "{elsewhere:?}");
 }
+
+/// Problems whose twins are tried: small and larger ones, with bounds, inequalities, equations, and with all of them.
+const TWINS: [&str; 10] = ["HS5", "HS10", "HS21", "HS28", "HS35", "HS43", "HS63", "HS71", "HS76", "HS100"];
+
+/// The same problem with a pair of inequalities that no point meets: a variable on both sides of a gap, or a sum of squares
+/// below zero. The status says so, and the point that is left misses as little as can be: half of the gap on either side.
+#[test]
+fn infeasible_twins_are_called_infeasible() {
+    let all = problems();
+    for (k, name) in TWINS.iter().enumerate() {
+        let mut twin = all[*name].clone();
+        let at = twin.start[0];
+        let gap = match k % 2 {
+            0 => vec![format!("x1 - ({at:?}) - 1"), format!("({at:?}) - x1 - 1")],
+            _ => vec![format!("0 - 1 - (x1 - ({at:?}))^2 - x2^2")],
+        };
+        twin.name += " infeasible";
+        twin.inequalities.extend(gap.iter().map(|g| Formula::parse(g)));
+        let found = run(&mut twin);
+        assert_eq!(found.status, Status::Infeasible, "{}", twin.name);
+        assert!(found.violation > 0.5, "{}: {}", twin.name, found.violation);
+    }
+}
+
+/// The same problem with every constraint twice, the second time scaled: the gradients of active ones depend on each other
+/// everywhere, and multipliers are not unique. The optimum is that of the plain problem.
+#[test]
+fn degenerate_twins_have_the_same_optimum() {
+    let all = problems();
+    let constrained = ["HS10", "HS21", "HS28", "HS35", "HS43", "HS48", "HS63", "HS71", "HS76", "HS100"];
+    let table: toml::Table = include_str!("data/hock_schittkowski.toml").parse().expect("table");
+    for name in constrained {
+        let mut twin = all[name].clone();
+        let again = |key: &str| -> Vec<Formula> {
+            let list = table[name].get(key).and_then(|v| v.as_array()).cloned().unwrap_or_default();
+            list.iter().map(|v| Formula::parse(&format!("3*({})", v.as_str().expect("formula")))).collect()
+        };
+        twin.name += " degenerate";
+        assert!(twin.inequalities.len() + twin.equations.len() > 0, "{name}");
+        twin.inequalities.extend(again("g"));
+        twin.equations.extend(again("h"));
+        let found = run(&mut twin);
+        assert_eq!(found.status, Status::Converged, "{}", twin.name);
+        let error = (found.objective - twin.optimum).abs() / twin.optimum.abs().max(1.0);
+        assert!(
+            error <= 1e-6 && found.violation < 1e-6,
+            "{}: {} {}",
+            twin.name,
+            found.objective,
+            twin.optimum
+        );
+    }
+}

@@ -154,6 +154,11 @@ fn circle_without_points(x: &[Jet]) -> (Jet, Vec<Jet>) {
     (v(x, 1), vec![sum_squares(x) + 1.0])
 }
 
+/// Equations alone fix the point (1, 3/2): nothing is left to choose, only the multipliers have to be found.
+fn fixed_by_equations(x: &[Jet]) -> (Jet, Vec<Jet>) {
+    (v(x, 1) + v(x, 2), vec![v(x, 1) - 1.0, v(x, 2) - v(x, 1) * 0.5 - 1.0])
+}
+
 const INF: f64 = f64::INFINITY;
 
 fn problems() -> Vec<Small> {
@@ -161,6 +166,7 @@ fn problems() -> Vec<Small> {
         Small::new("HS5", &[0.0, 0.0], -(3f64.sqrt() / 2.0 + std::f64::consts::PI / 3.0), hs5)
             .special(0, -1.5, 4.0)
             .special(1, -3.0, 3.0),
+        Small::new("as many equations as variables", &[2.0, 2.0], 2.5, fixed_by_equations).bounds(0.0, 5.0),
         Small::new("HS6", &[-1.2, 1.0], 0.0, hs6),
         Small::new("HS7", &[2.0, 2.0], -3f64.sqrt(), hs7),
         Small::new("HS26", &[-2.6, 2.0, 2.0], 0.0, hs26),

@@ -1,6 +1,6 @@
 //! Fuel over a record with exact torque and lambda, bounds and the spark rate limit: the product's own way.
 
-use crate::{measure, numbers};
+use crate::{measure, numbers, peak_gib};
 use dynocal_calib::optimise::model::OutputModel;
 use dynocal_calib::optimise::{OptimiseOptions, optimise_models};
 use dynocal_calib::problem::CalibrationProblem;
@@ -20,7 +20,7 @@ struct Output {
 
 /// Input: `u` (N x 4: INJ, SA, throttle, speed), `rate` in deg per sample, `bounds`, and for `torque` and `lambda` their
 /// `regressors`, `theta`, `y` (of which the first samples start the demand). Output: inputs (N x 3), fuel, CPU time of
-/// building and solving.
+/// building and solving, most memory held.
 pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     let u = numbers(input, "u")?;
     let outputs = [output(input, "torque")?, output(input, "lambda")?];
@@ -59,6 +59,7 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
         "fuel_kg_h": found.objective,
         "inputs": inputs,
         "samples": start.len(),
+        "peak_gib": peak_gib()?,
     }))
 }
 

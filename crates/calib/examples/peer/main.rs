@@ -2,7 +2,7 @@
 //! and prints the result with the CPU time of one computation. Start-up and reading are not counted.
 //!
 //! ```text
-//! peer sensitivities|estimation|linear|criterion|design|fuel|neural|selection INPUT.json
+//! peer sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection INPUT.json
 //! ```
 
 mod design;
@@ -10,6 +10,7 @@ mod estimation;
 mod fuel;
 mod linear;
 mod neural;
+mod record;
 mod selection;
 mod sensitivities;
 
@@ -17,7 +18,7 @@ use serde_json::{Value, json};
 use std::error::Error;
 
 /// What can be compared.
-const KINDS: &str = "sensitivities|estimation|linear|criterion|design|fuel|neural|selection";
+const KINDS: &str = "sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection";
 /// Least CPU time in s over which computations are repeated: Linux counts hundredths.
 const LEAST_CPU_S: f64 = 1.0;
 
@@ -35,6 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "design" => design::search(&input)?,
         "fuel" => fuel::run(&input)?,
         "neural" => neural::run(&input)?,
+        "record" => record::run(&input)?,
         "selection" => selection::run(&input)?,
         other => return Err(format!("unknown comparison `{other}`").into()),
     };
@@ -50,6 +52,15 @@ pub(crate) fn cpu_s() -> Result<f64, Box<dyn Error>> {
         Ok(after_name.split_whitespace().nth(k).ok_or("short /proc/self/stat")?.parse()?)
     };
     Ok((ticks(11)? + ticks(12)?) / 100.0)
+}
+
+/// Most memory that the process has held so far, in GiB.
+pub(crate) fn peak_gib() -> Result<f64, Box<dyn Error>> {
+    let status = std::fs::read_to_string("/proc/self/status")?;
+    let line =
+        status.lines().find_map(|l| l.strip_prefix("VmHWM:")).ok_or("no VmHWM in /proc/self/status")?;
+    let kib: f64 = line.split_whitespace().next().ok_or("short VmHWM")?.parse()?;
+    Ok(kib / f64::from(1 << 20))
 }
 
 /// CPU time in s of one call of `work`, and the number of calls it is the mean of.

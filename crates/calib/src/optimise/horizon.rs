@@ -20,11 +20,11 @@ pub struct Horizon {
     /// How far each step looks, in s.
     pub length_s: f64,
     /// How much of it is applied, in s; absent for one sample.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub step_s: Option<f64>,
     /// Price of an output's whole range missed for the whole horizon, in objective units; absent for twenty times the
     /// objective of the start.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub price: Option<f64>,
     /// Barrier parameter that a step begins with, in objective units: small where the plan before is nearly right already.
     #[serde(default = "warm")]
@@ -51,9 +51,9 @@ pub(super) fn solve(
     let mut found = Found::start(&whole);
     let mut t = setup.from;
     while t < setup.to {
-        let end = (t + length).min(setup.to);
+        let end = t.saturating_add(length).min(setup.to);
         let from = if t == setup.from { 0 } else { t - setup.lag };
-        let apply = if end == setup.to { setup.to } else { (t + step).min(end) };
+        let apply = if end == setup.to { setup.to } else { t.saturating_add(step).min(end) };
         let slice = whole.slice(&found.values, from..end + more, EndCondition::Free);
         let warm = (t > setup.from).then_some(spec.warm_barrier);
         let part = batch_from(&slice, options, warm, interrupt);

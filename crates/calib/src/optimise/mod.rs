@@ -1,8 +1,9 @@
 //! Optimisation over a record: the inputs of a whole transient at once (thesis section 7.5), for any calibration problem.
 //!
 //! A start record gives the given channels, the inputs to begin with and the first samples of the outputs. The demand of
-//! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction; it is
-//! solved as one sparse program over all samples ([`program`] has the equations).
+//! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction (or, where
+//! [`DemandFrom::Record`] asks for it, the output of the record); it is solved as one sparse program over all samples
+//! ([`program`] has the equations).
 //!
 //! ```
 //! use dynocal_calib::optimise::{OptimiseOptions, model::OutputModel, optimise_models};
@@ -36,6 +37,7 @@
 mod error;
 mod horizon;
 pub mod model;
+mod options;
 mod prices;
 pub mod program;
 mod result;
@@ -44,14 +46,17 @@ mod setup;
 mod shortfall;
 mod starts;
 mod stored;
+mod way;
 
 pub use error::OptimiseError;
 pub use horizon::Horizon;
+pub use options::{DemandFrom, EndCondition, History, OptimiseOptions};
 pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use segments::{Seam, Segments};
 pub use shortfall::Shortfall;
 pub use stored::{StoredOutput, optimise_record};
+pub use way::{Batch, WAYS, Way};
 
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
@@ -59,72 +64,7 @@ use dynocal_numerics::nlp::{self, NlpOptions, NlpOutcome};
 use dynocal_numerics::status::Status;
 use model::OutputModel;
 use program::Program;
-use serde::{Deserialize, Serialize};
 use setup::Setup;
-
-/// What becomes of the inputs at the end of the record, where part of what they do is not seen any more.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EndCondition {
-    /// They are free; inputs that act only after the end are held.
-    #[default]
-    Free,
-    /// Inputs whose effect reaches beyond the end are those of the start record.
-    Start,
-}
-
-/// What becomes of the inputs before the first sample that all models can compute.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum History {
-    /// They are those of the start record.
-    #[default]
-    Fixed,
-    /// They are decided as well.
-    Free,
-}
-
-/// Options of an optimisation over a record.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct OptimiseOptions {
-    /// Scaled KKT error at which it has converged.
-    pub tolerance: f64,
-    /// Most iterations.
-    pub max_iterations: usize,
-    /// Inputs at the end.
-    pub end: EndCondition,
-    /// Time in s by which the record is continued, with its last inputs and given channels held, before it is optimised;
-    /// what is added is cut off again. What an optimum does because nobody looks beyond its end it then does out of sight.
-    pub extend_s: f64,
-    /// Inputs before the first decided sample.
-    pub history: History,
-    /// How the record is gone through.
-    pub way: Way,
-    /// Number of starts of a batch: the record, and others with single inputs at other levels. The best end is taken.
-    pub starts: usize,
-}
-
-/// How a record is gone through.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Way {
-    /// All samples at once.
-    #[default]
-    Batch,
-    /// In segments.
-    Segments(Segments),
-    /// Step by step, with a view of limited length.
-    Horizon(Horizon),
-}
-
-impl Default for OptimiseOptions {
-    fn default() -> Self {
-        let (end, history) = (EndCondition::default(), History::default());
-        let way = Way::default();
-        Self { tolerance: 1e-8, max_iterations: 500, end, extend_s: 0.0, history, way, starts: 1 }
-    }
-}
 
 /// Optimises the inputs of `start` for `problem`; `interrupt` is asked once per iteration.
 ///
@@ -142,15 +82,11 @@ pub fn optimise_models(
     let extended = if more > 0 { extended(start, more) } else { start.clone() };
     let setup = Setup::new(problem, models, &extended, options)?;
     let found = match options.way {
-        Way::Batch => whole(&setup, options, interrupt),
+        Way::Batch(spec) => whole(&setup, options, spec.starts, interrupt),
         Way::Horizon(spec) => horizon::solve(&setup, options, &spec, interrupt),
         Way::Segments(spec) => segments::solve(&setup, options, &spec, interrupt),
     };
-    let mut optimum = Optimum::new(&setup, &found, samples);
-    if !matches!(found.status, Status::Converged | Status::Interrupted) && options.way == Way::Batch {
-        optimum.shortfalls = shortfall::shortfalls(&setup, options, interrupt);
-    }
-    Ok(optimum)
+    Ok(Optimum::new(&setup, &found, samples))
 }
 
 /// Columns that a search ended with.
@@ -161,13 +97,21 @@ struct Found {
     values: Vec<f64>,
     parts: Vec<PartOutcome>,
     prices: Vec<Price>,
+    shortfalls: Vec<Shortfall>,
 }
 
 impl Found {
     /// Nothing yet: the start.
     fn start(setup: &Setup<'_>) -> Self {
         let values = setup.start.clone();
-        Self { status: Status::Converged, iterations: 0, values, parts: Vec::new(), prices: Vec::new() }
+        Self {
+            status: Status::Converged,
+            iterations: 0,
+            values,
+            parts: Vec::new(),
+            prices: Vec::new(),
+            shortfalls: Vec::new(),
+        }
     }
 }
 
@@ -205,15 +149,16 @@ fn search(
         values: program.columns.all().to_vec(),
         parts: Vec::new(),
         prices: Vec::new(),
+        shortfalls: Vec::new(),
     };
     (found, outcome)
 }
 
 /// The whole of a setup at once, with prices, from the start record and from `starts - 1` others.
-fn whole(setup: &Setup<'_>, options: &OptimiseOptions, interrupt: &dyn Fn() -> bool) -> Found {
+fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt: &dyn Fn() -> bool) -> Found {
     let mut best: Option<(f64, Found)> = None;
     let mut parts = Vec::new();
-    for k in 0..options.starts.max(1) {
+    for k in 0..starts.max(1) {
         let mut program = Program::new(setup.parts());
         if k > 0 {
             starts::other(setup, &mut program, k);
@@ -236,10 +181,18 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, interrupt: &dyn Fn() -> b
         }
     }
     let mut found = best.map_or_else(|| Found::start(setup), |b| b.1);
-    if options.starts > 1 {
+    if starts > 1 {
         found.parts = parts;
     }
+    if failed(found.status) {
+        found.shortfalls = shortfall::shortfalls(setup, options, 0.0, interrupt);
+    }
     found
+}
+
+/// Whether a search ended without a solution, by itself.
+fn failed(status: Status) -> bool {
+    !matches!(status, Status::Converged | Status::Interrupted)
 }
 
 /// The program that [`optimise_models`] solves, for tests and for callers with a solver of their own.

@@ -72,6 +72,9 @@ pub struct Optimum {
     pub demands: Vec<Channel>,
     /// Outputs that are not demanded, at the optimum.
     pub outputs: Vec<Channel>,
+    /// All outputs as the free run of the models on the optimal inputs gives them, in the order of the models; NaN where
+    /// that diverged.
+    pub responses: Vec<Channel>,
     /// Objective by term.
     pub terms: Vec<TermValue>,
     /// Sum of the weighted terms at the start, weights on increments and soft limits left out.
@@ -80,7 +83,8 @@ pub struct Optimum {
     pub objective: f64,
     /// Its parts, where the record was not optimised as a whole.
     pub parts: Vec<PartOutcome>,
-    /// Where and by how much the problem cannot be met; empty when it was solved.
+    /// Where and by how much the problem cannot be met (in the first part that failed, where there are parts); empty when
+    /// it was solved.
     pub shortfalls: Vec<Shortfall>,
     /// What demands and limits cost; empty where the record was not optimised as a whole.
     pub prices: Vec<Price>,
@@ -106,6 +110,7 @@ impl Optimum {
         };
         let terms = terms(setup, &found.values, samples);
         let total = |of: fn(&TermValue) -> f64| terms.iter().map(|t| t.weight * of(t)).sum();
+        let (violations, responses) = free_runs(setup, &found.values, samples);
         Self {
             status: found.status,
             iterations: found.iterations,
@@ -119,9 +124,10 @@ impl Optimum {
             objective: total(|t| t.optimum),
             terms,
             parts: found.parts.clone(),
-            shortfalls: Vec::new(),
+            shortfalls: found.shortfalls.clone(),
             prices: found.prices.clone(),
-            violations: violations(setup, &found.values, samples),
+            violations,
+            responses,
         }
     }
 
@@ -161,9 +167,11 @@ fn largest(of: impl Iterator<Item = (usize, f64)>) -> (f64, usize) {
     of.fold((0.0f64, 0), |(m, at), (t, e)| if e > m || e.is_nan() { (e, t) } else { (m, at) })
 }
 
-fn violations(setup: &Setup<'_>, found: &[f64], samples: usize) -> Vec<Violation> {
+/// The free runs of the models on the inputs found, and by how much they and the inputs violate what was asked.
+fn free_runs(setup: &Setup<'_>, found: &[f64], samples: usize) -> (Vec<Violation>, Vec<Channel>) {
     let width = setup.columns.len();
     let mut values = found.to_vec();
+    let mut responses = Vec::new();
     let mut out = Vec::new();
     let mut push = |channel: &str, of: &str, (largest, t): (f64, usize)| {
         let largest = if largest.is_nan() { f64::INFINITY } else { largest };
@@ -187,6 +195,12 @@ fn violations(setup: &Setup<'_>, found: &[f64], samples: usize) -> Vec<Violation
             Some(y) => y.into_iter().map(|v| m.way.to_user(v)).collect(),
             None => vec![f64::NAN; setup.samples],
         };
+        responses.push(Channel {
+            name: m.output.clone(),
+            unit: setup.problem.unit(&m.output).unwrap_or("-").into(),
+            role: Role::Output,
+            values: run[..samples].to_vec(),
+        });
         let Some(c) = column else {
             let distance = (0..samples).map(|t| (t, (run[t] - asked[t]).abs()));
             push(&m.output, "demand", largest(distance));
@@ -215,5 +229,5 @@ fn violations(setup: &Setup<'_>, found: &[f64], samples: usize) -> Vec<Violation
         let largest = (sum.value_of(&values, width) - upper).max(0.0);
         out.push(Violation { channel: name, unit, of: "mean_upper".into(), largest, at_s: None });
     }
-    out
+    (out, responses)
 }

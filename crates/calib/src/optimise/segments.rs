@@ -7,7 +7,8 @@
 
 use super::result::PartOutcome;
 use super::setup::Setup;
-use super::{EndCondition, Found, OptimiseOptions, batch};
+use super::shortfall::shortfalls;
+use super::{EndCondition, Found, OptimiseOptions, batch, failed};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -54,7 +55,8 @@ pub(super) fn solve(
     let count = |s: f64| (s / setup.sample_time_s).round().max(0.0) as usize;
     let length = count(spec.length_s).max(setup.lag + 1);
     let starts: Vec<usize> = (setup.from..setup.to).step_by(length).collect();
-    let segments: Vec<Range<usize>> = starts.iter().map(|&a| a..(a + length).min(setup.to)).collect();
+    let segments: Vec<Range<usize>> =
+        starts.iter().map(|&a| a..a.saturating_add(length).min(setup.to)).collect();
     match spec.seam {
         Seam::LookAhead { ahead_s } => in_turn(setup, options, &segments, count(ahead_s), interrupt),
         seam => {
@@ -71,7 +73,7 @@ pub(super) fn solve(
 fn samples_of(setup: &Setup<'_>, segment: &Range<usize>, ahead: usize) -> Range<usize> {
     let more = setup.samples - setup.to;
     let from = if segment.start == setup.from { 0 } else { segment.start - setup.lag };
-    from..(segment.end + ahead).min(setup.to) + more
+    from..segment.end.saturating_add(ahead).min(setup.to) + more
 }
 
 fn in_turn(
@@ -86,7 +88,9 @@ fn in_turn(
         let range = samples_of(setup, segment, ahead);
         let last = k + 1 == segments.len();
         let end = if last { options.end } else { EndCondition::Free };
-        let part = batch(&setup.slice(&found.values, range.clone(), end), options, interrupt);
+        let slice = setup.slice(&found.values, range.clone(), end);
+        let part = batch(&slice, options, interrupt);
+        found.explain(&slice, &range, part.status, options, interrupt);
         // The plan beyond the segment is where the next one starts.
         found.take(setup, segment, &range, segment.start..range.end, &part);
         if part.status == Status::Interrupted {
@@ -103,26 +107,42 @@ fn side_by_side(
     seam: Seam,
     interrupt: &dyn Fn() -> bool,
 ) -> Found {
-    let solve = |(k, segment): (usize, &Range<usize>)| {
+    let mut found = Found::start(setup);
+    for (k, segment) in segments.iter().enumerate() {
         let range = samples_of(setup, segment, 0);
         let end = match k + 1 == segments.len() {
             true => options.end,
             false if seam == Seam::Pinned => EndCondition::Start,
             false => EndCondition::Free,
         };
-        let part = batch(&setup.slice(&setup.start, range.clone(), end), options, interrupt);
-        (range, part)
-    };
-    let parts: Vec<_> = segments.iter().enumerate().map(solve).collect();
-    let mut found = Found::start(setup);
-    for (segment, (range, part)) in segments.iter().zip(&parts) {
+        let slice = setup.slice(&setup.start, range.clone(), end);
+        let part = batch(&slice, options, interrupt);
+        found.explain(&slice, &range, part.status, options, interrupt);
         let end = if segment.end == setup.to { setup.samples } else { segment.end };
-        found.take(setup, segment, range, segment.start..end, part);
+        found.take(setup, segment, &range, segment.start..end, &part);
+        if part.status == Status::Interrupted {
+            break;
+        }
     }
     found
 }
 
 impl Found {
+    /// What the first segment that failed cannot meet.
+    fn explain(
+        &mut self,
+        slice: &Setup<'_>,
+        range: &Range<usize>,
+        status: Status,
+        options: &OptimiseOptions,
+        interrupt: &dyn Fn() -> bool,
+    ) {
+        if failed(status) && self.shortfalls.is_empty() {
+            let before_s = range.start as f64 * slice.sample_time_s;
+            self.shortfalls = shortfalls(slice, options, before_s, interrupt);
+        }
+    }
+
     /// Takes samples `taken` of a part that decided `segment` over the samples `range`.
     fn take(
         &mut self,
@@ -155,7 +175,7 @@ fn smooth(setup: &Setup<'_>, values: &mut [f64], segments: &[Range<usize>], samp
     let width = setup.columns.len();
     for seam in segments.iter().skip(1).map(|s| s.start) {
         let half = samples / 2;
-        let (from, to) = (seam.saturating_sub(half).max(setup.from), (seam + half).min(setup.to));
+        let (from, to) = (seam.saturating_sub(half).max(setup.from), seam.saturating_add(half).min(setup.to));
         for c in 0..setup.problem.inputs.len() {
             let mean = (from..to).map(|t| values[t * width + c]).sum::<f64>() / (to - from).max(1) as f64;
             (from..to).for_each(|t| values[t * width + c] = mean);

@@ -3,7 +3,7 @@
 use super::error::OptimiseError;
 use super::model::OutputModel;
 use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
-use super::{EndCondition, Found, History, OptimiseOptions};
+use super::{DemandFrom, EndCondition, Found, History, OptimiseOptions};
 use crate::problem::{CalibrationProblem, LimitChannel, Monomial};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::Run;
@@ -103,10 +103,14 @@ impl<'a> Setup<'a> {
         Ok(setup)
     }
 
-    /// Simulates all models on the start inputs: demands, and starts of the other outputs.
+    /// Simulates all models on the start inputs: demands that the record does not give, and starts of the other outputs.
     fn respond(&mut self, record: &Dataset) -> Result<(), OptimiseError> {
         for k in 0..self.models.len() {
             let m = self.models[k].clone();
+            if self.options.demand == DemandFrom::Record && !self.columns.contains(&m.output) {
+                self.given.push((m.output.clone(), record.values(&m.output)?.to_vec()));
+                continue;
+            }
             let measured: Vec<f64> = record.values(&m.output)?.iter().map(|y| m.way.to_model(*y)).collect();
             let y = self.free_run(&m, &self.start, &measured, self.lag);
             let Some(y) = y else {

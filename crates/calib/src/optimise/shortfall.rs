@@ -54,10 +54,11 @@ impl Shortfall {
     }
 }
 
-/// Stretches in which the problem cannot be met, in the order of time.
+/// Stretches in which the problem cannot be met, in the order of time; `before_s` is the time before its first sample.
 pub(super) fn shortfalls(
     setup: &Setup<'_>,
     options: &OptimiseOptions,
+    before_s: f64,
     interrupt: &dyn Fn() -> bool,
 ) -> Vec<Shortfall> {
     let elastic = setup.elastic(1.0, OBJECTIVE_SHARE);
@@ -78,7 +79,7 @@ pub(super) fn shortfalls(
         for gap in dynocal_ident::data::runs(elastic.samples, seen) {
             let worst = (gap.from..gap.to)
                 .fold(gap.from, |a, b| if missing[b].abs() > missing[a].abs() { b } else { a });
-            let at = |t: usize| t as f64 * setup.sample_time_s;
+            let at = |t: usize| before_s + t as f64 * setup.sample_time_s;
             out.push(Shortfall {
                 output: asked.output.clone(),
                 unit: setup.problem.unit(&asked.output).unwrap_or("-").into(),

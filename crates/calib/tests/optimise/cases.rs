@@ -1,7 +1,7 @@
 //! Optimisation over a record: derivatives against differences, small cases with known answers, and the reference record
 //! against published optima.
 
-use crate::common::{agrees_with_differences, channel, record};
+use crate::common::{agrees_with_differences, channel, problem, record};
 use dynocal_calib::optimise::model::{OutputModel, OutputWay, Source};
 use dynocal_calib::optimise::program::Program;
 use dynocal_calib::optimise::{
@@ -15,14 +15,6 @@ use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::stored::{Quantity, Seen, StoredModel};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
-
-fn problem(text: &str) -> CalibrationProblem {
-    let problem: CalibrationProblem = toml::from_str(text).expect("problem");
-    let mut faults = dynocal_files::spec::Faults::default();
-    problem.check("", &mut faults);
-    assert!(faults.is_empty(), "{faults:?}");
-    problem
-}
 
 const ENGINE: [&str; 4] = ["inj", "spark", "throttle", "speed"];
 

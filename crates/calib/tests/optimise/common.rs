@@ -1,6 +1,7 @@
 //! What the tests of the optimisation share.
 
 use dynocal_calib::optimise::program::Program;
+use dynocal_calib::problem::CalibrationProblem;
 use dynocal_files::csv_io;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::model::literature;
@@ -8,6 +9,15 @@ use dynocal_ident::model::poly::PolyNarx;
 use dynocal_numerics::nlp::SparseNlp;
 use dynocal_numerics::rng::Rng64;
 use std::path::Path;
+
+/// A problem without faults.
+pub(crate) fn problem(text: &str) -> CalibrationProblem {
+    let problem: CalibrationProblem = toml::from_str(text).expect("problem");
+    let mut faults = dynocal_files::spec::Faults::default();
+    problem.check("", &mut faults);
+    assert!(faults.is_empty(), "{faults:?}");
+    problem
+}
 
 pub(crate) fn channel(name: &str, unit: &str, role: Role, values: Vec<f64>) -> Channel {
     Channel { name: name.into(), unit: unit.into(), role, values }

@@ -31,6 +31,7 @@ verbs![
     calibrate,  //
     identify,   //
     simulate,   //
+    optimise,   //
     design,     //
     sequential, //
     signal,     //

@@ -18,8 +18,11 @@ const LAMBDA_START_MAX: f64 = 1e3;
 const DC: f64 = 1e-8;
 /// Failed line searches near a feasible point that are answered by stronger regularisation before giving up.
 const STIFFENINGS: usize = 6;
-/// Successive steps of rounding size after which the search ends.
+/// Successive steps of rounding size without progress of the multipliers after which the search ends.
 const TINY_STEPS: usize = 4;
+/// Share to which such a step must bring the error to be progress: where equations alone fix the point, the multipliers of
+/// the bounds are all that still moves.
+const PROGRESS: f64 = 0.5;
 
 /// A search direction in all variables.
 pub(super) struct Direction {
@@ -88,6 +91,7 @@ impl<'a> Ipm<'a> {
         self.filter = Filter::new(self.theta());
         self.rule.start(&self.model, &self.point);
         let (mut stiffness, mut failures, mut tiny_steps) = (0.0, 0usize, 0usize);
+        let mut last_error = f64::INFINITY;
         for _ in 0..self.options.max_iterations {
             let error = self.record();
             if error <= self.options.tolerance && self.unscaled_violation() <= self.violation_tolerance() {
@@ -109,7 +113,9 @@ impl<'a> Ipm<'a> {
             if moved != Moved::No {
                 (stiffness, failures) = (0.0, 0);
                 self.rule.note_progress();
-                tiny_steps = if moved == Moved::Tiny { tiny_steps + 1 } else { 0 };
+                let idle = moved == Moved::Tiny && error > PROGRESS * last_error;
+                tiny_steps = if idle { tiny_steps + 1 } else { 0 };
+                last_error = error;
                 if tiny_steps > TINY_STEPS {
                     return self.dead_end();
                 }

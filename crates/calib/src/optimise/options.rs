@@ -1,0 +1,84 @@
+//! What may be chosen about an optimisation over a record.
+
+use super::way::{MOST_S, Way};
+use dynocal_files::spec::Faults;
+use serde::{Deserialize, Serialize};
+
+/// What becomes of the inputs at the end of the record, where part of what they do is not seen any more.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndCondition {
+    /// They are free; inputs that act only after the end are held.
+    #[default]
+    Free,
+    /// Inputs whose effect reaches beyond the end are those of the start record.
+    Start,
+}
+
+/// What becomes of the inputs before the first sample that all models can compute.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum History {
+    /// They are those of the start record.
+    #[default]
+    Fixed,
+    /// They are decided as well.
+    Free,
+}
+
+/// Where the demand of the demanded outputs comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DemandFrom {
+    /// The models' own response to the start inputs: what these give can be met, by these at least.
+    #[default]
+    Response,
+    /// The output as it stands in the start record: whether it can be met is found out.
+    Record,
+}
+
+/// Options of an optimisation over a record.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimiseOptions {
+    /// Where demands come from.
+    pub demand: DemandFrom,
+    /// Scaled KKT error at which it has converged.
+    pub tolerance: f64,
+    /// Most iterations (of each part, where the record is gone through in parts).
+    pub max_iterations: usize,
+    /// Inputs at the end.
+    pub end: EndCondition,
+    /// Time in s by which the record is continued, with its last inputs and given channels held, before it is optimised;
+    /// what is added is cut off again. What an optimum does because nobody looks beyond its end it then does out of sight.
+    pub extend_s: f64,
+    /// Inputs before the first decided sample.
+    pub history: History,
+    /// How the record is gone through.
+    pub way: Way,
+}
+
+impl Default for OptimiseOptions {
+    fn default() -> Self {
+        Self {
+            demand: DemandFrom::default(),
+            tolerance: 1e-8,
+            max_iterations: 500,
+            end: EndCondition::default(),
+            extend_s: 0.0,
+            history: History::default(),
+            way: Way::default(),
+        }
+    }
+}
+
+impl OptimiseOptions {
+    /// Checks them as a whole; `key` is that of the options in their file.
+    pub fn check(&self, key: &str, faults: &mut Faults) {
+        let of = |field: &str| format!("{key}.{field}");
+        faults.range(&of("tolerance"), self.tolerance, 1e-12, 1e-2, "of the scaled KKT error");
+        faults.range(&of("max_iterations"), self.max_iterations as f64, 1.0, 1e6, "iterations");
+        faults.range(&of("extend_s"), self.extend_s, 0.0, MOST_S, "s");
+        self.way.check(&of("way"), faults);
+    }
+}

@@ -1,0 +1,182 @@
+//! `dynocal optimise`: optimal inputs over a record.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use dynocal_files::{atomic, csv_io, json};
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+
+struct Outcome {
+    code: i32,
+    stdout: String,
+    stderr: String,
+}
+
+fn dynocal(folder: &Path, args: &[&str]) -> Outcome {
+    let out = Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    Outcome { code: out.status.code().unwrap(), stdout: text(out.stdout), stderr: text(out.stderr) }
+}
+
+fn has(text: &str, part: &str) {
+    assert!(text.contains(part), "no `{part}` in:\n{text}");
+}
+
+fn column(file: &Path, name: &str) -> Vec<f64> {
+    let table = csv_io::read(file).unwrap();
+    table.numbers(name, 0, table.rows()).unwrap().to_vec()
+}
+
+/// The example runs as it stands; its plan is one; `dynocal simulate` gives the demand on its inputs.
+#[test]
+fn the_example_gives_a_plan_that_meets_the_demand() {
+    let tmp = tempfile::tempdir().unwrap();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/optimise");
+    let spec = example.join("fuel.toml");
+    let o = dynocal(tmp.path(), &["optimise", spec.to_str().unwrap(), "--out", "run", "--json"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    let summary: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
+    assert_eq!((&summary["schema"], &summary["verb"]), (&"dynocal/summary".into(), &"optimise".into()));
+    assert!(summary["objective"]["change_percent"].as_f64().unwrap() < 0.0, "{}", summary["objective"]);
+    for asked in summary["asked"].as_array().unwrap() {
+        assert!(asked["largest"].as_f64().unwrap() <= asked["allowed"].as_f64().unwrap(), "{asked}");
+    }
+    let run = tmp.path().join("run");
+    let plan = dynocal_files::plan::read(&run.join("optimum.plan.csv")).unwrap();
+    assert_eq!((plan.len(), plan.demands.len(), plan.channels.len()), (1000, 2, 4));
+    for c in &plan.channels {
+        // What the player would apply is what was found.
+        let applied = c.applied(plan.sample_time_s);
+        assert!(
+            applied.iter().zip(&c.values).all(|(a, v)| (a - v).abs() < 1e-6 * (1.0 + v.abs())),
+            "{}",
+            c.name
+        );
+    }
+    let fuel = column(&run.join("optimum.csv"), "inj");
+    let fuel_start = column(&run.join("optimum.csv"), "inj_start");
+    let speed = column(&run.join("optimum.csv"), "speed");
+    let mean = |inj: &[f64]| {
+        let flows = inj.iter().zip(&speed).map(|(i, n)| 1.2e-4 * i * n);
+        flows.skip(10).sum::<f64>() / (inj.len() - 10) as f64
+    };
+    assert!(mean(&fuel) < 0.995 * mean(&fuel_start));
+    for output in ["torque", "lambda"] {
+        let model = example.join(format!("{output}.json"));
+        let (model, data) = (model.to_str().unwrap(), "run/optimum.csv");
+        let args = ["simulate", "--model", model, "--data", data, "--start", "measured", "--out", output];
+        let o = dynocal(tmp.path(), &args);
+        assert_eq!(o.code, 0, "{}", o.stderr);
+        let file = tmp.path().join(output).join(format!("data-{output}.csv"));
+        let file = if file.exists() { file } else { only_csv(&tmp.path().join(output)) };
+        let simulated = column(&file, output);
+        let demand = column(&run.join("optimum.csv"), &format!("{output}_demand"));
+        let worst = simulated.iter().zip(&demand).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-4, "{output}: {worst}");
+    }
+    let page = std::fs::read_to_string(run.join("report.html")).unwrap();
+    for part in ["Verdict", "What demands and limits cost", "rate limit of spark", "demand of torque"] {
+        has(&page, part);
+    }
+    assert!(!column(&run.join("prices.csv"), "torque_demand").is_empty());
+    let o = dynocal(tmp.path(), &["optimise", spec.to_str().unwrap(), "--check"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    has(&o.stdout, "1000 samples");
+}
+
+fn only_csv(folder: &Path) -> std::path::PathBuf {
+    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    files.retain(|f| f.extension().is_some_and(|e| e == "csv"));
+    assert_eq!(files.len(), 1, "{files:?}");
+    files.remove(0)
+}
+
+const SPEC: &str = r#"
+models = ["y.json"]
+
+[record]
+file = "start.csv"
+
+[optimise]
+demand = "record"
+
+[problem]
+inputs = [{ name = "u", unit = "bar", lower = 0.0, upper = 5.0 }]
+demands = [{ output = "y", unit = "K", lower = 0.0, upper = 10.0 }]
+minimise = [{ channel = "u" }]
+"#;
+
+/// y(t) = 0.5 y(t-1) + u(t-1), so that y reaches 10 K with u at 5 bar.
+fn bed(spec: &str, demand: impl Fn(usize) -> f64, n: usize) -> tempfile::TempDir {
+    let tmp = tempfile::tempdir().unwrap();
+    let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
+    let structure = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"]).unwrap();
+    let model = StoredModel::new(structure, &[1.0, 0.5], vec![quantity("u", "bar")], quantity("y", "K"), 0.5)
+        .unwrap();
+    json::write_versioned(&tmp.path().join("y.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+    let mut text = String::from("time [s],u [bar],y [K]\n");
+    (0..n).for_each(|t| text += &format!("{},2,{}\n", 0.5 * t as f64, demand(t)));
+    atomic::write(&tmp.path().join("start.csv"), text.as_bytes()).unwrap();
+    atomic::write(&tmp.path().join("spec.toml"), spec.as_bytes()).unwrap();
+    tmp
+}
+
+fn optimise(folder: &Path) -> Outcome {
+    dynocal(folder, &["optimise", "spec.toml", "--out", "run"])
+}
+
+/// The only input that gives a demand is known: u(t) = d(t+1) - d(t) / 2.
+#[test]
+fn a_demand_of_the_record_is_met_by_the_only_input_that_meets_it() {
+    let demand = |t: usize| if t < 20 { 4.0 } else { 4.0 + 0.1 * (t - 20) as f64 };
+    let tmp = bed(SPEC, demand, 60);
+    let o = optimise(tmp.path());
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    has(&o.stdout, "everything asked is kept");
+    let u = column(&tmp.path().join("run/optimum.csv"), "u");
+    for t in 1..59 {
+        assert!((u[t] - (demand(t + 1) - 0.5 * demand(t))).abs() < 1e-6, "{t}: {}", u[t]);
+    }
+}
+
+#[test]
+fn a_demand_beyond_reach_is_named_with_time_amount_and_actuator() {
+    // From 10 s to 14.5 s 12 K are asked.
+    let tmp = bed(SPEC, |t| if (20..30).contains(&t) { 12.0 } else { 4.0 }, 60);
+    let o = optimise(tmp.path());
+    assert_eq!(o.code, 1, "{}", o.stderr);
+    has(&o.stdout, "the problem is infeasible");
+    // y(20) = 4 / 2 + 5 = 7 K where 12 K are asked.
+    has(&o.stdout, "Y misses its demand from 10.00");
+    has(&o.stdout, "-5.0000 K (at 10.00 s)");
+    has(&o.stdout, "u at 5 bar");
+    has(&o.stderr, "warning: Over 30.00 s no inputs within their limits");
+    let run = tmp.path().join("run");
+    assert!(run.join("optimum.csv").exists() && !run.join("optimum.plan.csv").exists());
+    has(&std::fs::read_to_string(run.join("report.html")).unwrap(), "Where it cannot be met");
+}
+
+#[test]
+fn what_does_not_belong_together_is_refused() {
+    let refused = |spec: &str, n: usize| {
+        let tmp = bed(spec, |_| 4.0, n);
+        let o = optimise(tmp.path());
+        assert_eq!((o.code, o.stdout.as_str()), (2, ""), "{}", o.stderr);
+        o.stderr
+    };
+    has(
+        &refused(SPEC, 3),
+        "`start` has 3 samples; the models reach back 1 samples, so at least 4 are needed",
+    );
+    has(&refused(&SPEC.replace("unit = \"K\"", "unit = \"Nm\""), 60), "`y` is in `K`, expected `Nm`");
+    let nobody = SPEC.replace("minimise", "limits = [{ output = \"z\", unit = \"-\" }]\nminimise");
+    has(&refused(&nobody, 60), "no model computes `z`");
+    let text =
+        refused(&SPEC.replace("demand = \"record\"", "way = { name = \"horzon\", length_s = 1.0 }"), 60);
+    has(&text, "did you mean `horizon`?");
+    has(&refused(&SPEC.replace("file =", "from_s = 99.0\nfile ="), 60), "leave no sample");
+    let text = refused(&SPEC.replace("demand = \"record\"", "tolerance = -1.0\nextend_s = -1.0"), 60);
+    has(&text, "optimise.tolerance");
+    has(&text, "optimise.extend_s");
+}

@@ -1,0 +1,155 @@
+//! An optimum in words: what came out, what it costs, what does not fit.
+
+use dynocal_ident::stored::Outside;
+use dynocal_numerics::status::Status;
+use dynocal_report::significant;
+
+use super::result::{Asked, Optimised, PriceLine};
+
+/// Share of samples outside of what a model was identified on from which it is worth a warning, in percent.
+const OUTSIDE: f64 = 5.0;
+/// Most shortfalls that are said one by one.
+const SAID: usize = 5;
+
+fn number(v: f64) -> String {
+    significant(v, 4)
+}
+
+/// Sentences: how it ended, where it fails, what is dear.
+pub(super) fn verdict(o: &Optimised) -> Vec<String> {
+    let mut out = vec![ended(o)];
+    let failed: Vec<_> = o.parts.iter().filter(|p| !p.status.is_success()).collect();
+    let in_parts = o.parts.len() > 1 && o.parts.windows(2).all(|w| w[0].to_s <= w[1].from_s + 1e-9);
+    if let (true, Some(first)) = (in_parts, failed.first()) {
+        out.push(format!(
+            "{} of {} parts have no solution of their own; the first one is that from {} to {} s ({}): it cannot go on from what the seam at {} s leaves it, or its own end asks too much.",
+            failed.len(),
+            o.parts.len(),
+            number(first.from_s),
+            number(first.to_s),
+            status(first.status),
+            number(first.from_s)
+        ));
+    }
+    out.extend(o.shortfalls.iter().take(SAID).map(|s| format!("{}.", capital(&s.sentence()))));
+    if o.shortfalls.len() > SAID {
+        out.push(format!("{} further stretches are in the table.", o.shortfalls.len() - SAID));
+    }
+    out.extend(o.asked.iter().filter(|a| !a.kept && o.shortfalls.is_empty()).map(missed));
+    if o.valid {
+        out.extend(dearest(o));
+    }
+    out
+}
+
+/// How a search ended.
+fn status(s: Status) -> &'static str {
+    match s {
+        Status::Converged => "solved",
+        Status::Stalled => "no step improves any more",
+        Status::Limit => "out of iterations",
+        Status::Infeasible => "infeasible",
+        Status::Diverged => "values that are not finite",
+        Status::Interrupted => "interrupted",
+    }
+}
+
+fn ended(o: &Optimised) -> String {
+    let record = format!("{} s", number(o.record.samples as f64 * o.record.sample_time_s));
+    let change =
+        o.objective.change_percent.map_or(String::new(), |c| format!(" ({}{} %)", plus(c), number(c)));
+    let (start, end) = (number(o.objective.start), number(o.objective.optimum));
+    let what = match &o.terms[..] {
+        [t] if t.weight == 1.0 => format!("mean {} goes from {start} to {end} {}{change}", t.channel, t.unit),
+        _ => format!("the objective goes from {start} to {end}{change}"),
+    };
+    match (o.valid, o.status) {
+        (true, _) => format!("Solved over {record}: {what}, and everything asked is kept."),
+        (false, Status::Converged) => {
+            format!("The search over {record} ended at an optimum that misses what was asked: {what}.")
+        }
+        (false, Status::Infeasible) => {
+            format!(
+                "Over {record} no inputs within their limits give what is asked: the problem is infeasible there."
+            )
+        }
+        (false, s) => format!(
+            "The search over {record} did not end at an optimum ({}, {} iterations); do not use the plan as it is.",
+            status(s),
+            o.iterations
+        ),
+    }
+}
+
+fn plus(v: f64) -> &'static str {
+    if v > 0.0 { "+" } else { "" }
+}
+
+fn capital(text: &str) -> String {
+    let mut all = text.chars();
+    all.next().map_or(String::new(), |c| c.to_uppercase().chain(all).collect())
+}
+
+fn missed(a: &Asked) -> String {
+    let name = of_words(&a.channel, &a.of);
+    let at = a.at_s.map_or(String::new(), |t| format!(" at {} s", number(t)));
+    let soft = if a.soft { " (it is soft)" } else { "" };
+    match a.largest {
+        Some(l) => format!("The {name} is missed by up to {} {}{at}{soft}.", number(l), a.unit),
+        None => format!("The free run of {} on the optimal inputs diverges{at}.", a.channel),
+    }
+}
+
+/// `upper limit of spark`, `demand of torque`.
+pub(super) fn of_words(channel: &str, of: &str) -> String {
+    match of {
+        "demand" => format!("demand of {channel}"),
+        "rate" => format!("rate limit of {channel}"),
+        "mean_upper" => format!("limit of the mean of {channel}"),
+        of => format!("{of} limit of {channel}"),
+    }
+}
+
+/// The three things that cost most.
+fn dearest(o: &Optimised) -> Option<String> {
+    let cost = |p: &&PriceLine| p.per_percent.abs() > 1e-5 * o.objective.start.abs().max(f64::MIN_POSITIVE);
+    let said: Vec<String> = o.prices.iter().filter(cost).take(3).map(price).collect();
+    (!said.is_empty()).then(|| format!("What weighs most in the objective: {}.", said.join("; ")))
+}
+
+fn price(p: &PriceLine) -> String {
+    let unit = if p.unit == "-" { String::new() } else { format!(" {}", p.unit) };
+    format!(
+        "{}{unit} more of the {} change it by {}{}",
+        number(p.percent_of_size),
+        of_words(&p.channel, &p.of),
+        plus(p.per_percent),
+        number(p.per_percent)
+    )
+}
+
+/// Where the optimum leaves what the models know, and what the record did not have.
+pub(super) fn warnings(o: &Optimised, from_rest: &[String], outside: Vec<Outside>) -> Vec<String> {
+    let mut out = Vec::new();
+    if !o.valid {
+        out.extend(o.verdict.iter().cloned());
+    }
+    for c in o.coverage.iter().filter(|c| c.optimum_percent > OUTSIDE) {
+        out.push(format!(
+            "{} % of the optimum lie outside of what the model of {} was identified on ({} % of the start), at {} s by a factor of {}: what it promises there is extrapolation",
+            number(c.optimum_percent),
+            c.output,
+            number(c.start_percent),
+            number(c.at_s),
+            number(c.worst)
+        ));
+    }
+    let mut said: Vec<String> = outside.iter().map(|s| s.sentence()).collect();
+    said.sort();
+    said.dedup();
+    out.extend(said);
+    if !from_rest.is_empty() {
+        out.push(format!("the record has no {}: its model starts from rest", from_rest.join(", ")));
+    }
+    out
+}

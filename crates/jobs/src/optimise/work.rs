@@ -1,0 +1,225 @@
+//! The work: models and record to an optimum with its verdict, in memory.
+
+use dynocal_calib::optimise::{Optimum, Price, Way, optimise_record};
+use dynocal_calib::problem::CalibrationProblem;
+use dynocal_ident::data::{Dataset, Role};
+use dynocal_ident::stored::StoredModel;
+use dynocal_ident::validate::boundary::coverage;
+use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
+
+use super::load::{Loaded, Named, load};
+use super::result::{Asked, Left, Objective, OptimiseJobError, Optimised, PriceLine, RecordUsed, Used};
+use super::spec::Job;
+use super::words;
+use crate::estimate::Estimate;
+
+/// Distance up to which a demand or limit counts as kept, as a share of its size.
+const KEPT: f64 = 1e-6;
+/// Bytes that a batch takes for each variable of a sample: its derivatives, factors and iterates.
+const BYTES_PER_VALUE: f64 = 12e3;
+/// Operations for the same over a usual number of iterations.
+const WORK_PER_VALUE: f64 = 1e6;
+
+/// Optimises in memory.
+///
+/// # Errors
+/// [`OptimiseJobError`]: files, channels, units, models and problem that do not belong together, a record that is too short,
+/// an interruption. That the problem has no solution is a result.
+pub fn optimise(job: &Job, watch: Watch) -> Result<Optimised, OptimiseJobError> {
+    let loaded = load(job, watch)?;
+    plan_of(job, &loaded).allowed()?;
+    let models: Vec<&StoredModel> = loaded.models.iter().map(|n| &n.model).collect();
+    watch.note(&format!("optimising {} samples", loaded.record.len()));
+    let stop = || watch.interrupted();
+    let optimum = optimise_record(&job.problem, &models, &loaded.record, &job.optimise, &stop)?;
+    if optimum.status == Status::Interrupted {
+        return Err(OptimiseJobError::Interrupted);
+    }
+    Ok(judged(job, loaded, optimum))
+}
+
+/// Reads models and record, and says what the optimisation would take.
+///
+/// # Errors
+/// [`OptimiseJobError`] as of [`optimise`], as far as it shows before the search.
+pub fn estimate(job: &Job) -> Result<Estimate, OptimiseJobError> {
+    Ok(plan_of(job, &load(job, Watch::silent())?))
+}
+
+fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
+    let (p, n, dt) = (&job.problem, loaded.record.len(), loaded.record.sample_time_s);
+    let total = n as f64 + (job.optimise.extend_s / dt).round();
+    let values = (p.inputs.len() + p.other_outputs().len() + p.demands.len()) as f64;
+    let (at_once, way) = match job.optimise.way {
+        Way::Batch(b) => (total, format!("all samples at once, {} start(s)", b.starts)),
+        Way::Segments(s) => (total.min(2.0 * s.length_s / dt), format!("segments of {} s", s.length_s)),
+        Way::Horizon(h) => (total.min(2.0 * h.length_s / dt), format!("a horizon of {} s", h.length_s)),
+    };
+    let memory = BYTES_PER_VALUE * values * at_once + 100.0 * values * total;
+    let outputs: Vec<String> = loaded.models.iter().map(|n| n.model.user_output().name).collect();
+    Estimate::new(&job.name)
+        .line("models", outputs.join(", "))
+        .line("record", format!("{n} samples of {dt} s"))
+        .line("moved", p.input_names().join(", "))
+        .line("way", way)
+        .memory(memory)
+        .work(WORK_PER_VALUE * values * total)
+}
+
+/// What came out, judged.
+fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
+    let p = &job.problem;
+    let asked = asked(p, &optimum);
+    let valid = optimum.status.is_success() && asked.iter().all(|a| a.kept || a.soft);
+    let (start, end) = (optimum.start_objective, optimum.objective);
+    let change_percent = (start != 0.0).then(|| 100.0 * (end - start) / start.abs());
+    let record = RecordUsed {
+        name: loaded.record.name.clone(),
+        samples: loaded.record.len(),
+        sample_time_s: loaded.record.sample_time_s,
+        decided: (optimum.first, optimum.last),
+    };
+    let coverage: Vec<Left> =
+        loaded.models.iter().filter_map(|n| left(&n.model, &loaded.record, &optimum)).collect();
+    let mut out = Optimised {
+        verb: "optimise",
+        name: job.name.clone(),
+        valid,
+        verdict: Vec::new(),
+        warnings: Vec::new(),
+        models: loaded.models.iter().map(used).collect(),
+        record,
+        status: optimum.status,
+        iterations: optimum.iterations,
+        objective: Objective { start, optimum: end, change_percent },
+        terms: optimum.terms.clone(),
+        asked,
+        prices: prices(p, &optimum),
+        parts: optimum.parts.clone(),
+        shortfalls: optimum.shortfalls.clone(),
+        coverage,
+        files: Vec::new(),
+        problem: p.clone(),
+        start: loaded.record,
+        optimum,
+    };
+    out.verdict = words::verdict(&out);
+    let optimal = with_optimum(&out.start, &out.optimum);
+    let outside = loaded.models.iter().flat_map(|n| n.model.outside(&optimal));
+    out.warnings = words::warnings(&out, &loaded.from_rest, outside.collect());
+    out
+}
+
+fn used(n: &Named) -> Used {
+    let output = n.model.user_output();
+    Used {
+        file: n.file.clone(),
+        output: output.name,
+        unit: output.unit,
+        inputs: n.model.measured_inputs().into_iter().map(|q| q.name).collect(),
+        parameters: n.model.theta().len(),
+    }
+}
+
+/// The record with optimal inputs, demands met and the other outputs as at the optimum.
+pub(super) fn with_optimum(record: &Dataset, optimum: &Optimum) -> Dataset {
+    let mut d = record.clone();
+    for c in optimum.inputs.iter().chain(&optimum.demands).chain(&optimum.outputs) {
+        if let Some(own) = d.channels.iter_mut().find(|own| own.name == c.name) {
+            own.values.clone_from(&c.values);
+        }
+    }
+    d.name = "optimum".into();
+    d
+}
+
+fn asked(p: &CalibrationProblem, optimum: &Optimum) -> Vec<Asked> {
+    let soft = |channel: &str, of: &str| {
+        ["lower", "upper"].contains(&of)
+            && p.limits.iter().any(|l| l.output == channel && l.soft_weight.is_some())
+    };
+    let of = |v: &dynocal_calib::optimise::Violation| {
+        let unit = if v.of == "rate" { format!("{}/sample", v.unit) } else { v.unit.clone() };
+        let allowed = KEPT * size(p, &v.channel, &v.of, optimum.sample_time_s);
+        Asked {
+            channel: v.channel.clone(),
+            unit,
+            of: v.of.clone(),
+            largest: Some(v.largest).filter(|l| l.is_finite()),
+            allowed,
+            at_s: v.at_s,
+            kept: v.largest <= allowed,
+            soft: soft(&v.channel, &v.of),
+        }
+    };
+    optimum.violations.iter().map(of).collect()
+}
+
+/// Size of what is asked of a channel: the range of an input or demand, the width of limits (the value of a single one), the
+/// largest step of a rate.
+fn size(p: &CalibrationProblem, channel: &str, of: &str, sample_time_s: f64) -> f64 {
+    if let Some(i) = p.inputs.iter().find(|i| i.name == channel) {
+        return match (of, i.rate_per_s) {
+            ("rate", Some(rate)) => rate * sample_time_s,
+            _ => i.upper - i.lower,
+        };
+    }
+    if let Some(d) = p.demands.iter().find(|d| d.output == channel) {
+        return d.upper - d.lower;
+    }
+    let Some(l) = p.limits.iter().find(|l| l.output == channel) else { return 1.0 };
+    let single = |v: Option<f64>| v.map_or(1.0, |v| v.abs().max(1e-3));
+    match (of, l.lower, l.upper) {
+        ("mean_upper", ..) => single(l.mean_upper),
+        (_, Some(lower), Some(upper)) => upper - lower,
+        ("lower", ..) => single(l.lower),
+        _ => single(l.upper),
+    }
+}
+
+/// Prices by what one percent of each thing's size changes, the dearest first.
+fn prices(p: &CalibrationProblem, optimum: &Optimum) -> Vec<PriceLine> {
+    let of = |x: &Price| {
+        // A rate is priced per second.
+        let percent_of_size = 0.01 * size(p, &x.channel, &x.of, 1.0);
+        PriceLine {
+            channel: x.channel.clone(),
+            of: x.of.clone(),
+            unit: x.unit.clone(),
+            price: x.price,
+            percent_of_size,
+            per_percent: x.price * percent_of_size,
+        }
+    };
+    let mut lines: Vec<PriceLine> = optimum.prices.iter().map(of).collect();
+    lines.sort_by(|a, b| b.per_percent.abs().total_cmp(&a.per_percent.abs()));
+    lines
+}
+
+/// How far start and optimum are from what a model was identified on; none where it does not know, or where its preparation
+/// does not keep the samples.
+fn left(model: &StoredModel, record: &Dataset, optimum: &Optimum) -> Option<Left> {
+    let boundary = model.boundary.as_ref()?;
+    let of = |d: &Dataset| {
+        let (prepared, _) = model.prepared(d).ok()?;
+        let [one] = prepared.as_slice() else { return None };
+        let (e, _) = model.shaped(one).ok()?;
+        Some(coverage(boundary, &e.u, &e.y, optimum.first))
+    };
+    let mut start = record.clone();
+    // The start is held against its own response, as the optimum is against the demand.
+    for c in start.channels.iter_mut().filter(|c| c.role == Role::Output) {
+        if let Some(demand) = optimum.demands.iter().find(|d| d.name == c.name) {
+            c.values.clone_from(&demand.values);
+        }
+    }
+    let (start, end) = (of(&start)?, of(&with_optimum(record, optimum))?);
+    Some(Left {
+        output: model.user_output().name,
+        start_percent: 100.0 * start.share_outside,
+        optimum_percent: 100.0 * end.share_outside,
+        worst: end.worst,
+        at_s: end.sample as f64 * optimum.sample_time_s,
+    })
+}
