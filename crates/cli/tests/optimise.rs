@@ -147,9 +147,14 @@ fn a_demand_beyond_reach_is_named_with_time_amount_and_actuator() {
     let o = optimise(tmp.path());
     assert_eq!(o.code, 1, "{}", o.stderr);
     has(&o.stdout, "the problem is infeasible");
-    // y(20) = 4 / 2 + 5 = 7 K where 12 K are asked.
-    has(&o.stdout, "Y misses its demand from 10.00");
-    has(&o.stdout, "-5.0000 K (at 10.00 s)");
+    // y(20) = 4 / 2 + 5 = 7 K where 12 K are asked; after them y(30) is 5 K at least where 4 K are.
+    let summary: serde_json::Value = json::read(&tmp.path().join("run/summary.json")).unwrap();
+    let shortfall = &summary["shortfalls"][0];
+    let number = |key: &str| shortfall[key].as_f64().unwrap();
+    assert!((number("largest") + 5.0).abs() < 1e-3 && number("at_s") == 10.0, "{shortfall}");
+    assert!(number("from_s") >= 9.5 && number("from_s") <= 10.0 && number("to_s") == 15.0, "{shortfall}");
+    has(&o.stdout, "Y misses its demand from ");
+    has(&o.stdout, "K (at 10.00 s)");
     has(&o.stdout, "u at 5 bar");
     has(&o.stderr, "warning: Over 30.00 s no inputs within their limits");
     let run = tmp.path().join("run");
@@ -169,7 +174,10 @@ fn what_does_not_belong_together_is_refused() {
         &refused(SPEC, 3),
         "`start` has 3 samples; the models reach back 1 samples, so at least 4 are needed",
     );
-    has(&refused(&SPEC.replace("unit = \"K\"", "unit = \"Nm\""), 60), "`y` is in `K`, expected `Nm`");
+    has(
+        &refused(&SPEC.replace("unit = \"K\"", "unit = \"Nm\""), 60),
+        "column `y`: found unit `K`, expected `Nm`",
+    );
     let nobody = SPEC.replace("minimise", "limits = [{ output = \"z\", unit = \"-\" }]\nminimise");
     has(&refused(&nobody, 60), "no model computes `z`");
     let text =

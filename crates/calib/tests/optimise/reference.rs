@@ -95,6 +95,18 @@ fn thesis_coefficients_reach_the_published_optimum_from_the_record() {
     assert!(found.objective <= 2.13685 && found.objective > 2.119785060416482 - 1e-6, "{}", found.objective);
 }
 
+/// With the spark rate limited the record is start enough for the best optimum that is known.
+#[test]
+fn thesis_coefficients_with_a_rate_limit_reach_the_best_known_optimum() {
+    let Some(dir) = reference_dir() else { return };
+    let start = engine_record(&dir);
+    let (t, l) = (literature::torque_7_8(), literature::lambda_7_8());
+    let models: [(&dyn Model, &[f64]); 2] = [(&t.model, &t.theta), (&l.model, &l.theta)];
+    let limited = solve(&fuel(Some(1.0)), &models, &start, 500);
+    kept(&limited);
+    assert!((limited.objective - 2.1277438987387822).abs() < 1e-6, "{}", limited.objective);
+}
+
 /// Segments against the batch: independent ones miss the demand at their seams, a look-ahead of 50 samples gives the batch.
 #[test]
 fn segments_of_polynomial_models() {
@@ -112,6 +124,10 @@ fn segments_of_polynomial_models() {
     let short = of(100.0, Seam::LookAhead { ahead_s: 1.5 });
     kept(&short);
     assert!((short.objective - 2.389014814256187).abs() < 1e-5, "{}", short.objective);
+    // Pinned ones meet the demand everywhere and cost what the reference's cost.
+    let pinned = of(500.0, Seam::Pinned);
+    kept(&pinned);
+    assert!(pinned.objective <= 2.3907, "{}", pinned.objective);
     let independent = of(100.0, Seam::Independent);
     assert!(independent.violation("torque") > 20.0, "{:?}", independent.violations);
     // Without look-ahead a segment can end where the next one has no solution; its seam is named.

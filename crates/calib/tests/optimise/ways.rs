@@ -63,12 +63,11 @@ fn a_segment_that_cannot_go_on_names_its_seam_and_what_it_misses() {
     // The published way hides that; its seams show it.
     let independent = in_segments(Seam::Independent);
     assert!(independent.violation("y") > 3.9, "{:?}", independent.violations);
-    for seam in [Seam::LookAhead { ahead_s: 2.0 }, Seam::Pinned] {
-        let kept = in_segments(seam);
-        assert_eq!(kept.status, Status::Converged, "{seam:?}: {:?} {:?}", kept.parts, kept.shortfalls);
-        assert!(kept.violation("y") < 1e-6, "{seam:?}: {:?}", kept.violations);
-        assert!(kept.objective >= batch.objective - 1e-7, "{seam:?}: {} {}", kept.objective, batch.objective);
-    }
+    // Pinned segments fit. (A look-ahead is no cure here: what it saves up at its own end is on the way already at the seam.)
+    let kept = in_segments(Seam::Pinned);
+    assert_eq!(kept.status, Status::Converged, "{:?}", kept.parts);
+    assert!(kept.violation("y") < 1e-6, "{:?}", kept.violations);
+    assert!(kept.objective >= batch.objective - 1e-7, "{} {}", kept.objective, batch.objective);
 }
 
 /// u^4 - 2 u^2 + 0.2 u has its minima near -1 (the lower one) and 1: a start at 1 stays there, several starts do not.
@@ -110,7 +109,7 @@ fn prices_agree_with_problems_that_are_solved_again() {
     let at = |rate: f64, upper: f64, demand: &dyn Fn(usize) -> f64| {
         let text = format!(
             r#"
-            minimise = [{{ channel = "a2" }}, {{ channel = "b", weight = 0.7 }}]
+            minimise = [{{ channel = "a2", weight = 0.2 }}, {{ channel = "b", weight = 0.7 }}]
             inputs = [
                 {{ name = "a", unit = "-", lower = 0.0, upper = {upper} }},
                 {{ name = "b", unit = "-", lower = 0.0, upper = 9.0, rate_per_s = {rate} }},
