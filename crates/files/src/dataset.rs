@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::FilesError;
 use crate::measurement::{self, FORMATS, ReadKeys};
 use crate::measurement::{csv_io, merge, parquet_io};
+use crate::split::{self, Cut};
 use crate::table::{self, Column, Table, UnitSource};
 use crate::units;
 
@@ -29,9 +30,10 @@ pub struct ChannelSpec {
 }
 
 /// Where time comes from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Time {
     /// There is none: rows are points in no order. The sample time of their dataset is 1 and says nothing.
+    #[default]
     Steady,
     /// Rows are this many seconds apart.
     Sampled {
@@ -59,7 +61,7 @@ pub enum Time {
 pub const STAMPS: &str = "time";
 
 /// How a table is read.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Layout {
     /// Channels.
     pub channels: Vec<ChannelSpec>,
@@ -67,6 +69,9 @@ pub struct Layout {
     pub time: Time,
     /// Column whose change starts a new experiment.
     pub trajectory: Option<String>,
+    /// Triggers or pauses that cut the record into experiments.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut: Option<Cut>,
     /// Leading samples of every experiment that only initialise states.
     pub init_samples: usize,
     /// What an empty cell means.
@@ -182,8 +187,8 @@ pub fn read_table_with(path: &Path, format: Option<Format>, keys: &ReadKeys) -> 
     Ok(table)
 }
 
-/// Reads one experiment that [`csv_io::write_dataset`] wrote (or any CSV with a column `time [s]` and units in the
-/// header). Columns that are neither input nor output become auxiliary.
+/// Reads one experiment that [`csv_io::write_dataset`] wrote, or any measurement file with a column of time (by its usual
+/// names) and units. Columns that are neither input nor output become auxiliary.
 ///
 /// # Errors
 /// [`FilesError`].
@@ -211,7 +216,22 @@ pub fn read_table_with(path: &Path, format: Option<Format>, keys: &ReadKeys) -> 
 /// assert_eq!(back.sample_time_s, data.sample_time_s);
 /// ```
 pub fn read_dataset(path: &Path, inputs: &[&str], outputs: &[&str]) -> Result<Dataset, FilesError> {
+    read_dataset_told(path, inputs, outputs, &|_| ())
+}
+
+/// As [`read_dataset`]; what was decided or lost while the file was read goes to `tell`.
+///
+/// # Errors
+/// As [`read_dataset`].
+pub fn read_dataset_told(
+    path: &Path,
+    inputs: &[&str],
+    outputs: &[&str],
+    tell: &dyn Fn(&str),
+) -> Result<Dataset, FilesError> {
     let table = read_table(path, None)?;
+    table.notes.iter().for_each(|n| tell(n));
+    let time = measurement::time_column(&table).map_or("time", |c| c.name.as_str()).to_string();
     for name in inputs.iter().chain(outputs) {
         table.column(name)?;
     }
@@ -227,7 +247,7 @@ pub fn read_dataset(path: &Path, inputs: &[&str], outputs: &[&str]) -> Result<Da
     let channels = table
         .columns
         .iter()
-        .filter(|c| c.name != "time")
+        .filter(|c| c.name != time)
         .map(|c| ChannelSpec {
             column: c.name.clone(),
             name: c.name.clone(),
@@ -236,8 +256,8 @@ pub fn read_dataset(path: &Path, inputs: &[&str], outputs: &[&str]) -> Result<Da
             role: role(&c.name),
         })
         .collect();
-    let time = Time::Column { column: "time".into(), unit: None };
-    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+    let time = Time::Column { column: time, unit: None };
+    let layout = Layout { channels, time, ..Layout::default() };
     let mut all = datasets(&table, &layout, &Select::All)?;
     let mut data = all.remove(0);
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
@@ -255,7 +275,7 @@ pub fn datasets(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<D
         .iter()
         .map(|c| unit_of(table, table.column(&c.column)?, c))
         .collect::<Result<Vec<_>, _>>()?;
-    let runs = split(table, layout.trajectory.as_deref(), select)?;
+    let runs = ranges(table, layout, select)?;
     let mut seen = BTreeMap::new();
     let mut out = Vec::with_capacity(runs.len());
     for (from, to) in runs {
@@ -317,11 +337,7 @@ fn unit_of(table: &Table, column: &Column, spec: &ChannelSpec) -> Result<(String
 }
 
 /// Half-open row ranges of the experiments.
-fn split(
-    table: &Table,
-    trajectory: Option<&str>,
-    select: &Select,
-) -> Result<Vec<(usize, usize)>, FilesError> {
+fn ranges(table: &Table, layout: &Layout, select: &Select) -> Result<Vec<(usize, usize)>, FilesError> {
     let rows = table.rows();
     let mut ranges = match select {
         Select::All => vec![(0, rows)],
@@ -333,20 +349,23 @@ fn split(
         }
         Select::Values { column, values } => rows_with(table, column, values)?,
     };
-    if let Some(name) = trajectory {
+    if let Some(name) = &layout.trajectory {
         let cells = &table.column(name)?.cells;
-        let mut cut = Vec::new();
-        for (from, to) in ranges {
-            let mut start = from;
-            for row in from + 1..to {
-                if !cells.same(row - 1, row) {
-                    cut.push((start, row));
-                    start = row;
-                }
-            }
-            cut.push((start, to));
+        let of = |(from, to): (usize, usize)| {
+            let same = |a: usize, b: usize| cells.same(from + a, from + b);
+            split::runs(to - from, same)
+                .into_iter()
+                .map(move |(a, b)| (from + a, from + b))
+                .collect::<Vec<_>>()
+        };
+        ranges = ranges.into_iter().flat_map(of).collect();
+    }
+    if let Some(cut) = &layout.cut {
+        ranges = split::within(&ranges, &split::experiments(table, cut)?.ranges);
+        if ranges.is_empty() {
+            let cut = "so that the selected rows lie in none of the experiments".into();
+            return Err(FilesError::NoExperiment { path: table.file.clone(), cut });
         }
-        ranges = cut;
     }
     Ok(ranges)
 }

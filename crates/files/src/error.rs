@@ -213,6 +213,14 @@ pub enum FilesError {
         /// Values there are (the first few).
         known: Vec<String>,
     },
+    /// Cutting a record left nothing.
+    #[error("{path}: cut {cut}: no experiment is left, expected at least one")]
+    NoExperiment {
+        /// File.
+        path: String,
+        /// Where it was cut.
+        cut: String,
+    },
     /// The folder holds something that is not this run.
     #[error(
         "{path} is not empty and not a run of `dynocal {expected}` ({found}): choose another --out folder or remove it"

@@ -306,10 +306,30 @@ fn left_out(g: usize, info: &GroupInfo) -> String {
 
 /// The channel that is time by its name, or the first with a unit of time.
 pub fn time_channel(info: &GroupInfo) -> Option<usize> {
-    const NAMES: [&str; 8] = ["time", "t", "timestamp", "timestamps", "zeit", "time_s", "t_s", "time_ms"];
-    info.channels.iter().position(|c| NAMES.iter().any(|n| c.name.eq_ignore_ascii_case(n))).or_else(|| {
+    info.channels.iter().position(|c| is_time(&c.name)).or_else(|| {
         info.channels.iter().position(|c| c.unit.as_deref().and_then(units::dimension) == Some("time"))
     })
+}
+
+/// The column of a table that is time: `time` itself, else the first with a usual name and a unit of time. A unit alone is not
+/// enough here: an injection may be in ms; neither is a name: `t` may be a torque.
+pub fn time_column(table: &Table) -> Option<&Column> {
+    let timed = |c: &Column| c.unit.as_ref().and_then(|u| units::dimension(&u.0)) == Some("time");
+    let usual = || table.columns.iter().find(|c| is_time(&c.name) && timed(c));
+    table.column("time").ok().or_else(usual)
+}
+
+fn is_time(name: &str) -> bool {
+    const NAMES: [&str; 8] = ["time", "t", "timestamp", "timestamps", "zeit", "time_s", "t_s", "time_ms"];
+    NAMES.iter().any(|n| name.eq_ignore_ascii_case(n))
+}
+
+/// The measurement files in `folder` that are called `stem` with any ending of the table.
+pub fn called(folder: &Path, stem: &str) -> Vec<std::path::PathBuf> {
+    let mut all: Vec<&str> = FORMATS.iter().flat_map(|f| f.endings.iter().copied()).collect();
+    all.sort_unstable();
+    all.dedup();
+    all.iter().map(|e| folder.join(format!("{stem}{e}"))).filter(|p| p.is_file()).collect()
 }
 
 fn seconds(file: &str, stamps: &Column) -> Result<Vec<f64>, FilesError> {

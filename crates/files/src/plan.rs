@@ -10,7 +10,7 @@ use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLimit, PlanLoop, demand_name};
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::{ChannelSpec, Layout, Missing, STAMPS, Select, Time, datasets, read_table};
+use crate::dataset::{ChannelSpec, Layout, STAMPS, Select, Time, datasets, read_table};
 use crate::error::FilesError;
 use crate::measurement::csv_io;
 use crate::table::Table;
@@ -248,7 +248,17 @@ pub fn record_columns(plan: &Plan) -> String {
 /// # Errors
 /// [`FilesError`]: a column or unit is missing, a cell is no number, stamps do not increase.
 pub fn read_record(path: &Path, plan: &Plan) -> Result<Dataset, FilesError> {
+    read_record_told(path, plan, &|_| ())
+}
+
+/// As [`read_record`]; what was decided or lost while the file was read goes to `tell`.
+///
+/// # Errors
+/// As [`read_record`].
+pub fn read_record_told(path: &Path, plan: &Plan, tell: &dyn Fn(&str)) -> Result<Dataset, FilesError> {
     let table = read_table(path, None)?;
+    table.notes.iter().for_each(|n| tell(n));
+    let stamps = crate::measurement::time_column(&table).map_or("time", |c| c.name.as_str()).to_string();
     for name in plan.channels.iter().map(|c| &c.name).chain(&plan.outputs) {
         table.column(name)?;
     }
@@ -266,10 +276,12 @@ pub fn read_record(path: &Path, plan: &Plan) -> Result<Dataset, FilesError> {
     };
     let asked = |name: &str| plan.channel(name).is_some() || plan.outputs.iter().any(|o| o == name);
     // What nobody asked for and nobody can read is left out.
-    let kept = |c: &&crate::table::Column| c.name != STAMPS && (asked(&c.name) || c.unit.is_some());
+    let kept = |c: &&crate::table::Column| {
+        c.name != STAMPS && c.name != stamps && (asked(&c.name) || c.unit.is_some())
+    };
     let channels = table.columns.iter().filter(kept).map(|c| spec(&c.name)).collect();
-    let time = Time::Stamps { column: "time".into(), unit: None };
-    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+    let time = Time::Stamps { column: stamps, unit: None };
+    let layout = Layout { channels, time, ..Layout::default() };
     let mut record = datasets(&table, &layout, &Select::All)?.remove(0);
     record.name.clone_from(&plan.name);
     let stamps = record.values(STAMPS)?;

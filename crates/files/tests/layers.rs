@@ -12,12 +12,12 @@ const ORDER: &[&str] = &[
     "table",
     "units",
     "measurement",
+    "split",
     "dataset",
     "json",
     "plan",
     "run_folder",
     "spec",
-    "split",
 ];
 
 #[test]

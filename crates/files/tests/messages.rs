@@ -23,6 +23,7 @@ fn layout(time: Time) -> Layout {
         channels: vec![channel("inj", Some("mg"), Role::Input), channel("torque", Some("Nm"), Role::Output)],
         time,
         trajectory: None,
+        cut: None,
         init_samples: 0,
         missing: Missing::Refuse,
     }
@@ -357,6 +358,7 @@ fn real_engine_record_in_parquet() {
         ],
         time: Time::Sampled { sample_time_s: 0.1 },
         trajectory: Some("traj".into()),
+        cut: None,
         init_samples: 5,
         missing: Missing::Refuse,
     };

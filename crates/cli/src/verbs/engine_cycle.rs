@@ -10,7 +10,7 @@ use super::engine::page;
 use crate::failure::{Exit, Failure, exit};
 use crate::progress::Progress;
 use crate::table;
-use crate::terminal::print;
+use crate::terminal::{print, say};
 
 #[derive(Args, Debug)]
 pub(crate) struct Cycle {
@@ -50,8 +50,8 @@ impl Cycle {
             Units::NewtonKmh => LoadUnits::NewtonKmh,
         };
         let name = self.file.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let spec =
-            cycle::Spec { name, cycle: cycle::read(&self.file, self.seconds)?, units, grade: self.grade };
+        let cycle = cycle::read(&self.file, self.seconds, &say)?;
+        let spec = cycle::Spec { name, cycle, units, grade: self.grade };
         let found = Progress::new(false).during(|watch| cycle::run(engine, &spec, watch))?;
         let rows: Vec<Vec<String>> =
             found.facts.iter().map(|f| vec![f.name.into(), f.text.clone(), f.unit.into()]).collect();

@@ -8,6 +8,7 @@ use dynocal_calib::supervisor::{self, Predictor};
 use dynocal_files::FilesError;
 use dynocal_files::csv_io;
 use dynocal_files::dataset;
+use dynocal_files::measurement;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::pi::PiGains;
@@ -85,6 +86,14 @@ pub enum ChainError {
         waiting: Vec<String>,
         /// Channels of the record.
         channels: String,
+    },
+    /// Two files with the record of one plan.
+    #[error("`{found}` are all called like the plan `{plan}`: leave one")]
+    TwoRecords {
+        /// Files.
+        found: String,
+        /// Plan.
+        plan: String,
     },
     /// A record of a bed that is not what the plan asked for.
     #[error("`{measured}` is not the record of the plan `{plan}`:\n{}", faults.join("\n"))]
@@ -329,13 +338,19 @@ impl Context<'_> {
     /// The record of a plan that a bed has played, checked against it; the plan is written for the bed.
     fn measured_by_bed(&self, folder: &Path, plan: &Plan) -> Result<Dataset, ChainError> {
         let path = dynocal_files::plan::write(folder, plan)?;
-        let measured = self.measured.join(format!("{}.csv", plan.name));
-        if !measured.exists() {
+        let mut found = measurement::called(&self.measured, &plan.name);
+        if found.len() > 1 {
+            let found = found.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join("` and `");
+            return Err(ChainError::TwoRecords { found, plan: plan.name.clone() });
+        }
+        let Some(measured) = found.pop() else {
+            let measured = self.measured.join(format!("{}.csv", plan.name));
             let waiting = vec![format!("  {} ({}) -> {}", path.display(), plan.mode(), measured.display())];
             let channels = dynocal_files::plan::record_columns(plan);
             return Err(ChainError::NeedsMeasurement { waiting, channels });
-        }
-        let mut record = dynocal_files::plan::read_record(&measured, plan)?;
+        };
+        let tell = |text: &str| self.watch.note(text);
+        let mut record = dynocal_files::plan::read_record_told(&measured, plan, &tell)?;
         let faults: Vec<String> =
             play::check_record(plan, &record).iter().map(RecordFault::to_string).collect();
         if !faults.is_empty() {
@@ -355,7 +370,8 @@ impl Context<'_> {
     /// [`ChainError::Files`].
     pub fn read_record(&self, path: &Path, name: &str) -> Result<Dataset, ChainError> {
         let (inputs, outputs) = (self.channels.plant_inputs(), self.channels.outputs());
-        let mut d = dataset::read_dataset(path, &texts(&inputs), &texts(&outputs))?;
+        let tell = |text: &str| self.watch.note(text);
+        let mut d = dataset::read_dataset_told(path, &texts(&inputs), &texts(&outputs), &tell)?;
         d.name = name.into();
         d.init_samples = self.spec.identify.init_samples;
         Ok(d)

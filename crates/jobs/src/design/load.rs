@@ -10,7 +10,9 @@ use dynocal_design::information::sensitivities;
 use dynocal_design::problem::Convention;
 use dynocal_design::search::{FIRST_FREE_STREAM, Failure};
 use dynocal_files::FilesError;
-use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
+use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table_with};
+use dynocal_files::measurement::{self, ReadKeys};
+use dynocal_files::split::{self, Cut};
 use dynocal_ident::data::{DataError, Dataset, Role};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::literature::{self, LiteratureModel};
@@ -203,6 +205,8 @@ pub struct Inputs {
     pub models: Vec<Loaded>,
     /// Objective signal (N0 x m) where the spec gives one.
     pub objective: Option<Vec<f64>>,
+    /// What was decided or lost while files were read.
+    pub notes: Vec<String>,
 }
 
 /// Reads what the job names and checks that it belongs together.
@@ -210,28 +214,29 @@ pub struct Inputs {
 /// # Errors
 /// [`DesignJobError`].
 pub fn load(job: &Job) -> Result<Inputs, DesignJobError> {
-    let mut channels = Vec::new();
+    let (mut channels, mut notes) = (Vec::new(), Vec::new());
     for c in &job.channels {
         let mut channel = c.channel.clone();
         if let Some(file) = &c.file {
             let one = [(channel.name.clone(), c.unit.clone())];
-            let record = record(file, &one, None, job.sample_time_s)?;
+            let record = record(job, file, &one, &mut notes)?;
             let regions = std::mem::take(&mut channel.regions);
             channel =
                 Channel { regions, ..Channel::given(&channel.name, record.values(&one[0].0)?.to_vec()) };
         }
         channels.push(channel);
     }
-    let models = job.models.iter().map(|m| loaded(job, m)).collect::<Result<Vec<_>, _>>()?;
+    let models = job.models.iter().map(|m| loaded(job, m, &mut notes)).collect::<Result<Vec<_>, _>>()?;
     if let Some(m) = models.iter().find(|m| m.noise_variance.is_nan() || m.noise_variance <= 0.0) {
         let (what, expected) = (format!("{}: noise variance", m.name), "a positive number".into());
         return Err(DesignError::Number { what, found: m.noise_variance, expected }.into());
     }
-    let objective = objective(job, &channels)?;
-    Ok(Inputs { channels, models, objective })
+    let objective = objective(job, &channels, &mut notes)?;
+    notes.dedup();
+    Ok(Inputs { channels, models, objective, notes })
 }
 
-fn loaded(job: &Job, spec: &ModelSpec) -> Result<Loaded, DesignJobError> {
+fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded, DesignJobError> {
     let names: Vec<String> = job.channels.iter().map(|c| c.channel.name.clone()).collect();
     let (mut out, linear) = match &spec.source {
         Source::Literature(name) => (of_literature(name, &names, job.sample_time_s)?, None),
@@ -258,16 +263,19 @@ fn loaded(job: &Job, spec: &ModelSpec) -> Result<Loaded, DesignJobError> {
         job.channels.iter().map(|c| (c.channel.name.clone(), c.unit.clone())).collect();
     let mut seen = Vec::new();
     for file in &spec.prior {
-        let d = record(file, &inputs, None, job.sample_time_s)?;
-        let (u, m) = (d.matrix(&names)?, names.len());
-        let rows =
-            sensitivities(out.model.as_ref(), &out.theta, &u, m, Convention::Trim, 0, out.initial_output)
-                .map_err(|_| DesignError::Diverged { term: out.name.clone(), record: d.name.clone() })?;
-        out.prior.extend(rows);
-        seen.extend(experiment(file, &inputs, &out, job.sample_time_s).ok());
+        for d in records(job, file, &inputs, None, notes)? {
+            let (u, m) = (d.matrix(&names)?, names.len());
+            let rows =
+                sensitivities(out.model.as_ref(), &out.theta, &u, m, Convention::Trim, 0, out.initial_output)
+                    .map_err(|_| DesignError::Diverged { term: out.name.clone(), record: d.name.clone() })?;
+            out.prior.extend(rows);
+        }
+        // The same file again, with the output where it has one.
+        seen.extend(experiments(job, file, &inputs, &out, &mut Vec::new()).unwrap_or_default());
     }
     for file in &spec.held_out {
-        out.held_out.push(experiment(file, &inputs, &out, job.sample_time_s)?);
+        let found = experiments(job, file, &inputs, &out, notes)?;
+        out.held_out.extend(found);
     }
     if out.boundary.is_none() && !seen.is_empty() {
         out.boundary = learn(Space::of(out.model.as_ref()), &seen, &BoundaryKeys::default()).ok();
@@ -344,14 +352,43 @@ pub(super) fn over(
         .map_err(|source| DesignJobError::Structure { file: output.into(), source })
 }
 
-/// A record with the wanted columns; other units are converted.
+/// A whole file with the wanted inputs; other units are converted.
 fn record(
+    job: &Job,
+    path: &Path,
+    inputs: &[(String, String)],
+    notes: &mut Vec<String>,
+) -> Result<Dataset, DesignJobError> {
+    let mut all = cut_records(job, path, inputs, None, None, notes)?;
+    // Without a cut a file is one record.
+    Ok(all.remove(0))
+}
+
+/// The experiments of a file of earlier records, with the output where it is wanted.
+fn records(
+    job: &Job,
     path: &Path,
     inputs: &[(String, String)],
     output: Option<(&str, &str)>,
-    dt_s: f64,
-) -> Result<Dataset, DesignJobError> {
-    let table = read_table(path, None)?;
+    notes: &mut Vec<String>,
+) -> Result<Vec<Dataset>, DesignJobError> {
+    cut_records(job, path, inputs, output, job.records.cut.as_ref(), notes)
+}
+
+fn cut_records(
+    job: &Job,
+    path: &Path,
+    inputs: &[(String, String)],
+    output: Option<(&str, &str)>,
+    cut: Option<&Cut>,
+    notes: &mut Vec<String>,
+) -> Result<Vec<Dataset>, DesignJobError> {
+    let table = read_table_with(path, None, &job.records.keys)?;
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    notes.extend(table.notes.iter().map(|n| format!("{name}: {n}")));
+    if let Some(cut) = cut {
+        notes.push(format!("{name}: {}", split::experiments(&table, cut)?.note));
+    }
     let spec = |name: &str, unit: &str, role| ChannelSpec {
         column: name.into(),
         name: name.into(),
@@ -361,44 +398,54 @@ fn record(
     };
     let mut channels: Vec<ChannelSpec> = inputs.iter().map(|(n, u)| spec(n, u, Role::Input)).collect();
     channels.extend(output.map(|(n, u)| spec(n, u, Role::Output)));
-    let time = match table.column("time") {
-        Ok(_) => Time::Column { column: "time".into(), unit: None },
-        Err(_) => Time::Sampled { sample_time_s: dt_s },
+    let dt_s = job.sample_time_s;
+    let time = match measurement::time_column(&table) {
+        Some(c) => Time::Column { column: c.name.clone(), unit: None },
+        None => Time::Sampled { sample_time_s: dt_s },
     };
-    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+    let layout = Layout { channels, time, cut: cut.cloned(), ..Layout::default() };
     let mut all = datasets(&table, &layout, &Select::All)?;
-    let mut d = all.remove(0);
-    d.name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    d.check()?;
-    match (d.sample_time_s - dt_s).abs() <= 1e-6 * dt_s {
-        true => Ok(d),
-        false => Err(DataError::SampleTime {
-            record: d.name,
-            found: d.sample_time_s,
-            expected: format!("{dt_s} s as in the spec"),
+    let several = all.len() > 1;
+    for d in &mut all {
+        d.name = if several { format!("{name}, {}", d.name) } else { name.clone() };
+        d.check()?;
+        if (d.sample_time_s - dt_s).abs() > 1e-6 * dt_s {
+            return Err(DataError::SampleTime {
+                record: d.name.clone(),
+                found: d.sample_time_s,
+                expected: format!("{dt_s} s as in the spec"),
+            }
+            .into());
         }
-        .into()),
     }
+    Ok(all)
 }
 
-fn experiment(
+fn experiments(
+    job: &Job,
     path: &Path,
     inputs: &[(String, String)],
     m: &Loaded,
-    dt_s: f64,
-) -> Result<Experiment, DesignJobError> {
-    let d = record(path, inputs, Some((&m.name, &m.unit)), dt_s)?;
+    notes: &mut Vec<String>,
+) -> Result<Vec<Experiment>, DesignJobError> {
     let names: Vec<String> = inputs.iter().map(|i| i.0.clone()).collect();
-    Ok(Experiment {
-        name: d.name.clone(),
-        u: d.matrix(&names)?,
-        y: d.values(&m.name)?.to_vec(),
-        init_samples: 0,
-        weights: Vec::new(),
-    })
+    let one = |d: Dataset| {
+        Ok(Experiment {
+            name: d.name.clone(),
+            u: d.matrix(&names)?,
+            y: d.values(&m.name)?.to_vec(),
+            init_samples: 0,
+            weights: Vec::new(),
+        })
+    };
+    records(job, path, inputs, Some((&m.name, &m.unit)), notes)?.into_iter().map(one).collect()
 }
 
-fn objective(job: &Job, channels: &[Channel]) -> Result<Option<Vec<f64>>, DesignJobError> {
+fn objective(
+    job: &Job,
+    channels: &[Channel],
+    notes: &mut Vec<String>,
+) -> Result<Option<Vec<f64>>, DesignJobError> {
     let m = channels.len();
     let u = match &job.objective {
         Objective::Everywhere => return Ok(None),
@@ -406,7 +453,7 @@ fn objective(job: &Job, channels: &[Channel]) -> Result<Option<Vec<f64>>, Design
             let inputs: Vec<(String, String)> =
                 job.channels.iter().map(|c| (c.channel.name.clone(), c.unit.clone())).collect();
             let names: Vec<String> = inputs.iter().map(|i| i.0.clone()).collect();
-            record(path, &inputs, None, job.sample_time_s)?.matrix(&names)?
+            record(job, path, &inputs, notes)?.matrix(&names)?
         }
         Objective::Signals { samples, signals } => {
             let mut u = vec![0.0; samples * m];

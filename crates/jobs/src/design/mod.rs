@@ -21,13 +21,15 @@ use std::path::{Path, PathBuf};
 
 use dynocal_design::channel::Channel;
 use dynocal_design::problem::Convention;
+use dynocal_files::measurement::ReadKeys;
 use dynocal_files::spec::{Faults, LoadError, SpecError};
+use dynocal_files::split::Cut;
 use serde::Serialize;
 
 pub use crate::place::Overrides;
 use crate::place::Place;
 pub use models::{ModelSpec, Objective, OutputSpec, Source};
-use typed::Typed;
+use typed::{Typed, TypedRecords};
 
 /// A channel of the plan.
 #[derive(Clone, Debug, Serialize)]
@@ -53,6 +55,15 @@ pub struct SearchSpec {
     pub evaluations: usize,
 }
 
+/// How the files of earlier records (`prior`, `held_out`) are read.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RecordsSpec {
+    /// Dialect, merging of rasters, other names of channels.
+    pub keys: ReadKeys,
+    /// Triggers or pauses that cut a file into experiments.
+    pub cut: Option<Cut>,
+}
+
 /// A design as understood.
 #[derive(Clone, Debug, Serialize)]
 pub struct Job {
@@ -72,6 +83,8 @@ pub struct Job {
     pub models: Vec<ModelSpec>,
     /// Objective signal.
     pub objective: Objective,
+    /// How the files of earlier records are read.
+    pub records: RecordsSpec,
     /// Search.
     pub search: SearchSpec,
     /// Random signals of each rival kind.
@@ -135,6 +148,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     let models = models::models(t.models.as_deref().unwrap_or(&[]), dt_s, folder, faults);
     let objective = models::objective(t.objective.as_ref(), &channels, dt_s, folder, faults);
     let search = search(t.search.as_ref(), faults);
+    let records = records(t.records.as_ref(), faults);
     bounds(t, samples, search.as_ref(), faults);
     let criteria: Vec<&str> = models.iter().filter_map(|m| m.criterion.as_deref()).collect();
     let d_of_one_model = criteria == ["d"];
@@ -148,11 +162,28 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         channels,
         models,
         objective: objective?,
+        records: records?,
         search: search?,
         rivals: t.rivals.unwrap_or(20),
         certificate: t.certificate.unwrap_or(d_of_one_model),
         seed: over.seed.or(t.seed).unwrap_or(1),
     })
+}
+
+fn records(typed: Option<&TypedRecords>, faults: &mut Faults) -> Option<RecordsSpec> {
+    let Some(t) = typed else { return Some(RecordsSpec::default()) };
+    let keys = ReadKeys {
+        csv: t.csv.clone().unwrap_or_default(),
+        merge: t.merge.clone().unwrap_or_default(),
+        alias: t.alias.clone().unwrap_or_default(),
+    };
+    // A record has its stamps in the column `time`, as everywhere in a design.
+    let stamps = Some(("time".to_string(), None));
+    let cut = match &t.cut {
+        Some(typed) => Some(crate::identify::spec::cut("records.cut", typed, stamps, faults)?),
+        None => None,
+    };
+    Some(RecordsSpec { keys, cut })
 }
 
 /// Most random signals of each kind that a design is compared with.

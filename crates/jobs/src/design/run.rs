@@ -29,6 +29,7 @@ const MOST_MARGIN: f64 = 0.45;
 /// [`DesignJobError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Designed, Curves, RunFolder), DesignJobError> {
     let inputs = load(job)?;
+    inputs.notes.iter().for_each(|n| watch.note(n));
     // A folder that cannot be written is known before anything is computed.
     let folder = RunFolder::open(&job.out, "design", job)?;
     let (designed, curves) = make(job, &inputs, watch)?;

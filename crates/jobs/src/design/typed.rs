@@ -5,7 +5,11 @@ use std::path::PathBuf;
 
 use dynocal_design::channel::Shape;
 use dynocal_design::problem::Convention;
+use dynocal_files::measurement::csv_dialect::CsvKeys;
+use dynocal_files::measurement::merge;
 use serde::Deserialize;
+
+use crate::identify::spec::TypedCut;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,7 +26,17 @@ pub(super) struct Typed {
     pub(super) regions: Option<Vec<TypedRegion>>,
     pub(super) models: Option<Vec<TypedModel>>,
     pub(super) objective: Option<TypedObjective>,
+    pub(super) records: Option<TypedRecords>,
     pub(super) search: Option<toml::Table>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedRecords {
+    pub(super) csv: Option<CsvKeys>,
+    pub(super) merge: Option<merge::Keys>,
+    pub(super) alias: Option<BTreeMap<String, Vec<String>>>,
+    pub(super) cut: Option<TypedCut>,
 }
 
 #[derive(Deserialize)]

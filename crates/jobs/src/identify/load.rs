@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use dynocal_files::dataset::{Layout, Select, datasets, read_table_with};
+use dynocal_files::split;
 use dynocal_files::table::Table;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
@@ -32,7 +33,7 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
     let several = job.sources.len() > 1;
     let mut notes = Vec::new();
     for source in &job.sources {
-        let table = read_source(source, note, &mut notes)?;
+        let table = read_source(source, &job.layout, note, &mut notes)?;
         for (part, mut records) in found.iter_mut().zip(split_table(job, &table)?) {
             if several {
                 let stem = stem(source);
@@ -103,14 +104,18 @@ fn stem(source: &Source) -> String {
     name.split('.').next().unwrap_or(&name).to_string()
 }
 
-/// Reads a file, says so, and keeps what was decided on the way in.
+/// Reads a file, says so, and keeps what was decided on the way in, also where it is cut.
 fn read_source(
     source: &Source,
+    layout: &Layout,
     note: &dyn Fn(&str),
     notes: &mut Vec<String>,
 ) -> Result<Table, IdentifyError> {
     note(&format!("reading {}", source.file.display()));
-    let table = read_table_with(&source.file, source.format, &source.keys)?;
+    let mut table = read_table_with(&source.file, source.format, &source.keys)?;
+    if let Some(cut) = &layout.cut {
+        table.notes.push(split::experiments(&table, cut)?.note);
+    }
     let name = source.file.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     for text in &table.notes {
         note(text);
@@ -142,7 +147,6 @@ fn split_table(job: &Job, table: &Table) -> Result<[Vec<Dataset>; 3], IdentifyEr
 
 fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, IdentifyError> {
     let mut notes = Vec::new();
-    let table = read_source(&test.source, note, &mut notes)?;
     let mut layout: Layout = job.layout.clone();
     for c in &mut layout.channels {
         if let Some(column) = test.columns.get(&c.name) {
@@ -152,7 +156,9 @@ fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, Iden
     if let Some(n) = test.init_samples {
         layout.init_samples = n;
     }
-    // A test file need not be cut as the estimation file is.
+    layout.cut = layout.cut.filter(|_| test.cut);
+    let table = read_source(&test.source, &layout, note, &mut notes)?;
+    // A test file need not have the trajectories of the estimation file.
     if layout.trajectory.as_ref().is_some_and(|c| table.column(c).is_err()) {
         layout.trajectory = None;
     }

@@ -25,8 +25,10 @@ use typed::Typed;
 pub use derive::DeriveSpec;
 pub use member::built;
 pub use model::{Selecting, StructureSpec, Target};
+pub(crate) use source::cut;
 pub use source::{Source, StepSpec, TestSet};
 pub use split::Split;
+pub(crate) use typed::TypedCut;
 pub use validation::Validation;
 
 /// What the command line changes in a spec.
@@ -152,7 +154,8 @@ impl Job {
 
     /// The part of the job that decides the result, for the digest of the step; where files lie does not count.
     pub fn inputs(&self) -> BTreeMap<&'static str, serde_json::Value> {
-        let tests: Vec<_> = self.tests.iter().map(|t| (&t.name, &t.init_samples, &t.columns)).collect();
+        let tests: Vec<_> =
+            self.tests.iter().map(|t| (&t.name, &t.init_samples, &t.columns, t.cut)).collect();
         BTreeMap::from([
             ("reading", serde_json::json!(self.sources.first().map(|s| (s.format, &s.keys)))),
             ("layout", serde_json::json!(self.layout)),

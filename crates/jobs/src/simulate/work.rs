@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
-use dynocal_files::json;
+use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table};
+use dynocal_files::{json, measurement};
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::stored::{Computed, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
 use dynocal_ident::validate::departure;
@@ -28,7 +28,7 @@ pub fn simulate(job: &Job, watch: Watch) -> Result<Simulated, SimulateError> {
     let mut records = Vec::new();
     for file in &job.data {
         watch.note(&format!("reading {}", file.display()));
-        records.extend(read(file, &models, job)?);
+        records.extend(read(file, &models, job, &|text| watch.note(text))?);
     }
     let (mut outputs, mut warnings) = (Vec::new(), Vec::new());
     for (k, named) in models.iter().enumerate() {
@@ -100,8 +100,14 @@ fn alone(models: &[Named]) -> Result<(), SimulateError> {
 
 /// The records of a file: columns have the names of the channels, units are converted where they differ. Outputs are
 /// read where the file has them.
-fn read(file: &Path, models: &[Named], job: &Job) -> Result<Vec<Dataset>, SimulateError> {
+fn read(
+    file: &Path,
+    models: &[Named],
+    job: &Job,
+    tell: &dyn Fn(&str),
+) -> Result<Vec<Dataset>, SimulateError> {
     let table = read_table(file, None)?;
+    table.notes.iter().for_each(|n| tell(n));
     let mut channels: Vec<ChannelSpec> = Vec::new();
     let mut add = |q: Quantity, role: Role| {
         if !channels.iter().any(|c| c.name == q.name) {
@@ -121,12 +127,12 @@ fn read(file: &Path, models: &[Named], job: &Job) -> Result<Vec<Dataset>, Simula
             add(output, Role::Output);
         }
     }
-    let time = match (table.column("time"), models.first()) {
-        (Err(_), Some(n)) => Time::Sampled { sample_time_s: n.model.sample_time_s },
-        _ => Time::Column { column: "time".into(), unit: None },
+    let stamps = measurement::time_column(&table).map(|c| c.name.clone());
+    let time = match (stamps, models.first()) {
+        (None, Some(n)) => Time::Sampled { sample_time_s: n.model.sample_time_s },
+        (column, _) => Time::Column { column: column.unwrap_or("time".into()), unit: None },
     };
-    let layout =
-        Layout { channels, time, trajectory: None, init_samples: job.init_samples, missing: Missing::Refuse };
+    let layout = Layout { channels, time, init_samples: job.init_samples, ..Layout::default() };
     let mut records = datasets(&table, &layout, &Select::All)?;
     if job.data.len() > 1 {
         let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();

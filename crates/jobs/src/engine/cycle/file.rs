@@ -8,12 +8,18 @@ use dynocal_plant::vehicle::DriveCycle;
 use super::MOST_SECONDS;
 use crate::engine::EngineJobError;
 
-/// Reads a cycle: a column in s, and one in m/s, km/h or mph; `seconds` cuts it off.
+/// Reads a cycle: a column in s, and one in m/s, km/h or mph; `seconds` cuts it off. What was decided or lost while the file
+/// was read goes to `tell`.
 ///
 /// # Errors
 /// [`EngineJobError`]: file, columns, units, times that do not rise, a cycle longer than [`MOST_SECONDS`].
-pub fn read(path: &Path, seconds: Option<f64>) -> Result<DriveCycle, EngineJobError> {
+pub fn read(
+    path: &Path,
+    seconds: Option<f64>,
+    tell: &dyn Fn(&str),
+) -> Result<DriveCycle, EngineJobError> {
     let data = dynocal_files::dataset::read_table(path, None)?;
+    data.notes.iter().for_each(|n| tell(n));
     let file = path.display().to_string();
     let column = |what, accepted: &[&str], expected| {
         let is = |c: &&Column| c.unit.as_ref().is_some_and(|(u, _)| accepted.contains(&u.as_str()));

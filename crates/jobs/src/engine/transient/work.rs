@@ -50,6 +50,7 @@ fn driven(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Transient, Engin
         _ => {}
     }
     let data = dynocal_files::dataset::read_table(&spec.file, None)?;
+    data.notes.iter().for_each(|n| watch.note(n));
     let first = |name: &str| {
         let i = column_of(&data, name)?;
         data.numbers(&data.columns[i].name, 0, 1).ok()?.first().copied()

@@ -1,8 +1,8 @@
 //! Models that are already there: nothing is estimated, the records only score them.
 
 use dynocal_files::FilesError;
-use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, read_table};
-use dynocal_files::measurement::ReadKeys;
+use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, read_table};
+use dynocal_files::measurement::{self, ReadKeys};
 use dynocal_ident::data::Role;
 use dynocal_ident::stored::{Quantity, StoredModel};
 
@@ -15,7 +15,7 @@ use super::{Job, Overrides};
 
 impl Job {
     /// A job without a spec that scores `models` on the data files of the command line: columns have the names of the
-    /// channels, units are those of the models (others are converted), stamps are in a column `time` where there is one.
+    /// channels, units are those of the models (others are converted), stamps are in a column of time where there is one.
     ///
     /// # Errors
     /// [`FilesError`]: no readable data file.
@@ -25,13 +25,13 @@ impl Job {
             .iter()
             .map(|f| Source { file: f.clone(), format: None, keys: ReadKeys::default() })
             .collect();
-        let stamped = match sources.first() {
-            Some(s) => read_table(&s.file, None)?.column("time").is_ok(),
-            None => false,
+        let stamps = match sources.first() {
+            Some(s) => measurement::time_column(&read_table(&s.file, None)?).map(|c| c.name.clone()),
+            None => None,
         };
         let sample_time_s = models.first().map_or(1.0, |m| m.sample_time_s);
-        let time = if stamped {
-            Time::Column { column: "time".into(), unit: None }
+        let time = if let Some(column) = stamps {
+            Time::Column { column, unit: None }
         } else if models.iter().all(|m| m.is_steady()) {
             Time::Steady
         } else {
@@ -46,7 +46,7 @@ impl Job {
                 channels.push(channel(&q, role));
             }
         }
-        let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+        let layout = Layout { channels, time, ..Layout::default() };
         let job = Self {
             name: "scored".into(),
             sources,

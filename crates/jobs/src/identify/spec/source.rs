@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use dynocal_files::dataset::{ChannelSpec, Format, Layout, Time};
 use dynocal_files::measurement::ReadKeys;
 use dynocal_files::spec::Faults;
+use dynocal_files::split::{By, Cut};
 use serde::Serialize;
 
 use super::member::member_of;
-use super::typed::{TypedChannel, TypedData, TypedTest};
+use super::typed::{TypedChannel, TypedCut, TypedData, TypedTest};
 
 /// A data file.
 #[derive(Clone, Debug, Serialize)]
@@ -33,6 +34,8 @@ pub struct TestSet {
     pub init_samples: Option<usize>,
     /// Column of a channel where it differs from that of the estimation.
     pub columns: BTreeMap<String, String>,
+    /// Whether it is cut into experiments as the estimation files are.
+    pub cut: bool,
 }
 
 /// A step of the preparation as the spec gives it.
@@ -144,7 +147,8 @@ pub(super) fn tests(
         }
         if let Some(path) = path_of(&key("file"), &file, place, faults) {
             let source = Source { file: path, format: t.format, keys: keys.clone() };
-            out.push(TestSet { name, source, init_samples: t.init_samples, columns });
+            let cut = t.cut.unwrap_or(true);
+            out.push(TestSet { name, source, init_samples: t.init_samples, columns, cut });
         }
     }
     out
@@ -183,13 +187,49 @@ pub(super) fn layout(
             return None;
         }
     };
+    let stamps = d.time.as_ref().map(|column| (column.clone(), d.time_unit.clone()));
+    let cut = match &d.cut {
+        Some(typed) => Some(cut("data.cut", typed, stamps, faults)?),
+        None => None,
+    };
     Some(Layout {
         channels,
         time,
         trajectory: d.trajectory.clone(),
+        cut,
         init_samples: d.init_samples.unwrap_or(0),
         missing: d.missing.unwrap_or_default(),
     })
+}
+
+/// Where a long record is cut: at a trigger, or at pauses of its stamps (column, unit).
+pub(crate) fn cut(
+    key: &str,
+    typed: &TypedCut,
+    stamps: Option<(String, Option<String>)>,
+    faults: &mut Faults,
+) -> Option<Cut> {
+    let by = match (&typed.trigger, typed.above, typed.gap_s, stamps) {
+        (Some(column), Some(above), None, _) => By::Trigger { column: column.clone(), above },
+        (None, None, Some(longer_s), Some((column, unit))) => {
+            faults.positive(&format!("{key}.gap_s"), longer_s, "s");
+            By::Gap { column, unit, longer_s }
+        }
+        (None, None, Some(_), None) => {
+            faults.push(
+                &format!("{key}.gap_s"),
+                "no time column",
+                "data.time: pauses are seen in the stamps",
+            );
+            return None;
+        }
+        _ => {
+            let expected = "trigger and above (rows in which a column is above a level), or gap_s (pauses)";
+            faults.push(key, "another combination of keys", expected);
+            return None;
+        }
+    };
+    Some(Cut { by, shortest: typed.shortest.unwrap_or(1) })
 }
 
 /// Channels.

@@ -15,6 +15,7 @@ pub(super) fn check(t: &Typed, targets: Option<&[Target]>, validate: &mut Valida
     let d = t.data.as_ref();
     let timed = [
         ("data.trajectory", d.is_some_and(|d| d.trajectory.is_some())),
+        ("data.cut", d.is_some_and(|d| d.cut.is_some())),
         ("data.init_samples", d.is_some_and(|d| d.init_samples.is_some())),
         ("data.multisine_period", d.is_some_and(|d| d.multisine_period.is_some())),
         ("data.missing", d.is_some_and(|d| d.missing.is_some())),

@@ -39,9 +39,19 @@ pub(super) struct TypedData {
     pub(super) time: Option<String>,
     pub(super) time_unit: Option<String>,
     pub(super) trajectory: Option<String>,
+    pub(super) cut: Option<TypedCut>,
     pub(super) init_samples: Option<usize>,
     pub(super) missing: Option<Missing>,
     pub(super) multisine_period: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct TypedCut {
+    pub(super) trigger: Option<String>,
+    pub(super) above: Option<f64>,
+    pub(super) gap_s: Option<f64>,
+    pub(super) shortest: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -88,6 +98,7 @@ pub(super) struct TypedTest {
     pub(super) format: Option<Format>,
     pub(super) init_samples: Option<usize>,
     pub(super) columns: Option<BTreeMap<String, String>>,
+    pub(super) cut: Option<bool>,
 }
 
 #[derive(Deserialize)]

@@ -1,0 +1,91 @@
+//! `dynocal calibrate` takes records in every format that is written, and those of a bed as well.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use assert_cmd::Command;
+use dynocal_files::atomic;
+use dynocal_files::measurement::FORMATS;
+
+fn dynocal(folder: &Path, args: &[&str]) -> Output {
+    Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap()
+}
+
+fn done(folder: &Path, args: &[&str]) -> String {
+    let out = dynocal(folder, args);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(0), "{args:?}: {said}");
+    said
+}
+
+fn shortest() -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../studies/src/shortest.toml");
+    std::fs::read_to_string(path).unwrap()
+}
+
+/// A step of a run as its folder keeps it.
+fn record(folder: &Path, run: &str, name: &str) -> String {
+    let path = folder.join(run).join("steps/01-excite").join(format!("{name}.csv"));
+    std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+#[test]
+fn given_records_come_in_every_format() {
+    let tmp = tempfile::tempdir().unwrap();
+    atomic::write(&tmp.path().join("spec.toml"), shortest().as_bytes()).unwrap();
+    done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "first"]);
+    let names = ["ident01", "ident02", "valid01"];
+    let mut tried = Vec::new();
+    for format in FORMATS.iter().filter(|f| f.write.is_some()) {
+        let ending = format.endings[0];
+        let given = |k: usize| format!("{}{ending}", names[k]);
+        for (k, name) in names.iter().enumerate() {
+            let from = format!("first/steps/01-excite/{name}.csv");
+            done(tmp.path(), &["convert", &from, &given(k), "--quiet"]);
+        }
+        let files = format!(
+            "identification_files = ['{}', '{}']\nvalidation_files = ['{}']\n",
+            given(0),
+            given(1),
+            given(2)
+        );
+        let spec = shortest().replacen("[excite]\n", &format!("[excite]\n{files}"), 1);
+        atomic::write(&tmp.path().join("given.toml"), spec.as_bytes()).unwrap();
+        let out = format!("run-{}", format.doc.name);
+        done(tmp.path(), &["calibrate", "given.toml", "--until", "excite", "--out", &out]);
+        for name in names {
+            assert_eq!(record(tmp.path(), &out, name), record(tmp.path(), "first", name), "{ending}");
+        }
+        tried.push(format.doc.name);
+    }
+    assert!(["csv", "parquet", "mdf4", "mat5"].iter().all(|f| tried.contains(f)), "{tried:?}");
+}
+
+/// The bed's records may be MDF; two records of one plan are refused.
+#[test]
+fn a_bed_hands_back_mdf() {
+    let tmp = tempfile::tempdir().unwrap();
+    atomic::write(&tmp.path().join("spec.toml"), shortest().as_bytes()).unwrap();
+    done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "first"]);
+    let bed = format!("{}\n[plant]\nname = \"bed\"\n", shortest());
+    atomic::write(&tmp.path().join("bed.toml"), bed.as_bytes()).unwrap();
+    let calibrate = ["calibrate", "bed.toml", "--until", "excite", "--out", "bed"];
+    let measured: PathBuf = tmp.path().join("bed/measured");
+    std::fs::create_dir_all(&measured).unwrap();
+    for name in ["ident01", "ident02", "valid01"] {
+        let waits = dynocal(tmp.path(), &calibrate);
+        let said = String::from_utf8(waits.stderr).unwrap();
+        assert_eq!(waits.status.code(), Some(2), "{said}");
+        assert!(said.contains("to be run on the bed"), "{said}");
+        let from = format!("first/steps/01-excite/{name}.csv");
+        done(tmp.path(), &["convert", &from, &format!("bed/measured/{name}.mf4"), "--quiet"]);
+    }
+    done(tmp.path(), &calibrate);
+    for name in ["ident01", "ident02", "valid01"] {
+        assert_eq!(record(tmp.path(), "bed", name), record(tmp.path(), "first", name), "{name}");
+    }
+    done(tmp.path(), &["convert", "bed/measured/ident01.mf4", "bed/measured/ident01.csv", "--quiet"]);
+    let two = dynocal(tmp.path(), &calibrate);
+    let said = String::from_utf8(two.stderr).unwrap();
+    assert!(said.contains("ident01.csv` and `") && said.contains("leave one"), "{said}");
+}
