@@ -38,6 +38,7 @@
 //! ```
 
 pub mod characteristic;
+pub mod compare;
 pub mod error;
 pub mod evaluate;
 pub mod format;

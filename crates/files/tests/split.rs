@@ -35,13 +35,8 @@ fn pauses_and_clocks_that_start_again() {
 /// Every piece has the uniform time that the whole record has not.
 #[test]
 fn pieces_become_records() {
-    let channel = ChannelSpec {
-        column: "x".into(),
-        name: "x".into(),
-        unit: None,
-        convert: false,
-        role: Role::Output,
-    };
+    let channel =
+        ChannelSpec { column: "x".into(), name: "x".into(), unit: None, convert: false, role: Role::Output };
     let time = Time::Column { column: "time".into(), unit: None };
     let whole = Layout { channels: vec![channel], time, ..Layout::default() };
     assert!(datasets(&bed(), &whole, &Select::All).is_err());
@@ -57,7 +52,8 @@ fn pieces_become_records() {
     assert!(e.contains("no experiment is left"), "{e}");
     // A trigger and pauses are one thing to a reader: runs of rows.
     let by = By::Trigger { column: "on".into(), above: 0.5 };
-    let on = Layout { cut: Some(Cut { by, shortest: 3 }), time: Time::Sampled { sample_time_s: 0.02 }, ..whole };
+    let on =
+        Layout { cut: Some(Cut { by, shortest: 3 }), time: Time::Sampled { sample_time_s: 0.02 }, ..whole };
     let found = datasets(&bed(), &on, &Select::All).unwrap();
     assert_eq!(found.iter().map(|d| d.channels[0].values[0]).collect::<Vec<_>>(), [1.0, 5.0, 9.0]);
 }

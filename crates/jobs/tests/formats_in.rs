@@ -60,11 +60,9 @@ fn identify_cuts_at_a_trigger_and_at_pauses() {
     atomic::write(&tmp.path().join("bed.csv"), long_record().as_bytes()).unwrap();
     let whole = identify(tmp.path(), "sample_time_s = 0.1\n").unwrap();
     assert!(worst(&whole) > 1.0, "{}", worst(&whole));
-    let cut = identify(
-        tmp.path(),
-        "sample_time_s = 0.1\ncut = { trigger = 'run', above = 0.5, shortest = 50 }\n",
-    )
-    .unwrap();
+    let cut =
+        identify(tmp.path(), "sample_time_s = 0.1\ncut = { trigger = 'run', above = 0.5, shortest = 50 }\n")
+            .unwrap();
     assert!(worst(&cut) < 1e-9, "{}", worst(&cut));
     let said = serde_json::to_string(&cut).unwrap();
     assert!(said.contains("cut where `run` is above 0.5: 3 experiments, 600 of 720 rows"), "{said}");
@@ -121,8 +119,11 @@ fn design_takes_the_experiments_of_a_long_record() {
     let prior = |files: &str, records: &str| {
         let path = tmp.path().join("plan.toml");
         let model = format!("[[models]]\nliterature = 'torque_4_17'\ncriterion = 'd'\nprior = [{files}]\n");
-        atomic::write(&path, format!("{DESIGN}{model}[records]\nalias = {{ fpw = ['pulse'] }}\n{records}").as_bytes())
-            .unwrap();
+        atomic::write(
+            &path,
+            format!("{DESIGN}{model}[records]\nalias = {{ fpw = ['pulse'] }}\n{records}").as_bytes(),
+        )
+        .unwrap();
         let job = design::read(&path, &Default::default()).map_err(|e| e.to_string())?;
         let found = design::load::load(&job).map_err(|e| e.to_string())?;
         Ok::<_, String>((found.models[0].prior.clone(), found.notes))

@@ -41,6 +41,7 @@ verbs![
     show,       //
     convert,    //
     export,     //
+    compare,    //
     list,       //
 ];
 

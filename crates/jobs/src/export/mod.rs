@@ -13,6 +13,7 @@ mod static_map;
 use std::path::{Path, PathBuf};
 
 use dynocal_export::ExportError;
+use dynocal_export::characteristic::Characteristic;
 use dynocal_export::format::{self, Keys, OutFile};
 use dynocal_export::package::{Extrapolation, Package};
 use dynocal_files::{FilesError, atomic, json};
@@ -123,6 +124,22 @@ pub fn run(source: &Path, folder: &Path, spec: &ExportSpec) -> Result<Exported, 
         out.files.push(path);
     }
     Ok(out)
+}
+
+/// The characteristics of a source (a run of `calibrate`, or a map file), and what was said while they were read.
+///
+/// # Errors
+/// [`ExportJobError`].
+pub fn characteristics(source: &Path) -> Result<(Vec<Characteristic>, Vec<String>), ExportJobError> {
+    let (mut all, mut notes) = (Vec::new(), Vec::new());
+    for made in packages(source, &ExportSpec::default())? {
+        all.extend(made.package.characteristics);
+        notes.extend(made.notes);
+    }
+    if all.is_empty() {
+        return Err(ExportJobError::source(source, "found no curve, map or scalar, expected at least one"));
+    }
+    Ok((all, notes))
 }
 
 /// The files of one format, and what it could not hold: a run has several maps, and not every format holds each.

@@ -13,11 +13,7 @@ use crate::engine::EngineJobError;
 ///
 /// # Errors
 /// [`EngineJobError`]: file, columns, units, times that do not rise, a cycle longer than [`MOST_SECONDS`].
-pub fn read(
-    path: &Path,
-    seconds: Option<f64>,
-    tell: &dyn Fn(&str),
-) -> Result<DriveCycle, EngineJobError> {
+pub fn read(path: &Path, seconds: Option<f64>, tell: &dyn Fn(&str)) -> Result<DriveCycle, EngineJobError> {
     let data = dynocal_files::dataset::read_table(path, None)?;
     data.notes.iter().for_each(|n| tell(n));
     let file = path.display().to_string();
