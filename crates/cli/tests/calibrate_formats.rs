@@ -75,7 +75,7 @@ fn a_bed_hands_back_mdf() {
     for name in ["ident01", "ident02", "valid01"] {
         let waits = dynocal(tmp.path(), &calibrate);
         let said = String::from_utf8(waits.stderr).unwrap();
-        assert_eq!(waits.status.code(), Some(2), "{said}");
+        assert_eq!(waits.status.code(), Some(1), "{said}");
         assert!(said.contains("to be run on the bed"), "{said}");
         let from = format!("first/steps/01-excite/{name}.csv");
         done(tmp.path(), &["convert", &from, &format!("bed/measured/{name}.mf4"), "--quiet"]);
@@ -88,4 +88,30 @@ fn a_bed_hands_back_mdf() {
     let two = dynocal(tmp.path(), &calibrate);
     let said = String::from_utf8(two.stderr).unwrap();
     assert!(said.contains("ident01.csv` and `") && said.contains("leave one"), "{said}");
+}
+
+/// `[export]` waits for the map, and what leaves is what the run holds.
+#[test]
+fn the_map_leaves_as_the_spec_asks() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = format!("{}\n[export]\nto = [\"dcm\", \"c\"]\n", shortest());
+    atomic::write(&tmp.path().join("spec.toml"), spec.as_bytes()).unwrap();
+    let said = done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "run"]);
+    assert!(said.contains("nothing leaves before the step invert"), "{said}");
+    let out = dynocal(tmp.path(), &["calibrate", "spec.toml", "--out", "run"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.code().unwrap() < 2, "{said}");
+    // The step before is taken over: what leaves is no input of any step.
+    assert!(said.contains("excite: taken from the earlier run"), "{said}");
+    let files: Vec<&str> = said.lines().filter_map(|l| l.strip_prefix("exported ")).collect();
+    let dcm: Vec<&&str> = files.iter().filter(|f| f.ends_with(".dcm")).collect();
+    assert!(!dcm.is_empty() && files.iter().any(|f| f.ends_with(".c")), "{said}");
+    for file in dcm {
+        let out = dynocal(tmp.path(), &["compare", file, "run", "--json"]);
+        let text = String::from_utf8(out.stdout).unwrap();
+        let found: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let both = found["both"].as_array().unwrap();
+        assert!(!both.is_empty() && found["only_first"].as_array().unwrap().is_empty(), "{text}");
+        assert!(both.iter().all(|d| d["differing"] == 0 && d["points"].as_u64() > Some(0)), "{text}");
+    }
 }

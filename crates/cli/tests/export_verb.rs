@@ -69,6 +69,37 @@ fn a_stored_model_leaves_and_its_c_computes() {
     }
 }
 
+/// `[export]` of the spec does what the verb does.
+#[test]
+fn a_spec_exports_when_its_run_is_done() {
+    let tmp = tempfile::tempdir().unwrap();
+    atomic::write(&tmp.path().join("bed.csv"), record().as_bytes()).unwrap();
+    let put = |keys: &str| {
+        atomic::write(&tmp.path().join("spec.toml"), format!("{SPEC}[export]\n{keys}").as_bytes()).unwrap();
+    };
+    put("to = ['c', 'json']\nprecision = 'double'\n");
+    let done = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "run"]);
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.code().unwrap() < 2 && said.contains("exported run/export/y_model.c"), "{said}");
+    let verb =
+        dynocal(tmp.path(), &["export", "run", "--to", "c", "json", "--precision", "double", "--out", "out"]);
+    assert!(verb.status.success());
+    for file in ["y_model.c", "y_model.h", "y_model.json"] {
+        let read = |folder: &str| std::fs::read(tmp.path().join(folder).join(file)).unwrap();
+        assert_eq!(read("run/export"), read("out"), "{file}");
+    }
+    for (keys, part) in [
+        ("to = ['cdf']\n", "did you mean `cdfx`?"),
+        ("to = []\n", "`export.to`: found nothing"),
+        ("to = ['c']\nprecison = 'double'\n", "did you mean `precision`?"),
+    ] {
+        put(keys);
+        let done = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "run2"]);
+        let said = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.code() == Some(2) && said.contains(part), "{said}");
+    }
+}
+
 #[test]
 fn faults_are_named() {
     let tmp = tempfile::tempdir().unwrap();

@@ -11,6 +11,7 @@ pub mod design;
 pub mod engine;
 pub mod estimate;
 pub mod export;
+pub mod export_spec;
 pub mod families;
 pub mod identify;
 pub mod optimise;

@@ -10,6 +10,7 @@ const ORDER: &[&str] = &[
     "place",
     "page",
     "estimate",
+    "export_spec",
     "show",
     "convert",
     "simulate",

@@ -37,6 +37,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     match progress.during(|watch| job::run(&campaign, until, watch)) {
         Ok(done) => {
             show(&args.common, &campaign, &done, own)?;
+            exported(&campaign, until, args.common.quiet)?;
             Ok(exit(done.valid))
         }
         // The campaign is not over: a bed has to run a plan first.
@@ -46,6 +47,17 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         }
         Err(e) => Err(with_hint(e, &campaign)),
     }
+}
+
+/// Does what `[export]` asks for, once there are maps.
+fn exported(campaign: &Campaign, until: &str, quiet: bool) -> Result<(), Failure> {
+    let Some(export) = &campaign.spec.export else { return Ok(()) };
+    let place = |name: &str| STEPS.iter().position(|s| *s == name);
+    if place(until) < place("invert") {
+        say("[export]: nothing leaves before the step invert, which makes the map");
+        return Ok(());
+    }
+    super::export::of_run(&campaign.out, &export.wanted(Path::new("")), quiet)
 }
 
 fn with_hint(e: ChainError, campaign: &Campaign) -> Failure {

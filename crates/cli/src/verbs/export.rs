@@ -1,6 +1,6 @@
 //! `dynocal export SOURCE --to FORMAT`: maps and models in the formats of the neighbours.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::PossibleValuesParser;
 use clap::{ArgMatches, Args, FromArgMatches};
@@ -43,6 +43,16 @@ struct Export {
     /// Print the list of files, and nothing else
     #[arg(long, short)]
     quiet: bool,
+}
+
+/// Does what `[export]` of a spec asks for, when the run in `folder` is done.
+pub(super) fn of_run(folder: &Path, spec: &ExportSpec, quiet: bool) -> Result<(), Failure> {
+    let done = export::of_run(folder, spec)?;
+    if !quiet {
+        done.notes.iter().for_each(|n| say(n));
+        done.files.iter().for_each(|p| say(&format!("exported {}", p.display())));
+    }
+    Ok(())
 }
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {

@@ -60,6 +60,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     for warning in &found.warnings {
         say(&format!("warning: {warning}"));
     }
+    if let Some(export) = &job.export {
+        super::export::of_run(folder.path(), export, args.common.quiet)?;
+    }
     args.common.print_summary(&folder.path().join("summary.json"))?;
     if args.common.shows_text() {
         print(&text(&found))?;

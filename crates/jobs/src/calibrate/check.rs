@@ -35,6 +35,7 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     if let Ok(table) = toml::Table::try_from(s) {
         numbers(&table, "", faults);
     }
+    s.export.iter().for_each(|e| e.check(faults));
     shape(s, faults);
     lengths(s, faults);
     counts(s, faults);

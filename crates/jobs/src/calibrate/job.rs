@@ -48,10 +48,14 @@ pub struct Finished {
 
 /// Reads and checks the spec at `path`; seed and folder may come from the command line.
 pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, LoadError> {
-    let spec = load(path, |typed: &CalibrateSpec, faults| {
+    let mut spec = load(path, |typed: &CalibrateSpec, faults| {
         check::check(typed, faults);
         Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
     })?;
+    // Files in a spec are relative to its folder.
+    if let Some(a2l) = spec.export.as_mut().and_then(|e| e.a2l.as_mut()) {
+        *a2l = path.parent().unwrap_or(Path::new("")).join(&*a2l);
+    }
     let name = path.file_stem().map_or_else(|| "calibrate".into(), |s| s.to_string_lossy().into_owned());
     let out = out.map_or_else(|| Path::new("runs").join(&name), Path::to_path_buf);
     Ok(Campaign { name, spec, out })

@@ -8,6 +8,8 @@ use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLimit;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
+
+use crate::export_spec::ExportKeys;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -44,6 +46,9 @@ pub struct CalibrateSpec {
     pub invert: InvertSpec,
     /// Step 6: static map and comparison.
     pub validate: CompareSpec,
+    /// Formats in which the maps leave.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub export: Option<ExportKeys>,
 }
 
 impl Default for CalibrateSpec {
@@ -65,6 +70,7 @@ impl Default for CalibrateSpec {
             optimise: OptimiseSpec::default(),
             invert: InvertSpec::default(),
             validate: CompareSpec::default(),
+            export: None,
         }
     }
 }

@@ -15,33 +15,18 @@ use std::path::{Path, PathBuf};
 use dynocal_export::ExportError;
 use dynocal_export::characteristic::Characteristic;
 use dynocal_export::format::{self, Keys, OutFile};
-use dynocal_export::package::{Extrapolation, Package};
+use dynocal_export::package::Package;
 use dynocal_files::{FilesError, atomic, json};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredError, StoredModel};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::Value;
 
+pub use crate::export_spec::{ExportKeys, ExportSpec};
 pub use dynamic_map::dynamic_map;
 pub use model::model;
 pub use static_map::static_map;
 
 use origin::Origin;
-
-/// What is wanted.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ExportSpec {
-    /// Formats (`dynocal list exports`).
-    pub to: Vec<String>,
-    /// Keys of the formats.
-    pub keys: Keys,
-    /// Look-ups outside their axes.
-    pub extrapolation: Extrapolation,
-    /// Sample time in s of a map whose run is not at hand.
-    pub sample_time_s: Option<f64>,
-    /// A2L of the ECU whose limits the characteristics take.
-    pub a2l: Option<PathBuf>,
-}
 
 /// Why nothing left.
 #[derive(Debug, thiserror::Error)]
@@ -140,6 +125,17 @@ pub fn characteristics(source: &Path) -> Result<(Vec<Characteristic>, Vec<String
         return Err(ExportJobError::source(source, "found no curve, map or scalar, expected at least one"));
     }
     Ok((all, notes))
+}
+
+/// Folder of the files of `[export]` in a run folder.
+pub const FOLDER: &str = "export";
+
+/// Exports what the run in `folder` found into its folder [`FOLDER`].
+///
+/// # Errors
+/// As [`run`].
+pub fn of_run(folder: &Path, spec: &ExportSpec) -> Result<Exported, ExportJobError> {
+    run(folder, &folder.join(FOLDER), spec)
 }
 
 /// The files of one format, and what it could not hold: a run has several maps, and not every format holds each.

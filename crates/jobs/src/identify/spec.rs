@@ -18,6 +18,7 @@ use dynocal_files::spec::{Faults, LoadError, SpecError, load};
 use dynocal_ident::stored::StoredModel;
 use serde::Serialize;
 
+use crate::export_spec::ExportSpec;
 use crate::place::Place;
 
 use typed::Typed;
@@ -73,6 +74,9 @@ pub struct Job {
     pub saved: Vec<StoredModel>,
     /// Run folder.
     pub out: PathBuf,
+    /// Formats in which the models leave.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub export: Option<ExportSpec>,
 }
 
 /// Reads and checks the spec at `path`. Files in it are relative to its folder; `${NAME}` stands for the
@@ -120,6 +124,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     let validate = validation::validation(t.validate.as_ref(), &target_names, faults);
     // A stem may hold dots of its own.
     let spec = folder.join(format!("{stem}.toml"));
+    t.export.iter().for_each(|e| e.check(faults));
     let run = Place::of(&spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     let mut validate = validate;
     let layout = layout?;
@@ -143,6 +148,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         validate,
         seed: over.seed.unwrap_or(0),
         saved: Vec::new(),
+        export: t.export.as_ref().map(|e| e.wanted(folder)),
     })
 }
 

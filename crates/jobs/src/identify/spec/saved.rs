@@ -60,6 +60,7 @@ impl Job {
             validate: Validation::default(),
             seed: over.seed.unwrap_or(0),
             saved: Vec::new(),
+            export: None,
             out: over.out.clone().unwrap_or_else(|| "runs/scored".into()),
         };
         Ok(job.with_models(models))

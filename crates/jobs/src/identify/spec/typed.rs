@@ -10,6 +10,8 @@ use dynocal_ident::data::Role;
 use dynocal_ident::model::initial::Initial;
 use serde::Deserialize;
 
+use crate::export_spec::ExportKeys;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Typed {
@@ -23,6 +25,7 @@ pub(super) struct Typed {
     pub(super) prepare: Option<Vec<toml::Table>>,
     pub(super) model: Option<TypedModel>,
     pub(super) validate: Option<TypedValidate>,
+    pub(super) export: Option<ExportKeys>,
 }
 
 #[derive(Deserialize)]
