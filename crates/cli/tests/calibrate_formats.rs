@@ -34,7 +34,7 @@ fn given_records_come_in_every_format() {
     let tmp = tempfile::tempdir().unwrap();
     atomic::write(&tmp.path().join("spec.toml"), shortest().as_bytes()).unwrap();
     done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "first"]);
-    let names = ["ident01", "ident02", "valid01"];
+    let names = ["ident01", "ident02", "val01"];
     let mut tried = Vec::new();
     for format in FORMATS.iter().filter(|f| f.write.is_some()) {
         let ending = format.endings[0];
@@ -71,17 +71,17 @@ fn a_bed_hands_back_mdf() {
     atomic::write(&tmp.path().join("bed.toml"), bed.as_bytes()).unwrap();
     let calibrate = ["calibrate", "bed.toml", "--until", "excite", "--out", "bed"];
     let measured: PathBuf = tmp.path().join("bed/measured");
-    std::fs::create_dir_all(&measured).unwrap();
-    for name in ["ident01", "ident02", "valid01"] {
+    for name in ["ident01", "ident02", "val01"] {
         let waits = dynocal(tmp.path(), &calibrate);
         let said = String::from_utf8(waits.stderr).unwrap();
         assert_eq!(waits.status.code(), Some(1), "{said}");
         assert!(said.contains("to be run on the bed"), "{said}");
+        std::fs::create_dir_all(&measured).unwrap();
         let from = format!("first/steps/01-excite/{name}.csv");
         done(tmp.path(), &["convert", &from, &format!("bed/measured/{name}.mf4"), "--quiet"]);
     }
     done(tmp.path(), &calibrate);
-    for name in ["ident01", "ident02", "valid01"] {
+    for name in ["ident01", "ident02", "val01"] {
         assert_eq!(record(tmp.path(), "bed", name), record(tmp.path(), "first", name), "{name}");
     }
     done(tmp.path(), &["convert", "bed/measured/ident01.mf4", "bed/measured/ident01.csv", "--quiet"]);

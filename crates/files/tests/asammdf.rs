@@ -149,3 +149,40 @@ fn conversions_to_words_and_unsorted_records_are_read() {
         }
     }
 }
+
+/// Peak memory of this process in MB.
+fn peak_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM"))?;
+    line.split_whitespace().nth(1)?.parse::<f64>().ok().map(|kb| kb / 1024.0)
+}
+
+/// One of 15 channels of 128 MB takes less than 20 MB, plain and compressed: the length of the file does not count. (Where the
+/// tests of this file run in one process, others may have taken the memory before; nextest gives each its own.)
+#[test]
+fn one_channel_is_read_in_little_memory() {
+    let Some(python) = python() else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    run(&python, "make_mdf_large.py", &[tmp.path()]);
+    for name in ["large_0.mf4", "large_2.mf4"] {
+        let path = tmp.path().join(name);
+        let before = peak_mb();
+        let source = open(&path, None, &ReadKeys::default()).unwrap();
+        let channel = source.groups()[0].channels.iter().position(|c| c.name == "c7").unwrap();
+        let mut row = 0u64;
+        source
+            .chunks(0, &[channel], &mut |chunk| {
+                let Cells::Number(v) = &chunk[0] else { panic!("words") };
+                for x in v {
+                    assert_eq!(*x, (row % 14) as f64, "row {row}");
+                    row += 1;
+                }
+                Ok(())
+            })
+            .unwrap();
+        assert_eq!(row, 1_000_000);
+        let Some((a, b)) = before.zip(peak_mb()) else { continue };
+        println!("{name}: peak memory grew by {:.1} MB", b - a);
+        assert!(b - a < 20.0, "{name}: peak memory grew by {:.1} MB", b - a);
+    }
+}

@@ -12,9 +12,11 @@ use crate::failure::{Exit, Failure};
 use crate::table;
 use crate::terminal::{print, say};
 
-pub(crate) const VERB: Verb = Verb { name: "compare", describe: |c| Compare::augment_args(c.about(ABOUT)), run };
+pub(crate) const VERB: Verb =
+    Verb { name: "compare", describe: |c| Compare::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Compare the maps of two files or runs (.dcm, .cdfx, .csv, .json, run folders of calibrate)";
+const ABOUT: &str =
+    "Compare the maps of two files or runs (.dcm, .cdfx, .csv, .json, run folders of calibrate)";
 
 #[derive(Args, Debug)]
 struct Compare {

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use dynocal_numerics::registry::MemberDoc;
-use falcon_mdf::{Channel, Mf4Error, Mf4File, Mf4Writer, Signal, SignalValues, ValueKind};
+use falcon_mdf::{Channel, Mf4Error, Mf4File, Mf4Writer, Signal, SignalValues, ValueKind, WriteCodec};
 
 use crate::atomic;
 use crate::error::FilesError;
@@ -165,6 +165,7 @@ fn write(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
     // No clock in results: equal data, equal bytes.
     let mut writer = Mf4Writer::with_start_time_ns(0);
     writer.set_compression(true);
+    writer.set_codec(WriteCodec::TransposedDeflate);
     for raster in rasters {
         let group = writer.add_group(&raster.time_s).map_err(fail)?;
         for c in &raster.columns {

@@ -11,7 +11,7 @@ use dynocal_design::problem::Convention;
 use dynocal_design::search::{FIRST_FREE_STREAM, Failure};
 use dynocal_files::FilesError;
 use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table_with};
-use dynocal_files::measurement::{self, ReadKeys};
+use dynocal_files::measurement;
 use dynocal_files::split::{self, Cut};
 use dynocal_ident::data::{DataError, Dataset, Role};
 use dynocal_ident::experiment::Experiment;

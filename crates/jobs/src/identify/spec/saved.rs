@@ -77,6 +77,8 @@ impl Job {
             }
         }
         self.saved = models;
+        // Nothing is estimated: nothing new could leave.
+        self.export = None;
         self
     }
 }
