@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use dynocal_calib::optimise::DemandFrom;
-use dynocal_files::dataset::{ChannelSpec, Layout, Missing, Select, Time, datasets, read_table};
+use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table};
 use dynocal_files::json;
 use dynocal_files::table::Table;
 use dynocal_ident::data::{Channel, Dataset, Role};
@@ -31,7 +31,7 @@ pub(super) struct Loaded {
 pub(super) fn load(job: &Job, watch: Watch) -> Result<Loaded, OptimiseJobError> {
     let models = job.models.iter().map(|f| model(f)).collect::<Result<Vec<_>, _>>()?;
     watch.note(&format!("reading {}", job.record.file.display()));
-    let record = record(job, &models)?;
+    let record = record(job, &models, watch)?;
     let mut loaded = Loaded { models, record, from_rest: Vec::new() };
     loaded.start_from_rest(job)?;
     Ok(loaded)
@@ -45,15 +45,11 @@ fn model(path: &Path) -> Result<Named, OptimiseJobError> {
 }
 
 /// The part of the record that is asked for: inputs and given channels, and the outputs that it has.
-fn record(job: &Job, models: &[Named]) -> Result<Dataset, OptimiseJobError> {
+fn record(job: &Job, models: &[Named], watch: Watch) -> Result<Dataset, OptimiseJobError> {
     let table = read_table(&job.record.file, None)?;
-    let layout = Layout {
-        channels: channels(job, &table),
-        time: time(job, models, &table),
-        trajectory: None,
-        init_samples: 0,
-        missing: Missing::Refuse,
-    };
+    table.notes.iter().for_each(|n| watch.note(n));
+    let layout =
+        Layout { channels: channels(job, &table), time: time(job, models, &table), ..Layout::default() };
     let file = job.record.file.display().to_string();
     let empty = || OptimiseJobError::Part { file: file.clone(), samples: 0, length_s: 0.0 };
     let whole = datasets(&table, &layout, &Select::All)?.into_iter().next().ok_or_else(empty)?;
