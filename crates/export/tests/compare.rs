@@ -1,5 +1,7 @@
 //! Two sets of maps beside each other: equal is equal in every format, and a difference is found wherever it is.
 
+#![allow(clippy::disallowed_methods)] // files of tests are written as they are
+
 mod common;
 
 use common::axis;
