@@ -185,7 +185,7 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt:
         found.parts = parts;
     }
     if failed(found.status) {
-        found.shortfalls = shortfall::shortfalls(setup, options, 0.0, interrupt);
+        found.shortfalls = shortfall::shortfalls(setup, options, found.status, 0.0, interrupt);
     }
     found
 }

@@ -139,7 +139,7 @@ impl Found {
     ) {
         if failed(status) && self.shortfalls.is_empty() {
             let before_s = range.start as f64 * slice.sample_time_s;
-            self.shortfalls = shortfalls(slice, options, before_s, interrupt);
+            self.shortfalls = shortfalls(slice, options, status, before_s, interrupt);
         }
     }
 

@@ -9,6 +9,7 @@
 
 use super::setup::Setup;
 use super::{Found, OptimiseOptions, batch};
+use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
 /// Weight of the objective proper beside the missing amounts: enough to decide where they leave a choice.
@@ -55,14 +56,22 @@ impl Shortfall {
 }
 
 /// Stretches in which the problem cannot be met, in the order of time; `before_s` is the time before its first sample.
+///
+/// A search that ended for another reason than that it found no way (`status`) says nothing about one: the objective is left
+/// out then, so that anything missing means that there is none. Where this search does not end either, nothing is said.
 pub(super) fn shortfalls(
     setup: &Setup<'_>,
     options: &OptimiseOptions,
+    status: Status,
     before_s: f64,
     interrupt: &dyn Fn() -> bool,
 ) -> Vec<Shortfall> {
-    let elastic = setup.elastic(1.0, OBJECTIVE_SHARE);
+    let share = if status == Status::Infeasible { OBJECTIVE_SHARE } else { 0.0 };
+    let elastic = setup.elastic(1.0, share);
     let found = batch(&elastic, options, interrupt);
+    if status != Status::Infeasible && !found.status.is_success() {
+        return Vec::new();
+    }
     let mut out = Vec::new();
     for asked in elastic.asked() {
         let missing: Vec<f64> = (0..elastic.samples)

@@ -21,14 +21,20 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
     let failed: Vec<_> = o.parts.iter().filter(|p| !p.status.is_success()).collect();
     let in_parts = o.parts.len() > 1 && o.parts.windows(2).all(|w| w[0].to_s <= w[1].from_s + 1e-9);
     if let (true, Some(first)) = (in_parts, failed.first()) {
+        let why = match first.status {
+            Status::Infeasible => format!(
+                "it cannot go on from what the seam at {} s leaves it, or its own end asks too much",
+                number(first.from_s)
+            ),
+            _ => "whether it has a solution is open".into(),
+        };
         out.push(format!(
-            "{} of {} parts have no solution of their own; the first one is that from {} to {} s ({}): it cannot go on from what the seam at {} s leaves it, or its own end asks too much.",
+            "{} of {} parts did not end at a solution; the first one is that from {} to {} s ({}): {why}.",
             failed.len(),
             o.parts.len(),
             number(first.from_s),
             number(first.to_s),
-            status(first.status),
-            number(first.from_s)
+            status(first.status)
         ));
     }
     out.extend(o.shortfalls.iter().take(SAID).map(|s| format!("{}.", capital(&s.sentence()))));
