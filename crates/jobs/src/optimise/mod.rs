@@ -1,6 +1,6 @@
 //! Optimisation over a record: stored models and a calibration problem in, a plan and what it costs out (thesis section 7.5).
 //!
-//! [`spec`] reads what the user wrote and checks it as a whole, [`load`] reads models and record, [`work`] optimises in memory,
+//! [`spec`] reads what the user wrote and checks it as a whole, `load` reads models and record, [`work`] optimises in memory,
 //! [`result`] is what comes out, [`words`] says it, [`page`] draws it, [`store`] writes the run folder with the plan as the
 //! player reads it.
 
