@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::process::ExitCode;
 
+use dynocal_files::spec::brief;
+
 use crate::terminal::say;
 
 /// Exit codes of every verb.
@@ -31,6 +33,18 @@ impl From<Exit> for ExitCode {
     }
 }
 
+/// Most lines of a message.
+const MOST_LINES: usize = 200;
+
+/// Says a message, long numbers and long lines cut: what a file holds may be as long as it likes, what is said of it not.
+fn said(text: &str) {
+    let lines: Vec<String> = text.lines().take(MOST_LINES).map(brief).collect();
+    say(&lines.join("\n"));
+    if text.lines().nth(MOST_LINES).is_some() {
+        say("  ..");
+    }
+}
+
 /// Why a verb could not do its work.
 #[derive(Debug)]
 pub(crate) struct Failure {
@@ -54,13 +68,13 @@ impl Failure {
     /// Prints error, causes and hint to standard error.
     pub(crate) fn print(&self) {
         let mut shown = self.error.to_string();
-        say(&format!("error: {shown}"));
+        said(&format!("error: {shown}"));
         let mut cause = self.error.source();
         while let Some(c) = cause {
             let text = c.to_string();
             // Messages that already contain their cause need not say it twice.
             if !shown.contains(&text) {
-                say(&format!("  because: {text}"));
+                said(&format!("  because: {text}"));
             }
             shown = text;
             cause = c.source();

@@ -395,3 +395,15 @@ impl Source for Whole {
         take(&cells)
     }
 }
+
+/// Most columns of a table.
+pub const MOST_COLUMNS: usize = 20_000;
+
+/// A table of so many columns is refused before anything is read of them.
+fn bounded(file: &str, format: &'static str, columns: usize) -> Result<(), FilesError> {
+    if columns <= MOST_COLUMNS {
+        return Ok(());
+    }
+    let reason = format!("found {columns} columns, expected at most {MOST_COLUMNS}");
+    Err(FilesError::Malformed { path: file.into(), format, reason })
+}

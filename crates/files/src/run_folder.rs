@@ -1,6 +1,7 @@
 //! The folder of a run.
 //!
 //! ```text
+//! OUT/measured/...             records of a bed, put there by its people; may be there before the run
 //! OUT/run.json                 which verb made it (so that a foreign folder is never overwritten)
 //! OUT/spec.json                the spec as understood
 //! OUT/steps/01-excite/...      files of a step; step.json is written last and says that it is finished
@@ -26,6 +27,9 @@ use crate::error::{FilesError, reason};
 use crate::json;
 
 const STEP_VERSION: u32 = 1;
+
+/// Folder of a run into which the records of a bed are put.
+pub const MEASURED: &str = "measured";
 
 /// FNV-1a digest of `bytes`, 128 bits as 32 hexadecimal digits (detects change, not malice).
 pub fn digest(bytes: &[u8]) -> String {
@@ -113,8 +117,13 @@ impl RunFolder {
             if m.tool != "dynocal" || m.kind != kind {
                 return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
             }
-        } else if let Some(entry) = fs::read_dir(path).ok().and_then(|mut d| d.next()).and_then(Result::ok) {
-            return Err(foreign(path, kind, &format!("it holds `{}`", entry.file_name().to_string_lossy())));
+        } else {
+            let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+            let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
+            // Records of a bed may be there before the first run.
+            if let Some(name) = names.filter(|n| n != MEASURED).min() {
+                return Err(foreign(path, kind, &format!("it holds `{name}`")));
+            }
         }
         let log = locked_log(path)?;
         sweep(path);
@@ -150,7 +159,7 @@ impl RunFolder {
         self.steps += 1;
         let label = format!("{:02}-{name}", self.steps);
         let folder = self.path.join("steps").join(&label);
-        let inputs_digest = digest_of(&(STEP_VERSION, env!("CARGO_PKG_VERSION"), name, inputs))?;
+        let inputs_digest = inputs_digest(name, inputs)?;
         if let Some(done) = earlier(&folder, &inputs_digest) {
             self.log(&format!("{label}: taken from the earlier run"))?;
             return Ok(done);
@@ -174,6 +183,21 @@ impl RunFolder {
         self.timing.push((label, start.elapsed().as_secs_f64()));
         self.write_timing()?;
         Ok(Done { result: record.result, digest: result_digest, folder, resumed: false })
+    }
+
+    /// The finished step `name` of an earlier run with the same `inputs`, if there is one. Like [`RunFolder::step`] it counts the
+    /// steps, so that the order of the calls is that of the steps.
+    ///
+    /// # Errors
+    /// [`FilesError`].
+    pub fn finished<T, I>(&mut self, name: &str, inputs: &I) -> Result<Option<Done<T>>, FilesError>
+    where
+        T: Serialize + DeserializeOwned,
+        I: Serialize + ?Sized,
+    {
+        self.steps += 1;
+        let folder = self.path.join("steps").join(format!("{:02}-{name}", self.steps));
+        Ok(earlier(&folder, &inputs_digest(name, inputs)?))
     }
 
     /// Appends a line to `log.txt`.
@@ -204,6 +228,10 @@ impl RunFolder {
             &serde_json::json!({ "unit": "s", "total": total, "steps": steps }),
         )
     }
+}
+
+fn inputs_digest<I: Serialize + ?Sized>(name: &str, inputs: &I) -> Result<String, FilesError> {
+    digest_of(&(STEP_VERSION, env!("CARGO_PKG_VERSION"), name, inputs))
 }
 
 fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {

@@ -42,21 +42,24 @@ impl fmt::Display for SpecError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let n = self.faults.len();
         write!(f, "{} has {n} fault{}", self.file, if n == 1 { "" } else { "s" })?;
-        for fault in &self.faults {
+        for fault in self.faults.iter().take(MOST_FAULTS) {
             write!(f, "\n  {}", self.file)?;
             if let Some(line) = fault.line {
                 write!(f, ":{line}")?;
             }
             write!(f, ": ")?;
             if !fault.key.is_empty() {
-                write!(f, "`{}`: ", fault.key)?;
+                write!(f, "`{}`: ", brief(&fault.key))?;
             }
             write!(f, "found {}, expected {}", fault.found, fault.expected)?;
             if let Some(near) = &fault.nearest {
                 write!(f, " (did you mean `{near}`?)")?;
             }
         }
-        Ok(())
+        match n.saturating_sub(MOST_FAULTS) {
+            0 => Ok(()),
+            more => write!(f, "\n  and {more} more"),
+        }
     }
 }
 
@@ -81,15 +84,19 @@ impl Faults {
         self.0.push(Fault {
             line: None,
             key: key.into(),
-            found: found.to_string(),
-            expected: expected.to_string(),
+            found: brief(&found.to_string()),
+            expected: brief(&expected.to_string()),
             nearest: None,
         });
     }
 
     /// Adds a fault of `key` whose value `found` is none of `known`.
     pub fn unknown(&mut self, key: &str, found: &str, known: &[String]) {
-        self.push(key, format!("`{found}`"), format!("one of {}", known.join(", ")));
+        let expected = match known {
+            [] => "nothing: there is nothing to choose from".to_string(),
+            _ => format!("one of {}", known.join(", ")),
+        };
+        self.push(key, format!("`{found}`"), expected);
         if let Some(fault) = self.0.last_mut() {
             fault.nearest = nearest(found, known);
         }
@@ -222,7 +229,7 @@ fn syntax_fault(text: &str, e: &toml::de::Error) -> Fault {
     Fault {
         line,
         key: String::new(),
-        found: format!("`{shown}`"),
+        found: brief(&format!("`{shown}`")),
         expected: format!("valid TOML ({})", e.message().replace('\n', ", ")),
         nearest: None,
     }
@@ -268,6 +275,7 @@ fn take_out(
     } else {
         (fault.found, fault.expected) = plain(message);
     }
+    (fault.found, fault.expected) = (brief(&fault.found), brief(&fault.expected));
     faults.0.push(fault);
     match place {
         Some(p) => {
@@ -279,6 +287,47 @@ fn take_out(
         }
         None => false,
     }
+}
+
+/// Digits of a number in a row from which on it is shortened, and most characters of a text in a message.
+const MOST_DIGITS: usize = 22;
+/// Most characters of what was found or expected.
+const MOST_SHOWN: usize = 2000;
+/// Most faults of a spec that are shown.
+const MOST_FAULTS: usize = 60;
+
+/// A text for a message: numbers of many digits as powers of ten, what is long cut in its middle.
+///
+/// ```
+/// use dynocal_files::spec::brief;
+/// assert_eq!(brief(&format!("found {}, expected 1", 1.5e300)), "found 1.500e300, expected 1");
+/// assert_eq!(brief(&format!("found {}", 2.25e-300)), "found 2.250e-300");
+/// assert_eq!(brief("0.00012 of 123456789"), "0.00012 of 123456789");
+/// assert!(brief(&"ab ".repeat(100_000)).chars().count() < 2500);
+/// ```
+pub fn brief(text: &str) -> String {
+    let mut out = String::with_capacity(text.len().min(2 * MOST_SHOWN));
+    let mut rest = text;
+    while let Some(at) = rest.find(|c: char| c.is_ascii_digit()) {
+        let (before, from) = rest.split_at(at);
+        out.push_str(before);
+        let end = from.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(from.len());
+        let (number, after) = from.split_at(end);
+        let digits = number.bytes().filter(u8::is_ascii_digit).count();
+        match number.parse::<f64>() {
+            Ok(v) if digits > MOST_DIGITS && v.is_finite() && v != 0.0 => out.push_str(&format!("{v:.3e}")),
+            _ => out.push_str(number),
+        }
+        rest = after;
+    }
+    out.push_str(rest);
+    let length = out.chars().count();
+    if length <= MOST_SHOWN {
+        return out;
+    }
+    let head: String = out.chars().take(2 * MOST_SHOWN / 3).collect();
+    let tail: String = out.chars().skip(length - MOST_SHOWN / 4).collect();
+    format!("{head} .. ({length} characters) .. {tail}")
 }
 
 /// What a reading fault says, in words for people: what was found and what was expected.
@@ -404,6 +453,11 @@ fn remove(table: &mut DeTable<'_>, path: &str) -> bool {
         },
         _ => false,
     }
+}
+
+/// Line (from 1) of a key in TOML text, or of the nearest table around it; none where the text is no TOML.
+pub fn line_of(text: &str, key: &str) -> Option<usize> {
+    line_of_key(text, DeTable::parse(text).ok()?.get_ref(), key)
 }
 
 /// Line of the key, or of the nearest table around it that is in the file.

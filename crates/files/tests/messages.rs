@@ -61,6 +61,17 @@ fn empty_files() {
     assert_eq!(e, "a.csv is empty: expected a header row and at least one row of data");
 }
 
+/// A table with more columns than anybody measures is refused before it is read, in time that grows with its length alone.
+#[test]
+fn a_hundred_thousand_columns_are_refused() {
+    let names: Vec<String> = (0..100_000).map(|k| format!("c{k}")).collect();
+    let text = format!("{}\n{}\n", names.join(","), vec!["1"; names.len()].join(","));
+    let e = csv_io::parse("a.csv", text.as_bytes()).unwrap_err().to_string();
+    assert!(e.contains("a.csv") && e.contains("found 100000 columns, expected at most 20000"), "{e}");
+    let few = format!("{}\n{}\n", names[..20_000].join(","), vec!["1"; 20_000].join(","));
+    assert_eq!(csv_io::parse("a.csv", few.as_bytes()).unwrap().columns.len(), 20_000);
+}
+
 #[test]
 fn wrong_unit() {
     let e = message("inj [ms],torque [Nm]\n1,2\n", sampled());

@@ -78,3 +78,36 @@ fn a_missing_documentation_is_noticed() {
     assert_eq!(of(silent, &[LO, HI]), 1);
     assert_eq!(of(refusal, &[LO, ParamDoc { name: "hi", unit: "", ..LO }]), 1);
 }
+
+/// The page of `calibrate` has every key of its spec.
+#[test]
+fn every_key_of_a_calibration_is_on_its_page() {
+    fn keys(value: &toml::Value, out: &mut Vec<String>) {
+        match value {
+            toml::Value::Table(t) => t.iter().for_each(|(k, v)| {
+                out.push(k.clone());
+                keys(v, out);
+            }),
+            toml::Value::Array(a) => a.iter().for_each(|v| keys(v, out)),
+            _ => {}
+        }
+    }
+    let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/calibrate.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let mut spec = toml::Table::try_from(dynocal_jobs::calibrate::spec::CalibrateSpec::default()).unwrap();
+    // Its channels are those of one problem; its keys are documented beside their type.
+    spec.insert("problem".into(), toml::Value::Table(toml::Table::new()));
+    let mut all = Vec::new();
+    keys(&toml::Value::Table(spec), &mut all);
+    // Absent by default.
+    all.extend(
+        ["gains", "trim", "demand", "given", "given_rate_per_s", "step", "step_given", "record"]
+            .map(str::to_string),
+    );
+    let named = |key: &String| {
+        let places = page.split('`').skip(1).step_by(2);
+        places.flat_map(|code| code.split(['.', ' ', ','])).any(|word| word == key)
+    };
+    let missing: Vec<&String> = all.iter().filter(|k| !named(k)).collect();
+    assert!(all.len() > 50 && missing.is_empty(), "{missing:?} of {}", all.len());
+}

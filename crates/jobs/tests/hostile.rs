@@ -11,7 +11,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::kinds;
 use dynocal_ident::prepare::{self, Planned, prepare};
 use dynocal_ident::{select, signal};
-use dynocal_jobs::{calibrate, design, identify, optimise, signal as signals};
+use dynocal_jobs::{calibrate, design, identify, optimise, sequential, signal as signals};
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -126,7 +126,17 @@ fn read(verb: &str, path: &Path) -> bool {
             // Models and record are read as far as that goes, and the plan states what it costs.
             !optimise::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_nan())
         }
-        _ => calibrate::job::read(path, None, out.as_deref()).is_ok(),
+        "sequential" => {
+            let overrides = dynocal_jobs::place::Overrides { seed: None, out };
+            let Ok(job) = sequential::spec::read(path, &overrides) else { return false };
+            sequential::estimate::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_finite())
+        }
+        _ => {
+            let Ok(campaign) = calibrate::job::read(path, None, out.as_deref()) else { return false };
+            let plan = calibrate::estimate::estimate(&campaign);
+            assert!(plan.memory_bytes.is_finite() && plan.operations.is_finite(), "{plan:?}");
+            true
+        }
     }
 }
 
@@ -142,6 +152,9 @@ fn examples() -> Vec<(&'static str, PathBuf)> {
         ("optimise", "optimise/fuel.toml"),
         ("calibrate", "gtdi/calibrate.toml"),
         ("calibrate", "gtdi/quick.toml"),
+        ("calibrate", "gtdi_2l/calibrate.toml"),
+        ("sequential", "sequential/spec.toml"),
+        ("identify", "steady/engine_points.toml"),
     ]
     .map(|(verb, file)| (verb, place.join(file)))
     .into()
@@ -242,6 +255,8 @@ fn families() -> Vec<(&'static str, Vec<MemberDoc>, Use)> {
         let Ok(step) = Planned::new(name, keys) else { return false };
         prepare(&[step], vec![record.clone()], &mut |_, _| ()).is_ok()
     });
+    let searches: Use = Box::new(|name, keys| dynocal_design::search::search(name, keys).is_ok());
+    let optimisers: Use = Box::new(|name, keys| dynocal_numerics::optim::optimiser(name, keys).is_ok());
     let criteria: Use = Box::new(|name, keys| dynocal_design::criterion::criterion(name, keys).is_ok());
     vec![
         ("signal", signal::docs(), signals),
@@ -249,6 +264,8 @@ fn families() -> Vec<(&'static str, Vec<MemberDoc>, Use)> {
         ("estimator", estimate::docs(), estimators),
         ("selection", select::docs(), selections),
         ("preparation", prepare::docs(), steps),
+        ("search", dynocal_design::search::SEARCHES.iter().map(|m| m.doc).collect(), searches),
+        ("optimiser", dynocal_numerics::optim::OPTIMISERS.iter().map(|m| m.doc).collect(), optimisers),
         ("criterion", dynocal_design::criterion::CRITERIA.iter().map(|m| m.doc).collect(), criteria),
     ]
 }
@@ -275,4 +292,70 @@ fn no_value_of_any_key_of_a_table_ends_in_a_panic() {
     }
     assert!(tried > 1000, "{tried}");
     assert!(faults.is_empty(), "{} of {tried}:\n{}", faults.len(), faults.join("\n"));
+}
+
+/// Every key of the embedded parameter sets and of a bed's file: refused with file, line and key, or an engine that can be built and
+/// driven. Values that no engine has are none of the accepted ones.
+#[test]
+fn no_value_of_any_parameter_of_an_engine_ends_in_a_panic() {
+    use dynocal_ident::plant::Plant;
+    let tmp = tempfile::tempdir().unwrap();
+    let path = tmp.path().join("engine.toml");
+    let (mut faults, mut tried, mut taken, mut driven, mut lines) = (Vec::new(), 0, Vec::new(), 0, 0);
+    for set in dynocal_plant::params::PARAMETER_SETS {
+        let root: Table = set.text.parse().unwrap();
+        let mut all = Vec::new();
+        ways(&Value::Table(root.clone()), &[], &mut all);
+        for way in all {
+            for value in hostile() {
+                let Ok(text) = toml::to_string(&changed(&root, &way, value.as_ref())) else { continue };
+                dynocal_files::atomic::write(&path, text.as_bytes()).unwrap();
+                tried += 1;
+                let name = path.to_str().unwrap();
+                let read = catch_unwind(AssertUnwindSafe(|| dynocal_plant::plants::parameters(name)));
+                let params = match read {
+                    Ok(Ok(params)) => params,
+                    Ok(Err(e)) => {
+                        let text = e.to_string();
+                        lines += usize::from(text.contains("line "));
+                        if !text.contains("engine.toml") || text.len() > 4000 {
+                            faults.push(format!("{}: {way:?} = {value:?}: {text:.300}", set.doc.name));
+                        }
+                        continue;
+                    }
+                    Err(_) => {
+                        faults.push(format!("{}: {way:?} = {value:?} panics", set.doc.name));
+                        continue;
+                    }
+                };
+                let huge = matches!(value, Some(Value::Float(v)) if v.abs() > 1e300);
+                if huge {
+                    faults.push(format!("{}: {way:?} = {value:?} is an engine", set.doc.name));
+                }
+                taken.push((set.doc.name, way.clone(), params));
+            }
+        }
+    }
+    // A sample of what was taken is built and driven.
+    for (set, way, params) in taken.iter().step_by(23) {
+        let built = catch_unwind(AssertUnwindSafe(|| {
+            let settings = dynocal_plant::bed::BedSettings::of_set(set, params).ok()?;
+            let mut bed = dynocal_plant::bed::EngineBed::new(params, settings).ok()?;
+            let start: Vec<f64> = bed
+                .variables()
+                .iter()
+                .filter(|v| v.causality == dynocal_ident::plant::Causality::Input)
+                .map(|v| v.start)
+                .collect();
+            let mut y = vec![0.0; bed.variables().len() - start.len()];
+            (0..3).try_for_each(|_| bed.step(&start, 0.03, &mut y)).ok()
+        }));
+        driven += usize::from(matches!(built, Ok(Some(()))));
+        if built.is_err() {
+            faults.push(format!("{set}: {way:?}: building or driving panics"));
+        }
+    }
+    println!("{tried} sets, {} taken, {driven} of a sample driven, {lines} refused with a line", taken.len());
+    assert!(faults.is_empty(), "{} of {tried}:\n{}", faults.len(), faults[..faults.len().min(60)].join("\n"));
+    assert!(taken.len() < tried / 4 && driven > 0, "{} of {tried}", taken.len());
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// Lowest first.
 const ORDER: &[&str] = &[
-    "error", "finding", "spec", "before", "gaps", "fit", "load", "set", "bounds", "curves", "after",
+    "error", "finding", "spec", "before", "gaps", "fit", "load", "set", "bounds", "poles", "curves", "after",
     "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job", "page",
 ];
 

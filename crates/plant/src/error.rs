@@ -35,6 +35,14 @@ pub enum PlantError {
         /// Which parameter and its range.
         source: Box<PlantError>,
     },
+    /// A file with parameters has a fault.
+    #[error("{file}: {source}")]
+    ParameterFile {
+        /// File.
+        file: String,
+        /// Line, parameter, what is allowed.
+        source: Box<PlantError>,
+    },
     /// No embedded parameter set has that name.
     #[error("no parameter set `{found}`: expected one of {known}, or a TOML file")]
     ParameterSet {
@@ -54,7 +62,7 @@ pub enum PlantError {
         expected: String,
     },
     /// The parameter text is not valid TOML for [`crate::params::EngineParams`].
-    #[error("engine parameter file: {0}")]
+    #[error("engine parameters: {}", .0.to_string().trim_end())]
     Toml(#[from] Box<toml::de::Error>),
     /// An input is not finite or outside the box of the engine.
     #[error("input `{name}` = {found} {unit}: expected {low}..{high} {unit}")]

@@ -184,6 +184,7 @@ pub fn parameters(name: &str) -> Result<EngineParams, EngineError> {
         expected: format!("a file that can be read ({e})"),
     })?;
     EngineParams::from_toml(&text)
+        .map_err(|e| EngineError::ParameterFile { file: name.into(), source: Box::new(e) })
 }
 
 fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, PlantError> {

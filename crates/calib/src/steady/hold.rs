@@ -2,7 +2,7 @@
 
 use dynocal_ident::plan::Plan;
 use dynocal_ident::plant::{LimitEvent, Plant};
-use dynocal_ident::play::{Course, PlayError, Reason, Stop, Watchdog, play};
+use dynocal_ident::play::{self, Course, Oscillation, PlayError, Reason, Stop, Watchdog};
 use serde::{Deserialize, Serialize};
 
 /// When a point counts as settled, and for how long it is averaged.
@@ -39,8 +39,10 @@ pub struct Held {
     pub outputs: Vec<f64>,
     /// Mean errors of the resting outputs, measured less demanded.
     pub errors: Vec<f64>,
-    /// Whether the means stopped drifting within the time.
+    /// Whether the means stopped drifting within the time, and no loop oscillates.
     pub settled: bool,
+    /// A loop that swings: its means are no point of rest.
+    pub oscillation: Option<Oscillation>,
     /// Bed time in s.
     pub used_s: f64,
 }
@@ -149,7 +151,7 @@ pub fn hold(
     let n = samples(spec.average_s);
     let mut rest =
         Rest { outputs, places: Vec::new(), window: samples(spec.window_s).max(2), more: n, left: None };
-    let played = play(plant, plan, &mut rest)?;
+    let played = play::play(plant, plan, &mut rest)?;
     if let Some(stop) = played.stop.as_ref().filter(|s| s.reason != Reason::Still) {
         return Err(PlayError::Ended {
             plan: plan.name.clone(),
@@ -166,5 +168,10 @@ pub fn hold(
     let inputs = plan.channels.iter().map(|c| mean(&c.name)).collect::<Result<_, _>>()?;
     let means = plan.outputs.iter().map(|o| mean(o)).collect::<Result<_, _>>()?;
     let errors = outputs.iter().map(|o| Ok(mean(&o.output)? - o.demand)).collect::<Result<_, PlayError>>()?;
-    Ok(Held { inputs, outputs: means, errors, settled: rest.left.is_some(), used_s: played.used_s })
+    let mut oscillation = None;
+    for l in plan.loops.iter().filter(|l| l.closed) {
+        oscillation = oscillation.or(play::oscillation(record, l)?);
+    }
+    let settled = rest.left.is_some() && oscillation.is_none();
+    Ok(Held { inputs, outputs: means, errors, settled, oscillation, used_s: played.used_s })
 }

@@ -130,8 +130,14 @@ mod tests {
         let free = [FreeInput { place: 0, range: (-2.0, 4.0) }, FreeInput { place: 2, range: (0.0, 10.0) }];
         let mut measure = |u: &[f64]| {
             let (a, b) = (u[0] - 1.0, u[2] - 6.0);
-            let held =
-                Held { inputs: u.to_vec(), outputs: vec![], errors: vec![], settled: true, used_s: 1.0 };
+            let held = Held {
+                inputs: u.to_vec(),
+                outputs: vec![],
+                errors: vec![],
+                settled: true,
+                oscillation: None,
+                used_s: 1.0,
+            };
             Ok(Setting { held, cost: a * a + 0.3 * b * b + 0.2 * a * b })
         };
         let spec = SearchSpec { tolerance: 0.02, sweeps: 6, ..SearchSpec::default() };

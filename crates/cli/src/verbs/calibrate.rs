@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::estimate::estimate;
 use dynocal_jobs::calibrate::run::STEPS;
 
 use super::Verb;
 use dynocal_jobs::calibrate::job::{self, Campaign, Finished};
 use dynocal_jobs::calibrate::store;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::terminal::{print, say};
 use crate::failure::{Exit, Failure, exit};
 
@@ -25,15 +26,22 @@ struct Calibrate {
     #[arg(long, value_name = "STEP", value_parser = clap::builder::PossibleValuesParser::new(STEPS))]
     until: Option<String>,
     #[command(flatten)]
+    plan: Check,
+    #[command(flatten)]
     common: Common,
 }
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Calibrate::from_arg_matches(matches)?;
-    let until = args.until.as_deref().unwrap_or(STEPS[STEPS.len() - 1]);
     let own = args.until.as_ref().and_then(|name| STEPS.iter().position(|s| s == name));
     let progress = args.common.start()?;
     let campaign = job::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
+    let plan = estimate(&campaign);
+    if args.plan.check {
+        return show_plan(&plan);
+    }
+    plan.allowed()?;
+    let until = args.until.as_deref().unwrap_or_else(|| job::last_step(&campaign.spec));
     match progress.during(|watch| job::run(&campaign, until, watch)) {
         Ok(done) => {
             show(&args.common, &campaign, &done, own)?;

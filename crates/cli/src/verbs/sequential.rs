@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::sequential::{run as play, spec};
+use dynocal_jobs::sequential::{estimate::estimate, run as play, spec};
 use dynocal_report::significant;
 
 use super::Verb;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::failure::{Exit, Failure, exit};
 use crate::table;
 use crate::terminal::{print, say};
@@ -22,6 +22,8 @@ struct Sequential {
     /// Spec of the campaign (TOML, docs/sequential.md)
     spec: PathBuf,
     #[command(flatten)]
+    plan: Check,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -29,6 +31,11 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Sequential::from_arg_matches(matches)?;
     let progress = args.common.start()?;
     let job = spec::read(&args.spec, &args.common.overrides())?;
+    let plan = estimate(&job)?;
+    if args.plan.check {
+        return show_plan(&plan);
+    }
+    plan.allowed()?;
     let (found, folder) = progress.during(|watch| play(&job, watch))?;
     for warning in &found.warnings {
         say(&format!("warning: {warning}"));

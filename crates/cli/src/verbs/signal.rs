@@ -52,8 +52,8 @@ struct Signal {
 enum ArgumentError {
     #[error("--keys {found}: expected KEY=VALUE, e.g. hold_s=3{reason}")]
     Key { found: String, reason: String },
-    #[error("--{flag} is missing: expected {expected}")]
-    Missing { flag: &'static str, expected: &'static str },
+    #[error("{} missing", .0.join(" and "))]
+    Missing(Vec<&'static str>),
     #[error("--{flag} {found}: expected {expected}")]
     Value { flag: &'static str, found: String, expected: String },
 }
@@ -86,9 +86,14 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 
 /// One channel from the arguments.
 fn one(args: &Signal) -> Result<Job, Failure> {
-    let given = |flag, value: Option<f64>, expected| value.ok_or(ArgumentError::Missing { flag, expected });
-    let sample_time_s = given("sample-time-s", args.sample_time_s, "the sample time in s")?;
-    let length_s = given("length-s", args.length_s, "the length in s")?;
+    let (Some(sample_time_s), Some(length_s)) = (args.sample_time_s, args.length_s) else {
+        let asked = [
+            ("--sample-time-s (the sample time in s) is", args.sample_time_s),
+            ("--length-s (the length in s) is", args.length_s),
+        ];
+        let missing = asked.into_iter().filter(|(_, given)| given.is_none()).map(|(name, _)| name);
+        return Err(ArgumentError::Missing(missing.collect()).into());
+    };
     let keys = keys(&args.keys)?;
     signal(&args.name, &keys)
         .map_err(|e| Failure::from(e).hint("`dynocal list signals` shows the keys of every signal"))?;

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches, ValueEnum};
 use dynocal_ident::model::initial::Initial;
+use dynocal_jobs::simulate::work::estimate;
 use dynocal_jobs::simulate::{Job, Simulated, run as simulate, spec};
 use dynocal_report::significant;
 
 use super::Verb;
-use crate::common::Common;
+use crate::common::{Check, Common, show_plan};
 use crate::failure::{Exit, Failure, exit};
 use crate::table;
 use crate::terminal::{print, say};
@@ -35,6 +36,8 @@ struct Simulate {
     /// Samples at the start of every record that only initialise
     #[arg(long, value_name = "N")]
     init_samples: Option<usize>,
+    #[command(flatten)]
+    plan: Check,
     #[command(flatten)]
     common: Common,
 }
@@ -67,6 +70,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
             Job { start, init_samples: args.init_samples.unwrap_or(0), ..job }
         }
     };
+    if args.plan.check {
+        return show_plan(&estimate(&job)?);
+    }
     let (found, folder) = progress.during(|watch| simulate(&job, watch))?;
     for warning in &found.warnings {
         say(&format!("warning: {warning}"));

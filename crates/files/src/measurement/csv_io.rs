@@ -5,6 +5,7 @@
 //! a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a clock become seconds, columns of
 //! `On` and `Off` become 1 and 0; both are told in a note.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
@@ -18,7 +19,7 @@ use crate::atomic;
 use crate::error::{FilesError, reason};
 use crate::measurement::csv_cells;
 use crate::measurement::csv_dialect::{self, CsvKeys, Dialect};
-use crate::measurement::{Raster, Reader, Whole};
+use crate::measurement::{self, Raster, Reader, Whole};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::units;
 
@@ -164,7 +165,9 @@ fn below(column: &mut Column, cell: &[u8]) {
 }
 
 fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
+    measurement::bounded(file, "CSV", cells.len())?;
     let mut columns: Vec<Column> = Vec::with_capacity(cells.len());
+    let mut names = BTreeSet::new();
     for cell in cells {
         let (name, unit) = units::split_header(&String::from_utf8_lossy(cell));
         let unit = match unit {
@@ -173,7 +176,7 @@ fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
                 .or_else(|| units::from_suffix(&name).map(str::to_string))
                 .map(|u| (u, UnitSource::Suffix)),
         };
-        if columns.iter().any(|c| c.name == name) {
+        if !names.insert(name.clone()) {
             return Err(FilesError::DuplicateColumn { path: file.into(), column: name });
         }
         columns.push(Column { name, unit, cells: Cells::Number(Vec::new()) });

@@ -1,13 +1,16 @@
 //! Parquet (zstd, snappy, gzip or plain pages), flat columns: float32, float64, signed and unsigned integers,
-//! booleans and text. Key-value metadata `unit:NAME` gives the unit of a column, beside `NAME [unit]` and suffixes.
+//! booleans, text, and time stamps (dates, clocks) as seconds since the first. Page checksums are verified. Key-value metadata `unit:NAME` gives the unit of a column, beside `NAME [unit]` and suffixes.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
 
 use dynocal_ident::data::Dataset;
 use dynocal_numerics::registry::MemberDoc;
-use parquet::basic::{Compression, ConvertedType, LogicalType, Repetition, Type as Physical, ZstdLevel};
+use parquet::basic::{
+    Compression, ConvertedType, LogicalType, Repetition, TimeUnit, Type as Physical, ZstdLevel,
+};
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use parquet::data_type::{ByteArray, DataType, DoubleType};
 use parquet::errors::ParquetError;
@@ -18,8 +21,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{ColumnDescriptor, Type};
 
 use crate::error::{FilesError, reason};
-use crate::measurement::csv_io;
-use crate::measurement::{Raster, Reader, Whole};
+use crate::measurement::{self, Raster, Reader, Whole, csv_io};
 use crate::table::{Cells, Column, Table, UnitSource};
 use crate::{atomic, units};
 
@@ -59,7 +61,10 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
         let key = format!("unit:{name}");
         metadata?.iter().find(|kv| kv.key == key)?.value.as_deref().map(units::normalise)
     };
-    let mut columns = Vec::with_capacity(schema.num_columns());
+    measurement::bounded(&file, "Parquet", schema.num_columns())?;
+    let mut columns: Vec<Column> = Vec::with_capacity(schema.num_columns());
+    let mut names = BTreeSet::new();
+    let mut notes = Vec::new();
     for k in 0..schema.num_columns() {
         let descr = schema.column(k);
         let raw = descr.path().string();
@@ -69,6 +74,9 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
             Some(u) => Some((u, UnitSource::Bracket)),
             None => units::from_suffix(&name).map(|u| (u.to_string(), UnitSource::Suffix)),
         };
+        if !names.insert(name.clone()) {
+            return Err(FilesError::DuplicateColumn { path: file, column: name });
+        }
         let mut cells = Grow::default();
         for g in 0..reader.num_row_groups() {
             let group = reader.get_row_group(g).map_err(malformed)?;
@@ -77,12 +85,23 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
             let column = group.get_column_reader(k).map_err(malformed)?;
             cells.read(column, rows, &descr).map_err(malformed)?;
         }
+        // Stamps have their unit from the type, whatever a name or its suffix says.
+        let stamped = Stamps::of(&descr).map(|s| (s, cells.first));
+        let unit = if stamped.is_some() { Some(("s".into(), UnitSource::Bracket)) } else { unit };
+        if let Some((s, first)) = stamped {
+            let from =
+                if s.absolute { format!(", {} since 1970", first.unwrap_or(0)) } else { String::new() };
+            notes.push(format!(
+                "column `{name}`: {} in {} as seconds since its first value{from}",
+                s.what, s.unit
+            ));
+        }
         columns.push(Column { name, unit, cells: cells.finish() });
     }
     if columns.first().is_none_or(|c| c.cells.is_empty()) {
         return Err(empty());
     }
-    Ok(Table { file, columns, lines: Vec::new(), notes: Vec::new() })
+    Ok(Table { file, columns, lines: Vec::new(), notes })
 }
 
 /// The library asserts what a broken file does not keep: where a column lies is checked before it is asked.
@@ -125,11 +144,45 @@ fn check_type(file: &str, name: &str, descr: &ColumnDescriptor) -> Result<(), Fi
     }
 }
 
+/// A column of instants or times of day: whole numbers whose unit stands in the type.
+#[derive(Clone, Copy)]
+struct Stamps {
+    what: &'static str,
+    unit: &'static str,
+    second: f64,
+    absolute: bool,
+}
+
+impl Stamps {
+    fn of(descr: &ColumnDescriptor) -> Option<Self> {
+        let scale = |unit: &TimeUnit| match unit {
+            TimeUnit::MILLIS => ("ms", 1e3),
+            TimeUnit::MICROS => ("us", 1e6),
+            TimeUnit::NANOS => ("ns", 1e9),
+        };
+        let (what, (unit, second), absolute) = match (descr.logical_type_ref(), descr.converted_type()) {
+            (Some(LogicalType::Timestamp(t)), _) => ("time stamps", scale(&t.unit), true),
+            (Some(LogicalType::Time(t)), _) => ("a clock", scale(&t.unit), false),
+            (Some(LogicalType::Date), _) | (None, ConvertedType::DATE) => {
+                ("dates", ("days", 1.0 / 86400.0), true)
+            }
+            (None, ConvertedType::TIMESTAMP_MILLIS) => ("time stamps", ("ms", 1e3), true),
+            (None, ConvertedType::TIMESTAMP_MICROS) => ("time stamps", ("us", 1e6), true),
+            (None, ConvertedType::TIME_MILLIS) => ("a clock", ("ms", 1e3), false),
+            (None, ConvertedType::TIME_MICROS) => ("a clock", ("us", 1e6), false),
+            _ => return None,
+        };
+        Some(Self { what, unit, second, absolute })
+    }
+}
+
 /// A column while its row groups are read.
 #[derive(Default)]
 struct Grow {
     numbers: Vec<f64>,
     text: Option<Vec<String>>,
+    /// First stamp, in its unit.
+    first: Option<i64>,
 }
 
 impl Grow {
@@ -141,6 +194,13 @@ impl Grow {
     ) -> Result<(), ParquetError> {
         let unsigned = matches!(descr.logical_type_ref(), Some(LogicalType::Integer(i)) if !i.is_signed)
             || matches!(descr.converted_type(), ConvertedType::UINT_32 | ConvertedType::UINT_64);
+        if let Some(stamps) = Stamps::of(descr) {
+            return match column {
+                ColumnReader::Int64ColumnReader(r) => self.stamps(r, rows, stamps, |x| *x),
+                ColumnReader::Int32ColumnReader(r) => self.stamps(r, rows, stamps, |x| i64::from(*x)),
+                _ => Err(ParquetError::General("time stamps that are no whole numbers".into())),
+            };
+        }
         match column {
             ColumnReader::DoubleColumnReader(r) => self.numbers(r, rows, |x| *x),
             ColumnReader::FloatColumnReader(r) => self.numbers(r, rows, |x| f64::from(*x)),
@@ -172,6 +232,23 @@ impl Grow {
     ) -> Result<(), ParquetError> {
         self.numbers.reserve(rows);
         each(reader, rows, |v: Option<&T::T>| self.numbers.push(v.map_or(f64::NAN, &convert)))
+    }
+
+    /// Seconds since the first one: as whole numbers they are subtracted exactly, as seconds since 1970 they would lose digits.
+    fn stamps<T: DataType>(
+        &mut self,
+        reader: ColumnReaderImpl<T>,
+        rows: usize,
+        stamps: Stamps,
+        whole: impl Fn(&T::T) -> i64,
+    ) -> Result<(), ParquetError> {
+        self.numbers.reserve(rows);
+        each(reader, rows, |v: Option<&T::T>| {
+            let v = v.map(&whole);
+            self.first = self.first.or(v);
+            let since = v.zip(self.first).map(|(v, first)| v.saturating_sub(first) as f64 / stamps.second);
+            self.numbers.push(since.unwrap_or(f64::NAN));
+        })
     }
 
     fn finish(self) -> Cells {

@@ -1,19 +1,35 @@
 //! Whether a loop oscillates in a record.
 //!
 //! In every stretch of constant demand, its first quarter left to settle, the error e = d - y without mean and trend has the
-//! autocorrelation r(k). A loop in a limit cycle (or so poorly damped that noise keeps it going) shows all of these:
+//! autocorrelation r(k) and the periodogram p(f). A loop in a limit cycle (or so poorly damped that noise keeps it going) shows
+//! this:
 //!
 //! ```text
-//! regular    (1/3) mean(T) / sd(T) > 1 over the intervals T between zero crossings of r     regularity
-//! sustained  r(P) >= 0.5 one period P later, and rms of e in the last third >= half of that in the first
+//! sustained  rms of e in the last third >= half of that in the first
 //! its own    the input moves with it: |corr(e, u)| >= 0.5 at some lag within a period
+//!
+//! and, as a steady wave,
+//! regular    (1/3) mean(T) / sd(T) > 1 over the intervals T between zero crossings of r     regularity
+//!            r(P) >= 0.5 one period P later
 //! visible    amplitude sqrt(2) sd(e) >= 2 % of the demand
+//!
+//! or, as a swing of changing size,
+//! narrow     sum of p from f/1.6 to 1.6 f >= 0.7 of all, at least six periods 1/f
+//! large      amplitude >= 10 % of the demand
 //! ```
+//!
+//! Where the demand keeps changing, the whole record is looked at for a swing whose period is shorter than 0.7 of the time
+//! between two changes: what is slower the demand may have made.
+//!
+//! Noise: white noise has at most 0.61 of its power in such a band, and the error of a second-order loop with a damping of 0.3
+//! about 0.65.
 //!
 //! N. F. Thornhill, B. Huang, H. Zhang, J. Process Control 13 (2003) 91-100, for the zero crossings of the autocorrelation:
 //! they stay regular where noise spoils those of the signal.
 
 use serde::{Deserialize, Serialize};
+
+use dynocal_numerics::fft::RealDft;
 
 use crate::data::{DataError, Dataset, runs};
 use crate::plan::{PlanLoop, demand_name};
@@ -35,7 +51,7 @@ pub struct Oscillation {
     pub amplitude: f64,
     /// Amplitude of the input, in its unit.
     pub input_amplitude: f64,
-    /// Autocorrelation one period later: 1 for a pure oscillation.
+    /// Autocorrelation one period later: 1 for a pure wave.
     pub sustained: f64,
 }
 
@@ -51,36 +67,61 @@ impl std::fmt::Display for Oscillation {
 
 /// Least samples of a stretch.
 const SHORTEST: usize = 40;
-/// Least autocorrelation one period later, and least correlation with the input.
+/// Least autocorrelation of a wave one period later.
 const SUSTAINED: f64 = 0.5;
-/// Least amplitude as a share of the demand: what is below is ripple.
+/// Least correlation with the input.
+const TOGETHER: f64 = 0.5;
+/// Least amplitude of a wave as a share of the demand: what is below is ripple.
 const VISIBLE: f64 = 0.02;
 
-/// The largest oscillation of a closed loop in a record with the demand of its output; none where it is quiet, or where no
-/// stretch of constant demand is long enough to tell (four periods).
+/// Least amplitude of a swing as a share of the demand, least share of its power in the band, half width of the band as a factor,
+/// and least periods.
+const LARGE: f64 = 0.1;
+const NARROW: f64 = 0.7;
+const BAND: f64 = 1.6;
+const PERIODS: usize = 6;
+/// Longest period of a swing, as a share of the time between two changes of the demand.
+const FASTER: f64 = 0.7;
+
+/// The largest oscillation of a closed loop in a record with the demand of its output; none where it is quiet, or where nothing is
+/// long enough to tell (four periods of a wave, six of a swing).
 ///
 /// # Errors
 /// [`DataError::NoChannel`] when the record lacks the output, its demand or the input.
 pub fn oscillation(record: &Dataset, closed: &PlanLoop) -> Result<Option<Oscillation>, DataError> {
     let demand = record.values(&demand_name(&closed.output))?;
     let (y, u) = (record.values(&closed.output)?, record.values(&closed.input)?);
-    let dt = record.sample_time_s;
-    let mut largest: Option<Oscillation> = None;
     // A stretch is where the demand is that of the sample before.
-    for stretch in runs(demand.len(), |t| t > 0 && demand[t] == demand[t - 1]) {
-        let from = stretch.from + stretch.samples() / 4;
-        if stretch.to - from < SHORTEST {
-            continue;
-        }
-        let error: Vec<f64> = (from..stretch.to).map(|t| demand[t] - y[t]).collect();
-        let Some(found) = regular(&detrended(&error), &detrended(&u[from..stretch.to])) else { continue };
-        let visible = found.amplitude >= VISIBLE * demand[from].abs() && found.amplitude > 0.0;
-        if visible && largest.as_ref().is_none_or(|l| l.amplitude < found.amplitude) {
+    let stretches = runs(demand.len(), |t| t > 0 && demand[t] == demand[t - 1]);
+    let mut lengths: Vec<usize> = stretches.iter().map(|s| s.samples()).collect();
+    lengths.sort_unstable();
+    let middle = lengths.get(lengths.len() / 2).map_or(0.0, |n| (n + 1) as f64);
+    let looks = stretches
+        .iter()
+        .map(|s| Look { from: s.from + s.samples() / 4, to: s.to, waves: true, longest: f64::INFINITY })
+        .chain((stretches.len() > 1).then(|| Look {
+            from: stretches[0].samples() / 4,
+            to: demand.len(),
+            waves: false,
+            longest: FASTER * middle,
+        }));
+    let mut largest: Option<Oscillation> = None;
+    for look in looks.filter(|l| l.to >= l.from + SHORTEST) {
+        let place = look.from..look.to;
+        let error: Vec<f64> = place.clone().map(|t| demand[t] - y[t]).collect();
+        let size = demand[place.clone()].iter().map(|d| d.abs()).sum::<f64>() / place.len() as f64;
+        let (e, u) = (detrended(&error), detrended(&u[place]));
+        let wave = if look.waves { regular(&e, &u) } else { None };
+        let wave = wave.filter(|w| w.amplitude >= VISIBLE * size);
+        let found = wave.or_else(|| swing(&e, &u, look.longest).filter(|s| s.amplitude >= LARGE * size));
+        let Some(found) = found.filter(|f| f.amplitude > 0.0) else { continue };
+        if largest.as_ref().is_none_or(|l| l.amplitude < found.amplitude) {
+            let dt = record.sample_time_s;
             largest = Some(Oscillation {
                 output: closed.output.clone(),
                 input: closed.input.clone(),
-                from_s: from as f64 * dt,
-                to_s: stretch.to as f64 * dt,
+                from_s: look.from as f64 * dt,
+                to_s: look.to as f64 * dt,
                 period_s: found.period * dt,
                 amplitude: found.amplitude,
                 input_amplitude: found.input_amplitude,
@@ -89,6 +130,16 @@ pub fn oscillation(record: &Dataset, closed: &PlanLoop) -> Result<Option<Oscilla
         }
     }
     Ok(largest)
+}
+
+/// A part of a record that is looked at.
+struct Look {
+    from: usize,
+    to: usize,
+    /// Whether for waves as well as for swings.
+    waves: bool,
+    /// Longest period in samples.
+    longest: f64,
 }
 
 struct Regular {
@@ -124,16 +175,50 @@ fn regular(e: &[f64], u: &[f64]) -> Option<Regular> {
     // Neighbours, because a period is no whole number of samples.
     let sustained =
         (one.saturating_sub(1)..=one + 1).filter_map(|k| curve.get(k)).fold(-1.0, |a: f64, b| a.max(*b));
-    let thirds = (mean_square(&e[..n / 3]), mean_square(&e[n - n / 3..]));
-    let lasts = thirds.1 >= 0.25 * thirds.0;
-    let together = |k: usize| (covariance(e, u, k).abs()).max(covariance(u, e, k).abs());
-    let with_input = (0..=one.min(n / 2)).map(together).fold(0.0, f64::max) / (power * input_power).sqrt();
-    let holds = mean > 3.0 * spread && sustained >= SUSTAINED && lasts && with_input >= SUSTAINED;
+    let holds = mean > 3.0 * spread && sustained >= SUSTAINED && goes_on(e, u, one);
     holds.then(|| Regular {
         period,
         amplitude: (2.0 * power).sqrt(),
         input_amplitude: (2.0 * input_power).sqrt(),
         sustained: sustained.min(1.0),
+    })
+}
+
+/// Whether e does not decay, and moves with u within `one` samples.
+fn goes_on(e: &[f64], u: &[f64], one: usize) -> bool {
+    let n = e.len();
+    let thirds = (mean_square(&e[..n / 3]), mean_square(&e[n - n / 3..]));
+    let together = |k: usize| (covariance(e, u, k).abs()).max(covariance(u, e, k).abs());
+    let scale = (mean_square(e) * mean_square(u)).sqrt();
+    let with_input = (0..=one.min(n / 2)).map(together).fold(0.0, f64::max) / scale;
+    thirds.1 >= 0.25 * thirds.0 && with_input >= TOGETHER
+}
+
+/// Most of the power in a narrow band about a period of at most `longest` samples.
+fn swing(e: &[f64], u: &[f64], longest: f64) -> Option<Regular> {
+    let n = e.len();
+    let power: Vec<f64> = RealDft::new(n).transform(e).iter().map(|c| c.norm_sqr()).collect();
+    let mut sums = vec![0.0; power.len()];
+    (1..power.len()).for_each(|k| sums[k] = sums[k - 1] + power[k]);
+    let total = *sums.last()?;
+    let last = power.len() - 1;
+    let share = |k: usize| {
+        let low = (k as f64 / BAND).ceil() as usize;
+        let high = ((k as f64 * BAND) as usize).min(last);
+        (sums[high] - sums[low - 1]) / total
+    };
+    let slowest = PERIODS.max((n as f64 / longest).ceil() as usize);
+    let best = (slowest..=last).max_by(|a, b| share(*a).total_cmp(&share(*b)))?;
+    let period = n as f64 / best as f64;
+    let one = period.round() as usize;
+    if !(total > 0.0 && share(best) >= NARROW && goes_on(e, u, one)) {
+        return None;
+    }
+    Some(Regular {
+        period,
+        amplitude: (2.0 * mean_square(e)).sqrt(),
+        input_amplitude: (2.0 * mean_square(u)).sqrt(),
+        sustained: covariance(e, e, one.min(n - 1)) / mean_square(e),
     })
 }
 

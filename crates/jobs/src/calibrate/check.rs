@@ -64,11 +64,19 @@ fn loops(s: &CalibrateSpec, faults: &mut Faults) {
             );
         }
         driven.push(&l.input);
-        let gains = [l.gains.ki, l.gains.kp, l.trim().ki, l.trim().kp];
-        if gains.iter().any(|g| !g.is_finite() || g.abs() > 1e6) || gains[0] == 0.0 {
-            faults.push(&format!("loops[{k}].gains"), format!("{:?}", l.gains), "finite gains, ki not 0");
+        for (key, gains) in [("gains", l.gains), ("trim", l.trim)] {
+            let Some(g) = gains else { continue };
+            if [g.ki, g.kp].iter().any(|v| !v.is_finite() || v.abs() > 1e6) || g.ki == 0.0 {
+                let found = format!("ki = {}, kp = {}", g.ki, g.kp);
+                faults.push(&format!("loops[{k}].{key}"), found, "finite gains, ki not 0");
+            }
+        }
+        if l.gains.is_some() != s.loops[0].gains.is_some() {
+            let expected = "gains for all loops or for none: those that are found are found together";
+            faults.push(&format!("loops[{k}].gains"), "gains for some of the loops", expected);
         }
     }
+    s.tune.check("tune", s.sample_time_s, faults);
     for d in demands.iter().filter(|d| !s.loops.iter().any(|l| l.output == **d)) {
         faults.push("loops", format!("none for `{d}`"), format!("a loop for every demand, e.g. {{ output = \"{d}\", input = .., gains = {{ ki = .., kp = .. }} }}"));
     }

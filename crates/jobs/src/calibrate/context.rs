@@ -2,6 +2,7 @@
 
 use super::channels::Channels;
 use super::spec::CalibrateSpec;
+use dynocal_calib::gains::{TuneError, Tuned};
 use dynocal_calib::map::structured::MapError;
 use dynocal_calib::optimise::OptimiseError;
 use dynocal_calib::supervisor::{self, Predictor};
@@ -9,17 +10,18 @@ use dynocal_files::FilesError;
 use dynocal_files::csv_io;
 use dynocal_files::dataset;
 use dynocal_files::measurement;
-use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::data::{Channel, DataError, Dataset, Role};
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::pi::PiGains;
-use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop, demand_name};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
-use dynocal_ident::play::{self, PlayError, RecordFault};
+use dynocal_ident::play::{self, Oscillation, PlayError, RecordFault};
 use dynocal_ident::stored::{StoredError, StoredModel};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Why a campaign cannot go on.
@@ -105,6 +107,21 @@ pub enum ChainError {
         /// What differs, in sentences.
         faults: Vec<String>,
     },
+    /// Gains of the loops.
+    #[error(transparent)]
+    Gains(#[from] TuneError),
+    /// A record in which a loop oscillates.
+    #[error(
+        "the record `{record}` is refused: {oscillation}; it is kept in `{kept}`. Give smaller `gains` in [[loops]], or leave them out, so that they are identified on the plant"
+    )]
+    Oscillates {
+        /// Record.
+        record: String,
+        /// Loop, period, amplitude.
+        oscillation: Box<Oscillation>,
+        /// File with what was measured.
+        kept: String,
+    },
     /// A step that only a plant in the loop can do.
     #[error(
         "the static map and the comparison of the maps step a plant themselves: on a real bed the chain ends with `dynocal calibrate SPEC --until invert`, which has written the map"
@@ -153,6 +170,8 @@ pub struct Context<'a> {
     pub watch: Watch<'a>,
     /// Steps that have begun.
     pub begun: AtomicUsize,
+    /// Loops with the gains that were found on the plant, where the spec has none.
+    pub tuned: OnceLock<Vec<PlanLoop>>,
 }
 
 /// Rough shares of the steps and of the report in the whole time, for progress only.
@@ -236,11 +255,21 @@ impl Context<'_> {
     pub fn gains(&self, k: usize, tone: Tone) -> PiGains {
         let output = &self.channels.demands[k];
         let spec = self.spec.loops.iter().find(|l| l.output == *output);
-        let none = PiGains { ki: 0.0, kp: 0.0 };
+        let found = self.tuned.get().and_then(|all| all.iter().find(|l| l.output == *output));
+        let lead = spec.and_then(|l| l.gains).or(found.map(|l| l.gains));
+        let lead = lead.unwrap_or(PiGains { ki: 0.0, kp: 0.0 });
         match tone {
-            Tone::Trim => spec.map_or(none, super::spec::LoopSpec::trim),
-            _ => spec.map_or(none, |l| l.gains),
+            Tone::Trim => spec
+                .and_then(|l| l.trim)
+                .unwrap_or(PiGains { ki: TRIM_SHARE * lead.ki, kp: TRIM_SHARE * lead.kp }),
+            _ => lead,
         }
+    }
+
+    /// From now on loops without gains of their own have those that were found.
+    pub(super) fn close_loops_with(&self, tuned: Option<&Tuned>) {
+        // Set once: what a finished step has found is what it would find again.
+        tuned.into_iter().for_each(|t| drop(self.tuned.set(t.loops.clone())));
     }
 
     /// A plan of inputs that may move, given channels and demands (one column each, in the order of the problem).
@@ -331,8 +360,33 @@ impl Context<'_> {
         } else {
             self.measured_by_bed(folder, plan)?
         };
+        self.refuse_oscillation(folder, plan, &record)?;
         record.init_samples = self.spec.identify.init_samples;
         Ok(record)
+    }
+
+    /// A loop in a limit cycle is no excitation and no operating point.
+    fn refuse_oscillation(&self, folder: &Path, plan: &Plan, record: &Dataset) -> Result<(), ChainError> {
+        let mut judged = record.clone();
+        for d in &plan.demands {
+            let name = demand_name(&d.output);
+            if judged.channel(&name).is_err() {
+                let (unit, values) = (d.unit.clone(), d.values.clone());
+                judged.channels.push(Channel { name, unit, role: Role::Auxiliary, values });
+            }
+        }
+        for l in plan.loops.iter().filter(|l| l.closed) {
+            if let Some(o) = play::oscillation(&judged, l)? {
+                let kept = folder.join(format!("{}.refused.csv", plan.name));
+                csv_io::write_dataset(&kept, record)?;
+                return Err(ChainError::Oscillates {
+                    record: plan.name.clone(),
+                    oscillation: Box::new(o),
+                    kept: kept.display().to_string(),
+                });
+            }
+        }
+        Ok(())
     }
 
     /// The record of a plan that a bed has played, checked against it; the plan is written for the bed.
@@ -397,8 +451,33 @@ fn texts(names: &[String]) -> Vec<&str> {
     names.iter().map(String::as_str).collect()
 }
 
+/// Gains that trim, as a share of those that find an operating point.
+const TRIM_SHARE: f64 = 0.25;
+
+/// All records, or the first fault; plans that wait for a bed are named together.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn all_measured(records: Vec<Result<Dataset, ChainError>>) -> Result<Vec<Dataset>, ChainError> {
+    let (mut done, mut plans, mut of_record) = (Vec::new(), Vec::new(), String::new());
+    for record in records {
+        match record {
+            Ok(d) => done.push(d),
+            Err(ChainError::NeedsMeasurement { mut waiting, channels }) => {
+                plans.append(&mut waiting);
+                of_record = channels;
+            }
+            Err(other) => return Err(other),
+        }
+    }
+    if plans.is_empty() {
+        return Ok(done);
+    }
+    Err(ChainError::NeedsMeasurement { waiting: plans, channels: of_record })
+}
+
 /// Seed of the sensor noise of one record: depends on seed and name only, not on the order of the runs.
-fn noise_seed(seed: u64, name: &str) -> u64 {
+pub(super) fn noise_seed(seed: u64, name: &str) -> u64 {
     name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 

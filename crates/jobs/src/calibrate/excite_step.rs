@@ -1,9 +1,12 @@
 //! Step 1: identification and validation records in closed loop.
 
-use super::context::{ChainError, Context, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
+use super::loops;
 use super::signals::{aprbs, sweep};
+use dynocal_calib::gains::Tuned;
+use dynocal_calib::problem::DemandChannel;
 use dynocal_ident::data::Dataset;
-use dynocal_ident::plan::Plan;
+use dynocal_ident::plan::{Plan, demand_name};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -22,6 +25,39 @@ pub struct ExciteResult {
     pub identification_bed_s: f64,
     /// Bed time of the validation records in s.
     pub validation_bed_s: f64,
+    /// Gains of the loops where the spec gives none.
+    pub tuned: Option<Tuned>,
+    /// How the records followed their demands; empty for records that were there before.
+    pub followed: Vec<Followed>,
+}
+
+/// A demanded output over all records of the step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Followed {
+    /// Output.
+    pub output: String,
+    /// Unit.
+    pub unit: String,
+    /// Mean of measured less demanded.
+    pub mean_error: f64,
+    /// The same as a share of the range of the demand.
+    pub share: f64,
+}
+
+fn followed(ctx: &Context, records: &[Dataset]) -> Result<Vec<Followed>, ChainError> {
+    let one = |d: &DemandChannel| {
+        let (mut sum, mut n) = (0.0, 0usize);
+        for r in records {
+            let demand = r.values(&demand_name(&d.output))?;
+            sum += r.values(&d.output)?.iter().zip(demand).map(|(y, d)| y - d).sum::<f64>();
+            n += demand.len();
+        }
+        let mean_error = sum / n.max(1) as f64;
+        let share = mean_error / (d.upper - d.lower);
+        Ok(Followed { output: d.output.clone(), unit: d.unit.clone(), mean_error, share })
+    };
+    ctx.spec.problem.demands.iter().map(one).collect()
 }
 
 /// Stream numbers of the random generator: one per record, far apart per purpose.
@@ -36,8 +72,10 @@ mod stream {
 /// [`ChainError`].
 pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
+    let tuned = loops::tuned(ctx, folder)?;
+    ctx.close_loops_with(tuned.as_ref());
     if !spec.identification_files.is_empty() {
-        return taken_over(ctx, folder);
+        return taken_over(ctx, folder, tuned);
     }
     let total = spec.identification_records + spec.validation_records;
     let done = AtomicUsize::new(0);
@@ -49,9 +87,10 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
             ctx.fraction(done as f64 / total as f64);
             Ok(record)
         })
-        .collect::<Vec<Result<Dataset, ChainError>>>()
-        .into_iter()
-        .collect::<Result<Vec<_>, _>>()?;
+        .collect();
+    let records = all_measured(records)?;
+    // A bed need not record what was demanded of it.
+    let followed = if ctx.plants.is_some() { followed(ctx, &records)? } else { Vec::new() };
     let (identification, validation) = records.split_at(spec.identification_records);
     let bed_s = |n: usize| n as f64 * (spec.record_s + spec.lead_in_s);
     Ok(ExciteResult {
@@ -59,11 +98,13 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
         validation: save_records(folder, validation)?,
         identification_bed_s: bed_s(spec.identification_records),
         validation_bed_s: bed_s(spec.validation_records),
+        tuned,
+        followed,
     })
 }
 
 /// Records that are there already.
-fn taken_over(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
+fn taken_over(ctx: &Context, folder: &Path, tuned: Option<Tuned>) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
     let read = |files: &[std::path::PathBuf]| -> Result<Vec<Dataset>, ChainError> {
         files.iter().map(|f| ctx.read_record(f, &super::context::stem(f))).collect()
@@ -74,6 +115,8 @@ fn taken_over(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
         validation: save_records(folder, &validation)?,
         identification_bed_s: 0.0,
         validation_bed_s: 0.0,
+        tuned,
+        followed: Vec::new(),
     })
 }
 

@@ -2,12 +2,13 @@
 
 use dynocal_numerics::watch::Watch;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicUsize;
 
 use crate::calibrate::context::{ChainError, Context};
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
-use dynocal_files::run_folder::RunFolder;
+use dynocal_files::run_folder::{MEASURED, RunFolder};
 use dynocal_files::spec::load;
 use dynocal_ident::plant::{Plant, PlantError};
 
@@ -61,6 +62,12 @@ pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campai
     Ok(Campaign { name, spec, out })
 }
 
+/// The last step that a campaign can do: the comparison of the maps steps a plant itself, which is not there on a real bed.
+pub fn last_step(spec: &CalibrateSpec) -> &'static str {
+    let stepped = plants::find(&spec.plant.name).is_some_and(|p| p.make.is_some());
+    if stepped { run::STEPS[run::STEPS.len() - 1] } else { run::STEPS[run::STEPS.len() - 2] }
+}
+
 /// Runs the steps up to `until` and writes summary and report.
 ///
 /// # Errors
@@ -79,9 +86,10 @@ pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, C
         spec,
         channels: Channels::of(spec),
         plants: make.is_some().then_some(&factory),
-        measured: campaign.out.join("measured"),
+        measured: campaign.out.join(MEASURED),
         watch,
         begun: AtomicUsize::new(0),
+        tuned: OnceLock::new(),
     };
     // A search that is stopped inside says so in its own words; to the user it is one thing.
     let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
@@ -116,9 +124,10 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
         spec: &spec,
         channels: Channels::of(&spec),
         plants: None,
-        measured: path.join("measured"),
+        measured: path.join(MEASURED),
         watch: Watch::silent(),
         begun: AtomicUsize::new(0),
+        tuned: OnceLock::new(),
     };
     let report = page::write(path, &ctx, &summary, &result)?;
     let summary_path = path.join("summary.json");

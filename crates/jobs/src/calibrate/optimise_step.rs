@@ -1,6 +1,6 @@
 //! Step 4: optimise over a record made for it, measure the promise on the plant, identify again, repeat.
 
-use super::context::{ChainError, Context, RecordRef, Tone, save_records};
+use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
 use super::models::{ModelData, ModelsResult, identify_again};
 use super::signals::{aprbs, sweep};
 use dynocal_calib::map::filter::filtered;
@@ -140,8 +140,10 @@ fn one_pass(
         || hold(format!("pass{k}_start"), start_inputs.clone()),
         || hold(format!("pass{k}_optimum"), optimal.clone()),
     );
-    let (start_run, optimum_run) = (start_run?, optimum_run?);
-    let records = save_records(folder, &[start_run.clone(), optimum_run.clone()])?;
+    let runs = all_measured(vec![start_run, optimum_run])?;
+    let records = save_records(folder, &runs)?;
+    let [start_run, optimum_run] =
+        <[Dataset; 2]>::try_from(runs).map_err(|_| ChainError::Design("a pass has two records".into()))?;
     let first = optimum.first;
     let (measured_start, measured) =
         (mean_objective(ctx, &start_run, first)?, mean_objective(ctx, &optimum_run, first)?);

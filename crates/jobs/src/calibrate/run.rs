@@ -48,9 +48,15 @@ impl ChainResult {
         STEPS.into_iter().zip(taken).filter(|(_, taken)| *taken).map(|(name, _)| name).collect()
     }
 
-    /// Bed time of identification, design and optimisation records in s.
+    /// Bed time of the tests that gave the loops their gains, in s.
+    pub fn loops_bed_s(&self) -> f64 {
+        self.excite.as_ref().and_then(|d| d.result.tuned.as_ref()).map_or(0.0, |t| t.used_s)
+    }
+
+    /// Bed time of tests of loops and of identification, design and optimisation records in s.
     pub fn bed_s(&self) -> f64 {
-        self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
+        self.loops_bed_s()
+            + self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
             + self.design.as_ref().map_or(0.0, |d| d.result.bed_s)
             + self.optimise.as_ref().map_or(0.0, |d| d.result.bed_s)
     }
@@ -67,31 +73,56 @@ pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainRe
         found: until.into(),
         expected: format!("one of {}", STEPS.join(", ")),
     })?;
-    for (k, step) in STEPS.iter().enumerate().take(last + 1) {
+    for (k, step) in STEPS.iter().enumerate() {
         ctx.check_interrupt()?;
-        ctx.begin(k, STEPS.len() + 1, step);
-        match *step {
-            "excite" => result.excite = Some(step_excite(ctx, folder)?),
-            "identify" => result.identify = Some(step_identify(ctx, folder, &result)?),
-            "design" => result.design = Some(step_design(ctx, folder, &result)?),
-            "optimise" => result.optimise = Some(step_optimise(ctx, folder, &result)?),
-            "invert" => result.invert = Some(step_invert(ctx, folder, &result)?),
-            _ => result.validate = Some(step_validate(ctx, folder, &result)?),
+        // Later steps that are finished and still belong to these inputs stay part of the run.
+        let how = if k <= last { How::Run } else { How::Take };
+        if how == How::Run {
+            ctx.begin(k, STEPS.len() + 1, step);
+        }
+        let found = match *step {
+            "excite" => kept(step_excite(ctx, folder, how)?, &mut result.excite),
+            "identify" => kept(step_identify(ctx, folder, &result, how)?, &mut result.identify),
+            "design" => kept(step_design(ctx, folder, &result, how)?, &mut result.design),
+            "optimise" => kept(step_optimise(ctx, folder, &result, how)?, &mut result.optimise),
+            "invert" => kept(step_invert(ctx, folder, &result, how)?, &mut result.invert),
+            _ => kept(step_validate(ctx, folder, &result, how)?, &mut result.validate),
+        };
+        if !found {
+            break;
         }
     }
     Ok(result)
 }
 
+/// Whether a step is run where it is not finished, or only taken where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum How {
+    Run,
+    Take,
+}
+
+/// Keeps what was found; whether there was anything.
+fn kept<T>(found: Option<Done<T>>, place: &mut Option<Done<T>>) -> bool {
+    *place = found;
+    place.is_some()
+}
+
 fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     ctx: &Context,
     folder: &mut RunFolder,
+    how: How,
     name: &'static str,
     inputs: &I,
     work: impl FnOnce(&Path) -> Result<T, ChainError>,
-) -> Result<Done<T>, ChainError> {
+) -> Result<Option<Done<T>>, ChainError> {
     let s = ctx.spec;
     let common = (s.seed, s.sample_time_s, &s.plant, &s.problem, &s.loops, &s.abort);
-    let done = folder.step(name, &(common, ctx.measured_digests(), inputs), |path| {
+    let inputs = (common, ctx.measured_digests(), inputs);
+    if how == How::Take {
+        return Ok(folder.finished(name, &inputs)?);
+    }
+    let done = folder.step(name, &inputs, |path| {
         let result = work(path)?;
         // An estimate that was interrupted is a result to its estimator, but none of a finished step.
         ctx.check_interrupt()?;
@@ -100,7 +131,7 @@ fn run_step<T: Serialize + DeserializeOwned, I: Serialize>(
     if done.resumed {
         ctx.watch.note(&format!("{name}: taken from the earlier run"));
     }
-    Ok(done)
+    Ok(Some(done))
 }
 
 /// Digests of files that the spec names: another content is another input of the step.
@@ -117,11 +148,17 @@ fn digests(files: &[&PathBuf]) -> Result<Vec<String>, ChainError> {
         .collect()
 }
 
-fn step_excite(ctx: &Context, folder: &mut RunFolder) -> Result<Done<ExciteResult>, ChainError> {
+fn step_excite(
+    ctx: &Context,
+    folder: &mut RunFolder,
+    how: How,
+) -> Result<Option<Done<ExciteResult>>, ChainError> {
     let e = &ctx.spec.excite;
     let files: Vec<&PathBuf> = e.identification_files.iter().chain(&e.validation_files).collect();
-    let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?);
-    run_step(ctx, folder, "excite", &inputs, |path| excite(ctx, path))
+    let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?, &ctx.spec.tune);
+    let done = run_step(ctx, folder, how, "excite", &inputs, |path| excite(ctx, path))?;
+    ctx.close_loops_with(done.as_ref().and_then(|d| d.result.tuned.as_ref()));
+    Ok(done)
 }
 
 /// A finished step that another one builds on; the order of [`STEPS`] makes it present.
@@ -155,10 +192,11 @@ fn step_identify(
     ctx: &Context,
     folder: &mut RunFolder,
     result: &ChainResult,
-) -> Result<Done<ModelsResult>, ChainError> {
+    how: How,
+) -> Result<Option<Done<ModelsResult>>, ChainError> {
     let files: Vec<&PathBuf> = ctx.spec.identify.files.values().collect();
     let inputs = (&ctx.spec.identify, &needed(&result.excite, "excite")?.digest, digests(&files)?);
-    run_step(ctx, folder, "identify", &inputs, |path| {
+    run_step(ctx, folder, how, "identify", &inputs, |path| {
         let r = records(ctx, result)?;
         let data = ModelData { identification: &r.identification, validation: &r.validation };
         let models = identify_all(ctx, path, &data)?;
@@ -171,11 +209,12 @@ fn step_design(
     ctx: &Context,
     folder: &mut RunFolder,
     result: &ChainResult,
-) -> Result<Done<DesignResult>, ChainError> {
+    how: How,
+) -> Result<Option<Done<DesignResult>>, ChainError> {
     let identify = needed(&result.identify, "identify")?;
     let files: Vec<&PathBuf> = ctx.spec.design.record.iter().collect();
     let inputs = (&ctx.spec.design, &ctx.spec.excite, &identify.digest, digests(&files)?);
-    run_step(ctx, folder, "design", &inputs, |path| {
+    run_step(ctx, folder, how, "design", &inputs, |path| {
         let r = records(ctx, result)?;
         let done = design(ctx, path, &identify.result, &r.identification, &r.validation)?;
         save_models(path, &done.models)?;
@@ -195,10 +234,11 @@ fn step_optimise(
     ctx: &Context,
     folder: &mut RunFolder,
     result: &ChainResult,
-) -> Result<Done<OptimiseResult>, ChainError> {
+    how: How,
+) -> Result<Option<Done<OptimiseResult>>, ChainError> {
     let design = needed(&result.design, "design")?;
     let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &ctx.spec.excite, &design.digest);
-    run_step(ctx, folder, "optimise", &inputs, |path| {
+    run_step(ctx, folder, how, "optimise", &inputs, |path| {
         let r = all_identification(ctx, result)?;
         let done = optimise(ctx, path, &design.result.models, &r.identification, &r.validation)?;
         if let Some(last) = done.passes.last() {
@@ -221,10 +261,11 @@ fn step_invert(
     ctx: &Context,
     folder: &mut RunFolder,
     result: &ChainResult,
-) -> Result<Done<InvertResult>, ChainError> {
+    how: How,
+) -> Result<Option<Done<InvertResult>>, ChainError> {
     let optimise = needed(&result.optimise, "optimise")?;
     let inputs = (&ctx.spec.invert, &optimise.digest);
-    run_step(ctx, folder, "invert", &inputs, |path| {
+    run_step(ctx, folder, how, "invert", &inputs, |path| {
         let passes = &optimise.result.passes;
         let last = last_pass(&optimise.result)?;
         let any = passes.iter().any(|p| p.usable);
@@ -248,10 +289,11 @@ fn step_validate(
     ctx: &Context,
     folder: &mut RunFolder,
     result: &ChainResult,
-) -> Result<Done<ValidateResult>, ChainError> {
+    how: How,
+) -> Result<Option<Done<ValidateResult>>, ChainError> {
     let (invert, optimise) = (needed(&result.invert, "invert")?, needed(&result.optimise, "optimise")?);
     let inputs = (&ctx.spec.validate, &invert.digest);
-    run_step(ctx, folder, "validate", &inputs, |path| {
+    run_step(ctx, folder, how, "validate", &inputs, |path| {
         let last = last_pass(&optimise.result)?;
         let models = last.models.chosen();
         let done = validate(ctx, path, &invert.result, last, &optimise.folder, &models)?;

@@ -1,5 +1,6 @@
 //! The spec of a calibration as the user writes it. Every key has a default that works on the virtual engine.
 
+use dynocal_calib::gains::TuneSpec;
 use dynocal_calib::map::structured::StructuredShape;
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::SearchSpec;
@@ -32,6 +33,8 @@ pub struct CalibrateSpec {
     pub problem: CalibrationProblem,
     /// Loops that hold demanded outputs, one for each demand.
     pub loops: Vec<LoopSpec>,
+    /// How gains are found where the loops have none.
+    pub tune: TuneSpec,
     /// Abort rules of every record that is played: the plan ends before an output passes them, and what was measured is kept.
     pub abort: Vec<PlanLimit>,
     /// Step 1: excitation.
@@ -60,9 +63,10 @@ impl Default for CalibrateSpec {
             plant: PlantSpec::default(),
             problem: engine_problem(),
             loops: vec![
-                LoopSpec::new("torque", "throttle", (0.3, 0.2), (0.3, 0.05)),
-                LoopSpec::new("lambda", "inj", (-40.0, -8.0), (-10.0, -1.5)),
+                LoopSpec { output: "torque".into(), input: "throttle".into(), gains: None, trim: None },
+                LoopSpec { output: "lambda".into(), input: "inj".into(), gains: None, trim: None },
             ],
+            tune: TuneSpec::default(),
             abort: Vec::new(),
             excite: ExciteSpec::default(),
             identify: IdentifySpec::default(),
@@ -97,24 +101,14 @@ pub struct LoopSpec {
     pub output: String,
     /// Input that the loop drives.
     pub input: String,
-    /// Gains with which the loop finds an operating point (excitation, static map).
-    pub gains: PiGains,
+    /// Gains with which the loop finds an operating point (excitation, static map); none: a short identification on the
+    /// plant finds those of all loops ([`CalibrateSpec::tune`]).
+    #[serde(default)]
+    pub gains: Option<PiGains>,
     /// Smaller gains that only trim a feedforward: they hold what was promised without taking over. A quarter of `gains`
     /// where they are not given.
     #[serde(default)]
     pub trim: Option<PiGains>,
-}
-
-impl LoopSpec {
-    fn new(output: &str, input: &str, gains: Range, trim: Range) -> Self {
-        let pi = |(ki, kp): Range| PiGains { ki, kp };
-        Self { output: output.into(), input: input.into(), gains: pi(gains), trim: Some(pi(trim)) }
-    }
-
-    /// Gains that only trim.
-    pub fn trim(&self) -> PiGains {
-        self.trim.unwrap_or(PiGains { ki: 0.25 * self.gains.ki, kp: 0.25 * self.gains.kp })
-    }
 }
 
 /// The excitation in closed loop (thesis section 7.4.1): levels of an APRBS on every demand and on every input that no loop

@@ -10,6 +10,7 @@ use super::store::{RunFile, finished};
 use super::validate_step::StaticOnRecord;
 use super::verdict::{Verdict, stages};
 use crate::design::result::{CriterionLine, SafetyLine};
+use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticPoint;
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
@@ -27,6 +28,8 @@ pub(crate) struct Summary<'a> {
     pub(crate) steps: Vec<&'static str>,
     pub(crate) spec: &'a CalibrateSpec,
     pub(crate) bed: BedTimes,
+    /// Gains of the loops that were found on the plant, with their margins; none where the spec gives them.
+    pub(crate) loops: Option<&'a Tuned>,
     pub(crate) models: Vec<Models<'a>>,
     pub(crate) design: Option<Design<'a>>,
     pub(crate) passes: Vec<PassLine<'a>>,
@@ -41,10 +44,11 @@ pub(crate) struct Summary<'a> {
 /// Bed times in s, lead-in and settling included.
 #[derive(Serialize)]
 pub(crate) struct BedTimes {
+    pub(crate) loops_s: f64,
     pub(crate) identification_s: f64,
     pub(crate) design_s: f64,
     pub(crate) optimisation_s: f64,
-    /// Identification, design and optimisation: what a calibration needs.
+    /// Gains, identification, design and optimisation: what a calibration needs.
     pub(crate) total_s: f64,
     pub(crate) validation_records_s: f64,
     pub(crate) design_comparison_s: f64,
@@ -135,6 +139,7 @@ impl<'a> Summary<'a> {
             steps: STEPS[..finished(r)].to_vec(),
             spec,
             bed: bed_times(r),
+            loops: r.excite.as_ref().and_then(|d| d.result.tuned.as_ref()),
             models: models.collect(),
             design: r.design.as_ref().map(|d| Design {
                 status: d.result.status,
@@ -165,6 +170,7 @@ fn bed_times(r: &ChainResult) -> BedTimes {
     let design = r.design.as_ref().map(|d| &d.result);
     let validate = r.validate.as_ref().map(|d| &d.result);
     BedTimes {
+        loops_s: r.loops_bed_s(),
         identification_s: excite.map_or(0.0, |e| e.identification_bed_s),
         design_s: design.map_or(0.0, |d| d.bed_s),
         optimisation_s: r.optimise.as_ref().map_or(0.0, |d| d.result.bed_s),

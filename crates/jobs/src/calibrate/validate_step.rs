@@ -196,6 +196,9 @@ const MISSED: f64 = 0.0125;
 /// Price of a limit that is passed by its own size, in units of the objective's size.
 const PRICE: f64 = 10.0;
 
+/// The same of a loop that oscillates: its point is taken only where there is no other.
+const SWINGS: f64 = 10.0;
+
 /// Mean value of a channel of a held point.
 fn held_value(ctx: &Context, h: &Held, name: &str) -> f64 {
     let inputs = ctx.channels.plant_inputs();
@@ -229,14 +232,15 @@ fn cost(ctx: &Context, h: &Held) -> f64 {
         .zip(&problem.demands)
         .map(|(e, d)| (e.abs() / (d.upper - d.lower) - MISSED).max(0.0))
         .sum();
-    let all = base + PRICE * base.abs() * (limits + missed);
+    let swings = if h.oscillation.is_some() { SWINGS } else { 0.0 };
+    let all = base + PRICE * base.abs() * (limits + missed + swings);
     if all.is_finite() { all } else { f64::MAX }
 }
 
 /// Why a point was not reached as asked, with the loop input that stands at its limit; empty when it was.
 fn missed(ctx: &Context, h: &Held) -> String {
     let problem = &ctx.spec.problem;
-    let mut out = Vec::new();
+    let mut out: Vec<String> = h.oscillation.iter().map(ToString::to_string).collect();
     for (k, (e, &input)) in h.errors.iter().zip(&ctx.channels.driven).enumerate() {
         let d = &problem.demands[k];
         if e.abs() > MISSED * (d.upper - d.lower) {

@@ -48,6 +48,7 @@ impl Findings {
 /// Judges a run as far as it went.
 pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     let mut f = Findings { faults: Vec::new(), notes: Vec::new(), status: Status::Converged };
+    excitation(r, &mut f);
     passes(spec, r, &mut f);
     if let Some(v) = &r.validate {
         comparison(spec, &v.result, &mut f);
@@ -69,6 +70,27 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     Verdict { valid, words, status: f.status, warnings: f.faults }
 }
 
+/// Mean distance of the excitation from a demand from which on it is not that of the demand, as a share of its range.
+const NOT_FOLLOWED: f64 = 0.25;
+
+/// Records that stand beside their demands: what was asked for is out of reach.
+fn excitation(r: &ChainResult, f: &mut Findings) {
+    for d in r.excite.iter().flat_map(|e| &e.result.followed) {
+        if !(d.share.abs() <= NOT_FOLLOWED) {
+            f.fault(
+                Status::Infeasible,
+                format!(
+                    "The records do not follow the demand of {}: measured less demanded is {:+.3} {} in the mean, {:.1} times the range of the demand. The plant does not reach it.",
+                    d.output,
+                    d.mean_error,
+                    d.unit,
+                    d.share.abs()
+                ),
+            );
+        }
+    }
+}
+
 fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
     let Some(o) = &r.optimise else { return };
     let passes = &o.result.passes;
@@ -83,9 +105,9 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
             }
         } else if !p.status.is_success() {
             f.notes.push(format!(
-                "The optimisation of pass {} ended as \"{}\" after {} iterations; its demands are met.",
+                "The optimisation of pass {} {} after {} iterations; its demands are met.",
                 p.pass,
-                word(p.status),
+                how_it_ended(p.status),
                 p.iterations
             ));
         }
@@ -178,8 +200,8 @@ fn design(r: &ChainResult, f: &mut Findings) {
     }
     if let Some(s @ (Status::Infeasible | Status::Diverged)) = d.status {
         f.notes.push(format!(
-            "The test signal does not keep its limits on the models (the search ended as \"{}\").",
-            word(s)
+            "The test signal does not keep its limits on the models (the search {}).",
+            how_it_ended(s)
         ));
     }
     let of = |data: &str| d.gains.iter().find(|g| g.data.starts_with(data));
@@ -219,9 +241,9 @@ fn models(r: &ChainResult, f: &mut Findings) {
             }
             if !best.status.is_success() && decides {
                 f.notes.push(format!(
-                    "The {} model of the step {stage} was estimated until \"{}\" after {} evaluations.",
+                    "The estimate of the {} model of the step {stage} {} after {} evaluations.",
                     o.output,
-                    word(best.status),
+                    how_it_ended(best.status),
                     best.evaluations
                 ));
             }
@@ -286,6 +308,18 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
     let head =
         if valid { "The dynamic map may be used." } else { "The dynamic map must not be used as it is." };
     format!("{head} {}.", parts.join("; "))
+}
+
+/// How a search ended, in words that follow its name.
+pub fn how_it_ended(s: Status) -> &'static str {
+    match s {
+        Status::Converged => "converged",
+        Status::Stalled => "came to a stand before it converged",
+        Status::Limit => "had used up its budget",
+        Status::Infeasible => "found nothing that keeps all limits",
+        Status::Diverged => "diverged",
+        Status::Interrupted => "was interrupted",
+    }
 }
 
 /// A status as it stands in JSON.

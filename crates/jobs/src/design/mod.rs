@@ -70,6 +70,7 @@ pub struct Job {
     /// Name of the run.
     pub name: String,
     /// Run folder.
+    #[serde(skip)]
     pub out: PathBuf,
     /// Sample time in s.
     pub sample_time_s: f64,

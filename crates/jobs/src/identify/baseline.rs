@@ -11,6 +11,7 @@ use dynocal_ident::model::{Kind, Model};
 use dynocal_ident::prepare::Note;
 use dynocal_ident::validate::{Reference, Seen, score_values};
 
+use super::curves::curves;
 use super::error::IdentifyError;
 use super::load::Part;
 use super::prepare::restored;
@@ -58,7 +59,14 @@ pub fn baseline(
     }
     let Ok(fit) = Ols::default().estimate(&linear, &data, None, &|| false) else { return Ok(None) };
     let structure = format!("linear ARX (na = {na}, nb = {nb}, nk = {nk}, constant)");
-    scored(t, linear, fit.theta, structure, part, &notes(&part.name))
+    let d = &parts[0].records[0];
+    let found = curves(&linear, &fit.theta, None, &t.inputs, &data, d.sample_time_s);
+    let notes_of_first = notes(&parts[0].name);
+    let own = |values: &mut [f64]| restored(&notes_of_first, d, &t.target, values);
+    // Without covariances there is no band, whatever its level.
+    let curves = found.into_iter().map(|c| c.restored(0.95, own)).collect::<Result<_, _>>()?;
+    let baseline = scored(t, linear, fit.theta, structure, part, &notes(&part.name))?;
+    Ok(baseline.map(|b| Baseline { curves, ..b }))
 }
 
 /// The same for models of present values: a plane.
@@ -102,5 +110,6 @@ fn scored(
         part: part.name.clone(),
         rmse: finite(s.rmse),
         r2_percent: finite(100.0 * s.r2),
+        curves: Vec::new(),
     }))
 }

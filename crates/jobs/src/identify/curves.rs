@@ -19,6 +19,8 @@ use dynocal_ident::model::{Model, Run};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
+use super::poles::{Pole, poles};
+
 /// Curves of one input.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InputCurves {
@@ -75,17 +77,10 @@ pub fn curves(
     sample_time_s: f64,
 ) -> Vec<InputCurves> {
     let m = model.n_inputs();
-    if m == 0 || m != inputs.len() || data.is_empty() {
+    let Some(Middle { sorted, middle, rest }) = at_rest(model, theta, data).filter(|_| m == inputs.len())
+    else {
         return Vec::new();
-    }
-    let sorted: Vec<Vec<f64>> = (0..m).map(|i| column(data, i, m)).collect();
-    if sorted.iter().any(Vec::is_empty) {
-        return Vec::new();
-    }
-    let middle: Vec<f64> = sorted.iter().map(|v| v[v.len() / 2]).collect();
-    let outputs: Vec<f64> = data.iter().flat_map(|e| e.y.iter().copied()).filter(|v| v.is_finite()).collect();
-    let start = outputs.iter().sum::<f64>() / outputs.len().max(1) as f64;
-    let Some(rest) = settle(model, theta, &middle, start) else { return Vec::new() };
+    };
     let one = |i: usize| {
         let (low, high) = (sorted[i][0], sorted[i][sorted[i].len() - 1]);
         let mut out = InputCurves { input: inputs[i].clone(), ..InputCurves::default() };
@@ -101,6 +96,32 @@ pub fn curves(
         out
     };
     (0..m.min(INPUTS)).map(one).collect()
+}
+
+/// Poles about the middle of the records, slowest first; none where the model does not come to rest there.
+pub fn poles_at_rest(model: &dyn Model, theta: &[f64], data: &[Experiment]) -> Vec<Pole> {
+    at_rest(model, theta, data).map_or(Vec::new(), |at| poles(model, theta, &at.middle, at.rest))
+}
+
+/// The middle of the records and where a model rests there.
+struct Middle {
+    /// Values of each input, in order.
+    sorted: Vec<Vec<f64>>,
+    middle: Vec<f64>,
+    rest: f64,
+}
+
+fn at_rest(model: &dyn Model, theta: &[f64], data: &[Experiment]) -> Option<Middle> {
+    let m = model.n_inputs();
+    let sorted: Vec<Vec<f64>> = (0..m).map(|i| column(data, i, m)).collect();
+    if m == 0 || sorted.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let middle: Vec<f64> = sorted.iter().map(|v| v[v.len() / 2]).collect();
+    let outputs: Vec<f64> = data.iter().flat_map(|e| e.y.iter().copied()).filter(|v| v.is_finite()).collect();
+    let start = outputs.iter().sum::<f64>() / outputs.len().max(1) as f64;
+    let rest = settle(model, theta, &middle, start)?;
+    Some(Middle { sorted, middle, rest })
 }
 
 /// Values of input i in all records, in order.

@@ -10,6 +10,8 @@ use dynocal_ident::select::SelectError;
 use dynocal_ident::stored::StoredError;
 use dynocal_numerics::registry::BuildError;
 
+use crate::estimate::TooLarge;
+
 /// The job could not be done.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentifyError {
@@ -40,6 +42,9 @@ pub enum IdentifyError {
     /// A checked member cannot be built any more.
     #[error(transparent)]
     Build(#[from] BuildError),
+    /// More memory than a run may take.
+    #[error(transparent)]
+    Large(#[from] TooLarge),
     /// Records in different units.
     #[error(
         "{record}: channel `{channel}` is in `{found}`, in {other} it is in `{expected}`: convert one of them"

@@ -4,7 +4,7 @@ use dynocal_ident::model::kinds;
 use dynocal_numerics::watch::Watch;
 
 use super::error::IdentifyError;
-use super::load::parts;
+use super::load::{Part, parts};
 use super::spec::{Job, Target};
 use crate::estimate::Estimate;
 
@@ -19,7 +19,11 @@ const EVALUATIONS: f64 = 50.0;
 /// # Errors
 /// [`IdentifyError`]: data that cannot be read, a structure that does not fit the channels.
 pub fn estimate(job: &Job, watch: Watch) -> Result<Estimate, IdentifyError> {
-    let parts = parts(job, watch.note)?;
+    of_parts(job, &parts(job, watch.note)?)
+}
+
+/// The same for parts that have been read.
+pub(super) fn of_parts(job: &Job, parts: &[Part]) -> Result<Estimate, IdentifyError> {
     let mut plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
     let mut n = 0.0;
     for (k, part) in parts.iter().enumerate() {

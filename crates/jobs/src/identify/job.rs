@@ -21,8 +21,9 @@ use super::after::{After, after};
 use super::baseline::baseline;
 use super::before::before;
 use super::bounds::free_run_bounds;
-use super::curves::curves;
+use super::curves::{curves, poles_at_rest};
 use super::error::IdentifyError;
+use super::estimate::of_parts;
 use super::finding::{Finding, Grade, sorted};
 use super::fit::{Estimated, estimate, saved};
 use super::judge::{losses, of_fit, of_model};
@@ -71,6 +72,7 @@ fn missing(path: &path::Path) -> FilesError {
 /// [`IdentifyError`].
 pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
     let mut parts = parts(job, watch.note)?;
+    of_parts(job, &parts)?.allowed()?;
     let measured = measured(&parts[0].records);
     fit_records(job, &parts)?;
     let preparation = prepare_parts(job, &mut parts, dir)?;
@@ -135,6 +137,8 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
             let own = |values: &mut [f64]| restored(notes, d, &t.target, values);
             let level = job.validate.confidence;
             model.curves = found.into_iter().map(|c| c.restored(level, own)).collect::<Result<_, _>>()?;
+            model.poles = poles_at_rest(driven, theta, &fitted[k]);
+            model.sample_time_s = Some(d.sample_time_s);
         }
         models.push(model);
     }
@@ -280,6 +284,8 @@ fn modelled(
         residuals: scored.iter().flat_map(own).collect(),
         baseline: None,
         curves: Vec::new(),
+        poles: Vec::new(),
+        sample_time_s: None,
         points: None,
         after,
         file: in_step(&name),

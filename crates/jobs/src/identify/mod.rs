@@ -18,6 +18,7 @@ pub mod judge;
 pub mod load;
 pub mod page;
 pub mod points;
+pub mod poles;
 pub mod prepare;
 pub mod result;
 pub mod score;

@@ -12,6 +12,7 @@ use super::before::Before;
 use super::curves::InputCurves;
 use super::finding::Finding;
 use super::points::PointsPage;
+use super::poles::Pole;
 
 /// Fit numbers over all scored samples of all records of one part together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -98,6 +99,9 @@ pub struct Baseline {
     pub rmse: Option<f64>,
     /// `1 - SSE / SST` in percent.
     pub r2_percent: Option<f64>,
+    /// What it does at rest, after a step and over frequency, input by input.
+    #[serde(default)]
+    pub curves: Vec<InputCurves>,
 }
 
 /// One modelled output.
@@ -136,6 +140,12 @@ pub struct Modelled {
     /// What the model does at rest, after a step and over frequency, input by input.
     #[serde(default)]
     pub curves: Vec<InputCurves>,
+    /// Poles about the middle of the records, slowest first.
+    #[serde(default)]
+    pub poles: Vec<Pole>,
+    /// Sample time in s; absent for steady tables.
+    #[serde(default)]
+    pub sample_time_s: Option<f64>,
     /// Each point predicted from the others, sections, effects; of response models of steady tables.
     #[serde(default)]
     pub points: Option<PointsPage>,

@@ -73,6 +73,7 @@ pub struct Job {
     /// Models that are scored instead of estimated; none for an estimation.
     pub saved: Vec<StoredModel>,
     /// Run folder.
+    #[serde(skip)]
     pub out: PathBuf,
     /// Formats in which the models leave.
     #[serde(skip_serializing_if = "Option::is_none")]

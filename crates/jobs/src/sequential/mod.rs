@@ -5,6 +5,7 @@
 //! comes out, [`page`] draws it, [`store`] writes the run folder. Every campaign is set beside its simplest rival: random
 //! records of the same recipe and the same bed time, judged on the same held-out records.
 
+pub mod estimate;
 pub mod page;
 pub mod result;
 pub mod spec;

@@ -37,7 +37,9 @@ pub use spec::Job;
 /// # Errors
 /// [`SignalError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Made, RunFolder), SignalError> {
+    // A folder that cannot be written is known before anything is computed.
+    let folder = RunFolder::open(&job.out, "signal", job)?;
     let made = work::make(job, watch)?;
-    let folder = store::write(job, &made)?;
+    store::write(&folder, job, &made)?;
     Ok((made, folder))
 }

@@ -109,6 +109,15 @@ fn together(job: &Job, made: &Made) -> Section {
     section
 }
 
+/// Powers in dB, those that rounding leaves where there are none cut off.
+fn decibels(density: &[f64]) -> Vec<f64> {
+    let largest = density.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    density.iter().map(|d| 10.0 * d.max(FLOOR * largest).log10()).collect()
+}
+
+/// Least power that is drawn, as a share of the largest.
+const FLOOR: f64 = 1e-12;
+
 /// Numbers of a channel in `unit`: name, value, unit.
 pub fn numbers<'a>(unit: &'a str, a: &Analysis) -> Vec<(&'static str, Option<f64>, &'a str)> {
     vec![
@@ -154,9 +163,9 @@ fn analysed(section: Section, (name, unit): (&str, &str), dt_s: f64, u: &[f64], 
             XyPlot::new(
                 "Power spectral density",
                 Axis::new("frequency", "Hz"),
-                Axis::new("density", format!("({unit})^2/Hz")),
+                Axis::new("density", format!("dB over 1 ({unit})^2/Hz")),
             )
-            .line("density", &s.frequency_hz[..lines], &s.density[..lines])
+            .line("density", &s.frequency_hz[..lines], decibels(&s.density[..lines]))
             .caption(format!("One-sided, about the mean; mean of {} segments", s.segments)),
         )
         .block(

@@ -15,8 +15,7 @@ pub const FILES: [&str; 2] = ["signal.csv", "report.html"];
 ///
 /// # Errors
 /// [`SignalError::Files`], [`SignalError::Page`].
-pub fn write(job: &Job, made: &Made) -> Result<RunFolder, SignalError> {
-    let folder = RunFolder::open(&job.out, "signal", job)?;
+pub fn write(folder: &RunFolder, job: &Job, made: &Made) -> Result<(), SignalError> {
     csv_io::write_dataset(&folder.path().join(FILES[0]), &record(job, made))?;
     page::write(job, made, folder.path())?;
     folder.write_summary(&Summary {
@@ -31,7 +30,7 @@ pub fn write(job: &Job, made: &Made) -> Result<RunFolder, SignalError> {
         correlations: &made.correlations,
         files: FILES,
     })?;
-    Ok(folder)
+    Ok(())
 }
 
 /// The signals as a record of inputs.

@@ -21,7 +21,9 @@ pub use spec::Job;
 /// # Errors
 /// [`SimulateError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Simulated, RunFolder), SimulateError> {
+    // A folder that cannot be written is known before anything is computed.
+    let folder = RunFolder::open(&job.out, "simulate", job)?;
     let simulated = work::simulate(job, watch)?;
-    let folder = store::write(job, &simulated)?;
+    store::write(&folder, &simulated)?;
     Ok((simulated, folder))
 }

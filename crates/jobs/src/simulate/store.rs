@@ -5,14 +5,12 @@ use dynocal_files::run_folder::RunFolder;
 
 use super::page;
 use super::result::{Output, SimulateError, Simulated};
-use super::spec::Job;
 
 /// Writes a file for each record and output, the page and the summary.
 ///
 /// # Errors
 /// [`SimulateError::Files`], [`SimulateError::Page`].
-pub fn write(job: &Job, found: &Simulated) -> Result<RunFolder, SimulateError> {
-    let folder = RunFolder::open(&job.out, "simulate", job)?;
+pub fn write(folder: &RunFolder, found: &Simulated) -> Result<(), SimulateError> {
     let mut files = vec!["report.html".to_string()];
     for o in &found.outputs {
         let name = format!("{}-{}.csv", file_name(&o.record), file_name(&o.output));
@@ -21,7 +19,7 @@ pub fn write(job: &Job, found: &Simulated) -> Result<RunFolder, SimulateError> {
     }
     page::write(found, folder.path())?;
     folder.write_summary(&Simulated { files, ..found.clone() })?;
-    Ok(folder)
+    Ok(())
 }
 
 /// Time, simulated and measured output; a run that diverged ends with its last finite sample.

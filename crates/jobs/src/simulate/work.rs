@@ -11,6 +11,7 @@ use dynocal_numerics::watch::Watch;
 
 use super::result::{Left, Output, SimulateError, Simulated, Used};
 use super::spec::Job;
+use crate::estimate::Estimate;
 
 /// A model and the file that it came from.
 struct Named {
@@ -61,6 +62,31 @@ pub fn simulate(job: &Job, watch: Watch) -> Result<Simulated, SimulateError> {
         files: Vec::new(),
         records,
     })
+}
+
+/// What the simulation will do, and what it takes: the records with a copy for each model.
+///
+/// # Errors
+/// [`SimulateError`]: models and records that cannot be read or do not fit.
+pub fn estimate(job: &Job) -> Result<Estimate, SimulateError> {
+    let models: Vec<Named> = job.models.iter().map(|f| named(f)).collect::<Result<_, _>>()?;
+    alone(&models)?;
+    let mut plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
+    for n in &models {
+        let text = format!("{}, {} parameters", n.model.user_output().name, n.model.theta().len());
+        plan = plan.line(format!("model {}", n.file), text);
+    }
+    let parameters: usize = models.iter().map(|n| n.model.theta().len()).sum();
+    for file in &job.data {
+        let records = read(file, &models, job)?;
+        let samples: usize = records.iter().map(Dataset::len).sum();
+        let channels = records.first().map_or(0, |d| d.channels.len());
+        plan = plan
+            .line(format!("data {}", file.display()), format!("{} records, {samples} samples", records.len()))
+            .memory(8.0 * (samples * (2 * channels + 3 * models.len())) as f64)
+            .work(2.0 * (samples * parameters) as f64);
+    }
+    Ok(plan)
 }
 
 fn named(path: &Path) -> Result<Named, SimulateError> {

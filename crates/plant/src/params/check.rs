@@ -21,6 +21,7 @@ impl EngineParams {
     /// [`PlantError::ParameterRange`] or [`PlantError::Parameter`] naming the first offending value and its range.
     pub fn check(&self) -> Result<(), PlantError> {
         self.check_mechanics()?;
+        self.check_gas()?;
         self.check_gas_path()?;
         self.check_combustion()?;
         self.check_boosted()?;
@@ -44,6 +45,34 @@ impl EngineParams {
             ("friction.quadratic_pa_s2_m2", f.quadratic_pa_s2_m2, 0.0, 1e4),
             ("torque_lag_s", self.torque_lag_s, 1e-4, 10.0),
         ])
+    }
+
+    /// Gas constants, and heat capacities over the temperatures of a cylinder.
+    fn check_gas(&self) -> Result<(), PlantError> {
+        for r in self.gas.r_j_kg_k {
+            first_outside(&[("gas.r_j_kg_k", r, 20.0, 5e3)])?;
+        }
+        let refused = |found| PlantError::Parameter {
+            name: "gas.u_j_kg",
+            found,
+            expected: "coefficients that give 0 at 298.15 K (within 1e5 J/kg) and a heat capacity of 200 to 20000 J/kg/K from 250 to 3300 K",
+        };
+        for c in &self.gas.u_j_kg {
+            let power = |t: f64, k: usize| t.powi(i32::try_from(k).unwrap_or(0));
+            let energy: f64 = c.iter().enumerate().map(|(k, c)| c * power(0.298_15, k)).sum();
+            if !(energy.abs() <= 1e5) {
+                return Err(refused(energy));
+            }
+            for step in 0..=61 {
+                let t = 0.25 + 0.05 * f64::from(step);
+                let slope = |(k, c): (usize, &f64)| k as f64 * c * power(t, k.saturating_sub(1));
+                let capacity = c.iter().enumerate().map(slope).sum::<f64>() / 1e3;
+                if !(200.0..=2e4).contains(&capacity) {
+                    return Err(refused(capacity));
+                }
+            }
+        }
+        Ok(())
     }
 
     fn check_gas_path(&self) -> Result<(), PlantError> {

@@ -2,7 +2,7 @@
 
 use super::super::context::{ChainError, Context};
 use super::super::design_step::DesignResult;
-use super::super::verdict::word;
+use super::super::verdict::how_it_ended;
 use super::models::table;
 use super::parts::{percent, plot, record, unit};
 use dynocal_files::run_folder::Done;
@@ -17,8 +17,8 @@ pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, 
     }
     section = match r.status {
         Some(status) => section.text(format!(
-            "The record is designed by `dynocal design` (spec: steps/03-design/design.toml) to tell most about the parameters of the identified models within the limits; the search ended as \"{}\" after {} evaluations. It is played with trimming loops about the predicted outputs.",
-            word(status),
+            "The record is designed by `dynocal design` (spec: steps/03-design/design.toml) to tell most about the parameters of the identified models within the limits; the search {} after {} evaluations. It is played with trimming loops about the predicted outputs.",
+            how_it_ended(status),
             r.evaluations
         )),
         None => section.text("The record was designed and measured elsewhere."),

@@ -113,6 +113,30 @@ fn played(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Transient, Engin
     })
 }
 
+/// A fault of a bed file with the line of its key.
+fn with_line(text: &str, e: &dynocal_plant::error::PlantError) -> String {
+    let line = match e {
+        // The reader of the whole table names the key in its message.
+        dynocal_plant::error::PlantError::Bed { key, found, .. } if key == "bed" => {
+            let name = found.split('`').nth(1).unwrap_or_default();
+            let is_key = |l: &str| {
+                let l = l.trim().trim_start_matches('[').trim_end_matches(']');
+                let key = l.split('=').next().unwrap_or_default().trim();
+                key == name || key.ends_with(&format!(".{name}"))
+            };
+            text.lines().position(|l| !name.is_empty() && is_key(l)).map(|k| k + 1)
+        }
+        dynocal_plant::error::PlantError::Bed { key, .. } => {
+            dynocal_files::spec::line_of(text, key.strip_prefix("bed.").unwrap_or(key))
+        }
+        _ => None,
+    };
+    match line {
+        Some(line) => format!("line {line}: {e}"),
+        None => e.to_string(),
+    }
+}
+
 /// The bed, settled at the first row of the file where that gives actuators.
 fn bed(
     engine: &Engine,
@@ -125,7 +149,7 @@ fn bed(
             let fault = |message: String| DriveFileError::Bed { file: path.display().to_string(), message };
             let text = std::fs::read_to_string(path).map_err(|e| fault(e.to_string()))?;
             let given: toml::Table = toml::from_str(&text).map_err(|e| fault(e.to_string()))?;
-            BedOptions::from_table(&engine.set, &given).map_err(|e| fault(e.to_string()))?
+            BedOptions::from_table(&engine.set, &given).map_err(|e| fault(with_line(&text, &e)))?
         }
     };
     let set = BedSettings::of_set(&engine.set, &engine.params)?;

@@ -60,6 +60,7 @@ impl Validation {
 const MOST_STEPS: usize = 10_000;
 const MOST_FOLDS: usize = 1000;
 const MOST_RUNS: usize = 100_000;
+const MOST_POINTS: usize = 10_000;
 
 /// The table with its defaults.
 pub(super) fn validation(
@@ -115,6 +116,17 @@ pub(super) fn validation(
         && let Some(b) = built("validate.boundary", "kind", registry::keys("boundary", keys), faults)
     {
         v.boundary = b;
+        if !(v.boundary.quantile > 0.0 && v.boundary.quantile < 1.0) {
+            faults.push(
+                "validate.boundary.quantile",
+                v.boundary.quantile,
+                "a share above 0 and below 1, e.g. 0.99",
+            );
+        }
+        if !(2..=MOST_POINTS).contains(&v.boundary.points) {
+            let expected = format!("2 to {MOST_POINTS} points");
+            faults.push("validate.boundary.points", v.boundary.points, expected);
+        }
     }
     v
 }

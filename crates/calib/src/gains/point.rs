@@ -1,0 +1,255 @@
+//! One operating point: its test, its model, the gains that are quiet there.
+
+use dynocal_ident::data::Dataset;
+use dynocal_ident::pi::PiGains;
+use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_ident::plant::Plant;
+use dynocal_ident::play::{Interruptible, Oscillation, PlayError, oscillation, play};
+use dynocal_numerics::linalg::least_squares;
+use dynocal_numerics::rng::Rng64;
+
+use crate::supervisor;
+
+use super::fit::Linear;
+use super::margin;
+use super::{RETRY, TuneError, TuneSpec};
+
+/// Least size of a value of an input, as a share of its range, and where there is no range: what a share of it is taken of.
+const LEAST: (f64, f64) = (0.1, 1e-3);
+/// Steps of an approach; distance from the demand at which it ends, as a share of the demand; longest step, as a share of the
+/// input.
+const STEPS: usize = 12;
+const NEAR: f64 = 0.02;
+const LONGEST_STEP: f64 = 0.2;
+/// Memories of the plant that it is given to come to rest; time over which a rest is averaged, in s.
+const SETTLE: f64 = 8.0;
+const REST_S: f64 = 1.0;
+
+/// A plant on which gains are tried, and what that took.
+pub(super) struct Bench<'a> {
+    pub(super) plant: &'a mut dyn Plant,
+    pub(super) spec: &'a TuneSpec,
+    pub(super) seed: u64,
+    pub(super) interrupt: &'a dyn Fn() -> bool,
+    pub(super) used_s: f64,
+    pub(super) oscillations: Vec<Oscillation>,
+}
+
+/// What was found at one operating point.
+pub(super) struct Point<'a> {
+    pub(super) plan: &'a Plan,
+    /// Inputs at which the demands are held.
+    pub(super) inputs: Vec<f64>,
+    /// Model there.
+    pub(super) linear: Linear,
+    /// Gains that are quiet there.
+    pub(super) gains: Vec<PiGains>,
+}
+
+impl Bench<'_> {
+    /// Tests about the first row of `plan`, number `k`, goes where its demands are held, tests and tries there.
+    pub(super) fn point<'a>(&mut self, plan: &'a Plan, k: usize) -> Result<Point<'a>, TuneError> {
+        let mut inputs = start(plan);
+        let mut linear = self.tested(plan, &inputs, 1000 * k)?;
+        for round in 1..self.spec.rounds {
+            inputs = self.approach(plan, inputs, &linear)?;
+            linear = self.tested(plan, &inputs, 1000 * k + 100 * round)?;
+        }
+        let alone = margin::alone(&linear, &plan.loops)?;
+        let (mut factor, mut trials) = (1.0, 0);
+        loop {
+            let found = margin::detuned(&[&linear], &alone, &plan.loops, self.spec, factor)?;
+            let (record, seen) = self.tried(plan, &inputs, &found.loops)?;
+            let Some(o) = seen else {
+                let inputs = means(plan, &record, samples(0.25 * self.spec.trial_s, plan))?;
+                let gains = found.loops.iter().map(|l| l.gains).collect();
+                return Ok(Point { plan, inputs, linear, gains });
+            };
+            trials += 1;
+            if trials >= RETRY.1 {
+                let (point, factor) = (plan.name.clone(), found.detuned);
+                return Err(TuneError::Restless { point, oscillation: Box::new(o), factor });
+            }
+            self.oscillations.push(o);
+            factor = RETRY.0 * found.detuned;
+        }
+    }
+
+    fn tested(&mut self, plan: &Plan, inputs: &[f64], stream: usize) -> Result<Linear, TuneError> {
+        let record = self.played(&test(plan, inputs, self.spec, self.seed, stream))?;
+        Linear::fit(&record, &plan.loops, self.spec)
+    }
+
+    /// From `inputs` towards the demands with all loops open: Newton steps on the steady gains of `linear`, corrected by what
+    /// each step does (Broyden), none larger than a share of the input. A loop that is closed far from its demand may have the
+    /// other sign there: on a lean mixture more throttle is less torque.
+    fn approach(&mut self, plan: &Plan, inputs: Vec<f64>, linear: &Linear) -> Result<Vec<f64>, TuneError> {
+        let n = plan.loops.len();
+        let place = |l: &PlanLoop| plan.channels.iter().position(|c| c.name == l.input);
+        let places: Vec<usize> = plan.loops.iter().filter_map(place).collect();
+        let demands: Vec<f64> = plan
+            .loops
+            .iter()
+            .filter_map(|l| plan.demand(&l.output).and_then(|d| d.values.first().copied()))
+            .collect();
+        if places.len() < n || demands.len() < n {
+            // The player names what is missing.
+            return Ok(inputs);
+        }
+        let mut gains = linear.steady();
+        let mut at = inputs;
+        let mut before: Option<(Vec<f64>, Vec<f64>)> = None;
+        for _ in 0..STEPS {
+            let y = self.rest(plan, &at)?;
+            let u: Vec<f64> = places.iter().map(|k| at[*k]).collect();
+            if let Some((u0, y0)) = &before {
+                broyden(&mut gains, u0, &u, y0, &y);
+            }
+            let error: Vec<f64> = demands.iter().zip(&y).map(|(d, y)| d - y).collect();
+            if error.iter().zip(&demands).all(|(e, d)| e.abs() <= NEAR * d.abs()) {
+                break;
+            }
+            let Ok(step) = least_squares(&gains, n, n, &error, 0.0) else { break };
+            let channel = |k: usize| &plan.channels[places[k]];
+            let share = |k: usize| step.x[k].abs() / (LONGEST_STEP * size(channel(k), u[k]));
+            let shorter = (0..n).map(share).fold(1.0, f64::max);
+            for k in 0..n {
+                at[places[k]] = (u[k] + step.x[k] / shorter).clamp(channel(k).lower, channel(k).upper);
+            }
+            before = Some((u, y));
+        }
+        Ok(at)
+    }
+
+    /// Outputs of the loops at rest under constant inputs.
+    fn rest(&mut self, plan: &Plan, inputs: &[f64]) -> Result<Vec<f64>, TuneError> {
+        let n = samples(REST_S, plan);
+        let outputs: Vec<String> = plan.loops.iter().map(|l| l.output.clone()).collect();
+        let name = format!("{}, approach", plan.name);
+        let open = Plan::open_loop(&name, plan.sample_time_s, held(plan, inputs, n));
+        let settle_s = SETTLE * self.spec.memory_s;
+        let hold = Plan { outputs, ..open.with_limits(plan.limits.clone()).settled(settle_s) };
+        let record = self.played(&hold)?;
+        let mean = |l: &PlanLoop| Ok(record.values(&l.output)?.iter().sum::<f64>() / n as f64);
+        plan.loops.iter().map(mean).collect::<Result<_, PlayError>>().map_err(TuneError::from)
+    }
+
+    /// The first point at which `loops` oscillate.
+    pub(super) fn restless(
+        &mut self,
+        points: &[Point],
+        loops: &[PlanLoop],
+    ) -> Result<Option<(String, Oscillation)>, TuneError> {
+        for p in points {
+            if let (_, Some(o)) = self.tried(p.plan, &p.inputs, loops)? {
+                return Ok(Some((p.plan.name.clone(), o)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Plays `loops` at the demands of a plan from `inputs`; what oscillates most.
+    fn tried(
+        &mut self,
+        plan: &Plan,
+        inputs: &[f64],
+        loops: &[PlanLoop],
+    ) -> Result<(Dataset, Option<Oscillation>), TuneError> {
+        let record = self.played(&trial(plan, inputs, loops, self.spec))?;
+        let seen = loops.iter().map(|l| oscillation(&record, l)).collect::<Result<Vec<_>, _>>();
+        let seen = seen.map_err(PlayError::from)?.into_iter().flatten().next();
+        Ok((record, seen))
+    }
+
+    fn played(&mut self, plan: &Plan) -> Result<Dataset, TuneError> {
+        // Abort rules hold while gains are looked for, too.
+        let mut supervisor = supervisor::for_plan(plan, &[]);
+        let mut watchdog = Interruptible { interrupt: self.interrupt, watchdog: &mut supervisor };
+        let played = play(self.plant, plan, &mut watchdog)?.whole()?;
+        self.used_s += played.used_s;
+        Ok(played.record)
+    }
+}
+
+/// Where a plan begins.
+pub(super) fn start(plan: &Plan) -> Vec<f64> {
+    plan.channels.iter().map(|c| c.values.first().copied().unwrap_or(0.0)).collect()
+}
+
+/// The inputs of the loops moved up and down at random times, loops open.
+pub(super) fn test(plan: &Plan, inputs: &[f64], spec: &TuneSpec, seed: u64, stream: usize) -> Plan {
+    let (n, hold) = (samples(spec.test_s, plan), samples(spec.hold_s, plan));
+    let mut channels = held(plan, inputs, n);
+    for (k, l) in plan.loops.iter().enumerate() {
+        let mut rng = Rng64::stream(seed, (stream + k) as u64);
+        for c in channels.iter_mut().filter(|c| c.name == l.input) {
+            let (middle, size) = (c.values[0], spec.share * size(c, c.values[0]));
+            let mut t = 0;
+            while t < n {
+                let end = (t + hold * (1 + rng.below(6))).min(n);
+                let level = if rng.below(2) == 0 { middle - size } else { middle + size };
+                c.values[t..end].fill(level.clamp(c.lower, c.upper));
+                t = end;
+            }
+        }
+    }
+    let outputs = plan.loops.iter().map(|l| l.output.clone()).collect();
+    // What the plant needs to come to rest is at least what the test asks it to remember several times over.
+    let open = Plan::open_loop(&format!("{}, test", plan.name), plan.sample_time_s, channels);
+    Plan { outputs, ..open.with_limits(plan.limits.clone()).settled(SETTLE * spec.memory_s) }
+}
+
+/// Size of a value of a channel.
+fn size(c: &PlanChannel, value: f64) -> f64 {
+    let range = c.upper - c.lower;
+    let least = if range.is_finite() && range > 0.0 { LEAST.0 * range } else { LEAST.1 };
+    value.abs().max(least)
+}
+
+/// The least change of the gains (row by output) that explains what the last step did; inputs count by their size.
+fn broyden(gains: &mut [f64], u0: &[f64], u: &[f64], y0: &[f64], y: &[f64]) {
+    let n = u.len();
+    let step: Vec<f64> = u.iter().zip(u0).map(|(a, b)| a - b).collect();
+    let weighted: Vec<f64> = step.iter().zip(u0).map(|(d, u)| d / u.abs().max(1e-3).powi(2)).collect();
+    let length: f64 = step.iter().zip(&weighted).map(|(a, b)| a * b).sum();
+    if !(length > 0.0) {
+        return;
+    }
+    for o in 0..n {
+        let promised: f64 = (0..n).map(|i| gains[o * n + i] * step[i]).sum();
+        let missed = (y[o] - y0[o] - promised) / length;
+        (0..n).for_each(|i| gains[o * n + i] += missed * weighted[i]);
+    }
+}
+
+/// Channels held at `inputs`.
+fn held(plan: &Plan, inputs: &[f64], n: usize) -> Vec<PlanChannel> {
+    let channels = plan.channels.iter().zip(inputs);
+    channels.map(|(c, v)| PlanChannel { values: vec![v.clamp(c.lower, c.upper); n], ..c.clone() }).collect()
+}
+
+fn samples(time_s: f64, plan: &Plan) -> usize {
+    (time_s / plan.sample_time_s).round().max(1.0) as usize
+}
+
+/// The loops closed at the demands of the first row.
+fn trial(plan: &Plan, inputs: &[f64], loops: &[PlanLoop], spec: &TuneSpec) -> Plan {
+    let n = samples(spec.trial_s, plan);
+    let hold = |d: &PlanDemand| PlanDemand { values: vec![d.values[0]; n], ..d.clone() };
+    let demands = plan.demands.iter().filter(|d| !d.values.is_empty()).map(hold).collect();
+    let outputs = loops.iter().map(|l| l.output.clone()).collect();
+    let name = format!("{}, trial", plan.name);
+    let open = Plan::open_loop(&name, plan.sample_time_s, held(plan, inputs, n));
+    let closed = open.with_loops(demands, loops.to_vec()).with_limits(plan.limits.clone());
+    Plan { outputs, ..closed.settled(0.5 * spec.trial_s) }
+}
+
+/// Inputs over the last samples of a trial.
+fn means(plan: &Plan, record: &Dataset, last: usize) -> Result<Vec<f64>, PlayError> {
+    let mean = |c: &PlanChannel| {
+        let values = record.values(&c.name)?;
+        let tail = &values[values.len().saturating_sub(last)..];
+        Ok(tail.iter().sum::<f64>() / tail.len().max(1) as f64)
+    };
+    plan.channels.iter().map(mean).collect()
+}

@@ -1,0 +1,59 @@
+//! What a calibration takes, before it runs.
+
+use dynocal_plant::plants;
+
+use super::job::{Campaign, last_step};
+use crate::estimate::Estimate;
+
+/// Rough share of the pool of candidates that a generated polynomial is selected from: products of two of the lagged channels.
+fn candidates(channels: usize, lags: usize) -> f64 {
+    let lagged = (channels * lags) as f64;
+    1.0 + lagged + 0.5 * lagged * (lagged + 1.0)
+}
+
+/// The steps with their records. The largest matrix is that of the selection, the dominant loops are those of estimation, design
+/// and optimisation; records of a plant are counted by their samples.
+pub fn estimate(campaign: &Campaign) -> Estimate {
+    let s = &campaign.spec;
+    let samples = |seconds: f64| (seconds / s.sample_time_s).max(0.0);
+    let (e, d, o) = (&s.excite, &s.design, &s.optimise);
+    let identification = e.identification_records as f64 * samples(e.record_s);
+    let all = identification + samples(d.record_s) + 2.0 * o.passes as f64 * samples(o.record_s);
+    let channels = s.problem.inputs.len() + s.problem.given.len() + 1;
+    let pool = candidates(channels, s.identify.lags);
+    let terms = (s.identify.terms + s.identify.terms / 3) as f64;
+    let outputs = (s.problem.demands.len() + s.problem.other_outputs().len()) as f64;
+    let stepped = plants::find(&s.plant.name).is_some_and(|p| p.make.is_some());
+    let records = |n: usize, length_s: f64| format!("{n} records of {length_s} s");
+    let excitation = match e.identification_files.len() {
+        0 => format!(
+            "{}, {} to judge",
+            records(e.identification_records, e.record_s),
+            records(e.validation_records, e.record_s)
+        ),
+        n => format!("{n} files, {} to judge", e.validation_files.len()),
+    };
+    let gains = if s.loops.iter().all(|l| l.gains.is_some()) { "as given" } else { "found on the plant" };
+    let plan = Estimate::new(&campaign.name)
+        .line("run folder", campaign.out.display().to_string())
+        .line(
+            "plant",
+            if stepped { s.plant.name.clone() } else { format!("{}: plans and files", s.plant.name) },
+        )
+        .line("gains of the loops", gains)
+        .line("excite", excitation)
+        .line("identify", format!("{outputs} outputs, up to {terms} terms of about {pool:.0}"));
+    let plan = if d.enabled {
+        plan.line("design", format!("{}, criterion {}", records(1, d.record_s), d.criterion))
+    } else {
+        plan.line("design", "none")
+    };
+    let evaluations = (d.starts * d.max_evaluations) as f64;
+    let iterations = (o.passes * o.max_iterations) as f64;
+    plan.line("optimise", format!("{} passes over {} s", o.passes, o.record_s))
+        .line("ends with", last_step(s))
+        .memory(8.0 * outputs * all * (2.0 * pool + 3.0 * terms))
+        .work(outputs * identification * 2.0 * pool * terms)
+        .work(outputs * evaluations * 4.0 * samples(d.record_s) * terms * terms)
+        .work(outputs * iterations * 1e3 * samples(o.record_s))
+}
