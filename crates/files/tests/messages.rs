@@ -68,7 +68,7 @@ fn a_hundred_thousand_columns_are_refused() {
     let text = format!("{}\n{}\n", names.join(","), vec!["1"; names.len()].join(","));
     let e = csv_io::parse("a.csv", text.as_bytes()).unwrap_err().to_string();
     assert!(e.contains("a.csv") && e.contains("found 100000 columns, expected at most 20000"), "{e}");
-    let few = format!("{}\n{}\n", names[..20_000].join(","), vec!["1"; 20_000].join(","));
+    let few = format!("{}\n{1}\n{1}\n", names[..20_000].join(","), vec!["1.5"; 20_000].join(","));
     assert_eq!(csv_io::parse("a.csv", few.as_bytes()).unwrap().columns.len(), 20_000);
 }
 

@@ -401,6 +401,11 @@ fn what_cannot_be_is_refused_by_name() {
             format!("[model]\nstructure = {{ name = 'oe', nf = {huge} }}\nestimator = {{ name = 'pem' }}\n");
         has(fault(&oe), &["nf", "at most"]);
     }
+    // A boundary that everything or nothing is inside of would be no guard.
+    for quantile in ["0.0", "1.0", "1.5", "-0.1", "nan"] {
+        let boundary = format!("{ARX}[validate]\nboundary = {{ quantile = {quantile} }}\n");
+        has(fault(&boundary), &["validate.boundary.quantile", "above 0 and below 1"]);
+    }
     // Parameters under names of another structure; a model without its inputs.
     bench.identify(&format!("{HEAD}{ARX}")).unwrap();
     let mut swapped = bench.model();

@@ -208,7 +208,7 @@ impl Grid {
             let c: Vec<Complex<f64>> = gains.iter().map(|g| self.pi(w, *g)).collect();
             let mut m: Vec<Vec<Complex<f64>>> =
                 (0..n).map(|o| (0..n).map(|i| self.g[w][o][i] * c[i]).collect()).collect();
-            (0..n).for_each(|o| m[o][o] = m[o][o] + Complex::new(1.0, 0.0));
+            (0..n).for_each(|o| m[o][o] += Complex::new(1.0, 0.0));
             let whole = determinant(m);
             20.0 * ((whole - Complex::new(1.0, 0.0)).norm() / whole.norm()).log10()
         };
@@ -253,8 +253,8 @@ fn response(linear: &Linear, z: Complex<f64>) -> Vec<Vec<Complex<f64>>> {
         let mut power = Complex::new(1.0, 0.0);
         let mut sum = Complex::new(0.0, 0.0);
         for v in values {
-            power = power * back;
-            sum = sum + Complex::new(*v, 0.0) * power;
+            power *= back;
+            sum += power * v;
         }
         sum
     };
@@ -276,7 +276,7 @@ fn determinant(mut m: Vec<Vec<Complex<f64>>>) -> Complex<f64> {
             m.swap(pivot, k);
             product = Complex::new(0.0, 0.0) - product;
         }
-        product = product * m[k][k];
+        product *= m[k][k];
         for i in k + 1..n {
             let share = m[i][k] / m[k][k];
             for j in k..n {

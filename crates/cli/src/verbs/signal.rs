@@ -52,7 +52,7 @@ struct Signal {
 enum ArgumentError {
     #[error("--keys {found}: expected KEY=VALUE, e.g. hold_s=3{reason}")]
     Key { found: String, reason: String },
-    #[error("{} missing", .0.join(" and "))]
+    #[error("{}", .0.join("; "))]
     Missing(Vec<&'static str>),
     #[error("--{flag} {found}: expected {expected}")]
     Value { flag: &'static str, found: String, expected: String },
@@ -88,8 +88,8 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 fn one(args: &Signal) -> Result<Job, Failure> {
     let (Some(sample_time_s), Some(length_s)) = (args.sample_time_s, args.length_s) else {
         let asked = [
-            ("--sample-time-s (the sample time in s) is", args.sample_time_s),
-            ("--length-s (the length in s) is", args.length_s),
+            ("--sample-time-s is missing: expected the sample time in s", args.sample_time_s),
+            ("--length-s is missing: expected the length in s", args.length_s),
         ];
         let missing = asked.into_iter().filter(|(_, given)| given.is_none()).map(|(name, _)| name);
         return Err(ArgumentError::Missing(missing.collect()).into());

@@ -10,8 +10,6 @@ use dynocal_ident::select::SelectError;
 use dynocal_ident::stored::StoredError;
 use dynocal_numerics::registry::BuildError;
 
-use crate::estimate::TooLarge;
-
 /// The job could not be done.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentifyError {
@@ -43,8 +41,8 @@ pub enum IdentifyError {
     #[error(transparent)]
     Build(#[from] BuildError),
     /// More memory than a run may take.
-    #[error(transparent)]
-    Large(#[from] TooLarge),
+    #[error("{0}")]
+    Large(String),
     /// Records in different units.
     #[error(
         "{record}: channel `{channel}` is in `{found}`, in {other} it is in `{expected}`: convert one of them"

@@ -72,7 +72,7 @@ fn missing(path: &path::Path) -> FilesError {
 /// [`IdentifyError`].
 pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
     let mut parts = parts(job, watch.note)?;
-    of_parts(job, &parts)?.allowed()?;
+    of_parts(job, &parts)?.allowed().map_err(|e| IdentifyError::Large(e.to_string()))?;
     let measured = measured(&parts[0].records);
     fit_records(job, &parts)?;
     let preparation = prepare_parts(job, &mut parts, dir)?;
