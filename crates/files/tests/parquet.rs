@@ -54,7 +54,8 @@ fn sample_time_s(path: &Path) -> Result<f64, FilesError> {
         role: Role::Input,
     }];
     let time = Time::Column { column: "t".into(), unit: None };
-    let layout = Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse };
+    let layout =
+        Layout { channels, time, trajectory: None, init_samples: 0, missing: Missing::Refuse, cut: None };
     Ok(datasets(&table, &layout, &Select::All)?[0].sample_time_s)
 }
 

@@ -78,7 +78,7 @@ pub fn estimate(job: &Job) -> Result<Estimate, SimulateError> {
     }
     let parameters: usize = models.iter().map(|n| n.model.theta().len()).sum();
     for file in &job.data {
-        let records = read(file, &models, job)?;
+        let records = read(file, &models, job, &|_| ())?;
         let samples: usize = records.iter().map(Dataset::len).sum();
         let channels = records.first().map_or(0, |d| d.channels.len());
         plan = plan
