@@ -67,7 +67,7 @@
 
 use dynocal_files::spec::Faults;
 use dynocal_ident::data::{DataError, Dataset, Role};
-use dynocal_ident::derived::{Derived, DerivedError};
+use dynocal_ident::derived::{Derived, DerivedError, Monomial};
 use serde::{Deserialize, Serialize};
 
 /// An input that may move.
@@ -85,9 +85,10 @@ pub struct InputChannel {
     /// Largest change in units per second; absent for none.
     #[serde(default)]
     pub rate_per_s: Option<f64>,
-    /// Weight on squared increments from sample to sample, mean over samples: objective unit per unit^2.
+    /// Weight on squared increments from sample to sample, mean over samples: objective unit per unit^2. Absent: by the
+    /// share of the objective that [`smoothing`](crate::optimise::OptimiseOptions::smoothing) gives to increments.
     #[serde(default)]
-    pub increment_weight: f64,
+    pub increment_weight: Option<f64>,
 }
 
 /// An operating channel that is imposed, e.g. the speed.
@@ -188,16 +189,15 @@ impl CalibrationProblem {
     /// The problem of thesis section 7.5: least fuel (eq. 7.11) with injection, spark and throttle in their bounds
     /// (eq. 7.14), torque and lambda demanded, at imposed speed; spark changes by at most 1 deg in 0.03 s.
     ///
-    /// The weights on increments are not the thesis': without them the optimum changes injection and throttle from sample
-    /// to sample by what no actuator follows.
+    /// Weights on increments are left to whoever optimises.
     pub fn thesis() -> Self {
-        let input = |name: &str, unit: &str, lower, upper, rate_per_s, increment_weight| InputChannel {
+        let input = |name: &str, unit: &str, lower, upper, rate_per_s| InputChannel {
             name: name.into(),
             unit: unit.into(),
             lower,
             upper,
             rate_per_s,
-            increment_weight,
+            increment_weight: None,
         };
         let demand = |output: &str, unit: &str, lower, upper| DemandChannel {
             output: output.into(),
@@ -208,9 +208,9 @@ impl CalibrationProblem {
         let powers = [("inj".to_string(), 1), ("speed".to_string(), 1)].into();
         Self {
             inputs: vec![
-                input("inj", "mg", 0.0, 30.0, None, 2e-2),
-                input("spark", "deg", 5.0, 30.0, Some(1.0 / 0.03), 1e-2),
-                input("throttle", "deg", 0.0, 90.0, None, 2e-2),
+                input("inj", "mg", 0.0, 30.0, None),
+                input("spark", "deg", 5.0, 30.0, Some(1.0 / 0.03)),
+                input("throttle", "deg", 0.0, 90.0, None),
             ],
             given: vec![GivenChannel {
                 name: "speed".into(),
@@ -259,7 +259,7 @@ impl CalibrationProblem {
 
     /// A channel as a monomial of channels that are not derived: its derivations put into each other.
     pub fn monomial(&self, channel: &str) -> Monomial {
-        monomial(channel, &self.derive)
+        Monomial::of(channel, &self.derive)
     }
 
     /// The channels `minimise` names, over a record that has the measured ones: one column each.
@@ -302,7 +302,9 @@ impl CalibrationProblem {
             if let Some(rate) = c.rate_per_s {
                 faults.positive(&of("rate_per_s"), rate, &format!("{}/s", c.unit));
             }
-            not_negative(&of("increment_weight"), c.increment_weight, faults);
+            if let Some(weight) = c.increment_weight {
+                not_negative(&of("increment_weight"), weight, faults);
+            }
         }
         for (k, c) in self.given.iter().enumerate() {
             name(&at(format!("given[{k}].name")), &c.name, &mut known, faults);
@@ -351,40 +353,6 @@ impl CalibrationProblem {
         }
         record.check()
     }
-}
-
-/// `factor prod_i c_i^(p_i)` of channels that are not derived.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Monomial {
-    /// Factor.
-    pub factor: f64,
-    /// Channels with their powers, none of them 0.
-    pub powers: Vec<(String, i32)>,
-}
-
-impl Monomial {
-    /// Its value where `of` says what the channels are.
-    pub fn value(&self, of: impl Fn(&str) -> f64) -> f64 {
-        self.powers.iter().fold(self.factor, |v, (name, p)| v * of(name).powi(*p))
-    }
-}
-
-/// `channel` as a monomial of channels that `derive` does not derive: its derivations put into each other.
-pub fn monomial(channel: &str, derive: &[Derived]) -> Monomial {
-    let mut out = Monomial { factor: 1.0, powers: vec![(channel.to_string(), 1)] };
-    for d in derive.iter().rev() {
-        let Some(at) = out.powers.iter().position(|(name, _)| *name == d.name) else { continue };
-        let (_, power) = out.powers.remove(at);
-        out.factor *= d.factor.powi(power);
-        for (name, p) in &d.powers {
-            match out.powers.iter_mut().find(|(known, _)| known == name) {
-                Some((_, sum)) => *sum += p * power,
-                None => out.powers.push((name.clone(), p * power)),
-            }
-        }
-        out.powers.retain(|(_, p)| *p != 0);
-    }
-    out
 }
 
 fn name(key: &str, found: &str, known: &mut Vec<String>, faults: &mut Faults) {
@@ -455,7 +423,7 @@ mod tests {
         let mut p = CalibrationProblem::thesis();
         p.inputs[0].lower = f64::NAN;
         p.inputs[1].rate_per_s = Some(0.0);
-        p.inputs[2].increment_weight = -1.0;
+        p.inputs[2].increment_weight = Some(-1.0);
         p.given[0].name = "inj".into();
         p.demands[1].upper = 0.5;
         p.minimise[0].channel = "fule".into();

@@ -191,6 +191,11 @@ fn a_free_run_far_outside_is_not_valid() {
     let parameters = model["parameters"].as_array_mut().unwrap();
     let pole = parameters.iter_mut().find(|p| p["name"].as_str().unwrap().contains("y(t-1)")).unwrap();
     pole["value"] = serde_json::json!(1.1);
+    write(tmp.path(), "restless.json", &model.to_string());
+    // Without a constant it rests at zero until the inputs move it.
+    let parameters = model["parameters"].as_array_mut().unwrap();
+    let constant = parameters.iter_mut().find(|p| p["name"] == "1").unwrap();
+    constant["value"] = serde_json::json!(0.0);
     write(tmp.path(), "grows.json", &model.to_string());
     write(tmp.path(), "new.csv", &record(false));
     let o = dynocal(
@@ -201,4 +206,7 @@ fn a_free_run_far_outside_is_not_valid() {
     assert!(o.stderr.contains("times its width"), "{}", o.stderr);
     let found: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
     assert!(found["valid"] == false && found["outputs"][0]["diverged_at"].is_null(), "{found}");
+    let o =
+        dynocal(tmp.path(), &["simulate", "--model", "restless.json", "--data", "new.csv", "--out", "none"]);
+    assert!(o.code == 1 && o.stderr.contains("no rest to start from"), "{} {}", o.code, o.stderr);
 }

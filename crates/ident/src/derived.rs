@@ -177,6 +177,40 @@ impl Derived {
     }
 }
 
+/// `factor prod_i c_i^(p_i)` of channels that are not derived.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Monomial {
+    /// Factor.
+    pub factor: f64,
+    /// Channels with their powers, none of them 0.
+    pub powers: Vec<(String, i32)>,
+}
+
+impl Monomial {
+    /// Its value where `of` says what the channels are.
+    pub fn value(&self, of: impl Fn(&str) -> f64) -> f64 {
+        self.powers.iter().fold(self.factor, |v, (name, p)| v * of(name).powi(*p))
+    }
+
+    /// `channel` as a monomial of channels that `derive` does not derive: its derivations put into each other.
+    pub fn of(channel: &str, derive: &[Derived]) -> Self {
+        let mut out = Self { factor: 1.0, powers: vec![(channel.to_string(), 1)] };
+        for d in derive.iter().rev() {
+            let Some(at) = out.powers.iter().position(|(name, _)| *name == d.name) else { continue };
+            let (_, power) = out.powers.remove(at);
+            out.factor *= d.factor.powi(power);
+            for (name, p) in &d.powers {
+                match out.powers.iter_mut().find(|(known, _)| known == name) {
+                    Some((_, sum)) => *sum += p * power,
+                    None => out.powers.push((name.clone(), p * power)),
+                }
+            }
+            out.powers.retain(|(_, p)| *p != 0);
+        }
+        out
+    }
+}
+
 impl std::fmt::Display for Derived {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         write!(f, "{} = {}", self.name, self.factor)?;

@@ -26,12 +26,14 @@
 //! ```
 
 mod measured;
+mod path;
 mod pointwise;
 mod run;
 
 use serde::{Deserialize, Serialize};
 
 pub use measured::MeasuredModel;
+pub use path::Path;
 pub use pointwise::Pointwise;
 pub use run::{Computed, Outside};
 

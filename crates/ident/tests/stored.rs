@@ -127,24 +127,28 @@ fn sample_by_sample_is_the_same_way() {
     let (prepared, _) = model.prepared(&other).unwrap();
     let expected = prepared[0].matrix(&["inj".to_string(), "cycle".to_string()]).unwrap();
     assert!(rows.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-12));
-    let at = |name: &str| other.values(name).unwrap()[7];
-    let mut row = [0.0; 2];
-    way.row(&at, &mut row);
-    assert_eq!(row, rows[14..16]);
-    for (i, name) in [(0, "inj"), (1, "speed"), (0, "speed")] {
-        let h = 1e-4 * at(name);
+    let channels = ["speed".to_string(), "inj".into()];
+    let paths = way.paths(&channels).unwrap();
+    let at = [other.values("speed").unwrap()[7], other.values("inj").unwrap()[7]];
+    for (path, expected) in paths.iter().zip(&rows[14..16]) {
+        assert!((path.value(&at) - expected).abs() < 1e-12);
+    }
+    for (i, c) in [(0, 1), (1, 0), (0, 0)] {
+        let h = 1e-4 * at[c];
         let moved = |step: f64| {
-            let mut row = [0.0; 2];
-            way.row(&|n: &str| at(n) + if n == name { step } else { 0.0 }, &mut row);
-            row[i]
+            let mut row = at;
+            row[c] += step;
+            paths[i].value(&row)
         };
         let difference = (moved(h) - moved(-h)) / (2.0 * h);
-        let found = way.derivative(i, name, &at);
+        let found = paths[i].slope(&at, c);
         assert!(
             (found - difference).abs() <= 1e-6 * (1e-3 + difference.abs()),
-            "{name}: {found} and {difference}"
+            "{}: {found} and {difference}",
+            channels[c]
         );
     }
+    assert_eq!(way.paths(&channels[..1]).unwrap_err(), "inj");
     let lambda = way.to_user(way.from_user(1.07));
     assert!((lambda - 1.07).abs() < 1e-14);
     assert_eq!(way.changed(), ["inj", "cycle", "the output"]);

@@ -52,6 +52,7 @@ pub struct Outputs {
     /// Volumetric efficiency against ambient air \[-\].
     pub volumetric_efficiency: f64,
     /// Brake specific fuel consumption \[g/kWh\]; infinite without brake power.
+    #[serde(deserialize_with = "infinite_where_null")]
     pub bsfc_g_kwh: f64,
     /// Speed of the turbocharger \[rpm\]; 0 without one.
     pub turbo_rpm: f64,
@@ -69,6 +70,11 @@ pub struct Outputs {
     pub hc_ppm: f64,
     /// Simulated time \[s\].
     pub time_s: f64,
+}
+
+/// JSON has no infinity and writes null for it.
+fn infinite_where_null<'de, D: serde::Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(from)?.unwrap_or(f64::INFINITY))
 }
 
 impl Outputs {

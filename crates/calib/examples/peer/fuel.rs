@@ -40,7 +40,7 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     let bounds: [(f64, f64); 3] = serde_json::from_value(input["bounds"].clone())?;
     for (c, bounds) in problem.inputs.iter_mut().zip(bounds) {
         (c.lower, c.upper) = bounds;
-        c.increment_weight = 0.0;
+        c.increment_weight = Some(0.0);
     }
     problem.inputs[1].rate_per_s = input["rate"].as_f64();
     let of = |k: usize| OutputModel::plain(&models[k], &outputs[k].structure, &outputs[k].theta, &INPUTS);

@@ -6,8 +6,8 @@
 //! model output = (factor y^power - offset) / scale           y the user's output
 //! ```
 
-use crate::problem::Monomial;
 use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::Model;
 
 /// A model input from named channels.

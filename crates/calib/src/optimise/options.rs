@@ -56,6 +56,10 @@ pub struct OptimiseOptions {
     pub history: History,
     /// How the record is gone through.
     pub way: Way,
+    /// Weight on increments of the inputs whose problem gives none: increments as large as those of the start record add this
+    /// share to the objective of the start. 0: none. Models know little of inputs that jump to and fro from sample to sample,
+    /// and an optimum finds what they get wrong there.
+    pub smoothing: f64,
 }
 
 impl Default for OptimiseOptions {
@@ -68,6 +72,7 @@ impl Default for OptimiseOptions {
             extend_s: 0.0,
             history: History::default(),
             way: Way::default(),
+            smoothing: 0.0,
         }
     }
 }
@@ -79,6 +84,7 @@ impl OptimiseOptions {
         faults.range(&of("tolerance"), self.tolerance, 1e-12, 1e-2, "of the scaled KKT error");
         faults.range(&of("max_iterations"), self.max_iterations as f64, 1.0, 1e6, "iterations");
         faults.range(&of("extend_s"), self.extend_s, 0.0, MOST_S, "s");
+        faults.range(&of("smoothing"), self.smoothing, 0.0, 1e3, "of the objective");
         self.way.check(&of("way"), faults);
     }
 }

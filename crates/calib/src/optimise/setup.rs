@@ -4,14 +4,18 @@ use super::error::OptimiseError;
 use super::model::OutputModel;
 use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
 use super::{DemandFrom, EndCondition, Found, History, OptimiseOptions};
-use crate::problem::{CalibrationProblem, LimitChannel, Monomial};
+use crate::problem::{CalibrationProblem, LimitChannel};
 use dynocal_ident::data::Dataset;
+use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::Run;
 use dynocal_numerics::status::Status;
 use std::ops::Range;
 
 /// Slack of the check that a start is inside of its bounds, relative to their width.
 const INSIDE: f64 = 1e-9;
+
+/// Least increment from sample to sample by which smoothing is measured, as a share of an input's range.
+const LEAST_MOVE: f64 = 1e-3;
 
 /// Names, samples and values that a program was made from.
 pub(super) struct Setup<'a> {
@@ -33,6 +37,8 @@ pub(super) struct Setup<'a> {
     pub(super) given: Vec<(String, Vec<f64>)>,
     /// Demands and limits made soft.
     elastic: Option<Elastic>,
+    /// Weights on squared increments of the inputs.
+    increment_weights: Vec<f64>,
     options: OptimiseOptions,
 }
 
@@ -90,6 +96,7 @@ impl<'a> Setup<'a> {
             columns,
             given: Vec::new(),
             elastic: None,
+            increment_weights: Vec::new(),
             options: *options,
         };
         for name in problem.given_names() {
@@ -100,6 +107,7 @@ impl<'a> Setup<'a> {
             setup.put_column(&name, start.values(&name)?);
         }
         setup.respond(start)?;
+        setup.increment_weights = setup.smoothing();
         Ok(setup)
     }
 
@@ -165,6 +173,7 @@ impl<'a> Setup<'a> {
             start: values[range.start * width..range.end * width].to_vec(),
             given,
             elastic: self.elastic,
+            increment_weights: self.increment_weights.clone(),
             options: OptimiseOptions { end, ..self.options },
         }
     }
@@ -185,6 +194,7 @@ impl<'a> Setup<'a> {
             problem: self.problem,
             models: self.models.clone(),
             given: self.given.clone(),
+            increment_weights: self.increment_weights.clone(),
             elastic: Some(Elastic { price, objective }),
             columns,
             start,
@@ -197,6 +207,26 @@ impl<'a> Setup<'a> {
         let kept = plain.columns.len();
         found.values =
             found.values.chunks_exact(self.columns.len()).flat_map(|row| row[..kept].to_vec()).collect();
+    }
+
+    /// Weights on squared increments: those of the problem, else such that increments as large as those of the start record
+    /// add the share `smoothing` to the objective of the start. An input that hardly moves there counts as if it moved by
+    /// [`LEAST_MOVE`] of its range.
+    fn smoothing(&self) -> Vec<f64> {
+        let (width, share) = (self.columns.len(), self.options.smoothing);
+        let terms = self.problem.minimise.iter().zip(self.objective_sums());
+        let objective: f64 = terms.map(|(t, s)| (t.weight * s.value_of(&self.start, width)).abs()).sum();
+        let mean_square = |c: usize| {
+            let step = |t: usize| (self.start[t * width + c] - self.start[(t - 1) * width + c]).powi(2);
+            (1..self.samples).map(step).sum::<f64>() / (self.samples.max(2) - 1) as f64
+        };
+        let inputs = self.problem.inputs.iter().enumerate();
+        inputs
+            .map(|(c, input)| {
+                let least = (LEAST_MOVE * (input.upper - input.lower)).powi(2);
+                input.increment_weight.unwrap_or_else(|| share * objective / mean_square(c).max(least))
+            })
+            .collect()
     }
 
     /// Objective of the start, by its terms alone.
@@ -345,7 +375,7 @@ impl<'a> Setup<'a> {
                 held,
                 bounds: (input.lower, input.upper),
                 rate: input.rate_per_s.map_or(f64::INFINITY, |r| r * self.sample_time_s),
-                increment_weight: input.increment_weight,
+                increment_weight: self.increment_weights[c],
             });
         }
         let outputs = &self.columns[self.problem.inputs.len()..];

@@ -2,8 +2,9 @@
 
 use super::model::{OutputModel, OutputWay, Source};
 use super::{OptimiseError, OptimiseOptions, Optimum, optimise_models};
-use crate::problem::{CalibrationProblem, monomial};
+use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
+use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::stored::{StoredError, StoredModel};
 
@@ -26,7 +27,7 @@ impl StoredOutput {
             .inputs
             .iter()
             .map(|(name, affine)| Source {
-                monomial: monomial(name, &model.derived),
+                monomial: Monomial::of(name, &model.derived),
                 offset: affine.offset,
                 scale: affine.scale,
             })

@@ -7,9 +7,10 @@ use dynocal_calib::optimise::program::Program;
 use dynocal_calib::optimise::{
     EndCondition, History, OptimiseError, OptimiseOptions, optimise_models, optimise_record, parts,
 };
-use dynocal_calib::problem::{CalibrationProblem, Monomial};
+use dynocal_calib::problem::CalibrationProblem;
 use dynocal_ident::data::Role;
 use dynocal_ident::derived::Derived;
+use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::literature;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::stored::{Quantity, Seen, StoredModel};

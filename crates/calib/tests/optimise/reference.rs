@@ -23,7 +23,7 @@ fn reference_dir() -> Option<PathBuf> {
 /// The thesis' problem without weights on increments, which the reference does not have.
 fn fuel(limit: Option<f64>) -> CalibrationProblem {
     let mut p = CalibrationProblem::thesis();
-    p.inputs.iter_mut().for_each(|c| c.increment_weight = 0.0);
+    p.inputs.iter_mut().for_each(|c| c.increment_weight = Some(0.0));
     p.inputs[1].rate_per_s = limit.map(|deg| deg / 0.03);
     p
 }

@@ -10,7 +10,7 @@
 
 use dynocal_numerics::status::Status;
 
-use super::{Pointwise, StoredError, StoredModel};
+use super::{Path, Pointwise, StoredError, StoredModel};
 use crate::model::form::{Driven, Form, FormRow};
 use crate::model::poly::StructureError;
 use crate::model::{Drawn, Model, Run};
@@ -21,6 +21,8 @@ use std::sync::Arc;
 pub struct MeasuredModel {
     inner: Driven,
     way: Pointwise,
+    /// Inner inputs over rows of the measured channels.
+    paths: Vec<Path>,
     /// The user's output.
     output: String,
     /// Measured channels, in the order of the inputs of this model.
@@ -48,19 +50,13 @@ impl StoredModel {
     /// [`StoredError`] as of [`StoredModel::over`].
     pub fn over_with(&self, channels: &[String], inner: Driven) -> Result<MeasuredModel, StoredError> {
         let way = self.pointwise()?;
-        for q in self.measured_inputs() {
-            if !channels.contains(&q.name) {
-                return Err(StoredError::Channels {
-                    output: self.output.name.clone(),
-                    found: channels.join(", "),
-                    expected: format!("`{}` among them", q.name),
-                });
-            }
-        }
-        let moves: Vec<Vec<usize>> = channels
-            .iter()
-            .map(|c| (0..way.inputs.len()).filter(|i| way.reads(&way.inputs[*i].0, c)).collect())
-            .collect();
+        let paths = way.paths(channels).map_err(|missing| StoredError::Channels {
+            output: self.output.name.clone(),
+            found: channels.join(", "),
+            expected: format!("`{missing}` among them"),
+        })?;
+        let moves: Vec<Vec<usize>> =
+            (0..channels.len()).map(|c| (0..paths.len()).filter(|i| paths[*i].reads(c)).collect()).collect();
         let (mut window, mut entries): (Vec<(usize, usize)>, Vec<Vec<usize>>) = (Vec::new(), Vec::new());
         for (e, &(i, lag)) in inner.model.window().iter().enumerate() {
             for c in (0..channels.len()).filter(|c| moves[*c].contains(&i)) {
@@ -74,7 +70,7 @@ impl StoredModel {
             }
         }
         let output = self.user_output().name;
-        Ok(MeasuredModel { inner, way, output, channels: channels.to_vec(), moves, window, entries })
+        Ok(MeasuredModel { inner, way, paths, output, channels: channels.to_vec(), moves, window, entries })
     }
 }
 
@@ -94,18 +90,11 @@ impl MeasuredModel {
         self.way.from_user(y)
     }
 
-    fn of<'a>(&'a self, row: &'a [f64]) -> impl Fn(&str) -> f64 + 'a {
-        move |name: &str| self.channels.iter().position(|c| c == name).map_or(f64::NAN, |k| row[k])
-    }
-
     /// Inputs of the structure over rows of measured channels.
     fn inner_rows(&self, u: &[f64]) -> Vec<f64> {
-        let m = self.way.inputs.len();
-        let mut x = vec![0.0; u.len() / self.channels.len().max(1) * m];
-        for (row, into) in u.chunks_exact(self.channels.len().max(1)).zip(x.chunks_exact_mut(m.max(1))) {
-            self.way.row(&self.of(row), into);
-        }
-        x
+        u.chunks_exact(self.channels.len().max(1))
+            .flat_map(|row| self.paths.iter().map(|path| path.value(row)))
+            .collect()
     }
 
     fn inner_outputs(&self, y: &[f64]) -> Vec<f64> {
@@ -254,14 +243,13 @@ impl Model for MeasuredModel {
         }
         let mut x_bar = vec![0.0; x.len()];
         self.inner.model.sensitivity_adjoint(theta, &inner, &z, &sz, &z_bar, &sz_bar, &mut x_bar);
-        let (m, width) = (self.way.inputs.len(), self.channels.len());
+        let (m, width) = (self.paths.len(), self.channels.len());
         for (t, row) in run.u.chunks_exact(width.max(1)).enumerate() {
-            let of = self.of(row);
             for (c, inputs) in self.moves.iter().enumerate() {
                 for &i in inputs {
                     let bar = x_bar[t * m + i];
                     if bar != 0.0 {
-                        u_bar[t * width + c] += bar * self.way.derivative(i, &self.channels[c], &of);
+                        u_bar[t * width + c] += bar * self.paths[i].slope(row, c);
                     }
                 }
             }
@@ -295,7 +283,7 @@ impl Model for MeasuredModel {
         let slope = |k: usize, e: usize| {
             let ((c, lag_k), (i, _)) = (self.window[k], inner_window[e]);
             let at = lag - lag_k;
-            self.way.derivative(i, &self.channels[c], &self.of(&rows[at * width..(at + 1) * width]))
+            self.paths[i].slope(&rows[at * width..(at + 1) * width], c)
         };
         let slopes: Vec<Vec<f64>> =
             (0..w).map(|k| self.entries[k].iter().map(|&e| slope(k, e)).collect()).collect();
@@ -316,10 +304,10 @@ impl Model for MeasuredModel {
                 if lag_a == lag_b {
                     // The curvature of a derived channel itself.
                     let at = lag - lag_a;
-                    let of = self.of(&rows[at * width..(at + 1) * width]);
+                    let row = &rows[at * width..(at + 1) * width];
                     for &e in self.entries[a].iter().filter(|e| self.entries[b].contains(e)) {
                         let i = inner_window[e].0;
-                        sum += gz[e] * self.way.curvature(i, &self.channels[ca], &self.channels[cb], &of);
+                        sum += gz[e] * self.paths[i].bend(row, ca, cb);
                     }
                 }
                 hess[a * w + b] = first * sum + second * inner_grad[a] * inner_grad[b];

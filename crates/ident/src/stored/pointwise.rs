@@ -4,9 +4,9 @@
 //! u_i = (d_i - offset_i) / scale_i,      d_i a measured or derived channel        y = offset + scale f(u, y)
 //! ```
 
-use super::{StoredError, StoredModel};
+use super::{Path, StoredError, StoredModel};
 use crate::data::Dataset;
-use crate::derived::Derived;
+use crate::derived::{Derived, Monomial};
 use crate::prepare::{Effect, Note};
 
 /// Offset and scale of one channel.
@@ -97,17 +97,15 @@ impl StoredModel {
 }
 
 impl Pointwise {
-    /// Inputs of the structure (m) where `of` says what the measured channels are.
-    pub fn row(&self, of: &dyn Fn(&str) -> f64, row: &mut [f64]) {
-        for (into, (name, affine)) in row.iter_mut().zip(&self.inputs) {
-            *into = (self.channel(name, of) - affine.offset) / affine.scale;
-        }
-    }
-
-    /// Derivative of input `i` of the structure with respect to a measured channel there.
-    pub fn derivative(&self, i: usize, channel: &str, of: &dyn Fn(&str) -> f64) -> f64 {
-        let (name, affine) = &self.inputs[i];
-        self.slope(name, channel, of) / affine.scale
+    /// Inputs of the structure as functions of rows of `channels`; the name of the first one that is missing as an error.
+    ///
+    /// # Errors
+    /// That name.
+    pub fn paths(&self, channels: &[String]) -> Result<Vec<Path>, String> {
+        let path = |(name, affine): &(String, Affine)| {
+            Path::new(Monomial::of(name, &self.derived), *affine, channels)
+        };
+        self.inputs.iter().map(path).collect()
     }
 
     /// Inputs of the structure over a record of measured channels, N x m row-major.
@@ -155,20 +153,6 @@ impl Pointwise {
         (value - self.output.offset) / self.output.scale
     }
 
-    /// Whether an input of the structure follows from a measured channel.
-    pub fn reads(&self, input: &str, measured: &str) -> bool {
-        match self.derived.iter().find(|d| d.name == input) {
-            Some(d) => d.powers.keys().any(|source| self.reads(source, measured)),
-            None => input == measured,
-        }
-    }
-
-    /// Second derivative of input `i` of the structure with respect to two measured channels there.
-    pub fn curvature(&self, i: usize, a: &str, b: &str, of: &dyn Fn(&str) -> f64) -> f64 {
-        let (name, affine) = &self.inputs[i];
-        self.bend(name, a, b, of) / affine.scale
-    }
-
     /// Whether the user's output is a straight line over the structure's.
     pub fn output_is_affine(&self) -> bool {
         self.transform.as_ref().is_none_or(|t| t.powers.values().all(|p| *p == 1))
@@ -186,45 +170,5 @@ impl Pointwise {
         let v = self.output.offset + scale * z;
         let (y, p) = (t.inverted(v).unwrap_or(v), f64::from(power));
         (scale * y / (p * v), scale * scale * (1.0 - p) * y / (p * v).powi(2))
-    }
-
-    fn channel(&self, name: &str, of: &dyn Fn(&str) -> f64) -> f64 {
-        match self.derived.iter().find(|d| d.name == name) {
-            Some(d) => d.value(|source| self.channel(source, of)),
-            None => of(name),
-        }
-    }
-
-    /// Derivative of a channel with respect to a measured one.
-    fn slope(&self, name: &str, measured: &str, of: &dyn Fn(&str) -> f64) -> f64 {
-        match self.derived.iter().find(|d| d.name == name) {
-            None => f64::from(u8::from(name == measured)),
-            Some(d) => {
-                let at = |source: &str| self.channel(source, of);
-                d.powers.keys().map(|s| d.derivative(s, at) * self.slope(s, measured, of)).sum()
-            }
-        }
-    }
-
-    /// Second derivative of a channel with respect to two measured ones. A monomial of measured channels has
-    /// `p_a p_b d/(c_a c_b)` and, on the diagonal, `p (p - 1) d/c^2`.
-    fn bend(&self, name: &str, a: &str, b: &str, of: &dyn Fn(&str) -> f64) -> f64 {
-        let Some(d) = self.derived.iter().find(|d| d.name == name) else { return 0.0 };
-        let at = |source: &str| self.channel(source, of);
-        let value = d.value(at);
-        let mut sum = 0.0;
-        for (s, p) in &d.powers {
-            let (x, power) = (at(s), f64::from(*p));
-            sum += d.derivative(s, at) * self.bend(s, a, b, of);
-            for (r, q) in &d.powers {
-                let second = if s == r {
-                    power * (power - 1.0) * value / (x * x)
-                } else {
-                    power * f64::from(*q) * value / (x * at(r))
-                };
-                sum += second * self.slope(s, a, of) * self.slope(r, b, of);
-            }
-        }
-        sum
     }
 }

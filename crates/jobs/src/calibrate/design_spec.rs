@@ -93,7 +93,7 @@ pub(super) fn design_text(
         ("name", Value::String("design01".into())),
         ("length_s", Value::Float(spec.record_s)),
         ("sample_time_s", Value::Float(ctx.spec.sample_time_s)),
-        ("rivals", Value::Integer(4)),
+        ("rivals", Value::Integer(0)),
         ("certificate", Value::Boolean(false)),
         ("channels", Value::Array(list)),
         ("models", Value::Array(model_tables)),

@@ -53,6 +53,9 @@ pub struct Candidate {
     pub choosing_r2: Option<f64>,
     /// Mean R2 over the unseen records; none when one diverged or there is none.
     pub unseen_r2: Option<f64>,
+    /// Share of free runs on random inputs that left the range of the output; 0 where none was tried.
+    #[serde(default)]
+    pub unstable_share: f64,
     /// Warnings of the job `identify`.
     pub warnings: Vec<String>,
 }
@@ -67,7 +70,8 @@ pub struct OutputModels {
     pub unit: String,
     /// Candidates.
     pub candidates: Vec<Candidate>,
-    /// Index of the candidate with the best free run on the records that choose.
+    /// Index of the candidate with the best free run on the records that choose; one that is unstable on a part of random
+    /// inputs only where all are.
     pub chosen: usize,
 }
 
@@ -182,7 +186,12 @@ fn output_models(
     output: &str,
     candidates: Vec<Candidate>,
 ) -> Result<OutputModels, ChainError> {
-    let score = |c: &Candidate| c.choosing_r2.unwrap_or(f64::NEG_INFINITY);
+    // An optimum goes where a model is wrong, so one that runs away somewhere is worse than its score on measured records.
+    let any_stable = candidates.iter().any(|c| c.unstable_share == 0.0 && c.choosing_r2.is_some());
+    let score = |c: &Candidate| match any_stable && c.unstable_share > 0.0 {
+        true => f64::NEG_INFINITY,
+        false => c.choosing_r2.unwrap_or(f64::NEG_INFINITY),
+    };
     let best = candidates.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
     let chosen = candidates.iter().position(|c| score(c) == best).unwrap_or(0);
     let unit = ctx.spec.problem.unit(output).unwrap_or("-").into();
@@ -218,6 +227,7 @@ fn candidate(
         evaluations: modelled.evaluations.unwrap_or(0),
         choosing_r2: mean_r2(&scores, |s| s.chooses),
         unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
+        unstable_share: modelled.after.stability.as_ref().map_or(0.0, |s| s.share_diverged),
         scores,
         model,
         warnings: found.warnings,
@@ -255,6 +265,7 @@ fn stored(
         evaluations: 0,
         choosing_r2: mean_r2(&scores, |s| s.chooses),
         unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
+        unstable_share: 0.0,
         scores,
         model,
         warnings: Vec::new(),

@@ -122,6 +122,7 @@ fn one_pass(
     let options = OptimiseOptions {
         max_iterations: ctx.spec.optimise.max_iterations,
         tolerance: ctx.spec.optimise.tolerance,
+        smoothing: ctx.spec.optimise.smoothing,
         // What an optimum does because nobody looks beyond its end it does out of sight.
         extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
         ..OptimiseOptions::default()

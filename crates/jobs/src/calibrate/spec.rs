@@ -242,7 +242,7 @@ impl Default for DesignSpec {
             given_point_s: 3.0,
             excess: 1.0,
             starts: 1,
-            max_evaluations: 100,
+            max_evaluations: 300,
         }
     }
 }
@@ -263,6 +263,9 @@ pub struct OptimiseSpec {
     pub max_iterations: usize,
     /// Scaled KKT error at which it has converged.
     pub tolerance: f64,
+    /// Weight on increments of inputs whose `increment_weight` is absent: increments as large as those of the start record add
+    /// this share to the objective. 0: none.
+    pub smoothing: f64,
 }
 
 impl Default for OptimiseSpec {
@@ -274,6 +277,7 @@ impl Default for OptimiseSpec {
             hold_s: 1.5,
             max_iterations: 300,
             tolerance: 1e-8,
+            smoothing: 0.01,
         }
     }
 }

@@ -203,9 +203,11 @@ impl<'a> Growing<'a> {
         }
         let (of, start, name) = match source {
             Source::Input(i) => {
-                let mut row = vec![0.0; self.pointwise.inputs.len()];
-                self.pointwise.row(&|name| self.nominal(name), &mut row);
-                (self.input(i), row[i], self.pointwise.inputs[i].0.clone())
+                let channels: Vec<String> =
+                    self.stored.measured_inputs().into_iter().map(|q| q.name).collect();
+                let row: Vec<f64> = channels.iter().map(|name| self.nominal(name)).collect();
+                let start = self.pointwise.paths(&channels).map_or(0.0, |paths| paths[i].value(&row));
+                (self.input(i), start, self.pointwise.inputs[i].0.clone())
             }
             Source::Output => {
                 let user = self.nominal(&self.stored.user_output().name);

@@ -167,12 +167,19 @@ fn read(
     Ok(records)
 }
 
+/// What a run without a single value is.
+const NO_REST: &str = "has no rest to start from (the model does not settle under the first inputs; a record with the measured output \
+                       and `start = \"measured\"` would do)";
+
 /// Whether the free run stays near what was ever measured of the output: in the record, else in the identification.
 fn output(model: &StoredModel, c: Computed) -> Output {
     let q = model.user_output();
     let seen = model.seen.iter().filter(|s| s.name == q.name).flat_map(|s| [s.minimum, s.maximum]);
     let range = seen.chain(c.measured.iter().flatten().copied());
-    let departure = departure(&c.y, range, |_| true).map(|d| Left { sample: d.sample, words: d.words() });
+    let departure = departure(&c.y, range, |_| true).map(|d| Left {
+        sample: d.sample,
+        words: if c.y.iter().any(|v| v.is_finite()) { d.words() } else { NO_REST.into() },
+    });
     let diverged_at = c.y.iter().position(|v| !v.is_finite());
     let finite = &c.y[..diverged_at.unwrap_or(c.y.len())];
     let range = finite.iter().fold(None, |r: Option<(f64, f64)>, v| {

@@ -1,17 +1,19 @@
 //! Study `engine`, the parameter set `gtdi_2l`: tasks and checks (case 14 of the specification and class values).
 
 use crate::StudyError;
-use crate::engine::class_values::{self, random_box};
+use crate::engine::class_values::{self, BoxRun, random_box};
+use crate::engine::results::{Cams, Grid, GridPoint, Mixture, SparkSweepAt};
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::full_load::{LoadLimits, LoadPoint, LoadRequest, hold_load, load_map};
+use dynocal_plant::outputs::Outputs;
 use dynocal_plant::params::EngineParams;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::checks::{check, of, range};
+use super::checks::{check, range};
 use super::task;
 use crate::asked::Asked;
-use crate::{Check, Options, Task, TaskResult};
+use crate::{Check, Options, Task, TaskResult, result};
 
 /// Names of the tasks.
 pub(super) const FULL_LOAD: &str = "gtdi-full-load";
@@ -58,24 +60,21 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
         task(CAMS.into(), json!(INTAKE_DEG), || cams().map_err(failed("cam sweep"))),
         task(BOX.into(), json!([seed, time_s]), move || {
             let params = EngineParams::named(SET).map_err(failed("random box"))?;
-            Ok(json!(random_box(&params, time_s, 0.1, seed).map_err(failed("random box"))?))
+            random_box(&params, time_s, 0.1, seed).map_err(failed("random box"))
         }),
     ]
 }
 
 /// Points over speed and torque; a point that failed carries why.
-fn grid(speeds: &[f64], torques: &[f64]) -> Result<Value, StudyError> {
+fn grid(speeds: &[f64], torques: &[f64]) -> Result<Grid, StudyError> {
     let params = EngineParams::named(SET).map_err(failed("map"))?;
     let rows = load_map(&params, speeds, torques, LoadLimits::default()).map_err(failed("map"))?;
-    let rows: Vec<Vec<Value>> = rows
-        .into_iter()
-        .map(|row| {
-            row.into_iter()
-                .map(|p| p.map_or_else(|e| json!({ "error": e.to_string() }), |p| json!(p)))
-                .collect()
-        })
-        .collect();
-    Ok(json!({ "speed_rpm": speeds, "torque_nm": torques, "rows": rows }))
+    let point = |p: Result<LoadPoint, PlantError>| match p {
+        Ok(p) => GridPoint { point: Some(p), error: None },
+        Err(e) => GridPoint { point: None, error: Some(e.to_string()) },
+    };
+    let rows = rows.into_iter().map(|row| row.into_iter().map(point).collect()).collect();
+    Ok(Grid { speed_rpm: speeds.to_vec(), torque_nm: torques.to_vec(), rows })
 }
 
 fn point(speed_rpm: f64, torque_nm: f64) -> Result<(EngineParams, LoadPoint), PlantError> {
@@ -86,50 +85,51 @@ fn point(speed_rpm: f64, torque_nm: f64) -> Result<(EngineParams, LoadPoint), Pl
     Ok((params, point))
 }
 
-fn spark(points: &[(f64, f64)]) -> Result<Value, PlantError> {
-    let sweeps: Result<Vec<Value>, PlantError> = points
+fn spark(points: &[(f64, f64)]) -> Result<Vec<SparkSweepAt>, PlantError> {
+    points
         .iter()
-        .map(|&(speed, torque)| {
-            let (params, p) = point(speed, torque)?;
-            let sweep = class_values::spark_sweep(&params, &p)?;
-            Ok(json!({ "speed_rpm": speed, "torque_nm": torque, "sweep": sweep }))
+        .map(|&(speed_rpm, torque_nm)| {
+            let (params, p) = point(speed_rpm, torque_nm)?;
+            Ok(SparkSweepAt { speed_rpm, torque_nm, sweep: class_values::spark_sweep(&params, &p)? })
         })
-        .collect();
-    Ok(json!(sweeps?))
+        .collect()
 }
 
-fn mixture(lambdas: &[f64]) -> Result<Value, PlantError> {
+fn mixture(lambdas: &[f64]) -> Result<Mixture, PlantError> {
     let (params, p) = point(2000.0, 70.0)?;
-    Ok(json!({ "lambda": lambdas, "outputs": class_values::mixture_sweep(&params, &p, lambdas)? }))
+    let outputs = class_values::mixture_sweep(&params, &p, lambdas)?;
+    Ok(Mixture { lambda: lambdas.to_vec(), outputs })
 }
 
-fn cams() -> Result<Value, PlantError> {
+fn cams() -> Result<Cams, PlantError> {
     let (params, p) = point(2000.0, 40.0)?;
-    Ok(json!({ "intake_deg": INTAKE_DEG, "outputs": class_values::cam_sweep(&params, &p, &INTAKE_DEG)? }))
+    let outputs = class_values::cam_sweep(&params, &p, &INTAKE_DEG)?;
+    Ok(Cams { intake_deg: INTAKE_DEG.to_vec(), outputs })
 }
 
-/// All points of a grid.
-pub(super) fn points<'a>(results: &'a [TaskResult], name: &str) -> Vec<&'a Value> {
-    let rows = of(results, name)["rows"].as_array();
-    rows.into_iter().flatten().filter_map(Value::as_array).flatten().collect()
+/// The points of a grid that were asked for; empty when the grid cannot be read.
+pub(super) fn points(results: &[TaskResult], name: &str) -> Vec<GridPoint> {
+    result::<Grid>(results, name).map_or_else(Vec::new, |g| g.rows.into_iter().flatten().collect())
 }
 
 /// An output of every point that `keep` keeps; none where a point failed.
-fn outputs<'a>(
-    points: &'a [&'a Value],
-    key: &'a str,
-    keep: impl Fn(&Value) -> bool + 'a,
-) -> impl Iterator<Item = Option<f64>> + 'a {
-    points.iter().filter(move |p| keep(p)).map(move |p| p["outputs"][key].as_f64())
+fn outputs(
+    points: &[GridPoint],
+    of: fn(&Outputs) -> f64,
+    keep: fn(&LoadPoint) -> bool,
+) -> impl Iterator<Item = Option<f64>> {
+    points
+        .iter()
+        .filter(move |p| p.point.as_ref().is_none_or(keep))
+        .map(move |p| p.point.as_ref().map(|p| of(&p.outputs)))
 }
 
-fn rated(p: &Value) -> bool {
-    let speed = p["request"]["speed_rpm"].as_f64().unwrap_or(0.0);
-    (RATED_RPM.0..=RATED_RPM.1).contains(&speed) || p["error"].is_string()
+fn rated(p: &LoadPoint) -> bool {
+    (RATED_RPM.0..=RATED_RPM.1).contains(&p.request.speed_rpm)
 }
 
-fn reached(p: &Value) -> bool {
-    p["reached"] == true || p["error"].is_string()
+fn reached(p: &LoadPoint) -> bool {
+    p.reached
 }
 
 /// The checks.
@@ -143,7 +143,7 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
 
 fn full_load(results: &[TaskResult]) -> Vec<Check> {
     let all = points(results, FULL_LOAD);
-    let span = |key: &'static str| range(outputs(&all, key, rated));
+    let span = |of: fn(&Outputs) -> f64| range(outputs(&all, of, rated));
     let note = "gtdi_2l, 1750 to 4500 rpm; limits 240 kPa, 950 deg C, knock integral 1, 110 bar";
     let low = |r: Option<(f64, f64)>| r.map(|r| r.0);
     let high = |r: Option<(f64, f64)>| r.map(|r| r.1);
@@ -153,7 +153,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Least torque at full load (case 14: 366 Nm, 1 %)",
             "Nm",
             Asked::AtLeast(362.3),
-            low(span("torque_nm")),
+            low(span(|y| y.torque_nm)),
             note,
         ),
         check(
@@ -161,7 +161,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Highest intake-manifold pressure at full load",
             "kPa",
             Asked::AtMost(240.5),
-            high(span("map_kpa")),
+            high(span(|y| y.map_kpa)),
             note,
         ),
         check(
@@ -169,7 +169,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Highest turbocharger speed at full load",
             "rpm",
             Asked::AtMost(200e3),
-            high(span("turbo_rpm")),
+            high(span(|y| y.turbo_rpm)),
             note,
         ),
         check(
@@ -177,7 +177,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Largest knock integral at full load",
             "",
             Asked::AtMost(1.03),
-            high(span("knock")),
+            high(span(|y| y.knock)),
             note,
         ),
         check(
@@ -185,7 +185,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Latest 50 % burned at full load: the spark is held back",
             "deg",
             Asked::AtLeast(15.0),
-            high(span("ca50_deg")),
+            high(span(|y| y.ca50_deg)),
             note,
         ),
         check(
@@ -193,7 +193,7 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
             "Highest exhaust temperature at full load",
             "deg C",
             Asked::AtMost(955.0),
-            high(span("egt_k")).map(|t| t - 273.15),
+            high(span(|y| y.egt_k)).map(|t| t - 273.15),
             note,
         ),
     ]
@@ -201,11 +201,12 @@ fn full_load(results: &[TaskResult]) -> Vec<Check> {
 
 fn class(results: &[TaskResult]) -> Vec<Check> {
     let all = points(results, MAP);
-    let span = |key: &'static str| range(outputs(&all, key, reached));
+    let span = |of: fn(&Outputs) -> f64| range(outputs(&all, of, reached));
     let full = points(results, FULL_LOAD);
     let best =
-        range(outputs(&all, "bsfc_g_kwh", reached).chain(outputs(&full, "bsfc_g_kwh", reached))).map(|r| r.0);
-    let (residual, egt) = (span("residual"), span("egt_k"));
+        range(outputs(&all, |y| y.bsfc_g_kwh, reached).chain(outputs(&full, |y| y.bsfc_g_kwh, reached)))
+            .map(|r| r.0);
+    let (residual, egt) = (span(|y| y.residual), span(|y| y.egt_k));
     let note = "gtdi_2l, map at lambda 1 and cam schedule";
     vec![
         check(
@@ -260,16 +261,17 @@ fn class(results: &[TaskResult]) -> Vec<Check> {
 }
 
 fn sweeps(results: &[TaskResult]) -> Vec<Check> {
-    let all: Vec<&Value> = of(results, SPARK).as_array().into_iter().flatten().collect();
-    let losses = range(all.iter().flat_map(|s| [0, 1].map(|k| s["sweep"]["loss_pct"][k].as_f64())));
+    let all: Vec<SparkSweepAt> = result(results, SPARK).unwrap_or_default();
+    let losses = range(all.iter().flat_map(|s| s.sweep.loss_pct).map(Some));
     let off = all.iter().flat_map(|s| {
-        (3..=9).map(move |k| {
-            Some(100.0 * (s["sweep"]["ratio"][k].as_f64()? - s["sweep"]["published"][k].as_f64()?).abs())
-        })
+        let pairs = s.sweep.ratio.iter().zip(&s.sweep.published);
+        pairs.skip(3).take(7).map(|(own, published)| Some(100.0 * (own - published).abs()))
     });
-    let egt = |k: usize| of(results, MIXTURE)["outputs"][k]["egt_k"].as_f64();
+    let mixture: Option<Mixture> = result(results, MIXTURE);
+    let egt = |k: usize| mixture.as_ref()?.outputs.get(k).map(|y| y.egt_k);
     let rich = (0..3).map(|k| Some(egt(k + 1)? - egt(k)?));
-    let residual = |k: usize| of(results, CAMS)["outputs"][k]["residual"].as_f64();
+    let cams: Option<Cams> = result(results, CAMS);
+    let residual = |k: usize| cams.as_ref()?.outputs.get(k).map(|y| y.residual);
     // From 231 deg on both valves are open together; before that residual gas does not depend on the cam.
     let overlap = (3..INTAKE_DEG.len()).map(|k| Some(residual(k)? - residual(k - 1)?));
     let note = "constant air and fuel; 1500 rpm 60 Nm, 2000 rpm 70 Nm, 3000 rpm 120 Nm";
@@ -318,7 +320,8 @@ fn sweeps(results: &[TaskResult]) -> Vec<Check> {
 }
 
 fn random(results: &[TaskResult]) -> Vec<Check> {
-    let run = of(results, BOX);
+    let run: Option<BoxRun> = result(results, BOX);
+    let value = |of: fn(&BoxRun) -> f64| run.as_ref().map(of);
     let note = "every input random over its box, limits off; 1 h simulated at full length";
     vec![
         check(
@@ -326,7 +329,7 @@ fn random(results: &[TaskResult]) -> Vec<Check> {
             "Error of the energy balance over the heat of combustion",
             "",
             Asked::AtMost(1e-10),
-            run["energy_error"].as_f64(),
+            value(|r| r.energy_error),
             note,
         ),
         check(
@@ -334,7 +337,7 @@ fn random(results: &[TaskResult]) -> Vec<Check> {
             "Error of the mass balance over the fuel",
             "",
             Asked::AtMost(1e-10),
-            run["mass_error"].as_f64(),
+            value(|r| r.mass_error),
             note,
         ),
         check(
@@ -342,7 +345,7 @@ fn random(results: &[TaskResult]) -> Vec<Check> {
             "Most negative mass of a species",
             "kg",
             Asked::AtLeast(-1e-12),
-            run["least_mass_kg"].as_f64(),
+            value(|r| r.least_mass_kg),
             note,
         ),
     ]

@@ -1,12 +1,12 @@
 //! Report of the study `engine`: sections of the parameter set `gtdi_2l`.
 
+use dynocal_plant::full_load::LoadPoint;
+use dynocal_plant::outputs::Outputs;
 use dynocal_report::{Axis, Block, HeatMap, Report, Section, XyPlot};
-use serde_json::Value;
 
 use super::boosted::{CAMS, FULL_LOAD, MAP, MIXTURE, SPARK, points};
-use super::checks::of;
-use super::tables::numbers;
-use crate::TaskResult;
+use super::results::{Cams, Grid, GridPoint, Mixture, SparkSweepAt};
+use crate::{TaskResult, result};
 
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let text = "Parameter set gtdi_2l as a controller holds it: boost, knock limit, peak pressure, exhaust temperature.";
@@ -16,67 +16,67 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         .section(Section::new("Sweeps of gtdi_2l").columns(sweeps(results)))
 }
 
-fn series(all: &[&Value], part: &str, key: &str) -> Vec<f64> {
-    let value = |p: &&Value| if part.is_empty() { p[key].as_f64() } else { p[part][key].as_f64() };
-    all.iter().map(|p| value(p).unwrap_or(f64::NAN)).collect()
+/// A name and what it is of a point.
+type Line = (&'static str, fn(&LoadPoint) -> f64);
+
+/// A value of every point; NaN where one failed.
+fn series(all: &[GridPoint], of: impl Fn(&LoadPoint) -> f64) -> Vec<f64> {
+    all.iter().map(|p| p.point.as_ref().map_or(f64::NAN, &of)).collect()
 }
 
 fn full_load(results: &[TaskResult]) -> Vec<Block> {
     let all = points(results, FULL_LOAD);
-    let speed = || series(&all, "request", "speed_rpm");
-    let plot = |name: &str, unit: &str, lines: &[(&str, &str, &str)]| -> Block {
+    let speed = || series(&all, |p| p.request.speed_rpm);
+    let plot = |name: &str, unit: &str, lines: &[Line]| -> Block {
         let empty = XyPlot::new(name, Axis::new("Speed", "rpm"), Axis::new(name, unit));
-        lines
-            .iter()
-            .fold(empty, |p, (label, part, key)| p.line(*label, speed(), series(&all, part, key)))
-            .into()
+        lines.iter().fold(empty, |p, (label, of)| p.line(*label, speed(), series(&all, of))).into()
     };
-    let celsius: Vec<f64> = series(&all, "outputs", "egt_k").iter().map(|t| t - 273.15).collect();
+    let celsius = series(&all, |p| p.outputs.egt_k - 273.15);
     vec![
-        plot("Torque", "Nm", &[("Torque", "outputs", "torque_nm")]),
+        plot("Torque", "Nm", &[("Torque", |p| p.outputs.torque_nm)]),
         plot(
             "Pressure",
             "kPa",
-            &[("Intake manifold", "outputs", "map_kpa"), ("Exhaust manifold", "outputs", "exhaust_kpa")],
+            &[("Intake manifold", |p| p.outputs.map_kpa), ("Exhaust manifold", |p| p.outputs.exhaust_kpa)],
         ),
         plot(
             "Spark",
             "deg",
             &[
-                ("Spark advance", "inputs", "spark_deg"),
-                ("50 % burned, after dead centre", "outputs", "ca50_deg"),
+                ("Spark advance", |p| p.inputs.spark_deg),
+                ("50 % burned, after dead centre", |p| p.outputs.ca50_deg),
             ],
         ),
-        plot("Knock integral", "", &[("Knock", "outputs", "knock")]),
-        plot("Lambda", "", &[("Held", "", "lambda")]),
+        plot("Knock integral", "", &[("Knock", |p| p.outputs.knock)]),
+        plot("Lambda", "", &[("Held", |p| p.lambda)]),
         XyPlot::new("Exhaust temperature", Axis::new("Speed", "rpm"), Axis::new("Temperature", "deg C"))
             .line("Manifold", speed(), celsius)
             .into(),
-        plot("Turbocharger", "rpm", &[("Shaft", "outputs", "turbo_rpm")]),
-        plot("Specific consumption", "g/kWh", &[("BSFC", "outputs", "bsfc_g_kwh")]),
+        plot("Turbocharger", "rpm", &[("Shaft", |p| p.outputs.turbo_rpm)]),
+        plot("Specific consumption", "g/kWh", &[("BSFC", |p| p.outputs.bsfc_g_kwh)]),
     ]
 }
 
+/// A quantity of a map: name, unit, value.
+type Mapped = (&'static str, &'static str, fn(&LoadPoint) -> f64);
+
 fn maps(results: &[TaskResult]) -> Vec<Block> {
-    let map = of(results, MAP);
-    let (speeds, torques) = (numbers(&map["speed_rpm"]), numbers(&map["torque_nm"]));
+    let Some(map) = result::<Grid>(results, MAP) else { return vec![] };
+    let (speeds, torques) = (&map.speed_rpm, &map.torque_nm);
     if speeds.len() < 2 || torques.len() < 2 {
         return vec![];
     }
-    [
-        ("BSFC", "g/kWh", "outputs", "bsfc_g_kwh", 0.0),
-        ("Spark", "deg", "inputs", "spark_deg", 0.0),
-        ("Knock integral", "", "outputs", "knock", 0.0),
-        ("Exhaust temperature", "deg C", "outputs", "egt_k", 273.15),
-        ("Residual fraction", "", "outputs", "residual", 0.0),
-        ("NO", "ppm", "outputs", "no_ppm", 0.0),
-    ]
-    .into_iter()
-    .map(|(title, unit, part, key, offset)| {
-        let at = |j: usize, i: usize| {
-            let p = &map["rows"][i][j];
-            if p["reached"] == true { p[part][key].as_f64().unwrap_or(f64::NAN) - offset } else { f64::NAN }
-        };
+    let quantities: [Mapped; 6] = [
+        ("BSFC", "g/kWh", |p| p.outputs.bsfc_g_kwh),
+        ("Spark", "deg", |p| p.inputs.spark_deg),
+        ("Knock integral", "", |p| p.outputs.knock),
+        ("Exhaust temperature", "deg C", |p| p.outputs.egt_k - 273.15),
+        ("Residual fraction", "", |p| p.outputs.residual),
+        ("NO", "ppm", |p| p.outputs.no_ppm),
+    ];
+    let heat = |(title, unit, of): Mapped| {
+        let at =
+            |j: usize, i: usize| map.rows[i][j].point.as_ref().filter(|p| p.reached).map_or(f64::NAN, of);
         let z =
             (0..torques.len()).flat_map(|j| (0..speeds.len()).map(move |i| (j, i))).map(|(j, i)| at(j, i));
         HeatMap::new(
@@ -87,55 +87,63 @@ fn maps(results: &[TaskResult]) -> Vec<Block> {
         )
         .contours()
         .into()
-    })
-    .collect()
+    };
+    quantities.into_iter().map(heat).collect()
 }
 
 fn sweeps(results: &[TaskResult]) -> Vec<Block> {
     let mut out = Vec::new();
-    for s in of(results, SPARK).as_array().into_iter().flatten() {
-        let name = format!("Torque ratio at {} rpm, {} Nm", s["speed_rpm"], s["torque_nm"]);
-        let off = || numbers(&s["sweep"]["off_deg"]);
+    for s in result::<Vec<SparkSweepAt>>(results, SPARK).unwrap_or_default() {
+        let name = format!("Torque ratio at {} rpm, {} Nm", s.speed_rpm, s.torque_nm);
         out.push(
             XyPlot::new(name, Axis::new("Spark from best", "deg"), Axis::new("Torque over best torque", ""))
-                .line("This engine", off(), numbers(&s["sweep"]["ratio"]))
-                .line("Crossley and Cook", off(), numbers(&s["sweep"]["published"]))
+                .line("This engine", s.sweep.off_deg.clone(), s.sweep.ratio)
+                .line("Crossley and Cook", s.sweep.off_deg, s.sweep.published)
                 .into(),
         );
     }
-    let mixture = of(results, MIXTURE);
-    let all: Vec<&Value> = mixture["outputs"].as_array().into_iter().flatten().collect();
-    for (title, unit, key, offset) in [
-        ("Torque", "Nm", "torque_nm", 0.0),
-        ("Exhaust temperature", "deg C", "egt_k", 273.15),
-        ("NO", "ppm", "no_ppm", 0.0),
-        ("CO", "%", "co_pct", 0.0),
-        ("HC", "ppm C1", "hc_ppm", 0.0),
-        ("Burn 10 to 90 %", "deg", "burn_deg", 0.0),
-    ] {
-        let y: Vec<f64> = series(&all, "", key).iter().map(|v| v - offset).collect();
-        out.push(
-            XyPlot::new(format!("{title} against lambda"), Axis::new("Lambda", ""), Axis::new(title, unit))
-                .line("2000 rpm, constant air", numbers(&mixture["lambda"]), y)
-                .into(),
-        );
+    if let Some(mixture) = result::<Mixture>(results, MIXTURE) {
+        out.extend(over_lambda(&mixture));
     }
-    let cams = of(results, CAMS);
-    let all: Vec<&Value> = cams["outputs"].as_array().into_iter().flatten().collect();
-    for (title, unit, key) in [
-        ("Residual fraction", "", "residual"),
-        ("Pumping", "bar", "pmep_bar"),
-        ("BSFC", "g/kWh", "bsfc_g_kwh"),
-    ] {
-        out.push(
-            XyPlot::new(
-                format!("{title} against the intake cam"),
-                Axis::new("Maximum opening point", "deg BTDC firing"),
-                Axis::new(title, unit),
-            )
-            .line("2000 rpm, throttle of 40 Nm", numbers(&cams["intake_deg"]), series(&all, "", key))
-            .into(),
-        );
+    if let Some(cams) = result::<Cams>(results, CAMS) {
+        out.extend(over_cam(&cams));
     }
     out
+}
+
+/// A quantity of a sweep: name, unit, value.
+type Swept = (&'static str, &'static str, fn(&Outputs) -> f64);
+
+fn over_lambda(mixture: &Mixture) -> Vec<Block> {
+    let swept: [Swept; 6] = [
+        ("Torque", "Nm", |y| y.torque_nm),
+        ("Exhaust temperature", "deg C", |y| y.egt_k - 273.15),
+        ("NO", "ppm", |y| y.no_ppm),
+        ("CO", "%", |y| y.co_pct),
+        ("HC", "ppm C1", |y| y.hc_ppm),
+        ("Burn 10 to 90 %", "deg", |y| y.burn_deg),
+    ];
+    let plot = |(title, unit, of): Swept| {
+        let y: Vec<f64> = mixture.outputs.iter().map(of).collect();
+        XyPlot::new(format!("{title} against lambda"), Axis::new("Lambda", ""), Axis::new(title, unit))
+            .line("2000 rpm, constant air", mixture.lambda.clone(), y)
+            .into()
+    };
+    swept.into_iter().map(plot).collect()
+}
+
+fn over_cam(cams: &Cams) -> Vec<Block> {
+    let swept: [Swept; 3] = [
+        ("Residual fraction", "", |y| y.residual),
+        ("Pumping", "bar", |y| y.pmep_bar),
+        ("BSFC", "g/kWh", |y| y.bsfc_g_kwh),
+    ];
+    let plot = |(title, unit, of): Swept| {
+        let y: Vec<f64> = cams.outputs.iter().map(of).collect();
+        let opening = Axis::new("Maximum opening point", "deg BTDC firing");
+        XyPlot::new(format!("{title} against the intake cam"), opening, Axis::new(title, unit))
+            .line("2000 rpm, throttle of 40 Nm", cams.intake_deg.clone(), y)
+            .into()
+    };
+    swept.into_iter().map(plot).collect()
 }

@@ -1,12 +1,14 @@
 //! Checks of the study `engine`: the verification cases of the engine's specification, from the runs.
 
-use crate::engine::verification::{ReferencePoint, nonlinearity_pct};
-use serde_json::Value;
+use crate::engine::results::{SparkAt70, StaticRow, Transient, fuel_line, static_rows, transients};
+use crate::engine::verification::{Motored, ReferencePoint, nonlinearity_pct};
+use dynocal_plant::outputs::Outputs;
+use dynocal_plant::statics::StaticPoint;
 
 use super::tasks::{MOTORED_RPM, OPEN_RPM};
-use super::{MOTORED, OPEN, SPARK, STATIC, TRANSIENTS};
+use super::{MOTORED, OPEN, SPARK};
 use crate::asked::Asked;
-use crate::{Check, TaskResult};
+use crate::{Check, TaskResult, result};
 
 /// Case 8: peak pressure \[bar\] and brake torque \[Nm\] at [`MOTORED_RPM`].
 const MOTORED_EXPECTED: [(f64, f64); 3] = [(18.2, -7.1), (19.2, -10.3), (19.8, -14.3)];
@@ -16,40 +18,11 @@ const VOLUMETRIC: [f64; 5] = [0.77, 0.79, 0.81, 0.82, 0.81];
 const FUEL_OF_SPARK: [(f64, f64); 5] =
     [(5.0, 18.82), (11.0, 17.29), (19.0, 16.76), (23.0, 16.85), (35.0, 17.80)];
 
-/// The result of a task, null when there is none.
-pub(super) fn of<'a>(results: &'a [TaskResult], name: &str) -> &'a Value {
-    results.iter().find(|r| r.name == name).map_or(&Value::Null, |r| &r.value)
-}
-
-/// All rows of the static map.
-pub(super) fn rows(results: &[TaskResult]) -> Vec<&Value> {
-    let tasks = results.iter().filter(|r| r.name.starts_with(STATIC));
-    tasks.filter_map(|r| r.value["points"].as_array()).flatten().collect()
-}
-
-/// An input or output of a row of the static map.
-pub(super) fn best(row: &Value, part: &str, key: &str) -> Option<f64> {
-    row["point"]["best"][part][key].as_f64()
-}
-
-/// The row of a torque at 2000 rpm.
-pub(super) fn at_2000(results: &[TaskResult], torque_nm: f64) -> &Value {
-    let points = of(results, &format!("{STATIC}2000"))["points"].as_array();
-    let found = points.into_iter().flatten().find(|r| r["target"]["torque_nm"] == torque_nm);
-    found.unwrap_or(&Value::Null)
-}
-
 /// Lowest and highest of some numbers; none when there are none or one is missing.
 pub(super) fn range(values: impl Iterator<Item = Option<f64>>) -> Option<(f64, f64)> {
     let all: Vec<f64> = values.collect::<Option<_>>()?;
     let low = all.iter().copied().reduce(f64::min)?;
     all.iter().copied().reduce(f64::max).map(|high| (low, high))
-}
-
-/// The number `key` of the transient `name`.
-pub(super) fn transient(results: &[TaskResult], name: &str, key: &str) -> Option<f64> {
-    let found = of(results, TRANSIENTS).as_array()?.iter().find(|t| t["name"] == name)?;
-    found["numbers"][key].as_f64().or_else(|| found[key].as_f64())
 }
 
 pub(super) fn check(
@@ -88,29 +61,25 @@ fn largest(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
 }
 
 fn static_map(results: &[TaskResult]) -> Vec<Check> {
-    let rows = rows(results);
-    let missed = rows.iter().filter(|r| r["point"].is_null()).count() as f64;
-    let of_output = |key: &'static str| range(rows.iter().map(|r| best(r, "outputs", key)));
-    let residual = of_output("residual");
-    let egt = of_output("egt_k").map(|(a, b)| (a - 273.15, b - 273.15));
-    let ca50 = of_output("ca50_deg");
+    let all = static_rows(results).map(|r| r.points);
+    let missed = all.as_ref().map(|rows| rows.iter().filter(|r| r.point.is_none()).count() as f64);
+    let rows: Vec<StaticRow> = all.unwrap_or_default();
+    let of_output =
+        |of: fn(&Outputs) -> f64| range(rows.iter().map(|r| r.best(|p: &StaticPoint| of(&p.outputs))));
+    let residual = of_output(|y| y.residual);
+    let egt = of_output(|y| y.egt_k).map(|(a, b)| (a - 273.15, b - 273.15));
+    let ca50 = of_output(|y| y.ca50_deg);
+    let residual_of = |r: &StaticRow| r.best(|p| p.outputs.residual);
     let growth = largest(
         rows.windows(2)
-            .filter(|w| w[0]["target"]["speed_rpm"] == w[1]["target"]["speed_rpm"])
-            .map(|w| Some(best(w[1], "outputs", "residual")? - best(w[0], "outputs", "residual")?)),
+            .filter(|w| w[0].target.speed_rpm == w[1].target.speed_rpm)
+            .map(|w| Some(residual_of(&w[1])? - residual_of(&w[0])?)),
     );
     let low = |r: Option<(f64, f64)>| r.map(|r| r.0);
     let high = |r: Option<(f64, f64)>| r.map(|r| r.1);
     let map = "1000 to 3000 rpm, 0 to 100 Nm, best spark, lambda 1";
     vec![
-        check(
-            "map-reached",
-            "Points of the map that cannot be reached",
-            "",
-            Asked::AtMost(0.0),
-            Some(missed),
-            map,
-        ),
+        check("map-reached", "Points of the map that cannot be reached", "", Asked::AtMost(0.0), missed, map),
         check(
             "residual-low",
             "Least residual fraction (case 10)",
@@ -172,17 +141,19 @@ fn static_map(results: &[TaskResult]) -> Vec<Check> {
 
 /// Case 12.
 fn reference(results: &[TaskResult]) -> Vec<Check> {
-    let compared = results.iter().any(|r| r.value["compared"] == true);
-    if !compared {
+    let all = static_rows(results);
+    if all.as_ref().is_some_and(|r| !r.compared) {
         let note = "not compared (case 12): give --reference FILE or set DYNOCAL_REFERENCE_DIR";
         let what = "Points of the reference table within the tolerances (case 12)";
         return vec![check("reference", what, "points", Asked::Reported, None, note)];
     }
     // A point that the reference has and the engine cannot reach has no difference, and so never holds.
-    let rows: Vec<&Value> = rows(results).into_iter().filter(|r| r["referenced"] == true).collect();
-    let column = |k: usize| rows.iter().map(move |r| r["difference"][k].as_f64().map(f64::abs));
-    let inside = |r: &&Value| {
-        (0..5).all(|k| r["difference"][k].as_f64().is_some_and(|d| d.abs() <= ReferencePoint::TOLERANCES[k]))
+    let points = all.map_or_else(Vec::new, |r| r.points);
+    let rows: Vec<&StaticRow> = points.iter().filter(|r| r.referenced).collect();
+    let column = |k: usize| rows.iter().map(move |r| r.difference.map(|d| d[k].abs()));
+    let inside = |r: &&StaticRow| {
+        r.difference
+            .is_some_and(|d| d.iter().zip(ReferencePoint::TOLERANCES).all(|(d, most)| d.abs() <= most))
     };
     let held = rows.iter().copied().filter(inside).count() as f64;
     let mut out = vec![check(
@@ -216,12 +187,12 @@ fn reference(results: &[TaskResult]) -> Vec<Check> {
 
 /// Case 8.
 fn motored(results: &[TaskResult]) -> Vec<Check> {
-    let runs = of(results, MOTORED);
-    let off = |key: &'static str, expected: fn(&(f64, f64)) -> f64| {
+    let runs: Vec<Motored> = result(results, MOTORED).unwrap_or_default();
+    let off = |of: fn(&Motored) -> f64, expected: fn(&(f64, f64)) -> f64| {
         let all = MOTORED_EXPECTED.iter().enumerate();
-        largest(all.map(|(k, e)| runs[k][key].as_f64().map(|v| (v - expected(e)).abs())))
+        largest(all.map(|(k, e)| runs.get(k).map(|r| (of(r) - expected(e)).abs())))
     };
-    let peak = largest((0..MOTORED_RPM.len()).map(|k| runs[k]["peak_deg"].as_f64().map(f64::abs)));
+    let peak = largest((0..MOTORED_RPM.len()).map(|k| runs.get(k).map(|r| r.peak_deg.abs())));
     let note = "1000, 2000, 3000 rpm; expected values have one decimal";
     vec![
         check(
@@ -229,7 +200,7 @@ fn motored(results: &[TaskResult]) -> Vec<Check> {
             "Motored peak pressure, largest difference from 18.2, 19.2, 19.8 bar (case 8)",
             "bar",
             Asked::AtMost(0.05),
-            off("pmax_bar", |e| e.0),
+            off(|r| r.pmax_bar, |e| e.0),
             note,
         ),
         check(
@@ -237,7 +208,7 @@ fn motored(results: &[TaskResult]) -> Vec<Check> {
             "Motored torque, largest difference from -7.1, -10.3, -14.3 Nm (case 8)",
             "Nm",
             Asked::AtMost(0.05),
-            off("torque_nm", |e| e.1),
+            off(|r| r.torque_nm, |e| e.1),
             note,
         ),
         check(
@@ -253,12 +224,15 @@ fn motored(results: &[TaskResult]) -> Vec<Check> {
 
 /// Cases 9 and 13.
 fn open_throttle(results: &[TaskResult]) -> Vec<Check> {
-    let runs = of(results, OPEN);
-    let output = |k: usize, key: &str| runs[k]["outputs"][key].as_f64();
+    let runs: Vec<StaticPoint> = result(results, OPEN).unwrap_or_default();
+    let output = |k: usize, of: fn(&Outputs) -> f64| runs.get(k).map(|p| of(&p.outputs));
     let off = largest(
-        VOLUMETRIC.iter().enumerate().map(|(k, e)| output(k, "volumetric_efficiency").map(|v| (v - e).abs())),
+        VOLUMETRIC
+            .iter()
+            .enumerate()
+            .map(|(k, e)| output(k, |y| y.volumetric_efficiency).map(|v| (v - e).abs())),
     );
-    let bsfc = range((0..OPEN_RPM.len()).map(|k| output(k, "bsfc_g_kwh")));
+    let bsfc = range((0..OPEN_RPM.len()).map(|k| output(k, |y| y.bsfc_g_kwh)));
     let best = bsfc.map(|b| b.0);
     let note = "open throttle, lambda 1, spark of most torque, no charging, knock ignored";
     vec![
@@ -291,13 +265,14 @@ fn open_throttle(results: &[TaskResult]) -> Vec<Check> {
 
 /// Case 11.
 fn spark(results: &[TaskResult]) -> Vec<Check> {
-    let run = of(results, SPARK);
+    let run: Option<SparkAt70> = result(results, SPARK);
     let fuel = |spark: f64| {
-        let k = run["spark_deg"].as_array()?.iter().position(|s| *s == spark)?;
-        run["fuel_mg"][k].as_f64()
+        let run = run.as_ref()?;
+        let k = run.spark_deg.iter().position(|s| *s == spark)?;
+        run.fuel_mg.get(k).copied()
     };
     let off = largest(FUEL_OF_SPARK.iter().map(|(s, e)| fuel(*s).map(|v| 100.0 * (v / e - 1.0).abs())));
-    let maxima = run["maxima"].as_f64().map(|m| (m - 1.0).abs());
+    let maxima = run.as_ref().map(|r| r.maxima.abs_diff(1) as f64);
     vec![
         check(
             "spark-fuel",
@@ -320,7 +295,7 @@ fn spark(results: &[TaskResult]) -> Vec<Check> {
             "Largest second difference of torque against spark (case 11)",
             "Nm",
             Asked::Below(0.0),
-            run["largest_second_difference_nm"].as_f64(),
+            run.as_ref().map(|r| r.largest_second_difference_nm),
             "",
         ),
     ]
@@ -329,8 +304,10 @@ fn spark(results: &[TaskResult]) -> Vec<Check> {
 /// What the thesis states and a number can decide.
 fn thesis(results: &[TaskResult]) -> Vec<Check> {
     let steps = ["30->70 Nm", "70->30 Nm"];
-    let settling = |key: &'static str| largest(steps.iter().map(|s| transient(results, s, key)));
-    let lean = transient(results, "throttle +3 deg", "lambda_end");
+    let all = transients(results);
+    let named = |name: &str| all.iter().find(|t| t.name == name);
+    let settling = |of: fn(&Transient) -> Option<f64>| largest(steps.iter().map(|s| named(s).and_then(of)));
+    let lean = named("throttle +3 deg").and_then(|t| t.lambda_end);
     let (torques, fuel) = fuel_line(results);
     let bend = (fuel.len() > 2).then(|| nonlinearity_pct(&torques, &fuel));
     let note = "steps of the static map between 30 and 70 Nm at 2000 rpm";
@@ -340,7 +317,7 @@ fn thesis(results: &[TaskResult]) -> Vec<Check> {
             "Torque settles to 1 Nm",
             "s",
             Asked::AtMost(1.5),
-            settling("torque_settling_s"),
+            settling(|t| t.torque_settling_s),
             note,
         ),
         check(
@@ -348,7 +325,7 @@ fn thesis(results: &[TaskResult]) -> Vec<Check> {
             "Lambda settles to 0.01",
             "s",
             Asked::AtMost(2.0),
-            settling("lambda_settling_s"),
+            settling(|t| t.lambda_settling_s),
             note,
         ),
         check(
@@ -368,14 +345,4 @@ fn thesis(results: &[TaskResult]) -> Vec<Check> {
             "2000 rpm; thesis: flat and linear",
         ),
     ]
-}
-
-/// Torque \[Nm\] and fuel \[mg\] at 2000 rpm.
-pub(super) fn fuel_line(results: &[TaskResult]) -> (Vec<f64>, Vec<f64>) {
-    let points = of(results, &format!("{STATIC}2000"))["points"].as_array();
-    let pairs = points
-        .into_iter()
-        .flatten()
-        .filter_map(|r| Some((r["target"]["torque_nm"].as_f64()?, best(r, "inputs", "injection_mg")?)));
-    pairs.unzip()
 }

@@ -4,6 +4,7 @@ mod boosted;
 mod boosted_tables;
 mod checks;
 pub mod class_values;
+mod results;
 mod tables;
 mod tasks;
 pub mod transients;
@@ -14,6 +15,7 @@ use std::path::{Path, PathBuf};
 use crate::StudyError;
 use crate::engine::verification::ReferencePoint;
 use dynocal_numerics::registry::MemberDoc;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::{Options, Study, Surroundings, Task};
@@ -84,12 +86,12 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks
 }
 
-pub(super) fn task(
+pub(super) fn task<T: Serialize>(
     name: String,
     inputs: Value,
-    run: impl Fn() -> Result<Value, StudyError> + 'static,
+    run: impl Fn() -> Result<T, StudyError> + 'static,
 ) -> Task {
-    Task { name, inputs, run: Box::new(move |_: &Surroundings| run()) }
+    Task { name, inputs, run: Box::new(move |_: &Surroundings| run().map(|found| json!(found))) }
 }
 
 /// The reference table: of the file asked for, else of the folder that the environment names, else none.

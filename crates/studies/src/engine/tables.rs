@@ -1,14 +1,24 @@
 //! Report of the study `engine`: thesis beside this engine beside the prototype, sweeps, responses, the map.
 
-use crate::engine::transients::RECORD_S;
+use crate::engine::results::{
+    SparkAt70, StaticRow, Transient, fuel_line, rows_at_2000, static_rows, transients,
+};
+use crate::engine::transients::{Moments, RECORD_S};
+use dynocal_plant::inputs::Inputs;
+use dynocal_plant::outputs::Outputs;
+use dynocal_plant::statics::StaticPoint;
 use dynocal_report::{
     Axis, Block, Cell, Column, Panel, Report, Section, Table, TimePlot, XyPlot, significant,
 };
-use serde_json::Value;
 
-use super::checks::{at_2000, best, fuel_line, of, range, rows, transient};
-use super::{OPEN, RANDOM, SPARK, TRANSIENTS};
-use crate::TaskResult;
+use super::checks::range;
+use super::{OPEN, RANDOM, SPARK};
+use crate::{TaskResult, result};
+
+/// The static map; empty when it cannot be read.
+fn rows(results: &[TaskResult]) -> Vec<StaticRow> {
+    static_rows(results).map_or_else(Vec::new, |r| r.points)
+}
 
 /// Sections below the checks.
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
@@ -35,9 +45,9 @@ fn economy(results: &[TaskResult]) -> Option<(f64, f64)> {
     let pairs: Vec<(f64, f64)> = rows(results)
         .iter()
         .filter_map(|r| {
-            let torque = r["target"]["torque_nm"].as_f64().filter(|t| *t > 0.0)?;
-            let random = r["point"]["random_injection_mg"].as_f64()?;
-            Some((torque / best(r, "inputs", "injection_mg")?, torque / random))
+            let torque = Some(r.target.torque_nm).filter(|t| *t > 0.0)?;
+            let random = r.point.as_ref()?.random_injection_mg?;
+            Some((torque / r.best(|p| p.inputs.injection_mg)?, torque / random))
         })
         .collect();
     let n = pairs.len() as f64;
@@ -46,20 +56,25 @@ fn economy(results: &[TaskResult]) -> Option<(f64, f64)> {
 }
 
 fn comparison(results: &[TaskResult]) -> Table {
-    let point = |t: f64, key: &str| best(at_2000(results, t), "inputs", key);
-    let penalty = |r: &Value| r["point"]["penalty_pct"].as_f64();
-    let t = |name: &str, key: &str| transient(results, name, key);
-    let rise = |name: &str| t(name, "rise_s");
+    let at_2000 = rows_at_2000(results);
+    let row = |torque_nm: f64| at_2000.iter().find(|r| r.target.torque_nm == torque_nm);
+    let point =
+        |torque_nm: f64, of: fn(&Inputs) -> f64| row(torque_nm)?.best(|p: &StaticPoint| of(&p.inputs));
+    let penalty = |r: &StaticRow| r.point.as_ref().map(|p| p.penalty_pct);
+    let responses = transients(results);
+    let t = |name: &str, of: fn(&Transient) -> Option<f64>| {
+        responses.iter().find(|t| t.name == name).and_then(of)
+    };
+    let rise = |name: &str| t(name, |r| r.rise_s);
     let e = economy(results);
-    let random = of(results, RANDOM);
-    let throttles = text(&[0.0, 30.0, 70.0, 100.0].map(|q| point(q, "throttle_deg")), 3);
-    let spark = range(rows(results).iter().map(|r| best(r, "inputs", "spark_deg")));
+    let random: Option<Moments> = result(results, RANDOM);
+    let throttles = text(&[0.0, 30.0, 70.0, 100.0].map(|q| point(q, |u| u.throttle_deg)), 3);
+    let spark = range(rows(results).iter().map(|r| r.best(|p| p.inputs.spark_deg)));
     let (fuel_0, slope) = line(results);
     let ratio = e.map(|(a, b)| a / b);
-    let lambda = |a: &str, b: &str| {
-        text(&[t(a, "lambda_min").map(|v| 1.0 - v), t(b, "lambda_max").map(|v| v - 1.0)], 2)
-    };
-    let settle = |name: &str| text(&[t(name, "torque_settling_s"), t(name, "lambda_settling_s")], 3);
+    let lambda =
+        |a: &str, b: &str| text(&[t(a, |r| Some(1.0 - r.lambda_min)), t(b, |r| Some(r.lambda_max - 1.0))], 2);
+    let settle = |name: &str| text(&[t(name, |r| r.torque_settling_s), t(name, |r| r.lambda_settling_s)], 3);
     let table = Table::new(vec![
         Column::text("Quantity"),
         Column::text("Thesis"),
@@ -68,14 +83,14 @@ fn comparison(results: &[TaskResult]) -> Table {
     ])
     .caption("2000 rpm unless stated. Thesis values from chapters 3, 6 and 7; the prototype is the compiled-Python program that the specification was written from. A dash: not stated.");
     let rows = [
-        ("Best spark at 70 Nm, deg BTDC", "19", text(&[point(70.0, "spark_deg")], 4), "18.95"),
-        ("Fuel there, mg", "about 17", text(&[point(70.0, "injection_mg")], 4), "16.75"),
-        ("Throttle there, deg", "12 to 16.4", text(&[point(70.0, "throttle_deg")], 4), "15.9"),
-        ("Fuel penalty 3 deg off there, %", "only 1", text(&[penalty(at_2000(results, 70.0))], 2), "0.31"),
+        ("Best spark at 70 Nm, deg BTDC", "19", text(&[point(70.0, |u| u.spark_deg)], 4), "18.95"),
+        ("Fuel there, mg", "about 17", text(&[point(70.0, |u| u.injection_mg)], 4), "16.75"),
+        ("Throttle there, deg", "12 to 16.4", text(&[point(70.0, |u| u.throttle_deg)], 4), "15.9"),
+        ("Fuel penalty 3 deg off there, %", "only 1", text(&[row(70.0).and_then(penalty)], 2), "0.31"),
         (
             "The same over the map, %",
             "-",
-            span(range(self::rows(results).iter().map(|r| penalty(r))), 2),
+            span(range(self::rows(results).iter().map(penalty)), 2),
             "0.25 to 0.67",
         ),
         (
@@ -89,7 +104,7 @@ fn comparison(results: &[TaskResult]) -> Table {
         (
             "Fuel at 0 / 30 Nm, mg",
             "4.0 / 9.9",
-            text(&[point(0.0, "injection_mg"), point(30.0, "injection_mg")], 3),
+            text(&[point(0.0, |u| u.injection_mg), point(30.0, |u| u.injection_mg)], 3),
             "3.9 / 9.46",
         ),
         ("Fuel line: at 0 Nm, mg / slope, mg/Nm", "proportional", text(&[fuel_0, slope], 3), "3.9 / 0.183"),
@@ -121,10 +136,10 @@ fn comparison(results: &[TaskResult]) -> Table {
         (
             "Random inputs: deviation of torque, Nm",
             "22.6",
-            text(&[random["torque_std_nm"].as_f64()], 3),
+            text(&[random.map(|r| r.torque_std_nm)], 3),
             "22.9",
         ),
-        ("Random inputs: variance of lambda", "0.75", text(&[random["lambda_var"].as_f64()], 2), "0.74"),
+        ("Random inputs: variance of lambda", "0.75", text(&[random.map(|r| r.lambda_var)], 2), "0.74"),
     ];
     rows.into_iter().fold(table, |t, (q, thesis, own, proto)| {
         t.row([Cell::from(q), Cell::from(thesis), Cell::from(own), Cell::from(proto)])
@@ -133,7 +148,10 @@ fn comparison(results: &[TaskResult]) -> Table {
 
 /// Fuel at 0 Nm \[mg\] and slope up to 70 Nm \[mg/Nm\].
 fn line(results: &[TaskResult]) -> (Option<f64>, Option<f64>) {
-    let fuel = |t: f64| best(at_2000(results, t), "inputs", "injection_mg");
+    let rows = rows_at_2000(results);
+    let fuel = |torque_nm: f64| {
+        rows.iter().find(|r| r.target.torque_nm == torque_nm)?.best(|p| p.inputs.injection_mg)
+    };
     let (a, b) = (fuel(0.0), fuel(70.0));
     (a, a.zip(b).map(|(a, b)| (b - a) / 70.0))
 }
@@ -158,50 +176,46 @@ fn map_table(results: &[TaskResult]) -> dynocal_report::Details {
         Column::number("3 deg off", "%").digits(2),
     ]);
     for r in rows(results) {
-        let (u, y) = (|k| Cell::from(best(r, "inputs", k)), |k| Cell::from(best(r, "outputs", k)));
+        let u = |of: fn(&Inputs) -> f64| Cell::from(r.best(|p: &StaticPoint| of(&p.inputs)));
+        let y = |of: fn(&Outputs) -> f64| Cell::from(r.best(|p: &StaticPoint| of(&p.outputs)));
         table = table.row([
-            r["target"]["speed_rpm"].as_f64().into(),
-            r["target"]["torque_nm"].as_f64().into(),
-            u("spark_deg"),
-            u("injection_mg"),
-            u("throttle_deg"),
-            y("map_kpa"),
-            best(r, "outputs", "egt_k").map(|t| t - 273.15).into(),
-            y("residual"),
-            y("ca50_deg"),
-            r["point"]["penalty_pct"].as_f64().into(),
+            r.target.speed_rpm.into(),
+            r.target.torque_nm.into(),
+            u(|u| u.spark_deg),
+            u(|u| u.injection_mg),
+            u(|u| u.throttle_deg),
+            y(|y| y.map_kpa),
+            y(|y| y.egt_k - 273.15),
+            y(|y| y.residual),
+            y(|y| y.ca50_deg),
+            r.point.as_ref().map(|p| p.penalty_pct).into(),
         ]);
     }
     dynocal_report::Details::new("All points of the static map").block(table)
 }
 
-pub(super) fn numbers(v: &Value) -> Vec<f64> {
-    v.as_array().into_iter().flatten().map(|x| x.as_f64().unwrap_or(f64::NAN)).collect()
-}
-
 fn spark_plots(results: &[TaskResult]) -> Vec<Block> {
-    let run = of(results, SPARK);
-    let spark = || numbers(&run["spark_deg"]);
+    let Some(run) = result::<SparkAt70>(results, SPARK) else { return Vec::new() };
+    let spark = || run.spark_deg.clone();
     let axis = || Axis::new("Spark advance", "deg BTDC");
     vec![
         XyPlot::new("Torque at constant air and fuel", axis(), Axis::new("Torque", "Nm"))
-            .line("Torque", spark(), numbers(&run["torque_nm"]))
+            .line("Torque", spark(), run.torque_nm.clone())
             .into(),
         XyPlot::new("Fuel at constant torque", axis(), Axis::new("Fuel", "mg"))
-            .line("Fuel", spark(), numbers(&run["fuel_mg"]))
+            .line("Fuel", spark(), run.fuel_mg.clone())
             .into(),
     ]
 }
 
 fn responses(results: &[TaskResult]) -> Section {
     let mut section = Section::new("Responses");
-    for r in of(results, TRANSIENTS).as_array().into_iter().flatten() {
-        let name = r["name"].as_str().unwrap_or_default();
-        let (torque, lambda) = (numbers(&r["torque_nm"]), numbers(&r["lambda"]));
+    for r in transients(results) {
+        let samples = r.torque_nm.len();
         section = section.block(
-            TimePlot::sampled(name, RECORD_S, torque.len())
-                .panel(Panel::new("Torque", "Nm").line("Torque sensor", torque))
-                .panel(Panel::new("Lambda", "").line("Lambda", lambda)),
+            TimePlot::sampled(&r.name, RECORD_S, samples)
+                .panel(Panel::new("Torque", "Nm").line("Torque sensor", r.torque_nm))
+                .panel(Panel::new("Lambda", "").line("Lambda", r.lambda)),
         );
     }
     section
@@ -218,24 +232,19 @@ fn open_table(results: &[TaskResult]) -> Table {
         Column::number("Peak", "bar").digits(3),
         Column::number("EGT", "deg C").digits(3),
     ];
-    let runs = of(results, OPEN).as_array().into_iter().flatten();
-    runs.fold(
-        Table::new(columns).caption("Lambda 1, spark of most torque, no charging, knock ignored"),
-        |t, r| {
-            let (u, y) = (
-                |k: &str| Cell::from(r["inputs"][k].as_f64()),
-                |k: &str| Cell::from(r["outputs"][k].as_f64()),
-            );
-            t.row([
-                u("speed_rpm"),
-                y("torque_nm"),
-                u("spark_deg"),
-                u("injection_mg"),
-                y("volumetric_efficiency"),
-                y("bsfc_g_kwh"),
-                y("pmax_bar"),
-                r["outputs"]["egt_k"].as_f64().map(|v| v - 273.15).into(),
-            ])
-        },
-    )
+    let caption = "Lambda 1, spark of most torque, no charging, knock ignored";
+    let runs: Vec<StaticPoint> = result(results, OPEN).unwrap_or_default();
+    runs.iter().fold(Table::new(columns).caption(caption), |t, p| {
+        let (u, y) = (&p.inputs, &p.outputs);
+        t.row([
+            Cell::from(u.speed_rpm),
+            Cell::from(y.torque_nm),
+            Cell::from(u.spark_deg),
+            Cell::from(u.injection_mg),
+            Cell::from(y.volumetric_efficiency),
+            Cell::from(y.bsfc_g_kwh),
+            Cell::from(y.pmax_bar),
+            Cell::from(y.egt_k - 273.15),
+        ])
+    })
 }

@@ -1,15 +1,15 @@
-//! Tasks of the study `engine`: each runs the engine and returns what it did as JSON.
+//! Tasks of the study `engine`: each runs the engine and returns what it did.
 
 use crate::StudyError;
-use crate::engine::transients::{self, PiLoops, RECORD_S, RandomInputs, Response, rise_s, settling_s};
-use crate::engine::verification::{self, MapOptions, ReferencePoint};
+use crate::engine::results::{SparkAt70, StaticRow, StaticRows, Transient};
+use crate::engine::transients::{self, Moments, PiLoops, RECORD_S, RandomInputs, rise_s};
+use crate::engine::verification::{self, MapOptions, Motored, ReferencePoint};
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::statics::{SettleOptions, StaticPoint, Target, settle, static_map, steady};
 use serde::Serialize;
-use serde_json::{Value, json};
 
 /// Speeds of the motored runs \[rpm\].
 pub(super) const MOTORED_RPM: [f64; 3] = [1000.0, 2000.0, 3000.0];
@@ -37,7 +37,7 @@ pub(super) struct StaticTask {
 }
 
 impl StaticTask {
-    pub(super) fn run(&self) -> Result<Value, StudyError> {
+    pub(super) fn run(&self) -> Result<StaticRows, StudyError> {
         if let Some(reason) = &self.fault {
             return Err(StudyError::Task { what: "reference of the engine".into(), reason: reason.clone() });
         }
@@ -47,34 +47,30 @@ impl StaticTask {
         let options = MapOptions { seed: self.seed, first: self.first, ..MapOptions::default() };
         let points = verification::map_points(&EngineParams::thesis(), &targets, options)
             .map_err(failed("static map"))?;
-        let rows: Vec<Value> = points
-            .iter()
-            .zip(&targets)
-            .map(|(point, target)| {
-                let found = self.reference.iter().flatten().find(|r| r.torque_nm == target.torque_nm);
-                let difference = found.zip(point.as_ref().ok()).map(|(r, p)| r.differences(&p.best));
-                json!({ "target": target, "point": point.as_ref().ok(), "error": point.as_ref().err(),
-                    "referenced": found.is_some(),
-                    "difference": difference })
-            })
-            .collect();
-        Ok(json!({ "points": rows, "compared": self.reference.is_some() }))
+        let rows = points.into_iter().zip(&targets).map(|(point, target)| {
+            let found = self.reference.iter().flatten().find(|r| r.torque_nm == target.torque_nm);
+            let (point, error) = match point {
+                Ok(p) => (Some(p), None),
+                Err(e) => (None, Some(e.to_string())),
+            };
+            let difference = found.zip(point.as_ref()).map(|(r, p)| r.differences(&p.best));
+            StaticRow { target: *target, point, error, referenced: found.is_some(), difference }
+        });
+        Ok(StaticRows { points: rows.collect(), compared: self.reference.is_some() })
     }
 }
 
-pub(super) fn motored() -> Result<Value, StudyError> {
+pub(super) fn motored() -> Result<Vec<Motored>, StudyError> {
     let run = |speed_rpm: f64| {
         let inputs = Inputs { speed_rpm, throttle_deg: 90.0, ..Inputs::default() };
         verification::motored(&EngineParams::thesis(), inputs)
     };
-    let points: Result<Vec<_>, _> = MOTORED_RPM.into_iter().map(run).collect();
-    Ok(json!(points.map_err(failed("motored run"))?))
+    MOTORED_RPM.into_iter().map(run).collect::<Result<_, _>>().map_err(failed("motored run"))
 }
 
-pub(super) fn open_throttle() -> Result<Value, StudyError> {
+pub(super) fn open_throttle() -> Result<Vec<StaticPoint>, StudyError> {
     let run = |speed_rpm: f64| verification::open_throttle(&EngineParams::thesis(), speed_rpm, 1.0);
-    let points: Result<Vec<StaticPoint>, _> = OPEN_RPM.into_iter().map(run).collect();
-    Ok(json!(points.map_err(failed("run with open throttle"))?))
+    OPEN_RPM.into_iter().map(run).collect::<Result<_, _>>().map_err(failed("run with open throttle"))
 }
 
 /// The best points at 2000 rpm for each torque.
@@ -85,7 +81,7 @@ fn best(torques_nm: &[f64]) -> Result<Vec<StaticPoint>, StudyError> {
     all.into_iter().collect::<Result<_, _>>().map_err(failed("static map"))
 }
 
-pub(super) fn spark() -> Result<Value, StudyError> {
+pub(super) fn spark() -> Result<SparkAt70, StudyError> {
     let params = EngineParams::thesis();
     let sparks: Vec<f64> = (0..=15).map(|k| 5.0 + 2.0 * f64::from(k)).collect();
     let fuel =
@@ -96,11 +92,17 @@ pub(super) fn spark() -> Result<Value, StudyError> {
             .map_err(failed("spark sweep"))?;
     }
     let (maxima, second) = verification::shape(&torque);
-    Ok(json!({ "spark_deg": sparks, "fuel_mg": fuel, "torque_nm": torque, "maxima": maxima,
-        "largest_second_difference_nm": second }))
+    let largest_second_difference_nm = second;
+    Ok(SparkAt70 {
+        spark_deg: sparks,
+        fuel_mg: fuel,
+        torque_nm: torque,
+        maxima,
+        largest_second_difference_nm,
+    })
 }
 
-pub(super) fn transients() -> Result<Value, StudyError> {
+pub(super) fn transients() -> Result<Vec<Transient>, StudyError> {
     transients_inner().map_err(|e| match e {
         Inner::Chain(e) => *e,
         Inner::Plant(e) => failed("transients")(e),
@@ -122,7 +124,7 @@ impl From<PlantError> for Inner {
     }
 }
 
-fn transients_inner() -> Result<Value, Inner> {
+fn transients_inner() -> Result<Vec<Transient>, Inner> {
     let rest = VirtualEngine::new(&EngineParams::thesis())?;
     let points = best(&[10.0, 30.0, 60.0, 70.0, 90.0])?;
     let [p10, p30, p60, p70, p90] = points[..] else {
@@ -144,12 +146,7 @@ fn transients_inner() -> Result<Value, Inner> {
     for (name, inputs) in steps {
         let r = transients::step(&mut settled.clone(), inputs, 5.0)?;
         let rise = rise_s(&r.torque_nm, RECORD_S);
-        out.push(described(
-            name,
-            &r,
-            json!({ "rise_s": rise, "torque_end_nm": r.torque_nm.last(),
-            "lambda_end": r.lambda.last() }),
-        ));
+        out.push(Transient { rise_s: rise.is_finite().then_some(rise), ..Transient::new(name, &r) });
     }
     for (name, from, to) in
         [("30->70 Nm", p30, p70), ("70->30 Nm", p70, p30), ("10->90 Nm", p10, p90), ("90->10 Nm", p90, p10)]
@@ -158,35 +155,20 @@ fn transients_inner() -> Result<Value, Inner> {
         steady(&mut engine, from.inputs, 4.0, 0.1)?;
         let r = transients::step(&mut engine, to.inputs, 5.0)?;
         let end = r.torque_nm.last().copied().unwrap_or(f64::NAN);
-        out.push(described(name, &r, settled_to(&r, end)));
+        out.push(Transient::new(name, &r).settling_to(end));
     }
     for (name, loops) in [("PI eq. 6.1", PiLoops::THESIS_6_1), ("PI eq. 7.5", PiLoops::THESIS_7_5)] {
         let mut engine = rest.clone();
         let from = settle(&mut engine, at_2000(70.0), p70.inputs.spark_deg, SettleOptions::default())?;
         engine.advance_time(3.0);
         let r = loops.demand_step(&mut engine, &from, 50.0, 12.0)?;
-        out.push(described(name, &r, settled_to(&r, 50.0)));
+        out.push(Transient::new(name, &r).settling_to(50.0));
     }
-    Ok(json!(out))
-}
-
-/// Settling to a torque within 1 Nm and to lambda 1 within 0.01 (none: never).
-fn settled_to(r: &Response, torque_nm: f64) -> Value {
-    json!({
-        "torque_settling_s": settling_s(&r.torque_nm, torque_nm, 1.0, RECORD_S),
-        "lambda_settling_s": settling_s(&r.lambda, 1.0, 0.01, RECORD_S),
-        "torque_min_nm": r.torque_nm.iter().copied().fold(f64::INFINITY, f64::min),
-    })
-}
-
-fn described(name: &str, r: &Response, numbers: Value) -> Value {
-    let (low, high) = r.lambda_range();
-    json!({ "name": name, "lambda_min": low, "lambda_max": high, "numbers": numbers, "torque_nm": r.torque_nm,
-        "lambda": r.lambda })
+    Ok(out)
 }
 
 /// The thesis' random record (tables 5.4, 5.6): its hold time and its lambda cap are not stated.
-pub(super) fn random_inputs(seed: u64, time_s: f64) -> Result<Value, StudyError> {
+pub(super) fn random_inputs(seed: u64, time_s: f64) -> Result<Moments, StudyError> {
     let signal = RandomInputs {
         speed_rpm: 2000.0,
         injection_mg: (0.0, 35.0),
@@ -199,5 +181,5 @@ pub(super) fn random_inputs(seed: u64, time_s: f64) -> Result<Value, StudyError>
         seed,
     };
     let mut engine = VirtualEngine::new(&EngineParams::thesis()).map_err(failed("random inputs"))?;
-    Ok(json!(signal.moments(&mut engine).map_err(failed("random inputs"))?))
+    signal.moments(&mut engine).map_err(failed("random inputs"))
 }
