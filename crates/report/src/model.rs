@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::plots::{Bars, HeatMap, TimePlot, XyPlot};
 
-/// A whole report, in reading order: warnings, checks, then the sections.
+/// A whole report, in reading order: verdict, warnings, checks, then the sections.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Report {
@@ -17,7 +17,9 @@ pub struct Report {
     pub subtitle: String,
     /// Facts about the run shown in the page head (spec, seed, version, ...).
     pub facts: Vec<KeyValue>,
-    /// What the reader must know before trusting the rest; shown before anything else.
+    /// What came out, against what, and what to do next: the first that is read, a paragraph each.
+    pub verdict: Vec<String>,
+    /// What the reader must know before trusting the rest.
     pub warnings: Vec<String>,
     /// Every number the run stands for, with what was asked.
     pub checks: Vec<Check>,
@@ -38,6 +40,11 @@ impl Report {
     /// Adds a fact to the page head.
     pub fn fact(mut self, key: impl Into<String>, value: impl Into<Cell>) -> Self {
         self.facts.push(KeyValue::new(key, value, ""));
+        self
+    }
+    /// Adds a paragraph of the verdict.
+    pub fn verdict(mut self, text: impl Into<String>) -> Self {
+        self.verdict.push(text.into());
         self
     }
     /// Adds a warning.

@@ -8,6 +8,18 @@ pub(crate) const PLOT_DIGITS: usize = 6;
 /// Larger values are gaps like non-finite ones: a run that went away, whose range would overflow in the page.
 const PLOT_LARGEST: f64 = 1e150;
 
+/// `value` with `decimals` decimals and its unit, where it has one (`-` is none), as in a sentence.
+///
+/// ```
+/// use dynocal_report::with_unit;
+/// assert_eq!(with_unit(3.2, 2, "kg/h"), "3.20 kg/h");
+/// assert_eq!(with_unit(0.063, 3, "-"), "0.063");
+/// ```
+pub fn with_unit(value: f64, decimals: usize, unit: &str) -> String {
+    let unit = if matches!(unit, "-" | "") { String::new() } else { format!(" {unit}") };
+    format!("{value:.decimals$}{unit}")
+}
+
 /// `value` with `digits` significant digits: fixed notation from 1e-4 to 1e7, otherwise exponential; trailing zeros
 /// are kept, because they say how exact the number is.
 ///

@@ -167,6 +167,7 @@ pub fn render(doc: &Report) -> Result<String, RenderError> {
         title => &doc.title,
         subtitle => &doc.subtitle,
         facts => Value::from(Serde(key_values(&doc.facts))),
+        verdict => Value::from(Serde(&doc.verdict)),
         warnings => Value::from(Serde(&doc.warnings)),
         checks => Value::from(Serde(doc.checks.iter().map(CheckView::new).collect::<Vec<_>>())),
         holding => doc.checks.iter().filter(|c| c.holds == Some(true)).count(),

@@ -1,7 +1,7 @@
 //! What every search shares: one evaluator, its budget, constrained local runs, the best design so far.
 
 use super::lbfgs::{Ended, Lbfgs, Stop};
-use super::{DesignOptions, Watch};
+use super::{DesignOptions, Observer};
 use crate::problem::{Evaluator, Multipliers};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Iterate;
@@ -32,7 +32,7 @@ pub struct Chain<'w, 'a> {
     gradient: f64,
     extreme: bool,
     constrained: bool,
-    watch: Watch<'w>,
+    observer: Observer<'w>,
     sink: Vec<f64>,
     /// Constrained runs whose Lagrangian stays above this value are given up.
     pub(crate) give_up: f64,
@@ -69,7 +69,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         mut evaluator: Evaluator<'a>,
         options: &DesignOptions,
         stream: u64,
-        watch: Watch<'w>,
+        observer: Observer<'w>,
     ) -> Self {
         let n = evaluator.layout().len();
         evaluator.aim_inside(options.output_tolerance);
@@ -86,7 +86,7 @@ impl<'w, 'a> Chain<'w, 'a> {
             gradient: options.gradient_tolerance,
             extreme,
             constrained,
-            watch,
+            observer,
             sink: Vec::new(),
             give_up: f64::INFINITY,
         }
@@ -103,7 +103,7 @@ impl<'w, 'a> Chain<'w, 'a> {
     }
 
     pub(crate) fn interrupted(&self) -> bool {
-        (self.watch.interrupt)()
+        (self.observer.interrupt)()
     }
 
     pub(crate) fn is_constrained(&self) -> bool {
@@ -242,7 +242,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         let (lower, upper) = (layout.bounds().0.to_vec(), layout.bounds().1.to_vec());
         let stop =
             Stop { evaluations: budget, gradient: self.gradient * factor, decrease: self.decrease * factor };
-        let (evaluator, interrupt) = (&mut self.evaluator, self.watch.interrupt);
+        let (evaluator, interrupt) = (&mut self.evaluator, self.observer.interrupt);
         let mut f = |x: &[f64], g: &mut [f64]| {
             // An interrupted run meets bad trials only and ends at its best point.
             if interrupt() { f64::NAN } else { evaluator.objective(x, q, multipliers, g) }
@@ -358,7 +358,7 @@ impl<'w, 'a> Chain<'w, 'a> {
         if improved {
             self.history.push(line);
         }
-        (self.watch.progress)(&line);
+        (self.observer.progress)(&line);
     }
 
     /// Scratch of the length of the variables.

@@ -32,7 +32,7 @@ use dynocal_numerics::status::Iterate;
 
 /// What a running search listens and reports to.
 #[derive(Clone, Copy)]
-pub struct Watch<'w> {
+pub struct Observer<'w> {
     /// Asked often; `true` ends the search at its best design.
     pub interrupt: &'w (dyn Fn() -> bool + Sync),
     /// Told after every local run. Lines of parallel starts may arrive in any order.

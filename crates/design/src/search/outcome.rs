@@ -3,7 +3,7 @@
 use super::chain::{Candidate, Chain, sharpening};
 use super::exchange::exchange;
 use super::redraw::{Redraw, Values};
-use super::{Search, Watch, search};
+use super::{Observer, Search, search};
 use crate::certificate::{Certificate, NoCertificate, certify};
 use crate::channel::Layout;
 use crate::error::DesignError;
@@ -132,10 +132,10 @@ pub fn design(
     let prototype = Evaluator::new(problem)?;
     check_start(problem, options)?;
     check_size(prototype.layout().len(), options, method.as_ref())?;
-    let watch = Watch { interrupt, progress };
+    let observer = Observer { interrupt, progress };
     let ends: Vec<Result<End, DesignError>> = (0..options.starts.max(1))
         .into_par_iter()
-        .map(|k| run_one(problem, options, method.as_ref(), prototype.clone(), k, watch))
+        .map(|k| run_one(problem, options, method.as_ref(), prototype.clone(), k, observer))
         .collect();
     let evaluations = ends.iter().flatten().map(|e| e.evaluations).sum();
     let mut best: Option<End> = None;
@@ -204,10 +204,10 @@ fn run_one(
     method: &dyn Search,
     evaluator: Evaluator,
     k: usize,
-    watch: Watch,
+    observer: Observer,
 ) -> Result<End, DesignError> {
     let layout = evaluator.layout().clone();
-    let mut chain = Chain::new(evaluator, options, k as u64, watch);
+    let mut chain = Chain::new(evaluator, options, k as u64, observer);
     let mut x = vec![0.0; layout.len()];
     match &options.start {
         Some(u) if k == 0 => layout.read(u, &mut x),

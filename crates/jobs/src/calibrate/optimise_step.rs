@@ -13,6 +13,7 @@ use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
+use dynocal_report::with_unit;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -197,7 +198,8 @@ impl Pass {
         };
         let far = self.misses.iter().find(is_far);
         self.reason = if let Some(m) = missed {
-            format!("its {} misses the demand by {:.2e} {} on the models", m.output, m.violation, m.unit)
+            let unit = if m.unit == "-" { "" } else { m.unit.as_str() };
+            format!("its {} misses the demand by {:.2e} {unit} on the models", m.output, m.violation)
         } else if !(self.measured_ratio.is_finite() && self.promised_ratio.is_finite()) {
             "what it costs is not a finite number".into()
         } else if self.promised_ratio < 1.0 && self.measured_ratio >= 1.0 {
@@ -209,8 +211,9 @@ impl Pass {
         } else if let Some(m) = far {
             let (rms, mean) = (m.measured_rms.unwrap_or(f64::NAN), m.measured_mean.unwrap_or(f64::NAN));
             format!(
-                "its measured {} is {rms:.3} {} (RMS) from the demand, {mean:+.3} in the mean",
-                m.output, m.unit
+                "its measured {} is {} (RMS) from the demand, {mean:+.3} in the mean",
+                m.output,
+                with_unit(rms, 3, &m.unit)
             )
         } else {
             String::new()

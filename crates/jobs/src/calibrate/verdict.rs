@@ -10,6 +10,7 @@ use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
+use dynocal_report::with_unit;
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -153,9 +154,8 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
                 f.fault(
                     Status::Stalled,
                     format!(
-                        "The dynamic map leaves a steady offset of {:.3} {} in {} ({}): more than {} % of its range.",
-                        d.offset,
-                        d.unit,
+                        "The dynamic map leaves a steady offset of {} in {} ({}): more than {} % of its range.",
+                        with_unit(d.offset, 3, &d.unit),
                         d.output,
                         s.scenario,
                         100.0 * most
@@ -278,36 +278,49 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
             super::run::STEPS.len()
         );
     };
-    let mut parts = Vec::new();
-    for own in v.scores.iter().filter(|s| s.map == DYNAMIC) {
-        let rivals: Vec<&MapScore> =
-            v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC).collect();
-        for d in own.demands.iter().skip(1) {
-            let best = rivals
-                .iter()
-                .filter_map(|s| s.demand(&d.output).map(|o| (o.integral_s, s.map.as_str())))
-                .filter(|(i, _)| i.is_finite())
-                .min_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((integral, map)) = best {
-                parts.push(format!(
-                    "{}: integral of the {} error per step {:.4} s against {integral:.4} s of the {map}, the best rival",
-                    own.scenario, d.output, d.integral_s
-                ));
-            }
-        }
-        if let Some(rival) = rivals.iter().find(|s| s.map == "static map") {
-            parts.push(format!(
-                "{}: {} {:.4} against {:.4} of the static map",
-                own.scenario,
-                objective_words(spec),
-                own.objective,
-                rival.objective
+    let head =
+        if valid { "The dynamic map may be used." } else { "The dynamic map must not be used as it is." };
+    let own = v.scores.iter().filter(|s| s.map == DYNAMIC);
+    let paragraphs = own.map(|own| against_rivals(spec, v, own));
+    std::iter::once(head.to_string()).chain(paragraphs).collect::<Vec<_>>().join("\n")
+}
+
+/// What the dynamic map is worth in one scenario, in sentences.
+fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> String {
+    let rivals: Vec<&MapScore> =
+        v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC).collect();
+    let mut out = Vec::new();
+    for d in own.demands.iter().skip(1) {
+        let integrals = rivals
+            .iter()
+            .filter_map(|s| s.demand(&d.output).map(|o| (o.integral_s, s.map.as_str())))
+            .filter(|(i, _)| i.is_finite());
+        if let Some((integral, map)) = integrals.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            let word = if d.integral_s < integral { "better" } else { "worse" };
+            out.push(format!(
+                "it holds {} {word} than the best rival, the {map}: {:.4} against {integral:.4} s of error integrated over a step",
+                d.output, d.integral_s
             ));
         }
     }
-    let head =
-        if valid { "The dynamic map may be used." } else { "The dynamic map must not be used as it is." };
-    format!("{head} {}.", parts.join("; "))
+    if let Some(rival) = rivals.iter().find(|s| s.map == "static map") {
+        let unit = match &spec.problem.minimise[..] {
+            [one] => spec.problem.unit(&one.channel).unwrap_or("-"),
+            _ => "-",
+        };
+        out.push(format!(
+            "it takes {} of {}, the static map {}",
+            with_unit(own.objective, 4, unit),
+            objective_words(spec),
+            with_unit(rival.objective, 4, unit)
+        ));
+    }
+    format!("{}: {}.", capital(&own.scenario), out.join("; "))
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// How a search ended, in words that follow its name.

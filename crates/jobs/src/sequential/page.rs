@@ -27,11 +27,12 @@ pub fn report(found: &Sequenced) -> Report {
     let mut report = Report::new(format!("Rounds of design and measurement: {}", found.name))
         .fact("Bed time [s]", format!("{:.0}", found.bed_s))
         .fact("Held-out record [s]", format!("{:.0}", found.held_out_s));
+    report = report.verdict(found.verdict.as_str());
     for warning in &found.warnings {
         report = report.warning(warning.as_str());
     }
     report = report
-        .section(Section::new("Verdict").text(found.verdict.as_str()).block(errors(found)))
+        .section(Section::new("Errors").block(errors(found)))
         .section(Section::new("Rounds").block(rounds(found)))
         .section(held_out(found))
         .section(Section::new("Designed records").block(records(found)));

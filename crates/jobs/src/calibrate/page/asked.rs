@@ -34,13 +34,16 @@ pub(super) fn head(s: &Summary, r: &ChainResult) -> Report {
             format!("torque {} Nm, lambda {}", plant.torque_noise_nm, plant.lambda_noise),
         );
     }
+    for paragraph in s.verdict.lines() {
+        report = report.verdict(paragraph);
+    }
     for warning in s.warnings {
         report = report.warning(warning.as_str());
     }
     report
 }
 
-/// The verdict, the main numbers and the bed times.
+/// The main numbers and the bed times.
 pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     let mut items = Vec::new();
     let outputs = r.identify.as_ref().map_or(0, |d| d.result.outputs.len());
@@ -77,7 +80,7 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
             }
         }
     }
-    let section = Section::new("Result").id("result").text(s.verdict).key_values(items);
+    let section = Section::new("Result").id("result").key_values(items);
     let (table, bars) = bed(s);
     section.columns(vec![table.into(), bars.into()])
 }
