@@ -215,6 +215,7 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
             faults.push(key, value, format!("a whole number from {least} to {most}"));
         }
     }
+    faults.range("optimise.smoothing", s.optimise.smoothing, 0.0, 1e3, "of the objective");
     faults.range(
         "validate.static_map.search.tolerance",
         s.validate.static_map.search.tolerance,

@@ -186,16 +186,23 @@ fn output_models(
     output: &str,
     candidates: Vec<Candidate>,
 ) -> Result<OutputModels, ChainError> {
-    // An optimum goes where a model is wrong, so one that runs away somewhere is worse than its score on measured records.
-    let any_stable = candidates.iter().any(|c| c.unstable_share == 0.0 && c.choosing_r2.is_some());
-    let score = |c: &Candidate| match any_stable && c.unstable_share > 0.0 {
-        true => f64::NEG_INFINITY,
-        false => c.choosing_r2.unwrap_or(f64::NEG_INFINITY),
-    };
-    let best = candidates.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
-    let chosen = candidates.iter().position(|c| score(c) == best).unwrap_or(0);
+    let scores: Vec<(Option<f64>, f64)> =
+        candidates.iter().map(|c| (c.choosing_r2, c.unstable_share)).collect();
+    let chosen = choose(&scores);
     let unit = ctx.spec.problem.unit(output).unwrap_or("-").into();
     Ok(OutputModels { output: output.into(), unit, candidates, chosen })
+}
+
+/// The candidate with the best score (none: diverged) among those that are nowhere unstable, else among all. An optimum goes where
+/// a model is wrong, so one that runs away somewhere is worse than its score on measured records.
+fn choose(scores: &[(Option<f64>, f64)]) -> usize {
+    let any_stable = scores.iter().any(|(score, unstable)| score.is_some() && *unstable == 0.0);
+    let worth = |(score, unstable): &(Option<f64>, f64)| match any_stable && *unstable > 0.0 {
+        true => f64::NEG_INFINITY,
+        false => score.unwrap_or(f64::NEG_INFINITY),
+    };
+    let best = scores.iter().map(worth).fold(f64::NEG_INFINITY, f64::max);
+    scores.iter().position(|s| worth(s) == best).unwrap_or(0)
 }
 
 /// One candidate: the job `identify` on the spec at `path`, in a folder beside it.
@@ -323,4 +330,22 @@ pub fn save_models(folder: &Path, models: &ModelsResult) -> Result<(), ChainErro
         json::write_versioned(&file, MODEL_SCHEMA, MODEL_VERSION, &o.best().model)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::choose;
+
+    #[test]
+    fn a_stable_candidate_goes_before_a_better_one_that_runs_away() {
+        assert_eq!(choose(&[(Some(0.9), 0.0), (Some(0.95), 0.0)]), 1);
+        assert_eq!(choose(&[(Some(0.9), 0.0), (Some(0.95), 0.3)]), 0);
+        assert_eq!(
+            choose(&[(Some(0.9), 0.3), (Some(0.95), 1.0)]),
+            1,
+            "where none is stable the score decides"
+        );
+        assert_eq!(choose(&[(None, 0.0), (Some(0.2), 0.3)]), 1, "a diverged one is no choice");
+        assert_eq!(choose(&[(None, 0.0), (None, 0.0)]), 0);
+    }
 }
