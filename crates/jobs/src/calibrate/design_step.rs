@@ -152,18 +152,24 @@ fn measured(
         Ok(place)
     };
     let data = with(&record, folder.join(&records[0].file));
-    let models = identify_all(ctx, &place("models")?, &ModelData { identification: &data, validation })?;
-    ctx.fraction(0.8);
-    let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
-    let mut comparison_bed_s = 0.0;
     // A record of the first recipe beside it, where a plant can measure one.
-    if ctx.plants.is_some() {
+    let rival = || -> Result<Option<ModelsResult>, ChainError> {
+        if ctx.plants.is_none() {
+            return Ok(None);
+        }
         let rival = extra_record(ctx, folder, "comparison01", 0)?;
         let saved = save_records(folder, std::slice::from_ref(&rival))?;
         let data = with(&rival, folder.join(&saved[0].file));
         let data = ModelData { identification: &data, validation };
-        let other = identify_all(ctx, &place("comparison")?, &data)?;
-        gains.push(gain("with one more record of the first recipe instead", &other));
+        identify_all(ctx, &place("comparison")?, &data).map(Some)
+    };
+    let own = || identify_all(ctx, &place("models")?, &ModelData { identification: &data, validation });
+    let (models, other) = rayon::join(own, rival);
+    let (models, other) = (models?, other?);
+    let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
+    let mut comparison_bed_s = 0.0;
+    if let Some(other) = &other {
+        gains.push(gain("with one more record of the first recipe instead", other));
         comparison_bed_s = ctx.spec.excite.record_s + ctx.spec.excite.lead_in_s;
     }
     let span = |name: &String| -> Result<(String, f64, f64), ChainError> {

@@ -165,9 +165,10 @@ fn run_candidates(
     candidates: &Candidates,
     data: &ModelData,
 ) -> Result<OutputModels, ChainError> {
-    let found = candidates
+    // Outputs differ in their number of candidates, so that these are shared out as well.
+    let found: Vec<Result<Candidate, ChainError>> = candidates
         .tables
-        .iter()
+        .par_iter()
         .enumerate()
         .map(|(k, c)| {
             ctx.check_interrupt()?;
@@ -177,8 +178,8 @@ fn run_candidates(
             atomic::write(&path, text.as_bytes())?;
             candidate(ctx, &path, &name, &c.what, data)
         })
-        .collect::<Result<Vec<_>, ChainError>>()?;
-    output_models(ctx, output, found)
+        .collect();
+    output_models(ctx, output, found.into_iter().collect::<Result<_, _>>()?)
 }
 
 fn output_models(
