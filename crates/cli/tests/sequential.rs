@@ -81,7 +81,7 @@ fn rounds_teach_and_are_set_beside_random_records() {
     let throttle = record.numbers("throttle", 0, record.rows()).unwrap();
     assert!(record.rows() == 60 && throttle.iter().all(|v| (10.0..=16.0).contains(v)));
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
-    assert!(page.contains("Verdict") && page.trim_end().ends_with("</html>"));
+    assert!(page.contains("class=\"verdict\"") && page.trim_end().ends_with("</html>"));
     // The model is a model of the house.
     let o = dynocal(
         tmp.path(),
