@@ -65,9 +65,21 @@ fn given_records_come_in_every_format() {
 #[test]
 fn a_bed_hands_back_mdf() {
     let tmp = tempfile::tempdir().unwrap();
-    atomic::write(&tmp.path().join("spec.toml"), shortest().as_bytes()).unwrap();
+    // Given gains: there is nothing to be found on the plant first.
+    let loops = r#"
+[[loops]]
+output = "torque"
+input = "throttle"
+gains = { ki = 0.3, kp = 0.2 }
+
+[[loops]]
+output = "lambda"
+input = "inj"
+gains = { ki = -40.0, kp = -8.0 }
+"#;
+    atomic::write(&tmp.path().join("spec.toml"), format!("{}{loops}", shortest()).as_bytes()).unwrap();
     done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "first"]);
-    let bed = format!("{}\n[plant]\nname = \"bed\"\n", shortest());
+    let bed = format!("{}{loops}\n[plant]\nname = \"bed\"\n", shortest());
     atomic::write(&tmp.path().join("bed.toml"), bed.as_bytes()).unwrap();
     let calibrate = ["calibrate", "bed.toml", "--until", "excite", "--out", "bed"];
     let measured: PathBuf = tmp.path().join("bed/measured");

@@ -87,8 +87,12 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
 
 fn bed(s: &Summary) -> (Table, Bars) {
     let b = &s.bed;
-    let needed =
-        [("identification", b.identification_s), ("design", b.design_s), ("optimisation", b.optimisation_s)];
+    let needed = [
+        ("gains of the loops", b.loops_s),
+        ("identification", b.identification_s),
+        ("design", b.design_s),
+        ("optimisation", b.optimisation_s),
+    ];
     let beside = [
         ("validation records", b.validation_records_s),
         ("record that the design is compared with", b.design_comparison_s),
