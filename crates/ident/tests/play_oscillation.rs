@@ -134,3 +134,19 @@ fn moving_demands_are_not_judged() {
     lacking.channels.pop();
     assert!(oscillation(&lacking, &the_loop()).unwrap_err().to_string().contains("`y_demand`"));
 }
+
+/// Sensor noise alone, in many short stretches of constant demand, is no oscillation, although a proportional loop moves its input
+/// with it.
+#[test]
+fn noise_in_short_stretches_is_left_alone() {
+    let mut rng = Rng64::new(23);
+    for _ in 0..500 {
+        let hold = 60 + rng.below(60);
+        let n = 8 * hold;
+        let demand: Vec<f64> = (0..n).map(|t| 10.0 * (1 + (t / hold) % 2) as f64).collect();
+        let e: Vec<f64> = (0..n).map(|_| 2.0 * rng.normal()).collect();
+        let y: Vec<f64> = demand.iter().zip(&e).map(|(d, e)| d - e).collect();
+        let seen = oscillation(&record(y, e, demand), &the_loop()).unwrap();
+        assert!(seen.is_none(), "{seen:?}");
+    }
+}

@@ -21,7 +21,8 @@
 //! Where the demand keeps changing, the whole record is looked at for a swing whose period is shorter than 0.7 of the time
 //! between two changes: what is slower the demand may have made.
 //!
-//! Noise: white noise has at most 0.61 of its power in such a band, and the error of a second-order loop with a damping of 0.3
+//! Noise: a band that holds the share w of all m frequencies has of white noise the share w +- sqrt(w (1 - w)/m) of the power, so
+//! that a swing has to have five of these deviations more than w; the error of a second-order loop with a damping of 0.3 has
 //! about 0.65.
 //!
 //! N. F. Thornhill, B. Huang, H. Zhang, J. Process Control 13 (2003) 91-100, for the zero crossings of the autocorrelation:
@@ -80,6 +81,8 @@ const LARGE: f64 = 0.1;
 const NARROW: f64 = 0.7;
 const BAND: f64 = 1.6;
 const PERIODS: usize = 6;
+/// Standard deviations by which a share has to exceed that of white noise.
+const BY_CHANCE: f64 = 5.0;
 /// Longest period of a swing, as a share of the time between two changes of the demand.
 const FASTER: f64 = 0.7;
 
@@ -202,16 +205,23 @@ fn swing(e: &[f64], u: &[f64], longest: f64) -> Option<Regular> {
     (1..power.len()).for_each(|k| sums[k] = sums[k - 1] + power[k]);
     let total = *sums.last()?;
     let last = power.len() - 1;
+    let band = |k: usize| ((k as f64 / BAND).ceil() as usize, ((k as f64 * BAND) as usize).min(last));
     let share = |k: usize| {
-        let low = (k as f64 / BAND).ceil() as usize;
-        let high = ((k as f64 * BAND) as usize).min(last);
+        let (low, high) = band(k);
         (sums[high] - sums[low - 1]) / total
     };
+    // Least share that white noise of this length does not have by chance.
+    let least = |k: usize| {
+        let (low, high) = band(k);
+        let w = (high + 1 - low) as f64 / last as f64;
+        (w + BY_CHANCE * (w * (1.0 - w) / last as f64).sqrt()).max(NARROW)
+    };
     let slowest = PERIODS.max((n as f64 / longest).ceil() as usize);
-    let best = (slowest..=last).max_by(|a, b| share(*a).total_cmp(&share(*b)))?;
+    let best =
+        (slowest..=last).filter(|k| share(*k) >= least(*k)).max_by(|a, b| share(*a).total_cmp(&share(*b)))?;
     let period = n as f64 / best as f64;
     let one = period.round() as usize;
-    if !(total > 0.0 && share(best) >= NARROW && goes_on(e, u, one)) {
+    if !(total > 0.0 && goes_on(e, u, one)) {
         return None;
     }
     Some(Regular {

@@ -112,7 +112,7 @@ pub enum ChainError {
     Gains(#[from] TuneError),
     /// A record in which a loop oscillates.
     #[error(
-        "the record `{record}` is refused: {oscillation}; it is kept in `{kept}`. Give smaller `gains` in [[loops]], or leave them out, so that they are identified on the plant"
+        "the record `{record}` is refused: {oscillation}; it is kept in `{kept}`. Give smaller `gains` in [[loops]]; gains that are left out are identified on the plant, where a larger `tune.test_s` makes them surer"
     )]
     Oscillates {
         /// Record.
