@@ -76,7 +76,9 @@ fn the_example_gives_a_plan_that_meets_the_demand() {
         assert!(worst < 1e-4, "{output}: {worst}");
     }
     let page = std::fs::read_to_string(run.join("report.html")).unwrap();
-    for part in ["Verdict", "What demands and limits cost", "rate limit of spark", "demand of torque"] {
+    for part in
+        ["class=\"verdict\"", "What demands and limits cost", "rate limit of spark", "demand of torque"]
+    {
         has(&page, part);
     }
     assert!(!column(&run.join("prices.csv"), "torque_demand").is_empty());

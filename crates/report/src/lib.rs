@@ -36,7 +36,7 @@ mod render;
 mod view;
 
 pub use model::{Align, Block, Cell, Check, Column, Details, KeyValue, Report, Section, Table};
-pub use numbers::{significant, with_unit};
+pub use numbers::{capital, significant, with_unit};
 pub use plots::{
     Axis, BarSeries, Bars, ColourScale, HeatMap, Level, Mark, Overlay, Panel, Role, Series, TimePlot, XyPlot,
     XySeries,

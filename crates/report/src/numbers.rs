@@ -20,6 +20,16 @@ pub fn with_unit(value: f64, decimals: usize, unit: &str) -> String {
     format!("{value:.decimals$}{unit}")
 }
 
+/// `text` as a sentence begins: its first letter large.
+///
+/// ```
+/// assert_eq!(dynocal_report::capital("random points"), "Random points");
+/// ```
+pub fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
 /// `value` with `digits` significant digits: fixed notation from 1e-4 to 1e7, otherwise exponential; trailing zeros
 /// are kept, because they say how exact the number is.
 ///

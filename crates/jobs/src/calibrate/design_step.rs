@@ -166,6 +166,7 @@ fn measured(
     let own = || identify_all(ctx, &place("models")?, &ModelData { identification: &data, validation });
     let (models, other) = rayon::join(own, rival);
     let (models, other) = (models?, other?);
+    ctx.fraction(0.9);
     let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
     let mut comparison_bed_s = 0.0;
     if let Some(other) = &other {

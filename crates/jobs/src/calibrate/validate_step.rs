@@ -15,6 +15,7 @@ use dynocal_ident::plant::Plant;
 use dynocal_ident::play::PlayError;
 use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
+use dynocal_report::with_unit;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -251,7 +252,7 @@ fn missed(ctx: &Context, h: &Held) -> String {
             } else {
                 "it did not come to rest".into()
             };
-            out.push(format!("{} is {e:+.3} {} off: {why}", d.output, d.unit));
+            out.push(format!("{} is off by {}: {why}", d.output, with_unit(*e, 3, &d.unit)));
         }
     }
     out.join("; ")

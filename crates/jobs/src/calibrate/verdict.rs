@@ -10,7 +10,7 @@ use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
-use dynocal_report::with_unit;
+use dynocal_report::{capital, with_unit};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -81,10 +81,9 @@ fn excitation(r: &ChainResult, f: &mut Findings) {
             f.fault(
                 Status::Infeasible,
                 format!(
-                    "The records do not follow the demand of {}: measured less demanded is {:+.3} {} in the mean, {:.1} times the range of the demand. The plant does not reach it.",
+                    "The records do not follow the demand of {}: measured less demanded is {} in the mean, {:.1} times the range of the demand. The plant does not reach it.",
                     d.output,
-                    d.mean_error,
-                    d.unit,
+                    with_unit(d.mean_error, 3, &d.unit),
                     d.share.abs()
                 ),
             );
@@ -316,11 +315,6 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
         ));
     }
     format!("{}: {}.", capital(&own.scenario), out.join("; "))
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// How a search ended, in words that follow its name.

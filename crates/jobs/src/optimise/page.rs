@@ -29,11 +29,13 @@ pub fn write(found: &Optimised, folder: &Path) -> Result<(), PageError> {
 /// The page.
 pub fn report(found: &Optimised) -> Report {
     let mut report = Report::new(format!("Optimisation: {}", found.name));
+    for paragraph in &found.verdict {
+        report = report.verdict(paragraph.as_str());
+    }
     for warning in found.warnings.iter().filter(|w| !found.verdict.contains(w)) {
         report = report.warning(warning.as_str());
     }
-    let verdict = found.verdict.iter().fold(Section::new("Verdict"), |s, text| s.text(text.as_str()));
-    report = report.section(verdict.block(terms(found)));
+    report = report.section(Section::new("Objective").block(terms(found)));
     if !found.shortfalls.is_empty() {
         report = report.section(shortfalls(found));
     }

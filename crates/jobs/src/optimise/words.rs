@@ -2,7 +2,7 @@
 
 use dynocal_ident::stored::Outside;
 use dynocal_numerics::status::Status;
-use dynocal_report::significant;
+use dynocal_report::{capital, significant};
 
 use super::result::{Asked, Optimised, PriceLine};
 
@@ -89,11 +89,6 @@ fn ended(o: &Optimised) -> String {
 
 fn plus(v: f64) -> &'static str {
     if v > 0.0 { "+" } else { "" }
-}
-
-fn capital(text: &str) -> String {
-    let mut all = text.chars();
-    all.next().map_or(String::new(), |c| c.to_uppercase().chain(all).collect())
 }
 
 fn missed(a: &Asked) -> String {

@@ -6,7 +6,7 @@ use super::super::verdict::how_it_ended;
 use super::models::table;
 use super::parts::{percent, plot, record, unit};
 use dynocal_files::run_folder::Done;
-use dynocal_report::{Cell, Column, Section, Table};
+use dynocal_report::{Cell, Column, Section, Table, capital};
 
 /// The whole step.
 pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, ChainError> {
@@ -40,11 +40,6 @@ pub(super) fn section(ctx: &Context, d: &Done<DesignResult>) -> Result<Section, 
             .block(table(output, &format!("Candidates for {} with the designed record", output.output)));
     }
     Ok(section)
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |c| c.to_uppercase().chain(letters).collect())
 }
 
 fn criteria(r: &DesignResult) -> Table {
