@@ -157,6 +157,21 @@ fn one() -> f64 {
     1.0
 }
 
+/// Name of the channel in which a record keeps what a meter said of a derived channel.
+pub fn meter_name(channel: &str) -> String {
+    format!("{channel}_measured")
+}
+
+/// A derived channel that was metered as well.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Metered {
+    /// Channel.
+    pub channel: String,
+    /// Mean of the meter over the mean of what is derived, less one.
+    pub error: f64,
+}
+
 /// A calibration problem, see [`crate::problem`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -262,12 +277,42 @@ impl CalibrationProblem {
         Monomial::of(channel, &self.derive)
     }
 
-    /// The channels `minimise` names, over a record that has the measured ones: one column each.
+    /// The channels `minimise` names, over a record that has the measured ones: one column each. Of a derived channel what a
+    /// meter said where the record has it ([`meter_name`]), else what follows from the channels it is derived from.
     ///
     /// # Errors
     /// [`DerivedError`]: a channel is not there, or a derived value is not finite.
     pub fn objective_channels(&self, record: &Dataset) -> Result<Vec<Vec<f64>>, DerivedError> {
-        self.minimise.iter().map(|term| self.values(&term.channel, record)).collect()
+        let one = |term: &ObjectiveTerm| match record.values(&meter_name(&term.channel)) {
+            Ok(metered) => Ok(metered.to_vec()),
+            Err(_) => self.values(&term.channel, record),
+        };
+        self.minimise.iter().map(one).collect()
+    }
+
+    /// Derived channels that are minimised: what a plant or bed may have a meter for.
+    pub fn meterable(&self) -> Vec<&Derived> {
+        let minimised = |d: &&Derived| self.minimise.iter().any(|term| term.channel == d.name);
+        self.derive.iter().filter(minimised).collect()
+    }
+
+    /// What the meters of a record say beside what the derived channels say.
+    ///
+    /// # Errors
+    /// As [`CalibrationProblem::objective_channels`].
+    pub fn meters(&self, record: &Dataset) -> Result<Vec<Metered>, DerivedError> {
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
+        let mut all = Vec::new();
+        for d in self.meterable() {
+            if let Ok(metered) = record.values(&meter_name(&d.name)) {
+                // Row t holds what was applied from t on, and what was measured at t: of what was applied before.
+                let derived = self.values(&d.name, record)?;
+                let applied = mean(&derived[..derived.len().saturating_sub(1)]);
+                let error = mean(metered.get(1..).unwrap_or_default()) / applied - 1.0;
+                all.push(Metered { channel: d.name.clone(), error });
+            }
+        }
+        Ok(all)
     }
 
     /// A channel over a record: its samples, or what follows from other channels by [`CalibrationProblem::derive`].

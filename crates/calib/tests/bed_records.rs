@@ -162,7 +162,7 @@ fn what_the_engine_plays_passes_and_what_is_broken_is_named() {
         let nan = said(&with(&good, "lambda", |t, v| if t == 9 { f64::NAN } else { v }));
         assert_eq!(nan, ["`lambda` has no value at 0.270 s (sample 9)"]);
         let held = said(&with(&good, "lambda", |t, v| if t < 500 { v } else { 1.02 }));
-        assert!(held.len() == 1 && held[0].contains("`lambda` stands at 1.02 - from 15.00 s"), "{held:?}");
+        assert!(held.len() == 1 && held[0].contains("`lambda` stands at 1.02 from 15.00 s"), "{held:?}");
     }
 }
 

@@ -398,3 +398,30 @@ fn demands_out_of_reach_are_said() {
     );
     assert!(point.code != 0 && !point.stderr.is_empty(), "{}", point.stdout);
 }
+
+/// What is metered is believed, and a fuel error of 3 % shows: injectors that give more than they are told, on a bed with a
+/// meter; and a bed without one says that its fuel is that of the inputs.
+#[test]
+fn an_error_of_the_injectors_shows_in_the_metered_fuel() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = format!("{}\n[plant.bed.engine]\ninjector_error = 0.03\n", text(&shortest()));
+    let spec = written(tmp.path(), &spec);
+    let run =
+        dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap(), "--out", "run", "--until", "optimise"]);
+    assert!(run.code < 2, "{}", run.stderr);
+    let folder = tmp.path().join("run");
+    let summary: serde_json::Value = serde_json::from_str(&text(&folder.join("summary.json"))).unwrap();
+    let pass = &summary["passes"][0];
+    let error = pass["meters"][0]["error"].as_f64().unwrap();
+    assert!(pass["meters"][0]["channel"] == "fuel" && (error - 0.03).abs() < 1e-9, "{error}");
+    let said = format!("{}", summary["warnings"]);
+    assert!(said.contains("The meter of fuel reads +3.0 % in the mean beside"), "{said}");
+    // Measured is what the meter said: 3 % more than the recorded inputs give.
+    let table = dynocal_files::csv_io::read(&folder.join("steps/04-optimise/pass1_optimum.csv")).unwrap();
+    let column = |name: &str| table.numbers(name, 0, table.rows()).unwrap().to_vec();
+    let metered = column("fuel_measured");
+    let (inj, speed) = (column("inj"), column("speed"));
+    for t in 1..metered.len() {
+        assert!((metered[t] / (1.03 * 1.2e-4 * inj[t - 1] * speed[t - 1]) - 1.0).abs() < 1e-9, "{t}");
+    }
+}

@@ -77,6 +77,52 @@ fn a_boosted_point_is_held_and_a_map_leaves_out_what_is_out_of_reach() {
     assert!((table.numbers("torque", 0, 1).unwrap()[0] - 60.0).abs() < 1.0);
 }
 
+/// The page of a map: contours over all points that were held, the line of full load where more was asked, nothing drawn
+/// of what is the same everywhere; that of a sweep shows the sweep.
+#[test]
+fn pages_show_the_map_with_its_full_load_and_the_whole_sweep() {
+    let tmp = tempfile::tempdir().unwrap();
+    let map =
+        ["map", "--speed-rpm", "2000", "4000", "2", "--torque-nm", "60", "180", "3", "--report", "m.html"];
+    let (code, _, stderr) = engine(tmp.path(), &map);
+    assert_eq!(code, 1, "{stderr}");
+    let data = |file: &str| -> serde_json::Value {
+        let page = std::fs::read_to_string(tmp.path().join(file)).unwrap();
+        let from = page.find("id=\"data\">").unwrap() + 10;
+        let end = page[from..].find("</script>").unwrap();
+        serde_json::from_str(&page[from..from + end]).unwrap()
+    };
+    let plots = data("m.html");
+    let maps: Vec<_> = plots.as_array().unwrap().iter().filter(|p| p["kind"] == "heat").collect();
+    assert!(!maps.is_empty() && maps.iter().all(|m| m["contours"] == true));
+    for m in &maps {
+        let full = &m["overlays"][0];
+        assert_eq!(full["label"], "full load");
+        // 180 Nm are out of reach of this engine at both speeds; what was held is what the warnings say.
+        for (k, speed) in [2000.0, 4000.0].into_iter().enumerate() {
+            assert_eq!(full["x"][k].as_f64(), Some(speed));
+            let held = full["y"][k].as_f64().unwrap();
+            assert!(
+                stderr.contains(&format!("{speed} rpm, 180 Nm is out of reach ({held:.1} Nm were held)"))
+            );
+        }
+        // Of three rows the last is empty, and no map is the same everywhere.
+        let z = m["zs"].as_array().unwrap();
+        assert!(z[4].is_null() && z[5].is_null() && z[0] != z[1]);
+    }
+    let page = std::fs::read_to_string(tmp.path().join("m.html")).unwrap();
+    assert!(page.contains("the same at all points: NO is 0"), "thesis has no model of NO");
+    let hint = page.find("Drag over a plot").unwrap();
+    assert!(hint < page.find("<section").unwrap(), "the hint stands before the plots");
+
+    let sweep = ["sweep", "spark", "--from", "5", "--to", "35", "--points", "4", "--report", "s.html"];
+    let (code, _, stderr) = engine(tmp.path(), &sweep);
+    assert_eq!(code, 0, "{stderr}");
+    let plots = data("s.html");
+    let torque = plots.as_array().unwrap().iter().find(|p| p["y"]["label"] == "torque").unwrap();
+    assert_eq!(torque["series"][0]["x"], serde_json::json!([5, 15, 25, 35]));
+}
+
 #[test]
 fn a_cycle_is_driven_and_its_file_is_read_in_the_units_it_says() {
     let tmp = tempfile::tempdir().unwrap();

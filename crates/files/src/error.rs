@@ -53,6 +53,18 @@ pub enum FilesError {
         /// What is wrong, with the place if known.
         reason: String,
     },
+    /// More than may be held in memory.
+    #[error(
+        "{path}: found {found}, expected at most {most}: cut it, or keep fewer channels (`dynocal convert`)"
+    )]
+    TooLarge {
+        /// File.
+        path: String,
+        /// Found.
+        found: String,
+        /// Bound.
+        most: String,
+    },
     /// A row has too few or too many cells.
     #[error("{path}, line {line}: found {found} cells, expected {expected} as in the header")]
     Ragged {

@@ -12,6 +12,7 @@
 //! - [`spec`]: TOML specs with every fault named at once
 
 pub mod atomic;
+pub mod bounds;
 pub mod dataset;
 pub mod error;
 pub mod json;

@@ -189,6 +189,7 @@ pub fn endings() -> String {
 /// As [`Source::chunks`].
 pub fn table(source: &dyn Source, group: usize, channels: &[usize]) -> Result<Table, FilesError> {
     let info = &source.groups()[group];
+    crate::bounds::held(source.file(), info.rows, channels.len())?;
     let mut columns: Vec<Column> = channels
         .iter()
         .map(|c| {

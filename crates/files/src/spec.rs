@@ -7,6 +7,7 @@
 use std::fmt;
 use std::path::Path;
 
+use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::registry::nearest;
 use serde::de::DeserializeOwned;
 use toml::Spanned;
@@ -113,14 +114,18 @@ impl Faults {
     /// Checks `lo <= value <= hi` (NaN fails).
     pub fn range(&mut self, key: &str, value: f64, lo: f64, hi: f64, unit: &str) {
         if !(lo <= value && value <= hi) {
-            self.push(key, value, format!("{lo} to {hi} {unit}"));
+            self.push(key, value, format!("{lo} to {hi}{}", UnitAfter(unit)));
         }
     }
 
     /// Checks that `value` is positive and finite.
     pub fn positive(&mut self, key: &str, value: f64, unit: &str) {
         if !(value > 0.0 && value.is_finite()) {
-            self.push(key, value, format!("a positive number, {unit}"));
+            self.push(
+                key,
+                value,
+                if unit == "-" { "a positive number".into() } else { format!("a positive number, {unit}") },
+            );
         }
     }
 

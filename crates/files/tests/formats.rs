@@ -285,3 +285,23 @@ fn what_is_left_out_is_said() {
     assert_eq!(one.rasters.len(), 1);
     assert_eq!(numbers(&one.rasters[0].columns[0]), [31.0, 32.0]);
 }
+
+/// A megabyte of gzip, a variable of a MAT file or the rows that a Parquet file states may stand for any size: they are
+/// refused above a stated bound, before that much is held.
+#[test]
+fn what_inflates_beyond_the_bound_is_refused() {
+    use flate2::{Compression, write::GzEncoder};
+    use std::io::Write;
+    let tmp = tempfile::tempdir().unwrap();
+    let path = tmp.path().join("bomb.csv.gz");
+    let mut gz = GzEncoder::new(std::fs::File::create(&path).unwrap(), Compression::fast());
+    gz.write_all(b"time [s],torque [Nm]\n").unwrap();
+    let lines = "0,0\n".repeat(250_000);
+    for _ in 0..1001 {
+        gz.write_all(lines.as_bytes()).unwrap();
+    }
+    gz.finish().unwrap();
+    assert!(std::fs::metadata(&path).unwrap().len() < 20_000_000);
+    let error = csv_io::read(&path).unwrap_err().to_string();
+    assert!(error.contains("bomb.csv.gz") && error.contains("at most 1000 MB"), "{error}");
+}

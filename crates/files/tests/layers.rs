@@ -9,6 +9,7 @@ use std::path::Path;
 const ORDER: &[&str] = &[
     "error",
     "atomic",
+    "bounds",
     "table",
     "units",
     "measurement",

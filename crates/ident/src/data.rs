@@ -5,7 +5,25 @@
 //! A record whose stamps are not uniform has a sample time of NaN and its stamps in a channel (see
 //! [`crate::prepare`], step `resample`).
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
+
+/// A unit behind a number in a sentence: a space and the unit, nothing where there is none (`-`).
+///
+/// ```
+/// use dynocal_ident::data::UnitAfter;
+/// assert_eq!(format!("{}{}", 1.02, UnitAfter("-")), "1.02");
+/// assert_eq!(format!("{}{}", 20, UnitAfter("Nm")), "20 Nm");
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct UnitAfter<'a>(pub &'a str);
+
+impl fmt::Display for UnitAfter<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if matches!(self.0, "-" | "") { Ok(()) } else { write!(f, " {}", self.0) }
+    }
+}
 
 /// What a channel is to an identification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

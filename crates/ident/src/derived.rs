@@ -22,20 +22,44 @@ use crate::data::{Channel, DataError, Dataset, Role};
 /// assert_eq!(cycle.value(|_| 1500.0), 0.08);
 /// assert_eq!(cycle.inverted(0.08), Some(1500.0));
 /// assert_eq!(cycle.to_string(), "cycle = 120 speed^-1");
+///
+/// // A mass per cylinder and cycle is 3e-5 kg/h per mg and rpm for each cylinder of a four-stroke engine.
+/// let fuel = "name = 'fuel'\nunit = 'kg/h'\nfactor = 3e-5\ncylinders = 3\npowers = { inj = 1, speed = 1 }";
+/// let fuel: Derived = toml::from_str(fuel).unwrap();
+/// assert!((fuel.factor - 9e-5).abs() < 1e-18);
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(from = "Written")]
 pub struct Derived {
     /// Name.
     pub name: String,
     /// Unit.
-    #[serde(default = "none")]
     pub unit: String,
     /// Factor.
-    #[serde(default = "one")]
     pub factor: f64,
     /// Power of each channel; one that is derived itself comes before this one.
     pub powers: BTreeMap<String, i32>,
+}
+
+/// As it is written: what is meant per cylinder is multiplied by the number of cylinders once, when it is read.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    name: String,
+    #[serde(default = "none")]
+    unit: String,
+    #[serde(default = "one")]
+    factor: f64,
+    #[serde(default)]
+    cylinders: Option<u8>,
+    powers: BTreeMap<String, i32>,
+}
+
+impl From<Written> for Derived {
+    fn from(w: Written) -> Self {
+        let Written { name, unit, factor, cylinders, powers } = w;
+        Self { name, unit, factor: factor * f64::from(cylinders.unwrap_or(1)), powers }
+    }
 }
 
 fn one() -> f64 {

@@ -2,6 +2,7 @@
 //!
 //! A campaign sees a plant only as `&mut dyn Plant`, so no result can come from peeking into it.
 
+use crate::data::UnitAfter;
 use serde::{Deserialize, Serialize};
 
 /// Whether a variable drives the plant or answers.
@@ -48,7 +49,7 @@ pub struct LimitEvent {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlantError {
     /// An input outside its range.
-    #[error("input `{name}` = {found} {unit} at {time_s:.3} s is outside {min} to {max} {unit}")]
+    #[error("input `{name}` = {found}{u} at {time_s:.3} s is outside {min} to {max}{u}", u = UnitAfter(.unit))]
     OutOfRange {
         /// Variable.
         name: String,

@@ -8,6 +8,7 @@
 pub mod calibrate;
 pub mod convert;
 pub mod design;
+pub mod draft;
 pub mod engine;
 pub mod estimate;
 pub mod export;

@@ -12,6 +12,7 @@ const ORDER: &[&str] = &[
     "estimate",
     "export_spec",
     "show",
+    "draft",
     "convert",
     "simulate",
     "optimise",

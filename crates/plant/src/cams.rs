@@ -22,6 +22,11 @@ pub struct CamSchedule {
     pub full_load_kpa: f64,
 }
 
+/// Highest speed of a schedule \[rpm\].
+pub const MOST_RPM: f64 = 20_000.0;
+/// Highest pressure of a schedule \[kPa\].
+pub const MOST_KPA: f64 = 1000.0;
+
 impl CamSchedule {
     /// Intake \[deg BTDC\] and exhaust \[deg ATDC\] opening points at a speed \[rpm\] and manifold pressure \[kPa\].
     pub fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
@@ -45,14 +50,18 @@ impl CamSchedule {
         y[k - 1] + w * (y[k] - y[k - 1])
     }
 
-    /// Whether the lists fit: as long as the speeds, two or more, rising; inside the box of the inputs.
+    /// Whether the lists fit: as long as the speeds, two or more, rising from 0 to [`MOST_RPM`]; inside the box of the inputs;
+    /// pressures rising from 0 to [`MOST_KPA`].
     pub fn fits(&self) -> bool {
         let n = self.speed_rpm.len();
         let lists =
             [&self.intake_part_deg, &self.exhaust_part_deg, &self.intake_full_deg, &self.exhaust_full_deg];
         n >= 2
             && self.speed_rpm.windows(2).all(|w| w[1] > w[0])
+            && self.speed_rpm.iter().all(|v| (0.0..=MOST_RPM).contains(v))
             && lists.iter().all(|l| l.len() == n && l.iter().all(|v| (180.0..=300.0).contains(v)))
             && self.full_load_kpa > self.part_load_kpa
+            && self.part_load_kpa >= 0.0
+            && self.full_load_kpa <= MOST_KPA
     }
 }

@@ -1,5 +1,6 @@
 //! Errors of the virtual engine.
 
+use dynocal_ident::data::UnitAfter;
 use thiserror::Error;
 
 /// What can go wrong when an engine is built, driven or asked to settle.
@@ -65,7 +66,7 @@ pub enum PlantError {
     #[error("engine parameters: {}", .0.to_string().trim_end())]
     Toml(#[from] Box<toml::de::Error>),
     /// An input is not finite or outside the box of the engine.
-    #[error("input `{name}` = {found} {unit}: expected {low}..{high} {unit}")]
+    #[error("input `{name}` = {found}{u}: expected {low}..{high}{u}", u = UnitAfter(.unit))]
     Input {
         /// Input name.
         name: &'static str,

@@ -91,7 +91,7 @@ impl Outputs {
         let v_d = p.geometry.displacement_m3();
         let fmep_pa = held.friction_factor * p.friction.fmep_pa(s.peak_mean_pa, held.piston_speed);
         let torque_cycle_nm = s.work_sum_j / (4.0 * PI) - fmep_pa * 4.0 * v_d / (4.0 * PI);
-        let fuel_kg_h = 1.2e-4 * s.inputs.injection_mg * s.inputs.speed_rpm;
+        let fuel_kg_h = 1.2e-4 * held.fuel_share * s.inputs.injection_mg * s.inputs.speed_rpm;
         let power_kw = 1e-3 * torque_cycle_nm * held.omega;
         let air_kg_s = mean(cycle.air_kg, cycle.time_s);
         let rho = p.ambient.pressure_pa / (p.gas.r_j_kg_k[0] * p.ambient.temperature_k);

@@ -39,6 +39,15 @@ impl Default for PlantSpec {
     }
 }
 
+impl PlantSpec {
+    /// White noise of the sensors: output and standard deviation in its unit, in words, `torque 0.5 Nm, lambda 0.01`; empty
+    /// where there is none.
+    pub fn noise_words(&self) -> String {
+        let options = BedOptions::from_table(&self.parameters, &self.bed).unwrap_or_default();
+        options.noise_words(self.torque_noise_nm, self.lambda_noise)
+    }
+}
+
 /// A key of `[plant]` that is not what it must be.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlantFault {
@@ -196,6 +205,8 @@ fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, Plant
     if noise {
         settings.noise.torque_nm = spec.torque_noise_nm;
         settings.noise.lambda = spec.lambda_noise;
+    } else {
+        settings.options.sensors.values_mut().for_each(|s| s.noise = 0.0);
     }
     let bed = EngineBed::new(&params, settings).map_err(refused)?;
     Ok(Box::new(bed))

@@ -41,6 +41,8 @@ pub(crate) struct Held {
     pub(crate) lag_per_cell: f64,
     pub(crate) cylinder_wall_k: f64,
     pub(crate) friction_factor: f64,
+    /// Fuel that all cylinders get over the demand \[-\].
+    pub(crate) fuel_share: f64,
 }
 
 impl Held {
@@ -82,6 +84,7 @@ impl Held {
             lag_per_cell: -(-grid.cell_deg / deg_s / p.torque_lag_s).exp_m1(),
             cylinder_wall_k: d.cylinder_wall_k.unwrap_or(p.heat.wall_k),
             friction_factor: d.friction_factor,
+            fuel_share: 0.25 * d.fuel_share.iter().sum::<f64>(),
         }
     }
 }

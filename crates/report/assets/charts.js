@@ -4,7 +4,7 @@ const Charts = (function () {
   'use strict';
   const INK = '#1c2430', SOFT = '#5d6b7c', GRID = '#e6eaef', FRAME = '#aeb8c4';
   const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
-  const ROLES = { measured: '#27313f', simulated: '#e0650c', demand: '#1f6fc0', limit: '#b4231f' };
+  const ROLES = { measured: '#27313f', simulated: '#e0650c', demand: '#1f6fc0', limit: '#b4231f', band: '#f3cfb0' };
   const PALETTE = ['#1f6fc0', '#e0650c', '#178a5c', '#8a4fbf', '#c2337d', '#0f8ea3', '#8a6d00', '#6b7785'];
   const SEQUENTIAL = ['#fdfbe8', '#e3f0c8', '#b5dfc0', '#7cc8bd', '#48a9b8', '#2f83ad', '#2b5b9a', '#2a3478'];
   const DIVERGING = ['#23509e', '#6f9fd4', '#c3d9ee', '#fafafa', '#f6cdbb', '#de8564', '#a92b28'];
@@ -21,7 +21,7 @@ const Charts = (function () {
     return series.map((s) => {
       const own = ROLES[s.role];
       // A second line of the same role must not look like the first; bounds may.
-      if (own && (s.role === 'limit' || !seen[s.role])) { seen[s.role] = true; return own; }
+      if (own && (s.role === 'limit' || s.role === 'band' || !seen[s.role])) { seen[s.role] = true; return own; }
       if (!known.of.has(s.label)) known.of.set(s.label, free[known.of.size % free.length]);
       return known.of.get(s.label);
     });
@@ -133,6 +133,10 @@ const Charts = (function () {
       const h = Math.round(Math.min(420, Math.max(240, w * 0.62)));
       const c = surface(canvas, w, h);
       box = { l: 56, t: 6, r: w - 12, b: h - 26 };
+      if (p.equal) { // the longer unit decides; the box gives way
+        const unit = Math.min((box.r - box.l) / (view.x[1] - view.x[0]), (box.b - box.t) / (view.y[1] - view.y[0]));
+        box.r = box.l + unit * (view.x[1] - view.x[0]); box.b = box.t + unit * (view.y[1] - view.y[0]);
+      }
       map = axes(c, box, view.x, view.y, true);
       clip(c, box, () => p.series.forEach((s, i) => curve(c, s, paint[i], map)));
       if (!p.series.some((s) => s.x.some((v, k) => finite(v) && finite(s.y[k])))) {
@@ -156,6 +160,12 @@ const Charts = (function () {
   const dashed = (role) => role === 'limit' || role === 'demand';
   function curve(c, s, colour, map) {
     c.strokeStyle = c.fillStyle = colour;
+    if (s.role === 'band') {
+      c.globalAlpha = 0.55; c.beginPath();
+      s.x.forEach((x, k) => { if (finite(x) && finite(s.y[k])) c.lineTo(map.px(x), map.py(s.y[k])); });
+      c.closePath(); c.fill(); c.globalAlpha = 1;
+      return;
+    }
     if (s.line) {
       c.lineWidth = 1.6; c.setLineDash(dashed(s.role) ? [6, 4] : []); c.lineJoin = 'round';
       c.beginPath();
@@ -229,13 +239,14 @@ const Charts = (function () {
 
   function heat(host, p, ui) {
     const nx = p.xs.length, ny = p.ys.length, smooth = p.contours && nx > 1 && ny > 1;
-    let range = extent([p.zs], 0);
+    let range = p.range || extent([p.zs], 0);
     if (p.scale === 'diverging') { const m = Math.max(Math.abs(range[0]), Math.abs(range[1])); range = [-m, m]; }
     const colour = ramp(p.scale === 'diverging' ? DIVERGING : SEQUENTIAL);
     const shade = (z) => colour((z - range[0]) / (range[1] - range[0]));
     const head = element('div', 'panel-head', host);
     element('span', 'axis-name', head, name(p.y));
-    if (p.overlay) legend(head, [{ label: p.overlay.label, colour: INK, shape: 'dot' }]);
+    const over = ['#1c2430', '#b4231f', '#8a4fbf'];
+    legend(head, p.overlays.map((o, i) => ({ label: o.label, colour: over[i % 3], shape: o.line ? '' : 'dot' })));
     const z = element('span', 'axis-name', head, name(p.z));
     z.style.marginLeft = 'auto';
     const own = element('div', 'own', host), canvas = element('canvas', '', own);
@@ -254,8 +265,8 @@ const Charts = (function () {
       const py = (v) => box.b - (v - y[0]) / (y[1] - y[0]) * (box.b - box.t);
       if (smooth) fill(c, box, x, y, (u, v) => bilinear(p, u, v), shade);
       else cells(c, p, ex, ey, px, py, shade);
-      if (p.overlay) clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => curve(c, p.overlay, INK, { px, py }));
       if (smooth) contour(c, box, p, px, py, ticks(range[0], range[1], 8));
+      clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => p.overlays.forEach((o, i) => curve(c, o, over[i % 3], { px, py })));
       axes(c, box, x, y, false);
       if (p.cell_values) values(c, p, px, py, shade, smooth, range);
       bar(c, box, range, shade);

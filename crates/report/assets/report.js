@@ -41,6 +41,8 @@
     const head = element('div', 'panel-head', host);
     element('span', 'axis-name', head, name(panel.y));
     const entries = lineLegend(head, lines, paint, (i, on) => chart.setSeries(i + 1, { show: on }));
+    const isBand = (i) => lines[i].role === 'band' && lines[i].label !== '';
+    const bands = lines.flatMap((s, i) => (isBand(i) ? [{ series: [i + 2, i + 1], fill: paint[i] + '88' }] : []));
     const huge = lines.some((s) => s.v.some((v) => Math.abs(v) > 1e14));
     let first = true;
     const values = (u, splits, axis, space, step) => splits.map((v) => (v == null ? '' : label(v, step)));
@@ -54,10 +56,11 @@
         { ...axis, size: last ? 28 : 6, space: 70, values: last ? values : (u, s) => s.map(() => '') },
         { ...axis, size: 56, space: 32, values, ...(huge ? { incrs: HUGE_STEPS } : {}) },
       ],
+      bands,
       series: [{}].concat(lines.map((s, i) => ({
-        label: s.label, stroke: paint[i], width: s.level ? 1.2 : s.role === 'measured' ? 2 : 1.4, // simulated lies on top
+        label: s.label, stroke: paint[i], width: s.role === 'band' ? 0.8 : s.level ? 1.2 : s.role === 'measured' ? 2 : 1.4, // simulated lies on top
         dash: dashed(s.role) ? [6, 4] : undefined,
-        points: s.level || s.held ? { show: false } : { size: 4 },
+        points: s.level || s.held || s.role === 'band' ? { show: false } : { size: 4 },
         paths: s.held ? uPlot.paths.stepped({ align: 1 }) : undefined,
       }))),
       hooks: {
@@ -69,7 +72,7 @@
         }],
         setCursor: [(u) => {
           const i = u.cursor.idx, on = i != null && u.cursor.left >= 0;
-          entries.forEach((e, j) => { if (!lines[j].level) e.textContent = on ? short(lines[j].v[i]) : ''; });
+          entries.forEach((e, j) => { if (!lines[j].level) e.textContent = on ? short(lines[j].v[i]) + (isBand(j) ? ' to ' + short(lines[j + 1].v[i]) : '') : ''; });
           if (ui.readout) ui.readout.textContent = on ? short(t[i], 7) : '';
         }],
       },
@@ -90,12 +93,17 @@
   function lineLegend(head, lines, paint, show) {
     const box = element('span', 'legend', head);
     return lines.map((s, i) => {
+      if (s.role === 'band' && s.label === '') return document.createElement('span'); // the upper side goes with the lower
       const item = element('button', 'entry', box);
       item.type = 'button';
       item.title = 'hide or show';
       swatch(item, paint[i], dashed(s.role) ? 'dash' : '');
       element('span', '', item, s.label + (s.v.some(finite) ? '' : ' (no finite value)'));
-      item.addEventListener('click', () => show(i, !item.classList.toggle('off')));
+      item.addEventListener('click', () => {
+        const on = !item.classList.toggle('off');
+        show(i, on);
+        if (s.role === 'band') show(i + 1, on);
+      });
       return element('span', 'value', item, s.level ? short(s.v[0]) : '');
     });
   }

@@ -33,6 +33,8 @@ pub enum Role {
     Demand,
     /// A bound: red, dashed.
     Limit,
+    /// One side of a band: its lower side has the label, its upper side follows without one; the area between is filled.
+    Band,
     /// Anything else: the next colour of the palette.
     #[default]
     Other,
@@ -140,6 +142,10 @@ impl Panel {
     pub fn held(self, label: impl Into<String>, values: impl Into<Vec<f64>>) -> Self {
         self.series(Series::new(label, values).held())
     }
+    /// Adds a band between two lines; what is added later lies on top.
+    pub fn band(self, label: impl Into<String>, low: impl Into<Vec<f64>>, high: impl Into<Vec<f64>>) -> Self {
+        self.series(Series::new(label, low).role(Role::Band)).series(Series::new("", high).role(Role::Band))
+    }
     /// Adds a constant bound.
     pub fn level(mut self, label: impl Into<String>, value: f64) -> Self {
         self.levels.push(Level { label: label.into(), value });
@@ -207,9 +213,16 @@ pub struct XyPlot {
     pub y: Axis,
     /// Curves and clouds, drawn in this order.
     pub series: Vec<XySeries>,
+    /// A unit has the same length on both axes: circles are round.
+    pub equal: bool,
 }
 
 impl XyPlot {
+    /// Gives a unit the same length on both axes.
+    pub fn equal_scales(mut self) -> Self {
+        self.equal = true;
+        self
+    }
     /// An empty plot.
     pub fn new(title: impl Into<String>, x: Axis, y: Axis) -> Self {
         XyPlot { title: title.into(), x, y, ..XyPlot::default() }
@@ -222,6 +235,22 @@ impl XyPlot {
     /// Adds a curve in the next colour.
     pub fn line(self, label: impl Into<String>, x: impl Into<Vec<f64>>, y: impl Into<Vec<f64>>) -> Self {
         self.series(XySeries { line: true, ..XySeries::new(label, x, y) })
+    }
+    /// Adds a band between two curves over `x`; what is added later lies on top.
+    pub fn band(
+        self,
+        label: impl Into<String>,
+        x: impl Into<Vec<f64>>,
+        low: impl Into<Vec<f64>>,
+        high: impl Into<Vec<f64>>,
+    ) -> Self {
+        let (mut x, mut y, mut high) = (x.into(), low.into(), high.into());
+        // Once around the area: there along the lower side, back along the upper one.
+        let back: Vec<f64> = x.iter().rev().copied().collect();
+        x.extend(back);
+        high.reverse();
+        y.extend(high);
+        self.series(XySeries { line: true, role: Role::Band, ..XySeries::new(label, x, y) })
     }
     /// Adds a cloud of points in the next colour.
     pub fn points(self, label: impl Into<String>, x: impl Into<Vec<f64>>, y: impl Into<Vec<f64>>) -> Self {
@@ -304,8 +333,11 @@ pub struct HeatMap {
     pub contours: bool,
     /// Write the value into each cell (for small grids).
     pub cell_values: bool,
-    /// Points on top, such as operating points.
-    pub overlay: Option<Overlay>,
+    /// Least and greatest value of the colours; those of the data where it is absent. Maps beside each other that shall be
+    /// compared need the same.
+    pub range: Option<[f64; 2]>,
+    /// Points and lines on top, such as operating points and limits.
+    pub overlays: Vec<Overlay>,
 }
 
 impl HeatMap {
@@ -340,7 +372,22 @@ impl HeatMap {
         x: impl Into<Vec<f64>>,
         y: impl Into<Vec<f64>>,
     ) -> Self {
-        self.overlay = Some(Overlay { label: label.into(), x: x.into(), y: y.into() });
+        self.overlays.push(Overlay { label: label.into(), x: x.into(), y: y.into(), line: false });
+        self
+    }
+    /// Draws a line with its points on top.
+    pub fn overlay_line(
+        mut self,
+        label: impl Into<String>,
+        x: impl Into<Vec<f64>>,
+        y: impl Into<Vec<f64>>,
+    ) -> Self {
+        self.overlays.push(Overlay { label: label.into(), x: x.into(), y: y.into(), line: true });
+        self
+    }
+    /// Fixes the values of the first and the last colour.
+    pub fn range(mut self, low: f64, high: f64) -> Self {
+        self.range = Some([low, high]);
         self
     }
     /// Sets the text below the plot.
@@ -350,7 +397,7 @@ impl HeatMap {
     }
 }
 
-/// Points on top of a map.
+/// Points or a line on top of a map.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Overlay {
     /// Name in the legend.
@@ -361,6 +408,9 @@ pub struct Overlay {
     /// Ordinates (m).
     #[serde(with = "nullable")]
     pub y: Vec<f64>,
+    /// Join the points.
+    #[serde(default)]
+    pub line: bool,
 }
 
 /// Horizontal bars: one group per category, one bar per series, values written at the bars.

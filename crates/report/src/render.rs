@@ -81,6 +81,25 @@ pub enum RenderError {
     Template(#[from] minijinja::Error),
 }
 
+/// Text for the page, escaped; what stands between two backticks is set as code, as on a terminal it is told by them.
+fn words(text: &str) -> Value {
+    let escaped = |text: &str| {
+        text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    };
+    let parts: Vec<&str> = text.split('`').collect();
+    let mut html = String::with_capacity(text.len() + 16);
+    for (k, part) in parts.iter().enumerate() {
+        // An odd backtick at the end opens nothing.
+        let is_code = k % 2 == 1 && k + 1 < parts.len();
+        match (is_code, k % 2) {
+            (true, _) => html.push_str(&format!("<code>{}</code>", escaped(part))),
+            (false, 1) => html.push_str(&format!("`{}", escaped(part))),
+            _ => html.push_str(&escaped(part)),
+        }
+    }
+    Value::from_safe_string(html)
+}
+
 /// One element of the flattened page; containers become a pair of marks, so that the template needs no recursion.
 #[derive(Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -162,6 +181,7 @@ pub fn render(doc: &Report) -> Result<String, RenderError> {
 
     let mut environment = Environment::new();
     environment.set_syntax(SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).build()?);
+    environment.add_filter("words", words);
     environment.add_template("report.html", TEMPLATE)?; // the ending switches HTML escaping on
     let html = environment.get_template("report.html")?.render(context! {
         title => &doc.title,
@@ -300,7 +320,7 @@ impl<'a> CheckView<'a> {
 }
 
 fn key_values(items: &[KeyValue]) -> Vec<(&str, String, &str)> {
-    items.iter().map(|i| (i.key.as_str(), single(&i.value), i.unit.as_str())).collect()
+    items.iter().map(|i| (i.key.as_str(), single(&i.value), shown_unit(&i.unit))).collect()
 }
 
 fn table_view(table: &Table) -> Result<Item<'_>, RenderError> {
@@ -317,8 +337,9 @@ fn table_view(table: &Table) -> Result<Item<'_>, RenderError> {
         rows.push(Row { stressed: table.stressed.contains(&row), cells });
     }
     let head = table.columns.iter();
-    let head =
-        head.map(|c| Head { label: &c.label, unit: &c.unit, right: c.align == Align::Right }).collect();
+    let head = head
+        .map(|c| Head { label: &c.label, unit: shown_unit(&c.unit), right: c.align == Align::Right })
+        .collect();
     Ok(Item::Table { caption: &table.caption, head, rows })
 }
 
@@ -328,6 +349,11 @@ fn cell_text(cell: &Cell, digits: usize) -> String {
         Cell::Text(text) => text.clone(),
         Cell::Empty => "–".to_owned(),
     }
+}
+
+/// A unit beside a number; `-` is none.
+fn shown_unit(unit: &str) -> &str {
+    if unit == "-" { "" } else { unit }
 }
 
 /// A cell outside a table.
@@ -361,7 +387,7 @@ fn check_heat(map: &HeatMap) -> Result<(), RenderError> {
     increasing(&map.title, &map.x.label, &map.x_values)?;
     increasing(&map.title, &map.y.label, &map.y_values)?;
     length(&map.title, &map.z.label, map.z_values.len(), map.x_values.len() * map.y_values.len())?;
-    map.overlay.iter().try_for_each(|o| length(&map.title, &o.label, o.y.len(), o.x.len()))
+    map.overlays.iter().try_for_each(|o| length(&map.title, &o.label, o.y.len(), o.x.len()))
 }
 
 fn check_bars(bars: &Bars) -> Result<(), RenderError> {

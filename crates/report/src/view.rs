@@ -29,6 +29,7 @@ pub(crate) enum PlotView<'a> {
         x: &'a Axis,
         y: &'a Axis,
         series: Vec<XyView<'a>>,
+        equal: bool,
     },
     Heat(HeatView<'a>),
     Bars {
@@ -94,7 +95,8 @@ pub(crate) struct HeatView<'a> {
     contours: bool,
     cell_values: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
-    overlay: Option<XyView<'a>>,
+    range: Option<[f64; 2]>,
+    overlays: Vec<XyView<'a>>,
 }
 
 #[derive(Serialize)]
@@ -196,7 +198,7 @@ pub(crate) fn xy<'a>(id: String, plot: &'a XyPlot) -> PlotView<'a> {
         x: Compact::plot(&s.x),
         y: Compact::plot(&s.y),
     });
-    PlotView::Xy { id, x: &plot.x, y: &plot.y, series: series.collect() }
+    PlotView::Xy { id, x: &plot.x, y: &plot.y, series: series.collect(), equal: plot.equal }
 }
 
 pub(crate) fn heat<'a>(id: String, map: &'a HeatMap) -> PlotView<'a> {
@@ -211,14 +213,19 @@ pub(crate) fn heat<'a>(id: String, map: &'a HeatMap) -> PlotView<'a> {
         scale: map.scale,
         contours: map.contours,
         cell_values: map.cell_values,
-        overlay: map.overlay.as_ref().map(|o| XyView {
-            label: &o.label,
-            role: Role::Other,
-            line: false,
-            points: true,
-            x: Compact::plot(&o.x),
-            y: Compact::plot(&o.y),
-        }),
+        range: map.range,
+        overlays: map
+            .overlays
+            .iter()
+            .map(|o| XyView {
+                label: &o.label,
+                role: Role::Other,
+                line: o.line,
+                points: true,
+                x: Compact::plot(&o.x),
+                y: Compact::plot(&o.y),
+            })
+            .collect(),
     })
 }
 

@@ -207,6 +207,47 @@ fn faults_name_the_plot_and_the_numbers() {
     );
 }
 
+/// Code between backticks is set as code; nothing that a text holds becomes markup by it.
+#[test]
+fn backticks_are_code() {
+    let report = Report::new("t").warning("the key `a<b` and `c`, an odd ` alone").section(Section::new("s"));
+    let html = render(&report).expect("a page");
+    assert!(html.contains("the key <code>a&lt;b</code> and <code>c</code>, an odd ` alone"), "{html}");
+}
+
+/// Maps that are compared may have the colours of one range, lines and points on top.
+#[test]
+fn a_map_keeps_its_range_and_what_lies_on_top() {
+    let axis = || Axis::new("Speed", "rpm");
+    let z = (Axis::new("Fuel", "mg"), vec![1.0, 2.0, 3.0, 4.0]);
+    let map = HeatMap::new("map", (axis(), vec![1.0, 2.0]), (axis(), vec![1.0, 2.0]), z)
+        .range(0.0, 8.0)
+        .overlay_line("full load", [1.0, 2.0], [1.5, 1.7])
+        .overlay("points", [1.0], [1.0]);
+    let plot = &data(&render(&with(map)).expect("a page"))[0];
+    assert_eq!(plot["range"], serde_json::json!([0.0, 8.0]));
+    assert_eq!((&plot["overlays"][0]["line"], &plot["overlays"][1]["line"]), (&true.into(), &false.into()));
+}
+
+/// A band is two sides with one name, and lies below what is added later.
+#[test]
+fn a_band_has_two_sides_and_one_name() {
+    let panel = Panel::new("y", "").band("95 % band", [0.0, 1.0], [2.0, 3.0]).measured([1.0, 2.0]);
+    let plot = &data(&render(&with(TimePlot::new("p", [0.0, 1.0]).panel(panel))).expect("a page"))[0];
+    let series = &plot["panels"][0]["series"];
+    let of = |k: usize| (series[k]["role"].as_str().unwrap(), series[k]["label"].as_str().unwrap());
+    assert_eq!([of(0), of(1), of(2)], [("band", "95 % band"), ("band", ""), ("measured", "measured")]);
+    let xy = XyPlot::new("xy", Axis::new("x", ""), Axis::new("y", "")).band(
+        "band",
+        [1.0, 2.0],
+        [0.0, 1.0],
+        [5.0, 6.0],
+    );
+    let plot = &data(&render(&with(xy)).expect("a page"))[0];
+    assert_eq!(plot["series"][0]["x"], serde_json::json!([1, 2, 2, 1]));
+    assert_eq!(plot["series"][0]["y"], serde_json::json!([0, 1, 6, 5]));
+}
+
 #[test]
 fn faults_are_told_apart_by_kind() {
     let series = Series::new("y", [1.0]).role(Role::Measured);

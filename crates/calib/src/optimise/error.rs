@@ -1,6 +1,6 @@
 //! Why an optimisation could not be set up.
 
-use dynocal_ident::data::DataError;
+use dynocal_ident::data::{DataError, UnitAfter};
 use dynocal_ident::derived::DerivedError;
 
 /// Why an optimisation could not be set up.
@@ -27,7 +27,8 @@ pub enum OptimiseError {
     },
     /// The start itself breaks a limit.
     #[error(
-        "start inputs of `{record}` break the limits: {channel} is {found} {unit} at sample {sample}, allowed {lower} to {upper}"
+        "start inputs of `{record}` break the limits: {channel} is {found}{u} at sample {sample}, allowed {lower} to {upper}",
+        u = UnitAfter(.unit)
     )]
     Start {
         /// Record.

@@ -46,7 +46,7 @@ fn passes(r: &ChainResult) -> String {
     if let Some(fixed) = r.validate.as_ref().and_then(|v| v.result.static_on_record.as_ref()) {
         rows.push(vec!["free inputs of the static map".into(), "-".into(), percent(fixed.ratio)]);
     }
-    table::render(&["objective against the start record", "promised [%]", "measured [%]"], &rows, &[1, 2])
+    table::render(&["objective against the start record", "promised [%]", "on the plant [%]"], &rows, &[1, 2])
 }
 
 fn maps(r: &ChainResult) -> String {

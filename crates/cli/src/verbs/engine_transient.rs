@@ -6,7 +6,7 @@ use clap::Args;
 use dynocal_ident::data::Channel;
 use dynocal_ident::plant::LimitEvent;
 use dynocal_jobs::engine::Engine;
-use dynocal_jobs::engine::transient::{self, Every, Spec};
+use dynocal_jobs::engine::transient::{self, Every, Spec, grouped};
 use dynocal_report::significant;
 
 use super::engine::page;
@@ -81,14 +81,18 @@ fn events_text(events: &[LimitEvent]) -> String {
     if events.is_empty() {
         return String::new();
     }
-    let rows: Vec<Vec<String>> = events
+    let groups = grouped(events);
+    let rows: Vec<Vec<String>> = groups
         .iter()
         .take(SHOWN)
-        .map(|e| {
-            vec![format!("{:.3}", e.time_s), e.what.clone(), significant(e.value, 5), significant(e.limit, 5)]
+        .map(|g| {
+            let numbers = [significant(g.limit, 5), significant(g.worst, 5)];
+            let times = [format!("{:.3}", g.from_s), format!("{:.3}", g.to_s), g.count.to_string()];
+            [g.what.clone()].into_iter().chain(times).chain(numbers).collect()
         })
         .collect();
-    let more = events.len().saturating_sub(SHOWN);
-    let tail = if more > 0 { format!("and {more} more\n") } else { String::new() };
-    format!("\n{}{tail}", table::render(&["time [s]", "event", "value", "limit"], &rows, &[0, 2, 3]))
+    let more = groups.len().saturating_sub(SHOWN);
+    let tail = if more > 0 { format!("and {more} more stretches\n") } else { String::new() };
+    let head = ["limit touched", "from [s]", "to [s]", "events", "limit", "worst at an event"];
+    format!("\n{}{tail}", table::render(&head, &rows, &[1, 2, 3, 4, 5]))
 }

@@ -28,6 +28,7 @@ mod engine_transient;
 mod reading;
 
 verbs![
+    new,        //
     calibrate,  //
     identify,   //
     simulate,   //

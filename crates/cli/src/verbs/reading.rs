@@ -16,7 +16,7 @@ pub(crate) struct Reading {
     pub(crate) format: Option<Format>,
     /// Dialect of a CSV file as TOML, e.g. 'separator = ";", header_line = 3'
     #[arg(long, value_name = "KEYS")]
-    csv: Option<String>,
+    pub(crate) csv: Option<String>,
 }
 
 /// What a flag says cannot be understood.

@@ -16,6 +16,7 @@ use dynocal_numerics::registry::MemberDoc;
 use flate2::{Compression, GzBuilder, read::MultiGzDecoder};
 
 use crate::atomic;
+use crate::bounds;
 use crate::error::{FilesError, reason};
 use crate::measurement::csv_cells;
 use crate::measurement::csv_dialect::{self, CsvKeys, Dialect};
@@ -51,11 +52,14 @@ pub fn read_with(path: &Path, keys: &CsvKeys) -> Result<Table, FilesError> {
     let mut bytes = Vec::new();
     File::open(path).and_then(|mut f| f.read_to_end(&mut bytes)).map_err(fail)?;
     if bytes.starts_with(&[0x1f, 0x8b]) {
-        let mut plain = Vec::new();
-        MultiGzDecoder::new(BufReader::new(bytes.as_slice())).read_to_end(&mut plain).map_err(|e| {
-            FilesError::Malformed { path: name.clone(), format: "gzip", reason: e.to_string() }
-        })?;
-        bytes = plain;
+        let stream = || MultiGzDecoder::new(BufReader::new(bytes.as_slice()));
+        let plain = bounds::inflated(&name, &mut { bounds::MOST_INFLATED }, stream);
+        let broken = |e: std::io::Error| FilesError::Malformed {
+            path: name.clone(),
+            format: "gzip",
+            reason: e.to_string(),
+        };
+        bytes = plain.map_err(broken)??;
     }
     parse_with(&name, &bytes, keys)
 }

@@ -3,7 +3,7 @@
 //! A file is 128 bytes of header and a sequence of elements, each a type, a length and data padded to 8 bytes; an
 //! element may be a whole deflate stream (MathWorks, "MAT-File Format", level 5).
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use dynocal_numerics::registry::MemberDoc;
@@ -12,6 +12,7 @@ use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
 
 use crate::atomic;
+use crate::bounds;
 use crate::error::{FilesError, reason};
 use crate::measurement::mat::{MatValue, Variables, variables};
 use crate::measurement::{Raster, Reader};
@@ -28,8 +29,6 @@ pub const FORMAT: Reader = Reader {
     several: true,
 };
 
-/// Largest data that one deflate stream may give: the format's own limit.
-const MOST: u64 = 1 << 31;
 /// Structs and cells inside each other.
 const DEPTH: usize = 16;
 
@@ -66,14 +65,14 @@ pub fn parse(file: &str, bytes: &[u8]) -> Result<Vec<(String, MatValue)>, FilesE
         return Err(fail("found version 7.3, which is HDF5".into()));
     }
     let mut cursor = Cursor { bytes, at: 128 };
-    let mut out = Vec::new();
+    let (mut out, mut left) = (Vec::new(), bounds::MOST_INFLATED);
     while cursor.at + 8 <= bytes.len() {
         let place = cursor.at;
         let at = |reason: String| fail(format!("at byte {place}: {reason}"));
         let (kind, data) = cursor.element().map_err(at)?;
-        let mut plain = Vec::new();
         let variable = if kind == 15 {
-            ZlibDecoder::new(data).take(MOST).read_to_end(&mut plain).map_err(|e| at(e.to_string()))?;
+            let plain = bounds::inflated(file, &mut left, || ZlibDecoder::new(data))
+                .map_err(|e| at(e.to_string()))??;
             let (kind, data) = Cursor { bytes: &plain, at: 0 }.element().map_err(at)?;
             matrix(kind, data, 0).map_err(at)?
         } else {

@@ -23,7 +23,7 @@ use parquet::schema::types::{ColumnDescriptor, Type};
 use crate::error::{FilesError, reason};
 use crate::measurement::{self, Raster, Reader, Whole, csv_io};
 use crate::table::{Cells, Column, Table, UnitSource};
-use crate::{atomic, units};
+use crate::{atomic, bounds, units};
 
 /// Row of the table of formats.
 pub const FORMAT: Reader = Reader {
@@ -62,6 +62,7 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
         metadata?.iter().find(|kv| kv.key == key)?.value.as_deref().map(units::normalise)
     };
     measurement::bounded(&file, "Parquet", schema.num_columns())?;
+    bounds::held(&file, u64::try_from(info.num_rows()).unwrap_or(0), schema.num_columns())?;
     let mut columns: Vec<Column> = Vec::with_capacity(schema.num_columns());
     let mut names = BTreeSet::new();
     let mut notes = Vec::new();
@@ -297,6 +298,17 @@ pub fn write_dataset(path: &Path, data: &Dataset) -> Result<(), FilesError> {
     let mut columns = vec![("time [s]".to_string(), time.as_slice())];
     columns.extend(data.channels.iter().map(|c| (format!("{} [{}]", c.name, c.unit), c.values.as_slice())));
     let bytes = encode(&columns)
+        .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: e.to_string() })?;
+    atomic::write(path, &bytes)
+}
+
+/// Writes columns (name, unit, values) of equal length; as [`write_dataset`], missing samples as NaN.
+///
+/// # Errors
+/// [`FilesError::Write`].
+pub fn write_columns(path: &Path, columns: &[(&str, &str, &[f64])]) -> Result<(), FilesError> {
+    let headed: Vec<(String, &[f64])> = columns.iter().map(|(n, u, v)| (format!("{n} [{u}]"), *v)).collect();
+    let bytes = encode(&headed)
         .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: e.to_string() })?;
     atomic::write(path, &bytes)
 }

@@ -1,5 +1,7 @@
 //! What can be wrong with the record of a plan, each in a sentence.
 
+use crate::data::UnitAfter;
+
 /// A fault of a record.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RecordFault {
@@ -71,7 +73,8 @@ pub enum RecordFault {
     },
     /// A channel without a loop is not what the plan asked for.
     #[error(
-        "`{channel}` is not as planned in {samples} of {of} samples: worst at {time_s:.2} s, found {found:.4} {unit}, planned {planned:.4} {unit}"
+        "`{channel}` is not as planned in {samples} of {of} samples: worst at {time_s:.2} s, found {found:.4}{u}, planned {planned:.4}{u}",
+        u = UnitAfter(.unit)
     )]
     NotAsPlanned {
         /// Channel.
@@ -91,7 +94,8 @@ pub enum RecordFault {
     },
     /// A channel that a loop drives leaves the range that the plan allows.
     #[error(
-        "`{channel}` reaches {found:.4} {unit} at {time_s:.2} s: the plan allows {lower} to {upper} {unit}"
+        "`{channel}` reaches {found:.4}{u} at {time_s:.2} s: the plan allows {lower} to {upper}{u}",
+        u = UnitAfter(.unit)
     )]
     OutsideRange {
         /// Channel.
@@ -108,7 +112,7 @@ pub enum RecordFault {
         upper: f64,
     },
     /// An output passes a limit of the plan.
-    #[error("`{output}` passes its limit of {limit} {unit}: {found:.4} {unit} at {time_s:.2} s")]
+    #[error("`{output}` passes its limit of {limit}{u}: {found:.4}{u} at {time_s:.2} s", u = UnitAfter(.unit))]
     Limit {
         /// Output.
         output: String,
@@ -123,7 +127,8 @@ pub enum RecordFault {
     },
     /// A value that no sensor gives.
     #[error(
-        "`{channel}` reads {found} {unit} at {time_s:.2} s, in {samples} samples like that: half of its values lie between {lower:.4} and {upper:.4} {unit}"
+        "`{channel}` reads {found}{u} at {time_s:.2} s, in {samples} samples like that: half of its values lie between {lower:.4} and {upper:.4}{u}",
+        u = UnitAfter(.unit)
     )]
     Implausible {
         /// Channel.
@@ -143,7 +148,8 @@ pub enum RecordFault {
     },
     /// A channel stands still where it should move.
     #[error(
-        "`{channel}` stands at {value} {unit} from {from_s:.2} s to {to_s:.2} s while the plan moves: is it recorded?"
+        "`{channel}` stands at {value}{u} from {from_s:.2} s to {to_s:.2} s while the plan moves: is it recorded?",
+        u = UnitAfter(.unit)
     )]
     Constant {
         /// Channel.

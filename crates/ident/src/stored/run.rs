@@ -1,7 +1,7 @@
 //! Stored models on records in the user's units.
 
 use super::{StoredError, StoredModel};
-use crate::data::{Channel, DataError, Dataset, Role};
+use crate::data::{Channel, DataError, Dataset, Role, UnitAfter};
 use crate::estimate::missing::bridged;
 use crate::experiment::Experiment;
 use crate::model::Kind;
@@ -235,12 +235,12 @@ impl Outside {
     /// In words.
     pub fn sentence(&self) -> String {
         format!(
-            "`{}` leaves what the model was identified on in {:.1} % of the samples: {} to {} {}, identified from {} to {}",
+            "`{}` leaves what the model was identified on in {:.1} % of the samples: {} to {}{}, identified from {} to {}",
             self.channel,
             100.0 * self.share,
             self.found[0],
             self.found[1],
-            self.unit,
+            UnitAfter(&self.unit),
             self.seen[0],
             self.seen[1]
         )

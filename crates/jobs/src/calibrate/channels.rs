@@ -19,6 +19,8 @@ pub struct Channels {
     pub demands: Vec<String>,
     /// Outputs with limits, and others that the objective reads.
     pub others: Vec<String>,
+    /// Derived channels that are minimised: a plant or bed that has a meter for one is asked for it.
+    pub meters: Vec<Port>,
     /// What maps read and give.
     pub ports: Ports,
 }
@@ -55,6 +57,7 @@ impl Channels {
             given: problem.given_names(),
             demands: problem.demand_names(),
             others: problem.other_outputs(),
+            meters: problem.meterable().into_iter().map(|d| port(&d.name, &d.unit)).collect(),
             ports,
         }
     }

@@ -5,11 +5,13 @@ use super::spec::CalibrateSpec;
 use dynocal_calib::gains::{TuneError, Tuned};
 use dynocal_calib::map::structured::MapError;
 use dynocal_calib::optimise::OptimiseError;
+use dynocal_calib::problem::meter_name;
 use dynocal_calib::supervisor::{self, Predictor};
 use dynocal_files::FilesError;
 use dynocal_files::csv_io;
 use dynocal_files::dataset;
 use dynocal_files::measurement;
+use dynocal_files::units;
 use dynocal_ident::data::{Channel, DataError, Dataset, Role};
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::pi::PiGains;
@@ -227,7 +229,7 @@ impl Context<'_> {
 
     /// Whether the plant has sensor noise, as far as the spec says.
     pub fn noisy(&self) -> bool {
-        self.spec.plant.torque_noise_nm > 0.0 || self.spec.plant.lambda_noise > 0.0
+        !self.spec.plant.noise_words().is_empty()
     }
 
     /// Values at which the inputs that may move begin: those of the spec, else the plant's own, else the middles of their
@@ -349,7 +351,9 @@ impl Context<'_> {
                 .map(|(name, v)| (name.as_str(), Predictor { model: v, theta: v.theta() }))
                 .collect();
             let mut watchdog = supervisor::for_plan(plan, &predictors);
-            let played = play::play(plant.as_mut(), plan, &mut watchdog)?;
+            let mut asked = plan.clone();
+            asked.outputs.extend(self.meters_of(plant.as_ref()));
+            let played = play::play(plant.as_mut(), &asked, &mut watchdog)?;
             if let Some(stop) = played.stop {
                 let kept = folder.join(format!("{}.stopped.csv", plan.name));
                 csv_io::write_dataset(&kept, &played.record)?;
@@ -360,9 +364,36 @@ impl Context<'_> {
         } else {
             self.measured_by_bed(folder, plan)?
         };
+        self.name_meters(plan, &mut record)?;
         self.refuse_oscillation(folder, plan, &record)?;
         record.init_samples = self.spec.identify.init_samples;
         Ok(record)
+    }
+
+    /// Outputs of a plant that meter what is minimised.
+    fn meters_of(&self, plant: &dyn Plant) -> Vec<String> {
+        let has =
+            |name: &str| plant.variables().iter().any(|v| v.causality == Causality::Output && v.name == name);
+        self.channels.meters.iter().map(|m| m.name.clone()).filter(|name| has(name)).collect()
+    }
+
+    /// What a meter said is kept apart from what follows from the inputs, in the unit of the problem.
+    fn name_meters(&self, plan: &Plan, record: &mut Dataset) -> Result<(), ChainError> {
+        let outputs = self.channels.outputs();
+        for m in self.channels.meters.iter().filter(|m| !outputs.contains(&m.name)) {
+            let Some(c) = record.channels.iter_mut().find(|c| c.name == m.name) else { continue };
+            let Some((scale, offset)) = units::conversion(&c.unit, &m.unit) else {
+                let fault = format!(
+                    "channel `{}`: found the unit {}, expected {} or a unit that converts to it",
+                    m.name, c.unit, m.unit
+                );
+                let (measured, plan) = (record.origin.clone(), plan.name.clone());
+                return Err(ChainError::Record { measured, plan, faults: vec![fault] });
+            };
+            c.values.iter_mut().for_each(|v| *v = *v * scale + offset);
+            (c.name, c.unit, c.role) = (meter_name(&m.name), m.unit.clone(), Role::Auxiliary);
+        }
+        Ok(())
     }
 
     /// A loop in a limit cycle is no excitation and no operating point.
@@ -400,7 +431,10 @@ impl Context<'_> {
         let Some(measured) = found.pop() else {
             let measured = self.measured.join(format!("{}.csv", plan.name));
             let waiting = vec![format!("  {} ({}) -> {}", path.display(), plan.mode(), measured.display())];
-            let channels = dynocal_files::plan::record_columns(plan);
+            let mut channels = dynocal_files::plan::record_columns(plan);
+            for m in &self.channels.meters {
+                channels.push_str(&format!(", and {} [{}] where it is metered", m.name, m.unit));
+            }
             return Err(ChainError::NeedsMeasurement { waiting, channels });
         };
         let tell = |text: &str| self.watch.note(text);

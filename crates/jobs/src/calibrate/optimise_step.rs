@@ -8,8 +8,9 @@ use dynocal_calib::map::start::{StartRule, rate_limited};
 use dynocal_calib::map::structured::StructuredShape;
 use dynocal_calib::map::{Port, Rows};
 use dynocal_calib::optimise::{OptimiseOptions, Optimum, optimise_record};
+use dynocal_calib::problem::{CalibrationProblem, Metered, meter_name};
 use dynocal_calib::validate::{inner, objective};
-use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::data::{Channel, Dataset, Role, UnitAfter};
 use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
@@ -55,6 +56,8 @@ pub struct Pass {
     pub measured: f64,
     /// Measured ratio.
     pub measured_ratio: f64,
+    /// What meters said of derived channels; of those that are not here the objective follows from the recorded inputs.
+    pub meters: Vec<Metered>,
     /// By output.
     pub misses: Vec<Miss>,
     /// First decided sample.
@@ -146,6 +149,7 @@ fn one_pass(
     let records = save_records(folder, &runs)?;
     let [start_run, optimum_run] =
         <[Dataset; 2]>::try_from(runs).map_err(|_| ChainError::Design("a pass has two records".into()))?;
+    same_meters(ctx, &start_run, &optimum_run)?;
     let first = optimum.first;
     let (measured_start, measured) =
         (mean_objective(ctx, &start_run, first)?, mean_objective(ctx, &optimum_run, first)?);
@@ -159,6 +163,7 @@ fn one_pass(
         measured_start,
         measured,
         measured_ratio: measured / measured_start,
+        meters: ctx.spec.problem.meters(&optimum_run)?,
         misses: misses(ctx, &optimum, &optimum_run)?,
         first,
         demands: demands.clone(),
@@ -180,7 +185,32 @@ fn one_pass(
     Ok(pass)
 }
 
+/// Start and optimum are compared: what one of them metered the other has to have metered, too.
+fn same_meters(ctx: &Context, start: &Dataset, optimum: &Dataset) -> Result<(), ChainError> {
+    let has = |d: &Dataset, m: &Port| d.channel(&meter_name(&m.name)).is_ok();
+    for m in &ctx.channels.meters {
+        let (lacking, other) = match (has(start, m), has(optimum, m)) {
+            (false, true) => (start, optimum),
+            (true, false) => (optimum, start),
+            _ => continue,
+        };
+        let fault = format!(
+            "no channel `{}`, which `{}` has: they are compared, so that both need it or none",
+            m.name, other.name
+        );
+        let (measured, plan) = (lacking.origin.clone(), lacking.name.clone());
+        return Err(ChainError::Record { measured, plan, faults: vec![fault] });
+    }
+    Ok(())
+}
+
 impl Pass {
+    /// Derived channels of the objective that no meter gave: they follow from the recorded inputs.
+    pub fn unmetered(&self, problem: &CalibrationProblem) -> Vec<String> {
+        let metered = |name: &String| self.meters.iter().any(|m| m.channel == *name);
+        problem.meterable().into_iter().map(|d| d.name.clone()).filter(|name| !metered(name)).collect()
+    }
+
     /// Decides whether the optimum may be used: the search ended well, demands are met on the models, something promised to
     /// save saved, and what was measured is near what was demanded.
     fn judge(&mut self, ctx: &Context) {
@@ -198,8 +228,12 @@ impl Pass {
         };
         let far = self.misses.iter().find(is_far);
         self.reason = if let Some(m) = missed {
-            let unit = if m.unit == "-" { "" } else { m.unit.as_str() };
-            format!("its {} misses the demand by {:.2e} {unit} on the models", m.output, m.violation)
+            format!(
+                "its {} misses the demand by {:.2e}{} on the models",
+                m.output,
+                m.violation,
+                UnitAfter(&m.unit)
+            )
         } else if !(self.measured_ratio.is_finite() && self.promised_ratio.is_finite()) {
             "what it costs is not a finite number".into()
         } else if self.promised_ratio < 1.0 && self.measured_ratio >= 1.0 {

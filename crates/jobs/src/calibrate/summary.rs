@@ -12,6 +12,7 @@ use super::verdict::{Verdict, stages};
 use crate::design::result::{CriterionLine, SafetyLine};
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticPoint;
+use dynocal_calib::problem::Metered;
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
 use serde::Serialize;
@@ -104,6 +105,7 @@ pub(crate) struct PassLine<'a> {
     pub(crate) measured: f64,
     pub(crate) measured_ratio: f64,
     pub(crate) promise_gap_points: f64,
+    pub(crate) meters: &'a [Metered],
     pub(crate) misses: &'a [Miss],
 }
 
@@ -213,6 +215,7 @@ fn pass(p: &Pass) -> PassLine<'_> {
         measured: p.measured,
         measured_ratio: p.measured_ratio,
         promise_gap_points: 100.0 * (p.promised_ratio - p.measured_ratio).abs(),
+        meters: &p.meters,
         misses: &p.misses,
     }
 }

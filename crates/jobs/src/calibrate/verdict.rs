@@ -5,6 +5,7 @@
 //! delivered map is compared in words, also where it is not better.
 
 use super::models::ModelsResult;
+use super::optimise_step::Pass;
 use super::run::ChainResult;
 use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
@@ -14,6 +15,8 @@ use dynocal_report::{capital, with_unit};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
+/// Difference of a meter and what follows from the inputs that is worth a warning, as a share.
+const METER: f64 = 0.01;
 /// Steady offset of a delivered map from which on it must not be used, as a share of the range of the leading demand and of
 /// further ones, whose range is narrow.
 const MOST_OFFSET: [f64; 2] = [0.05, 0.15];
@@ -59,10 +62,10 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     if let Some(i) = &r.invert {
         f.notes.extend(i.result.left_out.iter().map(|l| format!("Left out of the map: {l}.")));
     }
-    if spec.plant.torque_noise_nm > 0.0 || spec.plant.lambda_noise > 0.0 {
+    let noise = spec.plant.noise_words();
+    if !noise.is_empty() && spec.plant.name != "bed" {
         f.notes.push(format!(
-            "Records carry sensor noise (torque {} Nm, lambda {}); static map and comparison of the maps are run without it.",
-            spec.plant.torque_noise_nm, spec.plant.lambda_noise
+            "Records carry sensor noise ({noise}); static map and comparison of the maps are run without it."
         ));
     }
     let valid = f.faults.is_empty();
@@ -114,11 +117,35 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
         let points = 100.0 * (p.measured_ratio - p.promised_ratio).abs();
         if points > PROMISE_POINTS {
             let what = objective_words(spec);
-            f.notes.push(format!(
-                "Promised and measured {what} of pass {} differ by {points:.1} points.",
-                p.pass
-            ));
+            let seen = if p.unmetered(&spec.problem).is_empty() { "measured" } else { "played" };
+            f.notes
+                .push(format!("Promised and {seen} {what} of pass {} differ by {points:.1} points.", p.pass));
         }
+    }
+    if let Some(p) = passes.last() {
+        meters(spec, p, f);
+    }
+}
+
+/// Where what is minimised comes from: a meter, and whether it agrees with the inputs, or the inputs alone.
+fn meters(spec: &CalibrateSpec, p: &Pass, f: &mut Findings) {
+    let formula = |name: &str| {
+        let d = spec.problem.derive.iter().find(|d| d.name == name);
+        d.map_or_else(|| name.to_string(), ToString::to_string)
+    };
+    for m in p.meters.iter().filter(|m| !(m.error.abs() <= METER)) {
+        f.notes.push(format!(
+            "The meter of {} reads {:+.1} % in the mean beside {}: the actuator, the factor (number of cylinders) or the meter is off. What was saved is by the meter, what was promised by the inputs.",
+            m.channel,
+            100.0 * m.error,
+            formula(&m.channel)
+        ));
+    }
+    for name in p.unmetered(&spec.problem) {
+        f.notes.push(format!(
+            "Nothing meters {name}: it follows from the recorded inputs, {}. An error of an actuator does not show in it.",
+            formula(&name)
+        ));
     }
 }
 

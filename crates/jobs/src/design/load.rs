@@ -13,7 +13,7 @@ use dynocal_files::FilesError;
 use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table_with};
 use dynocal_files::measurement;
 use dynocal_files::split::{self, Cut};
-use dynocal_ident::data::{DataError, Dataset, Role};
+use dynocal_ident::data::{DataError, Dataset, Role, UnitAfter};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::literature::{self, LiteratureModel};
 use dynocal_ident::model::poly::{PolyNarx, StructureError};
@@ -124,8 +124,9 @@ pub enum DesignJobError {
     },
     /// A model whose free run grows without bound within the limits.
     #[error(
-        "{model} is unstable: on a random record within the limits its free run grows from {early:.4} to {late:.4} {unit} \
-         in {samples} samples; expected a stable model (see `stability` in the report of `dynocal identify`)"
+        "{model} is unstable: on a random record within the limits its free run grows from {early:.4} to {late:.4}{u} \
+         in {samples} samples; expected a stable model (see `stability` in the report of `dynocal identify`)",
+        u = UnitAfter(.unit)
     )]
     Unstable {
         /// Model.
@@ -141,8 +142,9 @@ pub enum DesignJobError {
     },
     /// The objective signal asks for predictions where the plan may not go.
     #[error(
-        "objective signal: found {channel} = {value} {unit} at sample {sample}, expected {lower} to {upper} {unit}, the \
-         limits of the channel"
+        "objective signal: found {channel} = {value}{u} at sample {sample}, expected {lower} to {upper}{u}, the \
+         limits of the channel",
+        u = UnitAfter(.unit)
     )]
     Objective {
         /// Channel.

@@ -8,7 +8,7 @@ use dynocal_design::problem::{DesignProblem, Evaluator, OutputLimits, Term};
 use dynocal_design::search::{DesignOptions, DesignOutcome, design};
 use dynocal_files::csv_io;
 use dynocal_files::run_folder::RunFolder;
-use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::data::{Channel, Dataset, Role, UnitAfter};
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 
@@ -242,19 +242,19 @@ fn warnings(
 ) -> Vec<String> {
     let mut out = Vec::new();
     for s in safety {
-        let (name, unit) = (&s.output.name, &s.output.unit);
+        let (name, unit) = (&s.output.name, UnitAfter(&s.output.unit));
         let (Some((distance, at)), Some((band, when))) = (s.least_distance, s.least_distance_of_band) else {
             continue;
         };
         if distance < 0.0 {
             out.push(format!(
-                "the prediction of `{name}` passes a limit by {:.4} {unit} at {at:.2} s: no record that keeps all limits \
+                "the prediction of `{name}` passes a limit by {:.4}{unit} at {at:.2} s: no record that keeps all limits \
                  was found",
                 -distance
             ));
         } else if band < 0.0 {
             out.push(format!(
-                "the band of `{name}` passes a limit by {:.4} {unit} at {when:.2} s: the stated rate does not hold there",
+                "the band of `{name}` passes a limit by {:.4}{unit} at {when:.2} s: the stated rate does not hold there",
                 -band
             ));
         }

@@ -99,6 +99,7 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
     let judged: Vec<Judged> =
         job.targets.iter().zip(&estimated).map(|(t, e)| judged(t, e, &measured)).collect();
     let mut scored = Vec::new();
+    let ending = job.keep.ending(parts.iter().flat_map(|p| &p.records).map(Dataset::len).sum());
     for part in &parts {
         let notes = preparation.iter().find(|p| p.part == part.name).map_or(&[][..], |p| &p.notes);
         let bounds = |k: usize, r: &Experiment| {
@@ -111,7 +112,7 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
         };
         // Present values alone: every kind of output is the same.
         let kinds = if job.is_steady() { vec![Kind::FreeRun] } else { job.validate.kinds() };
-        scored.push(score(part, notes, &set, &judged, (&kinds, &job.validate), &bounds, dir)?);
+        scored.push(score(part, notes, &set, &judged, (&kinds, &job.validate), &bounds, (dir, ending))?);
     }
     let mut models = Vec::new();
     for (k, (t, e)) in job.targets.iter().zip(&estimated).enumerate() {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dynocal_files::csv_io;
+use dynocal_files::measurement::parquet_io;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::experiment::Experiment;
@@ -56,7 +57,7 @@ struct Errors {
     u: Vec<Vec<f64>>,
 }
 
-/// Scores `set` on `part`. Records go to `dir`.
+/// Scores `set` on `part`. Records go to `dir`, in files with the ending that is given.
 ///
 /// Without one-step outputs among `kinds` the records are points without time.
 ///
@@ -69,7 +70,7 @@ pub fn score(
     judged: &[Judged],
     (kinds, v): (&[Kind], &Validation),
     bounds: &Bounds,
-    dir: &Path,
+    (dir, ending): (&Path, Option<&str>),
 ) -> Result<Scored, IdentifyError> {
     let steady = !kinds.contains(&Kind::OneStep);
     let mut scored = Scored::default();
@@ -112,7 +113,8 @@ pub fn score(
                 kept.push((format!("{target}_{label}"), unit, std::mem::take(values)));
             }
         }
-        let name = format!("{}-{}.csv", file_name(&part.name), file_name(&d.name));
+        let Some(ending) = ending else { continue };
+        let name = format!("{}-{}.{ending}", file_name(&part.name), file_name(&d.name));
         write_record(&dir.join(&name), set, d, &kept, steady)?;
         scored.records.push(RecordFile {
             part: part.name.clone(),
@@ -299,5 +301,10 @@ fn write_record(
         columns.push((c.name.clone(), &c.unit, &c.values));
     }
     let columns: Vec<(&str, &str, &[f64])> = columns.iter().map(|(n, u, v)| (n.as_str(), *u, *v)).collect();
-    Ok(csv_io::write_columns(path, &columns)?)
+    let parquet = path.extension().is_some_and(|e| e == "parquet");
+    Ok(if parquet {
+        parquet_io::write_columns(path, &columns)?
+    } else {
+        csv_io::write_columns(path, &columns)?
+    })
 }

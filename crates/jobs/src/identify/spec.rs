@@ -30,6 +30,7 @@ pub(crate) use source::cut;
 pub use source::{Source, StepSpec, TestSet};
 pub use split::Split;
 pub(crate) use typed::TypedCut;
+pub use typed::{Keep, MOST_CSV_ROWS};
 pub use validation::Validation;
 
 /// What the command line changes in a spec.
@@ -72,6 +73,8 @@ pub struct Job {
     pub seed: u64,
     /// Models that are scored instead of estimated; none for an estimation.
     pub saved: Vec<StoredModel>,
+    /// How the scored records are kept.
+    pub keep: Keep,
     /// Run folder.
     #[serde(skip)]
     pub out: PathBuf,
@@ -149,6 +152,7 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
         validate,
         seed: over.seed.unwrap_or(0),
         saved: Vec::new(),
+        keep: t.records.unwrap_or_default(),
         export: t.export.as_ref().map(|e| e.wanted(folder)),
     })
 }
@@ -175,6 +179,7 @@ impl Job {
             ("validate", serde_json::json!(self.validate)),
             ("seed", serde_json::json!(self.seed)),
             ("saved", serde_json::json!(self.saved)),
+            ("keep", serde_json::json!(self.keep)),
         ])
     }
 }

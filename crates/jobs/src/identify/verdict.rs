@@ -1,5 +1,6 @@
 //! The result of an identification in words: what came out, against what, what to do next.
 
+use dynocal_ident::data::UnitAfter;
 use dynocal_ident::validate::{Kind, Seen};
 
 use super::finding::Grade;
@@ -57,23 +58,23 @@ fn target(found: &Identified, m: &Modelled) -> String {
         "is close"
     };
     let mut text = format!(
-        "The model of {} {size} on {on}: {how} it explains {} % of the variance, RMSE {} {}",
+        "The model of {} {size} on {on}: {how} it explains {} % of the variance, RMSE {}{}",
         m.target,
         number(r2),
         number(rmse),
-        m.unit
+        UnitAfter(&m.unit)
     );
     if let Some(e) = s.error_95 {
-        text += &format!(", 95 % of the errors within {} {}", number(e), m.unit);
+        text += &format!(", 95 % of the errors within {}{}", number(e), UnitAfter(&m.unit));
     }
     text += ".";
     match m.baseline.as_ref().filter(|b| b.part == s.part).map(|b| (b, b.rmse)) {
         Some((b, Some(linear))) => {
             text += &format!(
-                " A {} from the same {things} has an RMSE of {} {} there ({} times as much).",
+                " A {} from the same {things} has an RMSE of {}{} there ({} times as much).",
                 b.structure,
                 number(linear),
-                m.unit,
+                UnitAfter(&m.unit),
                 number(linear / rmse)
             );
         }
@@ -89,7 +90,8 @@ fn target(found: &Identified, m: &Modelled) -> String {
 /// What the points say of the bands, and of each point from the others.
 fn bands(p: &PointsPage, unit: &str) -> String {
     let (left, number) = (&p.scores.left_out, |v: f64| dynocal_report::significant(v, 3));
-    let mut text = format!(" Each point predicted from the others: RMSE {} {unit}", number(left.rmse));
+    let mut text =
+        format!(" Each point predicted from the others: RMSE {}{}", number(left.rmse), UnitAfter(unit));
     match &p.scores.unseen {
         Some(u) => {
             text += &format!("; the 95 % band holds {} % of the unseen points.", number(100.0 * u.coverage))

@@ -1,5 +1,6 @@
 //! An optimum in words: what came out, what it costs, what does not fit.
 
+use dynocal_ident::data::UnitAfter;
 use dynocal_ident::stored::Outside;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant};
@@ -66,7 +67,9 @@ fn ended(o: &Optimised) -> String {
         o.objective.change_percent.map_or(String::new(), |c| format!(" ({}{} %)", plus(c), number(c)));
     let (start, end) = (number(o.objective.start), number(o.objective.optimum));
     let what = match &o.terms[..] {
-        [t] if t.weight == 1.0 => format!("mean {} goes from {start} to {end} {}{change}", t.channel, t.unit),
+        [t] if t.weight == 1.0 => {
+            format!("mean {} goes from {start} to {end}{}{change}", t.channel, UnitAfter(&t.unit))
+        }
         _ => format!("the objective goes from {start} to {end}{change}"),
     };
     match (o.valid, o.status) {
@@ -96,7 +99,7 @@ fn missed(a: &Asked) -> String {
     let at = a.at_s.map_or(String::new(), |t| format!(" at {} s", number(t)));
     let soft = if a.soft { " (it is soft)" } else { "" };
     match a.largest {
-        Some(l) => format!("The {name} is missed by up to {} {}{at}{soft}.", number(l), a.unit),
+        Some(l) => format!("The {name} is missed by up to {}{}{at}{soft}.", number(l), UnitAfter(&a.unit)),
         None => format!("The free run of {} on the optimal inputs diverges{at}.", a.channel),
     }
 }
@@ -119,7 +122,7 @@ fn dearest(o: &Optimised) -> Option<String> {
 }
 
 fn price(p: &PriceLine) -> String {
-    let unit = if p.unit == "-" { String::new() } else { format!(" {}", p.unit) };
+    let unit = UnitAfter(&p.unit);
     format!(
         "{}{unit} more of the {} change it by {}{}",
         number(p.percent_of_size),

@@ -9,7 +9,7 @@ use dynocal_calib::loops::{Campaign, Limit, LoopError, Rounds, StopRule, iterate
 use dynocal_design::criterion::criterion;
 use dynocal_design::problem::Term;
 use dynocal_design::search::{DesignOptions, random_record};
-use dynocal_ident::data::Dataset;
+use dynocal_ident::data::{Dataset, UnitAfter};
 use dynocal_ident::model::Model;
 use dynocal_ident::model::form::Form;
 use dynocal_ident::model::kinds::kind;
@@ -377,14 +377,15 @@ fn verdict(out: &Sequenced) -> String {
 const ALIKE: f64 = 0.05;
 
 fn beside(designed: f64, random: f64, unit: &str) -> String {
+    let unit = UnitAfter(unit);
     let ratio = designed / random;
     if ratio < 1.0 - ALIKE {
-        format!("better than with random records of the same bed time ({random:.4} {unit})")
+        format!("better than with random records of the same bed time ({random:.4}{unit})")
     } else if ratio > 1.0 + ALIKE {
         format!(
-            "worse than with random records of the same bed time ({random:.4} {unit}): the design did not pay"
+            "worse than with random records of the same bed time ({random:.4}{unit}): the design did not pay"
         )
     } else {
-        format!("as with random records of the same bed time ({random:.4} {unit}): the design did not pay")
+        format!("as with random records of the same bed time ({random:.4}{unit}): the design did not pay")
     }
 }

@@ -197,7 +197,7 @@ impl EngineParams {
             Some(c) if !c.fits() => Err(PlantError::Parameter {
                 name: "cams.speed_rpm",
                 found: c.speed_rpm.len() as f64,
-                expected: "two or more rising speeds, each list as long, positions of 180 to 300 deg, full above part load",
+                expected: "two or more speeds rising within 0 to 20000 rpm, each list as long, positions of 180 to 300 deg, pressures rising within 0 to 1000 kPa",
             }),
             _ => Ok(()),
         }

@@ -63,11 +63,13 @@ impl Plant for EngineBed {
         let n = &self.settings.noise;
         let level = if self.engine.params().turbocharger.is_some() { "F1" } else { "F0" };
         let bed = if self.settings.options == BedOptions::default() { "" } else { ", bed with options" };
+        let noise = match self.settings.options.noise_words(n.torque_nm, n.lambda) {
+            none if none.is_empty() => "no sensor noise".to_string(),
+            some => format!("sensor noise {some}"),
+        };
         format!(
-            "virtual engine {level}, parameter set `{}`{bed}, noise {} Nm / {} lambda, dynocal-plant {}",
+            "virtual engine {level}, parameter set {}{bed}, {noise}, dynocal-plant {}",
             self.settings.set_name,
-            n.torque_nm,
-            n.lambda,
             env!("CARGO_PKG_VERSION")
         )
     }

@@ -50,7 +50,9 @@ pub(crate) static QUANTITIES: &[Quantity] = &[
     },
     quantity("map", "kPa", (0.0, 300.0), "Intake manifold pressure, cycle mean", |r| r.y.map_kpa),
     quantity("egt", "K", (200.0, 1500.0), "Exhaust gas temperature, weighted with the flow", |r| r.y.egt_k),
-    quantity("fuel", "kg/h", (0.0, 100.0), "Fuel flow by thesis eq. 7.11", |r| r.y.fuel_kg_h),
+    quantity("fuel", "kg/h", (0.0, 100.0), "Fuel that the injectors give, thesis eq. 7.11", |r| {
+        r.y.fuel_kg_h
+    }),
     quantity("engine_speed", "rpm", (0.0, 7000.0), "Speed of the shaft", |r| r.bed.dyno.speed_rpm()),
     quantity("load", "Nm", (-1000.0, 1000.0), "Torque of the dynamometer", |r| r.bed.dyno.load_nm),
     quantity("boost", "kPa", (0.0, 400.0), "Pressure before the throttle", |r| r.y.boost_kpa),

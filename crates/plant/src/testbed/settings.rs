@@ -12,6 +12,7 @@ use super::sensor::SensorSettings;
 use super::thermal::ThermalSettings;
 use crate::deviations::Scatter;
 use crate::error::PlantError;
+use dynocal_ident::data::UnitAfter;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -51,6 +52,9 @@ pub struct RealEngine {
     pub scatter: Scatter,
     /// Standard deviation of the cylinders' fuel \[-\].
     pub fuel_imbalance: f64,
+    /// Error of all injectors: they give `1 + injector_error` of what is commanded \[-\]. The quantity `fuel` is what
+    /// they give.
+    pub injector_error: f64,
     /// Standard deviation of the cylinders' burn delay and duration \[-\].
     pub burn_imbalance: f64,
     /// Warm-up of walls, coolant and oil.
@@ -138,6 +142,7 @@ impl BedOptions {
                 scatter: Scatter { heat: 0.012, burn: 0.05 },
                 cylinder_seed: 1,
                 fuel_imbalance: 0.01,
+                injector_error: 0.0,
                 burn_imbalance: 0.02,
                 warm_up: Some(ThermalSettings { start_k: 363.15, ..ThermalSettings::default() }),
                 catalyst: Some(CatalystSettings::default()),
@@ -167,6 +172,21 @@ impl BedOptions {
             "pfi_1_6l" => Self { air_bleed: Some(BleedSettings::default()), ..Self::real() },
             _ => Self::default(),
         }
+    }
+
+    /// White noise of the sensors, that of torque and lambda together with what the bed adds to them: output and standard
+    /// deviation in its unit, `torque 0.5 Nm, lambda 0.01`; empty where there is none.
+    pub fn noise_words(&self, torque_nm: f64, lambda: f64) -> String {
+        let own = [("torque", torque_nm), ("lambda", lambda)];
+        let sensor = |name: &str| self.sensors.get(name).map_or(0.0, |s| s.noise);
+        let both = own.iter().map(|(name, noise)| (*name, noise.hypot(sensor(name))));
+        let others = self.sensors.iter().map(|(name, s)| (name.as_str(), s.noise));
+        let others = others.filter(|(name, _)| !own.iter().any(|(o, _)| o == name));
+        let words = both.chain(others).filter(|(_, noise)| *noise > 0.0).map(|(name, noise)| {
+            let unit = quantity::quantities().find(|q| q.0 == name).map_or("-", |q| q.1);
+            format!("{name} {noise}{}", UnitAfter(unit))
+        });
+        words.collect::<Vec<_>>().join(", ")
     }
 
     /// Whether the bed acts between samples.
@@ -243,6 +263,7 @@ impl RealEngine {
         range("bed.engine.scatter.heat", self.scatter.heat, 0.0, 0.3)?;
         range("bed.engine.scatter.burn", self.scatter.burn, 0.0, 0.3)?;
         range("bed.engine.fuel_imbalance", self.fuel_imbalance, 0.0, 0.2)?;
+        range("bed.engine.injector_error", self.injector_error, -0.5, 0.5)?;
         range("bed.engine.burn_imbalance", self.burn_imbalance, 0.0, 0.2)?;
         if let Some(t) = &self.warm_up {
             range("bed.engine.warm_up.start_k", t.start_k, 240.0, 400.0)?;

@@ -27,12 +27,11 @@ pub(super) fn head(s: &Summary, r: &ChainResult) -> Report {
         .fact("Seed", s.spec.seed.to_string())
         .fact("Sample time", format!("{} s", s.spec.sample_time_s))
         .fact("Bed time", format!("{:.0} s", r.bed_s()))
-        .fact("Status", if s.valid { "valid" } else { word(s.status) });
-    if plant.torque_noise_nm > 0.0 || plant.lambda_noise > 0.0 {
-        report = report.fact(
-            "Sensor noise",
-            format!("torque {} Nm, lambda {}", plant.torque_noise_nm, plant.lambda_noise),
-        );
+        .fact("Status", if s.valid { "valid" } else { "not valid" })
+        .fact("Ended", word(s.status));
+    let noise = plant.noise_words();
+    if !noise.is_empty() && plant.name != "bed" {
+        report = report.fact("Sensor noise", noise);
     }
     for paragraph in s.verdict.lines() {
         report = report.verdict(paragraph);
@@ -54,13 +53,15 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     }
     let what = objective_words(s.spec);
     if let Some(p) = s.passes.last() {
+        let all_metered = s.spec.problem.meterable().len() == p.meters.len();
+        let seen = if all_metered { "Measured" } else { "Played (by the recorded inputs)" };
         items.push(KeyValue::new(
             format!("Promised change of {what}, last pass"),
             significant(change(p.promised_ratio), 3),
             "%",
         ));
         items.push(KeyValue::new(
-            format!("Measured change of {what}, last pass"),
+            format!("{seen} change of {what}, last pass"),
             significant(change(p.measured_ratio), 3),
             "%",
         ));

@@ -25,18 +25,25 @@ pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>
         for (c, port) in i.dynamic.ports.actuators.iter().enumerate() {
             let (name, u) = (label(&port.name), unit(&port.unit));
             let dynamic = grid.values(|r| i.dynamic.steady(r)[c]);
+            let fixed = rival.map(|rival| {
+                let mut at = vec![0.0; rival.ports.actuators.len()];
+                grid.values(|r| {
+                    rival.at(r, &mut at);
+                    at[c]
+                })
+            });
+            // Equal colours are equal values in both.
+            let both = dynamic.iter().chain(fixed.iter().flatten()).filter(|v| v.is_finite());
+            let (low, high) =
+                both.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
             let map = |title: String, z: Vec<f64>| {
-                HeatMap::new(title, grid.x.clone(), grid.y.clone(), (Axis::new(name.clone(), u), z))
-                    .contours()
+                let axis = Axis::new(name.clone(), u);
+                let map = HeatMap::new(title, grid.x.clone(), grid.y.clone(), (axis, z)).contours();
+                if low < high { map.range(low, high) } else { map }
             };
             let mut blocks: Vec<Block> =
                 vec![map(format!("{name}: dynamic map at rest"), dynamic.clone()).into()];
-            if let Some(rival) = rival {
-                let mut at = vec![0.0; rival.ports.actuators.len()];
-                let fixed = grid.values(|r| {
-                    rival.at(r, &mut at);
-                    at[c]
-                });
+            if let (Some(rival), Some(fixed)) = (rival, fixed) {
                 let difference: Vec<f64> = dynamic.iter().zip(&fixed).map(|(a, b)| a - b).collect();
                 let (x, y): (Vec<f64>, Vec<f64>) = rival.points.iter().map(|p| (p.given, p.demand)).unzip();
                 blocks.push(map(format!("{name}: static map"), fixed).overlay("grid points", x, y).into());

@@ -52,13 +52,16 @@ fn promise(ctx: &Context, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Ta
         Column::number("Start", unit(u)).digits(5),
         Column::number("Optimum", unit(u)).digits(5),
         Column::number("Promised", "%").digits(3),
-        Column::number("Measured", "%").digits(3),
+        Column::number(seen(ctx, passes), "%").digits(3),
         Column::number("Gap", "points").digits(2),
         Column::text("Ended"),
         Column::number("Iterations", ""),
         Column::text("Used"),
     ])
-    .caption("Promised against measured change from start to optimum (start and optimum as measured)");
+    .caption(format!(
+        "Promised change from start to optimum against what came out. Start and optimum are {}",
+        source(ctx, passes)
+    ));
     for p in passes {
         table = table.row([
             format!("pass {}", p.pass).into(),
@@ -86,6 +89,27 @@ fn promise(ctx: &Context, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Ta
         ]);
     }
     table
+}
+
+/// Whether what is minimised was measured, or follows from the inputs that were played.
+fn seen(ctx: &Context, passes: &[Pass]) -> &'static str {
+    let all_metered = passes.iter().all(|p| p.unmetered(&ctx.spec.problem).is_empty());
+    if all_metered { "Measured" } else { "Played" }
+}
+
+/// Where the objective of the records comes from.
+fn source(ctx: &Context, passes: &[Pass]) -> String {
+    let Some(last) = passes.last() else { return "as measured".into() };
+    let unmetered = last.unmetered(&ctx.spec.problem);
+    if !unmetered.is_empty() {
+        return format!("by the recorded inputs ({} has no meter)", unmetered.join(", "));
+    }
+    let errors: Vec<String> = last
+        .meters
+        .iter()
+        .map(|m| format!("its mean is {:+.2} % beside {} by the recorded inputs", 100.0 * m.error, m.channel))
+        .collect();
+    if errors.is_empty() { "as measured".into() } else { format!("by the meter: {}", errors.join("; ")) }
 }
 
 fn bars(what: &str, passes: &[Pass], fixed: Option<&StaticOnRecord>) -> Bars {

@@ -3,7 +3,8 @@
 use crate::design::Job;
 use crate::design::margins::{MarginBasis, MarginUsed};
 use crate::design::result::{Curves, Designed};
-use dynocal_report::{Axis, Cell, Column, Panel, Role, Section, Series, Table, TimePlot, XyPlot};
+use dynocal_ident::data::UnitAfter;
+use dynocal_report::{Axis, Cell, Column, Panel, Section, Table, TimePlot, XyPlot};
 
 /// Most samples that are drawn: a page must stay light.
 const DRAWN: usize = 4000;
@@ -28,18 +29,22 @@ pub(super) fn section(job: &Job, found: &Designed, curves: &Curves) -> Section {
             inputs.caption(format!("The first {n} of {} samples; all are in design.csv.", found.samples));
     }
     let mut outputs = TimePlot::sampled("Predicted outputs", found.sample_time_s, n)
-        .caption("Dashed: the band that the output stays in at the stated rate, and the limits.");
+        .caption("Filled: the band that the output stays in at the stated rate. Dashed: the limits.");
     for (line, (y, half)) in found.safety.iter().zip(&curves.outputs) {
         let side = |sign: f64| -> Vec<f64> { y[..n].iter().zip(half).map(|(y, h)| y + sign * h).collect() };
-        let mut panel = Panel::new(&line.output.name, &line.output.unit).simulated(&y[..n]);
+        let mut panel = Panel::new(&line.output.name, &line.output.unit);
         if let Some((lower, upper)) = line.limits {
-            panel = panel
-                .series(Series::new("band, upper", side(1.0)).role(Role::Demand))
-                .series(Series::new("band, lower", side(-1.0)).role(Role::Demand))
-                .level("lower limit", lower)
-                .level("upper limit", upper);
+            let label = match line.margin.map(|m| (m.basis, m.rate)) {
+                Some((MarginBasis::Quantile | MarginBasis::FewBlocks, rate)) => {
+                    format!("band, {} % of blocks", dynocal_report::significant(100.0 * (1.0 - rate), 3))
+                }
+                Some((MarginBasis::Given, _)) => "margin as given".into(),
+                _ => "margin, a share of the range".into(),
+            };
+            panel = panel.band(label, side(-1.0), side(1.0));
+            panel = panel.level("lower limit", lower).level("upper limit", upper);
         }
-        outputs = outputs.panel(panel);
+        outputs = outputs.panel(panel.simulated(&y[..n]));
     }
     Section::new("Plan").block(inputs).block(outputs)
 }
@@ -90,6 +95,7 @@ pub(super) fn safety(found: &Designed) -> Section {
 }
 
 fn margin(m: &MarginUsed, unit: &str) -> String {
+    let unit = UnitAfter(unit);
     let why = match m.basis {
         MarginBasis::Given => "given".to_string(),
         MarginBasis::Range => "a share of the range, no held-out data".to_string(),
@@ -98,8 +104,8 @@ fn margin(m: &MarginUsed, unit: &str) -> String {
     };
     let kept = if m.kept > m.value { format!(", searched with {:.4}", m.kept) } else { String::new() };
     match m.basis {
-        MarginBasis::Given => format!("{:.4} {unit} ({why}{kept})", m.value),
-        _ => format!("{:.4} {unit} at a rate of {} ({why}{kept})", m.value, m.rate),
+        MarginBasis::Given => format!("{:.4}{unit} ({why}{kept})", m.value),
+        _ => format!("{:.4}{unit} at a rate of {} ({why}{kept})", m.value, m.rate),
     }
 }
 

@@ -1,5 +1,6 @@
 //! The engine on its bed, driven by inputs of a file or by a plan with its loops and limits.
 
+mod events;
 mod file;
 mod page;
 mod work;
@@ -10,6 +11,7 @@ use dynocal_ident::data::Channel;
 use dynocal_ident::plant::LimitEvent;
 use serde::Serialize;
 
+pub use events::{APART_S, EventGroup, grouped};
 pub use file::DriveFileError;
 pub use page::report;
 pub use work::{csv, run};

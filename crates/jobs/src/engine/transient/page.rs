@@ -3,11 +3,10 @@
 use dynocal_ident::data::Role;
 use dynocal_report::{Block, Cell, Column, Panel, Report, Section, Table, TimePlot, significant};
 
+use super::events::{EventGroup, grouped};
 use super::{Spec, Transient};
 
-/// Most points of a plot.
-const PLOTTED: usize = 4000;
-/// Most events in the table.
+/// Most stretches in the table.
 const SHOWN: usize = 200;
 
 /// The page.
@@ -29,34 +28,46 @@ pub fn report(spec: &Spec, found: &Transient) -> Report {
     if found.events.is_empty() {
         return report;
     }
-    let said =
-        format!("Limits that were touched: {} in all, the first {SHOWN} are shown.", found.events.len());
-    report.section(Section::new("Events").text(said).block(events(found)))
+    let groups = grouped(&found.events);
+    let shown = if groups.len() > SHOWN { format!(", the first {SHOWN} are shown") } else { String::new() };
+    let said = format!(
+        "Limits that were touched: {} events in {} stretches of time{shown}.",
+        found.events.len(),
+        groups.len()
+    );
+    report.section(Section::new("Events").text(said).block(events(&groups)))
 }
 
 fn plot(found: &Transient, title: &str, role: Role) -> Block {
-    let thin = found.time_s.len().div_ceil(PLOTTED).max(1);
-    let thinned = |v: &[f64]| v.iter().copied().step_by(thin).collect::<Vec<f64>>();
-    let mut plot = TimePlot::new(title, thinned(&found.time_s));
+    let mut plot = TimePlot::new(title, found.time_s.clone());
     for c in found.channels.iter().filter(|c| (c.role == Role::Input) == (role == Role::Input)) {
         let panel = Panel::new(c.name.clone(), c.unit.clone());
         plot = plot.panel(match role {
-            Role::Input => panel.held(c.name.clone(), thinned(&c.values)),
-            _ => panel.line(c.name.clone(), thinned(&c.values)),
+            Role::Input => panel.held(c.name.clone(), c.values.clone()),
+            _ => panel.line(c.name.clone(), c.values.clone()),
         });
     }
     plot.into()
 }
 
-fn events(found: &Transient) -> Table {
+fn events(groups: &[EventGroup]) -> Table {
     let columns = vec![
-        Column::number("Time", "s"),
         Column::text("What"),
-        Column::number("Value", ""),
+        Column::number("From", "s"),
+        Column::number("To", "s"),
+        Column::number("Events", ""),
         Column::number("Limit", ""),
+        Column::number("Worst at an event", ""),
     ];
-    found.events.iter().take(SHOWN).fold(Table::new(columns), |table, e| {
-        let cells: Vec<Cell> = vec![e.time_s.into(), e.what.clone().into(), e.value.into(), e.limit.into()];
+    groups.iter().take(SHOWN).fold(Table::new(columns), |table, g| {
+        let cells: Vec<Cell> = vec![
+            g.what.clone().into(),
+            g.from_s.into(),
+            g.to_s.into(),
+            g.count.into(),
+            g.limit.into(),
+            g.worst.into(),
+        ];
         table.row(cells)
     })
 }

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use dynocal_files::csv_io;
+use dynocal_files::dataset::read_table;
 use dynocal_files::table::Cells;
 use dynocal_ident::validate::{Kind, Seen};
-use dynocal_report::{Axis, Bars, Block, Section, XyPlot};
+use dynocal_report::{Axis, Block, Section, XyPlot};
 
 use crate::identify::result::{Histogram, Identified, Modelled};
 use crate::page::PageError;
@@ -19,13 +19,13 @@ pub(super) fn section(found: &Identified, folder: &Path) -> Result<Section, Page
         "Free run against measurement: on the diagonal they agree. Errors of the free run (measured minus computed): a hump \
          beside zero is an offset, two humps are two regimes, long tails are single events.",
     );
-    for m in &found.models {
+    for m in found.models.iter().filter(|_| !found.records.is_empty()) {
         let part = part(found);
         let mut blocks: Vec<Block> = vec![cloud(found, folder, m, part)?.into()];
         let scored =
             found.scores.iter().find(|s| s.output == m.target && s.part == part && s.kind == Kind::FreeRun);
         if let Some(h) = scored.and_then(|s| s.histogram.as_ref()) {
-            blocks.push(bars(m, h).into());
+            blocks.push(histogram(m, h).into());
         }
         section = section.columns(blocks);
     }
@@ -40,7 +40,7 @@ fn part(found: &Identified) -> &str {
 fn cloud(found: &Identified, folder: &Path, m: &Modelled, part: &str) -> Result<XyPlot, PageError> {
     let (mut x, mut y) = (Vec::new(), Vec::new());
     for r in found.records.iter().filter(|r| r.part == part) {
-        let table = csv_io::read(&folder.join(&r.file))?;
+        let table = read_table(&folder.join(&r.file), None)?;
         let column = |name: String| -> Result<Vec<f64>, PageError> {
             Ok(match &table.column(&name)?.cells {
                 Cells::Number(v) => v.clone(),
@@ -72,9 +72,16 @@ fn cloud(found: &Identified, folder: &Path, m: &Modelled, part: &str) -> Result<
     Ok(plot)
 }
 
-fn bars(m: &Modelled, h: &Histogram) -> Bars {
-    let names = h.centres.iter().map(|c| dynocal_report::significant(*c, 2)).collect::<Vec<_>>();
-    let counts: Vec<f64> = h.counts.iter().map(|c| *c as f64).collect();
-    Bars::new(format!("Errors of {} in {}", m.target, m.unit), Axis::new("Samples", "-"), names)
-        .series("samples", counts)
+/// Steps over the cells, from edge to edge.
+fn histogram(m: &Modelled, h: &Histogram) -> XyPlot {
+    let half = match h.centres[..] {
+        [a, b, ..] => 0.5 * (b - a),
+        _ => 0.5,
+    };
+    let edges: Vec<f64> = h.centres.iter().flat_map(|c| [c - half, c + half]).collect();
+    let counts: Vec<f64> = h.counts.iter().flat_map(|n| [*n as f64; 2]).collect();
+    let axis = Axis::new(format!("error of {}", m.target), m.unit.as_str());
+    XyPlot::new("Errors of the free run", axis, Axis::new("Samples", ""))
+        .band("samples", edges.clone(), vec![0.0; edges.len()], counts.clone())
+        .line("", edges, counts)
 }

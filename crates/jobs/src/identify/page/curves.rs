@@ -26,9 +26,7 @@ pub(super) fn section(found: &Identified) -> Option<Section> {
             }
         }
         if let Some(dt) = m.sample_time_s.filter(|_| !m.poles.is_empty()) {
-            section = section
-                .heading(format!("Poles of {}", m.target))
-                .columns(vec![plane(m).into(), table(m, dt).into()]);
+            section = section.heading(format!("Poles of {}", m.target)).block(plane(m)).block(table(m, dt));
         }
     }
     Some(section)
@@ -42,6 +40,7 @@ fn plane(m: &Modelled) -> XyPlot {
     XyPlot::new("Plane of z", Axis::new("real part", "-"), Axis::new("imaginary part", "-"))
         .line("limit of stability", circle(f64::cos), circle(f64::sin))
         .points("poles", part(|p| p.re), part(|p| p.im))
+        .equal_scales()
         .caption("About the same point; of a linear model the same everywhere.")
 }
 
@@ -86,19 +85,14 @@ fn plots(m: &Modelled, c: &InputCurves, confidence: f64) -> Vec<Block> {
             "At rest",
             Axis::new(c.input.as_str(), ""),
             Axis::new(m.target.as_str(), m.unit.as_str()),
-        )
-        .line(m.target.as_str(), s.input.clone(), s.output.clone());
+        );
+        if !s.deviation.is_empty() {
+            let label = format!("{:.0} % band", 100.0 * confidence);
+            plot = plot.band(label, s.input.clone(), s.low.clone(), s.high.clone());
+        }
+        plot = plot.line(m.target.as_str(), s.input.clone(), s.output.clone());
         if let Some(b) = rival(m, c).map(|b| &b.steady).filter(|b| !b.input.is_empty()) {
             plot = plot.line(LINEAR, b.input.clone(), b.output.clone());
-        }
-        if !s.deviation.is_empty() {
-            for (label, values) in [("lower", &s.low), ("upper", &s.high)] {
-                plot = plot.line(
-                    format!("{label} {:.0} %", 100.0 * confidence),
-                    s.input.clone(),
-                    values.clone(),
-                );
-            }
         }
         out.push(plot.into());
     }

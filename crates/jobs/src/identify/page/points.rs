@@ -111,9 +111,8 @@ fn section(m: &Modelled, s: &Intersection) -> XyPlot {
         Axis::new(s.input.as_str(), ""),
         Axis::new(m.target.as_str(), m.unit.as_str()),
     )
+    .band("95 % band", s.x.clone(), bound(-1.0), bound(1.0))
     .line(m.target.as_str(), s.x.clone(), s.mean.clone())
-    .line("lower 95 %", s.x.clone(), bound(-1.0))
-    .line("upper 95 %", s.x.clone(), bound(1.0))
 }
 
 fn clouds(m: &Modelled, s: &ScorePage) -> Vec<Block> {

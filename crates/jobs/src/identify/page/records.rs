@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::identify::result::{Identified, RecordFile};
-use dynocal_files::csv_io;
+use dynocal_files::dataset::read_table;
 use dynocal_files::table::{Cells, Table as Record};
 use dynocal_ident::validate::Seen;
 use dynocal_report::{Panel, Section, TimePlot};
@@ -24,8 +24,11 @@ pub(super) fn section(found: &Identified, folder: &Path) -> Result<Section, Page
     let title = if unseen { "Unseen records" } else { "Records of the estimation" };
     let mut section =
         Section::new(title).text("Measured output and free run, started from measured values only.");
+    if found.records.is_empty() {
+        section = section.text("The spec keeps no records: there is nothing to draw.");
+    }
     for r in drawn(found, wanted) {
-        section.push(plot(found, &csv_io::read(&folder.join(&r.file))?, r)?);
+        section.push(plot(found, &read_table(&folder.join(&r.file), None)?, r)?);
     }
     Ok(section)
 }
@@ -60,22 +63,26 @@ fn plot(found: &Identified, record: &Record, r: &RecordFile) -> Result<TimePlot,
         Ok(record.column(name)?.unit.as_ref().map_or_else(|| "-".to_string(), |u| u.0.clone()))
     };
     let mut plot = TimePlot::new(format!("{}: {}", r.part, r.record), column("time")?);
+    let mut held: Vec<String> = Vec::new();
     if rows < record.rows() {
-        plot = plot.caption(format!("First {rows} of {} samples.", record.rows()));
+        held.push(format!("First {rows} of {} samples.", record.rows()));
     }
     for m in found.models.iter().take(PANELS) {
         let measured = format!("{}_measured", m.target);
         let free = format!("{}_free_run", m.target);
-        let mut panel = Panel::new(m.target.as_str(), unit(&measured)?).measured(column(&measured)?);
+        let mut panel = Panel::new(m.target.as_str(), unit(&measured)?);
+        let [low, high] = ["low", "high"].map(|side| format!("{}_{side}", m.target));
+        if record.column(&low).is_ok() && record.column(&high).is_ok() {
+            let label = format!("{:.0} % band", 100.0 * found.confidence);
+            let (low, high) = (column(&low)?, column(&high)?);
+            held.extend(inside(&column(&measured)?, &low, &high).map(|share| {
+                format!("The {label} of {} holds {:.0} % of these samples.", m.target, 100.0 * share)
+            }));
+            panel = panel.band(label, low, high);
+        }
+        panel = panel.measured(column(&measured)?);
         if record.column(&free).is_ok() {
             panel = panel.simulated(column(&free)?);
-        }
-        for side in ["low", "high"] {
-            let name = format!("{}_{side}", m.target);
-            if record.column(&name).is_ok() {
-                panel =
-                    panel.line(format!("{side} bound, {:.0} %", 100.0 * found.confidence), column(&name)?);
-            }
         }
         plot = plot.panel(panel);
         if record.column(&free).is_ok() {
@@ -94,5 +101,16 @@ fn plot(found: &Identified, record: &Record, r: &RecordFile) -> Result<TimePlot,
     for input in inputs.into_iter().take(PANELS.saturating_sub(found.models.len()).max(2)) {
         plot = plot.panel(Panel::new(input.as_str(), unit(input)?).line(input.as_str(), column(input)?));
     }
-    Ok(plot)
+    Ok(plot.caption(held.join(" ")))
+}
+
+/// Share of the measured samples that lie in a band; none where there is no band.
+fn inside(measured: &[f64], low: &[f64], high: &[f64]) -> Option<f64> {
+    let all = measured.iter().zip(low.iter().zip(high));
+    let known: Vec<bool> = all
+        .filter(|(z, (l, h))| z.is_finite() && l.is_finite() && h.is_finite() && l < h)
+        .map(|(z, (l, h))| l <= z && z <= h)
+        .collect();
+    let held = known.iter().filter(|in_it| **in_it).count();
+    (!known.is_empty()).then(|| held as f64 / known.len() as f64)
 }

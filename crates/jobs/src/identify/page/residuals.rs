@@ -44,8 +44,7 @@ fn plot(title: &str, c: &Correlation) -> XyPlot {
         _ => vec![0.0, 1.0],
     };
     XyPlot::new(title, Axis::new("Lag", "samples"), Axis::new("Correlation", "-"))
+        .band("95 % bounds", ends, vec![-c.bound; 2], vec![c.bound; 2])
         .points("residual", lags, c.values.clone())
-        .line("upper bound", ends.clone(), vec![c.bound; 2])
-        .line("lower bound", ends, vec![-c.bound; 2])
         .caption(format!("{:.0} % of the lags outside the bounds.", 100.0 * c.share_outside))
 }

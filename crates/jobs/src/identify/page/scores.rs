@@ -38,7 +38,7 @@ fn table(target: &str, unit: &str, scores: &[&Score], steady: bool) -> Table {
         Column::number("Records", "-"),
         Column::number("Samples", "-"),
         Column::number("RMSE", unit),
-        Column::number("95 % of errors within", unit),
+        Column::number("95 % within", unit),
     ];
     if let Some(half) = band {
         columns.push(Column::number(format!("Within ±{half} {unit}"), "%"));

@@ -11,7 +11,7 @@ use super::model::{StructureSpec, Target};
 use super::source::Source;
 use super::split::Split;
 use super::validation::Validation;
-use super::{Job, Overrides};
+use super::{Job, Keep, Overrides};
 
 impl Job {
     /// A job without a spec that scores `models` on the data files of the command line: columns have the names of the
@@ -60,6 +60,7 @@ impl Job {
             validate: Validation::default(),
             seed: over.seed.unwrap_or(0),
             saved: Vec::new(),
+            keep: Keep::default(),
             export: None,
             out: over.out.clone().unwrap_or_else(|| "runs/scored".into()),
         };

@@ -8,15 +8,46 @@ use dynocal_files::measurement::csv_dialect::CsvKeys;
 use dynocal_files::measurement::merge;
 use dynocal_ident::data::Role;
 use dynocal_ident::model::initial::Initial;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::export_spec::ExportKeys;
+
+/// In which format the scored records stay in the run folder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    /// CSV up to [`MOST_CSV_ROWS`] rows together, Parquet above.
+    #[default]
+    Auto,
+    /// CSV.
+    Csv,
+    /// Parquet.
+    Parquet,
+    /// They are left out, and with them what is drawn of them.
+    None,
+}
+
+/// Most rows that are written as CSV where the spec does not ask for it.
+pub const MOST_CSV_ROWS: usize = 100_000;
+
+impl Keep {
+    /// Ending of the files of records with so many rows together; none where they are not written.
+    pub fn ending(self, rows: usize) -> Option<&'static str> {
+        match self {
+            Keep::Auto if rows > MOST_CSV_ROWS => Some("parquet"),
+            Keep::Auto | Keep::Csv => Some("csv"),
+            Keep::Parquet => Some("parquet"),
+            Keep::None => None,
+        }
+    }
+}
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Typed {
     pub(super) name: Option<String>,
     pub(super) out: Option<PathBuf>,
+    pub(super) records: Option<Keep>,
     pub(super) data: Option<TypedData>,
     pub(super) channels: Option<Vec<TypedChannel>>,
     pub(super) derive: Option<Vec<TypedDerive>>,

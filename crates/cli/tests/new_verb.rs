@@ -1,0 +1,115 @@
+//! `dynocal new`: what it writes from a measurement file passes `--check` and runs, as it stands.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use assert_cmd::Command;
+use dynocal_files::atomic;
+
+fn dynocal(folder: &Path, args: &[&str]) -> (i32, String, String) {
+    let done = Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap();
+    let text = |b: Vec<u8>| String::from_utf8(b).unwrap();
+    (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
+}
+
+fn ok(folder: &Path, args: &[&str]) -> String {
+    let (code, out, err) = dynocal(folder, args);
+    assert_eq!(code, 0, "{args:?}: {out}{err}");
+    err
+}
+
+/// First-order answers to two inputs that jump, with what a table of a bed may hold beside them.
+fn record(stamps: impl Fn(usize) -> f64) -> String {
+    let mut text =
+        String::from("Time [s],throttle [deg],Spark Adv (deg),speed [rpm],torque [Nm],state,idle\n");
+    let (mut y, mut u, mut s) = (40.0, 12.0, 20.0);
+    for k in 0..400 {
+        y += 0.2 * (3.0 * u + 0.2 * s - 0.01 * (1500.0 + k as f64) - y);
+        u = if k % 23 < 11 { 12.0 } else { 16.0 };
+        s = if k % 37 < 20 { 15.0 } else { 25.0 };
+        let word = if k < 100 { "warm" } else { "hot" };
+        writeln!(text, "{:.4},{u},{s},{},{y:.6},{word},0", stamps(k), 1500 + k).unwrap();
+    }
+    text
+}
+
+fn written(folder: &Path, name: &str, text: &str) {
+    atomic::write(&folder.join(name), text.as_bytes()).unwrap();
+}
+
+#[test]
+fn an_identification_runs_from_a_file_alone() {
+    let tmp = tempfile::tempdir().unwrap();
+    written(tmp.path(), "bed.csv", &record(|k| 0.1 * k as f64));
+    let said = ok(tmp.path(), &["new", "identify", "--from", "bed.csv", "--output", "torque"]);
+    let spec = std::fs::read_to_string(tmp.path().join("bed.toml")).unwrap();
+    for part in [
+        "time = \"Time\"",
+        "column = \"throttle\"\nunit = \"deg\"\nrole = \"input\"",
+        "name = \"Spark_Adv\"",
+        "column = \"torque\"\nunit = \"Nm\"\nrole = \"output\"",
+        "Left out, `state`: words, e.g. `warm`",
+        "Left out, `idle`: constant, 0",
+    ] {
+        assert!(spec.contains(part), "{part}\n{spec}");
+    }
+    assert!(!said.contains("--output"), "{said}");
+    ok(tmp.path(), &["identify", "bed.toml", "--check"]);
+    ok(tmp.path(), &["identify", "bed.toml"]);
+    assert!(tmp.path().join("runs/bed/report.html").exists());
+    // A spec is a user's work: it is not written over.
+    let (code, _, err) = dynocal(tmp.path(), &["new", "identify", "--from", "bed.csv"]);
+    assert!(code == 2 && err.contains("--force"), "{err}");
+
+    // From its model and the file a design, and from the file a campaign on a bed.
+    let model = "runs/bed/steps/01-identify/model.json";
+    let design = ["new", "design", "--from", "bed.csv", "--to", "specs/next.toml", "--model", model];
+    std::fs::create_dir(tmp.path().join("specs")).unwrap();
+    ok(tmp.path(), &design);
+    ok(tmp.path(), &["design", "specs/next.toml", "--check"]);
+    let (code, out, err) = dynocal(tmp.path(), &["design", "specs/next.toml"]);
+    assert!(code < 2 && tmp.path().join("runs/next/design.csv").exists(), "{out}{err}");
+    let (code, _, err) = dynocal(tmp.path(), &["new", "design", "--from", "bed.csv", "--to", "no.toml"]);
+    assert!(code == 2 && err.contains("--model"), "{err}");
+
+    ok(tmp.path(), &["new", "calibrate", "--from", "bed.csv", "--to", "bed2.toml", "--output", "torque"]);
+    let spec = std::fs::read_to_string(tmp.path().join("bed2.toml")).unwrap();
+    assert!(spec.contains("output = \"torque\"\ninput = \"throttle\""), "{spec}");
+    ok(tmp.path(), &["calibrate", "bed2.toml", "--check"]);
+    let (code, out, err) = dynocal(tmp.path(), &["calibrate", "bed2.toml"]);
+    assert!(code == 1 && err.contains("to be run on the bed"), "{out}{err}");
+}
+
+/// Files as they come: stamps that jitter, a pause, empty cells, no time at all, steady points.
+#[test]
+fn files_as_they_come_are_taken_or_refused_with_the_flag_that_helps() {
+    let tmp = tempfile::tempdir().unwrap();
+    let folder = tmp.path();
+    let uneven = |k: usize| 0.1 * k as f64 + if k % 7 == 3 { 0.02 } else { 0.0 };
+    written(folder, "uneven.csv", &record(uneven));
+    written(folder, "pause.csv", &record(|k| 0.1 * k as f64 + if k < 200 { 0.0 } else { 60.0 }));
+    let gaps: String = record(|k| 0.1 * k as f64).replace(",15,1600,", ",15,,").replace(",25,1630,", ",25,,");
+    written(folder, "gaps.csv", &gaps);
+    for (name, part) in [
+        ("uneven", "step = \"resample\"\nsample_time_s = 0.1"),
+        ("pause", "cut = { gap_s = 2.0"),
+        ("gaps", "missing = \"mark\""),
+    ] {
+        ok(folder, &["new", "identify", "--from", &format!("{name}.csv"), "--output", "torque"]);
+        let spec = std::fs::read_to_string(folder.join(format!("{name}.toml"))).unwrap();
+        assert!(spec.contains(part), "{name}: {spec}");
+        ok(folder, &["identify", &format!("{name}.toml"), "--check"]);
+        let (code, out, err) = dynocal(folder, &["identify", &format!("{name}.toml")]);
+        assert!(code < 2, "{name}: {out}{err}");
+    }
+    let table: String = (0..40).map(|k| format!("{},{},{}\n", k % 7, k % 5, (k % 7) * (k % 5))).collect();
+    written(folder, "points.csv", &format!("speed [rpm],load [%],egt [K]\n{table}"));
+    let (code, _, err) = dynocal(folder, &["new", "identify", "--from", "points.csv"]);
+    assert!(code == 2 && err.contains("--sample-time-s") && err.contains("--steady"), "{err}");
+    ok(folder, &["new", "identify", "--from", "points.csv", "--steady"]);
+    ok(folder, &["identify", "points.toml", "--check"]);
+    assert!(dynocal(folder, &["identify", "points.toml"]).0 < 2);
+    let (code, _, err) =
+        dynocal(folder, &["new", "identify", "--from", "points.csv", "--steady", "--output", "egd"]);
+    assert!(code == 2 && err.contains("egt"), "{err}");
+}
