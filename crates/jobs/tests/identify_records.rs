@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use dynocal_files::atomic;
 use dynocal_files::dataset::read_table;
-use dynocal_jobs::identify::job;
 use dynocal_jobs::identify::spec::{self, MOST_CSV_ROWS, Overrides};
+use dynocal_jobs::identify::{job, page};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
 
@@ -35,6 +35,7 @@ fn files(folder: &Path, first: &str) -> (PathBuf, Vec<String>) {
     let overrides = Overrides { out: Some(out.clone()), ..Overrides::default() };
     let job = spec::read(&folder.join("spec.toml"), &overrides).unwrap();
     let (found, _) = job::run(&job, Watch::silent()).unwrap();
+    page::write(&found, &out).unwrap();
     let files = found.records.iter().map(|r| r.file.clone()).collect::<Vec<_>>();
     assert!(files.iter().all(|f| out.join(f).exists()) && out.join("report.html").exists());
     (out, files)
