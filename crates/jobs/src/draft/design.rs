@@ -62,9 +62,9 @@ pub(super) fn text(f: &Found, path: &str, folder: &Path, wishes: &Wishes) -> Res
         let y = m.user_output();
         let _ = write!(out, "\n[[models]]\nfile = {}\ncriterion = \"d\"\n", quoted(file));
         let Some(c) = f.channels.iter().find(|c| named(c, std::slice::from_ref(&y.name))) else { continue };
-        let _ = write!(
+        let _ = writeln!(
             out,
-            "# limits = {{ lower = {}, upper = {} }}   # {} of {} so far; a margin is needed, see docs/design.md\n",
+            "# limits = {{ lower = {}, upper = {} }}   # {} of {} so far; a margin is needed, see docs/design.md",
             rounded(c.lower, false),
             rounded(c.upper, true),
             y.unit,

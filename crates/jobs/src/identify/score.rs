@@ -302,9 +302,6 @@ fn write_record(
     }
     let columns: Vec<(&str, &str, &[f64])> = columns.iter().map(|(n, u, v)| (n.as_str(), *u, *v)).collect();
     let parquet = path.extension().is_some_and(|e| e == "parquet");
-    Ok(if parquet {
-        parquet_io::write_columns(path, &columns)?
-    } else {
-        csv_io::write_columns(path, &columns)?
-    })
+    let write = if parquet { parquet_io::write_columns } else { csv_io::write_columns };
+    Ok(write(path, &columns)?)
 }
