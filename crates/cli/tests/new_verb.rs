@@ -110,7 +110,9 @@ fn files_as_they_come_are_taken_or_refused_with_the_flag_that_helps() {
     ok(folder, &["new", "identify", "--from", "points.csv", "--steady"]);
     ok(folder, &["identify", "points.toml", "--check"]);
     assert!(dynocal(folder, &["identify", "points.toml"]).0 < 2);
-    let (code, _, err) =
-        dynocal(folder, &["new", "identify", "--from", "points.csv", "--steady", "--output", "egd"]);
+    let (code, _, err) = dynocal(
+        folder,
+        &["new", "identify", "--from", "points.csv", "--steady", "--force", "--output", "egd"],
+    );
     assert!(code == 2 && err.contains("egt"), "{err}");
 }
