@@ -122,7 +122,7 @@ fn the_example_keeps_all_its_limits_and_beats_random_signals() {
         "Certificate",
         "What the design is worth",
         "Predicted outputs",
-        "band, upper",
+        "margin as given",
         "resonance",
         "Convergence",
     ] {
