@@ -2,8 +2,8 @@
 //!
 //! From the first sample on, the free run is followed until an output passes a limit. Then a stretch of one channel that
 //! reaches this sample is drawn anew; the draw stays where the first violation comes later, or is smaller at the same
-//! sample. Where this does not help for long, a longer stretch of all channels is drawn anew and followed again. Rates,
-//! levels and regions hold at every draw.
+//! sample. Where this does not help for long, a stretch of all channels is drawn anew, twice as long each time the record
+//! comes back to the same violation, and followed again. Rates, levels and regions hold at every draw.
 
 use super::forecast::Forecast;
 use crate::channel::limits::{ROUNDING, SAME};
@@ -82,8 +82,10 @@ impl<'l, 'a> Redraw<'l, 'a> {
         self.layout.fill(x, self.forecast.record());
         let mut at = self.forecast.changed(0);
         let mut draws = DRAWS * x.len();
-        // Draws in vain at the furthest violation, and how far back a stretch may begin.
-        let (mut furthest, mut vain, mut back) = (0, 0, self.least_reach());
+        // The furthest violation so far and how far back a stretch begins that is drawn for it; the present one and the draws
+        // in vain there.
+        let (mut furthest, mut back) = (0, self.least_reach());
+        let (mut place, mut vain) = (0, 0);
         while at < n {
             let to = (at + CHUNK).min(n);
             let Some((sample, excess)) = self.forecast.first_violation(at, to) else {
@@ -92,7 +94,10 @@ impl<'l, 'a> Redraw<'l, 'a> {
             };
             at = sample;
             if sample > furthest {
-                (furthest, vain, back) = (sample, 0, self.least_reach());
+                (furthest, back) = (sample, self.least_reach());
+            }
+            if sample != place {
+                (place, vain) = (sample, 0);
             }
             if draws == 0 || stop() {
                 return false;
@@ -103,7 +108,9 @@ impl<'l, 'a> Redraw<'l, 'a> {
                 at = self.start_over(rng, x, (sample + 1).saturating_sub(back), sample);
                 continue;
             }
-            match self.attempt(rng, x, sample, excess, back) {
+            // However long a stretch is drawn anew after them, single draws stay where they act on this sample.
+            let near = self.least_reach().min(sample + 1);
+            match self.attempt(rng, x, sample, excess, near) {
                 Some(next) => (at, vain) = (next, vain + usize::from(next <= sample)),
                 None => vain += 1,
             }
