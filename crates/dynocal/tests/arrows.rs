@@ -7,8 +7,8 @@ use std::path::Path;
 const FLOORS: &[&[&str]] = &[
     &["numerics"],
     &["ident"],
-    &["control"],
-    &["design", "plant", "files", "fmu"],
+    &["control", "fmu"],
+    &["design", "plant", "files"],
     &["calib", "export", "report"],
     &["jobs"],
     &["studies", "dynocal"],

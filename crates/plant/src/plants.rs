@@ -1,5 +1,6 @@
 //! The plants that a spec can name in `[plant]`: one row each, for the parser of specs and for `dynocal list plants`.
 
+mod fmu;
 pub mod literature;
 
 use crate::bed::{BedSettings, EngineBed};
@@ -9,6 +10,7 @@ use crate::testbed::settings::BedOptions;
 use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// The table `[plant]` of a spec: which plant answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,12 @@ pub struct PlantSpec {
     /// What the plant's bed is like; keys belong to the plant.
     #[serde(skip_serializing_if = "toml::Table::is_empty")]
     pub bed: toml::Table,
+    /// The file of plant `fmu`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// Parameters and ranges of plant `fmu`.
+    #[serde(skip_serializing_if = "toml::Table::is_empty")]
+    pub fmu: toml::Table,
 }
 
 impl Default for PlantSpec {
@@ -35,6 +43,8 @@ impl Default for PlantSpec {
             torque_noise_nm: 0.0,
             lambda_noise: 0.0,
             bed: toml::Table::new(),
+            file: None,
+            fmu: toml::Table::new(),
         }
     }
 }
@@ -133,6 +143,7 @@ pub static PLANTS: &[PlantMember] = &[
         make: None,
         sample_time_s: None,
     },
+    fmu::MEMBER,
     literature::TORQUE_4_17,
     literature::LAMBDA_4_53,
     literature::TORQUE_5_3,
@@ -163,6 +174,9 @@ fn check_virtual_engine(spec: &PlantSpec) -> Vec<PlantFault> {
             faults.push(PlantFault::unknown("plant.parameters", &spec.parameters, known));
         }
         Err(e) => faults.push(PlantFault::new("plant.parameters", &spec.parameters, e)),
+    }
+    if spec.file.is_some() || !spec.fmu.is_empty() {
+        faults.push(PlantFault::new("plant", "the keys file or fmu", "these with name = \"fmu\" only"));
     }
     if let Err(e) = BedOptions::from_table(&spec.parameters, &spec.bed) {
         faults.push(match e {
@@ -198,9 +212,21 @@ pub fn parameters(name: &str) -> Result<EngineParams, EngineError> {
 
 fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, PlantError> {
     let refused = |e: EngineError| PlantError::Call(e.to_string());
-    let params = parameters(&spec.parameters).map_err(refused)?;
+    virtual_engine_with(spec, &parameters(&spec.parameters).map_err(refused)?, noise)
+}
+
+/// The virtual engine of a spec with numbers of its own instead of those of its parameter set.
+///
+/// # Errors
+/// [`PlantError::Call`] where engine or bed do not take them.
+pub fn virtual_engine_with(
+    spec: &PlantSpec,
+    params: &EngineParams,
+    noise: bool,
+) -> Result<Box<dyn Plant>, PlantError> {
+    let refused = |e: EngineError| PlantError::Call(e.to_string());
     let options = BedOptions::from_table(&spec.parameters, &spec.bed).map_err(refused)?;
-    let set = BedSettings::of_set(&spec.parameters, &params).map_err(refused)?;
+    let set = BedSettings::of_set(&spec.parameters, params).map_err(refused)?;
     let mut settings = BedSettings { options, ..set };
     if noise {
         settings.noise.torque_nm = spec.torque_noise_nm;
@@ -208,7 +234,7 @@ fn virtual_engine(spec: &PlantSpec, noise: bool) -> Result<Box<dyn Plant>, Plant
     } else {
         settings.options.sensors.values_mut().for_each(|s| s.noise = 0.0);
     }
-    let bed = EngineBed::new(&params, settings).map_err(refused)?;
+    let bed = EngineBed::new(params, settings).map_err(refused)?;
     Ok(Box::new(bed))
 }
 
@@ -223,7 +249,9 @@ mod tests {
     /// Every plant that can be made here, with sensor noise, and the virtual engine on beds with everything on.
     fn each(check: impl Fn(&str, Box<dyn Plant>, f64)) {
         let spec = PlantSpec { torque_noise_nm: 1.0, lambda_noise: 0.01, ..PlantSpec::default() };
-        let made: Vec<_> = PLANTS.iter().filter_map(|m| m.make.map(|make| (m, make))).collect();
+        // An FMU has no default file: its own crate tests what it must do.
+        let ready = PLANTS.iter().filter(|m| m.doc.name != "fmu");
+        let made: Vec<_> = ready.filter_map(|m| m.make.map(|make| (m, make))).collect();
         assert!(!made.is_empty());
         for (m, make) in made {
             let plant = make(&spec, true).expect("plant with default keys");
