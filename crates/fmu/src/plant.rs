@@ -92,6 +92,7 @@ impl FmuPlant {
             about,
         };
         plant.start()?;
+        plant.first_outputs()?;
         // A description may promise more than the binary does: then the steps are made again instead.
         plant.serialises =
             serialises && plant.instance.save().is_ok_and(|b| plant.instance.restore(&b).is_ok());
@@ -101,6 +102,21 @@ impl FmuPlant {
     /// What the unit says about itself.
     pub fn description(&self) -> &Description {
         &self.about
+    }
+
+    /// What the outputs are before the first step: the unit says it, not its description.
+    fn first_outputs(&mut self) -> Result<(), FmuError> {
+        let mut values = vec![0.0; self.outputs.len()];
+        self.instance.get(&self.outputs, &mut values)?;
+        for (v, y) in self.variables[self.inputs.len()..].iter_mut().zip(values) {
+            if !y.is_finite() {
+                let reason =
+                    format!("the output `{}` is {y} after the start, expected a finite number", v.name);
+                return Err(FmuError::Description { path: self.path.clone(), line: 0, reason });
+            }
+            v.start = y;
+        }
+        Ok(())
     }
 
     fn start(&mut self) -> Result<(), FmuError> {

@@ -20,6 +20,8 @@ fn answers_as_its_closed_form_says() {
         let mut plant = FmuPlant::open(&path, &settings).unwrap();
         let names: Vec<&str> = plant.variables().iter().map(|v| v.name.as_str()).collect();
         assert_eq!(names, ["speed", "torque", "inj"]);
+        // The map at 2000 rpm and 100 Nm, where the unit starts.
+        assert!((plant.variables()[2].start - 21.25).abs() < 1e-6, "{:?}", plant.variables()[2]);
         assert_eq!((plant.variables()[0].min, plant.variables()[2].unit.as_str()), (800.0, "mg"));
         let (dt, mut y) = (0.02, [0.0]);
         let go = |plant: &mut FmuPlant, u: [f64; 2], n: usize, y: &mut [f64; 1]| {
