@@ -106,7 +106,8 @@ gains = { ki = -40.0, kp = -8.0 }
 #[test]
 fn the_map_leaves_as_the_spec_asks() {
     let tmp = tempfile::tempdir().unwrap();
-    let spec = format!("{}\n[export]\nto = [\"dcm\", \"c\"]\n", shortest());
+    let spec =
+        format!("{}\n[export]\nto = [\"dcm\", \"c\", \"fmu2\", \"fmu3\"]\nengine = true\n", shortest());
     atomic::write(&tmp.path().join("spec.toml"), spec.as_bytes()).unwrap();
     let said = done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "run"]);
     assert!(said.contains("nothing leaves before the step invert"), "{said}");
@@ -125,5 +126,49 @@ fn the_map_leaves_as_the_spec_asks() {
         let both = found["both"].as_array().unwrap();
         assert!(!both.is_empty() && found["only_first"].as_array().unwrap().is_empty(), "{text}");
         assert!(both.iter().all(|d| d["differing"] == 0 && d["points"].as_u64() > Some(0)), "{text}");
+    }
+    the_map_drives_the_engine(tmp.path(), &files);
+}
+
+/// The FMU of the dynamic map drives the FMU of the engine: the record of the comparison of the maps, which began after 4 s at its
+/// first row.
+fn the_map_drives_the_engine(folder: &Path, files: &[&str]) {
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"), PathBuf::from);
+    let python = std::env::var_os("DYNOCAL_READERS_PYTHON")
+        .map_or_else(|| target.join("readers/bin/python"), PathBuf::from);
+    let run = |args: &[&str]| std::process::Command::new(&python).args(args).current_dir(folder).output();
+    if !run(&["-c", "import fmpy"]).is_ok_and(|o| o.status.success()) {
+        println!("SKIPPED READER: no Python with fmpy (run scripts/readers.sh)");
+        return;
+    }
+    let readers = Path::new(env!("CARGO_MANIFEST_DIR")).join("../engine_fmu/tests/readers");
+    let script = std::fs::canonicalize(readers.join("check_drive.py")).unwrap();
+    let record = std::fs::read_dir(folder.join("run/steps/06-validate"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .find(|p| p.file_name().unwrap().to_string_lossy().starts_with("dynamic_map_random"))
+        .unwrap();
+    for version in ["fmi2", "fmi3"] {
+        let unit = |name: &str| {
+            let ending = format!("{name}_{version}.fmu");
+            files
+                .iter()
+                .find(|f| f.ends_with(&ending))
+                .unwrap_or_else(|| panic!("{ending}: {files:?}"))
+                .to_string()
+        };
+        let lead = (4.0f64 / 0.03).ceil() as usize;
+        let out = run(&[
+            &script.display().to_string(),
+            &unit("dynamic_map"),
+            &unit("dynocal_engine"),
+            &record.display().to_string(),
+            &lead.to_string(),
+        ])
+        .unwrap();
+        let said = String::from_utf8_lossy(&out.stdout);
+        assert!(out.status.success(), "{said}{}", String::from_utf8_lossy(&out.stderr));
+        print!("{said}");
     }
 }

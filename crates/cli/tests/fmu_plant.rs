@@ -101,7 +101,35 @@ fn rounds_of_design_find_the_equation_of_the_unit() {
         parameters.iter().find(|p| p["name"] == "inj(t-1)").unwrap_or_else(|| panic!("{parameters:?}"));
     let (found, want) = (pole["value"].as_f64().unwrap(), (-0.1f64 / 0.2).exp());
     println!("pole {found}, exp(-dt/tau) {want}");
-    assert!((found - want).abs() < 1e-6, "{found} {want}");
+    // The first row of a round holds the start value that the unit states, not what the round before has left: one row of
+    // sixty is off by that, and the estimate with it.
+    assert!((found - want).abs() < 0.01, "{found} {want}");
+    for record in ["first", "held_out", "round01", "round02"] {
+        let rows = rows(&tmp.path().join(format!("run/{record}.csv")));
+        assert!(rows.len() > 50, "{record}");
+        for (k, pair) in rows.windows(2).enumerate().skip(1) {
+            let [.., y] = pair[1];
+            let [_, speed, torque, before] = pair[0];
+            let share = (speed - 1000.0) / 1000.0;
+            let (low, high) = (12.5 - 0.5 * share, 31.0 - 0.5 * share);
+            let target = low + (torque - 50.0) / 100.0 * (high - low);
+            let wanted = want * before + (1.0 - want) * target;
+            // The unit looks its map up in 32 bits.
+            assert!((y - wanted).abs() < 1e-5, "{record}, row {k}: {y} {wanted}");
+        }
+    }
+}
+
+/// Rows of time, speed, torque, injected mass.
+fn rows(path: &Path) -> Vec<[f64; 4]> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("time [s],speed [rpm],torque [Nm],inj [mg]"));
+    let row = |line: &str| {
+        let cells: Vec<f64> = line.split(',').map(|c| c.parse().unwrap()).collect();
+        cells.try_into().unwrap()
+    };
+    lines.map(row).collect()
 }
 
 #[test]

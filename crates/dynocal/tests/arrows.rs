@@ -9,7 +9,7 @@ const FLOORS: &[&[&str]] = &[
     &["ident"],
     &["control", "fmu"],
     &["design", "plant", "files"],
-    &["calib", "export", "report"],
+    &["calib", "engine-fmu", "export", "report"],
     &["jobs"],
     &["studies", "dynocal"],
     &["cli", "python", "workbench"],

@@ -10,7 +10,7 @@ use std::process::Command;
 use dynocal_export::evaluate::{Machine, Real, lookup};
 use dynocal_export::format::{Keys, Precision, write};
 use dynocal_export::package::{Extrapolation, Package};
-use dynocal_export::program::Shape;
+use dynocal_export::program::{Input, Op, Output, Program, Shape};
 use dynocal_numerics::rng::Rng64;
 
 const FLAGS: [&str; 14] = [
@@ -68,6 +68,7 @@ fn call(program: &Path, folder: &Path, numbers: &[f64]) -> Vec<f64> {
     std::fs::write(folder.join("in.bin"), bytes).unwrap();
     let done = Command::new(program).current_dir(folder).args(["in.bin", "out.bin"]).output().unwrap();
     assert!(done.status.success());
+    print!("{}", String::from_utf8_lossy(&done.stdout));
     let out = std::fs::read(folder.join("out.bin")).unwrap();
     out.chunks_exact(8).map(|c| f64::from_le_bytes(c.try_into().unwrap())).collect()
 }
@@ -158,8 +159,16 @@ fn program_rows<R: Real>(package: &Package, precision: Precision, bits: bool) {
     let body = format!(
         "for (int k = 0; k < {m}; k++) in[k] = ({name}_real_T)u[k]; {name}_step(&s, in, out); for (int k = 0; k < {q}; k++) y[k] = (double)out[k];"
     );
+    // A million steps more, whose time is printed and compared with nothing.
+    let timed = format!(
+        "clock_t t0 = clock(); volatile double sink = 0.0; for (long k = 0; k < 1000000; k++) {{ {name}_step(&s, in, out); \
+         sink = (double)out[0]; }} (void)sink; \
+         printf(\"{name} {precision:?}: %.0f ns a step\\n\", 1e3 * (double)(clock() - t0) / CLOCKS_PER_SEC); fclose(f);"
+    );
+    let main =
+        format!("#include <time.h>\n{}", harness(name, m, q, &prepare, &body).replace("fclose(f);", &timed));
     let tmp = tempfile::tempdir().unwrap();
-    let Some(program) = build(package, precision, &harness(name, m, q, &prepare, &body), tmp.path()) else {
+    let Some(program) = build(package, precision, &main, tmp.path()) else {
         return;
     };
     let mut rng = Rng64::new(7);
@@ -194,7 +203,95 @@ fn a_dynamic_map_is_bit_equal_over_a_record() {
     program_rows::<f32>(&common::dynamic_map(), Precision::Float, true);
 }
 
-/// `exp` and `tanh` come from two libraries here only by name: both call the system's.
+/// Distance of two numbers in units of the last place of their type.
+fn ulps(a: f64, b: f64, precision: Precision) -> u64 {
+    // Bits in the order of the numbers: those below zero run backwards.
+    let place = |x: f64| {
+        let size = match precision {
+            Precision::Double => x.abs().to_bits() as i64,
+            Precision::Float => i64::from((x.abs() as f32).to_bits()),
+        };
+        if x.is_sign_negative() { -size } else { size }
+    };
+    if same(a, b) { 0 } else { place(a).abs_diff(place(b)) }
+}
+
+/// `exp` and `tanh` of the C library and of this program at 1e5 points, at the edges of what they can, at NaN and infinities.
+fn functions<R: Real>(precision: Precision) {
+    let mut p = Program {
+        sample_time_s: 0.03,
+        inputs: vec![Input {
+            name: "x".into(),
+            unit: "-".into(),
+            description: String::new(),
+            start: 0.0,
+            range: None,
+        }],
+        nodes: Vec::new(),
+        outputs: Vec::new(),
+    };
+    let x = p.push("x", Op::Input(0));
+    for (name, shape) in [("exp", Shape::Exp), ("tanh", Shape::Tanh)] {
+        let node = p.push(&format!("{name}_x"), Op::Function { of: x, shape });
+        p.outputs.push(Output {
+            name: format!("{name}_of_x"),
+            unit: "-".into(),
+            description: String::new(),
+            node,
+        });
+    }
+    let package = Package { name: "functions".into(), program: Some(p), ..Default::default() };
+    let prepare = "functions_state_T s; functions_real_T in[1], out[2]; functions_init(&s);";
+    let body = "in[0] = (functions_real_T)u[0]; functions_step(&s, in, out); y[0] = (double)out[0]; y[1] = (double)out[1];";
+    let tmp = tempfile::tempdir().unwrap();
+    let Some(program) = build(&package, precision, &harness("functions", 1, 2, prepare, body), tmp.path())
+    else {
+        return;
+    };
+    let mut rng = Rng64::new(21);
+    let odd = [
+        f64::NAN,
+        f64::INFINITY,
+        f64::NEG_INFINITY,
+        0.0,
+        -0.0,
+        1e-300,
+        -1e-30,
+        709.7,
+        710.0,
+        -745.0,
+        88.7,
+        89.0,
+        -104.0,
+    ];
+    let reach = [1e-6, 1e-2, 1.0, 20.0, 800.0];
+    let random = (0..100_000).map(|k| rng.uniform_in(-1.0, 1.0) * reach[k % 5]);
+    let u: Vec<f64> = odd.into_iter().chain(random).collect();
+    let y = call(&program, tmp.path(), &u);
+    let mut machine = Machine::<R>::new(&package).unwrap();
+    let mut worst = 0;
+    for (u, y) in u.iter().zip(y.chunks(2)) {
+        for (a, b) in machine.step(&[R::from(*u)]).into_iter().zip(y) {
+            let off = ulps(a.to(), *b, precision);
+            assert!(off <= 2, "{precision:?} at {u}: {} {b}, {off} units of the last place", a.to());
+            worst = worst.max(off);
+        }
+    }
+    println!("exp and tanh, {precision:?}: at most {worst} units of the last place apart");
+}
+
+#[test]
+fn exp_and_tanh_are_within_two_units_of_the_last_place() {
+    assert_eq!(
+        (ulps(1.0, 1.0 + f64::EPSILON, Precision::Double), ulps(-1e-310, 1e-310, Precision::Double) > 2),
+        (1, true)
+    );
+    assert_eq!(ulps(1.0, 1.0 + f32::EPSILON as f64, Precision::Float), 1);
+    functions::<f64>(Precision::Double);
+    functions::<f32>(Precision::Float);
+}
+
+/// Networks call `exp` and `tanh` of two libraries: near, not equal.
 #[test]
 fn networks_agree() {
     for shape in [Shape::Tanh, Shape::Sigmoid, Shape::Relu, Shape::Softplus] {

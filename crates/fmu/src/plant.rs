@@ -286,7 +286,7 @@ impl Plant for FmuPlant {
             return Ok(());
         }
         let row = self.inputs.len() + 1;
-        if rest.len() % row != 0 {
+        if !rest.len().is_multiple_of(row) {
             return Err(foreign());
         }
         self.start().map_err(refused)?;

@@ -21,7 +21,14 @@ pub struct ExportSpec {
     pub sample_time_s: Option<f64>,
     /// A2L of the ECU whose limits the characteristics take.
     pub a2l: Option<PathBuf>,
+    /// Whether the plant of a run leaves too, as FMU.
+    pub engine: bool,
+    /// The library of the engine's FMU, where it does not stand beside the program.
+    pub library: Option<PathBuf>,
 }
+
+/// Formats in which a plant leaves.
+pub const UNITS: [&str; 2] = ["fmu2", "fmu3"];
 
 /// The table `[export]` as typed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -35,6 +42,8 @@ pub struct ExportKeys {
     pub extrapolation: Extrapolation,
     /// A2L of the ECU whose limits the characteristics take, relative to the spec.
     pub a2l: Option<PathBuf>,
+    /// Whether the plant leaves too, in those of the formats `fmu2` and `fmu3` that are wanted.
+    pub engine: bool,
 }
 
 impl ExportKeys {
@@ -48,6 +57,9 @@ impl ExportKeys {
         for name in self.to.iter().filter(|n| !known.contains(n)) {
             faults.unknown("export.to", name, &known);
         }
+        if self.engine && !self.to.iter().any(|n| UNITS.contains(&n.as_str())) {
+            faults.push("export.engine", "true", "`fmu2` or `fmu3` in export.to: a plant leaves as an FMU");
+        }
     }
 
     /// What is wanted, with paths that are relative to `folder`.
@@ -58,6 +70,8 @@ impl ExportKeys {
             extrapolation: self.extrapolation,
             sample_time_s: None,
             a2l: self.a2l.as_ref().map(|p| folder.join(p)),
+            engine: self.engine,
+            library: None,
         }
     }
 }

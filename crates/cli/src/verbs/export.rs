@@ -18,8 +18,8 @@ const ABOUT: &str = "Export maps and models: C, DCM, CDFX, A2L, FMU, ONNX, .. (`
 
 #[derive(Args, Debug)]
 struct Export {
-    /// Run folder of `calibrate` (its maps) or `identify` (its models), one of their files, or a map file (.json, .dcm,
-    /// .cdfx, .csv)
+    /// Run folder of `calibrate` (its maps) or `identify` (its models), one of their files, a map file (.json, .dcm, .cdfx,
+    /// .csv), or a spec (.toml) whose plant leaves as FMU
     source: PathBuf,
     /// Formats
     #[arg(long, required = true, num_args = 1.., value_name = "FORMAT",
@@ -40,6 +40,9 @@ struct Export {
     /// A2L of the ECU whose limits the characteristics take
     #[arg(long, value_name = "FILE")]
     a2l: Option<PathBuf>,
+    /// The library of the engine's FMU, where it does not stand beside the program
+    #[arg(long, value_name = "FILE")]
+    library: Option<PathBuf>,
     /// Print the list of files, and nothing else
     #[arg(long, short)]
     quiet: bool,
@@ -65,6 +68,8 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         extrapolation: if linear { Extrapolation::Linear } else { Extrapolation::Clip },
         sample_time_s: args.sample_time_s,
         a2l: args.a2l,
+        engine: false,
+        library: args.library,
     };
     let done = export::run(&args.source, &args.out, &spec)?;
     if !args.quiet {

@@ -23,6 +23,13 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     s.problem.check("problem", faults);
     loops(s, faults);
     names(s, faults);
+    if s.optimise.start_maps.as_ref().is_some_and(|m| m.files.is_empty() || m.maps.is_empty()) {
+        faults.push(
+            "optimise.start_maps",
+            "no files or no maps",
+            "`files`, and under `maps` a characteristic for an input",
+        );
+    }
     if !CRITERIA.iter().any(|m| m.doc.name == s.design.criterion) {
         let known: Vec<String> = CRITERIA.iter().map(|m| m.doc.name.to_string()).collect();
         faults.unknown("design.criterion", &s.design.criterion, &known);
@@ -97,6 +104,10 @@ fn names(s: &CalibrateSpec, faults: &mut Faults) {
     each("excite.ranges", s.excite.ranges.keys().collect(), all(&[&inputs, &given, &demands]));
     each("excite.start", s.excite.start.keys().collect(), inputs.clone());
     each("optimise.ranges", s.optimise.ranges.keys().collect(), demands.clone());
+    if let Some(m) = &s.optimise.start_maps {
+        each("optimise.start_maps.maps", m.maps.keys().collect(), inputs.clone());
+        each("optimise.start_maps.axes", m.axes.values().collect(), all(&[&demands, &given]));
+    }
     each("identify.models", s.identify.models.keys().collect(), outputs.clone());
     each("identify.files", s.identify.files.keys().collect(), outputs.clone());
     each("validate.scenario.bands", s.validate.scenario.bands.keys().collect(), demands.clone());

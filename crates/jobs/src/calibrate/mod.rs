@@ -22,6 +22,7 @@ pub mod page;
 pub mod run;
 mod signals;
 pub mod spec;
+pub mod start_maps;
 pub mod store;
 pub mod summary;
 pub mod validate_step;

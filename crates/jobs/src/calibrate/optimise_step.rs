@@ -3,6 +3,7 @@
 use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
 use super::models::{ModelData, ModelsResult, identify_again};
 use super::signals::{aprbs, sweep};
+use super::start_maps::start_maps;
 use dynocal_calib::map::filter::filtered;
 use dynocal_calib::map::start::{StartRule, rate_limited};
 use dynocal_calib::map::structured::StructuredShape;
@@ -326,6 +327,11 @@ fn start_record(
     }
     for (values, &i) in free.into_iter().zip(&channels.free) {
         inputs[i] = values;
+    }
+    let references: Vec<&[f64]> = demands.iter().chain(&given).map(Vec::as_slice).collect();
+    for map in start_maps(ctx)? {
+        let rate = problem.inputs[map.input].rate_per_s.map_or(f64::INFINITY, |r| START_RATE * r * dt);
+        inputs[map.input] = rate_limited(&held_head(map.along(&references, n)), rate);
     }
     Ok(record_of(ctx, k, inputs, given, &demands, models))
 }

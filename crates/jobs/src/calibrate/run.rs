@@ -237,7 +237,9 @@ fn step_optimise(
     how: How,
 ) -> Result<Option<Done<OptimiseResult>>, ChainError> {
     let design = needed(&result.design, "design")?;
-    let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &ctx.spec.excite, &design.digest);
+    let files: Vec<&PathBuf> = ctx.spec.optimise.start_maps.iter().flat_map(|m| &m.files).collect();
+    let before = format!("{}{}", design.digest, digests(&files)?.concat());
+    let inputs = (&ctx.spec.optimise, &ctx.spec.identify, &ctx.spec.excite, &before);
     run_step(ctx, folder, how, "optimise", &inputs, |path| {
         let r = all_identification(ctx, result)?;
         let done = optimise(ctx, path, &design.result.models, &r.identification, &r.validation)?;

@@ -10,6 +10,7 @@ use dynocal_ident::plan::PlanLimit;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
+use super::start_maps::StartMaps;
 use crate::export_spec::ExportKeys;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -266,6 +267,9 @@ pub struct OptimiseSpec {
     /// Weight on increments of inputs whose `increment_weight` is absent: increments as large as those of the start record add
     /// this share to the objective. 0: none.
     pub smoothing: f64,
+    /// Maps that an ECU has, along which inputs of the start records go.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_maps: Option<StartMaps>,
 }
 
 impl Default for OptimiseSpec {
@@ -278,6 +282,7 @@ impl Default for OptimiseSpec {
             max_iterations: 300,
             tolerance: 1e-8,
             smoothing: 0.01,
+            start_maps: None,
         }
     }
 }

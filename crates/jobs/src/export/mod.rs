@@ -2,10 +2,11 @@
 //!
 //! A source is a run folder of `calibrate` (its maps) or of `identify` (its models), one of their files, or a file in a
 //! neutral or foreign form (`.json`, `.dcm`, `.cdfx`, `.csv`). It becomes a [`Package`], and a row of the table of exports
-//! writes it.
+//! writes it. A spec (`.toml`) is a source too: its plant leaves as an FMU.
 
 mod build;
 mod dynamic_map;
+mod engine;
 mod model;
 mod origin;
 mod static_map;
@@ -21,6 +22,7 @@ use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredError, StoredMode
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::export_spec::UNITS;
 pub use crate::export_spec::{ExportKeys, ExportSpec};
 pub use dynamic_map::dynamic_map;
 pub use model::model;
@@ -84,8 +86,12 @@ pub struct Made {
 /// # Errors
 /// [`ExportJobError`]; nothing is written unless something fits every format that was asked for.
 pub fn run(source: &Path, folder: &Path, spec: &ExportSpec) -> Result<Exported, ExportJobError> {
-    let mut made = packages(source, spec)?;
     let mut out = Exported::default();
+    if source.extension().is_some_and(|e| e == "toml") {
+        write_all(engine::of_spec(source, &spec.to, spec.library.as_deref())?, folder, &mut out)?;
+        return Ok(out);
+    }
+    let mut made = packages(source, spec)?;
     for m in &mut made {
         m.package.extrapolation = spec.extrapolation;
         if let Some(path) = &spec.a2l {
@@ -103,12 +109,17 @@ pub fn run(source: &Path, folder: &Path, spec: &ExportSpec) -> Result<Exported, 
         ready.extend(files);
         out.notes.extend(left_out);
     }
-    for file in ready {
+    write_all(ready, folder, &mut out)?;
+    Ok(out)
+}
+
+fn write_all(files: Vec<OutFile>, folder: &Path, out: &mut Exported) -> Result<(), ExportJobError> {
+    for file in files {
         let path = folder.join(&file.name);
         atomic::write(&path, &file.bytes)?;
         out.files.push(path);
     }
-    Ok(out)
+    Ok(())
 }
 
 /// The characteristics of a source (a run of `calibrate`, or a map file), and what was said while they were read.
@@ -135,7 +146,14 @@ pub const FOLDER: &str = "export";
 /// # Errors
 /// As [`run`].
 pub fn of_run(folder: &Path, spec: &ExportSpec) -> Result<Exported, ExportJobError> {
-    run(folder, &folder.join(FOLDER), spec)
+    let to = folder.join(FOLDER);
+    let mut out = run(folder, &to, spec)?;
+    if spec.engine {
+        let units: Vec<String> = spec.to.iter().filter(|n| UNITS.contains(&n.as_str())).cloned().collect();
+        let files = engine::of_spec(&folder.join("spec.json"), &units, spec.library.as_deref())?;
+        write_all(files, &to, &mut out)?;
+    }
+    Ok(out)
 }
 
 /// The files of one format, and what it could not hold: a run has several maps, and not every format holds each.

@@ -129,6 +129,9 @@ fn check(t: &Typed, folder: &Path, stem: &str, over: &Overrides, faults: &mut Fa
     // A stem may hold dots of its own.
     let spec = folder.join(format!("{stem}.toml"));
     t.export.iter().for_each(|e| e.check(faults));
+    if t.export.as_ref().is_some_and(|e| e.engine) {
+        faults.push("export.engine", "true", "a spec of `dynocal calibrate`: this one has no plant");
+    }
     let run = Place::of(&spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     let mut validate = validate;
     let layout = layout?;
