@@ -38,6 +38,24 @@ const APRBS: [&str; 15] = [
     "run",
 ];
 
+/// A long one is Parquet: its samples are those of a short one with the same seed, as far as that goes.
+#[test]
+fn a_long_signal_is_parquet() {
+    let tmp = tempfile::tempdir().unwrap();
+    let long = ["prbs", "--keys", "lo=0", "hi=1", "order=17", "hold_s=0.1", "--unit", "-"];
+    let long =
+        [&long[..], &["--length-s", "10000.1", "--sample-time-s", "0.1", "--out", "run", "--json"]].concat();
+    let o = signal(tmp.path(), &long);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    let summary: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
+    assert_eq!(summary["files"][0], "signal.parquet");
+    let run = tmp.path().join("run");
+    assert!(!run.join("signal.csv").exists());
+    let table = dynocal_files::dataset::read_table(&run.join("signal.parquet"), None).unwrap();
+    assert_eq!((table.rows(), table.columns.len()), (100_001, 2));
+    assert!(table.numbers("time", 100_000, 100_001).unwrap()[0] == 100_000.0 * 0.1);
+}
+
 #[test]
 fn a_signal_is_written_with_its_numbers_and_is_the_same_for_the_same_seed() {
     let tmp = tempfile::tempdir().unwrap();

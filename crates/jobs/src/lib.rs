@@ -15,6 +15,7 @@ pub mod export;
 pub mod export_spec;
 pub mod families;
 pub mod identify;
+pub mod kept;
 pub mod optimise;
 pub mod page;
 pub mod place;

@@ -9,6 +9,7 @@ use std::path::Path;
 const ORDER: &[&str] = &[
     "place",
     "page",
+    "kept",
     "estimate",
     "export_spec",
     "show",

@@ -78,7 +78,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     args.common.print_summary(&folder.path().join("summary.json"))?;
     if args.common.shows_text() {
         print(&text(&job, &made))?;
-        let files = store::FILES.map(|f| folder.path().join(f).display().to_string());
+        let files = store::files(&job).map(|f| folder.path().join(f).display().to_string());
         print(&format!("\n{}\n", files.join("\n")))?;
     }
     Ok(Exit::Done)

@@ -23,14 +23,15 @@ use crate::place::Place;
 
 use typed::Typed;
 
+pub use crate::kept::MOST_CSV_ROWS;
 pub use derive::DeriveSpec;
 pub use member::built;
 pub use model::{Selecting, StructureSpec, Target};
 pub(crate) use source::cut;
 pub use source::{Source, StepSpec, TestSet};
 pub use split::Split;
+pub use typed::Keep;
 pub(crate) use typed::TypedCut;
-pub use typed::{Keep, MOST_CSV_ROWS};
 pub use validation::Validation;
 
 /// What the command line changes in a spec.

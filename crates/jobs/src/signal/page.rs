@@ -140,7 +140,12 @@ fn analysed(section: Section, (name, unit): (&str, &str), dt_s: f64, u: &[f64], 
         .collect();
     let drawn = &u[..u.len().min(DRAWN)];
     let caption = if drawn.len() < u.len() {
-        format!("The first {} of {} samples; all are in signal.csv.", drawn.len(), u.len())
+        format!(
+            "The first {} of {} samples; all are in signal.{}.",
+            drawn.len(),
+            u.len(),
+            crate::kept::ending(u.len())
+        )
     } else {
         String::new()
     };

@@ -1,10 +1,10 @@
 //! The run folder of a simulation.
 
-use dynocal_files::csv_io;
 use dynocal_files::run_folder::RunFolder;
 
 use super::page;
 use super::result::{Output, SimulateError, Simulated};
+use crate::kept;
 
 /// Writes a file for each record and output, the page and the summary.
 ///
@@ -13,9 +13,8 @@ use super::result::{Output, SimulateError, Simulated};
 pub fn write(folder: &RunFolder, found: &Simulated) -> Result<(), SimulateError> {
     let mut files = vec!["report.html".to_string()];
     for o in &found.outputs {
-        let name = format!("{}-{}.csv", file_name(&o.record), file_name(&o.output));
-        record(&folder.path().join(&name), o)?;
-        files.push(name);
+        let stem = format!("{}-{}", file_name(&o.record), file_name(&o.output));
+        files.push(record(folder.path(), &stem, o)?);
     }
     page::write(found, folder.path())?;
     folder.write_summary(&Simulated { files, ..found.clone() })?;
@@ -23,7 +22,7 @@ pub fn write(folder: &RunFolder, found: &Simulated) -> Result<(), SimulateError>
 }
 
 /// Time, simulated and measured output; a run that diverged ends with its last finite sample.
-fn record(path: &std::path::Path, o: &Output) -> Result<(), SimulateError> {
+fn record(folder: &std::path::Path, stem: &str, o: &Output) -> Result<String, SimulateError> {
     let n = o.diverged_at.unwrap_or(o.samples);
     let time: Vec<f64> = (0..n).map(|t| t as f64 * o.sample_time_s).collect();
     let measured = format!("{}_measured", o.output);
@@ -31,8 +30,7 @@ fn record(path: &std::path::Path, o: &Output) -> Result<(), SimulateError> {
     if let Some(z) = &o.measured {
         columns.push((&measured, &o.unit, &z[..n]));
     }
-    csv_io::write_columns(path, &columns)?;
-    Ok(())
+    Ok(kept::write_columns(folder, stem, &columns)?)
 }
 
 /// A name of a file.

@@ -11,12 +11,13 @@ use dynocal_ident::model::initial::Initial;
 use serde::{Deserialize, Serialize};
 
 use crate::export_spec::ExportKeys;
+use crate::kept;
 
 /// In which format the scored records stay in the run folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Keep {
-    /// CSV up to [`MOST_CSV_ROWS`] rows together, Parquet above.
+    /// CSV up to [`kept::MOST_CSV_ROWS`] rows together, Parquet above.
     #[default]
     Auto,
     /// CSV.
@@ -27,15 +28,12 @@ pub enum Keep {
     None,
 }
 
-/// Most rows that are written as CSV where the spec does not ask for it.
-pub const MOST_CSV_ROWS: usize = 100_000;
-
 impl Keep {
     /// Ending of the files of records with so many rows together; none where they are not written.
     pub fn ending(self, rows: usize) -> Option<&'static str> {
         match self {
-            Keep::Auto if rows > MOST_CSV_ROWS => Some("parquet"),
-            Keep::Auto | Keep::Csv => Some("csv"),
+            Keep::Auto => Some(kept::ending(rows)),
+            Keep::Csv => Some("csv"),
             Keep::Parquet => Some("parquet"),
             Keep::None => None,
         }
