@@ -4,7 +4,7 @@
 //! together is fitted to what comes back, and PI gains follow from it:
 //!
 //! ```text
-//! y_o(t) = c_o + sum_j a_oj y_o(t-j) + sum_i sum_k b_oik u_i(t-k)              one record, least squares
+//! y_o(t) = c_o + sum_i sum_k b_oik u_i(t-k)                                     regularised, one record
 //! step of the own channel -> gain k, time constant T, dead time L              28 % and 63 % of the step response
 //! kp = T / (2 k L),  ki = kp / min(T, 8 L)                                      SIMC with its closed-loop time at L
 //! kp / F, ki / F^2                                                             F >= 1, the same for all loops
@@ -13,11 +13,11 @@
 //! ```
 //!
 //! S. Skogestad, J. Process Control 13 (2003) 291-309, for SIMC; W. L. Luyben, Ind. Eng. Chem. Process Des. Dev. 25 (1986)
-//! 654-660, for the detuning of loops that act on each other. The gains are then played: where a loop still oscillates
-//! ([`dynocal_ident::play::oscillation`]), F grows and they are played again. The demands of a point may be far from the inputs
-//! with which it begins: the first test gives the steady gains by which the inputs are led there with open loops, and the test is
-//! repeated. Several points share one set of gains: the smallest of
-//! their own, detuned until the models of all points keep the margins and the trials at all points are quiet.
+//! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
+//! begins: the inputs are led there with open loops by the steady gains of the point before, for which the first has a test where
+//! it begins. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
+//! margins. The gains are then played at all points: where a loop still oscillates ([`dynocal_ident::play::oscillation`]), F
+//! grows and they are played again.
 
 mod fit;
 mod margin;
@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 use fit::Linear;
 use margin::Found;
 pub use margin::LoopMargin;
-use point::Bench;
+use point::{Bench, Point, Trial};
 
 /// How gains are found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,8 @@ pub struct TuneSpec {
     pub log_modulus_db: f64,
     /// Largest sensitivity of each loop alone.
     pub sensitivity: f64,
-    /// Tests at each point: the first where it begins, the others where its demands are held.
+    /// Most tests at each point. 1: one, where its plan begins. Else the inputs are led to where its demands are held, and the
+    /// test is made there; only the first point has a test where it begins, too.
     pub rounds: usize,
 }
 
@@ -166,18 +167,26 @@ pub fn tune(
 ) -> Result<Tuned, TuneError> {
     let loops = common_loops(plans)?;
     let mut bench = Bench { plant, spec, seed, interrupt, used_s: 0.0, oscillations: Vec::new() };
-    let mut points = Vec::new();
+    let mut points: Vec<Point> = Vec::new();
     for (k, plan) in plans.iter().enumerate() {
-        points.push(bench.point(plan, k)?);
+        let point = bench.point(plan, k, points.last().map(|p| &p.linear))?;
+        points.push(point);
     }
     let (mut factor, mut trials) = (1.0, 0);
     loop {
         let start = margin::least(loops, points.iter().map(|p| p.gains.as_slice()))?;
         let models: Vec<_> = points.iter().map(|p| &p.linear).collect();
         let found = margin::detuned(&models, &start, loops, spec, factor)?;
-        let Some((plan, o)) = bench.restless(&points, &found.loops)? else {
-            let at = points.iter().map(|p| (p.plan, p.inputs.clone()));
-            return Ok(Tuned { oscillations: bench.oscillations, used_s: bench.used_s, ..tuned(found, at) });
+        let (plan, o) = match bench.tried(&points, &found.loops)? {
+            Trial::Restless(plan, o) => (plan, o),
+            Trial::Quiet(inputs) => {
+                let at = points.iter().map(|p| p.plan).zip(inputs);
+                return Ok(Tuned {
+                    oscillations: bench.oscillations,
+                    used_s: bench.used_s,
+                    ..tuned(found, at)
+                });
+            }
         };
         trials += 1;
         if trials >= RETRY.1 {

@@ -4,13 +4,20 @@ use dynocal_calib::gains::{TuneSpec, Tuned, from_tests, test_plan, tune};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_ident::plant::Plant;
 use dynocal_ident::play::{Unwatched, oscillation, play};
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
+use dynocal_plant::sensors::NoiseLevels;
 
 fn bed(set: &str) -> EngineBed {
     let params = EngineParams::named(set).unwrap();
     EngineBed::new(&params, BedSettings::of_set(set, &params).unwrap()).unwrap()
+}
+
+fn noisy(set: &str, noise: NoiseLevels) -> EngineBed {
+    let params = EngineParams::named(set).unwrap();
+    EngineBed::new(&params, BedSettings { noise, ..BedSettings::of_set(set, &params).unwrap() }).unwrap()
 }
 
 /// Gains of torque by throttle and of lambda by injection that suit the engine of the thesis.
@@ -120,6 +127,38 @@ fn at_rest(plan: Plan) -> Plan {
     let channels =
         channels.map(|(c, v)| PlanChannel { values: vec![*v; c.values.len()], ..c.clone() }).collect();
     Plan { channels, ..plan }
+}
+
+/// Noise of the sensors leaves the gains what they are (least squares of a noisy record had them ten times too small), and the
+/// point where the demands are held, too.
+#[test]
+fn noise_of_the_sensors_does_not_bend_the_gains() {
+    let spec = TuneSpec::default();
+    for (set, torque, speed) in
+        [("pfi_1_6l", 50.0, 2000.0), ("pfi_1_6l", 20.0, 1100.0), ("thesis", 60.0, 1600.0)]
+    {
+        let plan = hold(torque, speed, OTHER_ENGINE);
+        let found = |torque_nm: f64, lambda: f64, seed: u64| {
+            let mut bed = noisy(set, NoiseLevels { torque_nm, lambda });
+            bed.reset(seed);
+            tune(&mut bed, std::slice::from_ref(&plan), &spec, 1, &|| false).unwrap()
+        };
+        let quiet = found(0.0, 0.0, 1);
+        println!("{set} {torque} {speed}: {:?} {:.0} s", quiet.loops, quiet.used_s);
+        for seed in 1..=3 {
+            let tuned = found(1.0, 0.01, seed);
+            kept(&tuned, &spec);
+            for (a, b) in tuned.loops.iter().zip(&quiet.loops) {
+                let (ki, kp) = (a.gains.ki / b.gains.ki, a.gains.kp / b.gains.kp);
+                println!("  {} ki {ki:.2} kp {kp:.2}, {:.0} s", a.output, tuned.used_s);
+                assert!(
+                    (0.5..2.0).contains(&ki) && (0.5..2.0).contains(&kp),
+                    "{set} {}: {ki} {kp}",
+                    a.output
+                );
+            }
+        }
+    }
 }
 
 /// An input that does nothing is said, with both names.

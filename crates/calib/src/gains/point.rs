@@ -1,4 +1,4 @@
-//! One operating point: its test, its model, the gains that are quiet there.
+//! One operating point: its test, its model, the gains that keep the margins there.
 
 use dynocal_ident::data::Dataset;
 use dynocal_ident::pi::PiGains;
@@ -12,7 +12,7 @@ use crate::supervisor;
 
 use super::fit::Linear;
 use super::margin;
-use super::{RETRY, TuneError, TuneSpec};
+use super::{TuneError, TuneSpec};
 
 /// Least size of a value of an input, as a share of its range, and where there is no range: what a share of it is taken of.
 const LEAST: (f64, f64) = (0.1, 1e-3);
@@ -21,8 +21,10 @@ const LEAST: (f64, f64) = (0.1, 1e-3);
 const STEPS: usize = 12;
 const NEAR: f64 = 0.02;
 const LONGEST_STEP: f64 = 0.2;
-/// Memories of the plant that it is given to come to rest; time over which a rest is averaged, in s.
+/// Memories of the plant that it is given to come to rest, and to come as near to it as a step of an approach asks; time over
+/// which a rest is averaged, in s.
 const SETTLE: f64 = 8.0;
+const NEARLY: f64 = 4.0;
 const REST_S: f64 = 1.0;
 
 /// A plant on which gains are tried, and what that took.
@@ -42,37 +44,49 @@ pub(super) struct Point<'a> {
     pub(super) inputs: Vec<f64>,
     /// Model there.
     pub(super) linear: Linear,
-    /// Gains that are quiet there.
+    /// Gains that keep the margins there.
     pub(super) gains: Vec<PiGains>,
 }
 
+/// How a trial of gains ends.
+pub(super) enum Trial {
+    /// Inputs at which the demands are held, by point.
+    Quiet(Vec<Vec<f64>>),
+    /// The first point at which a loop oscillates.
+    Restless(String, Oscillation),
+}
+
 impl Bench<'_> {
-    /// Tests about the first row of `plan`, number `k`, goes where its demands are held, tests and tries there.
-    pub(super) fn point<'a>(&mut self, plan: &'a Plan, k: usize) -> Result<Point<'a>, TuneError> {
+    /// Goes from the first row of `plan`, number `k`, to where its demands are held, and tests there. The way is found by the
+    /// model of a neighbour, `known`; without one a first test is made where the plan begins.
+    pub(super) fn point<'a>(
+        &mut self,
+        plan: &'a Plan,
+        k: usize,
+        known: Option<&Linear>,
+    ) -> Result<Point<'a>, TuneError> {
         let mut inputs = start(plan);
-        let mut linear = self.tested(plan, &inputs, 1000 * k)?;
-        for round in 1..self.spec.rounds {
-            inputs = self.approach(plan, inputs, &linear)?;
-            linear = self.tested(plan, &inputs, 1000 * k + 100 * round)?;
-        }
-        let alone = margin::alone(&linear, &plan.loops)?;
-        let (mut factor, mut trials) = (1.0, 0);
-        loop {
-            let found = margin::detuned(&[&linear], &alone, &plan.loops, self.spec, factor)?;
-            let (record, seen) = self.tried(plan, &inputs, &found.loops)?;
-            let Some(o) = seen else {
-                let inputs = means(plan, &record, samples(0.25 * self.spec.trial_s, plan))?;
-                let gains = found.loops.iter().map(|l| l.gains).collect();
-                return Ok(Point { plan, inputs, linear, gains });
-            };
-            trials += 1;
-            if trials >= RETRY.1 {
-                let (point, factor) = (plan.name.clone(), found.detuned);
-                return Err(TuneError::Restless { point, oscillation: Box::new(o), factor });
+        let mut linear = None;
+        for test in 0..self.spec.rounds {
+            let way = linear.as_ref().or(known).map(Linear::steady);
+            let mut arrived = false;
+            if let (Some(gains), true) = (way, self.spec.rounds > 1) {
+                (inputs, arrived) = self.approach(plan, inputs, gains)?;
             }
-            self.oscillations.push(o);
-            factor = RETRY.0 * found.detuned;
+            linear = Some(self.tested(plan, &inputs, 1000 * k + 100 * test)?);
+            if arrived {
+                break;
+            }
         }
+        // The rounds are checked to be one at least.
+        let linear = match linear {
+            Some(linear) => linear,
+            None => self.tested(plan, &inputs, 1000 * k)?,
+        };
+        let alone = margin::alone(&linear, &plan.loops)?;
+        let gains = margin::detuned(&[&linear], &alone, &plan.loops, self.spec, 1.0)?;
+        let gains = gains.loops.iter().map(|l| l.gains).collect();
+        Ok(Point { plan, inputs, linear, gains })
     }
 
     fn tested(&mut self, plan: &Plan, inputs: &[f64], stream: usize) -> Result<Linear, TuneError> {
@@ -80,10 +94,15 @@ impl Bench<'_> {
         Linear::fit(&record, &plan.loops, self.spec)
     }
 
-    /// From `inputs` towards the demands with all loops open: Newton steps on the steady gains of `linear`, corrected by what
-    /// each step does (Broyden), none larger than a share of the input. A loop that is closed far from its demand may have the
-    /// other sign there: on a lean mixture more throttle is less torque.
-    fn approach(&mut self, plan: &Plan, inputs: Vec<f64>, linear: &Linear) -> Result<Vec<f64>, TuneError> {
+    /// From `inputs` towards the demands with all loops open, and whether they are reached: Newton steps on steady `gains`,
+    /// corrected by what each step does (Broyden), none larger than a share of the input. A loop that is closed far from its
+    /// demand may have the other sign there: on a lean mixture more throttle is less torque.
+    fn approach(
+        &mut self,
+        plan: &Plan,
+        inputs: Vec<f64>,
+        mut gains: Vec<f64>,
+    ) -> Result<(Vec<f64>, bool), TuneError> {
         let n = plan.loops.len();
         let place = |l: &PlanLoop| plan.channels.iter().position(|c| c.name == l.input);
         let places: Vec<usize> = plan.loops.iter().filter_map(place).collect();
@@ -94,9 +113,8 @@ impl Bench<'_> {
             .collect();
         if places.len() < n || demands.len() < n {
             // The player names what is missing.
-            return Ok(inputs);
+            return Ok((inputs, true));
         }
-        let mut gains = linear.steady();
         let mut at = inputs;
         let mut before: Option<(Vec<f64>, Vec<f64>)> = None;
         for _ in 0..STEPS {
@@ -107,7 +125,7 @@ impl Bench<'_> {
             }
             let error: Vec<f64> = demands.iter().zip(&y).map(|(d, y)| d - y).collect();
             if error.iter().zip(&demands).all(|(e, d)| e.abs() <= NEAR * d.abs()) {
-                break;
+                return Ok((at, true));
             }
             let Ok(step) = least_squares(&gains, n, n, &error, 0.0) else { break };
             let channel = |k: usize| &plan.channels[places[k]];
@@ -118,7 +136,7 @@ impl Bench<'_> {
             }
             before = Some((u, y));
         }
-        Ok(at)
+        Ok((at, false))
     }
 
     /// Outputs of the loops at rest under constant inputs.
@@ -127,38 +145,25 @@ impl Bench<'_> {
         let outputs: Vec<String> = plan.loops.iter().map(|l| l.output.clone()).collect();
         let name = format!("{}, approach", plan.name);
         let open = Plan::open_loop(&name, plan.sample_time_s, held(plan, inputs, n));
-        let settle_s = SETTLE * self.spec.memory_s;
+        let settle_s = NEARLY * self.spec.memory_s;
         let hold = Plan { outputs, ..open.with_limits(plan.limits.clone()).settled(settle_s) };
         let record = self.played(&hold)?;
         let mean = |l: &PlanLoop| Ok(record.values(&l.output)?.iter().sum::<f64>() / n as f64);
         plan.loops.iter().map(mean).collect::<Result<_, PlayError>>().map_err(TuneError::from)
     }
 
-    /// The first point at which `loops` oscillate.
-    pub(super) fn restless(
-        &mut self,
-        points: &[Point],
-        loops: &[PlanLoop],
-    ) -> Result<Option<(String, Oscillation)>, TuneError> {
+    /// Plays `loops` at the demands of all `points`: the inputs that hold them, or the first point at which a loop oscillates.
+    pub(super) fn tried(&mut self, points: &[Point], loops: &[PlanLoop]) -> Result<Trial, TuneError> {
+        let mut inputs = Vec::with_capacity(points.len());
         for p in points {
-            if let (_, Some(o)) = self.tried(p.plan, &p.inputs, loops)? {
-                return Ok(Some((p.plan.name.clone(), o)));
+            let record = self.played(&trial(p.plan, &p.inputs, loops, self.spec))?;
+            let seen = loops.iter().map(|l| oscillation(&record, l)).collect::<Result<Vec<_>, _>>();
+            if let Some(o) = seen.map_err(PlayError::from)?.into_iter().flatten().next() {
+                return Ok(Trial::Restless(p.plan.name.clone(), o));
             }
+            inputs.push(means(p.plan, &record, samples(0.25 * self.spec.trial_s, p.plan))?);
         }
-        Ok(None)
-    }
-
-    /// Plays `loops` at the demands of a plan from `inputs`; what oscillates most.
-    fn tried(
-        &mut self,
-        plan: &Plan,
-        inputs: &[f64],
-        loops: &[PlanLoop],
-    ) -> Result<(Dataset, Option<Oscillation>), TuneError> {
-        let record = self.played(&trial(plan, inputs, loops, self.spec))?;
-        let seen = loops.iter().map(|l| oscillation(&record, l)).collect::<Result<Vec<_>, _>>();
-        let seen = seen.map_err(PlayError::from)?.into_iter().flatten().next();
-        Ok((record, seen))
+        Ok(Trial::Quiet(inputs))
     }
 
     fn played(&mut self, plan: &Plan) -> Result<Dataset, TuneError> {
