@@ -1,5 +1,5 @@
-//! The best setting of one operating point, measured on the plant: coordinate by coordinate, each by golden section and a
-//! parabola.
+//! The best setting of one operating point, measured on the plant: coordinate by coordinate, each downhill from where it stands
+//! and by parabolas.
 
 use super::hold::{Held, HoldSpec};
 use dynocal_ident::play::PlayError;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct SearchSpec {
     /// Settling and averaging at each setting.
     pub hold: HoldSpec,
-    /// Width of the bracket at which the search along one input ends, as a share of its range.
+    /// Change of an input, as a share of its range, at which the search along it ends; its first step is twice as long.
     pub tolerance: f64,
     /// Times that all free inputs are gone through; one is enough for a single free input.
     pub sweeps: usize,
@@ -43,8 +43,8 @@ pub struct FreeInput {
 
 /// Searches all free inputs from `start` (all inputs of the plan, its order); `measure` holds a setting and judges it.
 ///
-/// Along one input with everything else held there is one minimum of a smooth cost, so a bracket never loses it; with
-/// several inputs the sweeps approach a minimum along the axes.
+/// Along one input with everything else held there is one minimum of a smooth cost, so that the way downhill leads to it; with
+/// several inputs the sweeps approach a minimum along the axes. A start that is the best of a neighbouring point saves settings.
 ///
 /// # Errors
 /// [`PlayError`] of `measure`.
@@ -70,44 +70,82 @@ pub fn best_point(
     }
 }
 
-/// Golden section along one input, finished by the vertex of the parabola through the best three.
+/// Growth of the steps downhill, and most parabolas.
+const GROWTH: f64 = 1.618_033_988_749_895;
+const PARABOLAS: usize = 2;
+
+/// Along one input: steps downhill from where it stands until the least of three lies between the others or at the end of the
+/// range, then the vertex of the parabola through the best three, until it stays within the tolerance. Near a minimum, where a
+/// neighbour has one, that takes four or five settings instead of the nine of a golden section of the whole range.
 fn along(
     measure: &mut dyn FnMut(&[f64]) -> Result<Setting, PlayError>,
     from: &[f64],
     free: FreeInput,
     tolerance: f64,
 ) -> Result<Setting, PlayError> {
-    let mut seen: Vec<(f64, Setting)> = Vec::new();
-    let mut warm = from.to_vec();
-    let mut evaluate = |x: f64, seen: &mut Vec<(f64, Setting)>| -> Result<f64, PlayError> {
-        warm[free.place] = x;
-        let setting = measure(&warm)?;
-        warm.clone_from(&setting.held.inputs);
-        let cost = setting.cost;
-        seen.push((x, setting));
-        Ok(cost)
-    };
-    let golden = 0.5 * (5f64.sqrt() - 1.0);
-    let (mut lo, mut hi) = free.range;
-    let (mut a, mut b) = (hi - golden * (hi - lo), lo + golden * (hi - lo));
-    let (mut fa, mut fb) = (evaluate(a, &mut seen)?, evaluate(b, &mut seen)?);
-    while hi - lo > tolerance {
-        if fa <= fb {
-            (hi, b, fb) = (b, a, fa);
-            a = hi - golden * (hi - lo);
-            fa = evaluate(a, &mut seen)?;
-        } else {
-            (lo, a, fa) = (a, b, fb);
-            b = lo + golden * (hi - lo);
-            fb = evaluate(b, &mut seen)?;
+    let mut line = Line { measure, place: free.place, warm: from.to_vec(), seen: Vec::new() };
+    let (lo, hi) = free.range;
+    let start_at = from[free.place].clamp(lo, hi);
+    let mut at = start_at;
+    line.cost(at)?;
+    let first = if at + 2.0 * tolerance <= hi { 2.0 * tolerance } else { -2.0 * tolerance };
+    for start in [first, -first] {
+        let mut step = start;
+        loop {
+            let next = (at + step).clamp(lo, hi);
+            let before = line.least();
+            if next == at || line.cost(next)? >= before {
+                break;
+            }
+            at = next;
+            step *= GROWTH;
+        }
+        // Where the first direction went down, the start closes the bracket.
+        if at != start_at {
+            break;
         }
     }
-    if let Some(x) = vertex(&seen) {
-        evaluate(x.clamp(free.range.0, free.range.1), &mut seen)?;
+    for _ in 0..PARABOLAS {
+        let Some(x) = vertex(&line.seen).map(|x| x.clamp(lo, hi)) else { break };
+        if line.seen.iter().any(|(seen, _)| (x - seen).abs() < 0.05 * tolerance) {
+            break;
+        }
+        let away = (x - line.place_of_least()).abs();
+        line.cost(x)?;
+        if away <= tolerance {
+            break;
+        }
     }
-    // Both ends of the bracket were measured, so that there is a least one.
-    let best = seen.into_iter().map(|(_, s)| s).min_by(|x, y| x.cost.total_cmp(&y.cost));
+    let best = line.seen.into_iter().map(|(_, s)| s).min_by(|x, y| x.cost.total_cmp(&y.cost));
     best.map_or_else(|| measure(from), Ok)
+}
+
+/// Settings along one input, each begun where the one before it came to rest.
+struct Line<'a> {
+    measure: &'a mut dyn FnMut(&[f64]) -> Result<Setting, PlayError>,
+    place: usize,
+    warm: Vec<f64>,
+    seen: Vec<(f64, Setting)>,
+}
+
+impl Line<'_> {
+    fn cost(&mut self, x: f64) -> Result<f64, PlayError> {
+        self.warm[self.place] = x;
+        let setting = (self.measure)(&self.warm)?;
+        self.warm.clone_from(&setting.held.inputs);
+        let cost = setting.cost;
+        self.seen.push((x, setting));
+        Ok(cost)
+    }
+
+    fn least(&self) -> f64 {
+        self.seen.iter().map(|(_, s)| s.cost).fold(f64::INFINITY, f64::min)
+    }
+
+    fn place_of_least(&self) -> f64 {
+        let least = self.seen.iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
+        least.map_or(f64::NAN, |(x, _)| *x)
+    }
 }
 
 /// Abscissa of the vertex of the parabola through the three points of least cost, if it opens upwards.

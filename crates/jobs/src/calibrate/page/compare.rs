@@ -234,7 +234,7 @@ fn points(ctx: &Context, r: &ValidateResult) -> Details {
     head.push(Column::text("Missed"));
     let searched: Vec<&str> = ctx.channels.free.iter().map(|k| ctx.channels.inputs[*k].as_str()).collect();
     let mut table = Table::new(head).caption(format!(
-        "Points of the static map: {} searched by golden section at held demands",
+        "Points of the static map: {} searched downhill and by parabolas at held demands",
         searched.join(", ")
     ));
     for p in &r.static_map.points {
