@@ -13,6 +13,7 @@ pub mod rows;
 pub mod start;
 pub mod static_map;
 pub mod structured;
+pub mod structures;
 
 pub use filter::FirstOrder;
 pub use rows::Rows;
@@ -94,6 +95,27 @@ pub trait FeedforwardMap: Send + Sync {
     /// Actuators for a whole record of raw references (N x [`Ports::n_references`]), as the map would have given them online,
     /// sample by sample (causal: its own filter, delay and look-ahead included).
     fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows;
+
+    /// Steady-state actuators at an operating point (one row of references).
+    fn steady(&self, reference: &[f64]) -> Vec<f64>;
+
+    /// Name of its structure in the table ([`structures::MAP_STRUCTURES`]); empty for a map that is not kept.
+    fn structure(&self) -> &'static str {
+        ""
+    }
+
+    /// The map as JSON, without the name of its structure.
+    ///
+    /// # Errors
+    /// A map that is not kept has none.
+    fn stored(&self) -> Result<serde_json::Value, serde_json::Error> {
+        Err(serde::ser::Error::custom(format!("the {} is no structure of the table", self.name())))
+    }
+
+    /// The map as terms with coefficients, which is what exports and pages can show of it; none where it is not such.
+    fn terms(&self) -> Option<&structured::StructuredMap> {
+        None
+    }
 
     /// Longest time in s that the map waits on purpose before it answers a demand.
     fn latency_s(&self, sample_time_s: f64) -> f64;

@@ -3,6 +3,7 @@
 //! `dynocal list`, the forms of other faces and the conformance tests read it. The table of studies stands above this
 //! crate and is added by the program.
 
+use dynocal_calib::map::structures::MAP_STRUCTURES;
 use dynocal_calib::optimise::WAYS;
 use dynocal_design::criterion::CRITERIA;
 use dynocal_design::search::SEARCHES;
@@ -116,6 +117,15 @@ pub static FAMILIES: &[Family] = &[
         what: "Ways to optimise over a record",
         docs: || docs(WAYS),
         refusal: Some(|name, keys| refused(WAYS, name, keys)),
+    },
+    Family {
+        name: "maps",
+        what: "Structures of dynamic maps",
+        docs: || MAP_STRUCTURES.iter().map(|r| r.doc).collect(),
+        refusal: Some(|name, keys| {
+            let row = MAP_STRUCTURES.iter().find(|r| r.doc.name == name)?;
+            said((row.build)(keys))
+        }),
     },
     Family {
         name: "optimisers",

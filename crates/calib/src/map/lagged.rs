@@ -26,6 +26,10 @@ impl FeedforwardMap for LaggedStaticMap<'_> {
         &self.map.ports
     }
 
+    fn steady(&self, reference: &[f64]) -> Vec<f64> {
+        self.map.steady(reference)
+    }
+
     fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows {
         let mut out = self.map.drive(reference, sample_time_s);
         if out.is_empty() {

@@ -3,7 +3,8 @@
 //! A structured inverse of measured records, whose given channels are the operating channels and the inputs that no loop
 //! drives. It only has to be close: the demand of the optimisation is the models' own response to it.
 
-use super::structured::{MapError, Pairs, StructuredMap, StructuredShape};
+use super::structured::{StructuredMap, StructuredShape};
+use super::structures::{MapError, Pairs};
 use super::{ActuatorPort, Port, Ports, Rows};
 
 /// A fitted start rule.

@@ -93,6 +93,12 @@ impl FeedforwardMap for StaticMap {
         out
     }
 
+    fn steady(&self, reference: &[f64]) -> Vec<f64> {
+        let mut u = vec![0.0; self.ports.actuators.len()];
+        self.at(reference, &mut u);
+        u
+    }
+
     fn latency_s(&self, _sample_time_s: f64) -> f64 {
         0.0
     }

@@ -12,11 +12,70 @@
 pub mod terms;
 
 use super::filter::filtered;
+use super::structures::{
+    FitTask, FittedMap, InverseScore, MapError, MapRow, MapStructure, Pairs, StoredMap, r2,
+};
 use super::{FeedforwardMap, Ports, Rows};
+use dynocal_files::spec::Faults;
 use dynocal_numerics::linalg;
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
+use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use terms::{Scale, Term};
+
+/// Row of the table.
+pub(super) const ROW: MapRow = MapRow {
+    doc: MemberDoc {
+        name: "structured",
+        what: "a static part plus window differences of the demands, which vanish in steady state; no recursion",
+        params: &[
+            ParamDoc {
+                name: "look_ahead",
+                unit: "samples",
+                default: "4",
+                what: "future end of the windows: the map answers that much later",
+            },
+            ParamDoc {
+                name: "offsets",
+                unit: "samples",
+                default: "{}",
+                what: "offsets of the windows by reference, where they are not those of its role",
+            },
+            ParamDoc {
+                name: "filter_s",
+                unit: "s",
+                default: "{}",
+                what: "time constants of the filters of a demand, by its name",
+            },
+            ParamDoc {
+                name: "ridge",
+                unit: "-",
+                default: "1e-4",
+                what: "weight on squared coefficients per sample",
+            },
+            ParamDoc {
+                name: "steady_weight",
+                unit: "-",
+                default: "11",
+                what: "weight of samples at which the demands are nearly at rest",
+            },
+            ParamDoc {
+                name: "steady_share",
+                unit: "-",
+                default: "0.0165",
+                what: "change of a demand over its window, as a share of its largest value, that counts as rest",
+            },
+        ],
+    },
+    fits: |_| true,
+    build: |keys| Ok(Box::new(registry::keys::<StructuredShape>("structured", keys)?)),
+    read: |map| Ok(Arc::new(serde_json::from_value::<StructuredMap>(map)?)),
+};
+
+/// Farthest past sample that the map may look at.
+const MEMORY: i32 = 60;
 
 /// Shape of the structured inverse.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -81,14 +140,6 @@ impl StructuredShape {
     }
 }
 
-/// One record of measured pairs: the response that was measured and the actuators that caused it.
-pub struct Pairs<'a> {
-    /// Measured (or simulated) references, row t measured at instant t.
-    pub response: &'a Rows,
-    /// Actuators applied from instant t on.
-    pub actuators: &'a Rows,
-}
-
 /// A fitted structured inverse.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -109,20 +160,44 @@ pub struct StructuredMap {
     pub region: Vec<(f64, f64)>,
 }
 
-/// Why a map could not be fitted.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MapError {
-    /// Too few samples.
-    #[error("dynamic map: {found} usable samples for {needed} coefficients; record a longer or richer test")]
-    TooShort {
-        /// Samples.
-        found: usize,
-        /// Coefficients.
-        needed: usize,
-    },
-    /// The regression failed.
-    #[error("dynamic map: {0}")]
-    Regression(String),
+impl MapStructure for StructuredShape {
+    fn check(&self, ports: &Ports, key: &str, faults: &mut Faults) {
+        let name = |part: &str| format!("{key}.{part}");
+        faults.range(&name("ridge"), self.ridge, 0.0, 1.0, "-");
+        if self.look_ahead > MEMORY as usize {
+            faults.push(&name("look_ahead"), self.look_ahead, format!("at most {MEMORY} samples"));
+        }
+        let demands = ports.demands.len();
+        let known = |part: &str, found: Vec<&String>, known: Vec<String>, faults: &mut Faults| {
+            for unknown in found.into_iter().filter(|f| !known.contains(f)) {
+                faults.unknown(&name(part), unknown, &known);
+            }
+        };
+        known("offsets", self.offsets.keys().collect(), ports.reference_names(), faults);
+        let of_demands = ports.reference_names()[..demands].to_vec();
+        known("filter_s", self.filter_s.keys().collect(), of_demands, faults);
+        for (k, port) in ports.references().enumerate() {
+            let role = if k < demands { k.min(1) } else { 2 };
+            for offset in self.offsets_of(&port.name, role) {
+                // The window of a demand ends where the newest demand is.
+                let most = if role < 2 { self.look_ahead as i32 } else { MEMORY };
+                if *offset > most || *offset < -MEMORY || *offset == 0 {
+                    let part = name(&format!("offsets.{}", port.name));
+                    faults.push(&part, offset, format!("from -{MEMORY} to {most} samples, not 0"));
+                }
+            }
+        }
+    }
+
+    fn filter_s(&self, demand: &str, k: usize) -> Vec<f64> {
+        self.filter_of(demand, k).to_vec()
+    }
+
+    fn fit(&self, task: &FitTask) -> Result<FittedMap, MapError> {
+        let map = StructuredMap::fit(self, task.ports, task.pairs)?;
+        let scores = map.scores(task.pairs);
+        Ok(FittedMap { map: Some(StoredMap::new(map)), scores })
+    }
 }
 
 /// Largest offset back and ahead of the terms.
@@ -193,6 +268,30 @@ impl StructuredMap {
         })
     }
 
+    /// How well each actuator is given on the records, their ends with held references included.
+    fn scores(&self, data: &[Pairs]) -> Vec<InverseScore> {
+        let width = self.ports.actuators.len();
+        let mut u = vec![0.0; width];
+        let mut columns = vec![(Vec::new(), Vec::new()); width];
+        for pairs in data {
+            for t in 0..pairs.response.len() {
+                self.at(pairs.response, t, &mut u);
+                for (c, (y, z)) in columns.iter_mut().enumerate() {
+                    y.push(u[c]);
+                    z.push(pairs.actuators.row(t)[c]);
+                }
+            }
+        }
+        let score = |(port, (y, z)): (&super::ActuatorPort, (Vec<f64>, Vec<f64>))| InverseScore {
+            map: "structured inverse".into(),
+            actuator: port.name.clone(),
+            estimator: "least squares".into(),
+            r2: r2(&y, &z),
+            status: Status::Converged,
+        };
+        self.ports.actuators.iter().zip(columns).map(score).collect()
+    }
+
     /// Names of the coefficients.
     pub fn term_names(&self) -> Vec<String> {
         self.terms.iter().map(|t| t.name(&self.ports)).collect()
@@ -221,13 +320,6 @@ impl StructuredMap {
         };
         terms::values(&self.terms, &self.scales, at, &mut row);
         self.combine(&row, u);
-    }
-
-    /// Steady-state actuators at an operating point (one row of references).
-    pub fn steady(&self, reference: &[f64]) -> Vec<f64> {
-        let mut u = vec![0.0; self.coefficients.len()];
-        self.at(&Rows::from_values(reference.len(), reference.to_vec()), 0, &mut u);
-        u
     }
 }
 
@@ -274,6 +366,24 @@ impl FeedforwardMap for StructuredMap {
             self.combine(&row, out.row_mut(t));
         }
         out
+    }
+
+    fn steady(&self, reference: &[f64]) -> Vec<f64> {
+        let mut u = vec![0.0; self.coefficients.len()];
+        self.at(&Rows::from_values(reference.len(), reference.to_vec()), 0, &mut u);
+        u
+    }
+
+    fn structure(&self) -> &'static str {
+        ROW.doc.name
+    }
+
+    fn stored(&self) -> Result<serde_json::Value, serde_json::Error> {
+        serde_json::to_value(self)
+    }
+
+    fn terms(&self) -> Option<&StructuredMap> {
+        Some(self)
     }
 
     fn latency_s(&self, sample_time_s: f64) -> f64 {

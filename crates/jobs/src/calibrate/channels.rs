@@ -2,6 +2,7 @@
 
 use super::spec::CalibrateSpec;
 use dynocal_calib::map::{ActuatorPort, Port, Ports, Rows};
+use dynocal_calib::problem::{CalibrationProblem, InputChannel};
 use dynocal_ident::data::{DataError, Dataset};
 
 /// Names of the channels of a problem, and which input each loop drives.
@@ -25,6 +26,25 @@ pub struct Channels {
     pub ports: Ports,
 }
 
+fn port(name: &str, unit: &str) -> Port {
+    Port { name: name.into(), unit: unit.into() }
+}
+
+/// What maps read and give where `problem` is solved.
+pub fn ports(problem: &CalibrationProblem) -> Ports {
+    let actuator = |i: &InputChannel| ActuatorPort {
+        name: i.name.clone(),
+        unit: i.unit.clone(),
+        lower: i.lower,
+        upper: i.upper,
+    };
+    Ports {
+        demands: problem.demands.iter().map(|d| port(&d.output, &d.unit)).collect(),
+        given: problem.given.iter().map(|g| port(&g.name, &g.unit)).collect(),
+        actuators: problem.inputs.iter().map(actuator).collect(),
+    }
+}
+
 impl Channels {
     /// Channels of a checked spec.
     pub fn of(spec: &CalibrateSpec) -> Self {
@@ -35,21 +55,6 @@ impl Channels {
         let driven: Vec<usize> =
             problem.demands.iter().filter_map(|d| driver(&d.output).and_then(|l| place(&l.input))).collect();
         let free = (0..inputs.len()).filter(|k| !driven.contains(k)).collect();
-        let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
-        let ports = Ports {
-            demands: problem.demands.iter().map(|d| port(&d.output, &d.unit)).collect(),
-            given: problem.given.iter().map(|g| port(&g.name, &g.unit)).collect(),
-            actuators: problem
-                .inputs
-                .iter()
-                .map(|i| ActuatorPort {
-                    name: i.name.clone(),
-                    unit: i.unit.clone(),
-                    lower: i.lower,
-                    upper: i.upper,
-                })
-                .collect(),
-        };
         Self {
             inputs,
             driven,
@@ -58,7 +63,7 @@ impl Channels {
             demands: problem.demand_names(),
             others: problem.other_outputs(),
             meters: problem.meterable().into_iter().map(|d| port(&d.name, &d.unit)).collect(),
-            ports,
+            ports: ports(problem),
         }
     }
 

@@ -1,6 +1,8 @@
 //! Faults of a calibration spec that its types cannot show.
 
+use super::channels;
 use super::spec::CalibrateSpec;
+use dynocal_calib::map::structures::{self, MapError};
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
 use dynocal_plant::plants;
@@ -111,8 +113,6 @@ fn names(s: &CalibrateSpec, faults: &mut Faults) {
     each("identify.models", s.identify.models.keys().collect(), outputs.clone());
     each("identify.files", s.identify.files.keys().collect(), outputs.clone());
     each("validate.scenario.bands", s.validate.scenario.bands.keys().collect(), demands.clone());
-    each("invert.shape.offsets", s.invert.shape.offsets.keys().collect(), all(&[&demands, &given]));
-    each("invert.shape.filter_s", s.invert.shape.filter_s.keys().collect(), demands);
     for (key, ranges) in [("excite", &s.excite.ranges), ("optimise", &s.optimise.ranges)] {
         for (name, r) in ranges {
             if !(r.0.is_finite() && r.1.is_finite() && r.0 < r.1) {
@@ -131,32 +131,25 @@ fn names(s: &CalibrateSpec, faults: &mut Faults) {
     }
 }
 
-/// Farthest past sample that the map may look at.
-const MAP_MEMORY: i32 = 60;
-
+/// The structure of the map: its name, its keys, and whether it is made for the problem.
 fn shape(s: &CalibrateSpec, faults: &mut Faults) {
-    let shape = &s.invert.shape;
-    faults.range("invert.shape.ridge", shape.ridge, 0.0, 1.0, "-");
-    if shape.look_ahead > MAP_MEMORY as usize {
-        faults.push("invert.shape.look_ahead", shape.look_ahead, format!("at most {MAP_MEMORY} samples"));
-    }
-    let refs = s.problem.demands.iter().map(|d| &d.output).chain(s.problem.given.iter().map(|g| &g.name));
-    for (k, name) in refs.enumerate() {
-        let role = if k == 0 {
-            0
-        } else if k < s.problem.demands.len() {
-            1
-        } else {
-            2
-        };
-        for offset in shape.offsets_of(name, role) {
-            // The window of a demand ends where the newest demand is.
-            let most = if role < 2 { shape.look_ahead as i32 } else { MAP_MEMORY };
-            if *offset > most || *offset < -MAP_MEMORY || *offset == 0 {
-                let key = format!("invert.shape.offsets.{name}");
-                faults.push(&key, offset, format!("from -{MAP_MEMORY} to {most} samples, not 0"));
-            }
+    let ports = channels::ports(&s.problem);
+    for name in &s.invert.rivals {
+        if let Err(e) = structures::row(name) {
+            faults.push("invert.rivals", name, e);
         }
+    }
+    match structures::row(&s.invert.structure) {
+        Err(e) => faults.push("invert.structure", &s.invert.structure, e),
+        Ok(row) if !(row.fits)(&ports) => {
+            let structure = s.invert.structure.clone();
+            let names = [ports.reference_names(), ports.actuator_names()].concat().join(", ");
+            faults.push("invert.structure", &s.invert.structure, MapError::Ports { structure, ports: names });
+        }
+        Ok(row) => match (row.build)(&s.invert.shape) {
+            Err(e) => faults.push("invert.shape", &s.invert.shape, e),
+            Ok(built) => built.check(&ports, "invert.shape", faults),
+        },
     }
 }
 

@@ -3,7 +3,7 @@
 use super::channels::Channels;
 use super::spec::CalibrateSpec;
 use dynocal_calib::gains::{TuneError, Tuned};
-use dynocal_calib::map::structured::MapError;
+use dynocal_calib::map::structures::MapError;
 use dynocal_calib::optimise::OptimiseError;
 use dynocal_calib::problem::meter_name;
 use dynocal_calib::supervisor::{self, Predictor};

@@ -17,6 +17,7 @@ pub mod job;
 mod loops;
 mod model_spec;
 pub mod models;
+mod optimise_start;
 pub mod optimise_step;
 pub mod page;
 pub mod run;

@@ -284,7 +284,7 @@ fn step_invert(
             }
         }
         let done = invert(ctx, &optima, left_out, &last.models.chosen())?;
-        json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 2, &done.dynamic)?;
+        json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 3, &done.dynamic)?;
         Ok(done)
     })
 }

@@ -1,12 +1,13 @@
 //! The spec of a calibration as the user writes it. Every key has a default that works on the virtual engine.
 
 use dynocal_calib::gains::TuneSpec;
-use dynocal_calib::map::structured::StructuredShape;
+use dynocal_calib::map::structures::{self, MapStructure};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::SearchSpec;
 use dynocal_calib::validate::ValidateSpec;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLimit;
+use dynocal_numerics::registry::BuildError;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
@@ -291,8 +292,12 @@ impl Default for OptimiseSpec {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InvertSpec {
-    /// Shape of the structured inverse.
-    pub shape: StructuredShape,
+    /// Structure of the map that is delivered, a row of the table of map structures.
+    pub structure: String,
+    /// Its keys.
+    pub shape: toml::Table,
+    /// Structures that are fitted and compared beside it, where they are made for the problem's channels.
+    pub rivals: Vec<String>,
     /// Whether the map learns from the re-identified models' simulated outputs instead of the measured ones (better
     /// when sensors are noisy); `auto` decides by the noise of the plant.
     pub pairs: String,
@@ -300,7 +305,22 @@ pub struct InvertSpec {
 
 impl Default for InvertSpec {
     fn default() -> Self {
-        Self { shape: StructuredShape::default(), pairs: "auto".into() }
+        Self {
+            structure: "structured".into(),
+            shape: toml::Table::new(),
+            rivals: vec!["published_7_18".into()],
+            pairs: "auto".into(),
+        }
+    }
+}
+
+impl InvertSpec {
+    /// The structure with its keys.
+    ///
+    /// # Errors
+    /// [`BuildError`]: the name or a key.
+    pub fn built(&self) -> Result<Box<dyn MapStructure>, BuildError> {
+        (structures::row(&self.structure)?.build)(&self.shape)
     }
 }
 

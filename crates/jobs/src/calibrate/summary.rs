@@ -1,7 +1,6 @@
 //! `summary.json` of a calibration: results only, equal for equal runs (keys: docs/summary.md).
 
 use super::design_step::Gain;
-use super::invert_step::InverseScore;
 use super::models::{FreeRunScore, OutputModels};
 use super::optimise_step::{Miss, Pass};
 use super::run::{ChainResult, STEPS};
@@ -12,6 +11,7 @@ use super::verdict::{Verdict, stages};
 use crate::design::result::{CriterionLine, SafetyLine};
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticPoint;
+use dynocal_calib::map::structures::InverseScore;
 use dynocal_calib::problem::Metered;
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;

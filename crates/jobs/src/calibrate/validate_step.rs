@@ -74,8 +74,8 @@ pub fn validate(
     let lag_s = best_lag(ctx, &static_map, leader, &steps, models)?;
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
     let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
-    let mut maps: Vec<&dyn FeedforwardMap> = vec![&inverse.dynamic, &static_map, &lagged];
-    maps.extend(inverse.published.as_ref().map(|m| m as &dyn FeedforwardMap));
+    let mut maps: Vec<&dyn FeedforwardMap> = vec![&*inverse.dynamic, &static_map, &lagged];
+    maps.extend(inverse.rivals.iter().map(|m| &**m));
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
     let scenarios = [random_points(spec, problem, dt, &mut rng), steps];
     let runs = run_all(ctx, folder, &maps, &scenarios)?;

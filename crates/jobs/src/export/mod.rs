@@ -13,6 +13,7 @@ mod static_map;
 
 use std::path::{Path, PathBuf};
 
+use dynocal_calib::map::structures::StoredMap;
 use dynocal_export::ExportError;
 use dynocal_export::characteristic::Characteristic;
 use dynocal_export::format::{self, Keys, OutFile};
@@ -235,14 +236,21 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
             static_map(&map, spec.sample_time_s.or(origin.sample_time_s))
         }
         "dynocal/dynamic-map" => {
-            let map = json::read_versioned(path, "dynocal/dynamic-map", 2)?;
+            let map: StoredMap = json::read_versioned(path, "dynocal/dynamic-map", 3)?;
+            let map = map.terms().ok_or_else(|| {
+                let reason = format!(
+                    "found a map of the structure `{}`, expected one that is made of terms",
+                    map.structure()
+                );
+                ExportJobError::source(path, reason)
+            })?;
             let dt = spec.sample_time_s.or(origin.sample_time_s).ok_or_else(|| {
                 ExportJobError::source(
                     path,
                     "found no run with its sample time, expected one around it (or --sample-time-s)",
                 )
             })?;
-            dynamic_map(&map, dt)
+            dynamic_map(map, dt)
         }
         _ => Made { package: format::read(&path.display().to_string(), &bytes)?, notes: Vec::new() },
     };

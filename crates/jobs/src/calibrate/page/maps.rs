@@ -5,6 +5,7 @@ use super::super::invert_step::InvertResult;
 use super::super::verdict::word;
 use super::parts::{label, percent, unit};
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::map::structured::StructuredMap;
 use dynocal_calib::validate::reference_row;
 use dynocal_report::{Axis, Block, Cell, Column, Details, HeatMap, Section, Table};
 
@@ -22,7 +23,7 @@ pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>
         section = section.text(format!("Left out: {}.", i.left_out.join("; ")));
     }
     if let Some(grid) = Grid::over(ctx) {
-        for (c, port) in i.dynamic.ports.actuators.iter().enumerate() {
+        for (c, port) in i.dynamic.ports().actuators.iter().enumerate() {
             let (name, u) = (label(&port.name), unit(&port.unit));
             let dynamic = grid.values(|r| i.dynamic.steady(r)[c]);
             let fixed = rival.map(|rival| {
@@ -58,7 +59,11 @@ pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>
             section = section.columns(blocks);
         }
     }
-    section.block(scores(i)).block(coefficients(i))
+    let section = section.block(scores(i));
+    match i.dynamic.terms() {
+        Some(map) => section.block(coefficients(map)),
+        None => section,
+    }
 }
 
 /// The drawn plane: given channel and leading demand, everything else in its middle.
@@ -113,8 +118,7 @@ fn scores(i: &InvertResult) -> Table {
     table
 }
 
-fn coefficients(i: &InvertResult) -> Details {
-    let d = &i.dynamic;
+fn coefficients(d: &StructuredMap) -> Details {
     let head = d.ports.actuators.iter().map(|a| Column::number(label(&a.name), unit(&a.unit)).digits(5));
     let scales: Vec<String> = d
         .ports
