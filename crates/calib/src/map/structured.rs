@@ -164,6 +164,11 @@ impl MapStructure for StructuredShape {
     fn check(&self, ports: &Ports, key: &str, faults: &mut Faults) {
         let name = |part: &str| format!("{key}.{part}");
         faults.range(&name("ridge"), self.ridge, 0.0, 1.0, "-");
+        faults.range(&name("steady_weight"), self.steady_weight, 0.0, 1e6, "-");
+        faults.range(&name("steady_share"), self.steady_share, 0.0, 1.0, "-");
+        for (demand, lags) in &self.filter_s {
+            lags.iter().for_each(|s| faults.range(&name(&format!("filter_s.{demand}")), *s, 0.0, 60.0, "s"));
+        }
         if self.look_ahead > MEMORY as usize {
             faults.push(&name("look_ahead"), self.look_ahead, format!("at most {MEMORY} samples"));
         }

@@ -113,14 +113,6 @@ pub enum MapError {
     /// No stable fit.
     #[error("the map structure `{0}` found no fit that can be run; another one is chosen by `structure`")]
     Unstable(String),
-    /// The structure is made for other channels.
-    #[error("the map structure `{structure}` is not made for {ports}")]
-    Ports {
-        /// Structure.
-        structure: String,
-        /// References and actuators.
-        ports: String,
-    },
     /// The name or the keys.
     #[error(transparent)]
     Build(#[from] BuildError),

@@ -2,7 +2,7 @@
 
 use super::channels;
 use super::spec::CalibrateSpec;
-use dynocal_calib::map::structures::{self, MapError};
+use dynocal_calib::map::structures::{self, MAP_STRUCTURES};
 use dynocal_design::criterion::CRITERIA;
 use dynocal_files::spec::Faults;
 use dynocal_plant::plants;
@@ -134,22 +134,29 @@ fn names(s: &CalibrateSpec, faults: &mut Faults) {
 /// The structure of the map: its name, its keys, and whether it is made for the problem.
 fn shape(s: &CalibrateSpec, faults: &mut Faults) {
     let ports = channels::ports(&s.problem);
+    let known: Vec<String> = MAP_STRUCTURES.iter().map(|r| r.doc.name.to_string()).collect();
+    let find = |key: &str, name: &str, faults: &mut Faults| {
+        let row = structures::row(name);
+        if row.is_err() {
+            faults.unknown(key, name, &known);
+        }
+        row.ok()
+    };
     for name in &s.invert.rivals {
-        if let Err(e) = structures::row(name) {
-            faults.push("invert.rivals", name, e);
-        }
+        find("invert.rivals", name, faults);
     }
-    match structures::row(&s.invert.structure) {
-        Err(e) => faults.push("invert.structure", &s.invert.structure, e),
-        Ok(row) if !(row.fits)(&ports) => {
-            let structure = s.invert.structure.clone();
-            let names = [ports.reference_names(), ports.actuator_names()].concat().join(", ");
-            faults.push("invert.structure", &s.invert.structure, MapError::Ports { structure, ports: names });
+    let Some(row) = find("invert.structure", &s.invert.structure, faults) else { return };
+    if !(row.fits)(&ports) {
+        let structure = s.invert.structure.clone();
+        let names = [ports.reference_names(), ports.actuator_names()].concat().join(", ");
+        faults.push("invert.structure", &structure, format!("one that is made for {names}"));
+    }
+    match (row.build)(&s.invert.shape) {
+        Ok(built) => built.check(&ports, "invert.shape", faults),
+        Err(e) => {
+            let found: Vec<&str> = s.invert.shape.keys().map(String::as_str).collect();
+            faults.push("invert.shape", found.join(", "), format!("the keys of `{}` ({e})", row.doc.name));
         }
-        Ok(row) => match (row.build)(&s.invert.shape) {
-            Err(e) => faults.push("invert.shape", &s.invert.shape, e),
-            Ok(built) => built.check(&ports, "invert.shape", faults),
-        },
     }
 }
 
