@@ -47,6 +47,7 @@ mod shortfall;
 mod starts;
 mod stored;
 mod way;
+mod within;
 
 pub use error::OptimiseError;
 pub use horizon::Horizon;

@@ -33,6 +33,9 @@ pub enum DemandFrom {
     /// The models' own response to the start inputs: what these give can be met, by these at least.
     #[default]
     Response,
+    /// The same, led back smoothly where it leaves the range of the problem's demand by more than half of it: there nothing is
+    /// asked, and models rarely know much of it.
+    Within,
     /// The output as it stands in the start record: whether it can be met is found out.
     Record,
 }

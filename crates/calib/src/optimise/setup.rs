@@ -3,6 +3,7 @@
 use super::error::OptimiseError;
 use super::model::OutputModel;
 use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
+use super::within::led_back;
 use super::{DemandFrom, EndCondition, Found, History, OptimiseOptions};
 use crate::problem::{CalibrationProblem, LimitChannel};
 use dynocal_ident::data::Dataset;
@@ -111,7 +112,7 @@ impl<'a> Setup<'a> {
         Ok(setup)
     }
 
-    /// Simulates all models on the start inputs: demands that the record does not give, and starts of the other outputs.
+    /// Simulates all models on the start inputs: demands that the record does not give, starts of the other outputs.
     fn respond(&mut self, record: &Dataset) -> Result<(), OptimiseError> {
         for k in 0..self.models.len() {
             let m = self.models[k].clone();
@@ -125,7 +126,11 @@ impl<'a> Setup<'a> {
                 let (output, record) = (m.output.clone(), record.name.clone());
                 return Err(OptimiseError::Unstable { output, record });
             };
-            let values: Vec<f64> = y.iter().map(|v| m.way.to_user(*v)).collect();
+            let mut values: Vec<f64> = y.iter().map(|v| m.way.to_user(*v)).collect();
+            let demand = self.problem.demands.iter().find(|d| d.output == m.output);
+            if let (DemandFrom::Within, Some(d)) = (self.options.demand, demand) {
+                led_back(&mut values, d.lower..d.upper, self.from + self.lag, self.lag);
+            }
             match self.columns.contains(&m.output) {
                 true => self.put_column(&m.output, &values),
                 false => self.given.push((m.output.clone(), values)),

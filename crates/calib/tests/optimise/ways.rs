@@ -219,3 +219,34 @@ fn a_case_of_one_state_agrees_with_dynamic_programming_within_its_grid() {
     let u = found.input("u").expect("u");
     assert!(u[1..n - 1].iter().any(|u| *u > bound - 1e-4) && u[n - 2] < bound - 0.05, "{u:?}");
 }
+
+/// y(t) = 0.5 y(t-1) + u(t-3): pulses of u that take y to four times its range, the first as early as inputs may move. A demand
+/// that is led back stays what the models answer where no input acts yet, so that it can be met there, and far from the pulses.
+#[test]
+fn a_demand_that_is_led_back_can_be_met_from_the_first_sample_on() {
+    let p = problem(
+        r#"
+        minimise = [{ channel = "u", weight = 1.0 }]
+        inputs = [{ name = "u", unit = "-", lower = -5.0, upper = 5.0 }]
+        demands = [{ output = "y", unit = "-", lower = 0.0, upper = 1.0 }]
+        "#,
+    );
+    let y = PolyNarx::parse(&["u"], "y", &["y(t-1)", "u(t-3)"]).expect("structure");
+    let models = [OutputModel::plain("y", &y, &[0.5, 1.0], &["u"])];
+    let u: Vec<f64> =
+        (0..200).map(|t| if (3..15).contains(&t) || (100..120).contains(&t) { 2.0 } else { 0.3 }).collect();
+    let record = start(&[("u", Role::Input, u), ("y", Role::Output, vec![0.6; 200])]);
+    let of = |demand| solve(&p, &models, &record, &OptimiseOptions { demand, ..OptimiseOptions::default() });
+    let (plain, within) = (of(DemandFrom::Response), of(DemandFrom::Within));
+    for o in [&plain, &within] {
+        assert_eq!(o.status, Status::Converged);
+        assert!(o.violation("y") < 1e-6, "{:?}", o.violations);
+    }
+    let (a, b) = (&plain.demands[0].values, &within.demands[0].values);
+    let largest = |v: &[f64]| v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    // The pulses are asked for by the response; led back they end half a range above, where they last long enough.
+    assert!(largest(a) > 3.9 && largest(&b[108..115]) < 1.6, "{} {}", largest(a), largest(&b[108..115]));
+    for t in (0..6).chain(60..70).chain(160..200) {
+        assert!((a[t] - b[t]).abs() < 1e-6, "{t}: {} {}", a[t], b[t]);
+    }
+}

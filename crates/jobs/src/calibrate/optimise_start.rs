@@ -8,7 +8,6 @@ use dynocal_calib::map::start::{StartRule, rate_limited};
 use dynocal_calib::map::structured::StructuredShape;
 use dynocal_calib::map::structures::MapError;
 use dynocal_calib::map::{Port, Rows};
-use dynocal_calib::optimise::DemandFrom;
 use dynocal_calib::validate::inner;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::stored::StoredModel;
@@ -27,7 +26,7 @@ pub(super) fn start_record(
     k: usize,
     models: &[&StoredModel],
     data: &[(Dataset, PathBuf)],
-) -> Result<(Dataset, DemandFrom), ChainError> {
+) -> Result<Dataset, ChainError> {
     let (spec, problem, channels) = (&ctx.spec.optimise, &ctx.spec.problem, &ctx.channels);
     let dt = ctx.spec.sample_time_s;
     let n = (spec.record_s / dt).round() as usize;
@@ -66,20 +65,17 @@ pub(super) fn start_record(
     let mapped = start_maps(ctx)?.into_iter().map(|m| (m.input, m.along(&references, n))).collect();
     let begin = Begin { ctx, k, models, demands, given, free, mapped };
     let mut reference = begin.demands.clone();
-    let mut best: Option<(f64, Dataset, Vec<Vec<f64>>)> = None;
+    let mut best: Option<(f64, Dataset)> = None;
     for _ in 0..=CORRECTIONS {
         let record = begin.driven(&rule, &reference);
         let Some(response) = begin.response(&record) else { break };
         let cost = begin.correct(&response, &mut reference);
         if best.as_ref().is_none_or(|b| cost < b.0) {
-            best = Some((cost, record, response));
+            best = Some((cost, record));
         }
     }
-    Ok(match best {
-        Some((_, record, response)) => (begin.demanding(record, response), DemandFrom::Record),
-        // The optimisation says which model runs away.
-        None => (begin.driven(&rule, &begin.demands), DemandFrom::Response),
-    })
+    // Where a model runs away the optimisation says which.
+    Ok(best.map_or_else(|| begin.driven(&rule, &begin.demands), |b| b.1))
 }
 
 /// Times that the start is corrected by what the models say of it, and the share of the miss that each takes back.
@@ -135,23 +131,8 @@ impl Begin<'_> {
         self.ctx.channels.demands.iter().map(of).collect()
     }
 
-    /// The record with demands that are the response of the models, led back smoothly where it leaves the range of the problem's
-    /// demand by more than half of it: there nothing is asked, and little was measured that could be optimised on.
-    fn demanding(&self, mut record: Dataset, response: Vec<Vec<f64>>) -> Dataset {
-        for (d, mut y) in self.ctx.spec.problem.demands.iter().zip(response) {
-            let beyond = 0.5 * (d.upper - d.lower);
-            let outside = y.iter().map(|v| v.clamp(d.lower - beyond, d.upper + beyond) - v).collect();
-            let back = smoothed(outside, self.ctx.spec.sample_time_s);
-            y.iter_mut().zip(back).for_each(|(v, b)| *v += b);
-            for c in record.channels.iter_mut().filter(|c| c.name == d.output) {
-                c.values.clone_from(&y);
-            }
-        }
-        record
-    }
-
-    /// Moves the reference against the miss of the response, by one range of the demand beyond it at most; mean square of the miss in units of
-    /// that range. The rule is an approximate inverse of the models: the iteration is that of internal model control over a record.
+    /// Moves the reference against the miss of the response, by one range of the demand beyond it at most; mean square of the miss
+    /// in units of that range. The rule is an approximate inverse of the models: the iteration is that of internal model control over a record.
     fn correct(&self, response: &[Vec<f64>], reference: &mut [Vec<f64>]) -> f64 {
         let mut cost = 0.0;
         let ranges = self.ctx.spec.problem.demands.iter().map(|d| (d.lower, d.upper));

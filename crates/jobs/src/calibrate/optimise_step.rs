@@ -4,7 +4,7 @@ use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_re
 use super::models::{ModelData, ModelsResult, identify_again};
 use super::optimise_start::start_record;
 use dynocal_calib::map::Port;
-use dynocal_calib::optimise::{OptimiseOptions, Optimum, optimise_record};
+use dynocal_calib::optimise::{DemandFrom, OptimiseOptions, Optimum, optimise_record};
 use dynocal_calib::problem::{CalibrationProblem, Metered, meter_name};
 use dynocal_calib::validate::objective;
 use dynocal_ident::data::{Channel, Dataset, UnitAfter};
@@ -79,8 +79,8 @@ pub struct OptimiseResult {
     pub bed_s: f64,
 }
 
-/// Largest violation of a demand at which an optimum counts as feasible, as a share of its range: models are off by ten times that
-/// and more.
+/// Largest violation of a demand at which an optimum counts as feasible, as a share of its range. It
+/// is small beside what models and sensors are off by.
 pub const VIOLATION: f64 = 1e-3;
 
 /// Runs all passes.
@@ -118,9 +118,9 @@ fn one_pass(
 ) -> Result<Pass, ChainError> {
     ctx.check_interrupt()?;
     let chosen = models.chosen();
-    let (start, demand) = start_record(ctx, k, &chosen, data)?;
+    let start = start_record(ctx, k, &chosen, data)?;
     let options = OptimiseOptions {
-        demand,
+        demand: DemandFrom::Within,
         max_iterations: ctx.spec.optimise.max_iterations,
         tolerance: ctx.spec.optimise.tolerance,
         smoothing: ctx.spec.optimise.smoothing,
