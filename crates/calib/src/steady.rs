@@ -1,7 +1,17 @@
-//! Steady calibration on a plant: demands held by loops, the inputs that no loop drives searched for the least objective.
+//! Steady calibration on a plant.
+//!
+//! Two ways to a map: demands held by loops and the inputs that no loop drives searched on the plant, point by point ([`search`]);
+//! or a day of planned points ([`station`], [`day`]) from which response models are learnt, and the optimum of every cell of the
+//! map found on them ([`cell`], [`grid`]).
 
+pub mod cell;
+pub mod day;
+pub mod grid;
 pub mod hold;
+pub mod layout;
+pub mod normal;
 pub mod search;
+pub mod station;
 
 pub use hold::{Held, HoldSpec, hold};
 pub use search::{SearchSpec, best_point};

@@ -133,6 +133,7 @@ fn no_value_of_a_spec_ends_a_check_without_a_word() {
         ("sequential", "sequential/spec.toml"),
         ("calibrate", "gtdi/calibrate.toml"),
         ("calibrate", "gtdi_2l/calibrate.toml"),
+        ("map", "gtdi_2l/map.toml"),
     ] {
         let root: Table = std::fs::read_to_string(example(file)).unwrap().parse().unwrap();
         let mut all = Vec::new();
@@ -300,11 +301,13 @@ fn folders_that_cannot_be_written_are_known_at_once() {
     let design = example("design/spec.toml").display().to_string();
     let calibrate = example("gtdi/calibrate.toml").display().to_string();
     let sequential = example("sequential/spec.toml").display().to_string();
+    let map = example("gtdi_2l/map.toml").display().to_string();
     for args in [
         vec!["identify", &furnace],
         vec!["design", &design],
         vec!["calibrate", &calibrate],
         vec!["sequential", &sequential],
+        vec!["map", &map],
     ] {
         let args = strings(&[&args[..], &["--out", "taken/run", "--threads", "2"]].concat());
         let o = bounded(tmp.path(), 3, 2_000_000, &args);

@@ -12,6 +12,7 @@ pub mod error;
 pub mod information;
 mod kernel;
 pub mod noise_model;
+pub mod points;
 pub mod problem;
 pub mod safety;
 pub mod schedule;

@@ -11,7 +11,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::kinds;
 use dynocal_ident::prepare::{self, Planned, prepare};
 use dynocal_ident::{select, signal};
-use dynocal_jobs::{calibrate, design, identify, optimise, sequential, signal as signals};
+use dynocal_jobs::{calibrate, design, identify, map, optimise, sequential, signal as signals};
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -131,6 +131,13 @@ fn read(verb: &str, path: &Path) -> bool {
             let Ok(job) = sequential::spec::read(path, &overrides) else { return false };
             sequential::estimate::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_finite())
         }
+        "map" => {
+            let overrides = dynocal_jobs::place::Overrides { seed: None, out };
+            let Ok(job) = map::spec::read(path, &overrides) else { return false };
+            let plan = map::estimate::estimate(&job);
+            assert!(plan.memory_bytes.is_finite() && plan.operations.is_finite(), "{plan:?}");
+            true
+        }
         _ => {
             let Ok(campaign) = calibrate::job::read(path, None, out.as_deref()) else { return false };
             let plan = calibrate::estimate::estimate(&campaign);
@@ -153,6 +160,7 @@ fn examples() -> Vec<(&'static str, PathBuf)> {
         ("calibrate", "gtdi/calibrate.toml"),
         ("calibrate", "gtdi/quick.toml"),
         ("calibrate", "gtdi_2l/calibrate.toml"),
+        ("map", "gtdi_2l/map.toml"),
         ("sequential", "sequential/spec.toml"),
         ("identify", "steady/engine_points.toml"),
     ]

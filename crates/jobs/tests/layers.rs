@@ -23,6 +23,7 @@ const ORDER: &[&str] = &[
     "design",
     "sequential",
     "calibrate",
+    "map",
     "export",
     "families",
 ];

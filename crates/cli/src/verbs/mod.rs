@@ -30,6 +30,7 @@ mod reading;
 verbs![
     new,        //
     calibrate,  //
+    map,        //
     identify,   //
     simulate,   //
     optimise,   //

@@ -1,0 +1,225 @@
+//! A day on the bed: planned points in blocks, a repeated point between them, a budget.
+//!
+//! The points of a low-discrepancy sequence fill the space block by block; within a block the order is that of short ways. The
+//! first point of the day is measured again before every block: its scatter is the noise of a point, its trend over the bed time
+//! the drift.
+//!
+//! ```text
+//! y_k = a + b t_k + e_k                    repeats of one response: drift b, noise std e
+//! y   = measured - b (t - mean t_k)        where |b| > t_0.995 se(b)
+//! ```
+
+use dynocal_design::points::{MOST_DIMENSIONS, Sobol, short_ways};
+use dynocal_ident::play::{PlayError, Reason};
+use dynocal_numerics::watch::Watch;
+use serde::{Deserialize, Serialize};
+
+use super::layout::Layout;
+use super::station::{Station, SteadyPoint};
+
+/// Why a point was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Purpose {
+    /// To learn from.
+    Plan,
+    /// The repeated point.
+    Repeat,
+    /// To verify maps.
+    Verify,
+}
+
+/// A point of the day.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DayPoint {
+    /// Why.
+    pub purpose: Purpose,
+    /// The point.
+    #[serde(flatten)]
+    pub point: SteadyPoint,
+}
+
+/// What bed time may be spent on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DayPlan {
+    /// Points to learn from, repeats left out.
+    pub points: usize,
+    /// Points of a block.
+    pub block: usize,
+    /// Bed time in s after which no further point begins.
+    pub bed_s: f64,
+    /// Seed of the plan.
+    pub seed: u64,
+}
+
+/// Points in a row that cannot be used before the day is given up.
+const GIVEN_UP: usize = 8;
+
+/// Why a day ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DayEnd {
+    /// The plan is done.
+    Done,
+    /// The bed time is used up.
+    BedTime,
+    /// Many points in a row could not be used; the notes of the last ones.
+    Unusable(String),
+    /// The plant refused to go on.
+    Refused(String),
+}
+
+/// The planned points in the order in which they are measured, by blocks.
+pub fn blocks(layout: &Layout, plan: &DayPlan) -> Vec<Vec<Vec<f64>>> {
+    let d = layout.factors.len();
+    let mut at = vec![0.5; d];
+    let Some(mut sequence) = Sobol::new(d.min(MOST_DIMENSIONS), plan.seed) else { return Vec::new() };
+    let mut left = plan.points;
+    let mut all = Vec::new();
+    while left > 0 {
+        let n = left.min(plan.block.max(1));
+        let mut unit: Vec<Vec<f64>> = (0..n).map(|_| sequence.next_point()).collect();
+        if all.is_empty() {
+            corners(&mut unit, layout.axes);
+        }
+        let order = short_ways(&unit, &at);
+        if let Some(last) = order.last() {
+            at.clone_from(&unit[*last]);
+        }
+        all.push(order.iter().map(|k| layout.from_unit(&unit[*k])).collect());
+        left -= n;
+    }
+    all
+}
+
+/// Moves the first points to the corners of the axes, where they leave as many points again elsewhere: maps reach there.
+fn corners(unit: &mut [Vec<f64>], axes: usize) {
+    let all = 1usize << axes;
+    if unit.len() < 2 * all {
+        return;
+    }
+    for (corner, point) in unit.iter_mut().take(all).enumerate() {
+        for (k, x) in point.iter_mut().take(axes).enumerate() {
+            *x = f64::from(u8::from(corner >> k & 1 == 1));
+        }
+    }
+}
+
+/// Measures the blocks with a repeat of `first` before each and at the end; what was measured and why it ended.
+///
+/// # Errors
+/// [`PlayError`]: the plan does not fit the plant, or the user interrupted.
+pub fn measure(
+    station: &mut Station,
+    layout: &Layout,
+    first: &[f64],
+    plan: &DayPlan,
+    watch: Watch,
+) -> Result<(Vec<DayPoint>, DayEnd), PlayError> {
+    let blocks = blocks(layout, plan);
+    let mut tasks: Vec<(Purpose, Vec<f64>)> = Vec::new();
+    for block in blocks {
+        tasks.push((Purpose::Repeat, first.to_vec()));
+        tasks.extend(block.into_iter().map(|x| (Purpose::Plan, x)));
+    }
+    tasks.push((Purpose::Repeat, first.to_vec()));
+    let (mut points, mut unusable) = (Vec::new(), 0);
+    let n = tasks.len();
+    for (k, (purpose, target)) in tasks.into_iter().enumerate() {
+        if station.used_s >= plan.bed_s {
+            return Ok((points, DayEnd::BedTime));
+        }
+        watch.fraction(k as f64 / n as f64);
+        let point = match station.measure(&target) {
+            Ok(point) => point,
+            Err(e) => return refused(e).map(|words| (points, DayEnd::Refused(words))),
+        };
+        unusable = if point.usable { 0 } else { unusable + 1 };
+        points.push(DayPoint { purpose, point });
+        if unusable >= GIVEN_UP {
+            let notes: Vec<&str> = points.iter().rev().take(3).map(|p| p.point.note.as_str()).collect();
+            return Ok((points.clone(), DayEnd::Unusable(notes.join(" | "))));
+        }
+    }
+    Ok((points, DayEnd::Done))
+}
+
+/// A plant that refuses ends the day; anything else is an error.
+pub fn refused(e: PlayError) -> Result<String, PlayError> {
+    match &e {
+        PlayError::Ended { stop, .. } if matches!(stop.reason, Reason::Refused(_)) => Ok(stop.to_string()),
+        PlayError::Plant(p) => Ok(p.to_string()),
+        _ => Err(e),
+    }
+}
+
+/// What the repeats of one response say.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Drift {
+    /// Response.
+    pub response: String,
+    /// Unit.
+    pub unit: String,
+    /// Repeats.
+    pub repeats: usize,
+    /// Mean.
+    pub mean: f64,
+    /// Scatter of a point about the trend: standard deviation.
+    pub noise: f64,
+    /// Drift per hour.
+    pub per_hour: f64,
+    /// Standard error of the drift per hour.
+    pub per_hour_error: f64,
+    /// Whether the drift is told from scatter with 99 %, and the points were corrected for it.
+    pub corrected: bool,
+    /// Mean bed time of the repeats in s: where the correction is zero.
+    pub mean_s: f64,
+}
+
+/// Quantiles 0.995 of Student's t with 1 to 30 degrees of freedom.
+const T_995: [f64; 30] = [
+    63.657, 9.925, 5.841, 4.604, 4.032, 3.707, 3.499, 3.355, 3.250, 3.169, 3.106, 3.055, 3.012, 2.977, 2.947,
+    2.921, 2.898, 2.878, 2.861, 2.845, 2.831, 2.819, 2.807, 2.797, 2.787, 2.779, 2.771, 2.763, 2.756, 2.750,
+];
+
+/// Drift of every response from the usable repeats; none with fewer than four of them.
+pub fn drift(layout: &Layout, points: &[DayPoint]) -> Vec<Drift> {
+    let repeats: Vec<&SteadyPoint> =
+        points.iter().filter(|p| p.purpose == Purpose::Repeat && p.point.usable).map(|p| &p.point).collect();
+    let n = repeats.len();
+    if n < 4 {
+        return Vec::new();
+    }
+    let count = n as f64;
+    let mean_s = repeats.iter().map(|p| p.at_s).sum::<f64>() / count;
+    let spread = repeats.iter().map(|p| (p.at_s - mean_s).powi(2)).sum::<f64>();
+    let one = |(k, r): (usize, &super::layout::ResponseChannel)| {
+        let mean = repeats.iter().map(|p| p.responses[k]).sum::<f64>() / count;
+        let slope = repeats.iter().map(|p| (p.at_s - mean_s) * (p.responses[k] - mean)).sum::<f64>() / spread;
+        let rest = repeats.iter().map(|p| (p.responses[k] - mean - slope * (p.at_s - mean_s)).powi(2));
+        let noise = (rest.sum::<f64>() / (count - 2.0)).sqrt();
+        let error = noise / spread.sqrt();
+        let t = T_995[(n - 2).min(T_995.len()) - 1];
+        Drift {
+            response: r.name.clone(),
+            unit: r.unit.clone(),
+            repeats: n,
+            mean,
+            noise,
+            per_hour: 3600.0 * slope,
+            per_hour_error: 3600.0 * error,
+            corrected: slope.abs() > t * error && slope.is_finite(),
+            mean_s,
+        }
+    };
+    layout.responses.iter().enumerate().map(one).collect()
+}
+
+/// Response number `k` of a point less the drift that was found.
+pub fn corrected(point: &SteadyPoint, k: usize, drift: &[Drift]) -> f64 {
+    let value = point.responses[k];
+    match drift.get(k).filter(|d| d.corrected) {
+        Some(d) => value - d.per_hour / 3600.0 * (point.at_s - d.mean_s),
+        None => value,
+    }
+}

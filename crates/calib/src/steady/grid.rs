@@ -1,0 +1,236 @@
+//! The map: the optimum of every cell, neighbours as starts, smoothed within a tolerance, unreachable cells filled and marked.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::cell::{CellOptimum, Setting};
+
+/// How a map is made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GridSpec {
+    /// Probability with which each limit is kept in each cell, as far as the models know themselves.
+    pub probability: f64,
+    /// Standard deviations of the models that are added to what is minimised: what they do not know is no gain.
+    pub caution: f64,
+    /// Starts of each cell.
+    pub starts: usize,
+    /// Share of what is minimised that a smoother map may cost in a cell; 0: it is left as it is.
+    pub smooth: f64,
+}
+
+impl Default for GridSpec {
+    fn default() -> Self {
+        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002 }
+    }
+}
+
+/// What is known of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CellState {
+    /// Its optimum keeps all limits.
+    Optimal,
+    /// No setting keeps all limits with the asked probability: the least violation stands there.
+    Infeasible,
+    /// Outside of what was reached on the bed: filled from its neighbours.
+    Filled,
+}
+
+/// A cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// Values of the axes.
+    pub at: Vec<f64>,
+    /// What it is.
+    pub state: CellState,
+    /// What stands in the map.
+    pub optimum: CellOptimum,
+    /// What is minimised before the map was smoothed, caution included.
+    pub best: f64,
+}
+
+/// Sweeps of the smoothing.
+const SWEEPS: usize = 12;
+/// Shares of the way to the mean of the neighbours that are tried.
+const STEPS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
+
+/// Places of the neighbours of cell `k` along each axis.
+fn neighbours(axes: &[Vec<f64>], k: usize) -> Vec<usize> {
+    let (mut all, mut stride) = (Vec::new(), 1);
+    for axis in axes.iter().rev() {
+        let i = (k / stride) % axis.len();
+        if i > 0 {
+            all.push(k - stride);
+        }
+        if i + 1 < axis.len() {
+            all.push(k + stride);
+        }
+        stride *= axis.len();
+    }
+    all
+}
+
+/// Values of the axes at cell `k`, the last axis fastest.
+pub fn place(axes: &[Vec<f64>], k: usize) -> Vec<f64> {
+    let mut rest = k;
+    let mut at: Vec<f64> = axes
+        .iter()
+        .rev()
+        .map(|axis| {
+            let v = axis[rest % axis.len()];
+            rest /= axis.len();
+            v
+        })
+        .collect();
+    at.reverse();
+    at
+}
+
+/// The cells of a map over `axes`, the last axis fastest. `reached` tells where the bed has been.
+pub fn solve(
+    setting: &Setting,
+    axes: &[Vec<f64>],
+    spec: &GridSpec,
+    reached: &(dyn Fn(&[f64]) -> bool + Sync),
+    seed: u64,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Vec<Cell> {
+    let n: usize = axes.iter().map(Vec::len).product();
+    let first: Vec<CellOptimum> = (0..n)
+        .into_par_iter()
+        .map(|k| setting.optimise(&place(axes, k), spec.starts, &[], seed, &|| interrupt()))
+        .collect();
+    // A neighbour may have found a better valley.
+    let second: Vec<CellOptimum> = (0..n)
+        .into_par_iter()
+        .map(|k| {
+            let warm: Vec<Vec<f64>> = neighbours(axes, k).into_iter().map(|j| first[j].x.clone()).collect();
+            let found = setting.optimise(&place(axes, k), 1, &warm, seed, &|| interrupt());
+            if setting.better(&found, &first[k]) { found } else { first[k].clone() }
+        })
+        .collect();
+    let mut cells: Vec<Cell> = second
+        .into_iter()
+        .enumerate()
+        .map(|(k, optimum)| {
+            let at = place(axes, k);
+            let state = match (reached(&at), optimum.feasible) {
+                (false, _) => CellState::Filled,
+                (true, true) => CellState::Optimal,
+                (true, false) => CellState::Infeasible,
+            };
+            Cell { at, state, best: setting.cost(&optimum), optimum }
+        })
+        .collect();
+    smooth(setting, axes, spec, &mut cells);
+    fill(setting, axes, &mut cells);
+    cells
+}
+
+/// Moves optimal cells towards the mean of their optimal neighbours as far as limits and tolerance allow.
+fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Cell]) {
+    if spec.smooth <= 0.0 {
+        return;
+    }
+    for _ in 0..SWEEPS {
+        let mut moved = false;
+        for k in 0..cells.len() {
+            if cells[k].state != CellState::Optimal {
+                continue;
+            }
+            let around: Vec<usize> =
+                neighbours(axes, k).into_iter().filter(|j| cells[*j].state == CellState::Optimal).collect();
+            if around.is_empty() {
+                continue;
+            }
+            let x = cells[k].optimum.x.clone();
+            let mean =
+                |i: usize| around.iter().map(|j| cells[*j].optimum.x[i]).sum::<f64>() / around.len() as f64;
+            let target: Vec<f64> =
+                (0..x.len()).map(|i| if i < setting.axes { x[i] } else { mean(i) }).collect();
+            let allowed = cells[k].best + spec.smooth * cells[k].optimum.objective.abs();
+            for step in STEPS {
+                let trial: Vec<f64> = x.iter().zip(&target).map(|(a, b)| a + step * (b - a)).collect();
+                let mut o = setting.judge(&trial, cells[k].optimum.status, None);
+                if o.feasible && setting.cost(&o) <= allowed {
+                    // The prices are those of the optimum that was smoothed.
+                    for (new, old) in o.prices.iter_mut().zip(&cells[k].optimum.prices) {
+                        new.saves = old.saves;
+                    }
+                    cells[k].optimum = o;
+                    moved = true;
+                    break;
+                }
+            }
+        }
+        if !moved {
+            break;
+        }
+    }
+}
+
+/// Fills cells that the bed has not reached from those next to them, ring by ring.
+fn fill(setting: &Setting, axes: &[Vec<f64>], cells: &mut [Cell]) {
+    let mut known: Vec<bool> = cells.iter().map(|c| c.state != CellState::Filled).collect();
+    while known.iter().any(|k| *k) && !known.iter().all(|k| *k) {
+        let mut next = known.clone();
+        for k in 0..cells.len() {
+            if known[k] {
+                continue;
+            }
+            let around: Vec<usize> = neighbours(axes, k).into_iter().filter(|j| known[*j]).collect();
+            if around.is_empty() {
+                continue;
+            }
+            let mut x = cells[k].at.clone();
+            for i in setting.axes..setting.dim() {
+                x.push(around.iter().map(|j| cells[*j].optimum.x[i]).sum::<f64>() / around.len() as f64);
+            }
+            let mut o = setting.judge(&x, cells[k].optimum.status, None);
+            // What the models say out there is worth nothing: all responses are those of the neighbours.
+            for (r, value) in o.responses.iter_mut().enumerate() {
+                let sum: f64 = around.iter().map(|j| cells[*j].optimum.responses[r]).sum();
+                *value = sum / around.len() as f64;
+            }
+            cells[k].optimum = o;
+            next[k] = true;
+        }
+        known = next;
+    }
+}
+
+/// Interpolates the factors of a map (all of them, axes included) at the axes `at`: multilinear, held at the edges.
+pub fn interpolate(axes: &[Vec<f64>], cells: &[Cell], at: &[f64]) -> Vec<f64> {
+    let corners: Vec<(usize, f64)> = corners(axes, at);
+    let d = cells.first().map_or(0, |c| c.optimum.x.len());
+    let mut x: Vec<f64> =
+        (0..d).map(|i| corners.iter().map(|(k, w)| w * cells[*k].optimum.x[i]).sum()).collect();
+    x[..at.len()].copy_from_slice(at);
+    x
+}
+
+/// Cells around a point with their weights.
+pub fn corners(axes: &[Vec<f64>], at: &[f64]) -> Vec<(usize, f64)> {
+    let mut all = vec![(0, 1.0)];
+    for (axis, v) in axes.iter().zip(at) {
+        let last = axis.len() - 1;
+        let (i, share) = if last == 0 || *v <= axis[0] {
+            (0, 0.0)
+        } else if *v >= axis[last] {
+            (last, 0.0)
+        } else {
+            let i = axis.partition_point(|a| a <= v) - 1;
+            (i, (v - axis[i]) / (axis[i + 1] - axis[i]))
+        };
+        all = all
+            .into_iter()
+            .flat_map(|(k, w)| {
+                let base = k * axis.len();
+                [(base + i, w * (1.0 - share)), (base + (i + 1).min(last), w * share)]
+            })
+            .filter(|(_, w)| *w > 0.0)
+            .collect();
+    }
+    all
+}

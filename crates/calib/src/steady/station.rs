@@ -1,0 +1,460 @@
+//! One steady point on a plant: approached along a ramp under its limits, backed off where one is touched, held until nothing
+//! drifts any more, averaged.
+//!
+//! ```text
+//! x(t) = x_0 + s(t) (x_1 - x_0)                      ramp, s from 0 to 1
+//! lower <= mean of y over the window <= upper        watched, else the ramp ends at s = s*
+//! s <- s* - backoff                                  and it is tried again from there
+//! ```
+
+use dynocal_ident::derived::DerivedError;
+use dynocal_ident::plan::Plan;
+use dynocal_ident::plant::{LimitEvent, Plant};
+use dynocal_ident::play::{self, Course, Interruptible, PlayError, Played, Reason, Stop, Watchdog};
+use serde::{Deserialize, Serialize};
+
+use super::layout::{Layout, ResponseSource};
+
+/// How points are approached and held.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ApproachSpec {
+    /// Time in which a factor goes through its whole range, in s.
+    pub ramp_s: f64,
+    /// Longest wait at a point in s.
+    pub settle_s: f64,
+    /// Window in s whose mean is compared with that of the window before, and over which limits are watched.
+    pub window_s: f64,
+    /// Averaging time after settling in s.
+    pub average_s: f64,
+    /// Share of the way that is gone back from where a limit was touched.
+    pub backoff: f64,
+    /// Most times that is done at one point.
+    pub backoffs: usize,
+}
+
+impl Default for ApproachSpec {
+    fn default() -> Self {
+        Self { ramp_s: 12.0, settle_s: 25.0, window_s: 2.0, average_s: 4.0, backoff: 0.15, backoffs: 4 }
+    }
+}
+
+/// An output that is watched while points are approached.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Guard {
+    /// Output of the plant.
+    pub output: String,
+    /// Least value.
+    pub lower: f64,
+    /// Greatest value.
+    pub upper: f64,
+    /// Change from window to window that counts as none; 0: by the size of the output.
+    pub resolution: f64,
+}
+
+/// A limit that was touched on the way.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Touched {
+    /// Output, or what the plant calls it.
+    pub output: String,
+    /// What was met.
+    pub value: f64,
+    /// The limit.
+    pub limit: f64,
+    /// Factors as commanded there.
+    pub factors: Vec<f64>,
+    /// What happened, in words.
+    pub words: String,
+}
+
+/// A point that was measured, or that could not be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SteadyPoint {
+    /// Factors that were asked for.
+    pub asked: Vec<f64>,
+    /// Mean factors while averaging; demands as measured.
+    pub factors: Vec<f64>,
+    /// Mean responses.
+    pub responses: Vec<f64>,
+    /// Mean errors of the demands, measured less demanded.
+    pub errors: Vec<f64>,
+    /// Whether it may be learnt from.
+    pub usable: bool,
+    /// Why not, or what is to be known about it; empty for a point as asked.
+    pub note: String,
+    /// Limits that were touched on the way.
+    pub touched: Vec<Touched>,
+    /// Inputs of loops that stood at an end of their range.
+    pub saturated: Vec<String>,
+    /// Bed time at its end, from the begin of the day, in s.
+    pub at_s: f64,
+    /// Bed time that it took in s.
+    pub used_s: f64,
+}
+
+/// A station that goes from point to point.
+pub struct Station<'a> {
+    plant: &'a mut dyn Plant,
+    layout: &'a Layout,
+    spec: &'a ApproachSpec,
+    guards: Vec<Guard>,
+    /// Change of each demand that counts as none, and error above which a held demand is missed.
+    tolerances: Vec<(f64, f64)>,
+    at: Vec<f64>,
+    driven: Vec<f64>,
+    /// Bed time so far in s.
+    pub used_s: f64,
+    interrupt: &'a dyn Fn() -> bool,
+}
+
+/// Change of an output that counts as none, as a share of the range of its demand or of the size of its limit.
+const RESOLUTION: f64 = 2e-3;
+/// Error of a held demand above which it is missed, as a share of its range.
+const MISSED: f64 = 0.0125;
+
+/// Batches of a window, and quantile 0.975 of Student's t for the difference of two windows (8 degrees of freedom) and 0.99 for
+/// the mean of one (4 degrees of freedom).
+const BATCHES: usize = 5;
+const DOUBT: f64 = 2.306;
+const NEAR: f64 = 3.747;
+
+/// Mean of a window, and its variance from the means of batches: samples of a bed are not independent (lags of sensors, loops),
+/// those of batches nearly are.
+struct Batches {
+    mean: f64,
+    variance_of_mean: f64,
+}
+
+impl Batches {
+    fn of(values: &[f64]) -> Self {
+        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let size = values.len().div_ceil(BATCHES).max(1);
+        let means: Vec<f64> = values.chunks(size).map(|b| b.iter().sum::<f64>() / b.len() as f64).collect();
+        let n = means.len() as f64;
+        let squares: f64 = means.iter().map(|m| (m - mean).powi(2)).sum();
+        Self { mean, variance_of_mean: squares / (n - 1.0).max(1.0) / n }
+    }
+}
+
+/// Where one plan ended.
+struct Drive {
+    played: Played,
+    /// Rows of the ramp.
+    ramp: usize,
+    settled: bool,
+    /// Outputs that did not rest at the end, where it has not settled.
+    restless: Vec<String>,
+    saturated: Vec<String>,
+}
+
+impl<'a> Station<'a> {
+    /// At the factors `at` with the driven inputs `driven` (by loop). `beyond` says how far past a limit the bed may go while a
+    /// point is approached, by output.
+    pub fn new(
+        plant: &'a mut dyn Plant,
+        layout: &'a Layout,
+        spec: &'a ApproachSpec,
+        beyond: &dyn Fn(&str) -> f64,
+        (at, driven): (Vec<f64>, Vec<f64>),
+        interrupt: &'a dyn Fn() -> bool,
+    ) -> Self {
+        let watched = layout.responses.iter().filter(|r| r.source == ResponseSource::Output);
+        let guards = watched.map(|r| {
+            let ends = [r.lower, r.upper].into_iter().flatten();
+            let size = ends.map(f64::abs).fold(0.0, f64::max);
+            Guard {
+                output: r.name.clone(),
+                lower: r.lower.map_or(f64::NEG_INFINITY, |l| l - beyond(&r.name)),
+                upper: r.upper.map_or(f64::INFINITY, |u| u + beyond(&r.name)),
+                resolution: RESOLUTION * size,
+            }
+        });
+        let guards = guards.collect();
+        let ranges = layout.problem.demands.iter().map(|d| d.upper - d.lower);
+        let tolerances = ranges.map(|r| (RESOLUTION * r, MISSED * r)).collect();
+        Self { plant, layout, spec, guards, tolerances, at, driven, used_s: 0.0, interrupt }
+    }
+
+    /// Factors that are commanded now.
+    pub fn at(&self) -> &[f64] {
+        &self.at
+    }
+
+    /// From now on limits may be passed by a share of their size on the way: what is approached is no exploration any more.
+    pub fn widen(&mut self, share: f64) {
+        for g in &mut self.guards {
+            g.upper += share * g.upper.abs();
+            g.lower -= share * g.lower.abs();
+        }
+    }
+
+    /// Goes to `target` and measures there, or as near as the limits allow.
+    ///
+    /// # Errors
+    /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
+    pub fn measure(&mut self, target: &[f64]) -> Result<SteadyPoint, PlayError> {
+        let (origin, begun_s) = (self.at.clone(), self.used_s);
+        let along =
+            |s: f64| -> Vec<f64> { origin.iter().zip(target).map(|(a, b)| a + s * (b - a)).collect() };
+        let (mut share, mut from, mut touched) = (1.0, 0.0, Vec::new());
+        for attempt in 0..=self.spec.backoffs {
+            let drive = self.drive(&along(share), attempt > 0)?;
+            let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) else {
+                return self.point(target, &drive, touched, begun_s);
+            };
+            let done = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
+            let reached = from + done * (share - from);
+            touched.push(self.touched(stop, along(reached))?);
+            self.at = along(reached);
+            (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
+        }
+        // Back to where it began.
+        self.drive(&origin, true)?;
+        let note = format!("given up after {} limits on the way", touched.len());
+        Ok(SteadyPoint {
+            asked: target.to_vec(),
+            factors: vec![f64::NAN; target.len()],
+            responses: vec![f64::NAN; self.layout.responses.len()],
+            errors: vec![f64::NAN; self.layout.problem.demands.len()],
+            usable: false,
+            note,
+            touched,
+            saturated: Vec::new(),
+            at_s: self.used_s,
+            used_s: self.used_s - begun_s,
+        })
+    }
+
+    fn touched(&self, stop: &Stop, factors: Vec<f64>) -> Result<Touched, PlayError> {
+        let (value, limit) = match &stop.reason {
+            Reason::Measured { value, limit } => (*value, *limit),
+            Reason::Event(e) => (e.value, e.limit),
+            _ => {
+                let plan = "steady point".to_string();
+                return Err(PlayError::Ended { plan, samples: stop.sample, stop: Box::new(stop.clone()) });
+            }
+        };
+        Ok(Touched { output: stop.output.clone(), value, limit, factors, words: stop.to_string() })
+    }
+
+    /// Plays a ramp to `to` and a hold; on the way back limits are watched only once it is there.
+    fn drive(&mut self, to: &[f64], back: bool) -> Result<Drive, PlayError> {
+        let dt = self.layout.sample_time_s;
+        let samples = |s: f64| (s / dt).round().max(1.0) as usize;
+        let spans = self.layout.factors.iter().map(|f| f.upper - f.lower);
+        let ways = self.at.iter().zip(to).zip(spans).map(|((a, b), span)| (b - a).abs() / span);
+        let ramp = samples(self.spec.ramp_s * ways.fold(0.0, f64::max));
+        let hold = samples(self.spec.settle_s + self.spec.average_s);
+        let plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
+        let window = samples(self.spec.window_s).max(2);
+        let mut watch = Watching {
+            guards: &self.guards,
+            tolerances: &self.tolerances,
+            plan: &plan,
+            places: Vec::new(),
+            demands: Vec::new(),
+            driven: Vec::new(),
+            window,
+            ramp,
+            watched_from: if back { ramp + window } else { window },
+            more: samples(self.spec.average_s),
+            left: None,
+            saturated: vec![false; plan.loops.len()],
+            restless: Vec::new(),
+        };
+        let played = {
+            let mut both = Interruptible { interrupt: self.interrupt, watchdog: &mut watch };
+            play::play(self.plant, &plan, &mut both)?
+        };
+        let (settled, restless) = (watch.left.is_some(), std::mem::take(&mut watch.restless));
+        let saturated = plan.loops.iter().zip(&watch.saturated).filter(|(_, s)| **s);
+        let saturated = saturated.map(|(l, _)| l.input.clone()).collect();
+        self.used_s += played.used_s;
+        for (k, l) in plan.loops.iter().enumerate() {
+            if let Some(last) = played.record.values(&l.input)?.last() {
+                self.driven[k] = *last;
+            }
+        }
+        self.at = to.to_vec();
+        Ok(Drive { played, ramp, settled, restless, saturated })
+    }
+
+    fn point(
+        &self,
+        target: &[f64],
+        drive: &Drive,
+        touched: Vec<Touched>,
+        begun_s: f64,
+    ) -> Result<SteadyPoint, PlayError> {
+        let dt = self.layout.sample_time_s;
+        let n = (self.spec.average_s / dt).round().max(1.0) as usize;
+        let record = &drive.played.record;
+        let end = record.len();
+        let averaged = record.part(end.saturating_sub(n), end, "average".into());
+        let (factors, responses) = self.layout.means(&averaged).map_err(|e| match e {
+            DerivedError::Data(e) => PlayError::Data(e),
+            e => PlayError::Model { output: "a derived channel".into(), reason: e.to_string() },
+        })?;
+        let mut errors = Vec::new();
+        for (k, d) in self.layout.problem.demands.iter().enumerate() {
+            let values = averaged.values(&d.output)?;
+            let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+            errors.push(mean - self.layout.demand(k, &self.at));
+        }
+        let held = record.part(drive.ramp.min(end), end, "hold".into());
+        let mut oscillation = None;
+        for l in &self.layout.loops {
+            oscillation = oscillation.or(play::oscillation(&held, l)?);
+        }
+        let mut notes = Vec::new();
+        if let Some(o) = &oscillation {
+            notes.push(o.to_string());
+        } else if !drive.settled {
+            let restless = drive.restless.join("`, `");
+            notes.push(format!("`{restless}` not at rest after {} s", self.spec.settle_s));
+        }
+        // A demand that is a factor counts as it was measured; one that is held must be met.
+        let missed = self.layout.problem.demands.iter().enumerate().filter(|(k, d)| {
+            self.layout.held.contains_key(&d.output) && errors[*k].abs() > self.tolerances[*k].1
+        });
+        let missed: Vec<String> =
+            missed.map(|(k, d)| format!("`{}` is missed by {:.4} {}", d.output, errors[k], d.unit)).collect();
+        let finite = factors.iter().chain(&responses).all(|v| v.is_finite());
+        let usable = finite && oscillation.is_none() && drive.settled && missed.is_empty();
+        notes.extend(missed);
+        if !touched.is_empty() {
+            notes.push(format!("backed off {} times", touched.len()));
+        }
+        Ok(SteadyPoint {
+            asked: target.to_vec(),
+            factors,
+            responses,
+            errors,
+            usable,
+            note: notes.join("; "),
+            touched,
+            saturated: drive.saturated.clone(),
+            at_s: self.used_s,
+            used_s: self.used_s - begun_s,
+        })
+    }
+}
+
+/// Watches limits on the way and ends the plan when everything rests.
+struct Watching<'a> {
+    guards: &'a [Guard],
+    tolerances: &'a [(f64, f64)],
+    plan: &'a Plan,
+    /// Columns of guards and demands, and of the inputs that loops drive.
+    places: Vec<usize>,
+    demands: Vec<usize>,
+    driven: Vec<usize>,
+    window: usize,
+    ramp: usize,
+    watched_from: usize,
+    more: usize,
+    left: Option<usize>,
+    saturated: Vec<bool>,
+    /// Outputs that did not rest when it was tested last.
+    restless: Vec<String>,
+}
+
+impl Watching<'_> {
+    /// The last window of an output and the one before.
+    fn windows(&self, course: &Course, place: usize) -> (Batches, Batches) {
+        let n = course.rows();
+        let of = |end: usize| {
+            let values: Vec<f64> = (end + 1 - self.window..=end).map(|t| course.output(t)[place]).collect();
+            Batches::of(&values)
+        };
+        (of(n - self.window), of(n))
+    }
+
+    fn still(before: &Batches, now: &Batches, resolution: f64) -> bool {
+        let doubt = DOUBT * (before.variance_of_mean + now.variance_of_mean).sqrt();
+        (now.mean - before.mean).abs() <= resolution.max(doubt)
+    }
+
+    fn at_rest(&mut self, course: &Course) -> bool {
+        self.restless.clear();
+        for (k, place) in self.demands.iter().enumerate() {
+            let (before, now) = self.windows(course, *place);
+            let (resolution, _) = self.tolerances[k];
+            let near = (2.0 * resolution).max(NEAR * now.variance_of_mean.sqrt());
+            let demand = self.plan.demands[k].values.last().copied().unwrap_or(f64::NAN);
+            self.saturated[k] = self.stands_at_an_end(course, k);
+            let there = (now.mean - demand).abs() <= near || self.saturated[k];
+            if !(there && Self::still(&before, &now, resolution)) {
+                self.restless.push(self.plan.demands[k].output.clone());
+            }
+        }
+        for (g, place) in self.guards.iter().zip(&self.places) {
+            let (before, now) = self.windows(course, *place);
+            // Without a limit its own size says what counts as none.
+            let resolution = if g.resolution > 0.0 { g.resolution } else { RESOLUTION * now.mean.abs() };
+            if !Self::still(&before, &now, resolution) {
+                self.restless.push(g.output.clone());
+            }
+        }
+        self.restless.is_empty()
+    }
+
+    /// Whether the input of the loop of demand `k` was at an end of its range all through the last window.
+    fn stands_at_an_end(&self, course: &Course, k: usize) -> bool {
+        let (place, n) = (self.driven[k], course.rows());
+        let c = &self.plan.channels[place];
+        (n - self.window..n).all(|t| {
+            let u = course.input(t)[place];
+            u <= c.lower || u >= c.upper
+        })
+    }
+}
+
+impl Watchdog for Watching<'_> {
+    fn prepare(&mut self, plan: &Plan, course: &Course) -> Result<usize, PlayError> {
+        let place = |output: &str| {
+            course.outputs.iter().position(|o| o == output).ok_or_else(|| PlayError::Model {
+                output: output.into(),
+                reason: format!("there is no such output; outputs are: {}", course.outputs.join(", ")),
+            })
+        };
+        self.places = self.guards.iter().map(|g| place(&g.output)).collect::<Result<_, _>>()?;
+        self.demands = plan.demands.iter().map(|d| place(&d.output)).collect::<Result<_, _>>()?;
+        let driver = |output: &str| {
+            let l = plan.loops.iter().find(|l| l.output == output)?;
+            plan.channels.iter().position(|c| c.name == l.input)
+        };
+        self.driven = plan.demands.iter().map(|d| driver(&d.output).unwrap_or(0)).collect();
+        Ok(0)
+    }
+
+    fn after(&mut self, course: &Course, _events: &[LimitEvent]) -> Option<Stop> {
+        let t = course.rows() - course.before;
+        if t >= self.watched_from {
+            for (g, place) in self.guards.iter().zip(&self.places) {
+                let mean = self.windows_now(course, *place);
+                if !(g.lower..=g.upper).contains(&mean) {
+                    let limit = if mean < g.lower { g.lower } else { g.upper };
+                    return Some(Stop::new(&g.output, Reason::Measured { value: mean, limit }));
+                }
+            }
+        }
+        let since = t.saturating_sub(self.ramp);
+        // Windows do not overlap: the test is made once in each.
+        let tested = since >= 2 * self.window && since.is_multiple_of(self.window);
+        self.left = match self.left {
+            Some(left) => Some(left.saturating_sub(1)),
+            None => (tested && self.at_rest(course)).then_some(self.more),
+        };
+        (self.left == Some(0)).then(|| Stop::new("", Reason::Still))
+    }
+}
+
+impl Watching<'_> {
+    /// Mean of an output over the last window.
+    fn windows_now(&self, course: &Course, place: usize) -> f64 {
+        let n = course.rows();
+        let from = n + 1 - self.window.min(n);
+        (from..=n).map(|t| course.output(t)[place]).sum::<f64>() / (n + 1 - from) as f64
+    }
+}

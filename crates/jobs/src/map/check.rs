@@ -1,0 +1,215 @@
+//! Faults of a spec of a steady calibration that its types cannot show.
+
+use dynocal_design::points::MOST_DIMENSIONS;
+use dynocal_files::spec::Faults;
+use dynocal_ident::model::response::learner;
+use dynocal_plant::plants;
+
+use super::spec::MapSpec;
+
+/// Most cells of a map.
+const MOST_CELLS: usize = 10_000;
+
+/// Reports every fault of `s`.
+pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
+    faults.range("sample_time_s", s.sample_time_s, 0.001, 10.0, "s");
+    plant(s, faults);
+    s.problem.check("problem", faults);
+    loops(s, faults);
+    s.tune.check("tune", s.sample_time_s.clamp(0.001, 10.0), faults);
+    axes(s, faults);
+    channels(s, faults);
+    bed(s, faults);
+    models(s, faults);
+    faults.range("optimise.probability", s.optimise.probability, 0.5, 0.9999, "");
+    faults.range("optimise.caution", s.optimise.caution, 0.0, 10.0, "standard deviations");
+    faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
+    count("optimise.starts", s.optimise.starts, 1, 1000, faults);
+    count("verify.points", s.verify.points, 0, 10_000, faults);
+    faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
+    faults.range("verify.objective", s.verify.objective, 0.0, 10.0, "of what is minimised");
+}
+
+fn count(key: &str, value: usize, least: usize, most: usize, faults: &mut Faults) {
+    if !(least..=most).contains(&value) {
+        faults.push(key, value, format!("a whole number from {least} to {most}"));
+    }
+}
+
+fn plant(s: &MapSpec, faults: &mut Faults) {
+    for f in plants::check(&s.plant) {
+        if f.known.is_empty() {
+            faults.push(&f.key, f.found, f.expected);
+        } else {
+            faults.unknown(&f.key, &f.found, &f.known);
+        }
+    }
+    let Some(member) = plants::find(&s.plant.name) else { return };
+    if member.make.is_none() {
+        let expected = "a plant that answers while points are approached";
+        faults.push("plant.name", format!("`{}`", s.plant.name), expected);
+    }
+    if let Some(only_s) = member.sample_time_s.filter(|only_s| (s.sample_time_s - only_s).abs() > 1e-9) {
+        faults.push("sample_time_s", s.sample_time_s, format!("{only_s} s, that of `{}`", s.plant.name));
+    }
+}
+
+/// Every demand has a loop in its place, every loop an input of its own, gains for all or none.
+fn loops(s: &MapSpec, faults: &mut Faults) {
+    let (inputs, demands) = (s.problem.input_names(), s.problem.demand_names());
+    for (k, l) in s.loops.iter().enumerate() {
+        let key = |part: &str| format!("loops[{k}].{part}");
+        if !demands.contains(&l.output) {
+            faults.unknown(&key("output"), &l.output, &demands);
+        }
+        if !inputs.contains(&l.input) {
+            faults.unknown(&key("input"), &l.input, &inputs);
+        }
+        if s.loops[..k].iter().any(|o| o.input == l.input || o.output == l.output) {
+            let found = format!("`{}` by `{}`", l.output, l.input);
+            faults.push(&key("input"), found, "an output and an input that no other loop has");
+        }
+        if l.gains.is_some() != s.loops[0].gains.is_some() {
+            let expected = "gains for all loops or for none: those that are found are found together";
+            faults.push(&key("gains"), "gains for some of the loops", expected);
+        }
+        if let Some(g) = l.gains.filter(|g| [g.ki, g.kp].iter().any(|v| !(v.abs() <= 1e6)) || g.ki == 0.0) {
+            faults.push(&key("gains"), format!("ki = {}, kp = {}", g.ki, g.kp), "finite gains, ki not 0");
+        }
+    }
+    for d in demands.iter().filter(|d| !s.loops.iter().any(|l| l.output == **d)) {
+        faults.push(
+            "loops",
+            format!("none for `{d}`"),
+            format!("a loop for every demand: {{ output = \"{d}\", input = .. }}"),
+        );
+    }
+}
+
+fn axes(s: &MapSpec, faults: &mut Faults) {
+    let (demands, given) = (s.problem.demand_names(), s.problem.given_names());
+    let known: Vec<String> = demands.iter().chain(&given).cloned().collect();
+    let (mut of_demands, mut of_given, mut cells) = (0, 0, 1usize);
+    for (name, values) in &s.axes {
+        let key = format!("axes.{name}");
+        if !known.contains(name) {
+            faults.unknown(&key, name, &known);
+            continue;
+        }
+        of_demands += usize::from(demands.contains(name));
+        of_given += usize::from(given.contains(name));
+        let demand = s.problem.demands.iter().find(|d| d.output == *name).map(|d| (d.lower, d.upper));
+        let range = demand.or(s.problem.given.iter().find(|g| g.name == *name).map(|g| (g.lower, g.upper)));
+        let (lower, upper) = range.unwrap_or((0.0, 0.0));
+        let increasing = values.windows(2).all(|w| w[0] < w[1]);
+        let inside = values.iter().all(|v| (lower..=upper).contains(v));
+        if values.len() < 2 || !increasing || !inside {
+            faults.push(
+                &key,
+                format!("{values:?}"),
+                format!("two or more increasing numbers in {lower} to {upper}"),
+            );
+        }
+        cells = cells.saturating_mul(values.len().max(1));
+    }
+    if of_demands > 1 || of_given > 1 || of_demands + of_given == 0 {
+        let found = s.axes.keys().cloned().collect::<Vec<_>>().join(", ");
+        faults.push("axes", found, "one demand, one given channel, or one of each");
+    }
+    if cells > MOST_CELLS {
+        faults.push("axes", format!("{cells} cells"), format!("at most {MOST_CELLS}"));
+    }
+}
+
+/// Channels that tables are keyed by.
+fn channels(s: &MapSpec, faults: &mut Faults) {
+    let inputs = s.problem.input_names();
+    let free: Vec<String> =
+        inputs.iter().filter(|i| !s.loops.iter().any(|l| l.input == **i)).cloned().collect();
+    if free.is_empty() {
+        faults.push(
+            "loops",
+            "every input driven by a loop",
+            "at least one input that is free to be optimised",
+        );
+    }
+    if free.len() + s.axes.len() > MOST_DIMENSIONS {
+        let found = format!("{} axes and free inputs", free.len() + s.axes.len());
+        faults.push("problem.inputs", found, format!("at most {MOST_DIMENSIONS}"));
+    }
+    let held: Vec<String> = s.problem.demand_names().into_iter().chain(s.problem.given_names()).collect();
+    for (name, value) in &s.held {
+        if !held.contains(name) {
+            faults.unknown(&format!("held.{name}"), name, &held);
+        }
+        if s.axes.contains_key(name) {
+            faults.push(&format!("held.{name}"), "an axis", "a demand or given channel that is no axis");
+        }
+        if !value.is_finite() {
+            faults.push(&format!("held.{name}"), value, "a finite number");
+        }
+    }
+    for (name, value) in &s.start {
+        match s.problem.inputs.iter().find(|i| i.name == *name) {
+            Some(i) => faults.range(&format!("start.{name}"), *value, i.lower, i.upper, &i.unit),
+            None => faults.unknown(&format!("start.{name}"), name, &inputs),
+        }
+    }
+    for (name, (a, b)) in &s.bed.ranges {
+        let key = format!("bed.ranges.{name}");
+        match s.problem.inputs.iter().find(|i| i.name == *name && free.contains(name)) {
+            Some(i) if !(i.lower <= *a && a < b && *b <= i.upper) => {
+                let expected =
+                    format!("two numbers within {} to {} {}, the lower first", i.lower, i.upper, i.unit);
+                faults.push(&key, format!("{a} to {b}"), expected);
+            }
+            Some(_) => {}
+            None => faults.unknown(&key, name, &free),
+        }
+    }
+    let limited: Vec<String> = s.problem.limits.iter().map(|l| l.output.clone()).collect();
+    for (name, value) in &s.bed.beyond {
+        if !limited.contains(name) {
+            faults.unknown(&format!("bed.beyond.{name}"), name, &limited);
+        }
+        faults.range(&format!("bed.beyond.{name}"), *value, 0.0, 1e9, "of the output");
+    }
+    for (k, m) in s.problem.minimise.iter().enumerate() {
+        if free.contains(&m.channel) || held.contains(&m.channel) {
+            let expected = "a driven input, a limited output, or a derived channel: a factor cannot be minimised by itself";
+            faults.push(&format!("problem.minimise[{k}].channel"), format!("`{}`", m.channel), expected);
+        }
+    }
+}
+
+fn bed(s: &MapSpec, faults: &mut Faults) {
+    let a = &s.bed.approach;
+    count("bed.points", s.bed.points, 10, 10_000, faults);
+    count("bed.block", s.bed.block, 1, 10_000, faults);
+    faults.range("bed.minutes", s.bed.minutes, 0.1, 10_000.0, "min");
+    faults.range("bed.approach.ramp_s", a.ramp_s, 0.0, 3600.0, "s");
+    faults.range("bed.approach.settle_s", a.settle_s, 4.0 * s.sample_time_s, 3600.0, "s");
+    faults.range("bed.approach.window_s", a.window_s, 2.0 * s.sample_time_s, 0.5 * a.settle_s, "s");
+    faults.range("bed.approach.average_s", a.average_s, s.sample_time_s, 3600.0, "s");
+    faults.range("bed.approach.backoff", a.backoff, 0.01, 1.0, "of the way");
+    count("bed.approach.backoffs", a.backoffs, 0, 100, faults);
+}
+
+fn models(s: &MapSpec, faults: &mut Faults) {
+    count("models.folds", s.models.folds, 2, 50, faults);
+    if s.models.candidates.is_empty() {
+        faults.push(
+            "models.candidates",
+            "none",
+            "at least one table with a `kind` (see `dynocal list models`)",
+        );
+        return;
+    }
+    if let Err(e) = learner("best_of", &super::learn::keys(&s.models, s.models.folds.clamp(2, 50))) {
+        faults.push(
+            "models.candidates",
+            e,
+            "tables with a `kind` and its keys, as `dynocal list models` shows them",
+        );
+    }
+}

@@ -1,0 +1,44 @@
+//! What a steady calibration takes, before it runs.
+
+use super::spec::Job;
+use crate::estimate::Estimate;
+
+/// The day with its bed time. The largest work is that of the models: nested folds of every candidate, each with factorisations
+/// of all points.
+pub fn estimate(job: &Job) -> Estimate {
+    let s = &job.spec;
+    let a = &s.bed.approach;
+    let free: Vec<&str> = s
+        .problem
+        .inputs
+        .iter()
+        .filter(|i| !s.loops.iter().any(|l| l.input == i.name))
+        .map(|i| i.name.as_str())
+        .collect();
+    let repeats = s.bed.points.div_ceil(s.bed.block.max(1)) + 1;
+    let points = (s.bed.points + repeats + s.verify.points) as f64;
+    let most_s = (points * (a.ramp_s + a.settle_s + a.average_s)).min(60.0 * s.bed.minutes);
+    let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
+    let held: Vec<String> = s.held.iter().map(|(name, v)| format!("{name} = {v}")).collect();
+    let limits: Vec<String> = s.problem.limits.iter().map(|l| l.output.clone()).collect();
+    let responses = (s.loops.len() + s.problem.limits.len() + s.problem.minimise.len()) as f64;
+    let cells: usize = s.axes.values().map(Vec::len).product();
+    let folds = s.models.folds as f64;
+    let fits = responses * s.models.candidates.len() as f64 * (folds * folds + 2.0 * folds + 1.0);
+    let given = s.loops.iter().all(|l| l.gains.is_some());
+    Estimate::new(&job.name)
+        .line("run folder", job.out.display().to_string())
+        .line("plant", format!("{} {}", s.plant.name, s.plant.parameters))
+        .line("axes", axes.collect::<Vec<_>>().join(", "))
+        .line("held", if held.is_empty() { "nothing".into() } else { held.join(", ") })
+        .line("optimised", free.join(", "))
+        .line("limits", if limits.is_empty() { "none".into() } else { limits.join(", ") })
+        .line("gains of the loops", if given { "as given" } else { "found on the plant" })
+        .line(
+            "points",
+            format!("{} to learn from, {repeats} repeats, {} to verify", s.bed.points, s.verify.points),
+        )
+        .line("bed time", format!("at most about {:.0} min", most_s / 60.0))
+        .memory(8.0 * points * points * 10.0)
+        .work(fits * 100.0 * points.powi(3) + cells as f64 * s.optimise.starts as f64 * 1e6)
+}

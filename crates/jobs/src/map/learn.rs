@@ -1,0 +1,123 @@
+//! Response models of the day: one for each response, chosen by nested validation.
+
+use dynocal_calib::steady::day::{DayPoint, Drift, Purpose, corrected};
+use dynocal_calib::steady::layout::{Layout, ResponseSource};
+use dynocal_ident::model::response::score::{ScorePage, score_learnt};
+use dynocal_ident::model::response::{Points, ResponseError, ResponseModel, learner};
+use dynocal_numerics::watch::Watch;
+use serde::Serialize;
+
+use super::result::MapError;
+use super::spec::ModelsSpec;
+
+/// A response with its model.
+#[derive(Clone, Debug, Serialize)]
+pub struct Learned {
+    /// Response.
+    pub response: String,
+    /// Unit.
+    pub unit: String,
+    /// Kind and size.
+    pub what: String,
+    /// How it was chosen.
+    pub choice: String,
+    /// Points that it was learnt from.
+    pub points: usize,
+    /// RMS error on points that had no part in learning and choosing.
+    pub rmse: f64,
+    /// Standard deviation of the measured response over the points.
+    pub spread: f64,
+    /// Residuals, sections, effects.
+    #[serde(skip)]
+    pub page: ScorePage,
+    /// The model.
+    #[serde(skip)]
+    pub model: ResponseModel,
+}
+
+impl Learned {
+    /// Share of the variance that the procedure explains on points that had no part in it.
+    pub fn explained(&self) -> f64 {
+        1.0 - (self.rmse / self.spread).powi(2)
+    }
+}
+
+/// Keys of the choice.
+pub(super) fn keys(models: &ModelsSpec, folds: usize) -> toml::Table {
+    let tables = models.candidates.iter().cloned().map(toml::Value::Table).collect();
+    let folds = toml::Value::Integer(i64::try_from(folds).unwrap_or(5));
+    toml::Table::from_iter([("models".into(), toml::Value::Array(tables)), ("folds".into(), folds)])
+}
+
+/// Usable points of the day as a table for response `k`.
+pub(super) fn table(layout: &Layout, points: &[DayPoint], drift: &[Drift], k: usize) -> Points {
+    let used = points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable).map(|p| &p.point);
+    Points {
+        inputs: layout.factor_names(),
+        output: layout.responses[k].name.clone(),
+        x: used.clone().flat_map(|p| p.factors.iter().copied()).collect(),
+        y: used.map(|p| corrected(p, k, drift)).collect(),
+    }
+}
+
+/// Least share of the variance that a model has to explain on unseen points, or it has not found anything.
+const SIGNAL: f64 = 0.1;
+
+/// Models of all responses.
+///
+/// # Errors
+/// [`MapError::Learn`], and [`MapError::NoSignal`] for a response that is minimised or may touch its limit and does not depend on
+/// what is moved as far as the points show.
+pub(super) fn learn(
+    layout: &Layout,
+    points: &[DayPoint],
+    drift: &[Drift],
+    spec: &ModelsSpec,
+    watch: Watch,
+) -> Result<Vec<Learned>, MapError> {
+    let mut all = Vec::new();
+    for (k, r) in layout.responses.iter().enumerate() {
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        watch.note(&format!("response model of {}", r.name));
+        let table = table(layout, points, drift, k);
+        let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
+        let kind = learner("best_of", &keys(spec, spec.folds))?;
+        let learnt = kind.learn(&table, watch.interrupt).map_err(refused)?;
+        let n = table.len() as f64;
+        let mean = table.y.iter().sum::<f64>() / n;
+        let spread = (table.y.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+        let page = score_learnt(&learnt.model, &learnt.left_out, &table, None, None, learnt.notes.clone());
+        let (rmse, choice) = match &learnt.choice {
+            Some(c) => (c.nested_rmse, c.words.clone()),
+            None => (learnt.left_out.rmse(), String::new()),
+        };
+        let found = Learned {
+            response: r.name.clone(),
+            unit: r.unit.clone(),
+            what: page.what.clone(),
+            choice,
+            points: table.len(),
+            rmse,
+            spread,
+            page,
+            model: learnt.model,
+        };
+        let near = |limit: f64| (limit - mean).abs() < 6.0 * spread;
+        // The map of an input that a loop drives is trimmed by its loop: a rough model is said, not refused.
+        let driven = matches!(r.source, ResponseSource::Driven(_));
+        let matters = !driven && (r.weight != 0.0 || [r.lower, r.upper].into_iter().flatten().any(near));
+        if matters && found.explained() < SIGNAL {
+            return Err(MapError::NoSignal {
+                response: r.name.clone(),
+                unit: r.unit.clone(),
+                rmse,
+                spread,
+                points: table.len(),
+            });
+        }
+        all.push(found);
+    }
+    Ok(all)
+}

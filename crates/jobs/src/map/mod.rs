@@ -1,0 +1,36 @@
+//! Steady calibration: from a day on the bed to maps.
+//!
+//! [`spec`] reads what the user wrote and checks it as a whole; [`work`] measures on the plant, learns, optimises and verifies in
+//! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
+
+mod check;
+pub mod estimate;
+mod learn;
+pub mod page;
+pub mod result;
+pub mod spec;
+pub mod store;
+mod verdict;
+mod verify;
+pub mod work;
+
+use dynocal_files::run_folder::RunFolder;
+use dynocal_numerics::watch::Watch;
+
+pub use result::{MapError, Mapped};
+pub use spec::Job;
+
+/// Kind of the run folder.
+pub const KIND: &str = "map";
+
+/// Measures, learns, optimises, verifies; points, models, maps, `report.html` and `summary.json` go into the run folder.
+///
+/// # Errors
+/// [`MapError`].
+pub fn run(job: &Job, watch: Watch) -> Result<(Mapped, RunFolder), MapError> {
+    // A folder that cannot be written is known before the plant is run.
+    let folder = RunFolder::open(&job.out, KIND, &job.spec)?;
+    let found = work::run(job, watch)?;
+    let found = store::write(&folder, job, found)?;
+    Ok((found, folder))
+}

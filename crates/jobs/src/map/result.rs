@@ -1,0 +1,215 @@
+//! What a steady calibration gives.
+
+use dynocal_calib::gains::{TuneError, Tuned};
+use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::steady::day::{DayEnd, DayPoint, Drift};
+use dynocal_calib::steady::grid::Cell;
+use dynocal_calib::steady::layout::{AxisRange, Layout};
+use dynocal_files::FilesError;
+use dynocal_ident::model::response::ResponseError;
+use dynocal_ident::plant::PlantError;
+use dynocal_ident::play::PlayError;
+use dynocal_ident::validate::boundary::{BoundaryModel, SpaceError};
+use dynocal_numerics::registry::BuildError;
+use dynocal_report::Check;
+use serde::Serialize;
+
+use super::learn::Learned;
+use crate::page::PageError;
+
+/// An axis of the maps.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MapAxis {
+    /// Channel.
+    pub name: String,
+    /// Unit.
+    pub unit: String,
+    /// Values.
+    pub points: Vec<f64>,
+}
+
+impl MapAxis {
+    /// Its range.
+    pub fn range(&self) -> AxisRange {
+        let ends = (self.points.first().copied().unwrap_or(0.0), self.points.last().copied().unwrap_or(0.0));
+        AxisRange { name: self.name.clone(), range: ends }
+    }
+}
+
+/// Bed time in s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct BedTime {
+    /// Gains of the loops.
+    pub gains_s: f64,
+    /// Points to learn from, repeats among them.
+    pub points_s: f64,
+    /// Verification.
+    pub verify_s: f64,
+}
+
+impl BedTime {
+    /// All of it.
+    pub fn all_s(&self) -> f64 {
+        self.gains_s + self.points_s + self.verify_s
+    }
+}
+
+/// A response at a verification point.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Deviation {
+    /// Response.
+    pub response: String,
+    /// What the models promised there.
+    pub promised: f64,
+    /// Half width of the 95 % interval of a measurement about it.
+    pub half_width: f64,
+    /// What was measured.
+    pub measured: f64,
+    /// How far it passes its limit; negative: room. None without a limit.
+    pub passed: Option<f64>,
+}
+
+/// A verification point: the maps at an operating point that no model has seen.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Verified {
+    /// Values of the axes, as asked.
+    pub at: Vec<f64>,
+    /// Whether it was measured as asked.
+    pub measured: bool,
+    /// What is to be known about it.
+    pub note: String,
+    /// Responses; none where it was not measured.
+    pub deviations: Vec<Deviation>,
+    /// What is minimised: promised, half width of its 95 % interval, measured.
+    pub objective: Option<[f64; 3]>,
+    /// Whether it keeps its limits and its promise.
+    pub kept: bool,
+}
+
+/// A steady calibration, the body of `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Mapped {
+    /// Always `map`.
+    pub verb: &'static str,
+    /// Name of the run.
+    pub name: String,
+    /// Whether the maps may be used.
+    pub valid: bool,
+    /// What came of it, in a sentence or two.
+    pub verdict: String,
+    /// What the user should know, most important first.
+    pub warnings: Vec<String>,
+    /// What was asked and measured.
+    pub checks: Vec<Check>,
+    /// Bed time.
+    pub bed: BedTime,
+    /// Why the day ended.
+    pub end: DayEnd,
+    /// Axes of the maps, the last one fastest in `cells`.
+    pub axes: Vec<MapAxis>,
+    /// Drift over the day.
+    pub drift: Vec<Drift>,
+    /// Response models.
+    pub models: Vec<Learned>,
+    /// Verification points.
+    pub verified: Vec<Verified>,
+    /// Cells, the last axis fastest.
+    pub cells: Vec<Cell>,
+    /// Gains that were found; none where they were given.
+    pub tuned: Option<Tuned>,
+    /// Files, relative to the run folder.
+    pub files: Vec<String>,
+    /// Points of the day.
+    #[serde(skip)]
+    pub points: Vec<DayPoint>,
+    /// Factors and responses.
+    #[serde(skip)]
+    pub layout: Layout,
+    /// The region of the axes that was reached.
+    #[serde(skip)]
+    pub envelope: BoundaryModel,
+    /// The maps.
+    #[serde(skip)]
+    pub map: StaticMap,
+}
+
+/// No map can be given.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// Files.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// The plant.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// A plan that cannot be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+    /// Gains of the loops.
+    #[error(transparent)]
+    Gains(#[from] TuneError),
+    /// Keys of a model.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The plant lacks a channel.
+    #[error("the plant has no {role} `{name}` in {unit}; there are: {known}")]
+    Channel {
+        /// Input or output.
+        role: &'static str,
+        /// Name.
+        name: String,
+        /// Unit that the problem has.
+        unit: String,
+        /// Variables that there are, with their units.
+        known: String,
+    },
+    /// A response model.
+    #[error("response model of `{response}`: {source}")]
+    Learn {
+        /// Response.
+        response: String,
+        /// Why.
+        source: ResponseError,
+    },
+    /// A response that does not depend on what is moved.
+    #[error(
+        "`{response}` shows no signal: its model misses unseen points by {rmse:.4} {unit} rms where the {points} measured points scatter by {spread:.4} {unit} themselves. Take it out of the problem, widen the ranges of the inputs, or average longer (`bed.approach.average_s`)"
+    )]
+    NoSignal {
+        /// Response.
+        response: String,
+        /// Unit.
+        unit: String,
+        /// Error on unseen points.
+        rmse: f64,
+        /// Standard deviation of the measured values.
+        spread: f64,
+        /// Points.
+        points: usize,
+    },
+    /// Too few points came from the bed.
+    #[error(
+        "{usable} of {measured} measured points can be used, expected at least {least}: {end}. Notes of the points: {notes}"
+    )]
+    TooFew {
+        /// Usable points.
+        usable: usize,
+        /// Points that were measured.
+        measured: usize,
+        /// Needed.
+        least: usize,
+        /// Why the day ended.
+        end: String,
+        /// Notes with how often they stand.
+        notes: String,
+    },
+    /// The envelope.
+    #[error("envelope of the axes: {0}")]
+    Envelope(#[from] SpaceError),
+    /// The page.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
+}

@@ -1,0 +1,199 @@
+//! The spec of a steady calibration as the user writes it. Every key has a default that works on the virtual engine.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use dynocal_calib::gains::TuneSpec;
+use dynocal_calib::problem::CalibrationProblem;
+use dynocal_calib::steady::grid::GridSpec;
+use dynocal_calib::steady::station::ApproachSpec;
+use dynocal_files::spec::{Faults, LoadError, SpecError};
+use dynocal_plant::plants::PlantSpec;
+use serde::{Deserialize, Serialize};
+
+use super::check;
+use crate::calibrate::spec::{CalibrateSpec, LoopSpec};
+use crate::place::{Overrides, Place};
+
+/// A steady calibration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MapSpec {
+    /// Title of the report.
+    pub title: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Interval of control and measurement in s.
+    pub sample_time_s: f64,
+    /// The plant.
+    pub plant: PlantSpec,
+    /// What may move, what must be met, what is limited and minimised.
+    pub problem: CalibrationProblem,
+    /// Loops that hold demanded outputs, one for each demand.
+    pub loops: Vec<LoopSpec>,
+    /// How gains are found where the loops have none.
+    pub tune: TuneSpec,
+    /// Axes of the maps: one demand, one given channel, or both, with their values; eight over the range of the first of each
+    /// where it is empty.
+    pub axes: BTreeMap<String, Vec<f64>>,
+    /// Values of the demands and given channels that are no axes; the middle of their range where they are not there.
+    pub held: BTreeMap<String, f64>,
+    /// Values of inputs with which the day begins, where those of the plant are not wanted.
+    pub start: BTreeMap<String, f64>,
+    /// The day on the bed.
+    pub bed: BedSpec,
+    /// Response models.
+    pub models: ModelsSpec,
+    /// The optimum of each cell.
+    pub optimise: GridSpec,
+    /// Verification.
+    pub verify: VerifySpec,
+}
+
+impl Default for MapSpec {
+    fn default() -> Self {
+        let CalibrateSpec { problem, loops, .. } = CalibrateSpec::default();
+        Self {
+            title: "Steady calibration".into(),
+            seed: 1,
+            sample_time_s: 0.03,
+            plant: PlantSpec::default(),
+            problem,
+            loops,
+            tune: TuneSpec::default(),
+            axes: BTreeMap::new(),
+            held: BTreeMap::new(),
+            start: BTreeMap::new(),
+            bed: BedSpec::default(),
+            models: ModelsSpec::default(),
+            optimise: GridSpec::default(),
+            verify: VerifySpec::default(),
+        }
+    }
+}
+
+/// The day on the bed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BedSpec {
+    /// Points to learn from, repeats left out.
+    pub points: usize,
+    /// Points between two repeats of the first point.
+    pub block: usize,
+    /// Bed time in minutes after which no further point begins, verification included.
+    pub minutes: f64,
+    /// Ranges of inputs that no loop drives, where they are not those of the problem.
+    pub ranges: BTreeMap<String, (f64, f64)>,
+    /// How far past its limit an output may go while a point is approached; unit of the output.
+    pub beyond: BTreeMap<String, f64>,
+    /// How points are approached and held.
+    pub approach: ApproachSpec,
+}
+
+impl Default for BedSpec {
+    fn default() -> Self {
+        Self {
+            points: 60,
+            block: 15,
+            minutes: 60.0,
+            ranges: BTreeMap::new(),
+            beyond: BTreeMap::new(),
+            approach: ApproachSpec::default(),
+        }
+    }
+}
+
+/// Response models: candidates as for `best_of`, the simplest first, each a table with `kind` and its keys.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelsSpec {
+    /// Candidates; chosen by nested validation for each response.
+    pub candidates: Vec<toml::Table>,
+    /// Folds, inner and outer.
+    pub folds: usize,
+}
+
+impl Default for ModelsSpec {
+    fn default() -> Self {
+        let kind = |kind: &str| toml::Table::from_iter([("kind".to_string(), kind.into())]);
+        let mut quadratic = kind("stepwise_polynomial");
+        quadratic.insert("degree".into(), 2.into());
+        Self { candidates: vec![quadratic, kind("stepwise_polynomial"), kind("gaussian_process")], folds: 5 }
+    }
+}
+
+/// The verification run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct VerifySpec {
+    /// Unseen points of the finished maps that are measured.
+    pub points: usize,
+    /// Share of its size by which a measured output may pass its limit.
+    pub limit: f64,
+    /// Share by which what is minimised may differ from what was promised.
+    pub objective: f64,
+}
+
+impl Default for VerifySpec {
+    fn default() -> Self {
+        Self { points: 8, limit: 0.03, objective: 0.03 }
+    }
+}
+
+/// A checked spec and where its run goes.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// Name of the run.
+    pub name: String,
+    /// Run folder.
+    pub out: PathBuf,
+    /// The checked spec, its axes and held values filled in.
+    pub spec: MapSpec,
+}
+
+/// Reads and checks the spec at `path`.
+///
+/// # Errors
+/// [`LoadError`] with every fault.
+pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
+    dynocal_files::spec::load(path, |t: &MapSpec, faults| checked(t, path, overrides, faults))
+}
+
+/// The same for a spec that is there as text; `file` is its name in messages.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
+    dynocal_files::spec::parse(file, text, |t: &MapSpec, faults| {
+        checked(t, Path::new(file), overrides, faults)
+    })
+}
+
+fn checked(t: &MapSpec, path: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
+    let mut spec = MapSpec { seed: over.seed.unwrap_or(t.seed), ..t.clone() };
+    fill(&mut spec);
+    check::check(&spec, faults);
+    let place = Place::of(path, None, None, over.out.as_deref(), faults);
+    faults.is_empty().then_some(Job { name: place.name, out: place.out, spec })
+}
+
+/// Values of an axis that the spec does not give.
+const AXIS: usize = 8;
+
+/// Axes and held values that the spec leaves open.
+fn fill(s: &mut MapSpec) {
+    if s.axes.is_empty() {
+        let even =
+            |(a, b): (f64, f64)| (0..AXIS).map(|k| a + (b - a) * k as f64 / (AXIS - 1) as f64).collect();
+        let demand = s.problem.demands.first().map(|d| (d.output.clone(), even((d.lower, d.upper))));
+        let given = s.problem.given.first().map(|g| (g.name.clone(), even((g.lower, g.upper))));
+        s.axes = demand.into_iter().chain(given).collect();
+    }
+    let demands = s.problem.demands.iter().map(|d| (&d.output, d.lower, d.upper));
+    let given = s.problem.given.iter().map(|g| (&g.name, g.lower, g.upper));
+    for (name, lower, upper) in demands.chain(given) {
+        if !s.axes.contains_key(name) && !s.held.contains_key(name) {
+            s.held.insert(name.clone(), 0.5 * (lower + upper));
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! What a steady calibration is worth, in words and checks.
+
+use dynocal_calib::steady::day::{DayEnd, Purpose};
+use dynocal_calib::steady::grid::CellState;
+use dynocal_ident::data::UnitAfter;
+use dynocal_report::{Check, significant};
+
+use super::result::{Mapped, Verified};
+use super::spec::MapSpec;
+use super::work::missed;
+
+/// Why a day ended.
+pub(super) fn end_in_words(end: &DayEnd) -> String {
+    match end {
+        DayEnd::Done => "the day went to its end".into(),
+        DayEnd::BedTime => "the bed time was used up".into(),
+        DayEnd::Unusable(notes) => {
+            format!("the day was given up after many points in a row that cannot be used ({notes})")
+        }
+        DayEnd::Refused(words) => format!("the plant refused to go on: {words}"),
+    }
+}
+
+/// Share of measured deviations that has to lie inside of their 95 % intervals.
+const COVERED: f64 = 0.8;
+/// Explained share of the variance below which a model is called rough.
+const ROUGH: f64 = 0.8;
+/// Deviation that is none, as a share of the scatter of the response over the points: what settling leaves.
+const SMALL: f64 = 0.02;
+
+/// Fills verdict, checks and warnings.
+pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
+    let mut warnings = Vec::new();
+    let count = |state: CellState| found.cells.iter().filter(|c| c.state == state).count();
+    let (optimal, infeasible, filled) =
+        (count(CellState::Optimal), count(CellState::Infeasible), count(CellState::Filled));
+    let n = found.cells.len();
+    let measured: Vec<&Verified> = found.verified.iter().filter(|v| v.measured).collect();
+    let kept = measured.iter().filter(|v| v.kept).count();
+    let (inside, all) = covered(found, &measured);
+    let mut checks = vec![
+        Check::new("cells", "cells inside the envelope that keep all limits with the asked probability")
+            .asked(format!("{}", n - filled))
+            .measured(optimal as f64)
+            .holds(infeasible == 0 && optimal > 0),
+        Check::new("verified", "verification points that were measured and keep limits and promise")
+            .asked(format!("{}", spec.verify.points))
+            .measured(kept as f64)
+            .holds(spec.verify.points > 0 && kept == spec.verify.points),
+    ];
+    if all > 0 {
+        let share = inside as f64 / all as f64;
+        let check = Check::new("coverage", "deviations inside of the 95 % intervals of the models, or below 2 % of the scatter of the points")
+            .asked(format!(">= {}", 100.0 * COVERED))
+            .measured(100.0 * share)
+            .unit("%");
+        checks.push(
+            check.holds(share >= COVERED).note(format!("{all} responses at {} points", measured.len())),
+        );
+    }
+    let done = matches!(found.end, DayEnd::Done | DayEnd::BedTime);
+    let used = found.points.iter().filter(|p| p.purpose != Purpose::Verify);
+    let usable = used.clone().filter(|p| p.point.usable).count();
+    checks.push(
+        Check::new("points", "points of the day that could be used")
+            .measured(usable as f64)
+            .note(end_in_words(&found.end))
+            .holds(done),
+    );
+    if !done {
+        warnings.push(format!("the day ended early: {}", end_in_words(&found.end)));
+    }
+    for c in found.cells.iter().filter(|c| c.state == CellState::Infeasible).take(10) {
+        let at: Vec<String> =
+            found.axes.iter().zip(&c.at).map(|(a, v)| format!("{} {v} {}", a.name, a.unit)).collect();
+        warnings.push(format!("at {}: {}", at.join(", "), missed(&found.layout, c)));
+    }
+    for v in found.verified.iter().filter(|v| !v.kept) {
+        warnings.push(broken(found, spec, v));
+    }
+    for d in found.drift.iter().filter(|d| d.corrected) {
+        warnings.push(format!(
+            "`{}` drifted by {} {} per hour (standard error {}): the points were corrected for it",
+            d.response,
+            significant(d.per_hour, 3),
+            d.unit,
+            significant(d.per_hour_error, 2)
+        ));
+    }
+    for m in found.models.iter().filter(|m| m.explained() < ROUGH) {
+        warnings.push(format!(
+            "the model of `{}` is rough: it misses unseen points by {} {} rms where they scatter by {}",
+            m.response,
+            significant(m.rmse, 3),
+            m.unit,
+            significant(m.spread, 3)
+        ));
+    }
+    if filled > 0 {
+        warnings.push(format!(
+            "{filled} of {n} cells lie outside of what was reached on the bed: they are filled from their neighbours and marked"
+        ));
+    }
+    found.valid = checks.iter().all(|c| c.holds != Some(false));
+    let minutes = significant(found.bed.all_s() / 60.0, 3);
+    let cells = format!(
+        "{optimal} of {n} cells hold an optimum that keeps all limits with {} %",
+        100.0 * spec.optimise.probability
+    );
+    let verified = format!("{kept} of {} verification points keep limits and promise", spec.verify.points);
+    let worth = if found.valid { "The maps can be used" } else { "The maps must not be used as they are" };
+    found.verdict =
+        format!("{worth}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
+    found.checks = checks;
+    found.warnings = warnings;
+}
+
+/// Deviations inside of their intervals or too small to matter, and all of them.
+fn covered(found: &Mapped, verified: &[&Verified]) -> (usize, usize) {
+    let all = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
+    let inside = all().filter(|(d, m)| {
+        let away = (d.measured - d.promised).abs();
+        away <= d.half_width.max(SMALL * m.spread)
+    });
+    (inside.count(), all().count())
+}
+
+/// What is wrong at a verification point.
+fn broken(found: &Mapped, spec: &MapSpec, v: &Verified) -> String {
+    let at: Vec<String> = found
+        .axes
+        .iter()
+        .zip(&v.at)
+        .map(|(a, x)| format!("{} {}{}", a.name, significant(*x, 4), UnitAfter(&a.unit)))
+        .collect();
+    let at = at.join(", ");
+    if !v.measured {
+        return format!("verification at {at}: {}", v.note);
+    }
+    let mut parts = Vec::new();
+    for (d, r) in v.deviations.iter().zip(&found.layout.responses) {
+        if let Some(passed) = d.passed.filter(|p| *p > 0.0) {
+            parts.push(format!("`{}` passes its limit by {} {}", d.response, significant(passed, 3), r.unit));
+        }
+    }
+    if let Some([promised, _, measured]) = v.objective
+        && (measured - promised).abs() > spec.verify.objective * promised.abs()
+    {
+        let (m, p) = (significant(measured, 4), significant(promised, 4));
+        parts.push(format!("what is minimised is {m} where {p} was promised"));
+    }
+    format!("verification at {at}: {}", parts.join(", "))
+}

@@ -1,0 +1,126 @@
+//! The verification run: the finished maps at operating points that no model has seen.
+
+use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::day::{DayPoint, Purpose, refused};
+use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::{Station, SteadyPoint};
+use dynocal_design::points::{Sobol, short_ways};
+use dynocal_ident::model::response::{Ask, Prediction};
+use dynocal_ident::play::PlayError;
+
+use super::result::{Deviation, Verified};
+use super::spec::MapSpec;
+
+/// Two-sided 95 % of a normal distribution.
+const BAND: f64 = 1.959_963_984_540_054;
+
+/// What is verified.
+pub(super) struct Verification<'a> {
+    pub(super) spec: &'a MapSpec,
+    pub(super) layout: &'a Layout,
+    pub(super) setting: &'a Setting<'a>,
+    pub(super) axes: &'a [Vec<f64>],
+    pub(super) cells: &'a [Cell],
+}
+
+impl Verification<'_> {
+    /// Measures the points until the bed time is used up.
+    pub(super) fn run(
+        &self,
+        station: &mut Station,
+        bed_s: f64,
+        points: &mut Vec<DayPoint>,
+    ) -> Result<Vec<Verified>, PlayError> {
+        station.widen(self.spec.verify.limit);
+        let mut all = Vec::new();
+        for at in self.places(station.at()) {
+            let target = interpolate(self.axes, self.cells, &at[..self.layout.axes]);
+            let missed = |note: String| Verified {
+                at: at[..self.layout.axes].to_vec(),
+                measured: false,
+                note,
+                deviations: Vec::new(),
+                objective: None,
+                kept: false,
+            };
+            if station.used_s >= bed_s {
+                all.push(missed("the bed time was used up".into()));
+                continue;
+            }
+            match station.measure(&target) {
+                Ok(point) => {
+                    let judged = if point.usable && point.touched.is_empty() {
+                        self.judge(&point)
+                    } else {
+                        missed(point.note.clone())
+                    };
+                    points.push(DayPoint { purpose: Purpose::Verify, point });
+                    all.push(judged);
+                }
+                Err(e) => {
+                    all.push(missed(refused(e)?));
+                    break;
+                }
+            }
+        }
+        Ok(all)
+    }
+
+    /// Points between the cells whose neighbours are optima, in an order of short ways (axes, then where the free inputs stand).
+    fn places(&self, now: &[f64]) -> Vec<Vec<f64>> {
+        let n = self.layout.axes;
+        let Some(mut sequence) = Sobol::new(n, self.spec.seed.wrapping_add(1)) else { return Vec::new() };
+        let mut found: Vec<Vec<f64>> = Vec::new();
+        // A map without any optimum has no place to verify.
+        for _ in 0..200 * self.spec.verify.points {
+            if found.len() == self.spec.verify.points {
+                break;
+            }
+            let ranges = self.layout.factors[..n].iter().zip(sequence.next_point());
+            let at: Vec<f64> = ranges.map(|(f, u)| f.lower + u * (f.upper - f.lower)).collect();
+            let around = corners(self.axes, &at);
+            if around.iter().all(|(k, _)| self.cells[*k].state == CellState::Optimal) {
+                found.push(at);
+            }
+        }
+        let whole: Vec<Vec<f64>> = found.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
+        let unit: Vec<Vec<f64>> = whole.iter().map(|x| self.layout.to_unit(x)).collect();
+        let order = short_ways(&unit, &self.layout.to_unit(now));
+        order.into_iter().map(|k| whole[k].clone()).collect()
+    }
+
+    /// What was measured beside what was promised where it was measured.
+    fn judge(&self, point: &SteadyPoint) -> Verified {
+        let mut at = Prediction::new(self.layout.factors.len());
+        let (mut deviations, mut kept) = (Vec::new(), true);
+        let (mut promised, mut variance, mut measured) = (0.0, 0.0, 0.0);
+        for (k, r) in self.layout.responses.iter().enumerate() {
+            self.setting.models[k].predict(&point.factors, Ask::Variance, &mut at);
+            let value = point.responses[k];
+            let above = r.upper.map(|u| (value - u, u.abs()));
+            let below = r.lower.map(|l| (l - value, l.abs()));
+            let worst = [above, below].into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0));
+            kept &= worst.is_none_or(|(passed, size)| passed <= self.spec.verify.limit * size);
+            deviations.push(Deviation {
+                response: r.name.clone(),
+                promised: at.mean,
+                half_width: BAND * at.measured_std(),
+                measured: value,
+                passed: worst.map(|w| w.0),
+            });
+            promised += r.weight * at.mean;
+            variance += r.weight * r.weight * (at.variance + at.noise);
+            measured += r.weight * value;
+        }
+        kept &= (measured - promised).abs() <= self.spec.verify.objective * promised.abs();
+        Verified {
+            at: point.factors[..self.layout.axes].to_vec(),
+            measured: true,
+            note: point.note.clone(),
+            deviations,
+            objective: Some([promised, BAND * variance.sqrt(), measured]),
+            kept,
+        }
+    }
+}

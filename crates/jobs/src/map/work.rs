@@ -1,0 +1,378 @@
+//! A steady calibration in memory: measure, learn, optimise, verify.
+
+use std::collections::BTreeMap;
+
+use dynocal_calib::gains::{self, Tuned};
+use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
+use dynocal_calib::map::{ActuatorPort, Port, Ports};
+use dynocal_calib::steady::cell::{Setting, Side};
+use dynocal_calib::steady::day::{self, DayEnd, DayPlan, DayPoint, Purpose};
+use dynocal_calib::steady::grid::{self, Cell, CellState};
+use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
+use dynocal_calib::steady::normal;
+use dynocal_calib::steady::station::Station;
+use dynocal_ident::data::UnitAfter;
+use dynocal_ident::model::response::Response;
+use dynocal_ident::pi::PiGains;
+use dynocal_ident::plan::PlanLoop;
+use dynocal_ident::plant::{Causality, Plant};
+use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, BoundaryModel, RegionKind, learn_steady};
+use dynocal_numerics::watch::Watch;
+use dynocal_plant::plants;
+
+use super::learn::{self, Learned};
+use super::result::{BedTime, MapAxis, MapError, Mapped};
+use super::spec::{Job, MapSpec};
+use super::{verdict, verify};
+
+/// Share of an axis by which points are planned beyond its ends.
+const BEYOND: f64 = 0.05;
+/// Distance to the boundary of what was reached up to which a cell counts as reached.
+const REACHED: f64 = 1.0 + 1e-9;
+
+/// All of it on the plant of the spec.
+///
+/// # Errors
+/// [`MapError`].
+pub fn run(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
+    run_on(job, make(&job.spec)?.as_mut(), watch)
+}
+
+/// The same on a plant that is there.
+///
+/// # Errors
+/// [`MapError`].
+pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, MapError> {
+    let spec = &job.spec;
+    plant.reset(spec.seed);
+    has_channels(spec, plant)?;
+    let axes = axes(spec);
+    let start = start(spec, plant);
+    let tuned = tuned(spec, &axes, &start, plant, watch)?;
+    let layout = layout(spec, &axes, tuned.as_ref(), plant);
+    let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
+    let interrupt = || watch.interrupted();
+    let first = first(&layout, &start);
+    let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
+    let beyond = |name: &str| spec.bed.beyond.get(name).copied().unwrap_or(0.0);
+    let approach = &spec.bed.approach;
+    let mut station = Station::new(plant, &layout, approach, &beyond, (first.clone(), driven), &interrupt);
+    let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
+    watch.note(&format!("{} points on the bed", spec.bed.points));
+    // The verification comes out of the same bed time: as much as its share of the points.
+    let share = spec.bed.points as f64 / (spec.bed.points + spec.verify.points) as f64;
+    let plan =
+        DayPlan { points: spec.bed.points, block: spec.bed.block, bed_s: share * budget_s, seed: spec.seed };
+    let (mut points, end) =
+        day::measure(&mut station, &layout, &first, &plan, watch).map_err(stopped(watch))?;
+    bed.points_s = station.used_s;
+    enough(&layout, &points, &end)?;
+    let drift = day::drift(&layout, &points);
+    let models = learn::learn(&layout, &points, &drift, &spec.models, watch)?;
+    let envelope = envelope(&layout, &points)?;
+    watch.note("the optimum of every cell");
+    let setting = setting(&layout, &models, spec);
+    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+    let reached = |at: &[f64]| envelope.distance(at) <= REACHED;
+    let cells = grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
+    if watch.interrupted() {
+        return Err(MapError::Interrupted);
+    }
+    watch.note(&format!("{} verification points on the bed", spec.verify.points));
+    let verification =
+        verify::Verification { spec, layout: &layout, setting: &setting, axes: &grid_axes, cells: &cells };
+    let verified = verification.run(&mut station, budget_s, &mut points).map_err(stopped(watch))?;
+    bed.verify_s = station.used_s - bed.points_s;
+    let map = static_map(spec, &layout, &axes, &cells, bed.all_s());
+    let mut found = Mapped {
+        verb: "map",
+        name: job.name.clone(),
+        valid: false,
+        verdict: String::new(),
+        warnings: Vec::new(),
+        checks: Vec::new(),
+        bed,
+        end,
+        axes,
+        drift,
+        models,
+        verified,
+        cells,
+        tuned,
+        files: Vec::new(),
+        points,
+        layout: layout.clone(),
+        envelope,
+        map,
+    };
+    verdict::judge(&mut found, spec);
+    Ok(found)
+}
+
+/// What a plan says when the user interrupts is one thing to them.
+fn stopped(watch: Watch<'_>) -> impl Fn(dynocal_ident::play::PlayError) -> MapError + '_ {
+    move |e| if watch.interrupted() { MapError::Interrupted } else { MapError::Play(e) }
+}
+
+fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
+    let refused =
+        || dynocal_ident::plant::PlantError::Call(format!("plant `{}` is run outside", spec.plant.name));
+    let make = plants::find(&spec.plant.name).and_then(|p| p.make).ok_or_else(refused)?;
+    Ok(make(&spec.plant, true)?)
+}
+
+/// Every channel of the problem is there, in its unit.
+fn has_channels(spec: &MapSpec, plant: &dyn Plant) -> Result<(), MapError> {
+    let p = &spec.problem;
+    let inputs = p.inputs.iter().map(|i| (&i.name, &i.unit, Causality::Input));
+    let given = p.given.iter().map(|g| (&g.name, &g.unit, Causality::Input));
+    let demands = p.demands.iter().map(|d| (&d.output, &d.unit, Causality::Output));
+    let derived = |name: &str| p.derive.iter().any(|d| d.name == name);
+    let limits = p.limits.iter().filter(|l| !derived(&l.output));
+    let limits = limits.map(|l| (&l.output, &l.unit, Causality::Output));
+    for (name, unit, causality) in inputs.chain(given).chain(demands).chain(limits) {
+        let all = plant.variables().iter().filter(|v| v.causality == causality);
+        if !all.clone().any(|v| v.name == *name && v.unit == *unit) {
+            let role = if causality == Causality::Input { "input" } else { "output" };
+            let known: Vec<String> = all.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
+            let (name, unit, known) = (name.clone(), unit.clone(), known.join(", "));
+            return Err(MapError::Channel { role, name, unit, known });
+        }
+    }
+    Ok(())
+}
+
+/// Axes in the order of maps: the demand, then the given channel, which is the fast one.
+fn axes(spec: &MapSpec) -> Vec<MapAxis> {
+    let (demands, given) = (spec.problem.demand_names(), spec.problem.given_names());
+    let axis = |name: &String| {
+        let points = spec.axes.get(name)?.clone();
+        let unit = spec.problem.unit(name).unwrap_or("-").to_string();
+        Some(MapAxis { name: name.clone(), unit, points })
+    };
+    demands.iter().chain(&given).filter_map(axis).collect()
+}
+
+/// Values of all inputs that may move with which the day begins: of the spec, else the plant's own.
+fn start(spec: &MapSpec, plant: &dyn Plant) -> Vec<f64> {
+    let own = |name: &str| {
+        let v = plant.variables().iter().find(|v| v.causality == Causality::Input && v.name == name);
+        v.map(|v| v.start)
+    };
+    let one = |i: &dynocal_calib::problem::InputChannel| {
+        let value = spec.start.get(&i.name).copied().or_else(|| own(&i.name));
+        value.unwrap_or(0.5 * (i.lower + i.upper)).clamp(i.lower, i.upper)
+    };
+    spec.problem.inputs.iter().map(one).collect()
+}
+
+/// The loops in the order of the demands.
+fn loops(spec: &MapSpec, gains: &dyn Fn(&str) -> PiGains) -> Vec<PlanLoop> {
+    let one = |d: &dynocal_calib::problem::DemandChannel| {
+        let l = spec.loops.iter().find(|l| l.output == d.output)?;
+        Some(PlanLoop::closed(&l.output, &l.input, l.gains.unwrap_or_else(|| gains(&l.output))))
+    };
+    spec.problem.demands.iter().filter_map(one).collect()
+}
+
+fn layout(spec: &MapSpec, axes: &[MapAxis], tuned: Option<&Tuned>, plant: &dyn Plant) -> Layout {
+    let found = |output: &str| {
+        let l = tuned.and_then(|t| t.loops.iter().find(|l| l.output == output));
+        l.map_or(PiGains { ki: 0.0, kp: 0.0 }, |l| l.gains)
+    };
+    let ranges: Vec<_> = axes.iter().map(|a| beyond_the_axis(spec, a)).collect();
+    let loops = loops(spec, &found);
+    let mut layout = Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, plant);
+    for f in &mut layout.factors {
+        if let Some((lower, upper)) = spec.bed.ranges.get(&f.name) {
+            (f.lower, f.upper) = (*lower, *upper);
+        }
+    }
+    layout
+}
+
+/// Range in which points are planned: a little beyond the ends of an axis where the problem lets it, so that the outermost cells
+/// lie inside of what was measured.
+fn beyond_the_axis(spec: &MapSpec, axis: &MapAxis) -> AxisRange {
+    let p = &spec.problem;
+    let demand = p.demands.iter().find(|d| d.output == axis.name).map(|d| (d.lower, d.upper));
+    let bounds = demand.or(p.given.iter().find(|g| g.name == axis.name).map(|g| (g.lower, g.upper)));
+    let AxisRange { name, range: (a, b) } = axis.range();
+    let (least, most) = bounds.unwrap_or((a, b));
+    let more = BEYOND * (b - a);
+    AxisRange { name, range: ((a - more).max(least), (b + more).min(most)) }
+}
+
+/// The first point: axes in their middle, inputs where they begin.
+fn first(layout: &Layout, start: &[f64]) -> Vec<f64> {
+    let one = |(f, centre): (&dynocal_calib::steady::layout::Factor, f64)| match f.kind {
+        FactorKind::Free(k) => start[k].clamp(f.lower, f.upper),
+        _ => centre,
+    };
+    layout.factors.iter().zip(layout.centre()).map(one).collect()
+}
+
+/// Gains at the ends of the axes where the spec gives none.
+fn tuned(
+    spec: &MapSpec,
+    axes: &[MapAxis],
+    start: &[f64],
+    plant: &mut dyn Plant,
+    watch: Watch,
+) -> Result<Option<Tuned>, MapError> {
+    if spec.loops.iter().all(|l| l.gains.is_some()) {
+        return Ok(None);
+    }
+    watch.note("gains of the loops");
+    let layout = layout(spec, axes, None, plant);
+    let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
+    // The inner part of each axis: its ends may be out of reach.
+    let inner = |f: &dynocal_calib::steady::layout::Factor| {
+        let room = 0.125 * (f.upper - f.lower);
+        [f.lower + room, f.upper - room]
+    };
+    let mut corners = vec![first(&layout, start)];
+    for k in 0..layout.axes {
+        let ends = inner(&layout.factors[k]);
+        corners = corners
+            .iter()
+            .flat_map(|x| {
+                ends.map(|e| {
+                    let mut x = x.clone();
+                    x[k] = e;
+                    x
+                })
+            })
+            .collect();
+    }
+    let plans: Vec<_> = corners
+        .iter()
+        .enumerate()
+        .map(|(k, x)| layout.plan(&format!("gains{:02}", k + 1), x, x, &driven, 0, 2))
+        .collect();
+    Ok(Some(gains::tune(plant, &plans, &spec.tune, spec.seed, &|| watch.interrupted())?))
+}
+
+/// Usable points for each factor, and at least so many for the envelope.
+fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapError> {
+    let learnt = || points.iter().filter(|p| p.purpose != Purpose::Verify);
+    let usable = learnt().filter(|p| p.point.usable).count();
+    let least = (2 * (layout.factors.len() + 1)).max(5 * (layout.axes + 2));
+    if usable >= least {
+        return Ok(());
+    }
+    let mut notes: BTreeMap<&str, usize> = BTreeMap::new();
+    for p in learnt().filter(|p| !p.point.usable) {
+        *notes.entry(p.point.note.as_str()).or_default() += 1;
+    }
+    let notes: Vec<String> = notes.iter().take(5).map(|(note, n)| format!("{note} ({n} times)")).collect();
+    let end = verdict::end_in_words(end);
+    Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
+}
+
+/// Hull of the axes that were reached, as measured.
+fn envelope(layout: &Layout, points: &[DayPoint]) -> Result<BoundaryModel, MapError> {
+    let used = points.iter().filter(|p| p.point.usable);
+    let x: Vec<f64> = used.flat_map(|p| p.point.factors[..layout.axes].iter().copied()).collect();
+    let keys = BoundaryKeys { kind: RegionKind::Hull, quantile: 0.9, ..BoundaryKeys::default() };
+    Ok(learn_steady(&x, layout.axes, &keys)?)
+}
+
+/// Models with limits and weights.
+fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
+    let mut sides = Vec::new();
+    for (k, r) in layout.responses.iter().enumerate() {
+        let scale = models[k].spread.max(f64::MIN_POSITIVE);
+        sides.extend(r.upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
+        sides.extend(r.lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
+    }
+    Setting {
+        models: models.iter().map(|m| &m.model as &dyn Response).collect(),
+        weights: layout.responses.iter().map(|r| r.weight).collect(),
+        sides,
+        z: normal::quantile(spec.optimise.probability),
+        caution: spec.optimise.caution,
+        ranges: layout.factors.iter().map(|f| (f.lower, f.upper)).collect(),
+        axes: layout.axes,
+    }
+}
+
+/// The maps in the form of the house: demand slow, given channel fast.
+fn static_map(spec: &MapSpec, layout: &Layout, axes: &[MapAxis], cells: &[Cell], bed_s: f64) -> StaticMap {
+    let p = &spec.problem;
+    let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
+    let axis = |known: &[String]| axes.iter().find(|a| known.contains(&a.name));
+    let (demand, given) = (axis(&p.demand_names()), axis(&p.given_names()));
+    // The leading demand and the given channel of a map are its axes: they come first.
+    let first = |name: Option<&MapAxis>, all: Vec<Port>| -> Vec<Port> {
+        let leads = |p: &Port| name.is_some_and(|a| a.name == p.name);
+        let (mut lead, rest): (Vec<Port>, Vec<Port>) = all.into_iter().partition(|p| leads(p));
+        lead.extend(rest);
+        lead
+    };
+    let actuator = |i: &dynocal_calib::problem::InputChannel| ActuatorPort {
+        name: i.name.clone(),
+        unit: i.unit.clone(),
+        lower: i.lower,
+        upper: i.upper,
+    };
+    let ports = Ports {
+        demands: first(demand, p.demands.iter().map(|d| port(&d.output, &d.unit)).collect()),
+        given: first(given, p.given.iter().map(|g| port(&g.name, &g.unit)).collect()),
+        actuators: p.inputs.iter().map(actuator).collect(),
+    };
+    let points = cells.iter().map(|c| {
+        let along = |a: Option<&MapAxis>| {
+            a.and_then(|a| axes.iter().position(|o| o.name == a.name)).map_or(0.0, |k| c.at[k])
+        };
+        StaticPoint {
+            demand: along(demand),
+            given: along(given),
+            actuators: actuators(layout, c),
+            errors: Vec::new(),
+            objective: c.optimum.objective,
+            missed: missed(layout, c),
+        }
+    });
+    StaticMap {
+        ports,
+        demand: demand.map_or(vec![0.0], |a| a.points.clone()),
+        given: given.map_or(vec![0.0], |a| a.points.clone()),
+        points: points.collect(),
+        bed_s,
+    }
+}
+
+/// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
+pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
+    let driven = layout.driven();
+    let value = |(k, i): (usize, &dynocal_calib::problem::InputChannel)| {
+        let v = match driven.iter().position(|d| *d == k) {
+            Some(loop_number) => cell.optimum.responses[loop_number],
+            None => {
+                let place = layout.factors.iter().position(|f| f.kind == FactorKind::Free(k));
+                place.map_or(f64::NAN, |p| cell.optimum.x[p])
+            }
+        };
+        v.clamp(i.lower, i.upper)
+    };
+    layout.problem.inputs.iter().enumerate().map(value).collect()
+}
+
+/// Why a cell is not what was asked for; empty where it is.
+pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
+    match cell.state {
+        CellState::Optimal => String::new(),
+        CellState::Filled => "filled from its neighbours: not reached on the bed".into(),
+        CellState::Infeasible => {
+            let each = cell.optimum.prices.iter().filter(|p| p.passed > 0.0).map(|p| {
+                let r = &layout.responses[p.response];
+                let (side, limit) = if p.sign > 0.0 { ("above", r.upper) } else { ("below", r.lower) };
+                let unit = UnitAfter(&r.unit);
+                format!("`{}` {:.4}{unit} {side} {}{unit}", r.name, p.passed, limit.unwrap_or(f64::NAN))
+            });
+            let each: Vec<String> = each.collect();
+            format!("limits conflict: {} at the least violation, uncertainty counted in", each.join(", "))
+        }
+    }
+}
