@@ -178,7 +178,7 @@ fn the_c_gives_the_bits<R: Real>(folder: &Path, package: &Package, precision: Pr
     let rows = record.rows();
     let values = |input: &str| -> Vec<f64> {
         let demanded = format!("{input}_demand");
-        let column = if record.column(&demanded).is_some() { &demanded } else { input };
+        let column = if record.column(&demanded).is_ok() { &demanded } else { input };
         record.numbers(column, 0, rows).unwrap().to_vec()
     };
     let columns: Vec<Vec<f64>> = program.inputs.iter().map(|i| values(&i.name)).collect();
