@@ -3,7 +3,7 @@
 use dynocal_calib::steady::cell::Price;
 use dynocal_calib::steady::grid::CellState;
 use dynocal_files::run_folder::RunFolder;
-use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
+use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
 use dynocal_jobs::export::{self, ExportSpec};
 use dynocal_jobs::map::{MapError, Mapped, spec, store, work};
 use dynocal_jobs::place::Overrides;
@@ -38,7 +38,6 @@ struct Bench {
     rng: Rng64,
     torque: f64,
     time_s: f64,
-    shown: Vec<f64>,
 }
 
 const OUTPUTS: [(&str, &str); 4] = [("torque", "Nm"), ("knock", "-"), ("heat", "K"), ("fuel", "kg/h")];
@@ -60,16 +59,7 @@ impl Bench {
             variable("speed", "rpm", Causality::Input, 0.0, 1e4, 1500.0),
         ];
         variables.extend(OUTPUTS.map(|(n, u)| variable(n, u, Causality::Output, -1e6, 1e6, 0.0)));
-        Self {
-            variables,
-            noise,
-            shift: 0.0,
-            fault,
-            rng: Rng64::new(0),
-            torque: 0.0,
-            time_s: 0.0,
-            shown: vec![0.0; 4],
-        }
+        Self { variables, noise, shift: 0.0, fault, rng: Rng64::new(0), torque: 0.0, time_s: 0.0 }
     }
 
     /// Another engine: its best spark lies elsewhere.
@@ -84,7 +74,6 @@ impl Plant for Bench {
     }
     fn reset(&mut self, seed: u64) {
         (self.rng, self.torque, self.time_s) = (Rng64::new(seed), 0.0, 0.0);
-        self.shown.fill(0.0);
     }
     fn step(&mut self, u: &[f64], dt_s: f64, y: &mut [f64]) -> Result<(), PlantError> {
         if let Fault::Stalls(s) = self.fault
@@ -107,11 +96,7 @@ impl Plant for Bench {
         };
         y[2] = 500.0 + 3.0 * self.torque - 100.0 * spark + 150.0 * cam + scatter(2.0);
         y[3] = load + scatter(0.05);
-        self.shown.copy_from_slice(y);
         Ok(())
-    }
-    fn outputs(&self, y: &mut [f64]) -> Result<(), PlantError> {
-        show(&self.shown, y)
     }
     fn time_s(&self) -> f64 {
         self.time_s
@@ -347,4 +332,17 @@ fn the_run_folder_holds_maps_that_leave_in_the_formats_of_ecus() {
         "{:?} {expected:?}",
         spark.values
     );
+}
+
+/// A value that is held has to lie in the range of its channel.
+#[test]
+fn a_held_value_out_of_its_range_is_refused() {
+    let text = text(DAY).replace("[axes]\ntorque = [30.0, 50.0, 70.0]\n", "[held]\ntorque = HELD\n[axes]\n");
+    for (held, fine) in [("50.0", true), ("-1e308", false), ("nan", false), ("81.0", false)] {
+        let read = spec::parse("map.toml", &text.replace("HELD", held), &Overrides::default());
+        assert_eq!(read.is_ok(), fine, "{held}");
+        if let Err(e) = read {
+            assert!(e.to_string().contains("`held.torque`") && e.to_string().contains("20 to 80 Nm"), "{e}");
+        }
+    }
 }

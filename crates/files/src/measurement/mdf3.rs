@@ -41,8 +41,7 @@ impl Mdf3 {
                     unit: match c.unit.trim() {
                         "" if c.is_time() => Some("s".into()),
                         "" => None,
-                        // The text of MDF 3 is Latin-1, whose degree sign the library gives as a replacement.
-                        u => Some(units::normalise(&u.replace('\u{fffd}', "\u{b0}"))),
+                        u => Some(units::normalise(u)),
                     },
                     comment: c.description.trim().to_string(),
                     text: false,

@@ -75,13 +75,12 @@ impl<'a> Session<'a> {
             };
             loops.push(closed);
         }
-        let mut shown = vec![0.0; outputs.len()];
-        plant.outputs(&mut shown)?;
+        let start: Vec<f64> = outputs.iter().map(|v| v.start).collect();
         let course = Course {
             inputs: plan.channels.iter().map(|c| c.name.clone()).collect(),
             outputs: outputs.iter().map(|v| v.name.clone()).collect(),
             u: Vec::new(),
-            y: shown.clone(),
+            y: start.clone(),
             before: 0,
         };
         Ok(Self {
@@ -90,7 +89,7 @@ impl<'a> Session<'a> {
             inputs: inputs.iter().map(|v| v.start).collect(),
             row: vec![0.0; places.len()],
             places,
-            outputs: shown,
+            outputs: start,
             recorded,
             loops,
             course,

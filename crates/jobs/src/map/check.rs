@@ -145,8 +145,10 @@ fn channels(s: &MapSpec, faults: &mut Faults) {
         if s.axes.contains_key(name) {
             faults.push(&format!("held.{name}"), "an axis", "a demand or given channel that is no axis");
         }
-        if !value.is_finite() {
-            faults.push(&format!("held.{name}"), value, "a finite number");
+        let demands = s.problem.demands.iter().map(|d| (&d.output, d.lower, d.upper, &d.unit));
+        let given = s.problem.given.iter().map(|g| (&g.name, g.lower, g.upper, &g.unit));
+        if let Some((_, lower, upper, unit)) = demands.chain(given).find(|c| c.0 == name) {
+            faults.range(&format!("held.{name}"), *value, lower, upper, unit);
         }
     }
     for (name, value) in &s.start {
