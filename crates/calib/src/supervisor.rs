@@ -195,7 +195,7 @@ struct Tracker<'a> {
     watched: Watched<'a>,
     /// Column among the plant's outputs.
     column: usize,
-    /// Free run, one value per row from row 1 on: row 0 was not measured.
+    /// Free run, one value per row from row 1 on: row 0 answers to nothing that was applied.
     free: Vec<f64>,
     smooth: Vec<f64>,
     /// Largest error of a prediction so far, and the same as a share of the distance to the safe point.

@@ -13,6 +13,7 @@ struct Lag {
     tau_s: f64,
     noise: f64,
     rng: Rng64,
+    shown: f64,
     state: [f64; 2],
 }
 
@@ -27,7 +28,7 @@ impl Lag {
             start: 0.0,
         };
         let variables = [of("u", "deg", Causality::Input), of("torque", "Nm", Causality::Output)];
-        Self { variables, tau_s, noise, rng: Rng64::new(0), state: [0.0; 2] }
+        Self { variables, tau_s, noise, rng: Rng64::new(0), shown: 0.0, state: [0.0; 2] }
     }
 }
 
@@ -42,7 +43,12 @@ impl Plant for Lag {
         let [y, time_s] = self.state;
         let y = inputs[0] + (y - inputs[0]) * (-dt_s / self.tau_s).exp();
         self.state = [y, time_s + dt_s];
-        outputs[0] = y + self.noise * self.rng.normal();
+        self.shown = y + self.noise * self.rng.normal();
+        outputs[0] = self.shown;
+        Ok(())
+    }
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        outputs[0] = self.shown;
         Ok(())
     }
     fn time_s(&self) -> f64 {

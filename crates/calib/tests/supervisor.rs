@@ -19,6 +19,7 @@ struct Toy {
     variables: [Variable; 2],
     noise: f64,
     rng: Rng64,
+    shown: f64,
     /// Output without noise, the last two inputs, time.
     state: [f64; 4],
 }
@@ -34,7 +35,7 @@ impl Toy {
             start: 0.0,
         };
         let variables = [of("u", Causality::Input, 4.0), of("y", Causality::Output, 100.0)];
-        Self { variables, noise, rng: Rng64::new(seed), state: [0.0; 4] }
+        Self { variables, noise, rng: Rng64::new(seed), shown: 0.0, state: [0.0; 4] }
     }
 }
 
@@ -54,7 +55,12 @@ impl Plant for Toy {
         let [y, one, two, _] = self.state;
         let y = 0.85 * y + 0.15 * (two + 0.08 * two.powi(3));
         self.state = [y, u, one, time_s + dt_s];
-        outputs[0] = y + self.noise * self.rng.normal();
+        self.shown = y + self.noise * self.rng.normal();
+        outputs[0] = self.shown;
+        Ok(())
+    }
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        outputs[0] = self.shown;
         Ok(())
     }
     fn time_s(&self) -> f64 {

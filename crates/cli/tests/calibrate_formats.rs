@@ -4,8 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
+use dynocal_export::evaluate::{Machine, Real};
+use dynocal_export::format::{Keys, Precision, write};
+use dynocal_export::package::Package;
 use dynocal_files::atomic;
 use dynocal_files::measurement::FORMATS;
+use dynocal_files::table::Table;
 
 fn dynocal(folder: &Path, args: &[&str]) -> Output {
     Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap()
@@ -106,8 +110,10 @@ gains = { ki = -40.0, kp = -8.0 }
 #[test]
 fn the_map_leaves_as_the_spec_asks() {
     let tmp = tempfile::tempdir().unwrap();
-    let spec =
-        format!("{}\n[export]\nto = [\"dcm\", \"c\", \"fmu2\", \"fmu3\"]\nengine = true\n", shortest());
+    let spec = format!(
+        "{}\n[export]\nto = [\"dcm\", \"c\", \"json\", \"fmu2\", \"fmu3\"]\nengine = true\n",
+        shortest()
+    );
     atomic::write(&tmp.path().join("spec.toml"), spec.as_bytes()).unwrap();
     let said = done(tmp.path(), &["calibrate", "spec.toml", "--until", "excite", "--out", "run"]);
     assert!(said.contains("nothing leaves before the step invert"), "{said}");
@@ -127,7 +133,79 @@ fn the_map_leaves_as_the_spec_asks() {
         assert!(!both.is_empty() && found["only_first"].as_array().unwrap().is_empty(), "{text}");
         assert!(both.iter().all(|d| d["differing"] == 0 && d["points"].as_u64() > Some(0)), "{text}");
     }
+    let json = files.iter().find(|f| f.ends_with("dynamic_map.json")).unwrap();
+    let bytes = std::fs::read(tmp.path().join(json)).unwrap();
+    let package = dynocal_export::format::read(json, &bytes).unwrap();
+    let record = validated(tmp.path());
+    let columns = dynocal_files::dataset::read_table(&record, None).unwrap();
+    the_c_gives_the_bits::<f64>(tmp.path(), &package, Precision::Double, &columns);
+    the_c_gives_the_bits::<f32>(tmp.path(), &package, Precision::Float, &columns);
     the_map_drives_the_engine(tmp.path(), &files);
+}
+
+/// The record of the dynamic map in the comparison of the maps.
+fn validated(folder: &Path) -> PathBuf {
+    std::fs::read_dir(folder.join("run/steps/06-validate"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .find(|p| p.file_name().unwrap().to_string_lossy().starts_with("dynamic_map_random"))
+        .unwrap()
+}
+
+/// The C of the dynamic map over the whole validation record, and then with NaN and infinities: the bits of the evaluator.
+fn the_c_gives_the_bits<R: Real>(folder: &Path, package: &Package, precision: Precision, record: &Table) {
+    if std::process::Command::new("gcc").arg("--version").output().is_err() {
+        println!("SKIPPED READER: no gcc");
+        return;
+    }
+    let tmp = tempfile::tempdir_in(folder).unwrap();
+    let program = package.program.as_ref().unwrap();
+    let (m, q, name) = (program.inputs.len(), program.outputs.len(), &package.name);
+    for f in write(package, "c", &Keys { precision }).unwrap() {
+        atomic::write(&tmp.path().join(&f.name), &f.bytes).unwrap();
+    }
+    let main = format!(
+        "#include <stdio.h>\n#include \"{name}.h\"\nint main(void) {{\n{name}_state_T s; {name}_real_T in[{m}], out[{q}];\n\
+         double u[{m}]; {name}_init(&s);\nFILE *f = fopen(\"in.bin\", \"rb\"), *g = fopen(\"out.bin\", \"wb\");\n\
+         while (fread(u, sizeof u, 1, f) == 1) {{\nfor (int k = 0; k < {m}; k++) in[k] = ({name}_real_T)u[k];\n\
+         {name}_step(&s, in, out);\nfor (int k = 0; k < {q}; k++) {{ double y = (double)out[k]; fwrite(&y, sizeof y, 1, g); }}\n\
+         }}\nfclose(f); fclose(g); return 0;\n}}\n"
+    );
+    atomic::write(&tmp.path().join("main.c"), main.as_bytes()).unwrap();
+    let gcc = ["-std=c99", "-O2", "-ffp-contract=off", "-o", "main", "main.c", &format!("{name}.c"), "-lm"];
+    let built = std::process::Command::new("gcc").args(gcc).current_dir(tmp.path()).output().unwrap();
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let rows = record.rows();
+    let values = |input: &str| -> Vec<f64> {
+        let demanded = format!("{input}_demand");
+        let column = if record.column(&demanded).is_ok() { &demanded } else { input };
+        record.numbers(column, 0, rows).unwrap().to_vec()
+    };
+    let columns: Vec<Vec<f64>> = program.inputs.iter().map(|i| values(&i.name)).collect();
+    let mut u: Vec<f64> = (0..rows).flat_map(|t| columns.iter().map(move |c| c[t])).collect();
+    // Then one odd input after the other; what it leaves behind in filters stays.
+    for (k, odd) in [f64::INFINITY, f64::NEG_INFINITY, f64::NAN].into_iter().cycle().take(3 * m).enumerate() {
+        let mut row: Vec<f64> = columns.iter().map(|c| c[0]).collect();
+        row[k / 3] = odd;
+        u.extend(row);
+    }
+    let bytes: Vec<u8> = u.iter().flat_map(|x| x.to_le_bytes()).collect();
+    atomic::write(&tmp.path().join("in.bin"), &bytes).unwrap();
+    let ran = std::process::Command::new(tmp.path().join("main")).current_dir(tmp.path()).status().unwrap();
+    assert!(ran.success());
+    let out = std::fs::read(tmp.path().join("out.bin")).unwrap();
+    assert_eq!(out.len(), 8 * q * (rows + 3 * m));
+    let mut machine = Machine::<R>::new(package).unwrap();
+    for (t, (u, y)) in u.chunks(m).zip(out.chunks(8 * q)).enumerate() {
+        let inputs: Vec<R> = u.iter().map(|x| R::from(*x)).collect();
+        for (want, y) in machine.step(&inputs).into_iter().zip(y.chunks(8)) {
+            let y = f64::from_le_bytes(y.try_into().unwrap());
+            let want = want.to();
+            let same = want.to_bits() == y.to_bits() || (want.is_nan() && y.is_nan());
+            assert!(same, "{precision:?}, row {t}: {y} {want} at {u:?}");
+        }
+    }
+    println!("{name} {precision:?}: {rows} rows of the validation record and {} odd ones, bit-equal", 3 * m);
 }
 
 /// The FMU of the dynamic map drives the FMU of the engine: the record of the comparison of the maps, which began after 4 s at its
@@ -144,11 +222,7 @@ fn the_map_drives_the_engine(folder: &Path, files: &[&str]) {
     }
     let readers = Path::new(env!("CARGO_MANIFEST_DIR")).join("../engine_fmu/tests/readers");
     let script = std::fs::canonicalize(readers.join("check_drive.py")).unwrap();
-    let record = std::fs::read_dir(folder.join("run/steps/06-validate"))
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .find(|p| p.file_name().unwrap().to_string_lossy().starts_with("dynamic_map_random"))
-        .unwrap();
+    let record = validated(folder);
     for version in ["fmi2", "fmi3"] {
         let unit = |name: &str| {
             let ending = format!("{name}_{version}.fmu");

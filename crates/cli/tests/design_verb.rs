@@ -108,6 +108,12 @@ fn the_example_keeps_all_its_limits_and_beats_random_signals() {
     for e in s["efficiencies"].as_array().unwrap() {
         // The best of the random signals, not only the median.
         assert!(e["d_percent"][2].as_f64().unwrap() < 60.0, "{e}");
+        // Every rival that was drawn keeps the limits of the torque, and bed time is that of the best: information adds up over
+        // samples, so that it needs 300 / share of them.
+        assert_eq!(e["signals"], 20, "{e}");
+        let best = e["i_percent"][2].as_f64().unwrap() / 100.0;
+        let samples = e["same_error_samples"].as_f64().unwrap();
+        assert!((samples * best - 300.0).abs() < 1e-6 && samples > 300.0, "{e}");
     }
     // A bound is below every design, hence also below this one, and the efficiency follows from both.
     let (bound, value) =

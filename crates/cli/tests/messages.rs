@@ -221,6 +221,15 @@ fn folders_that_cannot_be_written() {
     let o = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "."]);
     assert_eq!(o.code, 2);
     has(&o.stderr, "is not empty and not a run of `dynocal identify`");
+    // Nothing is to be removed where a page is wanted: another verb's folder is named, and how its page comes again.
+    let o = dynocal(tmp.path(), &["report", "run"]);
+    assert_eq!(o.code, 2);
+    has(&o.stderr, "found a run of `dynocal identify`, expected a run of `dynocal calibrate`");
+    assert!(
+        o.stderr.contains("finished steps are taken over") && !o.stderr.contains("remove"),
+        "{}",
+        o.stderr
+    );
 }
 
 #[test]

@@ -46,6 +46,14 @@ pub fn is_identifier(name: &str) -> bool {
         && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
+/// Whether `name` is one that an ECU may have: identifiers with dots and brackets, `Ign.tab[2]`, as DCM and CDF allow.
+pub fn is_ecu_name(name: &str) -> bool {
+    !name.is_empty()
+        && name.len() <= 255
+        && name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || "_.[]".contains(c))
+}
+
 /// `name` made an identifier: other characters become underscores.
 pub fn identifier(name: &str) -> String {
     let clean: String = name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
@@ -95,10 +103,10 @@ impl Characteristic {
     /// # Errors
     /// [`ExportError::Form`].
     pub fn check(&self) -> Result<(), ExportError> {
-        if !is_identifier(&self.name) {
+        if !is_ecu_name(&self.name) {
             return Err(ExportError::form(
                 &self.name,
-                "found this name, expected letters, digits and underscores",
+                "found this name, expected letters, digits, underscores, and for parts of it dots and brackets",
             ));
         }
         self.axes.iter().try_for_each(Axis::check)?;

@@ -19,6 +19,7 @@ pub mod simulink;
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
+use crate::characteristic::{Characteristic, identifier, is_identifier};
 use crate::error::ExportError;
 use crate::package::Package;
 
@@ -100,12 +101,35 @@ pub static EXPORTS: &[Export] = &[
     fmu::FMU3,
 ];
 
+/// Formats that hold names as an ECU has them, dots and brackets included; the others need identifiers.
+const ECU_NAMES: [&str; 4] = ["dcm", "cdfx", "csv", "json"];
+
+/// The package with dots and brackets of names as underscores; none where there are none.
+fn with_identifiers(package: &Package) -> Option<Package> {
+    let odd = |c: &Characteristic| {
+        !is_identifier(&c.name) || c.axes.iter().any(|a| !a.name.is_empty() && !is_identifier(&a.name))
+    };
+    if !package.characteristics.iter().any(odd) {
+        return None;
+    }
+    let mut out = package.clone();
+    for c in &mut out.characteristics {
+        c.name = identifier(&c.name);
+        c.axes.iter_mut().filter(|a| !a.name.is_empty()).for_each(|a| a.name = identifier(&a.name));
+    }
+    Some(out)
+}
+
 /// Writes `package` in format `name`.
 ///
 /// # Errors
 /// [`ExportError`]: unknown format, faulty package, or one that the format cannot hold.
 pub fn write(package: &Package, name: &str, keys: &Keys) -> Result<Vec<OutFile>, ExportError> {
     let row = find(name)?;
+    package.check()?;
+    let renamed = (!ECU_NAMES.contains(&row.doc.name)).then(|| with_identifiers(package)).flatten();
+    let package = renamed.as_ref().unwrap_or(package);
+    // Two names may have become one.
     package.check()?;
     let unfit = |what: &str| ExportError::Unfit {
         format: row.doc.name,

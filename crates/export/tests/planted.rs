@@ -77,6 +77,37 @@ fn dcm_in_other_hands() {
     assert_eq!(read(&name, split.as_bytes()).unwrap().characteristics, want.characteristics);
 }
 
+/// What an ECU's data set has beside maps: variants, functions, names of structures, text, truth values, hexadecimal numbers.
+#[test]
+fn dcm_of_an_ecu() {
+    let text = "* INCA\nKONSERVIERUNG_FORMAT 2.0\nMODULKOPF MODUL \"x\"\nFUNKTIONEN\n  FKT Ign \"1.2\" \"Ignition\"\nEND\n\
+        VARIANTENKODIERUNG\n  KRITERIUM Gear Hand Auto\nEND\nFESTWERT SW\n  WERT true\nEND\nFESTWERT HEX\n  WERT 0x1F\nEND\n\
+        FESTWERT Name\n  TEXT \"abc\"\nEND\nTEXTSTRING Ts\n  TEXT \"hello\"\nEND\nKENNLINIE Words 2\n  ST_TX/X \"low\" \"high\"\n  WERT 1.0 2.0\nEND\n\
+        FESTWERTEBLOCK Blk 2 @ 2\n  WERT 1.0 2.0\n  WERT 3.0 4.0\nEND\nKENNFELD Ign.tab[0] 2 2\n  DISPLAYNAME tab\n  VAR Gear=Hand\n\
+        \tST/X\t1000.0\t2000.0\n  ST/Y 10.0\n  WERT 1.0 2.0\n  ST/Y 20.0\n  WERT 3.0 4.0\nEND\n";
+    let package = read("ecu.dcm", text.as_bytes()).unwrap();
+    let values = |name: &str| {
+        let c = package.characteristics.iter().find(|c| c.name == name);
+        c.unwrap_or_else(|| panic!("no `{name}`")).values.clone()
+    };
+    assert_eq!((values("SW"), values("HEX")), (vec![1.0], vec![31.0]));
+    assert_eq!((values("Blk"), values("Ign.tab[0]")), (vec![1.0, 2.0, 3.0, 4.0], vec![1.0, 2.0, 3.0, 4.0]));
+    assert_eq!(package.characteristics.len(), 4);
+    let said = &package.provenance.run;
+    assert!(said.contains("hold words: Name, Ts, Words"), "{said}");
+    // What an ECU calls its maps comes back from the formats of ECUs, and becomes an identifier in code.
+    for format in ["dcm", "cdfx", "json"] {
+        let file = write(&package, format, &Keys::default()).unwrap().remove(0);
+        let back = read(&file.name, &file.bytes).unwrap_or_else(|e| panic!("{format}: {e}"));
+        assert!(back.characteristics.iter().any(|c| c.name == "Ign.tab[0]"), "{format}");
+    }
+    for format in ["c", "python", "simulink", "a2l"] {
+        let files = write(&package, format, &Keys::default()).unwrap();
+        let text: String = files.iter().map(|f| String::from_utf8_lossy(&f.bytes).into_owned()).collect();
+        assert!(text.contains("Ign_tab_0_") && !text.contains("Ign.tab"), "{format}");
+    }
+}
+
 #[test]
 fn cdfx() {
     let map = "<VG><V>12.5</V><V>12.0</V><V>13.25</V></VG><VG><V>31.0</V><V>30.5</V><V>33.0</V></VG>";
@@ -184,15 +215,19 @@ fn faulty_forms() {
     c.characteristics[5].axes[0].points[2] = 5000.0;
     let mut d = common::maps();
     d.characteristics[0].name = "LAM KP".into();
+    let mut e = common::maps();
+    (e.characteristics[0].name, e.characteristics[1].name) = ("A.B".into(), "A_B".into());
     for (package, says) in [
         (a, "`INJ_MAP`: found 5 values, expected 6 (3 x 2)"),
         (b, "`SPD_AXIS`: found the axis points 1000 and 1000"),
         (c, "two shared axes of this name"),
-        (d, "letters, digits and underscores"),
+        (d, "letters, digits, underscores"),
     ] {
         let e = write(&package, "dcm", &Keys::default()).unwrap_err().to_string();
         assert!(e.contains(says), "{e}");
     }
+    let twice = write(&e, "c", &Keys::default()).unwrap_err().to_string();
+    assert!(twice.contains("found this name twice"), "{twice}");
     let e = write(&common::maps(), "cdfxx", &Keys::default()).unwrap_err().to_string();
     assert!(e.contains("did you mean `cdfx`?"), "{e}");
     let e = write(&common::maps(), "fmu2", &Keys::default()).unwrap_err().to_string();

@@ -15,6 +15,8 @@ pub mod mat73;
 pub mod mdf3;
 #[cfg(feature = "mdf")]
 pub mod mdf4;
+#[cfg(feature = "mdf")]
+mod mdf4_transposed;
 pub mod merge;
 pub mod parquet_io;
 

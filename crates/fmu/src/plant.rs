@@ -255,6 +255,19 @@ impl Plant for FmuPlant {
         Ok(())
     }
 
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        if outputs.len() != self.outputs.len() {
+            let (found, expected) = (outputs.len(), self.outputs.len());
+            return Err(PlantError::Call(format!(
+                "{}: {found} outputs asked for, expected {expected}",
+                self.path
+            )));
+        }
+        let refused = |e: FmuError| PlantError::Call(e.to_string());
+        self.broken.clone().map_or(Ok(()), Err).map_err(refused)?;
+        self.instance.get(&self.outputs, outputs).map_err(refused)
+    }
+
     fn time_s(&self) -> f64 {
         self.time_s
     }

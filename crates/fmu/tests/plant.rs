@@ -42,6 +42,17 @@ fn answers_as_its_closed_form_says() {
         plant.restore(&state).unwrap();
         go(&mut plant, [2000.0, 100.0], 7, &mut y);
         assert_eq!(y[0].to_bits(), first.to_bits());
+        // What it shows is what the last step gave, also after a restored state, and the start value after a reset.
+        let mut shown = [f64::NAN];
+        plant.outputs(&mut shown).unwrap();
+        assert_eq!(shown, y);
+        plant.restore(&state).unwrap();
+        plant.outputs(&mut shown).unwrap();
+        assert!((shown[0] - want).abs() < 1e-9, "{} {want}", shown[0]);
+        plant.reset(0);
+        plant.outputs(&mut shown).unwrap();
+        assert_eq!(shown[0], plant.variables()[2].start);
+        assert!(plant.outputs(&mut [0.0, 0.0]).is_err());
         let e = plant.step(&[100.0, 50.0], dt, &mut y).unwrap_err().to_string();
         assert!(e.contains("`speed` = 100") && e.contains("800 to 5000"), "{e}");
     }

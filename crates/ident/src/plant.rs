@@ -98,6 +98,14 @@ pub trait Plant: Send {
     /// [`PlantError`] when an input is outside its range or not finite; the state is then unchanged.
     fn step(&mut self, inputs: &[f64], dt_s: f64, outputs: &mut [f64]) -> Result<(), PlantError>;
 
+    /// Fills `outputs` with what the plant shows now: what the last [`Plant::step`] gave, or after [`Plant::reset`] the start
+    /// values. They are part of the state, saved and restored with it. A record that begins without a wait takes its first
+    /// row from here.
+    ///
+    /// # Errors
+    /// [`PlantError::Call`] where the number of outputs does not fit, or a foreign plant does not tell.
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError>;
+
     /// Time in s since the last reset.
     fn time_s(&self) -> f64;
 
@@ -115,6 +123,19 @@ pub trait Plant: Send {
 
     /// Name, parameter set and version, for the origin of records.
     fn describe(&self) -> String;
+}
+
+/// Fills `outputs` from `shown`: for plants that keep what they gave last.
+///
+/// # Errors
+/// [`PlantError::Call`] with both numbers where they differ.
+pub fn show(shown: &[f64], outputs: &mut [f64]) -> Result<(), PlantError> {
+    if shown.len() != outputs.len() {
+        let (found, expected) = (outputs.len(), shown.len());
+        return Err(PlantError::Call(format!("{found} outputs asked for: expected {expected}")));
+    }
+    outputs.copy_from_slice(shown);
+    Ok(())
 }
 
 /// Index of variable `name` among the plant's inputs (or outputs).

@@ -20,6 +20,7 @@
 //!         y[0] = self.1;
 //!         Ok(())
 //!     }
+//!     fn outputs(&self, y: &mut [f64]) -> Result<(), PlantError> { y[0] = self.1; Ok(()) }
 //!     fn time_s(&self) -> f64 { self.2 }
 //!     fn take_events(&mut self) -> Vec<LimitEvent> { Vec::new() }
 //!     fn save(&self) -> PlantState { PlantState(vec![self.1, self.2]) }
@@ -250,7 +251,7 @@ pub enum PlayError {
 /// What a watchdog sees: everything that was applied and measured since the player began, settling included.
 ///
 /// With R rows of inputs applied there are R + 1 rows of outputs: row i was measured at the instant from which row i of the
-/// inputs is applied. Row 0 was not measured: it holds the start values of the plant's variables.
+/// inputs is applied. Row 0 is what the plant showed when the player began ([`Plant::outputs`]).
 #[derive(Clone, Debug)]
 pub struct Course {
     /// Channels of the plan (m).

@@ -35,6 +35,23 @@ fn an_open_loop_record_is_the_recursion_row_by_row() {
     assert!((played.used_s - 4.5).abs() < 1e-12);
 }
 
+/// A second plan, unsettled, goes on where the first has left the plant: its first row holds what stands there, not the start
+/// value, and the two records obey one recursion.
+#[test]
+fn a_plan_without_a_wait_begins_with_what_the_plant_shows() {
+    let u: Vec<f64> = (0..30).map(|t| ((t * t) % 5) as f64 - 1.5).collect();
+    let plan = Plan::open_loop("a", 0.1, vec![channel(u.clone())]);
+    let mut plant = Lag::new(0.9, 0.2);
+    let mut y = 0.0;
+    for round in 0..3 {
+        let record = play(&mut plant, &plan, &mut Unwatched).unwrap().whole().unwrap().record;
+        for (t, got) in record.values("y").unwrap().iter().enumerate() {
+            assert_eq!(*got, y, "round {round}, row {t}");
+            y = 0.9 * y + 0.2 * u[t];
+        }
+    }
+}
+
 /// Loops, ranges and the record of demands, against the loop written out.
 #[test]
 fn a_closed_loop_is_the_pi_law_over_its_feedforward() {

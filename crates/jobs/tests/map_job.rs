@@ -3,7 +3,7 @@
 use dynocal_calib::steady::cell::Price;
 use dynocal_calib::steady::grid::CellState;
 use dynocal_files::run_folder::RunFolder;
-use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
 use dynocal_jobs::export::{self, ExportSpec};
 use dynocal_jobs::map::{MapError, Mapped, spec, store, work};
 use dynocal_jobs::place::Overrides;
@@ -38,6 +38,7 @@ struct Bench {
     rng: Rng64,
     torque: f64,
     time_s: f64,
+    shown: Vec<f64>,
 }
 
 const OUTPUTS: [(&str, &str); 4] = [("torque", "Nm"), ("knock", "-"), ("heat", "K"), ("fuel", "kg/h")];
@@ -59,7 +60,16 @@ impl Bench {
             variable("speed", "rpm", Causality::Input, 0.0, 1e4, 1500.0),
         ];
         variables.extend(OUTPUTS.map(|(n, u)| variable(n, u, Causality::Output, -1e6, 1e6, 0.0)));
-        Self { variables, noise, shift: 0.0, fault, rng: Rng64::new(0), torque: 0.0, time_s: 0.0 }
+        Self {
+            variables,
+            noise,
+            shift: 0.0,
+            fault,
+            rng: Rng64::new(0),
+            torque: 0.0,
+            time_s: 0.0,
+            shown: vec![0.0; 4],
+        }
     }
 
     /// Another engine: its best spark lies elsewhere.
@@ -74,6 +84,7 @@ impl Plant for Bench {
     }
     fn reset(&mut self, seed: u64) {
         (self.rng, self.torque, self.time_s) = (Rng64::new(seed), 0.0, 0.0);
+        self.shown.fill(0.0);
     }
     fn step(&mut self, u: &[f64], dt_s: f64, y: &mut [f64]) -> Result<(), PlantError> {
         if let Fault::Stalls(s) = self.fault
@@ -96,7 +107,11 @@ impl Plant for Bench {
         };
         y[2] = 500.0 + 3.0 * self.torque - 100.0 * spark + 150.0 * cam + scatter(2.0);
         y[3] = load + scatter(0.05);
+        self.shown.copy_from_slice(y);
         Ok(())
+    }
+    fn outputs(&self, y: &mut [f64]) -> Result<(), PlantError> {
+        show(&self.shown, y)
     }
     fn time_s(&self) -> f64 {
         self.time_s

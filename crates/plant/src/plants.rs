@@ -328,6 +328,34 @@ mod tests {
         });
     }
 
+    /// What a plant shows is what its last step gave, the start values after a reset, and comes back with a saved state.
+    #[test]
+    fn the_present_outputs_are_those_of_the_last_step() {
+        each(|name, mut plant, dt_s| {
+            let (_, outputs) = starts(plant.as_ref());
+            let shown = |plant: &dyn Plant| {
+                let mut y = vec![f64::NAN; outputs];
+                plant.outputs(&mut y).expect("own outputs");
+                y
+            };
+            let first =
+                plant.variables().iter().filter(|v| v.causality == Causality::Output).map(|v| v.start);
+            let first: Vec<f64> = first.collect();
+            plant.reset(5);
+            assert_eq!(shown(plant.as_ref()), first, "{name}: start");
+            let last = run(plant.as_mut(), 7, dt_s).split_off(6 * outputs);
+            assert_eq!(shown(plant.as_ref()), last, "{name}: after a step");
+            let state = plant.save();
+            run(plant.as_mut(), 5, dt_s);
+            assert_ne!(shown(plant.as_ref()), last, "{name}: further on");
+            plant.restore(&state).expect("own state");
+            assert_eq!(shown(plant.as_ref()), last, "{name}: restored");
+            plant.reset(6);
+            assert_eq!(shown(plant.as_ref()), first, "{name}: reset");
+            assert!(plant.outputs(&mut vec![0.0; outputs + 1]).is_err(), "{name}");
+        });
+    }
+
     #[test]
     fn a_restored_state_continues_exactly() {
         each(|name, mut plant, dt_s| {

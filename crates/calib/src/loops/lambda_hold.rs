@@ -104,6 +104,8 @@ struct LoopState {
     integral_mg: f64,
     feedforward_mg: f64,
     lambda: f64,
+    /// Mean over the last sample; the start value before the first.
+    mean: f64,
 }
 
 impl LambdaHeld {
@@ -121,7 +123,7 @@ impl LambdaHeld {
         let start: Vec<f64> = inputs.iter().map(|v| v.start).collect();
         let fuel_range = (inputs[fuel].min, inputs[fuel].max);
         let variables: Vec<Variable> = all.iter().filter(|v| v.name != FUEL).cloned().collect();
-        let state = LoopState { integral_mg: 0.0, feedforward_mg: 0.0, lambda: spec.lambda };
+        let state = LoopState { integral_mg: 0.0, feedforward_mg: 0.0, lambda: spec.lambda, mean: 0.0 };
         let inputs = start.clone();
         let mut held = Self {
             plant,
@@ -202,7 +204,10 @@ impl Plant for LambdaHeld {
         self.plant.reset(seed);
         self.inputs.copy_from_slice(&self.start);
         let feedforward = self.map.inj_mg(self.start[self.speed], self.start[self.throttle]);
-        self.state = LoopState { integral_mg: 0.0, feedforward_mg: feedforward, lambda: self.spec.lambda };
+        let lambda = self.spec.lambda;
+        let outputs = self.variables.iter().filter(|v| v.causality == Causality::Output);
+        let mean = outputs.map(|v| v.start).nth(self.lambda).unwrap_or(lambda);
+        self.state = LoopState { integral_mg: 0.0, feedforward_mg: feedforward, lambda, mean };
     }
 
     fn step(&mut self, inputs: &[f64], dt_s: f64, outputs: &mut [f64]) -> Result<(), PlantError> {
@@ -233,6 +238,13 @@ impl Plant for LambdaHeld {
             mean += outputs[self.lambda] / inner;
         }
         outputs[self.lambda] = mean;
+        self.state.mean = mean;
+        Ok(())
+    }
+
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        self.plant.outputs(outputs)?;
+        outputs[self.lambda] = self.state.mean;
         Ok(())
     }
 
@@ -246,18 +258,22 @@ impl Plant for LambdaHeld {
 
     fn save(&self) -> PlantState {
         let s = &self.state;
-        let mut numbers = vec![s.integral_mg, s.feedforward_mg, s.lambda];
+        let mut numbers = vec![s.integral_mg, s.feedforward_mg, s.lambda, s.mean];
         numbers.extend(self.plant.save().0);
         PlantState(numbers)
     }
 
     fn restore(&mut self, state: &PlantState) -> Result<(), PlantError> {
-        let [integral_mg, feedforward_mg, lambda, rest @ ..] = &state.0[..] else {
+        let [integral_mg, feedforward_mg, lambda, mean, rest @ ..] = &state.0[..] else {
             return Err(PlantError::Call("no state of a plant with held lambda".into()));
         };
         self.plant.restore(&PlantState(rest.to_vec()))?;
-        self.state =
-            LoopState { integral_mg: *integral_mg, feedforward_mg: *feedforward_mg, lambda: *lambda };
+        self.state = LoopState {
+            integral_mg: *integral_mg,
+            feedforward_mg: *feedforward_mg,
+            lambda: *lambda,
+            mean: *mean,
+        };
         Ok(())
     }
 

@@ -1,7 +1,7 @@
 //! A model as a plant: to rehearse a campaign before it goes to the bed.
 
 use dynocal_ident::model::{Model, Run};
-use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
@@ -148,6 +148,12 @@ impl Plant for ModelPlant {
         outputs[0] = next.y[lag] + noise;
         self.state = next;
         Ok(())
+    }
+
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        let s = &self.state;
+        let noise = if s.samples > 0 { self.noise * Rng64::stream(s.seed, s.samples).normal() } else { 0.0 };
+        show(&[s.y[s.y.len() - 1] + noise], outputs)
     }
 
     fn time_s(&self) -> f64 {

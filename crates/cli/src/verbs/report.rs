@@ -38,8 +38,20 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     Ok(exit(done.valid))
 }
 
+/// A folder of another verb.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: found {found}, expected a run of `dynocal calibrate`")]
+struct OtherRun {
+    path: String,
+    found: String,
+}
+
 fn with_hint(e: ChainError) -> Failure {
-    let foreign = matches!(&e, ChainError::Files(FilesError::ForeignFolder { .. } | FilesError::Read { .. }));
+    if let ChainError::Files(FilesError::ForeignFolder { path, found, .. }) = e {
+        return Failure::from(OtherRun { path, found })
+            .hint("other verbs write their page with the run: give the same command again, finished steps are taken over");
+    }
+    let foreign = matches!(&e, ChainError::Files(FilesError::Read { .. }));
     let failure = Failure::from(e);
     if foreign {
         failure.hint("give the folder that `dynocal calibrate` wrote, e.g. runs/calibrate")

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_files::atomic;
 use dynocal_files::measurement::ReadKeys;
-use dynocal_jobs::show::page::{about, page};
+use dynocal_jobs::show::page::{about, on_a_line, page, unit_or_states};
 use dynocal_jobs::show::{ChannelSummary, Contents, contents};
 use dynocal_report::{render, significant};
 
@@ -52,17 +52,15 @@ fn text(found: &Contents) -> String {
         let name = if g.name.is_empty() { String::new() } else { format!(" `{}`", g.name) };
         out.push_str(&format!("\ngroup {}{name}: {}\n", k + 1, about(g)));
         let rows: Vec<Vec<String>> = g.channels.iter().map(row).collect();
-        let head = ["channel", "unit", "rows", "gaps", "min", "max", "mean"];
+        let head = ["channel", "unit or states", "rows", "gaps", "min", "max", "mean"];
         out.push_str(&table::render(&head, &rows, &[2, 3, 4, 5, 6]));
     }
     out
 }
 
-/// The states of a channel of words stand in place of its unit.
 fn row(c: &ChannelSummary) -> Vec<String> {
-    let unit = if c.states.is_empty() { c.unit.clone() } else { c.states.join(", ") };
     let number = |x: Option<f64>| x.map_or("-".into(), |x| significant(x, 6));
     let counts = [c.rows.to_string(), c.gaps.to_string()];
     let values = [number(c.min), number(c.max), number(c.mean)];
-    [c.name.clone(), unit].into_iter().chain(counts).chain(values).collect()
+    [on_a_line(&c.name), unit_or_states(c)].into_iter().chain(counts).chain(values).collect()
 }

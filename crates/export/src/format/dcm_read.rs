@@ -12,10 +12,11 @@ use crate::package::Package;
 pub(crate) fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
     let encoding = dynocal_files::measurement::csv_dialect::guess_encoding(bytes);
     let text = dynocal_files::measurement::csv_dialect::decode(bytes, encoding);
-    let mut reader = Reader { file, lines: Vec::new(), at: 0, axes: Vec::new() };
+    let mut reader = Reader { file, lines: Vec::new(), at: 0, axes: Vec::new(), words: Vec::new() };
     reader.lines = text.lines().enumerate().map(|(k, l)| (k + 1, l.trim())).collect();
     let mut package = reader.file()?;
-    package.provenance.run = format!("{file} (read as {encoding:?})");
+    let left_out = std::mem::take(&mut package.provenance.run);
+    package.provenance.run = format!("{file} (read as {encoding:?}){left_out}");
     Ok(package)
 }
 
@@ -24,6 +25,8 @@ struct Reader<'a> {
     lines: Vec<(usize, &'a str)>,
     at: usize,
     axes: Vec<Axis>,
+    /// Objects that hold words, which no characteristic of ours does.
+    words: Vec<String>,
 }
 
 /// An object while its lines are read.
@@ -109,6 +112,10 @@ impl Reader<'_> {
             }
         }
         self.link(&mut package)?;
+        if !self.words.is_empty() {
+            package.provenance.run =
+                format!("; left out, because they hold words: {}", self.words.join(", "));
+        }
         Ok(package)
     }
 
@@ -144,6 +151,7 @@ impl Reader<'_> {
         }
         let object = self.body(line, kind, name)?;
         if kind == "TEXTSTRING" || object.text {
+            self.words.push(name.clone());
             return Ok(None);
         }
         self.check(kind, name, &sizes, &object)?;

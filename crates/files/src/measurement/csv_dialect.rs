@@ -2,7 +2,7 @@
 //!
 //! The guess never looks at names: the encoding follows from byte-order marks and validity as UTF-8, the separator
 //! from the line that repeats its number of cells, the header from the first line of that width without numbers, a row
-//! of units from a table of units, decimal comma and thousands from the form of the numbers.
+//! of units from a table of units or from words over columns of numbers, decimal comma and thousands from the form of the numbers.
 
 use serde::{Deserialize, Serialize};
 
@@ -76,8 +76,11 @@ impl Dialect {
             Encoding::Utf16Le => "UTF-16 little endian",
             Encoding::Utf16Be => "UTF-16 big endian",
         };
-        let separator =
-            if self.separator == '\t' { "tab".to_string() } else { format!("`{}`", self.separator) };
+        let separator = match self.separator {
+            '\t' => "tab".to_string(),
+            ' ' => "blanks".to_string(),
+            other => format!("`{other}`"),
+        };
         let decimal = if self.decimal == ',' { "comma" } else { "point" };
         let thousands = match self.thousands {
             Some(' ') => ", thousands by blank".to_string(),
@@ -146,8 +149,25 @@ pub fn decode(bytes: &[u8], encoding: Encoding) -> String {
     }
 }
 
+/// Cells between runs of blanks; a unit in brackets belongs to the name before it.
+pub fn between_blanks(line: &str) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    for word in line.split_whitespace() {
+        let unit =
+            (word.starts_with('[') && word.ends_with(']')) || (word.starts_with('(') && word.ends_with(')'));
+        match out.last_mut() {
+            Some(name) if unit => *name = format!("{name} {word}"),
+            _ => out.push(word.to_string()),
+        }
+    }
+    out
+}
+
 /// Cells of one line; quotes keep separators, doubled quotes are one.
 fn cells(line: &str, separator: char) -> Vec<(String, bool)> {
+    if separator == ' ' {
+        return between_blanks(line).into_iter().map(|c| (c, false)).collect();
+    }
     let mut out = Vec::new();
     let (mut cell, mut quoted, mut was_quoted) = (String::new(), false, false);
     let mut chars = line.chars().peekable();
@@ -191,7 +211,12 @@ pub fn guess(text: &str, encoding: Encoding, keys: &CsvKeys) -> Dialect {
     let names = lines.get(header.wrapping_sub(1)).map(|l| cells(l, separator)).unwrap_or_default();
     let has_brackets = names.iter().any(|(n, _)| units::split_header(n).1.is_some());
     let unit_row = keys.unit_row.unwrap_or_else(|| {
-        !has_brackets && lines.get(header).is_some_and(|l| is_unit_row(&cells(l, separator), names.len()))
+        let rows = |from: usize| lines.iter().skip(from).map(|l| cells(l, separator));
+        let below = lines.get(header).map(|l| cells(l, separator));
+        !has_brackets
+            && below.is_some_and(|row| {
+                is_unit_row(&row, names.len()) || stands_over_numbers(&row, names.len(), rows(header + 1))
+            })
     });
     let from = header + usize::from(unit_row);
     let body: Vec<(String, bool)> = lines.iter().skip(from).flat_map(|l| cells(l, separator)).collect();
@@ -230,6 +255,17 @@ fn separator(lines: &[&str]) -> (char, usize) {
             best = (s, width, count);
         }
     }
+    if best.2 == 0 {
+        // Columns between blanks, where a line of as many names says so; else blanks may stand for thousands.
+        let (width, _) = mode(lines, ' ');
+        let named = |l: &&str| {
+            let c = cells(l, ' ');
+            c.len() == width && c.iter().all(|(n, _)| !looks_numeric(n))
+        };
+        if width > 1 && lines.iter().any(named) {
+            return (' ', width);
+        }
+    }
     (best.0, best.1)
 }
 
@@ -256,6 +292,40 @@ fn is_unit_row(row: &[(String, bool)], width: usize) -> bool {
         })
 }
 
+/// Whether words stand over columns of numbers: units that no table knows. Every word of the row has at least two rows below it, all
+/// numbers or stamps (or empty), and none of them is a gap.
+fn stands_over_numbers(
+    row: &[(String, bool)],
+    width: usize,
+    below: impl Iterator<Item = Vec<(String, bool)>>,
+) -> bool {
+    let word = |c: &str| !looks_numeric(c) && c.chars().any(char::is_alphabetic) && !is_gap(c);
+    let bare = |c: &str| c.is_empty() || c == "-" || c == "%";
+    if row.len() != width || !row.iter().any(|(c, _)| word(c)) || !row.iter().all(|(c, _)| word(c) || bare(c))
+    {
+        return false;
+    }
+    let mut numbers = vec![0; width];
+    for cells in below.filter(|c| c.len() == width) {
+        for ((n, (cell, _)), (unit, _)) in numbers.iter_mut().zip(&cells).zip(row) {
+            let stamp = cell.starts_with(|c: char| c.is_ascii_digit()) && cell.contains(':');
+            if looks_numeric(cell) || stamp {
+                *n += 1;
+            } else if word(unit) && !cell.is_empty() && !is_gap(cell) {
+                return false;
+            }
+        }
+    }
+    numbers.iter().zip(row).all(|(n, (c, _))| *n >= 2 || !word(c))
+}
+
+/// Words that stand where a value is missing: those of spreadsheets and of data bases.
+pub fn is_gap(cell: &str) -> bool {
+    const WORDS: [&str; 8] = ["nan", "null", "none", "n/a", "na", "nil", "-", "--"];
+    let fault = cell.starts_with('#') && (cell.ends_with('!') || cell.ends_with('?') || cell.ends_with("/A"));
+    fault || WORDS.iter().any(|w| cell.eq_ignore_ascii_case(w))
+}
+
 /// Decimal and thousands sign from the form of the numbers.
 fn signs(body: &[(String, bool)], separator: char) -> (char, Option<char>) {
     let numbers: Vec<&str> = body
@@ -269,10 +339,10 @@ fn signs(body: &[(String, bool)], separator: char) -> (char, Option<char>) {
     };
     let groups = |n: &str, sign: char| {
         let decimals: Vec<char> = ['.', ','].into_iter().filter(|c| *c != sign).collect();
-        let whole = n.split(decimals.as_slice()).next().unwrap_or(n).trim_start_matches(['+', '-']);
-        let mut parts = whole.split(sign);
+        let (whole, rest) = n.split_once(decimals.as_slice()).unwrap_or((n, ""));
+        let mut parts = whole.trim_start_matches(['+', '-']).split(sign);
         let first = parts.next().unwrap_or("");
-        (1..=3).contains(&first.len()) && parts.all(|p| p.len() == 3)
+        (1..=3).contains(&first.len()) && parts.all(|p| p.len() == 3) && !rest.contains(sign)
     };
     let grouped = |sign: char| {
         let mut with = numbers.iter().filter(|n| n.contains(sign)).peekable();

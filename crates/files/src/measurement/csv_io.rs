@@ -105,6 +105,8 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
     let skip = dialect.header_line - 1;
     let body = text.split_inclusive('\n').skip(skip).map(str::len).sum::<usize>();
     let body = &text[text.len() - body..];
+    let spaced = (dialect.separator == ' ').then(|| tabbed(body));
+    let (body, delimiter) = spaced.as_deref().map_or((body, delimiter), |b| (b, b'\t'));
     let malformed =
         |e: csv::Error| FilesError::Malformed { path: file.into(), format: "CSV", reason: e.to_string() };
     // Flexible, because our own message names line, found and expected.
@@ -123,7 +125,9 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
             found: String::from_utf8_lossy(head.as_slice()).into(),
         });
     }
+    let mut notes = Vec::new();
     let mut columns = header(file, head)?;
+    let mut gaps: Vec<Gaps> = columns.iter().map(|_| Gaps::new()).collect();
     let mut lines = Vec::new();
     let mut record = ByteRecord::new();
     let mut units_pending = dialect.unit_row;
@@ -141,21 +145,26 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
             columns.iter_mut().zip(record.iter()).for_each(|(c, cell)| below(c, cell));
             continue;
         }
-        for (column, cell) in columns.iter_mut().zip(record.iter()) {
-            push(&mut column.cells, cell, &dialect);
+        for ((column, gaps), cell) in columns.iter_mut().zip(&mut gaps).zip(record.iter()) {
+            push(&mut column.cells, gaps, cell, &dialect);
         }
         lines.push(line);
     }
     if lines.is_empty() {
         return Err(empty());
     }
-    let mut notes = Vec::new();
     if !dialect.is_plain() {
-        notes.push(format!("read as {}", dialect.describe()));
+        notes.insert(0, format!("read as {}", dialect.describe()));
     }
-    for column in &mut columns {
+    for (column, gaps) in columns.iter_mut().zip(&gaps) {
         notes.extend(csv_cells::interpret(column));
+        if let (Cells::Number(_), Some((_, word))) = (&column.cells, gaps.first()) {
+            let (n, cells) = (gaps.len(), if gaps.len() == 1 { "cell is a gap" } else { "cells are gaps" });
+            notes.push(format!("column `{}`: {n} {cells} (`{word}`)", column.name));
+        }
     }
+    columns.retain(|c| !(c.name.is_empty() && is_blank(&c.cells)));
+    name_unnamed(&mut columns, &mut notes);
     Ok(Table { file: file.into(), columns, lines, notes })
 }
 
@@ -165,6 +174,30 @@ fn below(column: &mut Column, cell: &[u8]) {
     let bare = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_string();
     if !bare.is_empty() {
         column.unit = Some((units::normalise(&bare), UnitSource::Bracket));
+    }
+}
+
+/// The lines with a tab between cells, where blanks stand between them.
+fn tabbed(body: &str) -> String {
+    let line = |l: &str| format!("{}\n", csv_dialect::between_blanks(l).join("\t"));
+    body.lines().map(line).collect()
+}
+
+fn is_blank(cells: &Cells) -> bool {
+    match cells {
+        Cells::Number(v) => v.iter().all(|x| x.is_nan()),
+        Cells::Text(v) => v.iter().all(String::is_empty),
+    }
+}
+
+/// A column without a name is called by its place, so that it can be chosen.
+fn name_unnamed(columns: &mut [Column], notes: &mut Vec<String>) {
+    for k in 0..columns.len() {
+        let name = format!("column_{}", k + 1);
+        if columns[k].name.is_empty() && columns.iter().all(|c| c.name != name) {
+            notes.push(format!("column {} has no name in the header and is called `{name}`", k + 1));
+            columns[k].name = name;
+        }
     }
 }
 
@@ -180,7 +213,7 @@ fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
                 .or_else(|| units::from_suffix(&name).map(str::to_string))
                 .map(|u| (u, UnitSource::Suffix)),
         };
-        if !names.insert(name.clone()) {
+        if !names.insert(name.clone()) && !name.is_empty() {
             return Err(FilesError::DuplicateColumn { path: file.into(), column: name });
         }
         columns.push(Column { name, unit, cells: Cells::Number(Vec::new()) });
@@ -188,15 +221,25 @@ fn header(file: &str, cells: &ByteRecord) -> Result<Vec<Column>, FilesError> {
     Ok(columns)
 }
 
-/// Appends a cell; a column of numbers turns into text at the first cell that is no number.
-fn push(cells: &mut Cells, cell: &[u8], dialect: &Dialect) {
+/// Rows whose cell is a word for a missing value, and the word.
+type Gaps = Vec<(usize, String)>;
+
+/// Appends a cell; a column of numbers turns into text at the first cell that is neither a number nor a word for a gap.
+fn push(cells: &mut Cells, gaps: &mut Gaps, cell: &[u8], dialect: &Dialect) {
     let text = String::from_utf8_lossy(cell.trim_ascii());
     match cells {
         Cells::Text(v) => v.push(text.into_owned()),
         Cells::Number(v) => match csv_dialect::number(&text, dialect) {
             Some(x) => v.push(x),
+            None if csv_dialect::is_gap(&text) => {
+                gaps.push((v.len(), text.into_owned()));
+                v.push(f64::NAN);
+            }
             None => {
-                let mut t: Vec<String> = v.iter().map(|x| format!("{x}")).collect();
+                // An empty cell stays empty, and a word what it is.
+                let word = |x: &f64| if x.is_nan() { String::new() } else { format!("{x}") };
+                let mut t: Vec<String> = v.iter().map(word).collect();
+                gaps.drain(..).for_each(|(row, word)| t[row] = word);
                 t.push(text.into_owned());
                 *cells = Cells::Text(t);
             }

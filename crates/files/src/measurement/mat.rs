@@ -100,10 +100,17 @@ impl Variables {
                 MatValue::Numbers { dims, values } if values.len() >= 2 => {
                     self.numbers(name, first, &variable, &dims, values, &stated);
                 }
-                MatValue::Other(class) => {
-                    self.notes.push(format!("variable `{variable}` of class {class} is left out"));
+                MatValue::Struct(_) if variable == "units" => {}
+                other => {
+                    let what = match other {
+                        MatValue::Text(_) => "text".to_string(),
+                        MatValue::Cell(_) => "a cell array".to_string(),
+                        MatValue::Struct(_) => "a struct inside too many others".to_string(),
+                        MatValue::Numbers { values, .. } => format!("{} values, no record", values.len()),
+                        MatValue::Other(class) => format!("of class {class}"),
+                    };
+                    self.notes.push(format!("variable `{variable}` is left out: {what}"));
                 }
-                _ => {}
             }
         }
         for group in &mut self.groups[first..] {

@@ -1,7 +1,7 @@
 //! MAT files of version 7.3 by `hdf5-pure`: an HDF5 file with a block of 512 bytes before it.
 //!
 //! Structs are groups, arrays are datasets stored transposed, text is a dataset of 16-bit characters, and an attribute
-//! `MATLAB_class` tells them apart. Any other HDF5 file is read in the same way.
+//! `MATLAB_class` tells them apart. A table of any other HDF5 file has its rows in the first dimension.
 
 use std::path::Path;
 
@@ -101,7 +101,18 @@ fn value(data: &Dataset, size: u64) -> Result<MatValue, Error> {
     if !numbers {
         return Ok(MatValue::Other(if class.is_empty() { "no numbers".into() } else { class }));
     }
-    let values = data.read_f64()?;
+    let mut values = data.read_f64()?;
+    if let ([rows, columns], true) = (shape.as_slice(), class.is_empty()) {
+        // No MATLAB: rows of the table are rows of the dataset.
+        let (rows, columns) = (*rows as usize, *columns as usize);
+        if values.len() == rows * columns {
+            values = (0..columns)
+                .flat_map(|c| (0..rows).map(move |r| (r, c)))
+                .map(|(r, c)| values[r * columns + c])
+                .collect();
+            return Ok(MatValue::Numbers { dims: vec![rows, columns], values });
+        }
+    }
     if class == "char" {
         let units = values.iter().map(|v| *v as u16);
         return Ok(MatValue::Text(char::decode_utf16(units).map(|c| c.unwrap_or('\u{fffd}')).collect()));

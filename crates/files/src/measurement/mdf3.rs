@@ -41,7 +41,8 @@ impl Mdf3 {
                     unit: match c.unit.trim() {
                         "" if c.is_time() => Some("s".into()),
                         "" => None,
-                        u => Some(units::normalise(u)),
+                        // The text of MDF 3 is Latin-1, whose degree sign the library gives as a replacement.
+                        u => Some(units::normalise(&u.replace('\u{fffd}', "\u{b0}"))),
                     },
                     comment: c.description.trim().to_string(),
                     text: false,

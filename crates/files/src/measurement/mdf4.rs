@@ -5,10 +5,12 @@
 use std::path::Path;
 
 use dynocal_numerics::registry::MemberDoc;
+use falcon_mdf::blocks::DataType;
 use falcon_mdf::{Channel, Mf4Error, Mf4File, Mf4Writer, Signal, SignalValues, ValueKind, WriteCodec};
 
 use crate::atomic;
 use crate::error::FilesError;
+use crate::measurement::mdf4_transposed::Columns;
 use crate::measurement::{ChannelInfo, GroupInfo, Raster, Reader, Source, TakeChunk};
 use crate::table::Cells;
 use crate::units;
@@ -49,9 +51,9 @@ impl Mdf4 {
         let (mut groups, mut channels, mut notes) = (Vec::new(), Vec::new(), Vec::new());
         for group in file.data_groups().iter().flat_map(|d| &d.channel_groups).filter(|g| !g.is_vlsd()) {
             let (readable, left): (Vec<&Channel>, Vec<&Channel>) =
-                group.channels.iter().partition(|c| c.unreadable().is_none() && !c.is_array());
+                group.channels.iter().partition(|c| left_out(c).is_none());
             for c in left {
-                let why = c.unreadable().map_or("an array in every sample", |r| r.detail());
+                let why = left_out(c).unwrap_or_default();
                 notes.push(format!("channel `{}` is left out: {why}", c.name));
             }
             let name =
@@ -71,6 +73,19 @@ impl Mdf4 {
     }
 }
 
+/// Why a channel is not read; none where it is.
+fn left_out(c: &Channel) -> Option<&'static str> {
+    // The reader below knows floats of 32 and 64 bits and gives zeros for others.
+    let float = matches!(c.data_type, DataType::FloatLe | DataType::FloatBe);
+    match c.unreadable() {
+        Some(reason) => Some(reason.detail()),
+        None if c.is_array() => Some("an array in every sample"),
+        None if float && !matches!(c.bit_count, 32 | 64) => Some("a float that has neither 32 nor 64 bits"),
+        None if matches!(c.value_kind(), ValueKind::Bytes) => Some("bytes without a meaning here"),
+        None => None,
+    }
+}
+
 fn info(c: &Channel) -> ChannelInfo {
     ChannelInfo {
         name: c.name.clone(),
@@ -81,7 +96,7 @@ fn info(c: &Channel) -> ChannelInfo {
             u => Some(units::normalise(u)),
         },
         comment: c.comment.trim().to_string(),
-        text: matches!(c.value_kind(), ValueKind::Str | ValueKind::Bytes),
+        text: matches!(c.value_kind(), ValueKind::Str),
     }
 }
 
@@ -112,6 +127,10 @@ impl Source for Mdf4 {
         let fail = |e: Mf4Error| fault(&self.path, &e);
         if wanted.is_empty() || self.groups[group].rows == 0 {
             return Ok(());
+        }
+        if let Some(columns) = Columns::find(&self.file, &wanted) {
+            let fault = |reason| FilesError::Malformed { path: self.path.clone(), format: "MDF 4", reason };
+            return columns.each(fault, |cells| take(cells));
         }
         // One channel comes block by block; several of them, aligned, cost two more copies of every record.
         let pieces: Result<Pieces<'_>, Mf4Error> = match wanted.as_slice() {

@@ -52,7 +52,7 @@ pub fn read(path: &Path) -> Result<Table, FilesError> {
     if meta.len() == 0 {
         return Err(empty());
     }
-    let malformed = |e: ParquetError| malformed(&file, &e.to_string());
+    let malformed = |e: ParquetError| malformed(&file, &in_words(&e));
     let reader = SerializedFileReader::new(handle).map_err(malformed)?;
     let info = reader.metadata().file_metadata();
     let schema = info.schema_descr_ptr();
@@ -328,6 +328,17 @@ fn write_rasters(path: &Path, rasters: &[Raster]) -> Result<(), FilesError> {
         columns.push((csv_io::heading(&c.name, c.unit.as_ref().map_or("", |u| u.0.as_str())), values));
     }
     atomic::write(path, &encode(&columns).map_err(|e| fail(e.to_string()))?)
+}
+
+/// What the library says; a compression that it was built without in the user's words.
+fn in_words(e: &ParquetError) -> String {
+    let text = e.to_string();
+    match text.rsplit_once("Disabled feature at compile time: ") {
+        Some((_, name)) => {
+            format!("it is compressed by {name}, which is not read; expected snappy, gzip, zstd or none")
+        }
+        None => text,
+    }
 }
 
 fn encode(columns: &[(String, &[f64])]) -> Result<Vec<u8>, ParquetError> {

@@ -75,12 +75,13 @@ impl<'a> Session<'a> {
             };
             loops.push(closed);
         }
-        let start: Vec<f64> = outputs.iter().map(|v| v.start).collect();
+        let mut shown = vec![0.0; outputs.len()];
+        plant.outputs(&mut shown)?;
         let course = Course {
             inputs: plan.channels.iter().map(|c| c.name.clone()).collect(),
             outputs: outputs.iter().map(|v| v.name.clone()).collect(),
             u: Vec::new(),
-            y: start.clone(),
+            y: shown.clone(),
             before: 0,
         };
         Ok(Self {
@@ -89,7 +90,7 @@ impl<'a> Session<'a> {
             inputs: inputs.iter().map(|v| v.start).collect(),
             row: vec![0.0; places.len()],
             places,
-            outputs: start,
+            outputs: shown,
             recorded,
             loops,
             course,

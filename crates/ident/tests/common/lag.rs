@@ -1,6 +1,6 @@
 //! A plant that is written in one line: y(t+1) = a y(t) + b u(t).
 
-use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
 
 /// Inputs beyond this are refused.
 const LARGEST: f64 = 1e6;
@@ -47,6 +47,9 @@ impl Plant for Lag {
         self.steps += 1;
         outputs[0] = self.y;
         Ok(())
+    }
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        show(&[self.y], outputs)
     }
     fn time_s(&self) -> f64 {
         self.time_s

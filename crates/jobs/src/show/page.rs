@@ -43,6 +43,7 @@ pub fn about(g: &GroupSummary) -> String {
             out.push_str(&format!(", every {} s on average", trimmed(dt, 6)));
         }
         _ if g.time.is_empty() => out.push_str(", no time channel"),
+        _ if g.rows > 0 => out.push_str(&format!(", time `{}`, which holds no numbers", g.time)),
         _ => out.push_str(&format!(", time `{}`", g.time)),
     }
     if let Some(gap) = g.longest_interval_s {
@@ -52,6 +53,28 @@ pub fn about(g: &GroupSummary) -> String {
         out.push_str(&format!(", {} stamps are not after the one before", g.stamps_not_increasing));
     }
     out
+}
+
+/// Characters of a name or of states that a table shows.
+const SHOWN: usize = 40;
+
+/// The unit of a channel, or its states where it holds words.
+pub fn unit_or_states(c: &ChannelSummary) -> String {
+    if c.states.is_empty() { c.unit.clone() } else { on_a_line(&c.states.join(", ")) }
+}
+
+/// Text of a file in one line of a table: what is no print becomes its escape, the end of long text three points.
+pub fn on_a_line(text: &str) -> String {
+    let print = |c: char| match c {
+        '\u{fffd}' => vec![c],
+        c if c.is_control() => c.escape_default().collect(),
+        c => vec![c],
+    };
+    let all: Vec<char> = text.chars().take(SHOWN + 1).flat_map(print).collect();
+    if all.len() <= SHOWN {
+        return all.into_iter().collect();
+    }
+    all[..SHOWN - 3].iter().chain(&['.', '.', '.']).collect()
 }
 
 /// Without the zeros that stand for digits.
@@ -78,7 +101,7 @@ fn table(g: &GroupSummary) -> Table {
         let number = |x: Option<f64>| Cell::from(x.unwrap_or(f64::NAN));
         let cells: Vec<Cell> = vec![
             c.name.as_str().into(),
-            if c.states.is_empty() { c.unit.clone() } else { c.states.join(", ") }.as_str().into(),
+            unit_or_states(c).as_str().into(),
             c.rows.to_string().as_str().into(),
             c.gaps.to_string().as_str().into(),
             number(c.min),

@@ -12,7 +12,7 @@
 use crate::plants::{Make, PlantFault, PlantMember, PlantSpec};
 use dynocal_ident::model::literature::{LiteratureModel, lambda_4_53, torque_4_17, torque_5_3};
 use dynocal_ident::model::{Model, Run};
-use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
@@ -128,6 +128,13 @@ impl LiteraturePlant {
     fn inputs(&self) -> usize {
         self.variables.len() - 1
     }
+
+    /// The last output with its noise, a stream a sample; at the start none was measured.
+    fn shown(&self) -> f64 {
+        let noisy = self.noise > 0.0 && self.samples > 0;
+        let noise = if noisy { self.noise * Rng64::stream(self.seed, self.samples).normal() } else { 0.0 };
+        self.y.last().unwrap_or(&self.rest) + noise
+    }
 }
 
 /// Output that the model comes to with constant inputs.
@@ -187,10 +194,12 @@ impl Plant for LiteraturePlant {
             return Err(PlantError::NonFinite { name: self.variables[m].name.clone(), time_s });
         }
         self.samples += 1;
-        let noise =
-            if self.noise > 0.0 { self.noise * Rng64::stream(self.seed, self.samples).normal() } else { 0.0 };
-        outputs[0] = y[rows - 1] + noise;
+        outputs[0] = self.shown();
         Ok(())
+    }
+
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        show(&[self.shown()], outputs)
     }
 
     fn time_s(&self) -> f64 {

@@ -110,6 +110,7 @@ impl EngineBed {
             cams: [Lag::new(u.intake_mop_deg_btdc), Lag::new(u.exhaust_mop_deg_atdc)],
             integrals: [u.throttle_deg, u.injection_mg],
             sensors: Vec::new(),
+            shown: Vec::new(),
             guards: vec![GuardState::default(); limits.len()],
             saturated: vec![false; inputs],
             fuelled_s: MIXTURE_S,
@@ -158,6 +159,7 @@ impl EngineBed {
         self.variables = variables(&self.settings, &self.extra, &self.outputs, &values);
         let tick_s = o.tick_s;
         self.state.sensors = self.sensors.iter().zip(&values).map(|(s, v)| s.at(*v, tick_s)).collect();
+        self.state.shown = values;
         self.start = (self.engine.snapshot(), self.state.clone());
         Ok(())
     }
@@ -411,6 +413,7 @@ impl EngineBed {
             let x = s.sensors[i].read(settings, QUANTITIES[self.outputs[i]].mean, stream, dt_s);
             *y = quantise(x + [torque, lambda].get(i).unwrap_or(&0.0), settings.quantum);
         }
+        s.shown.copy_from_slice(outputs);
     }
 
     /// Gives the engine its deviations as they are now.

@@ -2,7 +2,7 @@
 
 use super::bed::{EngineBed, Span};
 use super::settings::BedOptions;
-use dynocal_ident::plant::{LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_ident::plant::{LimitEvent, Plant, PlantError, PlantState, Variable, show};
 
 impl Plant for EngineBed {
     fn variables(&self) -> &[Variable] {
@@ -24,6 +24,10 @@ impl Plant for EngineBed {
             return Err(PlantError::Call(format!("sample time {dt_s} s: expected 0..10 s")));
         }
         self.sample(inputs, Span::Time(dt_s), outputs)
+    }
+
+    fn outputs(&self, outputs: &mut [f64]) -> Result<(), PlantError> {
+        show(&self.state.shown, outputs)
     }
 
     fn time_s(&self) -> f64 {

@@ -31,6 +31,8 @@ pub struct BedState {
     pub integrals: [f64; 2],
     /// One for each output.
     pub sensors: Vec<SensorState>,
+    /// What was read last: one for each output.
+    pub shown: Vec<f64>,
     /// One for each limit.
     pub guards: Vec<GuardState>,
     /// Inputs that are saturated now.
@@ -60,6 +62,7 @@ impl BedState {
         self.cams.iter_mut().for_each(|c| f(&mut c.value));
         self.integrals.iter_mut().for_each(&mut *f);
         self.sensors.iter_mut().for_each(|s| s.visit(f));
+        self.shown.iter_mut().for_each(&mut *f);
         self.guards.iter_mut().for_each(|g| g.visit(f));
         for flag in &mut self.saturated {
             let mut x = f64::from(u8::from(*flag));
