@@ -115,6 +115,11 @@ impl VirtualEngine {
 
     /// Advance by an angle \[deg\]; what is less than a step is carried to the next call.
     pub fn advance_angle(&mut self, deg: f64) {
+        pulp::Arch::new().dispatch(Advance { engine: self, deg });
+    }
+
+    #[inline(always)]
+    fn advance_by(&mut self, deg: f64) {
         // The guard absorbs rounding of sums of intervals, far below any step.
         const GUARD_DEG: f64 = 1e-7;
         let mut left = self.state.remainder_deg + deg;
@@ -236,6 +241,7 @@ impl VirtualEngine {
         cells
     }
 
+    #[inline(always)]
     fn step(&mut self, cells: usize) {
         self.events();
         let dt = cells as f64 * self.grid.cell_deg / self.held.deg_s;
@@ -261,6 +267,22 @@ impl VirtualEngine {
         s.t_before_k = t_start;
         s.t_k = guess;
         self.account(cells, dt, &middle);
+    }
+}
+
+/// [`VirtualEngine::advance_angle`], compiled for the widest registers there are. Nothing is fused or reordered: the numbers
+/// are those of any other machine.
+struct Advance<'a> {
+    engine: &'a mut VirtualEngine,
+    deg: f64,
+}
+
+impl pulp::WithSimd for Advance<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        self.engine.advance_by(self.deg);
     }
 }
 

@@ -122,7 +122,7 @@ impl GasModel {
     /// `mass` holds air, fuel, products per volume \[kg\]; on return `t_k` holds temperatures to
     /// about 1e-6 K and `mcv` the heat capacities \[J/K\]. Newton converges quadratically with
     /// constant cv'/(2 cv) < 2e-4 1/K, so a last correction below 0.05 K leaves less than 1e-6 K.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn temperatures(
         &self,
         mass: &[[f64; VOLUMES]; 3],
@@ -137,8 +137,8 @@ impl GasModel {
                 c[k][v] = mass[0][v] * a + mass[1][v] * f + mass[2][v] * p;
             }
         }
+        let mut step = [0.0; VOLUMES];
         for _ in 0..12 {
-            let mut worst: f64 = 0.0;
             for v in 0..VOLUMES {
                 let t = 1e-3 * t_k[v];
                 let mut u = c[6][v];
@@ -154,14 +154,17 @@ impl GasModel {
                 u = u * t + c[1][v];
                 du = du * t + c[1][v];
                 u = u * t + c[0][v];
-                let cap = 1e-3 * du;
-                let step = (energy_j[v] - u) / cap;
-                // Outside the fit the polynomial may bend: keep the iterate in a sane range.
-                t_k[v] = (t_k[v] + step).clamp(150.0, 4000.0);
-                mcv[v] = cap;
-                worst = worst.max(step.abs());
+                mcv[v] = 1e-3 * du;
+                step[v] = (energy_j[v] - u) / mcv[v];
             }
-            if worst < 0.05 {
+            // Loops of their own: one that also looks for the largest step is not done several volumes at a time.
+            for v in 0..VOLUMES {
+                // Outside the fit the polynomial may bend: keep the iterate in a sane range.
+                let t = t_k[v] + step[v];
+                let t = if t > 4000.0 { 4000.0 } else { t };
+                t_k[v] = if t < 150.0 { 150.0 } else { t };
+            }
+            if step.iter().all(|s| s.abs() < 0.05) {
                 break;
             }
         }

@@ -1,5 +1,6 @@
 //! Heat transfer in the cylinder: Woschni's and Hohenberg's correlations.
 
+use dynocal_numerics::lanes;
 use serde::{Deserialize, Serialize};
 
 /// Which correlation.
@@ -18,22 +19,48 @@ pub fn woschni_constant(scale: f64, bore_m: f64) -> f64 {
     scale * 3.26 * bore_m.powf(-0.2) * 1e-3f64.powf(0.8)
 }
 
-/// Heat-transfer coefficient \[W/m2/K\] = c p^0.8 T^-0.55 w^0.8 (`c` from [`woschni_constant`]).
-#[inline]
-pub fn woschni(c: f64, p_pa: f64, t_k: f64, w_m_s: f64) -> f64 {
-    c * (0.8 * (p_pa * w_m_s).ln() - 0.55 * t_k.ln()).exp()
+/// Heat-transfer coefficients \[W/m2/K\] = c p^0.8 T^-0.55 w^0.8 of several cylinders (`c` from [`woschni_constant`]).
+///
+/// ```
+/// use dynocal_plant::heat::woschni;
+/// let [h] = woschni(1.3, [20e5], [1000.0], [6.0]);
+/// assert!((h / (1.3 * 12e6f64.powf(0.8) * 1000f64.powf(-0.55)) - 1.0).abs() < 1e-13);
+/// ```
+#[inline(always)]
+pub fn woschni<const N: usize>(c: f64, p_pa: [f64; N], t_k: [f64; N], w_m_s: [f64; N]) -> [f64; N] {
+    let mut flow = [0.0; N];
+    for i in 0..N {
+        flow[i] = p_pa[i] * w_m_s[i];
+    }
+    let (flow, t) = (lanes::ln(flow), lanes::ln(t_k));
+    let mut power = [0.0; N];
+    for i in 0..N {
+        power[i] = 0.8 * flow[i] - 0.55 * t[i];
+    }
+    lanes::exp(power).map(|h| c * h)
 }
 
-/// Heat-transfer coefficient \[W/m2/K\] = s 130 V^-0.06 p^0.8 T^-0.4 (c_m + 1.4)^0.8, p in bar.
+/// Heat-transfer coefficients \[W/m2/K\] = s 130 V^-0.06 p^0.8 T^-0.4 (c_m + 1.4)^0.8 of several cylinders, p in bar.
 ///
 /// ```
 /// use dynocal_plant::heat::hohenberg;
-/// let h = hohenberg(1.0, 1e-4, 20e5, 1000.0, 6.0);
+/// let [h] = hohenberg(1.0, [1e-4], [20e5], [1000.0], 6.0);
 /// let expected = 130.0 * 1e-4f64.powf(-0.06) * 20f64.powf(0.8) * 1000f64.powf(-0.4) * 7.4f64.powf(0.8);
 /// assert!((h / expected - 1.0).abs() < 1e-12);
 /// ```
-#[inline]
-pub fn hohenberg(scale: f64, volume_m3: f64, p_pa: f64, t_k: f64, piston_m_s: f64) -> f64 {
-    let flow = 1e-5 * p_pa * (piston_m_s + 1.4);
-    scale * 130.0 * (0.8 * flow.ln() - 0.06 * volume_m3.ln() - 0.4 * t_k.ln()).exp()
+#[inline(always)]
+pub fn hohenberg<const N: usize>(
+    scale: f64,
+    volume_m3: [f64; N],
+    p_pa: [f64; N],
+    t_k: [f64; N],
+    piston_m_s: f64,
+) -> [f64; N] {
+    let flow = p_pa.map(|p| 1e-5 * p * (piston_m_s + 1.4));
+    let (flow, volume, t) = (lanes::ln(flow), lanes::ln(volume_m3), lanes::ln(t_k));
+    let mut power = [0.0; N];
+    for i in 0..N {
+        power[i] = 0.8 * flow[i] - 0.06 * volume[i] - 0.4 * t[i];
+    }
+    lanes::exp(power).map(|h| scale * 130.0 * h)
 }

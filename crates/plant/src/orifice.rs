@@ -74,7 +74,7 @@ impl Default for PsiTable {
 
 impl PsiTable {
     /// Psi(pr, gamma); outside [`GAMMA_RANGE`] the exact formula is used.
-    #[inline]
+    #[inline(always)]
     pub fn psi(&self, pr: f64, gamma: f64) -> f64 {
         let s = (gamma - MID) * (1.0 / HALF);
         if s.abs() > 1.0 {
@@ -94,7 +94,7 @@ impl PsiTable {
 const MID: f64 = 0.5 * (GAMMA_RANGE.0 + GAMMA_RANGE.1);
 const HALF: f64 = 0.5 * (GAMMA_RANGE.1 - GAMMA_RANGE.0);
 
-#[inline]
+#[inline(always)]
 fn horner(c: &[f64; N_FIT], s: f64) -> f64 {
     let mut y = c[N_FIT - 1];
     for k in (0..N_FIT - 1).rev() {

@@ -203,6 +203,7 @@ pub(crate) struct Stage {
 
 impl Model {
     /// Derivatives of `gas` with the cylinders at `nodes`; `t_k` is guess and result.
+    #[inline(always)]
     pub(crate) fn rates(
         &self,
         gas: &Gas,
@@ -222,6 +223,7 @@ impl Model {
         let s = self.properties(gas, &volume, cylinders, t_k);
         *k = Rates::ZERO;
         self.manifold_flows(&s, gas, held, t_k, k);
+        let wall = self.wall_coefficients(&s, &at, held, cylinders, t_k);
         let period = 2 * grid.cells;
         for c in 0..4 {
             // A cam between two nodes of the grid: areas in between (the tables are padded).
@@ -238,12 +240,12 @@ impl Model {
             if exhaust > 0.0 {
                 self.exchange(&s, gas, c, EXHAUST, exhaust, k);
             }
-            self.cylinder_rates(&s, gas, c, at[c], held, &cylinders[c], t_k[c], k);
+            self.cylinder_rates(&s, gas, c, at[c], held, &cylinders[c], t_k[c], wall[c], k);
         }
         k.p = s.p;
     }
 
-    #[inline]
+    #[inline(always)]
     fn properties(
         &self,
         gas: &Gas,
@@ -281,7 +283,7 @@ impl Model {
 
     /// Flow between two volumes with the composition and enthalpy of the upstream one; returns the
     /// signed mass flow from `a` to `b` \[kg/s\].
-    #[inline]
+    #[inline(always)]
     pub(crate) fn exchange(
         &self,
         s: &Stage,
@@ -306,6 +308,7 @@ impl Model {
         if forward { flow } else { -flow }
     }
 
+    #[inline(always)]
     fn manifold_flows(&self, s: &Stage, gas: &Gas, held: &Held, t_k: &[f64; VOLUMES], k: &mut Rates) {
         k.throttle = self.exchange(s, gas, PIPE, INTAKE, held.throttle_m2, k);
         let turbo = &self.boosted.turbo;
@@ -349,8 +352,44 @@ impl Model {
         }
     }
 
+    /// Heat-transfer coefficients of the cylinders \[W/m2/K\].
+    #[inline(always)]
+    fn wall_coefficients(
+        &self,
+        s: &Stage,
+        at: &[&Node; 4],
+        held: &Held,
+        cylinders: &[Cylinder; 4],
+        t_k: &[f64; VOLUMES],
+    ) -> [f64; 4] {
+        if self.woschni <= 0.0 {
+            return [0.0; 4];
+        }
+        let (p, t) = ([s.p[0], s.p[1], s.p[2], s.p[3]], [t_k[0], t_k[1], t_k[2], t_k[3]]);
+        match self.heat_law {
+            HeatLaw::Woschni => {
+                let mut w = [held.closed_w; 4];
+                for c in 0..4 {
+                    let (phi, memory) = (at[c].phi_deg, &cylinders[c]);
+                    // Gas exchange from 110 to 616 deg of the cycle (phi = -104 deg).
+                    if !(-104.0..110.0).contains(&phi) {
+                        w[c] = held.gas_exchange_w;
+                    } else if phi >= memory.wiebe.start_deg {
+                        let rise = (p[c] - memory.motored_ref * at[c].motored).max(0.0);
+                        w[c] = held.closed_w + 3.24e-3 * memory.woschni_ref * rise;
+                    }
+                }
+                heat::woschni(self.woschni, p, t, w)
+            }
+            HeatLaw::Hohenberg => {
+                let volume = [0, 1, 2, 3].map(|c| at[c].volume_m3);
+                heat::hohenberg(self.heat_scale, volume, p, t, held.piston_speed)
+            }
+        }
+    }
+
     /// Piston work, wall heat, combustion and evaporation of cylinder `c`.
-    #[inline]
+    #[inline(always)]
     fn cylinder_rates(
         &self,
         s: &Stage,
@@ -360,31 +399,14 @@ impl Model {
         held: &Held,
         memory: &Cylinder,
         t_k: f64,
+        wall_w_m2_k: f64,
         k: &mut Rates,
     ) {
         let p = s.p[c];
         let phi = at.phi_deg;
         let work = p * at.dvolume * held.omega;
         let burning = phi > memory.wiebe.start_deg && phi < self.burn_end_deg;
-        let mut wall = 0.0;
-        if self.woschni > 0.0 {
-            // Gas exchange from 110 to 616 deg of the cycle (phi = -104 deg).
-            let w = if !(-104.0..110.0).contains(&phi) {
-                held.gas_exchange_w
-            } else if phi >= memory.wiebe.start_deg {
-                let rise = (p - memory.motored_ref * at.motored).max(0.0);
-                held.closed_w + 3.24e-3 * memory.woschni_ref * rise
-            } else {
-                held.closed_w
-            };
-            let h = match self.heat_law {
-                HeatLaw::Woschni => heat::woschni(self.woschni, p, t_k, w),
-                HeatLaw::Hohenberg => {
-                    heat::hohenberg(self.heat_scale, at.volume_m3, p, t_k, held.piston_speed)
-                }
-            };
-            wall = h * at.wall_m2 * (t_k - held.cylinder_wall_k);
-        }
+        let wall = wall_w_m2_k * at.wall_m2 * (t_k - held.cylinder_wall_k);
         let mut energy = -work - wall;
         if burning && memory.burnable_kg > 0.0 {
             let wanted = memory.burnable_kg * memory.wiebe.rate_per_deg(phi) * held.deg_s;
@@ -413,7 +435,7 @@ impl Model {
 }
 
 /// `out = start + dt * k` for all gas quantities.
-#[inline]
+#[inline(always)]
 pub(crate) fn advance(start: &Gas, k: &Rates, dt_s: f64, out: &mut Gas) {
     for i in 0..3 {
         for v in 0..VOLUMES {
@@ -430,7 +452,7 @@ pub(crate) fn advance(start: &Gas, k: &Rates, dt_s: f64, out: &mut Gas) {
 }
 
 /// `gas += dt * k`.
-#[inline]
+#[inline(always)]
 pub(crate) fn add(gas: &mut Gas, k: &Rates, dt_s: f64) {
     for i in 0..3 {
         for v in 0..VOLUMES {

@@ -76,7 +76,7 @@ fn wall_heat_of_a_motored_cycle_is_that_of_the_correlation() {
         e.advance_angle(step);
         for c in 0..4 {
             let gas = e.gas_state(c);
-            let h = hohenberg(p.heat.scale, gas.volume_m3, gas.p_pa, gas.t_k, speed);
+            let [h] = hohenberg(p.heat.scale, [gas.volume_m3], [gas.p_pa], [gas.t_k], speed);
             let phi = e.local_angle_deg(c).to_radians();
             expected += h * g.wall_area_m2(phi) * (gas.t_k - p.heat.wall_k) * step / (6.0 * 2000.0);
         }
