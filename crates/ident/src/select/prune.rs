@@ -15,7 +15,7 @@ use super::path::{AIC_RHO, Action, Change, Selection, Step, step};
 use super::pool::Pool;
 use super::{Select, SelectError};
 use crate::estimate::sem::Sem;
-use crate::estimate::{EstimateError, Estimator, Fit};
+use crate::estimate::{CovarianceChoice, EstimateError, Estimator, Fit};
 use crate::experiment::Experiment;
 use crate::model::poly::PolyNarx;
 use crate::validate::{Kind, Seen, score};
@@ -93,27 +93,31 @@ impl Select for Prune {
         let (fitted, selecting) = super::split(data, self.selection, pool.max_lag());
         let wide = Frols { stop: Stop::Terms(self.from) }.select(pool, &fitted, interrupt)?;
         let start: Vec<usize> = wide.path.iter().map(|s| s.candidate).collect();
-        let models = prune(&wide.model, &fitted, &Sem::default(), self.min_terms, interrupt)?;
+        // White: then (theta_k / std_k)^2 is, but for a factor, what the sum of squares grows by without the term.
+        let sem = Sem { covariance: CovarianceChoice::White, ..Sem::default() };
+        let models = prune(&wide.model, &fitted, &sem, self.min_terms, interrupt)?;
         super::interrupted(interrupt)?;
         let small = Pool::from(&wide.model);
         let mut basis = Basis::new(&small, &fitted, 1)?;
         let mut path: Vec<Step> = wide.path;
         let mut before = path.last().map_or(basis.total(), |s| s.mse * basis.n() as f64);
-        for p in &models[1..] {
-            let left: Vec<usize> = (0..small.candidates().len())
+        let left = |p: &Pruned| -> Vec<usize> {
+            (0..small.candidates().len())
                 .filter(|&k| p.model.regressors().contains(&small.candidates()[k]))
-                .collect();
-            basis.restart(&left);
+                .collect()
+        };
+        let fits = one_step_fits(&mut basis, &models.iter().map(left).collect::<Vec<_>>());
+        for (p, (after, press)) in models[1..].iter().zip(fits) {
             let out = p.removed.as_deref().and_then(|r| start.iter().find(|&&k| pool.text(k) == r));
             let change = Change {
                 candidate: out.copied().unwrap_or_default(),
                 action: Action::Removed,
-                terms: left.len(),
+                terms: p.model.regressors().len(),
                 before,
-                after: basis.residual_sum_squares(),
-                press: basis.press(),
+                after,
+                press,
             };
-            before = change.after;
+            before = after;
             path.push(step(pool, basis.n(), basis.total(), AIC_RHO, change));
         }
         // The last forward step and each removal are the models on the way down.
@@ -125,6 +129,24 @@ impl Select for Prune {
         let kept = smallest_on(&models, &selecting, self.slack).unwrap_or(models.len() - 1);
         Selection::new(pool, Vec::new(), path, first + kept + 1)
     }
+}
+
+/// Residual sum of squares and PRESS of the least-squares fits of every set of terms but the first; each set is the one before
+/// it without a term. They are built up from the last: what went out comes back in, one column at a time.
+fn one_step_fits(basis: &mut Basis, sets: &[Vec<usize>]) -> Vec<(f64, f64)> {
+    let Some(smallest) = sets.last() else { return Vec::new() };
+    basis.restart(smallest);
+    let mut fits = vec![(basis.residual_sum_squares(), basis.press())];
+    for pair in sets.windows(2).skip(1).rev() {
+        for &k in pair[0].iter().filter(|k| !pair[1].contains(k)) {
+            if let Some(column) = basis.column(k) {
+                basis.take(column);
+            }
+        }
+        fits.push((basis.residual_sum_squares(), basis.press()));
+    }
+    fits.reverse();
+    fits
 }
 
 /// One model on the way down.
