@@ -14,8 +14,9 @@
 //!
 //! S. Skogestad, J. Process Control 13 (2003) 291-309, for SIMC; W. L. Luyben, Ind. Eng. Chem. Process Des. Dev. 25 (1986)
 //! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
-//! begins: the inputs are led there with open loops by the steady gains of the point before, for which the first has a test where
-//! it begins. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
+//! begins: the inputs are led there with open loops by the steady gains of a point before, or by what one movement of each input
+//! shows at the first, from where the same demands were held or else from where the plan begins. A test ends when the steady
+//! effects are known well enough, half its length at the earliest. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
 //! margins. The gains are then played at all points: where a loop still oscillates ([`dynocal_ident::play::oscillation`]), F
 //! grows and they are played again.
 
@@ -42,7 +43,7 @@ use point::{Bench, Point, Trial};
 pub struct TuneSpec {
     /// Size of the test movements, as a share of the value of the input, which counts as a tenth of its range at least.
     pub share: f64,
-    /// Length of the test in s.
+    /// Length of the test in s; half of it where that shows the effects well enough.
     pub test_s: f64,
     /// Shortest time between two movements of one input in s.
     pub hold_s: f64,
@@ -55,7 +56,7 @@ pub struct TuneSpec {
     /// Largest sensitivity of each loop alone.
     pub sensitivity: f64,
     /// Most tests at each point. 1: one, where its plan begins. Else the inputs are led to where its demands are held, and the
-    /// test is made there; only the first point has a test where it begins, too.
+    /// test is made there; where they do not arrive, what it shows leads them on.
     pub rounds: usize,
 }
 
@@ -169,7 +170,7 @@ pub fn tune(
     let mut bench = Bench { plant, spec, seed, interrupt, used_s: 0.0, oscillations: Vec::new() };
     let mut points: Vec<Point> = Vec::new();
     for (k, plan) in plans.iter().enumerate() {
-        let point = bench.point(plan, k, points.last().map(|p| &p.linear))?;
+        let point = bench.point(plan, k, &points)?;
         points.push(point);
     }
     let (mut factor, mut trials) = (1.0, 0);
@@ -210,7 +211,8 @@ pub fn test_plan(plan: &Plan, spec: &TuneSpec, seed: u64, number: usize) -> Plan
 /// [`TuneError::NoAnswer`].
 pub fn from_tests(plans: &[Plan], records: &[Dataset], spec: &TuneSpec) -> Result<Tuned, TuneError> {
     let loops = common_loops(plans)?;
-    let models = records.iter().map(|r| Linear::fit(r, loops, spec)).collect::<Result<Vec<_>, _>>()?;
+    let fitted = |r: &Dataset| Linear::fit(std::slice::from_ref(r), loops, spec);
+    let models = records.iter().map(fitted).collect::<Result<Vec<_>, _>>()?;
     let own = models.iter().map(|m| {
         let found = margin::detuned(&[m], &margin::alone(m, loops)?, loops, spec, 1.0)?;
         Ok(found.loops.iter().map(|l| l.gains).collect())

@@ -35,16 +35,23 @@ pub(super) struct Linear {
     pub(super) sample_time_s: f64,
     /// b, by output, input and lag (from 1).
     pub(super) b: Vec<Vec<Vec<f64>>>,
+    /// Largest standard error of the steady effect of an input on the output of its own loop, as a share of it.
+    pub(super) doubt: f64,
 }
 
 impl Linear {
-    pub(super) fn fit(record: &Dataset, loops: &[PlanLoop], spec: &TuneSpec) -> Result<Self, TuneError> {
-        record.check().map_err(PlayError::from)?;
-        let n = record.len();
-        let lags = ((RESPONSE * spec.memory_s / record.sample_time_s).round() as usize).max(1);
-        let values = |name: &str| record.values(name).map_err(PlayError::from);
-        let u = loops.iter().map(|l| values(&l.input)).collect::<Result<Vec<_>, _>>()?;
-        let moves: Vec<f64> = u.iter().map(|u| deviation(u)).collect();
+    /// The model of all records, each of which begins at rest.
+    pub(super) fn fit(records: &[Dataset], loops: &[PlanLoop], spec: &TuneSpec) -> Result<Self, TuneError> {
+        let sample_time_s = records.first().map_or(1.0, |r| r.sample_time_s);
+        let lags = ((RESPONSE * spec.memory_s / sample_time_s).round() as usize).max(1);
+        let mut parts = Vec::with_capacity(records.len());
+        for record in records {
+            record.check().map_err(PlayError::from)?;
+            let values = |l: &PlanLoop| record.values(&l.input).map_err(PlayError::from);
+            parts.push(loops.iter().map(values).collect::<Result<Vec<_>, _>>()?);
+        }
+        let n: usize = records.iter().map(Dataset::len).sum();
+        let moves: Vec<f64> = (0..loops.len()).map(|i| deviation(parts.iter().map(|u| u[i]))).collect();
         let about = |l: &PlanLoop, reason: String| TuneError::NoAnswer {
             output: l.output.clone(),
             input: l.input.clone(),
@@ -59,10 +66,11 @@ impl Linear {
             }
         }
         let failed = |l: &PlanLoop, e: LinalgError| about(l, format!("the test cannot be fitted: {e}"));
-        let sums = Sums::new(&u, &moves, n, lags).map_err(|e| failed(&loops[0], e))?;
-        let mut linear = Self { sample_time_s: record.sample_time_s, b: Vec::new() };
+        let sums = Sums::new(&parts, &moves, lags).map_err(|e| failed(&loops[0], e))?;
+        let mut linear = Self { sample_time_s, b: Vec::new(), doubt: 0.0 };
         for (o, l) in loops.iter().enumerate() {
-            let found = sums.responses(values(&l.output)?).map_err(|e| failed(l, e))?;
+            let y = records.iter().map(|r| r.values(&l.output).map_err(PlayError::from));
+            let found = sums.responses(&y.collect::<Result<Vec<_>, _>>()?).map_err(|e| failed(l, e))?;
             let (effect, chance) = (found.rest[o].abs(), DOUBT * found.error[o]);
             if !(effect > chance) {
                 return Err(about(
@@ -73,6 +81,7 @@ impl Linear {
                     ),
                 ));
             }
+            linear.doubt = linear.doubt.max(found.error[o] / effect);
             let own = |(b, s): (&[f64], &f64)| b.iter().map(|b| b / s).collect();
             linear.b.push(found.responses.chunks(lags).zip(&moves).map(own).collect());
         }
@@ -95,17 +104,21 @@ impl Linear {
     }
 }
 
-/// Standard deviation.
-fn deviation(x: &[f64]) -> f64 {
-    let n = x.len().max(1) as f64;
-    let mean = x.iter().sum::<f64>() / n;
-    (x.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+/// Standard deviation about the mean of each part.
+fn deviation<'a>(parts: impl Iterator<Item = &'a [f64]>) -> f64 {
+    let (mut squares, mut n) = (0.0, 0);
+    for x in parts {
+        let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
+        squares += x.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        n += x.len();
+    }
+    (squares / n.max(1) as f64).sqrt()
 }
 
-/// The regressors of a record, summed over the lags: with `b_k = sum_(m >= k) w_m` the kernel is `w_m ~ N(0, c v_m)`, independent,
+/// The regressors of all records, summed over the lags: with `b_k = sum_(m >= k) w_m` the kernel is `w_m ~ N(0, c v_m)`, independent,
 /// `v_m = lambda^m - lambda^(m+1)`, the last `lambda^p`.
 struct Sums {
-    /// Column (i, m): the movement of input i from lag 1 to m, less its mean; n rows.
+    /// Column (i, m): the movement of input i from lag 1 to m, less its mean over the record; a row a sample.
     rows: Vec<f64>,
     gram: Vec<f64>,
     width: usize,
@@ -122,35 +135,44 @@ struct Answer {
 }
 
 impl Sums {
-    fn new(u: &[&[f64]], moves: &[f64], n: usize, lags: usize) -> Result<Self, LinalgError> {
-        let width = lags * u.len();
-        let mut rows = vec![0.0; n * width];
-        for t in 0..n {
-            for (i, (u, s)) in u.iter().zip(moves).enumerate() {
-                let mut sum = 0.0;
-                for m in 1..=lags {
-                    sum += if t >= m { (u[t - m] - u[0]) / s } else { 0.0 };
-                    rows[t * width + i * lags + m - 1] = sum;
+    fn new(records: &[Vec<&[f64]>], moves: &[f64], lags: usize) -> Result<Self, LinalgError> {
+        let width = lags * moves.len();
+        let mut rows = Vec::new();
+        for u in records {
+            let n = u.first().map_or(0, |u| u.len());
+            let from = rows.len();
+            rows.resize(from + n * width, 0.0);
+            let own = &mut rows[from..];
+            for (t, row) in own.chunks_mut(width).enumerate() {
+                for (i, (u, s)) in u.iter().zip(moves).enumerate() {
+                    let mut sum = 0.0;
+                    for m in 1..=lags {
+                        sum += if t >= m { (u[t - m] - u[0]) / s } else { 0.0 };
+                        row[i * lags + m - 1] = sum;
+                    }
                 }
             }
+            let mut means = vec![0.0; width];
+            own.chunks(width).for_each(|r| means.iter_mut().zip(r).for_each(|(m, v)| *m += v / n as f64));
+            own.chunks_mut(width).for_each(|r| r.iter_mut().zip(&means).for_each(|(v, m)| *v -= m));
         }
-        let mut means = vec![0.0; width];
-        rows.chunks(width).for_each(|r| means.iter_mut().zip(r).for_each(|(m, v)| *m += v / n as f64));
-        rows.chunks_mut(width).for_each(|r| r.iter_mut().zip(&means).for_each(|(v, m)| *v -= m));
         let mut gram = vec![0.0; width * width];
-        gram_upper(&rows, n, width, &mut gram)?;
+        gram_upper(&rows, rows.len() / width, width, &mut gram)?;
         Ok(Self { rows, gram, width, lags })
     }
 
-    /// The responses of `y` with the kernel of the largest marginal likelihood.
-    fn responses(&self, y: &[f64]) -> Result<Answer, LinalgError> {
-        let mean = y.iter().sum::<f64>() / y.len() as f64;
-        let y: Vec<f64> = y.iter().map(|v| v - mean).collect();
+    /// The responses of `y`, by record, with the kernel of the largest marginal likelihood.
+    fn responses(&self, y: &[&[f64]]) -> Result<Answer, LinalgError> {
+        let mut centred = Vec::new();
+        for y in y {
+            let mean = y.iter().sum::<f64>() / y.len().max(1) as f64;
+            centred.extend(y.iter().map(|v| v - mean));
+        }
         let mut own = vec![0.0; self.width];
-        for (row, y) in self.rows.chunks(self.width).zip(&y) {
+        for (row, y) in self.rows.chunks(self.width).zip(&centred) {
             own.iter_mut().zip(row).for_each(|(h, v)| *h += v * y);
         }
-        let (squares, free) = (dot(&y, &y), y.len() as f64 - 1.0);
+        let (squares, free) = (dot(&centred, &centred), (centred.len() - y.len()) as f64);
         let mut best: Option<(f64, Vec<f64>, f64, f64)> = None;
         for share in FADING {
             let scales = self.scales(share);
@@ -266,7 +288,7 @@ mod tests {
             for (noise, within) in [(0.0, 0.01), (0.1, 0.1), (0.3, 0.25)] {
                 for seed in 1..=5 {
                     let linear =
-                        Linear::fit(&record(a, gain, noise, seed), &loops(), &TuneSpec::default()).unwrap();
+                        Linear::fit(&[record(a, gain, noise, seed)], &loops(), &TuneSpec::default()).unwrap();
                     let exact: f64 = gain / (1.0 - a);
                     let step = linear.step(0, 0);
                     let truth = |t: usize| exact * (1.0 - a.powi(t as i32 - 2));
@@ -282,7 +304,7 @@ mod tests {
     fn an_input_without_effect_is_refused() {
         let refused = (1..=40).filter(|seed| {
             let r = record(0.8, 0.0, 0.1, *seed);
-            Linear::fit(&r, &loops(), &TuneSpec::default()).is_err()
+            Linear::fit(&[r.clone()], &loops(), &TuneSpec::default()).is_err()
         });
         let refused = refused.count();
         assert!(refused >= 38, "{refused}");

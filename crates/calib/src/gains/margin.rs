@@ -284,7 +284,7 @@ mod tests {
     /// g = b z^-delay / (1 - a z^-1), a first-order lag with dead time, until nothing is left of it.
     fn lag(sample_time_s: f64, a: f64, delay: usize, b: f64) -> Linear {
         let response = (1..1500).map(|k| if k < delay { 0.0 } else { b * a.powi((k - delay) as i32) });
-        Linear { sample_time_s, b: vec![vec![response.collect()]] }
+        Linear { sample_time_s, b: vec![vec![response.collect()]], doubt: 0.0 }
     }
 
     /// P control of a first-order lag is stable until b kp = 1 + a.

@@ -26,6 +26,11 @@ const LONGEST_STEP: f64 = 0.2;
 const SETTLE: f64 = 8.0;
 const NEARLY: f64 = 4.0;
 const REST_S: f64 = 1.0;
+/// Movement of an input that shows what it does, as a share of it.
+const TOUCH: f64 = 0.5 * LONGEST_STEP;
+/// Parts of a test, and the standard error of the steady effects, as a share of them, at which no further part is played.
+const PARTS: usize = 2;
+const KNOWN: f64 = 0.03;
 
 /// A plant on which gains are tried, and what that took.
 pub(super) struct Bench<'a> {
@@ -58,22 +63,34 @@ pub(super) enum Trial {
 
 impl Bench<'_> {
     /// Goes from the first row of `plan`, number `k`, to where its demands are held, and tests there. The way is found by the
-    /// model of a neighbour, `known`; without one a first test is made where the plan begins.
+    /// model of a neighbour among the points that are `known`; it begins where one of them holds the same demands.
     pub(super) fn point<'a>(
         &mut self,
         plan: &'a Plan,
         k: usize,
-        known: Option<&Linear>,
+        known: &[Point],
     ) -> Result<Point<'a>, TuneError> {
         let mut inputs = start(plan);
+        let alike = known.iter().rev().find(|p| same_demands(p.plan, plan));
+        if let (Some(p), true) = (alike, self.spec.rounds > 1) {
+            for (v, (c, held)) in inputs.iter_mut().zip(plan.channels.iter().zip(&p.inputs)) {
+                if plan.loops.iter().any(|l| l.input == c.name) {
+                    *v = *held;
+                }
+            }
+        }
         let mut linear = None;
         for test in 0..self.spec.rounds {
-            let way = linear.as_ref().or(known).map(Linear::steady);
             let mut arrived = false;
-            if let (Some(gains), true) = (way, self.spec.rounds > 1) {
-                (inputs, arrived) = self.approach(plan, inputs, gains)?;
+            if self.spec.rounds > 1 {
+                let way = linear.as_ref().or(alike.or(known.last()).map(|p| &p.linear)).map(Linear::steady);
+                let way = match way {
+                    Some(gains) => gains,
+                    None => self.touched(plan, &inputs)?,
+                };
+                (inputs, arrived) = self.approach(plan, inputs, way)?;
             }
-            linear = Some(self.tested(plan, &inputs, 1000 * k + 100 * test)?);
+            linear = Some(self.tested(plan, &inputs, arrived, 1000 * k + 100 * test)?);
             if arrived {
                 break;
             }
@@ -81,7 +98,7 @@ impl Bench<'_> {
         // The rounds are checked to be one at least.
         let linear = match linear {
             Some(linear) => linear,
-            None => self.tested(plan, &inputs, 1000 * k)?,
+            None => self.tested(plan, &inputs, false, 1000 * k)?,
         };
         let alone = margin::alone(&linear, &plan.loops)?;
         let gains = margin::detuned(&[&linear], &alone, &plan.loops, self.spec, 1.0)?;
@@ -89,9 +106,49 @@ impl Bench<'_> {
         Ok(Point { plan, inputs, linear, gains })
     }
 
-    fn tested(&mut self, plan: &Plan, inputs: &[f64], stream: usize) -> Result<Linear, TuneError> {
-        let record = self.played(&test(plan, inputs, self.spec, self.seed, stream))?;
-        Linear::fit(&record, &plan.loops, self.spec)
+    /// The model about `inputs`, at which the plant nearly is at rest when it has just `arrived`: from tests until it is known.
+    fn tested(
+        &mut self,
+        plan: &Plan,
+        inputs: &[f64],
+        arrived: bool,
+        stream: usize,
+    ) -> Result<Linear, TuneError> {
+        let spec = TuneSpec { test_s: self.spec.test_s / PARTS as f64, ..self.spec.clone() };
+        let mut records = Vec::new();
+        loop {
+            let part = test(plan, inputs, &spec, self.seed, stream + 10 * records.len());
+            let rested_s = if arrived && records.is_empty() { NEARLY * spec.memory_s + REST_S } else { 0.0 };
+            let settle_s = (part.settle_s - rested_s).max(0.0);
+            records.push(self.played(&part.settled(settle_s))?);
+            let found = Linear::fit(&records, &plan.loops, &spec);
+            if records.len() >= PARTS || found.as_ref().is_ok_and(|l| l.doubt <= KNOWN) {
+                return found;
+            }
+        }
+    }
+
+    /// Steady gains about `inputs`, outputs by inputs, row-major, from one movement of the input of each loop.
+    fn touched(&mut self, plan: &Plan, inputs: &[f64]) -> Result<Vec<f64>, TuneError> {
+        let n = plan.loops.len();
+        let before = self.rest(plan, inputs)?;
+        let mut gains = vec![0.0; n * n];
+        for (i, l) in plan.loops.iter().enumerate() {
+            let mut moved = inputs.to_vec();
+            for (v, c) in moved.iter_mut().zip(&plan.channels).filter(|(_, c)| c.name == l.input) {
+                let by = TOUCH * size(c, *v);
+                *v = if *v + by <= c.upper { *v + by } else { (*v - by).max(c.lower) };
+            }
+            let by: f64 = moved.iter().zip(inputs).map(|(a, b)| a - b).sum();
+            if by == 0.0 {
+                continue;
+            }
+            let after = self.rest(plan, &moved)?;
+            for o in 0..n {
+                gains[o * n + i] = (after[o] - before[o]) / by;
+            }
+        }
+        Ok(gains)
     }
 
     /// From `inputs` towards the demands with all loops open, and whether they are reached: Newton steps on steady `gains`,
@@ -176,6 +233,12 @@ impl Bench<'_> {
     }
 }
 
+/// Whether two plans begin with the same demands.
+fn same_demands(a: &Plan, b: &Plan) -> bool {
+    let first = |d: &PlanDemand| (d.output.clone(), d.values.first().copied());
+    a.demands.iter().map(first).eq(b.demands.iter().map(first))
+}
+
 /// Where a plan begins.
 pub(super) fn start(plan: &Plan) -> Vec<f64> {
     plan.channels.iter().map(|c| c.values.first().copied().unwrap_or(0.0)).collect()
@@ -246,7 +309,8 @@ fn trial(plan: &Plan, inputs: &[f64], loops: &[PlanLoop], spec: &TuneSpec) -> Pl
     let name = format!("{}, trial", plan.name);
     let open = Plan::open_loop(&name, plan.sample_time_s, held(plan, inputs, n));
     let closed = open.with_loops(demands, loops.to_vec()).with_limits(plan.limits.clone());
-    Plan { outputs, ..closed.settled(0.5 * spec.trial_s) }
+    // The loops are there for the last bit of the way.
+    Plan { outputs, ..closed.settled(NEARLY * spec.memory_s) }
 }
 
 /// Inputs over the last samples of a trial.
