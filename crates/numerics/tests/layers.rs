@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// Lowest first.
 const ORDER: &[&str] =
-    &["fft", "registry", "rng", "status", "vector_state", "watch", "linalg", "lm", "nlp", "optim"];
+    &["fft", "lanes", "registry", "rng", "status", "vector_state", "watch", "linalg", "lm", "nlp", "optim"];
 
 #[test]
 fn no_module_uses_one_above_it() {
