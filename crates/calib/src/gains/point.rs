@@ -28,8 +28,10 @@ const NEARLY: f64 = 4.0;
 const REST_S: f64 = 1.0;
 /// Movement of an input that shows what it does, as a share of it.
 const TOUCH: f64 = 0.5 * LONGEST_STEP;
-/// Parts of a test, and the standard error of the steady effects, as a share of them, at which no further part is played.
-const PARTS: usize = 2;
+/// Share of a test that is played at a time, most such parts, and the standard error of the steady effects, as a share of them,
+/// at which no further part is played.
+const PART: f64 = 0.5;
+const PARTS: usize = 4;
 const KNOWN: f64 = 0.03;
 
 /// A plant on which gains are tried, and what that took.
@@ -114,7 +116,7 @@ impl Bench<'_> {
         arrived: bool,
         stream: usize,
     ) -> Result<Linear, TuneError> {
-        let spec = TuneSpec { test_s: self.spec.test_s / PARTS as f64, ..self.spec.clone() };
+        let spec = TuneSpec { test_s: PART * self.spec.test_s, ..self.spec.clone() };
         let mut records = Vec::new();
         loop {
             let part = test(plan, inputs, &spec, self.seed, stream + 10 * records.len());
@@ -122,7 +124,8 @@ impl Bench<'_> {
             let settle_s = (part.settle_s - rested_s).max(0.0);
             records.push(self.played(&part.settled(settle_s))?);
             let found = Linear::fit(&records, &plan.loops, &spec);
-            if records.len() >= PARTS || found.as_ref().is_ok_and(|l| l.doubt <= KNOWN) {
+            let enough = |l: &Linear| l.doubt <= KNOWN && margin::alone(l, &plan.loops).is_ok();
+            if records.len() >= PARTS || found.as_ref().is_ok_and(enough) {
                 return found;
             }
         }

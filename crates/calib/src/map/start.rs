@@ -34,8 +34,12 @@ impl StartRule {
             given: given.iter().chain(free).cloned().collect(),
             actuators: driven.to_vec(),
         };
-        let mut shape =
-            StructuredShape { look_ahead: 0, ridge: 1e-7, steady_weight: 1.0, ..StructuredShape::default() };
+        let mut shape = StructuredShape {
+            look_ahead: 0,
+            ridge: Some(1e-7),
+            steady_weight: 1.0,
+            ..StructuredShape::default()
+        };
         for (k, port) in ports.references().enumerate() {
             shape.offsets.insert(port.name.clone(), if k == 0 { AHEAD.to_vec() } else { Vec::new() });
         }

@@ -9,6 +9,7 @@
 //! (terms: [`terms::terms`]). It is fitted by least squares; it has no recursion, so it is stable for every bounded
 //! reference. The differences are zero in steady state, so dynamics never spoil the static accuracy.
 
+mod ridge;
 pub mod terms;
 
 use super::filter::filtered;
@@ -52,8 +53,8 @@ pub(super) const ROW: MapRow = MapRow {
             ParamDoc {
                 name: "ridge",
                 unit: "-",
-                default: "1e-4",
-                what: "weight on squared coefficients per sample",
+                default: "chosen",
+                what: "weight on squared coefficients per sample; without it the records choose one for each actuator, stretches of them left out in turn",
             },
             ParamDoc {
                 name: "steady_weight",
@@ -89,8 +90,9 @@ pub struct StructuredShape {
     /// Time constants in s of the filter of each demand, by name; the leading demand has [`StructuredShape::FILTER_S`]
     /// where it is not named, others none.
     pub filter_s: BTreeMap<String, Vec<f64>>,
-    /// Ridge per sample (regressors are scaled to the order of one).
-    pub ridge: f64,
+    /// Ridge per sample (regressors are scaled to the order of one); none: chosen for each actuator by what is predicted of
+    /// stretches of the records that are left out.
+    pub ridge: Option<f64>,
     /// Weight of quasi-steady samples (others: 1).
     pub steady_weight: f64,
     /// A sample is quasi-steady when every demand changes over its window by less than this share of its largest value.
@@ -103,7 +105,7 @@ impl Default for StructuredShape {
             look_ahead: 4,
             offsets: BTreeMap::new(),
             filter_s: BTreeMap::new(),
-            ridge: 1e-4,
+            ridge: None,
             steady_weight: 11.0,
             steady_share: 0.0165,
         }
@@ -115,8 +117,8 @@ impl StructuredShape {
     pub const LEAD: [i32; 6] = [4, 3, 2, 1, -2, -6];
     /// Offsets of a further demand.
     pub const FURTHER: [i32; 3] = [4, 2, -2];
-    /// Offsets of a given channel.
-    pub const GIVEN: [i32; 2] = [3, -3];
+    /// Offsets of a given channel, which is measured: nobody knows what comes.
+    pub const GIVEN: [i32; 1] = [-3];
     /// Time constants in s of the filter of the leading demand.
     pub const FILTER_S: [f64; 2] = [0.12, 0.15];
 
@@ -163,7 +165,7 @@ pub struct StructuredMap {
 impl MapStructure for StructuredShape {
     fn check(&self, ports: &Ports, key: &str, faults: &mut Faults) {
         let name = |part: &str| format!("{key}.{part}");
-        faults.range(&name("ridge"), self.ridge, 0.0, 1.0, "-");
+        self.ridge.iter().for_each(|r| faults.range(&name("ridge"), *r, 0.0, 1.0, "-"));
         faults.range(&name("steady_weight"), self.steady_weight, 0.0, 1e6, "-");
         faults.range(&name("steady_share"), self.steady_share, 0.0, 1.0, "-");
         for (demand, lags) in &self.filter_s {
@@ -184,8 +186,8 @@ impl MapStructure for StructuredShape {
         for (k, port) in ports.references().enumerate() {
             let role = if k < demands { k.min(1) } else { 2 };
             for offset in self.offsets_of(&port.name, role) {
-                // The window of a demand ends where the newest demand is.
-                let most = if role < 2 { self.look_ahead as i32 } else { MEMORY };
+                // The window of a demand ends where the newest demand is, that of a measured channel at its present value.
+                let most = if role < 2 { self.look_ahead as i32 } else { -1 };
                 if *offset > most || *offset < -MEMORY || *offset == 0 {
                     let part = name(&format!("offsets.{}", port.name));
                     faults.push(&part, offset, format!("from -{MEMORY} to {most} samples, not 0"));
@@ -251,14 +253,22 @@ impl StructuredMap {
             }
         }
         let n = used.len();
+        let rows: Vec<usize> =
+            data.iter().map(|d| d.response.len().saturating_sub(ahead).saturating_sub(back)).collect();
         if n < p {
             return Err(MapError::TooShort { found: n, needed: p });
         }
+        let refused = |e: linalg::LinalgError| MapError::Regression(e.to_string());
+        let ridges = match shape.ridge {
+            Some(ridge) => vec![ridge; actuators],
+            None => ridge::chosen(&x, p, &y, &rows).map_err(refused)?,
+        };
         let coefficients = y
             .iter()
-            .map(|y| {
-                let fit = linalg::least_squares(&x, n, p, y, shape.ridge * n as f64);
-                fit.map(|f| f.x).map_err(|e| MapError::Regression(e.to_string()))
+            .zip(ridges)
+            .map(|(y, ridge)| {
+                let fit = linalg::least_squares(&x, n, p, y, ridge * n as f64);
+                fit.map(|f| f.x).map_err(refused)
             })
             .collect::<Result<_, _>>()?;
         let demands = ports.demands.iter().enumerate();

@@ -28,7 +28,7 @@ fn record(n: usize) -> Rows {
 /// A plant that lies in the structure is recovered exactly.
 #[test]
 fn recovers_actuators_that_lie_in_the_structure() {
-    let shape = StructuredShape { ridge: 0.0, ..Default::default() };
+    let shape = StructuredShape { ridge: Some(0.0), ..Default::default() };
     let r = record(2000);
     let mut u = Rows::new(3);
     for t in 0..r.len() {
