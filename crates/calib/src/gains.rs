@@ -15,8 +15,8 @@
 //! S. Skogestad, J. Process Control 13 (2003) 291-309, for SIMC; W. L. Luyben, Ind. Eng. Chem. Process Des. Dev. 25 (1986)
 //! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
 //! begins: the inputs are led there with open loops by the steady gains of a point before, or by what one movement of each input
-//! shows at the first, from where the same demands were held or else from where the plan begins. A test ends when the steady
-//! effects are known well enough: after half its length at the earliest, after twice its length at the latest. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
+//! shows at the first, from where the same demands were held or else from where the plan begins. Where one test
+//! does not tell the steady effects well enough there is a second. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
 //! margins. The gains are then played at all points: where a loop still oscillates ([`dynocal_ident::play::oscillation`]), F
 //! grows and they are played again.
 
@@ -43,7 +43,7 @@ use point::{Bench, Point, Trial};
 pub struct TuneSpec {
     /// Size of the test movements, as a share of the value of the input, which counts as a tenth of its range at least.
     pub share: f64,
-    /// Length of the test in s; half of it where that shows the effects well enough, up to twice where noise hides them.
+    /// Length of a test in s; there is a second where noise hides the effects.
     pub test_s: f64,
     /// Shortest time between two movements of one input in s.
     pub hold_s: f64,
