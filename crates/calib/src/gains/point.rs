@@ -19,7 +19,7 @@ const LEAST: (f64, f64) = (0.1, 1e-3);
 /// Steps of an approach; distance from the demand at which it ends, as a share of the demand; longest step, as a share of the
 /// input.
 const STEPS: usize = 12;
-const NEAR: f64 = 0.02;
+const NEAR: f64 = 0.05;
 const LONGEST_STEP: f64 = 0.3;
 /// Memories of the plant that it is given to come to rest, and to come as near to it as a step of an approach asks; time over
 /// which a rest is averaged, in s.
@@ -28,7 +28,7 @@ const NEARLY: f64 = 4.0;
 const REST_S: f64 = 1.0;
 /// Share of a rest that is enough far from the demand, and what is far, in distances at which an approach ends.
 const GLANCE: f64 = 0.5;
-const FAR: f64 = 5.0;
+const FAR: f64 = 3.0;
 /// Movement of an input that shows what it does, as a share of it.
 const TOUCH: f64 = 0.1;
 /// Most tests about one point, and the standard error of the steady effects, as a share of them, at which one is enough.

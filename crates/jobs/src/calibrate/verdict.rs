@@ -334,8 +334,18 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
             [one] => spec.problem.unit(&one.channel).unwrap_or("-"),
             _ => "-",
         };
+        let yields = match (own.economy, rival.economy, own.demands.first()) {
+            (Some(own), Some(rival), Some(lead)) => format!(
+                ", and gives {:.1} % {} {} for the same {}",
+                100.0 * (own / rival - 1.0).abs(),
+                if own >= rival { "more" } else { "less" },
+                lead.output,
+                objective_words(spec)
+            ),
+            _ => String::new(),
+        };
         out.push(format!(
-            "it takes {} of {}, the static map {}",
+            "it takes {} of {}, the static map {}{yields}",
             with_unit(own.objective, 4, unit),
             objective_words(spec),
             with_unit(rival.objective, 4, unit)
