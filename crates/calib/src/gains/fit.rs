@@ -304,7 +304,7 @@ mod tests {
     fn an_input_without_effect_is_refused() {
         let refused = (1..=40).filter(|seed| {
             let r = record(0.8, 0.0, 0.1, *seed);
-            Linear::fit(&[r.clone()], &loops(), &TuneSpec::default()).is_err()
+            Linear::fit(std::slice::from_ref(&r), &loops(), &TuneSpec::default()).is_err()
         });
         let refused = refused.count();
         assert!(refused >= 38, "{refused}");
