@@ -3,6 +3,7 @@
 use super::context::{ChainError, Context};
 use super::models::ModelsResult;
 use crate::design::result::Curves;
+use dynocal_calib::problem::DemandChannel;
 use dynocal_calib::validate::inner;
 use dynocal_files::json;
 use dynocal_ident::data::{Channel, Dataset, Role};
@@ -75,7 +76,7 @@ pub(super) fn design_text(
                 ("margin", Value::Float((2.0 * rmse).min(0.2 * (upper - lower)))),
             ]);
             t.insert("limits".into(), Value::Table(limits));
-            t.insert("initial_output".into(), Value::Float(0.5 * (d.lower + d.upper)));
+            t.insert("initial_output".into(), Value::Float(middle(d)));
         }
         let prior = identification
             .iter()
@@ -136,7 +137,12 @@ pub(super) fn as_record(ctx: &Context, curves: &Curves) -> Dataset {
     }
 }
 
-/// Demands of the plan: what the models answer to it, inside the ranges that loops can hold.
+/// Where an output stands before the first sample of a design.
+fn middle(d: &DemandChannel) -> f64 {
+    0.5 * (d.lower + d.upper)
+}
+
+/// Demands of the plan: what the models answer to it, from where the design begins, inside the ranges that loops can hold.
 ///
 /// # Errors
 /// [`ChainError`].
@@ -145,10 +151,17 @@ pub(super) fn predicted(
     record: &Dataset,
     models: &[&StoredModel],
 ) -> Result<Vec<Vec<f64>>, ChainError> {
+    let mut record = record.clone();
+    let n = record.len();
+    for d in &ctx.spec.problem.demands {
+        let unit = ctx.spec.problem.unit(&d.output).unwrap_or("-").into();
+        let values = vec![middle(d); n];
+        record.channels.push(Channel { name: d.output.clone(), unit, role: Role::Output, values });
+    }
     let mut out = Vec::new();
     for d in &ctx.spec.problem.demands {
         let model = models.iter().find(|m| m.user_output().name == d.output);
-        let run = model.map(|m| m.simulate(record, None)).transpose()?.and_then(|r| r.into_iter().next());
+        let run = model.map(|m| m.simulate(&record, None)).transpose()?.and_then(|r| r.into_iter().next());
         let Some(run) = run else { return Err(ChainError::Design(format!("no model of `{}`", d.output))) };
         let (lower, upper) = inner((d.lower, d.upper), -ctx.spec.design.excess);
         out.push(run.y.iter().map(|y| y.clamp(lower, upper)).collect());

@@ -4,7 +4,7 @@
 use super::context::{ChainError, Context};
 use super::model_spec::{Candidates, candidates, refit, spec_text};
 use crate::identify::error::IdentifyError;
-use crate::identify::job::work;
+use crate::identify::job::{NO_TEST_DATA, work};
 use crate::identify::result::Identified;
 use crate::identify::spec::{self, Overrides};
 use dynocal_files::{atomic, json};
@@ -238,7 +238,8 @@ fn candidate(
         unstable_share: modelled.after.stability.as_ref().map_or(0.0, |s| s.share_diverged),
         scores,
         model,
-        warnings: found.warnings,
+        // The campaign has unseen records of its own, scored above.
+        warnings: found.warnings.into_iter().filter(|w| !w.contains(NO_TEST_DATA)).collect(),
     })
 }
 

@@ -11,7 +11,7 @@ use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
-use dynocal_report::{capital, with_unit};
+use dynocal_report::{capital, significant, with_unit};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -304,8 +304,14 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
             super::run::STEPS.len()
         );
     };
-    let head =
-        if valid { "The dynamic map may be used." } else { "The dynamic map must not be used as it is." };
+    let passes = r.optimise.iter().flat_map(|d| &d.result.passes);
+    let head = match (valid, passes.filter(|p| p.usable).count()) {
+        (true, _) => "The dynamic map may be used.",
+        (false, 0) => {
+            "The dynamic map must not be used: no pass of the optimisation may be, and it was made from the last one only to be looked at."
+        }
+        (false, _) => "The dynamic map must not be used as it is.",
+    };
     let own = v.scores.iter().filter(|s| s.map == DYNAMIC);
     let paragraphs = own.map(|own| against_rivals(spec, v, own));
     std::iter::once(head.to_string()).chain(paragraphs).collect::<Vec<_>>().join("\n")
@@ -316,7 +322,7 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
     let rivals: Vec<&MapScore> =
         v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC).collect();
     let mut out = Vec::new();
-    for d in own.demands.iter().skip(1) {
+    for d in &own.demands {
         let integrals = rivals
             .iter()
             .filter_map(|s| s.demand(&d.output).map(|o| (o.integral_s, s.map.as_str())))
@@ -324,8 +330,11 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
         if let Some((integral, map)) = integrals.min_by(|a, b| a.0.total_cmp(&b.0)) {
             let word = if d.integral_s < integral { "better" } else { "worse" };
             out.push(format!(
-                "it holds {} {word} than the best rival, the {map}: {:.4} against {integral:.4} s of error integrated over a step",
-                d.output, d.integral_s
+                "it holds {} {word} than the best rival, the {map}: {} against {} {} of error integrated over a step",
+                d.output,
+                significant(d.integral_s, 4),
+significant(integral, 4),
+                if d.unit == "-" { "s".to_string() } else { format!("{} s", d.unit) },
             ));
         }
     }

@@ -36,6 +36,10 @@ use super::set::{Member, Set, shape};
 use super::spec::{Job, Target};
 use super::verdict::verdict;
 
+/// What is said of a model that no unseen record judges.
+pub(crate) const NO_TEST_DATA: &str =
+    "no test data in the split: nothing says how the model does on unseen data";
+
 /// Does the job: reads the data, estimates, scores, and writes models, records and summary.
 ///
 /// # Errors
@@ -348,8 +352,7 @@ fn finish(
     findings.extend(parts.iter().flat_map(read));
     findings.extend(losses(preparation));
     if parts.iter().all(|p| p.seen != Seen::Unseen) {
-        let text = "no test data in the split: nothing says how the model does on unseen data";
-        findings.push(Finding::new(Grade::Warning, "", text));
+        findings.push(Finding::new(Grade::Warning, "", NO_TEST_DATA));
     }
     let findings = sorted(findings);
     let (mut scores, mut records) = (Vec::new(), Vec::new());

@@ -55,13 +55,14 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
     if let Some(p) = s.passes.last() {
         let all_metered = s.spec.problem.meterable().len() == p.meters.len();
         let seen = if all_metered { "Measured" } else { "Played (by the recorded inputs)" };
+        let last = if p.usable { "last pass" } else { "last pass, which must not be used" };
         items.push(KeyValue::new(
-            format!("Promised change of {what}, last pass"),
+            format!("Promised change of {what}, {last}"),
             significant(change(p.promised_ratio), 3),
             "%",
         ));
         items.push(KeyValue::new(
-            format!("{seen} change of {what}, last pass"),
+            format!("{seen} change of {what}, {last}"),
             significant(change(p.measured_ratio), 3),
             "%",
         ));

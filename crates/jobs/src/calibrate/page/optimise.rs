@@ -18,7 +18,7 @@ pub(super) fn section(
     let passes = &o.result.passes;
     let what = objective_words(ctx.spec);
     let mut section = Section::new("Optimisation over a record").id("optimise").text(format!(
-        "Least {what} of a record at equal demanded outputs at every sample. The demand is the models' response to a feasible start; start and optimum are measured with small loops that hold it. A pass whose optimum must not be used is left out of the map and of the next models."
+        "Least {what} of a record at equal demanded outputs at every sample. The demand is the models' response to a feasible start; start and optimum are measured with small loops that hold it. A pass whose optimum must not be used is left out of the map and of the next models; where no pass may be used the map is made from the last one, only to be looked at."
     ));
     section =
         section.block(promise(ctx, passes, fixed)).block(bars(&what, passes, fixed)).block(misses(passes));
