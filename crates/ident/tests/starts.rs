@@ -112,6 +112,13 @@ fn rest_stays_where_it_is() {
     let without = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"]).unwrap();
     let run = free_run(&without, &[1.0, 0.5], &e, 1, Initial::Rest);
     assert_eq!(run.y[..3], [0.0, 1.5, 2.25]);
+    // Zero inputs would give zero, but these are not zero: neither with measured outputs nor without.
+    let product = PolyNarx::parse(&["u"], "y", &["u(t-1)*u(t-2)", "y(t-1)"]).unwrap();
+    for y in [3.0, f64::NAN] {
+        let e = Experiment { y: vec![y; 40], ..e.clone() };
+        let run = free_run(&product, &[1.0, 0.5], &e, 1, Initial::Rest);
+        assert!(run.y.iter().all(|y| (y - 4.5).abs() < 1e-9), "{:?}", &run.y[..3]);
+    }
     // No rest to start from: a growing model.
     let growing = PolyNarx::parse(&["u"], "y", &["1", "y(t-1)"]).unwrap();
     let run = free_run(&growing, &[1.0, 1.2], &e, 1, Initial::Rest);

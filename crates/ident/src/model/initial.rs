@@ -1,7 +1,7 @@
 //! Where a model's memory stands before the first sample that it computes: one rule, everywhere.
 //!
 //! ```text
-//! rest        in equilibrium: zero where zero is one, else the output that the first inputs of the record hold
+//! rest        in equilibrium: zero for a linear model, else the output that the first inputs of the record hold
 //! measured    the outputs before the first computed sample are the measured ones
 //! estimated   they are what makes sum_t w(t) (y(t) - yhat(t))^2 least, yhat the free run
 //! ```
@@ -120,17 +120,33 @@ fn from_rest(model: &dyn Model, theta: &[f64], e: &Experiment) -> FreeRun {
     FreeRun { y: y.split_off(lag), status, states: vec![level; model.output_lag()] }
 }
 
-/// Output and inputs of the rest before a record.
+/// Output and inputs of the rest before a record: a linear model rests at zero, as is usual for what counts from an operating
+/// point; any other where the first inputs hold it, and at zero only if they do not.
 fn rest(model: &dyn Model, theta: &[f64], e: &Experiment) -> Option<(f64, Vec<f64>)> {
     let (m, lag) = (model.n_inputs(), model.max_lag());
-    let mut one = vec![0.0; lag + 1];
-    let zeros = vec![0.0; (lag + 1) * m.max(1)];
-    model.predict(theta, &Run { u: &zeros[..(lag + 1) * m], y: &vec![0.0; lag + 1], start: lag }, &mut one);
-    if one[lag] == 0.0 {
-        return Some((0.0, vec![0.0; m]));
+    let inputs = e.u.get(..m)?.to_vec();
+    let first = e.y.first().copied().filter(|v| v.is_finite());
+    let next = |share: f64| {
+        let mut one = vec![0.0; lag + 1];
+        let u: Vec<f64> = inputs.iter().map(|v| share * v).cycle().take((lag + 1) * m).collect();
+        let y = vec![share * first.unwrap_or(1.0); lag + 1];
+        model.predict(theta, &Run { u: &u, y: &y, start: lag }, &mut one);
+        one[lag]
+    };
+    let zero = (next(0.0) == 0.0).then(|| (0.0, vec![0.0; m]));
+    let linear = (next(2.0) - 2.0 * next(1.0)).abs() <= 1e-9 * next(2.0).abs();
+    if zero.is_some() && linear {
+        return zero;
     }
-    let inputs = e.u[..m].to_vec();
-    let (mut length, mut start) = (64.max(4 * lag), e.y.first().copied().filter(|v| v.is_finite())?);
+    let starts = first.into_iter().chain([0.0]);
+    let held = starts.filter_map(|start| held(model, theta, &inputs, start)).next();
+    held.map(|level| (level, inputs.clone())).or(zero)
+}
+
+/// Where constant inputs hold the output, from `start`; none where it does not come to rest.
+fn held(model: &dyn Model, theta: &[f64], inputs: &[f64], start: f64) -> Option<f64> {
+    let (m, lag) = (model.n_inputs(), model.max_lag());
+    let (mut length, mut start) = (64.max(4 * lag), start);
     while length <= SETTLING {
         let n = lag + length;
         let u: Vec<f64> = inputs.iter().copied().cycle().take(n * m).collect();
@@ -142,7 +158,7 @@ fn rest(model: &dyn Model, theta: &[f64], e: &Experiment) -> Option<(f64, Vec<f6
         // Still over as many samples as the model remembers.
         let moved = y[n - lag.max(2)..].iter().map(|v| (v - last).abs()).fold(0.0, f64::max);
         if moved <= 1e-12 * last.abs().max(1e-12) {
-            return Some((last, inputs));
+            return Some(last);
         }
         (start, length) = (last, 2 * length);
     }
