@@ -129,7 +129,7 @@ fn rest(model: &dyn Model, theta: &[f64], e: &Experiment) -> Option<(f64, Vec<f6
     let next = |share: f64| {
         let mut one = vec![0.0; lag + 1];
         let u: Vec<f64> = inputs.iter().map(|v| share * v).cycle().take((lag + 1) * m).collect();
-        let y = vec![share * first.unwrap_or(1.0); lag + 1];
+        let y = vec![share; lag + 1];
         model.predict(theta, &Run { u: &u, y: &y, start: lag }, &mut one);
         one[lag]
     };
@@ -138,7 +138,8 @@ fn rest(model: &dyn Model, theta: &[f64], e: &Experiment) -> Option<(f64, Vec<f6
     if zero.is_some() && linear {
         return zero;
     }
-    let starts = first.into_iter().chain([0.0]);
+    // Measured outputs do not decide where a model rests, unless it does not find there from zero.
+    let starts = [0.0].into_iter().chain(first);
     let held = starts.filter_map(|start| held(model, theta, &inputs, start)).next();
     held.map(|level| (level, inputs.clone())).or(zero)
 }
