@@ -111,7 +111,9 @@ def main():
     for name, colour, dashes in [("demand", "#999", "5 3")] + [(n, c, "") for n, c, _ in MAPS]:
         label = name
         if name in scores:
-            label += f": largest |lambda - 1| {scores[name]['lambda_spike']:.3f}, economy {scores[name]['economy_nm_mg']:.2f} Nm/mg"
+            held = next(d for d in scores[name]["demands"] if d["output"] == "lambda")
+            spike = max(held["spike_above"], held["spike_below"])
+            label += f": lambda off by {spike:.3f} at most, {scores[name]["economy"]:.2f} Nm/mg"
         parts.append(f'<path d="M{x},449 h26" stroke="{colour}" stroke-width="2.5" stroke-dasharray="{dashes}"/>')
         parts.append(text(x + 33, 453, label, 12))
         x += 100 if name == "demand" else 395
