@@ -113,7 +113,7 @@ def main():
         if name in scores:
             held = next(d for d in scores[name]["demands"] if d["output"] == "lambda")
             spike = max(held["spike_above"], held["spike_below"])
-            label += f": lambda off by {spike:.3f} at most, {scores[name]["economy"]:.2f} Nm/mg"
+            label += f": lambda off by {spike:.3f} at most, {scores[name]['economy']:.2f} Nm/mg"
         parts.append(f'<path d="M{x},449 h26" stroke="{colour}" stroke-width="2.5" stroke-dasharray="{dashes}"/>')
         parts.append(text(x + 33, 453, label, 12))
         x += 100 if name == "demand" else 395
