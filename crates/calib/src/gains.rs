@@ -15,10 +15,10 @@
 //! S. Skogestad, J. Process Control 13 (2003) 291-309, for SIMC; W. L. Luyben, Ind. Eng. Chem. Process Des. Dev. 25 (1986)
 //! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
 //! begins: the inputs are led there with open loops by the steady gains of a point before, or by what one movement of each input
-//! shows at the first, from where the same demands were held or else from where the plan begins. Where one test
-//! does not tell the effects well enough there are more, three at most. Several points share one set of gains: the smallest of their own, detuned until the models of all points keep the
-//! margins. The gains are then played at all points: where a loop still oscillates ([`dynocal_ident::play::oscillation`]), F
-//! grows and they are played again.
+//! shows at the first, from where the same demands were held or else from where the plan begins. Where one test does not tell
+//! the effects well enough there are more, three at most. Several points share one set of gains: the smallest of their own,
+//! detuned until the models of all points keep the margins. The gains are then played at all points: where a loop still
+//! oscillates ([`dynocal_ident::play::oscillation`]), F grows and they are played again.
 
 mod fit;
 mod margin;

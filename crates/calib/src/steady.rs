@@ -9,7 +9,6 @@ pub mod day;
 pub mod grid;
 pub mod hold;
 pub mod layout;
-pub mod normal;
 pub mod search;
 pub mod station;
 

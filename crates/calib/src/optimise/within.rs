@@ -13,7 +13,7 @@ const BEYOND: f64 = 0.5;
 ///
 /// F is a first-order lag of `lag` samples forwards and backwards, so that the way back is no edge that no input could follow. The
 /// weight w is 0 up to sample `reached`, from which on every output obeys the inputs, and 1 from `lag` samples later on: before
-/// it a response can only be what it is.
+/// it a response can only be what it is. What lasts is led back; a peak that is short beside the lag stays outside.
 pub(super) fn led_back(values: &mut [f64], range: Range<f64>, reached: usize, lag: usize) {
     let beyond = BEYOND * (range.end - range.start);
     let (lower, upper) = (range.start - beyond, range.end + beyond);

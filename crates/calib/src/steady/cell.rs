@@ -16,6 +16,7 @@ use dynocal_ident::model::response::{Ask, Prediction, Response};
 use dynocal_numerics::nlp::{NlpOptions, SparseNlp, solve};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
 
 /// A limit of a response, one side.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,6 +81,11 @@ pub struct CellOptimum {
     pub status: Status,
     /// Limits: their prices and room.
     pub prices: Vec<Price>,
+}
+
+/// Standard deviations below which a normal variable stays with a `probability` (0 to 1): z with P(Z <= z) = p.
+pub fn deviations(probability: f64) -> f64 {
+    Normal::standard().inverse_cdf(probability)
 }
 
 /// Violation of a limit, in its scale, that counts as none.

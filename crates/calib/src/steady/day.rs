@@ -13,6 +13,7 @@ use dynocal_design::points::{MOST_DIMENSIONS, Sobol, short_ways};
 use dynocal_ident::play::{PlayError, Reason};
 use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::layout::Layout;
 use super::station::{Station, SteadyPoint};
@@ -176,11 +177,8 @@ pub struct Drift {
     pub mean_s: f64,
 }
 
-/// Quantiles 0.995 of Student's t with 1 to 30 degrees of freedom.
-const T_995: [f64; 30] = [
-    63.657, 9.925, 5.841, 4.604, 4.032, 3.707, 3.499, 3.355, 3.250, 3.169, 3.106, 3.055, 3.012, 2.977, 2.947,
-    2.921, 2.898, 2.878, 2.861, 2.845, 2.831, 2.819, 2.807, 2.797, 2.787, 2.779, 2.771, 2.763, 2.756, 2.750,
-];
+/// Quantile of Student's t beyond which a drift is no scatter.
+const TOLD: f64 = 0.995;
 
 /// Drift of every response from the usable repeats; none with fewer than four of them.
 pub fn drift(layout: &Layout, points: &[DayPoint]) -> Vec<Drift> {
@@ -199,7 +197,7 @@ pub fn drift(layout: &Layout, points: &[DayPoint]) -> Vec<Drift> {
         let rest = repeats.iter().map(|p| (p.responses[k] - mean - slope * (p.at_s - mean_s)).powi(2));
         let noise = (rest.sum::<f64>() / (count - 2.0)).sqrt();
         let error = noise / spread.sqrt();
-        let t = T_995[(n - 2).min(T_995.len()) - 1];
+        let t = StudentsT::new(0.0, 1.0, count - 2.0).map_or(f64::INFINITY, |t| t.inverse_cdf(TOLD));
         Drift {
             response: r.name.clone(),
             unit: r.unit.clone(),

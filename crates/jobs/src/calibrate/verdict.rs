@@ -329,12 +329,11 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
             .filter(|(i, _)| i.is_finite());
         if let Some((integral, map)) = integrals.min_by(|a, b| a.0.total_cmp(&b.0)) {
             let word = if d.integral_s < integral { "better" } else { "worse" };
+            let unit = if d.unit == "-" { "s".to_string() } else { format!("{} s", d.unit) };
+            let (own, best) = (significant(d.integral_s, 4), significant(integral, 4));
             out.push(format!(
-                "it holds {} {word} than the best rival, the {map}: {} against {} {} of error integrated over a step",
-                d.output,
-                significant(d.integral_s, 4),
-significant(integral, 4),
-                if d.unit == "-" { "s".to_string() } else { format!("{} s", d.unit) },
+                "it holds {} {word} than the best rival, the {map}: {own} against {best} {unit} of error integrated over a step",
+                d.output
             ));
         }
     }

@@ -98,7 +98,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     }
     if filled > 0 {
         warnings.push(format!(
-            "{filled} of {n} cells lie outside of what was reached on the bed: they are filled from their neighbours and marked"
+            "{filled} of {n} cells lie outside of what was reached on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
         ));
     }
     found.valid = checks.iter().all(|c| c.holds != Some(false));
@@ -108,7 +108,11 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         100.0 * spec.optimise.probability
     );
     let verified = format!("{kept} of {} verification points keep limits and promise", spec.verify.points);
-    let worth = if found.valid { "The maps can be used" } else { "The maps must not be used as they are" };
+    let worth = match (found.valid, filled) {
+        (true, 0) => "The maps can be used",
+        (true, _) => "The maps can be used in the cells that are not marked as filled",
+        (false, _) => "The maps must not be used as they are",
+    };
     found.verdict =
         format!("{worth}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;

@@ -1,6 +1,6 @@
 //! The verification run: the finished maps at operating points that no model has seen.
 
-use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::cell::{Setting, deviations};
 use dynocal_calib::steady::day::{DayPoint, Purpose, refused};
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
@@ -12,8 +12,8 @@ use dynocal_ident::play::PlayError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
 
-/// Two-sided 95 % of a normal distribution.
-const BAND: f64 = 1.959_963_984_540_054;
+/// Quantile of a two-sided 95 %.
+const BAND: f64 = 0.975;
 
 /// What is verified.
 pub(super) struct Verification<'a> {
@@ -93,7 +93,8 @@ impl Verification<'_> {
     /// What was measured beside what was promised where it was measured.
     fn judge(&self, point: &SteadyPoint) -> Verified {
         let mut at = Prediction::new(self.layout.factors.len());
-        let (mut deviations, mut kept) = (Vec::new(), true);
+        let band = deviations(BAND);
+        let (mut all, mut kept) = (Vec::new(), true);
         let (mut promised, mut variance, mut measured) = (0.0, 0.0, 0.0);
         for (k, r) in self.layout.responses.iter().enumerate() {
             self.setting.models[k].predict(&point.factors, Ask::Variance, &mut at);
@@ -102,10 +103,10 @@ impl Verification<'_> {
             let below = r.lower.map(|l| (l - value, l.abs()));
             let worst = [above, below].into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0));
             kept &= worst.is_none_or(|(passed, size)| passed <= self.spec.verify.limit * size);
-            deviations.push(Deviation {
+            all.push(Deviation {
                 response: r.name.clone(),
                 promised: at.mean,
-                half_width: BAND * at.measured_std(),
+                half_width: band * at.measured_std(),
                 measured: value,
                 passed: worst.map(|w| w.0),
             });
@@ -118,8 +119,8 @@ impl Verification<'_> {
             at: point.factors[..self.layout.axes].to_vec(),
             measured: true,
             note: point.note.clone(),
-            deviations,
-            objective: Some([promised, BAND * variance.sqrt(), measured]),
+            deviations: all,
+            objective: Some([promised, band * variance.sqrt(), measured]),
             kept,
         }
     }

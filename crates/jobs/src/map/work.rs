@@ -5,11 +5,10 @@ use std::collections::BTreeMap;
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
 use dynocal_calib::map::{ActuatorPort, Port, Ports};
-use dynocal_calib::steady::cell::{Setting, Side};
+use dynocal_calib::steady::cell::{Setting, Side, deviations};
 use dynocal_calib::steady::day::{self, DayEnd, DayPlan, DayPoint, Purpose};
 use dynocal_calib::steady::grid::{self, Cell, CellState};
 use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
-use dynocal_calib::steady::normal;
 use dynocal_calib::steady::station::Station;
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::model::response::Response;
@@ -290,7 +289,7 @@ fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Settin
         models: models.iter().map(|m| &m.model as &dyn Response).collect(),
         weights: layout.responses.iter().map(|r| r.weight).collect(),
         sides,
-        z: normal::quantile(spec.optimise.probability),
+        z: deviations(spec.optimise.probability),
         caution: spec.optimise.caution,
         ranges: layout.factors.iter().map(|f| (f.lower, f.upper)).collect(),
         axes: layout.axes,
