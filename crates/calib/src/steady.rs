@@ -6,11 +6,14 @@
 
 pub mod cell;
 pub mod day;
+pub mod envelope;
 pub mod grid;
 pub mod hold;
 pub mod layout;
+pub mod refine;
 pub mod search;
 pub mod station;
+pub mod whole;
 
 pub use hold::{Held, HoldSpec, hold};
 pub use search::{SearchSpec, best_point};

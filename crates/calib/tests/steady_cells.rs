@@ -1,7 +1,10 @@
 //! The optimum of a cell on known responses: closed forms, prices, conflicts.
 
 use dynocal_calib::steady::cell::{Setting, Side};
+use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::{CellState, GridSpec, interpolate, solve};
+use dynocal_calib::steady::refine::Known;
+use dynocal_calib::steady::whole::{Coupling, solve_whole};
 use dynocal_ident::model::response::{Ask, Prediction, Response};
 
 /// A quadratic `c + g'x + x'Hx/2` with variance `v0 + v1 |x - centre|^2`.
@@ -184,4 +187,107 @@ fn a_map_holds_the_optimum_of_each_cell_and_marks_what_was_not_reached() {
     };
     assert!(smooth[..11].iter().all(|c| c.optimum.objective <= c.best + 0.01 * 10.1));
     assert!(rough(&smooth) <= rough(&cells) + 0.1);
+}
+
+/// minimise sum of (x_k - a_k)^2 / 2 with a_k = 0.1, 0.4, 0.2, a limit x <= 0.3 and nothing that couples the cells: each cell by
+/// itself.
+#[test]
+fn a_whole_map_without_coupling_is_the_optimum_of_each_cell() {
+    let fuel =
+        Quadratic { hessian: vec![1.0, -1.0, -1.0, 1.0], ..Quadratic::new(10.0, &[0.0, 0.0], &[0.0, 0.0]) };
+    let knock = Quadratic::new(0.0, &[0.0, 1.0], &[0.0, 0.0]);
+    let s = setting(vec![&fuel, &knock], vec![upper(1, 0.3)], 2);
+    let coupling = Coupling {
+        weights: vec![1.0, 3.0, 2.0],
+        pairs: vec![(0, 1), (1, 2)],
+        smooth: 0.0,
+        steps: vec![None],
+    };
+    let starts: Vec<Vec<f64>> = [0.1, 0.4, 0.2].iter().map(|a| vec![*a, 0.0]).collect();
+    let found = solve_whole(&s, &starts, &coupling, &|| false);
+    assert!(found.status.is_success(), "{found:?}");
+    for (c, expected) in found.cells.iter().zip([0.1, 0.3, 0.2]) {
+        assert!((c.x[1] - expected).abs() < 1e-5, "{:?} {expected}", c.x);
+        let alone = s.optimise(&c.x[..1], 2, &[], 1, &|| false);
+        // A price does not depend on the weight of its cell.
+        assert!(
+            (c.prices[0].saves - alone.prices[0].saves).abs() < 1e-4,
+            "{:?} {:?}",
+            c.prices,
+            alone.prices
+        );
+    }
+}
+
+/// Two cells with optima 1 and 3, at most 0.5 apart: where the weighted slopes of (x - 1)^2 and (x + 0.5 - 3)^2 cancel.
+#[test]
+fn a_limited_step_between_cells_is_kept_and_shared_by_weight() {
+    let fuel =
+        Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1000.0, &[0.0, 0.0], &[0.0, 0.0]) };
+    let s = setting(vec![&fuel], Vec::new(), 2);
+    let coupling =
+        Coupling { weights: vec![1.0, 3.0], pairs: vec![(0, 1)], smooth: 0.0, steps: vec![Some(0.5)] };
+    let found = solve_whole(&s, &[vec![1.0, 0.0], vec![3.0, 0.0]], &coupling, &|| false);
+    assert!(found.status.is_success(), "{found:?}");
+    // The starts scale the objectives of the cells: 1001 and 1009.
+    let (a, b) = (1.0 / 1001.0, 3.0 / 1009.0);
+    let first = (a * 1.0 + b * 2.5) / (a + b);
+    assert!((found.cells[0].x[1] - first).abs() < 1e-4, "{:?} {first}", found.cells[0].x);
+    assert!((found.cells[1].x[1] - first - 0.5).abs() < 1e-4, "{:?}", found.cells[1].x);
+}
+
+/// Smoothness alone couples: the program is a linear system, solved here by hand.
+#[test]
+fn smoothness_draws_neighbours_together_as_the_linear_system_says() {
+    let fuel =
+        Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1.0, &[0.0, 0.0], &[0.0, 0.0]) };
+    let s = setting(vec![&fuel], Vec::new(), 2);
+    let rho = 0.3;
+    let coupling = Coupling { weights: vec![1.0, 1.0], pairs: vec![(0, 1)], smooth: rho, steps: vec![None] };
+    let found = solve_whole(&s, &[vec![-1.0, -1.0], vec![1.0, 1.0]], &coupling, &|| false);
+    assert!(found.status.is_success(), "{found:?}");
+    // By symmetry x and -x: derivative of (x - 1)^2 / 2 [weight 1/2, scale 1] + rho / 2 (2 x / 10)^2 by x at the second cell.
+    // Both cells: (x - 1)^2 in all, so 2 (x - 1) + rho (2 x) 2 / 100 = 0.
+    let x = 2.0 / (2.0 + rho * 4.0 / 100.0);
+    assert!((found.cells[1].x[1] - x).abs() < 1e-5, "{:?} {x}", found.cells[1].x);
+    assert!((found.cells[0].x[1] + x).abs() < 1e-5, "{:?}", found.cells[0].x);
+}
+
+/// The next points go to the cells that were not reached, farthest first, then to where the map is in doubt.
+#[test]
+fn the_next_points_go_far_out_first_and_then_where_the_map_is_in_doubt() {
+    let mut fuel = Quadratic::new(10.0, &[0.0, 0.0], &[0.0, 2.0]);
+    // Doubt grows towards the upper end of the axis.
+    fuel.variance = [1e-4, 1e-2];
+    fuel.centre = vec![-5.0, 0.0];
+    let s = setting(vec![&fuel], Vec::new(), 2);
+    let axes = vec![(0..9).map(|k| -4.0 + f64::from(k)).collect::<Vec<f64>>()];
+    let envelope = Envelope::of(&[vec![-4.0], vec![2.0]], &[(-5.0, 5.0)]);
+    let cells = solve(&s, &axes, &GridSpec::default(), &|at| envelope.contains(at), 1, &|| false);
+    let measured = vec![vec![-4.0, 0.0], vec![0.0, 0.0], vec![2.0, 1.0]];
+    let known = |asked: &[Vec<f64>], count: usize| {
+        let known = Known {
+            setting: &s,
+            axes: &axes,
+            cells: &cells,
+            envelope: &envelope,
+            measured: &measured,
+            with_room: &measured,
+            asked,
+        };
+        (known.untried(), known.next(count, 1, &|| false))
+    };
+    // Cells 3 and 4 lie outside; the farthest is 4, and the better half of a batch goes to the map.
+    let (untried, next) = known(&[], 2);
+    assert_eq!(untried, [7, 8]);
+    assert_eq!((next.len(), next[0][0]), (2, 4.0));
+    // The optimum is y = 0, and doubt times distance is greatest at its upper end inside.
+    assert!(next[1][0] <= 2.0 && next[1][1].abs() < 1e-4, "{next:?}");
+    // Tried once, it is gone to with the setting of the nearest point, then with that of its neighbours, then no more.
+    let (_, again) = known(&[vec![4.0]], 2);
+    assert_eq!(again[0], [4.0, 1.0]);
+    let (left, third) = known(&[vec![4.0], vec![4.0], vec![3.0], vec![3.0], vec![3.0]], 2);
+    assert_eq!((left, third[0].clone()), (vec![8], cells[8].optimum.x.clone()));
+    let (none, _) = known(&[vec![4.0], vec![4.0], vec![4.0], vec![3.0], vec![3.0], vec![3.0]], 2);
+    assert!(none.is_empty());
 }

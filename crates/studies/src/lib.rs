@@ -12,6 +12,7 @@ mod design;
 pub mod engine;
 mod error;
 pub mod loops;
+mod map;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -111,6 +112,7 @@ pub static STUDIES: &[Study] = &[
     design::STUDY,
     engine::STUDY,
     loops::STUDY,
+    map::STUDY,
 ];
 
 /// The study of that name.

@@ -6,8 +6,19 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] =
-    &["asked", "error", "chapter4", "report", "benchmarks", "chain", "chapter5", "design", "engine", "loops"];
+const ORDER: &[&str] = &[
+    "asked",
+    "error",
+    "chapter4",
+    "report",
+    "benchmarks",
+    "chain",
+    "chapter5",
+    "design",
+    "engine",
+    "loops",
+    "map",
+];
 
 #[test]
 fn no_module_uses_one_above_it() {

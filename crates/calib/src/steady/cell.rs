@@ -208,18 +208,8 @@ impl Setting<'_> {
     }
 
     fn solve(&self, start: &[f64], elastic: bool, interrupt: &dyn Fn() -> bool) -> CellOptimum {
-        let here = self.judge(start, Status::Stalled, None);
-        let size = here.objective.abs().max(here.objective_deviation).max(1e-9);
-        let d = self.dim();
-        let mut program = Program {
-            setting: self,
-            elastic,
-            start: start.to_vec(),
-            size,
-            x: start.to_vec(),
-            known: Vec::new(),
-            at: vec![Prediction::new(d); self.models.len()],
-        };
+        let mut program = Program::new(self, start, elastic);
+        let size = program.size;
         let found = solve(&mut program, &NlpOptions { tolerance: 1e-9, ..NlpOptions::default() }, interrupt);
         let x = program.factors(&found.x);
         let saves: Vec<f64> = self
@@ -233,12 +223,12 @@ impl Setting<'_> {
 }
 
 /// Variables: free factors as shares of their ranges, a slack for each limit, and in the elastic program its violation.
-struct Program<'a, 'b> {
-    setting: &'a Setting<'b>,
+pub(super) struct Program<'a, 'b> {
+    pub(super) setting: &'a Setting<'b>,
     elastic: bool,
-    start: Vec<f64>,
+    pub(super) start: Vec<f64>,
     /// Scale of the objective.
-    size: f64,
+    pub(super) size: f64,
     x: Vec<f64>,
     /// Point at which the predictions hold.
     known: Vec<f64>,
@@ -246,25 +236,38 @@ struct Program<'a, 'b> {
 }
 
 /// Value, gradient and Hessian of a mean plus some standard deviations, over the free factors in shares of their ranges.
-struct Local {
-    value: f64,
-    gradient: Vec<f64>,
-    hessian: Vec<f64>,
+pub(super) struct Local {
+    pub(super) value: f64,
+    pub(super) gradient: Vec<f64>,
+    pub(super) hessian: Vec<f64>,
 }
 
-impl Program<'_, '_> {
-    fn free(&self) -> usize {
+impl<'a, 'b> Program<'a, 'b> {
+    pub(super) fn new(setting: &'a Setting<'b>, start: &[f64], elastic: bool) -> Self {
+        let here = setting.judge(start, Status::Stalled, None);
+        Self {
+            setting,
+            elastic,
+            start: start.to_vec(),
+            size: here.objective.abs().max(here.objective_deviation).max(1e-9),
+            x: start.to_vec(),
+            known: Vec::new(),
+            at: vec![Prediction::new(setting.dim()); setting.models.len()],
+        }
+    }
+
+    pub(super) fn free(&self) -> usize {
         self.setting.dim() - self.setting.axes
     }
 
-    fn factors(&self, v: &[f64]) -> Vec<f64> {
+    pub(super) fn factors(&self, v: &[f64]) -> Vec<f64> {
         let axes = self.setting.axes;
         let ranges = &self.setting.ranges[axes..];
         let free = ranges.iter().zip(v).map(|((a, b), u)| (a + u * (b - a)).clamp(*a, *b));
         self.start[..axes].iter().copied().chain(free).collect()
     }
 
-    fn refresh(&mut self, v: &[f64]) {
+    pub(super) fn refresh(&mut self, v: &[f64]) {
         let nf = self.free();
         if self.known == v[..nf] {
             return;
@@ -316,12 +319,12 @@ impl Program<'_, '_> {
         weights.filter(|(_, w)| *w != 0.0).collect()
     }
 
-    fn objective_local(&self) -> Local {
+    pub(super) fn objective_local(&self) -> Local {
         self.local(&self.objective_parts(), self.setting.caution, self.size)
     }
 
     /// sign f + z sd - sign limit, in the scale of the limit.
-    fn side_local(&self, s: &Side) -> Local {
+    pub(super) fn side_local(&self, s: &Side) -> Local {
         let mut l = self.local(&[(s.response, s.sign)], self.setting.z, s.scale);
         l.value = (l.value - s.sign * s.limit) / s.scale;
         l.gradient.iter_mut().for_each(|g| *g /= s.scale);

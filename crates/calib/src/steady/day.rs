@@ -22,8 +22,10 @@ use super::station::{Station, SteadyPoint};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
-    /// To learn from.
+    /// To learn from, all over the space.
     Plan,
+    /// To learn from, where the optimum was expected or the bed had not been ([`super::refine`]).
+    Optimum,
     /// The repeated point.
     Repeat,
     /// To verify maps.
@@ -124,25 +126,40 @@ pub fn measure(
         tasks.extend(block.into_iter().map(|x| (Purpose::Plan, x)));
     }
     tasks.push((Purpose::Repeat, first.to_vec()));
-    let (mut points, mut unusable) = (Vec::new(), 0);
-    let n = tasks.len();
+    let mut points = Vec::new();
+    let end = run(station, tasks, plan.bed_s, &mut points, watch)?;
+    Ok((points, end))
+}
+
+/// Measures `tasks` one after the other until `bed_s` is used up, adding to `points`; why it ended.
+///
+/// # Errors
+/// [`PlayError`]: the plan does not fit the plant, or the user interrupted.
+pub fn run(
+    station: &mut Station,
+    tasks: Vec<(Purpose, Vec<f64>)>,
+    bed_s: f64,
+    points: &mut Vec<DayPoint>,
+    watch: Watch,
+) -> Result<DayEnd, PlayError> {
+    let (n, mut unusable) = (tasks.len(), 0);
     for (k, (purpose, target)) in tasks.into_iter().enumerate() {
-        if station.used_s >= plan.bed_s {
-            return Ok((points, DayEnd::BedTime));
+        if station.used_s >= bed_s {
+            return Ok(DayEnd::BedTime);
         }
         watch.fraction(k as f64 / n as f64);
         let point = match station.measure(&target) {
             Ok(point) => point,
-            Err(e) => return refused(e).map(|words| (points, DayEnd::Refused(words))),
+            Err(e) => return refused(e).map(DayEnd::Refused),
         };
         unusable = if point.usable { 0 } else { unusable + 1 };
         points.push(DayPoint { purpose, point });
         if unusable >= GIVEN_UP {
             let notes: Vec<&str> = points.iter().rev().take(3).map(|p| p.point.note.as_str()).collect();
-            return Ok((points.clone(), DayEnd::Unusable(notes.join(" | "))));
+            return Ok(DayEnd::Unusable(notes.join(" | ")));
         }
     }
-    Ok((points, DayEnd::Done))
+    Ok(DayEnd::Done)
 }
 
 /// A plant that refuses ends the day; anything else is an error.

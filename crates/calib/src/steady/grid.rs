@@ -1,9 +1,13 @@
 //! The map: the optimum of every cell, neighbours as starts, smoothed within a tolerance, unreachable cells filled and marked.
 
+use std::collections::BTreeMap;
+
+use dynocal_numerics::status::Status;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cell::{CellOptimum, Setting};
+use super::whole::{Coupling, solve_whole};
 
 /// How a map is made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,11 +21,32 @@ pub struct GridSpec {
     pub starts: usize,
     /// Share of what is minimised that a smoother map may cost in a cell; 0: it is left as it is.
     pub smooth: f64,
+    /// All cells as one program, where it is there; the map is then not smoothed cell by cell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub whole: Option<WholeSpec>,
+}
+
+/// What couples the cells of a map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WholeSpec {
+    /// What inputs that jump by their whole range between all neighbours would cost, as twice a share of what is minimised.
+    pub smooth: f64,
+    /// Largest step between neighbouring cells by free input, in its unit.
+    pub steps: BTreeMap<String, f64>,
+    /// Weight of each cell, the last axis fastest; equal where it is empty.
+    pub residence: Vec<f64>,
+}
+
+impl Default for WholeSpec {
+    fn default() -> Self {
+        Self { smooth: 0.01, steps: BTreeMap::new(), residence: Vec::new() }
+    }
 }
 
 impl Default for GridSpec {
     fn default() -> Self {
-        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002 }
+        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002, whole: None }
     }
 }
 
@@ -130,7 +155,7 @@ pub fn solve(
 
 /// Moves optimal cells towards the mean of their optimal neighbours as far as limits and tolerance allow.
 fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Cell]) {
-    if spec.smooth <= 0.0 {
+    if spec.smooth <= 0.0 || spec.whole.is_some() {
         return;
     }
     for _ in 0..SWEEPS {
@@ -168,6 +193,37 @@ fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Ce
             break;
         }
     }
+}
+
+/// All optimal cells as one program, `names` of the free factors for its steps; the others are filled again. How it ended and its
+/// iterations; where it found nothing that keeps all limits the cells stay as they were.
+pub fn couple(
+    setting: &Setting,
+    axes: &[Vec<f64>],
+    spec: &WholeSpec,
+    names: &[String],
+    cells: &mut [Cell],
+    interrupt: &dyn Fn() -> bool,
+) -> (Status, usize) {
+    let optimal: Vec<usize> = (0..cells.len()).filter(|k| cells[*k].state == CellState::Optimal).collect();
+    let order = |k: usize| optimal.iter().position(|o| *o == k);
+    let forward = |(a, k): (usize, &usize)| -> Vec<(usize, usize)> {
+        let later = neighbours(axes, *k).into_iter().filter(|j| j > k);
+        later.filter_map(order).map(|b| (a, b)).collect()
+    };
+    let coupling = Coupling {
+        weights: optimal.iter().map(|k| spec.residence.get(*k).copied().unwrap_or(1.0)).collect(),
+        pairs: optimal.iter().enumerate().flat_map(forward).collect(),
+        smooth: spec.smooth,
+        steps: names.iter().map(|n| spec.steps.get(n).copied()).collect(),
+    };
+    let starts: Vec<Vec<f64>> = optimal.iter().map(|k| cells[*k].optimum.x.clone()).collect();
+    let found = solve_whole(setting, &starts, &coupling, interrupt);
+    if found.status.is_success() && found.cells.iter().all(|c| c.feasible) {
+        optimal.iter().zip(found.cells).for_each(|(k, o)| cells[*k].optimum = o);
+        fill(setting, axes, cells);
+    }
+    (found.status, found.iterations)
 }
 
 /// Fills cells that the bed has not reached from those next to them, ring by ring.

@@ -24,10 +24,38 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.probability", s.optimise.probability, 0.5, 0.9999, "");
     faults.range("optimise.caution", s.optimise.caution, 0.0, 10.0, "standard deviations");
     faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
+    whole(s, faults);
     count("optimise.starts", s.optimise.starts, 1, 1000, faults);
     count("verify.points", s.verify.points, 0, 10_000, faults);
     faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
     faults.range("verify.objective", s.verify.objective, 0.0, 10.0, "of what is minimised");
+}
+
+/// The program of all cells.
+fn whole(s: &MapSpec, faults: &mut Faults) {
+    let Some(w) = &s.optimise.whole else { return };
+    faults.range("optimise.whole.smooth", w.smooth, 0.0, 100.0, "");
+    let driven = |name: &str| s.loops.iter().any(|l| l.input == name);
+    let free: Vec<String> = s.problem.input_names().into_iter().filter(|i| !driven(i)).collect();
+    for (name, step) in &w.steps {
+        let key = format!("optimise.whole.steps.{name}");
+        if !free.contains(name) {
+            faults.unknown(&key, name, &free);
+        } else if !(*step > 0.0 && step.is_finite()) {
+            faults.push(&key, step, "a step above 0");
+        }
+    }
+    let cells: usize = s.axes.values().map(Vec::len).product();
+    let sound =
+        w.residence.iter().all(|r| *r >= 0.0 && r.is_finite()) && w.residence.iter().sum::<f64>() > 0.0;
+    if !w.residence.is_empty() && (w.residence.len() != cells || !sound) {
+        let found = format!("{} numbers", w.residence.len());
+        faults.push(
+            "optimise.whole.residence",
+            found,
+            format!("{cells} numbers from 0, one for each cell, not all 0"),
+        );
+    }
 }
 
 fn count(key: &str, value: usize, least: usize, most: usize, faults: &mut Faults) {
@@ -188,6 +216,10 @@ fn bed(s: &MapSpec, faults: &mut Faults) {
     let a = &s.bed.approach;
     count("bed.points", s.bed.points, 10, 10_000, faults);
     count("bed.block", s.bed.block, 1, 10_000, faults);
+    let r = &s.bed.refine;
+    faults.range("bed.refine.share", r.share, 0.0, 0.9, "of the points");
+    count("bed.refine.batch", r.batch, 1, 1000, faults);
+    faults.range("bed.refine.tolerance", r.tolerance, 0.0, 1.0, "of what is minimised");
     faults.range("bed.minutes", s.bed.minutes, 0.1, 10_000.0, "min");
     faults.range("bed.approach.ramp_s", a.ramp_s, 0.0, 3600.0, "s");
     faults.range("bed.approach.settle_s", a.settle_s, 4.0 * s.sample_time_s, 3600.0, "s");

@@ -15,7 +15,9 @@ pub fn estimate(job: &Job) -> Estimate {
         .filter(|i| !s.loops.iter().any(|l| l.input == i.name))
         .map(|i| i.name.as_str())
         .collect();
-    let repeats = s.bed.points.div_ceil(s.bed.block.max(1)) + 1;
+    let follow = (s.bed.refine.share * s.bed.points as f64).round() as usize;
+    let planned = s.bed.points - follow.min(s.bed.points);
+    let repeats = planned.div_ceil(s.bed.block.max(1)) + 1 + follow.div_ceil(s.bed.refine.batch.max(1));
     let points = (s.bed.points + repeats + s.verify.points) as f64;
     let most_s = (points * (a.ramp_s + a.settle_s + a.average_s)).min(60.0 * s.bed.minutes);
     let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
@@ -36,7 +38,10 @@ pub fn estimate(job: &Job) -> Estimate {
         .line("gains of the loops", if given { "as given" } else { "found on the plant" })
         .line(
             "points",
-            format!("{} to learn from, {repeats} repeats, {} to verify", s.bed.points, s.verify.points),
+            format!(
+                "{planned} planned, {follow} at the expected optimum, {repeats} repeats, {} to verify",
+                s.verify.points
+            ),
         )
         .line("bed time", format!("at most about {:.0} min", most_s / 60.0))
         .memory(8.0 * points * points * 10.0)

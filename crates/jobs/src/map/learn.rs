@@ -3,10 +3,11 @@
 use dynocal_calib::steady::day::{DayPoint, Drift, Purpose, corrected};
 use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_ident::model::response::score::{ScorePage, score_learnt};
-use dynocal_ident::model::response::{Points, ResponseError, ResponseModel, learner};
+use dynocal_ident::model::response::{Learn, Points, ResponseError, ResponseModel, learner};
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
+use super::choose::{Chosen, choose};
 use super::result::MapError;
 use super::spec::ModelsSpec;
 
@@ -49,6 +50,18 @@ pub(super) fn keys(models: &ModelsSpec, folds: usize) -> toml::Table {
     toml::Table::from_iter([("models".into(), toml::Value::Array(tables)), ("folds".into(), folds)])
 }
 
+/// The candidates with the names that reports give them.
+fn kinds(models: &ModelsSpec) -> Result<Vec<(String, Box<dyn Learn>)>, MapError> {
+    let one = |table: &toml::Table| {
+        let mut keys = table.clone();
+        let kind = keys.remove("kind").and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();
+        let said: Vec<String> = keys.iter().map(|(k, v)| format!("{k} = {v}")).collect();
+        let name = if said.is_empty() { kind.clone() } else { format!("{kind} ({})", said.join(", ")) };
+        Ok((name, learner(&kind, &keys)?))
+    };
+    models.candidates.iter().map(one).collect()
+}
+
 /// Usable points of the day as a table for response `k`.
 pub(super) fn table(layout: &Layout, points: &[DayPoint], drift: &[Drift], k: usize) -> Points {
     let used = points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable).map(|p| &p.point);
@@ -63,7 +76,7 @@ pub(super) fn table(layout: &Layout, points: &[DayPoint], drift: &[Drift], k: us
 /// Least share of the variance that a model has to explain on unseen points, or it has not found anything.
 const SIGNAL: f64 = 0.1;
 
-/// Models of all responses.
+/// Models of all responses; `nested`: the choice of their kinds is tested on points that had no part in it.
 ///
 /// # Errors
 /// [`MapError::Learn`], and [`MapError::NoSignal`] for a response that is minimised or may touch its limit and does not depend on
@@ -73,9 +86,10 @@ pub(super) fn learn(
     points: &[DayPoint],
     drift: &[Drift],
     spec: &ModelsSpec,
+    nested: bool,
     watch: Watch,
 ) -> Result<Vec<Learned>, MapError> {
-    let mut all = Vec::new();
+    let (kinds, mut all) = (kinds(spec)?, Vec::new());
     for (k, r) in layout.responses.iter().enumerate() {
         if watch.interrupted() {
             return Err(MapError::Interrupted);
@@ -83,21 +97,17 @@ pub(super) fn learn(
         watch.note(&format!("response model of {}", r.name));
         let table = table(layout, points, drift, k);
         let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
-        let kind = learner("best_of", &keys(spec, spec.folds))?;
-        let learnt = kind.learn(&table, watch.interrupt).map_err(refused)?;
+        let Chosen { learnt, rmse, words } =
+            choose(&kinds, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
         let mean = table.y.iter().sum::<f64>() / n;
         let spread = (table.y.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
         let page = score_learnt(&learnt.model, &learnt.left_out, &table, None, None, learnt.notes.clone());
-        let (rmse, choice) = match &learnt.choice {
-            Some(c) => (c.nested_rmse, c.words.clone()),
-            None => (learnt.left_out.rmse(), String::new()),
-        };
         let found = Learned {
             response: r.name.clone(),
             unit: r.unit.clone(),
             what: page.what.clone(),
-            choice,
+            choice: words,
             points: table.len(),
             rmse,
             spread,

@@ -4,9 +4,11 @@
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
 mod check;
+mod choose;
 pub mod estimate;
 mod learn;
 pub mod page;
+pub mod refine;
 pub mod result;
 pub mod spec;
 pub mod store;

@@ -300,10 +300,16 @@ fn day(found: &Mapped) -> Section {
         }
         section = section.block(table);
     }
+    if !found.rounds.is_empty() {
+        section = section
+            .text("After the planned points the day follows the expected optimum, batch after batch; each batch first tests what was promised for it.")
+            .block(rounds(found));
+    }
     section.block(Details::new("Points that were not measured as asked").block(odd(found)))
 }
 
 fn coverage(found: &Mapped) -> XyPlot {
+    let planned = |p: &DayPoint| matches!(p.purpose, Purpose::Plan | Purpose::Repeat);
     let axis = |k: usize| Axis::new(capital(&found.axes[k].name), found.axes[k].unit.as_str());
     let cloud = |label: &str, keep: &dyn Fn(&&DayPoint) -> bool| {
         let points = found.points.iter().filter(|p| p.point.factors[0].is_finite()).filter(keep);
@@ -313,10 +319,32 @@ fn coverage(found: &Mapped) -> XyPlot {
     let touched = found.points.iter().flat_map(|p| &p.point.touched);
     let (y, x): (Vec<f64>, Vec<f64>) = touched.map(|t| (t.factors[0], t.factors[1])).unzip();
     XyPlot::new("Coverage of the axes", axis(1), axis(0))
-        .series(cloud("learnt from", &|p| p.purpose != Purpose::Verify && p.point.usable))
+        .series(cloud("planned", &|p| planned(p) && p.point.usable))
+        .series(cloud("at the expected optimum", &|p| p.purpose == Purpose::Optimum && p.point.usable))
         .series(cloud("not used", &|p| !p.point.usable))
         .series(cloud("verification", &|p| p.purpose == Purpose::Verify && p.point.usable))
         .series(XySeries { points: true, ..XySeries::new("a limit was touched on the way", x, y) })
+}
+
+fn rounds(found: &Mapped) -> Table {
+    let head = vec![
+        Column::number("Bed time", "min").digits(3),
+        Column::number("Points", "").digits(4),
+        Column::number("Usable", "").digits(4),
+        Column::number("Cells to be reached yet", "").digits(4),
+        Column::number("Error of the promise, rms", "%").digits(2),
+        Column::number("Mean", "%").digits(2),
+    ];
+    found.rounds.iter().fold(Table::new(head).caption("Batches at the expected optimum"), |t, r| {
+        t.row(vec![
+            (r.at_s / 60.0).into(),
+            (r.points as f64).into(),
+            (r.usable as f64).into(),
+            (r.untried as f64).into(),
+            r.error.map(|e| 100.0 * e).into(),
+            r.bias.map(|e| 100.0 * e).into(),
+        ])
+    })
 }
 
 fn odd(found: &Mapped) -> Table {

@@ -3,18 +3,20 @@
 use dynocal_calib::gains::{TuneError, Tuned};
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Drift};
+use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::{AxisRange, Layout};
 use dynocal_files::FilesError;
 use dynocal_ident::model::response::ResponseError;
 use dynocal_ident::plant::PlantError;
 use dynocal_ident::play::PlayError;
-use dynocal_ident::validate::boundary::{BoundaryModel, SpaceError};
 use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::status::Status;
 use dynocal_report::Check;
 use serde::Serialize;
 
 use super::learn::Learned;
+use super::refine::Round;
 use crate::page::PageError;
 
 /// An axis of the maps.
@@ -107,6 +109,10 @@ pub struct Mapped {
     pub end: DayEnd,
     /// Axes of the maps, the last one fastest in `cells`.
     pub axes: Vec<MapAxis>,
+    /// Batches of points that followed the optimum.
+    pub rounds: Vec<Round>,
+    /// How the program of the whole map ended and its iterations; none where cells were optimised by themselves.
+    pub whole: Option<(Status, usize)>,
     /// Drift over the day.
     pub drift: Vec<Drift>,
     /// Response models.
@@ -127,7 +133,7 @@ pub struct Mapped {
     pub layout: Layout,
     /// The region of the axes that was reached.
     #[serde(skip)]
-    pub envelope: BoundaryModel,
+    pub envelope: Envelope,
     /// The maps.
     #[serde(skip)]
     pub map: StaticMap,
@@ -203,9 +209,6 @@ pub enum MapError {
         /// Notes with how often they stand.
         notes: String,
     },
-    /// The envelope.
-    #[error("envelope of the axes: {0}")]
-    Envelope(#[from] SpaceError),
     /// The page.
     #[error(transparent)]
     Page(#[from] PageError),

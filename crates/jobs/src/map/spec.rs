@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use dynocal_calib::gains::TuneSpec;
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::grid::GridSpec;
+use dynocal_calib::steady::refine::RefineSpec;
 use dynocal_calib::steady::station::ApproachSpec;
 use dynocal_files::spec::{Faults, LoadError, SpecError};
 use dynocal_plant::plants::PlantSpec;
@@ -88,6 +89,8 @@ pub struct BedSpec {
     pub beyond: BTreeMap<String, f64>,
     /// How points are approached and held.
     pub approach: ApproachSpec,
+    /// Points that follow the optimum.
+    pub refine: RefineSpec,
 }
 
 impl Default for BedSpec {
@@ -99,6 +102,7 @@ impl Default for BedSpec {
             ranges: BTreeMap::new(),
             beyond: BTreeMap::new(),
             approach: ApproachSpec::default(),
+            refine: RefineSpec::default(),
         }
     }
 }
@@ -116,9 +120,19 @@ pub struct ModelsSpec {
 impl Default for ModelsSpec {
     fn default() -> Self {
         let kind = |kind: &str| toml::Table::from_iter([("kind".to_string(), kind.into())]);
-        let mut quadratic = kind("stepwise_polynomial");
-        quadratic.insert("degree".into(), 2.into());
-        Self { candidates: vec![quadratic, kind("stepwise_polynomial"), kind("gaussian_process")], folds: 5 }
+        let quadratic = || {
+            let mut table = kind("stepwise_polynomial");
+            table.insert("degree".into(), 2.into());
+            table
+        };
+        // Engines are products more than sums: fuel, pressure and knock by their logarithms.
+        let log = |mut table: toml::Table| {
+            table.insert("transform".into(), "log".into());
+            table
+        };
+        let polynomials =
+            [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
+        Self { candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(), folds: 5 }
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a steady calibration is worth, in words and checks.
 
 use dynocal_calib::steady::day::{DayEnd, Purpose};
-use dynocal_calib::steady::grid::CellState;
+use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
@@ -67,6 +67,29 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             .note(end_in_words(&found.end))
             .holds(done),
     );
+    if let Some(last) = found.rounds.last() {
+        let share = last.error.map(|e| 100.0 * e);
+        let check =
+            Check::new("promise", "error of what was promised for the last batch of points at the optimum")
+                .unit("%")
+                .note(format!(
+                    "{} batches; no more were taken at {} %",
+                    found.rounds.len(),
+                    100.0 * spec.bed.refine.tolerance
+                ));
+        checks.push(match share {
+            Some(share) => check.measured(share),
+            None => check,
+        });
+    }
+    if let Some((status, iterations)) = found.whole {
+        checks.push(
+            Check::new("whole", "iterations of the program of all cells together")
+                .measured(iterations as f64)
+                .note(format!("it ended as {status:?}"))
+                .holds(status.is_success()),
+        );
+    }
     if !done {
         warnings.push(format!("the day ended early: {}", end_in_words(&found.end)));
     }
@@ -100,6 +123,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         warnings.push(format!(
             "{filled} of {n} cells lie outside of what was reached on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
         ));
+        warnings.extend(met(found));
     }
     found.valid = checks.iter().all(|c| c.holds != Some(false));
     let minutes = significant(found.bed.all_s() / 60.0, 3);
@@ -119,6 +143,48 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     found.warnings = warnings;
 }
 
+/// What the bed met where it was sent to cells that are filled.
+fn met(found: &Mapped) -> Vec<String> {
+    let n = found.layout.axes;
+    let one = |c: &Cell| {
+        let sent = found
+            .points
+            .iter()
+            .rev()
+            .find(|p| p.purpose == Purpose::Optimum && p.point.asked[..n] == c.at[..])?;
+        let p = &sent.point;
+        let mut why: Vec<String> = p.touched.iter().map(|t| format!("`{}`", t.output)).collect();
+        why.sort();
+        why.dedup();
+        let mut words = Vec::new();
+        if !why.is_empty() {
+            words.push(format!("{} touched on the way", why.join(", ")));
+        }
+        if !p.saturated.is_empty() {
+            words.push(format!("`{}` at the end of its range", p.saturated.join("`, `")));
+        }
+        if !p.usable {
+            words.push(p.note.clone());
+        }
+        let reached = place(found, &p.factors[..n]);
+        let so_far = if p.usable { format!("; reached: {reached}") } else { String::new() };
+        Some(format!(
+            "the bed was sent to {} and did not reach it: {}{so_far}",
+            place(found, &c.at),
+            words.join("; ")
+        ))
+    };
+    found.cells.iter().filter(|c| c.state == CellState::Filled).filter_map(one).collect()
+}
+
+/// Values of the axes in words.
+fn place(found: &Mapped, at: &[f64]) -> String {
+    let each = found.axes.iter().zip(at);
+    let each: Vec<String> =
+        each.map(|(a, x)| format!("{} {}{}", a.name, significant(*x, 4), UnitAfter(&a.unit))).collect();
+    each.join(", ")
+}
+
 /// Deviations inside of their intervals or too small to matter, and all of them.
 fn covered(found: &Mapped, verified: &[&Verified]) -> (usize, usize) {
     let all = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
@@ -131,13 +197,7 @@ fn covered(found: &Mapped, verified: &[&Verified]) -> (usize, usize) {
 
 /// What is wrong at a verification point.
 fn broken(found: &Mapped, spec: &MapSpec, v: &Verified) -> String {
-    let at: Vec<String> = found
-        .axes
-        .iter()
-        .zip(&v.at)
-        .map(|(a, x)| format!("{} {}{}", a.name, significant(*x, 4), UnitAfter(&a.unit)))
-        .collect();
-    let at = at.join(", ");
+    let at = place(found, &v.at);
     if !v.measured {
         return format!("verification at {at}: {}", v.note);
     }

@@ -7,27 +7,26 @@ use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
 use dynocal_calib::map::{ActuatorPort, Port, Ports};
 use dynocal_calib::steady::cell::{Setting, Side, deviations};
 use dynocal_calib::steady::day::{self, DayEnd, DayPlan, DayPoint, Purpose};
+use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::{self, Cell, CellState};
 use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
-use dynocal_calib::steady::station::Station;
+use dynocal_calib::steady::station::{Station, SteadyPoint};
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::model::response::Response;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLoop;
 use dynocal_ident::plant::{Causality, Plant};
-use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, BoundaryModel, RegionKind, learn_steady};
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
 use super::learn::{self, Learned};
+use super::refine::Refinement;
 use super::result::{BedTime, MapAxis, MapError, Mapped};
 use super::spec::{Job, MapSpec};
 use super::{verdict, verify};
 
 /// Share of an axis by which points are planned beyond its ends.
 const BEYOND: f64 = 0.05;
-/// Distance to the boundary of what was reached up to which a cell counts as reached.
-const REACHED: f64 = 1.0 + 1e-9;
 
 /// All of it on the plant of the spec.
 ///
@@ -58,22 +57,41 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let mut station = Station::new(plant, &layout, approach, &beyond, (first.clone(), driven), &interrupt);
     let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
     watch.note(&format!("{} points on the bed", spec.bed.points));
-    // The verification comes out of the same bed time: as much as its share of the points.
-    let share = spec.bed.points as f64 / (spec.bed.points + spec.verify.points) as f64;
-    let plan =
-        DayPlan { points: spec.bed.points, block: spec.bed.block, bed_s: share * budget_s, seed: spec.seed };
-    let (mut points, end) =
+    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+    // The verification comes out of the same bed time, and so do the points that follow the optimum: as much as their share.
+    let refined = refined(&layout, spec);
+    let all = (spec.bed.points + spec.verify.points) as f64;
+    let until_s = |points: usize| points as f64 / all * budget_s;
+    let planned = spec.bed.points - refined;
+    let plan = DayPlan { points: planned, block: spec.bed.block, bed_s: until_s(planned), seed: spec.seed };
+    let (mut points, mut end) =
         day::measure(&mut station, &layout, &first, &plan, watch).map_err(stopped(watch))?;
-    bed.points_s = station.used_s;
     enough(&layout, &points, &end)?;
+    let mut rounds = Vec::new();
+    if refined > 0 && matches!(end, DayEnd::Done | DayEnd::BedTime) {
+        let refinement = Refinement {
+            spec,
+            layout: &layout,
+            axes: &grid_axes,
+            first: &first,
+            points: refined,
+            bed_s: until_s(spec.bed.points),
+        };
+        (rounds, end) = refinement.run(&mut station, &mut points, watch)?;
+    }
+    bed.points_s = station.used_s;
     let drift = day::drift(&layout, &points);
-    let models = learn::learn(&layout, &points, &drift, &spec.models, watch)?;
-    let envelope = envelope(&layout, &points)?;
+    let models = learn::learn(&layout, &points, &drift, &spec.models, true, watch)?;
+    let envelope = envelope(&layout, &points);
     watch.note("the optimum of every cell");
     let setting = setting(&layout, &models, spec);
-    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-    let reached = |at: &[f64]| envelope.distance(at) <= REACHED;
-    let cells = grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
+    let reached = |at: &[f64]| envelope.contains(at);
+    let mut cells = grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
+    let whole = spec.optimise.whole.as_ref().map(|w| {
+        watch.note("all cells as one program");
+        let free = &layout.factor_names()[layout.axes..];
+        grid::couple(&setting, &grid_axes, w, free, &mut cells, watch.interrupt)
+    });
     if watch.interrupted() {
         return Err(MapError::Interrupted);
     }
@@ -93,6 +111,8 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
         bed,
         end,
         axes,
+        rounds,
+        whole,
         drift,
         models,
         verified,
@@ -109,7 +129,7 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
 }
 
 /// What a plan says when the user interrupts is one thing to them.
-fn stopped(watch: Watch<'_>) -> impl Fn(dynocal_ident::play::PlayError) -> MapError + '_ {
+pub(super) fn stopped(watch: Watch<'_>) -> impl Fn(dynocal_ident::play::PlayError) -> MapError + '_ {
     move |e| if watch.interrupted() { MapError::Interrupted } else { MapError::Play(e) }
 }
 
@@ -256,7 +276,7 @@ fn tuned(
 fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapError> {
     let learnt = || points.iter().filter(|p| p.purpose != Purpose::Verify);
     let usable = learnt().filter(|p| p.point.usable).count();
-    let least = (2 * (layout.factors.len() + 1)).max(5 * (layout.axes + 2));
+    let least = least(layout);
     if usable >= least {
         return Ok(());
     }
@@ -269,16 +289,32 @@ fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapE
     Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
 }
 
-/// Hull of the axes that were reached, as measured.
-fn envelope(layout: &Layout, points: &[DayPoint]) -> Result<BoundaryModel, MapError> {
-    let used = points.iter().filter(|p| p.point.usable);
-    let x: Vec<f64> = used.flat_map(|p| p.point.factors[..layout.axes].iter().copied()).collect();
-    let keys = BoundaryKeys { kind: RegionKind::Hull, quantile: 0.9, ..BoundaryKeys::default() };
-    Ok(learn_steady(&x, layout.axes, &keys)?)
+/// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it.
+pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
+    let used = points.iter().map(|p| &p.point).filter(|p| p.usable);
+    let at = |p: &SteadyPoint| {
+        let as_asked = p.touched.is_empty() && p.saturated.is_empty();
+        if as_asked { p.asked[..layout.axes].to_vec() } else { p.factors[..layout.axes].to_vec() }
+    };
+    let reached: Vec<Vec<f64>> = used.map(at).collect();
+    let ranges: Vec<(f64, f64)> = layout.factors[..layout.axes].iter().map(|f| (f.lower, f.upper)).collect();
+    Envelope::of(&reached, &ranges)
+}
+
+/// Points that follow the optimum; what is planned has to be enough for first models.
+fn refined(layout: &Layout, spec: &MapSpec) -> usize {
+    let n = spec.bed.points;
+    let asked = (spec.bed.refine.share * n as f64).round() as usize;
+    asked.min(n.saturating_sub(least(layout)))
+}
+
+/// Fewest usable points that models and envelope are learnt from.
+fn least(layout: &Layout) -> usize {
+    (2 * (layout.factors.len() + 1)).max(5 * (layout.axes + 2))
 }
 
 /// Models with limits and weights.
-fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
+pub(super) fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
     let mut sides = Vec::new();
     for (k, r) in layout.responses.iter().enumerate() {
         let scale = models[k].spread.max(f64::MIN_POSITIVE);

@@ -1,0 +1,168 @@
+//! Which points of a day come next: where the optimum lies as far as is known, and where the bed has not been.
+//!
+//! Planned points fill the whole space of the factors; the maps live on a small part of it, most of it at the ends of ranges, where
+//! an optimum is sought among errors of models and finds those that look like gain. Points at the expected optimum show such gain
+//! for what it is: the next models know better, and the optimum moves or stays.
+//!
+//! ```text
+//! half of a batch   cells outside of what was reached, the farthest first: with the setting that is expected to be best there,
+//!                   then with that of the nearest point where no loop stood at an end of its range, then with its neighbours'
+//! the rest          greedy over candidates x of the map so far:  max  s(x) / |m(x)| * d(x)
+//!                   m, s: mean and standard deviation of what is minimised; d: distance to the nearest measured point in shares
+//!                   of the ranges
+//! ```
+
+use dynocal_design::points::Sobol;
+use serde::{Deserialize, Serialize};
+
+use super::cell::Setting;
+use super::envelope::Envelope;
+use super::grid::{Cell, CellState, corners, interpolate};
+use dynocal_numerics::status::Status;
+
+/// How many points of a day follow the optimum, and when that is enough.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RefineSpec {
+    /// Share of the points of the day that are not planned but chosen on the way; 0: none.
+    pub share: f64,
+    /// Points of a batch, after which models and maps are made again.
+    pub batch: usize,
+    /// Root mean square error of what was promised for a batch, as a share of what is minimised, at which no more are needed.
+    pub tolerance: f64,
+}
+
+impl Default for RefineSpec {
+    fn default() -> Self {
+        Self { share: 0.5, batch: 8, tolerance: 0.003 }
+    }
+}
+
+/// What the choice of the next points knows.
+pub struct Known<'a> {
+    /// Models, limits, ranges of all factors.
+    pub setting: &'a Setting<'a>,
+    /// Values of the axes of the map.
+    pub axes: &'a [Vec<f64>],
+    /// The map so far.
+    pub cells: &'a [Cell],
+    /// What was reached.
+    pub envelope: &'a Envelope,
+    /// Factors of all points that were measured.
+    pub measured: &'a [Vec<f64>],
+    /// Those at which every loop had room.
+    pub with_room: &'a [Vec<f64>],
+    /// Axes that were asked for so far.
+    pub asked: &'a [Vec<f64>],
+}
+
+/// Times that the bed is sent to a cell.
+const TRIES: usize = 3;
+
+/// Starts of the search for the setting of a cell that was not reached.
+const STARTS: usize = 8;
+/// Candidates between the cells.
+const CANDIDATES: usize = 256;
+
+impl Known<'_> {
+    /// Cells that the bed has not reached and may be sent to.
+    pub fn untried(&self) -> Vec<usize> {
+        let filled = (0..self.cells.len()).filter(|k| self.cells[*k].state == CellState::Filled);
+        filled.filter(|k| self.tries(*k) < TRIES).collect()
+    }
+
+    fn tries(&self, cell: usize) -> usize {
+        self.asked.iter().filter(|a| self.same_place(a, &self.cells[cell].at)).count()
+    }
+
+    fn same_place(&self, a: &[f64], b: &[f64]) -> bool {
+        let ranges = &self.setting.ranges;
+        a.iter().zip(b).zip(ranges).all(|((a, b), (low, high))| (a - b).abs() <= 1e-6 * (high - low))
+    }
+
+    /// The next `count` points, all factors each.
+    pub fn next(&self, count: usize, seed: u64, interrupt: &dyn Fn() -> bool) -> Vec<Vec<f64>> {
+        let untried = self.untried();
+        let outer = count.div_ceil(2).min(untried.len());
+        let far = self.far_out(untried, outer);
+        let mut chosen: Vec<Vec<f64>> = far.into_iter().map(|k| self.way_to(k, seed, interrupt)).collect();
+        let candidates = self.candidates(seed);
+        let unit = |x: &[f64]| -> Vec<f64> {
+            self.setting.ranges.iter().zip(x).map(|((a, b), v)| (v - a) / (b - a)).collect()
+        };
+        let mut near: Vec<Vec<f64>> = self.measured.iter().chain(&chosen).map(|x| unit(x)).collect();
+        let doubt: Vec<f64> = candidates.iter().map(|x| self.doubt(x)).collect();
+        while chosen.len() < count {
+            let value = |k: usize| {
+                let x = unit(&candidates[k]);
+                let squares =
+                    near.iter().map(|p| p.iter().zip(&x).map(|(a, b)| (a - b).powi(2)).sum::<f64>());
+                doubt[k] * squares.fold(f64::INFINITY, f64::min).sqrt()
+            };
+            let values: Vec<f64> = (0..candidates.len()).map(value).collect();
+            let best = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b]).then(b.cmp(a)));
+            let Some(best) = best.filter(|k| values[*k] > 0.0) else { break };
+            near.push(unit(&candidates[best]));
+            chosen.push(candidates[best].clone());
+        }
+        chosen
+    }
+
+    /// Setting with which the bed is sent to a cell that it has not reached.
+    fn way_to(&self, cell: usize, seed: u64, interrupt: &dyn Fn() -> bool) -> Vec<f64> {
+        let Cell { at, optimum, .. } = &self.cells[cell];
+        let nearest = self.with_room.iter().min_by(|a, b| self.apart(a, at).total_cmp(&self.apart(b, at)));
+        match (self.tries(cell), nearest) {
+            (0, _) => self.setting.optimise(at, STARTS, &[], seed, interrupt).x,
+            (1, Some(nearest)) => [at, &nearest[self.setting.axes..]].concat(),
+            // A filled cell has the setting of its neighbours.
+            _ => optimum.x.clone(),
+        }
+    }
+
+    /// Distance along the axes in shares of their ranges.
+    fn apart(&self, a: &[f64], b: &[f64]) -> f64 {
+        let each = a.iter().zip(b).zip(&self.setting.ranges[..self.setting.axes]);
+        each.map(|((a, b), (low, high))| ((a - b) / (high - low)).powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// Cells of `left` that are far out, and far from each other.
+    fn far_out(&self, mut left: Vec<usize>, count: usize) -> Vec<usize> {
+        let mut found: Vec<usize> = Vec::new();
+        while found.len() < count {
+            let value = |k: usize| {
+                let at = &self.cells[k].at;
+                let apart = found.iter().map(|j| self.apart(&self.cells[*j].at, at)).fold(1.0, f64::min);
+                self.envelope.outside(at).min(1e9) * apart
+            };
+            let best = (0..left.len())
+                .max_by(|a, b| value(left[*a]).total_cmp(&value(left[*b])).then(left[*b].cmp(&left[*a])));
+            let Some(best) = best else { break };
+            found.push(left.remove(best));
+        }
+        found
+    }
+
+    /// The map at its cells and between them, where it is no filling.
+    fn candidates(&self, seed: u64) -> Vec<Vec<f64>> {
+        let n = self.setting.axes;
+        let mut places: Vec<Vec<f64>> = self.cells.iter().map(|c| c.at.clone()).collect();
+        if let Some(mut sequence) = Sobol::new(n, seed) {
+            let ranges = &self.setting.ranges[..n];
+            let place = |unit: Vec<f64>| ranges.iter().zip(unit).map(|((a, b), u)| a + u * (b - a)).collect();
+            places.extend((0..CANDIDATES).map(|_| place(sequence.next_point())));
+        }
+        let known = |at: &Vec<f64>| {
+            let around = corners(self.axes, at);
+            around.iter().all(|(k, _)| self.cells[*k].state != CellState::Filled)
+        };
+        places.iter().filter(|at| known(at)).map(|at| interpolate(self.axes, self.cells, at)).collect()
+    }
+
+    /// Standard deviation of what is minimised, as a share of it.
+    fn doubt(&self, x: &[f64]) -> f64 {
+        let at = self.setting.judge(x, Status::Stalled, None);
+        let share = at.objective_deviation / at.objective.abs();
+        if share.is_finite() { share } else { 0.0 }
+    }
+}

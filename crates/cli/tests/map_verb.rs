@@ -1,0 +1,153 @@
+//! `dynocal map`: a small day on the virtual engine, from the command line to maps.
+
+use std::path::Path;
+
+use assert_cmd::Command;
+use dynocal_files::atomic;
+use serde_json::Value;
+
+struct Outcome {
+    code: i32,
+    stdout: String,
+    stderr: String,
+}
+
+fn dynocal(folder: &Path, args: &[&str]) -> Outcome {
+    let out = Command::cargo_bin("dynocal").unwrap().current_dir(folder).args(args).output().unwrap();
+    Outcome {
+        code: out.status.code().unwrap(),
+        stdout: String::from_utf8(out.stdout).unwrap(),
+        stderr: String::from_utf8(out.stderr).unwrap(),
+    }
+}
+
+/// Spark of the engine of the thesis, with the gains of its eq. (6.1) halved.
+const SPEC: &str = r#"
+title = "Spark"
+sample_time_s = 0.03
+
+[axes]
+torque = [30.0, 50.0, 70.0]
+speed = [1500.0, 2000.0, 2500.0]
+
+[held]
+lambda = 1.0
+
+[problem]
+minimise = [{ channel = "fuel", weight = 1.0 }]
+[[problem.derive]]
+name = "fuel"
+unit = "kg/h"
+factor = 3e-5
+cylinders = 4
+powers = { inj = 1, speed = 1 }
+[[problem.inputs]]
+name = "throttle"
+unit = "deg"
+lower = 1.0
+upper = 60.0
+[[problem.inputs]]
+name = "inj"
+unit = "mg"
+lower = 2.0
+upper = 40.0
+[[problem.inputs]]
+name = "spark"
+unit = "deg"
+lower = 5.0
+upper = 40.0
+[[problem.given]]
+name = "speed"
+unit = "rpm"
+lower = 1400.0
+upper = 2600.0
+[[problem.demands]]
+output = "torque"
+unit = "Nm"
+lower = 25.0
+upper = 75.0
+[[problem.demands]]
+output = "lambda"
+unit = "-"
+lower = 0.9
+upper = 1.1
+
+[[loops]]
+output = "torque"
+input = "throttle"
+gains = { ki = 0.075, kp = 0.0035 }
+[[loops]]
+output = "lambda"
+input = "inj"
+gains = { ki = -10.0, kp = -0.75 }
+
+[bed]
+points = 26
+block = 13
+[bed.refine]
+share = 0.25
+batch = 4
+
+[optimise.whole]
+steps = { spark = 10.0 }
+
+[verify]
+points = 3
+"#;
+
+fn map(folder: &Path, text: &str, more: &[&str]) -> Outcome {
+    let spec = folder.join("spec.toml");
+    atomic::write(&spec, text.as_bytes()).unwrap();
+    dynocal(folder, &[&["map", spec.to_str().unwrap(), "--out", "run"], more].concat())
+}
+
+#[test]
+fn a_day_ends_in_maps_that_are_exported_and_the_page_says_what_they_are_worth() {
+    let tmp = tempfile::tempdir().unwrap();
+    let o = map(tmp.path(), SPEC, &["--json"]);
+    let found: Value = serde_json::from_str(&o.stdout).unwrap_or_else(|e| panic!("{e}: {}", o.stderr));
+    // The exit code is the verdict.
+    assert_eq!(o.code == 0, found["valid"] == true, "{}", found["verdict"]);
+    assert_eq!(found["cells"].as_array().unwrap().len(), 9);
+    assert_eq!(found["verb"], "map");
+    // Points that follow the optimum were taken, and the whole map was one program.
+    assert!(!found["rounds"].as_array().unwrap().is_empty(), "{found}");
+    assert_eq!(found["whole"][0], serde_json::json!("converged"), "{}", found["whole"]);
+    let spark = |c: &Value| c["optimum"]["x"][2].as_f64().unwrap();
+    let cells = found["cells"].as_array().unwrap();
+    for (k, c) in cells.iter().enumerate().filter(|(_, c)| c["state"] == "optimal") {
+        for j in [k + 1, k + 3].into_iter().filter(|j| *j < 9 && (j - k == 3 || k % 3 < 2)) {
+            if cells[j]["state"] == "optimal" {
+                assert!((spark(c) - spark(&cells[j])).abs() <= 10.0 + 1e-4, "{k} {j}");
+            }
+        }
+    }
+    // Bed time: more than settling alone, less than what the estimate calls the most.
+    let bed = found["bed"]["points_s"].as_f64().unwrap();
+    assert!((26.0 * 4.0..33.0 * 41.0).contains(&bed), "{bed}");
+    let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
+    assert!(page.contains(found["verdict"].as_str().unwrap()));
+    let o = dynocal(tmp.path(), &["export", "run", "--to", "dcm", "--out", "ecu"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+}
+
+#[test]
+fn a_plan_is_shown_without_running_and_faults_are_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let o = map(tmp.path(), SPEC, &["--check"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    let shown = format!("{}{}", o.stdout, o.stderr);
+    assert!(shown.contains("torque (3)") && !tmp.path().join("run/points.csv").exists(), "{shown}");
+    let faults = [
+        ("share = 0.25", "share = 1.5", "bed.refine.share"),
+        ("{ spark = 10.0 }", "{ sprak = 10.0 }", "sprak"),
+        ("{ spark = 10.0 }", "{ spark = 10.0 }\nresidence = [1.0, 2.0]", "9 numbers"),
+        ("torque = [30.0, 50.0, 70.0]", "torque = [30.0, 30.0, 70.0]", "axes.torque"),
+        ("speed = [1500.0", "speed = [500.0", "axes.speed"),
+        ("points = 26", "points = 3", "bed.points"),
+    ];
+    for (from, to, says) in faults {
+        let o = map(tmp.path(), &SPEC.replace(from, to), &[]);
+        assert!(o.code == 2 && o.stderr.contains(says), "{to}: {} {}", o.code, o.stderr);
+    }
+}

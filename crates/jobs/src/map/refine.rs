@@ -1,0 +1,152 @@
+//! The part of the day that follows the optimum: models and maps so far, the next points, until promises are kept.
+
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
+use dynocal_calib::steady::envelope::Envelope;
+use dynocal_calib::steady::grid;
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::refine::Known;
+use dynocal_calib::steady::station::Station;
+use dynocal_design::points::short_ways;
+use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
+use serde::Serialize;
+
+use super::learn::{self, Learned};
+use super::result::MapError;
+use super::spec::MapSpec;
+use super::work::{envelope, setting, stopped};
+
+/// A batch of points at the expected optimum.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Round {
+    /// Points that were chosen.
+    pub points: usize,
+    /// Those that could be used.
+    pub usable: usize,
+    /// Cells that the bed had not reached and might be sent to before this batch.
+    pub untried: usize,
+    /// Root mean square error of what was promised where it was measured as asked, as a share of what is minimised; none where
+    /// nothing was promised.
+    pub error: Option<f64>,
+    /// Mean error of the same, with its sign: positive where more was measured than promised.
+    pub bias: Option<f64>,
+    /// Bed time at its end in s.
+    pub at_s: f64,
+}
+
+/// What the refinement needs.
+pub(super) struct Refinement<'a> {
+    pub(super) spec: &'a MapSpec,
+    pub(super) layout: &'a Layout,
+    pub(super) axes: &'a [Vec<f64>],
+    /// First point of the day, which is repeated.
+    pub(super) first: &'a [f64],
+    /// Points that may be spent.
+    pub(super) points: usize,
+    /// Bed time after which no further point begins.
+    pub(super) bed_s: f64,
+}
+
+impl Refinement<'_> {
+    /// Batch after batch; what they were and why the day ended.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn run(
+        &self,
+        station: &mut Station,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<(Vec<Round>, DayEnd), MapError> {
+        let (mut rounds, mut left) = (Vec::new(), self.points);
+        while left > 0 {
+            let drift = day::drift(self.layout, points);
+            let models = learn::learn(self.layout, points, &drift, &self.spec.models, false, watch)?;
+            let (targets, untried) = self.targets(&models, points, left, rounds.len(), station.at(), watch);
+            if watch.interrupted() {
+                return Err(MapError::Interrupted);
+            }
+            if targets.is_empty() {
+                break;
+            }
+            left -= targets.len().min(left);
+            let begun = points.len();
+            let mut tasks: Vec<_> = targets.into_iter().map(|x| (Purpose::Optimum, x)).collect();
+            tasks.push((Purpose::Repeat, self.first.to_vec()));
+            let end = day::run(station, tasks, self.bed_s, points, watch).map_err(stopped(watch))?;
+            let mut round = self.judge(&models, &points[begun..], untried);
+            round.at_s = station.used_s;
+            let enough = round.error.is_some_and(|e| e <= self.spec.bed.refine.tolerance) && untried == 0;
+            rounds.push(round);
+            if end != DayEnd::Done {
+                return Ok((rounds, end));
+            }
+            if enough {
+                break;
+            }
+        }
+        Ok((rounds, DayEnd::Done))
+    }
+
+    /// The next points in an order of short ways, and how many cells were untried before.
+    fn targets(
+        &self,
+        models: &[Learned],
+        points: &[DayPoint],
+        left: usize,
+        round: usize,
+        now: &[f64],
+        watch: Watch,
+    ) -> (Vec<Vec<f64>>, usize) {
+        let envelope: Envelope = envelope(self.layout, points);
+        let setting = setting(self.layout, models, self.spec);
+        let reached = |at: &[f64]| envelope.contains(at);
+        let seed = self.spec.seed.wrapping_add(round as u64);
+        let cells =
+            grid::solve(&setting, self.axes, &self.spec.optimise, &reached, self.spec.seed, watch.interrupt);
+        let used = || points.iter().filter(|p| p.point.usable);
+        let factors = |p: &DayPoint| p.point.factors.clone();
+        let measured: Vec<Vec<f64>> = used().map(factors).collect();
+        let with_room: Vec<Vec<f64>> = used().filter(|p| p.point.saturated.is_empty()).map(factors).collect();
+        let asked: Vec<Vec<f64>> =
+            points.iter().map(|p| p.point.asked[..self.layout.axes].to_vec()).collect();
+        let known = Known {
+            setting: &setting,
+            axes: self.axes,
+            cells: &cells,
+            envelope: &envelope,
+            measured: &measured,
+            with_room: &with_room,
+            asked: &asked,
+        };
+        let untried = known.untried().len();
+        let next = known.next(self.spec.bed.refine.batch.min(left), seed, watch.interrupt);
+        let unit: Vec<Vec<f64>> = next.iter().map(|x| self.layout.to_unit(x)).collect();
+        let order = short_ways(&unit, &self.layout.to_unit(now));
+        (order.into_iter().map(|k| next[k].clone()).collect(), untried)
+    }
+
+    /// What was promised for a batch beside what was measured.
+    fn judge(&self, models: &[Learned], batch: &[DayPoint], untried: usize) -> Round {
+        let setting = setting(self.layout, models, self.spec);
+        let chosen: Vec<_> = batch.iter().filter(|p| p.purpose == Purpose::Optimum).collect();
+        let usable = chosen.iter().filter(|p| p.point.usable).count();
+        let kept = chosen.iter().filter(|p| p.point.usable && p.point.touched.is_empty());
+        let errors = kept.map(|p| {
+            let promised = setting.judge(&p.point.factors, Status::Stalled, None).objective;
+            let measured: f64 = p.point.responses.iter().zip(&setting.weights).map(|(r, w)| w * r).sum();
+            (measured - promised) / promised.abs()
+        });
+        let errors: Vec<f64> = errors.filter(|e| e.is_finite()).collect();
+        let n = errors.len() as f64;
+        let mean = |v: f64| (n > 0.0).then(|| v / n);
+        Round {
+            points: chosen.len(),
+            usable,
+            untried,
+            error: mean(errors.iter().map(|e| e * e).sum()).map(f64::sqrt),
+            bias: mean(errors.iter().sum()),
+            at_s: 0.0,
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! Study `map`: steady maps that were made on a real bed, judged on the same engine without scatter.
+//!
+//! The job of the examples is run on the bed of each engine. Its maps are then held at operating points that no model has seen, on
+//! the engine without scatter from cycle to cycle: limits, fuel against the best that a direct search on that engine finds, and
+//! torque with the maps alone, no loop closed.
+
+mod truth;
+
+use dynocal_jobs::map;
+use dynocal_jobs::place::Overrides;
+use dynocal_numerics::registry::MemberDoc;
+use dynocal_report::{Column, Report, Section, Table};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::asked::Asked;
+use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check, result};
+use truth::{Best, Held};
+
+pub(super) const STUDY: Study = Study {
+    doc: MemberDoc {
+        name: "map",
+        what: "Steady maps from a day on the real bed, judged on the engine without scatter: limits, fuel against direct search, torque",
+        params: &[],
+    },
+    tasks,
+    reduce,
+    sections,
+};
+
+/// An example with the engine that it is made for.
+struct Example {
+    name: &'static str,
+    text: &'static str,
+}
+
+const EXAMPLES: [Example; 2] = [
+    Example { name: "gtdi_2l", text: include_str!("../../../../examples/gtdi_2l/map.toml") },
+    Example { name: "pfi_1_6l", text: include_str!("../../../../examples/pfi_1_6l/map.toml") },
+];
+
+/// Seeds of the engine as it is, perturbed engines, unseen points, and those at which the best is searched.
+const SEEDS: u64 = 5;
+const OTHERS: u64 = 3;
+const UNSEEN: usize = 50;
+const SEARCHED: usize = 12;
+
+/// One calibration with what the engine itself says about it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Case {
+    engine: String,
+    seed: u64,
+    /// Why there are no maps, where there are none.
+    failed: Option<String>,
+    valid: bool,
+    optimal: usize,
+    cells: usize,
+    bed_min: f64,
+    points: usize,
+    held: Vec<Held>,
+    best: Vec<Best>,
+}
+
+fn tasks(o: &Options) -> Vec<Task> {
+    let mut tasks = Vec::new();
+    for e in &EXAMPLES {
+        let (seeds, others) = if o.reduced { (1, 0) } else { (SEEDS, OTHERS) };
+        let own = (0..seeds).map(|k| (e.name.to_string(), o.seed + k));
+        let engines: Vec<_> =
+            own.chain((1..=others).map(|k| (format!("perturbed:{}:{k}", e.name), o.seed))).collect();
+        for (parameters, seed) in engines {
+            let (unseen, searched) = if o.reduced { (6, 1) } else { (UNSEEN, SEARCHED) };
+            let inputs = json!([parameters, seed, unseen, searched, e.text]);
+            let name = format!("{}-{seed}", parameters.replace(':', "-"));
+            let text = e.text;
+            tasks.push(Task {
+                name: name.clone(),
+                inputs,
+                run: Box::new(move |around: &Surroundings| {
+                    let case = case(&name, text, &parameters, seed, (unseen, searched), around)?;
+                    serde_json::to_value(case)
+                        .map_err(|e| StudyError::Task { what: name.clone(), reason: e.to_string() })
+                }),
+            });
+        }
+    }
+    tasks
+}
+
+fn case(
+    name: &str,
+    text: &str,
+    parameters: &str,
+    seed: u64,
+    (unseen, searched): (usize, usize),
+    around: &Surroundings,
+) -> Result<Case, StudyError> {
+    let refused = |reason: String| StudyError::Task { what: name.into(), reason };
+    let over = Overrides { seed: Some(seed), out: Some(around.runs.join(name)) };
+    let mut job = map::spec::parse("map.toml", text, &over).map_err(|e| refused(e.to_string()))?;
+    job.spec.plant.parameters = parameters.into();
+    let mut case = Case {
+        engine: parameters.into(),
+        seed,
+        failed: None,
+        valid: false,
+        optimal: 0,
+        cells: 0,
+        bed_min: 0.0,
+        points: 0,
+        held: Vec::new(),
+        best: Vec::new(),
+    };
+    // A calibration that gives no maps is a result of the study, not the end of it.
+    let found = match map::run(&job, around.watch) {
+        Ok((found, _)) => found,
+        Err(map::MapError::Interrupted) => return Err(StudyError::Interrupted),
+        Err(e) => return Ok(Case { failed: Some(e.to_string()), ..case }),
+    };
+    let optimal =
+        |c: &&dynocal_calib::steady::grid::Cell| c.state == dynocal_calib::steady::grid::CellState::Optimal;
+    case.valid = found.valid;
+    case.optimal = found.cells.iter().filter(optimal).count();
+    case.cells = found.cells.len();
+    case.bed_min = found.bed.all_s() / 60.0;
+    case.points = found.points.len();
+    let mut truth = truth::Truth::new(&job.spec, &found, around.watch).map_err(refused)?;
+    let places = truth.places(unseen);
+    for at in &places {
+        case.held.push(truth.held(at).map_err(refused)?);
+    }
+    for k in 0..searched.min(places.len()) {
+        // Spread over the unseen points.
+        let at = &places[k * places.len() / searched];
+        case.best.push(truth.best(at).map_err(refused)?);
+    }
+    Ok(case)
+}
+
+/// Names of the cases of an engine family, as results.
+fn cases(results: &[TaskResult], family: &str) -> Vec<Option<Case>> {
+    let of = results.iter().filter(|r| r.name.contains(family));
+    of.map(|r| result::<Case>(results, &r.name)).collect()
+}
+
+/// Worst of each case, and in words.
+fn over(cases: &[Option<Case>], f: &dyn Fn(&Case) -> Option<f64>) -> (Vec<Option<f64>>, String) {
+    let values: Vec<Option<f64>> = cases.iter().map(|c| c.as_ref().and_then(f)).collect();
+    let word = |(c, v): (&Option<Case>, &Option<f64>)| {
+        let name = c.as_ref().map_or_else(|| "?".into(), |c| format!("{} seed {}", c.engine, c.seed));
+        v.map_or_else(|| format!("{name}: none"), |v| format!("{name}: {v:.3}"))
+    };
+    let words: Vec<String> = cases.iter().zip(&values).map(word).collect();
+    (values, words.join("; "))
+}
+
+fn most(values: impl Iterator<Item = f64>) -> Option<f64> {
+    values.fold(None, |m, v| if v.is_nan() { Some(f64::NAN) } else { Some(m.map_or(v, |m: f64| m.max(v))) })
+}
+
+/// By how much a limit is passed on the engine, worst of the held points.
+fn passed(c: &Case, output: &str) -> Option<f64> {
+    most(c.held.iter().filter_map(|h| h.passed.get(output).copied()))
+}
+
+fn reduce(results: &[TaskResult]) -> Vec<Check> {
+    let mut checks = Vec::new();
+    let limits: [(&str, &[(&str, f64, &'static str)]); 2] = [
+        ("gtdi_2l", &[("knock", 0.1, "-"), ("pmax", 3.3, "bar"), ("egt", 15.0, "K"), ("boost", 3.0, "kPa")]),
+        ("pfi_1_6l", &[("egt", 15.0, "K")]),
+    ];
+    for (family, limits) in limits {
+        let cases = cases(results, family);
+        let mut add =
+            |id: &str, what: &str, asked: Asked, unit: &'static str, f: &dyn Fn(&Case) -> Option<f64>| {
+                let (values, words) = over(&cases, f);
+                checks.push(check(format!("{family}-{id}"), what, asked, asked.worst(&values), unit, words));
+            };
+        for (output, most, unit) in limits {
+            let what = format!("{family}: most that {output} passes its limit on the engine without scatter");
+            add(&format!("limit-{output}"), &what, Asked::AtMost(*most), unit, &|c| passed(c, output));
+        }
+        add(
+            "fuel",
+            &format!("{family}: fuel above the best of a direct search, worst point"),
+            Asked::AtMost(1.0),
+            "%",
+            &|c| most(c.best.iter().map(|b| 100.0 * (b.map / b.best - 1.0))),
+        );
+        add(
+            "torque",
+            &format!("{family}: torque of the maps alone against the demand, worst point"),
+            Asked::AtMost(2.0),
+            "%",
+            &|c| most(c.held.iter().map(|h| 100.0 * (h.open_torque / h.torque - 1.0).abs())),
+        );
+        add("torque-rms", &format!("{family}: the same, root mean square"), Asked::Reported, "%", &|c| {
+            let n = c.held.len() as f64;
+            let squares = c.held.iter().map(|h| (100.0 * (h.open_torque / h.torque - 1.0)).powi(2));
+            (n > 0.0).then(|| (squares.sum::<f64>() / n).sqrt())
+        });
+        add(
+            "unsettled",
+            &format!("{family}: unseen points that could not be held"),
+            Asked::AtMost(0.0),
+            "-",
+            &|c| Some(c.held.iter().filter(|h| !h.settled).count() as f64),
+        );
+        add(
+            "valid",
+            &format!("{family}: runs whose own verdict lets the maps be used"),
+            Asked::AtLeast(1.0),
+            "-",
+            &|c| Some(f64::from(u8::from(c.valid))),
+        );
+        add("bed", &format!("{family}: bed time"), Asked::AtMost(60.0), "min", &|c| {
+            c.failed.is_none().then_some(c.bed_min)
+        });
+        add("points", &format!("{family}: points on the bed"), Asked::AtMost(90.0), "-", &|c| {
+            c.failed.is_none().then_some(c.points as f64)
+        });
+        add(
+            "cells",
+            &format!("{family}: share of the cells that hold an optimum"),
+            Asked::Reported,
+            "%",
+            &|c| Some(100.0 * c.optimal as f64 / c.cells.max(1) as f64),
+        );
+    }
+    checks
+}
+
+fn sections(report: Report, results: &[TaskResult]) -> Report {
+    EXAMPLES.iter().fold(report, |report, e| {
+        let head = vec![
+            Column::text("Engine"),
+            Column::number("Seed", "").digits(4),
+            Column::number("Torque", "Nm").digits(4),
+            Column::number("Speed", "rpm").digits(4),
+            Column::number("Fuel of the map", "kg/h").digits(5),
+            Column::number("Best found", "kg/h").digits(5),
+            Column::number("Settings tried", "").digits(4),
+        ];
+        let mut table = Table::new(head).caption("Fuel against direct search on the engine without scatter");
+        let mut words = Vec::new();
+        for c in cases(results, e.name).into_iter().flatten() {
+            if let Some(why) = &c.failed {
+                words.push(format!("{}, seed {}: no maps: {why}", c.engine, c.seed));
+            }
+            for b in &c.best {
+                table = table.row(vec![
+                    c.engine.as_str().into(),
+                    (c.seed as f64).into(),
+                    b.at[0].into(),
+                    b.at[1].into(),
+                    b.map.into(),
+                    b.best.into(),
+                    (b.tried as f64).into(),
+                ]);
+            }
+        }
+        let mut section = Section::new(e.name).block(table);
+        if !words.is_empty() {
+            section = section.text(words.join("\n"));
+        }
+        report.section(section)
+    })
+}
