@@ -270,6 +270,7 @@ fn the_next_points_go_far_out_first_and_then_where_the_map_is_in_doubt() {
             setting: &s,
             axes: &axes,
             cells: &cells,
+            hopeful: &cells,
             envelope: &envelope,
             measured: &measured,
             with_room: &measured,

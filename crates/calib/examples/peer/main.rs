@@ -2,7 +2,7 @@
 //! and prints the result with the CPU time of one computation. Start-up and reading are not counted.
 //!
 //! ```text
-//! peer sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection INPUT.json
+//! peer sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection|whole_map INPUT.json
 //! ```
 
 mod design;
@@ -13,12 +13,13 @@ mod neural;
 mod record;
 mod selection;
 mod sensitivities;
+mod whole_map;
 
 use serde_json::{Value, json};
 use std::error::Error;
 
 /// What can be compared.
-const KINDS: &str = "sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection";
+const KINDS: &str = "sensitivities|estimation|linear|criterion|design|fuel|neural|record|selection|whole_map";
 /// Least CPU time in s over which computations are repeated: Linux counts hundredths.
 const LEAST_CPU_S: f64 = 1.0;
 
@@ -38,6 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "neural" => neural::run(&input)?,
         "record" => record::run(&input)?,
         "selection" => selection::run(&input)?,
+        "whole_map" => whole_map::run(&input)?,
         other => return Err(format!("unknown comparison `{other}`").into()),
     };
     println!("{result}");

@@ -7,7 +7,8 @@
 //! ```text
 //! half of a batch   cells outside of what was reached, the farthest first: with the setting that is expected to be best there,
 //!                   then with that of the nearest point where no loop stood at an end of its range, then with its neighbours'
-//! the rest          greedy over candidates x of the map so far:  max  s(x) / |m(x)| * d(x)
+//! the rest          by turns of the map so far (where the optimum is expected) and of the hopeful map (where it may lie: the
+//!                   least m - 2 s); greedy over candidates x of either:  max  s(x) / |m(x)| * d(x)
 //!                   m, s: mean and standard deviation of what is minimised; d: distance to the nearest measured point in shares
 //!                   of the ranges
 //! ```
@@ -34,7 +35,7 @@ pub struct RefineSpec {
 
 impl Default for RefineSpec {
     fn default() -> Self {
-        Self { share: 0.5, batch: 8, tolerance: 0.003 }
+        Self { share: 0.5, batch: 8, tolerance: 0.002 }
     }
 }
 
@@ -46,6 +47,8 @@ pub struct Known<'a> {
     pub axes: &'a [Vec<f64>],
     /// The map so far.
     pub cells: &'a [Cell],
+    /// The same cells with [`HOPE`] for caution.
+    pub hopeful: &'a [Cell],
     /// What was reached.
     pub envelope: &'a Envelope,
     /// Factors of all points that were measured.
@@ -56,6 +59,8 @@ pub struct Known<'a> {
     pub asked: &'a [Vec<f64>],
 }
 
+/// Caution with which the optimum is sought where it may lie: two standard deviations below what is expected.
+pub const HOPE: f64 = -2.0;
 /// Times that the bed is sent to a cell.
 const TRIES: usize = 3;
 
@@ -86,13 +91,15 @@ impl Known<'_> {
         let outer = count.div_ceil(2).min(untried.len());
         let far = self.far_out(untried, outer);
         let mut chosen: Vec<Vec<f64>> = far.into_iter().map(|k| self.way_to(k, seed, interrupt)).collect();
-        let candidates = self.candidates(seed);
+        let sets = [self.candidates(self.cells, seed), self.candidates(self.hopeful, seed)];
         let unit = |x: &[f64]| -> Vec<f64> {
             self.setting.ranges.iter().zip(x).map(|((a, b), v)| (v - a) / (b - a)).collect()
         };
         let mut near: Vec<Vec<f64>> = self.measured.iter().chain(&chosen).map(|x| unit(x)).collect();
-        let doubt: Vec<f64> = candidates.iter().map(|x| self.doubt(x)).collect();
+        let doubts = sets.each_ref().map(|set| set.iter().map(|x| self.doubt(x)).collect::<Vec<f64>>());
         while chosen.len() < count {
+            let turn = (count - chosen.len()) % 2;
+            let (candidates, doubt) = (&sets[turn], &doubts[turn]);
             let value = |k: usize| {
                 let x = unit(&candidates[k]);
                 let squares =
@@ -144,7 +151,7 @@ impl Known<'_> {
     }
 
     /// The map at its cells and between them, where it is no filling.
-    fn candidates(&self, seed: u64) -> Vec<Vec<f64>> {
+    fn candidates(&self, cells: &[Cell], seed: u64) -> Vec<Vec<f64>> {
         let n = self.setting.axes;
         let mut places: Vec<Vec<f64>> = self.cells.iter().map(|c| c.at.clone()).collect();
         if let Some(mut sequence) = Sobol::new(n, seed) {
@@ -156,7 +163,7 @@ impl Known<'_> {
             let around = corners(self.axes, at);
             around.iter().all(|(k, _)| self.cells[*k].state != CellState::Filled)
         };
-        places.iter().filter(|at| known(at)).map(|at| interpolate(self.axes, self.cells, at)).collect()
+        places.iter().filter(|at| known(at)).map(|at| interpolate(self.axes, cells, at)).collect()
     }
 
     /// Standard deviation of what is minimised, as a share of it.

@@ -1,10 +1,11 @@
 //! The part of the day that follows the optimum: models and maps so far, the next points, until promises are kept.
 
+use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid;
 use dynocal_calib::steady::layout::Layout;
-use dynocal_calib::steady::refine::Known;
+use dynocal_calib::steady::refine::{HOPE, Known};
 use dynocal_calib::steady::station::Station;
 use dynocal_design::points::short_ways;
 use dynocal_numerics::status::Status;
@@ -99,11 +100,14 @@ impl Refinement<'_> {
         watch: Watch,
     ) -> (Vec<Vec<f64>>, usize) {
         let envelope: Envelope = envelope(self.layout, points);
+        let wide = Setting { caution: HOPE, ..setting(self.layout, models, self.spec) };
         let setting = setting(self.layout, models, self.spec);
         let reached = |at: &[f64]| envelope.contains(at);
         let seed = self.spec.seed.wrapping_add(round as u64);
         let cells =
             grid::solve(&setting, self.axes, &self.spec.optimise, &reached, self.spec.seed, watch.interrupt);
+        let hopeful =
+            grid::solve(&wide, self.axes, &self.spec.optimise, &reached, self.spec.seed, watch.interrupt);
         let used = || points.iter().filter(|p| p.point.usable);
         let factors = |p: &DayPoint| p.point.factors.clone();
         let measured: Vec<Vec<f64>> = used().map(factors).collect();
@@ -114,6 +118,7 @@ impl Refinement<'_> {
             setting: &setting,
             axes: self.axes,
             cells: &cells,
+            hopeful: &hopeful,
             envelope: &envelope,
             measured: &measured,
             with_room: &with_room,

@@ -1,0 +1,75 @@
+//! All cells of a map as one program, on quadratic responses.
+
+use crate::{measure, numbers};
+use dynocal_calib::steady::cell::{Setting, Side};
+use dynocal_calib::steady::whole::{Coupling, solve_whole};
+use dynocal_ident::model::response::{Ask, Prediction, Response};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::error::Error;
+
+/// `constant + gradient' x + x' hessian x / 2`.
+#[derive(Deserialize)]
+struct Quadratic {
+    constant: f64,
+    gradient: Vec<f64>,
+    hessian: Vec<f64>,
+}
+
+impl Response for Quadratic {
+    fn dim(&self) -> usize {
+        self.gradient.len()
+    }
+
+    fn predict(&self, x: &[f64], ask: Ask, out: &mut Prediction) {
+        let d = x.len();
+        (out.mean, out.variance, out.noise) = (self.constant, 0.0, 0.0);
+        for (i, row) in self.hessian.chunks_exact(d).enumerate() {
+            let slope: f64 = row.iter().zip(x).map(|(h, x)| h * x).sum();
+            out.mean += x[i] * (self.gradient[i] + 0.5 * slope);
+            if ask >= Ask::Gradient {
+                out.gradient[i] = self.gradient[i] + slope;
+            }
+        }
+        if ask >= Ask::Hessian {
+            out.hessian.copy_from_slice(&self.hessian);
+        }
+    }
+
+    fn describe(&self) -> String {
+        "quadratic".into()
+    }
+}
+
+/// Input `responses` (the first is minimised, the others have their `upper` limits), `dim`, `axes`, `starts` (cells x dim), `pairs`,
+/// `smooth`; all factors from 0 to 1. Output: `x` (cells x dim), status, iterations, CPU time.
+pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
+    let responses: Vec<Quadratic> = serde_json::from_value(input["responses"].clone())?;
+    let upper = numbers(input, "upper")?;
+    let count = |key: &str| input[key].as_u64().map(|n| n as usize).ok_or(format!("no {key}"));
+    let (dim, axes) = (count("dim")?, count("axes")?);
+    let starts: Vec<Vec<f64>> = numbers(input, "starts")?.chunks(dim).map(<[f64]>::to_vec).collect();
+    let side = |(k, limit): (usize, &f64)| Side { response: k + 1, limit: *limit, sign: 1.0, scale: 1.0 };
+    let mut weights = vec![0.0; responses.len()];
+    weights[0] = 1.0;
+    let setting = Setting {
+        models: responses.iter().map(|r| r as &dyn Response).collect(),
+        weights,
+        sides: upper.iter().enumerate().map(side).collect(),
+        z: 0.0,
+        caution: 0.0,
+        ranges: vec![(0.0, 1.0); dim],
+        axes,
+    };
+    let coupling = Coupling {
+        weights: vec![1.0; starts.len()],
+        pairs: serde_json::from_value(input["pairs"].clone())?,
+        smooth: input["smooth"].as_f64().ok_or("no smooth")?,
+        steps: vec![None; dim - axes],
+    };
+    let mut found = None;
+    let time = measure(|| found = Some(solve_whole(&setting, &starts, &coupling, &|| false)))?;
+    let found = found.ok_or("nothing was solved")?;
+    let x: Vec<&Vec<f64>> = found.cells.iter().map(|c| &c.x).collect();
+    Ok(json!({"time": time, "x": x, "status": found.status, "iterations": found.iterations}))
+}
