@@ -11,8 +11,14 @@ pub(super) struct Chosen {
     pub(super) learnt: Learnt,
     /// Error of the whole choice on points that had no part in it; that of the chosen kind in the folds where it was not nested.
     pub(super) rmse: f64,
+    /// Factor by which the standard deviations of the model are widened, so that 95 % of the held-out points lie in their intervals.
+    pub(super) widen: f64,
     pub(super) words: String,
 }
+
+/// Share of held-out points that their intervals have to hold, and its quantile of the normal distribution.
+const HELD: f64 = 0.95;
+const QUANTILE: f64 = 1.959_963_984_540_054;
 
 /// Chooses among `kinds` (name, kind) by `count` folds and learns the choice on all points.
 ///
@@ -53,8 +59,33 @@ pub(super) fn choose(
         name(chosen),
         each.join(", ")
     );
+    let widen = widen(&*kinds[chosen].1, points, count, interrupt)?;
     let learnt = kinds[chosen].1.learn(points, interrupt)?;
-    Ok(Chosen { learnt, rmse, words })
+    Ok(Chosen { learnt, rmse, widen, words })
+}
+
+/// By how much intervals are too narrow on held-out points: the smallest factor, at least one, with which `HELD` of them and one
+/// more are inside (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World, 2005: cross-conformal prediction with
+/// normalised errors).
+fn widen(
+    kind: &dyn Learn,
+    points: &Points,
+    count: usize,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<f64, ResponseError> {
+    let mut at = Prediction::new(points.dim());
+    let mut shares = Vec::new();
+    for held in folds(points.len(), count, FoldKind::Interleaved) {
+        let learnt = kind.learn(&without(points, &held), interrupt)?;
+        for i in held {
+            learnt.model.predict(points.row(i), Ask::Variance, &mut at);
+            shares.push((points.y[i] - at.mean).abs() / at.measured_std().max(f64::MIN_POSITIVE));
+        }
+    }
+    shares.sort_by(f64::total_cmp);
+    let rank = (HELD * (shares.len() + 1) as f64).ceil() as usize;
+    let quantile = shares[rank.clamp(1, shares.len()) - 1] / QUANTILE;
+    Ok(if quantile.is_finite() { quantile.max(1.0) } else { 1.0 })
 }
 
 /// The kind of least error in folds, and the errors of all; those that cannot be learnt have an infinite one.
@@ -137,5 +168,6 @@ mod tests {
         assert!(found.words.contains("degree 2 is taken"), "{}", found.words);
         // The odd point is in one fold and cannot be told beforehand: 0.5 / sqrt(30).
         assert!(found.rmse > 0.08 && found.rmse < 0.12, "{}", found.rmse);
+        assert!(found.widen >= 1.0 && found.widen.is_finite());
     }
 }

@@ -3,7 +3,9 @@
 use dynocal_calib::steady::day::{DayPoint, Drift, Purpose, corrected};
 use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_ident::model::response::score::{ScorePage, score_learnt};
-use dynocal_ident::model::response::{Learn, Points, ResponseError, ResponseModel, learner};
+use dynocal_ident::model::response::{
+    Ask, Learn, Points, Prediction, Response, ResponseError, ResponseModel, learner,
+};
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
@@ -26,6 +28,9 @@ pub struct Learned {
     pub points: usize,
     /// RMS error on points that had no part in learning and choosing.
     pub rmse: f64,
+    /// Factor by which its standard deviations are wider than those of the model alone, so that held-out points lie in their
+    /// intervals.
+    pub widen: f64,
     /// Standard deviation of the measured response over the points.
     pub spread: f64,
     /// Residuals, sections, effects.
@@ -40,6 +45,31 @@ impl Learned {
     /// Share of the variance that the procedure explains on points that had no part in it.
     pub fn explained(&self) -> f64 {
         1.0 - (self.rmse / self.spread).powi(2)
+    }
+}
+
+impl Response for Learned {
+    fn dim(&self) -> usize {
+        self.model.dim()
+    }
+
+    fn predict(&self, x: &[f64], ask: Ask, out: &mut Prediction) {
+        self.model.predict(x, ask, out);
+        let squared = self.widen * self.widen;
+        if ask >= Ask::Variance {
+            out.variance *= squared;
+            out.noise *= squared;
+        }
+        if ask >= Ask::Gradient {
+            out.variance_gradient.iter_mut().for_each(|g| *g *= squared);
+        }
+        if ask >= Ask::Hessian {
+            out.variance_hessian.iter_mut().for_each(|h| *h *= squared);
+        }
+    }
+
+    fn describe(&self) -> String {
+        self.what.clone()
     }
 }
 
@@ -97,7 +127,7 @@ pub(super) fn learn(
         watch.note(&format!("response model of {}", r.name));
         let table = table(layout, points, drift, k);
         let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
-        let Chosen { learnt, rmse, words } =
+        let Chosen { learnt, rmse, widen, words } =
             choose(&kinds, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
         let mean = table.y.iter().sum::<f64>() / n;
@@ -110,6 +140,7 @@ pub(super) fn learn(
             choice: words,
             points: table.len(),
             rmse,
+            widen,
             spread,
             page,
             model: learnt.model,

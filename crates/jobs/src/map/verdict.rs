@@ -50,6 +50,11 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     ];
     if all > 0 {
         let share = inside as f64 / all as f64;
+        if share < COVERED {
+            warnings.push(format!(
+                "the models are surer than they may be: {inside} of {all} responses of the verification lie in their 95 % intervals"
+            ));
+        }
         let check = Check::new("coverage", "deviations inside of the 95 % intervals of the models, or below 2 % of the scatter of the points")
             .asked(format!(">= {}", 100.0 * COVERED))
             .measured(100.0 * share)

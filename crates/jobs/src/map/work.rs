@@ -322,7 +322,7 @@ pub(super) fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec
         sides.extend(r.lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
     }
     Setting {
-        models: models.iter().map(|m| &m.model as &dyn Response).collect(),
+        models: models.iter().map(|m| m as &dyn Response).collect(),
         weights: layout.responses.iter().map(|r| r.weight).collect(),
         sides,
         z: deviations(spec.optimise.probability),
