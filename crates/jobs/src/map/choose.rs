@@ -6,6 +6,9 @@
 use dynocal_ident::model::response::score::{FoldKind, folds};
 use dynocal_ident::model::response::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError};
 
+/// Kinds of response models with their names.
+pub(super) type Kinds = Vec<(String, Box<dyn Learn>)>;
+
 /// What was chosen.
 pub(super) struct Chosen {
     pub(super) learnt: Learnt,
@@ -148,7 +151,7 @@ mod tests {
     use super::*;
     use dynocal_ident::model::response::learner;
 
-    fn kinds() -> Vec<(String, Box<dyn Learn>)> {
+    fn kinds() -> Kinds {
         [1i64, 2]
             .map(|degree| {
                 let keys = toml::Table::from_iter([("degree".to_string(), degree.into())]);

@@ -9,7 +9,7 @@ use dynocal_ident::model::response::{
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
-use super::choose::{Chosen, choose};
+use super::choose::{Chosen, Kinds, choose};
 use super::result::MapError;
 use super::spec::ModelsSpec;
 
@@ -81,7 +81,7 @@ pub(super) fn keys(models: &ModelsSpec, folds: usize) -> toml::Table {
 }
 
 /// The candidates with the names that reports give them.
-fn kinds(models: &ModelsSpec) -> Result<Vec<(String, Box<dyn Learn>)>, MapError> {
+fn kinds(models: &ModelsSpec) -> Result<Kinds, MapError> {
     let one = |table: &toml::Table| {
         let mut keys = table.clone();
         let kind = keys.remove("kind").and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();
