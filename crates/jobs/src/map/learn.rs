@@ -4,7 +4,7 @@ use dynocal_calib::steady::day::{DayPoint, Drift, Purpose, corrected};
 use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_ident::model::response::score::{ScorePage, score_learnt};
 use dynocal_ident::model::response::{
-    Ask, Learn, Points, Prediction, Response, ResponseError, ResponseModel, learner,
+    Ask, Points, Prediction, Response, ResponseError, ResponseModel, learner,
 };
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
