@@ -163,9 +163,12 @@ fn passed(c: &Case, output: &str) -> Option<f64> {
     most(c.held.iter().filter_map(|h| h.passed.get(output).copied()))
 }
 
+/// An output, how far it may pass its limit, and the unit.
+type Limit = (&'static str, f64, &'static str);
+
 fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let mut checks = Vec::new();
-    let limits: [(&str, &[(&str, f64, &'static str)]); 2] = [
+    let limits: [(&str, &[Limit]); 2] = [
         ("gtdi_2l", &[("knock", 0.1, "-"), ("pmax", 3.3, "bar"), ("egt", 15.0, "K"), ("boost", 3.0, "kPa")]),
         ("pfi_1_6l", &[("egt", 15.0, "K")]),
     ];
