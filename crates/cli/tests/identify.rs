@@ -441,6 +441,12 @@ fn a_saved_model_scores_another_record() {
     let found = score(&s, "y", "record", &"free_run".into());
     assert!(found["rmse"].as_f64().unwrap() < 1e-9 && found["data"] == "unseen" && found["samples"] == 119);
     assert_eq!(s["models"][0]["status"], Value::Null);
+    // The file that estimated it is not unseen under another name either.
+    std::fs::copy(o.folder.path().join("bed.csv"), o.folder.path().join("copy.csv")).unwrap();
+    let o = run(o.folder, &["identify", "--model", model, "--data", "copy.csv", "--out", "own", "--json"]);
+    let s = o.summary();
+    assert_eq!(score(&s, "y", "record", &"free_run".into())["data"], "identification");
+    has(&s["warnings"].to_string(), "the model was estimated from this file");
     // With a spec, its layout is used; another sample time is another system.
     let o = run(o.folder, &["identify", "spec.toml", "--model", model, "--out", "third", "--json"]);
     assert_eq!(score(&o.summary(), "y", "test", &"free_run".into())["samples"], 98);

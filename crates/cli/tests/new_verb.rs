@@ -58,12 +58,22 @@ fn an_identification_runs_from_a_file_alone() {
     let (code, out, err) = dynocal(tmp.path(), &["identify", "bed.toml"]);
     assert!(code < 2, "{out}{err}");
     assert!(tmp.path().join("runs/bed/report.html").exists());
+    // The nonlinear model of its comment runs in place of the linear one.
+    let line = spec.lines().find_map(|l| l.strip_prefix("# select = ")).unwrap();
+    let lines = spec
+        .lines()
+        .map(|l| if l.starts_with("structure = ") { format!("select = {line}") } else { l.into() });
+    written(tmp.path(), "pool.toml", &lines.collect::<Vec<String>>().join("\n"));
+    let (code, out, err) = dynocal(tmp.path(), &["identify", "pool.toml"]);
+    assert!(code < 2, "{out}{err}");
     // A spec is a user's work: it is not written over.
     let (code, _, err) = dynocal(tmp.path(), &["new", "identify", "--from", "bed.csv"]);
     assert!(code == 2 && err.contains("--force"), "{err}");
 
-    // From its model and the file a design, and from the file a campaign on a bed.
+    // From its model and the file a design, beside the first spec without a name of its own, and from the file a campaign on a bed.
     let model = "runs/bed/steps/01-identify/model.json";
+    ok(tmp.path(), &["new", "design", "--from", "bed.csv", "--model", model]);
+    ok(tmp.path(), &["design", "bed-design.toml", "--check"]);
     let design = ["new", "design", "--from", "bed.csv", "--to", "specs/next.toml", "--model", model];
     std::fs::create_dir(tmp.path().join("specs")).unwrap();
     ok(tmp.path(), &design);

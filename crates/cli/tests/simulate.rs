@@ -210,3 +210,37 @@ fn a_free_run_far_outside_is_not_valid() {
         dynocal(tmp.path(), &["simulate", "--model", "restless.json", "--data", "new.csv", "--out", "none"]);
     assert!(o.code == 1 && o.stderr.contains("no rest to start from"), "{} {}", o.code, o.stderr);
 }
+
+/// A mean of networks is one model file: it simulates and is scored, its spread is said, and what needs one network refuses
+/// it by name.
+#[test]
+fn a_mean_of_networks_is_one_model() {
+    let tmp = tempfile::tempdir().unwrap();
+    let net = SPEC.replace(
+        "structure = { name = \"arx\", na = 1, nb = 1, nk = 1 }\nestimator = { name = \"ols\" }",
+        "structure = { name = \"neural\", hidden = 2, input_lags = 1 }\n\
+         estimator = { name = \"train\", starts = 4, mean = 3, max_evaluations = 20 }",
+    );
+    write(tmp.path(), "spec.toml", &net);
+    write(tmp.path(), "bed.csv", &record(true));
+    let o = dynocal(tmp.path(), &["identify", "spec.toml", "--out", "id"]);
+    assert!(o.code <= 1, "{}", o.stderr);
+    let page = std::fs::read_to_string(tmp.path().join("id/report.html")).unwrap();
+    assert!(page.contains("mean of the 3 best networks"));
+    let model: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(tmp.path().join(MODEL)).unwrap()).unwrap();
+    let text = model.to_string();
+    assert!(text.contains("mean_of_networks"), "{text}");
+    // One hidden layer of two over u(t-1), y(t-1), three times.
+    assert_eq!(text.matches("network 3: ").count(), 2 * 2 + 2 + 2 + 1);
+    let o = dynocal(tmp.path(), &["simulate", "--model", MODEL, "--data", "bed.csv", "--out", "sim"]);
+    assert!(o.code <= 1, "{}", o.stderr);
+    let o = dynocal(tmp.path(), &["identify", "--model", MODEL, "--data", "bed.csv", "--out", "scored"]);
+    assert!(o.code <= 1, "{}", o.stderr);
+    // The free run of the program is that of the record that `identify` wrote.
+    let found = column(tmp.path(), "sim/steps/01-simulate/record.csv", "y.model");
+    let free = column(tmp.path(), "id/steps/01-identify/identification.csv", "y.free_run");
+    assert_eq!(found, free);
+    let o = dynocal(tmp.path(), &["export", MODEL, "--to", "c", "--out", "out"]);
+    assert!(o.code == 2 && o.stderr.contains("mean of several networks"), "{}", o.stderr);
+}

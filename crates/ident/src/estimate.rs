@@ -130,6 +130,14 @@ pub enum EstimateError {
         /// First parameters of the model.
         model: String,
     },
+    /// A mean that cannot be made.
+    #[error("train: found mean = {found}, expected {expected}")]
+    Mean {
+        /// Number of members that was asked for.
+        found: usize,
+        /// What goes.
+        expected: String,
+    },
     /// The free run diverges and no repaired start was found.
     #[error(
         "the free run of the model `{model}` diverges on {record} from sample {sample} on, also with all output terms shrunk; try fewer output terms or a lower degree"

@@ -119,6 +119,9 @@ pub struct StoredModel {
     pub seen: Vec<Seen>,
     /// Where the data came from.
     pub origin: String,
+    /// Digests of those files: a record out of one of them is not unseen.
+    #[serde(default)]
+    pub files: Vec<String>,
 }
 
 /// A stored model that cannot be used as asked.
@@ -205,6 +208,15 @@ pub enum StoredError {
         /// Output of the model.
         output: String,
     },
+    /// A form with several states where one model is needed.
+    #[error(
+        "the model of `{output}` is a mean of several networks, each run with its own output: it simulates and predicts, but here \
+         one network is needed (estimate it without `mean`)"
+    )]
+    Mean {
+        /// Output of the model.
+        output: String,
+    },
     /// A start that needs the output.
     #[error(
         "{record}: no channel `{channel}`: without measured outputs the model starts from rest (`initial = \"rest\"`)"
@@ -251,6 +263,7 @@ impl StoredModel {
             initial: None,
             seen: Vec::new(),
             origin: String::new(),
+            files: Vec::new(),
         };
         model.check()?;
         Ok(model)
@@ -327,8 +340,12 @@ impl StoredModel {
     /// there and back).
     ///
     /// # Errors
-    /// [`StoredError`] as of [`StoredModel::check`]; [`StoredError::NotDriven`] for a time series.
+    /// [`StoredError`] as of [`StoredModel::check`]; [`StoredError::NotDriven`] for a time series, [`StoredError::Mean`] for a
+    /// mean of several networks, which has more states than its outputs.
     pub fn driven(&self) -> Result<Driven, StoredError> {
+        if !self.structure.form().goes_on_from_outputs() {
+            return Err(StoredError::Mean { output: self.output.name.clone() });
+        }
         let driven = self.fitted()?.driven().cloned();
         driven.ok_or_else(|| StoredError::NotDriven { output: self.output.name.clone() })
     }

@@ -1,10 +1,15 @@
 //! Training: divisions, stages, starts, studies of sizes, ensembles, each on records whose right answer is known.
 
 use dynocal_ident::estimate::EstimateError;
+use dynocal_ident::estimate::estimator;
 use dynocal_ident::estimate::train::{Division, Start, Train, bagged, best, layer_sizes, mean_free_run};
 use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::Model;
-use dynocal_ident::model::neural::{Activation, Layout, NeuralNarx};
+use dynocal_ident::model::fitted::Fitted;
+use dynocal_ident::model::form::{AnyForm, Form};
+use dynocal_ident::model::initial::{Initial, free_run};
+use dynocal_ident::model::neural::{Activation, Layout, MeanOfNetworks, NeuralNarx};
+use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::validate::{Kind, output};
 use dynocal_numerics::rng::Rng64;
 
@@ -144,4 +149,117 @@ fn the_study_of_sizes_tells_a_small_network_from_a_sufficient_one() {
     {
         assert!(large < 0.2 * small, "{large} of {small}");
     }
+}
+
+/// A fit of the mean by the keys of a spec, with the training that gives its members.
+fn mean_by_keys(keys: &str, net: &NeuralNarx, data: &[Experiment]) -> Result<Fitted, EstimateError> {
+    let keys: toml::Table = keys.parse().unwrap();
+    let fit = estimator("train", &keys).unwrap().estimate(net, data, None, &|| false)?;
+    let form = fit.learnt.map_or_else(|| AnyForm::from(net.clone()), |l| l.form);
+    Ok(Fitted::new(form, fit.theta)?)
+}
+
+/// One step, k steps and free run from every start: what the members give, averaged; the same after the way through a file.
+#[test]
+fn the_mean_computes_what_its_members_compute_averaged() {
+    let data = [record(400, NOISE, 21)];
+    let net = network(&[3], false, Activation::Tanh, &data);
+    let keys = "starts = 5\nmean = 3\nmax_evaluations = 20";
+    let fitted = mean_by_keys(keys, &net, &data).unwrap();
+    let train = Train { starts: 5, max_evaluations: 20, ..Train::default() };
+    let found = train.train(&net, &data, &[], None, &|| false).unwrap();
+    let members = best(&found, 3);
+    assert_eq!(fitted.theta(), members.concat());
+    let unseen = record(300, NOISE, 22);
+    let averaged = |of: &dyn Fn(&[f64]) -> Vec<f64>| -> Vec<f64> {
+        let each: Vec<Vec<f64>> = members.iter().map(|m| of(m)).collect();
+        (0..unseen.len()).map(|t| each.iter().map(|y| y[t]).sum::<f64>() / 3.0).collect()
+    };
+    let close = |a: &[f64], b: &[f64], what: &str| {
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-14), "{what}");
+    };
+    let text = serde_json::to_string(fitted.any()).unwrap();
+    let again =
+        Fitted::new(serde_json::from_str::<AnyForm>(&text).unwrap(), fitted.theta().to_vec()).unwrap();
+    for model in [fitted, again] {
+        for kind in [Kind::OneStep, Kind::KStep(4), Kind::FreeRun] {
+            let y = model.output(&unseen, kind).unwrap();
+            close(&y, &averaged(&|m| output(&net, m, &unseen, kind)), &format!("{kind:?}"));
+        }
+        // From rest and from estimated outputs every member starts at its own.
+        for rule in [Initial::Rest, Initial::Estimated] {
+            let y = model.clone().starting(rule).output(&unseen, Kind::FreeRun).unwrap();
+            close(&y, &averaged(&|m| free_run(&net, m, &unseen, 1, rule).y), rule.key());
+        }
+    }
+    // The best alone is what it was without the key.
+    let alone = mean_by_keys("starts = 5\nmax_evaluations = 20", &net, &data).unwrap();
+    assert!(alone.form().is_a::<NeuralNarx>().is_some());
+    assert_eq!(alone.theta(), found.fit.theta);
+}
+
+/// Trained on little and noisy data the mean is no worse than its median member over the seeds together, on records without
+/// noise; on each of them no worse than its members' mean square (which is Jensen's inequality). A single mean can lose to the
+/// median: one bad member of five weighs a fifth.
+#[test]
+fn the_mean_is_no_worse_than_its_median_member() {
+    let (mut means, mut medians) = (0.0, 0.0);
+    for seed in 0..12 {
+        let data = [record(160, 0.2, 100 + seed)];
+        let unseen = record(600, 0.0, 200 + seed);
+        let net = network(&[6], false, Activation::Tanh, &data);
+        let keys = format!("starts = 7\nmean = 5\nmax_evaluations = 40\nseed = {seed}");
+        let fitted = mean_by_keys(&keys, &net, &data).unwrap();
+        let form: &MeanOfNetworks = fitted.form().is_a().unwrap();
+        let score = |y: &[f64]| mse(&unseen.y, y);
+        let mut each: Vec<f64> =
+            form.each(fitted.theta()).map(|m| score(&output(&net, m, &unseen, Kind::FreeRun))).collect();
+        assert_eq!(each.len(), 5);
+        each.sort_by(f64::total_cmp);
+        let mean = score(&fitted.output(&unseen, Kind::FreeRun).unwrap());
+        assert!(mean <= each.iter().sum::<f64>() / 5.0, "seed {seed}: mean {mean}, members {each:?}");
+        means += mean;
+        medians += each[2];
+    }
+    println!("mean square over 12 seeds: means {:.5}, median members {:.5}", means / 12.0, medians / 12.0);
+    assert!(means <= medians, "means {means}, median members {medians}");
+}
+
+#[test]
+fn a_mean_that_cannot_be_made_is_refused_by_its_key() {
+    let data = [record(200, NOISE, 31)];
+    let net = network(&[2], false, Activation::Tanh, &data);
+    let polynomial = PolyNarx::parse(&["u"], "y", &["u(t-1)", "y(t-1)"]).unwrap();
+    let refused = |keys: &str, model: &dyn Form| {
+        let keys: toml::Table = keys.parse().unwrap();
+        estimator("train", &keys).unwrap().estimate(model, &data, None, &|| false).unwrap_err().to_string()
+    };
+    assert_eq!(refused("mean = 0", &net), "train: found mean = 0, expected 1 (the best start alone) or more");
+    assert_eq!(
+        refused("starts = 4\nmean = 5", &net),
+        "train: found mean = 5, expected at most the number of starts, 4"
+    );
+    assert_eq!(
+        refused("mean = 3", &polynomial),
+        "train: found mean = 3, expected 1: the mean of several is for networks, not for the form polynomial"
+    );
+    assert_eq!(refused("starts = 500\nmean = 500", &net), "train: found mean = 500, expected at most 64");
+}
+
+/// A fit of a mean says what it is worth beside its members; a warm start and cross-validation go through it.
+#[test]
+fn the_mean_says_how_far_its_members_lie_apart() {
+    let data = [record(300, NOISE, 41)];
+    let net = network(&[3], false, Activation::Tanh, &data);
+    let keys: toml::Table = "starts = 4\nmean = 2\nmax_evaluations = 15".parse().unwrap();
+    let train = estimator("train", &keys).unwrap();
+    let first = train.estimate(&net, &data, None, &|| false).unwrap();
+    assert!(first.notes.iter().any(|n| n.contains("mean of the 2 best networks")), "{:?}", first.notes);
+    let warm = train.estimate_selecting(&net, &data, &[], Some(&first.theta), &|| false).unwrap();
+    assert_eq!(warm.starts.len(), 5);
+    let blocks = dynocal_ident::validate::cross::Blocks { folds: 3, ..Default::default() };
+    let folds =
+        dynocal_ident::validate::cross::cross_validate(&net, &data, train.as_ref(), &blocks, &|| false)
+            .unwrap();
+    assert!(folds.failed.is_empty() && folds.parameters.is_empty(), "{:?}", folds.failed);
 }

@@ -24,7 +24,7 @@ struct New {
     /// Measurement file
     #[arg(long, value_name = "FILE")]
     from: PathBuf,
-    /// Spec to write; without it the name of the file with .toml, in this folder
+    /// Spec to write; without it the name of the file in this folder: FILE.toml (identify), FILE-design.toml, FILE-calibrate.toml
     #[arg(long, value_name = "SPEC")]
     to: Option<PathBuf>,
     /// Output (calibrate: what is demanded); may be repeated; without it the last channel that moves
@@ -69,7 +69,12 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     }
     let to = args.to.unwrap_or_else(|| {
         let name = args.from.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        PathBuf::from(format!("{}.toml", name.split('.').next().unwrap_or("spec")))
+        let stem = name.split('.').next().unwrap_or("spec");
+        // One file is the beginning of several specs: the second must not stumble over the first.
+        PathBuf::from(match args.kind {
+            Kind::Identify => format!("{stem}.toml"),
+            kind => format!("{stem}-{}.toml", kind.name()),
+        })
     });
     if to.exists() && !args.force {
         let expected = "a file that is not there, or --force".into();

@@ -19,6 +19,7 @@
 
 mod division;
 mod ensemble;
+mod mean;
 mod problem;
 mod report;
 mod sizes;
@@ -58,6 +59,8 @@ use problem::{Scores, Task};
 pub struct Train {
     /// Number of starts.
     pub starts: usize,
+    /// Number of the best starts whose free runs are averaged; 1: the best one alone.
+    pub mean: usize,
     /// What the starts are.
     pub start: Start,
     /// Most cost evaluations per start over the whole records.
@@ -90,6 +93,7 @@ impl Default for Train {
     fn default() -> Self {
         Self {
             starts: 12,
+            mean: 1,
             start: Start::Random,
             max_evaluations: 120,
             horizons: Vec::new(),
@@ -130,7 +134,7 @@ impl Estimator for Train {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        Ok(self.train(narx("train", model)?, data, &[], start, interrupt)?.fit)
+        self.fitted(model, data, &[], (start, Given::First), interrupt)
     }
 
     /// Early stopping watches `selecting` instead of samples divided off the records.
@@ -142,8 +146,7 @@ impl Estimator for Train {
         start: Option<&[f64]>,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
-        let model = narx("train", model)?;
-        Ok(self.search_starts(model, data, selecting, Given::Beside(start), interrupt)?.fit)
+        self.fitted(model, data, selecting, (start, Given::Beside), interrupt)
     }
 }
 
@@ -181,6 +184,26 @@ impl Train {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Training, EstimateError> {
         self.search_starts(model, data, selection, Given::First(start), interrupt)
+    }
+
+    /// The best start, or the mean of several.
+    fn fitted<'a>(
+        &self,
+        form: &dyn Form,
+        data: &[Experiment],
+        selection: &[Experiment],
+        (start, given): (Option<&'a [f64]>, fn(Option<&'a [f64]>) -> Given<'a>),
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Fit, EstimateError> {
+        let model = narx("train", form)?;
+        let network = mean::network(self, form)?;
+        // An earlier mean starts the search with its best member, which stands first.
+        let start = start.map(|s| if self.mean > 1 { &s[..s.len().min(model.n_params())] } else { s });
+        let found = self.search_starts(model, data, selection, given(start), interrupt)?;
+        match network {
+            None => Ok(found.fit),
+            Some(network) => mean::averaged(self, network, data, selection, found),
+        }
     }
 
     fn search_starts(

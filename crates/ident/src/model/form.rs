@@ -60,6 +60,12 @@ pub trait Form: Any + Debug + Send + Sync {
         None
     }
 
+    /// Whether its free run goes on from its last outputs: a mean of several networks has the outputs of each as state. What
+    /// steps, linearises or starts from outputs alone must refuse a form that does not.
+    fn goes_on_from_outputs(&self) -> bool {
+        true
+    }
+
     /// What the inputs drive for parameters `theta` (p): what a free run simulates. None for a time series.
     ///
     /// # Errors

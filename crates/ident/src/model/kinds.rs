@@ -73,11 +73,12 @@ pub static MODEL_KINDS: &[ModelKind] = &[
     printed::INVERSE_THROTTLE_7_18,
 ];
 
-/// The forms that the kinds become, each once.
+/// The forms that the kinds become, each once, then those that only an estimator makes.
 pub fn forms() -> impl Iterator<Item = &'static FormRow> {
     let first =
         |k: &usize| MODEL_KINDS[..*k].iter().all(|other| other.form.name != MODEL_KINDS[*k].form.name);
-    (0..MODEL_KINDS.len()).filter(first).map(|k| MODEL_KINDS[k].form)
+    let of_kinds = (0..MODEL_KINDS.len()).filter(first).map(|k| MODEL_KINDS[k].form);
+    of_kinds.chain([&neural::MEAN_FORM])
 }
 
 /// The row of `name`.

@@ -13,6 +13,7 @@
 
 mod activation;
 mod adjoint;
+mod mean;
 mod network;
 mod run;
 pub(super) mod spec;
@@ -21,6 +22,8 @@ use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
 
 pub use activation::Activation;
+pub(super) use mean::FORM as MEAN_FORM;
+pub use mean::MeanOfNetworks;
 
 use super::poly::StructureError;
 use crate::experiment::Experiment;

@@ -109,13 +109,17 @@ pub fn cross_validate(
         }
         match estimator.estimate(model, fitted, None, interrupt) {
             Ok(fit) => {
+                let fitted = fit.learnt.as_ref().map_or(model, |l| l.form.form());
                 for (kind, into) in [(Kind::OneStep, &mut one_step), (Kind::FreeRun, &mut free_run)] {
                     into.extend(
-                        score_form(model, &fit.theta, scored, kind, Seen::Unseen)?
+                        score_form(fitted, &fit.theta, scored, kind, Seen::Unseen)?
                             .map(|s| (format!("fold {}", k + 1), s)),
                     );
                 }
-                thetas.push(fit.theta);
+                // Members of a mean have no order that folds share.
+                if fit.learnt.is_none() {
+                    thetas.push(fit.theta);
+                }
             }
             Err(e) => failed.push(format!("fold {}: {e}", k + 1)),
         }

@@ -4,7 +4,8 @@
 use super::context::{ChainError, Context};
 use super::model_spec::{Candidates, candidates, refit, spec_text};
 use crate::identify::error::IdentifyError;
-use crate::identify::job::{NO_TEST_DATA, work};
+use crate::identify::finding::{Finding, Grade, Topic};
+use crate::identify::job::work;
 use crate::identify::result::Identified;
 use crate::identify::spec::{self, Overrides};
 use dynocal_files::{atomic, json};
@@ -239,7 +240,12 @@ fn candidate(
         scores,
         model,
         // The campaign has unseen records of its own, scored above.
-        warnings: found.warnings.into_iter().filter(|w| !w.contains(NO_TEST_DATA)).collect(),
+        warnings: found
+            .findings
+            .iter()
+            .filter(|f| f.grade != Grade::Note && f.topic != Topic::NoTestData)
+            .map(Finding::sentence)
+            .collect(),
     })
 }
 

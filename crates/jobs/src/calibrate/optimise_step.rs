@@ -242,9 +242,10 @@ impl Pass {
         } else if let Some(m) = far {
             let (rms, mean) = (m.measured_rms.unwrap_or(f64::NAN), m.measured_mean.unwrap_or(f64::NAN));
             format!(
-                "its measured {} is {} (RMS) from the demand, {mean:+.3} in the mean",
+                "its measured {} is {} (RMS) from the demand, {} in the mean",
                 m.output,
-                with_unit(rms, 3, &m.unit)
+                with_unit(rms, 3, &m.unit),
+                with_unit(mean, 2, &m.unit)
             )
         } else {
             String::new()

@@ -13,6 +13,7 @@ pub mod page;
 mod plan;
 pub mod result;
 mod rivals;
+mod rounds;
 pub mod run;
 mod stored;
 pub(crate) mod typed;

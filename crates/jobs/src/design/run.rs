@@ -16,12 +16,8 @@ use super::load::{DesignJobError, Inputs, check_stable, load};
 use super::margins::{MarginBasis, MarginUsed, margin_of};
 use super::result::{Bound, CriterionLine, Curves, Designed, InformationLine, Quantity, SafetyLine};
 use super::rivals::{efficiencies, uniform};
+use super::rounds::{Bracket, MOST_ROUNDS, bands_keep};
 use super::{Job, Objective, judge};
-
-/// Designs that are made at most until the bands keep the limits.
-const ROUNDS: usize = 3;
-/// Margins stay below this share of the range, so that something is left.
-const MOST_MARGIN: f64 = 0.45;
 
 /// Makes the design and writes `design.csv`, `predicted.csv` and `summary.json` into the run folder.
 ///
@@ -36,6 +32,14 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Designed, Curves, RunFolder), Des
     write(job, &designed, &curves, folder.path())?;
     folder.write_summary(&designed)?;
     Ok((designed, curves, folder))
+}
+
+/// One design with the margins that it was made with.
+struct Round {
+    found: DesignOutcome,
+    curves: Curves,
+    safety: Vec<SafetyLine>,
+    margins: Vec<Option<MarginUsed>>,
 }
 
 /// The design itself, without files.
@@ -55,19 +59,27 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
         ..DesignOptions::default()
     };
     let (mut rounds, mut evaluations) = (0, 0);
-    let (found, curves, safety) = loop {
+    let (mut bracket, mut best) = (Bracket::default(), None::<Round>);
+    let Round { found, curves, safety, margins } = loop {
         rounds += 1;
         watch.note(&format!("round {rounds}: {} starts of {}", job.search.starts, job.search.name));
         let problem = problem(job, inputs, &objective, &margins);
         let found = design(&problem, &options, watch.interrupt, &|_| ())?;
         evaluations += found.evaluations;
         let (curves, safety) = judged(job, inputs, &margins, &problem, &found);
-        // The margin of the search is one number, the band grows where the plan leaves what was identified.
-        let widened = rounds < ROUNDS && met_its_margins(&found) && widen(&mut margins, &safety);
-        if !widened {
-            break (found, curves, safety);
+        let (met, kept) = (met_its_margins(&found), bands_keep(&safety));
+        options.start = Some(found.u.clone());
+        let round = Round { found, curves, safety, margins: margins.clone() };
+        let further = rounds < MOST_ROUNDS && met && bracket.next(&mut margins, &round.safety);
+        // Of the rounds whose bands keep the limits the most informative; where there is none, the last.
+        let better = kept && met && best.as_ref().is_none_or(|b: &Round| round.found.value < b.found.value);
+        let mut last = Some(round);
+        if better {
+            best = last.take();
         }
-        options.start = Some(found.u);
+        if !further && let Some(chosen) = best.take().or(last) {
+            break chosen;
+        }
     };
     watch.note("comparing with random signals of the same limits");
     let problem = problem(job, inputs, &objective, &margins);
@@ -77,7 +89,7 @@ pub fn make(job: &Job, inputs: &Inputs, watch: Watch) -> Result<(Designed, Curve
     let rivals = efficiencies(&problem, &inputs.models, &objective, &found.u, job.rivals, job.seed)?;
     let (coverage, pairs, correlations) = judge::inputs(&inputs.channels, &found.u);
     let warnings = warnings(&found, &safety, &information, inputs);
-    let kept = safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= 0.0);
+    let kept = bands_keep(&safety);
     let seen = information.iter().all(|i| i.rank == i.parameters);
     let criteria = criteria(&problem, inputs, &found.u)?;
     let bound = (job.certificate && !watch.interrupted()).then(|| {
@@ -201,22 +213,6 @@ fn judged(
 fn met_its_margins(found: &DesignOutcome) -> bool {
     let kept = found.safety.iter().filter_map(|s| s.worst).all(|w| w.distance >= 0.0);
     kept && !matches!(found.status, Status::Interrupted | Status::Infeasible)
-}
-
-/// Widens margins whose band passes a limit; whether any was.
-fn widen(margins: &mut [Option<MarginUsed>], safety: &[SafetyLine]) -> bool {
-    let mut any = false;
-    for (margin, line) in margins.iter_mut().zip(safety) {
-        let (Some(q), Some(limits), Some((over, _))) = (margin, line.limits, line.least_distance_of_band)
-        else {
-            continue;
-        };
-        let wider = (q.kept - 1.05 * over).min(MOST_MARGIN * (limits.1 - limits.0));
-        if over < 0.0 && wider > q.kept {
-            (q.kept, any) = (wider, true);
-        }
-    }
-    any
 }
 
 fn criteria(

@@ -118,6 +118,9 @@ fn structure(stored: &StoredModel) -> Result<Structure, ModelFault> {
         let (m, theta) = m.deterministic(&theta).map_err(StoredError::from)?;
         return Ok(Structure::Polynomial(m, theta));
     }
+    if !form.goes_on_from_outputs() {
+        return Err(StoredError::Mean { output: stored.output.name.clone() }.into());
+    }
     let (output, found) = (stored.output.name.clone(), form.row().name);
     Err(ModelFault::Unfit { output, reason: format!("found a form `{found}`, which is not exported yet") })
 }

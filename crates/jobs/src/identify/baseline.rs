@@ -58,7 +58,7 @@ pub fn baseline(
         return Ok(None);
     }
     let Ok(fit) = Ols::default().estimate(&linear, &data, None, &|| false) else { return Ok(None) };
-    let structure = format!("linear ARX (na = {na}, nb = {nb}, nk = {nk}, constant)");
+    let structure = format!("linear ARX by least squares (na = {na}, nb = {nb}, nk = {nk}, constant)");
     let d = &parts[0].records[0];
     let found = curves(&linear, &fit.theta, None, &t.inputs, &data, d.sample_time_s);
     let notes_of_first = notes(&parts[0].name);

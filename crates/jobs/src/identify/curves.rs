@@ -26,6 +26,9 @@ use super::poles::{Pole, poles};
 pub struct InputCurves {
     /// Input.
     pub input: String,
+    /// Its unit, as prepared; none where it is not known.
+    #[serde(default)]
+    pub unit: String,
     /// Steady output over the input.
     pub steady: Steady,
     /// Time in s after a step, and the change of the output for a step of [`InputCurves::step`].
@@ -184,6 +187,12 @@ fn steady(
 }
 
 impl InputCurves {
+    /// Keeps what holds at rest.
+    pub fn steady_only(&mut self) {
+        let (input, unit) = (std::mem::take(&mut self.input), std::mem::take(&mut self.unit));
+        *self = Self { input, unit, steady: std::mem::take(&mut self.steady), ..Self::default() };
+    }
+
     /// The curves in the output's own unit: `own` undoes the preparation of values; bounds at a level of confidence.
     ///
     /// # Errors

@@ -89,6 +89,17 @@ pub enum IdentifyError {
         /// Output that is used at once.
         input: String,
     },
+    /// Outputs that depend on each other, one of them a mean of networks.
+    #[error(
+        "the model of `{target}` takes its input `{input}` from another model, and one of the two is a mean of networks, which does not \
+         run sample by sample with others: estimate it without `mean`"
+    )]
+    Together {
+        /// Target.
+        target: String,
+        /// Input that another model computes.
+        input: String,
+    },
     /// The user stopped it.
     #[error("interrupted before the estimate was finished")]
     Interrupted,

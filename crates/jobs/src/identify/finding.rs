@@ -25,6 +25,17 @@ impl Grade {
     }
 }
 
+/// What others than a reader must tell apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Topic {
+    /// Nothing that anything but a reader asks for.
+    #[default]
+    General,
+    /// No unseen record judges the model.
+    NoTestData,
+}
+
 /// One of them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
@@ -34,12 +45,20 @@ pub struct Finding {
     pub about: String,
     /// In a sentence.
     pub text: String,
+    /// What it is to a program.
+    #[serde(default)]
+    pub topic: Topic,
 }
 
 impl Finding {
     /// A new one.
     pub fn new(grade: Grade, about: impl Into<String>, text: impl Into<String>) -> Self {
-        Self { grade, about: about.into(), text: text.into() }
+        Self { grade, about: about.into(), text: text.into(), topic: Topic::General }
+    }
+
+    /// The same under a topic.
+    pub fn on(self, topic: Topic) -> Self {
+        Self { topic, ..self }
     }
 
     /// With what it concerns.

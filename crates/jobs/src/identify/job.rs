@@ -21,10 +21,10 @@ use super::after::{After, after};
 use super::baseline::baseline;
 use super::before::before;
 use super::bounds::free_run_bounds;
-use super::curves::{curves, poles_at_rest};
+use super::curves::{InputCurves, curves, poles_at_rest};
 use super::error::IdentifyError;
 use super::estimate::of_parts;
-use super::finding::{Finding, Grade, sorted};
+use super::finding::{Finding, Grade, Topic, sorted};
 use super::fit::{Estimated, estimate, saved};
 use super::judge::{losses, of_fit, of_model};
 use super::load::{Part, parts};
@@ -35,10 +35,6 @@ use super::score::{Judged, Scored, score};
 use super::set::{Member, Set, shape};
 use super::spec::{Job, Target};
 use super::verdict::verdict;
-
-/// What is said of a model that no unseen record judges.
-pub(crate) const NO_TEST_DATA: &str =
-    "no test data in the split: nothing says how the model does on unseen data";
 
 /// Does the job: reads the data, estimates, scores, and writes models, records and summary.
 ///
@@ -57,7 +53,7 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyE
     Ok((done.result, folder))
 }
 
-fn digest_of_file(path: &path::Path) -> Result<String, FilesError> {
+pub(super) fn digest_of_file(path: &path::Path) -> Result<String, FilesError> {
     let bytes = std::fs::read(path).map_err(|_| missing(path))?;
     Ok(digest(&bytes))
 }
@@ -91,6 +87,9 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
     };
     let estimated: Vec<Estimated> = estimated.into_iter().map(|e| e.starting(job.validate.initial)).collect();
     let set = Set::new(job.targets.iter().zip(&estimated).map(member).collect());
+    if let Some((target, input)) = set.without_step() {
+        return Err(IdentifyError::Together { target: target.into(), input: input.into() });
+    }
     if let Some((target, input)) = set.loop_at_once() {
         return Err(IdentifyError::Loop { target: target.into(), input: input.into() });
     }
@@ -142,7 +141,15 @@ pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, Ide
             let own = |values: &mut [f64]| restored(notes, d, &t.target, values);
             let level = job.validate.confidence;
             model.curves = found.into_iter().map(|c| c.restored(level, own)).collect::<Result<_, _>>()?;
-            model.poles = poles_at_rest(driven, theta, &fitted[k]);
+            for c in &mut model.curves {
+                c.unit.clone_from(&d.channel(&c.input)?.unit);
+            }
+            if e.model.form().goes_on_from_outputs() {
+                model.poles = poles_at_rest(driven, theta, &fitted[k]);
+            } else {
+                // Steps and slopes at rest start from one output, which is not the rest of each member.
+                model.curves.iter_mut().for_each(InputCurves::steady_only);
+            }
             model.sample_time_s = Some(d.sample_time_s);
         }
         models.push(model);
@@ -264,6 +271,7 @@ fn modelled(
         initial: job.validate.initial,
         seen: measured.to_vec(),
         origin: origin.collect::<Vec<_>>().join(", "),
+        files: job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?,
     };
     let behind = file.measured();
     file.seen.retain(|s| behind.iter().any(|q| q.name == s.name));
@@ -282,7 +290,8 @@ fn modelled(
         estimator: t.estimator.clone(),
         status: e.fit.as_ref().map(|f| f.status),
         parameters: e.parameters.clone(),
-        rank: e.fit.as_ref().map(|f| f.rank),
+        // A fit without covariance of its parameters has no rank to tell.
+        rank: e.fit.as_ref().filter(|f| f.covariance.len() == f.theta.len().pow(2)).map(|f| f.rank),
         evaluations: e.fit.as_ref().map(|f| f.evaluations),
         samples: e.fit.as_ref().map(|f| f.samples),
         selection: e.selection.as_ref().map(|s| Path { pool: s.pool, kept: s.steps, steps: s.path.clone() }),
@@ -352,7 +361,12 @@ fn finish(
     findings.extend(parts.iter().flat_map(read));
     findings.extend(losses(preparation));
     if parts.iter().all(|p| p.seen != Seen::Unseen) {
-        findings.push(Finding::new(Grade::Warning, "", NO_TEST_DATA));
+        let text = if job.saved.is_empty() {
+            "no test data in the split: nothing says how the model does on unseen data"
+        } else {
+            "the model was estimated from this file: nothing says how it does on unseen data"
+        };
+        findings.push(Finding::new(Grade::Warning, "", text).on(Topic::NoTestData));
     }
     let findings = sorted(findings);
     let (mut scores, mut records) = (Vec::new(), Vec::new());

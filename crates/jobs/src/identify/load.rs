@@ -9,6 +9,7 @@ use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
 
 use super::error::IdentifyError;
+use super::job::digest_of_file;
 use super::spec::{DeriveSpec, Job, Source, Split, TestSet};
 
 /// Records with one purpose.
@@ -45,9 +46,14 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
     let names = ["estimation", "selection", "test"];
     // A model that is only scored has seen none of them.
     let names = if job.saved.is_empty() { names } else { ["record", "selection", "test"] };
-    let first = if job.saved.is_empty() { Seen::Identification } else { Seen::Unseen };
-    let second = if job.saved.is_empty() { Seen::Selection } else { Seen::Unseen };
-    let seen = [first, second, Seen::Unseen];
+    // What has estimated one of the models is not unseen; where the spec cuts the file, its cut is taken for that of the estimate.
+    let known = |file: &String| job.saved.iter().any(|m| m.files.contains(file));
+    let files = job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<Vec<_>, _>>()?;
+    let seen = if job.saved.is_empty() || files.iter().any(known) {
+        [Seen::Identification, Seen::Selection, Seen::Unseen]
+    } else {
+        [Seen::Unseen; 3]
+    };
     let mut parts: Vec<Part> = names
         .iter()
         .zip(seen)

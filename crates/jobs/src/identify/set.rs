@@ -45,6 +45,16 @@ impl Set {
         self.coupled.iter().any(|c| !c.is_empty())
     }
 
+    /// `(target, input)` of a coupling with a model that cannot be run sample by sample from its last outputs.
+    pub fn without_step(&self) -> Option<(&str, &str)> {
+        let each = || self.members.iter().zip(&self.coupled);
+        let steps = |m: &Member| m.model.form().goes_on_from_outputs();
+        each().find_map(|(m, coupled)| {
+            let (i, _) = coupled.iter().find(|(_, other)| !steps(m) || !steps(&self.members[*other]))?;
+            Some((m.target.as_str(), m.inputs[*i].as_str()))
+        })
+    }
+
     /// `(target, input)` of a regressor that is the output of another model at the same sample: there is no order in
     /// which such a set can be computed.
     pub fn loop_at_once(&self) -> Option<(&str, &str)> {

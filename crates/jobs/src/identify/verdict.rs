@@ -122,6 +122,9 @@ fn next(found: &Identified) -> String {
     }
     if !found.scores.iter().any(|s| s.data == Seen::Unseen) {
         let things = if found.steady { "points" } else { "records" };
+        if found.models.iter().all(|m| m.status.is_none()) {
+            return format!("Next: score it on {things} of another measurement; these have estimated it.");
+        }
         return format!(
             "Next: keep {things} apart that nothing sees before the scores (table split, or [[test]])."
         );

@@ -13,6 +13,12 @@ pub(in crate::estimate) const ROW: EstimatorRow = EstimatorRow {
         params: &[
             ParamDoc { name: "starts", unit: "-", default: "12", what: "number of starts" },
             ParamDoc {
+                name: "mean",
+                unit: "-",
+                default: "1",
+                what: "number of the best starts whose free runs are averaged into one model (networks); 1: the best alone",
+            },
+            ParamDoc {
                 name: "start",
                 unit: "-",
                 default: "random",

@@ -83,7 +83,7 @@ fn plots(m: &Modelled, c: &InputCurves, confidence: f64) -> Vec<Block> {
     if !s.input.is_empty() {
         let mut plot = XyPlot::new(
             "At rest",
-            Axis::new(c.input.as_str(), ""),
+            Axis::new(c.input.as_str(), c.unit.as_str()),
             Axis::new(m.target.as_str(), m.unit.as_str()),
         );
         if !s.deviation.is_empty() {
