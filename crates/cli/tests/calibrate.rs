@@ -399,6 +399,27 @@ fn demands_out_of_reach_are_said() {
     assert!(point.code != 0 && !point.stderr.is_empty(), "{}", point.stdout);
 }
 
+/// A pass that must not be used reads so wherever it stands: page, summary, exit code.
+#[test]
+fn a_pass_that_must_not_be_used_is_not_valid_on_the_page() {
+    let tmp = tempfile::tempdir().unwrap();
+    // One iteration meets no demand.
+    let spec = text(&shortest()).replace("[optimise]\n", "[optimise]\nmax_iterations = 1\n");
+    let spec = written(tmp.path(), &spec);
+    let run =
+        dynocal(tmp.path(), &["calibrate", spec.to_str().unwrap(), "--out", "run", "--until", "optimise"]);
+    assert_eq!(run.code, 1, "{}", run.stderr);
+    let folder = tmp.path().join("run");
+    let summary: serde_json::Value = serde_json::from_str(&text(&folder.join("summary.json"))).unwrap();
+    assert_eq!((&summary["passes"][0]["usable"], &summary["valid"]), (&false.into(), &false.into()));
+    let reason = summary["passes"][0]["reason"].as_str().unwrap();
+    assert!(!reason.is_empty());
+    let page = text(&folder.join("report.html"));
+    for part in ["not valid", "last pass, which must not be used", "no: its "] {
+        assert!(page.contains(part), "no `{part}` on the page; reason: {reason}");
+    }
+}
+
 /// What is metered is believed, and a fuel error of 3 % shows: injectors that give more than they are told, on a bed with a
 /// meter; and a bed without one says that its fuel is that of the inputs.
 #[test]

@@ -126,3 +126,58 @@ fn files_as_they_come_are_taken_or_refused_with_the_flag_that_helps() {
     );
     assert!(code == 2 && err.contains("egt"), "{err}");
 }
+
+/// Limits near the edges of what was identified leave the plan the room between them: the band, which grows where the plan
+/// leaves the records, ends near a limit and does not drive the plan into the middle.
+#[test]
+fn a_first_design_uses_the_room_between_its_limits() {
+    let tmp = tempfile::tempdir().unwrap();
+    let mut state = 5_u64;
+    let mut draw = |low: f64, high: f64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        low + (high - low) * ((state >> 11) as f64 / (1_u64 << 53) as f64)
+    };
+    let (mut pedal, mut angle, mut x1, mut x2) = (0.0, 0.0, 0.0_f64, 0.0);
+    let (mut text, mut range) =
+        (String::from("Time [s],Pedal [%],Angle [deg],Torque [Nm]\n"), (f64::MAX, f64::MIN));
+    for k in 0..1500 {
+        if k % 15 == 0 {
+            pedal = draw(0.0, 100.0);
+        }
+        if k % 22 == 0 {
+            angle = draw(-10.0, 30.0);
+        }
+        x1 = 0.85 * x1 + 0.15 * (0.02 * pedal + 0.0004 * pedal * pedal + 0.01 * angle);
+        x2 = 0.7 * x2 + 0.3 * (0.05 * angle - 0.01 * x1 * angle);
+        let y = 20.0 + 8.0 * x1 + 4.0 * x2 + draw(-0.25, 0.25);
+        range = (range.0.min(y), range.1.max(y));
+        text += &format!("{:.1},{pedal:.4},{angle:.4},{y:.4}\n", 0.1 * f64::from(k));
+    }
+    written(tmp.path(), "bench.csv", &text);
+    ok(tmp.path(), &["new", "identify", "--from", "bench.csv"]);
+    let spec = std::fs::read_to_string(tmp.path().join("bench.toml")).unwrap();
+    let pool = "select = { name = \"forward\", pool = { ny = 4, nu = 4, degree = 2 } }";
+    let lines = spec.lines().map(|l| if l.starts_with("structure = ") { pool } else { l });
+    written(tmp.path(), "bench.toml", &lines.collect::<Vec<&str>>().join("\n"));
+    assert!(dynocal(tmp.path(), &["identify", "bench.toml"]).0 < 2);
+    ok(
+        tmp.path(),
+        &["new", "design", "--from", "bench.csv", "--model", "runs/bench/steps/01-identify/model.json"],
+    );
+    let spec = std::fs::read_to_string(tmp.path().join("bench-design.toml")).unwrap();
+    let limits = format!("limits = {{ lower = {:.1}, upper = {:.1}, margin = 2.0 }}", range.0, range.1);
+    let lines = spec.lines().map(|l| if l.starts_with("# limits = ") { limits.as_str() } else { l });
+    written(tmp.path(), "bench-design.toml", &lines.collect::<Vec<&str>>().join("\n"));
+    let (code, out, err) = dynocal(tmp.path(), &["design", "bench-design.toml", "--json"]);
+    assert!(code < 2, "{out}{err}");
+    let summary: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let line = &summary["safety"][0];
+    let (band, width) = (line["least_distance_of_band"][0].as_f64().unwrap(), range.1 - range.0);
+    let predicted = (line["predicted"][0].as_f64().unwrap(), line["predicted"][1].as_f64().unwrap());
+    println!(
+        "band to limit {band:.2} of {width:.2} Nm, predicted {predicted:?}, rounds {}",
+        summary["rounds"]
+    );
+    assert!((0.0..0.15 * width).contains(&band), "band to limit {band} of {width}: {line}");
+    assert!(predicted.1 - predicted.0 > 0.4 * width, "{predicted:?} of {range:?}");
+}

@@ -4,6 +4,7 @@ pub mod a2l;
 pub mod c;
 mod c_program;
 pub mod cdfx;
+mod cdfx_read;
 pub mod csv;
 pub mod dcm;
 mod dcm_read;
@@ -68,6 +69,8 @@ pub struct Export {
     pub doc: MemberDoc,
     /// What it holds.
     pub holds: &'static [Holds],
+    /// Whether it holds names as an ECU has them, dots and brackets included; else identifiers stand for them.
+    pub ecu_names: bool,
     /// Writes a checked package.
     pub write: fn(&Package, &Keys) -> Result<Vec<OutFile>, ExportError>,
     /// Ending of files that can be read back, and how (name for messages, bytes).
@@ -101,9 +104,6 @@ pub static EXPORTS: &[Export] = &[
     fmu::FMU3,
 ];
 
-/// Formats that hold names as an ECU has them, dots and brackets included; the others need identifiers.
-const ECU_NAMES: [&str; 4] = ["dcm", "cdfx", "csv", "json"];
-
 /// The package with dots and brackets of names as underscores; none where there are none.
 fn with_identifiers(package: &Package) -> Option<Package> {
     let odd = |c: &Characteristic| {
@@ -127,7 +127,7 @@ fn with_identifiers(package: &Package) -> Option<Package> {
 pub fn write(package: &Package, name: &str, keys: &Keys) -> Result<Vec<OutFile>, ExportError> {
     let row = find(name)?;
     package.check()?;
-    let renamed = (!ECU_NAMES.contains(&row.doc.name)).then(|| with_identifiers(package)).flatten();
+    let renamed = (!row.ecu_names).then(|| with_identifiers(package)).flatten();
     let package = renamed.as_ref().unwrap_or(package);
     // Two names may have become one.
     package.check()?;

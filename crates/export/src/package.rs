@@ -108,6 +108,9 @@ pub struct Package {
     pub characteristics: Vec<Characteristic>,
     /// What is computed sample by sample.
     pub program: Option<Program>,
+    /// What a file that was read holds beside, and why it is not here; not written anywhere.
+    #[serde(skip)]
+    pub left_out: Vec<String>,
 }
 
 impl Package {

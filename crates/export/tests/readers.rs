@@ -6,6 +6,7 @@ mod common;
 
 use common::{cdf_schema, python, run, save};
 use dynocal_export::evaluate::Machine;
+use dynocal_export::format::read;
 use dynocal_export::package::Package;
 use dynocal_export::program::Shape;
 
@@ -53,6 +54,74 @@ fn cdfx_by_the_schema_of_asam() {
         "check_cdfx.py",
         &[&save(&package, "cdfx", tmp.path()), &expected(&package, tmp.path()), &schema],
     );
+}
+
+/// Files of other writers than ours: all categories of the schema, their encodings and namespaces. What comes in is compared
+/// value by value, what does not is named.
+#[test]
+fn cdfx_of_other_tools() {
+    let (Some(python), Some(schema)) = (python(&["lxml"]), cdf_schema()) else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    run(&python, "make_cdfx.py", &[&tmp.path().to_path_buf(), &schema]);
+    let common = ["Scalar", "Block", "Curve", "Map"];
+    let more = [
+        "Fixed",
+        "NoCategory",
+        "Depends",
+        "Struct.gain",
+        "Struct.inner.list",
+        "Array[0]",
+        "Array[1]",
+        "History",
+    ];
+    let words = "it holds words";
+    let left = [
+        ("Text", words),
+        ("Flag", words),
+        ("State", words),
+        ("States", words),
+        ("Rescale", "rescale and curve axes are not read"),
+        ("OnRescale", "rescale and curve axes are not read"),
+        ("Variants", "it has variants, of which none is chosen"),
+    ];
+    let cases =
+        [("latin.cdfx", true), ("utf16.cdfx", true), ("labelled.cdfx", false), ("namespace.cdfx", false)];
+    for (name, all) in cases {
+        let bytes = std::fs::read(tmp.path().join(name)).unwrap();
+        let package = read(name, &bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let names: Vec<&str> = package.characteristics.iter().map(|c| c.name.as_str()).collect();
+        let wanted: Vec<&str> = common.into_iter().chain(more.into_iter().filter(|_| all)).collect();
+        assert_eq!(names, wanted, "{name}");
+        let said: Vec<String> = left.iter().filter(|_| all).map(|(n, why)| format!("`{n}`: {why}")).collect();
+        assert_eq!(package.left_out, said, "{name}");
+        let get = |n: &str| package.characteristics.iter().find(|c| c.name == n).unwrap();
+        let (scalar, curve, map) = (get("Scalar"), get("Curve"), get("Map"));
+        assert_eq!(
+            (scalar.values.as_slice(), scalar.unit.as_str()),
+            ([-1.5e-3].as_slice(), "\u{b0}KW"),
+            "{name}"
+        );
+        assert_eq!(get("Block").values, [1.0, 2.0, 3.0, 4.0], "{name}");
+        assert_eq!(
+            (curve.axes[0].points.as_slice(), curve.axes[0].unit.as_str()),
+            ([-40.0, 20.0, 90.0].as_slice(), "\u{b0}C")
+        );
+        assert_eq!(map.values, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "{name}");
+        let axis = |k: usize| (map.axes[k].points.clone(), map.axes[k].unit.as_str(), map.axes[k].shared);
+        assert_eq!(axis(0), (vec![800.0, 1600.0, 3200.0], "1/min", true), "{name}");
+        // The unit of the second stands where it is used.
+        assert_eq!(axis(1), (vec![0.2, 0.9], "g/s", true), "{name}");
+        assert_eq!(curve.description, "about Curve", "{name}");
+        if all {
+            assert_eq!((get("Struct.gain").values[0], get("Array[1]").values[0]), (2.5, 11.0), "{name}");
+            assert_eq!(get("Struct.inner.list").values, [7.0, 8.0], "{name}");
+            assert_eq!(get("NoCategory").axes[0].points, [800.0, 1600.0, 3200.0], "{name}");
+        }
+    }
+    // A size that is not that of the values.
+    let text = std::fs::read_to_string(tmp.path().join("labelled.cdfx")).unwrap();
+    let fault = read("x.cdfx", text.replace("<V>4</V>", "<V>5</V>").as_bytes()).unwrap_err().to_string();
+    assert!(fault.contains("`Block`") && fault.contains("expected 5 as SW-ARRAYSIZE says"), "{fault}");
 }
 
 #[test]

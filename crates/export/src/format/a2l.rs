@@ -22,6 +22,7 @@ pub const EXPORT: Export = Export {
         params: &[PRECISION],
     },
     holds: &[Holds::Characteristics, Holds::Programs],
+    ecu_names: false,
     write: |package, keys| {
         let code = Code::new(package, keys.precision)?;
         Ok(vec![OutFile { name: format!("{}.a2l", code.prefix), bytes: text(&code).into_bytes() }])

@@ -23,6 +23,7 @@ pub const EXPORT: Export = Export {
         params: &[PRECISION],
     },
     holds: &[Holds::Characteristics, Holds::Programs],
+    ecu_names: false,
     write: |package, keys| {
         let code = Code::new(package, keys.precision)?;
         Ok(vec![file(&code, "h", code.header()), file(&code, "c", code.source())])

@@ -17,6 +17,7 @@ pub const EXPORT: Export = Export {
         params: &[],
     },
     holds: &[Holds::Characteristics],
+    ecu_names: true,
     write: |package, _| Ok(package.characteristics.iter().map(|c| file(package, c)).collect()),
     read: Some((".csv", read)),
 };

@@ -17,6 +17,7 @@ use crate::package::{Package, ascii};
 pub const EXPORT: Export = Export {
     doc: MemberDoc { name: "dcm", what: "DCM 2.0: scalars, blocks, curves, maps, shared axes", params: &[] },
     holds: &[Holds::Characteristics],
+    ecu_names: true,
     write: |package, _| {
         Ok(vec![OutFile {
             name: format!("{}.dcm", identifier(&package.name)),

@@ -15,8 +15,7 @@ pub(crate) fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
     let mut reader = Reader { file, lines: Vec::new(), at: 0, axes: Vec::new(), words: Vec::new() };
     reader.lines = text.lines().enumerate().map(|(k, l)| (k + 1, l.trim())).collect();
     let mut package = reader.file()?;
-    let left_out = std::mem::take(&mut package.provenance.run);
-    package.provenance.run = format!("{file} (read as {encoding:?}){left_out}");
+    package.provenance.run = format!("{file} (read as {encoding:?})");
     Ok(package)
 }
 
@@ -112,10 +111,7 @@ impl Reader<'_> {
             }
         }
         self.link(&mut package)?;
-        if !self.words.is_empty() {
-            package.provenance.run =
-                format!("; left out, because they hold words: {}", self.words.join(", "));
-        }
+        package.left_out = self.words.iter().map(|name| format!("`{name}`: it holds words")).collect();
         Ok(package)
     }
 

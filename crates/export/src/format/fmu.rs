@@ -23,6 +23,7 @@ use crate::program::Program;
 pub const FMU2: Export = Export {
     doc: MemberDoc { name: "fmu2", what: "FMU 2.0, co-simulation, sources and binary", params: &[] },
     holds: &[Holds::Programs],
+    ecu_names: false,
     write: |package, _| pack(package, Version::Two),
     read: None,
 };
@@ -31,6 +32,7 @@ pub const FMU2: Export = Export {
 pub const FMU3: Export = Export {
     doc: MemberDoc { name: "fmu3", what: "FMU 3.0, co-simulation, sources and binary", params: &[] },
     holds: &[Holds::Programs],
+    ecu_names: false,
     write: |package, _| pack(package, Version::Three),
     read: None,
 };

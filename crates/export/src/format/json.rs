@@ -17,6 +17,7 @@ pub const VERSION: u32 = 1;
 pub const EXPORT: Export = Export {
     doc: MemberDoc { name: "json", what: "JSON of the neutral form, with a schema version", params: &[] },
     holds: &[Holds::Characteristics, Holds::Programs],
+    ecu_names: true,
     write: |package, _| {
         let stored = Stored { schema: SCHEMA.into(), version: VERSION, package: package.clone() };
         let bytes = serde_json::to_vec_pretty(&stored).map_err(|e| ExportError::Tool(e.to_string()))?;

@@ -14,6 +14,7 @@ use crate::package::Package;
 pub const EXPORT: Export = Export {
     doc: MemberDoc { name: "mat", what: "MATLAB .mat version 5, one struct a characteristic", params: &[] },
     holds: &[Holds::Characteristics],
+    ecu_names: false,
     write: |package, _| {
         Ok(vec![OutFile {
             name: format!("{}.mat", identifier(&package.name)),

@@ -21,6 +21,7 @@ pub const EXPORT: Export = Export {
         params: &[],
     },
     holds: &[Holds::Networks],
+    ecu_names: false,
     write: |package, _| {
         let Some(p) = &package.program else {
             return Err(ExportError::form(&package.name, "found no program"));

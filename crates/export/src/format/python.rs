@@ -14,6 +14,7 @@ use crate::program::{Op, Program, Shape, Start, Tau};
 pub const EXPORT: Export = Export {
     doc: MemberDoc { name: "python", what: "one Python file, NumPy only", params: &[] },
     holds: &[Holds::Characteristics, Holds::Programs],
+    ecu_names: false,
     write: |package, _| {
         let name = identifier(&package.name).to_lowercase();
         Ok(vec![OutFile { name: format!("{name}.py"), bytes: text(package).into_bytes() }])

@@ -16,6 +16,7 @@ pub const EXPORT: Export = Export {
         params: &[],
     },
     holds: &[Holds::Characteristics],
+    ecu_names: false,
     write: |package, _| {
         Ok(vec![OutFile {
             name: format!("{}_tables.m", identifier(&package.name)),

@@ -14,6 +14,7 @@ pub mod estimate;
 pub mod excite_step;
 pub mod invert_step;
 pub mod job;
+mod lag;
 mod loops;
 mod model_spec;
 pub mod models;

@@ -2,6 +2,7 @@
 
 use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::invert_step::InvertResult;
+use super::lag::best_lag;
 use super::optimise_step::Pass;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
@@ -10,7 +11,7 @@ use dynocal_calib::steady::hold::{Resting, hold};
 use dynocal_calib::steady::search::{FreeInput, Setting};
 use dynocal_calib::steady::{Held, best_point};
 use dynocal_calib::validate::{MapScore, Scenario, demand_steps, inner, random_points, reference_row, score};
-use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::data::Dataset;
 use dynocal_ident::plant::Plant;
 use dynocal_ident::play::PlayError;
 use dynocal_ident::stored::StoredModel;
@@ -71,7 +72,7 @@ pub fn validate(
     let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
     let leader = ctx.channels.driven.first().copied().unwrap_or(0);
     let steps = demand_steps(spec, problem, dt);
-    let lag_s = best_lag(ctx, &static_map, leader, &steps, models)?;
+    let lag_s = best_lag(problem, (&static_map, leader), &steps, models, dt)?;
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
     let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
     let mut maps: Vec<&dyn FeedforwardMap> = vec![&*inverse.dynamic, &static_map, &lagged];
@@ -256,73 +257,6 @@ fn missed(ctx: &Context, h: &Held) -> String {
         }
     }
     out.join("; ")
-}
-
-/// Longest time constant that the line search of the lagged rival looks at, in s.
-const LONGEST_LAG_S: f64 = 0.6;
-
-/// The lag at which the static map holds the other demands best on the steps, by the identified models: the strong simple
-/// rival at its best, tuned on the run's own data.
-fn best_lag(
-    ctx: &Context,
-    map: &StaticMap,
-    leader: usize,
-    steps: &Scenario,
-    models: &[&StoredModel],
-) -> Result<f64, ChainError> {
-    let others = &ctx.channels.demands[1..];
-    let judged: Vec<&&StoredModel> =
-        models.iter().filter(|m| others.contains(&m.user_output().name)).collect();
-    if judged.is_empty() {
-        return Ok(0.0);
-    }
-    let integral = |tau_s: f64| -> Result<f64, ChainError> {
-        let lagged = LaggedStaticMap { map, tau_s, leader };
-        let record = as_record(ctx, &lagged.drive(&steps.reference, ctx.spec.sample_time_s), steps);
-        let mut sum = 0.0;
-        for m in &judged {
-            let name = m.user_output().name;
-            let k = ctx.channels.demands.iter().position(|d| *d == name).unwrap_or(0);
-            let d = &ctx.spec.problem.demands[k];
-            for run in m.simulate(&record, None)? {
-                let from = steps.switches.get(1).copied().unwrap_or(0);
-                let error = |t: usize| (run.y[t] - steps.reference.row(t)[k]).abs() / (d.upper - d.lower);
-                sum += (from..run.y.len()).map(error).sum::<f64>();
-            }
-        }
-        Ok(if sum.is_finite() { sum } else { f64::MAX })
-    };
-    let mut best = (f64::INFINITY, 0.0);
-    for k in 0..=30 {
-        let tau_s = LONGEST_LAG_S * f64::from(k) / 30.0;
-        let value = integral(tau_s)?;
-        if value < best.0 {
-            best = (value, tau_s);
-        }
-    }
-    Ok(best.1)
-}
-
-/// Inputs of a scenario as a record without outputs.
-fn as_record(ctx: &Context, drive: &Rows, scenario: &Scenario) -> Dataset {
-    let problem = &ctx.spec.problem;
-    let demands = problem.demands.len();
-    let input = |name: &str, unit: &str, values: Vec<f64>| Channel {
-        name: name.into(),
-        unit: unit.into(),
-        role: Role::Input,
-        values,
-    };
-    let moved = problem.inputs.iter().enumerate().map(|(k, i)| input(&i.name, &i.unit, drive.column(k)));
-    let given = problem.given.iter().enumerate();
-    let given = given.map(|(k, g)| input(&g.name, &g.unit, scenario.reference.column(demands + k)));
-    Dataset {
-        name: scenario.name.clone(),
-        sample_time_s: ctx.spec.sample_time_s,
-        channels: moved.chain(given).collect(),
-        init_samples: 0,
-        origin: "map".into(),
-    }
 }
 
 fn static_on_record(

@@ -239,7 +239,7 @@ fn search(table: Option<&toml::Table>, faults: &mut Faults) -> Option<SearchSpec
             return None;
         }
     };
-    let built = dynocal_design::search::search(&name, &keys).map(|_| ());
-    crate::identify::spec::built("search", "name", built, faults)?;
+    let build = |keys: &toml::Table| dynocal_design::search::search(&name, keys);
+    crate::identify::spec::built_with("search", "name", &keys, build, faults)?;
     Some(SearchSpec { name, keys, starts: starts?, evaluations: evaluations? })
 }

@@ -213,7 +213,6 @@ fn member(
             keys.insert(end.into(), toml::Value::Float(value));
         }
     }
-    let built = signal::signal(&name, &keys).map(|_| ());
-    crate::identify::spec::built(key, "name", built, faults)?;
+    crate::identify::spec::built_with(key, "name", &keys, |keys| signal::signal(&name, keys), faults)?;
     Some((name, keys))
 }

@@ -252,7 +252,11 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
             })?;
             dynamic_map(map, dt)
         }
-        _ => Made { package: format::read(&path.display().to_string(), &bytes)?, notes: Vec::new() },
+        _ => {
+            let package = format::read(&path.display().to_string(), &bytes)?;
+            let notes = package.left_out.iter().map(|l| format!("left out {l}")).collect();
+            Made { package, notes }
+        }
     };
     let validity = std::mem::take(&mut made.package.provenance.validity);
     if made.package.provenance.version.is_empty() {

@@ -69,6 +69,10 @@ pub fn estimate(
     };
     let mut fit = fit(t, form.form(), &whole, selecting, watch)?;
     fit.warnings.extend(remarks);
+    if fit.status == Status::Stalled && fit.mse <= ROUNDING * mean_square(&whole) {
+        // Nothing is better than errors of rounding: a tolerance below them is met by no search.
+        fit.status = Status::Converged;
+    }
     if fit.status == Status::Interrupted {
         return Err(IdentifyError::Interrupted);
     }
@@ -77,6 +81,15 @@ pub fn estimate(
     let model = Fitted::new(form, fit.theta.clone())?;
     let parameters = parameters(&fit);
     Ok(Estimated { model, fit: Some(fit), parameters, selection })
+}
+
+/// Mean squared error over mean squared output of a fit that is exact but for rounding.
+const ROUNDING: f64 = 1e-24;
+
+/// Mean square of all outputs.
+fn mean_square(data: &[Experiment]) -> f64 {
+    let values = || data.iter().flat_map(|e| &e.y).filter(|v| v.is_finite());
+    values().map(|v| v * v).sum::<f64>() / values().count().max(1) as f64
 }
 
 fn parameters(fit: &Fit) -> Vec<Parameter> {

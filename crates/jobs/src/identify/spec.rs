@@ -25,7 +25,7 @@ use typed::Typed;
 
 pub use crate::kept::MOST_CSV_ROWS;
 pub use derive::DeriveSpec;
-pub use member::built;
+pub use member::{built, built_with};
 pub use model::{Selecting, StructureSpec, Target};
 pub(crate) use source::cut;
 pub use source::{Source, StepSpec, TestSet};

@@ -10,6 +10,8 @@ use super::result::{Identified, Modelled, Score};
 /// A share of the variance below which a free run is called poor, and above which it is called close, in percent.
 const POOR: f64 = 50.0;
 const CLOSE: f64 = 90.0;
+/// A ratio of errors beyond which one of them is of rounding.
+const MOST_TIMES: f64 = 1e9;
 /// A linear model this much better, or at most this much worse, is the better choice.
 const AS_GOOD: f64 = 1.02;
 
@@ -70,12 +72,14 @@ fn target(found: &Identified, m: &Modelled) -> String {
     text += ".";
     match m.baseline.as_ref().filter(|b| b.part == s.part).map(|b| (b, b.rmse)) {
         Some((b, Some(linear))) => {
+            // Of an exact model nothing is a multiple.
+            let times = Some(linear / rmse).filter(|r| *r < MOST_TIMES && rmse > 0.0);
+            let times = times.map(|r| format!(" ({} times as much)", number(r))).unwrap_or_default();
             text += &format!(
-                " A {} from the same {things} has an RMSE of {}{} there ({} times as much).",
+                " A {} from the same {things} has an RMSE of {}{} there{times}.",
                 b.structure,
                 number(linear),
                 UnitAfter(&m.unit),
-                number(linear / rmse)
             );
         }
         Some((b, None)) => text += &format!(" A {} from the same {things} diverges there.", b.structure),

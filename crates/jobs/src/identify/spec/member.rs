@@ -60,7 +60,29 @@ pub fn built<T>(key: &str, name: &str, result: Result<T, BuildError>, faults: &m
     }
 }
 
+/// [`built`] from `keys`: a fault names the key whose value is wrong.
+pub fn built_with<T>(
+    key: &str,
+    name: &str,
+    keys: &toml::Table,
+    build: impl Fn(&toml::Table) -> Result<T, BuildError>,
+    faults: &mut Faults,
+) -> Option<T> {
+    let result = build(keys);
+    // The reader of keys says what it found, not where: it is the key without which this fault is gone.
+    let wrong = match &result {
+        Err(BuildError::Keys { message, .. }) if message.starts_with("invalid ") => keys.keys().find(|k| {
+            let mut rest = keys.clone();
+            rest.remove(*k);
+            !matches!(build(&rest), Err(BuildError::Keys { message: other, .. }) if other == *message)
+        }),
+        _ => None,
+    };
+    let place = wrong.map_or_else(|| key.to_string(), |k| format!("{key}.{k}"));
+    built(&place, name, result, faults)
+}
+
 /// Whether a step of the preparation can be built.
 pub(super) fn check_step(key: &str, step: &str, keys: &toml::Table, faults: &mut Faults) -> Option<()> {
-    built(key, "step", Planned::new(step, keys), faults).map(|_| ())
+    built_with(key, "step", keys, |keys| Planned::new(step, keys), faults).map(|_| ())
 }

@@ -11,7 +11,7 @@ use dynocal_ident::model::kinds;
 use dynocal_ident::select::{self, pool::PoolKeys};
 use serde::{Deserialize, Serialize};
 
-use super::member::{built, member, member_of};
+use super::member::{built, built_with, member, member_of};
 use super::typed::TypedModel;
 
 /// One output that is modelled.
@@ -252,7 +252,7 @@ fn built_over(
     target: &str,
     faults: &mut Faults,
 ) -> Option<Arc<dyn Form>> {
-    let built = built(key, "name", kinds::kind(&s.name, &s.keys), faults)?;
+    let built = built_with(key, "name", &s.keys, |keys| kinds::kind(&s.name, keys), faults)?;
     let form = built.form(inputs, target, &[]);
     form.map_err(|e| faults.push(key, e, "a structure over the inputs and the target")).ok()
 }
@@ -307,7 +307,7 @@ fn estimator(m: &TypedModel, seed: Option<u64>, faults: &mut Faults) -> Option<(
     if let (Some(seed), true) = (seed, row.doc.params.iter().any(|p| p.name == "seed")) {
         keys.insert("seed".into(), toml::Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
     }
-    built("model.estimator", "name", (row.build)(&keys), faults)?;
+    built_with("model.estimator", "name", &keys, row.build, faults)?;
     Some((name, keys))
 }
 
@@ -332,7 +332,7 @@ fn selecting(table: &toml::Table, faults: &mut Faults) -> Option<Selecting> {
         },
     };
     let (method, keys) = member_of(key, "name", &keys, "see `dynocal list selections`", faults)?;
-    built(key, "name", select::selection(&method, &keys), faults)?;
+    built_with(key, "name", &keys, |keys| select::selection(&method, keys), faults)?;
     Some(Selecting { method, keys, pool: pool?, max_samples: max_samples? })
 }
 
