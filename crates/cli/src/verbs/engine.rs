@@ -107,7 +107,7 @@ struct Files {
     /// Write the table to this CSV file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write a report with p-V diagram and traces of the first cylinder at the last point
+    /// Write a report; of a sweep its curves, and p-V diagram and traces of the first cylinder at the last point
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }

@@ -15,7 +15,7 @@ use crate::package::Package;
 ///
 /// # Errors
 /// [`ExportError::Malformed`] with the line.
-pub fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
+pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Package, ExportError> {
     let fail = |line: usize, reason: String| ExportError::Malformed { file: file.into(), line, reason };
     let encoding = dynocal_files::measurement::csv_dialect::guess_encoding(bytes);
     let text = dynocal_files::measurement::csv_dialect::decode(bytes, encoding);
