@@ -6,7 +6,7 @@ use super::lag::best_lag;
 use super::optimise_step::Pass;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
-use dynocal_calib::map::{FeedforwardMap, Rows};
+use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::steady::hold::{Resting, hold};
 use dynocal_calib::steady::search::{FreeInput, Setting};
 use dynocal_calib::steady::{Held, best_point};
