@@ -126,6 +126,9 @@ pub struct Training {
     pub best: usize,
 }
 
+/// Where a start of the caller's stands among the others.
+type Place<'a> = fn(Option<&'a [f64]>) -> Given<'a>;
+
 impl Estimator for Train {
     fn estimate(
         &self,
@@ -192,14 +195,14 @@ impl Train {
         form: &dyn Form,
         data: &[Experiment],
         selection: &[Experiment],
-        (start, given): (Option<&'a [f64]>, fn(Option<&'a [f64]>) -> Given<'a>),
+        (start, place): (Option<&'a [f64]>, Place<'a>),
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Fit, EstimateError> {
         let model = narx("train", form)?;
         let network = mean::network(self, form)?;
         // An earlier mean starts the search with its best member, which stands first.
         let start = start.map(|s| if self.mean > 1 { &s[..s.len().min(model.n_params())] } else { s });
-        let found = self.search_starts(model, data, selection, given(start), interrupt)?;
+        let found = self.search_starts(model, data, selection, place(start), interrupt)?;
         match network {
             None => Ok(found.fit),
             Some(network) => mean::averaged(self, network, data, selection, found),
