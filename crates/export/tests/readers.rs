@@ -62,7 +62,7 @@ fn cdfx_by_the_schema_of_asam() {
 fn cdfx_of_other_tools() {
     let (Some(python), Some(schema)) = (python(&["lxml"]), cdf_schema()) else { return };
     let tmp = tempfile::tempdir().unwrap();
-    run(&python, "make_cdfx.py", &[&tmp.path().to_path_buf(), &schema]);
+    run(&python, "make_cdfx.py", &[tmp.path(), &schema]);
     let common = ["Scalar", "Block", "Curve", "Map"];
     let more = [
         "Fixed",
