@@ -230,7 +230,7 @@ fn every_kind_survives_a_file() {
     }
     assert_eq!(
         forms().map(|f| f.name).collect::<Vec<_>>(),
-        ["polynomial", "neural", "narmax", "linear", "response"]
+        ["polynomial", "neural", "narmax", "linear", "response", "mean_of_networks"]
     );
     let fault =
         serde_json::from_str::<dynocal_ident::model::form::AnyForm>("{\"kind\": \"spline\"}").unwrap_err();

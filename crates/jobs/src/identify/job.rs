@@ -2,8 +2,8 @@
 
 use std::path;
 
-use dynocal_files::run_folder::{RunFolder, digest};
-use dynocal_files::{FilesError, csv_io, json};
+use dynocal_files::json;
+use dynocal_files::run_folder::RunFolder;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::estimate::missing::bridged;
 use dynocal_ident::estimate::{self, Minimised};
@@ -27,7 +27,7 @@ use super::estimate::of_parts;
 use super::finding::{Finding, Grade, Topic, sorted};
 use super::fit::{Estimated, estimate, saved};
 use super::judge::{losses, of_fit, of_model};
-use super::load::{Part, parts};
+use super::load::{Part, digest_of_file, parts};
 use super::points::points;
 use super::prepare::{own_unit, prepare_parts, restored};
 use super::result::{Identified, Modelled, Path, Prepared, in_step};
@@ -51,19 +51,6 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyE
     }
     folder.write_summary(&done.result)?;
     Ok((done.result, folder))
-}
-
-pub(super) fn digest_of_file(path: &path::Path) -> Result<String, FilesError> {
-    let bytes = std::fs::read(path).map_err(|_| missing(path))?;
-    Ok(digest(&bytes))
-}
-
-/// The reader knows best how to say what is wrong with a file that cannot even be opened.
-fn missing(path: &path::Path) -> FilesError {
-    match csv_io::read(path) {
-        Err(e) => e,
-        Ok(_) => FilesError::Read { path: path.display().to_string(), reason: "it changed meanwhile".into() },
-    }
 }
 
 /// The work of a job in memory; files go into `dir`.

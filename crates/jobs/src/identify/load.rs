@@ -3,13 +3,14 @@
 use std::path::Path;
 
 use dynocal_files::dataset::{Layout, Select, datasets, read_table_with};
+use dynocal_files::run_folder::digest;
 use dynocal_files::split;
 use dynocal_files::table::Table;
+use dynocal_files::{FilesError, csv_io};
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
 
 use super::error::IdentifyError;
-use super::job::digest_of_file;
 use super::spec::{DeriveSpec, Job, Source, Split, TestSet};
 
 /// Records with one purpose.
@@ -265,6 +266,23 @@ fn alike(parts: &[Part]) -> Result<(), IdentifyError> {
         }
     }
     Ok(())
+}
+
+/// Digest of a data file.
+///
+/// # Errors
+/// That of reading it.
+pub(super) fn digest_of_file(path: &Path) -> Result<String, FilesError> {
+    let bytes = std::fs::read(path).map_err(|_| missing(path))?;
+    Ok(digest(&bytes))
+}
+
+/// The reader knows best how to say what is wrong with a file that cannot even be opened.
+fn missing(path: &Path) -> FilesError {
+    match csv_io::read(path) {
+        Err(e) => e,
+        Ok(_) => FilesError::Read { path: path.display().to_string(), reason: "it changed meanwhile".into() },
+    }
 }
 
 #[cfg(test)]
