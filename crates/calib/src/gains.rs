@@ -16,7 +16,7 @@
 //! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
 //! begins: the inputs are led there with open loops by the steady gains of a point before, or by what one movement of each input
 //! shows at the first, from where the same demands were held or else from where the plan begins. Where one test does not tell
-//! the effects well enough there are more, three at most. Several points share one set of gains: the smallest of their own,
+//! the effects well enough there are more, six at most. Several points share one set of gains: the smallest of their own,
 //! detuned until the models of all points keep the margins. The gains are then played at all points: where a loop still
 //! oscillates ([`dynocal_ident::play::oscillation`]), F grows and they are played again.
 
@@ -43,7 +43,7 @@ use point::{Bench, Point, Trial};
 pub struct TuneSpec {
     /// Size of the test movements, as a share of the value of the input, which counts as a tenth of its range at least.
     pub share: f64,
-    /// Length of a test in s; there are up to three where noise hides the effects.
+    /// Length of a test in s; there are up to six where noise hides the effects.
     pub test_s: f64,
     /// Shortest time between two movements of one input in s.
     pub hold_s: f64,
@@ -64,10 +64,10 @@ impl Default for TuneSpec {
     fn default() -> Self {
         Self {
             share: 0.05,
-            test_s: 20.0,
+            test_s: 10.0,
             hold_s: 0.2,
             memory_s: 0.6,
-            trial_s: 12.0,
+            trial_s: 8.0,
             log_modulus_db: 2.0,
             sensitivity: 2.0,
             rounds: 2,

@@ -4,6 +4,7 @@
 //! thing to it.
 
 pub mod gains;
+pub mod limits;
 pub mod loops;
 pub mod map;
 pub mod optimise;

@@ -1,6 +1,7 @@
 //! Validation of feedforward maps on the plant: random operating points and steps of the leading demand (thesis sections 6.7,
 //! 7.6.4).
 
+use crate::limits::{LimitScore, limit_scores};
 use crate::map::Rows;
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::{DataError, Dataset};
@@ -210,6 +211,8 @@ pub struct MapScore {
     /// The same over the samples at which every compared map is within a twentieth of the range of the other demands; none when
     /// there is no such sample.
     pub economy_equal: Option<f64>,
+    /// Limits of the problem against the whole record.
+    pub limits: Vec<LimitScore>,
 }
 
 impl MapScore {
@@ -226,13 +229,15 @@ struct Measured<'a> {
     objective: Vec<f64>,
     /// The input that the objective is proportional to.
     spent: Option<&'a [f64]>,
+    limits: Vec<LimitScore>,
 }
 
 fn measured<'a>(problem: &CalibrationProblem, record: &'a Dataset) -> Result<Measured<'a>, DerivedError> {
     let outputs =
         problem.demands.iter().map(|d| record.values(&d.output)).collect::<Result<_, DataError>>()?;
     let spent = spent_input(problem).map(|name| record.values(&name)).transpose()?;
-    Ok(Measured { outputs, objective: objective(problem, record)?, spent })
+    let limits = limit_scores(problem, record, 0)?;
+    Ok(Measured { outputs, objective: objective(problem, record)?, spent, limits })
 }
 
 /// The input that a single objective term is proportional to, apart from given channels: injected fuel for a fuel flow.
@@ -290,6 +295,7 @@ pub fn score(
         objective: m.objective.iter().sum::<f64>() / n.max(1) as f64,
         economy: economy(m, 0..n),
         economy_equal: economy(m, comparable.iter().copied()),
+        limits: m.limits.clone(),
     };
     Ok(runs.iter().zip(names).map(one).collect())
 }

@@ -147,7 +147,7 @@ fn search(
     let found = Found {
         status: outcome.status,
         iterations: outcome.history.len().saturating_sub(1),
-        values: program.columns.all().to_vec(),
+        values: program.values(),
         parts: Vec::new(),
         prices: Vec::new(),
         shortfalls: Vec::new(),
@@ -182,6 +182,9 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt:
         }
     }
     let mut found = best.map_or_else(|| Found::start(setup), |b| b.1);
+    if failed(found.status) && options.give > 0.0 && !interrupt() {
+        found = giving(setup, options, found, interrupt);
+    }
     if starts > 1 {
         found.parts = parts;
     }
@@ -189,6 +192,19 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt:
         found.shortfalls = shortfall::shortfalls(setup, options, found.status, 0.0, interrupt);
     }
     found
+}
+
+/// The search again with demands that may give way, where it then ends; else what was `found`.
+fn giving(setup: &Setup<'_>, options: &OptimiseOptions, found: Found, interrupt: &dyn Fn() -> bool) -> Found {
+    let soft = setup.giving();
+    let mut program = Program::new(soft.parts());
+    let (mut again, outcome) = search(&mut program, options, None, interrupt);
+    if !again.status.is_success() {
+        return found;
+    }
+    again.iterations += found.iterations;
+    again.prices = prices::prices(&soft, &mut program, &outcome);
+    again
 }
 
 /// Whether a search ended without a solution, by itself.

@@ -63,6 +63,11 @@ pub struct OptimiseOptions {
     /// share to the objective of the start. 0: none. Models know little of inputs that jump to and fro from sample to sample,
     /// and an optimum finds what they get wrong there.
     pub smoothing: f64,
+    /// Where the search does not end with demands that are met exactly, they may give way: by this share of the range where the price
+    /// of a demand is the objective of the start for the whole range, further in proportion to the price (a quadratic penalty). At a
+    /// sample where hardly any input acts, meeting a demand costs more than anything else, and multipliers grow without bound.
+    /// 0: never.
+    pub give: f64,
 }
 
 impl Default for OptimiseOptions {
@@ -76,6 +81,7 @@ impl Default for OptimiseOptions {
             history: History::default(),
             way: Way::default(),
             smoothing: 0.0,
+            give: 0.0,
         }
     }
 }
@@ -88,6 +94,7 @@ impl OptimiseOptions {
         faults.range(&of("max_iterations"), self.max_iterations as f64, 1.0, 1e6, "iterations");
         faults.range(&of("extend_s"), self.extend_s, 0.0, MOST_S, "s");
         faults.range(&of("smoothing"), self.smoothing, 0.0, 1e3, "of the objective");
+        faults.range(&of("give"), self.give, 0.0, 0.1, "of the range of a demand");
         self.way.check(&of("way"), faults);
     }
 }

@@ -38,6 +38,8 @@ pub(super) struct Setup<'a> {
     pub(super) given: Vec<(String, Vec<f64>)>,
     /// Demands and limits made soft.
     elastic: Option<Elastic>,
+    /// Whether demands may give way.
+    gives: bool,
     /// Weights on squared increments of the inputs.
     increment_weights: Vec<f64>,
     options: OptimiseOptions,
@@ -97,6 +99,7 @@ impl<'a> Setup<'a> {
             columns,
             given: Vec::new(),
             elastic: None,
+            gives: false,
             increment_weights: Vec::new(),
             options: *options,
         };
@@ -178,6 +181,7 @@ impl<'a> Setup<'a> {
             start: values[range.start * width..range.end * width].to_vec(),
             given,
             elastic: self.elastic,
+            gives: self.gives,
             increment_weights: self.increment_weights.clone(),
             options: OptimiseOptions { end, ..self.options },
         }
@@ -203,6 +207,19 @@ impl<'a> Setup<'a> {
             elastic: Some(Elastic { price, objective }),
             columns,
             start,
+            ..*self
+        }
+    }
+
+    /// The same with demands that may give way.
+    pub(super) fn giving(&self) -> Self {
+        Self {
+            gives: true,
+            models: self.models.clone(),
+            columns: self.columns.clone(),
+            start: self.start.clone(),
+            given: self.given.clone(),
+            increment_weights: self.increment_weights.clone(),
             ..*self
         }
     }
@@ -356,7 +373,19 @@ impl<'a> Setup<'a> {
             target,
             output,
             from: self.first_equation(),
+            give: self.give(m),
         }
+    }
+
+    /// Prices of the squares of what a demand gives way: at the price of a demand that is the whole objective of the start
+    /// for the whole range, it gives [`OptimiseOptions::give`] of its range.
+    fn give(&self, m: &OutputModel) -> Vec<f64> {
+        let demand = self.problem.demands.iter().find(|d| self.gives && d.output == m.output);
+        let (Some(d), Some(values)) = (demand, self.given(&m.output)) else { return Vec::new() };
+        let range = d.upper - d.lower;
+        let price = self.start_objective().abs().max(1e-9) / (2.0 * self.options.give * range * range);
+        let samples = (self.to - self.from) as f64;
+        values.iter().map(|y| price / (samples * m.way.slope(*y).powi(2))).collect()
     }
 
     /// First sample whose outputs the decisions reach.

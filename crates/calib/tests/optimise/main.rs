@@ -2,6 +2,7 @@
 
 mod cases;
 mod common;
+mod giving;
 mod reference;
 mod smoothing;
 mod ways;

@@ -38,6 +38,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let campaign = job::read(&args.spec, args.common.seed, args.common.out.as_deref())?;
     let plan = estimate(&campaign);
     if args.plan.check {
+        job::check_given(&campaign)?;
         return show_plan(&plan);
     }
     plan.allowed()?;

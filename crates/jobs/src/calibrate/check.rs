@@ -10,6 +10,7 @@ use dynocal_plant::plants;
 /// Reports every fault of `s`.
 pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     faults.range("sample_time_s", s.sample_time_s, 0.005, 0.5, "s");
+    faults.range("longest_delay_s", s.longest_delay_s, 0.01, 100.0, "s");
     for f in plants::check(&s.plant) {
         if f.known.is_empty() {
             faults.push(&f.key, f.found, f.expected);
@@ -227,6 +228,8 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
         }
     }
     faults.range("optimise.smoothing", s.optimise.smoothing, 0.0, 1e3, "of the objective");
+    faults.range("optimise.give", s.optimise.give, 0.0, 0.1, "of the range of a demand");
+    faults.range("optimise.tolerance", s.optimise.tolerance, 1e-12, 1e-2, "of the scaled KKT error");
     faults.range(
         "validate.static_map.search.tolerance",
         s.validate.static_map.search.tolerance,

@@ -17,7 +17,7 @@ use dynocal_ident::derived::DerivedError;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop, demand_name};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
-use dynocal_ident::play::{self, Oscillation, PlayError, RecordFault};
+use dynocal_ident::play::{self, Oscillation, PlayError, RecordFault, RecordTolerance};
 use dynocal_ident::stored::{StoredError, StoredModel};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::watch::Watch;
@@ -284,11 +284,10 @@ impl Context<'_> {
         tone: Tone,
     ) -> Plan {
         let problem = &self.spec.problem;
-        let moved = problem
-            .inputs
-            .iter()
-            .zip(inputs)
-            .map(|(i, values)| PlanChannel::free(&i.name, &i.unit, values).within(i.lower, i.upper));
+        let moved = problem.inputs.iter().zip(inputs).map(|(i, values)| PlanChannel {
+            rate_per_s: i.rate_per_s.filter(|_| self.spec.excite.keep_rates),
+            ..PlanChannel::free(&i.name, &i.unit, values).within(i.lower, i.upper)
+        });
         let imposed =
             problem.given.iter().zip(given).map(|(g, values)| PlanChannel::free(&g.name, &g.unit, values));
         let channels = moved.chain(imposed).collect();
@@ -439,8 +438,10 @@ impl Context<'_> {
         };
         let tell = |text: &str| self.watch.note(text);
         let mut record = dynocal_files::plan::read_record_told(&measured, plan, &tell)?;
+        let longest_delay_s = self.spec.longest_delay_s;
+        let tolerance = RecordTolerance { longest_delay_s, ..RecordTolerance::default() };
         let faults: Vec<String> =
-            play::check_record(plan, &record).iter().map(RecordFault::to_string).collect();
+            play::check_record_within(plan, &record, &tolerance).iter().map(RecordFault::to_string).collect();
         if !faults.is_empty() {
             let (measured, plan) = (measured.display().to_string(), path.display().to_string());
             return Err(ChainError::Record { measured, plan, faults });

@@ -45,6 +45,9 @@ pub(super) fn design_text(
         if channels.driven.contains(&k) && spec.ramp_s > 0.0 {
             t.insert("shape".into(), Value::String("linear".into()));
         }
+        if let Some(rate) = i.rate_per_s.filter(|_| ctx.spec.excite.keep_rates) {
+            t.insert("rate_per_s".into(), Value::Float(rate));
+        }
         list.push(Value::Table(t));
     }
     for g in &problem.given {
@@ -77,6 +80,13 @@ pub(super) fn design_text(
             ]);
             t.insert("limits".into(), Value::Table(limits));
             t.insert("initial_output".into(), Value::Float(middle(d)));
+        } else if let Some((lower, upper)) = limited(ctx, identification, &o.output) {
+            let limits = table([
+                ("lower", Value::Float(lower)),
+                ("upper", Value::Float(upper)),
+                ("margin", Value::Float((2.0 * rmse).min(0.2 * (upper - lower)))),
+            ]);
+            t.insert("limits".into(), Value::Table(limits));
         }
         let prior = identification
             .iter()
@@ -102,6 +112,22 @@ pub(super) fn design_text(
     ]);
     toml::to_string(&all).map_err(|e| ChainError::Design(e.to_string()))
 }
+
+/// Limits of an output that is not demanded; a side without one lies far beyond what was seen. None where there is no limit, or
+/// where the records do not keep it anywhere.
+fn limited(ctx: &Context, records: &[(Dataset, PathBuf)], output: &str) -> Option<(f64, f64)> {
+    let limit = ctx.spec.problem.limits.iter().find(|l| l.output == output)?;
+    let (least, greatest) = excited(records, output)?;
+    match (limit.lower, limit.upper) {
+        (Some(lower), Some(upper)) => Some((lower, upper)),
+        (None, Some(upper)) if least < upper => Some((upper - FAR * (upper - least), upper)),
+        (Some(lower), None) if greatest > lower => Some((lower, lower + FAR * (greatest - lower))),
+        _ => None,
+    }
+}
+
+/// How far away the side is that has no limit, in widths of what was seen.
+const FAR: f64 = 10.0;
 
 /// Range of a channel over the records, 1 % cut off at either end.
 fn excited(records: &[(Dataset, PathBuf)], name: &str) -> Option<(f64, f64)> {

@@ -6,6 +6,7 @@
 use super::context::{ChainError, Context, RecordRef, Tone, save_records};
 use super::design_spec::{design_text, predicted};
 use super::excite_step::extra_record;
+use super::given;
 use super::models::{ModelData, ModelsResult, identify_all};
 use crate::design::result::{CriterionLine, Designed, SafetyLine};
 use crate::design::{self, Overrides};
@@ -87,7 +88,7 @@ pub fn design(
 ) -> Result<DesignResult, ChainError> {
     let spec = &ctx.spec.design;
     if let Some(file) = &spec.record {
-        let record = ctx.read_record(file, "design01")?;
+        let record = given::record(ctx, "design.record", file, "design01")?;
         return measured(ctx, folder, models, record, None, identification, validation);
     }
     if !spec.enabled {

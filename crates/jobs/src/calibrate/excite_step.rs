@@ -1,8 +1,8 @@
 //! Step 1: identification and validation records in closed loop.
 
 use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
-use super::loops;
 use super::signals::{aprbs, sweep};
+use super::{given, loops};
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::problem::DemandChannel;
 use dynocal_ident::data::Dataset;
@@ -106,10 +106,11 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
 /// Records that are there already.
 fn taken_over(ctx: &Context, folder: &Path, tuned: Option<Tuned>) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
-    let read = |files: &[std::path::PathBuf]| -> Result<Vec<Dataset>, ChainError> {
-        files.iter().map(|f| ctx.read_record(f, &super::context::stem(f))).collect()
+    let read = |key: &str, files: &[std::path::PathBuf]| -> Result<Vec<Dataset>, ChainError> {
+        files.iter().map(|f| given::record(ctx, key, f, &super::context::stem(f))).collect()
     };
-    let (identification, validation) = (read(&spec.identification_files)?, read(&spec.validation_files)?);
+    let identification = read("excite.identification_files", &spec.identification_files)?;
+    let validation = read("excite.validation_files", &spec.validation_files)?;
     Ok(ExciteResult {
         identification: save_records(folder, &identification)?,
         validation: save_records(folder, &validation)?,

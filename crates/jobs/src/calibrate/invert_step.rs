@@ -2,7 +2,7 @@
 //! for the problem.
 
 use super::context::{ChainError, Context};
-use super::optimise_step::END_EFFECT;
+use super::optimise_plan::END_EFFECT;
 use dynocal_calib::map::Rows;
 use dynocal_calib::map::structures::{self, FitTask, InverseScore, MapError, Pairs, StoredMap};
 use dynocal_ident::data::Dataset;

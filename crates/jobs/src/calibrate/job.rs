@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicUsize;
 
-use crate::calibrate::context::{ChainError, Context};
+use crate::calibrate::context::{ChainError, Context, PlantFactory};
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
 use dynocal_files::run_folder::{MEASURED, RunFolder};
@@ -54,12 +54,51 @@ pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campai
         Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
     })?;
     // Files in a spec are relative to its folder.
-    if let Some(a2l) = spec.export.as_mut().and_then(|e| e.a2l.as_mut()) {
-        *a2l = path.parent().unwrap_or(Path::new("")).join(&*a2l);
-    }
+    let folder = path.parent().unwrap_or(Path::new(""));
+    given_files(&mut spec).for_each(|f| *f = folder.join(&*f));
     let name = path.file_stem().map_or_else(|| "calibrate".into(), |s| s.to_string_lossy().into_owned());
     let out = out.map_or_else(|| Path::new("runs").join(&name), Path::to_path_buf);
     Ok(Campaign { name, spec, out })
+}
+
+/// All files that a spec names.
+fn given_files(spec: &mut CalibrateSpec) -> impl Iterator<Item = &mut PathBuf> {
+    let e = &mut spec.excite;
+    let a2l = spec.export.as_mut().and_then(|e| e.a2l.as_mut());
+    let maps = spec.optimise.start_maps.iter_mut().flat_map(|m| &mut m.files);
+    e.identification_files
+        .iter_mut()
+        .chain(&mut e.validation_files)
+        .chain(spec.identify.files.values_mut())
+        .chain(&mut spec.design.record)
+        .chain(&mut spec.plant.file)
+        .chain(maps)
+        .chain(a2l)
+}
+
+/// Opens the files that a campaign is given, without running anything.
+///
+/// # Errors
+/// [`ChainError`]: the first file that does not fit.
+pub fn check_given(campaign: &Campaign) -> Result<(), ChainError> {
+    super::given::check(&context(&campaign.spec, &campaign.out, None, Watch::silent()))
+}
+
+fn context<'a>(
+    spec: &'a CalibrateSpec,
+    out: &Path,
+    plants: Option<PlantFactory<'a>>,
+    watch: Watch<'a>,
+) -> Context<'a> {
+    Context {
+        spec,
+        channels: Channels::of(spec),
+        plants,
+        measured: out.join(MEASURED),
+        watch,
+        begun: AtomicUsize::new(0),
+        tuned: OnceLock::new(),
+    }
 }
 
 /// The last step that a campaign can do: the comparison of the maps steps a plant itself, which is not there on a real bed.
@@ -82,15 +121,7 @@ pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, C
             None => Err(PlantError::Call(format!("plant `{}` is run outside", spec.plant.name))),
         }
     };
-    let ctx = Context {
-        spec,
-        channels: Channels::of(spec),
-        plants: make.is_some().then_some(&factory),
-        measured: campaign.out.join(MEASURED),
-        watch,
-        begun: AtomicUsize::new(0),
-        tuned: OnceLock::new(),
-    };
+    let ctx = context(spec, &campaign.out, make.is_some().then_some(&factory), watch);
     // A search that is stopped inside says so in its own words; to the user it is one thing.
     let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
         ChainError::Files(_) | ChainError::NeedsMeasurement { .. } => e,
@@ -120,15 +151,7 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
     let files = store::files(path, &result)?;
     let summary = Summary::new(&name, &spec, &result, &verdict, &files);
     // Nothing is run: the report reads records and models of the folder.
-    let ctx = Context {
-        spec: &spec,
-        channels: Channels::of(&spec),
-        plants: None,
-        measured: path.join(MEASURED),
-        watch: Watch::silent(),
-        begun: AtomicUsize::new(0),
-        tuned: OnceLock::new(),
-    };
+    let ctx = context(&spec, path, None, Watch::silent());
     let report = page::write(path, &ctx, &summary, &result)?;
     let summary_path = path.join("summary.json");
     dynocal_files::json::write_versioned(&summary_path, "dynocal/summary", 1, &summary)?;

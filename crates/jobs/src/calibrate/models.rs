@@ -2,6 +2,7 @@
 //! result, so that `dynocal identify` can repeat each.
 
 use super::context::{ChainError, Context};
+use super::given;
 use super::model_spec::{Candidates, candidates, refit, spec_text};
 use crate::identify::error::IdentifyError;
 use crate::identify::finding::{Finding, Grade, Topic};
@@ -120,8 +121,8 @@ impl ModelData<'_> {
 pub fn identify_all(ctx: &Context, folder: &Path, data: &ModelData) -> Result<ModelsResult, ChainError> {
     each_output(ctx, |output| {
         if let Some(file) = ctx.spec.identify.files.get(output) {
-            let model: StoredModel = json::read_versioned(file, MODEL_SCHEMA, MODEL_VERSION)?;
-            return output_models(ctx, output, vec![stored(ctx, output, file, model, data)?]);
+            let model = given::model(ctx, output, file)?;
+            return output_models(ctx, output, vec![stored(ctx, file, model, data)?]);
         }
         let found = candidates(ctx, output, data.identification)?;
         run_candidates(ctx, folder, output, &found, data)
@@ -250,29 +251,7 @@ fn candidate(
 }
 
 /// A model that was identified elsewhere, scored on the records of this campaign.
-fn stored(
-    ctx: &Context,
-    output: &str,
-    file: &Path,
-    model: StoredModel,
-    data: &ModelData,
-) -> Result<Candidate, ChainError> {
-    let found = model.user_output().name;
-    if found != output {
-        return Err(ChainError::Spec {
-            key: format!("identify.files.{output}"),
-            found: format!("`{}`, a model of `{found}`", file.display()),
-            expected: format!("a model of `{output}`"),
-        });
-    }
-    let dt = ctx.spec.sample_time_s;
-    if (model.sample_time_s - dt).abs() > 1e-6 * dt {
-        return Err(ChainError::Spec {
-            key: format!("identify.files.{output}"),
-            found: format!("`{}`, sampled at {} s", file.display(), model.sample_time_s),
-            expected: format!("a model in the sample time of the campaign, {dt} s"),
-        });
-    }
+fn stored(ctx: &Context, file: &Path, model: StoredModel, data: &ModelData) -> Result<Candidate, ChainError> {
     let scores = scores(ctx, &model, data)?;
     Ok(Candidate {
         name: format!("from {}", file.display()),

@@ -20,17 +20,18 @@ const START_RATE: f64 = 0.8;
 /// Samples at the head of the start record in which everything is held: the models' histories are then at rest.
 const HELD_HEAD: usize = 12;
 
-/// A record of references that the plant can follow, with start inputs that roughly give them.
+/// A record of references that the plant can follow, with start inputs that roughly give them, for pass `k`; every `draw` is another.
 pub(super) fn start_record(
     ctx: &Context,
     k: usize,
+    draw: usize,
     models: &[&StoredModel],
     data: &[(Dataset, PathBuf)],
 ) -> Result<Dataset, ChainError> {
     let (spec, problem, channels) = (&ctx.spec.optimise, &ctx.spec.problem, &ctx.channels);
     let dt = ctx.spec.sample_time_s;
     let n = (spec.record_s / dt).round() as usize;
-    let mut rng = Rng64::stream(ctx.spec.seed, 300 + k as u64);
+    let mut rng = Rng64::stream(ctx.spec.seed, (300 + k + 1000 * draw) as u64);
     let mut demands = Vec::new();
     for (j, d) in problem.demands.iter().enumerate() {
         // The leading demand goes through nearly all of its range, the others stay about their middles.

@@ -2,9 +2,10 @@
 
 use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
 use super::models::{ModelData, ModelsResult, identify_again};
-use super::optimise_start::start_record;
+use super::optimise_plan::{END_EFFECT, Planned, VIOLATION, planned, range_of, within_reach};
+use dynocal_calib::limits::{LimitScore, limit_scores};
 use dynocal_calib::map::Port;
-use dynocal_calib::optimise::{DemandFrom, OptimiseOptions, Optimum, optimise_record};
+use dynocal_calib::optimise::Optimum;
 use dynocal_calib::problem::{CalibrationProblem, Metered, meter_name};
 use dynocal_calib::validate::objective;
 use dynocal_ident::data::{Channel, Dataset, UnitAfter};
@@ -39,6 +40,8 @@ pub struct Pass {
     pub status: Status,
     /// Iterations.
     pub iterations: usize,
+    /// Records of references that were drawn until the models found a way, or as many as are drawn at most.
+    pub draws: usize,
     /// Mean objective of the start, by the start inputs.
     pub start: f64,
     /// Mean objective of the optimum, by its inputs and the models.
@@ -55,6 +58,8 @@ pub struct Pass {
     pub meters: Vec<Metered>,
     /// By output.
     pub misses: Vec<Miss>,
+    /// Limits of the problem against the measured optimum, from the first decided sample on.
+    pub limits: Vec<LimitScore>,
     /// First decided sample.
     pub first: usize,
     /// Demands, one column each.
@@ -78,10 +83,6 @@ pub struct OptimiseResult {
     /// Bed time in s.
     pub bed_s: f64,
 }
-
-/// Largest violation of a demand at which an optimum counts as feasible, as a share of its range. It
-/// is small beside what models and sensors are off by.
-pub const VIOLATION: f64 = 1e-3;
 
 /// Runs all passes.
 ///
@@ -118,22 +119,11 @@ fn one_pass(
 ) -> Result<Pass, ChainError> {
     ctx.check_interrupt()?;
     let chosen = models.chosen();
-    let start = start_record(ctx, k, &chosen, data)?;
-    let options = OptimiseOptions {
-        demand: DemandFrom::Within,
-        max_iterations: ctx.spec.optimise.max_iterations,
-        tolerance: ctx.spec.optimise.tolerance,
-        smoothing: ctx.spec.optimise.smoothing,
-        // What an optimum does because nobody looks beyond its end it does out of sight.
-        extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
-        ..OptimiseOptions::default()
-    };
-    let optimum = optimise_record(&ctx.spec.problem, &chosen, &start, &options, &|| ctx.watch.interrupted())?;
-    ctx.check_interrupt()?;
+    let Planned { start, optimum, draws } = planned(ctx, k, &chosen, data)?;
     let start_inputs = columns(&start, &ctx.channels.inputs)?;
     let given = columns(&start, &ctx.channels.given)?;
     let values = |channels: &[Channel]| channels.iter().map(|c| c.values.clone()).collect::<Vec<_>>();
-    let (demands, optimal) = (values(&optimum.demands), values(&optimum.inputs));
+    let (demands, optimal) = (within_reach(ctx, &optimum), values(&optimum.inputs));
     let hold = |name: String, inputs: Vec<Vec<f64>>| {
         let plan = ctx.plan(&name, inputs, given.clone(), demands.clone(), Tone::Trim);
         ctx.measure_with(folder, &plan, true, &chosen)
@@ -154,6 +144,7 @@ fn one_pass(
         pass: k,
         status: optimum.status,
         iterations: optimum.iterations,
+        draws,
         start: optimum.start_objective,
         promised: optimum.objective,
         promised_ratio: optimum.objective / optimum.start_objective,
@@ -162,6 +153,7 @@ fn one_pass(
         measured_ratio: measured / measured_start,
         meters: ctx.spec.problem.meters(&optimum_run)?,
         misses: misses(ctx, &optimum, &optimum_run)?,
+        limits: limit_scores(&ctx.spec.problem, &optimum_run, first)?,
         first,
         demands: demands.clone(),
         records,
@@ -211,10 +203,7 @@ impl Pass {
     /// Decides whether the optimum may be used: the search ended well, demands are met on the models, something promised to
     /// save saved, and what was measured is near what was demanded.
     fn judge(&mut self, ctx: &Context) {
-        let range = |output: &str| {
-            let d = ctx.spec.problem.demands.iter().find(|d| d.output == output);
-            d.map_or(1.0, |d| d.upper - d.lower)
-        };
+        let range = |output: &str| range_of(ctx, output);
         let missed =
             self.misses.iter().find(|m| m.violation.is_nan() || m.violation > VIOLATION * range(&m.output));
         let lead = ctx.channels.demands.first();
@@ -239,6 +228,8 @@ impl Pass {
                 100.0 * (1.0 - self.promised_ratio),
                 100.0 * (self.measured_ratio - 1.0)
             )
+        } else if let Some(l) = self.limits.iter().find(|l| !l.soft && l.passed()) {
+            format!("measured, it passes {}", l.words())
         } else if let Some(m) = far {
             let (rms, mean) = (m.measured_rms.unwrap_or(f64::NAN), m.measured_mean.unwrap_or(f64::NAN));
             format!(
@@ -260,10 +251,6 @@ const FAR_LEAD: f64 = 0.08;
 const FAR: f64 = 0.3;
 /// Mean distance of a measured demand from which on a pass must not be used, as a share of its range.
 const OFFSET: f64 = 0.03;
-
-/// Samples at the end of a record that count for nothing: what is applied there acts after the end, so that the optimum
-/// leaves it out.
-pub const END_EFFECT: usize = 12;
 
 fn columns(record: &Dataset, names: &[String]) -> Result<Vec<Vec<f64>>, ChainError> {
     Ok(names.iter().map(|n| record.values(n).map(<[f64]>::to_vec)).collect::<Result<_, _>>()?)

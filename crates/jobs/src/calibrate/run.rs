@@ -73,8 +73,8 @@ pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainRe
         found: until.into(),
         expected: format!("one of {}", STEPS.join(", ")),
     })?;
-    // A fault of the maps to start from is told before anything is measured.
-    super::start_maps::start_maps(ctx)?;
+    // A fault of a file that is given is told before anything is measured.
+    super::given::check(ctx)?;
     for (k, step) in STEPS.iter().enumerate() {
         ctx.check_interrupt()?;
         // Later steps that are finished and still belong to these inputs stay part of the run.

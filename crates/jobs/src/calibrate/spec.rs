@@ -7,6 +7,7 @@ use dynocal_calib::steady::SearchSpec;
 use dynocal_calib::validate::ValidateSpec;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLimit;
+use dynocal_ident::play::RecordTolerance;
 use dynocal_numerics::registry::BuildError;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
@@ -29,6 +30,9 @@ pub struct CalibrateSpec {
     pub seed: u64,
     /// Control, hold and identification interval in s.
     pub sample_time_s: f64,
+    /// Longest time in s from a change of an input to the steepest change of an output that a record of a bed may show: analysers
+    /// with long lines and slow thermocouples need more.
+    pub longest_delay_s: f64,
     /// The plant.
     pub plant: PlantSpec,
     /// What may move, what must be met, what is minimised.
@@ -62,6 +66,7 @@ impl Default for CalibrateSpec {
             title: "Dynamic calibration".into(),
             seed: 1,
             sample_time_s: 0.03,
+            longest_delay_s: RecordTolerance::default().longest_delay_s,
             plant: PlantSpec::default(),
             problem: engine_problem(),
             loops: vec![
@@ -137,6 +142,9 @@ pub struct ExciteSpec {
     pub sweep_s: f64,
     /// Dwell at both ends of the sweep in s.
     pub dwell_s: f64,
+    /// Whether every plan keeps to the rates of the inputs, for actuators that must not be stepped. Else rates bind the optimum alone:
+    /// a record in which inputs step tells more.
+    pub keep_rates: bool,
     /// Time before each record in which the loops find the first operating point, in s.
     pub lead_in_s: f64,
     /// Records of an earlier campaign or of a bed (any measurement format, with the channels of the problem) instead of step 1: for
@@ -158,6 +166,7 @@ impl Default for ExciteSpec {
             hold_s: 3.0,
             sweep_s: 7.0,
             dwell_s: 1.0,
+            keep_rates: false,
             lead_in_s: 3.0,
             identification_files: Vec::new(),
             validation_files: Vec::new(),
@@ -268,6 +277,9 @@ pub struct OptimiseSpec {
     /// Weight on increments of inputs whose `increment_weight` is absent: increments as large as those of the start record add
     /// this share to the objective. 0: none.
     pub smoothing: f64,
+    /// How far a demand may give way where the search does not end with demands that are met exactly, see `give` of
+    /// `dynocal optimise`: far less than models and sensors know.
+    pub give: f64,
     /// Maps that an ECU has, along which inputs of the start records go.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_maps: Option<StartMaps>,
@@ -283,6 +295,7 @@ impl Default for OptimiseSpec {
             max_iterations: 300,
             tolerance: 1e-8,
             smoothing: 0.01,
+            give: 1e-9,
             start_maps: None,
         }
     }

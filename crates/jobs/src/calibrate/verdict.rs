@@ -9,6 +9,7 @@ use super::optimise_step::Pass;
 use super::run::ChainResult;
 use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
+use dynocal_calib::limits::LimitScore;
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
@@ -114,6 +115,9 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
                 p.iterations
             ));
         }
+        for l in p.limits.iter().filter(|l| l.soft && l.passed()) {
+            f.notes.push(format!("The measured optimum of pass {} passes {}.", p.pass, l.words()));
+        }
         let points = 100.0 * (p.measured_ratio - p.promised_ratio).abs();
         if points > PROMISE_POINTS {
             let what = objective_words(spec);
@@ -190,6 +194,24 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
             }
         }
         f.notes.extend(beaten(v, s));
+        for l in s.limits.iter().filter(|l| l.passed()) {
+            let text =
+                format!("In {} the dynamic map passes {}; {}.", s.scenario, l.words(), of_static(v, s, l));
+            if l.soft { f.notes.push(text) } else { f.fault(Status::Infeasible, text) }
+        }
+    }
+}
+
+/// What the static map does about a limit that the dynamic map passes, in words.
+fn of_static(v: &ValidateResult, own: &MapScore, limit: &LimitScore) -> String {
+    let rival = v.scores.iter().find(|s| s.scenario == own.scenario && s.map == "static map");
+    let same = rival.and_then(|s| s.limits.iter().find(|l| l.output == limit.output && l.of == limit.of));
+    match same {
+        Some(l) if l.excess > 0.0 => {
+            format!("the static map passes it by {}", with_unit(l.excess, 3, &l.unit))
+        }
+        Some(l) => format!("the static map keeps {} away from it", with_unit(-l.excess, 3, &l.unit)),
+        None => "there is no static map to compare".into(),
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
     }
     let dt = dt.unwrap_or(0.05);
     let mut out = format!(
-        "# Every key is explained in docs/calibrate.md, the way to work with a bed in docs/bed.md. Ranges are those of\n# {path}.\n\nseed = 1\nsample_time_s = {dt:?}\n\n[plant]\nname = \"bed\"                 # plans are written as files, records are read from RUN/measured\n\n[problem]\n"
+        "# Every key is explained in docs/calibrate.md, the way to work with a bed in docs/bed.md. Ranges are those of\n# {path}; those of demands and given channels leave out the outermost hundredth at either end.\n\nseed = 1\nsample_time_s = {dt:?}\n\n[plant]\nname = \"bed\"                 # plans are written as files, records are read from RUN/measured\n\n[problem]\n"
     );
     let (fuel, derive) = objective(&roles);
     let _ = write!(out, "minimise = [{{ channel = {}, weight = 1.0 }}]\n{derive}", quoted(&fuel));
@@ -40,13 +40,15 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
     }
     for (table, key, list) in [("given", "name", &roles.given), ("demands", "output", &roles.demands)] {
         for c in list {
+            // Peaks of a transient are no demands.
+            let [lower, upper] = c.usual;
             let _ = write!(
                 out,
                 "\n[[problem.{table}]]\n{key} = {}\nunit = {}\nlower = {}\nupper = {}\n",
                 quoted(&c.name),
                 quoted(&c.unit),
-                rounded(c.lower, false),
-                rounded(c.upper, true)
+                rounded(lower, false),
+                rounded(upper, true)
             );
         }
     }
@@ -91,7 +93,8 @@ fn pairs<'a>(r: &Roles<'a>) -> Vec<(&'a FoundChannel, &'a FoundChannel)> {
 
 /// A quarter, the middle and three quarters of a range.
 fn thirds(c: &FoundChannel) -> String {
-    let at = |share: f64| rounded(c.lower + share * (c.upper - c.lower), false);
+    let [lower, upper] = c.usual;
+    let at = |share: f64| rounded(lower + share * (upper - lower), false);
     format!("{}, {}, {}", at(0.25), at(0.5), at(0.75))
 }
 

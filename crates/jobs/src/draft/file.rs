@@ -25,6 +25,8 @@ pub struct FoundChannel {
     pub lower: f64,
     /// Greatest value.
     pub upper: f64,
+    /// Range without its outermost hundredth at either end: of an output short peaks are left out.
+    pub usual: [f64; 2],
     /// Mean of the values that are there.
     pub mean: f64,
     /// Empty cells.
@@ -188,6 +190,14 @@ fn clock(table: &Table, column: &str) -> Result<(FoundTime, f64), DraftError> {
     Ok((FoundTime { column: column.into(), assumed_unit, uniform, pause_s }, short(dt)))
 }
 
+/// First and last hundredth of values; all of them where these are one.
+fn usual(values: &[f64]) -> [f64; 2] {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
+    if at(0.01) < at(0.99) { [at(0.01), at(0.99)] } else { [at(0.0), at(1.0)] }
+}
+
 /// A channel of numbers that moves, or why it is none.
 fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
     let values = match &c.cells {
@@ -217,6 +227,7 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
         unit: unit.unwrap_or_else(|| "-".into()),
         lower,
         upper,
+        usual: usual(&there),
         mean: there.iter().sum::<f64>() / there.len() as f64,
         gaps: values.len() - there.len(),
         role: Role::Input,

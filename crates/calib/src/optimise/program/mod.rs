@@ -9,6 +9,8 @@
 //!             lower_c <= x_c(t) <= upper_c
 //! ```
 //!
+//! Where a demand may give way (`ModelRow::give`), what it gives is a variable of each sample and its square has a price.
+//!
 //! x are the columns: inputs that may move, and outputs that are not demanded. Because a demand is met exactly, the past
 //! outputs that its model reads are the demand itself: the recursion drops out, and each sample adds one equation in a
 //! short window of inputs. An output with limits keeps its recursion: it is a variable of each sample, tied to those
@@ -115,6 +117,8 @@ pub struct Program<'a> {
     objective_places: Vec<Vec<usize>>,
     sum_places: Vec<Vec<usize>>,
     from: usize,
+    /// Columns that the caller gave.
+    width: usize,
     /// Where derivatives were taken: one pass gives first and second, and the interior point asks for both.
     derived_at: Vec<f64>,
 }
@@ -122,8 +126,9 @@ pub struct Program<'a> {
 impl<'a> Program<'a> {
     /// Lays the structure out.
     pub fn new(parts: Parts<'a>) -> Self {
-        let columns = Columns::new(parts.columns, parts.values);
-        let rows = parts.rows.into_iter().map(|r| Rows::new(r, &columns)).collect();
+        let width = parts.columns.len();
+        let (columns, gives, objective) = give_way(&parts);
+        let rows = parts.rows.into_iter().zip(gives).map(|(r, give)| Rows::new(r, give, &columns)).collect();
         let limited = (0..columns.width()).filter(|c| columns.columns[*c].rate.is_finite());
         let rates = limited.flat_map(|c| columns.increments(c).map(move |i| (c, i))).collect();
         let mut soft_at = Vec::new();
@@ -137,7 +142,7 @@ impl<'a> Program<'a> {
         let mut program = Self {
             columns,
             rows,
-            objective: parts.objective,
+            objective,
             sums: parts.sums,
             soft: parts.soft,
             divisor: parts.divisor,
@@ -148,10 +153,17 @@ impl<'a> Program<'a> {
             objective_places: Vec::new(),
             sum_places: Vec::new(),
             from,
+            width,
             derived_at: Vec::new(),
         };
         program.lay_out_hessian();
         program
+    }
+
+    /// Values at the last point, samples x columns, without what demands gave way.
+    pub fn values(&self) -> Vec<f64> {
+        let width = self.columns.width();
+        self.columns.all().chunks_exact(width.max(1)).flat_map(|row| &row[..self.width]).copied().collect()
     }
 
     /// Number of equations of the models.
@@ -231,6 +243,34 @@ impl<'a> Program<'a> {
     fn step(&self, i: &Increment, c: usize) -> f64 {
         self.columns.value(i.t, c) - self.columns.value(i.t - 1, c)
     }
+}
+
+/// The columns with one more for each demand that may give way, those columns by row, and the objective with their prices.
+fn give_way(parts: &Parts<'_>) -> (Columns, Vec<Option<usize>>, Vec<Sum>) {
+    let (mut columns, mut objective) = (parts.columns.clone(), parts.objective.clone());
+    let width = columns.len();
+    let samples = parts.values.len() / width.max(1);
+    let give = |row: &ModelRow<'_>| {
+        if row.give.is_empty() {
+            return None;
+        }
+        let c = columns.len();
+        columns.push(Column {
+            decided: row.from..samples,
+            held: false,
+            bounds: (f64::NEG_INFINITY, f64::INFINITY),
+            rate: f64::INFINITY,
+            increment_weight: 0.0,
+        });
+        let product = Product { gain: row.give.clone(), powers: vec![(c, 2)] };
+        objective.push(Sum { product, from: row.from, to: samples });
+        Some(c)
+    };
+    let gives = parts.rows.iter().map(give).collect();
+    let more = vec![0.0; columns.len() - width];
+    let values =
+        parts.values.chunks_exact(width.max(1)).flat_map(|row| row.iter().chain(&more).copied()).collect();
+    (Columns::new(columns, values), gives, objective)
 }
 
 /// Pairs of columns of a product whose second derivative is not zero.
@@ -348,7 +388,7 @@ impl SparseNlp for Program<'_> {
         let mut e = 0;
         for row in &mut self.rows {
             let n = row.samples.len();
-            row.residuals(&mut c[e..e + n]);
+            row.residuals(&self.columns, &mut c[e..e + n]);
             e += n;
         }
         let s = self.slacks();

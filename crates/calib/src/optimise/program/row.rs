@@ -1,11 +1,11 @@
 //! The equations of one modelled output, one per sample.
 //!
 //! ```text
-//! demanded          f(r(t-k), .. ; d(t-j), ..) - d(t) = 0          past outputs are the demand: no recursion
+//! demanded          f(r(t-k), .. ; d(t-j), ..) - d(t) + s(t) = 0   past outputs are the demand: no recursion
 //! free, limited     f(r(t-k), .. ; g(y(t-j)), ..) - g(y(t)) = 0    outputs y are variables
 //! ```
 //!
-//! r readings of the model's inputs, g the way from the user's output to the model's. An *atom* is one column at one lag
+//! r readings of the model's inputs, s what a demand gives way (0 where it must be met exactly), g the way from the user's output to the model's. An *atom* is one column at one lag
 //! that an equation reads through one entry of the model's window.
 
 use super::columns::{Columns, FIXED};
@@ -28,6 +28,8 @@ pub struct ModelRow<'a> {
     pub output: Vec<f64>,
     /// First sample with an equation.
     pub from: usize,
+    /// Price (N) of the square of what the demand gives way, in the model's output; empty where it is met exactly.
+    pub give: Vec<f64>,
 }
 
 /// What the output of a model is to the program.
@@ -57,6 +59,8 @@ pub(super) struct Rows<'a> {
     pub(super) row: ModelRow<'a>,
     /// Samples that have an equation.
     pub(super) samples: Vec<usize>,
+    /// Column of what the demand gives way.
+    give: Option<usize>,
     atoms: Vec<Atom>,
     /// Pairs of atoms (a, b), b <= a, whose second derivative can be non-zero.
     pairs: Vec<(usize, usize)>,
@@ -78,7 +82,8 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    pub(super) fn new(row: ModelRow<'a>, columns: &Columns) -> Self {
+    /// `give` is the column of what the demand gives way, where it may.
+    pub(super) fn new(row: ModelRow<'a>, give: Option<usize>, columns: &Columns) -> Self {
         let (m, n) = (row.model.n_inputs(), columns.samples);
         let recursive = matches!(row.target, Target::Column(_));
         let past = if recursive { row.model.output_lag() } else { 0 };
@@ -114,6 +119,7 @@ impl<'a> Rows<'a> {
             hess: vec![0.0; width * width],
             slopes: vec![0.0; atoms.len()],
             samples,
+            give,
             atoms,
             pairs: Vec::new(),
             places: Vec::new(),
@@ -144,7 +150,8 @@ impl<'a> Rows<'a> {
     ) -> impl Iterator<Item = usize> + 'b {
         let of_atoms = self.atoms.iter().map(move |a| columns.variable(t - a.lag, a.column));
         let own = self.target().map(|r| columns.variable(t, r.columns()[0]));
-        of_atoms.chain(own).filter(|v| *v != FIXED)
+        let give = self.give.map(|c| columns.variable(t, c));
+        of_atoms.chain(own).chain(give).filter(|v| *v != FIXED)
     }
 
     /// Asks for the places of all second derivatives; gives the numbers of the wishes.
@@ -197,11 +204,11 @@ impl<'a> Rows<'a> {
     }
 
     /// Left sides of the equations.
-    pub(super) fn residuals(&mut self, out: &mut [f64]) {
+    pub(super) fn residuals(&mut self, columns: &Columns, out: &mut [f64]) {
         let run = Run { u: &self.u, y: &self.y, start: self.row.from };
         self.row.model.predict(self.row.theta, &run, &mut self.predicted);
         for (r, &t) in out.iter_mut().zip(&self.samples) {
-            *r = self.predicted[t] - self.y[t];
+            *r = self.predicted[t] - self.y[t] + self.give.map_or(0.0, |c| columns.value(t, c));
         }
     }
 
@@ -245,6 +252,9 @@ impl<'a> Rows<'a> {
             if !r.is_straight(0, 0) {
                 self.target_seconds.push(-r.second(t, row, 0, 0));
             }
+        }
+        if self.give.is_some_and(|c| columns.variable(t, c) != FIXED) {
+            self.gradients.push(1.0);
         }
     }
 

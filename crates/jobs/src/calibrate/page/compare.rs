@@ -32,6 +32,9 @@ pub(super) fn section(
         for k in 0..ctx.channels.demands.len() {
             section = section.block(table(&scores, k));
         }
+        if !ctx.spec.problem.limits.is_empty() {
+            section = section.block(limits(&scores));
+        }
         section = section.columns(bars(ctx, &scores));
         let mut runs = Vec::new();
         for s in &scores {
@@ -72,6 +75,37 @@ fn costs(scores: &[&MapScore]) -> Table {
             Cell::from(s.economy_equal),
         ];
         table = if s.map == DYNAMIC { table.stressed_row(row) } else { table.row(row) };
+    }
+    table
+}
+
+/// What each map leaves of the limits, or passes them by.
+fn limits(scores: &[&MapScore]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("Map"),
+        Column::text("Limit"),
+        Column::number("Value", "").digits(4),
+        Column::number("Beyond it", "").digits(3),
+        Column::number("Samples beyond", "%").digits(3),
+    ])
+    .caption("Limits of the problem, measured: a negative number beyond is what was left. Up to a fiftieth of a limit counts as scatter");
+    for s in scores {
+        for l in &s.limits {
+            let name = format!(
+                "{} {}, {}",
+                l.output,
+                l.of.replace('_', " "),
+                if l.unit == "-" { "no unit" } else { &l.unit }
+            );
+            let row = vec![
+                Cell::from(s.map.as_str()),
+                Cell::from(name.as_str()),
+                l.limit.into(),
+                l.excess.into(),
+                (100.0 * l.share).into(),
+            ];
+            table = if s.map == DYNAMIC { table.stressed_row(row) } else { table.row(row) };
+        }
     }
     table
 }
