@@ -13,13 +13,11 @@ use dynocal_files::spec::load;
 use dynocal_ident::plant::{Plant, PlantError};
 
 use super::channels::Channels;
+pub use super::store::KIND;
 use super::summary::Summary;
 use super::{check, page, store, verdict};
 use dynocal_files::spec::LoadError;
 use dynocal_plant::plants;
-
-/// Kind of the run folder: all steps work in the folder of the whole calibration.
-pub const KIND: &str = "calibrate";
 
 /// A checked spec and where its run goes.
 pub struct Campaign {

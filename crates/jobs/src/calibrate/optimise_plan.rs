@@ -27,7 +27,7 @@ pub(super) struct Planned {
     pub(super) draws: usize,
 }
 
-/// The optimum over a record of references; where the models find none, over another one. The references only have to lead through
+/// The optimum over a record of references; where the models find none, over another one, and last with demands that give way. The references only have to lead through
 /// the operating range: one that the models do not reach is no loss.
 pub(super) fn planned(
     ctx: &Context,
@@ -36,41 +36,45 @@ pub(super) fn planned(
     data: &[(Dataset, PathBuf)],
 ) -> Result<Planned, ChainError> {
     let spec = &ctx.spec.optimise;
-    let options = OptimiseOptions {
+    let exact = OptimiseOptions {
         demand: DemandFrom::Within,
         max_iterations: spec.max_iterations,
         tolerance: spec.tolerance,
         smoothing: spec.smoothing,
-        give: spec.give,
         // What an optimum does because nobody looks beyond its end it does out of sight.
         extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
         ..OptimiseOptions::default()
     };
-    let mut found: Option<Planned> = None;
-    for draw in 0..DRAWS {
+    let giving = OptimiseOptions { give: spec.give, ..exact };
+    // A record on which an exact search does not end leads to the edge of what the models know: others go first.
+    let tries = (0..DRAWS).map(|draw| (draw, exact)).chain((0..DRAWS).map(|draw| (draw, giving)));
+    let (mut found, mut fault): (Option<Planned>, _) = (None, None);
+    for (draw, options) in tries.take(if spec.give > 0.0 { 2 * DRAWS } else { DRAWS }) {
         let start = start_record(ctx, k, draw, models, data)?;
         let result =
             optimise_record(&ctx.spec.problem, models, &start, &options, &|| ctx.watch.interrupted());
         ctx.check_interrupt()?;
-        match result {
-            Ok(optimum) => {
-                let met = optimum.status.is_success() && missed(ctx, &optimum).is_none();
-                let draws = draw + 1;
-                if met {
-                    return Ok(Planned { start, optimum, draws });
-                }
-                let less = |p: &Planned| worst(ctx, &optimum) < worst(ctx, &p.optimum);
-                if found.as_ref().is_none_or(less) {
-                    found = Some(Planned { start, optimum, draws });
-                }
+        let optimum = match result {
+            Ok(optimum) => optimum,
+            Err(e) => {
+                fault = Some(e);
+                continue;
             }
-            // What the last draw says is told where no draw is better.
-            Err(e) if draw + 1 == DRAWS && found.is_none() => return Err(e.into()),
-            Err(_) => {}
+        };
+        let draws = draw + 1;
+        if optimum.status.is_success() && missed(ctx, &optimum).is_none() {
+            return Ok(Planned { start, optimum, draws });
+        }
+        let less = |p: &Planned| worst(ctx, &optimum) < worst(ctx, &p.optimum);
+        if found.as_ref().is_none_or(less) {
+            found = Some(Planned { start, optimum, draws });
         }
     }
-    let found = found.ok_or_else(|| ChainError::Design("no record of references was drawn".into()))?;
-    Ok(Planned { draws: DRAWS, ..found })
+    match (found, fault) {
+        (Some(found), _) => Ok(Planned { draws: DRAWS, ..found }),
+        (None, Some(e)) => Err(e.into()),
+        (None, None) => Err(ChainError::Design("no record of references was drawn".into())),
+    }
 }
 
 /// The first output that misses its demand, or a limit, on the models.

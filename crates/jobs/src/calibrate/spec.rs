@@ -12,7 +12,6 @@ use dynocal_numerics::registry::BuildError;
 pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
-use super::start_maps::StartMaps;
 use crate::export_spec::ExportKeys;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -299,6 +298,19 @@ impl Default for OptimiseSpec {
             start_maps: None,
         }
     }
+}
+
+/// Which maps of which files begin.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StartMaps {
+    /// Files in a form that is read back (DCM, CDFX, CSV maps, JSON).
+    pub files: Vec<PathBuf>,
+    /// Characteristic (scalar, curve or map) of each input that begins by one.
+    pub maps: BTreeMap<String, String>,
+    /// Demanded output or given channel of an axis, by the axis' name or the quantity that enters it; an axis that is called as the
+    /// channel needs none.
+    pub axes: BTreeMap<String, String>,
 }
 
 /// The inverse map.

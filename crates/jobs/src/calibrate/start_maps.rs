@@ -9,20 +9,6 @@ use dynocal_export::evaluate::lookup;
 use dynocal_export::format;
 use dynocal_export::package::Extrapolation;
 use dynocal_files::units;
-use serde::{Deserialize, Serialize};
-
-/// Which maps of which files begin.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct StartMaps {
-    /// Files in a form that is read back (DCM, CDFX, CSV maps, JSON).
-    pub files: Vec<PathBuf>,
-    /// Characteristic (scalar, curve or map) of each input that begins by one.
-    pub maps: BTreeMap<String, String>,
-    /// Demanded output or given channel of an axis, by the axis' name or the quantity that enters it; an axis that is called as the
-    /// channel needs none.
-    pub axes: BTreeMap<String, String>,
-}
 
 /// A map in the units of the problem.
 #[derive(Clone, Debug)]

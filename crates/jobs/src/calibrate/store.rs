@@ -10,7 +10,8 @@ use dynocal_files::run_folder::Done;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::job::KIND;
+/// Kind of the run folder: all steps work in the folder of the whole calibration.
+pub const KIND: &str = "calibrate";
 
 /// A file of a run and what it is.
 #[derive(Clone, Debug, Serialize)]

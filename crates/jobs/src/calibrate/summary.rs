@@ -132,7 +132,7 @@ impl<'a> Summary<'a> {
         let models =
             models.into_iter().flat_map(|(step, m)| m.outputs.iter().map(move |o| lines(step.clone(), o)));
         Self {
-            verb: super::job::KIND,
+            verb: super::store::KIND,
             name,
             status: verdict.status,
             valid: verdict.valid,

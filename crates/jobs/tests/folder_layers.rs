@@ -1,0 +1,60 @@
+//! The files of the jobs `identify` and `calibrate` point down only: there is an order to read them in.
+
+#[path = "../../../tests/common/layers.rs"]
+mod layers;
+
+use std::path::Path;
+
+/// Lowest first.
+const IDENTIFY: &[&str] = &[
+    "error", "finding", "spec", "before", "gaps", "fit", "load", "set", "bounds", "poles", "curves", "after",
+    "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job", "page",
+];
+
+#[test]
+fn no_file_of_identify_uses_one_above_it() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/identify");
+    let faults = layers::faults_below(&src, "crate::identify::", IDENTIFY);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    assert!(layers::arrows_below(&src, "crate::identify::").contains_key(&("job".into(), "fit".into())));
+    assert!(layers::arrows(&src).len() <= layers::arrows_below(&src, "crate::identify::").len());
+    assert!(layers::faults(&src, IDENTIFY).is_empty());
+}
+
+/// Lowest first.
+const CALIBRATE: &[&str] = &[
+    "signals",
+    "spec",
+    "channels",
+    "check",
+    "context",
+    "loops",
+    "model_spec",
+    "start_maps",
+    "given",
+    "optimise_start",
+    "excite_step",
+    "models",
+    "optimise_plan",
+    "design_spec",
+    "invert_step",
+    "optimise_step",
+    "design_step",
+    "validate_step",
+    "run",
+    "store",
+    "verdict",
+    "summary",
+    "page",
+    "job",
+    "estimate",
+];
+
+#[test]
+fn no_file_of_calibrate_uses_one_above_it() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/calibrate");
+    let faults = layers::faults_below(&src, "crate::calibrate::", CALIBRATE);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    let arrows = layers::arrows_below(&src, "crate::calibrate::");
+    assert!(arrows.contains_key(&("optimise_step".into(), "optimise_plan".into())));
+}
