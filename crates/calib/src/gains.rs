@@ -16,7 +16,7 @@
 //! 654-660, for the detuning of loops that act on each other. The demands of a point may be far from the inputs with which it
 //! begins: the inputs are led there with open loops by the steady gains of a point before, or by what one movement of each input
 //! shows at the first, from where the same demands were held or else from where the plan begins. Where one test does not tell
-//! the effects well enough there are more, six at most. Several points share one set of gains: the smallest of their own,
+//! the effects well enough there are more, four at most. Several points share one set of gains: the smallest of their own,
 //! detuned until the models of all points keep the margins. The gains are then played at all points: where a loop still
 //! oscillates ([`dynocal_ident::play::oscillation`]), F grows and they are played again.
 
@@ -43,7 +43,7 @@ use point::{Bench, Point, Trial};
 pub struct TuneSpec {
     /// Size of the test movements, as a share of the value of the input, which counts as a tenth of its range at least.
     pub share: f64,
-    /// Length of a test in s; there are up to six where noise hides the effects.
+    /// Length of a test in s; there are up to four where noise hides the effects.
     pub test_s: f64,
     /// Shortest time between two movements of one input in s.
     pub hold_s: f64,
@@ -64,7 +64,7 @@ impl Default for TuneSpec {
     fn default() -> Self {
         Self {
             share: 0.05,
-            test_s: 10.0,
+            test_s: 15.0,
             hold_s: 0.2,
             memory_s: 0.6,
             trial_s: 8.0,
@@ -198,10 +198,12 @@ pub fn tune(
     }
 }
 
-/// The test about the first row of `plan`, number `number` of the plans, for a plant that is driven elsewhere: loops open.
+/// The test about the first row of `plan`, number `number` of the plans, for a plant that is driven elsewhere: loops open, and twice
+/// [`TuneSpec::test_s`] long, because nobody is there to ask for a second one.
 pub fn test_plan(plan: &Plan, spec: &TuneSpec, seed: u64, number: usize) -> Plan {
     let start = point::start(plan);
-    let test = point::test(plan, &start, spec, seed, 1000 * number);
+    let long = TuneSpec { test_s: 2.0 * spec.test_s, ..spec.clone() };
+    let test = point::test(plan, &start, &long, seed, 1000 * number);
     Plan { name: format!("{}_test", plan.name), ..test }
 }
 

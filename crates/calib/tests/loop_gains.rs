@@ -108,7 +108,7 @@ fn records_of_tests_give_gains_too() {
         .enumerate()
         .map(|(k, p)| {
             let test = test_plan(p, &spec, 1, k);
-            assert!(test.loops.is_empty() && test.len() == 667, "{}", test.len());
+            assert!(test.loops.is_empty() && test.len() == 1000, "{}", test.len());
             play(&mut bed("pfi_1_6l"), &test, &mut Unwatched).unwrap().record
         })
         .collect();

@@ -32,6 +32,7 @@ const CALIBRATE: &[&str] = &[
     "model_spec",
     "start_maps",
     "given",
+    "excited",
     "optimise_start",
     "excite_step",
     "models",

@@ -32,7 +32,7 @@ const FAR: f64 = 3.0;
 /// Movement of an input that shows what it does, as a share of it.
 const TOUCH: f64 = 0.1;
 /// Most tests about one point, and the standard error of the steady effects, as a share of them, at which one is enough.
-const TESTS: usize = 6;
+const TESTS: usize = 4;
 const KNOWN: f64 = 0.03;
 
 /// A plant on which gains are tried, and what that took.

@@ -2,7 +2,8 @@
 //!
 //! A start record gives the given channels, the inputs to begin with and the first samples of the outputs. The demand of
 //! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction (or, where
-//! [`DemandFrom::Record`] asks for it, the output of the record); it is solved as one sparse program over all samples
+//! [`DemandFrom::Record`] asks for it, the output of the record). Channels `<input>_lower` and `<input>_upper` of the record bound an
+//! input sample by sample, inside its bounds of the problem. It is solved as one sparse program over all samples
 //! ([`program`] has the equations).
 //!
 //! ```
@@ -34,6 +35,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod checks;
 mod error;
 mod horizon;
 pub mod model;
@@ -55,6 +57,7 @@ pub use options::{DemandFrom, EndCondition, History, OptimiseOptions};
 pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use segments::{Seam, Segments};
+pub use setup::bound_channels;
 pub use shortfall::Shortfall;
 pub use stored::{StoredOutput, optimise_record};
 pub use way::{Batch, WAYS, Way};
@@ -188,7 +191,7 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt:
     if starts > 1 {
         found.parts = parts;
     }
-    if failed(found.status) {
+    if failed(found.status) && options.explain {
         found.shortfalls = shortfall::shortfalls(setup, options, found.status, 0.0, interrupt);
     }
     found

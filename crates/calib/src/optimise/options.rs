@@ -68,6 +68,9 @@ pub struct OptimiseOptions {
     /// sample where hardly any input acts, meeting a demand costs more than anything else, and multipliers grow without bound.
     /// 0: never.
     pub give: f64,
+    /// Whether a search that failed is followed by one for where and by how much the problem cannot be met
+    /// ([`Optimum::shortfalls`](super::Optimum::shortfalls)).
+    pub explain: bool,
 }
 
 impl Default for OptimiseOptions {
@@ -82,6 +85,7 @@ impl Default for OptimiseOptions {
             way: Way::default(),
             smoothing: 0.0,
             give: 0.0,
+            explain: true,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! From problem, models and start record to a program: names become columns, demands are formed, readings resolved.
 
+use super::checks::{check_start, in_order};
 use super::error::OptimiseError;
 use super::model::OutputModel;
 use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
@@ -12,8 +13,18 @@ use dynocal_ident::model::Run;
 use dynocal_numerics::status::Status;
 use std::ops::Range;
 
-/// Slack of the check that a start is inside of its bounds, relative to their width.
-const INSIDE: f64 = 1e-9;
+/// Ends of the names of channels with bounds of each sample.
+const SIDES: [&str; 2] = ["lower", "upper"];
+
+/// Channel of a record with a bound of each sample of an input.
+fn local_bound(input: &str, side: &str) -> String {
+    format!("{input}_{side}")
+}
+
+/// Channels of a record that bound an input sample by sample: from below, from above.
+pub fn bound_channels(input: &str) -> [String; 2] {
+    SIDES.map(|side| local_bound(input, side))
+}
 
 /// Least increment from sample to sample by which smoothing is measured, as a share of an input's range.
 const LEAST_MOVE: f64 = 1e-3;
@@ -109,6 +120,11 @@ impl<'a> Setup<'a> {
         }
         for name in problem.input_names() {
             setup.put_column(&name, start.values(&name)?);
+            for bound in SIDES.map(|side| local_bound(&name, side)) {
+                if let Ok(values) = start.values(&bound) {
+                    setup.given.push((bound, values.to_vec()));
+                }
+            }
         }
         setup.respond(start)?;
         setup.increment_weights = setup.smoothing();
@@ -408,6 +424,7 @@ impl<'a> Setup<'a> {
                 decided: self.from..end.max(self.from),
                 held,
                 bounds: (input.lower, input.upper),
+                local: self.local_bounds(c),
                 rate: input.rate_per_s.map_or(f64::INFINITY, |r| r * self.sample_time_s),
                 increment_weight: self.increment_weights[c],
             });
@@ -419,6 +436,7 @@ impl<'a> Setup<'a> {
             columns.push(Column {
                 decided: self.first_equation()..self.samples,
                 held: false,
+                local: Vec::new(),
                 bounds: (
                     hard.and_then(|l| l.lower).unwrap_or(f64::NEG_INFINITY),
                     hard.and_then(|l| l.upper).unwrap_or(f64::INFINITY),
@@ -428,6 +446,22 @@ impl<'a> Setup<'a> {
             });
         }
         columns
+    }
+
+    /// Bounds of each sample of input `c` where the record has some, inside those of the problem and about its start; else none.
+    fn local_bounds(&self, c: usize) -> Vec<(f64, f64)> {
+        let input = &self.problem.inputs[c];
+        let [lower, upper] = SIDES.map(|side| self.given(&local_bound(&input.name, side)));
+        if lower.or(upper).is_none() {
+            return Vec::new();
+        }
+        let at = |bound: Option<&[f64]>, t: usize, other: f64| bound.map_or(other, |v| v[t]);
+        let of = |t: usize| {
+            let start = self.start[t * self.columns.len() + c];
+            let lower = at(lower, t, input.lower).max(input.lower).min(start);
+            (lower, at(upper, t, input.upper).min(input.upper).max(start))
+        };
+        (0..self.samples).map(of).collect()
     }
 
     /// Mean of `weight * monomial`: over the decided samples, and one later where outputs alone stand in it, so that the
@@ -470,71 +504,4 @@ impl<'a> Setup<'a> {
 fn lags<'b>(row: &'b ModelRow, c: usize) -> impl Iterator<Item = usize> + 'b {
     let reads = move |i: usize| row.readings[i].columns().contains(&c);
     row.model.window().iter().filter(move |(i, _)| reads(*i)).map(|(_, lag)| *lag)
-}
-
-/// Checks which outputs the models compute and what they read; sorts them so that each reads outputs of earlier ones only.
-fn in_order<'a>(
-    problem: &CalibrationProblem,
-    models: &[OutputModel<'a>],
-) -> Result<Vec<OutputModel<'a>>, OptimiseError> {
-    let outputs: Vec<String> = problem.demand_names().into_iter().chain(problem.other_outputs()).collect();
-    let names: Vec<String> = models.iter().map(|m| m.output.clone()).collect();
-    let known = || outputs.join(", ");
-    for (k, name) in names.iter().enumerate() {
-        let found = match (outputs.contains(name), names[..k].contains(name)) {
-            (false, _) => "of an output that the problem does not name",
-            (_, true) => "the second one of that output",
-            _ => continue,
-        };
-        return Err(OptimiseError::Model { output: name.clone(), found, known: known() });
-    }
-    for (k, output) in outputs.iter().enumerate() {
-        if !names.contains(output) {
-            let role = if k < problem.demands.len() { "demands" } else { "limits or frees" };
-            return Err(OptimiseError::NoModel { output: output.clone(), role, known: names.join(", ") });
-        }
-    }
-    let there: Vec<String> =
-        problem.input_names().into_iter().chain(problem.given_names()).chain(names.clone()).collect();
-    for m in models {
-        if let Some(found) = m.channels().find(|c| !there.iter().any(|n| n == c)) {
-            let (output, found) = (m.output.clone(), found.to_string());
-            return Err(OptimiseError::Input { output, found, known: there.join(", ") });
-        }
-    }
-    for input in problem.input_names() {
-        if !models.iter().any(|m| m.channels().any(|c| c == input)) {
-            return Err(OptimiseError::Unread { input });
-        }
-    }
-    let (mut sorted, mut left) = (Vec::new(), models.to_vec());
-    while !left.is_empty() {
-        let waits = |m: &OutputModel| m.channels().any(|c| left.iter().any(|l| l.output == c));
-        let Some(next) = left.iter().position(|m| !waits(m)) else {
-            let outputs: Vec<String> = left.iter().map(|m| m.output.clone()).collect();
-            return Err(OptimiseError::Ring { outputs: outputs.join(", ") });
-        };
-        sorted.push(left.remove(next));
-    }
-    Ok(sorted)
-}
-
-fn check_start(problem: &CalibrationProblem, start: &Dataset) -> Result<(), OptimiseError> {
-    for input in &problem.inputs {
-        let channel = start.channel(&input.name)?;
-        let slack = INSIDE * (input.upper - input.lower);
-        let outside = |v: &f64| !(input.lower - slack..=input.upper + slack).contains(v);
-        if let Some(sample) = channel.values.iter().position(outside) {
-            return Err(OptimiseError::Start {
-                record: start.name.clone(),
-                channel: input.name.clone(),
-                found: channel.values[sample],
-                unit: channel.unit.clone(),
-                sample,
-                lower: input.lower,
-                upper: input.upper,
-            });
-        }
-    }
-    Ok(())
 }

@@ -12,6 +12,7 @@ mod design_spec;
 pub mod design_step;
 pub mod estimate;
 pub mod excite_step;
+mod excited;
 mod given;
 pub mod invert_step;
 pub mod job;

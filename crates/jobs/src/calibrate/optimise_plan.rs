@@ -17,7 +17,7 @@ pub const VIOLATION: f64 = 1e-3;
 pub const END_EFFECT: usize = 12;
 
 /// Records of references that are drawn for one pass at most.
-const DRAWS: usize = 3;
+const DRAWS: usize = 2;
 
 /// A record with its optimum.
 pub(super) struct Planned {
@@ -41,15 +41,17 @@ pub(super) fn planned(
         max_iterations: spec.max_iterations,
         tolerance: spec.tolerance,
         smoothing: spec.smoothing,
+        // What is missing where no way is found is not asked: another record is tried.
+        explain: false,
         // What an optimum does because nobody looks beyond its end it does out of sight.
         extend_s: END_EFFECT as f64 * ctx.spec.sample_time_s,
         ..OptimiseOptions::default()
     };
-    let giving = OptimiseOptions { give: spec.give, ..exact };
-    // A record on which an exact search does not end leads to the edge of what the models know: others go first.
-    let tries = (0..DRAWS).map(|draw| (draw, exact)).chain((0..DRAWS).map(|draw| (draw, giving)));
+    // A record on which an exact search does not end leads to the edge of what the models know: another one goes first.
+    let exactly = (0..DRAWS).map(|draw| (draw, exact));
+    let tries = exactly.chain((spec.give > 0.0).then_some((0, OptimiseOptions { give: spec.give, ..exact })));
     let (mut found, mut fault): (Option<Planned>, _) = (None, None);
-    for (draw, options) in tries.take(if spec.give > 0.0 { 2 * DRAWS } else { DRAWS }) {
+    for (draw, options) in tries {
         let start = start_record(ctx, k, draw, models, data)?;
         let result =
             optimise_record(&ctx.spec.problem, models, &start, &options, &|| ctx.watch.interrupted());

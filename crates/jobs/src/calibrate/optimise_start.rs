@@ -1,6 +1,7 @@
 //! The record with which an optimisation begins: demands that the plant can follow, and inputs that roughly give them.
 
 use super::context::{ChainError, Context};
+use super::excited::bounded;
 use super::signals::{aprbs, sweep};
 use super::start_maps::start_maps;
 use dynocal_calib::map::filter::filtered;
@@ -76,7 +77,9 @@ pub(super) fn start_record(
         }
     }
     // Where a model runs away the optimisation says which.
-    Ok(best.map_or_else(|| begin.driven(&rule, &begin.demands), |b| b.1))
+    let mut record = best.map_or_else(|| begin.driven(&rule, &begin.demands), |b| b.1);
+    bounded(ctx, &mut record, &begin.demands, data)?;
+    Ok(record)
 }
 
 /// Times that the start is corrected by what the models say of it, and the share of the miss that each takes back.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dynocal_calib::optimise::DemandFrom;
+use dynocal_calib::optimise::{DemandFrom, bound_channels};
 use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table};
 use dynocal_files::json;
 use dynocal_files::table::Table;
@@ -86,7 +86,11 @@ fn channels(job: &Job, table: &Table) -> Vec<ChannelSpec> {
     };
     let outputs: Vec<ChannelSpec> =
         outputs.filter(there).map(|name| spec(&name, p.unit(&name).unwrap_or("-"), Role::Output)).collect();
-    inputs.chain(given).chain(outputs).collect()
+    // Bounds of each sample, where the record has some.
+    let bounds = p.inputs.iter().flat_map(|c| bound_channels(&c.name).map(|name| (name, &c.unit)));
+    let bounds = bounds.filter(|(name, _)| table.column(name).is_ok());
+    let bounds = bounds.map(|(name, unit)| spec(&name, unit, Role::Auxiliary));
+    inputs.chain(given).chain(outputs).chain(bounds).collect()
 }
 
 fn time(job: &Job, models: &[Named], table: &Table) -> Time {

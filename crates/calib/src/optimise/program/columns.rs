@@ -17,6 +17,8 @@ pub struct Column {
     pub held: bool,
     /// Least and greatest value.
     pub bounds: (f64, f64),
+    /// Least and greatest value of each sample (N), within these; empty where they are the same for all.
+    pub local: Vec<(f64, f64)>,
     /// Largest change from sample to sample; infinite for none.
     pub rate: f64,
     /// Weight of squared increments, mean over samples.
@@ -90,6 +92,12 @@ impl Columns {
     /// Column of variable `v`.
     pub(super) fn column_of(&self, v: usize) -> usize {
         self.places[v] % self.width()
+    }
+
+    /// Bounds of variable `v`.
+    pub(super) fn bounds_of(&self, v: usize) -> (f64, f64) {
+        let (t, c) = (self.places[v] / self.width(), self.places[v] % self.width());
+        self.columns[c].local.get(t).copied().unwrap_or(self.columns[c].bounds)
     }
 
     /// Sets all variables of column `c` to `value`.

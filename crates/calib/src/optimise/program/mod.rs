@@ -259,6 +259,7 @@ fn give_way(parts: &Parts<'_>) -> (Columns, Vec<Option<usize>>, Vec<Sum>) {
             decided: row.from..samples,
             held: false,
             bounds: (f64::NEG_INFINITY, f64::INFINITY),
+            local: Vec::new(),
             rate: f64::INFINITY,
             increment_weight: 0.0,
         });
@@ -313,7 +314,7 @@ impl SparseNlp for Program<'_> {
     fn bounds(&self, lower: &mut [f64], upper: &mut [f64]) {
         let s = self.slacks();
         for v in 0..s {
-            (lower[v], upper[v]) = self.columns.columns[self.columns.column_of(v)].bounds;
+            (lower[v], upper[v]) = self.columns.bounds_of(v);
         }
         for (k, (c, _)) in self.rates.iter().enumerate() {
             let rate = self.columns.columns[*c].rate;
