@@ -103,7 +103,8 @@ def main():
                       "trust-constr, exact sparse derivatives, gtol 1e-9, at most 1000 iterations")
     responses, upper, pairs, starts = problem()
     program = Program(responses, upper, pairs, starts)
-    mine = ours("whole_map", {"responses": responses, "upper": upper, "dim": DIM, "axes": AXES, "starts": starts.ravel(),
+    flat = [{**r, "hessian": r["hessian"].ravel()} for r in responses]
+    mine = ours("whole_map", {"responses": flat, "upper": upper, "dim": DIM, "axes": AXES, "starts": starts.ravel(),
                               "pairs": pairs, "smooth": SMOOTH})
     own = mine["time"]["cpu_s"]
     u = np.array(mine["x"])[:, AXES:].ravel()
