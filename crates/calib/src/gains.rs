@@ -67,7 +67,7 @@ impl Default for TuneSpec {
             test_s: 15.0,
             hold_s: 0.2,
             memory_s: 0.6,
-            trial_s: 8.0,
+            trial_s: 7.0,
             log_modulus_db: 2.0,
             sensitivity: 2.0,
             rounds: 2,

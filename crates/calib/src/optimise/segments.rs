@@ -137,7 +137,7 @@ impl Found {
         options: &OptimiseOptions,
         interrupt: &dyn Fn() -> bool,
     ) {
-        if failed(status) && self.shortfalls.is_empty() {
+        if failed(status) && options.explain && self.shortfalls.is_empty() {
             let before_s = range.start as f64 * slice.sample_time_s;
             self.shortfalls = shortfalls(slice, options, status, before_s, interrupt);
         }

@@ -51,6 +51,8 @@ pub(super) struct Ipm<'a> {
     pub(super) soc_c: Vec<f64>,
     pub(super) soc_dx: Vec<f64>,
     history: Vec<Iterate>,
+    /// Steps of restorations so far.
+    pub(super) restored: usize,
 }
 
 impl<'a> Ipm<'a> {
@@ -77,6 +79,7 @@ impl<'a> Ipm<'a> {
             soc_c: vec![0.0; m],
             soc_dx: vec![0.0; n],
             history: Vec::new(),
+            restored: 0,
             model,
             options,
         }

@@ -60,7 +60,7 @@ pub trait SparseNlp {
 pub struct NlpOptions {
     /// Scaled KKT error at which it has converged.
     pub tolerance: f64,
-    /// Most iterations.
+    /// Most iterations, and most steps of restorations.
     pub max_iterations: usize,
     /// For a start that is nearly optimal: the barrier parameter to begin with. The start is then hardly moved off its
     /// bounds.

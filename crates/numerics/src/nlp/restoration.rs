@@ -30,7 +30,8 @@ pub(super) enum Ended {
     With(Status),
 }
 
-/// Restores feasibility from the current point and moves there.
+/// Restores feasibility from the current point and moves there. All restorations of a search together take at most
+/// [`NlpOptions::max_iterations`](super::NlpOptions) steps.
 pub(super) fn restore(ipm: &mut Ipm<'_>, interrupt: &dyn Fn() -> bool) -> Ended {
     let mu = ipm.rule.mu();
     let theta_start = ipm.theta();
@@ -39,6 +40,11 @@ pub(super) fn restore(ipm: &mut Ipm<'_>, interrupt: &dyn Fn() -> bool) -> Ended 
     for _ in 0..MOST_STEPS {
         if interrupt() {
             return Ended::With(Status::Interrupted);
+        }
+        // A search that does little but restore has a budget, too.
+        ipm.restored += 1;
+        if ipm.restored > ipm.options.max_iterations {
+            return Ended::With(Status::Limit);
         }
         if stationary(ipm) {
             return Ended::With(if ipm.theta() > ipm.options.tolerance {
