@@ -41,6 +41,7 @@ const CALIBRATE: &[&str] = &[
     "invert_step",
     "optimise_step",
     "design_step",
+    "lag",
     "validate_step",
     "run",
     "store",

@@ -1,5 +1,6 @@
 //! Files that a campaign is given are opened, and compared with it, before anything runs.
 
+use dynocal_files::atomic;
 use dynocal_jobs::calibrate::job;
 use std::path::Path;
 
@@ -18,14 +19,14 @@ fn record(path: &Path, torque: &str, dt_s: f64) {
             1.0
         ));
     }
-    std::fs::write(path, text).unwrap();
+    atomic::write(path, text.as_bytes()).unwrap();
 }
 
 /// What is said of a spec in `folder` whose records are `files`; empty where they fit.
 fn said(folder: &Path, files: &str) -> String {
     let spec = folder.join("spec.toml");
     let text = format!("[excite]\nidentification_files = [{files}]\nvalidation_files = [\"good.csv\"]\n");
-    std::fs::write(&spec, text).unwrap();
+    atomic::write(&spec, text.as_bytes()).unwrap();
     let campaign = job::read(&spec, None, None).unwrap();
     job::check_given(&campaign).err().map(|e| e.to_string()).unwrap_or_default()
 }

@@ -16,6 +16,8 @@ use crate::status::Status;
 
 /// Most restoration steps in one call.
 const MOST_STEPS: usize = 200;
+/// Restoration steps of a whole search, in [`NlpOptions::max_iterations`](super::NlpOptions).
+const BUDGET: usize = 5;
 /// Violation, relative to that at the call, at which the filter search may go on.
 const ENOUGH: f64 = 0.9;
 /// Projected gradient of |c|^2 / 2 relative to |c| below which a positive violation is a stationary one.
@@ -31,7 +33,7 @@ pub(super) enum Ended {
 }
 
 /// Restores feasibility from the current point and moves there. All restorations of a search together take at most
-/// [`NlpOptions::max_iterations`](super::NlpOptions) steps.
+/// [`BUDGET`] times [`NlpOptions::max_iterations`](super::NlpOptions) steps.
 pub(super) fn restore(ipm: &mut Ipm<'_>, interrupt: &dyn Fn() -> bool) -> Ended {
     let mu = ipm.rule.mu();
     let theta_start = ipm.theta();
@@ -43,7 +45,7 @@ pub(super) fn restore(ipm: &mut Ipm<'_>, interrupt: &dyn Fn() -> bool) -> Ended 
         }
         // A search that does little but restore has a budget, too.
         ipm.restored += 1;
-        if ipm.restored > ipm.options.max_iterations {
+        if ipm.restored > BUDGET * ipm.options.max_iterations {
             return Ended::With(Status::Limit);
         }
         if stationary(ipm) {
