@@ -61,8 +61,10 @@ fn times_are_written_with_the_digits_that_they_need() {
 #[test]
 fn advice_is_what_can_be_done() {
     let structure = "name = 'polynomial', regressors = ['u(t-1)^3*y(t-1)', 'y(t-1)^3', 'y(t-1)^2*u(t-2)']";
-    let (_, text) = identified(UNITS, 0.1, &spec(structure, "name = 'sem'", ""));
-    without(&text, &["estimator `sem`)", "start point", "on these data"]);
+    for estimator in ["sem", "train"] {
+        let (_, text) = identified(UNITS, 0.1, &spec(structure, &format!("name = '{estimator}'"), ""));
+        without(&text, &["estimator `sem`)", "start point", "on these data"]);
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use dynocal_files::FilesError;
 use dynocal_files::spec::LoadError;
 use dynocal_ident::data::DataError;
 use dynocal_ident::plant::PlantError;
-use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::error::ChainError;
 
 /// A study cannot go on.
 #[derive(Debug, thiserror::Error)]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::error::ChainError;
 use dynocal_jobs::calibrate::estimate::estimate;
 use dynocal_jobs::calibrate::run::STEPS;
 

@@ -6,7 +6,7 @@ use clap::{ArgMatches, Args, FromArgMatches};
 
 use super::Verb;
 use dynocal_files::FilesError;
-use dynocal_jobs::calibrate::context::ChainError;
+use dynocal_jobs::calibrate::error::ChainError;
 use dynocal_jobs::calibrate::job;
 use crate::terminal::print;
 use crate::failure::{Exit, Failure, exit};

@@ -55,12 +55,23 @@ pub enum CovarianceKind {
 /// Takes `(record, errors, rows of the Jacobian)`.
 pub(super) type TakeRows<'a> = dyn FnMut(usize, &[f64], &[f64]) + 'a;
 
+/// What the rows of a Jacobian are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rows {
+    /// Regressors: the data's own, whatever the estimate.
+    Regressors,
+    /// Sensitivities of the errors, which hold at the estimate.
+    Sensitivities,
+}
+
 /// Errors and their Jacobian at the estimate, in order of time, record by record; rows that are not scored are zero.
 pub(super) trait Evidence {
     /// Number of parameters.
     fn params(&self) -> usize;
     /// Whether the rows depend on inputs only, so that errors and rows are independent.
     fn exogenous(&self) -> bool;
+    /// What the rows are.
+    fn rows(&self) -> Rows;
     /// Roots of the diagonal that a ridge adds to J'J; empty without one.
     fn penalties(&self) -> &[f64] {
         &[]
@@ -78,6 +89,7 @@ pub(super) struct Stored<'a> {
     pub(super) records: Vec<usize>,
     pub(super) penalties: &'a [f64],
     pub(super) exogenous: bool,
+    pub(super) rows: Rows,
 }
 
 impl Evidence for Stored<'_> {
@@ -87,6 +99,10 @@ impl Evidence for Stored<'_> {
 
     fn exogenous(&self) -> bool {
         self.exogenous
+    }
+
+    fn rows(&self) -> Rows {
+        self.rows
     }
 
     fn penalties(&self) -> &[f64] {
@@ -445,22 +461,28 @@ impl<'a> Squares<'a> {
     }
 }
 
-/// A sentence for parameters that the data do not determine, with the combination of others that each equals.
-pub(super) fn rank_warning(factor: &PivotedR, names: &[String]) -> Option<String> {
+/// A sentence for parameters that the rows do not determine, with the combination of others that each equals.
+pub(super) fn rank_warning(factor: &PivotedR, names: &[String], theta: &[f64], rows: Rows) -> Option<String> {
     let p = names.len();
     if factor.dependent.is_empty() {
         return None;
     }
     let which =
-        (factor.rank..p).map(|place| combination(factor, names, place)).collect::<Vec<_>>().join("; ");
-    Some(format!(
-        "rank {} of {p}: on these data {which}; their parameters are set to zero, the others stand for them",
-        factor.rank
-    ))
+        (factor.rank..p).map(|place| combination(factor, names, place, rows)).collect::<Vec<_>>().join("; ");
+    let place = match rows {
+        Rows::Regressors => "on these data",
+        Rows::Sensitivities => "near this estimate",
+    };
+    let then = if factor.dependent.iter().all(|k| theta[*k] == 0.0) {
+        "their parameters are set to zero, the others stand for them"
+    } else {
+        "only what these parameters do together is known, none of them alone"
+    };
+    Some(format!("rank {} of {p}: {place} {which}; {then}", factor.rank))
 }
 
 /// `name = 2 first - 0.5 second` for the column at `place` of the order: R11^-1 R12 in the columns' own scale.
-fn combination(factor: &PivotedR, names: &[String], place: usize) -> String {
+fn combination(factor: &PivotedR, names: &[String], place: usize, rows: Rows) -> String {
     let (p, rank) = (names.len(), factor.rank);
     let dependent = factor.order[place];
     let name = &names[dependent];
@@ -471,8 +493,12 @@ fn combination(factor: &PivotedR, names: &[String], place: usize) -> String {
     }
     // In unit columns: what is left out is rounding.
     let parts: Vec<usize> = (0..rank).filter(|i| x[*i].abs() > 1e-6).collect();
+    let what = match rows {
+        Rows::Regressors => "the regressor of",
+        Rows::Sensitivities => "the effect of",
+    };
     if parts.is_empty() {
-        return format!("the regressor of `{name}` is zero throughout");
+        return format!("{what} `{name}` is zero throughout");
     }
     let term = |(position, &i): (usize, &usize)| {
         let k = factor.order[i];
@@ -491,5 +517,5 @@ fn combination(factor: &PivotedR, names: &[String], place: usize) -> String {
     if parts.len() > SHOWN {
         text += &format!(" and {} more", parts.len() - SHOWN);
     }
-    format!("the regressor of `{name}` equals {text}")
+    format!("{what} `{name}` equals {text}")
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::EstimateError;
 use super::cost::Cost;
 use super::covariance::{
-    CovarianceChoice, CovarianceKind, Evidence, Stored, Uncertainty, rank_warning, uncertainty,
+    CovarianceChoice, CovarianceKind, Evidence, Rows, Stored, Uncertainty, rank_warning, uncertainty,
 };
 use super::noise::Residuals;
 use crate::experiment::Experiment;
@@ -112,7 +112,7 @@ impl Fit {
         let Uncertainty { covariance, std_errors, kind, residuals, factor, sum_squares, noise_variance } =
             known;
         let mut warnings = found.warnings;
-        warnings.extend(rank_warning(&factor, &found.names));
+        warnings.extend(rank_warning(&factor, &found.names, &found.theta, evidence.rows()));
         Ok(Self {
             estimator: found.estimator.into(),
             minimised: found.minimised,
@@ -145,8 +145,15 @@ impl Fit {
         samples: usize,
     ) -> Result<Self, EstimateError> {
         let records = data.iter().map(Experiment::len).collect();
-        let mut evidence =
-            Stored { errors, jacobian, params: found.theta.len(), records, penalties: &[], exogenous: false };
+        let mut evidence = Stored {
+            errors,
+            jacobian,
+            params: found.theta.len(),
+            records,
+            penalties: &[],
+            exogenous: false,
+            rows: Rows::Sensitivities,
+        };
         Self::new(found, &mut evidence, samples, CovarianceChoice::Auto, Cost::SQUARED)
     }
 }

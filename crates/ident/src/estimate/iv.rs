@@ -22,7 +22,7 @@ use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
-use super::covariance::rank_warning;
+use super::covariance::{Rows, rank_warning};
 use super::ols::{Ols, regression};
 use super::table::{EstimatorRow, Fits, Gaps};
 use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, narx, short_name};
@@ -328,7 +328,6 @@ impl<'a> Task<'a> {
         Ok(Fit {
             estimator: "iv".into(),
             minimised: Minimised::OneStep,
-            theta: found.theta,
             covariance: found.covariance,
             covariance_kind: CovarianceKind::White,
             std_errors,
@@ -340,10 +339,13 @@ impl<'a> Task<'a> {
             status: Status::Converged,
             evaluations,
             history: vec![Iterate { evaluations, objective: cost, violation: 0.0, optimality: 0.0 }],
-            warnings: rank_warning(&found.factor, &names).into_iter().collect(),
+            warnings: rank_warning(&found.factor, &names, &found.theta, Rows::Regressors)
+                .into_iter()
+                .collect(),
             notes: Vec::new(),
             starts: Vec::new(),
             learnt: None,
+            theta: found.theta,
             names,
         })
     }

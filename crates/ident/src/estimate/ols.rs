@@ -14,7 +14,7 @@ use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
 use super::cost::{Cost, CostKind, HUBER_THRESHOLD, fit_scale, outlier_note};
-use super::covariance::{CovarianceChoice, Stored};
+use super::covariance::{CovarianceChoice, Rows, Stored};
 use super::fit::Found;
 use super::noise::noise_warning;
 use super::table::{EstimatorRow, Fits, Gaps};
@@ -145,6 +145,7 @@ impl Estimator for Ols {
             records,
             penalties: &problem.ridge,
             exogenous: model.output_lag() == 0,
+            rows: Rows::Regressors,
         };
         let mut fit = Fit::new(found, &mut evidence, samples, self.covariance, cost)?;
         fit.warnings.extend(noise_warning(model, &fit.theta, data, fit.minimised, &fit.residuals, None));

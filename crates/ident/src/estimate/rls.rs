@@ -18,7 +18,7 @@ use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
 use super::cost::Cost;
-use super::covariance::{CovarianceChoice, Stored};
+use super::covariance::{CovarianceChoice, Rows, Stored};
 use super::fit::Found;
 use super::ols::{kept_rows, regression};
 use super::table::{EstimatorRow, Fits, Gaps};
@@ -153,6 +153,7 @@ impl Estimator for Recursive {
             records: kept_rows(model, data),
             penalties: &penalties,
             exogenous: model.output_lag() == 0,
+            rows: Rows::Regressors,
         };
         // The sandwich for coloured errors knows no weights.
         let choice = if self.forgetting < 1.0 { CovarianceChoice::White } else { CovarianceChoice::Auto };

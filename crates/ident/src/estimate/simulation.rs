@@ -6,7 +6,7 @@ use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
 use super::cost::Cost;
-use super::covariance::{CovarianceChoice, Evidence, TakeRows};
+use super::covariance::{CovarianceChoice, Evidence, Rows, TakeRows};
 use super::fit::Found;
 use super::noise::noise_warning;
 use super::ols::{regression, solve};
@@ -135,6 +135,10 @@ impl Evidence for Rerun<'_, '_> {
 
     fn exogenous(&self) -> bool {
         true
+    }
+
+    fn rows(&self) -> Rows {
+        Rows::Sensitivities
     }
 
     fn penalties(&self) -> &[f64] {

@@ -1,6 +1,7 @@
 //! The spec of the job `design` that a campaign writes, and what its plan is on the models.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::models::ModelsResult;
 use crate::design::result::Curves;
 use dynocal_calib::problem::DemandChannel;

@@ -3,11 +3,13 @@
 //! The inputs are designed within the limits of the problem, outputs predicted within the demanded ranges; the plan is played
 //! with trimming loops about the predicted outputs, so that what the models do not know does not carry the plant away.
 
-use super::context::{ChainError, Context, RecordRef, Tone, save_records};
+use super::context::{Context, Tone};
 use super::design_spec::{design_text, predicted};
+use super::error::ChainError;
 use super::excite_step::extra_record;
 use super::given;
 use super::models::{ModelData, ModelsResult, identify_all};
+use super::records::{RecordRef, save_records};
 use crate::design::result::{CriterionLine, Designed, SafetyLine};
 use crate::design::{self, Overrides};
 use dynocal_files::atomic;

@@ -1,6 +1,8 @@
 //! Step 1: identification and validation records in closed loop.
 
-use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
+use super::context::{Context, Tone};
+use super::error::ChainError;
+use super::records::{RecordRef, all_measured, save_records};
 use super::signals::{aprbs, sweep};
 use super::{given, loops};
 use dynocal_calib::gains::Tuned;
@@ -107,7 +109,7 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
 fn taken_over(ctx: &Context, folder: &Path, tuned: Option<Tuned>) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
     let read = |key: &str, files: &[std::path::PathBuf]| -> Result<Vec<Dataset>, ChainError> {
-        files.iter().map(|f| given::record(ctx, key, f, &super::context::stem(f))).collect()
+        files.iter().map(|f| given::record(ctx, key, f, &super::records::stem(f))).collect()
     };
     let identification = read("excite.identification_files", &spec.identification_files)?;
     let validation = read("excite.validation_files", &spec.validation_files)?;

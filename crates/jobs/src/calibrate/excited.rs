@@ -4,7 +4,8 @@
 //! records that are nearest to it in demands and given channels, each by its range, give the least and greatest value that was seen.
 //! Inputs that no loop drives are moved over their whole range everywhere and need no such bounds.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use dynocal_calib::optimise::bound_channels;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use std::path::PathBuf;

@@ -1,6 +1,8 @@
 //! Files that a campaign is given instead of steps of its own: records, models, maps. All are opened before anything is measured.
 
-use super::context::{ChainError, Context, stem};
+use super::context::Context;
+use super::error::ChainError;
+use super::records::stem;
 use super::start_maps::start_maps;
 use dynocal_files::{json, units};
 use dynocal_ident::data::Dataset;

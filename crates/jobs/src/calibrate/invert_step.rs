@@ -1,7 +1,8 @@
 //! Step 5: from measured optimal records to the dynamic map that is delivered, and other structures beside it where they are made
 //! for the problem.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::optimise_plan::END_EFFECT;
 use dynocal_calib::map::Rows;
 use dynocal_calib::map::structures::{self, FitTask, InverseScore, MapError, Pairs, StoredMap};

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicUsize;
 
-use crate::calibrate::context::{ChainError, Context, PlantFactory};
+use crate::calibrate::context::{Context, PlantFactory};
+use crate::calibrate::error::ChainError;
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
 use dynocal_files::run_folder::{MEASURED, RunFolder};

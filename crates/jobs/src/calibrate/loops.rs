@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::context::{ChainError, Context, Tone, all_measured, noise_seed};
+use super::context::{Context, Tone};
+use super::error::ChainError;
+use super::records::{all_measured, noise_seed};
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::validate::{inner, reference_row};
 use dynocal_ident::plan::Plan;

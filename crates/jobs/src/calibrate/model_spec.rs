@@ -1,6 +1,7 @@
 //! The specs of the job `identify` that a campaign writes: candidates from the problem where the user gives none.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Derived;
 use dynocal_ident::stored::StoredModel;

@@ -1,7 +1,8 @@
 //! Models of the outputs of a campaign, by the job `identify`: a spec for every output and candidate, written beside its
 //! result, so that `dynocal identify` can repeat each.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::given;
 use super::model_spec::{Candidates, candidates, refit, spec_text};
 use crate::identify::error::IdentifyError;

@@ -1,6 +1,7 @@
 //! What a pass of the optimisation plays: a record of references and the optimum over it, as the models have it.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::optimise_start::start_record;
 use dynocal_calib::optimise::{DemandFrom, OptimiseOptions, Optimum, optimise_record};
 use dynocal_calib::validate::inner;

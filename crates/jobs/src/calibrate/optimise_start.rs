@@ -1,6 +1,7 @@
 //! The record with which an optimisation begins: demands that the plant can follow, and inputs that roughly give them.
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::excited::bounded;
 use super::signals::{aprbs, sweep};
 use super::start_maps::start_maps;

@@ -1,8 +1,10 @@
 //! Step 4: optimise over a record made for it, measure the promise on the plant, identify again, repeat.
 
-use super::context::{ChainError, Context, RecordRef, Tone, all_measured, save_records};
+use super::context::{Context, Tone};
+use super::error::ChainError;
 use super::models::{ModelData, ModelsResult, identify_again};
 use super::optimise_plan::{END_EFFECT, Planned, VIOLATION, planned, range_of, within_reach};
+use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::limits::{LimitScore, limit_scores};
 use dynocal_calib::map::Port;
 use dynocal_calib::optimise::Optimum;

@@ -1,11 +1,13 @@
 //! The steps in order inside one run folder; finished steps of an earlier run are taken over.
 
-use super::context::{ChainError, Context, RecordRef};
+use super::context::Context;
 use super::design_step::{DesignResult, design};
+use super::error::ChainError;
 use super::excite_step::{ExciteResult, excite};
 use super::invert_step::{InvertResult, invert};
 use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
+use super::records::RecordRef;
 use super::validate_step::{ValidateResult, validate};
 use dynocal_files::json;
 use dynocal_files::run_folder::{Done, RunFolder};

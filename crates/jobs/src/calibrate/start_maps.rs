@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use dynocal_export::characteristic::{Axis, Characteristic};
 use dynocal_export::evaluate::lookup;
 use dynocal_export::format;

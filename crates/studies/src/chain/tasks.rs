@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use dynocal_calib::validate::MapScore;
 use dynocal_files::FilesError;
-use dynocal_jobs::calibrate::context::{ChainError, RecordRef};
+use dynocal_jobs::calibrate::error::ChainError;
+use dynocal_jobs::calibrate::records::RecordRef;
 use dynocal_jobs::calibrate::run::{ChainResult, STEPS};
 use dynocal_jobs::calibrate::spec::CalibrateSpec;
 use dynocal_numerics::status::Status;

@@ -13,7 +13,7 @@ use dynocal_numerics::lm::LeastSquares;
 use dynocal_numerics::status::Status;
 
 use super::division::Weights;
-use crate::estimate::covariance::{Evidence, TakeRows};
+use crate::estimate::covariance::{Evidence, Rows, TakeRows};
 use crate::experiment::Experiment;
 use crate::model::{Model, Run};
 
@@ -232,6 +232,10 @@ impl Evidence for Task<'_> {
 
     fn exogenous(&self) -> bool {
         true
+    }
+
+    fn rows(&self) -> Rows {
+        Rows::Sensitivities
     }
 
     /// Rows of the free runs over whole records; those without weight are zero.

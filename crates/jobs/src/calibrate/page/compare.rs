@@ -1,6 +1,7 @@
 //! Step 6: the delivered map against its rivals.
 
-use super::super::context::{ChainError, Context};
+use super::super::context::Context;
+use super::super::error::ChainError;
 use super::super::summary::Summary;
 use super::super::validate_step::{DYNAMIC, ValidateResult};
 use super::parts::{label, record, unit};

@@ -1,7 +1,8 @@
 //! Step 3: the designed test signal, its safety and what it gained.
 
-use super::super::context::{ChainError, Context};
+use super::super::context::Context;
 use super::super::design_step::DesignResult;
+use super::super::error::ChainError;
 use super::super::verdict::how_it_ended;
 use super::models::table;
 use super::parts::{percent, plot, record, unit};

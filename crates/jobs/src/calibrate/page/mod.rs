@@ -10,7 +10,8 @@ mod parts;
 
 use std::path::{Path, PathBuf};
 
-use super::context::{ChainError, Context};
+use super::context::Context;
+use super::error::ChainError;
 use super::run::ChainResult;
 use super::summary::Summary;
 use dynocal_files::atomic;

@@ -1,6 +1,7 @@
 //! Records of the excitation and the models identified from them.
 
-use super::super::context::{ChainError, Context};
+use super::super::context::Context;
+use super::super::error::ChainError;
 use super::super::excite_step::ExciteResult;
 use super::super::models::{Candidate, FreeRunScore, ModelsResult, OutputModels};
 use super::super::run::ChainResult;

@@ -1,6 +1,7 @@
 //! Step 4: what was promised and what was measured.
 
-use super::super::context::{ChainError, Context};
+use super::super::context::Context;
+use super::super::error::ChainError;
 use super::super::optimise_step::{OptimiseResult, Pass};
 use super::super::validate_step::StaticOnRecord;
 use super::super::verdict::{objective_words, word};

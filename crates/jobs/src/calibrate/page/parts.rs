@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::super::context::{ChainError, Context, RecordRef};
+use super::super::context::Context;
+use super::super::error::ChainError;
+use super::super::records::RecordRef;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
 use dynocal_report::{Panel, Role, Series, TimePlot};
