@@ -16,7 +16,7 @@ pub mod mdf3;
 #[cfg(feature = "mdf")]
 pub mod mdf4;
 #[cfg(feature = "mdf")]
-mod mdf4_transposed;
+mod mdf4_columns;
 pub mod merge;
 pub mod parquet_io;
 

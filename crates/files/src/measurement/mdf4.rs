@@ -2,7 +2,7 @@
 //!
 //! The file is read through a buffer, not mapped, so that memory stays bounded by one piece and one data block.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dynocal_numerics::registry::MemberDoc;
 use falcon_mdf::blocks::DataType;
@@ -10,7 +10,7 @@ use falcon_mdf::{Channel, Mf4Error, Mf4File, Mf4Writer, Signal, SignalValues, Va
 
 use crate::atomic;
 use crate::error::FilesError;
-use crate::measurement::mdf4_transposed::Columns;
+use crate::measurement::mdf4_columns::Columns;
 use crate::measurement::{ChannelInfo, GroupInfo, Raster, Reader, Source, TakeChunk};
 use crate::table::Cells;
 use crate::units;
@@ -37,6 +37,7 @@ type Pieces<'a> = Box<dyn Iterator<Item = Result<Vec<Signal>, Mf4Error>> + 'a>;
 
 struct Mdf4 {
     path: String,
+    place: PathBuf,
     file: Mf4File,
     groups: Vec<GroupInfo>,
     /// For each group its channels in the file's terms.
@@ -69,7 +70,7 @@ impl Mdf4 {
         if file.unfinalized().is_some() {
             notes.push("the file was not closed by its writer: what could be found is read".into());
         }
-        Ok(Self { path: name, file, groups, channels, notes })
+        Ok(Self { path: name, place: path.into(), file, groups, channels, notes })
     }
 }
 
@@ -128,7 +129,7 @@ impl Source for Mdf4 {
         if wanted.is_empty() || self.groups[group].rows == 0 {
             return Ok(());
         }
-        if let Some(columns) = Columns::find(&self.file, &wanted) {
+        if let Some(columns) = Columns::find(&self.file, &self.place, &wanted) {
             let fault = |reason| FilesError::Malformed { path: self.path.clone(), format: "MDF 4", reason };
             return columns.each(fault, |cells| take(cells));
         }

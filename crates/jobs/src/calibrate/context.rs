@@ -6,7 +6,7 @@ use super::spec::CalibrateSpec;
 use dynocal_calib::gains::Tuned;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
-use dynocal_ident::plant::{Plant, PlantError};
+use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_numerics::watch::Watch;
 use std::path::PathBuf;
 use std::sync::OnceLock;

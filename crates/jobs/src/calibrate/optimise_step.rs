@@ -3,7 +3,7 @@
 use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::models::{ModelData, ModelsResult, identify_again};
-use super::optimise_plan::{END_EFFECT, Planned, VIOLATION, planned, range_of, within_reach};
+use super::optimise_plan::{END_EFFECT, GaveWay, Planned, VIOLATION, planned, range_of, within_reach};
 use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::limits::{LimitScore, limit_scores};
 use dynocal_calib::map::Port;
@@ -42,8 +42,12 @@ pub struct Pass {
     pub status: Status,
     /// Iterations.
     pub iterations: usize,
-    /// Records of references that were drawn until the models found a way, or as many as are drawn at most.
+    /// Which of the records of references that were drawn is the one: over it the models found a way first. As many as were drawn where they
+    /// found none.
     pub draws: usize,
+    /// Demands that gave way to what the models can do; what was measured is compared with what was left of them.
+    #[serde(default)]
+    pub gave_way: Vec<GaveWay>,
     /// Mean objective of the start, by the start inputs.
     pub start: f64,
     /// Mean objective of the optimum, by its inputs and the models.
@@ -121,7 +125,7 @@ fn one_pass(
 ) -> Result<Pass, ChainError> {
     ctx.check_interrupt()?;
     let chosen = models.chosen();
-    let Planned { start, optimum, draws } = planned(ctx, k, &chosen, data)?;
+    let Planned { start, optimum, draws, gave_way } = planned(ctx, k, &chosen, data)?;
     let start_inputs = columns(&start, &ctx.channels.inputs)?;
     let given = columns(&start, &ctx.channels.given)?;
     let values = |channels: &[Channel]| channels.iter().map(|c| c.values.clone()).collect::<Vec<_>>();
@@ -147,6 +151,7 @@ fn one_pass(
         status: optimum.status,
         iterations: optimum.iterations,
         draws,
+        gave_way,
         start: optimum.start_objective,
         promised: optimum.objective,
         promised_ratio: optimum.objective / optimum.start_objective,

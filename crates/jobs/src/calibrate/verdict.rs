@@ -100,6 +100,16 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
     let passes = &o.result.passes;
     let last = passes.last().map_or(0, |p| p.pass);
     for p in passes {
+        for g in &p.gave_way {
+            let unit = spec.problem.unit(&g.output).unwrap_or("-");
+            f.notes.push(format!(
+                "Where the models found no way in pass {}, the demand of {} gave way: by {} (RMS), {} at most.",
+                p.pass,
+                g.output,
+                with_unit(g.rms, 3, unit),
+                with_unit(g.largest, 2, unit)
+            ));
+        }
         if !p.usable {
             let text = format!("The optimum of pass {} must not be used: {}.", p.pass, p.reason);
             if p.pass == last {
