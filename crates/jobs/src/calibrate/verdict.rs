@@ -12,7 +12,7 @@ use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::limits::LimitScore;
 use dynocal_calib::validate::MapScore;
 use dynocal_numerics::status::Status;
-use dynocal_report::{capital, significant, with_unit};
+use dynocal_report::{UnitAfter, capital, significant, with_unit};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -103,11 +103,12 @@ fn passes(spec: &CalibrateSpec, r: &ChainResult, f: &mut Findings) {
         for g in &p.gave_way {
             let unit = spec.problem.unit(&g.output).unwrap_or("-");
             f.notes.push(format!(
-                "Where the models found no way in pass {}, the demand of {} gave way: by {} (RMS), {} at most.",
+                "Where the models found no way in pass {}, the demand of {} gave way: by {}{after} (RMS), {}{after} at most.",
                 p.pass,
                 g.output,
-                with_unit(g.rms, 3, unit),
-                with_unit(g.largest, 2, unit)
+                significant(g.rms, 2),
+                significant(g.largest, 2),
+                after = UnitAfter(unit)
             ));
         }
         if !p.usable {
