@@ -11,8 +11,9 @@ use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::limits::LimitScore;
 use dynocal_calib::validate::MapScore;
+use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
-use dynocal_report::{UnitAfter, capital, significant, with_unit};
+use dynocal_report::{capital, significant, with_unit};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
