@@ -267,8 +267,8 @@ impl Field<'_> {
         bits.resize(rows, 0);
         let big = matches!(self.channel.data_type, DataType::UIntBe | DataType::IntBe | DataType::FloatBe);
         match layout {
-            Layout::ByColumn => self.from_columns(bytes, big, bits),
-            Layout::ByRecord(record) => self.from_records(bytes, record, big, bits),
+            Layout::ByColumn => self.bits_of_columns(bytes, big, bits),
+            Layout::ByRecord(record) => self.bits_of_records(bytes, record, big, bits),
         }
         let c = &self.channel.conversion;
         let unused = 64 - 8 * self.bytes;
@@ -284,7 +284,7 @@ impl Field<'_> {
         }
     }
 
-    fn from_columns(&self, bytes: &[u8], big: bool, bits: &mut [u64]) {
+    fn bits_of_columns(&self, bytes: &[u8], big: bool, bits: &mut [u64]) {
         let rows = bits.len();
         for k in 0..self.bytes {
             let column = &bytes[(self.from + k) * rows..][..rows];
@@ -293,7 +293,7 @@ impl Field<'_> {
         }
     }
 
-    fn from_records(&self, bytes: &[u8], record: usize, big: bool, bits: &mut [u64]) {
+    fn bits_of_records(&self, bytes: &[u8], record: usize, big: bool, bits: &mut [u64]) {
         let values = bytes.chunks_exact(record).map(|r| &r[self.from..][..self.bytes]);
         let whole = |v: &[u8]| v.try_into().map_or(0, u64::from_le_bytes);
         match (self.bytes, big) {
