@@ -133,9 +133,9 @@ pub enum FilesError {
         /// Column.
         column: String,
     },
-    /// The first row holds numbers, not names.
+    /// The first row holds numbers or stamps, not names.
     #[error(
-        "{path}, line {line}: found only numbers ({found:.60}), expected the names of the columns (`name [unit]`): without a header row the first sample would be lost"
+        "{path}, line {line}: found values ({found:.60}), expected the names of the columns (`name [unit]`): without a header row the first sample would be lost"
     )]
     NoHeader {
         /// File.

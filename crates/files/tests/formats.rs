@@ -305,3 +305,30 @@ fn what_inflates_beyond_the_bound_is_refused() {
     let error = csv_io::read(&path).unwrap_err().to_string();
     assert!(error.contains("bomb.csv.gz") && error.contains("at most 1000 MB"), "{error}");
 }
+
+/// A file of fewer rows than it states is not read as if it were whole without a word.
+#[test]
+fn lost_rows_of_mdf_are_told() {
+    let tmp = tempfile::tempdir().unwrap();
+    let path = tmp.path().join("short.mf4");
+    let column = Column {
+        name: "torque".into(),
+        unit: Some(("Nm".into(), UnitSource::Bracket)),
+        cells: Cells::Number((0..100).map(f64::from).collect()),
+    };
+    let time_s = (0..100).map(|t| 0.01 * f64::from(t)).collect();
+    let raster = Raster { name: "fast".into(), time_s, columns: vec![column] };
+    (by_ending(&path).and_then(|f| f.write).unwrap())(&path, &[raster]).unwrap();
+    assert!(recording(opened(&path).as_ref()).is_ok());
+    // The number of samples stands behind the head, six links and the record number of the channel group.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let group = bytes.windows(4).position(|w| w == b"##CG").unwrap();
+    let place = group + 24 + 6 * 8 + 8;
+    assert_eq!(bytes[place..place + 8], 100u64.to_le_bytes());
+    bytes[place..place + 8].copy_from_slice(&140u64.to_le_bytes());
+    dynocal_files::atomic::write(&path, &bytes).unwrap();
+    let source = opened(&path);
+    let told = source.notes().join("; ");
+    assert!(told.contains("states 140 samples and holds 100"), "{told}");
+    assert_eq!(recording(source.as_ref()).unwrap().rasters[0].time_s.len(), 100);
+}

@@ -428,3 +428,22 @@ fn an_edited_result_is_computed_again() {
     let again = go();
     assert_eq!((again.result, again.resumed), (0.125, false));
 }
+
+/// Stamps are no names: the first sample is not taken for a header.
+#[test]
+fn a_row_of_stamps_is_no_header() {
+    let tmp = tempfile::tempdir().unwrap();
+    for (first, second) in [
+        ("2026-01-01T10:00:00.000Z", "2026-01-01T10:00:00.100Z"),
+        ("10:00:00", "10:00:01"),
+        ("01.02.2026", "02.02.2026"),
+    ] {
+        let path = tmp.path().join("bare.csv");
+        atomic::write(&path, format!("{first},5,On\n{second},6,On\n{second},7,Off\n").as_bytes()).unwrap();
+        let e = csv_io::read(&path).unwrap_err().to_string();
+        assert!(e.contains("bare.csv, line 1") && e.contains(&format!("({first}, 5, On)")), "{e}");
+    }
+    let path = tmp.path().join("named.csv");
+    atomic::write(&path, b"time,u1.5,p 2,T-3-4\n10:00:00,5,6,7\n10:00:01,6,7,8\n").unwrap();
+    assert_eq!(csv_io::read(&path).unwrap().rows(), 2);
+}

@@ -416,7 +416,7 @@ fn what_cannot_be_is_refused_by_name() {
     has(bench.score(vec![bare], "bed.csv").unwrap_err(), &["its channels are  -> y"]);
     // The first row is a sample, not a header; a unit in parentheses is a unit.
     bench.put("bed.csv", &csv("0.5,1.5", &[&u, &y]));
-    has(fault(ARX), &["bed.csv, line 1", "only numbers"]);
+    has(fault(ARX), &["bed.csv, line 1", "found values"]);
     bench.put("bed.csv", &csv("u (g),y (Nm)", &[&u, &y]));
     let spec = HEAD.replace("'u'", "'u (g)'\nname = 'u'").replace("'y'", "'y (Nm)'\nname = 'y'");
     has(bench.identify(&format!("{spec}{ARX}")).unwrap_err(), &["u (g)", "`g`", "`mg`"]);

@@ -139,7 +139,7 @@ pub static PLANTS: &[PlantMember] = &[
             what: "Real bed: plans are written to files, measured records are read from RUN/measured",
             params: &[],
         },
-        check: |_| Vec::new(),
+        check: check_bed,
         make: None,
         sample_time_s: None,
     },
@@ -163,6 +163,18 @@ pub fn check(spec: &PlantSpec) -> Vec<PlantFault> {
             vec![PlantFault::unknown("plant.name", &spec.name, known)]
         }
     }
+}
+
+/// What belongs to a simulation means nothing on a real bed.
+fn check_bed(spec: &PlantSpec) -> Vec<PlantFault> {
+    let given = [
+        ("plant.torque_noise_nm", spec.torque_noise_nm != 0.0, spec.torque_noise_nm.to_string()),
+        ("plant.lambda_noise", spec.lambda_noise != 0.0, spec.lambda_noise.to_string()),
+        ("plant.bed", !spec.bed.is_empty(), "a table".to_string()),
+    ];
+    let expected = "no such key where name = \"bed\": it belongs to the virtual engine";
+    let given = given.into_iter().filter(|(_, is_given, _)| *is_given);
+    given.map(|(key, _, found)| PlantFault::new(key, found, expected)).collect()
 }
 
 fn check_virtual_engine(spec: &PlantSpec) -> Vec<PlantFault> {

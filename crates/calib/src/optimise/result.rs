@@ -233,7 +233,8 @@ fn free_runs(setup: &Setup<'_>, found: &[f64], samples: usize) -> (Vec<Violation
     }
     for (name, sum, upper) in setup.mean_limits() {
         let unit = setup.problem.unit(&name).unwrap_or("-").to_string();
-        let largest = (sum.value_of(&values, width) - upper).max(0.0);
+        let beyond = sum.value_of(&values, width) - upper;
+        let largest = if beyond.is_nan() { f64::INFINITY } else { beyond.max(0.0) };
         out.push(Violation { channel: name, unit, of: "mean_upper".into(), largest, at_s: None });
     }
     (out, responses)

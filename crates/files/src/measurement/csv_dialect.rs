@@ -197,6 +197,14 @@ fn looks_numeric(cell: &str) -> bool {
         && cell.chars().all(|c| c.is_ascii_digit() || "+-.,eE'\u{a0}\u{202f} ".contains(c))
 }
 
+/// Whether a cell is a date or a time of day, which no column is called: digits around at least two of `-`, `/`, `.`, or a colon.
+pub fn is_stamp(cell: &str) -> bool {
+    let marks = |of: &str| cell.chars().filter(|c| of.contains(*c)).count();
+    cell.starts_with(|c: char| c.is_ascii_digit())
+        && cell.chars().all(|c| c.is_ascii_digit() || "-/.:,+ TZ".contains(c))
+        && (marks(":") >= 1 || marks("-") == 2 || marks("/") == 2 || marks(".") == 2)
+}
+
 /// Lines that the guess looks at.
 const HEAD: usize = 400;
 

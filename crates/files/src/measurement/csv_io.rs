@@ -118,12 +118,12 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
     let head = reader.byte_headers().map_err(malformed)?;
     let is_number =
         |cell: &[u8]| csv_dialect::number(&String::from_utf8_lossy(cell.trim_ascii()), &dialect).is_some();
-    if head.iter().any(|c| !c.trim_ascii().is_empty()) && head.iter().all(is_number) {
-        return Err(FilesError::NoHeader {
-            path: file.into(),
-            line: dialect.header_line,
-            found: String::from_utf8_lossy(head.as_slice()).into(),
-        });
+    let is_stamp = |cell: &[u8]| csv_dialect::is_stamp(&String::from_utf8_lossy(cell.trim_ascii()));
+    let numbers = head.iter().any(|c| !c.trim_ascii().is_empty()) && head.iter().all(is_number);
+    if numbers || head.iter().any(is_stamp) {
+        let found: Vec<_> = head.iter().map(String::from_utf8_lossy).collect();
+        let (path, line, found) = (file.into(), dialect.header_line, found.join(", "));
+        return Err(FilesError::NoHeader { path, line, found });
     }
     let mut notes = Vec::new();
     let mut columns = header(file, head)?;

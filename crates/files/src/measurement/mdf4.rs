@@ -67,11 +67,41 @@ impl Mdf4 {
             });
             channels.push(readable.into_iter().cloned().collect());
         }
+        notes.extend(lost(&file));
         if file.unfinalized().is_some() {
             notes.push("the file was not closed by its writer: what could be found is read".into());
         }
         Ok(Self { path: name, place: path.into(), file, groups, channels, notes })
     }
+}
+
+/// Groups that hold fewer samples than they state, in words; a file that its writer did not close states nothing reliable.
+fn lost(file: &Mf4File) -> Vec<String> {
+    let mut notes = Vec::new();
+    for d in file.data_groups().iter().filter(|_| file.unfinalized().is_none()) {
+        // Link of the data group to its first channel group, and of each to the next.
+        let mut next = number(file, d.block_offset() + 32);
+        for g in &d.channel_groups {
+            let Some(at) = next.filter(|at| *at > 0) else { break };
+            next = number(file, at + 24);
+            // Behind the head, the links and the record number.
+            let links = number(file, at + 16).filter(|n| *n <= 64);
+            let stated = links.and_then(|n| number(file, at + 24 + 8 * n + 8));
+            if let Some(stated) = stated.filter(|n| !g.is_vlsd() && *n > g.sample_count) {
+                notes.push(format!(
+                    "group {} states {stated} samples and holds {}: the rest is lost",
+                    g.index + 1,
+                    g.sample_count
+                ));
+            }
+        }
+    }
+    notes
+}
+
+/// Eight bytes of the file as a number.
+fn number(file: &Mf4File, at: u64) -> Option<u64> {
+    Some(u64::from_le_bytes(file.read_raw(at, 8).ok()?.try_into().ok()?))
 }
 
 /// Why a channel is not read; none where it is.
@@ -124,6 +154,23 @@ impl Source for Mdf4 {
     }
 
     fn chunks(&self, group: usize, channels: &[usize], take: &mut TakeChunk<'_>) -> Result<(), FilesError> {
+        let (mut found, stated) = (0u64, self.groups[group].rows);
+        self.pieces(group, channels, &mut |cells| {
+            found += cells.first().map_or(0, Cells::len) as u64;
+            take(cells)
+        })?;
+        // A file that its writer did not close says nothing reliable about its rows.
+        if channels.is_empty() || found >= stated || self.file.unfinalized().is_some() {
+            return Ok(());
+        }
+        let reason =
+            format!("found {found} rows, expected the {stated} that the file states: the rest is lost");
+        Err(FilesError::Malformed { path: self.path.clone(), format: "MDF 4", reason })
+    }
+}
+
+impl Mdf4 {
+    fn pieces(&self, group: usize, channels: &[usize], take: &mut TakeChunk<'_>) -> Result<(), FilesError> {
         let wanted: Vec<&Channel> = channels.iter().map(|c| &self.channels[group][*c]).collect();
         let fail = |e: Mf4Error| fault(&self.path, &e);
         if wanted.is_empty() || self.groups[group].rows == 0 {

@@ -55,7 +55,8 @@ fn repeated(model: &dyn Model, theta: &[f64], e: &Experiment, first_run: &[f64])
     }
     let size = |v: &[f64]| v.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
     let growth = size(&out[(REPEATED - 1) * e.len()..]) / size(first_run).max(f64::MIN_POSITIVE);
-    format!("the tenth passage is {growth:.3} times as large as the first")
+    let growth = if growth < 1e4 { format!("{growth:.3}") } else { format!("{growth:.1e}") };
+    format!("the tenth passage is {growth} times as large as the first")
 }
 
 fn spread(v: &[f64]) -> f64 {

@@ -7,7 +7,7 @@ use super::start_maps::start_maps;
 use dynocal_files::{json, units};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Opens every file that the spec gives, and compares channels, units and sample time with those of the campaign.
 ///
@@ -19,18 +19,43 @@ pub(super) fn check(ctx: &Context) -> Result<(), ChainError> {
         ("excite.identification_files", &e.identification_files),
         ("excite.validation_files", &e.validation_files),
     ];
+    let mut seen: Vec<(&str, &PathBuf, Dataset)> = Vec::new();
     for (key, files) in lists {
         for file in files {
-            record(ctx, key, file, &stem(file))?;
+            seen.push((key, file, record(ctx, key, file, &stem(file))?));
         }
     }
+    if let Some(file) = &ctx.spec.design.record {
+        seen.push(("design.record", file, record(ctx, "design.record", file, "design01")?));
+    }
+    told_apart(&seen)?;
     for (output, file) in &ctx.spec.identify.files {
         model(ctx, output, file)?;
     }
-    if let Some(file) = &ctx.spec.design.record {
-        record(ctx, "design.record", file, "design01")?;
-    }
     start_maps(ctx).map(drop)
+}
+
+/// A record that models are identified from is not unseen, under whatever name.
+fn told_apart(records: &[(&str, &PathBuf, Dataset)]) -> Result<(), ChainError> {
+    let validation = |key: &str| key == "excite.validation_files";
+    for (key, file, d) in records.iter().filter(|r| validation(r.0)) {
+        let same = |other: &Dataset| {
+            other.len() == d.len()
+                && other
+                    .channels
+                    .iter()
+                    .zip(&d.channels)
+                    .all(|(a, b)| a.name == b.name && a.values == b.values)
+        };
+        if let Some((other, of, _)) = records.iter().find(|r| !validation(r.0) && same(&r.2)) {
+            return Err(ChainError::Spec {
+                key: (*key).into(),
+                found: format!("`{}`, the same samples as `{}` of {other}", file.display(), of.display()),
+                expected: "records that no model is identified from".into(),
+            });
+        }
+    }
+    Ok(())
 }
 
 /// A record with the channels of the problem in its units, sampled as the campaign is.

@@ -236,7 +236,11 @@ impl Runner<'_> {
 
 /// The first output that misses its demand, or a limit, on the models.
 fn missed(ctx: &Context, optimum: &Optimum) -> Option<String> {
-    let of = |output: &String| !(optimum.violation(output) <= VIOLATION * range_of(ctx, output));
+    let soft = |output: &String| {
+        ctx.spec.problem.limits.iter().any(|l| l.output == *output && l.soft_weight.is_some())
+    };
+    let of =
+        |output: &String| !soft(output) && !(optimum.violation(output) <= VIOLATION * range_of(ctx, output));
     ctx.channels.outputs().into_iter().find(of)
 }
 
@@ -246,10 +250,18 @@ fn worst(ctx: &Context, optimum: &Optimum) -> f64 {
     outputs.iter().map(|o| optimum.violation(o) / range_of(ctx, o)).fold(0.0, f64::max)
 }
 
-/// Range of the demand of an output; 1 where it has none.
+/// Range of the demand of an output, else the distance of its limits or the size of the one that it has; 1 where it has neither.
 pub(super) fn range_of(ctx: &Context, output: &str) -> f64 {
-    let d = ctx.spec.problem.demands.iter().find(|d| d.output == output);
-    d.map_or(1.0, |d| d.upper - d.lower)
+    let problem = &ctx.spec.problem;
+    let limit = problem.limits.iter().find(|l| l.output == output);
+    match (problem.demands.iter().find(|d| d.output == output), limit.map(|l| (l.lower, l.upper))) {
+        (Some(d), _) => d.upper - d.lower,
+        (None, Some((Some(lower), Some(upper)))) => upper - lower,
+        (None, Some((lower, upper))) => {
+            lower.or(upper).map(f64::abs).filter(|size| *size > 0.0).unwrap_or(1.0)
+        }
+        (None, None) => 1.0,
+    }
 }
 
 /// Demands of an optimum as loops are asked to hold them: a search that found no way may end with short peaks far outside, which

@@ -26,6 +26,9 @@ pub struct Miss {
     pub unit: String,
     /// Largest violation of the demand, or of the limits, by the free run of the model.
     pub violation: f64,
+    /// Whether its limits are soft: then they may be passed.
+    #[serde(default)]
+    pub soft: bool,
     /// Root mean square of (measured - demanded) of the measured optimum; none for an output without a demand.
     pub measured_rms: Option<f64>,
     /// Mean of (measured - demanded).
@@ -211,8 +214,7 @@ impl Pass {
     /// save saved, and what was measured is near what was demanded.
     fn judge(&mut self, ctx: &Context) {
         let range = |output: &str| range_of(ctx, output);
-        let missed =
-            self.misses.iter().find(|m| m.violation.is_nan() || m.violation > VIOLATION * range(&m.output));
+        let missed = self.misses.iter().find(|m| !m.soft && !(m.violation <= VIOLATION * range(&m.output)));
         let lead = ctx.channels.demands.first();
         let most_rms = |m: &Miss| range(&m.output) * if Some(&m.output) == lead { FAR_LEAD } else { FAR };
         let beyond = |v: Option<f64>, most: f64| v.is_some_and(|v| v.is_nan() || v.abs() > most);
@@ -221,9 +223,11 @@ impl Pass {
         };
         let far = self.misses.iter().find(is_far);
         self.reason = if let Some(m) = missed {
+            let demanded = ctx.channels.demands.contains(&m.output);
             format!(
-                "its {} misses the demand by {:.2e}{} on the models",
+                "its {} {} by {:.2e}{} on the models",
                 m.output,
+                if demanded { "misses the demand" } else { "passes its limit" },
                 m.violation,
                 UnitAfter(&m.unit)
             )
@@ -294,6 +298,7 @@ fn misses(ctx: &Context, optimum: &Optimum, run: &Dataset) -> Result<Vec<Miss>, 
             Ok(Miss {
                 unit: unit(&output),
                 violation: optimum.violation(&output),
+                soft: ctx.spec.problem.limits.iter().any(|l| l.output == output && l.soft_weight.is_some()),
                 measured_rms: mean(&|e| e * e).map(f64::sqrt),
                 measured_mean: mean(&|e| e),
                 output,

@@ -4,7 +4,7 @@ use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::records::meter_conversion;
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
-use dynocal_calib::problem::ObjectiveTerm;
+use dynocal_calib::problem::{LimitChannel, ObjectiveTerm};
 use dynocal_calib::steady::hold::{Resting, hold};
 use dynocal_calib::steady::search::{FreeInput, Setting};
 use dynocal_calib::steady::{Held, best_point};
@@ -132,6 +132,8 @@ fn hold_point(
 const RESOLUTION: f64 = 2.5e-4;
 /// Error of a held demand from which on a point counts as missed, as a share of its range.
 const MISSED: f64 = 0.0125;
+/// Share of a limit by which a point may be beyond it without a word.
+const PASSED: f64 = 0.02;
 /// Price of a limit that is passed by its own size, in units of the objective's size.
 const PRICE: f64 = 10.0;
 
@@ -144,6 +146,12 @@ fn held_value(ctx: &Context, h: &Held, name: &str) -> f64 {
     let outputs = ctx.channels.outputs();
     let input = inputs.iter().position(|n| n == name).map(|k| h.inputs[k]);
     input.or_else(|| outputs.iter().position(|n| n == name).map(|k| h.outputs[k])).unwrap_or(f64::NAN)
+}
+
+/// Mean value of a channel, of a derived one by those that it is derived from.
+fn value_of(ctx: &Context, h: &Held, name: &str) -> f64 {
+    let m = ctx.spec.problem.monomial(name);
+    m.powers.iter().fold(m.factor, |p, (name, k)| p * held_value(ctx, h, name).powi(*k))
 }
 
 /// A meter of the plant for a channel that is minimised, in the unit of the problem: `scale v + offset`.
@@ -170,11 +178,13 @@ fn objective_at(ctx: &Context, meters: &[Meter], h: &Held) -> f64 {
     let problem = &ctx.spec.problem;
     let first_meter = h.outputs.len() - meters.len();
     let term = |t: &ObjectiveTerm| {
+        if ctx.channels.outputs().contains(&t.channel) {
+            return t.weight * held_value(ctx, h, &t.channel);
+        }
         if let Some(k) = meters.iter().position(|m| m.channel == t.channel) {
             return t.weight * (meters[k].scale * h.outputs[first_meter + k] + meters[k].offset);
         }
-        let m = problem.monomial(&t.channel);
-        t.weight * m.powers.iter().fold(m.factor, |p, (name, k)| p * held_value(ctx, h, name).powi(*k))
+        t.weight * value_of(ctx, h, &t.channel)
     };
     problem.minimise.iter().map(term).sum()
 }
@@ -187,8 +197,12 @@ fn cost(ctx: &Context, meters: &[Meter], h: &Held) -> f64 {
         let over = upper.map_or(0.0, |u| (value - u).max(0.0) / u.abs().max(1e-12));
         over + lower.map_or(0.0, |l| (l - value).max(0.0) / l.abs().max(1e-12))
     };
-    let limits: f64 =
-        problem.limits.iter().map(|l| passed(held_value(ctx, h, &l.output), l.lower, l.upper)).sum();
+    // At rest a mean is the value.
+    let of = |l: &LimitChannel| {
+        let value = value_of(ctx, h, &l.output);
+        passed(value, l.lower, l.upper) + passed(value, None, l.mean_upper)
+    };
+    let limits: f64 = problem.limits.iter().map(of).sum();
     let missed: f64 = h
         .errors
         .iter()
@@ -216,6 +230,17 @@ fn missed(ctx: &Context, h: &Held) -> String {
             };
             out.push(format!("{} is off by {}: {why}", d.output, with_unit(*e, 3, &d.unit)));
         }
+    }
+    for l in problem.limits.iter().filter(|l| l.soft_weight.is_none()) {
+        let value = value_of(ctx, h, &l.output);
+        let beyond = |limit: Option<f64>, sign: f64| {
+            limit.filter(|limit| sign * (value - limit) > PASSED * limit.abs())
+        };
+        let limit = beyond(l.upper.or(l.mean_upper), 1.0).or(beyond(l.lower, -1.0));
+        out.extend(limit.map(|limit| {
+            let (value, limit) = (with_unit(value, 3, &l.unit), with_unit(limit, 3, &l.unit));
+            format!("{} is {value}, beyond its limit of {limit}", l.output)
+        }));
     }
     out.join("; ")
 }

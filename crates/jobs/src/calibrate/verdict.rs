@@ -10,7 +10,7 @@ use super::run::ChainResult;
 use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
 use dynocal_calib::limits::LimitScore;
-use dynocal_calib::validate::MapScore;
+use dynocal_calib::validate::{MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
@@ -58,6 +58,7 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     passes(spec, r, &mut f);
     if let Some(v) = &r.validate {
         comparison(spec, &v.result, &mut f);
+        f.notes.extend(static_saves_more(r, &v.result));
     }
     design(r, &mut f);
     models(r, &mut f);
@@ -165,6 +166,9 @@ fn meters(spec: &CalibrateSpec, p: &Pass, f: &mut Findings) {
     }
 }
 
+/// Points of R2 that a designed record may cost without a word.
+const WORSE_POINTS: f64 = 1.0;
+
 /// What is minimised, in words.
 pub(crate) fn objective_words(spec: &CalibrateSpec) -> String {
     let names: Vec<&str> = spec.problem.minimise.iter().map(|t| t.channel.as_str()).collect();
@@ -250,6 +254,21 @@ fn beaten(v: &ValidateResult, own: &MapScore) -> Vec<String> {
     out
 }
 
+/// The static map's free inputs against the optimum over its own record, in words where they save more.
+fn static_saves_more(r: &ChainResult, v: &ValidateResult) -> Option<String> {
+    let last = r.optimise.as_ref()?.result.passes.last()?;
+    let rival = v.static_on_record.as_ref()?;
+    let saved = |ratio: f64| 100.0 * (ratio - 1.0);
+    (rival.ratio < last.measured_ratio).then(|| {
+        format!(
+            "Over the record of pass {} the static map's inputs that no loop drives save more than the optimum: {:+.2} against {:+.2} %.",
+            last.pass,
+            saved(rival.ratio),
+            saved(last.measured_ratio)
+        )
+    })
+}
+
 fn design(r: &ChainResult, f: &mut Findings) {
     let Some(d) = r.design.as_ref().map(|d| &d.result) else { return };
     if !d.left_out.is_empty() && !d.left_out.starts_with("no design was asked") {
@@ -265,6 +284,18 @@ fn design(r: &ChainResult, f: &mut Findings) {
         ));
     }
     let of = |data: &str| d.gains.iter().find(|g| g.data.starts_with(data));
+    if let (Some(own), Some(before)) = (of("with the designed"), of("identification records")) {
+        for ((name, a), (_, b)) in own.r2.iter().zip(&before.r2) {
+            let (a, b) = (100.0 * a.unwrap_or(f64::NEG_INFINITY), 100.0 * b.unwrap_or(f64::NEG_INFINITY));
+            if a < b - WORSE_POINTS {
+                f.notes.push(format!(
+                    "With the designed record the {name} model became worse: free-run R2 on unseen records {} %, {} % before.",
+                    significant(a, 4),
+                    significant(b, 4)
+                ));
+            }
+        }
+    }
     if let (Some(own), Some(other)) = (of("with the designed"), of("with one more")) {
         let worse: Vec<String> = own
             .r2
@@ -299,6 +330,14 @@ fn models(r: &ChainResult, f: &mut Findings) {
                 let text = format!("The {} model of the step {stage} diverges on a record.", o.output);
                 if decides { f.fault(Status::Diverged, text) } else { f.notes.push(text) }
             }
+            if let Some(r2) = best.unseen_r2.filter(|r2| *r2 < 0.0) {
+                let text = format!(
+                    "The {} model of the step {stage} is worse than the mean of its output: free-run R2 {} % on unseen records.",
+                    o.output,
+                    significant(100.0 * r2, 3)
+                );
+                if decides { f.fault(Status::Stalled, text) } else { f.notes.push(text) }
+            }
             if !best.status.is_success() && decides {
                 f.notes.push(format!(
                     "The estimate of the {} model of the step {stage} {} after {} evaluations.",
@@ -332,11 +371,16 @@ pub fn stages(r: &ChainResult) -> Vec<(String, &ModelsResult)> {
 /// One or two sentences at the top of the page.
 fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
     let Some(v) = r.validate.as_ref().map(|d| &d.result) else {
-        let done = super::store::finished(r);
-        return format!(
-            "{done} of {} steps are finished; there is no map to judge yet.",
-            super::run::STEPS.len()
-        );
+        let (done, all) = (super::store::finished(r), super::run::STEPS.len());
+        return match (r.invert.is_some(), valid) {
+            (true, true) => format!(
+                "{done} of {all} steps are finished: the dynamic map is there, and nothing speaks against it so far. It has not been compared with other maps."
+            ),
+            (true, false) => {
+                format!("{done} of {all} steps are finished: the dynamic map must not be used as it is.")
+            }
+            (false, _) => format!("{done} of {all} steps are finished; there is no map to judge yet."),
+        };
     };
     let passes = r.optimise.iter().flat_map(|d| &d.result.passes);
     let head = match (valid, passes.filter(|p| p.usable).count()) {
@@ -378,11 +422,11 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
         };
         let yields = match (own.economy, rival.economy, own.demands.first()) {
             (Some(own), Some(rival), Some(lead)) => format!(
-                ", and gives {:.1} % {} {} for the same {}",
+                ", and gives {:.1} % {} {} for the same sum of {}",
                 100.0 * (own / rival - 1.0).abs(),
                 if own >= rival { "more" } else { "less" },
                 lead.output,
-                objective_words(spec)
+                spent_input(&spec.problem).unwrap_or_else(|| objective_words(spec))
             ),
             _ => String::new(),
         };
