@@ -23,6 +23,7 @@ use dynocal_ident::model::{Model, Run};
 use dynocal_ident::plan::Plan;
 use dynocal_ident::plant::LimitEvent;
 use dynocal_ident::play::{Course, PlayError, Reason, Stop, Watchdog};
+use dynocal_numerics::interval::Interval;
 
 /// The model of a watched output; its inputs are the channels of the plan, in the same order.
 #[derive(Clone, Copy)]
@@ -68,7 +69,7 @@ pub struct Supervisor<'a> {
 /// value and margin where it has none.
 pub fn for_plan<'a>(plan: &Plan, models: &[(&str, Predictor<'a>)]) -> Supervisor<'a> {
     let watched = plan.limits.iter().map(|l| {
-        let (lower, upper) = l.range();
+        let Interval { lower, upper } = l.range();
         let predictor = models.iter().find(|(output, _)| *output == l.output).map(|(_, p)| *p);
         Watched { output: l.output.clone(), lower, upper, margin: l.margin, predictor }
     });

@@ -6,6 +6,7 @@ use crate::map::Rows;
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::derived::DerivedError;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -19,9 +20,9 @@ pub struct ValidateSpec {
     /// Time at each operating point in s.
     pub point_s: f64,
     /// Range of the leading demand at the points; its inner three quarters where it is not given.
-    pub demand: Option<(f64, f64)>,
+    pub demand: Option<Interval>,
     /// Range of the given channel at the points; its inner nine tenths where it is not given.
-    pub given: Option<(f64, f64)>,
+    pub given: Option<Interval>,
     /// Largest change of the given channel between points per second (the dynamometer's gradient); half its range where it is
     /// not given.
     pub given_rate_per_s: Option<f64>,
@@ -63,14 +64,14 @@ pub fn inner((lower, upper): (f64, f64), share: f64) -> (f64, f64) {
 
 impl ValidateSpec {
     /// Range of the leading demand at the points.
-    pub fn demand_range(&self, problem: &CalibrationProblem) -> (f64, f64) {
-        self.demand.unwrap_or_else(|| inner(lead(problem), 0.125))
+    pub fn demand_range(&self, problem: &CalibrationProblem) -> Interval {
+        self.demand.unwrap_or_else(|| inner(lead(problem), 0.125).into())
     }
 
     /// Range of the first given channel at the points; none where the problem has none.
-    pub fn given_range(&self, problem: &CalibrationProblem) -> Option<(f64, f64)> {
+    pub fn given_range(&self, problem: &CalibrationProblem) -> Option<Interval> {
         let range = problem.given.first().map(|g| (g.lower, g.upper))?;
-        Some(self.given.unwrap_or_else(|| inner(range, 0.05)))
+        Some(self.given.unwrap_or_else(|| inner(range, 0.05).into()))
     }
 
     /// Settling band of demand number `k`.
@@ -127,8 +128,8 @@ pub fn random_points(
     let mut reference = Rows::new(problem.demands.len() + problem.given.len());
     let mut now: Option<f64> = None;
     for _ in 0..spec.points {
-        let level = rng.uniform_in(demand.0, demand.1);
-        let target = given.map(|g| rng.uniform_in(g.0, g.1));
+        let level = rng.uniform_in(demand.lower, demand.upper);
+        let target = given.map(|g| rng.uniform_in(g.lower, g.upper));
         for _ in 0..hold {
             now = target.map(|target| {
                 let from = now.unwrap_or(target);

@@ -6,6 +6,7 @@ use dynocal_calib::steady::grid::{CellState, GridSpec, interpolate, solve};
 use dynocal_calib::steady::refine::Known;
 use dynocal_calib::steady::whole::{Coupling, solve_whole};
 use dynocal_ident::model::response::{Ask, Prediction, Response};
+use dynocal_numerics::interval::Interval;
 
 /// A quadratic `c + g'x + x'Hx/2` with variance `v0 + v1 |x - centre|^2`.
 struct Quadratic {
@@ -53,7 +54,15 @@ impl Response for Quadratic {
 fn setting<'a>(models: Vec<&'a dyn Response>, sides: Vec<Side>, d: usize) -> Setting<'a> {
     let mut weights = vec![0.0; models.len()];
     weights[0] = 1.0;
-    Setting { models, weights, sides, z: 0.0, caution: 0.0, ranges: vec![(-5.0, 5.0); d], axes: 1 }
+    Setting {
+        models,
+        weights,
+        sides,
+        z: 0.0,
+        caution: 0.0,
+        ranges: vec![Interval::new(-5.0, 5.0); d],
+        axes: 1,
+    }
 }
 
 fn upper(response: usize, limit: f64) -> Side {
@@ -262,7 +271,7 @@ fn the_next_points_go_far_out_first_and_then_where_the_map_is_in_doubt() {
     fuel.centre = vec![-5.0, 0.0];
     let s = setting(vec![&fuel], Vec::new(), 2);
     let axes = vec![(0..9).map(|k| -4.0 + f64::from(k)).collect::<Vec<f64>>()];
-    let envelope = Envelope::of(&[vec![-4.0], vec![2.0]], &[(-5.0, 5.0)]);
+    let envelope = Envelope::of(&[vec![-4.0], vec![2.0]], &[Interval::new(-5.0, 5.0)]);
     let cells = solve(&s, &axes, &GridSpec::default(), &|at| envelope.contains(at), 1, &|| false);
     let measured = vec![vec![-4.0, 0.0], vec![0.0, 0.0], vec![2.0, 1.0]];
     let known = |asked: &[Vec<f64>], count: usize| {

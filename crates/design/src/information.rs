@@ -107,14 +107,36 @@ pub struct Singular {
     pub p: usize,
     /// One entry per direction that cannot be seen: parameters with their shares (of the norm-scaled column), the
     /// largest first, shares below 1 % left out.
-    pub unseen: Vec<Vec<(String, f64)>>,
+    pub unseen: Vec<Vec<ParameterShare>>,
+}
+
+/// What a parameter has to do with a direction that cannot be seen. Files hold it as `[parameter, share]`.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(into = "(String, f64)")]
+pub struct ParameterShare {
+    /// Name of the parameter.
+    pub parameter: String,
+    /// Its component in the direction of unit length, columns scaled to unit norm.
+    pub share: f64,
+}
+
+impl From<ParameterShare> for (String, f64) {
+    fn from(p: ParameterShare) -> Self {
+        (p.parameter, p.share)
+    }
+}
+
+impl std::fmt::Display for ParameterShare {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:+.2} {}", self.share, self.parameter)
+    }
 }
 
 impl std::fmt::Display for Singular {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "singular: rank {} of {}; not seen:", self.rank, self.p)?;
         for (i, d) in self.unseen.iter().enumerate() {
-            let terms: Vec<String> = d.iter().take(6).map(|(n, c)| format!("{c:+.2} {n}")).collect();
+            let terms: Vec<String> = d.iter().take(6).map(ToString::to_string).collect();
             let dots = if d.len() > 6 { " ..." } else { "" };
             write!(f, "{} {}{dots}", if i > 0 { ";" } else { "" }, terms.join(" "))?;
         }
@@ -180,13 +202,13 @@ pub fn report(model: &dyn Model, s: &[f64], noise_variance: f64, reference_scale
     Report::Regular(Regular { crlb_std, scaled_eigenvalues, factor, scale })
 }
 
-fn direction(model: &dyn Model, v: &[f64]) -> Vec<(String, f64)> {
-    let mut d: Vec<(String, f64)> = v
+fn direction(model: &dyn Model, v: &[f64]) -> Vec<ParameterShare> {
+    let mut d: Vec<ParameterShare> = v
         .iter()
         .enumerate()
         .filter(|(_, c)| c.abs() > 0.01)
-        .map(|(k, c)| (model.param_name(k), *c))
+        .map(|(k, c)| ParameterShare { parameter: model.param_name(k), share: *c })
         .collect();
-    d.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+    d.sort_by(|a, b| b.share.abs().total_cmp(&a.share.abs()));
     d
 }

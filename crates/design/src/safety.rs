@@ -1,6 +1,7 @@
 //! Predicted outputs of a design against their limits.
 
 use crate::problem::{DesignProblem, Evaluator};
+use dynocal_numerics::interval::Interval;
 
 /// One predicted output over a record.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,7 +11,7 @@ pub struct Safety {
     /// Predicted output (N).
     pub predicted: Vec<f64>,
     /// Least and largest prediction over the samples that are computed.
-    pub range: (f64, f64),
+    pub range: Interval,
     /// Worst distance to a limit with its margin, negative where it is passed; `None` without limits.
     pub worst: Option<Worst>,
 }
@@ -38,10 +39,9 @@ pub fn safety(problem: &DesignProblem, evaluator: &Evaluator) -> Vec<Safety> {
         .map(|(i, term)| {
             let y = evaluator.output(i);
             let computed = || y.iter().enumerate().skip(first);
-            let range =
-                computed().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), (_, v)| (a.min(*v), b.max(*v)));
+            let range = Interval::spanning(computed().map(|(_, v)| *v));
             let worst = term.limits.and_then(|l| {
-                let (lower, upper) = l.kept();
+                let Interval { lower, upper } = l.kept();
                 computed()
                     .map(|(sample, output)| {
                         let below = upper - output < output - lower;

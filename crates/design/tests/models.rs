@@ -166,6 +166,6 @@ fn what_a_record_cannot_see_is_named_by_its_regressors() {
     let s = sensitivities(&model, &[1.0; 3], &u, 2, Convention::Trim, 0, 0.0).unwrap();
     let Report::Singular(found) = report(&model, &s, 1.0, &[]) else { panic!("must be singular") };
     assert_eq!((found.rank, found.unseen.len()), (2, 1));
-    let names: Vec<&str> = found.unseen[0].iter().map(|(n, _)| n.as_str()).collect();
+    let names: Vec<&str> = found.unseen[0].iter().map(|p| p.parameter.as_str()).collect();
     assert!(names.contains(&"1") && names.contains(&"a(t)") && !names.contains(&"b(t)"), "{found}");
 }

@@ -32,7 +32,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (found, curves) = run::make(&job, &load::load(&job)?, Watch::silent())?;
     println!("{} samples, J_D {:.2} (at the start {:.2})", found.samples, found.value, found.start_value);
     for rival in &found.efficiencies {
-        println!("{}: D-efficiency {:.1} % (median of {})", rival.rival, rival.d_percent.0, rival.signals);
+        println!(
+            "{}: D-efficiency {:.1} % (median of {})",
+            rival.rival, rival.d_percent.median, rival.signals
+        );
     }
     let first: Vec<f64> = curves.u[..found.channels.len()].to_vec();
     println!("first sample: {first:?}");

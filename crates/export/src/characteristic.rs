@@ -1,5 +1,6 @@
 //! Scalars, curves and maps with axes, units and limits: the neutral form of what a calibrator calls a characteristic.
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use crate::error::ExportError;
@@ -35,7 +36,7 @@ pub struct Characteristic {
     /// Values, x fastest.
     pub values: Vec<f64>,
     /// Least and greatest value allowed, where they are known.
-    pub limits: Option<(f64, f64)>,
+    pub limits: Option<Interval>,
 }
 
 /// Whether `name` is an identifier of C, A2L and DCM alike.

@@ -11,6 +11,7 @@
 //! dynamic map adds filters, differences and clamps; a scheduled controller adds look-ups. Coefficients stay arrays with
 //! a name, so that a calibrator finds them in the ECU.
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use crate::characteristic::{Characteristic, is_identifier};
@@ -31,7 +32,7 @@ pub struct Input {
     /// Value before anything is connected.
     pub start: f64,
     /// Least and greatest value in the data, where known.
-    pub range: Option<(f64, f64)>,
+    pub range: Option<Interval>,
 }
 
 /// A channel that leaves.

@@ -5,6 +5,7 @@
 mod common;
 
 use dynocal_export::format::{Keys, read, write};
+use dynocal_numerics::interval::Interval;
 
 /// Replaces the first `from` in the export of the test's maps.
 fn planted(format: &str, from: &str, to: &str) -> (String, Vec<u8>) {
@@ -175,10 +176,10 @@ fn limits_of_an_ecu() {
     let file = write(&package, "a2l", &Keys::default()).unwrap().remove(0);
     let mut entries = dynocal_export::format::a2l::read("x.a2l", &file.bytes).unwrap();
     for e in &mut entries {
-        e.limits = (0.0, 32.0);
+        e.limits = Interval::new(0.0, 32.0);
     }
     let notes = dynocal_export::format::a2l::adopt(&mut package, &entries);
-    assert_eq!(package.characteristics[4].limits, Some((0.0, 32.0)));
+    assert_eq!(package.characteristics[4].limits, Some(Interval::new(0.0, 32.0)));
     assert!(notes.iter().any(|n| n == "`INJ_MAP`: 1 values outside 0 to 32"), "{notes:?}");
 }
 

@@ -1,8 +1,10 @@
 //! The unit as a plant.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
+use dynocal_numerics::interval::Interval;
 use tempfile::TempDir;
 
 use crate::archive;
@@ -16,9 +18,9 @@ use crate::library3::Unit3;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FmuSettings {
     /// Parameters and their values.
-    pub parameters: Vec<(String, f64)>,
+    pub parameters: BTreeMap<String, f64>,
     /// Ranges of inputs and outputs, where the description has none.
-    pub ranges: Vec<(String, f64, f64)>,
+    pub ranges: BTreeMap<String, Interval>,
 }
 
 /// One step that was made since the last start.
@@ -138,10 +140,10 @@ impl FmuPlant {
 }
 
 fn variable(v: &FmiVariable, settings: &FmuSettings) -> Variable {
-    let stated = settings.ranges.iter().find(|r| r.0 == v.name);
+    let stated = settings.ranges.get(&v.name);
     // A description without limits allows every number.
-    let min = stated.map(|r| r.1).or(v.min).unwrap_or(f64::MIN);
-    let max = stated.map(|r| r.2).or(v.max).unwrap_or(f64::MAX);
+    let min = stated.map(|r| r.lower).or(v.min).unwrap_or(f64::MIN);
+    let max = stated.map(|r| r.upper).or(v.max).unwrap_or(f64::MAX);
     Variable {
         name: v.name.clone(),
         unit: v.unit.clone(),
@@ -155,9 +157,9 @@ fn variable(v: &FmiVariable, settings: &FmuSettings) -> Variable {
 fn parameters(
     path: &str,
     about: &Description,
-    wanted: &[(String, f64)],
+    wanted: &BTreeMap<String, f64>,
 ) -> Result<Vec<(u32, f64)>, FmuError> {
-    let find = |(name, value): &(String, f64)| {
+    let find = |(name, value): (&String, &f64)| {
         let known = || about.variables.iter().filter(|v| v.role == Role::Parameter);
         known().find(|v| v.name == *name).map(|v| (v.reference, *value)).ok_or_else(|| {
             FmuError::Description {
@@ -173,11 +175,11 @@ fn parameters(
     wanted.iter().map(find).collect()
 }
 
-fn ranges(path: &str, about: &Description, wanted: &[(String, f64, f64)]) -> Result<(), FmuError> {
+fn ranges(path: &str, about: &Description, wanted: &BTreeMap<String, Interval>) -> Result<(), FmuError> {
     let known = || about.variables.iter().filter(|v| matches!(v.role, Role::Input | Role::Output));
-    match wanted.iter().find(|r| !known().any(|v| v.name == r.0)) {
+    match wanted.keys().find(|name| !known().any(|v| v.name == **name)) {
         None => Ok(()),
-        Some((name, ..)) => Err(FmuError::Description {
+        Some(name) => Err(FmuError::Description {
             path: path.into(),
             line: 0,
             reason: format!(

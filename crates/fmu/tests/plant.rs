@@ -9,13 +9,16 @@ use std::path::Path;
 use common::made;
 use dynocal_fmu::{FmuPlant, FmuSettings};
 use dynocal_ident::plant::Plant;
+use dynocal_numerics::interval::Interval;
 
 #[test]
 fn answers_as_its_closed_form_says() {
     let tmp = tempfile::tempdir().unwrap();
     let Some(paths) = made(tmp.path()) else { return };
-    let settings =
-        FmuSettings { parameters: vec![("tau".into(), 0.2)], ranges: vec![("speed".into(), 800.0, 5000.0)] };
+    let settings = FmuSettings {
+        parameters: [("tau".into(), 0.2)].into(),
+        ranges: [("speed".into(), Interval::new(800.0, 5000.0))].into(),
+    };
     for path in paths {
         let mut plant = FmuPlant::open(&path, &settings).unwrap();
         let names: Vec<&str> = plant.variables().iter().map(|v| v.name.as_str()).collect();
@@ -67,10 +70,11 @@ fn what_is_no_fmu_is_refused() {
     std::fs::write(&path, b"hello").unwrap();
     assert!(message(&path).contains("is no FMU (a zip archive)"));
     let Some(paths) = made(tmp.path()) else { return };
-    let wrong = FmuSettings { parameters: vec![("tow".into(), 1.0)], ranges: Vec::new() };
+    let wrong = FmuSettings { parameters: [("tow".into(), 1.0)].into(), ..FmuSettings::default() };
     let e = FmuPlant::open(&paths[0], &wrong).err().unwrap().to_string();
     assert!(e.contains("no parameter `tow`; there are: tau"), "{e}");
-    let wrong = FmuSettings { parameters: Vec::new(), ranges: vec![("sped".into(), 0.0, 1.0)] };
+    let wrong =
+        FmuSettings { ranges: [("sped".into(), Interval::new(0.0, 1.0))].into(), ..FmuSettings::default() };
     let e = FmuPlant::open(&paths[0], &wrong).err().unwrap().to_string();
     assert!(e.contains("no input or output `sped`; there are: speed, torque, inj"), "{e}");
 }

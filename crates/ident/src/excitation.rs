@@ -26,6 +26,7 @@ pub mod sample_time;
 
 use std::collections::BTreeMap;
 
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg::LinalgError;
 use serde::Serialize;
 
@@ -48,7 +49,7 @@ pub struct Settings {
     /// Longest lag of the correlation between inputs.
     pub max_lag: usize,
     /// Limits of inputs where they are declared.
-    pub ranges: BTreeMap<String, (f64, f64)>,
+    pub ranges: BTreeMap<String, Interval>,
     /// Period of the test signal in samples, where it is a periodic multisine: asks for the best linear approximation.
     pub period: Option<usize>,
     /// Periods at the start of every record that are still a transient.
@@ -281,16 +282,16 @@ impl Coverage {
                 self.minimum,
                 self.maximum,
                 100.0 * self.span,
-                self.range.0,
-                self.range.1
+                self.range.lower,
+                self.range.upper
             ));
         }
         if self.outside > 0.0 {
             out.push(format!(
                 "`{}` is outside its range {:.4} to {:.4} in {:.1} % of the samples",
                 self.input,
-                self.range.0,
-                self.range.1,
+                self.range.lower,
+                self.range.upper,
                 100.0 * self.outside
             ));
         }

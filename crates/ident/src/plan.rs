@@ -37,6 +37,7 @@ mod check;
 
 pub use check::PlanFault;
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use crate::data::{Channel, Dataset, Role};
@@ -176,13 +177,13 @@ impl PlanLimit {
     }
 
     /// Least and greatest value, infinite where there is none.
-    pub fn range(&self) -> (f64, f64) {
-        (self.lower.unwrap_or(f64::NEG_INFINITY), self.upper.unwrap_or(f64::INFINITY))
+    pub fn range(&self) -> Interval {
+        Interval::new(self.lower.unwrap_or(f64::NEG_INFINITY), self.upper.unwrap_or(f64::INFINITY))
     }
 
     /// Distance of `value` to the nearer limit; negative: passed.
     pub fn distance(&self, value: f64) -> f64 {
-        let (lower, upper) = self.range();
+        let Interval { lower, upper } = self.range();
         (upper - value).min(value - lower)
     }
 }

@@ -11,6 +11,7 @@ use dynocal_ident::excitation::regressors::rank;
 use dynocal_ident::excitation::sample_time::Verdict;
 use dynocal_ident::excitation::{Settings, excitation};
 use dynocal_ident::signal::signal;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 
 fn record(name: &str, dt_s: f64, channels: &[(&str, Role, &[f64])]) -> Dataset {
@@ -93,7 +94,8 @@ fn coverage_counts_cells() {
     let mut rng = Rng64::new(4);
     let a: Vec<f64> = (0..5000).map(|_| rng.uniform_in(10.0, 60.0)).collect();
     let b: Vec<f64> = (0..5000).map(|_| rng.uniform_in(0.0, 1.0)).collect();
-    let (ca, cb) = (coverage("a", &a, Some((10.0, 110.0))).unwrap(), coverage("b", &b, None).unwrap());
+    let (ca, cb) =
+        (coverage("a", &a, Some(Interval::new(10.0, 110.0))).unwrap(), coverage("b", &b, None).unwrap());
     assert_eq!((ca.occupied, cb.occupied, cb.span, ca.outside), (0.5, 1.0, 1.0, 0.0));
     assert!((ca.span - 0.5).abs() < 0.01);
     let apart = pair_coverage(&ca, &cb, &a, &b);
@@ -194,7 +196,7 @@ fn warnings_name_what_is_wrong() {
     let channels = [("inj", Role::Input, &inj[..]), ("spark", Role::Input, &spark), ("y", Role::Output, &y)];
     let names = ["inj".to_string(), "spark".to_string()];
     let mut settings = Settings::default();
-    settings.ranges.insert("spark".into(), (0.0, 40.0));
+    settings.ranges.insert("spark".into(), Interval::new(0.0, 40.0));
     let report = excitation(&[record("a", 0.1, &channels)], &names, &["y".into()], &settings).unwrap();
     let text = report.warnings.join("\n");
     for part in [

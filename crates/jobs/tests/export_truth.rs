@@ -1,5 +1,6 @@
 //! What `export` writes computes what the map or model computes: the neutral form sample by sample beside the original.
 
+use dynocal_numerics::interval::Interval;
 use std::collections::BTreeMap;
 
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
@@ -38,8 +39,8 @@ fn ports() -> Ports {
 
 /// A structured map with random coefficients in all of its terms.
 fn structured(rng: &mut Rng64) -> StructuredMap {
-    let region = vec![(10.0, 90.0), (0.9, 1.1), (1000.0, 3000.0)];
-    let scales: Vec<Scale> = region.iter().map(|s| Scale::of(*s)).collect();
+    let region = [(10.0, 90.0), (0.9, 1.1), (1000.0, 3000.0)].map(Interval::from).to_vec();
+    let scales: Vec<Scale> = region.iter().map(|s| Scale::of_range(*s)).collect();
     let terms = terms::terms(&ports(), &scales, &StructuredShape::default());
     let row = |middle: f64, rng: &mut Rng64| {
         let mut c: Vec<f64> = terms.iter().map(|_| rng.uniform_in(-1.0, 1.0)).collect();
@@ -155,7 +156,7 @@ fn free_runs_agree(stored: &StoredModel, tolerance: f64) {
     for t in 0..n {
         if t >= memory && t % 13 == 0 {
             for (x, i) in at.iter_mut().zip(&program.inputs) {
-                let (lower, upper) = i.range.unwrap();
+                let Interval { lower, upper } = i.range.unwrap();
                 *x = rng.uniform_in(lower, upper);
             }
         }

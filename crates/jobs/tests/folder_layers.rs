@@ -1,4 +1,4 @@
-//! The files of the jobs `identify` and `calibrate` point down only: there is an order to read them in.
+//! The files of the jobs `identify`, `calibrate`, `map` and `design` point down only: there is an order to read them in.
 
 #[path = "../../../tests/common/layers.rs"]
 mod layers;
@@ -62,4 +62,49 @@ fn no_file_of_calibrate_uses_one_above_it() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     let arrows = layers::arrows_below(&src, "crate::calibrate::");
     assert!(arrows.contains_key(&("optimise_step".into(), "optimise_plan".into())));
+}
+
+/// Lowest first.
+const MAP: &[&str] = &[
+    "error", "spec", "check", "job", "estimate", "choose", "learn", "setting", "refine", "result", "cells",
+    "verify", "verdict", "work", "page", "store",
+];
+
+#[test]
+fn no_file_of_map_uses_one_above_it() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/map");
+    let faults = layers::faults_below(&src, "crate::map::", MAP);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    let arrows = layers::arrows_below(&src, "crate::map::");
+    assert!(arrows.contains_key(&("verdict".into(), "result".into())));
+}
+
+/// Lowest first. What `typed` reads and `mod.rs` checks is below all that works with it.
+const DESIGN: &[&str] = &[
+    "error",
+    "typed",
+    "channels",
+    "loaded",
+    "literature",
+    "models",
+    "stored",
+    "load",
+    "estimate",
+    "margins",
+    "result",
+    "plan",
+    "judge",
+    "rivals",
+    "rounds",
+    "run",
+    "page",
+];
+
+#[test]
+fn no_file_of_design_uses_one_above_it() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/design");
+    let faults = layers::faults_below(&src, "crate::design::", DESIGN);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    let arrows = layers::arrows_below(&src, "crate::design::");
+    assert!(arrows.contains_key(&("run".into(), "load".into())));
 }

@@ -133,7 +133,7 @@ fn read(verb: &str, path: &Path) -> bool {
         }
         "map" => {
             let overrides = dynocal_jobs::place::Overrides { seed: None, out };
-            let Ok(job) = map::spec::read(path, &overrides) else { return false };
+            let Ok(job) = map::job::read(path, &overrides) else { return false };
             let plan = map::estimate::estimate(&job);
             assert!(plan.memory_bytes.is_finite() && plan.operations.is_finite(), "{plan:?}");
             true

@@ -5,7 +5,7 @@ use dynocal_calib::steady::grid::CellState;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, show};
 use dynocal_jobs::export::{self, ExportSpec};
-use dynocal_jobs::map::{MapError, Mapped, spec, store, work};
+use dynocal_jobs::map::{MapError, Mapped, job, store, work};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -212,7 +212,7 @@ speed = [1100.0, 1500.0, 1900.0]
 }
 
 fn run_with(more: &str, seed: u64, mut plant: Bench) -> Result<Mapped, MapError> {
-    let job = spec::parse("map.toml", &text(more), &Overrides { seed: Some(seed), out: None }).unwrap();
+    let job = job::parse("map.toml", &text(more), &Overrides { seed: Some(seed), out: None }).unwrap();
     work::run_on(&job, &mut plant, Watch::silent())
 }
 
@@ -304,7 +304,7 @@ fn a_response_without_signal_is_refused_with_its_numbers() {
 fn an_empty_feasible_region_names_its_limits() {
     let text = text(&DAY.replace("[bed]\n", "[bed]\nbeyond = { heat = 500.0, knock = 1.0 }\n"));
     let text = text.replace("upper = 720.0", "upper = 560.0");
-    let job = spec::parse("map.toml", &text, &Overrides { seed: Some(1), out: None }).unwrap();
+    let job = job::parse("map.toml", &text, &Overrides { seed: Some(1), out: None }).unwrap();
     let found = work::run_on(&job, &mut Bench::new(0.0, Fault::None), Watch::silent()).unwrap();
     assert!(!found.valid);
     let high: Vec<&String> = found.warnings.iter().filter(|w| w.contains("torque 70")).collect();
@@ -320,7 +320,7 @@ fn the_run_folder_holds_maps_that_leave_in_the_formats_of_ecus() {
     let tmp = tempfile::tempdir().unwrap();
     let out = tmp.path().join("run");
     let overrides = Overrides { seed: Some(1), out: Some(out.clone()) };
-    let job = spec::parse("map.toml", &text(DAY), &overrides).unwrap();
+    let job = job::parse("map.toml", &text(DAY), &overrides).unwrap();
     let found = work::run_on(&job, &mut Bench::new(0.5, Fault::None), Watch::silent()).unwrap();
     let folder = RunFolder::open(&job.out, dynocal_jobs::map::KIND, &job.spec).unwrap();
     let found = store::write(&folder, &job, found).unwrap();
@@ -354,7 +354,7 @@ fn the_run_folder_holds_maps_that_leave_in_the_formats_of_ecus() {
 fn a_held_value_out_of_its_range_is_refused() {
     let text = text(DAY).replace("[axes]\ntorque = [30.0, 50.0, 70.0]\n", "[held]\ntorque = HELD\n[axes]\n");
     for (held, fine) in [("50.0", true), ("-1e308", false), ("nan", false), ("81.0", false)] {
-        let read = spec::parse("map.toml", &text.replace("HELD", held), &Overrides::default());
+        let read = job::parse("map.toml", &text.replace("HELD", held), &Overrides::default());
         assert_eq!(read.is_ok(), fine, "{held}");
         if let Err(e) = read {
             assert!(e.to_string().contains("`held.torque`") && e.to_string().contains("20 to 80 Nm"), "{e}");

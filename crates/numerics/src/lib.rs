@@ -4,6 +4,7 @@
 //! random generator in [`rng`] only, the sparse factorisation in [`nlp`] only.
 
 pub mod fft;
+pub mod interval;
 pub mod lanes;
 pub mod linalg;
 pub mod lm;

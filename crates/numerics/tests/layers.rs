@@ -6,8 +6,20 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] =
-    &["fft", "lanes", "registry", "rng", "status", "vector_state", "watch", "linalg", "lm", "nlp", "optim"];
+const ORDER: &[&str] = &[
+    "fft",
+    "interval",
+    "lanes",
+    "registry",
+    "rng",
+    "status",
+    "vector_state",
+    "watch",
+    "linalg",
+    "lm",
+    "nlp",
+    "optim",
+];
 
 #[test]
 fn no_module_uses_one_above_it() {

@@ -2,6 +2,7 @@
 //!
 //! Reference values: the compiled-Python prototype of the engine specification (thesis mode, turbocharger off).
 
+use dynocal_numerics::interval::Interval;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
@@ -33,7 +34,7 @@ fn closed_loop_from_70_to_50_nm() {
         assert!((t - torque_s).abs() < 0.15, "torque settles in {t} s against {torque_s}");
         assert!((l - lambda_s).abs() < 0.3, "lambda settles in {l} s against {lambda_s}");
         assert!((low - torque_min).abs() < 1.0, "lowest torque {low} Nm against {torque_min}");
-        let (a, b) = r.lambda_range();
+        let Interval { lower: a, upper: b } = r.lambda_range();
         assert!((a - lambda_min).abs() < 0.03 && (b - lambda_max).abs() < 0.03, "lambda {a} to {b}");
     }
 }
@@ -97,9 +98,9 @@ fn motored_with_closed_throttle_costs_more_torque() {
 fn random_inputs_without_a_range_leave_no_variance_and_lambda_is_capped() {
     let signal = RandomInputs {
         speed_rpm: 2000.0,
-        injection_mg: (16.7, 16.7),
-        spark_deg: (19.0, 19.0),
-        throttle_deg: (16.0, 16.0),
+        injection_mg: Interval::new(16.7, 16.7),
+        spark_deg: Interval::new(19.0, 19.0),
+        throttle_deg: Interval::new(16.0, 16.0),
         hold_s: 0.6,
         sample_time_s: 0.03,
         lambda_cap: 5.0,
@@ -110,7 +111,7 @@ fn random_inputs_without_a_range_leave_no_variance_and_lambda_is_capped() {
     e.advance_time(6.0);
     let m = signal.moments(&mut e).unwrap();
     assert!(m.torque_std_nm < 0.02 && m.lambda_var < 1e-4, "{m:?}");
-    let wide = RandomInputs { injection_mg: (0.0, 35.0), time_s: 20.0, ..signal };
+    let wide = RandomInputs { injection_mg: Interval::new(0.0, 35.0), time_s: 20.0, ..signal };
     let wider = wide.moments(&mut e).unwrap();
     let capped = RandomInputs { lambda_cap: 0.5, ..wide }.moments(&mut e).unwrap();
     assert!(wider.torque_std_nm > 5.0 && wider.lambda_var > 10.0 * capped.lambda_var, "{wider:?} {capped:?}");

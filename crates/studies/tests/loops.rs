@@ -14,6 +14,7 @@ use dynocal_design::search::DesignOptions;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::plant::{Causality, Plant};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 use dynocal_plant::bed::{BedSettings, EngineBed};
@@ -158,7 +159,7 @@ fn a_right_structure_keeps_its_output_limits_at_the_stated_rate() {
         let initial = first(&mut p, 80);
         let done = iterate(&mut p, &rounds, initial, &|| false).unwrap();
         for (round, record) in done.rounds.iter().zip(&done.records[1..]) {
-            let (_, lower, upper) = round.limits[0];
+            let Interval { lower, upper } = round.limits[0].kept;
             assert!(lower > -1.0 && upper < 1.5);
             // Limits hold or the design says that they do not.
             let distance = round.design.safety[0].worst.unwrap().distance;

@@ -58,7 +58,7 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
         sides: upper.iter().enumerate().map(side).collect(),
         z: 0.0,
         caution: 0.0,
-        ranges: vec![(0.0, 1.0); dim],
+        ranges: vec![dynocal_numerics::interval::Interval::new(0.0, 1.0); dim],
         axes,
     };
     let coupling = Coupling {

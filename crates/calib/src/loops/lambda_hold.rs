@@ -6,6 +6,7 @@
 
 use dynocal_ident::pi::{Pi, PiGains};
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable, variable_index};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg::least_squares;
 use serde::{Deserialize, Serialize};
 
@@ -19,9 +20,9 @@ pub struct HoldSpec {
     /// Sample time of the loop in s; a test's sample time is a whole number of them.
     pub sample_time_s: f64,
     /// Range of speed in rpm over which the feedforward is learned.
-    pub speed_rpm: (f64, f64),
+    pub speed_rpm: Interval,
     /// Range of throttle in deg.
-    pub throttle_deg: (f64, f64),
+    pub throttle_deg: Interval,
     /// Filling of the manifold: the feedforward follows throttle and speed with the time constant `filling / speed`,
     /// in s rpm. Zero: at once.
     pub filling_s_rpm: f64,
@@ -35,8 +36,8 @@ impl Default for HoldSpec {
             lambda: 1.0,
             gains: PiGains { ki: -16.0, kp: -3.0 },
             sample_time_s: 0.03,
-            speed_rpm: (2000.0, 4000.0),
-            throttle_deg: (2.0, 8.0),
+            speed_rpm: Interval::new(2000.0, 4000.0),
+            throttle_deg: Interval::new(2.0, 8.0),
             filling_s_rpm: 300.0,
             settle_s: 4.0,
         }
@@ -52,15 +53,14 @@ const GRID: usize = 4;
 /// their ranges), because the air flow of a nearly choked throttle hardly depends on speed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FuelMap {
-    speed: (f64, f64),
-    throttle: (f64, f64),
+    speed: Interval,
+    throttle: Interval,
     theta: [f64; 6],
 }
 
 impl FuelMap {
     fn terms(&self, speed_rpm: f64, throttle_deg: f64) -> [f64; 6] {
-        let share = |v: f64, (a, b): (f64, f64)| (v - a) / (b - a);
-        let (s, t) = (share(speed_rpm, self.speed), share(throttle_deg, self.throttle));
+        let (s, t) = (self.speed.share(speed_rpm), self.throttle.share(throttle_deg));
         [1.0, s, t, s * s, s * t, t * t]
     }
 
@@ -148,7 +148,7 @@ impl LambdaHeld {
         let outputs = self.variables.iter().filter(|v| v.causality == Causality::Output).count();
         let (mut rows, mut flow) = (Vec::new(), Vec::new());
         let mut y = vec![0.0; outputs];
-        let at = |(a, b): (f64, f64), k: usize| a + (b - a) * k as f64 / (GRID - 1) as f64;
+        let at = |range: Interval, k: usize| range.lower + range.width() * k as f64 / (GRID - 1) as f64;
         let steps = (self.spec.settle_s / self.spec.sample_time_s).ceil() as usize;
         for i in 0..GRID {
             for k in 0..GRID {

@@ -5,6 +5,7 @@ use dynocal_design::search::{DesignOptions, DesignOutcome};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plant::Plant;
 use dynocal_ident::validate::cross::Blocks;
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use super::LoopError;
@@ -48,13 +49,22 @@ pub struct Rounds<'a> {
     pub limits: &'a [Limit],
 }
 
+/// The limits of an output with their margins taken off.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KeptLimits {
+    /// Output.
+    pub output: String,
+    /// Least and largest prediction that is allowed, in the unit of the output.
+    pub kept: Interval,
+}
+
 /// One designed and measured record.
 #[derive(Clone, Debug)]
 pub struct Round {
     /// The design.
     pub design: DesignOutcome,
-    /// Limits of the predictions, margins taken off: output, least, largest.
-    pub limits: Vec<(String, f64, f64)>,
+    /// What the predictions of the limited outputs had to keep to.
+    pub limits: Vec<KeptLimits>,
     /// What the record was expected to be worth, where held-out records were given.
     pub forecast: Option<Forecast>,
     /// Held-out state of the campaign before the record, where held-out records were given.
@@ -145,8 +155,8 @@ fn run(
         let limits = limits(spec, &campaign.records, k)?;
         let narrowed: Vec<(&str, OutputLimits)> = limits
             .iter()
-            .map(|(name, lower, upper)| {
-                (name.as_str(), OutputLimits { lower: *lower, upper: *upper, margin: 0.0 })
+            .map(|l| {
+                (l.output.as_str(), OutputLimits { lower: l.kept.lower, upper: l.kept.upper, margin: 0.0 })
             })
             .collect();
         let search =
@@ -197,7 +207,7 @@ fn bed_now(bed: &TestBed, records: &[Dataset], course: Course) -> Result<TestBed
 const MOST_OF_RANGE: f64 = 0.8;
 
 /// Limits of the predictions with margins from held-out blocks of the records so far.
-fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<(String, f64, f64)>, LoopError> {
+fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<KeptLimits>, LoopError> {
     let mut out = Vec::new();
     for l in spec.limits {
         let Some(s) = spec.structures.iter().find(|s| s.output == l.output) else { continue };
@@ -207,7 +217,8 @@ fn limits(spec: &Rounds, records: &[Dataset], round: usize) -> Result<Vec<(Strin
         let most =
             MOST_OF_RANGE * (l.upper - l.lower) / (margins.lower + margins.upper).max(f64::MIN_POSITIVE);
         let factor = asked.min(most);
-        out.push((l.output.clone(), l.lower + factor * margins.lower, l.upper - factor * margins.upper));
+        let kept = Interval::new(l.lower + factor * margins.lower, l.upper - factor * margins.upper);
+        out.push(KeptLimits { output: l.output.clone(), kept });
     }
     Ok(out)
 }

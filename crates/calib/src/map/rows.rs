@@ -1,5 +1,6 @@
 //! Rows of numbers over time: N samples of a fixed number of channels, row-major.
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 /// N x width numbers, time down the rows.
@@ -89,11 +90,11 @@ impl Rows {
     }
 
     /// Least and largest value of every column.
-    pub fn spans(&self) -> Vec<(f64, f64)> {
-        let mut spans = vec![(f64::INFINITY, f64::NEG_INFINITY); self.width];
+    pub fn spans(&self) -> Vec<Interval> {
+        let mut spans = vec![Interval::spanning([]); self.width];
         for row in self.iter() {
             for (s, v) in spans.iter_mut().zip(row) {
-                *s = (s.0.min(*v), s.1.max(*v));
+                *s = s.including(*v);
             }
         }
         spans
@@ -111,7 +112,7 @@ mod tests {
         rows.push(&[0.0, 9.0]);
         rows.set_column(0, &[7.0]);
         assert_eq!(rows.column(0), [7.0, 2.0, 3.0, 0.0]);
-        assert_eq!(rows.spans(), [(0.0, 7.0), (4.0, 9.0)]);
+        assert_eq!(rows.spans(), [Interval::new(0.0, 7.0), Interval::new(4.0, 9.0)]);
         rows.truncate(1);
         assert_eq!(rows.values(), [7.0, 4.0]);
     }

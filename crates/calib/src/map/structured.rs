@@ -18,6 +18,7 @@ use super::structures::{
 };
 use super::{FeedforwardMap, Ports, Rows};
 use dynocal_files::spec::Faults;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg;
 use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::Status;
@@ -159,7 +160,7 @@ pub struct StructuredMap {
     /// Coefficients of each actuator, in the order of the terms.
     pub coefficients: Vec<Vec<f64>>,
     /// Range of each reference in the data; references outside are clamped to it.
-    pub region: Vec<(f64, f64)>,
+    pub region: Vec<Interval>,
 }
 
 impl MapStructure for StructuredShape {
@@ -221,20 +222,20 @@ impl StructuredMap {
     /// [`MapError`] when there are fewer samples than coefficients or the regression fails.
     pub fn fit(shape: &StructuredShape, ports: &Ports, data: &[Pairs]) -> Result<Self, MapError> {
         let spans = data.iter().map(|p| p.response.spans()).reduce(|a, b| {
-            a.into_iter().zip(b).map(|(x, y)| (x.0.min(y.0), x.1.max(y.1))).collect::<Vec<_>>()
+            a.into_iter().zip(b).map(|(x, y)| x.including(y.lower).including(y.upper)).collect::<Vec<_>>()
         });
         let spans = spans.unwrap_or_default();
         if spans.len() != ports.n_references() {
             return Err(MapError::TooShort { found: 0, needed: 1 });
         }
-        let scales: Vec<Scale> = spans.iter().map(|s| Scale::of(*s)).collect();
+        let scales: Vec<Scale> = spans.iter().map(|s| Scale::of_range(*s)).collect();
         let terms = terms::terms(ports, &scales, shape);
         let (p, actuators) = (terms.len(), ports.actuators.len());
         let (back, ahead) = reach(&terms);
         let steady: Vec<f64> = spans
             .iter()
             .take(ports.demands.len())
-            .map(|s| shape.steady_share * s.0.abs().max(s.1.abs()))
+            .map(|s| shape.steady_share * s.lower.abs().max(s.upper.abs()))
             .collect();
         let (mut x, mut y, mut row) = (Vec::new(), vec![Vec::new(); actuators], Vec::new());
         let mut used = Rows::new(ports.n_references());
@@ -314,7 +315,7 @@ impl StructuredMap {
 
     /// Reference `c` moved to the nearest value of the region.
     fn inside(&self, c: usize, value: f64) -> f64 {
-        value.clamp(self.region[c].0, self.region[c].1)
+        self.region[c].clamp(value)
     }
 
     /// Actuators from the values of the terms.

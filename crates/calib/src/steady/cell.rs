@@ -13,6 +13,7 @@
 
 use dynocal_design::points::{MOST_DIMENSIONS, Sobol};
 use dynocal_ident::model::response::{Ask, Prediction, Response};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::nlp::{NlpOptions, SparseNlp, solve};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
@@ -44,7 +45,7 @@ pub struct Setting<'a> {
     /// Standard deviations of the objective that are added to it.
     pub caution: f64,
     /// Ranges of the factors.
-    pub ranges: Vec<(f64, f64)>,
+    pub ranges: Vec<Interval>,
     /// Number of leading factors that are fixed in a cell.
     pub axes: usize,
 }
@@ -165,8 +166,7 @@ impl Setting<'_> {
             .map(|_| {
                 let unit = sequence.next_point();
                 let ranges = &self.ranges[self.axes..];
-                let x =
-                    ranges.iter().enumerate().map(|(k, (a, b))| a + unit.get(k).unwrap_or(&0.5) * (b - a));
+                let x = ranges.iter().enumerate().map(|(k, r)| r.value_at(*unit.get(k).unwrap_or(&0.5)));
                 let x: Vec<f64> = at.iter().copied().chain(x).collect();
                 let o = self.judge(&x, Status::Stalled, None);
                 (self.violation(&o), self.cost(&o), x)
@@ -263,7 +263,7 @@ impl<'a, 'b> Program<'a, 'b> {
     pub(super) fn factors(&self, v: &[f64]) -> Vec<f64> {
         let axes = self.setting.axes;
         let ranges = &self.setting.ranges[axes..];
-        let free = ranges.iter().zip(v).map(|((a, b), u)| (a + u * (b - a)).clamp(*a, *b));
+        let free = ranges.iter().zip(v).map(|(r, u)| r.clamp(r.value_at(*u)));
         self.start[..axes].iter().copied().chain(free).collect()
     }
 
@@ -282,7 +282,7 @@ impl<'a, 'b> Program<'a, 'b> {
     /// `mean` weights and squared `variance` weights of responses, and how many standard deviations are added.
     fn local(&self, parts: &[(usize, f64)], deviations: f64, scale: f64) -> Local {
         let (axes, nf, d) = (self.setting.axes, self.free(), self.setting.dim());
-        let span = |i: usize| self.setting.ranges[axes + i].1 - self.setting.ranges[axes + i].0;
+        let span = |i: usize| self.setting.ranges[axes + i].width();
         let (mut value, mut variance) = (0.0, FLOOR * scale * scale);
         let (mut g, mut vg) = (vec![0.0; nf], vec![0.0; nf]);
         let (mut h, mut vh) = (vec![0.0; nf * nf], vec![0.0; nf * nf]);
@@ -352,8 +352,8 @@ impl SparseNlp for Program<'_, '_> {
     fn start(&self, v: &mut [f64]) {
         let (axes, nf) = (self.setting.axes, self.free());
         for i in 0..nf {
-            let (a, b) = self.setting.ranges[axes + i];
-            v[i] = ((self.start[axes + i] - a) / (b - a)).clamp(0.0, 1.0);
+            let range = self.setting.ranges[axes + i];
+            v[i] = range.share(self.start[axes + i]).clamp(0.0, 1.0);
         }
         let here = self.setting.judge(&self.start, Status::Stalled, None);
         let sides = self.setting.sides.len();

@@ -3,6 +3,7 @@
 //! A cell of a map inside of it has measured points on all sides; outside nothing is known of limits. Distances are in shares of
 //! the ranges of the axes.
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 /// Share of the range of an axis by which a place may lie outside of the hull and still counts as inside: rounding.
@@ -12,7 +13,7 @@ const ROUNDING: f64 = 1e-6;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Envelope {
     /// Ranges of the axes that distances are shares of.
-    pub ranges: Vec<(f64, f64)>,
+    pub ranges: Vec<Interval>,
     /// Corners, in the units of the axes: the two ends of one axis, else a polygon against the clock. Fewer than three of two
     /// axes enclose nothing.
     pub corners: Vec<Vec<f64>>,
@@ -20,7 +21,7 @@ pub struct Envelope {
 
 impl Envelope {
     /// The hull of `points` (one or two axes each); those that are not finite are left out.
-    pub fn of(points: &[Vec<f64>], ranges: &[(f64, f64)]) -> Self {
+    pub fn of(points: &[Vec<f64>], ranges: &[Interval]) -> Self {
         let mut all: Vec<Vec<f64>> =
             points.iter().filter(|p| p.iter().all(|v| v.is_finite())).cloned().collect();
         all.sort_by(|a, b| {
@@ -58,7 +59,7 @@ impl Envelope {
     }
 
     fn unit(&self, at: &[f64]) -> Vec<f64> {
-        self.ranges.iter().zip(at).map(|((a, b), v)| (v - a) / (b - a)).collect()
+        self.ranges.iter().zip(at).map(|(r, v)| r.share(*v)).collect()
     }
 }
 
@@ -103,7 +104,7 @@ mod tests {
     fn the_hull_of_a_square_and_its_middle_has_four_corners() {
         let points = [[0.0, 0.0], [4.0, 0.0], [2.0, 1.0], [4.0, 2.0], [0.0, 2.0], [2.0, 0.0]];
         let points: Vec<Vec<f64>> = points.iter().map(|p| p.to_vec()).collect();
-        let hull = Envelope::of(&points, &[(0.0, 4.0), (0.0, 2.0)]);
+        let hull = Envelope::of(&points, &[Interval::new(0.0, 4.0), Interval::new(0.0, 2.0)]);
         assert_eq!(hull.corners, [[0.0, 0.0], [4.0, 0.0], [4.0, 2.0], [0.0, 2.0]]);
         assert!(hull.contains(&[4.0, 2.0]) && hull.contains(&[1.0, 0.5]) && hull.contains(&[2.0, 0.0]));
         assert!(!hull.contains(&[4.1, 1.0]));
@@ -114,9 +115,9 @@ mod tests {
 
     #[test]
     fn one_axis_has_two_ends_and_points_on_a_line_enclose_nothing() {
-        let one = Envelope::of(&[vec![3.0], vec![1.0], vec![2.0]], &[(0.0, 10.0)]);
+        let one = Envelope::of(&[vec![3.0], vec![1.0], vec![2.0]], &[Interval::new(0.0, 10.0)]);
         assert!(one.contains(&[1.0]) && one.contains(&[3.0]) && (one.outside(&[4.0]) - 0.1).abs() < 1e-12);
-        let line = Envelope::of(&[vec![0.0, 0.0], vec![1.0, 1.0]], &[(0.0, 1.0), (0.0, 1.0)]);
+        let line = Envelope::of(&[vec![0.0, 0.0], vec![1.0, 1.0]], &[Interval::new(0.0, 1.0); 2]);
         assert!(!line.contains(&[0.5, 0.5]));
     }
 }

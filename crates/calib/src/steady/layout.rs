@@ -14,6 +14,7 @@ use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
 use dynocal_ident::plant::{Causality, Plant};
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use crate::problem::CalibrationProblem;
@@ -99,7 +100,7 @@ pub struct AxisRange {
     /// Given channel or demand.
     pub name: String,
     /// Least and greatest value.
-    pub range: (f64, f64),
+    pub range: Interval,
 }
 
 impl Layout {
@@ -119,7 +120,7 @@ impl Layout {
             let demand = problem.demands.iter().position(|d| d.output == a.name);
             let kind = given.map(FactorKind::Given).or(demand.map(FactorKind::Demand))?;
             let unit = problem.unit(&a.name).unwrap_or("-").to_string();
-            Some(Factor { name: a.name.clone(), unit, lower: a.range.0, upper: a.range.1, kind })
+            Some(Factor { name: a.name.clone(), unit, lower: a.range.lower, upper: a.range.upper, kind })
         };
         let mut factors: Vec<Factor> = axes.iter().filter_map(axis).collect();
         let n_axes = factors.len();

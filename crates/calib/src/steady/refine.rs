@@ -82,7 +82,7 @@ impl Known<'_> {
 
     fn same_place(&self, a: &[f64], b: &[f64]) -> bool {
         let ranges = &self.setting.ranges;
-        a.iter().zip(b).zip(ranges).all(|((a, b), (low, high))| (a - b).abs() <= 1e-6 * (high - low))
+        a.iter().zip(b).zip(ranges).all(|((a, b), r)| (a - b).abs() <= 1e-6 * r.width())
     }
 
     /// The next `count` points, all factors each.
@@ -92,9 +92,8 @@ impl Known<'_> {
         let far = self.far_out(untried, outer);
         let mut chosen: Vec<Vec<f64>> = far.into_iter().map(|k| self.way_to(k, seed, interrupt)).collect();
         let sets = [self.candidates(self.cells, seed), self.candidates(self.hopeful, seed)];
-        let unit = |x: &[f64]| -> Vec<f64> {
-            self.setting.ranges.iter().zip(x).map(|((a, b), v)| (v - a) / (b - a)).collect()
-        };
+        let unit =
+            |x: &[f64]| -> Vec<f64> { self.setting.ranges.iter().zip(x).map(|(r, v)| r.share(*v)).collect() };
         let mut near: Vec<Vec<f64>> = self.measured.iter().chain(&chosen).map(|x| unit(x)).collect();
         let doubts = sets.each_ref().map(|set| set.iter().map(|x| self.doubt(x)).collect::<Vec<f64>>());
         while chosen.len() < count {
@@ -130,7 +129,7 @@ impl Known<'_> {
     /// Distance along the axes in shares of their ranges.
     fn apart(&self, a: &[f64], b: &[f64]) -> f64 {
         let each = a.iter().zip(b).zip(&self.setting.ranges[..self.setting.axes]);
-        each.map(|((a, b), (low, high))| ((a - b) / (high - low)).powi(2)).sum::<f64>().sqrt()
+        each.map(|((a, b), r)| ((a - b) / r.width()).powi(2)).sum::<f64>().sqrt()
     }
 
     /// Cells of `left` that are far out, and far from each other.
@@ -156,7 +155,7 @@ impl Known<'_> {
         let mut places: Vec<Vec<f64>> = self.cells.iter().map(|c| c.at.clone()).collect();
         if let Some(mut sequence) = Sobol::new(n, seed) {
             let ranges = &self.setting.ranges[..n];
-            let place = |unit: Vec<f64>| ranges.iter().zip(unit).map(|((a, b), u)| a + u * (b - a)).collect();
+            let place = |unit: Vec<f64>| ranges.iter().zip(unit).map(|(r, u)| r.value_at(u)).collect();
             places.extend((0..CANDIDATES).map(|_| place(sequence.next_point())));
         }
         let known = |at: &Vec<f64>| {

@@ -3,6 +3,7 @@
 
 use super::hold::{Held, HoldSpec};
 use dynocal_ident::play::PlayError;
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 /// How the free inputs are searched.
@@ -38,7 +39,7 @@ pub struct FreeInput {
     /// Place.
     pub place: usize,
     /// Range.
-    pub range: (f64, f64),
+    pub range: Interval,
 }
 
 /// Searches all free inputs from `start` (all inputs of the plan, its order); `measure` holds a setting and judges it.
@@ -58,7 +59,7 @@ pub fn best_point(
     for _ in 0..spec.sweeps.max(1) {
         for f in free {
             let from = best.as_ref().map_or(start, |b| &b.held.inputs).to_vec();
-            let along = along(measure, &from, *f, spec.tolerance * (f.range.1 - f.range.0))?;
+            let along = along(measure, &from, *f, spec.tolerance * (f.range.width()))?;
             if best.as_ref().is_none_or(|b| along.cost < b.cost) {
                 best = Some(along);
             }
@@ -84,7 +85,7 @@ fn along(
     tolerance: f64,
 ) -> Result<Setting, PlayError> {
     let mut line = Line { measure, place: free.place, warm: from.to_vec(), seen: Vec::new() };
-    let (lo, hi) = free.range;
+    let Interval { lower: lo, upper: hi } = free.range;
     let start_at = from[free.place].clamp(lo, hi);
     let mut at = start_at;
     line.cost(at)?;
@@ -165,7 +166,10 @@ mod tests {
     /// A quadratic bowl with a cross term: sweeps come down to its minimum.
     #[test]
     fn sweeps_find_the_minimum_of_a_bowl() {
-        let free = [FreeInput { place: 0, range: (-2.0, 4.0) }, FreeInput { place: 2, range: (0.0, 10.0) }];
+        let free = [
+            FreeInput { place: 0, range: Interval::new(-2.0, 4.0) },
+            FreeInput { place: 2, range: Interval::new(0.0, 10.0) },
+        ];
         let mut measure = |u: &[f64]| {
             let (a, b) = (u[0] - 1.0, u[2] - 6.0);
             let held = Held {

@@ -91,7 +91,7 @@ impl<'a, 'b> Whole<'a, 'b> {
     fn new(setting: &'a Setting<'b>, starts: &[Vec<f64>], coupling: &'a Coupling) -> Self {
         let nf = setting.dim() - setting.axes;
         let total: f64 = coupling.weights.iter().sum();
-        let spans = setting.ranges[setting.axes..].iter().map(|(a, b)| b - a);
+        let spans = setting.ranges[setting.axes..].iter().map(|r| r.width());
         let limited: Vec<(usize, f64)> = spans
             .zip(&coupling.steps)
             .enumerate()

@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
+use dynocal_numerics::interval::Interval;
 use dynocal_jobs::design::estimate::estimate;
-use dynocal_jobs::design::load::DesignJobError;
-use dynocal_jobs::design::result::{Designed, SafetyLine};
+use dynocal_jobs::design::error::DesignJobError;
+use dynocal_jobs::design::result::{Designed, LeastDistance, SafetyLine};
 use dynocal_jobs::design::run::run as make;
 use dynocal_jobs::design::read;
 use dynocal_report::significant;
@@ -88,7 +89,7 @@ fn text(found: &Designed) -> String {
         .iter()
         .map(|e| {
             let of = |v: f64| if v.is_finite() { format!("{v:.1}") } else { "none".into() };
-            vec![e.model.clone(), e.rival.clone(), of(e.d_percent.0), of(e.i_percent.0), of(e.drawn_anew_percent)]
+            vec![e.model.clone(), e.rival.clone(), of(e.d_percent.median), of(e.i_percent.median), of(e.drawn_anew_percent)]
         })
         .collect();
     out += "Efficiency of random signals of the same limits, the design being 100 % (medians):\n\n";
@@ -108,8 +109,9 @@ fn text(found: &Designed) -> String {
 }
 
 fn safety(s: &SafetyLine) -> Vec<String> {
-    let range = |r: (f64, f64)| format!("{} to {}", significant(r.0, 4), significant(r.1, 4));
-    let (distance, at) = s.least_distance_of_band.unwrap_or((f64::NAN, f64::NAN));
+    let range = |r: Interval| format!("{} to {}", significant(r.lower, 4), significant(r.upper, 4));
+    let LeastDistance { distance, at_s } =
+        s.least_distance_of_band.unwrap_or(LeastDistance { distance: f64::NAN, at_s: f64::NAN });
     vec![
         s.output.name.clone(),
         s.output.unit.clone(),
@@ -117,6 +119,6 @@ fn safety(s: &SafetyLine) -> Vec<String> {
         s.limits.map_or(String::new(), range),
         s.margin.map_or(String::new(), |m| significant(m.value, 3)),
         significant(distance, 3),
-        format!("{at:.2}"),
+        format!("{at_s:.2}"),
     ]
 }

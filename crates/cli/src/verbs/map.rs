@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::map::{estimate::estimate, run as calibrate, spec};
+use dynocal_jobs::map::{estimate::estimate, job, run as calibrate};
 
 use super::Verb;
 use crate::common::{Check, Common, show_plan};
@@ -27,7 +27,7 @@ struct Map {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Map::from_arg_matches(matches)?;
     let progress = args.common.start()?;
-    let job = spec::read(&args.spec, &args.common.overrides())?;
+    let job = job::read(&args.spec, &args.common.overrides())?;
     let plan = estimate(&job);
     if args.plan.check {
         return show_plan(&plan);

@@ -96,8 +96,8 @@ fn text(found: &Simulated) -> String {
                 o.output.clone(),
                 o.unit.clone(),
                 o.samples.to_string(),
-                number(o.range.map(|r| r.0)),
-                number(o.range.map(|r| r.1)),
+                number(o.range.map(|r| r.lower)),
+                number(o.range.map(|r| r.upper)),
                 number(o.rmse),
             ]
         })

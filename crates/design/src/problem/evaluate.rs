@@ -5,6 +5,7 @@ use super::{Convention, DesignProblem};
 use crate::channel::Layout;
 use crate::criterion::Active;
 use crate::error::DesignError;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::status::Status;
 
 /// Multipliers of the range constraints of a problem (augmented Lagrangian): rate limits, then outputs per sample.
@@ -286,9 +287,9 @@ impl<'a> Evaluator<'a> {
     /// Terms with limits: (term, lower, range) that the search aims at, margin taken off.
     fn limits(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
         self.terms.iter().enumerate().filter_map(|(i, t)| {
-            let aimed = |(lower, upper): (f64, f64)| {
-                let inside = self.aim * (upper - lower);
-                (i, lower + inside, upper - lower - 2.0 * inside)
+            let aimed = |kept: Interval| {
+                let inside = self.aim * kept.width();
+                (i, kept.lower + inside, kept.width() - 2.0 * inside)
             };
             t.term.limits.map(|l| aimed(l.kept()))
         })
@@ -381,7 +382,7 @@ impl<'a> Evaluator<'a> {
     pub(crate) fn output_violation(&self) -> (f64, f64) {
         let (mut largest, mut sum) = (0.0f64, 0.0);
         for t in &self.terms {
-            let Some((lower, upper)) = t.term.limits.map(|l| l.kept()) else { continue };
+            let Some(Interval { lower, upper }) = t.term.limits.map(|l| l.kept()) else { continue };
             for y in &t.y[self.start..] {
                 let over = (y - upper).max(lower - y).max(0.0) / (upper - lower);
                 largest = largest.max(over);

@@ -11,6 +11,7 @@ use crate::criterion::Criterion;
 use crate::error::DesignError;
 pub use crate::information::Convention;
 use dynocal_ident::model::Model;
+use dynocal_numerics::interval::Interval;
 
 /// Limits on a predicted output.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,8 +27,8 @@ pub struct OutputLimits {
 impl OutputLimits {
     /// Least and largest output that a record may have: the limits with the margin taken off. Everything that keeps or
     /// judges a limit compares with these two numbers.
-    pub fn kept(&self) -> (f64, f64) {
-        (self.lower + self.margin, self.upper - self.margin)
+    pub fn kept(&self) -> Interval {
+        Interval::new(self.lower + self.margin, self.upper - self.margin)
     }
 }
 

@@ -37,11 +37,11 @@ impl<'a> Forecast<'a> {
         let (m, (pad, start)) = (problem.channels.len(), problem.padding());
         let rows = problem.n_samples + pad;
         let limited = problem.terms.iter().filter_map(|t| t.limits.map(|l| (t, l.kept())));
-        let outputs = limited.map(|(t, (lower, upper))| Output {
+        let outputs = limited.map(|(t, kept)| Output {
             model: t.model,
             theta: t.theta,
-            lower: lower + inside * (upper - lower),
-            upper: upper - inside * (upper - lower),
+            lower: kept.lower + inside * kept.width(),
+            upper: kept.upper - inside * kept.width(),
             y: vec![t.initial_output; rows],
         });
         let hold = problem.convention == Convention::Hold;

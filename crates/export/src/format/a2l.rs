@@ -5,6 +5,7 @@
 
 use std::fmt::Write;
 
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::MemberDoc;
 
 use crate::characteristic::{Axis, Characteristic};
@@ -77,7 +78,7 @@ impl Writer<'_> {
     }
 
     fn axis(&mut self, name: &str, axis: &Axis) {
-        let (lower, upper) = span(&axis.points, None);
+        let Interval { lower, upper } = span(&axis.points, None);
         let method = self.method(&axis.unit);
         let _ = writeln!(
             self.body,
@@ -93,7 +94,7 @@ impl Writer<'_> {
             return self.block(&values_name(c), &c.description, &c.unit, &c.values, c.limits);
         }
         let kind = if c.axes.len() == 1 { "CURVE" } else { "MAP" };
-        let (lower, upper) = span(&c.values, c.limits);
+        let Interval { lower, upper } = span(&c.values, c.limits);
         let method = self.method(&c.unit);
         let symbol = values_name(c);
         let _ = writeln!(
@@ -104,7 +105,7 @@ impl Writer<'_> {
             self.layout("VALUES")
         );
         for (k, axis) in c.axes.iter().enumerate() {
-            let (lower, upper) = span(&axis.points, None);
+            let Interval { lower, upper } = span(&axis.points, None);
             let method = self.method(&axis.unit);
             let _ = writeln!(
                 self.body,
@@ -117,8 +118,8 @@ impl Writer<'_> {
     }
 
     /// A scalar or a block of values.
-    fn block(&mut self, name: &str, what: &str, unit: &str, values: &[f64], limits: Option<(f64, f64)>) {
-        let (lower, upper) = span(values, limits);
+    fn block(&mut self, name: &str, what: &str, unit: &str, values: &[f64], limits: Option<Interval>) {
+        let Interval { lower, upper } = span(values, limits);
         let method = self.method(unit);
         let kind = if values.len() == 1 { "VALUE" } else { "VAL_BLK" };
         let _ = writeln!(
@@ -163,12 +164,11 @@ ALIGNMENT_FLOAT32_IEEE 4\n      ALIGNMENT_FLOAT64_IEEE 8\n    /end MOD_COMMON\n 
 }
 
 /// Limits as given, else what the values span with a tenth of it beyond.
-fn span(values: &[f64], limits: Option<(f64, f64)>) -> (f64, f64) {
+fn span(values: &[f64], limits: Option<Interval>) -> Interval {
     limits.unwrap_or_else(|| {
-        let (lo, hi) =
-            values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
-        let room = 0.1 * (hi - lo).max(hi.abs()).max(1e-9);
-        (lo - room, hi + room)
+        let found = Interval::spanning(values.iter().copied());
+        let room = 0.1 * found.width().max(found.upper.abs()).max(1e-9);
+        Interval::new(found.lower - room, found.upper + room)
     })
 }
 
@@ -184,7 +184,7 @@ pub struct Entry {
     /// Unit of the values.
     pub unit: String,
     /// Least and greatest value allowed.
-    pub limits: (f64, f64),
+    pub limits: Interval,
     /// Axes, x first.
     pub axes: Vec<EntryAxis>,
 }
@@ -201,7 +201,7 @@ pub struct EntryAxis {
     /// Most points.
     pub points: usize,
     /// Least and greatest point allowed.
-    pub limits: (f64, f64),
+    pub limits: Interval,
 }
 
 /// Reads names, units, limits and axes. References that lead nowhere and axes whose length differs from their points are
@@ -249,7 +249,7 @@ pub fn read(file: &str, bytes: &[u8]) -> Result<Vec<Entry>, ExportError> {
                     },
                     unit: unit(&d.conversion),
                     points,
-                    limits: (d.lower_limit, d.upper_limit),
+                    limits: Interval::new(d.lower_limit, d.upper_limit),
                 });
             }
             out.push(Entry {
@@ -257,7 +257,7 @@ pub fn read(file: &str, bytes: &[u8]) -> Result<Vec<Entry>, ExportError> {
                 description: c.long_identifier.clone(),
                 kind: c.characteristic_type.to_string(),
                 unit: unit(&c.conversion),
-                limits: (c.lower_limit, c.upper_limit),
+                limits: Interval::new(c.lower_limit, c.upper_limit),
                 axes,
             });
         }
@@ -274,9 +274,12 @@ pub fn adopt(package: &mut Package, entries: &[Entry]) -> Vec<String> {
             continue;
         };
         c.limits = Some(e.limits);
-        let outside = c.values.iter().filter(|v| !(e.limits.0..=e.limits.1).contains(*v)).count();
+        let outside = c.values.iter().filter(|v| !e.limits.contains(**v)).count();
         if outside > 0 {
-            notes.push(format!("`{}`: {outside} values outside {} to {}", c.name, e.limits.0, e.limits.1));
+            notes.push(format!(
+                "`{}`: {outside} values outside {} to {}",
+                c.name, e.limits.lower, e.limits.upper
+            ));
         }
         let sizes: Vec<usize> = c.axes.iter().map(|a| a.points.len()).collect();
         let most: Vec<usize> = e.axes.iter().map(|a| a.points).collect();

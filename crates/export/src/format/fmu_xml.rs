@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use dynocal_numerics::interval::Interval;
+
 use crate::characteristic::identifier;
 use crate::format::cdfx::escape;
 use crate::format::fmu::Version;
@@ -15,7 +17,7 @@ struct Variable<'a> {
     description: &'a str,
     causality: &'a str,
     start: Option<f64>,
-    range: Option<(f64, f64)>,
+    range: Option<Interval>,
 }
 
 fn variables(p: &Program) -> Vec<Variable<'_>> {
@@ -110,7 +112,7 @@ fn variable(s: &mut String, k: usize, v: &Variable, two: bool) {
     if !bare(v.unit) {
         let _ = write!(real, " unit=\"{}\"", escape(v.unit));
     }
-    if let Some((lower, upper)) = v.range {
+    if let Some(Interval { lower, upper }) = v.range {
         let _ = write!(real, " min=\"{lower:?}\" max=\"{upper:?}\"");
     }
     if let Some(start) = v.start {

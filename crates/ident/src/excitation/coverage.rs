@@ -1,5 +1,6 @@
 //! Which part of the input space a record visits.
 
+use dynocal_numerics::interval::Interval;
 use serde::Serialize;
 
 /// Cells along one input.
@@ -17,7 +18,7 @@ pub struct Coverage {
     /// Greatest value recorded.
     pub maximum: f64,
     /// Range that counts: as declared, or from least to greatest value.
-    pub range: (f64, f64),
+    pub range: Interval,
     /// Share of the [`CELLS`] equal cells of the range that hold at least one sample.
     pub occupied: f64,
     /// Share of the range between least and greatest value.
@@ -48,11 +49,12 @@ pub struct PairCoverage {
 ///
 /// ```
 /// use dynocal_ident::excitation::coverage::coverage;
+/// use dynocal_numerics::interval::Interval;
 /// let u: Vec<f64> = (0..50).map(f64::from).collect();
-/// let c = coverage("u", &u, Some((0.0, 100.0))).unwrap();
+/// let c = coverage("u", &u, Some(Interval::new(0.0, 100.0))).unwrap();
 /// assert_eq!((c.occupied, c.span, c.outside), (0.5, 0.49, 0.0));
 /// ```
-pub fn coverage(name: &str, values: &[f64], range: Option<(f64, f64)>) -> Option<Coverage> {
+pub fn coverage(name: &str, values: &[f64], range: Option<Interval>) -> Option<Coverage> {
     let known = || values.iter().copied().filter(|v| !v.is_nan());
     let n = known().count();
     let (minimum, maximum) =
@@ -60,11 +62,11 @@ pub fn coverage(name: &str, values: &[f64], range: Option<(f64, f64)>) -> Option
     if n == 0 {
         return None;
     }
-    let range = range.unwrap_or((minimum, maximum));
+    let range = range.unwrap_or(Interval::new(minimum, maximum));
     let mut seen = [false; CELLS];
     known().filter_map(|v| cell(v, range, CELLS)).for_each(|k| seen[k] = true);
-    let width = range.1 - range.0;
-    let inside = (maximum.min(range.1) - minimum.max(range.0)).max(0.0);
+    let width = range.width();
+    let inside = (maximum.min(range.upper) - minimum.max(range.lower)).max(0.0);
     Some(Coverage {
         input: name.into(),
         minimum,
@@ -72,14 +74,14 @@ pub fn coverage(name: &str, values: &[f64], range: Option<(f64, f64)>) -> Option
         range,
         occupied: share(&seen),
         span: if width > 0.0 { inside / width } else { 1.0 },
-        outside: known().filter(|v| *v < range.0 || *v > range.1).count() as f64 / n as f64,
+        outside: known().filter(|v| !range.contains(*v)).count() as f64 / n as f64,
     })
 }
 
 /// Coverage of two inputs together, between their least and greatest values.
 pub fn pair_coverage(a: &Coverage, b: &Coverage, values_a: &[f64], values_b: &[f64]) -> PairCoverage {
     let mut counts = vec![0; PAIR_CELLS * PAIR_CELLS];
-    let (span_a, span_b) = ((a.minimum, a.maximum), (b.minimum, b.maximum));
+    let (span_a, span_b) = (Interval::new(a.minimum, a.maximum), Interval::new(b.minimum, b.maximum));
     let (mut rows, mut columns) = ([false; PAIR_CELLS], [false; PAIR_CELLS]);
     for (x, y) in values_a.iter().zip(values_b) {
         if let (Some(i), Some(j)) = (cell(*x, span_a, PAIR_CELLS), cell(*y, span_b, PAIR_CELLS)) {
@@ -99,12 +101,12 @@ pub fn pair_coverage(a: &Coverage, b: &Coverage, values_a: &[f64], values_b: &[f
 }
 
 /// Cell of `v` among `cells` equal ones; a range of one value has one cell in use.
-fn cell(v: f64, range: (f64, f64), cells: usize) -> Option<usize> {
-    if v.is_nan() || v < range.0 || v > range.1 {
+fn cell(v: f64, range: Interval, cells: usize) -> Option<usize> {
+    if !range.contains(v) {
         return None;
     }
-    let width = (range.1 - range.0) / cells as f64;
-    Some(if width > 0.0 { (((v - range.0) / width) as usize).min(cells - 1) } else { 0 })
+    let width = range.width() / cells as f64;
+    Some(if width > 0.0 { (((v - range.lower) / width) as usize).min(cells - 1) } else { 0 })
 }
 
 fn share(seen: &[bool]) -> f64 {

@@ -1,6 +1,7 @@
 //! What can be wrong with a plan: all of it at once.
 
 use super::{Plan, demand_name};
+use dynocal_numerics::interval::Interval;
 
 /// A fault of a plan: key, what was found, what was expected.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -131,7 +132,7 @@ fn limits(f: &mut Faults) {
         let sides: Vec<f64> = l.lower.iter().chain(&l.upper).copied().collect();
         let finite = sides.iter().all(|v| v.is_finite()) && !sides.is_empty();
         f.must(finite, format!("{key}.lower, upper"), format!("{sides:?}"), "one finite number at least");
-        let (lower, upper) = l.range();
+        let Interval { lower, upper } = l.range();
         if !(lower < upper) {
             f.push(format!("{key}.lower"), lower, format!("less than upper = {upper}, {}", l.unit));
         }

@@ -4,6 +4,7 @@ use super::delay::{answer, loop_shift};
 use super::faults::RecordFault;
 use crate::data::{Channel, Dataset, Role, runs};
 use crate::plan::{Plan, demand_name};
+use dynocal_numerics::interval::Interval;
 
 /// How much a record may differ from its plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -204,7 +205,7 @@ fn limits(plan: &Plan, c: &Channel, faults: &mut Vec<RecordFault>) {
         let worst =
             (0..c.values.len()).min_by(|a, b| l.distance(c.values[*a]).total_cmp(&l.distance(c.values[*b])));
         if let Some(t) = worst.filter(|t| l.distance(c.values[*t]) < 0.0) {
-            let (lower, upper) = l.range();
+            let Interval { lower, upper } = l.range();
             let limit = if c.values[t] > upper { upper } else { lower };
             faults.push(RecordFault::Limit {
                 output: c.name.clone(),

@@ -11,6 +11,7 @@ use dynocal_calib::steady::{Held, best_point};
 use dynocal_calib::validate::{inner, reference_row};
 use dynocal_ident::plant::Plant;
 use dynocal_ident::play::PlayError;
+use dynocal_numerics::interval::Interval;
 use dynocal_report::with_unit;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -70,10 +71,13 @@ fn static_row(ctx: &Context, level: f64, given: &[f64]) -> Result<(Vec<StaticPoi
     let free: Vec<FreeInput> = channels
         .free
         .iter()
-        .map(|&k| FreeInput { place: k, range: (problem.inputs[k].lower, problem.inputs[k].upper) })
+        .map(|&k| FreeInput {
+            place: k,
+            range: Interval::new(problem.inputs[k].lower, problem.inputs[k].upper),
+        })
         .collect();
     // A free input begins in the middle of its range.
-    free.iter().for_each(|f| start[f.place] = 0.5 * (f.range.0 + f.range.1));
+    free.iter().for_each(|f| start[f.place] = f.range.middle());
     start.extend(problem.given.iter().map(|g| 0.5 * (g.lower + g.upper)));
     let (mut points, mut bed_s) = (Vec::new(), 0.0);
     for &at in given {

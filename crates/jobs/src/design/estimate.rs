@@ -1,7 +1,8 @@
 //! What a design takes, before it runs.
 
 use super::Job;
-use super::load::{DesignJobError, Inputs, load};
+use super::error::DesignJobError;
+use super::load::{Inputs, load};
 use crate::estimate::Estimate;
 
 /// Reads what the spec names and says what the search will do.
@@ -26,7 +27,8 @@ pub fn estimate(job: &Job) -> Result<Estimate, DesignJobError> {
     let threads = search.starts.min(rayon::current_num_threads()) as f64;
     for m in &inputs.models {
         let p = m.theta.len() as f64;
-        let criterion = m.criterion.as_ref().map_or("limits only".into(), |c| format!("criterion {}", c.0));
+        let criterion =
+            m.criterion.as_ref().map_or("limits only".into(), |c| format!("criterion {}", c.name));
         plan = plan
             .line(format!("model {}", m.name), format!("{} parameters, {criterion}", m.theta.len()))
             .memory(8.0 * 3.0 * n * p * threads)

@@ -5,10 +5,13 @@ use dynocal_design::information::{Report, report};
 use dynocal_design::problem::{DesignProblem, Evaluator};
 use dynocal_ident::excitation::correlation::{InputCorrelation, correlation};
 use dynocal_ident::excitation::coverage::{Coverage, PairCoverage, coverage, pair_coverage};
+use dynocal_numerics::interval::Interval;
 
-use super::load::Loaded;
+use super::loaded::Loaded;
 use super::margins::{MarginUsed, band, distances};
-use super::result::{Curves, InformationLine, Quantity, SafetyLine};
+use super::result::{
+    Curves, InformationLine, LeastDistance, OutputCurve, Outside, ParameterBound, Quantity, SafetyLine,
+};
 
 /// Rank and bounds of each model with a criterion over the record that `e` has evaluated.
 pub(super) fn information(problem: &DesignProblem, models: &[Loaded], e: &Evaluator) -> Vec<InformationLine> {
@@ -23,7 +26,11 @@ pub(super) fn information(problem: &DesignProblem, models: &[Loaded], e: &Evalua
             rank,
             unseen,
             bounds: (0..p)
-                .map(|k| (term.model.param_name(k), m.theta[k], std.as_ref().map(|s| s[k])))
+                .map(|k| ParameterBound {
+                    name: term.model.param_name(k),
+                    value: m.theta[k],
+                    least_std: std.as_ref().map(|s| s[k]),
+                })
                 .collect(),
         };
         match report(term.model, &rows, term.noise_variance, &[]) {
@@ -50,25 +57,27 @@ pub(super) fn safety(
         let half = margin.as_ref().map_or(vec![0.0; y.len()], |q| band(q, covered.as_ref(), y.len()));
         y[..first].fill(f64::NAN);
         let computed = || y.iter().enumerate().skip(first);
-        let fold = |(a, b): (f64, f64), (_, v): (usize, &f64)| (a.min(*v), b.max(*v));
-        let predicted = computed().fold((f64::INFINITY, f64::NEG_INFINITY), fold);
+        let predicted = Interval::spanning(computed().map(|(_, v)| *v));
         let least = |with: &dyn Fn(usize) -> f64| {
             let l = m.limits.as_ref()?;
             // In the same order of operations as the search, so that both come to the same verdict to the last bit.
             computed()
-                .map(|(t, y)| (((l.upper - with(t)) - y).min(y - (l.lower + with(t))), t as f64 * dt_s))
-                .min_by(|a, b| a.0.total_cmp(&b.0))
+                .map(|(t, y)| LeastDistance {
+                    distance: ((l.upper - with(t)) - y).min(y - (l.lower + with(t))),
+                    at_s: t as f64 * dt_s,
+                })
+                .min_by(|a, b| a.distance.total_cmp(&b.distance))
         };
         lines.push(SafetyLine {
             output: unit.clone(),
             predicted,
-            limits: m.limits.as_ref().map(|l| (l.lower, l.upper)),
+            limits: m.limits.as_ref().map(|l| Interval::new(l.lower, l.upper)),
             margin: *margin,
             least_distance: least(&|_| 0.0),
             least_distance_of_band: least(&|t| half[t]),
-            outside: covered.map(|c| (c.worst, c.share_outside)),
+            outside: covered.map(|c| Outside { worst: c.worst, share: c.share_outside }),
         });
-        curves.push((y, half));
+        curves.push(OutputCurve { predicted: y, half_width: half });
     }
     (Curves { u: u.to_vec(), outputs: curves }, lines)
 }
@@ -80,8 +89,9 @@ pub(super) fn inputs(
 ) -> (Vec<Coverage>, Vec<PairCoverage>, Vec<InputCorrelation>) {
     let m = channels.len();
     let columns: Vec<Vec<f64>> = (0..m).map(|i| u.iter().skip(i).step_by(m).copied().collect()).collect();
-    let of =
-        |(c, v): (&Channel, &Vec<f64>)| coverage(&c.name, v, c.given.is_none().then_some((c.lower, c.upper)));
+    let of = |(c, v): (&Channel, &Vec<f64>)| {
+        coverage(&c.name, v, c.given.is_none().then_some(Interval::new(c.lower, c.upper)))
+    };
     let covered: Vec<Coverage> = channels.iter().zip(&columns).filter_map(of).collect();
     let (mut pairs, mut correlations) = (Vec::new(), Vec::new());
     for b in 1..covered.len() {

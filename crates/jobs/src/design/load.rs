@@ -1,203 +1,27 @@
 //! Models, records and the objective signal that a spec names.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use dynocal_design::channel::Channel;
-use dynocal_design::criterion::{Criterion, criterion};
+use dynocal_design::criterion::criterion;
 use dynocal_design::error::DesignError;
 use dynocal_design::information::sensitivities;
 use dynocal_design::problem::Convention;
-use dynocal_design::search::{FIRST_FREE_STREAM, Failure};
-use dynocal_files::FilesError;
+use dynocal_design::search::FIRST_FREE_STREAM;
 use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table_with};
 use dynocal_files::measurement;
 use dynocal_files::split::{self, Cut};
-use dynocal_ident::data::{DataError, Dataset, Role, UnitAfter};
+use dynocal_ident::data::{DataError, Dataset, Role};
 use dynocal_ident::experiment::Experiment;
-use dynocal_ident::model::literature::{self, LiteratureModel};
-use dynocal_ident::model::poly::{PolyNarx, StructureError};
 use dynocal_ident::model::{Model, Run};
 use dynocal_ident::signal;
-use dynocal_ident::stored::StoredError;
-use dynocal_ident::validate::boundary::{BoundaryKeys, BoundaryModel, Space, learn};
+use dynocal_ident::validate::boundary::{BoundaryKeys, Space, learn};
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
 
-use super::{Job, ModelSpec, Objective, OutputSpec, Source, stored};
-
-/// A model of the literature: name, unit of its output, parameters.
-type Known = (&'static str, &'static str, fn() -> LiteratureModel);
-
-/// Models of the literature that have parameters.
-pub static LITERATURE: &[Known] = &[
-    ("torque_4_17", "Nm", literature::torque_4_17),
-    ("lambda_4_53", "-", literature::lambda_4_53),
-    ("torque_5_3", "Nm", literature::torque_5_3),
-    ("torque_7_8", "Nm", literature::torque_7_8),
-    ("lambda_7_8", "-", literature::lambda_7_8),
-];
-
-/// A design could not be made.
-#[derive(Debug, thiserror::Error)]
-pub enum DesignJobError {
-    /// Files.
-    #[error(transparent)]
-    Files(#[from] FilesError),
-    /// Records.
-    #[error(transparent)]
-    Data(#[from] DataError),
-    /// A stored model that cannot be used.
-    #[error("{file}: {source}")]
-    Stored {
-        /// File.
-        file: String,
-        /// What is wrong.
-        source: StoredError,
-    },
-    /// A model file whose parts do not belong together.
-    #[error("{file}: {source}")]
-    Structure {
-        /// Model file.
-        file: String,
-        /// What does not fit.
-        source: StructureError,
-    },
-    /// A criterion, search or signal that cannot be built.
-    #[error(transparent)]
-    Build(#[from] BuildError),
-    /// The problem as stated.
-    #[error(transparent)]
-    Design(#[from] DesignError),
-    /// The search.
-    #[error(transparent)]
-    Search(#[from] Failure),
-    /// A model needs channels that the plan does not have, or has them in another order.
-    #[error("{model}: found the channels {found}, expected {expected}")]
-    Channels {
-        /// Model.
-        model: String,
-        /// Channels of the plan.
-        found: String,
-        /// What the model needs.
-        expected: String,
-    },
-    /// A channel of the plan in another unit than the model's.
-    #[error(
-        "{model}: found the unit `{found}` of the channel `{channel}` in the spec, expected `{expected}`, that of the model"
-    )]
-    Unit {
-        /// Model.
-        model: String,
-        /// Channel.
-        channel: String,
-        /// In the spec.
-        found: String,
-        /// Of the model.
-        expected: String,
-    },
-    /// A model for another sample time.
-    #[error("{model}: found sample_time_s = {found} in the spec, expected {expected} s, that of the model")]
-    SampleTime {
-        /// Model.
-        model: String,
-        /// In the spec.
-        found: f64,
-        /// Of the model.
-        expected: f64,
-    },
-    /// A model without a noise level.
-    #[error("{model}: no noise level is known, expected the key noise_std (in {unit})")]
-    NoNoise {
-        /// Model.
-        model: String,
-        /// Unit of its output.
-        unit: String,
-    },
-    /// A model that nothing drives, or with a form that has no sensitivities.
-    #[error("{model}: found a {kind} that the inputs do not drive, expected a model with inputs")]
-    NotDriven {
-        /// Model.
-        model: String,
-        /// Kind.
-        kind: String,
-    },
-    /// A model whose free run grows without bound within the limits.
-    #[error(
-        "{model} is unstable: on a random record within the limits its free run grows from {early:.4} to {late:.4}{u} \
-         in {samples} samples; expected a stable model (see `stability` in the report of `dynocal identify`)",
-        u = UnitAfter(.unit)
-    )]
-    Unstable {
-        /// Model.
-        model: String,
-        /// Largest output in the first quarter.
-        early: f64,
-        /// Largest output in the last quarter.
-        late: f64,
-        /// Unit.
-        unit: String,
-        /// Samples that were run.
-        samples: usize,
-    },
-    /// The objective signal asks for predictions where the plan may not go.
-    #[error(
-        "objective signal: found {channel} = {value}{u} at sample {sample}, expected {lower} to {upper}{u}, the \
-         limits of the channel",
-        u = UnitAfter(.unit)
-    )]
-    Objective {
-        /// Channel.
-        channel: String,
-        /// Value.
-        value: f64,
-        /// Unit.
-        unit: String,
-        /// Sample.
-        sample: usize,
-        /// Least value.
-        lower: f64,
-        /// Largest value.
-        upper: f64,
-    },
-    /// Stopped before there was anything.
-    #[error("interrupted before a design was found")]
-    Interrupted,
-}
-
-/// A model of the design with everything that is known about it.
-pub struct Loaded {
-    /// Name of the output.
-    pub name: String,
-    /// Its unit.
-    pub unit: String,
-    /// Model over all channels of the plan; of a model with a noise model, with the sensitivities of its prediction errors.
-    pub model: Arc<dyn Model>,
-    /// The same with the sensitivities of the free run, where they are others.
-    pub predictor: Option<Arc<dyn Model>>,
-    /// What the user should know about the information of this model.
-    pub note: Option<String>,
-    /// Parameters.
-    pub theta: Vec<f64>,
-    /// Variance of the output noise.
-    pub noise_variance: f64,
-    /// Criterion with its name.
-    pub criterion: Option<(String, Box<dyn Criterion>)>,
-    /// Weight.
-    pub weight: f64,
-    /// Output before the record.
-    pub initial_output: f64,
-    /// Sensitivities of earlier records.
-    pub prior: Vec<f64>,
-    /// Records that the model has not seen.
-    pub held_out: Vec<Experiment>,
-    /// What was identified.
-    pub boundary: Option<BoundaryModel>,
-    /// Limits of the output.
-    pub limits: Option<OutputSpec>,
-    /// Where it comes from.
-    pub origin: String,
-}
+use super::error::DesignJobError;
+use super::loaded::{Loaded, NamedCriterion};
+use super::{Job, ModelSpec, Objective, Source, literature, stored};
 
 /// Everything that a design needs.
 pub struct Inputs {
@@ -241,7 +65,7 @@ pub fn load(job: &Job) -> Result<Inputs, DesignJobError> {
 fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded, DesignJobError> {
     let names: Vec<String> = job.channels.iter().map(|c| c.channel.name.clone()).collect();
     let (mut out, linear) = match &spec.source {
-        Source::Literature(name) => (of_literature(name, &names, job.sample_time_s)?, None),
+        Source::Literature(name) => (literature::loaded(name, &names, job.sample_time_s)?, None),
         Source::File(path) => stored::of_file(path, job, &names)?,
     };
     if let Some(s) = spec.noise_std {
@@ -254,7 +78,10 @@ fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded
         let samples = job.samples.saturating_sub(idle);
         out.prior.extend(linear.noise_rows(&out.theta, samples, out.noise_variance).unwrap_or_default());
     }
-    let build = |name: &String| criterion(name, &toml::Table::new()).map(|c| (name.clone(), c));
+    let build = |name: &String| {
+        let criterion = criterion(name, &toml::Table::new())?;
+        Ok::<_, BuildError>(NamedCriterion { name: name.clone(), criterion })
+    };
     out.criterion = spec.criterion.as_ref().map(build).transpose()?;
     out.weight = spec.weight;
     out.limits = spec.limits.clone();
@@ -283,75 +110,6 @@ fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded
         out.boundary = learn(Space::of(out.model.as_ref()), &seen, &BoundaryKeys::default()).ok();
     }
     Ok(out)
-}
-
-pub(super) fn blank(
-    name: &str,
-    unit: &str,
-    model: Arc<dyn Model>,
-    theta: Vec<f64>,
-    noise: f64,
-    origin: String,
-) -> Loaded {
-    Loaded {
-        name: name.into(),
-        unit: unit.into(),
-        model,
-        predictor: None,
-        note: None,
-        theta,
-        noise_variance: noise,
-        criterion: None,
-        weight: 1.0,
-        initial_output: 0.0,
-        prior: Vec::new(),
-        held_out: Vec::new(),
-        boundary: None,
-        limits: None,
-        origin,
-    }
-}
-
-fn of_literature(name: &str, channels: &[String], dt_s: f64) -> Result<Loaded, DesignJobError> {
-    let known = LITERATURE.iter().find(|l| l.0 == name);
-    let Some((_, unit, make)) = known else {
-        let known = LITERATURE.iter().map(|l| l.0.to_string()).collect();
-        return Err(
-            BuildError::UnknownMember { family: "model", found: name.into(), known, nearest: None }.into()
-        );
-    };
-    let found = make();
-    same_time(name, dt_s, found.sample_time_s)?;
-    let model = over(&found.model, found.model.inputs(), found.model.output(), channels)?;
-    // A model that is printed without a noise level has none to design for.
-    let noise = if found.noise_variance > 0.0 { found.noise_variance } else { f64::NAN };
-    Ok(blank(found.model.output(), unit, Arc::new(model), found.theta, noise, found.source.into()))
-}
-
-pub(super) fn same_time(model: &str, found: f64, expected: f64) -> Result<(), DesignJobError> {
-    match (found - expected).abs() <= 1e-6 * expected {
-        true => Ok(()),
-        false => Err(DesignJobError::SampleTime { model: model.into(), found, expected }),
-    }
-}
-
-/// The same polynomial over all channels of the plan.
-pub(super) fn over(
-    model: &dyn Model,
-    inputs: &[String],
-    output: &str,
-    channels: &[String],
-) -> Result<PolyNarx, DesignJobError> {
-    if let Some(missing) = inputs.iter().find(|n| !channels.contains(n)) {
-        return Err(DesignJobError::Channels {
-            model: output.into(),
-            found: channels.join(", "),
-            expected: format!("`{missing}` as well, which the model needs"),
-        });
-    }
-    let regressors: Vec<String> = (0..model.n_params()).map(|k| model.param_name(k)).collect();
-    PolyNarx::parse(channels, output, &regressors)
-        .map_err(|source| DesignJobError::Structure { file: output.into(), source })
 }
 
 /// A whole file with the wanted inputs; other units are converted.

@@ -4,7 +4,7 @@ use dynocal_design::schedule::{self, Basis, Schedule};
 use dynocal_ident::validate::boundary::{Coverage, coverage};
 use serde::{Deserialize, Serialize};
 
-use super::load::Loaded;
+use super::loaded::Loaded;
 
 /// What a margin stands on, in a spec.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,9 +4,12 @@
 //! [`run`] searches and judges, [`result`] is what comes out.
 
 pub(crate) mod channels;
+pub mod error;
 pub mod estimate;
 mod judge;
+mod literature;
 pub mod load;
+pub mod loaded;
 pub mod margins;
 mod models;
 pub mod page;

@@ -8,7 +8,7 @@ use dynocal_ident::signal;
 use serde::Serialize;
 
 use super::PlanChannel;
-use super::load::LITERATURE;
+use super::literature::LITERATURE;
 use super::typed::{TypedLimits, TypedModel, TypedObjective};
 
 /// Where a model comes from.

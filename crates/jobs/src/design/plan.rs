@@ -5,6 +5,7 @@ use std::path::Path;
 use dynocal_files::{FilesError, plan};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanLimit};
+use dynocal_numerics::interval::Interval;
 
 use super::Job;
 use super::result::Designed;
@@ -31,7 +32,7 @@ pub(super) fn write(job: &Job, designed: &Designed, data: &Dataset, folder: &Pat
         .safety
         .iter()
         .filter_map(|s| {
-            let (lower, upper) = s.limits?;
+            let Interval { lower, upper } = s.limits?;
             Some(PlanLimit::between(&s.output.name, &s.output.unit, lower, upper, 0.0))
         })
         .collect();

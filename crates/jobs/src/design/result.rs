@@ -1,7 +1,9 @@
 //! What a design gives.
 
+use dynocal_design::information::ParameterShare;
 use dynocal_ident::excitation::correlation::InputCorrelation;
 use dynocal_ident::excitation::coverage::{Coverage, PairCoverage};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::status::{Iterate, Status};
 use serde::{Deserialize, Serialize};
 
@@ -43,10 +45,72 @@ pub struct Efficiency {
     /// Samples that the best of the signals needs for the mean prediction variance of the design, if it goes on as it began:
     /// the variance falls with the length.
     pub same_error_samples: f64,
-    /// `100 exp(-(J_D,rival - J_D,design) / p)`: median, least and greatest.
-    pub d_percent: (f64, f64, f64),
-    /// `100 J_I,design / J_I,rival` over the objective signal: median, least and greatest.
-    pub i_percent: (f64, f64, f64),
+    /// `100 exp(-(J_D,rival - J_D,design) / p)`.
+    pub d_percent: MedianRange,
+    /// `100 J_I,design / J_I,rival` over the objective signal.
+    pub i_percent: MedianRange,
+}
+
+/// A figure over several signals. Files hold it as `[median, least, greatest]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(into = "(f64, f64, f64)")]
+pub struct MedianRange {
+    /// Median.
+    pub median: f64,
+    /// Least.
+    pub least: f64,
+    /// Greatest.
+    pub greatest: f64,
+}
+
+impl From<MedianRange> for (f64, f64, f64) {
+    fn from(m: MedianRange) -> Self {
+        (m.median, m.least, m.greatest)
+    }
+}
+
+/// Where an output comes nearest to a limit. Files hold it as `[distance, at_s]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(f64, f64)", into = "(f64, f64)")]
+pub struct LeastDistance {
+    /// Distance in the unit of the output; negative: the limit is passed.
+    pub distance: f64,
+    /// When, in s.
+    pub at_s: f64,
+}
+
+impl From<(f64, f64)> for LeastDistance {
+    fn from((distance, at_s): (f64, f64)) -> Self {
+        Self { distance, at_s }
+    }
+}
+
+impl From<LeastDistance> for (f64, f64) {
+    fn from(l: LeastDistance) -> Self {
+        (l.distance, l.at_s)
+    }
+}
+
+/// How far a record leaves what a model was identified on. Files hold it as `[worst, share]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(f64, f64)", into = "(f64, f64)")]
+pub struct Outside {
+    /// Largest distance in units of the boundary.
+    pub worst: f64,
+    /// Share of the samples outside (distance above 1).
+    pub share: f64,
+}
+
+impl From<(f64, f64)> for Outside {
+    fn from((worst, share): (f64, f64)) -> Self {
+        Self { worst, share }
+    }
+}
+
+impl From<Outside> for (f64, f64) {
+    fn from(o: Outside) -> Self {
+        (o.worst, o.share)
+    }
 }
 
 /// A predicted output against its limits.
@@ -55,17 +119,35 @@ pub struct SafetyLine {
     /// Output.
     pub output: Quantity,
     /// Least and largest prediction.
-    pub predicted: (f64, f64),
+    pub predicted: Interval,
     /// Limits; absent where the output has none.
-    pub limits: Option<(f64, f64)>,
+    pub limits: Option<Interval>,
     /// Margin and what it stands on.
     pub margin: Option<MarginUsed>,
-    /// Least distance of the prediction to a limit, and when in s.
-    pub least_distance: Option<(f64, f64)>,
-    /// Least distance of the band to a limit (negative: the band passes it), and when in s.
-    pub least_distance_of_band: Option<(f64, f64)>,
-    /// Largest distance to what was identified in units of its boundary, and the share of samples outside (above 1).
-    pub outside: Option<(f64, f64)>,
+    /// Least distance of the prediction to a limit.
+    pub least_distance: Option<LeastDistance>,
+    /// Least distance of the band to a limit (negative: the band passes it).
+    pub least_distance_of_band: Option<LeastDistance>,
+    /// How far the record leaves what its model was identified on; absent without a boundary.
+    pub outside: Option<Outside>,
+}
+
+/// What a record tells of a parameter. Files hold it as `[name, value, least_std]`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(into = "(String, f64, Option<f64>)")]
+pub struct ParameterBound {
+    /// Name.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// Least standard deviation (Cramer-Rao); absent where the rank is short.
+    pub least_std: Option<f64>,
+}
+
+impl From<ParameterBound> for (String, f64, Option<f64>) {
+    fn from(b: ParameterBound) -> Self {
+        (b.name, b.value, b.least_std)
+    }
 }
 
 /// What the record (with earlier ones) tells about a model.
@@ -78,9 +160,9 @@ pub struct InformationLine {
     /// Numerical rank of the information.
     pub rank: usize,
     /// Combinations of parameters that leave no trace, in regressor names.
-    pub unseen: Vec<Vec<(String, f64)>>,
-    /// Name, value and least standard deviation (Cramer-Rao) of each parameter; absent where the rank is short.
-    pub bounds: Vec<(String, f64, Option<f64>)>,
+    pub unseen: Vec<Vec<ParameterShare>>,
+    /// Every parameter with what its standard deviation cannot fall below.
+    pub bounds: Vec<ParameterBound>,
 }
 
 /// How near the design is to what no record can pass.
@@ -145,11 +227,20 @@ pub struct Designed {
     pub files: Vec<String>,
 }
 
+/// A predicted output over a record.
+#[derive(Clone, Debug)]
+pub struct OutputCurve {
+    /// Prediction (N); NaN before the first computed sample.
+    pub predicted: Vec<f64>,
+    /// Half width of its band (N).
+    pub half_width: Vec<f64>,
+}
+
 /// The curves of a design, for its files and its report.
 #[derive(Clone, Debug)]
 pub struct Curves {
     /// Samples (N x m).
     pub u: Vec<f64>,
-    /// Per model: predicted output (N; NaN before the first computed sample) and half width of its band.
-    pub outputs: Vec<(Vec<f64>, Vec<f64>)>,
+    /// One per model.
+    pub outputs: Vec<OutputCurve>,
 }

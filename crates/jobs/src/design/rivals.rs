@@ -8,8 +8,9 @@ use dynocal_design::search::{FIRST_FREE_STREAM, random_record_within};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 
-use super::load::{DesignJobError, Loaded};
-use super::result::Efficiency;
+use super::error::DesignJobError;
+use super::loaded::Loaded;
+use super::result::{Efficiency, MedianRange};
 
 /// Kinds of rivals: name, and what values are drawn from. Where an output passes its limits, blocks are drawn anew.
 const KINDS: [(&str, Values); 2] = [("aprbs", Values::Steps(5)), ("udrn", Values::Uniform)];
@@ -95,8 +96,8 @@ pub(super) fn efficiencies(
                 model: m.name.clone(),
                 rival: (*rival).into(),
                 signals: found.len(),
-                drawn_anew_percent: 100.0 * spread(&found.iter().map(|f| f.1).collect::<Vec<_>>()).0,
-                same_error_samples: 100.0 * problem.n_samples as f64 / spread(&of_i).2,
+                drawn_anew_percent: 100.0 * spread(&found.iter().map(|f| f.1).collect::<Vec<_>>()).median,
+                same_error_samples: 100.0 * problem.n_samples as f64 / spread(&of_i).greatest,
                 d_percent: spread(&of_d),
                 i_percent: spread(&of_i),
             });
@@ -106,11 +107,14 @@ pub(super) fn efficiencies(
 }
 
 /// Median, least and greatest; NaN where nothing was found. A singular rival has an infinite criterion and counts zero.
-fn spread(values: &[f64]) -> (f64, f64, f64) {
+fn spread(values: &[f64]) -> MedianRange {
     let mut v: Vec<f64> = values.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
     v.sort_by(f64::total_cmp);
     match (v.first(), v.last()) {
-        (Some(a), Some(b)) => (0.5 * (v[(v.len() - 1) / 2] + v[v.len() / 2]), *a, *b),
-        _ => (f64::NAN, f64::NAN, f64::NAN),
+        (Some(least), Some(greatest)) => {
+            let median = 0.5 * (v[(v.len() - 1) / 2] + v[v.len() / 2]);
+            MedianRange { median, least: *least, greatest: *greatest }
+        }
+        _ => MedianRange { median: f64::NAN, least: f64::NAN, greatest: f64::NAN },
     }
 }

@@ -27,11 +27,11 @@ impl Bracket {
         self.known.resize(margins.len(), (None, None));
         let mut any = false;
         for ((margin, line), (small, large)) in margins.iter_mut().zip(safety).zip(&mut self.known) {
-            let (Some(q), Some(limits), Some((over, _))) = (margin, line.limits, line.least_distance_of_band)
+            let (Some(q), Some(limits), Some(least)) = (margin, line.limits, line.least_distance_of_band)
             else {
                 continue;
             };
-            let range = limits.1 - limits.0;
+            let (range, over) = (limits.width(), least.distance);
             if over < 0.0 {
                 *small = Some(small.map_or(q.kept, |v| v.max(q.kept)));
             } else {
@@ -51,5 +51,5 @@ impl Bracket {
 
 /// Whether all bands keep their limits.
 pub(super) fn bands_keep(safety: &[SafetyLine]) -> bool {
-    safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.0 >= 0.0)
+    safety.iter().filter_map(|s| s.least_distance_of_band).all(|d| d.distance >= 0.0)
 }

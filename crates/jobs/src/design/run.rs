@@ -12,9 +12,14 @@ use dynocal_ident::data::{Channel, Dataset, Role, UnitAfter};
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 
-use super::load::{DesignJobError, Inputs, check_stable, load};
+use super::error::DesignJobError;
+use super::load::{Inputs, check_stable, load};
+use super::loaded::{Loaded, NamedCriterion};
 use super::margins::{MarginBasis, MarginUsed, margin_of};
-use super::result::{Bound, CriterionLine, Curves, Designed, InformationLine, Quantity, SafetyLine};
+use super::result::{
+    Bound, CriterionLine, Curves, Designed, InformationLine, LeastDistance, OutputCurve, Outside, Quantity,
+    SafetyLine,
+};
 use super::rivals::{efficiencies, uniform};
 use super::rounds::{Bracket, MOST_ROUNDS, bands_keep};
 use super::{Job, Objective, judge};
@@ -152,14 +157,14 @@ fn problem<'a>(
     objective: &'a [f64],
     margins: &[Option<MarginUsed>],
 ) -> DesignProblem<'a> {
-    let term = |(m, margin): (&'a super::load::Loaded, &Option<MarginUsed>)| Term {
+    let term = |(m, margin): (&'a Loaded, &Option<MarginUsed>)| Term {
         name: &m.name,
         model: m.model.as_ref(),
         predictor: m.predictor.as_deref(),
         theta: &m.theta,
         noise_variance: m.noise_variance,
         initial_output: m.initial_output,
-        criterion: m.criterion.as_ref().map(|c| c.1.as_ref()),
+        criterion: m.criterion.as_ref().map(|c| c.criterion.as_ref()),
         weight: m.weight,
         objective_signal: objective,
         reference_scale: &[],
@@ -222,7 +227,7 @@ fn criteria(
 ) -> Result<Vec<CriterionLine>, DesignJobError> {
     let mut out = Vec::new();
     for (term, m) in problem.terms.iter().zip(&inputs.models) {
-        let Some((name, _)) = &m.criterion else { continue };
+        let Some(NamedCriterion { name, .. }) = &m.criterion else { continue };
         let one = DesignProblem { terms: vec![Term { weight: 1.0, ..*term }], ..problem.clone() };
         let value = Evaluator::new(&one)?.value(u);
         out.push(CriterionLine { model: m.name.clone(), criterion: name.clone(), weight: m.weight, value });
@@ -239,9 +244,11 @@ fn warnings(
     let mut out = Vec::new();
     for s in safety {
         let (name, unit) = (&s.output.name, UnitAfter(&s.output.unit));
-        let (Some((distance, at)), Some((band, when))) = (s.least_distance, s.least_distance_of_band) else {
+        let (Some(prediction), Some(of_band)) = (s.least_distance, s.least_distance_of_band) else {
             continue;
         };
+        let LeastDistance { distance, at_s: at } = prediction;
+        let LeastDistance { distance: band, at_s: when } = of_band;
         if distance < 0.0 {
             out.push(format!(
                 "the prediction of `{name}` passes a limit by {:.4}{unit} at {at:.2} s: no record that keeps all limits \
@@ -265,7 +272,7 @@ fn warnings(
             )),
             _ => {}
         }
-        if let Some((worst, share)) = s.outside.filter(|o| o.1 > 0.05) {
+        if let Some(Outside { worst, share }) = s.outside.filter(|o| o.share > 0.05) {
             out.push(format!(
                 "{:.0} % of the plan lie outside of what the model of `{name}` was identified on (up to {worst:.2} of its \
                  boundary): there the band is a guess",
@@ -278,7 +285,7 @@ fn warnings(
         out.push(format!("the record sees {} of {} parameters of `{}`", i.rank, i.parameters, i.model));
     }
     for (k, c) in inputs.channels.iter().enumerate() {
-        let used = |m: &super::load::Loaded| m.model.window().iter().any(|w| w.0 == k);
+        let used = |m: &Loaded| m.model.window().iter().any(|w| w.0 == k);
         if !inputs.models.iter().any(used) {
             out.push(format!("no model uses the channel `{}`: what it does is arbitrary", c.name));
         }
@@ -312,11 +319,13 @@ fn write(job: &Job, designed: &Designed, curves: &Curves, folder: &Path) -> Resu
     super::plan::write(job, designed, &data, folder)?;
     let time: Vec<f64> = (0..job.samples).map(|t| t as f64 * job.sample_time_s).collect();
     // Samples that only initialise have no prediction and stay out.
-    let first =
-        (0..job.samples).find(|t| curves.outputs.iter().all(|o| o.0[*t].is_finite())).unwrap_or(job.samples);
+    let first = (0..job.samples)
+        .find(|t| curves.outputs.iter().all(|o| o.predicted[*t].is_finite()))
+        .unwrap_or(job.samples);
     let mut columns: Vec<(String, String, Vec<f64>)> =
         vec![("time".into(), "s".into(), time[first..].to_vec())];
-    for (line, (y, half)) in designed.safety.iter().zip(&curves.outputs) {
+    for (line, OutputCurve { predicted: y, half_width: half }) in designed.safety.iter().zip(&curves.outputs)
+    {
         let (name, unit) = (&line.output.name, &line.output.unit);
         columns.push((name.clone(), unit.clone(), y[first..].to_vec()));
         if line.limits.is_some() {

@@ -15,7 +15,8 @@ use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Pointwise, StoredError,
 use dynocal_ident::validate::boundary::BoundaryModel;
 
 use super::Job;
-use super::load::{DesignJobError, Loaded, blank, over, same_time};
+use super::error::DesignJobError;
+use super::loaded::{Loaded, over_channels, same_time};
 
 /// A model with the sensitivities of its prediction errors, and what else its noise model says.
 struct Informed {
@@ -46,7 +47,7 @@ pub(super) fn of_file(
     let mut informed = informed(&file, &shown)?;
     if plain && polynomial {
         // The same regressors over all channels: nothing stands between.
-        informed.model = Arc::new(over(informed.model.as_ref(), &own, &file.output.name, channels)?);
+        informed.model = Arc::new(over_channels(informed.model.as_ref(), &own, &file.output.name, channels)?);
     } else if !plain || own != channels {
         let theta = informed.theta.clone();
         let measured = |model: Arc<dyn Model>| {
@@ -62,7 +63,8 @@ pub(super) fn of_file(
         false => f64::NAN,
     };
     let output = file.user_output();
-    let mut out = blank(&output.name, &output.unit, informed.model, informed.theta, noise, shown.clone());
+    let mut out =
+        Loaded::bare(&output.name, &output.unit, informed.model, informed.theta, noise, shown.clone());
     out.predictor = informed.predictor;
     out.note = informed.note;
     out.boundary = file.boundary.as_ref().and_then(|b| in_units(b, &file, &way, channels));

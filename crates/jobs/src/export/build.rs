@@ -2,6 +2,7 @@
 
 use dynocal_export::characteristic::identifier;
 use dynocal_export::program::{Input, NodeId, Op, Output, Program};
+use dynocal_numerics::interval::Interval;
 
 /// A program that grows.
 pub(super) struct Build {
@@ -36,7 +37,7 @@ impl Build {
     }
 
     /// A channel that enters, as a node.
-    pub(super) fn input(&mut self, name: &str, unit: &str, start: f64, range: Option<(f64, f64)>) -> NodeId {
+    pub(super) fn input(&mut self, name: &str, unit: &str, start: f64, range: Option<Interval>) -> NodeId {
         let own = self.free(name);
         let place = self.program.inputs.len();
         let (unit, description) = (unit.to_string(), name.to_string());

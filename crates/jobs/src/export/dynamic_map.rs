@@ -78,13 +78,16 @@ pub fn dynamic_map(map: &StructuredMap, sample_time_s: f64) -> Made {
     let mut references: Vec<Reference> = Vec::new();
     let mut validity = Vec::new();
     for (c, port) in map.ports.references().enumerate() {
-        let (lower, upper) = map.region[c];
-        let mut node = b.input(&port.name, &port.unit, 0.5 * (lower + upper), Some((lower, upper)));
+        let range = map.region[c];
+        let mut node = b.input(&port.name, &port.unit, range.middle(), Some(range));
         for (k, tau) in map.filter_s.get(c).into_iter().flatten().enumerate() {
             let op = Op::Lag { of: node, tau: Tau::Fixed(*tau) };
             node = b.node(&format!("{}_filter_{}", port.name, k + 1), op);
         }
-        let held = b.node(&format!("{}_held", port.name), Op::Clamp { of: node, lower, upper });
+        let held = b.node(
+            &format!("{}_held", port.name),
+            Op::Clamp { of: node, lower: range.lower, upper: range.upper },
+        );
         references.push(Reference {
             name: port.name.clone(),
             held,
@@ -94,7 +97,12 @@ pub fn dynamic_map(map: &StructuredMap, sample_time_s: f64) -> Made {
             delays: Vec::new(),
             differences: Vec::new(),
         });
-        validity.push(ValidRange { channel: port.name.clone(), unit: port.unit.clone(), lower, upper });
+        validity.push(ValidRange {
+            channel: port.name.clone(),
+            unit: port.unit.clone(),
+            lower: range.lower,
+            upper: range.upper,
+        });
     }
     let products: Vec<Vec<Factor>> =
         map.terms.iter().map(|t| product(&mut b, &mut references, map, t)).collect();

@@ -14,6 +14,7 @@ use dynocal_ident::model::narmax::Narmax;
 use dynocal_ident::model::neural::{Activation, NeuralNarx};
 use dynocal_ident::model::poly::{PolyNarx, Shape as PolyShape, Source};
 use dynocal_ident::stored::{Pointwise, StoredError, StoredModel};
+use dynocal_numerics::interval::Interval;
 
 use super::build::Build;
 use super::{ExportJobError, Made};
@@ -173,7 +174,12 @@ impl<'a> Growing<'a> {
             }
             None => {
                 let unit = self.stored.measured().into_iter().find(|q| q.name == name).map(|q| q.unit);
-                let range = self.stored.seen.iter().find(|s| s.name == name).map(|s| (s.minimum, s.maximum));
+                let range = self
+                    .stored
+                    .seen
+                    .iter()
+                    .find(|s| s.name == name)
+                    .map(|s| Interval::new(s.minimum, s.maximum));
                 let start = self.nominal(name);
                 self.build.input(name, &unit.unwrap_or_else(|| "-".into()), start, range)
             }

@@ -4,6 +4,7 @@ use dynocal_calib::map::static_map::StaticMap;
 use dynocal_export::characteristic::{Axis, Characteristic, identifier};
 use dynocal_export::package::{Package, Provenance, ValidRange};
 use dynocal_export::program::Op;
+use dynocal_numerics::interval::Interval;
 
 use super::Made;
 use super::build::Build;
@@ -44,7 +45,7 @@ pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
             unit: a.unit.clone(),
             axes: axes.clone(),
             values: map.points.iter().map(|p| p.actuators[k]).collect(),
-            limits: Some((a.lower, a.upper)).filter(|l| l.0.is_finite() && l.1.is_finite()),
+            limits: Some(Interval::new(a.lower, a.upper)).filter(|l| l.is_finite()),
         })
         .collect();
     let range = |(name, unit, points): &(&str, &str, &[f64])| {
@@ -53,7 +54,8 @@ pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
     };
     let program = sample_time_s.filter(|_| !along.is_empty()).map(|dt| {
         let mut b = Build::new(dt);
-        let inputs: Vec<_> = along.iter().map(|a| b.input(a.0, a.1, middle(a.2), Some(ends(a.2)))).collect();
+        let inputs: Vec<_> =
+            along.iter().map(|a| b.input(a.0, a.1, middle(a.2), Some(ends(a.2).into()))).collect();
         for (c, a) in characteristics.iter().zip(&ports.actuators) {
             let op = Op::Lookup { characteristic: c.name.clone(), inputs: inputs.clone() };
             let node = b.node(&format!("{}_map", a.name), op);

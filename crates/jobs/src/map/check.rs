@@ -3,6 +3,7 @@
 use dynocal_design::points::MOST_DIMENSIONS;
 use dynocal_files::spec::Faults;
 use dynocal_ident::model::response::learner;
+use dynocal_numerics::interval::Interval;
 use dynocal_plant::plants;
 
 use super::spec::MapSpec;
@@ -185,7 +186,7 @@ fn channels(s: &MapSpec, faults: &mut Faults) {
             None => faults.unknown(&format!("start.{name}"), name, &inputs),
         }
     }
-    for (name, (a, b)) in &s.bed.ranges {
+    for (name, Interval { lower: a, upper: b }) in &s.bed.ranges {
         let key = format!("bed.ranges.{name}");
         match s.problem.inputs.iter().find(|i| i.name == *name && free.contains(name)) {
             Some(i) if !(i.lower <= *a && a < b && *b <= i.upper) => {
@@ -239,7 +240,7 @@ fn models(s: &MapSpec, faults: &mut Faults) {
         );
         return;
     }
-    if let Err(e) = learner("best_of", &super::learn::keys(&s.models, s.models.folds.clamp(2, 50))) {
+    if let Err(e) = learner("best_of", &s.models.choice_keys(s.models.folds.clamp(2, 50))) {
         faults.push(
             "models.candidates",
             e,

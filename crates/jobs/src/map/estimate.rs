@@ -1,6 +1,6 @@
 //! What a steady calibration takes, before it runs.
 
-use super::spec::Job;
+use super::job::Job;
 use crate::estimate::Estimate;
 
 /// The day with its bed time. The largest work is that of the models: nested folds of every candidate, each with factorisations

@@ -10,7 +10,7 @@ use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
 use super::choose::{Chosen, Kinds, choose};
-use super::result::MapError;
+use super::error::MapError;
 use super::spec::ModelsSpec;
 
 /// A response with its model.
@@ -71,13 +71,6 @@ impl Response for Learned {
     fn describe(&self) -> String {
         self.what.clone()
     }
-}
-
-/// Keys of the choice.
-pub(super) fn keys(models: &ModelsSpec, folds: usize) -> toml::Table {
-    let tables = models.candidates.iter().cloned().map(toml::Value::Table).collect();
-    let folds = toml::Value::Integer(i64::try_from(folds).unwrap_or(5));
-    toml::Table::from_iter([("models".into(), toml::Value::Array(tables)), ("folds".into(), folds)])
 }
 
 /// The candidates with the names that reports give them.

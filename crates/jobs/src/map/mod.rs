@@ -1,15 +1,19 @@
 //! Steady calibration: from a day on the bed to maps.
 //!
-//! [`spec`] reads what the user wrote and checks it as a whole; [`work`] measures on the plant, learns, optimises and verifies in
+//! [`spec`] is what the user writes; [`job`] reads it and checks it as a whole; [`work`] measures on the plant, learns, optimises and verifies in
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
+mod cells;
 mod check;
 mod choose;
+pub mod error;
 pub mod estimate;
+pub mod job;
 mod learn;
 pub mod page;
 pub mod refine;
 pub mod result;
+mod setting;
 pub mod spec;
 pub mod store;
 mod verdict;
@@ -19,8 +23,9 @@ pub mod work;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_numerics::watch::Watch;
 
-pub use result::{MapError, Mapped};
-pub use spec::Job;
+pub use error::MapError;
+pub use job::Job;
+pub use result::Mapped;
 
 /// Kind of the run folder.
 pub const KIND: &str = "map";

@@ -10,10 +10,11 @@ use dynocal_report::{
     capital, render,
 };
 
+use super::cells::{actuators, missed};
+use super::error::MapError;
+use super::job::Job;
 use super::learn::Learned;
-use super::result::{MapError, Mapped};
-use super::spec::Job;
-use super::work::{actuators, missed};
+use super::result::Mapped;
 use crate::page::PageError;
 
 /// Writes `report.html` into the run folder.

@@ -12,10 +12,10 @@ use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
+use super::error::{MapError, stopped};
 use super::learn::{self, Learned};
-use super::result::MapError;
+use super::setting::{envelope, setting};
 use super::spec::MapSpec;
-use super::work::{envelope, setting, stopped};
 
 /// A batch of points at the expected optimum.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,23 +1,18 @@
 //! What a steady calibration gives.
 
-use dynocal_calib::gains::{TuneError, Tuned};
+use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Drift};
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::{AxisRange, Layout};
-use dynocal_files::FilesError;
-use dynocal_ident::model::response::ResponseError;
-use dynocal_ident::plant::PlantError;
-use dynocal_ident::play::PlayError;
-use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::status::Status;
 use dynocal_report::Check;
 use serde::Serialize;
 
 use super::learn::Learned;
 use super::refine::Round;
-use crate::page::PageError;
 
 /// An axis of the maps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -33,8 +28,11 @@ pub struct MapAxis {
 impl MapAxis {
     /// Its range.
     pub fn range(&self) -> AxisRange {
-        let ends = (self.points.first().copied().unwrap_or(0.0), self.points.last().copied().unwrap_or(0.0));
-        AxisRange { name: self.name.clone(), range: ends }
+        let end = |p: Option<&f64>| p.copied().unwrap_or(0.0);
+        AxisRange {
+            name: self.name.clone(),
+            range: Interval::new(end(self.points.first()), end(self.points.last())),
+        }
     }
 }
 
@@ -137,82 +135,4 @@ pub struct Mapped {
     /// The maps.
     #[serde(skip)]
     pub map: StaticMap,
-}
-
-/// No map can be given.
-#[derive(Debug, thiserror::Error)]
-pub enum MapError {
-    /// Files.
-    #[error(transparent)]
-    Files(#[from] FilesError),
-    /// The plant.
-    #[error(transparent)]
-    Plant(#[from] PlantError),
-    /// A plan that cannot be played.
-    #[error(transparent)]
-    Play(#[from] PlayError),
-    /// Gains of the loops.
-    #[error(transparent)]
-    Gains(#[from] TuneError),
-    /// Keys of a model.
-    #[error(transparent)]
-    Build(#[from] BuildError),
-    /// The plant lacks a channel.
-    #[error("the plant has no {role} `{name}` in {unit}; there are: {known}")]
-    Channel {
-        /// Input or output.
-        role: &'static str,
-        /// Name.
-        name: String,
-        /// Unit that the problem has.
-        unit: String,
-        /// Variables that there are, with their units.
-        known: String,
-    },
-    /// A response model.
-    #[error("response model of `{response}`: {source}")]
-    Learn {
-        /// Response.
-        response: String,
-        /// Why.
-        source: ResponseError,
-    },
-    /// A response that does not depend on what is moved.
-    #[error(
-        "`{response}` shows no signal: its model misses unseen points by {rmse:.4} {unit} rms where the {points} measured points scatter by {spread:.4} {unit} themselves. Take it out of the problem, widen the ranges of the inputs, or average longer (`bed.approach.average_s`)"
-    )]
-    NoSignal {
-        /// Response.
-        response: String,
-        /// Unit.
-        unit: String,
-        /// Error on unseen points.
-        rmse: f64,
-        /// Standard deviation of the measured values.
-        spread: f64,
-        /// Points.
-        points: usize,
-    },
-    /// Too few points came from the bed.
-    #[error(
-        "{usable} of {measured} measured points can be used, expected at least {least}: {end}. Notes of the points: {notes}"
-    )]
-    TooFew {
-        /// Usable points.
-        usable: usize,
-        /// Points that were measured.
-        measured: usize,
-        /// Needed.
-        least: usize,
-        /// Why the day ended.
-        end: String,
-        /// Notes with how often they stand.
-        notes: String,
-    },
-    /// The page.
-    #[error(transparent)]
-    Page(#[from] PageError),
-    /// Ctrl-C.
-    #[error("interrupted")]
-    Interrupted,
 }

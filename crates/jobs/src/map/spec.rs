@@ -1,20 +1,17 @@
 //! The spec of a steady calibration as the user writes it. Every key has a default that works on the virtual engine.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use dynocal_calib::gains::TuneSpec;
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::grid::GridSpec;
 use dynocal_calib::steady::refine::RefineSpec;
 use dynocal_calib::steady::station::ApproachSpec;
-use dynocal_files::spec::{Faults, LoadError, SpecError};
+use dynocal_numerics::interval::Interval;
 use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
-use super::check;
 use crate::calibrate::spec::{CalibrateSpec, LoopSpec};
-use crate::place::{Overrides, Place};
 
 /// A steady calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,7 +81,7 @@ pub struct BedSpec {
     /// Bed time in minutes after which no further point begins, verification included.
     pub minutes: f64,
     /// Ranges of inputs that no loop drives, where they are not those of the problem.
-    pub ranges: BTreeMap<String, (f64, f64)>,
+    pub ranges: BTreeMap<String, Interval>,
     /// How far past its limit an output may go while a point is approached; unit of the output.
     pub beyond: BTreeMap<String, f64>,
     /// How points are approached and held.
@@ -136,6 +133,15 @@ impl Default for ModelsSpec {
     }
 }
 
+impl ModelsSpec {
+    /// Keys of the learner that chooses among the candidates by `folds` parts.
+    pub(super) fn choice_keys(&self, folds: usize) -> toml::Table {
+        let tables = self.candidates.iter().cloned().map(toml::Value::Table).collect();
+        let folds = toml::Value::Integer(i64::try_from(folds).unwrap_or(5));
+        toml::Table::from_iter([("models".into(), toml::Value::Array(tables)), ("folds".into(), folds)])
+    }
+}
+
 /// The verification run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -151,63 +157,5 @@ pub struct VerifySpec {
 impl Default for VerifySpec {
     fn default() -> Self {
         Self { points: 8, limit: 0.03, objective: 0.03 }
-    }
-}
-
-/// A checked spec and where its run goes.
-#[derive(Clone, Debug)]
-pub struct Job {
-    /// Name of the run.
-    pub name: String,
-    /// Run folder.
-    pub out: PathBuf,
-    /// The checked spec, its axes and held values filled in.
-    pub spec: MapSpec,
-}
-
-/// Reads and checks the spec at `path`.
-///
-/// # Errors
-/// [`LoadError`] with every fault.
-pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
-    dynocal_files::spec::load(path, |t: &MapSpec, faults| checked(t, path, overrides, faults))
-}
-
-/// The same for a spec that is there as text; `file` is its name in messages.
-///
-/// # Errors
-/// [`SpecError`] with every fault.
-pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
-    dynocal_files::spec::parse(file, text, |t: &MapSpec, faults| {
-        checked(t, Path::new(file), overrides, faults)
-    })
-}
-
-fn checked(t: &MapSpec, path: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
-    let mut spec = MapSpec { seed: over.seed.unwrap_or(t.seed), ..t.clone() };
-    fill(&mut spec);
-    check::check(&spec, faults);
-    let place = Place::of(path, None, None, over.out.as_deref(), faults);
-    faults.is_empty().then_some(Job { name: place.name, out: place.out, spec })
-}
-
-/// Values of an axis that the spec does not give.
-const AXIS: usize = 8;
-
-/// Axes and held values that the spec leaves open.
-fn fill(s: &mut MapSpec) {
-    if s.axes.is_empty() {
-        let even =
-            |(a, b): (f64, f64)| (0..AXIS).map(|k| a + (b - a) * k as f64 / (AXIS - 1) as f64).collect();
-        let demand = s.problem.demands.first().map(|d| (d.output.clone(), even((d.lower, d.upper))));
-        let given = s.problem.given.first().map(|g| (g.name.clone(), even((g.lower, g.upper))));
-        s.axes = demand.into_iter().chain(given).collect();
-    }
-    let demands = s.problem.demands.iter().map(|d| (&d.output, d.lower, d.upper));
-    let given = s.problem.given.iter().map(|g| (&g.name, g.lower, g.upper));
-    for (name, lower, upper) in demands.chain(given) {
-        if !s.axes.contains_key(name) && !s.held.contains_key(name) {
-            s.held.insert(name.clone(), 0.5 * (lower + upper));
-        }
     }
 }

@@ -6,9 +6,10 @@ use dynocal_files::run_folder::RunFolder;
 use dynocal_files::{FilesError, csv_io, json};
 use dynocal_ident::data::{Channel, Dataset, Role};
 
+use super::error::MapError;
+use super::job::Job;
 use super::page;
-use super::result::{MapError, Mapped};
-use super::spec::Job;
+use super::result::Mapped;
 
 /// Folder of the maps, where `dynocal export RUN` finds them.
 const STEP: &str = "steps/01-map";

@@ -5,9 +5,9 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
+use super::cells::missed;
 use super::result::{Mapped, Verified};
 use super::spec::MapSpec;
-use super::work::missed;
 
 /// Why a day ended.
 pub(super) fn end_in_words(end: &DayEnd) -> String {

@@ -5,24 +5,25 @@ use std::collections::BTreeMap;
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
 use dynocal_calib::map::{ActuatorPort, Port, Ports};
-use dynocal_calib::steady::cell::{Setting, Side, deviations};
 use dynocal_calib::steady::day::{self, DayEnd, DayPlan, DayPoint, Purpose};
-use dynocal_calib::steady::envelope::Envelope;
-use dynocal_calib::steady::grid::{self, Cell, CellState};
+use dynocal_calib::steady::grid::{self, Cell};
 use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
-use dynocal_calib::steady::station::{Station, SteadyPoint};
-use dynocal_ident::data::UnitAfter;
-use dynocal_ident::model::response::Response;
+use dynocal_calib::steady::station::Station;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLoop;
 use dynocal_ident::plant::{Causality, Plant};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
-use super::learn::{self, Learned};
+use super::cells::{actuators, missed};
+use super::error::{MapError, stopped};
+use super::job::Job;
+use super::learn;
 use super::refine::Refinement;
-use super::result::{BedTime, MapAxis, MapError, Mapped};
-use super::spec::{Job, MapSpec};
+use super::result::{BedTime, MapAxis, Mapped};
+use super::setting::{envelope, setting};
+use super::spec::MapSpec;
 use super::{verdict, verify};
 
 /// Share of an axis by which points are planned beyond its ends.
@@ -128,11 +129,6 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     Ok(found)
 }
 
-/// What a plan says when the user interrupts is one thing to them.
-pub(super) fn stopped(watch: Watch<'_>) -> impl Fn(dynocal_ident::play::PlayError) -> MapError + '_ {
-    move |e| if watch.interrupted() { MapError::Interrupted } else { MapError::Play(e) }
-}
-
 fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
     let refused =
         || dynocal_ident::plant::PlantError::Call(format!("plant `{}` is run outside", spec.plant.name));
@@ -203,8 +199,8 @@ fn layout(spec: &MapSpec, axes: &[MapAxis], tuned: Option<&Tuned>, plant: &dyn P
     let loops = loops(spec, &found);
     let mut layout = Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, plant);
     for f in &mut layout.factors {
-        if let Some((lower, upper)) = spec.bed.ranges.get(&f.name) {
-            (f.lower, f.upper) = (*lower, *upper);
+        if let Some(range) = spec.bed.ranges.get(&f.name) {
+            (f.lower, f.upper) = (range.lower, range.upper);
         }
     }
     layout
@@ -214,12 +210,16 @@ fn layout(spec: &MapSpec, axes: &[MapAxis], tuned: Option<&Tuned>, plant: &dyn P
 /// lie inside of what was measured.
 fn beyond_the_axis(spec: &MapSpec, axis: &MapAxis) -> AxisRange {
     let p = &spec.problem;
-    let demand = p.demands.iter().find(|d| d.output == axis.name).map(|d| (d.lower, d.upper));
-    let bounds = demand.or(p.given.iter().find(|g| g.name == axis.name).map(|g| (g.lower, g.upper)));
-    let AxisRange { name, range: (a, b) } = axis.range();
-    let (least, most) = bounds.unwrap_or((a, b));
-    let more = BEYOND * (b - a);
-    AxisRange { name, range: ((a - more).max(least), (b + more).min(most)) }
+    let demand = p.demands.iter().find(|d| d.output == axis.name).map(|d| Interval::new(d.lower, d.upper));
+    let bounds =
+        demand.or(p.given.iter().find(|g| g.name == axis.name).map(|g| Interval::new(g.lower, g.upper)));
+    let AxisRange { name, range } = axis.range();
+    let bounds = bounds.unwrap_or(range);
+    let more = BEYOND * range.width();
+    AxisRange {
+        name,
+        range: Interval::new((range.lower - more).max(bounds.lower), (range.upper + more).min(bounds.upper)),
+    }
 }
 
 /// The first point: axes in their middle, inputs where they begin.
@@ -289,18 +289,6 @@ fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapE
     Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
 }
 
-/// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it.
-pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
-    let used = points.iter().map(|p| &p.point).filter(|p| p.usable);
-    let at = |p: &SteadyPoint| {
-        let as_asked = p.touched.is_empty() && p.saturated.is_empty();
-        if as_asked { p.asked[..layout.axes].to_vec() } else { p.factors[..layout.axes].to_vec() }
-    };
-    let reached: Vec<Vec<f64>> = used.map(at).collect();
-    let ranges: Vec<(f64, f64)> = layout.factors[..layout.axes].iter().map(|f| (f.lower, f.upper)).collect();
-    Envelope::of(&reached, &ranges)
-}
-
 /// Points that follow the optimum; what is planned has to be enough for first models.
 fn refined(layout: &Layout, spec: &MapSpec) -> usize {
     let n = spec.bed.points;
@@ -311,25 +299,6 @@ fn refined(layout: &Layout, spec: &MapSpec) -> usize {
 /// Fewest usable points that models and envelope are learnt from.
 fn least(layout: &Layout) -> usize {
     (2 * (layout.factors.len() + 1)).max(5 * (layout.axes + 2))
-}
-
-/// Models with limits and weights.
-pub(super) fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
-    let mut sides = Vec::new();
-    for (k, r) in layout.responses.iter().enumerate() {
-        let scale = models[k].spread.max(f64::MIN_POSITIVE);
-        sides.extend(r.upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
-        sides.extend(r.lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
-    }
-    Setting {
-        models: models.iter().map(|m| m as &dyn Response).collect(),
-        weights: layout.responses.iter().map(|r| r.weight).collect(),
-        sides,
-        z: deviations(spec.optimise.probability),
-        caution: spec.optimise.caution,
-        ranges: layout.factors.iter().map(|f| (f.lower, f.upper)).collect(),
-        axes: layout.axes,
-    }
 }
 
 /// The maps in the form of the house: demand slow, given channel fast.
@@ -375,39 +344,5 @@ fn static_map(spec: &MapSpec, layout: &Layout, axes: &[MapAxis], cells: &[Cell],
         given: given.map_or(vec![0.0], |a| a.points.clone()),
         points: points.collect(),
         bed_s,
-    }
-}
-
-/// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
-pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
-    let driven = layout.driven();
-    let value = |(k, i): (usize, &dynocal_calib::problem::InputChannel)| {
-        let v = match driven.iter().position(|d| *d == k) {
-            Some(loop_number) => cell.optimum.responses[loop_number],
-            None => {
-                let place = layout.factors.iter().position(|f| f.kind == FactorKind::Free(k));
-                place.map_or(f64::NAN, |p| cell.optimum.x[p])
-            }
-        };
-        v.clamp(i.lower, i.upper)
-    };
-    layout.problem.inputs.iter().enumerate().map(value).collect()
-}
-
-/// Why a cell is not what was asked for; empty where it is.
-pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
-    match cell.state {
-        CellState::Optimal => String::new(),
-        CellState::Filled => "filled from its neighbours: not reached on the bed".into(),
-        CellState::Infeasible => {
-            let each = cell.optimum.prices.iter().filter(|p| p.passed > 0.0).map(|p| {
-                let r = &layout.responses[p.response];
-                let (side, limit) = if p.sign > 0.0 { ("above", r.upper) } else { ("below", r.lower) };
-                let unit = UnitAfter(&r.unit);
-                format!("`{}` {:.4}{unit} {side} {}{unit}", r.name, p.passed, limit.unwrap_or(f64::NAN))
-            });
-            let each: Vec<String> = each.collect();
-            format!("limits conflict: {} at the least violation, uncertainty counted in", each.join(", "))
-        }
     }
 }

@@ -13,6 +13,7 @@ use dynocal_files::dataset::Format;
 use dynocal_files::measurement::{self, ChannelInfo, ReadKeys, Source};
 use dynocal_files::table::Cells;
 use dynocal_files::units;
+use dynocal_numerics::interval::Interval;
 use serde::Serialize;
 
 use tally::{Clock, Tally};
@@ -60,7 +61,7 @@ pub struct GroupSummary {
     /// Name of the time channel; empty where there is none.
     pub time: String,
     /// First and last stamp in s.
-    pub span_s: Option<(f64, f64)>,
+    pub span_s: Option<Interval>,
     /// Mean interval in s.
     pub interval_s: Option<f64>,
     /// Longest interval in s, where it is more than one and a half times the mean.
@@ -109,7 +110,7 @@ const STRETCHES: u64 = 500;
 /// dynocal_files::atomic::write(&path, b"time [ms],torque [Nm]\n0,30\n20,\n40,50\n").unwrap();
 /// let found = contents(&path, None, &Default::default()).unwrap();
 /// let (group, torque) = (&found.groups[0], &found.groups[0].channels[0]);
-/// assert_eq!((group.span_s, group.interval_s), (Some((0.0, 0.04)), Some(0.02)));
+/// assert_eq!((group.span_s, group.interval_s), (Some(Interval::new(0.0, 0.04)), Some(0.02)));
 /// assert_eq!((torque.rows, torque.gaps, torque.mean), (3, 1, Some(40.0)));
 /// ```
 pub fn contents(path: &Path, format: Option<Format>, keys: &ReadKeys) -> Result<Contents, FilesError> {
@@ -154,7 +155,7 @@ fn group(source: &dyn Source, g: usize) -> Result<GroupSummary, FilesError> {
         name: info.name.clone(),
         rows: info.rows,
         time: time.map_or(String::new(), |t| t.name),
-        span_s: scale.map(|s| (clock.first * s, clock.last * s)),
+        span_s: scale.map(|s| Interval::new(clock.first * s, clock.last * s)),
         interval_s: interval.zip(scale).map(|(i, s)| i * s),
         longest_interval_s: interval
             .filter(|i| clock.longest > 1.5 * i)

@@ -38,8 +38,13 @@ fn section(k: usize, g: &GroupSummary) -> Section {
 pub fn about(g: &GroupSummary) -> String {
     let mut out = format!("{} rows", g.rows);
     match (g.span_s, g.interval_s) {
-        (Some((a, b)), Some(dt)) => {
-            out.push_str(&format!(", {} s to {} s by `{}`", trimmed(a, 10), trimmed(b, 10), g.time));
+        (Some(span), Some(dt)) => {
+            out.push_str(&format!(
+                ", {} s to {} s by `{}`",
+                trimmed(span.lower, 10),
+                trimmed(span.upper, 10),
+                g.time
+            ));
             out.push_str(&format!(", every {} s on average", trimmed(dt, 6)));
         }
         _ if g.time.is_empty() => out.push_str(", no time channel"),

@@ -52,8 +52,8 @@ fn numbers(found: &Simulated) -> Section {
             o.output.as_str().into(),
             o.unit.as_str().into(),
             (o.samples as f64).into(),
-            Cell::from(o.range.map(|r| r.0)),
-            Cell::from(o.range.map(|r| r.1)),
+            Cell::from(o.range.map(|r| r.lower)),
+            Cell::from(o.range.map(|r| r.upper)),
             Cell::from(o.rmse),
         ]
     };

@@ -3,6 +3,7 @@
 use dynocal_files::FilesError;
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::stored::StoredError;
+use dynocal_numerics::interval::Interval;
 use serde::Serialize;
 
 use crate::page::PageError;
@@ -67,7 +68,7 @@ pub struct Output {
     /// Sample time in s.
     pub sample_time_s: f64,
     /// Least and greatest value; none where the run diverged at once.
-    pub range: Option<(f64, f64)>,
+    pub range: Option<Interval>,
     /// First sample that is not a finite number; none where all are.
     pub diverged_at: Option<usize>,
     /// Where the run left what was ever measured of the output; none where it stays near.

@@ -7,6 +7,7 @@ use dynocal_files::{json, measurement};
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::stored::{Computed, MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
 use dynocal_ident::validate::departure;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::watch::Watch;
 
 use super::result::{Left, Output, SimulateError, Simulated, Used};
@@ -182,9 +183,7 @@ fn output(model: &StoredModel, c: Computed) -> Output {
     });
     let diverged_at = c.y.iter().position(|v| !v.is_finite());
     let finite = &c.y[..diverged_at.unwrap_or(c.y.len())];
-    let range = finite.iter().fold(None, |r: Option<(f64, f64)>, v| {
-        Some(r.map_or((*v, *v), |(least, greatest)| (least.min(*v), greatest.max(*v))))
-    });
+    let range = (!finite.is_empty()).then(|| Interval::spanning(finite.iter().copied()));
     let rmse = c.measured.as_ref().filter(|_| diverged_at.is_none()).and_then(|z| {
         let errors: Vec<f64> = z.iter().zip(&c.y).skip(c.first).map(|(z, y)| z - y).collect();
         let squares: f64 = errors.iter().map(|e| e * e).sum();

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use dynocal_fmu::{FmuPlant, FmuSettings};
 use dynocal_ident::plant::{Plant, PlantError};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
 use serde::Deserialize;
 
@@ -40,7 +41,7 @@ pub(super) const MEMBER: PlantMember = PlantMember {
 #[serde(default, deny_unknown_fields)]
 struct Keys {
     parameters: BTreeMap<String, f64>,
-    ranges: BTreeMap<String, [f64; 2]>,
+    ranges: BTreeMap<String, Interval>,
 }
 
 /// Faults of the keys: an FMU has no keys of the virtual engine.
@@ -62,19 +63,16 @@ fn settings(spec: &PlantSpec) -> Result<(PathBuf, FmuSettings), PlantFault> {
     let keys: Keys = toml::Value::Table(spec.fmu.clone()).try_into().map_err(|e: toml::de::Error| {
         PlantFault::new("plant.fmu", e.message(), "tables `parameters` and `ranges`")
     })?;
-    if let Some((name, [a, b])) =
-        keys.ranges.iter().find(|(_, r)| r[0].partial_cmp(&r[1]) != Some(std::cmp::Ordering::Less))
+    if let Some((name, range)) =
+        keys.ranges.iter().find(|(_, r)| r.lower.partial_cmp(&r.upper) != Some(std::cmp::Ordering::Less))
     {
         return Err(PlantFault::new(
             format!("plant.fmu.ranges.{name}"),
-            format!("{a} to {b}"),
+            format!("{} to {}", range.lower, range.upper),
             "the lower end first",
         ));
     }
-    let settings = FmuSettings {
-        parameters: keys.parameters.into_iter().collect(),
-        ranges: keys.ranges.into_iter().map(|(n, [a, b])| (n, a, b)).collect(),
-    };
+    let settings = FmuSettings { parameters: keys.parameters, ranges: keys.ranges };
     Ok((file, settings))
 }
 

@@ -2,6 +2,7 @@
 
 use super::dynamics::PiGains;
 use super::guard::Commands;
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 /// Settings.
@@ -19,7 +20,7 @@ pub struct IdleSettings {
     /// Throttle \[deg\] per speed error \[rpm\], and per second.
     pub gains: PiGains,
     /// Range of the throttle under idle control \[deg\].
-    pub range_deg: (f64, f64),
+    pub range_deg: Interval,
     /// Spark kept in reserve at idle \[deg\]: torque that the spark can give at once, before the manifold has filled.
     pub spark_reserve_deg: f64,
     /// Spark \[deg\] per speed error \[rpm\].
@@ -34,7 +35,7 @@ impl Default for IdleSettings {
             return_rpm: 1300.0,
             idle_rpm: 800.0,
             gains: PiGains { proportional: 0.02, integral: 0.015 },
-            range_deg: (0.0, 20.0),
+            range_deg: Interval::new(0.0, 20.0),
             spark_reserve_deg: 12.0,
             spark_gain: 0.15,
         }
@@ -80,7 +81,7 @@ impl IdleSettings {
             s.integral_deg = c.throttle_deg.max(2.0);
         }
         let error = self.idle_rpm - shaft.rpm;
-        c.throttle_deg = self.gains.step(&mut s.integral_deg, error, self.range_deg, h_s);
+        c.throttle_deg = self.gains.step(&mut s.integral_deg, error, self.range_deg.into(), h_s);
         let reserve = self.spark_reserve_deg;
         let spark_deg = c.spark_deg - reserve + (self.spark_gain * error).clamp(-reserve, reserve);
         c.spark_deg = spark_deg.clamp(-10.0, 55.0);

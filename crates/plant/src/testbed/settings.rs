@@ -308,7 +308,7 @@ impl RealEngine {
             range("bed.engine.idle.return_rpm", i.return_rpm, i.idle_rpm, 6500.0)?;
             range("bed.engine.idle.cut_rpm", i.cut_rpm, i.return_rpm, 6500.0)?;
             range("bed.engine.idle.spark_reserve_deg", i.spark_reserve_deg, 0.0, 30.0)?;
-            range("bed.engine.idle.range_deg", i.range_deg.1 - i.range_deg.0, 0.0, 90.0)?;
+            range("bed.engine.idle.range_deg", i.range_deg.width(), 0.0, 90.0)?;
         }
         Ok(())
     }

@@ -5,6 +5,7 @@ use super::transients::{RECORD_S, Response, settling_s};
 use super::verification::MapPoint;
 use super::{STATIC, TRANSIENTS};
 use crate::{TaskResult, result};
+use dynocal_numerics::interval::Interval;
 use dynocal_plant::full_load::LoadPoint;
 use dynocal_plant::outputs::Outputs;
 use dynocal_plant::statics::{StaticPoint, Target};
@@ -103,7 +104,7 @@ pub(super) struct Transient {
 impl Transient {
     /// A response without what is particular to its kind.
     pub(super) fn new(name: &str, r: &Response) -> Self {
-        let (lambda_min, lambda_max) = r.lambda_range();
+        let Interval { lower: lambda_min, upper: lambda_max } = r.lambda_range();
         Self {
             name: name.into(),
             lambda_min,

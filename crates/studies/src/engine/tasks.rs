@@ -4,6 +4,7 @@ use crate::StudyError;
 use crate::engine::results::{SparkAt70, StaticRow, StaticRows, Transient};
 use crate::engine::transients::{self, Moments, PiLoops, RECORD_S, RandomInputs, rise_s};
 use crate::engine::verification::{self, MapOptions, Motored, ReferencePoint};
+use dynocal_numerics::interval::Interval;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::inputs::Inputs;
@@ -171,9 +172,9 @@ fn transients_inner() -> Result<Vec<Transient>, Inner> {
 pub(super) fn random_inputs(seed: u64, time_s: f64) -> Result<Moments, StudyError> {
     let signal = RandomInputs {
         speed_rpm: 2000.0,
-        injection_mg: (0.0, 35.0),
-        spark_deg: (5.0, 30.0),
-        throttle_deg: (5.0, 20.0),
+        injection_mg: Interval::new(0.0, 35.0),
+        spark_deg: Interval::new(5.0, 30.0),
+        throttle_deg: Interval::new(5.0, 20.0),
         hold_s: 0.6,
         sample_time_s: 0.03,
         lambda_cap: 5.0,

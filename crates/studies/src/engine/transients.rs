@@ -1,6 +1,7 @@
 //! What the engine does between two steady points: steps of one input, steps of the static map, closed loops, random
 //! inputs (thesis 3.4, 6.4, 7.2), each reduced to the numbers that the thesis states.
 
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
@@ -28,8 +29,8 @@ impl Response {
     }
 
     /// Lowest and highest lambda.
-    pub fn lambda_range(&self) -> (f64, f64) {
-        self.lambda.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)))
+    pub fn lambda_range(&self) -> Interval {
+        Interval::spanning(self.lambda.iter().copied())
     }
 }
 
@@ -135,11 +136,11 @@ pub struct RandomInputs {
     /// Speed \[rpm\].
     pub speed_rpm: f64,
     /// Range of fuel \[mg\].
-    pub injection_mg: (f64, f64),
+    pub injection_mg: Interval,
     /// Range of spark \[deg BTDC\].
-    pub spark_deg: (f64, f64),
+    pub spark_deg: Interval,
     /// Range of throttle \[deg\].
-    pub throttle_deg: (f64, f64),
+    pub throttle_deg: Interval,
     /// Hold time \[s\].
     pub hold_s: f64,
     /// Sample time \[s\].
@@ -177,7 +178,7 @@ impl RandomInputs {
         let (mut torque, mut lambda) = (Vec::with_capacity(samples), Vec::with_capacity(samples));
         for k in 0..samples + run_in {
             if k % per_hold == 0 {
-                let mut draw = |(a, b): (f64, f64)| rng.uniform_in(a, b);
+                let mut draw = |range: Interval| rng.uniform_in(range.lower, range.upper);
                 engine.set_inputs(Inputs {
                     speed_rpm: self.speed_rpm,
                     injection_mg: draw(self.injection_mg),

@@ -3,6 +3,7 @@
 //! Everything here is computed by running the engine; what the numbers are compared with (thesis chapters 3, 6, 7,
 //! a reference table, class values) is the business of the caller.
 
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
@@ -36,7 +37,7 @@ pub struct MapOptions {
     /// Distance from the best spark of the fuel penalty \[deg\] (thesis 6.6: 3 deg).
     pub off_deg: f64,
     /// Range of the random spark \[deg BTDC\] (thesis 7: 5 to 30 deg).
-    pub random_spark_deg: (f64, f64),
+    pub random_spark_deg: Interval,
     /// Seed of the random sparks.
     pub seed: u64,
     /// Number of the first point: its random spark is the same whichever call computes it.
@@ -49,7 +50,7 @@ impl Default for MapOptions {
     fn default() -> Self {
         Self {
             off_deg: 3.0,
-            random_spark_deg: (5.0, 30.0),
+            random_spark_deg: Interval::new(5.0, 30.0),
             seed: 1,
             first: 0,
             settle: SettleOptions::default(),
@@ -104,7 +105,7 @@ fn map_point(
         *mg = at_target(&point, target);
     }
     let penalty_pct = 100.0 * (0.5 * (off[0] + off[1]) / at_target(&best, target) - 1.0);
-    let (low, high) = options.random_spark_deg;
+    let Interval { lower: low, upper: high } = options.random_spark_deg;
     let random_spark_deg = Rng64::stream(options.seed, stream).uniform_in(low, high);
     let random = settle(&mut engine, target, random_spark_deg, options.settle).ok();
     let random_injection_mg = random.map(|p| p.inputs.injection_mg);

@@ -6,6 +6,7 @@ use crate::loops::shown::mimo::{self, Errors, For};
 use crate::loops::shown::paired::Paired;
 use crate::loops::shown::pools::{Efficiencies, efficiencies};
 use crate::loops::shown::violations::{Observed, Setup, observe};
+use dynocal_numerics::interval::Interval;
 use dynocal_report::{Cell, Column, Report, Section, Table};
 use serde_json::json;
 
@@ -29,7 +30,7 @@ fn setup(o: &Options) -> Setup {
         seeds: seeds(o, 20),
         samples: if o.reduced { 40 } else { 100 },
         rounds: if o.reduced { 1 } else { 3 },
-        limits_nm: (-23.0, 0.0),
+        limits_nm: Interval::new(-23.0, 0.0),
         rate: 0.05,
         caution: 2.0,
         first_box: 0.6,

@@ -97,7 +97,7 @@ fn case(
 ) -> Result<Case, StudyError> {
     let refused = |reason: String| StudyError::Task { what: name.into(), reason };
     let over = Overrides { seed: Some(seed), out: Some(around.runs.join(name)) };
-    let mut job = map::spec::parse("map.toml", text, &over).map_err(|e| refused(e.to_string()))?;
+    let mut job = map::job::parse("map.toml", text, &over).map_err(|e| refused(e.to_string()))?;
     job.spec.plant.parameters = parameters.into();
     let mut case = Case {
         engine: parameters.into(),

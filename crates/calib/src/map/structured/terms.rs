@@ -2,6 +2,7 @@
 
 use super::super::Ports;
 use super::StructuredShape;
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 /// How a reference is brought to the order of one.
@@ -23,8 +24,9 @@ pub struct Scale {
 const RATIO: f64 = 1.5;
 
 impl Scale {
-    /// Scale of a channel that lies in `lower..upper`.
-    pub fn of((lower, upper): (f64, f64)) -> Self {
+    /// Scale of a channel that lies in `range`.
+    pub fn of_range(range: Interval) -> Self {
+        let Interval { lower, upper } = range;
         let middle = 0.5 * (lower + upper);
         if lower > 0.0 && upper >= RATIO * lower {
             return Self { offset: 0.0, unit: middle, ratio: true };

@@ -1,5 +1,6 @@
 use super::super::{ActuatorPort, Port};
 use super::*;
+use dynocal_numerics::interval::Interval;
 
 fn ports() -> Ports {
     let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
@@ -57,8 +58,8 @@ fn recovers_actuators_that_lie_in_the_structure() {
 /// In steady state only the static part speaks, whatever the difference coefficients are.
 #[test]
 fn differences_vanish_in_steady_state() {
-    let spans = [(10.0, 90.0), (0.9, 1.1), (1000.0, 3000.0)];
-    let scales: Vec<Scale> = spans.iter().map(|s| Scale::of(*s)).collect();
+    let spans = [(10.0, 90.0), (0.9, 1.1), (1000.0, 3000.0)].map(Interval::from);
+    let scales: Vec<Scale> = spans.iter().map(|s| Scale::of_range(*s)).collect();
     let terms = terms::terms(&ports(), &scales, &StructuredShape::default());
     let c: Vec<f64> = terms
         .iter()
@@ -87,8 +88,11 @@ fn differences_vanish_in_steady_state() {
 /// The thesis' problem has the 18 static terms and 39 differences of the published comparison, each once.
 #[test]
 fn terms_are_those_of_the_roles_each_once() {
-    let scales: Vec<Scale> =
-        [(10.0, 90.0), (0.95, 1.05), (1000.0, 3000.0)].iter().map(|s| Scale::of(*s)).collect();
+    let scales: Vec<Scale> = [(10.0, 90.0), (0.95, 1.05), (1000.0, 3000.0)]
+        .map(Interval::from)
+        .iter()
+        .map(|s| Scale::of_range(*s))
+        .collect();
     let terms = terms::terms(&ports(), &scales, &StructuredShape::default());
     let (differences, fixed): (Vec<_>, Vec<_>) = terms.iter().partition(|t| t.difference.is_some());
     assert_eq!((fixed.len(), differences.len()), (18, 6 * 4 + 3 * 3 + 3));

@@ -7,6 +7,7 @@ use super::super::verdict::how_it_ended;
 use super::models::table;
 use super::parts::{percent, plot, record, unit};
 use dynocal_files::run_folder::Done;
+use dynocal_numerics::interval::Interval;
 use dynocal_report::{Cell, Column, Section, Table, capital};
 
 /// The whole step.
@@ -69,7 +70,7 @@ fn gains(r: &DesignResult) -> Table {
 }
 
 fn safety(r: &DesignResult) -> Table {
-    let range = |(a, b): (f64, f64)| format!("{a:.3} to {b:.3}");
+    let range = |r: Interval| format!("{:.3} to {:.3}", r.lower, r.upper);
     let mut table = Table::new(vec![
         Column::text("Output"),
         Column::text("Limits"),
@@ -82,13 +83,14 @@ fn safety(r: &DesignResult) -> Table {
     for s in &r.safety {
         let u = unit(&s.output.unit);
         let name = if u.is_empty() { s.output.name.clone() } else { format!("{} [{u}]", s.output.name) };
-        let measured = r.measured.iter().find(|m| m.0 == s.output.name).map(|m| range((m.1, m.2)));
+        let measured =
+            r.measured.iter().find(|m| m.0 == s.output.name).map(|m| range(Interval::new(m.1, m.2)));
         table = table.row([
             name.into(),
             s.limits.map_or(String::new(), range).into(),
             range(s.predicted).into(),
-            s.least_distance_of_band.map(|d| d.0).into(),
-            s.least_distance_of_band.map(|d| d.1).into(),
+            s.least_distance_of_band.map(|d| d.distance).into(),
+            s.least_distance_of_band.map(|d| d.at_s).into(),
             Cell::from(measured.unwrap_or_default()),
         ]);
     }

@@ -7,6 +7,7 @@ use super::parts::{label, percent, unit};
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::map::structured::StructuredMap;
 use dynocal_calib::validate::reference_row;
+use dynocal_numerics::interval::Interval;
 use dynocal_report::{Axis, Block, Cell, Column, Details, HeatMap, Section, Table};
 
 /// Points of the drawn grid along the given channel and the leading demand.
@@ -77,8 +78,8 @@ impl Grid {
     /// None where the problem has no given channel.
     fn over(ctx: &Context) -> Option<Self> {
         let (problem, scenario) = (&ctx.spec.problem, &ctx.spec.validate.scenario);
-        let axis = |(a, b): (f64, f64), n: usize| -> Vec<f64> {
-            (0..n).map(|k| a + (b - a) * k as f64 / (n - 1) as f64).collect()
+        let axis = |r: Interval, n: usize| -> Vec<f64> {
+            (0..n).map(|k| r.lower + r.width() * k as f64 / (n - 1) as f64).collect()
         };
         let (given, demand) = (problem.given.first()?, problem.demands.first()?);
         let x = axis(scenario.given_range(problem)?, GRID.0);

@@ -1,6 +1,6 @@
 //! Rank and parameter bounds.
 
-use crate::design::result::{Designed, InformationLine};
+use crate::design::result::{Designed, InformationLine, ParameterBound};
 use dynocal_report::{Cell, Column, Details, Section, Table};
 
 pub(super) fn section(found: &Designed) -> Section {
@@ -26,7 +26,7 @@ fn rank(i: &InformationLine) -> String {
     let unseen: Vec<String> = i
         .unseen
         .iter()
-        .map(|d| d.iter().take(6).map(|(n, c)| format!("{c:+.2} {n}")).collect::<Vec<_>>().join(" "))
+        .map(|d| d.iter().take(6).map(ToString::to_string).collect::<Vec<_>>().join(" "))
         .collect();
     format!("{}: rank {} of {}; not seen: {}.", i.model, i.rank, i.parameters, unseen.join("; "))
 }
@@ -38,7 +38,7 @@ fn bounds(i: &InformationLine) -> Table {
         Column::number("Standard deviation at least", "").digits(3),
         Column::number("Share of the value", "%").digits(3),
     ]);
-    for (name, value, std) in &i.bounds {
+    for ParameterBound { name, value, least_std: std } in &i.bounds {
         let share = std.filter(|_| *value != 0.0).map(|s| 100.0 * s / value.abs());
         table = table.row(vec![name.as_str().into(), (*value).into(), Cell::from(*std), Cell::from(share)]);
     }

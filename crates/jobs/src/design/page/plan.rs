@@ -2,8 +2,9 @@
 
 use crate::design::Job;
 use crate::design::margins::{MarginBasis, MarginUsed};
-use crate::design::result::{Curves, Designed};
+use crate::design::result::{Curves, Designed, OutputCurve, Outside};
 use dynocal_ident::data::UnitAfter;
+use dynocal_numerics::interval::Interval;
 use dynocal_report::{Axis, Cell, Column, Panel, Section, Table, TimePlot, XyPlot};
 
 /// Most samples that are drawn: a page must stay light.
@@ -30,10 +31,10 @@ pub(super) fn section(job: &Job, found: &Designed, curves: &Curves) -> Section {
     }
     let mut outputs = TimePlot::sampled("Predicted outputs", found.sample_time_s, n)
         .caption("Filled: the band that the output stays in at the stated rate. Dashed: the limits.");
-    for (line, (y, half)) in found.safety.iter().zip(&curves.outputs) {
+    for (line, OutputCurve { predicted: y, half_width: half }) in found.safety.iter().zip(&curves.outputs) {
         let side = |sign: f64| -> Vec<f64> { y[..n].iter().zip(half).map(|(y, h)| y + sign * h).collect() };
         let mut panel = Panel::new(&line.output.name, &line.output.unit);
-        if let Some((lower, upper)) = line.limits {
+        if let Some(Interval { lower, upper }) = line.limits {
             let label = match line.margin.map(|m| (m.basis, m.rate)) {
                 Some((MarginBasis::Quantile | MarginBasis::FewBlocks, rate)) => {
                     format!("band, {} % of blocks", dynocal_report::significant(100.0 * (1.0 - rate), 3))
@@ -64,20 +65,20 @@ pub(super) fn safety(found: &Designed) -> Section {
     for s in &found.safety {
         table = table.row(vec![
             format!("{} [{}]", s.output.name, s.output.unit).into(),
-            s.predicted.0.into(),
-            s.predicted.1.into(),
-            Cell::from(s.limits.map(|l| l.0)),
-            Cell::from(s.limits.map(|l| l.1)),
-            Cell::from(s.least_distance.map(|d| d.0)),
-            Cell::from(s.least_distance_of_band.map(|d| d.0)),
-            Cell::from(s.least_distance_of_band.map(|d| d.1)),
+            s.predicted.lower.into(),
+            s.predicted.upper.into(),
+            Cell::from(s.limits.map(|l| l.lower)),
+            Cell::from(s.limits.map(|l| l.upper)),
+            Cell::from(s.least_distance.map(|d| d.distance)),
+            Cell::from(s.least_distance_of_band.map(|d| d.distance)),
+            Cell::from(s.least_distance_of_band.map(|d| d.at_s)),
         ]);
     }
     let mut section = Section::new("Safety").block(table);
     for s in &found.safety {
         let margin =
             s.margin.map(|m| format!("Margin of {}: {}.", s.output.name, margin(&m, &s.output.unit)));
-        let outside = s.outside.map(|(worst, share)| {
+        let outside = s.outside.map(|Outside { worst, share }| {
             format!(
                 " {:.1} % of the plan lie outside of what its model was identified on, at most {worst:.2} of the boundary.",
                 100.0 * share

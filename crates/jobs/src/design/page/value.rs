@@ -1,12 +1,13 @@
 //! What the design is worth, and how it was found.
 
-use crate::design::result::{Bound, Designed};
+use crate::design::result::{Bound, Designed, MedianRange};
 use dynocal_report::{Axis, Cell, Column, Section, Table, XyPlot};
 
 /// Efficiencies first, criterion values after them.
 pub(super) fn section(found: &Designed) -> Section {
-    let spread = |v: (f64, f64, f64)| {
-        [Cell::from(Some(v.0).filter(|v| v.is_finite())), format!("{:.1} to {:.1}", v.1, v.2).into()]
+    let spread = |v: MedianRange| {
+        let median = Some(v.median).filter(|v| v.is_finite());
+        [Cell::from(median), format!("{:.1} to {:.1}", v.least, v.greatest).into()]
     };
     let mut rivals = Table::new(vec![
         Column::text("Model"),

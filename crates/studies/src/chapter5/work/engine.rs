@@ -7,11 +7,12 @@ use dynocal_files::{FilesError, csv_io};
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::plan::Plan;
 use dynocal_ident::play::{Unwatched, play};
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::excite::{ExciteSpec, Range, plan_of, references};
+use super::excite::{ExciteSpec, plan_of, references};
 use super::gains::LoopGains;
 use super::plans::{ActuatorLimits, engine_plan};
 use super::{Chapter5Error, udrn};
@@ -31,11 +32,11 @@ const LEAD_IN_S: f64 = 3.0;
 #[derive(Clone, Debug, Serialize)]
 pub struct OpenLoop {
     /// Fuel in mg.
-    pub inj_mg: Range,
+    pub inj_mg: Interval,
     /// Spark advance in deg.
-    pub spark_deg: Range,
+    pub spark_deg: Interval,
     /// Throttle angle in deg.
-    pub throttle_deg: Range,
+    pub throttle_deg: Interval,
     /// Speed in rpm; the thesis does not say.
     pub speed_rpm: f64,
     /// Time at each value in s; the thesis does not say.
@@ -50,9 +51,9 @@ impl Default for OpenLoop {
     /// Hold and cap as section 9 of the engine's specification, which matches the spread of the thesis' outputs.
     fn default() -> Self {
         Self {
-            inj_mg: (0.0, 35.0),
-            spark_deg: (5.0, 30.0),
-            throttle_deg: (5.0, 20.0),
+            inj_mg: Interval::new(0.0, 35.0),
+            spark_deg: Interval::new(5.0, 30.0),
+            throttle_deg: Interval::new(5.0, 20.0),
             speed_rpm: 2000.0,
             hold_s: 0.6,
             lambda_cap: 5.0,
@@ -75,7 +76,7 @@ pub fn open_loop(
     all(count, interrupt, |k| {
         let n = (spec.record_s / SAMPLE_TIME_S).round() as usize;
         let mut rng = Rng64::stream(seed, k);
-        let mut draw = |range| udrn(range, spec.hold_s, n, SAMPLE_TIME_S, &mut rng);
+        let mut draw = |range: Interval| udrn(range.into(), spec.hold_s, n, SAMPLE_TIME_S, &mut rng);
         let columns = [draw(spec.inj_mg)?, draw(spec.spark_deg)?, draw(spec.throttle_deg)?];
         let rows: Vec<[f64; 4]> =
             (0..n).map(|t| [columns[0][t], columns[1][t], columns[2][t], spec.speed_rpm]).collect();
@@ -97,7 +98,7 @@ pub fn open_loop(
 /// The closed loop of section 7.4.1: APRBS of torque and lambda demand and of spark within (7.6), speed swept between
 /// its ends, loops with the gains of `spec`.
 pub fn closed_loop_spec() -> ExciteSpec {
-    ExciteSpec { torque_nm: (0.0, 100.0), ..ExciteSpec::default() }
+    ExciteSpec { torque_nm: Interval::new(0.0, 100.0), ..ExciteSpec::default() }
 }
 
 /// Records in closed loop, streams `0..count` of `seed`, each with a speed sweep of another period, in parallel.
@@ -117,9 +118,9 @@ pub fn closed_loop(
         let sweep_s = spec.sweep_s + 0.37 * k as f64;
         let references = references(spec, sweep_s, SAMPLE_TIME_S, &mut Rng64::stream(seed, k))?;
         let limits = ActuatorLimits {
-            inj_mg: (MIN_FUEL_MG, 35.0),
+            inj_mg: Interval::new(MIN_FUEL_MG, 35.0),
             spark_deg: spec.spark_deg,
-            throttle_deg: (0.0, OPEN_THROTTLE_DEG),
+            throttle_deg: Interval::new(0.0, OPEN_THROTTLE_DEG),
         };
         let (name, rows) = (format!("loop{k:02}"), plan_of(&references));
         measure(

@@ -2,12 +2,10 @@
 
 use super::plans::Demand;
 use dynocal_ident::signal;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
-
-/// A range of a reference.
-pub type Range = (f64, f64);
 
 /// The excitation of one campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,13 +20,13 @@ pub struct ExciteSpec {
     /// Validation records, of other seeds and speed periods.
     pub validation_records: usize,
     /// Demanded torque in Nm.
-    pub torque_nm: Range,
+    pub torque_nm: Interval,
     /// Demanded lambda.
-    pub lambda: Range,
+    pub lambda: Interval,
     /// Spark advance in deg BTDC.
-    pub spark_deg: Range,
+    pub spark_deg: Interval,
     /// Engine speed in rpm.
-    pub speed_rpm: Range,
+    pub speed_rpm: Interval,
     /// Levels of the APRBS.
     pub levels: usize,
     /// Hold time of the APRBS in s.
@@ -46,10 +44,10 @@ impl Default for ExciteSpec {
             record_s: 60.0,
             identification_records: 2,
             validation_records: 3,
-            torque_nm: (10.0, 90.0),
-            lambda: (0.9, 1.1),
-            spark_deg: (5.0, 30.0),
-            speed_rpm: (1000.0, 3000.0),
+            torque_nm: Interval::new(10.0, 90.0),
+            lambda: Interval::new(0.9, 1.1),
+            spark_deg: Interval::new(5.0, 30.0),
+            speed_rpm: Interval::new(1000.0, 3000.0),
             levels: 5,
             hold_s: 3.0,
             sweep_s: 7.0,
@@ -80,7 +78,7 @@ pub fn references(
     rng: &mut Rng64,
 ) -> Result<References, BuildError> {
     let n = (spec.record_s / sample_time_s).round() as usize;
-    let mut level = |range: Range, third: f64| {
+    let mut level = |range: Interval, third: f64| {
         aprbs(range, spec.levels, spec.hold_s, third * spec.hold_s / 3.0, n, sample_time_s, rng)
     };
     let torque = level(spec.torque_nm, 0.0)?;
@@ -96,7 +94,7 @@ pub fn references(
 /// # Errors
 /// [`BuildError`] when the numbers do not fit the signal.
 pub fn aprbs(
-    range: Range,
+    range: Interval,
     levels: usize,
     hold_s: f64,
     phase_s: f64,
@@ -104,7 +102,8 @@ pub fn aprbs(
     sample_time_s: f64,
     rng: &mut Rng64,
 ) -> Result<Vec<f64>, BuildError> {
-    let mut keys = table(&[("lo", range.0), ("hi", range.1), ("hold_s", hold_s), ("phase_s", phase_s)]);
+    let mut keys =
+        table(&[("lo", range.lower), ("hi", range.upper), ("hold_s", hold_s), ("phase_s", phase_s)]);
     keys.insert("levels".into(), toml::Value::Integer(levels as i64));
     let mut u = vec![0.0; n];
     signal::signal("aprbs", &keys)?.fill(&mut u, sample_time_s, rng)?;
@@ -122,8 +121,8 @@ pub fn speed_sweep(
     sample_time_s: f64,
 ) -> Result<Vec<f64>, BuildError> {
     let keys = table(&[
-        ("lo", spec.speed_rpm.0),
-        ("hi", spec.speed_rpm.1),
+        ("lo", spec.speed_rpm.lower),
+        ("hi", spec.speed_rpm.upper),
         ("period_s", 2.0 * (sweep_s + spec.dwell_s)),
         ("dwell_s", spec.dwell_s),
     ]);

@@ -2,6 +2,7 @@
 
 use super::gains::LoopGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_numerics::interval::Interval;
 
 /// Names and order of the actuators in every record of an engine campaign.
 pub const INPUTS: [&str; 4] = ["inj", "spark", "throttle", "speed"];
@@ -28,11 +29,11 @@ pub struct Demand {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActuatorLimits {
     /// Injected fuel in mg.
-    pub inj_mg: (f64, f64),
+    pub inj_mg: Interval,
     /// Spark advance in deg BTDC.
-    pub spark_deg: (f64, f64),
+    pub spark_deg: Interval,
     /// Throttle angle in deg.
-    pub throttle_deg: (f64, f64),
+    pub throttle_deg: Interval,
 }
 
 /// The plan of today's rows: feedforward in the order of [`INPUTS`] and, where there is a demand, throttle and fuel in
@@ -49,7 +50,7 @@ pub fn engine_plan(
     let channel = |i: usize, unit: &str| {
         PlanChannel::free(INPUTS[i], unit, feedforward.iter().map(|row| row[i]).collect())
     };
-    let within = |c: PlanChannel, (lower, upper): (f64, f64)| c.within(lower, upper);
+    let within = |c: PlanChannel, range: Interval| c.within(range.lower, range.upper);
     let channels = vec![
         within(channel(INJ, "mg"), limits.inj_mg),
         within(channel(SPARK, "deg"), limits.spark_deg),

@@ -40,9 +40,9 @@ impl<'a> Engine<'a> {
         let fuel = FuelMap::learn(plants(false)?, &hold)?;
         let (speed, throttle) = (hold.speed_rpm, hold.throttle_deg);
         let channels = vec![
-            Channel::free("speed", speed.0, speed.1),
+            Channel::free("speed", speed.lower, speed.upper),
             Channel::free("spark", 10.0, 30.0),
-            Channel::free("throttle", throttle.0, throttle.1),
+            Channel::free("throttle", throttle.lower, throttle.upper),
         ];
         let bed = TestBed { channels, sample_time_s: SAMPLE_TIME_S, settle_s: 3.0 };
         Ok(Self { plants, hold, fuel, bed })

@@ -2,6 +2,7 @@
 
 use dynocal_design::search::DesignOptions;
 use dynocal_ident::model::Model;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -25,7 +26,7 @@ pub struct Setup {
     /// Designed records.
     pub rounds: usize,
     /// Limits of the torque in Nm.
-    pub limits_nm: (f64, f64),
+    pub limits_nm: Interval,
     /// Stated rate: share of the samples predicted to be at a limit.
     pub rate: f64,
     /// Factor on the margins of the first designed record.
@@ -99,8 +100,8 @@ pub fn observe(
         };
         let limits = [Limit {
             output: OUTPUT.into(),
-            lower: setup.limits_nm.0,
-            upper: setup.limits_nm.1,
+            lower: setup.limits_nm.lower,
+            upper: setup.limits_nm.upper,
             rate: setup.rate,
             caution: setup.caution,
         }];
@@ -118,13 +119,13 @@ pub fn observe(
             .iter()
             .zip(&done.records[1..])
             .map(|(r, record)| {
-                let (_, lower, upper) = &r.limits[0];
+                let kept = r.limits[0].kept;
                 let predicted = r.design.safety.first().map_or(&[][..], |s| &s.predicted);
                 let feasible = r.design.status != dynocal_numerics::status::Status::Infeasible;
-                let margin_nm = setup.limits_nm.1 - upper;
+                let margin_nm = setup.limits_nm.upper - kept.upper;
                 let infeasible = usize::from(!feasible);
                 let measured = record.values(OUTPUT)?;
-                let counted = count(setup.limits_nm, (*lower, *upper), predicted, measured);
+                let counted = count(setup.limits_nm, kept, predicted, measured);
                 Ok(Count { margin_nm, infeasible, ..counted })
             })
             .collect()
@@ -155,12 +156,12 @@ fn middle(bed: &TestBed, share: f64) -> TestBed {
     narrow
 }
 
-fn count(limits: (f64, f64), narrowed: (f64, f64), predicted: &[f64], measured: &[f64]) -> Count {
-    let near = 0.02 * (limits.1 - limits.0);
+fn count(limits: Interval, narrowed: Interval, predicted: &[f64], measured: &[f64]) -> Count {
+    let near = 0.02 * limits.width();
     let mut c = Count::default();
     for (y, z) in predicted.iter().zip(measured) {
-        let beyond = (z - limits.1).max(limits.0 - z);
-        let at_limit = *y > narrowed.1 - near || *y < narrowed.0 + near;
+        let beyond = (z - limits.upper).max(limits.lower - z);
+        let at_limit = *y > narrowed.upper - near || *y < narrowed.lower + near;
         c.samples += 1;
         c.beyond += usize::from(beyond > 0.0);
         c.at_limit += usize::from(at_limit);

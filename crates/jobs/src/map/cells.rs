@@ -1,0 +1,40 @@
+//! What the cells of the maps say: values of the inputs, and what they miss.
+
+use dynocal_calib::problem::InputChannel;
+use dynocal_calib::steady::grid::{Cell, CellState};
+use dynocal_calib::steady::layout::{FactorKind, Layout};
+use dynocal_ident::data::UnitAfter;
+
+/// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
+pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
+    let driven = layout.driven();
+    let value = |(k, i): (usize, &InputChannel)| {
+        let v = match driven.iter().position(|d| *d == k) {
+            Some(loop_number) => cell.optimum.responses[loop_number],
+            None => {
+                let place = layout.factors.iter().position(|f| f.kind == FactorKind::Free(k));
+                place.map_or(f64::NAN, |p| cell.optimum.x[p])
+            }
+        };
+        v.clamp(i.lower, i.upper)
+    };
+    layout.problem.inputs.iter().enumerate().map(value).collect()
+}
+
+/// Why a cell is not what was asked for; empty where it is.
+pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
+    match cell.state {
+        CellState::Optimal => String::new(),
+        CellState::Filled => "filled from its neighbours: not reached on the bed".into(),
+        CellState::Infeasible => {
+            let each = cell.optimum.prices.iter().filter(|p| p.passed > 0.0).map(|p| {
+                let r = &layout.responses[p.response];
+                let (side, limit) = if p.sign > 0.0 { ("above", r.upper) } else { ("below", r.lower) };
+                let unit = UnitAfter(&r.unit);
+                format!("`{}` {:.4}{unit} {side} {}{unit}", r.name, p.passed, limit.unwrap_or(f64::NAN))
+            });
+            let each: Vec<String> = each.collect();
+            format!("limits conflict: {} at the least violation, uncertainty counted in", each.join(", "))
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! Why no map can be given.
+
+use dynocal_calib::gains::TuneError;
+use dynocal_files::FilesError;
+use dynocal_ident::model::response::ResponseError;
+use dynocal_ident::plant::PlantError;
+use dynocal_ident::play::PlayError;
+use dynocal_numerics::registry::BuildError;
+use dynocal_numerics::watch::Watch;
+
+use crate::page::PageError;
+
+/// No map can be given.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// Files.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// The plant.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
+    /// A plan that cannot be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+    /// Gains of the loops.
+    #[error(transparent)]
+    Gains(#[from] TuneError),
+    /// Keys of a model.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The plant lacks a channel.
+    #[error("the plant has no {role} `{name}` in {unit}; there are: {known}")]
+    Channel {
+        /// Input or output.
+        role: &'static str,
+        /// Name.
+        name: String,
+        /// Unit that the problem has.
+        unit: String,
+        /// Variables that there are, with their units.
+        known: String,
+    },
+    /// A response model.
+    #[error("response model of `{response}`: {source}")]
+    Learn {
+        /// Response.
+        response: String,
+        /// Why.
+        source: ResponseError,
+    },
+    /// A response that does not depend on what is moved.
+    #[error(
+        "`{response}` shows no signal: its model misses unseen points by {rmse:.4} {unit} rms where the {points} measured points scatter by {spread:.4} {unit} themselves. Take it out of the problem, widen the ranges of the inputs, or average longer (`bed.approach.average_s`)"
+    )]
+    NoSignal {
+        /// Response.
+        response: String,
+        /// Unit.
+        unit: String,
+        /// Error on unseen points.
+        rmse: f64,
+        /// Standard deviation of the measured values.
+        spread: f64,
+        /// Points.
+        points: usize,
+    },
+    /// Too few points came from the bed.
+    #[error(
+        "{usable} of {measured} measured points can be used, expected at least {least}: {end}. Notes of the points: {notes}"
+    )]
+    TooFew {
+        /// Usable points.
+        usable: usize,
+        /// Points that were measured.
+        measured: usize,
+        /// Needed.
+        least: usize,
+        /// Why the day ended.
+        end: String,
+        /// Notes with how often they stand.
+        notes: String,
+    },
+    /// The page.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// What a plan says when the user interrupts is one thing to them.
+pub(super) fn stopped(watch: Watch<'_>) -> impl Fn(PlayError) -> MapError + '_ {
+    move |e| if watch.interrupted() { MapError::Interrupted } else { MapError::Play(e) }
+}

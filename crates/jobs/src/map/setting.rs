@@ -1,0 +1,44 @@
+//! What the optimum of a cell is searched with: models with limits and weights, and the region that was reached.
+
+use dynocal_calib::steady::cell::{Setting, Side, deviations};
+use dynocal_calib::steady::day::DayPoint;
+use dynocal_calib::steady::envelope::Envelope;
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::SteadyPoint;
+use dynocal_ident::model::response::Response;
+use dynocal_numerics::interval::Interval;
+
+use super::learn::Learned;
+use super::spec::MapSpec;
+
+/// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it.
+pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
+    let used = points.iter().map(|p| &p.point).filter(|p| p.usable);
+    let at = |p: &SteadyPoint| {
+        let as_asked = p.touched.is_empty() && p.saturated.is_empty();
+        if as_asked { p.asked[..layout.axes].to_vec() } else { p.factors[..layout.axes].to_vec() }
+    };
+    let reached: Vec<Vec<f64>> = used.map(at).collect();
+    let ranges: Vec<Interval> =
+        layout.factors[..layout.axes].iter().map(|f| Interval::new(f.lower, f.upper)).collect();
+    Envelope::of(&reached, &ranges)
+}
+
+/// Models with limits and weights.
+pub(super) fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
+    let mut sides = Vec::new();
+    for (k, r) in layout.responses.iter().enumerate() {
+        let scale = models[k].spread.max(f64::MIN_POSITIVE);
+        sides.extend(r.upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
+        sides.extend(r.lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
+    }
+    Setting {
+        models: models.iter().map(|m| m as &dyn Response).collect(),
+        weights: layout.responses.iter().map(|r| r.weight).collect(),
+        sides,
+        z: deviations(spec.optimise.probability),
+        caution: spec.optimise.caution,
+        ranges: layout.factors.iter().map(|f| Interval::new(f.lower, f.upper)).collect(),
+        axes: layout.axes,
+    }
+}
