@@ -11,6 +11,28 @@ use dynocal_numerics::rng::Rng64;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Levels of steps. Files hold them as `[from, to]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(f64, f64)", into = "(f64, f64)")]
+pub struct StepLevels {
+    /// Where the first step begins.
+    pub from: f64,
+    /// Where it goes to.
+    pub to: f64,
+}
+
+impl From<(f64, f64)> for StepLevels {
+    fn from((from, to): (f64, f64)) -> Self {
+        Self { from, to }
+    }
+}
+
+impl From<StepLevels> for (f64, f64) {
+    fn from(s: StepLevels) -> Self {
+        (s.from, s.to)
+    }
+}
+
 /// What the maps are asked to do. Ranges that are not given are inner parts of the problem's ranges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -27,7 +49,7 @@ pub struct ValidateSpec {
     /// not given.
     pub given_rate_per_s: Option<f64>,
     /// Levels of the steps; a quarter and three quarters of the leading demand where they are not given.
-    pub step: Option<(f64, f64)>,
+    pub step: Option<StepLevels>,
     /// Value of the given channel during the steps; its middle where it is not given.
     pub step_given: Option<f64>,
     /// Number of steps.
@@ -145,11 +167,11 @@ pub fn random_points(
 /// Steps of the leading demand between two levels with everything else held.
 pub fn demand_steps(spec: &ValidateSpec, problem: &CalibrationProblem, sample_time_s: f64) -> Scenario {
     let hold = (spec.step_s / sample_time_s).round() as usize;
-    let levels = spec.step.unwrap_or_else(|| inner(lead(problem), 0.25));
+    let levels = spec.step.unwrap_or_else(|| inner(lead(problem), 0.25).into());
     let given = problem.given.first().map(|g| spec.step_given.unwrap_or(0.5 * (g.lower + g.upper)));
     let mut reference = Rows::new(problem.demands.len() + problem.given.len());
     for k in 0..=spec.steps {
-        let level = if k.is_multiple_of(2) { levels.0 } else { levels.1 };
+        let level = if k.is_multiple_of(2) { levels.from } else { levels.to };
         let row = reference_row(problem, level, given);
         (0..hold).for_each(|_| reference.push(&row));
     }
@@ -159,7 +181,7 @@ pub fn demand_steps(spec: &ValidateSpec, problem: &CalibrationProblem, sample_ti
         (Some(v), Some(g)) => format!(" at {v} {}", g.unit),
         _ => String::new(),
     };
-    Scenario { name: format!("{} to {} {unit} steps{at}", levels.0, levels.1), reference, switches }
+    Scenario { name: format!("{} to {} {unit} steps{at}", levels.from, levels.to), reference, switches }
 }
 
 /// How one map met one demand in one scenario. Times count from the change of the raw demand, look-ahead included.

@@ -145,7 +145,7 @@ fn a_plan_that_would_pass_a_limit_is_ended_before_it_does() {
         let predictor = Predictor { model: &model, theta: &theta };
         let mut supervisor = for_plan(&plan, &[("y", predictor)]);
         let done = play(&mut Toy::new(NOISE, 900 + seed), &plan, &mut supervisor).unwrap();
-        let least = done.least_distance[0].1;
+        let least = done.least_distance[0].distance;
         passed += u32::from(least < 0.0);
         let first = unwatched.iter().position(|y| y.abs() > limit).unwrap_or(401);
         share_played += done.played as f64 / first as f64;
@@ -220,7 +220,7 @@ fn what_a_loop_is_about_to_do_is_watched_too() {
         let predictor = Predictor { model: &model, theta: &theta };
         let done =
             play(&mut Toy::new(NOISE, seed), &plan, &mut for_plan(&plan, &[("y", predictor)])).unwrap();
-        passed += u32::from(done.least_distance[0].1 < 0.0);
+        passed += u32::from(done.least_distance[0].distance < 0.0);
         // Until it objects, the loop does what it does alone.
         assert_eq!(done.record.values("y").unwrap(), &free[..done.played]);
         share += done.played as f64 / free.iter().position(|y| y.abs() > 2.5).unwrap_or(401) as f64;
@@ -255,7 +255,7 @@ fn what_the_plant_refuses_and_what_has_no_model_ends_the_plan_too() {
     let plan = toy_plan(&[1.5; 40], 3, None).with_limits(vec![PlanLimit::between("y", "-", -1.0, 1.0, 0.6)]);
     let near = play(&mut toy(), &plan, &mut for_plan(&plan, &[])).unwrap();
     assert!(matches!(near.stop.unwrap().reason, Reason::Measured { limit: 1.0, .. }));
-    assert!(near.least_distance[0].1 > 0.0);
+    assert!(near.least_distance[0].distance > 0.0);
     let far = Plan::open_loop("far", 0.1, vec![PlanChannel::free("u", "-", vec![3.0])]).settled(5.0);
     let error = play(&mut toy(), &far, &mut blind(0.1)).unwrap_err();
     assert!(matches!(error, PlayError::Unsafe { .. }), "{error}");
@@ -310,11 +310,11 @@ fn the_torque_of_the_virtual_engine_stays_below_its_limit() {
     let plan =
         plan(3, 150, 1.0, 8.0).with_limits(vec![PlanLimit::between("torque", "Nm", 20.0, limit, margin)]);
     let alone = play(&mut bed(), &plan, &mut Unwatched).unwrap();
-    assert!(alone.least_distance[0].1 < -2.0, "the plan alone passes the limit");
+    assert!(alone.least_distance[0].distance < -2.0, "the plan alone passes the limit");
     let predictor = Predictor { model: &model, theta: &theta };
     let done = play(&mut bed(), &plan, &mut for_plan(&plan, &[("torque", predictor)])).unwrap();
     assert!(done.stop.is_some() && done.played > 5, "{:?}", done.stop);
-    assert!(done.least_distance[0].1 >= 0.0, "{}", done.least_distance[0].1);
+    assert!(done.least_distance[0].distance >= 0.0, "{}", done.least_distance[0].distance);
     let back = done.way_back.unwrap();
     let y = back.values("torque").unwrap();
     assert!((y[y.len() - 1] - 70.0).abs() < 3.0, "back at the safe point: {}", y[y.len() - 1]);

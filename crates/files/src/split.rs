@@ -1,6 +1,8 @@
 //! Long records cut into experiments: where a trigger is on, or at pauses of the time. (A marker that changes from experiment to
 //! experiment is [`crate::dataset::Layout::trajectory`].)
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::error::FilesError;
@@ -42,7 +44,7 @@ pub enum By {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Experiments {
     /// Half-open ranges of rows, in order.
-    pub ranges: Vec<(usize, usize)>,
+    pub ranges: Vec<Range<usize>>,
     /// Where the record was cut and what is left out, in the user's words.
     pub note: String,
 }
@@ -58,7 +60,7 @@ pub struct Experiments {
 /// let table = dynocal_files::measurement::csv_io::parse("a.csv", b"run,x\n0,1\n1,2\n1,3\n0,4\n1,5\n1,6\n1,7\n0,8\n1,9\n").unwrap();
 /// let cut = Cut { by: By::Trigger { column: "run".into(), above: 0.5 }, shortest: 2 };
 /// let found = experiments(&table, &cut).unwrap();
-/// assert_eq!(found.ranges, [(1, 3), (4, 7)]);
+/// assert_eq!(found.ranges, [1..3, 4..7]);
 /// assert_eq!(
 ///     found.note,
 ///     "cut where `run` is above 0.5: 2 experiments, 5 of 9 rows; 1 piece of fewer than 2 rows is left out"
@@ -94,7 +96,7 @@ pub fn experiments(table: &Table, cut: &Cut) -> Result<Experiments, FilesError> 
     let inside: usize = kept.iter().map(|(a, b)| b - a).sum();
     let s = if kept.len() == 1 { "" } else { "s" };
     let note = format!("cut {said}: {} experiment{s}, {inside} of {rows} rows{short}", kept.len());
-    Ok(Experiments { ranges: kept, note })
+    Ok(Experiments { ranges: kept.into_iter().map(|(from, to)| from..to).collect(), note })
 }
 
 /// Factor that brings the stamps of a column to s.
@@ -128,7 +130,7 @@ pub(crate) fn runs(rows: usize, together: impl Fn(usize, usize) -> bool) -> Vec<
 }
 
 /// What of the ranges `a` lies in those of `b`; both in order or not.
-pub(crate) fn within(a: &[(usize, usize)], b: &[(usize, usize)]) -> Vec<(usize, usize)> {
-    let common = |x: &(usize, usize), y: &(usize, usize)| (x.0.max(y.0), x.1.min(y.1));
+pub(crate) fn within(a: &[(usize, usize)], b: &[Range<usize>]) -> Vec<(usize, usize)> {
+    let common = |x: &(usize, usize), y: &Range<usize>| (x.0.max(y.start), x.1.min(y.end));
     a.iter().flat_map(|x| b.iter().map(move |y| common(x, y))).filter(|r| r.0 < r.1).collect()
 }

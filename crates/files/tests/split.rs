@@ -21,9 +21,9 @@ fn gap(shortest: usize) -> Cut {
 #[test]
 fn pauses_and_clocks_that_start_again() {
     let found = experiments(&bed(), &gap(1)).unwrap();
-    assert_eq!(found.ranges, [(0, 5), (5, 8), (8, 12), (12, 13)]);
+    assert_eq!(found.ranges, [0..5, 5..8, 8..12, 12..13]);
     let found = experiments(&bed(), &gap(4)).unwrap();
-    assert_eq!(found.ranges, [(0, 5), (8, 12)]);
+    assert_eq!(found.ranges, [0..5, 8..12]);
     assert_eq!(
         found.note,
         "cut at pauses of `time` over 0.021 s: 2 experiments, 9 of 13 rows; 2 pieces of fewer than 4 rows are left out"

@@ -12,7 +12,7 @@
 //! let (name, origin) = ("run".into(), "example".into());
 //! let record = Dataset { name, sample_time_s: 0.1, channels, init_samples: 0, origin };
 //! let report = excitation(&[record], &["u".into()], &["y".into()], &Settings::default())?;
-//! assert_eq!(report.persistence[0].1.order, 4);
+//! assert_eq!(report.persistence[0].found.order, 4);
 //! assert!(report.warnings[0].contains("order 4"), "{:?}", report.warnings);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -63,11 +63,31 @@ impl Default for Settings {
     }
 }
 
+/// Order of persistence of one input.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct InputPersistence {
+    /// Input.
+    pub input: String,
+    /// What was found.
+    pub found: Persistence,
+}
+
+/// Best linear approximation from one input to one output.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PathBla {
+    /// Input.
+    pub input: String,
+    /// Output.
+    pub output: String,
+    /// The approximation.
+    pub bla: Bla,
+}
+
 /// Everything that is known about the excitation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExcitationReport {
-    /// Inputs with their order of persistence.
-    pub persistence: Vec<(String, Persistence)>,
+    /// Order of persistence of every input.
+    pub persistence: Vec<InputPersistence>,
     /// Rank of the inputs at the same instant, with a constant: inputs that are combinations of others.
     pub inputs: Rank,
     /// Coverage of every input.
@@ -78,8 +98,8 @@ pub struct ExcitationReport {
     pub correlations: Vec<InputCorrelation>,
     /// Sample time against the rise time of every output.
     pub sample_time: Vec<SampleTimeCheck>,
-    /// (input, output, best linear approximation) for a periodic record with one input that moves.
-    pub bla: Vec<(String, String, Bla)>,
+    /// Best linear approximations from periodic records with one input that moves.
+    pub bla: Vec<PathBla>,
     /// What an engineer should know, in sentences.
     pub warnings: Vec<String>,
 }
@@ -129,7 +149,7 @@ pub fn excitation(
         let segments = segments(&per_output[0], inputs.len(), i);
         let segments: Vec<&[f64]> = segments.iter().map(Vec::as_slice).collect();
         let found = persistence(&segments, settings.max_order, settings.tolerance, true)?;
-        persistent.push((name.clone(), found));
+        persistent.push(InputPersistence { input: name.clone(), found });
     }
     let range = |name: &String| settings.ranges.get(name).copied();
     let covered: Vec<Coverage> =
@@ -196,7 +216,7 @@ fn approximations(
     inputs: &[String],
     outputs: &[String],
     settings: &Settings,
-) -> Result<Vec<(String, String, Bla)>, ExcitationError> {
+) -> Result<Vec<PathBla>, ExcitationError> {
     let Some(period) = settings.period else { return Ok(Vec::new()) };
     let mut out = Vec::new();
     for input in inputs {
@@ -216,7 +236,8 @@ fn approximations(
                 let (from, to) = cut(r);
                 parts.push(Realisation { u: &r.values(input)?[from..to], y: &r.values(output)?[from..to] });
             }
-            out.push((input.clone(), output.clone(), bla(&parts, period, meant[0].sample_time_s)?));
+            let bla = bla(&parts, period, meant[0].sample_time_s)?;
+            out.push(PathBla { input: input.clone(), output: output.clone(), bla });
         }
     }
     Ok(out)
@@ -225,7 +246,9 @@ fn approximations(
 impl ExcitationReport {
     fn judged(&self) -> Vec<String> {
         let mut out = Vec::new();
-        for (name, p) in self.persistence.iter().filter(|(_, p)| p.order < p.tested) {
+        for InputPersistence { input: name, found: p } in
+            self.persistence.iter().filter(|p| p.found.order < p.found.tested)
+        {
             out.push(format!(
                 "`{name}` is persistently exciting of order {} only: no more than {} lags of it can be told apart",
                 p.order, p.order
@@ -265,8 +288,8 @@ impl ExcitationReport {
         out.extend(
             self.sample_time.iter().filter(|s| s.verdict != Verdict::Fits).map(SampleTimeCheck::sentence),
         );
-        for (input, output, b) in &self.bla {
-            out.extend(b.judged(input, output));
+        for b in &self.bla {
+            out.extend(b.bla.judged(&b.input, &b.output));
         }
         out
     }

@@ -145,6 +145,15 @@ impl std::fmt::Display for Stop {
     }
 }
 
+/// How near an output came to its limits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LimitDistance {
+    /// Output.
+    pub output: String,
+    /// Least distance to a limit, in the unit of the output; negative: passed.
+    pub distance: f64,
+}
+
 /// A plan that was played.
 #[derive(Clone, Debug)]
 pub struct Played {
@@ -160,7 +169,7 @@ pub struct Played {
     pub way_back: Option<Dataset>,
     /// Least distance of each limited output to a limit, measured, from the end of settling to the end of the way back;
     /// negative: passed.
-    pub least_distance: Vec<(String, f64)>,
+    pub least_distance: Vec<LimitDistance>,
     /// Plant time used in s: settling, plan and way back.
     pub used_s: f64,
     /// Limits that the plant reported after settling.

@@ -165,7 +165,7 @@ fn a_plan_ends_when_the_needles_stand_still_or_the_user_asks() {
     assert!((2.0 - y[48..].iter().sum::<f64>() / 10.0).abs() < 0.02);
     // Measured at every instant, the last one included: 2 - 2 0.9^58 is nearer to 3 than to -1.
     let last = 2.0 - 2.0 * 0.9f64.powi(58);
-    assert!((played.least_distance[0].1 - 1.0f64.min(3.0 - last)).abs() < 1e-12);
+    assert!((played.least_distance[0].distance - 1.0f64.min(3.0 - last)).abs() < 1e-12);
 
     let asked = std::cell::Cell::new(0);
     let interrupt = || {

@@ -210,7 +210,7 @@ impl MapStructure for StructuredShape {
 
 /// Largest offset back and ahead of the terms.
 fn reach(terms: &[Term]) -> (usize, usize) {
-    let all = || terms.iter().filter_map(|t| t.difference).map(|(_, k)| k);
+    let all = || terms.iter().filter_map(|t| t.difference).map(|d| d.offset);
     let farthest = |k: Option<i32>| k.unwrap_or(0).max(0) as usize;
     (farthest(all().map(|k| -k).max()), farthest(all().max()))
 }

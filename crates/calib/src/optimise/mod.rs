@@ -35,6 +35,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod bounds;
 mod checks;
 mod error;
 mod horizon;
@@ -51,13 +52,13 @@ mod stored;
 mod way;
 mod within;
 
+pub use bounds::bound_channels;
 pub use error::OptimiseError;
 pub use horizon::Horizon;
 pub use options::{DemandFrom, EndCondition, History, OptimiseOptions};
 pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use segments::{Seam, Segments};
-pub use setup::bound_channels;
 pub use shortfall::Shortfall;
 pub use stored::{StoredOutput, optimise_record};
 pub use way::{Batch, WAYS, Way};

@@ -1,5 +1,6 @@
 //! From problem, models and start record to a program: names become columns, demands are formed, readings resolved.
 
+use super::bounds::bound_channels;
 use super::checks::{check_start, in_order};
 use super::error::OptimiseError;
 use super::model::OutputModel;
@@ -12,19 +13,6 @@ use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::Run;
 use dynocal_numerics::status::Status;
 use std::ops::Range;
-
-/// Ends of the names of channels with bounds of each sample.
-const SIDES: [&str; 2] = ["lower", "upper"];
-
-/// Channel of a record with a bound of each sample of an input.
-fn local_bound(input: &str, side: &str) -> String {
-    format!("{input}_{side}")
-}
-
-/// Channels of a record that bound an input sample by sample: from below, from above.
-pub fn bound_channels(input: &str) -> [String; 2] {
-    SIDES.map(|side| local_bound(input, side))
-}
 
 /// Least increment from sample to sample by which smoothing is measured, as a share of an input's range.
 const LEAST_MOVE: f64 = 1e-3;
@@ -120,7 +108,7 @@ impl<'a> Setup<'a> {
         }
         for name in problem.input_names() {
             setup.put_column(&name, start.values(&name)?);
-            for bound in SIDES.map(|side| local_bound(&name, side)) {
+            for bound in bound_channels(&name) {
                 if let Ok(values) = start.values(&bound) {
                     setup.given.push((bound, values.to_vec()));
                 }
@@ -451,7 +439,7 @@ impl<'a> Setup<'a> {
     /// Bounds of each sample of input `c` where the record has some, inside those of the problem and about its start; else none.
     fn local_bounds(&self, c: usize) -> Vec<(f64, f64)> {
         let input = &self.problem.inputs[c];
-        let [lower, upper] = SIDES.map(|side| self.given(&local_bound(&input.name, side)));
+        let [lower, upper] = bound_channels(&input.name).map(|name| self.given(&name));
         if lower.or(upper).is_none() {
             return Vec::new();
         }

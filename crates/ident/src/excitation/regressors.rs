@@ -9,19 +9,28 @@ use crate::experiment::Experiment;
 use crate::model::Model;
 use crate::model::usable_samples;
 
+/// A term with its coefficient in a combination.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summand {
+    /// Coefficient.
+    pub coefficient: f64,
+    /// Term.
+    pub term: String,
+}
+
 /// A term that is a combination of others.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Dependency {
     /// The term.
     pub term: String,
     /// `term = sum coefficient * other` on these records; empty for a term that is zero throughout.
-    pub combination: Vec<(f64, String)>,
+    pub combination: Vec<Summand>,
 }
 
 impl Dependency {
     /// `u(t-2) = 2 u(t-1) - 1 u(t-3)`.
     pub fn sentence(&self) -> String {
-        let Some(((first, name), rest)) = self.combination.split_first() else {
+        let Some((first, rest)) = self.combination.split_first() else {
             return format!("{} = 0", self.term);
         };
         // The constant term is called 1.
@@ -29,9 +38,10 @@ impl Dependency {
             "1" => digits(c),
             name => format!("{} {name}", digits(c)),
         };
-        let mut text = format!("{} = {}", self.term, product(*first, name));
-        for (c, name) in rest {
-            text += &format!(" {} {}", if *c < 0.0 { '-' } else { '+' }, product(c.abs(), name));
+        let mut text = format!("{} = {}", self.term, product(first.coefficient, &first.term));
+        for s in rest {
+            let sign = if s.coefficient < 0.0 { '-' } else { '+' };
+            text += &format!(" {sign} {}", product(s.coefficient.abs(), &s.term));
         }
         text
     }
@@ -85,8 +95,10 @@ pub fn rank(phi: &[f64], names: &[String], tolerance: f64) -> Result<Rank, Linal
         solve_upper(&square, p.rank, &mut x)?;
         // In unit scaling a part below this is rounding of a nearly dependent set.
         let combination = (0..p.rank).filter(|i| x[*i].abs() > 1e-6);
-        let named =
-            combination.map(|i| (x[i] * p.scale[column] / p.scale[p.order[i]], names[p.order[i]].clone()));
+        let named = combination.map(|i| Summand {
+            coefficient: x[i] * p.scale[column] / p.scale[p.order[i]],
+            term: names[p.order[i]].clone(),
+        });
         dependencies.push(Dependency { term: names[column].clone(), combination: named.collect() });
     }
     dependencies.sort_by_key(|d| names.iter().position(|n| *n == d.term));

@@ -9,6 +9,7 @@
 //! of the order n = 2, 4, 8 or 16 that has the least AIC. The rise time is that from 10 to 90 % of the final value, on
 //! the line between samples. Inputs that move the output by little beside the others are left out.
 
+use dynocal_numerics::interval::Interval;
 use std::collections::BTreeMap;
 
 use dynocal_numerics::linalg::least_squares;
@@ -59,8 +60,8 @@ pub struct SampleTimeCheck {
     pub rises: Vec<Rise>,
     /// By the fastest of them.
     pub verdict: Verdict,
-    /// Sample times in s that give 6 and 4 samples in the fastest rise.
-    pub fitting_s: Option<(f64, f64)>,
+    /// From the sample time in s that gives 6 samples in the fastest rise to the one that gives 4.
+    pub fitting_s: Option<Interval>,
 }
 
 impl SampleTimeCheck {
@@ -73,14 +74,14 @@ impl SampleTimeCheck {
             _ => Verdict::Unknown,
         };
         let rise_s = fastest * sample_time_s;
-        let fitting_s = rise_s.is_finite().then_some((rise_s / MOST, rise_s / FEWEST));
+        let fitting_s = rise_s.is_finite().then_some(Interval::new(rise_s / MOST, rise_s / FEWEST));
         Self { output: output.into(), sample_time_s, rises, verdict, fitting_s }
     }
 
     /// The verdict for people.
     pub fn sentence(&self) -> String {
         let fastest = self.rises.iter().min_by(|a, b| a.samples.total_cmp(&b.samples));
-        let (Some(r), Some((from, to))) = (fastest, self.fitting_s) else {
+        let (Some(r), Some(Interval { lower: from, upper: to })) = (fastest, self.fitting_s) else {
             return format!(
                 "no rise time of `{}` was found: no input moves it enough, or it does not settle",
                 self.output

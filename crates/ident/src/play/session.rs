@@ -1,6 +1,6 @@
 //! One plan on one plant: what is applied, measured and kept.
 
-use super::{Course, PlayError, Played, Stop, Watchdog};
+use super::{Course, LimitDistance, PlayError, Played, Stop, Watchdog};
 use crate::data::{Channel, Dataset, Role};
 use crate::pi::Pi;
 use crate::plan::{Plan, PlanDemand, demand_name};
@@ -192,7 +192,8 @@ impl<'a> Session<'a> {
         for l in &self.plan.limits {
             let column = variable_index(self.plant, Causality::Output, &l.output)?;
             let values = (before..=rows).map(|i| l.distance(self.course.output(i)[column]));
-            least_distance.push((l.output.clone(), values.fold(f64::INFINITY, f64::min)));
+            let distance = values.fold(f64::INFINITY, f64::min);
+            least_distance.push(LimitDistance { output: l.output.clone(), distance });
         }
         let used_s = rows as f64 * self.plan.sample_time_s;
         Ok(Played { record, played, before, stop, way_back, least_distance, used_s, events: self.events })

@@ -1,8 +1,8 @@
 //! What the records say before any fit: can a model be identified from them at all?
 
 use dynocal_ident::data::{DataError, Dataset};
-use dynocal_ident::excitation::bla::{Bla, Level};
-use dynocal_ident::excitation::{ExcitationReport, Settings, excitation};
+use dynocal_ident::excitation::bla::Level;
+use dynocal_ident::excitation::{ExcitationReport, PathBla, Settings, excitation};
 use serde::{Deserialize, Serialize};
 
 use super::spec::Job;
@@ -79,6 +79,28 @@ pub struct RiseRow {
     pub verdict: String,
 }
 
+/// Amplitude at a line of a spectrum. Files hold it as `[frequency_hz, level_db]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(f64, f64)", into = "(f64, f64)")]
+pub struct LineLevel {
+    /// Frequency in Hz.
+    pub frequency_hz: f64,
+    /// Amplitude in dB.
+    pub level_db: f64,
+}
+
+impl From<(f64, f64)> for LineLevel {
+    fn from((frequency_hz, level_db): (f64, f64)) -> Self {
+        Self { frequency_hz, level_db }
+    }
+}
+
+impl From<LineLevel> for (f64, f64) {
+    fn from(l: LineLevel) -> Self {
+        (l.frequency_hz, l.level_db)
+    }
+}
+
 /// Best linear approximation with what is not linear; levels in dB.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Approximation {
@@ -94,12 +116,12 @@ pub struct Approximation {
     pub noise_db: Vec<f64>,
     /// Standard deviation of the gain from noise and nonlinear distortion.
     pub total_db: Vec<f64>,
-    /// Even distortion (a square) at lines that are not excited: frequencies and levels in the output.
-    pub even: Vec<(f64, f64)>,
+    /// Even distortion (a square) at lines that are not excited, in the output.
+    pub even: Vec<LineLevel>,
     /// Odd distortion (a cube).
-    pub odd: Vec<(f64, f64)>,
+    pub odd: Vec<LineLevel>,
     /// Output at the excited lines.
-    pub excited: Vec<(f64, f64)>,
+    pub excited: Vec<LineLevel>,
 }
 
 /// Checks the estimation records for all targets together.
@@ -128,15 +150,15 @@ pub fn before(job: &Job, records: &[Dataset]) -> Result<Option<Before>, DataErro
 fn flat(r: &ExcitationReport, d: &Dataset) -> Result<Before, DataError> {
     let mut inputs = Vec::new();
     for c in &r.coverage {
-        let order = r.persistence.iter().find(|p| p.0 == c.input);
+        let order = r.persistence.iter().find(|p| p.input == c.input);
         inputs.push(InputRow {
             input: c.input.clone(),
             unit: d.channel(&c.input)?.unit.clone(),
             minimum: c.minimum,
             maximum: c.maximum,
             occupied_percent: 100.0 * c.occupied,
-            order: order.map_or(0, |p| p.1.order),
-            tested: order.map_or(0, |p| p.1.tested),
+            order: order.map_or(0, |p| p.found.order),
+            tested: order.map_or(0, |p| p.found.tested),
         });
     }
     let pairs = r.pairs.iter().map(|p| {
@@ -167,7 +189,7 @@ fn flat(r: &ExcitationReport, d: &Dataset) -> Result<Before, DataError> {
         pairs: pairs.collect(),
         rises: rises.filter(|r| r.rise_s.is_finite()).collect(),
         sample_time_s: d.sample_time_s,
-        approximations: r.bla.iter().map(|(u, y, b)| approximation(u, y, b)).collect(),
+        approximations: r.bla.iter().map(approximation).collect(),
     })
 }
 
@@ -178,15 +200,17 @@ fn db(v: f64) -> f64 {
     (20.0 * v.log10()).max(FLOOR_DB)
 }
 
-fn level(l: &Level) -> Vec<(f64, f64)> {
-    l.frequency_hz.iter().zip(&l.amplitude).map(|(f, a)| (*f, db(*a))).collect()
+fn level(l: &Level) -> Vec<LineLevel> {
+    let lines = l.frequency_hz.iter().zip(&l.amplitude);
+    lines.map(|(f, a)| LineLevel { frequency_hz: *f, level_db: db(*a) }).collect()
 }
 
-fn approximation(input: &str, output: &str, b: &Bla) -> Approximation {
+fn approximation(path: &PathBla) -> Approximation {
+    let b = &path.bla;
     let levels = |v: &[f64]| v.iter().map(|x| db(*x)).collect();
     Approximation {
-        input: input.into(),
-        output: output.into(),
+        input: path.input.clone(),
+        output: path.output.clone(),
         frequency_hz: b.frequency_hz.clone(),
         gain_db: b.gain.iter().map(|(re, im)| db(re.hypot(*im))).collect(),
         noise_db: levels(&b.noise_std),

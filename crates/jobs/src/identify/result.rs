@@ -74,7 +74,29 @@ pub struct ResidualTests {
     /// Autocorrelation.
     pub auto: Correlation,
     /// Correlation with each input.
-    pub cross: Vec<(String, Correlation)>,
+    pub cross: Vec<InputCrossCorrelation>,
+}
+
+/// Correlation of residuals with an input. Files hold it as `[input, correlation]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(String, Correlation)", into = "(String, Correlation)")]
+pub struct InputCrossCorrelation {
+    /// Input.
+    pub input: String,
+    /// Correlation.
+    pub correlation: Correlation,
+}
+
+impl From<(String, Correlation)> for InputCrossCorrelation {
+    fn from((input, correlation): (String, Correlation)) -> Self {
+        Self { input, correlation }
+    }
+}
+
+impl From<InputCrossCorrelation> for (String, Correlation) {
+    fn from(c: InputCrossCorrelation) -> Self {
+        (c.input, c.correlation)
+    }
 }
 
 /// The way of a selection of terms.

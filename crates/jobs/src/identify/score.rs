@@ -191,7 +191,10 @@ impl Errors {
             .map(|(z, c)| z - c)
             .map(|v| if v.is_finite() { v } else { 0.0 })
             .collect();
-        let cross = inputs.iter().zip(&self.u).map(|(n, u)| (n.clone(), cross_correlation(&e, u, lags)));
+        let cross = inputs.iter().zip(&self.u).map(|(input, u)| InputCrossCorrelation {
+            input: input.clone(),
+            correlation: cross_correlation(&e, u, lags),
+        });
         ResidualTests {
             part: part.name.clone(),
             kind,

@@ -83,8 +83,24 @@ pub struct RecordUsed {
     pub samples: usize,
     /// Sample time in s.
     pub sample_time_s: f64,
-    /// First decided sample, and one past the last.
-    pub decided: (usize, usize),
+    /// Samples that were decided.
+    pub decided: DecidedSamples,
+}
+
+/// The samples that an optimisation decides. Files hold them as `[first, end]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "(usize, usize)")]
+pub struct DecidedSamples {
+    /// The first one.
+    pub first: usize,
+    /// One past the last.
+    pub end: usize,
+}
+
+impl From<DecidedSamples> for (usize, usize) {
+    fn from(d: DecidedSamples) -> Self {
+        (d.first, d.end)
+    }
 }
 
 /// Objective at start and optimum.

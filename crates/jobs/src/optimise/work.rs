@@ -78,7 +78,7 @@ fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
         name: loaded.record.name.clone(),
         samples: loaded.record.len(),
         sample_time_s: loaded.record.sample_time_s,
-        decided: (optimum.first, optimum.last),
+        decided: DecidedSamples { first: optimum.first, end: optimum.last },
     };
     let coverage: Vec<Left> =
         loaded.models.iter().filter_map(|n| left(&n.model, &loaded.record, &optimum)).collect();

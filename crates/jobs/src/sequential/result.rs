@@ -1,5 +1,6 @@
 //! What a campaign gives.
 
+use dynocal_numerics::interval::Interval;
 use dynocal_calib::loops::LoopError;
 use dynocal_calib::loops::stop::Forecast;
 use dynocal_files::FilesError;
@@ -86,7 +87,7 @@ pub struct OutputLine {
     /// Parameters.
     pub parameters: Vec<ParameterLine>,
     /// Least and largest measured value in the designed records.
-    pub measured: (f64, f64),
+    pub measured: Interval,
 }
 
 /// A parameter.

@@ -1,5 +1,6 @@
 //! The campaign, played in memory.
 
+use dynocal_numerics::interval::Interval;
 use std::sync::Arc;
 
 use dynocal_calib::loops::bed::TestBed;
@@ -258,11 +259,11 @@ fn parameters(now: &Known, before: &Known) -> Vec<ParameterLine> {
         .collect()
 }
 
-fn span(records: &[Dataset], output: &str) -> Result<(f64, f64), SequentialError> {
-    let mut all = (f64::INFINITY, f64::NEG_INFINITY);
+fn span(records: &[Dataset], output: &str) -> Result<Interval, SequentialError> {
+    let mut all = Interval::spanning([]);
     for r in records {
         let values = r.values(output).map_err(LoopError::from)?;
-        all = values.iter().fold(all, |(lo, hi), v| (lo.min(*v), hi.max(*v)));
+        all = values.iter().copied().fold(all, Interval::including);
     }
     Ok(all)
 }
@@ -325,10 +326,10 @@ fn judge(job: &Job, out: &mut Sequenced) {
             ));
         }
         let limits = job.outputs.iter().find(|s| s.name == o.output).and_then(|s| s.limits);
-        if let Some(l) = limits.filter(|l| o.measured.0 < l.lower || o.measured.1 > l.upper) {
+        if let Some(l) = limits.filter(|l| o.measured.lower < l.lower || o.measured.upper > l.upper) {
             warnings.push(format!(
                 "`{}` went from {:.4} to {:.4} {} in the designed records: outside of {} to {}",
-                o.output, o.measured.0, o.measured.1, o.unit, l.lower, l.upper
+                o.output, o.measured.lower, o.measured.upper, o.unit, l.lower, l.upper
             ));
         }
     }

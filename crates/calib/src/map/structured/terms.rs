@@ -57,12 +57,34 @@ pub enum Factor {
     Inverse(usize),
 }
 
+/// The window difference `x(t+k) - x(t)` of a reference. Files hold it as `[reference, offset]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "(usize, i32)", into = "(usize, i32)")]
+pub struct Difference {
+    /// Place of the reference x.
+    pub reference: usize,
+    /// k in samples.
+    pub offset: i32,
+}
+
+impl From<(usize, i32)> for Difference {
+    fn from((reference, offset): (usize, i32)) -> Self {
+        Self { reference, offset }
+    }
+}
+
+impl From<Difference> for (usize, i32) {
+    fn from(d: Difference) -> Self {
+        (d.reference, d.offset)
+    }
+}
+
 /// One term: `difference * product of factors`, without a difference the product alone (the static part).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Term {
-    /// Reference and offset k in samples of `x(t+k) - x(t)`.
-    pub difference: Option<(usize, i32)>,
+    /// Window difference; none for a static term.
+    pub difference: Option<Difference>,
     /// Factors at sample t.
     pub factors: Vec<Factor>,
 }
@@ -72,7 +94,7 @@ impl Term {
     pub fn name(&self, ports: &Ports) -> String {
         let names = ports.reference_names();
         let mut parts: Vec<String> =
-            self.difference.iter().map(|(r, k)| format!("d {}({k:+})", names[*r])).collect();
+            self.difference.iter().map(|d| format!("d {}({:+})", names[d.reference], d.offset)).collect();
         parts.extend(self.factors.iter().map(|f| match f {
             Factor::Plain(r) => names[*r].clone(),
             Factor::Inverse(r) => format!("1/{}", names[*r]),
@@ -167,7 +189,9 @@ pub fn terms(ports: &Ports, scales: &[Scale], shape: &StructuredShape) -> Vec<Te
 pub fn values(terms: &[Term], scales: &[Scale], at: impl Fn(usize, i32) -> f64, row: &mut Vec<f64>) {
     row.clear();
     row.extend(terms.iter().map(|term| {
-        let start = term.difference.map_or(1.0, |(r, k)| (at(r, k) - at(r, 0)) / scales[r].unit);
+        let start = term.difference.map_or(1.0, |d| {
+            (at(d.reference, d.offset) - at(d.reference, 0)) / scales[d.reference].unit
+        });
         term.factors.iter().fold(start, |product, f| {
             product
                 * match *f {

@@ -137,7 +137,7 @@ fn distortion(a: &Approximation) -> XyPlot {
     );
     for (name, points) in [("excited", &a.excited), ("even lines", &a.even), ("odd lines", &a.odd)] {
         if !points.is_empty() {
-            let (f, v): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+            let (f, v): (Vec<f64>, Vec<f64>) = points.iter().map(|l| (l.frequency_hz, l.level_db)).unzip();
             plot = plot.points(name, f, v);
         }
     }

@@ -31,8 +31,8 @@ pub(super) fn section(found: &Identified) -> Section {
 
 fn plots(r: &ResidualTests) -> Vec<Block> {
     let mut out: Vec<Block> = vec![plot("Autocorrelation", &r.auto).into()];
-    for (name, c) in r.cross.iter().take(INPUTS) {
-        out.push(plot(&format!("With {name}"), c).into());
+    for c in r.cross.iter().take(INPUTS) {
+        out.push(plot(&format!("With {}", c.input), &c.correlation).into());
     }
     out
 }
