@@ -134,8 +134,8 @@ fn product(
     term: &terms::Term,
 ) -> Vec<Factor> {
     let mut nodes: Vec<NodeId> = Vec::new();
-    if let Some((r, k)) = term.difference {
-        nodes.push(references[r].difference(b, &map.scales[r], k));
+    if let Some(d) = term.difference {
+        nodes.push(references[d.reference].difference(b, &map.scales[d.reference], d.offset));
     }
     for f in &term.factors {
         nodes.push(match *f {

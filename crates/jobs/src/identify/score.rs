@@ -15,7 +15,7 @@ use super::error::IdentifyError;
 use super::finding::{Finding, Grade};
 use super::load::Part;
 use super::prepare::{own_unit, restored};
-use super::result::{Histogram, RecordFile, ResidualTests, Score};
+use super::result::{Histogram, InputCrossCorrelation, RecordFile, ResidualTests, Score};
 use super::set::{Member, Set};
 use super::spec::Validation;
 

@@ -179,7 +179,7 @@ pub fn terms(ports: &Ports, scales: &[Scale], shape: &StructuredShape) -> Vec<Te
                     with.extend(inverse(r).map(|i| vec![i]));
                 }
             }
-            with.into_iter().for_each(|factors| push(Some((r, k)), factors));
+            with.into_iter().for_each(|factors| push(Some(Difference { reference: r, offset: k }), factors));
         }
     }
     out
