@@ -83,7 +83,7 @@ fn dependent_terms_are_named_with_their_combination() {
     // Which of the three dependent terms is named is free; the relation is not.
     let d = &found.dependencies[0];
     let mut relation = std::collections::BTreeMap::from([(d.term.clone(), -1.0)]);
-    d.combination.iter().for_each(|(c, name)| assert!(relation.insert(name.clone(), *c).is_none()));
+    d.combination.iter().for_each(|s| assert!(relation.insert(s.term.clone(), s.coefficient).is_none()));
     let unit = relation["twice"];
     assert_eq!(relation.keys().collect::<Vec<_>>(), ["a", "b", "twice"]);
     assert!((relation["a"] / unit + 2.0).abs() < 1e-9 && (relation["b"] / unit - 0.5).abs() < 1e-9);

@@ -64,8 +64,7 @@ fn derivations_are_put_into_each_other() {
     let mut p = CalibrationProblem::thesis();
     let powers = [("fuel".to_string(), 1), ("torque".to_string(), -1), ("speed".to_string(), -1)];
     let factor = 9549.3;
-    let economy =
-        Derived { name: "economy".into(), unit: "kg/kWh".into(), factor, powers: powers.into() };
+    let economy = Derived { name: "economy".into(), unit: "kg/kWh".into(), factor, powers: powers.into() };
     p.derive.push(economy);
     let m = p.monomial("economy");
     assert!((m.factor - 1.2e-4 * factor).abs() < 1e-12);

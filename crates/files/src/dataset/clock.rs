@@ -9,7 +9,12 @@ use crate::units;
 
 /// Sample time of the rows `from..to`, with the stamps checked where there are any, and the stamps as a channel where
 /// they are to be kept.
-pub(super) fn clock(table: &Table, time: &Time, from: usize, to: usize) -> Result<(f64, Option<Channel>), FilesError> {
+pub(super) fn clock(
+    table: &Table,
+    time: &Time,
+    from: usize,
+    to: usize,
+) -> Result<(f64, Option<Channel>), FilesError> {
     match time {
         Time::Steady => Ok((1.0, None)),
         Time::Sampled { sample_time_s } => Ok((*sample_time_s, None)),

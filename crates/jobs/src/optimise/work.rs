@@ -9,7 +9,9 @@ use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 
 use super::load::{Loaded, Named, load};
-use super::result::{Asked, DecidedSamples, Left, Objective, OptimiseJobError, Optimised, PriceLine, RecordUsed, Used};
+use super::result::{
+    Asked, DecidedSamples, Left, Objective, OptimiseJobError, Optimised, PriceLine, RecordUsed, Used,
+};
 use super::spec::Job;
 use super::words;
 use crate::estimate::Estimate;

@@ -1,6 +1,5 @@
 //! What a campaign gives.
 
-use dynocal_numerics::interval::Interval;
 use dynocal_calib::loops::LoopError;
 use dynocal_calib::loops::stop::Forecast;
 use dynocal_files::FilesError;
@@ -9,6 +8,7 @@ use dynocal_ident::estimate::EstimateError;
 use dynocal_ident::model::poly::StructureError;
 use dynocal_ident::plant::PlantError;
 use dynocal_ident::stored::StoredModel;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::registry::BuildError;
 use dynocal_numerics::status::Status;
 use serde::Serialize;

@@ -189,9 +189,9 @@ pub fn terms(ports: &Ports, scales: &[Scale], shape: &StructuredShape) -> Vec<Te
 pub fn values(terms: &[Term], scales: &[Scale], at: impl Fn(usize, i32) -> f64, row: &mut Vec<f64>) {
     row.clear();
     row.extend(terms.iter().map(|term| {
-        let start = term.difference.map_or(1.0, |d| {
-            (at(d.reference, d.offset) - at(d.reference, 0)) / scales[d.reference].unit
-        });
+        let start = term
+            .difference
+            .map_or(1.0, |d| (at(d.reference, d.offset) - at(d.reference, 0)) / scales[d.reference].unit);
         term.factors.iter().fold(start, |product, f| {
             product
                 * match *f {
