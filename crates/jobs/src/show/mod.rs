@@ -110,7 +110,8 @@ const STRETCHES: u64 = 500;
 /// dynocal_files::atomic::write(&path, b"time [ms],torque [Nm]\n0,30\n20,\n40,50\n").unwrap();
 /// let found = contents(&path, None, &Default::default()).unwrap();
 /// let (group, torque) = (&found.groups[0], &found.groups[0].channels[0]);
-/// assert_eq!((group.span_s, group.interval_s), (Some(Interval::new(0.0, 0.04)), Some(0.02)));
+/// let span_s = group.span_s.map(<(f64, f64)>::from);
+/// assert_eq!((span_s, group.interval_s), (Some((0.0, 0.04)), Some(0.02)));
 /// assert_eq!((torque.rows, torque.gaps, torque.mean), (3, 1, Some(40.0)));
 /// ```
 pub fn contents(path: &Path, format: Option<Format>, keys: &ReadKeys) -> Result<Contents, FilesError> {
