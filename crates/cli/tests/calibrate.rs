@@ -197,6 +197,46 @@ fn a_real_bed_is_driven_through_files_alone() {
     assert!(plans.iter().any(|p| p.contains("ident01") && p.contains("closed loop: torque by throttle")));
 }
 
+/// A bed whose sensor of lambda has an offset of twice its demands' range: nothing in a single sample is wrong, the mean is.
+#[test]
+fn records_of_a_bed_that_do_not_follow_are_a_fault() {
+    let tmp = tempfile::tempdir().unwrap();
+    let gains = "[[loops]]\noutput = \"torque\"\ninput = \"throttle\"\ngains = { ki = 0.3, kp = 0.2 }\n\
+                 [[loops]]\noutput = \"lambda\"\ninput = \"inj\"\ngains = { ki = -40.0, kp = -8.0 }\n";
+    let spec = format!(
+        "{gains}[excite]\nrecord_s = 9.0\nidentification_records = 2\nvalidation_records = 1\nsweep_s = 4.0\n\
+         start = {{ inj = 12.0, throttle = 12.0 }}\n[identify]\nterms = 6\n[plant]\nname = \"bed\"\n"
+    );
+    let spec = written(tmp.path(), &spec);
+    let args = ["calibrate", spec.to_str().unwrap(), "--until", "excite", "--out", "run"];
+    let out = dynocal(tmp.path(), &args);
+    for (plan, measured) in out.stderr.lines().filter_map(|l| l.trim().split_once(" -> ")) {
+        let file = plan.split_once(" (").unwrap().0;
+        let played = dynocal(tmp.path(), &["engine", "transient", file, "--csv", measured]);
+        assert_eq!(played.code, 0, "{plan}: {}{}", played.stdout, played.stderr);
+        offset(&tmp.path().join(measured), "lambda", 0.4);
+    }
+    let out = dynocal(tmp.path(), &args);
+    let said = "The records do not follow the demand of lambda";
+    assert!(out.code == 1 && out.stderr.contains(said), "{:?} {}", out.code, out.stderr);
+}
+
+/// Adds `by` to a column of a CSV.
+fn offset(path: &Path, column: &str, by: f64) {
+    let before = text(path);
+    let header = before.lines().next().unwrap();
+    let at = header.split(',').position(|c| c.split(' ').next() == Some(column)).expect(header);
+    let changed = before.lines().enumerate().map(|(k, l)| {
+        let mut cells: Vec<String> = l.split(',').map(str::to_string).collect();
+        if let Some(v) = cells[at].parse::<f64>().ok().filter(|_| k > 0) {
+            cells[at] = (v + by).to_string();
+        }
+        cells.join(",")
+    });
+    let changed = changed.collect::<Vec<_>>().join("\n") + "\n";
+    atomic::write(path, changed.as_bytes()).unwrap();
+}
+
 /// A record in which a loop swings is refused with its period and amplitude; without gains the loops are identified, and
 /// the same record is quiet.
 #[test]

@@ -12,6 +12,7 @@ pub mod missing;
 mod noise;
 pub mod ols;
 pub mod pem;
+mod rank;
 pub mod rls;
 pub mod search;
 pub mod sem;

@@ -5,9 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::EstimateError;
 use super::cost::Cost;
-use super::covariance::{
-    CovarianceChoice, CovarianceKind, Evidence, Rows, Stored, Uncertainty, rank_warning, uncertainty,
-};
+use super::covariance::{CovarianceChoice, CovarianceKind, Evidence, Rows, Stored, Uncertainty, uncertainty};
 use super::noise::Residuals;
 use crate::experiment::Experiment;
 use crate::model::form::AnyForm;

@@ -22,7 +22,7 @@ use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
 use dynocal_numerics::status::{Iterate, Status};
 use serde::Deserialize;
 
-use super::covariance::{Rows, rank_warning};
+use super::covariance::Rows;
 use super::ols::{Ols, regression};
 use super::table::{EstimatorRow, Fits, Gaps};
 use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, narx, short_name};

@@ -8,7 +8,7 @@ use super::{given, loops};
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::problem::DemandChannel;
 use dynocal_ident::data::Dataset;
-use dynocal_ident::plan::{Plan, demand_name};
+use dynocal_ident::plan::Plan;
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -47,13 +47,16 @@ pub struct Followed {
     pub share: f64,
 }
 
-fn followed(ctx: &Context, records: &[Dataset]) -> Result<Vec<Followed>, ChainError> {
+/// Measured less demanded, over all records; the demands are those of the plans, which a bed need not record.
+fn followed(ctx: &Context, plans: &[Plan], records: &[Dataset]) -> Result<Vec<Followed>, ChainError> {
     let one = |d: &DemandChannel| {
         let (mut sum, mut n) = (0.0, 0usize);
-        for r in records {
-            let demand = r.values(&demand_name(&d.output))?;
-            sum += r.values(&d.output)?.iter().zip(demand).map(|(y, d)| y - d).sum::<f64>();
-            n += demand.len();
+        for (plan, r) in plans.iter().zip(records) {
+            let demands = plan.demands.iter().filter(|p| p.output == d.output);
+            for demand in demands {
+                sum += r.values(&d.output)?.iter().zip(&demand.values).map(|(y, d)| y - d).sum::<f64>();
+                n += demand.values.len();
+            }
         }
         let mean_error = sum / n.max(1) as f64;
         let share = mean_error / (d.upper - d.lower);
@@ -81,18 +84,18 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
     }
     let total = spec.identification_records + spec.validation_records;
     let done = AtomicUsize::new(0);
-    let records = (0..total)
-        .into_par_iter()
-        .map(|k| {
-            let record = ctx.measure(folder, &record_plan(ctx, k)?, true)?;
+    let plans = (0..total).map(|k| record_plan(ctx, k)).collect::<Result<Vec<_>, _>>()?;
+    let records = plans
+        .par_iter()
+        .map(|plan| {
+            let record = ctx.measure(folder, plan, true)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             ctx.fraction(done as f64 / total as f64);
             Ok(record)
         })
         .collect();
     let records = all_measured(records)?;
-    // A bed need not record what was demanded of it.
-    let followed = if ctx.plants.is_some() { followed(ctx, &records)? } else { Vec::new() };
+    let followed = followed(ctx, &plans, &records)?;
     let (identification, validation) = records.split_at(spec.identification_records);
     let bed_s = |n: usize| n as f64 * (spec.record_s + spec.lead_in_s);
     Ok(ExciteResult {

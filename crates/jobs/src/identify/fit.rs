@@ -70,7 +70,7 @@ pub fn estimate(
     let mut fit = fit(t, form.form(), &whole, selecting, watch)?;
     fit.warnings.extend(remarks);
     if fit.status == Status::Stalled && fit.mse <= ROUNDING * mean_square(&whole) {
-        // Nothing is better than errors of rounding: a tolerance below them is met by no search.
+        // Nothing is better than the digits of the data: a tolerance below them is met by no search.
         fit.status = Status::Converged;
     }
     if fit.status == Status::Interrupted {
@@ -83,8 +83,8 @@ pub fn estimate(
     Ok(Estimated { model, fit: Some(fit), parameters, selection })
 }
 
-/// Mean squared error over mean squared output of a fit that is exact but for rounding.
-const ROUNDING: f64 = 1e-24;
+/// Mean squared error over mean squared output of a fit that is exact but for the digits of a file (six are usual).
+const ROUNDING: f64 = 1e-12;
 
 /// Mean square of all outputs.
 fn mean_square(data: &[Experiment]) -> f64 {
