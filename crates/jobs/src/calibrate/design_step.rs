@@ -8,7 +8,7 @@ use super::design_spec::{design_text, predicted};
 use super::error::ChainError;
 use super::excite_step::extra_record;
 use super::given;
-use super::models::{ModelData, ModelsResult, identify_all};
+use super::models::{ModelData, ModelsResult, identify_all, with_predecessors};
 use super::records::{RecordRef, save_records};
 use crate::design::result::{CriterionLine, Designed, SafetyLine};
 use crate::design::{self, Overrides};
@@ -171,6 +171,7 @@ fn measured(
     let (models, other) = (models?, other?);
     ctx.fraction(0.9);
     let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
+    let models = with_predecessors(ctx, models, before, &ModelData { identification: &data, validation })?;
     let mut comparison_bed_s = 0.0;
     if let Some(other) = &other {
         gains.push(gain("with one more record of the first recipe instead", other));

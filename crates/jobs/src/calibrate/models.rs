@@ -59,6 +59,9 @@ pub struct Candidate {
     /// Share of free runs on random inputs that left the range of the output; 0 where none was tried.
     #[serde(default)]
     pub unstable_share: f64,
+    /// Whether it was there before the records of this step, which made its successor worse.
+    #[serde(default)]
+    pub earlier: bool,
     /// Warnings of the job `identify`.
     pub warnings: Vec<String>,
 }
@@ -152,6 +155,47 @@ pub fn identify_again(
     })
 }
 
+/// R2 by which a model of more records may be worse than its predecessor on the records that choose: scatter of one record.
+pub const WORSE: f64 = 0.01;
+
+/// The models of more records, but for those that are clearly worse than their predecessors: there these go on.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn with_predecessors(
+    ctx: &Context,
+    mut models: ModelsResult,
+    before: &ModelsResult,
+    data: &ModelData,
+) -> Result<ModelsResult, ChainError> {
+    for o in &mut models.outputs {
+        let Some(old) = before.outputs.iter().find(|b| b.output == o.output) else { continue };
+        // Scored on what its successor was scored on.
+        let scores = scores(ctx, &old.best().model, data)?;
+        let old = Candidate {
+            choosing_r2: mean_r2(&scores, |s| s.chooses),
+            unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
+            scores,
+            earlier: true,
+            name: format!("earlier: {}", old.best().name.trim_start_matches("earlier: ")),
+            ..old.best().clone()
+        };
+        let new = o.best();
+        if clearly_worse((new.choosing_r2, new.unstable_share), (old.choosing_r2, old.unstable_share)) {
+            o.chosen = o.candidates.len();
+            o.candidates.push(old);
+        }
+    }
+    Ok(models)
+}
+
+/// Score and unstable share of a model against those of its predecessor.
+fn clearly_worse(new: (Option<f64>, f64), old: (Option<f64>, f64)) -> bool {
+    let Some(before) = old.0 else { return false };
+    let score = new.0.unwrap_or(f64::NEG_INFINITY);
+    score < before - WORSE || (old.1 == 0.0 && new.1 > 0.0 && score < before + WORSE)
+}
+
 fn each_output(
     ctx: &Context,
     job: impl Fn(&str) -> Result<OutputModels, ChainError> + Sync,
@@ -239,6 +283,7 @@ fn candidate(
         choosing_r2: mean_r2(&scores, |s| s.chooses),
         unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
         unstable_share: modelled.after.stability.as_ref().map_or(0.0, |s| s.share_diverged),
+        earlier: false,
         scores,
         model,
         // The campaign has unseen records of its own, scored above.
@@ -261,6 +306,7 @@ fn stored(ctx: &Context, file: &Path, model: StoredModel, data: &ModelData) -> R
         choosing_r2: mean_r2(&scores, |s| s.chooses),
         unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
         unstable_share: 0.0,
+        earlier: false,
         scores,
         model,
         warnings: Vec::new(),
@@ -322,7 +368,17 @@ pub fn save_models(folder: &Path, models: &ModelsResult) -> Result<(), ChainErro
 
 #[cfg(test)]
 mod tests {
-    use super::choose;
+    use super::{choose, clearly_worse};
+
+    #[test]
+    fn a_predecessor_goes_on_only_where_more_records_made_it_clearly_worse() {
+        assert!(clearly_worse((None, 0.0), (Some(0.8), 0.0)), "diverged");
+        assert!(clearly_worse((Some(-622.0), 0.0), (Some(0.85), 0.0)));
+        assert!(!clearly_worse((Some(0.845), 0.0), (Some(0.85), 0.0)), "scatter of one record");
+        assert!(!clearly_worse((Some(0.2), 0.5), (None, 0.0)), "the predecessor diverged");
+        assert!(clearly_worse((Some(0.851), 0.1), (Some(0.85), 0.0)), "unstable now");
+        assert!(!clearly_worse((Some(0.95), 0.1), (Some(0.85), 0.0)), "unstable, and much better");
+    }
 
     #[test]
     fn a_stable_candidate_goes_before_a_better_one_that_runs_away() {

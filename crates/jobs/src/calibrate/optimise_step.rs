@@ -2,7 +2,7 @@
 
 use super::context::{Context, Tone};
 use super::error::ChainError;
-use super::models::{ModelData, ModelsResult, identify_again};
+use super::models::{ModelData, ModelsResult, identify_again, with_predecessors};
 use super::optimise_plan::{END_EFFECT, GaveWay, Planned, VIOLATION, planned, range_of, within_reach};
 use super::records::{RecordRef, all_measured, save_records};
 use dynocal_calib::limits::{LimitScore, limit_scores};
@@ -180,7 +180,8 @@ fn one_pass(
     let place = folder.join(format!("pass{k}"));
     std::fs::create_dir_all(&place)
         .map_err(|e| ChainError::Identify { what: place.display().to_string(), reason: e.to_string() })?;
-    pass.models = identify_again(ctx, &place, models, &ModelData { identification: data, validation })?;
+    let data = ModelData { identification: data, validation };
+    pass.models = with_predecessors(ctx, identify_again(ctx, &place, models, &data)?, models, &data)?;
     Ok(pass)
 }
 

@@ -330,6 +330,12 @@ fn models(r: &ChainResult, f: &mut Findings) {
                 let text = format!("The {} model of the step {stage} diverges on a record.", o.output);
                 if decides { f.fault(Status::Diverged, text) } else { f.notes.push(text) }
             }
+            if best.earlier {
+                f.notes.push(format!(
+                    "The records of the step {stage} made the {} model worse on the record that chooses: the earlier model goes on.",
+                    o.output
+                ));
+            }
             if let Some(r2) = best.unseen_r2.filter(|r2| *r2 < 0.0) {
                 let text = format!(
                     "The {} model of the step {stage} is worse than the mean of its output: free-run R2 {} % on unseen records.",
