@@ -103,6 +103,9 @@ fn cell_that_is_no_finite_number() {
     assert_eq!(e, "bed.csv, line 4, column `inj`: found `bad`, expected a finite number");
     let e = message("inj [mg],torque [Nm]\n1,2\n3,-inf\n", sampled());
     assert_eq!(e, "bed.csv, line 3, column `torque`: found `-inf`, expected a finite number");
+    // Beyond the largest double: not the infinity that a reader makes of it.
+    let e = message("inj [mg],torque [Nm]\n1,2\n3,1e400\n", sampled());
+    assert_eq!(e, "bed.csv, line 3, column `torque`: found `1e400`, expected a finite number");
 }
 
 #[test]

@@ -388,7 +388,7 @@ pub fn number(text: &str, dialect: &Dialect) -> Option<f64> {
     }
     let plain = dialect.decimal == '.' && dialect.thousands.is_none();
     if plain || !text.starts_with(|c: char| c.is_ascii_digit() || "+-.,".contains(c)) {
-        return text.parse().ok();
+        return within_double(text);
     }
     let mut bare = String::with_capacity(text.len());
     for c in text.chars() {
@@ -397,5 +397,11 @@ pub fn number(text: &str, dialect: &Dialect) -> Option<f64> {
         }
         bare.push(if c == dialect.decimal { '.' } else { c });
     }
-    bare.parse().ok()
+    within_double(&bare)
+}
+
+/// Infinity is a number where it is written so; digits beyond the largest double are none.
+fn within_double(text: &str) -> Option<f64> {
+    let value: f64 = text.parse().ok()?;
+    (value.is_finite() || !text.contains(|c: char| c.is_ascii_digit())).then_some(value)
 }

@@ -155,9 +155,11 @@ fn measured(
         Ok(place)
     };
     let data = with(&record, folder.join(&records[0].file));
+    // Models that were given learn from no record: there is nothing that it gains.
+    let learns = ctx.channels.outputs().iter().any(|o| !ctx.spec.identify.files.contains_key(o));
     // A record of the first recipe beside it, where a plant can measure one.
     let rival = || -> Result<Option<ModelsResult>, ChainError> {
-        if ctx.plants.is_none() {
+        if ctx.plants.is_none() || !learns {
             return Ok(None);
         }
         let rival = extra_record(ctx, folder, "comparison01", 0)?;
@@ -170,7 +172,10 @@ fn measured(
     let (models, other) = rayon::join(own, rival);
     let (models, other) = (models?, other?);
     ctx.fraction(0.9);
-    let mut gains = vec![gain("identification records", before), gain("with the designed record", &models)];
+    let mut gains = vec![gain("identification records", before)];
+    if learns {
+        gains.push(gain("with the designed record", &models));
+    }
     let models = with_predecessors(ctx, models, before, &ModelData { identification: &data, validation })?;
     let mut comparison_bed_s = 0.0;
     if let Some(other) = &other {

@@ -3,6 +3,7 @@
 use dynocal_plant::plants;
 
 use super::job::{Campaign, last_step};
+use super::spec::CalibrateSpec;
 use crate::estimate::Estimate;
 
 /// Rough share of the pool of candidates that a generated polynomial is selected from: products of two of the lagged channels.
@@ -42,18 +43,37 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
         )
         .line("gains of the loops", gains)
         .line("excite", excitation)
-        .line("identify", format!("{outputs} outputs, up to {terms} terms of about {pool:.0}"));
-    let plan = if d.enabled {
-        plan.line("design", format!("{}, criterion {}", records(1, d.record_s), d.criterion))
-    } else {
-        plan.line("design", "none")
-    };
-    let evaluations = (d.starts * d.max_evaluations) as f64;
+        .line(
+            "identify",
+            identification_words(s, outputs, &format!("up to {terms} terms of about {pool:.0}")),
+        )
+        .line(
+            "design",
+            match &d.record {
+                Some(file) => format!("the record `{}`", file.display()),
+                None if d.enabled => format!("{}, criterion {}", records(1, d.record_s), d.criterion),
+                None => "none".into(),
+            },
+        );
+    let designed = d.enabled && d.record.is_none();
+    let evaluations = if designed { (d.starts * d.max_evaluations) as f64 } else { 0.0 };
+    let estimated = outputs - s.identify.files.len() as f64;
     let iterations = (o.passes * o.max_iterations) as f64;
     plan.line("optimise", format!("{} passes over {} s", o.passes, o.record_s))
         .line("ends with", last_step(s))
         .memory(8.0 * outputs * all * (2.0 * pool + 3.0 * terms))
-        .work(outputs * identification * 2.0 * pool * terms)
+        .work(estimated * identification * 2.0 * pool * terms)
         .work(outputs * evaluations * 4.0 * samples(d.record_s) * terms * terms)
         .work(outputs * iterations * 1e3 * samples(o.record_s))
+}
+
+/// Outputs that are estimated, and those whose models are given.
+fn identification_words(s: &CalibrateSpec, outputs: f64, terms: &str) -> String {
+    let given = s.identify.files.len();
+    let estimated = outputs as usize - given.min(outputs as usize);
+    match (estimated, given) {
+        (n, 0) => format!("{n} outputs, {terms}"),
+        (0, n) => format!("nothing before the step design: {n} models are given"),
+        (n, g) => format!("{n} outputs, {terms}; {g} models are given"),
+    }
 }
