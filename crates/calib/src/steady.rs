@@ -7,6 +7,7 @@
 pub mod cell;
 pub mod day;
 pub mod envelope;
+pub mod front;
 pub mod grid;
 pub mod hold;
 pub mod layout;

@@ -2,6 +2,7 @@
 
 use dynocal_calib::steady::cell::{Setting, Side};
 use dynocal_calib::steady::envelope::Envelope;
+use dynocal_calib::steady::front::Tradeoff;
 use dynocal_calib::steady::grid::{CellState, GridSpec, interpolate, solve};
 use dynocal_calib::steady::refine::Known;
 use dynocal_calib::steady::whole::{Coupling, solve_whole};
@@ -300,4 +301,48 @@ fn the_next_points_go_far_out_first_and_then_where_the_map_is_in_doubt() {
     assert_eq!((left, third[0].clone()), (vec![8], cells[8].optimum.x.clone()));
     let (none, _) = known(&[vec![4.0], vec![4.0], vec![4.0], vec![3.0], vec![3.0], vec![3.0]], 2);
     assert!(none.is_empty());
+}
+
+/// Cells a with fuel x^2 + 5 and emission (x - 2)^2 + 3: at weights (1 - s)/F0 and s/G0 every cell has
+/// x = 2 r / (1 + r), r = s F0 / ((1 - s) G0), so that sqrt(F - 5) + sqrt(G - 3) = 2 along the front, and its price is r.
+#[test]
+fn a_front_in_closed_form() {
+    let fuel = Quadratic::new(5.0, &[0.0, 0.0], &[0.0, 2.0]);
+    let emission = Quadratic::new(7.0, &[0.0, -4.0], &[0.0, 2.0]);
+    let s = setting(vec![&fuel, &emission], Vec::new(), 2);
+    let cells: Vec<_> = [-1.0, 0.5, 2.0].iter().map(|a| s.optimise(&[*a], 2, &[], 1, &|| false)).collect();
+    let trade = Tradeoff { setting: &s, against: 1, cells, weights: vec![1.0, 2.0, 0.0], seed: 1 };
+    let front = trade.trace(9, &|| false);
+    assert_eq!(front.len(), 9);
+    assert!(front.windows(2).all(|w| w[0].minimised < w[1].minimised && w[0].other > w[1].other));
+    for p in &front {
+        let root = (p.minimised - 5.0).max(0.0).sqrt() + (p.other - 3.0).max(0.0).sqrt();
+        assert!((root - 2.0).abs() < 1e-4, "{root} at {}", p.share);
+        let x = p.cells[0].x[1];
+        assert!((x - 2.0 * p.price / (1.0 + p.price)).abs() < 1e-4, "{x} at a price of {}", p.price);
+    }
+    // No two neighbours lie far apart: the ends are 4 apart in both.
+    assert!(front.windows(2).all(|w| w[1].minimised - w[0].minimised < 1.2), "{front:?}");
+    // G = 5: x = 2 - sqrt(2), F = 5.343; from below, within a thousandth.
+    let taken = trade.at_most(5.0, &front, &|| false).unwrap();
+    assert!(taken.other <= 5.0 && taken.other >= 4.994, "{}", taken.other);
+    assert!((taken.minimised - 5.0 - (2.0 - 2f64.sqrt()).powi(2)).abs() < 5e-3, "{}", taken.minimised);
+    assert!(trade.at_most(2.9, &front, &|| false).is_none());
+    assert_eq!(trade.at_most(8.0, &front, &|| false).unwrap().share, 0.0);
+}
+
+/// On a front with a limit x <= 1 the least emission is that at the limit, and the weighted sum of the cells is the same whatever way
+/// it is cut into cells of unequal time.
+#[test]
+fn a_front_ends_at_its_limit() {
+    let fuel = Quadratic::new(5.0, &[0.0, 0.0], &[0.0, 2.0]);
+    let emission = Quadratic::new(7.0, &[0.0, -4.0], &[0.0, 2.0]);
+    let place = Quadratic::new(0.0, &[0.0, 1.0], &[0.0, 0.0]);
+    let s = setting(vec![&fuel, &emission, &place], vec![upper(2, 1.0)], 2);
+    let cells = vec![s.optimise(&[0.0], 2, &[], 1, &|| false)];
+    let trade = Tradeoff { setting: &s, against: 1, cells, weights: vec![3.0], seed: 1 };
+    let front = trade.trace(5, &|| false);
+    let last = front.last().unwrap();
+    assert!((last.other - 4.0).abs() < 1e-4 && last.cells.iter().all(|c| c.feasible), "{last:?}");
+    assert!(trade.at_most(3.9, &front, &|| false).is_none());
 }

@@ -266,6 +266,42 @@ fn maps_are_near_the_known_optimum_and_keep_their_limits() {
     }
 }
 
+/// Heat falls with spark and rises with cam: it is traded against fuel, and maps are taken where it has 98 % of what the map of
+/// least fuel has.
+#[test]
+fn maps_are_taken_from_a_front() {
+    let front = "[optimise.front]\nagainst = \"heat\"\npoints = 5\ntake = 0.98\n";
+    let least = run_with(DAY, 1, Bench::new(0.0, Fault::None)).unwrap();
+    let found = run_with(&format!("{DAY}{front}"), 1, Bench::new(0.0, Fault::None)).unwrap();
+    let f = found.front.as_ref().unwrap();
+    let taken = f.taken.as_ref().expect("within reach");
+    assert!(f.points.len() >= 3 && f.unit == "K", "{f:?}");
+    assert!(f.points.windows(2).all(|w| w[0].other > w[1].other && w[0].minimised < w[1].minimised));
+    let share = taken.other / f.points[0].other;
+    assert!((0.978..=0.98).contains(&share), "{share}");
+    // The engine itself: less heat, more fuel in the cells, by what the front promises.
+    let mean = |m: &Mapped, of: &dyn Fn(f64, f64, f64, f64) -> f64| {
+        let optimal = m.cells.iter().filter(|c| c.state == CellState::Optimal);
+        let all: Vec<f64> = optimal.map(|c| of(c.at[0], c.at[1], c.optimum.x[2], c.optimum.x[3])).collect();
+        all.iter().sum::<f64>() / all.len() as f64
+    };
+    let heat = |t: f64, _: f64, spark: f64, cam: f64| 500.0 + 3.0 * t - 100.0 * spark + 150.0 * cam;
+    let burnt = |t: f64, n: f64, spark: f64, cam: f64| fuel(t, n, spark, cam, 0.0);
+    let ratio = mean(&found, &heat) / mean(&least, &heat);
+    assert!((0.97..0.985).contains(&ratio), "{ratio}");
+    let more = mean(&found, &burnt) / mean(&least, &burnt) - 1.0;
+    let promised = taken.minimised / f.points[0].minimised - 1.0;
+    assert!(more > 0.0 && (more - promised).abs() < 0.005, "{more} where {promised} was promised");
+    // Out of reach is said, and the maps are not valid.
+    let far =
+        run_with(&format!("{DAY}{}", front.replace("0.98", "0.1")), 1, Bench::new(0.0, Fault::None)).unwrap();
+    assert!(!far.valid && far.front.unwrap().taken.is_none());
+    let unknown =
+        run_with(&format!("{DAY}{}", front.replace("heat", "smoke")), 1, Bench::new(0.0, Fault::None));
+    let said = unknown.map(|m| m.verdict).unwrap_err().to_string();
+    assert!(said.contains("`smoke`") && said.contains("heat [K]"), "{said}");
+}
+
 #[test]
 fn equal_seeds_give_equal_days_and_other_seeds_other_ones() {
     let day = |seed| {

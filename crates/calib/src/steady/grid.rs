@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::cell::{CellOptimum, Setting};
+use super::front::FrontSpec;
 use super::whole::{Coupling, solve_whole};
 
 /// How a map is made.
@@ -24,6 +25,9 @@ pub struct GridSpec {
     /// All cells as one program, where it is there; the map is then not smoothed cell by cell.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub whole: Option<WholeSpec>,
+    /// What is minimised against another response, where it is there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub front: Option<FrontSpec>,
 }
 
 /// What couples the cells of a map.
@@ -46,7 +50,7 @@ impl Default for WholeSpec {
 
 impl Default for GridSpec {
     fn default() -> Self {
-        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002, whole: None }
+        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002, whole: None, front: None }
     }
 }
 
@@ -224,6 +228,20 @@ pub fn couple(
         fill(setting, axes, cells);
     }
     (found.status, found.iterations)
+}
+
+/// Puts other optima into the cells `which`; those that the bed has not reached are filled again.
+pub fn replace(
+    setting: &Setting,
+    axes: &[Vec<f64>],
+    which: &[usize],
+    optima: Vec<CellOptimum>,
+    cells: &mut [Cell],
+) {
+    for (k, o) in which.iter().zip(optima) {
+        (cells[*k].best, cells[*k].optimum) = (setting.cost(&o), o);
+    }
+    fill(setting, axes, cells);
 }
 
 /// Fills cells that the bed has not reached from those next to them, ring by ring.

@@ -218,6 +218,24 @@ impl Layout {
         place.map_or(f64::NAN, |k| x[k])
     }
 
+    /// One more response without a limit or weight, where it is not there yet: an output of `plant`, else a derived channel. False
+    /// where it is neither.
+    pub fn add_response(&mut self, name: &str, plant: &dyn Plant) -> bool {
+        if self.responses.iter().any(|r| r.name == name) {
+            return true;
+        }
+        let mut outputs = plant.variables().iter().filter(|v| v.causality == Causality::Output);
+        let derived = self.problem.derive.iter().any(|d| d.name == name);
+        let (unit, source) = match outputs.find(|v| v.name == name) {
+            Some(v) => (v.unit.clone(), ResponseSource::Output),
+            None if derived => (self.problem.unit(name).unwrap_or("-").to_string(), ResponseSource::Derived),
+            None => return false,
+        };
+        let name = name.to_string();
+        self.responses.push(ResponseChannel { name, unit, source, lower: None, upper: None, weight: 0.0 });
+        true
+    }
+
     /// Outputs of the plant that are recorded.
     pub fn recorded(&self) -> Vec<String> {
         let mut names = self.problem.demand_names();

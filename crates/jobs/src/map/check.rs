@@ -26,6 +26,7 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.caution", s.optimise.caution, 0.0, 10.0, "standard deviations");
     faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
     whole(s, faults);
+    front(s, faults);
     count("optimise.starts", s.optimise.starts, 1, 1000, faults);
     count("verify.points", s.verify.points, 0, 10_000, faults);
     faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
@@ -55,6 +56,33 @@ fn whole(s: &MapSpec, faults: &mut Faults) {
             "optimise.whole.residence",
             found,
             format!("{cells} numbers from 0, one for each cell, not all 0"),
+        );
+    }
+}
+
+/// The trade-off.
+fn front(s: &MapSpec, faults: &mut Faults) {
+    let Some(f) = &s.optimise.front else { return };
+    count("optimise.front.points", f.points, 2, 1000, faults);
+    if let Some(take) = f.take.filter(|t| !(*t > 0.0 && *t < 1.0)) {
+        faults.push(
+            "optimise.front.take",
+            take,
+            "a share above 0 and below 1 of what the map of the least objective has",
+        );
+    }
+    let factors = || s.problem.given_names().into_iter().chain(s.problem.demand_names());
+    let driven = |name: &str| s.loops.iter().any(|l| l.input == name);
+    let free = s.problem.input_names().into_iter().filter(|i| !driven(i));
+    if factors().chain(free).any(|n| n == f.against) {
+        let expected = "an output that is not demanded, a derived channel, or an input that a loop drives";
+        faults.push("optimise.front.against", format!("`{}`", f.against), expected);
+    }
+    if s.problem.minimise.iter().any(|m| m.channel == f.against) && s.problem.minimise.len() == 1 {
+        faults.push(
+            "optimise.front.against",
+            format!("`{}`", f.against),
+            "something else than what is minimised",
         );
     }
 }

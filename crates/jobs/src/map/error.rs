@@ -40,6 +40,16 @@ pub enum MapError {
         /// Variables that there are, with their units.
         known: String,
     },
+    /// The front asks for a response that there is not.
+    #[error(
+        "optimise.front.against: the plant has no output `{name}`, and no derived channel is called so; there are: {known}"
+    )]
+    Front {
+        /// Name.
+        name: String,
+        /// Outputs that there are, with their units.
+        known: String,
+    },
     /// A response model.
     #[error("response model of `{response}`: {source}")]
     Learn {

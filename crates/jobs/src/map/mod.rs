@@ -8,6 +8,7 @@ mod check;
 mod choose;
 pub mod error;
 pub mod estimate;
+mod front;
 pub mod job;
 mod learn;
 pub mod page;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use dynocal_calib::steady::day::{DayPoint, Purpose};
+use dynocal_calib::steady::front::{Front, FrontPoint};
 use dynocal_calib::steady::grid::CellState;
 use dynocal_files::atomic;
 use dynocal_report::{
@@ -41,10 +42,10 @@ pub fn report(found: &Mapped, job: &Job) -> Report {
     for c in &found.checks {
         report = report.check(c.clone());
     }
-    report
-        .section(maps(found))
-        .section(responses(found))
-        .section(cells(found))
+    let report = report.section(maps(found)).section(responses(found)).section(cells(found));
+    let traced = found.front.iter().map(|f| front(found, f));
+    traced
+        .fold(report, Report::section)
         .section(verification(found))
         .section(models(found))
         .section(day(found))
@@ -156,6 +157,36 @@ fn cells(found: &Mapped) -> Section {
     Section::new("Cells")
         .text("A price says what is saved at this cell if the limit is moved by one unit; a limit without one does not act.")
         .block(Details::new(format!("{} cells", found.cells.len())).block(table))
+}
+
+/// What is minimised against another response.
+fn front(found: &Mapped, f: &Front) -> Section {
+    let axis = |name: &str, unit: &str| Axis::new(capital(name), unit);
+    let unit = objective_unit(found);
+    let (x, y): (Vec<f64>, Vec<f64>) = f.points.iter().map(|p| (p.other, p.minimised)).unzip();
+    let mut plot = XyPlot::new(
+        format!("What is minimised against {}", f.against),
+        axis(&f.against, &f.unit),
+        axis("minimised", &unit),
+    )
+    .line("front", x.clone(), y.clone())
+    .points("maps", x, y);
+    if let Some(t) = &f.taken {
+        plot = plot.points("taken", vec![t.other], vec![t.minimised]);
+    }
+    let head = vec![
+        Column::number(capital(&f.against), f.unit.as_str()).digits(4),
+        Column::number("Minimised", unit.as_str()).digits(4),
+        Column::number("Price", format!("{unit} per {}", f.unit)).digits(3),
+    ];
+    let row = |t: Table, p: &FrontPoint| t.row(vec![p.other.into(), p.minimised.into(), p.price.into()]);
+    Section::new("Trade-off")
+        .text(format!(
+            "Whole maps, means over the cells that hold an optimum. Each keeps all limits; the price says what one {} less of {} costs there, in every cell the same. The models know the neighbourhood of the least objective best: what is far from it is a promise.",
+            f.unit, f.against
+        ))
+        .block(plot)
+        .block(f.points.iter().fold(Table::new(head), row))
 }
 
 fn objective_unit(found: &Mapped) -> String {

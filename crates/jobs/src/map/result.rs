@@ -4,6 +4,7 @@ use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Drift};
 use dynocal_calib::steady::envelope::Envelope;
+use dynocal_calib::steady::front::Front;
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::{AxisRange, Layout};
 use dynocal_numerics::interval::Interval;
@@ -111,6 +112,8 @@ pub struct Mapped {
     pub rounds: Vec<Round>,
     /// How the program of the whole map ended and its iterations; none where cells were optimised by themselves.
     pub whole: Option<(Status, usize)>,
+    /// What is minimised against another response; none where it was not asked for.
+    pub front: Option<Front>,
     /// Drift over the day.
     pub drift: Vec<Drift>,
     /// Response models.

@@ -95,6 +95,19 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
                 .holds(status.is_success()),
         );
     }
+    if let Some((front, share)) = found.front.as_ref().zip(take(spec)) {
+        let least = front.points.last().map_or(f64::NAN, |p| p.other);
+        let first = front.points.first().map_or(f64::NAN, |p| p.other);
+        let check = Check::new("front", "the other response of the maps that were taken from the front, as a share of that of the least objective")
+            .asked(format!("<= {share}"));
+        checks.push(match &front.taken {
+            Some(t) => check.measured(t.other / first).holds(true),
+            None => check
+                .measured(least / first)
+                .holds(false)
+                .note(format!("no map within the limits has less of {}", front.against)),
+        });
+    }
     if !done {
         warnings.push(format!("the day ended early: {}", end_in_words(&found.end)));
     }
@@ -146,6 +159,11 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         format!("{worth}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
     found.warnings = warnings;
+}
+
+/// The share that is asked of the front.
+fn take(spec: &MapSpec) -> Option<f64> {
+    spec.optimise.front.as_ref().and_then(|f| f.take)
 }
 
 /// What the bed met where it was sent to cells that are filled.

@@ -18,6 +18,7 @@ use dynocal_plant::plants;
 
 use super::cells::{actuators, missed};
 use super::error::{MapError, stopped};
+use super::front::Maps;
 use super::job::Job;
 use super::learn;
 use super::refine::Refinement;
@@ -48,7 +49,8 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let axes = axes(spec);
     let start = start(spec, plant);
     let tuned = tuned(spec, &axes, &start, plant, watch)?;
-    let layout = layout(spec, &axes, tuned.as_ref(), plant);
+    let mut layout = layout(spec, &axes, tuned.as_ref(), plant);
+    with_front(spec, &mut layout, plant)?;
     let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
     let interrupt = || watch.interrupted();
     let first = first(&layout, &start);
@@ -88,11 +90,9 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let setting = setting(&layout, &models, spec);
     let reached = |at: &[f64]| envelope.contains(at);
     let mut cells = grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
-    let whole = spec.optimise.whole.as_ref().map(|w| {
-        watch.note("all cells as one program");
-        let free = &layout.factor_names()[layout.axes..];
-        grid::couple(&setting, &grid_axes, w, free, &mut cells, watch.interrupt)
-    });
+    let maps = Maps { spec, layout: &layout, setting: &setting, axes: &grid_axes };
+    let front = maps.front(&mut cells, watch);
+    let whole = maps.couple(front.as_ref(), &mut cells, watch);
     if watch.interrupted() {
         return Err(MapError::Interrupted);
     }
@@ -114,6 +114,7 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
         axes,
         rounds,
         whole,
+        front,
         drift,
         models,
         verified,
@@ -155,6 +156,17 @@ fn has_channels(spec: &MapSpec, plant: &dyn Plant) -> Result<(), MapError> {
         }
     }
     Ok(())
+}
+
+/// The response that the front is traced against is measured and modelled, too.
+fn with_front(spec: &MapSpec, layout: &mut Layout, plant: &dyn Plant) -> Result<(), MapError> {
+    let Some(front) = &spec.optimise.front else { return Ok(()) };
+    if layout.add_response(&front.against, plant) {
+        return Ok(());
+    }
+    let outputs = plant.variables().iter().filter(|v| v.causality == Causality::Output);
+    let known: Vec<String> = outputs.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
+    Err(MapError::Front { name: front.against.clone(), known: known.join(", ") })
 }
 
 /// Axes in the order of maps: the demand, then the given channel, which is the fast one.
