@@ -4,6 +4,7 @@
 //! or a day of planned points ([`station`], [`day`]) from which response models are learnt, and the optimum of every cell of the
 //! map found on them ([`cell`], [`grid`]).
 
+pub mod breakpoints;
 pub mod cell;
 pub mod day;
 pub mod envelope;
@@ -11,6 +12,7 @@ pub mod front;
 pub mod grid;
 pub mod hold;
 pub mod layout;
+pub mod quantise;
 pub mod refine;
 pub mod search;
 pub mod station;

@@ -67,7 +67,7 @@ fn no_file_of_calibrate_uses_one_above_it() {
 /// Lowest first.
 const MAP: &[&str] = &[
     "error", "spec", "check", "job", "estimate", "choose", "learn", "setting", "refine", "result", "cells",
-    "front", "verify", "verdict", "work", "page", "store",
+    "front", "deliver", "verify", "verdict", "work", "page", "store",
 ];
 
 #[test]

@@ -302,6 +302,34 @@ fn maps_are_taken_from_a_front() {
     assert!(said.contains("`smoke`") && said.contains("heat [K]"), "{said}");
 }
 
+/// Maps as an ECU holds them: fewer breakpoints, spark and cam in steps, and what is lost said.
+#[test]
+fn maps_have_the_breakpoints_and_steps_of_an_ecu() {
+    let asked = "[optimise.breakpoints]\nspeed = 2\n[optimise.resolution]\nspark = 0.05\ncam = 0.1\n";
+    let found = run_with(&format!("{DAY}{asked}"), 1, Bench::new(0.0, Fault::None)).unwrap();
+    assert_eq!(found.axes[1].points, [1100.0, 1900.0]);
+    assert_eq!((found.cells.len(), found.map.points.len(), found.map.given.len()), (6, 6, 2));
+    let whole = |v: f64| (v - v.round()).abs() < 1e-9;
+    for c in &found.cells {
+        assert!(whole(c.optimum.x[2] / 0.05) && whole(c.optimum.x[3] / 0.1), "{:?}", c.optimum.x);
+    }
+    let d = found.delivered.as_ref().unwrap();
+    assert!(d.full_cells == 9 && d.mean_loss > -0.01 && d.mean_loss <= d.largest_loss, "{d:?}");
+    assert!(d.largest_loss < 0.02, "best spark and cam lie nearly on a plane: {d:?}");
+    let fault = |more: &str| {
+        let text = text(&format!("{DAY}{more}"));
+        job::parse("map.toml", &text, &Overrides::default()).map(|_| ()).unwrap_err().to_string()
+    };
+    let e = fault(
+        "[optimise.breakpoints]\nspeed = 9\nsped = 2\n[optimise.resolution]\nload = 1.0\nspark = 0.0\n",
+    );
+    for said in
+        ["optimise.breakpoints.speed", "sped", "optimise.resolution.load", "optimise.resolution.spark"]
+    {
+        assert!(e.contains(said), "{said}: {e}");
+    }
+}
+
 #[test]
 fn equal_seeds_give_equal_days_and_other_seeds_other_ones() {
     let day = |seed| {

@@ -28,6 +28,12 @@ pub struct GridSpec {
     /// What is minimised against another response, where it is there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub front: Option<FrontSpec>,
+    /// Number of breakpoints that are kept of an axis, by channel; all where it is not there.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub breakpoints: BTreeMap<String, usize>,
+    /// Steps of free inputs in an ECU, in their unit: their values are multiples of it.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub resolution: BTreeMap<String, f64>,
 }
 
 /// What couples the cells of a map.
@@ -50,7 +56,16 @@ impl Default for WholeSpec {
 
 impl Default for GridSpec {
     fn default() -> Self {
-        Self { probability: 0.9, caution: 0.5, starts: 4, smooth: 0.002, whole: None, front: None }
+        Self {
+            probability: 0.9,
+            caution: 0.5,
+            starts: 4,
+            smooth: 0.002,
+            whole: None,
+            front: None,
+            breakpoints: BTreeMap::new(),
+            resolution: BTreeMap::new(),
+        }
     }
 }
 

@@ -27,6 +27,7 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
     whole(s, faults);
     front(s, faults);
+    deliver(s, faults);
     count("optimise.starts", s.optimise.starts, 1, 1000, faults);
     count("verify.points", s.verify.points, 0, 10_000, faults);
     faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
@@ -37,8 +38,7 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
 fn whole(s: &MapSpec, faults: &mut Faults) {
     let Some(w) = &s.optimise.whole else { return };
     faults.range("optimise.whole.smooth", w.smooth, 0.0, 100.0, "");
-    let driven = |name: &str| s.loops.iter().any(|l| l.input == name);
-    let free: Vec<String> = s.problem.input_names().into_iter().filter(|i| !driven(i)).collect();
+    let free = free_inputs(s);
     for (name, step) in &w.steps {
         let key = format!("optimise.whole.steps.{name}");
         if !free.contains(name) {
@@ -72,9 +72,7 @@ fn front(s: &MapSpec, faults: &mut Faults) {
         );
     }
     let factors = || s.problem.given_names().into_iter().chain(s.problem.demand_names());
-    let driven = |name: &str| s.loops.iter().any(|l| l.input == name);
-    let free = s.problem.input_names().into_iter().filter(|i| !driven(i));
-    if factors().chain(free).any(|n| n == f.against) {
+    if factors().chain(free_inputs(s)).any(|n| n == f.against) {
         let expected = "an output that is not demanded, a derived channel, or an input that a loop drives";
         faults.push("optimise.front.against", format!("`{}`", f.against), expected);
     }
@@ -85,6 +83,37 @@ fn front(s: &MapSpec, faults: &mut Faults) {
             "something else than what is minimised",
         );
     }
+}
+
+/// Breakpoints and steps of the ECU.
+fn deliver(s: &MapSpec, faults: &mut Faults) {
+    let axes: Vec<String> = s.axes.keys().cloned().collect();
+    for (name, n) in &s.optimise.breakpoints {
+        let key = format!("optimise.breakpoints.{name}");
+        match s.axes.get(name) {
+            Some(a) => count(&key, *n, 2, a.len().max(2), faults),
+            None => faults.unknown(&key, name, &axes),
+        }
+    }
+    let free = free_inputs(s);
+    for (name, step) in &s.optimise.resolution {
+        let key = format!("optimise.resolution.{name}");
+        let width = s.problem.inputs.iter().find(|i| i.name == *name).map(|i| i.upper - i.lower);
+        match width.filter(|_| free.contains(name)) {
+            Some(width) => {
+                if !(*step > 0.0 && *step <= width) {
+                    faults.push(&key, step, format!("a step above 0, at most {width}"));
+                }
+            }
+            None => faults.unknown(&key, name, &free),
+        }
+    }
+}
+
+/// Inputs that no loop drives.
+fn free_inputs(s: &MapSpec) -> Vec<String> {
+    let driven = |name: &str| s.loops.iter().any(|l| l.input == name);
+    s.problem.input_names().into_iter().filter(|i| !driven(i)).collect()
 }
 
 fn count(key: &str, value: usize, least: usize, most: usize, faults: &mut Faults) {
@@ -181,8 +210,7 @@ fn axes(s: &MapSpec, faults: &mut Faults) {
 /// Channels that tables are keyed by.
 fn channels(s: &MapSpec, faults: &mut Faults) {
     let inputs = s.problem.input_names();
-    let free: Vec<String> =
-        inputs.iter().filter(|i| !s.loops.iter().any(|l| l.input == **i)).cloned().collect();
+    let free = free_inputs(s);
     if free.is_empty() {
         faults.push(
             "loops",

@@ -6,6 +6,7 @@
 mod cells;
 mod check;
 mod choose;
+mod deliver;
 pub mod error;
 pub mod estimate;
 mod front;

@@ -15,7 +15,7 @@ use super::cells::{actuators, missed};
 use super::error::MapError;
 use super::job::Job;
 use super::learn::Learned;
-use super::result::Mapped;
+use super::result::{Delivered, Mapped};
 use crate::page::PageError;
 
 /// Writes `report.html` into the run folder.
@@ -99,7 +99,36 @@ fn maps(found: &Mapped) -> Section {
     for pair in blocks.chunks(2) {
         section = section.columns(pair.to_vec());
     }
+    if let Some(d) = &found.delivered {
+        section = section.text(delivered(found, d));
+    }
     section
+}
+
+/// What breakpoints and steps cost, in words.
+fn delivered(found: &Mapped, d: &Delivered) -> String {
+    let percent = |v: f64| dynocal_report::significant(100.0 * v, 2);
+    let mut words = format!(
+        "Breakpoints and steps of the ECU: {} of {} cells are kept. At the full cells, between the kept ones, the models expect {} % more of what is minimised in the mean, {} % at most",
+        found.cells.len(),
+        d.full_cells,
+        percent(d.mean_loss),
+        percent(d.largest_loss)
+    );
+    match &d.passed {
+        Some(p) => {
+            let by = dynocal_report::significant(p.by, 2);
+            words += &format!(
+                ", and `{}` passes its limit by {by} {} (the uncertainty of the models counted in).",
+                p.response, p.unit
+            );
+        }
+        None => words += ", and all limits are kept.",
+    }
+    if d.lost_cells > 0 {
+        words += &format!(" In {} cells no setting in steps keeps all limits.", d.lost_cells);
+    }
+    words
 }
 
 /// Expected responses over the map with their limits.

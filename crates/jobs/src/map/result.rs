@@ -87,6 +87,32 @@ pub struct Verified {
     pub kept: bool,
 }
 
+/// What breakpoints and steps cost, by the models: the delivered maps at the cells of the full ones, against these.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Delivered {
+    /// Cells of the full maps.
+    pub full_cells: usize,
+    /// Mean of what is minimised that is lost, as a share.
+    pub mean_loss: f64,
+    /// The largest loss of a cell.
+    pub largest_loss: f64,
+    /// The limit that is passed most, uncertainty counted in, with how far; none where all are kept.
+    pub passed: Option<Passed>,
+    /// Cells whose optimum has no setting in steps that keeps all limits.
+    pub lost_cells: usize,
+}
+
+/// A limit that is passed between breakpoints.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Passed {
+    /// Response.
+    pub response: String,
+    /// Unit.
+    pub unit: String,
+    /// How far.
+    pub by: f64,
+}
+
 /// A steady calibration, the body of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Mapped {
@@ -114,6 +140,8 @@ pub struct Mapped {
     pub whole: Option<(Status, usize)>,
     /// What is minimised against another response; none where it was not asked for.
     pub front: Option<Front>,
+    /// What breakpoints and steps of the ECU cost; none where none were asked for.
+    pub delivered: Option<Delivered>,
     /// Drift over the day.
     pub drift: Vec<Drift>,
     /// Response models.

@@ -46,7 +46,7 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let spec = &job.spec;
     plant.reset(spec.seed);
     has_channels(spec, plant)?;
-    let axes = axes(spec);
+    let mut axes = axes(spec);
     let start = start(spec, plant);
     let tuned = tuned(spec, &axes, &start, plant, watch)?;
     let mut layout = layout(spec, &axes, tuned.as_ref(), plant);
@@ -93,6 +93,8 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let maps = Maps { spec, layout: &layout, setting: &setting, axes: &grid_axes };
     let front = maps.front(&mut cells, watch);
     let whole = maps.couple(front.as_ref(), &mut cells, watch);
+    let delivered = maps.deliver(&mut axes, &mut cells);
+    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
     if watch.interrupted() {
         return Err(MapError::Interrupted);
     }
@@ -115,6 +117,7 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
         rounds,
         whole,
         front,
+        delivered,
         drift,
         models,
         verified,

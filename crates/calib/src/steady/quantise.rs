@@ -1,0 +1,81 @@
+//! Inputs in the steps of an ECU: of the settings around an optimum, the one of least cost that keeps all limits.
+
+use super::cell::{CellOptimum, Setting};
+
+/// Most settings that are tried for one cell.
+const MOST: usize = 4096;
+
+/// The optimum `o` on a raster: free factor i in multiples of `steps[i]` (none: as it is). Rounding each input by itself may pass a
+/// limit, so that all combinations of the values below and above are compared, where there are too many of them those that differ from the
+/// nearest in one input or two.
+pub fn quantise(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>]) -> CellOptimum {
+    let axes = setting.axes;
+    let values = |i: usize| -> Vec<f64> {
+        let x = o.x[axes + i];
+        let Some(step) = steps[i] else { return vec![x] };
+        let range = setting.ranges[axes + i];
+        let nearest = (x / step).round();
+        let (below, above) = ((x / step).floor(), (x / step).ceil());
+        let mut all: Vec<f64> = [nearest, below, above, below - 1.0, above + 1.0]
+            .iter()
+            .map(|n| n * step)
+            .filter(|v| *v >= range.lower - 1e-9 * step && *v <= range.upper + 1e-9 * step)
+            .collect();
+        let mut seen = Vec::new();
+        all.retain(|v| {
+            !seen.contains(v) && {
+                seen.push(*v);
+                true
+            }
+        });
+        // No multiple lies within the range: the value stays.
+        if all.is_empty() { vec![x] } else { all }
+    };
+    let choices: Vec<Vec<f64>> = (0..steps.len()).map(values).collect();
+    let mut best: Option<CellOptimum> = None;
+    let mut offer = |picks: &[usize]| {
+        let x = o.x[..axes].iter().copied().chain(picks.iter().zip(&choices).map(|(p, c)| c[*p]));
+        let x: Vec<f64> = x.collect();
+        let mut found = setting.judge(&x, o.status, None);
+        // The prices are those of the optimum that was rounded.
+        found.prices.iter_mut().zip(&o.prices).for_each(|(new, old)| new.saves = old.saves);
+        if best.as_ref().is_none_or(|b| setting.better(&found, b)) {
+            best = Some(found);
+        }
+    };
+    let all: usize =
+        choices.iter().map(Vec::len).try_fold(1usize, |n, c| n.checked_mul(c)).unwrap_or(MOST + 1);
+    if all <= MOST {
+        for number in 0..all {
+            offer(&digits(number, &choices));
+        }
+    } else {
+        let nearest = vec![0; choices.len()];
+        offer(&nearest);
+        for i in 0..choices.len() {
+            for a in 1..choices[i].len() {
+                let mut one = nearest.clone();
+                one[i] = a;
+                offer(&one);
+                for j in i + 1..choices.len() {
+                    for b in 1..choices[j].len() {
+                        let mut two = one.clone();
+                        two[j] = b;
+                        offer(&two);
+                    }
+                }
+            }
+        }
+    }
+    best.unwrap_or_else(|| o.clone())
+}
+
+/// Combination `number` of the choices.
+fn digits(mut number: usize, choices: &[Vec<f64>]) -> Vec<usize> {
+    let digit = |c: &Vec<f64>| {
+        let d = number % c.len();
+        number /= c.len();
+        d
+    };
+    choices.iter().map(digit).collect()
+}
