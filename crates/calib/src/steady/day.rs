@@ -49,8 +49,6 @@ pub struct DayPlan {
     pub points: usize,
     /// Points of a block.
     pub block: usize,
-    /// Bed time in s after which no further point begins.
-    pub bed_s: f64,
     /// Seed of the plan.
     pub seed: u64,
 }
@@ -108,27 +106,15 @@ fn corners(unit: &mut [Vec<f64>], axes: usize) {
     }
 }
 
-/// Measures the blocks with a repeat of `first` before each and at the end; what was measured and why it ended.
-///
-/// # Errors
-/// [`PlayError`]: the plan does not fit the plant, or the user interrupted.
-pub fn measure(
-    station: &mut Station,
-    layout: &Layout,
-    first: &[f64],
-    plan: &DayPlan,
-    watch: Watch,
-) -> Result<(Vec<DayPoint>, DayEnd), PlayError> {
-    let blocks = blocks(layout, plan);
+/// The blocks with a repeat of `first` before each and at the end.
+pub fn tasks(layout: &Layout, first: &[f64], plan: &DayPlan) -> Vec<(Purpose, Vec<f64>)> {
     let mut tasks: Vec<(Purpose, Vec<f64>)> = Vec::new();
-    for block in blocks {
+    for block in blocks(layout, plan) {
         tasks.push((Purpose::Repeat, first.to_vec()));
         tasks.extend(block.into_iter().map(|x| (Purpose::Plan, x)));
     }
     tasks.push((Purpose::Repeat, first.to_vec()));
-    let mut points = Vec::new();
-    let end = run(station, tasks, plan.bed_s, &mut points, watch)?;
-    Ok((points, end))
+    tasks
 }
 
 /// Measures `tasks` one after the other until `bed_s` is used up, adding to `points`; why it ended.
@@ -197,7 +183,7 @@ pub struct Drift {
 /// Quantile of Student's t beyond which a drift is no scatter.
 const TOLD: f64 = 0.995;
 
-/// Drift of every response from the usable repeats; none with fewer than four of them.
+/// Drift of every response from the usable repeats; none with fewer than four of them, or where their times are not known.
 pub fn drift(layout: &Layout, points: &[DayPoint]) -> Vec<Drift> {
     let repeats: Vec<&SteadyPoint> =
         points.iter().filter(|p| p.purpose == Purpose::Repeat && p.point.usable).map(|p| &p.point).collect();
@@ -208,6 +194,9 @@ pub fn drift(layout: &Layout, points: &[DayPoint]) -> Vec<Drift> {
     let count = n as f64;
     let mean_s = repeats.iter().map(|p| p.at_s).sum::<f64>() / count;
     let spread = repeats.iter().map(|p| (p.at_s - mean_s).powi(2)).sum::<f64>();
+    if spread == 0.0 {
+        return Vec::new();
+    }
     let one = |(k, r): (usize, &super::layout::ResponseChannel)| {
         let mean = repeats.iter().map(|p| p.responses[k]).sum::<f64>() / count;
         let slope = repeats.iter().map(|p| (p.at_s - mean_s) * (p.responses[k] - mean)).sum::<f64>() / spread;

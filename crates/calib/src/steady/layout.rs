@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
-use dynocal_ident::plant::{Causality, Plant};
+use dynocal_ident::plant::{Causality, Variable};
 use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
@@ -104,15 +104,15 @@ pub struct AxisRange {
 }
 
 impl Layout {
-    /// The layout of a checked problem: `axes` are given channels and demands, the others have their value in `held`. Outputs of
-    /// `plant` with the name of what is minimised are believed rather than what is derived.
+    /// The layout of a checked problem: `axes` are given channels and demands, the others have their value in `held`. Outputs among
+    /// `variables` with the name of what is minimised are believed rather than what is derived.
     pub fn new(
         problem: &CalibrationProblem,
         loops: Vec<PlanLoop>,
         axes: &[AxisRange],
         held: BTreeMap<String, f64>,
         sample_time_s: f64,
-        plant: &dyn Plant,
+        variables: &[Variable],
     ) -> Self {
         let inputs = problem.input_names();
         let axis = |a: &AxisRange| {
@@ -130,7 +130,7 @@ impl Layout {
             let kind = FactorKind::Free(k);
             Factor { name: i.name.clone(), unit: i.unit.clone(), lower: i.lower, upper: i.upper, kind }
         }));
-        let responses = responses(problem, &loops, plant);
+        let responses = responses(problem, &loops, variables);
         Self { problem: problem.clone(), loops, factors, axes: n_axes, held, responses, sample_time_s }
     }
 
@@ -218,13 +218,13 @@ impl Layout {
         place.map_or(f64::NAN, |k| x[k])
     }
 
-    /// One more response without a limit or weight, where it is not there yet: an output of `plant`, else a derived channel. False
-    /// where it is neither.
-    pub fn add_response(&mut self, name: &str, plant: &dyn Plant) -> bool {
+    /// One more response without a limit or weight, where it is not there yet: an output among the `variables` of a plant, else a derived channel.
+    /// False where it is neither.
+    pub fn add_response(&mut self, name: &str, variables: &[Variable]) -> bool {
         if self.responses.iter().any(|r| r.name == name) {
             return true;
         }
-        let mut outputs = plant.variables().iter().filter(|v| v.causality == Causality::Output);
+        let mut outputs = variables.iter().filter(|v| v.causality == Causality::Output);
         let derived = self.problem.derive.iter().any(|d| d.name == name);
         let (unit, source) = match outputs.find(|v| v.name == name) {
             Some(v) => (v.unit.clone(), ResponseSource::Output),
@@ -266,7 +266,11 @@ impl Layout {
 }
 
 /// Driven inputs with their ranges, limited outputs, and what is minimised where it is none of them.
-fn responses(problem: &CalibrationProblem, loops: &[PlanLoop], plant: &dyn Plant) -> Vec<ResponseChannel> {
+fn responses(
+    problem: &CalibrationProblem,
+    loops: &[PlanLoop],
+    variables: &[Variable],
+) -> Vec<ResponseChannel> {
     // A sum of nothing would be -0.
     let weight =
         |name: &str| problem.minimise.iter().filter(|m| m.channel == name).fold(0.0, |sum, m| sum + m.weight);
@@ -284,7 +288,7 @@ fn responses(problem: &CalibrationProblem, loops: &[PlanLoop], plant: &dyn Plant
         });
     }
     let metered = |name: &str, unit: &str| {
-        let mut outputs = plant.variables().iter().filter(|v| v.causality == Causality::Output);
+        let mut outputs = variables.iter().filter(|v| v.causality == Causality::Output);
         outputs.any(|v| v.name == name && v.unit == unit)
     };
     for l in &problem.limits {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::map::{estimate::estimate, job, run as calibrate};
+use dynocal_jobs::map::{MapError, estimate::estimate, job, run as calibrate};
 
 use super::Verb;
 use crate::common::{Check, Common, show_plan};
@@ -33,7 +33,14 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         return show_plan(&plan);
     }
     plan.allowed()?;
-    let (found, folder) = progress.during(|watch| calibrate(&job, watch))?;
+    let (found, folder) = match progress.during(|watch| calibrate(&job, watch)) {
+        // The day is not over: a bed has to measure first.
+        Err(e @ MapError::NeedsMeasurement { .. }) => {
+            Failure::from(e).print();
+            return Ok(Exit::NotValid);
+        }
+        other => other?,
+    };
     if !args.common.quiet {
         for warning in &found.warnings {
             say(&format!("warning: {warning}"));

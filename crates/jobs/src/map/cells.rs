@@ -1,6 +1,7 @@
 //! What the cells of the maps say: values of the inputs, and what they miss.
 
 use dynocal_calib::problem::InputChannel;
+use dynocal_calib::steady::day::DayEnd;
 use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_ident::data::UnitAfter;
@@ -36,5 +37,17 @@ pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
             let each: Vec<String> = each.collect();
             format!("limits conflict: {} at the least violation, uncertainty counted in", each.join(", "))
         }
+    }
+}
+
+/// Why a day ended.
+pub(super) fn end_in_words(end: &DayEnd) -> String {
+    match end {
+        DayEnd::Done => "the day went to its end".into(),
+        DayEnd::BedTime => "the bed time was used up".into(),
+        DayEnd::Unusable(notes) => {
+            format!("the day was given up after many points in a row that cannot be used ({notes})")
+        }
+        DayEnd::Refused(words) => format!("the plant refused to go on: {words}"),
     }
 }

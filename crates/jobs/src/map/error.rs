@@ -50,6 +50,23 @@ pub enum MapError {
         /// Outputs that there are, with their units.
         known: String,
     },
+    /// A real bed must measure first.
+    #[error(
+        "{count} points wait to be measured on the bed:\n  {plan} -> {measured}\nPut the measured points at the path that stands beside the plan, a row for each point, with the channels {channels}, a column `point` with their numbers (or all of them in their order) and `time [s]` where drift is to be told; then start again: what is measured is kept (docs/map.md)"
+    )]
+    NeedsMeasurement {
+        /// Points of the plan.
+        count: usize,
+        /// The plan.
+        plan: String,
+        /// Where its record goes.
+        measured: String,
+        /// Channels of the record.
+        channels: String,
+    },
+    /// A record of a bed that does not fit its plan.
+    #[error("{0}")]
+    Record(String),
     /// A response model.
     #[error("response model of `{response}`: {source}")]
     Learn {

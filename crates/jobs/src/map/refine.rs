@@ -6,13 +6,13 @@ use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid;
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::refine::{HOPE, Known};
-use dynocal_calib::steady::station::Station;
 use dynocal_design::points::short_ways;
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
-use super::error::{MapError, stopped};
+use super::bench::Bench;
+use super::error::MapError;
 use super::learn::{self, Learned};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
@@ -55,7 +55,7 @@ impl Refinement<'_> {
     /// [`MapError`].
     pub(super) fn run(
         &self,
-        station: &mut Station,
+        bench: &mut dyn Bench,
         points: &mut Vec<DayPoint>,
         watch: Watch,
     ) -> Result<(Vec<Round>, DayEnd), MapError> {
@@ -63,7 +63,8 @@ impl Refinement<'_> {
         while left > 0 {
             let drift = day::drift(self.layout, points);
             let models = learn::learn(self.layout, points, &drift, &self.spec.models, false, watch)?;
-            let (targets, untried) = self.targets(&models, points, left, rounds.len(), station.at(), watch);
+            let (targets, untried) =
+                self.targets(&models, points, left, rounds.len(), bench.stands_at(), watch);
             if watch.interrupted() {
                 return Err(MapError::Interrupted);
             }
@@ -74,9 +75,9 @@ impl Refinement<'_> {
             let begun = points.len();
             let mut tasks: Vec<_> = targets.into_iter().map(|x| (Purpose::Optimum, x)).collect();
             tasks.push((Purpose::Repeat, self.first.to_vec()));
-            let end = day::run(station, tasks, self.bed_s, points, watch).map_err(stopped(watch))?;
+            let end = bench.run(tasks, self.bed_s, points, watch)?;
             let mut round = self.judge(&models, &points[begun..], untried);
-            round.at_s = station.used_s;
+            round.at_s = bench.used_s();
             let enough = round.error.is_some_and(|e| e <= self.spec.bed.refine.tolerance) && untried == 0;
             rounds.push(round);
             if end != DayEnd::Done {

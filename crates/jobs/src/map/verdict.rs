@@ -5,21 +5,9 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
-use super::cells::missed;
+use super::cells::{end_in_words, missed};
 use super::result::{Mapped, Verified};
 use super::spec::MapSpec;
-
-/// Why a day ended.
-pub(super) fn end_in_words(end: &DayEnd) -> String {
-    match end {
-        DayEnd::Done => "the day went to its end".into(),
-        DayEnd::BedTime => "the bed time was used up".into(),
-        DayEnd::Unusable(notes) => {
-            format!("the day was given up after many points in a row that cannot be used ({notes})")
-        }
-        DayEnd::Refused(words) => format!("the plant refused to go on: {words}"),
-    }
-}
 
 /// Share of measured deviations that has to lie inside of their 95 % intervals.
 const COVERED: f64 = 0.8;

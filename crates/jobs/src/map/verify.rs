@@ -1,14 +1,17 @@
 //! The verification run: the finished maps at operating points that no model has seen.
 
 use dynocal_calib::steady::cell::{Setting, deviations};
-use dynocal_calib::steady::day::{DayPoint, Purpose, refused};
+use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
-use dynocal_calib::steady::station::{Station, SteadyPoint};
+use dynocal_calib::steady::station::SteadyPoint;
 use dynocal_design::points::{Sobol, short_ways};
 use dynocal_ident::model::response::{Ask, Prediction};
-use dynocal_ident::play::PlayError;
+use dynocal_numerics::watch::Watch;
 
+use super::bench::Bench;
+use super::cells::end_in_words;
+use super::error::MapError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
 
@@ -28,43 +31,31 @@ impl Verification<'_> {
     /// Measures the points until the bed time is used up.
     pub(super) fn run(
         &self,
-        station: &mut Station,
+        bench: &mut dyn Bench,
         bed_s: f64,
         points: &mut Vec<DayPoint>,
-    ) -> Result<Vec<Verified>, PlayError> {
-        station.widen(self.spec.verify.limit);
-        let mut all = Vec::new();
-        for at in self.places(station.at()) {
-            let target = interpolate(self.axes, self.cells, &at[..self.layout.axes]);
-            let missed = |note: String| Verified {
-                at: at[..self.layout.axes].to_vec(),
-                measured: false,
-                note,
-                deviations: Vec::new(),
-                objective: None,
-                kept: false,
-            };
-            if station.used_s >= bed_s {
-                all.push(missed("the bed time was used up".into()));
-                continue;
-            }
-            match station.measure(&target) {
-                Ok(point) => {
-                    let judged = if point.usable && point.touched.is_empty() {
-                        self.judge(&point)
-                    } else {
-                        missed(point.note.clone())
-                    };
-                    points.push(DayPoint { purpose: Purpose::Verify, point });
-                    all.push(judged);
-                }
-                Err(e) => {
-                    all.push(missed(refused(e)?));
-                    break;
-                }
-            }
-        }
-        Ok(all)
+        watch: Watch,
+    ) -> Result<Vec<Verified>, MapError> {
+        bench.widen_limits(self.spec.verify.limit);
+        let place = |at: Vec<f64>| interpolate(self.axes, self.cells, &at[..self.layout.axes]);
+        let targets: Vec<Vec<f64>> = self.places(bench.stands_at()).into_iter().map(place).collect();
+        let begun = points.len();
+        let tasks = targets.iter().map(|x| (Purpose::Verify, x.clone())).collect();
+        let end = bench.run(tasks, bed_s, points, watch)?;
+        let missed = |at: &[f64], note: String| Verified {
+            at: at[..self.layout.axes].to_vec(),
+            measured: false,
+            note,
+            deviations: Vec::new(),
+            objective: None,
+            kept: false,
+        };
+        let one = |(k, at): (usize, &Vec<f64>)| match points.get(begun + k).map(|p| &p.point) {
+            Some(p) if p.usable && p.touched.is_empty() => self.judge(p),
+            Some(p) => missed(at, p.note.clone()),
+            None => missed(at, end_in_words(&end)),
+        };
+        Ok(targets.iter().enumerate().map(one).collect())
     }
 
     /// Points between the cells whose neighbours are optima, in an order of short ways (axes, then where the free inputs stand).

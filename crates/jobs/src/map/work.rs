@@ -11,17 +11,18 @@ use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
 use dynocal_calib::steady::station::Station;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLoop;
-use dynocal_ident::plant::{Causality, Plant};
+use dynocal_ident::plant::{Causality, Plant, Variable};
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
-use super::cells::{actuators, missed};
-use super::error::{MapError, stopped};
+use super::bench::{self, Bench, OnBed};
+use super::cells::{actuators, end_in_words, missed};
+use super::error::MapError;
 use super::front::Maps;
 use super::job::Job;
 use super::learn;
-use super::refine::Refinement;
+use super::refine::{Refinement, Round};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
@@ -30,11 +31,14 @@ use super::{verdict, verify};
 /// Share of an axis by which points are planned beyond its ends.
 const BEYOND: f64 = 0.05;
 
-/// All of it on the plant of the spec.
+/// All of it on the plant of the spec, or on a bed that is driven through files.
 ///
 /// # Errors
-/// [`MapError`].
+/// [`MapError`]; [`MapError::NeedsMeasurement`] where the bed has to measure first.
 pub fn run(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
+    if job.spec.plant.name == "bed" {
+        return on_bed(job, watch);
+    }
     run_on(job, make(&job.spec)?.as_mut(), watch)
 }
 
@@ -45,92 +49,131 @@ pub fn run(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
 pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, MapError> {
     let spec = &job.spec;
     plant.reset(spec.seed);
-    has_channels(spec, plant)?;
-    let mut axes = axes(spec);
-    let start = start(spec, plant);
+    has_channels(spec, plant.variables())?;
+    let axes = axes(spec);
+    let start = start(spec, plant.variables());
     let tuned = tuned(spec, &axes, &start, plant, watch)?;
-    let mut layout = layout(spec, &axes, tuned.as_ref(), plant);
-    with_front(spec, &mut layout, plant)?;
-    let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
+    let layout = layout(spec, &axes, tuned.as_ref(), plant.variables())?;
     let interrupt = || watch.interrupted();
     let first = first(&layout, &start);
     let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
     let beyond = |name: &str| spec.bed.beyond.get(name).copied().unwrap_or(0.0);
     let approach = &spec.bed.approach;
     let mut station = Station::new(plant, &layout, approach, &beyond, (first.clone(), driven), &interrupt);
-    let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
+    let day = Day { job, layout: &layout, axes, tuned, first };
+    day.run(&mut station, watch)
+}
+
+/// The same on a bed that measures batches of points from files.
+fn on_bed(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
+    let spec = &job.spec;
+    let variables = bench::variables(&spec.problem, spec.optimise.front.as_ref(), &job.out)?;
+    let axes = axes(spec);
+    let layout = layout(spec, &axes, None, &variables)?;
+    let first = first(&layout, &start(spec, &variables));
+    let mut bed = OnBed::new(&layout, &job.out, first.clone());
+    let day = Day { job, layout: &layout, axes, tuned: None, first };
+    day.run(&mut bed, watch)
+}
+
+/// What a day begins with.
+struct Day<'a> {
+    job: &'a Job,
+    layout: &'a Layout,
+    axes: Vec<MapAxis>,
+    tuned: Option<Tuned>,
+    first: Vec<f64>,
+}
+
+impl Day<'_> {
+    fn run(self, bench: &mut dyn Bench, watch: Watch) -> Result<Mapped, MapError> {
+        let Self { job, layout, mut axes, tuned, first } = self;
+        let spec = &job.spec;
+        let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
+        let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
+        let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+        let (mut points, rounds, end) = measured(spec, layout, &grid_axes, &first, budget_s, bench, watch)?;
+        bed.points_s = bench.used_s();
+        let drift = day::drift(layout, &points);
+        let models = learn::learn(layout, &points, &drift, &spec.models, true, watch)?;
+        let envelope = envelope(layout, &points);
+        watch.note("the optimum of every cell");
+        let setting = setting(layout, &models, spec);
+        let reached = |at: &[f64]| envelope.contains(at);
+        let mut cells =
+            grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
+        let maps = Maps { spec, layout, setting: &setting, axes: &grid_axes };
+        let front = maps.front(&mut cells, watch);
+        let whole = maps.couple(front.as_ref(), &mut cells, watch);
+        let delivered = maps.deliver(&mut axes, &mut cells);
+        let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        watch.note(&format!("{} verification points on the bed", spec.verify.points));
+        let verification =
+            verify::Verification { spec, layout, setting: &setting, axes: &grid_axes, cells: &cells };
+        let verified = verification.run(bench, budget_s, &mut points, watch)?;
+        bed.verify_s = bench.used_s() - bed.points_s;
+        let map = static_map(spec, layout, &axes, &cells, bed.all_s());
+        let mut found = Mapped {
+            verb: "map",
+            name: job.name.clone(),
+            valid: false,
+            verdict: String::new(),
+            warnings: Vec::new(),
+            checks: Vec::new(),
+            bed,
+            end,
+            axes,
+            rounds,
+            whole,
+            front,
+            delivered,
+            drift,
+            models,
+            verified,
+            cells,
+            tuned,
+            files: Vec::new(),
+            points,
+            layout: layout.clone(),
+            envelope,
+            map,
+        };
+        verdict::judge(&mut found, spec);
+        Ok(found)
+    }
+}
+
+/// The points of the day: planned ones, then batches that follow the optimum; why it ended.
+fn measured(
+    spec: &MapSpec,
+    layout: &Layout,
+    axes: &[Vec<f64>],
+    first: &[f64],
+    budget_s: f64,
+    bench: &mut dyn Bench,
+    watch: Watch,
+) -> Result<(Vec<DayPoint>, Vec<Round>, DayEnd), MapError> {
     watch.note(&format!("{} points on the bed", spec.bed.points));
-    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
     // The verification comes out of the same bed time, and so do the points that follow the optimum: as much as their share.
-    let refined = refined(&layout, spec);
+    let refined = refined(layout, spec);
     let all = (spec.bed.points + spec.verify.points) as f64;
     let until_s = |points: usize| points as f64 / all * budget_s;
     let planned = spec.bed.points - refined;
-    let plan = DayPlan { points: planned, block: spec.bed.block, bed_s: until_s(planned), seed: spec.seed };
-    let (mut points, mut end) =
-        day::measure(&mut station, &layout, &first, &plan, watch).map_err(stopped(watch))?;
-    enough(&layout, &points, &end)?;
+    let tasks =
+        day::tasks(layout, first, &DayPlan { points: planned, block: spec.bed.block, seed: spec.seed });
+    let mut points = Vec::new();
+    let mut end = bench.run(tasks, until_s(planned), &mut points, watch)?;
+    enough(layout, &points, &end)?;
     let mut rounds = Vec::new();
     if refined > 0 && matches!(end, DayEnd::Done | DayEnd::BedTime) {
-        let refinement = Refinement {
-            spec,
-            layout: &layout,
-            axes: &grid_axes,
-            first: &first,
-            points: refined,
-            bed_s: until_s(spec.bed.points),
-        };
-        (rounds, end) = refinement.run(&mut station, &mut points, watch)?;
+        let bed_s = until_s(spec.bed.points);
+        let refinement = Refinement { spec, layout, axes, first, points: refined, bed_s };
+        (rounds, end) = refinement.run(bench, &mut points, watch)?;
     }
-    bed.points_s = station.used_s;
-    let drift = day::drift(&layout, &points);
-    let models = learn::learn(&layout, &points, &drift, &spec.models, true, watch)?;
-    let envelope = envelope(&layout, &points);
-    watch.note("the optimum of every cell");
-    let setting = setting(&layout, &models, spec);
-    let reached = |at: &[f64]| envelope.contains(at);
-    let mut cells = grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
-    let maps = Maps { spec, layout: &layout, setting: &setting, axes: &grid_axes };
-    let front = maps.front(&mut cells, watch);
-    let whole = maps.couple(front.as_ref(), &mut cells, watch);
-    let delivered = maps.deliver(&mut axes, &mut cells);
-    let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-    if watch.interrupted() {
-        return Err(MapError::Interrupted);
-    }
-    watch.note(&format!("{} verification points on the bed", spec.verify.points));
-    let verification =
-        verify::Verification { spec, layout: &layout, setting: &setting, axes: &grid_axes, cells: &cells };
-    let verified = verification.run(&mut station, budget_s, &mut points).map_err(stopped(watch))?;
-    bed.verify_s = station.used_s - bed.points_s;
-    let map = static_map(spec, &layout, &axes, &cells, bed.all_s());
-    let mut found = Mapped {
-        verb: "map",
-        name: job.name.clone(),
-        valid: false,
-        verdict: String::new(),
-        warnings: Vec::new(),
-        checks: Vec::new(),
-        bed,
-        end,
-        axes,
-        rounds,
-        whole,
-        front,
-        delivered,
-        drift,
-        models,
-        verified,
-        cells,
-        tuned,
-        files: Vec::new(),
-        points,
-        layout: layout.clone(),
-        envelope,
-        map,
-    };
-    verdict::judge(&mut found, spec);
-    Ok(found)
+    Ok((points, rounds, end))
 }
 
 fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
@@ -141,7 +184,7 @@ fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
 }
 
 /// Every channel of the problem is there, in its unit.
-fn has_channels(spec: &MapSpec, plant: &dyn Plant) -> Result<(), MapError> {
+fn has_channels(spec: &MapSpec, variables: &[Variable]) -> Result<(), MapError> {
     let p = &spec.problem;
     let inputs = p.inputs.iter().map(|i| (&i.name, &i.unit, Causality::Input));
     let given = p.given.iter().map(|g| (&g.name, &g.unit, Causality::Input));
@@ -150,7 +193,7 @@ fn has_channels(spec: &MapSpec, plant: &dyn Plant) -> Result<(), MapError> {
     let limits = p.limits.iter().filter(|l| !derived(&l.output));
     let limits = limits.map(|l| (&l.output, &l.unit, Causality::Output));
     for (name, unit, causality) in inputs.chain(given).chain(demands).chain(limits) {
-        let all = plant.variables().iter().filter(|v| v.causality == causality);
+        let all = variables.iter().filter(|v| v.causality == causality);
         if !all.clone().any(|v| v.name == *name && v.unit == *unit) {
             let role = if causality == Causality::Input { "input" } else { "output" };
             let known: Vec<String> = all.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
@@ -162,12 +205,12 @@ fn has_channels(spec: &MapSpec, plant: &dyn Plant) -> Result<(), MapError> {
 }
 
 /// The response that the front is traced against is measured and modelled, too.
-fn with_front(spec: &MapSpec, layout: &mut Layout, plant: &dyn Plant) -> Result<(), MapError> {
+fn with_front(spec: &MapSpec, layout: &mut Layout, variables: &[Variable]) -> Result<(), MapError> {
     let Some(front) = &spec.optimise.front else { return Ok(()) };
-    if layout.add_response(&front.against, plant) {
+    if layout.add_response(&front.against, variables) {
         return Ok(());
     }
-    let outputs = plant.variables().iter().filter(|v| v.causality == Causality::Output);
+    let outputs = variables.iter().filter(|v| v.causality == Causality::Output);
     let known: Vec<String> = outputs.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
     Err(MapError::Front { name: front.against.clone(), known: known.join(", ") })
 }
@@ -184,9 +227,9 @@ fn axes(spec: &MapSpec) -> Vec<MapAxis> {
 }
 
 /// Values of all inputs that may move with which the day begins: of the spec, else the plant's own.
-fn start(spec: &MapSpec, plant: &dyn Plant) -> Vec<f64> {
+fn start(spec: &MapSpec, variables: &[Variable]) -> Vec<f64> {
     let own = |name: &str| {
-        let v = plant.variables().iter().find(|v| v.causality == Causality::Input && v.name == name);
+        let v = variables.iter().find(|v| v.causality == Causality::Input && v.name == name);
         v.map(|v| v.start)
     };
     let one = |i: &dynocal_calib::problem::InputChannel| {
@@ -205,20 +248,27 @@ fn loops(spec: &MapSpec, gains: &dyn Fn(&str) -> PiGains) -> Vec<PlanLoop> {
     spec.problem.demands.iter().filter_map(one).collect()
 }
 
-fn layout(spec: &MapSpec, axes: &[MapAxis], tuned: Option<&Tuned>, plant: &dyn Plant) -> Layout {
+fn layout(
+    spec: &MapSpec,
+    axes: &[MapAxis],
+    tuned: Option<&Tuned>,
+    variables: &[Variable],
+) -> Result<Layout, MapError> {
     let found = |output: &str| {
         let l = tuned.and_then(|t| t.loops.iter().find(|l| l.output == output));
         l.map_or(PiGains { ki: 0.0, kp: 0.0 }, |l| l.gains)
     };
     let ranges: Vec<_> = axes.iter().map(|a| beyond_the_axis(spec, a)).collect();
     let loops = loops(spec, &found);
-    let mut layout = Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, plant);
+    let mut layout =
+        Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, variables);
     for f in &mut layout.factors {
         if let Some(range) = spec.bed.ranges.get(&f.name) {
             (f.lower, f.upper) = (range.lower, range.upper);
         }
     }
-    layout
+    with_front(spec, &mut layout, variables)?;
+    Ok(layout)
 }
 
 /// Range in which points are planned: a little beyond the ends of an axis where the problem lets it, so that the outermost cells
@@ -258,7 +308,7 @@ fn tuned(
         return Ok(None);
     }
     watch.note("gains of the loops");
-    let layout = layout(spec, axes, None, plant);
+    let layout = layout(spec, axes, None, plant.variables())?;
     let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
     // The inner part of each axis: its ends may be out of reach.
     let inner = |f: &dynocal_calib::steady::layout::Factor| {
@@ -300,7 +350,7 @@ fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapE
         *notes.entry(p.point.note.as_str()).or_default() += 1;
     }
     let notes: Vec<String> = notes.iter().take(5).map(|(note, n)| format!("{note} ({n} times)")).collect();
-    let end = verdict::end_in_words(end);
+    let end = end_in_words(end);
     Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
 }
 

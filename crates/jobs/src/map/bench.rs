@@ -1,0 +1,345 @@
+//! What measures steady points: a plant that answers while they are approached, or a bed that is driven through files.
+
+use std::path::{Path, PathBuf};
+
+use dynocal_calib::problem::CalibrationProblem;
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
+use dynocal_calib::steady::front::FrontSpec;
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::{Station, SteadyPoint};
+use dynocal_files::FilesError;
+use dynocal_files::atomic;
+use dynocal_files::dataset::{self, ChannelSpec, Missing, Select, Time};
+use dynocal_files::measurement;
+use dynocal_files::table::Table;
+use dynocal_ident::data::{Dataset, Role};
+use dynocal_ident::plant::{Causality, Variable};
+use dynocal_numerics::watch::Watch;
+
+use super::error::{MapError, stopped};
+
+/// A setting of all factors, and why it is measured.
+pub(super) type Task = (Purpose, Vec<f64>);
+
+/// What measures points.
+pub(super) trait Bench {
+    /// Measures `tasks` in their order until `bed_s` is used up, adding to `points`; why it ended.
+    fn run(
+        &mut self,
+        tasks: Vec<Task>,
+        bed_s: f64,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<DayEnd, MapError>;
+    /// Factors where it stands.
+    fn stands_at(&self) -> &[f64];
+    /// Bed time so far in s.
+    fn used_s(&self) -> f64;
+    /// From now on limits may be passed by a share of their size on the way.
+    fn widen_limits(&mut self, share: f64);
+}
+
+impl Bench for Station<'_> {
+    fn run(
+        &mut self,
+        tasks: Vec<Task>,
+        bed_s: f64,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<DayEnd, MapError> {
+        day::run(self, tasks, bed_s, points, watch).map_err(stopped(watch))
+    }
+    fn stands_at(&self) -> &[f64] {
+        self.at()
+    }
+    fn used_s(&self) -> f64 {
+        self.used_s
+    }
+    fn widen_limits(&mut self, share: f64) {
+        self.widen(share);
+    }
+}
+
+/// A bed that reads plans and writes what it measured: `RUN/points01.csv` to `RUN/measured/points01.csv`, batch after batch, then
+/// `verify`. Its own controllers hold the demands and keep the limits.
+pub(super) struct OnBed<'a> {
+    layout: &'a Layout,
+    folder: &'a Path,
+    at: Vec<f64>,
+    batches: usize,
+    used_s: f64,
+}
+
+/// Column with the number of a point in its plan.
+const NUMBER: &str = "point";
+/// Error of a held demand above which a point is not learnt from, as a share of its range.
+const MISSED: f64 = 0.0125;
+
+impl<'a> OnBed<'a> {
+    pub(super) fn new(layout: &'a Layout, folder: &'a Path, first: Vec<f64>) -> Self {
+        Self { layout, folder, at: first, batches: 0, used_s: 0.0 }
+    }
+
+    /// Where the records of the bed are.
+    pub(super) fn measured(folder: &Path) -> PathBuf {
+        folder.join("measured")
+    }
+
+    fn write_plan(&self, path: &Path, tasks: &[Task]) -> Result<(), MapError> {
+        let l = self.layout;
+        let demands = l.problem.demands.iter().map(|d| format!("{} [{}]", d.output, d.unit));
+        let given = l.problem.given.iter().map(|g| format!("{} [{}]", g.name, g.unit));
+        let free = l.factors[l.axes..].iter().map(|f| format!("{} [{}]", f.name, f.unit));
+        let head: Vec<String> = demands.chain(given).chain(free).collect();
+        let mut text = format!("{NUMBER},purpose,{}\n", head.join(","));
+        for (k, (purpose, x)) in tasks.iter().enumerate() {
+            let demands = (0..l.problem.demands.len()).map(|d| l.demand(d, x));
+            let given = (0..l.problem.given.len()).map(|g| l.given(g, x));
+            let cells: Vec<String> =
+                demands.chain(given).chain(x[l.axes..].iter().copied()).map(|v| format!("{v:.6}")).collect();
+            let why = match purpose {
+                Purpose::Plan => "plan",
+                Purpose::Optimum => "optimum",
+                Purpose::Repeat => "repeat",
+                Purpose::Verify => "verify",
+            };
+            text.push_str(&format!("{},{why},{}\n", k + 1, cells.join(",")));
+        }
+        Ok(atomic::write(path, text.as_bytes())?)
+    }
+
+    /// Channels that a record has to have: what is set as it was, inputs that the bed drives, responses.
+    fn channels(&self) -> Vec<ChannelSpec> {
+        let l = self.layout;
+        let one = |name: &str, unit: &str, role| ChannelSpec {
+            column: name.into(),
+            name: name.into(),
+            unit: Some(unit.into()),
+            convert: true,
+            role,
+        };
+        let inputs = l.problem.inputs.iter().map(|i| one(&i.name, &i.unit, Role::Input));
+        let given = l.problem.given.iter().map(|g| one(&g.name, &g.unit, Role::Input));
+        let demands = l.problem.demands.iter().map(|d| one(&d.output, &d.unit, Role::Output));
+        let mut all: Vec<ChannelSpec> = inputs.chain(given).chain(demands).collect();
+        for r in &l.responses {
+            let derived = l.problem.derive.iter().any(|d| d.name == r.name);
+            if !all.iter().any(|c| c.name == r.name) && (!derived || l.recorded().contains(&r.name)) {
+                all.push(one(&r.name, &r.unit, Role::Output));
+            }
+        }
+        all
+    }
+
+    /// Rows of the record by number of the point.
+    fn rows(&self, table: &Table, count: usize) -> Result<Vec<Option<usize>>, MapError> {
+        let rows = table.rows();
+        if table.column(NUMBER).is_err() {
+            if rows == count {
+                return Ok((0..count).map(Some).collect());
+            }
+            return Err(MapError::Record(format!(
+                "{}: {rows} rows, expected {count} as in the plan, or a column `{NUMBER}` with the numbers of its points",
+                table.file
+            )));
+        }
+        let mut places = vec![None; count];
+        for (row, v) in table.numbers(NUMBER, 0, rows)?.iter().enumerate() {
+            let number = *v as usize;
+            let fits = *v == number as f64 && (1..=count).contains(&number);
+            if !fits || places[number - 1].is_some() {
+                return Err(MapError::Record(format!(
+                    "{}, {}, column `{NUMBER}`: found {v}, expected each whole number from 1 to {count} once at most",
+                    table.file,
+                    table.place(row)
+                )));
+            }
+            places[number - 1] = Some(row);
+        }
+        Ok(places)
+    }
+
+    fn read(&self, path: &Path, tasks: &[Task], watch: Watch) -> Result<Vec<DayPoint>, MapError> {
+        let table = dataset::read_table(path, None)?;
+        table.notes.iter().for_each(|n| watch.note(n));
+        let layout = dataset::Layout {
+            channels: self.channels(),
+            time: Time::Steady,
+            missing: Missing::Mark,
+            ..dataset::Layout::default()
+        };
+        let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
+        let stamps = measurement::time_column(&table).map(|c| c.name.clone());
+        let stamps =
+            stamps.map(|name| table.numbers(&name, 0, table.rows()).map(<[f64]>::to_vec)).transpose()?;
+        let rows = self.rows(&table, tasks.len())?;
+        let mut points = Vec::new();
+        for ((purpose, asked), row) in tasks.iter().zip(rows) {
+            let at_s = row.and_then(|r| Some(stamps.as_ref()?[r]));
+            let point = match row {
+                Some(row) => self.point(asked, &one_row(&all, row), at_s.unwrap_or(0.0))?,
+                None => self.absent(asked),
+            };
+            points.push(DayPoint { purpose: *purpose, point });
+        }
+        Ok(points)
+    }
+
+    fn point(&self, asked: &[f64], row: &Dataset, at_s: f64) -> Result<SteadyPoint, MapError> {
+        let l = self.layout;
+        let gaps: Vec<&str> =
+            row.channels.iter().filter(|c| !c.values[0].is_finite()).map(|c| c.name.as_str()).collect();
+        if !gaps.is_empty() {
+            let note = format!("no number for `{}`", gaps.join("`, `"));
+            return Ok(SteadyPoint { note, at_s, ..self.absent(asked) });
+        }
+        let refused = |e: dynocal_ident::derived::DerivedError| MapError::Record(e.to_string());
+        let (factors, responses) = l.means(row).map_err(refused)?;
+        let mut note = String::new();
+        let mut errors = Vec::new();
+        for (k, d) in l.problem.demands.iter().enumerate() {
+            let error =
+                row.values(&d.output).map_err(|e| MapError::Record(e.to_string()))?[0] - l.demand(k, asked);
+            let held = !l.factors.iter().any(|f| f.name == d.output);
+            if held && error.abs() > MISSED * (d.upper - d.lower) {
+                note = format!("`{}` is {error:.4} {} away from what was asked", d.output, d.unit);
+            }
+            errors.push(error);
+        }
+        let usable = note.is_empty();
+        let (touched, saturated) = (Vec::new(), Vec::new());
+        let asked = asked.to_vec();
+        Ok(SteadyPoint {
+            asked,
+            factors,
+            responses,
+            errors,
+            usable,
+            note,
+            touched,
+            saturated,
+            at_s,
+            used_s: 0.0,
+        })
+    }
+
+    fn absent(&self, asked: &[f64]) -> SteadyPoint {
+        SteadyPoint {
+            asked: asked.to_vec(),
+            factors: vec![f64::NAN; self.layout.factors.len()],
+            responses: vec![f64::NAN; self.layout.responses.len()],
+            errors: vec![f64::NAN; self.layout.problem.demands.len()],
+            usable: false,
+            note: "the record of the bed has no such point".into(),
+            touched: Vec::new(),
+            saturated: Vec::new(),
+            at_s: self.used_s,
+            used_s: 0.0,
+        }
+    }
+}
+
+/// What a bed has: the channels of the problem, and those of its first record that meter what is minimised or stand against it.
+pub(super) fn variables(
+    problem: &CalibrationProblem,
+    front: Option<&FrontSpec>,
+    folder: &Path,
+) -> Result<Vec<Variable>, MapError> {
+    let variable = |name: &str, unit: &str, causality, lower: f64, upper: f64| Variable {
+        name: name.into(),
+        unit: unit.into(),
+        causality,
+        min: lower,
+        max: upper,
+        start: 0.5 * (lower + upper),
+    };
+    let output = |name: &str, unit: &str| variable(name, unit, Causality::Output, f64::MIN, f64::MAX);
+    let derived = |name: &str| problem.derive.iter().any(|d| d.name == name);
+    let inputs =
+        problem.inputs.iter().map(|i| variable(&i.name, &i.unit, Causality::Input, i.lower, i.upper));
+    let given = problem.given.iter().map(|g| variable(&g.name, &g.unit, Causality::Input, g.lower, g.upper));
+    let demands = problem.demands.iter().map(|d| output(&d.output, &d.unit));
+    let limits = problem.limits.iter().filter(|l| !derived(&l.output)).map(|l| output(&l.output, &l.unit));
+    let mut all: Vec<Variable> = inputs.chain(given).chain(demands).chain(limits).collect();
+    let found = measurement::called(&OnBed::measured(folder), "points01");
+    let table = found.first().map(|f| dataset::read_table(f, None)).transpose()?;
+    let meters = problem.minimise.iter().map(|m| &m.channel).chain(front.map(|f| &f.against));
+    for name in meters {
+        let column = table.as_ref().and_then(|t| t.column(name).ok());
+        // Before the first record nothing is known of meters: what is not derived is asked for.
+        if all.iter().any(|v| v.name == *name) || (column.is_none() && derived(name)) {
+            continue;
+        }
+        let unit = problem.unit(name).map(str::to_string);
+        let of_file = column.and_then(|c| c.unit.as_ref().map(|(u, _)| u.clone()));
+        all.push(output(name, &unit.or(of_file).unwrap_or_else(|| "-".into())));
+    }
+    Ok(all)
+}
+
+/// One row of a table of points.
+fn one_row(all: &Dataset, row: usize) -> Dataset {
+    let mut one = all.clone();
+    one.channels.iter_mut().for_each(|c| c.values = vec![c.values[row]]);
+    one
+}
+
+impl Bench for OnBed<'_> {
+    fn run(
+        &mut self,
+        tasks: Vec<Task>,
+        _bed_s: f64,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<DayEnd, MapError> {
+        if tasks.is_empty() {
+            return Ok(DayEnd::Done);
+        }
+        let verify = tasks.iter().all(|(p, _)| *p == Purpose::Verify);
+        self.batches += usize::from(!verify);
+        let name = if verify { "verify".to_string() } else { format!("points{:02}", self.batches) };
+        let (plan, measured) = (self.folder.join(format!("{name}.csv")), Self::measured(self.folder));
+        self.write_plan(&plan, &tasks)?;
+        std::fs::create_dir_all(&measured)
+            .map_err(|e| FilesError::Write { path: measured.display().to_string(), reason: e.to_string() })?;
+        let found = measurement::called(&measured, &name);
+        match found.as_slice() {
+            [file] => {
+                let read = self.read(file, &tasks, watch)?;
+                self.used_s = read.iter().map(|p| p.point.at_s).fold(self.used_s, f64::max);
+                if let Some(last) = read.iter().rev().find(|p| p.point.usable) {
+                    self.at.clone_from(&last.point.factors);
+                }
+                points.extend(read);
+                Ok(DayEnd::Done)
+            }
+            [] => {
+                let channels: Vec<String> = self
+                    .channels()
+                    .iter()
+                    .map(|c| format!("{} [{}]", c.name, c.unit.as_deref().unwrap_or("-")))
+                    .collect();
+                Err(MapError::NeedsMeasurement {
+                    count: tasks.len(),
+                    plan: plan.display().to_string(),
+                    measured: measured.join(format!("{name}.csv")).display().to_string(),
+                    channels: channels.join(", "),
+                })
+            }
+            several => {
+                let names: Vec<String> = several.iter().map(|p| p.display().to_string()).collect();
+                Err(MapError::Record(format!(
+                    "`{}` are all called like the plan `{name}`: leave one",
+                    names.join("` and `")
+                )))
+            }
+        }
+    }
+    fn stands_at(&self) -> &[f64] {
+        &self.at
+    }
+    fn used_s(&self) -> f64 {
+        self.used_s
+    }
+    fn widen_limits(&mut self, _share: f64) {}
+}
