@@ -153,7 +153,8 @@ impl<'b> Tradeoff<'_, 'b> {
 
     /// At most `count` points of the front.
     pub fn trace(&self, count: usize, interrupt: &(dyn Fn() -> bool + Sync)) -> Vec<FrontPoint> {
-        let first = self.point(0.0, self.cells.clone());
+        // The cells may have been smoothed at a cost.
+        let first = self.solve(0.0, &[&self.point(0.0, self.cells.clone())], interrupt);
         let last = self.solve(LAST, &[&first], interrupt);
         let ([f, g], mut points) = (self.scales(), vec![first, last]);
         // Chords with nothing below them, by the s of their left end.
