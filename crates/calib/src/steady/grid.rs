@@ -173,7 +173,7 @@ pub fn solve(
 }
 
 /// Moves optimal cells towards the mean of their optimal neighbours as far as limits and tolerance allow.
-pub fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Cell]) {
+fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Cell]) {
     if spec.smooth <= 0.0 || spec.whole.is_some() {
         return;
     }

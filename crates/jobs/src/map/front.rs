@@ -1,6 +1,6 @@
 //! The trade-off of a steady calibration, and maps that are taken from it.
 
-use dynocal_calib::steady::cell::{CellOptimum, Setting};
+use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::front::{Front, Tradeoff};
 use dynocal_calib::steady::grid::{self, Cell, CellState};
 use dynocal_calib::steady::layout::Layout;
@@ -33,17 +33,8 @@ impl Maps<'_> {
             .take
             .and_then(|share| trade.at_most(share * points.first()?.other, &points, watch.interrupt));
         if let Some(taken) = &taken {
-            let weighted = trade.weighted(taken.share);
-            let cost = |o: &CellOptimum| weighted.judge(&o.x, o.status, None);
-            grid::replace(&weighted, self.axes, &which, taken.cells.iter().map(cost).collect(), cells);
-            grid::smooth(&weighted, self.axes, &self.spec.optimise, cells);
-            // In the units of what is minimised, with the prices of the optimum that was smoothed.
-            let back = |(k, t): (&usize, &CellOptimum)| {
-                let saves: Vec<f64> = t.prices.iter().map(|p| p.saves).collect();
-                self.setting.judge(&cells[*k].optimum.x, t.status, Some(&saves))
-            };
-            let optima = which.iter().zip(&taken.cells).map(back).collect();
-            grid::replace(self.setting, self.axes, &which, optima, cells);
+            // Not smoothed: what a smoother map costs of the weighted sum may be much of the response that is to be low.
+            grid::replace(self.setting, self.axes, &which, taken.cells.clone(), cells);
         }
         let unit = self.layout.responses[against].unit.clone();
         Some(Front { against: spec.against.clone(), unit, points, taken })
