@@ -1,5 +1,6 @@
 //! Study `engine`: the virtual engine against its reference table, its verification cases and the thesis.
 
+pub mod air_path;
 mod boosted;
 mod boosted_tables;
 mod checks;
