@@ -1,6 +1,7 @@
 //! What happens between steps: latched events, injection, sums, torque sensor.
 
 use crate::combustion::{Charge, Wiebe};
+use crate::emissions::Hidden;
 use crate::end_gas::{EndGas, KnockModel, ZoneStep};
 use crate::engine::VirtualEngine;
 use crate::grid::EventKind;
@@ -52,7 +53,13 @@ impl VirtualEngine {
                     ..m.last
                 };
                 if let (Some((model, _)), Some(table)) = (&boosted.emissions, &boosted.table) {
-                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable);
+                    let hidden = Hidden {
+                        peak_pa: m.running_peak_pa,
+                        trapped_kg: m.trapped_kg,
+                        wall_k: self.held.cylinder_wall_k,
+                        exhaust_k: s.t_k[EXHAUST],
+                    };
+                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable, &hidden);
                 }
                 m.end_gas.t_k = 0.0;
                 m.running_peak_pa = 0.0;

@@ -202,6 +202,13 @@ impl EngineParams {
                 ("emissions.unmixed_share", e.unmixed_share, 0.0, 0.5),
                 ("emissions.no_factor", e.no_factor, 0.0, 10.0),
             ])?;
+            if let Some(h) = &e.hydrocarbons {
+                first_outside(&[
+                    ("emissions.hydrocarbons.crevice_m3", h.crevice_m3, 0.0, 1e-4),
+                    ("emissions.hydrocarbons.oil_share", h.oil_share, 0.0, 5.0),
+                    ("emissions.hydrocarbons.survival", h.survival, 0.0, 1.0),
+                ])?;
+            }
         }
         match &self.cams {
             Some(c) if !c.fits() => Err(PlantError::Parameter {
