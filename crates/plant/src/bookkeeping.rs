@@ -1,7 +1,8 @@
 //! What happens between steps: latched events, injection, sums, torque sensor.
 
 use crate::combustion::{Charge, Wiebe};
-use crate::end_gas::{EndGas, ZoneStep};
+use crate::emissions::Hidden;
+use crate::end_gas::{EndGas, KnockModel, ZoneStep};
 use crate::engine::VirtualEngine;
 use crate::grid::EventKind;
 use crate::state::{CycleRecord, EXHAUST, INTAKE, PIPE, Sums};
@@ -52,7 +53,13 @@ impl VirtualEngine {
                     ..m.last
                 };
                 if let (Some((model, _)), Some(table)) = (&boosted.emissions, &boosted.table) {
-                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable);
+                    let hidden = Hidden {
+                        peak_pa: m.running_peak_pa,
+                        trapped_kg: m.trapped_kg,
+                        wall_k: self.held.cylinder_wall_k,
+                        exhaust_k: s.t_k[EXHAUST],
+                    };
+                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable, &hidden);
                 }
                 m.end_gas.t_k = 0.0;
                 m.running_peak_pa = 0.0;
@@ -200,17 +207,23 @@ impl VirtualEngine {
     /// Unburned gas, knock integral and burned zone of closed cylinders, with the state in the middle of the step.
     fn follow_zones(&mut self, dt_s: f64, middle: &[usize; 4]) {
         let boosted = &self.model.boosted;
+        let octane = self.deviations.octane;
+        let knock = boosted.knock.map(|k| KnockModel { octane: octane.unwrap_or(k.octane), ..k });
+        let wall_k = self.held.cylinder_wall_k;
         for c in 0..4 {
+            let mass_kg = [0, 1, 2].map(|i| self.state.gas.mass_kg[i][c]);
             let m = &mut self.state.cylinders[c];
-            let phi = self.grid.nodes[middle[c]].phi_deg;
+            let node = &self.grid.nodes[middle[c]];
+            let phi = node.phi_deg;
             // From intake closing (a temperature is there) to the opening of the exhaust.
             if m.end_gas.t_k == 0.0 || phi > 150.0 {
                 continue;
             }
             let (p_pa, t_k) = (self.k.p[c], self.state.t_k[c]);
             let burned = m.wiebe.burned(phi);
-            let step = ZoneStep { dt_s, p_pa, t_k, burned, lambda: m.lambda };
-            m.end_gas.advance(boosted.knock.as_ref(), &step);
+            let wall_1_s = self.k.wall_w_m2_k[c] * node.wall_m2 / self.model.gas.mass_r_j_k(mass_kg);
+            let step = ZoneStep { dt_s, p_pa, t_k, burned, lambda: m.lambda, wall_1_s, wall_k };
+            m.end_gas.advance(knock.as_ref(), &step);
             if let Some((model, table)) = &boosted.emissions {
                 m.end_gas.react(table, &ZoneStep { dt_s: model.no_factor * dt_s, ..step });
             }

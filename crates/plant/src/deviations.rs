@@ -68,6 +68,8 @@ pub struct Deviations {
     pub friction_factor: f64,
     /// Time constant of the fuel film over that of the warm engine \[-\].
     pub film_factor: f64,
+    /// Octane number of the fuel in place of the parameter.
+    pub octane: Option<f64>,
 }
 
 impl Default for Deviations {
@@ -81,6 +83,7 @@ impl Default for Deviations {
             cylinder_wall_k: None,
             friction_factor: 1.0,
             film_factor: 1.0,
+            octane: None,
         }
     }
 }

@@ -1,8 +1,14 @@
 //! Engine-out emissions of a cycle: NO from the burned zone, CO and HC by surrogates.
 //!
 //! CO: rich, the oxygen deficit in water-gas equilibrium frozen at 1740 K (Heywood 4.9); to that a share of the fuel's
-//! carbon that mixing leaves half burned at any lambda. HC: a share of the fuel that hides in crevices and oil, and all
-//! fuel of cycles that burn in part or not at all. Trends only; no oxidation in the port, no catalyst.
+//! carbon that mixing leaves half burned at any lambda. HC: fuel that hides in crevices and oil, less what oxidises late,
+//! and all fuel of cycles that burn in part or not at all. Trends only; no catalyst.
+//!
+//! What hides is the charge that peak pressure packs into the crevices, p V_c/(R T_w m) of it (Heywood 1988, 11.4.3), and
+//! an oil film that takes `oil_share` of that on a wall of 440 K and 1/e more for each 60 K below. Of it the share
+//! s r(lambda) exp(-(T - 900 K)/700 K) survives late burning in cylinder and port, T that of the exhaust manifold (retard
+//! by 1 deg, 10 K: -1.5 %). r falls from 1.8 to 0.55 where oxygen appears, half way at lambda 0.957: measured HC over
+//! lambda, one over its value at 1.
 
 use crate::dissociation::BurnedTable;
 use crate::end_gas::EndGas;
@@ -19,6 +25,63 @@ pub struct EmissionsModel {
     pub unmixed_share: f64,
     /// Multiplier of the rate of formation of NO \[-\]; 1 is the mechanism.
     pub no_factor: f64,
+    /// Crevices, oil film and late oxidation in place of `crevice_share`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hydrocarbons: Option<Hydrocarbons>,
+}
+
+/// Constants of what hides and survives.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hydrocarbons {
+    /// Crevices of a cylinder V_c \[m3\].
+    pub crevice_m3: f64,
+    /// What the oil film holds over what the crevices hold, wall at 440 K \[-\].
+    pub oil_share: f64,
+    /// Share s that survives at lambda 1 and 900 K \[-\].
+    pub survival: f64,
+}
+
+/// What a cycle was like for the fuel that hides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hidden {
+    /// Peak pressure \[Pa\].
+    pub peak_pa: f64,
+    /// Mass of the charge \[kg\].
+    pub trapped_kg: f64,
+    /// Wall of the cylinder \[K\].
+    pub wall_k: f64,
+    /// Gas in the exhaust manifold \[K\].
+    pub exhaust_k: f64,
+}
+
+/// Wall of the constants, gas constant \[J/kg/K\] of what hides; temperature of the exhaust and its scale \[K\].
+const WALL_K: f64 = 440.0;
+const R_CHARGE: f64 = 280.0;
+const EXHAUST_K: (f64, f64) = (900.0, 700.0);
+/// Survival over lambda: lean end, rich end, lambda half way, width.
+const SURVIVAL: [f64; 4] = [0.55, 1.8, 0.957, 0.075];
+
+impl Hydrocarbons {
+    /// Share of the fuel that leaves unburned.
+    ///
+    /// ```
+    /// use dynocal_plant::emissions::{Hidden, Hydrocarbons};
+    /// let h = Hydrocarbons { crevice_m3: 1e-6, oil_share: 0.25, survival: 0.16 };
+    /// let warm = Hidden { peak_pa: 29e5, trapped_kg: 3e-4, wall_k: 440.0, exhaust_k: 900.0 };
+    /// let [rich, one, lean] = [0.9, 1.0, 1.1].map(|lambda| h.share(&warm, lambda));
+    /// assert!(one > 0.008 && one < 0.019 && rich > 1.3 * one && lean < 0.8 * one);
+    /// let cold = h.share(&Hidden { wall_k: 370.0, ..warm }, 1.0) / one;
+    /// assert!(cold > 1.5 && cold < 2.0);
+    /// ```
+    pub fn share(&self, c: &Hidden, lambda: f64) -> f64 {
+        let crevices = c.peak_pa * self.crevice_m3 / (R_CHARGE * c.wall_k * c.trapped_kg.max(1e-6));
+        let oil = self.oil_share * ((WALL_K - c.wall_k) / 60.0).min(4.0).exp() * c.wall_k / WALL_K;
+        let [lean, rich, middle, width] = SURVIVAL;
+        let mixture = lean + (rich - lean) / (1.0 + ((lambda - middle) / width).exp());
+        let late = (-(c.exhaust_k - EXHAUST_K.0) / EXHAUST_K.1).exp();
+        (crevices * (1.0 + oil) * self.survival * mixture * late).clamp(0.0, 1.0)
+    }
 }
 
 /// Molar mass of air \[kg/mol\].
@@ -37,13 +100,21 @@ pub struct EngineOut {
 
 impl EmissionsModel {
     /// Of a charge of `lambda` of which the share `stable` burns, whose burned zone ended as `zone`.
-    pub fn cycle(&self, table: &BurnedTable, zone: &EndGas, lambda: f64, stable: f64) -> EngineOut {
+    pub fn cycle(
+        &self,
+        table: &BurnedTable,
+        zone: &EndGas,
+        lambda: f64,
+        stable: f64,
+        hidden: &Hidden,
+    ) -> EngineOut {
         let [co, _, _] = table.frozen(lambda);
         // Moles of exhaust per mole of fuel, from the mass; carbon per mole of exhaust.
         let fuel_kg = FUEL.0 * 12.011e-3 + FUEL.1 * 1.008e-3;
         let moles = fuel_kg * (1.0 + 14.7 * lambda) / AIR_KG_MOL;
         let carbon = FUEL.0 / moles;
-        let alive = self.crevice_share * stable + (1.0 - stable);
+        let survived = self.hydrocarbons.map_or(self.crevice_share, |h| h.share(hidden, lambda));
+        let alive = survived * stable + (1.0 - stable);
         EngineOut {
             no_ppm: 1e6 * (zone.x_no * zone.burned + zone.entrained * (1.0 - zone.burned)),
             co_pct: 100.0 * stable * (co + self.unmixed_share * carbon),

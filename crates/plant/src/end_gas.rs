@@ -1,7 +1,8 @@
 //! The unburned gas of a cylinder from intake closing on: its temperature, the knock integral, and the burned zone.
 //!
-//! T_u follows isentropic compression, dT_u/T_u = kappa(T_u) dp/p with kappa = R/c_p of the trapped mixture. Knock is
-//! the Livengood-Wu integral of dt/tau until 90 % burned with the delay of Douaud and Eyzat (SAE 780080)
+//! T_u follows compression with loss of heat, dT_u = kappa T_u dp/p - s h A (T_u - T_w)/(m c_p) dt with kappa = R/c_p of
+//! the trapped mixture, h of the heat law of the cylinder, its surface A and charge m: the end gas has as much surface
+//! to its mass as the whole charge; s = 0 leaves the isentrope. Knock is the Livengood-Wu integral of dt/tau until 90 % burned with the delay of Douaud and Eyzat (SAE 780080)
 //!
 //! tau \[ms\] = K 17.68 (ON/100)^3.402 p\[atm\]^-1.7 exp(3800/T_u);
 //!
@@ -21,6 +22,9 @@ pub struct KnockModel {
     pub octane: f64,
     /// Multiplier K of the delay \[-\]; 1 as published.
     pub delay_factor: f64,
+    /// Share s of the wall heat of the cylinder that the end gas takes part in \[-\]; 0: isentropic.
+    #[serde(default)]
+    pub wall_share: f64,
 }
 
 impl KnockModel {
@@ -28,7 +32,7 @@ impl KnockModel {
     ///
     /// ```
     /// use dynocal_plant::end_gas::KnockModel;
-    /// let k = KnockModel { octane: 100.0, delay_factor: 1.0 };
+    /// let k = KnockModel { octane: 100.0, delay_factor: 1.0, wall_share: 0.0 };
     /// let expected = 17.68e-3 * 40f64.powf(-1.7) * (3800.0f64 / 850.0).exp();
     /// assert!((k.delay_s(40.0 * 101_325.0, 850.0) / expected - 1.0).abs() < 1e-12);
     /// ```
@@ -73,6 +77,10 @@ pub struct ZoneStep {
     pub burned: f64,
     /// Lambda of the charge.
     pub lambda: f64,
+    /// h A/(m R) of the cylinder \[1/s\], and the temperature of its walls \[K\].
+    pub wall_1_s: f64,
+    /// See `wall_1_s`.
+    pub wall_k: f64,
 }
 
 impl EndGas {
@@ -96,6 +104,13 @@ impl EndGas {
         let middle = self.t_k * (1.0 + 0.5 * kappa(self.t_k) * ln);
         self.t_k *= (kappa(middle) * ln).exp();
         self.p_pa = s.p_pa;
+        if let Some(model) = knock
+            && model.wall_share > 0.0
+        {
+            // Exact for walls that stand still: never past them.
+            let rate = model.wall_share * s.wall_1_s * kappa(middle);
+            self.t_k = s.wall_k + (self.t_k - s.wall_k) * (-rate * s.dt_s).exp();
+        }
         if let Some(model) = knock
             && s.burned < 0.9
         {

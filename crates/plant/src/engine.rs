@@ -223,7 +223,8 @@ impl VirtualEngine {
         } else {
             self.model.manifold_m3[volume]
         };
-        GasState { p_pa: gas.mass_r_j_k(mass_kg) * t_k / volume_m3, t_k, volume_m3, mass_kg }
+        let mr = gas.mass_r_j_k(mass_kg) + mass_kg[2] * held.extra_r_j_kg_k;
+        GasState { p_pa: mr * t_k / volume_m3, t_k, volume_m3, mass_kg }
     }
 
     /// Local crank angle of cylinder `c` (0..3) \[deg after firing TDC, 0..720\].

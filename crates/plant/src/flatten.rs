@@ -31,6 +31,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
         [&mut c.stable, &mut c.bound_j_kg, &mut h.a, &mut h.b_k, &mut h.off_j_kg, &mut h.surplus_j_kg_k]
             .into_iter()
             .for_each(&mut *f);
+        f(&mut h.extra_r_j_kg_k);
         [
             &mut z.t_k,
             &mut z.p_pa,

@@ -42,12 +42,15 @@ pub struct LoadLimits {
     pub ca50_deg: f64,
     /// Richest mixture that may cool the exhaust \[-\].
     pub least_lambda: f64,
+    /// Least flow of the compressor over that at which it surges, while the wastegate holds the load \[-\].
+    pub surge_margin: f64,
     /// Simulated time after which the point is given up \[s\].
     pub time_s: f64,
 }
 
 impl Default for LoadLimits {
-    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 110 bar, 50 % burned at 8 deg, lambda 0.75, 120 s.
+    /// 240 kPa, 950 deg C, knock at its onset, 220 000 rpm, 110 bar, 50 % burned at 8 deg, lambda 0.75, 1.02 of the
+    /// surge flow, 120 s.
     fn default() -> Self {
         Self {
             map_kpa: 240.0,
@@ -57,6 +60,7 @@ impl Default for LoadLimits {
             pmax_bar: 110.0,
             ca50_deg: 8.0,
             least_lambda: 0.75,
+            surge_margin: 1.02,
             time_s: 120.0,
         }
     }
@@ -70,6 +74,8 @@ pub enum Barrier {
     IntakePressure,
     /// Turbocharger at its limit of speed.
     TurboSpeed,
+    /// Compressor at its surge line.
+    Surge,
     /// Wastegate closed and throttle open: the turbine has no more.
     WastegateClosed,
     /// Throttle open.
@@ -90,6 +96,7 @@ impl Barrier {
         match self {
             Self::IntakePressure => "the intake pressure stands at its limit",
             Self::TurboSpeed => "the turbocharger stands at its limit of speed",
+            Self::Surge => "the compressor stands at its surge line",
             Self::WastegateClosed => "the wastegate is closed and the throttle open",
             Self::ThrottleOpen => "the throttle is open",
             Self::ThrottleClosed => "the throttle is closed",
@@ -171,12 +178,15 @@ impl Controller {
         // Torque that the limits of boost and shaft leave, in Nm.
         let boost = 1.7 * (limits.map_kpa - y.map_kpa);
         let shaft = 2e-3 * (limits.turbo_rpm - y.turbo_rpm);
-        let error = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft);
-        let change = error - self.error_before.unwrap_or(error);
-        self.error_before = Some(error);
+        let free = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft);
         let u = &mut self.u;
         let boosted = p.turbocharger.is_some();
-        let on_wastegate = boosted && u.throttle_deg >= OPEN_DEG && (error > 0.0 || u.wastegate_mm < OPEN_MM);
+        let on_wastegate = boosted && u.throttle_deg >= OPEN_DEG && (free > 0.0 || u.wastegate_mm < OPEN_MM);
+        // A throttled engine may stand near surge: nothing is to be had from the wastegate there.
+        let surge = surge_ratio(p, y).filter(|_| on_wastegate);
+        let error = surge.map_or(free, |s| free.min(SURGE_NM * (s - limits.surge_margin)));
+        let change = error - self.error_before.unwrap_or(error);
+        self.error_before = Some(error);
         if on_wastegate {
             // Flow goes with the square of the diameter: small openings move slowly.
             let gain = 0.2 + u.wastegate_mm / OPEN_MM;
@@ -261,6 +271,17 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
     }
 }
 
+/// Torque of a full change of [`surge_ratio`] \[Nm\]: the flow grows with it, the surge flow more slowly.
+const SURGE_NM: f64 = 200.0;
+
+/// Flow of the compressor over that at which it surges.
+fn surge_ratio(p: &EngineParams, y: &Outputs) -> Option<f64> {
+    let turbo = p.turbocharger.as_ref()?;
+    let (t_k, r) = (p.ambient.temperature_k, p.gas.r_j_kg_k[0]);
+    let w = y.turbo_rpm * std::f64::consts::PI / 30.0;
+    Some(1e-3 * y.air_g_s / turbo.surge_flow_kg_s(w, t_k, p.ambient.pressure_pa / (r * t_k)))
+}
+
 /// What stands in the way of a torque that is not reached.
 fn barrier(p: &EngineParams, r: &LoadRequest, u: &Inputs, y: &Outputs) -> Barrier {
     let open = u.throttle_deg >= OPEN_DEG - 0.01;
@@ -270,6 +291,7 @@ fn barrier(p: &EngineParams, r: &LoadRequest, u: &Inputs, y: &Outputs) -> Barrie
     match () {
         () if y.map_kpa >= r.limits.map_kpa - 1.0 => Barrier::IntakePressure,
         () if y.turbo_rpm >= 0.995 * r.limits.turbo_rpm => Barrier::TurboSpeed,
+        () if open && surge_ratio(p, y).is_some_and(|s| s <= r.limits.surge_margin + 0.02) => Barrier::Surge,
         () if u.injection_mg >= 119.9 => Barrier::Injection,
         () if u.spark_deg <= -9.9 => Barrier::Spark,
         () if open && p.turbocharger.is_none() => Barrier::ThrottleOpen,

@@ -30,6 +30,9 @@ pub struct Inputs {
     pub burn_duration_deg: Option<f64>,
 }
 
+/// Wastegate wide open \[mm\].
+pub const WASTEGATE_MM: f64 = 28.0;
+
 impl Default for Inputs {
     /// 2000 rpm near 70 Nm.
     fn default() -> Self {
@@ -99,7 +102,7 @@ impl Inputs {
             ("injection", self.injection_mg, 0.0, 120.0, "mg"),
             ("intake_mop", self.intake_mop_deg_btdc, 180.0, 300.0, "deg"),
             ("exhaust_mop", self.exhaust_mop_deg_atdc, 180.0, 300.0, "deg"),
-            ("wastegate", self.wastegate_mm, 0.0, 28.0, "mm"),
+            ("wastegate", self.wastegate_mm, 0.0, WASTEGATE_MM, "mm"),
             ("egr", self.egr_mm, 0.0, 25.0, "mm"),
             ("wiebe_m", self.wiebe_m, 0.5, 6.0, "-"),
             ("burn_duration", self.burn_duration_deg.unwrap_or(20.0), 10.0, 80.0, "deg"),

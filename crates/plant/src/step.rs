@@ -28,8 +28,8 @@ pub(crate) struct Held {
     /// Half of the inverse step \[1/s\]: no rate may use up a species within a step.
     pub(crate) half_per_step: f64,
     pub(crate) turbine_m2: f64,
-    /// Share of the turbine in that area.
-    pub(crate) turbine_share: f64,
+    /// Of that the wastegate.
+    pub(crate) wastegate_m2: f64,
     pub(crate) egr_m2: f64,
     /// Whole half cells and the rest of the shift of each cam.
     pub(crate) intake_shift: (usize, f64),
@@ -66,7 +66,8 @@ impl Held {
         let piston_speed = p.geometry.mean_piston_speed_m_s(u.speed_rpm);
         let wastegate_m = 1e-3 * u.wastegate_mm;
         let wastegate_m2 = 0.25 * std::f64::consts::PI * wastegate_m * wastegate_m;
-        let turbine_m2 = p.exhaust.turbine_m2 + p.exhaust.wastegate_discharge * wastegate_m2;
+        let wastegate_m2 = p.exhaust.wastegate_discharge * wastegate_m2;
+        let turbine_m2 = p.exhaust.turbine_m2 + wastegate_m2;
         Self {
             omega: deg_s.to_radians(),
             deg_s,
@@ -74,7 +75,7 @@ impl Held {
             half_per_step: 0.5 * deg_s / (step_cells as f64 * grid.cell_deg),
             throttle_m2: p.throttle.area_m2(u.throttle_deg),
             turbine_m2,
-            turbine_share: p.exhaust.turbine_m2 / turbine_m2.max(f64::MIN_POSITIVE),
+            wastegate_m2,
             egr_m2: p.egr.map_or(0.0, |e| e.area_m2(u.egr_mm)),
             intake_shift,
             exhaust_shift,
@@ -145,6 +146,8 @@ pub(crate) struct Rates {
     /// Heat to all walls and to those of the cylinders \[W\].
     pub(crate) wall: f64,
     pub(crate) cylinder_wall: f64,
+    /// Heat-transfer coefficients of the cylinders \[W/m2/K\].
+    pub(crate) wall_w_m2_k: [f64; 4],
     /// Fuel burned \[kg/s\].
     pub(crate) burned: f64,
     /// Liquid evaporated \[kg/s\].
@@ -176,6 +179,7 @@ impl Rates {
         work: [0.0; 4],
         wall: 0.0,
         cylinder_wall: 0.0,
+        wall_w_m2_k: [0.0; 4],
         burned: 0.0,
         evaporated: 0.0,
         throttle: 0.0,
@@ -243,6 +247,7 @@ impl Model {
             self.cylinder_rates(&s, gas, c, at[c], held, &cylinders[c], t_k[c], wall[c], k);
         }
         k.p = s.p;
+        k.wall_w_m2_k = wall;
     }
 
     #[inline(always)]
@@ -260,6 +265,10 @@ impl Model {
             self.dissociated(gas, cylinders, &guess, t_k, &mut mcv);
         }
         let [ra, rf, rp] = self.gas.r_j_kg_k;
+        let mut extra = [0.0; VOLUMES];
+        for c in 0..4 {
+            extra[c] = cylinders[c].held.extra_r_j_kg_k;
+        }
         let [ma, mf, mp] = &gas.mass_kg;
         let mut s = Stage {
             p: [0.0; VOLUMES],
@@ -269,7 +278,7 @@ impl Model {
             drive: [0.0; VOLUMES],
         };
         for v in 0..VOLUMES {
-            let mr = ma[v] * ra + mf[v] * rf + mp[v] * rp;
+            let mr = ma[v] * ra + mf[v] * rf + mp[v] * (rp + extra[v]);
             let pv = mr * t_k[v];
             let m = ma[v] + mf[v] + mp[v];
             s.inv_m[v] = 1.0 / m;
@@ -296,6 +305,13 @@ impl Model {
         let forward = s.p[a] >= s.p[b];
         let (u, d) = if forward { (a & 7, b & 7) } else { (b & 7, a & 7) };
         let flow = area_m2 * s.drive[u] * self.psi.psi(s.p[d] / s.p[u], s.gamma[u]);
+        self.carry(s, gas, u, d, flow, k);
+        if forward { flow } else { -flow }
+    }
+
+    /// `flow` from `u` to `d` with composition and enthalpy of `u`.
+    #[inline(always)]
+    pub(crate) fn carry(&self, s: &Stage, gas: &Gas, u: usize, d: usize, flow: f64, k: &mut Rates) {
         let share = flow * s.inv_m[u];
         for i in 0..3 {
             let part = share * gas.mass_kg[i][u];
@@ -305,7 +321,6 @@ impl Model {
         let power = flow * s.h[u];
         k.energy[u] -= power;
         k.energy[d] += power;
-        if forward { flow } else { -flow }
     }
 
     #[inline(always)]
@@ -321,9 +336,11 @@ impl Model {
             k.energy[PIPE] = 0.0;
             k.inflow = k.throttle;
         }
-        let flow = self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
-        if let Some(turbo) = turbo {
-            self.turbocharger(turbo, s, gas, held, flow, t_k[EXHAUST], k);
+        match turbo {
+            Some(turbo) => self.turbocharger(turbo, s, gas, held, t_k[EXHAUST], k),
+            None => {
+                self.exchange(s, gas, EXHAUST, CATALYST, held.turbine_m2, k);
+            }
         }
         if let Some(path) = &self.boosted.egr
             && held.egr_m2 > 0.0

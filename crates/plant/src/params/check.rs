@@ -152,12 +152,19 @@ impl EngineParams {
         if let Some(t) = &self.turbocharger {
             first_outside(&[
                 ("turbocharger.compressor_m", t.compressor_m, 0.01, 0.3),
-                ("turbocharger.head_coefficient", t.head_coefficient, 0.2, 3.0),
                 ("turbocharger.flow_coefficient", t.flow_coefficient, 0.01, 0.5),
-                ("turbocharger.compressor_efficiency", t.compressor_efficiency, 0.3, 1.0),
-                ("turbocharger.compressor_falloff", t.compressor_falloff, 0.0, 5.0),
-                ("turbocharger.best_flow_ratio", t.best_flow_ratio, 0.1, 1.0),
+                ("turbocharger.choke_mach", t.choke_mach, 0.5, 3.0),
+                ("turbocharger.head_coefficient", t.head_coefficient[0], 0.2, 3.0),
+                ("turbocharger.head_coefficient", t.head_coefficient[1], -1.0, 1.0),
+                ("turbocharger.choke_head", t.choke_head[0], 0.0, 0.95),
+                ("turbocharger.choke_head", t.choke_head[1], 0.0, 1.0),
+                ("turbocharger.surge_share", t.surge_share[0], 0.0, 1.0),
+                ("turbocharger.surge_share", t.surge_share[1], -2.0, 2.0),
+                ("turbocharger.surge_share", t.surge_share[2], 0.0, 2.0),
+                ("turbocharger.work_coefficient", t.work_coefficient[0], 0.3, 2.0),
+                ("turbocharger.work_coefficient", t.work_coefficient[1], 0.0, t.work_coefficient[0]),
                 ("turbocharger.turbine_m", t.turbine_m, 0.01, 0.3),
+                ("turbocharger.turbine_exponent", t.turbine_exponent, 0.2, 5.0),
                 ("turbocharger.turbine_efficiency", t.turbine_efficiency, 0.1, 1.0),
                 ("turbocharger.best_speed_ratio", t.best_speed_ratio, 0.2, 1.5),
                 ("turbocharger.mechanical_efficiency", t.mechanical_efficiency, 0.1, 1.0),
@@ -165,6 +172,8 @@ impl EngineParams {
                 ("turbocharger.inertia_kg_m2", t.inertia_kg_m2, 1e-7, 1e-2),
                 ("turbocharger.cooling", t.cooling, 0.0, 1.0),
                 ("turbocharger.least_rad_s", t.least_rad_s, 10.0, 5000.0),
+                ("turbocharger.flap_preload_pa", t.flap_preload_pa, 0.0, 1e7),
+                ("turbocharger.flap_range_pa", t.flap_range_pa, 1e4, 1e7),
             ])?;
         }
         if let Some(e) = &self.egr {
@@ -178,6 +187,7 @@ impl EngineParams {
             first_outside(&[
                 ("knock.octane", k.octane, 60.0, 130.0),
                 ("knock.delay_factor", k.delay_factor, 0.05, 20.0),
+                ("knock.wall_share", k.wall_share, 0.0, 5.0),
             ])?;
         }
         if let Some(b) = &self.burned_energy {
@@ -192,6 +202,13 @@ impl EngineParams {
                 ("emissions.unmixed_share", e.unmixed_share, 0.0, 0.5),
                 ("emissions.no_factor", e.no_factor, 0.0, 10.0),
             ])?;
+            if let Some(h) = &e.hydrocarbons {
+                first_outside(&[
+                    ("emissions.hydrocarbons.crevice_m3", h.crevice_m3, 0.0, 1e-4),
+                    ("emissions.hydrocarbons.oil_share", h.oil_share, 0.0, 5.0),
+                    ("emissions.hydrocarbons.survival", h.survival, 0.0, 1.0),
+                ])?;
+            }
         }
         match &self.cams {
             Some(c) if !c.fits() => Err(PlantError::Parameter {

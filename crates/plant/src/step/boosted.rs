@@ -7,6 +7,7 @@ use crate::egr::EgrPath;
 use crate::emissions::EmissionsModel;
 use crate::end_gas::KnockModel;
 use crate::gas::VOLUMES;
+use crate::inputs::WASTEGATE_MM;
 use crate::nitric_oxide::ZeldovichTable;
 use crate::params::EngineParams;
 use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
@@ -23,6 +24,8 @@ pub(crate) struct Boosted {
     /// Present with `burned` or `emissions`.
     pub(crate) table: Option<BurnedTable>,
     pub(crate) emissions: Option<(EmissionsModel, ZeldovichTable)>,
+    /// Effective area of the wastegate wide open \[m2\].
+    gate_m2: f64,
     ambient_k: f64,
     /// Density \[kg/m3\] and enthalpy \[J/kg\] of ambient air.
     rho: f64,
@@ -39,6 +42,7 @@ impl Boosted {
             burned: p.burned_energy,
             table: (p.burned_energy.is_some() || p.emissions.is_some()).then(BurnedTable::default),
             emissions: p.emissions.map(|e| (e, ZeldovichTable::default())),
+            gate_m2: p.exhaust.wastegate_discharge * orifice_m2(WASTEGATE_MM),
             ambient_k: t_k,
             rho: p.ambient.pressure_pa / (r * t_k),
             enthalpy: p.gas.energy_j([1.0, 0.0, 0.0], t_k) + r * t_k,
@@ -59,17 +63,18 @@ impl Model {
         s: &Stage,
         gas: &Gas,
         held: &Held,
-        flow: f64,
         t_k: f64,
         k: &mut Rates,
     ) {
         let b = &self.boosted;
         let w = gas.shaft_rad_s;
         let c = t.compressor(w, s.p[PIPE], self.ambient_pa, b.ambient_k, b.rho);
-        let cooled = t.cooling * c.power_w;
+        let on = c.share * c.power_w;
+        let cooled = t.cooling * on;
         k.mass[0][PIPE] += c.flow_kg_s;
-        k.energy[PIPE] += c.flow_kg_s * b.enthalpy + c.power_w - cooled;
-        k.wall += cooled;
+        k.energy[PIPE] += c.flow_kg_s * b.enthalpy + on - cooled;
+        // What is recirculated gives its heat to the surroundings.
+        k.wall += cooled + (c.power_w - on);
         k.enthalpy_in += c.flow_kg_s * b.enthalpy;
         k.inflow = c.flow_kg_s;
         k.compressor = c.power_w;
@@ -77,8 +82,18 @@ impl Model {
         let gamma = s.gamma[EXHAUST];
         let kappa = (gamma - 1.0) / gamma;
         let cp = gas_constant(s, EXHAUST, t_k) / kappa;
-        let through = flow * held.turbine_share;
-        let power = t.turbine_power_w(w, through, cp, kappa, t_k, s.p[CATALYST] / s.p[EXHAUST]);
+        let ratio = s.p[CATALYST] / s.p[EXHAUST];
+        let turbine_m2 = held.turbine_m2 - held.wastegate_m2;
+        let lift = t.flap_lift(s.p[EXHAUST] - s.p[CATALYST]);
+        let gate_m2 = held.wastegate_m2 + lift * (b.gate_m2 - held.wastegate_m2).max(0.0);
+        self.exchange(s, gas, EXHAUST, CATALYST, gate_m2, k);
+        let (up, down, over) =
+            if ratio <= 1.0 { (EXHAUST, CATALYST, ratio) } else { (CATALYST, EXHAUST, 1.0 / ratio) };
+        let choked = turbine_m2 * s.drive[up] * self.psi.psi(0.0, s.gamma[up]);
+        let through = choked * t.turbine_share(over);
+        self.carry(s, gas, up, down, through, k);
+        let through = if ratio <= 1.0 { through } else { 0.0 };
+        let power = t.turbine_power_w(w, through, cp, kappa, t_k, ratio);
         k.energy[CATALYST] -= power;
         k.turbine = power;
         k.shaft = t.acceleration(w, power, c.power_w);
@@ -139,6 +154,11 @@ impl Model {
             t_k[c] = t;
         }
     }
+}
+
+/// Area \[m2\] of an opening of the diameter `mm`.
+fn orifice_m2(mm: f64) -> f64 {
+    0.25 * std::f64::consts::PI * 1e-6 * mm * mm
 }
 
 /// R \[J/kg/K\] of the gas of a volume, from its pressure drive p/sqrt(R T).

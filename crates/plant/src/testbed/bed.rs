@@ -90,6 +90,7 @@ impl EngineBed {
             deviations =
                 deviations.with_imbalance(real.cylinder_seed, real.fuel_imbalance, real.burn_imbalance);
         }
+        deviations.octane = real.octane;
         deviations.fuel_share.iter_mut().for_each(|share| *share *= 1.0 + real.injector_error);
         let extra: Vec<usize> = o.inputs.iter().filter_map(|n| inputs::find(n)).collect();
         let outputs: Vec<usize> =

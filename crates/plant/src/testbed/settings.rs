@@ -57,6 +57,8 @@ pub struct RealEngine {
     pub injector_error: f64,
     /// Standard deviation of the cylinders' burn delay and duration \[-\].
     pub burn_imbalance: f64,
+    /// Octane number of the fuel in the tank, in place of that of the parameter set.
+    pub octane: Option<f64>,
     /// Warm-up of walls, coolant and oil.
     pub warm_up: Option<ThermalSettings>,
     /// Catalyst.
@@ -144,6 +146,7 @@ impl BedOptions {
                 fuel_imbalance: 0.01,
                 injector_error: 0.0,
                 burn_imbalance: 0.02,
+                octane: None,
                 warm_up: Some(ThermalSettings { start_k: 363.15, ..ThermalSettings::default() }),
                 catalyst: Some(CatalystSettings::default()),
                 idle: Some(IdleSettings::default()),
@@ -265,6 +268,7 @@ impl RealEngine {
         range("bed.engine.fuel_imbalance", self.fuel_imbalance, 0.0, 0.2)?;
         range("bed.engine.injector_error", self.injector_error, -0.5, 0.5)?;
         range("bed.engine.burn_imbalance", self.burn_imbalance, 0.0, 0.2)?;
+        range("bed.engine.octane", self.octane.unwrap_or(95.0), 60.0, 130.0)?;
         if let Some(t) = &self.warm_up {
             range("bed.engine.warm_up.start_k", t.start_k, 240.0, 400.0)?;
             range("bed.engine.warm_up.ambient_k", t.ambient_k, 230.0, 330.0)?;

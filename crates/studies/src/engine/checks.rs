@@ -53,6 +53,7 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     out.extend(spark(results));
     out.extend(thesis(results));
     out.extend(super::boosted::checks(results));
+    out.extend(super::rows::checks(results));
     out
 }
 

@@ -1,10 +1,13 @@
 //! Study `engine`: the virtual engine against its reference table, its verification cases and the thesis.
 
+pub mod air_path;
 mod boosted;
 mod boosted_tables;
 mod checks;
+pub mod class_rows;
 pub mod class_values;
 mod results;
+mod rows;
 mod tables;
 mod tasks;
 pub mod transients;
@@ -83,6 +86,7 @@ fn tasks(o: &Options) -> Vec<Task> {
     let (seed, time_s) = (o.seed, if o.reduced { 30.0 } else { 600.0 });
     tasks.push(task(RANDOM.into(), json!([seed, time_s]), move || work::random_inputs(seed, time_s)));
     tasks.extend(boosted_tasks(o));
+    tasks.extend(rows::tasks(o));
     tasks
 }
 
