@@ -7,6 +7,7 @@ use super::EstimateError;
 use super::cost::Cost;
 use super::covariance::{CovarianceChoice, CovarianceKind, Evidence, Rows, Stored, Uncertainty, uncertainty};
 use super::noise::Residuals;
+use super::rank::rank_warning;
 use crate::experiment::Experiment;
 use crate::model::form::AnyForm;
 use crate::model::response::LeftOut;

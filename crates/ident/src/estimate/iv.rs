@@ -24,6 +24,7 @@ use serde::Deserialize;
 
 use super::covariance::Rows;
 use super::ols::{Ols, regression};
+use super::rank::rank_warning;
 use super::table::{EstimatorRow, Fits, Gaps};
 use super::{CovarianceKind, EstimateError, Estimator, Fit, Minimised, Residuals, names, narx, short_name};
 use crate::experiment::Experiment;
