@@ -18,7 +18,9 @@ type Function = fn(&[f64]) -> f64;
 fn main() -> Outcome<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     match args.first().map(String::as_str) {
-        Some("coverage") => coverage(),
+        Some("coverage") => {
+            coverage(args.get(1).map(String::as_str), args.get(2).map_or(Ok(200), |n| n.parse())?)
+        }
         Some("coverage5") => coverage5(),
         Some("varying") => varying(),
         Some("local") => local(),
@@ -63,8 +65,8 @@ fn half(v: &[f64]) -> f64 {
 }
 
 /// Share of new measurements in the 95 % band, ratio of squared errors to predicted variances, left-out coverage.
-fn coverage() -> Outcome<()> {
-    println!("three inputs, 120 points, noise 0.05 of about 3 range, 500 new measurements, 200 seeds");
+fn coverage(only: Option<&str>, seeds: u64) -> Outcome<()> {
+    println!("three inputs, 120 points, noise 0.05 of about 3 range, 500 new measurements, {seeds} seeds");
     for (kind, keys) in [
         ("gaussian_process", "starts = 2"),
         ("stepwise_polynomial", ""),
@@ -73,26 +75,44 @@ fn coverage() -> Outcome<()> {
         ("rbf", ""),
         ("mean_of", "models = [{ kind = 'stepwise_polynomial' }, { kind = 'rbf' }]"),
     ] {
+        if only.is_some_and(|o| o != kind) {
+            continue;
+        }
         let learner = learner(kind, &keys.parse()?)?;
-        let each = (0..200_u64).into_par_iter().map(|seed| {
+        let each = (0..seeds).into_par_iter().map(|seed| {
             let mut rng = Rng64::stream(71, seed);
             let (p, test) = (draw(120, 3, 0.05, &mut rng, three), draw(500, 3, 0.05, &mut rng, three));
             let learnt = learner.learn(&p, &|| false).ok()?;
             let left = Unseen::of(&learnt.left_out.residuals, &learnt.left_out.variance, p.output_range());
             let unseen = Unseen::on(&learnt.model, &test);
-            Some((unseen.coverage, unseen.variance_ratio, unseen.rmse, left.coverage))
+            let mut at = Prediction::new(3);
+            let inside = (0..test.len()).filter(|i| {
+                learnt.model.predict(test.row(*i), Ask::Variance, &mut at);
+                (three(test.row(*i)) - at.mean).abs() <= 1.96 * at.variance.sqrt()
+            });
+            let response = inside.count() as f64 / test.len() as f64;
+            Some([
+                unseen.coverage,
+                unseen.variance_ratio,
+                unseen.rmse,
+                left.coverage,
+                response,
+                at.noise.sqrt(),
+            ])
         });
         let found: Vec<_> = each.collect::<Vec<_>>().into_iter().flatten().collect();
-        let of = |k: usize| -> Vec<f64> { found.iter().map(|f| [f.0, f.1, f.2, f.3][k]).collect() };
+        let of = |k: usize| -> Vec<f64> { found.iter().map(|f| f[k]).collect() };
         println!(
-            "{kind} {keys}: {} fits, coverage {:.2} +- {:.2} %, variance ratio {:.3} +- {:.3}, rmse {:.4}, left-out coverage {:.2} %",
+            "{kind} {keys}: {} fits, coverage {:.2} +- {:.2} %, variance ratio {:.3} +- {:.3}, rmse {:.4}, left-out coverage {:.2} %, function in the band of the response {:.2} %, noise {:.4}",
             found.len(),
             100.0 * mean(&of(0)),
             100.0 * half(&of(0)),
             mean(&of(1)),
             half(&of(1)),
             mean(&of(2)),
-            100.0 * mean(&of(3))
+            100.0 * mean(&of(3)),
+            100.0 * mean(&of(4)),
+            mean(&of(5))
         );
     }
     Ok(())

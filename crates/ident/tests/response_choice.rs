@@ -196,6 +196,32 @@ fn a_sparse_process_is_near_the_exact_one_and_a_refusal_names_the_memory() {
     assert!((0.9..0.99).contains(&b.coverage), "{b:?}");
     assert!((learnt.left_out.rmse() / 0.1 - 1.0).abs() < 0.15, "{}", learnt.left_out.rmse());
     let refused = GaussianProcess { inducing_points: 0, ..sparse }.learn(&p, &|| false).unwrap_err();
-    // Four matrices of 700 x 700 doubles.
-    assert!(refused.to_string().contains("700 points would take 14 MiB"), "{refused}");
+    // Three upper triangles of 700 x 700 doubles, whole on the diagonal of tiles.
+    assert!(refused.to_string().contains("700 points would take 7 MiB"), "{refused}");
+}
+
+/// 95 % bands of local linear models over seeds: the splits are found with the same points, and must not make them narrow.
+#[test]
+fn bands_of_local_linear_models_hold_their_share_of_new_points() {
+    let f = |x: &[f64], rng: &mut Rng64| {
+        (3.0 * x[0]).sin()
+            + x[1] * x[1] * (1.0 + x[0])
+            + 0.5 * (2.0 * x[2]).cos() * x[1]
+            + 0.05 * rng.normal()
+    };
+    let kind = kind("local_linear");
+    let seeds = 12;
+    let mean =
+        |of: &dyn Fn(&Unseen) -> f64, all: &[Unseen]| all.iter().map(of).sum::<f64>() / all.len() as f64;
+    let all: Vec<Unseen> = (0..seeds)
+        .map(|seed| {
+            let (p, test) =
+                (points(120, 3, 700 + seed, 0.0, 1.0, f), points(400, 3, 800 + seed, 0.0, 1.0, f));
+            Unseen::on(&kind.learn(&p, &|| false).unwrap().model, &test)
+        })
+        .collect();
+    let (coverage, ratio) = (mean(&|u| u.coverage, &all), mean(&|u| u.variance_ratio, &all));
+    // The share of one seed has a standard deviation of 2.7 %: three standard errors.
+    assert!((coverage - 0.95).abs() < 0.024, "{coverage}");
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
 }

@@ -24,6 +24,7 @@ pub mod best_of;
 pub mod choose;
 mod features;
 pub mod form;
+pub mod formula;
 pub mod gp;
 pub mod kinds;
 pub mod local_linear;

@@ -180,6 +180,57 @@ pub fn product(
     Ok(())
 }
 
+/// Upper triangle of the inverse of an upper triangular R (n x n) into `inverse`, by blocks; what stands below its diagonal
+/// stays as it was. No allocation of its own.
+///
+/// # Errors
+/// [`LinalgError::Shape`]; [`LinalgError::Pivot`] on a zero or non-finite diagonal entry.
+pub fn inverse_upper(r: &[f64], n: usize, inverse: &mut [f64]) -> Result<(), LinalgError> {
+    check_factor("inverse_upper", r, n)?;
+    check_len("inverse", inverse.len(), n * n)?;
+    if n == 0 {
+        return Ok(());
+    }
+    // R row by row is L = R' column by column.
+    let lower = MatRef::from_column_major_slice(r, n, n);
+    invert_lower_triangular(MatMut::from_column_major_slice_mut(inverse, n, n), lower, Par::Seq);
+    crate::vector_state::clear();
+    Ok(())
+}
+
+/// Upper triangle of `X X'` into `out` (n x n) for an upper triangular X. No allocation of its own.
+///
+/// # Errors
+/// [`LinalgError::Shape`] when a slice has the wrong length.
+///
+/// ```
+/// use dynocal_numerics::linalg::upper_gram;
+/// let mut out = [0.0; 4];
+/// upper_gram(&[1.0, 2.0, f64::NAN, 3.0], 2, &mut out).unwrap();
+/// assert_eq!((out[0], out[1], out[3]), (5.0, 6.0, 9.0));
+/// ```
+pub fn upper_gram(x: &[f64], n: usize, out: &mut [f64]) -> Result<(), LinalgError> {
+    check_len("X", x.len(), n * n)?;
+    check_len("product", out.len(), n * n)?;
+    if n == 0 {
+        return Ok(());
+    }
+    let lower = MatRef::from_column_major_slice(x, n, n);
+    matmul(
+        MatMut::from_column_major_slice_mut(out, n, n),
+        BlockStructure::TriangularLower,
+        Accum::Replace,
+        lower.transpose(),
+        BlockStructure::TriangularUpper,
+        lower,
+        BlockStructure::TriangularLower,
+        1.0,
+        Par::Seq,
+    );
+    crate::vector_state::clear();
+    Ok(())
+}
+
 /// Upper triangle of `(R'R)^-1` into `inverse` (n x n) from the upper triangular factor R of [`super::cholesky`];
 /// `work` (n x n) is overwritten. No allocation of its own.
 ///
@@ -191,30 +242,8 @@ pub fn cholesky_inverse(
     work: &mut [f64],
     inverse: &mut [f64],
 ) -> Result<(), LinalgError> {
-    check_factor("cholesky_inverse", r, n)?;
-    check_len("work", work.len(), n * n)?;
-    check_len("inverse", inverse.len(), n * n)?;
-    if n == 0 {
-        return Ok(());
-    }
-    // R row by row is L = R' column by column.
-    let lower = MatRef::from_column_major_slice(r, n, n);
-    let mut inv = MatMut::from_column_major_slice_mut(work, n, n);
-    invert_lower_triangular(inv.as_mut(), lower, Par::Seq);
-    let inv = inv.as_ref();
-    matmul(
-        MatMut::from_column_major_slice_mut(inverse, n, n),
-        BlockStructure::TriangularLower,
-        Accum::Replace,
-        inv.transpose(),
-        BlockStructure::TriangularUpper,
-        inv,
-        BlockStructure::TriangularLower,
-        1.0,
-        Par::Seq,
-    );
-    crate::vector_state::clear();
-    Ok(())
+    inverse_upper(r, n, work)?;
+    upper_gram(work, n, inverse)
 }
 
 /// Solves `R X = B` in place for k right-hand sides; `b` is n x k row-major, R upper triangular (n x n).

@@ -17,8 +17,8 @@ mod householder;
 mod triangular;
 
 pub use backend::{
-    Factor, cholesky_inverse, gram_upper, gram_upper_add, product, solve_upper_many,
-    solve_upper_transposed_many, symmetric_eigenvalues, symmetric_update,
+    Factor, cholesky_inverse, gram_upper, gram_upper_add, inverse_upper, product, solve_upper_many,
+    solve_upper_transposed_many, symmetric_eigenvalues, symmetric_update, upper_gram,
 };
 pub use gathered::{GramRows, QrRows, pivoted_from_gram};
 pub use householder::{LeastSquaresFit, PivotedR, QrWork, least_squares, pivoted_r};

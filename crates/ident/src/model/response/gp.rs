@@ -10,9 +10,13 @@ pub mod kernel;
 pub mod likelihood;
 mod mean;
 mod model;
+mod newton;
 pub mod noise;
+mod packed;
 mod predict;
+mod slopes;
 mod sparse;
+mod tiles;
 
 pub(super) use fit::MEMBER;
 

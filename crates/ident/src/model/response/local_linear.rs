@@ -14,10 +14,14 @@
 //!
 //! A split is placed where the sum of its squares is least; the tree grows as long as that sum decreases.
 //!
+//! Splits that were chosen with the same points make residuals too small, so the bands are calibrated with trees that are
+//! grown anew without each of ten folds (`bands`).
+//!
 //! Sources: O. Nelles, Axes-oblique partitioning strategies for local model networks, Proc. IEEE ISIC (2006), 2378-2383;
 //! B. Hartmann, O. Banfer, O. Nelles, A. Sodja, L. Teslic, I. Skrjanc, Supervised hierarchical clustering in fuzzy model
 //! identification, IEEE Trans. Fuzzy Systems 19 (2011); O. Nelles, Nonlinear System Identification (2001), chapters 12 to 14.
 
+mod bands;
 mod grow;
 mod tree;
 
@@ -25,6 +29,7 @@ use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
 use super::features::{self, Coefficients};
+use super::formula::{Part, Product};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
 use grow::Grown;
 pub use tree::{Leaf, Split, Tree};
@@ -92,10 +97,12 @@ impl Learn for LocalLinear {
         let none = || ResponseError::NoStart { model: "local_linear", output: points.output.clone() };
         let grown: Grown = grow::best(self, &z, &y, points.dim(), interrupt).ok_or_else(none)?;
         let left_out = grown.left_out(scaling.output_std);
-        let coefficients = grown.coefficients();
+        let bands = bands::calibrate(self, &grown, &z, &y, points.dim(), interrupt);
+        let coefficients = grown.coefficients(bands);
         let model = LocalLinearModel { scaling, tree: grown.tree, coefficients };
         let mut notes = points.notes();
         notes.push(format!("{} of `{}`", model.describe(), points.output));
+        notes.extend(bands.note());
         Ok(Learnt::new(ResponseModel::LocalLinear(model), left_out, notes))
     }
 }
@@ -105,6 +112,19 @@ impl LocalLinearModel {
     pub fn local(&self, leaf: usize) -> &[f64] {
         let k = self.tree.local_terms();
         &self.coefficients.values[leaf * k..(leaf + 1) * k]
+    }
+
+    /// The mean of the scaled output.
+    pub(super) fn part(&self) -> Part {
+        let d = self.tree.dim;
+        let mut factors: Vec<Vec<usize>> = std::iter::once(vec![]).chain((0..d).map(|j| vec![j])).collect();
+        if self.tree.quadratic {
+            factors.extend((0..d).flat_map(|i| (i..d).map(move |j| vec![i, j])));
+        }
+        let model = |leaf: usize| {
+            self.local(leaf).iter().zip(&factors).map(|(c, f)| Product::new(*c, d, f)).collect()
+        };
+        Part::Local { tree: self.tree.clone(), models: (0..self.tree.leaves.len()).map(model).collect() }
     }
 }
 

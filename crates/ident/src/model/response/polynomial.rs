@@ -12,6 +12,7 @@ use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
 use super::features::{self, Coefficients, Features};
+use super::formula::{Formula, Part, Product};
 use super::stepwise::{LeastSquares, Pool, stepwise};
 use super::transform::{Transform, box_cox};
 use super::{
@@ -268,6 +269,15 @@ impl PolynomialModel {
             if factors.is_empty() { "1".into() } else { factors.join("*") }
         };
         self.terms.0.iter().map(term).collect()
+    }
+
+    /// Its mean.
+    pub(super) fn formula(&self) -> Formula {
+        let product =
+            |(exponents, c): (&Vec<u32>, &f64)| Product { coefficient: *c, exponents: exponents.clone() };
+        let products = self.terms.0.iter().zip(&self.coefficients.values).map(product).collect();
+        let (scaling, transform) = (self.scaling.clone(), self.transform);
+        Formula { scaling, parts: vec![Part::Polynomial(products)], transform, share: 1.0 }
     }
 
     /// Transform of the output.

@@ -11,6 +11,8 @@ use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
 use super::features::{self, Coefficients, Features};
+use super::formula::{Part, Product};
+use super::gp::Kernel;
 use super::stepwise::{LeastSquares, Pool, stepwise};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
 
@@ -150,6 +152,28 @@ pub(super) fn spread_out(z: &[f64], d: usize, count: usize) -> Vec<usize> {
 fn gauss(z: &[f64], centre: &[f64], width: f64) -> f64 {
     let r2: f64 = z.iter().zip(centre).map(|(a, b)| (a - b).powi(2)).sum();
     (-0.5 * r2 / (width * width)).exp()
+}
+
+impl RbfModel {
+    /// Scaling of inputs and output.
+    pub(super) fn scaling(&self) -> &Scaling {
+        &self.scaling
+    }
+
+    /// Summands of the mean of the scaled output.
+    pub(super) fn parts(&self) -> Vec<Part> {
+        let f = &self.functions;
+        let (linear, weights) = self.coefficients.values.split_at(1 + f.linear.len());
+        let slopes = f.linear.iter().zip(&linear[1..]).map(|(j, c)| Product::new(*c, f.d, &[*j]));
+        let products = std::iter::once(Product::new(linear[0], f.d, &[])).chain(slopes).collect();
+        let kernels = Part::Kernels {
+            kernel: Kernel::SquaredExponential,
+            inverse_squares: vec![1.0 / (f.width * f.width); f.d],
+            centres: f.centres.clone(),
+            weights: weights.to_vec(),
+        };
+        vec![Part::Polynomial(products), kernels]
+    }
 }
 
 impl Response for RbfModel {

@@ -4,12 +4,14 @@
 //! V = R'R,  W = R^-T,  Z = W H,  r = W y,  Z'Z = A'A,  b = A^-1 A^-T Z'r,  a = W'(r - Z b)
 //! mean = h'b + k'a
 //! v = W k,  t = A^-T (h - Z'v),  variance / s^2 = 1 - v'v + t't
-//! p = W'(v + Z A^-1 t),  d variance / s^2 = -2 p'dk + 2 (A^-1 t)'dh
+//! p = W'v + (W'Z) A^-1 t,  d variance / s^2 = -2 p'dk + 2 (A^-1 t)'dh
 //! ```
 //!
 //! Through v the error of a variance is about eps / sqrt(g), g the noise ratio; through V^-1 it would be eps / g.
 
 use dynocal_numerics::linalg::{axpy, cholesky, dot, solve_upper, solve_upper_transposed};
+
+use super::packed;
 
 /// Factors for n points and q mean functions.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +20,8 @@ pub struct Factors {
     lower: Vec<f64>,
     /// Z, n x q.
     basis: Vec<f64>,
+    /// W'Z, n x q.
+    mixed: Vec<f64>,
     /// r (n).
     rotated: Vec<f64>,
     /// A, upper triangular (q x q).
@@ -37,29 +41,30 @@ impl Factors {
         let mut factors = Self {
             lower,
             basis: vec![0.0; n * q],
+            mixed: vec![0.0; n * q],
             rotated: vec![0.0; n],
             root: vec![0.0; q * q],
             coefficients: vec![0.0; q],
             weights: vec![0.0; n],
         };
         for i in 0..n {
-            let row = factors.row(i);
-            let rotated = dot(row, &y[..=i]);
-            let z: Vec<f64> = (0..q).map(|j| (0..=i).map(|k| row[k] * basis[k * q + j]).sum()).collect();
-            factors.rotated[i] = rotated;
-            factors.basis[i * q..(i + 1) * q].copy_from_slice(&z);
+            let row = &factors.lower[i * (i + 1) / 2..(i + 1) * (i + 2) / 2];
+            factors.rotated[i] = dot(row, &y[..=i]);
+            let z = &mut factors.basis[i * q..(i + 1) * q];
+            for (w, h) in row.iter().zip(basis.chunks_exact(q.max(1))) {
+                axpy(*w, h, z);
+            }
+            if q > 0 {
+                row.iter().zip(factors.mixed.chunks_exact_mut(q)).for_each(|(w, m)| axpy(*w, z, m));
+            }
         }
         factors.solve()?;
         Some(factors)
     }
 
-    fn row(&self, i: usize) -> &[f64] {
-        &self.lower[i * (i + 1) / 2..(i + 1) * (i + 2) / 2]
-    }
-
     /// Numbers that are held.
     pub(super) fn len(&self) -> usize {
-        self.lower.len() + self.basis.len() + 2 * self.weights.len()
+        self.lower.len() + 2 * self.basis.len() + 2 * self.weights.len()
     }
 
     /// Coefficients and weights from W, Z and r.
@@ -96,9 +101,30 @@ impl Factors {
 
     /// Variance over s^2; leaves v (n) and t (q).
     pub fn variance(&self, h: &[f64], k: &[f64], v: &mut [f64], t: &mut [f64]) -> f64 {
-        pulp::Arch::new().dispatch(Lower { matrix: &self.lower, x: k, out: v });
+        packed::times(&self.lower, k, v);
         self.rest_of_mean(h, v, t);
         1.0 - dot(v, v) + dot(t, t)
+    }
+
+    /// Variance over s^2 with p (n); leaves v (n), and A^-1 t in `f` (q).
+    pub(super) fn variance_and_slopes(
+        &self,
+        h: &[f64],
+        k: &[f64],
+        v: &mut [f64],
+        f: &mut [f64],
+        p: &mut [f64],
+    ) -> f64 {
+        packed::both(&self.lower, k, v, p);
+        self.rest_of_mean(h, v, f);
+        let variance = 1.0 - dot(v, v) + dot(f, f);
+        let q = f.len();
+        // The factor has a positive diagonal.
+        let _ = solve_upper(&self.root, q, f);
+        if q > 0 {
+            p.iter_mut().zip(self.mixed.chunks_exact(q)).for_each(|(p, m)| *p += dot(m, f));
+        }
+        variance
     }
 
     /// `t = A^-T (h - Z'v)`.
@@ -114,26 +140,14 @@ impl Factors {
         let _ = solve_upper_transposed(&self.root, q, t);
     }
 
-    /// `p = W'(v + Z A^-1 t)` from what [`Factors::variance`] left; t becomes `A^-1 t`, v is overwritten.
-    pub(super) fn slopes(&self, v: &mut [f64], t: &mut [f64], p: &mut [f64]) {
-        let q = t.len();
-        let _ = solve_upper(&self.root, q, t);
-        if q > 0 {
-            for (z, v) in self.basis.chunks_exact(q).zip(v.iter_mut()) {
-                *v += dot(z, t);
-            }
-        }
-        self.times_transposed(v, p);
-    }
-
     /// `out = W x`.
     pub(super) fn times(&self, x: &[f64], out: &mut [f64]) {
-        pulp::Arch::new().dispatch(Lower { matrix: &self.lower, x, out });
+        packed::times(&self.lower, x, out);
     }
 
     /// `out = W'x`.
     fn times_transposed(&self, x: &[f64], out: &mut [f64]) {
-        pulp::Arch::new().dispatch(Upper { matrix: &self.lower, x, out });
+        packed::times_transposed(&self.lower, x, out);
     }
 
     /// One more point: its mean functions, its correlations with the others, its own diagonal entry of V, its output.
@@ -154,73 +168,14 @@ impl Factors {
                 axpy(-v, row, &mut z);
             }
         }
-        self.basis.extend(z.iter().map(|z| z / rest));
+        z.iter_mut().for_each(|z| *z /= rest);
+        let last = self.lower[self.lower.len() - n - 1..].iter();
+        self.mixed.resize(self.mixed.len() + z.len(), 0.0);
+        if !z.is_empty() {
+            last.zip(self.mixed.chunks_exact_mut(z.len())).for_each(|(w, m)| axpy(*w, &z, m));
+        }
+        self.basis.extend(z);
         // More points never make the mean functions dependent.
         let _ = self.solve();
-    }
-}
-
-/// `sum_i f(a_i, b_i)` in sixteen partial sums that are added in pairs: no addition waits for the one before.
-#[inline(always)]
-pub(super) fn sum_of(a: &[f64], b: &[f64], f: impl Fn(f64, f64) -> f64) -> f64 {
-    let mut partial = [0.0; 16];
-    let (ca, cb) = (a.chunks_exact(16), b.chunks_exact(16));
-    let rest = ca.remainder().iter().zip(cb.remainder());
-    rest.zip(&mut partial).for_each(|((a, b), p)| *p = f(*a, *b));
-    for (a, b) in ca.zip(cb) {
-        for k in 0..16 {
-            partial[k] += f(a[k], b[k]);
-        }
-    }
-    for half in [8, 4, 2, 1] {
-        for k in 0..half {
-            partial[k] += partial[k + half];
-        }
-    }
-    partial[0]
-}
-
-/// `out_i = sum_{k <= i} W_ik x_k`.
-struct Lower<'a> {
-    matrix: &'a [f64],
-    x: &'a [f64],
-    out: &'a mut [f64],
-}
-
-impl pulp::WithSimd for Lower<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let mut from = 0;
-        for (i, out) in self.out.iter_mut().enumerate() {
-            let row = &self.matrix[from..from + i + 1];
-            from += i + 1;
-            *out = sum_of(row, &self.x[..=i], |w, x| w * x);
-        }
-    }
-}
-
-/// `out_k = sum_{i >= k} W_ik x_i`.
-struct Upper<'a> {
-    matrix: &'a [f64],
-    x: &'a [f64],
-    out: &'a mut [f64],
-}
-
-impl pulp::WithSimd for Upper<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        self.out.fill(0.0);
-        let mut from = 0;
-        for (i, x) in self.x.iter().enumerate() {
-            let row = &self.matrix[from..from + i + 1];
-            from += i + 1;
-            for (out, w) in self.out[..=i].iter_mut().zip(row) {
-                *out += x * w;
-            }
-        }
     }
 }

@@ -1,6 +1,5 @@
 //! Search for the hyperparameters of a Gaussian process.
 
-use dynocal_numerics::optim::{Bounds, Budget, Objective, Optimiser, Outcome, QuasiNewton};
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
@@ -13,6 +12,7 @@ use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
 use super::mean::Mean;
 use super::model::{GpModel, Hyperparameters, Stored, basis};
+use super::newton::{Effort, maximise};
 use super::noise::VaryingNoise;
 
 pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
@@ -65,8 +65,9 @@ pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
 /// Bounds of the lengths, in standard deviations of the input: below, neighbours are independent; above, the input
 /// acts through the mean functions or not at all.
 pub(super) const LENGTHS: [f64; 2] = [0.02, 300.0];
-/// Bounds of the noise ratio: below, the matrix is no longer positive definite in double precision.
-pub(super) const NOISE: [f64; 2] = [1e-10, 1e3];
+/// Bounds of the noise ratio g: below, the rounding of a variance of the response, some eps / sqrt(g) of that of the signal,
+/// is no longer small beside the variance of the noise (at 1e-8 it is a ten-thousandth of it).
+pub(super) const NOISE: [f64; 2] = [1e-8, 1e3];
 /// From this length on an input counts as lost, and the search is started again with it at a moderate one.
 const LOST: f64 = 50.0;
 /// Lengths and noise ratios from which starts are drawn (in logarithms), and where the first start stands.
@@ -374,73 +375,4 @@ fn better(best: Option<Found>, other: Found) -> Option<Found> {
         Some(best) if best.log_likelihood >= other.log_likelihood => best,
         _ => other,
     })
-}
-
-/// How far a search goes.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Effort {
-    /// Enough to tell the starts apart.
-    Coarse,
-    /// To the maximum.
-    Fine,
-}
-
-/// Maximises the likelihood over log lengths and log noise ratio.
-pub(super) fn maximise(
-    problem: &Problem<'_>,
-    start: &[f64],
-    effort: Effort,
-    interrupt: &dyn Fn() -> bool,
-) -> Option<Found> {
-    let d = problem.dim();
-    let bound = |side: usize| -> Vec<f64> {
-        let mut bound = vec![LENGTHS[side].ln(); d];
-        bound.push(NOISE[side].ln());
-        bound
-    };
-    let bounds = Bounds { lower: bound(0), upper: bound(1) };
-    let budget = match effort {
-        Effort::Coarse => Budget { evaluations: 60, gradient_tolerance: 1e-3, value_tolerance: 1e-4 },
-        Effort::Fine => Budget { evaluations: 200, gradient_tolerance: 1e-6, value_tolerance: 1e-8 },
-    };
-    let mut negative = Negative { problem, work: Work::new(problem.n()), interrupt, evaluations: 0 };
-    let Outcome { x, value, .. } = QuasiNewton::default().minimise(&mut negative, &bounds, start, &budget);
-    let evaluations = negative.evaluations;
-    value.is_finite().then_some(Found {
-        kernel: problem.kernel,
-        theta: x,
-        log_likelihood: -value,
-        evaluations,
-    })
-}
-
-/// `-log L` for the search.
-struct Negative<'a> {
-    problem: &'a Problem<'a>,
-    work: Work,
-    interrupt: &'a dyn Fn() -> bool,
-    evaluations: usize,
-}
-
-impl Objective for Negative<'_> {
-    fn n(&self) -> usize {
-        self.problem.dim() + 1
-    }
-
-    fn value_gradient(&mut self, x: &[f64], grad: &mut [f64]) -> f64 {
-        // After an interrupt no trial is any good, which ends the search at the best point.
-        if self.evaluations > 0 && (self.interrupt)() {
-            return f64::INFINITY;
-        }
-        self.evaluations += 1;
-        let d = self.problem.dim();
-        let at = self.problem.likelihood(&x[..d], x[d].exp(), None, !grad.is_empty(), &mut self.work);
-        match at {
-            Some(at) => {
-                grad.iter_mut().zip(&at.gradient).for_each(|(g, l)| *g = -l);
-                -at.value
-            }
-            None => f64::INFINITY,
-        }
-    }
 }

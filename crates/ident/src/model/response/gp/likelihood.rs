@@ -6,21 +6,27 @@
 //! 2 log L = -(n-q) log s^2 - y'a / s^2 - log|V| - log|H'V^-1 H| - (n-q) log 2 pi
 //! 2 d log L = sum_ik (a_i a_k / s^2 - P_ik) dV_ik
 //! s^2 = y'a / (n-q)                            where it is not given
+//! J_jk = (f_j'P f_k - a'f_j a'f_k / ((n-q) s^2)) / (2 s^2),   f_j = dV/dtheta_j a
 //! y_i - yhat_i = a_i / P_ii,   var = s^2 / P_ii        without point i (b estimated again, l, g, s^2 kept)
 //! ```
 //!
-//! The coefficients b have a flat prior; without mean functions (q = 0) this is the ordinary likelihood.
+//! The coefficients b have a flat prior; without mean functions (q = 0) this is the ordinary likelihood. J is the average of
+//! observed and expected information at the best s^2: it needs no product of matrices (`newton`). V stands in tiles (`tiles`),
+//! and the sums over them are taken tile by tile without V^-1 as a whole.
 //!
 //! Sources: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning (2006), eqs. (2.30), (5.9),
-//! (5.12) and section 2.7; O. Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geology 15 (1983).
+//! (5.12) and section 2.7; O. Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geology 15 (1983);
+//! A. R. Gilmour, R. Thompson, B. R. Cullis, Average information REML, Biometrics 51 (1995), 1440-1450.
 
 use dynocal_numerics::linalg::{
-    cholesky, cholesky_inverse, dot, invert_upper, log_det_gram, solve_upper_many,
-    solve_upper_transposed_many, symmetric_update,
+    cholesky, dot, log_det_gram, solve_upper, solve_upper_transposed, solve_upper_transposed_many,
 };
+use rayon::prelude::*;
 
-use super::factors::{Factors, sum_of};
+use super::factors::Factors;
 use super::kernel::Kernel;
+use super::slopes::{self, Slopes};
+use super::tiles::Tiles;
 
 /// What a likelihood is computed from. Inputs and output are scaled.
 #[derive(Clone, Debug)]
@@ -37,24 +43,25 @@ pub struct Problem<'a> {
     pub noise_shape: &'a [f64],
 }
 
-/// Buffers for n points: four matrices of n x n.
+/// Buffers for n points: three upper triangles.
 pub struct Work {
-    factor: Vec<f64>,
-    slope: Vec<f64>,
-    inverse: Vec<f64>,
-    scratch: Vec<f64>,
+    /// V, then its factor R.
+    pub(super) factor: Tiles,
+    /// dk/d(r^2).
+    pub(super) slope: Tiles,
+    /// R^-1.
+    pub(super) root: Tiles,
 }
 
 impl Work {
     /// For n points.
     pub fn new(n: usize) -> Self {
-        let matrix = || vec![0.0; n * n];
-        Self { factor: matrix(), slope: matrix(), inverse: matrix(), scratch: matrix() }
+        Self { factor: Tiles::new(n), slope: Tiles::new(n), root: Tiles::new(n) }
     }
 
     /// Bytes for n points.
     pub fn bytes(n: usize) -> usize {
-        4 * 8 * n * n
+        3 * 8 * Tiles::len(n)
     }
 }
 
@@ -83,6 +90,24 @@ pub struct LeaveOneOut {
     pub variance: Vec<f64>,
 }
 
+/// A likelihood whose factor stands in the buffers that it was computed in.
+pub(super) struct Factored {
+    pub(super) value: f64,
+    pub(super) signal_variance: f64,
+    pub(super) projection: Projection,
+}
+
+/// What follows from the factor of V by solves.
+pub(super) struct Projection {
+    /// a (n).
+    pub(super) weights: Vec<f64>,
+    coefficients: Vec<f64>,
+    quadratic: f64,
+    /// U (n x q) with `V^-1 H (H'V^-1H)^-1 H'V^-1 = U U'`.
+    pub(super) u: Vec<f64>,
+    log_det_basis: f64,
+}
+
 impl Problem<'_> {
     /// Number of points.
     pub fn n(&self) -> usize {
@@ -94,11 +119,11 @@ impl Problem<'_> {
         self.columns.len() / self.n().max(1)
     }
 
-    fn q(&self) -> usize {
+    pub(super) fn q(&self) -> usize {
         self.basis.len() / self.n().max(1)
     }
 
-    fn noise(&self, ratio: f64, i: usize) -> f64 {
+    pub(super) fn noise(&self, ratio: f64, i: usize) -> f64 {
         ratio * self.noise_shape.get(i).copied().unwrap_or(1.0)
     }
 
@@ -112,36 +137,60 @@ impl Problem<'_> {
         with_gradient: bool,
         work: &mut Work,
     ) -> Option<Likelihood> {
-        let (n, q) = (self.n(), self.q());
-        self.correlations(log_lengths, noise_ratio, work);
-        cholesky(&mut work.factor, n).ok()?;
-        let projection = self.project(&work.factor)?;
-        let free = (n - q) as f64;
-        let s2 = signal_variance.unwrap_or(projection.quadratic / free).max(f64::MIN_POSITIVE);
-        let log_dets = log_det_gram(&work.factor, n) + projection.log_det_basis;
-        let value = -0.5
-            * (free * s2.ln()
-                + projection.quadratic / s2
-                + log_dets
-                + free * (2.0 * std::f64::consts::PI).ln());
+        let at = self.factored(log_lengths, noise_ratio, signal_variance, work)?;
         let gradient = if with_gradient {
-            self.projector(&projection, work)?;
-            // The upper triangle becomes P - a a'/s^2.
-            symmetric_update(-1.0 / s2, &projection.weights, 1, n, &mut work.inverse).ok()?;
-            let mut gradient = self.contract(log_lengths, noise_ratio, work);
-            let by_scale = -0.5 * (free - projection.quadratic / s2);
+            let mut gradient = self.slopes(log_lengths, noise_ratio, &at, work)?.gradient;
+            let free = (self.n() - self.q()) as f64;
+            let by_scale = -0.5 * (free - at.projection.quadratic / at.signal_variance);
             gradient.push(if signal_variance.is_some() { by_scale } else { 0.0 });
             gradient
         } else {
             Vec::new()
         };
-        value.is_finite().then_some(Likelihood {
-            value,
-            signal_variance: s2,
+        Some(Likelihood {
+            value: at.value,
+            signal_variance: at.signal_variance,
             gradient,
-            weights: projection.weights,
-            coefficients: projection.coefficients,
+            weights: at.projection.weights,
+            coefficients: at.projection.coefficients,
         })
+    }
+
+    /// The value alone; leaves the factor of V and the slopes of the correlations in `work`.
+    pub(super) fn factored(
+        &self,
+        log_lengths: &[f64],
+        noise_ratio: f64,
+        signal_variance: Option<f64>,
+        work: &mut Work,
+    ) -> Option<Factored> {
+        let (n, q) = (self.n(), self.q());
+        self.correlations(log_lengths, noise_ratio, work);
+        work.factor.cholesky().ok()?;
+        let projection = self.project(&work.factor)?;
+        let free = (n - q) as f64;
+        let s2 = signal_variance.unwrap_or(projection.quadratic / free).max(f64::MIN_POSITIVE);
+        let log_det = 2.0 * (0..n).map(|i| work.factor.diagonal(i).ln()).sum::<f64>();
+        let value = -0.5
+            * (free * s2.ln()
+                + projection.quadratic / s2
+                + log_det
+                + projection.log_det_basis
+                + free * (2.0 * std::f64::consts::PI).ln());
+        value.is_finite().then_some(Factored { value, signal_variance: s2, projection })
+    }
+
+    /// Gradient with respect to log lengths and log noise ratio at constant s^2 (d + 1) and the average information, from
+    /// what [`Problem::factored`] left in `work`.
+    pub(super) fn slopes(
+        &self,
+        log_lengths: &[f64],
+        noise_ratio: f64,
+        at: &Factored,
+        work: &mut Work,
+    ) -> Option<Slopes> {
+        work.factor.inverse_into(&mut work.root).ok()?;
+        slopes::of(self, log_lengths, noise_ratio, at, work)
     }
 
     /// Leave-one-out residuals at fixed lengths, noise ratio and signal variance.
@@ -152,50 +201,56 @@ impl Problem<'_> {
         signal_variance: f64,
         work: &mut Work,
     ) -> Option<LeaveOneOut> {
-        let n = self.n();
-        self.correlations(log_lengths, noise_ratio, work);
-        cholesky(&mut work.factor, n).ok()?;
-        let projection = self.project(&work.factor)?;
-        self.projector(&projection, work)?;
-        let diagonal = |i: usize| work.inverse[i * n + i];
+        let (n, q) = (self.n(), self.q());
+        let at = self.factored(log_lengths, noise_ratio, Some(signal_variance), work)?;
+        work.factor.inverse_into(&mut work.root).ok()?;
+        let mut diagonal = work.root.square_diagonal();
+        if q > 0 {
+            diagonal.iter_mut().zip(at.projection.u.chunks_exact(q)).for_each(|(v, u)| *v -= dot(u, u));
+        }
         Some(LeaveOneOut {
-            residuals: (0..n).map(|i| projection.weights[i] / diagonal(i)).collect(),
-            variance: (0..n).map(|i| signal_variance / diagonal(i)).collect(),
+            residuals: (0..n).map(|i| at.projection.weights[i] / diagonal[i]).collect(),
+            variance: diagonal.iter().map(|v| signal_variance / v).collect(),
         })
     }
 
     /// What predictions need at fixed lengths and noise ratio.
     pub fn factors(&self, log_lengths: &[f64], noise_ratio: f64, work: &mut Work) -> Option<Factors> {
-        let n = self.n();
         self.correlations(log_lengths, noise_ratio, work);
-        cholesky(&mut work.factor, n).ok()?;
-        invert_upper(&work.factor, n, &mut work.scratch).ok()?;
-        let mut lower = Vec::with_capacity(n * (n + 1) / 2);
-        for i in 0..n {
-            lower.extend((0..=i).map(|k| work.scratch[k * n + i]));
-        }
-        Factors::new(lower, self.basis, self.y)
+        work.factor.cholesky().ok()?;
+        work.factor.inverse_into(&mut work.root).ok()?;
+        Factors::new(work.root.packed_transposed(), self.basis, self.y)
     }
 
-    /// Upper triangle of V into `work.factor`, slopes dk/d(r^2) into `work.slope`.
+    /// V into `work.factor`, slopes dk/d(r^2) into `work.slope`.
     fn correlations(&self, log_lengths: &[f64], noise_ratio: f64, work: &mut Work) {
         let n = self.n();
         let inverse_squares: Vec<f64> = log_lengths.iter().map(|l| (-2.0 * l).exp()).collect();
-        pulp::Arch::new().dispatch(Fill {
-            kernel: self.kernel,
-            columns: self.columns,
-            inverse_squares: &inverse_squares,
-            n,
-            values: &mut work.factor,
-            slopes: &mut work.slope,
+        let pairs = work.factor.pairs();
+        let ranges: Vec<_> = (0..work.factor.count()).map(|i| work.factor.rows(i)).collect();
+        let (values, slopes) = (work.factor.all_mut(), work.slope.all_mut());
+        values.par_iter_mut().zip(slopes.par_iter_mut()).zip(pairs).for_each(|((values, slopes), (i, j))| {
+            let (rows, cols) = (&ranges[i], &ranges[j]);
+            pulp::Arch::new().dispatch(Fill {
+                kernel: self.kernel,
+                columns: self.columns,
+                inverse_squares: &inverse_squares,
+                n,
+                rows: rows.clone(),
+                cols: cols.clone(),
+                values,
+                slopes,
+            });
+            if i == j {
+                for (at, row) in rows.clone().enumerate() {
+                    values[at * cols.len() + at] = 1.0 + self.noise(noise_ratio, row);
+                }
+            }
         });
-        for i in 0..n {
-            work.factor[i * n + i] = 1.0 + self.noise(noise_ratio, i);
-        }
     }
 
     /// What follows from the factor of V by solves.
-    fn project(&self, factor: &[f64]) -> Option<Projection> {
+    fn project(&self, factor: &Tiles) -> Option<Projection> {
         let (n, q) = (self.n(), self.q());
         // Z = R^-T [H, y].
         let width = q + 1;
@@ -204,7 +259,7 @@ impl Problem<'_> {
             z.extend_from_slice(&self.basis[i * q..(i + 1) * q]);
             z.push(self.y[i]);
         }
-        solve_upper_transposed_many(factor, n, &mut z, width).ok()?;
+        factor.solve_transposed(&mut z, width).ok()?;
         let mut root = vec![0.0; q * q];
         let mut coefficients = vec![0.0; q];
         for row in z.chunks_exact(width) {
@@ -216,69 +271,38 @@ impl Problem<'_> {
             }
         }
         cholesky(&mut root, q).ok()?;
-        solve_upper_transposed_many(&root, q, &mut coefficients, 1).ok()?;
-        solve_upper_many(&root, q, &mut coefficients, 1).ok()?;
+        solve_upper_transposed(&root, q, &mut coefficients).ok()?;
+        solve_upper(&root, q, &mut coefficients).ok()?;
         // The residual before the last solve: its square sum is y'a without cancellation.
-        let mut weights: Vec<f64> =
-            z.chunks_exact(width).map(|row| row[q] - dot(&row[..q], &coefficients)).collect();
-        let quadratic = dot(&weights, &weights);
-        solve_upper_many(factor, n, &mut weights, 1).ok()?;
-        // U' = R_A^-T (R^-1 Z_H)', q x n, so that V^-1 H (H'V^-1H)^-1 H'V^-1 = U U'.
-        let mut solved: Vec<f64> = z.chunks_exact(width).flat_map(|row| row[..q].iter().copied()).collect();
-        solve_upper_many(factor, n, &mut solved, q).ok()?;
-        let mut u = vec![0.0; q * n];
-        for i in 0..n {
-            for j in 0..q {
-                u[j * n + i] = solved[i * q + j];
-            }
+        let mut quadratic = 0.0;
+        for row in z.chunks_exact_mut(width) {
+            row[q] -= dot(&row[..q], &coefficients);
+            quadratic += row[q] * row[q];
         }
-        solve_upper_transposed_many(&root, q, &mut u, n).ok()?;
+        // R^-1 [Z_H, residual] = [V^-1 H, a].
+        factor.solve(&mut z, width).ok()?;
+        let weights = z.chunks_exact(width).map(|row| row[q]).collect();
+        // U' = R_A^-T (V^-1 H)'.
+        let mut transposed = vec![0.0; q * n];
+        for (i, row) in z.chunks_exact(width).enumerate() {
+            (0..q).for_each(|j| transposed[j * n + i] = row[j]);
+        }
+        solve_upper_transposed_many(&root, q, &mut transposed, n).ok()?;
+        let u =
+            (0..n).flat_map(|i| (0..q).map(move |j| (i, j))).map(|(i, j)| transposed[j * n + i]).collect();
         let log_det_basis = log_det_gram(&root, q);
         Some(Projection { weights, coefficients, quadratic, u, log_det_basis })
     }
-
-    /// Upper triangle of P into `work.inverse`.
-    fn projector(&self, projection: &Projection, work: &mut Work) -> Option<()> {
-        let n = self.n();
-        cholesky_inverse(&work.factor, n, &mut work.scratch, &mut work.inverse).ok()?;
-        symmetric_update(-1.0, &projection.u, self.q(), n, &mut work.inverse).ok()
-    }
-
-    /// `sum_ik M_ik dV_ik / 2` for all parameters, with -M in the upper triangle of `work.inverse`.
-    fn contract(&self, log_lengths: &[f64], noise_ratio: f64, work: &mut Work) -> Vec<f64> {
-        let (n, d) = (self.n(), self.dim());
-        let by_noise: f64 = (0..n).map(|i| -0.5 * work.inverse[i * n + i] * self.noise(noise_ratio, i)).sum();
-        let mut sums = vec![0.0; d];
-        pulp::Arch::new().dispatch(Contract {
-            columns: self.columns,
-            n,
-            weights: &work.inverse,
-            slopes: &work.slope,
-            row: &mut work.scratch,
-            sums: &mut sums,
-        });
-        // dr^2/dlog l_j = -2 (x_j - x'_j)^2 / l_j^2; the two triangles cancel the half.
-        let mut gradient: Vec<f64> =
-            sums.iter().zip(log_lengths).map(|(s, l)| 2.0 * s * (-2.0 * l).exp()).collect();
-        gradient.push(by_noise);
-        gradient
-    }
 }
 
-struct Projection {
-    weights: Vec<f64>,
-    coefficients: Vec<f64>,
-    quadratic: f64,
-    u: Vec<f64>,
-    log_det_basis: f64,
-}
-
-/// Correlations and slopes of all pairs i < k.
+/// Correlations and slopes of the pairs of a tile; on the diagonal those of the upper triangle.
 struct Fill<'a> {
     kernel: Kernel,
     columns: &'a [f64],
     inverse_squares: &'a [f64],
     n: usize,
+    rows: std::ops::Range<usize>,
+    cols: std::ops::Range<usize>,
     values: &'a mut [f64],
     slopes: &'a mut [f64],
 }
@@ -288,48 +312,19 @@ impl pulp::WithSimd for Fill<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let n = self.n;
-        for i in 0..n {
-            let values = &mut self.values[i * n + i..(i + 1) * n];
+        let width = self.cols.len();
+        for (at, i) in self.rows.enumerate() {
+            let from = i.max(self.cols.start);
+            let part = at * width + from - self.cols.start..(at + 1) * width;
+            let values = &mut self.values[part.clone()];
             values.fill(0.0);
-            for (column, w) in self.columns.chunks_exact(n).zip(self.inverse_squares) {
+            for (column, w) in self.columns.chunks_exact(self.n).zip(self.inverse_squares) {
                 let own = column[i];
-                for (r2, other) in values.iter_mut().zip(&column[i..]) {
+                for (r2, other) in values.iter_mut().zip(&column[from..self.cols.end]) {
                     *r2 += w * (own - other) * (own - other);
                 }
             }
-            self.kernel.apply(values, &mut self.slopes[i * n + i..(i + 1) * n]);
-        }
-    }
-}
-
-/// `sums_j = sum_{i<k} W_ik slope_ik (x_ij - x_kj)^2`.
-struct Contract<'a> {
-    columns: &'a [f64],
-    n: usize,
-    weights: &'a [f64],
-    slopes: &'a [f64],
-    row: &'a mut [f64],
-    sums: &'a mut [f64],
-}
-
-impl pulp::WithSimd for Contract<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _: S) {
-        let n = self.n;
-        for i in 0..n {
-            let row = &mut self.row[i + 1..n];
-            let (w, s) =
-                (&self.weights[i * n + i + 1..(i + 1) * n], &self.slopes[i * n + i + 1..(i + 1) * n]);
-            for ((r, w), s) in row.iter_mut().zip(w).zip(s) {
-                *r = w * s;
-            }
-            for (column, sum) in self.columns.chunks_exact(n).zip(self.sums.iter_mut()) {
-                let own = column[i];
-                *sum += sum_of(row, &column[i + 1..], |w, x| w * (own - x) * (own - x));
-            }
+            self.kernel.apply(values, &mut self.slopes[part]);
         }
     }
 }

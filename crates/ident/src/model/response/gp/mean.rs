@@ -44,6 +44,14 @@ impl Mean {
         }
     }
 
+    /// Inputs whose product each function is.
+    pub(super) fn products(self, d: usize) -> Vec<Vec<usize>> {
+        let mut all: Vec<Vec<usize>> = std::iter::once(vec![]).chain((0..d).map(|j| vec![j])).collect();
+        all.extend(pairs(d).map(|(i, j)| vec![i, j]));
+        all.truncate(self.count(d));
+        all
+    }
+
     /// Derivatives of the functions with respect to z_k into h (q).
     pub fn slopes(self, z: &[f64], k: usize, h: &mut [f64]) {
         let d = z.len();

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::super::ResponseError;
+use super::super::formula::{Part, Product};
 use super::super::scaling::Scaling;
 use super::factors::Factors;
 use super::kernel::Kernel;
@@ -128,6 +129,26 @@ impl GpModel {
     pub fn noise_std(&self) -> f64 {
         (self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt()
             * self.stored.scaling.output_std
+    }
+
+    /// Scaling of inputs and output.
+    pub(in super::super) fn scaling(&self) -> &Scaling {
+        &self.stored.scaling
+    }
+
+    /// Summands of the mean of the scaled output.
+    pub(in super::super) fn parts(&self) -> Vec<Part> {
+        let d = self.columns.len();
+        let products = self.stored.mean.products(d).into_iter().zip(&self.factors.coefficients);
+        let products: Vec<Product> = products.map(|(f, c)| Product::new(*c, d, &f)).collect();
+        let kernels = Part::Kernels {
+            kernel: self.stored.kernel,
+            inverse_squares: self.stored.hyper.log_lengths.iter().map(|l| (-2.0 * l).exp()).collect(),
+            centres: self.stored.z.clone(),
+            weights: self.factors.weights.clone(),
+        };
+        let polynomial = (!products.is_empty()).then_some(Part::Polynomial(products));
+        polynomial.into_iter().chain([kernels]).collect()
     }
 
     /// Noise over signal variance at a scaled point.

@@ -12,8 +12,8 @@
 use dynocal_numerics::linalg::dot;
 
 use super::super::{Ask, Prediction, Response};
-use super::factors::sum_of;
 use super::model::GpModel;
+use super::packed::sum_of;
 
 impl Response for GpModel {
     fn dim(&self) -> usize {
@@ -40,11 +40,15 @@ impl Response for GpModel {
         let s2 = hyper.signal_variance * unit * unit;
         out.mean = self.stored.scaling.output_mean + unit * self.factors.mean(h, k);
         if ask >= Ask::Variance {
-            out.variance = (s2 * self.factors.variance(h, k, v, t)).max(0.0);
+            let variance = if ask >= Ask::Gradient {
+                self.factors.variance_and_slopes(h, k, v, t, p)
+            } else {
+                self.factors.variance(h, k, v, t)
+            };
+            out.variance = (s2 * variance).max(0.0);
             out.noise = s2 * self.noise_ratio(point);
         }
         if ask >= Ask::Gradient {
-            self.factors.slopes(v, t, p);
             let parts = Gradients { model: self, point, slopes, p, by_mean, by_variance, out };
             pulp::Arch::new().dispatch(parts);
             self.mean_functions(point, h, t, out);
@@ -84,13 +88,12 @@ impl GpModel {
             self.stored.scaling.input(x, &mut z);
             self.stored.mean.values(&z, &mut h);
             self.correlations(&z, &mut k, &mut slopes);
-            self.factors.variance(&h, &k, &mut v, &mut t);
-            (z, v, t)
+            let mut p = vec![0.0; n];
+            self.factors.variance_and_slopes(&h, &k, &mut v, &mut t, &mut p);
+            (z, p, t)
         };
-        let (z, mut of_v, mut of_t) = rotated(x);
         // As for a gradient: p and A^-1 t of x make every reference point a scalar product.
-        let mut p = vec![0.0; n];
-        self.factors.slopes(&mut of_v, &mut of_t, &mut p);
+        let (z, p, of_t) = rotated(x);
         let (mut other, mut h) = (vec![0.0; d], vec![0.0; q]);
         let (mut k, mut slopes) = (vec![0.0; n], vec![0.0; n]);
         let each = reference.chunks_exact(d).map(|r| {

@@ -21,8 +21,10 @@ use dynocal_numerics::linalg::{
 };
 use serde::{Deserialize, Serialize};
 
+use super::super::formula::{Part, Product};
 use super::super::{Ask, Prediction, Response, Scaling};
 use super::kernel::Kernel;
+use super::mean::Mean;
 
 /// Added to the diagonal of K_mm.
 const JITTER: f64 = 1e-8;
@@ -331,6 +333,24 @@ impl SparseGpModel {
             reduction,
             points: bound.y.len(),
         })
+    }
+
+    /// Scaling of inputs and output.
+    pub(in super::super) fn scaling(&self) -> &Scaling {
+        &self.scaling
+    }
+
+    /// Summands of the mean of the scaled output.
+    pub(in super::super) fn parts(&self) -> Vec<Part> {
+        let d = self.log_lengths.len();
+        let products = Mean::Linear.products(d).into_iter().zip(&self.trend);
+        let kernels = Part::Kernels {
+            kernel: self.kernel,
+            inverse_squares: self.log_lengths.iter().map(|l| (-2.0 * l).exp()).collect(),
+            centres: self.inducing.clone(),
+            weights: self.weights.clone(),
+        };
+        vec![Part::Polynomial(products.map(|(f, c)| Product::new(*c, d, &f)).collect()), kernels]
     }
 
     /// Number of inducing points m.

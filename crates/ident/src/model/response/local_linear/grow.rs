@@ -8,6 +8,7 @@ use super::super::LeftOut;
 use super::super::features::Coefficients;
 use super::super::stepwise::weighted;
 use super::LocalLinear;
+use super::bands::Bands;
 use super::tree::{Leaf, Split, Tree};
 
 /// Splits in a row that may fail to improve before the best tree is taken.
@@ -18,6 +19,8 @@ const TRIED: usize = 3;
 const DECREASE: f64 = 1e-3;
 /// A split is never steeper than over points that spread by this share of the standard deviation of all.
 const NARROWEST: f64 = 0.1;
+/// Step of the differences that place a split: the loss is smooth and exact to some 1e-15.
+const STEP: f64 = 1e-6;
 /// No point may carry its own local prediction by more than this.
 const LEVERAGE: f64 = 1.0 - 1e-9;
 
@@ -25,6 +28,8 @@ const LEVERAGE: f64 = 1.0 - 1e-9;
 #[derive(Clone)]
 pub(super) struct Grown {
     pub(super) tree: Tree,
+    /// Slope of its splits.
+    pub(super) slope: f64,
     x: Vec<f64>,
     y: Vec<f64>,
     locals: Vec<Local>,
@@ -90,7 +95,7 @@ fn grow(keys: &LocalLinear, slope: f64, z: &[f64], y: &[f64], d: usize) -> Optio
     let mut x = vec![0.0; y.len() * k];
     z.chunks_exact(d).zip(x.chunks_exact_mut(k)).for_each(|(z, x)| tree.regressors(z, x));
     let first = Local::fit(&x, k, y, vec![1.0; y.len()])?;
-    let mut now = Grown { tree, x, y: y.to_vec(), locals: vec![first] };
+    let mut now = Grown { tree, slope, x, y: y.to_vec(), locals: vec![first] };
     let mut best = now.clone();
     let mut idle = 0;
     while now.tree.leaves.len() < keys.most && idle < PATIENCE {
@@ -164,12 +169,18 @@ impl Grown {
         Some(next)
     }
 
+    /// Measured minus fitted (n).
+    pub(super) fn residuals(&self) -> Vec<f64> {
+        self.sum(|l| &l.error)
+    }
+
     /// Leverage of each point: the derivative of its prediction with respect to its measurement.
     fn leverage(&self) -> Vec<f64> {
         self.sum(|l| &l.own)
     }
 
-    fn noise(&self) -> f64 {
+    /// Variance of the noise as it would be if the splits had been known: too small, as they follow the noise as well.
+    pub(super) fn noise(&self) -> f64 {
         let squares: f64 = self.sum(|l| &l.error).iter().map(|e| e * e).sum();
         let free = self.y.len() as f64 - self.leverage().iter().sum::<f64>();
         squares / free.max(1.0)
@@ -189,8 +200,10 @@ impl Grown {
     /// ```text
     /// cov(w_l, w_m) = s^2 (X'Phi_l X)^-1 X' Phi_l Phi_m X (X'Phi_m X)^-1
     /// ```
-    pub(super) fn coefficients(&self) -> Coefficients {
-        let (k, n, noise) = (self.tree.local_terms(), self.y.len(), self.noise());
+    ///
+    /// with s^2 = `bands.response`.
+    pub(super) fn coefficients(&self, bands: Bands) -> Coefficients {
+        let (k, n) = (self.tree.local_terms(), self.y.len());
         let p = k * self.locals.len();
         // One row per coefficient: its derivative with respect to the measurements.
         let mut rows = vec![0.0; p * n];
@@ -206,12 +219,12 @@ impl Grown {
         let mut covariance = vec![0.0; p * p];
         for a in 0..p {
             for b in a..p {
-                covariance[a * p + b] = noise * dot(row(a), row(b));
+                covariance[a * p + b] = bands.response * dot(row(a), row(b));
                 covariance[b * p + a] = covariance[a * p + b];
             }
         }
         let values = self.locals.iter().flat_map(|l| l.w.iter().copied()).collect();
-        Coefficients { values, covariance, noise }
+        Coefficients { values, covariance, noise: bands.noise }
     }
 }
 
@@ -292,14 +305,14 @@ impl Objective for Placement<'_> {
         let value = self.loss(x);
         let mut at = x.to_vec();
         for (j, g) in grad.iter_mut().enumerate() {
-            let h = 1e-6;
-            at[j] = x[j] + h;
-            let up = self.loss(&at);
-            at[j] = x[j] - h;
-            let down = self.loss(&at);
-            at[j] = x[j];
+            let mut slope = |h: f64| {
+                at[j] = x[j] + h;
+                let moved = self.loss(&at);
+                at[j] = x[j];
+                (moved - value) / h
+            };
             // A side on which the split is not allowed has no slope.
-            *g = if up.is_finite() && down.is_finite() { (up - down) / (2.0 * h) } else { 0.0 };
+            *g = [STEP, -STEP].into_iter().map(&mut slope).find(|s| s.is_finite()).unwrap_or(0.0);
         }
         value
     }
