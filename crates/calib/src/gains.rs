@@ -47,7 +47,7 @@ pub struct TuneSpec {
     pub test_s: f64,
     /// Shortest time between two movements of one input in s.
     pub hold_s: f64,
-    /// Longest dead time and memory of an input in s.
+    /// Longest dead time and memory of an input in s; up to twice as much is tried where responses do not settle within.
     pub memory_s: f64,
     /// Time of the trial of the gains in s.
     pub trial_s: f64,

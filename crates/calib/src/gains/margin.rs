@@ -120,7 +120,9 @@ fn simc(linear: &Linear, k: usize, l: &PlanLoop) -> Result<PiGains, TuneError> {
     let refused = |reason: String| {
         Err(TuneError::NoAnswer { output: l.output.clone(), input: l.input.clone(), reason })
     };
-    if !(end.is_finite() && end != 0.0) || (end - step[n - n / 4]).abs() > UNSETTLED * end.abs() {
+    // What scatter leaves of the last quarter is no movement: twice the standard error of the steady effect.
+    let unsettled = UNSETTLED.max(2.0 * linear.doubt);
+    if !(end.is_finite() && end != 0.0) || (end - step[n - n / 4]).abs() > unsettled * end.abs() {
         return refused(format!("the identified step response does not settle (it ends at {end:.3e})"));
     }
     let reaches = |share: f64| {
