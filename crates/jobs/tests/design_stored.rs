@@ -9,6 +9,8 @@ use dynocal_ident::model::form::AnyForm;
 use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::response::form::{Learner, ResponseForm};
+use dynocal_ident::model::response::{self, Points};
 use dynocal_ident::prepare::{Planned, prepare};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
 use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, Space, coverage, learn};
@@ -135,6 +137,41 @@ fn a_design_predicts_what_the_stored_model_simulates() {
         let scale = stored.pointwise().unwrap().output.scale;
         assert!(scale > 2.0 && (m.noise_variance / (0.01 * scale * scale) - 1.0).abs() < 1e-12, "{name}");
     }
+}
+
+/// A response model has no parameters to tell about, but its output can be limited.
+#[test]
+fn a_response_model_limits_a_design_and_has_no_criterion() {
+    let mut rng = Rng64::new(11);
+    let x: Vec<f64> = (0..60)
+        .flat_map(|_| {
+            [rng.uniform_in(10.0, 30.0), rng.uniform_in(1000.0, 3000.0), rng.uniform_in(20.0, 120.0)]
+        })
+        .collect();
+    let y = x.chunks_exact(3).map(|x| 2.0 * x[0] + 0.01 * x[1] + 0.3 * x[2] + 0.2 * rng.normal()).collect();
+    let keys = toml::Table::new();
+    let learner = Learner { name: "local_linear".into(), keys: keys.clone() };
+    let names = ["fuel", "speed"].map(String::from);
+    let form = ResponseForm::new(&names, "torque", vec![(0, 1), (1, 1)], 1, learner).unwrap();
+    let points = Points { inputs: form.names(), output: "torque".into(), x, y };
+    let learnt = response::learner("local_linear", &keys).unwrap().learn(&points, &|| false).unwrap();
+    let form = AnyForm::from(form.with(learnt.model).unwrap());
+    let model = stored(form, &[], &[("fuel", "mg"), ("speed", "rpm")], &[]);
+    let refused = loaded(&model, &spec("rpm", "")).err().unwrap();
+    assert!(refused.contains("the criterion `d` has nothing to say about it"), "{refused}");
+    let beside = spec("rpm", "[[models]]\nfile = \"other.json\"\nlimits = { lower = 20.0, upper = 120.0 }");
+    let place = tempfile::tempdir().unwrap();
+    for (name, m) in [("model.json", &cases()[1].1), ("other.json", &model)] {
+        json::write_versioned(&place.path().join(name), MODEL_SCHEMA, MODEL_VERSION, m).unwrap();
+    }
+    let path = place.path().join("spec.toml");
+    dynocal_files::atomic::write(&path, beside.as_bytes()).unwrap();
+    let over = Overrides { out: Some(place.path().join("run")), ..Overrides::default() };
+    let job = design::read(&path, &over).unwrap();
+    let all = load::load(&job).unwrap();
+    assert!(all.models[1].theta.is_empty() && all.models[1].criterion.is_none());
+    let found = design::run::run(&job, dynocal_numerics::watch::Watch::silent()).unwrap();
+    assert!(found.0.safety.iter().any(|l| l.limits.is_some()));
 }
 
 #[test]
