@@ -139,9 +139,9 @@ fn a_design_predicts_what_the_stored_model_simulates() {
     }
 }
 
-/// A response model has no parameters to tell about, but its output can be limited.
+/// A response model has no parameters to tell about.
 #[test]
-fn a_response_model_limits_a_design_and_has_no_criterion() {
+fn a_response_model_is_refused_with_the_reason() {
     let mut rng = Rng64::new(11);
     let x: Vec<f64> = (0..60)
         .flat_map(|_| {
@@ -158,20 +158,7 @@ fn a_response_model_limits_a_design_and_has_no_criterion() {
     let form = AnyForm::from(form.with(learnt.model).unwrap());
     let model = stored(form, &[], &[("fuel", "mg"), ("speed", "rpm")], &[]);
     let refused = loaded(&model, &spec("rpm", "")).err().unwrap();
-    assert!(refused.contains("the criterion `d` has nothing to say about it"), "{refused}");
-    let beside = spec("rpm", "[[models]]\nfile = \"other.json\"\nlimits = { lower = 20.0, upper = 120.0 }");
-    let place = tempfile::tempdir().unwrap();
-    for (name, m) in [("model.json", &cases()[1].1), ("other.json", &model)] {
-        json::write_versioned(&place.path().join(name), MODEL_SCHEMA, MODEL_VERSION, m).unwrap();
-    }
-    let path = place.path().join("spec.toml");
-    dynocal_files::atomic::write(&path, beside.as_bytes()).unwrap();
-    let over = Overrides { out: Some(place.path().join("run")), ..Overrides::default() };
-    let job = design::read(&path, &over).unwrap();
-    let all = load::load(&job).unwrap();
-    assert!(all.models[1].theta.is_empty() && all.models[1].criterion.is_none());
-    let found = design::run::run(&job, dynocal_numerics::watch::Watch::silent()).unwrap();
-    assert!(found.0.safety.iter().any(|l| l.limits.is_some()));
+    assert!(refused.contains("the model of torque has no parameters (a response model"), "{refused}");
 }
 
 #[test]

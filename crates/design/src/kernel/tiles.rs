@@ -12,18 +12,11 @@ const MOST: usize = 16;
 
 /// `g += s' s` for `s` (n x p): lower triangle only; [`super::mirror`] completes it.
 pub(crate) fn gram_add(s: &[f64], p: usize, g: &mut [f64]) {
-    // A model without parameters limits an output and has nothing to add.
-    if p == 0 {
-        return;
-    }
     pulp::Arch::new().dispatch(Gram { s, p, g });
 }
 
 /// `out = s b` for `s` (n x p) and `b` (p x p).
 pub(crate) fn multiply(s: &[f64], b: &[f64], p: usize, out: &mut [f64]) {
-    if p == 0 {
-        return;
-    }
     pulp::Arch::new().dispatch(Product { s, b, p, out });
 }
 

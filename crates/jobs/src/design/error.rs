@@ -84,17 +84,14 @@ pub enum DesignJobError {
         /// Unit of its output.
         unit: String,
     },
-    /// A criterion of a model without parameters.
+    /// A model without parameters.
     #[error(
-        "the model of {model} has no parameters (a response model is its points, splits or terms), so that the criterion \
-         `{criterion}` has nothing to say about it; expected a model with parameters, or this one without `criterion` as a limit \
-         of its output"
+        "the model of {model} has no parameters (a response model is its points, splits or terms), so that a test signal can \
+         tell nothing about them; expected a model with parameters"
     )]
     NoParameters {
         /// Model.
         model: String,
-        /// Criterion.
-        criterion: String,
     },
     /// A model that nothing drives, or with a form that has no sensitivities.
     #[error("{model}: found a {kind} that the inputs do not drive, expected a model with inputs")]

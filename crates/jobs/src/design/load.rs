@@ -83,8 +83,8 @@ fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded
         Ok::<_, BuildError>(NamedCriterion { name: name.clone(), criterion })
     };
     out.criterion = spec.criterion.as_ref().map(build).transpose()?;
-    if let (Some(c), true) = (&out.criterion, out.theta.is_empty()) {
-        return Err(DesignJobError::NoParameters { model: out.name, criterion: c.name.clone() });
+    if out.theta.is_empty() {
+        return Err(DesignJobError::NoParameters { model: out.name });
     }
     out.weight = spec.weight;
     out.limits = spec.limits.clone();

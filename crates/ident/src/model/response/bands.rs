@@ -74,6 +74,9 @@ pub(super) struct Refit {
     pub(super) noise: f64,
 }
 
+/// Learns from scaled inputs and outputs.
+type Learner<'a> = dyn Fn(&[f64], &[f64]) -> Option<Refit> + Sync + 'a;
+
 /// Residual of a point that a model has not seen, and the variance of that model there for a noise of one.
 struct Unseen {
     row: usize,
@@ -88,7 +91,7 @@ pub(super) fn calibrate(
     known: f64,
     residuals: &[f64],
     (z, y): (&[f64], &[f64]),
-    refit: &(dyn Fn(&[f64], &[f64]) -> Option<Refit> + Sync),
+    refit: &Learner<'_>,
     interrupt: &dyn Fn() -> bool,
 ) -> Bands {
     let plain = Bands { noise: known, response: known, known, folds: 0 };
@@ -119,12 +122,7 @@ fn dealt(n: usize) -> Vec<Vec<usize>> {
 }
 
 /// The points of a fold under a model that is learnt without them.
-fn without(
-    held: &[usize],
-    z: &[f64],
-    y: &[f64],
-    refit: &(dyn Fn(&[f64], &[f64]) -> Option<Refit> + Sync),
-) -> Option<Vec<Unseen>> {
+fn without(held: &[usize], z: &[f64], y: &[f64], refit: &Learner<'_>) -> Option<Vec<Unseen>> {
     let d = z.len() / y.len().max(1);
     let mut out = vec![false; y.len()];
     held.iter().for_each(|i| out[*i] = true);
