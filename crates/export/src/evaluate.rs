@@ -119,6 +119,15 @@ fn shape<R: Real>(shape: Shape, x: R) -> R {
         Shape::Exp => x.call(f64::exp, f32::exp),
         Shape::Sin => x.call(f64::sin, f32::sin),
         Shape::Cos => x.call(f64::cos, f32::cos),
+        Shape::Matern32 => {
+            let a = R::from(3.0).mul(positive).call(f64::sqrt, f32::sqrt);
+            one.add(a).mul(zero.sub(a).call(f64::exp, f32::exp))
+        }
+        Shape::Matern52 => {
+            let a = R::from(5.0).mul(positive).call(f64::sqrt, f32::sqrt);
+            let near = one.add(a).add(a.mul(a).div(R::from(3.0)));
+            near.mul(zero.sub(a).call(f64::exp, f32::exp))
+        }
     }
 }
 

@@ -100,6 +100,10 @@ pub enum Shape {
     Sin,
     /// Cosine.
     Cos,
+    /// Matern 3/2 over a squared distance x: (1 + a) exp(-a), a = sqrt(3 max(x, 0)).
+    Matern32,
+    /// Matern 5/2 over a squared distance x: (1 + a + a a/3) exp(-a), a = sqrt(5 max(x, 0)).
+    Matern52,
 }
 
 /// One layer of a network: activation(W a + b).

@@ -151,7 +151,12 @@ fn mat_by_scipy() {
 #[test]
 fn python_file_runs() {
     let Some(python) = python(&["numpy"]) else { return };
-    for package in [common::dynamic_map(), common::network(Shape::Tanh), common::network(Shape::Softplus)] {
+    for package in [
+        common::dynamic_map(),
+        common::network(Shape::Tanh),
+        common::network(Shape::Softplus),
+        common::network(Shape::Matern52),
+    ] {
         let tmp = tempfile::tempdir().unwrap();
         let path = save(&package, "python", tmp.path());
         run(
@@ -165,7 +170,8 @@ fn python_file_runs() {
 #[test]
 fn onnx_by_onnxruntime() {
     let Some(python) = python(&["onnx", "onnxruntime"]) else { return };
-    for shape in [Shape::Tanh, Shape::Sigmoid, Shape::Relu, Shape::Softplus] {
+    for shape in [Shape::Tanh, Shape::Sigmoid, Shape::Relu, Shape::Softplus, Shape::Matern32, Shape::Matern52]
+    {
         let package = common::network(shape);
         let tmp = tempfile::tempdir().unwrap();
         save(&package, "onnx", tmp.path());

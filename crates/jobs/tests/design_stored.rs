@@ -9,6 +9,8 @@ use dynocal_ident::model::form::AnyForm;
 use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::response::form::{Learner, ResponseForm};
+use dynocal_ident::model::response::{self, Points};
 use dynocal_ident::prepare::{Planned, prepare};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
 use dynocal_ident::validate::boundary::{Boundary, BoundaryKeys, Space, coverage, learn};
@@ -135,6 +137,28 @@ fn a_design_predicts_what_the_stored_model_simulates() {
         let scale = stored.pointwise().unwrap().output.scale;
         assert!(scale > 2.0 && (m.noise_variance / (0.01 * scale * scale) - 1.0).abs() < 1e-12, "{name}");
     }
+}
+
+/// A response model has no parameters to tell about.
+#[test]
+fn a_response_model_is_refused_with_the_reason() {
+    let mut rng = Rng64::new(11);
+    let x: Vec<f64> = (0..60)
+        .flat_map(|_| {
+            [rng.uniform_in(10.0, 30.0), rng.uniform_in(1000.0, 3000.0), rng.uniform_in(20.0, 120.0)]
+        })
+        .collect();
+    let y = x.chunks_exact(3).map(|x| 2.0 * x[0] + 0.01 * x[1] + 0.3 * x[2] + 0.2 * rng.normal()).collect();
+    let keys = toml::Table::new();
+    let learner = Learner { name: "local_linear".into(), keys: keys.clone() };
+    let names = ["fuel", "speed"].map(String::from);
+    let form = ResponseForm::new(&names, "torque", vec![(0, 1), (1, 1)], 1, learner).unwrap();
+    let points = Points { inputs: form.names(), output: "torque".into(), x, y };
+    let learnt = response::learner("local_linear", &keys).unwrap().learn(&points, &|| false).unwrap();
+    let form = AnyForm::from(form.with(learnt.model).unwrap());
+    let model = stored(form, &[], &[("fuel", "mg"), ("speed", "rpm")], &[]);
+    let refused = loaded(&model, &spec("rpm", "")).err().unwrap();
+    assert!(refused.contains("the model of torque has no parameters (a response model"), "{refused}");
 }
 
 #[test]

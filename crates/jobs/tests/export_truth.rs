@@ -16,6 +16,8 @@ use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::kinds::kind;
 use dynocal_ident::model::neural::{Activation, Layout, NeuralNarx};
 use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::model::response::form::{Learner, ResponseForm};
+use dynocal_ident::model::response::{self, Ask, Points, Prediction, Response};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
 use dynocal_jobs::export::{ExportSpec, dynamic_map, model, run, static_map};
 use dynocal_numerics::rng::Rng64;
@@ -245,6 +247,76 @@ fn neural_models_run_free_as_the_program() {
         // The network's own tanh and that of the C library agree to rounding.
         free_runs_agree(&stored, 1e-11);
     }
+}
+
+/// Every kind of response model over lagged inputs and output, and the transforms that are exported.
+#[test]
+fn response_models_run_free_as_the_program() {
+    let window = vec![(0, 1), (1, 0)];
+    let names = ["inj", "spark"].map(String::from);
+    let mut rng = Rng64::new(9);
+    let x: Vec<f64> = (0..100)
+        .flat_map(|_| [rng.uniform_in(10.0, 30.0), rng.uniform_in(5.0, 25.0), rng.uniform_in(10.0, 90.0)])
+        .collect();
+    let torque = |x: &[f64]| 12.0 + 1.1 * x[0] - 0.02 * (x[1] - 18.0).powi(2) + 0.3 * x[2];
+    let y: Vec<f64> = x.chunks_exact(3).map(|x| torque(x) + 0.3 * rng.normal()).collect();
+    for (kind, keys) in [
+        ("stepwise_polynomial", ""),
+        ("stepwise_polynomial", "transform = \"log\""),
+        ("stepwise_polynomial", "transform = \"logit\"\nlow = 0.0\nhigh = 120.0"),
+        ("gaussian_process", "kernel = \"squared_exponential\"\nstarts = 1"),
+        ("gaussian_process", "kernel = \"matern32\"\nmean = \"quadratic\"\nstarts = 1"),
+        ("gaussian_process", "kernel = \"matern52\"\nmean = \"zero\"\nstarts = 1"),
+        ("gaussian_process", "exact_points = 50\ninducing_points = 20\nstarts = 1"),
+        ("local_linear", ""),
+        ("local_linear", "quadratic = true\nmost = 3"),
+        ("rbf", ""),
+        ("mean_of", "models = [{ kind = \"rbf\" }, { kind = \"local_linear\" }]"),
+    ] {
+        let keys: toml::Table = keys.parse().unwrap();
+        let learner = Learner { name: kind.into(), keys: keys.clone() };
+        let form = ResponseForm::new(&names, "torque", window.clone(), 1, learner).unwrap();
+        let points = Points { inputs: form.names(), output: "torque".into(), x: x.clone(), y: y.clone() };
+        let learnt = response::learner(kind, &keys).unwrap().learn(&points, &|| false).unwrap();
+        let form = form.with(learnt.model.clone()).unwrap();
+        for (row, p) in points.x.chunks_exact(3).zip(0..20) {
+            let mut at = Prediction::new(3);
+            learnt.model.predict(row, Ask::Mean, &mut at);
+            let value: f64 = learnt.model.formulas().iter().map(|f| f.share * f.value(row)).sum();
+            assert!(
+                (value - at.mean).abs() < 1e-8 * (1.0 + at.mean.abs()),
+                "{kind} {p}: {value} {}",
+                at.mean
+            );
+        }
+        let inputs = vec![quantity("inj", "mg"), quantity("spark", "deg")];
+        let mut stored = StoredModel::new(form, &[], inputs, quantity("torque", "Nm"), 0.03).unwrap();
+        stored.seen = engine(&["inj(t-1)"], &[1.0]).seen;
+        // The kernel sums subtract large weights from each other.
+        println!("{kind} {keys}");
+        free_runs_agree(&stored, 1e-7);
+    }
+}
+
+/// A power of the output has no counterpart among the shapes of the neutral form.
+#[test]
+fn a_response_to_a_power_is_refused_with_what_leaves() {
+    let mut rng = Rng64::new(10);
+    let x: Vec<f64> = (0..40).map(|_| rng.uniform_in(10.0, 30.0)).collect();
+    let y = x.iter().map(|x| (1.0 + 0.1 * x + 0.01 * rng.normal()).powi(2)).collect();
+    let keys: toml::Table = "transform = \"box_cox\"\ndegree = 2".parse().unwrap();
+    let learner = Learner { name: "stepwise_polynomial".into(), keys: keys.clone() };
+    let form = ResponseForm::new(&["inj".into()], "torque", vec![(0, 0)], 0, learner).unwrap();
+    let points = Points { inputs: form.names(), output: "torque".into(), x, y };
+    let learnt = response::learner("stepwise_polynomial", &keys).unwrap().learn(&points, &|| false).unwrap();
+    let form = form.with(learnt.model).unwrap();
+    let inputs = vec![quantity("inj", "mg")];
+    let stored = StoredModel::new(form, &[], inputs, quantity("torque", "Nm"), 0.03).unwrap();
+    let words = model(&stored).unwrap_err().to_string();
+    assert!(
+        words.contains("it was learnt for the power") && words.contains("`transform = \"log\"`"),
+        "{words}"
+    );
 }
 
 #[test]

@@ -299,6 +299,14 @@ impl Step<'_> {
             Shape::Exp => format!("{}({x})", c("exp")),
             Shape::Sin => format!("{}({x})", c("sin")),
             Shape::Cos => format!("{}({x})", c("cos")),
+            Shape::Matern32 | Shape::Matern52 => {
+                let five = shape == Shape::Matern52;
+                let square = self.code.literal(if five { 5.0 } else { 3.0 });
+                let a = format!("{}({square} * {positive})", c("sqrt"));
+                let third = self.code.literal(3.0);
+                let tail = if five { format!(" + (({a} * {a}) / {third})") } else { String::new() };
+                format!("(({one} + {a}){tail}) * {}({zero} - {a})", c("exp"))
+            }
         }
     }
 }

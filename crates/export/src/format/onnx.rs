@@ -168,8 +168,34 @@ impl Graph {
             Shape::Exp => "Exp",
             Shape::Sin => "Sin",
             Shape::Cos => "Cos",
+            Shape::Matern32 | Shape::Matern52 => return self.matern(shape == Shape::Matern52, x, out),
         };
         self.op(kind, &[x], out, &[]);
+    }
+
+    /// `(1 + a) exp(-a)`, or `(1 + a + a a/3) exp(-a)` with `second`.
+    fn matern(&mut self, second: bool, x: &str, out: &str) {
+        let part = |what: &str| format!("{out}_{what}");
+        let (positive, scaled, a) = (part("positive"), part("scaled"), part("a"));
+        let square = self.floats(&[1], &[if second { 5.0 } else { 3.0 }]);
+        let one = self.floats(&[1], &[1.0]);
+        self.op("Relu", &[x], &positive, &[]);
+        self.op("Mul", &[&positive, &square], &scaled, &[]);
+        self.op("Sqrt", &[&scaled], &a, &[]);
+        let mut near = part("near");
+        self.op("Add", &[&a, &one], &near, &[]);
+        if second {
+            let (third, own, bent, sum) =
+                (self.floats(&[1], &[1.0 / 3.0]), part("square"), part("bent"), part("sum"));
+            self.op("Mul", &[&a, &a], &own, &[]);
+            self.op("Mul", &[&own, &third], &bent, &[]);
+            self.op("Add", &[&near, &bent], &sum, &[]);
+            near = sum;
+        }
+        let (minus, decay) = (part("minus"), part("decay"));
+        self.op("Neg", &[&a], &minus, &[]);
+        self.op("Exp", &[&minus], &decay, &[]);
+        self.op("Mul", &[&near, &decay], out, &[]);
     }
 
     fn network(&mut self, k: usize, inputs: &[usize], layers: &[Layer]) {

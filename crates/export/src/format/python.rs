@@ -202,5 +202,13 @@ fn function(shape: Shape, x: &str) -> String {
         Shape::Exp => format!("np.exp({x})"),
         Shape::Sin => format!("np.sin({x})"),
         Shape::Cos => format!("np.cos({x})"),
+        Shape::Matern32 => {
+            let a = format!("np.sqrt(3.0 * np.maximum({x}, 0.0))");
+            format!("(1.0 + {a}) * np.exp(-{a})")
+        }
+        Shape::Matern52 => {
+            let a = format!("np.sqrt(5.0 * np.maximum({x}, 0.0))");
+            format!("(1.0 + {a} + {a} * {a} / 3.0) * np.exp(-{a})")
+        }
     }
 }

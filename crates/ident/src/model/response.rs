@@ -20,6 +20,7 @@
 //! # Ok::<(), dynocal_ident::model::response::ResponseError>(())
 //! ```
 
+mod bands;
 pub mod best_of;
 pub mod choose;
 mod features;

@@ -84,6 +84,15 @@ pub enum DesignJobError {
         /// Unit of its output.
         unit: String,
     },
+    /// A model without parameters.
+    #[error(
+        "the model of {model} has no parameters (a response model is its points, splits or terms), so that a test signal can \
+         tell nothing about them; expected a model with parameters"
+    )]
+    NoParameters {
+        /// Model.
+        model: String,
+    },
     /// A model that nothing drives, or with a form that has no sensitivities.
     #[error("{model}: found a {kind} that the inputs do not drive, expected a model with inputs")]
     NotDriven {

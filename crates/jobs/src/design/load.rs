@@ -83,6 +83,9 @@ fn loaded(job: &Job, spec: &ModelSpec, notes: &mut Vec<String>) -> Result<Loaded
         Ok::<_, BuildError>(NamedCriterion { name: name.clone(), criterion })
     };
     out.criterion = spec.criterion.as_ref().map(build).transpose()?;
+    if out.theta.is_empty() {
+        return Err(DesignJobError::NoParameters { model: out.name });
+    }
     out.weight = spec.weight;
     out.limits = spec.limits.clone();
     // Before a record within limits the output is somewhere between them.

@@ -9,6 +9,7 @@ mod dynamic_map;
 mod engine;
 mod model;
 mod origin;
+mod response;
 mod static_map;
 
 use std::path::{Path, PathBuf};

@@ -13,6 +13,7 @@ use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::model::narmax::Narmax;
 use dynocal_ident::model::neural::{Activation, NeuralNarx};
 use dynocal_ident::model::poly::{PolyNarx, Shape as PolyShape, Source};
+use dynocal_ident::model::response::form::ResponseForm;
 use dynocal_ident::stored::{Pointwise, StoredError, StoredModel};
 use dynocal_numerics::interval::Interval;
 
@@ -48,6 +49,7 @@ impl ModelFault {
 enum Structure {
     Polynomial(PolyNarx, Vec<f64>),
     Neural(NeuralNarx, Vec<f64>),
+    Response(ResponseForm),
 }
 
 /// The model as a package.
@@ -63,6 +65,7 @@ pub fn model(stored: &StoredModel) -> Result<Made, ModelFault> {
     let node = match &structure {
         Structure::Polynomial(m, theta) => growing.polynomial(m, theta),
         Structure::Neural(m, theta) => growing.neural(m, theta),
+        Structure::Response(m) => growing.response(m)?,
     };
     growing.feed_back(node);
     growing.user_output(node)?;
@@ -108,6 +111,9 @@ fn structure(stored: &StoredModel) -> Result<Structure, ModelFault> {
     if let Some(m) = form.is_a::<NeuralNarx>() {
         return Ok(Structure::Neural(m.clone(), theta));
     }
+    if let Some(m) = form.is_a::<ResponseForm>() {
+        return Ok(Structure::Response(m.clone()));
+    }
     if let Some(m) = form.is_a::<Narmax>() {
         let (m, theta) = m.without_innovations(&theta).map_err(StoredError::from)?.ok_or_else(not_driven)?;
         return Ok(Structure::Polynomial(m, theta));
@@ -127,10 +133,10 @@ fn structure(stored: &StoredModel) -> Result<Structure, ModelFault> {
 }
 
 /// The program while it grows: nodes of measured channels and of the structure's inputs are made when they are needed.
-struct Growing<'a> {
-    stored: &'a StoredModel,
+pub(super) struct Growing<'a> {
+    pub(super) stored: &'a StoredModel,
     pointwise: &'a Pointwise,
-    build: Build,
+    pub(super) build: Build,
     channels: Vec<(String, NodeId)>,
     inputs: Vec<Option<NodeId>>,
     delays: Vec<(Source, usize, NodeId)>,
@@ -203,7 +209,7 @@ impl<'a> Growing<'a> {
     }
 
     /// What a regressor reads.
-    fn read(&mut self, source: Source, lag: usize) -> NodeId {
+    pub(super) fn read(&mut self, source: Source, lag: usize) -> NodeId {
         if let (Source::Input(i), 0) = (source, lag) {
             return self.input(i);
         }
@@ -358,26 +364,32 @@ fn activation(a: Activation) -> Shape {
 const LONGEST: usize = 100_000;
 /// Samples in a row without a change.
 const QUIET: usize = 100;
+/// Relative change that the rounding of a sum of kernels may leave for ever: what changes by less in the last half of the samples
+/// counts as settled.
+const ROUNDING: f64 = 1e-9;
 
 /// The structure's output where the program settles under the start values of its inputs; none where it does not.
 fn settled(package: &Package, pointwise: &Pointwise) -> Option<f64> {
     let program = package.program.as_ref()?;
     let inputs: Vec<f64> = program.inputs.iter().map(|i| i.start).collect();
     let mut machine = Machine::<f64>::new(package).ok()?;
-    let (mut last, mut quiet) = (f64::NAN, 0);
+    let (mut last, mut quiet, mut near) = (f64::NAN, 0, 0);
     for _ in 0..LONGEST {
         let y = machine.step(&inputs)[0];
         if !y.is_finite() {
             return None;
         }
-        quiet = if (y - last).abs() <= 1e-13 * (1.0 + y.abs()) { quiet + 1 } else { 0 };
+        let moved = (y - last).abs() / (1.0 + y.abs());
+        quiet = if moved <= 1e-13 { quiet + 1 } else { 0 };
+        near = if moved <= ROUNDING { near + 1 } else { 0 };
         last = y;
         if quiet == QUIET {
             let rest = pointwise.from_user(y);
             return rest.is_finite().then_some(rest);
         }
     }
-    None
+    let rest = pointwise.from_user(last);
+    (near >= LONGEST / 2 && rest.is_finite()).then_some(rest)
 }
 
 /// Starts the delays of the output at `rest`.

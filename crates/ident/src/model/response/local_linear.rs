@@ -15,19 +15,19 @@
 //! A split is placed where the sum of its squares is least; the tree grows as long as that sum decreases.
 //!
 //! Splits that were chosen with the same points make residuals too small, so the bands are calibrated with trees that are
-//! grown anew without each of ten folds (`bands`).
+//! grown anew without each of ten folds (`super::bands`).
 //!
 //! Sources: O. Nelles, Axes-oblique partitioning strategies for local model networks, Proc. IEEE ISIC (2006), 2378-2383;
 //! B. Hartmann, O. Banfer, O. Nelles, A. Sodja, L. Teslic, I. Skrjanc, Supervised hierarchical clustering in fuzzy model
 //! identification, IEEE Trans. Fuzzy Systems 19 (2011); O. Nelles, Nonlinear System Identification (2001), chapters 12 to 14.
 
-mod bands;
 mod grow;
 mod tree;
 
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
+use super::bands::{self, Bands, Refit};
 use super::features::{self, Coefficients};
 use super::formula::{Part, Product};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
@@ -97,7 +97,13 @@ impl Learn for LocalLinear {
         let none = || ResponseError::NoStart { model: "local_linear", output: points.output.clone() };
         let grown: Grown = grow::best(self, &z, &y, points.dim(), interrupt).ok_or_else(none)?;
         let left_out = grown.left_out(scaling.output_std);
-        let bands = bands::calibrate(self, &grown, &z, &y, points.dim(), interrupt);
+        let keys = Self { steepness: vec![grown.slope], ..self.clone() };
+        let refit = |z: &[f64], y: &[f64]| {
+            let again = grow::best(&keys, z, y, points.dim(), &|| false)?;
+            let coefficients = again.coefficients(Bands::UNIT);
+            Some(Refit { coefficients, features: Box::new(again.tree), noise: 1.0 })
+        };
+        let bands = bands::calibrate(grown.noise(), &grown.residuals(), (&z, &y), &refit, interrupt);
         let coefficients = grown.coefficients(bands);
         let model = LocalLinearModel { scaling, tree: grown.tree, coefficients };
         let mut notes = points.notes();

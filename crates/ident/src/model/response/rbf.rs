@@ -10,6 +10,7 @@
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
 use serde::{Deserialize, Serialize};
 
+use super::bands::{self, Refit};
 use super::features::{self, Coefficients, Features};
 use super::formula::{Part, Product};
 use super::gp::Kernel;
@@ -82,7 +83,7 @@ struct Functions {
 
 impl Learn for Rbf {
     fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
-        let (n, d) = (points.len(), points.dim());
+        let d = points.dim();
         points.check(d + 4, "radial basis functions")?;
         if self.widths.is_empty() || self.widths.iter().any(|w| !(*w > 0.0 && w.is_finite())) {
             let (found, expected) = (format!("{:?}", self.widths), "one or more positive numbers".into());
@@ -90,37 +91,61 @@ impl Learn for Rbf {
         }
         let scaling = Scaling::of(points);
         let (z, y) = (scaling.inputs(points), scaling.outputs(points));
-        let carriers = spread_out(&z, d, self.candidates.max(1));
-        let most = 1 + d + if self.most == 0 { (n / 3).min(150) } else { self.most };
-        let mut best: Option<(f64, LeastSquares)> = None;
+        let mut best: Option<(f64, LeastSquares, Functions)> = None;
         for width in &self.widths {
-            let mut columns = vec![vec![1.0; n]];
-            columns.extend((0..d).map(|j| z.iter().skip(j).step_by(d).copied().collect::<Vec<f64>>()));
-            columns.extend(carriers.iter().map(|c| {
-                let centre = &z[c * d..(c + 1) * d];
-                z.chunks_exact(d).map(|z| gauss(z, centre, *width)).collect::<Vec<f64>>()
-            }));
-            let pool = Pool { columns: &columns, allowed: &|_, _| true, always: &[0], most };
-            if let Some(fit) = stepwise(&pool, &y, interrupt)
-                && best.as_ref().is_none_or(|(_, b)| fit.press() < b.press())
+            if let Some((fit, functions)) = self.fit(&z, &y, d, *width, interrupt)
+                && best.as_ref().is_none_or(|(_, b, _)| fit.press() < b.press())
             {
-                best = Some((*width, fit));
+                best = Some((*width, fit, functions));
             }
         }
         let none = || ResponseError::NoStart { model: "rbf", output: points.output.clone() };
-        let (width, fit) = best.ok_or_else(none)?;
-        let coefficients = fit.coefficients(&y).ok_or_else(none)?;
-        let linear = fit.columns.iter().filter(|k| (1..=d).contains(*k)).map(|k| k - 1).collect();
-        let centres = fit.columns.iter().filter(|k| **k > d).flat_map(|k| {
-            let c = carriers[k - d - 1];
-            z[c * d..(c + 1) * d].iter().copied()
-        });
-        let functions = Functions { d, linear, centres: centres.collect(), width };
+        let (width, fit, functions) = best.ok_or_else(none)?;
+        let plain = fit.coefficients(&y).ok_or_else(none)?;
+        let refit = |z: &[f64], y: &[f64]| {
+            let (fit, functions) = self.fit(z, y, d, width, &|| false)?;
+            let coefficients = fit.coefficients(y)?;
+            Some(Refit { features: Box::new(functions), noise: coefficients.noise, coefficients })
+        };
+        let bands = bands::calibrate(plain.noise, &fit.residuals, (&z, &y), &refit, interrupt);
+        let coefficients = bands.of(plain);
         let left_out = fit.left_out(scaling.output_std);
         let model = RbfModel { scaling, functions, coefficients };
         let mut notes = points.notes();
         notes.push(format!("{} of `{}`", model.describe(), points.output));
+        notes.extend(bands.note());
         Ok(Learnt::new(ResponseModel::Rbf(model), left_out, notes))
+    }
+}
+
+impl Rbf {
+    /// Functions of one width, chosen by PRESS.
+    fn fit(
+        &self,
+        z: &[f64],
+        y: &[f64],
+        d: usize,
+        width: f64,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Option<(LeastSquares, Functions)> {
+        let n = y.len();
+        let carriers = spread_out(z, d, self.candidates.max(1));
+        let most = 1 + d + if self.most == 0 { (n / 3).min(150) } else { self.most };
+        let centre = |c: usize| &z[c * d..(c + 1) * d];
+        let mut columns = vec![vec![1.0; n]];
+        columns.extend((0..d).map(|j| z.iter().skip(j).step_by(d).copied().collect::<Vec<f64>>()));
+        columns.extend(
+            carriers
+                .iter()
+                .map(|c| z.chunks_exact(d).map(|z| gauss(z, centre(*c), width)).collect::<Vec<f64>>()),
+        );
+        let pool = Pool { columns: &columns, allowed: &|_, _| true, always: &[0], most };
+        let fit = stepwise(&pool, y, interrupt)?;
+        let linear = fit.columns.iter().filter(|k| (1..=d).contains(*k)).map(|k| k - 1).collect();
+        let centres =
+            fit.columns.iter().filter(|k| **k > d).flat_map(|k| centre(carriers[k - d - 1]).to_vec());
+        let functions = Functions { d, linear, centres: centres.collect(), width };
+        Some((fit, functions))
     }
 }
 

@@ -18,10 +18,10 @@ use super::packed;
 pub struct Factors {
     /// W, lower triangular, row by row: row i has i + 1 entries.
     lower: Vec<f64>,
-    /// Z, n x q.
-    basis: Vec<f64>,
-    /// W'Z, n x q.
-    mixed: Vec<f64>,
+    /// Columns of Z, q of n.
+    basis: Vec<Vec<f64>>,
+    /// Columns of W'Z, q of n.
+    mixed: Vec<Vec<f64>>,
     /// r (n).
     rotated: Vec<f64>,
     /// A, upper triangular (q x q).
@@ -40,23 +40,18 @@ impl Factors {
         let q = basis.len() / n.max(1);
         let mut factors = Self {
             lower,
-            basis: vec![0.0; n * q],
-            mixed: vec![0.0; n * q],
+            basis: (0..q).map(|j| basis.iter().skip(j).step_by(q).copied().collect()).collect(),
+            mixed: vec![vec![0.0; n]; q],
             rotated: vec![0.0; n],
             root: vec![0.0; q * q],
             coefficients: vec![0.0; q],
             weights: vec![0.0; n],
         };
-        for i in 0..n {
-            let row = &factors.lower[i * (i + 1) / 2..(i + 1) * (i + 2) / 2];
-            factors.rotated[i] = dot(row, &y[..=i]);
-            let z = &mut factors.basis[i * q..(i + 1) * q];
-            for (w, h) in row.iter().zip(basis.chunks_exact(q.max(1))) {
-                axpy(*w, h, z);
-            }
-            if q > 0 {
-                row.iter().zip(factors.mixed.chunks_exact_mut(q)).for_each(|(w, m)| axpy(*w, z, m));
-            }
+        packed::times(&factors.lower, y, &mut factors.rotated);
+        let mut column = vec![0.0; n];
+        for (z, mixed) in factors.basis.iter_mut().zip(&mut factors.mixed) {
+            packed::both(&factors.lower, z, &mut column, mixed);
+            std::mem::swap(z, &mut column);
         }
         factors.solve()?;
         Some(factors)
@@ -64,7 +59,7 @@ impl Factors {
 
     /// Numbers that are held.
     pub(super) fn len(&self) -> usize {
-        self.lower.len() + 2 * self.basis.len() + 2 * self.weights.len()
+        self.lower.len() + 2 * (1 + self.basis.len()) * self.weights.len()
     }
 
     /// Coefficients and weights from W, Z and r.
@@ -72,20 +67,18 @@ impl Factors {
         let (n, q) = (self.rotated.len(), self.coefficients.len());
         self.root.fill(0.0);
         self.coefficients.fill(0.0);
-        for (z, r) in self.basis.chunks_exact(q.max(1)).zip(&self.rotated) {
-            for i in 0..q {
-                self.coefficients[i] += z[i] * r;
-                for j in i..q {
-                    self.root[i * q + j] += z[i] * z[j];
-                }
+        for i in 0..q {
+            self.coefficients[i] = dot(&self.basis[i], &self.rotated);
+            for j in i..q {
+                self.root[i * q + j] = dot(&self.basis[i], &self.basis[j]);
             }
         }
         cholesky(&mut self.root, q).ok()?;
         solve_upper_transposed(&self.root, q, &mut self.coefficients).ok()?;
         solve_upper(&self.root, q, &mut self.coefficients).ok()?;
         let mut residual = self.rotated.clone();
-        for i in 0..n {
-            residual[i] -= dot(&self.basis[i * q..(i + 1) * q], &self.coefficients);
+        for (z, b) in self.basis.iter().zip(&self.coefficients) {
+            axpy(-b, z, &mut residual);
         }
         let mut weights = std::mem::take(&mut self.weights);
         weights.resize(n, 0.0);
@@ -121,8 +114,8 @@ impl Factors {
         let q = f.len();
         // The factor has a positive diagonal.
         let _ = solve_upper(&self.root, q, f);
-        if q > 0 {
-            p.iter_mut().zip(self.mixed.chunks_exact(q)).for_each(|(p, m)| *p += dot(m, f));
+        for (mixed, f) in self.mixed.iter().zip(&*f) {
+            axpy(*f, mixed, p);
         }
         variance
     }
@@ -130,11 +123,8 @@ impl Factors {
     /// `t = A^-T (h - Z'v)`.
     pub(super) fn rest_of_mean(&self, h: &[f64], v: &[f64], t: &mut [f64]) {
         let q = t.len();
-        t.copy_from_slice(h);
-        if q > 0 {
-            for (z, v) in self.basis.chunks_exact(q).zip(v) {
-                axpy(-v, z, t);
-            }
+        for ((t, h), z) in t.iter_mut().zip(h).zip(&self.basis) {
+            *t = h - dot(z, v);
         }
         // The factor has a positive diagonal.
         let _ = solve_upper_transposed(&self.root, q, t);
@@ -162,19 +152,13 @@ impl Factors {
         self.lower.extend(last.iter().map(|l| -l / rest));
         self.lower.push(1.0 / rest);
         self.rotated.push((y - dot(&v, &self.rotated)) / rest);
-        let mut z = h.to_vec();
-        if !z.is_empty() {
-            for (row, v) in self.basis.chunks_exact(h.len()).zip(&v) {
-                axpy(-v, row, &mut z);
-            }
+        let last = &self.lower[self.lower.len() - n - 1..];
+        for ((h, z), mixed) in h.iter().zip(&mut self.basis).zip(&mut self.mixed) {
+            let own = (h - dot(&v, z)) / rest;
+            z.push(own);
+            mixed.push(0.0);
+            axpy(own, last, mixed);
         }
-        z.iter_mut().for_each(|z| *z /= rest);
-        let last = self.lower[self.lower.len() - n - 1..].iter();
-        self.mixed.resize(self.mixed.len() + z.len(), 0.0);
-        if !z.is_empty() {
-            last.zip(self.mixed.chunks_exact_mut(z.len())).for_each(|(w, m)| axpy(*w, &z, m));
-        }
-        self.basis.extend(z);
         // More points never make the mean functions dependent.
         let _ = self.solve();
     }

@@ -5,10 +5,10 @@ use dynocal_numerics::optim::{Bounds, Budget, Objective, Optimiser, QuasiNewton}
 use rayon::prelude::*;
 
 use super::super::LeftOut;
+use super::super::bands::Bands;
 use super::super::features::Coefficients;
 use super::super::stepwise::weighted;
 use super::LocalLinear;
-use super::bands::Bands;
 use super::tree::{Leaf, Split, Tree};
 
 /// Splits in a row that may fail to improve before the best tree is taken.
