@@ -18,7 +18,7 @@ fn accounts(e: &VirtualEngine) -> (f64, f64) {
     let l = &s.ledger;
     let gas: f64 = s.gas.mass_kg.iter().flatten().sum();
     let mass = gas + s.gas.liquid_kg.iter().sum::<f64>() - l.mass_in_kg - l.injected_kg;
-    let energy = s.gas.energy_j.iter().sum::<f64>() + l.work_j + l.wall_heat_j + l.evaporation_j
+    let energy = s.gas.energy_j.iter().sum::<f64>() + l.work_j + l.wall_heat_j + l.evaporation_j + l.bound_j
         - p.gas.lhv_j_kg * l.burned_kg
         - l.enthalpy_in_j;
     (mass, energy)
