@@ -335,7 +335,7 @@ fn maps_have_the_breakpoints_and_steps_of_an_ecu() {
 }
 
 /// What a bed writes for a plan: the engine in closed form at every row, its loops holding torque.
-fn played(plan: &str, skip: usize) -> String {
+fn played(plan: &str, skip: usize, begin_s: usize) -> String {
     let mut lines = plan.lines();
     let head = lines.next().unwrap();
     assert_eq!(head, "point,purpose,torque [Nm],speed [rpm],spark [-],cam [-]");
@@ -348,7 +348,7 @@ fn played(plan: &str, skip: usize) -> String {
         let load = fuel(torque, speed, spark, cam, 0.0);
         let knock = 0.2 + 0.006 * torque + 0.6 * spark;
         let heat = 500.0 + 3.0 * torque - 100.0 * spark + 150.0 * cam;
-        let time = 20 * row;
+        let time = begin_s + 20 * row;
         out += &format!("{},{time},{load},{spark},{cam},{speed},{torque},{knock},{heat},{load}\n", cells[0]);
     }
     out
@@ -371,7 +371,7 @@ fn a_bed_measures_the_day_from_files() {
                 let plan = std::fs::read_to_string(&plan).unwrap();
                 // The bed could not measure the first point of the first plan.
                 let skip = usize::from(asked.is_empty());
-                std::fs::write(&measured, played(&plan, skip)).unwrap();
+                std::fs::write(&measured, played(&plan, skip, 2000 * asked.len())).unwrap();
                 asked.push(
                     std::path::Path::new(&measured).file_stem().unwrap().to_string_lossy().into_owned(),
                 );
@@ -398,6 +398,33 @@ fn a_bed_measures_the_day_from_files() {
     assert!(e.contains("points01.csv, line 2") && e.contains("99"), "{e}");
     let e = wrong(good.replacen("heat [K]", "heat [degC]", 1).replacen("knock", "nock", 1));
     assert!(e.contains("knock"), "{e}");
+    // Another unit of time is another unit: 20 min apart, and the next file begins before this one ends.
+    let e = wrong(good.replacen("time [s]", "time [min]", 1));
+    assert!(e.contains("points02.csv") && e.contains("go on from file to file"), "{e}");
+    // Spark that was never set as asked: the record of another plan, or a scale.
+    let halved = |line: &str| -> String {
+        let cells: Vec<&str> = line.split(',').collect();
+        let spark: f64 = cells[3].parse().unwrap_or(f64::NAN);
+        if spark.is_finite() {
+            line.replacen(cells[3], &(0.5 * spark).to_string(), 1)
+        } else {
+            line.to_string()
+        }
+    };
+    let e = wrong(good.lines().map(halved).collect::<Vec<_>>().join("\n"));
+    assert!(e.contains("set elsewhere than planned") && e.contains("`spark`"), "{e}");
+    // A verification that stood still verifies nothing.
+    std::fs::write(&first, &good).unwrap();
+    let verify = out.join("measured/verify.csv");
+    let rows = std::fs::read_to_string(&verify).unwrap();
+    let kept: Vec<&str> = rows.lines().nth(1).unwrap().splitn(3, ',').collect();
+    let still = |(k, line): (usize, &str)| match k {
+        0 => line.to_string(),
+        _ => format!("{},{},{}", line.split(',').next().unwrap(), line.split(',').nth(1).unwrap(), kept[2]),
+    };
+    std::fs::write(&verify, rows.lines().enumerate().map(still).collect::<Vec<_>>().join("\n")).unwrap();
+    let e = dynocal_jobs::map::run(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
+    assert!(e.contains("verify.csv") && e.contains("set elsewhere than planned"), "{e}");
     let two_rows: Vec<&str> = good.lines().take(3).collect();
     let e = wrong(two_rows.join("\n").replace("point,", "number,"));
     assert!(e.contains("2 rows, expected"), "{e}");

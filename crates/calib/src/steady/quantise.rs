@@ -9,11 +9,28 @@ const MOST: usize = 4096;
 /// limit, so that all combinations of the values below and above are compared, where there are too many of them those that differ from the
 /// nearest in one input or two.
 pub fn quantise(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>]) -> CellOptimum {
+    let near = nearby(setting, o, steps, 0);
+    if near.feasible || steps.iter().all(Option::is_some) {
+        return near;
+    }
+    // Inputs without a step make room for what rounding took.
+    let far = nearby(setting, o, steps, PLACES);
+    if setting.better(&far, &near) { far } else { near }
+}
+
+/// Values of an input without a step that are tried where rounding the others leaves no setting within all limits.
+const PLACES: usize = 40;
+
+/// The best of the settings around `o`; inputs without a step as they are, or at one of `places` more values of their range.
+fn nearby(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>], places: usize) -> CellOptimum {
     let axes = setting.axes;
     let values = |i: usize| -> Vec<f64> {
         let x = o.x[axes + i];
-        let Some(step) = steps[i] else { return vec![x] };
         let range = setting.ranges[axes + i];
+        let Some(step) = steps[i] else {
+            let even = (0..places).map(|k| range.value_at(k as f64 / (places - 1) as f64));
+            return std::iter::once(x).chain(even).collect();
+        };
         let nearest = (x / step).round();
         let (below, above) = ((x / step).floor(), (x / step).ceil());
         let mut all: Vec<f64> = [nearest, below, above, below - 1.0, above + 1.0]

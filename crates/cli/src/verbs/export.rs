@@ -72,10 +72,24 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         library: args.library,
     };
     let done = export::run(&args.source, &args.out, &spec)?;
+    if let Some(words) = not_valid(&args.source) {
+        say(&format!("warning: the run must not be used as it is: {words}"));
+    }
     if !args.quiet {
         done.notes.iter().for_each(|n| say(n));
     }
     let paths: String = done.files.iter().map(|p| format!("{}\n", p.display())).collect();
     print(&paths)?;
     Ok(Exit::Done)
+}
+
+/// The verdict of a run folder whose results are not valid.
+fn not_valid(source: &Path) -> Option<String> {
+    let text = std::fs::read_to_string(source.join("summary.json")).ok()?;
+    let summary: serde_json::Value = serde_json::from_str(&text).ok()?;
+    if summary.get("valid")?.as_bool()? {
+        return None;
+    }
+    let verdict = summary.get("verdict").and_then(|v| v.as_str());
+    Some(verdict.unwrap_or("its summary says that it is not valid").to_string())
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
 use dynocal_calib::steady::front::FrontSpec;
-use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::layout::{Factor, Layout};
 use dynocal_calib::steady::station::{Station, SteadyPoint};
 use dynocal_files::FilesError;
 use dynocal_files::atomic;
@@ -68,16 +68,20 @@ pub(super) struct OnBed<'a> {
     at: Vec<f64>,
     batches: usize,
     used_s: f64,
+    /// First stamp of the day.
+    zero_s: Option<f64>,
 }
 
 /// Column with the number of a point in its plan.
 const NUMBER: &str = "point";
-/// Error of a held demand above which a point is not learnt from, as a share of its range.
+/// Distance from what was asked above which a point lies elsewhere, as a share of the range.
 const MISSED: f64 = 0.0125;
+/// Share of the points elsewhere from which on a record is not that of its plan.
+const FOREIGN: f64 = 0.5;
 
 impl<'a> OnBed<'a> {
     pub(super) fn new(layout: &'a Layout, folder: &'a Path, first: Vec<f64>) -> Self {
-        Self { layout, folder, at: first, batches: 0, used_s: 0.0 }
+        Self { layout, folder, at: first, batches: 0, used_s: 0.0, zero_s: None }
     }
 
     /// Where the records of the bed are.
@@ -159,9 +163,75 @@ impl<'a> OnBed<'a> {
         Ok(places)
     }
 
-    fn read(&self, path: &Path, tasks: &[Task], watch: Watch) -> Result<Vec<DayPoint>, MapError> {
+    /// Bed time of each row in s, from the first stamp of the day; none without stamps.
+    fn times(&mut self, table: &Table) -> Result<Option<Vec<f64>>, MapError> {
+        let Some(column) = measurement::time_column(table) else { return Ok(None) };
+        let unit = column.unit.as_ref().map_or("s", |(u, _)| u.as_str());
+        let scale = match unit {
+            "s" => 1.0,
+            "ms" => 1e-3,
+            "min" => 60.0,
+            "h" => 3600.0,
+            _ => {
+                return Err(MapError::Record(format!(
+                    "{}, column `{}`: found unit `{unit}`, expected s, ms, min or h",
+                    table.file, column.name
+                )));
+            }
+        };
+        let mut all: Vec<f64> =
+            table.numbers(&column.name, 0, table.rows())?.iter().map(|t| t * scale).collect();
+        let first = all.iter().copied().fold(f64::INFINITY, f64::min);
+        let zero = *self.zero_s.get_or_insert(first);
+        all.iter_mut().for_each(|t| *t -= zero);
+        if first - zero < self.used_s {
+            return Err(MapError::Record(format!(
+                "{}, column `{}`: begins {:.1} s after the begin of the day, found earlier than the end of the record before ({:.1} s), expected stamps that go on from file to file; leave the column out where they do not",
+                table.file,
+                column.name,
+                first - zero,
+                self.used_s
+            )));
+        }
+        Ok(Some(all))
+    }
+
+    /// Where a point lies elsewhere than asked, in words; none where it was set as asked.
+    fn elsewhere(&self, asked: &[f64], factors: &[f64]) -> Option<String> {
+        let away = |((f, a), x): ((&Factor, &f64), &f64)| {
+            ((x - a).abs() > MISSED * (f.upper - f.lower))
+                .then(|| format!("`{}` was {x:.4} {} where {a:.4} was asked", f.name, f.unit))
+        };
+        let all: Vec<String> = self.layout.factors.iter().zip(asked).zip(factors).filter_map(away).collect();
+        (!all.is_empty()).then(|| all.join(", "))
+    }
+
+    /// A record most of whose points lie elsewhere is that of another plan, or has channels that are not what they are called.
+    fn belongs(&self, table: &Table, points: &[DayPoint], asked: &[Task]) -> Result<(), MapError> {
+        let measured = points.iter().zip(asked).filter(|(p, _)| p.point.factors[0].is_finite());
+        let away: Vec<String> =
+            measured.clone().filter_map(|(p, (_, x))| self.elsewhere(x, &p.point.factors)).collect();
+        if away.len() as f64 > FOREIGN * measured.count() as f64 {
+            return Err(MapError::Record(format!(
+                "{}: {} of {} points were set elsewhere than planned, first: {}. Is it the record of another plan (seed or spec changed), or are channels or units exchanged?",
+                table.file,
+                away.len(),
+                points.len(),
+                away[0]
+            )));
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, path: &Path, tasks: &[Task], watch: Watch) -> Result<Vec<DayPoint>, MapError> {
         let table = dataset::read_table(path, None)?;
         table.notes.iter().for_each(|n| watch.note(n));
+        for c in self.channels() {
+            if table.column(&c.column)?.unit.is_none() {
+                let unit = c.unit.unwrap_or_default();
+                watch.note(&format!("{}: column `{}` has no unit: taken as {unit}", table.file, c.column));
+            }
+        }
         let layout = dataset::Layout {
             channels: self.channels(),
             time: Time::Steady,
@@ -169,9 +239,7 @@ impl<'a> OnBed<'a> {
             ..dataset::Layout::default()
         };
         let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
-        let stamps = measurement::time_column(&table).map(|c| c.name.clone());
-        let stamps =
-            stamps.map(|name| table.numbers(&name, 0, table.rows()).map(<[f64]>::to_vec)).transpose()?;
+        let stamps = self.times(&table)?;
         let rows = self.rows(&table, tasks.len())?;
         let mut points = Vec::new();
         for ((purpose, asked), row) in tasks.iter().zip(rows) {
@@ -181,6 +249,16 @@ impl<'a> OnBed<'a> {
                 None => self.absent(asked),
             };
             points.push(DayPoint { purpose: *purpose, point });
+        }
+        self.belongs(&table, &points, tasks)?;
+        for p in &mut points {
+            let Some(words) = self.elsewhere(&p.point.asked, &p.point.factors) else { continue };
+            if p.purpose == Purpose::Verify {
+                (p.point.usable, p.point.note) = (false, words);
+            } else {
+                // Learnt from where it was; what was asked for was not reached.
+                (p.point.asked, p.point.note) = (p.point.factors.clone(), words);
+            }
         }
         Ok(points)
     }

@@ -101,8 +101,12 @@ fn deliver(s: &MapSpec, faults: &mut Faults) {
         let width = s.problem.inputs.iter().find(|i| i.name == *name).map(|i| i.upper - i.lower);
         match width.filter(|_| free.contains(name)) {
             Some(width) => {
-                if !(*step > 0.0 && *step <= width) {
-                    faults.push(&key, step, format!("a step above 0, at most {width}"));
+                if !(*step >= 1e-6 * width && *step <= width) {
+                    faults.push(&key, step, format!("a step from {} to {width}", 1e-6 * width));
+                }
+                if s.optimise.whole.as_ref().is_some_and(|w| w.steps.contains_key(name)) {
+                    let expected = "no `optimise.whole.steps` of the same input: rounding does not keep them";
+                    faults.push(&key, step, expected);
                 }
             }
             None => faults.unknown(&key, name, &free),

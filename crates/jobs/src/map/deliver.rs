@@ -2,6 +2,7 @@
 
 use dynocal_calib::steady::breakpoints::{Tables, places};
 use dynocal_calib::steady::cell::CellOptimum;
+use dynocal_calib::steady::front::Front;
 use dynocal_calib::steady::grid::{self, Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::quantise::quantise;
 use dynocal_numerics::status::Status;
@@ -11,7 +12,12 @@ use super::result::{Delivered, MapAxis, Passed};
 
 impl Maps<'_> {
     /// Takes the breakpoints and steps that the spec asks for; none where it asks for neither.
-    pub(super) fn deliver(&self, axes: &mut [MapAxis], cells: &mut Vec<Cell>) -> Option<Delivered> {
+    pub(super) fn deliver(
+        &self,
+        front: Option<&Front>,
+        axes: &mut [MapAxis],
+        cells: &mut Vec<Cell>,
+    ) -> Option<Delivered> {
         let spec = &self.spec.optimise;
         if spec.breakpoints.is_empty() && spec.resolution.is_empty() {
             return None;
@@ -27,7 +33,8 @@ impl Maps<'_> {
         }
         let fewer: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         let lost_cells = self.in_steps(&fewer, cells);
-        Some(self.loss(&full, &fewer, cells, lost_cells))
+        let against_share = front.and_then(|f| self.against_share(f, &full, &fewer, cells));
+        Some(Delivered { against_share, ..self.loss(&full, &fewer, cells, lost_cells) })
     }
 
     /// Inputs of all cells as shares of their ranges; cells that hold no optimum do not count.
@@ -80,6 +87,21 @@ impl Maps<'_> {
         lost
     }
 
+    /// The other response of a front at the full cells of the delivered maps, over that of the map of the least objective.
+    fn against_share(&self, f: &Front, full: &[Cell], axes: &[Vec<f64>], cells: &[Cell]) -> Option<f64> {
+        let k = self.layout.responses.iter().position(|r| r.name == f.against)?;
+        let residence = self.spec.optimise.whole.as_ref().map_or(&[][..], |w| &w.residence);
+        let optimal = full.iter().enumerate().filter(|(_, c)| c.state == CellState::Optimal);
+        let (mut now, mut least) = (0.0, 0.0);
+        for ((i, c), first) in optimal.zip(&f.points.first()?.cells) {
+            let weight = residence.get(i).copied().unwrap_or(1.0);
+            let there = self.setting.judge(&interpolate(axes, cells, &c.at), Status::Stalled, None);
+            now += weight * there.responses[k];
+            least += weight * first.responses[k];
+        }
+        Some(now / least)
+    }
+
     fn loss(&self, full: &[Cell], axes: &[Vec<f64>], cells: &[Cell], lost_cells: usize) -> Delivered {
         let (mut losses, mut worst): (Vec<f64>, Option<(f64, Passed)>) = (Vec::new(), None);
         for c in full.iter().filter(|c| c.state == CellState::Optimal) {
@@ -103,6 +125,7 @@ impl Maps<'_> {
             mean_loss: losses.iter().sum::<f64>() / losses.len().max(1) as f64,
             largest_loss: losses.iter().copied().fold(0.0, f64::max),
             passed: worst.map(|w| w.1),
+            against_share: None,
             lost_cells,
         }
     }

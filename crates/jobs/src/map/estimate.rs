@@ -30,7 +30,7 @@ pub fn estimate(job: &Job) -> Estimate {
     let given = s.loops.iter().all(|l| l.gains.is_some());
     Estimate::new(&job.name)
         .line("run folder", job.out.display().to_string())
-        .line("plant", format!("{} {}", s.plant.name, s.plant.parameters))
+        .line("plant", job.plant())
         .line("axes", axes.collect::<Vec<_>>().join(", "))
         .line("held", if held.is_empty() { "nothing".into() } else { held.join(", ") })
         .line("optimised", free.join(", "))

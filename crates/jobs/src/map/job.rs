@@ -19,6 +19,14 @@ pub struct Job {
     pub spec: MapSpec,
 }
 
+impl Job {
+    /// The plant in words.
+    pub fn plant(&self) -> String {
+        let p = &self.spec.plant;
+        if p.name == "virtual_engine" { format!("{} {}", p.name, p.parameters) } else { p.name.clone() }
+    }
+}
+
 /// Reads and checks the spec at `path`.
 ///
 /// # Errors

@@ -40,7 +40,12 @@ pub const KIND: &str = "map";
 pub fn run(job: &Job, watch: Watch) -> Result<(Mapped, RunFolder), MapError> {
     // A folder that cannot be written is known before the plant is run.
     let folder = RunFolder::open(&job.out, KIND, &job.spec)?;
-    let found = work::run(job, watch)?;
+    let found = work::run(job, watch);
+    if let Err(MapError::NeedsMeasurement { .. }) = &found {
+        // What an earlier, shorter day left is not the result of this one.
+        store::forget(folder.path());
+    }
+    let found = found?;
     let found = store::write(&folder, job, found)?;
     Ok((found, folder))
 }

@@ -32,7 +32,7 @@ pub fn write(found: &Mapped, job: &Job, folder: &Path) -> Result<(), MapError> {
 pub fn report(found: &Mapped, job: &Job) -> Report {
     let minutes = |s: f64| format!("{:.1}", s / 60.0);
     let mut report = Report::new(format!("{}: {}", job.spec.title, found.name))
-        .fact("Plant", format!("{} {}", job.spec.plant.name, job.spec.plant.parameters))
+        .fact("Plant", job.plant())
         .fact("Seed", job.spec.seed.to_string())
         .fact("Bed time [min]", minutes(found.bed.all_s()))
         .verdict(found.verdict.as_str());
@@ -109,7 +109,7 @@ fn maps(found: &Mapped) -> Section {
 fn delivered(found: &Mapped, d: &Delivered) -> String {
     let percent = |v: f64| dynocal_report::significant(100.0 * v, 2);
     let mut words = format!(
-        "Breakpoints and steps of the ECU: {} of {} cells are kept. At the full cells, between the kept ones, the models expect {} % more of what is minimised in the mean, {} % at most",
+        "Breakpoints and steps of the ECU: {} of {} cells are kept. At the full cells, between the kept ones, the models expect {} % of change in what is minimised in the mean (less is negative), {} % more at most",
         found.cells.len(),
         d.full_cells,
         percent(d.mean_loss),
@@ -208,14 +208,25 @@ fn front(found: &Mapped, f: &Front) -> Section {
         Column::number("Minimised", unit.as_str()).digits(4),
         Column::number("Price", format!("{unit} per {}", f.unit)).digits(3),
     ];
-    let row = |t: Table, p: &FrontPoint| t.row(vec![p.other.into(), p.minimised.into(), p.price.into()]);
+    let cells = |p: &FrontPoint, price: Option<f64>| -> Vec<TableCell> {
+        vec![p.other.into(), p.minimised.into(), price.into()]
+    };
+    // At its end only the other response is minimised: there is no price.
+    let n = f.points.len();
+    let row = |t: Table, (k, p): (usize, &FrontPoint)| t.row(cells(p, (k + 1 < n).then_some(p.price)));
+    let mut table = f.points.iter().enumerate().fold(Table::new(head), row);
+    if let Some(t) = &f.taken {
+        table = table
+            .stressed_row(cells(t, Some(t.price)))
+            .caption("The last row is the one that the maps are taken from");
+    }
     Section::new("Trade-off")
         .text(format!(
             "Whole maps, means over the cells that hold an optimum. Each keeps all limits; the price says what one {} less of {} costs there, in every cell the same. The models know the neighbourhood of the least objective best: what is far from it is a promise.",
             f.unit, f.against
         ))
         .block(plot)
-        .block(f.points.iter().fold(Table::new(head), row))
+        .block(table)
 }
 
 fn objective_unit(found: &Mapped) -> String {

@@ -98,6 +98,8 @@ pub struct Delivered {
     pub largest_loss: f64,
     /// The limit that is passed most, uncertainty counted in, with how far; none where all are kept.
     pub passed: Option<Passed>,
+    /// The other response of a front over the full cells, as a share of that of the least objective; none without a front.
+    pub against_share: Option<f64>,
     /// Cells whose optimum has no setting in steps that keeps all limits.
     pub lost_cells: usize,
 }

@@ -47,6 +47,14 @@ pub fn write(folder: &RunFolder, job: &Job, mut found: Mapped) -> Result<Mapped,
     Ok(found)
 }
 
+/// Takes the results of an earlier run away, where there are some.
+pub(super) fn forget(root: &Path) {
+    for name in ["summary.json", "report.html", &format!("{STEP}/static_map.json")] {
+        // What is not there needs no removal.
+        let _ = std::fs::remove_file(root.join(name));
+    }
+}
+
 #[derive(serde::Serialize)]
 struct Body<'a> {
     points: &'a [dynocal_calib::steady::day::DayPoint],

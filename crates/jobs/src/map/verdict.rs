@@ -13,6 +13,10 @@ use super::spec::MapSpec;
 const COVERED: f64 = 0.8;
 /// Explained share of the variance below which a model is called rough.
 const ROUGH: f64 = 0.8;
+/// Share by which the maps may pass what was taken from the front.
+const TAKEN: f64 = 0.002;
+/// Loss of a cell by breakpoints and steps, as a share of what is minimised, above which it is said.
+const LOST: f64 = 0.01;
 /// Deviation that is none, as a share of the scatter of the response over the points: what settling leaves.
 const SMALL: f64 = 0.02;
 
@@ -89,12 +93,23 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         let check = Check::new("front", "the other response of the maps that were taken from the front, as a share of that of the least objective")
             .asked(format!("<= {share}"));
         checks.push(match &front.taken {
-            Some(t) => check.measured(t.other / first).holds(true),
+            Some(t) => {
+                let delivered = found.delivered.as_ref().and_then(|d| d.against_share);
+                let measured = delivered.unwrap_or(t.other / first);
+                check.measured(measured).holds(measured <= share + TAKEN)
+            }
             None => check
                 .measured(least / first)
                 .holds(false)
                 .note(format!("no map within the limits has less of {}", front.against)),
         });
+    }
+    if let Some(d) = found.delivered.as_ref().filter(|d| d.largest_loss > LOST) {
+        warnings.push(format!(
+            "breakpoints and steps of the ECU cost {} % of what is minimised in the mean of the cells and {} % at most",
+            significant(100.0 * d.mean_loss, 2),
+            significant(100.0 * d.largest_loss, 2)
+        ));
     }
     if !done {
         warnings.push(format!("the day ended early: {}", end_in_words(&found.end)));

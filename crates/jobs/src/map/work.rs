@@ -52,6 +52,8 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     has_channels(spec, plant.variables())?;
     let axes = axes(spec);
     let start = start(spec, plant.variables());
+    // What the plant lacks is said before it is run.
+    layout(spec, &axes, None, plant.variables())?;
     let tuned = tuned(spec, &axes, &start, plant, watch)?;
     let layout = layout(spec, &axes, tuned.as_ref(), plant.variables())?;
     let interrupt = || watch.interrupted();
@@ -105,7 +107,7 @@ impl Day<'_> {
         let maps = Maps { spec, layout, setting: &setting, axes: &grid_axes };
         let front = maps.front(&mut cells, watch);
         let whole = maps.couple(front.as_ref(), &mut cells, watch);
-        let delivered = maps.deliver(&mut axes, &mut cells);
+        let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         if watch.interrupted() {
             return Err(MapError::Interrupted);
