@@ -354,6 +354,10 @@ fn played(plan: &str, skip: usize, begin_s: usize) -> String {
     out
 }
 
+fn write(path: &std::path::Path, text: String) {
+    dynocal_files::atomic::write(path, text.as_bytes()).unwrap();
+}
+
 /// A bed that is driven through files alone: the plan, batches that follow the optimum, the verification; every call goes on.
 #[test]
 fn a_bed_measures_the_day_from_files() {
@@ -371,7 +375,7 @@ fn a_bed_measures_the_day_from_files() {
                 let plan = std::fs::read_to_string(&plan).unwrap();
                 // The bed could not measure the first point of the first plan.
                 let skip = usize::from(asked.is_empty());
-                std::fs::write(&measured, played(&plan, skip, 2000 * asked.len())).unwrap();
+                write(std::path::Path::new(&measured), played(&plan, skip, 2000 * asked.len()));
                 asked.push(
                     std::path::Path::new(&measured).file_stem().unwrap().to_string_lossy().into_owned(),
                 );
@@ -391,7 +395,7 @@ fn a_bed_measures_the_day_from_files() {
     let first = out.join("measured/points01.csv");
     let good = std::fs::read_to_string(&first).unwrap();
     let wrong = |text: String| {
-        std::fs::write(&first, text).unwrap();
+        write(&first, text);
         dynocal_jobs::map::run(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string()
     };
     let e = wrong(good.replacen("\n2,", "\n99,", 1));
@@ -414,7 +418,7 @@ fn a_bed_measures_the_day_from_files() {
     let e = wrong(good.lines().map(halved).collect::<Vec<_>>().join("\n"));
     assert!(e.contains("set elsewhere than planned") && e.contains("`spark`"), "{e}");
     // A verification that stood still verifies nothing.
-    std::fs::write(&first, &good).unwrap();
+    write(&first, good.clone());
     let verify = out.join("measured/verify.csv");
     let rows = std::fs::read_to_string(&verify).unwrap();
     let kept: Vec<&str> = rows.lines().nth(1).unwrap().splitn(3, ',').collect();
@@ -422,7 +426,7 @@ fn a_bed_measures_the_day_from_files() {
         0 => line.to_string(),
         _ => format!("{},{},{}", line.split(',').next().unwrap(), line.split(',').nth(1).unwrap(), kept[2]),
     };
-    std::fs::write(&verify, rows.lines().enumerate().map(still).collect::<Vec<_>>().join("\n")).unwrap();
+    write(&verify, rows.lines().enumerate().map(still).collect::<Vec<_>>().join("\n"));
     let e = dynocal_jobs::map::run(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
     assert!(e.contains("verify.csv") && e.contains("set elsewhere than planned"), "{e}");
     let two_rows: Vec<&str> = good.lines().take(3).collect();
