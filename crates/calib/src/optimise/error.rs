@@ -78,6 +78,16 @@ pub enum OptimiseError {
         /// Outputs of the problem.
         known: String,
     },
+    /// A guard that a model has no boundary for.
+    #[error(
+        "the guard keeps the optimum where the models were identified, by a boundary of the kind `leverage`; the model of `{output}` has {found}; identify it again (`validate.boundary`), or leave the guard out"
+    )]
+    Guard {
+        /// Output of the model.
+        output: String,
+        /// What it has.
+        found: &'static str,
+    },
     /// Models that read each other's outputs in a ring.
     #[error("the models of {outputs} read each other's outputs in a ring: the optimisation needs an order")]
     Ring {

@@ -3,7 +3,7 @@
 //! A start record gives the given channels, the inputs to begin with and the first samples of the outputs. The demand of
 //! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction (or, where
 //! [`DemandFrom::Record`] asks for it, the output of the record). Channels `<input>_lower` and `<input>_upper` of the record bound an
-//! input sample by sample, inside its bounds of the problem. It is solved as one sparse program over all samples
+//! input sample by sample, inside its bounds of the problem; of an output with limits they tighten its limits. It is solved as one sparse program over all samples
 //! ([`program`] has the equations).
 //!
 //! ```
@@ -38,7 +38,9 @@
 mod bounds;
 mod checks;
 mod error;
+mod guard;
 mod horizon;
+mod limits;
 pub mod model;
 mod options;
 mod prices;
@@ -54,6 +56,7 @@ mod within;
 
 pub use bounds::bound_channels;
 pub use error::OptimiseError;
+pub use guard::{Guard, distance_name};
 pub use horizon::Horizon;
 pub use options::{DemandFrom, EndCondition, History, OptimiseOptions};
 pub use prices::Price;
@@ -67,6 +70,7 @@ use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
 use dynocal_numerics::nlp::{self, NlpOptions, NlpOutcome};
 use dynocal_numerics::status::Status;
+use guard::Guarded;
 use model::OutputModel;
 use program::Program;
 use setup::Setup;
@@ -82,10 +86,32 @@ pub fn optimise_models(
     options: &OptimiseOptions,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Optimum, OptimiseError> {
+    let Some(guard) = options.guard else {
+        return optimise(problem, models, &[], start, options, interrupt);
+    };
+    let guarded = Guarded::new(problem, models, start, guard)?;
+    let all: Vec<OutputModel> = models.iter().cloned().chain(guarded.models()).collect();
+    let distances = guarded.names();
+    let mut found = optimise(&guarded.problem, &all, &distances, &guarded.start, options, interrupt)?;
+    // That a distance is not negative is no wish of anybody.
+    let meant = |channel: &String, of: &str| of != "lower" || !distances.contains(channel);
+    found.violations.retain(|v| meant(&v.channel, &v.of));
+    found.prices.retain(|p| meant(&p.channel, &p.of));
+    Ok(found)
+}
+
+fn optimise(
+    problem: &CalibrationProblem,
+    models: &[OutputModel<'_>],
+    distances: &[String],
+    start: &Dataset,
+    options: &OptimiseOptions,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Optimum, OptimiseError> {
     let samples = start.len();
     let more = (options.extend_s / start.sample_time_s).round().max(0.0) as usize;
     let extended = if more > 0 { extended(start, more) } else { start.clone() };
-    let setup = Setup::new(problem, models, &extended, options)?;
+    let setup = Setup::new(problem, models, &extended, options)?.loosened(distances);
     let found = match options.way {
         Way::Batch(spec) => whole(&setup, options, spec.starts, interrupt),
         Way::Horizon(spec) => horizon::solve(&setup, options, &spec, interrupt),

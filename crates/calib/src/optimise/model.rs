@@ -9,6 +9,7 @@
 use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::Model;
+use dynocal_ident::validate::boundary::BoundaryModel;
 
 /// A model input from named channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,13 +86,15 @@ pub struct OutputModel<'a> {
     pub inputs: Vec<Source>,
     /// From the user's output to the model's.
     pub way: OutputWay,
+    /// What it was identified on, in the coordinates of `model`; read where a guard is asked for.
+    pub boundary: Option<&'a BoundaryModel>,
 }
 
 impl<'a> OutputModel<'a> {
     /// A model whose inputs and output are channels as they are.
     pub fn plain(output: &str, model: &'a dyn Model, theta: &'a [f64], inputs: &[&str]) -> Self {
         let inputs = inputs.iter().map(|name| Source::plain(name)).collect();
-        Self { output: output.into(), model, theta, inputs, way: OutputWay::PLAIN }
+        Self { output: output.into(), model, theta, inputs, way: OutputWay::PLAIN, boundary: None }
     }
 
     /// Channels that it reads.

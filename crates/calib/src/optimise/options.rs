@@ -1,5 +1,6 @@
 //! What may be chosen about an optimisation over a record.
 
+use super::guard::Guard;
 use super::way::{MOST_S, Way};
 use dynocal_files::spec::Faults;
 use serde::{Deserialize, Serialize};
@@ -68,6 +69,9 @@ pub struct OptimiseOptions {
     /// sample where hardly any input acts, meeting a demand costs more than anything else, and multipliers grow without bound.
     /// 0: never.
     pub give: f64,
+    /// How far the optimum may go from what its models were identified on; absent: as far as it likes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guard: Option<Guard>,
     /// Whether a search that failed is followed by one for where and by how much the problem cannot be met
     /// ([`Optimum::shortfalls`](super::Optimum::shortfalls)).
     pub explain: bool,
@@ -85,6 +89,7 @@ impl Default for OptimiseOptions {
             way: Way::default(),
             smoothing: 0.0,
             give: 0.0,
+            guard: None,
             explain: true,
         }
     }
@@ -99,6 +104,9 @@ impl OptimiseOptions {
         faults.range(&of("extend_s"), self.extend_s, 0.0, MOST_S, "s");
         faults.range(&of("smoothing"), self.smoothing, 0.0, 1e3, "of the objective");
         faults.range(&of("give"), self.give, 0.0, 0.1, "of the range of a demand");
+        if let Some(guard) = self.guard {
+            guard.check(&of("guard"), faults);
+        }
         self.way.check(&of("way"), faults);
     }
 }

@@ -216,11 +216,12 @@ fn free_runs(setup: &Setup<'_>, found: &[f64], samples: usize) -> (Vec<Violation
         (0..setup.samples).for_each(|t| values[t * width + c] = run[t]);
         let limit = setup.problem.limits.iter().find(|l| l.output == m.output);
         let first = setup.first_equation();
-        if let Some(lower) = limit.and_then(|l| l.lower) {
-            push(&m.output, "lower", largest((first..samples).map(|t| (t, lower - run[t]))));
+        let [lower, upper] = limit.map_or([None, None], |l| setup.limits_of(l));
+        if let Some(lower) = lower {
+            push(&m.output, "lower", largest((first..samples).map(|t| (t, lower[t] - run[t]))));
         }
-        if let Some(upper) = limit.and_then(|l| l.upper) {
-            push(&m.output, "upper", largest((first..samples).map(|t| (t, run[t] - upper))));
+        if let Some(upper) = upper {
+            push(&m.output, "upper", largest((first..samples).map(|t| (t, run[t] - upper[t]))));
         }
     }
     for (c, input) in setup.problem.inputs.iter().enumerate() {

@@ -4,10 +4,10 @@ use super::bounds::bound_channels;
 use super::checks::{check_start, in_order};
 use super::error::OptimiseError;
 use super::model::OutputModel;
-use super::program::{Column, ModelRow, Parts, Product, Reading, SoftLimit, Sum, SumLimit, Target};
+use super::program::{Column, ModelRow, Parts, Product, Reading, Sum, SumLimit, Target};
 use super::within::led_back;
 use super::{DemandFrom, EndCondition, Found, History, OptimiseOptions};
-use crate::problem::{CalibrationProblem, LimitChannel};
+use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::Run;
@@ -39,6 +39,8 @@ pub(super) struct Setup<'a> {
     elastic: Option<Elastic>,
     /// Whether demands may give way.
     gives: bool,
+    /// Outputs whose limits of single samples stand in place of those of the problem.
+    pub(super) loose: Vec<String>,
     /// Weights on squared increments of the inputs.
     increment_weights: Vec<f64>,
     options: OptimiseOptions,
@@ -51,17 +53,6 @@ struct Elastic {
     price: f64,
     /// Weight of the objective proper.
     objective: f64,
-}
-
-/// What is asked of an output that is a column.
-pub(super) struct Asked {
-    pub(super) output: String,
-    pub(super) column: usize,
-    /// `demand`, `lower`, `upper`.
-    pub(super) of: &'static str,
-    pub(super) values: Vec<f64>,
-    /// Its range, or the size of its limit.
-    pub(super) size: f64,
 }
 
 impl<'a> Setup<'a> {
@@ -99,6 +90,7 @@ impl<'a> Setup<'a> {
             given: Vec::new(),
             elastic: None,
             gives: false,
+            loose: Vec::new(),
             increment_weights: Vec::new(),
             options: *options,
         };
@@ -108,6 +100,8 @@ impl<'a> Setup<'a> {
         }
         for name in problem.input_names() {
             setup.put_column(&name, start.values(&name)?);
+        }
+        for name in problem.input_names().into_iter().chain(problem.other_outputs()) {
             for bound in bound_channels(&name) {
                 if let Ok(values) = start.values(&bound) {
                     setup.given.push((bound, values.to_vec()));
@@ -186,6 +180,7 @@ impl<'a> Setup<'a> {
             given,
             elastic: self.elastic,
             gives: self.gives,
+            loose: self.loose.clone(),
             increment_weights: self.increment_weights.clone(),
             options: OptimiseOptions { end, ..self.options },
         }
@@ -208,6 +203,7 @@ impl<'a> Setup<'a> {
             models: self.models.clone(),
             given: self.given.clone(),
             increment_weights: self.increment_weights.clone(),
+            loose: self.loose.clone(),
             elastic: Some(Elastic { price, objective }),
             columns,
             start,
@@ -220,6 +216,7 @@ impl<'a> Setup<'a> {
         Self {
             gives: true,
             models: self.models.clone(),
+            loose: self.loose.clone(),
             columns: self.columns.clone(),
             start: self.start.clone(),
             given: self.given.clone(),
@@ -259,28 +256,6 @@ impl<'a> Setup<'a> {
     pub(super) fn start_objective(&self) -> f64 {
         let terms = self.problem.minimise.iter().zip(self.objective_sums());
         terms.map(|(term, sum)| term.weight * sum.value_of(&self.start, self.columns.len())).sum()
-    }
-
-    /// All that is asked of outputs that are columns.
-    pub(super) fn asked(&self) -> Vec<Asked> {
-        let column = |name: &str| self.columns.iter().position(|n| n == name);
-        let demands = self.problem.demands.iter().filter_map(|d| {
-            let values = self.given(&d.output)?.to_vec();
-            let (output, size) = (d.output.clone(), d.upper - d.lower);
-            Some(Asked { column: column(&output)?, output, of: "demand", values, size })
-        });
-        let limits = self.problem.limits.iter().flat_map(|l| {
-            let limit = |of, value: Option<f64>| {
-                let (output, value) = (l.output.clone(), value?);
-                let size = match (l.lower, l.upper) {
-                    (Some(lower), Some(upper)) => upper - lower,
-                    _ => value.abs().max(1e-3),
-                };
-                Some(Asked { column: column(&output)?, output, of, values: vec![value; self.samples], size })
-            };
-            limit("lower", l.lower).into_iter().chain(limit("upper", l.upper)).collect::<Vec<_>>()
-        });
-        demands.chain(limits).collect()
     }
 
     fn put_column(&mut self, name: &str, values: &[f64]) {
@@ -352,14 +327,6 @@ impl<'a> Setup<'a> {
         self.problem.minimise.iter().map(|term| mean(&term.channel)).collect()
     }
 
-    /// Channels whose mean is limited, with that mean and its limit.
-    pub(super) fn mean_limits(&self) -> Vec<(String, Sum, f64)> {
-        let limited = self.problem.limits.iter().filter_map(|l| Some((&l.output, l.mean_upper?)));
-        limited
-            .map(|(name, upper)| (name.clone(), self.mean(&self.problem.monomial(name), 1.0), upper))
-            .collect()
-    }
-
     fn row(&self, m: &OutputModel<'a>) -> ModelRow<'a> {
         let model_of = |values: Vec<f64>| values.into_iter().map(|y| m.way.to_model(y)).collect::<Vec<f64>>();
         let (target, output) = match self.columns.iter().position(|n| *n == m.output) {
@@ -424,7 +391,7 @@ impl<'a> Setup<'a> {
             columns.push(Column {
                 decided: self.first_equation()..self.samples,
                 held: false,
-                local: Vec::new(),
+                local: hard.map_or(Vec::new(), |l| self.local_limits(l)),
                 bounds: (
                     hard.and_then(|l| l.lower).unwrap_or(f64::NEG_INFINITY),
                     hard.and_then(|l| l.upper).unwrap_or(f64::INFINITY),
@@ -436,55 +403,15 @@ impl<'a> Setup<'a> {
         columns
     }
 
-    /// Bounds of each sample of input `c` where the record has some, inside those of the problem and about its start; else none.
-    fn local_bounds(&self, c: usize) -> Vec<(f64, f64)> {
-        let input = &self.problem.inputs[c];
-        let [lower, upper] = bound_channels(&input.name).map(|name| self.given(&name));
-        if lower.or(upper).is_none() {
-            return Vec::new();
-        }
-        let at = |bound: Option<&[f64]>, t: usize, other: f64| bound.map_or(other, |v| v[t]);
-        let of = |t: usize| {
-            let start = self.start[t * self.columns.len() + c];
-            let lower = at(lower, t, input.lower).max(input.lower).min(start);
-            (lower, at(upper, t, input.upper).min(input.upper).max(start))
-        };
-        (0..self.samples).map(of).collect()
-    }
-
     /// Mean of `weight * monomial`: over the decided samples, and one later where outputs alone stand in it, so that the
     /// last inputs act on it.
-    fn mean(&self, monomial: &Monomial, weight: f64) -> Sum {
+    pub(super) fn mean(&self, monomial: &Monomial, weight: f64) -> Sum {
         let divisor = (self.to - self.from) as f64;
         let product = self.product(monomial, weight / divisor);
         let inputs = self.problem.inputs.len();
         let outputs_only = !product.powers.is_empty() && product.powers.iter().all(|(c, _)| *c >= inputs);
         let shift = usize::from(outputs_only && self.to < self.samples);
         Sum { product, from: self.from + shift, to: self.to + shift }
-    }
-
-    /// Everything that is asked of outputs as soft limits.
-    fn all_soft(&self, price: f64) -> Vec<SoftLimit> {
-        let mut out = Vec::new();
-        for a in self.asked() {
-            let price = price / a.size;
-            let limit = |above| SoftLimit { column: a.column, above, limit: a.values.clone(), price };
-            if a.of != "upper" {
-                out.push(limit(false));
-            }
-            if a.of != "lower" {
-                out.push(limit(true));
-            }
-        }
-        out
-    }
-
-    fn soft(&self, l: &LimitChannel) -> Vec<SoftLimit> {
-        let column = self.columns.iter().position(|n| *n == l.output);
-        let (Some(column), Some(weight)) = (column, l.soft_weight) else { return Vec::new() };
-        let price = weight / (self.to - self.from) as f64;
-        let limit = |value: f64, above| SoftLimit { column, above, limit: vec![value; self.samples], price };
-        l.lower.map(|v| limit(v, false)).into_iter().chain(l.upper.map(|v| limit(v, true))).collect()
     }
 }
 

@@ -7,6 +7,7 @@ use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::stored::{StoredError, StoredModel};
+use dynocal_ident::validate::boundary::BoundaryModel;
 
 /// What a stored model is to an optimisation: the structure that its inputs drive, and the way to it and back.
 pub struct StoredOutput {
@@ -14,6 +15,7 @@ pub struct StoredOutput {
     driven: Driven,
     inputs: Vec<Source>,
     way: OutputWay,
+    boundary: Option<BoundaryModel>,
 }
 
 impl StoredOutput {
@@ -39,7 +41,8 @@ impl StoredOutput {
         };
         let (offset, scale) = (pointwise.output.offset, pointwise.output.scale);
         let way = OutputWay { factor, power, offset, scale };
-        Ok(Self { output: model.user_output().name, driven, inputs, way })
+        let boundary = model.boundary.clone();
+        Ok(Self { output: model.user_output().name, driven, inputs, way, boundary })
     }
 
     /// The model in the form of the program.
@@ -50,6 +53,7 @@ impl StoredOutput {
             theta: &self.driven.theta,
             inputs: self.inputs.clone(),
             way: self.way,
+            boundary: self.boundary.as_ref(),
         }
     }
 }

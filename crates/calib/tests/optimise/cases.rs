@@ -100,6 +100,7 @@ fn derivatives_of_free_outputs_agree_with_differences() {
                 Source::plain("speed"),
             ],
             way: OutputWay { factor: 1.0, power: -1, offset: 0.1, scale: 1.2 },
+            boundary: None,
         },
         OutputModel::plain("heat", &heat, &[0.3, 0.1, 2.0, 0.5, 0.2], &["lambda", "spark", "throttle"]),
     ];
@@ -387,6 +388,7 @@ fn stored_models_give_what_their_structures_give() {
         theta: &theta,
         inputs: vec![Source::plain("inj"), Source { monomial: cycle, offset: 0.0, scale: 1.0 }],
         way: OutputWay { power: -1, ..OutputWay::PLAIN },
+        boundary: None,
     };
     let start = record(60, &mut Rng64::new(3));
     let options = OptimiseOptions::default();

@@ -3,6 +3,7 @@
 mod cases;
 mod common;
 mod giving;
+mod guard;
 mod local_bounds;
 mod reference;
 mod smoothing;

@@ -50,7 +50,7 @@ use crate::model::{Model, Run};
 pub use combine::Combined;
 pub use operating::OperatingBoundary;
 use region::Region;
-pub use region::RegionKind;
+pub use region::{Quadratic, RegionKind};
 pub use space::{Space, SpaceError};
 
 /// A region with a distance: at most 1 inside, above 1 outside, growing along every ray from the centre.
@@ -137,6 +137,17 @@ pub struct BoundaryModel {
 }
 
 impl BoundaryModel {
+    /// The squared distance as a quadratic form of the coordinates, exact to second derivatives: for boundaries of the kind
+    /// [`RegionKind::Leverage`], none for the others.
+    pub fn quadratic(&self) -> Option<Quadratic> {
+        self.region.quadratic()
+    }
+
+    /// Shape of its region.
+    pub fn kind(&self) -> RegionKind {
+        self.region.kind()
+    }
+
     /// The same boundary in other units: coordinate k becomes `offset + scale x` with `lines[k] = (offset, scale)`.
     pub fn stretched(&self, lines: &[(f64, f64)]) -> Self {
         Self { region: self.region.stretched(lines), ..self.clone() }

@@ -30,6 +30,17 @@ pub enum RegionKind {
     OneClass,
 }
 
+/// A squared distance: `z'Az, z = (x - centre) / scale`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quadratic {
+    /// Centre (d), in units of the coordinates.
+    pub centre: Vec<f64>,
+    /// Scale (d), in the same.
+    pub scale: Vec<f64>,
+    /// A (d x d row-major), symmetric.
+    pub matrix: Vec<f64>,
+}
+
 /// A region about a centre. `r`: R'R is the correlation matrix of the scaled coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Region {
@@ -150,6 +161,20 @@ impl Region {
         // The factor has a positive diagonal.
         let _ = solve_upper_transposed(&self.r, z.len(), &mut z);
         z
+    }
+
+    /// Centre, scale and matrix A (d x d row-major) with `distance^2 = z'Az, z = (x - centre) / scale`; none for regions whose
+    /// distance is no quadratic form.
+    pub(super) fn quadratic(&self) -> Option<Quadratic> {
+        let d = self.centre.len();
+        let mut matrix = vec![0.0; d * d];
+        for (k, row) in matrix.chunks_exact_mut(d.max(1)).enumerate() {
+            row[k] = 1.0 / (self.unit * self.unit);
+            let solved = solve_upper_transposed(&self.r, d, row).and_then(|()| solve_upper(&self.r, d, row));
+            solved.ok()?;
+        }
+        let (centre, scale) = (self.centre.clone(), self.scale.clone());
+        (self.kind == RegionKind::Leverage).then_some(Quadratic { centre, scale, matrix })
     }
 
     /// Distance, and its gradient if asked for.
