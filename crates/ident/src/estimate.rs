@@ -3,6 +3,7 @@
 pub mod bands;
 pub mod cost;
 mod covariance;
+mod distribution;
 pub mod els;
 mod fit;
 pub mod initial;
@@ -25,6 +26,7 @@ pub mod train;
 use dynocal_numerics::linalg::LinalgError;
 
 pub use covariance::{CovarianceChoice, CovarianceKind};
+pub use distribution::ParameterDistribution;
 pub use fit::{Fit, LearntForm, Minimised};
 pub use noise::Residuals;
 pub use table::{ESTIMATORS, EstimatorRow, Fits, Gaps, docs, estimator, row};

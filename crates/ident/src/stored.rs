@@ -50,6 +50,8 @@ use crate::validate::boundary::BoundaryModel;
 pub const MODEL_SCHEMA: &str = "dynocal/model";
 /// Version of the model file. Files of version 2 (without derived channels, ranges, start) are read.
 pub const MODEL_VERSION: u32 = 3;
+/// Most parameters whose correlations are stored.
+pub const MOST_CORRELATED: usize = 100;
 
 /// A channel of a model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -97,6 +99,10 @@ pub struct StoredModel {
     pub sample_time_s: f64,
     /// Parameters theta with names and standard errors, in the order of the structure.
     pub parameters: Vec<Parameter>,
+    /// Correlations of the estimates: below the diagonal, row by row (p (p - 1) / 2); absent where they are not known, or for more
+    /// than [`MOST_CORRELATED`] parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlation: Option<Vec<f64>>,
     /// Estimator.
     pub estimator: String,
     /// Variance of the errors that the estimator made small, in squared units of the prepared output.
@@ -255,6 +261,7 @@ impl StoredModel {
             inputs,
             output,
             sample_time_s,
+            correlation: None,
             estimator: String::new(),
             noise_variance: None,
             boundary: None,
@@ -300,6 +307,15 @@ impl StoredModel {
         if let Some(p) = self.parameters.iter().find(|p| !p.value.is_finite()) {
             return number(&format!("parameter `{}`", p.name), p.value, "a finite number");
         }
+        if let Some(r) = &self.correlation {
+            let expected = self.parameters.len() * self.parameters.len().saturating_sub(1) / 2;
+            if r.len() != expected {
+                return number("number of correlations", r.len() as f64, "p (p - 1) / 2 for p parameters");
+            }
+            if let Some(r) = r.iter().find(|r| !(-1.0..=1.0).contains(*r)) {
+                return number("correlation", *r, "a number from -1 to 1");
+            }
+        }
         if !(self.sample_time_s > 0.0 && self.sample_time_s.is_finite()) {
             return number("sample_time_s", self.sample_time_s, "a positive number of seconds");
         }
@@ -314,6 +330,37 @@ impl StoredModel {
     /// Parameters theta (p).
     pub fn theta(&self) -> Vec<f64> {
         self.parameters.iter().map(|p| p.value).collect()
+    }
+
+    /// Covariance of the parameters (p x p row-major) from standard errors and correlations; zero rows for parameters that the data do not
+    /// determine. None where the correlations are not known.
+    pub fn covariance(&self) -> Option<Vec<f64>> {
+        let correlation = self.correlation.as_ref()?;
+        let p = self.parameters.len();
+        let deviation = |k: usize| self.parameters[k].std_error.unwrap_or(0.0);
+        let mut out = vec![0.0; p * p];
+        let mut below = correlation.iter();
+        for i in 0..p {
+            out[i * p + i] = deviation(i).powi(2);
+            for (j, r) in (0..i).zip(&mut below) {
+                let c = r * deviation(i) * deviation(j);
+                (out[i * p + j], out[j * p + i]) = (c, c);
+            }
+        }
+        Some(out)
+    }
+
+    /// Takes over the correlations of a covariance (p x p row-major) where there are not too many parameters.
+    pub fn correlate(&mut self, covariance: &[f64]) {
+        let p = self.parameters.len();
+        if covariance.len() != p * p || p > MOST_CORRELATED {
+            return;
+        }
+        let of = |i: usize, j: usize| {
+            let size = (covariance[i * p + i] * covariance[j * p + j]).sqrt();
+            if size > 0.0 { (covariance[i * p + j] / size).clamp(-1.0, 1.0) } else { 0.0 }
+        };
+        self.correlation = Some((0..p).flat_map(|i| (0..i).map(move |j| of(i, j))).collect());
     }
 
     /// Whether the model reads present values alone: it then goes with records of any sample time, and with tables that have

@@ -11,6 +11,7 @@ pub mod chapter5;
 mod design;
 pub mod engine;
 mod error;
+mod limits;
 pub mod loops;
 mod map;
 mod report;
@@ -111,6 +112,7 @@ pub static STUDIES: &[Study] = &[
     chapter5::STUDY,
     design::STUDY,
     engine::STUDY,
+    limits::STUDY,
     loops::STUDY,
     map::STUDY,
 ];

@@ -42,8 +42,8 @@
 
 use dynocal_design::problem::{DesignProblem, Evaluator, Term};
 use dynocal_design::search::{DesignOptions, design};
+use dynocal_ident::estimate::ParameterDistribution;
 use dynocal_ident::model::{Model, Run};
-use dynocal_numerics::linalg::cholesky;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 use rayon::prelude::*;
@@ -100,21 +100,14 @@ pub fn draws(
 ) -> Result<Vec<Vec<f64>>, LoopError> {
     let p = theta.len();
     let fault = |reason: String| LoopError::Model { what: "parameter distribution".into(), reason };
-    // Unit diagonal first: raw covariances of engine models span twenty decades.
-    let scale: Vec<f64> = (0..p).map(|k| covariance[k * p + k].sqrt()).collect();
-    if let Some(k) = scale.iter().position(|s| !(s.is_finite() && *s > 0.0)) {
+    if let Some(k) = (0..p).find(|k| !(covariance[k * p + k] > 0.0 && covariance[k * p + k].is_finite())) {
         return Err(fault(format!("`{}` has no variance", model.param_name(k))));
     }
-    let mut factor: Vec<f64> = (0..p * p).map(|i| covariance[i] / (scale[i / p] * scale[i % p])).collect();
-    (0..p).for_each(|k| factor[k * p + k] += 1e-10);
-    cholesky(&mut factor, p).map_err(|e| fault(e.to_string()))?;
+    let distribution = ParameterDistribution::new(theta, covariance).map_err(|e| fault(e.to_string()))?;
     let mut rng = Rng64::stream(seed, 77);
     let mut found = Vec::with_capacity(count);
     for _ in 0..20 * count {
-        let z: Vec<f64> = (0..p).map(|_| rng.normal()).collect();
-        let draw: Vec<f64> = (0..p)
-            .map(|i| theta[i] + scale[i] * (0..=i).map(|j| factor[j * p + i] * z[j]).sum::<f64>())
-            .collect();
+        let draw = distribution.draw(&mut rng);
         if stable.holds(model, &draw) {
             found.push(draw);
             if found.len() == count {

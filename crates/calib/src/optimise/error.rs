@@ -88,6 +88,14 @@ pub enum OptimiseError {
         /// What it has.
         found: &'static str,
     },
+    /// Draws of a model's parameters that cannot be had.
+    #[error("a robust optimum holds for draws of the models' parameters; the model of `{output}` {found}")]
+    Draws {
+        /// Output of the model.
+        output: String,
+        /// What is wrong with it.
+        found: String,
+    },
     /// Models that read each other's outputs in a ring.
     #[error("the models of {outputs} read each other's outputs in a ring: the optimisation needs an order")]
     Ring {

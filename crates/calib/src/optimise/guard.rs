@@ -103,6 +103,7 @@ impl Guarded {
             inputs: d.inputs.clone(),
             way: OutputWay { factor: 1.0, power: 2, offset: 0.0, scale: 1.0 },
             boundary: None,
+            draws: Vec::new(),
         })
     }
 }

@@ -46,6 +46,7 @@ mod options;
 mod prices;
 pub mod program;
 mod result;
+mod robust;
 mod segments;
 mod setup;
 mod shortfall;
@@ -61,6 +62,7 @@ pub use horizon::Horizon;
 pub use options::{DemandFrom, EndCondition, History, OptimiseOptions};
 pub use prices::Price;
 pub use result::{Optimum, PartOutcome, TermValue, Violation};
+pub use robust::{Robust, Spread};
 pub use segments::{Seam, Segments};
 pub use shortfall::Shortfall;
 pub use stored::{StoredOutput, optimise_record};
@@ -73,6 +75,7 @@ use dynocal_numerics::status::Status;
 use guard::Guarded;
 use model::OutputModel;
 use program::Program;
+use robust::Ensemble;
 use setup::Setup;
 
 /// Optimises the inputs of `start` for `problem`; `interrupt` is asked once per iteration.
@@ -86,13 +89,31 @@ pub fn optimise_models(
     options: &OptimiseOptions,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Optimum, OptimiseError> {
-    let Some(guard) = options.guard else {
-        return optimise(problem, models, &[], start, options, interrupt);
+    let ensemble = options.robust.map(|_| Ensemble::new(problem, models, start));
+    let Some(ensemble) = ensemble else {
+        return guarded(problem, models, models, start, options, interrupt);
     };
-    let guarded = Guarded::new(problem, models, start, guard)?;
+    let all: Vec<OutputModel> = models.iter().cloned().chain(ensemble.models(models)).collect();
+    let found = guarded(&ensemble.problem, &all, models, &ensemble.start, options, interrupt)?;
+    Ok(ensemble.folded(found))
+}
+
+/// With the guard of the models `known`, where one is asked for.
+fn guarded(
+    problem: &CalibrationProblem,
+    models: &[OutputModel<'_>],
+    known: &[OutputModel<'_>],
+    start: &Dataset,
+    options: &OptimiseOptions,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Optimum, OptimiseError> {
+    let Some(guard) = options.guard else {
+        return solved(problem, models, &[], start, options, interrupt);
+    };
+    let guarded = Guarded::new(problem, known, start, guard)?;
     let all: Vec<OutputModel> = models.iter().cloned().chain(guarded.models()).collect();
     let distances = guarded.names();
-    let mut found = optimise(&guarded.problem, &all, &distances, &guarded.start, options, interrupt)?;
+    let mut found = solved(&guarded.problem, &all, &distances, &guarded.start, options, interrupt)?;
     // That a distance is not negative is no wish of anybody.
     let meant = |channel: &String, of: &str| of != "lower" || !distances.contains(channel);
     found.violations.retain(|v| meant(&v.channel, &v.of));
@@ -100,7 +121,7 @@ pub fn optimise_models(
     Ok(found)
 }
 
-fn optimise(
+fn solved(
     problem: &CalibrationProblem,
     models: &[OutputModel<'_>],
     distances: &[String],
@@ -117,7 +138,11 @@ fn optimise(
         Way::Horizon(spec) => horizon::solve(&setup, options, &spec, interrupt),
         Way::Segments(spec) => segments::solve(&setup, options, &spec, interrupt),
     };
-    Ok(Optimum::new(&setup, &found, samples))
+    let mut optimum = Optimum::new(&setup, &found, samples);
+    if options.robust.is_some() {
+        optimum.spreads = robust::spreads(&setup, &found.values, samples);
+    }
+    Ok(optimum)
 }
 
 /// Columns that a search ended with.

@@ -88,13 +88,23 @@ pub struct OutputModel<'a> {
     pub way: OutputWay,
     /// What it was identified on, in the coordinates of `model`; read where a guard is asked for.
     pub boundary: Option<&'a BoundaryModel>,
+    /// Draws of its parameters; read where a robust optimum is asked for.
+    pub draws: Vec<Vec<f64>>,
 }
 
 impl<'a> OutputModel<'a> {
     /// A model whose inputs and output are channels as they are.
     pub fn plain(output: &str, model: &'a dyn Model, theta: &'a [f64], inputs: &[&str]) -> Self {
         let inputs = inputs.iter().map(|name| Source::plain(name)).collect();
-        Self { output: output.into(), model, theta, inputs, way: OutputWay::PLAIN, boundary: None }
+        Self {
+            output: output.into(),
+            model,
+            theta,
+            inputs,
+            way: OutputWay::PLAIN,
+            boundary: None,
+            draws: Vec::new(),
+        }
     }
 
     /// Channels that it reads.

@@ -1,6 +1,7 @@
 //! What may be chosen about an optimisation over a record.
 
 use super::guard::Guard;
+use super::robust::Robust;
 use super::way::{MOST_S, Way};
 use dynocal_files::spec::Faults;
 use serde::{Deserialize, Serialize};
@@ -72,6 +73,9 @@ pub struct OptimiseOptions {
     /// How far the optimum may go from what its models were identified on; absent: as far as it likes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guard: Option<Guard>,
+    /// Draws of the models that every limit holds for; absent: the models as estimated are all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub robust: Option<Robust>,
     /// Whether a search that failed is followed by one for where and by how much the problem cannot be met
     /// ([`Optimum::shortfalls`](super::Optimum::shortfalls)).
     pub explain: bool,
@@ -90,6 +94,7 @@ impl Default for OptimiseOptions {
             smoothing: 0.0,
             give: 0.0,
             guard: None,
+            robust: None,
             explain: true,
         }
     }
@@ -106,6 +111,9 @@ impl OptimiseOptions {
         faults.range(&of("give"), self.give, 0.0, 0.1, "of the range of a demand");
         if let Some(guard) = self.guard {
             guard.check(&of("guard"), faults);
+        }
+        if let Some(robust) = self.robust {
+            robust.check(&of("robust"), faults);
         }
         self.way.check(&of("way"), faults);
     }

@@ -3,6 +3,7 @@
 use super::Found;
 use super::prices::Price;
 use super::program::Sum;
+use super::robust::Spread;
 use super::setup::Setup;
 use super::shortfall::Shortfall;
 use crate::problem::ObjectiveTerm;
@@ -88,6 +89,9 @@ pub struct Optimum {
     pub shortfalls: Vec<Shortfall>,
     /// What demands and limits cost; empty where the record was not optimised as a whole.
     pub prices: Vec<Price>,
+    /// How far draws of the demanded outputs' models are from the demand; empty where none were asked for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub spreads: Vec<Spread>,
     /// What the free run of the models on the optimal inputs violates, one entry for each thing asked.
     pub violations: Vec<Violation>,
 }
@@ -133,6 +137,7 @@ impl Optimum {
             parts: found.parts.clone(),
             shortfalls,
             prices: found.prices.clone(),
+            spreads: Vec::new(),
             violations,
             responses,
         }

@@ -1,13 +1,17 @@
 //! Stored models as the optimisation takes them.
 
 use super::model::{OutputModel, OutputWay, Source};
-use super::{OptimiseError, OptimiseOptions, Optimum, optimise_models};
+use super::{OptimiseError, OptimiseOptions, Optimum, Robust, optimise_models};
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Monomial;
+use dynocal_ident::estimate::ParameterDistribution;
+use dynocal_ident::model::Run;
 use dynocal_ident::model::form::Driven;
 use dynocal_ident::stored::{StoredError, StoredModel};
 use dynocal_ident::validate::boundary::BoundaryModel;
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::status::Status;
 
 /// What a stored model is to an optimisation: the structure that its inputs drive, and the way to it and back.
 pub struct StoredOutput {
@@ -16,6 +20,7 @@ pub struct StoredOutput {
     inputs: Vec<Source>,
     way: OutputWay,
     boundary: Option<BoundaryModel>,
+    draws: Vec<Vec<f64>>,
 }
 
 impl StoredOutput {
@@ -42,7 +47,7 @@ impl StoredOutput {
         let (offset, scale) = (pointwise.output.offset, pointwise.output.scale);
         let way = OutputWay { factor, power, offset, scale };
         let boundary = model.boundary.clone();
-        Ok(Self { output: model.user_output().name, driven, inputs, way, boundary })
+        Ok(Self { output: model.user_output().name, driven, inputs, way, boundary, draws: Vec::new() })
     }
 
     /// The model in the form of the program.
@@ -54,6 +59,7 @@ impl StoredOutput {
             inputs: self.inputs.clone(),
             way: self.way,
             boundary: self.boundary.as_ref(),
+            draws: self.draws.clone(),
         }
     }
 }
@@ -73,9 +79,66 @@ pub fn optimise_record(
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Optimum, OptimiseError> {
     models.iter().try_for_each(|m| belongs(m, start))?;
-    let taken = models.iter().map(|m| StoredOutput::new(m)).collect::<Result<Vec<_>, _>>()?;
+    let mut taken = models.iter().map(|m| StoredOutput::new(m)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(robust) = options.robust {
+        for (k, (t, m)) in taken.iter_mut().zip(models).enumerate() {
+            t.draws = draws(t, m, start, robust, k as u64)?;
+        }
+    }
     let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
     optimise_models(problem, &all, start, options, interrupt)
+}
+
+/// Tries for each draw that is wanted.
+const TRIES: usize = 20;
+/// A draw is stable where its free run goes no further from zero than this many times what the record and the estimate's run do.
+const STABLE: f64 = 10.0;
+
+/// Draws of a stored model's parameters that are stable over the record: what an estimate says of its parameters knows nothing of
+/// stability.
+fn draws(
+    taken: &StoredOutput,
+    model: &StoredModel,
+    record: &Dataset,
+    robust: Robust,
+    stream: u64,
+) -> Result<Vec<Vec<f64>>, OptimiseError> {
+    let refused = |found: String| OptimiseError::Draws { output: taken.output.clone(), found };
+    let covariance = model.covariance().ok_or_else(|| {
+        refused("does not say how its parameters depend on each other (identify it again)".into())
+    })?;
+    let distribution = ParameterDistribution::new(&model.theta(), &covariance)
+        .map_err(|e| refused(format!("has a covariance that cannot be drawn from ({e})")))?;
+    let of = taken.model();
+    let u = of.rows(record)?;
+    let y: Vec<f64> = record.values(&taken.output)?.iter().map(|y| taken.way.to_model(*y)).collect();
+    let greatest = |v: &[f64]| v.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let reach = |theta: &[f64]| {
+        let mut run = vec![0.0; y.len()];
+        let status = of.model.simulate(theta, &Run { u: &u, y: &y, start: of.model.max_lag() }, &mut run);
+        let far = greatest(&run);
+        if status == Status::Converged { far } else { f64::INFINITY }
+    };
+    let bound = STABLE * reach(&taken.driven.theta).max(greatest(&y));
+    let mut rng = Rng64::stream(robust.seed, stream);
+    let (mut out, tries) = (Vec::new(), TRIES * robust.draws);
+    for _ in 0..tries {
+        let mut other = model.clone();
+        let theta = distribution.draw(&mut rng);
+        other.parameters.iter_mut().zip(theta).for_each(|(p, v)| p.value = v);
+        let theta = other.driven()?.theta;
+        if reach(&theta) <= bound {
+            out.push(theta);
+        }
+        if out.len() == robust.draws {
+            return Ok(out);
+        }
+    }
+    Err(refused(format!(
+        "is stable over `{}` in {} of {tries} draws of its parameters",
+        record.name,
+        out.len()
+    )))
 }
 
 fn belongs(model: &StoredModel, record: &Dataset) -> Result<(), OptimiseError> {

@@ -101,6 +101,7 @@ fn derivatives_of_free_outputs_agree_with_differences() {
             ],
             way: OutputWay { factor: 1.0, power: -1, offset: 0.1, scale: 1.2 },
             boundary: None,
+            draws: Vec::new(),
         },
         OutputModel::plain("heat", &heat, &[0.3, 0.1, 2.0, 0.5, 0.2], &["lambda", "spark", "throttle"]),
     ];
@@ -389,6 +390,7 @@ fn stored_models_give_what_their_structures_give() {
         inputs: vec![Source::plain("inj"), Source { monomial: cycle, offset: 0.0, scale: 1.0 }],
         way: OutputWay { power: -1, ..OutputWay::PLAIN },
         boundary: None,
+        draws: Vec::new(),
     };
     let start = record(60, &mut Rng64::new(3));
     let options = OptimiseOptions::default();

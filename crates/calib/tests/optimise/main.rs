@@ -6,5 +6,6 @@ mod giving;
 mod guard;
 mod local_bounds;
 mod reference;
+mod robust;
 mod smoothing;
 mod ways;

@@ -238,11 +238,16 @@ impl Outside {
             "`{}` leaves what the model was identified on in {:.1} % of the samples: {} to {}{}, identified from {} to {}",
             self.channel,
             100.0 * self.share,
-            self.found[0],
-            self.found[1],
+            rounded(self.found[0]),
+            rounded(self.found[1]),
             UnitAfter(&self.unit),
-            self.seen[0],
-            self.seen[1]
+            rounded(self.seen[0]),
+            rounded(self.seen[1])
         )
     }
+}
+
+/// To five digits, for sentences.
+fn rounded(v: f64) -> f64 {
+    format!("{v:.4e}").parse().unwrap_or(v)
 }

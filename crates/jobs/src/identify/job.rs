@@ -250,6 +250,7 @@ fn modelled(
         output: output.clone(),
         sample_time_s: d.sample_time_s,
         parameters: e.parameters.clone(),
+        correlation: None,
         estimator: t.estimator.clone(),
         noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
         boundary,
@@ -260,6 +261,9 @@ fn modelled(
         origin: origin.collect::<Vec<_>>().join(", "),
         files: job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?,
     };
+    if let Some(fit) = &e.fit {
+        file.correlate(&fit.covariance);
+    }
     let behind = file.measured();
     file.seen.retain(|s| behind.iter().any(|q| q.name == s.name));
     let file = job.saved.iter().find(|m| m.output.name == t.target).cloned().unwrap_or(file);

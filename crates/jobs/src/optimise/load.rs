@@ -87,7 +87,9 @@ fn channels(job: &Job, table: &Table) -> Vec<ChannelSpec> {
     let outputs: Vec<ChannelSpec> =
         outputs.filter(there).map(|name| spec(&name, p.unit(&name).unwrap_or("-"), Role::Output)).collect();
     // Bounds of each sample, where the record has some.
-    let bounds = p.inputs.iter().flat_map(|c| bound_channels(&c.name).map(|name| (name, &c.unit)));
+    let limits = p.limits.iter().map(|l| (&l.output, &l.unit));
+    let bounded = p.inputs.iter().map(|c| (&c.name, &c.unit)).chain(limits);
+    let bounds = bounded.flat_map(|(name, unit)| bound_channels(name).map(|name| (name, unit)));
     let bounds = bounds.filter(|(name, _)| table.column(name).is_ok());
     let bounds = bounds.map(|(name, unit)| spec(&name, unit, Role::Auxiliary));
     inputs.chain(given).chain(outputs).chain(bounds).collect()

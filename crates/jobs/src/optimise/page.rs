@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dynocal_calib::optimise::Price;
+use dynocal_calib::optimise::{Price, distance_name};
 use dynocal_files::atomic;
 use dynocal_report::{Cell, Column, Panel, Report, Section, Table, TimePlot, render};
 
@@ -154,11 +154,16 @@ fn time_plots(found: &Optimised) -> Section {
             None => panel = panel.line("start", start(&c.name)),
         }
         panel = panel.simulated(cut(&c.values));
-        if let Some(l) = p.limits.iter().find(|l| l.output == c.name) {
-            for (name, limit) in [("lower", l.lower), ("upper", l.upper)] {
-                if let Some(v) = limit {
-                    panel = panel.level(name, v);
-                }
+        let extreme = |side: &str| o.outputs.iter().find(|e| e.name == format!("{}_{side}", c.name));
+        if let (Some(least), Some(greatest)) = (extreme("least"), extreme("greatest")) {
+            panel = panel.band("all draws", cut(&least.values), cut(&greatest.values));
+        }
+        let limit = p.limits.iter().find(|l| l.output == c.name);
+        let guard = found.guard.filter(|_| found.models.iter().any(|m| distance_name(&m.output) == c.name));
+        let upper = limit.and_then(|l| l.upper).or(guard.map(|g| g.distance));
+        for (name, level) in [("lower", limit.and_then(|l| l.lower)), ("upper", upper)] {
+            if let Some(v) = level {
+                panel = panel.level(name, v);
             }
         }
         plot = plot.panel(panel);

@@ -1,6 +1,8 @@
 //! What an optimisation over a record gives.
 
-use dynocal_calib::optimise::{OptimiseError, Optimum, PartOutcome, Shortfall, TermValue};
+use dynocal_calib::optimise::{
+    Guard, OptimiseError, Optimum, PartOutcome, Robust, Shortfall, Spread, TermValue,
+};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_files::FilesError;
 use dynocal_ident::data::{DataError, Dataset};
@@ -44,6 +46,15 @@ pub struct Optimised {
     pub parts: Vec<PartOutcome>,
     /// Where the problem cannot be met; empty when it was solved.
     pub shortfalls: Vec<Shortfall>,
+    /// The guard that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guard: Option<Guard>,
+    /// The draws that were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub robust: Option<Robust>,
+    /// How far those of demanded outputs are from the demand.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub spreads: Vec<Spread>,
     /// How far the optimum leaves what the models were identified on, where they know it.
     pub coverage: Vec<Left>,
     /// Files, relative to the run folder.

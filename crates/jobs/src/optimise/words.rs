@@ -1,5 +1,6 @@
 //! An optimum in words: what came out, what it costs, what does not fit.
 
+use dynocal_calib::optimise::distance_name;
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::stored::Outside;
 use dynocal_numerics::status::Status;
@@ -44,8 +45,43 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
     }
     out.extend(o.asked.iter().filter(|a| !a.kept && o.shortfalls.is_empty()).map(missed));
     if o.valid {
+        out.extend(held(o));
         out.extend(dearest(o));
     }
+    out
+}
+
+/// What the guard and the draws of the models held the optimum to.
+fn held(o: &Optimised) -> Vec<String> {
+    let mut out = Vec::new();
+    if let Some(guard) = o.guard {
+        let names: Vec<String> = o.models.iter().map(|m| format!("`{}`", distance_name(&m.output))).collect();
+        out.push(format!(
+            "The optimum stays where the models were identified: {} (1 is the boundary) go to {}, or to what they are at the start where that lies further out{}.",
+            names.join(", "),
+            number(guard.distance),
+            if guard.soft_weight.is_some() { ", at a price" } else { "" }
+        ));
+    }
+    if let Some(robust) = o.robust {
+        out.push(format!(
+            "Every limit of an output holds for the models as estimated and for {} draws of their parameters.",
+            robust.draws
+        ));
+    }
+    out.extend(o.spreads.iter().map(|s| {
+        let diverged = match s.diverged {
+            0 => String::new(),
+            n => format!("; {n} of the draws diverge"),
+        };
+        format!(
+            "The demand of {} is met by its model as estimated; over the draws it is missed by {}{unit} RMS, at most by {}{unit}{diverged}.",
+            s.output,
+            number(s.rms),
+            number(s.largest),
+            unit = UnitAfter(&s.unit)
+        )
+    }));
     out
 }
 

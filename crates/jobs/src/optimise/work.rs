@@ -72,7 +72,8 @@ fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
 /// What came out, judged.
 fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
     let p = &job.problem;
-    let asked = asked(p, &optimum);
+    let sizes = Sizes { problem: p, start: &loaded.record };
+    let asked = asked(&sizes, &optimum);
     let valid = optimum.status.is_success() && asked.iter().all(|a| a.kept || a.soft);
     let (start, end) = (optimum.start_objective, optimum.objective);
     let change_percent = (start != 0.0).then(|| 100.0 * (end - start) / start.abs());
@@ -97,9 +98,12 @@ fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
         objective: Objective { start, optimum: end, change_percent },
         terms: optimum.terms.clone(),
         asked,
-        prices: prices(p, &optimum),
+        prices: prices(&sizes, &optimum),
         parts: optimum.parts.clone(),
         shortfalls: optimum.shortfalls.clone(),
+        guard: job.optimise.guard,
+        robust: job.optimise.robust,
+        spreads: optimum.spreads.clone(),
         coverage,
         files: Vec::new(),
         problem: p.clone(),
@@ -136,14 +140,15 @@ pub(super) fn with_optimum(record: &Dataset, optimum: &Optimum) -> Dataset {
     d
 }
 
-fn asked(p: &CalibrationProblem, optimum: &Optimum) -> Vec<Asked> {
+fn asked(sizes: &Sizes, optimum: &Optimum) -> Vec<Asked> {
+    let p = sizes.problem;
     let soft = |channel: &str, of: &str| {
         ["lower", "upper"].contains(&of)
             && p.limits.iter().any(|l| l.output == channel && l.soft_weight.is_some())
     };
     let of = |v: &dynocal_calib::optimise::Violation| {
         let unit = if v.of == "rate" { format!("{}/sample", v.unit) } else { v.unit.clone() };
-        let allowed = KEPT * size(p, &v.channel, &v.of, optimum.sample_time_s);
+        let allowed = KEPT * sizes.of(&v.channel, &v.of, optimum.sample_time_s);
         Asked {
             channel: v.channel.clone(),
             unit,
@@ -158,33 +163,47 @@ fn asked(p: &CalibrationProblem, optimum: &Optimum) -> Vec<Asked> {
     optimum.violations.iter().map(of).collect()
 }
 
-/// Size of what is asked of a channel: the range of an input or demand, the width of limits (the value of a single one), the
-/// largest step of a rate.
-fn size(p: &CalibrationProblem, channel: &str, of: &str, sample_time_s: f64) -> f64 {
-    if let Some(i) = p.inputs.iter().find(|i| i.name == channel) {
-        return match (of, i.rate_per_s) {
-            ("rate", Some(rate)) => rate * sample_time_s,
-            _ => i.upper - i.lower,
-        };
+/// How large what is asked of a channel is.
+struct Sizes<'a> {
+    problem: &'a CalibrationProblem,
+    start: &'a Dataset,
+}
+
+impl Sizes<'_> {
+    /// Size of what is asked of a channel: the range of an input or demand, the width of limits (of a single one its value, or what the
+    /// channel reaches at the start where that is more: a limit of zero has a size, too), the largest step of a rate.
+    fn of(&self, channel: &str, of: &str, sample_time_s: f64) -> f64 {
+        let p = self.problem;
+        if let Some(i) = p.inputs.iter().find(|i| i.name == channel) {
+            return match (of, i.rate_per_s) {
+                ("rate", Some(rate)) => rate * sample_time_s,
+                _ => i.upper - i.lower,
+            };
+        }
+        if let Some(d) = p.demands.iter().find(|d| d.output == channel) {
+            return d.upper - d.lower;
+        }
+        let Some(l) = p.limits.iter().find(|l| l.output == channel) else { return 1.0 };
+        match (of, l.lower, l.upper) {
+            ("mean_upper", ..) => l.mean_upper.map_or(1.0, |v| v.abs().max(1e-3)),
+            (_, Some(lower), Some(upper)) => upper - lower,
+            ("lower", ..) => self.single(channel, l.lower),
+            _ => self.single(channel, l.upper),
+        }
     }
-    if let Some(d) = p.demands.iter().find(|d| d.output == channel) {
-        return d.upper - d.lower;
-    }
-    let Some(l) = p.limits.iter().find(|l| l.output == channel) else { return 1.0 };
-    let single = |v: Option<f64>| v.map_or(1.0, |v| v.abs().max(1e-3));
-    match (of, l.lower, l.upper) {
-        ("mean_upper", ..) => single(l.mean_upper),
-        (_, Some(lower), Some(upper)) => upper - lower,
-        ("lower", ..) => single(l.lower),
-        _ => single(l.upper),
+
+    fn single(&self, channel: &str, limit: Option<f64>) -> f64 {
+        let values = self.start.values(channel).unwrap_or(&[]);
+        let reached = values.iter().filter(|v| v.is_finite()).fold(1e-3, |m: f64, v| m.max(v.abs()));
+        limit.map_or(1.0, |v| v.abs().max(reached))
     }
 }
 
 /// Prices by what one percent of each thing's size changes, the dearest first.
-fn prices(p: &CalibrationProblem, optimum: &Optimum) -> Vec<PriceLine> {
+fn prices(sizes: &Sizes, optimum: &Optimum) -> Vec<PriceLine> {
     let of = |x: &Price| {
         // A rate is priced per second.
-        let percent_of_size = 0.01 * size(p, &x.channel, &x.of, 1.0);
+        let percent_of_size = 0.01 * sizes.of(&x.channel, &x.of, 1.0);
         PriceLine {
             channel: x.channel.clone(),
             of: x.of.clone(),
