@@ -9,9 +9,9 @@ mod records;
 use std::path::{Path, PathBuf};
 
 use dynocal_files::atomic;
+use dynocal_ident::validate::{Kind, Seen};
 use dynocal_jobs::engine::Engine;
 use dynocal_jobs::identify::error::IdentifyError;
-use dynocal_jobs::identify::result::{Kind, Seen};
 use dynocal_jobs::place::Overrides;
 use dynocal_jobs::{identify, optimise};
 use dynocal_numerics::registry::MemberDoc;
@@ -110,9 +110,9 @@ fn work(seed: u64, reduced: bool, data: Option<&Path>, around: &Surroundings) ->
     }
     recorder.drive("wltc", &data.join(CYCLE), cycle_s).map_err(failed)?;
     let mut scores = Vec::new();
-    let models = models("models", MODELS, &folder, reduced, around, &mut scores)?;
+    let others = models("models", MODELS, &folder, reduced, around, &mut scores)?;
     let nitric = models("nitric_oxide", NITRIC_OXIDE, &folder, reduced, around, &mut scores)?;
-    let (start_kg_h, steps) = limited(&folder, [models, nitric], reduced, around)?;
+    let (start_kg_h, steps) = limited(&folder, [others, nitric], reduced, around)?;
     Ok(Found { scores, start_kg_h, steps })
 }
 
@@ -127,7 +127,8 @@ fn models(
 ) -> Result<PathBuf, StudyError> {
     let text = text.replace("FOLDER", &folder.display().to_string());
     let text = if reduced { text.replace("starts = 6", "starts = 1, max_evaluations = 20") } else { text };
-    let over = Overrides { out: Some(around.runs.join(name)), ..Overrides::default() };
+    let out = Some(around.runs.join(name));
+    let over = identify::spec::Overrides { out, ..identify::spec::Overrides::default() };
     let mut job =
         identify::spec::parse(&format!("{name}.toml"), &text, &over).map_err(|e| failed(e.to_string()))?;
     // Free runs are what an optimisation rests on; what else can be computed of a model takes its time.
