@@ -20,7 +20,45 @@ pub struct CamSchedule {
     pub part_load_kpa: f64,
     /// Full load \[kPa\].
     pub full_load_kpa: f64,
+    /// Added to the lists; absent, nothing is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shift: Option<CamShift>,
 }
+
+/// A smooth shift over speed and load: c + a exp(-((N - N_c)/w_N)^2)/(1 + exp(-(p - p_on)/w_p)) for each cam. Six constants
+/// (c and a of both cams, p_on, N_c) say where and how far overlap is opened above idle; the widths are given.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CamShift {
+    /// Constant part of the intake \[deg\]: positive is earlier.
+    pub intake_deg: f64,
+    /// Of the exhaust \[deg\]: positive is later.
+    pub exhaust_deg: f64,
+    /// Height of the ramp, intake \[deg\].
+    pub intake_ramp_deg: f64,
+    /// Exhaust \[deg\].
+    pub exhaust_ramp_deg: f64,
+    /// Manifold pressure at which half of it is there \[kPa\].
+    pub on_kpa: f64,
+    /// Speed at which it is highest \[rpm\].
+    pub summit_rpm: f64,
+    /// Its width over pressure \[kPa\].
+    pub width_kpa: f64,
+    /// Its width over speed \[rpm\].
+    pub width_rpm: f64,
+}
+
+impl CamShift {
+    /// Shift of intake and exhaust \[deg\].
+    fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
+        let off = (speed_rpm - self.summit_rpm) / self.width_rpm;
+        let ramp = (-off * off).exp() / (1.0 + ((self.on_kpa - map_kpa) / self.width_kpa).exp());
+        (self.intake_deg + ramp * self.intake_ramp_deg, self.exhaust_deg + ramp * self.exhaust_ramp_deg)
+    }
+}
+
+/// Ends of the box of both cams \[deg\].
+const BOX_DEG: (f64, f64) = (180.0, 300.0);
 
 /// Highest speed of a schedule \[rpm\].
 pub const MOST_RPM: f64 = 20_000.0;
@@ -36,10 +74,16 @@ impl CamSchedule {
             let (a, b) = (self.speed(part, speed_rpm), self.speed(full, speed_rpm));
             a + load * (b - a)
         };
-        (
-            over(&self.intake_part_deg, &self.intake_full_deg),
-            over(&self.exhaust_part_deg, &self.exhaust_full_deg),
-        )
+        let intake = over(&self.intake_part_deg, &self.intake_full_deg);
+        let exhaust = over(&self.exhaust_part_deg, &self.exhaust_full_deg);
+        match &self.shift {
+            None => (intake, exhaust),
+            Some(shift) => {
+                let (i, e) = shift.at(speed_rpm, map_kpa);
+                let held = |deg: f64| deg.clamp(BOX_DEG.0, BOX_DEG.1);
+                (held(intake + i), held(exhaust + e))
+            }
+        }
     }
 
     /// Linear over speed, held at the ends.

@@ -11,6 +11,7 @@ mod rows;
 mod tables;
 mod tasks;
 pub mod transients;
+mod twin;
 pub mod verification;
 
 use std::path::{Path, PathBuf};
@@ -87,6 +88,7 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks.push(task(RANDOM.into(), json!([seed, time_s]), move || work::random_inputs(seed, time_s)));
     tasks.extend(boosted_tasks(o));
     tasks.extend(rows::tasks(o));
+    tasks.extend(twin::tasks());
     tasks
 }
 
