@@ -25,8 +25,8 @@ pub struct CamSchedule {
     pub shift: Option<CamShift>,
 }
 
-/// A smooth shift over speed and load: c + a exp(-((N - N_c)/w_N)^2)/(1 + exp(-(p - p_on)/w_p)) for each cam. Six constants
-/// (c and a of both cams, p_on, N_c) say where and how far overlap is opened above idle; the widths are given.
+/// A smooth shift over speed and load: c + a exp(-((p - p_c)/w_p)^2 - ((N - N_c)/w_N)^2) for each cam. Six constants (c and
+/// a of both cams, p_c, N_c) say where overlap is opened at part load and how far; the widths are given.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CamShift {
@@ -34,13 +34,13 @@ pub struct CamShift {
     pub intake_deg: f64,
     /// Of the exhaust \[deg\]: positive is later.
     pub exhaust_deg: f64,
-    /// Height of the ramp, intake \[deg\].
-    pub intake_ramp_deg: f64,
+    /// Height of the bell, intake \[deg\].
+    pub intake_bell_deg: f64,
     /// Exhaust \[deg\].
-    pub exhaust_ramp_deg: f64,
-    /// Manifold pressure at which half of it is there \[kPa\].
-    pub on_kpa: f64,
-    /// Speed at which it is highest \[rpm\].
+    pub exhaust_bell_deg: f64,
+    /// Manifold pressure of its summit \[kPa\].
+    pub summit_kpa: f64,
+    /// Speed of its summit \[rpm\].
     pub summit_rpm: f64,
     /// Its width over pressure \[kPa\].
     pub width_kpa: f64,
@@ -51,9 +51,11 @@ pub struct CamShift {
 impl CamShift {
     /// Shift of intake and exhaust \[deg\].
     fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
-        let off = (speed_rpm - self.summit_rpm) / self.width_rpm;
-        let ramp = (-off * off).exp() / (1.0 + ((self.on_kpa - map_kpa) / self.width_kpa).exp());
-        (self.intake_deg + ramp * self.intake_ramp_deg, self.exhaust_deg + ramp * self.exhaust_ramp_deg)
+        let square = |x: f64| x * x;
+        let bell = (-square((map_kpa - self.summit_kpa) / self.width_kpa)
+            - square((speed_rpm - self.summit_rpm) / self.width_rpm))
+        .exp();
+        (self.intake_deg + bell * self.intake_bell_deg, self.exhaust_deg + bell * self.exhaust_bell_deg)
     }
 }
 

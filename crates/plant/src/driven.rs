@@ -88,7 +88,7 @@ pub struct Answer {
 /// Most cycles of a point.
 const CYCLES: usize = 120;
 /// Relative change from cycle to cycle below which a quantity stands still, and cycles for which it must.
-const STILL: f64 = 1e-4;
+const STILL: f64 = 5e-5;
 const STILL_CYCLES: usize = 3;
 
 /// Drives `engine` at a point; it keeps its state, so that a neighbour starts close.

@@ -214,9 +214,9 @@ impl EngineParams {
             first_outside(&[
                 ("cams.shift.intake_deg", s.intake_deg, -60.0, 60.0),
                 ("cams.shift.exhaust_deg", s.exhaust_deg, -60.0, 60.0),
-                ("cams.shift.intake_ramp_deg", s.intake_ramp_deg, -60.0, 60.0),
-                ("cams.shift.exhaust_ramp_deg", s.exhaust_ramp_deg, -60.0, 60.0),
-                ("cams.shift.on_kpa", s.on_kpa, 0.0, 1000.0),
+                ("cams.shift.intake_bell_deg", s.intake_bell_deg, -60.0, 60.0),
+                ("cams.shift.exhaust_bell_deg", s.exhaust_bell_deg, -60.0, 60.0),
+                ("cams.shift.summit_kpa", s.summit_kpa, 0.0, 1000.0),
                 ("cams.shift.summit_rpm", s.summit_rpm, 0.0, 20e3),
                 ("cams.shift.width_kpa", s.width_kpa, 1.0, 1000.0),
                 ("cams.shift.width_rpm", s.width_rpm, 10.0, 20e3),

@@ -55,6 +55,7 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     out.extend(super::boosted::checks(results));
     out.extend(super::rows::checks(results));
     out.extend(super::twin::checks(results));
+    out.extend(super::light_off::checks(results));
     out
 }
 

@@ -6,6 +6,7 @@ mod boosted_tables;
 mod checks;
 pub mod class_rows;
 pub mod class_values;
+mod light_off;
 mod results;
 mod rows;
 mod tables;
@@ -89,6 +90,7 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks.extend(boosted_tasks(o));
     tasks.extend(rows::tasks(o));
     tasks.extend(twin::tasks());
+    tasks.extend(light_off::tasks());
     tasks
 }
 

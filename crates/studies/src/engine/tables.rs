@@ -29,7 +29,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         .section(responses(results))
         .section(Section::new("Open throttle").block(open_table(results)));
     let report = super::rows::sections(super::boosted_tables::sections(report, results), results);
-    super::twin::sections(report, results)
+    super::light_off::sections(super::twin::sections(report, results), results)
 }
 
 fn text(values: &[Option<f64>], digits: usize) -> String {

@@ -76,7 +76,7 @@ fn run(path: &Path) -> Result<Twin, EngineJobError> {
 
 pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     let found: Option<Twin> = result(results, MAP);
-    let row = |(name, asked, unit): (&str, f64, &str)| {
+    let row = |(name, asked, unit): (&str, f64, &'static str)| {
         let id = format!("twin-{}", name.replace(' ', "-"));
         let what =
             format!("Root mean square error of {name} on every third measured point, which was not fitted");

@@ -33,18 +33,17 @@ macro_rules! row {
 /// All of them. Ranges: Heywood 1988 for efficiency, friction and discharge; Woschni's factor as authors have moved it;
 /// areas of a turbine and a tailpipe of engines of 1 to 3 l.
 pub static CONSTANTS: &[Constant] = &[
-    row!("burn.efficiency", "combustion efficiency at lambda 1", 0.88, 0.99, Torque, |p| Some(
+    row!("burn.efficiency", "combustion efficiency at lambda 1", 0.88, 0.965, Torque, |p| Some(
         &mut p.burn.efficiency
     )),
-    row!("burn.duration_deg", "10 to 90 % burned", 16.0, 32.0, Torque, |p| Some(&mut p.burn.duration_deg)),
+    row!("burn.efficiency_bump", "gain of efficiency away from lambda 1", 0.0, 0.035, Torque, |p| Some(
+        &mut p.burn.efficiency_bump
+    )),
     row!("friction.constant_pa", "friction, constant part", 30e3, 160e3, Torque, |p| Some(
         &mut p.friction.constant_pa
     )),
     row!("friction.linear_pa_s_m", "friction, linear in piston speed", 0.0, 20e3, Torque, |p| Some(
         &mut p.friction.linear_pa_s_m
-    )),
-    row!("friction.peak_share", "friction, share of peak pressure", 0.0, 0.012, Torque, |p| Some(
-        &mut p.friction.peak_share
     )),
     row!("heat.scale", "factor of the heat law", 0.6, 2.2, ExhaustTemperature, |p| Some(&mut p.heat.scale)),
     row!("intake_valve.flow_coefficient", "discharge of the intake valves", 0.35, 0.8, Air, |p| Some(
@@ -52,9 +51,6 @@ pub static CONSTANTS: &[Constant] = &[
     )),
     row!("intake_valve.duration_deg", "opening of the intake valves", 220.0, 270.0, Air, |p| Some(
         &mut p.intake_valve.duration_deg
-    )),
-    row!("exhaust_valve.flow_coefficient", "discharge of the exhaust valves", 0.35, 0.8, Air, |p| Some(
-        &mut p.exhaust_valve.flow_coefficient
     )),
     row!("intake_manifold.ua_w_k", "heat of the intake manifold", 0.0, 30.0, Air, |p| Some(
         &mut p.intake_manifold.ua_w_k
@@ -68,7 +64,7 @@ pub static CONSTANTS: &[Constant] = &[
     row!("exhaust.turbine_m2", "area of the turbine", 1e-4, 8e-4, ExhaustPressure, |p| Some(
         &mut p.exhaust.turbine_m2
     )),
-    row!("exhaust.tailpipe_m2", "area of catalyst and tailpipe", 6e-4, 4e-3, ExhaustPressure, |p| Some(
+    row!("exhaust.tailpipe_m2", "area of catalyst and tailpipe", 6e-4, 4e-3, SystemPressure, |p| Some(
         &mut p.exhaust.tailpipe_m2
     )),
     row!("turbocharger.turbine_efficiency", "efficiency of the turbine", 0.4, 0.85, ExhaustPressure, |p| {
@@ -80,16 +76,16 @@ pub static CONSTANTS: &[Constant] = &[
     row!("cams.shift.exhaust_deg", "exhaust cam, everywhere", -40.0, 15.0, Air, |p| Some(
         &mut shift(p)?.exhaust_deg
     )),
-    row!("cams.shift.intake_ramp_deg", "intake cam, height of the ramp", -10.0, 50.0, Air, |p| Some(
-        &mut shift(p)?.intake_ramp_deg
+    row!("cams.shift.intake_bell_deg", "intake cam, height of the bell", -10.0, 50.0, Air, |p| Some(
+        &mut shift(p)?.intake_bell_deg
     )),
-    row!("cams.shift.exhaust_ramp_deg", "exhaust cam, height of the ramp", -10.0, 40.0, Air, |p| Some(
-        &mut shift(p)?.exhaust_ramp_deg
+    row!("cams.shift.exhaust_bell_deg", "exhaust cam, height of the bell", -10.0, 40.0, Air, |p| Some(
+        &mut shift(p)?.exhaust_bell_deg
     )),
-    row!("cams.shift.on_kpa", "pressure at which the ramp is half", 35.0, 90.0, Air, |p| Some(
-        &mut shift(p)?.on_kpa
+    row!("cams.shift.summit_kpa", "pressure of the summit of the bell", 35.0, 90.0, Air, |p| Some(
+        &mut shift(p)?.summit_kpa
     )),
-    row!("cams.shift.summit_rpm", "speed of the summit of the ramp", 1200.0, 3200.0, Air, |p| Some(
+    row!("cams.shift.summit_rpm", "speed of the summit of the bell", 1200.0, 3200.0, Air, |p| Some(
         &mut shift(p)?.summit_rpm
     )),
 ];

@@ -1,7 +1,7 @@
 //! An engine fitted to a measured map: physical constants by nonlinear least squares, judged on points it has not seen.
 //!
 //! Each row of the map is driven as it was measured ([`dynocal_plant::driven`]); what is compared is torque, air, exhaust
-//! temperature and exhaust pressure, each over the error that is asked for:
+//! temperature and the pressures before and behind the turbine, each over the error that is asked for:
 //!
 //! ```text
 //! minimise  sum_points sum_q ((y_q(x) - m_q) / asked_q)^2,   low <= x <= high
@@ -53,11 +53,18 @@ pub enum Compared {
     ExhaustTemperature,
     /// Exhaust-manifold pressure.
     ExhaustPressure,
+    /// Pressure behind the turbine.
+    SystemPressure,
 }
 
 /// All of them, in the order of residuals.
-pub const COMPARED: [Compared; 4] =
-    [Compared::Torque, Compared::Air, Compared::ExhaustTemperature, Compared::ExhaustPressure];
+pub const COMPARED: [Compared; 5] = [
+    Compared::Torque,
+    Compared::Air,
+    Compared::ExhaustTemperature,
+    Compared::ExhaustPressure,
+    Compared::SystemPressure,
+];
 
 impl Compared {
     /// Name, root mean square error that is asked for, its unit.
@@ -67,7 +74,20 @@ impl Compared {
             Self::Air => ("air", 3.0, "%"),
             Self::ExhaustTemperature => ("exhaust temperature", 20.0, "K"),
             Self::ExhaustPressure => ("exhaust pressure", 6.0, "%"),
+            Self::SystemPressure => ("pressure behind the turbine", 6.0, "%"),
         }
+    }
+
+    /// Whether it was measured.
+    pub fn measured(self, m: &Measured) -> bool {
+        let value = match self {
+            Self::Torque => m.torque_nm,
+            Self::Air => m.air_kg_s,
+            Self::ExhaustTemperature => m.exhaust_k,
+            Self::ExhaustPressure => m.exhaust_pa,
+            Self::SystemPressure => m.system_pa,
+        };
+        value.is_some()
     }
 
     /// Error of an answer, in the unit of what is asked; none where it was not measured.
@@ -78,6 +98,7 @@ impl Compared {
             Self::Air => m.air_kg_s.map(|m| share(y.air_kg_s, m)),
             Self::ExhaustTemperature => m.exhaust_k.map(|m| y.exhaust_k - m),
             Self::ExhaustPressure => m.exhaust_pa.map(|m| share(y.exhaust_pa, m)),
+            Self::SystemPressure => m.system_pa.map(|m| share(y.system_pa, m)),
         }
     }
 }

@@ -92,7 +92,7 @@ fn scores(found: &FitResult) -> Section {
 
 /// Simulated over measured, and errors over air.
 fn plots(found: &FitResult) -> Section {
-    let rows: [(&str, &str, Compared, fn(&Compare) -> Option<(f64, f64)>); 4] = [
+    let rows: [(&str, &str, Compared, fn(&Compare) -> Option<(f64, f64)>); 5] = [
         ("Torque", "Nm", Compared::Torque, |c| Some((c.measured.torque_nm?, c.answer.torque_nm))),
         ("Air", "g/s", Compared::Air, |c| Some((1e3 * c.measured.air_kg_s?, 1e3 * c.answer.air_kg_s))),
         ("Exhaust temperature", "K", Compared::ExhaustTemperature, |c| {
@@ -100,6 +100,9 @@ fn plots(found: &FitResult) -> Section {
         }),
         ("Exhaust pressure", "kPa", Compared::ExhaustPressure, |c| {
             Some((1e-3 * c.measured.exhaust_pa?, 1e-3 * c.answer.exhaust_pa))
+        }),
+        ("Pressure behind the turbine", "kPa", Compared::SystemPressure, |c| {
+            Some((1e-3 * c.measured.system_pa?, 1e-3 * c.answer.system_pa))
         }),
     ];
     let plot = |(name, unit, q, pair): &(&str, &str, Compared, fn(&Compare) -> Option<(f64, f64)>)| -> Option<Block> {

@@ -45,15 +45,7 @@ impl<'a> Problem<'a> {
         watch: Watch<'a>,
     ) -> Self {
         let measured = |k: usize| {
-            let there = |q: &Compared| {
-                let m = &points[k];
-                match q {
-                    Compared::Torque => m.torque_nm.is_some(),
-                    Compared::Air => m.air_kg_s.is_some(),
-                    Compared::ExhaustTemperature => m.exhaust_k.is_some(),
-                    Compared::ExhaustPressure => m.exhaust_pa.is_some(),
-                }
-            };
+            let there = |q: &Compared| q.measured(&points[k]);
             COMPARED.into_iter().filter(there).map(move |q| (k, q)).collect::<Vec<_>>()
         };
         let rows = (0..points.len()).flat_map(measured).collect();

@@ -22,6 +22,8 @@ pub struct Measured {
     pub exhaust_k: Option<f64>,
     /// Exhaust-manifold pressure \[Pa\].
     pub exhaust_pa: Option<f64>,
+    /// Pressure behind the turbine \[Pa\].
+    pub system_pa: Option<f64>,
 }
 
 /// A map.
@@ -86,6 +88,9 @@ const EXHAUST: Wanted = Wanted {
     expected: "Pa, kPa, bar",
 };
 
+const SYSTEM: Wanted =
+    Wanted { what: "p_exhaust_system", names: &["p_exhaust_system"], unit: "Pa", expected: "Pa, kPa, bar" };
+
 /// Least number of points of a map: a third of them judges some twenty constants.
 pub const LEAST_POINTS: usize = 30;
 
@@ -130,8 +135,9 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
                 .into(),
         );
     }
-    let (air, exhaust_k, exhaust) = (get(&AIR)?, get(&EXHAUST_T)?, get(&EXHAUST)?);
-    for (column, w) in [(&air, &AIR), (&exhaust_k, &EXHAUST_T), (&exhaust, &EXHAUST)] {
+    let (air, exhaust_k) = (get(&AIR)?, get(&EXHAUST_T)?);
+    let (exhaust, system) = (get(&EXHAUST)?, get(&SYSTEM)?);
+    for (column, w) in [(&air, &AIR), (&exhaust_k, &EXHAUST_T), (&exhaust, &EXHAUST), (&system, &SYSTEM)] {
         if column.is_none() {
             notes.push(format!("no column {}: not compared", w.what));
         }
@@ -154,6 +160,7 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
             air_kg_s: at(&air, k),
             exhaust_k: at(&exhaust_k, k),
             exhaust_pa: at(&exhaust, k),
+            system_pa: at(&system, k),
         })
         .collect();
     check(&file, &table, points, notes)
@@ -180,6 +187,7 @@ fn check(
             ("air in kg/s", m.air_kg_s.unwrap_or(0.1), 1e-4, 1.0),
             ("exhaust temperature in K", m.exhaust_k.unwrap_or(900.0), 300.0, 1600.0),
             ("exhaust pressure in Pa", m.exhaust_pa.unwrap_or(1e5), 5e4, 1e6),
+            ("pressure behind the turbine in Pa", m.system_pa.unwrap_or(1e5), 5e4, 1e6),
         ];
         for (name, found, low, high) in rows {
             if !(low..=high).contains(&found) {

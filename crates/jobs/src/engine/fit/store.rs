@@ -51,6 +51,7 @@ fn points(folder: &Path, found: &FitResult) -> Result<(), EngineJobError> {
         ("egt", "K", column(&|c| c.answer.exhaust_k)),
         ("exhaust_measured", "kPa", column(&|c| 1e-3 * or_nan(c.measured.exhaust_pa))),
         ("exhaust", "kPa", column(&|c| 1e-3 * c.answer.exhaust_pa)),
+        ("system_measured", "kPa", column(&|c| 1e-3 * or_nan(c.measured.system_pa))),
         ("system", "kPa", column(&|c| 1e-3 * c.answer.system_pa)),
         ("spark", "deg", column(&|c| c.answer.spark_deg)),
         ("retard", "deg", column(&|c| c.answer.retard_deg)),

@@ -89,16 +89,12 @@ pub fn judge(
 fn movable(params: &EngineParams, map: &MeasuredMap) -> Vec<&'static Constant> {
     let mut p = params.clone();
     let first = &map.points[0];
-    let measured = |q: Compared| match q {
-        Compared::Torque => first.torque_nm.is_some(),
-        Compared::Air => first.air_kg_s.is_some(),
-        Compared::ExhaustTemperature => first.exhaust_k.is_some(),
-        Compared::ExhaustPressure => first.exhaust_pa.is_some(),
-    };
     let cams = first.at.cams_deg.is_some();
     CONSTANTS
         .iter()
-        .filter(|c| measured(c.needs) && !(cams && c.key.starts_with("cams.")) && (c.place)(&mut p).is_some())
+        .filter(|c| {
+            c.needs.measured(first) && !(cams && c.key.starts_with("cams.")) && (c.place)(&mut p).is_some()
+        })
         .collect()
 }
 
