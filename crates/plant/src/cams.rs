@@ -25,8 +25,10 @@ pub struct CamSchedule {
     pub shift: Option<CamShift>,
 }
 
-/// A smooth shift over speed and load: c + a exp(-((p - p_c)/w_p)^2 - ((N - N_c)/w_N)^2) for each cam. Six constants (c and
-/// a of both cams, p_c, N_c) say where overlap is opened at part load and how far; the widths are given.
+/// A smooth shift over speed and load, c + a e(p - p_c, N - N_c) + b r(p - p_b) e(0, N - N_b) for each cam, with the bell e =
+/// exp(-(dp/w_p)^2 - (dN/w_N)^2) and the ramp r = 1/(1 + exp(-dp/w_b)). Six constants (c and a of both cams, p_c, b) say how
+/// far overlap is opened at part load (dilution) and under boost at low speed (scavenging); places in speed and widths are
+/// given.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CamShift {
@@ -44,8 +46,16 @@ pub struct CamShift {
     pub summit_rpm: f64,
     /// Its width over pressure \[kPa\].
     pub width_kpa: f64,
-    /// Its width over speed \[rpm\].
+    /// Its width over speed, and that of the boost part \[rpm\].
     pub width_rpm: f64,
+    /// Height of the boost part, of both cams \[deg\].
+    pub boost_deg: f64,
+    /// Manifold pressure at which half of it is there \[kPa\].
+    pub boost_kpa: f64,
+    /// Width of its ramp \[kPa\].
+    pub boost_width_kpa: f64,
+    /// Speed at which it is highest \[rpm\].
+    pub boost_rpm: f64,
 }
 
 impl CamShift {
@@ -55,7 +65,12 @@ impl CamShift {
         let bell = (-square((map_kpa - self.summit_kpa) / self.width_kpa)
             - square((speed_rpm - self.summit_rpm) / self.width_rpm))
         .exp();
-        (self.intake_deg + bell * self.intake_bell_deg, self.exhaust_deg + bell * self.exhaust_bell_deg)
+        let ramp = 1.0 / (1.0 + ((self.boost_kpa - map_kpa) / self.boost_width_kpa).exp());
+        let boost = self.boost_deg * ramp * (-square((speed_rpm - self.boost_rpm) / self.width_rpm)).exp();
+        (
+            self.intake_deg + bell * self.intake_bell_deg + boost,
+            self.exhaust_deg + bell * self.exhaust_bell_deg + boost,
+        )
     }
 }
 

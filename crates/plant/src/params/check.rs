@@ -220,6 +220,10 @@ impl EngineParams {
                 ("cams.shift.summit_rpm", s.summit_rpm, 0.0, 20e3),
                 ("cams.shift.width_kpa", s.width_kpa, 1.0, 1000.0),
                 ("cams.shift.width_rpm", s.width_rpm, 10.0, 20e3),
+                ("cams.shift.boost_deg", s.boost_deg, -60.0, 60.0),
+                ("cams.shift.boost_kpa", s.boost_kpa, 0.0, 1000.0),
+                ("cams.shift.boost_width_kpa", s.boost_width_kpa, 0.5, 1000.0),
+                ("cams.shift.boost_rpm", s.boost_rpm, 0.0, 20e3),
             ])?;
         }
         match &self.cams {
