@@ -99,7 +99,7 @@ fn a_map_that_cannot_be_read_is_refused_with_its_reason() {
     let map = tmp.path().join("map.csv");
     let engine = Engine::named("gtdi_2l").unwrap();
     let spec = Spec { map: map.clone(), evaluations: 1 };
-    let mut refused = |head: &str, row: &str, rows: usize| {
+    let refused = |head: &str, row: &str, rows: usize| {
         let text = format!("{head}\n{}", format!("{row}\n").repeat(rows));
         atomic::write(&map, text.as_bytes()).unwrap();
         run(&engine, &spec, Watch::silent()).unwrap_err()

@@ -10,7 +10,8 @@
 //! No state is slow then (shaft and charge pipe are given), so that a point stands still after some ten cycles. The wall of
 //! the exhaust manifold, the valves, the burn and the turbine are those of the engine that runs freely.
 //!
-//! Not covered: the position of the throttle, which follows from the flow and says nothing of the cylinders.
+//! Not covered: the position of the throttle, which follows from the flow, and the pulses of the manifold behind a throttle
+//! that is nearly closed, which the reservoir holds down (1.5 % of the air at 2000 rpm and 50 kPa).
 
 pub mod retard;
 

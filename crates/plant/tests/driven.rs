@@ -41,9 +41,9 @@ fn a_throttled_point_is_that_of_the_free_engine() {
     };
     let d = driven("thesis", &boundary);
     assert!(d.settled && d.turbo_rpm == 0.0);
-    // The open throttle lets the pulses of the manifold through, the closed one does not: half a percent of the air.
-    assert!((d.air_kg_s / (1e-3 * y.air_g_s) - 1.0).abs() < 0.01, "{} {} g/s", 1e3 * d.air_kg_s, y.air_g_s);
-    assert!((d.torque_nm - y.torque_nm).abs() < 1.0, "{} {} Nm", d.torque_nm, y.torque_nm);
+    // The reservoir holds the pressure that pulses behind a closed throttle: 1.5 % less air here.
+    assert!((d.air_kg_s / (1e-3 * y.air_g_s) - 1.0).abs() < 0.02, "{} {} g/s", 1e3 * d.air_kg_s, y.air_g_s);
+    assert!((d.torque_nm - y.torque_nm).abs() < 2.0, "{} {} Nm", d.torque_nm, y.torque_nm);
     assert!((d.exhaust_k - y.egt_k).abs() < 4.0, "{} {} K", d.exhaust_k, y.egt_k);
 }
 

@@ -177,9 +177,9 @@ fn check(
         let b = &m.at;
         let rows = [
             ("speed in rpm", b.speed_rpm, 600.0, 6500.0),
+            ("intake pressure in Pa", b.intake_pa, 1e4, 5e5),
             ("pressure before the throttle in Pa", b.charge_pa, 5e4, 5e5),
             ("temperature before the throttle in K", b.charge_k, 230.0, 450.0),
-            ("intake pressure in Pa", b.intake_pa, 1e4, 5e5),
             ("lambda", b.lambda, 0.5, 2.0),
             ("ambient pressure in Pa", b.ambient_pa, 5e4, 1.2e5),
             ("ambient temperature in K", b.ambient_k, 230.0, 350.0),
