@@ -90,9 +90,12 @@ fn scores(found: &FitResult) -> Section {
     Section::new("Errors").text("Root mean squares.").block(table)
 }
 
-/// Simulated over measured, and errors over air.
+/// Name, unit, quantity, and its measured and simulated value at a point.
+type Plotted = (&'static str, &'static str, Compared, fn(&Compare) -> Option<(f64, f64)>);
+
+/// Simulated over measured.
 fn plots(found: &FitResult) -> Section {
-    let rows: [(&str, &str, Compared, fn(&Compare) -> Option<(f64, f64)>); 5] = [
+    let rows: [Plotted; 5] = [
         ("Torque", "Nm", Compared::Torque, |c| Some((c.measured.torque_nm?, c.answer.torque_nm))),
         ("Air", "g/s", Compared::Air, |c| Some((1e3 * c.measured.air_kg_s?, 1e3 * c.answer.air_kg_s))),
         ("Exhaust temperature", "K", Compared::ExhaustTemperature, |c| {
@@ -105,7 +108,7 @@ fn plots(found: &FitResult) -> Section {
             Some((1e-3 * c.measured.system_pa?, 1e-3 * c.answer.system_pa))
         }),
     ];
-    let plot = |(name, unit, q, pair): &(&str, &str, Compared, fn(&Compare) -> Option<(f64, f64)>)| -> Option<Block> {
+    let plot = |(name, unit, q, pair): &Plotted| -> Option<Block> {
         let of = |judged: bool| -> (Vec<f64>, Vec<f64>) {
             found.points.iter().filter(|c| c.judged == judged).filter_map(pair).unzip()
         };
