@@ -20,7 +20,62 @@ pub struct CamSchedule {
     pub part_load_kpa: f64,
     /// Full load \[kPa\].
     pub full_load_kpa: f64,
+    /// Added to the lists; absent, nothing is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shift: Option<CamShift>,
 }
+
+/// A smooth shift over speed and load, c + a e(p - p_c, N - N_c) + b r(p - p_b) e(0, N - N_b) for each cam, with the bell e =
+/// exp(-(dp/w_p)^2 - (dN/w_N)^2) and the ramp r = 1/(1 + exp(-dp/w_b)). Six constants (c and a of both cams, p_c, b) say how
+/// far overlap is opened at part load (dilution) and under boost at low speed (scavenging); places in speed and widths are
+/// given.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CamShift {
+    /// Constant part of the intake \[deg\]: positive is earlier.
+    pub intake_deg: f64,
+    /// Of the exhaust \[deg\]: positive is later.
+    pub exhaust_deg: f64,
+    /// Height of the bell, intake \[deg\].
+    pub intake_bell_deg: f64,
+    /// Exhaust \[deg\].
+    pub exhaust_bell_deg: f64,
+    /// Manifold pressure of its summit \[kPa\].
+    pub summit_kpa: f64,
+    /// Speed of its summit \[rpm\].
+    pub summit_rpm: f64,
+    /// Its width over pressure \[kPa\].
+    pub width_kpa: f64,
+    /// Its width over speed, and that of the boost part \[rpm\].
+    pub width_rpm: f64,
+    /// Height of the boost part, of both cams \[deg\].
+    pub boost_deg: f64,
+    /// Manifold pressure at which half of it is there \[kPa\].
+    pub boost_kpa: f64,
+    /// Width of its ramp \[kPa\].
+    pub boost_width_kpa: f64,
+    /// Speed at which it is highest \[rpm\].
+    pub boost_rpm: f64,
+}
+
+impl CamShift {
+    /// Shift of intake and exhaust \[deg\].
+    fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
+        let square = |x: f64| x * x;
+        let bell = (-square((map_kpa - self.summit_kpa) / self.width_kpa)
+            - square((speed_rpm - self.summit_rpm) / self.width_rpm))
+        .exp();
+        let ramp = 1.0 / (1.0 + ((self.boost_kpa - map_kpa) / self.boost_width_kpa).exp());
+        let boost = self.boost_deg * ramp * (-square((speed_rpm - self.boost_rpm) / self.width_rpm)).exp();
+        (
+            self.intake_deg + bell * self.intake_bell_deg + boost,
+            self.exhaust_deg + bell * self.exhaust_bell_deg + boost,
+        )
+    }
+}
+
+/// Ends of the box of both cams \[deg\].
+const BOX_DEG: (f64, f64) = (180.0, 300.0);
 
 /// Highest speed of a schedule \[rpm\].
 pub const MOST_RPM: f64 = 20_000.0;
@@ -36,10 +91,16 @@ impl CamSchedule {
             let (a, b) = (self.speed(part, speed_rpm), self.speed(full, speed_rpm));
             a + load * (b - a)
         };
-        (
-            over(&self.intake_part_deg, &self.intake_full_deg),
-            over(&self.exhaust_part_deg, &self.exhaust_full_deg),
-        )
+        let intake = over(&self.intake_part_deg, &self.intake_full_deg);
+        let exhaust = over(&self.exhaust_part_deg, &self.exhaust_full_deg);
+        match &self.shift {
+            None => (intake, exhaust),
+            Some(shift) => {
+                let (i, e) = shift.at(speed_rpm, map_kpa);
+                let held = |deg: f64| deg.clamp(BOX_DEG.0, BOX_DEG.1);
+                (held(intake + i), held(exhaust + e))
+            }
+        }
     }
 
     /// Linear over speed, held at the ends.

@@ -202,6 +202,11 @@ impl VirtualEngine {
         set_volume(&mut self.state, &self.params, volume, mass_kg, t_k);
     }
 
+    /// From now on: other air around the engine, charge pipe and shaft given from outside.
+    pub(crate) fn surround(&mut self, pressure_pa: f64, temperature_k: f64) {
+        Arc::make_mut(&mut self.model).surround(pressure_pa, temperature_k);
+    }
+
     /// Pressure, temperature and volume of one gas volume at the present angle.
     pub fn gas_state(&self, volume: usize) -> GasState {
         let s = &self.state;

@@ -13,6 +13,7 @@ pub mod cams;
 pub mod combustion;
 pub mod deviations;
 pub mod dissociation;
+pub mod driven;
 pub mod egr;
 pub mod emissions;
 pub mod end_gas;

@@ -107,6 +107,8 @@ pub(crate) struct Model {
     pub(crate) evaporation_1_s: f64,
     pub(crate) evaporation_j_kg: f64,
     pub(crate) boosted: Boosted,
+    /// Charge pipe and shaft are given from outside: neither compressor nor balance of the shaft.
+    pub(crate) charge_held: bool,
 }
 
 impl Model {
@@ -129,6 +131,7 @@ impl Model {
             // that the charge has to supply.
             evaporation_j_kg: p.injection.charge_share * p.gas.latent_j_kg - p.gas.r_j_kg_k[1] * 298.15,
             boosted: Boosted::new(p),
+            charge_held: false,
         }
     }
 }
@@ -327,8 +330,8 @@ impl Model {
     fn manifold_flows(&self, s: &Stage, gas: &Gas, held: &Held, t_k: &[f64; VOLUMES], k: &mut Rates) {
         k.throttle = self.exchange(s, gas, PIPE, INTAKE, held.throttle_m2, k);
         let turbo = &self.boosted.turbo;
-        if turbo.is_none() {
-            // The charge pipe is a reservoir at ambient state while the turbocharger is off.
+        if turbo.is_none() || self.charge_held {
+            // The charge pipe is a reservoir (at ambient state, where nobody has set it) without a compressor.
             k.enthalpy_in = -k.energy[PIPE];
             for i in 0..3 {
                 k.mass[i][PIPE] = 0.0;

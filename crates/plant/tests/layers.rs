@@ -35,6 +35,7 @@ const ORDER: &[&str] = &[
     "engine",
     "bookkeeping",
     "statics",
+    "driven",
     "trace",
     "twin",
     "full_load",

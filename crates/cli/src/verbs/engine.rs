@@ -1,4 +1,4 @@
-//! `dynocal engine point|sweep|motored|map|full-load|transient|cycle`: the virtual engine without a spec.
+//! `dynocal engine point|sweep|motored|map|full-load|transient|cycle|fit`: the virtual engine without a spec.
 
 use std::path::{Path, PathBuf};
 
@@ -10,6 +10,7 @@ use dynocal_report::Report;
 
 use super::Verb;
 use super::engine_cycle::Cycle;
+use super::engine_fit::Fit;
 use super::engine_map::{FullLoad, Map};
 use super::engine_transient::Transient;
 use crate::failure::{Exit, Failure};
@@ -20,7 +21,7 @@ use crate::{interrupt, table};
 pub(crate) const VERB: Verb =
     Verb { name: "engine", describe: |c| Engine::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, a map or full load, motored, or in a car";
+const ABOUT: &str = "Run the virtual engine at a steady point, over a sweep of one input, a map or full load, motored, in a car, or fit it to a measured map";
 
 #[derive(Args, Debug)]
 struct Engine {
@@ -78,6 +79,8 @@ enum What {
     FullLoad(FullLoad),
     /// In a car that follows a drive cycle
     Cycle(Cycle),
+    /// Fitted to a measured map: physical constants by least squares on two thirds of its points, judged on the rest
+    Fit(Fit),
 }
 
 #[derive(Args, Debug, Clone, Copy)]
@@ -162,6 +165,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let (spec, files) = match args.what {
         What::Transient(transient) => return transient.run(&engine),
         What::Cycle(cycle) => return cycle.run(&engine),
+        What::Fit(fit) => return fit.run(&engine),
         What::Map(map) => return map.run(&engine),
         What::FullLoad(load) => return load.run(&engine),
         What::Point { at, files } => (Spec::Point(at.into()), files),

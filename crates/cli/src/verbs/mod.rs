@@ -23,6 +23,7 @@ macro_rules! verbs {
 }
 mod calibrate_text;
 mod engine_cycle;
+mod engine_fit;
 mod engine_map;
 mod engine_transient;
 mod reading;

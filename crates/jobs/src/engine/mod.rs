@@ -17,6 +17,7 @@
 //! ```
 
 pub mod cycle;
+pub mod fit;
 pub mod load;
 pub mod quantities;
 pub mod steady;

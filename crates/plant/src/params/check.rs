@@ -210,6 +210,22 @@ impl EngineParams {
                 ])?;
             }
         }
+        if let Some(s) = self.cams.as_ref().and_then(|c| c.shift) {
+            first_outside(&[
+                ("cams.shift.intake_deg", s.intake_deg, -60.0, 60.0),
+                ("cams.shift.exhaust_deg", s.exhaust_deg, -60.0, 60.0),
+                ("cams.shift.intake_bell_deg", s.intake_bell_deg, -60.0, 60.0),
+                ("cams.shift.exhaust_bell_deg", s.exhaust_bell_deg, -60.0, 60.0),
+                ("cams.shift.summit_kpa", s.summit_kpa, 0.0, 1000.0),
+                ("cams.shift.summit_rpm", s.summit_rpm, 0.0, 20e3),
+                ("cams.shift.width_kpa", s.width_kpa, 1.0, 1000.0),
+                ("cams.shift.width_rpm", s.width_rpm, 10.0, 20e3),
+                ("cams.shift.boost_deg", s.boost_deg, -60.0, 60.0),
+                ("cams.shift.boost_kpa", s.boost_kpa, 0.0, 1000.0),
+                ("cams.shift.boost_width_kpa", s.boost_width_kpa, 0.5, 1000.0),
+                ("cams.shift.boost_rpm", s.boost_rpm, 0.0, 20e3),
+            ])?;
+        }
         match &self.cams {
             Some(c) if !c.fits() => Err(PlantError::Parameter {
                 name: "cams.speed_rpm",

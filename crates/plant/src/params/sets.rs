@@ -47,6 +47,14 @@ pub static PARAMETER_SETS: &[ParameterSet] = &[
         },
         text: include_str!("../../parameters/other_1_8l.toml"),
     },
+    ParameterSet {
+        doc: MemberDoc {
+            name: "twin_2l",
+            what: "2.0 l turbocharged, compression 10.8: fitted to the steady points of a measured engine",
+            params: &[],
+        },
+        text: include_str!("../../parameters/twin_2l.toml"),
+    },
 ];
 
 impl EngineParams {

@@ -68,17 +68,7 @@ impl Model {
     ) {
         let b = &self.boosted;
         let w = gas.shaft_rad_s;
-        let c = t.compressor(w, s.p[PIPE], self.ambient_pa, b.ambient_k, b.rho);
-        let on = c.share * c.power_w;
-        let cooled = t.cooling * on;
-        k.mass[0][PIPE] += c.flow_kg_s;
-        k.energy[PIPE] += c.flow_kg_s * b.enthalpy + on - cooled;
-        // What is recirculated gives its heat to the surroundings.
-        k.wall += cooled + (c.power_w - on);
-        k.enthalpy_in += c.flow_kg_s * b.enthalpy;
-        k.inflow = c.flow_kg_s;
-        k.compressor = c.power_w;
-        k.surge = f64::from(u8::from(c.surge));
+        let compressor_w = if self.charge_held { 0.0 } else { self.compressor(t, s, w, k) };
         let gamma = s.gamma[EXHAUST];
         let kappa = (gamma - 1.0) / gamma;
         let cp = gas_constant(s, EXHAUST, t_k) / kappa;
@@ -96,7 +86,37 @@ impl Model {
         let power = t.turbine_power_w(w, through, cp, kappa, t_k, ratio);
         k.energy[CATALYST] -= power;
         k.turbine = power;
-        k.shaft = t.acceleration(w, power, c.power_w);
+        if !self.charge_held {
+            k.shaft = t.acceleration(w, power, compressor_w);
+        }
+    }
+
+    /// The compressor fills the charge pipe; returns its power \[W\].
+    #[inline(always)]
+    fn compressor(&self, t: &Turbocharger, s: &Stage, w: f64, k: &mut Rates) -> f64 {
+        let b = &self.boosted;
+        let c = t.compressor(w, s.p[PIPE], self.ambient_pa, b.ambient_k, b.rho);
+        let on = c.share * c.power_w;
+        let cooled = t.cooling * on;
+        k.mass[0][PIPE] += c.flow_kg_s;
+        k.energy[PIPE] += c.flow_kg_s * b.enthalpy + on - cooled;
+        // What is recirculated gives its heat to the surroundings.
+        k.wall += cooled + (c.power_w - on);
+        k.enthalpy_in += c.flow_kg_s * b.enthalpy;
+        k.inflow = c.flow_kg_s;
+        k.compressor = c.power_w;
+        k.surge = f64::from(u8::from(c.surge));
+        c.power_w
+    }
+
+    /// Other air around the engine, and a charge pipe and a shaft that are given.
+    pub(crate) fn surround(&mut self, pressure_pa: f64, temperature_k: f64) {
+        let r = self.gas.r_j_kg_k[0];
+        self.ambient_pa = pressure_pa;
+        self.charge_held = true;
+        self.boosted.ambient_k = temperature_k;
+        self.boosted.rho = pressure_pa / (r * temperature_k);
+        self.boosted.enthalpy = self.gas.energy_j([1.0, 0.0, 0.0], temperature_k) + r * temperature_k;
     }
 
     /// Exhaust gas to the intake manifold, cooled.

@@ -63,16 +63,17 @@ pub struct CatalystSettings {
 }
 
 impl Default for CatalystSettings {
-    /// A close-coupled brick of 1.2 l; warm.
+    /// A close-coupled brick of 1.2 l, 0.45 kJ/K a litre; turbine housing and pipe of 2 kg of steel with 0.11 m2 at 36.5 W/m2/K
+    /// (the coefficient of a public model of a 2.0 l turbo engine); warm.
     fn default() -> Self {
         Self {
             start_k: 800.0,
             ambient_k: 293.15,
-            capacity_j_k: 1100.0,
+            capacity_j_k: 540.0,
             gas_brick_w_k: 200.0,
             ambient_w_k: 2.0,
             pipe_j_k: 900.0,
-            gas_pipe_w_k: 8.0,
+            gas_pipe_w_k: 4.0,
             pipe_ambient_w_k: 1.0,
             light_off_k: 573.0,
             activation_k: 12_000.0,

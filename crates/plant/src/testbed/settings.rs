@@ -159,7 +159,7 @@ impl BedOptions {
     pub fn of_set(name: &str) -> Self {
         let set = crate::params::perturb::parse(name).map_or(name, |p| p.0);
         match set {
-            "gtdi_2l" => Self::real(),
+            "gtdi_2l" | "twin_2l" => Self::real(),
             "other_1_8l" => {
                 let mut bed = Self::real();
                 // Slower and farther sensors than those that the calibration was tuned on.

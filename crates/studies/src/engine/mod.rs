@@ -6,11 +6,13 @@ mod boosted_tables;
 mod checks;
 pub mod class_rows;
 pub mod class_values;
+mod light_off;
 mod results;
 mod rows;
 mod tables;
 mod tasks;
 pub mod transients;
+mod twin;
 pub mod verification;
 
 use std::path::{Path, PathBuf};
@@ -87,6 +89,8 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks.push(task(RANDOM.into(), json!([seed, time_s]), move || work::random_inputs(seed, time_s)));
     tasks.extend(boosted_tasks(o));
     tasks.extend(rows::tasks(o));
+    tasks.extend(twin::tasks());
+    tasks.extend(light_off::tasks());
     tasks
 }
 
