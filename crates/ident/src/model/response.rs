@@ -227,6 +227,18 @@ pub enum ResponseError {
         /// Key that allows more.
         key: &'static str,
     },
+    /// The points that are left without one fold do not fit the task.
+    #[error("without fold {fold} of {folds} ({points} points are left): {source}")]
+    Fold {
+        /// Fold, counted from 1.
+        fold: usize,
+        /// Number of folds.
+        folds: usize,
+        /// Points that are left.
+        points: usize,
+        /// Why nothing can be learnt from them.
+        source: Box<ResponseError>,
+    },
     /// No start of the search gave a model.
     #[error("{model} of `{output}`: no start gave a positive definite matrix")]
     NoStart {

@@ -65,7 +65,7 @@ fn page(
         watch.note(&format!("{}: {} folds", t.target, job.validate.folds));
         let kind = learner(&form.learner().name, &form.learner().keys)?;
         let count = job.validate.folds;
-        Some(by_folds(&*kind, own, count, FoldKind::Interleaved, watch.interrupt).map_err(learning)?)
+        Some(by_folds(&*kind, own, count, FoldKind::Shuffled, watch.interrupt).map_err(learning)?)
     } else {
         None
     };

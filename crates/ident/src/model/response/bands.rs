@@ -17,10 +17,10 @@
 //! Sources: S. Geisser, The predictive sample reuse method with applications, JASA 70 (1975), 320-328; J. Ye, On measuring and
 //! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131.
 
-use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 
 use super::features::{Coefficients, Features};
+use super::score::shuffled;
 
 /// Folds without which the structure is chosen.
 const FOLDS: usize = 10;
@@ -74,8 +74,8 @@ pub(super) struct Refit {
     pub(super) noise: f64,
 }
 
-/// Learns from scaled inputs and outputs.
-type Learner<'a> = dyn Fn(&[f64], &[f64]) -> Option<Refit> + Sync + 'a;
+/// Learns without a fold (its number, from 0), from the scaled inputs and outputs of the other points.
+type Learner<'a> = dyn Fn(usize, &[f64], &[f64]) -> Option<Refit> + Sync + 'a;
 
 /// Residual of a point that a model has not seen, and the variance of that model there for a noise of one.
 struct Unseen {
@@ -99,7 +99,7 @@ pub(super) fn calibrate(
         return plain;
     }
     let parts: Vec<Option<Vec<Unseen>>> =
-        dealt(y.len()).par_iter().map(|held| without(held, z, y, refit)).collect();
+        dealt(y.len()).par_iter().enumerate().map(|(k, held)| without((k, held), z, y, refit)).collect();
     let grown = parts.iter().flatten().count();
     let unseen: Vec<Unseen> = parts.into_iter().flatten().flatten().collect();
     if grown < 2 || unseen.is_empty() {
@@ -111,18 +111,19 @@ pub(super) fn calibrate(
 }
 
 /// Rows of each fold, dealt by a seeded shuffle: tables often have an order.
-fn dealt(n: usize) -> Vec<Vec<usize>> {
-    let mut rows: Vec<usize> = (0..n).collect();
-    let mut rng = Rng64::stream(0, DEAL);
-    for i in (1..n).rev() {
-        rows.swap(i, rng.below(i + 1));
-    }
+pub(super) fn dealt(n: usize) -> Vec<Vec<usize>> {
+    let rows = shuffled(n, DEAL);
     let count = FOLDS.min(n);
     (0..count).map(|k| rows.iter().skip(k).step_by(count).copied().collect()).collect()
 }
 
 /// The points of a fold under a model that is learnt without them.
-fn without(held: &[usize], z: &[f64], y: &[f64], refit: &Learner<'_>) -> Option<Vec<Unseen>> {
+fn without(
+    (fold, held): (usize, &[usize]),
+    z: &[f64],
+    y: &[f64],
+    refit: &Learner<'_>,
+) -> Option<Vec<Unseen>> {
     let d = z.len() / y.len().max(1);
     let mut out = vec![false; y.len()];
     held.iter().for_each(|i| out[*i] = true);
@@ -132,7 +133,7 @@ fn without(held: &[usize], z: &[f64], y: &[f64], refit: &Learner<'_>) -> Option<
     }
     let inputs: Vec<f64> = rest.iter().flat_map(|i| z[i * d..(i + 1) * d].iter().copied()).collect();
     let outputs: Vec<f64> = rest.iter().map(|i| y[*i]).collect();
-    let Refit { features, coefficients, noise } = refit(&inputs, &outputs)?;
+    let Refit { features, coefficients, noise } = refit(fold, &inputs, &outputs)?;
     let Coefficients { values, covariance, .. } = coefficients;
     let mut c = vec![0.0; values.len()];
     let each = held.iter().map(|i| {

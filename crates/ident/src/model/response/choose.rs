@@ -63,7 +63,7 @@ pub fn choose(
     let (chosen, errors) = by_one_standard_error(candidates, points, count, how, interrupt)?;
     let (mut squares, mut outer) = (0.0, Vec::new());
     let mut at = Prediction::new(points.dim());
-    for held in folds(points.len(), count, how) {
+    for held in folds(points, count, how) {
         let rest: Vec<usize> = (0..points.len()).filter(|i| !held.contains(i)).collect();
         let part = points.rows(&rest);
         let (inner, _) = by_one_standard_error(candidates, &part, count, how, interrupt)?;
@@ -88,7 +88,7 @@ fn by_one_standard_error(
     how: FoldKind,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<(usize, Vec<CandidateError>), ResponseError> {
-    let parts = folds(points.len(), count, how);
+    let parts = folds(points, count, how);
     let mut errors = Vec::new();
     // Mean squared error and its standard error.
     let mut squares: Vec<Option<(f64, f64)>> = Vec::new();

@@ -1,7 +1,9 @@
 //! Steady points: a table without time. Rows are operating points, columns are named inputs and one output.
 
+use dynocal_numerics::linalg::{axpy, dot};
 use serde::{Deserialize, Serialize};
 
+use super::scaling::{Scaling, mean_std};
 use crate::data::Dataset;
 
 /// Steady points of one output: `x` is n x d row-major, `y` has n entries.
@@ -69,8 +71,30 @@ pub enum PointsError {
         /// Points.
         points: usize,
     },
+    /// Squares of the deviations from the mean are no numbers.
+    #[error(
+        "`{channel}` spreads by {found:e} (standard deviation): its squares are too small or too large for a number; give it in another unit"
+    )]
+    Spread {
+        /// Channel.
+        channel: String,
+        /// Standard deviation.
+        found: f64,
+    },
+    /// An input follows from others.
+    #[error(
+        "input `{channel}` follows from the other inputs ({others}) at all {points} points, as a sum of multiples of them: what each does cannot be told; leave one out"
+    )]
+    Dependent {
+        /// Input.
+        channel: String,
+        /// Those that it follows from.
+        others: String,
+        /// Points.
+        points: usize,
+    },
     /// Too few points.
-    #[error("{output}: {found} points, expected at least {expected} for {inputs} inputs and {what}")]
+    #[error("{output}: {}, expected at least {expected} for {} and {what}", counted(*found, "point"), counted(*inputs, "input"))]
     TooFew {
         /// Output.
         output: String,
@@ -178,6 +202,44 @@ impl Points {
             let (channel, value, points) = (self.output.clone(), self.y[0], self.len());
             return Err(PointsError::ConstantOutput { channel, value, points });
         }
+        for (j, channel) in self.inputs.iter().enumerate() {
+            check_spread(channel, self.column(j))?;
+        }
+        check_spread(&self.output, self.y.iter().copied())
+    }
+
+    /// Checks that no input is a linear function of the others at all points, to nine digits.
+    ///
+    /// # Errors
+    /// [`PointsError::Dependent`] with the input and those that it follows from.
+    pub fn check_independent(&self) -> Result<(), PointsError> {
+        let scaling = Scaling::of(self);
+        let columns = (0..self.dim()).map(|j| {
+            self.column(j).map(|x| (x - scaling.mean[j]) / scaling.std[j]).collect::<Vec<f64>>()
+        });
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        for (j, mut column) in columns.enumerate() {
+            let whole = dot(&column, &column);
+            // Twice, as one pass leaves rounding behind.
+            let mut shares = vec![0.0; basis.len()];
+            for _ in 0..2 {
+                for (share, b) in shares.iter_mut().zip(&basis) {
+                    let along = dot(b, &column);
+                    axpy(-along, b, &mut column);
+                    *share += along * along / whole;
+                }
+            }
+            let rest = dot(&column, &column);
+            if rest <= DEPENDENT * whole {
+                let of = self.inputs[..j].iter().zip(&shares).filter(|(_, s)| **s > DEPENDENT);
+                let others: Vec<String> = of.map(|(name, _)| format!("`{name}`")).collect();
+                let (channel, others) = (self.inputs[j].clone(), others.join(", "));
+                return Err(PointsError::Dependent { channel, others, points: self.len() });
+            }
+            let length = rest.sqrt();
+            column.iter_mut().for_each(|v| *v /= length);
+            basis.push(column);
+        }
         Ok(())
     }
 
@@ -223,6 +285,25 @@ impl Points {
         Replicates { groups, copies }
     }
 
+    /// The operating point of each row: equal numbers where all inputs are equal, counted by first rows.
+    pub fn operating_points(&self) -> Vec<usize> {
+        let mut first: Vec<usize> = (0..self.len()).collect();
+        for group in self.replicates().groups {
+            group.iter().for_each(|i| first[*i] = group[0]);
+        }
+        let mut number = vec![0; self.len()];
+        let mut next = 0;
+        for i in 0..self.len() {
+            if first[i] == i {
+                number[i] = next;
+                next += 1;
+            } else {
+                number[i] = number[first[i]];
+            }
+        }
+        number
+    }
+
     /// Sentences on duplicates, for reports; none where all points differ.
     pub fn notes(&self) -> Vec<String> {
         let found = self.replicates();
@@ -252,6 +333,27 @@ fn rows_in_words(rows: &[usize]) -> String {
     let head: Vec<String> = rows.iter().take(8).map(|r| (r + 1).to_string()).collect();
     let more = if rows.len() > 8 { format!(" and {} more", rows.len() - 8) } else { String::new() };
     head.join(", ") + &more
+}
+
+/// Share of its variance that is left of an input which follows from others to nine digits.
+const DEPENDENT: f64 = 1e-18;
+/// Standard deviations whose fourth powers are numbers.
+const SPREADS: [f64; 2] = [1e-75, 1e75];
+
+fn check_spread(channel: &str, values: impl Iterator<Item = f64> + Clone) -> Result<(), PointsError> {
+    let (low, high) = range(values.clone());
+    let (_, std) = mean_std(values);
+    // The range stands in where the squares have no value.
+    let found = if std.is_finite() { std.min(high - low) } else { high - low };
+    if (SPREADS[0]..=SPREADS[1]).contains(&found) {
+        return Ok(());
+    }
+    Err(PointsError::Spread { channel: channel.into(), found })
+}
+
+/// A number of things.
+pub(super) fn counted(count: usize, thing: &str) -> String {
+    if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
 }
 
 /// Smallest and largest of some values.

@@ -14,6 +14,7 @@ use super::bands::{self, Refit};
 use super::features::{self, Coefficients, Features};
 use super::formula::{Part, Product};
 use super::gp::Kernel;
+use super::points::counted;
 use super::stepwise::{LeastSquares, Pool, stepwise};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
 
@@ -102,7 +103,7 @@ impl Learn for Rbf {
         let none = || ResponseError::NoStart { model: "rbf", output: points.output.clone() };
         let (width, fit, functions) = best.ok_or_else(none)?;
         let plain = fit.coefficients(&y).ok_or_else(none)?;
-        let refit = |z: &[f64], y: &[f64]| {
+        let refit = |_: usize, z: &[f64], y: &[f64]| {
             let (fit, functions) = self.fit(z, y, d, width, &|| false)?;
             let coefficients = fit.coefficients(y)?;
             Some(Refit { features: Box::new(functions), noise: coefficients.noise, coefficients })
@@ -211,11 +212,12 @@ impl Response for RbfModel {
     }
 
     fn describe(&self) -> String {
-        format!(
-            "{} radial basis functions of width {}",
-            self.functions.centres.len() / self.functions.d,
-            self.functions.width
-        )
+        let functions = self.functions.centres.len() / self.functions.d;
+        if functions == 0 {
+            let linear = counted(self.functions.linear.len(), "input");
+            return format!("no radial basis function, a constant and {linear}");
+        }
+        format!("{} of width {:?}", counted(functions, "radial basis function"), self.functions.width)
     }
 }
 
