@@ -211,6 +211,14 @@ pub enum ResponseError {
         /// What is allowed.
         expected: String,
     },
+    /// An output that a transform is not made for.
+    #[error("stepwise_polynomial: this `transform` is for {expected}, and an output is {found}")]
+    Domain {
+        /// What it is for.
+        expected: String,
+        /// The first output that is not.
+        found: f64,
+    },
     /// It would take too much memory.
     #[error(
         "{model}: {points} points would take {mebibytes} MiB, at most {most} points are taken exactly; raise `{key}` or let it choose inducing points"

@@ -3,6 +3,7 @@
 use dynocal_numerics::linalg::{axpy, dot};
 use serde::{Deserialize, Serialize};
 
+use super::LeftOut;
 use super::scaling::{Scaling, mean_std};
 use crate::data::Dataset;
 
@@ -214,9 +215,8 @@ impl Points {
     /// [`PointsError::Dependent`] with the input and those that it follows from.
     pub fn check_independent(&self) -> Result<(), PointsError> {
         let scaling = Scaling::of(self);
-        let columns = (0..self.dim()).map(|j| {
-            self.column(j).map(|x| (x - scaling.mean[j]) / scaling.std[j]).collect::<Vec<f64>>()
-        });
+        let columns = (0..self.dim())
+            .map(|j| self.column(j).map(|x| (x - scaling.mean[j]) / scaling.std[j]).collect::<Vec<f64>>());
         let mut basis: Vec<Vec<f64>> = Vec::new();
         for (j, mut column) in columns.enumerate() {
             let whole = dot(&column, &column);
@@ -304,6 +304,51 @@ impl Points {
         number
     }
 
+    /// What an engineer should look at before the points are believed: copies of rows, inputs that follow from others, and points
+    /// that lie far from what the others predict (`left_out`).
+    pub fn warnings(&self, left_out: &LeftOut) -> Vec<String> {
+        let copies = self.replicates().copies;
+        let mut out = Vec::new();
+        if !copies.is_empty() {
+            out.push(format!(
+                "rows {} repeat inputs and output of an earlier row exactly: copies of a row make the noise look smaller than it is; \
+                 take them out unless they were measured",
+                rows_in_words(&copies)
+            ));
+        }
+        out.extend(self.check_independent().err().map(|e| e.to_string()));
+        out.extend(self.suspects(left_out));
+        out
+    }
+
+    /// A sentence on points that lie both far outside of the other left-out errors and of their own standard deviation.
+    fn suspects(&self, left_out: &LeftOut) -> Option<String> {
+        let mut sizes: Vec<f64> = left_out.residuals.iter().map(|e| e.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let half = *sizes.get(sizes.len() / 2)?;
+        let far = |i: usize| {
+            let (e, v) = (left_out.residuals[i].abs(), left_out.variance[i]);
+            e > FAR * half && e * e > ALONE * ALONE * v
+        };
+        let mut rows: Vec<usize> = (0..self.len().min(left_out.variance.len())).filter(|i| far(*i)).collect();
+        rows.sort_by(|a, b| left_out.residuals[*b].abs().total_cmp(&left_out.residuals[*a].abs()));
+        let first = *rows.first()?;
+        let (measured, error) = (self.y[first], left_out.residuals[first]);
+        let others = if rows.len() > 1 {
+            format!(" (so do rows {})", rows_in_words(&rows[1..]))
+        } else {
+            String::new()
+        };
+        Some(format!(
+            "row {} does not fit the others: measured {}, predicted from them {}, while half of all points lie within {}{others}: \
+             measure it again or take it out",
+            first + 1,
+            four(measured),
+            four(measured - error),
+            four(half)
+        ))
+    }
+
     /// Sentences on duplicates, for reports; none where all points differ.
     pub fn notes(&self) -> Vec<String> {
         let found = self.replicates();
@@ -315,13 +360,6 @@ impl Points {
                 self.output,
                 found.groups.len(),
                 rows_in_words(&found.groups[0])
-            ));
-        }
-        if !found.copies.is_empty() {
-            notes.push(format!(
-                "{}: rows {} repeat inputs and output of an earlier row exactly: copies tell nothing about the noise",
-                self.output,
-                rows_in_words(&found.copies)
             ));
         }
         notes
@@ -337,6 +375,10 @@ fn rows_in_words(rows: &[usize]) -> String {
 
 /// Share of its variance that is left of an input which follows from others to nine digits.
 const DEPENDENT: f64 = 1e-18;
+/// A point does not fit the others when its left-out error is this many times as large as half of them are (five standard
+/// deviations of a normal distribution), and this many of its own standard deviations.
+const FAR: f64 = 8.0;
+const ALONE: f64 = 4.0;
 /// Standard deviations whose fourth powers are numbers.
 const SPREADS: [f64; 2] = [1e-75, 1e75];
 
@@ -349,6 +391,18 @@ fn check_spread(channel: &str, values: impl Iterator<Item = f64> + Clone) -> Res
         return Ok(());
     }
     Err(PointsError::Spread { channel: channel.into(), found })
+}
+
+/// Four significant digits: fixed notation from 1e-3 to 1e6, otherwise with an exponent.
+pub(super) fn four(value: f64) -> String {
+    let exponent = value.abs().log10().floor();
+    if value == 0.0 || !value.is_finite() {
+        format!("{value}")
+    } else if (-3.0..6.0).contains(&exponent) {
+        format!("{value:.*}", (3.0 - exponent).max(0.0) as usize)
+    } else {
+        format!("{value:.3e}")
+    }
 }
 
 /// A number of things.

@@ -124,12 +124,7 @@ impl Grown {
         let mut x = vec![0.0; y.len() * k];
         z.chunks_exact(tree.dim).zip(x.chunks_exact_mut(k)).for_each(|(z, x)| tree.regressors(z, x));
         let local = |leaf: &Leaf| {
-            Local::fit(
-                &x,
-                k,
-                y,
-                z.chunks_exact(tree.dim).map(|z| tree.validity(leaf, z, None)).collect(),
-            )
+            Local::fit(&x, k, y, z.chunks_exact(tree.dim).map(|z| tree.validity(leaf, z, None)).collect())
         };
         let locals = tree.leaves.iter().map(local).collect::<Option<Vec<Local>>>()?;
         Some(Self { tree: tree.clone(), slope, path: Vec::new(), x, y: y.to_vec(), locals })

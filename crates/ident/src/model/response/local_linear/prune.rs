@@ -35,7 +35,8 @@ impl Regrown {
         };
         let path = |held: &Vec<usize>| {
             let (z, y) = without(held, z, y, d);
-            if y.len() < d + 2 { None } else { best(&keys, &z, &y, d, &|| false) }.map_or(Vec::new(), |g| g.path)
+            if y.len() < d + 2 { None } else { best(&keys, &z, &y, d, &|| false) }
+                .map_or(Vec::new(), |g| g.path)
         };
         Self { paths: dealt(y.len()).par_iter().map(path).collect() }
     }
@@ -60,7 +61,8 @@ impl Regrown {
         let errors: Vec<Vec<f64>> = (1..=all).map(of).collect();
         let mean = |e: &[f64]| e.iter().sum::<f64>() / e.len().max(1) as f64;
         let last = &errors[all - 1];
-        let fewest = (0..all).min_by(|a, b| mean(&errors[*a]).total_cmp(&mean(&errors[*b]))).unwrap_or(all - 1);
+        let fewest =
+            (0..all).min_by(|a, b| mean(&errors[*a]).total_cmp(&mean(&errors[*b]))).unwrap_or(all - 1);
         if errors[fewest].len() != last.len() || last.len() < 2 {
             return all;
         }
