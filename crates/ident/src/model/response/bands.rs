@@ -6,7 +6,7 @@
 //!
 //! ```text
 //! noise       a = mean r_i e_i
-//! response    b v(z),   b with  mean e_i^2 / (a + b v_i) = 1
+//! response    b v(z),   b the least with which  |e_i| <= 1.96 sqrt(a + b v_i)  for ceil(0.95 (n + 1)) of the n points
 //! ```
 //!
 //! For a linear smoother of known structure, r_i = (1 - h_i) e_i and var e_i = a / (1 - h_i), so that r_i e_i has the mean a
@@ -14,8 +14,11 @@
 //! below those that hold for a known structure. What the structure cannot follow counts as noise where it changes from point to
 //! point, and as variance of the response where a model without the point misses it.
 //!
+//! A quantile and not the mean of e_i^2 / (a + b v_i): the few points at the edge that a model without them has to extrapolate to
+//! carry such a mean, and the bands of all points would follow them.
+//!
 //! Sources: S. Geisser, The predictive sample reuse method with applications, JASA 70 (1975), 320-328; J. Ye, On measuring and
-//! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131.
+//! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131; V. Vovk, Cross-conformal predictors, Ann. Math. Artif. Intell. 74 (2015), 9-28.
 
 use rayon::prelude::*;
 
@@ -26,6 +29,9 @@ use super::score::shuffled;
 const FOLDS: usize = 10;
 /// Stream of the generator that deals the points to the folds.
 const DEAL: u64 = 5 << 32;
+/// Share of the points that a band holds, and the two-sided quantile of a normal distribution for it.
+const HELD: f64 = 0.95;
+const QUANTILE: f64 = 1.959_963_984_540_054;
 /// Most steps of the bisection for b, each of a factor of two at first.
 const STEPS: usize = 60;
 
@@ -145,24 +151,23 @@ fn without(
     Some(each.collect())
 }
 
-/// b: bisection of a decreasing function, from `least` up.
+/// b: bisection, from `least` up; wider bands hold no fewer points.
 fn response(unseen: &[Unseen], noise: f64, least: f64) -> f64 {
-    let ratio = |b: f64| {
-        let each = unseen.iter().map(|u| u.error * u.error / (noise + b * u.variance).max(f64::MIN_POSITIVE));
-        each.sum::<f64>() / unseen.len() as f64
-    };
-    if ratio(least) <= 1.0 {
+    let asked = (HELD * (unseen.len() + 1) as f64).ceil().min(unseen.len() as f64) as usize;
+    let inside = |u: &&Unseen, b: f64| u.error * u.error <= QUANTILE * QUANTILE * (noise + b * u.variance);
+    let enough = |b: f64| unseen.iter().filter(|u| inside(u, b)).count() >= asked;
+    if enough(least) {
         return least;
     }
     let (mut low, mut high) = (least, noise.max(f64::MIN_POSITIVE));
     let mut steps = 0;
-    while ratio(high) > 1.0 && steps < STEPS {
+    while !enough(high) && steps < STEPS {
         (low, high) = (high, 2.0 * high);
         steps += 1;
     }
     for _ in 0..STEPS {
         let middle = 0.5 * (low + high);
-        if ratio(middle) > 1.0 { low = middle } else { high = middle }
+        if enough(middle) { high = middle } else { low = middle }
     }
-    0.5 * (low + high)
+    high
 }
