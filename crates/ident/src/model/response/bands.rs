@@ -1,39 +1,35 @@
 //! Bands that count what the choice of a structure took from the noise, and what the structure cannot follow.
 //!
-//! The structure (splits, functions) is chosen anew without each of ten folds; the slope of the splits and the width of the
-//! functions are kept. With r_i the residual of the model of all points, e_i that of the model without the fold of point i, and
-//! v_i = c_i'C c_i the variance of that model at the point for a noise of one:
+//! The structure (splits; functions and their width) is chosen anew without each of some folds; the slope of the splits and the number
+//! of local models are kept. With e_i the residual of the model without the fold of point i, and v_i = c_i'C c_i the variance of that
+//! model at the point for a noise of one:
 //!
 //! ```text
-//! noise       a = mean r_i e_i
-//! response    b v(z),   b the least with which  |e_i| <= 1.96 sqrt(a + b v_i)  for ceil(0.95 (n + 1)) of the n points
+//! noise       a
+//! response    b v(z),   a, b = argmax  sum_i log N(e_i; 0, a + b v_i)
 //! ```
 //!
-//! For a linear smoother of known structure, r_i = (1 - h_i) e_i and var e_i = a / (1 - h_i), so that r_i e_i has the mean a
-//! whatever the leverage h_i is; a choice that follows the noise takes from r_i what they add to e_i. Both variances are never
-//! below those that hold for a known structure. What the structure cannot follow counts as noise where it changes from point to
-//! point, and as variance of the response where a model without the point misses it.
-//!
-//! A quantile and not the mean of e_i^2 / (a + b v_i): the few points at the edge that a model without them has to extrapolate to
-//! carry such a mean, and the bands of all points would follow them.
+//! At the maximum the mean of e_i^2 / (a + b v_i) is one. For a known structure b = a. Neither is below the noise that holds for a
+//! known structure. What the structure cannot follow counts as noise where it changes from point to point, and as variance of the
+//! response where a model without the point misses it. Both are estimated together: a b for a given a has to carry all that the a
+//! leaves out, also where v is nearly zero, and bands at the edge would be many times too wide.
 //!
 //! Sources: S. Geisser, The predictive sample reuse method with applications, JASA 70 (1975), 320-328; J. Ye, On measuring and
-//! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131; V. Vovk, Cross-conformal predictors, Ann. Math. Artif. Intell. 74 (2015), 9-28.
+//! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131.
 
 use rayon::prelude::*;
 
 use super::features::{Coefficients, Features};
 use super::score::shuffled;
 
-/// Folds without which the structure is chosen.
-const FOLDS: usize = 10;
+/// Folds without which the structure is chosen. More of them lie nearer to the model of all points, at their price.
+pub(super) const FOLDS: usize = 10;
 /// Stream of the generator that deals the points to the folds.
 const DEAL: u64 = 5 << 32;
-/// Share of the points that a band holds, and the two-sided quantile of a normal distribution for it.
-const HELD: f64 = 0.95;
-const QUANTILE: f64 = 1.959_963_984_540_054;
-/// Most steps of the bisection for b, each of a factor of two at first.
-const STEPS: usize = 60;
+/// Ratios b / a among which the likeliest is sought, in so many steps of their logarithm, and narrowings of the last interval.
+const RATIOS: [f64; 2] = [1e-3, 1e4];
+const GRID: usize = 40;
+const NARROWINGS: usize = 40;
 
 /// Variances in units of the scaled output.
 #[derive(Clone, Copy, Debug)]
@@ -85,18 +81,17 @@ type Learner<'a> = dyn Fn(usize, &[f64], &[f64]) -> Option<Refit> + Sync + 'a;
 
 /// Residual of a point that a model has not seen, and the variance of that model there for a noise of one.
 struct Unseen {
-    row: usize,
     error: f64,
     variance: f64,
 }
 
-/// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each fold
-/// in turn; `known` is the noise and `residuals` are those of the model of all points. After an interrupt, or where nothing can
+/// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each of
+/// `folds` folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or where nothing can
 /// be left out, the structure counts as known.
 pub(super) fn calibrate(
     known: f64,
-    residuals: &[f64],
     (z, y): (&[f64], &[f64]),
+    folds: usize,
     refit: &Learner<'_>,
     interrupt: &dyn Fn() -> bool,
 ) -> Bands {
@@ -104,22 +99,24 @@ pub(super) fn calibrate(
     if interrupt() {
         return plain;
     }
-    let parts: Vec<Option<Vec<Unseen>>> =
-        dealt(y.len()).par_iter().enumerate().map(|(k, held)| without((k, held), z, y, refit)).collect();
+    let parts: Vec<Option<Vec<Unseen>>> = dealt(y.len(), folds)
+        .par_iter()
+        .enumerate()
+        .map(|(k, held)| without((k, held), z, y, refit))
+        .collect();
     let grown = parts.iter().flatten().count();
     let unseen: Vec<Unseen> = parts.into_iter().flatten().flatten().collect();
     if grown < 2 || unseen.is_empty() {
         return plain;
     }
-    let count = unseen.len() as f64;
-    let noise = (unseen.iter().map(|u| residuals[u.row] * u.error).sum::<f64>() / count).max(known);
-    Bands { noise, response: response(&unseen, noise, known), known, folds: grown }
+    let (noise, response) = likeliest(&unseen, known);
+    Bands { noise, response, known, folds: grown }
 }
 
 /// Rows of each fold, dealt by a seeded shuffle: tables often have an order.
-pub(super) fn dealt(n: usize) -> Vec<Vec<usize>> {
+pub(super) fn dealt(n: usize, folds: usize) -> Vec<Vec<usize>> {
     let rows = shuffled(n, DEAL);
-    let count = FOLDS.min(n);
+    let count = folds.min(n);
     (0..count).map(|k| rows.iter().skip(k).step_by(count).copied().collect()).collect()
 }
 
@@ -146,28 +143,33 @@ fn without(
         features.values(&z[i * d..(i + 1) * d], &mut c, &mut []);
         let dot = |row: &[f64]| row.iter().zip(&c).map(|(a, b)| a * b).sum::<f64>();
         let whole: f64 = covariance.chunks_exact(c.len()).zip(&c).map(|(row, c)| c * dot(row)).sum();
-        Unseen { row: *i, error: y[*i] - dot(&values), variance: whole / noise.max(f64::MIN_POSITIVE) }
+        Unseen { error: y[*i] - dot(&values), variance: whole / noise.max(f64::MIN_POSITIVE) }
     });
     Some(each.collect())
 }
 
-/// b: bisection, from `least` up; wider bands hold no fewer points.
-fn response(unseen: &[Unseen], noise: f64, least: f64) -> f64 {
-    let asked = (HELD * (unseen.len() + 1) as f64).ceil().min(unseen.len() as f64) as usize;
-    let inside = |u: &&Unseen, b: f64| u.error * u.error <= QUANTILE * QUANTILE * (noise + b * u.variance);
-    let enough = |b: f64| unseen.iter().filter(|u| inside(u, b)).count() >= asked;
-    if enough(least) {
-        return least;
+/// a and b of largest likelihood, neither below `known`.
+fn likeliest(unseen: &[Unseen], known: f64) -> (f64, f64) {
+    let count = unseen.len() as f64;
+    // For the ratio r = b / a the best a is the mean of e_i^2 / (1 + r v_i); what is left is minimised over log r.
+    let noise = |ratio: f64| {
+        unseen.iter().map(|u| u.error * u.error / (1.0 + ratio * u.variance)).sum::<f64>() / count
+    };
+    let loss = |log_ratio: f64| {
+        let ratio = log_ratio.exp();
+        let logs: f64 = unseen.iter().map(|u| (1.0 + ratio * u.variance).ln()).sum();
+        count * noise(ratio).max(f64::MIN_POSITIVE).ln() + logs
+    };
+    let [low, high] = RATIOS.map(f64::ln);
+    let step = (high - low) / GRID as f64;
+    let at = |k: usize| low + step * k as f64;
+    let best = (0..=GRID).min_by(|i, j| loss(at(*i)).total_cmp(&loss(at(*j)))).unwrap_or(0);
+    let (mut left, mut right) = ((at(best) - step).max(low), (at(best) + step).min(high));
+    for _ in 0..NARROWINGS {
+        let third = (right - left) / 3.0;
+        if loss(left + third) <= loss(right - third) { right -= third } else { left += third }
     }
-    let (mut low, mut high) = (least, noise.max(f64::MIN_POSITIVE));
-    let mut steps = 0;
-    while !enough(high) && steps < STEPS {
-        (low, high) = (high, 2.0 * high);
-        steps += 1;
-    }
-    for _ in 0..STEPS {
-        let middle = 0.5 * (low + high);
-        if enough(middle) { high = middle } else { low = middle }
-    }
-    high
+    let ratio = (0.5 * (left + right)).exp();
+    let noise = noise(ratio);
+    (noise.max(known), (ratio * noise).max(known))
 }

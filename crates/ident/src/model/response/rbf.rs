@@ -58,6 +58,9 @@ pub struct Rbf {
     pub candidates: usize,
 }
 
+/// Folds of the bands: these models are quickly learnt, and lose much with a tenth of their points.
+const FOLDS: usize = 20;
+
 impl Default for Rbf {
     fn default() -> Self {
         Self { widths: vec![0.7, 1.2, 2.0, 3.5, 6.0], most: 0, candidates: 300 }
@@ -92,23 +95,15 @@ impl Learn for Rbf {
         }
         let scaling = Scaling::of(points);
         let (z, y) = (scaling.inputs(points), scaling.outputs(points));
-        let mut best: Option<(f64, LeastSquares, Functions)> = None;
-        for width in &self.widths {
-            if let Some((fit, functions)) = self.fit(&z, &y, d, *width, interrupt)
-                && best.as_ref().is_none_or(|(_, b, _)| fit.press() < b.press())
-            {
-                best = Some((*width, fit, functions));
-            }
-        }
         let none = || ResponseError::NoStart { model: "rbf", output: points.output.clone() };
-        let (width, fit, functions) = best.ok_or_else(none)?;
+        let (fit, functions) = self.best(&z, &y, d, interrupt).ok_or_else(none)?;
         let plain = fit.coefficients(&y).ok_or_else(none)?;
         let refit = |_: usize, z: &[f64], y: &[f64]| {
-            let (fit, functions) = self.fit(z, y, d, width, &|| false)?;
+            let (fit, functions) = self.best(z, y, d, &|| false)?;
             let coefficients = fit.coefficients(y)?;
             Some(Refit { features: Box::new(functions), noise: coefficients.noise, coefficients })
         };
-        let bands = bands::calibrate(plain.noise, &fit.residuals, (&z, &y), &refit, interrupt);
+        let bands = bands::calibrate(plain.noise, (&z, &y), FOLDS, &refit, interrupt);
         let coefficients = bands.of(plain);
         let left_out = fit.left_out(scaling.output_std);
         let model = RbfModel { scaling, functions, coefficients };
@@ -120,6 +115,25 @@ impl Learn for Rbf {
 }
 
 impl Rbf {
+    /// Functions of the width with the least PRESS.
+    fn best(
+        &self,
+        z: &[f64],
+        y: &[f64],
+        d: usize,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Option<(LeastSquares, Functions)> {
+        let mut best: Option<(LeastSquares, Functions)> = None;
+        for width in &self.widths {
+            if let Some(found) = self.fit(z, y, d, *width, interrupt)
+                && best.as_ref().is_none_or(|(b, _)| found.0.press() < b.press())
+            {
+                best = Some(found);
+            }
+        }
+        best
+    }
+
     /// Functions of one width, chosen by PRESS.
     fn fit(
         &self,

@@ -192,11 +192,6 @@ impl Grown {
         Some(next)
     }
 
-    /// Measured minus fitted (n).
-    pub(super) fn residuals(&self) -> Vec<f64> {
-        self.sum(|l| &l.error)
-    }
-
     /// Leverage of each point: the derivative of its prediction with respect to its measurement.
     fn leverage(&self) -> Vec<f64> {
         self.sum(|l| &l.own)
