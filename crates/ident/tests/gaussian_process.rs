@@ -291,5 +291,5 @@ fn faults_of_the_points_are_named() {
     let (learnt, _) = learn(&GaussianProcess { starts: 1, ..Default::default() }, &doubled);
     assert!(learnt.notes.iter().any(|n| n.contains("6 points lie at 3 repeated")), "{:?}", learnt.notes);
     let warnings = doubled.warnings(&learnt.left_out);
-    assert!(warnings.iter().any(|n| n.contains("rows 31 repeat")), "{warnings:?}");
+    assert!(warnings.iter().any(|n| n.contains("row 31 repeats inputs and output")), "{warnings:?}");
 }

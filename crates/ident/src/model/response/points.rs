@@ -310,10 +310,14 @@ impl Points {
         let copies = self.replicates().copies;
         let mut out = Vec::new();
         if !copies.is_empty() {
+            let rows = if copies.len() == 1 {
+                format!("row {} repeats", copies[0] + 1)
+            } else {
+                format!("rows {} repeat", rows_in_words(&copies))
+            };
             out.push(format!(
-                "rows {} repeat inputs and output of an earlier row exactly: copies of a row make the noise look smaller than it is; \
-                 take them out unless they were measured",
-                rows_in_words(&copies)
+                "{rows} inputs and output of an earlier row exactly: copies of a row make the noise look smaller than it is; \
+                 take them out unless they were measured"
             ));
         }
         out.extend(self.check_independent().err().map(|e| e.to_string()));
