@@ -61,6 +61,11 @@ fn repeated_points_and_the_lines_of_a_grid_are_not_told_from_each_other_by_folds
     let learner = kind("gaussian_process");
     let rmse = |how| by_folds(&*learner, &grid, 5, how, &|| false).unwrap().rmse;
     assert!(rmse(FoldKind::Shuffled) < 0.1 * rmse(FoldKind::Interleaved));
+    // Two levels of each input, fifteen points at each corner: a corner is not held out as a whole.
+    let corners = points(60, 2, 12, 0.0, 1.0, |x, rng| x[0].round() - x[1].round() + 0.1 * rng.normal());
+    let corners = Points { x: corners.x.iter().map(|x| x.round()).collect(), ..corners };
+    let found = by_folds(&*kind("rbf"), &corners, 5, FoldKind::Shuffled, &|| false).unwrap();
+    assert!(found.rmse < 0.15, "{found:?}");
     // Copies of a point stay together.
     let twice = grid.rows(&(0..50).chain(0..50).collect::<Vec<_>>());
     for held in folds(&twice, 7, FoldKind::Shuffled) {

@@ -11,6 +11,8 @@ use super::{Ask, Learn, LeftOut, Points, Prediction, Response, ResponseError, Re
 const BAND: f64 = 1.959_963_984_540_054;
 /// Points of an intersection plot.
 const CURVE: usize = 41;
+/// Operating points to a fold from which on all points of one stay together.
+const TOGETHER: usize = 5;
 /// Stream of the generator that deals the points to the folds.
 const DEAL: u64 = 6 << 32;
 /// Draws of the sensitivity indices.
@@ -20,8 +22,9 @@ const DRAWS: usize = 2048;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FoldKind {
-    /// Dealt by a seeded shuffle, all points of one operating point together: held-out points have neighbours in the fit, but
-    /// no copies, whatever the order of the table is.
+    /// Dealt by a seeded shuffle, all points of one operating point together where there are five operating points or more to a
+    /// fold (of fewer, a fold would take the corners of a plan away): held-out points have neighbours in the fit, but no copies,
+    /// whatever the order of the table is.
     #[default]
     Shuffled,
     /// Every k-th point. In a table of five loads at each speed, five folds are its five loads.
@@ -33,8 +36,11 @@ pub enum FoldKind {
 /// Rows (from 0) of each fold: at least two folds and at most one an operating point.
 pub fn folds(points: &Points, count: usize, kind: FoldKind) -> Vec<Vec<usize>> {
     let n = points.len();
-    let places = if kind == FoldKind::Shuffled { points.operating_points() } else { (0..n).collect() };
-    let different = places.iter().max().map_or(0, |k| k + 1);
+    let number_of = |places: &[usize]| places.iter().max().map_or(0, |k| k + 1);
+    let together = Some(points.operating_points())
+        .filter(|p| kind == FoldKind::Shuffled && number_of(p) >= TOGETHER * count);
+    let places = together.unwrap_or_else(|| (0..n).collect());
+    let different = number_of(&places);
     let count = count.clamp(2, different.max(2));
     let turn = if kind == FoldKind::Shuffled { shuffled(different, DEAL) } else { (0..different).collect() };
     let of = |i: usize| match kind {
