@@ -317,7 +317,7 @@ impl Points {
             };
             out.push(format!(
                 "{rows} inputs and output of an earlier row exactly: copies of a row make the noise look smaller than it is; \
-                 take them out unless they were measured"
+                 take them out unless they were measured (rows of the points that it was learnt from)"
             ));
         }
         out.extend(self.check_independent().err().map(|e| e.to_string()));
@@ -343,11 +343,13 @@ impl Points {
         } else {
             String::new()
         };
+        let at = self.inputs.iter().zip(self.row(first)).map(|(name, x)| format!("{name} {}", four(*x)));
         Some(format!(
-            "row {} does not fit the others: measured {}, predicted from them {}, while half of all points lie within {}{others}: \
-             measure it again or take it out",
+            "row {} does not fit the others: measured {} at {}, predicted from them {}, while half of all points lie within \
+             {}{others}: measure it again or take it out (rows of the points that it was learnt from)",
             first + 1,
             four(measured),
+            at.collect::<Vec<String>>().join(", "),
             four(measured - error),
             four(half)
         ))
