@@ -1,6 +1,6 @@
 //! Bands that count what the choice of a structure took from the noise, and what the structure cannot follow.
 //!
-//! The structure (splits; functions and their width) is chosen anew without each of some folds; the slope of the splits and the number
+//! The structure (splits; functions and their width) is chosen anew without each of ten folds; the slope of the splits and the number
 //! of local models are kept. With e_i the residual of the model without the fold of point i, and v_i = c_i'C c_i the variance of that
 //! model at the point for a noise of one:
 //!
@@ -22,8 +22,8 @@ use rayon::prelude::*;
 use super::features::{Coefficients, Features};
 use super::score::shuffled;
 
-/// Folds without which the structure is chosen. More of them lie nearer to the model of all points, at their price.
-pub(super) const FOLDS: usize = 10;
+/// Folds without which the structure is chosen.
+const FOLDS: usize = 10;
 /// Stream of the generator that deals the points to the folds.
 const DEAL: u64 = 5 << 32;
 /// Ratios b / a among which the likeliest is sought, in so many steps of their logarithm, and narrowings of the last interval.
@@ -86,12 +86,11 @@ struct Unseen {
 }
 
 /// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each of
-/// `folds` folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or where nothing can
+/// the folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or where nothing can
 /// be left out, the structure counts as known.
 pub(super) fn calibrate(
     known: f64,
     (z, y): (&[f64], &[f64]),
-    folds: usize,
     refit: &Learner<'_>,
     interrupt: &dyn Fn() -> bool,
 ) -> Bands {
@@ -99,11 +98,8 @@ pub(super) fn calibrate(
     if interrupt() {
         return plain;
     }
-    let parts: Vec<Option<Vec<Unseen>>> = dealt(y.len(), folds)
-        .par_iter()
-        .enumerate()
-        .map(|(k, held)| without((k, held), z, y, refit))
-        .collect();
+    let parts: Vec<Option<Vec<Unseen>>> =
+        dealt(y.len()).par_iter().enumerate().map(|(k, held)| without((k, held), z, y, refit)).collect();
     let grown = parts.iter().flatten().count();
     let unseen: Vec<Unseen> = parts.into_iter().flatten().flatten().collect();
     if grown < 2 || unseen.is_empty() {
@@ -114,9 +110,9 @@ pub(super) fn calibrate(
 }
 
 /// Rows of each fold, dealt by a seeded shuffle: tables often have an order.
-pub(super) fn dealt(n: usize, folds: usize) -> Vec<Vec<usize>> {
+pub(super) fn dealt(n: usize) -> Vec<Vec<usize>> {
     let rows = shuffled(n, DEAL);
-    let count = folds.min(n);
+    let count = FOLDS.min(n);
     (0..count).map(|k| rows.iter().skip(k).step_by(count).copied().collect()).collect()
 }
 
@@ -148,7 +144,7 @@ fn without(
     Some(each.collect())
 }
 
-/// a and b of largest likelihood, neither below `known`.
+/// a and b, neither below `known`; there is at least one point.
 fn likeliest(unseen: &[Unseen], known: f64) -> (f64, f64) {
     let count = unseen.len() as f64;
     // For the ratio r = b / a the best a is the mean of e_i^2 / (1 + r v_i); what is left is minimised over log r.

@@ -114,7 +114,7 @@ impl Learn for LocalLinear {
             let coefficients = again.coefficients(Bands::UNIT);
             Some(Refit { coefficients, features: Box::new(again.tree), noise: 1.0 })
         };
-        let bands = bands::calibrate(grown.noise(), (&z, &y), bands::FOLDS, &refit, interrupt);
+        let bands = bands::calibrate(grown.noise(), (&z, &y), &refit, interrupt);
         let coefficients = grown.coefficients(bands);
         let model = LocalLinearModel { scaling, tree: grown.tree, coefficients };
         let mut notes = points.notes();

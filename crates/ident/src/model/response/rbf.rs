@@ -58,9 +58,6 @@ pub struct Rbf {
     pub candidates: usize,
 }
 
-/// Folds of the bands: these models are quickly learnt, and lose much with a tenth of their points.
-const FOLDS: usize = 20;
-
 impl Default for Rbf {
     fn default() -> Self {
         Self { widths: vec![0.7, 1.2, 2.0, 3.5, 6.0], most: 0, candidates: 300 }
@@ -103,7 +100,7 @@ impl Learn for Rbf {
             let coefficients = fit.coefficients(y)?;
             Some(Refit { features: Box::new(functions), noise: coefficients.noise, coefficients })
         };
-        let bands = bands::calibrate(plain.noise, (&z, &y), FOLDS, &refit, interrupt);
+        let bands = bands::calibrate(plain.noise, (&z, &y), &refit, interrupt);
         let coefficients = bands.of(plain);
         let left_out = fit.left_out(scaling.output_std);
         let model = RbfModel { scaling, functions, coefficients };

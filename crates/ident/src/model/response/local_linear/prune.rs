@@ -13,7 +13,7 @@
 
 use rayon::prelude::*;
 
-use super::super::bands::{FOLDS, dealt};
+use super::super::bands::dealt;
 use super::super::features::Features;
 use super::LocalLinear;
 use super::grow::{Grown, best};
@@ -38,7 +38,7 @@ impl Regrown {
             if y.len() < d + 2 { None } else { best(&keys, &z, &y, d, &|| false) }
                 .map_or(Vec::new(), |g| g.path)
         };
-        Self { paths: dealt(y.len(), FOLDS).par_iter().map(path).collect() }
+        Self { paths: dealt(y.len()).par_iter().map(path).collect() }
     }
 
     /// The tree of fold `fold` with at most `leaves` leaves.
@@ -50,7 +50,7 @@ impl Regrown {
     /// How many leaves `grown` keeps.
     pub(super) fn leaves(&self, grown: &Grown, z: &[f64], y: &[f64], d: usize) -> usize {
         let all = grown.tree.leaves.len();
-        let folds = dealt(y.len(), FOLDS);
+        let folds = dealt(y.len());
         let of = |leaves: usize| -> Vec<f64> {
             let each = folds.par_iter().enumerate().map(|(k, held)| {
                 let tree = self.tree(k, leaves)?;
