@@ -150,4 +150,34 @@ fn a_plan_is_shown_without_running_and_faults_are_named() {
         let o = map(tmp.path(), &SPEC.replace(from, to), &[]);
         assert!(o.code == 2 && o.stderr.contains(says), "{to}: {} {}", o.code, o.stderr);
     }
+    // In a cell, where the speed is given, fuel is a multiple of the injected mass: there is nothing to trade.
+    let o = map(tmp.path(), &format!("{SPEC}\n[optimise.front]\nagainst = \"inj\"\n"), &["--check"]);
+    assert!(
+        o.code == 2 && o.stderr.contains("`inj`, which is a multiple of `fuel` in every cell"),
+        "{}",
+        o.stderr
+    );
+}
+
+#[test]
+fn a_day_that_waits_for_a_bed_says_its_state_as_json_and_check_reads_what_is_there() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = format!("{SPEC}\n[plant]\nname = \"bed\"\n");
+    let o = map(tmp.path(), &spec, &["--json"]);
+    assert_eq!(o.code, 1, "{}", o.stderr);
+    let state: serde_json::Value = serde_json::from_str(&o.stdout).unwrap();
+    assert_eq!((state["state"].as_str(), state["verb"].as_str()), (Some("waiting"), Some("map")));
+    let plan = std::fs::read_to_string(tmp.path().join(state["plan"].as_str().unwrap())).unwrap();
+    assert_eq!(state["points"].as_u64().unwrap() as usize, plan.lines().count() - 1);
+    let measured = tmp.path().join(state["measured"].as_str().unwrap());
+    atomic::write(&measured, b"point,throttle [deg],inj [mg],spark [deg],speed [rpm],torque [Nm],lambda [-]\n1,20,15,abc,2000,50,1\n").unwrap();
+    let o = map(tmp.path(), &spec, &["--check"]);
+    assert!(
+        o.code == 2 && o.stderr.contains("points01.csv, line 2") && o.stderr.contains("abc"),
+        "{}",
+        o.stderr
+    );
+    atomic::write(&measured, b"point,throttle [deg],inj [mg],spark [deg],speed [rpm],torque [Nm],lambda [-]\n1,20,15,25,2000,50,1\n").unwrap();
+    let o = map(tmp.path(), &spec, &["--check"]);
+    assert!(o.code == 0 && o.stdout.contains("points01.csv: 1 points"), "{} {}", o.stdout, o.stderr);
 }

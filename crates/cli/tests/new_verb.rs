@@ -181,3 +181,56 @@ fn a_first_design_uses_the_room_between_its_limits() {
     assert!((0.0..0.15 * width).contains(&band), "band to limit {band} of {width}: {line}");
     assert!(predicted.1 - predicted.0 > 0.4 * width, "{predicted:?} of {range:?}");
 }
+
+/// Points of a steady table: torque by the throttle, spark free.
+#[test]
+fn a_steady_calibration_begins_with_a_table_of_points() {
+    let tmp = tempfile::tempdir().unwrap();
+    let mut text = String::from("speed [rpm],throttle [deg],inj [mg],spark [deg],torque [Nm],lambda [-]\n");
+    for k in 0..60_u32 {
+        let (n, a, s) = (1000 + 50 * k, 10.0 + f64::from(k * 7 % 30), 15.0 + f64::from(k * 11 % 20));
+        let torque = 2.0 * a + 0.3 * s;
+        writeln!(
+            text,
+            "{n},{a},{:.2},{s},{torque:.2},{:.3}",
+            0.4 * torque,
+            0.99 + 0.0005 * f64::from(k % 40)
+        )
+        .unwrap();
+    }
+    written(tmp.path(), "points.csv", &text);
+    let flags =
+        ["new", "map", "--from", "points.csv", "--steady", "--output", "torque", "--output", "lambda"];
+    let said = ok(tmp.path(), &flags);
+    assert!(said.contains("`spark` is optimised in every cell"), "{said}");
+    let spec = std::fs::read_to_string(tmp.path().join("points-map.toml")).unwrap();
+    for part in
+        ["[axes]", "lambda = 0.99", "output = \"torque\"\ninput = \"throttle\"", "# [optimise.resolution]"]
+    {
+        assert!(spec.contains(part), "{part}\n{spec}");
+    }
+    ok(tmp.path(), &["map", "points-map.toml", "--check"]);
+    let (code, out, err) = dynocal(tmp.path(), &["map", "points-map.toml"]);
+    assert!(code == 1 && err.contains("wait to be measured on the bed"), "{out}{err}");
+    // The lines that are commented out can be taken as they are.
+    let taken = spec.replace("# [optimise.resolution]\n# spark", "[optimise.resolution]\nspark");
+    assert_ne!(taken, spec);
+    written(tmp.path(), "taken.toml", &taken);
+    ok(tmp.path(), &["map", "taken.toml", "--check"]);
+    // Each demand takes an input: one has to be left.
+    let few = [
+        "new",
+        "map",
+        "--from",
+        "points.csv",
+        "--steady",
+        "--output",
+        "torque",
+        "--input",
+        "throttle",
+        "--to",
+        "few.toml",
+    ];
+    let (code, _, err) = dynocal(tmp.path(), &few);
+    assert!(code == 2 && err.contains("one input more than demands") || err.contains("speed"), "{err}");
+}

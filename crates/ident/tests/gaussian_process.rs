@@ -13,6 +13,9 @@ use dynocal_numerics::rng::Rng64;
 /// Reference values and their origin: tests/reference/README.md.
 const REFERENCE: &str = include_str!("../../../tests/reference/gaussian_process.json");
 
+/// The same sets by a second implementation: tests/reference/README.md.
+const SECOND: &str = include_str!("../../../tests/reference/gprx.json");
+
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
@@ -67,6 +70,46 @@ fn likelihood_gradient_and_prediction_are_those_of_scikit_learn() {
         ours.push(at.gradient[d]);
         for (a, b) in ours.iter().zip(&theirs) {
             assert!((a - b).abs() <= 1e-8 * (1.0 + b.abs()), "{kernel:?}: {ours:?} {theirs:?}");
+        }
+    }
+}
+
+#[test]
+fn likelihood_prediction_and_leave_one_out_are_those_of_gprx() {
+    let sets: serde_json::Value = serde_json::from_str(REFERENCE).unwrap();
+    let second: serde_json::Value = serde_json::from_str(SECOND).unwrap();
+    let pairs = sets["cases"].as_array().unwrap().iter().zip(second["cases"].as_array().unwrap());
+    assert_eq!(pairs.len(), 6);
+    for (set, other) in pairs {
+        let kernel: Kernel = serde_json::from_value(set["kernel"].clone()).unwrap();
+        let (x, y, lengths) = (numbers(&set["x"]), numbers(&set["y"]), numbers(&set["length_scale"]));
+        let number = |key: &str| set[key].as_f64().unwrap();
+        let (signal, noise, d) = (number("signal_variance"), number("noise_variance"), lengths.len());
+        let columns = transposed(&x, d);
+        let problem = Problem { kernel, columns: &columns, y: &y, basis: &[], noise_shape: &[] };
+        let (logs, ratio): (Vec<f64>, f64) = (lengths.iter().map(|l| l.ln()).collect(), noise / signal);
+        let mut work = Work::new(y.len());
+        let near = |ours: f64, theirs: f64| {
+            assert!((ours - theirs).abs() <= 1e-9 * (1.0 + theirs.abs()), "{kernel:?}: {ours} {theirs}");
+        };
+        let value = problem.likelihood(&logs, ratio, Some(signal), false, &mut work).unwrap().value;
+        near(value, -other["neg_log_marginal_likelihood"].as_f64().unwrap());
+        let left = problem.leave_one_out(&logs, ratio, signal, &mut work).unwrap();
+        let (means, variances) = (numbers(&other["loo_mean"]), numbers(&other["loo_variance"]));
+        for i in 0..y.len() {
+            near(y[i] - left.residuals[i], means[i]);
+            near(left.variance[i], variances[i]);
+        }
+        let factors = problem.factors(&logs, ratio, &mut Work::new(y.len())).unwrap();
+        let (means, variances) = (numbers(&other["mean"]), numbers(&other["variance"]));
+        for (i, at) in numbers(&other["at"]).chunks(d).enumerate() {
+            let distance = |point: &[f64]| -> f64 {
+                point.iter().zip(at).zip(&lengths).map(|((a, b), l)| ((a - b) / l).powi(2)).sum()
+            };
+            let k: Vec<f64> = x.chunks(d).map(|p| kernel.correlation(distance(p)).value).collect();
+            near(factors.mean(&[], &k), means[i]);
+            let relative = factors.variance(&[], &k, &mut vec![0.0; y.len()], &mut []);
+            near(signal * (ratio + relative), variances[i]);
         }
     }
 }
@@ -247,5 +290,6 @@ fn faults_of_the_points_are_named() {
     doubled.y.extend([doubled.y[0], 1.0, 2.0]);
     let (learnt, _) = learn(&GaussianProcess { starts: 1, ..Default::default() }, &doubled);
     assert!(learnt.notes.iter().any(|n| n.contains("6 points lie at 3 repeated")), "{:?}", learnt.notes);
-    assert!(learnt.notes.iter().any(|n| n.contains("rows 31 repeat")), "{:?}", learnt.notes);
+    let warnings = doubled.warnings(&learnt.left_out);
+    assert!(warnings.iter().any(|n| n.contains("row 31 repeats inputs and output")), "{warnings:?}");
 }

@@ -3,7 +3,7 @@
 use dynocal_ident::model::response::choose::{Candidate, choose};
 use dynocal_ident::model::response::gp::{GaussianProcess, GpModel, Mean, NoiseChoice};
 use dynocal_ident::model::response::points::range;
-use dynocal_ident::model::response::score::{FoldKind, Unseen, folds, score_page, sensitivity};
+use dynocal_ident::model::response::score::{FoldKind, Unseen, by_folds, folds, score_page, sensitivity};
 use dynocal_ident::model::response::sequential::{Aim, Limit, expected_improvement, next_points};
 use dynocal_ident::model::response::{Ask, Learn, Points, Prediction, Response, ResponseModel, learner};
 use dynocal_numerics::rng::Rng64;
@@ -35,14 +35,86 @@ fn kind(name: &str) -> Box<dyn Learn> {
 
 #[test]
 fn folds_hold_every_point_once() {
-    for how in [FoldKind::Interleaved, FoldKind::Blocks] {
-        let parts = folds(23, 5, how);
+    let of = |n: usize| points(n, 1, 1, 0.0, 1.0, |x, _| x[0]);
+    for how in [FoldKind::Shuffled, FoldKind::Interleaved, FoldKind::Blocks] {
+        let parts = folds(&of(23), 5, how);
         let mut all = parts.concat();
         all.sort_unstable();
         assert_eq!(all, (0..23).collect::<Vec<_>>());
         assert!(parts.iter().all(|p| p.len() >= 4));
     }
-    assert_eq!(folds(6, 3, FoldKind::Blocks), [[0, 1], [2, 3], [4, 5]]);
+    assert_eq!(folds(&of(6), 3, FoldKind::Blocks), [[0, 1], [2, 3], [4, 5]]);
+}
+
+#[test]
+fn repeated_points_and_the_lines_of_a_grid_are_not_told_from_each_other_by_folds() {
+    // Five loads at each of ten speeds, in that order: every fifth point is one load.
+    let x: Vec<f64> = (0..50).flat_map(|i| [f64::from(i % 5), f64::from(i / 5)]).collect();
+    let y = x.chunks(2).map(|x| (0.6 * x[0]).sin() + 0.1 * x[1]).collect();
+    let grid = Points { inputs: vec!["load".into(), "speed".into()], output: "y".into(), x, y };
+    for held in folds(&grid, 5, FoldKind::Shuffled) {
+        let mut loads: Vec<f64> = held.iter().map(|i| grid.row(*i)[0]).collect();
+        loads.dedup();
+        assert!(loads.len() > 1, "a whole load is held out: {held:?}");
+    }
+    // The function is smooth: what is held out inside the grid is predicted far better than its range of 1.8.
+    let learner = kind("gaussian_process");
+    let rmse = |how| by_folds(&*learner, &grid, 5, how, &|| false).unwrap().rmse;
+    assert!(rmse(FoldKind::Shuffled) < 0.1 * rmse(FoldKind::Interleaved));
+    // Two levels of each input, fifteen points at each corner: a corner is not held out as a whole.
+    let corners = points(60, 2, 12, 0.0, 1.0, |x, rng| x[0].round() - x[1].round() + 0.1 * rng.normal());
+    let corners = Points { x: corners.x.iter().map(|x| x.round()).collect(), ..corners };
+    let found = by_folds(&*kind("rbf"), &corners, 5, FoldKind::Shuffled, &|| false).unwrap();
+    assert!(found.rmse < 0.15, "{found:?}");
+    // Copies of a point stay together.
+    let twice = grid.rows(&(0..50).chain(0..50).collect::<Vec<_>>());
+    for held in folds(&twice, 7, FoldKind::Shuffled) {
+        assert!(held.iter().all(|i| held.contains(&((i + 50) % 100))), "{held:?}");
+    }
+}
+
+#[test]
+fn a_tree_does_not_follow_noise_alone() {
+    let held = |seed: u64| {
+        let p = points(60, 2, seed, 0.0, 1.0, |_, rng| rng.normal());
+        let learnt = kind("local_linear").learn(&p, &|| false).unwrap();
+        let apart = points(500, 2, 1000 + seed, 0.0, 1.0, |_, rng| rng.normal());
+        Unseen::on(&learnt.model, &apart).rmse
+    };
+    // A plane through 60 points of pure noise has an error of sqrt(1 + 3 / 60) = 1.025 on others.
+    let mean = (0..10).map(held).sum::<f64>() / 10.0;
+    assert!(mean < 1.1, "{mean}");
+}
+
+#[test]
+fn what_cannot_be_learnt_from_is_refused_in_words() {
+    let plane = |x: &[f64], _: &mut Rng64| x[0] + 2.0 * x[1];
+    let mut p = points(30, 2, 9, 0.0, 1.0, plane);
+    let said = |kind: &dyn Learn, p: &Points| kind.learn(p, &|| false).unwrap_err().to_string();
+    let process = kind("gaussian_process");
+    for i in 0..30 {
+        p.x[2 * i + 1] = 3.0 - 2.0 * p.x[2 * i];
+    }
+    p.y = p.x.chunks(2).map(|x| x[0].sin()).collect();
+    let text = said(&*process, &p);
+    assert!(text.contains("input `x1` follows from the other inputs (`x0`)"), "{text}");
+    // Scales that squares cannot hold.
+    for scale in [1e-300, 1e300] {
+        let mut p = points(30, 2, 9, 0.0, 1.0, plane);
+        p.y.iter_mut().for_each(|y| *y *= scale);
+        for name in ["gaussian_process", "local_linear", "rbf", "stepwise_polynomial"] {
+            let text = said(&*kind(name), &p);
+            assert!(text.contains("`y` spreads by") && text.contains("another unit"), "{name}: {text}");
+        }
+    }
+    let many = learner("gaussian_process", &toml::from_str("starts = 2147483648").unwrap()).unwrap();
+    let text = said(&*many, &points(30, 2, 9, 0.0, 1.0, plane));
+    assert_eq!(text, "gaussian_process: starts is 2147483648, expected 1 to 1000");
+    // A switch that only one fold has: the fold is named.
+    let mut p = points(30, 2, 9, 0.0, 1.0, plane);
+    (0..30).for_each(|i| p.x[2 * i + 1] = f64::from(u8::from(i == 4)));
+    let text = by_folds(&*kind("rbf"), &p, 5, FoldKind::Shuffled, &|| false).unwrap_err().to_string();
+    assert!(text.starts_with("without fold ") && text.contains("input `x1` is 0 at all 24 points"), "{text}");
 }
 
 #[test]

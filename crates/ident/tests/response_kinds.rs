@@ -171,7 +171,7 @@ fn the_power_of_a_transformed_output_is_found() {
     let error = Polynomial { transform: TransformChoice::Log, ..Default::default() }
         .learn(&negative, &|| false)
         .unwrap_err();
-    assert!(error.to_string().contains("expected positive outputs"), "{error}");
+    assert!(error.to_string().contains("`transform` is for positive outputs"), "{error}");
 }
 
 #[test]

@@ -194,3 +194,66 @@ fn a_constant_channel_and_a_missing_value_are_named() {
     let said = identify(&spec, &table(30, 6).replacen('\n', "\n2000,,7\n", 1)).unwrap_err();
     assert!(said.contains("load") && said.contains("line 2"), "{said}");
 }
+
+/// Points with other values than the truth, as `change` says.
+fn changed(n: usize, seed: u64, change: impl Fn(usize, f64) -> f64) -> String {
+    let mut rng = Rng64::new(seed);
+    let mut text = String::from("speed [rpm],load [-],torque [Nm]\n");
+    for i in 0..n {
+        let (speed, load) = (rng.uniform_in(1000.0, 5000.0), rng.uniform_in(0.1, 0.9));
+        text += &format!("{speed},{load},{}\n", change(i, truth(speed, load) + 0.5 * rng.normal()));
+    }
+    text
+}
+
+fn said(found: &Identified) -> String {
+    found.findings.iter().map(|f| f.sentence() + "\n").collect()
+}
+
+#[test]
+fn an_output_without_signal_is_a_fault_of_every_kind() {
+    for kind in ["gaussian_process", "stepwise_polynomial", "local_linear", "rbf"] {
+        let mut rng = Rng64::new(5);
+        let noise: Vec<f64> = (0..60).map(|_| rng.normal()).collect();
+        let keys = format!("[model]\nstructure = {{ name = \"{kind}\" }}\n");
+        let found = identify(&format!("{DATA}{keys}"), &changed(60, 6, |i, _| noise[i])).unwrap();
+        let text = said(&found);
+        assert!(text.contains("than by the mean of the others"), "{kind}: {text}");
+        assert!(found.verdict[0].starts_with("The model of torque is poor on points"), "{:?}", found.verdict);
+    }
+}
+
+#[test]
+fn a_point_that_does_not_fit_and_copies_of_rows_are_named() {
+    let keys = "[model]\nstructure = { name = \"gaussian_process\", starts = 2 }\n";
+    // 30 standard deviations of the noise.
+    let wrong = changed(60, 7, |i, y| if i == 10 { y + 15.0 } else { y });
+    let text = said(&identify(&format!("{DATA}{keys}"), &wrong).unwrap());
+    assert!(text.contains("row 11 does not fit the others: measured"), "{text}");
+    let right = changed(60, 7, |_, y| y);
+    let text = said(&identify(&format!("{DATA}{keys}"), &right).unwrap());
+    assert!(!text.contains("does not fit"), "{text}");
+    let copied: String =
+        right.clone() + &right.lines().skip(1).take(20).map(|l| format!("{l}\n")).collect::<String>();
+    let text = said(&identify(&format!("{DATA}{keys}"), &copied).unwrap());
+    assert!(
+        text.contains("rows 61, 62, 63, 64, 65, 66, 67, 68 and 12 more repeat inputs and output"),
+        "{text}"
+    );
+}
+
+#[test]
+fn few_points_give_a_model_without_folds_and_say_so() {
+    let keys = "[model]\nstructure = { name = \"gaussian_process\", starts = 2 }\n";
+    let found = identify(&format!("{DATA}{keys}"), &table(7, 8)).unwrap();
+    let text = said(&found);
+    assert!(text.contains("the folds cannot be learnt: without fold 1 of 5 (5 points are left)"), "{text}");
+}
+
+#[test]
+fn a_misspelt_structure_is_named_with_the_nearest() {
+    let keys = "[model]\nstructure = { name = \"gausian_process\" }\n";
+    let text = identify(&format!("{DATA}{keys}"), &table(60, 8)).unwrap_err();
+    assert!(text.contains("`gausian_process`") && text.contains("gaussian_process`"), "{text}");
+    assert!(!text.contains("estimator"), "{text}");
+}

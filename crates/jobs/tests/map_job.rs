@@ -316,6 +316,10 @@ fn maps_have_the_breakpoints_and_steps_of_an_ecu() {
     let whole = |v: f64| (v - v.round()).abs() < 1e-9;
     for c in &found.cells {
         assert!(whole(c.optimum.x[2] / 0.05) && whole(c.optimum.x[3] / 0.1), "{:?}", c.optimum.x);
+        // As short as the steps are.
+        for v in &c.optimum.x[2..] {
+            assert!(format!("{v}").split('.').nth(1).is_none_or(|d| d.len() <= 2), "{v}");
+        }
     }
     let d = found.delivered.as_ref().unwrap();
     assert!(d.full_cells == 9 && d.mean_loss > -0.01 && d.mean_loss <= d.largest_loss, "{d:?}");
@@ -400,6 +404,22 @@ fn a_bed_measures_the_day_from_files() {
     };
     let e = wrong(good.replacen("\n2,", "\n99,", 1));
     assert!(e.contains("points01.csv, line 2") && e.contains("99"), "{e}");
+    // What can be said without running the day, `--check` says.
+    let e = work::given(&job).unwrap_err().to_string();
+    assert!(e.contains("points01.csv, line 2") && e.contains("99"), "{e}");
+    let heat = good.lines().next().unwrap().split(',').position(|h| h == "heat [K]").unwrap();
+    let huge = |(k, line): (usize, &str)| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if k == 3 {
+            cells[heat] = "6e300";
+        }
+        cells.join(",")
+    };
+    let e = wrong(good.lines().enumerate().map(huge).collect::<Vec<_>>().join("\n"));
+    assert!(e.contains("points01.csv, line 4, column `heat`: found 6e300"), "{e}");
+    write(&first, good.clone());
+    let given = work::given(&job).unwrap();
+    assert_eq!(given.len(), asked.len(), "{given:?}");
     let e = wrong(good.replacen("heat [K]", "heat [degC]", 1).replacen("knock", "nock", 1));
     assert!(e.contains("knock"), "{e}");
     // Another unit of time is another unit: 20 min apart, and the next file begins before this one ends.

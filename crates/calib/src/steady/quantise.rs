@@ -18,6 +18,15 @@ pub fn quantise(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>]) -> Ce
     if setting.better(&far, &near) { far } else { near }
 }
 
+/// The multiple n of a step in as many decimals as the step has: 7 times 0.1 is 0.7, not 0.7000000000000001.
+fn multiple(n: f64, step: f64) -> f64 {
+    let decimals = format!("{step}").split_once('.').map_or(0, |(_, after)| after.len());
+    let exact = n * step;
+    let short: f64 = format!("{exact:.decimals$}").parse().unwrap_or(exact);
+    // A step such as 1/3 has no end: then the product is as good.
+    if (short - exact).abs() <= 4.0 * f64::EPSILON * exact.abs() { short } else { exact }
+}
+
 /// Values of an input without a step that are tried where rounding the others leaves no setting within all limits.
 const PLACES: usize = 40;
 
@@ -35,7 +44,7 @@ fn nearby(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>], places: usi
         let (below, above) = ((x / step).floor(), (x / step).ceil());
         let mut all: Vec<f64> = [nearest, below, above, below - 1.0, above + 1.0]
             .iter()
-            .map(|n| n * step)
+            .map(|n| multiple(*n, step))
             .filter(|v| *v >= range.lower - 1e-9 * step && *v <= range.upper + 1e-9 * step)
             .collect();
         let mut seen = Vec::new();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
-use dynocal_jobs::map::{MapError, estimate::estimate, job, run as calibrate};
+use dynocal_jobs::map::{MapError, estimate::estimate, job, run as calibrate, work};
 
 use super::Verb;
 use crate::common::{Check, Common, show_plan};
@@ -28,14 +28,20 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Map::from_arg_matches(matches)?;
     let progress = args.common.start()?;
     let job = job::read(&args.spec, &args.common.overrides())?;
-    let plan = estimate(&job);
+    let mut plan = estimate(&job);
     if args.plan.check {
+        for (file, points) in work::given(&job)? {
+            plan = plan.line("measured", format!("{file}: {points} points"));
+        }
         return show_plan(&plan);
     }
     plan.allowed()?;
     let (found, folder) = match progress.during(|watch| calibrate(&job, watch)) {
         // The day is not over: a bed has to measure first.
         Err(e @ MapError::NeedsMeasurement { .. }) => {
+            if args.common.json {
+                print(&format!("{}\n", waiting(&job.name, &e)))?;
+            }
             Failure::from(e).print();
             return Ok(Exit::NotValid);
         }
@@ -51,4 +57,21 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         print(&format!("{}\n\nreport: {}\n", found.verdict, folder.path().join("report.html").display()))?;
     }
     Ok(exit(found.valid))
+}
+
+/// The state of a day that waits for a bed, as `--json` prints it in place of a summary.
+fn waiting(name: &str, e: &MapError) -> String {
+    let MapError::NeedsMeasurement { count, plan, measured, channels } = e else { return String::new() };
+    let state = serde_json::json!({
+        "schema": "dynocal/waiting",
+        "schema_version": 1,
+        "verb": "map",
+        "name": name,
+        "state": "waiting",
+        "points": count,
+        "plan": plan,
+        "measured": measured,
+        "channels": channels.split(", ").collect::<Vec<_>>(),
+    });
+    serde_json::to_string_pretty(&state).unwrap_or_default()
 }

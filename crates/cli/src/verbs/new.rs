@@ -1,4 +1,4 @@
-//! `dynocal new identify|design|calibrate --from FILE`: a commented spec with the channels of a measurement file.
+//! `dynocal new identify|design|calibrate|map --from FILE`: a commented spec with the channels of a measurement file.
 
 use std::path::{Path, PathBuf};
 
@@ -18,22 +18,22 @@ const ABOUT: &str = "Write a first spec from a measurement file: its channels, u
 
 #[derive(Args, Debug)]
 struct New {
-    /// What the spec is for: identify, design, calibrate
+    /// What the spec is for: identify, design, calibrate, map
     #[arg(value_parser = kind)]
     kind: Kind,
     /// Measurement file
     #[arg(long, value_name = "FILE")]
     from: PathBuf,
-    /// Spec to write; without it the name of the file in this folder: FILE.toml (identify), FILE-design.toml, FILE-calibrate.toml
+    /// Spec to write; without it the name of the file in this folder: FILE.toml (identify), FILE-design.toml, FILE-calibrate.toml, FILE-map.toml
     #[arg(long, value_name = "SPEC")]
     to: Option<PathBuf>,
-    /// Output (calibrate: what is demanded); may be repeated; without it the last channel that moves
+    /// Output (calibrate, map: what is demanded); may be repeated; without it the last channel that moves
     #[arg(long, value_name = "NAME")]
     output: Vec<String>,
     /// Input; may be repeated; without it every other channel that moves
     #[arg(long, value_name = "NAME")]
     input: Vec<String>,
-    /// calibrate: operating channel that the bed imposes; may be repeated; without it speed
+    /// calibrate, map: operating channel that the bed imposes; may be repeated; without it speed
     #[arg(long, value_name = "NAME")]
     given: Vec<String>,
     /// design: stored model; may be repeated

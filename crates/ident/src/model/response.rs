@@ -211,6 +211,14 @@ pub enum ResponseError {
         /// What is allowed.
         expected: String,
     },
+    /// An output that a transform is not made for.
+    #[error("stepwise_polynomial: this `transform` is for {expected}, and an output is {found}")]
+    Domain {
+        /// What it is for.
+        expected: String,
+        /// The first output that is not.
+        found: f64,
+    },
     /// It would take too much memory.
     #[error(
         "{model}: {points} points would take {mebibytes} MiB, at most {most} points are taken exactly; raise `{key}` or let it choose inducing points"
@@ -226,6 +234,18 @@ pub enum ResponseError {
         most: usize,
         /// Key that allows more.
         key: &'static str,
+    },
+    /// The points that are left without one fold do not fit the task.
+    #[error("without fold {fold} of {folds} ({points} points are left): {source}")]
+    Fold {
+        /// Fold, counted from 1.
+        fold: usize,
+        /// Number of folds.
+        folds: usize,
+        /// Points that are left.
+        points: usize,
+        /// Why nothing can be learnt from them.
+        source: Box<ResponseError>,
     },
     /// No start of the search gave a model.
     #[error("{model} of `{output}`: no start gave a positive definite matrix")]

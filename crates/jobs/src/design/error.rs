@@ -66,6 +66,14 @@ pub enum DesignJobError {
         /// Of the model.
         expected: String,
     },
+    /// A model of present values.
+    #[error(
+        "{model}: found a steady model, expected a dynamic one: a test signal is designed for what a record in time tells; the points of steady models are planned by `dynocal map`"
+    )]
+    Steady {
+        /// Model.
+        model: String,
+    },
     /// A model for another sample time.
     #[error("{model}: found sample_time_s = {found} in the spec, expected {expected} s, that of the model")]
     SampleTime {

@@ -38,6 +38,9 @@ pub(super) fn of_file(
     let shown = path.display().to_string();
     let fault = |source: StoredError| DesignJobError::Stored { file: shown.clone(), source };
     file.check().map_err(fault)?;
+    if file.is_steady() {
+        return Err(DesignJobError::Steady { model: shown });
+    }
     same_time(&shown, job.sample_time_s, file.sample_time_s)?;
     same_units(&shown, job, &file)?;
     let way = file.pointwise().map_err(fault)?;

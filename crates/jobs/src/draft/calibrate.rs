@@ -8,10 +8,10 @@ use super::file::{Found, FoundChannel, named};
 use super::{Draft, DraftError, Wishes, quoted, rounded};
 
 /// Roles of the channels.
-struct Roles<'a> {
-    inputs: Vec<&'a FoundChannel>,
-    given: Vec<&'a FoundChannel>,
-    demands: Vec<&'a FoundChannel>,
+pub(super) struct Roles<'a> {
+    pub(super) inputs: Vec<&'a FoundChannel>,
+    pub(super) given: Vec<&'a FoundChannel>,
+    pub(super) demands: Vec<&'a FoundChannel>,
 }
 
 pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, DraftError> {
@@ -28,6 +28,21 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
     let (fuel, derive) = objective(&roles);
     let _ = write!(out, "minimise = [{{ channel = {}, weight = 1.0 }}]\n{derive}", quoted(&fuel));
     notes.push(format!("`{fuel}` is minimised: write what should be."));
+    problem(&roles, &mut out, &mut notes);
+    let start: Vec<String> =
+        roles.inputs.iter().map(|c| format!("{} = {}", c.name, rounded(c.mean, c.mean < 0.0))).collect();
+    let _ = write!(out, "\n[excite]\nstart = {{ {} }}   # means of the file\n", start.join(", "));
+    let rows = format!(
+        "\n# Steady points of the static map that the dynamic one is compared with.\n[validate.static_map]\ndemand = [{}]\ngiven = [{}]\n",
+        thirds(roles.demands[0]),
+        thirds(roles.given[0])
+    );
+    out.push_str(&rows);
+    Ok(Draft { text: out, notes })
+}
+
+/// Tables of inputs, given channels, demands and loops.
+pub(super) fn problem(roles: &Roles<'_>, out: &mut String, notes: &mut Vec<String>) {
     for c in &roles.inputs {
         let _ = write!(
             out,
@@ -52,7 +67,7 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
             );
         }
     }
-    for (d, i) in pairs(&roles) {
+    for (d, i) in pairs(roles) {
         let _ = write!(
             out,
             "\n[[loops]]                    # which input holds which demand; gains are found on the bed\noutput = {}\ninput = {}\n",
@@ -64,20 +79,10 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
             d.name, i.name
         ));
     }
-    let start: Vec<String> =
-        roles.inputs.iter().map(|c| format!("{} = {}", c.name, rounded(c.mean, c.mean < 0.0))).collect();
-    let _ = write!(out, "\n[excite]\nstart = {{ {} }}   # means of the file\n", start.join(", "));
-    let rows = format!(
-        "\n# Steady points of the static map that the dynamic one is compared with.\n[validate.static_map]\ndemand = [{}]\ngiven = [{}]\n",
-        thirds(roles.demands[0]),
-        thirds(roles.given[0])
-    );
-    out.push_str(&rows);
-    Ok(Draft { text: out, notes })
 }
 
 /// Which input holds which demand: the throttle torque and the injected mass lambda where they are there, others in order.
-fn pairs<'a>(r: &Roles<'a>) -> Vec<(&'a FoundChannel, &'a FoundChannel)> {
+pub(super) fn pairs<'a>(r: &Roles<'a>) -> Vec<(&'a FoundChannel, &'a FoundChannel)> {
     const USUAL: [(&str, &str); 2] = [("torque", "throttle"), ("lambda", "inj")];
     let mut free = r.inputs.clone();
     let usual =
@@ -98,7 +103,7 @@ fn thirds(c: &FoundChannel) -> String {
     format!("{}, {}, {}", at(0.25), at(0.5), at(0.75))
 }
 
-fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, DraftError> {
+pub(super) fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, DraftError> {
     let lacks = |found: String, expected: &str| DraftError::Lacks {
         file: f.file.clone(),
         found,
@@ -126,7 +131,7 @@ fn roles<'a>(f: &'a Found, wishes: &Wishes) -> Result<Roles<'a>, DraftError> {
 }
 
 /// What is minimised: fuel from an injected mass and the speed where both are there, else the first input.
-fn objective(r: &Roles<'_>) -> (String, String) {
+pub(super) fn objective(r: &Roles<'_>) -> (String, String) {
     let injected = r.inputs.iter().find(|c| c.unit == "mg");
     let speed = r.given.iter().find(|c| c.unit == "rpm");
     match (injected, speed) {

@@ -8,6 +8,7 @@ mod calibrate;
 mod design;
 mod file;
 mod identify;
+mod map;
 
 use std::path::{Path, PathBuf};
 
@@ -26,12 +27,18 @@ pub enum Kind {
     Design,
     /// A spec of `calibrate` on a bed.
     Calibrate,
+    /// A spec of `map` on a bed.
+    Map,
 }
 
 impl Kind {
     /// All kinds with their names.
-    pub const ALL: [(&'static str, Kind); 3] =
-        [("identify", Kind::Identify), ("design", Kind::Design), ("calibrate", Kind::Calibrate)];
+    pub const ALL: [(&'static str, Kind); 4] = [
+        ("identify", Kind::Identify),
+        ("design", Kind::Design),
+        ("calibrate", Kind::Calibrate),
+        ("map", Kind::Map),
+    ];
 
     /// Name of the job.
     pub fn name(self) -> &'static str {
@@ -48,11 +55,11 @@ pub struct Wishes {
     pub format: Option<Format>,
     /// The dialect of a CSV file as a spec says it: keys of `data.csv`, as in [`Wishes::read`].
     pub dialect: Option<String>,
-    /// Outputs (for `calibrate`: what is demanded); the last channel that moves where none are named.
+    /// Outputs (for `calibrate` and `map`: what is demanded); the last channel that moves where none are named.
     pub outputs: Vec<String>,
     /// Inputs; every other channel that moves where none are named.
     pub inputs: Vec<String>,
-    /// Imposed channels, for `calibrate`; `speed` where none are named.
+    /// Imposed channels, for `calibrate` and `map`; `speed` where none are named.
     pub given: Vec<String>,
     /// Sample time in s of a file without time stamps.
     pub sample_time_s: Option<f64>,
@@ -112,6 +119,7 @@ pub fn draft(kind: Kind, file: &Path, folder: &Path, wishes: &Wishes) -> Result<
         Kind::Identify => identify::text(&found, &path, wishes),
         Kind::Design => design::text(&found, &path, folder, wishes),
         Kind::Calibrate => calibrate::text(&found, &path, wishes),
+        Kind::Map => map::text(&found, &path, wishes),
     }
 }
 

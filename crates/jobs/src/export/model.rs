@@ -78,7 +78,11 @@ pub fn model(stored: &StoredModel) -> Result<Made, ModelFault> {
     });
     let mut package = Package {
         name: format!("{}_model", dynocal_export::characteristic::identifier(&user.name)),
-        description: format!("Model of {} as a free run", user.name),
+        description: if stored.is_steady() {
+            format!("Steady model of {} from its present inputs", user.name)
+        } else {
+            format!("Model of {} as a free run", user.name)
+        },
         provenance: Provenance { validity: validity.collect(), ..Default::default() },
         program: Some(growing.build.program),
         ..Default::default()

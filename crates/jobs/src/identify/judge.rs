@@ -63,9 +63,38 @@ fn of_bands(m: &Modelled) -> Option<Finding> {
     (u.coverage < NARROW).then(|| Finding::new(Grade::Warning, m.target.as_str(), text))
 }
 
+/// Share of the variance of held-out points, in percent, below which little of them is told.
+const LITTLE: f64 = 5.0;
+
+/// What points say that had no part in a response model.
+fn of_signal(m: &Modelled) -> Option<Finding> {
+    let p = m.points.as_ref()?;
+    let number = |v: f64| dynocal_report::significant(v, 3);
+    let ((rmse, how), mean) = (p.held_out(), p.of_the_mean());
+    let errors = format!("RMSE {} against {}", number(rmse), number(mean));
+    let (grade, text) = match p.held_out_r2_percent() {
+        _ if rmse >= mean => {
+            let text = format!(
+                "points held out {how} are predicted no better than by the mean of the others ({errors}): nothing that these inputs explain was found"
+            );
+            (Grade::Fault, text)
+        }
+        r2 if r2 < LITTLE => {
+            let text = format!(
+                "points held out {how} are predicted hardly better than by the mean of the others ({errors}): little that these inputs explain was found"
+            );
+            (Grade::Warning, text)
+        }
+        _ => return None,
+    };
+    Some(Finding::new(grade, m.target.as_str(), text))
+}
+
 /// What stability, coverage and bands say of a model.
 pub fn of_model(m: &Modelled) -> Vec<Finding> {
-    let mut out: Vec<Finding> = of_bands(m).into_iter().collect();
+    let mut out: Vec<Finding> = of_signal(m).into_iter().chain(of_bands(m)).collect();
+    let warnings = m.points.iter().flat_map(|p| &p.warnings);
+    out.extend(warnings.map(|w| Finding::new(Grade::Warning, m.target.as_str(), w.as_str())));
     if let Some(s) = m.after.stability.as_ref().filter(|s| s.share_diverged > 0.0) {
         let grade = if s.share_diverged > UNSTABLE { Grade::Fault } else { Grade::Warning };
         let text = format!(

@@ -25,6 +25,37 @@ pub struct PointsPage {
     pub scores: ScorePage,
     /// Candidates side by side, where there were several.
     pub choice: Option<Choice>,
+    /// What an engineer should look at: points that do not fit the others, copies, inputs that follow from each other, folds that
+    /// could not be learnt.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+}
+
+impl PointsPage {
+    /// Root mean square error of points that had no part in the fit, and how they were held out: by the folds of a choice, by folds,
+    /// or one at a time with the structure kept.
+    pub fn held_out(&self) -> (f64, &'static str) {
+        match (&self.choice, &self.scores.folds) {
+            (Some(c), _) => (c.nested_rmse, "in folds (the choice included)"),
+            (None, Some(f)) => (f.rmse, "in folds"),
+            (None, None) => (self.scores.left_out.rmse, "one at a time"),
+        }
+    }
+
+    /// Root mean square error of each point predicted by the mean of the others.
+    pub fn of_the_mean(&self) -> f64 {
+        let y = &self.scores.measured;
+        let n = y.len() as f64;
+        let mean = y.iter().sum::<f64>() / n;
+        let squares = y.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        (squares / n).sqrt() * n / (n - 1.0)
+    }
+
+    /// `1 - mean squared error held out / variance`, in percent.
+    pub fn held_out_r2_percent(&self) -> f64 {
+        let n = self.scores.measured.len() as f64;
+        100.0 * (1.0 - (self.held_out().0 / self.of_the_mean() * n / (n - 1.0)).powi(2))
+    }
 }
 
 /// The page of a model that has just been learnt; none for other structures and for models from a file.
@@ -65,12 +96,22 @@ fn page(
         watch.note(&format!("{}: {} folds", t.target, job.validate.folds));
         let kind = learner(&form.learner().name, &form.learner().keys)?;
         let count = job.validate.folds;
-        Some(by_folds(&*kind, own, count, FoldKind::Interleaved, watch.interrupt).map_err(learning)?)
+        Some(by_folds(&*kind, own, count, FoldKind::Shuffled, watch.interrupt))
     } else {
         None
     };
+    let mut warnings = own.warnings(&learnt.left_out);
+    // What folds cannot tell is no reason to give no model.
+    let folds = match folds {
+        Some(Err(e)) => {
+            warnings.push(format!("nothing is known of held-out points, as the folds cannot be learnt: {e}"));
+            None
+        }
+        Some(Ok(folds)) => Some(folds),
+        None => None,
+    };
     let scores = score_learnt(model, &learnt.left_out, own, unseen, folds, Vec::new());
-    Ok(Some(PointsPage { scores, choice: learnt.choice.clone() }))
+    Ok(Some(PointsPage { scores, choice: learnt.choice.clone(), warnings }))
 }
 
 fn learning(e: impl Into<ResponseError>) -> EstimateError {

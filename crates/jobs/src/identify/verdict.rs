@@ -33,8 +33,51 @@ fn telling<'a>(found: &'a Identified, m: &Modelled) -> Option<&'a Score> {
         .or_else(|| found.scores.iter().rev().find(|s| s.output == m.target))
 }
 
+/// A response model without unseen points: those that were held out say more than those that it was learnt from.
+fn held_out(m: &Modelled, p: &PointsPage, s: &Score) -> String {
+    let (unit, number) = (UnitAfter(&m.unit), |v: f64| dynocal_report::significant(v, 3));
+    let ((rmse, how), r2) = (p.held_out(), p.held_out_r2_percent());
+    let mut text = format!(
+        "The model of {} {} on points that were held out {how}: RMSE {}{unit}, which explains {} % of their variance; there are no \
+         unseen ones.",
+        m.target,
+        size(r2),
+        number(rmse),
+        percent(r2)
+    );
+    if let Some(own) = s.rmse {
+        text += &format!(" On the points that it was learnt from: RMSE {}{unit}.", number(own));
+    }
+    text + &bands(p, &m.unit)
+}
+
+fn size(r2: f64) -> &'static str {
+    if r2 < POOR {
+        "is poor"
+    } else if r2 < CLOSE {
+        "follows"
+    } else {
+        "is close"
+    }
+}
+
+/// A share of the variance, with as many digits as it takes to tell it from all of it and from nothing.
+fn percent(r2: f64) -> String {
+    let rest = 100.0 - r2;
+    if (1e-4..0.5).contains(&rest) {
+        return format!("{r2:.*}", (-rest.log10().floor()).max(1.0) as usize);
+    }
+    if rest < 1e-4 {
+        return if rest > 0.0 { "more than 99.9999".into() } else { "100".into() };
+    }
+    if r2.abs() < 0.01 { "0".into() } else { dynocal_report::significant(r2, 3) }
+}
+
 fn target(found: &Identified, m: &Modelled) -> String {
     let Some(s) = telling(found, m) else { return format!("The model of {} has no score.", m.target) };
+    if let (Some(p), true) = (&m.points, s.data == Seen::Identification) {
+        return held_out(m, p, s);
+    }
     let things = if found.steady { "points" } else { "records" };
     let on = match s.data {
         Seen::Unseen => format!("the unseen {things} ({})", s.part),
@@ -47,22 +90,15 @@ fn target(found: &Identified, m: &Modelled) -> String {
         _ => "one step ahead",
     };
     let (Some(rmse), Some(r2)) = (s.rmse, s.r2_percent) else {
-        return format!("The model of {} diverges on {on}.", m.target);
+        let what = if found.steady { "has no finite value" } else { "diverges" };
+        return format!("The model of {} {what} on {on}.", m.target);
     };
     let number = |v: f64| dynocal_report::significant(v, 3);
-    let size = if s.outside {
-        "is useless"
-    } else if r2 < POOR {
-        "is poor"
-    } else if r2 < CLOSE {
-        "follows"
-    } else {
-        "is close"
-    };
+    let size = if s.outside { "is useless" } else { size(r2) };
     let mut text = format!(
         "The model of {} {size} on {on}: {how} it explains {} % of the variance, RMSE {}{}",
         m.target,
-        number(r2),
+        percent(r2),
         number(rmse),
         UnitAfter(&m.unit)
     );

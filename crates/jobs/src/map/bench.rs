@@ -239,6 +239,7 @@ impl<'a> OnBed<'a> {
             ..dataset::Layout::default()
         };
         let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
+        in_size(&table, &all)?;
         let stamps = self.times(&table)?;
         let rows = self.rows(&table, tasks.len())?;
         let mut points = Vec::new();
@@ -353,6 +354,57 @@ pub(super) fn variables(
         all.push(output(name, &unit.or(of_file).unwrap_or_else(|| "-".into())));
     }
     Ok(all)
+}
+
+/// Values beyond this size are faults of a record: no channel of a bed has them in any unit.
+const LARGEST: f64 = 1e12;
+
+/// Refuses values that no channel of a bed has.
+fn in_size(table: &Table, all: &Dataset) -> Result<(), MapError> {
+    for c in &all.channels {
+        if let Some(row) = c.values.iter().position(|v| v.abs() > LARGEST) {
+            return Err(MapError::Record(format!(
+                "{}, {}, column `{}`: found {:e}, expected a number below {LARGEST:e} in size",
+                table.file,
+                table.place(row),
+                c.name,
+                c.values[row]
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Reads what is measured so far of a day on a bed, as far as it can be read without running the day: files with their points.
+pub(super) fn given(
+    layout: &Layout,
+    folder: &Path,
+    batches: usize,
+) -> Result<Vec<(String, usize)>, MapError> {
+    let mut bed = OnBed::new(layout, folder, Vec::new());
+    let names = (1..=batches).map(|k| format!("points{k:02}")).chain(["verify".to_string()]);
+    let mut out = Vec::new();
+    for name in names {
+        for file in measurement::called(&OnBed::measured(folder), &name) {
+            let table = dataset::read_table(&file, None)?;
+            let layout = dataset::Layout {
+                channels: bed.channels(),
+                time: Time::Steady,
+                missing: Missing::Mark,
+                ..dataset::Layout::default()
+            };
+            let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
+            in_size(&table, &all)?;
+            let asked = dataset::read_table(&folder.join(format!("{name}.csv")), None)
+                .map_or(table.rows(), |t| t.rows());
+            bed.rows(&table, asked)?;
+            if let Some(times) = bed.times(&table)? {
+                bed.used_s = times.iter().copied().fold(bed.used_s, f64::max);
+            }
+            out.push((file.display().to_string(), table.rows()));
+        }
+    }
+    Ok(out)
 }
 
 /// One row of a table of points.

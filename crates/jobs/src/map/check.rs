@@ -1,5 +1,7 @@
 //! Faults of a spec of a steady calibration that its types cannot show.
 
+use std::collections::BTreeMap;
+
 use dynocal_design::points::MOST_DIMENSIONS;
 use dynocal_files::spec::Faults;
 use dynocal_ident::model::response::learner;
@@ -83,6 +85,44 @@ fn front(s: &MapSpec, faults: &mut Faults) {
             "something else than what is minimised",
         );
     }
+    let other = |m: &&str| **m != f.against;
+    if let [one] = s.problem.minimise.iter().map(|m| m.channel.as_str()).filter(other).collect::<Vec<_>>()[..]
+        && s.problem.minimise.len() == 1
+        && same_in_a_cell(s, one, &f.against)
+    {
+        faults.push(
+            "optimise.front.against",
+            format!("`{}`, which is a multiple of `{one}` in every cell", f.against),
+            "something that can be traded against what is minimised",
+        );
+    }
+}
+
+/// Whether two channels are the same powers of what moves within a cell: one is then a multiple of the other there.
+fn same_in_a_cell(s: &MapSpec, a: &str, b: &str) -> bool {
+    let fixed: Vec<String> = s.problem.demand_names().into_iter().chain(s.problem.given_names()).collect();
+    let powers = |name: &str| {
+        let mut found = powers_of(s, name, 0);
+        found.retain(|channel, power| *power != 0 && !fixed.contains(channel));
+        found
+    };
+    let (a, b) = (powers(a), powers(b));
+    !a.is_empty() && a == b
+}
+
+/// A channel as a product of powers of channels that do not follow from others.
+fn powers_of(s: &MapSpec, name: &str, depth: usize) -> BTreeMap<String, i64> {
+    let derived = s.problem.derive.iter().find(|d| d.name == name);
+    let Some(d) = derived.filter(|_| depth <= s.problem.derive.len()) else {
+        return BTreeMap::from([(name.to_string(), 1)]);
+    };
+    let mut all = BTreeMap::new();
+    for (channel, power) in &d.powers {
+        for (base, p) in powers_of(s, channel, depth + 1) {
+            *all.entry(base).or_insert(0) += i64::from(*power) * p;
+        }
+    }
+    all
 }
 
 /// Breakpoints and steps of the ECU.

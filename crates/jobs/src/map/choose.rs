@@ -39,7 +39,7 @@ pub(super) fn choose(
     let (mut rmse, mut same) = (errors[chosen], 0);
     if nested {
         let mut squares = 0.0;
-        let outer = folds(points.len(), count, FoldKind::Interleaved);
+        let outer = folds(points, count, FoldKind::Interleaved);
         for held in &outer {
             let part = without(points, held);
             let (inner, _) = least(kinds, &part, count, interrupt)?;
@@ -78,7 +78,7 @@ fn widen(
 ) -> Result<f64, ResponseError> {
     let mut at = Prediction::new(points.dim());
     let mut shares = Vec::new();
-    for held in folds(points.len(), count, FoldKind::Interleaved) {
+    for held in folds(points, count, FoldKind::Interleaved) {
         let learnt = kind.learn(&without(points, &held), interrupt)?;
         for i in held {
             learnt.model.predict(points.row(i), Ask::Variance, &mut at);
@@ -98,7 +98,7 @@ fn least(
     count: usize,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<(usize, Vec<f64>), ResponseError> {
-    let parts = folds(points.len(), count, FoldKind::Interleaved);
+    let parts = folds(points, count, FoldKind::Interleaved);
     let (mut errors, mut why) = (Vec::new(), None);
     for (_, kind) in kinds {
         let each =

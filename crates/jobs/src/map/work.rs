@@ -78,6 +78,21 @@ fn on_bed(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
     day.run(&mut bed, watch)
 }
 
+/// Reads what a bed has measured so far, without running the day: files with the number of their points. Nothing on other plants.
+///
+/// # Errors
+/// [`MapError`] with file, line and column of what cannot be taken.
+pub fn given(job: &Job) -> Result<Vec<(String, usize)>, MapError> {
+    let spec = &job.spec;
+    if spec.plant.name != "bed" {
+        return Ok(Vec::new());
+    }
+    let variables = bench::variables(&spec.problem, spec.optimise.front.as_ref(), &job.out)?;
+    let layout = layout(spec, &axes(spec), None, &variables)?;
+    // No day has more batches than points.
+    bench::given(&layout, &job.out, spec.bed.points)
+}
+
 /// What a day begins with.
 struct Day<'a> {
     job: &'a Job,

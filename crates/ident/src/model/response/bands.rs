@@ -1,33 +1,35 @@
 //! Bands that count what the choice of a structure took from the noise, and what the structure cannot follow.
 //!
-//! The structure (splits, functions) is chosen anew without each of ten folds; the slope of the splits and the width of the
-//! functions are kept. With r_i the residual of the model of all points, e_i that of the model without the fold of point i, and
-//! v_i = c_i'C c_i the variance of that model at the point for a noise of one:
+//! The structure (splits; functions and their width) is chosen anew without each of ten folds; the slope of the splits and the number
+//! of local models are kept. With e_i the residual of the model without the fold of point i, and v_i = c_i'C c_i the variance of that
+//! model at the point for a noise of one:
 //!
 //! ```text
-//! noise       a = mean r_i e_i
-//! response    b v(z),   b with  mean e_i^2 / (a + b v_i) = 1
+//! noise       a
+//! response    b v(z),   a, b = argmax  sum_i log N(e_i; 0, a + b v_i)
 //! ```
 //!
-//! For a linear smoother of known structure, r_i = (1 - h_i) e_i and var e_i = a / (1 - h_i), so that r_i e_i has the mean a
-//! whatever the leverage h_i is; a choice that follows the noise takes from r_i what they add to e_i. Both variances are never
-//! below those that hold for a known structure. What the structure cannot follow counts as noise where it changes from point to
-//! point, and as variance of the response where a model without the point misses it.
+//! At the maximum the mean of e_i^2 / (a + b v_i) is one. For a known structure b = a. Neither is below the noise that holds for a
+//! known structure. What the structure cannot follow counts as noise where it changes from point to point, and as variance of the
+//! response where a model without the point misses it. Both are estimated together: a b for a given a has to carry all that the a
+//! leaves out, also where v is nearly zero, and bands at the edge would be many times too wide.
 //!
 //! Sources: S. Geisser, The predictive sample reuse method with applications, JASA 70 (1975), 320-328; J. Ye, On measuring and
 //! correcting the effects of data mining and model selection, JASA 93 (1998), 120-131.
 
-use dynocal_numerics::rng::Rng64;
 use rayon::prelude::*;
 
 use super::features::{Coefficients, Features};
+use super::score::shuffled;
 
 /// Folds without which the structure is chosen.
 const FOLDS: usize = 10;
 /// Stream of the generator that deals the points to the folds.
 const DEAL: u64 = 5 << 32;
-/// Most steps of the bisection for b, each of a factor of two at first.
-const STEPS: usize = 60;
+/// Ratios b / a among which the likeliest is sought, in so many steps of their logarithm, and narrowings of the last interval.
+const RATIOS: [f64; 2] = [1e-3, 1e4];
+const GRID: usize = 40;
+const NARROWINGS: usize = 40;
 
 /// Variances in units of the scaled output.
 #[derive(Clone, Copy, Debug)]
@@ -74,22 +76,20 @@ pub(super) struct Refit {
     pub(super) noise: f64,
 }
 
-/// Learns from scaled inputs and outputs.
-type Learner<'a> = dyn Fn(&[f64], &[f64]) -> Option<Refit> + Sync + 'a;
+/// Learns without a fold (its number, from 0), from the scaled inputs and outputs of the other points.
+type Learner<'a> = dyn Fn(usize, &[f64], &[f64]) -> Option<Refit> + Sync + 'a;
 
 /// Residual of a point that a model has not seen, and the variance of that model there for a noise of one.
 struct Unseen {
-    row: usize,
     error: f64,
     variance: f64,
 }
 
-/// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each fold
-/// in turn; `known` is the noise and `residuals` are those of the model of all points. After an interrupt, or where nothing can
+/// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each of
+/// the folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or where nothing can
 /// be left out, the structure counts as known.
 pub(super) fn calibrate(
     known: f64,
-    residuals: &[f64],
     (z, y): (&[f64], &[f64]),
     refit: &Learner<'_>,
     interrupt: &dyn Fn() -> bool,
@@ -99,30 +99,30 @@ pub(super) fn calibrate(
         return plain;
     }
     let parts: Vec<Option<Vec<Unseen>>> =
-        dealt(y.len()).par_iter().map(|held| without(held, z, y, refit)).collect();
+        dealt(y.len()).par_iter().enumerate().map(|(k, held)| without((k, held), z, y, refit)).collect();
     let grown = parts.iter().flatten().count();
     let unseen: Vec<Unseen> = parts.into_iter().flatten().flatten().collect();
     if grown < 2 || unseen.is_empty() {
         return plain;
     }
-    let count = unseen.len() as f64;
-    let noise = (unseen.iter().map(|u| residuals[u.row] * u.error).sum::<f64>() / count).max(known);
-    Bands { noise, response: response(&unseen, noise, known), known, folds: grown }
+    let (noise, response) = likeliest(&unseen, known);
+    Bands { noise, response, known, folds: grown }
 }
 
 /// Rows of each fold, dealt by a seeded shuffle: tables often have an order.
-fn dealt(n: usize) -> Vec<Vec<usize>> {
-    let mut rows: Vec<usize> = (0..n).collect();
-    let mut rng = Rng64::stream(0, DEAL);
-    for i in (1..n).rev() {
-        rows.swap(i, rng.below(i + 1));
-    }
+pub(super) fn dealt(n: usize) -> Vec<Vec<usize>> {
+    let rows = shuffled(n, DEAL);
     let count = FOLDS.min(n);
     (0..count).map(|k| rows.iter().skip(k).step_by(count).copied().collect()).collect()
 }
 
 /// The points of a fold under a model that is learnt without them.
-fn without(held: &[usize], z: &[f64], y: &[f64], refit: &Learner<'_>) -> Option<Vec<Unseen>> {
+fn without(
+    (fold, held): (usize, &[usize]),
+    z: &[f64],
+    y: &[f64],
+    refit: &Learner<'_>,
+) -> Option<Vec<Unseen>> {
     let d = z.len() / y.len().max(1);
     let mut out = vec![false; y.len()];
     held.iter().for_each(|i| out[*i] = true);
@@ -132,36 +132,40 @@ fn without(held: &[usize], z: &[f64], y: &[f64], refit: &Learner<'_>) -> Option<
     }
     let inputs: Vec<f64> = rest.iter().flat_map(|i| z[i * d..(i + 1) * d].iter().copied()).collect();
     let outputs: Vec<f64> = rest.iter().map(|i| y[*i]).collect();
-    let Refit { features, coefficients, noise } = refit(&inputs, &outputs)?;
+    let Refit { features, coefficients, noise } = refit(fold, &inputs, &outputs)?;
     let Coefficients { values, covariance, .. } = coefficients;
     let mut c = vec![0.0; values.len()];
     let each = held.iter().map(|i| {
         features.values(&z[i * d..(i + 1) * d], &mut c, &mut []);
         let dot = |row: &[f64]| row.iter().zip(&c).map(|(a, b)| a * b).sum::<f64>();
         let whole: f64 = covariance.chunks_exact(c.len()).zip(&c).map(|(row, c)| c * dot(row)).sum();
-        Unseen { row: *i, error: y[*i] - dot(&values), variance: whole / noise.max(f64::MIN_POSITIVE) }
+        Unseen { error: y[*i] - dot(&values), variance: whole / noise.max(f64::MIN_POSITIVE) }
     });
     Some(each.collect())
 }
 
-/// b: bisection of a decreasing function, from `least` up.
-fn response(unseen: &[Unseen], noise: f64, least: f64) -> f64 {
-    let ratio = |b: f64| {
-        let each = unseen.iter().map(|u| u.error * u.error / (noise + b * u.variance).max(f64::MIN_POSITIVE));
-        each.sum::<f64>() / unseen.len() as f64
+/// a and b, neither below `known`; there is at least one point.
+fn likeliest(unseen: &[Unseen], known: f64) -> (f64, f64) {
+    let count = unseen.len() as f64;
+    // For the ratio r = b / a the best a is the mean of e_i^2 / (1 + r v_i); what is left is minimised over log r.
+    let noise = |ratio: f64| {
+        unseen.iter().map(|u| u.error * u.error / (1.0 + ratio * u.variance)).sum::<f64>() / count
     };
-    if ratio(least) <= 1.0 {
-        return least;
+    let loss = |log_ratio: f64| {
+        let ratio = log_ratio.exp();
+        let logs: f64 = unseen.iter().map(|u| (1.0 + ratio * u.variance).ln()).sum();
+        count * noise(ratio).max(f64::MIN_POSITIVE).ln() + logs
+    };
+    let [low, high] = RATIOS.map(f64::ln);
+    let step = (high - low) / GRID as f64;
+    let at = |k: usize| low + step * k as f64;
+    let best = (0..=GRID).min_by(|i, j| loss(at(*i)).total_cmp(&loss(at(*j)))).unwrap_or(0);
+    let (mut left, mut right) = ((at(best) - step).max(low), (at(best) + step).min(high));
+    for _ in 0..NARROWINGS {
+        let third = (right - left) / 3.0;
+        if loss(left + third) <= loss(right - third) { right -= third } else { left += third }
     }
-    let (mut low, mut high) = (least, noise.max(f64::MIN_POSITIVE));
-    let mut steps = 0;
-    while ratio(high) > 1.0 && steps < STEPS {
-        (low, high) = (high, 2.0 * high);
-        steps += 1;
-    }
-    for _ in 0..STEPS {
-        let middle = 0.5 * (low + high);
-        if ratio(middle) > 1.0 { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
+    let ratio = (0.5 * (left + right)).exp();
+    let noise = noise(ratio);
+    (noise.max(known), (ratio * noise).max(known))
 }

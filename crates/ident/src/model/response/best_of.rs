@@ -22,8 +22,8 @@ pub(super) const MEMBER: Member<dyn Learn> = Member {
             ParamDoc {
                 name: "held_out",
                 unit: "-",
-                default: "\"interleaved\"",
-                what: "interleaved: every k-th point; blocks: consecutive rows",
+                default: "\"shuffled\"",
+                what: "shuffled: dealt at random, repeated operating points together; interleaved: every k-th point; blocks: consecutive rows",
             },
         ],
     },

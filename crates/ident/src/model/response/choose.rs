@@ -10,6 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::points::four;
 use super::score::{FoldKind, folds, held_out};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError};
 
@@ -63,7 +64,7 @@ pub fn choose(
     let (chosen, errors) = by_one_standard_error(candidates, points, count, how, interrupt)?;
     let (mut squares, mut outer) = (0.0, Vec::new());
     let mut at = Prediction::new(points.dim());
-    for held in folds(points.len(), count, how) {
+    for held in folds(points, count, how) {
         let rest: Vec<usize> = (0..points.len()).filter(|i| !held.contains(i)).collect();
         let part = points.rows(&rest);
         let (inner, _) = by_one_standard_error(candidates, &part, count, how, interrupt)?;
@@ -88,7 +89,7 @@ fn by_one_standard_error(
     how: FoldKind,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<(usize, Vec<CandidateError>), ResponseError> {
-    let parts = folds(points.len(), count, how);
+    let parts = folds(points, count, how);
     let mut errors = Vec::new();
     // Mean squared error and its standard error.
     let mut squares: Vec<Option<(f64, f64)>> = Vec::new();
@@ -147,16 +148,19 @@ fn in_words(
     let name = &candidates[chosen].name;
     let same = outer.iter().filter(|o| *o == name).count();
     let why = if least == chosen {
-        format!("it has the least error in the folds ({:.4})", errors[chosen].rmse)
+        format!("it has the least error in the folds ({})", four(errors[chosen].rmse))
     } else {
         format!(
-            "its error in the folds ({:.4}) is within one standard error of the least ({:.4}, {}), and it is simpler",
-            errors[chosen].rmse, errors[least].rmse, candidates[least].name
+            "its error in the folds ({}) is within one standard error of the least ({}, {}), and it is simpler",
+            four(errors[chosen].rmse),
+            four(errors[least].rmse),
+            candidates[least].name
         )
     };
     format!(
         "`{output}`: {name} is taken, as {why}. The whole choice, tested on points that had no part in it, has an error of \
-         {nested_rmse:.4}; {same} of {} such tests chose the same.",
+         {}; {same} of {} such tests chose the same.",
+        four(nested_rmse),
         outer.len()
     )
 }

@@ -12,16 +12,18 @@
 //! y_i - yhat_(i) = sum_l Phi_l(i) e_l(i) / (1 - h_l(i)),   h_l(i) = Phi_l(i) x_i'(X'Phi_l X)^-1 x_i
 //! ```
 //!
-//! A split is placed where the sum of its squares is least; the tree grows as long as that sum decreases.
+//! A split is placed where the sum of its squares is least; the tree grows as long as that sum decreases. What trees that are
+//! grown anew without each fold show to be too much is taken back (`prune`).
 //!
-//! Splits that were chosen with the same points make residuals too small, so the bands are calibrated with trees that are
-//! grown anew without each of ten folds (`super::bands`).
+//! Splits that were chosen with the same points make residuals too small, so the bands are calibrated with the same trees
+//! (`super::bands`).
 //!
 //! Sources: O. Nelles, Axes-oblique partitioning strategies for local model networks, Proc. IEEE ISIC (2006), 2378-2383;
 //! B. Hartmann, O. Banfer, O. Nelles, A. Sodja, L. Teslic, I. Skrjanc, Supervised hierarchical clustering in fuzzy model
 //! identification, IEEE Trans. Fuzzy Systems 19 (2011); O. Nelles, Nonlinear System Identification (2001), chapters 12 to 14.
 
 mod grow;
+mod prune;
 mod tree;
 
 use dynocal_numerics::registry::{self, Member, MemberDoc, ParamDoc};
@@ -30,8 +32,10 @@ use serde::{Deserialize, Serialize};
 use super::bands::{self, Bands, Refit};
 use super::features::{self, Coefficients};
 use super::formula::{Part, Product};
+use super::points::counted;
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
 use grow::Grown;
+use prune::Regrown;
 pub use tree::{Leaf, Split, Tree};
 
 pub(super) const MEMBER: Member<dyn Learn> = Member {
@@ -96,18 +100,30 @@ impl Learn for LocalLinear {
         let (z, y) = (scaling.inputs(points), scaling.outputs(points));
         let none = || ResponseError::NoStart { model: "local_linear", output: points.output.clone() };
         let grown: Grown = grow::best(self, &z, &y, points.dim(), interrupt).ok_or_else(none)?;
+        let (asked, d) = (grown.tree.leaves.len(), points.dim());
+        let regrown = if interrupt() { None } else { Some(Regrown::new(self, &grown, &z, &y, d)) };
+        let kept = regrown.as_ref().map_or(asked, |r| r.leaves(&grown, &z, &y, d));
+        let grown = if kept < asked {
+            Grown::of(&grown.path[kept - 1], grown.slope, &z, &y).ok_or_else(none)?
+        } else {
+            grown
+        };
         let left_out = grown.left_out(scaling.output_std);
-        let keys = Self { steepness: vec![grown.slope], ..self.clone() };
-        let refit = |z: &[f64], y: &[f64]| {
-            let again = grow::best(&keys, z, y, points.dim(), &|| false)?;
+        let refit = |fold: usize, z: &[f64], y: &[f64]| {
+            let again = Grown::of(regrown.as_ref()?.tree(fold, kept)?, grown.slope, z, y)?;
             let coefficients = again.coefficients(Bands::UNIT);
             Some(Refit { coefficients, features: Box::new(again.tree), noise: 1.0 })
         };
-        let bands = bands::calibrate(grown.noise(), &grown.residuals(), (&z, &y), &refit, interrupt);
+        let bands = bands::calibrate(grown.noise(), (&z, &y), &refit, interrupt);
         let coefficients = grown.coefficients(bands);
         let model = LocalLinearModel { scaling, tree: grown.tree, coefficients };
         let mut notes = points.notes();
         notes.push(format!("{} of `{}`", model.describe(), points.output));
+        if kept < asked {
+            notes.push(format!(
+                "the left-out error asked for {asked} local models; trees that were grown without each fold predict it better with {kept}"
+            ));
+        }
         notes.extend(bands.note());
         Ok(Learnt::new(ResponseModel::LocalLinear(model), left_out, notes))
     }
@@ -145,6 +161,6 @@ impl Response for LocalLinearModel {
 
     fn describe(&self) -> String {
         let kind = if self.tree.quadratic { "quadratic" } else { "linear" };
-        format!("{} local {kind} models", self.tree.leaves.len())
+        counted(self.tree.leaves.len(), &format!("local {kind} model"))
     }
 }

@@ -1,7 +1,10 @@
 //! Steady points: a table without time. Rows are operating points, columns are named inputs and one output.
 
+use dynocal_numerics::linalg::{axpy, dot};
 use serde::{Deserialize, Serialize};
 
+use super::LeftOut;
+use super::scaling::{Scaling, mean_std};
 use crate::data::Dataset;
 
 /// Steady points of one output: `x` is n x d row-major, `y` has n entries.
@@ -69,8 +72,30 @@ pub enum PointsError {
         /// Points.
         points: usize,
     },
+    /// Squares of the deviations from the mean are no numbers.
+    #[error(
+        "`{channel}` spreads by {found:e} (standard deviation): its squares are too small or too large for a number; give it in another unit"
+    )]
+    Spread {
+        /// Channel.
+        channel: String,
+        /// Standard deviation.
+        found: f64,
+    },
+    /// An input follows from others.
+    #[error(
+        "input `{channel}` follows from the other inputs ({others}) at all {points} points, as a sum of multiples of them: what each does cannot be told; leave one out"
+    )]
+    Dependent {
+        /// Input.
+        channel: String,
+        /// Those that it follows from.
+        others: String,
+        /// Points.
+        points: usize,
+    },
     /// Too few points.
-    #[error("{output}: {found} points, expected at least {expected} for {inputs} inputs and {what}")]
+    #[error("{output}: {}, expected at least {expected} for {} and {what}", counted(*found, "point"), counted(*inputs, "input"))]
     TooFew {
         /// Output.
         output: String,
@@ -178,6 +203,43 @@ impl Points {
             let (channel, value, points) = (self.output.clone(), self.y[0], self.len());
             return Err(PointsError::ConstantOutput { channel, value, points });
         }
+        for (j, channel) in self.inputs.iter().enumerate() {
+            check_spread(channel, self.column(j))?;
+        }
+        check_spread(&self.output, self.y.iter().copied())
+    }
+
+    /// Checks that no input is a linear function of the others at all points, to nine digits.
+    ///
+    /// # Errors
+    /// [`PointsError::Dependent`] with the input and those that it follows from.
+    pub fn check_independent(&self) -> Result<(), PointsError> {
+        let scaling = Scaling::of(self);
+        let columns = (0..self.dim())
+            .map(|j| self.column(j).map(|x| (x - scaling.mean[j]) / scaling.std[j]).collect::<Vec<f64>>());
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        for (j, mut column) in columns.enumerate() {
+            let whole = dot(&column, &column);
+            // Twice, as one pass leaves rounding behind.
+            let mut shares = vec![0.0; basis.len()];
+            for _ in 0..2 {
+                for (share, b) in shares.iter_mut().zip(&basis) {
+                    let along = dot(b, &column);
+                    axpy(-along, b, &mut column);
+                    *share += along * along / whole;
+                }
+            }
+            let rest = dot(&column, &column);
+            if rest <= DEPENDENT * whole {
+                let of = self.inputs[..j].iter().zip(&shares).filter(|(_, s)| **s > DEPENDENT);
+                let others: Vec<String> = of.map(|(name, _)| format!("`{name}`")).collect();
+                let (channel, others) = (self.inputs[j].clone(), others.join(", "));
+                return Err(PointsError::Dependent { channel, others, points: self.len() });
+            }
+            let length = rest.sqrt();
+            column.iter_mut().for_each(|v| *v /= length);
+            basis.push(column);
+        }
         Ok(())
     }
 
@@ -223,6 +285,76 @@ impl Points {
         Replicates { groups, copies }
     }
 
+    /// The operating point of each row: equal numbers where all inputs are equal, counted by first rows.
+    pub fn operating_points(&self) -> Vec<usize> {
+        let mut first: Vec<usize> = (0..self.len()).collect();
+        for group in self.replicates().groups {
+            group.iter().for_each(|i| first[*i] = group[0]);
+        }
+        let mut number = vec![0; self.len()];
+        let mut next = 0;
+        for i in 0..self.len() {
+            if first[i] == i {
+                number[i] = next;
+                next += 1;
+            } else {
+                number[i] = number[first[i]];
+            }
+        }
+        number
+    }
+
+    /// What an engineer should look at before the points are believed: copies of rows, inputs that follow from others, and points
+    /// that lie far from what the others predict (`left_out`).
+    pub fn warnings(&self, left_out: &LeftOut) -> Vec<String> {
+        let copies = self.replicates().copies;
+        let mut out = Vec::new();
+        if !copies.is_empty() {
+            let rows = if copies.len() == 1 {
+                format!("row {} repeats", copies[0] + 1)
+            } else {
+                format!("rows {} repeat", rows_in_words(&copies))
+            };
+            out.push(format!(
+                "{rows} inputs and output of an earlier row exactly: copies of a row make the noise look smaller than it is; \
+                 take them out unless they were measured (rows of the points that it was learnt from)"
+            ));
+        }
+        out.extend(self.check_independent().err().map(|e| e.to_string()));
+        out.extend(self.suspects(left_out));
+        out
+    }
+
+    /// A sentence on points that lie both far outside of the other left-out errors and of their own standard deviation.
+    fn suspects(&self, left_out: &LeftOut) -> Option<String> {
+        let mut sizes: Vec<f64> = left_out.residuals.iter().map(|e| e.abs()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let half = *sizes.get(sizes.len() / 2)?;
+        let far = |i: usize| {
+            let (e, v) = (left_out.residuals[i].abs(), left_out.variance[i]);
+            e > FAR * half && e * e > ALONE * ALONE * v
+        };
+        let mut rows: Vec<usize> = (0..self.len().min(left_out.variance.len())).filter(|i| far(*i)).collect();
+        rows.sort_by(|a, b| left_out.residuals[*b].abs().total_cmp(&left_out.residuals[*a].abs()));
+        let first = *rows.first()?;
+        let (measured, error) = (self.y[first], left_out.residuals[first]);
+        let others = if rows.len() > 1 {
+            format!(" (so do rows {})", rows_in_words(&rows[1..]))
+        } else {
+            String::new()
+        };
+        let at = self.inputs.iter().zip(self.row(first)).map(|(name, x)| format!("{name} {}", four(*x)));
+        Some(format!(
+            "row {} does not fit the others: measured {} at {}, predicted from them {}, while half of all points lie within \
+             {}{others}: measure it again or take it out (rows of the points that it was learnt from)",
+            first + 1,
+            four(measured),
+            at.collect::<Vec<String>>().join(", "),
+            four(measured - error),
+            four(half)
+        ))
+    }
+
     /// Sentences on duplicates, for reports; none where all points differ.
     pub fn notes(&self) -> Vec<String> {
         let found = self.replicates();
@@ -236,13 +368,6 @@ impl Points {
                 rows_in_words(&found.groups[0])
             ));
         }
-        if !found.copies.is_empty() {
-            notes.push(format!(
-                "{}: rows {} repeat inputs and output of an earlier row exactly: copies tell nothing about the noise",
-                self.output,
-                rows_in_words(&found.copies)
-            ));
-        }
         notes
     }
 }
@@ -252,6 +377,43 @@ fn rows_in_words(rows: &[usize]) -> String {
     let head: Vec<String> = rows.iter().take(8).map(|r| (r + 1).to_string()).collect();
     let more = if rows.len() > 8 { format!(" and {} more", rows.len() - 8) } else { String::new() };
     head.join(", ") + &more
+}
+
+/// Share of its variance that is left of an input which follows from others to nine digits.
+const DEPENDENT: f64 = 1e-18;
+/// A point does not fit the others when its left-out error is this many times as large as half of them are (five standard
+/// deviations of a normal distribution), and this many of its own standard deviations.
+const FAR: f64 = 8.0;
+const ALONE: f64 = 4.0;
+/// Standard deviations whose fourth powers are numbers.
+const SPREADS: [f64; 2] = [1e-75, 1e75];
+
+fn check_spread(channel: &str, values: impl Iterator<Item = f64> + Clone) -> Result<(), PointsError> {
+    let (low, high) = range(values.clone());
+    let (_, std) = mean_std(values);
+    // The range stands in where the squares have no value.
+    let found = if std.is_finite() { std.min(high - low) } else { high - low };
+    if (SPREADS[0]..=SPREADS[1]).contains(&found) {
+        return Ok(());
+    }
+    Err(PointsError::Spread { channel: channel.into(), found })
+}
+
+/// Four significant digits: fixed notation from 1e-3 to 1e6, otherwise with an exponent.
+pub(super) fn four(value: f64) -> String {
+    let exponent = value.abs().log10().floor();
+    if value == 0.0 || !value.is_finite() {
+        format!("{value}")
+    } else if (-3.0..6.0).contains(&exponent) {
+        format!("{value:.*}", (3.0 - exponent).max(0.0) as usize)
+    } else {
+        format!("{value:.3e}")
+    }
+}
+
+/// A number of things.
+pub(super) fn counted(count: usize, thing: &str) -> String {
+    if count == 1 { format!("1 {thing}") } else { format!("{count} {thing}s") }
 }
 
 /// Smallest and largest of some values.

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::features::{self, Coefficients, Features};
 use super::formula::{Formula, Part, Product};
+use super::points::counted;
 use super::stepwise::{LeastSquares, Pool, stepwise};
 use super::transform::{Transform, box_cox};
 use super::{
@@ -299,7 +300,7 @@ impl Response for PolynomialModel {
 
     fn describe(&self) -> String {
         let degree = self.terms.0.iter().map(|t| t.iter().sum::<u32>()).max().unwrap_or(0);
-        format!("polynomial with {} terms up to degree {degree}", self.terms.0.len())
+        format!("polynomial with {} up to degree {degree}", counted(self.terms.0.len(), "term"))
     }
 }
 

@@ -14,6 +14,7 @@ use super::bands::{self, Refit};
 use super::features::{self, Coefficients, Features};
 use super::formula::{Part, Product};
 use super::gp::Kernel;
+use super::points::counted;
 use super::stepwise::{LeastSquares, Pool, stepwise};
 use super::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, Scaling};
 
@@ -91,23 +92,15 @@ impl Learn for Rbf {
         }
         let scaling = Scaling::of(points);
         let (z, y) = (scaling.inputs(points), scaling.outputs(points));
-        let mut best: Option<(f64, LeastSquares, Functions)> = None;
-        for width in &self.widths {
-            if let Some((fit, functions)) = self.fit(&z, &y, d, *width, interrupt)
-                && best.as_ref().is_none_or(|(_, b, _)| fit.press() < b.press())
-            {
-                best = Some((*width, fit, functions));
-            }
-        }
         let none = || ResponseError::NoStart { model: "rbf", output: points.output.clone() };
-        let (width, fit, functions) = best.ok_or_else(none)?;
+        let (fit, functions) = self.best(&z, &y, d, interrupt).ok_or_else(none)?;
         let plain = fit.coefficients(&y).ok_or_else(none)?;
-        let refit = |z: &[f64], y: &[f64]| {
-            let (fit, functions) = self.fit(z, y, d, width, &|| false)?;
+        let refit = |_: usize, z: &[f64], y: &[f64]| {
+            let (fit, functions) = self.best(z, y, d, &|| false)?;
             let coefficients = fit.coefficients(y)?;
             Some(Refit { features: Box::new(functions), noise: coefficients.noise, coefficients })
         };
-        let bands = bands::calibrate(plain.noise, &fit.residuals, (&z, &y), &refit, interrupt);
+        let bands = bands::calibrate(plain.noise, (&z, &y), &refit, interrupt);
         let coefficients = bands.of(plain);
         let left_out = fit.left_out(scaling.output_std);
         let model = RbfModel { scaling, functions, coefficients };
@@ -119,6 +112,25 @@ impl Learn for Rbf {
 }
 
 impl Rbf {
+    /// Functions of the width with the least PRESS.
+    fn best(
+        &self,
+        z: &[f64],
+        y: &[f64],
+        d: usize,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Option<(LeastSquares, Functions)> {
+        let mut best: Option<(LeastSquares, Functions)> = None;
+        for width in &self.widths {
+            if let Some(found) = self.fit(z, y, d, *width, interrupt)
+                && best.as_ref().is_none_or(|(b, _)| found.0.press() < b.press())
+            {
+                best = Some(found);
+            }
+        }
+        best
+    }
+
     /// Functions of one width, chosen by PRESS.
     fn fit(
         &self,
@@ -211,11 +223,12 @@ impl Response for RbfModel {
     }
 
     fn describe(&self) -> String {
-        format!(
-            "{} radial basis functions of width {}",
-            self.functions.centres.len() / self.functions.d,
-            self.functions.width
-        )
+        let functions = self.functions.centres.len() / self.functions.d;
+        if functions == 0 {
+            let linear = counted(self.functions.linear.len(), "input");
+            return format!("no radial basis function, a constant and {linear}");
+        }
+        format!("{} of width {:?}", counted(functions, "radial basis function"), self.functions.width)
     }
 }
 

@@ -11,6 +11,10 @@ use super::{Ask, Learn, LeftOut, Points, Prediction, Response, ResponseError, Re
 const BAND: f64 = 1.959_963_984_540_054;
 /// Points of an intersection plot.
 const CURVE: usize = 41;
+/// Operating points to a fold from which on all points of one stay together.
+const TOGETHER: usize = 5;
+/// Stream of the generator that deals the points to the folds.
+const DEAL: u64 = 6 << 32;
 /// Draws of the sensitivity indices.
 const DRAWS: usize = 2048;
 
@@ -18,21 +22,42 @@ const DRAWS: usize = 2048;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FoldKind {
-    /// Every k-th point: held-out points have neighbours in the fit.
+    /// Dealt by a seeded shuffle, all points of one operating point together where there are five operating points or more to a
+    /// fold (of fewer, a fold would take the corners of a plan away): held-out points have neighbours in the fit, but no copies,
+    /// whatever the order of the table is.
     #[default]
+    Shuffled,
+    /// Every k-th point. In a table of five loads at each speed, five folds are its five loads.
     Interleaved,
     /// Blocks of consecutive rows: what lies between or beyond what was measured, in tables that are in order.
     Blocks,
 }
 
-/// Rows (from 0) of each fold.
-pub fn folds(n: usize, count: usize, kind: FoldKind) -> Vec<Vec<usize>> {
-    let count = count.clamp(2, n.max(2));
+/// Rows (from 0) of each fold: at least two folds and at most one an operating point.
+pub fn folds(points: &Points, count: usize, kind: FoldKind) -> Vec<Vec<usize>> {
+    let n = points.len();
+    let number_of = |places: &[usize]| places.iter().max().map_or(0, |k| k + 1);
+    let together = Some(points.operating_points())
+        .filter(|p| kind == FoldKind::Shuffled && number_of(p) >= TOGETHER * count);
+    let places = together.unwrap_or_else(|| (0..n).collect());
+    let different = number_of(&places);
+    let count = count.clamp(2, different.max(2));
+    let turn = if kind == FoldKind::Shuffled { shuffled(different, DEAL) } else { (0..different).collect() };
     let of = |i: usize| match kind {
-        FoldKind::Interleaved => i % count,
+        FoldKind::Shuffled | FoldKind::Interleaved => turn[places[i]] % count,
         FoldKind::Blocks => i * count / n.max(1),
     };
     (0..count).map(|k| (0..n).filter(|i| of(*i) == k).collect()).collect()
+}
+
+/// The numbers from 0 to n - 1 in an order that the seed gives.
+pub(super) fn shuffled(n: usize, seed: u64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..n).collect();
+    let mut rng = Rng64::stream(0, seed);
+    for i in (1..n).rev() {
+        order.swap(i, rng.below(i + 1));
+    }
+    order
 }
 
 /// Errors on points that had no part in a fit.
@@ -175,7 +200,7 @@ pub fn by_folds(
     how: FoldKind,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Unseen, ResponseError> {
-    let held = held_out(kind, points, &folds(points.len(), count, how), interrupt)?;
+    let held = held_out(kind, points, &folds(points, count, how), interrupt)?;
     Ok(Unseen::of(&held.errors, &held.variance, points.output_range()))
 }
 
@@ -221,9 +246,15 @@ pub(super) fn held_out(
     folds: &[Vec<usize>],
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Held, ResponseError> {
-    let parts = folds.iter().map(|held| {
+    let parts = folds.iter().enumerate().map(|(k, held)| {
         let rest: Vec<usize> = (0..points.len()).filter(|i| !held.contains(i)).collect();
-        let learnt = kind.learn(&points.rows(&rest), interrupt)?;
+        let in_fold = |source| ResponseError::Fold {
+            fold: k + 1,
+            folds: folds.len(),
+            points: rest.len(),
+            source: Box::new(source),
+        };
+        let learnt = kind.learn(&points.rows(&rest), interrupt).map_err(in_fold)?;
         Ok(errors(&learnt.model, &points.rows(held)))
     });
     let parts = parts.collect::<Result<Vec<_>, ResponseError>>()?;

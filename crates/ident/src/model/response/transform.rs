@@ -41,12 +41,7 @@ impl Transform {
     /// # Errors
     /// [`ResponseError::Key`] with the first value outside the domain.
     pub fn apply(&self, y: &[f64]) -> Result<Vec<f64>, ResponseError> {
-        let outside = |expected: String, found: f64| ResponseError::Key {
-            model: "polynomial",
-            key: "transform",
-            found: format!("an output of {found}"),
-            expected,
-        };
+        let outside = |expected: String, found: f64| ResponseError::Domain { expected, found };
         match *self {
             Self::None => Ok(y.to_vec()),
             Self::BoxCox { power } => match y.iter().find(|v| **v <= 0.0) {

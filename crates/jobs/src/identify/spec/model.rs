@@ -93,6 +93,8 @@ pub(super) fn targets(
     // Response models have one way to be learnt, which need not be named.
     let estimator = if m.estimator.is_none() && m.select.is_none() && all_responses(m) {
         Some(("learn".to_string(), toml::Table::new()))
+    } else if m.estimator.is_none() && unknown_structure(m, faults) {
+        None
     } else {
         estimator(m, seed, faults)
     };
@@ -151,6 +153,20 @@ fn all_responses(m: &TypedModel) -> bool {
     };
     let mut tables = m.structure.iter().chain(m.structures.iter().flat_map(|s| s.values())).peekable();
     tables.peek().is_some() && tables.all(of)
+}
+
+/// Names the structures that there are not: which estimator is missing cannot be said then.
+fn unknown_structure(m: &TypedModel, faults: &mut Faults) -> bool {
+    let own =
+        m.structures.iter().flatten().map(|(target, table)| (format!("model.structures.{target}"), table));
+    let all = m.structure.iter().map(|table| ("model.structure".to_string(), table)).chain(own);
+    let mut unknown = false;
+    for (key, table) in all {
+        if let Some(name) = table.get("name").and_then(toml::Value::as_str) {
+            unknown |= built(&key, "name", kinds::row(name), faults).is_none();
+        }
+    }
+    unknown
 }
 
 fn has_seed(structure: &str) -> bool {

@@ -74,6 +74,8 @@ const LOST: f64 = 50.0;
 const START_LENGTHS: [f64; 2] = [0.4, 8.0];
 const START_NOISE: [f64; 2] = [1e-4, 0.1];
 const FIRST: [f64; 2] = [1.5, 0.01];
+/// Most starts of the search.
+const MOST_STARTS: usize = 1000;
 /// Starts on more points are run on as many of them, and the best goes on with all.
 const SCREEN: usize = 500;
 
@@ -155,8 +157,11 @@ impl Learn for GaussianProcess {
     fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
         let q = self.mean.count(points.dim());
         points.check(q + points.dim() + 2, "a Gaussian process")?;
-        if self.starts == 0 {
-            let (key, found, expected) = ("starts", "0".into(), "at least 1".into());
+        if q > 1 {
+            points.check_independent()?;
+        }
+        if !(1..=MOST_STARTS).contains(&self.starts) {
+            let (key, found, expected) = ("starts", self.starts.to_string(), format!("1 to {MOST_STARTS}"));
             return Err(ResponseError::Key { model: "gaussian_process", key, found, expected });
         }
         let scaling = Scaling::of(points);

@@ -11,6 +11,7 @@
 
 use dynocal_numerics::linalg::dot;
 
+use super::super::points::four;
 use super::super::{Ask, Prediction, Response};
 use super::model::GpModel;
 use super::packed::sum_of;
@@ -66,10 +67,10 @@ impl Response for GpModel {
 
     fn describe(&self) -> String {
         format!(
-            "Gaussian process, {} kernel, {} points, noise {:.3} of the output's standard deviation",
+            "Gaussian process, {} kernel, {} points, noise {} of the output's standard deviation",
             self.stored.kernel.words(),
             self.points(),
-            (self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt()
+            four((self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt())
         )
     }
 }

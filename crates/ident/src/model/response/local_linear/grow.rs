@@ -30,6 +30,8 @@ pub(super) struct Grown {
     pub(super) tree: Tree,
     /// Slope of its splits.
     pub(super) slope: f64,
+    /// Trees on the way to it, one leaf more each, itself last.
+    pub(super) path: Vec<Tree>,
     x: Vec<f64>,
     y: Vec<f64>,
     locals: Vec<Local>,
@@ -95,11 +97,13 @@ fn grow(keys: &LocalLinear, slope: f64, z: &[f64], y: &[f64], d: usize) -> Optio
     let mut x = vec![0.0; y.len() * k];
     z.chunks_exact(d).zip(x.chunks_exact_mut(k)).for_each(|(z, x)| tree.regressors(z, x));
     let first = Local::fit(&x, k, y, vec![1.0; y.len()])?;
-    let mut now = Grown { tree, slope, x, y: y.to_vec(), locals: vec![first] };
+    let mut path = vec![tree.clone()];
+    let mut now = Grown { tree, slope, path: Vec::new(), x, y: y.to_vec(), locals: vec![first] };
     let mut best = now.clone();
     let mut idle = 0;
     while now.tree.leaves.len() < keys.most && idle < PATIENCE {
         let Some(next) = now.split_once(slope, z, d) else { break };
+        path.push(next.tree.clone());
         if next.press() < (1.0 - DECREASE) * best.press() {
             best = next.clone();
             idle = 0;
@@ -108,10 +112,29 @@ fn grow(keys: &LocalLinear, slope: f64, z: &[f64], y: &[f64], d: usize) -> Optio
         }
         now = next;
     }
+    path.truncate(best.tree.leaves.len());
+    best.path = path;
     Some(best)
 }
 
 impl Grown {
+    /// The local models of a tree that stands; `None` where they have too few points.
+    pub(super) fn of(tree: &Tree, slope: f64, z: &[f64], y: &[f64]) -> Option<Self> {
+        let k = tree.local_terms();
+        let mut x = vec![0.0; y.len() * k];
+        z.chunks_exact(tree.dim).zip(x.chunks_exact_mut(k)).for_each(|(z, x)| tree.regressors(z, x));
+        let local = |leaf: &Leaf| {
+            Local::fit(&x, k, y, z.chunks_exact(tree.dim).map(|z| tree.validity(leaf, z, None)).collect())
+        };
+        let locals = tree.leaves.iter().map(local).collect::<Option<Vec<Local>>>()?;
+        Some(Self { tree: tree.clone(), slope, path: Vec::new(), x, y: y.to_vec(), locals })
+    }
+
+    /// Coefficients of the local models, leaf by leaf.
+    pub(super) fn values(&self) -> Vec<f64> {
+        self.locals.iter().flat_map(|l| l.w.iter().copied()).collect()
+    }
+
     /// Sum of squares of left-out residuals.
     fn press(&self) -> f64 {
         self.sum(|l| &l.left_out).iter().map(|e| e * e).sum()
@@ -169,11 +192,6 @@ impl Grown {
         Some(next)
     }
 
-    /// Measured minus fitted (n).
-    pub(super) fn residuals(&self) -> Vec<f64> {
-        self.sum(|l| &l.error)
-    }
-
     /// Leverage of each point: the derivative of its prediction with respect to its measurement.
     fn leverage(&self) -> Vec<f64> {
         self.sum(|l| &l.own)
@@ -223,8 +241,7 @@ impl Grown {
                 covariance[b * p + a] = covariance[a * p + b];
             }
         }
-        let values = self.locals.iter().flat_map(|l| l.w.iter().copied()).collect();
-        Coefficients { values, covariance, noise: bands.noise }
+        Coefficients { values: self.values(), covariance, noise: bands.noise }
     }
 }
 

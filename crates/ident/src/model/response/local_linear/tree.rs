@@ -66,7 +66,7 @@ impl Tree {
     }
 
     /// Validity of a leaf at z; with `slopes` (d) also the gradient of its logarithm.
-    fn validity(&self, leaf: &Leaf, z: &[f64], slopes: Option<&mut [f64]>) -> f64 {
+    pub(super) fn validity(&self, leaf: &Leaf, z: &[f64], slopes: Option<&mut [f64]>) -> f64 {
         let mut validity = 1.0;
         let mut slopes = slopes;
         if let Some(s) = slopes.as_deref_mut() {
