@@ -87,6 +87,39 @@ fn the_example_gives_a_plan_that_meets_the_demand() {
     has(&o.stdout, "1000 samples");
 }
 
+/// A guard shows on the page and in the words; models whose correlations are not known are not drawn from.
+#[test]
+fn a_guard_is_on_the_page_and_draws_need_correlations() {
+    let tmp = tempfile::tempdir().unwrap();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/optimise");
+    for name in ["torque.json", "lambda.json", "record.csv.gz"] {
+        std::fs::copy(example.join(name), tmp.path().join(name)).unwrap();
+    }
+    let text = std::fs::read_to_string(example.join("fuel.toml")).unwrap();
+    let with = |name: &str, keys: &str| {
+        let text = text.replace("[optimise]", &format!("[optimise]\n{keys}"));
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap();
+        dynocal(tmp.path(), &["optimise", name, "--out", "run"])
+    };
+    let o = with("guard.toml", "guard = { distance = 1.0 }");
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    has(
+        &o.stdout,
+        "The optimum stays where the models were identified: `torque_distance`, `lambda_distance`",
+    );
+    let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
+    has(&page, "upper limit of torque_distance");
+    let start = |t: usize| column(&tmp.path().join("run/optimum.csv"), "torque_distance")[t];
+    assert!(start(500) > 0.0);
+    let o = with("robust.toml", "robust = { draws = 3 }");
+    assert_eq!(o.code, 2, "{}", o.stdout);
+    has(&o.stderr, "the model of `torque` does not say how its parameters depend on each other");
+    let o = with("wrong.toml", "guard = { distance = 0.0 }\nrobust = { draws = 0 }");
+    assert_eq!(o.code, 2, "{}", o.stdout);
+    has(&o.stderr, "optimise.guard.distance");
+    has(&o.stderr, "optimise.robust.draws");
+}
+
 fn only_csv(folder: &Path) -> std::path::PathBuf {
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.retain(|f| f.extension().is_some_and(|e| e == "csv"));

@@ -37,7 +37,7 @@ impl Guard {
         faults.positive(
             &format!("{key}.distance"),
             self.distance,
-            "(1 is the boundary of what was identified)",
+            "in units of the boundary of what was identified",
         );
         if let Some(weight) = self.soft_weight {
             faults.positive(&format!("{key}.soft_weight"), weight, "objective unit per unit of distance");

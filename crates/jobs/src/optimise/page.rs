@@ -151,6 +151,8 @@ fn time_plots(found: &Optimised) -> Section {
         let mut panel = Panel::new(c.name.as_str(), c.unit.as_str());
         match o.demands.iter().find(|d| d.name == c.name) {
             Some(d) => panel = panel.demand(cut(&d.values)),
+            // The distances of a guard are no channels of the record.
+            None if found.start.values(&c.name).is_err() => {}
             None => panel = panel.line("start", start(&c.name)),
         }
         panel = panel.simulated(cut(&c.values));
