@@ -16,6 +16,7 @@ const ORDER: &[&str] = &[
     "chapter5",
     "design",
     "engine",
+    "limits",
     "loops",
     "map",
 ];

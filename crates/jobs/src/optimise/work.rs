@@ -1,6 +1,6 @@
 //! The work: models and record to an optimum with its verdict, in memory.
 
-use dynocal_calib::optimise::{Optimum, Price, Way, optimise_record};
+use dynocal_calib::optimise::{Guard, Optimum, Price, Way, distance_name, optimise_record};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::stored::StoredModel;
@@ -73,7 +73,7 @@ fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
 fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
     let p = &job.problem;
     let sizes = Sizes { problem: p, start: &loaded.record };
-    let asked = asked(&sizes, &optimum);
+    let asked = asked(&sizes, job.optimise.guard, &optimum);
     let valid = optimum.status.is_success() && asked.iter().all(|a| a.kept || a.soft);
     let (start, end) = (optimum.start_objective, optimum.objective);
     let change_percent = (start != 0.0).then(|| 100.0 * (end - start) / start.abs());
@@ -140,11 +140,16 @@ pub(super) fn with_optimum(record: &Dataset, optimum: &Optimum) -> Dataset {
     d
 }
 
-fn asked(sizes: &Sizes, optimum: &Optimum) -> Vec<Asked> {
+fn asked(sizes: &Sizes, guard: Option<Guard>, optimum: &Optimum) -> Vec<Asked> {
     let p = sizes.problem;
+    let distances: Vec<String> =
+        p.demand_names().iter().chain(&p.other_outputs()).map(|o| distance_name(o)).collect();
+    let soft_guard = guard.is_some_and(|g| g.soft_weight.is_some());
     let soft = |channel: &str, of: &str| {
-        ["lower", "upper"].contains(&of)
-            && p.limits.iter().any(|l| l.output == channel && l.soft_weight.is_some())
+        let limit = p.limits.iter().find(|l| l.output == channel);
+        let is =
+            limit.map_or(soft_guard && distances.iter().any(|d| d == channel), |l| l.soft_weight.is_some());
+        ["lower", "upper"].contains(&of) && is
     };
     let of = |v: &dynocal_calib::optimise::Violation| {
         let unit = if v.of == "rate" { format!("{}/sample", v.unit) } else { v.unit.clone() };
