@@ -114,7 +114,8 @@ fn a_guard_is_on_the_page_and_draws_need_correlations() {
     // At a price it may be passed, which makes nothing invalid.
     let o = with("soft.toml", "guard = { distance = 0.5, soft_weight = 1e-3 }");
     assert_eq!(o.code, 0, "{}", o.stderr);
-    has(&o.stdout, "no (soft)");
+    has(&o.stdout, "everything asked is kept but what may give way at a price");
+    has(&o.stdout, "The upper limit of torque_distance is missed by up to");
     let o = with("robust.toml", "robust = { draws = 3 }");
     assert_eq!(o.code, 2, "{}", o.stdout);
     has(&o.stderr, "the model of `torque` does not say how its parameters depend on each other");

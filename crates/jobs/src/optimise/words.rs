@@ -109,6 +109,11 @@ fn ended(o: &Optimised) -> String {
         _ => format!("the objective goes from {start} to {end}{change}"),
     };
     match (o.valid, o.status) {
+        (true, _) if o.asked.iter().any(|a| !a.kept) => {
+            format!(
+                "Solved over {record}: {what}, and everything asked is kept but what may give way at a price."
+            )
+        }
         (true, _) => format!("Solved over {record}: {what}, and everything asked is kept."),
         (false, Status::Converged) => {
             format!("The search over {record} ended at an optimum that misses what was asked: {what}.")
