@@ -16,7 +16,7 @@ use crate::problem::{CalibrationProblem, LimitChannel};
 use dynocal_files::spec::Faults;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::derived::Monomial;
-use dynocal_ident::model::poly::{PolyNarx, Regressor};
+use dynocal_ident::model::poly::{PolyNarx, Regressor, StructureError};
 use dynocal_ident::validate::boundary::{BoundaryModel, Quadratic, Space};
 use serde::{Deserialize, Serialize};
 
@@ -113,8 +113,15 @@ impl Distance {
         let refused = |found| OptimiseError::Guard { output: m.output.clone(), found };
         let boundary = m.boundary.ok_or_else(|| refused("none"))?;
         let quadratic = boundary.quadratic().ok_or_else(|| refused("one of another kind"))?;
+        // A file may hold any space beside any model.
+        let other = "one that is not of its inputs and outputs";
+        let (d, space) = (boundary.space.dim(), &boundary.space);
+        let fits = quadratic.centre.len() == d && quadratic.scale.len() == d;
+        if !fits || space.inputs.iter().any(|(i, _)| *i >= m.inputs.len()) {
+            return Err(refused(other));
+        }
         let inputs = sources(m, boundary, &quadratic);
-        let (structure, theta) = polynomial(&boundary.space, &quadratic);
+        let (structure, theta) = polynomial(space, &quadratic).map_err(|_| refused(other))?;
         Ok(Self { name: distance_name(&m.output), structure, theta, inputs })
     }
 }
@@ -138,7 +145,7 @@ fn sources(m: &OutputModel<'_>, boundary: &BoundaryModel, q: &Quadratic) -> Vec<
 }
 
 /// `z'Az` as a polynomial of one input for each coordinate.
-fn polynomial(space: &Space, q: &Quadratic) -> (PolyNarx, Vec<f64>) {
+fn polynomial(space: &Space, q: &Quadratic) -> Result<(PolyNarx, Vec<f64>), StructureError> {
     let lags: Vec<usize> = space.inputs.iter().map(|i| i.1).chain(space.outputs.iter().copied()).collect();
     let d = lags.len();
     let at = |k: usize| Regressor::input(k, lags[k]);
@@ -151,6 +158,5 @@ fn polynomial(space: &Space, q: &Quadratic) -> (PolyNarx, Vec<f64>) {
         }
     }
     let names = (0..d).map(|k| format!("z{k}")).collect();
-    let structure = PolyNarx::new(names, "distance_squared".into(), regressors);
-    (structure.expect("products of distinct pairs, lags of a model"), theta)
+    Ok((PolyNarx::new(names, "distance_squared".into(), regressors)?, theta))
 }

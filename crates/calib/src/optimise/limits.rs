@@ -78,11 +78,10 @@ impl Setup<'_> {
 
     /// All that is asked of outputs that are columns.
     pub(super) fn asked(&self) -> Vec<Asked> {
-        let column = |name: &str| self.columns.iter().position(|n| n == name);
         let demands = self.problem.demands.iter().filter_map(|d| {
             let values = self.given(&d.output)?.to_vec();
             let (output, size) = (d.output.clone(), d.upper - d.lower);
-            Some(Asked { column: column(&output)?, output, of: "demand", values, size })
+            Some(Asked { column: self.column(&output)?, output, of: "demand", values, size })
         });
         let limits = self.problem.limits.iter().flat_map(|l| {
             let limit = |of, values: Option<Vec<f64>>| {
@@ -91,7 +90,7 @@ impl Setup<'_> {
                     (Some(lower), Some(upper)) => upper - lower,
                     _ => values.iter().fold(1e-3, |m: f64, v| m.max(v.abs())),
                 };
-                Some(Asked { column: column(&output)?, output, of, values, size })
+                Some(Asked { column: self.column(&output)?, output, of, values, size })
             };
             let [lower, upper] = self.limits_of(l);
             limit("lower", lower).into_iter().chain(limit("upper", upper)).collect::<Vec<_>>()
@@ -124,7 +123,7 @@ impl Setup<'_> {
     }
 
     pub(super) fn soft(&self, l: &LimitChannel) -> Vec<SoftLimit> {
-        let column = self.columns.iter().position(|n| *n == l.output);
+        let column = self.column(&l.output);
         let (Some(column), Some(weight)) = (column, l.soft_weight) else { return Vec::new() };
         let price = weight / (self.to - self.from) as f64;
         let limit = |values: Vec<f64>, above| SoftLimit { column, above, limit: values, price };

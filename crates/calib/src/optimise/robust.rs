@@ -69,11 +69,6 @@ fn copy_name(name: &str, k: usize) -> String {
     format!("{name}#{k}")
 }
 
-/// The channel that `name` is a copy of, and which.
-fn copy_of(name: &str) -> Option<(&str, &str)> {
-    name.rsplit_once('#')
-}
-
 impl Ensemble {
     pub(super) fn new(problem: &CalibrationProblem, models: &[OutputModel<'_>], start: &Dataset) -> Self {
         let draws = models.iter().map(|m| m.draws.len()).max().unwrap_or(0);
@@ -90,6 +85,17 @@ impl Ensemble {
 
     fn is_drawn(&self, name: &str) -> bool {
         self.drawn.iter().any(|n| n == name)
+    }
+
+    /// The channel that `name` is a copy of, and which; none for channels of the user, whatever their name.
+    fn copy_of<'b>(&self, name: &'b str) -> Option<(&'b str, usize)> {
+        let (base, k) = name.rsplit_once('#')?;
+        let k = k.parse().ok().filter(|k| (1..=self.draws).contains(k))?;
+        self.is_drawn(base).then_some((base, k))
+    }
+
+    fn base<'b>(&self, name: &'b str) -> &'b str {
+        self.copy_of(name).map_or(name, |(base, _)| base)
     }
 
     fn renamed(&self, name: &str, k: usize) -> String {
@@ -117,11 +123,10 @@ impl Ensemble {
             copies.extend(drawn.map(|l| LimitChannel { output: copy_name(&l.output, k), ..l.clone() }));
         }
         self.problem.limits.extend(copies);
-        for l in &mut self.problem.limits {
-            let base = copy_of(&l.output).map_or(l.output.as_str(), |(base, _)| base);
-            if self.drawn.iter().any(|n| n == base) {
-                l.soft_weight = l.soft_weight.map(|w| w * share);
-            }
+        let all: Vec<bool> =
+            self.problem.limits.iter().map(|l| self.is_drawn(self.base(&l.output))).collect();
+        for (l, _) in self.problem.limits.iter_mut().zip(all).filter(|(_, drawn)| *drawn) {
+            l.soft_weight = l.soft_weight.map(|w| w * share);
         }
     }
 
@@ -185,21 +190,21 @@ impl Ensemble {
 
     /// Folds the copies into the channels that they are copies of.
     pub(super) fn folded(&self, mut found: Optimum) -> Optimum {
-        found.violations = folded_violations(found.violations);
-        found.terms = folded_terms(found.terms);
-        found.prices = folded_prices(found.prices);
-        found.responses.retain(|c| copy_of(&c.name).is_none());
+        found.violations = self.folded_violations(found.violations);
+        found.terms = self.folded_terms(found.terms);
+        found.prices = self.folded_prices(found.prices);
+        found.responses.retain(|c| self.copy_of(&c.name).is_none());
         for s in &mut found.shortfalls {
-            if let Some((base, k)) = copy_of(&s.output) {
+            if let Some((base, k)) = self.copy_of(&s.output) {
                 s.output = format!("{base} of draw {k}");
             }
         }
         let (copies, mut outputs): (Vec<Channel>, Vec<Channel>) =
-            found.outputs.into_iter().partition(|c| copy_of(&c.name).is_some());
+            found.outputs.into_iter().partition(|c| self.copy_of(&c.name).is_some());
         for (side, better) in [("least", f64::min as fn(f64, f64) -> f64), ("greatest", f64::max)] {
             for name in &self.drawn {
                 let Some(mut c) = outputs.iter().find(|c| c.name == *name).cloned() else { continue };
-                for copy in copies.iter().filter(|c| copy_of(&c.name).is_some_and(|(base, _)| base == name)) {
+                for copy in copies.iter().filter(|c| self.base(&c.name) == name) {
                     c.values.iter_mut().zip(&copy.values).for_each(|(v, other)| *v = better(*v, *other));
                 }
                 c.name = format!("{name}_{side}");
@@ -210,58 +215,53 @@ impl Ensemble {
         found.outputs = outputs;
         found
     }
-}
 
-fn base(name: &str) -> String {
-    copy_of(name).map_or(name, |(base, _)| base).into()
-}
-
-/// The worst of all copies.
-fn folded_violations(all: Vec<Violation>) -> Vec<Violation> {
-    let mut out: Vec<Violation> = Vec::new();
-    for v in all {
-        let channel = base(&v.channel);
-        match out.iter_mut().find(|o| o.channel == channel && o.of == v.of) {
-            Some(o) if v.largest > o.largest => (o.largest, o.at_s) = (v.largest, v.at_s),
-            Some(_) => {}
-            None => out.push(Violation { channel, ..v }),
-        }
-    }
-    out
-}
-
-/// The mean of all copies, whose weights are shares of one.
-fn folded_terms(all: Vec<TermValue>) -> Vec<TermValue> {
-    let mut out: Vec<TermValue> = Vec::new();
-    for t in all {
-        let channel = base(&t.channel);
-        match out.iter_mut().find(|o| o.channel == channel) {
-            Some(o) => {
-                let weight = o.weight + t.weight;
-                o.start = (o.weight * o.start + t.weight * t.start) / weight;
-                o.optimum = (o.weight * o.optimum + t.weight * t.optimum) / weight;
-                o.weight = weight;
+    /// The worst of all copies.
+    fn folded_violations(&self, all: Vec<Violation>) -> Vec<Violation> {
+        let mut out: Vec<Violation> = Vec::new();
+        for v in all {
+            let channel = self.base(&v.channel).to_string();
+            match out.iter_mut().find(|o| o.channel == channel && o.of == v.of) {
+                Some(o) if v.largest > o.largest => (o.largest, o.at_s) = (v.largest, v.at_s),
+                Some(_) => {}
+                None => out.push(Violation { channel, ..v }),
             }
-            None => out.push(TermValue { channel, ..t }),
         }
+        out
     }
-    out
-}
 
-/// The sum of all copies: the limit moves for all of them.
-fn folded_prices(all: Vec<Price>) -> Vec<Price> {
-    let mut out: Vec<Price> = Vec::new();
-    for p in all {
-        let channel = base(&p.channel);
-        match out.iter_mut().find(|o| o.channel == channel && o.of == p.of) {
-            Some(o) => {
-                o.price += p.price;
-                o.by_sample.iter_mut().zip(&p.by_sample).for_each(|(a, b)| *a += b);
+    /// The mean of the copies of each term, whose weights are shares of its own; terms that the user names twice stay two.
+    fn folded_terms(&self, all: Vec<TermValue>) -> Vec<TermValue> {
+        let mut out: Vec<TermValue> = Vec::new();
+        for t in all {
+            match (self.copy_of(&t.channel), out.last_mut()) {
+                (Some(_), Some(o)) => {
+                    let weight = o.weight + t.weight;
+                    o.start = (o.weight * o.start + t.weight * t.start) / weight;
+                    o.optimum = (o.weight * o.optimum + t.weight * t.optimum) / weight;
+                    o.weight = weight;
+                }
+                _ => out.push(t),
             }
-            None => out.push(Price { channel, ..p }),
         }
+        out
     }
-    out
+
+    /// The sum of all copies: the limit moves for all of them.
+    fn folded_prices(&self, all: Vec<Price>) -> Vec<Price> {
+        let mut out: Vec<Price> = Vec::new();
+        for p in all {
+            let channel = self.base(&p.channel).to_string();
+            match out.iter_mut().find(|o| o.channel == channel && o.of == p.of) {
+                Some(o) => {
+                    o.price += p.price;
+                    o.by_sample.iter_mut().zip(&p.by_sample).for_each(|(a, b)| *a += b);
+                }
+                None => out.push(Price { channel, ..p }),
+            }
+        }
+        out
+    }
 }
 
 /// Free runs of the draws of demanded outputs on the columns `values`, held against the demand.

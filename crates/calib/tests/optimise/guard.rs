@@ -145,6 +145,13 @@ fn a_guard_needs_a_boundary_that_it_can_use() {
         optimise_models(&problem(), &[model], &start(1.0), &options, &|| false).unwrap_err().to_string()
     };
     assert!(refused(None).contains("the model of `heat` has none"), "{}", refused(None));
+    // A file may hold any space.
+    let mut other = boundary(RegionKind::Leverage);
+    other.space.inputs[0].0 = 9;
+    assert!(refused(Some(&other)).contains("not of its inputs and outputs"), "{}", refused(Some(&other)));
+    let mut short = boundary(RegionKind::Leverage);
+    short.space.outputs.clear();
+    assert!(refused(Some(&short)).contains("not of its inputs and outputs"), "{}", refused(Some(&short)));
     let hull = boundary(RegionKind::Hull);
     assert!(refused(Some(&hull)).contains("has one of another kind"), "{}", refused(Some(&hull)));
 }

@@ -153,6 +153,25 @@ fn stored_models_are_drawn_by_their_covariance() {
     assert!(stored(Some(vec![1.5])).check().is_err());
 }
 
+/// A channel of the user whose name looks like a copy is none.
+#[test]
+fn channels_of_the_user_are_not_taken_for_copies() {
+    let mut p = problem(r#"{ channel = "u", weight = -1.0 }, { channel = "cost#2" }"#);
+    let more: CalibrationProblem = toml::from_str(
+        r#"
+        inputs = [{ name = "u", unit = "kW", lower = 0.0, upper = 20.0 }]
+        minimise = [{ channel = "u" }]
+        derive = [{ name = "cost#2", unit = "-", factor = 0.25, powers = { u = 1 } }]
+        "#,
+    )
+    .expect("problem");
+    p.derive = more.derive;
+    let found = solve(&p, true);
+    let names: Vec<&str> = found.terms.iter().map(|t| t.channel.as_str()).collect();
+    assert_eq!(names, ["u", "cost#2"]);
+    assert!((found.terms[1].optimum - 0.25 * found.terms[0].optimum).abs() < 1e-9);
+}
+
 /// Draws of a demanded output are told: the demand is met by the estimate alone.
 #[test]
 fn draws_of_a_demanded_output_are_told() {

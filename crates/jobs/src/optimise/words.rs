@@ -65,7 +65,7 @@ fn held(o: &Optimised) -> Vec<String> {
     }
     if let Some(robust) = o.robust {
         out.push(format!(
-            "Every limit of an output holds for the models as estimated and for {} draws of their parameters.",
+            "Every limit of an output that has no price holds for the models as estimated and for {} draws of their parameters.",
             robust.draws
         ));
     }

@@ -52,7 +52,10 @@ pub fn estimate(job: &Job) -> Result<Estimate, OptimiseJobError> {
 fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
     let (p, n, dt) = (&job.problem, loaded.record.len(), loaded.record.sample_time_s);
     let total = n as f64 + (job.optimise.extend_s / dt).round();
-    let values = (p.inputs.len() + p.other_outputs().len() + p.demands.len()) as f64;
+    let copies = 1 + job.optimise.robust.map_or(0, |r| r.draws);
+    let distances = job.optimise.guard.map_or(0, |_| loaded.models.len());
+    let outputs = copies * p.other_outputs().len() + p.demands.len() + distances;
+    let values = (p.inputs.len() + outputs) as f64;
     let (at_once, way) = match job.optimise.way {
         Way::Batch(b) => (total, format!("all samples at once, {} start(s)", b.starts)),
         Way::Segments(s) => (total.min(2.0 * s.length_s / dt), format!("segments of {} s", s.length_s)),
