@@ -103,10 +103,7 @@ fn a_guard_is_on_the_page_and_draws_need_correlations() {
     };
     let o = with("guard.toml", "guard = { distance = 1.0 }");
     assert_eq!(o.code, 0, "{}", o.stderr);
-    has(
-        &o.stdout,
-        "The optimum stays where the models were identified: `torque_distance`, `lambda_distance`",
-    );
+    has(&o.stdout, "The guard holds: `torque_distance`, `lambda_distance`");
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
     has(&page, "upper limit of torque_distance");
     let start = |t: usize| column(&tmp.path().join("run/optimum.csv"), "torque_distance")[t];

@@ -141,3 +141,50 @@ fn a_check_runs_nothing() {
     }
     assert_eq!(fs::read_dir(tmp.path()).unwrap().count(), 0, "nothing was written");
 }
+
+/// A file that is not what it should be leaves the model of an earlier run where it was.
+#[test]
+fn a_wrong_file_leaves_the_earlier_model() {
+    let tmp = tempfile::tempdir().unwrap();
+    let write = |name: &str, bad: Option<usize>| {
+        let (mut text, mut y) = ("time [s],u [V],y [V]\n".to_string(), 0.0);
+        for t in 0..200usize {
+            let u = ((t * t * 7) % 13) as f64;
+            let cell = if bad == Some(t) { "abc".into() } else { y.to_string() };
+            text += &format!("{t},{u},{cell}\n");
+            y = 0.5 * y + u;
+        }
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap();
+    };
+    write("good.csv", None);
+    write("bad.csv", Some(100));
+    let spec = r#"
+        out = "run"
+        [data]
+        file = "good.csv"
+        time = "time"
+        [[channels]]
+        column = "u"
+        role = "input"
+        [[channels]]
+        column = "y"
+        role = "output"
+        [model]
+        structure = { name = "polynomial", regressors = ["u(t-1)", "y(t-1)"] }
+        estimator = { name = "ols" }
+    "#;
+    dynocal_files::atomic::write(&tmp.path().join("spec.toml"), spec.as_bytes()).unwrap();
+    let run = |more: &[&str]| {
+        let mut command = assert_cmd::Command::cargo_bin("dynocal").unwrap();
+        command.current_dir(tmp.path()).args(["identify", "spec.toml"]).args(more).output().unwrap()
+    };
+    let first = run(&[]);
+    assert_ne!(first.status.code(), Some(2), "{}", String::from_utf8_lossy(&first.stderr));
+    let model = tmp.path().join("run/steps/01-identify/model.json");
+    let before = std::fs::read(&model).unwrap();
+    let second = run(&["--data", "bad.csv"]);
+    let text = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert_eq!(second.status.code(), Some(2), "{text}");
+    assert!(text.contains("line 102") && text.contains("abc"), "{text}");
+    assert_eq!(std::fs::read(&model).unwrap(), before);
+}

@@ -156,6 +156,28 @@ impl RunFolder {
         E: From<FilesError>,
         F: FnOnce(&Path) -> Result<T, E>,
     {
+        self.step_after(name, inputs, || Ok(()), |(), folder| work(folder))
+    }
+
+    /// [`RunFolder::step`] with a first part, `read`, that writes nothing: while it may still fail (a file that is not what it
+    /// should be), what an earlier run left stays.
+    ///
+    /// # Errors
+    /// Those of `read` and as of [`RunFolder::step`].
+    pub fn step_after<T, P, E, I, R, F>(
+        &mut self,
+        name: &str,
+        inputs: &I,
+        read: R,
+        work: F,
+    ) -> Result<Done<T>, E>
+    where
+        T: Serialize + DeserializeOwned,
+        I: Serialize + ?Sized,
+        E: From<FilesError>,
+        R: FnOnce() -> Result<P, E>,
+        F: FnOnce(P, &Path) -> Result<T, E>,
+    {
         self.steps += 1;
         let label = format!("{:02}-{name}", self.steps);
         let folder = self.path.join("steps").join(&label);
@@ -165,9 +187,10 @@ impl RunFolder {
             return Ok(done);
         }
         let start = Instant::now();
+        let first = read()?;
         clear(&folder)?;
         self.log(&format!("{label}: started"))?;
-        let result = work(&folder)?;
+        let result = work(first, &folder)?;
         let files = files_digest(&folder)?;
         let result_digest = digest_of(&(&result, &files))?;
         let record = StepRecord {

@@ -45,7 +45,12 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyE
     let digests: Vec<String> = files.map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?;
     let mut folder = RunFolder::open(&job.out, "identify", job)?;
     let inputs = (job.inputs(), digests);
-    let done = folder.step("identify", &inputs, |dir| work(job, dir, watch))?;
+    let done = folder.step_after(
+        "identify",
+        &inputs,
+        || read(job, watch),
+        |parts, dir| of_read(job, parts, dir, watch),
+    )?;
     if done.resumed {
         watch.note("same spec and data as before: result taken from the earlier run");
     }
@@ -58,10 +63,24 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyE
 /// # Errors
 /// [`IdentifyError`].
 pub fn work(job: &Job, dir: &path::Path, watch: Watch) -> Result<Identified, IdentifyError> {
-    let mut parts = parts(job, watch.note)?;
+    of_read(job, read(job, watch)?, dir, watch)
+}
+
+/// The records of a job, checked; writes nothing.
+fn read(job: &Job, watch: Watch) -> Result<Vec<Part>, IdentifyError> {
+    let parts = parts(job, watch.note)?;
     of_parts(job, &parts)?.allowed().map_err(|e| IdentifyError::Large(e.to_string()))?;
-    let measured = measured(&parts[0].records);
     fit_records(job, &parts)?;
+    Ok(parts)
+}
+
+fn of_read(
+    job: &Job,
+    mut parts: Vec<Part>,
+    dir: &path::Path,
+    watch: Watch,
+) -> Result<Identified, IdentifyError> {
+    let measured = measured(&parts[0].records);
     let preparation = prepare_parts(job, &mut parts, dir)?;
     let dynamic = job.saved.is_empty() && !job.is_steady();
     let first = if dynamic { before(job, &parts[0].records)? } else { None };

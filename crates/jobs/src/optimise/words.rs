@@ -54,13 +54,14 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
 /// What the guard and the draws of the models held the optimum to.
 fn held(o: &Optimised) -> Vec<String> {
     let mut out = Vec::new();
-    if let Some(guard) = o.guard {
-        let names: Vec<String> = o.models.iter().map(|m| format!("`{}`", distance_name(&m.output))).collect();
+    let passed = |name: &String| o.asked.iter().any(|a| a.channel == *name && !a.kept);
+    let names: Vec<String> = o.models.iter().map(|m| distance_name(&m.output)).collect();
+    if let Some(guard) = o.guard.filter(|_| !names.iter().any(passed)) {
+        let names: Vec<String> = names.iter().map(|n| format!("`{n}`")).collect();
         out.push(format!(
-            "The optimum stays where the models were identified: {} (1 is the boundary) go to {}, or to what they are at the start where that lies further out{}.",
+            "The guard holds: {} (distance of lagged inputs and outputs from what the model was identified on, 1 is the boundary) at most {}, or what the start has where that is more.",
             names.join(", "),
             number(guard.distance),
-            if guard.soft_weight.is_some() { ", at a price" } else { "" }
         ));
     }
     if let Some(robust) = o.robust {
