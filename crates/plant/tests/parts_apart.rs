@@ -47,10 +47,10 @@ fn knock_and_emissions_only_observe() {
     let thesis = EngineParams::thesis();
     let boosted = EngineParams::named("gtdi_2l").unwrap();
     let own = run(&thesis, |u| u);
-    let knock = EngineParams { knock: boosted.knock.clone(), ..thesis.clone() };
+    let knock = EngineParams { knock: boosted.knock, ..thesis.clone() };
     assert!(knock.knock.is_some());
     assert!(own == run(&knock, |u| u), "knock acts back");
-    let emissions = EngineParams { emissions: boosted.emissions.clone(), ..thesis.clone() };
+    let emissions = EngineParams { emissions: boosted.emissions, ..thesis.clone() };
     assert!(emissions.emissions.is_some());
     assert!(own == run(&emissions, |u| u), "emissions act back");
 }
