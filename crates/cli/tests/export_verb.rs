@@ -47,7 +47,7 @@ fn a_stored_model_leaves_and_its_c_computes() {
     }
     assert!(files.iter().all(|f| tmp.path().join(f).is_file()));
     let c = std::fs::read_to_string(tmp.path().join("out/y_model.c")).unwrap();
-    for part in ["Run: run", "Spec digest: ", "Data digest: ", "Valid for u from "] {
+    for part in ["Run: run", "Spec digest: ", "Data digest: ", "Learnt with u from "] {
         assert!(c.contains(part), "no `{part}` in\n{c}");
     }
     let built = std::process::Command::new("cc")

@@ -66,6 +66,16 @@ fn an_identification_runs_from_a_file_alone() {
     written(tmp.path(), "pool.toml", &lines.collect::<Vec<String>>().join("\n"));
     let (code, out, err) = dynocal(tmp.path(), &["identify", "pool.toml"]);
     assert!(code < 2, "{out}{err}");
+    // One cell that is no number leaves a channel out, and that is said.
+    let torn = record(|k| 0.1 * k as f64).replacen(",1507,", ",15o7,", 1);
+    assert!(torn.contains("15o7"));
+    written(tmp.path(), "torn.csv", &torn);
+    let (code, _, err) =
+        dynocal(tmp.path(), &["new", "identify", "--from", "torn.csv", "--output", "torque"]);
+    assert!(
+        code == 0 && err.contains("is left out: 1 of its ") && err.contains("the first `15o7` in line 9"),
+        "{err}"
+    );
     // A spec is a user's work: it is not written over.
     let (code, _, err) = dynocal(tmp.path(), &["new", "identify", "--from", "bed.csv"]);
     assert!(code == 2 && err.contains("--force"), "{err}");
@@ -199,8 +209,7 @@ fn a_steady_calibration_begins_with_a_table_of_points() {
         .unwrap();
     }
     written(tmp.path(), "points.csv", &text);
-    let flags =
-        ["new", "map", "--from", "points.csv", "--steady", "--output", "torque", "--output", "lambda"];
+    let flags = ["new", "map", "--from", "points.csv", "--output", "torque", "--output", "lambda"];
     let said = ok(tmp.path(), &flags);
     assert!(said.contains("`spark` is optimised in every cell"), "{said}");
     let spec = std::fs::read_to_string(tmp.path().join("points-map.toml")).unwrap();

@@ -140,6 +140,9 @@ fn what_is_lost_or_refused_is_said() {
         ("limits".to_string(), vector(&[500.0, 6500.0])),
     ];
     atomic::write(&tmp.path().join("m.mat"), &mat5::encode(&variables)).unwrap();
+    atomic::write(&tmp.path().join("model.json"), b"{}").unwrap();
+    std::fs::create_dir(tmp.path().join("run")).unwrap();
+    atomic::write(&tmp.path().join("run/run.json"), b"{}").unwrap();
     let (_, err) = said(tmp.path(), &["convert", "m.mat", "m.csv"], 0);
     assert!(err.contains("has no time channel: its 1 channels (limits) are left out"), "{err}");
     let (text, _) = said(tmp.path(), &["show", "m.mat"], 0);
@@ -159,6 +162,12 @@ fn what_is_lost_or_refused_is_said() {
         (&["convert", "bed.mf4", "x.csv", "--rule", "oil=spline"], &["oil=spline", "hold, line"]),
         (&["show", "bed.mf4", "--csv", "separatr = ';'"], &["--csv", "separatr"]),
         (&["show", "bed.mf4", "--format", "mdf5"], &["mdf5", "mdf4"]),
+        (
+            &["show", "model.json"],
+            &["model.json", "hint: a measurement file is shown; a stored model is scored by"],
+        ),
+        (&["show", "run"], &["hint: a run folder: its page is run/report.html"]),
+        (&["export", "nowhere", "--to", "c"], &["cannot read nowhere: no such file or folder"]),
     ] {
         let (_, err) = said(tmp.path(), args, 2);
         assert!(parts.iter().all(|p| err.contains(p)), "{parts:?} in {err}");

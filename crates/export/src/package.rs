@@ -54,7 +54,7 @@ impl Provenance {
         say("File", &self.file);
         say("File digest", &self.file_digest);
         for r in &self.validity {
-            out.push(format!("Valid for {} from {} to {} {}", r.channel, r.lower, r.upper, r.unit));
+            out.push(format!("Learnt with {} from {} to {} {}", r.channel, r.lower, r.upper, r.unit));
         }
         out.iter().map(|l| ascii(l).replace("*/", "* /")).collect()
     }

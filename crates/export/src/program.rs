@@ -289,6 +289,11 @@ impl Program {
         (0..self.nodes.len()).filter(|k| matches!(self.nodes[*k].op, Op::Lag { .. })).collect()
     }
 
+    /// Whether a step depends on those before it.
+    pub fn remembers(&self) -> bool {
+        !self.lines().is_empty() || !self.lags().is_empty()
+    }
+
     /// Inputs that reach output `output` within one sample, for the dependencies of an FMU.
     pub fn feedthrough(&self, output: usize) -> Vec<usize> {
         let mut open = vec![self.outputs[output].node];

@@ -35,6 +35,28 @@ pub enum FilesError {
         /// What should be there.
         expected: &'static str,
     },
+    /// A header without data.
+    #[error(
+        "{path}, line {line}: found the header ({columns}) and no row of data below it, expected at least one"
+    )]
+    NoRows {
+        /// File.
+        path: String,
+        /// Line of the header.
+        line: usize,
+        /// Its columns.
+        columns: String,
+    },
+    /// Bytes that are no text.
+    #[error("{path}: found {found}, expected a table in text ({format})")]
+    NoText {
+        /// File.
+        path: String,
+        /// What it is.
+        found: String,
+        /// Format that was asked for.
+        format: &'static str,
+    },
     /// The ending of the name says nothing about the format.
     #[error("{path}: format not known from the name; expected {known} (or name the format)")]
     Format {
@@ -245,6 +267,16 @@ pub enum FilesError {
         /// The verb that wanted to write there.
         expected: String,
     },
+    /// The folder has the name of this spec, and holds the run of another one of that name.
+    #[error(
+        "{path} holds the run of another spec of that name, {other}: choose another folder (--out) or another `name` in the spec, or remove the folder"
+    )]
+    OtherSpec {
+        /// Folder.
+        path: String,
+        /// The other spec, which is still there.
+        other: String,
+    },
     /// A JSON file of another kind or a newer version.
     #[error("{path}: found {found}, expected {expected}")]
     Schema {
@@ -273,6 +305,13 @@ fn did_you_mean(nearest: &Option<String>) -> String {
 }
 
 /// The system's reason in the user's terms.
+impl FilesError {
+    /// That `path` could not be read, in plain words.
+    pub fn unread(path: &std::path::Path, e: &std::io::Error) -> Self {
+        Self::Read { path: path.display().to_string(), reason: reason(e) }
+    }
+}
+
 pub(crate) fn reason(e: &std::io::Error) -> String {
     use std::io::ErrorKind as K;
     let plain = match e.kind() {

@@ -27,6 +27,8 @@ use crate::error::{FilesError, reason};
 use crate::json;
 
 const STEP_VERSION: u32 = 1;
+/// File of a step that is written last.
+const STEP_RECORD: &str = "step.json";
 
 /// Folder of a run into which the records of a bed are put.
 pub const MEASURED: &str = "measured";
@@ -52,6 +54,38 @@ struct Marker {
     tool: String,
     version: String,
     kind: String,
+    /// The spec whose name the folder has, as seen from the folder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    spec: Option<PathBuf>,
+}
+
+/// Where a run goes: a folder, and the spec that it has its name from, where nobody has named a folder.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RunPlace {
+    folder: PathBuf,
+    spec: Option<PathBuf>,
+}
+
+impl RunPlace {
+    /// `folder`, named after the spec at `spec`: it is not shared with another spec of that name.
+    pub fn named_after(folder: PathBuf, spec: &Path) -> Self {
+        Self { folder, spec: Some(spec.into()) }
+    }
+}
+
+impl From<PathBuf> for RunPlace {
+    /// A folder that somebody has chosen.
+    fn from(folder: PathBuf) -> Self {
+        Self { folder, spec: None }
+    }
+}
+
+impl std::ops::Deref for RunPlace {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        &self.folder
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -87,6 +121,8 @@ pub struct RunFolder {
     started: Instant,
     /// `log.txt`, held open: its lock tells another run that the folder is taken, and goes with this process.
     log: fs::File,
+    /// `spec.json` of an earlier run.
+    earlier_spec: Option<Vec<u8>>,
 }
 
 impl RunFolder {
@@ -110,12 +146,35 @@ impl RunFolder {
     /// }
     /// ```
     pub fn open<S: Serialize + ?Sized>(path: &Path, kind: &str, spec: &S) -> Result<Self, FilesError> {
+        Self::open_at(&path.to_path_buf().into(), kind, spec)
+    }
+
+    /// [`RunFolder::open`] at a place; one that is named after a spec is refused while it holds the run of another spec that is
+    /// still there.
+    ///
+    /// # Errors
+    /// As of [`RunFolder::open`].
+    pub fn open_at<S: Serialize + ?Sized>(
+        place: &RunPlace,
+        kind: &str,
+        spec: &S,
+    ) -> Result<Self, FilesError> {
+        let path: &Path = place;
+        let from = place.spec.as_ref().and_then(|s| seen_from(path, s));
         let marker = path.join("run.json");
         if marker.exists() {
             let m: Marker =
                 json::read(&marker).map_err(|_| foreign(path, kind, "run.json of another tool"))?;
             if m.tool != "dynocal" || m.kind != kind {
                 return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
+            }
+            if let (Some(own), Some(other)) = (&from, m.spec.filter(|s| path.join(s).exists()))
+                && *own != other
+            {
+                let other = path.join(&other);
+                let shown = fs::canonicalize(&other).unwrap_or(other);
+                let (path, other) = (path.display().to_string(), shown.display().to_string());
+                return Err(FilesError::OtherSpec { path, other });
             }
         } else {
             let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
@@ -129,10 +188,17 @@ impl RunFolder {
         sweep(path);
         json::write(
             &marker,
-            &Marker { tool: "dynocal".into(), version: env!("CARGO_PKG_VERSION").into(), kind: kind.into() },
+            &Marker {
+                tool: "dynocal".into(),
+                version: env!("CARGO_PKG_VERSION").into(),
+                kind: kind.into(),
+                spec: from,
+            },
         )?;
+        let earlier_spec = fs::read(path.join("spec.json")).ok();
         json::write(&path.join("spec.json"), spec)?;
-        let run = Self { path: path.into(), steps: 0, timing: Vec::new(), started: Instant::now(), log };
+        let (path, timing, started) = (path.into(), Vec::new(), Instant::now());
+        let run = Self { path, steps: 0, timing, started, log, earlier_spec };
         run.log(&format!("dynocal {} {kind}", env!("CARGO_PKG_VERSION")))?;
         Ok(run)
     }
@@ -156,11 +222,16 @@ impl RunFolder {
         E: From<FilesError>,
         F: FnOnce(&Path) -> Result<T, E>,
     {
-        self.step_after(name, inputs, || Ok(()), |(), folder| work(folder))
+        let (label, folder) = self.next(name);
+        let digest = inputs_digest(name, inputs)?;
+        match earlier(&folder, &digest) {
+            Some(done) => self.taken(&label, done),
+            None => self.worked(&label, folder, digest, work),
+        }
     }
 
-    /// [`RunFolder::step`] with a first part, `read`, that writes nothing: while it may still fail (a file that is not what it
-    /// should be), what an earlier run left stays.
+    /// [`RunFolder::step`] with a first part, `read`, that writes nothing, and with an earlier result that stays until there is
+    /// another: where reading or work fails, or is killed, the step is again what the earlier run left.
     ///
     /// # Errors
     /// Those of `read` and as of [`RunFolder::step`].
@@ -178,32 +249,69 @@ impl RunFolder {
         R: FnOnce() -> Result<P, E>,
         F: FnOnce(P, &Path) -> Result<T, E>,
     {
+        let (label, folder) = self.next(name);
+        let digest = inputs_digest(name, inputs)?;
+        let aside = aside_of(&folder);
+        put_back(&folder, &aside)?;
+        if let Some(done) = earlier(&folder, &digest) {
+            return self.taken(&label, done);
+        }
+        let done = read().and_then(|first| {
+            if folder.join(STEP_RECORD).exists() {
+                moved(&folder, &aside)?;
+            }
+            self.worked(&label, folder.clone(), digest, |folder| work(first, folder))
+        });
+        put_back(&folder, &aside)?;
+        if let (Err(_), Some(spec), true) = (&done, &self.earlier_spec, folder.join(STEP_RECORD).exists()) {
+            // The results that stay are of the spec that made them.
+            crate::atomic::write(&self.path.join("spec.json"), spec)?;
+        }
+        done
+    }
+
+    /// Label and folder of the step that comes next.
+    fn next(&mut self, name: &str) -> (String, PathBuf) {
         self.steps += 1;
         let label = format!("{:02}-{name}", self.steps);
         let folder = self.path.join("steps").join(&label);
-        let inputs_digest = inputs_digest(name, inputs)?;
-        if let Some(done) = earlier(&folder, &inputs_digest) {
-            self.log(&format!("{label}: taken from the earlier run"))?;
-            return Ok(done);
-        }
+        (label, folder)
+    }
+
+    fn taken<T, E: From<FilesError>>(&self, label: &str, done: Done<T>) -> Result<Done<T>, E> {
+        self.log(&format!("{label}: taken from the earlier run"))?;
+        Ok(done)
+    }
+
+    fn worked<T, E, F>(
+        &mut self,
+        label: &str,
+        folder: PathBuf,
+        inputs_digest: String,
+        work: F,
+    ) -> Result<Done<T>, E>
+    where
+        T: Serialize + DeserializeOwned,
+        E: From<FilesError>,
+        F: FnOnce(&Path) -> Result<T, E>,
+    {
         let start = Instant::now();
-        let first = read()?;
         clear(&folder)?;
         self.log(&format!("{label}: started"))?;
-        let result = work(first, &folder)?;
+        let result = work(&folder)?;
         let files = files_digest(&folder)?;
         let result_digest = digest_of(&(&result, &files))?;
         let record = StepRecord {
             step_version: STEP_VERSION,
-            step: label.clone(),
+            step: label.into(),
             inputs_digest,
             result_digest: result_digest.clone(),
             files,
             result,
         };
-        json::write(&folder.join("step.json"), &record)?;
+        json::write(&folder.join(STEP_RECORD), &record)?;
         self.log(&format!("{label}: finished"))?;
-        self.timing.push((label, start.elapsed().as_secs_f64()));
+        self.timing.push((label.into(), start.elapsed().as_secs_f64()));
         self.write_timing()?;
         Ok(Done { result: record.result, digest: result_digest, folder, resumed: false })
     }
@@ -218,8 +326,7 @@ impl RunFolder {
         T: Serialize + DeserializeOwned,
         I: Serialize + ?Sized,
     {
-        self.steps += 1;
-        let folder = self.path.join("steps").join(format!("{:02}-{name}", self.steps));
+        let (_, folder) = self.next(name);
         Ok(earlier(&folder, &inputs_digest(name, inputs)?))
     }
 
@@ -255,6 +362,14 @@ impl RunFolder {
 
 fn inputs_digest<I: Serialize + ?Sized>(name: &str, inputs: &I) -> Result<String, FilesError> {
     digest_of(&(STEP_VERSION, env!("CARGO_PKG_VERSION"), name, inputs))
+}
+
+/// `file` as a path from `folder`, which need not be there; none where one of them cannot be placed.
+fn seen_from(folder: &Path, file: &Path) -> Option<PathBuf> {
+    let (folder, file) = (std::path::absolute(folder).ok()?, std::path::absolute(file).ok()?);
+    let shared = folder.components().zip(file.components()).take_while(|(a, b)| a == b).count();
+    let up = std::iter::repeat_n(std::path::Component::ParentDir, folder.components().count() - shared);
+    Some(up.chain(file.components().skip(shared)).collect())
 }
 
 fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {
@@ -294,13 +409,37 @@ fn sweep(folder: &Path) {
 
 /// The finished step in `folder`, if it had the same inputs and its result and files are untouched.
 fn earlier<T: DeserializeOwned>(folder: &Path, inputs_digest: &str) -> Option<Done<T>> {
-    let record: StepRecord<serde_json::Value> = json::read(&folder.join("step.json")).ok()?;
+    let record: StepRecord<serde_json::Value> = json::read(&folder.join(STEP_RECORD)).ok()?;
     let same = record.step_version == STEP_VERSION
         && record.inputs_digest == inputs_digest
         && files_digest(folder).ok()? == record.files
         && digest_of(&(&record.result, &record.files)).ok()? == record.result_digest;
     let result = serde_json::from_value(record.result).ok()?;
     same.then(|| Done { result, digest: record.result_digest, folder: folder.into(), resumed: true })
+}
+
+/// Where the earlier result of a step waits while another is made.
+fn aside_of(folder: &Path) -> PathBuf {
+    let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    folder.with_file_name(format!(".{name}.earlier"))
+}
+
+/// An earlier result that waits comes back where no other was finished; where one was, it is removed.
+fn put_back(folder: &Path, aside: &Path) -> Result<(), FilesError> {
+    if !aside.exists() {
+        return Ok(());
+    }
+    if folder.join(STEP_RECORD).exists() {
+        return fs::remove_dir_all(aside).map_err(|e| unwritten(aside, &e));
+    }
+    if folder.exists() {
+        fs::remove_dir_all(folder).map_err(|e| unwritten(folder, &e))?;
+    }
+    moved(aside, folder)
+}
+
+fn moved(from: &Path, to: &Path) -> Result<(), FilesError> {
+    fs::rename(from, to).map_err(|e| unwritten(to, &e))
 }
 
 /// An empty folder for a step that starts: what an unfinished one left must not be taken for its result.
@@ -320,7 +459,7 @@ fn files_digest(folder: &Path) -> Result<BTreeMap<String, String>, FilesError> {
     for entry in fs::read_dir(folder).map_err(|e| fail(folder, e))? {
         let path = entry.map_err(|e| fail(folder, e))?.path();
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        if path.is_file() && name != "step.json" && !name.ends_with(".tmp") {
+        if path.is_file() && name != STEP_RECORD && !name.ends_with(".tmp") {
             out.insert(name, digest(&fs::read(&path).map_err(|e| fail(&path, e))?));
         }
     }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use dynocal_files::dataset::{ChannelSpec, Layout, Missing, STAMPS, Select, Time, datasets, read_table};
-use dynocal_files::run_folder::RunFolder;
+use dynocal_files::run_folder::{RunFolder, RunPlace};
 use dynocal_files::table::{Cells, Table};
 use dynocal_files::{FilesError, atomic, csv_io, json, spec};
 use dynocal_ident::data::Role;
@@ -58,7 +58,23 @@ fn empty_files() {
         assert!(matches!(e, FilesError::Empty { .. }), "{e}");
     }
     let e = csv_io::parse("a.csv", b"inj [mg],torque [Nm]\n").unwrap_err().to_string();
-    assert_eq!(e, "a.csv is empty: expected a header row and at least one row of data");
+    assert_eq!(
+        e,
+        "a.csv, line 1: found the header (inj, torque) and no row of data below it, expected at least one"
+    );
+}
+
+#[test]
+fn what_is_no_text_is_no_table() {
+    let refused = |bytes: &[u8]| csv_io::parse("a.csv", bytes).unwrap_err().to_string();
+    let picture = refused(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\n1,2\n3,4\n");
+    assert_eq!(picture, "a.csv: found a PNG picture, expected a table in text (CSV)");
+    assert!(refused(b"PK\x03\x04 sheet").contains("save it as CSV"));
+    let dump: Vec<u8> = (0..2000u32).map(|k| (k * 7 % 31) as u8).collect();
+    assert!(refused(&dump).contains("which no text has"), "{}", refused(&dump));
+    // One odd byte in a word is no picture.
+    let odd = b"u [mg],state\n1,on\x02\n3,off\n5,on\n";
+    assert_eq!(csv_io::parse("a.csv", odd).unwrap().rows(), 3);
 }
 
 /// A table with more columns than anybody measures is refused before it is read, in time that grows with its length alone.
@@ -413,6 +429,63 @@ fn parquet_round_trip_and_broken_bytes() {
     atomic::write(&path, b"PAR1 and then rubbish").unwrap();
     let e = read_table(&path, None).unwrap_err().to_string();
     assert!(e.contains("x.parquet: not a valid Parquet file"), "{e}");
+}
+
+/// Work that fails, or is killed, leaves what an earlier run found, with the spec that it found it for.
+#[test]
+fn an_earlier_result_stays_until_there_is_another() {
+    let tmp = tempfile::tempdir().unwrap();
+    let go = |gain: f64, fails: bool| {
+        let mut run = RunFolder::open(tmp.path(), "test", &gain).unwrap();
+        let work = |(), dir: &Path| {
+            atomic::write(&dir.join("x.txt"), format!("{gain}").as_bytes())?;
+            if fails { Err(FilesError::Busy { path: "x".into() }) } else { Ok(gain) }
+        };
+        run.step_after("a", &gain, || Ok(()), work).map(|d| d.resumed)
+    };
+    let step = tmp.path().join("steps/01-a");
+    let found = || {
+        (
+            std::fs::read_to_string(step.join("x.txt")).unwrap(),
+            json::read::<f64>(&tmp.path().join("spec.json")).unwrap(),
+        )
+    };
+    assert!(!go(1.0, false).unwrap());
+    assert!(go(2.0, true).is_err());
+    assert_eq!(found(), ("1".into(), 1.0));
+    assert!(go(1.0, false).unwrap(), "the earlier result is still one");
+    // Killed half-way: the earlier result waits beside an unfinished one.
+    std::fs::rename(&step, tmp.path().join("steps/.01-a.earlier")).unwrap();
+    std::fs::create_dir(&step).unwrap();
+    assert!(go(1.0, false).unwrap());
+    assert!(!go(2.0, false).unwrap());
+    assert_eq!(found(), ("2".into(), 2.0));
+    assert_eq!(std::fs::read_dir(tmp.path().join("steps")).unwrap().count(), 1);
+}
+
+/// Two specs of one name do not share the folder that has it; a folder that somebody names is theirs to share.
+#[test]
+fn specs_of_one_name_have_folders_of_their_own() {
+    let tmp = tempfile::tempdir().unwrap();
+    let spec = |folder: &str| {
+        let path = tmp.path().join(folder).join("bed.toml");
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        atomic::write(&path, b"x = 1").unwrap();
+        path
+    };
+    let (a, b) = (spec("a"), spec("b"));
+    let out = tmp.path().join("runs/bed");
+    let open =
+        |from: &Path| RunFolder::open_at(&RunPlace::named_after(out.clone(), from), "test", &1).map(drop);
+    open(&a).unwrap();
+    open(&a).unwrap();
+    let e = open(&b).unwrap_err().to_string();
+    assert!(e.contains("holds the run of another spec of that name") && e.contains("a/bed.toml"), "{e}");
+    RunFolder::open(&out, "test", &1).unwrap();
+    // One that is no longer there has moved.
+    open(&a).unwrap();
+    std::fs::remove_file(&a).unwrap();
+    open(&b).unwrap();
 }
 
 /// A result that was edited by hand is not taken for what the step found.

@@ -2,6 +2,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use dynocal_files::run_folder::RunPlace;
 use dynocal_files::spec::Faults;
 
 /// What a face (the command line, a program) changes in a spec.
@@ -19,7 +20,7 @@ pub struct Place {
     /// Name.
     pub name: String,
     /// Folder.
-    pub out: PathBuf,
+    pub out: RunPlace,
 }
 
 impl Place {
@@ -34,7 +35,7 @@ impl Place {
     /// use dynocal_jobs::place::Place;
     /// let mut faults = Faults::default();
     /// let place = Place::of(Path::new("specs/test.toml"), None, None, None, &mut faults);
-    /// assert_eq!(place.out, Path::new("runs/test"));
+    /// assert_eq!(&*place.out, Path::new("runs/test"));
     /// assert!(faults.is_empty());
     /// Place::of(Path::new("specs/test.toml"), Some("../../etc"), None, None, &mut faults);
     /// assert!(!faults.is_empty());
@@ -56,13 +57,15 @@ impl Place {
             );
         }
         let folder = spec.parent().unwrap_or(Path::new(""));
-        let own = || out.map_or_else(|| Path::new("runs").join(&name), |o| folder.join(o));
-        Self { out: face.map_or_else(own, Path::to_path_buf), name }
+        let chosen = face.map(Path::to_path_buf).or(out.map(|o| folder.join(o)));
+        let own = || RunPlace::named_after(Path::new("runs").join(&name), spec);
+        Self { out: chosen.map_or_else(own, RunPlace::from), name }
     }
 
     /// The place of a run without a spec.
     pub fn run(name: &str, face: Option<&Path>) -> Self {
-        Self { out: face.map_or_else(|| Path::new("runs").join(name), Path::to_path_buf), name: name.into() }
+        let out = face.map_or_else(|| Path::new("runs").join(name), Path::to_path_buf);
+        Self { out: out.into(), name: name.into() }
     }
 }
 

@@ -423,7 +423,7 @@ fn a_run_leaves_in_every_format() {
     assert!(done.notes.iter().any(|n| n.contains("dcm") && n.contains("dynamic_map")), "{:?}", done.notes);
     for file in ["dynamic_map.c", "static_map.dcm", "static_map.py"] {
         let text = std::fs::read_to_string(out.join(file)).unwrap();
-        for part in ["Data digest: 0123abcd", "Spec digest: ", "Run: ", "Valid for speed from "] {
+        for part in ["Data digest: 0123abcd", "Spec digest: ", "Run: ", "Learnt with speed from "] {
             assert!(text.contains(part), "{file} has no `{part}`");
         }
     }

@@ -65,7 +65,7 @@ pub use result::{Optimum, PartOutcome, TermValue, Violation};
 pub use robust::{Robust, Spread};
 pub use segments::{Seam, Segments};
 pub use shortfall::Shortfall;
-pub use stored::{StoredOutput, optimise_record};
+pub use stored::{StoredOutput, check_record, optimise_record};
 pub use way::{Batch, WAYS, Way};
 
 use crate::problem::CalibrationProblem;

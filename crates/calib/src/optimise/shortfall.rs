@@ -9,6 +9,7 @@
 
 use super::setup::Setup;
 use super::{Found, OptimiseOptions, batch};
+use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
@@ -47,10 +48,20 @@ impl Shortfall {
             true => "no input at a limit".into(),
             false => self.inputs.join(", "),
         };
-        let asked = if self.of == "demand" { "demand".to_string() } else { format!("{} limit", self.of) };
+        let misses = match (self.of.as_str(), self.largest < 0.0) {
+            ("demand", true) => "stays below its demand",
+            ("demand", false) => "goes above its demand",
+            (_, true) => "goes below its lower limit",
+            (_, false) => "goes above its upper limit",
+        };
         format!(
-            "{} misses its {asked} from {:.2} to {:.2} s by up to {:+.4} {} (at {:.2} s), with {inputs}",
-            self.output, self.from_s, self.to_s, self.largest, self.unit, self.at_s
+            "{} {misses} from {:.2} to {:.2} s by up to {:.4}{} (at {:.2} s), with {inputs}",
+            self.output,
+            self.from_s,
+            self.to_s,
+            self.largest.abs(),
+            UnitAfter(&self.unit),
+            self.at_s
         )
     }
 }

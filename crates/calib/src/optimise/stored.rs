@@ -1,6 +1,8 @@
 //! Stored models as the optimisation takes them.
 
+use super::guard::Guarded;
 use super::model::{OutputModel, OutputWay, Source};
+use super::setup::Setup;
 use super::{OptimiseError, OptimiseOptions, Optimum, Robust, optimise_models};
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
@@ -78,6 +80,32 @@ pub fn optimise_record(
     options: &OptimiseOptions,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Optimum, OptimiseError> {
+    let taken = taken(models, start, options)?;
+    let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
+    optimise_models(problem, &all, start, options, interrupt)
+}
+
+/// All that [`optimise_record`] asks of problem, models and record before it searches.
+///
+/// # Errors
+/// As [`optimise_record`].
+pub fn check_record(
+    problem: &CalibrationProblem,
+    models: &[&StoredModel],
+    start: &Dataset,
+    options: &OptimiseOptions,
+) -> Result<(), OptimiseError> {
+    let taken = taken(models, start, options)?;
+    let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
+    Setup::new(problem, &all, start, options)?;
+    options.guard.map_or(Ok(()), |guard| Guarded::new(problem, &all, start, guard).map(drop))
+}
+
+fn taken(
+    models: &[&StoredModel],
+    start: &Dataset,
+    options: &OptimiseOptions,
+) -> Result<Vec<StoredOutput>, OptimiseError> {
     models.iter().try_for_each(|m| belongs(m, start))?;
     let mut taken = models.iter().map(|m| StoredOutput::new(m)).collect::<Result<Vec<_>, _>>()?;
     if let Some(robust) = options.robust {
@@ -85,8 +113,7 @@ pub fn optimise_record(
             t.draws = draws(t, m, start, robust, k as u64)?;
         }
     }
-    let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
-    optimise_models(problem, &all, start, options, interrupt)
+    Ok(taken)
 }
 
 /// Tries for each draw that is wanted.

@@ -344,7 +344,7 @@ fn a_limit_beyond_reach_names_time_amount_and_input() {
     );
     assert_eq!(s.inputs, ["u at 5 bar"]);
     assert!(
-        s.sentence().contains("y misses its lower limit from 0.06 to 1.17 s by up to -5.0000 K"),
+        s.sentence().contains("y goes below its lower limit from 0.06 to 1.17 s by up to 5.0000 K"),
         "{}",
         s.sentence()
     );

@@ -56,7 +56,8 @@ fn text(found: &Optimised) -> String {
         .iter()
         .map(|t| vec![t.channel.clone(), t.unit.clone(), number(t.weight), number(t.start), number(t.optimum)])
         .collect();
-    out += &table::render(&["minimised", "unit", "weight", "start", "optimum"], &rows, &[2, 3, 4]);
+    let end = if found.status.is_success() { "optimum" } else { "end of the search" };
+    out += &table::render(&["minimised", "unit", "weight", "start", end], &rows, &[2, 3, 4]);
     let rows: Vec<Vec<String>> = found
         .asked
         .iter()

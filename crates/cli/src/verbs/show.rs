@@ -1,6 +1,6 @@
 //! `dynocal show FILE`: channels, units, rates, ranges and gaps of a measurement file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_files::atomic;
@@ -36,13 +36,35 @@ struct Show {
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let args = Show::from_arg_matches(matches)?;
     let keys = ReadKeys { csv: args.reading.dialect()?, ..ReadKeys::default() };
-    let found = contents(&args.file, args.reading.format, &keys)?;
+    let found = contents(&args.file, args.reading.format, &keys).map_err(|e| {
+        let failure = Failure::from(e);
+        match hint(&args.file) {
+            Some(text) => failure.hint(text),
+            None => failure,
+        }
+    })?;
     if let Some(path) = &args.page {
         atomic::write(path, render(&page(&found))?.as_bytes())?;
     }
     let text = if args.json { format!("{}\n", serde_json::to_string_pretty(&found)?) } else { text(&found) };
     print(&text)?;
     Ok(Exit::Done)
+}
+
+/// What is meant where something else than a measurement is given.
+fn hint(path: &Path) -> Option<String> {
+    if path.join("run.json").exists() {
+        return Some(format!(
+            "a run folder: its page is {}, its numbers are in summary.json; `dynocal export` takes its maps and models",
+            path.join("report.html").display()
+        ));
+    }
+    let json = path.extension().is_some_and(|e| e == "json") && path.is_file();
+    json.then(|| {
+        "a measurement file is shown; a stored model is scored by `dynocal identify --model FILE --data FILE`, run by `dynocal \
+         simulate`, taken away by `dynocal export`"
+            .into()
+    })
 }
 
 fn text(found: &Contents) -> String {

@@ -14,6 +14,7 @@ use crate::error::ExportError;
 use crate::format::c_program;
 use crate::format::{Export, Holds, Keys, OutFile, PRECISION, Precision};
 use crate::package::{Extrapolation, Package, ascii};
+use crate::program::Program;
 
 /// Row of the table of exports.
 pub const EXPORT: Export = Export {
@@ -99,9 +100,20 @@ impl<'a> Code<'a> {
         self.package.provenance.lines().iter().for_each(|l| {
             let _ = writeln!(out, " * {l}");
         });
-        let _ =
-            writeln!(out, " * Look-ups: binary search, linear interpolation, {edge}; x fastest in tables.");
-        out.push_str(" * A NaN input takes the first breakpoint. C99; compile with -ffp-contract=off for equal bits. */\n");
+        if self.tables().next().is_some() {
+            let _ = writeln!(
+                out,
+                " * Look-ups: binary search, linear interpolation, {edge}; x fastest in tables. A NaN takes the first breakpoint."
+            );
+        }
+        if self.package.program.as_ref().is_some_and(Program::remembers) {
+            let _ = writeln!(
+                out,
+                " * A NaN input stays in the delayed values until {}_init: check inputs before the step.",
+                self.prefix
+            );
+        }
+        out.push_str(" * C99; compile with -ffp-contract=off for equal bits. */\n");
         out
     }
 

@@ -23,7 +23,11 @@ pub(crate) fn declarations(code: &Code) -> String {
     let Some(p) = &code.package.program else { return String::new() };
     let (prefix, real) = (&code.prefix, code.real());
     let upper = prefix.to_uppercase();
-    let mut s = format!("\n#define {upper}_SAMPLE_TIME_S ({})\n", code.literal(p.sample_time_s));
+    let mut s = match p.remembers() {
+        true => format!("\n#define {upper}_SAMPLE_TIME_S ({})\n", code.literal(p.sample_time_s)),
+        // What knows of no past may be called at any time.
+        false => "\n".into(),
+    };
     for (k, i) in p.inputs.iter().enumerate() {
         let _ = writeln!(
             s,

@@ -115,6 +115,40 @@ pub fn guess_encoding(bytes: &[u8]) -> Encoding {
     if std::str::from_utf8(bytes).is_ok() { Encoding::Utf8 } else { Encoding::Windows1252 }
 }
 
+/// First bytes of files that are often sent in place of a table.
+const OTHERS: [(&[u8], &str); 8] = [
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"GIF8", "a GIF picture"),
+    (b"%PDF", "a PDF document"),
+    (b"PK\x03\x04", "a ZIP archive (or a spreadsheet: save it as CSV)"),
+    (b"\xd0\xcf\x11\xe0", "an old spreadsheet or document (save it as CSV)"),
+    (b"7z\xbc\xaf", "a 7z archive"),
+    (b"\x7fELF", "a program"),
+];
+
+/// What `bytes` are, where they are no text: a format that is none, or bytes that no logger writes.
+pub fn no_text(bytes: &[u8], encoding: Encoding) -> Option<String> {
+    if let Some((_, what)) = OTHERS.iter().find(|(start, _)| bytes.starts_with(start)) {
+        return Some((*what).into());
+    }
+    if matches!(encoding, Encoding::Utf16Le | Encoding::Utf16Be) {
+        return None;
+    }
+    // Old loggers end a file with 0x1a, and pad it with zeros.
+    let body = bytes.trim_ascii_end();
+    let end = body.iter().rposition(|b| ![0, 0x1a].contains(b)).map_or(0, |k| k + 1);
+    let control = |b: &&u8| **b < 0x20 && !b"\t\n\r\x0b\x0c\x1b".contains(*b);
+    let head = &body[..end.min(4096)];
+    let found = head.iter().filter(control).count();
+    // One odd byte in a word makes no picture of a table.
+    if found < 4 || found * 50 <= head.len() {
+        return None;
+    }
+    let first = head.iter().find(control)?;
+    Some(format!("bytes such as 0x{first:02x}, which no text has ({found} of the first {})", head.len()))
+}
+
 /// What bytes 0x80 to 0x9f are in Windows-1252; the five that are free stay control characters.
 const HIGH: [u16; 32] = [
     0x20ac, 0x81, 0x201a, 0x192, 0x201e, 0x2026, 0x2020, 0x2021, 0x2c6, 0x2030, 0x160, 0x2039, 0x152, 0x8d,

@@ -92,6 +92,9 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
     let empty =
         || FilesError::Empty { path: file.into(), expected: "a header row and at least one row of data" };
     let encoding = keys.encoding.unwrap_or_else(|| csv_dialect::guess_encoding(bytes));
+    if let Some(found) = csv_dialect::no_text(bytes, encoding) {
+        return Err(FilesError::NoText { path: file.into(), found, format: "CSV" });
+    }
     let text = csv_dialect::decode(bytes, encoding);
     if text.trim().is_empty() {
         return Err(empty());
@@ -151,7 +154,9 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
         lines.push(line);
     }
     if lines.is_empty() {
-        return Err(empty());
+        let columns: Vec<&str> = columns.iter().map(|c| c.name.as_str()).collect();
+        let (path, line, columns) = (file.into(), dialect.header_line, columns.join(", "));
+        return Err(FilesError::NoRows { path, line, columns });
     }
     if !dialect.is_plain() {
         notes.insert(0, format!("read as {}", dialect.describe()));

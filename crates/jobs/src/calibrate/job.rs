@@ -1,5 +1,7 @@
 //! What `calibrate`, its steps and `study` share: a checked spec in, a finished run folder out.
 
+use crate::place::Place;
+use dynocal_files::run_folder::RunPlace;
 use dynocal_numerics::watch::Watch;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -22,12 +24,12 @@ use dynocal_plant::plants;
 
 /// A checked spec and where its run goes.
 pub struct Campaign {
-    /// Name of the spec file.
+    /// Name of the run.
     pub name: String,
     /// The checked spec.
     pub spec: CalibrateSpec,
     /// Run folder.
-    pub out: PathBuf,
+    pub out: RunPlace,
 }
 
 /// A run that reached the step it was asked for.
@@ -48,15 +50,16 @@ pub struct Finished {
 
 /// Reads and checks the spec at `path`; seed and folder may come from the command line.
 pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, LoadError> {
+    let mut place = None;
     let mut spec = load(path, |typed: &CalibrateSpec, faults| {
         check::check(typed, faults);
+        place = Some(Place::of(path, typed.name.as_deref(), None, out, faults));
         Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
     })?;
     // Files in a spec are relative to its folder.
     let folder = path.parent().unwrap_or(Path::new(""));
     given_files(&mut spec).for_each(|f| *f = folder.join(&*f));
-    let name = path.file_stem().map_or_else(|| "calibrate".into(), |s| s.to_string_lossy().into_owned());
-    let out = out.map_or_else(|| Path::new("runs").join(&name), Path::to_path_buf);
+    let Place { name, out } = place.unwrap_or_else(|| Place::run("calibrate", out));
     Ok(Campaign { name, spec, out })
 }
 
@@ -112,7 +115,7 @@ pub fn last_step(spec: &CalibrateSpec) -> &'static str {
 /// [`ChainError`]; finished steps are kept.
 pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, ChainError> {
     let spec = &campaign.spec;
-    let mut folder = RunFolder::open(&campaign.out, KIND, spec)?;
+    let mut folder = RunFolder::open_at(&campaign.out, KIND, spec)?;
     let make = plants::find(&spec.plant.name).and_then(|p| p.make);
     let factory = |noise: bool| -> Result<Box<dyn Plant>, PlantError> {
         match make {

@@ -23,6 +23,9 @@ pub type Range = (f64, f64);
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CalibrateSpec {
+    /// Name of the run; that of the spec's file where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Title of the report.
     pub title: String,
     /// Seed of everything random.
@@ -62,6 +65,7 @@ pub struct CalibrateSpec {
 impl Default for CalibrateSpec {
     fn default() -> Self {
         Self {
+            name: None,
             title: "Dynamic calibration".into(),
             seed: 1,
             sample_time_s: 0.03,

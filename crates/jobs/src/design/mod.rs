@@ -21,6 +21,7 @@ pub mod run;
 mod stored;
 pub(crate) mod typed;
 
+use dynocal_files::run_folder::RunPlace;
 use std::path::{Path, PathBuf};
 
 use dynocal_design::channel::Channel;
@@ -75,7 +76,7 @@ pub struct Job {
     pub name: String,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
     /// Sample time in s.
     pub sample_time_s: f64,
     /// Samples of the record.

@@ -32,7 +32,7 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Designed, Curves, RunFolder), Des
     let inputs = load(job)?;
     inputs.notes.iter().for_each(|n| watch.note(n));
     // A folder that cannot be written is known before anything is computed.
-    let folder = RunFolder::open(&job.out, "design", job)?;
+    let folder = RunFolder::open_at(&job.out, "design", job)?;
     let (designed, curves) = make(job, &inputs, watch)?;
     write(job, &designed, &curves, folder.path())?;
     folder.write_summary(&designed)?;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use dynocal_files::FilesError;
 use dynocal_files::dataset::read_table_with;
 use dynocal_files::measurement::time_column;
 use dynocal_files::table::{Cells, Column, Table};
@@ -72,6 +73,11 @@ pub struct Found {
 /// # Errors
 /// [`DraftError`].
 pub fn found(file: &Path, wishes: &Wishes) -> Result<Found, DraftError> {
+    found_for(file, wishes, !wishes.steady)
+}
+
+/// The same; `timed` says whether rows must be samples in time.
+pub(super) fn found_for(file: &Path, wishes: &Wishes, timed: bool) -> Result<Found, DraftError> {
     let table = read_table_with(file, wishes.format, &wishes.read)?;
     let name = file.display().to_string();
     let lacks = |found: String, expected: &str| DraftError::Lacks {
@@ -88,7 +94,7 @@ pub fn found(file: &Path, wishes: &Wishes) -> Result<Found, DraftError> {
         }
         None => (None, wishes.sample_time_s.filter(|_| !wishes.steady)),
     };
-    if sample_time_s.is_none() && !wishes.steady {
+    if sample_time_s.is_none() && timed {
         return Err(lacks(
             "no column of time stamps".into(),
             "--sample-time-s S (samples S apart), or --steady (every row is a steady point)",
@@ -100,6 +106,7 @@ pub fn found(file: &Path, wishes: &Wishes) -> Result<Found, DraftError> {
             Ok(found) => channels.push(found),
             Err(why) => left_out.push(format!("`{}`: {why}", c.name)),
         }
+        notes.extend(nearly(&table, c));
     }
     for wanted in wishes.outputs.iter().chain(&wishes.inputs).chain(&wishes.given) {
         if !channels.iter().any(|c| c.column == *wanted || c.name == *wanted) {
@@ -231,6 +238,23 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
         mean: there.iter().sum::<f64>() / there.len() as f64,
         gaps: values.len() - there.len(),
         role: Role::Input,
+    })
+}
+
+/// A column of numbers but for some cells, which leave it out: that is a fault of the file rather than a column of words.
+fn nearly(table: &Table, c: &Column) -> Option<String> {
+    let Cells::Text(cells) = &c.cells else { return None };
+    let Err(FilesError::Cell { place, found, .. }) = table.numbers_or_missing(&c.name, 0, cells.len()) else {
+        return None;
+    };
+    let numbers = cells.iter().filter(|t| t.trim().replacen(',', ".", 1).parse::<f64>().is_ok()).count();
+    (2 * numbers > cells.len()).then(|| {
+        format!(
+            "`{}` is left out: {} of its {} cells are no numbers, the first `{found}` in {place}: mend the file to have it.",
+            c.name,
+            cells.len() - numbers,
+            cells.len()
+        )
     })
 }
 

@@ -113,7 +113,8 @@ pub enum DraftError {
 /// assert!(spec.notes[0].contains("`torque`"));
 /// ```
 pub fn draft(kind: Kind, file: &Path, folder: &Path, wishes: &Wishes) -> Result<Draft, DraftError> {
-    let found = found(file, wishes)?;
+    // Maps are made from points: where a file has no time, its rows are some.
+    let found = file::found_for(file, wishes, !wishes.steady && kind != Kind::Map)?;
     let path = relative(file, folder);
     match kind {
         Kind::Identify => identify::text(&found, &path, wishes),

@@ -172,8 +172,7 @@ fn written(made: &[Made], name: &str, keys: &Keys) -> Result<(Vec<OutFile>, Vec<
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, FilesError> {
-    std::fs::read(path)
-        .map_err(|e| FilesError::Read { path: path.display().to_string(), reason: e.to_string() })
+    std::fs::read(path).map_err(|e| FilesError::unread(path, &e))
 }
 
 /// The packages of a source.

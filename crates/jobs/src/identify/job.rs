@@ -43,7 +43,7 @@ use super::verdict::verdict;
 pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyError> {
     let files = job.sources.iter().chain(job.tests.iter().map(|t| &t.source));
     let digests: Vec<String> = files.map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?;
-    let mut folder = RunFolder::open(&job.out, "identify", job)?;
+    let mut folder = RunFolder::open_at(&job.out, "identify", job)?;
     let inputs = (job.inputs(), digests);
     let done = folder.step_after(
         "identify",

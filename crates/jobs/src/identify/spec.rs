@@ -10,6 +10,7 @@ mod steady;
 mod typed;
 mod validation;
 
+use dynocal_files::run_folder::RunPlace;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -78,7 +79,7 @@ pub struct Job {
     pub keep: Keep,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
     /// Formats in which the models leave.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub export: Option<ExportSpec>,

@@ -15,6 +15,9 @@ const MOST_TIMES: f64 = 1e9;
 /// A linear model this much better, or at most this much worse, is the better choice.
 const AS_GOOD: f64 = 1.02;
 
+/// Structures that are linear themselves.
+const LINEAR: [&str; 7] = ["arx", "linear_arx", "armax", "oe", "bj", "fir_arma", "linear"];
+
 /// Sentences for every target, then what to do next.
 pub fn verdict(found: &Identified) -> Vec<String> {
     let mut out: Vec<String> = found.models.iter().map(|m| target(found, m)).collect();
@@ -154,6 +157,13 @@ fn next(found: &Identified) -> String {
         let linear = m.baseline.as_ref().and_then(|b| b.rmse);
         matches!((own, linear), (Some(own), Some(linear)) if linear <= AS_GOOD * own)
     });
+    if let Some(m) = beaten.filter(|m| LINEAR.contains(&m.structure.as_str())) {
+        return format!(
+            "Next: for {} another structure: the linear model by least squares, beside it, does as well. Longer lags or products \
+             (`select`), or inputs that are missing, are what may do better.",
+            m.target
+        );
+    }
     if let Some(m) = beaten {
         return format!(
             "Next: for {} take the linear model, or another structure: this one is not worth its terms.",

@@ -1,6 +1,7 @@
 //! A steady calibration that is ready to run: its spec read, filled in and checked, and where the run goes.
 
-use std::path::{Path, PathBuf};
+use dynocal_files::run_folder::RunPlace;
+use std::path::Path;
 
 use dynocal_files::spec::{Faults, LoadError, SpecError};
 
@@ -14,7 +15,7 @@ pub struct Job {
     /// Name of the run.
     pub name: String,
     /// Run folder.
-    pub out: PathBuf,
+    pub out: RunPlace,
     /// The checked spec, its axes and held values filled in.
     pub spec: MapSpec,
 }
@@ -49,7 +50,7 @@ fn checked(t: &MapSpec, path: &Path, over: &Overrides, faults: &mut Faults) -> O
     let mut spec = MapSpec { seed: over.seed.unwrap_or(t.seed), ..t.clone() };
     fill(&mut spec);
     check(&spec, faults);
-    let place = Place::of(path, None, None, over.out.as_deref(), faults);
+    let place = Place::of(path, t.name.as_deref(), None, over.out.as_deref(), faults);
     faults.is_empty().then_some(Job { name: place.name, out: place.out, spec })
 }
 

@@ -39,7 +39,7 @@ pub const KIND: &str = "map";
 /// [`MapError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Mapped, RunFolder), MapError> {
     // A folder that cannot be written is known before the plant is run.
-    let folder = RunFolder::open(&job.out, KIND, &job.spec)?;
+    let folder = RunFolder::open_at(&job.out, KIND, &job.spec)?;
     let found = work::run(job, watch);
     if let Err(MapError::NeedsMeasurement { .. }) = &found {
         // What an earlier, shorter day left is not the result of this one.

@@ -17,6 +17,9 @@ use crate::calibrate::spec::{CalibrateSpec, LoopSpec};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MapSpec {
+    /// Name of the run; that of the spec's file where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Title of the report.
     pub title: String,
     /// Seed of everything random.
@@ -52,6 +55,7 @@ impl Default for MapSpec {
     fn default() -> Self {
         let CalibrateSpec { problem, loops, .. } = CalibrateSpec::default();
         Self {
+            name: None,
             title: "Steady calibration".into(),
             seed: 1,
             sample_time_s: 0.03,

@@ -55,7 +55,11 @@ fn terms(found: &Optimised) -> Table {
         Column::text("Unit"),
         Column::number("Weight", "").digits(4),
         Column::number("Mean at the start", "").digits(5),
-        Column::number("Mean at the optimum", "").digits(5),
+        Column::number(
+            if found.status.is_success() { "Mean at the optimum" } else { "Mean where the search ended" },
+            "",
+        )
+        .digits(5),
         Column::number("Change", "%").digits(3),
     ];
     let change = |start: f64, optimum: f64| (start != 0.0).then(|| 100.0 * (optimum - start) / start.abs());
@@ -128,7 +132,11 @@ fn asked(found: &Optimised) -> Section {
     });
     Section::new("What was asked")
         .text(
-            "Distances of the free run of the models on the optimal inputs, not of what the search believed.",
+            if found.status.is_success() {
+                "Distances of the free run of the models on the optimal inputs, not of what the search believed."
+            } else {
+                "Distances of the free run of the models on the inputs with which the search ended, which are no optimum."
+            },
         )
         .block(table)
 }

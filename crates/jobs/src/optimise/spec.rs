@@ -1,5 +1,6 @@
 //! Models, record, problem and options of an optimisation: read as typed, checked as meant.
 
+use dynocal_files::run_folder::RunPlace;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -63,7 +64,7 @@ pub struct Job {
     pub optimise: OptimiseOptions,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
 }
 
 /// Reads and checks the spec at `path`. Files in it are relative to its folder.

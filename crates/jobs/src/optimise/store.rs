@@ -17,7 +17,7 @@ const NAME: &str = "optimum";
 /// # Errors
 /// [`OptimiseJobError::Files`], [`OptimiseJobError::Page`].
 pub fn write(job: &Job, found: &Optimised) -> Result<RunFolder, OptimiseJobError> {
-    let folder = RunFolder::open(&job.out, "optimise", job)?;
+    let folder = RunFolder::open_at(&job.out, "optimise", job)?;
     let mut files = vec!["report.html".to_string(), format!("{NAME}.csv")];
     record(&folder.path().join(format!("{NAME}.csv")), found)?;
     if found.status.is_success() {

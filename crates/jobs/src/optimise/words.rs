@@ -43,6 +43,12 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
     if o.shortfalls.len() > SAID {
         out.push(format!("{} further stretches are in the table.", o.shortfalls.len() - SAID));
     }
+    if o.status == Status::Infeasible && !o.shortfalls.is_empty() {
+        out.push(
+            "These are the least amounts, in sum, that any inputs miss; the point at which the search gave up, in tables and plots, may miss more and is no plan."
+                .into(),
+        );
+    }
     out.extend(o.asked.iter().filter(|a| !a.kept && o.shortfalls.is_empty()).map(missed));
     if o.valid {
         out.extend(held(o));
@@ -177,9 +183,6 @@ fn price(p: &PriceLine) -> String {
 /// Where the optimum leaves what the models know, and what the record did not have.
 pub(super) fn warnings(o: &Optimised, from_rest: &[String], outside: Vec<Outside>) -> Vec<String> {
     let mut out = Vec::new();
-    if !o.valid {
-        out.extend(o.verdict.iter().cloned());
-    }
     for c in o.coverage.iter().filter(|c| c.optimum_percent > OUTSIDE) {
         out.push(format!(
             "{} % of the optimum lie outside of what the model of {} was identified on ({} % of the start), at {} s by a factor of {}: what it promises there is extrapolation",

@@ -1,6 +1,6 @@
 //! The work: models and record to an optimum with its verdict, in memory.
 
-use dynocal_calib::optimise::{Guard, Optimum, Price, Way, distance_name, optimise_record};
+use dynocal_calib::optimise::{Guard, Optimum, Price, Way, check_record, distance_name, optimise_record};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::stored::StoredModel;
@@ -46,7 +46,10 @@ pub fn optimise(job: &Job, watch: Watch) -> Result<Optimised, OptimiseJobError> 
 /// # Errors
 /// [`OptimiseJobError`] as of [`optimise`], as far as it shows before the search.
 pub fn estimate(job: &Job) -> Result<Estimate, OptimiseJobError> {
-    Ok(plan_of(job, &load(job, Watch::silent())?))
+    let loaded = load(job, Watch::silent())?;
+    let models: Vec<&StoredModel> = loaded.models.iter().map(|n| &n.model).collect();
+    check_record(&job.problem, &models, &loaded.record, &job.optimise)?;
+    Ok(plan_of(job, &loaded))
 }
 
 fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
@@ -73,7 +76,11 @@ fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
 }
 
 /// What came out, judged.
-fn judged(job: &Job, loaded: Loaded, optimum: Optimum) -> Optimised {
+fn judged(job: &Job, loaded: Loaded, mut optimum: Optimum) -> Optimised {
+    if !optimum.status.is_success() {
+        // What a point costs that is no optimum is the price of nothing.
+        optimum.prices.clear();
+    }
     let p = &job.problem;
     let sizes = Sizes { problem: p, start: &loaded.record };
     let asked = asked(&sizes, job.optimise.guard, &optimum);

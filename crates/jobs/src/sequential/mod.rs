@@ -24,7 +24,7 @@ pub use spec::Job;
 /// [`SequentialError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Sequenced, RunFolder), SequentialError> {
     // A folder that cannot be written is known before the plant is run.
-    let folder = RunFolder::open(&job.out, "sequential", job).map_err(SequentialError::Files)?;
+    let folder = RunFolder::open_at(&job.out, "sequential", job).map_err(SequentialError::Files)?;
     let found = work::play(job, watch)?;
     let found = store::write(&folder, found)?;
     Ok((found, folder))

@@ -1,5 +1,6 @@
 //! What is moved, what is identified, how long: read as typed, checked as meant.
 
+use dynocal_files::run_folder::RunPlace;
 use std::path::{Path, PathBuf};
 
 use dynocal_calib::loops::robust::Risk;
@@ -121,7 +122,7 @@ pub struct Job {
     pub name: String,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
     /// Seed.
     pub seed: u64,
     /// Sample time in s.

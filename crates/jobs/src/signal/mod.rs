@@ -38,7 +38,7 @@ pub use spec::Job;
 /// [`SignalError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Made, RunFolder), SignalError> {
     // A folder that cannot be written is known before anything is computed.
-    let folder = RunFolder::open(&job.out, "signal", job)?;
+    let folder = RunFolder::open_at(&job.out, "signal", job)?;
     let made = work::make(job, watch)?;
     store::write(&folder, job, &made)?;
     Ok((made, folder))

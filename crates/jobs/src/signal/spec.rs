@@ -1,5 +1,6 @@
 //! What signals are wanted: read as typed, checked as meant.
 
+use dynocal_files::run_folder::RunPlace;
 use std::path::{Path, PathBuf};
 
 use dynocal_files::spec::{Faults, LoadError, SpecError};
@@ -48,7 +49,7 @@ pub struct Job {
     pub channels: Vec<Wanted>,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
 }
 
 /// A channel and its signal.

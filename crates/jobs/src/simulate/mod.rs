@@ -22,7 +22,7 @@ pub use spec::Job;
 /// [`SimulateError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Simulated, RunFolder), SimulateError> {
     // A folder that cannot be written is known before anything is computed.
-    let folder = RunFolder::open(&job.out, "simulate", job)?;
+    let folder = RunFolder::open_at(&job.out, "simulate", job)?;
     let simulated = work::simulate(job, watch)?;
     store::write(&folder, &simulated)?;
     Ok((simulated, folder))

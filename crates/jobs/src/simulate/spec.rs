@@ -1,5 +1,6 @@
 //! Which models run on which records: read as typed, checked as meant.
 
+use dynocal_files::run_folder::RunPlace;
 use std::path::{Path, PathBuf};
 
 use dynocal_files::spec::{Faults, LoadError, SpecError};
@@ -34,7 +35,7 @@ pub struct Job {
     pub init_samples: usize,
     /// Run folder.
     #[serde(skip)]
-    pub out: PathBuf,
+    pub out: RunPlace,
 }
 
 impl Job {

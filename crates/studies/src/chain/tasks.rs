@@ -67,7 +67,7 @@ pub(super) fn calibrate(
     spec: &CalibrateSpec,
     around: &Surroundings,
 ) -> Result<Value, StudyError> {
-    let campaign = Campaign { name: name.into(), spec: spec.clone(), out: around.runs.join(name) };
+    let campaign = Campaign { name: name.into(), spec: spec.clone(), out: around.runs.join(name).into() };
     let note = |text: &str| around.watch.note(&format!("  {text}"));
     let watch = Watch { interrupt: around.watch.interrupt, note: &note, ..Watch::silent() };
     let done = job::run(&campaign, "validate", watch)?;
@@ -159,7 +159,7 @@ pub(super) fn interruption(
     let campaign = |part: &str| Campaign {
         name: name.into(),
         spec: spec.clone(),
-        out: around.runs.join(format!("{name}-{part}")),
+        out: around.runs.join(format!("{name}-{part}")).into(),
     };
     let quiet = Watch { interrupt: around.watch.interrupt, ..Watch::silent() };
     let run = |c: &Campaign| job::run(c, "validate", quiet);

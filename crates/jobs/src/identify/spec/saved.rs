@@ -62,7 +62,7 @@ impl Job {
             saved: Vec::new(),
             keep: Keep::default(),
             export: None,
-            out: over.out.clone().unwrap_or_else(|| "runs/scored".into()),
+            out: over.out.clone().unwrap_or_else(|| "runs/scored".into()).into(),
         };
         Ok(job.with_models(models))
     }
