@@ -58,6 +58,8 @@ fn an_identification_runs_from_a_file_alone() {
     let (code, out, err) = dynocal(tmp.path(), &["identify", "bed.toml"]);
     assert!(code < 2, "{out}{err}");
     assert!(tmp.path().join("runs/bed/report.html").exists());
+    // A model that is the linear one itself is not told to give way to it.
+    assert!(!out.contains("take the linear model"), "{out}");
     // The nonlinear model of its comment runs in place of the linear one.
     let line = spec.lines().find_map(|l| l.strip_prefix("# select = ")).unwrap();
     let lines = spec
@@ -66,6 +68,13 @@ fn an_identification_runs_from_a_file_alone() {
     written(tmp.path(), "pool.toml", &lines.collect::<Vec<String>>().join("\n"));
     let (code, out, err) = dynocal(tmp.path(), &["identify", "pool.toml"]);
     assert!(code < 2, "{out}{err}");
+    // Stamps in other units, by name or in brackets.
+    for (name, head) in [("t_ms.csv", "t_ms,"), ("brackets.csv", "Time [ms],")] {
+        written(tmp.path(), name, &record(|k| 100.0 * k as f64).replacen("Time [s],", head, 1));
+        ok(tmp.path(), &["new", "identify", "--from", name, "--output", "torque", "--force"]);
+        let plan = dynocal(tmp.path(), &["identify", &name.replace("csv", "toml"), "--check"]);
+        assert!(plan.0 == 0 && plan.1.contains("280 samples"), "{plan:?}");
+    }
     // One cell that is no number leaves a channel out, and that is said.
     let torn = record(|k| 0.1 * k as f64).replacen(",1507,", ",15o7,", 1);
     assert!(torn.contains("15o7"));

@@ -323,8 +323,10 @@ pub fn time_column(table: &Table) -> Option<&Column> {
 }
 
 fn is_time(name: &str) -> bool {
-    const NAMES: [&str; 8] = ["time", "t", "timestamp", "timestamps", "zeit", "time_s", "t_s", "time_ms"];
-    NAMES.iter().any(|n| name.eq_ignore_ascii_case(n))
+    const NAMES: [&str; 5] = ["time", "t", "timestamp", "timestamps", "zeit"];
+    let of_time = |suffix: &str| units::dimension(suffix) == Some("time");
+    let stem = name.rsplit_once('_').filter(|(_, suffix)| of_time(suffix)).map_or(name, |(stem, _)| stem);
+    NAMES.iter().any(|n| stem.eq_ignore_ascii_case(n))
 }
 
 /// The measurement files in `folder` that are called `stem` with any ending of the table.

@@ -97,7 +97,7 @@ pub(super) fn found_for(file: &Path, wishes: &Wishes, timed: bool) -> Result<Fou
     if sample_time_s.is_none() && timed {
         return Err(lacks(
             "no column of time stamps".into(),
-            "--sample-time-s S (samples S apart), or --steady (every row is a steady point)",
+            "one called time (or t, timestamp, zeit, with its unit as `t [ms]` or `t_ms`), --sample-time-s S (samples S apart), or --steady (every row is a steady point)",
         ));
     }
     let (mut channels, mut left_out) = (Vec::new(), Vec::new());

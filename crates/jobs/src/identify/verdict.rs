@@ -152,23 +152,8 @@ fn next(found: &Identified) -> String {
     if let Some(f) = fault {
         return format!("Do not use it as it is. First: {}", f.sentence());
     }
-    let beaten = found.models.iter().find(|m| {
-        let own = telling(found, m).and_then(|s| s.rmse);
-        let linear = m.baseline.as_ref().and_then(|b| b.rmse);
-        matches!((own, linear), (Some(own), Some(linear)) if linear <= AS_GOOD * own)
-    });
-    if let Some(m) = beaten.filter(|m| LINEAR.contains(&m.structure.as_str())) {
-        return format!(
-            "Next: for {} another structure: the linear model by least squares, beside it, does as well. Longer lags or products \
-             (`select`), or inputs that are missing, are what may do better.",
-            m.target
-        );
-    }
-    if let Some(m) = beaten {
-        return format!(
-            "Next: for {} take the linear model, or another structure: this one is not worth its terms.",
-            m.target
-        );
+    if let Some(m) = found.models.iter().find(|m| beaten(found, m)) {
+        return format!("Next: for {} {}", m.target, instead(m));
     }
     if !found.scores.iter().any(|s| s.data == Seen::Unseen) {
         let things = if found.steady { "points" } else { "records" };
@@ -198,5 +183,25 @@ fn next(found: &Identified) -> String {
         Some(f) => format!("Use it with care: {}", f.sentence()),
         None if found.steady => "It may be used within the boundary of its points.".into(),
         None => "It may be used within the ranges of its records.".into(),
+    }
+}
+
+/// Whether the linear model beside it is as good; one that is linear itself must be worse.
+fn beaten(found: &Identified, m: &Modelled) -> bool {
+    let own = telling(found, m).and_then(|s| s.rmse);
+    let linear = m.baseline.as_ref().and_then(|b| b.rmse);
+    let (Some(own), Some(linear)) = (own, linear) else { return false };
+    if is_linear(m) { AS_GOOD * linear < own } else { linear <= AS_GOOD * own }
+}
+
+fn is_linear(m: &Modelled) -> bool {
+    LINEAR.contains(&m.structure.as_str())
+}
+
+fn instead(m: &Modelled) -> &'static str {
+    if is_linear(m) {
+        "the linear ARX by least squares beside it, which does better (structure `arx`, estimator `ols`), or other orders."
+    } else {
+        "take the linear model, or another structure: this one is not worth its terms."
     }
 }
