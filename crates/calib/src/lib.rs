@@ -3,6 +3,7 @@
 //! A campaign sees a plant only as `&mut dyn Plant`: a test bed, a recording and the virtual engine are the same
 //! thing to it.
 
+pub mod fuelling;
 pub mod gains;
 pub mod limits;
 pub mod loops;

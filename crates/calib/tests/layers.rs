@@ -6,8 +6,18 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] =
-    &["problem", "limits", "supervisor", "gains", "loops", "steady", "optimise", "map", "validate"];
+const ORDER: &[&str] = &[
+    "problem",
+    "limits",
+    "supervisor",
+    "gains",
+    "fuelling",
+    "loops",
+    "steady",
+    "optimise",
+    "map",
+    "validate",
+];
 
 #[test]
 fn no_module_uses_one_above_it() {

@@ -201,7 +201,10 @@ fn a_demand_beyond_reach_is_named_with_time_amount_and_actuator() {
     assert!(number("from_s") >= 9.5 && number("from_s") <= 10.0 && number("to_s") == 15.0, "{shortfall}");
     has(&o.stdout, "Y stays below its demand from ");
     has(&o.stdout, " to 15.00 s by up to ");
-    has(&o.stdout, "the point at which the search gave up, in tables and plots, may miss more and is no plan");
+    has(
+        &o.stdout,
+        "the point at which the search gave up, in tables and plots, may miss more and is no plan",
+    );
     // A point that is no optimum has no prices, and the verdict is said once.
     assert_eq!(summary["prices"], serde_json::json!([]));
     assert!(!tmp.path().join("run/prices.csv").exists() && !o.stdout.contains("one more of"));

@@ -9,6 +9,7 @@ mod chain;
 pub mod chapter4;
 pub mod chapter5;
 mod design;
+mod dynamic;
 pub mod engine;
 mod error;
 mod limits;
@@ -111,6 +112,7 @@ pub static STUDIES: &[Study] = &[
     chapter4::STUDY,
     chapter5::STUDY,
     design::STUDY,
+    dynamic::STUDY,
     engine::STUDY,
     limits::STUDY,
     loops::STUDY,

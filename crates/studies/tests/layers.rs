@@ -15,6 +15,7 @@ const ORDER: &[&str] = &[
     "chain",
     "chapter5",
     "design",
+    "dynamic",
     "engine",
     "limits",
     "loops",

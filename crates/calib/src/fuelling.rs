@@ -1,0 +1,78 @@
+//! Fuel by measured states: an air charge, a filling and a fuel-film model identified from one transient record, and the causal
+//! policy that inverts them.
+//!
+//! A map of demands alone cannot know what the manifold does; a sensor knows it late. With the speed N, the throttle command
+//! theta, the manifold pressure p and the fuel q injected per cycle, all in the units of the channels:
+//!
+//! ```text
+//! charge    c(N, p)                       fuel per cycle that makes lambda 1: polynomial of degree 4           [`Charge`]
+//! filling   dp/dt = g (A(theta') psi(p/p0) - c N / 120) + l (p_measured - mean of p over a cycle)              [`Filling`]
+//!           theta' is theta behind a lag; A is a cubic polynomial; psi the flow function of a nozzle
+//! film      df/dt = X q N / 120 - f / tau,   m = (1 - X) q + (120 / N) f / tau                                 [`Film`]
+//! sensor    phi(t) = m(t) / c(N, p(t + t0 + k 120 / N)),  1 / lambda = phi later by n 120 / N + G / (c N / 120), behind a lag
+//! ```
+//!
+//! The steady ends of holds give c and A to begin with, the pressure of the record g and the lag of the throttle, and the lambda
+//! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
+//! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
+//! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
+//! leaves the film as it must (inverse of the film). It has no parameter that is not identified.
+//!
+//! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
+
+mod charge;
+mod filling;
+mod film;
+mod identify;
+mod policy;
+
+pub use charge::Charge;
+pub use filling::{Filling, FillingState};
+pub use film::{Film, FilmState};
+pub use identify::{FuellingError, TransientRecord, identify};
+pub use policy::FuelPolicy;
+
+use serde::{Deserialize, Serialize};
+
+/// When fuel meets its air, and what the lambda sensor shows of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Timing {
+    /// Constant part of the time from the command of an injection until the pressure that counts for it, t0, in s.
+    pub charge_s: f64,
+    /// The part that goes with the cycle, k, in cycles.
+    pub charge_cycles: f64,
+    /// Transport to the sensor, n, in cycles.
+    pub transport_cycles: f64,
+    /// Transport through volumes, G: fuel at lambda 1 that goes by meanwhile, in the unit of the injection.
+    pub transport_fuel: f64,
+    /// Time constant of mixing and sensor in s.
+    pub sensor_lag_s: f64,
+}
+
+impl Timing {
+    /// Time from the command of an injection until the pressure that counts for it, in s; not negative.
+    pub fn ahead_s(&self, speed_rpm: f64) -> f64 {
+        (self.charge_s + self.charge_cycles * 120.0 / speed_rpm).max(0.0)
+    }
+}
+
+/// What is identified.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fuelling {
+    /// Sample time of the record in s.
+    pub sample_time_s: f64,
+    /// Air charge.
+    pub charge: Charge,
+    /// Manifold.
+    pub filling: Filling,
+    /// Film.
+    pub film: Film,
+    /// Timing.
+    pub timing: Timing,
+    /// Root of the mean squared error of 1 / lambda over the record.
+    pub rms: f64,
+    /// Root of the mean squared error of the pressure over the record in kPa.
+    pub pressure_rms_kpa: f64,
+}

@@ -1,0 +1,169 @@
+//! Filling of the manifold: its pressure from the throttle command, corrected slowly by what is measured.
+
+use super::charge::Charge;
+use dynocal_numerics::linalg::{LinalgError, least_squares};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Terms of the polynomial of the throttle.
+const TERMS: usize = 4;
+/// Ratio of specific heats of air.
+const GAMMA: f64 = 1.4;
+/// Steps of the integration in a sample.
+const STEPS: usize = 4;
+/// Least pressure, and least distance from that before the throttle, in kPa.
+const LEAST_KPA: f64 = 5.0;
+const LEAST_DROP_KPA: f64 = 0.05;
+/// Longest cycle that the mean is taken over, in s.
+const CYCLE_S: f64 = 0.3;
+
+/// The manifold.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Filling {
+    /// Pressure before the throttle in kPa.
+    pub upstream_kpa: f64,
+    /// What the throttle angle is divided by, in deg.
+    pub throttle_deg: f64,
+    /// Coefficients of 1, x, x^2, x^3 of the scaled angle, in the unit of the injection per s.
+    pub area: Vec<f64>,
+    /// Pressure in kPa per unit of fuel that the charge in the manifold is worth.
+    pub gain: f64,
+    /// Time constant of the throttle in s.
+    pub throttle_lag_s: f64,
+    /// Correction by the measured pressure in 1/s.
+    pub correction_per_s: f64,
+}
+
+/// Flow function of a nozzle at the pressure ratio `ratio`: constant where it is choked.
+fn psi(ratio: f64) -> f64 {
+    let critical = (2.0 / (GAMMA + 1.0)).powf(GAMMA / (GAMMA - 1.0));
+    let r = ratio.clamp(critical, 1.0);
+    (2.0 * GAMMA / (GAMMA - 1.0) * (r.powf(2.0 / GAMMA) - r.powf((GAMMA + 1.0) / GAMMA))).max(0.0).sqrt()
+}
+
+impl Filling {
+    /// The throttle from steady points `(speed, pressure, throttle)`, where what flows in flows out.
+    pub(super) fn of_rest(
+        charge: &Charge,
+        points: &[[f64; 3]],
+        upstream_kpa: f64,
+    ) -> Result<Self, LinalgError> {
+        let throttle_deg = points.iter().map(|p| p[2].abs()).fold(1e-9, f64::max);
+        let mut out = Self {
+            upstream_kpa,
+            throttle_deg,
+            area: vec![0.0; TERMS],
+            gain: 1.0,
+            throttle_lag_s: 0.05,
+            correction_per_s: 0.5,
+        };
+        let mut rows = Vec::with_capacity(points.len() * TERMS);
+        for [n, p, throttle] in points {
+            let share = psi(p / upstream_kpa) / charge.flow(*n, *p);
+            rows.extend(out.terms(*throttle).map(|t| t * share));
+        }
+        out.area = least_squares(&rows, points.len(), TERMS, &vec![1.0; points.len()], 1e-9)?.x;
+        Ok(out)
+    }
+
+    fn terms(&self, throttle_deg: f64) -> [f64; TERMS] {
+        let x = throttle_deg / self.throttle_deg;
+        [1.0, x, x * x, x * x * x]
+    }
+
+    /// What flows through the throttle, in the unit of the injection per s and cylinder.
+    pub fn inflow(&self, throttle_deg: f64, pressure_kpa: f64) -> f64 {
+        let area = dynocal_numerics::linalg::dot(&self.terms(throttle_deg), &self.area);
+        area.max(0.0) * psi(pressure_kpa / self.upstream_kpa)
+    }
+
+    /// Pressure and throttle `h_s` later.
+    fn advance(
+        &self,
+        charge: &Charge,
+        (mut p, mut throttle): (f64, f64),
+        speed_rpm: f64,
+        command: f64,
+        h_s: f64,
+    ) -> (f64, f64) {
+        let h = h_s / STEPS as f64;
+        let follow = -(-h / self.throttle_lag_s.max(1e-6)).exp_m1();
+        for _ in 0..STEPS {
+            throttle += follow * (command - throttle);
+            let slope = |p: f64| self.gain * (self.inflow(throttle, p) - charge.flow(speed_rpm, p));
+            // Heun: the manifold is fast where the throttle is nearly wide open.
+            let first = slope(p);
+            p += 0.5 * h * (first + slope(p + h * first));
+            p = p.clamp(LEAST_KPA, self.upstream_kpa - LEAST_DROP_KPA);
+        }
+        (p, throttle)
+    }
+}
+
+/// What the filling knows at a sample.
+#[derive(Clone, Debug)]
+pub struct FillingState {
+    /// Pressure in kPa.
+    pressure_kpa: f64,
+    /// Throttle behind its lag in deg.
+    throttle_deg: f64,
+    /// Pressures of the samples before, newest first.
+    past: VecDeque<f64>,
+}
+
+impl FillingState {
+    /// At rest at a measured pressure and a throttle command; samples are `dt_s` apart.
+    pub fn at_rest(pressure_kpa: f64, throttle_deg: f64, dt_s: f64) -> Self {
+        let samples = (CYCLE_S / dt_s).ceil().max(1.0) as usize;
+        Self { pressure_kpa, throttle_deg, past: std::iter::repeat_n(pressure_kpa, samples).collect() }
+    }
+
+    /// Pressure now in kPa.
+    pub fn pressure_kpa(&self) -> f64 {
+        self.pressure_kpa
+    }
+
+    /// What a channel shows that is a mean over a cycle.
+    pub fn shown_kpa(&self, speed_rpm: f64, dt_s: f64) -> f64 {
+        let samples = ((120.0 / speed_rpm / dt_s).round() as usize).clamp(1, self.past.len());
+        self.past.iter().take(samples).sum::<f64>() / samples as f64
+    }
+
+    /// One sample on: `measured_kpa` is what the channel shows at its beginning, `command_deg` holds during it.
+    pub fn step(
+        &mut self,
+        filling: &Filling,
+        charge: &Charge,
+        speed_rpm: f64,
+        command_deg: f64,
+        measured_kpa: f64,
+        dt_s: f64,
+    ) {
+        let error = measured_kpa - self.shown_kpa(speed_rpm, dt_s);
+        let corrected = self.pressure_kpa + filling.correction_per_s * dt_s * error;
+        let from = (corrected, self.throttle_deg);
+        (self.pressure_kpa, self.throttle_deg) = filling.advance(charge, from, speed_rpm, command_deg, dt_s);
+        self.past.pop_back();
+        self.past.push_front(self.pressure_kpa);
+    }
+
+    /// Pressure `ahead_s` from now, the command being held.
+    pub fn ahead(
+        &self,
+        filling: &Filling,
+        charge: &Charge,
+        speed_rpm: f64,
+        command_deg: f64,
+        ahead_s: f64,
+        dt_s: f64,
+    ) -> f64 {
+        let (mut at, mut left) = ((self.pressure_kpa, self.throttle_deg), ahead_s);
+        while left > 1e-12 {
+            let h = left.min(dt_s);
+            at = filling.advance(charge, at, speed_rpm, command_deg, h);
+            left -= h;
+        }
+        at.0
+    }
+}

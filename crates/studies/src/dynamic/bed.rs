@@ -1,0 +1,139 @@
+//! A bed, controllers on it, and what the engine really did.
+
+use dynocal_ident::plant::{Causality, Plant, PlantError};
+use dynocal_numerics::rng::Rng64;
+use dynocal_plant::bed::{BedSettings, EngineBed};
+use dynocal_plant::error::PlantError as EngineError;
+use dynocal_plant::params::EngineParams;
+
+/// Interval of control in s.
+pub(super) const SAMPLE_S: f64 = 0.01;
+/// Most fuel of an injection in mg.
+pub(super) const MOST_MG: f64 = 60.0;
+
+/// What the bed's channels show at the beginning of a sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Measured {
+    pub(super) map_kpa: f64,
+    pub(super) speed_rpm: f64,
+}
+
+/// What a controller gives.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Command {
+    pub(super) injection_mg: f64,
+    pub(super) spark_deg: f64,
+    pub(super) throttle_deg: f64,
+}
+
+/// A controller: it knows the demand and what the sensors show.
+pub(super) trait Controller {
+    fn step(&mut self, torque_nm: f64, y: &Measured) -> Command;
+}
+
+/// Demands over time, and the samples at which they change (one past the last is the end).
+#[derive(Clone, Debug)]
+pub(super) struct Course {
+    pub(super) torque_nm: Vec<f64>,
+    pub(super) speed_rpm: Vec<f64>,
+    pub(super) switches: Vec<usize>,
+}
+
+impl Course {
+    /// 30, 70, 30, .. Nm at 2000 rpm: the steps of the table of rivals.
+    pub(super) fn steps(count: usize) -> Self {
+        let (first, hold) = (samples(10.0), samples(6.0));
+        let mut torque_nm = vec![30.0; first];
+        let mut switches = Vec::new();
+        for k in 0..count {
+            switches.push(torque_nm.len());
+            torque_nm.extend(vec![if k % 2 == 0 { 70.0 } else { 30.0 }; hold]);
+        }
+        switches.push(torque_nm.len());
+        Self { speed_rpm: vec![2000.0; torque_nm.len()], torque_nm, switches }
+    }
+
+    /// Points drawn from ranges and held; the speed goes to the next one at 1000 rpm/s. The first one is no step.
+    pub(super) fn random(count: usize, hold_s: f64, rng: &mut Rng64) -> Self {
+        let mut out = Self { torque_nm: Vec::new(), speed_rpm: Vec::new(), switches: Vec::new() };
+        for k in 0..=count {
+            let (torque, speed) = (rng.uniform_in(20.0, 80.0), rng.uniform_in(1100.0, 2900.0));
+            if k > 0 {
+                out.switches.push(out.torque_nm.len());
+            }
+            let mut at = out.speed_rpm.last().copied().unwrap_or(speed);
+            for _ in 0..samples(hold_s) {
+                at += (speed - at).clamp(-1000.0 * SAMPLE_S, 1000.0 * SAMPLE_S);
+                out.torque_nm.push(torque);
+                out.speed_rpm.push(at);
+            }
+        }
+        out.switches.push(out.torque_nm.len());
+        out
+    }
+
+    pub(super) fn length_s(&self) -> f64 {
+        self.torque_nm.len() as f64 * SAMPLE_S
+    }
+}
+
+fn samples(time_s: f64) -> usize {
+    (time_s / SAMPLE_S).round() as usize
+}
+
+/// What was commanded, what the sensors showed, what was true.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Trace {
+    pub(super) injection_mg: Vec<f64>,
+    pub(super) throttle_deg: Vec<f64>,
+    pub(super) map_kpa: Vec<f64>,
+    /// As the sensor shows it.
+    pub(super) lambda: Vec<f64>,
+    /// Of the gas in the exhaust manifold, present value.
+    pub(super) true_lambda: Vec<f64>,
+    /// Of the last 720 deg, without the sensor's lag.
+    pub(super) true_torque_nm: Vec<f64>,
+}
+
+/// The bed of a parameter set as it comes.
+pub(super) fn bed(parameters: &str) -> Result<(EngineBed, EngineParams), EngineError> {
+    let params = EngineParams::named(parameters)?;
+    let settings = BedSettings::of_set(parameters, &params)?;
+    Ok((EngineBed::new(&params, settings)?, params))
+}
+
+/// Plays a course.
+pub(super) fn play(
+    bed: &EngineBed,
+    seed: u64,
+    course: &Course,
+    controller: &mut dyn Controller,
+) -> Result<Trace, PlantError> {
+    let mut bed = bed.clone();
+    bed.reset(seed);
+    let inputs = bed.variables().iter().take_while(|v| v.causality == Causality::Input).count();
+    // In the order of the bed: injection, spark, throttle, speed, others as they start.
+    let mut u: Vec<f64> = bed.variables()[..inputs].iter().map(|v| v.start).collect();
+    let mut y = vec![0.0; bed.variables().len() - inputs];
+    bed.outputs(&mut y)?;
+    let mut out = Trace::default();
+    let mut speed_rpm = u[3];
+    for (torque, speed) in course.torque_nm.iter().zip(&course.speed_rpm) {
+        let shown = Measured { map_kpa: y[2], speed_rpm };
+        let c = controller.step(*torque, &shown);
+        u[0] = c.injection_mg.clamp(0.0, MOST_MG);
+        u[1] = c.spark_deg;
+        u[2] = c.throttle_deg;
+        u[3] = *speed;
+        bed.step(&u, SAMPLE_S, &mut y)?;
+        speed_rpm = *speed;
+        let truth = bed.engine().outputs();
+        out.injection_mg.push(u[0]);
+        out.throttle_deg.push(u[2]);
+        out.map_kpa.push(y[2]);
+        out.lambda.push(y[1]);
+        out.true_lambda.push(truth.lambda_interval);
+        out.true_torque_nm.push(truth.torque_cycle_nm);
+    }
+    Ok(out)
+}

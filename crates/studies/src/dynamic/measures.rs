@@ -1,0 +1,53 @@
+//! Measures of the table of rivals.
+
+use super::bed::{Course, SAMPLE_S, Trace};
+use serde::{Deserialize, Serialize};
+
+/// Samples of the mean before a step, and of that at its end.
+const BEFORE: usize = 20;
+const END: usize = 150;
+
+/// What a controller did over a course.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(super) struct Measures {
+    /// Mean over the steps of the integral of |lambda - 1| in s.
+    pub(super) integral_s: f64,
+    /// Largest lambda - 1, and largest 1 - lambda.
+    pub(super) lean: f64,
+    pub(super) rich: f64,
+    /// Mean time until 90 % of the way of the torque in s.
+    pub(super) t90_s: f64,
+    /// Largest mean error of lambda at the end of a step.
+    pub(super) offset: f64,
+}
+
+impl Measures {
+    /// The larger of the two spikes.
+    pub(super) fn spike(&self) -> f64 {
+        self.lean.max(self.rich)
+    }
+
+    pub(super) fn of(trace: &Trace, course: &Course) -> Self {
+        let steps = course.switches.len() - 1;
+        let share = 1.0 / steps as f64;
+        let mut out = Self { integral_s: 0.0, lean: 0.0, rich: 0.0, t90_s: 0.0, offset: 0.0 };
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        for w in course.switches.windows(2) {
+            let lambda = &trace.true_lambda[w[0]..w[1]];
+            out.integral_s += share * integral_s(lambda);
+            out.lean = lambda.iter().fold(out.lean, |m, l| m.max(l - 1.0));
+            out.rich = lambda.iter().fold(out.rich, |m, l| m.max(1.0 - l));
+            out.offset = out.offset.max((mean(&lambda[lambda.len() - END..]) - 1.0).abs());
+            let torque = &trace.true_torque_nm;
+            let (from, to) = (mean(&torque[w[0] - BEFORE..w[0]]), mean(&torque[w[1] - END..w[1]]));
+            let there = torque[w[0]..w[1]].iter().position(|y| (y - from) / (to - from) >= 0.9);
+            out.t90_s += share * SAMPLE_S * there.unwrap_or(w[1] - w[0]) as f64;
+        }
+        out
+    }
+}
+
+/// Integral of |lambda - 1| in s.
+pub(super) fn integral_s(lambda: &[f64]) -> f64 {
+    lambda.iter().map(|l| (l - 1.0).abs() * SAMPLE_S).sum()
+}
