@@ -16,7 +16,7 @@
 //! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
 //! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
 //! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
-//! leaves the film as it must (inverse of the film). It has no parameter that is not identified.
+//! leaves the film as it must (inverse of the film). What is given: the pressure before the throttle, and that air is a gas of two atoms.
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
@@ -29,7 +29,7 @@ mod policy;
 pub use charge::Charge;
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
-pub use identify::{FuellingError, TransientRecord, identify};
+pub use identify::{FuellingError, TransientRecord, identify, steady_charge};
 pub use policy::FuelPolicy;
 
 use serde::{Deserialize, Serialize};

@@ -13,9 +13,9 @@ fn fuel_by_an_identified_model_beats_every_rival_in_steps() {
     let summary: Value = serde_json::from_slice(&out.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
     let checks = summary["checks"].as_array().unwrap();
     let of = |id: &str| checks.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("{id}: {summary}"));
-    // On fewer points than the study has: better than any rival, by how much is the study's matter.
+    // On fewer points than the study has: better than every rival; by how much is the study's matter.
     for id in ["1-steps-integral", "1-steps-spike"] {
-        assert!(of(id)["measured"].as_f64().unwrap() < 0.7, "{}", of(id));
+        assert!(of(id)["measured"].as_f64().unwrap() < 1.0, "{}", of(id));
     }
     assert_eq!(of("1-failed")["measured"], 0.0, "{}", of("1-failed"));
     let held = checks.iter().all(|c| c["holds"] != false);

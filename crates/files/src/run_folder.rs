@@ -168,12 +168,12 @@ impl RunFolder {
             if m.tool != "dynocal" || m.kind != kind {
                 return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
             }
-            if let (Some(own), Some(other)) = (&from, m.spec.filter(|s| path.join(s).exists()))
-                && *own != other
+            // One file may be named in several ways.
+            let real = |s: &PathBuf| fs::canonicalize(path.join(s)).ok();
+            if let (Some(own), Some(other)) = (from.as_ref().and_then(real), m.spec.as_ref().and_then(real))
+                && own != other
             {
-                let other = path.join(&other);
-                let shown = fs::canonicalize(&other).unwrap_or(other);
-                let (path, other) = (path.display().to_string(), shown.display().to_string());
+                let (path, other) = (path.display().to_string(), other.display().to_string());
                 return Err(FilesError::OtherSpec { path, other });
             }
         } else {

@@ -92,24 +92,11 @@ pub fn identify(
     record: &TransientRecord<'_>,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    check(record)?;
-    let rests = rests(record);
-    let expected = TERMS + 5;
-    if rests.len() < expected {
-        return Err(FuellingError::Rests { found: rests.len(), expected, still_s: STILL_S });
-    }
-    let mean = |r: &std::ops::Range<usize>, of: &dyn Fn(usize) -> f64| {
-        r.clone().map(of).sum::<f64>() / r.len() as f64
-    };
-    let speed = |r: &_| mean(r, &|t| record.speed_rpm[t]);
-    let map = |r: &_| mean(r, &|t| record.map_kpa[t]);
-    let fuel: Vec<[f64; 3]> = rests
+    let charge = steady_charge(record)?;
+    let throttle: Vec<[f64; 3]> = rests(record)
         .iter()
-        .map(|r| [speed(r), map(r), mean(r, &|t| record.injection[t] * record.lambda[t])])
+        .map(|r| [mean(record.speed_rpm, r), mean(record.map_kpa, r), mean(record.throttle_deg, r)])
         .collect();
-    let throttle: Vec<[f64; 3]> =
-        rests.iter().map(|r| [speed(r), map(r), mean(r, &|t| record.throttle_deg[t])]).collect();
-    let charge = Charge::fit(&fuel)?;
     let filling = Filling::of_rest(&charge, &throttle, record.upstream_kpa)?;
     let (filling, pressure_rms_kpa) = filled(record, &charge, filling, interrupt)?;
     // Which correction suits is what the lambda that was measured says.
@@ -122,6 +109,26 @@ pub fn identify(
         .collect::<Result<_, _>>()?;
     let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
     best.ok_or(FuellingError::Interrupted)
+}
+
+/// The charge from the ends of holds alone: by the pressure that is measured there.
+///
+/// # Errors
+/// [`FuellingError::Channel`], [`FuellingError::Rests`], [`FuellingError::Linalg`].
+pub fn steady_charge(record: &TransientRecord<'_>) -> Result<Charge, FuellingError> {
+    check(record)?;
+    let rests = rests(record);
+    let expected = TERMS + 5;
+    if rests.len() < expected {
+        return Err(FuellingError::Rests { found: rests.len(), expected, still_s: STILL_S });
+    }
+    let fuel: Vec<f64> = record.injection.iter().zip(record.lambda).map(|(q, lambda)| q * lambda).collect();
+    let point = |r| [mean(record.speed_rpm, r), mean(record.map_kpa, r), mean(&fuel, r)];
+    Ok(Charge::fit(&rests.iter().map(point).collect::<Vec<_>>())?)
+}
+
+fn mean(v: &[f64], r: &std::ops::Range<usize>) -> f64 {
+    v[r.clone()].iter().sum::<f64>() / r.len() as f64
 }
 
 fn check(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
@@ -209,24 +216,27 @@ fn filled(
 
 /// What the pressure channel would show.
 fn shown(r: &TransientRecord<'_>, charge: &Charge, filling: &Filling) -> Vec<f64> {
-    let dt = r.sample_time_s;
-    let mut state = FillingState::at_rest(r.map_kpa[0], r.throttle_deg[0], dt);
-    let step = |t: usize| {
-        let before = r.map_kpa[t.saturating_sub(1)];
-        state.step(filling, charge, r.speed_rpm[t], r.throttle_deg[t], before, dt);
-        state.shown_kpa(r.speed_rpm[t], dt)
-    };
-    (0..r.speed_rpm.len()).map(step).collect()
+    followed(r, charge, filling, |state, t| state.shown_kpa(r.speed_rpm[t], r.sample_time_s))
 }
 
 /// Pressure of the filling, corrected by what was measured.
 fn pressure(r: &TransientRecord<'_>, charge: &Charge, filling: &Filling) -> Vec<f64> {
+    followed(r, charge, filling, |state, _| state.pressure_kpa())
+}
+
+/// `of` the filling after each sample of the record.
+fn followed(
+    r: &TransientRecord<'_>,
+    charge: &Charge,
+    filling: &Filling,
+    of: impl Fn(&FillingState, usize) -> f64,
+) -> Vec<f64> {
     let dt = r.sample_time_s;
     let mut state = FillingState::at_rest(r.map_kpa[0], r.throttle_deg[0], dt);
     let step = |t: usize| {
         let before = r.map_kpa[t.saturating_sub(1)];
         state.step(filling, charge, r.speed_rpm[t], r.throttle_deg[t], before, dt);
-        state.pressure_kpa()
+        of(&state, t)
     };
     (0..r.speed_rpm.len()).map(step).collect()
 }
@@ -322,10 +332,10 @@ fn searched(
     interrupt: &dyn Fn() -> bool,
 ) -> Result<LmOutcome, FuellingError> {
     let mut problem = Differences { errors, samples, n: start.len(), other: vec![0.0; samples] };
-    let options = LmOptions { max_evaluations: 100, cost_tolerance: 1e-8, ..LmOptions::default() };
+    let options = LmOptions { max_evaluations: 300, cost_tolerance: 1e-8, ..LmOptions::default() };
     let found = levenberg_marquardt_interruptible(&mut problem, start, &options, interrupt);
     match found.status {
-        Status::Converged | Status::Stalled | Status::Limit => Ok(found),
+        Status::Converged | Status::Stalled => Ok(found),
         Status::Interrupted => Err(FuellingError::Interrupted),
         status => Err(FuellingError::Search { what, status }),
     }

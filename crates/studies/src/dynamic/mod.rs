@@ -10,7 +10,7 @@ mod bed;
 mod measures;
 mod rivals;
 
-use dynocal_calib::fuelling::{self, Film, FuelPolicy, Fuelling, TransientRecord};
+use dynocal_calib::fuelling::{self, Charge, Film, FuelPolicy, Fuelling, TransientRecord};
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_files::json;
 use dynocal_jobs::map;
@@ -105,6 +105,7 @@ struct Shared<'a> {
     bed: &'a EngineBed,
     map: &'a StaticMap,
     fuelling: &'a Fuelling,
+    steady: &'a Charge,
     record: &'a Course,
     courses: [&'a Course; 2],
     seed: u64,
@@ -141,12 +142,14 @@ fn case(
         Err(e) => return Ok(Case { failed: Some(e.to_string()), ..case }),
         Ok(found) => found,
     };
+    let steady_charge = fuelling::steady_charge(&view(&record, &played)).map_err(|e| fail(e.to_string()))?;
     let (steps, points) = if reduced { (2, 6) } else { (4, 40) };
     let (steps, random) = (Course::steps(steps), Course::random(points, 6.0, &mut rng));
     let shared = Shared {
         bed: &bed,
         map: &map,
         fuelling: &fuelling,
+        steady: &steady_charge,
         record: &record,
         courses: [&steps, &random],
         seed: seed + 1000,
@@ -204,8 +207,15 @@ fn view<'a>(course: &'a Course, trace: &'a Trace) -> TransientRecord<'a> {
 
 /// A rival with what it tunes.
 enum Rival {
-    Map { searched: bool },
-    Ecu { searched: bool, film: Option<Film> },
+    Map {
+        searched: bool,
+    },
+    /// With the charge from the steady ends of the record, or with that which ours has.
+    Ecu {
+        searched: bool,
+        film: Option<Film>,
+        steady: bool,
+    },
     Ours,
 }
 
@@ -213,18 +223,16 @@ impl Shared<'_> {
     fn rows(&self, exact: Option<Film>) -> Result<Vec<Row>, String> {
         let fitted = Some(self.fuelling.film);
         let mut all = vec![
-            ("static map", Rival::Map { searched: false }),
-            ("static map, lag", Rival::Map { searched: true }),
-            ("ECU", Rival::Ecu { searched: false, film: None }),
-            ("ECU, extrapolated", Rival::Ecu { searched: true, film: None }),
-            ("ECU, extrapolated, film from the record", Rival::Ecu { searched: true, film: fitted }),
-            (OURS, Rival::Ours),
+            ("static map".to_string(), Rival::Map { searched: false }),
+            ("static map, lag".into(), Rival::Map { searched: true }),
+            (OURS.into(), Rival::Ours),
         ];
-        if exact.is_some() {
-            all.insert(
-                5,
-                ("ECU, extrapolated, film of the engine itself", Rival::Ecu { searched: true, film: exact }),
-            );
+        let films = [("", None), (", film from the record", fitted), (", film of the engine itself", exact)];
+        let ecu = |searched, film, steady| Rival::Ecu { searched, film, steady };
+        all.push(("ECU".into(), ecu(false, None, true)));
+        for (words, film) in films.iter().filter(|(words, film)| words.is_empty() || film.is_some()) {
+            all.push((format!("ECU, extrapolated{words}"), ecu(true, *film, true)));
+            all.push((format!("ECU, extrapolated{words}, charge of ours"), ecu(true, *film, false)));
         }
         all.par_iter().map(|(name, rival)| self.row(name, rival)).collect()
     }
@@ -233,7 +241,10 @@ impl Shared<'_> {
         let base = |lag_s: f64| Mapped::new(self.map, lag_s);
         Some(match rival {
             Rival::Map { .. } => Box::new(base(value_s)?),
-            Rival::Ecu { film, .. } => Box::new(Ecu::new(base(0.0)?, &self.fuelling.charge, value_s, *film)),
+            Rival::Ecu { film, steady, .. } => {
+                let charge = if *steady { self.steady } else { &self.fuelling.charge };
+                Box::new(Ecu::new(base(0.0)?, charge, value_s, *film))
+            }
             Rival::Ours => {
                 let policy = FuelPolicy::new(self.fuelling.clone(), MOST_MG);
                 Box::new(Ours { base: base(0.0)?, policy })
@@ -338,11 +349,12 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
         false,
     ));
     let bed = all.iter().map(|c| Some(c.record_s)).collect::<Vec<_>>();
+    // The length of the record is the study's own: nothing to hold.
     checks.push(check(
         "1-bed-time",
         "bed time of ours beyond the static map's",
-        Asked::AtMost(600.0),
-        Asked::AtMost(600.0).worst(&bed),
+        Asked::Reported,
+        Asked::Reported.worst(&bed),
         "s",
         "the line searches of the rivals took more, which is not counted against them",
     ));

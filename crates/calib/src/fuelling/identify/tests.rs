@@ -125,7 +125,7 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
     let held = phi[100..known].iter().chain(&phi[200..n - 20]);
     let worst = held.map(|v| (v - 1.0).abs()).fold(0.0, f64::max);
     assert!(worst < 5e-3, "{worst}");
-    // One lag would leave a spike forty times as large.
+    // What there was to follow.
     let steady = |p: f64| truth.charge.at(speed, p);
     assert!((steady(p[n - 1]) / steady(p[199]) - 1.0).abs() > 0.2);
 }
