@@ -115,6 +115,9 @@ fn a_guard_is_on_the_page_and_draws_need_correlations() {
     has(&o.stdout, "The upper limit of torque_distance is missed by up to");
     let o = with("robust.toml", "robust = { draws = 2 }");
     assert_eq!(o.code, 0, "{}", o.stderr);
+    // The problem limits no output.
+    assert!(!o.stdout.contains("Every limit of an output"), "{}", o.stdout);
+    has(&o.stdout, "Means are those of the decided samples, from 0.1500 s on");
     has(&o.stdout, "The demand of torque is met by its model as estimated; over the draws");
     let file = tmp.path().join("torque.json");
     let mut model: serde_json::Value = json::read(&file).unwrap();

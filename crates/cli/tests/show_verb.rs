@@ -162,6 +162,7 @@ fn what_is_lost_or_refused_is_said() {
         (&["convert", "bed.mf4", "x.csv", "--rule", "oil=spline"], &["oil=spline", "hold, line"]),
         (&["show", "bed.mf4", "--csv", "separatr = ';'"], &["--csv", "separatr"]),
         (&["show", "bed.mf4", "--format", "mdf5"], &["mdf5", "mdf4"]),
+        (&["convert", "bed.mf4", "./bed.mf4"], &["another file than the one that is read"]),
         (
             &["show", "model.json"],
             &["model.json", "hint: a measurement file is shown; a stored model is scored by"],

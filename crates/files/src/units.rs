@@ -166,13 +166,29 @@ pub fn normalise(unit: &str) -> String {
     known.map_or_else(|| unit.to_string(), |(n, _, _)| (*n).to_string())
 }
 
-/// The unit that the last part of a column name stands for: `torque_nm` gives `Nm`.
+/// The unit that the last part of a column name stands for: `torque_nm` gives `Nm`, `flow_g_s` gives `g/s`. What may be the
+/// second half of another unit stands for none: `flow_cc_s` is no time.
+///
+/// ```
+/// use dynocal_files::units::from_suffix;
+/// assert_eq!((from_suffix("torque_nm"), from_suffix("t_ms")), (Some("Nm"), Some("ms")));
+/// assert_eq!((from_suffix("air_flow_g_s"), from_suffix("fuel_flow_cc_s")), (Some("g/s"), None));
+/// ```
 pub fn from_suffix(name: &str) -> Option<&'static str> {
     let (stem, suffix) = name.rsplit_once('_')?;
     if stem.is_empty() {
         return None;
     }
-    UNITS.iter().find(|(_, _, s)| s.contains(&suffix)).map(|(n, _, _)| *n)
+    let unit = UNITS.iter().find(|(_, _, s)| s.contains(&suffix)).map(|(n, _, _)| *n)?;
+    let halves = stem.rsplit_once('_').filter(|(head, _)| !head.is_empty());
+    if let (Some("time" | "length"), Some((_, before))) = (dimension(unit), halves) {
+        let known = |u: &str| UNITS.iter().find(|(n, a, _)| *n == u || a.contains(&u)).map(|r| r.0);
+        let whole = known(&format!("{before}/{unit}"));
+        if whole.is_some() || before.len() <= 2 || known(before).is_some() {
+            return whole;
+        }
+    }
+    Some(unit)
 }
 
 fn scale_of(unit: &str) -> Option<&'static Scale> {

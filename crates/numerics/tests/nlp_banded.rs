@@ -221,3 +221,85 @@ fn the_order_of_the_variables_does_not_matter() {
         assert!((straight.x[j] - v).abs() < 1e-4, "variable {j}: {v} {}", straight.x[j]);
     }
 }
+
+/// The same problem with each variable in a unit of its own, which its size names.
+struct InUnits {
+    of: Masses,
+    unit: Vec<f64>,
+    x: Vec<f64>,
+}
+
+impl InUnits {
+    fn new(of: Masses) -> Self {
+        let unit = (0..of.n()).map(|k| [1024.0, 1.0, 0.0078125][k % 3]).collect();
+        Self { x: vec![0.0; of.n()], unit, of }
+    }
+
+    fn load(&mut self, x: &[f64]) {
+        self.x.iter_mut().zip(x.iter().zip(&self.unit)).for_each(|(own, (x, u))| *own = x / u);
+    }
+}
+
+impl SparseNlp for InUnits {
+    fn n(&self) -> usize {
+        self.of.n()
+    }
+    fn m(&self) -> usize {
+        self.of.m()
+    }
+    fn bounds(&self, lower: &mut [f64], upper: &mut [f64]) {
+        self.of.bounds(lower, upper);
+        for bound in [lower, upper] {
+            bound.iter_mut().zip(&self.unit).for_each(|(b, u)| *b *= u);
+        }
+    }
+    fn start(&self, x: &mut [f64]) {
+        self.of.start(x);
+        x.iter_mut().zip(&self.unit).for_each(|(x, u)| *x *= u);
+    }
+    fn sizes(&self, size: &mut [f64]) {
+        size.copy_from_slice(&self.unit);
+    }
+    fn objective(&mut self, x: &[f64]) -> f64 {
+        self.load(x);
+        self.of.objective(&self.x)
+    }
+    fn gradient(&mut self, x: &[f64], grad: &mut [f64]) {
+        self.load(x);
+        self.of.gradient(&self.x, grad);
+        grad.iter_mut().zip(&self.unit).for_each(|(g, u)| *g /= u);
+    }
+    fn constraints(&mut self, x: &[f64], c: &mut [f64]) {
+        self.load(x);
+        self.of.constraints(&self.x, c);
+    }
+    fn jacobian_structure(&self) -> Vec<(usize, usize)> {
+        self.of.jacobian_structure()
+    }
+    fn jacobian(&mut self, x: &[f64], values: &mut [f64]) {
+        self.load(x);
+        self.of.jacobian(&self.x, values);
+        let at = self.of.jacobian_structure();
+        values.iter_mut().zip(&at).for_each(|(v, (_, c))| *v /= self.unit[*c]);
+    }
+    fn hessian_structure(&self) -> Vec<(usize, usize)> {
+        self.of.hessian_structure()
+    }
+    fn hessian(&mut self, x: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]) {
+        self.load(x);
+        self.of.hessian(&self.x, sigma, multipliers, values);
+        let at = self.of.hessian_structure();
+        values.iter_mut().zip(&at).for_each(|(v, (r, c))| *v /= self.unit[*r] * self.unit[*c]);
+    }
+}
+
+#[test]
+fn units_do_not_matter_where_sizes_name_them() {
+    let mut other = InUnits::new(Masses::nonlinear(300));
+    let found = solve(&mut other, &NlpOptions::default(), &|| false);
+    let own = solve(&mut Masses::nonlinear(300), &NlpOptions::default(), &|| false);
+    assert_eq!((found.status, found.history.len()), (Status::Converged, own.history.len()));
+    for ((found, unit), own) in found.x.iter().zip(&other.unit).zip(&own.x) {
+        assert!((found / unit - own).abs() <= 1e-12 * own.abs().max(1e-3), "{found} in {unit}, {own}");
+    }
+}

@@ -55,15 +55,20 @@ impl Shortfall {
             (_, false) => "goes above its upper limit",
         };
         format!(
-            "{} {misses} from {:.2} to {:.2} s by up to {:.4}{} (at {:.2} s), with {inputs}",
+            "{} {misses} from {:.2} to {:.2} s by up to {}{} (at {:.2} s), with {inputs}",
             self.output,
             self.from_s,
             self.to_s,
-            self.largest.abs(),
+            amount(self.largest.abs()),
             UnitAfter(&self.unit),
             self.at_s
         )
     }
+}
+
+/// Four digits of a number.
+fn amount(v: f64) -> String {
+    if v >= 1e-3 { format!("{v:.4}") } else { format!("{v:.3e}") }
 }
 
 /// Stretches in which the problem cannot be met, in the order of time; `before_s` is the time before its first sample.

@@ -1,7 +1,7 @@
 //! `dynocal convert IN OUT`: a measurement file in another format, merged, renamed, in other units.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_files::measurement::ReadKeys;
@@ -107,6 +107,11 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         channels: args.channel,
         units: pairs("--unit", "NAME=UNIT, e.g. torque=Nm", &args.unit)?,
     };
+    let same = |a: &Path, b: &Path| Some(std::fs::canonicalize(a).ok()? == std::fs::canonicalize(b).ok()?);
+    if same(&args.input, &args.output) == Some(true) {
+        let (found, expected) = (args.output.display().to_string(), "another file than the one that is read".into());
+        return Err(FlagError { flag: "OUTPUT", found, expected }.into());
+    }
     let notes = convert(&args.input, &args.output, &how)?;
     if !args.quiet {
         notes.iter().for_each(|n| say(n));

@@ -97,9 +97,11 @@ pub fn of_model(m: &Modelled) -> Vec<Finding> {
     out.extend(warnings.map(|w| Finding::new(Grade::Warning, m.target.as_str(), w.as_str())));
     if let Some(s) = m.after.stability.as_ref().filter(|s| s.share_diverged > 0.0) {
         let grade = if s.share_diverged > UNSTABLE { Grade::Fault } else { Grade::Warning };
+        let where_it_is =
+            if s.share_diverged < 1.0 { "unstable on a part of them" } else { "unstable there" };
         let text = format!(
             "{:.0} of {} free runs on random inputs within the limits of the estimation records leave the range of the output by \
-             more than ten times its width: it is unstable on a part of them",
+             more than ten times its width: it is {where_it_is}",
             (s.share_diverged * s.runs as f64).round(),
             s.runs
         );

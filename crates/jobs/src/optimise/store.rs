@@ -3,6 +3,7 @@
 use dynocal_files::csv_io;
 use dynocal_files::plan;
 use dynocal_files::run_folder::RunFolder;
+use dynocal_ident::data::Role;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, demand_name};
 
 use super::page;
@@ -64,6 +65,9 @@ fn record(path: &std::path::Path, found: &Optimised) -> Result<(), OptimiseJobEr
         names.push((g.name.clone(), &g.unit, found.start.values(&g.name)?));
     }
     names.extend(o.responses.iter().map(|c| (c.name.clone(), c.unit.as_str(), c.values.as_slice())));
+    // The least and the greatest of an output over the draws.
+    let drawn = o.outputs.iter().filter(|c| c.role == Role::Auxiliary);
+    names.extend(drawn.map(|c| (c.name.clone(), c.unit.as_str(), c.values.as_slice())));
     names.extend(o.demands.iter().map(|c| (demand_name(&c.name), c.unit.as_str(), c.values.as_slice())));
     for c in &o.inputs {
         names.push((format!("{}_start", c.name), &c.unit, found.start.values(&c.name)?));

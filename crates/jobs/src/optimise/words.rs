@@ -1,6 +1,6 @@
 //! An optimum in words: what came out, what it costs, what does not fit.
 
-use dynocal_calib::optimise::distance_name;
+use dynocal_calib::optimise::{Shortfall, distance_name};
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::stored::Outside;
 use dynocal_numerics::status::Status;
@@ -10,6 +10,8 @@ use super::result::{Asked, Optimised, PriceLine};
 
 /// Share of samples outside of what a model was identified on from which it is worth a warning, in percent.
 const OUTSIDE: f64 = 5.0;
+/// Distance of a single sample, in distances of the boundary, from which it is worth one.
+const FAR: f64 = 3.0;
 /// Most shortfalls that are said one by one.
 const SAID: usize = 5;
 
@@ -39,7 +41,7 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
             status(first.status)
         ));
     }
-    out.extend(o.shortfalls.iter().take(SAID).map(|s| format!("{}.", capital(&s.sentence()))));
+    out.extend(worst_first(o).into_iter().take(SAID).map(|s| format!("{}.", capital(&s.sentence()))));
     if o.shortfalls.len() > SAID {
         out.push(format!("{} further stretches are in the table.", o.shortfalls.len() - SAID));
     }
@@ -50,11 +52,33 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
         );
     }
     out.extend(o.asked.iter().filter(|a| !a.kept && o.shortfalls.is_empty()).map(missed));
+    let first = o.record.decided.first;
+    if first > 0 {
+        out.push(format!(
+            "Means are those of the decided samples, from {} s on; what outputs do before and at that sample follows from the record and was not judged.",
+            number(first as f64 * o.record.sample_time_s)
+        ));
+    }
     if o.valid {
         out.extend(held(o));
         out.extend(dearest(o));
     }
     out
+}
+
+/// Of each output and each thing asked of it the largest stretch first, those in the order of time, then the others by size.
+fn worst_first(o: &Optimised) -> Vec<&Shortfall> {
+    let mut all: Vec<&Shortfall> = o.shortfalls.iter().collect();
+    all.sort_by(|a, b| b.largest.abs().total_cmp(&a.largest.abs()));
+    let mut first: Vec<&Shortfall> = Vec::new();
+    let mut others = Vec::new();
+    for s in all {
+        let seen = first.iter().any(|f| (&f.output, &f.of) == (&s.output, &s.of));
+        if seen { others.push(s) } else { first.push(s) }
+    }
+    first.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
+    first.extend(others);
+    first
 }
 
 /// What the guard and the draws of the models held the optimum to.
@@ -70,7 +94,7 @@ fn held(o: &Optimised) -> Vec<String> {
             number(guard.distance),
         ));
     }
-    if let Some(robust) = o.robust {
+    if let Some(robust) = o.robust.filter(|_| !o.problem.limits.is_empty()) {
         out.push(format!(
             "Every limit of an output that has no price holds for the models as estimated and for {} draws of their parameters.",
             robust.draws
@@ -97,7 +121,7 @@ fn status(s: Status) -> &'static str {
     match s {
         Status::Converged => "solved",
         Status::Stalled => "no step improves any more",
-        Status::Limit => "out of iterations",
+        Status::Limit => "out of iterations or of steps of restorations",
         Status::Infeasible => "infeasible",
         Status::Diverged => "values that are not finite",
         Status::Interrupted => "interrupted",
@@ -183,7 +207,7 @@ fn price(p: &PriceLine) -> String {
 /// Where the optimum leaves what the models know, and what the record did not have.
 pub(super) fn warnings(o: &Optimised, from_rest: &[String], outside: Vec<Outside>) -> Vec<String> {
     let mut out = Vec::new();
-    for c in o.coverage.iter().filter(|c| c.optimum_percent > OUTSIDE) {
+    for c in o.coverage.iter().filter(|c| c.optimum_percent > OUTSIDE || c.worst > FAR) {
         out.push(format!(
             "{} % of the optimum lie outside of what the model of {} was identified on ({} % of the start), at {} s by a factor of {}: what it promises there is extrapolation",
             number(c.optimum_percent),

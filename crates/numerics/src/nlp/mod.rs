@@ -39,6 +39,9 @@ pub trait SparseNlp {
     fn bounds(&self, lower: &mut [f64], upper: &mut [f64]);
     /// Start point.
     fn start(&self, x: &mut [f64]);
+    /// How large a change of each variable is that matters, 1 on entry and by default: the search runs in `x / size`, so that a
+    /// distance from a bound, a step and a curvature mean the same for all of them. Powers of two keep every bit.
+    fn sizes(&self, _size: &mut [f64]) {}
     /// Objective.
     fn objective(&mut self, x: &[f64]) -> f64;
     /// Gradient of the objective (n).

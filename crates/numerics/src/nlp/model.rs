@@ -1,5 +1,5 @@
-//! The problem as the interior point sees it: fixed variables removed, bounds relaxed by a rounding-sized margin,
-//! objective and constraints scaled by their gradients at the start (Waechter and Biegler 2006, section 3.8).
+//! The problem as the interior point sees it: fixed variables removed, the others in units of their sizes, bounds relaxed by a
+//! rounding-sized margin, objective and constraints scaled by their gradients at the start (Waechter and Biegler 2006, section 3.8).
 
 use super::SparseNlp;
 use crate::linalg::norm_inf;
@@ -26,6 +26,9 @@ pub(super) struct Model<'a> {
     pub(super) n: usize,
     pub(super) m: usize,
     free: Vec<usize>,
+    /// Sizes of the free variables, and the products of the sizes of each kept entry of the Hessian.
+    size: Vec<f64>,
+    hess_size: Vec<f64>,
     full_x: Vec<f64>,
     true_lower: Vec<f64>,
     true_upper: Vec<f64>,
@@ -61,6 +64,10 @@ impl<'a> Model<'a> {
             full_x[k] = full_x[k].max(lower[k]).min(upper[k]);
         }
         let free: Vec<usize> = (0..n_full).filter(|&k| lower[k] < upper[k]).collect();
+        let mut sizes = vec![1.0; n_full];
+        problem.sizes(&mut sizes);
+        // A size that is none is 1.
+        sizes.iter_mut().filter(|s| !(s.is_finite() && **s > 0.0)).for_each(|s| *s = 1.0);
         let mut place = vec![usize::MAX; n_full];
         free.iter().enumerate().for_each(|(k, &j)| place[j] = k);
         let (jac, hess) = (problem.jacobian_structure(), problem.hessian_structure());
@@ -75,8 +82,10 @@ impl<'a> Model<'a> {
         let mut model = Self {
             n: free.len(),
             m,
-            lower: free.iter().map(|&k| relax(lower[k], -1.0)).collect(),
-            upper: free.iter().map(|&k| relax(upper[k], 1.0)).collect(),
+            lower: free.iter().map(|&k| relax(lower[k] / sizes[k], -1.0)).collect(),
+            upper: free.iter().map(|&k| relax(upper[k] / sizes[k], 1.0)).collect(),
+            size: free.iter().map(|&k| sizes[k]).collect(),
+            hess_size: hess_pick.iter().map(|&k| sizes[hess[k].0] * sizes[hess[k].1]).collect(),
             free,
             full_x,
             true_lower: lower,
@@ -100,7 +109,9 @@ impl<'a> Model<'a> {
 
     /// Start values of the free variables.
     pub(super) fn start(&self, x: &mut [f64]) {
-        x.iter_mut().zip(&self.free).for_each(|(v, &k)| *v = self.full_x[k]);
+        for ((v, &k), size) in x.iter_mut().zip(&self.free).zip(&self.size) {
+            *v = self.full_x[k] / size;
+        }
     }
 
     fn scale(&mut self) -> Result<(), Trivial> {
@@ -126,7 +137,9 @@ impl<'a> Model<'a> {
     }
 
     fn place(&mut self, x: &[f64]) {
-        self.free.iter().zip(x).for_each(|(&k, v)| self.full_x[k] = *v);
+        for ((&k, v), size) in self.free.iter().zip(x).zip(&self.size) {
+            self.full_x[k] = *v * size;
+        }
     }
 
     pub(super) fn objective(&mut self, x: &[f64]) -> f64 {
@@ -138,7 +151,9 @@ impl<'a> Model<'a> {
     pub(super) fn gradient(&mut self, x: &[f64], grad: &mut [f64]) {
         self.place(x);
         self.problem.gradient(&self.full_x, &mut self.grad_full);
-        grad.iter_mut().zip(&self.free).for_each(|(g, &k)| *g = self.objective_scale * self.grad_full[k]);
+        for ((g, &k), size) in grad.iter_mut().zip(&self.free).zip(&self.size) {
+            *g = self.objective_scale * (self.grad_full[k] * size);
+        }
     }
 
     pub(super) fn constraints(&mut self, x: &[f64], c: &mut [f64]) {
@@ -150,8 +165,8 @@ impl<'a> Model<'a> {
     pub(super) fn jacobian(&mut self, x: &[f64], values: &mut [f64]) {
         self.place(x);
         self.problem.jacobian(&self.full_x, &mut self.jac_full);
-        for ((v, &k), &(i, _)) in values.iter_mut().zip(&self.jac_pick).zip(&self.jac_at) {
-            *v = self.constraint_scale[i] * self.jac_full[k];
+        for ((v, &k), &(i, j)) in values.iter_mut().zip(&self.jac_pick).zip(&self.jac_at) {
+            *v = self.constraint_scale[i] * (self.jac_full[k] * self.size[j]);
         }
     }
 
@@ -161,7 +176,9 @@ impl<'a> Model<'a> {
             self.multipliers[i] = self.constraint_scale[i] * lambda[i];
         }
         self.problem.hessian(&self.full_x, self.objective_scale, &self.multipliers, &mut self.hess_full);
-        values.iter_mut().zip(&self.hess_pick).for_each(|(v, &k)| *v = self.hess_full[k]);
+        for ((v, &k), size) in values.iter_mut().zip(&self.hess_pick).zip(&self.hess_size) {
+            *v = self.hess_full[k] * size;
+        }
     }
 
     /// Largest unscaled |c| of scaled constraint values.

@@ -72,6 +72,8 @@ pub struct Program<'a> {
     from: usize,
     /// Columns that the caller gave.
     width: usize,
+    /// Size of each column for the search.
+    sizes: Vec<f64>,
     /// Where derivatives were taken: one pass gives first and second, and the interior point asks for both.
     derived_at: Vec<f64>,
 }
@@ -81,6 +83,7 @@ impl<'a> Program<'a> {
     pub fn new(parts: Parts<'a>) -> Self {
         let width = parts.columns.len();
         let (columns, gives, objective) = give_way(&parts);
+        let sizes = sizes(&parts, &columns);
         let rows = parts.rows.into_iter().zip(gives).map(|(r, give)| Rows::new(r, give, &columns)).collect();
         let limited = (0..columns.width()).filter(|c| columns.columns[*c].rate.is_finite());
         let rates = limited.flat_map(|c| columns.increments(c).map(move |i| (c, i))).collect();
@@ -107,6 +110,7 @@ impl<'a> Program<'a> {
             sum_places: Vec::new(),
             from,
             width,
+            sizes,
             derived_at: Vec::new(),
         };
         program.lay_out_hessian();
@@ -227,6 +231,24 @@ fn give_way(parts: &Parts<'_>) -> (Columns, Vec<Option<usize>>, Vec<Sum>) {
     (Columns::new(columns, values), gives, objective)
 }
 
+/// Outputs have the units of their users (a concentration in ppm, a flow in kg/s): the size of one is the spread of its start, to
+/// a power of two. Inputs and what a demand gives are taken as they are.
+fn sizes(parts: &Parts<'_>, columns: &Columns) -> Vec<f64> {
+    let width = parts.columns.len().max(1);
+    let mut out = vec![1.0; columns.width()];
+    for row in &parts.rows {
+        let Target::Column(reading) = &row.target else { continue };
+        let c = reading.columns()[0];
+        let of = parts.values.iter().skip(c).step_by(width).filter(|v| v.is_finite());
+        let (low, high) = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+        let spread = if high > low { high - low } else { high.abs() };
+        if spread.is_normal() {
+            out[c] = spread.log2().round().exp2();
+        }
+    }
+    out
+}
+
 /// Pairs of columns of a product whose second derivative is not zero.
 fn bent_pairs(product: &Product) -> impl Iterator<Item = (usize, usize)> + '_ {
     let k = product.powers.len();
@@ -292,6 +314,12 @@ impl SparseNlp for Program<'_> {
             let beyond = self.columns.value(t, limit.column) - limit.limit[t];
             let beyond = if limit.above { beyond } else { -beyond };
             (x[s + 2 * k], x[s + 2 * k + 1]) = (beyond.max(0.0), (-beyond).max(0.0));
+        }
+    }
+
+    fn sizes(&self, size: &mut [f64]) {
+        for (v, s) in size.iter_mut().enumerate().take(self.slacks()) {
+            *s = self.sizes[self.columns.column_of(v)];
         }
     }
 
