@@ -332,7 +332,9 @@ fn searched(
     interrupt: &dyn Fn() -> bool,
 ) -> Result<LmOutcome, FuellingError> {
     let mut problem = Differences { errors, samples, n: start.len(), other: vec![0.0; samples] };
-    let options = LmOptions { max_evaluations: 300, cost_tolerance: 1e-8, ..LmOptions::default() };
+    // One standard deviation of a parameter changes the cost by 1 / samples of it: steps below a hundredth of that say nothing.
+    let cost_tolerance = 0.01 / samples as f64;
+    let options = LmOptions { max_evaluations: 300, cost_tolerance, ..LmOptions::default() };
     let found = levenberg_marquardt_interruptible(&mut problem, start, &options, interrupt);
     match found.status {
         Status::Converged | Status::Stalled => Ok(found),

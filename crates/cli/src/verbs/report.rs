@@ -49,7 +49,7 @@ struct OtherRun {
 fn with_hint(e: ChainError) -> Failure {
     if let ChainError::Files(FilesError::ForeignFolder { path, found, .. }) = e {
         return Failure::from(OtherRun { path, found })
-            .hint("other verbs write their page, report.html of the run folder, with the run");
+            .hint("other verbs write their page, report.html of the run folder, with the run; the same command writes it anew, finished steps are taken over");
     }
     let foreign = matches!(&e, ChainError::Files(FilesError::Read { .. }));
     let failure = Failure::from(e);
