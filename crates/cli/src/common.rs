@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use dynocal_files::run_folder::{RunFolder, RunPlace};
 use dynocal_jobs::estimate::Estimate;
 use dynocal_jobs::place::Overrides;
 use dynocal_report::significant;
@@ -43,8 +44,19 @@ pub(crate) struct Check {
     pub(crate) check: bool,
 }
 
-/// Shows the plan of a job; one that is too large is refused.
-pub(crate) fn show_plan(plan: &Estimate) -> Result<Exit, Failure> {
+/// Shows the plan of a job; one that is too large is refused, and a folder that is not for this run.
+pub(crate) fn show_plan(
+    plan: &Estimate,
+    out: &RunPlace,
+    kind: &str,
+    common: &Common,
+) -> Result<Exit, Failure> {
+    RunFolder::check_at(out, kind)?;
+    if common.json {
+        print(&format!("{}\n", serde_json::to_string_pretty(plan)?))?;
+        plan.allowed()?;
+        return Ok(Exit::Done);
+    }
     let mut rows: Vec<Vec<String>> = plan.plan.iter().map(|l| vec![l.what.clone(), l.text.clone()]).collect();
     rows.push(vec!["memory".into(), format!("about {} MB", significant(1e-6 * plan.memory_bytes, 2))]);
     rows.push(vec!["work".into(), format!("about {} operations", significant(plan.operations, 2))]);

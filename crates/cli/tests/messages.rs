@@ -232,6 +232,70 @@ fn folders_that_cannot_be_written() {
     );
 }
 
+/// A model that tells less than the mean is at fault, as a copy among the inputs and a stand-in are worth a word.
+#[test]
+fn records_that_teach_nothing_are_said() {
+    let line = |t: u64, of: &dyn Fn(u64, f64) -> f64| {
+        let u = ((t * t * 7919) % 101) as f64 / 50.0 - 1.0;
+        format!("{u},{}\n", of(t, u))
+    };
+    let text = |of: &dyn Fn(u64, f64) -> f64| -> String {
+        "u [mg],y [Nm]\n".to_string() + &(0..300).map(|t| line(t, of)).collect::<String>()
+    };
+    let now = SPEC.replace("nk = 1", "nk = 0");
+    // What it does later it did not do at first.
+    let (_tmp, o) = identify(&now, &text(&|t, u| if t < 200 { u } else { -u }), &[]);
+    assert_eq!(o.code, 1, "{}{}", o.stdout, o.stderr);
+    has(&o.stderr, "no nearer to what was measured than its mean");
+    let (_tmp, o) = identify(&now, &text(&|_, u| 3.0 - 2.0 * u), &[]);
+    has(&o.stderr, "`u` is a copy of it, but for scale and offset");
+    let noise = |t: u64| ((t * t * 104_729) % 97) as f64 / 97.0;
+    let (_tmp, o) = identify(&now, &text(&|t, u| if t % 90 == 7 { 9999.0 } else { u + noise(t) }), &[]);
+    has(&o.stderr, "3 samples of `y` have one and the same value");
+}
+
+/// What a run would refuse of its folder, its check refuses; it leaves nothing there.
+#[test]
+fn a_check_sees_the_folder() {
+    let (tmp, o) = identify(SPEC, &record(), &["--check"]);
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    assert!(!tmp.path().join("run").exists());
+    let o = dynocal(tmp.path(), &["identify", "spec.toml", "--check", "--out", "."]);
+    assert_eq!(o.code, 2);
+    has(&o.stderr, "is not empty and not a run of `dynocal identify`");
+    let o = dynocal(tmp.path(), &["identify", "spec.toml", "--check", "--out", "bed.csv/run"]);
+    assert_eq!(o.code, 2);
+    has(&o.stderr, "error: cannot write bed.csv/run: a part of the path is a file, not a folder");
+    // Records of another rate than the others, and a model on one.
+    let slow: String = record()
+        .lines()
+        .enumerate()
+        .map(|(k, l)| match k {
+            0 => format!("time [s],{l}\n"),
+            k => format!("{},{l}\n", 0.1 * k as f64 + if k > 150 { 0.1 * (k - 150) as f64 } else { 0.0 }),
+        })
+        .collect();
+    atomic::write(&tmp.path().join("slow.csv"), slow.as_bytes()).unwrap();
+    let two = SPEC
+        .replace("bed.csv", "slow.csv")
+        .replace("sample_time_s = 0.1", "time = \"time\"\ncut = { gap_s = 1.0, shortest = 50 }");
+    atomic::write(&tmp.path().join("two.toml"), two.as_bytes()).unwrap();
+    let (checked, run) = (["identify", "two.toml", "--check"], ["identify", "two.toml"]);
+    let (checked, run) = (dynocal(tmp.path(), &checked), dynocal(tmp.path(), &run));
+    assert_eq!((checked.code, run.code), (2, 2), "{}{}", checked.stdout, run.stdout);
+    let said = |o: &Outcome| o.stderr.lines().find(|l| l.starts_with("error")).map(str::to_string);
+    assert_eq!(said(&checked), said(&run));
+    let plan = dynocal(tmp.path(), &["identify", "spec.toml", "--check", "--json"]);
+    let plan: serde_json::Value = serde_json::from_str(&plan.stdout).unwrap();
+    assert!(plan["plan"].is_array() && plan["memory_bytes"].as_f64().unwrap() > 0.0, "{plan}");
+    for name in ["slow.csv", "two.toml"] {
+        std::fs::remove_file(tmp.path().join(name)).unwrap();
+    }
+    std::fs::remove_dir_all(tmp.path().join("runs")).unwrap_or_default();
+    let left = std::fs::read_dir(tmp.path()).unwrap().count();
+    assert_eq!(left, 2, "spec and record alone");
+}
+
 #[test]
 fn reference_folder_that_is_not_set() {
     let spec = SPEC.replace("bed.csv", "${DYNOCAL_NO_SUCH_VARIABLE}/bed.csv");

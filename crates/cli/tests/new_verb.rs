@@ -144,6 +144,18 @@ fn files_as_they_come_are_taken_or_refused_with_the_flag_that_helps() {
         &["new", "identify", "--from", "points.csv", "--steady", "--force", "--output", "egd"],
     );
     assert!(code == 2 && err.contains("egt"), "{err}");
+    // What is wanted and cannot be had is named with its first cell; stamps twice with what makes them one.
+    let bad = record(|k| 0.1 * k as f64).replacen(",warm", "o,warm", 1);
+    written(folder, "bad.csv", &bad);
+    let (code, _, err) = dynocal(folder, &["new", "identify", "--from", "bad.csv", "--output", "torque"]);
+    assert!(
+        code == 2 && err.contains("1 of its 400 cells are no numbers") && err.contains("in line 2"),
+        "{err}"
+    );
+    written(folder, "twice.csv", &record(|k| 0.1 * (k - k % 20 / 19) as f64));
+    let (code, _, err) = dynocal(folder, &["new", "identify", "--from", "twice.csv", "--output", "torque"]);
+    assert!(code == 2 && err.contains("20 stamps that repeat") && err.contains("dynocal convert"), "{err}");
+    assert!(!folder.join("bad.toml").exists() && !folder.join("twice.toml").exists());
 }
 
 /// Limits near the edges of what was identified leave the plan the room between them: the band, which grows where the plan

@@ -189,6 +189,41 @@ fn a_demand_of_the_record_is_met_by_the_only_input_that_meets_it() {
     }
 }
 
+/// Prices are those of what is minimised, which the summary holds; a given channel outside of its range is said.
+#[test]
+fn what_is_minimised_and_what_leaves_its_range_is_said() {
+    let given = SPEC.replace(
+        "minimise =",
+        "given = [{ name = \"speed\", unit = \"rpm\", lower = 1000.0, upper = 2000.0 }]\nminimise =",
+    );
+    let tmp = bed(&given, |_| 4.0, 60);
+    let text = std::fs::read_to_string(tmp.path().join("start.csv")).unwrap();
+    let with_speed = |(k, line): (usize, &str)| {
+        format!(
+            "{line},{}\n",
+            if k == 0 {
+                "speed [rpm]"
+            } else if k == 31 {
+                "2500"
+            } else {
+                "1500"
+            }
+        )
+    };
+    let text: String = text.lines().enumerate().map(with_speed).collect();
+    atomic::write(&tmp.path().join("start.csv"), text.as_bytes()).unwrap();
+    let o = optimise(tmp.path());
+    assert_eq!(o.code, 0, "{}", o.stderr);
+    has(
+        &o.stderr,
+        "speed of the record leaves the range that the spec gives, 1000 to 2000 rpm: 2500 at 15.00 s",
+    );
+    // Without smoothing, extension or soft limits it is the objective itself.
+    let summary: serde_json::Value = json::read(&tmp.path().join("run/summary.json")).unwrap();
+    let of = |key: &str| summary["objective"][key].as_f64().unwrap();
+    assert!((of("minimised") - of("optimum")).abs() < 1e-3 * of("optimum"), "{}", summary["objective"]);
+}
+
 #[test]
 fn a_demand_beyond_reach_is_named_with_time_amount_and_actuator() {
     // From 10 s to 14.5 s 12 K are asked.

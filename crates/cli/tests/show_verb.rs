@@ -81,6 +81,29 @@ fn a_file_is_shown() {
     }
 }
 
+/// A cell that is no number makes no states of a channel; an injection in ms is no time; stamps that begin anew have the interval
+/// of each stretch.
+#[test]
+fn tables_of_points_and_faulty_cells_are_shown_as_what_they_are() {
+    let tmp = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap();
+    file("points.csv", "speed [rpm],injection_time [ms]\n1000,2.5\n2000,\n3000,3.5\n");
+    let (text, _) = said(tmp.path(), &["show", "points.csv"], 0);
+    assert!(text.contains("3 rows, no time channel") && text.contains("injection_time"), "{text}");
+    file("bad.csv", "time [s],torque [Nm]\n0,30\n0.1,x9\n0.2,50\n0.3,40\n0,20\n0.1,60\n");
+    let (text, _) = said(tmp.path(), &["show", "bad.csv"], 0);
+    for part in [
+        "Nm; 1 no numbers: x9",
+        "every 0.1 s on average where stamps go forward",
+        "1 stamps are not after",
+        "0 s to 0.3 s",
+    ] {
+        assert!(text.contains(part), "no `{part}` in\n{text}");
+    }
+    let row = text.lines().find(|l| l.contains("torque")).unwrap();
+    assert!(row.contains("20.0") && row.contains("60.0") && row.contains("40.0"), "{row}");
+}
+
 #[test]
 fn a_file_is_converted_and_comes_back() {
     let tmp = tempfile::tempdir().unwrap();
@@ -147,7 +170,7 @@ fn what_is_lost_or_refused_is_said() {
     assert!(err.contains("has no time channel: its 1 channels (limits) are left out"), "{err}");
     let (text, _) = said(tmp.path(), &["show", "m.mat"], 0);
     assert!(text.contains("no time channel"), "{text}");
-    let (_, err) = said(tmp.path(), &["convert", "bed.mf4", "all.csv"], 0);
+    let (_, err) = said(tmp.path(), &["convert", "bed.mf4", "all.csv", "--force"], 0);
     assert!(err.contains("11 rows held onto 1001"), "{err}");
     for (args, parts) in [
         (&["convert", "bed.mf4", "x.csv", "--unit", "trq=kPa"][..], &["torque cannot become pressure"][..]),
@@ -163,6 +186,7 @@ fn what_is_lost_or_refused_is_said() {
         (&["show", "bed.mf4", "--csv", "separatr = ';'"], &["--csv", "separatr"]),
         (&["show", "bed.mf4", "--format", "mdf5"], &["mdf5", "mdf4"]),
         (&["convert", "bed.mf4", "./bed.mf4"], &["another file than the one that is read"]),
+        (&["convert", "bed.mf4", "model.json"], &["model.json", "--force"]),
         (
             &["show", "model.json"],
             &["model.json", "hint: a measurement file is shown; a stored model is scored by"],

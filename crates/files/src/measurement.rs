@@ -309,9 +309,10 @@ fn left_out(g: usize, info: &GroupInfo) -> String {
 
 /// The channel that is time by its name, or the first with a unit of time.
 pub fn time_channel(info: &GroupInfo) -> Option<usize> {
-    info.channels.iter().position(|c| is_time(&c.name)).or_else(|| {
-        info.channels.iter().position(|c| c.unit.as_deref().and_then(units::dimension) == Some("time"))
-    })
+    // A unit alone says it of the first channel only: an injection may be in ms.
+    let timed = |c: &ChannelInfo| c.unit.as_deref().and_then(units::dimension) == Some("time");
+    let first = || info.channels.first().filter(|c| timed(c)).map(|_| 0);
+    info.channels.iter().position(|c| is_time(&c.name)).or_else(first)
 }
 
 /// The column of a table that is time: `time` itself, else the first with a usual name and a unit of time. A unit alone is not

@@ -161,33 +161,11 @@ impl RunFolder {
     ) -> Result<Self, FilesError> {
         let path: &Path = place;
         let from = place.spec.as_ref().and_then(|s| seen_from(path, s));
-        let marker = path.join("run.json");
-        if marker.exists() {
-            let m: Marker =
-                json::read(&marker).map_err(|_| foreign(path, kind, "run.json of another tool"))?;
-            if m.tool != "dynocal" || m.kind != kind {
-                return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
-            }
-            // One file may be named in several ways.
-            let real = |s: &PathBuf| fs::canonicalize(path.join(s)).ok();
-            if let (Some(own), Some(other)) = (from.as_ref().and_then(real), m.spec.as_ref().and_then(real))
-                && own != other
-            {
-                let (path, other) = (path.display().to_string(), other.display().to_string());
-                return Err(FilesError::OtherSpec { path, other });
-            }
-        } else {
-            let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-            let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
-            // Records of a bed may be there before the first run.
-            if let Some(name) = names.filter(|n| n != MEASURED).min() {
-                return Err(foreign(path, kind, &format!("it holds `{name}`")));
-            }
-        }
+        is_ours(path, kind, from.as_ref())?;
         let log = locked_log(path)?;
         sweep(path);
         json::write(
-            &marker,
+            &path.join("run.json"),
             &Marker {
                 tool: "dynocal".into(),
                 version: env!("CARGO_PKG_VERSION").into(),
@@ -201,6 +179,19 @@ impl RunFolder {
         let run = Self { path, steps: 0, timing, started, log, earlier_spec };
         run.log(&format!("dynocal {} {kind}", env!("CARGO_PKG_VERSION")))?;
         Ok(run)
+    }
+
+    /// Whether [`RunFolder::open_at`] would open the folder; what it tries to write is gone when this returns.
+    ///
+    /// # Errors
+    /// As of [`RunFolder::open_at`], but for runs that are at work.
+    pub fn check_at(place: &RunPlace, kind: &str) -> Result<(), FilesError> {
+        let path: &Path = place;
+        is_ours(path, kind, place.spec.as_ref().and_then(|s| seen_from(path, s)).as_ref())?;
+        let there = path.ancestors().find(|p| p.exists()).filter(|p| !p.as_os_str().is_empty());
+        let there = there.unwrap_or(Path::new("."));
+        let tried = there.join(format!(".dynocal-check-{}.tmp", std::process::id()));
+        fs::File::create_new(&tried).and_then(|_| fs::remove_file(&tried)).map_err(|e| unwritten(path, &e))
     }
 
     /// The folder.
@@ -370,6 +361,33 @@ fn seen_from(folder: &Path, file: &Path) -> Option<PathBuf> {
     let shared = folder.components().zip(file.components()).take_while(|(a, b)| a == b).count();
     let up = std::iter::repeat_n(std::path::Component::ParentDir, folder.components().count() - shared);
     Some(up.chain(file.components().skip(shared)).collect())
+}
+
+/// Refuses a folder that holds anything but an earlier run of this verb, and of this spec (`from` the folder) where one is named.
+fn is_ours(path: &Path, kind: &str, from: Option<&PathBuf>) -> Result<(), FilesError> {
+    let marker = path.join("run.json");
+    if !marker.exists() {
+        let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+        let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
+        // Records of a bed may be there before the first run.
+        return match names.filter(|n| n != MEASURED).min() {
+            Some(name) => Err(foreign(path, kind, &format!("it holds `{name}`"))),
+            None => Ok(()),
+        };
+    }
+    let m: Marker = json::read(&marker).map_err(|_| foreign(path, kind, "run.json of another tool"))?;
+    if m.tool != "dynocal" || m.kind != kind {
+        return Err(foreign(path, kind, &format!("a run of `{} {}`", m.tool, m.kind)));
+    }
+    // One file may be named in several ways.
+    let real = |s: &PathBuf| fs::canonicalize(path.join(s)).ok();
+    match (from.and_then(real), m.spec.as_ref().and_then(real)) {
+        (Some(own), Some(other)) if own != other => {
+            let (path, other) = (path.display().to_string(), other.display().to_string());
+            Err(FilesError::OtherSpec { path, other })
+        }
+        _ => Ok(()),
+    }
 }
 
 fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {

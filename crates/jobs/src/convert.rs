@@ -6,6 +6,7 @@ use std::path::Path;
 
 use dynocal_files::FilesError;
 use dynocal_files::dataset::Format;
+use dynocal_files::measurement::mat;
 use dynocal_files::measurement::merge::{self, Keys};
 use dynocal_files::measurement::{self, Raster, ReadKeys, WriteFile};
 use dynocal_files::table::{Cells, Column, UnitSource, rename};
@@ -85,6 +86,11 @@ pub fn convert(from: &Path, to: &Path, how: &Conversion) -> Result<Vec<String>, 
         for column in columns(&mut rasters).into_iter().filter(|c| c.name == *name) {
             notes.push(to_unit(source.file(), column, unit)?);
         }
+    }
+    if to.extension().is_some_and(|e| e == "mat") {
+        // MATLAB has its own rules for names.
+        let own = names(&rasters).into_iter().map(|n| (mat::identifier(&n), n)).filter(|(m, n)| m != n);
+        notes.extend(own.map(|(m, n)| format!("channel `{n}` is called `{m}` there")));
     }
     write(to, &rasters)?;
     Ok(notes)

@@ -7,8 +7,9 @@ use std::path::Path;
 
 /// Lowest first.
 const IDENTIFY: &[&str] = &[
-    "error", "finding", "spec", "before", "gaps", "fit", "load", "set", "bounds", "poles", "curves", "after",
-    "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job", "page",
+    "error", "finding", "spec", "before", "odd", "gaps", "fit", "load", "set", "bounds", "poles", "curves",
+    "after", "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job",
+    "page",
 ];
 
 #[test]

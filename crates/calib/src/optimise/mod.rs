@@ -154,6 +154,8 @@ struct Found {
     parts: Vec<PartOutcome>,
     prices: Vec<Price>,
     shortfalls: Vec<Shortfall>,
+    /// All that the program minimises.
+    minimised: Option<f64>,
 }
 
 impl Found {
@@ -167,6 +169,7 @@ impl Found {
             parts: Vec::new(),
             prices: Vec::new(),
             shortfalls: Vec::new(),
+            minimised: None,
         }
     }
 }
@@ -206,6 +209,7 @@ fn search(
         parts: Vec::new(),
         prices: Vec::new(),
         shortfalls: Vec::new(),
+        minimised: Some(outcome.objective),
     };
     (found, outcome)
 }

@@ -82,6 +82,10 @@ pub struct Optimum {
     pub start_objective: f64,
     /// The same at the optimum.
     pub objective: f64,
+    /// What the search minimised and prices are derivatives of: the objective over the samples that were added to the end too, with
+    /// weights on increments and soft limits; absent where the record was not optimised as a whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub minimised: Option<f64>,
     /// Its parts, where the record was not optimised as a whole.
     pub parts: Vec<PartOutcome>,
     /// Where and by how much the problem cannot be met (in the first part that failed, where there are parts); empty when
@@ -134,6 +138,7 @@ impl Optimum {
             start_objective: total(|t| t.start),
             objective: total(|t| t.optimum),
             terms,
+            minimised: found.minimised,
             parts: found.parts.clone(),
             shortfalls,
             prices: found.prices.clone(),

@@ -39,7 +39,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let plan = estimate(&campaign);
     if args.plan.check {
         job::check_given(&campaign)?;
-        return show_plan(&plan);
+        return show_plan(&plan, &campaign.out, "calibrate", &args.common);
     }
     plan.allowed()?;
     let until = args.until.as_deref().unwrap_or_else(|| job::last_step(&campaign.spec));

@@ -50,6 +50,9 @@ struct Convert {
     /// Stamps that differ by less are equal, in s
     #[arg(long, value_name = "S", default_value_t = Keys::default().tolerance_s)]
     tolerance_s: f64,
+    /// Write over a file that is there
+    #[arg(long)]
+    force: bool,
     /// Say nothing but errors
     #[arg(long, short)]
     quiet: bool,
@@ -110,6 +113,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let same = |a: &Path, b: &Path| Some(std::fs::canonicalize(a).ok()? == std::fs::canonicalize(b).ok()?);
     if same(&args.input, &args.output) == Some(true) {
         let (found, expected) = (args.output.display().to_string(), "another file than the one that is read".into());
+        return Err(FlagError { flag: "OUTPUT", found, expected }.into());
+    }
+    if args.output.exists() && !args.force {
+        let (found, expected) = (args.output.display().to_string(), "a file that is not there, or --force".into());
         return Err(FlagError { flag: "OUTPUT", found, expected }.into());
     }
     let notes = convert(&args.input, &args.output, &how)?;

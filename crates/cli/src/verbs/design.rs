@@ -41,7 +41,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let job = read(&args.spec, &args.common.overrides())?;
     let plan = estimate(&job).map_err(with_hint)?;
     if args.plan.check {
-        return show_plan(&plan);
+        return show_plan(&plan, &job.out, "design", &args.common);
     }
     plan.allowed()?;
     let (found, curves, folder) = progress.during(|watch| make(&job, watch)).map_err(with_hint)?;

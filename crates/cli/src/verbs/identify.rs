@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches};
 use dynocal_jobs::identify::error::IdentifyError;
-use dynocal_jobs::identify::estimate::estimate;
 use dynocal_jobs::identify::job;
 use dynocal_numerics::watch::Watch;
 use dynocal_jobs::identify::result::{Identified, Modelled, Score};
@@ -53,7 +52,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     };
     let job = job_of(&args, &overrides)?;
     if args.plan.check {
-        return show_plan(&estimate(&job, Watch::silent()).map_err(with_hint)?);
+        return show_plan(&job::check(&job, Watch::silent()).map_err(with_hint)?, &job.out, "identify", &args.common);
     }
     let (found, folder) = progress.during(|watch| job::run(&job, watch)).map_err(with_hint)?;
     identify_report::write(&found, folder.path())?;

@@ -33,7 +33,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         for (file, points) in work::given(&job)? {
             plan = plan.line("measured", format!("{file}: {points} points"));
         }
-        return show_plan(&plan);
+        return show_plan(&plan, &job.out, "map", &args.common);
     }
     plan.allowed()?;
     let (found, folder) = match progress.during(|watch| calibrate(&job, watch)) {

@@ -32,7 +32,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let progress = args.common.start()?;
     let job = spec::read(&args.spec, &args.common.overrides())?;
     if args.check.check {
-        return show_plan(&estimate(&job)?);
+        return show_plan(&estimate(&job)?, &job.out, "optimise", &args.common);
     }
     let (found, folder) = progress.during(|watch| optimise(&job, watch))?;
     for warning in &found.warnings {

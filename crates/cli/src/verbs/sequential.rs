@@ -33,7 +33,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let job = spec::read(&args.spec, &args.common.overrides())?;
     let plan = estimate(&job)?;
     if args.plan.check {
-        return show_plan(&plan);
+        return show_plan(&plan, &job.out, "sequential", &args.common);
     }
     plan.allowed()?;
     let (found, folder) = progress.during(|watch| play(&job, watch))?;

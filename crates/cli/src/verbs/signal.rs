@@ -68,7 +68,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     };
     let plan = estimate(&job);
     if args.plan.check {
-        return show_plan(&plan);
+        return show_plan(&plan, &job.out, "signal", &args.common);
     }
     plan.allowed()?;
     let (made, folder) = progress.during(|watch| make(&job, watch))?;

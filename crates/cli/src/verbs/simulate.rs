@@ -71,7 +71,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         }
     };
     if args.plan.check {
-        return show_plan(&estimate(&job)?);
+        return show_plan(&estimate(&job)?, &job.out, "simulate", &args.common);
     }
     let (found, folder) = progress.during(|watch| simulate(&job, watch))?;
     for warning in &found.warnings {

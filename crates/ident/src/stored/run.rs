@@ -61,17 +61,23 @@ impl StoredModel {
         self.computed(record, kind, None)
     }
 
-    /// Output of any kind.
+    /// Whether [`StoredModel::simulate`] would take `record`; runs nothing.
     ///
     /// # Errors
     /// As of [`StoredModel::simulate`].
-    pub fn computed(
+    pub fn takes(&self, record: &Dataset, initial: Option<Initial>) -> Result<(), StoredError> {
+        self.start_of(record, Kind::FreeRun, initial)?;
+        let (records, _) = self.prepared(record)?;
+        Ok(records.iter().try_for_each(|d| self.shaped(d).map(drop))?)
+    }
+
+    /// The start of a run over `record`.
+    fn start_of(
         &self,
         record: &Dataset,
         kind: Kind,
         initial: Option<Initial>,
-    ) -> Result<Vec<Computed>, StoredError> {
-        let fitted = self.fitted()?;
+    ) -> Result<Initial, StoredError> {
         let user = self.user_output();
         let has_output = record.channels.iter().any(|c| c.name == user.name);
         let initial = match initial {
@@ -83,7 +89,22 @@ impl StoredModel {
             let (record, channel) = (record.name.clone(), user.name);
             return Err(StoredError::NoOutput { record, channel });
         }
-        let fitted = fitted.starting(initial);
+        Ok(initial)
+    }
+
+    /// Output of any kind.
+    ///
+    /// # Errors
+    /// As of [`StoredModel::simulate`].
+    pub fn computed(
+        &self,
+        record: &Dataset,
+        kind: Kind,
+        initial: Option<Initial>,
+    ) -> Result<Vec<Computed>, StoredError> {
+        let fitted = self.fitted()?;
+        let fitted = fitted.starting(self.start_of(record, kind, initial)?);
+        let has_output = record.channels.iter().any(|c| c.name == self.user_output().name);
         let (records, notes) = self.prepared(record)?;
         let mut out = Vec::new();
         for d in &records {

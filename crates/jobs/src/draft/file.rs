@@ -110,8 +110,11 @@ pub(super) fn found_for(file: &Path, wishes: &Wishes, timed: bool) -> Result<Fou
     }
     for wanted in wishes.outputs.iter().chain(&wishes.inputs).chain(&wishes.given) {
         if !channels.iter().any(|c| c.column == *wanted || c.name == *wanted) {
-            table.column(wanted)?;
-            return Err(lacks(format!("`{wanted}`, which is constant or no number"), "a channel that moves"));
+            let column = table.column(wanted)?;
+            let why = channel(&table, column).err().unwrap_or_default();
+            let why = nearly(&table, column)
+                .map_or(format!("`{wanted}`, {why}"), |n| n.replace(" is left out:", ":"));
+            return Err(lacks(why, "a channel of numbers that moves"));
         }
     }
     roles(&mut channels, wishes);
@@ -182,6 +185,21 @@ fn clock(table: &Table, column: &str) -> Result<(FoundTime, f64), DraftError> {
     };
     if intervals.is_empty() {
         return Err(lacks(format!("{} rows", table.rows())));
+    }
+    // `identify` refuses stamps twice: which of two rows is meant, nobody knows.
+    let repeats = || intervals.iter().enumerate().filter(|(_, d)| **d == 0.0);
+    if let Some((first, _)) = repeats().next() {
+        return Err(DraftError::Lacks {
+            file: table.file.clone(),
+            found: format!(
+                "{} stamps that repeat the one before, the first in {}",
+                repeats().count(),
+                table.place(first + 1)
+            ),
+            expected:
+                "each stamp once; `dynocal convert FILE NEW.csv --sample-time-s S` takes one row of each"
+                    .into(),
+        });
     }
     let middle = intervals.len() / 2;
     let dt = *intervals.select_nth_unstable_by(middle, f64::total_cmp).1;

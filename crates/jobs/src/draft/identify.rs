@@ -101,8 +101,8 @@ fn model(f: &Found, wishes: &Wishes, out: &mut String) {
         out,
         "\n# The first part of the time estimates, the rest is unseen.\n[split]\nfractions = [0.7, 0.3]\n\n\
          # A linear model to begin with, estimated on its free run. na past outputs, nb samples of each input from nk samples\n\
-         # back. A nonlinear one, in place of the line `structure`:\n\
+         # back (nk = 0: the output answers within a sample; 1: it does not). A nonlinear one, in place of the line `structure`:\n\
          # select = {{ name = \"forward\", pool = {{ ny = 4, nu = 4, degree = 2 }} }}\n\
-         [model]\n{target}\nstructure = {{ name = \"arx\", na = 2, nb = 2, nk = 1 }}\nestimator = {{ name = \"sem\" }}\n"
+         [model]\n{target}\nstructure = {{ name = \"arx\", na = 2, nb = 3, nk = 0 }}\nestimator = {{ name = \"sem\" }}\n"
     );
 }

@@ -134,6 +134,6 @@ pub enum EngineJobError {
     #[error(transparent)]
     Page(#[from] PageError),
     /// The user stopped it.
-    #[error("interrupted")]
+    #[error("interrupted: nothing was written, the same command begins anew")]
     Interrupted,
 }

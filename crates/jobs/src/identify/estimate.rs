@@ -1,28 +1,22 @@
 //! What an identification takes, before it runs.
 
 use dynocal_ident::model::kinds;
-use dynocal_numerics::watch::Watch;
 
 use super::error::IdentifyError;
-use super::load::{Part, parts};
+use super::load::Part;
 use super::spec::{Job, Target};
 use crate::estimate::Estimate;
 
 /// Evaluations of the cost that an iterative estimator takes where the spec says nothing.
 const EVALUATIONS: f64 = 50.0;
 
-/// Reads the data and says what will be estimated from it.
+/// What will be estimated from parts that have been read.
 ///
 /// An estimate with p parameters (or p candidates of a pool) factorises an N x p matrix, 2 N p^2 operations, once for each
 /// evaluation or step of the selection. Samples are counted before the preparation.
 ///
 /// # Errors
-/// [`IdentifyError`]: data that cannot be read, a structure that does not fit the channels.
-pub fn estimate(job: &Job, watch: Watch) -> Result<Estimate, IdentifyError> {
-    of_parts(job, &parts(job, watch.note)?)
-}
-
-/// The same for parts that have been read.
+/// [`IdentifyError`]: a structure that does not fit the channels.
 pub(super) fn of_parts(job: &Job, parts: &[Part]) -> Result<Estimate, IdentifyError> {
     let mut plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
     let mut n = 0.0;

@@ -26,8 +26,9 @@ use super::error::IdentifyError;
 use super::estimate::of_parts;
 use super::finding::{Finding, Grade, Topic, sorted};
 use super::fit::{Estimated, estimate, saved};
-use super::judge::{losses, of_fit, of_model};
+use super::judge::{losses, of_fit, of_model, of_scores};
 use super::load::{Part, digest_of_file, parts};
+use super::odd::of_values;
 use super::points::points;
 use super::prepare::{own_unit, prepare_parts, restored};
 use super::result::{Identified, Modelled, Path, Prepared, in_step};
@@ -35,6 +36,7 @@ use super::score::{Judged, Scored, score};
 use super::set::{Member, Set, shape};
 use super::spec::{Job, Target};
 use super::verdict::verdict;
+use crate::estimate::Estimate;
 
 /// Does the job: reads the data, estimates, scores, and writes models, records and summary.
 ///
@@ -56,6 +58,32 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Identified, RunFolder), IdentifyE
     }
     folder.write_summary(&done.result)?;
     Ok((done.result, folder))
+}
+
+/// What a run would do and take, and what it would refuse of its records: they are read and prepared, nothing is written.
+///
+/// # Errors
+/// [`IdentifyError`].
+pub fn check(job: &Job, watch: Watch) -> Result<Estimate, IdentifyError> {
+    let mut parts = parts(job, watch.note)?;
+    let plan = of_parts(job, &parts)?;
+    if plan.allowed().is_err() {
+        return Ok(plan);
+    }
+    fit_records(job, &parts)?;
+    prepare_parts(job, &mut parts, None)?;
+    if !job.saved.is_empty() {
+        sampled_alike(job, &parts)?;
+        return Ok(plan);
+    }
+    for t in &job.targets {
+        shaped(t, &parts[0].records)?;
+        parts[1..]
+            .iter()
+            .flat_map(|p| &p.records)
+            .try_for_each(|d| shape(d, &t.inputs, &t.target).map(drop))?;
+    }
+    Ok(plan)
 }
 
 /// The work of a job in memory; files go into `dir`.
@@ -81,7 +109,7 @@ fn of_read(
     watch: Watch,
 ) -> Result<Identified, IdentifyError> {
     let measured = measured(&parts[0].records);
-    let preparation = prepare_parts(job, &mut parts, dir)?;
+    let preparation = prepare_parts(job, &mut parts, Some(dir))?;
     let dynamic = job.saved.is_empty() && !job.is_steady();
     let first = if dynamic { before(job, &parts[0].records)? } else { None };
     let estimated = if job.saved.is_empty() {
@@ -234,15 +262,18 @@ fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
     Ok(())
 }
 
-fn estimate_target(t: &Target, parts: &[Part], watch: Watch) -> Result<Estimated, IdentifyError> {
-    // Missing samples are for those who asked for them.
-    let marked =
-        parts[0].records.iter().any(|d| d.channels.iter().any(|c| c.values.iter().any(|v| v.is_nan())));
-    let data = if marked {
-        experiments_marked(&parts[0].records, &t.inputs, &t.target)?
+/// The estimation records of a target. Missing samples are for those who asked for them.
+fn shaped(t: &Target, records: &[Dataset]) -> Result<Vec<Experiment>, DataError> {
+    let marked = records.iter().any(|d| d.channels.iter().any(|c| c.values.iter().any(|v| v.is_nan())));
+    if marked {
+        experiments_marked(records, &t.inputs, &t.target)
     } else {
-        experiments(&parts[0].records, &t.inputs, &t.target)?
-    };
+        experiments(records, &t.inputs, &t.target)
+    }
+}
+
+fn estimate_target(t: &Target, parts: &[Part], watch: Watch) -> Result<Estimated, IdentifyError> {
+    let data = shaped(t, &parts[0].records)?;
     let selecting = parts.iter().filter(|p| p.name == "selection").flat_map(|p| &p.records);
     let selecting: Vec<Experiment> =
         selecting.map(|d| shape(d, &t.inputs, &t.target)).collect::<Result<_, _>>()?;
@@ -362,6 +393,7 @@ fn finish(
     preparation: &[Prepared],
 ) -> Identified {
     let mut findings: Vec<Finding> = scored.iter().flat_map(|s| s.findings.clone()).collect();
+    findings.extend(scored.iter().flat_map(|s| of_scores(&s.scores)).filter(|_| !job.is_steady()));
     for (t, e) in job.targets.iter().zip(estimated) {
         findings.extend(e.fit.iter().flat_map(|f| of_fit(t, f)));
     }
@@ -370,6 +402,7 @@ fn finish(
         |p: &Part| p.notes.iter().map(|n| Finding::new(Grade::Note, "", n.as_str())).collect::<Vec<_>>();
     findings.extend(parts.iter().flat_map(read));
     findings.extend(losses(preparation));
+    findings.extend(parts.first().map_or(Vec::new(), |p| of_values(job, &p.records)));
     if parts.iter().all(|p| p.seen != Seen::Unseen) {
         let text = if job.saved.is_empty() {
             "no test data in the split: nothing says how the model does on unseen data"

@@ -3,10 +3,11 @@
 use dynocal_ident::data::Gap;
 use dynocal_ident::estimate::Fit;
 use dynocal_ident::prepare::{Became, Effect};
+use dynocal_ident::validate::{Kind, Seen};
 use dynocal_numerics::status::Status;
 
 use super::finding::{Finding, Grade};
-use super::result::{Modelled, Prepared};
+use super::result::{Modelled, Prepared, Score};
 use super::spec::Target;
 
 /// Share of random free runs that may diverge before the model is at fault; fewer are a warning.
@@ -116,6 +117,22 @@ pub fn of_model(m: &Modelled) -> Vec<Finding> {
         out.push(Finding::new(Grade::Warning, m.target.as_str(), text));
     }
     out
+}
+
+/// A free run on data that had no part in the model, further from them than their mean.
+pub fn of_scores(scores: &[Score]) -> Vec<Finding> {
+    let judged = |s: &&Score| s.kind == Kind::FreeRun && s.data == Seen::Unseen && !s.outside;
+    let worse = |s: &Score| {
+        let (r2, rmse) = (s.r2_percent.filter(|r2| *r2 <= 0.0)?, s.rmse?);
+        let text = format!(
+            "the free run on {} is no nearer to what was measured than its mean is (RMSE {}, R2 {:.0} %): nothing of it is told there",
+            s.part,
+            dynocal_report::significant(rmse, 3),
+            r2
+        );
+        Some(Finding::new(Grade::Fault, s.output.as_str(), text))
+    };
+    scores.iter().filter(judged).filter_map(worse).collect()
 }
 
 /// Samples that the preparation filled, left missing or gave up, counted for each part and step.

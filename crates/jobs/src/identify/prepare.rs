@@ -25,11 +25,15 @@ pub fn plan(steps: &[StepSpec]) -> Result<Vec<Planned>, BuildError> {
 }
 
 /// Prepares all parts in place. What a step learns (means, scales) it learns from the estimation; the first estimation
-/// record is written to `dir` before the first step and after each.
+/// record is written to `dir`, where there is one, before the first step and after each.
 ///
 /// # Errors
 /// [`IdentifyError`]: a step that a record cannot take, or files.
-pub fn prepare_parts(job: &Job, parts: &mut [Part], dir: &Path) -> Result<Vec<Prepared>, IdentifyError> {
+pub fn prepare_parts(
+    job: &Job,
+    parts: &mut [Part],
+    dir: Option<&Path>,
+) -> Result<Vec<Prepared>, IdentifyError> {
     let mut steps = match job.saved.first() {
         Some(_) => stored(job, parts)?,
         None => plan(&job.prepare)?,
@@ -52,7 +56,7 @@ pub fn prepare_parts(job: &Job, parts: &mut [Part], dir: &Path) -> Result<Vec<Pr
         if first && job.saved.is_empty() {
             steps = repeat(&steps, &notes)?;
         }
-        let stages = write(&stages, &names, dir)?;
+        let stages = dir.map_or(Ok(Vec::new()), |dir| write(&stages, &names, dir))?;
         out.push(Prepared { part: part.name.clone(), notes, stages });
     }
     Ok(out)

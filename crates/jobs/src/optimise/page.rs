@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dynocal_calib::optimise::{Price, distance_name};
 use dynocal_files::atomic;
-use dynocal_report::{Cell, Column, Panel, Report, Section, Table, TimePlot, render};
+use dynocal_report::{Cell, Column, Panel, Report, Section, Table, TimePlot, render, significant};
 
 use super::result::Optimised;
 use super::words::of_words;
@@ -197,7 +197,7 @@ fn prices(found: &Optimised) -> Section {
     let head = vec![
         Column::text("One more of the"),
         Column::text("Unit"),
-        Column::number("Changes the objective by", "").digits(4),
+        Column::number("Changes it by", "").digits(4),
         Column::number("One percent of its size", "").digits(4),
         Column::number("changes it by", "").digits(4),
     ];
@@ -211,9 +211,14 @@ fn prices(found: &Optimised) -> Section {
         ])
     });
     let section = Section::new("What demands and limits cost")
-        .text(
-            "Derivatives of the optimal objective: what one unit more of a demand (at all samples), of a limit or of a rate changes while the same limits stay active. A limit that nothing touches costs nothing.",
-        )
+        .text(format!(
+            "Derivatives of what is minimised{}: what one unit more of a demand (at all samples), of a limit or of a rate changes while the same limits stay active. A limit that nothing touches costs nothing.",
+            found.objective.minimised.map_or(String::new(), |m| format!(
+                " ({} at the optimum: the objective over the record and its extension, with smoothing and what is soft; the objective alone is {})",
+                significant(m, 5),
+                significant(found.objective.optimum, 5)
+            ))
+        ))
         .block(table);
     match price_plot(found) {
         Some(plot) => section.block(plot),
@@ -237,7 +242,7 @@ fn price_plot(found: &Optimised) -> Option<TimePlot> {
         .collect();
     (!drawn.is_empty()).then(|| {
         let plot = TimePlot::sampled("Prices by sample", o.sample_time_s, n).caption(
-            "Change of the objective (a mean over the record) for one unit more at that sample alone; all are in prices.csv.",
+            "Change of what is minimised (a mean over the record) for one unit more at that sample alone; all are in prices.csv.",
         );
         drawn.iter().fold(plot, |plot, p| {
             let unit = format!("objective/({})", p.unit);

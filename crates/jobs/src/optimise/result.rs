@@ -123,6 +123,8 @@ pub struct Objective {
     pub optimum: f64,
     /// Change in percent of the start; none where that is 0.
     pub change_percent: Option<f64>,
+    /// What the search minimised at its end: the objective over the extension too, weights on increments, soft limits.
+    pub minimised: Option<f64>,
 }
 
 /// One thing that was asked.

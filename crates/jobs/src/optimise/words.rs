@@ -1,6 +1,7 @@
 //! An optimum in words: what came out, what it costs, what does not fit.
 
 use dynocal_calib::optimise::{Shortfall, distance_name};
+use dynocal_calib::problem::GivenChannel;
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::stored::Outside;
 use dynocal_numerics::status::Status;
@@ -204,6 +205,24 @@ fn price(p: &PriceLine) -> String {
     )
 }
 
+/// Where the record leaves the range that the spec gives of a channel that is not chosen.
+fn beyond_range(o: &Optimised, g: &GivenChannel) -> Option<String> {
+    let values = o.start.values(&g.name).ok()?;
+    let far = |v: f64| (g.lower - v).max(v - g.upper);
+    let (t, v) = values.iter().copied().enumerate().max_by(|a, b| far(a.1).total_cmp(&far(b.1)))?;
+    (far(v) > 1e-6 * (g.upper - g.lower)).then(|| {
+        format!(
+            "{} of the record leaves the range that the spec gives, {} to {}{}: {} at {} s",
+            g.name,
+            number(g.lower),
+            number(g.upper),
+            UnitAfter(&g.unit),
+            number(v),
+            number(t as f64 * o.record.sample_time_s)
+        )
+    })
+}
+
 /// Where the optimum leaves what the models know, and what the record did not have.
 pub(super) fn warnings(o: &Optimised, from_rest: &[String], outside: Vec<Outside>) -> Vec<String> {
     let mut out = Vec::new();
@@ -216,6 +235,11 @@ pub(super) fn warnings(o: &Optimised, from_rest: &[String], outside: Vec<Outside
             number(c.at_s),
             number(c.worst)
         ));
+    }
+    out.extend(o.problem.given.iter().filter_map(|g| beyond_range(o, g)));
+    let stopped = o.parts.iter().filter(|p| p.status == Status::Interrupted).count();
+    if o.status.is_success() && stopped > 0 {
+        out.push(format!("interrupted: the best of {} starts that ended is shown", o.parts.len() - stopped));
     }
     let mut said: Vec<String> = outside.iter().map(|s| s.sentence()).collect();
     said.sort();

@@ -105,7 +105,7 @@ fn judged(job: &Job, loaded: Loaded, mut optimum: Optimum) -> Optimised {
         record,
         status: optimum.status,
         iterations: optimum.iterations,
-        objective: Objective { start, optimum: end, change_percent },
+        objective: Objective { start, optimum: end, change_percent, minimised: optimum.minimised },
         terms: optimum.terms.clone(),
         asked,
         prices: prices(&sizes, &optimum),

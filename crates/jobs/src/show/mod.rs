@@ -37,6 +37,8 @@ pub struct ChannelSummary {
     pub mean: Option<f64>,
     /// First states, of a channel of words.
     pub states: Vec<String>,
+    /// Cells that are words in a channel of numbers, with the first of them: faults of the file rather than states.
+    pub words: Option<(u64, String)>,
     /// A thinned trace, one entry for each of the group's `trace_time`; empty for words.
     #[serde(skip)]
     pub trace: Vec<Extremes>,
@@ -60,9 +62,9 @@ pub struct GroupSummary {
     pub rows: u64,
     /// Name of the time channel; empty where there is none.
     pub time: String,
-    /// First and last stamp in s.
+    /// Least and greatest stamp in s.
     pub span_s: Option<Interval>,
-    /// Mean interval in s.
+    /// Mean of the intervals in s by which stamps go forward.
     pub interval_s: Option<f64>,
     /// Longest interval in s, where it is more than one and a half times the mean.
     pub longest_interval_s: Option<f64>,
@@ -144,7 +146,7 @@ fn group(source: &dyn Source, g: usize) -> Result<GroupSummary, FilesError> {
     // Stamps whose unit nobody says are in s.
     let unit = time.as_ref().map_or("s", |t| if t.unit.is_empty() { "s" } else { t.unit.as_str() });
     let scale = units::conversion(unit, "s").map(|c| c.0).filter(|_| clock.rows > 0);
-    let interval = (clock.rows > 1).then(|| (clock.last - clock.first) / (clock.rows - 1) as f64);
+    let interval = (clock.steps > 0).then(|| clock.forward / clock.steps as f64);
     let mut trace_time: Vec<f64> = clock.trace.iter().map(|t| t * scale.unwrap_or(1.0)).collect();
     let trace_in_rows = scale.is_none()
         || trace_time.windows(2).any(|w| !(w[1] > w[0]))
@@ -156,7 +158,7 @@ fn group(source: &dyn Source, g: usize) -> Result<GroupSummary, FilesError> {
         name: info.name.clone(),
         rows: info.rows,
         time: time.map_or(String::new(), |t| t.name),
-        span_s: scale.map(|s| Interval::new(clock.first * s, clock.last * s)),
+        span_s: scale.map(|s| Interval::new(clock.least * s, clock.greatest * s)),
         interval_s: interval.zip(scale).map(|(i, s)| i * s),
         longest_interval_s: interval
             .filter(|i| clock.longest > 1.5 * i)

@@ -45,7 +45,11 @@ pub fn about(g: &GroupSummary) -> String {
                 trimmed(span.upper, 10),
                 g.time
             ));
-            out.push_str(&format!(", every {} s on average", trimmed(dt, 6)));
+            out.push_str(&format!(
+                ", every {} s on average{}",
+                trimmed(dt, 6),
+                if g.stamps_not_increasing > 0 { " where stamps go forward" } else { "" }
+            ));
         }
         _ if g.time.is_empty() => out.push_str(", no time channel"),
         _ if g.rows > 0 => out.push_str(&format!(", time `{}`, which holds no numbers", g.time)),
@@ -55,7 +59,10 @@ pub fn about(g: &GroupSummary) -> String {
         out.push_str(&format!(", longest interval {} s", trimmed(gap, 6)));
     }
     if g.stamps_not_increasing > 0 {
-        out.push_str(&format!(", {} stamps are not after the one before", g.stamps_not_increasing));
+        out.push_str(&format!(
+            ", {} stamps are not after the one before (experiments one after another, or repeats)",
+            g.stamps_not_increasing
+        ));
     }
     out
 }
@@ -65,7 +72,14 @@ const SHOWN: usize = 40;
 
 /// The unit of a channel, or its states where it holds words.
 pub fn unit_or_states(c: &ChannelSummary) -> String {
-    if c.states.is_empty() { c.unit.clone() } else { on_a_line(&c.states.join(", ")) }
+    match &c.words {
+        Some((n, first)) => on_a_line(&format!(
+            "{}{n} no numbers: {first}",
+            if c.unit.is_empty() { String::new() } else { format!("{}; ", c.unit) }
+        )),
+        None if c.states.is_empty() => c.unit.clone(),
+        None => on_a_line(&c.states.join(", ")),
+    }
 }
 
 /// Text of a file in one line of a table: what is no print becomes its escape, the end of long text three points.

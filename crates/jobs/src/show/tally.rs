@@ -14,8 +14,12 @@ const MOST_STATES: usize = 8;
 pub(super) struct Clock {
     stride: u64,
     pub(super) rows: u64,
-    pub(super) first: f64,
-    pub(super) last: f64,
+    last: f64,
+    /// Sum and number of the intervals by which stamps go forward.
+    pub(super) forward: f64,
+    pub(super) steps: u64,
+    pub(super) least: f64,
+    pub(super) greatest: f64,
     pub(super) longest: f64,
     /// Stamps that are not after the one before, or no numbers.
     pub(super) backward: u64,
@@ -31,14 +35,21 @@ impl Clock {
     pub(super) fn take(&mut self, stamps: &[f64]) {
         for t in stamps {
             if self.rows == 0 {
-                self.first = *t;
+                (self.least, self.greatest) = (*t, *t);
             } else {
-                self.longest = self.longest.max(t - self.last);
-                self.backward += u64::from(!(*t > self.last));
+                let interval = t - self.last;
+                if interval > 0.0 {
+                    self.forward += interval;
+                    self.steps += 1;
+                    self.longest = self.longest.max(interval);
+                } else {
+                    self.backward += 1;
+                }
             }
             if self.rows.is_multiple_of(self.stride) {
                 self.trace.push(*t);
             }
+            (self.least, self.greatest) = (self.least.min(*t), self.greatest.max(*t));
             self.last = *t;
             self.rows += 1;
         }
@@ -56,6 +67,7 @@ pub(super) struct Tally {
     /// Sum of the differences from the first number: exact for a channel far from zero.
     sum: f64,
     origin: f64,
+    words: u64,
     states: Vec<String>,
     trace: Vec<Extremes>,
 }
@@ -94,8 +106,16 @@ impl Tally {
     }
 
     fn state(&mut self, x: &str) {
-        self.rows += 1;
-        self.gaps += u64::from(x.is_empty());
+        // A file with decimal commas keeps them in a column that holds words as well.
+        if let Ok(number) = x.trim().replacen(',', ".", 1).parse() {
+            return self.number(number);
+        }
+        self.number(f64::NAN);
+        if x.is_empty() {
+            return;
+        }
+        self.gaps -= 1;
+        self.words += 1;
         if !x.is_empty() && self.states.len() < MOST_STATES && !self.states.iter().any(|s| s == x) {
             self.states.push(x.into());
         }
@@ -103,17 +123,25 @@ impl Tally {
 
     pub(super) fn summary(self, name: &str, unit: Option<&str>) -> ChannelSummary {
         let mean = self.origin + self.sum / self.numbers as f64;
+        // Mostly numbers: the words among them are faults; mostly words: the numbers are states.
+        let numbers = self.words == 0 || self.numbers > self.words;
+        let (states, words) = match self.states.first() {
+            Some(first) if numbers => (Vec::new(), Some((self.words, first.clone()))),
+            _ => (self.states, None),
+        };
+        let (range, trace) = if numbers { (self.range, self.trace) } else { (None, Vec::new()) };
         ChannelSummary {
             name: name.into(),
             unit: unit.unwrap_or("").into(),
             rows: self.rows,
             gaps: self.gaps,
-            min: self.range.map(|r| r.0),
-            max: self.range.map(|r| r.1),
+            min: range.map(|r| r.0),
+            max: range.map(|r| r.1),
             // An infinite value has no mean.
-            mean: Some(mean).filter(|m| m.is_finite()),
-            states: self.states,
-            trace: self.trace,
+            mean: Some(mean).filter(|m| numbers && m.is_finite()),
+            states,
+            words,
+            trace,
         }
     }
 }

@@ -80,6 +80,10 @@ pub fn estimate(job: &Job) -> Result<Estimate, SimulateError> {
     let parameters: usize = models.iter().map(|n| n.model.theta().len()).sum();
     for file in &job.data {
         let records = read(file, &models, job, &|_| ())?;
+        for (n, d) in models.iter().flat_map(|n| records.iter().map(move |d| (n, d))) {
+            let refused = |source| SimulateError::Model { file: n.file.clone(), source };
+            n.model.takes(d, job.start).map_err(refused)?;
+        }
         let samples: usize = records.iter().map(Dataset::len).sum();
         let channels = records.first().map_or(0, |d| d.channels.len());
         plan = plan

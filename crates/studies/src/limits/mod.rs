@@ -54,6 +54,8 @@ struct Step {
     status: Status,
     iterations: usize,
     fuel_kg_h: f64,
+    /// What the search minimised: fuel and smoothing.
+    minimised_kg_h: f64,
     no_g_h: f64,
     /// Fuel in kg/h for 1 g/h more nitric oxide.
     price: f64,
@@ -192,6 +194,7 @@ fn step(share: f64, found: &optimise::Optimised) -> Result<Step, String> {
         status: o.status,
         iterations: o.iterations,
         fuel_kg_h: found.objective.optimum,
+        minimised_kg_h: found.objective.minimised.unwrap_or(f64::NAN),
         no_g_h: flow / (o.last - o.first) as f64,
         price,
         missed: missed.fold(0.0, f64::max),
@@ -231,12 +234,20 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "",
         ),
         check(
-            "fuel-monotone",
-            "least rise of the fuel from limit to tighter limit",
+            "minimised-monotone",
+            "least rise of what is minimised, fuel with smoothing, from limit to tighter limit",
             Asked::AtLeast(0.0),
-            rise(&|s| s.fuel_kg_h),
+            rise(&|s| s.minimised_kg_h),
             "kg/h",
             "",
+        ),
+        check(
+            "fuel-rise",
+            "least rise of the fuel alone from limit to tighter limit",
+            Asked::Reported,
+            rise(&|s| s.fuel_kg_h),
+            "kg/h",
+            "may fall by what smoothing rises",
         ),
     ];
     let saved = of(&|x| Some(100.0 * (x.steps.first()?.fuel_kg_h / x.start_kg_h - 1.0)));
@@ -261,6 +272,7 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
         Column::number("Nitric oxide, share of that without a limit", "").digits(3),
         Column::number("Nitric oxide", "g/h").digits(4),
         Column::number("Fuel", "kg/h").digits(5),
+        Column::number("Fuel and smoothing", "kg/h").digits(5),
         Column::number("Price", "kg/h per g/h").digits(3),
         Column::number("Iterations", "").digits(4),
     ];
@@ -269,6 +281,7 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
             s.share.into(),
             s.no_g_h.into(),
             s.fuel_kg_h.into(),
+            s.minimised_kg_h.into(),
             s.price.into(),
             (s.iterations as f64).into(),
         ])
