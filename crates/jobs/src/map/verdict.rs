@@ -158,10 +158,22 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         (true, _) => "The maps can be used in the cells that are not marked as filled",
         (false, _) => "The maps must not be used as they are",
     };
+    let alone = if found.valid { guided(found) } else { String::new() };
     found.verdict =
-        format!("{worth}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
+        format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
     found.warnings = warnings;
+}
+
+/// The verification holds the demands with controllers: a map whose model is rough was not shown to hold one alone.
+fn guided(found: &Mapped) -> String {
+    let driven = |name: &str| found.layout.problem.inputs.iter().any(|i| i.name == name);
+    let rough = found.models.iter().filter(|m| m.explained() < ROUGH && driven(&m.response));
+    let names: Vec<String> = rough.map(|m| format!("`{}`", m.response)).collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!(", but only under a controller that corrects {} (its model is rough)", names.join(", "))
 }
 
 /// The share that is asked of the front.

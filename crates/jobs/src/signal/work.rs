@@ -54,10 +54,30 @@ pub fn make(job: &Job, watch: Watch) -> Result<Made, SignalError> {
         coverage,
         pairs: Vec::new(),
         correlations: Vec::new(),
-        warnings: Vec::new(),
+        warnings: rounded(job),
     };
     together(job, lags, &mut made);
     Ok(made)
+}
+
+/// Times that are held for another number of samples than they ask for.
+fn rounded(job: &Job) -> Vec<String> {
+    let dt = job.sample_time_s;
+    let one = |w: &Wanted| {
+        let of = |key: &str| w.keys.get(key).and_then(|v| v.as_float().or(v.as_integer().map(|v| v as f64)));
+        let held = |key: &&str| {
+            let asked = of(key)?;
+            let samples = (asked / dt).round();
+            ((samples * dt - asked).abs() > 1e-6 * dt).then(|| {
+                format!(
+                    "`{}`: {key} = {asked} s is no whole number of samples of {dt} s: it is held for {samples} of them",
+                    w.name
+                )
+            })
+        };
+        ["hold_s", "hold_max_s"].iter().filter_map(held).collect::<Vec<_>>()
+    };
+    job.channels.iter().flat_map(one).collect()
 }
 
 fn fill(w: &Wanted, job: &Job, stream: u64) -> Result<Vec<f64>, SignalError> {
