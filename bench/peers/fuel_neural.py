@@ -112,6 +112,7 @@ def whole_record(record, decided):
 def compare(verdict, record, networks, demands, rate):
     limit = "free" if rate is None else f"|dSA| <= {rate:g} deg"
     mine = ours("fuel", {"u": record[:, :4].ravel(), "first": FIRST, "rate": rate, "bounds": BOUNDS,
+                         "max_iterations": COMMON["ipopt.max_iter"],
                          "torque": networks[0].ours(record[:, 4]), "lambda": networks[1].ours(record[:, 5])})
     own = mine["time"]["cpu_s"]
     whole = whole_record(record, np.array(mine["inputs"]).reshape(-1, 3)[FIRST:-1])
