@@ -21,7 +21,7 @@ struct Output {
 }
 
 /// Input: `u` (N x 4: INJ, SA, throttle, speed), `rate` in deg per sample, `bounds`, and for `torque` and `lambda` their
-/// `regressors` or `network`, `theta`, `y` (of which the first samples start the demand); `way` where it is not the batch. Output:
+/// `regressors` or `network`, `theta`, `y` (of which the first samples start the demand); `way` where it is not the batch, `max_iterations`. Output:
 /// inputs (N x 3), fuel, parts solved of all, CPU time of building and solving, most memory held.
 pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     let u = numbers(input, "u")?;
@@ -46,7 +46,10 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     }
     problem.inputs[1].rate_per_s = input["rate"].as_f64();
     let of = |k: usize| OutputModel::plain(&models[k], &*outputs[k].structure, &outputs[k].theta, &INPUTS);
-    let options = OptimiseOptions { way: way(input)?, ..OptimiseOptions::default() };
+    let mut options = OptimiseOptions { way: way(input)?, ..OptimiseOptions::default() };
+    if let Some(most) = input["max_iterations"].as_u64() {
+        options.max_iterations = most as usize;
+    }
     let mut last = None;
     let time = measure(|| {
         last = optimise_models(&problem, &[of(0), of(1)], &start, &options, &|| false).ok();
