@@ -52,7 +52,7 @@ def table(name):
 
 def ours(what, problem):
     """Runs our program on the same problem and gives back what it printed."""
-    subprocess.run(["cargo", "build", "--quiet", "--release", "-p", "dynocal-calib", "--example", "peer"],
+    subprocess.run(["cargo", "build", "--quiet", "--release", "--workspace", "--example", "peer"],
                    cwd=ROOT, check=True)
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     with tempfile.TemporaryDirectory() as folder:

@@ -3,13 +3,17 @@
 
 Demand: free run of the models on the record's inputs. Decisions: INJ, SA, throttle of samples 3 to n-2; equalities at
 samples 4 to n-1; |dSA| <= 1 deg at every decision sample, the first against the record. Jacobian and Hessian are
-assembled by hand from the blocks of each sample's window, so that nothing is coloured or differentiated as a whole.
+assembled by hand from the blocks of each sample's window, so that nothing is coloured or differentiated as a whole. Shown beside
+it is the same over generated C, its build apart.
 """
 
 from common import Verdict, measure, ours, table  # noqa: I001
 
+import tempfile
+
 import casadi as ca
 import numpy as np
+from windows import COMPILER, Block, Windows
 
 FIRST, RATE = 3, 1.0
 BOUNDS = [[0.0, 30.0], [5.0, 30.0], [0.0, 90.0]]  # (7.14)
@@ -144,6 +148,18 @@ def worst_violation(inputs, record, parameters, demands):
     return max(worst, (np.abs(np.diff(inputs[FIRST - 1:-1, 1])) - RATE).max())
 
 
+def in_generated_c(record, parameters, demands):
+    """The same program, windows mapped, over C that CasADi generates: CPU time of a solution, inputs, statistics, build in s."""
+    def outputs(w, speed, y):
+        rows = [tuple(w[3 * k + c] for c in range(3)) for k in range(3)]
+        return ca.vertcat(torque(parameters[0], rows, speed[0], y[0]), lambda_(parameters[1], rows, speed[0], y[1]))
+    windows = Windows(Block(3, outputs), record[:, :3], record[:, 3], demands, FIRST, RATE)
+    with tempfile.TemporaryDirectory() as folder:
+        solver, build = windows.solver(COMMON | {"ipopt.mu_strategy": "adaptive"}, folder)
+        seconds, (x, _, stats) = measure(lambda: windows.solve(solver, BOUNDS), least=2.0)
+    return seconds, x, stats, build
+
+
 def main():
     record = table("estimation_inputs/engine_opt.csv")
     parameters = [table("estimation_inputs/poly_T_sem.csv"), table("estimation_inputs/poly_lambda_sem.csv")]
@@ -169,6 +185,10 @@ def main():
               f"violation {violation:.1e}")
         if strategy == "adaptive":
             peer_fuel = fuel
+    seconds, x, stats, build = in_generated_c(record, parameters, demands)
+    verdict.row(f"CasADi + IPOPT, adaptive, windows in C ({' '.join(COMPILER[:2])})", seconds, own)
+    print(f"   {stats['return_status']}, {stats['iter_count']} iterations, fuel "
+          f"{np.mean(1.2e-4 * x[:, 0] * record[FIRST:-1, 3]):.10f} kg/h; built in {build:.1f} s")
     whole = record[:, :3].copy()
     whole[FIRST:-1] = np.array(mine["inputs"]).reshape(-1, 3)[FIRST:-1]
     fuel = float(np.mean(1.2e-4 * whole[FIRST:-1, 0] * record[FIRST:-1, 3]))
@@ -178,8 +198,9 @@ def main():
     verdict.check(f"fuel <= {ASKED_FUEL} kg/h", fuel <= ASKED_FUEL, f"{fuel:.10f}")
     verdict.check("no worse than the peer by more than 1e-7 kg/h", fuel <= peer_fuel + 1e-7, f"{fuel - peer_fuel:.1e}")
     verdict.check(f"violation < {ASKED_VIOLATION}", violation < ASKED_VIOLATION, f"{violation:.1e}")
-    verdict.check("CPU time at most that of CasADi + IPOPT, adaptive", own <= times["adaptive"],
-                  f"{own / times['adaptive']:.3g} of it")
+    fastest = min(times.values())
+    verdict.check("CPU time at most half of the faster of both on CasADi's virtual machine", own <= 0.5 * fastest,
+                  f"{own / fastest:.3g} of it")
     verdict.end()
 
 

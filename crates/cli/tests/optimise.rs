@@ -175,6 +175,29 @@ fn optimise(folder: &Path) -> Outcome {
     dynocal(folder, &["optimise", "spec.toml", "--out", "run"])
 }
 
+/// Each K of y costs 2 bar s of u and is worth a quarter: the best is none. The grid says what it is worth.
+#[test]
+fn dynamic_programming_says_what_its_grid_is_worth() {
+    let spec = SPEC
+        .replace("demand = \"record\"", "way = { name = \"dynamic\", cells = 20 }")
+        .replace(
+            "demands = [{ output = \"y\", unit = \"K\", lower = 0.0, upper = 10.0 }]",
+            "limits = [{ output = \"y\", unit = \"K\" }]",
+        )
+        .replace("{ channel = \"u\" }", "{ channel = \"u\" }, { channel = \"y\", weight = -0.25 }");
+    let tmp = bed(&spec, |_| 4.0, 60);
+    let o = optimise(tmp.path());
+    assert_eq!(o.code, 0, "{} {}", o.stdout, o.stderr);
+    has(&o.stdout, "The grid has 20 cells along each remembered value (y(t))");
+    let summary = std::fs::read_to_string(tmp.path().join("run/summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    assert_eq!(summary["grid"]["remembered"][0], "y(t)");
+    // All is linear, and so is the value between the points: y(1) = 4 fades by half from sample to sample, u is 0.
+    let objective: f64 = -0.25 * 4.0 * (0..58).map(|k| 0.5f64.powi(k + 1)).sum::<f64>() / 58.0;
+    let found = summary["grid"]["objective"].as_f64().unwrap();
+    assert!((found - objective).abs() < 1e-9, "{found} {objective}");
+}
+
 /// The only input that gives a demand is known: u(t) = d(t+1) - d(t) / 2.
 #[test]
 fn a_demand_of_the_record_is_met_by_the_only_input_that_meets_it() {
@@ -280,6 +303,10 @@ fn what_does_not_belong_together_is_refused() {
         refused(&SPEC.replace("demand = \"record\"", "way = { name = \"horzon\", length_s = 1.0 }"), 60);
     has(&text, "did you mean `horizon`?");
     has(&refused(&SPEC.replace("file =", "from_s = 99.0\nfile ="), 60), "leave no sample");
+    let imposed = "way = { name = \"dynamic\" }\nend = \"start\"";
+    let text = refused(&SPEC.replace("demand = \"record\"", imposed), 60);
+    has(&text, "dynamic programming goes through a grid");
+    has(&text, "inputs that are imposed at the end");
     let text = refused(&SPEC.replace("demand = \"record\"", "tolerance = -1.0\nextend_s = -1.0"), 60);
     has(&text, "optimise.tolerance");
     has(&text, "optimise.extend_s");

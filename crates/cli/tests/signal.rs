@@ -87,7 +87,19 @@ fn a_signal_is_written_with_its_numbers_and_is_the_same_for_the_same_seed() {
     assert_eq!(bytes("run"), again("same", "4"));
     assert_ne!(bytes("run"), again("other", "5"));
     // A hold between samples is rounded, and said.
-    let rbs = ["rbs", "--length-s", "20", "--sample-time-s", "0.1", "--keys", "lo=0", "hi=1", "hold_s=0.25", "--out", "rbs"];
+    let rbs = [
+        "rbs",
+        "--length-s",
+        "20",
+        "--sample-time-s",
+        "0.1",
+        "--keys",
+        "lo=0",
+        "hi=1",
+        "hold_s=0.25",
+        "--out",
+        "rbs",
+    ];
     let o = signal(tmp.path(), &rbs);
     assert!(o.code == 0 && o.stderr.contains("held for 3 of them"), "{}", o.stderr);
 }

@@ -172,7 +172,7 @@ fn printed_optima_are_reached() {
     assert!(50 * wrong.len() <= right + elsewhere.len() + wrong.len(), "{wrong:?}");
     assert!(elsewhere.len() <= 3, "{elsewhere:?}");
     // The work is pinned: a change of the search shows here. The last digits of powers and logarithms may differ elsewhere.
-    let (pinned_iterations, pinned_evaluations) = (823usize, 1113usize);
+    let (pinned_iterations, pinned_evaluations) = (818usize, 1092usize);
     println!("{iterations} iterations, {evaluations} evaluations");
     assert!(
         iterations.abs_diff(pinned_iterations) <= 10,

@@ -138,6 +138,16 @@ pub enum OptimiseError {
         /// Unit of the model.
         expected: String,
     },
+    /// A problem that no grid can be gone through for.
+    #[error(
+        "dynamic programming goes through a grid of what the models remember; here it has {found}; expected {expected}"
+    )]
+    Grid {
+        /// What it has.
+        found: String,
+        /// What it may have.
+        expected: String,
+    },
     /// Sample times differ.
     #[error("`{record}` is sampled every {found} s, the model of `{output}` every {expected} s")]
     SampleTime {

@@ -11,7 +11,7 @@ use dynocal_numerics::status::Status;
 use serde::{Deserialize, Serialize};
 
 /// Least price of an output's whole range, relative to the objective at the start.
-const PRICE: f64 = 20.0;
+pub(super) const PRICE: f64 = 20.0;
 
 /// A receding horizon.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,11 @@ pub(super) fn solve(
         let end = t.saturating_add(length).min(setup.to);
         let from = if t == setup.from { 0 } else { t - setup.lag };
         let apply = if end == setup.to { setup.to } else { t.saturating_add(step).min(end) };
-        let slice = whole.slice(&found.values, from..end + more, EndCondition::Free);
+        let mut slice = whole.slice(&found.values, from..end + more, EndCondition::Free);
+        // Samples that come into view have the outputs of the record, which do not follow from the plan before them.
+        let mut start = std::mem::take(&mut slice.start);
+        slice.answer(&mut start);
+        slice.start = start;
         let warm = (t > setup.from).then_some(spec.warm_barrier);
         let part = batch_from(&slice, options, warm, interrupt);
         // All of the plan: what is not applied is where the next step starts.

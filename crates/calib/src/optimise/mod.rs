@@ -37,6 +37,7 @@
 
 mod bounds;
 mod checks;
+mod dynamic;
 mod error;
 mod guard;
 mod horizon;
@@ -56,6 +57,7 @@ mod way;
 mod within;
 
 pub use bounds::bound_channels;
+pub use dynamic::{Dynamic, GridValue};
 pub use error::OptimiseError;
 pub use guard::{Guard, distance_name};
 pub use horizon::Horizon;
@@ -134,6 +136,7 @@ fn solved(
     let extended = if more > 0 { extended(start, more) } else { start.clone() };
     let setup = Setup::new(problem, models, &extended, options)?.loosened(distances);
     let found = match options.way {
+        Way::Dynamic(spec) => dynamic::solve(&setup, options, &spec, interrupt)?,
         Way::Batch(spec) => whole(&setup, options, spec.starts, interrupt),
         Way::Horizon(spec) => horizon::solve(&setup, options, &spec, interrupt),
         Way::Segments(spec) => segments::solve(&setup, options, &spec, interrupt),
@@ -156,6 +159,7 @@ struct Found {
     shortfalls: Vec<Shortfall>,
     /// All that the program minimises.
     minimised: Option<f64>,
+    grid: Option<GridValue>,
 }
 
 impl Found {
@@ -170,6 +174,7 @@ impl Found {
             prices: Vec::new(),
             shortfalls: Vec::new(),
             minimised: None,
+            grid: None,
         }
     }
 }
@@ -210,6 +215,7 @@ fn search(
         prices: Vec::new(),
         shortfalls: Vec::new(),
         minimised: Some(outcome.objective),
+        grid: None,
     };
     (found, outcome)
 }

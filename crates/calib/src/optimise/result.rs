@@ -1,6 +1,7 @@
 //! What an optimisation over a record found.
 
 use super::Found;
+use super::dynamic::GridValue;
 use super::prices::Price;
 use super::program::Sum;
 use super::robust::Spread;
@@ -96,6 +97,9 @@ pub struct Optimum {
     /// How far draws of the demanded outputs' models are from the demand; empty where none were asked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub spreads: Vec<Spread>,
+    /// What the grid of dynamic programming gave; absent for the other ways.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<GridValue>,
     /// What the free run of the models on the optimal inputs violates, one entry for each thing asked.
     pub violations: Vec<Violation>,
 }
@@ -143,6 +147,7 @@ impl Optimum {
             shortfalls,
             prices: found.prices.clone(),
             spreads: Vec::new(),
+            grid: found.grid.clone(),
             violations,
             responses,
         }

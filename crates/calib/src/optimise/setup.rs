@@ -140,6 +140,20 @@ impl<'a> Setup<'a> {
         Ok(())
     }
 
+    /// Sets the outputs among the columns `values` to what the models answer to the inputs there, from the first equation on; an
+    /// answer that diverges is left out.
+    pub(super) fn answer(&self, values: &mut [f64]) {
+        let width = self.columns.len();
+        for m in &self.models {
+            let Some(c) = self.columns.iter().position(|n| *n == m.output) else { continue };
+            let y: Vec<f64> = values.iter().skip(c).step_by(width).map(|y| m.way.to_model(*y)).collect();
+            if let Some(run) = self.free_run(m, values, &y, self.first_equation()) {
+                let places = values.iter_mut().skip(c).step_by(width);
+                places.zip(run).for_each(|(v, y)| *v = m.way.to_user(y));
+            }
+        }
+    }
+
     /// Free run of a model on the columns `values` from sample `first` on, in the model's output; none when it diverges.
     pub(super) fn free_run(
         &self,

@@ -3,7 +3,7 @@
 use super::guard::Guarded;
 use super::model::{OutputModel, OutputWay, Source};
 use super::setup::Setup;
-use super::{OptimiseError, OptimiseOptions, Optimum, Robust, optimise_models};
+use super::{OptimiseError, OptimiseOptions, Optimum, Robust, Way, dynamic, optimise_models};
 use crate::problem::CalibrationProblem;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Monomial;
@@ -97,7 +97,10 @@ pub fn check_record(
 ) -> Result<(), OptimiseError> {
     let taken = taken(models, start, options)?;
     let all: Vec<OutputModel> = taken.iter().map(StoredOutput::model).collect();
-    Setup::new(problem, &all, start, options)?;
+    let setup = Setup::new(problem, &all, start, options)?;
+    if let Way::Dynamic(spec) = &options.way {
+        dynamic::check(&setup, options, spec)?;
+    }
     options.guard.map_or(Ok(()), |guard| Guarded::new(problem, &all, start, guard).map(drop))
 }
 

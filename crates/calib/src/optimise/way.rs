@@ -1,5 +1,6 @@
 //! How a record is gone through: the table of ways.
 
+use super::dynamic::Dynamic;
 use super::horizon::Horizon;
 use super::segments::{Seam, Segments};
 use dynocal_files::spec::Faults;
@@ -27,6 +28,8 @@ pub enum Way {
     Segments(Segments),
     /// Step by step, with a view of limited length.
     Horizon(Horizon),
+    /// Over a grid of what the models remember.
+    Dynamic(Dynamic),
 }
 
 impl Default for Way {
@@ -108,6 +111,27 @@ pub static WAYS: &[Member<Way>] = &[
         },
         build: |keys| Ok(Box::new(Way::Horizon(registry::keys("horizon", keys)?))),
     },
+    Member {
+        doc: MemberDoc {
+            name: "dynamic",
+            what: "Dynamic programming over a grid, for models that remember one or two values; its error is that of the grid",
+            params: &[
+                ParamDoc {
+                    name: "cells",
+                    unit: "-",
+                    default: "200 of one value, 40 of each of two",
+                    what: "cells of the grid along each remembered value",
+                },
+                ParamDoc {
+                    name: "price",
+                    unit: "objective",
+                    default: "20 x the objective of the record",
+                    what: "price of an output's whole range missed for the whole record",
+                },
+            ],
+        },
+        build: |keys| Ok(Box::new(Way::Dynamic(registry::keys("dynamic", keys)?))),
+    },
 ];
 
 impl TryFrom<toml::Table> for Way {
@@ -164,9 +188,20 @@ impl Way {
                 }
                 faults.positive(&of("warm_barrier"), h.warm_barrier, "objective unit");
             }
+            Self::Dynamic(d) => {
+                if let Some(cells) = d.cells {
+                    faults.range(&of("cells"), cells as f64, 2.0, MOST_CELLS, "cells");
+                }
+                if let Some(price) = d.price {
+                    faults.positive(&of("price"), price, "objective unit");
+                }
+            }
         }
     }
 }
+
+/// Most cells along one remembered value.
+const MOST_CELLS: f64 = 10_000.0;
 
 /// Longest time in s that a key may ask for.
 pub(super) const MOST_S: f64 = 1e5;

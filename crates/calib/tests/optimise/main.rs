@@ -2,6 +2,7 @@
 
 mod cases;
 mod common;
+mod dynamic;
 mod giving;
 mod guard;
 mod local_bounds;

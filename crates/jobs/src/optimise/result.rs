@@ -1,7 +1,7 @@
 //! What an optimisation over a record gives.
 
 use dynocal_calib::optimise::{
-    Guard, OptimiseError, Optimum, PartOutcome, Robust, Shortfall, Spread, TermValue,
+    GridValue, Guard, OptimiseError, Optimum, PartOutcome, Robust, Shortfall, Spread, TermValue,
 };
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_files::FilesError;
@@ -55,6 +55,9 @@ pub struct Optimised {
     /// How far those of demanded outputs are from the demand.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub spreads: Vec<Spread>,
+    /// What the grid of dynamic programming gave.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid: Option<GridValue>,
     /// How far the optimum leaves what the models were identified on, where they know it.
     pub coverage: Vec<Left>,
     /// Files, relative to the run folder.

@@ -1,6 +1,6 @@
 //! An optimum in words: what came out, what it costs, what does not fit.
 
-use dynocal_calib::optimise::{Shortfall, distance_name};
+use dynocal_calib::optimise::{GridValue, Shortfall, distance_name};
 use dynocal_calib::problem::GivenChannel;
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::stored::Outside;
@@ -42,6 +42,7 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
             status(first.status)
         ));
     }
+    out.extend(o.grid.as_ref().map(on_grid));
     out.extend(worst_first(o).into_iter().take(SAID).map(|s| format!("{}.", capital(&s.sentence()))));
     if o.shortfalls.len() > SAID {
         out.push(format!("{} further stretches are in the table.", o.shortfalls.len() - SAID));
@@ -65,6 +66,18 @@ pub(super) fn verdict(o: &Optimised) -> Vec<String> {
         out.extend(dearest(o));
     }
     out
+}
+
+/// What the grid of dynamic programming is worth.
+fn on_grid(g: &GridValue) -> String {
+    let digits = |v: f64| significant(v, 7);
+    format!(
+        "The grid has {} cells along each remembered value ({}); the least objective on it, with what misses and increments cost, is {}, to about {}: so far away is that of half the cells.",
+        g.cells,
+        g.remembered.join(", "),
+        digits(g.objective),
+        significant(g.error, 2)
+    )
 }
 
 /// Of each output and each thing asked of it the largest stretch first, those in the order of time, then the others by size.

@@ -63,6 +63,7 @@ fn plan_of(job: &Job, loaded: &Loaded) -> Estimate {
         Way::Batch(b) => (total, format!("all samples at once, {} start(s)", b.starts)),
         Way::Segments(s) => (total.min(2.0 * s.length_s / dt), format!("segments of {} s", s.length_s)),
         Way::Horizon(h) => (total.min(2.0 * h.length_s / dt), format!("a horizon of {} s", h.length_s)),
+        Way::Dynamic(_) => (total, "a grid of what the models remember".into()),
     };
     let memory = BYTES_PER_VALUE * values * at_once + 100.0 * values * total;
     let outputs: Vec<String> = loaded.models.iter().map(|n| n.model.user_output().name).collect();
@@ -114,6 +115,7 @@ fn judged(job: &Job, loaded: Loaded, mut optimum: Optimum) -> Optimised {
         guard: job.optimise.guard,
         robust: job.optimise.robust,
         spreads: optimum.spreads.clone(),
+        grid: optimum.grid.clone(),
         coverage,
         files: Vec::new(),
         problem: p.clone(),

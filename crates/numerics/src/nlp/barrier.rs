@@ -15,8 +15,10 @@ const FIXED_SHARE: f64 = 0.8;
 const KAPPA_EPSILON: f64 = 10.0;
 const KAPPA_MU: f64 = 0.2;
 const THETA_MU: f64 = 1.5;
-/// Least mu of the free mode relative to the KKT error.
+/// Least mu of the free mode relative to the KKT error; and where the Hessian had to be convexified: the affine step promises
+/// too much there, and what follows is a long search along bounds that were met early.
 const ERROR_SHARE: f64 = 1e-2;
+const ERROR_SHARE_BENT: f64 = 1e-1;
 /// Largest mu relative to the mean complementarity at the start.
 const MU_MAX_FACTOR: f64 = 1e3;
 
@@ -121,10 +123,12 @@ impl BarrierRule {
     }
 
     /// Mehrotra's rule: `mu = (after / now)^3 now`, with the mean complementarity after the affine step, but not below
-    /// a share of the KKT error: a barrier that falls ahead of the other conditions pins the point to its bounds.
-    pub(super) fn probe(&mut self, now: f64, after: f64, error: f64) {
+    /// a share of the KKT error: a barrier that falls ahead of the other conditions pins the point to its bounds. The share is
+    /// larger where the Hessian was `convexified`.
+    pub(super) fn probe(&mut self, now: f64, after: f64, error: f64, convexified: bool) {
         let sigma = (after / now).powi(3).clamp(0.0, 100.0);
-        let least = (ERROR_SHARE * error).clamp(self.mu_min, now.max(self.mu_min));
+        let share = if convexified { ERROR_SHARE_BENT } else { ERROR_SHARE };
+        let least = (share * error).clamp(self.mu_min, now.max(self.mu_min));
         self.mu = (sigma * now).max(least).clamp(self.mu_min, self.mu_max);
     }
 }

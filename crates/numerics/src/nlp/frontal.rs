@@ -57,6 +57,8 @@ struct Panel {
 pub(super) struct Signs {
     pub(super) positive: usize,
     pub(super) negative: usize,
+    /// Whether it ended early: too many are negative.
+    pub(super) stopped: bool,
 }
 
 pub(super) struct Frontal {
@@ -69,6 +71,8 @@ pub(super) struct Frontal {
     position: Vec<usize>,
     front: Front,
     next: Front,
+    /// Most negative eigenvalues that what is eliminated after each block may have, see [`Frontal::expect_rows`].
+    most_negative: Vec<usize>,
     /// Largest original entry of each row, by position.
     size: Vec<f64>,
     // Factors.
@@ -137,6 +141,7 @@ impl Frontal {
             position: position.to_vec(),
             front: Front::new(widest + ROOM),
             next: Front::new(widest + ROOM),
+            most_negative: Vec::new(),
             size: vec![0.0; n],
             panels: Vec::new(),
             index: Vec::new(),
@@ -147,7 +152,21 @@ impl Frontal {
         })
     }
 
-    /// Factorises the matrix with these values; none when the delayed pivots do not fit into the front.
+    /// Says which unknowns are rows of constraints, each with the first position that it is coupled with, so that
+    /// [`Frontal::factor`] can stop early.
+    ///
+    /// A matrix `[W J'; J -D]` with D >= 0 that has as many negative eigenvalues as rows is positive definite where J is
+    /// zero. By interlacing, the block of the first unknowns then has no more negative eigenvalues than there are rows coupled
+    /// with any of them: each row takes one direction off at most. More of them in the pivots so far, and the inertia is
+    /// wrong whatever follows.
+    pub(super) fn expect_rows(&mut self, rows_from: impl Iterator<Item = usize>) {
+        let mut begin: Vec<usize> = rows_from.collect();
+        begin.sort_unstable();
+        self.most_negative = self.blocks.iter().map(|b| begin.partition_point(|p| *p < b.own.1)).collect();
+    }
+
+    /// Factorises the matrix with these values; none when the delayed pivots do not fit into the front. Where
+    /// [`Frontal::expect_rows`] shows that there are too many negative eigenvalues it stops; the signs so far say so.
     pub(super) fn factor(&mut self, values: &[f64]) -> Option<Signs> {
         pulp::Arch::new().dispatch(Factor(self, values))
     }
@@ -160,6 +179,7 @@ impl Frontal {
         self.pivots.clear();
         self.size.fill(0.0);
         self.front.empty();
+        let mut signs = Signs { positive: 0, negative: 0, stopped: false };
         for b in 0..self.blocks.len() {
             if !self.take_up(b, values) {
                 return None;
@@ -168,13 +188,12 @@ impl Frontal {
             self.next.eliminate(&self.size, &mut self.pivots);
             self.keep(first_pivot);
             std::mem::swap(&mut self.front, &mut self.next);
-        }
-        let mut signs = Signs { positive: 0, negative: 0 };
-        for p in &self.pivots {
-            if p.positive {
-                signs.positive += 1;
-            } else {
-                signs.negative += 1;
+            let positive = self.pivots[first_pivot..].iter().filter(|p| p.positive).count();
+            signs.positive += positive;
+            signs.negative += self.pivots.len() - first_pivot - positive;
+            if self.most_negative.get(b).is_some_and(|most| signs.negative > *most) {
+                signs.stopped = true;
+                break;
             }
         }
         Some(signs)
@@ -388,7 +407,7 @@ mod tests {
             let position: Vec<usize> = (0..n).collect();
             let mut frontal = Frontal::new(&ptr, &rows, &position).expect("narrow");
             let signs = frontal.factor(&values).expect("fits");
-            assert_eq!(signs, Signs { positive: n - negative, negative }, "n {n}");
+            assert_eq!(signs, Signs { positive: n - negative, negative, stopped: false }, "n {n}");
             let x: Vec<f64> = (0..n).map(|_| rng.uniform_in(-1.0, 1.0)).collect();
             let rhs: Vec<f64> = (0..n).map(|i| (0..n).map(|j| a[i * n + j] * x[j]).sum()).collect();
             let mut found = vec![0.0; n];
@@ -399,13 +418,54 @@ mod tests {
         }
     }
 
+    /// `[W J'; J 0]` along a chain: W = 2 I, each row the difference of two successive variables. It has the inertia that is
+    /// expected and is factorised to the end; with W = -2 I at the first variables it ends long before.
+    #[test]
+    fn a_factorisation_ends_where_too_many_are_negative() {
+        let (m, n) = (120, 360);
+        // Variables 2k, 2k + 1, then row k behind them, coupling 2k and 2k + 2.
+        let diagonal = |p: usize, sign: f64| if p % 3 == 2 && p / 3 < m { 0.0 } else { sign };
+        let build = |bent: usize| {
+            let (mut ptr, mut rows, mut values) = (vec![0], Vec::new(), Vec::new());
+            for p in 0..n {
+                rows.push(p);
+                values.push(diagonal(p, if p < bent { -2.0 } else { 2.0 }));
+                if p % 3 == 0 {
+                    rows.push(p + 2);
+                    values.push(1.0);
+                }
+                if p % 3 == 2 && p + 1 < n {
+                    rows.push(p + 1);
+                    values.push(-1.0);
+                }
+                ptr.push(rows.len());
+            }
+            (ptr, rows, values)
+        };
+        let position: Vec<usize> = (0..n).collect();
+        let factor = |bent: usize, expect: bool| {
+            let (ptr, rows, values) = build(bent);
+            let mut frontal = Frontal::new(&ptr, &rows, &position).expect("narrow");
+            if expect {
+                frontal.expect_rows((0..m).map(|k| 3 * k));
+            }
+            frontal.factor(&values).expect("fits")
+        };
+        let right = Signs { positive: n - m, negative: m, stopped: false };
+        assert_eq!(factor(0, true), right);
+        assert_eq!(factor(0, false), right);
+        let (whole, early) = (factor(60, false), factor(60, true));
+        assert!(whole.negative > m && !whole.stopped, "{whole:?}");
+        assert!(early.stopped && early.positive + early.negative < n / 3, "{early:?}");
+    }
+
     #[test]
     fn a_dependent_row_is_called_zero_and_a_wide_graph_is_refused() {
         // [1 0 1; 0 1 1; 1 1 2]: the last row is the sum of the others.
         let a = [1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0];
         let (ptr, rows, values) = compressed(&a, 3, 2);
         let mut frontal = Frontal::new(&ptr, &rows, &[0, 1, 2]).expect("narrow");
-        assert_eq!(frontal.factor(&values), Some(Signs { positive: 2, negative: 0 }));
+        assert_eq!(frontal.factor(&values), Some(Signs { positive: 2, negative: 0, stopped: false }));
         let n = 2 * WIDEST;
         let (ptr, rows, _) = compressed(&vec![1.0; n * n], n, n);
         assert!(Frontal::new(&ptr, &rows, &(0..n).collect::<Vec<_>>()).is_none());

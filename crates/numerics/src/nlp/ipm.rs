@@ -220,7 +220,7 @@ impl<'a> Ipm<'a> {
             let now = self.point.mean_complementarity(&self.model);
             let after = self.point.mean_complementarity_after(&self.model, &steps);
             let error = self.history.last().map_or(0.0, |h| h.optimality);
-            self.rule.probe(now, after, error);
+            self.rule.probe(now, after, error, self.kkt.convexified);
             self.filter.clear();
         }
         self.solve_direction(self.rule.mu(), false)

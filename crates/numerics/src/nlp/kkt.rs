@@ -42,6 +42,8 @@ enum Inertia {
     Right,
     TooFewNegative,
     Wrong,
+    /// The same, found before the end: whether it is singular, too, is not known.
+    WrongEarly,
     Singular,
 }
 
@@ -74,6 +76,8 @@ pub(super) struct Kkt {
     general: Option<Solver>,
     by_front: bool,
     last_dw: f64,
+    /// Whether the last factorisation needed dw > 0: the Hessian bends the wrong way somewhere along the constraints.
+    pub(super) convexified: bool,
     rhs: Vec<f64>,
     solution: Vec<f64>,
     residual: Vec<f64>,
@@ -154,19 +158,28 @@ impl Kkt {
             col_ptr[j] + row_idx[col_ptr[j]..col_ptr[j + 1]].partition_point(|&r| r < i)
         };
         let chain: Vec<(usize, usize)> = of_jac.iter().map(|&(j, i)| (i - n, j)).collect();
+        let order = chain_order(n, m, &chain);
+        let mut frontal = Frontal::new(&col_ptr, &row_idx, &order);
+        if let Some(front) = &mut frontal {
+            // A row without kept variables is coupled with itself alone.
+            let mut first = order[n..].to_vec();
+            chain.iter().for_each(|&(i, j)| first[i] = first[i].min(order[j]));
+            front.expect_rows(first.into_iter());
+        }
         Self {
             n,
             m,
             hessian: of_hess.iter().enumerate().map(|(k, &e)| (find(e), k)).collect(),
             jacobian: of_jac.iter().zip(at_j).map(|(&e, k)| (find(e), k)).collect(),
             diagonal: diagonal.map(find).collect(),
-            frontal: Frontal::new(&col_ptr, &row_idx, &chain_order(n, m, &chain)),
+            frontal,
             matrix: CscMatrix { n: n + m, col_ptr, values: vec![0.0; row_idx.len()], row_idx },
             slacks,
             kept,
             general: None,
             by_front: false,
             last_dw: 0.0,
+            convexified: false,
             rhs: vec![0.0; n + m],
             solution: vec![0.0; n + m],
             residual: vec![0.0; n + m],
@@ -199,7 +212,11 @@ impl Kkt {
             && let Some(signs) = front.factor(&self.matrix.values)
         {
             self.by_front = true;
-            return self.judge(signs.positive, signs.negative);
+            return if signs.stopped {
+                Inertia::WrongEarly
+            } else {
+                self.judge(signs.positive, signs.negative)
+            };
         }
         self.factor_generally()
     }
@@ -241,6 +258,7 @@ impl Kkt {
         dw_floor: f64,
         dc_singular: f64,
     ) -> bool {
+        self.convexified = false;
         self.assemble(hess, sigma, jac, dw_floor, 0.0);
         if !self.is_finite() {
             return false;
@@ -261,9 +279,14 @@ impl Kkt {
         let mut dw = if seen { (DW_DECAY * self.last_dw).max(DW_MIN) } else { DW_FIRST }.max(dw_floor);
         while dw <= DW_MAX {
             self.assemble(hess, sigma, jac, dw, dc);
-            if self.factor() == Inertia::Right {
-                self.last_dw = dw;
+            let now = self.factor();
+            if now == Inertia::Right {
+                (self.last_dw, self.convexified) = (dw, true);
                 return true;
+            }
+            if now == Inertia::Singular && first == Inertia::WrongEarly && dc == 0.0 {
+                dc = dc_singular;
+                continue;
             }
             dw *= if seen { DW_GROW } else { DW_GROW_FIRST };
         }

@@ -77,6 +77,24 @@ impl Tangent {
     }
 }
 
+/// Compiled once for each width of vectors.
+struct Hessian<'a> {
+    network: &'a Network,
+    theta: &'a [f64],
+    pass: &'a Pass,
+    units: &'a [f64],
+    hess: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Hessian<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        self.network.hessian_wide(self.theta, self.pass, self.units, self.hess);
+    }
+}
+
 impl Network {
     pub(super) fn new(width: usize, layers: &[usize], activation: Activation, direct: bool) -> Self {
         let (mut at, mut inputs, mut first, mut hidden) = (0, width, 0, Vec::new());
@@ -211,6 +229,18 @@ impl Network {
         direct + rows.zip(&pass.delta).map(|(row, d)| row[place] * d).sum::<f64>()
     }
 
+    /// df/dz of the first entries of z into `out`, after [`Network::backward`].
+    pub(super) fn input_slopes(&self, theta: &[f64], pass: &Pass, out: &mut [f64]) {
+        match self.direct {
+            Some(d) => out.copy_from_slice(&theta[d..d + out.len()]),
+            None => out.fill(0.0),
+        }
+        let Some(l) = self.hidden.first() else { return };
+        for (row, d) in theta[l.weights..l.offsets].chunks_exact(l.inputs).zip(&pass.delta) {
+            axpy(*d, &row[..out.len()], out);
+        }
+    }
+
     /// Adds to `z_bar` the gradient with respect to z of
     ///
     /// ```text
@@ -297,12 +327,20 @@ impl Network {
         }
     }
 
-    /// Adds the Hessian of f with respect to the first `n` entries of z to `hess` (n x n), after [`Network::backward`]:
+    /// The Hessian of f with respect to the first entries of z into `hess` (n x n), entry a in units of `units[a]`, after
+    /// [`Network::backward`]:
     ///
     /// ```text
     /// H = sum_k sum_j (df/da_kj) s'' (dx_kj/dz) (dx_kj/dz)'
     /// ```
-    pub(super) fn hessian(&self, theta: &[f64], pass: &Pass, n: usize, hess: &mut [f64]) {
+    pub(super) fn hessian(&self, theta: &[f64], pass: &Pass, units: &[f64], hess: &mut [f64]) {
+        pulp::Arch::new().dispatch(Hessian { network: self, theta, pass, units, hess });
+    }
+
+    #[inline(always)]
+    fn hessian_wide(&self, theta: &[f64], pass: &Pass, units: &[f64], hess: &mut [f64]) {
+        let n = units.len();
+        hess[..n * n].fill(0.0);
         // dx/dz of the present layer (neurons x n); of the first it is W_1 itself.
         let mut slopes: Vec<f64> = Vec::new();
         for (i, l) in self.hidden.iter().enumerate() {
@@ -310,7 +348,7 @@ impl Network {
             let mut now = vec![0.0; l.neurons * n];
             for (row, out) in rows.zip(now.chunks_exact_mut(n.max(1))) {
                 if i == 0 {
-                    out.copy_from_slice(&row[..n]);
+                    out.iter_mut().zip(row).zip(units).for_each(|((v, w), unit)| *v = w * unit);
                     continue;
                 }
                 for (m, w) in row.iter().enumerate() {
@@ -323,10 +361,17 @@ impl Network {
                 let Some(value_bar) = self.value_bar(theta, pass, i, j) else { continue };
                 let weight = value_bar * self.activation.curvature(pass.value[at], pass.slope[at]);
                 for (a, xa) in x.iter().enumerate() {
-                    axpy(weight * xa, x, &mut hess[a * n..(a + 1) * n]);
+                    let factor = weight * xa;
+                    let row = &mut hess[a * n..a * n + a + 1];
+                    row.iter_mut().zip(x).for_each(|(h, v)| *h += factor * v);
                 }
             }
             slopes = now;
+        }
+        for a in 0..n {
+            for b in 0..a {
+                hess[b * n + a] = hess[a * n + b];
+            }
         }
     }
 

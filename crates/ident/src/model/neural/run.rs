@@ -21,6 +21,33 @@ impl NeuralNarx {
         self.output_scale.centre + self.output_scale.half * self.network.forward(theta, pass)
     }
 
+    /// One-step prediction at sample t with gradient (n) and Hessian (n x n) with respect to the first `n` regressors in their
+    /// units.
+    fn derivatives(
+        &self,
+        theta: &[f64],
+        run: &Run,
+        t: usize,
+        n: usize,
+        grad: &mut [f64],
+        hess: &mut [f64],
+    ) -> f64 {
+        let mut pass = Pass::new();
+        let value = self.forward(theta, run.u, run.y, t, &mut pass);
+        self.network.backward(theta, &mut pass);
+        let scale = |entry: usize| match self.window.get(entry) {
+            Some(&(i, _)) => &self.input_scales[i],
+            None => &self.output_scale,
+        };
+        let units: Vec<f64> = (0..n).map(|entry| 1.0 / scale(entry).half).collect();
+        let gain = self.output_scale.half;
+        self.network.hessian(theta, &pass, &units, hess);
+        hess[..n * n].iter_mut().for_each(|h| *h *= gain);
+        self.network.input_slopes(theta, &pass, &mut grad[..n]);
+        grad.iter_mut().zip(&units).for_each(|(g, unit)| *g *= gain * unit);
+        value
+    }
+
     /// df/dy(t - lag), after the network's backward pass; the scales of output and regressor cancel.
     pub(super) fn output_gradient(&self, theta: &[f64], pass: &Pass, lag: usize) -> f64 {
         self.network.slope_of(theta, pass, self.window.len() + lag - 1)
@@ -212,19 +239,7 @@ impl Model for NeuralNarx {
         grad: &mut [f64],
         hess: &mut [f64],
     ) -> f64 {
-        let (mut pass, n) = (Pass::new(), self.window.len());
-        let value = self.forward(theta, run.u, run.y, t, &mut pass);
-        self.network.backward(theta, &mut pass);
-        hess.fill(0.0);
-        self.network.hessian(theta, &pass, n, hess);
-        for (a, &(i, _)) in self.window.iter().enumerate() {
-            let gain = self.output_scale.half / self.input_scales[i].half;
-            grad[a] = gain * self.network.slope_of(theta, &pass, a);
-            for (h, &(k, _)) in hess[a * n..(a + 1) * n].iter_mut().zip(&self.window) {
-                *h *= gain / self.input_scales[k].half;
-            }
-        }
-        value
+        self.derivatives(theta, run, t, self.window.len(), grad, hess)
     }
 
     fn joint_derivatives(
@@ -235,22 +250,6 @@ impl Model for NeuralNarx {
         grad: &mut [f64],
         hess: &mut [f64],
     ) -> f64 {
-        let (mut pass, n) = (Pass::new(), self.width());
-        let value = self.forward(theta, run.u, run.y, t, &mut pass);
-        self.network.backward(theta, &mut pass);
-        hess.fill(0.0);
-        self.network.hessian(theta, &pass, n, hess);
-        let half = |entry: usize| match self.window.get(entry) {
-            Some(&(i, _)) => self.input_scales[i].half,
-            None => self.output_scale.half,
-        };
-        for a in 0..n {
-            let gain = self.output_scale.half / half(a);
-            grad[a] = gain * self.network.slope_of(theta, &pass, a);
-            for (b, h) in hess[a * n..(a + 1) * n].iter_mut().enumerate() {
-                *h *= gain / half(b);
-            }
-        }
-        value
+        self.derivatives(theta, run, t, self.width(), grad, hess)
     }
 }
