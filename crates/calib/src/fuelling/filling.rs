@@ -137,12 +137,12 @@ impl FillingState {
         self.past.push_front(self.pressure_kpa);
     }
 
-    /// Pressure `ahead_s` from now, the command being held.
+    /// Pressure `ahead_s` from now, the command being held and the speed going on as it goes (`[rpm, rpm/s]`).
     pub fn ahead(
         &self,
         filling: &Filling,
         air: Air<'_>,
-        speed_rpm: f64,
+        [speed_rpm, slope]: [f64; 2],
         command_deg: f64,
         ahead_s: f64,
         dt_s: f64,
@@ -150,7 +150,8 @@ impl FillingState {
         let (mut at, mut left) = ((self.pressure_kpa, self.throttle_deg), ahead_s);
         while left > 1e-12 {
             let h = left.min(dt_s);
-            at = filling.advance(air, at, speed_rpm, command_deg, h);
+            let then_rpm = speed_rpm + slope * (ahead_s - left + 0.5 * h);
+            at = filling.advance(air, at, then_rpm, command_deg, h);
             left -= h;
         }
         at.0

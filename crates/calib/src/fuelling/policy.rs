@@ -4,6 +4,11 @@ use super::Fuelling;
 use super::filling::FillingState;
 use super::film::FilmState;
 use super::trim::TrimState;
+use std::collections::VecDeque;
+
+/// Time that the slope of the speed is taken over in s, and most of the speed that it may change on the way to the air.
+const SLOPE_S: f64 = 0.05;
+const MOST_CHANGE: f64 = 0.2;
 
 /// What is known at the beginning of a sample.
 #[derive(Clone, Copy, Debug)]
@@ -28,13 +33,24 @@ pub struct FuelPolicy {
     filling: Option<FillingState>,
     film: Option<FilmState>,
     trim: TrimState,
+    /// Speeds of the samples before, newest first.
+    speeds: VecDeque<f64>,
 }
 
 impl FuelPolicy {
     /// Of what was identified, at the sample time of its record; injections stay within 0 and `most`.
     pub fn new(fuelling: Fuelling, most: f64) -> Self {
         let trim = TrimState::at_rest(fuelling.sample_time_s);
-        Self { fuelling, most, filling: None, film: None, trim }
+        let speeds = VecDeque::with_capacity(samples(&fuelling) + 1);
+        Self { fuelling, most, filling: None, film: None, trim, speeds }
+    }
+
+    /// Change of the speed in rpm/s, over the samples before.
+    fn slope(&mut self, speed_rpm: f64) -> f64 {
+        self.speeds.truncate(samples(&self.fuelling));
+        self.speeds.push_front(speed_rpm);
+        let last = self.speeds.len() - 1;
+        (speed_rpm - self.speeds[last]) / (last.max(1) as f64 * self.fuelling.sample_time_s)
     }
 
     /// The charge that the trim has found over the identified one.
@@ -44,6 +60,7 @@ impl FuelPolicy {
 
     /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
     pub fn step(&mut self, y: &Sensed, lambda: f64) -> f64 {
+        let slope = self.slope(y.speed_rpm);
         let f = &self.fuelling;
         let (dt_s, speed_rpm, throttle_deg) = (f.sample_time_s, y.speed_rpm, y.throttle_deg);
         let air = f.air(y.coolant_c);
@@ -51,11 +68,13 @@ impl FuelPolicy {
         state.step(&f.filling, air, speed_rpm, throttle_deg, y.map_kpa, dt_s);
         let now_kpa = state.pressure_kpa();
         let ahead_s = f.timing.ahead_s(speed_rpm);
-        let pressure = state.ahead(&f.filling, air, speed_rpm, throttle_deg, ahead_s, dt_s);
+        let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], throttle_deg, ahead_s, dt_s);
+        let then_rpm =
+            speed_rpm * (1.0 + slope * ahead_s / speed_rpm).clamp(1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE);
         if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
             self.trim.measured(trim, shown, dt_s);
         }
-        let wanted = (self.trim.factor() * air.at(speed_rpm, pressure) / lambda).max(0.0);
+        let wanted = (self.trim.factor() * air.at(then_rpm, pressure) / lambda).max(0.0);
         let film = f.film_at(y.coolant_c);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;
@@ -64,4 +83,9 @@ impl FuelPolicy {
         self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa));
         injection
     }
+}
+
+/// Samples that the slope of the speed is taken over.
+fn samples(f: &Fuelling) -> usize {
+    (SLOPE_S / f.sample_time_s).round().max(1.0) as usize
 }

@@ -92,6 +92,7 @@ struct Fuelled {
 pub(super) struct TrimState {
     /// Samples before, newest first.
     past: VecDeque<Fuelled>,
+    longest: usize,
     /// 1 / lambda that the sensor must show.
     shown: f64,
     k: f64,
@@ -99,8 +100,8 @@ pub(super) struct TrimState {
 
 impl TrimState {
     pub(super) fn at_rest(dt_s: f64) -> Self {
-        let samples = (DELAY_S / dt_s).ceil() as usize + 2;
-        Self { past: VecDeque::with_capacity(samples), shown: 1.0, k: 0.0 }
+        let longest = (DELAY_S / dt_s).ceil() as usize + 2;
+        Self { past: VecDeque::with_capacity(longest), longest, shown: 1.0, k: 0.0 }
     }
 
     /// What the identified charge is to be multiplied by.
@@ -126,9 +127,7 @@ impl TrimState {
     ) {
         let dt_s = f.sample_time_s;
         let first = self.past.is_empty();
-        if self.past.len() == self.past.capacity() {
-            self.past.pop_back();
-        }
+        self.past.truncate(self.longest - 1);
         self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor: air.factor });
         let delay = f.timing.delay_s(speed_rpm, air.flow(speed_rpm, pressure_kpa)) / dt_s;
         let (young, part) = (delay as usize, delay.fract());
@@ -145,8 +144,8 @@ impl TrimState {
         // What is not there yet is as it is now.
         let met = (age as f64 - ahead).max(0.0);
         let (young, part) = (met as usize, met.fract());
-        let pressure = (1.0 - part) * at(young).pressure_kpa + part * at(young + 1).pressure_kpa;
-        then.fuel / (then.factor * f.charge.at(then.speed_rpm, pressure))
+        let mix = |of: fn(&Fuelled) -> f64| (1.0 - part) * of(at(young)) + part * of(at(young + 1));
+        then.fuel / (then.factor * f.charge.at(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa)))
     }
 }
 

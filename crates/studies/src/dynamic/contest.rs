@@ -16,7 +16,7 @@ const AMBIENT_KPA: f64 = 101.325;
 /// in s.
 pub(super) const LAGS_S: [f64; 8] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2];
 pub(super) const AHEADS_S: [f64; 7] = [0.02, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12];
-pub(super) const CLOSED_S: [f64; 6] = [0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
+pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Names of ours: the one that is judged, and the same without what the sensor shows.
 pub(super) const OURS: &str = "identified air and film, lambda trim";
 pub(super) const UNTRIMMED: &str = "identified air and film";
@@ -47,8 +47,10 @@ pub(super) struct Contest<'a> {
     pub(super) seed: u64,
     /// Film of the engine itself.
     pub(super) exact: Option<Coat>,
-    /// Whether an ECU without film compensation, and one with the film of the engine but the charge at rest, are run too.
-    pub(super) all: bool,
+    /// Whether an ECU without film compensation is run too.
+    pub(super) plain: bool,
+    /// Every how manyth value the line searches try.
+    pub(super) stride: usize,
 }
 
 /// Why there is no result.
@@ -124,20 +126,14 @@ impl Contest<'_> {
             let whose = if at_rest { "" } else { ", charge of ours" };
             out.push((format!("ECU{words}{whose}"), Rival::Ecu { searched, film, at_rest }));
         };
-        let plain = ", extrapolated";
-        if self.all {
+        if self.plain {
             ecu("", false, None, true);
-            ecu(plain, true, None, true);
-            ecu(plain, true, None, false);
+            ecu(", extrapolated", true, None, true);
         }
         ecu(", extrapolated, film from the record", true, Some(found), true);
         ecu(", extrapolated, film from the record", true, Some(found), false);
         if self.exact.is_some() {
-            let words = ", extrapolated, film of the engine itself";
-            if self.all {
-                ecu(words, true, self.exact, true);
-            }
-            ecu(words, true, self.exact, false);
+            ecu(", extrapolated, film of the engine itself", true, self.exact, false);
         }
         out
     }
@@ -192,15 +188,19 @@ impl Contest<'_> {
             Rival::Ecu { searched: true, .. } => &AHEADS_S,
             _ => &[],
         };
-        let firsts: Vec<Choice> = tried.iter().map(|v| Choice { first_s: *v, closed_s: None }).collect();
+        let firsts: Vec<Choice> =
+            tried.iter().step_by(self.stride).map(|v| Choice { first_s: *v, closed_s: None }).collect();
         let first = self.searched(known, rival, &firsts)?;
-        let mut out = vec![self.row(known, name, rival, first, tried.len())?];
+        let mut out = vec![self.row(known, name, rival, first, firsts.len())?];
         if matches!(rival, Rival::Ecu { film: Some(_), .. }) {
-            let loops: Vec<Choice> =
-                CLOSED_S.iter().map(|c| Choice { closed_s: Some(*c), ..first }).collect();
+            let loops: Vec<Choice> = CLOSED_S
+                .iter()
+                .step_by(self.stride)
+                .map(|c| Choice { closed_s: Some(*c), ..first })
+                .collect();
             let closed = self.searched(known, rival, &loops)?;
             let name = format!("{name}, lambda feedback");
-            out.push(self.row(known, &name, rival, closed, tried.len() + loops.len())?);
+            out.push(self.row(known, &name, rival, closed, firsts.len() + loops.len())?);
         }
         Ok(out)
     }

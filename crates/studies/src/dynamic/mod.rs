@@ -129,7 +129,8 @@ fn filled(case: &mut Case, name: &str, reduced: bool, around: &Surroundings) -> 
         judged: &judged,
         seed: case.seed,
         exact,
-        all: case.scenario == 1,
+        plain: case.scenario == 1,
+        stride: if reduced { 2 } else { 1 },
     };
     case.record_s = contest.record_s();
     let watch = around.watch;

@@ -45,7 +45,8 @@ pub(super) fn richness(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) 
             let speed = r.speed_rpm[t];
             let fuel = f.film_at(r.coolant_c(t)).forward(&mut state, r.injection[t], speed, dt);
             let ahead = (timing.charge_s + timing.charge_cycles * 120.0 / speed) / dt;
-            fuel / air[t].at(speed, between(pressure, t as f64 + ahead))
+            let met = t as f64 + ahead;
+            fuel / air[t].at(between(r.speed_rpm, met), between(pressure, met))
         })
         .collect();
     let follow = -(-dt / timing.sensor_lag_s).exp_m1();
