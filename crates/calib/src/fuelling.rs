@@ -17,7 +17,9 @@
 //! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
 //! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
 //! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
-//! leaves the film as it must (inverse of the film). What the identified charge lacks, the sensor says slowly ([`Trim`]). What is given: the pressure before the throttle, and that air is a gas of two atoms.
+//! leaves the film as it must (inverse of the film). Throttle and filling are taken anew by the charge that the lambda gave, and the
+//! charge by them, twice: the policy has one of each. What the identified charge lacks, the sensor says slowly ([`Trim`]). What is
+//! given: the pressure before the throttle, and that air is a gas of two atoms.
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
