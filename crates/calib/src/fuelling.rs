@@ -9,6 +9,7 @@
 //! filling   dp/dt = g (A(theta') psi(p/p0) - c N / 120) + l (p_measured - mean of p over a cycle)              [`Filling`]
 //!           theta' is theta behind a lag; A is a cubic polynomial; psi the flow function of a nozzle
 //! film      df/dt = X q N / 120 - f / tau,   m = (1 - X) q + (120 / N) f / tau                                 [`Film`]
+//! coolant   ln(X / (1 - X)), ln tau and ln c go with its temperature, where the records say it         [`CoolantLaw`]
 //! sensor    phi(t) = m(t) / c(N, p(t + t0 + k 120 / N)),  1 / lambda = phi later by n 120 / N + G / (c N / 120), behind a lag
 //! ```
 //!
@@ -16,21 +17,27 @@
 //! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
 //! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
 //! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
-//! leaves the film as it must (inverse of the film). What is given: the pressure before the throttle, and that air is a gas of two atoms.
+//! leaves the film as it must (inverse of the film). Throttle and filling are taken anew by the charge that the lambda gave, and the
+//! charge by them, twice: the policy has one of each. What the identified charge lacks, the sensor says slowly ([`Trim`]). What is
+//! given: the pressure before the throttle, and that air is a gas of two atoms.
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
 mod charge;
+mod coolant;
 mod filling;
 mod film;
 mod identify;
 mod policy;
+mod trim;
 
 pub use charge::Charge;
+pub use coolant::{Air, CoolantLaw};
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
 pub use identify::{FuellingError, TransientRecord, identify, steady_charge};
-pub use policy::FuelPolicy;
+pub use policy::{FuelPolicy, Sensed};
+pub use trim::Trim;
 
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +62,12 @@ impl Timing {
     pub fn ahead_s(&self, speed_rpm: f64) -> f64 {
         (self.charge_s + self.charge_cycles * 120.0 / speed_rpm).max(0.0)
     }
+
+    /// Time from the command of an injection until the sensor begins to show it, in s, at a flow of fuel that makes lambda 1 in
+    /// the unit of the injection per s and cylinder.
+    pub fn delay_s(&self, speed_rpm: f64, flow: f64) -> f64 {
+        self.transport_cycles * 120.0 / speed_rpm + self.transport_fuel / flow.max(1e-9)
+    }
 }
 
 /// What is identified.
@@ -71,8 +84,24 @@ pub struct Fuelling {
     pub film: Film,
     /// Timing.
     pub timing: Timing,
+    /// What the coolant does to film and charge, where the records say it.
+    pub coolant: Option<CoolantLaw>,
+    /// Trim by the lambda sensor, where one leaves less of the records.
+    pub trim: Option<Trim>,
     /// Root of the mean squared error of 1 / lambda over the record.
     pub rms: f64,
     /// Root of the mean squared error of the pressure over the record in kPa.
     pub pressure_rms_kpa: f64,
+}
+
+impl Fuelling {
+    /// The charge at a coolant temperature.
+    pub fn air(&self, coolant_c: f64) -> Air<'_> {
+        Air::new(&self.charge, self.coolant.as_ref(), coolant_c)
+    }
+
+    /// The film at a coolant temperature.
+    pub fn film_at(&self, coolant_c: f64) -> Film {
+        self.coolant.map_or(self.film, |law| law.film(self.film, coolant_c))
+    }
 }

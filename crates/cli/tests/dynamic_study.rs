@@ -17,7 +17,7 @@ fn fuel_by_an_identified_model_beats_every_rival_in_steps() {
     for id in ["1-steps-integral", "1-steps-spike"] {
         assert!(of(id)["measured"].as_f64().unwrap() < 1.0, "{}", of(id));
     }
-    assert_eq!(of("1-failed")["measured"], 0.0, "{}", of("1-failed"));
+    assert_eq!(of("failed")["measured"], 0.0, "{}", of("failed"));
     let held = checks.iter().all(|c| c["holds"] != false);
     assert_eq!(out.status.code(), Some(i32::from(!held)), "{text}");
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();

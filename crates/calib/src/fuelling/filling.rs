@@ -1,6 +1,6 @@
 //! Filling of the manifold: its pressure from the throttle command, corrected slowly by what is measured.
 
-use super::charge::Charge;
+use super::coolant::Air;
 use dynocal_numerics::linalg::{LinalgError, least_squares};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -43,24 +43,13 @@ fn psi(ratio: f64) -> f64 {
 }
 
 impl Filling {
-    /// The throttle from steady points `(speed, pressure, throttle)`, where what flows in flows out.
-    pub(super) fn of_rest(
-        charge: &Charge,
-        points: &[[f64; 3]],
-        upstream_kpa: f64,
-    ) -> Result<Self, LinalgError> {
+    /// The throttle from steady points `(flow into the cylinder, pressure, throttle)`, where what flows in flows out.
+    pub(super) fn of_rest(&self, points: &[[f64; 3]]) -> Result<Self, LinalgError> {
         let throttle_deg = points.iter().map(|p| p[2].abs()).fold(1e-9, f64::max);
-        let mut out = Self {
-            upstream_kpa,
-            throttle_deg,
-            area: vec![0.0; TERMS],
-            gain: 1.0,
-            throttle_lag_s: 0.05,
-            correction_per_s: 0.5,
-        };
+        let mut out = Self { throttle_deg, area: vec![0.0; TERMS], ..self.clone() };
         let mut rows = Vec::with_capacity(points.len() * TERMS);
-        for [n, p, throttle] in points {
-            let share = psi(p / upstream_kpa) / charge.flow(*n, *p);
+        for [flow, p, throttle] in points {
+            let share = psi(p / self.upstream_kpa) / flow;
             rows.extend(out.terms(*throttle).map(|t| t * share));
         }
         out.area = least_squares(&rows, points.len(), TERMS, &vec![1.0; points.len()], 1e-9)?.x;
@@ -81,7 +70,7 @@ impl Filling {
     /// Pressure and throttle `h_s` later.
     fn advance(
         &self,
-        charge: &Charge,
+        air: Air<'_>,
         (mut p, mut throttle): (f64, f64),
         speed_rpm: f64,
         command: f64,
@@ -91,7 +80,7 @@ impl Filling {
         let follow = -(-h / self.throttle_lag_s.max(1e-6)).exp_m1();
         for _ in 0..STEPS {
             throttle += follow * (command - throttle);
-            let slope = |p: f64| self.gain * (self.inflow(throttle, p) - charge.flow(speed_rpm, p));
+            let slope = |p: f64| self.gain * (self.inflow(throttle, p) - air.flow(speed_rpm, p));
             // Heun: the manifold is fast where the throttle is nearly wide open.
             let first = slope(p);
             p += 0.5 * h * (first + slope(p + h * first));
@@ -134,7 +123,7 @@ impl FillingState {
     pub fn step(
         &mut self,
         filling: &Filling,
-        charge: &Charge,
+        air: Air<'_>,
         speed_rpm: f64,
         command_deg: f64,
         measured_kpa: f64,
@@ -143,17 +132,17 @@ impl FillingState {
         let error = measured_kpa - self.shown_kpa(speed_rpm, dt_s);
         let corrected = self.pressure_kpa + filling.correction_per_s * dt_s * error;
         let from = (corrected, self.throttle_deg);
-        (self.pressure_kpa, self.throttle_deg) = filling.advance(charge, from, speed_rpm, command_deg, dt_s);
+        (self.pressure_kpa, self.throttle_deg) = filling.advance(air, from, speed_rpm, command_deg, dt_s);
         self.past.pop_back();
         self.past.push_front(self.pressure_kpa);
     }
 
-    /// Pressure `ahead_s` from now, the command being held.
+    /// Pressure `ahead_s` from now, the command being held and the speed going on as it goes (`[rpm, rpm/s]`).
     pub fn ahead(
         &self,
         filling: &Filling,
-        charge: &Charge,
-        speed_rpm: f64,
+        air: Air<'_>,
+        [speed_rpm, slope]: [f64; 2],
         command_deg: f64,
         ahead_s: f64,
         dt_s: f64,
@@ -161,7 +150,8 @@ impl FillingState {
         let (mut at, mut left) = ((self.pressure_kpa, self.throttle_deg), ahead_s);
         while left > 1e-12 {
             let h = left.min(dt_s);
-            at = filling.advance(charge, at, speed_rpm, command_deg, h);
+            let then_rpm = speed_rpm + slope * (ahead_s - left + 0.5 * h);
+            at = filling.advance(air, at, then_rpm, command_deg, h);
             left -= h;
         }
         at.0

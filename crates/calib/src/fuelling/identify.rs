@@ -1,32 +1,23 @@
-//! Identification from one record of a bed.
+//! Identification from records of a bed.
 
-use super::charge::{Charge, TERMS};
-use super::filling::{Filling, FillingState};
+mod follow;
+mod record;
+mod search;
+
+pub use record::TransientRecord;
+
+use super::charge::Charge;
+use super::coolant::CoolantLaw;
+use super::filling::Filling;
 use super::film::Film;
+use super::trim::Trim;
 use super::{Fuelling, Timing};
 use dynocal_numerics::linalg::LinalgError;
-use dynocal_numerics::lm::{LeastSquares, LmOptions, LmOutcome, levenberg_marquardt_interruptible};
 use dynocal_numerics::status::Status;
+use follow::{pressure, richness, shown};
 use rayon::prelude::*;
-
-/// Channels of a record of holds and steps, sampled together.
-#[derive(Clone, Copy, Debug)]
-pub struct TransientRecord<'a> {
-    /// Sample time in s.
-    pub sample_time_s: f64,
-    /// Speed in rpm.
-    pub speed_rpm: &'a [f64],
-    /// Throttle as it was commanded in deg.
-    pub throttle_deg: &'a [f64],
-    /// Fuel per cycle as it was commanded.
-    pub injection: &'a [f64],
-    /// Manifold pressure in kPa, after each sample.
-    pub map_kpa: &'a [f64],
-    /// Lambda as the sensor shows it, after each sample.
-    pub lambda: &'a [f64],
-    /// Pressure before the throttle in kPa.
-    pub upstream_kpa: f64,
-}
+use record::{charge_at_rest, rested};
+use search::searched;
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -61,6 +52,16 @@ pub enum FuellingError {
         /// How it ended.
         status: Status,
     },
+    /// Records that do not belong together.
+    #[error("record {number} has {found}, expected {expected} as in the first one")]
+    Records {
+        /// Number of the record, from 1.
+        number: usize,
+        /// What it has.
+        found: String,
+        /// What it should have.
+        expected: String,
+    },
     /// Interrupted.
     #[error("interrupted")]
     Interrupted,
@@ -69,211 +70,196 @@ pub enum FuellingError {
     Linalg(#[from] LinalgError),
 }
 
-/// Time without movement after which a sample is at rest, and time that is averaged there, in s.
-const STILL_S: f64 = 2.0;
-const MEAN_S: f64 = 0.6;
-/// Movement that counts as none: of the speed, relative; of the throttle, of the range of the record.
-const STILL_SPEED: f64 = 0.01;
-const STILL_THROTTLE: f64 = 0.005;
 /// Corrections of the filling that are tried, in 1/s.
 const CORRECTIONS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
 /// Errors of 1 / lambda beyond this count less and less.
 const ROBUST: f64 = 0.05;
-/// Parameters of timing and film before those of the charge.
+/// Times that throttle and filling are taken anew by the charge that the mixture gave.
+const ROUNDS: usize = 2;
+/// Parameters of timing and film, and of the law of the coolant, before those of the charge.
 const FIRST: usize = 7;
-/// Relative step of the differences.
-const STEP: f64 = 1e-6;
+const LAW: usize = 3;
 
-/// Identifies charge, filling, film and timing. `interrupt` is asked once per trial.
+/// Means of a stretch at rest.
+struct Rested {
+    speed_rpm: f64,
+    map_kpa: f64,
+    throttle_deg: f64,
+    /// Fuel that would make lambda 1.
+    fuel: f64,
+    coolant_c: f64,
+}
+
+/// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
+/// temperatures differ by 10 K and more, film and charge over them too. `interrupt` is asked once per trial.
 ///
 /// # Errors
 /// [`FuellingError`].
 pub fn identify(
-    record: &TransientRecord<'_>,
+    records: &[TransientRecord<'_>],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    let charge = steady_charge(record)?;
-    let throttle: Vec<[f64; 3]> = rests(record)
-        .iter()
-        .map(|r| [mean(record.speed_rpm, r), mean(record.map_kpa, r), mean(record.throttle_deg, r)])
-        .collect();
-    let filling = Filling::of_rest(&charge, &throttle, record.upstream_kpa)?;
-    let (filling, pressure_rms_kpa) = filled(record, &charge, filling, interrupt)?;
+    let rested = rested(records)?;
+    let start = started(records, &rested)?;
+    let start = filled(records, &rested, start, interrupt)?;
     // Which correction suits is what the lambda that was measured says.
     let tries: Vec<Fuelling> = CORRECTIONS
         .par_iter()
         .map(|c| {
-            let filling = Filling { correction_per_s: *c, ..filling.clone() };
-            mixed(record, &charge, filling, pressure_rms_kpa, interrupt)
+            let filling = Filling { correction_per_s: *c, ..start.filling.clone() };
+            mixed(records, Fuelling { filling, ..start.clone() }, interrupt)
         })
         .collect::<Result<_, _>>()?;
     let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
-    best.ok_or(FuellingError::Interrupted)
+    let mut found = best.ok_or(FuellingError::Interrupted)?;
+    // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
+    for _ in 0..ROUNDS {
+        found = filled(records, &rested, found, interrupt)?;
+        found = mixed(records, found, interrupt)?;
+    }
+    found.trim =
+        Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
+    Ok(found)
 }
 
-/// The charge from the ends of holds alone: by the pressure that is measured there.
+/// The charge from the ends of holds alone, by the pressure that is measured there, and what the coolant makes of it.
 ///
 /// # Errors
-/// [`FuellingError::Channel`], [`FuellingError::Rests`], [`FuellingError::Linalg`].
-pub fn steady_charge(record: &TransientRecord<'_>) -> Result<Charge, FuellingError> {
-    check(record)?;
-    let rests = rests(record);
-    let expected = TERMS + 5;
-    if rests.len() < expected {
-        return Err(FuellingError::Rests { found: rests.len(), expected, still_s: STILL_S });
-    }
-    let fuel: Vec<f64> = record.injection.iter().zip(record.lambda).map(|(q, lambda)| q * lambda).collect();
-    let point = |r| [mean(record.speed_rpm, r), mean(record.map_kpa, r), mean(&fuel, r)];
-    Ok(Charge::fit(&rests.iter().map(point).collect::<Vec<_>>())?)
+/// [`FuellingError::Channel`], [`FuellingError::Records`], [`FuellingError::Rests`], [`FuellingError::Linalg`].
+pub fn steady_charge(records: &[TransientRecord<'_>]) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
+    charge_at_rest(records, &rested(records)?)
 }
 
-fn mean(v: &[f64], r: &std::ops::Range<usize>) -> f64 {
-    v[r.clone()].iter().sum::<f64>() / r.len() as f64
+/// Where the searches begin: the charge at rest, a cycle of transport, as much through volumes, and a film of some cycles.
+fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuelling, FuellingError> {
+    let (charge, coolant) = charge_at_rest(records, rested)?;
+    let speeds = || records.iter().flat_map(|r| r.speed_rpm);
+    let cycle_s = 120.0 * speeds().count() as f64 / speeds().sum::<f64>();
+    let flow = charge.flow(charge.speed_rpm[0], charge.pressure_kpa[0]).max(1e-9);
+    Ok(Fuelling {
+        sample_time_s: records[0].sample_time_s,
+        charge,
+        filling: Filling {
+            upstream_kpa: records[0].upstream_kpa,
+            throttle_deg: 1.0,
+            area: Vec::new(),
+            gain: 1.0,
+            throttle_lag_s: 0.05,
+            correction_per_s: 0.5,
+        },
+        film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },
+        timing: Timing {
+            charge_s: 0.0,
+            charge_cycles: 0.5,
+            transport_cycles: 1.0,
+            transport_fuel: cycle_s * flow,
+            sensor_lag_s: 0.5 * cycle_s,
+        },
+        coolant,
+        trim: None,
+        rms: 0.0,
+        pressure_rms_kpa: 0.0,
+    })
 }
 
-fn check(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
-    let n = r.speed_rpm.len();
-    let channels: [(&'static str, &[f64], f64); 5] = [
-        ("speed", r.speed_rpm, 50.0),
-        ("throttle", r.throttle_deg, -1e3),
-        ("injection", r.injection, 0.0),
-        ("map", r.map_kpa, 1.0),
-        ("lambda", r.lambda, 0.05),
-    ];
-    let refused =
-        |channel, found: String, expected: String| FuellingError::Channel { channel, found, expected };
-    for (name, values, least) in channels {
-        if values.len() != n || n < 100 {
-            return Err(refused(
-                name,
-                format!("{} samples", values.len()),
-                format!("{} (100 at least)", n.max(100)),
-            ));
-        }
-        if let Some(v) = values.iter().find(|v| !(v.is_finite() && **v >= least)) {
-            return Err(refused(name, format!("the value {v}"), format!("numbers of at least {least}")));
-        }
-    }
-    let greatest = r.map_kpa.iter().copied().fold(0.0, f64::max);
-    if !(r.upstream_kpa > greatest) {
-        let found = format!("a pressure of {greatest} kPa");
-        return Err(refused(
-            "map",
-            found,
-            format!("less than the {} kPa before the throttle", r.upstream_kpa),
-        ));
-    }
-    if !(r.sample_time_s > 0.0 && r.sample_time_s <= 0.05) {
-        return Err(refused(
-            "time",
-            format!("samples of {} s", r.sample_time_s),
-            "0.05 s at most: cycles are shorter".into(),
-        ));
-    }
-    Ok(())
-}
-
-/// Stretches of [`MEAN_S`] before a movement (or the end) after [`STILL_S`] without any.
-fn rests(r: &TransientRecord<'_>) -> Vec<std::ops::Range<usize>> {
-    let (still, mean) = ((STILL_S / r.sample_time_s) as usize, (MEAN_S / r.sample_time_s).max(1.0) as usize);
-    let width =
-        |v: &[f64]| v.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
-    let (low, high) = width(r.throttle_deg);
-    let mut out = Vec::new();
-    let mut from = 0;
-    for t in 1..=r.speed_rpm.len() {
-        let moved = t == r.speed_rpm.len()
-            || (r.speed_rpm[t] - r.speed_rpm[from]).abs() > STILL_SPEED * r.speed_rpm[from]
-            || (r.throttle_deg[t] - r.throttle_deg[from]).abs() > STILL_THROTTLE * (high - low);
-        if moved {
-            if t - from >= still {
-                out.push(t - mean..t);
-            }
-            from = t;
-        }
-    }
-    out
-}
-
-/// Gain and throttle lag of the filling, by the pressure of the record.
+/// Throttle by the rests, gain and lag of the filling by the pressure of the records.
 fn filled(
-    record: &TransientRecord<'_>,
-    charge: &Charge,
-    start: Filling,
-    interrupt: &dyn Fn() -> bool,
-) -> Result<(Filling, f64), FuellingError> {
-    let with = |x: &[f64]| Filling { gain: x[0].exp(), throttle_lag_s: x[1].exp(), ..start.clone() };
-    let errors = |x: &[f64], r: &mut [f64]| {
-        let shown = shown(record, charge, &with(x));
-        r.iter_mut().zip(record.map_kpa.iter().zip(shown)).for_each(|(r, (m, s))| *r = m - s);
-        r.iter().all(|v| v.is_finite())
-    };
-    let found =
-        searched("filling", &errors, record.speed_rpm.len(), &[0.0, start.throttle_lag_s.ln()], interrupt)?;
-    let rms = (found.cost / record.speed_rpm.len() as f64).sqrt();
-    Ok((with(&found.x), rms))
-}
-
-/// What the pressure channel would show.
-fn shown(r: &TransientRecord<'_>, charge: &Charge, filling: &Filling) -> Vec<f64> {
-    followed(r, charge, filling, |state, t| state.shown_kpa(r.speed_rpm[t], r.sample_time_s))
-}
-
-/// Pressure of the filling, corrected by what was measured.
-fn pressure(r: &TransientRecord<'_>, charge: &Charge, filling: &Filling) -> Vec<f64> {
-    followed(r, charge, filling, |state, _| state.pressure_kpa())
-}
-
-/// `of` the filling after each sample of the record.
-fn followed(
-    r: &TransientRecord<'_>,
-    charge: &Charge,
-    filling: &Filling,
-    of: impl Fn(&FillingState, usize) -> f64,
-) -> Vec<f64> {
-    let dt = r.sample_time_s;
-    let mut state = FillingState::at_rest(r.map_kpa[0], r.throttle_deg[0], dt);
-    let step = |t: usize| {
-        let before = r.map_kpa[t.saturating_sub(1)];
-        state.step(filling, charge, r.speed_rpm[t], r.throttle_deg[t], before, dt);
-        of(&state, t)
-    };
-    (0..r.speed_rpm.len()).map(step).collect()
-}
-
-/// Film, timing and charge, by the lambda of the record.
-fn mixed(
-    record: &TransientRecord<'_>,
-    charge: &Charge,
-    filling: Filling,
-    pressure_rms_kpa: f64,
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let pressure = pressure(record, charge, &filling);
-    let errors = |x: &[f64], r: &mut [f64]| {
-        let (film, timing, charge) = taken(x, charge);
-        if !(film.share < 0.95 && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
-            return false;
-        }
-        let shown = richness(record, &charge, film, &timing, &pressure);
-        for (r, (lambda, phi)) in r.iter_mut().zip(record.lambda.iter().zip(shown)) {
-            *r = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
-        }
-        r.iter().all(|v| v.is_finite())
+    let point = |r: &Rested| {
+        let flow = start.air(r.coolant_c).flow(r.speed_rpm, r.map_kpa);
+        [flow, r.map_kpa, r.throttle_deg]
     };
-    let cycle_s = 120.0 * record.speed_rpm.len() as f64 / record.speed_rpm.iter().sum::<f64>();
-    let flow = charge.flow(charge.speed_rpm[0], charge.pressure_kpa[0]).max(1e-9);
-    // A cycle of transport, as much through volumes, and a film of some cycles.
-    let start = [-1.5, (6.0 * cycle_s).ln(), 0.0, 0.5, 0.0, (cycle_s * flow).ln(), (0.5 * cycle_s).ln()];
-    let start: Vec<f64> = start.into_iter().chain(charge.coefficients.iter().copied()).collect();
-    let found = searched("film and timing", &errors, record.speed_rpm.len(), &start, interrupt)?;
-    let (film, timing, charge) = taken(&found.x, charge);
-    let rms = (found.cost / record.speed_rpm.len() as f64).sqrt();
-    Ok(Fuelling { sample_time_s: record.sample_time_s, charge, filling, film, timing, rms, pressure_rms_kpa })
+    let points: Vec<[f64; 3]> = rested.iter().map(point).collect();
+    let filling = start.filling.of_rest(&points)?;
+    let with = |x: &[f64]| Fuelling {
+        filling: Filling { gain: x[0].exp(), throttle_lag_s: x[1].exp(), ..filling.clone() },
+        ..start.clone()
+    };
+    let errors = |x: &[f64], out: &mut [f64]| {
+        let f = with(x);
+        let shown = records.iter().flat_map(|r| r.map_kpa.iter().zip(shown(r, &f)));
+        out.iter_mut().zip(shown).for_each(|(e, (m, s))| *e = m - s);
+        out.iter().all(|v| v.is_finite())
+    };
+    let samples = length(records);
+    let from = [filling.gain.ln(), filling.throttle_lag_s.ln()];
+    let found = searched("filling", &errors, samples, &from, interrupt)?;
+    Ok(Fuelling { pressure_rms_kpa: (found.cost / samples as f64).sqrt(), ..with(&found.x) })
 }
 
-/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), charge.
-fn taken(x: &[f64], charge: &Charge) -> (Film, Timing, Charge) {
+fn length(records: &[TransientRecord<'_>]) -> usize {
+    records.iter().map(|r| r.speed_rpm.len()).sum()
+}
+
+/// Film, timing, law and charge, by the lambda of the records.
+fn mixed(
+    records: &[TransientRecord<'_>],
+    start: Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, &start)).collect();
+    let errors = |x: &[f64], out: &mut [f64]| {
+        let f = taken(x, &start);
+        let timing = &f.timing;
+        if !(f.film.share < 0.95 && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
+            return false;
+        }
+        let mut out = out.iter_mut();
+        for (r, pressure) in records.iter().zip(&pressures) {
+            let shown = richness(r, &f, pressure);
+            for (e, (lambda, phi)) in out.by_ref().zip(r.lambda.iter().zip(shown)) {
+                *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
+                if !e.is_finite() {
+                    return false;
+                }
+            }
+        }
+        true
+    };
+    let samples = length(records);
+    let found = searched("film and timing", &errors, samples, &given(&start), interrupt)?;
+    Ok(Fuelling { rms: (found.cost / samples as f64).sqrt(), ..taken(&found.x, &start) })
+}
+
+/// The logarithm of what the sensor showed over what it would show, sample by sample; forward in time by what it shows late.
+fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
+    let pressure = pressure(r, f);
+    let shown = richness(r, f, &pressure);
+    let late = |t: usize| {
+        let speed = r.speed_rpm[t];
+        let flow = f.air(r.coolant_c(t)).flow(speed, pressure[t]);
+        f.timing.delay_s(speed, flow) + f.timing.sensor_lag_s
+    };
+    let n = r.lambda.len();
+    let late_s = (0..n).map(late).sum::<f64>() / n as f64;
+    let errors = r.lambda.iter().zip(shown).map(|(lambda, phi)| (phi * lambda).max(1e-3).ln()).collect();
+    (errors, (late_s / r.sample_time_s).round() as usize)
+}
+
+/// The half width of the temperatures: slopes are searched over it.
+fn half_k(f: &Fuelling) -> Option<f64> {
+    f.coolant.map(|l| 0.5 * (l.range_c[1] - l.range_c[0]))
+}
+
+/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, charge.
+fn given(f: &Fuelling) -> Vec<f64> {
+    let t = &f.timing;
+    let mut x =
+        vec![(f.film.share / (1.0 - f.film.share)).ln(), f.film.tau_s.ln(), t.charge_s, t.charge_cycles];
+    x.extend([t.transport_cycles, t.transport_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
+    if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
+        x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
+    }
+    x.extend(&f.charge.coefficients);
+    x
+}
+
+/// The reverse of [`given`].
+fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
     let film = Film { share: 1.0 / (1.0 + (-x[0]).exp()), tau_s: x[1].exp() };
     let timing = Timing {
         charge_s: x[2],
@@ -282,105 +268,14 @@ fn taken(x: &[f64], charge: &Charge) -> (Film, Timing, Charge) {
         transport_fuel: x[5].exp(),
         sensor_lag_s: x[6].exp(),
     };
-    (film, timing, Charge { coefficients: x[FIRST..].to_vec(), ..charge.clone() })
-}
-
-/// A value between samples, held at the ends.
-fn between(v: &[f64], t: f64) -> f64 {
-    let t = t.clamp(0.0, (v.len() - 1) as f64);
-    let k = (t as usize).min(v.len() - 2);
-    v[k] + (t - k as f64) * (v[k + 1] - v[k])
-}
-
-/// 1 / lambda as the sensor would show it.
-pub(super) fn richness(
-    r: &TransientRecord<'_>,
-    charge: &Charge,
-    film: Film,
-    timing: &Timing,
-    pressure: &[f64],
-) -> Vec<f64> {
-    let (n, dt) = (r.speed_rpm.len(), r.sample_time_s);
-    let mut state = film.at_rest(r.injection[0], r.speed_rpm[0]);
-    let in_cylinder: Vec<f64> = (0..n)
-        .map(|t| {
-            let speed = r.speed_rpm[t];
-            let fuel = film.forward(&mut state, r.injection[t], speed, dt);
-            let ahead = (timing.charge_s + timing.charge_cycles * 120.0 / speed) / dt;
-            fuel / charge.at(speed, between(pressure, t as f64 + ahead))
-        })
-        .collect();
-    let follow = -(-dt / timing.sensor_lag_s).exp_m1();
-    let mut shown = in_cylinder[0];
-    (0..n)
-        .map(|t| {
-            let speed = r.speed_rpm[t];
-            let flow = charge.flow(speed, pressure[t]).max(1e-9);
-            let delay_s = timing.transport_cycles * 120.0 / speed + timing.transport_fuel / flow;
-            shown += follow * (between(&in_cylinder, t as f64 - delay_s / dt) - shown);
-            shown
-        })
-        .collect()
-}
-
-/// Levenberg-Marquardt with forward differences: two and some twenty parameters, each run of the record a few milliseconds.
-fn searched(
-    what: &'static str,
-    errors: &dyn Fn(&[f64], &mut [f64]) -> bool,
-    samples: usize,
-    start: &[f64],
-    interrupt: &dyn Fn() -> bool,
-) -> Result<LmOutcome, FuellingError> {
-    let mut problem = Differences { errors, samples, n: start.len(), other: vec![0.0; samples] };
-    // One standard deviation of a parameter changes the cost by 1 / samples of it: steps below a hundredth of that say nothing.
-    let cost_tolerance = 0.01 / samples as f64;
-    let options = LmOptions { max_evaluations: 300, cost_tolerance, ..LmOptions::default() };
-    let found = levenberg_marquardt_interruptible(&mut problem, start, &options, interrupt);
-    match found.status {
-        Status::Converged | Status::Stalled => Ok(found),
-        Status::Interrupted => Err(FuellingError::Interrupted),
-        status => Err(FuellingError::Search { what, status }),
+    let mut from = FIRST;
+    let mut coolant = start.coolant;
+    if let (Some(l), Some(half)) = (&mut coolant, half_k(start)) {
+        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[FIRST + k] / half);
+        from += LAW;
     }
-}
-
-struct Differences<'a> {
-    errors: &'a dyn Fn(&[f64], &mut [f64]) -> bool,
-    samples: usize,
-    n: usize,
-    other: Vec<f64>,
-}
-
-impl LeastSquares for Differences<'_> {
-    fn n(&self) -> usize {
-        self.n
-    }
-
-    fn residuals(&self) -> usize {
-        self.samples
-    }
-
-    fn residual(&mut self, x: &[f64], r: &mut [f64]) -> bool {
-        (self.errors)(x, r)
-    }
-
-    fn residual_jacobian(&mut self, x: &[f64], r: &mut [f64], jac: &mut [f64]) -> bool {
-        if !(self.errors)(x, r) {
-            return false;
-        }
-        let mut y = x.to_vec();
-        for k in 0..self.n {
-            let h = STEP * x[k].abs().max(1.0);
-            y[k] = x[k] + h;
-            if !(self.errors)(&y, &mut self.other) {
-                return false;
-            }
-            y[k] = x[k];
-            for (t, (o, r)) in self.other.iter().zip(r.iter()).enumerate() {
-                jac[t * self.n + k] = (o - r) / h;
-            }
-        }
-        true
-    }
+    let charge = Charge { coefficients: x[from..].to_vec(), ..start.charge.clone() };
+    Fuelling { film, timing, coolant, charge, ..start.clone() }
 }
 
 #[cfg(test)]

@@ -3,6 +3,27 @@
 use super::Fuelling;
 use super::filling::FillingState;
 use super::film::FilmState;
+use super::trim::TrimState;
+use std::collections::VecDeque;
+
+/// Time that the slope of the speed is taken over in s, and most of the speed that it may change on the way to the air.
+const SLOPE_S: f64 = 0.05;
+const MOST_CHANGE: f64 = 0.2;
+
+/// What is known at the beginning of a sample.
+#[derive(Clone, Copy, Debug)]
+pub struct Sensed {
+    /// Speed in rpm.
+    pub speed_rpm: f64,
+    /// Throttle that is commanded for this sample, in deg.
+    pub throttle_deg: f64,
+    /// Manifold pressure that the channel shows, in kPa.
+    pub map_kpa: f64,
+    /// Coolant temperature in degC; any number where nothing was identified of it.
+    pub coolant_c: f64,
+    /// Lambda that the sensor shows; none while it shows nothing: no trim then.
+    pub lambda: Option<f64>,
+}
 
 /// Fuel sample by sample from measured speed and pressure, the throttle command and the demanded lambda.
 #[derive(Clone, Debug)]
@@ -11,26 +32,60 @@ pub struct FuelPolicy {
     most: f64,
     filling: Option<FillingState>,
     film: Option<FilmState>,
+    trim: TrimState,
+    /// Speeds of the samples before, newest first.
+    speeds: VecDeque<f64>,
 }
 
 impl FuelPolicy {
     /// Of what was identified, at the sample time of its record; injections stay within 0 and `most`.
     pub fn new(fuelling: Fuelling, most: f64) -> Self {
-        Self { fuelling, most, filling: None, film: None }
+        let trim = TrimState::at_rest(fuelling.sample_time_s);
+        let speeds = VecDeque::with_capacity(samples(&fuelling) + 1);
+        Self { fuelling, most, filling: None, film: None, trim, speeds }
     }
 
-    /// The injection of this sample; the first call starts at rest. No allocation after it.
-    ///
-    /// `throttle_deg` is what is commanded for this sample, `map_kpa` what the channel shows at its beginning.
-    pub fn step(&mut self, speed_rpm: f64, throttle_deg: f64, map_kpa: f64, lambda: f64) -> f64 {
-        let f = &self.fuelling;
-        let dt_s = f.sample_time_s;
-        let state = self.filling.get_or_insert_with(|| FillingState::at_rest(map_kpa, throttle_deg, dt_s));
-        state.step(&f.filling, &f.charge, speed_rpm, throttle_deg, map_kpa, dt_s);
-        let ahead_s = f.timing.ahead_s(speed_rpm);
-        let pressure = state.ahead(&f.filling, &f.charge, speed_rpm, throttle_deg, ahead_s, dt_s);
-        let wanted = (f.charge.at(speed_rpm, pressure) / lambda).max(0.0);
-        let film = self.film.get_or_insert_with(|| f.film.at_rest(wanted, speed_rpm));
-        f.film.inverse(film, wanted, speed_rpm, dt_s, self.most)
+    /// Change of the speed in rpm/s, over the samples before.
+    fn slope(&mut self, speed_rpm: f64) -> f64 {
+        self.speeds.truncate(samples(&self.fuelling));
+        self.speeds.push_front(speed_rpm);
+        let last = self.speeds.len() - 1;
+        (speed_rpm - self.speeds[last]) / (last.max(1) as f64 * self.fuelling.sample_time_s)
     }
+
+    /// The charge that the trim has found over the identified one.
+    pub fn trimmed(&self) -> f64 {
+        self.trim.factor()
+    }
+
+    /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
+    pub fn step(&mut self, y: &Sensed, lambda: f64) -> f64 {
+        let slope = self.slope(y.speed_rpm);
+        let f = &self.fuelling;
+        let (dt_s, speed_rpm, throttle_deg) = (f.sample_time_s, y.speed_rpm, y.throttle_deg);
+        let air = f.air(y.coolant_c);
+        let state = self.filling.get_or_insert_with(|| FillingState::at_rest(y.map_kpa, throttle_deg, dt_s));
+        state.step(&f.filling, air, speed_rpm, throttle_deg, y.map_kpa, dt_s);
+        let now_kpa = state.pressure_kpa();
+        let ahead_s = f.timing.ahead_s(speed_rpm);
+        let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], throttle_deg, ahead_s, dt_s);
+        let then_rpm =
+            speed_rpm * (1.0 + slope * ahead_s / speed_rpm).clamp(1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE);
+        if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
+            self.trim.measured(trim, shown, dt_s);
+        }
+        let wanted = (self.trim.factor() * air.at(then_rpm, pressure) / lambda).max(0.0);
+        let film = f.film_at(y.coolant_c);
+        let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
+        let mut before = *on_wall;
+        let injection = film.inverse(on_wall, wanted, speed_rpm, dt_s, self.most);
+        let fuel = film.forward(&mut before, injection, speed_rpm, dt_s);
+        self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa));
+        injection
+    }
+}
+
+/// Samples that the slope of the speed is taken over.
+fn samples(f: &Fuelling) -> usize {
+    (SLOPE_S / f.sample_time_s).round().max(1.0) as usize
 }

@@ -1,13 +1,19 @@
 //! A bed, controllers on it, and what the engine really did.
 
+use dynocal_calib::fuelling::{CoolantLaw, Film};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::error::PlantError as EngineError;
+use dynocal_plant::film::FilmModel;
 use dynocal_plant::params::EngineParams;
+
+use super::rivals::Coat;
 
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.01;
+/// Place of the coolant behind the five outputs of every bed.
+const COOLANT: usize = 5;
 /// Most fuel of an injection in mg.
 pub(super) const MOST_MG: f64 = 60.0;
 
@@ -16,6 +22,9 @@ pub(super) const MOST_MG: f64 = 60.0;
 pub(super) struct Measured {
     pub(super) map_kpa: f64,
     pub(super) speed_rpm: f64,
+    /// As the sensor shows it.
+    pub(super) lambda: f64,
+    pub(super) coolant_c: f64,
 }
 
 /// What a controller gives.
@@ -87,6 +96,7 @@ pub(super) struct Trace {
     pub(super) injection_mg: Vec<f64>,
     pub(super) throttle_deg: Vec<f64>,
     pub(super) map_kpa: Vec<f64>,
+    pub(super) coolant_c: Vec<f64>,
     /// As the sensor shows it.
     pub(super) lambda: Vec<f64>,
     /// Of the gas in the exhaust manifold, present value.
@@ -95,11 +105,36 @@ pub(super) struct Trace {
     pub(super) true_torque_nm: Vec<f64>,
 }
 
-/// The bed of a parameter set as it comes.
-pub(super) fn bed(parameters: &str) -> Result<(EngineBed, EngineParams), EngineError> {
+/// Degrees Celsius of a temperature in K.
+const ZERO_C: f64 = 273.15;
+
+/// The bed of a parameter set as it comes, with the coolant as one more output; walls, coolant and oil at `start_c` at the start,
+/// if that is given.
+pub(super) fn bed(parameters: &str, start_c: Option<f64>) -> Result<EngineBed, EngineError> {
+    let params = EngineParams::named(parameters)?;
+    let mut settings = BedSettings::of_set(parameters, &params)?;
+    settings.options.outputs.push("coolant".into());
+    if let (Some(start_c), Some(thermal)) = (start_c, &mut settings.options.engine.warm_up) {
+        thermal.start_k = start_c + ZERO_C;
+    }
+    EngineBed::new(&params, settings)
+}
+
+/// Film of the engine itself and what the coolant does to it; none where it has none.
+pub(super) fn exact_film(parameters: &str) -> Result<Option<Coat>, EngineError> {
     let params = EngineParams::named(parameters)?;
     let settings = BedSettings::of_set(parameters, &params)?;
-    Ok((EngineBed::new(&params, settings)?, params))
+    let thermal = settings.options.engine.warm_up.unwrap_or_default();
+    let factor = |coolant_c: f64| thermal.film_factor(coolant_c + ZERO_C);
+    let law = CoolantLaw {
+        at_c: 90.0,
+        range_c: [20.0, 90.0],
+        share_per_k: 0.0,
+        tau_per_k: (factor(90.0) / factor(20.0)).ln() / 70.0,
+        charge_per_k: 0.0,
+    };
+    let film = |f: FilmModel| Film { share: f.share, tau_s: f.tau_s * factor(90.0) };
+    Ok(params.port.map(|f| Coat { film: film(f), law: Some(law) }))
 }
 
 /// Plays a course.
@@ -119,7 +154,7 @@ pub(super) fn play(
     let mut out = Trace::default();
     let mut speed_rpm = u[3];
     for (torque, speed) in course.torque_nm.iter().zip(&course.speed_rpm) {
-        let shown = Measured { map_kpa: y[2], speed_rpm };
+        let shown = Measured { map_kpa: y[2], speed_rpm, lambda: y[1], coolant_c: y[COOLANT] - ZERO_C };
         let c = controller.step(*torque, &shown);
         u[0] = c.injection_mg.clamp(0.0, MOST_MG);
         u[1] = c.spark_deg;
@@ -131,6 +166,7 @@ pub(super) fn play(
         out.injection_mg.push(u[0]);
         out.throttle_deg.push(u[2]);
         out.map_kpa.push(y[2]);
+        out.coolant_c.push(shown.coolant_c);
         out.lambda.push(y[1]);
         out.true_lambda.push(truth.lambda_interval);
         out.true_torque_nm.push(truth.torque_cycle_nm);

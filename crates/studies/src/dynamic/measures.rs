@@ -27,6 +27,19 @@ impl Measures {
         self.lean.max(self.rich)
     }
 
+    /// Mean of several; zero of none.
+    pub(super) fn mean(of: &[&Measures]) -> Self {
+        let share = 1.0 / of.len().max(1) as f64;
+        let mean = |value: fn(&Measures) -> f64| share * of.iter().map(|m| value(m)).sum::<f64>();
+        Self {
+            integral_s: mean(|m| m.integral_s),
+            lean: mean(|m| m.lean),
+            rich: mean(|m| m.rich),
+            t90_s: mean(|m| m.t90_s),
+            offset: mean(|m| m.offset),
+        }
+    }
+
     pub(super) fn of(trace: &Trace, course: &Course) -> Self {
         let steps = course.switches.len() - 1;
         let share = 1.0 / steps as f64;

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use dynocal_calib::fuelling::{Charge, Film, FilmState, FuelPolicy};
+use dynocal_calib::fuelling::{Air, Charge, CoolantLaw, Film, FilmState, FuelPolicy, Sensed, Timing};
 use dynocal_calib::map::static_map::StaticMap;
 
 use super::bed::{Command, Controller, MOST_MG, Measured, SAMPLE_S};
@@ -42,21 +42,71 @@ impl Controller for Mapped<'_> {
     }
 }
 
-/// A production ECU: fuel from the air at the measured pressure, extrapolated by its slope, with or without film compensation;
-/// throttle and spark by the map.
+/// A film over the coolant.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coat {
+    pub(super) film: Film,
+    pub(super) law: Option<CoolantLaw>,
+}
+
+impl Coat {
+    fn at(&self, coolant_c: f64) -> Film {
+        self.law.map_or(self.film, |law| law.film(self.film, coolant_c))
+    }
+}
+
+/// A charge over the coolant.
+#[derive(Clone, Debug)]
+pub(super) struct Load {
+    pub(super) charge: Charge,
+    pub(super) law: Option<CoolantLaw>,
+}
+
+/// Lambda feedback of the ECU: proportional and integral by internal model control of a lag (that of the sensor) behind a delay, for
+/// the time constant `closed_s` of the closed loop.
+#[derive(Clone, Copy)]
+pub(super) struct Feedback<'a> {
+    pub(super) timing: &'a Timing,
+    pub(super) closed_s: f64,
+}
+
+/// Most of the integral of the feedback.
+const MOST_TRIM: f64 = 0.25;
+
+/// A production ECU: fuel from the air at the measured pressure, extrapolated by its slope, with or without film compensation and
+/// lambda feedback; throttle and spark by the map.
 pub(super) struct Ecu<'a> {
-    pub(super) base: Mapped<'a>,
-    pub(super) charge: &'a Charge,
+    base: Mapped<'a>,
+    load: &'a Load,
     /// Time of the extrapolation in s.
-    pub(super) ahead_s: f64,
-    pub(super) film: Option<Film>,
-    pub(super) past: VecDeque<f64>,
-    pub(super) state: Option<FilmState>,
+    ahead_s: f64,
+    film: Option<Coat>,
+    feedback: Option<Feedback<'a>>,
+    past: VecDeque<f64>,
+    state: Option<FilmState>,
+    integral: f64,
 }
 
 impl<'a> Ecu<'a> {
-    pub(super) fn new(base: Mapped<'a>, charge: &'a Charge, ahead_s: f64, film: Option<Film>) -> Self {
-        Self { base, charge, ahead_s, film, past: VecDeque::new(), state: None }
+    pub(super) fn new(
+        base: Mapped<'a>,
+        load: &'a Load,
+        ahead_s: f64,
+        film: Option<Coat>,
+        feedback: Option<Feedback<'a>>,
+    ) -> Self {
+        Self { base, load, ahead_s, film, feedback, past: VecDeque::new(), state: None, integral: 0.0 }
+    }
+
+    /// What the fuel is multiplied by.
+    fn trim(&mut self, y: &Measured, flow: f64) -> f64 {
+        let Some(Feedback { timing, closed_s }) = self.feedback else {
+            return 1.0;
+        };
+        let error = y.lambda - 1.0;
+        let per_s = 1.0 / (closed_s + timing.delay_s(y.speed_rpm, flow));
+        self.integral = (self.integral + per_s * error * SAMPLE_S).clamp(-MOST_TRIM, MOST_TRIM);
+        1.0 + self.integral + per_s * timing.sensor_lag_s * error
     }
 }
 
@@ -68,10 +118,13 @@ impl Controller for Ecu<'_> {
         let last = self.past.len() - 1;
         let slope = (self.past[0] - self.past[last]) / (last.max(1) as f64 * SAMPLE_S);
         let pressure = (y.map_kpa + self.ahead_s * slope).clamp(10.0, 100.0);
-        let wanted = self.charge.at(y.speed_rpm, pressure).max(0.0);
+        let air = Air::new(&self.load.charge, self.load.law.as_ref(), y.coolant_c);
+        let wanted =
+            (air.at(y.speed_rpm, pressure) * self.trim(y, air.flow(y.speed_rpm, y.map_kpa))).max(0.0);
         let injection_mg = match self.film {
             None => wanted,
-            Some(film) => {
+            Some(coat) => {
+                let film = coat.at(y.coolant_c);
                 let state = self.state.get_or_insert_with(|| film.at_rest(wanted, y.speed_rpm));
                 film.inverse(state, wanted, y.speed_rpm, SAMPLE_S, MOST_MG)
             }
@@ -84,12 +137,21 @@ impl Controller for Ecu<'_> {
 pub(super) struct Ours<'a> {
     pub(super) base: Mapped<'a>,
     pub(super) policy: FuelPolicy,
+    /// Whether it is shown what the lambda sensor shows.
+    pub(super) trimmed: bool,
 }
 
 impl Controller for Ours<'_> {
     fn step(&mut self, torque_nm: f64, y: &Measured) -> Command {
         let u = self.base.step(torque_nm, y);
-        let injection_mg = self.policy.step(y.speed_rpm, u.throttle_deg, y.map_kpa, 1.0);
+        let sensed = Sensed {
+            speed_rpm: y.speed_rpm,
+            throttle_deg: u.throttle_deg,
+            map_kpa: y.map_kpa,
+            coolant_c: y.coolant_c,
+            lambda: self.trimmed.then_some(y.lambda),
+        };
+        let injection_mg = self.policy.step(&sensed, 1.0);
         Command { injection_mg, ..u }
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::fuelling::FuelPolicy;
+use crate::fuelling::{FuelPolicy, Sensed};
 use dynocal_numerics::rng::Rng64;
 
 const DT: f64 = 0.01;
@@ -28,14 +28,33 @@ fn truth() -> Fuelling {
         sensor_lag_s: 0.08,
     };
     let film = Film { share: 0.25, tau_s: 0.4 };
-    Fuelling { sample_time_s: DT, charge, filling, film, timing, rms: 0.0, pressure_rms_kpa: 0.0 }
+    Fuelling {
+        sample_time_s: DT,
+        charge,
+        filling,
+        film,
+        timing,
+        coolant: None,
+        trim: None,
+        rms: 0.0,
+        pressure_rms_kpa: 0.0,
+    }
 }
 
 /// Speed, throttle, injection, pressure, lambda.
 type Channels = [Vec<f64>; 5];
 
 fn record(f: &Fuelling, holds: usize) -> Channels {
-    let mut rng = Rng64::stream(3, 0);
+    heated(f, holds, 3, None)
+}
+
+/// Coolant of a record that heats up by 25 K from a start.
+fn coolant(start_c: f64, samples: usize) -> Vec<f64> {
+    (0..samples).map(|t| start_c + 25.0 * t as f64 / samples as f64).collect()
+}
+
+fn heated(f: &Fuelling, holds: usize, seed: u64, start_c: Option<f64>) -> Channels {
+    let mut rng = Rng64::stream(seed, 0);
     let (mut speed, mut throttle, mut injection) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..holds {
         let (n, a, q) =
@@ -46,6 +65,7 @@ fn record(f: &Fuelling, holds: usize) -> Channels {
             injection.push(q);
         }
     }
+    let heat = coolant(start_c.unwrap_or(90.0), speed.len());
     let mut r = TransientRecord {
         sample_time_s: DT,
         speed_rpm: &speed,
@@ -54,13 +74,17 @@ fn record(f: &Fuelling, holds: usize) -> Channels {
         map_kpa: &vec![50.0; speed.len()],
         lambda: &vec![1.0; speed.len()],
         upstream_kpa: 101.325,
+        coolant_c: start_c.map(|_| heat.as_slice()),
     };
-    let p = pressure(&r, &f.charge, &f.filling);
-    let shown = shown(&r, &f.charge, &f.filling);
+    let p = pressure(&r, f);
+    let shown = shown(&r, f);
     r.map_kpa = &shown;
-    let lambda: Vec<f64> =
-        richness(&r, &f.charge, f.film, &f.timing, &p).iter().map(|phi| 1.0 / phi).collect();
+    let lambda: Vec<f64> = richness(&r, f, &p).iter().map(|phi| 1.0 / phi).collect();
     [speed, throttle, injection, shown, lambda]
+}
+
+fn sensed(speed_rpm: f64, throttle_deg: f64, map_kpa: f64, lambda: Option<f64>) -> Sensed {
+    Sensed { speed_rpm, throttle_deg, map_kpa, coolant_c: 90.0, lambda }
 }
 
 fn view(c: &Channels) -> TransientRecord<'_> {
@@ -72,6 +96,7 @@ fn view(c: &Channels) -> TransientRecord<'_> {
         map_kpa: &c[3],
         lambda: &c[4],
         upstream_kpa: 101.325,
+        coolant_c: None,
     }
 }
 
@@ -79,7 +104,7 @@ fn view(c: &Channels) -> TransientRecord<'_> {
 fn a_record_of_the_model_gives_the_model_back() {
     let truth = truth();
     let channels = record(&truth, 60);
-    let found = identify(&view(&channels), &|| false).unwrap();
+    let found = identify(&[view(&channels)], &|| false).unwrap();
     let near = |a: f64, b: f64, share: f64, what: &str| {
         assert!((a / b - 1.0).abs() < share, "{what}: {a}, planted {b}")
     };
@@ -90,7 +115,7 @@ fn a_record_of_the_model_gives_the_model_back() {
     near(found.timing.sensor_lag_s, truth.timing.sensor_lag_s, 0.03, "sensor");
     near(found.timing.ahead_s(2000.0), truth.timing.ahead_s(2000.0), 0.05, "ahead");
     for (n, p) in [(1400.0, 40.0), (2500.0, 60.0)] {
-        near(found.charge.at(n, p), truth.charge.at(n, p), 2e-3, "charge");
+        near(found.charge.at(n, p), truth.charge.at(n, p), 3e-3, "charge");
     }
     assert!(found.rms < 1e-3, "{}", found.rms);
 }
@@ -112,13 +137,15 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
         map_kpa: &vec![40.0; n],
         lambda: &vec![1.0; n],
         upstream_kpa: 101.325,
+        coolant_c: None,
     };
     // At rest at the first throttle, whatever it began with.
-    let p = pressure(&r, &truth.charge, &truth.filling);
-    let injection: Vec<f64> = (0..n).map(|t| policy.step(speed, throttle[t], 40.0, 1.0)).collect();
+    let p = pressure(&r, &truth);
+    let injection: Vec<f64> =
+        (0..n).map(|t| policy.step(&sensed(speed, throttle[t], 40.0, None), 1.0)).collect();
     let r = TransientRecord { injection: &injection, ..r };
     let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
-    let phi = richness(&r, &truth.charge, truth.film, &fast, &p);
+    let phi = richness(&r, &Fuelling { timing: fast, ..truth.clone() }, &p);
     // Not the first second: the film of the record begins with another injection. And not what was injected before the step
     // and meets its air after it: that nobody can know.
     let known = 200 - (truth.timing.ahead_s(speed) / DT).ceil() as usize;
@@ -134,15 +161,98 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
 fn what_says_too_little_is_refused() {
     let truth = truth();
     let channels = record(&truth, 8);
-    let e = identify(&view(&channels), &|| false).unwrap_err();
+    let e = identify(&[view(&channels)], &|| false).unwrap_err();
     assert!(matches!(e, FuellingError::Rests { found: 8, .. }), "{e}");
     let channels = record(&truth, 30);
     let short = TransientRecord { lambda: &channels[4][..50], ..view(&channels) };
-    let e = identify(&short, &|| false).unwrap_err().to_string();
+    let e = identify(&[short], &|| false).unwrap_err().to_string();
     assert!(e.contains("`lambda` has 50 samples"), "{e}");
     let slow = TransientRecord { sample_time_s: 0.1, ..view(&channels) };
-    assert!(identify(&slow, &|| false).unwrap_err().to_string().contains("0.05 s at most"));
+    assert!(identify(&[slow], &|| false).unwrap_err().to_string().contains("0.05 s at most"));
     let low = TransientRecord { upstream_kpa: 30.0, ..view(&channels) };
-    assert!(identify(&low, &|| false).unwrap_err().to_string().contains("before the throttle"));
-    assert!(matches!(identify(&view(&channels), &|| true), Err(FuellingError::Interrupted)));
+    assert!(identify(&[low], &|| false).unwrap_err().to_string().contains("before the throttle"));
+    assert!(matches!(identify(&[view(&channels)], &|| true), Err(FuellingError::Interrupted)));
+}
+
+/// Film and charge over the coolant, from three records that heat up.
+#[test]
+fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
+    let law = CoolantLaw {
+        at_c: 90.0,
+        range_c: [20.0, 115.0],
+        share_per_k: -0.006,
+        tau_per_k: -0.02,
+        charge_per_k: -4e-4,
+    };
+    let truth = Fuelling { coolant: Some(law), ..truth() };
+    let starts_c = [20.0, 55.0, 90.0];
+    let channels: Vec<Channels> =
+        (7..).zip(starts_c).map(|(seed, c)| heated(&truth, 25, seed, Some(c))).collect();
+    let heat: Vec<Vec<f64>> = starts_c.iter().zip(&channels).map(|(c, r)| coolant(*c, r[0].len())).collect();
+    let views: Vec<TransientRecord<'_>> =
+        channels.iter().zip(&heat).map(|(c, h)| TransientRecord { coolant_c: Some(h), ..view(c) }).collect();
+    let found = identify(&views, &|| false).unwrap();
+    for c in [25.0, 60.0, 100.0] {
+        let (film, planted) = (found.film_at(c), truth.film_at(c));
+        assert!((film.share / planted.share - 1.0).abs() < 0.05, "{c} degC: {film:?}, planted {planted:?}");
+        assert!((film.tau_s / planted.tau_s - 1.0).abs() < 0.05, "{c} degC: {film:?}, planted {planted:?}");
+        let (air, is) = (found.air(c).at(1800.0, 50.0), truth.air(c).at(1800.0, 50.0));
+        assert!((air / is - 1.0).abs() < 3e-3, "{c} degC: {air}, planted {is}");
+    }
+    // Without the temperatures the same records are one engine that cannot be: the error says so.
+    let blind: Vec<TransientRecord<'_>> =
+        views.iter().map(|r| TransientRecord { coolant_c: None, ..*r }).collect();
+    let one = identify(&blind, &|| false).unwrap();
+    assert!(one.coolant.is_none() && one.rms > 5.0 * found.rms, "{} {}", one.rms, found.rms);
+    let mixed = [views[0], blind[1]];
+    let e = identify(&mixed, &|| false).unwrap_err().to_string();
+    assert!(e.starts_with("record 2 has") && e.contains("without coolant"), "{e}");
+}
+
+/// The mixture in the cylinder of a truth whose injectors give `share` of what is commanded, under a policy.
+fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Vec<f64> {
+    let throttle: Vec<f64> = (0..n).map(|t| if (t / 400) % 2 == 0 { 11.0 } else { 19.0 }).collect();
+    let (speeds, ones) = (vec![2000.0; n], vec![1.0; n]);
+    let r = TransientRecord {
+        sample_time_s: DT,
+        speed_rpm: &speeds,
+        throttle_deg: &throttle,
+        injection: &ones,
+        map_kpa: &vec![40.0; n],
+        lambda: &ones,
+        upstream_kpa: 101.325,
+        coolant_c: None,
+    };
+    let (p, map) = (pressure(&r, truth), shown(&r, truth));
+    let mut given: Vec<f64> = Vec::with_capacity(n);
+    for t in 0..n {
+        let so_far = TransientRecord { speed_rpm: &speeds[..t], injection: &given, ..r };
+        let lambda = (t > 1).then(|| 1.0 / richness(&so_far, truth, &p)[t - 1]);
+        given.push(share * policy.step(&sensed(2000.0, throttle[t], map[t.saturating_sub(1)], lambda), 1.0));
+    }
+    let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
+    richness(&TransientRecord { injection: &given, ..r }, &Fuelling { timing: fast, ..truth.clone() }, &p)
+}
+
+/// Injectors that give 3 % less: the trim takes that out, and a step then costs no more than with injectors that give all.
+#[test]
+fn the_trim_takes_out_an_error_and_leaves_the_steps_alone() {
+    let truth = truth();
+    let n = 2000;
+    for time_s in [0.2, 1.0] {
+        let trimmed = Fuelling { trim: Some(Trim { time_s, scale: 5e-3 }), ..truth.clone() };
+        let right = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 1.0, n);
+        let wrong = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 0.97, n);
+        let mut policy = FuelPolicy::new(trimmed, 60.0);
+        let mended = driven(&truth, &mut policy, 0.97, n);
+        // The last 20 samples are met by air that is not in the record.
+        let worst =
+            |phi: &[f64], from: usize| phi[from..n - 20].iter().map(|v| (v - 1.0).abs()).fold(0.0, f64::max);
+        assert!(worst(&wrong, 1900) > 0.028, "{}", worst(&wrong, 1900));
+        assert!(worst(&mended, 1900) < 2e-3, "{time_s} s: {}", worst(&mended, 1900));
+        // The step at 16 s.
+        let (spike, was) = (worst(&mended, 1600), worst(&right, 1600));
+        assert!(spike < was + 3e-3, "{time_s} s: {spike}, without error {was}");
+        assert!((policy.trimmed() - 1.0 / 0.97).abs() < 2e-3, "{}", policy.trimmed());
+    }
 }

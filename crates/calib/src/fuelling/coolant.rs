@@ -1,0 +1,82 @@
+//! What the coolant's temperature does to film and charge.
+
+use super::charge::Charge;
+use super::film::Film;
+use serde::{Deserialize, Serialize};
+
+/// Film and charge over the coolant temperature T:
+///
+/// ```text
+/// ln(X / (1 - X)) and ln tau    linear in T       c(N, p, T) = c(N, p) exp(a (T - T0))
+/// ```
+///
+/// as evaporation goes with the exponential of a temperature, and the charge with the heat that it takes from the walls. Not
+/// continued beyond the temperatures of the record.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CoolantLaw {
+    /// Temperature T0 at which film and charge are what they are without this law, in degC.
+    pub at_c: f64,
+    /// Lowest and highest temperature of the record in degC.
+    pub range_c: [f64; 2],
+    /// Slope of ln(X / (1 - X)) in 1/K.
+    pub share_per_k: f64,
+    /// Slope of ln tau in 1/K.
+    pub tau_per_k: f64,
+    /// Slope a of the logarithm of the charge in 1/K.
+    pub charge_per_k: f64,
+}
+
+impl CoolantLaw {
+    fn beyond_k(&self, coolant_c: f64) -> f64 {
+        coolant_c.clamp(self.range_c[0], self.range_c[1]) - self.at_c
+    }
+
+    /// The film at a coolant temperature.
+    ///
+    /// ```
+    /// use dynocal_calib::fuelling::{CoolantLaw, Film};
+    /// let warm = Film { share: 0.3, tau_s: 0.2 };
+    /// let law = CoolantLaw { at_c: 90.0, range_c: [20.0, 90.0], share_per_k: 0.0, tau_per_k: -0.02, charge_per_k: 0.0 };
+    /// let cold = law.film(warm, 40.0);
+    /// assert!((cold.tau_s - 0.2 * 1.0_f64.exp()).abs() < 1e-12 && (cold.share - 0.3).abs() < 1e-12);
+    /// // Nothing is known below the record.
+    /// assert_eq!(law.film(warm, -10.0), law.film(warm, 20.0));
+    /// ```
+    pub fn film(&self, film: Film, coolant_c: f64) -> Film {
+        let by_k = self.beyond_k(coolant_c);
+        let odds = film.share / (1.0 - film.share) * (self.share_per_k * by_k).exp();
+        Film { share: odds / (1.0 + odds), tau_s: film.tau_s * (self.tau_per_k * by_k).exp() }
+    }
+
+    /// The charge over that at `at_c`.
+    pub fn charge_factor(&self, coolant_c: f64) -> f64 {
+        (self.charge_per_k * self.beyond_k(coolant_c)).exp()
+    }
+}
+
+/// The charge as it is at a temperature.
+#[derive(Clone, Copy, Debug)]
+pub struct Air<'a> {
+    /// Charge at the temperature of reference.
+    pub charge: &'a Charge,
+    /// What it is multiplied by.
+    pub factor: f64,
+}
+
+impl<'a> Air<'a> {
+    /// By a law, if there is one.
+    pub fn new(charge: &'a Charge, law: Option<&CoolantLaw>, coolant_c: f64) -> Self {
+        Self { charge, factor: law.map_or(1.0, |l| l.charge_factor(coolant_c)) }
+    }
+
+    /// Fuel per cycle that makes lambda 1, in the unit of the injection.
+    pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
+        self.factor * self.charge.at(speed_rpm, pressure_kpa)
+    }
+
+    /// Flow of that fuel into one cylinder per second.
+    pub fn flow(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
+        self.factor * self.charge.flow(speed_rpm, pressure_kpa)
+    }
+}

@@ -1,0 +1,192 @@
+//! The records that are identified from.
+
+use super::{FuellingError, Rested};
+use crate::fuelling::charge::{Charge, TERMS};
+use crate::fuelling::coolant::CoolantLaw;
+
+/// Channels of a record of holds and steps, sampled together.
+#[derive(Clone, Copy, Debug)]
+pub struct TransientRecord<'a> {
+    /// Sample time in s.
+    pub sample_time_s: f64,
+    /// Speed in rpm.
+    pub speed_rpm: &'a [f64],
+    /// Throttle as it was commanded in deg.
+    pub throttle_deg: &'a [f64],
+    /// Fuel per cycle as it was commanded.
+    pub injection: &'a [f64],
+    /// Manifold pressure in kPa, after each sample.
+    pub map_kpa: &'a [f64],
+    /// Lambda as the sensor shows it, after each sample.
+    pub lambda: &'a [f64],
+    /// Pressure before the throttle in kPa.
+    pub upstream_kpa: f64,
+    /// Coolant temperature in degC, if it is to count.
+    pub coolant_c: Option<&'a [f64]>,
+}
+
+impl TransientRecord<'_> {
+    /// Coolant temperature of a sample; any number where it does not count.
+    pub(super) fn coolant_c(&self, t: usize) -> f64 {
+        self.coolant_c.map_or(0.0, |c| c[t])
+    }
+}
+
+/// Coolant temperatures count when they differ by this, in K.
+const LEAST_RANGE_K: f64 = 10.0;
+/// Time without movement after which a sample is at rest, and time that is averaged there, in s.
+pub(super) const STILL_S: f64 = 2.0;
+const MEAN_S: f64 = 0.6;
+/// Movement that counts as none: of the speed, relative; of the throttle, of the range of the record.
+const STILL_SPEED: f64 = 0.01;
+const STILL_THROTTLE: f64 = 0.005;
+pub(super) fn mean(v: &[f64], r: &std::ops::Range<usize>) -> f64 {
+    v[r.clone()].iter().sum::<f64>() / r.len() as f64
+}
+
+fn check_one(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
+    let n = r.speed_rpm.len();
+    let mut channels: Vec<(&'static str, &[f64], f64)> = vec![
+        ("speed", r.speed_rpm, 50.0),
+        ("throttle", r.throttle_deg, -1e3),
+        ("injection", r.injection, 0.0),
+        ("map", r.map_kpa, 1.0),
+        ("lambda", r.lambda, 0.05),
+    ];
+    channels.extend(r.coolant_c.map(|c| ("coolant", c, -60.0)));
+    let refused =
+        |channel, found: String, expected: String| FuellingError::Channel { channel, found, expected };
+    for (name, values, least) in channels {
+        if values.len() != n || n < 100 {
+            return Err(refused(
+                name,
+                format!("{} samples", values.len()),
+                format!("{} (100 at least)", n.max(100)),
+            ));
+        }
+        if let Some(v) = values.iter().find(|v| !(v.is_finite() && **v >= least)) {
+            return Err(refused(name, format!("the value {v}"), format!("numbers of at least {least}")));
+        }
+    }
+    let greatest = r.map_kpa.iter().copied().fold(0.0, f64::max);
+    if !(r.upstream_kpa > greatest) {
+        let found = format!("a pressure of {greatest} kPa");
+        return Err(refused(
+            "map",
+            found,
+            format!("less than the {} kPa before the throttle", r.upstream_kpa),
+        ));
+    }
+    if !(r.sample_time_s > 0.0 && r.sample_time_s <= 0.05) {
+        return Err(refused(
+            "time",
+            format!("samples of {} s", r.sample_time_s),
+            "0.05 s at most: cycles are shorter".into(),
+        ));
+    }
+    Ok(())
+}
+
+/// Stretches of [`MEAN_S`] before a movement (or the end) after [`STILL_S`] without any.
+pub(super) fn rests(r: &TransientRecord<'_>) -> Vec<std::ops::Range<usize>> {
+    let (still, mean) = ((STILL_S / r.sample_time_s) as usize, (MEAN_S / r.sample_time_s).max(1.0) as usize);
+    let width =
+        |v: &[f64]| v.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+    let (low, high) = width(r.throttle_deg);
+    let mut out = Vec::new();
+    let mut from = 0;
+    for t in 1..=r.speed_rpm.len() {
+        let moved = t == r.speed_rpm.len()
+            || (r.speed_rpm[t] - r.speed_rpm[from]).abs() > STILL_SPEED * r.speed_rpm[from]
+            || (r.throttle_deg[t] - r.throttle_deg[from]).abs() > STILL_THROTTLE * (high - low);
+        if moved {
+            if t - from >= still {
+                out.push(t - mean..t);
+            }
+            from = t;
+        }
+    }
+    out
+}
+
+/// Refuses records that cannot be read together.
+pub(super) fn check(records: &[TransientRecord<'_>]) -> Result<(), FuellingError> {
+    let Some(first) = records.first() else {
+        return Err(FuellingError::Rests { found: 0, expected: TERMS + 5, still_s: STILL_S });
+    };
+    for (k, r) in records.iter().enumerate() {
+        check_one(r)?;
+        let of = |r: &TransientRecord<'_>| {
+            let coolant = if r.coolant_c.is_some() { "with" } else { "without" };
+            format!(
+                "samples of {} s, {} kPa before the throttle, {coolant} coolant",
+                r.sample_time_s, r.upstream_kpa
+            )
+        };
+        if of(r) != of(first) {
+            return Err(FuellingError::Records { number: k + 1, found: of(r), expected: of(first) });
+        }
+    }
+    Ok(())
+}
+
+/// Rests of all records.
+pub(super) fn rested(records: &[TransientRecord<'_>]) -> Result<Vec<Rested>, FuellingError> {
+    check(records)?;
+    let mut out = Vec::new();
+    for r in records {
+        let fuel: Vec<f64> = r.injection.iter().zip(r.lambda).map(|(q, lambda)| q * lambda).collect();
+        out.extend(rests(r).iter().map(|s| Rested {
+            speed_rpm: mean(r.speed_rpm, s),
+            map_kpa: mean(r.map_kpa, s),
+            throttle_deg: mean(r.throttle_deg, s),
+            fuel: mean(&fuel, s),
+            coolant_c: r.coolant_c.map_or(0.0, |c| mean(c, s)),
+        }));
+    }
+    let expected = TERMS + 5;
+    if out.len() < expected {
+        return Err(FuellingError::Rests { found: out.len(), expected, still_s: STILL_S });
+    }
+    Ok(out)
+}
+
+/// The law of the coolant with nothing in it yet; none where the temperatures do not differ.
+fn empty_law(records: &[TransientRecord<'_>]) -> Option<CoolantLaw> {
+    let all = || records.iter().filter_map(|r| r.coolant_c).flatten().copied();
+    let low = all().fold(f64::INFINITY, f64::min);
+    let high = all().fold(f64::NEG_INFINITY, f64::max);
+    (high - low >= LEAST_RANGE_K).then_some(CoolantLaw {
+        at_c: 0.5 * (low + high),
+        range_c: [low, high],
+        share_per_k: 0.0,
+        tau_per_k: 0.0,
+        charge_per_k: 0.0,
+    })
+}
+
+/// Charge and its law by the rests: each in turn with the other held, ten times.
+pub(super) fn charge_at_rest(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
+    let mut law = empty_law(records);
+    for _ in 0..10 {
+        let point =
+            |r: &Rested| [r.speed_rpm, r.map_kpa, r.fuel / law.map_or(1.0, |l| l.charge_factor(r.coolant_c))];
+        let charge = Charge::fit(&rested.iter().map(point).collect::<Vec<_>>())?;
+        let Some(found) = &mut law else {
+            return Ok((charge, None));
+        };
+        let (mut above, mut below) = (0.0, 0.0);
+        for r in rested {
+            let k = r.coolant_c - found.at_c;
+            above += k * (r.fuel / charge.at(r.speed_rpm, r.map_kpa)).max(1e-3).ln();
+            below += k * k;
+        }
+        found.charge_per_k = above / below.max(1.0);
+    }
+    let point =
+        |r: &Rested| [r.speed_rpm, r.map_kpa, r.fuel / law.map_or(1.0, |l| l.charge_factor(r.coolant_c))];
+    Ok((Charge::fit(&rested.iter().map(point).collect::<Vec<_>>())?, law))
+}
