@@ -94,8 +94,8 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
         let map = of_it().map(|c| c.map_s).fold(0.0, f64::max);
         // The length of the record is the study's own: nothing to hold.
         checks.push(check(
-            &format!("{scenario}-bed-time"),
-            &format!("scenario {scenario}: bed time of ours beyond the static map's"),
+            format!("{scenario}-bed-time"),
+            format!("scenario {scenario}: bed time of ours beyond the static map's"),
             Asked::Reported,
             Asked::Reported.worst(&bed),
             "s",
