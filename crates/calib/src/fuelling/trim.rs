@@ -41,8 +41,8 @@ impl Trim {
     /// ```
     /// use dynocal_calib::fuelling::Trim;
     /// let trim = Trim { time_s: 1.0, scale: 0.002 };
-    /// // Three per cent that stay are there after some seconds, and a tenth of a second of 20 % moves it by a thousandth.
-    /// let there = (0..600).fold(0.0, |k, _| trim.follow(k, 0.03, 0.01));
+    /// // Three per cent that stay are there after eight seconds, and a tenth of a second of 20 % moves it by a thousandth.
+    /// let there = (0..800).fold(0.0, |k, _| trim.follow(k, 0.03, 0.01));
     /// assert!((there - 0.03_f64).abs() < 1e-3);
     /// let moved = (0..10).fold(0.0, |k, _| trim.follow(k, 0.2, 0.01));
     /// assert!(moved < 1.1e-3);

@@ -20,6 +20,8 @@ pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Names of ours: the one that is judged, and the same without what the sensor shows.
 pub(super) const OURS: &str = "identified air and film, lambda trim";
 pub(super) const UNTRIMMED: &str = "identified air and film";
+/// How names of rivals with lambda feedback end.
+pub(super) const FEEDBACK: &str = ", lambda feedback";
 
 /// A controller in all courses.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -199,7 +201,7 @@ impl Contest<'_> {
                 .map(|c| Choice { closed_s: Some(*c), ..first })
                 .collect();
             let closed = self.searched(known, rival, &loops)?;
-            let name = format!("{name}, lambda feedback");
+            let name = format!("{name}{FEEDBACK}");
             out.push(self.row(known, &name, rival, closed, firsts.len() + loops.len())?);
         }
         Ok(out)

@@ -143,13 +143,11 @@ fn filled(case: &mut Case, name: &str, reduced: bool, around: &Surroundings) -> 
     Ok(())
 }
 
-/// Names of the judged courses, the records, and the judged courses of a scenario.
-fn drives(
-    scenario: usize,
-    engine: &str,
-    seed: u64,
-    reduced: bool,
-) -> Result<(Vec<String>, Vec<Drive>, Vec<Drive>), String> {
+/// Names of the judged courses, the records, and the judged courses.
+type Drives = (Vec<String>, Vec<Drive>, Vec<Drive>);
+
+/// Those of a scenario.
+fn drives(scenario: usize, engine: &str, seed: u64, reduced: bool) -> Result<Drives, String> {
     let mut rng = Rng64::stream(seed, scenario as u64);
     let on = |start_c: Option<f64>, course: Course| {
         bed(engine, start_c).map(|bed| Drive { bed, course }).map_err(|e| e.to_string())

@@ -42,7 +42,8 @@ fn mean_rows(cases: &[&Case]) -> Vec<Row> {
         let courses = (0..row.courses.len())
             .map(|k| Measures::mean(&same.iter().filter_map(|r| r.courses.get(k)).collect::<Vec<_>>()))
             .collect();
-        Row { setting: "each its own".into(), courses, ..row.clone() }
+        let setting = if row.setting == "-" { "-" } else { "tuned" };
+        Row { setting: setting.into(), courses, ..row.clone() }
     };
     first.rows.iter().map(mean).collect()
 }
