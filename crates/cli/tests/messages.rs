@@ -249,9 +249,11 @@ fn records_that_teach_nothing_are_said() {
     has(&o.stderr, "no nearer to what was measured than its mean");
     let (_tmp, o) = identify(&now, &text(&|_, u| 3.0 - 2.0 * u), &[]);
     has(&o.stderr, "`u` is a copy of it, but for scale and offset");
+    has(&o.stdout, "Next: see to the values first. y: `u` is a copy");
     let noise = |t: u64| ((t * t * 104_729) % 97) as f64 / 97.0;
     let (_tmp, o) = identify(&now, &text(&|t, u| if t % 90 == 7 { 9999.0 } else { u + noise(t) }), &[]);
     has(&o.stderr, "3 samples of `y` have one and the same value");
+    has(&o.stdout, "Do not use it as it is. First: y: 3 samples of `y`");
 }
 
 /// What a run would refuse of its folder, its check refuses; it leaves nothing there.

@@ -106,15 +106,15 @@ pub(super) fn found_for(file: &Path, wishes: &Wishes, timed: bool) -> Result<Fou
             Ok(found) => channels.push(found),
             Err(why) => left_out.push(format!("`{}`: {why}", c.name)),
         }
-        notes.extend(nearly(&table, c));
+        let left_out = |why: String| format!("`{}` is left out: {why}: mend the file to have it.", c.name);
+        notes.extend(bad_cells(&table, c).map(left_out));
     }
     for wanted in wishes.outputs.iter().chain(&wishes.inputs).chain(&wishes.given) {
         if !channels.iter().any(|c| c.column == *wanted || c.name == *wanted) {
             let column = table.column(wanted)?;
             let why = channel(&table, column).err().unwrap_or_default();
-            let why = nearly(&table, column)
-                .map_or(format!("`{wanted}`, {why}"), |n| n.replace(" is left out:", ":"));
-            return Err(lacks(why, "a channel of numbers that moves"));
+            let why = bad_cells(&table, column).unwrap_or(why);
+            return Err(lacks(format!("`{wanted}`: {why}"), "a channel of numbers that moves"));
         }
     }
     roles(&mut channels, wishes);
@@ -260,7 +260,7 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
 }
 
 /// A column of numbers but for some cells, which leave it out: that is a fault of the file rather than a column of words.
-fn nearly(table: &Table, c: &Column) -> Option<String> {
+fn bad_cells(table: &Table, c: &Column) -> Option<String> {
     let Cells::Text(cells) = &c.cells else { return None };
     let Err(FilesError::Cell { place, found, .. }) = table.numbers_or_missing(&c.name, 0, cells.len()) else {
         return None;
@@ -268,8 +268,7 @@ fn nearly(table: &Table, c: &Column) -> Option<String> {
     let numbers = cells.iter().filter(|t| t.trim().replacen(',', ".", 1).parse::<f64>().is_ok()).count();
     (2 * numbers > cells.len()).then(|| {
         format!(
-            "`{}` is left out: {} of its {} cells are no numbers, the first `{found}` in {place}: mend the file to have it.",
-            c.name,
+            "{} of its {} cells are no numbers, the first `{found}` in {place}",
             cells.len() - numbers,
             cells.len()
         )

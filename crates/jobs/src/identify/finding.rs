@@ -34,6 +34,8 @@ pub enum Topic {
     General,
     /// No unseen record judges the model.
     NoTestData,
+    /// Values in the records that no sensor gave, or that say the same twice: nothing else is worth trying before them.
+    Values,
 }
 
 /// One of them.

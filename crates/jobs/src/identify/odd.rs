@@ -2,7 +2,7 @@
 
 use dynocal_ident::data::Dataset;
 
-use super::finding::{Finding, Grade};
+use super::finding::{Finding, Grade, Topic};
 use super::spec::Job;
 
 /// What of the variance of one channel another may leave open for the two to be one.
@@ -19,22 +19,27 @@ pub fn of_values(job: &Job, records: &[Dataset]) -> Vec<Finding> {
         }
     }
     let channels: Vec<Vec<f64>> = names.iter().map(|n| joined(records, n)).collect();
-    let of = |name: &String| names.iter().position(|n| *n == name).map(|k| &channels[k]);
+    // Targets share their inputs: each pair is compared once.
+    let pairs = (0..names.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+    let alike: Vec<[&String; 2]> =
+        pairs.filter(|&(a, b)| one(&channels[a], &channels[b])).map(|(a, b)| [names[a], names[b]]).collect();
+    let warning =
+        |about: &String, text: String| Finding::new(Grade::Warning, about.as_str(), text).on(Topic::Values);
     let mut out = Vec::new();
     for t in &job.targets {
         for (k, a) in t.inputs.iter().enumerate() {
-            let same = |b: &String| matches!((of(a), of(b)), (Some(a), Some(b)) if one(a, b));
+            let same = |b: &String| alike.iter().any(|p| p.contains(&a) && p.contains(&b));
             if same(&t.target) && *a != t.target {
                 let text = format!(
                     "`{a}` is a copy of it, but for scale and offset: the model reads its answer from there"
                 );
-                out.push(Finding::new(Grade::Warning, t.target.as_str(), text));
+                out.push(warning(&t.target, text));
             }
             for b in t.inputs[k + 1..].iter().filter(|b| same(b)) {
                 let text = format!(
                     "`{a}` and `{b}` move as one to nine digits: what each of them does cannot be told apart"
                 );
-                out.push(Finding::new(Grade::Warning, t.target.as_str(), text));
+                out.push(warning(&t.target, text));
             }
         }
     }
@@ -44,7 +49,7 @@ pub fn of_values(job: &Job, records: &[Dataset]) -> Vec<Finding> {
                 "{samples} samples of `{name}` have one and the same value, {times:.0} times the range of all others away from them: if it \
                  stands for missing samples, empty those cells (`missing = \"mark\"`) or let step `hampel` take them out"
             );
-            out.push(Finding::new(Grade::Warning, name.as_str(), text));
+            out.push(warning(name, text));
         }
     }
     out

@@ -3,7 +3,7 @@
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::validate::{Kind, Seen};
 
-use super::finding::Grade;
+use super::finding::{Grade, Topic};
 use super::points::PointsPage;
 use super::result::{Identified, Modelled, Score};
 
@@ -148,9 +148,14 @@ fn bands(p: &PointsPage, unit: &str) -> String {
 }
 
 fn next(found: &Identified) -> String {
+    let values = found.findings.iter().find(|f| f.topic == Topic::Values);
     let fault = found.findings.iter().find(|f| f.grade == Grade::Fault);
     if let Some(f) = fault {
-        return format!("Do not use it as it is. First: {}", f.sentence());
+        // What is wrong with the records explains what is wrong with the model.
+        return format!("Do not use it as it is. First: {}", values.unwrap_or(f).sentence());
+    }
+    if let Some(f) = values {
+        return format!("Next: see to the values first. {}", f.sentence());
     }
     if let Some(m) = found.models.iter().find(|m| beaten(found, m)) {
         return format!("Next: for {} {}", m.target, instead(m));

@@ -204,7 +204,7 @@ pub(super) fn of_words(channel: &str, of: &str) -> String {
 fn dearest(o: &Optimised) -> Option<String> {
     let cost = |p: &&PriceLine| p.per_percent.abs() > 1e-5 * o.objective.start.abs().max(f64::MIN_POSITIVE);
     let said: Vec<String> = o.prices.iter().filter(cost).take(3).map(price).collect();
-    (!said.is_empty()).then(|| format!("What weighs most in the objective: {}.", said.join("; ")))
+    (!said.is_empty()).then(|| format!("What weighs most in what is minimised: {}.", said.join("; ")))
 }
 
 fn price(p: &PriceLine) -> String {
