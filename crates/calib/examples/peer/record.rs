@@ -41,9 +41,12 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
         init_samples: 0,
         origin: "peer".into(),
     };
+    let defaults = OptimiseOptions::default();
+    let tolerance = input["tolerance"].as_f64().unwrap_or(defaults.tolerance);
+    let options = OptimiseOptions { tolerance, ..defaults };
     let mut last = None;
     let time = measure(|| {
-        last = optimise_models(&problem, &models, &start, &OptimiseOptions::default(), &|| false).ok();
+        last = optimise_models(&problem, &models, &start, &options, &|| false).ok();
     })?;
     let found = last.ok_or("not solved")?;
     let by_name = |c: &Channel| (c.name.clone(), json!(c.values));

@@ -8,12 +8,13 @@ use dynocal_calib::optimise::{
     EndCondition, History, OptimiseError, OptimiseOptions, optimise_models, optimise_record, parts,
 };
 use dynocal_calib::problem::CalibrationProblem;
-use dynocal_ident::data::Role;
+use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::derived::Derived;
 use dynocal_ident::derived::Monomial;
 use dynocal_ident::model::literature;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::stored::{Quantity, Seen, StoredModel};
+use dynocal_numerics::nlp::SparseNlp;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::status::Status;
 
@@ -414,4 +415,53 @@ fn stored_models_give_what_their_structures_give() {
 
 fn seen(name: &str, unit: &str) -> Seen {
     Seen { name: name.into(), unit: unit.into(), minimum: 0.0, maximum: 1.0 }
+}
+
+/// An output at rest spreads by the last digit of its record alone; that is no size of a variable. The optimum, which moves it far
+/// from its rest, does not depend on that digit.
+#[test]
+fn an_output_at_rest_has_the_size_of_its_value() {
+    let p = problem(
+        r#"
+        minimise = [{ channel = "u", weight = 1.0 }, { channel = "y", weight = -0.5 }]
+        inputs = [{ name = "u", unit = "-", lower = 0.0, upper = 3.0, rate_per_s = 2.0 }]
+        given = [{ name = "g", unit = "-", lower = 0.0, upper = 2.0 }]
+        limits = [{ output = "y", unit = "-", mean_upper = 1.6 }, { output = "z", unit = "-", lower = 0.5, upper = 1.3 }]
+        "#,
+    );
+    let y = PolyNarx::parse(&["u", "g"], "y", &["y(t-1)", "u(t-1)", "g(t-1)*u(t-1)^2"]).expect("y");
+    let z = PolyNarx::parse(&["u", "y"], "z", &["z(t-1)", "u(t-1)", "y(t-1)^2"]).expect("z");
+    let models = [
+        OutputModel::plain("y", &y, &[0.6, 0.5, -0.1], &["u", "g"]),
+        OutputModel::plain("z", &z, &[0.5, 0.3, 0.2], &["u", "y"]),
+    ];
+    // At u = 1, g = 1 both models rest at 1.
+    let n = 60;
+    let solved = |jitter: f64| {
+        let at_rest = |k: usize| 1.0 + jitter * (k % 2) as f64;
+        let swing = (0..n).map(|k| 1.0 + 0.5 * (0.3 * k as f64).sin()).collect();
+        let start = Dataset {
+            name: "rest".into(),
+            sample_time_s: 0.1,
+            channels: vec![
+                channel("u", "-", Role::Input, vec![1.0; n]),
+                channel("g", "-", Role::Input, swing),
+                channel("y", "-", Role::Output, (0..n).map(at_rest).collect()),
+                channel("z", "-", Role::Output, (0..n).map(at_rest).collect()),
+            ],
+            init_samples: 0,
+            origin: "test".into(),
+        };
+        let options = OptimiseOptions::default();
+        let mut program = Program::new(parts(&p, &models, &start, &options).expect("parts"));
+        let mut sizes = vec![0.0; program.n()];
+        program.sizes(&mut sizes);
+        let least = sizes.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(least > 1e-3, "size {least:e} with jitter {jitter:e}");
+        let found = optimise_models(&p, &models, &start, &options, &|| false).expect("solved");
+        assert_eq!(found.status, Status::Converged, "jitter {jitter:e}");
+        found.objective
+    };
+    let (still, shaken) = (solved(0.0), solved(f64::EPSILON));
+    assert!((still - shaken).abs() < 1e-7 * still.abs().max(1.0), "{still} {shaken}");
 }

@@ -231,8 +231,11 @@ fn give_way(parts: &Parts<'_>) -> (Columns, Vec<Option<usize>>, Vec<Sum>) {
     (Columns::new(columns, values), gives, objective)
 }
 
-/// Outputs have the units of their users (a concentration in ppm, a flow in kg/s): the size of one is the spread of its start, to
-/// a power of two. Inputs and what a demand gives are taken as they are.
+/// Least size of an output relative to its magnitude: a start at rest spreads by rounding alone.
+const SIZE_OF_REST: f64 = 0.01;
+
+/// Outputs have the units of their users (a concentration in ppm, a flow in kg/s): the size of one is the spread of its start, or
+/// [`SIZE_OF_REST`] of its magnitude where that is more, to a power of two. Inputs and what a demand gives are taken as they are.
 fn sizes(parts: &Parts<'_>, columns: &Columns) -> Vec<f64> {
     let width = parts.columns.len().max(1);
     let mut out = vec![1.0; columns.width()];
@@ -241,9 +244,9 @@ fn sizes(parts: &Parts<'_>, columns: &Columns) -> Vec<f64> {
         let c = reading.columns()[0];
         let of = parts.values.iter().skip(c).step_by(width).filter(|v| v.is_finite());
         let (low, high) = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-        let spread = if high > low { high - low } else { high.abs() };
-        if spread.is_normal() {
-            out[c] = spread.log2().round().exp2();
+        let size = (high - low).max(SIZE_OF_REST * high.abs().max(low.abs()));
+        if size.is_normal() {
+            out[c] = size.log2().round().exp2();
         }
     }
     out
