@@ -14,7 +14,7 @@ use dynocal_numerics::fft::Complex;
 use crate::error::ControlError;
 use crate::grid::frequencies;
 use crate::matrix::{C, Matrix, ONE};
-use crate::poly::{degree, value};
+use crate::poly::value;
 use crate::system::{System, Time};
 
 /// Largest turn of the argument in one step, in rad.
@@ -113,16 +113,23 @@ impl Closed {
     /// Unstable poles of the closed loop.
     pub fn unstable(&self) -> Unstable {
         let time = self.plant.time;
-        let chi = |w: f64| {
+        let exact = |w: f64| {
             let x = time.variable(w);
             let l = self.plant.at(w).times(&self.controller.at(w));
-            let poles = value(&self.plant.poles, x) * value(&self.controller.poles, x);
+            let poles = self.plant.poles_at(x) * self.controller.poles_at(x);
             poles * l.sum(ONE, &Matrix::identity(l.rows), ONE).determinant()
+        };
+        // On a pole of the open loop the product is 0 times infinity, and next to it rounding; beside it, it is what it is.
+        let factors = || self.plant.poles.iter().chain(&self.controller.poles);
+        let chi = |w: f64| {
+            let x = time.variable(w);
+            let on_pole = factors().any(|p| value(p, x).norm() < 1e-8 * size(p, x.norm()));
+            exact(if on_pole { w * (1.0 + 1e-6) } else { w })
         };
         match time {
             Time::Sampled { .. } => sampled(&chi, &self.grid),
             Time::Continuous => {
-                let n = degree(&self.plant.poles) + degree(&self.controller.poles);
+                let n = self.plant.states() + self.controller.states();
                 let beyond = self.grid.last().copied().unwrap_or(1.0) * 1e3;
                 let gain = self.plant.at(beyond).times(&self.controller.at(beyond)).norm();
                 if self.plant.delay_s() + self.controller.delay_s() > 0.0 && gain >= 1.0 {
@@ -154,6 +161,11 @@ pub(crate) fn sampled(chi: &dyn Fn(f64) -> C, grid: &[f64]) -> Unstable {
     let Some(turned) = turn(chi, &with_ends(grid, start, *last)) else { return Unstable::Boundary };
     // q runs clockwise.
     whole(-turned / std::f64::consts::PI)
+}
+
+/// Sum of the sizes of the terms of a polynomial: what its value is small against.
+fn size(p: &[f64], x: f64) -> f64 {
+    p.iter().rev().fold(0.0, |sum, c| sum * x + c.abs())
 }
 
 fn with_ends(grid: &[f64], start: f64, end: f64) -> Vec<f64> {

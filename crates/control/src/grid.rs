@@ -17,6 +17,8 @@ const PER_DECADE: f64 = 40.0;
 const BEYOND: f64 = 2.0;
 /// Loop gain below which delay turns nothing that counts.
 const SMALL: f64 = 0.02;
+/// Rate in a sample below which a root is one at rest: repeated roots are found with that uncertainty.
+const SLOWEST: f64 = 1e-6;
 /// Most frequencies that delay adds.
 const MOST: usize = 20_000;
 
@@ -24,7 +26,7 @@ const MOST: usize = 20_000;
 pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
     let time = plant.time;
     let mut roots: Vec<Complex<f64>> = Vec::new();
-    for c in [&plant.poles, &controller.poles].into_iter().chain(plant.channels.iter().map(|g| &g.num)) {
+    for c in plant.poles.iter().chain(&controller.poles).chain(plant.channels.iter().map(|g| &g.num)) {
         roots.extend(poly::roots(c).unwrap_or_default());
     }
     for c in controller.channels.iter().map(|g| &g.num) {
@@ -41,6 +43,8 @@ pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
     }
     out.sort_by(f64::total_cmp);
     out.dedup_by(|a, b| (*a - *b).abs() <= 1e-13 * b.abs());
+    // A pole of the open loop on the axis has no response there.
+    out.retain(|w| plant.at(*w).data.iter().chain(&controller.at(*w).data).all(|v| v.norm().is_finite()));
     out
 }
 
@@ -59,8 +63,8 @@ fn logarithmic(lower: f64, upper: f64) -> Vec<f64> {
 fn continuous(roots: &[Complex<f64>], delay_s: f64) -> Vec<f64> {
     let sizes = roots.iter().map(|r| r.norm()).filter(|v| *v > 1e-12 && v.is_finite());
     let features: Vec<f64> = sizes.chain((delay_s > 0.0).then(|| 1.0 / delay_s)).collect();
-    let least = features.iter().copied().fold(f64::INFINITY, f64::min);
     let greatest = features.iter().copied().fold(0.0, f64::max);
+    let least = features.iter().copied().filter(|v| *v > 1e-12 * greatest).fold(f64::INFINITY, f64::min);
     let (least, greatest) = if greatest > 0.0 { (least, greatest) } else { (1.0, 1.0) };
     let span = 10f64.powf(BEYOND);
     let mut out = logarithmic(least / span, greatest * span);
@@ -74,10 +78,10 @@ fn sampled(roots: &[Complex<f64>], sample_time_s: f64) -> Vec<f64> {
     let end = PI / sample_time_s;
     // Roots are those of polynomials in z^-1: the distance from the circle is a rate.
     let rates = roots.iter().filter(|r| r.norm() > 1e-6).map(|r| r.norm().ln().abs().max(r.arg().abs()));
-    let least = rates.filter(|v| *v > 1e-9).fold(PI, f64::min) / sample_time_s;
+    let least = rates.filter(|v| *v > SLOWEST).fold(PI, f64::min) / sample_time_s;
     let mut out = logarithmic(least / 10f64.powf(BEYOND), end);
     out.extend((1..=64).map(|k| end * f64::from(k) / 64.0));
-    for r in roots.iter().filter(|r| r.im.abs() > 1e-9 && r.norm().ln().abs() < 0.3) {
+    for r in roots.iter().filter(|r| r.arg().abs() > SLOWEST && r.norm().ln().abs() < 0.3) {
         let (centre, width) = (r.arg().abs() / sample_time_s, r.norm().ln().abs() / sample_time_s);
         about(&mut out, centre, width.max(1e-6 * centre));
     }

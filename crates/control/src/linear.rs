@@ -57,8 +57,8 @@ pub fn about(models: &[&StoredModel], moved: &[String], point: &BTreeMap<String,
     }
     let time = Time::Sampled { sample_time_s };
     let system = System::new(time, models.len(), moved.len(), channels)?;
-    let roots = crate::poly::roots(&system.poles).unwrap_or_default();
-    let slowest_pole = roots.iter().map(|r| 1.0 / r.norm()).fold(0.0, f64::max);
+    let roots = system.poles.iter().flat_map(|p| crate::poly::roots(p).unwrap_or_default());
+    let slowest_pole = roots.map(|r| 1.0 / r.norm()).fold(0.0, f64::max);
     Ok(AtPoint { point: point.clone(), rest, system, slowest_pole, warnings })
 }
 

@@ -13,6 +13,9 @@ use crate::disk::{DiskMargin, Place};
 use crate::error::ControlError;
 use crate::system::{System, Time, Transfer};
 
+/// Imaginary share below which a perturbation is a gain: at rest and at half the sampling frequency it is one but for rounding.
+const REAL: f64 = 1e-4;
+
 /// The stable factor f of a perturbation `(re, im)` at a frequency; none where the disk holds infinity
 /// ((1+sigma)/2 |delta| >= 1) or the frequency is 0.
 pub fn factor(time: Time, skew: f64, delta: (f64, f64), w_rad_s: f64) -> Option<Transfer> {
@@ -20,6 +23,10 @@ pub fn factor(time: Time, skew: f64, delta: (f64, f64), w_rad_s: f64) -> Option<
     let (before, after) = ((1.0 - skew) / 2.0, (1.0 + skew) / 2.0);
     if after * size >= 1.0 || !(w_rad_s > 0.0) {
         return None;
+    }
+    if delta.1.abs() < REAL * delta.0.abs() {
+        let f = (1.0 + before * delta.0) / (1.0 - after * delta.0);
+        return Some(Transfer::gain(f));
     }
     let theta = delta.1.atan2(delta.0);
     // Numerator and denominator of the all-pass, ascending, and its sign.

@@ -21,7 +21,7 @@ use crate::error::ControlError;
 use crate::grid::frequencies;
 use crate::margin::{Margins, of_response};
 use crate::matrix::{C, ONE};
-use crate::poly::{degree, multiply, value};
+use crate::poly::{degree, value};
 use crate::runtime::PidGains;
 use crate::system::{System, Time, Transfer};
 
@@ -40,7 +40,7 @@ pub struct Channel {
     response: Vec<C>,
     phi: Vec<C>,
     /// Denominators of the channel and of the integral.
-    poles: Vec<f64>,
+    poles: [Vec<f64>; 2],
     /// The same at the frequencies of the grid.
     poles_at: Vec<C>,
 }
@@ -81,11 +81,11 @@ impl Channel {
             return Err(ControlError::number("the gain of the channel at rest", steady, "a positive number"));
         }
         let integral = PidGains::pi(1.0, 1.0).transfer(time);
-        let poles = multiply(&system.poles, &integral.den);
+        let poles = [transfer.den.clone(), integral.den.clone()];
         let grid = frequencies(&system, &System::single(time, integral)?);
         let response: Vec<C> = grid.iter().map(|w| transfer.at(time, *w)).collect();
         let phi = grid.iter().map(|w| phi(time, time.variable(*w))).collect();
-        let poles_at = grid.iter().map(|w| value(&poles, time.variable(*w))).collect();
+        let poles_at = grid.iter().map(|w| product(&poles, time.variable(*w))).collect();
         Ok(Self { time, transfer, grid, response, phi, poles, poles_at })
     }
 
@@ -126,6 +126,10 @@ impl Channel {
         self.grid.iter().filter_map(point).collect()
     }
 
+    fn states(&self) -> usize {
+        self.poles.iter().map(|p| degree(p)).sum()
+    }
+
     fn point(&self, w: f64, c: C, phi: C) -> Option<LocusPoint> {
         let ki = c.im / phi.im;
         let kp = c.re - ki * phi.re;
@@ -143,7 +147,7 @@ impl Channel {
     pub fn unstable(&self, kp: f64, ki: f64) -> Unstable {
         let chi = |w: f64| {
             let x = self.time.variable(w);
-            value(&self.poles, x) * (ONE + self.transfer.at(self.time, w) * (phi(self.time, x) * ki + kp))
+            product(&self.poles, x) * (ONE + self.transfer.at(self.time, w) * (phi(self.time, x) * ki + kp))
         };
         match self.time {
             Time::Sampled { .. } => sampled(&chi, &self.grid),
@@ -152,7 +156,7 @@ impl Channel {
                 if self.transfer.delay_s > 0.0 && beyond * kp.abs() >= 1.0 {
                     return Unstable::Neutral;
                 }
-                continuous(&chi, &self.grid, degree(&self.poles))
+                continuous(&chi, &self.grid, self.states())
             }
         }
     }
@@ -201,7 +205,7 @@ impl Channel {
         }
         let count = match self.time {
             Time::Sampled { .. } => -sum / std::f64::consts::PI,
-            Time::Continuous => degree(&self.poles) as f64 / 2.0 - sum / std::f64::consts::PI,
+            Time::Continuous => self.states() as f64 / 2.0 - sum / std::f64::consts::PI,
         };
         if (count - count.round()).abs() > 0.2 { self.unstable(kp, ki).is_stable() } else { count.round() == 0.0 }
     }
@@ -293,7 +297,7 @@ impl Channel {
     /// Ranges of kp with some stable positive ki: ends are where the boundary meets ki = 0, or turns round.
     pub fn kp_ranges(&self) -> Vec<Interval> {
         let own: Vec<(f64, f64)> = self.grid.iter().map(|w| self.boundary_at(*w)).collect();
-        let mut ends = vec![own[0].0];
+        let mut ends = Vec::new();
         for k in 1..own.len() {
             if (own[k - 1].1 > 0.0) != (own[k].1 > 0.0) {
                 let (mut lower, mut upper) = (self.grid[k - 1], self.grid[k]);
@@ -330,6 +334,10 @@ impl Channel {
         }
         out
     }
+}
+
+fn product(poles: &[Vec<f64>; 2], x: C) -> C {
+    value(&poles[0], x) * value(&poles[1], x)
 }
 
 /// Integral part of a unit gain.

@@ -164,8 +164,9 @@ pub struct System {
     pub inputs: usize,
     /// Channels, row-major: output by input.
     pub channels: Vec<Transfer>,
-    /// Polynomial whose roots are the poles, each as often as there are states with it.
-    pub poles: Vec<f64>,
+    /// Polynomials whose roots are the poles, each as often as there are states with it: factors, because the product of
+    /// many integrators has no digits left near rest.
+    pub poles: Vec<Vec<f64>>,
 }
 
 impl System {
@@ -186,11 +187,11 @@ impl System {
         for (k, g) in channels.iter().enumerate() {
             g.check(&format!("channel ({}, {})", k / inputs + 1, k % inputs + 1), time)?;
         }
-        let mut poles = vec![1.0];
+        let mut poles = Vec::new();
         for row in channels.chunks(inputs) {
             for (k, g) in row.iter().enumerate() {
                 if !g.is_zero() && !row[..k].iter().any(|o| !o.is_zero() && o.den == g.den) {
-                    poles = multiply(&poles, &g.den);
+                    poles.push(g.den.clone());
                 }
             }
         }
@@ -217,7 +218,7 @@ impl System {
 
     /// The same with other poles: where the outputs share states, these are fewer than [`System::new`] takes them for.
     pub fn with_poles(mut self, ascending: &[f64]) -> Self {
-        self.poles = ascending.to_vec();
+        self.poles = vec![ascending.to_vec()];
         self
     }
 
@@ -268,6 +269,16 @@ impl System {
         Ok(Self::new(time, p, m, (0..p * m).map(channel).collect())?.with_poles(&den))
     }
 
+    /// Product of the polynomials of the poles at s or q.
+    pub fn poles_at(&self, x: C) -> C {
+        self.poles.iter().map(|p| value(p, x)).product()
+    }
+
+    /// Number of poles.
+    pub fn states(&self) -> usize {
+        self.poles.iter().map(|p| degree(p)).sum()
+    }
+
     /// Frequency response at an angular frequency in rad/s.
     pub fn at(&self, w_rad_s: f64) -> Matrix {
         let data = self.channels.iter().map(|g| g.at(self.time, w_rad_s)).collect();
@@ -287,15 +298,17 @@ impl System {
     /// The same with output `k` multiplied by a transfer function.
     pub fn after(&self, own: &[Transfer]) -> Result<Self, ControlError> {
         let channels = self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k / self.inputs])).collect();
-        let poles = own.iter().fold(self.poles.clone(), |p, g| multiply(&p, &g.den));
-        Ok(Self::new(self.time, self.outputs, self.inputs, channels)?.with_poles(&poles))
+        let mut out = Self::new(self.time, self.outputs, self.inputs, channels)?;
+        out.poles = self.poles.iter().cloned().chain(own.iter().map(|g| g.den.clone())).collect();
+        Ok(out)
     }
 
     /// The same with input `k` multiplied by a transfer function.
     pub fn before(&self, own: &[Transfer]) -> Result<Self, ControlError> {
         let channels = self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k % self.inputs])).collect();
-        let poles = own.iter().fold(self.poles.clone(), |p, g| multiply(&p, &g.den));
-        Ok(Self::new(self.time, self.outputs, self.inputs, channels)?.with_poles(&poles))
+        let mut out = Self::new(self.time, self.outputs, self.inputs, channels)?;
+        out.poles = self.poles.iter().cloned().chain(own.iter().map(|g| g.den.clone())).collect();
+        Ok(out)
     }
 }
 

@@ -30,7 +30,7 @@ fn runs(l: &Closed, w: f64) -> f64 {
 fn expect(l: &Closed, w: f64, stable: bool, what: &str) {
     let growth = runs(l, w);
     assert!((growth < 0.0) == stable, "{what}: the run grows by {growth}, expected stable: {stable}");
-    assert_eq!(l.is_stable(), stable, "{what}: by the argument");
+    assert_eq!(l.is_stable(), stable, "{what}: by the argument {:?}", l.unstable());
 }
 
 fn with_plant(l: &Closed, plant: System) -> Closed {

@@ -1,5 +1,5 @@
 //! Loops with published margins.
-#![allow(dead_code)]
+#![allow(dead_code, unreachable_pub)]
 
 use dynocal_control::closed::Closed;
 use dynocal_control::poly::multiply;
