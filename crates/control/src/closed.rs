@@ -84,11 +84,20 @@ impl Closed {
         let shape = |s: &System| format!("{} x {}", s.outputs, s.inputs);
         if (plant.outputs, plant.inputs) != (controller.inputs, controller.outputs) {
             let expected = format!("{} x {}", plant.inputs, plant.outputs);
-            return Err(ControlError::shape("outputs x inputs of the controller", shape(&controller), expected));
+            return Err(ControlError::shape(
+                "outputs x inputs of the controller",
+                shape(&controller),
+                expected,
+            ));
         }
         if plant.time != controller.time {
-            let words = |t: Time| t.sample_time_s().map_or("continuous".into(), |s| format!("sampled at {s} s"));
-            return Err(ControlError::shape("time of the controller", words(controller.time), words(plant.time)));
+            let words =
+                |t: Time| t.sample_time_s().map_or("continuous".into(), |s| format!("sampled at {s} s"));
+            return Err(ControlError::shape(
+                "time of the controller",
+                words(controller.time),
+                words(plant.time),
+            ));
         }
         let grid = frequencies(&plant, &controller);
         Ok(Self { plant, controller, grid })
@@ -211,7 +220,11 @@ fn turn(chi: &dyn Fn(f64) -> C, grid: &[f64]) -> Option<f64> {
 
 fn whole(count: f64) -> Unstable {
     let near = count.round();
-    if (count - near).abs() > 0.3 || near < -0.5 { Unstable::Boundary } else { Unstable::Poles(near.max(0.0) as usize) }
+    if (count - near).abs() > 0.3 || near < -0.5 {
+        Unstable::Boundary
+    } else {
+        Unstable::Poles(near.max(0.0) as usize)
+    }
 }
 
 /// Loop `k` with the others closed, seen where its part of `(I + L)^-1` is `s`: `1/s - 1`.

@@ -49,11 +49,7 @@ impl ControlError {
         Self::Number { what: what.into(), found, expected }
     }
 
-    pub(crate) fn shape(
-        what: impl Into<String>,
-        found: impl ToString,
-        expected: impl ToString,
-    ) -> Self {
+    pub(crate) fn shape(what: impl Into<String>, found: impl ToString, expected: impl ToString) -> Self {
         Self::Shape { what: what.into(), found: found.to_string(), expected: expected.to_string() }
     }
 }

@@ -39,7 +39,11 @@ fn response(plant: &System, w_rad_s: f64) -> Result<Matrix, ControlError> {
         Time::Continuous | Time::Sampled { .. } => plant.at(0.0),
     };
     match g.data.iter().find(|v| !v.norm().is_finite()) {
-        Some(v) => Err(ControlError::number("a gain at rest (the plant integrates: give a frequency)", v.norm(), "a finite number")),
+        Some(v) => Err(ControlError::number(
+            "a gain at rest (the plant integrates: give a frequency)",
+            v.norm(),
+            "a finite number",
+        )),
         None => Ok(g),
     }
 }

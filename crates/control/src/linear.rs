@@ -38,7 +38,11 @@ pub struct AtPoint {
 ///
 /// # Errors
 /// [`ControlError::Model`] naming the model and what is missing: channels, rest, sample times that differ.
-pub fn about(models: &[&StoredModel], moved: &[String], point: &BTreeMap<String, f64>) -> Result<AtPoint, ControlError> {
+pub fn about(
+    models: &[&StoredModel],
+    moved: &[String],
+    point: &BTreeMap<String, f64>,
+) -> Result<AtPoint, ControlError> {
     let sample_time_s = models.first().map_or(1.0, |m| m.sample_time_s);
     let (mut rest, mut channels, mut warnings) = (Vec::new(), Vec::new(), Vec::new());
     for model in models {
@@ -67,7 +71,11 @@ struct Single {
     channels: Vec<Transfer>,
 }
 
-fn single(model: &StoredModel, moved: &[String], point: &BTreeMap<String, f64>) -> Result<Single, ControlError> {
+fn single(
+    model: &StoredModel,
+    moved: &[String],
+    point: &BTreeMap<String, f64>,
+) -> Result<Single, ControlError> {
     let output = model.user_output().name;
     let refused = |text: String| ControlError::Model(format!("the model of `{output}`: {text}"));
     let driven = model.driven().map_err(|e| ControlError::Model(e.to_string()))?;
@@ -86,14 +94,21 @@ fn single(model: &StoredModel, moved: &[String], point: &BTreeMap<String, f64>) 
     // Started where its output was seen, so that of several rests the one is found that was measured.
     let seen = model.seen.iter().find(|s| s.name == output).map_or(0.0, |s| 0.5 * (s.minimum + s.maximum));
     let start = pointwise.from_user(seen);
-    let rest = at_rest(&driven, &u, if start.is_finite() { start } else { 0.0 })
-        .ok_or_else(|| refused(format!("it does not come to rest at the set point within {LONGEST} samples")))?;
+    let rest = at_rest(&driven, &u, if start.is_finite() { start } else { 0.0 }).ok_or_else(|| {
+        refused(format!("it does not come to rest at the set point within {LONGEST} samples"))
+    })?;
     let window = driven.model.window().to_vec();
     let (w, n) = (window.len(), window.len() + l);
     let (mut grad, mut hess) = (vec![0.0; n], vec![0.0; n * n]);
     let rows: Vec<f64> = u.iter().copied().cycle().take(u.len() * (lag + 1)).collect();
     let y = vec![rest; lag + 1];
-    driven.model.joint_derivatives(&driven.theta, &Run { u: &rows, y: &y, start: lag }, lag, &mut grad, &mut hess);
+    driven.model.joint_derivatives(
+        &driven.theta,
+        &Run { u: &rows, y: &y, start: lag },
+        lag,
+        &mut grad,
+        &mut hess,
+    );
     let (to_user, _) = pointwise.output_slopes(rest);
     let den: Vec<f64> = std::iter::once(1.0).chain(grad[w..].iter().map(|g| -g)).collect();
     let longest = window.iter().map(|(_, k)| *k).max().unwrap_or(0);

@@ -113,7 +113,8 @@ pub fn of_response(grid: &[f64], values: &[C], at: &dyn Fn(f64) -> C, nyquist_ra
     };
     let own: Vec<f64> = values.iter().map(|l| (ONE / (ONE + l)).norm()).collect();
     (found.sensitivity_rad_s, found.sensitivity) = peak(grid, &own, &sensitivity);
-    let own: Vec<f64> = values.iter().map(|l| if l.norm().is_finite() { (l / (ONE + l)).norm() } else { 1.0 }).collect();
+    let own: Vec<f64> =
+        values.iter().map(|l| if l.norm().is_finite() { (l / (ONE + l)).norm() } else { 1.0 }).collect();
     found.complementary = peak(grid, &own, &complementary).1;
     found
 }
@@ -176,7 +177,11 @@ pub(crate) fn peak(grid: &[f64], values: &[f64], at: &dyn Fn(f64) -> f64) -> (f6
                 best = (w, v);
             }
         }
-        if va > vb { upper = b } else { lower = a }
+        if va > vb {
+            upper = b
+        } else {
+            lower = a
+        }
         if upper - lower < 1e-10 * upper {
             break;
         }

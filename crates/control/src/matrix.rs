@@ -147,7 +147,8 @@ impl Matrix {
         let n = self.rows;
         let mut a = self.clone();
         for _ in 0..SWEEPS {
-            let off: f64 = (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a.at(i, j).norm_sqr()).sum();
+            let off: f64 =
+                (0..n).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| a.at(i, j).norm_sqr()).sum();
             let whole: f64 = a.data.iter().map(|v| v.norm_sqr()).sum();
             if !(off > 1e-30 * whole) {
                 break;
@@ -242,7 +243,11 @@ mod tests {
             let h = a.adjoint().times(&a);
             let found = h.hermitian_eigenvalues();
             let product: f64 = found.iter().product();
-            assert!((product - det.norm_sqr()).abs() < 1e-8 * (1.0 + product), "{product} {}", det.norm_sqr());
+            assert!(
+                (product - det.norm_sqr()).abs() < 1e-8 * (1.0 + product),
+                "{product} {}",
+                det.norm_sqr()
+            );
             // The norm is reached: power iteration with A^H A.
             let mut x = vec![ONE; n];
             for _ in 0..3000 {

@@ -106,9 +106,8 @@ fn centre(m: &Matrix, b: f64, x: &mut [f64]) -> bool {
     for _ in 0..30 {
         let Some((_, p)) = barrier(m, b, x) else { return false };
         // Rows of M as m_i, P m_j^H.
-        let pm: Vec<Vec<C>> = (0..n)
-            .map(|j| p.apply(&(0..n).map(|c| m.at(j, c).conj()).collect::<Vec<_>>()))
-            .collect();
+        let pm: Vec<Vec<C>> =
+            (0..n).map(|j| p.apply(&(0..n).map(|c| m.at(j, c).conj()).collect::<Vec<_>>())).collect();
         let mpm = |i: usize, j: usize| -> C { (0..n).map(|c| m.at(i, c) * pm[j][c]).sum() };
         let mut g = vec![0.0; free];
         let mut h = vec![0.0; free * free];

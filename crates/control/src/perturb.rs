@@ -57,9 +57,16 @@ pub fn factor(time: Time, skew: f64, delta: (f64, f64), w_rad_s: f64) -> Option<
 ///
 /// # Errors
 /// As of [`System::new`].
-pub fn perturbed(plant: &System, place: Place, found: &DiskMargin, share: f64) -> Result<Option<System>, ControlError> {
+pub fn perturbed(
+    plant: &System,
+    place: Place,
+    found: &DiskMargin,
+    share: f64,
+) -> Result<Option<System>, ControlError> {
     let of = |d: &(f64, f64)| factor(plant.time, found.skew, (d.0 * share, d.1 * share), found.lost_rad_s);
-    let Some(factors) = found.perturbation.iter().map(of).collect::<Option<Vec<Transfer>>>() else { return Ok(None) };
+    let Some(factors) = found.perturbation.iter().map(of).collect::<Option<Vec<Transfer>>>() else {
+        return Ok(None);
+    };
     Ok(Some(match place {
         Place::Inputs => plant.before(&factors)?,
         Place::Outputs => plant.after(&factors)?,
@@ -83,7 +90,8 @@ mod tests {
                 let delta = C::from_polar(0.8, -3.1 + 0.155 * f64::from(k));
                 for skew in [-1.0, 0.0, 1.0] {
                     let f = factor(time, skew, (delta.re, delta.im), 7.0).unwrap();
-                    let expected = (ONE + delta * ((1.0 - skew) / 2.0)) / (ONE - delta * ((1.0 + skew) / 2.0));
+                    let expected =
+                        (ONE + delta * ((1.0 - skew) / 2.0)) / (ONE - delta * ((1.0 + skew) / 2.0));
                     assert!((f.at(time, 7.0) - expected).norm() < 1e-9, "{time:?} {delta} {skew}");
                 }
             }

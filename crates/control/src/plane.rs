@@ -207,7 +207,11 @@ impl Channel {
             Time::Sampled { .. } => -sum / std::f64::consts::PI,
             Time::Continuous => self.states() as f64 / 2.0 - sum / std::f64::consts::PI,
         };
-        if (count - count.round()).abs() > 0.2 { self.unstable(kp, ki).is_stable() } else { count.round() == 0.0 }
+        if (count - count.round()).abs() > 0.2 {
+            self.unstable(kp, ki).is_stable()
+        } else {
+            count.round() == 0.0
+        }
     }
 
     /// Intervals of positive ki that are stable with `kp`: the boundary is looked for along all frequencies, and one ki of
@@ -221,7 +225,11 @@ impl Channel {
                 let (mut lower, mut upper) = (self.grid[k - 1], self.grid[k]);
                 for _ in 0..HALVINGS {
                     let middle = 0.5 * (lower + upper);
-                    if (self.boundary_at(middle).0 > kp) == (a > 0.0) { lower = middle } else { upper = middle }
+                    if (self.boundary_at(middle).0 > kp) == (a > 0.0) {
+                        lower = middle
+                    } else {
+                        upper = middle
+                    }
                 }
                 edges.push(self.boundary_at(0.5 * (lower + upper)).1);
             }
@@ -267,7 +275,8 @@ impl Channel {
     /// # Ok::<(), dynocal_control::error::ControlError>(())
     /// ```
     pub fn stable_set(&self, points: usize) -> StableSet {
-        let mut set = StableSet { kp: self.kp_ranges(), largest_ki: 0.0, kp_at_largest_ki: f64::NAN, area: 0.0 };
+        let mut set =
+            StableSet { kp: self.kp_ranges(), largest_ki: 0.0, kp_at_largest_ki: f64::NAN, area: 0.0 };
         let height = |kp: f64| self.stable_ki(kp).iter().map(|i| i.upper - i.lower).sum::<f64>();
         for range in &set.kp {
             let width = (range.upper - range.lower) / points as f64;
@@ -304,7 +313,11 @@ impl Channel {
                 let at_lower = own[k - 1].1 > 0.0;
                 for _ in 0..HALVINGS {
                     let middle = 0.5 * (lower + upper);
-                    if (self.boundary_at(middle).1 > 0.0) == at_lower { lower = middle } else { upper = middle }
+                    if (self.boundary_at(middle).1 > 0.0) == at_lower {
+                        lower = middle
+                    } else {
+                        upper = middle
+                    }
                 }
                 ends.push(self.boundary_at(0.5 * (lower + upper)).0);
             }

@@ -97,7 +97,9 @@ mod tests {
         // (x + 1)(x + 1000)(x^2 + 0.02 x + 1)
         let c = multiply(&multiply(&[1.0, 1.0], &[1000.0, 1.0]), &[1.0, 0.02, 1.0]);
         let found = roots(&c).unwrap();
-        for known in [Complex::new(-1.0, 0.0), Complex::new(-1000.0, 0.0), Complex::new(-0.01, 0.9999f64.sqrt())] {
+        for known in
+            [Complex::new(-1.0, 0.0), Complex::new(-1000.0, 0.0), Complex::new(-0.01, 0.9999f64.sqrt())]
+        {
             assert!(found.iter().any(|z| (z - known).norm() < 1e-4 * known.norm()), "{known} {found:?}");
         }
     }

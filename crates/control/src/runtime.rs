@@ -139,7 +139,11 @@ impl Pid {
             }
         }
         if !(gains.filter_s >= 0.0 && gains.filter_s.is_finite()) {
-            return Err(ControlError::number("filter_s", gains.filter_s, "0 or a positive number of seconds"));
+            return Err(ControlError::number(
+                "filter_s",
+                gains.filter_s,
+                "0 or a positive number of seconds",
+            ));
         }
         if !(dt_s > 0.0 && dt_s.is_finite()) {
             return Err(ControlError::number("the sample time", dt_s, "a positive number of seconds"));

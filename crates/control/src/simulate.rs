@@ -51,7 +51,11 @@ impl Difference {
     fn new(g: &Transfer, sample_time_s: f64, what: &str) -> Result<Self, ControlError> {
         let samples = g.delay_s / sample_time_s;
         if (samples - samples.round()).abs() > 1e-6 {
-            return Err(ControlError::number(format!("the delay of {what} in samples"), samples, "a whole number (a run has no others)"));
+            return Err(ControlError::number(
+                format!("the delay of {what} in samples"),
+                samples,
+                "a whole number (a run has no others)",
+            ));
         }
         let mut b = vec![0.0; samples.round() as usize];
         b.extend(g.num.iter().map(|v| v / g.den[0]));
@@ -93,12 +97,18 @@ fn sampled(
     let blocks = |s: &System, what: &str| -> Result<Vec<Difference>, ControlError> {
         s.channels.iter().map(|g| Difference::new(g, sample_time_s, what)).collect()
     };
-    let (mut plant, mut controller) = (blocks(&closed.plant, "the plant")?, blocks(&closed.controller, "the controller")?);
+    let (mut plant, mut controller) =
+        (blocks(&closed.plant, "the plant")?, blocks(&closed.controller, "the controller")?);
     if let Some(g) = plant.iter().find(|g| g.b[0] != 0.0) {
-        return Err(ControlError::number("the answer of the plant within its own sample", g.b[0], "0: a run needs a delay of one sample at least"));
+        return Err(ControlError::number(
+            "the answer of the plant within its own sample",
+            g.b[0],
+            "0: a run needs a delay of one sample at least",
+        ));
     }
     let (mut r, mut d, mut e, mut u) = (vec![0.0; p], vec![0.0; m], vec![0.0; p], vec![0.0; m]);
-    let mut out = LoopRun { step_s: sample_time_s, y: Vec::with_capacity(rows * p), u: Vec::with_capacity(rows * m) };
+    let mut out =
+        LoopRun { step_s: sample_time_s, y: Vec::with_capacity(rows * p), u: Vec::with_capacity(rows * m) };
     for t in 0..rows {
         demand(t, &mut r);
         load(t, &mut d);
@@ -147,7 +157,8 @@ impl States {
         let n = self.a.len();
         let (x, out) = (&x[self.at..self.at + n], &mut out[self.at..self.at + n]);
         for k in 0..n {
-            out[k] = if k + 1 < n { x[k + 1] } else { v - self.a.iter().zip(x).map(|(a, x)| a * x).sum::<f64>() };
+            out[k] =
+                if k + 1 < n { x[k + 1] } else { v - self.a.iter().zip(x).map(|(a, x)| a * x).sum::<f64>() };
         }
     }
 }
@@ -181,8 +192,10 @@ impl Moment<'_> {
         let at = at - first as f64;
         (0..4)
             .map(|i| {
-                let weight: f64 =
-                    (0..4).filter(|l| *l != i).map(|l| (at - f64::from(l)) / (f64::from(i) - f64::from(l))).product();
+                let weight: f64 = (0..4)
+                    .filter(|l| *l != i)
+                    .map(|l| (at - f64::from(l)) / (f64::from(i) - f64::from(l)))
+                    .product();
                 weight * value(first + i as isize)
             })
             .sum()
@@ -208,7 +221,8 @@ impl Moment<'_> {
         self.signals(x, at, r, &mut work.y, &mut work.u);
         for (k, g) in self.plant.iter().enumerate() {
             let j = k % self.m;
-            let v = if g.delay_s > 0.0 { self.input(j, at - g.delay_s / self.step_s) } else { work.u[j] + d[j] };
+            let v =
+                if g.delay_s > 0.0 { self.input(j, at - g.delay_s / self.step_s) } else { work.u[j] + d[j] };
             g.slope(x, v, out);
         }
         for (k, g) in self.controller.iter().enumerate() {
@@ -244,15 +258,29 @@ fn continuous(
     };
     let (plant, controller) = (blocks(&closed.plant), blocks(&closed.controller));
     if let Some(g) = plant.iter().find(|g| g.d != 0.0 && g.delay_s == 0.0) {
-        return Err(ControlError::number("the gain of the plant at infinite frequency", g.d, "0, or some delay: a run needs one of them"));
+        return Err(ControlError::number(
+            "the gain of the plant at infinite frequency",
+            g.d,
+            "0, or some delay: a run needs one of them",
+        ));
     }
     if let Some(g) = plant.iter().find(|g| g.delay_s > 0.0 && g.delay_s < 2.0 * step_s) {
-        return Err(ControlError::number("the step of the run", step_s, "at most half of the shortest delay").with(g.delay_s));
+        return Err(ControlError::number(
+            "the step of the run",
+            step_s,
+            "at most half of the shortest delay",
+        )
+        .with(g.delay_s));
     }
     if closed.controller.delay_s() > 0.0 {
-        return Err(ControlError::number("the delay of the controller", closed.controller.delay_s(), "0: give it to the plant"));
+        return Err(ControlError::number(
+            "the delay of the controller",
+            closed.controller.delay_s(),
+            "0: give it to the plant",
+        ));
     }
-    let mut moment = Moment { plant: &plant, controller: &controller, p, m, past: Vec::with_capacity(rows * m), step_s };
+    let mut moment =
+        Moment { plant: &plant, controller: &controller, p, m, past: Vec::with_capacity(rows * m), step_s };
     let mut x = vec![0.0; n];
     let (mut k, mut between) = (vec![vec![0.0; n]; 4], vec![0.0; n]);
     let (mut r, mut d, mut work) = (vec![0.0; p], vec![0.0; m], Work { y: vec![0.0; p], u: vec![0.0; m] });
@@ -297,7 +325,8 @@ impl ControlError {
 /// # Errors
 /// As of [`run`].
 pub fn growth(closed: &Closed, step_s: f64, rows: usize) -> Result<f64, ControlError> {
-    let found = run(closed, step_s, rows, &|t, r| r.fill(if t < 8 { 1.0 } else { 0.0 }), &|_, d| d.fill(0.0))?;
+    let found =
+        run(closed, step_s, rows, &|t, r| r.fill(if t < 8 { 1.0 } else { 0.0 }), &|_, d| d.fill(0.0))?;
     let p = closed.plant.outputs;
     // Past the range of numbers there is no doubt.
     if found.y.iter().any(|v| !v.is_finite()) {
@@ -311,7 +340,8 @@ pub fn growth(closed: &Closed, step_s: f64, rows: usize) -> Result<f64, ControlE
 /// Time in s after which column `k` of `rows x n` values stays within `share` of the step around `level`; none where it does not.
 pub fn settling_s(values: &[f64], n: usize, k: usize, step_s: f64, level: f64, share: f64) -> Option<f64> {
     let rows = values.len() / n;
-    let out = (0..rows).rev().find(|t| !((values[t * n + k] - level).abs() <= share * level.abs().max(1e-300)));
+    let out =
+        (0..rows).rev().find(|t| !((values[t * n + k] - level).abs() <= share * level.abs().max(1e-300)));
     match out {
         Some(t) if t + 1 == rows => None,
         Some(t) => Some((t + 1) as f64 * step_s),

@@ -76,7 +76,8 @@ impl Smith {
     pub fn loop_response(&self, plant: &Transfer, gain: f64, error_s: f64, w: f64) -> C {
         let turn = |s: f64| C::from_polar(1.0, -w * s);
         let filter = self.filter.at(self.time, w);
-        let k = self.controller.at(self.time, w) / (ONE + self.inner(w) * (ONE - filter * turn(self.delay_s)));
+        let k =
+            self.controller.at(self.time, w) / (ONE + self.inner(w) * (ONE - filter * turn(self.delay_s)));
         k * plant.at(self.time, w) * filter * gain * turn(self.delay_s + error_s)
     }
 
@@ -165,10 +166,18 @@ impl Smith {
     ///
     /// # Errors
     /// As of [`Smith::unstable`].
-    pub fn gain_interval(&self, plant: &Transfer, error_s: f64, within: Interval) -> Result<Interval, ControlError> {
+    pub fn gain_interval(
+        &self,
+        plant: &Transfer,
+        error_s: f64,
+        within: Interval,
+    ) -> Result<Interval, ControlError> {
         let stable = |gain: f64| self.unstable(plant, gain, error_s).map(Unstable::is_stable);
         if !stable(1.0)? {
-            return Err(ControlError::Unstable { what: "the predictor".into(), poles: "at the nominal gain".into() });
+            return Err(ControlError::Unstable {
+                what: "the predictor".into(),
+                poles: "at the nominal gain".into(),
+            });
         }
         let edge = |factor: f64, end: f64| -> Result<f64, ControlError> {
             let beyond = |g: f64| if factor > 1.0 { g >= end } else { g <= end };

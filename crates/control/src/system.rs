@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ControlError;
 use crate::matrix::{C, Matrix};
-use crate::poly::{degree, multiply, value};
+use crate::poly::{add, degree, multiply, value};
 
 /// What the polynomials are in: s, or `q = z^-1`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,7 +91,11 @@ impl Transfer {
         } else {
             value(&self.num, x) / value(&self.den, x)
         };
-        if self.delay_s == 0.0 { rational } else { rational * Complex::from_polar(1.0, -w_rad_s * self.delay_s) }
+        if self.delay_s == 0.0 {
+            rational
+        } else {
+            rational * Complex::from_polar(1.0, -w_rad_s * self.delay_s)
+        }
     }
 
     /// One after the other.
@@ -132,15 +136,27 @@ impl Transfer {
             return Err(ControlError::number(format!("a coefficient of {what}"), v, "a finite number"));
         }
         if self.num.is_empty() || self.den.iter().all(|v| *v == 0.0) {
-            return Err(ControlError::number(format!("the denominator of {what}"), 0.0, "a polynomial that is not zero"));
+            return Err(ControlError::number(
+                format!("the denominator of {what}"),
+                0.0,
+                "a polynomial that is not zero",
+            ));
         }
         if !(self.delay_s >= 0.0 && self.delay_s.is_finite()) {
-            return Err(ControlError::number(format!("the delay of {what}"), self.delay_s, "0 or a positive number of seconds"));
+            return Err(ControlError::number(
+                format!("the delay of {what}"),
+                self.delay_s,
+                "0 or a positive number of seconds",
+            ));
         }
         match time {
             Time::Continuous if degree(&self.num) > degree(&self.den) => {
                 let found = degree(&self.num) as f64;
-                Err(ControlError::number(format!("the degree of the numerator of {what}"), found, "at most that of the denominator"))
+                Err(ControlError::number(
+                    format!("the degree of the numerator of {what}"),
+                    found,
+                    "at most that of the denominator",
+                ))
             }
             Time::Sampled { .. } if self.den[0] == 0.0 => Err(ControlError::number(
                 format!("the first coefficient of the denominator of {what}"),
@@ -174,14 +190,23 @@ impl System {
     ///
     /// # Errors
     /// [`ControlError`]: shapes, coefficients that are no numbers, more zeros than poles.
-    pub fn new(time: Time, outputs: usize, inputs: usize, channels: Vec<Transfer>) -> Result<Self, ControlError> {
+    pub fn new(
+        time: Time,
+        outputs: usize,
+        inputs: usize,
+        channels: Vec<Transfer>,
+    ) -> Result<Self, ControlError> {
         if channels.len() != outputs * inputs || channels.is_empty() {
             let expected = format!("{outputs} x {inputs}");
             return Err(ControlError::shape("channels of a system", channels.len(), expected));
         }
         if let Time::Sampled { sample_time_s } = time {
             if !(sample_time_s > 0.0 && sample_time_s.is_finite()) {
-                return Err(ControlError::number("the sample time", sample_time_s, "a positive number of seconds"));
+                return Err(ControlError::number(
+                    "the sample time",
+                    sample_time_s,
+                    "a positive number of seconds",
+                ));
             }
         }
         for (k, g) in channels.iter().enumerate() {
@@ -227,11 +252,22 @@ impl System {
     ///
     /// # Errors
     /// [`ControlError::Shape`].
-    pub fn from_states(time: Time, a: &[f64], b: &[f64], c: &[f64], d: &[f64], n: usize) -> Result<Self, ControlError> {
+    pub fn from_states(
+        time: Time,
+        a: &[f64],
+        b: &[f64],
+        c: &[f64],
+        d: &[f64],
+        n: usize,
+    ) -> Result<Self, ControlError> {
         let (m, p) = (b.len() / n.max(1), c.len() / n.max(1));
         if n == 0 || a.len() != n * n || b.len() != n * m || c.len() != p * n || d.len() != p * m {
             let found = format!("{}, {}, {}, {} entries", a.len(), b.len(), c.len(), d.len());
-            return Err(ControlError::shape("matrices A, B, C, D", found, format!("n x n, n x m, p x n, p x m with n = {n}")));
+            return Err(ControlError::shape(
+                "matrices A, B, C, D",
+                found,
+                format!("n x n, n x m, p x n, p x m with n = {n}"),
+            ));
         }
         // adj(x I - A) = sum_k M_k x^(n-k), det = sum_k c_k x^k.
         let mut coefficients = vec![0.0; n + 1];
@@ -265,7 +301,8 @@ impl System {
             Time::Sampled { .. } => c.into_iter().rev().collect(),
         };
         let den = turned(coefficients.clone());
-        let channel = |k: usize| Transfer { num: turned(entry(k / m, k % m)), den: den.clone(), delay_s: 0.0 };
+        let channel =
+            |k: usize| Transfer { num: turned(entry(k / m, k % m)), den: den.clone(), delay_s: 0.0 };
         Ok(Self::new(time, p, m, (0..p * m).map(channel).collect())?.with_poles(&den))
     }
 
@@ -295,9 +332,42 @@ impl System {
         self.channels.iter().map(|g| g.delay_s).fold(0.0, f64::max)
     }
 
+    /// The same behind a matrix of gains, `G M` (row-major, inputs by inputs): a static decoupler, a map about its set point.
+    ///
+    /// # Errors
+    /// [`ControlError::Shape`]: another size, or channels of one output that differ in denominator or delay.
+    pub fn mixed(&self, gains: &[f64]) -> Result<Self, ControlError> {
+        let m = self.inputs;
+        if gains.len() != m * m {
+            return Err(ControlError::shape("gains before the plant", gains.len(), m * m));
+        }
+        let mut channels = Vec::with_capacity(self.channels.len());
+        for row in self.channels.chunks(m) {
+            let used: Vec<&Transfer> = row.iter().filter(|g| !g.is_zero()).collect();
+            let first = used.first().copied().unwrap_or(&row[0]);
+            if used.iter().any(|g| g.den != first.den || g.delay_s != first.delay_s) {
+                let expected = "one denominator and one delay for each output";
+                return Err(ControlError::shape(
+                    "channels before which gains are mixed",
+                    "several",
+                    expected,
+                ));
+            }
+            for j in 0..m {
+                let own = |i: usize| row[i].num.iter().map(|v| v * gains[i * m + j]).collect::<Vec<f64>>();
+                let num = (0..m).fold(vec![0.0], |sum, i| add(&sum, &own(i)));
+                channels.push(Transfer { num, den: first.den.clone(), delay_s: first.delay_s });
+            }
+        }
+        let mut out = Self::new(self.time, self.outputs, m, channels)?;
+        out.poles.clone_from(&self.poles);
+        Ok(out)
+    }
+
     /// The same with output `k` multiplied by a transfer function.
     pub fn after(&self, own: &[Transfer]) -> Result<Self, ControlError> {
-        let channels = self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k / self.inputs])).collect();
+        let channels =
+            self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k / self.inputs])).collect();
         let mut out = Self::new(self.time, self.outputs, self.inputs, channels)?;
         out.poles = self.poles.iter().cloned().chain(own.iter().map(|g| g.den.clone())).collect();
         Ok(out)
@@ -305,7 +375,8 @@ impl System {
 
     /// The same with input `k` multiplied by a transfer function.
     pub fn before(&self, own: &[Transfer]) -> Result<Self, ControlError> {
-        let channels = self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k % self.inputs])).collect();
+        let channels =
+            self.channels.iter().enumerate().map(|(k, g)| g.times(&own[k % self.inputs])).collect();
         let mut out = Self::new(self.time, self.outputs, self.inputs, channels)?;
         out.poles = self.poles.iter().cloned().chain(own.iter().map(|g| g.den.clone())).collect();
         Ok(out)

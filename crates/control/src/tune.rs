@@ -44,18 +44,35 @@ pub struct Asked {
     pub sensitivity: f64,
     /// Delay margin in s at least.
     pub delay_margin_s: f64,
+    /// Time in s within which a step of the demand settles to 2 %; none: as fast as the margins allow. A stable plant keeps any
+    /// margins under a controller that is slow enough: this is what can make them impossible.
+    pub settling_s: Option<f64>,
 }
 
 impl Default for Asked {
     fn default() -> Self {
-        Self { gain_margin: 2.0, phase_margin_deg: 45.0, sensitivity: 1.7, delay_margin_s: 0.0 }
+        Self {
+            gain_margin: 2.0,
+            phase_margin_deg: 45.0,
+            sensitivity: 1.7,
+            delay_margin_s: 0.0,
+            settling_s: None,
+        }
     }
 }
 
 impl Asked {
+    /// Whether gains keep everything on every plant.
+    pub fn kept_by(&self, tuned: &Tuned) -> bool {
+        let in_time = self.settling_s.is_none_or(|most| tuned.settling_s.is_some_and(|s| s <= most));
+        tuned.violation.is_some_and(|v| v <= 1.0) && in_time
+    }
+
     /// How far margins are from what is asked: the largest ratio of asked to had; at most 1 keeps all.
     pub fn violation(&self, m: &Margins) -> f64 {
-        let ratio = |asked: f64, had: Option<f64>| had.map_or(0.0, |h| if asked > 0.0 { asked / h.max(1e-300) } else { 0.0 });
+        let ratio = |asked: f64, had: Option<f64>| {
+            had.map_or(0.0, |h| if asked > 0.0 { asked / h.max(1e-300) } else { 0.0 })
+        };
         ratio(self.gain_margin, m.gain_up)
             .max(ratio(self.phase_margin_deg, m.phase_deg))
             .max(ratio(self.delay_margin_s, m.delay_s))
@@ -95,7 +112,8 @@ const SETTLED: f64 = 0.02;
 /// [`ControlError::Number`]: no steady gain, or a response that does not settle.
 pub fn lag(channel: &Channel) -> Result<Lag, ControlError> {
     let steady = channel.transfer.steady_gain(channel.time);
-    let refused = || ControlError::number("the step response of the channel at its end", steady, "that it settles");
+    let refused =
+        || ControlError::number("the step response of the channel at its end", steady, "that it settles");
     let (step_s, rows) = horizon(channel);
     let open = open_step(channel, step_s, rows)?;
     let end = *open.last().ok_or_else(refused)?;
@@ -116,7 +134,8 @@ pub fn lag(channel: &Channel) -> Result<Lag, ControlError> {
 /// Step and rows of a run that shows a channel from its delay to its slowest pole.
 fn horizon(channel: &Channel) -> (f64, usize) {
     let poles = crate::poly::roots(&channel.transfer.den).unwrap_or_default();
-    let slowest = |rates: &mut dyn Iterator<Item = f64>| rates.filter(|r| *r > 0.0).fold(f64::INFINITY, f64::min);
+    let slowest =
+        |rates: &mut dyn Iterator<Item = f64>| rates.filter(|r| *r > 0.0).fold(f64::INFINITY, f64::min);
     match channel.time {
         Time::Continuous => {
             let slow = slowest(&mut poles.iter().map(|p| -p.re));
@@ -165,9 +184,16 @@ pub struct StepRun {
     pub rows: usize,
 }
 
-/// The run in which all plants can settle.
+/// The run in which all plants can settle: twenty times the lag with its dead time, for channels without a lag ten times what
+/// shows them.
 pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
-    let whole = lags.iter().map(|l| 20.0 * (l.lag_s + l.dead_s)).fold(0.0, f64::max);
+    let shown = |c: &Channel| {
+        let (step_s, rows) = horizon(c);
+        10.0 * step_s * rows as f64
+    };
+    let other =
+        if lags.len() < channels.len() { channels.iter().map(shown).fold(0.0, f64::max) } else { 0.0 };
+    let whole = lags.iter().map(|l| 20.0 * (l.lag_s + l.dead_s)).fold(other, f64::max);
     let finest = channels.iter().map(|c| horizon(c).0).fold(f64::INFINITY, f64::min);
     StepRun { step_s: finest, rows: ((whole / finest) as usize).clamp(60, 50_000) }
 }
@@ -186,7 +212,10 @@ pub fn step_response(channel: &Channel, gains: &PidGains, r: StepRun) -> Result<
 /// Margins and settling of gains on all plants.
 pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked, r: StepRun) -> Tuned {
     let margins: Vec<Option<Margins>> = channels.par_iter().map(|c| c.margins(gains.kp, gains.ki)).collect();
-    let violation = margins.iter().map(|m| m.as_ref().map(|m| asked.violation(m))).try_fold(0.0, |w: f64, v| Some(w.max(v?)));
+    let violation = margins
+        .iter()
+        .map(|m| m.as_ref().map(|m| asked.violation(m)))
+        .try_fold(0.0, |w: f64, v| Some(w.max(v?)));
     let mut tuned = Tuned {
         rule: rule.into(),
         kp: gains.kp,
@@ -239,7 +268,8 @@ pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice,
     let inner = |i: &Interval, k: usize| i.lower + (i.upper - i.lower) * (k as f64 + 0.5) / RASTER as f64;
     let kp_values: Vec<f64> = (0..RASTER).map(|k| inner(&kp, k)).collect();
     // Small gains take most of the area of what keeps margins: squares of even steps.
-    let ki_values: Vec<f64> = (0..RASTER).map(|k| ki.upper * ((k as f64 + 0.5) / RASTER as f64).powi(2)).collect();
+    let ki_values: Vec<f64> =
+        (0..RASTER).map(|k| ki.upper * ((k as f64 + 0.5) / RASTER as f64).powi(2)).collect();
     let raster: Vec<Option<f64>> = (0..RASTER * RASTER)
         .into_par_iter()
         .map(|k| worst(channels, asked, kp_values[k % RASTER], ki_values[k / RASTER]))
@@ -249,7 +279,9 @@ pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice,
         if violation > 1.0 {
             return Some((false, violation));
         }
-        let settled = |c: &Channel| settling_s(&step_response(c, &PidGains::pi(kp, ki), r).ok()?, 1, 0, r.step_s, 1.0, SETTLED);
+        let settled = |c: &Channel| {
+            settling_s(&step_response(c, &PidGains::pi(kp, ki), r).ok()?, 1, 0, r.step_s, 1.0, SETTLED)
+        };
         let times = channels.iter().map(|c| settled(c).unwrap_or(r.step_s * r.rows as f64 * 2.0));
         Some((true, times.fold(0.0, f64::max)))
     };
@@ -264,12 +296,24 @@ pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice,
             best = Some((s, kp_values[k % RASTER], ki_values[k / RASTER]));
         }
     }
-    let none = || ControlError::Unstable { what: "every PI that was tried on all set points".into(), poles: "the raster of the plane".into() };
+    let none = || ControlError::Unstable {
+        what: "every PI that was tried on all set points".into(),
+        poles: "the raster of the plane".into(),
+    };
     let mut best = best.ok_or_else(none)?;
     let (mut dp, mut di) = ((kp.upper - kp.lower) / RASTER as f64, best.2 * 0.3);
     for _ in 0..ROUNDS {
         let mut around = Vec::new();
-        for (a, b) in [(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)] {
+        for (a, b) in [
+            (-1.0, 0.0),
+            (1.0, 0.0),
+            (0.0, -1.0),
+            (0.0, 1.0),
+            (-1.0, -1.0),
+            (1.0, 1.0),
+            (-1.0, 1.0),
+            (1.0, -1.0),
+        ] {
             around.push((best.1 + a * dp, (best.2 + b * di).max(1e-9 * ki.upper)));
         }
         let found: Vec<Option<(bool, f64)>> = around.par_iter().map(|(p, i)| score(*p, *i)).collect();
@@ -284,7 +328,7 @@ pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice,
         }
     }
     let tuned = judged("search", &PidGains::pi(best.1, best.2), channels, asked, r);
-    let kept = tuned.violation.is_some_and(|v| v <= 1.0);
+    let kept = asked.kept_by(&tuned);
     Ok(Choice { tuned, kept, kp, ki, raster, kp_values, ki_values })
 }
 
@@ -303,7 +347,10 @@ fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
     let mut ki = f64::INFINITY;
     for c in channels {
         let ranges = c.kp_ranges();
-        let none = || ControlError::Unstable { what: "the channel under every PI".into(), poles: "no range of kp is stable".into() };
+        let none = || ControlError::Unstable {
+            what: "the channel under every PI".into(),
+            poles: "no range of kp is stable".into(),
+        };
         let (first, last) = (ranges.first().ok_or_else(none)?, ranges.last().ok_or_else(none)?);
         kp = Interval { lower: kp.lower.max(first.lower), upper: kp.upper.min(last.upper) };
         let own = (0..24).map(|k| first.lower + (last.upper - first.lower) * (f64::from(k) + 0.5) / 24.0);
@@ -313,7 +360,10 @@ fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
     // Below zero the proportional part only takes from the integral one.
     kp.lower = kp.lower.max(0.0);
     if !(kp.upper > kp.lower && ki > 0.0) {
-        return Err(ControlError::Unstable { what: "every PI on all set points together".into(), poles: "their stable sets do not meet".into() });
+        return Err(ControlError::Unstable {
+            what: "every PI on all set points together".into(),
+            poles: "their stable sets do not meet".into(),
+        });
     }
     Ok((kp, Interval { lower: 0.0, upper: ki }))
 }

@@ -66,7 +66,12 @@ fn disks(l: &Closed, what: &str) {
         let d = disk(l, place, 0.0).unwrap();
         for (share, stable) in [(0.98, true), (1.02, false)] {
             let Some(plant) = perturbed(&l.plant, place, &d, share).unwrap() else { continue };
-            expect(&with_plant(l, plant), d.lost_rad_s, stable, &format!("{what}: {place:?} {share} of {d:?}"));
+            expect(
+                &with_plant(l, plant),
+                d.lost_rad_s,
+                stable,
+                &format!("{what}: {place:?} {share} of {d:?}"),
+            );
         }
     }
 }
@@ -83,7 +88,8 @@ fn published_loops_do_as_their_margins_say() {
 #[test]
 fn sampled_loops_do_as_their_margins_say() {
     let time = Time::Sampled { sample_time_s: 0.1 };
-    for (a, b, delay, kp, ki) in [(0.8, 0.2, 3, 1.0, 1.2), (0.95, 0.1, 1, 4.0, 4.0), (0.5, 0.4, 8, 0.3, 0.8)] {
+    for (a, b, delay, kp, ki) in [(0.8, 0.2, 3, 1.0, 1.2), (0.95, 0.1, 1, 4.0, 4.0), (0.5, 0.4, 8, 0.3, 0.8)]
+    {
         let mut num = vec![0.0; delay];
         num.push(b);
         let g = Transfer::sampled(&num, &[1.0, -a]);
@@ -124,8 +130,12 @@ fn the_argument_and_the_run_agree() {
     let mut rng = Rng64::new(5);
     let (mut stable, mut unstable) = (0, 0);
     for _ in 0..60 {
-        let (t, delay, kp, ki) =
-            (rng.uniform_in(0.2, 3.0), rng.uniform_in(0.2, 1.5), rng.uniform_in(0.0, 4.0), rng.uniform_in(0.05, 3.0));
+        let (t, delay, kp, ki) = (
+            rng.uniform_in(0.2, 3.0),
+            rng.uniform_in(0.2, 1.5),
+            rng.uniform_in(0.0, 4.0),
+            rng.uniform_in(0.05, 3.0),
+        );
         let g = Transfer::continuous(&[1.0], &[t, 1.0], delay);
         let l = unity(g.times(&PidGains::pi(kp, ki).transfer(CONTINUOUS)), CONTINUOUS);
         let growth = runs(&l, 1.0);
