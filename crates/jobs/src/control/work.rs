@@ -247,7 +247,9 @@ fn scenarios(
         order.truncate(ADDED);
         seen.extend(order.iter().map(|k| left[*k].clone()));
         order.sort_unstable();
-        order.iter().rev().for_each(|k| drop(left.remove(*k)));
+        for k in order.iter().rev() {
+            left.remove(*k);
+        }
     }
 }
 
