@@ -38,6 +38,7 @@
 //! | [`design`] | information, criteria, limits, search for the next record |
 //! | [`plant`] | the virtual engine and its test bed |
 //! | [`files`] | measurement files (CSV, Parquet, MDF, MAT), specs, run folders |
+//! | [`control`] | feedback: margins with exact delay, the plane of PI gains, Smith predictor, the PID that runs |
 //! | [`calib`] | optimisation of records, maps, loops of design and measurement |
 //! | [`export`] | maps, models and controllers in the formats of the neighbours: C, DCM, CDFX, FMU, ONNX, .. |
 //! | [`report`] | pages from finished results |
@@ -77,6 +78,7 @@
 //! calibrate on the virtual engine.
 
 pub use dynocal_calib as calib;
+pub use dynocal_control as control;
 pub use dynocal_design as design;
 pub use dynocal_export as export;
 pub use dynocal_files as files;

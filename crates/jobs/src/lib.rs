@@ -6,6 +6,7 @@
 //! mathematics; jobs see a plant only as `&mut dyn Plant`.
 
 pub mod calibrate;
+pub mod control;
 pub mod convert;
 pub mod design;
 pub mod draft;

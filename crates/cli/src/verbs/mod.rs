@@ -35,6 +35,7 @@ verbs![
     identify,   //
     simulate,   //
     optimise,   //
+    control,    //
     design,     //
     sequential, //
     signal,     //

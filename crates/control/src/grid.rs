@@ -1,0 +1,113 @@
+//! Frequencies at which a loop is looked at.
+//!
+//! A logarithmic grid from well below to well above every pole, zero and delay, dense about lightly damped roots, and as fine
+//! as the delay asks while there is loop gain left. What lies between two frequencies is refined where a quantity is looked
+//! for; a peak narrower than the grid can be missed, and results say on how many frequencies they stand.
+
+use std::f64::consts::PI;
+
+use dynocal_numerics::fft::Complex;
+
+use crate::poly;
+use crate::system::{System, Time};
+
+/// Frequencies in a decade.
+const PER_DECADE: f64 = 40.0;
+/// Decades beyond the least and greatest root.
+const BEYOND: f64 = 2.0;
+/// Loop gain below which delay turns nothing that counts.
+const SMALL: f64 = 0.02;
+/// Rate in a sample below which a root is one at rest: repeated roots are found with that uncertainty.
+const SLOWEST: f64 = 1e-6;
+/// Most frequencies that delay adds.
+const MOST: usize = 20_000;
+
+/// Grid in rad/s for a plant under a controller, ascending.
+pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
+    let time = plant.time;
+    let mut roots: Vec<Complex<f64>> = Vec::new();
+    for c in plant.poles.iter().chain(&controller.poles).chain(plant.channels.iter().map(|g| &g.num)) {
+        roots.extend(poly::roots(c).unwrap_or_default());
+    }
+    for c in controller.channels.iter().map(|g| &g.num) {
+        roots.extend(poly::roots(c).unwrap_or_default());
+    }
+    let delay_s = plant.delay_s() + controller.delay_s();
+    let mut out = match time {
+        Time::Continuous => continuous(&roots, delay_s),
+        Time::Sampled { sample_time_s } => sampled(&roots, sample_time_s),
+    };
+    if delay_s > 0.0 || time.nyquist_rad_s().is_some() {
+        let turns = delay_s + lags(plant) + lags(controller);
+        delayed(&mut out, turns, |w| plant.at(w).times(&controller.at(w)).norm());
+    }
+    out.sort_by(f64::total_cmp);
+    out.dedup_by(|a, b| (*a - *b).abs() <= 1e-13 * b.abs());
+    // A pole of the open loop on the axis has no response there.
+    out.retain(|w| plant.at(*w).data.iter().chain(&controller.at(*w).data).all(|v| v.norm().is_finite()));
+    out
+}
+
+/// Time in s that numerators of a sampled system span: their leading zeros turn the response like a delay.
+fn lags(system: &System) -> f64 {
+    let Time::Sampled { sample_time_s } = system.time else { return 0.0 };
+    let longest = system.channels.iter().map(|g| poly::degree(&g.num)).max().unwrap_or(0);
+    longest as f64 * sample_time_s
+}
+
+fn logarithmic(lower: f64, upper: f64) -> Vec<f64> {
+    let n = ((upper / lower).log10() * PER_DECADE).ceil().max(1.0) as usize;
+    (0..=n).map(|k| lower * (upper / lower).powf(k as f64 / n as f64)).collect()
+}
+
+fn continuous(roots: &[Complex<f64>], delay_s: f64) -> Vec<f64> {
+    let sizes = roots.iter().map(|r| r.norm()).filter(|v| *v > 1e-12 && v.is_finite());
+    let features: Vec<f64> = sizes.chain((delay_s > 0.0).then(|| 1.0 / delay_s)).collect();
+    let greatest = features.iter().copied().fold(0.0, f64::max);
+    let least = features.iter().copied().filter(|v| *v > 1e-12 * greatest).fold(f64::INFINITY, f64::min);
+    let (least, greatest) = if greatest > 0.0 { (least, greatest) } else { (1.0, 1.0) };
+    let span = 10f64.powf(BEYOND);
+    let mut out = logarithmic(least / span, greatest * span);
+    for r in roots.iter().filter(|r| r.im > 0.0 && r.re.abs() < 0.3 * r.norm()) {
+        about(&mut out, r.im, r.re.abs().max(1e-6 * r.im));
+    }
+    out
+}
+
+fn sampled(roots: &[Complex<f64>], sample_time_s: f64) -> Vec<f64> {
+    let end = PI / sample_time_s;
+    // Roots are those of polynomials in z^-1: the distance from the circle is a rate.
+    let rates = roots.iter().filter(|r| r.norm() > 1e-6).map(|r| r.norm().ln().abs().max(r.arg().abs()));
+    let least = rates.filter(|v| *v > SLOWEST).fold(PI, f64::min) / sample_time_s;
+    let mut out = logarithmic(least / 10f64.powf(BEYOND), end);
+    out.extend((1..=64).map(|k| end * f64::from(k) / 64.0));
+    for r in roots.iter().filter(|r| r.arg().abs() > SLOWEST && r.norm().ln().abs() < 0.3) {
+        let (centre, width) = (r.arg().abs() / sample_time_s, r.norm().ln().abs() / sample_time_s);
+        about(&mut out, centre, width.max(1e-6 * centre));
+    }
+    out.retain(|w| *w <= end);
+    out
+}
+
+/// Frequencies about a resonance.
+fn about(out: &mut Vec<f64>, centre: f64, width: f64) {
+    for k in -24..=24 {
+        let w = centre + width * f64::from(k) * 1.2f64.powi(i32::abs(k)) / 4.0;
+        if w > 0.0 {
+            out.push(w);
+        }
+    }
+}
+
+/// Adds frequencies so that `delay_s` turns by less than an eighth of a half turn from one to the next, as long as there is
+/// loop gain.
+fn delayed(out: &mut Vec<f64>, delay_s: f64, gain: impl Fn(f64) -> f64) {
+    if !(delay_s > 0.0) {
+        return;
+    }
+    out.sort_by(f64::total_cmp);
+    let Some(last) = out.iter().copied().rev().find(|w| gain(*w) > SMALL) else { return };
+    let step = PI / (8.0 * delay_s);
+    let count = ((last / step) as usize).min(MOST);
+    out.extend((1..=count).map(|k| step * k as f64));
+}

@@ -1,0 +1,369 @@
+//! PI gains: by rules, and by a search of the plane for the fastest settling that keeps margins.
+//!
+//! ```text
+//! step response: 28 % and 63 % of the end -> gain k, T = 1.5 (t63 - t28), L = t63 - T
+//! SIMC    kp = T / (k (tau + L)),  ki = kp / min(T, 4 (tau + L)),  tau = L
+//! lambda  kp = T / (k (tau + L)),  ki = kp / T
+//! search  least worst settling time over all plants, subject to the margins on all plants
+//! ```
+//!
+//! S. Skogestad, J. Process Control 13 (2003) 291-309; E. B. Dahlin, Instruments and Control Systems 41 (1968) 77-83.
+
+use dynocal_numerics::interval::Interval;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::closed::Closed;
+use crate::error::ControlError;
+use crate::margin::Margins;
+use crate::plane::Channel;
+use crate::runtime::PidGains;
+use crate::simulate::{run, settling_s};
+use crate::system::{System, Time};
+
+/// A lag with dead time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lag {
+    /// Gain at rest.
+    pub gain: f64,
+    /// Time constant in s.
+    pub lag_s: f64,
+    /// Dead time in s.
+    pub dead_s: f64,
+}
+
+/// Margins that are asked for on every plant.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Asked {
+    /// Factor by which the gain may grow at least.
+    pub gain_margin: f64,
+    /// Phase margin in deg at least.
+    pub phase_margin_deg: f64,
+    /// Ms at most.
+    pub sensitivity: f64,
+    /// Delay margin in s at least.
+    pub delay_margin_s: f64,
+    /// Time in s within which a step of the demand settles to 2 %; none: as fast as the margins allow. A stable plant keeps any
+    /// margins under a controller that is slow enough: this is what can make them impossible.
+    pub settling_s: Option<f64>,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        Self {
+            gain_margin: 2.0,
+            phase_margin_deg: 45.0,
+            sensitivity: 1.7,
+            delay_margin_s: 0.0,
+            settling_s: None,
+        }
+    }
+}
+
+impl Asked {
+    /// Whether gains keep everything on every plant.
+    pub fn kept_by(&self, tuned: &Tuned) -> bool {
+        let in_time = self.settling_s.is_none_or(|most| tuned.settling_s.is_some_and(|s| s <= most));
+        tuned.violation.is_some_and(|v| v <= 1.0) && in_time
+    }
+
+    /// How far margins are from what is asked: the largest ratio of asked to had; at most 1 keeps all.
+    pub fn violation(&self, m: &Margins) -> f64 {
+        let ratio = |asked: f64, had: Option<f64>| {
+            had.map_or(0.0, |h| if asked > 0.0 { asked / h.max(1e-300) } else { 0.0 })
+        };
+        ratio(self.gain_margin, m.gain_up)
+            .max(ratio(self.phase_margin_deg, m.phase_deg))
+            .max(ratio(self.delay_margin_s, m.delay_s))
+            .max(m.sensitivity / self.sensitivity)
+    }
+}
+
+/// Gains that a rule or a search gave, with what they keep on each plant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tuned {
+    /// Where they come from.
+    pub rule: String,
+    /// Proportional gain.
+    pub kp: f64,
+    /// Integral gain in 1/s.
+    pub ki: f64,
+    /// Margins on each plant; none where the loop is not stable.
+    pub margins: Vec<Option<Margins>>,
+    /// Worst settling time in s of a step of the demand, within 2 %; none where a plant does not settle within the run.
+    pub settling_s: Option<f64>,
+    /// Largest overshoot of such a step, as a share of it.
+    pub overshoot: f64,
+    /// Largest ratio of asked to had: at most 1 keeps everything; none where a plant is not stable.
+    pub violation: Option<f64>,
+}
+
+/// Steps in each direction of the plane.
+const RASTER: usize = 28;
+/// Rounds of refinement about the best point.
+const ROUNDS: usize = 8;
+/// Share of the step within which it counts as settled.
+const SETTLED: f64 = 0.02;
+
+/// Lag with dead time of a stable channel, from its step response.
+///
+/// # Errors
+/// [`ControlError::Number`]: no steady gain, or a response that does not settle.
+pub fn lag(channel: &Channel) -> Result<Lag, ControlError> {
+    let steady = channel.transfer.steady_gain(channel.time);
+    let refused =
+        || ControlError::number("the step response of the channel at its end", steady, "that it settles");
+    let (step_s, rows) = horizon(channel);
+    let open = open_step(channel, step_s, rows)?;
+    let end = *open.last().ok_or_else(refused)?;
+    if !(steady.is_finite() && (end / steady - 1.0).abs() < 0.05) {
+        return Err(refused());
+    }
+    let reaches = |share: f64| {
+        let t = open.iter().position(|y| y / steady >= share).unwrap_or(rows - 1);
+        let (before, after) = (open[t.saturating_sub(1)] / steady, open[t] / steady);
+        let within = if after > before { (share - before) / (after - before) } else { 1.0 };
+        (t as f64 - 1.0 + within).max(0.0) * step_s
+    };
+    let (t28, t63) = (reaches(0.283), reaches(0.632));
+    let lag_s = 1.5 * (t63 - t28);
+    Ok(Lag { gain: steady, lag_s: lag_s.max(0.1 * step_s), dead_s: (t63 - lag_s).max(0.5 * step_s) })
+}
+
+/// Step and rows of a run that shows a channel from its delay to its slowest pole.
+fn horizon(channel: &Channel) -> (f64, usize) {
+    let poles = crate::poly::roots(&channel.transfer.den).unwrap_or_default();
+    let slowest =
+        |rates: &mut dyn Iterator<Item = f64>| rates.filter(|r| *r > 0.0).fold(f64::INFINITY, f64::min);
+    match channel.time {
+        Time::Continuous => {
+            let slow = slowest(&mut poles.iter().map(|p| -p.re));
+            let fast = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
+            let delay = channel.transfer.delay_s;
+            let whole = 8.0 / slow.min(1e9) + 4.0 * delay;
+            let fine = (0.1 / fast.max(1e-9)).min(if delay > 0.0 { delay / 4.0 } else { f64::INFINITY });
+            (fine.max(whole / 200_000.0), ((whole / fine) as usize).clamp(400, 200_000))
+        }
+        Time::Sampled { sample_time_s } => {
+            let slow = slowest(&mut poles.iter().map(|p| p.norm().ln()));
+            let n = if slow.is_finite() { 8.0 / slow } else { 0.0 };
+            let lags = channel.transfer.num.len() as f64 + channel.transfer.delay_s / sample_time_s;
+            (sample_time_s, ((n + 4.0 * lags) as usize).clamp(50, 200_000))
+        }
+    }
+}
+
+/// Answer of the channel to a unit step: the plant of a loop whose controller is nothing, under a load.
+fn open_step(channel: &Channel, step_s: f64, rows: usize) -> Result<Vec<f64>, ControlError> {
+    let plant = System::single(channel.time, channel.transfer.clone())?;
+    let nothing = System::single(channel.time, crate::system::Transfer::gain(0.0))?;
+    let closed = Closed { plant, controller: nothing, grid: Vec::new() };
+    Ok(run(&closed, step_s, rows, &|_, r| r.fill(0.0), &|_, d| d.fill(1.0))?.y)
+}
+
+/// SIMC gains for a closed-loop time of `tau_s` (the dead time where none is given).
+pub fn simc(lag: &Lag, tau_s: Option<f64>) -> PidGains {
+    let tau_s = tau_s.unwrap_or(lag.dead_s);
+    let kp = lag.lag_s / (lag.gain * (tau_s + lag.dead_s));
+    PidGains::pi(kp, kp / lag.lag_s.min(4.0 * (tau_s + lag.dead_s)))
+}
+
+/// Lambda tuning for a closed-loop time of `tau_s` (the time constant where none is given).
+pub fn lambda(lag: &Lag, tau_s: Option<f64>) -> PidGains {
+    let kp = lag.lag_s / (lag.gain * (tau_s.unwrap_or(lag.lag_s) + lag.dead_s));
+    PidGains::pi(kp, kp / lag.lag_s)
+}
+
+/// Run of a step of the demand that shows how it settles: step and rows for plants like `lag`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepRun {
+    /// Step in s.
+    pub step_s: f64,
+    /// Rows.
+    pub rows: usize,
+}
+
+/// The run in which all plants can settle: twenty times the lag with its dead time, for channels without a lag ten times what
+/// shows them.
+pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
+    let shown = |c: &Channel| {
+        let (step_s, rows) = horizon(c);
+        10.0 * step_s * rows as f64
+    };
+    let other =
+        if lags.len() < channels.len() { channels.iter().map(shown).fold(0.0, f64::max) } else { 0.0 };
+    let whole = lags.iter().map(|l| 20.0 * (l.lag_s + l.dead_s)).fold(other, f64::max);
+    let finest = channels.iter().map(|c| horizon(c).0).fold(f64::INFINITY, f64::min);
+    StepRun { step_s: finest, rows: ((whole / finest) as usize).clamp(60, 50_000) }
+}
+
+/// Answer of one channel to a unit step of the demand.
+///
+/// # Errors
+/// As of [`run`].
+pub fn step_response(channel: &Channel, gains: &PidGains, r: StepRun) -> Result<Vec<f64>, ControlError> {
+    let plant = System::single(channel.time, channel.transfer.clone())?;
+    let controller = System::single(channel.time, gains.transfer(channel.time))?;
+    let closed = Closed { plant, controller, grid: Vec::new() };
+    Ok(run(&closed, r.step_s, r.rows, &|_, r| r.fill(1.0), &|_, d| d.fill(0.0))?.y)
+}
+
+/// Margins and settling of gains on all plants.
+pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked, r: StepRun) -> Tuned {
+    let margins: Vec<Option<Margins>> = channels.par_iter().map(|c| c.margins(gains.kp, gains.ki)).collect();
+    let violation = margins
+        .iter()
+        .map(|m| m.as_ref().map(|m| asked.violation(m)))
+        .try_fold(0.0, |w: f64, v| Some(w.max(v?)));
+    let mut tuned = Tuned {
+        rule: rule.into(),
+        kp: gains.kp,
+        ki: gains.ki,
+        margins,
+        settling_s: Some(0.0),
+        overshoot: 0.0,
+        violation,
+    };
+    for c in channels {
+        let y = if violation.is_some() { step_response(c, gains, r).ok() } else { None };
+        let settled = y.as_ref().and_then(|y| settling_s(y, 1, 0, r.step_s, 1.0, SETTLED));
+        tuned.settling_s = tuned.settling_s.zip(settled).map(|(a, b)| a.max(b));
+        let top = y.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+        tuned.overshoot = tuned.overshoot.max(if top.is_finite() { top - 1.0 } else { f64::INFINITY });
+    }
+    tuned
+}
+
+/// What the search of the plane found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// The gains: the fastest that keep everything, else those nearest to what is asked.
+    pub tuned: Tuned,
+    /// Whether they keep everything on every plant.
+    pub kept: bool,
+    /// Range of kp and of ki that was searched.
+    pub kp: Interval,
+    /// Range of ki.
+    pub ki: Interval,
+    /// The raster: for each ki (rows) and kp (columns) the worst ratio of asked to had over all plants; none: not stable on
+    /// all.
+    pub raster: Vec<Option<f64>>,
+    /// Values of kp of its columns.
+    pub kp_values: Vec<f64>,
+    /// Values of ki of its rows.
+    pub ki_values: Vec<f64>,
+}
+
+/// Searches the plane for the fastest settling that keeps `asked` on all channels.
+///
+/// The area is that of the smallest stable sets: gains that are stable on all plants lie within. Points of a raster are judged
+/// by their margins; of those that keep them the one with the least worst settling time is refined by halving steps. Where none
+/// keeps them, the same with the least ratio of asked to had.
+///
+/// # Errors
+/// [`ControlError::Unstable`] where no PI makes all plants stable.
+pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice, ControlError> {
+    let (kp, ki) = bounds(channels)?;
+    let inner = |i: &Interval, k: usize| i.lower + (i.upper - i.lower) * (k as f64 + 0.5) / RASTER as f64;
+    let kp_values: Vec<f64> = (0..RASTER).map(|k| inner(&kp, k)).collect();
+    // Small gains take most of the area of what keeps margins: squares of even steps.
+    let ki_values: Vec<f64> =
+        (0..RASTER).map(|k| ki.upper * ((k as f64 + 0.5) / RASTER as f64).powi(2)).collect();
+    let raster: Vec<Option<f64>> = (0..RASTER * RASTER)
+        .into_par_iter()
+        .map(|k| worst(channels, asked, kp_values[k % RASTER], ki_values[k / RASTER]))
+        .collect();
+    let score = |kp: f64, ki: f64| -> Option<(bool, f64)> {
+        let violation = worst(channels, asked, kp, ki)?;
+        if violation > 1.0 {
+            return Some((false, violation));
+        }
+        let settled = |c: &Channel| {
+            settling_s(&step_response(c, &PidGains::pi(kp, ki), r).ok()?, 1, 0, r.step_s, 1.0, SETTLED)
+        };
+        let times = channels.iter().map(|c| settled(c).unwrap_or(r.step_s * r.rows as f64 * 2.0));
+        Some((true, times.fold(0.0, f64::max)))
+    };
+    let better = |a: &(bool, f64), b: &(bool, f64)| (a.0 && !b.0) || (a.0 == b.0 && a.1 < b.1);
+    let scored: Vec<Option<(bool, f64)>> = (0..RASTER * RASTER)
+        .into_par_iter()
+        .map(|k| raster[k].and_then(|_| score(kp_values[k % RASTER], ki_values[k / RASTER])))
+        .collect();
+    let mut best: Option<((bool, f64), f64, f64)> = None;
+    for (k, s) in scored.iter().enumerate() {
+        if let Some(s) = s.filter(|s| best.as_ref().is_none_or(|b| better(s, &b.0))) {
+            best = Some((s, kp_values[k % RASTER], ki_values[k / RASTER]));
+        }
+    }
+    let none = || ControlError::Unstable {
+        what: "every PI that was tried on all set points".into(),
+        poles: "the raster of the plane".into(),
+    };
+    let mut best = best.ok_or_else(none)?;
+    let (mut dp, mut di) = ((kp.upper - kp.lower) / RASTER as f64, best.2 * 0.3);
+    for _ in 0..ROUNDS {
+        let mut around = Vec::new();
+        for (a, b) in [
+            (-1.0, 0.0),
+            (1.0, 0.0),
+            (0.0, -1.0),
+            (0.0, 1.0),
+            (-1.0, -1.0),
+            (1.0, 1.0),
+            (-1.0, 1.0),
+            (1.0, -1.0),
+        ] {
+            around.push((best.1 + a * dp, (best.2 + b * di).max(1e-9 * ki.upper)));
+        }
+        let found: Vec<Option<(bool, f64)>> = around.par_iter().map(|(p, i)| score(*p, *i)).collect();
+        let before = best.0;
+        for (s, (p, i)) in found.into_iter().zip(around) {
+            if let Some(s) = s.filter(|s| better(s, &best.0)) {
+                best = (s, p, i);
+            }
+        }
+        if best.0 == before {
+            (dp, di) = (0.5 * dp, 0.5 * di);
+        }
+    }
+    let tuned = judged("search", &PidGains::pi(best.1, best.2), channels, asked, r);
+    let kept = asked.kept_by(&tuned);
+    Ok(Choice { tuned, kept, kp, ki, raster, kp_values, ki_values })
+}
+
+/// Worst ratio of asked to had over all channels; none where one is not stable. Ends early where Ms alone says no and there is
+/// no better.
+fn worst(channels: &[Channel], asked: &Asked, kp: f64, ki: f64) -> Option<f64> {
+    channels.iter().try_fold(0.0, |w: f64, c| {
+        let m = if c.is_stable(kp, ki) { c.margins(kp, ki) } else { None };
+        Some(w.max(asked.violation(&m?)))
+    })
+}
+
+/// Range of kp and ki in which gains can be stable on all channels.
+fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
+    let mut kp = Interval { lower: f64::NEG_INFINITY, upper: f64::INFINITY };
+    let mut ki = f64::INFINITY;
+    for c in channels {
+        let ranges = c.kp_ranges();
+        let none = || ControlError::Unstable {
+            what: "the channel under every PI".into(),
+            poles: "no range of kp is stable".into(),
+        };
+        let (first, last) = (ranges.first().ok_or_else(none)?, ranges.last().ok_or_else(none)?);
+        kp = Interval { lower: kp.lower.max(first.lower), upper: kp.upper.min(last.upper) };
+        let own = (0..24).map(|k| first.lower + (last.upper - first.lower) * (f64::from(k) + 0.5) / 24.0);
+        let top = own.filter_map(|p| c.stable_ki(p).last().map(|i| i.upper)).fold(0.0, f64::max);
+        ki = ki.min(1.1 * top);
+    }
+    // Below zero the proportional part only takes from the integral one.
+    kp.lower = kp.lower.max(0.0);
+    if !(kp.upper > kp.lower && ki > 0.0) {
+        return Err(ControlError::Unstable {
+            what: "every PI on all set points together".into(),
+            poles: "their stable sets do not meet".into(),
+        });
+    }
+    Ok((kp, Interval { lower: 0.0, upper: ki }))
+}

@@ -1,0 +1,149 @@
+//! Numbers of others: disk margins of published loops (python-control 0.10.2 with Slycot 0.7.1, agreeing with Seiler, Packard and
+//! Gahinet), and closed forms.
+
+mod common;
+
+use common::{CONTINUOUS, near, resonant, satellite, simc, third_order};
+use dynocal_control::disk::{DiskMargin, Place, disk, of_loop};
+use dynocal_control::margin::{Side, margins};
+use dynocal_control::plane::Channel;
+use dynocal_control::smith::Smith;
+use dynocal_control::system::Transfer;
+use dynocal_control::tune::{Lag, simc as simc_gains};
+
+/// Upper and lower bound agree.
+#[track_caller]
+fn tight(d: &DiskMargin) {
+    assert!((d.alpha_lost / d.alpha - 1.0).abs() < 1e-6, "{d:?}");
+}
+
+#[test]
+fn disk_margins_of_the_third_order_loop() {
+    let l = third_order();
+    for (skew, expected) in [(0.0, 0.45809), (1.0, 0.40215), (-1.0, 0.48637)] {
+        let d = disk(&l, Place::Outputs, skew).unwrap();
+        near(d.alpha, expected, 5);
+        tight(&d);
+    }
+    let d = disk(&l, Place::Inputs, 0.0).unwrap();
+    near(20.0 * d.gain_up.unwrap().log10(), 4.0508, 4);
+    near(d.phase_deg, 25.802, 3);
+    // The peak is flat: the published frequency to two digits.
+    near(d.peak_rad_s, 1.9, 1);
+    let m = margins(&l, Side::Outputs, 0).unwrap();
+    near(m.gain_up.unwrap(), 3.60, 2);
+    near(m.phase_deg.unwrap(), 29.11, 2);
+}
+
+#[test]
+fn disk_margins_of_the_resonant_loop() {
+    let l = resonant();
+    for (skew, expected) in [(0.0, 0.71788), (1.0, 0.58518), (-1.0, 0.72395)] {
+        near(disk(&l, Place::Outputs, skew).unwrap().alpha, expected, 5);
+    }
+    let d = disk(&l, Place::Outputs, 0.0).unwrap();
+    near(20.0 * d.gain_up.unwrap().log10(), 6.526, 3);
+    near(d.phase_deg, 39.49, 2);
+    let m = margins(&l, Side::Outputs, 0).unwrap();
+    near(m.gain_up.unwrap(), 2.9012, 4);
+    near(m.phase_deg.unwrap(), 42.446, 3);
+}
+
+#[test]
+fn disk_margins_of_the_spinning_satellite() {
+    let l = satellite([1.0, 0.0, 0.0, 1.0]);
+    for place in [Place::Inputs, Place::Outputs] {
+        for (skew, expected) in [(0.0, 0.09975), (1.0, 0.09950), (-1.0, 0.09951)] {
+            let d = disk(&l, place, skew).unwrap();
+            near(d.alpha, expected, 5);
+            tight(&d);
+        }
+        let d = disk(&l, place, 0.0).unwrap();
+        near(20.0 * d.gain_up.unwrap().log10(), 0.8671, 4);
+        near(d.phase_deg, 5.711, 3);
+    }
+    let both = disk(&l, Place::Both, 0.0).unwrap();
+    near(both.alpha, 0.049845, 6);
+    near(20.0 * both.gain_up.unwrap().log10(), 0.4330, 4);
+    near(both.phase_deg, 2.855, 3);
+    for k in 0..2 {
+        for side in [Side::Inputs, Side::Outputs] {
+            let d = of_loop(&l, side, k, 0.0).unwrap();
+            near(d.alpha, 2.0, 5);
+            near(d.phase_deg, 90.0, 3);
+            let m = margins(&l, side, k).unwrap();
+            assert!(m.gain_up.is_none(), "{m:?}");
+            near(m.phase_deg.unwrap(), 90.0, 3);
+        }
+    }
+}
+
+#[test]
+fn disk_margins_of_the_satellite_with_the_better_gains() {
+    let l = satellite([1.0, -2.0, 0.0, 1.0]);
+    for (skew, expected) in [(0.0, 0.37616), (1.0, 0.36905), (-1.0, 0.36761)] {
+        let place = Place::Outputs;
+        near(disk(&l, place, skew).unwrap().alpha, expected, 5);
+    }
+    let d = disk(&l, Place::Outputs, 0.0).unwrap();
+    near(20.0 * d.gain_up.unwrap().log10(), 3.3067, 4);
+    near(d.phase_deg, 21.304, 3);
+    let both = disk(&l, Place::Both, 0.0).unwrap();
+    near(both.alpha, 0.22618, 5);
+    near(20.0 * both.gain_up.unwrap().log10(), 1.973, 3);
+    near(both.phase_deg, 12.904, 3);
+    // Four blocks: the bounds need not meet, but never cross.
+    assert!(both.alpha <= both.alpha_lost * (1.0 + 1e-9), "{both:?}");
+}
+
+/// kp(w) = T w sin(L w) - cos(L w), ki(w) = w (sin(L w) + T w cos(L w)) for T = 4, L = 1.
+#[test]
+fn the_plane_of_a_lag_with_dead_time_is_analytic() {
+    let c = Channel::new(CONTINUOUS, Transfer::continuous(&[1.0], &[4.0, 1.0], 1.0)).unwrap();
+    for p in c.gain_locus(1.0) {
+        let w = p.w_rad_s;
+        let (kp, ki) = (4.0 * w * w.sin() - w.cos(), w * (w.sin() + 4.0 * w * w.cos()));
+        assert!((p.kp - kp).abs() + (p.ki - ki).abs() < 1e-9 * (1.0 + 10.0 * w * w), "{p:?} {kp} {ki}");
+    }
+    let set = c.stable_set(400);
+    assert_eq!(set.kp.len(), 1);
+    near(set.kp[0].upper, 6.93451, 5);
+    near(set.kp[0].lower, -1.0, 5);
+    near(set.largest_ki, 3.21360, 5);
+    near(set.kp_at_largest_ki, 3.91405, 4);
+    near(set.area, 17.0733, 4);
+}
+
+#[test]
+fn the_simc_loop_is_analytic() {
+    let m = margins(&simc(), Side::Outputs, 0).unwrap();
+    near(m.gain_up.unwrap(), std::f64::consts::PI, 5);
+    near(m.phase_deg.unwrap(), 90.0 - 0.5f64.to_degrees(), 4);
+    near(m.phase_deg.unwrap(), 61.3521, 4);
+    near(m.sensitivity, 1.590490, 6);
+    near(m.complementary, 1.0, 4);
+    // Phase margin over frequency: (90 deg - 0.5 rad) / 0.5 rad/s.
+    near(m.delay_s.unwrap(), (std::f64::consts::FRAC_PI_2 - 0.5) / 0.5, 5);
+    let gains = simc_gains(&Lag { gain: 1.0, lag_s: 4.0, dead_s: 1.0 }, None);
+    assert_eq!((gains.kp, gains.ki), (2.0, 0.5));
+}
+
+/// e^-s / (s + 1) with complementary sensitivity 1 / (lambda s + 1) of the undelayed loop.
+#[test]
+fn smith_predictors_lose_stability_where_they_should() {
+    let p = Transfer::continuous(&[1.0], &[1.0, 1.0], 0.0);
+    for (lambda, above, below) in [
+        (0.1, 0.14874, Some(-0.15236)),
+        (0.2, 0.29820, Some(-0.32143)),
+        (0.5, 1.62724, None),
+        (1.0, 2.34845, None),
+    ] {
+        let k = Transfer::continuous(&[1.0, 1.0], &[lambda, 0.0], 0.0);
+        let found = Smith::new(CONTINUOUS, k, p.clone(), 1.0).delay_interval(&p, 1.0).unwrap();
+        near(found.above_s.unwrap(), above, 5);
+        match below {
+            Some(b) => near(found.below_s.unwrap(), b, 5),
+            None => assert!(found.below_s.is_none(), "{found:?}"),
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! Every margin as a run: stable at 0.98 of what is guaranteed, unstable at 1.02 of what is lost.
+
+mod common;
+
+use common::{CONTINUOUS, resonant, satellite, simc, third_order, unity};
+use dynocal_control::closed::Closed;
+use dynocal_control::disk::{Place, disk};
+use dynocal_control::margin::{Side, margins};
+use dynocal_control::perturb::perturbed;
+use dynocal_control::runtime::PidGains;
+use dynocal_control::simulate::growth;
+use dynocal_control::system::{System, Time, Transfer};
+use dynocal_numerics::rng::Rng64;
+
+/// Growth of the loop over 400 turns of frequency `w`, and what the argument says.
+fn runs(l: &Closed, w: f64) -> f64 {
+    let delays = l.plant.channels.iter().map(|g| g.delay_s).filter(|d| *d > 0.0);
+    let shortest = delays.fold(f64::INFINITY, f64::min);
+    let fastest = l.plant.channels.iter().flat_map(|g| dynocal_control::poly::roots(&g.den).unwrap());
+    let fastest = fastest.map(|p| p.norm()).fold(w, f64::max);
+    let step = (0.05 / fastest).min(shortest / 4.0);
+    let rows = match l.plant.time {
+        Time::Continuous => (400.0 * 6.3 / w / step) as usize,
+        Time::Sampled { sample_time_s } => (400.0 * 6.3 / (w * sample_time_s)) as usize,
+    };
+    growth(l, step, rows.clamp(4000, 2_000_000)).unwrap()
+}
+
+#[track_caller]
+fn expect(l: &Closed, w: f64, stable: bool, what: &str) {
+    let growth = runs(l, w);
+    assert!((growth < 0.0) == stable, "{what}: the run grows by {growth}, expected stable: {stable}");
+    assert_eq!(l.is_stable(), stable, "{what}: by the argument {:?}", l.unstable());
+}
+
+fn with_plant(l: &Closed, plant: System) -> Closed {
+    Closed::new(plant, l.controller.clone()).unwrap()
+}
+
+/// Gain and delay margins of one loop.
+fn classical(l: &Closed, what: &str) {
+    let m = margins(l, Side::Inputs, 0).unwrap();
+    if let (Some(g), Some(w)) = (m.gain_up, m.gain_up_rad_s) {
+        for (share, stable) in [(0.98, true), (1.02, false)] {
+            let plant = l.plant.before(&[Transfer::gain(g * share)]).unwrap();
+            expect(&with_plant(l, plant), w, stable, &format!("{what}: gain {share}"));
+        }
+    }
+    if let (Some(d), Some(w)) = (m.delay_s, m.phase_rad_s) {
+        for (share, stable) in [(0.98, true), (1.02, false)] {
+            let mut own = Transfer::gain(1.0);
+            own.delay_s = match l.plant.time.sample_time_s() {
+                // Runs of sampled loops have whole delays only.
+                Some(dt) => dt * if stable { (d / dt).floor() } else { (d / dt).ceil() },
+                None => d * share,
+            };
+            let plant = l.plant.before(&[own]).unwrap();
+            expect(&with_plant(l, plant), w, stable, &format!("{what}: delay {share}"));
+        }
+    }
+}
+
+/// Disk margins with the perturbation that was found.
+fn disks(l: &Closed, what: &str) {
+    for place in [Place::Inputs, Place::Outputs, Place::Both] {
+        let d = disk(l, place, 0.0).unwrap();
+        for (share, stable) in [(0.98, true), (1.02, false)] {
+            let Some(plant) = perturbed(&l.plant, place, &d, share).unwrap() else { continue };
+            expect(
+                &with_plant(l, plant),
+                d.lost_rad_s,
+                stable,
+                &format!("{what}: {place:?} {share} of {d:?}"),
+            );
+        }
+    }
+}
+
+#[test]
+fn published_loops_do_as_their_margins_say() {
+    for (l, what) in [(third_order(), "third order"), (resonant(), "resonant"), (simc(), "simc")] {
+        classical(&l, what);
+    }
+    disks(&third_order(), "third order");
+    disks(&satellite([1.0, -2.0, 0.0, 1.0]), "satellite");
+}
+
+#[test]
+fn sampled_loops_do_as_their_margins_say() {
+    let time = Time::Sampled { sample_time_s: 0.1 };
+    for (a, b, delay, kp, ki) in [(0.8, 0.2, 3, 1.0, 1.2), (0.95, 0.1, 1, 4.0, 4.0), (0.5, 0.4, 8, 0.3, 0.8)]
+    {
+        let mut num = vec![0.0; delay];
+        num.push(b);
+        let g = Transfer::sampled(&num, &[1.0, -a]);
+        let l = g.times(&PidGains::pi(kp, ki).transfer(time));
+        classical(&unity(l.clone(), time), &format!("{a} {delay}"));
+        disks(&unity(l, time), &format!("{a} {delay}"));
+    }
+}
+
+/// Two sampled loops that act on each other, drawn at random.
+#[test]
+fn drawn_coupled_loops_do_as_their_margins_say() {
+    let time = Time::Sampled { sample_time_s: 0.05 };
+    let mut rng = Rng64::new(11);
+    let mut looked_at = 0;
+    for _ in 0..12 {
+        let mut own = |gain: f64| {
+            let mut num = vec![0.0; 1 + rng.below(5)];
+            let a = rng.uniform_in(0.3, 0.95);
+            num.push(gain * rng.uniform_in(0.5, 1.5) * (1.0 - a));
+            Transfer::sampled(&num, &[1.0, -a])
+        };
+        let channels = vec![own(1.0), own(0.4), own(-0.5), own(1.0)];
+        let plant = System::new(time, 2, 2, channels).unwrap();
+        let pi = |kp, ki| PidGains::pi(kp, ki).transfer(time);
+        let l = Closed::new(plant, System::diagonal(time, &[pi(0.5, 1.5), pi(0.4, 1.0)]).unwrap()).unwrap();
+        if l.is_stable() {
+            looked_at += 1;
+            disks(&l, "drawn");
+        }
+    }
+    assert!(looked_at >= 8, "{looked_at}");
+}
+
+/// The count of unstable poles against runs, over gains on both sides of stability.
+#[test]
+fn the_argument_and_the_run_agree() {
+    let mut rng = Rng64::new(5);
+    let (mut stable, mut unstable) = (0, 0);
+    for _ in 0..60 {
+        let (t, delay, kp, ki) = (
+            rng.uniform_in(0.2, 3.0),
+            rng.uniform_in(0.2, 1.5),
+            rng.uniform_in(0.0, 4.0),
+            rng.uniform_in(0.05, 3.0),
+        );
+        let g = Transfer::continuous(&[1.0], &[t, 1.0], delay);
+        let l = unity(g.times(&PidGains::pi(kp, ki).transfer(CONTINUOUS)), CONTINUOUS);
+        let growth = runs(&l, 1.0);
+        if growth.abs() < 0.2 {
+            continue;
+        }
+        assert_eq!(growth < 0.0, l.is_stable(), "{t} {delay} {kp} {ki}: {growth} {:?}", l.unstable());
+        if growth < 0.0 { stable += 1 } else { unstable += 1 }
+    }
+    assert!(stable > 10 && unstable > 10, "{stable} {unstable}");
+}

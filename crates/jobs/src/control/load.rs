@@ -1,0 +1,161 @@
+//! Linear plants: stored models about their set points with draws, or transfer functions as given.
+
+use dynocal_control::linear::{about, drawn};
+use dynocal_control::system::{System, Time, Transfer};
+use dynocal_files::json;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
+use dynocal_numerics::watch::Watch;
+
+use super::result::ControlJobError;
+use super::spec::{Job, Plants, Point};
+
+/// The plants of one set point.
+pub(super) struct AtPoint {
+    pub(super) name: String,
+    /// The model as it was estimated.
+    pub(super) nominal: System,
+    /// Draws of its parameters.
+    pub(super) draws: Vec<System>,
+}
+
+/// All plants with what is to be said of them.
+pub(super) struct Loaded {
+    pub(super) time: Time,
+    pub(super) points: Vec<AtPoint>,
+    pub(super) warnings: Vec<String>,
+}
+
+pub(super) fn load(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
+    match &job.plants {
+        Plants::Given { time, plants } => {
+            let mut points = Vec::new();
+            for p in plants {
+                let n = job.loops.len();
+                let nominal = System::new(*time, n, n, p.channels.clone()).and_then(|s| delayed(job, s));
+                let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+                points.push(AtPoint {
+                    name: p.name.clone(),
+                    nominal: nominal.map_err(refused)?,
+                    draws: Vec::new(),
+                });
+            }
+            Ok(Loaded { time: *time, points, warnings: Vec::new() })
+        }
+        Plants::Models { files, points } => {
+            let models = models(job, files)?;
+            let mut out = Loaded {
+                time: Time::Sampled { sample_time_s: models[0].sample_time_s },
+                points: Vec::new(),
+                warnings: Vec::new(),
+            };
+            if job.draws > 0 {
+                for m in models.iter().filter(|m| m.covariance().is_none()) {
+                    out.warnings.push(format!(
+                        "the model of `{}` keeps no covariance of its parameters: its draws are all alike, and margins over draws say nothing of its uncertainty",
+                        m.user_output().name
+                    ));
+                }
+            }
+            for (k, p) in points.iter().enumerate() {
+                if watch.interrupted() {
+                    return Err(ControlJobError::Interrupted);
+                }
+                watch.fraction(0.1 * k as f64 / points.len() as f64);
+                out.add(job, &models, p, k)?;
+            }
+            Ok(out)
+        }
+    }
+}
+
+/// The models in the order of the loops.
+fn models(job: &Job, files: &[std::path::PathBuf]) -> Result<Vec<StoredModel>, ControlJobError> {
+    let mut all: Vec<(String, StoredModel)> = Vec::new();
+    for path in files {
+        let file = path.display().to_string();
+        let model: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
+        model.check().map_err(|source| ControlJobError::Model { file: file.clone(), source })?;
+        let output = model.user_output().name;
+        if all.iter().any(|(o, _)| *o == output) {
+            return Err(ControlJobError::Twice { file, output });
+        }
+        all.push((output, model));
+    }
+    let names = |n: Vec<&str>| n.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+    job.loops
+        .iter()
+        .map(|l| {
+            let known = || names(all.iter().map(|(o, _)| o.as_str()).collect());
+            let missing = || ControlJobError::NoModel { output: l.output.clone(), known: known() };
+            let model = &all.iter().find(|(o, _)| *o == l.output).ok_or_else(missing)?.1;
+            let inputs = model.measured_inputs();
+            if !inputs.iter().any(|q| q.name == l.input) {
+                let known = names(inputs.iter().map(|q| q.name.as_str()).collect());
+                return Err(ControlJobError::NoInput {
+                    output: l.output.clone(),
+                    input: l.input.clone(),
+                    known,
+                });
+            }
+            Ok(model.clone())
+        })
+        .collect()
+}
+
+impl Loaded {
+    fn add(&mut self, job: &Job, models: &[StoredModel], p: &Point, k: usize) -> Result<(), ControlJobError> {
+        let moved: Vec<String> = job.loops.iter().map(|l| l.input.clone()).collect();
+        let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+        let at = |models: &[StoredModel]| {
+            let models: Vec<&StoredModel> = models.iter().collect();
+            about(&models, &moved, &p.values)
+        };
+        let nominal = at(models).map_err(refused)?;
+        self.warnings.extend(nominal.warnings.iter().map(|w| format!("{}: {w}", p.name)));
+        let mut draws = Vec::new();
+        let mut restless = 0;
+        for d in 0..job.draws {
+            // One stream for each model, set point and draw: equal for any order.
+            let own = |(i, m): (usize, &StoredModel)| {
+                let stream = ((k * job.draws + d) * models.len() + i) as u64;
+                drawn(m, job.seed, stream).unwrap_or_else(|| m.clone())
+            };
+            let these: Vec<StoredModel> = models.iter().enumerate().map(own).collect();
+            match at(&these) {
+                Ok(found) => draws.push(delayed(job, found.system).map_err(refused)?),
+                Err(_) => restless += 1,
+            }
+        }
+        if restless > 0 {
+            self.warnings.push(format!(
+                "{}: {restless} of {} draws of the parameters do not come to rest and are left out",
+                p.name, job.draws
+            ));
+        }
+        self.points.push(AtPoint {
+            name: p.name.clone(),
+            nominal: delayed(job, nominal.system).map_err(refused)?,
+            draws,
+        });
+        Ok(())
+    }
+}
+
+/// With the delay from measurement to actuator, and that which loops have beyond.
+fn delayed(job: &Job, plant: System) -> Result<System, dynocal_control::error::ControlError> {
+    let own = |extra_delay_s: f64| match plant.time {
+        Time::Continuous => Transfer::gain(1.0).delayed(extra_delay_s),
+        Time::Sampled { sample_time_s } => {
+            // Whole samples are powers of q, which runs and poles know; what is left is exact in frequency.
+            let samples = extra_delay_s / sample_time_s;
+            let whole =
+                if (samples - samples.round()).abs() < 1e-6 { samples.round() } else { samples.floor() };
+            let mut num = vec![0.0; whole as usize + job.reaction_samples];
+            num.push(1.0);
+            let rest_s = extra_delay_s - whole * sample_time_s;
+            Transfer::sampled(&num, &[1.0]).delayed(if rest_s > 1e-6 * sample_time_s { rest_s } else { 0.0 })
+        }
+    };
+    let factors: Vec<Transfer> = job.loops.iter().map(|l| own(l.extra_delay_s)).collect();
+    plant.after(&factors)
+}

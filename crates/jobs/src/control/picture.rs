@@ -1,0 +1,167 @@
+//! Curves of the page, computed once with the result.
+
+use dynocal_control::closed::Closed;
+use dynocal_control::plane::{Channel, LocusPoint};
+use dynocal_control::simulate::run;
+use dynocal_control::tune::{Choice, StepRun, step_run};
+
+use super::load::Loaded;
+use super::result::{ControlJobError, LoopResult};
+use super::spec::Job;
+use super::work::controller;
+
+/// Most rows of a step response.
+const ROWS: usize = 4000;
+/// Margins whose loci are drawn: factors of the gain, phases in deg, dampings.
+const LOCI: ([f64; 3], [f64; 3], f64) =
+    ([1.0, 1.995_262_314_968_88, 3.981_071_705_534_973], [30.0, 45.0, 60.0], 0.4);
+
+/// What the page draws.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Picture {
+    pub(super) loops: Vec<LoopPicture>,
+    /// Answers of all outputs to a step of each demand, all loops closed: by loop that steps, set point, output.
+    pub(super) steps: Vec<Vec<Vec<Vec<f64>>>>,
+    pub(super) step_s: f64,
+}
+
+/// Curves of one loop.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct LoopPicture {
+    pub(super) plane: Option<Plane>,
+    /// For each set point: frequency in rad/s, size in dB and phase in deg of the channel.
+    pub(super) bode: Vec<Bode>,
+}
+
+/// Response of a channel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Bode {
+    pub(super) w_rad_s: Vec<f64>,
+    pub(super) size_db: Vec<f64>,
+    pub(super) phase_deg: Vec<f64>,
+}
+
+/// The plane of gains with what the search saw.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Plane {
+    pub(super) kp_values: Vec<f64>,
+    pub(super) ki_values: Vec<f64>,
+    /// Worst ratio of asked to had; NaN where not stable.
+    pub(super) ratio: Vec<f64>,
+    /// Loci of the tightest set point by name.
+    pub(super) loci: Vec<(String, Vec<f64>, Vec<f64>)>,
+    /// Set point of the loci.
+    pub(super) point: String,
+}
+
+pub(super) fn drawn(
+    job: &Job,
+    loaded: &Loaded,
+    loops: &[LoopResult],
+    choices: Vec<Option<Choice>>,
+) -> Result<Picture, ControlJobError> {
+    let mut out = Picture::default();
+    let mut runs: Vec<StepRun> = Vec::new();
+    for (k, (l, choice)) in loops.iter().zip(choices).enumerate() {
+        let channel = |s: &dynocal_control::system::System| {
+            Channel::new(loaded.time, s.channel(k, k).scaled(l.sign)).ok()
+        };
+        let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| channel(&p.nominal)).collect();
+        let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
+        runs.push(step_run(&channels, &lags));
+        let bode = channels.iter().map(|c| bode(c, l.sign)).collect();
+        let plane = choice.map(|c| plane(l, c, &channels, loaded));
+        out.loops.push(LoopPicture { plane, bode });
+    }
+    let whole_s = runs.iter().map(|r| r.step_s * r.rows as f64).fold(0.0, f64::max);
+    out.step_s = runs.iter().map(|r| r.step_s).fold(f64::INFINITY, f64::min);
+    let rows = ((whole_s / out.step_s) as usize).clamp(60, 200_000);
+    for k in 0..job.loops.len() {
+        let mut points = Vec::new();
+        for p in &loaded.points {
+            let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+            let controller = controller(loaded.time, loops).map_err(refused)?;
+            let closed = Closed { plant: p.nominal.clone(), controller, grid: Vec::new() };
+            // A delay that is no whole number of samples has no run.
+            let found = run(
+                &closed,
+                out.step_s,
+                rows,
+                &|_, r| (0..r.len()).for_each(|i| r[i] = f64::from(u8::from(i == k))),
+                &|_, d| d.fill(0.0),
+            );
+            let n = job.loops.len();
+            let column = |y: &[f64], o: usize| y.iter().skip(o).step_by(n).copied().collect::<Vec<f64>>();
+            points.push(found.map_or(Vec::new(), |f| (0..n).map(|o| column(&f.y, o)).collect()));
+        }
+        out.steps.push(points);
+    }
+    thin(&mut out, rows);
+    Ok(out)
+}
+
+/// Fewer rows where there are more than a screen shows.
+fn thin(out: &mut Picture, rows: usize) {
+    let every = rows.div_ceil(ROWS);
+    if every > 1 {
+        out.step_s *= every as f64;
+        for y in out.steps.iter_mut().flatten().flatten() {
+            *y = y.iter().step_by(every).copied().collect();
+        }
+    }
+}
+
+fn bode(c: &Channel, sign: f64) -> Bode {
+    let mut out = Bode::default();
+    let mut last: Option<f64> = None;
+    for w in &c.grid {
+        let g = c.transfer.at(c.time, *w) * sign;
+        let mut phase = g.arg().to_degrees();
+        // Unwrapped: the nearest turn to the point before.
+        if let Some(before) = last {
+            phase += 360.0 * ((before - phase) / 360.0).round();
+        }
+        last = Some(phase);
+        out.w_rad_s.push(*w);
+        out.size_db.push(20.0 * g.norm().log10());
+        out.phase_deg.push(phase);
+    }
+    out
+}
+
+fn plane(l: &LoopResult, c: Choice, channels: &[Channel], loaded: &Loaded) -> Plane {
+    let at =
+        |m: &Option<dynocal_control::margin::Margins>| m.as_ref().map_or(f64::INFINITY, |m| m.sensitivity);
+    let tight = l.rules.first().map_or(0, |t| {
+        (0..t.margins.len()).max_by(|a, b| at(&t.margins[*a]).total_cmp(&at(&t.margins[*b]))).unwrap_or(0)
+    });
+    let channel = &channels[tight.min(channels.len() - 1)];
+    let (kp, ki) = (c.kp, c.ki);
+    let within = |points: Vec<LocusPoint>| {
+        let gap = |p: &LocusPoint| p.kp >= kp.lower && p.kp <= kp.upper && p.ki >= 0.0 && p.ki <= ki.upper;
+        let value = |p: &LocusPoint, v: f64| if gap(p) { v } else { f64::NAN };
+        (
+            points.iter().map(|p| value(p, p.kp)).collect::<Vec<f64>>(),
+            points.iter().map(|p| value(p, p.ki)).collect::<Vec<f64>>(),
+        )
+    };
+    let mut loci = Vec::new();
+    let mut add = |name: String, points: Vec<LocusPoint>| {
+        let (x, y) = within(points);
+        loci.push((name, x, y));
+    };
+    for g in LOCI.0 {
+        add(format!("gain margin {:.0} dB", 20.0 * g.log10()), channel.gain_locus(g));
+    }
+    for p in LOCI.1 {
+        add(format!("phase margin {p:.0} deg"), channel.phase_locus(p));
+    }
+    add(format!("damping {}", LOCI.2), channel.damping_locus(LOCI.2));
+    Plane {
+        ratio: c.raster.iter().map(|v| v.unwrap_or(f64::NAN)).collect(),
+        kp_values: c.kp_values,
+        ki_values: c.ki_values,
+        loci,
+        point: loaded.points[tight.min(loaded.points.len() - 1)].name.clone(),
+    }
+}

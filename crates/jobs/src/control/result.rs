@@ -1,0 +1,200 @@
+//! What a control job gives.
+
+use dynocal_control::disk::DiskMargin;
+use dynocal_control::error::ControlError;
+use dynocal_control::margin::Margins;
+use dynocal_control::tune::{Asked, Lag, Tuned};
+use dynocal_files::FilesError;
+use dynocal_ident::stored::StoredError;
+use serde::Serialize;
+
+use super::picture::Picture;
+use crate::page::PageError;
+
+/// A control job, the body of `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Controlled {
+    /// Always `control`.
+    pub verb: &'static str,
+    /// Name of the run.
+    pub name: String,
+    /// Whether the gains keep all that is asked at every set point and for every draw, by margins and by the runs that check
+    /// them.
+    pub valid: bool,
+    /// In words.
+    pub verdict: Vec<String>,
+    /// What the user should know, most important first.
+    pub warnings: Vec<String>,
+    /// What was asked.
+    pub asked: Asked,
+    /// Balanced disk margin that was asked.
+    pub disk_margin_asked: f64,
+    /// Sample time in s; none: continuous.
+    pub sample_time_s: Option<f64>,
+    /// Names of the set points.
+    pub points: Vec<String>,
+    /// Draws at each set point.
+    pub draws: usize,
+    /// Factor by which gains were made smaller because loops act on each other (kp by it, ki by its square).
+    pub detuned: f64,
+    /// Loops.
+    pub loops: Vec<LoopResult>,
+    /// Relative gains at rest, outputs by inputs, for each set point; none where a plant has no steady gains.
+    pub relative_gains: Vec<Option<Vec<f64>>>,
+    /// All loops closed together, for each set point.
+    pub together: Vec<Together>,
+    /// Runs that check the margins.
+    pub checks: Vec<RunCheck>,
+    /// Files, relative to the run folder.
+    pub files: Vec<String>,
+    /// What is drawn.
+    #[serde(skip)]
+    pub(super) picture: Picture,
+}
+
+/// One loop.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LoopResult {
+    /// What it holds.
+    pub output: String,
+    /// By what.
+    pub input: String,
+    /// Proportional gain that is delivered, with its sign.
+    pub kp: f64,
+    /// Integral gain in 1/s that is delivered, with its sign.
+    pub ki: f64,
+    /// Where it comes from.
+    pub rule: String,
+    /// Sign of the channel.
+    pub sign: f64,
+    /// Lag with dead time of the channel at each set point; none where its step response does not settle.
+    pub lags: Vec<Option<Lag>>,
+    /// Gains of the search and of rules beside each other, positive: each judged alone at all set points.
+    pub rules: Vec<Tuned>,
+    /// Gains that each set point alone would have, positive.
+    pub scheduled: Vec<Option<(f64, f64)>>,
+}
+
+/// All loops closed together at one set point.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Together {
+    /// Set point.
+    pub point: String,
+    /// Whether it is stable, in words.
+    pub stable: String,
+    /// Margins of each loop at its output, the others closed; empty where the loop is not stable.
+    pub loops: Vec<Margins>,
+    /// Balanced disk margin at all inputs.
+    pub inputs: Option<DiskMargin>,
+    /// Balanced disk margin at all outputs.
+    pub outputs: Option<DiskMargin>,
+    /// Balanced disk margin at all inputs and outputs.
+    pub both: Option<DiskMargin>,
+    /// Largest ratio of asked to had over nominal model and draws: at most 1 keeps everything; none: not stable for all.
+    pub violation: Option<f64>,
+    /// The same of the nominal model alone.
+    pub violation_nominal: Option<f64>,
+    /// Draws that are not stable.
+    pub unstable_draws: usize,
+}
+
+/// A margin as a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunCheck {
+    /// Set point.
+    pub point: String,
+    /// Which margin, and which share of it.
+    pub what: String,
+    /// Natural logarithm of how much the response grows over the second half of the run.
+    pub growth: f64,
+    /// Whether it should be stable.
+    pub expected_stable: bool,
+    /// Whether the run does as it should.
+    pub holds: bool,
+}
+
+/// A control job is not possible.
+#[derive(Debug, thiserror::Error)]
+pub enum ControlJobError {
+    /// Files.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// A model.
+    #[error("{file}: {source}")]
+    Model {
+        /// Model file.
+        file: String,
+        /// What is wrong.
+        source: StoredError,
+    },
+    /// No model of an output.
+    #[error("the loop that holds `{output}`: no model of it; the models are those of {known}")]
+    NoModel {
+        /// Output.
+        output: String,
+        /// Outputs that there are.
+        known: String,
+    },
+    /// Two models of one output.
+    #[error("{file}: the output `{output}` has a model already: give one model for each output")]
+    Twice {
+        /// Model file.
+        file: String,
+        /// Output.
+        output: String,
+    },
+    /// A model does not read the input of a loop.
+    #[error(
+        "the loop that holds `{output}` by `{input}`: its model does not read `{input}`; it reads {known}"
+    )]
+    NoInput {
+        /// Output.
+        output: String,
+        /// Input.
+        input: String,
+        /// Inputs of the model.
+        known: String,
+    },
+    /// A set point.
+    #[error("{point}: {source}")]
+    Point {
+        /// Set point.
+        point: String,
+        /// What is wrong.
+        source: ControlError,
+    },
+    /// A channel that changes its sign.
+    #[error(
+        "the answer of `{output}` to `{input}` at rest is {first} at {at_first} and {second} at {at_second}: no one PI holds both"
+    )]
+    Sign {
+        /// Output.
+        output: String,
+        /// Input.
+        input: String,
+        /// Gain.
+        first: f64,
+        /// Where.
+        at_first: String,
+        /// Gain elsewhere.
+        second: f64,
+        /// Where.
+        at_second: String,
+    },
+    /// A loop that no PI makes stable.
+    #[error("the loop that holds `{output}` by `{input}`: {source}")]
+    Loop {
+        /// Output.
+        output: String,
+        /// Input.
+        input: String,
+        /// What is wrong.
+        source: ControlError,
+    },
+    /// The page.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// The user stopped it.
+    #[error("interrupted before the loops were judged")]
+    Interrupted,
+}

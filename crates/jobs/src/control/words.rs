@@ -1,0 +1,163 @@
+//! The verdict in words.
+
+use dynocal_control::margin::Margins;
+
+use super::result::{Controlled, LoopResult, Together};
+
+/// Fills verdict, warnings and whether the gains may be used.
+pub(super) fn say(found: &mut Controlled) {
+    let together = found.together.iter().all(|t| t.violation.is_some_and(|v| v <= 1.0));
+    let checked = found.checks.iter().all(|c| c.holds);
+    let in_time = found.loops.iter().all(|l| in_time(found, l));
+    found.valid = together && checked && in_time;
+    let mut verdict = vec![head(found, together)];
+    verdict.extend(found.loops.iter().map(|l| gains(found, l)));
+    verdict.push(kept(found));
+    let failed: Vec<&str> = found.checks.iter().filter(|c| !c.holds).map(|c| c.what.as_str()).collect();
+    if found.checks.is_empty() {
+        verdict.push("No margin was checked by a run.".into());
+    } else if failed.is_empty() {
+        verdict.push(format!(
+            "{} runs at and beyond the margins of the tightest set point do as the margins say.",
+            found.checks.len()
+        ));
+    } else {
+        verdict.push(format!("These runs do not do as the margins say: {}.", failed.join("; ")));
+    }
+    found.verdict = verdict;
+    warn(found);
+}
+
+fn in_time(found: &Controlled, l: &LoopResult) -> bool {
+    let settled = l.rules.first().and_then(|t| t.settling_s);
+    found.asked.settling_s.is_none_or(|most| settled.is_some_and(|s| s <= most))
+}
+
+fn head(found: &Controlled, together: bool) -> String {
+    let draws = if found.draws > 0 {
+        format!(" and for {} draws of the model at each", found.draws)
+    } else {
+        String::new()
+    };
+    let points = match found.points.len() {
+        1 => "at the set point".to_string(),
+        n => format!("at all {n} set points"),
+    };
+    if found.valid {
+        format!("The gains keep the margins that are asked {points}{draws}.")
+    } else if !together {
+        let stable = found.together.iter().all(|t| t.violation.is_some());
+        let what = if stable { "keep what is asked" } else { "are stable" };
+        format!("The gains must not be used: they do not {what} {points}{draws}. {}", worst(found))
+            .trim_end()
+            .into()
+    } else if !found.checks.iter().all(|c| c.holds) {
+        "The gains must not be used: a run contradicts a margin.".into()
+    } else {
+        let asked = found.asked.settling_s.unwrap_or(0.0);
+        format!(
+            "The gains keep the margins that are asked {points}{draws}, but no PI that does settles within {asked} s."
+        )
+    }
+}
+
+/// Where it fails, and the best that there is.
+fn worst(found: &Controlled) -> String {
+    let size = |t: &Together| t.violation.unwrap_or(f64::INFINITY);
+    let Some(t) = found.together.iter().max_by(|a, b| size(a).total_cmp(&size(b))) else {
+        return String::new();
+    };
+    match (t.violation, t.violation_nominal) {
+        (Some(v), _) => format!(
+            "The worst is {}: asked is {v:.3} times what there is. These are the best that were found.",
+            t.point
+        ),
+        (None, None) => format!("At {} the loop has {}.", t.point, t.stable),
+        (None, Some(_)) => {
+            format!("At {} {} of {} draws are not stable.", t.point, t.unstable_draws, found.draws)
+        }
+    }
+}
+
+fn gains(found: &Controlled, l: &LoopResult) -> String {
+    let mut text =
+        format!("`{}` by `{}`: kp = {}, ki = {} 1/s", l.output, l.input, digits(l.kp), digits(l.ki));
+    if found.detuned > 1.0 {
+        text += &format!(
+            " (made smaller by F = {:.3} because the loops act on each other, alone {} and {})",
+            found.detuned,
+            digits(l.kp * found.detuned),
+            digits(l.ki * found.detuned * found.detuned)
+        );
+    }
+    if let Some(t) = l.rules.first() {
+        let alone =
+            if found.detuned > 1.0 || found.loops.len() > 1 { " alone and before any detuning" } else { "" };
+        match t.settling_s {
+            Some(s) => {
+                text += &format!(
+                    "; a step of the demand{alone} settles within {} s, overshoot {:.0} %",
+                    digits(s),
+                    100.0 * t.overshoot.max(0.0)
+                )
+            }
+            None => text += &format!("; a step of the demand{alone} does not settle within the run"),
+        }
+    }
+    text + "."
+}
+
+fn kept(found: &Controlled) -> String {
+    let all: Vec<&Margins> = found.together.iter().flat_map(|t| &t.loops).collect();
+    if all.is_empty() {
+        return "There are no margins: no set point has a stable loop.".into();
+    }
+    let least =
+        |of: &dyn Fn(&Margins) -> Option<f64>| all.iter().filter_map(|m| of(m)).fold(f64::INFINITY, f64::min);
+    let most = all.iter().map(|m| m.sensitivity).fold(0.0, f64::max);
+    let number =
+        |v: f64, unit: &str| if v.is_finite() { format!("{}{unit}", digits(v)) } else { "any".into() };
+    let disk = found
+        .together
+        .iter()
+        .filter_map(|t| t.outputs.as_ref().map(|d| d.alpha))
+        .fold(f64::INFINITY, f64::min);
+    let others = if found.loops.len() > 1 { ", each loop with the others closed" } else { "" };
+    format!(
+        "Least margins of the nominal models{others}: gain {}, phase {}, delay {}, Ms {}, disk margin of all outputs {}.",
+        number(least(&|m| m.gain_up), ""),
+        number(least(&|m| m.phase_deg), " deg"),
+        number(least(&|m| m.delay_s), " s"),
+        digits(most),
+        number(disk, "")
+    )
+}
+
+fn warn(found: &mut Controlled) {
+    let mut first = Vec::new();
+    for t in &found.together {
+        if t.loops.is_empty() {
+            first.push(format!("{}: the closed loop has {}", t.point, t.stable));
+        } else if t.unstable_draws > 0 {
+            first.push(format!("{}: {} of {} draws are not stable", t.point, t.unstable_draws, found.draws));
+        }
+    }
+    for (point, r) in found.points.iter().zip(&found.relative_gains) {
+        let n = found.loops.len();
+        for k in 0..n {
+            if let Some(g) = r.as_ref().map(|r| r[k * n + k]).filter(|g| *g < 0.2) {
+                let l = &found.loops[k];
+                first.push(format!(
+                    "{point}: the relative gain of `{}` by `{}` is {g:.2}: with the other loops closed it is another plant; another pairing or a decoupler would do better",
+                    l.output, l.input
+                ));
+            }
+        }
+    }
+    first.append(&mut found.warnings);
+    found.warnings = first;
+}
+
+pub(super) fn digits(v: f64) -> String {
+    dynocal_report::significant(v, 4)
+}

@@ -1,0 +1,430 @@
+//! The work: tune each loop in the plane, close all together, judge nominal models and draws, run what is promised.
+
+use std::cell::Cell;
+
+use dynocal_control::closed::Closed;
+use dynocal_control::disk::{DiskMargin, Place, disk};
+use dynocal_control::error::ControlError;
+use dynocal_control::interaction::relative_gains;
+use dynocal_control::margin::{Side, margins};
+use dynocal_control::perturb::perturbed;
+use dynocal_control::plane::Channel;
+use dynocal_control::runtime::PidGains;
+use dynocal_control::simulate::growth;
+use dynocal_control::system::{System, Time, Transfer};
+use dynocal_control::tune::{self, Choice, Lag, StepRun, choose, judged, step_run};
+use dynocal_numerics::watch::Watch;
+use rayon::prelude::*;
+
+use super::load::{AtPoint, Loaded, load};
+use super::picture::{Picture, drawn};
+use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
+use super::spec::{Job, LoopSpec, Plants};
+use super::words;
+use crate::estimate::Estimate;
+
+/// Rounds in which draws that miss are added to what the search sees.
+const SCENARIOS: usize = 4;
+/// Draws that are added in a round.
+const ADDED: usize = 5;
+/// Growth of F from one look to the next, and most looks.
+const DETUNE: (f64, usize) = (1.06, 80);
+/// Turns of the critical frequency in a run, and most rows.
+const RUN: (f64, usize) = (400.0, 1_000_000);
+
+/// What the job will do, and what it takes.
+///
+/// # Errors
+/// [`ControlJobError`]: models that cannot be read or do not fit.
+pub fn estimate(job: &Job) -> Result<Estimate, ControlJobError> {
+    let loaded = load(&Job { draws: 0, ..job.clone() }, Watch::silent())?;
+    let (loops, points) = (job.loops.len(), loaded.points.len());
+    let kind = match &job.plants {
+        Plants::Models { files, .. } => format!("{} stored models, {} draws", files.len(), job.draws),
+        Plants::Given { .. } => "transfer functions".into(),
+    };
+    let frequencies: usize = loaded.points.iter().map(|p| frequencies(&p.nominal)).max().unwrap_or(0);
+    let plan = Estimate::new(&job.name)
+        .line("run folder", job.out.display().to_string())
+        .line("plants", format!("{points} set points, {kind}"))
+        .line("loops", format!("{loops}, about {frequencies} frequencies each"));
+    let looks = 1000.0 * (loops * points * frequencies) as f64
+        + 200.0 * (points * (job.draws + 1) * frequencies) as f64;
+    let states = (points * (job.draws + 1) * loops * loops * frequencies * 64) as f64;
+    Ok(plan.memory(states).work(60.0 * looks))
+}
+
+fn frequencies(plant: &System) -> usize {
+    let pi = vec![PidGains::pi(1.0, 1.0).transfer(plant.time); plant.outputs];
+    System::diagonal(plant.time, &pi).map_or(0, |c| dynocal_control::grid::frequencies(plant, &c).len())
+}
+
+/// Tunes and judges in memory.
+///
+/// # Errors
+/// [`ControlJobError`]: models, set points, loops that no PI makes stable, an interruption.
+pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
+    watch.note("linear models of the set points");
+    let loaded = load(job, watch)?;
+    let mut loops = Vec::new();
+    let mut choices = Vec::new();
+    for (k, l) in job.loops.iter().enumerate() {
+        if watch.interrupted() {
+            return Err(ControlJobError::Interrupted);
+        }
+        watch.fraction(0.1 + 0.6 * k as f64 / job.loops.len() as f64);
+        watch.note(&format!("gains of the loop that holds `{}` by `{}`", l.output, l.input));
+        let (found, choice) = one_loop(job, &loaded, k, l)?;
+        loops.push(found);
+        choices.push(choice);
+    }
+    watch.fraction(0.7);
+    watch.note("all loops closed together");
+    let (detuned, together) = close(job, &loaded, &mut loops, watch)?;
+    watch.fraction(0.9);
+    watch.note("runs that check the margins");
+    let checks = checks(job, &loaded, &loops, &together)?;
+    let picture = drawn(job, &loaded, &loops, choices)?;
+    Ok(result(job, loaded, loops, detuned, together, checks, picture))
+}
+
+fn result(
+    job: &Job,
+    loaded: Loaded,
+    loops: Vec<LoopResult>,
+    detuned: f64,
+    together: Vec<Together>,
+    checks: Vec<RunCheck>,
+    picture: Picture,
+) -> Controlled {
+    let relative =
+        |p: &AtPoint| if job.loops.len() > 1 { relative_gains(&p.nominal, 0.0).ok() } else { None };
+    let mut found = Controlled {
+        verb: "control",
+        name: job.name.clone(),
+        valid: false,
+        verdict: Vec::new(),
+        warnings: loaded.warnings,
+        asked: job.asked,
+        disk_margin_asked: job.disk_margin,
+        sample_time_s: loaded.time.sample_time_s(),
+        points: loaded.points.iter().map(|p| p.name.clone()).collect(),
+        draws: job.draws,
+        detuned,
+        relative_gains: loaded.points.iter().map(relative).collect(),
+        loops,
+        together,
+        checks,
+        files: Vec::new(),
+        picture,
+    };
+    words::say(&mut found);
+    found
+}
+
+/// Gains of one loop on its own channel, with those of rules beside.
+fn one_loop(
+    job: &Job,
+    loaded: &Loaded,
+    k: usize,
+    l: &LoopSpec,
+) -> Result<(LoopResult, Option<Choice>), ControlJobError> {
+    let refused = |source: ControlError| ControlJobError::Loop {
+        output: l.output.clone(),
+        input: l.input.clone(),
+        source,
+    };
+    let sign = sign(loaded, k, l)?;
+    let channel = |s: &System| Channel::new(loaded.time, s.channel(k, k).scaled(sign));
+    let nominal: Vec<Channel> =
+        loaded.points.iter().map(|p| channel(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
+    let draws: Vec<Channel> = loaded
+        .points
+        .iter()
+        .flat_map(|p| &p.draws)
+        .map(channel)
+        .collect::<Result<_, _>>()
+        .map_err(|e| refused(ControlError::Model(format!("a draw of the parameters: {e}"))))?;
+    let lags: Vec<Option<Lag>> = nominal.iter().map(|c| tune::lag(c).ok()).collect();
+    let known: Vec<Lag> = lags.iter().flatten().copied().collect();
+    let r = step_run(&nominal, &known);
+    let mut rules = Vec::new();
+    let choice = match l.gains {
+        Some((kp, ki)) => {
+            rules.push(judged("given", &PidGains::pi(kp * sign, ki * sign), &nominal, &job.asked, r));
+            None
+        }
+        None => Some(scenarios(job, nominal.clone(), &draws, r).map_err(refused)?),
+    };
+    if let Some(c) = &choice {
+        rules.push(judged("search", &PidGains::pi(c.tuned.kp, c.tuned.ki), &nominal, &job.asked, r));
+    }
+    if let Some((simc, lambda)) = slowest(&known) {
+        rules.push(judged("SIMC", &simc, &nominal, &job.asked, r));
+        rules.push(judged("lambda tuning", &lambda, &nominal, &job.asked, r));
+    }
+    let own =
+        |c: &Channel| choose(std::slice::from_ref(c), &job.asked, r).ok().map(|c| (c.tuned.kp, c.tuned.ki));
+    let scheduled =
+        if nominal.len() > 1 && l.gains.is_none() { nominal.iter().map(own).collect() } else { Vec::new() };
+    let delivered = &rules[0];
+    let found = LoopResult {
+        output: l.output.clone(),
+        input: l.input.clone(),
+        kp: delivered.kp * sign,
+        ki: delivered.ki * sign,
+        rule: delivered.rule.clone(),
+        sign,
+        lags,
+        rules,
+        scheduled,
+    };
+    Ok((found, choice))
+}
+
+/// The smallest gains that the rules give over the set points.
+fn slowest(lags: &[Lag]) -> Option<(PidGains, PidGains)> {
+    let least = |of: &dyn Fn(&Lag) -> PidGains| {
+        let each: Vec<PidGains> = lags.iter().map(of).collect();
+        let smallest = |part: &dyn Fn(&PidGains) -> f64| each.iter().map(part).fold(f64::INFINITY, f64::min);
+        PidGains::pi(smallest(&|g| g.kp), smallest(&|g| g.ki))
+    };
+    (!lags.is_empty()).then(|| (least(&|l| tune::simc(l, None)), least(&|l| tune::lambda(l, None))))
+}
+
+/// The sign of a channel at rest, the same at all set points and for all draws.
+fn sign(loaded: &Loaded, k: usize, l: &LoopSpec) -> Result<f64, ControlJobError> {
+    let mut first: Option<(f64, &str)> = None;
+    for p in &loaded.points {
+        for s in std::iter::once(&p.nominal).chain(&p.draws) {
+            let gain = s.channel(k, k).steady_gain(s.time);
+            if !(gain.abs() > 0.0) {
+                let source = ControlError::Model(format!(
+                    "`{}` does nothing to `{}` at rest (gain {gain})",
+                    l.input, l.output
+                ));
+                return Err(ControlJobError::Point { point: p.name.clone(), source });
+            }
+            match first {
+                None => first = Some((gain, &p.name)),
+                Some((before, at)) if before.signum() != gain.signum() => {
+                    return Err(ControlJobError::Sign {
+                        output: l.output.clone(),
+                        input: l.input.clone(),
+                        first: before,
+                        at_first: at.into(),
+                        second: gain,
+                        at_second: p.name.clone(),
+                    });
+                }
+                Some(_) => {}
+            }
+        }
+    }
+    Ok(first.map_or(1.0, |(gain, _)| gain.signum()))
+}
+
+/// The search on the nominal channels, and again with the draws that its gains miss most.
+fn scenarios(
+    job: &Job,
+    mut seen: Vec<Channel>,
+    draws: &[Channel],
+    r: StepRun,
+) -> Result<Choice, ControlError> {
+    let mut left: Vec<&Channel> = draws.iter().collect();
+    loop {
+        let found = choose(&seen, &job.asked, r)?;
+        let of = |c: &&Channel| {
+            let m = c.margins(found.tuned.kp, found.tuned.ki);
+            m.map_or(f64::INFINITY, |m| job.asked.violation(&m))
+        };
+        let missed: Vec<f64> = left.par_iter().map(of).collect();
+        let mut order: Vec<usize> = (0..left.len()).filter(|k| missed[*k] > 1.0).collect();
+        if order.is_empty() || !found.kept || seen.len() > SCENARIOS * ADDED + draws.len() {
+            return Ok(found);
+        }
+        order.sort_by(|a, b| missed[*b].total_cmp(&missed[*a]));
+        order.truncate(ADDED);
+        seen.extend(order.iter().map(|k| left[*k].clone()));
+        order.sort_unstable();
+        for k in order.iter().rev() {
+            left.remove(*k);
+        }
+    }
+}
+
+pub(super) fn controller(time: Time, loops: &[LoopResult]) -> Result<System, ControlError> {
+    let own: Vec<Transfer> = loops.iter().map(|l| PidGains::pi(l.kp, l.ki).transfer(time)).collect();
+    System::diagonal(time, &own)
+}
+
+/// Closes all loops; where they act on each other, gains that were searched shrink until everything is kept.
+fn close(
+    job: &Job,
+    loaded: &Loaded,
+    loops: &mut [LoopResult],
+    watch: Watch,
+) -> Result<(f64, Vec<Together>), ControlJobError> {
+    let alone = loops.to_vec();
+    let given = job.loops.iter().any(|l| l.gains.is_some());
+    let mut detuned = 1.0;
+    let mut first: Option<Vec<Together>> = None;
+    for _ in 0..DETUNE.1 {
+        if watch.interrupted() {
+            return Err(ControlJobError::Interrupted);
+        }
+        for (l, a) in loops.iter_mut().zip(&alone) {
+            (l.kp, l.ki) = (a.kp / detuned, a.ki / (detuned * detuned));
+        }
+        let together = judge(job, loaded, loops)?;
+        let kept = together.iter().all(|t| t.violation.is_some_and(|v| v <= 1.0));
+        if kept || given || (loops.len() == 1 && job.disk_margin == 0.0) {
+            return Ok((detuned, together));
+        }
+        first.get_or_insert(together);
+        detuned *= DETUNE.0;
+    }
+    // No smaller gains keep it: what the search gave stands, with what it keeps.
+    loops.clone_from_slice(&alone);
+    Ok((1.0, first.unwrap_or_default()))
+}
+
+/// All loops together at every set point, for the nominal model and the draws.
+fn judge(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Result<Vec<Together>, ControlJobError> {
+    loaded
+        .points
+        .iter()
+        .map(|p| {
+            let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+            let c = controller(loaded.time, loops).map_err(refused)?;
+            let each: Vec<Option<f64>> = p
+                .draws
+                .par_iter()
+                .map(|s| violation(job, &Closed::new(s.clone(), c.clone()).ok()?))
+                .collect();
+            let closed = Closed::new(p.nominal.clone(), c).map_err(refused)?;
+            Ok(at_point(job, &p.name, &closed, &each))
+        })
+        .collect()
+}
+
+fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> Together {
+    let state = closed.unstable();
+    let own = violation(job, closed);
+    let disk_at = |place| disk(closed, place, 0.0).ok();
+    let all = draws.iter().copied().fold(own, |w, v| Some(w?.max(v?)));
+    Together {
+        point: name.into(),
+        stable: state.words(),
+        loops: (0..closed.plant.outputs).filter_map(|k| margins(closed, Side::Outputs, k).ok()).collect(),
+        inputs: disk_at(Place::Inputs),
+        outputs: disk_at(Place::Outputs),
+        both: disk_at(Place::Both),
+        violation: all,
+        violation_nominal: own,
+        unstable_draws: draws.iter().filter(|d| d.is_none()).count(),
+    }
+}
+
+/// Largest ratio of asked to had: each loop with the others closed, and the disk margin at inputs and outputs where one is asked.
+fn violation(job: &Job, closed: &Closed) -> Option<f64> {
+    let mut worst: f64 = 0.0;
+    for k in 0..closed.plant.outputs {
+        worst = worst.max(job.asked.violation(&margins(closed, Side::Outputs, k).ok()?));
+    }
+    if job.disk_margin > 0.0 {
+        for place in [Place::Inputs, Place::Outputs] {
+            worst = worst.max(job.disk_margin / disk(closed, place, 0.0).ok()?.alpha);
+        }
+    }
+    Some(worst)
+}
+
+/// Runs of the tightest set point: gain margins of each loop, the disk margin with its perturbation.
+fn checks(
+    job: &Job,
+    loaded: &Loaded,
+    loops: &[LoopResult],
+    together: &[Together],
+) -> Result<Vec<RunCheck>, ControlJobError> {
+    let tightness = |t: &Together| t.violation_nominal.unwrap_or(f64::INFINITY);
+    let Some(k) =
+        (0..together.len()).max_by(|a, b| tightness(&together[*a]).total_cmp(&tightness(&together[*b])))
+    else {
+        return Ok(Vec::new());
+    };
+    let (p, t) = (&loaded.points[k], &together[k]);
+    let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+    let c = controller(loaded.time, loops).map_err(refused)?;
+    let mut out = Vec::new();
+    let closed = |plant: System| Closed::new(plant, c.clone());
+    let mut look = |what: String, plant: System, w: f64, expected_stable: bool| -> Result<(), ControlError> {
+        let l = closed(plant)?;
+        // A delay that is no whole number of samples cannot be run.
+        if let Ok(growth) = run_of(&l, w) {
+            let holds = (growth < 0.0) == expected_stable;
+            out.push(RunCheck { point: p.name.clone(), what, growth, expected_stable, holds });
+        }
+        Ok(())
+    };
+    if t.loops.is_empty() {
+        return Ok(Vec::new());
+    }
+    for (i, (m, l)) in t.loops.iter().zip(&job.loops).enumerate() {
+        let (Some(gain), Some(w)) = (m.gain_up, m.gain_up_rad_s) else { continue };
+        for (share, stable) in [(0.98, true), (1.02, false)] {
+            let own = |j: usize| Transfer::gain(if j == i { gain * share } else { 1.0 });
+            let factors: Vec<Transfer> = (0..job.loops.len()).map(own).collect();
+            let plant = p.nominal.after(&factors).map_err(refused)?;
+            look(format!("gain margin of `{}`, {share} of it", l.output), plant, w, stable)
+                .map_err(refused)?;
+        }
+    }
+    for (d, place, name) in [
+        (&t.inputs, Place::Inputs, "inputs"),
+        (&t.outputs, Place::Outputs, "outputs"),
+        (&t.both, Place::Both, "inputs and outputs"),
+    ] {
+        let Some(d) = d.as_ref().filter(|_| job.loops.len() > 1 || place == Place::Outputs) else { continue };
+        disk_runs(p, d, place, name, &mut look).map_err(refused)?;
+    }
+    Ok(out)
+}
+
+type Look<'a> = dyn FnMut(String, System, f64, bool) -> Result<(), ControlError> + 'a;
+
+/// The guaranteed disk at 0.98, the lost one at 1.02, with the perturbation that was found.
+fn disk_runs(
+    p: &AtPoint,
+    d: &DiskMargin,
+    place: Place,
+    name: &str,
+    look: &mut Look,
+) -> Result<(), ControlError> {
+    let guaranteed = 0.98 * d.alpha / d.alpha_lost;
+    for (share, words, stable) in
+        [(guaranteed, "0.98 of what is guaranteed", true), (1.02, "1.02 of what is lost", false)]
+    {
+        if let Some(plant) = perturbed(&p.nominal, place, d, share)? {
+            look(format!("disk margin at all {name}, {words}"), plant, d.lost_rad_s, stable)?;
+        }
+    }
+    Ok(())
+}
+
+/// Growth of a run that is long against the critical frequency.
+fn run_of(closed: &Closed, w: f64) -> Result<f64, ControlError> {
+    let fastest = Cell::new(w);
+    for g in closed.plant.channels.iter().chain(&closed.controller.channels) {
+        for pole in dynocal_control::poly::roots(&g.den).unwrap_or_default() {
+            fastest.set(fastest.get().max(pole.norm()));
+        }
+    }
+    let delays = closed.plant.channels.iter().map(|g| g.delay_s).filter(|d| *d > 0.0);
+    let step_s = match closed.plant.time {
+        Time::Sampled { sample_time_s } => sample_time_s,
+        Time::Continuous => (0.05 / fastest.get()).min(delays.fold(f64::INFINITY, f64::min) / 4.0),
+    };
+    let rows = (RUN.0 * std::f64::consts::TAU / (w * step_s)) as usize;
+    growth(closed, step_s, rows.clamp(4000, RUN.1))
+}

@@ -1,0 +1,143 @@
+//! The job `control`: equal to closed forms, equal between a stored model and its transfer function, bad input named.
+
+use std::path::Path;
+
+use dynocal_files::json;
+use dynocal_ident::model::initial::Initial;
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+use dynocal_jobs::control::{Controlled, run, spec, work};
+use dynocal_jobs::place::Overrides;
+use dynocal_numerics::watch::Watch;
+
+fn parsed(text: &str, folder: &Path) -> Result<spec::Job, String> {
+    let file = folder.join("spec.toml");
+    let over = Overrides { seed: None, out: Some(folder.join("run")) };
+    spec::parse(&file.display().to_string(), text, &over).map_err(|e| e.to_string())
+}
+
+fn found(text: &str, folder: &Path) -> Controlled {
+    work::control(&parsed(text, folder).unwrap(), Watch::silent()).unwrap()
+}
+
+const LAG: &str = "[[loops]]\noutput = \"y\"\ninput = \"u\"\n";
+
+/// e^-s / (4 s + 1) with given SIMC gains: the closed forms of the loop 0.5 e^-s / s.
+#[test]
+fn given_gains_are_judged_as_they_are() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant = "[[plants]]\nchannels = [[{ num = [1.0], den = [4.0, 1.0], delay_s = 1.0 }]]\n";
+    let asked = "[asked]\nsensitivity = 1.6\n";
+    let own = found(&format!("{asked}{LAG}kp = 2.0\nki = 0.5\n{plant}"), tmp.path());
+    let m = &own.together[0].loops[0];
+    assert!(
+        (m.gain_up.unwrap() - std::f64::consts::PI).abs() < 1e-6 && (m.sensitivity - 1.590490).abs() < 1e-6
+    );
+    assert!(own.valid && own.verdict[0].contains("keep"), "{:?}", own.verdict);
+    assert!(own.checks.len() >= 4 && own.checks.iter().all(|c| c.holds), "{:?}", own.checks);
+    // The same without the margin that it lacks.
+    let refused = found(&format!("[asked]\nsensitivity = 1.5\n{LAG}kp = 2.0\nki = 0.5\n{plant}"), tmp.path());
+    assert!(!refused.valid && refused.verdict[0].contains("must not be used"), "{:?}", refused.verdict);
+    // Gains past the boundary of stability have no margins, and the set point is named.
+    let unstable = found(&format!("{LAG}kp = 8.0\nki = 0.5\n{plant}"), tmp.path());
+    assert!(!unstable.valid && unstable.warnings[0].contains("plant 1"), "{:?}", unstable.warnings);
+    // What no PI can do is said with the best there is.
+    let slow = found(&format!("[asked]\nsettling_s = 0.5\n{LAG}{plant}"), tmp.path());
+    assert!(!slow.valid && slow.verdict[0].contains("no PI"), "{:?}", slow.verdict);
+    assert!(slow.together[0].violation.unwrap() <= 1.0);
+}
+
+/// A stored model about a set point is its transfer function, preparation and all; the page is written.
+#[test]
+fn a_stored_model_is_its_transfer_function() {
+    let tmp = tempfile::tempdir().unwrap();
+    let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
+    // y(t) = 0.8 y(t-1) + 0.02 u(t-2)^2: about u = 5 the gain is 0.2.
+    let structure = PolyNarx::parse(&["u"], "y", &["u(t-2)*u(t-2)", "y(t-1)"]).unwrap();
+    let mut model =
+        StoredModel::new(structure, &[0.02, 0.8], vec![quantity("u", "V")], quantity("y", "Nm"), 0.1)
+            .unwrap();
+    model.initial = Some(Initial::Rest);
+    json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+    let gains = "kp = 0.8\nki = 1.5\n";
+    let stored = format!(
+        "models = [\"model.json\"]\ndraws = 3\n{LAG}{gains}[[points]]\nname = \"five\"\nvalues = {{ u = 5.0 }}\n"
+    );
+    let job = parsed(&stored, tmp.path()).unwrap();
+    let (own, folder) = run(&job, Watch::silent()).unwrap();
+    let given = format!(
+        "sample_time_s = 0.1\n{LAG}{gains}[[plants]]\nchannels = [[{{ num = [0.0, 0.0, 0.2], den = [1.0, -0.8] }}]]\n"
+    );
+    let other = found(&given, tmp.path());
+    let (a, b) = (&own.together[0].loops[0], &other.together[0].loops[0]);
+    let close = |x: f64, y: f64| assert!((x / y - 1.0).abs() < 1e-6, "{x} {y}");
+    close(a.gain_up.unwrap(), b.gain_up.unwrap());
+    close(a.phase_deg.unwrap(), b.phase_deg.unwrap());
+    close(a.sensitivity, b.sensitivity);
+    assert!(own.warnings.iter().any(|w| w.contains("covariance")), "{:?}", own.warnings);
+    assert!(folder.path().join("report.html").exists() && folder.path().join("summary.json").exists());
+}
+
+/// Two loops that act on each other, searched: what is kept is kept by every set point, and equal for any number of threads.
+#[test]
+fn coupled_loops_keep_what_is_asked_together() {
+    let tmp = tempfile::tempdir().unwrap();
+    let text =
+        std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/control/loops.toml"))
+            .unwrap();
+    let own = found(&text, tmp.path());
+    assert!(own.valid, "{:?} {:?}", own.verdict, own.checks);
+    for t in &own.together {
+        assert!(t.violation.unwrap() <= 1.0);
+        for m in &t.loops {
+            assert!(
+                m.gain_up.is_none_or(|g| g >= 2.0) && m.phase_deg.unwrap() >= 45.0 && m.sensitivity <= 1.7,
+                "{m:?}"
+            );
+        }
+        let (i, b) = (t.outputs.as_ref().unwrap(), t.both.as_ref().unwrap());
+        assert!(i.alpha >= 0.4 && b.alpha <= i.alpha && b.alpha <= b.alpha_lost * (1.0 + 1e-9));
+    }
+    assert!(own.loops[1].kp < 0.0, "fuel makes lambda smaller: {:?}", own.loops[1].kp);
+}
+
+#[test]
+fn bad_specs_are_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant = "[[plants]]\nchannels = [[{ num = [1.0], den = [4.0, 1.0] }]]\n";
+    for (text, part) in [
+        (format!("models = [\"m.json\"]\n{LAG}"), "points"),
+        (LAG.to_string(), "plants"),
+        (format!("{LAG}kp = 1.0\n{plant}"), "ki"),
+        (format!("{LAG}extra_delay_s = -1.0\n{plant}"), "extra_delay_s"),
+        (format!("draws = 5\n{LAG}{plant}"), "draws"),
+        (format!("[asked]\nsensitivity = 0.9\n{LAG}{plant}"), "asked.sensitivity"),
+        (
+            format!("{LAG}[[plants]]\nchannels = [[{{ num = [1.0, 0.0, 0.0], den = [4.0, 1.0] }}]]\n"),
+            "degree of the numerator",
+        ),
+        (
+            format!("{LAG}[[plants]]\nchannels = [[{{ num = [1.0], den = [4.0, 1.0] }}], []]\n"),
+            "plants.0.channels",
+        ),
+        (format!("reaction_samples = 2\n{LAG}{plant}"), "reaction_samples"),
+    ] {
+        let refused = parsed(&text, tmp.path()).map(|_| ()).unwrap_err();
+        assert!(refused.contains(part) && refused.contains("spec.toml"), "{part}: {refused}");
+    }
+    // Signs that change between set points, a plant that does nothing.
+    let two = |a: f64, b: f64| {
+        format!(
+            "{LAG}[[plants]]\nname = \"low\"\nchannels = [[{{ num = [{a:?}], den = [4.0, 1.0] }}]]\n[[plants]]\nname = \"high\"\nchannels = [[{{ num = [{b:?}], den = [4.0, 1.0] }}]]\n"
+        )
+    };
+    let failed = |text: &str| {
+        work::control(&parsed(text, tmp.path()).unwrap(), Watch::silent())
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
+    };
+    let text = failed(&two(1.0, -1.0));
+    assert!(text.contains("low") && text.contains("high"), "{text}");
+    assert!(failed(&two(1.0, 0.0)).contains("high"));
+}

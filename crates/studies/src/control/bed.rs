@@ -1,0 +1,194 @@
+//! A bed about its set point: moved to identify it, and under two loops into which gain or delay is put.
+
+use std::collections::VecDeque;
+
+use dynocal_control::margin::Margins;
+use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
+use dynocal_ident::plant::{Causality, Plant};
+use dynocal_numerics::rng::Rng64;
+use dynocal_plant::bed::{BedSettings, EngineBed};
+use dynocal_plant::params::EngineParams;
+
+/// Interval of control in s.
+pub(super) const SAMPLE_S: f64 = 0.02;
+/// Movements of the test as shares of throttle and fuel.
+const MOVES: [f64; 2] = [0.04, 0.04];
+/// Holds of a level in samples, drawn evenly on a logarithmic scale.
+const HOLDS: (f64, f64) = (2.0, 60.0);
+/// Time in s before anything is looked at.
+const SETTLE_S: f64 = 20.0;
+/// Length of a run that shows whether the loops oscillate, in s, and what of its end is looked at.
+const RUN: (f64, f64) = (60.0, 15.0);
+/// Times the scatter of the nominal loops at which it is an oscillation.
+const OSCILLATES: f64 = 4.0;
+/// Halvings of the interval in which it begins.
+const HALVINGS: usize = 7;
+/// Places of injection, throttle, torque and lambda.
+const INJ: usize = 0;
+const THROTTLE: usize = 2;
+const TORQUE: usize = 0;
+const LAMBDA: usize = 1;
+
+/// A bed at rest at its set point.
+pub(super) struct Bench {
+    settled: EngineBed,
+    u0: Vec<f64>,
+    /// Means of torque and lambda there.
+    y0: [f64; 2],
+    outputs: usize,
+    seed: u64,
+}
+
+/// Movements about the set point.
+pub(super) struct Record {
+    /// Throttle and fuel, rows x 2.
+    pub(super) u: Vec<f64>,
+    /// Torque, lambda.
+    pub(super) y: [Vec<f64>; 2],
+}
+
+impl Record {
+    pub(super) fn rows(&self) -> usize {
+        self.y[0].len()
+    }
+}
+
+/// What is put into a loop.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Injected {
+    pub(super) at: usize,
+    pub(super) gain: f64,
+    pub(super) delay_samples: usize,
+}
+
+impl Bench {
+    /// The bed of a parameter set at its start point, 2000 rpm and 50 Nm, settled.
+    pub(super) fn new(engine: &str, seed: u64) -> Result<Self, String> {
+        let params = EngineParams::named(engine).map_err(|e| e.to_string())?;
+        let settings = BedSettings::of_set(engine, &params).map_err(|e| e.to_string())?;
+        let mut bed = EngineBed::new(&params, settings).map_err(|e| e.to_string())?;
+        bed.reset(seed);
+        let inputs = bed.variables().iter().take_while(|v| v.causality == Causality::Input).count();
+        let u0: Vec<f64> = bed.variables()[..inputs].iter().map(|v| v.start).collect();
+        let outputs = bed.variables().len() - inputs;
+        let mut y = vec![0.0; outputs];
+        let mut sums = [0.0; 2];
+        let n = (2.0 * SETTLE_S / SAMPLE_S) as usize;
+        for t in 0..n {
+            bed.step(&u0, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
+            if t >= n / 2 {
+                sums[0] += y[TORQUE];
+                sums[1] += y[LAMBDA];
+            }
+        }
+        let y0 = sums.map(|s| s / (n - n / 2) as f64);
+        Ok(Self { settled: bed, u0, y0, outputs, seed })
+    }
+
+    /// Throttle and fuel moved at random, each on its own.
+    pub(super) fn excite(&self, length_s: f64) -> Result<Record, String> {
+        let n = (length_s / SAMPLE_S) as usize;
+        let mut rng = Rng64::stream(self.seed, 7);
+        let mut bed = self.settled.clone();
+        let moves = [MOVES[0] * self.u0[THROTTLE], MOVES[1] * self.u0[INJ]];
+        let mut record =
+            Record { u: Vec::with_capacity(2 * n), y: [Vec::with_capacity(n), Vec::with_capacity(n)] };
+        let (mut left, mut level) = ([0usize; 2], [0.0; 2]);
+        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
+        for _ in 0..n {
+            for k in 0..2 {
+                if left[k] == 0 {
+                    left[k] = rng.uniform_in(HOLDS.0.ln(), HOLDS.1.ln()).exp() as usize;
+                    level[k] = moves[k] * rng.uniform_in(-1.0, 1.0);
+                }
+                left[k] -= 1;
+            }
+            u[THROTTLE] = self.u0[THROTTLE] + level[0];
+            u[INJ] = self.u0[INJ] + level[1];
+            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
+            record.u.extend(level);
+            record.y[0].push(y[TORQUE] - self.y0[0]);
+            record.y[1].push(y[LAMBDA] - self.y0[1]);
+        }
+        Ok(record)
+    }
+
+    /// Scatter (standard deviation) of the output of loop `at` at the end of a run with what is put in. The demand of that loop
+    /// makes one small step at the start, so that an oscillation has something to grow from.
+    fn scatter(&self, map: &[f64], gains: &[PidGains], put: Injected) -> Result<f64, String> {
+        let mut bed = self.settled.clone();
+        let wide = ActuatorLimits { lower: -1e6, upper: 1e6, rate_per_s: None };
+        let mut pids = gains
+            .iter()
+            .map(|g| Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string()))
+            .collect::<Result<Vec<_>, _>>()?;
+        let n = (RUN.0 / SAMPLE_S) as usize;
+        let tail = n - (RUN.1 / SAMPLE_S) as usize;
+        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
+        bed.outputs(&mut y).map_err(|e| e.to_string())?;
+        let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, put.delay_samples).collect();
+        let mut seen = Vec::with_capacity(n - tail);
+        let kick = [0.03 * self.y0[0].abs(), 0.02];
+        for t in 0..n {
+            let shown = [y[TORQUE] - self.y0[0], y[LAMBDA] - self.y0[1]];
+            let mut d = [0.0; 2];
+            for k in 0..2 {
+                let mut error = -shown[k];
+                if k == put.at {
+                    error += if t < 50 { kick[k] } else { 0.0 };
+                    waiting.push_back(error);
+                    error = put.gain * waiting.pop_front().unwrap_or(0.0);
+                }
+                d[k] = pids[k].step(0.0, error);
+            }
+            // The map takes demands to throttle and fuel; actuators end where they end.
+            u[THROTTLE] = (self.u0[THROTTLE] + map[0] * d[0] + map[1] * d[1]).clamp(1.0, 80.0);
+            let fuel = self.u0[INJ] + map[2] * d[0] + map[3] * d[1];
+            u[INJ] = fuel.clamp(0.3 * self.u0[INJ], 3.0 * self.u0[INJ]);
+            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
+            if t >= tail {
+                seen.push([y[TORQUE], y[LAMBDA]][put.at]);
+            }
+        }
+        let mean = seen.iter().sum::<f64>() / seen.len() as f64;
+        Ok((seen.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / seen.len() as f64).sqrt())
+    }
+
+    /// Gain (factor) or delay (s) in loop `k` at which the engine begins to oscillate; none where it does not up to three times
+    /// what is promised.
+    pub(super) fn lost(
+        &self,
+        map: &[f64],
+        gains: &[PidGains],
+        k: usize,
+        delay: bool,
+        promised: &Margins,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Option<f64>, String> {
+        let put = |amount: f64| Injected {
+            at: k,
+            gain: if delay { 1.0 } else { amount },
+            delay_samples: if delay { (amount / SAMPLE_S).round() as usize } else { 0 },
+        };
+        let (least, most) = if delay {
+            (0.0, 3.0 * promised.delay_s.unwrap_or(1.0))
+        } else {
+            (1.0, 3.0 * promised.gain_up.unwrap_or(4.0))
+        };
+        let calm = self.scatter(map, gains, put(least))?;
+        let oscillates =
+            |amount: f64| Ok::<bool, String>(self.scatter(map, gains, put(amount))? > OSCILLATES * calm);
+        if !oscillates(most)? {
+            return Ok(None);
+        }
+        let (mut good, mut bad) = (least, most);
+        for _ in 0..HALVINGS {
+            if stop() {
+                return Err("interrupted".into());
+            }
+            let middle = if delay { 0.5 * (good + bad) } else { (good * bad).sqrt() };
+            if oscillates(middle)? { bad = middle } else { good = middle }
+        }
+        Ok(Some(if delay { 0.5 * (good + bad) } else { (good * bad).sqrt() }))
+    }
+}

@@ -1,0 +1,335 @@
+//! Study `control`: margins that are promised by an identified model, measured on the engine (thesis section 7.7).
+//!
+//! On three beds, with sensors and scatter: throttle and injected fuel are moved a little about a set point, a linear model of
+//! torque and lambda is estimated from the record, and its steady gains are inverted, which is what a static map is about its
+//! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. About this compensated engine two PI controllers are
+//! tuned by the search of the plane. Their gain and delay margins, each loop with the other closed, are then measured: gain or
+//! delay is put into one loop and grows until the engine oscillates. The published gains are judged on the same models.
+
+mod bed;
+mod page;
+
+use dynocal_control::closed::Closed;
+use dynocal_control::interaction::relative_gains;
+use dynocal_control::linear::about;
+use dynocal_control::margin::{Margins, Side, margins};
+use dynocal_control::matrix::Matrix;
+use dynocal_control::plane::Channel;
+use dynocal_control::runtime::PidGains;
+use dynocal_control::system::{System, Transfer};
+use dynocal_control::tune::{Asked as Margin, choose, lag, step_run};
+use dynocal_ident::estimate::pem::Pem;
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::linear::fit_linear;
+use dynocal_ident::model::linear::LinearModel;
+use dynocal_ident::stored::{Quantity, StoredModel};
+use dynocal_numerics::registry::MemberDoc;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::asked::Asked;
+use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check};
+use bed::{Bench, SAMPLE_S};
+
+pub(super) const STUDY: Study = Study {
+    doc: MemberDoc {
+        name: "control",
+        what: "PI loops about an identified engine: promised margins measured on the bed, published gains beside",
+        params: &[],
+    },
+    tasks,
+    reduce,
+    sections: page::sections,
+};
+
+/// Beds, and seeds of their scatter.
+const ENGINES: [&str; 3] = ["pfi_1_6l", "gtdi_2l", "other_1_8l"];
+/// Length of the record that identifies, in s.
+const RECORD_S: f64 = 120.0;
+/// Orders of A and B that are compared on the second half of the record.
+const ORDERS: [(usize, usize); 5] = [(2, 8), (3, 12), (4, 16), (4, 24), (6, 24)];
+/// Names of inputs and outputs.
+const INPUTS: [&str; 2] = ["throttle", "inj"];
+const OUTPUTS: [&str; 2] = ["torque", "lambda"];
+/// The published gains: equation, kp and ki of torque, kp and ki of lambda.
+const PUBLISHED: [(&str, [f64; 4]); 2] =
+    [("(7.23)", [0.33, 2.64, 3.59, 19.34]), ("(7.33)", [0.33, 2.64, 0.5, 2.0])];
+
+/// One loop: what was promised and what was measured.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct LoopFound {
+    kp: f64,
+    ki: f64,
+    promised: Margins,
+    /// Factor of the gain at which the engine began to oscillate; none: not up to the largest that was tried.
+    gain_measured: Option<f64>,
+    /// Delay in s at which it began to oscillate.
+    delay_measured_s: Option<f64>,
+}
+
+/// Published gains on the identified model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Judged {
+    equation: String,
+    output: String,
+    stable: bool,
+    gain_margin: Option<f64>,
+    phase_deg: Option<f64>,
+}
+
+/// A bed.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Case {
+    engine: String,
+    failed: Option<String>,
+    /// Orders of the models, and their free-run fit on the half that chose them, in percent.
+    orders: Vec<(usize, usize)>,
+    fits: Vec<f64>,
+    /// Steady gains, outputs by inputs.
+    steady: Vec<f64>,
+    relative_gain: f64,
+    loops: Vec<LoopFound>,
+    published: Vec<Judged>,
+}
+
+fn tasks(o: &Options) -> Vec<Task> {
+    let engines = if o.reduced { &ENGINES[..1] } else { &ENGINES[..] };
+    let (seed, reduced) = (o.seed, o.reduced);
+    engines
+        .iter()
+        .map(|engine| Task {
+            name: (*engine).into(),
+            inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
+            run: Box::new(move |around: &Surroundings| {
+                let mut case = Case {
+                    engine: (*engine).into(),
+                    failed: None,
+                    orders: Vec::new(),
+                    fits: Vec::new(),
+                    steady: Vec::new(),
+                    relative_gain: f64::NAN,
+                    loops: Vec::new(),
+                    published: Vec::new(),
+                };
+                // What fails on a bed is its result, and not the end of the study.
+                if let Err(reason) = fill(&mut case, seed, reduced, around) {
+                    if around.watch.interrupted() {
+                        return Err(StudyError::Interrupted);
+                    }
+                    case.failed = Some(reason);
+                }
+                serde_json::to_value(case)
+                    .map_err(|e| StudyError::Task { what: (*engine).into(), reason: e.to_string() })
+            }),
+        })
+        .collect()
+}
+
+fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Result<(), String> {
+    let text = |e: &dyn std::fmt::Display| e.to_string();
+    let watch = around.watch;
+    watch.note(&format!("{}: record", case.engine));
+    let bench = Bench::new(&case.engine, seed)?;
+    let record = bench.excite(if reduced { 60.0 } else { RECORD_S })?;
+    let mut models = Vec::new();
+    for (o, output) in OUTPUTS.iter().enumerate() {
+        let (model, orders, fit) = identify(&record, o, output, &|| watch.interrupted())?;
+        case.orders.push(orders);
+        case.fits.push(fit);
+        models.push(model);
+    }
+    let all: Vec<&StoredModel> = models.iter().collect();
+    let names: Vec<String> = INPUTS.iter().map(|n| n.to_string()).collect();
+    let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
+    let found = about(&all, &names, &point).map_err(|e| text(&e))?;
+    let at_rest = found.system.at(0.0);
+    case.steady = at_rest.data.iter().map(|v| v.re).collect();
+    case.relative_gain = relative_gains(&found.system, 0.0).map_err(|e| text(&e))?[0];
+    let map = inverse(&at_rest)?;
+    // The controller answers a record's row in the next one.
+    let later = Transfer::sampled(&[0.0, 1.0], &[1.0]);
+    let plant =
+        found.system.mixed(&map).and_then(|s| s.after(&[later.clone(), later])).map_err(|e| text(&e))?;
+    let gains = tuned(&plant)?;
+    let closed = closed(&plant, &gains)?;
+    case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&plant, name, g)).collect();
+    for (k, g) in gains.iter().enumerate() {
+        watch.note(&format!("{}: margins of the loop of {}", case.engine, OUTPUTS[k]));
+        let promised = margins(&closed, Side::Outputs, k).map_err(|e| text(&e))?;
+        let measure = |delay: bool| bench.lost(&map, &gains, k, delay, &promised, &|| watch.interrupted());
+        case.loops.push(LoopFound {
+            kp: g.kp,
+            ki: g.ki,
+            gain_measured: measure(false)?,
+            delay_measured_s: measure(true)?,
+            promised,
+        });
+    }
+    Ok(())
+}
+
+/// A linear model of one output, its orders chosen by the free run over the second half of the record.
+fn identify(
+    record: &bed::Record,
+    o: usize,
+    output: &str,
+    stop: &dyn Fn() -> bool,
+) -> Result<(StoredModel, (usize, usize), f64), String> {
+    let half = record.rows() / 2;
+    let part = |from: usize, to: usize| Experiment {
+        name: "record".into(),
+        u: record.u[2 * from..2 * to].to_vec(),
+        y: record.y[o][from..to].to_vec(),
+        init_samples: 40,
+        weights: vec![],
+    };
+    let (first, second, whole) = (part(0, half), part(half, record.rows()), part(0, record.rows()));
+    let mut best: Option<((usize, usize), f64)> = None;
+    for (na, nb) in ORDERS {
+        let model = LinearModel::armax(&INPUTS, output, na, nb, na, 0);
+        let Ok(fit) = fit_linear(&model, std::slice::from_ref(&first), &Pem::default(), stop) else {
+            continue;
+        };
+        let score = fit.score(
+            std::slice::from_ref(&second),
+            dynocal_ident::validate::Kind::FreeRun,
+            dynocal_ident::validate::Seen::Selection,
+        );
+        if best.is_none_or(|b| 100.0 * score.r2 > b.1) {
+            best = Some(((na, nb), 100.0 * score.r2));
+        }
+    }
+    let ((na, nb), fit) = best.ok_or_else(|| format!("no model of {output} could be fitted"))?;
+    let model = LinearModel::armax(&INPUTS, output, na, nb, na, 0);
+    let found = fit_linear(&model, &[whole], &Pem::default(), stop).map_err(|e| e.to_string())?;
+    let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
+    let inputs = INPUTS.iter().map(|n| quantity(n)).collect();
+    let stored = StoredModel::new(model, &found.fit.theta, inputs, quantity(output), SAMPLE_S)
+        .map_err(|e| e.to_string())?;
+    Ok((stored, (na, nb), fit))
+}
+
+fn inverse(g: &Matrix) -> Result<Vec<f64>, String> {
+    let inverse = g.inverse().ok_or("the steady gains of the engine have no inverse")?;
+    Ok(inverse.data.iter().map(|v| v.re).collect())
+}
+
+/// Gains of each loop alone, made smaller together until both keep the margins with the other closed.
+fn tuned(plant: &System) -> Result<Vec<PidGains>, String> {
+    let asked = Margin::default();
+    let mut alone = Vec::new();
+    for k in 0..2 {
+        let refused = |e: dynocal_control::error::ControlError| format!("gains of {}: {e}", OUTPUTS[k]);
+        let channel = Channel::new(plant.time, plant.channel(k, k).clone()).map_err(refused)?;
+        let lags: Vec<_> = lag(&channel).ok().into_iter().collect();
+        let channels = [channel];
+        let found = choose(&channels, &asked, step_run(&channels, &lags)).map_err(refused)?;
+        alone.push(PidGains::pi(found.tuned.kp, found.tuned.ki));
+    }
+    let mut factor = 1.0;
+    for _ in 0..60 {
+        let gains: Vec<PidGains> =
+            alone.iter().map(|g| PidGains::pi(g.kp / factor, g.ki / (factor * factor))).collect();
+        let l = closed(plant, &gains)?;
+        let kept = |k: usize| margins(&l, Side::Outputs, k).is_ok_and(|m| asked.violation(&m) <= 1.0);
+        if kept(0) && kept(1) {
+            return Ok(gains);
+        }
+        factor *= 1.06;
+    }
+    Err("no gains keep the margins with both loops closed".into())
+}
+
+fn closed(plant: &System, gains: &[PidGains]) -> Result<Closed, String> {
+    let own: Vec<Transfer> = gains.iter().map(|g| g.transfer(plant.time)).collect();
+    let controller = System::diagonal(plant.time, &own).map_err(|e| e.to_string())?;
+    Closed::new(plant.clone(), controller).map_err(|e| e.to_string())
+}
+
+/// Published gains, each loop alone.
+fn judged(plant: &System, equation: &str, g: &[f64; 4]) -> Vec<Judged> {
+    (0..2)
+        .filter_map(|k| {
+            let channel = Channel::new(plant.time, plant.channel(k, k).clone()).ok()?;
+            let m = channel.margins(g[2 * k], g[2 * k + 1]);
+            Some(Judged {
+                equation: equation.into(),
+                output: OUTPUTS[k].into(),
+                stable: m.is_some(),
+                gain_margin: m.and_then(|m| m.gain_up),
+                phase_deg: m.and_then(|m| m.phase_deg),
+            })
+        })
+        .collect()
+}
+
+fn cases(results: &[TaskResult]) -> Vec<Case> {
+    results.iter().filter_map(|r| serde_json::from_value(r.value.clone()).ok()).collect()
+}
+
+/// Measured over promised in dB.
+fn gain_error_db(l: &LoopFound) -> Option<f64> {
+    Some(20.0 * (l.gain_measured? / l.promised.gain_up?).log10())
+}
+
+/// Measured less promised delay margin, in deg at the frequency of the phase margin.
+fn phase_error_deg(l: &LoopFound) -> Option<f64> {
+    Some(((l.delay_measured_s? - l.promised.delay_s?) * l.promised.phase_rad_s?).to_degrees())
+}
+
+fn reduce(results: &[TaskResult]) -> Vec<Check> {
+    let all = cases(results);
+    let loops = || all.iter().flat_map(|c| &c.loops);
+    let note = |of: &dyn Fn(&LoopFound) -> Option<f64>| {
+        let each = all.iter().flat_map(|c| c.loops.iter().zip(OUTPUTS).map(move |(l, o)| (c, l, o)));
+        let text = |(c, l, o): (&Case, &LoopFound, &str)| {
+            format!("{} {o} {}", c.engine, of(l).map_or("-".into(), |v| format!("{v:.2}")))
+        };
+        each.map(text).collect::<Vec<_>>().join(", ")
+    };
+    let sizes =
+        |of: &dyn Fn(&LoopFound) -> Option<f64>| loops().map(|l| of(l).map(f64::abs)).collect::<Vec<_>>();
+    let mut checks = vec![
+        check(
+            "gain-margin",
+            "gain margin on the engine over that of the model, worst of loops and beds",
+            Asked::AtMost(1.0),
+            Asked::AtMost(1.0).worst(&sizes(&gain_error_db)),
+            "dB",
+            note(&gain_error_db),
+        ),
+        check(
+            "phase-margin",
+            "delay margin on the engine less that of the model, as phase at its frequency, worst of loops and beds",
+            Asked::AtMost(5.0),
+            Asked::AtMost(5.0).worst(&sizes(&phase_error_deg)),
+            "deg",
+            note(&phase_error_deg),
+        ),
+    ];
+    for (equation, _) in PUBLISHED {
+        let of = all.iter().flat_map(|c| &c.published).filter(|j| j.equation == equation);
+        let stable: Vec<bool> = of.map(|j| j.stable).collect();
+        let share = stable.iter().filter(|s| **s).count() as f64 / stable.len().max(1) as f64;
+        checks.push(check(
+            format!("published-{}", equation.trim_matches(['(', ')'])),
+            format!("share of loops that are stable with the published gains {equation}"),
+            Asked::Reported,
+            Some(100.0 * share),
+            "%",
+            "gains of the compensated engine of the thesis, whose sample time and sensors are others",
+        ));
+    }
+    let failed: Vec<String> =
+        all.iter().filter_map(|c| c.failed.as_ref().map(|f| format!("{}: {f}", c.engine))).collect();
+    let count = failed.len() + results.len() - all.len();
+    checks.push(check(
+        "failed",
+        "beds without a result",
+        Asked::AtMost(0.0),
+        Some(count as f64),
+        "-",
+        failed.join("; "),
+    ));
+    checks
+}

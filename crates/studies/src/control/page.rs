@@ -1,0 +1,105 @@
+//! The page.
+
+use dynocal_report::{Cell, Column, Report, Section, Table};
+
+use super::{Case, OUTPUTS, cases, gain_error_db, phase_error_deg};
+use crate::TaskResult;
+
+pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
+    let all = cases(results);
+    report.section(promised(&all)).section(models(&all)).section(published(&all))
+}
+
+fn promised(all: &[Case]) -> Section {
+    let head = vec![
+        Column::text("Bed"),
+        Column::text("Loop"),
+        Column::number("kp", "").digits(4),
+        Column::number("ki", "1/s").digits(4),
+        Column::number("Gain margin, model", "").digits(4),
+        Column::number("engine", "").digits(4),
+        Column::number("difference", "dB").digits(3),
+        Column::number("Delay margin, model", "s").digits(4),
+        Column::number("engine", "s").digits(4),
+        Column::number("difference", "deg").digits(3),
+        Column::number("Ms, model", "").digits(4),
+    ];
+    let mut table = Table::new(head);
+    for c in all {
+        for (l, o) in c.loops.iter().zip(OUTPUTS) {
+            table = table.row(vec![
+                Cell::from(c.engine.as_str()),
+                o.into(),
+                l.kp.into(),
+                l.ki.into(),
+                Cell::from(l.promised.gain_up),
+                Cell::from(l.gain_measured),
+                Cell::from(gain_error_db(l)),
+                Cell::from(l.promised.delay_s),
+                Cell::from(l.delay_measured_s),
+                Cell::from(phase_error_deg(l)),
+                l.promised.sensitivity.into(),
+            ]);
+        }
+    }
+    Section::new("Promised and measured margins")
+        .text("Each loop with the other closed, about the engine behind its inverted steady gains. On the engine the gain or the delay of one loop grows until its output scatters four times as much as with the nominal loops; actuators have their limits, sensors their noise.")
+        .block(table)
+}
+
+fn models(all: &[Case]) -> Section {
+    let head = vec![
+        Column::text("Bed"),
+        Column::text("Output"),
+        Column::text("Orders of A and B"),
+        Column::number("Free run on the half that chose them", "%").digits(4),
+        Column::number("Steady gain of throttle", "1/deg").digits(4),
+        Column::number("of fuel", "1/mg").digits(4),
+        Column::number("Relative gain", "").digits(3),
+    ];
+    let mut table = Table::new(head);
+    for c in all {
+        for (k, o) in OUTPUTS.iter().enumerate() {
+            let orders = c.orders.get(k).map_or("-".into(), |(a, b)| format!("{a}, {b}"));
+            table = table.row(vec![
+                Cell::from(c.engine.as_str()),
+                (*o).into(),
+                orders.as_str().into(),
+                Cell::from(c.fits.get(k).copied()),
+                Cell::from(c.steady.get(2 * k).copied()),
+                Cell::from(c.steady.get(2 * k + 1).copied()),
+                c.relative_gain.into(),
+            ]);
+        }
+    }
+    Section::new("Models")
+        .text("More fuel makes lambda smaller: the gain from fuel is negative. The published gains are positive because they act on the demand of lambda before a map, which turns the sign.")
+        .block(table)
+}
+
+fn published(all: &[Case]) -> Section {
+    let head = vec![
+        Column::text("Bed"),
+        Column::text("Gains"),
+        Column::text("Loop"),
+        Column::text("Stable"),
+        Column::number("Gain margin", "").digits(4),
+        Column::number("Phase margin", "deg").digits(4),
+    ];
+    let mut table = Table::new(head);
+    for c in all {
+        for j in &c.published {
+            table = table.row(vec![
+                Cell::from(c.engine.as_str()),
+                j.equation.as_str().into(),
+                j.output.as_str().into(),
+                if j.stable { "yes" } else { "no" }.into(),
+                Cell::from(j.gain_margin),
+                Cell::from(j.phase_deg),
+            ]);
+        }
+    }
+    Section::new("Published gains on these engines")
+        .text("Gains of the thesis, each loop alone, on the identified models behind their inverted steady gains. They were made for another engine with another map.")
+        .block(table)
+}
