@@ -1,0 +1,76 @@
+//! What the data say of each cell.
+
+use dynocal_numerics::linalg;
+
+use super::normal::{Normal, Smooth};
+use super::{Problem, Verdict, offsets};
+use crate::error::LabelError;
+
+/// Share of a cell's value that must come from its own data to call it determined.
+const DETERMINED: f64 = 0.5;
+/// Two-sided 95 % of the normal distribution.
+const Z95: f64 = 1.959_963_984_540_054;
+
+pub(super) struct Told {
+    pub(super) half_width: Vec<f64>,
+    pub(super) own: Vec<f64>,
+    pub(super) verdicts: Vec<Verdict>,
+    pub(super) sigma: f64,
+}
+
+/// Samples at each cell: a sample between cells is shared out by its interpolation weights.
+pub(super) fn visits(p: &Problem, cells: usize) -> Vec<f64> {
+    let (first, _) = offsets(p.labels);
+    let mut owner = vec![0; cells];
+    for (number, (l, from)) in p.labels.iter().zip(first).enumerate() {
+        owner[from..from + l.len()].fill(number);
+    }
+    let mut out = vec![0.0; cells];
+    let mut sums = vec![0.0; p.labels.len()];
+    for k in (0..p.rows.len()).filter(|k| p.weights.is_none_or(|w| w[*k] > 0.0)) {
+        let (at, weight) = p.rows.row(k);
+        at.iter().for_each(|j| sums[owner[*j]] = 0.0);
+        at.iter().zip(weight).for_each(|(j, w)| sums[owner[*j]] += w.abs());
+        at.iter().zip(weight).for_each(|(j, w)| out[*j] += w.abs() / sums[owner[*j]]);
+    }
+    out
+}
+
+/// Intervals from `tau sigma^2 H^-1`, the posterior with the roughness as what is known before (G. Wahba, Bayesian confidence
+/// intervals for the cross-validated smoothing spline, J. Roy. Stat. Soc. B 45 (1983), 133-150), and shares from `H^-1 G`.
+pub(super) fn tell(
+    normal: &Normal,
+    h: &[f64],
+    found: &Smooth,
+    tau: f64,
+    map: &[Option<usize>],
+    locked: &[bool],
+    visits: &[f64],
+) -> Result<Told, LabelError> {
+    let n = normal.n;
+    let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
+    let mut r = h.to_vec();
+    linalg::cholesky(&mut r, n).map_err(singular)?;
+    let (mut work, mut inverse) = (vec![0.0; n * n], vec![0.0; n * n]);
+    linalg::cholesky_inverse(&r, n, &mut work, &mut inverse).map_err(singular)?;
+    let at = |m: &[f64], i: usize, j: usize| if j >= i { m[i * n + j] } else { m[j * n + i] };
+    let (mut half_width, mut own) = (vec![f64::INFINITY; map.len()], vec![0.0; map.len()]);
+    let mut verdicts = vec![Verdict::Untouched; map.len()];
+    for k in 0..map.len() {
+        if locked[k] {
+            verdicts[k] = Verdict::Locked;
+            half_width[k] = 0.0;
+        }
+        let Some(f) = map[k] else { continue };
+        half_width[k] = Z95 * (tau * found.variance * inverse[f * n + f]).sqrt();
+        own[k] = (0..n).map(|j| at(&inverse, f, j) * at(&normal.g, j, f)).sum::<f64>().clamp(0.0, 1.0);
+        verdicts[k] = if visits[k] <= 0.0 {
+            Verdict::Untouched
+        } else if own[k] > DETERMINED {
+            Verdict::Determined
+        } else {
+            Verdict::Pulled
+        };
+    }
+    Ok(Told { half_width, own, verdicts, sigma: found.variance.sqrt() })
+}
