@@ -35,5 +35,6 @@ pub mod nonlinear;
 pub mod qp;
 pub mod quantise;
 pub mod rows;
+pub mod ve;
 
 pub use error::LabelError;

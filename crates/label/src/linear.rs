@@ -65,9 +65,9 @@ impl Default for Options {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// More than half of its value comes from data at the cell itself.
+    /// Three independent measurements or more tell of it, whatever its neighbours are.
     Determined,
-    /// Data reach it, but more than half of its value comes from its neighbours or its base.
+    /// Data reach it, but fewer: neighbours, smoothness and base say the rest.
     Pulled,
     /// No data: it keeps its base, or follows its neighbours where that was asked for.
     Untouched,
@@ -87,8 +87,8 @@ pub struct Fit {
     pub half_width: Vec<f64>,
     /// Samples at each cell, by their interpolation weights.
     pub visits: Vec<f64>,
-    /// Share of each cell's value that comes from data at the cell itself, 0 to 1.
-    pub own: Vec<f64>,
+    /// Independent measurements that tell of each cell alone.
+    pub facts: Vec<f64>,
     /// What the data say.
     pub verdicts: Vec<Verdict>,
     /// Weight of the roughness.
@@ -150,9 +150,9 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     let mut normal = Normal::new(p, &map, &base, &locked, options);
     let first = weights.clone();
     let mut found = normal.solve(p, &map, &offset, &weights, 1.0, options.smooth)?;
-    // The correlation shows in the residuals, and the smoothness depends on it: two rounds settle both.
+    // The correlation shows in the residuals, and the smoothness depends on it: a few rounds settle both.
     let mut tau = 1.0;
-    for _ in 0..if options.robust { 6 } else { 2 } {
+    for _ in 0..6 {
         let residuals = residuals(p, &map, &offset, &found.delta);
         if options.robust {
             weights = first.iter().zip(huber(&residuals)).map(|(w, h)| w * h).collect();
@@ -192,7 +192,7 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         exact,
         half_width: told.half_width,
         visits,
-        own: told.own,
+        facts: told.facts,
         verdicts: told.verdicts,
         smooth: found.smooth,
         sigma: told.sigma,

@@ -6,10 +6,10 @@ use super::{Options, Problem, offsets};
 use crate::error::LabelError;
 
 /// Bounds of the search for the weight of the roughness, as powers of ten, and its steps.
-const SMOOTH_FROM: f64 = -8.0;
+const SMOOTH_FROM: f64 = -6.0;
 const SMOOTH_TO: f64 = 4.0;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
-const TIE: f64 = 1e-9;
+const TIE: f64 = 1e-12;
 
 /// `G = A'WA`, `c = A'Wb` over the free cells, and the roughness.
 pub(super) struct Normal {
@@ -25,6 +25,8 @@ pub(super) struct Normal {
     /// Scale of the roughness of each label.
     scales: Vec<f64>,
     base_weight: Vec<f64>,
+    /// Weight that one measurement at a cell has in its own equation: the sum of `w a |row|_1` over the sum of `|a| / |row|_1`.
+    pub(super) mean_weight: Vec<f64>,
 }
 
 /// A solution without limits.
@@ -78,6 +80,7 @@ impl Normal {
             owner,
             scales: vec![0.0; p.labels.len()],
             base_weight,
+            mean_weight: Vec::new(),
         }
     }
 
@@ -86,6 +89,7 @@ impl Normal {
         self.g = vec![0.0; n * n];
         self.c = vec![0.0; n];
         (self.square, self.samples) = (0.0, 0.0);
+        let (mut full, mut share) = (vec![0.0; n], vec![0.0; n]);
         let mut row: Vec<(usize, f64)> = Vec::new();
         for k in 0..offset.len() {
             let w = weights[k];
@@ -97,7 +101,11 @@ impl Normal {
             let (at, value) = p.rows.row(k);
             row.clear();
             row.extend(at.iter().zip(value).filter_map(|(j, v)| map[*j].map(|f| (f, *v))));
+            let size: f64 = row.iter().map(|(_, v)| v.abs()).sum();
             for &(i, v) in &row {
+                // A sample that is shared out among cells counts with its share, with the weight that it would have at one cell.
+                full[i] += w * v.abs() * size;
+                share[i] += v.abs() / size;
                 self.c[i] += w * v * offset[k];
                 for &(j, u) in &row {
                     // The upper triangle is enough.
@@ -107,6 +115,7 @@ impl Normal {
                 }
             }
         }
+        self.mean_weight = full.iter().zip(&share).map(|(f, s)| if *s > 0.0 { f / s } else { 0.0 }).collect();
         for (number, scale) in self.scales.iter_mut().enumerate() {
             let data: f64 = (0..n).filter(|k| self.owner[*k] == number).map(|k| self.g[k * n + k]).sum();
             let own = self.rough.iter().filter(|r| r.2 == number);
@@ -167,7 +176,8 @@ impl Normal {
         let left = 1.0 - (tau * parameters / self.samples).min(1.0);
         // Where the data say no more than the parameters, nothing is left to judge by.
         let score = if left > 1e-3 { square / self.samples / (left * left) } else { f64::INFINITY };
-        let variance = square / (self.samples - parameters).max(1.0);
+        // Parameters take as much of correlated noise as tau independent samples have.
+        let variance = square / (self.samples - tau * parameters).max(1.0);
         Ok((Smooth { delta: x, smooth, parameters, variance }, score))
     }
 
