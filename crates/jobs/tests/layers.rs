@@ -16,6 +16,7 @@ const ORDER: &[&str] = &[
     "draft",
     "convert",
     "simulate",
+    "label",
     "optimise",
     "signal",
     "engine",

@@ -65,9 +65,9 @@ impl Default for Options {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Three independent measurements or more tell of it, whatever its neighbours are.
+    /// One independent measurement at the cell itself or more, and they outweigh what ties it to its neighbours and its base.
     Determined,
-    /// Data reach it, but fewer: neighbours, smoothness and base say the rest.
+    /// Data reach it, but weigh less: neighbours, smoothness and base say the rest.
     Pulled,
     /// No data: it keeps its base, or follows its neighbours where that was asked for.
     Untouched,
@@ -87,7 +87,7 @@ pub struct Fit {
     pub half_width: Vec<f64>,
     /// Samples at each cell, by their interpolation weights.
     pub visits: Vec<f64>,
-    /// Independent measurements that tell of each cell alone.
+    /// Independent measurements at each cell itself, correlated samples counted as what they are worth.
     pub facts: Vec<f64>,
     /// What the data say.
     pub verdicts: Vec<Verdict>,
@@ -149,16 +149,17 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     let offset: Vec<f64> = (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base)).collect();
     let mut normal = Normal::new(p, &map, &base, &locked, options);
     let first = weights.clone();
-    let mut found = normal.solve(p, &map, &offset, &weights, 1.0, options.smooth)?;
+    // From the smooth side: a fit that follows the noise would leave nothing correlated behind, and think that it may.
+    let mut found = normal.solve(p, &map, &offset, &weights, 1.0, Some(options.smooth.unwrap_or(1.0)))?;
     // The correlation shows in the residuals, and the smoothness depends on it: a few rounds settle both.
     let mut tau = 1.0;
-    for _ in 0..6 {
+    for round in 0..6 {
         let residuals = residuals(p, &map, &offset, &found.delta);
         if options.robust {
             weights = first.iter().zip(huber(&residuals)).map(|(w, h)| w * h).collect();
         }
         let next = correlation::time_samples(&residuals, &p.segments);
-        if !options.robust && (next - tau).abs() < 1e-3 * tau {
+        if !options.robust && round > 0 && (next - tau).abs() < 1e-3 * tau {
             break;
         }
         tau = next;

@@ -14,7 +14,7 @@ use crate::error::LabelError;
 use crate::label::Limit;
 
 /// Nodes of the tree after which the best so far is taken as it is.
-const MOST_NODES: usize = 2_000_000;
+const MOST_NODES: usize = 200_000;
 
 /// Values that a cell can hold.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,8 +6,11 @@ use super::{Options, Problem, offsets};
 use crate::error::LabelError;
 
 /// Bounds of the search for the weight of the roughness, as powers of ten, and its steps.
-const SMOOTH_FROM: f64 = -6.0;
+const SMOOTH_FROM: f64 = -8.0;
 const SMOOTH_TO: f64 = 4.0;
+/// Difference of `n ln V` up to which two weights of the roughness explain the data as well: 95 % of chi-squared with one degree of
+/// freedom, as of a ratio of likelihoods.
+const AS_GOOD: f64 = 3.841_458_820_694_124;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
 const TIE: f64 = 1e-12;
 
@@ -27,6 +30,7 @@ pub(super) struct Normal {
     base_weight: Vec<f64>,
     /// Weight that one measurement at a cell has in its own equation: the sum of `w a |row|_1` over the sum of `|a| / |row|_1`.
     pub(super) mean_weight: Vec<f64>,
+    gathered: Option<Vec<f64>>,
 }
 
 /// A solution without limits.
@@ -81,6 +85,7 @@ impl Normal {
             scales: vec![0.0; p.labels.len()],
             base_weight,
             mean_weight: Vec::new(),
+            gathered: None,
         }
     }
 
@@ -193,7 +198,11 @@ impl Normal {
         tau: f64,
         smooth: Option<f64>,
     ) -> Result<Smooth, LabelError> {
-        self.gather(p, map, offset, weights);
+        // Only weights change what is gathered.
+        if self.gathered.as_deref() != Some(weights) {
+            self.gather(p, map, offset, weights);
+            self.gathered = Some(weights.to_vec());
+        }
         if self.samples < 1.0 || self.n == 0 {
             return Err(LabelError::TooFew { found: self.samples as usize, expected: 1 });
         }
@@ -203,27 +212,30 @@ impl Normal {
         if self.scales.iter().all(|s| *s == 0.0) {
             return Ok(self.at(0.0, tau)?.0);
         }
-        // Decades of two first, then the place between by halving.
-        let mut best: Option<(f64, f64)> = None;
-        let try_at = |power: f64, best: &mut Option<(f64, f64)>| -> Result<(), LabelError> {
-            let (_, score) = self.at(10f64.powf(power), tau)?;
-            if best.is_none_or(|(_, b)| score < b) {
-                *best = Some((power, score));
-            }
-            Ok(())
-        };
+        // Two decades a step first, then the place between by halving.
+        let mut tried: Vec<(f64, f64)> = Vec::new();
         let mut power = SMOOTH_FROM;
         while power <= SMOOTH_TO {
-            try_at(power, &mut best)?;
+            tried.push((power, self.at(10f64.powf(power), tau)?.1));
             power += 2.0;
         }
-        let mut step = 1.0;
-        while step >= 0.25 {
-            let middle = best.map_or(0.0, |b| b.0);
-            try_at(middle - step, &mut best)?;
-            try_at(middle + step, &mut best)?;
-            step *= 0.5;
+        let least = |tried: &[(f64, f64)]| {
+            tried.iter().copied().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0.0, f64::INFINITY))
+        };
+        for step in [1.0, 0.5] {
+            let middle = least(&tried).0;
+            for power in [middle - step, middle + step] {
+                if (SMOOTH_FROM..=SMOOTH_TO).contains(&power) {
+                    tried.push((power, self.at(10f64.powf(power), tau)?.1));
+                }
+            }
         }
-        Ok(self.at(10f64.powf(best.map_or(0.0, |b| b.0)), tau)?.0)
+        // The score is flat where the data do not say how smooth the label is; what they allow is no knowledge, so that the least
+        // smooth of the weights that explain as well is taken, and the intervals are those of it.
+        let best = least(&tried).1;
+        let facts = self.samples / tau;
+        let as_good = tried.iter().filter(|t| !(facts * (t.1 / best).ln() > AS_GOOD));
+        let power = as_good.map(|t| t.0).fold(f64::INFINITY, f64::min);
+        Ok(self.at(10f64.powf(if power.is_finite() { power } else { 0.0 }), tau)?.0)
     }
 }

@@ -6,10 +6,8 @@ use super::normal::{Normal, Smooth};
 use super::{Problem, Verdict, offsets};
 use crate::error::LabelError;
 
-/// Independent measurements that must tell of a cell, whatever its neighbours are, to call it determined.
-const DETERMINED: f64 = 3.0;
-/// What is added to the data so that cells which they do not tell apart have an inverse, as a share of the mean weight.
-const RIDGE: f64 = 1e-9;
+/// Independent measurements at the cell itself from which it may be called determined.
+const DETERMINED: f64 = 1.0;
 /// Two-sided 95 % of the normal distribution.
 const Z95: f64 = 1.959_963_984_540_054;
 
@@ -39,8 +37,9 @@ pub(super) fn visits(p: &Problem, cells: usize) -> Vec<f64> {
 }
 
 /// Intervals from `tau sigma^2 H^-1`, the posterior with the roughness as what is known before (G. Wahba, Bayesian confidence
-/// intervals for the cross-validated smoothing spline, J. Roy. Stat. Soc. B 45 (1983), 133-150). The facts of cell i are
-/// `1 / (tau (G^-1)_ii)`: how many independent measurements tell of it where nothing is known of its neighbours, and nothing is smooth.
+/// intervals for the cross-validated smoothing spline, J. Roy. Stat. Soc. B 45 (1983), 133-150). The facts of cell i
+/// are `G_ii / tau` in measurements at the cell itself; it is determined where these are one or more and outweigh what ties it to its
+/// neighbours and its base, `G_ii >= H_ii - G_ii`.
 pub(super) fn tell(
     normal: &Normal,
     h: &[f64],
@@ -52,10 +51,6 @@ pub(super) fn tell(
 ) -> Result<Told, LabelError> {
     let n = normal.n;
     let inverse = diagonal_of_inverse(h, n)?;
-    let mean = (0..n).map(|k| normal.g[k * n + k]).sum::<f64>() / n as f64;
-    let mut alone = normal.g.clone();
-    (0..n).for_each(|k| alone[k * n + k] += RIDGE * mean);
-    let alone = diagonal_of_inverse(&alone, n)?;
     let (mut half_width, mut facts) = (vec![f64::INFINITY; map.len()], vec![0.0; map.len()]);
     let mut verdicts = vec![Verdict::Untouched; map.len()];
     for k in 0..map.len() {
@@ -68,10 +63,10 @@ pub(super) fn tell(
         // In samples: a measurement at the cell itself has the weight that its own equation has for each visit.
         let own = normal.g[f * n + f];
         let each = if visits[k] > 0.0 { normal.mean_weight[f] } else { 0.0 };
-        facts[k] = if own > 0.0 && each > 0.0 { 1.0 / (tau * alone[f] * each) } else { 0.0 };
+        facts[k] = if each > 0.0 { own / (tau * each) } else { 0.0 };
         verdicts[k] = if visits[k] <= 0.0 {
             Verdict::Untouched
-        } else if facts[k] >= DETERMINED {
+        } else if facts[k] >= DETERMINED && 2.0 * own >= h[f * n + f] {
             Verdict::Determined
         } else {
             Verdict::Pulled

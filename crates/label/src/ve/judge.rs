@@ -13,7 +13,7 @@ use crate::linear::Fit;
 pub enum Decision {
     /// It explains unseen samples better: take it.
     Change,
-    /// No difference that the unseen samples can show: leave the table as it is.
+    /// The logs do not show that the table is wrong, or unseen samples no difference: leave it as it is.
     Keep,
     /// It explains unseen samples worse: it must not be used.
     Refuse,
@@ -36,6 +36,9 @@ pub struct Judgement {
     pub rms_nearest: f64,
     /// Improvement of the squared share over its standard error, correlated samples counted as what they are worth.
     pub improvement: f64,
+    /// What the samples of the fit say against the table as it was, `n ln(rms_before^2 / rms_after^2)` with n the independent ones,
+    /// and what a true table would reach in 1 of 20 cases.
+    pub evidence: [f64; 2],
     /// Mean share by which unseen samples are leaner than the new table says, and its standard error: a drift.
     pub drift: [f64; 2],
 }
@@ -76,7 +79,11 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
     let left: Vec<f64> = errors.iter().map(|e| e[1]).collect();
     let (drift, se_drift) = mean_and_error(&left, &part);
     let improvement = if se_gain > 0.0 { mean_gain / se_gain } else { 0.0 };
-    let decision = if improvement > COUNTS {
+    let evidence = evidence(found, train.y.len());
+    let decision = if evidence[0] <= evidence[1] {
+        // What it fitted is noise: neither better nor worse is a statement about the engine.
+        Decision::Keep
+    } else if improvement > COUNTS {
         Decision::Change
     } else if improvement < -COUNTS {
         Decision::Refuse
@@ -91,8 +98,17 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
         rms_after: rms(1),
         rms_nearest: rms(2),
         improvement,
+        evidence,
         drift: [drift, se_drift],
     }
+}
+
+/// Ratio of likelihoods of the fit and the present table, and the 95 % point of chi-squared with the effective parameters (its normal
+/// approximation).
+fn evidence(found: &Fit, samples: usize) -> [f64; 2] {
+    let n = samples as f64 / found.correlation_samples;
+    let p = found.effective_parameters;
+    [2.0 * n * (found.rms[0] / found.rms[1].max(1e-12)).ln(), p + COUNTS * (2.0 * p).sqrt()]
 }
 
 fn mean_and_error(v: &[f64], part: &Used) -> (f64, f64) {

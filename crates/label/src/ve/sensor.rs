@@ -40,6 +40,7 @@ impl Sensor {
 /// Samples of all logs that count with this sensor: the states that reach it are all usable.
 pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> Used {
     let mut used = Used { at: Vec::new(), rows: Rows::default(), y: Vec::new(), now: Vec::new() };
+    let (mut sums, mut touched) = (vec![0.0; label.len()], Vec::new());
     for (number, (log, mask)) in logs.iter().zip(masks).enumerate() {
         let mut window: Vec<(usize, f64)> = Vec::new();
         for t in 0..log.time_s.len() {
@@ -57,10 +58,22 @@ pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> 
             }
             used.rows.start();
             let mut now = 0.0;
+            touched.clear();
             for &(k, w) in &window {
                 let factor = w * log.target[k] / (log.ve[k] * log.enrichment[k]);
-                label.enter(&mut used.rows, 0, factor, &[log.speed_rpm[k], log.load[k]]);
+                let (cells, weights, n) = label.weights(&[log.speed_rpm[k], log.load[k]]);
+                for c in (0..n).filter(|c| weights[*c] != 0.0) {
+                    if sums[cells[c]] == 0.0 {
+                        touched.push(cells[c]);
+                    }
+                    sums[cells[c]] += factor * weights[c];
+                }
                 now += w * log.target[k] / log.enrichment[k];
+            }
+            // States of one window share cells: each comes once.
+            touched.sort_unstable();
+            for &c in &touched {
+                used.rows.push(c, std::mem::take(&mut sums[c]));
             }
             used.at.push((number, t));
             used.y.push(log.lambda[t]);
@@ -78,7 +91,7 @@ fn reach(log: &Log, start_s: f64, t: usize, lag_s: f64, window: &mut Vec<(usize,
     while k > 0 && time_s[k] > start_s {
         k -= 1;
     }
-    if k == 0 || start_s < time_s[0] {
+    if k == 0 || k + 1 >= time_s.len() {
         return false;
     }
     // A hole in the log is no state.
