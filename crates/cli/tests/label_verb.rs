@@ -169,3 +169,101 @@ fn bad_input_is_named() {
     dynocal_files::atomic::write(&tmp.path().join("other.msq"), other.as_bytes()).unwrap();
     refused(&["label", "ve", "a.mlg", "--tune", "other.msq"], &["veTable", "did you mean `veTabel`"]);
 }
+
+const FILM: &str = r#"
+data = ["film.csv"]
+target = "out"
+train = 0.6
+
+[[labels]]
+name = "X"
+unit = "-"
+base = [0.1]
+least = 0.0
+greatest = 0.9
+
+[[labels]]
+name = "TAU"
+unit = "s"
+base = [0.3]
+least = 0.01
+
+[[nodes]]
+name = "fuel"
+op = "channel"
+channel = "fuel"
+
+[[nodes]]
+name = "x"
+op = "label"
+label = "X"
+
+[[nodes]]
+name = "tau"
+op = "label"
+label = "TAU"
+
+[[nodes]]
+name = "film"
+op = "film"
+in = ["fuel", "x", "tau"]
+"#;
+
+/// Fuel in steps, of which 30 % reaches the cylinder through a film of 0.7 s; `late` instead of 30 % in the second half.
+fn film(folder: &Path, late: f64) {
+    let mut rng = Rng64::new(9);
+    let (dt, mut m, mut text) = (0.05, 0.3 * 10.0 * 0.7, String::from("time [s],fuel [mg],out [mg]\n"));
+    let mut before = 10.0;
+    for k in 0..1200 {
+        let fuel = if (k / 60) % 2 == 0 { 10.0 } else { 18.0 };
+        let share = if k < 600 { 0.3 } else { late };
+        let keep = (-dt / 0.7f64).exp();
+        if k > 0 {
+            m = m * keep + share * before * 0.7 * (1.0 - keep);
+        }
+        before = fuel;
+        text += &format!("{},{fuel},{}\n", dt * f64::from(k), (1.0 - share) * fuel + m / 0.7 + 0.05 * rng.normal());
+    }
+    dynocal_files::atomic::write(&folder.join("film.csv"), text.as_bytes()).unwrap();
+    dynocal_files::atomic::write(&folder.join("film.toml"), FILM.as_bytes()).unwrap();
+}
+
+#[test]
+fn a_function_of_a_spec_gives_its_labels_back() {
+    let tmp = tempfile::tempdir().unwrap();
+    film(tmp.path(), 0.3);
+    let o = dynocal(tmp.path(), &["label", "film.toml", "--out", "out"]);
+    assert_eq!(o.code, 0, "{}{}", o.stdout, o.stderr);
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(tmp.path().join("out/summary.json")).unwrap()).unwrap();
+    for (k, truth) in [0.3, 0.7].into_iter().enumerate() {
+        let value = summary["fit"]["values"][k].as_f64().unwrap();
+        let half = summary["half_width"][k].as_f64().unwrap();
+        assert!((value - truth).abs() < 0.1 * truth && (value - truth).abs() < 2.0 * half, "{value} +- {half}");
+    }
+    let dcm = std::fs::read_dir(tmp.path().join("out")).unwrap().any(|f| f.unwrap().file_name().to_string_lossy().ends_with(".dcm"));
+    assert!(dcm, "{}", o.stdout);
+    // Later there is no film: labels that were fitted to one are refused.
+    film(tmp.path(), 0.0);
+    let o = dynocal(tmp.path(), &["label", "film.toml", "--out", "other"]);
+    assert_eq!(o.code, 1, "{}{}", o.stdout, o.stderr);
+    assert!(o.stdout.contains("are refused"), "{}", o.stdout);
+}
+
+#[test]
+fn faults_of_a_function_are_named_with_line_and_key() {
+    let tmp = tempfile::tempdir().unwrap();
+    film(tmp.path(), 0.3);
+    let refused = |from: &str, to: &str, words: &[&str]| {
+        dynocal_files::atomic::write(&tmp.path().join("bad.toml"), FILM.replace(from, to).as_bytes()).unwrap();
+        let o = dynocal(tmp.path(), &["label", "bad.toml", "--out", "bad"]);
+        assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
+        words.iter().for_each(|w| assert!(o.stderr.contains(w), "{w}: {}", o.stderr));
+    };
+    refused("op = \"film\"", "op = \"flim\"", &["bad.toml:", "nodes[3].op", "did you mean `film`"]);
+    refused("[\"fuel\", \"x\", \"tau\"]", "[\"fuel\", \"x\"]", &["nodes[3].in", "3: fuel"]);
+    refused("label = \"TAU\"", "label = \"TUA\"", &["did you mean `TAU`"]);
+    refused("greatest = 0.9", "greatest = -1.0", &["labels[0]", "wrong way round"]);
+    refused("target = \"out\"", "target = \"uot\"", &["film.csv", "`uot`"]);
+    refused("base = [0.3]", "base = [0.3, 1.0]", &["labels[1]", "found 2 values"]);
+}

@@ -1,23 +1,31 @@
 //! `dynocal label`: labels of an ECU from logs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches, Subcommand};
-use dynocal_jobs::label::{Job, Labelled, run as label};
+use dynocal_jobs::label::{Job, Labelled, function, run as label};
+use dynocal_report::significant;
 
 use super::Verb;
 use crate::common::Common;
 use crate::failure::{Exit, Failure, exit};
+use crate::table;
 use crate::terminal::{print, say};
 
 pub(crate) const VERB: Verb = Verb { name: "label", describe: |c| Label::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Fit labels of an ECU to logs: the fuel table of an open ECU";
+const ABOUT: &str = "Fit labels of an ECU to measurements: any function of a spec, or the fuel table of an open ECU";
 
 #[derive(Args, Debug)]
+#[command(args_conflicts_with_subcommands = true)]
 struct Label {
+    /// Spec of a function whose labels are fitted (TOML); or a recipe
+    #[arg(required = true)]
+    spec: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
     #[command(subcommand)]
-    recipe: Recipe,
+    recipe: Option<Recipe>,
 }
 
 #[derive(Subcommand, Debug)]
@@ -54,7 +62,43 @@ struct Ve {
 }
 
 fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
-    let Label { recipe: Recipe::Ve(args) } = Label::from_arg_matches(matches)?;
+    let typed = Label::from_arg_matches(matches)?;
+    match (typed.recipe, typed.spec) {
+        (Some(Recipe::Ve(args)), _) => ve(&args),
+        (None, spec) => described(&spec.unwrap_or_default(), &typed.common),
+    }
+}
+
+fn described(spec: &Path, common: &Common) -> Result<Exit, Failure> {
+    let progress = common.start()?;
+    let job = function::spec::read(spec, &common.overrides())?;
+    let (found, folder) = progress.during(|watch| function::run(&job, watch))?;
+    common.print_summary(&folder.path().join("summary.json"))?;
+    if common.shows_text() {
+        let mut rows = Vec::new();
+        let mut at = 0;
+        for l in &found.labels {
+            for k in 0..l.len() {
+                let half = found.half_width[at].map_or("-".into(), |h| significant(h, 3));
+                let name = if l.len() > 1 { format!("{}[{k}]", l.name) } else { l.name.clone() };
+                rows.push(vec![
+                    name,
+                    l.unit.clone(),
+                    significant(l.base[k], 6),
+                    significant(found.fit.values[at], 6),
+                    half,
+                ]);
+                at += 1;
+            }
+        }
+        let header = ["label", "unit", "before", "fitted", "half width, 95 %"];
+        print(&format!("{}\n\n{}", found.verdict.join("\n"), table::render(&header, &rows, &[2, 3, 4])))?;
+        print(&format!("\nreport: {}\n", folder.path().join("report.html").display()))?;
+    }
+    Ok(exit(found.valid))
+}
+
+fn ve(args: &Ve) -> Result<Exit, Failure> {
     let progress = args.common.start()?;
     let mut job = Job::ve(args.logs.clone(), args.tune.clone(), args.ini.clone(), args.common.out.as_deref());
     job.target_lambda = args.target;
