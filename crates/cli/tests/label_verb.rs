@@ -222,7 +222,11 @@ fn film(folder: &Path, late: f64) {
             m = m * keep + share * before * 0.7 * (1.0 - keep);
         }
         before = fuel;
-        text += &format!("{},{fuel},{}\n", dt * f64::from(k), (1.0 - share) * fuel + m / 0.7 + 0.05 * rng.normal());
+        text += &format!(
+            "{},{fuel},{}\n",
+            dt * f64::from(k),
+            (1.0 - share) * fuel + m / 0.7 + 0.05 * rng.normal()
+        );
     }
     dynocal_files::atomic::write(&folder.join("film.csv"), text.as_bytes()).unwrap();
     dynocal_files::atomic::write(&folder.join("film.toml"), FILM.as_bytes()).unwrap();
@@ -239,9 +243,14 @@ fn a_function_of_a_spec_gives_its_labels_back() {
     for (k, truth) in [0.3, 0.7].into_iter().enumerate() {
         let value = summary["fit"]["values"][k].as_f64().unwrap();
         let half = summary["half_width"][k].as_f64().unwrap();
-        assert!((value - truth).abs() < 0.1 * truth && (value - truth).abs() < 2.0 * half, "{value} +- {half}");
+        assert!(
+            (value - truth).abs() < 0.1 * truth && (value - truth).abs() < 2.0 * half,
+            "{value} +- {half}"
+        );
     }
-    let dcm = std::fs::read_dir(tmp.path().join("out")).unwrap().any(|f| f.unwrap().file_name().to_string_lossy().ends_with(".dcm"));
+    let dcm = std::fs::read_dir(tmp.path().join("out"))
+        .unwrap()
+        .any(|f| f.unwrap().file_name().to_string_lossy().ends_with(".dcm"));
     assert!(dcm, "{}", o.stdout);
     // Later there is no film: labels that were fitted to one are refused.
     film(tmp.path(), 0.0);
@@ -255,7 +264,8 @@ fn faults_of_a_function_are_named_with_line_and_key() {
     let tmp = tempfile::tempdir().unwrap();
     film(tmp.path(), 0.3);
     let refused = |from: &str, to: &str, words: &[&str]| {
-        dynocal_files::atomic::write(&tmp.path().join("bad.toml"), FILM.replace(from, to).as_bytes()).unwrap();
+        dynocal_files::atomic::write(&tmp.path().join("bad.toml"), FILM.replace(from, to).as_bytes())
+            .unwrap();
         let o = dynocal(tmp.path(), &["label", "bad.toml", "--out", "bad"]);
         assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
         words.iter().for_each(|w| assert!(o.stderr.contains(w), "{w}: {}", o.stderr));

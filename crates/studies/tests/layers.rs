@@ -17,6 +17,7 @@ const ORDER: &[&str] = &[
     "design",
     "dynamic",
     "engine",
+    "labels",
     "limits",
     "loops",
     "map",

@@ -62,7 +62,10 @@ fn needed(raster: &Raster, file: &str, n: &Names) -> Result<(String, Vec<f64>), 
 }
 
 /// A log with the tune that it carries, and what was decided on the way.
-pub(super) fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), LabelJobError> {
+///
+/// # Errors
+/// [`LabelJobError`]: files, a channel that is missing.
+pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), LabelJobError> {
     let file = path.display().to_string();
     let (recording, tune) = if recognise(path)?.doc.name == "mlg" {
         let mlg = Mlg::open(path)?;

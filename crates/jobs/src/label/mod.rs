@@ -15,6 +15,7 @@ pub mod work;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_numerics::watch::Watch;
 
+pub use dynocal_label::linear::Verdict;
 pub use result::{LabelJobError, Labelled};
 pub use spec::Job;
 
@@ -28,4 +29,9 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Labelled, RunFolder), LabelJobErr
     let found = work::fit(job, watch)?;
     let written = store::write(&folder, found)?;
     Ok((written, folder))
+}
+
+/// A curve of an ECU at `x`: straight between its points, flat beyond its ends.
+pub fn curve(points: &[f64], values: &[f64], x: f64) -> f64 {
+    dynocal_label::label::Label::curve("curve", "-", "x", "-", points, values).value(values, &[x])
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use dynocal_files::run_folder::RunPlace;
-use dynocal_files::spec::{Faults, LoadError};
+use dynocal_files::spec::{Faults, LoadError, SpecError};
 use dynocal_label::graph::Graph;
 use dynocal_label::linear::Options;
 use serde::{Deserialize, Serialize};
@@ -119,6 +119,14 @@ pub struct Job {
 /// [`LoadError`] with every fault.
 pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
     dynocal_files::spec::load(path, |t: &Typed, faults| check(t, path, overrides, faults))
+}
+
+/// The same for a spec that is there as text; `file` is its name in messages.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
+    dynocal_files::spec::parse(file, text, |t: &Typed, faults| check(t, Path::new(file), overrides, faults))
 }
 
 fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {

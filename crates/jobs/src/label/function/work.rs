@@ -99,6 +99,22 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     })
 }
 
+/// Mean of a channel over the samples that count.
+///
+/// # Errors
+/// [`LabelJobError`]: files, a channel that is missing.
+pub fn mean_of(channel: &str, job: &Job) -> Result<f64, LabelJobError> {
+    let (mut sum, mut n) = (0.0, 0.0);
+    for path in &job.data {
+        let record = read(path, &Job { channels: vec![channel.into()], ..job.clone() })?;
+        for k in (0..record.counts.len()).filter(|k| record.counts[*k]) {
+            sum += record.channels[0][k];
+            n += 1.0;
+        }
+    }
+    Ok(sum / f64::max(n, 1.0))
+}
+
 fn verdict(job: &Job, converged: bool, rms: [f64; 2], samples: [usize; 2]) -> Vec<String> {
     let first = if !converged {
         "The search has not converged: the labels must not be used. No file is written."
