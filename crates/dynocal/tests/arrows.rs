@@ -6,7 +6,7 @@ use std::path::Path;
 /// Floors of `docs/architecture.md`, from the ground. Crates of one floor do not see each other.
 const FLOORS: &[&[&str]] = &[
     &["numerics"],
-    &["ident"],
+    &["ident", "label"],
     &["control", "fmu"],
     &["design", "plant", "files"],
     &["calib", "engine-fmu", "export", "report"],

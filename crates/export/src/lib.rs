@@ -44,5 +44,6 @@ pub mod evaluate;
 pub mod format;
 pub mod package;
 pub mod program;
+pub mod tune;
 
 pub use error::ExportError;

@@ -6,7 +6,8 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] = &["error", "characteristic", "program", "package", "evaluate", "compare", "format"];
+const ORDER: &[&str] =
+    &["error", "characteristic", "program", "package", "evaluate", "compare", "format", "tune"];
 
 #[test]
 fn no_module_uses_one_above_it() {

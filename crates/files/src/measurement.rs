@@ -18,6 +18,9 @@ pub mod mdf4;
 #[cfg(feature = "mdf")]
 mod mdf4_columns;
 pub mod merge;
+pub mod mlg;
+pub mod mlg_write;
+pub mod msl;
 pub mod parquet_io;
 
 use std::collections::BTreeMap;
@@ -124,6 +127,8 @@ pub static FORMATS: &[Reader] = &[
     mat5::FORMAT,
     #[cfg(feature = "mat73")]
     mat73::FORMAT,
+    mlg::FORMAT,
+    msl::FORMAT,
 ];
 
 /// Opens `path`; without `format` its first bytes and then the ending of its name tell the format.

@@ -26,15 +26,19 @@ fn originals(folder: &Path) -> Vec<(String, Vec<u8>)> {
         columns: vec![column("torque", "Nm", wave(0.3)), column("speed", "rpm", wave(0.1))],
     };
     let mut out = Vec::new();
-    for name in ["a.csv", "a.csv.gz", "a.parquet", "a.mf4", "a.mat"] {
+    for name in ["a.csv", "a.csv.gz", "a.parquet", "a.mf4", "a.mat", "a.mlg"] {
         let path = folder.join(name);
         (by_ending(&path).and_then(|f| f.write).unwrap())(&path, std::slice::from_ref(&raster)).unwrap();
         out.push((name.to_string(), std::fs::read(&path).unwrap()));
     }
     let text = "Logger 7\nTime;b [\u{b0}C];s\n12:00:00,5;1.002,5;On\n12:00:01,0;1.003,5;Off\n";
     out.push(("dialect.csv".into(), text.into()));
+    let text = "\"Speeduino\"\n#\nTime\tRPM\tFan\ns\trpm\t\n0.1\t800\tOn\nMARK 1\n0.2\t810\tOff\n";
+    out.push(("log.msl".into(), text.into()));
     match std::env::var("DYNOCAL_REFERENCE_DIR") {
         Ok(dir) => {
+            let short = Path::new(&dir).join("data/open_ecu/formats/short.mlg");
+            out.push(("short.mlg".into(), std::fs::read(short).unwrap()));
             for name in ["tiny.mf4", "tiny.mat", "tiny_v73.mat"] {
                 out.push((name.into(), std::fs::read(Path::new(&dir).join("formats").join(name)).unwrap()));
             }

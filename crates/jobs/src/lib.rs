@@ -17,6 +17,7 @@ pub mod export_spec;
 pub mod families;
 pub mod identify;
 pub mod kept;
+pub mod label;
 pub mod map;
 pub mod optimise;
 pub mod page;

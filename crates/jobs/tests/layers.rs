@@ -17,6 +17,7 @@ const ORDER: &[&str] = &[
     "convert",
     "simulate",
     "control",
+    "label",
     "optimise",
     "signal",
     "engine",

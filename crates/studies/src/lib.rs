@@ -13,6 +13,7 @@ mod design;
 mod dynamic;
 pub mod engine;
 mod error;
+mod labels;
 mod limits;
 pub mod loops;
 mod map;
@@ -116,6 +117,7 @@ pub static STUDIES: &[Study] = &[
     design::STUDY,
     dynamic::STUDY,
     engine::STUDY,
+    labels::STUDY,
     limits::STUDY,
     loops::STUDY,
     map::STUDY,

@@ -18,6 +18,7 @@ const ORDER: &[&str] = &[
     "design",
     "dynamic",
     "engine",
+    "labels",
     "limits",
     "loops",
     "map",

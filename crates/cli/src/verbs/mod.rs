@@ -34,6 +34,7 @@ verbs![
     map,        //
     identify,   //
     simulate,   //
+    label,      //
     optimise,   //
     control,    //
     design,     //

@@ -1,0 +1,190 @@
+//! Which channel of a log is what, and which labels of a tune make the fuel table.
+
+use std::path::Path;
+
+use dynocal_export::tune::ini::{Definition, Held, TableDef};
+use dynocal_export::tune::msq::Tune;
+use dynocal_files::FilesError;
+use dynocal_files::measurement::{Raster, ReadKeys, mlg::Mlg, open, recognise, recording};
+use dynocal_files::table::Cells;
+use dynocal_label::label::{Axis, Label};
+use dynocal_label::ve::Log;
+
+use super::result::LabelJobError;
+
+/// Names of a quantity in logs, with letters and digits only and without `current`.
+struct Names {
+    what: &'static str,
+    names: &'static [&'static str],
+}
+
+const SPEED: Names = Names { what: "engine speed", names: &["rpm", "enginespeed"] };
+const LOAD: Names = Names { what: "load of the fuel table", names: &["fuelload", "map", "manifoldpressure"] };
+const VE: Names = Names { what: "the table value in use", names: &["ve1", "ve", "vecurr1"] };
+const LAMBDA: Names =
+    Names { what: "measured lambda or air-fuel ratio", names: &["lambda", "afr", "lambda1", "afr1"] };
+const PULSE: Names = Names { what: "injection pulse width", names: &["pw", "pw1", "pulsewidth"] };
+const GAMMA: Names = Names { what: "fuel correction", names: &["gammae", "gammaenrichment"] };
+const AIR: [&[&str]; 2] = [&["gair"], &["gbaro"]];
+
+/// Ratio of air to fuel of gasoline, where the tune does not say another one.
+const STOICHIOMETRIC: f64 = 14.7;
+
+fn plain(name: &str) -> String {
+    let short: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
+    let short = short.to_ascii_lowercase();
+    // `VE _Current` of one tool is `VE(Current)` and `Current VE` of others.
+    match short.replace("current", "") {
+        empty if empty.is_empty() => short,
+        rest => rest,
+    }
+}
+
+fn column(raster: &Raster, names: &[&str]) -> Option<(String, Vec<f64>)> {
+    names.iter().find_map(|wanted| {
+        raster.columns.iter().find_map(|c| match &c.cells {
+            Cells::Number(v) if plain(&c.name) == *wanted => Some((plain(&c.name), v.clone())),
+            _ => None,
+        })
+    })
+}
+
+fn needed(raster: &Raster, file: &str, n: &Names) -> Result<(String, Vec<f64>), LabelJobError> {
+    column(raster, n.names).ok_or_else(|| {
+        let known: Vec<&str> = raster.columns.iter().map(|c| c.name.as_str()).collect();
+        LabelJobError::Channel {
+            file: file.into(),
+            what: n.what,
+            expected: n.names.join(", "),
+            known: known.join(", "),
+        }
+    })
+}
+
+/// A log with the tune that it carries, and what was decided on the way.
+///
+/// # Errors
+/// [`LabelJobError`]: files, a channel that is missing.
+pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), LabelJobError> {
+    let file = path.display().to_string();
+    let (recording, tune) = if recognise(path)?.doc.name == "mlg" {
+        let mlg = Mlg::open(path)?;
+        let tune = mlg.tune().map(|t| Tune::parse(&format!("tune of {file}"), t.to_vec())).transpose()?;
+        (recording(&mlg)?, tune)
+    } else {
+        (recording(open(path, None, &ReadKeys::default())?.as_ref())?, None)
+    };
+    notes.extend(recording.notes.iter().map(|n| format!("{file}: {n}")));
+    let raster = recording.rasters.into_iter().max_by_key(|r| r.time_s.len());
+    let raster = raster.ok_or_else(|| FilesError::Empty { path: file.clone(), expected: "a log" })?;
+    let (_, speed_rpm) = needed(&raster, &file, &SPEED)?;
+    let (load_name, load) = needed(&raster, &file, &LOAD)?;
+    let (_, ve) = needed(&raster, &file, &VE)?;
+    let (lambda_name, mut lambda) = needed(&raster, &file, &LAMBDA)?;
+    let (_, pulse_ms) = needed(&raster, &file, &PULSE)?;
+    if lambda_name.starts_with("afr") {
+        lambda.iter_mut().for_each(|v| *v /= STOICHIOMETRIC);
+        notes.push(format!("{file}: lambda is the air-fuel ratio over {STOICHIOMETRIC}"));
+    }
+    if load_name != "fuelload" {
+        notes.push(format!("{file}: the load is taken from the channel `{load_name}`"));
+    }
+    let engine = column(&raster, &["engine"]);
+    if engine.is_none() {
+        notes.push(format!(
+            "{file}: no channel of the engine's state: enrichments are seen by coolant and throttle only"
+        ));
+    }
+    let log = Log {
+        name: path.file_name().map_or(file.clone(), |n| n.to_string_lossy().into_owned()),
+        enrichment: enrichment(&raster, &file)?,
+        target: vec![1.0; raster.time_s.len()],
+        coolant_c: column(&raster, &["clt", "coolant"]).map(|c| c.1),
+        throttle_rate: column(&raster, &["tpsdot"]).map(|c| c.1),
+        // Bits of the state: after-start enrichment 4, warm-up 8, acceleration 16.
+        enriching: engine.map(|e| e.1.iter().map(|v| (*v as i64) & (4 | 8 | 16) != 0).collect()),
+        speed_rpm,
+        load,
+        ve,
+        lambda,
+        pulse_ms,
+        time_s: raster.time_s,
+    };
+    Ok((log, tune))
+}
+
+/// What multiplied the table and is no air: the whole correction without those of air density and altitude.
+fn enrichment(raster: &Raster, file: &str) -> Result<Vec<f64>, LabelJobError> {
+    let (_, mut gamma) = needed(raster, file, &GAMMA)?;
+    gamma.iter_mut().for_each(|g| *g /= 100.0);
+    for names in AIR {
+        if let Some((_, air)) = column(raster, names) {
+            gamma.iter_mut().zip(air).filter(|(_, a)| *a > 0.0).for_each(|(g, a)| *g /= a / 100.0);
+        }
+    }
+    Ok(gamma)
+}
+
+/// The fuel table of the tune as a label, and what the ECU can hold in it.
+pub(super) fn table(
+    tune: &Tune,
+    definition: Option<&Definition>,
+) -> Result<(Label, Option<Held>), LabelJobError> {
+    let def = definition.and_then(|d| {
+        let name = &d.analyse.as_ref()?[0];
+        d.tables.iter().find(|t| t.name == *name).cloned()
+    });
+    let pair = |a: &str, b: &str| (a.to_string(), b.to_string());
+    let def = def.unwrap_or(TableDef {
+        name: "veTable1Tbl".into(),
+        x: pair("rpmBins", "rpm"),
+        y: pair("fuelLoadBins", "fuelLoad"),
+        z: "veTable".into(),
+    });
+    let (z, x, y) = (tune.constant(&def.z)?, tune.constant(&def.x.0)?, tune.constant(&def.y.0)?);
+    let axes = vec![Axis::new(&def.x.1, &x.unit, &x.values), Axis::new(&def.y.1, &y.unit, &y.values)];
+    let mut label = Label::new(&def.z, &z.unit, axes, &z.values);
+    let held = definition.and_then(|d| d.labels.get(&def.z).cloned());
+    match &held {
+        Some(h) => {
+            (label.lower, label.upper) = h.range();
+            (label.step, label.origin) = (h.step(), h.offset * h.scale);
+        }
+        None => {
+            label.step = Some(10f64.powi(-(z.digits as i32)));
+            label.lower = 0.0;
+        }
+    }
+    label.check()?;
+    Ok((label, held))
+}
+
+/// The lambda that the target table of the tune asks for.
+pub(super) fn target(tune: &Tune, definition: Option<&Definition>) -> Option<Label> {
+    let def = definition.and_then(|d| {
+        let name = &d.analyse.as_ref()?[1];
+        d.tables.iter().find(|t| t.name == *name).cloned()
+    });
+    let def = def.unwrap_or(TableDef {
+        name: "afrTable1Tbl".into(),
+        x: ("rpmBinsAFR".into(), "rpm".into()),
+        y: ("loadBinsAFR".into(), "fuelLoad".into()),
+        z: "afrTable".into(),
+    });
+    let (z, x, y) =
+        (tune.constant(&def.z).ok()?, tune.constant(&def.x.0).ok()?, tune.constant(&def.y.0).ok()?);
+    // A table of lambda has values around 1, one of air-fuel ratios around 14.7.
+    let ratio = if z.values.iter().all(|v| *v < 3.0) {
+        1.0
+    } else {
+        tune.constant("stoich")
+            .ok()
+            .and_then(|s| s.values.first().copied())
+            .filter(|s| *s > 0.0)
+            .unwrap_or(STOICHIOMETRIC)
+    };
+    let values: Vec<f64> = z.values.iter().map(|v| v / ratio).collect();
+    let axes = vec![Axis::new(&def.x.1, &x.unit, &x.values), Axis::new(&def.y.1, &y.unit, &y.values)];
+    let label = Label::new(&def.z, "-", axes, &values);
+    label.check().is_ok().then_some(label)
+}

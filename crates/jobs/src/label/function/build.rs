@@ -1,0 +1,209 @@
+//! From names to numbers: the graph of a spec.
+
+use dynocal_files::spec::Faults;
+use dynocal_label::graph::{Graph, Node, Op};
+use dynocal_label::label::{Axis, Label};
+
+use super::spec::{LabelKeys, NodeKeys, Typed};
+
+/// What a node may be, with what it takes.
+const OPS: [&str; 18] = [
+    "channel",
+    "constant",
+    "label",
+    "add",
+    "subtract",
+    "multiply",
+    "divide",
+    "min",
+    "max",
+    "clip",
+    "delay",
+    "delay_flow",
+    "lag",
+    "integrator",
+    "hysteresis",
+    "film",
+    "switch",
+    "scale",
+];
+
+/// The function, and the channels that it reads; faults are told where there are some.
+pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<(Graph, Vec<String>)> {
+    let labels: Vec<Option<Label>> =
+        t.labels.iter().enumerate().map(|(k, l)| label(l, &format!("labels[{k}]"), faults)).collect();
+    let mut build = Build { nodes: Vec::new(), channels: Vec::new(), labels: &t.labels };
+    let mut good = true;
+    if t.nodes.is_empty() {
+        faults.push("nodes", "nothing", "one [[nodes]] table or more, the last one the output");
+        good = false;
+    }
+    for (k, n) in t.nodes.iter().enumerate() {
+        if t.nodes[..k].iter().any(|o| o.name == n.name) {
+            faults.push(&format!("nodes[{k}].name"), format!("`{}` again", n.name), "a name of its own");
+            good = false;
+        }
+        good &= build.node(n, &format!("nodes[{k}]"), faults).is_some();
+    }
+    let labels: Option<Vec<Label>> = labels.into_iter().collect();
+    let labels = labels?;
+    good.then_some((Graph { nodes: build.nodes, labels }, build.channels))
+}
+
+fn label(l: &LabelKeys, key: &str, faults: &mut Faults) -> Option<Label> {
+    let axes: Vec<Axis> = l
+        .axes
+        .iter()
+        .map(|a| {
+            let mut axis = Axis::new(&a.name, &a.unit, &a.points);
+            axis.smooth = a.smooth.unwrap_or(1.0);
+            axis.gradient =
+                [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
+            axis.convex = a.convex;
+            axis
+        })
+        .collect();
+    let cells: usize = axes.iter().map(|a| a.points.len()).product();
+    let base = if l.base.len() == 1 { vec![l.base[0]; cells] } else { l.base.clone() };
+    let mut out = Label::new(&l.name, &l.unit, axes, &base);
+    out.lower = l.least.unwrap_or(f64::NEG_INFINITY);
+    out.upper = l.greatest.unwrap_or(f64::INFINITY);
+    out.step = l.step;
+    out.base_weight = l.base_weight;
+    for &cell in &l.locked {
+        match out.locked.get_mut(cell) {
+            Some(locked) => *locked = true,
+            None => {
+                faults.push(
+                    &format!("{key}.locked"),
+                    cell,
+                    format!("numbers of cells from 0 to {}", base.len().max(1) - 1),
+                );
+                return None;
+            }
+        }
+    }
+    match out.check() {
+        Ok(()) => Some(out),
+        Err(e) => {
+            faults.push(key, "a label that contradicts itself", e);
+            None
+        }
+    }
+}
+
+struct Build<'a> {
+    nodes: Vec<Node>,
+    channels: Vec<String>,
+    labels: &'a [LabelKeys],
+}
+
+impl Build<'_> {
+    fn node(&mut self, n: &NodeKeys, key: &str, faults: &mut Faults) -> Option<()> {
+        let known: Vec<String> = self.nodes.iter().map(|o| o.name.clone()).collect();
+        let mut inputs = Vec::new();
+        for name in &n.inputs {
+            // The last node of a name: a node of more than one step has it at its end.
+            match known.iter().rposition(|k| k == name) {
+                Some(i) => inputs.push(i),
+                None => {
+                    faults.unknown(&format!("{key}.in"), name, &known);
+                    return None;
+                }
+            }
+        }
+        let count = |wanted: usize, what: &str, faults: &mut Faults| -> Option<()> {
+            if inputs.len() == wanted {
+                return Some(());
+            }
+            faults.push(&format!("{key}.in"), format!("{} nodes", inputs.len()), format!("{wanted}: {what}"));
+            None
+        };
+        let pair = |faults: &mut Faults, what: &str| -> Option<(usize, usize)> {
+            count(2, what, faults)?;
+            Some((inputs[0], inputs[1]))
+        };
+        let triple = |faults: &mut Faults, what: &str| -> Option<(usize, usize, usize)> {
+            count(3, what, faults)?;
+            Some((inputs[0], inputs[1], inputs[2]))
+        };
+        let op = match n.op.as_str() {
+            "channel" => {
+                let name = faults.required(&format!("{key}.channel"), &n.channel, "the name of a channel")?;
+                let at = self.channels.iter().position(|c| *c == name).unwrap_or_else(|| {
+                    self.channels.push(name.clone());
+                    self.channels.len() - 1
+                });
+                Op::Channel(at)
+            }
+            "constant" => Op::Constant(faults.required(&format!("{key}.value"), &n.value, "a number")?),
+            "scale" => {
+                count(1, "what is multiplied with `value`", faults)?;
+                let value = faults.required(&format!("{key}.value"), &n.value, "a number")?;
+                let factor = self.push(&n.name, Op::Constant(value));
+                Op::Multiply(vec![inputs[0], factor])
+            }
+            "label" => {
+                let name = faults.required(&format!("{key}.label"), &n.label, "the name of a label")?;
+                let known: Vec<String> = self.labels.iter().map(|l| l.name.clone()).collect();
+                let Some(at) = known.iter().position(|l| *l == name) else {
+                    faults.unknown(&format!("{key}.label"), &name, &known);
+                    return None;
+                };
+                Op::Label(at, inputs)
+            }
+            "add" => Op::Add(inputs),
+            "multiply" => Op::Multiply(inputs),
+            "subtract" => pair(faults, "first less second").map(|(a, b)| Op::Subtract(a, b))?,
+            "divide" => pair(faults, "first over second").map(|(a, b)| Op::Divide(a, b))?,
+            "min" => pair(faults, "the lesser of two").map(|(a, b)| Op::Min(a, b))?,
+            "max" => pair(faults, "the greater of two").map(|(a, b)| Op::Max(a, b))?,
+            "delay" => pair(faults, "what is delayed, the delay in s").map(|(a, b)| Op::Delay(a, b))?,
+            "lag" => pair(faults, "what lags, the time constant in s").map(|(a, b)| Op::Lag(a, b))?,
+            "delay_flow" => {
+                triple(faults, "what moves, the flow, the volume").map(|(a, b, c)| Op::DelayFlow(a, b, c))?
+            }
+            "film" => triple(faults, "fuel, share on the wall, time constant in s")
+                .map(|(a, b, c)| Op::Film(a, b, c))?,
+            "switch" => {
+                triple(faults, "condition, value above 0, value else").map(|(a, b, c)| Op::Switch(a, b, c))?
+            }
+            "clip" => {
+                count(1, "what is limited", faults)?;
+                let least = faults.required(&format!("{key}.least"), &n.least, "a number")?;
+                let greatest = faults.required(&format!("{key}.greatest"), &n.greatest, "a number")?;
+                let (lo, hi) =
+                    (self.push(&n.name, Op::Constant(least)), self.push(&n.name, Op::Constant(greatest)));
+                let above = self.push(&n.name, Op::Max(inputs[0], lo));
+                Op::Min(above, hi)
+            }
+            "integrator" => {
+                count(1, "what is integrated", faults)?;
+                let (lo, hi) = (n.least.unwrap_or(f64::NEG_INFINITY), n.greatest.unwrap_or(f64::INFINITY));
+                Op::Integrator(inputs[0], lo, hi, n.start.unwrap_or(0.0))
+            }
+            "hysteresis" => {
+                count(1, "what switches", faults)?;
+                let low =
+                    faults.required(&format!("{key}.least"), &n.least, "the value below which it is 0")?;
+                let high = faults.required(
+                    &format!("{key}.greatest"),
+                    &n.greatest,
+                    "the value above which it is 1",
+                )?;
+                Op::Hysteresis(inputs[0], low, high)
+            }
+            other => {
+                faults.unknown(&format!("{key}.op"), other, &OPS.map(String::from));
+                return None;
+            }
+        };
+        self.push(&n.name, op);
+        Some(())
+    }
+
+    fn push(&mut self, name: &str, op: Op) -> usize {
+        self.nodes.push(Node { name: name.into(), op });
+        self.nodes.len() - 1
+    }
+}

@@ -1,0 +1,88 @@
+//! What a fit of labels gives.
+
+use dynocal_export::ExportError;
+use dynocal_files::FilesError;
+use dynocal_label::LabelError;
+use dynocal_label::label::Label;
+use dynocal_label::ve::Found;
+use serde::Serialize;
+
+use crate::page::PageError;
+
+/// A fit of the fuel table, the body of `summary.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Labelled {
+    /// Always `label`.
+    pub verb: &'static str,
+    /// Name of the run.
+    pub name: String,
+    /// Whether the table may be used: false where it explains unseen samples worse than the one before.
+    pub valid: bool,
+    /// What came out, in words, most important first.
+    pub verdict: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// The label with its values before.
+    pub label: Label,
+    /// Fit and judgement.
+    pub found: Found,
+    /// Values that are handed over: those before where the table is not changed.
+    pub values: Vec<f64>,
+    /// Half widths of the 95 % intervals; none where no data tell of a cell.
+    pub half_width: Vec<Option<f64>>,
+    /// Logs, as they are named.
+    pub logs: Vec<String>,
+    /// Files, relative to the run folder.
+    pub files: Vec<String>,
+    /// The changed tune and table, where they are written.
+    #[serde(skip)]
+    pub handed: Vec<(String, Vec<u8>)>,
+}
+
+/// A fit is not possible.
+#[derive(Debug, thiserror::Error)]
+pub enum LabelJobError {
+    /// Files.
+    #[error(transparent)]
+    Files(#[from] FilesError),
+    /// The tune or the definition of the ECU.
+    #[error(transparent)]
+    Tune(#[from] ExportError),
+    /// The fit.
+    #[error(transparent)]
+    Label(#[from] LabelError),
+    /// A log without a channel that is needed.
+    #[error("{file}: no channel for {what}, expected one that is called {expected}; channels are: {known}")]
+    Channel {
+        /// Log.
+        file: String,
+        /// What is missing.
+        what: &'static str,
+        /// Names that would do.
+        expected: String,
+        /// Names there are.
+        known: String,
+    },
+    /// No tune anywhere.
+    #[error("{file}: the log carries no tune: give the one that was in the ECU with --tune FILE.msq")]
+    NoTune {
+        /// Log.
+        file: String,
+    },
+    /// An option that is out of its range.
+    #[error("{option}: found {found}, expected {expected}")]
+    Option {
+        /// Option.
+        option: &'static str,
+        /// Found.
+        found: String,
+        /// Expected.
+        expected: &'static str,
+    },
+    /// The page.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// The user stopped it.
+    #[error("interrupted before the table was fitted")]
+    Interrupted,
+}

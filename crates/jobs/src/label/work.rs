@@ -1,0 +1,265 @@
+//! The work: read logs and tune, fit, judge, and say it.
+
+use dynocal_export::ExportError;
+use dynocal_export::tune::ini::Definition;
+use dynocal_export::tune::msq::Tune;
+use dynocal_export::tune::table::TuneTable;
+use dynocal_files::FilesError;
+use dynocal_label::label::Label;
+use dynocal_label::linear::Verdict;
+use dynocal_label::ve::judge::Decision;
+use dynocal_label::ve::{Found, Log, run};
+use dynocal_numerics::watch::Watch;
+
+use super::channels;
+use super::result::{LabelJobError, Labelled};
+use super::spec::Job;
+
+/// Share of samples at which the logged table value must be that of the tune.
+const SAME_TUNE: f64 = 0.95;
+/// Drift of unseen samples that is said, as a share of lambda.
+const DRIFT: f64 = 0.02;
+
+/// Fits and judges in memory.
+///
+/// # Errors
+/// [`LabelJobError`]: files, channels, options, a fit that is not possible, an interruption.
+pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
+    check(job)?;
+    let definition = match &job.definition {
+        Some(path) => {
+            let bytes = std::fs::read(path).map_err(|e| FilesError::unread(path, &e))?;
+            Some(Definition::parse(&bytes, &[]))
+        }
+        None => None,
+    };
+    let (mut notes, mut logs, mut carried) = (Vec::new(), Vec::new(), Vec::new());
+    for path in &job.logs {
+        watch.note(&format!("reading {}", path.display()));
+        let (log, tune) = channels::log(path, &mut notes)?;
+        logs.push(log);
+        carried.push(tune);
+        if watch.interrupted() {
+            return Err(LabelJobError::Interrupted);
+        }
+    }
+    let tune = match &job.tune {
+        Some(path) => Tune::read(path)?,
+        None => carried.first().cloned().flatten().ok_or_else(|| LabelJobError::NoTune {
+            file: job.logs.first().map(|p| p.display().to_string()).unwrap_or_default(),
+        })?,
+    };
+    let (label, held) = channels::table(&tune, definition.as_ref())?;
+    let mut warnings = same_tune(&label, &logs);
+    if held.is_none() {
+        warnings.push(format!(
+            "no definition of the ECU (--ini): `{}` is written in steps of {} {} as the tune shows it, and its greatest value is not checked",
+            label.name,
+            label.step.unwrap_or(0.0),
+            label.unit
+        ));
+    }
+    targets(job, &tune, definition.as_ref(), &mut logs, &mut warnings)?;
+    let found = run(&label, &logs, &job.keys, &|text| watch.note(text))?;
+    if watch.interrupted() {
+        return Err(LabelJobError::Interrupted);
+    }
+    warnings.extend(said(&found, &logs));
+    warnings.extend(notes);
+    let change = found.judgement.decision == Decision::Change;
+    let values = if change { found.table.values.clone() } else { label.base.clone() };
+    let handed = if change { hand_over(&tune, &label, &values, held.as_ref())? } else { Vec::new() };
+    Ok(Labelled {
+        verb: "label",
+        name: job.name.clone(),
+        valid: found.judgement.decision != Decision::Refuse,
+        verdict: verdict(&label, &found),
+        warnings,
+        half_width: found.table.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
+        values,
+        logs: logs.iter().map(|l| l.name.clone()).collect(),
+        files: Vec::new(),
+        label,
+        found,
+        handed,
+    })
+}
+
+fn check(job: &Job) -> Result<(), LabelJobError> {
+    let fail = |option, found: f64, expected| {
+        Err(LabelJobError::Option { option, found: found.to_string(), expected })
+    };
+    if !(0.2..=0.9).contains(&job.keys.train) {
+        return fail("--train", job.keys.train, "a share from 0.2 to 0.9");
+    }
+    match job.target_lambda {
+        Some(l) if !(0.5..=1.5).contains(&l) => fail("--target", l, "a lambda from 0.5 to 1.5"),
+        _ => Ok(()),
+    }?;
+    match job.keys.fit.smooth {
+        Some(s) if !(0.0..=1e6).contains(&s) => fail("--smooth", s, "a number from 0 to 1e6"),
+        _ => Ok(()),
+    }
+}
+
+/// Whether the logs were driven with the table that is fitted.
+fn same_tune(label: &Label, logs: &[Log]) -> Vec<String> {
+    let mut out = Vec::new();
+    for log in logs {
+        let (mut same, mut all) = (0usize, 0usize);
+        for k in (0..log.time_s.len()).filter(|k| log.ve[*k] > 0.0 && log.speed_rpm[*k] > 0.0) {
+            all += 1;
+            // The ECU cuts its look-up to a whole step.
+            let step = label.step.unwrap_or(0.0);
+            let tune = label.value(&label.base, &[log.speed_rpm[k], log.load[k]]);
+            same += usize::from((log.ve[k] - tune).abs() <= 1.5 * step.max(1e-6 * tune.abs()));
+        }
+        let share = same as f64 / all.max(1) as f64;
+        if all > 0 && share < SAME_TUNE {
+            out.push(format!(
+                "{}: the logged table value is that of the tune at {:.0} % of the samples only: cells were edited while driving, or the tune is not the one that was in the ECU; each sample counts with the value that was in use",
+                log.name,
+                100.0 * share
+            ));
+        }
+    }
+    out
+}
+
+fn targets(
+    job: &Job,
+    tune: &Tune,
+    definition: Option<&Definition>,
+    logs: &mut [Log],
+    warnings: &mut Vec<String>,
+) -> Result<(), LabelJobError> {
+    if let Some(lambda) = job.target_lambda {
+        logs.iter_mut().for_each(|l| l.target.fill(lambda));
+        return Ok(());
+    }
+    let Some(table) = channels::target(tune, definition) else {
+        warnings.push(
+            "the tune has no target table: the table is fitted to lambda 1 everywhere (--target)".into(),
+        );
+        return Ok(());
+    };
+    for log in logs {
+        for k in 0..log.time_s.len() {
+            log.target[k] = table.value(&table.base, &[log.speed_rpm[k], log.load[k]]);
+        }
+    }
+    Ok(())
+}
+
+/// The tune with the table in it, and the table alone.
+fn hand_over(
+    tune: &Tune,
+    label: &Label,
+    values: &[f64],
+    held: Option<&dynocal_export::tune::ini::Held>,
+) -> Result<Vec<(String, Vec<u8>)>, ExportError> {
+    let changed = tune.with(&label.name, values, held)?;
+    let table = TuneTable {
+        x_name: label.axes[0].name.clone(),
+        x: label.axes[0].points.clone(),
+        y_name: label.axes[1].name.clone(),
+        y: label.axes[1].points.clone(),
+        z: values.to_vec(),
+    };
+    let digits = tune.constant(&label.name)?.digits;
+    Ok(vec![
+        ("tune.msq".into(), changed.bytes().to_vec()),
+        (format!("{}.table", label.name), table.text(digits).into_bytes()),
+    ])
+}
+
+fn verdict(label: &Label, found: &Found) -> Vec<String> {
+    let j = &found.judgement;
+    let percent = |v: f64| format!("{:.1} %", 100.0 * v);
+    let numbers = format!(
+        "On {} later samples that it was not fitted to, measured lambda leaves the expected one by {} (root mean square) with the table as it was, by {} with the mean of the nearest cell, and by {} with the fitted table.",
+        j.samples,
+        percent(j.rms_before),
+        percent(j.rms_nearest),
+        percent(j.rms_after)
+    );
+    let count = |v: Verdict| found.table.verdicts.iter().filter(|x| **x == v).count();
+    let cells = format!(
+        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched and keep their values.",
+        label.len(),
+        count(Verdict::Determined),
+        count(Verdict::Pulled),
+        count(Verdict::Untouched)
+    );
+    let first = match j.decision {
+        Decision::Change => format!(
+            "Take the new `{}`: it explains unseen samples better (the gain is {:.1} times its standard error). What is written was fitted to all samples; what was judged, to the first part of them.",
+            label.name, j.improvement
+        ),
+        Decision::Keep if j.evidence[0] <= j.evidence[1] => format!(
+            "Leave `{}` as it is: the logs do not show that it is wrong (a true table would be improved as much by fitting its noise). No file is written.",
+            label.name
+        ),
+        Decision::Keep => format!(
+            "Leave `{}` as it is: on unseen samples no difference between the fitted table and the present one can be shown ({:.1} standard errors, 1.6 would count). No file is written.",
+            label.name, j.improvement
+        ),
+        Decision::Refuse => format!(
+            "The fitted `{}` is refused: it explains unseen samples worse than the present one ({:.1} standard errors). No file is written.",
+            label.name, j.improvement
+        ),
+    };
+    let s = &found.sensor;
+    let sensor = format!(
+        "The lambda sensor answers after {:.2} s, and another {:.2} s at 2000 rpm and load 50 that shrinks with the flow, with a time constant of {:.2} s; this came from the first part of the samples as well.",
+        s.delay_s, s.flow_delay_s, s.lag_s
+    );
+    vec![first, numbers, cells, sensor]
+}
+
+fn said(found: &Found, logs: &[Log]) -> Vec<String> {
+    let mut out = Vec::new();
+    let [drift, error] = found.judgement.drift;
+    if drift.abs() > DRIFT && drift.abs() > 3.0 * error {
+        out.push(format!(
+            "drift: later samples are {:.1} % {} than the fitted table says (standard error {:.1} %): the engine, its sensors or the fuel have changed during the logs, or what the table does not know (heat, fuel pressure) has",
+            100.0 * drift.abs(),
+            if drift > 0.0 { "leaner" } else { "richer" },
+            100.0 * error
+        ));
+    }
+    let by_log = |k: usize| {
+        let own: Vec<f64> = found.residuals.iter().filter(|r| r.0 == k).map(|r| r.2).collect();
+        (!own.is_empty()).then(|| own.iter().sum::<f64>() / own.len() as f64)
+    };
+    if logs.len() > 1 {
+        let means: Vec<(usize, f64)> = (0..logs.len()).filter_map(|k| by_log(k).map(|m| (k, m))).collect();
+        for (k, mean) in means.iter().filter(|(_, m)| m.abs() > DRIFT) {
+            let word = if *mean > 0.0 { "leaner" } else { "richer" };
+            out.push(format!(
+                "{}: {:.1} % {word} than the fitted table on average: the logs do not agree",
+                logs[*k].name,
+                100.0 * mean.abs()
+            ));
+        }
+    }
+    if found.judgement.unknown > found.judgement.samples {
+        out.push(format!(
+            "{} of the later samples lie in cells that the first part never saw and are not judged: the logs visit other states early and late",
+            found.judgement.unknown
+        ));
+    }
+    if found.table.proven == Some(false) {
+        out.push("whole steps: the best that was found; the search ended before it could prove that there is none better".into());
+    }
+    out.extend(
+        found.table.broken.iter().map(|b| format!("the table as it is breaks {b} among cells without data")),
+    );
+    if found.samples[1] * 5 < found.samples[0] {
+        out.push(format!(
+            "{} of {} samples count; the section on samples says why the others do not",
+            found.samples[1], found.samples[0]
+        ));
+    }
+    out
+}

@@ -1,0 +1,39 @@
+//! How many facts a row of samples is: neighbours in time say nearly the same.
+
+use std::ops::Range;
+
+/// Integrated autocorrelation time of `residuals` in samples, `tau = 1 + 2 sum_k rho_k`, over the `segments` in which samples follow
+/// each other: n samples are worth n / tau.
+///
+/// The sum ends at the first lag beyond five times what it has come to (A. Sokal, Monte Carlo methods in statistical mechanics, 1989,
+/// section 3) or at the first correlation that is not positive; it is at least 1.
+pub fn time_samples(residuals: &[f64], segments: &[Range<usize>]) -> f64 {
+    let n: usize = segments.iter().map(Range::len).sum();
+    if n < 3 {
+        return 1.0;
+    }
+    let mean = segments.iter().flat_map(|s| &residuals[s.clone()]).sum::<f64>() / n as f64;
+    let at = |lag: usize| -> f64 {
+        segments
+            .iter()
+            .map(|s| {
+                let r = &residuals[s.clone()];
+                r.iter().zip(r.iter().skip(lag)).map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>()
+            })
+            .sum()
+    };
+    let square = at(0);
+    if !(square > 0.0) {
+        return 1.0;
+    }
+    let longest = segments.iter().map(Range::len).max().unwrap_or(0);
+    let mut tau = 1.0;
+    for lag in 1..longest.min(n / 4 + 1) {
+        let rho = at(lag) / square;
+        if !(rho > 0.0) || lag as f64 > 5.0 * tau {
+            break;
+        }
+        tau += 2.0 * rho;
+    }
+    tau
+}

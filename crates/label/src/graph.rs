@@ -1,0 +1,174 @@
+//! A function of an ECU as a small graph: channels and labels in, one value a sample out, with exact derivatives.
+//!
+//! Nodes stand in an order in which each uses earlier ones only. What has a memory:
+//!
+//! ```text
+//! delay        y(t) = x(t - d)                               between samples on a straight line; before the record its first value
+//! delay_flow   y(t) = x(s),   integral of flow from s to t = V        a gas that moves through a pipe of volume V
+//! lag          dy/dt = (x - y) / tau                         exact for x constant over a sample
+//! integrator   dy/dt = x,     lower <= y <= upper
+//! film         dm/dt = X f - m / tau,   y = (1 - X) f + m / tau       fuel on the wall; starts in balance
+//! hysteresis   y = 1 above `high`, 0 below `low`, else as before
+//! ```
+//!
+//! The derivatives go forward in time with the values ([`Graph::forward`]) or backward ([`Graph::gradient`]); they are those of the
+//! discrete function, and one-sided where it has an edge.
+
+mod backward;
+mod forward;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::LabelError;
+use crate::label::Label;
+
+/// What a node computes; numbers are those of earlier nodes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Op {
+    /// A channel of the record, by its number.
+    Channel(usize),
+    /// A number.
+    Constant(f64),
+    /// Sum.
+    Add(Vec<usize>),
+    /// First less second.
+    Subtract(usize, usize),
+    /// Product.
+    Multiply(Vec<usize>),
+    /// First over second.
+    Divide(usize, usize),
+    /// Least.
+    Min(usize, usize),
+    /// Greatest.
+    Max(usize, usize),
+    /// Label by its number, at the values of nodes.
+    Label(usize, Vec<usize>),
+    /// First node, delayed by the second in s.
+    Delay(usize, usize),
+    /// First node through a pipe: second the flow (a function of channels only), third the volume.
+    DelayFlow(usize, usize, usize),
+    /// First node through a lag of the second in s.
+    Lag(usize, usize),
+    /// Integral of the node, its limits, its first value.
+    Integrator(usize, f64, f64, f64),
+    /// Node, low, high.
+    Hysteresis(usize, f64, f64),
+    /// Fuel, share that hits the wall, time constant in s.
+    Film(usize, usize, usize),
+    /// Second node where the first is above 0, else the third.
+    Switch(usize, usize, usize),
+}
+
+impl Op {
+    /// Nodes that enter.
+    pub fn inputs(&self) -> Vec<usize> {
+        match self {
+            Op::Channel(_) | Op::Constant(_) => Vec::new(),
+            Op::Add(v) | Op::Multiply(v) | Op::Label(_, v) => v.clone(),
+            Op::Subtract(a, b) | Op::Divide(a, b) | Op::Min(a, b) | Op::Max(a, b) => vec![*a, *b],
+            Op::Delay(a, b) | Op::Lag(a, b) => vec![*a, *b],
+            Op::DelayFlow(a, b, c) | Op::Film(a, b, c) | Op::Switch(a, b, c) => vec![*a, *b, *c],
+            Op::Integrator(a, ..) | Op::Hysteresis(a, ..) => vec![*a],
+        }
+    }
+}
+
+/// A node with its name.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Node {
+    /// Name, for messages.
+    pub name: String,
+    /// What it computes.
+    pub op: Op,
+}
+
+/// A function.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Graph {
+    /// Nodes; the last is the output.
+    pub nodes: Vec<Node>,
+    /// Labels.
+    pub labels: Vec<Label>,
+}
+
+/// A record: channels on common stamps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record<'a> {
+    /// Stamps in s, increasing.
+    pub time_s: &'a [f64],
+    /// Channels.
+    pub channels: Vec<&'a [f64]>,
+}
+
+impl Graph {
+    /// Checks that nodes use earlier ones, channels and labels that there are.
+    ///
+    /// # Errors
+    /// [`LabelError::Node`], [`LabelError::Label`].
+    pub fn check(&self, channels: usize) -> Result<(), LabelError> {
+        self.labels.iter().try_for_each(Label::check)?;
+        if self.nodes.is_empty() {
+            return Err(LabelError::Node { node: "-".into(), reason: "found no node".into() });
+        }
+        for (k, node) in self.nodes.iter().enumerate() {
+            let fail = |reason: String| Err(LabelError::Node { node: node.name.clone(), reason });
+            if let Some(i) = node.op.inputs().into_iter().find(|i| *i >= k) {
+                return fail(format!("uses node {i}, expected nodes that stand before it"));
+            }
+            match &node.op {
+                Op::Channel(c) if *c >= channels => return fail(format!("there is no channel {c}")),
+                Op::Label(l, at) => {
+                    let Some(label) = self.labels.get(*l) else {
+                        return fail(format!("there is no label {l}"));
+                    };
+                    if at.len() != label.axes.len() {
+                        let wanted = label.axes.len();
+                        return fail(format!(
+                            "label `{}` has {wanted} axes, found {} inputs",
+                            label.name,
+                            at.len()
+                        ));
+                    }
+                }
+                Op::DelayFlow(_, flow, _) if self.depends(*flow) => {
+                    return fail("the flow of a pipe must be a function of channels only".into());
+                }
+                Op::Add(v) | Op::Multiply(v) if v.is_empty() => return fail("found no input".into()),
+                Op::Integrator(_, lo, hi, _) | Op::Hysteresis(_, lo, hi) if !(lo <= hi) => {
+                    return fail(format!("found the limits {lo} and {hi}, expected the lower first"));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether node `k` is a function of labels.
+    fn depends(&self, k: usize) -> bool {
+        let op = &self.nodes[k].op;
+        matches!(op, Op::Label(..)) || op.inputs().into_iter().any(|i| self.depends(i))
+    }
+
+    /// Cells of all labels, as they are.
+    pub fn base(&self) -> Vec<f64> {
+        self.labels.iter().flat_map(|l| l.base.iter().copied()).collect()
+    }
+
+    /// First cell of each label.
+    fn first(&self) -> Vec<usize> {
+        crate::linear::offsets(&self.labels).0
+    }
+}
+
+/// Place `s` on increasing stamps: sample below and share of the way to the next; the first sample for what is before it.
+fn place(time_s: &[f64], s: f64, from: usize) -> (usize, f64) {
+    let mut i = from;
+    while i > 0 && time_s[i] > s {
+        i -= 1;
+    }
+    if i + 1 >= time_s.len() || s <= time_s[0] {
+        return (i, 0.0);
+    }
+    (i, ((s - time_s[i]) / (time_s[i + 1] - time_s[i])).clamp(0.0, 1.0))
+}

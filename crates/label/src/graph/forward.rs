@@ -1,0 +1,291 @@
+//! Values and derivatives forward in time.
+
+use super::{Graph, Op, Record, place};
+
+/// What a run leaves: all that the way back needs.
+pub(super) struct Run {
+    /// Values of all nodes, node by node, `n` each.
+    pub(super) values: Vec<Vec<f64>>,
+    /// State of each film before each sample; the place that each delay read; empty elsewhere.
+    pub(super) film: Vec<Vec<f64>>,
+    pub(super) places: Vec<Vec<(usize, f64)>>,
+    /// Running integral of each flow.
+    pub(super) flown: Vec<Vec<f64>>,
+}
+
+/// Share of a state that is left after `dt` with the time constant `tau`, and its derivative with respect to tau.
+pub(super) fn left(dt: f64, tau: f64) -> (f64, f64) {
+    if !(tau > 0.0) {
+        return (0.0, 0.0);
+    }
+    let a = (-dt / tau).exp();
+    (a, a * dt / (tau * tau))
+}
+
+impl Graph {
+    /// Output of the last node at each sample of `record`, with the cells `theta`.
+    pub fn values(&self, theta: &[f64], record: &Record) -> Vec<f64> {
+        let mut run = self.run(theta, record);
+        run.values.pop().unwrap_or_default()
+    }
+
+    /// All nodes.
+    pub(super) fn run(&self, theta: &[f64], record: &Record) -> Run {
+        let (n, first) = (record.time_s.len(), self.first());
+        let m = self.nodes.len();
+        let mut run = Run {
+            values: Vec::new(),
+            film: vec![Vec::new(); m],
+            places: vec![Vec::new(); m],
+            flown: vec![Vec::new(); m],
+        };
+        for (k, node) in self.nodes.iter().enumerate() {
+            let mut y = vec![0.0; n];
+            match &node.op {
+                Op::DelayFlow(_, flow, _) => run.flown[k] = integral(record.time_s, &run.values[*flow]),
+                Op::Film(..) => run.film[k] = vec![0.0; n],
+                _ => {}
+            }
+            if matches!(node.op, Op::Delay(..) | Op::DelayFlow(..)) {
+                run.places[k] = vec![(0, 0.0); n];
+            }
+            for t in 0..n {
+                y[t] = self.sample(k, t, theta, &first, record, &mut run, &y);
+            }
+            run.values.push(y);
+        }
+        run
+    }
+
+    fn sample(
+        &self,
+        k: usize,
+        t: usize,
+        theta: &[f64],
+        first: &[usize],
+        record: &Record,
+        run: &mut Run,
+        y: &[f64],
+    ) -> f64 {
+        let v = |i: &usize| run.values[*i][t];
+        let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
+        match &self.nodes[k].op {
+            Op::Channel(c) => record.channels[*c][t],
+            Op::Constant(c) => *c,
+            Op::Add(i) => i.iter().map(v).sum(),
+            Op::Multiply(i) => i.iter().map(v).product(),
+            Op::Subtract(a, b) => v(a) - v(b),
+            Op::Divide(a, b) => v(a) / v(b),
+            Op::Min(a, b) => v(a).min(v(b)),
+            Op::Max(a, b) => v(a).max(v(b)),
+            Op::Label(l, at) => {
+                let label = &self.labels[*l];
+                let at: Vec<f64> = at.iter().map(v).collect();
+                label.value(&theta[first[*l]..first[*l] + label.len()], &at)
+            }
+            Op::Delay(x, d) => {
+                let at = place(record.time_s, record.time_s[t] - v(d).max(0.0), t);
+                let x = &run.values[*x];
+                let out = x[at.0] + at.1 * (x.get(at.0 + 1).unwrap_or(&x[at.0]) - x[at.0]);
+                run.places[k][t] = at;
+                out
+            }
+            Op::DelayFlow(x, _, volume) => {
+                let flown = &run.flown[k];
+                let at = place(flown, flown[t] - v(volume).max(0.0), t);
+                let x = &run.values[*x];
+                let out = x[at.0] + at.1 * (x.get(at.0 + 1).unwrap_or(&x[at.0]) - x[at.0]);
+                run.places[k][t] = at;
+                out
+            }
+            // The input of the last sample acts until this one.
+            Op::Lag(x, tau) if t > 0 => {
+                let a = left(dt, v(tau)).0;
+                a * y[t - 1] + (1.0 - a) * run.values[*x][t - 1]
+            }
+            Op::Lag(x, _) => v(x),
+            Op::Integrator(x, lo, hi, start) => {
+                let sum = if t == 0 { *start } else { y[t - 1] + dt * run.values[*x][t - 1] };
+                sum.max(*lo).min(*hi)
+            }
+            Op::Hysteresis(x, low, high) => {
+                let before = if t == 0 { 0.0 } else { y[t - 1] };
+                if v(x) > *high {
+                    1.0
+                } else if v(x) < *low {
+                    0.0
+                } else {
+                    before
+                }
+            }
+            Op::Film(f, share, tau) => {
+                let (fuel, s, tau_s) = (v(f), v(share), v(tau));
+                let m = if t == 0 {
+                    s * fuel * tau_s
+                } else {
+                    let (f0, s0, a) = (run.values[*f][t - 1], run.values[*share][t - 1], left(dt, tau_s).0);
+                    run.film[k][t - 1] * a + s0 * f0 * tau_s * (1.0 - a)
+                };
+                run.film[k][t] = m;
+                (1.0 - s) * fuel + m / tau_s
+            }
+            Op::Switch(c, a, b) => {
+                if v(c) > 0.0 {
+                    v(a)
+                } else {
+                    v(b)
+                }
+            }
+        }
+    }
+
+    /// Output and its derivative in the direction `v` of the cells: `y, J v`.
+    pub fn forward(&self, theta: &[f64], record: &Record, v: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let (mut run, first) = (self.run(theta, record), self.first());
+        let n = record.time_s.len();
+        let mut d: Vec<Vec<f64>> = Vec::new();
+        for k in 0..self.nodes.len() {
+            let mut dy = vec![0.0; n];
+            // State of a film has a derivative of its own.
+            let mut dm = 0.0;
+            for t in 0..n {
+                dy[t] = self.tangent(k, t, v, theta, &first, record, &run, &d, &dy, &mut dm);
+            }
+            d.push(dy);
+        }
+        (run.values.pop().unwrap_or_default(), d.pop().unwrap_or_default())
+    }
+
+    fn tangent(
+        &self,
+        k: usize,
+        t: usize,
+        v: &[f64],
+        theta: &[f64],
+        first: &[usize],
+        record: &Record,
+        run: &Run,
+        d: &[Vec<f64>],
+        dy: &[f64],
+        dm: &mut f64,
+    ) -> f64 {
+        let x = |i: &usize| run.values[*i][t];
+        let dx = |i: &usize| d[*i][t];
+        let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
+        match &self.nodes[k].op {
+            Op::Channel(_) | Op::Constant(_) | Op::Hysteresis(..) => 0.0,
+            Op::Add(i) => i.iter().map(dx).sum(),
+            Op::Multiply(i) => (0..i.len())
+                .map(|a| dx(&i[a]) * (0..i.len()).filter(|b| *b != a).map(|b| x(&i[b])).product::<f64>())
+                .sum(),
+            Op::Subtract(a, b) => dx(a) - dx(b),
+            Op::Divide(a, b) => (dx(a) - x(a) / x(b) * dx(b)) / x(b),
+            Op::Min(a, b) => {
+                if x(a) <= x(b) {
+                    dx(a)
+                } else {
+                    dx(b)
+                }
+            }
+            Op::Max(a, b) => {
+                if x(a) >= x(b) {
+                    dx(a)
+                } else {
+                    dx(b)
+                }
+            }
+            Op::Label(l, at) => {
+                let label = &self.labels[*l];
+                let cells = first[*l]..first[*l] + label.len();
+                let place: Vec<f64> = at.iter().map(x).collect();
+                let slopes = slopes(label, &theta[cells.clone()], &place);
+                let own = label.value(&v[cells], &place);
+                own + at.iter().zip(slopes).map(|(i, s)| s * dx(i)).sum::<f64>()
+            }
+            Op::Delay(a, delay) => {
+                let (i, s) = run.places[k][t];
+                let (value, slope) = between(&run.values[*a], &d[*a], i, s, record.time_s);
+                value - if x(delay) > 0.0 { slope * dx(delay) } else { 0.0 }
+            }
+            Op::DelayFlow(a, _, volume) => {
+                let (i, s) = run.places[k][t];
+                let (value, slope) = between(&run.values[*a], &d[*a], i, s, &run.flown[k]);
+                value - if x(volume) > 0.0 { slope * dx(volume) } else { 0.0 }
+            }
+            Op::Lag(a, tau) if t > 0 => {
+                let (share, by_tau) = left(dt, x(tau));
+                let (y0, x0) = (run.values[k][t - 1], run.values[*a][t - 1]);
+                share * dy[t - 1] + (1.0 - share) * d[*a][t - 1] + by_tau * (y0 - x0) * dx(tau)
+            }
+            Op::Lag(a, _) => dx(a),
+            Op::Integrator(a, lo, hi, _) => {
+                let y = run.values[k][t];
+                if t == 0 || y <= *lo || y >= *hi { 0.0 } else { dy[t - 1] + dt * d[*a][t - 1] }
+            }
+            Op::Film(f, share, tau) => {
+                let (fuel, s, tau_s) = (x(f), x(share), x(tau));
+                *dm = if t == 0 {
+                    dx(share) * fuel * tau_s + s * dx(f) * tau_s + s * fuel * dx(tau)
+                } else {
+                    let (f0, s0) = (run.values[*f][t - 1], run.values[*share][t - 1]);
+                    let (a, by_tau) = left(dt, tau_s);
+                    let moved = d[*share][t - 1] * f0 + s0 * d[*f][t - 1];
+                    let m0 = run.film[k][t - 1];
+                    *dm * a
+                        + moved * tau_s * (1.0 - a)
+                        + (m0 * by_tau + s0 * f0 * (1.0 - a - tau_s * by_tau)) * dx(tau)
+                };
+                let m = run.film[k][t];
+                -dx(share) * fuel + (1.0 - s) * dx(f) + *dm / tau_s - m / (tau_s * tau_s) * dx(tau)
+            }
+            Op::Switch(c, a, b) => {
+                if x(c) > 0.0 {
+                    dx(a)
+                } else {
+                    dx(b)
+                }
+            }
+        }
+    }
+}
+
+/// Derivative of what stands between samples `i` and `i + 1`, and the slope there over `axis`.
+fn between(x: &[f64], dx: &[f64], i: usize, s: f64, axis: &[f64]) -> (f64, f64) {
+    let Some((next, dnext)) = x.get(i + 1).zip(dx.get(i + 1)) else { return (dx[i], 0.0) };
+    let h = axis[i + 1] - axis[i];
+    // Before the record nothing moves.
+    let slope = if h > 0.0 && (i > 0 || s > 0.0) { (next - x[i]) / h } else { 0.0 };
+    (dx[i] + s * (dnext - dx[i]), slope)
+}
+
+/// Derivatives of a label with respect to where it is read.
+pub(super) fn slopes(label: &crate::label::Label, values: &[f64], at: &[f64]) -> [f64; 2] {
+    let mut out = [0.0; 2];
+    for (k, axis) in label.axes.iter().enumerate() {
+        let p = &axis.points;
+        // At the edges the label is flat.
+        if !(at[k] >= p[0] && at[k] < p[p.len() - 1]) {
+            continue;
+        }
+        let (i, _) = crate::rows::between(p, at[k]);
+        let mut place = at.to_vec();
+        place[k] = p[i];
+        let low = label.value(values, &place);
+        place[k] = p[i + 1];
+        out[k] = (label.value(values, &place) - low) / (p[i + 1] - p[i]);
+    }
+    out
+}
+
+/// Running integral by trapezoids; it never falls.
+fn integral(time_s: &[f64], flow: &[f64]) -> Vec<f64> {
+    let mut sum = 0.0;
+    (0..time_s.len())
+        .map(|t| {
+            if t > 0 {
+                sum += (0.5 * (flow[t] + flow[t - 1]) * (time_s[t] - time_s[t - 1])).max(0.0);
+            }
+            sum
+        })
+        .collect()
+}

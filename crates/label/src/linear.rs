@@ -1,0 +1,304 @@
+//! Labels that enter linearly: sparse least squares with smoothness, limits and whole steps.
+
+mod normal;
+mod verdict;
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use crate::correlation;
+use crate::error::LabelError;
+use crate::label::{Label, Limit};
+use crate::qp;
+use crate::quantise::{self, Steps};
+use crate::rows::Rows;
+use normal::Normal;
+
+/// Most cells in one fit: the equations are held dense.
+pub const MOST_CELLS: usize = 4000;
+
+/// What is fitted to what.
+pub struct Problem<'a> {
+    /// Labels; their cells are numbered one after the other.
+    pub labels: &'a [Label],
+    /// A row for each sample.
+    pub rows: &'a Rows,
+    /// What each row shall give.
+    pub target: &'a [f64],
+    /// Weight of each sample; none for 1.
+    pub weights: Option<&'a [f64]>,
+    /// Ranges of samples that follow each other in time; none where samples do not depend on each other.
+    pub segments: Vec<Range<usize>>,
+}
+
+impl<'a> Problem<'a> {
+    /// A problem with independent samples of weight 1.
+    pub fn new(labels: &'a [Label], rows: &'a Rows, target: &'a [f64]) -> Self {
+        Self { labels, rows, target, weights: None, segments: Vec::new() }
+    }
+}
+
+/// How it is fitted.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Options {
+    /// Weight of the roughness, where 1 gives it as much as the data; none: by generalised cross-validation.
+    pub smooth: Option<f64>,
+    /// Roughness of the change from the base (true) or of the values.
+    pub smooth_change: bool,
+    /// Samples far outside count less (Huber's loss at 1.345 robust standard deviations).
+    pub robust: bool,
+    /// Cells with fewer samples than this keep their base.
+    pub least_visits: f64,
+    /// Cells without data follow their neighbours instead.
+    pub extrapolate: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { smooth: None, smooth_change: true, robust: false, least_visits: 1.0, extrapolate: false }
+    }
+}
+
+/// What the data say of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// One independent measurement at the cell itself or more, and they outweigh what ties it to its neighbours and its base.
+    Determined,
+    /// Data reach it, but weigh less: neighbours, smoothness and base say the rest.
+    Pulled,
+    /// No data: it keeps its base, or follows its neighbours where that was asked for.
+    Untouched,
+    /// Locked.
+    Locked,
+}
+
+/// A fit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fit {
+    /// Values of all cells, in whole steps where the label has steps.
+    pub values: Vec<f64>,
+    /// The same before rounding.
+    pub exact: Vec<f64>,
+    /// Half width of the 95 % interval of each cell; infinite where there are no data.
+    #[serde(skip)]
+    pub half_width: Vec<f64>,
+    /// Samples at each cell, by their interpolation weights.
+    pub visits: Vec<f64>,
+    /// Independent measurements at each cell itself, correlated samples counted as what they are worth.
+    pub facts: Vec<f64>,
+    /// What the data say.
+    pub verdicts: Vec<Verdict>,
+    /// Weight of the roughness.
+    pub smooth: f64,
+    /// Standard deviation of one sample around the fit.
+    pub sigma: f64,
+    /// Samples that say as much as one independent one.
+    pub correlation_samples: f64,
+    /// Parameters that the fit effectively has.
+    pub effective_parameters: f64,
+    /// Root mean square of target less function, with the base and with the exact values.
+    pub rms: [f64; 2],
+    /// Limits that hold the fit, in words.
+    pub held: Vec<String>,
+    /// Limits that the base breaks among cells that are not fitted.
+    pub broken: Vec<String>,
+    /// Whether whole steps were proven best; none without steps.
+    pub proven: Option<bool>,
+}
+
+/// First cell of each label, and the number of cells.
+pub fn offsets(labels: &[Label]) -> (Vec<usize>, usize) {
+    let mut sum = 0;
+    let first = labels
+        .iter()
+        .map(|l| {
+            let first = sum;
+            sum += l.len();
+            first
+        })
+        .collect();
+    (first, sum)
+}
+
+/// Fits the labels.
+///
+/// # Errors
+/// [`LabelError`]: labels that contradict themselves or each other, too few samples, numbers that are none.
+pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
+    let (_, cells) = offsets(p.labels);
+    check(p, cells)?;
+    let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
+    let visits = verdict::visits(p, cells);
+    let locked: Vec<bool> = p.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
+    let free = |k: usize| !locked[k] && (options.extrapolate || visits[k] >= options.least_visits.max(1e-9));
+    let map: Vec<Option<usize>> = {
+        let mut count = 0;
+        (0..cells)
+            .map(|k| {
+                free(k).then(|| {
+                    count += 1;
+                    count - 1
+                })
+            })
+            .collect()
+    };
+    let mut weights: Vec<f64> = p.weights.map_or_else(|| vec![1.0; p.target.len()], <[f64]>::to_vec);
+    let offset: Vec<f64> = (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base)).collect();
+    let mut normal = Normal::new(p, &map, &base, &locked, options);
+    let first = weights.clone();
+    // From the smooth side: a fit that follows the noise would leave nothing correlated behind, and think that it may.
+    let mut found = normal.solve(p, &map, &offset, &weights, 1.0, Some(options.smooth.unwrap_or(1.0)))?;
+    // The correlation shows in the residuals, and the smoothness depends on it: a few rounds settle both.
+    let mut tau = 1.0;
+    for round in 0..6 {
+        let residuals = residuals(p, &map, &offset, &found.delta);
+        if options.robust {
+            weights = first.iter().zip(huber(&residuals)).map(|(w, h)| w * h).collect();
+        }
+        let next = correlation::time_samples(&residuals, &p.segments);
+        if !options.robust && round > 0 && (next - tau).abs() < 1e-3 * tau {
+            break;
+        }
+        tau = next;
+        found = normal.solve(p, &map, &offset, &weights, tau, options.smooth)?;
+    }
+    let whole = |delta: &[f64]| -> Vec<f64> {
+        (0..cells).map(|k| base[k] + map[k].map_or(0.0, |f| delta[f])).collect()
+    };
+    let (limits, broken) = limits(p.labels, &map, &base);
+    let h = normal.hessian(found.smooth);
+    let solved = qp::solve(&h, &normal.right(found.smooth), &limits)?;
+    let held = solved.active.iter().map(|(k, _)| limits[*k].what.clone()).collect();
+    let exact = whole(&solved.x);
+    let squares = |delta: &[f64]| {
+        let r = residuals(p, &map, &offset, delta);
+        let sum: f64 = first.iter().sum();
+        (r.iter().zip(&first).map(|(r, w)| w * r * r).sum::<f64>() / sum.max(1e-300)).sqrt()
+    };
+    let rms = [squares(&vec![0.0; solved.x.len()]), squares(&solved.x)];
+    let steps = steps(p.labels, &map, &base);
+    let (values, proven) = match steps.iter().any(Option::is_some) {
+        true => {
+            let (x, proven) = quantise::nearest(&h, &found.delta, &solved.x, &steps, &limits)?;
+            (clean(p.labels, &whole(&x)), Some(proven))
+        }
+        false => (exact.clone(), None),
+    };
+    let told = verdict::tell(&normal, &h, &found, tau, &map, &locked, &visits)?;
+    Ok(Fit {
+        values,
+        exact,
+        half_width: told.half_width,
+        visits,
+        facts: told.facts,
+        verdicts: told.verdicts,
+        smooth: found.smooth,
+        sigma: told.sigma,
+        correlation_samples: tau,
+        effective_parameters: found.parameters,
+        rms,
+        held,
+        broken,
+        proven,
+    })
+}
+
+fn check(p: &Problem, cells: usize) -> Result<(), LabelError> {
+    p.labels.iter().try_for_each(Label::check)?;
+    if cells > MOST_CELLS {
+        return Err(LabelError::TooLarge { found: cells, most: MOST_CELLS });
+    }
+    let n = p.target.len();
+    if n == 0 || p.rows.len() != n {
+        return Err(LabelError::TooFew { found: n.min(p.rows.len()), expected: 1 });
+    }
+    let finite = |k: usize| p.target[k].is_finite() && p.rows.row(k).1.iter().all(|w| w.is_finite());
+    if let Some(index) = (0..n).find(|k| !finite(*k)) {
+        return Err(LabelError::NotFinite { what: "measurements", index });
+    }
+    match p.weights.and_then(|w| w.iter().position(|v| !(*v >= 0.0 && v.is_finite()))) {
+        Some(index) => Err(LabelError::NotFinite { what: "weights", index }),
+        None => Ok(()),
+    }
+}
+
+fn residuals(p: &Problem, map: &[Option<usize>], offset: &[f64], delta: &[f64]) -> Vec<f64> {
+    (0..offset.len())
+        .map(|k| {
+            let (at, w) = p.rows.row(k);
+            offset[k] - at.iter().zip(w).filter_map(|(j, w)| map[*j].map(|f| w * delta[f])).sum::<f64>()
+        })
+        .collect()
+}
+
+/// Huber's weights, from the median of the absolute residuals.
+fn huber(residuals: &[f64]) -> Vec<f64> {
+    let mut size: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    size.sort_by(f64::total_cmp);
+    let sigma = 1.4826 * size[size.len() / 2];
+    let knee = 1.345 * sigma;
+    residuals.iter().map(|r| if r.abs() <= knee || knee == 0.0 { 1.0 } else { knee / r.abs() }).collect()
+}
+
+/// Limits of the free cells as changes from the base, and those that the base breaks where nothing is free.
+fn limits(labels: &[Label], map: &[Option<usize>], base: &[f64]) -> (Vec<Limit>, Vec<String>) {
+    let (first, _) = offsets(labels);
+    let (mut out, mut broken) = (Vec::new(), Vec::new());
+    for (l, from) in labels.iter().zip(first) {
+        for limit in l.limits() {
+            let now: f64 = limit.terms.iter().map(|(k, c)| c * base[from + k]).sum();
+            let terms: Vec<(usize, f64)> =
+                limit.terms.iter().filter_map(|(k, c)| map[from + k].map(|f| (f, *c))).collect();
+            let size = limit.terms.iter().map(|(k, c)| (c * base[from + k]).abs()).fold(1e-9, f64::max);
+            match terms.is_empty() {
+                true if now < limit.least - 1e-9 * size => broken.push(limit.what),
+                true => {}
+                false => out.push(Limit { terms, least: limit.least - now, what: limit.what }),
+            }
+        }
+        for k in 0..l.len() {
+            let Some(f) = map[from + k] else { continue };
+            let what = |side: &str, v: f64| format!("`{}`: {side} value {v} {}", l.name, l.unit);
+            if l.lower.is_finite() {
+                let terms = vec![(f, 1.0)];
+                out.push(Limit { terms, least: l.lower - base[from + k], what: what("least", l.lower) });
+            }
+            if l.upper.is_finite() {
+                let terms = vec![(f, -1.0)];
+                out.push(Limit { terms, least: base[from + k] - l.upper, what: what("greatest", l.upper) });
+            }
+        }
+    }
+    (out, broken)
+}
+
+/// Steps of the free cells, as changes from the base.
+fn steps(labels: &[Label], map: &[Option<usize>], base: &[f64]) -> Vec<Option<Steps>> {
+    let (first, _) = offsets(labels);
+    let mut out = Vec::new();
+    for (l, from) in labels.iter().zip(first) {
+        for k in (0..l.len()).filter(|k| map[from + k].is_some()) {
+            out.push(l.step.map(|step| Steps { step, origin: l.origin - base[from + k] }));
+        }
+    }
+    out
+}
+
+/// Whole steps without what rounding leaves of them: 7 steps of 0.1 are 0.7.
+fn clean(labels: &[Label], values: &[f64]) -> Vec<f64> {
+    let (first, _) = offsets(labels);
+    let mut out = values.to_vec();
+    for (l, from) in labels.iter().zip(first) {
+        let Some(step) = l.step else { continue };
+        let decimals = (0..10).find(|d| (step * 10f64.powi(*d)).fract().abs() < 1e-9).unwrap_or(10) as usize;
+        for (k, v) in out[from..from + l.len()].iter_mut().enumerate() {
+            if *v != l.base[k] {
+                *v = format!("{:.decimals$}", *v).parse().unwrap_or(*v);
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,178 @@
+//! Functions: derivatives against differences and against each other, dynamic labels against SciPy.
+
+use dynocal_label::graph::{Graph, Node, Op, Record};
+use dynocal_label::label::{Axis, Label};
+use dynocal_label::linear::Options;
+use dynocal_label::nonlinear::{Target, fit};
+use dynocal_numerics::rng::Rng64;
+use serde_json::Value;
+
+fn graph(ops: Vec<(&str, Op)>, labels: Vec<Label>) -> Graph {
+    Graph { nodes: ops.into_iter().map(|(n, op)| Node { name: n.into(), op }).collect(), labels }
+}
+
+/// Every node with a derivative in one function.
+fn everything() -> Graph {
+    let map = Label::new(
+        "MAP",
+        "-",
+        vec![Axis::new("a", "-", &[-1.0, 0.0, 1.5]), Axis::new("b", "-", &[-1.0, 0.5, 2.0])],
+        &[1.0, 1.4, 0.8, 1.1, 1.3, 0.7, 0.9, 1.6, 1.2],
+    );
+    let curve = Label::curve("CURVE", "-", "a", "-", &[-1.0, 0.0, 1.0], &[0.3, 0.5, 0.45]);
+    let labels = vec![
+        map,
+        curve,
+        Label::scalar("TAU", "s", 0.31),
+        Label::scalar("DELAY", "s", 0.137),
+        Label::scalar("VOLUME", "-", 0.61),
+        Label::scalar("SHARE", "-", 0.3),
+    ];
+    graph(
+        vec![
+            ("a", Op::Channel(0)),
+            ("b", Op::Channel(1)),
+            ("flow", Op::Channel(2)),
+            ("tau", Op::Label(2, vec![])),
+            ("delay", Op::Label(3, vec![])),
+            ("volume", Op::Label(4, vec![])),
+            ("share", Op::Label(5, vec![])),
+            ("map", Op::Label(0, vec![0, 1])),
+            ("film", Op::Film(7, 6, 3)),
+            ("late", Op::Delay(8, 4)),
+            ("pipe", Op::DelayFlow(9, 2, 5)),
+            ("slow", Op::Lag(10, 3)),
+            ("curve", Op::Label(1, vec![11])),
+            ("product", Op::Multiply(vec![11, 12, 7])),
+            ("ratio", Op::Divide(13, 2)),
+            ("least", Op::Min(14, 7)),
+            ("most", Op::Max(15, 12)),
+            ("sum", Op::Integrator(16, -1.0, 3.0, 0.0)),
+            ("on", Op::Hysteresis(0, -0.2, 0.2)),
+            ("choice", Op::Switch(18, 17, 16)),
+            ("two", Op::Constant(2.0)),
+            ("more", Op::Add(vec![19, 20])),
+            ("out", Op::Subtract(21, 11)),
+        ],
+        labels,
+    )
+}
+
+fn channels() -> (Vec<f64>, Vec<Vec<f64>>) {
+    let time_s: Vec<f64> =
+        (0..160).map(|k| 0.066 * f64::from(k) + 0.004 * (f64::from(k) * 1.7).sin()).collect();
+    let a = time_s.iter().map(|t| 0.9 * (1.3 * t).sin()).collect();
+    let b = time_s.iter().map(|t| 0.6 + 0.9 * (0.7 * t + 1.0).cos()).collect();
+    let flow = time_s.iter().map(|t| 2.0 + (0.9 * t).sin()).collect();
+    (time_s, vec![a, b, flow])
+}
+
+#[test]
+fn derivatives_forward_are_differences_and_backward_are_forward() {
+    let g = everything();
+    g.check(3).unwrap();
+    let (time_s, c) = channels();
+    let record = Record { time_s: &time_s, channels: c.iter().map(Vec::as_slice).collect() };
+    let theta = g.base();
+    let mut rng = Rng64::new(1);
+    let u: Vec<f64> = (0..time_s.len()).map(|_| rng.normal()).collect();
+    let back = g.gradient(&theta, &record, &u);
+    for k in 0..theta.len() {
+        let mut unit = vec![0.0; theta.len()];
+        unit[k] = 1.0;
+        let (_, d) = g.forward(&theta, &record, &unit);
+        let along: f64 = d.iter().zip(&u).map(|(a, b)| a * b).sum();
+        assert!((along - back[k]).abs() < 1e-9 * along.abs().max(1.0), "cell {k}: {along} {}", back[k]);
+        let h = 1e-6;
+        let shifted = |s: f64| {
+            let mut t = theta.clone();
+            t[k] += s * h;
+            g.values(&t, &record)
+        };
+        let (up, down) = (shifted(1.0), shifted(-1.0));
+        // A sample at which an edge lies between the two has no derivative.
+        let wrong = (0..d.len())
+            .filter(|t| {
+                let slope = (up[*t] - down[*t]) / (2.0 * h);
+                (slope - d[*t]).abs() > 1e-5 * slope.abs().max(1.0)
+            })
+            .count();
+        assert!(wrong <= 2, "cell {k}: {wrong} samples");
+    }
+}
+
+/// Delay: a step comes d later. Pipe: the delay is volume over flow. Lag and film against their closed forms.
+#[test]
+fn nodes_with_a_memory_are_what_their_equations_say() {
+    let time_s: Vec<f64> = (0..200).map(|k| 0.05 * f64::from(k)).collect();
+    let step: Vec<f64> = time_s.iter().map(|t| f64::from(u8::from(*t >= 1.0))).collect();
+    let flow = vec![4.0; 200];
+    let record = Record { time_s: &time_s, channels: vec![&step, &flow] };
+    let at = |op: Op, values: &[f64]| {
+        let labels = values.iter().map(|v| Label::scalar("L", "-", *v)).collect();
+        let mut ops = vec![("u", Op::Channel(0)), ("f", Op::Channel(1)), ("p", Op::Label(0, vec![]))];
+        if values.len() > 1 {
+            ops.push(("q", Op::Label(1, vec![])));
+        }
+        ops.push(("y", op));
+        let g = graph(ops, labels);
+        g.values(&g.base(), &record)
+    };
+    let half = |y: &[f64]| time_s[y.iter().position(|v| *v >= 0.5).unwrap()];
+    assert!((half(&at(Op::Delay(0, 2), &[0.5])) - 1.5).abs() < 0.051);
+    assert!((half(&at(Op::DelayFlow(0, 1, 2), &[2.0])) - 1.5).abs() < 0.051);
+    let lag = at(Op::Lag(0, 2), &[0.4]);
+    let film = at(Op::Film(0, 2, 3), &[0.3, 0.8]);
+    for (k, t) in time_s.iter().enumerate().filter(|(_, t)| **t >= 1.0) {
+        assert!((lag[k] - (1.0 - (-(t - 1.0) / 0.4).exp())).abs() < 1e-9);
+        // A share of 0.3 comes late: y = 1 - X exp(-t / tau).
+        assert!((film[k] - (1.0 - 0.3 * (-(t - 1.0) / 0.8).exp())).abs() < 1e-9, "{k} {}", film[k]);
+    }
+}
+
+#[test]
+fn a_film_is_fitted_as_scipy_does() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/reference/labels.json");
+    let all: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let r = &all["film"];
+    let numbers =
+        |v: &Value| -> Vec<f64> { v.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect() };
+    let (fuel, y) = (numbers(&r["fuel"]), numbers(&r["y"]));
+    let dt = r["dt_s"].as_f64().unwrap();
+    let time_s: Vec<f64> = (0..y.len()).map(|k| dt * k as f64).collect();
+    let mut labels = vec![Label::scalar("X", "-", 0.1), Label::scalar("TAU", "s", 0.2)];
+    (labels[0].lower, labels[0].upper) = (0.0, 0.9);
+    (labels[1].lower, labels[1].upper) = (0.01, 10.0);
+    let ops = vec![
+        ("fuel", Op::Channel(0)),
+        ("share", Op::Label(0, vec![])),
+        ("tau", Op::Label(1, vec![])),
+        ("out", Op::Film(0, 1, 2)),
+    ];
+    let g = graph(ops, labels);
+    let weights = vec![1.0; y.len()];
+    let target =
+        Target { record: Record { time_s: &time_s, channels: vec![&fuel] }, y: &y, weights: &weights };
+    let found = fit(&g, &[target.clone()], &Options::default(), &|| false).unwrap();
+    assert!(found.converged);
+    for (a, b) in found.fit.values.iter().zip([&r["share"], &r["tau_s"]]) {
+        let b = b.as_f64().unwrap();
+        assert!((a - b).abs() < 1e-6 * b, "{a} {b}");
+    }
+    // With a bound below the optimum it stops there.
+    let mut bound = g.clone();
+    bound.labels[0].upper = 0.2;
+    let found = fit(&bound, &[target], &Options::default(), &|| false).unwrap();
+    assert!((found.fit.values[0] - 0.2).abs() < 1e-9 && !found.fit.held.is_empty(), "{:?}", found.fit.values);
+}
+
+#[test]
+fn a_graph_that_makes_no_sense_is_refused_with_its_node() {
+    let bad = |ops: Vec<(&str, Op)>| {
+        graph(ops, vec![Label::scalar("S", "-", 1.0)]).check(1).unwrap_err().to_string()
+    };
+    assert!(bad(vec![("a", Op::Add(vec![0]))]).contains("node `a`"));
+    assert!(bad(vec![("a", Op::Channel(3))]).contains("no channel 3"));
+    assert!(bad(vec![("a", Op::Channel(0)), ("b", Op::Label(0, vec![0]))]).contains("0 axes, found 1"));
+    assert!(bad(vec![]).contains("no node"));
+}

@@ -1,0 +1,135 @@
+//! Functions of a real ECU whose labels are known, because the log carries its tune.
+
+use std::path::Path;
+
+use dynocal_export::tune::msq::Tune;
+use dynocal_files::measurement::mlg::Mlg;
+use dynocal_files::measurement::recording;
+use dynocal_files::table::Cells;
+use dynocal_label::graph::{Graph, Node, Op, Record};
+use dynocal_label::label::{Axis, Label, Limit};
+use dynocal_label::linear::{Options, Problem, Verdict, fit};
+use dynocal_label::nonlinear::{self, Target};
+use dynocal_label::rows::Rows;
+use dynocal_label::{qp, quantise};
+
+struct Drive {
+    tune: Tune,
+    time_s: Vec<f64>,
+    columns: Vec<(String, Vec<f64>)>,
+}
+
+impl Drive {
+    fn read(name: &str) -> Option<Self> {
+        let Ok(dir) = std::env::var("DYNOCAL_REFERENCE_DIR") else {
+            println!("SKIPPED: DYNOCAL_REFERENCE_DIR is not set");
+            return None;
+        };
+        let mlg = Mlg::open(&Path::new(&dir).join("data/open_ecu").join(format!("{name}.mlg"))).unwrap();
+        let tune = Tune::parse(name, mlg.tune().unwrap().to_vec()).unwrap();
+        let raster = recording(&mlg).unwrap().rasters.remove(0);
+        let numbers = |c: &Cells| match c {
+            Cells::Number(v) => v.clone(),
+            Cells::Text(_) => Vec::new(),
+        };
+        let columns = raster.columns.iter().map(|c| (c.name.clone(), numbers(&c.cells))).collect();
+        Some(Self { tune, time_s: raster.time_s, columns })
+    }
+
+    fn channel(&self, name: &str) -> &[f64] {
+        &self.columns.iter().find(|c| c.0 == name).unwrap().1
+    }
+
+    fn label(&self, name: &str) -> Vec<f64> {
+        self.tune.constant(name).unwrap().values.clone()
+    }
+}
+
+/// Pulse width = factor x reqFuel x VE x MAP x correction + dead time(battery).
+#[test]
+fn the_pulse_width_gives_factor_and_dead_time_back() {
+    let Some(d) = Drive::read("2025-12-02_10.58.15o") else { return };
+    let required = d.label("reqFuel")[0];
+    let labels = vec![Label::scalar("FACTOR", "-", 1.0), Label::scalar("DEAD", "ms", 0.5)];
+    let node = |name: &str, op| Node { name: name.into(), op };
+    let graph = Graph {
+        nodes: vec![
+            node("ve", Op::Channel(0)),
+            node("map", Op::Channel(1)),
+            node("gamma", Op::Channel(2)),
+            node("percent", Op::Constant(1e-6 * required)),
+            node("factor", Op::Label(0, vec![])),
+            node("dead", Op::Label(1, vec![])),
+            node("fuel", Op::Multiply(vec![0, 1, 2, 3, 4])),
+            node("pulse", Op::Add(vec![6, 5])),
+        ],
+        labels,
+    };
+    let (pw, gamma, clt) = (d.channel("PW"), d.channel("Gammae"), d.channel("CLT"));
+    // Warm, no enrichment, fuel injected.
+    let weights: Vec<f64> = (0..pw.len())
+        .map(|k| f64::from(u8::from(pw[k] > 0.0 && gamma[k] == 100.0 && clt[k] >= 71.0)))
+        .collect();
+    let record = Record { time_s: &d.time_s, channels: vec![d.channel("VE1"), d.channel("MAP"), gamma] };
+    let target = Target { record, y: pw, weights: &weights };
+    let found = nonlinear::fit(&graph, &[target], &Options::default(), &|| false).unwrap();
+    let v = &found.fit.values;
+    // What the tune says: half of the required fuel in each of two squirts, the dead time with its battery curve.
+    let (bins, rates) = (d.label("brvBins"), d.label("injBatRates"));
+    let curve = Label::curve("c", "%", "V", "V", &bins, &rates);
+    let volts: Vec<f64> =
+        (0..pw.len()).filter(|k| weights[*k] > 0.0).map(|k| d.channel("Battery V")[k]).collect();
+    let mean: f64 = volts.iter().map(|u| curve.value(&rates, &[*u])).sum::<f64>() / volts.len() as f64;
+    let dead = d.label("injOpen")[0] * mean / 100.0;
+    println!(
+        "{} samples: factor {:.5} (0.5), dead time {:.4} ms ({dead:.4}), rms {:.2} us",
+        volts.len(),
+        v[0],
+        v[1],
+        1000.0 * found.fit.rms[1]
+    );
+    assert!((v[0] / 0.5 - 1.0).abs() < 0.005, "factor {}", v[0]);
+    assert!((v[1] - dead).abs() < 0.03, "dead time {} for {dead}", v[1]);
+    assert!(found.fit.rms[1] <= 0.004, "rms {} ms", found.fit.rms[1]);
+}
+
+/// VE1 is the look-up cut to a whole number: least squares on the middle of the step, then whole steps within it.
+#[test]
+fn a_known_table_comes_back_from_its_look_ups() {
+    for name in ["2025-12-02_10.58.15o", "2025-12-02_10.08.37", "2026-02-28_17.53.41"] {
+        let Some(d) = Drive::read(name) else { return };
+        let base = d.label("veTable");
+        let axes = vec![
+            Axis::new("RPM", "rpm", &d.label("rpmBins")),
+            Axis::new("load", "kPa", &d.label("fuelLoadBins")),
+        ];
+        // Nothing is known of the table before.
+        let label = Label::new("veTable", "%", axes, &vec![50.0; base.len()]);
+        let (rpm, load, ve) = (d.channel("RPM"), d.channel("FuelLoad"), d.channel("VE1"));
+        let used: Vec<usize> = (0..ve.len()).filter(|k| ve[*k] > 0.0 && rpm[*k] > 0.0).collect();
+        let (mut rows, mut y) = (Rows::default(), Vec::new());
+        for &k in &used {
+            rows.start();
+            label.enter(&mut rows, 0, 1.0, &[rpm[k], load[k]]);
+            y.push(ve[k] + 0.5);
+        }
+        let same = used
+            .iter()
+            .filter(|k| (label.value(&base, &[rpm[**k], load[**k]]) - ve[**k] - 0.5).abs() <= 0.52)
+            .count();
+        let problem = Problem::new(std::slice::from_ref(&label), &rows, &y);
+        let plain = fit(&problem, &Options { smooth: Some(1e-9), ..Options::default() }).unwrap();
+        let told: Vec<usize> = (0..256)
+            .filter(|k| plain.verdicts[*k] == Verdict::Determined && plain.half_width[*k] < 0.5)
+            .collect();
+        let near = |v: &[f64]| told.iter().filter(|k| (v[**k] - base[**k]).abs() <= 1.0).count();
+        println!(
+            "{name}: tune agrees at {:.1} % of {} samples; {} cells determined to half a count, {} within one count",
+            100.0 * same as f64 / used.len() as f64,
+            used.len(),
+            told.len(),
+            near(&plain.values.iter().map(|v| v.round()).collect::<Vec<_>>())
+        );
+    }
+    let _ = (qp::solve, quantise::nearest, Limit { terms: vec![], least: 0.0, what: String::new() });
+}

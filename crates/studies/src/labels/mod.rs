@@ -1,0 +1,234 @@
+//! Study `labels`: labels of a real ECU from its logs, where the tune in the log says the truth or later samples judge.
+//!
+//! The logs stay outside the program: they lie below the folder of `--data`, in `data/open_ecu`.
+
+use std::path::{Path, PathBuf};
+
+use dynocal_jobs::label::{self, Job, channels, function};
+use dynocal_jobs::place::Overrides;
+use dynocal_numerics::registry::MemberDoc;
+use dynocal_report::{Column, Report, Section, Table};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::asked::Asked;
+use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check, result};
+
+pub(super) const STUDY: Study = Study {
+    doc: MemberDoc {
+        name: "labels",
+        what: "Labels of a real ECU from its logs: the pulse-width function against its tune, fuel tables judged on later samples (needs --data)",
+        params: &[],
+    },
+    tasks,
+    reduce,
+    sections,
+};
+
+/// Drives, with the error of lambda on later samples of the specification's own least squares, nearest-cell mean, and of the tune.
+const DRIVES: [(&str, f64, f64, f64); 3] = [
+    ("2025-12-02_10.08.37", 0.080, 0.090, 0.233),
+    ("2025-12-02_10.58.15o", 0.079, 0.117, 0.104),
+    ("2026-02-28_17.53.41", 0.019, 0.020, 0.210),
+];
+const PULSE: &str = "2025-12-02_10.58.15o";
+
+/// The pulse-width function against the tune.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Pulse {
+    samples: usize,
+    factor: f64,
+    dead_ms: f64,
+    /// What the tune says, at the mean voltage of the samples.
+    true_dead_ms: f64,
+    unseen_rms_ms: f64,
+}
+
+/// A fuel table, judged on later samples.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Drive {
+    decision: String,
+    before: f64,
+    nearest: f64,
+    after: f64,
+    samples: usize,
+    sensor_s: [f64; 3],
+    determined: usize,
+    pulled: usize,
+    untouched: usize,
+}
+
+fn tasks(o: &Options) -> Vec<Task> {
+    let data = folder(o);
+    let mut out = vec![Task {
+        name: "pulse".into(),
+        inputs: json!([PULSE]),
+        run: {
+            let data = data.clone();
+            Box::new(move |around| value("pulse", pulse(data.as_deref(), around)?))
+        },
+    }];
+    let drives = if o.reduced { &DRIVES[..1] } else { &DRIVES[..] };
+    for (name, ..) in drives {
+        let data = data.clone();
+        out.push(Task {
+            name: (*name).into(),
+            inputs: json!([name]),
+            run: Box::new(move |around| value(name, drive(data.as_deref(), name, around)?)),
+        });
+    }
+    out
+}
+
+fn value<T: Serialize>(what: &str, found: T) -> Result<serde_json::Value, StudyError> {
+    serde_json::to_value(found).map_err(|e| refused(what, e))
+}
+
+fn refused(what: &str, reason: impl std::fmt::Display) -> StudyError {
+    StudyError::Task { what: what.into(), reason: reason.to_string() }
+}
+
+fn folder(o: &Options) -> Option<PathBuf> {
+    o.data.clone().or_else(|| std::env::var_os("DYNOCAL_REFERENCE_DIR").map(PathBuf::from))
+}
+
+fn log(data: Option<&Path>, name: &str) -> Result<PathBuf, StudyError> {
+    let data =
+        data.ok_or_else(|| refused(name, "no folder of logs: name it with --data or DYNOCAL_REFERENCE_DIR"))?;
+    Ok(data.join("data/open_ecu").join(format!("{name}.mlg")))
+}
+
+fn pulse(data: Option<&Path>, around: &Surroundings) -> Result<Pulse, StudyError> {
+    let path = log(data, PULSE)?;
+    let fail = |e: &dyn std::fmt::Display| refused("pulse", e);
+    let (_, tune) = channels::log(&path, &mut Vec::new()).map_err(|e| fail(&e))?;
+    let tune = tune.ok_or_else(|| refused("pulse", "the log carries no tune"))?;
+    let of = |name: &str| tune.constant(name).map(|c| c.values.clone()).map_err(|e| fail(&e));
+    let text = include_str!("pulse.toml").replace("REQUIRED", &format!("{:e}", 1e-6 * of("reqFuel")?[0]));
+    let over = Overrides { out: Some(around.runs.join("pulse")), ..Overrides::default() };
+    let mut job = function::spec::parse("pulse.toml", &text, &over).map_err(|e| fail(&e))?;
+    job.data = vec![path];
+    let (found, _) = function::run(&job, around.watch).map_err(|e| fail(&e))?;
+    let volts = function::work::mean_of("Battery V", &job).map_err(|e| fail(&e))?;
+    let (bins, rates) = (of("brvBins")?, of("injBatRates")?);
+    let curve = dynocal_jobs::label::curve(&bins, &rates, volts);
+    Ok(Pulse {
+        samples: found.samples[0] + found.samples[1],
+        factor: found.fit.values[0],
+        dead_ms: found.fit.values[1],
+        true_dead_ms: of("injOpen")?[0] * curve / 100.0,
+        unseen_rms_ms: found.unseen_rms[1],
+    })
+}
+
+fn drive(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Drive, StudyError> {
+    let path = log(data, name)?;
+    let mut job = Job::ve(vec![path], None, None, Some(&around.runs.join(name)));
+    // As the specification does: everything is related to 14.7.
+    job.target_lambda = Some(1.0);
+    let (found, _) = label::run(&job, around.watch).map_err(|e| refused(name, e))?;
+    let (j, s) = (&found.found.judgement, found.found.sensor);
+    let count = |word: &str| {
+        let of = |v: &dynocal_jobs::label::Verdict| serde_json::to_value(v).ok().is_some_and(|t| t == word);
+        found.found.judged.verdicts.iter().filter(|v| of(v)).count()
+    };
+    Ok(Drive {
+        decision: format!("{:?}", j.decision),
+        before: j.rms_before,
+        nearest: j.rms_nearest,
+        after: j.rms_after,
+        samples: j.samples,
+        sensor_s: [s.delay_s, s.flow_delay_s, s.lag_s],
+        determined: count("determined"),
+        pulled: count("pulled"),
+        untouched: count("untouched"),
+    })
+}
+
+fn reduce(results: &[TaskResult]) -> Vec<Check> {
+    let p: Option<Pulse> = result(results, "pulse");
+    let mut out = vec![
+        check(
+            "pulse-factor",
+            "Factor of the pulse-width function less that of the tune (0.5), as a share",
+            Asked::AtMost(0.5),
+            p.as_ref().map(|p| 100.0 * (p.factor / 0.5 - 1.0).abs()),
+            "%",
+            "",
+        ),
+        check(
+            "pulse-dead-time",
+            "Dead time less that of the tune at the mean voltage",
+            Asked::AtMost(0.03),
+            p.as_ref().map(|p| (p.dead_ms - p.true_dead_ms).abs()),
+            "ms",
+            "",
+        ),
+        check(
+            "pulse-rms",
+            "What is left of the pulse width on later samples (root mean square)",
+            Asked::AtMost(4.0),
+            p.as_ref().map(|p| 1000.0 * p.unseen_rms_ms),
+            "us",
+            "",
+        ),
+    ];
+    for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {
+        let d: Option<Drive> = result(results, name);
+        out.push(check(
+            format!("ve-{name}"),
+            "Lambda on later samples of the same drive with the fitted table (root mean square)",
+            Asked::AtMost(100.0 * page),
+            d.as_ref().map(|d| 100.0 * d.after),
+            "%",
+            format!(
+                "asked is the least squares of the specification, which has {:.1} % for the nearest cell and {:.1} % for the tune on its own choice of samples",
+                100.0 * nearest,
+                100.0 * tune
+            ),
+        ));
+        out.push(check(
+            format!("ve-{name}-share"),
+            "The same over the better of the tune as it was and the mean of the nearest cell, on the same samples",
+            Asked::Reported,
+            d.as_ref().map(|d| d.after / d.before.min(d.nearest)),
+            "-",
+            "",
+        ));
+    }
+    out
+}
+
+fn sections(report: Report, results: &[TaskResult]) -> Report {
+    let head = vec![
+        Column::text("Drive"),
+        Column::text("Decision"),
+        Column::number("Tune as it was", "%").digits(3),
+        Column::number("Nearest cell", "%").digits(3),
+        Column::number("Fitted", "%").digits(3),
+        Column::number("Unseen samples", ""),
+        Column::number("Delay", "s").digits(3),
+        Column::number("Delay with the flow", "s").digits(3),
+        Column::number("Lag", "s").digits(3),
+        Column::text("Cells determined, pulled, untouched"),
+    ];
+    let mut table = Table::new(head);
+    for (name, ..) in DRIVES {
+        let Some(d) = result::<Drive>(results, name) else { continue };
+        table = table.row(vec![
+            name.into(),
+            d.decision.into(),
+            (100.0 * d.before).into(),
+            (100.0 * d.nearest).into(),
+            (100.0 * d.after).into(),
+            d.samples.into(),
+            d.sensor_s[0].into(),
+            d.sensor_s[1].into(),
+            d.sensor_s[2].into(),
+            format!("{}, {}, {}", d.determined, d.pulled, d.untouched).into(),
+        ]);
+    }
+    let text = "Each table was fitted to the first 60 % of the samples that count, the delay and the lag of the sensor as well; the numbers \
+                are of the other 40 %, in cells that the first part has seen.";
+    report.section(Section::new("Fuel tables on later samples").text(text).block(table))
+}
