@@ -148,6 +148,6 @@ def path(name: str, value: object) -> str:
     import os
 
     try:
-        return os.fsdecode(os.fspath(value))  # type: ignore[call-overload, no-any-return]
+        return os.fsdecode(os.fspath(value))  # type: ignore[call-overload]
     except TypeError:
         raise ArgumentError(f"{name}: found {kind(value)}, expected a path") from None

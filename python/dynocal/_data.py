@@ -22,12 +22,16 @@ if TYPE_CHECKING:
 __all__ = ["Dataset", "contents", "convert", "read"]
 
 
-def _columns(data: object) -> tuple[dict[str, FloatArray], list[str]]:
+def _columns(data: object, time: str | None) -> tuple[dict[str, FloatArray], list[str]]:
     """Columns by name of anything that has them, and what is left out."""
     if isinstance(data, Mapping):
         return {arguments.text("data: a name", k): arguments.array(f"data[{k!r}]", v) for k, v in data.items()}, []
     if hasattr(data, "__arrow_c_stream__"):
         found, others = _dynocal.record_from_arrow(data)
+        if hasattr(data, "index") and hasattr(data, "columns"):
+            # A pandas frame sends its index along: that is no channel, but it may be the time.
+            own = [str(c) for c in data.columns]
+            found = [pair for pair in found if pair[0] in own or pair[0] == time]
         taken = [name for name, _ in found]
         for k, name in enumerate(taken):
             if name in taken[:k]:
@@ -46,7 +50,8 @@ class Dataset:
     Parameters
     ----------
     data
-        Mapping of channel name to samples (N,), or a table with ``__arrow_c_stream__``. It is copied.
+        Mapping of channel name to samples (N,), or a table with ``__arrow_c_stream__``. It is copied. The index of a pandas frame
+        is no channel; where it holds stamps, ``time`` may name it.
     ts_s
         Sample time in s; ``None`` for steady points (rows without time), or where ``time`` gives it.
     inputs, outputs
@@ -90,7 +95,7 @@ class Dataset:
         init_samples: int = 0,
         missing: bool = False,
     ) -> None:
-        found, left_out = _columns(data)
+        found, left_out = _columns(data, time)
         if not found:
             raise DataError("data: found no column of numbers, expected at least one")
         stamps = found.pop(arguments.text("time", time), None) if time is not None else None
@@ -111,6 +116,8 @@ class Dataset:
         for channel, values in found.items():
             if values.ndim != 1:
                 raise DataError(f"data[{channel!r}]: found shape {values.shape}, expected (samples,)")
+            if values.size == 0:
+                raise DataError(f"data[{channel!r}]: found no samples, expected at least one")
             if not missing:
                 arguments.finite(f"data[{channel!r}]", values)
             role = "output" if channel in outs else "input" if channel in ins else "auxiliary"
@@ -178,7 +185,7 @@ class Dataset:
         """Stamps in s from 0 (N,)."""
         if self._steady:
             raise DataError(f"{self.name}: steady points have no time")
-        return np.arange(len(self)) * self._record.sample_time_s
+        return self._record.sample_time_s * np.arange(len(self), dtype=np.float64)
 
     def __len__(self) -> int:
         return len(self._record)
@@ -278,13 +285,13 @@ class Dataset:
         """A pandas frame, its index the time in s."""
         pandas = _package("pandas", "to_pandas")
         index = None if self._steady else pandas.Index(self.time_s, name="time_s")
-        return pandas.DataFrame(self.to_dict(), index=index)  # type: ignore[no-any-return]
+        return pandas.DataFrame(self.to_dict(), index=index)
 
     def to_polars(self) -> polars.DataFrame:
         """A polars frame; its first column is the time in s."""
         polars = _package("polars", "to_polars")
         time = {} if self._steady else {"time_s": self.time_s}
-        return polars.DataFrame({**time, **self.to_dict()})  # type: ignore[no-any-return]
+        return polars.DataFrame({**time, **self.to_dict()})
 
     def __arrow_c_stream__(self, requested_schema: object = None) -> object:
         return _dynocal.record_to_arrow(self._record)

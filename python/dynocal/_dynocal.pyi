@@ -10,6 +10,8 @@ _Said = tuple[str, str, str]
 _Progress = Callable[[str, float | None], object]
 _Answer = tuple[str, _Array, int, list[str]]
 
+__all__: list[str]
+
 @final
 class Record:
     def __new__(

@@ -9,6 +9,8 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, overload
 
+import numpy.typing as npt
+
 from . import _arguments as arguments
 from . import _dynocal
 from ._arguments import FloatArray
@@ -216,8 +218,10 @@ class Estimator:
     @overload
     def simulate(self, u: Dataset, *, initial: str | None = None) -> Dataset: ...
     @overload
-    def simulate(self, u: object, *, y0: object = None) -> FloatArray: ...
-    def simulate(self, u: object, *, y0: object = None, initial: str | None = None) -> FloatArray | Dataset:
+    def simulate(self, u: npt.ArrayLike, *, y0: npt.ArrayLike | None = None) -> FloatArray: ...
+    def simulate(
+        self, u: npt.ArrayLike | Dataset, *, y0: npt.ArrayLike | None = None, initial: str | None = None
+    ) -> FloatArray | Dataset:
         """Free run: :meth:`Model.simulate`."""
         model = self._fitted()
         if isinstance(u, Dataset):
@@ -231,10 +235,19 @@ class Estimator:
     @overload
     def predict(self, u: Dataset, y: None = None, *, steps: int = 1) -> Dataset: ...
     @overload
-    def predict(self, u: object, y: object, *, steps: int = 1) -> FloatArray: ...
-    def predict(self, u: object, y: object = None, *, steps: int = 1) -> FloatArray | Dataset:
+    def predict(self, u: npt.ArrayLike, y: npt.ArrayLike, *, steps: int = 1) -> FloatArray: ...
+    def predict(
+        self, u: npt.ArrayLike | Dataset, y: npt.ArrayLike | None = None, *, steps: int = 1
+    ) -> FloatArray | Dataset:
         """Some samples ahead of measured outputs: :meth:`Model.predict`."""
-        return self._fitted().predict(u, y, steps=steps)
+        model = self._fitted()
+        if isinstance(u, Dataset):
+            if y is not None:
+                raise ArgumentError("y: found it beside a Dataset, expected the outputs inside of it")
+            return model.predict(u, steps=steps)
+        if y is None:
+            raise ArgumentError("y: found None, expected measured outputs: without them only simulate(u) can be computed")
+        return model.predict(u, y, steps=steps)
 
     def score(self, *records: Dataset, k_steps: Iterable[int] = ()) -> Scores:
         """Scores on records: :meth:`Model.score`."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _arguments as arguments
 from . import _dynocal
@@ -256,8 +257,10 @@ class Model:
     @overload
     def simulate(self, u: Dataset, *, initial: str | None = None) -> Dataset: ...
     @overload
-    def simulate(self, u: object, *, y0: object = None) -> FloatArray: ...
-    def simulate(self, u: object, *, y0: object = None, initial: str | None = None) -> FloatArray | Dataset:
+    def simulate(self, u: npt.ArrayLike, *, y0: npt.ArrayLike | None = None) -> FloatArray: ...
+    def simulate(
+        self, u: npt.ArrayLike | Dataset, *, y0: npt.ArrayLike | None = None, initial: str | None = None
+    ) -> FloatArray | Dataset:
         """Free run.
 
         Parameters
@@ -266,7 +269,7 @@ class Model:
             Dataset, or inputs (N,) or (N, m) in the order of :attr:`inputs`.
         y0
             Measured outputs of the first samples, (k,) or (k, outputs), k at least :attr:`memory`; without it the run
-            starts at rest. With arrays only.
+            starts at rest: in the equilibrium that the first inputs hold. With arrays only.
         initial
             ``rest``, ``measured`` or ``estimated``: where a run over a Dataset starts; by default as the model says where
             the output was measured, else at rest.
@@ -293,8 +296,10 @@ class Model:
     @overload
     def predict(self, u: Dataset, y: None = None, *, steps: int = 1) -> Dataset: ...
     @overload
-    def predict(self, u: object, y: object, *, steps: int = 1) -> FloatArray: ...
-    def predict(self, u: object, y: object = None, *, steps: int = 1) -> FloatArray | Dataset:
+    def predict(self, u: npt.ArrayLike, y: npt.ArrayLike, *, steps: int = 1) -> FloatArray: ...
+    def predict(
+        self, u: npt.ArrayLike | Dataset, y: npt.ArrayLike | None = None, *, steps: int = 1
+    ) -> FloatArray | Dataset:
         """``steps`` samples ahead of measured outputs.
 
         Parameters
@@ -364,7 +369,7 @@ class Model:
         found = arguments.finite("u", arguments.columns("u", u))
         if found.shape[1] != len(self.inputs):
             raise ArgumentError(
-                f"u: found {found.shape[1]} channels (shape {np.shape(u)}), expected {len(self.inputs)}: {', '.join(self.inputs)}"
+                f"u: found {found.shape[1]} channels (shape {found.shape}), expected {len(self.inputs)}: {', '.join(self.inputs)}"
             )
         return found
 
@@ -372,7 +377,7 @@ class Model:
         found = arguments.finite(name, arguments.columns(name, y))
         if found.shape[1] != len(self._models):
             expected = f"{len(self._models)}: {', '.join(self.outputs)}"
-            raise ArgumentError(f"{name}: found {found.shape[1]} channels (shape {np.shape(y)}), expected {expected}")
+            raise ArgumentError(f"{name}: found {found.shape[1]} channels (shape {found.shape}), expected {expected}")
         return found
 
     def _shaped(self, found: list[FloatArray]) -> FloatArray:

@@ -54,7 +54,7 @@ def test_same_bytes_as_the_program(tmp_path, root, job: str, spec: str) -> None:
 def test_a_mapping_is_a_spec(tmp_path, root, monkeypatch) -> None:
     spec = root / "examples/gas_furnace/identify.toml"
     monkeypatch.chdir(spec.parent)
-    by_file = dynocal.identify(spec, out=tmp_path / "file")
+    by_file = dynocal.identify(spec.name, out=tmp_path / "file")
     table = tomllib.loads(spec.read_text())
     by_mapping = dynocal.identify({**table, "name": table.get("name", "identify")}, out=tmp_path / "mapping")
     ours, theirs = contents(by_mapping.folder), contents(by_file.folder)

@@ -47,7 +47,8 @@ fn refused(text: impl Into<String>) -> Refusal {
 /// # Safety
 /// `stream` is one that its producer has filled.
 unsafe fn read(stream: &mut Stream) -> Result<Vec<Column>, Refusal> {
-    let (Some(get_schema), Some(get_next), Some(release)) = (stream.get_schema, stream.get_next, stream.release)
+    let (Some(get_schema), Some(get_next), Some(release)) =
+        (stream.get_schema, stream.get_next, stream.release)
     else {
         return Err(refused("the Arrow stream was read before: a stream can be read once"));
     };
@@ -110,7 +111,8 @@ unsafe fn columns(schema: &Schema) -> Result<Vec<Column>, Refusal> {
 /// # Safety
 /// `batch` was filled by its producer, for the schema of `columns`.
 unsafe fn take(batch: &Array, columns: &mut [Column]) -> Result<(), Refusal> {
-    let size = |v: i64| usize::try_from(v).map_err(|_| refused("the Arrow stream has a batch of negative length"));
+    let size =
+        |v: i64| usize::try_from(v).map_err(|_| refused("the Arrow stream has a batch of negative length"));
     let (rows, skip) = (size(batch.length)?, size(batch.offset)?);
     if size(batch.n_children)? != columns.len() {
         return Err(refused("the Arrow stream has batches of different columns"));

@@ -67,7 +67,8 @@ pub(crate) fn record_to_arrow<'py>(py: Python<'py>, record: &Record) -> PyResult
 unsafe extern "C" fn get_schema(stream: *mut Stream, out: *mut Schema) -> c_int {
     // SAFETY: private is the box of record_to_arrow until the stream is released.
     let data = unsafe { &(*(*stream).private.cast::<StreamHold>()).data };
-    let children = data.channels.iter().map(|c| boxed_schema(&c.name, c"g".as_ptr(), unit(&c.unit), Vec::new()));
+    let children =
+        data.channels.iter().map(|c| boxed_schema(&c.name, c"g".as_ptr(), unit(&c.unit), Vec::new()));
     let children = children.map(|s| Box::into_raw(Box::new(s))).collect();
     // SAFETY: the caller gives room for a schema.
     unsafe { out.write(boxed_schema("", c"+s".as_ptr(), Vec::new(), children)) };

@@ -47,12 +47,15 @@ struct Reading {
 /// A mapping as a type of ours; keys that it does not have are named.
 fn parsed<T: DeserializeOwned>(what: &str, keys: &Bound<'_, PyAny>) -> PyResult<T> {
     let keys = table(keys, what)?;
-    let found = T::deserialize(keys).map_err(|e| Refusal::new(Kind::Argument, format!("{what}: {}", e.message())));
+    let found =
+        T::deserialize(keys).map_err(|e| Refusal::new(Kind::Argument, format!("{what}: {}", e.message())));
     Ok(found?)
 }
 
 fn format(name: Option<String>) -> Result<Option<Format>, Refusal> {
-    name.map(Format::try_from).transpose().map_err(|text| Refusal::new(Kind::Argument, format!("format: {text}")))
+    name.map(Format::try_from)
+        .transpose()
+        .map_err(|text| Refusal::new(Kind::Argument, format!("format: {text}")))
 }
 
 /// Reads a measurement file: its record, and what was decided or lost on the way in.
@@ -67,7 +70,8 @@ fn read_file(path: &Path, how: Reading) -> Result<(Dataset, Vec<String>), Refusa
     let mut keys = how.keys;
     let format = format(how.format)?;
     let mut table = read_table_with(path, format, &keys)?;
-    let stamps = how.time.clone().or_else(|| time_column(&table).map(|c| c.name.clone())).filter(|_| !how.steady);
+    let stamps =
+        how.time.clone().or_else(|| time_column(&table).map(|c| c.name.clone())).filter(|_| !how.steady);
     if let (Some(_), Some(dt)) = (&stamps, how.sample_time_s)
         && keys.merge.sample_time_s.is_none()
     {
@@ -183,7 +187,8 @@ pub(crate) fn convert(
         return Ok(watched(py, None, move |_| write(&data, &target))??);
     }
     let source: PathBuf = source.extract()?;
-    let how = Conversion { format, read: how.read, merge: how.merge, channels: how.channels, units: how.units };
+    let how =
+        Conversion { format, read: how.read, merge: how.merge, channels: how.channels, units: how.units };
     Ok(watched(py, None, move |_| convert_file(&source, &target, &how))?.map_err(Refusal::from)?)
 }
 

@@ -41,7 +41,8 @@ pub(crate) fn learn(
     let (records, selecting) = (owned(&records), owned(&selecting));
     let found = watched(py, progress, move |watch| memory::learn(&job, records, selecting, watch))?;
     let one = |l: memory::Learnt| {
-        let status = l.status.and_then(|s| serde_json::to_value(s).ok()).and_then(|v| Some(v.as_str()?.to_string()));
+        let status =
+            l.status.and_then(|s| serde_json::to_value(s).ok()).and_then(|v| Some(v.as_str()?.to_string()));
         (l.model.into(), status, l.evaluations, l.samples, l.rank, said(l.findings))
     };
     Ok(found.map_err(Refusal::from)?.into_iter().map(one).collect())
@@ -55,9 +56,11 @@ pub(crate) fn judge(
     records: Vec<PyRef<'_, Record>>,
     k_steps: Vec<usize>,
 ) -> PyResult<(String, Vec<Said>)> {
-    let models: Vec<StoredModel> = models.iter().map(|m| StoredModel::clone(&Arc::clone(&m.stored))).collect();
+    let models: Vec<StoredModel> =
+        models.iter().map(|m| StoredModel::clone(&Arc::clone(&m.stored))).collect();
     let records = owned(&records);
-    let found = watched(py, None, move |_| memory::judge(models, records, k_steps))?.map_err(Refusal::from)?;
+    let found =
+        watched(py, None, move |_| memory::judge(models, records, k_steps))?.map_err(Refusal::from)?;
     let text = serde_json::to_string(&found.scores).map_err(crate::errors::run)?;
     Ok((text, said(found.findings)))
 }

@@ -176,13 +176,19 @@ static VERBS: &[Verb] = &[
             map::estimate::estimate(&job).allowed().map_err(failed)?;
             match map::run(&job, watch) {
                 Ok((found, folder)) => Ok(Finished::new(folder.path(), found.valid, &found.warnings)),
-                Err(e @ map::MapError::NeedsMeasurement { .. }) => Ok(Finished::waiting(&job.out, e.to_string())),
+                Err(e @ map::MapError::NeedsMeasurement { .. }) => {
+                    Ok(Finished::waiting(&job.out, e.to_string()))
+                }
                 Err(e) => Err(failed(e)),
             }
         },
         plan: |asked, _| Ok(map::estimate::estimate(&job!(asked, map::job, &asked.over))),
     },
-    Verb { name: "calibrate", run: campaign, plan: |asked, _| Ok(calibrate::estimate::estimate(&asked.campaign()?)) },
+    Verb {
+        name: "calibrate",
+        run: campaign,
+        plan: |asked, _| Ok(calibrate::estimate::estimate(&asked.campaign()?)),
+    },
 ];
 
 fn campaign(asked: &Asked, watch: Watch) -> Result<Finished, Refusal> {
@@ -198,7 +204,9 @@ fn campaign(asked: &Asked, watch: Watch) -> Result<Finished, Refusal> {
     }
     let done = match calibrate::job::run(&campaign, until, watch) {
         Ok(done) => done,
-        Err(e @ ChainError::NeedsMeasurement { .. }) => return Ok(Finished::waiting(&campaign.out, e.to_string())),
+        Err(e @ ChainError::NeedsMeasurement { .. }) => {
+            return Ok(Finished::waiting(&campaign.out, e.to_string()));
+        }
         Err(e) => return Err(failed(e)),
     };
     if let Some(export) = &campaign.spec.export
@@ -284,7 +292,10 @@ pub(crate) fn study(
 ) -> PyResult<Finished> {
     let study = studies::find(name).ok_or_else(|| {
         let known: Vec<&str> = studies::STUDIES.iter().map(|s| s.doc.name).collect();
-        Refusal::new(Kind::Argument, format!("found the study `{name}`, expected one of {}", known.join(", ")))
+        Refusal::new(
+            Kind::Argument,
+            format!("found the study `{name}`, expected one of {}", known.join(", ")),
+        )
     })?;
     let options = studies::Options { seed, reduced: quick, reference, data };
     let work = move |watch: Watch| {

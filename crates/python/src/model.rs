@@ -56,19 +56,26 @@ impl Model {
         let u = u.as_array();
         if u.ncols() != inputs.len() {
             let names: Vec<&str> = inputs.iter().map(|q| q.name.as_str()).collect();
-            let text = format!("u: found {} columns, expected {}: {}", u.ncols(), inputs.len(), names.join(", "));
+            let text =
+                format!("u: found {} columns, expected {}: {}", u.ncols(), inputs.len(), names.join(", "));
             return Err(Refusal::new(Kind::Argument, text));
         }
         let columns = inputs.into_iter().zip(u.columns());
         let mut channels: Vec<Channel> = columns
-            .map(|(q, c)| Channel { name: q.name, unit: q.unit, role: Role::Input, values: c.iter().copied().collect() })
+            .map(|(q, c)| Channel {
+                name: q.name,
+                unit: q.unit,
+                role: Role::Input,
+                values: c.iter().copied().collect(),
+            })
             .collect();
         if let Some(values) = y {
             let Quantity { name, unit } = self.stored.user_output();
             channels.push(Channel { name, unit, role: Role::Output, values });
         }
         let (name, origin) = ("arrays".into(), "arrays".into());
-        let data = Dataset { name, sample_time_s: self.stored.sample_time_s, channels, init_samples: 0, origin };
+        let data =
+            Dataset { name, sample_time_s: self.stored.sample_time_s, channels, init_samples: 0, origin };
         data.check()?;
         Ok(data)
     }
@@ -94,7 +101,8 @@ fn answers<'py>(py: Python<'py>, found: Vec<Computed>) -> Vec<Answer<'py>> {
 /// The only record of arrays.
 fn only<'py>(py: Python<'py>, mut found: Vec<Computed>) -> PyResult<Bound<'py, PyArray1<f64>>> {
     if found.len() != 1 {
-        let text = "the preparation that is stored with the model cuts the record into several: give a Dataset";
+        let text =
+            "the preparation that is stored with the model cuts the record into several: give a Dataset";
         return Err(Refusal::new(Kind::Model, text).into());
     }
     Ok(found.remove(0).y.into_pyarray(py))
@@ -105,18 +113,20 @@ impl Model {
     /// From the text of a model file.
     #[staticmethod]
     fn from_json(text: &str) -> PyResult<Self> {
-        let value: serde_json::Value =
-            serde_json::from_str(text).map_err(|e| Refusal::of(Kind::Model, &e).about("the text of a model"))?;
+        let value: serde_json::Value = serde_json::from_str(text)
+            .map_err(|e| Refusal::of(Kind::Model, &e).about("the text of a model"))?;
         let (schema, version) = (value["schema"].as_str(), value["schema_version"].as_u64());
-        if schema != Some(MODEL_SCHEMA) || !version.is_some_and(|v| (1..=u64::from(MODEL_VERSION)).contains(&v)) {
+        if schema != Some(MODEL_SCHEMA)
+            || !version.is_some_and(|v| (1..=u64::from(MODEL_VERSION)).contains(&v))
+        {
             let text = format!(
                 "the text of a model: found schema {} version {}, expected `{MODEL_SCHEMA}` version 1 to {MODEL_VERSION}",
                 value["schema"], value["schema_version"]
             );
             return Err(Refusal::new(Kind::Model, text).into());
         }
-        let model: StoredModel =
-            serde_json::from_value(value).map_err(|e| Refusal::of(Kind::Model, &e).about("the text of a model"))?;
+        let model: StoredModel = serde_json::from_value(value)
+            .map_err(|e| Refusal::of(Kind::Model, &e).about("the text of a model"))?;
         Ok(checked(model)?)
     }
 
@@ -229,7 +239,9 @@ impl Model {
         let (init_samples, y) = y.map_or((0, None), |(k, y)| (k, Some(y)));
         let needed = self.memory();
         if y.is_some() && init_samples < needed {
-            let text = format!("y0: found {init_samples} samples, expected at least {needed}: so many past ones are read");
+            let text = format!(
+                "y0: found {init_samples} samples, expected at least {needed}: so many past ones are read"
+            );
             return Err(Refusal::new(Kind::Argument, text).into());
         }
         let record = Dataset { init_samples, ..self.record(&u, y)? };

@@ -27,7 +27,12 @@ type Event = (f64, String, f64, f64);
 impl Plant {
     fn held(&self) -> PyResult<MutexGuard<'_, Box<dyn Contract>>> {
         ready()?;
-        let busy = || Refusal::new(Kind::Plant, "the plant is in use by another call: give each thread its own, or wait");
+        let busy = || {
+            Refusal::new(
+                Kind::Plant,
+                "the plant is in use by another call: give each thread its own, or wait",
+            )
+        };
         self.plant.try_lock().map_err(|e| match e {
             std::sync::TryLockError::WouldBlock => busy().into(),
             std::sync::TryLockError::Poisoned(_) => bug(),
@@ -47,7 +52,10 @@ fn step(plant: &mut dyn Contract, u: &[f64], dt_s: f64, y: &mut [f64]) -> Result
         return Err(Refusal::new(Kind::Argument, text));
     }
     if !(dt_s > 0.0 && dt_s.is_finite()) {
-        return Err(Refusal::new(Kind::Argument, format!("ts_s: found {dt_s}, expected a positive number of seconds")));
+        return Err(Refusal::new(
+            Kind::Argument,
+            format!("ts_s: found {dt_s}, expected a positive number of seconds"),
+        ));
     }
     Ok(plant.step(u, dt_s, y)?)
 }
@@ -61,13 +69,19 @@ impl Plant {
         let spec = PlantSpec::deserialize(keys)
             .map_err(|e| Refusal::new(Kind::Argument, format!("plant: {}", e.message())))?;
         if let Some(fault) = plants::check(&spec).first() {
-            let expected =
-                if fault.known.is_empty() { fault.expected.clone() } else { format!("one of {}", fault.known.join(", ")) };
+            let expected = if fault.known.is_empty() {
+                fault.expected.clone()
+            } else {
+                format!("one of {}", fault.known.join(", "))
+            };
             let text = format!("{}: found {}, expected {expected}", fault.key, fault.found);
             return Err(Refusal::new(Kind::Argument, text).into());
         }
         let make = plants::find(&spec.name).and_then(|p| p.make).ok_or_else(|| {
-            Refusal::new(Kind::Plant, format!("the plant `{}` is run outside: there is nothing to step", spec.name))
+            Refusal::new(
+                Kind::Plant,
+                format!("the plant `{}` is run outside: there is nothing to step", spec.name),
+            )
         })?;
         let plant = make(&spec, noise).map_err(Refusal::from)?;
         Ok(Self { plant: Arc::new(Mutex::new(plant)) })
@@ -131,7 +145,9 @@ impl Plant {
         let u = u.as_array().to_owned();
         let plant = self.plant.clone();
         let work = move |watch: dynocal_numerics::watch::Watch| -> Result<(Vec<f64>, usize), Refusal> {
-            let mut plant = plant.try_lock().map_err(|_| Refusal::new(Kind::Plant, "the plant is in use by another call"))?;
+            let mut plant = plant
+                .try_lock()
+                .map_err(|_| Refusal::new(Kind::Plant, "the plant is in use by another call"))?;
             let (n, outputs) = (u.nrows(), count(plant.as_ref(), Causality::Output));
             let mut y = vec![0.0; n * outputs];
             for (t, row) in u.rows().into_iter().enumerate() {

@@ -31,7 +31,10 @@ pub(crate) fn role(name: &str) -> Result<Role, Refusal> {
         "input" => Ok(Role::Input),
         "output" => Ok(Role::Output),
         "auxiliary" => Ok(Role::Auxiliary),
-        _ => Err(Refusal::new(Kind::Argument, format!("role: found `{name}`, expected input, output or auxiliary"))),
+        _ => Err(Refusal::new(
+            Kind::Argument,
+            format!("role: found `{name}`, expected input, output or auxiliary"),
+        )),
     }
 }
 
@@ -54,7 +57,12 @@ impl Record {
         origin: String,
     ) -> PyResult<Self> {
         let one = |(name, unit, part, values): (String, String, String, PyReadonlyArray1<'_, f64>)| {
-            Ok(Channel { name, unit, role: role(&part)?, values: values.as_array().iter().copied().collect() })
+            Ok(Channel {
+                name,
+                unit,
+                role: role(&part)?,
+                values: values.as_array().iter().copied().collect(),
+            })
         };
         let channels = channels.into_iter().map(one).collect::<Result<Vec<_>, Refusal>>()?;
         let data = Dataset { name, sample_time_s, channels, init_samples, origin };
@@ -105,7 +113,8 @@ impl Record {
     /// Samples `start..stop` as a record of their own.
     fn part(&self, start: usize, stop: usize, name: String) -> PyResult<Self> {
         if start >= stop || stop > self.data.len() {
-            let text = format!("samples: found {start} to {stop}, expected a part of 0 to {}", self.data.len());
+            let text =
+                format!("samples: found {start} to {stop}, expected a part of 0 to {}", self.data.len());
             return Err(Refusal::new(Kind::Argument, text).into());
         }
         Ok(self.data.part(start, stop, name).into())

@@ -1,6 +1,6 @@
 //! The tables of members, signals by name, and specs as text.
 
-use dynocal_ident::signal;
+use dynocal_ident::signal as signals;
 use dynocal_jobs::families::FAMILIES;
 use dynocal_numerics::rng::Rng64;
 use dynocal_studies::STUDIES;
@@ -44,7 +44,7 @@ pub(crate) fn signal<'py>(
         let text = format!("found {samples} samples, expected 2 to {MOST_SAMPLES}");
         return Err(Refusal::new(Kind::Argument, text).into());
     }
-    let signal = signal::signal(name, &keys).map_err(Refusal::from)?;
+    let signal = signals::signal(name, &keys).map_err(Refusal::from)?;
     let fill = move || {
         let mut u = vec![0.0; samples];
         signal.fill(&mut u, sample_time_s, &mut Rng64::new(seed)).map(|()| u)

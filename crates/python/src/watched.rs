@@ -103,7 +103,9 @@ pub(crate) fn watched<T: Send + 'static>(
         (news, got) = wait(py, news, LOOK);
         let told = match got {
             Ok(News::Done(found)) => return found.map_err(|_| bug()),
-            Ok(News::Note(text)) => tell_user(py, &progress, &text, f64::from_bits(share.load(Ordering::Relaxed))),
+            Ok(News::Note(text)) => {
+                tell_user(py, &progress, &text, f64::from_bits(share.load(Ordering::Relaxed)))
+            }
             Err(RecvTimeoutError::Disconnected) => return Err(bug()),
             Err(RecvTimeoutError::Timeout) => {
                 let now = f64::from_bits(share.load(Ordering::Relaxed));

@@ -51,7 +51,8 @@ pub struct Finished {
 /// Reads and checks the spec at `path`; seed and folder may come from the command line.
 pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, LoadError> {
     let mut place = None;
-    let spec = load(path, |typed: &CalibrateSpec, faults| checked(typed, path, seed, out, &mut place, faults))?;
+    let spec =
+        load(path, |typed: &CalibrateSpec, faults| checked(typed, path, seed, out, &mut place, faults))?;
     Ok(campaign(spec, path, place, out))
 }
 

@@ -152,7 +152,8 @@ pub fn learn(
     if records.is_empty() {
         return Err(none("the estimation").into());
     }
-    let mut origins: Vec<String> = records.iter().map(|d| d.origin.clone()).filter(|o| !o.is_empty()).collect();
+    let mut origins: Vec<String> =
+        records.iter().map(|d| d.origin.clone()).filter(|o| !o.is_empty()).collect();
     origins.dedup();
     let digests: Vec<String> = records.iter().map(fingerprint).collect();
     let mut parts = vec![part("estimation", Seen::Identification, records)];
