@@ -128,6 +128,7 @@ step "demo: calibrate, reduced length" demo
 step "demo: its report in a browser" demo_report
 step "demo: identify a measured file, its report in a browser" measured_file
 step "the report check notices broken reports" report_check_itself
+step "the Python package" bash scripts/check_python.sh
 step "licences, bans, sources" licences
 
 say "summary"

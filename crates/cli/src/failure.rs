@@ -1,7 +1,6 @@
 //! How a verb ends: exit codes, and errors with their causes and a hint.
 
 use std::error::Error;
-use std::process::ExitCode;
 
 use dynocal_files::spec::brief;
 
@@ -23,13 +22,14 @@ pub(crate) fn exit(valid: bool) -> Exit {
     if valid { Exit::Done } else { Exit::NotValid }
 }
 
-impl From<Exit> for ExitCode {
-    fn from(e: Exit) -> Self {
-        ExitCode::from(match e {
-            Exit::Done => 0,
-            Exit::NotValid => 1,
-            Exit::CouldNot => 2,
-        })
+impl Exit {
+    /// The exit code of the process.
+    pub(crate) fn code(self) -> u8 {
+        match self {
+            Self::Done => 0,
+            Self::NotValid => 1,
+            Self::CouldNot => 2,
+        }
     }
 }
 

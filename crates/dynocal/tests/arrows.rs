@@ -12,7 +12,8 @@ const FLOORS: &[&[&str]] = &[
     &["calib", "engine-fmu", "export", "report"],
     &["jobs"],
     &["studies", "dynocal"],
-    &["cli", "python", "workbench"],
+    &["cli", "workbench"],
+    &["python"],
 ];
 
 /// Arrows that the floors would allow and that are not wanted, with the reason.

@@ -12,7 +12,7 @@ use crate::calibrate::error::ChainError;
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
 use dynocal_files::run_folder::{MEASURED, RunFolder};
-use dynocal_files::spec::load;
+use dynocal_files::spec::{Faults, SpecError, load};
 use dynocal_ident::plant::{Plant, PlantError};
 
 use super::channels::Channels;
@@ -51,16 +51,43 @@ pub struct Finished {
 /// Reads and checks the spec at `path`; seed and folder may come from the command line.
 pub fn read(path: &Path, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, LoadError> {
     let mut place = None;
-    let mut spec = load(path, |typed: &CalibrateSpec, faults| {
-        check::check(typed, faults);
-        place = Some(Place::of(path, typed.name.as_deref(), None, out, faults));
-        Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
+    let spec =
+        load(path, |typed: &CalibrateSpec, faults| checked(typed, path, seed, out, &mut place, faults))?;
+    Ok(campaign(spec, path, place, out))
+}
+
+/// The same for a spec that is there as text; `file` is its name in messages, and files in it are relative to the working
+/// folder.
+///
+/// # Errors
+/// [`SpecError`] with every fault.
+pub fn parse(file: &str, text: &str, seed: Option<u64>, out: Option<&Path>) -> Result<Campaign, SpecError> {
+    let (mut place, path) = (None, Path::new(file));
+    let spec = dynocal_files::spec::parse(file, text, |typed: &CalibrateSpec, faults| {
+        checked(typed, path, seed, out, &mut place, faults)
     })?;
+    Ok(campaign(spec, path, place, out))
+}
+
+fn checked(
+    typed: &CalibrateSpec,
+    path: &Path,
+    seed: Option<u64>,
+    out: Option<&Path>,
+    place: &mut Option<Place>,
+    faults: &mut Faults,
+) -> Option<CalibrateSpec> {
+    check::check(typed, faults);
+    *place = Some(Place::of(path, typed.name.as_deref(), None, out, faults));
+    Some(CalibrateSpec { seed: seed.unwrap_or(typed.seed), ..typed.clone() })
+}
+
+fn campaign(mut spec: CalibrateSpec, path: &Path, place: Option<Place>, out: Option<&Path>) -> Campaign {
     // Files in a spec are relative to its folder.
     let folder = path.parent().unwrap_or(Path::new(""));
     given_files(&mut spec).for_each(|f| *f = folder.join(&*f));
     let Place { name, out } = place.unwrap_or_else(|| Place::run("calibrate", out));
-    Ok(Campaign { name, spec, out })
+    Campaign { name, spec, out }
 }
 
 /// All files that a spec names.

@@ -196,7 +196,7 @@ fn of_read(
     Ok(found)
 }
 
-fn member((t, e): (&Target, &Estimated)) -> Member {
+pub(super) fn member((t, e): (&Target, &Estimated)) -> Member {
     Member { target: t.target.clone(), inputs: t.inputs.clone(), model: e.model.clone() }
 }
 
@@ -209,7 +209,7 @@ fn minimised(e: &Estimated) -> Kind {
 }
 
 /// What is known of a target before it is scored.
-fn judged(t: &Target, e: &Estimated, measured: &[stored::Seen]) -> Judged {
+pub(super) fn judged(t: &Target, e: &Estimated, measured: &[stored::Seen]) -> Judged {
     let seen = measured.iter().find(|s| s.name == t.target);
     let by_free_run = estimate::row("sem").is_ok_and(|r| r.fits.covers(e.model.form().row()));
     let one_step = e.fit.as_ref().is_some_and(|f| f.minimised == Minimised::OneStep);
@@ -226,7 +226,7 @@ fn judged(t: &Target, e: &Estimated, measured: &[stored::Seen]) -> Judged {
 }
 
 /// Saved models take their channels in their own units.
-fn fit_records(job: &Job, parts: &[Part]) -> Result<(), IdentifyError> {
+pub(super) fn fit_records(job: &Job, parts: &[Part]) -> Result<(), IdentifyError> {
     for d in parts.iter().flat_map(|p| &p.records) {
         for m in &job.saved {
             for q in m.measured() {
@@ -248,7 +248,7 @@ fn fit_records(job: &Job, parts: &[Part]) -> Result<(), IdentifyError> {
 }
 
 /// A model counts samples: records in another sample time are another system.
-fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
+pub(super) fn sampled_alike(job: &Job, parts: &[Part]) -> Result<(), DataError> {
     let dynamic = job.saved.iter().filter(|m| !m.is_steady());
     for (m, d) in dynamic.flat_map(|m| parts.iter().flat_map(|p| &p.records).map(move |d| (m, d))) {
         if (d.sample_time_s - m.sample_time_s).abs() > 1e-6 * m.sample_time_s {
@@ -272,7 +272,7 @@ fn shaped(t: &Target, records: &[Dataset]) -> Result<Vec<Experiment>, DataError>
     }
 }
 
-fn estimate_target(t: &Target, parts: &[Part], watch: Watch) -> Result<Estimated, IdentifyError> {
+pub(super) fn estimate_target(t: &Target, parts: &[Part], watch: Watch) -> Result<Estimated, IdentifyError> {
     let data = shaped(t, &parts[0].records)?;
     let selecting = parts.iter().filter(|p| p.name == "selection").flat_map(|p| &p.records);
     let selecting: Vec<Experiment> =
@@ -289,33 +289,13 @@ fn modelled(
     (after, boundary): (After, Option<BoundaryModel>),
     dir: &path::Path,
 ) -> Result<Modelled, IdentifyError> {
-    let quantity = |name: &String| -> Result<Quantity, DataError> {
-        Ok(Quantity { name: name.clone(), unit: own_unit(notes, d, name)? })
-    };
     let origin = job.sources.iter().filter_map(|s| s.file.file_name()).map(|n| n.to_string_lossy());
-    let output = quantity(&t.target)?;
-    let mut file = StoredModel {
-        structure: e.model.any().clone(),
-        inputs: t.inputs.iter().map(quantity).collect::<Result<_, _>>()?,
-        output: output.clone(),
-        sample_time_s: d.sample_time_s,
-        parameters: e.parameters.clone(),
-        correlation: None,
-        estimator: t.estimator.clone(),
-        noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
-        boundary,
-        derived: derived_for(job, t),
-        preparation: notes.to_vec(),
-        initial: job.validate.initial,
-        seen: measured.to_vec(),
+    let from = From {
         origin: origin.collect::<Vec<_>>().join(", "),
         files: job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?,
     };
-    if let Some(fit) = &e.fit {
-        file.correlate(&fit.covariance);
-    }
-    let behind = file.measured();
-    file.seen.retain(|s| behind.iter().any(|q| q.name == s.name));
+    let file = stored_model(job, t, e, (d, notes, measured), boundary, from)?;
+    let output = file.output.clone();
     let file = job.saved.iter().find(|m| m.output.name == t.target).cloned().unwrap_or(file);
     let name = if job.targets.len() == 1 { "model.json".into() } else { format!("model-{}.json", t.target) };
     json::write_versioned(&dir.join(&name), MODEL_SCHEMA, MODEL_VERSION, &file)?;
@@ -347,13 +327,58 @@ fn modelled(
     })
 }
 
+/// Where the data of a model came from.
+pub(super) struct From {
+    /// In words.
+    pub(super) origin: String,
+    /// Digests of its files or records.
+    pub(super) files: Vec<String>,
+}
+
+/// What is kept of a target: `d` is the first prepared record of the estimation, `measured` what its channels were before.
+pub(super) fn stored_model(
+    job: &Job,
+    t: &Target,
+    e: &Estimated,
+    (d, notes, measured): (&Dataset, &[Note], &[stored::Seen]),
+    boundary: Option<BoundaryModel>,
+    from: From,
+) -> Result<StoredModel, DataError> {
+    let quantity = |name: &String| -> Result<Quantity, DataError> {
+        Ok(Quantity { name: name.clone(), unit: own_unit(notes, d, name)? })
+    };
+    let mut file = StoredModel {
+        structure: e.model.any().clone(),
+        inputs: t.inputs.iter().map(quantity).collect::<Result<_, _>>()?,
+        output: quantity(&t.target)?,
+        sample_time_s: d.sample_time_s,
+        parameters: e.parameters.clone(),
+        correlation: None,
+        estimator: t.estimator.clone(),
+        noise_variance: e.fit.as_ref().map(|f| f.noise_variance),
+        boundary,
+        derived: derived_for(job, t),
+        preparation: notes.to_vec(),
+        initial: job.validate.initial,
+        seen: measured.to_vec(),
+        origin: from.origin,
+        files: from.files,
+    };
+    if let Some(fit) = &e.fit {
+        file.correlate(&fit.covariance);
+    }
+    let behind = file.measured();
+    file.seen.retain(|s| behind.iter().any(|q| q.name == s.name));
+    Ok(file)
+}
+
 /// What was learnt, of a response model.
 fn response(e: &Estimated) -> Option<&ResponseModel> {
     e.model.form().is_a::<ResponseForm>()?.response()
 }
 
 /// Units and ranges of the channels of the estimation, as they were measured.
-fn measured(records: &[Dataset]) -> Vec<stored::Seen> {
+pub(super) fn measured(records: &[Dataset]) -> Vec<stored::Seen> {
     let channels = records.first().map_or(&[][..], |d| &d.channels);
     let one = |c: &dynocal_ident::data::Channel| {
         let values =

@@ -83,6 +83,11 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         }
         parts.push(test_set(job, test, note)?);
     }
+    completed(job, parts)
+}
+
+/// Parts whose records are checked against each other, with their derived channels.
+pub(super) fn completed(job: &Job, mut parts: Vec<Part>) -> Result<Vec<Part>, IdentifyError> {
     alike(&parts)?;
     for record in parts.iter_mut().flat_map(|p| &mut p.records) {
         derive(&job.derive, record)?;

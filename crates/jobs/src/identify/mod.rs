@@ -16,6 +16,7 @@ pub mod gaps;
 pub mod job;
 pub mod judge;
 pub mod load;
+pub mod memory;
 pub mod odd;
 pub mod page;
 pub mod points;

@@ -1,0 +1,551 @@
+"""Estimators: a structure with the way its parameters are found.
+
+Keyword arguments are stored as they are given, ``fit`` returns the estimator, what is learnt ends in an underscore.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar, overload
+
+import numpy.typing as npt
+
+from . import _arguments as arguments
+from . import _dynocal
+from ._arguments import FloatArray
+from ._data import Dataset
+from ._model import Finding, Model, Scores, _findings
+from .errors import ArgumentError, DataError, NotFittedError
+
+__all__ = [
+    "Armax",
+    "Arx",
+    "BoxJenkins",
+    "Estimator",
+    "GaussianProcess",
+    "LocalLinear",
+    "Narx",
+    "Neural",
+    "OutputError",
+    "Polynomial",
+]
+
+Progress = Callable[[str, "float | None"], object]
+Self = TypeVar("Self", bound="Estimator")
+
+
+class Estimator:
+    """Any structure of ``dynocal list models`` with any estimator of ``dynocal list estimators``.
+
+    Parameters
+    ----------
+    structure
+        Name of the structure.
+    estimator
+        Name of the estimator, or a mapping of ``name`` and its keys.
+    keys
+        Keys of the structure.
+    select
+        Selection of terms: a mapping of ``name`` and keys, as ``[model.select]`` of a spec.
+    prepare
+        Steps of the preparation, as ``[[prepare]]`` of a spec; they are stored with the model.
+    seed
+        Seed of estimators that draw.
+
+    Examples
+    --------
+    >>> Estimator("arx", "ols", keys={"na": 2, "nb": 2})
+    Estimator(structure='arx', estimator='ols', keys={'na': 2, 'nb': 2})
+    """
+
+    model_: Model
+    """The model, after :meth:`fit`."""
+    findings_: list[Finding]
+    """What the estimate says of itself, most important first."""
+    status_: list[str | None]
+    """How the search of each output ended: ``converged``, ``stalled``, ``limit``, ..."""
+    n_evaluations_: list[int]
+    """Evaluations of the cost of each output."""
+
+    def __init__(
+        self,
+        structure: str = "arx",
+        estimator: str | Mapping[str, Any] = "ols",
+        *,
+        keys: Mapping[str, Any] | None = None,
+        select: Mapping[str, Any] | None = None,
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.structure = structure
+        self.estimator = estimator
+        self.keys = keys
+        self.select = select
+        self.prepare = prepare
+        self.seed = seed
+
+    # ------------------------------------------------------------------ parameters
+
+    @classmethod
+    def _names(cls) -> list[str]:
+        return [p for p in inspect.signature(cls.__init__).parameters if p != "self"]
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Parameters of the constructor, as they were given."""
+        return {name: getattr(self, name) for name in self._names()}
+
+    def set_params(self: Self, **params: Any) -> Self:
+        """Sets parameters of the constructor."""
+        known = self._names()
+        for name, value in params.items():
+            arguments.one_of(f"{type(self).__name__}: the parameter", name, known)
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        defaults = {n: p.default for n, p in inspect.signature(type(self).__init__).parameters.items()}
+        shown = []
+        for name, value in self.get_params().items():
+            same = value is defaults[name]
+            if not same:
+                try:
+                    same = type(value) is type(defaults[name]) and bool(value == defaults[name])
+                except (TypeError, ValueError):
+                    same = False
+            if not same or isinstance(self, Estimator) and type(self) is Estimator and name in ("structure", "estimator"):
+                shown.append(f"{name}={value!r}")
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        """Name and keys of the structure."""
+        return arguments.text("structure", self.structure), arguments.mapping("keys", self.keys)
+
+    def _tables(self) -> dict[str, Any]:
+        """The tables of a spec that this is."""
+        name, keys = self._structure()
+        chosen = self.estimator
+        estimator = {"name": chosen} if isinstance(chosen, str) else arguments.mapping("estimator", chosen)
+        model: dict[str, Any] = {"estimator": estimator, "select": self.select}
+        if name != "pool":
+            model["structure"] = {"name": name, **keys}
+        if name in _RESPONSES and estimator == {"name": "learn"}:
+            del model["estimator"]
+        tables: dict[str, Any] = {"model": model}
+        if self.prepare is not None:
+            tables["prepare"] = [arguments.mapping(f"prepare[{k}]", s) for k, s in enumerate(self.prepare)]
+        return tables
+
+    # ------------------------------------------------------------------ fit
+
+    def fit(
+        self: Self,
+        u: object,
+        y: object = None,
+        *,
+        inputs: str | Iterable[str] | None = None,
+        outputs: str | Iterable[str] | None = None,
+        ts_s: float | None = None,
+        selecting: Dataset | Iterable[Dataset] | None = None,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Estimates a model for each output.
+
+        Parameters
+        ----------
+        u
+            A Dataset, a list of them (experiments), a table with ``__arrow_c_stream__``, or inputs (N,) or (N, m).
+        y
+            Outputs (N,) or (N, p); with arrays only.
+        inputs, outputs
+            Channels, where the roles of the Dataset are not meant; names of the columns of arrays (u, u1, .. and y, y1, ..).
+        ts_s
+            Sample time in s of arrays and tables; 1 where it is not given.
+        selecting
+            Records that choose between candidates, for estimators that have some (early stopping).
+        progress
+            Called as ``progress(text, fraction)``.
+
+        Returns
+        -------
+        The estimator. ``model_`` is the model, ``findings_`` what the estimate says of itself.
+
+        Raises
+        ------
+        ArgumentError, DataError, SpecError, EstimateError
+        """
+        records = _records(u, y, inputs, outputs, ts_s)
+        others = _records(selecting, None, inputs, outputs, ts_s) if selecting is not None else []
+        first = records[0]
+        outs = first.outputs
+        if not outs:
+            raise ArgumentError(f"outputs: found none, expected at least one of {', '.join(first.channels)}")
+        tables = self._tables()
+        tables["model"].update(targets=outs, inputs=first.inputs)
+        if first.is_steady and not self._takes_points():
+            raise DataError(f"{first.name}: found steady points, expected a record in time (ts_s=) for a dynamic model")
+        seed = None if self.seed is None else arguments.count("seed", self.seed, 0, 2**63 - 1)
+        name = type(self).__name__
+        learnt = _dynocal.learn(
+            name,
+            tables,
+            [d._record for d in records],
+            [d._record for d in others],
+            first.is_steady,
+            seed,
+            arguments.callback(progress),
+        )
+        self.model_ = Model(one[0] for one in learnt)
+        self.status_ = [one[1] for one in learnt]
+        self.n_evaluations_ = [one[2] for one in learnt]
+        self.findings_ = _findings(said for one in learnt for said in one[5])
+        return self
+
+    def _takes_points(self) -> bool:
+        return False
+
+    def _fitted(self) -> Model:
+        model = getattr(self, "model_", None)
+        if model is None:
+            raise NotFittedError(f"this {type(self).__name__} is not fitted: call fit(...) first")
+        return model  # type: ignore[no-any-return]
+
+    @property
+    def parameters_(self) -> dict[str, float]:
+        """Parameters of a model of one output."""
+        return self._fitted().parameters
+
+    @overload
+    def simulate(self, u: Dataset, *, initial: str | None = None) -> Dataset: ...
+    @overload
+    def simulate(self, u: npt.ArrayLike, *, y0: npt.ArrayLike | None = None) -> FloatArray: ...
+    def simulate(
+        self, u: npt.ArrayLike | Dataset, *, y0: npt.ArrayLike | None = None, initial: str | None = None
+    ) -> FloatArray | Dataset:
+        """Free run: :meth:`Model.simulate`."""
+        model = self._fitted()
+        if isinstance(u, Dataset):
+            if y0 is not None:
+                raise ArgumentError("y0: found it beside a Dataset, expected initial= (the Dataset holds the outputs)")
+            return model.simulate(u, initial=initial)
+        if initial is not None:
+            raise ArgumentError("initial: found it beside arrays, expected y0= or a Dataset")
+        return model.simulate(u, y0=y0)
+
+    @overload
+    def predict(self, u: Dataset, y: None = None, *, steps: int = 1) -> Dataset: ...
+    @overload
+    def predict(self, u: npt.ArrayLike, y: npt.ArrayLike, *, steps: int = 1) -> FloatArray: ...
+    def predict(
+        self, u: npt.ArrayLike | Dataset, y: npt.ArrayLike | None = None, *, steps: int = 1
+    ) -> FloatArray | Dataset:
+        """Some samples ahead of measured outputs: :meth:`Model.predict`."""
+        model = self._fitted()
+        if isinstance(u, Dataset):
+            if y is not None:
+                raise ArgumentError("y: found it beside a Dataset, expected the outputs inside of it")
+            return model.predict(u, steps=steps)
+        if y is None:
+            raise ArgumentError("y: found None, expected measured outputs: without them only simulate(u) can be computed")
+        return model.predict(u, y, steps=steps)
+
+    def score(self, *records: Dataset, k_steps: Iterable[int] = ()) -> Scores:
+        """Scores on records: :meth:`Model.score`."""
+        return self._fitted().score(*records, k_steps=k_steps)
+
+
+def _records(
+    u: object,
+    y: object,
+    inputs: str | Iterable[str] | None,
+    outputs: str | Iterable[str] | None,
+    ts_s: float | None,
+) -> list[Dataset]:
+    """What is fitted, as records with roles."""
+    ins = None if inputs is None else arguments.names("inputs", inputs)
+    outs = None if outputs is None else arguments.names("outputs", outputs)
+    if isinstance(u, Dataset):
+        u = [u]
+    if isinstance(u, (list, tuple)) and u and all(isinstance(d, Dataset) for d in u):
+        if y is not None:
+            raise ArgumentError("y: found it beside a Dataset, expected the outputs inside of it")
+        if ts_s is not None:
+            raise ArgumentError("ts_s: found it beside a Dataset, which has its own")
+        records = [d if ins is None and outs is None else d.with_roles(ins, outs) for d in u]
+        names = records[0].inputs, records[0].outputs
+        for d in records[1:]:
+            if (d.inputs, d.outputs) != names:
+                raise DataError(f"{d.name}: found inputs {d.inputs} and outputs {d.outputs}, expected {names[0]} and {names[1]}")
+        return records
+    if y is None and (hasattr(u, "__arrow_c_stream__") or isinstance(u, Mapping)):
+        return [Dataset(u, ts_s=1.0 if ts_s is None else ts_s, inputs=ins, outputs=outs)]
+    if y is None:
+        raise ArgumentError(f"y: found None beside {arguments.kind(u)}, expected outputs (N,) or (N, p), or a Dataset as u")
+    a, b = arguments.columns("u", u), arguments.columns("y", y)
+    if len(a) != len(b):
+        raise ArgumentError(f"y: found {len(b)} samples, expected {len(a)} as of u")
+    arguments.finite("u", a)
+    arguments.finite("y", b)
+
+    def called(what: str, given: list[str] | None, columns: int) -> list[str]:
+        own = [what] if columns == 1 else [f"{what}{k + 1}" for k in range(columns)]
+        if given is not None and len(given) != columns:
+            raise ArgumentError(f"{what}: found {columns} channels and {len(given)} names, expected as many")
+        return given or own
+
+    ins, outs = called("u", ins, a.shape[1]), called("y", outs, b.shape[1])
+    for name in ins:
+        if name in outs:
+            raise ArgumentError(f"inputs: found `{name}`, which is an output as well")
+    columns = {**{n: a[:, k] for k, n in enumerate(ins)}, **{n: b[:, k] for k, n in enumerate(outs)}}
+    step = 1.0 if ts_s is None else arguments.number("ts_s", ts_s, "seconds", positive=True)
+    return [Dataset(columns, ts_s=step, inputs=ins, outputs=outs, name="arrays")]
+
+
+_RESPONSES = ("gaussian_process", "local_linear", "rbf", "stepwise_polynomial", "mean_of", "best_of")
+
+
+class Arx(Estimator):
+    """Linear ARX: y(t) = sum a_i y(t-i) + sum b_j u(t-nk-j) + c.
+
+    ``estimator="ols"`` minimises the one-step error, ``"sem"`` the error of the free run.
+    """
+
+    def __init__(
+        self,
+        na: int = 1,
+        nb: int = 2,
+        *,
+        nk: int = 1,
+        constant: bool = True,
+        estimator: str | Mapping[str, Any] = "ols",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.na, self.nb, self.nk, self.constant = na, nb, nk, constant
+        self.estimator, self.prepare = estimator, prepare
+        self.select = self.seed = None
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        return "arx", {"na": self.na, "nb": self.nb, "nk": self.nk, "constant": self.constant}
+
+
+class Narx(Estimator):
+    """Polynomial NARX: products of lagged inputs and outputs up to a degree, all of them or those that a selection takes.
+
+    Parameters
+    ----------
+    ylag, xlag
+        Lags of the output and of each input.
+    delay
+        First lag of each input.
+    degree
+        Highest degree of a product.
+    terms
+        ``None``: outputs enter linearly, all products of inputs are kept (``poly_arx``). A number: products of inputs and outputs,
+        of which so many are selected by error reduction (``frols``); ``"bic"``, ``"press"``, ..: as many as that rule keeps.
+    estimator
+        ``"ols"`` minimises the one-step error, ``"sem"`` the error of the free run.
+    """
+
+    def __init__(
+        self,
+        ylag: int = 1,
+        xlag: int = 2,
+        degree: int = 2,
+        *,
+        delay: int = 1,
+        terms: int | str | None = None,
+        estimator: str | Mapping[str, Any] = "ols",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.ylag, self.xlag, self.degree, self.delay, self.terms = ylag, xlag, degree, delay, terms
+        self.estimator, self.prepare = estimator, prepare
+        self.seed = None
+
+    @property
+    def select(self) -> Mapping[str, Any] | None:  # type: ignore[override]
+        """Selection of terms, as a spec has it."""
+        if self.terms is None:
+            return None
+        pool = {"ny": self.ylag, "nu": self.xlag, "nk": self.delay, "degree": self.degree, "cross": True, "constant": True}
+        if isinstance(self.terms, str):
+            return {"name": "frols", "stop": self.terms, "pool": pool}
+        return {"name": "frols", "stop": "terms", "max_terms": arguments.count("terms", self.terms, 1), "pool": pool}
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        if self.terms is not None:
+            return "pool", {}
+        return "poly_arx", {"na": self.ylag, "nb": self.xlag, "nk": self.delay, "degree": self.degree}
+
+
+class Polynomial(Estimator):
+    """Polynomial NARX with the regressors that are listed, e.g. ``["y(t-1)", "u(t-1)*u(t-2)", "tanh(2*y(t-1))"]``."""
+
+    def __init__(
+        self,
+        regressors: Iterable[str] = ("y(t-1)", "u(t-1)"),
+        *,
+        estimator: str | Mapping[str, Any] = "ols",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.regressors, self.estimator, self.prepare = regressors, estimator, prepare
+        self.select = self.seed = None
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        return "polynomial", {"regressors": arguments.names("regressors", self.regressors)}
+
+
+class Neural(Estimator):
+    """Neural NARX trained on the error of the free run from several starts (``train``)."""
+
+    def __init__(
+        self,
+        hidden: int | Iterable[int] = 10,
+        *,
+        input_lags: int = 5,
+        output_lags: int = 1,
+        activation: str = "tanh",
+        direct: bool = False,
+        starts: int = 12,
+        max_evaluations: int = 120,
+        estimator: str | Mapping[str, Any] | None = None,
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.hidden, self.input_lags, self.output_lags = hidden, input_lags, output_lags
+        self.activation, self.direct, self.starts, self.max_evaluations = activation, direct, starts, max_evaluations
+        self.estimator, self.prepare, self.seed = estimator, prepare, seed  # type: ignore[assignment]
+        self.select = None
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        keys = {"hidden": self.hidden, "input_lags": self.input_lags, "output_lags": self.output_lags}
+        return "neural", {**keys, "activation": self.activation, "direct": self.direct}
+
+    def _tables(self) -> dict[str, Any]:
+        if self.estimator is not None:
+            return super()._tables()
+        own = {"name": "train", "starts": self.starts, "max_evaluations": self.max_evaluations}
+        full = Estimator("neural", own, keys=self._structure()[1], prepare=self.prepare)
+        return full._tables()
+
+
+class _Linear(Estimator):
+    """Linear structures with a noise model, by prediction error."""
+
+    _name = ""
+    _orders: tuple[str, ...] = ()
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        return self._name, {n: getattr(self, n) for n in self._orders}
+
+
+class Armax(_Linear):
+    """A y = B u + C e, by prediction error."""
+
+    _name, _orders = "armax", ("na", "nb", "nc", "nk")
+
+    def __init__(
+        self,
+        na: int = 2,
+        nb: int | Mapping[str, int] = 2,
+        nc: int = 1,
+        *,
+        nk: int | Mapping[str, int] = 1,
+        estimator: str | Mapping[str, Any] = "pem",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.na, self.nb, self.nc, self.nk = na, nb, nc, nk
+        self.estimator, self.prepare = estimator, prepare
+        self.select = self.seed = None
+
+
+class OutputError(_Linear):
+    """y = B/F u + e, by prediction error."""
+
+    _name, _orders = "oe", ("nb", "nf", "nk")
+
+    def __init__(
+        self,
+        nb: int | Mapping[str, int] = 2,
+        nf: int | Mapping[str, int] = 2,
+        *,
+        nk: int | Mapping[str, int] = 1,
+        estimator: str | Mapping[str, Any] = "pem",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.nb, self.nf, self.nk = nb, nf, nk
+        self.estimator, self.prepare = estimator, prepare
+        self.select = self.seed = None
+
+
+class BoxJenkins(_Linear):
+    """y = B/F u + C/D e, by prediction error."""
+
+    _name, _orders = "bj", ("nb", "nc", "nd", "nf", "nk")
+
+    def __init__(
+        self,
+        nb: int | Mapping[str, int] = 2,
+        nc: int = 1,
+        nd: int = 1,
+        nf: int | Mapping[str, int] = 2,
+        *,
+        nk: int | Mapping[str, int] = 1,
+        estimator: str | Mapping[str, Any] = "pem",
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.nb, self.nc, self.nd, self.nf, self.nk = nb, nc, nd, nf, nk
+        self.estimator, self.prepare = estimator, prepare
+        self.select = self.seed = None
+
+
+class _Response(Estimator):
+    """Response models: of steady points, or of lagged values."""
+
+    def _takes_points(self) -> bool:
+        return not (getattr(self, "input_lags", 0) or getattr(self, "output_lags", 0))
+
+
+class GaussianProcess(_Response):
+    """Gaussian process with a length for each input and estimated noise."""
+
+    def __init__(
+        self,
+        *,
+        kernel: str = "auto",
+        mean: str = "linear",
+        noise: str = "constant",
+        starts: int = 4,
+        input_lags: int = 0,
+        output_lags: int = 0,
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.kernel, self.mean, self.noise, self.starts = kernel, mean, noise, starts
+        self.input_lags, self.output_lags, self.prepare, self.seed = input_lags, output_lags, prepare, seed
+        self.select, self.estimator = None, "learn"
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        names = ("kernel", "mean", "noise", "starts", "input_lags", "output_lags")
+        return "gaussian_process", {n: getattr(self, n) for n in names}
+
+
+class LocalLinear(_Response):
+    """Local linear models under smooth splits, as many as the left-out error asks for."""
+
+    def __init__(
+        self,
+        *,
+        quadratic: bool = False,
+        most: int = 40,
+        input_lags: int = 0,
+        output_lags: int = 0,
+        prepare: Iterable[Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.quadratic, self.most = quadratic, most
+        self.input_lags, self.output_lags, self.prepare = input_lags, output_lags, prepare
+        self.select, self.estimator, self.seed = None, "learn", None
+
+    def _structure(self) -> tuple[str, dict[str, Any]]:
+        names = ("quadratic", "most", "input_lags", "output_lags")
+        return "local_linear", {n: getattr(self, n) for n in names}

@@ -1,0 +1,92 @@
+"""The package as a whole: types, examples in its words, names, import."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import dynocal
+
+PACKAGE = Path(dynocal.__file__).parent
+
+
+def modules() -> list[str]:
+    own = [m.name for m in pkgutil.iter_modules([str(PACKAGE)]) if m.name not in ("_dynocal", "__main__")]
+    return ["dynocal", *(f"dynocal.{name}" for name in own)]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_examples_in_the_words_run(name: str) -> None:
+    try:
+        module = importlib.import_module(name)
+    except dynocal.errors.MissingPackageError as error:
+        pytest.skip(str(error))
+    assert doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE).failed == 0
+
+
+def test_names_are_what_they_are() -> None:
+    for name in dynocal.__all__:
+        assert getattr(dynocal, name).__doc__, name
+    assert (PACKAGE / "py.typed").is_file()
+
+
+def test_every_member_of_the_tables_can_be_named() -> None:
+    """What the program lists, this lists: the estimators take every structure and every estimator by its name."""
+    from dynocal import _members
+
+    families = dynocal.members()
+    assert {"signals", "models", "estimators", "criteria", "plants", "formats"} <= set(families)
+    found = {family: sorted(dynocal.members(family)) for family in families}
+    assert found == {k: sorted(v) for k, v in _members.MEMBERS.items()}, "run python/members.py"
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True)
+
+
+def test_stubs_are_what_is_there() -> None:
+    pytest.importorskip("mypy")
+    done = run("-m", "mypy.stubtest", "dynocal._dynocal")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_types(root) -> None:
+    pytest.importorskip("mypy")
+    places = [str(PACKAGE), str(root / "python" / "examples")]
+    done = run("-m", "mypy", "--strict", "--config-file", str(root / "pyproject.toml"), *places)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+IMPORT = """
+import sys, time
+import numpy
+start = time.perf_counter()
+import dynocal
+took = time.perf_counter() - start
+heavy = {"pandas", "polars", "matplotlib", "scipy", "sklearn", "pyarrow", "gymnasium", "control", "distributed"} & set(sys.modules)
+print(took, sorted(heavy))
+"""
+
+
+def test_import_asks_for_nothing_but_numpy() -> None:
+    took, heavy = run("-c", IMPORT).stdout.split(" ", 1)
+    assert heavy.strip() == "[]"
+    print(f"import beyond NumPy: {float(took):.3f} s")
+
+
+def test_no_handler_is_installed() -> None:
+    text = "import signal; a = signal.getsignal(signal.SIGINT); import dynocal; dynocal.members(); print(signal.getsignal(signal.SIGINT) is a)"
+    assert run("-c", text).stdout.strip() == "True"
+
+
+def test_examples_run(root, tmp_path) -> None:
+    for script in sorted((root / "python" / "examples").glob("*.py")):
+        done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 0, f"{script.name}: {done.stderr}"
+        assert done.stdout.strip(), script.name
