@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Disk margins: python-control with Slycot (AB13MD) on the same loops in the same run, in its own environment (`setup.sh`).
+"""Disk margins: python-control with Slycot (AB13MD) on the same loops in the same run, in its own environment (`.venv-control`, `setup.sh`).
 
 The published loops to 1e-6, then ten coupled sampled loops with delay (as powers of z^-1) out of the 25 set points with 100 draws
 that our side judges whole: gain margins of each loop with the other closed and the disk margin of both outputs.
@@ -25,7 +25,13 @@ DT = 0.05
 
 def ours():
     run = ["cargo", "run", "--quiet", "--release", "-p", "dynocal-control", "--example", "control_peer"]
-    return json.loads(subprocess.run(run, cwd=ROOT, check=True, capture_output=True, text=True).stdout)
+    subprocess.run(run[:1] + ["build"] + run[2:], cwd=ROOT, check=True)
+    before = os.times()
+    found = json.loads(subprocess.run(run, cwd=ROOT, check=True, capture_output=True, text=True).stdout)
+    after = os.times()
+    # All that the children took, cargo's start included: other processes on the machine do not count.
+    found["cpu_s"] = after.children_user + after.children_system - before.children_user - before.children_system
+    return found
 
 
 def published():
@@ -37,7 +43,6 @@ def published():
 
 
 def sampled(plant):
-    z = control.tf([1, 0], [1], DT)
     rows = []
     for row in range(2):
         cells = []
@@ -48,7 +53,6 @@ def sampled(plant):
             cells.append(control.tf(pad(g["num"]), pad(g["den"]), DT))
         rows.append(cells)
     pi = [control.tf([kp + ki * DT, -kp], [1, -1], DT) for kp, ki in [(0.3, 0.9), (0.25, 0.7)]]
-    del z
     return [[rows[r][c] * pi[c] for c in range(2)] for r in range(2)]
 
 
@@ -90,9 +94,9 @@ def main():
         missed |= apart > 1e-4 or own > theirs * (1 + 1e-6)
         print(f"sampled: ours {own:.8f}, theirs {theirs:.8f} on {len(omega)} frequencies, apart {apart:.1e}")
     each = (time.process_time() - start) / len(mine["plants"])
-    print(f"sampled loops: ours {mine['loops']} in {mine['loops_s']:.2f} s of one thread (asked: 2 s), {mine['stable']} stable; "
-          f"theirs {each:.2f} s a loop for the disk margin alone")
-    missed |= mine["loops_s"] > 2.0
+    print(f"sampled loops: ours {mine['loops']} with all their margins in {mine['cpu_s']:.2f} s of CPU on one thread (asked: 2 s), published loops "
+          f"included, {mine['stable']} stable; theirs {each:.2f} s a loop for the disk margin alone")
+    missed |= mine["cpu_s"] > 2.0
     sys.exit(1 if missed else 0)
 
 

@@ -12,3 +12,7 @@ python3 -m venv .venv-selection
 python3 -m venv .venv-sippy
 .venv-sippy/bin/pip install --quiet --requirement requirements-sippy.txt
 .venv-sippy/bin/pip freeze
+# python-control finds its upper bound of several loops in Slycot.
+python3 -m venv .venv-control
+.venv-control/bin/pip install --quiet --requirement requirements-control.txt
+.venv-control/bin/pip freeze

@@ -9,6 +9,8 @@
 //! The first is the criterion of Mikhailov, the second the principle of the argument for |q| < 1. The argument is followed with
 //! steps that are halved until it turns by less than 0.5 rad, so that no grid decides about stability.
 
+use std::sync::OnceLock;
+
 use dynocal_numerics::fft::Complex;
 
 use crate::error::ControlError;
@@ -22,7 +24,7 @@ const TURN: f64 = 0.5;
 /// Most halvings of one step.
 const HALVINGS: usize = 40;
 
-/// A plant under a controller, `u = C (r - y)`, `y = G u`.
+/// A plant under a controller, `u = C (r - y)`, `y = G u`. What is asked of it more than once is computed once.
 #[derive(Clone, Debug)]
 pub struct Closed {
     /// Plant G.
@@ -31,6 +33,8 @@ pub struct Closed {
     pub controller: System,
     /// Frequencies in rad/s at which the loop is looked at.
     pub grid: Vec<f64>,
+    state: OnceLock<Unstable>,
+    responses: OnceLock<Result<Vec<Responses>, ControlError>>,
 }
 
 /// Responses at one frequency.
@@ -100,7 +104,21 @@ impl Closed {
             ));
         }
         let grid = frequencies(&plant, &controller);
-        Ok(Self { plant, controller, grid })
+        Ok(Self { plant, controller, grid, state: OnceLock::new(), responses: OnceLock::new() })
+    }
+
+    /// A loop that is only run in time: without frequencies.
+    pub fn in_time(plant: System, controller: System) -> Self {
+        Self { plant, controller, grid: Vec::new(), state: OnceLock::new(), responses: OnceLock::new() }
+    }
+
+    /// Responses at the frequencies of the grid.
+    ///
+    /// # Errors
+    /// As of [`Closed::at`].
+    pub fn responses(&self) -> Result<&[Responses], ControlError> {
+        let all = self.responses.get_or_init(|| self.grid.iter().map(|w| self.at(*w)).collect());
+        all.as_ref().map(Vec::as_slice).map_err(Clone::clone)
     }
 
     /// Responses at an angular frequency in rad/s.
@@ -121,6 +139,10 @@ impl Closed {
 
     /// Unstable poles of the closed loop.
     pub fn unstable(&self) -> Unstable {
+        *self.state.get_or_init(|| self.counted())
+    }
+
+    fn counted(&self) -> Unstable {
         let time = self.plant.time;
         let exact = |w: f64| {
             let x = time.variable(w);

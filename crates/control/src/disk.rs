@@ -136,7 +136,7 @@ fn margin(closed: &Closed, skew: f64, of: &dyn Fn(&Responses) -> Matrix) -> Resu
     }
     let at = |w: f64| closed.at(w).map(|r| of(&r));
     let grid = &closed.grid;
-    let matrices = grid.iter().map(|w| at(*w)).collect::<Result<Vec<Matrix>, _>>()?;
+    let matrices: Vec<Matrix> = closed.responses()?.iter().map(of).collect();
     let quick: Vec<f64> = matrices.iter().map(mu::upper_quick).collect();
     // The balance is an upper bound itself: once it is below the best of those made better, nothing else can be the peak.
     let mut order: Vec<usize> = (0..grid.len()).collect();

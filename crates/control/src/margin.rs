@@ -11,14 +11,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::closed::{Closed, one_of};
+use crate::closed::{Closed, Responses, one_of};
 use crate::error::ControlError;
 use crate::matrix::{C, ONE};
 
 /// Halvings of an interval that holds a crossing.
-const HALVINGS: usize = 80;
+const HALVINGS: usize = 60;
 /// Steps of golden section.
-const GOLDEN: usize = 60;
+const GOLDEN: usize = 42;
 
 /// Where a loop is broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,15 +62,12 @@ pub fn margins(closed: &Closed, side: Side, k: usize) -> Result<Margins, Control
     if !state.is_stable() {
         return Err(ControlError::Unstable { what: "the closed loop".into(), poles: state.words() });
     }
-    let open = |w: f64| -> Result<C, ControlError> {
-        let r = closed.at(w)?;
-        Ok(match side {
-            Side::Outputs => one_of(r.at_outputs.at(k, k)),
-            Side::Inputs => one_of(r.at_inputs.at(k, k)),
-        })
+    let open = |r: &Responses| match side {
+        Side::Outputs => one_of(r.at_outputs.at(k, k)),
+        Side::Inputs => one_of(r.at_inputs.at(k, k)),
     };
-    let values = closed.grid.iter().map(|w| open(*w)).collect::<Result<Vec<C>, _>>()?;
-    let at = |w: f64| open(w).unwrap_or(C::new(f64::NAN, f64::NAN));
+    let values: Vec<C> = closed.responses()?.iter().map(open).collect();
+    let at = |w: f64| closed.at(w).map_or(C::new(f64::NAN, f64::NAN), |r| open(&r));
     Ok(of_response(&closed.grid, &values, &at, closed.plant.time.nyquist_rad_s()))
 }
 

@@ -139,6 +139,12 @@ impl Matrix {
         if self.rows == 1 {
             return (self.data[0].norm() > 0.0).then(|| Self { data: vec![self.data[0].inv()], ..*self });
         }
+        if self.rows == 2 {
+            let det = self.determinant();
+            let d = &self.data;
+            let data = || vec![d[3] / det, -d[1] / det, -d[2] / det, d[0] / det];
+            return (det.norm() > 0.0 && det.norm().is_finite()).then(|| Self { data: data(), ..*self });
+        }
         self.solved().1
     }
 
@@ -191,6 +197,11 @@ impl Matrix {
     pub fn norm(&self) -> f64 {
         if self.rows == 1 && self.cols == 1 {
             return self.data[0].norm();
+        }
+        if self.rows == 2 && self.cols == 2 {
+            let squares: f64 = self.data.iter().map(|v| v.norm_sqr()).sum();
+            let det = self.determinant().norm();
+            return (0.5 * (squares + (squares * squares - 4.0 * det * det).max(0.0).sqrt())).sqrt();
         }
         let h = self.adjoint().times(self);
         h.hermitian_eigenvalues().into_iter().fold(0.0, f64::max).sqrt()

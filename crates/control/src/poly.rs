@@ -66,7 +66,7 @@ pub fn complex_roots(c: &[Complex<f64>]) -> Option<Vec<Complex<f64>>> {
         }
         moved = 0.0;
         for k in 0..n {
-            let Some(step) = step(c, &z, k) else { return None };
+            let step = step(c, &z, k)?;
             z[k] -= step;
             moved = moved.max(step.norm() / z[k].norm().max(1e-300));
         }

@@ -200,14 +200,8 @@ impl System {
             let expected = format!("{outputs} x {inputs}");
             return Err(ControlError::shape("channels of a system", channels.len(), expected));
         }
-        if let Time::Sampled { sample_time_s } = time {
-            if !(sample_time_s > 0.0 && sample_time_s.is_finite()) {
-                return Err(ControlError::number(
-                    "the sample time",
-                    sample_time_s,
-                    "a positive number of seconds",
-                ));
-            }
+        if let Some(found) = time.sample_time_s().filter(|s| !(*s > 0.0 && s.is_finite())) {
+            return Err(ControlError::number("the sample time", found, "a positive number of seconds"));
         }
         for (k, g) in channels.iter().enumerate() {
             g.check(&format!("channel ({}, {})", k / inputs + 1, k % inputs + 1), time)?;

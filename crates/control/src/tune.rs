@@ -158,7 +158,7 @@ fn horizon(channel: &Channel) -> (f64, usize) {
 fn open_step(channel: &Channel, step_s: f64, rows: usize) -> Result<Vec<f64>, ControlError> {
     let plant = System::single(channel.time, channel.transfer.clone())?;
     let nothing = System::single(channel.time, crate::system::Transfer::gain(0.0))?;
-    let closed = Closed { plant, controller: nothing, grid: Vec::new() };
+    let closed = Closed::in_time(plant, nothing);
     Ok(run(&closed, step_s, rows, &|_, r| r.fill(0.0), &|_, d| d.fill(1.0))?.y)
 }
 
@@ -205,7 +205,7 @@ pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
 pub fn step_response(channel: &Channel, gains: &PidGains, r: StepRun) -> Result<Vec<f64>, ControlError> {
     let plant = System::single(channel.time, channel.transfer.clone())?;
     let controller = System::single(channel.time, gains.transfer(channel.time))?;
-    let closed = Closed { plant, controller, grid: Vec::new() };
+    let closed = Closed::in_time(plant, controller);
     Ok(run(&closed, r.step_s, r.rows, &|_, r| r.fill(1.0), &|_, d| d.fill(0.0))?.y)
 }
 

@@ -108,7 +108,7 @@ fn bad_specs_are_named() {
     for (text, part) in [
         (format!("models = [\"m.json\"]\n{LAG}"), "points"),
         (LAG.to_string(), "plants"),
-        (format!("{LAG}kp = 1.0\n{plant}"), "ki"),
+        (format!("{LAG}kp = 1.0\n{plant}"), "loops[1].ki"),
         (format!("{LAG}extra_delay_s = -1.0\n{plant}"), "extra_delay_s"),
         (format!("draws = 5\n{LAG}{plant}"), "draws"),
         (format!("[asked]\nsensitivity = 0.9\n{LAG}{plant}"), "asked.sensitivity"),
@@ -118,7 +118,7 @@ fn bad_specs_are_named() {
         ),
         (
             format!("{LAG}[[plants]]\nchannels = [[{{ num = [1.0], den = [4.0, 1.0] }}], []]\n"),
-            "plants.0.channels",
+            "plants[1].channels",
         ),
         (format!("reaction_samples = 2\n{LAG}{plant}"), "reaction_samples"),
     ] {

@@ -156,7 +156,7 @@ fn plane_map(l: &LoopResult, p: &Plane) -> HeatMap {
     let (kp, ki) = (l.rules.first().map_or(0.0, |t| t.kp), l.rules.first().map_or(0.0, |t| t.ki));
     let most = 2.0;
     let shown: Vec<f64> = p.ratio.iter().map(|v| if v.is_nan() { *v } else { v.min(most) }).collect();
-    let z = Axis::new("largest ratio over all set points that the search saw", "");
+    let z = Axis::new("asked over had", "");
     HeatMap::new(
         "Plane of the gains: asked over had",
         (Axis::new(format!("kp x {}", l.sign), ""), p.kp_values.clone()),
@@ -165,7 +165,7 @@ fn plane_map(l: &LoopResult, p: &Plane) -> HeatMap {
     )
     .contours()
     .overlay("gains", [kp], [ki])
-    .caption("Up to 1 everything is kept; values above 2 are drawn as 2; where nothing is drawn a set point is not stable. The point is that which settles fastest among those that keep everything.")
+    .caption("The largest ratio over all set points that the search saw: up to 1 everything is kept; values above 2 are drawn as 2; where nothing is drawn a set point is not stable. The point is that which settles fastest among those that keep everything.")
 }
 
 fn loci(l: &LoopResult, p: &Plane) -> XyPlot {

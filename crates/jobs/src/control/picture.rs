@@ -81,7 +81,7 @@ pub(super) fn drawn(
         for p in &loaded.points {
             let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
             let controller = controller(loaded.time, loops).map_err(refused)?;
-            let closed = Closed { plant: p.nominal.clone(), controller, grid: Vec::new() };
+            let closed = Closed::in_time(p.nominal.clone(), controller);
             // A delay that is no whole number of samples has no run.
             let found = run(
                 &closed,
@@ -114,17 +114,18 @@ fn thin(out: &mut Picture, rows: usize) {
 fn bode(c: &Channel, sign: f64) -> Bode {
     let mut out = Bode::default();
     let mut last: Option<f64> = None;
+    let delay_s = c.transfer.delay_s;
     for w in &c.grid {
-        let g = c.transfer.at(c.time, *w) * sign;
+        // The rational part is followed from point to point, the delay is added whole: it turns faster than any grid.
+        let g = c.transfer.delayed(-delay_s).at(c.time, *w) * sign;
         let mut phase = g.arg().to_degrees();
-        // Unwrapped: the nearest turn to the point before.
         if let Some(before) = last {
             phase += 360.0 * ((before - phase) / 360.0).round();
         }
         last = Some(phase);
         out.w_rad_s.push(*w);
         out.size_db.push(20.0 * g.norm().log10());
-        out.phase_deg.push(phase);
+        out.phase_deg.push(phase - (w * delay_s).to_degrees());
     }
     out
 }
@@ -137,13 +138,13 @@ fn plane(l: &LoopResult, c: Choice, channels: &[Channel], loaded: &Loaded) -> Pl
     });
     let channel = &channels[tight.min(channels.len() - 1)];
     let (kp, ki) = (c.kp, c.ki);
+    // From rest to where the locus first leaves through ki = 0: what comes after lies inside of it.
     let within = |points: Vec<LocusPoint>| {
-        let gap = |p: &LocusPoint| p.kp >= kp.lower && p.kp <= kp.upper && p.ki >= 0.0 && p.ki <= ki.upper;
-        let value = |p: &LocusPoint, v: f64| if gap(p) { v } else { f64::NAN };
-        (
-            points.iter().map(|p| value(p, p.kp)).collect::<Vec<f64>>(),
-            points.iter().map(|p| value(p, p.ki)).collect::<Vec<f64>>(),
-        )
+        let inside = |p: &LocusPoint| p.kp >= kp.lower && p.kp <= kp.upper && p.ki >= 0.0 && p.ki <= ki.upper;
+        let first = points.iter().position(inside).unwrap_or(points.len());
+        let left = points[first..].iter().take_while(|p| p.ki >= 0.0);
+        let value = |p: &LocusPoint, v: f64| if inside(p) { v } else { f64::NAN };
+        left.map(|p| (value(p, p.kp), value(p, p.ki))).unzip::<f64, f64, Vec<f64>, Vec<f64>>()
     };
     let mut loci = Vec::new();
     let mut add = |name: String, points: Vec<LocusPoint>| {

@@ -230,7 +230,7 @@ fn loops(t: &Typed, faults: &mut Faults) -> Vec<LoopSpec> {
     }
     let mut out: Vec<LoopSpec> = Vec::new();
     for (k, l) in t.loops.iter().enumerate() {
-        let key = |part: &str| format!("loops.{k}.{part}");
+        let key = |part: &str| format!("loops[{}].{part}", k + 1);
         let output = faults.required(&key("output"), &l.output, "the channel that the loop holds");
         let input = faults.required(&key("input"), &l.input, "the channel by which it holds it");
         if !(l.extra_delay_s >= 0.0 && l.extra_delay_s.is_finite()) {
@@ -279,11 +279,11 @@ fn models(files: &[PathBuf], t: &Typed, spec: &Path, faults: &mut Faults) -> Opt
     let mut points = Vec::new();
     for (k, p) in t.points.iter().enumerate() {
         let expected = "a table of the channels that the models read, in their units";
-        let Some(values) = faults.required(&format!("points.{k}.values"), &p.values, expected) else {
+        let Some(values) = faults.required(&format!("points[{}].values", k + 1), &p.values, expected) else {
             continue;
         };
         for (name, v) in values.iter().filter(|(_, v)| !v.is_finite()) {
-            faults.push(&format!("points.{k}.values.{name}"), v, "a finite number");
+            faults.push(&format!("points[{}].values.{name}", k + 1), v, "a finite number");
         }
         points.push(Point { name: p.name.clone().unwrap_or_else(|| format!("point {}", k + 1)), values });
     }
@@ -316,7 +316,7 @@ fn given(t: &Typed, loops: usize, faults: &mut Faults) -> Option<Plants> {
     };
     let mut plants = Vec::new();
     for (k, p) in t.plants.iter().enumerate() {
-        let key = format!("plants.{k}.channels");
+        let key = format!("plants[{}].channels", k + 1);
         let Some(rows) = faults.required(&key, &p.channels, "rows of outputs with columns of inputs") else {
             continue;
         };
