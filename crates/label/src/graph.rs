@@ -167,7 +167,8 @@ fn place(time_s: &[f64], s: f64, from: usize) -> (usize, f64) {
     while i > 0 && time_s[i] > s {
         i -= 1;
     }
-    if i + 1 >= time_s.len() || s <= time_s[0] {
+    // Stamps of a log may repeat.
+    if i + 1 >= time_s.len() || s <= time_s[0] || !(time_s[i + 1] > time_s[i]) {
         return (i, 0.0);
     }
     (i, ((s - time_s[i]) / (time_s[i + 1] - time_s[i])).clamp(0.0, 1.0))

@@ -63,6 +63,18 @@ fn residuals(graph: &Graph, theta: &[f64], targets: &[Target]) -> Option<f64> {
     sum.is_finite().then_some(sum)
 }
 
+/// The first sample that counts and at which measurement or function are no numbers.
+fn not_finite(graph: &Graph, theta: &[f64], targets: &[Target]) -> LabelError {
+    let first = targets.iter().find_map(|t| {
+        let y = graph.values(theta, &t.record);
+        (0..y.len()).find(|k| t.weights[*k] > 0.0 && !(t.y[*k] - y[*k]).is_finite())
+    });
+    LabelError::NotFinite {
+        what: "the function with the base values, less the target",
+        index: first.unwrap_or(0),
+    }
+}
+
 fn linearise(graph: &Graph, theta: &[f64], targets: &[Target]) -> Linear {
     let mut out = Linear { used: Vec::new(), r: Vec::new(), w: Vec::new(), j: vec![Vec::new(); theta.len()] };
     for t in targets {
@@ -100,8 +112,7 @@ pub fn fit(
         return Err(LabelError::TooLarge { found: theta.len(), most: MOST_CELLS });
     }
     let limits = all_limits(graph);
-    let mut cost = residuals(graph, &theta, targets)
-        .ok_or(LabelError::NotFinite { what: "the function with the base values", index: 0 })?;
+    let mut cost = residuals(graph, &theta, targets).ok_or_else(|| not_finite(graph, &theta, targets))?;
     let (mut mu, mut steps, mut converged) = (1e-3, 0, false);
     let mut at = linearise(graph, &theta, targets);
     if at.r.is_empty() {

@@ -7,11 +7,10 @@ use dynocal_files::measurement::mlg::Mlg;
 use dynocal_files::measurement::recording;
 use dynocal_files::table::Cells;
 use dynocal_label::graph::{Graph, Node, Op, Record};
-use dynocal_label::label::{Axis, Label, Limit};
+use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::{Options, Problem, Verdict, fit};
 use dynocal_label::nonlinear::{self, Target};
 use dynocal_label::rows::Rows;
-use dynocal_label::{qp, quantise};
 
 struct Drive {
     tune: Tune,
@@ -131,5 +130,4 @@ fn a_known_table_comes_back_from_its_look_ups() {
             near(&plain.values.iter().map(|v| v.round()).collect::<Vec<_>>())
         );
     }
-    let _ = (qp::solve, quantise::nearest, Limit { terms: vec![], least: 0.0, what: String::new() });
 }

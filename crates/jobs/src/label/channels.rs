@@ -5,7 +5,7 @@ use std::path::Path;
 use dynocal_export::tune::ini::{Definition, Held, TableDef};
 use dynocal_export::tune::msq::Tune;
 use dynocal_files::FilesError;
-use dynocal_files::measurement::{Raster, ReadKeys, mlg::Mlg, open, recognise, recording};
+use dynocal_files::measurement::{Raster, ReadKeys, Source, mlg::Mlg, open, recognise, recording_of};
 use dynocal_files::table::Cells;
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::ve::Log;
@@ -26,6 +26,8 @@ const LAMBDA: Names =
 const PULSE: Names = Names { what: "injection pulse width", names: &["pw", "pw1", "pulsewidth"] };
 const GAMMA: Names = Names { what: "fuel correction", names: &["gammae", "gammaenrichment"] };
 const AIR: [&[&str]; 2] = [&["gair"], &["gbaro"]];
+
+const STATE: [&[&str]; 3] = [&["clt", "coolant"], &["tpsdot"], &["engine"]];
 
 /// Ratio of air to fuel of gasoline, where the tune does not say another one.
 const STOICHIOMETRIC: f64 = 14.7;
@@ -49,16 +51,32 @@ fn column(raster: &Raster, names: &[&str]) -> Option<(String, Vec<f64>)> {
     })
 }
 
-fn needed(raster: &Raster, file: &str, n: &Names) -> Result<(String, Vec<f64>), LabelJobError> {
-    column(raster, n.names).ok_or_else(|| {
-        let known: Vec<&str> = raster.columns.iter().map(|c| c.name.as_str()).collect();
-        LabelJobError::Channel {
-            file: file.into(),
-            what: n.what,
-            expected: n.names.join(", "),
-            known: known.join(", "),
-        }
+fn needed(raster: &Raster, file: &str, known: &str, n: &Names) -> Result<(String, Vec<f64>), LabelJobError> {
+    column(raster, n.names).ok_or_else(|| LabelJobError::Channel {
+        file: file.into(),
+        what: n.what,
+        expected: n.names.join(", "),
+        known: known.into(),
     })
+}
+
+/// Whether a name is one of those that are looked for.
+fn may_be_needed(name: &str) -> bool {
+    let all = [&SPEED, &LOAD, &VE, &LAMBDA, &PULSE, &GAMMA];
+    all.iter().any(|n| n.names.contains(&name)) || AIR.iter().chain(&STATE).any(|names| names.contains(&name))
+}
+
+/// Leaves out what lies before stamps that go back; how many records that are.
+fn forward(raster: &mut Raster) -> Option<usize> {
+    let from = 1 + raster.time_s.windows(2).rposition(|w| !(w[1] >= w[0]))?;
+    raster.time_s.drain(..from);
+    for c in &mut raster.columns {
+        match &mut c.cells {
+            Cells::Number(v) => drop(v.drain(..from)),
+            Cells::Text(v) => drop(v.drain(..from)),
+        }
+    }
+    Some(from)
 }
 
 /// A log with the tune that it carries, and what was decided on the way.
@@ -67,21 +85,32 @@ fn needed(raster: &Raster, file: &str, n: &Names) -> Result<(String, Vec<f64>), 
 /// [`LabelJobError`]: files, a channel that is missing.
 pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), LabelJobError> {
     let file = path.display().to_string();
-    let (recording, tune) = if recognise(path)?.doc.name == "mlg" {
+    let (source, tune): (Box<dyn Source>, _) = if recognise(path)?.doc.name == "mlg" {
         let mlg = Mlg::open(path)?;
         let tune = mlg.tune().map(|t| Tune::parse(&format!("tune of {file}"), t.to_vec())).transpose()?;
-        (recording(&mlg)?, tune)
+        (Box::new(mlg), tune)
     } else {
-        (recording(open(path, None, &ReadKeys::default())?.as_ref())?, None)
+        (open(path, None, &ReadKeys::default())?, None)
     };
+    // A log may have hundreds of channels: only what may be needed is read.
+    let recording = recording_of(source.as_ref(), &|name| may_be_needed(&plain(name)))?;
     notes.extend(recording.notes.iter().map(|n| format!("{file}: {n}")));
     let raster = recording.rasters.into_iter().max_by_key(|r| r.time_s.len());
-    let raster = raster.ok_or_else(|| FilesError::Empty { path: file.clone(), expected: "a log" })?;
-    let (_, speed_rpm) = needed(&raster, &file, &SPEED)?;
-    let (load_name, load) = needed(&raster, &file, &LOAD)?;
-    let (_, ve) = needed(&raster, &file, &VE)?;
-    let (lambda_name, mut lambda) = needed(&raster, &file, &LAMBDA)?;
-    let (_, pulse_ms) = needed(&raster, &file, &PULSE)?;
+    let mut raster = raster.ok_or_else(|| FilesError::Empty { path: file.clone(), expected: "a log" })?;
+    if let Some(from) = forward(&mut raster) {
+        notes.push(format!(
+            "{file}: the first {from} records lie before the trigger and are left out: their stamps go back"
+        ));
+    }
+    let known: Vec<&str> =
+        source.groups().iter().flat_map(|g| &g.channels).map(|c| c.name.as_str()).collect();
+    let known = known.join(", ");
+    let needed = |raster: &Raster, n: &Names| needed(raster, &file, &known, n);
+    let (_, speed_rpm) = needed(&raster, &SPEED)?;
+    let (load_name, load) = needed(&raster, &LOAD)?;
+    let (_, ve) = needed(&raster, &VE)?;
+    let (lambda_name, mut lambda) = needed(&raster, &LAMBDA)?;
+    let (_, pulse_ms) = needed(&raster, &PULSE)?;
     if lambda_name.starts_with("afr") {
         lambda.iter_mut().for_each(|v| *v /= STOICHIOMETRIC);
         notes.push(format!("{file}: lambda is the air-fuel ratio over {STOICHIOMETRIC}"));
@@ -89,7 +118,7 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     if load_name != "fuelload" {
         notes.push(format!("{file}: the load is taken from the channel `{load_name}`"));
     }
-    let engine = column(&raster, &["engine"]);
+    let engine = column(&raster, STATE[2]);
     if engine.is_none() {
         notes.push(format!(
             "{file}: no channel of the engine's state: enrichments are seen by coolant and throttle only"
@@ -97,10 +126,10 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     }
     let log = Log {
         name: path.file_name().map_or(file.clone(), |n| n.to_string_lossy().into_owned()),
-        enrichment: enrichment(&raster, &file)?,
+        enrichment: enrichment(&raster, needed(&raster, &GAMMA)?.1),
         target: vec![1.0; raster.time_s.len()],
-        coolant_c: column(&raster, &["clt", "coolant"]).map(|c| c.1),
-        throttle_rate: column(&raster, &["tpsdot"]).map(|c| c.1),
+        coolant_c: column(&raster, STATE[0]).map(|c| c.1),
+        throttle_rate: column(&raster, STATE[1]).map(|c| c.1),
         // Bits of the state: after-start enrichment 4, warm-up 8, acceleration 16.
         enriching: engine.map(|e| e.1.iter().map(|v| (*v as i64) & (4 | 8 | 16) != 0).collect()),
         speed_rpm,
@@ -114,15 +143,14 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
 }
 
 /// What multiplied the table and is no air: the whole correction without those of air density and altitude.
-fn enrichment(raster: &Raster, file: &str) -> Result<Vec<f64>, LabelJobError> {
-    let (_, mut gamma) = needed(raster, file, &GAMMA)?;
+fn enrichment(raster: &Raster, mut gamma: Vec<f64>) -> Vec<f64> {
     gamma.iter_mut().for_each(|g| *g /= 100.0);
     for names in AIR {
         if let Some((_, air)) = column(raster, names) {
             gamma.iter_mut().zip(air).filter(|(_, a)| *a > 0.0).for_each(|(g, a)| *g /= a / 100.0);
         }
     }
-    Ok(gamma)
+    gamma
 }
 
 /// The fuel table of the tune as a label, and what the ECU can hold in it.

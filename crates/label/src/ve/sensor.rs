@@ -98,9 +98,9 @@ fn reach(log: &Log, start_s: f64, t: usize, lag_s: f64, window: &mut Vec<(usize,
     if time_s[k + 1] - time_s[k] > 1.0 {
         return false;
     }
-    let share = ((start_s - time_s[k]) / (time_s[k + 1] - time_s[k])).clamp(0.0, 1.0);
     if !(lag_s > 0.0) {
-        window.push((if share > 0.5 { k + 1 } else { k }, 1.0));
+        let nearer = start_s - time_s[k] > time_s[k + 1] - start_s;
+        window.push((if nearer { k + 1 } else { k }, 1.0));
         return true;
     }
     // Each sample acts until the next one: its share of the memory is what decays in that time.
