@@ -354,6 +354,24 @@ class Model:
         rows = [Score(kind=_kind(r["kind"]), **{n: r[n] for n in names}) for r in json.loads(text)]
         return Scores(rows, _findings(said))
 
+    def transfer_functions(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Numerator and denominator in powers of z^-1 of a linear model of one output, by input."""
+        from ._systems import transfer_functions
+
+        return transfer_functions(self)
+
+    def to_scipy(self) -> Any:
+        """A linear model as ``scipy.signal.dlti``; several inputs as a mapping of them."""
+        from ._systems import to_scipy
+
+        return to_scipy(self)
+
+    def to_control(self) -> Any:
+        """A linear model as ``control.TransferFunction``."""
+        from ._systems import to_control
+
+        return to_control(self)
+
     def outside(self, record: Dataset) -> list[str]:
         """Sentences on the channels of a record that leave what the model was estimated on."""
         return [text for m in self._models for text in m.outside(record._record)]

@@ -10,7 +10,7 @@ import pytest
 from conftest import lagged, trained
 
 import dynocal
-from dynocal.errors import ArgumentError, DataError, EstimateError, FileError, ModelError, NotFittedError, SpecError
+from dynocal.errors import ArgumentError, DataError, EstimateError, FileError, ModelError, NotFittedError, ResultWarning, SpecError
 
 TRUE = {"y(t-1)": 1.5, "y(t-2)": -0.7, "u(t-1)": 1.0, "u(t-2)": 0.5}
 
@@ -113,6 +113,13 @@ def test_what_an_unstable_run_says() -> None:
     assert scores.of("free_run").rmse is None
     assert any(f.grade == "fault" for f in scores.findings)
     assert any("diverges" in n for n in m.simulate(big).notes)
+
+
+def test_a_search_that_has_not_ended_says_so() -> None:
+    u, y = lagged(200, noise=0.3)
+    with pytest.warns(ResultWarning, match="evaluations without converging"):
+        m = dynocal.Polynomial(["y(t-1)", "u(t-1)", "u(t-1)^3"], estimator={"name": "sem", "max_evaluations": 1}).fit(u, y)
+    assert m.status_ == ["limit"] and m.findings_[0].grade == "fault"
 
 
 def test_selection_finds_the_terms() -> None:
