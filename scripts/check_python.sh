@@ -47,6 +47,6 @@ for story in "$PWD"/python/examples/*.py; do
 done
 
 # Whoever has everything.
-environment full "$wheel" pytest mypy pandas pyarrow polars scikit-learn gymnasium
+environment full "$wheel" pytest mypy pandas pyarrow polars scikit-learn gymnasium scipy control matplotlib
 "$place/full/bin/python" -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps "$wheel"
 "$place/full/bin/python" -m pytest python/tests

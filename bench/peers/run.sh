@@ -8,4 +8,5 @@ for script in sensitivities.py estimation.py linear.py neural.py design.py fuel.
     .venv/bin/python "$script" || missed=1
 done
 .venv-selection/bin/python selection.py || missed=1
+.venv-python/bin/python python_sysidentpy.py || missed=1
 exit "$missed"

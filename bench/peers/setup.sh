@@ -9,6 +9,12 @@ python3 -m venv .venv
 python3 -m venv .venv-selection
 .venv-selection/bin/pip install --quiet --requirement requirements-selection.txt
 .venv-selection/bin/pip freeze
+# The Python package beside SysIdentPy: its wheel comes from this tree.
+python3 -m venv .venv-python
+.venv-python/bin/pip install --quiet --requirement requirements-python.txt maturin
+(cd ../.. && bench/peers/.venv-python/bin/maturin build --release --locked --quiet --out target/peers-wheel)
+.venv-python/bin/pip install --quiet --no-deps --force-reinstall ../../target/peers-wheel/dynocal-*.whl
+.venv-python/bin/pip freeze
 python3 -m venv .venv-sippy
 .venv-sippy/bin/pip install --quiet --requirement requirements-sippy.txt
 .venv-sippy/bin/pip freeze

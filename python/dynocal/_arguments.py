@@ -28,6 +28,9 @@ def kind(value: object) -> str:
 
 def array(name: str, value: object) -> FloatArray:
     """A copy-free view of ``value`` as float64 where it is that already, else a copy of its numbers."""
+    if isinstance(value, np.ma.MaskedArray) and value.dtype.kind in "fiub":
+        # What is masked is missing, and no number.
+        value = np.where(np.ma.getmaskarray(value), np.nan, value.data)
     try:
         found = np.asarray(value)
     except Exception as error:

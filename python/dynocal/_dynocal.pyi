@@ -10,7 +10,30 @@ _Said = tuple[str, str, str]
 _Progress = Callable[[str, float | None], object]
 _Answer = tuple[str, _Array, int, list[str]]
 
-__all__: list[str]
+__all__ = [
+    "Finished",
+    "Model",
+    "Plant",
+    "Record",
+    "after_fork",
+    "check",
+    "contents",
+    "convert",
+    "export",
+    "judge",
+    "learn",
+    "members",
+    "program",
+    "read",
+    "record_from_arrow",
+    "record_to_arrow",
+    "rest",
+    "run",
+    "signal",
+    "study",
+    "to_toml",
+    "version",
+]
 
 @final
 class Record:

@@ -6,6 +6,7 @@ Keyword arguments are stored as they are given, ``fit`` returns the estimator, w
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, overload
 
@@ -16,7 +17,7 @@ from . import _dynocal
 from ._arguments import FloatArray
 from ._data import Dataset
 from ._model import Finding, Model, Scores, _findings
-from .errors import ArgumentError, DataError, NotFittedError
+from .errors import ArgumentError, DataError, NotFittedError, ResultWarning
 
 __all__ = [
     "Armax",
@@ -168,7 +169,8 @@ class Estimator:
 
         Returns
         -------
-        The estimator. ``model_`` is the model, ``findings_`` what the estimate says of itself.
+        The estimator. ``model_`` is the model, ``findings_`` what the estimate says of itself; a fault among them is a
+        ``ResultWarning`` too.
 
         Raises
         ------
@@ -199,6 +201,8 @@ class Estimator:
         self.status_ = [one[1] for one in learnt]
         self.n_evaluations_ = [one[2] for one in learnt]
         self.findings_ = _findings(said for one in learnt for said in one[5])
+        for fault in (f for f in self.findings_ if f.grade == "fault"):
+            warnings.warn(f"{fault.about}: {fault.text}", ResultWarning, stacklevel=2)
         return self
 
     def _takes_points(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ from . import _dynocal
 from ._data import Dataset, read
 from ._estimators import Estimator
 from ._model import Model
-from .errors import ArgumentError, FileError, RunError
+from .errors import ArgumentError, FileError, ResultWarning, RunError
 
 __all__ = [
     "Limits",
@@ -205,7 +206,11 @@ def run(
         until,
         arguments.callback(progress),
     )
-    return Run(done.folder, valid=done.valid, warnings=done.warnings, waiting=done.waiting)
+    found = Run(done.folder, valid=done.valid, warnings=done.warnings, waiting=done.waiting)
+    if not found.valid:
+        why = done.waiting or (done.warnings[0] if done.warnings else "its page says why")
+        warnings.warn(f"{done.folder}: the result must not be used as it is: {why}", ResultWarning, stacklevel=3)
+    return found
 
 
 def check(job: str, spec: Spec, *, out: PathLike | None = None, seed: int | None = None) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -129,16 +129,22 @@ class Model:
     >>> for t in range(1, 200):
     ...     y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1]
     >>> m = dynocal.Arx(na=1, nb=1, constant=False).fit(u, y, ts_s=0.1)
-    >>> [round(v, 6) for v in m.parameters_.values()]
-    [0.8, 0.5]
+    >>> {name: round(value, 6) for name, value in m.parameters_.items()}
+    {'u(t-1)': 0.5, 'y(t-1)': 0.8}
     >>> bool(np.abs(m.simulate(u) - y).max() < 1e-9)
     True
     """
 
     _models: tuple[_dynocal.Model, ...]
+    _names: list[str]
+    _columns: list[list[int] | slice]
 
     def __init__(self, models: Iterable[_dynocal.Model]) -> None:
         self._models = tuple(models)
+        own = [[name for name, _ in m.inputs()] for m in self._models]
+        self._names = list(dict.fromkeys(name for names in own for name in names))
+        # A call over few samples is short: what it looks up is known before.
+        self._columns = [slice(None) if names == self._names else [self._names.index(n) for n in names] for names in own]
         if not self._models:
             raise ArgumentError("models: found none, expected at least one")
         outputs = [m.output()[0] for m in self._models]
@@ -182,7 +188,7 @@ class Model:
     @property
     def inputs(self) -> list[str]:
         """Channels that drive it, in the order of the columns of ``u``."""
-        return list(dict.fromkeys(name for m in self._models for name, _ in m.inputs()))
+        return list(self._names)
 
     @property
     def outputs(self) -> list[str]:
@@ -269,7 +275,7 @@ class Model:
             Dataset, or inputs (N,) or (N, m) in the order of :attr:`inputs`.
         y0
             Measured outputs of the first samples, (k,) or (k, outputs), k at least :attr:`memory`; without it the run
-            starts at rest: in the equilibrium that the first inputs hold. With arrays only.
+            starts at rest: zero for a linear model, else the equilibrium that the first inputs hold. With arrays only.
         initial
             ``rest``, ``measured`` or ``estimated``: where a run over a Dataset starts; by default as the model says where
             the output was measured, else at rest.
@@ -290,7 +296,7 @@ class Model:
         if y0 is not None:
             start = self._outputs("y0", y0)
             starts = [np.ascontiguousarray(start[:, k]) for k in range(start.shape[1])]
-        found = [m.simulate_arrays(inputs[:, self._own(m)], s) for m, s in zip(self._models, starts, strict=True)]
+        found = [m.simulate_arrays(inputs[:, c], s) for m, c, s in zip(self._models, self._columns, starts, strict=True)]
         return self._shaped(found)
 
     @overload
@@ -327,8 +333,8 @@ class Model:
         if len(measured) != len(inputs):
             raise ArgumentError(f"y: found {len(measured)} samples, expected {len(inputs)} as of u")
         found = [
-            m.predict_arrays(inputs[:, self._own(m)], np.ascontiguousarray(measured[:, k]), ahead)
-            for k, m in enumerate(self._models)
+            m.predict_arrays(inputs[:, c], np.ascontiguousarray(measured[:, k]), ahead)
+            for k, (m, c) in enumerate(zip(self._models, self._columns, strict=True))
         ]
         return self._shaped(found)
 
@@ -348,6 +354,24 @@ class Model:
         rows = [Score(kind=_kind(r["kind"]), **{n: r[n] for n in names}) for r in json.loads(text)]
         return Scores(rows, _findings(said))
 
+    def transfer_functions(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Numerator and denominator in powers of z^-1 of a linear model of one output, by input."""
+        from ._systems import transfer_functions
+
+        return transfer_functions(self)
+
+    def to_scipy(self) -> Any:
+        """A linear model as ``scipy.signal.dlti``; several inputs as a mapping of them."""
+        from ._systems import to_scipy
+
+        return to_scipy(self)
+
+    def to_control(self) -> Any:
+        """A linear model as ``control.TransferFunction``."""
+        from ._systems import to_control
+
+        return to_control(self)
+
     def outside(self, record: Dataset) -> list[str]:
         """Sentences on the channels of a record that leave what the model was estimated on."""
         return [text for m in self._models for text in m.outside(record._record)]
@@ -361,20 +385,17 @@ class Model:
 
     # ------------------------------------------------------------------ arrays
 
-    def _own(self, m: _dynocal.Model) -> list[int]:
-        names = self.inputs
-        return [names.index(name) for name, _ in m.inputs()]
-
     def _inputs(self, u: object) -> FloatArray:
-        found = arguments.finite("u", arguments.columns("u", u))
-        if found.shape[1] != len(self.inputs):
+        """Inputs as columns; that they are finite is looked at where they are copied."""
+        found = arguments.columns("u", u)
+        if found.shape[1] != len(self._names):
             raise ArgumentError(
-                f"u: found {found.shape[1]} channels (shape {found.shape}), expected {len(self.inputs)}: {', '.join(self.inputs)}"
+                f"u: found {found.shape[1]} channels (shape {found.shape}), expected {len(self._names)}: {', '.join(self._names)}"
             )
         return found
 
     def _outputs(self, name: str, y: object) -> FloatArray:
-        found = arguments.finite(name, arguments.columns(name, y))
+        found = arguments.columns(name, y)
         if found.shape[1] != len(self._models):
             expected = f"{len(self._models)}: {', '.join(self.outputs)}"
             raise ArgumentError(f"{name}: found {found.shape[1]} channels (shape {found.shape}), expected {expected}")
@@ -418,7 +439,3 @@ def _diverged(model: Model, record: Dataset, columns: dict[str, FloatArray], uni
 
 def _unpickled(texts: list[str]) -> Model:
     return Model(_dynocal.Model.from_json(t) for t in texts)
-
-
-def _each(models: Iterable[_dynocal.Model]) -> Iterator[Model]:
-    return (Model([m]) for m in models)

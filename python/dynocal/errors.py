@@ -17,6 +17,7 @@ __all__ = [
     "ModelError",
     "NotFittedError",
     "PlantError",
+    "ResultWarning",
     "RunError",
     "SpecError",
 ]
@@ -68,6 +69,10 @@ class ForkError(DynocalError, RuntimeError):
 
 class MissingPackageError(DynocalError, ImportError):
     """An optional package is asked for that is not installed."""
+
+
+class ResultWarning(UserWarning):
+    """A result must not be used as it is: the message says why. Nothing is raised for it, as the program ends with exit code 1."""
 
 
 class InternalError(DynocalError):

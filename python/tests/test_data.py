@@ -97,6 +97,14 @@ def test_files_are_read_as_they_are_asked_for(tmp_path) -> None:
         dynocal.read(path, ["trw"])
 
 
+def test_what_is_masked_is_missing() -> None:
+    values = np.ma.masked_array([1.0, 2.0, 3.0], mask=[False, True, False])
+    with pytest.raises(DataError, match="sample 1"):
+        dynocal.Dataset({"a": values}, ts_s=1.0)
+    assert np.isnan(dynocal.Dataset({"a": values}, ts_s=1.0, missing=True)["a"][1])
+    assert np.isnan(dynocal.Dataset({"a": np.ma.masked_equal([1, 2, 3], 2)}, ts_s=1.0, missing=True)["a"][1])
+
+
 def test_pickle_keeps_it() -> None:
     d = trained().with_init_samples(5)
     back = pickle.loads(pickle.dumps(d))

@@ -22,7 +22,6 @@ TIMES = {"timing.json", "log.txt"}
 CASES = [
     ("identify", "examples/gas_furnace/identify.toml"),
     ("optimise", "examples/optimise/fuel.toml"),
-    ("design", "examples/design/spec.toml"),
     ("signal", "examples/design/signals.toml"),
     ("identify", "examples/steady/engine_points.toml"),
 ]
@@ -38,6 +37,46 @@ def program(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def contents(folder: Path) -> dict[str, bytes]:
     files = [p for p in folder.rglob("*") if p.is_file() and p.name not in TIMES]
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+def test_same_bytes_of_a_calibration(tmp_path, root) -> None:
+    """Two steps of the reduced calibration: plant, estimates and page."""
+    spec = root / "examples/gtdi/quick.toml"
+    arguments = ["calibrate", str(spec), "--until", "identify", "--out", str(tmp_path / "program"), "--quiet"]
+    done = program(*arguments, cwd=tmp_path)
+    assert done.returncode in (0, 1), done.stderr
+    found = dynocal.calibrate(spec, out=tmp_path / "python", until="identify")
+    assert found.valid == (done.returncode == 0)
+    ours, theirs = contents(tmp_path / "python"), contents(tmp_path / "program")
+    assert ours.keys() == theirs.keys() and [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_same_bytes_of_a_design(tmp_path, root) -> None:
+    """The example with a shorter search."""
+    from dynocal import _dynocal
+
+    spec = tomllib.loads((root / "examples/design/spec.toml").read_text())
+    spec.update(length_s=10.0, rivals=2, certificate=False, search={"name": "kicks", "starts": 2, "evaluations": 300})
+    (tmp_path / "short.toml").write_text(_dynocal.to_toml(spec))
+    done = program("design", str(tmp_path / "short.toml"), "--out", str(tmp_path / "program"), "--quiet", cwd=tmp_path)
+    assert done.returncode in (0, 1), done.stderr
+    found = dynocal.design(tmp_path / "short.toml", out=tmp_path / "python")
+    assert found.valid == (done.returncode == 0)
+    assert contents(tmp_path / "python") == contents(tmp_path / "program")
+
+
+def test_same_bytes_of_a_simulation(tmp_path) -> None:
+    d = trained()
+    dynocal.Arx(na=2, nb=2).fit(d).model_.save(tmp_path / "model.json")
+    d.write(tmp_path / "new.csv")
+    (tmp_path / "again.toml").write_text('models = ["model.json"]\ndata = ["new.csv"]\n')
+    done = program("simulate", "again.toml", "--out", "program", "--quiet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = dynocal.simulate(tmp_path / "again.toml", out=tmp_path / "python")
+    ours, theirs = contents(found.folder), contents(tmp_path / "program")
+    # The spec as understood names files as seen from where it was started.
+    assert {n: b for n, b in ours.items() if n.endswith(".csv")} == {n: b for n, b in theirs.items() if n.endswith(".csv")}
+    assert ours.keys() == theirs.keys()
 
 
 @pytest.mark.parametrize(("job", "spec"), CASES)

@@ -10,7 +10,7 @@ import pytest
 from conftest import lagged, trained
 
 import dynocal
-from dynocal.errors import ArgumentError, DataError, EstimateError, FileError, ModelError, NotFittedError, SpecError
+from dynocal.errors import ArgumentError, DataError, EstimateError, FileError, ModelError, NotFittedError, ResultWarning, SpecError
 
 TRUE = {"y(t-1)": 1.5, "y(t-2)": -0.7, "u(t-1)": 1.0, "u(t-2)": 0.5}
 
@@ -39,10 +39,11 @@ def test_free_run_against_the_recursion(arx) -> None:
     u, y = lagged(300, seed=9)
     run = arx.simulate(u, y0=y[:2])
     assert np.allclose(run, y, atol=1e-9)
-    # From rest: the equilibrium that the first input holds, (1 + 0.5) / (1 - 1.5 + 0.7) u(0), until it is forgotten.
-    rest = arx.simulate(u)
-    assert rest[0] == pytest.approx(1.5 / 0.2 * u[0], rel=1e-9)
-    assert np.allclose(rest[200:], y[200:], atol=1e-9)
+    # From rest, which of a linear system is zero: the recursion over a record before which everything was zero.
+    before, rest = np.concatenate([[0.0, 0.0], u]), np.zeros(302)
+    for t in range(2, 302):
+        rest[t] = 1.5 * rest[t - 1] - 0.7 * rest[t - 2] + before[t - 1] + 0.5 * before[t - 2]
+    assert np.allclose(arx.simulate(u), rest[2:], atol=1e-9)
     # Many steps ahead are the free run from the start.
     assert np.allclose(arx.predict(u, y, steps=1000), run, atol=1e-9)
 
@@ -112,6 +113,13 @@ def test_what_an_unstable_run_says() -> None:
     assert scores.of("free_run").rmse is None
     assert any(f.grade == "fault" for f in scores.findings)
     assert any("diverges" in n for n in m.simulate(big).notes)
+
+
+def test_a_search_that_has_not_ended_says_so() -> None:
+    u, y = lagged(200, noise=0.3)
+    with pytest.warns(ResultWarning, match="evaluations without converging"):
+        m = dynocal.Polynomial(["y(t-1)", "u(t-1)", "u(t-1)^3"], estimator={"name": "sem", "max_evaluations": 1}).fit(u, y)
+    assert m.status_ == ["limit"] and m.findings_[0].grade == "fault"
 
 
 def test_selection_finds_the_terms() -> None:

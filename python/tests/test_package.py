@@ -58,9 +58,10 @@ def test_stubs_are_what_is_there() -> None:
 
 def test_types(root) -> None:
     pytest.importorskip("mypy")
-    places = [str(PACKAGE), str(root / "python" / "examples")]
-    done = run("-m", "mypy", "--strict", "--config-file", str(root / "pyproject.toml"), *places)
-    assert done.returncode == 0, done.stdout + done.stderr
+    scripts = [str(p) for p in sorted((root / "python" / "examples").glob("*.py"))]
+    for what in (["-p", "dynocal"], scripts):
+        done = run("-m", "mypy", "--strict", "--config-file", str(root / "pyproject.toml"), *what)
+        assert done.returncode == 0, done.stdout + done.stderr
 
 
 IMPORT = """

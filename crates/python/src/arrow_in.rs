@@ -17,13 +17,19 @@ struct Column {
     values: Vec<f64>,
 }
 
+/// Name and type of a column that holds no numbers.
+type LeftOut = (String, String);
+
+/// Name and samples of a column.
+type Numbers<'py> = (String, Bound<'py, PyArray1<f64>>);
+
 /// Columns (name, samples) of an object with `__arrow_c_stream__`, missing values as NaN, stamps in s; and the names and types of
 /// columns that hold no numbers.
 #[pyfunction]
 pub(crate) fn record_from_arrow<'py>(
     py: Python<'py>,
     table: &Bound<'py, PyAny>,
-) -> PyResult<(Vec<(String, Bound<'py, PyArray1<f64>>)>, Vec<(String, String)>)> {
+) -> PyResult<(Vec<Numbers<'py>>, Vec<LeftOut>)> {
     let capsule = table.call_method0("__arrow_c_stream__")?;
     let capsule = capsule.cast::<PyCapsule>().map_err(|_| {
         Refusal::new(Kind::Data, "__arrow_c_stream__ gave no capsule: expected an Arrow stream")

@@ -142,15 +142,17 @@ fn numbers(table: &Table, time: Option<&str>, notes: &mut Vec<String>) -> Vec<(S
 
 fn known<'a>(
     what: &str,
-    names: impl Iterator<Item = &'a String>,
+    mut names: impl Iterator<Item = &'a String>,
     channels: &[ChannelSpec],
 ) -> Result<(), Refusal> {
     let there: Vec<&str> = channels.iter().map(|c| c.name.as_str()).collect();
-    for name in names.filter(|n| !there.contains(&n.as_str())) {
-        let text = format!("{what}: found `{name}`, expected channels out of {}", there.join(", "));
-        return Err(Refusal::new(Kind::Argument, text));
+    match names.find(|n| !there.contains(&n.as_str())) {
+        None => Ok(()),
+        Some(name) => {
+            let text = format!("{what}: found `{name}`, expected channels out of {}", there.join(", "));
+            Err(Refusal::new(Kind::Argument, text))
+        }
     }
-    Ok(())
 }
 
 /// What is in a file, as JSON.
