@@ -8,6 +8,7 @@ pub mod benchmarks;
 mod chain;
 pub mod chapter4;
 pub mod chapter5;
+mod chapter6;
 mod design;
 mod dynamic;
 pub mod engine;
@@ -111,6 +112,7 @@ pub static STUDIES: &[Study] = &[
     chain::STUDY,
     chapter4::STUDY,
     chapter5::STUDY,
+    chapter6::STUDY,
     design::STUDY,
     dynamic::STUDY,
     engine::STUDY,

@@ -14,6 +14,7 @@ const ORDER: &[&str] = &[
     "benchmarks",
     "chain",
     "chapter5",
+    "chapter6",
     "design",
     "dynamic",
     "engine",
