@@ -247,6 +247,54 @@ fn what_is_minimised_and_what_leaves_its_range_is_said() {
     assert!((of("minimised") - of("optimum")).abs() < 1e-3 * of("optimum"), "{}", summary["objective"]);
 }
 
+/// The plan of an earlier run is no result of one that has none.
+#[test]
+fn an_infeasible_run_takes_the_plan_of_the_run_before_away() {
+    let tmp = bed(SPEC, |_| 4.0, 60);
+    assert_eq!(optimise(tmp.path()).code, 0);
+    let plans =
+        ["optimum.plan.csv", "optimum.plan.json", "prices.csv"].map(|n| tmp.path().join("run").join(n));
+    assert!(plans.iter().all(|p| p.exists()));
+    let beyond = bed(SPEC, |t| if (20..30).contains(&t) { 12.0 } else { 4.0 }, 60);
+    let record = std::fs::read(beyond.path().join("start.csv")).unwrap();
+    atomic::write(&tmp.path().join("start.csv"), &record).unwrap();
+    assert_eq!(optimise(tmp.path()).code, 1);
+    assert!(plans.iter().all(|p| !p.exists()));
+}
+
+/// A weight is a unit: the optimum does not depend on it, and no weight makes a problem infeasible. Least u with y at 3 K is 1.5 bar.
+#[test]
+fn weights_of_any_size_give_the_same_optimum() {
+    let limited = SPEC.replace("demand = \"record\"", "").replace(
+        "demands = [{ output = \"y\", unit = \"K\", lower = 0.0, upper = 10.0 }]",
+        "limits = [{ output = \"y\", unit = \"K\", lower = 3.0 }]",
+    );
+    for weight in ["1.0", "1e-9", "1e4", "1e8"] {
+        let spec =
+            limited.replace("{ channel = \"u\" }", &format!("{{ channel = \"u\", weight = {weight} }}"));
+        let tmp = bed(&spec, |_| 4.0, 60);
+        let o = optimise(tmp.path());
+        assert_eq!(o.code, 0, "{weight}: {}{}", o.stdout, o.stderr);
+        let u = column(&tmp.path().join("run/optimum.csv"), "u");
+        assert!(u[10..50].iter().all(|u| (u - 1.5).abs() < 1e-4), "{weight}: {:?}", &u[10..50]);
+    }
+}
+
+/// Bounds over the record that cross are named with both channels, not searched.
+#[test]
+fn bounds_of_the_record_that_cross_are_refused() {
+    let tmp = bed(SPEC, |_| 4.0, 60);
+    let record = std::fs::read_to_string(tmp.path().join("start.csv")).unwrap();
+    let with = |(k, line): (usize, &str)| {
+        format!("{line},{}\n", if k == 0 { "u_lower [bar],u_upper [bar]" } else { "4,3" })
+    };
+    let text: String = record.lines().enumerate().map(with).collect();
+    atomic::write(&tmp.path().join("start.csv"), text.as_bytes()).unwrap();
+    let o = optimise(tmp.path());
+    assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
+    has(&o.stderr, "`u_lower` is 4 and `u_upper` 3 at 0.5 s; expected a lower bound below the upper one");
+}
+
 #[test]
 fn a_demand_beyond_reach_is_named_with_time_amount_and_actuator() {
     // From 10 s to 14.5 s 12 K are asked.

@@ -15,6 +15,7 @@ const ORDER: &[&str] = &[
     "chain",
     "chapter5",
     "control",
+    "chapter6",
     "design",
     "dynamic",
     "engine",

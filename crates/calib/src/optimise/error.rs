@@ -148,6 +148,35 @@ pub enum OptimiseError {
         /// What it may have.
         expected: String,
     },
+    /// Bounds over the record that cross.
+    #[error(
+        "`{record}`: `{lower}` is {low} and `{upper}` {high} at {at_s} s; expected a lower bound below the upper one",
+        low = found[0], high = found[1]
+    )]
+    Crossed {
+        /// Record.
+        record: String,
+        /// Channel of the lower bound.
+        lower: String,
+        /// Channel of the upper bound.
+        upper: String,
+        /// Both values.
+        found: [f64; 2],
+        /// Time in s.
+        at_s: f64,
+    },
+    /// A part of the record that is too short for its inputs to act within.
+    #[error(
+        "the way looks {found_s} s ahead, where the models reach back {lag} samples; expected `length_s` of at least {expected_s}"
+    )]
+    View {
+        /// What was asked.
+        found_s: f64,
+        /// Longest lag.
+        lag: usize,
+        /// The least that acts.
+        expected_s: f64,
+    },
     /// Sample times differ.
     #[error("`{record}` is sampled every {found} s, the model of `{output}` every {expected} s")]
     SampleTime {

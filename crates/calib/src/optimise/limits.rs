@@ -106,11 +106,18 @@ impl Setup<'_> {
             .collect()
     }
 
-    /// Everything that is asked of outputs as soft limits.
-    pub(super) fn all_soft(&self, price: f64) -> Vec<SoftLimit> {
+    /// Everything that is asked of outputs as soft limits; those that have a weight of their own keep it, as a share `own` of it.
+    pub(super) fn all_soft(&self, price: f64, own: f64) -> Vec<SoftLimit> {
         let mut out = Vec::new();
         for a in self.asked() {
-            let price = price / a.size;
+            let limit = self.problem.limits.iter().find(|l| l.output == a.output && a.of != "demand");
+            let price = match limit.and_then(|l| l.soft_weight) {
+                Some(weight) => own * weight / (self.to - self.from) as f64,
+                None => price / a.size,
+            };
+            if price == 0.0 {
+                continue;
+            }
             let limit = |above| SoftLimit { column: a.column, above, limit: a.values.clone(), price };
             if a.of != "upper" {
                 out.push(limit(false));

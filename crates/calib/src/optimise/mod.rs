@@ -135,6 +135,15 @@ fn solved(
     let more = (options.extend_s / start.sample_time_s).round().max(0.0) as usize;
     let extended = if more > 0 { extended(start, more) } else { start.clone() };
     let setup = Setup::new(problem, models, &extended, options)?.loosened(distances);
+    let view_s = match options.way {
+        Way::Horizon(spec) => spec.length_s,
+        Way::Segments(spec) => spec.length_s,
+        Way::Batch(_) | Way::Dynamic(_) => f64::INFINITY,
+    };
+    let expected_s = (setup.lag + 1) as f64 * setup.sample_time_s;
+    if view_s < expected_s - 0.5 * setup.sample_time_s {
+        return Err(OptimiseError::View { found_s: view_s, lag: setup.lag, expected_s });
+    }
     let found = match options.way {
         Way::Dynamic(spec) => dynamic::solve(&setup, options, &spec, interrupt)?,
         Way::Batch(spec) => whole(&setup, options, spec.starts, interrupt),

@@ -107,10 +107,20 @@ impl<'a> Setup<'a> {
                     setup.given.push((bound, values.to_vec()));
                 }
             }
+            setup.check_crossed(&name, start)?;
         }
         setup.respond(start)?;
         setup.increment_weights = setup.smoothing();
         Ok(setup)
+    }
+
+    /// Bounds of a channel over the record between which nothing lies.
+    fn check_crossed(&self, name: &str, record: &Dataset) -> Result<(), OptimiseError> {
+        let [lower, upper] = bound_channels(name);
+        let (Some(low), Some(high)) = (self.given(&lower), self.given(&upper)) else { return Ok(()) };
+        let Some(t) = (self.from..self.to).find(|&t| low[t] > high[t]) else { return Ok(()) };
+        let (record, at_s) = (record.name.clone(), t as f64 * self.sample_time_s);
+        Err(OptimiseError::Crossed { record, lower, upper, found: [low[t], high[t]], at_s })
     }
 
     /// Simulates all models on the start inputs: demands that the record does not give, starts of the other outputs.
@@ -327,7 +337,7 @@ impl<'a> Setup<'a> {
                 .collect(),
             sums: self.mean_limits().into_iter().map(|(_, sum, upper)| SumLimit { sum, upper }).collect(),
             soft: match self.elastic {
-                Some(e) => self.all_soft(e.price / divisor),
+                Some(e) => self.all_soft(e.price / divisor, e.objective),
                 None => self.problem.limits.iter().flat_map(|l| self.soft(l)).collect(),
             },
             divisor,

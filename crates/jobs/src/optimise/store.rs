@@ -30,6 +30,13 @@ pub fn write(job: &Job, found: &Optimised) -> Result<RunFolder, OptimiseJobError
         files.push("prices.csv".into());
     }
     page::write(found, folder.path())?;
+    // What an earlier run left and this one does not give would pass for its result.
+    for earlier in [format!("{NAME}.plan.csv"), format!("{NAME}.plan.json"), "prices.csv".into()] {
+        if !files.contains(&earlier) {
+            // Not there is as good as removed.
+            let _ = std::fs::remove_file(folder.path().join(earlier));
+        }
+    }
     folder.write_summary(&Optimised { files, ..found.clone() })?;
     Ok(folder)
 }

@@ -163,6 +163,13 @@ fn ended(o: &Optimised) -> String {
         (false, Status::Converged) => {
             format!("The search over {record} ended at an optimum that misses what was asked: {what}.")
         }
+        (false, Status::Infeasible) if in_parts(o) => {
+            let bad = o.parts.iter().filter(|p| p.status == Status::Infeasible).count();
+            format!(
+                "Gone through in parts, {record} cannot be solved: from where the part before ended, {bad} of {} parts have no inputs within their limits that give what is asked. At once (way = \"batch\") it may be.",
+                o.parts.len()
+            )
+        }
         (false, Status::Infeasible) => {
             format!(
                 "Over {record} no inputs within their limits give what is asked: the problem is infeasible there."
@@ -174,6 +181,11 @@ fn ended(o: &Optimised) -> String {
             o.iterations
         ),
     }
+}
+
+/// Whether the parts are stretches of the record, not starts of the whole.
+fn in_parts(o: &Optimised) -> bool {
+    o.parts.len() > 1 && o.parts.iter().any(|p| p.from_s > o.parts[0].from_s)
 }
 
 fn plus(v: f64) -> &'static str {

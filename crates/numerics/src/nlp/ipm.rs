@@ -110,7 +110,7 @@ impl<'a> Ipm<'a> {
                 self.filter.clear();
             }
             if !self.factor(stiffness) || !self.choose_direction() {
-                return self.dead_end();
+                return self.dead_end(interrupt);
             }
             let moved = self.line_search();
             if moved != Moved::No {
@@ -120,7 +120,7 @@ impl<'a> Ipm<'a> {
                 tiny_steps = if idle { tiny_steps + 1 } else { 0 };
                 last_error = error;
                 if tiny_steps > TINY_STEPS {
-                    return self.dead_end();
+                    return self.dead_end(interrupt);
                 }
                 continue;
             }
@@ -137,7 +137,7 @@ impl<'a> Ipm<'a> {
             }
             failures += 1;
             if failures > STIFFENINGS {
-                return self.dead_end();
+                return self.dead_end(interrupt);
             }
             self.filter.clear();
             stiffness = if stiffness == 0.0 { 1e-6 } else { 100.0 * stiffness };
@@ -146,9 +146,15 @@ impl<'a> Ipm<'a> {
         Status::Limit
     }
 
-    /// Nothing more can be done from here.
-    fn dead_end(&self) -> Status {
-        if self.unscaled_violation() > 1e-4 { Status::Infeasible } else { Status::Stalled }
+    /// Nothing more can be done from here: infeasible only where the violation itself cannot fall any more.
+    fn dead_end(&mut self, interrupt: &dyn Fn() -> bool) -> Status {
+        if self.unscaled_violation() <= 1e-4 {
+            return Status::Stalled;
+        }
+        match restoration::restore(self, interrupt) {
+            restoration::Ended::Restored => Status::Stalled,
+            restoration::Ended::With(status) => status,
+        }
     }
 
     pub(super) fn theta(&self) -> f64 {

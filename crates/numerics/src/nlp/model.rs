@@ -130,8 +130,14 @@ impl<'a> Model<'a> {
         // A flat objective is scaled up as well, else the tolerance would let it stop far from the optimum.
         let steepest = norm_inf(&grad);
         let flat = steepest > 0.0 && steepest < SMALLEST_GRADIENT;
-        self.objective_scale =
-            if flat { (SMALLEST_GRADIENT / steepest).min(LARGEST_LIFT) } else { scale_of(steepest) };
+        let scaled = steepest > 0.0 && self.problem.any_objective_unit();
+        self.objective_scale = if scaled {
+            steepest.clamp(SMALLEST_GRADIENT, 1.0) / steepest
+        } else if flat {
+            (SMALLEST_GRADIENT / steepest).min(LARGEST_LIFT)
+        } else {
+            scale_of(steepest)
+        };
         self.constraint_scale = largest.into_iter().map(scale_of).collect();
         Ok(())
     }

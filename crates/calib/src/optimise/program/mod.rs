@@ -326,6 +326,10 @@ impl SparseNlp for Program<'_> {
         }
     }
 
+    fn any_objective_unit(&self) -> bool {
+        true
+    }
+
     fn objective(&mut self, x: &[f64]) -> f64 {
         self.columns.load(&x[..self.slacks()]);
         let channels: f64 = self.objective.iter().map(|s| s.value(&self.columns)).sum();
