@@ -259,6 +259,9 @@ fn whole(setup: &Setup<'_>, options: &OptimiseOptions, starts: usize, interrupt:
     if failed(found.status) && options.give > 0.0 && !interrupt() {
         found = giving(setup, options, found, interrupt);
     }
+    if failed(found.status) && !interrupt() {
+        found = from_what_is_met(setup, options, found, interrupt);
+    }
     if starts > 1 {
         found.parts = parts;
     }
@@ -279,6 +282,29 @@ fn giving(setup: &Setup<'_>, options: &OptimiseOptions, found: Found, interrupt:
     again.iterations += found.iterations;
     again.prices = prices::prices(&soft, &mut program, &outcome);
     again
+}
+
+/// The search again from inputs that meet everything, where there are some; else what was `found`.
+fn from_what_is_met(
+    setup: &Setup<'_>,
+    options: &OptimiseOptions,
+    mut found: Found,
+    interrupt: &dyn Fn() -> bool,
+) -> Found {
+    let Some(values) = shortfall::met(setup, options, interrupt) else { return found };
+    let mut program = Program::new(setup.parts());
+    program.columns.begin_at(&values);
+    let (mut again, outcome) = search(&mut program, options, None, interrupt);
+    if again.status.is_success() {
+        again.iterations += found.iterations;
+        again.prices = prices::prices(setup, &mut program, &outcome);
+        return again;
+    }
+    // There are inputs that meet everything: that none were found is no proof of anything.
+    if found.status == Status::Infeasible {
+        found.status = Status::Stalled;
+    }
+    found
 }
 
 /// Whether a search ended without a solution, by itself.

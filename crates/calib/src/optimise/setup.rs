@@ -226,7 +226,7 @@ impl<'a> Setup<'a> {
             problem: self.problem,
             models: self.models.clone(),
             given: self.given.clone(),
-            increment_weights: self.increment_weights.clone(),
+            increment_weights: self.increment_weights.iter().map(|w| objective * w).collect(),
             loose: self.loose.clone(),
             elastic: Some(Elastic { price, objective }),
             columns,

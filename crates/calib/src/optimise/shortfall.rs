@@ -7,6 +7,7 @@
 //!
 //! A sum of sizes, unlike one of squares, leaves everything exact that can be: what remains is where the problem fails.
 
+use super::limits::Asked;
 use super::setup::Setup;
 use super::{Found, OptimiseOptions, batch};
 use dynocal_ident::data::UnitAfter;
@@ -90,16 +91,7 @@ pub(super) fn shortfalls(
     }
     let mut out = Vec::new();
     for asked in elastic.asked() {
-        let missing: Vec<f64> = (0..elastic.samples)
-            .map(|t| {
-                let beyond = found.values[t * elastic.columns.len() + asked.column] - asked.values[t];
-                match asked.of {
-                    "lower" => beyond.min(0.0),
-                    "upper" => beyond.max(0.0),
-                    _ => beyond,
-                }
-            })
-            .collect();
+        let missing = missing(&elastic, &found, &asked);
         let seen = |t: usize| t >= elastic.first_equation() && missing[t].abs() > SEEN * asked.size;
         for gap in dynocal_ident::data::runs(elastic.samples, seen) {
             let worst = (gap.from..gap.to)
@@ -119,6 +111,40 @@ pub(super) fn shortfalls(
     }
     out.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
     out
+}
+
+/// Values (samples x columns of `setup`) that miss nothing of what is asked, where a search for the least missing amounts ends at such:
+/// the problem is not infeasible then, whatever the search for the optimum said, and may begin there.
+pub(super) fn met(
+    setup: &Setup<'_>,
+    options: &OptimiseOptions,
+    interrupt: &dyn Fn() -> bool,
+) -> Option<Vec<f64>> {
+    let elastic = setup.elastic(1.0, 0.0);
+    let mut found = batch(&elastic, options, interrupt);
+    let soft =
+        |output: &String| setup.problem.limits.iter().any(|l| l.output == *output && l.soft_weight.is_some());
+    let kept = |asked: &Asked| {
+        let missing = missing(&elastic, &found, asked);
+        asked.of != "demand" && soft(&asked.output)
+            || missing[elastic.first_equation()..].iter().all(|m| m.abs() <= SEEN * asked.size)
+    };
+    if !found.status.is_success() || !elastic.asked().iter().all(kept) {
+        return None;
+    }
+    elastic.narrowed(setup, &mut found);
+    Some(found.values)
+}
+
+/// What is missing of something asked at each sample: below 0 under it, above 0 beyond it.
+fn missing(elastic: &Setup<'_>, found: &Found, asked: &Asked) -> Vec<f64> {
+    let beyond = |t: usize| found.values[t * elastic.columns.len() + asked.column] - asked.values[t];
+    let of = |t: usize| match asked.of {
+        "lower" => beyond(t).min(0.0),
+        "upper" => beyond(t).max(0.0),
+        _ => beyond(t),
+    };
+    (0..elastic.samples).map(of).collect()
 }
 
 /// Inputs that are at a bound or at their rate limit somewhere in `from..to`.

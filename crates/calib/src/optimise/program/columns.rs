@@ -100,6 +100,11 @@ impl Columns {
         self.columns[c].local.get(t).copied().unwrap_or(self.columns[c].bounds)
     }
 
+    /// Takes the variables from `values` (samples x columns).
+    pub(in crate::optimise) fn begin_at(&mut self, values: &[f64]) {
+        self.places.iter().for_each(|&place| self.values[place] = values[place]);
+    }
+
     /// Sets all variables of column `c` to `value`.
     pub fn level(&mut self, c: usize, value: f64) {
         for v in 0..self.count() {
