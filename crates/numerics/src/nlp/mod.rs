@@ -42,10 +42,10 @@ pub trait SparseNlp {
     /// How large a change of each variable is that matters, 1 on entry and by default: the search runs in `x / size`, so that a
     /// distance from a bound, a step and a curvature mean the same for all of them. Powers of two keep every bit.
     fn sizes(&self, _size: &mut [f64]) {}
-    /// Whether the unit of the objective is arbitrary (a user's weights): the search then scales it until its steepest derivative at the
-    /// start lies between 0.01 and 1, however far that is.
-    fn any_objective_unit(&self) -> bool {
-        false
+    /// What the search divides the objective by before anything else, 1 by default: for an objective whose unit is arbitrary (a user's
+    /// weights), so that no choice of it is too steep or too flat for the tolerances.
+    fn objective_unit(&mut self) -> f64 {
+        1.0
     }
     /// Objective.
     fn objective(&mut self, x: &[f64]) -> f64;

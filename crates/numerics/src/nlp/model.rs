@@ -128,16 +128,11 @@ impl<'a> Model<'a> {
             return Err(Trivial::NotFinite);
         }
         // A flat objective is scaled up as well, else the tolerance would let it stop far from the optimum.
-        let steepest = norm_inf(&grad);
+        let unit = self.problem.objective_unit();
+        let steepest = norm_inf(&grad) / unit;
         let flat = steepest > 0.0 && steepest < SMALLEST_GRADIENT;
-        let scaled = steepest > 0.0 && self.problem.any_objective_unit();
-        self.objective_scale = if scaled {
-            steepest.clamp(SMALLEST_GRADIENT, 1.0) / steepest
-        } else if flat {
-            (SMALLEST_GRADIENT / steepest).min(LARGEST_LIFT)
-        } else {
-            scale_of(steepest)
-        };
+        self.objective_scale =
+            if flat { (SMALLEST_GRADIENT / steepest).min(LARGEST_LIFT) } else { scale_of(steepest) } / unit;
         self.constraint_scale = largest.into_iter().map(scale_of).collect();
         Ok(())
     }

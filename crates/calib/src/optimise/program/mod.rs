@@ -231,6 +231,8 @@ fn give_way(parts: &Parts<'_>) -> (Columns, Vec<Option<usize>>, Vec<Sum>) {
     (Columns::new(columns, values), gives, objective)
 }
 
+/// A steepest derivative of the objective below this is a matter of its unit.
+const LEAST_STEEP: f64 = 1e-5;
 /// Least size of an output relative to its magnitude: a start at rest spreads by rounding alone.
 const SIZE_OF_REST: f64 = 0.01;
 
@@ -326,8 +328,23 @@ impl SparseNlp for Program<'_> {
         }
     }
 
-    fn any_objective_unit(&self) -> bool {
-        true
+    /// The steepest derivative by a column where that is beyond 1 (prices of what is soft stand apart: they shall stay large beside it),
+    /// or what lifts the steepest of all to 0.01 where it is nearly nothing.
+    fn objective_unit(&mut self) -> f64 {
+        let n = self.n();
+        let (mut x, mut grad, mut sizes) = (vec![0.0; n], vec![0.0; n], vec![1.0; n]);
+        self.start(&mut x);
+        self.sizes(&mut sizes);
+        self.gradient(&x, &mut grad);
+        let steepest = |of: &[f64]| of.iter().zip(&sizes).map(|(g, s)| (g * s).abs()).fold(0.0, f64::max);
+        let (columns, all) = (steepest(&grad[..self.slacks()]), steepest(&grad));
+        let unit = match (columns, all) {
+            (c, _) if c > 1.0 => c,
+            (_, a) if a > 0.0 && a < LEAST_STEEP => 100.0 * a,
+            _ => 1.0,
+        };
+        // A power of two keeps every bit.
+        if unit.is_normal() { unit.log2().round().exp2() } else { 1.0 }
     }
 
     fn objective(&mut self, x: &[f64]) -> f64 {
