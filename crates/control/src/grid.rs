@@ -41,6 +41,7 @@ pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
         let turns = delay_s + lags(plant) + lags(controller);
         delayed(&mut out, turns, |w| plant.at(w).times(&controller.at(w)).norm());
     }
+    ends(&mut out, time);
     out.sort_by(f64::total_cmp);
     out.dedup_by(|a, b| (*a - *b).abs() <= 1e-13 * b.abs());
     // A pole of the open loop on the axis has no response there.
@@ -53,6 +54,17 @@ fn lags(system: &System) -> f64 {
     let Time::Sampled { sample_time_s } = system.time else { return 0.0 };
     let longest = system.channels.iter().map(|g| poly::degree(&g.num)).max().unwrap_or(0);
     longest as f64 * sample_time_s
+}
+
+/// A few frequencies far below, and of a continuous loop far above: a peak at rest is approached with the square of the
+/// frequency, and two decades leave five digits of it.
+fn ends(out: &mut Vec<f64>, time: Time) {
+    let least = out.iter().copied().filter(|w| *w > 0.0).fold(f64::INFINITY, f64::min);
+    let most = out.iter().copied().fold(0.0, f64::max);
+    out.extend((1..=4).map(|k| least * 0.1f64.powi(k)));
+    if time == Time::Continuous {
+        out.extend((1..=3).map(|k| most * 10f64.powi(k)));
+    }
 }
 
 fn logarithmic(lower: f64, upper: f64) -> Vec<f64> {

@@ -166,21 +166,26 @@ pub(crate) fn peak(grid: &[f64], values: &[f64], at: &dyn Fn(f64) -> f64) -> (f6
     let (mut lower, mut upper) = (grid[k.saturating_sub(1)], grid[(k + 1).min(grid.len() - 1)]);
     let mut best = (grid[k], values[k]);
     let share = (5f64.sqrt() - 1.0) / 2.0;
+    let (mut a, mut b) = (upper - share * (upper - lower), lower + share * (upper - lower));
+    let (mut at_a, mut at_b) = (at(a), at(b));
     for _ in 0..GOLDEN {
-        let (a, b) = (upper - share * (upper - lower), lower + share * (upper - lower));
-        let (va, vb) = (at(a), at(b));
-        for (w, v) in [(a, va), (b, vb)] {
+        for (w, v) in [(a, at_a), (b, at_b)] {
             if v > best.1 {
                 best = (w, v);
             }
         }
-        if va > vb {
-            upper = b
-        } else {
-            lower = a
-        }
-        if upper - lower < 1e-10 * upper {
+        // The quotient of values near a peak is that of squares of distances: nothing is won below a millionth.
+        if upper - lower < 1e-7 * upper {
             break;
+        }
+        if at_a > at_b {
+            (upper, b, at_b) = (b, a, at_a);
+            a = upper - share * (upper - lower);
+            at_a = at(a);
+        } else {
+            (lower, a, at_a) = (a, b, at_b);
+            b = lower + share * (upper - lower);
+            at_b = at(b);
         }
     }
     best

@@ -333,8 +333,11 @@ pub fn growth(closed: &Closed, step_s: f64, rows: usize) -> Result<f64, ControlE
         return Ok(f64::INFINITY);
     }
     let size = |from: usize, to: usize| found.y[from * p..to * p].iter().map(|v| v * v).sum::<f64>().sqrt();
-    let (early, late) = (size(3 * rows / 10, rows / 2), size(rows - rows / 5, rows));
-    Ok(if late == 0.0 { f64::NEG_INFINITY } else { (late / early).ln() })
+    let (first, early, late) =
+        (size(0, rows / 5), size(3 * rows / 10, rows / 2), size(rows - rows / 5, rows));
+    // What has faded to rounding neither fades nor grows any more: then the whole run is looked at.
+    let faded = early.max(late) < 1e-11 * first;
+    Ok((late.max(f64::MIN_POSITIVE) / if faded { first } else { early.max(f64::MIN_POSITIVE) }).ln())
 }
 
 /// Time in s after which column `k` of `rows x n` values stays within `share` of the step around `level`; none where it does not.

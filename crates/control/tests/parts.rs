@@ -63,7 +63,9 @@ fn limits_are_kept_and_left_at_once() {
             );
             last = u;
         }
-        (0..300).for_each(|_| drop(pid.step(0.0, 50.0)));
+        for _ in 0..300 {
+            pid.step(0.0, 50.0);
+        }
         assert_eq!(pid.state().output, 10.0);
         assert!(pid.step(0.0, -0.5) < 10.0, "{trial}: {gains:?}");
     }
@@ -88,7 +90,9 @@ fn a_saved_state_goes_on() {
     let gains = PidGains { kp: 1.0, ki: 2.0, kd: 0.1, filter_s: 0.05 };
     let mut rng = Rng64::new(8);
     let mut first = Pid::new(gains, limits, 0.01, 0.2).unwrap();
-    (0..100).for_each(|_| drop(first.step(0.0, rng.normal())));
+    for _ in 0..100 {
+        first.step(0.0, rng.normal());
+    }
     let mut second = Pid::new(gains, limits, 0.01, 0.0).unwrap();
     second.restore(first.state());
     for _ in 0..100 {
