@@ -270,7 +270,7 @@ fn faults_of_a_function_are_named_with_line_and_key() {
         assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
         words.iter().for_each(|w| assert!(o.stderr.contains(w), "{w}: {}", o.stderr));
     };
-    refused("op = \"film\"", "op = \"flim\"", &["bad.toml:", "nodes[3].op", "did you mean `film`"]);
+    refused("op = \"film\"", "op = \"filmm\"", &["bad.toml:", "nodes[3].op", "did you mean `film`"]);
     refused("[\"fuel\", \"x\", \"tau\"]", "[\"fuel\", \"x\"]", &["nodes[3].in", "3: fuel"]);
     refused("label = \"TAU\"", "label = \"TUA\"", &["did you mean `TAU`"]);
     refused("greatest = 0.9", "greatest = -1.0", &["labels[0]", "wrong way round"]);
