@@ -200,7 +200,10 @@ fn coverage(seed: u64, rho: f64) -> (usize, usize) {
     let e = noise(&mut rng, n, rho, 2.0);
     let y: Vec<f64> = at.iter().zip(&e).map(|(p, e)| label.value(&cells, p) + e).collect();
     let rows = rows_of(&label, &at);
-    let problem = Problem { segments: vec![0..n], ..Problem::new(std::slice::from_ref(&label), &rows, &y) };
+    let problem = Problem {
+        segments: std::iter::once(0..n).collect(),
+        ..Problem::new(std::slice::from_ref(&label), &rows, &y)
+    };
     let found = fit(&problem, &Options::default()).unwrap();
     if seed == 0 {
         println!(
