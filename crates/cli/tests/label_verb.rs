@@ -270,9 +270,13 @@ fn faults_of_a_function_are_named_with_line_and_key() {
         assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
         words.iter().for_each(|w| assert!(o.stderr.contains(w), "{w}: {}", o.stderr));
     };
-    refused("op = \"film\"", "op = \"flim\"", &["bad.toml:", "nodes[3].op", "did you mean `film`"]);
+    refused("op = \"film\"", "op = \"filmm\"", &["bad.toml:", "nodes[3].op", "did you mean `film`"]);
     refused("[\"fuel\", \"x\", \"tau\"]", "[\"fuel\", \"x\"]", &["nodes[3].in", "3: fuel"]);
-    refused("label = \"TAU\"", "label = \"TUA\"", &["did you mean `TAU`"]);
+    refused(
+        "label = \"TAU\"",
+        "label = \"TUA\"",
+        &["has 1 fault", "nodes[2].label", "expected one of X, TAU"],
+    );
     refused("greatest = 0.9", "greatest = -1.0", &["labels[0]", "wrong way round"]);
     refused("target = \"out\"", "target = \"uot\"", &["film.csv", "`uot`"]);
     refused("base = [0.3]", "base = [0.3, 1.0]", &["labels[1]", "found 2 values"]);

@@ -122,7 +122,8 @@ impl Label {
             if a.points.len() < 2 || !a.points.windows(2).all(|w| w[1] > w[0]) {
                 return fail(format!("axis `{}` needs two or more breakpoints that increase", a.name));
             }
-            if !a.points.iter().all(|p| p.is_finite()) || !(a.smooth >= 0.0 && a.smooth.is_finite()) {
+            let finite = a.points.iter().all(|p| p.is_finite()) && a.smooth.is_finite();
+            if !finite || a.smooth < 0.0 {
                 return fail(format!(
                     "axis `{}`: found a number that is not finite, or a negative smoothness",
                     a.name

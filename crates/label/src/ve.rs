@@ -116,6 +116,18 @@ pub fn fit(label: &Label, used: &Used, options: &Options) -> Result<Fit, LabelEr
     linear::fit(&problem, options)
 }
 
+/// Fits twice: the first fit says how many samples are one independent measurement, and in the second a cell with fewer than
+/// `least_visits` of those keeps its base. One pass by a cell is no knowledge of it, however many samples it left.
+fn twice(label: &Label, used: &Used, options: &Options) -> Result<Fit, LabelError> {
+    let first = fit(label, used, options)?;
+    let least_visits = options.least_visits * first.correlation_samples;
+    match fit(label, used, &Options { least_visits, ..options.clone() }) {
+        // No cell has as much: what little there is stands, with its intervals.
+        Err(LabelError::TooFew { .. }) => Ok(first),
+        other => other,
+    }
+}
+
 /// What is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -192,10 +204,10 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     }
     tell("fitting the table to the first part of the samples");
     let train = used.part(0..cut);
-    let judged = fit(label, &train, &keys.fit)?;
+    let judged = twice(label, &train, &keys.fit)?;
     let judgement = judge::of(label, &judged, &train, &used.part(cut..used.at.len()));
     tell("fitting the table to all samples");
-    let table = fit(label, &used, &keys.fit)?;
+    let table = twice(label, &used, &keys.fit)?;
     let residuals = (0..used.at.len())
         .map(|k| {
             let (log, sample) = used.at[k];

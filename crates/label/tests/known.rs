@@ -65,9 +65,12 @@ fn the_pulse_width_gives_factor_and_dead_time_back() {
         labels,
     };
     let (pw, gamma, clt) = (d.channel("PW"), d.channel("Gammae"), d.channel("CLT"));
+    let transient = d.channel("Accel Enrich");
     // Warm, no enrichment, fuel injected.
     let weights: Vec<f64> = (0..pw.len())
-        .map(|k| f64::from(u8::from(pw[k] > 0.0 && gamma[k] == 100.0 && clt[k] >= 71.0)))
+        .map(|k| {
+            f64::from(u8::from(pw[k] > 0.0 && gamma[k] == 100.0 && transient[k] == 100.0 && clt[k] >= 71.0))
+        })
         .collect();
     let record = Record { time_s: &d.time_s, channels: vec![d.channel("VE1"), d.channel("MAP"), gamma] };
     let target = Target { record, y: pw, weights: &weights };
@@ -129,5 +132,14 @@ fn a_known_table_comes_back_from_its_look_ups() {
             told.len(),
             near(&plain.values.iter().map(|v| v.round()).collect::<Vec<_>>())
         );
+        // Where cells were edited while driving there is no one table to come back to.
+        if same as f64 >= 0.9 * used.len() as f64 {
+            let near = near(&plain.values);
+            assert!(
+                !told.is_empty() && near as f64 >= 0.95 * told.len() as f64,
+                "{name}: {near} of {}",
+                told.len()
+            );
+        }
     }
 }

@@ -200,7 +200,10 @@ fn coverage(seed: u64, rho: f64) -> (usize, usize) {
     let e = noise(&mut rng, n, rho, 2.0);
     let y: Vec<f64> = at.iter().zip(&e).map(|(p, e)| label.value(&cells, p) + e).collect();
     let rows = rows_of(&label, &at);
-    let problem = Problem { segments: vec![0..n], ..Problem::new(std::slice::from_ref(&label), &rows, &y) };
+    let problem = Problem {
+        segments: std::iter::once(0..n).collect(),
+        ..Problem::new(std::slice::from_ref(&label), &rows, &y)
+    };
     let found = fit(&problem, &Options::default()).unwrap();
     if seed == 0 {
         println!(
@@ -243,7 +246,7 @@ fn untouched_cells_keep_their_base_and_locked_ones_theirs() {
     assert_eq!((found.values[4], found.values[5]), (10.0, 10.0));
     assert_eq!(found.verdicts[5], Verdict::Untouched);
     assert!(found.half_width[5].is_infinite() && (found.visits.iter().sum::<f64>() - 60.0).abs() < 1e-9);
-    let on = Options { extrapolate: true, ..Options::default() };
+    let on = Options { extrapolate: true, smooth: Some(1e-3), ..Options::default() };
     label.locked[1] = false;
     let found = fit(&Problem::new(std::slice::from_ref(&label), &rows, &y), &on).unwrap();
     for (k, v) in found.values.iter().enumerate() {

@@ -82,17 +82,26 @@ fn say(name: &str, f: &Found) {
     );
 }
 
-/// Later parts of the same drives: the spec page has 8.0, 7.9 and 1.9 % for its least squares, 23.3, 10.4 and 21.0 % for the tune.
+/// Later parts of the same drives, in shares of lambda: the specification has 8.0, 7.9 and 1.9 % for its least squares on its own choice
+/// of samples. On the third drive ours are other samples (the tune as it was is at 18.8 %, there at 21.0 %): only the rivals judge.
 #[test]
 fn later_parts_of_real_drives_are_explained_better() {
-    for (name, page) in
-        [("2025-12-02_10.08.37", 0.080), ("2025-12-02_10.58.15o", 0.079), ("2026-02-28_17.53.41", 0.019)]
-    {
+    let drives = [
+        ("2025-12-02_10.08.37", Some(0.080)),
+        ("2025-12-02_10.58.15o", Some(0.079)),
+        ("2026-02-28_17.53.41", None),
+    ];
+    for (name, asked) in drives {
         let Some((label, log)) = real(name) else { return };
         let found = run(&label, &[log], &Keys::default(), &|_| ()).unwrap();
         say(name, &found);
-        println!("   the page: {:.1} %", 100.0 * page);
-        assert!(found.judgement.rms_after < found.judgement.rms_before);
+        let j = &found.judgement;
+        assert_eq!(j.decision, Decision::Change);
+        assert!(j.rms_after < j.rms_before && j.rms_after < j.rms_nearest, "{name}: {j:?}");
+        assert!(asked.is_none_or(|a| j.rms_after <= a), "{name}: {}", j.rms_after);
+        let moved = |k: &usize| found.table.values[*k] != label.base[*k];
+        let untouched = (0..label.len()).filter(|k| found.table.verdicts[*k] == Verdict::Untouched);
+        assert_eq!(untouched.filter(moved).count(), 0, "{name}: an untouched cell moved");
     }
 }
 

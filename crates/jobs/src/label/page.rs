@@ -75,7 +75,7 @@ fn maps(found: &Labelled) -> Section {
     let visits: Vec<f64> = t.visits.iter().map(|v| if *v > 0.0 { v.round() } else { f64::NAN }).collect();
     // The colours of counts: a state of hours would leave all others white.
     let log: Vec<f64> = visits.iter().map(|v| v.max(1.0).log10()).collect();
-    let text = "Rows from the lowest load up, as in the tune. Before and after have the same colours. A cell without data keeps \
+    let text = "Rows from the lowest load up, as in the tune. Before and after have the same colours. An untouched cell keeps \
                 its value and has no interval.";
     Section::new("Maps")
         .text(text)

@@ -185,7 +185,7 @@ fn verdict(label: &Label, found: &Found) -> Vec<String> {
     );
     let count = |v: Verdict| found.table.verdicts.iter().filter(|x| **x == v).count();
     let cells = format!(
-        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched and keep their values.",
+        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched (no data, or less than one independent measurement) and keep their values.",
         label.len(),
         count(Verdict::Determined),
         count(Verdict::Pulled),
@@ -210,9 +210,16 @@ fn verdict(label: &Label, found: &Found) -> Vec<String> {
         ),
     };
     let s = &found.sensor;
+    let flow = match s.flow_delay_s > 0.0 {
+        true => format!(
+            ", and another {:.2} s at 2000 rpm and load 50 that shrinks with the flow",
+            s.flow_delay_s
+        ),
+        false => String::new(),
+    };
     let sensor = format!(
-        "The lambda sensor answers after {:.2} s, and another {:.2} s at 2000 rpm and load 50 that shrinks with the flow, with a time constant of {:.2} s; this came from the first part of the samples as well.",
-        s.delay_s, s.flow_delay_s, s.lag_s
+        "The lambda sensor answers after {:.2} s{flow}, with a time constant of {:.2} s; this came from the first part of the samples as well.",
+        s.delay_s, s.lag_s
     );
     vec![first, numbers, cells, sensor]
 }

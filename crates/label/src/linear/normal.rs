@@ -14,6 +14,9 @@ const AS_GOOD: f64 = 3.841_458_820_694_124;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
 const TIE: f64 = 1e-12;
 
+/// Cells with factors, what the fixed cells and the base add, and the number of the label.
+type RoughRow = (Vec<(usize, f64)>, f64, usize);
+
 /// `G = A'WA`, `c = A'Wb` over the free cells, and the roughness.
 pub(super) struct Normal {
     pub(super) n: usize,
@@ -22,7 +25,7 @@ pub(super) struct Normal {
     square: f64,
     samples: f64,
     /// Rows of the roughness over the free cells, with what the fixed ones and the base add.
-    rough: Vec<(Vec<(usize, f64)>, f64, usize)>,
+    rough: Vec<RoughRow>,
     /// Cells of each label among the free ones, for the scale of its roughness.
     owner: Vec<usize>,
     /// Scale of the roughness of each label.

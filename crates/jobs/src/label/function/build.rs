@@ -43,7 +43,11 @@ pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<(Graph, Vec<String
             faults.push(&format!("nodes[{k}].name"), format!("`{}` again", n.name), "a name of its own");
             good = false;
         }
-        good &= build.node(n, &format!("nodes[{k}]"), faults).is_some();
+        if build.node(n, &format!("nodes[{k}]"), faults).is_none() {
+            good = false;
+            // Nodes that use it have no fault of their own.
+            build.push(&n.name, Op::Constant(0.0));
+        }
     }
     let labels: Option<Vec<Label>> = labels.into_iter().collect();
     let labels = labels?;
