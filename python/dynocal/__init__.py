@@ -15,18 +15,7 @@ from typing import Any
 from . import _arguments, _dynocal, errors
 from ._arguments import FloatArray
 from ._data import Dataset, contents, convert, read
-from ._estimators import (
-    Armax,
-    Arx,
-    BoxJenkins,
-    Estimator,
-    GaussianProcess,
-    LocalLinear,
-    Narx,
-    Neural,
-    OutputError,
-    Polynomial,
-)
+from ._estimators import Estimator
 from ._jobs import (
     Limits,
     Run,
@@ -46,6 +35,17 @@ from ._jobs import (
 )
 from ._model import Finding, Model, Score, Scores
 from ._plant import Engine, LimitEvent, Variable
+from ._structures import (
+    Armax,
+    Arx,
+    BoxJenkins,
+    GaussianProcess,
+    LocalLinear,
+    Narx,
+    Neural,
+    OutputError,
+    Polynomial,
+)
 from .errors import DynocalError
 
 __version__: str = _dynocal.version()

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ._data import _package
-from ._estimators import Estimator, Narx
+from ._estimators import Estimator
+from ._structures import Narx
 from .errors import ArgumentError
 
 _package("sklearn", "dynocal.sklearn")

@@ -17,7 +17,7 @@ use crate::errors::{Kind, Refusal};
 const LOOK: Duration = Duration::from_millis(50);
 /// How long a call that was asked to stop waits for a safe point. After that the thread goes on to it alone and its result is
 /// thrown away: the user has the prompt back.
-const GRACE: Duration = Duration::from_millis(350);
+const GRACE: Duration = Duration::from_millis(200);
 /// Stack of a worker: what a main thread usually has.
 const STACK_BYTES: usize = 8 << 20;
 
