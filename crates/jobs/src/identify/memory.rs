@@ -20,8 +20,8 @@
 //! let tables = toml::from_str("model = { structure = { name = \"arx\", na = 1, nb = 1 }, estimator = { name = \"ols\" } }")?;
 //! let job = memory::job("example", &tables, &record, false, None)?;
 //! let learnt = memory::learn(&job, vec![record.clone()], Vec::new(), Watch::silent())?;
-//! let theta = learnt[0].model.theta();
-//! assert!((theta[0] - 0.8).abs() < 1e-9 && (theta[1] - 0.5).abs() < 1e-9, "{theta:?}");
+//! let value = |name: &str| learnt[0].model.parameters.iter().find(|p| p.name == name).map(|p| p.value);
+//! assert!((value("y(t-1)").unwrap() - 0.8).abs() < 1e-9 && (value("u(t-1)").unwrap() - 0.5).abs() < 1e-9);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
