@@ -335,7 +335,9 @@ impl Channel {
         let last = ends.last().copied().unwrap_or(0.0);
         let reach = (last - first).max(last.abs());
         ends.insert(0, first - 0.5 * reach);
-        ends.push(last + 0.5 * reach);
+        // Without delay there may be no upper end: gains of twenty times the plant's are enough to choose from.
+        let wide = 20.0 / self.transfer.steady_gain(self.time).abs();
+        ends.push((last + 0.5 * reach).max(if wide.is_finite() { wide } else { 0.0 }));
         let mut out: Vec<Interval> = Vec::new();
         for e in ends.windows(2).filter(|e| e[1] - e[0] > 1e-9 * reach) {
             if !self.stable_ki(0.5 * (e[0] + e[1])).is_empty() {

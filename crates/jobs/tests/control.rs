@@ -140,4 +140,11 @@ fn bad_specs_are_named() {
     let text = failed(&two(1.0, -1.0));
     assert!(text.contains("low") && text.contains("high"), "{text}");
     assert!(failed(&two(1.0, 0.0)).contains("high"));
+    let one = |time: &str, channel: &str| format!("{time}{LAG}[[plants]]\nchannels = [[{channel}]]\n");
+    assert!(failed(&one("", "{ num = [1.0], den = [1.0, -0.5] }")).contains("unstable by itself"));
+    let half =
+        failed(&one("sample_time_s = 0.1\n", "{ num = [0.0, 0.2], den = [1.0, -0.8], delay_s = 0.05 }"));
+    assert!(half.contains("whole number") && half.contains("plant 1"), "{half}");
+    // Without delay every gain is stable: there is no end to the plane, and gains are found all the same.
+    assert!(found(&one("", "{ num = [1.0], den = [1.0, 1.0] }"), tmp.path()).valid);
 }

@@ -1,5 +1,6 @@
 //! Linear plants: stored models about their set points with draws, or transfer functions as given.
 
+use dynocal_control::error::ControlError;
 use dynocal_control::linear::{about, drawn};
 use dynocal_control::system::{System, Time, Transfer};
 use dynocal_files::json;
@@ -142,20 +143,28 @@ impl Loaded {
 }
 
 /// With the delay from measurement to actuator, and that which loops have beyond.
-fn delayed(job: &Job, plant: System) -> Result<System, dynocal_control::error::ControlError> {
+fn delayed(job: &Job, plant: System) -> Result<System, ControlError> {
+    let whole = |delay_s: f64, sample_time_s: f64| {
+        let found = delay_s / sample_time_s;
+        if (found - found.round()).abs() < 1e-6 {
+            return Ok(found.round() as usize);
+        }
+        let what = format!("the delay {delay_s} s in samples of {sample_time_s} s");
+        Err(ControlError::Number { what, found, expected: "a whole number" })
+    };
     let own = |extra_delay_s: f64| match plant.time {
-        Time::Continuous => Transfer::gain(1.0).delayed(extra_delay_s),
+        Time::Continuous => Ok(Transfer::gain(1.0).delayed(extra_delay_s)),
         Time::Sampled { sample_time_s } => {
-            // Whole samples are powers of q, which runs and poles know; what is left is exact in frequency.
-            let samples = extra_delay_s / sample_time_s;
-            let whole =
-                if (samples - samples.round()).abs() < 1e-6 { samples.round() } else { samples.floor() };
-            let mut num = vec![0.0; whole as usize + job.reaction_samples];
+            let mut num = vec![0.0; whole(extra_delay_s, sample_time_s)? + job.reaction_samples];
             num.push(1.0);
-            let rest_s = extra_delay_s - whole * sample_time_s;
-            Transfer::sampled(&num, &[1.0]).delayed(if rest_s > 1e-6 * sample_time_s { rest_s } else { 0.0 })
+            Ok(Transfer::sampled(&num, &[1.0]))
         }
     };
-    let factors: Vec<Transfer> = job.loops.iter().map(|l| own(l.extra_delay_s)).collect();
+    if let Time::Sampled { sample_time_s } = plant.time {
+        for g in &plant.channels {
+            whole(g.delay_s, sample_time_s)?;
+        }
+    }
+    let factors = job.loops.iter().map(|l| own(l.extra_delay_s)).collect::<Result<Vec<Transfer>, _>>()?;
     plant.after(&factors)
 }

@@ -134,6 +134,7 @@ fn one_loop(
         input: l.input.clone(),
         source,
     };
+    alone_at_rest(loaded, k)?;
     let sign = sign(loaded, k, l)?;
     let channel = |s: &System| Channel::new(loaded.time, s.channel(k, k).scaled(sign));
     let nominal: Vec<Channel> =
@@ -180,6 +181,26 @@ fn one_loop(
         scheduled,
     };
     Ok((found, choice))
+}
+
+/// Refuses channels that run away by themselves: the sign of their gain at rest says nothing of the PI that holds them.
+fn alone_at_rest(loaded: &Loaded, k: usize) -> Result<(), ControlJobError> {
+    for p in &loaded.points {
+        let poles = dynocal_control::poly::roots(&p.nominal.channel(k, k).den).unwrap_or_default();
+        let runs_away = |z: &dynocal_control::matrix::C| match loaded.time {
+            Time::Continuous => z.re > 1e-9 * z.norm(),
+            // Roots in z^-1.
+            Time::Sampled { .. } => z.norm() < 1.0 - 1e-9,
+        };
+        if poles.iter().any(runs_away) {
+            let text = "the channel of a loop is unstable by itself; loops are tuned for channels that come to rest or integrate";
+            return Err(ControlJobError::Point {
+                point: p.name.clone(),
+                source: ControlError::Model(text.into()),
+            });
+        }
+    }
+    Ok(())
 }
 
 /// The smallest gains that the rules give over the set points.
