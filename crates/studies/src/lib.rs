@@ -8,11 +8,8 @@ pub mod benchmarks;
 mod chain;
 pub mod chapter4;
 pub mod chapter5;
-<<<<<<< HEAD
 mod control;
-=======
 mod chapter6;
->>>>>>> lead14
 mod design;
 mod dynamic;
 pub mod engine;
@@ -117,11 +114,8 @@ pub static STUDIES: &[Study] = &[
     chain::STUDY,
     chapter4::STUDY,
     chapter5::STUDY,
-<<<<<<< HEAD
     control::STUDY,
-=======
     chapter6::STUDY,
->>>>>>> lead14
     design::STUDY,
     dynamic::STUDY,
     engine::STUDY,

@@ -453,7 +453,7 @@ fn an_output_at_rest_has_the_size_of_its_value() {
             origin: "test".into(),
         };
         let options = OptimiseOptions::default();
-        let mut program = Program::new(parts(&p, &models, &start, &options).expect("parts"));
+        let program = Program::new(parts(&p, &models, &start, &options).expect("parts"));
         let mut sizes = vec![1.0; program.n()];
         program.sizes(&mut sizes);
         let least = sizes.iter().copied().fold(f64::INFINITY, f64::min);
