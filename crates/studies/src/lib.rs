@@ -8,8 +8,8 @@ pub mod benchmarks;
 mod chain;
 pub mod chapter4;
 pub mod chapter5;
-mod control;
 mod chapter6;
+mod control;
 mod design;
 mod dynamic;
 pub mod engine;
@@ -114,8 +114,8 @@ pub static STUDIES: &[Study] = &[
     chain::STUDY,
     chapter4::STUDY,
     chapter5::STUDY,
-    control::STUDY,
     chapter6::STUDY,
+    control::STUDY,
     design::STUDY,
     dynamic::STUDY,
     engine::STUDY,
