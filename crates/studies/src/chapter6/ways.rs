@@ -54,6 +54,9 @@ pub(super) struct Made {
     pub(super) longest_row_s: f64,
 }
 
+/// The cells of a row with its bed time in s.
+type Row = (Vec<Cell>, f64);
+
 /// Errors of torque in Nm and of lambda up to which a point is on its demand.
 const REACHED: [f64; 2] = [1.0, 0.01];
 /// Half of the range of a ramp in deg about the best spark of the neighbour, and its rate in deg/s.
@@ -77,7 +80,7 @@ fn resting() -> HoldSpec {
 /// # Errors
 /// What the bed says; none where the user interrupted.
 pub(super) fn make(way: Way, torques: &[f64], speeds: &[f64], watch: Watch) -> Result<Option<Made>, String> {
-    let rows: Vec<Result<Option<(Vec<Cell>, f64)>, String>> =
+    let rows: Vec<Result<Option<Row>, String>> =
         torques.par_iter().enumerate().map(|(k, torque)| row(way, k, *torque, speeds, watch)).collect();
     let (mut cells, mut bed_s, mut longest_row_s) = (Vec::new(), 0.0, 0.0f64);
     for row in rows {
@@ -89,13 +92,7 @@ pub(super) fn make(way: Way, torques: &[f64], speeds: &[f64], watch: Watch) -> R
     Ok(Some(Made { way, cells, bed_s, longest_row_s }))
 }
 
-fn row(
-    way: Way,
-    number: usize,
-    torque_nm: f64,
-    speeds: &[f64],
-    watch: Watch,
-) -> Result<Option<(Vec<Cell>, f64)>, String> {
+fn row(way: Way, number: usize, torque_nm: f64, speeds: &[f64], watch: Watch) -> Result<Option<Row>, String> {
     let mut order: Vec<usize> = (0..speeds.len()).collect();
     if way == Way::Scattered {
         let mut rng = Rng64::stream(6, number as u64);
