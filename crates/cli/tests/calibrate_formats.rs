@@ -1,5 +1,6 @@
 //! `dynocal calibrate` takes records in every format that is written, and those of a bed as well.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
@@ -33,6 +34,25 @@ fn record(folder: &Path, run: &str, name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
+/// All columns of `first` are in `given`, each value to single precision.
+fn same_to_single_precision(given: &str, first: &str) {
+    let columns = |text: &str| -> BTreeMap<String, Vec<f64>> {
+        let mut lines = text.lines();
+        let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+        let rows: Vec<Vec<f64>> = lines.map(|l| l.split(',').map(|v| v.parse().unwrap()).collect()).collect();
+        let column = |c: usize| rows.iter().map(|r| r[c]).collect();
+        names.iter().enumerate().map(|(c, n)| (n.to_string(), column(c))).collect()
+    };
+    let (given, first) = (columns(given), columns(first));
+    for (name, values) in &first {
+        let single = given.get(name).unwrap_or_else(|| panic!("no {name}"));
+        assert_eq!(single.len(), values.len(), "{name}");
+        for (a, b) in single.iter().zip(values) {
+            assert!((a - b).abs() <= 1e-6 * b.abs().max(1e-3), "{name}: {a} {b}");
+        }
+    }
+}
+
 #[test]
 fn given_records_come_in_every_format() {
     let tmp = tempfile::tempdir().unwrap();
@@ -58,7 +78,13 @@ fn given_records_come_in_every_format() {
         let out = format!("run-{}", format.doc.name);
         done(tmp.path(), &["calibrate", "given.toml", "--until", "excite", "--out", &out]);
         for name in names {
-            assert_eq!(record(tmp.path(), &out, name), record(tmp.path(), "first", name), "{ending}");
+            let (given, first) = (record(tmp.path(), &out, name), record(tmp.path(), "first", name));
+            // A log of an open ECU holds single precision, and a clock of its own among its fields.
+            if ending == ".mlg" {
+                same_to_single_precision(&given, &first);
+            } else {
+                assert_eq!(given, first, "{ending}");
+            }
         }
         tried.push(format.doc.name);
     }
