@@ -9,7 +9,7 @@ use std::path::Path;
 const IDENTIFY: &[&str] = &[
     "error", "finding", "spec", "before", "odd", "gaps", "fit", "load", "set", "bounds", "poles", "curves",
     "after", "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job",
-    "page",
+    "page", "memory",
 ];
 
 #[test]
