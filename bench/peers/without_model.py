@@ -3,7 +3,8 @@
 
 The plant is a free run of the polynomials of thesis (7.8) over the first 300 samples of the reference record, so that both sides
 mean the same by fuel. The rival may run it as often as it likes within the budget; it corrects the record's inputs between knots
-and may miss the demand by 0.5 Nm and 0.005 (root mean square), where ours must meet it exactly. Ours optimises on the models.
+and may miss the demand by 0.5 Nm and 0.005 (root mean square), where ours must meet it exactly. Ours optimises on the models. Neither
+has a limit of rate: the record itself would break it.
 """
 
 from common import Verdict, ours, table  # noqa: I001
@@ -11,7 +12,7 @@ from common import Verdict, ours, table  # noqa: I001
 import time
 
 import numpy as np
-from fuel import BOUNDS, FIRST, LAMBDA, RATE, TORQUE, free_run, lambda_, torque, worst_violation
+from fuel import BOUNDS, FIRST, LAMBDA, TORQUE, free_run, lambda_, torque
 from scipy.optimize import minimize
 
 N, KNOT, RUNS = 300, 20, 6000
@@ -40,9 +41,17 @@ class Plant:
         for c, (low, high) in enumerate(BOUNDS):
             inputs[FIRST:-1, c] += np.interp(np.arange(FIRST, N - 1), self.knots, moves[:, c])
             inputs[:, c] = inputs[:, c].clip(low, high)
-        for t in range(FIRST, N - 1):
-            inputs[t, 1] = np.clip(inputs[t, 1], inputs[t - 1, 1] - RATE, inputs[t - 1, 1] + RATE)
         return inputs
+
+    def violation(self, inputs):
+        """Largest miss of a demand or a bound."""
+        worst = 0.0
+        for model, p, demand in zip((torque, lambda_), self.parameters, self.demands):
+            y = free_run(model, p, inputs, self.record[:, 3], demand, FIRST + 1)
+            worst = max(worst, np.abs(y - demand)[FIRST:].max())
+        for c, (low, high) in enumerate(BOUNDS):
+            worst = max(worst, (low - inputs[FIRST:-1, c]).max(), (inputs[FIRST:-1, c] - high).max())
+        return float(worst)
 
     def __call__(self, z):
         """Fuel relative to the start, and what was missed beyond what is allowed, squared."""
@@ -66,7 +75,7 @@ def main():
     verdict = Verdict("Fuel over 300 samples: models against a search on the plant",
                       f"SciPy, knots every {KNOT} samples, {RUNS} runs of the plant")
     mine = ours("fuel", {
-        "u": record[:, :4].ravel(), "first": FIRST, "rate": RATE, "bounds": BOUNDS,
+        "u": record[:, :4].ravel(), "first": FIRST, "rate": None, "bounds": BOUNDS,
         "torque": {"regressors": TORQUE, "theta": parameters[0], "y": record[:, 4]},
         "lambda": {"regressors": LAMBDA, "theta": parameters[1], "y": record[:, 5]},
     })
@@ -80,11 +89,11 @@ def main():
     whole = record[:, :3].copy()
     whole[FIRST:-1] = np.array(mine["inputs"]).reshape(-1, 3)[FIRST:-1]
     plant = next(iter(plants.values()))
-    fuel, violation = plant.fuel(whole), worst_violation(whole, record, parameters, plant.demands)
+    fuel, violation = plant.fuel(whole), plant.violation(whole)
     verdict.row("dynocal on the models, building the program included", mine["time"]["cpu_s"])
     print(f"   fuel {fuel:.6f} kg/h, violation {violation:.1e}")
     best = min(p.best for p in plants.values())
-    verdict.check("less fuel than the rival, although it may miss the demand", fuel < best, f"{fuel:.6f}, {best:.6f}")
+    verdict.check("less fuel than the rival, although it may miss the demand", np.isfinite(best) and fuel < best, f"{fuel:.6f}, {best:.6f}")
     verdict.check("violation < 1e-6", violation < 1e-6, f"{violation:.1e}")
     verdict.end()
 
