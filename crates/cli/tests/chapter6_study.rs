@@ -24,7 +24,6 @@ fn reduced_length_makes_the_published_map_and_quicker_ones() {
             assert_eq!(c["holds"], true, "{c}");
         }
     }
-    // 4 points of 36 settings of 10 s each, to a sample: the time that the thesis gives for its 121.
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
     assert!(page.contains("4 of 4 points on their demands"), "points");
 }

@@ -166,7 +166,7 @@ fn ended(o: &Optimised) -> String {
         (false, Status::Infeasible) if in_parts(o) => {
             let bad = o.parts.iter().filter(|p| p.status == Status::Infeasible).count();
             format!(
-                "Gone through in parts, {record} cannot be solved: from where the part before ended, {bad} of {} parts have no inputs within their limits that give what is asked. At once (way = \"batch\") it may be.",
+                "Gone through in parts, {record} was not solved: in {bad} of {} parts no inputs within their limits give what is asked from where that part begins. At once (way = \"batch\") there may be some.",
                 o.parts.len()
             )
         }
