@@ -172,7 +172,7 @@ fn ended(o: &Optimised) -> String {
         }
         (false, Status::Infeasible) => {
             format!(
-                "Over {record} no inputs within their limits give what is asked: the problem is infeasible there."
+                "Over {record} the search found no inputs within their limits that give what is asked, and none near its end that miss less: as far as a local search tells, the problem is infeasible there (`starts` of the batch tries from elsewhere)."
             )
         }
         (false, s) => format!(
