@@ -5,7 +5,9 @@
 #     bash scripts/check.sh
 #
 # DYNOCAL_REFERENCE_DIR names the folder with the larger reference data. Without it the tests that need it say SKIPPED;
-# with it nothing may skip but readers of other houses that cannot be had (SKIPPED READER, named in the summary). The release profile is used throughout, so that dependencies compile once.
+# with it nothing may skip but readers of other houses that cannot be had (SKIPPED READER, named in the summary). The release profile
+# is used throughout, the demos run what the tests have built, and the wheel has the features of the tests (scripts/one_build.py), so
+# that every crate compiles once.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 export CARGO_TERM_COLOR="${CARGO_TERM_COLOR:-never}" CARGO_TERM_PROGRESS_WHEN=never DEBIAN_FRONTEND=noninteractive
@@ -13,6 +15,9 @@ NEXTEST_VERSION=0.9.143
 DENY_VERSION=0.20.2
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
+# What the step of the tests leaves: programs and examples.
+built="${CARGO_TARGET_DIR:-target}/release"
+program="$built/dynocal"
 failed=()
 notes=()
 
@@ -84,7 +89,7 @@ doc_tests() { cargo test --quiet --release --doc --workspace --locked; }
 # Seven steps on the virtual engine in a shorter campaign. It may end as not converged (1), it must not fail (2).
 demo() {
     local code=0
-    cargo run --quiet --release --locked -- calibrate examples/gtdi/quick.toml --out "$work/quick" --quiet || code=$?
+    "$program" calibrate examples/gtdi/quick.toml --out "$work/quick" --quiet || code=$?
     [ "$code" -le 1 ] || { echo "error: exit code $code"; return 1; }
     python3 - "$work/quick/summary.json" <<'PYTHON'
 import json, sys
@@ -102,12 +107,12 @@ demo_report() {
 }
 
 measured_file() {
-    cargo run --quiet --release --locked -- identify examples/gas_furnace/identify.toml --out "$work/furnace" --quiet &&
+    "$program" identify examples/gas_furnace/identify.toml --out "$work/furnace" --quiet &&
         python3 scripts/check_report.py "$work/furnace/report.html" --text co2
 }
 
 report_check_itself() {
-    cargo run --quiet --release --locked -p dynocal-report --example demo >"$work/demo.html" &&
+    "$built/examples/demo" >"$work/demo.html" &&
         python3 scripts/test_check_report.py "$work/demo.html"
 }
 
@@ -128,6 +133,7 @@ step "demo: calibrate, reduced length" demo
 step "demo: its report in a browser" demo_report
 step "demo: identify a measured file, its report in a browser" measured_file
 step "the report check notices broken reports" report_check_itself
+step "the wheel and the tests share one build" python3 scripts/one_build.py
 step "the Python package" bash scripts/check_python.sh
 step "licences, bans, sources" licences
 
