@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The Python package: builds the wheel, installs it into an empty environment with NumPy only, runs the stories there, then the
-# tests with everything that the package can work with.
+# tests with everything that the package can work with, and builds the documentation site.
 #
 #     bash scripts/check_python.sh
 #
@@ -47,6 +47,10 @@ for story in "$PWD"/python/examples/*.py; do
 done
 
 # Whoever has everything.
-environment full "$wheel" pytest mypy pandas pyarrow polars scikit-learn gymnasium scipy control matplotlib
+environment full "$wheel" pytest mypy pandas pyarrow polars scikit-learn gymnasium scipy control matplotlib \
+    distributed tqdm sphinx myst-parser furo nbclient ipykernel
 "$place/full/bin/python" -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps "$wheel"
 "$place/full/bin/python" -m pytest python/tests
+
+# The site: its tutorials and notebooks are run, its links and the keys of every spec checked.
+DYNOCAL_ROOT="$PWD" "$place/full/bin/python" docs/site/build.py "$place/site-html"

@@ -140,10 +140,16 @@ def mapping(name: str, value: object) -> dict[str, Any]:
 
 
 def callback(value: object) -> Any:
-    """What is told of progress: ``None``, or a function of text and share."""
-    if value is None or callable(value):
+    """What is told of progress: ``None``, a function of text and share, or ``True`` for a bar."""
+    if value is True:
+        from ._progress import Bar
+
+        return Bar()
+    if value is None or value is False:
+        return None
+    if callable(value):
         return value
-    raise ArgumentError(f"progress: found {kind(value)}, expected None or a function of (text, fraction)")
+    raise ArgumentError(f"progress: found {kind(value)}, expected None, True for a bar, or a function of (text, fraction)")
 
 
 def path(name: str, value: object) -> str:

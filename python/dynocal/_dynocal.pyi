@@ -15,6 +15,7 @@ __all__ = [
     "Model",
     "Plant",
     "Record",
+    "Tasks",
     "after_fork",
     "check",
     "contents",
@@ -117,6 +118,26 @@ class Finished:
     def warnings(self) -> list[str]: ...
     @property
     def waiting(self) -> str | None: ...
+
+@final
+class Tasks:
+    def __new__(
+        cls,
+        spec: str,
+        text: str | None,
+        seeds: Sequence[int] | None,
+        out: str | None,
+        chunk_tasks: int | None,
+        lease_s: float,
+        quick: bool,
+        reference: str | None,
+        data: str | None,
+    ) -> Tasks: ...
+    def plan(self, progress: _Progress | None) -> tuple[Path, int, int, list[tuple[int, int]]]: ...
+    def chunk(self, first: int, last: int) -> Path: ...
+    def part(
+        self, shard: tuple[int, int] | None, progress: _Progress | None
+    ) -> tuple[Path, tuple[bool, list[str]] | None]: ...
 
 def version() -> str: ...
 def members() -> str: ...

@@ -137,7 +137,7 @@ class Estimator:
         outputs: str | Iterable[str] | None = None,
         ts_s: float | None = None,
         selecting: Dataset | Iterable[Dataset] | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
     ) -> Self:
         """Estimates a model for each output.
 

@@ -16,23 +16,27 @@ from . import _dynocal
 from ._data import Dataset, read
 from ._estimators import Estimator
 from ._model import Model
+from ._results import Label, Loop, Map, Maps, labels, loops, maps, to_file
 from .errors import ArgumentError, FileError, ResultWarning, RunError
 
 __all__ = [
     "Limits",
     "Run",
+    "Control",
+    "Labels",
     "calibrate",
     "check",
+    "control",
     "design",
     "export",
     "identify",
+    "label",
     "map",
     "optimise",
     "run",
     "sequential",
     "signal_plan",
     "simulate",
-    "study",
 ]
 
 PathLike = str | os.PathLike[str]
@@ -128,6 +132,19 @@ class Run:
         """A record of the run, by its path inside of the folder."""
         return read(self.folder / os.fspath(file))
 
+    @property
+    def maps(self) -> Maps:
+        """Scalars, curves and maps by name, of a run of ``calibrate``, ``map`` or ``label``."""
+        return maps(self.folder)
+
+    def map(self, name: str) -> Map:
+        """One of :attr:`maps`."""
+        return self.maps[name]
+
+    def to_fmu(self, path: PathLike, *, version: str = "2.0") -> Path:
+        """What the run found as one FMU of FMI 2.0 or 3.0, e.g. its map; returns the file."""
+        return to_file(self.folder, path, {"2.0": "fmu2", "3.0": "fmu3"}[arguments.one_of("version", version, ["2.0", "3.0"])])
+
     def __repr__(self) -> str:
         state = "waiting" if self.waiting else "valid" if self.valid else "NOT VALID"
         return f"<Run {self.folder}: {state}, {len(self.warnings)} warnings>"
@@ -138,6 +155,44 @@ class Run:
 
         warned = "".join(f"<li>{html.escape(w)}</li>" for w in self.warnings)
         return f"<p><b>{html.escape(repr(self)[1:-1])}</b></p>{paragraphs(self.verdict)}<ul>{warned}</ul>"
+
+
+class Control(Run):
+    """A run of ``control``: ``loops`` have gains and margins at each set point, ``report`` the plane of gains with its regions."""
+
+    @property
+    def loops(self) -> list[Loop]:
+        """Loops in the order of the spec."""
+        return loops(self.summary)
+
+    @classmethod
+    def _of(cls, run: Run) -> Control:
+        return cls(run.folder, valid=run._valid, warnings=run._warnings, waiting=run.waiting)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{html.escape(m.point)}</td><td>{html.escape(m.output)}</td>"
+            + "".join(f"<td>{'-' if v is None else format(v, '.4g')}</td>" for v in (m.gain_up, m.phase_deg, m.delay_s, m.sensitivity))
+            + "</tr>"
+            for loop in self.loops
+            for m in loop.margins
+        )
+        gains = "".join(f"<li>{html.escape(x.output)} by {html.escape(x.input)}: kp {x.kp:.4g}, ki {x.ki:.4g} 1/s</li>" for x in self.loops)
+        head = "<tr><th>set point</th><th>loop</th><th>gain</th><th>phase [deg]</th><th>delay [s]</th><th>sensitivity</th></tr>"
+        return f"{super()._repr_html_()}<ul>{gains}</ul><table>{head}{rows}</table>"
+
+
+class Labels(Run):
+    """A run of ``label``: ``labels`` before and after the fit, with the half width of their 95 % intervals."""
+
+    @property
+    def labels(self) -> dict[str, Label]:
+        """Labels by name."""
+        return labels(self.summary)
+
+    @classmethod
+    def _of(cls, run: Run) -> Labels:
+        return cls(run.folder, valid=run._valid, warnings=run._warnings, waiting=run.waiting)
 
 
 def _name(spec: Spec, default: str) -> str:
@@ -168,14 +223,14 @@ def run(
     seed: int | None = None,
     data: PathLike | Iterable[PathLike] = (),
     until: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Run:
     """Runs a job of the program.
 
     Parameters
     ----------
     job
-        ``identify``, ``simulate``, ``optimise``, ``design``, ``sequential``, ``signal``, ``map`` or ``calibrate``.
+        ``identify``, ``simulate``, ``optimise``, ``design``, ``sequential``, ``signal``, ``map``, ``control``, ``label`` or ``calibrate``.
     spec
         File of TOML, or a mapping with its keys; files in a mapping are relative to the working folder.
     out
@@ -187,7 +242,7 @@ def run(
     until
         Last step of ``calibrate``.
     progress
-        Called as ``progress(text, fraction)``.
+        Called as ``progress(text, fraction)``; ``True`` for a bar (tqdm where it is installed, else lines).
 
     Returns
     -------
@@ -227,33 +282,33 @@ def identify(
     out: PathLike | None = None,
     seed: int | None = None,
     data: PathLike | Iterable[PathLike] = (),
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Run:
     """From measured files to validated models with their page: :func:`run` of ``identify``."""
     return run("identify", spec, out=out, seed=seed, data=data, progress=progress)
 
 
-def simulate(spec: Spec, *, out: PathLike | None = None, progress: Progress | None = None) -> Run:
+def simulate(spec: Spec, *, out: PathLike | None = None, progress: Progress | bool | None = None) -> Run:
     """Stored models on new inputs with a page: :func:`run` of ``simulate``."""
     return run("simulate", spec, out=out, progress=progress)
 
 
-def optimise(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | None = None) -> Run:
+def optimise(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Run:
     """Optimal inputs of a whole record on stored models: :func:`run` of ``optimise``."""
     return run("optimise", spec, out=out, seed=seed, progress=progress)
 
 
-def sequential(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | None = None) -> Run:
+def sequential(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Run:
     """Rounds of design and measurement with a stop rule: :func:`run` of ``sequential``."""
     return run("sequential", spec, out=out, seed=seed, progress=progress)
 
 
-def map(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | None = None) -> Run:
+def map(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Run:
     """Steady calibration from points to maps: :func:`run` of ``map``."""
     return run("map", spec, out=out, seed=seed, progress=progress)
 
 
-def signal_plan(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | None = None) -> Run:
+def signal_plan(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Run:
     """Test signals of several channels together: :func:`run` of ``signal``."""
     return run("signal", spec, out=out, seed=seed, progress=progress)
 
@@ -264,34 +319,20 @@ def calibrate(
     out: PathLike | None = None,
     seed: int | None = None,
     until: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Run:
     """A whole calibration, or up to one of its steps: :func:`run` of ``calibrate``. A second call goes on with what is left."""
     return run("calibrate", spec, out=out, seed=seed, until=until, progress=progress)
 
 
-def study(
-    name: str,
-    *,
-    seed: int = 1,
-    quick: bool = False,
-    out: PathLike | None = None,
-    reference: PathLike | None = None,
-    data: PathLike | None = None,
-    progress: Progress | None = None,
-) -> Run:
-    """A study of the program (``dynocal.members("studies")``); finished tasks of an earlier run are taken over."""
-    folder = Path("runs") / (f"study-{name}-quick" if quick else f"study-{name}") if out is None else Path(os.fspath(out))
-    done = _dynocal.study(
-        arguments.text("name", name),
-        arguments.count("seed", seed, 0, 2**63 - 1),
-        bool(quick),
-        str(folder),
-        None if reference is None else arguments.path("reference", reference),
-        None if data is None else arguments.path("data", data),
-        arguments.callback(progress),
-    )
-    return Run(done.folder)
+def control(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Control:
+    """PI gains and proven margins of loops around stored models or transfer functions: :func:`run` of ``control``."""
+    return Control._of(run("control", spec, out=out, seed=seed, progress=progress))
+
+
+def label(spec: Spec, *, out: PathLike | None = None, progress: Progress | bool | None = None) -> Labels:
+    """Labels of an ECU function fitted to measurements: :func:`run` of ``label``."""
+    return Labels._of(run("label", spec, out=out, progress=progress))
 
 
 # ---------------------------------------------------------------------- design
@@ -354,7 +395,7 @@ def design(
     search: Mapping[str, Any] | None = None,
     out: PathLike | None = None,
     seed: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Run:
     """The most informative test signal within limits.
 

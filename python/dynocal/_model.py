@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -166,6 +167,59 @@ class Model:
         if not paths:
             raise ArgumentError("paths: found none, expected at least one model file")
         return cls(_dynocal.Model.load(arguments.path("path", p)) for p in paths)
+
+    @classmethod
+    def from_system(
+        cls,
+        system: Any,
+        *,
+        ts_s: float | None = None,
+        input: str | Iterable[str] | None = None,
+        output: str = "y",
+        units: Mapping[str, str] | None = None,
+    ) -> Model:
+        """A sampled linear system of one output as a model, without a noise model.
+
+        Parameters
+        ----------
+        system
+            ``scipy.signal.dlti``, ``control.TransferFunction`` (or what has ``to_tf``), or a pair of coefficients of z^0, z^-1, ..:
+            ``(num, den)``.
+        ts_s
+            Sample time in s, where the system has none.
+        input, output
+            Names of its channels.
+        units
+            Units by name; ``-`` where none is given.
+        """
+        from ._systems import from_system
+
+        return from_system(system, ts_s=ts_s, input=input, output=output, units=units)
+
+    def to_fmu(self, path: str | os.PathLike[str], *, version: str = "2.0") -> Path:
+        """Writes a model of one output as an FMU of FMI 2.0 or 3.0."""
+        return self._export(path, {"2.0": "fmu2", "3.0": "fmu3"}[arguments.one_of("version", version, ["2.0", "3.0"])])
+
+    def to_onnx(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Writes a model of one output, e.g. a network, as ONNX: files of one step and of the free run."""
+        import tempfile
+
+        one = self._one("to_onnx")
+        with tempfile.TemporaryDirectory() as place:
+            one.save(str(Path(place) / "model.json"))
+            files, _ = _dynocal.export(str(Path(place) / "model.json"), ["onnx"], arguments.path("folder", folder), True, False, None)
+        return [Path(f) for f in files]
+
+    def _export(self, path: str | os.PathLike[str], format: str) -> Path:
+        import tempfile
+
+        from ._results import to_file
+
+        one = self._one(f"to_{format.rstrip('23')}")
+        with tempfile.TemporaryDirectory() as folder:
+            source = Path(folder) / "model.json"
+            one.save(str(source))
+            return to_file(source, path, format)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the file that ``identify`` would; a model of several outputs writes one for each by :meth:`single`."""

@@ -22,6 +22,7 @@ pub mod map;
 pub mod optimise;
 pub mod page;
 pub mod place;
+pub mod runs;
 pub mod sequential;
 pub mod show;
 pub mod signal;

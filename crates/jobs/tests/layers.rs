@@ -27,6 +27,7 @@ const ORDER: &[&str] = &[
     "calibrate",
     "map",
     "export",
+    "runs",
     "families",
 ];
 

@@ -8,6 +8,7 @@ use dynocal_ident::data::DataError;
 use dynocal_ident::plant::PlantError;
 use dynocal_ident::stored::StoredError;
 use dynocal_jobs::identify::error::IdentifyError;
+use dynocal_jobs::runs::RunError;
 use dynocal_numerics::registry::BuildError;
 use pyo3::prelude::*;
 
@@ -134,5 +135,17 @@ impl From<IdentifyError> for Refusal {
             _ => Kind::Estimate,
         };
         Self::of(kind, &e)
+    }
+}
+
+impl From<RunError> for Refusal {
+    fn from(e: RunError) -> Self {
+        match e {
+            RunError::File(e) => e.into(),
+            RunError::Spec(e) => e.into(),
+            RunError::Identify(e) => (*e).into(),
+            RunError::Argument(text) => Self::new(Kind::Argument, text),
+            e => Self::of(Kind::Run, &e),
+        }
     }
 }

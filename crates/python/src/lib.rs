@@ -10,6 +10,7 @@ mod errors;
 mod files;
 mod fit;
 mod jobs;
+mod many;
 mod model;
 mod plant;
 mod record;
@@ -30,6 +31,8 @@ mod _dynocal {
     use super::fit::{judge, learn};
     #[pymodule_export]
     use super::jobs::{Finished, check, export, program, run, study};
+    #[pymodule_export]
+    use super::many::Tasks;
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]

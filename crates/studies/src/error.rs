@@ -5,6 +5,7 @@ use dynocal_files::spec::LoadError;
 use dynocal_ident::data::DataError;
 use dynocal_ident::plant::PlantError;
 use dynocal_jobs::calibrate::error::ChainError;
+use dynocal_jobs::runs::RunError;
 
 /// A study cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +40,17 @@ pub enum StudyError {
         task: String,
         /// Reason.
         reason: String,
+    },
+    /// A job over seeds and points.
+    #[error(transparent)]
+    Job(#[from] RunError),
+    /// The folder holds the tasks of something else.
+    #[error(
+        "{folder} holds tasks of another spec, other seeds or another version: take another folder, or remove this one"
+    )]
+    OtherTasks {
+        /// Folder.
+        folder: String,
     },
     /// Ctrl-C.
     #[error("interrupted: finished tasks are kept, start again with the same folder to go on")]

@@ -17,6 +17,7 @@ mod error;
 mod labels;
 mod limits;
 pub mod loops;
+pub mod many;
 mod map;
 mod report;
 
@@ -171,10 +172,20 @@ pub fn run(study: &Study, options: &Options, out: &Path, watch: Watch) -> Result
         let done = folder.step(&task.name, &task.inputs, |_| (task.run)(&around))?;
         results.push(TaskResult { name: task.name.clone(), value: done.result });
     }
-    let checks = (study.reduce)(&results);
+    conclude(study, options, &results, &folder)
+}
+
+/// From all results to checks, page and summary.
+fn conclude(
+    study: &Study,
+    options: &Options,
+    results: &[TaskResult],
+    folder: &RunFolder,
+) -> Result<Finished, StudyError> {
+    let checks = (study.reduce)(results);
     let warnings = warnings(options, &checks);
-    let html = report::html(study, options, &checks, &warnings, &results)?;
-    let report = out.join("report.html");
+    let html = report::html(study, options, &checks, &warnings, results)?;
+    let report = folder.path().join("report.html");
     dynocal_files::atomic::write(&report, html.as_bytes())?;
     let summary = folder.write_summary(&Summary {
         verb: "study",

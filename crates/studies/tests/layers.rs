@@ -11,6 +11,7 @@ const ORDER: &[&str] = &[
     "error",
     "chapter4",
     "report",
+    "many",
     "benchmarks",
     "chain",
     "chapter5",

@@ -302,12 +302,12 @@ pub fn write_dataset(path: &Path, data: &Dataset) -> Result<(), FilesError> {
     atomic::write(path, &bytes)
 }
 
-/// Writes columns (name, unit, values) of equal length; as [`write_dataset`], missing samples as NaN.
+/// Writes columns (name, unit or none, values) of equal length; as [`write_dataset`], missing samples as NaN.
 ///
 /// # Errors
 /// [`FilesError::Write`].
 pub fn write_columns(path: &Path, columns: &[(&str, &str, &[f64])]) -> Result<(), FilesError> {
-    let headed: Vec<(String, &[f64])> = columns.iter().map(|(n, u, v)| (format!("{n} [{u}]"), *v)).collect();
+    let headed: Vec<(String, &[f64])> = columns.iter().map(|(n, u, v)| (csv_io::heading(n, u), *v)).collect();
     let bytes = encode(&headed)
         .map_err(|e| FilesError::Write { path: path.display().to_string(), reason: e.to_string() })?;
     atomic::write(path, &bytes)

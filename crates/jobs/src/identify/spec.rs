@@ -102,9 +102,10 @@ pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
 /// # Errors
 /// [`SpecError`] with every fault.
 pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
-    let stem = file.split('.').next().unwrap_or(file);
+    let path = Path::new(file);
+    let (folder, stem) = (path.parent().unwrap_or(Path::new("")), path.file_stem().unwrap_or_default());
     dynocal_files::spec::parse(file, text, |typed: &Typed, faults| {
-        check(typed, Path::new(""), stem, overrides, faults)
+        check(typed, folder, &stem.to_string_lossy(), overrides, faults)
     })
 }
 
