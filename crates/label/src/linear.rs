@@ -187,7 +187,8 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         }
         false => (exact.clone(), None),
     };
-    let told = verdict::tell(&normal, &h, &found, tau, &map, &locked, &visits)?;
+    let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
+    let told = verdict::tell(&normal, &normal.hessian(found.cautious), &cautious, tau, &map, &locked, &visits)?;
     Ok(Fit {
         values,
         exact,

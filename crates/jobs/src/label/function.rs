@@ -1,6 +1,7 @@
 //! Labels of any function that a spec describes: nodes, labels, channels, what it is compared with.
 
 pub mod build;
+pub mod coarse;
 pub mod page;
 pub mod spec;
 pub mod work;
@@ -49,7 +50,7 @@ fn characteristics(found: &Fitted) -> Vec<Characteristic> {
             unit: a.unit.clone(),
             input: a.name.clone(),
             points: a.points.clone(),
-            shared: false,
+            shared: found.shared.contains(&a.name),
         };
         let bounded = l.lower.is_finite() && l.upper.is_finite();
         out.push(Characteristic {

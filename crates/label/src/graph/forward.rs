@@ -3,9 +3,9 @@
 use super::{Graph, Op, Record, place};
 
 /// What a run leaves: all that the way back needs.
-pub(super) struct Run {
+pub(crate) struct Run {
     /// Values of all nodes, node by node, `n` each.
-    pub(super) values: Vec<Vec<f64>>,
+    pub(crate) values: Vec<Vec<f64>>,
     /// State of each film before each sample; the place that each delay read; empty elsewhere.
     pub(super) film: Vec<Vec<f64>>,
     pub(super) places: Vec<Vec<(usize, f64)>>,
@@ -29,8 +29,13 @@ impl Graph {
         run.values.pop().unwrap_or_default()
     }
 
+    /// Outputs of all nodes at each sample of `record`, in their order.
+    pub fn all_values(&self, theta: &[f64], record: &Record) -> Vec<Vec<f64>> {
+        self.run(theta, record).values
+    }
+
     /// All nodes.
-    pub(super) fn run(&self, theta: &[f64], record: &Record) -> Run {
+    pub(crate) fn run(&self, theta: &[f64], record: &Record) -> Run {
         let (n, first) = (record.time_s.len(), self.first());
         let m = self.nodes.len();
         let mut run = Run {
@@ -141,7 +146,14 @@ impl Graph {
 
     /// Output and its derivative in the direction `v` of the cells: `y, J v`.
     pub fn forward(&self, theta: &[f64], record: &Record, v: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut run, first) = (self.run(theta, record), self.first());
+        let run = self.run(theta, record);
+        let d = self.tangents(theta, record, v, &run);
+        (run.values.into_iter().next_back().unwrap_or_default(), d.into_iter().next_back().unwrap_or_default())
+    }
+
+    /// Derivatives of all nodes in the direction `v` of the cells.
+    pub(crate) fn tangents(&self, theta: &[f64], record: &Record, v: &[f64], run: &Run) -> Vec<Vec<f64>> {
+        let first = self.first();
         let n = record.time_s.len();
         let mut d: Vec<Vec<f64>> = Vec::new();
         for k in 0..self.nodes.len() {
@@ -149,11 +161,11 @@ impl Graph {
             // State of a film has a derivative of its own.
             let mut dm = 0.0;
             for t in 0..n {
-                dy[t] = self.tangent(k, t, v, theta, &first, record, &run, &d, &dy, &mut dm);
+                dy[t] = self.tangent(k, t, v, theta, &first, record, run, &d, &dy, &mut dm);
             }
             d.push(dy);
         }
-        (run.values.pop().unwrap_or_default(), d.pop().unwrap_or_default())
+        d
     }
 
     fn tangent(
