@@ -20,7 +20,6 @@ use crate::graph::{Graph, Record};
 use crate::label::Limit;
 use crate::linear::{self, Fit};
 
-
 /// What a node of the function is compared with on one record: a row of the criterion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target<'a> {

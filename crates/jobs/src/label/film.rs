@@ -66,14 +66,21 @@ impl Film {
             for_s: Some(FILLED_S),
         };
         // A cut of the fuel is no lambda.
-        let fuelled = Condition { channel: self.fuel.clone(), least: Some(1e-3), greatest: None, slower_than: None, for_s: None };
+        let fuelled = Condition {
+            channel: self.fuel.clone(),
+            least: Some(1e-3),
+            greatest: None,
+            slower_than: None,
+            for_s: None,
+        };
         let graph = self.graph();
         let node = graph.nodes.len() - 1;
         Ok(Job {
             name: "label-film".into(),
             out,
             data: self.data.clone(),
-            units: vec![Some("mg".into()), Some("rpm".into()), Some("g/s".into()), None][..channels.len()].to_vec(),
+            units: vec![Some("mg".into()), Some("rpm".into()), Some("g/s".into()), None][..channels.len()]
+                .to_vec(),
             channels,
             rows: vec![Row { node, name: "sensor".into(), target: self.lambda.clone(), weight: 1.0 }],
             conditions: vec![slow(&self.air), slow(&self.speed), fuelled],
@@ -97,14 +104,17 @@ impl Film {
         if self.data.is_empty() {
             return fail("LOG", "none".into(), "one log or more");
         }
-        let increasing = self.points.windows(2).all(|w| w[1] > w[0]) && self.points.iter().all(|p| p.is_finite());
+        let increasing =
+            self.points.windows(2).all(|w| w[1] > w[0]) && self.points.iter().all(|p| p.is_finite());
         match &self.coolant {
             Some(_) if self.points.len() < 2 || !increasing => {
                 fail("--at", format!("{:?}", self.points), "two or more temperatures that increase")
             }
-            None if !self.points.is_empty() => {
-                fail("--at", format!("{:?}", self.points), "--coolant CHANNEL beside it: the temperatures are of that channel")
-            }
+            None if !self.points.is_empty() => fail(
+                "--at",
+                format!("{:?}", self.points),
+                "--coolant CHANNEL beside it: the temperatures are of that channel",
+            ),
             _ => Ok(()),
         }
     }
@@ -114,7 +124,9 @@ impl Film {
             (l.lower, l.upper) = (least, greatest);
             l
         };
-        let scalar = |name: &str, unit: &str, start: f64, least: f64, greatest: f64| bounded(Label::scalar(name, unit, start), least, greatest);
+        let scalar = |name: &str, unit: &str, start: f64, least: f64, greatest: f64| {
+            bounded(Label::scalar(name, unit, start), least, greatest)
+        };
         let tau = match &self.coolant {
             None => Label::scalar("FILM_TAU", "s", 0.3),
             Some(c) => {
@@ -139,7 +151,8 @@ impl Film {
             nodes.push(Node { name: name.into(), op });
             nodes.len() - 1
         };
-        let (fuel, speed, air) = (add("fuel", Op::Channel(0)), add("speed", Op::Channel(1)), add("air", Op::Channel(2)));
+        let (fuel, speed, air) =
+            (add("fuel", Op::Channel(0)), add("speed", Op::Channel(1)), add("air", Op::Channel(2)));
         let at = match self.coolant {
             Some(_) => vec![add("coolant", Op::Channel(3))],
             None => Vec::new(),

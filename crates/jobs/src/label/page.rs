@@ -156,8 +156,12 @@ fn residuals(found: &Labelled) -> Section {
     for (k, a) in found.label.axes.iter().enumerate() {
         let x: Vec<f64> = found.found.states.iter().step_by(every).map(|s| s[k]).collect();
         section = section.block(
-            XyPlot::new(format!("over {}", a.name), Axis::new(a.name.as_str(), a.unit.as_str()), Axis::new("lambda, share left", "%"))
-                .points("samples", x, y.clone()),
+            XyPlot::new(
+                format!("over {}", a.name),
+                Axis::new(a.name.as_str(), a.unit.as_str()),
+                Axis::new("lambda, share left", "%"),
+            )
+            .points("samples", x, y.clone()),
         );
     }
     section

@@ -64,7 +64,9 @@ pub enum LabelJobError {
         known: String,
     },
     /// A channel in another unit than the function takes it in.
-    #[error("{file}: channel `{channel}` is in `{found}`, expected `{expected}`, the unit that the spec says")]
+    #[error(
+        "{file}: channel `{channel}` is in `{found}`, expected `{expected}`, the unit that the spec says"
+    )]
     Unit {
         /// File.
         file: String,

@@ -40,10 +40,16 @@ pub(super) struct Built {
 /// The function, and the channels that it reads; faults are told where there are some.
 pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<Built> {
     let mut placed: Vec<Placed> = Vec::new();
-    let labels: Vec<Option<Label>> = t.labels.iter().enumerate().map(|(k, l)| label(t, l, k, &mut placed, faults)).collect();
+    let labels: Vec<Option<Label>> =
+        t.labels.iter().enumerate().map(|(k, l)| label(t, l, k, &mut placed, faults)).collect();
     placement(&labels, &placed, faults);
-    let mut build =
-        Build { nodes: Vec::new(), channels: Vec::new(), channel_units: Vec::new(), units: Vec::new(), labels: &t.labels };
+    let mut build = Build {
+        nodes: Vec::new(),
+        channels: Vec::new(),
+        channel_units: Vec::new(),
+        units: Vec::new(),
+        labels: &t.labels,
+    };
     let mut good = true;
     if t.nodes.is_empty() {
         faults.push("nodes", "nothing", "one [[nodes]] table or more, the last one the output");
@@ -68,7 +74,14 @@ pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<Built> {
 }
 
 /// An axis as it is written, or the shared one that it names.
-fn axis(t: &Typed, a: &AxisKeys, key: &str, at: (usize, usize), placed: &mut Vec<Placed>, faults: &mut Faults) -> Option<Axis> {
+fn axis(
+    t: &Typed,
+    a: &AxisKeys,
+    key: &str,
+    at: (usize, usize),
+    placed: &mut Vec<Placed>,
+    faults: &mut Faults,
+) -> Option<Axis> {
     let (unit, points, place, shared) = match &a.points {
         Some(points) => (a.unit.clone().unwrap_or_else(|| "-".into()), points, a.place, false),
         None => {
@@ -99,7 +112,8 @@ fn axis(t: &Typed, a: &AxisKeys, key: &str, at: (usize, usize), placed: &mut Vec
     }
     let mut axis = Axis::new(&a.name, &unit, points);
     axis.smooth = a.smooth.unwrap_or(1.0);
-    axis.gradient = [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
+    axis.gradient =
+        [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
     axis.convex = a.convex;
     Some(axis)
 }
@@ -126,7 +140,13 @@ fn placement(labels: &[Option<Label>], placed: &[Placed], faults: &mut Faults) {
     }
 }
 
-fn label(t: &Typed, l: &LabelKeys, number: usize, placed: &mut Vec<Placed>, faults: &mut Faults) -> Option<Label> {
+fn label(
+    t: &Typed,
+    l: &LabelKeys,
+    number: usize,
+    placed: &mut Vec<Placed>,
+    faults: &mut Faults,
+) -> Option<Label> {
     let key = format!("labels[{number}]");
     let axes: Option<Vec<Axis>> = l
         .axes
@@ -295,7 +315,10 @@ impl Build<'_> {
                     };
                     for (i, a) in at.iter().zip(&label.axes) {
                         if let Some(unit) = of(*i).filter(|u| *u != normalise(&a.unit)) {
-                            let wanted = format!("`{}`, the unit of the axis `{}` of `{}`", a.unit, a.name, label.name);
+                            let wanted = format!(
+                                "`{}`, the unit of the axis `{}` of `{}`",
+                                a.unit, a.name, label.name
+                            );
                             faults.push(&format!("{key}.in"), format!("a node in `{unit}`"), wanted);
                         }
                     }
@@ -304,7 +327,11 @@ impl Build<'_> {
                 Op::Add(_) | Op::Subtract(..) | Op::Min(..) | Op::Max(..) => {
                     let units: Vec<String> = op.inputs().into_iter().filter_map(of).collect();
                     if let Some(other) = units.iter().find(|u| **u != units[0]) {
-                        faults.push(&format!("{key}.in"), format!("nodes in `{}` and `{other}`", units[0]), "nodes in one unit");
+                        faults.push(
+                            &format!("{key}.in"),
+                            format!("nodes in `{}` and `{other}`", units[0]),
+                            "nodes in one unit",
+                        );
                     }
                     units.first().cloned()
                 }
@@ -317,7 +344,11 @@ impl Build<'_> {
             if let (Some(said), Some(found)) = (&said, &found)
                 && said != found
             {
-                faults.push(&format!("{key}.unit"), format!("`{said}`"), format!("`{found}`, which is what it gives"));
+                faults.push(
+                    &format!("{key}.unit"),
+                    format!("`{said}`"),
+                    format!("`{found}`, which is what it gives"),
+                );
             }
             self.units.push(said.or(found));
         }

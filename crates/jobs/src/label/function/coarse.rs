@@ -72,7 +72,8 @@ pub(super) fn place(graph: &Graph, placed: &[Placed], theta: &[f64]) -> (Graph, 
         }
         // The second axis of the same labels is searched with it, where it is placed as well.
         let partner = partner(&fitted, p);
-        let other = partner.as_ref().and_then(|name| placed.iter().find(|o| o.name == *name && touches(o, p)));
+        let other =
+            partner.as_ref().and_then(|name| placed.iter().find(|o| o.name == *name && touches(o, p)));
         let all: Vec<&Placed> = std::iter::once(p).chain(other).collect();
         done.extend(all.iter().map(|a| a.name.as_str()));
         let group = group(&fitted, p, other, partner.as_deref());
@@ -111,7 +112,9 @@ fn touches(a: &Placed, b: &Placed) -> bool {
 
 /// The other axis of the labels of `p`; a spec has one at most.
 fn partner(labels: &[Label], p: &Placed) -> Option<String> {
-    p.of.iter().find_map(|(l, k)| labels[*l].axes.iter().enumerate().find(|(i, _)| i != k).map(|(_, a)| a.name.clone()))
+    p.of.iter().find_map(|(l, k)| {
+        labels[*l].axes.iter().enumerate().find(|(i, _)| i != k).map(|(_, a)| a.name.clone())
+    })
 }
 
 struct Group {
@@ -127,7 +130,8 @@ fn group(labels: &[Label], p: &Placed, other: Option<&Placed>, partner: Option<&
     let has = |l: &Label, name: &str| l.axes.iter().position(|a| a.name == name);
     if let Some(name) = partner {
         names.push(name.to_string());
-        let with = p.of.iter().find_map(|(l, _)| has(&labels[*l], name).map(|k| labels[*l].axes[k].points.clone()));
+        let with =
+            p.of.iter().find_map(|(l, _)| has(&labels[*l], name).map(|k| labels[*l].axes[k].points.clone()));
         axes.push(with.unwrap_or_default());
     }
     let mut members: Vec<usize> = p.of.iter().map(|(l, _)| *l).collect();
@@ -146,7 +150,9 @@ fn group(labels: &[Label], p: &Placed, other: Option<&Placed>, partner: Option<&
                 let at: Vec<f64> = l
                     .axes
                     .iter()
-                    .map(|a| names.iter().position(|n| *n == a.name).map_or(a.points[0], |k| axes[k][place[k]]))
+                    .map(|a| {
+                        names.iter().position(|n| *n == a.name).map_or(a.points[0], |k| axes[k][place[k]])
+                    })
                     .collect();
                 scale * l.value(&l.base, &at)
             })

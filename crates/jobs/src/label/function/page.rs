@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use dynocal_files::atomic;
-use dynocal_label::linear::Verdict;
 use dynocal_label::label::Label;
+use dynocal_label::linear::Verdict;
 use dynocal_report::{Axis, Cell, Check, Column, HeatMap, Report, Section, Table, XyPlot, render};
 
 use super::work::Fitted;
@@ -65,10 +65,14 @@ fn shapes(found: &Fitted) -> Section {
 fn curve(l: &Label, values: &[f64], half: &[Option<f64>]) -> XyPlot {
     let (x, a) = (l.axes[0].points.clone(), &l.axes[0]);
     let band = |s: f64| values.iter().zip(half).map(|(v, h)| v + s * h.unwrap_or(0.0)).collect::<Vec<f64>>();
-    XyPlot::new(l.name.as_str(), Axis::new(a.name.as_str(), a.unit.as_str()), Axis::new(l.name.as_str(), l.unit.as_str()))
-        .band("95 % interval", x.clone(), band(-1.0), band(1.0))
-        .line("before", x.clone(), l.base.clone())
-        .line("fitted", x, values.to_vec())
+    XyPlot::new(
+        l.name.as_str(),
+        Axis::new(a.name.as_str(), a.unit.as_str()),
+        Axis::new(l.name.as_str(), l.unit.as_str()),
+    )
+    .band("95 % interval", x.clone(), band(-1.0), band(1.0))
+    .line("before", x.clone(), l.base.clone())
+    .line("fitted", x, values.to_vec())
 }
 
 fn maps(section: Section, l: &Label, values: &[f64], half: &[Option<f64>]) -> Section {
@@ -100,11 +104,21 @@ fn chosen(found: &Fitted) -> Section {
     let mut section = Section::new("Axes").text(text);
     for c in &found.chosen {
         let points = c.points.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
-        section = section.text(format!("{}: {} of {} breakpoints ({points}), for {}.", c.name, c.points.len(), c.had, c.labels.join(", ")));
+        section = section.text(format!(
+            "{}: {} of {} breakpoints ({points}), for {}.",
+            c.name,
+            c.points.len(),
+            c.had,
+            c.labels.join(", ")
+        ));
         let (x, y): (Vec<f64>, Vec<f64>) = c.loss.iter().map(|(n, e)| (*n as f64, 100.0 * e)).unzip();
         section = section.block(
-            XyPlot::new(format!("{}: loss of coarser axes", c.name), Axis::new("Breakpoints", "-"), Axis::new("Lost, root mean square", "%"))
-                .line("best choice", x, y),
+            XyPlot::new(
+                format!("{}: loss of coarser axes", c.name),
+                Axis::new("Breakpoints", "-"),
+                Axis::new("Lost, root mean square", "%"),
+            )
+            .line("best choice", x, y),
         );
     }
     section
@@ -119,7 +133,8 @@ fn rows(found: &Fitted) -> Section {
         Column::number("Fitted, unseen rms", "").digits(4),
     ]);
     for (node, channel, before, after) in &found.rows {
-        table = table.row(vec![node.as_str().into(), channel.as_str().into(), (*before).into(), (*after).into()]);
+        table =
+            table.row(vec![node.as_str().into(), channel.as_str().into(), (*before).into(), (*after).into()]);
     }
     Section::new("Rows of the criterion").block(table)
 }
@@ -130,11 +145,16 @@ fn left(found: &Fitted) -> Section {
     let every = all.residual.len().div_ceil(DRAWN).max(1);
     let thin = |v: &[f64]| v.iter().copied().step_by(every).collect::<Vec<f64>>();
     let time = ("Time".to_string(), "s".to_string());
-    let mut section = Section::new("What is left").text("Measured less function, on the samples of the first record that count.");
+    let mut section = Section::new("What is left")
+        .text("Measured less function, on the samples of the first record that count.");
     for ((name, unit), column) in std::iter::once(&time).chain(&all.over).zip(&all.columns) {
         section = section.block(
-            XyPlot::new(format!("over {name}"), Axis::new(name.as_str(), unit.as_str()), Axis::new("left", ""))
-                .points("samples", thin(column), thin(&all.residual)),
+            XyPlot::new(
+                format!("over {name}"),
+                Axis::new(name.as_str(), unit.as_str()),
+                Axis::new("left", ""),
+            )
+            .points("samples", thin(column), thin(&all.residual)),
         );
     }
     section

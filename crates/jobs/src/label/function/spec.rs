@@ -253,7 +253,11 @@ fn conditions(all: &[Condition], faults: &mut Faults) {
 fn rows(t: &Typed, graph: &Graph, faults: &mut Faults) -> Option<Vec<Row>> {
     let last = graph.nodes.len().checked_sub(1)?;
     if t.rows.is_empty() {
-        let target = faults.required("target", &t.target, "the channel that the last node is compared with, or [[rows]]")?;
+        let target = faults.required(
+            "target",
+            &t.target,
+            "the channel that the last node is compared with, or [[rows]]",
+        )?;
         return Some(vec![Row { node: last, name: graph.nodes[last].name.clone(), target, weight: 1.0 }]);
     }
     if let Some(target) = &t.target {

@@ -319,7 +319,8 @@ fn targets<'a>(job: &Job, records: &'a [Read], weights: &'a [Weights]) -> Vec<Ta
     let mut out = Vec::new();
     for (r, w) in records.iter().zip(weights) {
         for (k, row) in job.rows.iter().enumerate() {
-            let record = Record { time_s: &r.time_s, channels: r.channels.iter().map(Vec::as_slice).collect() };
+            let record =
+                Record { time_s: &r.time_s, channels: r.channels.iter().map(Vec::as_slice).collect() };
             out.push(Target { record, node: Some(row.node), y: &r.targets[k], weights: &w[k] });
         }
     }
