@@ -38,6 +38,7 @@
 //! | [`design`] | information, criteria, limits, search for the next record |
 //! | [`plant`] | the virtual engine and its test bed |
 //! | [`files`] | measurement files (CSV, Parquet, MDF, MAT), specs, run folders |
+//! | [`label`] | curves, maps and scalars of ECU functions fitted to measurements |
 //! | [`control`] | feedback: margins with exact delay, the plane of PI gains, Smith predictor, the PID that runs |
 //! | [`calib`] | optimisation of records, maps, loops of design and measurement |
 //! | [`export`] | maps, models and controllers in the formats of the neighbours: C, DCM, CDFX, FMU, ONNX, .. |
@@ -74,6 +75,39 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! A label of an ECU from measurements, with what the data say of each of its cells:
+//!
+//! ```
+//! use dynocal::label::graph::{Graph, Node, Op, Record};
+//! use dynocal::label::label::Label;
+//! use dynocal::label::linear::{Options, Verdict};
+//! use dynocal::label::nonlinear::{Target, fit};
+//!
+//! // y lags behind GAIN(x), and nothing was measured above x = 1.
+//! let labels = vec![
+//!     Label::curve("GAIN", "Nm", "x", "-", &[0.0, 1.0, 2.0], &[1.0, 1.0, 1.0]),
+//!     Label::scalar("TAU", "s", 0.3),
+//! ];
+//! let node = |name: &str, op| Node { name: name.into(), op };
+//! let nodes = vec![
+//!     node("x", Op::Channel(0)),
+//!     node("gain", Op::Label(0, vec![0])),
+//!     node("tau", Op::Label(1, vec![])),
+//!     node("y", Op::Lag(1, 2)),
+//! ];
+//! let graph = Graph { nodes, labels };
+//! let time_s: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();
+//! let x: Vec<f64> = (0..100).map(|k| f64::from((k / 10) % 3) / 2.0).collect();
+//! let record = Record { time_s: &time_s, channels: vec![&x] };
+//! let y = graph.values(&[2.0, 5.0, 1.0, 0.5], &record);
+//! let weights = vec![1.0; y.len()];
+//! let target = Target { record, node: None, y: &y, weights: &weights };
+//! let found = fit(&graph, &[target], &Options { smooth: Some(0.0), ..Options::default() }, &|| false)?;
+//! assert!(found.converged && (found.fit.values[1] - 5.0).abs() < 1e-6 && (found.fit.values[3] - 0.5).abs() < 1e-6);
+//! assert_eq!(found.fit.verdicts[2], Verdict::Untouched);
+//! # Ok::<(), dynocal::label::LabelError>(())
+//! ```
+//!
 //! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record, simulate a stored model,
 //! calibrate on the virtual engine.
 
@@ -84,6 +118,7 @@ pub use dynocal_export as export;
 pub use dynocal_files as files;
 pub use dynocal_ident as ident;
 pub use dynocal_jobs as jobs;
+pub use dynocal_label as label;
 pub use dynocal_numerics as numerics;
 pub use dynocal_plant as plant;
 pub use dynocal_report as report;

@@ -15,7 +15,7 @@
 //! discrete function, and one-sided where it has an edge.
 
 mod backward;
-mod forward;
+pub(crate) mod forward;
 
 use serde::{Deserialize, Serialize};
 

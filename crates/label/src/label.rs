@@ -182,6 +182,36 @@ impl Label {
         (0..n).filter(|k| weights[*k] != 0.0).map(|k| weights[k] * values[cells[k]]).sum()
     }
 
+    /// The same label on some of its breakpoints, `kept` by number for each axis, with what it has there.
+    pub fn thinned(&self, kept: &[Vec<usize>]) -> Self {
+        let nx = self.axes.first().map_or(1, |a| a.points.len());
+        let one = vec![0];
+        let (xs, ys) = (kept.first().unwrap_or(&one), kept.get(1).unwrap_or(&one));
+        let cells: Vec<usize> = ys.iter().flat_map(|j| xs.iter().map(move |i| j * nx + i)).collect();
+        let axes = self.axes.iter().zip(kept);
+        Self {
+            axes: axes
+                .map(|(a, k)| Axis { points: k.iter().map(|i| a.points[*i]).collect(), ..a.clone() })
+                .collect(),
+            base: cells.iter().map(|c| self.base[*c]).collect(),
+            locked: cells.iter().map(|c| self.locked[*c]).collect(),
+            ..self.clone()
+        }
+    }
+
+    /// Values at the cells of this label of `other`, a label over the same quantities, with the cells `values`.
+    pub fn sampled(&self, other: &Self, values: &[f64]) -> Vec<f64> {
+        let nx = self.axes.first().map_or(1, |a| a.points.len());
+        (0..self.len())
+            .map(|c| {
+                let at: Vec<f64> = (0..self.axes.len())
+                    .map(|k| self.axes[k].points[if k == 0 { c % nx } else { c / nx }])
+                    .collect();
+                other.value(values, &at)
+            })
+            .collect()
+    }
+
     /// Lines of cells along axis `k`.
     fn lines(&self, k: usize) -> Vec<Vec<usize>> {
         let nx = self.axes.first().map_or(1, |a| a.points.len());

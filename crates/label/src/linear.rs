@@ -187,7 +187,13 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         }
         false => (exact.clone(), None),
     };
-    let told = verdict::tell(&normal, &h, &found, tau, &map, &locked, &visits)?;
+    let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
+    let mut told =
+        verdict::tell(&normal, &normal.hessian(found.cautious), &cautious, tau, &map, &locked, &visits)?;
+    // The interval reaches as far as that of the cautious fit, which lies elsewhere.
+    for (half, f) in told.half_width.iter_mut().zip(&map) {
+        *half += f.map_or(0.0, |f| (found.delta[f] - cautious.delta[f]).abs());
+    }
     Ok(Fit {
         values,
         exact,

@@ -168,6 +168,9 @@ pub struct Found {
     /// Share by which the measurement leaves the judged table, over the samples that count: log, stamp in s, share.
     #[serde(skip)]
     pub residuals: Vec<(usize, f64, f64)>,
+    /// Speed in rpm and load of each of them, at the stamp of the measurement.
+    #[serde(skip)]
+    pub states: Vec<[f64; 2]>,
 }
 
 /// From logs to a table. `tell` is told what happens.
@@ -214,5 +217,7 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
             (log, logs[log].time_s[sample], used.y[k] / used.rows.times(k, &judged.values) - 1.0)
         })
         .collect();
-    Ok(Found { sensor, tried, left_out, samples: [all, used.at.len()], judged, table, judgement, residuals })
+    let states = used.at.iter().map(|(l, k)| [logs[*l].speed_rpm[*k], logs[*l].load[*k]]).collect();
+    let samples = [all, used.at.len()];
+    Ok(Found { sensor, tried, left_out, samples, judged, table, judgement, residuals, states })
 }

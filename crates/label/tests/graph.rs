@@ -151,8 +151,12 @@ fn a_film_is_fitted_as_scipy_does() {
     ];
     let g = graph(ops, labels);
     let weights = vec![1.0; y.len()];
-    let target =
-        Target { record: Record { time_s: &time_s, channels: vec![&fuel] }, y: &y, weights: &weights };
+    let target = Target {
+        record: Record { time_s: &time_s, channels: vec![&fuel] },
+        node: None,
+        y: &y,
+        weights: &weights,
+    };
     let found = fit(&g, std::slice::from_ref(&target), &Options::default(), &|| false).unwrap();
     assert!(found.converged);
     for (a, b) in found.fit.values.iter().zip([&r["share"], &r["tau_s"]]) {

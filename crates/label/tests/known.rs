@@ -73,7 +73,7 @@ fn the_pulse_width_gives_factor_and_dead_time_back() {
         })
         .collect();
     let record = Record { time_s: &d.time_s, channels: vec![d.channel("VE1"), d.channel("MAP"), gamma] };
-    let target = Target { record, y: pw, weights: &weights };
+    let target = Target { record, node: None, y: pw, weights: &weights };
     let found = nonlinear::fit(&graph, &[target], &Options::default(), &|| false).unwrap();
     let v = &found.fit.values;
     // What the tune says: half of the required fuel in each of two squirts, the dead time with its battery curve.

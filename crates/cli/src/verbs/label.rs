@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, FromArgMatches, Subcommand};
-use dynocal_jobs::label::{Job, Labelled, function, run as label};
+use dynocal_jobs::label::{Job, Labelled, film as recipe, function, run as label};
+use dynocal_jobs::place::Place;
 use dynocal_report::significant;
 
 use super::Verb;
 use crate::common::Common;
 use crate::failure::{Exit, Failure, exit};
+use crate::progress::Progress;
 use crate::table;
 use crate::terminal::{print, say};
 
@@ -32,6 +34,41 @@ struct Label {
 enum Recipe {
     /// The fuel table (VE) from logs with a lambda sensor; writes .msq and .table
     Ve(Ve),
+    /// The fuel film of port injection (share, time constant over coolant) and the delay to the lambda sensor
+    Film(Film),
+}
+
+#[derive(Args, Debug)]
+struct Film {
+    /// Log with tip-ins and steps of the fuel; several (cold, warm) are fitted together
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Channel of the injected fuel, mg for each cylinder and cycle
+    #[arg(long, value_name = "CHANNEL", default_value = "inj")]
+    fuel: String,
+    /// Channel of the air meter, g/s
+    #[arg(long, value_name = "CHANNEL", default_value = "air")]
+    air: String,
+    /// Channel of the speed, rpm
+    #[arg(long, value_name = "CHANNEL", default_value = "speed")]
+    speed: String,
+    /// Channel of lambda
+    #[arg(long, value_name = "CHANNEL", default_value = "lambda")]
+    lambda: String,
+    /// Channel of the coolant temperature; without it the time constant is one number
+    #[arg(long, value_name = "CHANNEL")]
+    coolant: Option<String>,
+    /// Temperatures at which the time constant is told, in the unit of the coolant channel
+    #[arg(long, value_name = "T,T,..", value_delimiter = ',')]
+    at: Vec<f64>,
+    /// Cylinders
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    cylinders: usize,
+    /// Stoichiometric air over fuel
+    #[arg(long, value_name = "RATIO", default_value_t = 14.7)]
+    afr: f64,
+    #[command(flatten)]
+    common: Common,
 }
 
 #[derive(Args, Debug)]
@@ -65,6 +102,7 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let typed = Label::from_arg_matches(matches)?;
     match (typed.recipe, typed.spec) {
         (Some(Recipe::Ve(args)), _) => ve(&args),
+        (Some(Recipe::Film(args)), _) => film(args),
         (None, spec) => described(&spec.unwrap_or_default(), &typed.common),
     }
 }
@@ -72,7 +110,28 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 fn described(spec: &Path, common: &Common) -> Result<Exit, Failure> {
     let progress = common.start()?;
     let job = function::spec::read(spec, &common.overrides())?;
-    let (found, folder) = progress.during(|watch| function::run(&job, watch))?;
+    fitted(&job, common, progress)
+}
+
+fn film(args: Film) -> Result<Exit, Failure> {
+    let progress = args.common.start()?;
+    let recipe = recipe::Film {
+        data: args.logs,
+        fuel: args.fuel,
+        air: args.air,
+        speed: args.speed,
+        lambda: args.lambda,
+        coolant: args.coolant,
+        points: args.at,
+        cylinders: args.cylinders,
+        afr: args.afr,
+    };
+    let job = recipe.job(Place::run("label-film", args.common.out.as_deref()).out)?;
+    fitted(&job, &args.common, progress)
+}
+
+fn fitted(job: &function::Job, common: &Common, progress: Progress) -> Result<Exit, Failure> {
+    let (found, folder) = progress.during(|watch| function::run(job, watch))?;
     common.print_summary(&folder.path().join("summary.json"))?;
     if common.shows_text() {
         let mut rows = Vec::new();

@@ -1,6 +1,7 @@
 //! Labels of any function that a spec describes: nodes, labels, channels, what it is compared with.
 
 pub mod build;
+pub mod coarse;
 pub mod page;
 pub mod spec;
 pub mod work;
@@ -43,13 +44,15 @@ fn characteristics(found: &Fitted) -> Vec<Characteristic> {
     let mut from = 0;
     let mut out = Vec::new();
     for l in &found.labels {
+        // The calibration tools list both axes of a map in one way.
+        let shared = l.axes.iter().any(|a| found.shared.contains(&a.name));
         let axis = |a: &dynocal_label::label::Axis| Axis {
             name: a.name.clone(),
             description: String::new(),
             unit: a.unit.clone(),
             input: a.name.clone(),
             points: a.points.clone(),
-            shared: false,
+            shared,
         };
         let bounded = l.lower.is_finite() && l.upper.is_finite();
         out.push(Characteristic {

@@ -5,6 +5,7 @@
 //! explains unseen samples worse than the one before is refused, and no file of it is written.
 
 pub mod channels;
+pub mod film;
 pub mod function;
 pub mod page;
 pub mod result;

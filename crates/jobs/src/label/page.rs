@@ -150,6 +150,20 @@ fn residuals(found: &Labelled) -> Section {
                 .points("samples", x, y),
         );
     }
+    // Over the axes a lack of structure shows as a slope that the table cannot follow.
+    let every = all.len().div_ceil(DRAWN).max(1);
+    let y: Vec<f64> = all.iter().step_by(every).map(|r| 100.0 * r.2).collect();
+    for (k, a) in found.label.axes.iter().enumerate() {
+        let x: Vec<f64> = found.found.states.iter().step_by(every).map(|s| s[k]).collect();
+        section = section.block(
+            XyPlot::new(
+                format!("over {}", a.name),
+                Axis::new(a.name.as_str(), a.unit.as_str()),
+                Axis::new("lambda, share left", "%"),
+            )
+            .points("samples", x, y.clone()),
+        );
+    }
     section
 }
 

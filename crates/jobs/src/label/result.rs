@@ -63,6 +63,20 @@ pub enum LabelJobError {
         /// Names there are.
         known: String,
     },
+    /// A channel in another unit than the function takes it in.
+    #[error(
+        "{file}: channel `{channel}` is in `{found}`, expected `{expected}`, the unit that the spec says"
+    )]
+    Unit {
+        /// File.
+        file: String,
+        /// Channel.
+        channel: String,
+        /// Its unit.
+        found: String,
+        /// Unit of the spec.
+        expected: String,
+    },
     /// No tune anywhere.
     #[error("{file}: the log carries no tune: give the one that was in the ECU with --tune FILE.msq")]
     NoTune {

@@ -3,9 +3,9 @@
 use super::{Graph, Op, Record, place};
 
 /// What a run leaves: all that the way back needs.
-pub(super) struct Run {
+pub(crate) struct Run {
     /// Values of all nodes, node by node, `n` each.
-    pub(super) values: Vec<Vec<f64>>,
+    pub(crate) values: Vec<Vec<f64>>,
     /// State of each film before each sample; the place that each delay read; empty elsewhere.
     pub(super) film: Vec<Vec<f64>>,
     pub(super) places: Vec<Vec<(usize, f64)>>,
@@ -29,8 +29,13 @@ impl Graph {
         run.values.pop().unwrap_or_default()
     }
 
+    /// Outputs of all nodes at each sample of `record`, in their order.
+    pub fn all_values(&self, theta: &[f64], record: &Record) -> Vec<Vec<f64>> {
+        self.run(theta, record).values
+    }
+
     /// All nodes.
-    pub(super) fn run(&self, theta: &[f64], record: &Record) -> Run {
+    pub(crate) fn run(&self, theta: &[f64], record: &Record) -> Run {
         let (n, first) = (record.time_s.len(), self.first());
         let m = self.nodes.len();
         let mut run = Run {
@@ -80,8 +85,7 @@ impl Graph {
             Op::Max(a, b) => v(a).max(v(b)),
             Op::Label(l, at) => {
                 let label = &self.labels[*l];
-                let at: Vec<f64> = at.iter().map(v).collect();
-                label.value(&theta[first[*l]..first[*l] + label.len()], &at)
+                label.value(&theta[first[*l]..first[*l] + label.len()], &spot(at, v))
             }
             Op::Delay(x, d) => {
                 let at = place(record.time_s, record.time_s[t] - v(d).max(0.0), t);
@@ -141,19 +145,41 @@ impl Graph {
 
     /// Output and its derivative in the direction `v` of the cells: `y, J v`.
     pub fn forward(&self, theta: &[f64], record: &Record, v: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut run, first) = (self.run(theta, record), self.first());
+        let run = self.run(theta, record);
+        let d = self.tangents(theta, record, v, &run);
+        (
+            run.values.into_iter().next_back().unwrap_or_default(),
+            d.into_iter().next_back().unwrap_or_default(),
+        )
+    }
+
+    /// Derivatives of all nodes in the direction `v` of the cells.
+    pub(crate) fn tangents(&self, theta: &[f64], record: &Record, v: &[f64], run: &Run) -> Vec<Vec<f64>> {
+        let first = self.first();
         let n = record.time_s.len();
         let mut d: Vec<Vec<f64>> = Vec::new();
+        let mut reached: Vec<bool> = Vec::new();
         for k in 0..self.nodes.len() {
             let mut dy = vec![0.0; n];
+            // A direction in one label leaves all nodes alone that do not come from it.
+            let op = &self.nodes[k].op;
+            let own = match op {
+                Op::Label(l, _) => v[first[*l]..first[*l] + self.labels[*l].len()].iter().any(|v| *v != 0.0),
+                _ => false,
+            };
+            reached.push(own || op.inputs().iter().any(|i| reached[*i]));
+            if !reached[k] {
+                d.push(dy);
+                continue;
+            }
             // State of a film has a derivative of its own.
             let mut dm = 0.0;
             for t in 0..n {
-                dy[t] = self.tangent(k, t, v, theta, &first, record, &run, &d, &dy, &mut dm);
+                dy[t] = self.tangent(k, t, v, theta, &first, record, run, &d, &dy, &mut dm);
             }
             d.push(dy);
         }
-        (run.values.pop().unwrap_or_default(), d.pop().unwrap_or_default())
+        d
     }
 
     fn tangent(
@@ -197,7 +223,7 @@ impl Graph {
             Op::Label(l, at) => {
                 let label = &self.labels[*l];
                 let cells = first[*l]..first[*l] + label.len();
-                let place: Vec<f64> = at.iter().map(x).collect();
+                let place = spot(at, x);
                 let slopes = slopes(label, &theta[cells.clone()], &place);
                 let own = label.value(&v[cells], &place);
                 own + at.iter().zip(slopes).map(|(i, s)| s * dx(i)).sum::<f64>()
@@ -249,6 +275,12 @@ impl Graph {
     }
 }
 
+/// Where a label is read; it has two axes at most.
+fn spot(at: &[usize], value: impl Fn(&usize) -> f64) -> [f64; 2] {
+    let of = |k: usize| at.get(k).map_or(0.0, &value);
+    [of(0), of(1)]
+}
+
 /// Derivative of what stands between samples `i` and `i + 1`, and the slope there over `axis`.
 fn between(x: &[f64], dx: &[f64], i: usize, s: f64, axis: &[f64]) -> (f64, f64) {
     let Some((next, dnext)) = x.get(i + 1).zip(dx.get(i + 1)) else { return (dx[i], 0.0) };
@@ -268,7 +300,7 @@ pub(super) fn slopes(label: &crate::label::Label, values: &[f64], at: &[f64]) ->
             continue;
         }
         let (i, _) = crate::rows::between(p, at[k]);
-        let mut place = at.to_vec();
+        let mut place = [at.first().copied().unwrap_or(0.0), at.get(1).copied().unwrap_or(0.0)];
         place[k] = p[i];
         let low = label.value(values, &place);
         place[k] = p[i + 1];

@@ -40,6 +40,8 @@ pub(super) struct Normal {
 pub(super) struct Smooth {
     pub(super) delta: Vec<f64>,
     pub(super) smooth: f64,
+    /// The least weight of the roughness that explains the data as well: what the intervals stand on.
+    pub(super) cautious: f64,
     pub(super) parameters: f64,
     pub(super) variance: f64,
 }
@@ -57,8 +59,10 @@ impl Normal {
         let (mut rough, mut owner, mut base_weight) = (Vec::new(), Vec::new(), Vec::new());
         for (number, (l, from)) in p.labels.iter().zip(first).enumerate() {
             for row in l.roughness() {
-                // A cell without data says nothing of its neighbours; one that is locked does.
-                if row.iter().any(|(k, _)| map[from + k].is_none() && !locked[from + k]) {
+                // A cell that keeps its base has no change: where the change is smoothed that is known of it, as of one that is
+                // locked, and a cell with little data beside it does not run away from it. Of its value nothing is known.
+                let unknown = |k: usize| map[from + k].is_none() && !locked[from + k];
+                if !options.smooth_change && row.iter().any(|(k, _)| unknown(*k)) {
                     continue;
                 }
                 let told = if options.smooth_change {
@@ -186,7 +190,7 @@ impl Normal {
         let score = if left > 1e-3 { square / self.samples / (left * left) } else { f64::INFINITY };
         // Parameters take as much of correlated noise as tau independent samples have.
         let variance = square / (self.samples - tau * parameters).max(1.0);
-        Ok((Smooth { delta: x, smooth, parameters, variance }, score))
+        Ok((Smooth { delta: x, smooth, cautious: smooth, parameters, variance }, score))
     }
 
     /// Solves with the given weight of the roughness, or with the one of least
@@ -233,12 +237,17 @@ impl Normal {
                 }
             }
         }
-        // The score is flat where the data do not say how smooth the label is; what they allow is no knowledge, so that the least
-        // smooth of the weights that explain as well is taken, and the intervals are those of it.
-        let best = least(&tried).1;
+        // The values are those that predict best. The score is flat where the data do not say how smooth the label is, and what they
+        // allow is no knowledge: the intervals stand on the least smooth of the weights that explain as well.
+        let (best, score) = least(&tried);
         let facts = self.samples / tau;
-        let as_good = tried.iter().filter(|t| !(facts * (t.1 / best).ln() > AS_GOOD));
+        let as_good = tried.iter().filter(|t| !(facts * (t.1 / score).ln() > AS_GOOD));
         let power = as_good.map(|t| t.0).fold(f64::INFINITY, f64::min);
-        Ok(self.at(10f64.powf(if power.is_finite() { power } else { 0.0 }), tau)?.0)
+        let cautious = 10f64.powf(if power.is_finite() { power } else { 0.0 });
+        // Without any finite score nothing was learnt of the smoothness.
+        let smooth = if score.is_finite() { 10f64.powf(best) } else { 1.0 };
+        let mut found = self.at(smooth, tau)?.0;
+        found.cautious = cautious.min(smooth);
+        Ok(found)
     }
 }

@@ -1,6 +1,9 @@
 //! Study `labels`: labels of a real ECU from its logs, where the tune in the log says the truth or later samples judge.
 //!
-//! The logs stay outside the program: they lie below the folder of `--data`, in `data/open_ecu`.
+//! The logs stay outside the program: they lie below the folder of `--data`, in `data/open_ecu`. The fuel film is that of the virtual
+//! engine with port injection ([`film`]), whose parameters are the truth.
+
+mod film;
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +20,7 @@ use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, c
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
         name: "labels",
-        what: "Labels of a real ECU from its logs: the pulse-width function against its tune, fuel tables judged on later samples (needs --data)",
+        what: "Labels of a real ECU from its logs: the pulse-width function against its tune, fuel tables judged on later samples (needs --data), the fuel film of the virtual engine",
         params: &[],
     },
     tasks,
@@ -68,6 +71,12 @@ fn tasks(o: &Options) -> Vec<Task> {
             Box::new(move |around| value("pulse", pulse(data.as_deref(), around)?))
         },
     }];
+    let length_s = if o.reduced { 60.0 } else { 120.0 };
+    out.push(Task {
+        name: "film".into(),
+        inputs: json!([length_s]),
+        run: Box::new(move |around| value("film", film::fit(around, length_s)?)),
+    });
     let drives = if o.reduced { &DRIVES[..1] } else { &DRIVES[..] };
     for (name, ..) in drives {
         let data = data.clone();
@@ -173,6 +182,34 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "",
         ),
     ];
+    let f: Option<film::Film> = result(results, "film");
+    let off = |found: f64, truth: f64| 100.0 * (found / truth - 1.0).abs();
+    for (name, what, measured) in [
+        (
+            "film-share",
+            "Share of the film on the virtual engine with port injection, less the parameter",
+            f.as_ref().map(|f| off(f.share, f.true_share)),
+        ),
+        (
+            "film-tau-warm",
+            "Its time constant, warm, less that of the engine",
+            f.as_ref().map(|f| off(f.tau_s[0], f.true_tau_s[0])),
+        ),
+        (
+            "film-tau-cold",
+            "Its time constant, cold, less that of the engine",
+            f.as_ref().map(|f| off(f.tau_s[1], f.true_tau_s[1])),
+        ),
+    ] {
+        out.push(check(
+            name,
+            what,
+            Asked::AtMost(10.0),
+            measured,
+            "%",
+            "from two drives fitted together, 20 and 90 degC at the start",
+        ));
+    }
     for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {
         let d: Option<Drive> = result(results, name);
         out.push(check(
@@ -230,5 +267,28 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
     }
     let text = "Each table was fitted to the first 60 % of the samples that count, the delay and the lag of the sensor as well; the numbers \
                 are of the other 40 %, in cells that the first part has seen.";
-    report.section(Section::new("Fuel tables on later samples").text(text).block(table))
+    let report = report.section(Section::new("Fuel tables on later samples").text(text).block(table));
+    match result::<film::Film>(results, "film") {
+        Some(f) => report.section(film_section(&f)),
+        None => report,
+    }
+}
+
+fn film_section(f: &film::Film) -> Section {
+    let mut table = Table::new(vec![
+        Column::text("Label"),
+        Column::number("Coolant", "K").digits(4),
+        Column::number("Found", "").digits(4),
+        Column::number("Engine", "").digits(4),
+    ])
+    .row(vec!["share".into(), f64::NAN.into(), f.share.into(), f.true_share.into()]);
+    for (k, name) in ["time constant, s, warm drive", "time constant, s, cold drive"].iter().enumerate() {
+        table =
+            table.row(vec![(*name).into(), f.coolant_k[k].into(), f.tau_s[k].into(), f.true_tau_s[k].into()]);
+    }
+    let text = format!(
+        "Lambda on later samples is left by {:.4} (root mean square) with the labels and by {:.4} with what the search started from.",
+        f.unseen_rms[1], f.unseen_rms[0]
+    );
+    Section::new("Fuel film of the virtual engine").text(text).block(table)
 }

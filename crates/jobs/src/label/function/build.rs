@@ -1,10 +1,11 @@
 //! From names to numbers: the graph of a spec.
 
 use dynocal_files::spec::Faults;
+use dynocal_files::units::normalise;
 use dynocal_label::graph::{Graph, Node, Op};
 use dynocal_label::label::{Axis, Label};
 
-use super::spec::{LabelKeys, NodeKeys, Typed};
+use super::spec::{AxisKeys, LabelKeys, NodeKeys, Placed, Typed};
 
 /// What a node may be, with what it takes.
 const OPS: [&str; 18] = [
@@ -28,11 +29,27 @@ const OPS: [&str; 18] = [
     "scale",
 ];
 
+/// A function with what belongs to it.
+pub(super) struct Built {
+    pub(super) graph: Graph,
+    pub(super) channels: Vec<String>,
+    pub(super) units: Vec<Option<String>>,
+    pub(super) placed: Vec<Placed>,
+}
+
 /// The function, and the channels that it reads; faults are told where there are some.
-pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<(Graph, Vec<String>)> {
+pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<Built> {
+    let mut placed: Vec<Placed> = Vec::new();
     let labels: Vec<Option<Label>> =
-        t.labels.iter().enumerate().map(|(k, l)| label(l, &format!("labels[{k}]"), faults)).collect();
-    let mut build = Build { nodes: Vec::new(), channels: Vec::new(), labels: &t.labels };
+        t.labels.iter().enumerate().map(|(k, l)| label(t, l, k, &mut placed, faults)).collect();
+    placement(&labels, &placed, faults);
+    let mut build = Build {
+        nodes: Vec::new(),
+        channels: Vec::new(),
+        channel_units: Vec::new(),
+        units: Vec::new(),
+        labels: &t.labels,
+    };
     let mut good = true;
     if t.nodes.is_empty() {
         faults.push("nodes", "nothing", "one [[nodes]] table or more, the last one the output");
@@ -48,25 +65,96 @@ pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<(Graph, Vec<String
             // Nodes that use it have no fault of their own.
             build.push(&n.name, Op::Constant(0.0));
         }
+        build.unit(n, &format!("nodes[{k}]"), &labels, faults);
     }
     let labels: Option<Vec<Label>> = labels.into_iter().collect();
     let labels = labels?;
-    good.then_some((Graph { nodes: build.nodes, labels }, build.channels))
+    let graph = Graph { nodes: build.nodes, labels };
+    good.then_some(Built { graph, channels: build.channels, units: build.channel_units, placed })
 }
 
-fn label(l: &LabelKeys, key: &str, faults: &mut Faults) -> Option<Label> {
-    let axes: Vec<Axis> = l
+/// An axis as it is written, or the shared one that it names.
+fn axis(
+    t: &Typed,
+    a: &AxisKeys,
+    key: &str,
+    at: (usize, usize),
+    placed: &mut Vec<Placed>,
+    faults: &mut Faults,
+) -> Option<Axis> {
+    let (unit, points, place, shared) = match &a.points {
+        Some(points) => (a.unit.clone().unwrap_or_else(|| "-".into()), points, a.place, false),
+        None => {
+            let Some(own) = t.axes.iter().find(|s| s.name == a.name) else {
+                let known: Vec<String> = t.axes.iter().map(|s| s.name.clone()).collect();
+                faults.unknown(&format!("{key}.name"), &a.name, &known);
+                return None;
+            };
+            if let Some(place) = a.place {
+                faults.push(&format!("{key}.place"), place, "`place` beside the points of the shared axis");
+            }
+            (own.unit.clone(), &own.points, own.place, true)
+        }
+    };
+    if let Some(count) = place {
+        if !(2..=points.len()).contains(&count) {
+            faults.push(&format!("{key}.place"), count, format!("a number from 2 to {}", points.len()));
+            return None;
+        }
+        match placed.iter_mut().find(|p| p.name == a.name) {
+            Some(p) if shared => p.of.push(at),
+            Some(_) => {
+                let wanted = "a name of its own, or an axis of [[axes]] that labels share";
+                faults.push(&format!("{key}.name"), format!("`{}`, placed twice", a.name), wanted);
+            }
+            None => placed.push(Placed { name: a.name.clone(), count, of: vec![at] }),
+        }
+    }
+    let mut axis = Axis::new(&a.name, &unit, points);
+    axis.smooth = a.smooth.unwrap_or(1.0);
+    axis.gradient =
+        [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
+    axis.convex = a.convex;
+    Some(axis)
+}
+
+/// Axes that are placed: labels on one of them span two axes in all, which is what is searched in turns.
+fn placement(labels: &[Option<Label>], placed: &[Placed], faults: &mut Faults) {
+    for p in placed {
+        let mut others: Vec<&str> = Vec::new();
+        for (l, k) in &p.of {
+            let Some(label) = &labels[*l] else { continue };
+            for (_, a) in label.axes.iter().enumerate().filter(|(i, _)| i != k) {
+                if !others.contains(&a.name.as_str()) {
+                    others.push(&a.name);
+                }
+            }
+        }
+        if others.len() > 1 {
+            faults.push(
+                "axes",
+                format!("`{}` is placed for labels that also have {}", p.name, others.join(", ")),
+                "labels with one other axis at most, the same for all",
+            );
+        }
+    }
+}
+
+fn label(
+    t: &Typed,
+    l: &LabelKeys,
+    number: usize,
+    placed: &mut Vec<Placed>,
+    faults: &mut Faults,
+) -> Option<Label> {
+    let key = format!("labels[{number}]");
+    let axes: Option<Vec<Axis>> = l
         .axes
         .iter()
-        .map(|a| {
-            let mut axis = Axis::new(&a.name, &a.unit, &a.points);
-            axis.smooth = a.smooth.unwrap_or(1.0);
-            axis.gradient =
-                [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
-            axis.convex = a.convex;
-            axis
-        })
+        .enumerate()
+        .map(|(k, a)| axis(t, a, &format!("{key}.axes[{k}]"), (number, k), placed, faults))
         .collect();
+    let axes = axes?;
     let cells: usize = axes.iter().map(|a| a.points.len()).product();
     let base = if l.base.len() == 1 { vec![l.base[0]; cells] } else { l.base.clone() };
     let mut out = Label::new(&l.name, &l.unit, axes, &base);
@@ -90,7 +178,7 @@ fn label(l: &LabelKeys, key: &str, faults: &mut Faults) -> Option<Label> {
     match out.check() {
         Ok(()) => Some(out),
         Err(e) => {
-            faults.push(key, "a label that contradicts itself", e);
+            faults.push(&key, "a label that contradicts itself", e);
             None
         }
     }
@@ -99,6 +187,10 @@ fn label(l: &LabelKeys, key: &str, faults: &mut Faults) -> Option<Label> {
 struct Build<'a> {
     nodes: Vec<Node>,
     channels: Vec<String>,
+    /// Unit of each channel, where the spec says one.
+    channel_units: Vec<Option<String>>,
+    /// Unit of each node, where it is known.
+    units: Vec<Option<String>>,
     labels: &'a [LabelKeys],
 }
 
@@ -136,6 +228,7 @@ impl Build<'_> {
                 let name = faults.required(&format!("{key}.channel"), &n.channel, "the name of a channel")?;
                 let at = self.channels.iter().position(|c| *c == name).unwrap_or_else(|| {
                     self.channels.push(name.clone());
+                    self.channel_units.push(n.unit.as_deref().map(normalise));
                     self.channels.len() - 1
                 });
                 Op::Channel(at)
@@ -204,6 +297,61 @@ impl Build<'_> {
         };
         self.push(&n.name, op);
         Some(())
+    }
+
+    /// The unit of the node that was built last: said by the spec or the label, or kept from what enters; what is added, chosen or
+    /// looked up must agree.
+    fn unit(&mut self, n: &NodeKeys, key: &str, labels: &[Option<Label>], faults: &mut Faults) {
+        // A node of the spec may be several of the graph; the inputs of each are known.
+        while self.units.len() < self.nodes.len() {
+            let known = self.units.len();
+            let op = self.nodes[known].op.clone();
+            let of = |i: usize| self.units.get(i).cloned().flatten();
+            let found = match &op {
+                Op::Label(l, at) => {
+                    let Some(label) = labels.get(*l).and_then(Option::as_ref) else {
+                        self.units.push(None);
+                        continue;
+                    };
+                    for (i, a) in at.iter().zip(&label.axes) {
+                        if let Some(unit) = of(*i).filter(|u| *u != normalise(&a.unit)) {
+                            let wanted = format!(
+                                "`{}`, the unit of the axis `{}` of `{}`",
+                                a.unit, a.name, label.name
+                            );
+                            faults.push(&format!("{key}.in"), format!("a node in `{unit}`"), wanted);
+                        }
+                    }
+                    Some(normalise(&label.unit))
+                }
+                Op::Add(_) | Op::Subtract(..) | Op::Min(..) | Op::Max(..) => {
+                    let units: Vec<String> = op.inputs().into_iter().filter_map(of).collect();
+                    if let Some(other) = units.iter().find(|u| **u != units[0]) {
+                        faults.push(
+                            &format!("{key}.in"),
+                            format!("nodes in `{}` and `{other}`", units[0]),
+                            "nodes in one unit",
+                        );
+                    }
+                    units.first().cloned()
+                }
+                Op::Switch(_, a, b) => of(*a).or_else(|| of(*b)),
+                Op::Delay(a, _) | Op::DelayFlow(a, ..) | Op::Lag(a, _) | Op::Film(a, ..) => of(*a),
+                _ => None,
+            };
+            let last = known + 1 == self.nodes.len();
+            let said = n.unit.as_deref().filter(|_| last).map(normalise);
+            if let (Some(said), Some(found)) = (&said, &found)
+                && said != found
+            {
+                faults.push(
+                    &format!("{key}.unit"),
+                    format!("`{said}`"),
+                    format!("`{found}`, which is what it gives"),
+                );
+            }
+            self.units.push(said.or(found));
+        }
     }
 
     fn push(&mut self, name: &str, op: Op) -> usize {

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use dynocal_files::atomic;
+use dynocal_label::label::Label;
 use dynocal_label::linear::Verdict;
-use dynocal_report::{Axis, Cell, Column, Report, Section, Table, XyPlot, render};
+use dynocal_report::{Axis, Cell, Check, Column, HeatMap, Report, Section, Table, XyPlot, render};
 
 use super::work::Fitted;
 use crate::page::PageError;
@@ -29,7 +30,134 @@ fn report(found: &Fitted) -> Report {
     for text in &found.fit.held {
         report = report.warning(format!("the fit is held by a limit: {text}"));
     }
-    report.section(cells(found)).section(plot(found))
+    report = report.check(
+        Check::new("unseen", "what the labels leave of later, unseen samples (root mean square)")
+            .asked(format!("not above {:.4}", found.unseen_rms[0]))
+            .measured(found.unseen_rms[1])
+            .unit("")
+            .holds(found.unseen_rms[1] <= found.unseen_rms[0])
+            .note("the demand is the base"),
+    );
+    report = report.section(cells(found)).section(shapes(found));
+    if !found.chosen.is_empty() {
+        report = report.section(chosen(found));
+    }
+    report.section(rows(found)).section(plot(found)).section(left(found))
+}
+
+/// Curves and maps before and after.
+fn shapes(found: &Fitted) -> Section {
+    let mut section = Section::new("Curves and maps");
+    let mut from = 0;
+    for l in &found.labels {
+        let cells = from..from + l.len();
+        let (values, half) = (&found.fit.values[cells.clone()], &found.half_width[cells]);
+        section = match l.axes.len() {
+            1 => section.block(curve(l, values, half)),
+            2 => maps(section, l, values, half),
+            _ => section,
+        };
+        from += l.len();
+    }
+    section
+}
+
+fn curve(l: &Label, values: &[f64], half: &[Option<f64>]) -> XyPlot {
+    let (x, a) = (l.axes[0].points.clone(), &l.axes[0]);
+    let band = |s: f64| values.iter().zip(half).map(|(v, h)| v + s * h.unwrap_or(0.0)).collect::<Vec<f64>>();
+    XyPlot::new(
+        l.name.as_str(),
+        Axis::new(a.name.as_str(), a.unit.as_str()),
+        Axis::new(l.name.as_str(), l.unit.as_str()),
+    )
+    .band("95 % interval", x.clone(), band(-1.0), band(1.0))
+    .line("before", x.clone(), l.base.clone())
+    .line("fitted", x, values.to_vec())
+}
+
+fn maps(section: Section, l: &Label, values: &[f64], half: &[Option<f64>]) -> Section {
+    let map = |title: String, unit: &str, v: Vec<f64>| {
+        let axis = |k: usize| {
+            let a = &l.axes[k];
+            (Axis::new(a.name.as_str(), a.unit.as_str()), a.points.clone())
+        };
+        // Three digits can be read in a cell.
+        let short = |x: f64| format!("{x:.2e}").parse().unwrap_or(x);
+        let v: Vec<f64> = v.into_iter().map(short).collect();
+        HeatMap::new(title.clone(), axis(0), axis(1), (Axis::new(title, unit), v)).cell_values()
+    };
+    let both = || l.base.iter().chain(values).copied();
+    let (low, high) = (both().fold(f64::INFINITY, f64::min), both().fold(f64::NEG_INFINITY, f64::max));
+    let change: Vec<f64> = values.iter().zip(&l.base).map(|(a, b)| a - b).collect();
+    let half = half.iter().map(|h| h.unwrap_or(f64::NAN)).collect();
+    section
+        .block(map(format!("{}, before", l.name), &l.unit, l.base.clone()).range(low, high))
+        .block(map(format!("{}, fitted", l.name), &l.unit, values.to_vec()).range(low, high))
+        .block(map(format!("{}, difference", l.name), &l.unit, change).diverging())
+        .block(map(format!("{}, half width of the 95 % interval", l.name), &l.unit, half))
+}
+
+/// Axes that were placed, with what fewer breakpoints would lose.
+fn chosen(found: &Fitted) -> Section {
+    let text = "Of all choices of so many of the breakpoints, the one between which straight lines lose least (dynamic programming; \
+                two axes in turns), in shares of the range of each label. The values there were fitted anew.";
+    let mut section = Section::new("Axes").text(text);
+    for c in &found.chosen {
+        let points = c.points.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+        section = section.text(format!(
+            "{}: {} of {} breakpoints ({points}), for {}.",
+            c.name,
+            c.points.len(),
+            c.had,
+            c.labels.join(", ")
+        ));
+        let (x, y): (Vec<f64>, Vec<f64>) = c.loss.iter().map(|(n, e)| (*n as f64, 100.0 * e)).unzip();
+        section = section.block(
+            XyPlot::new(
+                format!("{}: loss of coarser axes", c.name),
+                Axis::new("Breakpoints", "-"),
+                Axis::new("Lost, root mean square", "%"),
+            )
+            .line("best choice", x, y),
+        );
+    }
+    section
+}
+
+/// Rows of the criterion on unseen samples.
+fn rows(found: &Fitted) -> Section {
+    let mut table = Table::new(vec![
+        Column::text("Node"),
+        Column::text("Channel"),
+        Column::number("Base, unseen rms", "").digits(4),
+        Column::number("Fitted, unseen rms", "").digits(4),
+    ]);
+    for (node, channel, before, after) in &found.rows {
+        table =
+            table.row(vec![node.as_str().into(), channel.as_str().into(), (*before).into(), (*after).into()]);
+    }
+    Section::new("Rows of the criterion").block(table)
+}
+
+/// What is left over time and over each quantity that enters a label.
+fn left(found: &Fitted) -> Section {
+    let all = &found.left;
+    let every = all.residual.len().div_ceil(DRAWN).max(1);
+    let thin = |v: &[f64]| v.iter().copied().step_by(every).collect::<Vec<f64>>();
+    let time = ("Time".to_string(), "s".to_string());
+    let mut section = Section::new("What is left")
+        .text("Measured less function, on the samples of the first record that count.");
+    for ((name, unit), column) in std::iter::once(&time).chain(&all.over).zip(&all.columns) {
+        section = section.block(
+            XyPlot::new(
+                format!("over {name}"),
+                Axis::new(name.as_str(), unit.as_str()),
+                Axis::new("left", ""),
+            )
+            .points("samples", thin(column), thin(&all.residual)),
+        );
+    }
+    section
 }
 
 fn cells(found: &Fitted) -> Section {

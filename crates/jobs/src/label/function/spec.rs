@@ -20,7 +20,12 @@ pub(super) struct Typed {
     pub(super) target: Option<String>,
     pub(super) train: Option<f64>,
     #[serde(default)]
+    pub(super) axes: Vec<SharedKeys>,
+    #[serde(default)]
     pub(super) labels: Vec<LabelKeys>,
+    #[serde(default)]
+    pub(super) rows: Vec<RowKeys>,
+    pub(super) reduce: Option<usize>,
     #[serde(default)]
     pub(super) nodes: Vec<NodeKeys>,
     #[serde(default, rename = "where")]
@@ -47,13 +52,34 @@ pub(super) struct LabelKeys {
     pub(super) axes: Vec<AxisKeys>,
 }
 
-/// An axis as it is written.
+/// An axis that labels share, as it is written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SharedKeys {
+    pub(super) name: String,
+    pub(super) unit: String,
+    pub(super) points: Vec<f64>,
+    /// Breakpoints that are left after the fit.
+    pub(super) place: Option<usize>,
+}
+
+/// A row of the criterion as it is written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RowKeys {
+    pub(super) node: String,
+    pub(super) target: String,
+    pub(super) weight: Option<f64>,
+}
+
+/// An axis as it is written; without points it is the shared one of that name.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AxisKeys {
     pub(super) name: String,
-    pub(super) unit: String,
-    pub(super) points: Vec<f64>,
+    pub(super) unit: Option<String>,
+    pub(super) points: Option<Vec<f64>>,
+    pub(super) place: Option<usize>,
     pub(super) smooth: Option<f64>,
     pub(super) least_gradient: Option<f64>,
     pub(super) greatest_gradient: Option<f64>,
@@ -75,6 +101,8 @@ pub(super) struct NodeKeys {
     pub(super) least: Option<f64>,
     pub(super) greatest: Option<f64>,
     pub(super) start: Option<f64>,
+    /// Unit of what it gives; of a channel it is compared with that of the file.
+    pub(super) unit: Option<String>,
 }
 
 /// Samples count where a channel is within a range.
@@ -87,6 +115,34 @@ pub struct Condition {
     pub least: Option<f64>,
     /// Greatest value.
     pub greatest: Option<f64>,
+    /// Change that it may have had, in shares of its value a second.
+    pub slower_than: Option<f64>,
+    /// Time in s for which it must have been so slow; none for the sample alone.
+    pub for_s: Option<f64>,
+}
+
+/// A row of the criterion: a node, the channel that it is compared with, and the weight of its squares.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Number of the node.
+    pub node: usize,
+    /// Name of the node.
+    pub name: String,
+    /// Channel.
+    pub target: String,
+    /// Weight.
+    pub weight: f64,
+}
+
+/// An axis of a label whose breakpoints are chosen after the fit.
+#[derive(Clone, Debug, Serialize, PartialEq)]
+pub struct Placed {
+    /// Name.
+    pub name: String,
+    /// Breakpoints that are left.
+    pub count: usize,
+    /// Labels with the axis, by number, and which of their axes it is.
+    pub of: Vec<(usize, usize)>,
 }
 
 /// A fit as understood.
@@ -98,14 +154,22 @@ pub struct Job {
     pub data: Vec<PathBuf>,
     /// Channels that the function reads.
     pub channels: Vec<String>,
-    /// Channel that its last node is compared with.
-    pub target: String,
+    /// Unit that each of them shall have, where the spec says one.
+    pub units: Vec<Option<String>>,
+    /// What is compared with what.
+    pub rows: Vec<Row>,
     /// Which samples count.
     pub conditions: Vec<Condition>,
     /// Share of the samples, first in time, that are fitted; the rest judges.
     pub train: f64,
     /// The function.
     pub graph: Graph,
+    /// Names of the axes that labels share.
+    pub shared: Vec<String>,
+    /// Axes that are placed after the fit.
+    pub placed: Vec<Placed>,
+    /// Every so many breakpoints of each axis are fitted first; 1 for all at once.
+    pub reduce: usize,
     /// The fit.
     pub fit: Options,
     /// Run folder.
@@ -132,23 +196,17 @@ pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecE
 fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
     let folder = spec.parent().unwrap_or(Path::new(""));
     let data = faults.required("data", &t.data, "a list of data files");
-    let target = faults.required("target", &t.target, "the channel that the last node is compared with");
     let train = t.train.unwrap_or(0.7);
     faults.range("train", train, 0.2, 0.95, "");
+    let reduce = t.reduce.unwrap_or(1);
+    faults.range("reduce", reduce as f64, 1.0, 64.0, "");
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
-    for (k, c) in t.conditions.iter().enumerate() {
-        if !(c.least.unwrap_or(f64::NEG_INFINITY) <= c.greatest.unwrap_or(f64::INFINITY)) {
-            faults.push(
-                &format!("where[{k}].least"),
-                c.least.unwrap_or(f64::NAN),
-                "a value not above `greatest`",
-            );
-        }
-    }
-    let (graph, channels) = build::graph(t, faults)?;
-    if let Err(e) = graph.check(channels.len()) {
+    conditions(&t.conditions, faults);
+    let built = build::graph(t, faults)?;
+    if let Err(e) = built.graph.check(built.channels.len()) {
         faults.push("nodes", "a function that cannot be evaluated", e);
     }
+    let rows = rows(t, &built.graph, faults)?;
     let data = data?;
     if data.is_empty() {
         faults.push("data", "no file", "a list of data files");
@@ -157,11 +215,65 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         name: place.name,
         out: place.out,
         data: data.iter().map(|f| folder.join(f)).collect(),
-        channels,
-        target: target?,
+        channels: built.channels,
+        units: built.units,
+        rows,
         conditions: t.conditions.clone(),
         train,
-        graph,
+        graph: built.graph,
+        shared: t.axes.iter().map(|a| a.name.clone()).collect(),
+        placed: built.placed,
+        reduce,
         fit: t.fit.clone().unwrap_or_default(),
     })
+}
+
+fn conditions(all: &[Condition], faults: &mut Faults) {
+    for (k, c) in all.iter().enumerate() {
+        if !(c.least.unwrap_or(f64::NEG_INFINITY) <= c.greatest.unwrap_or(f64::INFINITY)) {
+            faults.push(
+                &format!("where[{k}].least"),
+                c.least.unwrap_or(f64::NAN),
+                "a value not above `greatest`",
+            );
+        }
+        if let Some(rate) = c.slower_than {
+            faults.positive(&format!("where[{k}].slower_than"), rate, "1/s");
+        }
+        if let Some(for_s) = c.for_s {
+            faults.range(&format!("where[{k}].for_s"), for_s, 0.0, 1e4, "s");
+            if c.slower_than.is_none() {
+                faults.push(&format!("where[{k}].for_s"), for_s, "`slower_than` beside it");
+            }
+        }
+    }
+}
+
+/// Rows of the criterion: those that are written, or the last node and `target`.
+fn rows(t: &Typed, graph: &Graph, faults: &mut Faults) -> Option<Vec<Row>> {
+    let last = graph.nodes.len().checked_sub(1)?;
+    if t.rows.is_empty() {
+        let target = faults.required(
+            "target",
+            &t.target,
+            "the channel that the last node is compared with, or [[rows]]",
+        )?;
+        return Some(vec![Row { node: last, name: graph.nodes[last].name.clone(), target, weight: 1.0 }]);
+    }
+    if let Some(target) = &t.target {
+        faults.push("target", target, "no `target` beside [[rows]]");
+    }
+    let known: Vec<String> = t.nodes.iter().map(|n| n.name.clone()).collect();
+    let mut out = Vec::new();
+    for (k, row) in t.rows.iter().enumerate() {
+        let weight = row.weight.unwrap_or(1.0);
+        faults.positive(&format!("rows[{k}].weight"), weight, "");
+        match graph.nodes.iter().rposition(|n| n.name == row.node) {
+            Some(node) => {
+                out.push(Row { node, name: row.node.clone(), target: row.target.clone(), weight });
+            }
+            None => faults.unknown(&format!("rows[{k}].node"), &row.node, &known),
+        }
+    }
+    Some(out)
 }

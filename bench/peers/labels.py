@@ -1,0 +1,101 @@
+#!/usr/bin/env python3
+"""A 16 x 16 map with smoothness from samples: ours against SciPy's sparse normal equations.
+
+Both sides get the states and compute weights, equations and solution. The roughness is written down here once more: the integral
+of the squared second derivative along each axis, axes as shares of their range, averaged over the lines of the other axis, in the
+size of the data.
+"""
+
+from common import ROOT, Verdict, measure  # noqa: I001
+
+import json
+import os
+import pathlib
+import subprocess
+import tempfile
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+CELLS = 16
+SMOOTH = 1e-3
+ASKED_S = 0.1
+
+
+def problem(n, seed=1):
+    """States of a drive (two slow random walks), a smooth map, noise."""
+    rng = np.random.default_rng(seed)
+    x = np.cumsum(rng.uniform(0.5, 1.5, CELLS))
+    y = np.cumsum(rng.uniform(0.5, 1.5, CELLS))
+    u, v = rng.uniform(x[0], x[-1], n), rng.uniform(y[0], y[-1], n)
+    z = 50 + 10 * np.sin(0.3 * u) * np.cos(0.2 * v) + rng.normal(0, 1, n)
+    return {"x": x, "y": y, "u": u, "v": v, "z": z, "smooth": SMOOTH}
+
+
+def weights(p):
+    """Rows of bilinear interpolation."""
+    def place(axis, at):
+        i = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, len(axis) - 2)
+        return i, (at - axis[i]) / (axis[i + 1] - axis[i])
+    (i, s), (j, t) = place(p["x"], p["u"]), place(p["y"], p["v"])
+    cell = j * CELLS + i
+    columns = np.stack([cell, cell + 1, cell + CELLS, cell + CELLS + 1], 1).ravel()
+    values = np.stack([(1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t], 1).ravel()
+    n = len(p["u"])
+    return sp.csr_matrix((values, columns, np.arange(0, 4 * n + 1, 4)), shape=(n, CELLS * CELLS))
+
+
+def roughness(p):
+    """Rows of the second derivative along both axes."""
+    blocks = []
+    for k, axis in enumerate((p["x"], p["y"])):
+        a = np.diff(axis) / (axis[-1] - axis[0])
+        rows = np.zeros((CELLS - 2, CELLS))
+        for i in range(1, CELLS - 1):
+            left, right = a[i - 1], a[i]
+            scale = np.sqrt(0.5 * (left + right) / CELLS) * 2 / (left + right)
+            rows[i - 1, i - 1:i + 2] = scale / left, -scale * (1 / left + 1 / right), scale / right
+        one = sp.identity(CELLS)
+        blocks.append(sp.kron(one, rows) if k == 0 else sp.kron(rows, one))
+    return sp.vstack(blocks).tocsr()
+
+
+def peer(p):
+    a, d = weights(p), roughness(p)
+    g = (a.T @ a).tocsc()
+    size = g.diagonal().sum() / d.multiply(d).sum()
+    h = g + p["smooth"] * size * (d.T @ d)
+    return splu(h.tocsc()).solve(a.T @ p["z"])
+
+
+def ours(p):
+    subprocess.run(["cargo", "build", "--quiet", "--release", "--workspace", "--example", "label_peer"], cwd=ROOT, check=True)
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder, "problem.json")
+        path.write_text(json.dumps(p, default=lambda q: q.tolist()), encoding="utf-8")
+        done = subprocess.run([target / "release/examples/label_peer", path], check=True, stdout=subprocess.PIPE)
+    return json.loads(done.stdout)
+
+
+def main():
+    verdict = Verdict("labels: a 16 x 16 map with smoothness", "sparse normal equations, SuperLU")
+    spent = {}
+    for n in (10_000, 100_000, 1_000_000):
+        p = problem(n)
+        found = ours(p)
+        seconds, wanted = measure(lambda p=p: peer(p))
+        spent[n] = found["cpu_s"]
+        verdict.row(f"{n} samples, ours ({found['wall_s']:.4f} s by the clock, peak {found['peak_gib']:.2f} GiB)", found["cpu_s"])
+        verdict.row(f"{n} samples, SciPy", seconds, found["cpu_s"])
+        off = np.max(np.abs(np.array(found["values"]) - wanted))
+        verdict.check("the same map to 1e-6", off < 1e-6, f"{off:.1e}")
+    verdict.check(f"100 000 samples in less than {ASKED_S} s of one processor", spent[100_000] < ASKED_S, f"{spent[100_000]:.4f} s")
+    growth = spent[1_000_000] / spent[100_000]
+    verdict.check("ten times the samples cost at most twelve times as much", growth <= 12, f"{growth:.1f} times")
+    verdict.end()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+//! The second stage: linear fits around the last values until they reproduce themselves.
+
+use super::{Found, Linear, Target, linearise, residuals, size, squares};
+use crate::error::LabelError;
+use crate::graph::Graph;
+use crate::linear::{self, Fit, Options, Problem};
+use crate::rows::Rows;
+
+/// Most rounds.
+const MOST_ROUNDS: usize = 40;
+/// Rounds after which the weight of the smoothness stays: a search that changes its own target does not end.
+const CHOOSES: usize = 4;
+/// Change of the labels, as a share of their size, below which they stand.
+const STANDS: f64 = 1e-6;
+/// Excess of the cost over what the linear fit says, at which a step is too long for a straight line.
+const STRAIGHT: f64 = 0.1;
+
+/// From the values of the first stage to those that the linear fit around them gives back.
+pub(super) fn search(
+    graph: &Graph,
+    mut theta: Vec<f64>,
+    targets: &[Target],
+    options: &Options,
+    (begun, minimum): (usize, bool),
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Found, LabelError> {
+    let smooths = graph.labels.iter().any(|l| !l.roughness().is_empty()) && options.smooth != Some(0.0);
+    let mut options = options.clone();
+    if !smooths {
+        options.smooth = Some(0.0);
+    }
+    let mut fit = told(graph, &theta, &linearise(graph, &theta, targets), &options)?;
+    if !smooths && !options.robust {
+        // The linear fit at a minimum is that minimum.
+        return Ok(Found { fit, steps: begun, converged: minimum });
+    }
+    for round in 1..=MOST_ROUNDS {
+        if interrupt() {
+            break;
+        }
+        if round > CHOOSES && options.smooth.is_none() {
+            options.smooth = Some(fit.smooth);
+        }
+        let moved = towards(graph, &theta, &fit.exact, targets);
+        let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
+        let stands = size(&change) <= STANDS * (STANDS + size(&theta));
+        theta = moved;
+        fit = told(graph, &theta, &linearise(graph, &theta, targets), &options)?;
+        if stands && round > CHOOSES {
+            return Ok(Found { fit, steps: begun + round, converged: true });
+        }
+    }
+    Ok(Found { fit, steps: begun + MOST_ROUNDS, converged: false })
+}
+
+/// The point on the way to `goal` where the function is still nearly as straight as the fit takes it.
+fn towards(graph: &Graph, theta: &[f64], goal: &[f64], targets: &[Target]) -> Vec<f64> {
+    let here = residuals(graph, theta, targets).unwrap_or_default();
+    let at = |s: f64| -> Vec<f64> { theta.iter().zip(goal).map(|(a, b)| a + s * (b - a)).collect() };
+    let mut share = 1.0;
+    while share > 1e-3 {
+        let point = at(share);
+        if let Some(r) = residuals(graph, &point, targets) {
+            // Smoothness may cost residuals, and limits as well: what must not be is a rise that the straight line does not know.
+            let half = residuals(graph, &at(0.5 * share), targets).unwrap_or_default();
+            let bend = bend(&here, &half, &r);
+            if bend <= STRAIGHT * squares(&here).max(squares(&r)) {
+                return point;
+            }
+        }
+        share *= 0.5;
+    }
+    at(share)
+}
+
+/// Weighted square of how far residuals half way lie from the mean of those at the ends.
+fn bend(a: &[(f64, f64)], half: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
+    if half.len() != a.len() {
+        return f64::INFINITY;
+    }
+    (0..a.len()).map(|k| a[k].1 * (half[k].0 - 0.5 * (a[k].0 + b[k].0)).powi(2)).sum()
+}
+
+/// The linear fit at `theta`: values, intervals, verdicts, smoothness and whole steps.
+fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<Fit, LabelError> {
+    let (mut rows, mut target) = (Rows::default(), Vec::with_capacity(at.r.len()));
+    for k in 0..at.r.len() {
+        rows.start();
+        let mut y = at.r[k];
+        for (c, column) in at.j.iter().enumerate() {
+            rows.push(c, column[k]);
+            y += column[k] * theta[c];
+        }
+        target.push(y);
+    }
+    // Samples that follow each other without a gap.
+    let (mut segments, mut from) = (Vec::new(), 0);
+    for used in &at.used {
+        let mut start = from;
+        for k in 1..used.len() {
+            if used[k] != used[k - 1] + 1 {
+                segments.push(start..from + k);
+                start = from + k;
+            }
+        }
+        from += used.len();
+        segments.push(start..from);
+    }
+    let problem =
+        Problem { labels: &graph.labels, rows: &rows, target: &target, weights: Some(&at.w), segments };
+    linear::fit(&problem, options)
+}

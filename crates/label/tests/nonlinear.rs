@@ -1,0 +1,178 @@
+//! Functions fitted with smoothness, outliers and several rows of the criterion, on planted truths.
+
+use dynocal_label::graph::{Graph, Node, Op, Record};
+use dynocal_label::label::{Axis, Label};
+use dynocal_label::linear::{self, Options, Problem};
+use dynocal_label::nonlinear::{Target, fit, fit_from};
+use dynocal_label::rows::Rows;
+use dynocal_numerics::rng::Rng64;
+
+fn node(name: &str, op: Op) -> Node {
+    Node { name: name.into(), op }
+}
+
+/// `out = curve(x) * gain`, and the curve alone as a node.
+fn product(points: &[f64]) -> Graph {
+    let labels = vec![
+        Label::curve("CURVE", "-", "x", "-", points, &vec![1.0; points.len()]),
+        Label::scalar("GAIN", "-", 1.0),
+    ];
+    let nodes = vec![
+        node("x", Op::Channel(0)),
+        node("curve", Op::Label(0, vec![0])),
+        node("gain", Op::Label(1, vec![])),
+        node("out", Op::Multiply(vec![1, 2])),
+    ];
+    Graph { nodes, labels }
+}
+
+struct Planted {
+    time_s: Vec<f64>,
+    x: Vec<f64>,
+    truth: Vec<f64>,
+    y: Vec<f64>,
+}
+
+/// A smooth curve with white noise of 0.05.
+fn planted(seed: u64, n: usize) -> Planted {
+    let mut rng = Rng64::new(seed);
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
+    let x: Vec<f64> = (0..n).map(|_| rng.uniform()).collect();
+    let truth: Vec<f64> = x.iter().map(|x| 2.0 + (3.0 * x).sin()).collect();
+    let y = truth.iter().map(|v| v + 0.05 * rng.normal()).collect();
+    Planted { time_s, x, truth, y }
+}
+
+fn rms(a: &[f64], b: &[f64]) -> f64 {
+    (a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
+}
+
+/// Where the function is linear in its labels the search must be the linear fit, smoothness by cross-validation included.
+#[test]
+fn a_function_that_is_linear_is_the_linear_fit() {
+    let points: Vec<f64> = (0..21).map(|k| 0.05 * f64::from(k)).collect();
+    let p = planted(3, 300);
+    let mut graph = product(&points);
+    graph.labels[1].locked[0] = true;
+    let weights = vec![1.0; p.y.len()];
+    let record = Record { time_s: &p.time_s, channels: vec![&p.x] };
+    let target = Target { record, node: None, y: &p.y, weights: &weights };
+    let found = fit(&graph, &[target], &Options::default(), &|| false).unwrap();
+    assert!(found.converged);
+    let label = graph.labels[0].clone();
+    let mut rows = Rows::default();
+    for x in &p.x {
+        rows.start();
+        label.enter(&mut rows, 0, 1.0, &[*x]);
+    }
+    let segments = std::iter::once(0..p.y.len()).collect();
+    let problem =
+        Problem { labels: std::slice::from_ref(&label), rows: &rows, target: &p.y, weights: None, segments };
+    let wanted = linear::fit(&problem, &Options::default()).unwrap();
+    assert_eq!(found.fit.smooth, wanted.smooth);
+    assert!(wanted.smooth > 0.0);
+    for (a, b) in found.fit.exact.iter().zip(&wanted.exact) {
+        assert!((a - b).abs() < 1e-7, "{a} {b}");
+    }
+}
+
+/// Smoothness by cross-validation is nearer to the truth than none, on seeds that nothing was set by.
+#[test]
+fn smoothness_by_cross_validation_helps_a_noisy_function() {
+    let points: Vec<f64> = (0..41).map(|k| 0.025 * f64::from(k)).collect();
+    let mut better = 0;
+    for seed in 100..110 {
+        let p = planted(seed, 600);
+        let mut graph = product(&points);
+        graph.labels[1].locked[0] = true;
+        let weights = vec![1.0; p.y.len()];
+        let error = |options: &Options| {
+            let record = Record { time_s: &p.time_s, channels: vec![&p.x] };
+            let target = Target { record: record.clone(), node: None, y: &p.y, weights: &weights };
+            let found = fit(&graph, &[target], options, &|| false).unwrap();
+            rms(&graph.values(&found.fit.values, &record), &p.truth)
+        };
+        let (smooth, none) =
+            (error(&Options::default()), error(&Options { smooth: Some(0.0), ..Options::default() }));
+        println!("seed {seed}: off the truth by {smooth:.4} with smoothness, {none:.4} without");
+        better += usize::from(smooth < none);
+    }
+    assert!(better >= 9, "{better} of 10");
+}
+
+/// One sample in twenty is off by a hundred standard deviations, always to one side.
+#[test]
+fn outliers_count_less_with_the_robust_loss() {
+    let points = [0.0, 0.25, 0.5, 0.75, 1.0];
+    let mut p = planted(5, 400);
+    for k in (0..p.y.len()).step_by(20) {
+        p.y[k] += 5.0;
+    }
+    let mut graph = product(&points);
+    graph.labels[1].locked[0] = true;
+    let weights = vec![1.0; p.y.len()];
+    let error = |robust: bool| {
+        let record = Record { time_s: &p.time_s, channels: vec![&p.x] };
+        let target = Target { record: record.clone(), node: None, y: &p.y, weights: &weights };
+        let found = fit(&graph, &[target], &Options { robust, ..Options::default() }, &|| false).unwrap();
+        rms(&graph.values(&found.fit.values, &record), &p.truth)
+    };
+    let (plain, robust) = (error(false), error(true));
+    assert!(plain > 0.15 && robust < 0.25 * plain, "{plain} {robust}");
+}
+
+/// `curve * gain` alone leaves the size of both open; a second row on the curve settles it.
+#[test]
+fn a_second_row_of_the_criterion_settles_what_the_first_leaves_open() {
+    let points = [0.0, 0.5, 1.0];
+    let graph = product(&points);
+    let time_s: Vec<f64> = (0..60).map(f64::from).collect();
+    let x: Vec<f64> = (0..60).map(|k| f64::from(k % 11) / 10.0).collect();
+    let curve: Vec<f64> = x.iter().map(|x| 1.0 + 2.0 * x).collect();
+    let out: Vec<f64> = curve.iter().map(|v| 3.0 * v).collect();
+    let weights = vec![1.0; 60];
+    let record = || Record { time_s: &time_s, channels: vec![&x] };
+    let targets = [
+        Target { record: record(), node: None, y: &out, weights: &weights },
+        Target { record: record(), node: Some(1), y: &curve, weights: &weights },
+    ];
+    let options = Options { smooth: Some(0.0), ..Options::default() };
+    let found = fit(&graph, &targets, &options, &|| false).unwrap();
+    for (a, b) in found.fit.values.iter().zip([1.0, 2.0, 3.0, 3.0]) {
+        assert!((a - b).abs() < 1e-6, "{:?}", found.fit.values);
+    }
+    // Another start gives the same.
+    let other = fit_from(&graph, &[2.0, 2.0, 2.0, 2.0], &targets, &options, &|| false).unwrap();
+    for (a, b) in found.fit.values.iter().zip(&other.fit.values) {
+        assert!((a - b).abs() < 1e-6);
+    }
+    let bad = Target { record: record(), node: Some(9), y: &curve, weights: &weights };
+    let message = fit(&graph, &[bad], &options, &|| false).unwrap_err().to_string();
+    assert!(message.contains("there are 4 nodes"), "{message}");
+}
+
+/// A cell that few samples reach stays near its neighbours, of which the one beyond keeps its base.
+#[test]
+fn a_cell_with_little_data_beside_an_untouched_one_does_not_run_away() {
+    let axis = Axis::new("x", "-", &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+    let label = Label::new("CURVE", "%", vec![axis], &[50.0; 7]);
+    let (mut square, mut alone) = (0.0, 0.0);
+    for seed in 0..50 {
+        let mut rng = Rng64::new(1000 + seed);
+        let (mut rows, mut y) = (Rows::default(), Vec::new());
+        // The table is right; many samples up to cell 3, five near the foot of cell 4, none beyond.
+        for k in 0..405 {
+            let x = if k < 400 { 3.0 * rng.uniform() } else { 3.0 + 0.3 * rng.uniform() };
+            rows.start();
+            label.enter(&mut rows, 0, 1.0, &[x]);
+            y.push(50.0 + 3.0 * rng.normal());
+        }
+        let problem = Problem::new(std::slice::from_ref(&label), &rows, &y);
+        let found = linear::fit(&problem, &Options::default()).unwrap();
+        square += (found.values[4] - 50.0).powi(2) / 50.0;
+        let free = linear::fit(&problem, &Options { smooth: Some(0.0), ..Options::default() }).unwrap();
+        alone += (free.values[4] - 50.0).powi(2) / 50.0;
+    }
+    println!("cell with little data: off by {:.2}, without smoothness by {:.2}", square.sqrt(), alone.sqrt());
+    assert!(square.sqrt() < 0.5 * alone.sqrt(), "{} {}", square.sqrt(), alone.sqrt());
+}
