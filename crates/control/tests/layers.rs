@@ -30,6 +30,7 @@ const ORDER: &[&str] = &[
     "plane",
     "tune",
     "linear",
+    "identify",
 ];
 
 #[test]

@@ -171,3 +171,35 @@ fn records_that_tell_nothing_are_named() {
     assert!(of(&u, &gap, 100).contains("sample 71"));
     assert!(of(&u, &[y[0][..100].to_vec()], 100).contains("samples of a channel"));
 }
+
+/// A record gives back its plant, and the draws of the model spread as estimates from other records do.
+#[test]
+fn identified_models_know_how_uncertain_they_are() {
+    use dynocal_control::identify::identify;
+    use dynocal_control::linear::{about, drawn};
+    use dynocal_ident::stored::Quantity;
+    let quantity = |n: &str| Quantity { name: n.into(), unit: "-".into() };
+    let gain_of = |model: &dynocal_ident::stored::StoredModel| {
+        let names = ["a".to_string(), "b".to_string()];
+        let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
+        about(&[model], &names, &point).unwrap().system.channel(0, 0).steady_gain(TIME)
+    };
+    let (mut gains, mut stated) = (Vec::new(), Vec::new());
+    for seed in 0..8 {
+        let (u, y) = record(1200, 0.3, 50 + seed);
+        let inputs: Vec<_> = ["a", "b"].iter().zip(&u).map(|(n, c)| (quantity(n), c.clone())).collect();
+        let found = identify(&inputs, (quantity("y"), &y[0]), DT_S, &[(1, 2), (2, 4)], &|| false).unwrap();
+        assert!(found.selection_r2 > 60.0, "{}", found.selection_r2);
+        gains.push(gain_of(&found.model));
+        let own: Vec<f64> = (0..40).filter_map(|d| drawn(&found.model, 1, d)).map(|m| gain_of(&m)).collect();
+        let mean = own.iter().sum::<f64>() / own.len() as f64;
+        stated.push((own.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 39.0).sqrt());
+    }
+    let (mean, said) = (gains.iter().sum::<f64>() / 8.0, stated.iter().sum::<f64>() / 8.0);
+    let met = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 7.0).sqrt();
+    assert!((mean - 1.5).abs() < 4.0 * met / 8f64.sqrt(), "{mean}, deviation {met}");
+    assert!(said > 0.4 * met && said < 2.5 * met, "stated {said}, met {met}");
+    let short = vec![(quantity("a"), vec![0.0; 100])];
+    let text = identify(&short, (quantity("y"), &[0.0; 100]), DT_S, &[(1, 2), (2, 4)], &|| false).unwrap_err().to_string();
+    assert!(text.contains("100 samples"), "{text}");
+}

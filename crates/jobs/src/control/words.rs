@@ -12,6 +12,7 @@ pub(super) fn say(found: &mut Controlled) {
     found.valid = together && checked && in_time;
     let mut verdict = vec![head(found, together)];
     verdict.extend(found.loops.iter().map(|l| gains(found, l)));
+    verdict.extend(found.loops.iter().filter_map(predicted));
     verdict.push(kept(found));
     let failed: Vec<&str> = found.checks.iter().filter(|c| !c.holds).map(|c| c.what.as_str()).collect();
     if found.checks.is_empty() {
@@ -105,6 +106,23 @@ fn gains(found: &Controlled, l: &LoopResult) -> String {
         }
     }
     text + "."
+}
+
+/// How wrong the delay of a predictor may be.
+fn predicted(l: &LoopResult) -> Option<String> {
+    let p = l.predictor.as_ref()?;
+    let end = |v: Option<f64>, what: &str| {
+        v.map_or(format!("any time {what}"), |d| format!("{} s {what}", digits(d.abs())))
+    };
+    Some(format!(
+        "The Smith predictor of `{}` stands while the delay is less than {} or {} than its {} s; gains of the plant from {} to {} times that of its model.",
+        l.output,
+        end(p.above_s, "longer"),
+        end(p.below_s, "shorter"),
+        digits(p.delay_s),
+        digits(p.gain.0),
+        digits(p.gain.1)
+    ))
 }
 
 fn kept(found: &Controlled) -> String {
