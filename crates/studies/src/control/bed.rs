@@ -51,12 +51,6 @@ pub(super) struct Record {
     pub(super) y: [Vec<f64>; 2],
 }
 
-impl Record {
-    pub(super) fn rows(&self) -> usize {
-        self.y[0].len()
-    }
-}
-
 /// What a drive gave, row by row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Driven {

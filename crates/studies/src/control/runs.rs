@@ -146,7 +146,8 @@ impl Rig<'_> {
         let y0 = self.bench.point().1;
         let mut torque = self.running(&Feedback::Pi(self.gains[0]), 0, 0)?;
         let mut lambda = self.running(&Feedback::Pi(self.gains[1]), 1, 0)?;
-        let mut estimator = Estimator { torque_nm: y0[0], ..estimator.clone() };
+        let mut estimator = estimator.clone();
+        estimator.torque_nm = y0[0];
         let (mut past_u, mut past_y): (Vec<[f64; 3]>, Vec<[f64; 4]>) = (Vec::new(), Vec::new());
         self.bench.drive(rows, &mut |t, shown| {
             past_y.push(*shown);
