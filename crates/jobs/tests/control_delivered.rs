@@ -30,7 +30,7 @@ fn stored(folder: &Path) -> StoredController {
 }
 
 /// A test of y(t) = 0.9 y(t-1) + 0.2 u(t-3) with noise: open loop, or under a PI that follows a demand.
-fn record(path: &Path, closed: bool, rows: usize) {
+fn record(path: &Path, closed: bool, rows: usize, most: f64) {
     let mut rng = Rng64::new(4);
     let (mut u, mut y, mut w) = (vec![0.0; rows], vec![0.0; rows], vec![0.0; rows]);
     let (mut x, mut hold, mut level, mut integral) = (0.0, 0, 0.0, 0.0);
@@ -44,7 +44,7 @@ fn record(path: &Path, closed: bool, rows: usize) {
         w[t] = 5.0 + level;
         let e = w[t] - y[t];
         integral += 0.02 * e;
-        u[t] = if closed { 0.3 * e + integral } else { level };
+        u[t] = if closed { 0.3 * e + integral } else { level }.clamp(-most, most);
     }
     let time: Vec<f64> = (0..rows).map(|t| 0.1 * t as f64).collect();
     let columns: [(&str, &str, &[f64]); 4] = [("time", "s", &time), ("u", "V", &u), ("y", "Nm", &y), ("w", "Nm", &w)];
@@ -62,7 +62,7 @@ fn records_become_plants_in_open_and_closed_loop() {
     let truth = found(&given, tmp.path());
     let t = &truth.together[0].loops[0];
     for closed in [false, true] {
-        record(&tmp.path().join("test.csv"), closed, 3000);
+        record(&tmp.path().join("test.csv"), closed, 3000, 9.0);
         let demands = if closed { "demands = [\"w\"]\n" } else { "" };
         let text = format!("records = [\"test.csv\"]\ndraws = 8\n{demands}{LOOP}{gains}");
         let (own, folder) = run(&parsed(&text, tmp.path()).unwrap(), Watch::silent()).unwrap();
@@ -77,22 +77,31 @@ fn records_become_plants_in_open_and_closed_loop() {
         assert!(free.highest_hz <= 4.0 && free.highest_hz > 3.5);
         let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
         assert!(page.contains("500 Hz of the thesis") && page.contains("Coherence of y"));
-        assert!(own.files.iter().any(|f| f.starts_with("response_1_test")), "{:?}", own.files);
+        let files = std::fs::read_dir(folder.path()).unwrap().flatten();
+        let names: Vec<String> = files.map(|f| f.file_name().to_string_lossy().into_owned()).collect();
+        assert!(names.iter().any(|f| f.starts_with("response_1_test")), "{names:?}");
     }
 }
 
 #[test]
 fn records_that_cannot_serve_are_named() {
     let tmp = tempfile::tempdir().unwrap();
-    record(&tmp.path().join("test.csv"), false, 3000);
+    record(&tmp.path().join("test.csv"), false, 3000, 9.0);
     let failed = |text: &str| {
         work::control(&parsed(text, tmp.path()).unwrap(), Watch::silent()).map(|_| ()).unwrap_err().to_string()
     };
     let late = failed(&format!("records = [\"test.csv\"]\n{LOOP}extra_delay_s = 400.0\n"));
     assert!(late.contains("test.csv") && late.contains("less than the record lasts"), "{late}");
-    record(&tmp.path().join("short.csv"), false, 60);
+    record(&tmp.path().join("short.csv"), false, 60, 9.0);
     let short = failed(&format!("records = [\"short.csv\"]\n{LOOP}"));
     assert!(short.contains("short.csv") && short.contains("60 samples"), "{short}");
+    // An actuator at its end opens the loop: said, not refused.
+    record(&tmp.path().join("held.csv"), true, 1500, 0.25);
+    let held = found(
+        &format!("records = [\"held.csv\"]\ndemands = [\"w\"]\ndraws = 2\n{LOOP}kp = 0.4\nki = 0.6\n"),
+        tmp.path(),
+    );
+    assert!(held.warnings.iter().any(|w| w.contains("saturated actuator")), "{:?}", held.warnings);
     for (text, part) in [
         (format!("records = [\"test.csv\"]\nmodels = [\"m.json\"]\n{LOOP}"), "one of them"),
         (format!("records = [\"test.csv\"]\ndemands = [\"a\", \"b\"]\n{LOOP}"), "one for each loop"),
@@ -178,6 +187,17 @@ fn gains_are_scheduled_over_the_set_points() {
         let (kp0, ki0) = s.at(&[1000.0]);
         assert!((kp * n / (kp0 * 1000.0) - 1.0).abs() < 0.02 && (ki * n / (ki0 * 1000.0) - 1.0).abs() < 0.02);
     }
+    // A set point that was never visited is said so.
+    model.seen = vec![dynocal_ident::stored::Seen {
+        name: "speed".into(),
+        unit: "rpm".into(),
+        minimum: 900.0,
+        maximum: 2500.0,
+    }];
+    json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+    let beyond = found(&text(&all), tmp.path());
+    let said = |w: &&String| w.contains("`speed` = 3000") && w.contains("outside of what");
+    assert_eq!(beyond.warnings.iter().filter(said).count(), 1, "{:?}", beyond.warnings);
     let twice: String = [3000.0, 3000.0].map(point).concat();
     let refused = work::control(&parsed(&text(&twice), tmp.path()).unwrap(), Watch::silent());
     let refused = refused.map(|_| ()).unwrap_err().to_string();

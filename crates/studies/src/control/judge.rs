@@ -1,6 +1,7 @@
 //! What is asked of the figures and of the tests for control.
 
 use super::Case;
+use super::cycles::CycleCase;
 use super::figures::Figures;
 use super::worth::{TESTS, WorthCase};
 use crate::asked::Asked;
@@ -132,4 +133,63 @@ fn worth(all: &[WorthCase]) -> Vec<Check> {
             means.join(", ")
         ),
     )]
+}
+
+/// Places of the static map with feedback, and of ours, among the drives.
+const RIVAL: usize = 1;
+const OURS: usize = 5;
+
+/// Along each cycle, ours against the static map with feedback: differences engine by engine.
+pub(super) fn cycles(all: &[CycleCase]) -> Vec<Check> {
+    let mut names: Vec<&str> = all.iter().map(|c| c.cycle.as_str()).collect();
+    names.dedup();
+    let mut out = Vec::new();
+    for name in names {
+        let own: Vec<&CycleCase> = all.iter().filter(|c| c.cycle == name).collect();
+        let share: Vec<f64> =
+            own.iter().map(|c| 100.0 * (c.drives[OURS].within - c.drives[RIVAL].within)).collect();
+        let fuel: Vec<f64> =
+            own.iter().map(|c| 100.0 * (c.drives[OURS].fuel_g / c.drives[RIVAL].fuel_g - 1.0)).collect();
+        let mean = |k: usize| 100.0 * own.iter().map(|c| c.drives[k].within).sum::<f64>() / own.len() as f64;
+        let note = format!(
+            "{} engines; ours {:.1} %, static map with feedback {:.1} %, difference {}",
+            own.len(),
+            mean(OURS),
+            mean(RIVAL),
+            interval(&share, "points")
+        );
+        let average = |v: &[f64]| Some(v.iter().sum::<f64>() / v.len() as f64);
+        out.push(check(
+            format!("{name}-lambda"),
+            format!("{name}: fuelled time with lambda within 1 %, measured air with predictor less static map with feedback"),
+            Asked::Above(0.0),
+            average(&share),
+            "points",
+            note,
+        ));
+        out.push(check(
+            format!("{name}-fuel"),
+            format!("{name}: fuel of the same over that of the same, less 100 %"),
+            Asked::AtMost(0.0),
+            average(&fuel),
+            "%",
+            interval(&fuel, "%"),
+        ));
+    }
+    out
+}
+
+/// Mean with the interval of nineteen of twenty for few values (t of Student).
+pub(super) fn interval(values: &[f64], unit: &str) -> String {
+    let n = values.len();
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let t = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365];
+    match n {
+        0 | 1 => format!("{mean:.2} {unit} (one engine: no interval)"),
+        _ => {
+            let spread = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt();
+            let half = t[(n - 2).min(t.len() - 1)] * spread / (n as f64).sqrt();
+            format!("{mean:.2} {unit}, 95 % interval {:.2} to {:.2}", mean - half, mean + half)
+        }
+    }
 }

@@ -10,6 +10,7 @@
 //! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller.
 
 mod bed;
+mod cycles;
 mod estimator;
 mod figures;
 mod judge;
@@ -36,6 +37,7 @@ use serde_json::json;
 use crate::asked::Asked;
 use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check};
 use bed::{Bench, SAMPLE_S};
+use cycles::CycleCase;
 use figures::Figures;
 use worth::WorthCase;
 
@@ -133,6 +135,7 @@ fn tasks(o: &Options) -> Vec<Task> {
             }),
         });
     all.extend(beds);
+    all.extend(cycle_tasks(o));
     all
 }
 
@@ -153,6 +156,42 @@ fn worth_tasks(o: &Options) -> Vec<Task> {
         }
     };
     (o.seed..o.seed + if o.reduced { 3 } else { WORTH }).map(task).collect()
+}
+
+/// Cycles below the folder of data, the engine whose maps are used, and engines that are driven.
+const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
+const MAPPED: &str = "pfi_1_6l";
+const DRIVEN: [&str; 4] = ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
+
+/// Model in the loop, where the cycles are given: they are not part of the program.
+fn cycle_tasks(o: &Options) -> Vec<Task> {
+    let Some(data) = &o.data else { return Vec::new() };
+    let (cycles, engines) = if o.reduced { (&CYCLES[..1], &DRIVEN[..1]) } else { (&CYCLES[..], &DRIVEN[..]) };
+    let length_s = o.reduced.then_some(60.0);
+    let task = |(cycle, engine): (&'static str, &'static str)| {
+        let name = format!("{cycle}-{}", engine.replace(':', "-"));
+        let path = data.join(format!("data/drive_cycles/{cycle}.csv"));
+        Task {
+            name: name.clone(),
+            inputs: json!([cycle, engine, length_s, cycles::FUELLED.map(|f| f.0)]),
+            run: Box::new(move |around: &Surroundings| {
+                let failed = |reason: String| StudyError::Task { what: name.clone(), reason };
+                let watch = around.watch;
+                watch.note(&format!("{cycle}: {engine} under seven controllers"));
+                let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {}).map_err(|e| failed(e.to_string()))?;
+                let found = cycles::contest(MAPPED, engine, cycle, &read, &|| watch.interrupted());
+                if watch.interrupted() {
+                    return Err(StudyError::Interrupted);
+                }
+                serde_json::to_value(found.map_err(failed)?).map_err(|e| failed(e.to_string()))
+            }),
+        }
+    };
+    cycles.iter().flat_map(|c| engines.iter().map(move |e| (*c, *e))).map(task).collect()
+}
+
+fn driven(results: &[TaskResult]) -> Vec<CycleCase> {
+    results.iter().filter_map(|r| serde_json::from_value(r.value.clone()).ok()).collect()
 }
 
 fn worths(results: &[TaskResult]) -> Vec<WorthCase> {
@@ -320,9 +359,10 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
         ));
     }
     checks.extend(judge::checks(&all, &worths(results)));
+    checks.extend(judge::cycles(&driven(results)));
     let failed: Vec<String> =
         all.iter().filter_map(|c| c.failed.as_ref().map(|f| format!("{}: {f}", c.engine))).collect();
-    let others = worths(results).len();
+    let others = worths(results).len() + driven(results).len();
     let count = failed.len() + results.len() - all.len() - others;
     checks.push(check(
         "failed",

@@ -13,6 +13,10 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
             report = report.section(page_figures::section(&c.engine, f));
         }
     }
+    let drives = super::driven(results);
+    if !drives.is_empty() {
+        report = report.section(page_figures::drives(&drives));
+    }
     report.section(page_figures::worth(&super::worths(results)))
 }
 

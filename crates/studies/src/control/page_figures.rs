@@ -3,6 +3,7 @@
 use dynocal_report::{Axis, Cell, Column, Panel, Section, Table, TimePlot, XyPlot};
 
 use super::bed::SAMPLE_S;
+use super::cycles::CycleCase;
 use super::figures::{Figures, channel_name};
 use super::runs::{HOLD, Steps};
 use super::worth::{TESTS, WorthCase};
@@ -139,5 +140,42 @@ pub(super) fn worth(all: &[WorthCase]) -> Section {
     });
     Section::new("Which test gives the safest controller")
         .text("A linear plant, tests of equal length, 40 estimates from each with the same noise, a PI that is best for each estimate: the mean of what it costs on the plant beyond the best PI. The design for the controller makes the expected loss small to second order, with its exact gradient; all designs know the plant.")
+        .block(table)
+}
+
+pub(super) fn drives(all: &[CycleCase]) -> Section {
+    let head = vec![
+        Column::text("Cycle"),
+        Column::text("Engine"),
+        Column::text("Fuel by"),
+        Column::number("Fuel", "g").digits(5),
+        Column::number("Lambda within 1 %", "% of the fuelled time").digits(4),
+        Column::number("Torque off", "Nm").digits(3),
+        Column::number("Behind the catalyst beyond 1 %", "% of the fuelled time").digits(3),
+        Column::number("Break-throughs", ""),
+        Column::number("CO while rich", "g").digits(3),
+        Column::number("NO while lean", "g").digits(3),
+        Column::number("Outside of the cycle's band", "steps"),
+    ];
+    let mut table = Table::new(head);
+    for c in all {
+        for d in &c.drives {
+            table = table.row(vec![
+                Cell::from(c.cycle.as_str()),
+                c.driven_engine.as_str().into(),
+                d.name.as_str().into(),
+                d.fuel_g.into(),
+                (100.0 * d.within).into(),
+                d.torque_nm.into(),
+                (100.0 * d.broken).into(),
+                Cell::from(f64::from(d.breaks)),
+                d.rich_lean[0].into(),
+                d.rich_lean[1].into(),
+                Cell::from(d.outside as f64),
+            ]);
+        }
+    }
+    Section::new("Model in the loop")
+        .text("A car with a driver follows the cycle. Maps are those of the first engine; the others are like it, not equal. Without feedback neither lambda nor torque is trimmed; with feedback torque has the same integral trim everywhere. What leaves the catalyst is counted as not converted while lambda behind it is beyond 1 %: carbon monoxide when rich, nitric oxide when lean.")
         .block(table)
 }
