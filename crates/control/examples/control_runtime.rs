@@ -33,13 +33,26 @@ fn main() -> Result<(), ControlError> {
     let mut num = vec![0.0];
     num.extend((0..24).map(|k| 0.02 / (1.0 + k as f64)));
     let den = [1.0, -1.2, 0.5, -0.1, 0.05, -0.02, 0.01];
-    let known = PredictedModel { model: Transfer::sampled(&num, &den), delay_samples: 17.5, longest_samples: 100, filter_s: 0.2 };
+    let known = PredictedModel {
+        model: Transfer::sampled(&num, &den),
+        delay_samples: 17.5,
+        longest_samples: 100,
+        filter_s: 0.2,
+    };
     let mut smith = Predictor::new(gains, limits, 0.01, 0.0, &known)?;
     timed("Smith predictor, model of 6 and 24", &mut |y| {
         smith.set_delay(10.0 + 20.0 * y);
         smith.step(0.0, 0.5, y)
     });
-    let store = OxygenSettings { capacity_g: 1.0, half_g_s: 60.0, rear_band: 0.01, target: 0.5, gain: 0.03, most: 0.02, learn: 0.3 };
+    let store = OxygenSettings {
+        capacity_g: 1.0,
+        half_g_s: 60.0,
+        rear_band: 0.01,
+        target: 0.5,
+        gain: 0.03,
+        most: 0.02,
+        learn: 0.3,
+    };
     let mut oxygen = OxygenObserver::new(store, 0.5)?;
     timed("oxygen store and rear trim", &mut |y| oxygen.step(0.99 + 0.02 * y, 1.0, 10.0, 0.01));
     let axis = |n: usize| (0..n).map(|k| k as f64).collect::<Vec<f64>>();

@@ -119,9 +119,8 @@ impl OutputError {
             Worth::Determinant => (-det.re.ln(), inverse),
             Worth::Weighted(h) => {
                 let w = inverse.times(&real(h, p)).times(&inverse);
-                let trace: f64 = (0..p)
-                    .map(|i| (0..p).map(|j| h[i * p + j] * inverse.at(j, i).re).sum::<f64>())
-                    .sum();
+                let trace: f64 =
+                    (0..p).map(|i| (0..p).map(|j| h[i * p + j] * inverse.at(j, i).re).sum::<f64>()).sum();
                 (0.5 * trace, Matrix { data: w.data.iter().map(|v| v * 0.5).collect(), ..w })
             }
         };

@@ -75,8 +75,9 @@ pub fn identify(
     let found = fit_linear(&structure(orders), &[part(0, rows)], &Pem::default(), stop)
         .map_err(|e| refused(e.to_string()))?;
     let quantities = inputs.iter().map(|(q, _)| q.clone()).collect();
-    let mut model = StoredModel::new(structure(orders), &found.fit.theta, quantities, quantity.clone(), sample_time_s)
-        .map_err(|e| refused(e.to_string()))?;
+    let mut model =
+        StoredModel::new(structure(orders), &found.fit.theta, quantities, quantity.clone(), sample_time_s)
+            .map_err(|e| refused(e.to_string()))?;
     for (p, s) in model.parameters.iter_mut().zip(&found.fit.std_errors) {
         p.std_error = s.is_finite().then_some(*s);
     }

@@ -150,7 +150,11 @@ pub fn frequency_response(test: &Test, segment: Option<usize>) -> Result<Respons
 
 fn check(test: &Test) -> Result<usize, ControlError> {
     if !(test.sample_time_s > 0.0 && test.sample_time_s.is_finite()) {
-        return Err(ControlError::number("the sample time", test.sample_time_s, "a positive number of seconds"));
+        return Err(ControlError::number(
+            "the sample time",
+            test.sample_time_s,
+            "a positive number of seconds",
+        ));
     }
     if test.inputs.is_empty() || test.outputs.is_empty() {
         return Err(ControlError::shape("a record", "no inputs or no outputs", "one of each at least"));
@@ -173,7 +177,8 @@ fn check(test: &Test) -> Result<usize, ControlError> {
 
 /// The inverse where rounding has not made it up.
 fn regular(a: &Matrix) -> Option<Matrix> {
-    let scale: f64 = (0..a.rows).map(|i| (0..a.cols).map(|j| a.at(i, j).norm()).fold(0.0, f64::max)).product();
+    let scale: f64 =
+        (0..a.rows).map(|i| (0..a.cols).map(|j| a.at(i, j).norm()).fold(0.0, f64::max)).product();
     let (det, inverse) = a.solved();
     if det.norm() > 1e-10 * scale { inverse } else { None }
 }
@@ -229,13 +234,9 @@ fn windowed(x: &[f64], window: &[f64]) -> Vec<f64> {
     let n = x.len() as f64;
     let middle = 0.5 * (n - 1.0);
     let mean = x.iter().sum::<f64>() / n;
-    let slope = x.iter().enumerate().map(|(t, v)| (t as f64 - middle) * v).sum::<f64>() * 12.0
-        / (n * (n * n - 1.0));
-    x.iter()
-        .zip(window)
-        .enumerate()
-        .map(|(t, (v, w))| (v - mean - slope * (t as f64 - middle)) * w)
-        .collect()
+    let slope =
+        x.iter().enumerate().map(|(t, v)| (t as f64 - middle) * v).sum::<f64>() * 12.0 / (n * (n * n - 1.0));
+    x.iter().zip(window).enumerate().map(|(t, (v, w))| (v - mean - slope * (t as f64 - middle)) * w).collect()
 }
 
 /// Margins of a measured channel under a controller, and what their uncertainty makes of them.

@@ -102,11 +102,17 @@ impl Schedule {
         for a in &self.axes {
             if a.points.is_empty() || !a.points.windows(2).all(|p| p[0] < p[1]) {
                 let found = format!("{:?}", a.points);
-                return Err(ControlError::shape(format!("points of the axis `{}`", a.channel), found, "rising numbers"));
+                return Err(ControlError::shape(
+                    format!("points of the axis `{}`", a.channel),
+                    found,
+                    "rising numbers",
+                ));
             }
         }
         match self.kp.iter().chain(&self.ki).find(|g| !g.is_finite()) {
-            Some(g) => Err(ControlError::number(format!("a gain of the schedule of {what}"), *g, "a finite number")),
+            Some(g) => {
+                Err(ControlError::number(format!("a gain of the schedule of {what}"), *g, "a finite number"))
+            }
             None => Ok(()),
         }
     }
@@ -120,7 +126,11 @@ impl StoredController {
     pub fn check(&self) -> Result<(), ControlError> {
         for (k, l) in self.loops.iter().enumerate() {
             if self.loops[..k].iter().any(|o| o.input == l.input) {
-                return Err(ControlError::shape("the actuator of a loop", format!("`{}` twice", l.input), "each once"));
+                return Err(ControlError::shape(
+                    "the actuator of a loop",
+                    format!("`{}` twice", l.input),
+                    "each once",
+                ));
             }
             if let Some(s) = &l.schedule {
                 s.check(&l.output)?;

@@ -41,7 +41,11 @@ impl LongTrim {
         let rises = |a: &Vec<f64>| a.len() >= 2 && a.windows(2).all(|p| p[0] < p[1]);
         if axes.is_empty() || axes.len() > 2 || !axes.iter().all(rises) {
             let found = format!("{axes:?}");
-            return Err(ControlError::shape("axes of a trim", found, "one or two of two rising points at least"));
+            return Err(ControlError::shape(
+                "axes of a trim",
+                found,
+                "one or two of two rising points at least",
+            ));
         }
         for (what, v) in [("memory_s", memory_s), ("most", most)] {
             if !(v > 0.0 && v.is_finite()) {

@@ -38,7 +38,11 @@ fn sensitivities_and_gradients_are_exact() {
                 m.criterion(&u, &worth).unwrap().0
             };
             let slope = (moved(1e-5) - moved(-1e-5)) / 2e-5;
-            assert!((gradient[t] - slope).abs() < 1e-5 * (slope.abs() + 1e-3), "{worth:?} {t}: {} {slope}", gradient[t]);
+            assert!(
+                (gradient[t] - slope).abs() < 1e-5 * (slope.abs() + 1e-3),
+                "{worth:?} {t}: {} {slope}",
+                gradient[t]
+            );
         }
     }
 }

@@ -200,6 +200,8 @@ fn identified_models_know_how_uncertain_they_are() {
     assert!((mean - 1.5).abs() < 4.0 * met / 8f64.sqrt(), "{mean}, deviation {met}");
     assert!(said > 0.4 * met && said < 2.5 * met, "stated {said}, met {met}");
     let short = vec![(quantity("a"), vec![0.0; 100])];
-    let text = identify(&short, (quantity("y"), &[0.0; 100]), DT_S, &[(1, 2), (2, 4)], &|| false).unwrap_err().to_string();
+    let text = identify(&short, (quantity("y"), &[0.0; 100]), DT_S, &[(1, 2), (2, 4)], &|| false)
+        .unwrap_err()
+        .to_string();
     assert!(text.contains("100 samples"), "{text}");
 }

@@ -65,7 +65,12 @@ fn a_predictor_with_the_right_model_is_the_undelayed_loop() {
             late.step(c.step(0.0, demand(t), y));
         }
         for t in delay..300 {
-            assert!((b[t] - a[t - delay]).abs() < 1e-12, "delay {delay}, sample {t}: {} {}", b[t], a[t - delay]);
+            assert!(
+                (b[t] - a[t - delay]).abs() < 1e-12,
+                "delay {delay}, sample {t}: {} {}",
+                b[t],
+                a[t - delay]
+            );
         }
     }
 }
@@ -151,7 +156,9 @@ fn stored_controllers_are_checked() {
         file(l).check().unwrap_err().to_string()
     };
     assert!(refused(&|l| l.schedule.as_mut().unwrap().kp.truncate(5)).contains("schedule of lambda"));
-    assert!(refused(&|l| l.predictor.as_mut().unwrap().delay_samples = 99.0).contains("delay of the predictor"));
+    assert!(
+        refused(&|l| l.predictor.as_mut().unwrap().delay_samples = 99.0).contains("delay of the predictor")
+    );
     assert!(refused(&|l| l.predictor.as_mut().unwrap().model.num[0] = 1.0).contains("within its own sample"));
     assert!(refused(&|l| l.limits.upper = -2e9).contains("upper limit"));
 }
@@ -185,7 +192,11 @@ fn the_rear_trim_learns_the_bias_of_the_front_sensor() {
                 let taken = 0.23 * air * (1.0 - 1.0 / lambda) * 0.01;
                 let room = 1.0 / (1.0 + air / 60.0);
                 let next = held + taken;
-                let rear = if (0.0..=room).contains(&next) { 1.0 } else { lambda + if next > room { 0.02 } else { -0.02 } };
+                let rear = if (0.0..=room).contains(&next) {
+                    1.0
+                } else {
+                    lambda + if next > room { 0.02 } else { -0.02 }
+                };
                 held = next.clamp(0.0, room);
                 let out = (rear - 1.0f64).abs() > 0.01;
                 counted += u32::from(out && !before && t > 90_000);
@@ -216,12 +227,23 @@ fn the_long_trim_takes_over_what_feedback_adds() {
             if t > 100 {
                 feedback -= trim.learn(&at, feedback, 0.01);
             }
-            let sum = if k < 10 { &mut early } else if k >= points - 10 { &mut late } else { continue };
+            let sum = if k < 10 {
+                &mut early
+            } else if k >= points - 10 {
+                &mut late
+            } else {
+                continue;
+            };
             *sum += error.abs();
         }
     }
     for (n, t) in [(1000.0, 20.0), (2000.0, 50.0), (2500.0, 65.0), (3000.0, 20.0)] {
-        assert!((trim.at(&[n, t]) - wrong(n, t)).abs() < 2e-3, "{n} {t}: {} {}", trim.at(&[n, t]), wrong(n, t));
+        assert!(
+            (trim.at(&[n, t]) - wrong(n, t)).abs() < 2e-3,
+            "{n} {t}: {} {}",
+            trim.at(&[n, t]),
+            wrong(n, t)
+        );
     }
     assert!(late < 0.1 * early, "{early} {late}");
     assert_eq!(trim.visited(1.0), 1.0);

@@ -47,7 +47,8 @@ fn record(path: &Path, closed: bool, rows: usize, most: f64) {
         u[t] = if closed { 0.3 * e + integral } else { level }.clamp(-most, most);
     }
     let time: Vec<f64> = (0..rows).map(|t| 0.1 * t as f64).collect();
-    let columns: [(&str, &str, &[f64]); 4] = [("time", "s", &time), ("u", "V", &u), ("y", "Nm", &y), ("w", "Nm", &w)];
+    let columns: [(&str, &str, &[f64]); 4] =
+        [("time", "s", &time), ("u", "V", &u), ("y", "Nm", &y), ("w", "Nm", &w)];
     dynocal_files::csv_io::write_columns(path, &columns).unwrap();
 }
 
@@ -58,7 +59,9 @@ const LOOP: &str = "[[loops]]\noutput = \"y\"\ninput = \"u\"\n";
 fn records_become_plants_in_open_and_closed_loop() {
     let tmp = tempfile::tempdir().unwrap();
     let gains = "kp = 0.4\nki = 0.6\n";
-    let given = format!("sample_time_s = 0.1\n{LOOP}{gains}[[plants]]\nchannels = [[{{ num = [0.0, 0.0, 0.0, 0.2], den = [1.0, -0.9] }}]]\n");
+    let given = format!(
+        "sample_time_s = 0.1\n{LOOP}{gains}[[plants]]\nchannels = [[{{ num = [0.0, 0.0, 0.0, 0.2], den = [1.0, -0.9] }}]]\n"
+    );
     let truth = found(&given, tmp.path());
     let t = &truth.together[0].loops[0];
     for closed in [false, true] {
@@ -88,7 +91,10 @@ fn records_that_cannot_serve_are_named() {
     let tmp = tempfile::tempdir().unwrap();
     record(&tmp.path().join("test.csv"), false, 3000, 9.0);
     let failed = |text: &str| {
-        work::control(&parsed(text, tmp.path()).unwrap(), Watch::silent()).map(|_| ()).unwrap_err().to_string()
+        work::control(&parsed(text, tmp.path()).unwrap(), Watch::silent())
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
     };
     let late = failed(&format!("records = [\"test.csv\"]\n{LOOP}extra_delay_s = 400.0\n"));
     assert!(late.contains("test.csv") && late.contains("less than the record lasts"), "{late}");
@@ -105,7 +111,12 @@ fn records_that_cannot_serve_are_named() {
     for (text, part) in [
         (format!("records = [\"test.csv\"]\nmodels = [\"m.json\"]\n{LOOP}"), "one of them"),
         (format!("records = [\"test.csv\"]\ndemands = [\"a\", \"b\"]\n{LOOP}"), "one for each loop"),
-        (format!("segment_s = 2.0\n{LOOP}[[plants]]\nchannels = [[{{ num = [1.0], den = [4.0, 1.0] }}]]\n"), "records"),
+        (
+            format!(
+                "segment_s = 2.0\n{LOOP}[[plants]]\nchannels = [[{{ num = [1.0], den = [4.0, 1.0] }}]]\n"
+            ),
+            "records",
+        ),
         (format!("records = [\"test.csv\"]\n{LOOP}predictor = true\n"), "extra_delay_s"),
         (format!("records = [\"test.csv\"]\n{LOOP}lower = 3.0\nupper = 1.0\n"), "lower"),
         (format!("records = [\"test.csv\"]\nschedule = [\"speed\"]\n{LOOP}"), "schedule"),
@@ -134,7 +145,14 @@ fn a_predictor_is_tuned_judged_and_delivered() {
     let file = stored(tmp.path());
     let l = &file.loops[0];
     let end = |samples: usize| {
-        let mut c = Predictor::new(l.gains, ActuatorLimits { lower: -1e9, upper: 1e9, rate_per_s: None }, 0.02, 0.0, l.predictor.as_ref().unwrap()).unwrap();
+        let mut c = Predictor::new(
+            l.gains,
+            ActuatorLimits { lower: -1e9, upper: 1e9, rate_per_s: None },
+            0.02,
+            0.0,
+            l.predictor.as_ref().unwrap(),
+        )
+        .unwrap();
         let (mut x, mut past, mut u) = (0.0, vec![0.0; samples + 2], 0.0);
         let mut last: f64 = 0.0;
         for t in 0..6000 {
@@ -163,18 +181,17 @@ fn a_predictor_is_tuned_judged_and_delivered() {
 fn gains_are_scheduled_over_the_set_points() {
     let tmp = tempfile::tempdir().unwrap();
     let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
-    let structure = dynocal_ident::model::poly::PolyNarx::parse(
-        &["u", "speed"],
-        "y",
-        &["u(t-2)*speed(t-1)", "y(t-1)"],
-    )
-    .unwrap();
+    let structure =
+        dynocal_ident::model::poly::PolyNarx::parse(&["u", "speed"], "y", &["u(t-2)*speed(t-1)", "y(t-1)"])
+            .unwrap();
     let inputs = vec![quantity("u", "V"), quantity("speed", "rpm")];
     let mut model = StoredModel::new(structure, &[0.0001, 0.8], inputs, quantity("y", "Nm"), 0.1).unwrap();
     model.initial = Some(dynocal_ident::model::initial::Initial::Rest);
     json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
     let point = |n: f64| format!("[[points]]\nvalues = {{ u = 1.0, speed = {n:?} }}\n");
-    let text = |points: &str| format!("models = [\"model.json\"]\ndraws = 0\nschedule = [\"speed\"]\n{LOOP}{points}");
+    let text = |points: &str| {
+        format!("models = [\"model.json\"]\ndraws = 0\nschedule = [\"speed\"]\n{LOOP}{points}")
+    };
     let all: String = [3000.0, 1000.0, 2000.0].map(point).concat();
     let (own, _) = run(&parsed(&text(&all), tmp.path()).unwrap(), Watch::silent()).unwrap();
     assert!(own.valid, "{:?}", own.verdict);
@@ -213,8 +230,10 @@ fn program_is_runtime(file: &StoredController) {
     let l = &file.loops[0];
     let mut rng = Rng64::new(8);
     let mut pid = Pid::new(l.gains, l.limits, file.sample_time_s, l.start).unwrap();
-    let mut predictor =
-        l.predictor.as_ref().map(|p| Predictor::new(l.gains, l.limits, file.sample_time_s, l.start, p).unwrap());
+    let mut predictor = l
+        .predictor
+        .as_ref()
+        .map(|p| Predictor::new(l.gains, l.limits, file.sample_time_s, l.start, p).unwrap());
     for t in 0..3000 {
         let (r, y, f) = (if t / 200 % 2 == 0 { 1.0 } else { -0.6 }, 0.8 * rng.normal(), 0.05 * rng.normal());
         let own = match (&mut predictor, &l.schedule) {
@@ -225,7 +244,8 @@ fn program_is_runtime(file: &StoredController) {
                 let (kp, ki) = s.at(&[speed]);
                 // Other gains as the program has them: the integral stays.
                 let state = pid.state();
-                pid = Pid::new(PidGains { kp, ki, ..l.gains }, l.limits, file.sample_time_s, l.start).unwrap();
+                pid =
+                    Pid::new(PidGains { kp, ki, ..l.gains }, l.limits, file.sample_time_s, l.start).unwrap();
                 pid.restore(state);
                 pid.step(f, r - y)
             }
@@ -247,7 +267,8 @@ fn exported_controllers_are_those_that_run() {
     let mut file = stored(tmp.path());
     program_is_runtime(&file);
     file.loops[0].predictor.as_mut().unwrap().filter_s = 0.0;
-    file.loops[0].predictor.as_mut().unwrap().model = Transfer::sampled(&[0.0, 0.0, 0.3, 0.1], &[2.0, -1.5, 0.2]);
+    file.loops[0].predictor.as_mut().unwrap().model =
+        Transfer::sampled(&[0.0, 0.0, 0.3, 0.1], &[2.0, -1.5, 0.2]);
     program_is_runtime(&file);
     file.loops[0].predictor = None;
     file.loops[0].gains = PidGains { kp: 0.7, ki: 0.9, kd: 0.05, filter_s: 0.08 };
@@ -273,7 +294,8 @@ fn gcc(file: &StoredController) {
     double u[3], y[1];\n    controller_state_T s;\n    controller_init(&s);\n    while (fread(u, sizeof(double), 3, f) == 3) {\n\
         controller_step(&s, u, y);\n        fwrite(y, sizeof(double), 1, g);\n    }\n    fclose(f); fclose(g);\n    return 0;\n}\n";
     dynocal_files::atomic::write(&tmp.path().join("main.c"), main.as_bytes()).unwrap();
-    let strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-O2", "-ffp-contract=off"];
+    let strict =
+        ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-O2", "-ffp-contract=off"];
     let done = std::process::Command::new("gcc")
         .current_dir(tmp.path())
         .args(strict)
@@ -285,7 +307,13 @@ fn gcc(file: &StoredController) {
     let rows: Vec<[f64; 3]> = (0..20_000).map(|_| [rng.normal(), rng.normal(), 0.1 * rng.normal()]).collect();
     let bytes: Vec<u8> = rows.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
     dynocal_files::atomic::write(&tmp.path().join("in.bin"), &bytes).unwrap();
-    assert!(std::process::Command::new(tmp.path().join("main")).current_dir(tmp.path()).status().unwrap().success());
+    assert!(
+        std::process::Command::new(tmp.path().join("main"))
+            .current_dir(tmp.path())
+            .status()
+            .unwrap()
+            .success()
+    );
     let out = std::fs::read(tmp.path().join("out.bin")).unwrap();
     let mut machine: Machine<f64> = Machine::new(&made.package).unwrap();
     assert_eq!(out.len(), 8 * rows.len());

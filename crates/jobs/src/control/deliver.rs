@@ -71,8 +71,9 @@ fn places(job: &Job) -> Option<Vec<usize>> {
             *v = a[k % a.len()];
             k /= a.len();
         }
-        let there =
-            |p: &Point| job.schedule.iter().zip(&values).all(|(c, v)| p.values.get(c).is_some_and(|x| x == v));
+        let there = |p: &Point| {
+            job.schedule.iter().zip(&values).all(|(c, v)| p.values.get(c).is_some_and(|x| x == v))
+        };
         points(job).iter().position(there)
     };
     if count == points(job).len() { (0..count).map(at).collect() } else { None }

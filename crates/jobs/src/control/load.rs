@@ -134,7 +134,13 @@ impl Loaded {
         Self { time, points, warnings, measured: Vec::new(), units: Vec::new() }
     }
 
-    pub(super) fn add(&mut self, job: &Job, models: &[StoredModel], p: &Point, k: usize) -> Result<(), ControlJobError> {
+    pub(super) fn add(
+        &mut self,
+        job: &Job,
+        models: &[StoredModel],
+        p: &Point,
+        k: usize,
+    ) -> Result<(), ControlJobError> {
         let moved: Vec<String> = job.loops.iter().map(|l| l.input.clone()).collect();
         let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
         let at = |models: &[StoredModel]| {

@@ -70,7 +70,8 @@ fn sizes(found: &Controlled, k: usize) -> XyPlot {
     }
     for (name, b) in found.points.iter().zip(&found.picture.loops[k].bode) {
         let hz: Vec<f64> = b.w_rad_s.iter().map(|w| w / std::f64::consts::TAU).collect();
-        let first = found.picture.measured.first().and_then(|r| r.frequency_hz.first()).copied().unwrap_or(0.0);
+        let first =
+            found.picture.measured.first().and_then(|r| r.frequency_hz.first()).copied().unwrap_or(0.0);
         let from = hz.partition_point(|f| *f < first);
         plot = plot.line(format!("model of {name}"), log_hz(&hz[from..]), b.size_db[from..].to_vec());
     }
@@ -81,8 +82,11 @@ fn coherence(found: &Controlled, k: usize) -> XyPlot {
     let l = &found.loops[k];
     let title = format!("Coherence of {}", l.output);
     let axes = (Axis::new("log10 of the frequency in Hz", ""), Axis::new("coherence", ""));
-    found.measured.iter().zip(&found.picture.measured).fold(XyPlot::new(title, axes.0, axes.1), |plot, (m, r)| {
-        let y = (0..r.frequency_hz.len()).map(|f| r.coherence_at(f, k)).collect::<Vec<f64>>();
-        plot.line(m.point.as_str(), log_hz(&r.frequency_hz), y)
-    })
+    found.measured.iter().zip(&found.picture.measured).fold(
+        XyPlot::new(title, axes.0, axes.1),
+        |plot, (m, r)| {
+            let y = (0..r.frequency_hz.len()).map(|f| r.coherence_at(f, k)).collect::<Vec<f64>>();
+            plot.line(m.point.as_str(), log_hz(&r.frequency_hz), y)
+        },
+    )
 }

@@ -55,7 +55,11 @@ pub(super) fn load(
         if loaded.time != time {
             let found = record.sample_time_s;
             let what = "the sample time of a record beside others".into();
-            return Err(refused(ControlError::Number { what, found, expected: "one sample time for all records" }));
+            return Err(refused(ControlError::Number {
+                what,
+                found,
+                expected: "one sample time for all records",
+            }));
         }
         let (response, warnings) = spectra(job, &record, segment_s).map_err(refused)?;
         loaded.warnings.extend(warnings);
@@ -69,7 +73,12 @@ pub(super) fn load(
                 record.name, l.output
             ));
         }
-        loaded.units = record.outputs.iter().zip(&record.inputs).map(|(o, i)| (o.0.unit.clone(), i.0.unit.clone())).collect();
+        loaded.units = record
+            .outputs
+            .iter()
+            .zip(&record.inputs)
+            .map(|(o, i)| (o.0.unit.clone(), i.0.unit.clone()))
+            .collect();
         loaded.measured.push(Measured { response, models: found });
         let values: BTreeMap<String, f64> = job.loops.iter().map(|l| (l.input.clone(), 0.0)).collect();
         loaded.add(job, &models, &Point { name: record.name.clone(), values }, k)?;
@@ -101,7 +110,10 @@ fn read(job: &Job, path: &Path, demands: &[String]) -> Result<Record, ControlJob
         name: path.file_stem().map_or_else(|| d.name.clone(), |s| s.to_string_lossy().into_owned()),
         inputs: columns(&inputs)?,
         outputs: columns(&outputs)?,
-        demands: columns(&demands.iter().map(String::as_str).collect::<Vec<_>>())?.into_iter().map(|c| c.1).collect(),
+        demands: columns(&demands.iter().map(String::as_str).collect::<Vec<_>>())?
+            .into_iter()
+            .map(|c| c.1)
+            .collect(),
         sample_time_s: d.sample_time_s,
     };
     let length_s = d.len() as f64 * d.sample_time_s;
@@ -155,7 +167,8 @@ type Models = (Vec<StoredModel>, Vec<((usize, usize), f64)>);
 fn models(r: &Record, watch: Watch) -> Result<Models, ControlError> {
     let (mut models, mut found) = (Vec::new(), Vec::new());
     for (quantity, y) in &r.outputs {
-        let one = identify(&r.inputs, (quantity.clone(), y), r.sample_time_s, &ORDERS, &|| watch.interrupted())?;
+        let one =
+            identify(&r.inputs, (quantity.clone(), y), r.sample_time_s, &ORDERS, &|| watch.interrupted())?;
         found.push((one.orders, one.selection_r2));
         models.push(one.model);
     }

@@ -183,7 +183,9 @@ pub enum ControlJobError {
         source: ControlError,
     },
     /// Gains are to be scheduled over points that make no grid.
-    #[error("schedule over {channels}: the {points} set points are no full grid of {expected}: give each combination of values once")]
+    #[error(
+        "schedule over {channels}: the {points} set points are no full grid of {expected}: give each combination of values once"
+    )]
     Schedule {
         /// Channels.
         channels: String,

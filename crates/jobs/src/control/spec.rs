@@ -224,7 +224,11 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     schedule(t, continuous, faults);
     for (k, l) in loops.iter().enumerate().filter(|(_, l)| l.predictor && continuous) {
         let found = format!("a predictor of `{}`", l.output);
-        faults.push(&format!("loops[{}].predictor", k + 1), found, "sampled plants: a predictor runs in samples");
+        faults.push(
+            &format!("loops[{}].predictor", k + 1),
+            found,
+            "sampled plants: a predictor runs in samples",
+        );
     }
     let seed = over.seed.or(t.seed).unwrap_or(0);
     let (asked, plants) = (t.asked, plants?);
@@ -274,11 +278,19 @@ fn records(
         faults.push("records", format!("{} files", files.len()), expected);
     }
     if t.sample_time_s.is_some() || !t.points.is_empty() {
-        faults.push("records", "`sample_time_s` or set points beside them", "neither: each record has its own");
+        faults.push(
+            "records",
+            "`sample_time_s` or set points beside them",
+            "neither: each record has its own",
+        );
     }
     let demands = t.demands.clone().unwrap_or_default();
     if t.demands.is_some() && demands.len() != loops.len() {
-        faults.push("demands", format!("{demands:?}"), format!("{} channels, one for each loop", loops.len()));
+        faults.push(
+            "demands",
+            format!("{demands:?}"),
+            format!("{} channels, one for each loop", loops.len()),
+        );
     }
     if let Some(s) = t.segment_s {
         faults.positive("segment_s", s, "s");
@@ -301,11 +313,19 @@ fn schedule(t: &Typed, continuous: bool, faults: &mut Faults) {
     }
     for (k, p) in t.points.iter().enumerate() {
         for c in t.schedule.iter().filter(|c| p.values.as_ref().is_some_and(|v| !v.contains_key(*c))) {
-            faults.push("schedule", format!("`{c}`, which points[{}] does not have", k + 1), "channels of all points");
+            faults.push(
+                "schedule",
+                format!("`{c}`, which points[{}] does not have", k + 1),
+                "channels of all points",
+            );
         }
     }
     if t.loops.iter().any(|l| l.kp.is_some() || l.ki.is_some() || l.predictor) {
-        faults.push("schedule", "a loop with given gains or a predictor", "loops whose gains are searched, without one");
+        faults.push(
+            "schedule",
+            "a loop with given gains or a predictor",
+            "loops whose gains are searched, without one",
+        );
     }
 }
 

@@ -30,7 +30,12 @@ pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobErr
         files.push(kept::write_columns(folder.path(), "gains_by_point", &all)?);
     }
     if let Some(c) = &found.controller {
-        json::write_versioned(&folder.path().join("controller.json"), CONTROLLER_SCHEMA, CONTROLLER_VERSION, c)?;
+        json::write_versioned(
+            &folder.path().join("controller.json"),
+            CONTROLLER_SCHEMA,
+            CONTROLLER_VERSION,
+            c,
+        )?;
         files.push("controller.json".into());
     }
     for (k, (m, r)) in found.measured.iter().zip(&found.picture.measured).enumerate() {
@@ -58,7 +63,8 @@ fn response(
             columns.push((name("im"), (0..n).map(|f| r.at(f, o, i).im).collect()));
             columns.push((name("std"), (0..n).map(|f| r.std_at(f, o, i)).collect()));
         }
-        columns.push((format!("{}_coherence", output.output), (0..n).map(|f| r.coherence_at(f, o)).collect()));
+        columns
+            .push((format!("{}_coherence", output.output), (0..n).map(|f| r.coherence_at(f, o)).collect()));
     }
     let mut all: Vec<(&str, &str, &[f64])> = vec![("frequency", "Hz", &r.frequency_hz)];
     all.extend(columns.iter().map(|(name, v)| (name.as_str(), "-", v.as_slice())));

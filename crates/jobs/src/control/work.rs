@@ -211,7 +211,8 @@ fn one_loop(
         scheduled,
         predictor: None,
     };
-    let predictor = if l.predictor { Some(predictor(job, loaded, k, l, &found).map_err(refused)?) } else { None };
+    let predictor =
+        if l.predictor { Some(predictor(job, loaded, k, l, &found).map_err(refused)?) } else { None };
     Ok((LoopResult { predictor, ..found }, choice))
 }
 
@@ -230,7 +231,8 @@ fn by_point(
         input: l.input.clone(),
         source: ControlError::Model(format!("no PI keeps what is asked at set point {} alone", k + 1)),
     };
-    let own = |(k, g): (usize, &Option<(f64, f64)>)| g.map(|g| (g.0 * sign, g.1 * sign)).ok_or_else(|| none(k));
+    let own =
+        |(k, g): (usize, &Option<(f64, f64)>)| g.map(|g| (g.0 * sign, g.1 * sign)).ok_or_else(|| none(k));
     scheduled.iter().enumerate().map(own).collect()
 }
 

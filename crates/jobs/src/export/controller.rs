@@ -26,7 +26,8 @@ pub fn controller(stored: &StoredController) -> Made {
         one(&mut b, l, stored.sample_time_s, gains);
     }
     let notes = vec![
-        "a measurement that is no number drives the exported controller to the lower limit of its actuator".into(),
+        "a measurement that is no number drives the exported controller to the lower limit of its actuator"
+            .into(),
     ];
     let package = Package {
         name: "controller".into(),
@@ -75,7 +76,14 @@ fn scheduled(
             })
             .collect();
         let description = format!("{what} of the controller of {}", l.output);
-        maps.push(Characteristic { name: name.clone(), description, unit, axes, values: values.to_vec(), limits: None });
+        maps.push(Characteristic {
+            name: name.clone(),
+            description,
+            unit,
+            axes,
+            values: values.to_vec(),
+            limits: None,
+        });
         name
     };
     let unit = format!("{}/{}", l.input_unit, l.output_unit);
@@ -126,7 +134,10 @@ fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>
         Some((_, ki)) => term(dt_s, &[ki, error]),
         None => term(g.ki * dt_s, &[error]),
     };
-    let raw = b.node(&name("integral_raw"), Op::Polynomial { terms: vec![term(1.0, &[last_integral]), by_integral] });
+    let raw = b.node(
+        &name("integral_raw"),
+        Op::Polynomial { terms: vec![term(1.0, &[last_integral]), by_integral] },
+    );
     let sum = b.node(&name("sum"), Op::Polynomial { terms: vec![term(1.0, &[base]), term(1.0, &[raw])] });
     let mut held = sum;
     if let (Some(rate), Some(last)) = (l.limits.rate_per_s, last_output) {

@@ -113,7 +113,8 @@ impl FuelMap {
                 let spark = grid.actuators_deg(speed_rpm, torque_nm).1;
                 let options = SettleOptions { torque_nm: 0.2, lambda: 1e-3, limit_s: 12.0 };
                 // Points that the engine does not hold are left out.
-                if let Ok(p) = settle(&mut own, Target { speed_rpm, torque_nm, lambda: 1.0 }, spark, options) {
+                if let Ok(p) = settle(&mut own, Target { speed_rpm, torque_nm, lambda: 1.0 }, spark, options)
+                {
                     torques.push(torque_nm);
                     fuels.push(p.inputs.injection_mg);
                 }
@@ -180,7 +181,12 @@ struct Told {
 }
 
 impl<'a> Source<'a> {
-    fn new(engine: &VirtualEngine, grid: &'a SteadyGrid, fuel: &'a FuelMap, fuelled: Fuelled) -> Result<Self, String> {
+    fn new(
+        engine: &VirtualEngine,
+        grid: &'a SteadyGrid,
+        fuel: &'a FuelMap,
+        fuelled: Fuelled,
+    ) -> Result<Self, String> {
         let text = |e: dynocal_control::error::ControlError| e.to_string();
         let limits = ActuatorLimits { lower: -0.25, upper: 0.25, rate_per_s: None };
         let gains = |dead_s: f64| -> PidGains { simc(&Lag { gain: -1.0, lag_s: LOOP_S.0, dead_s }, None) };
@@ -193,7 +199,9 @@ impl<'a> Source<'a> {
         };
         let hold = match fuelled.feedback {
             Hold::Nothing => Loop::Nothing,
-            Hold::Pi | Hold::PiTrim => Loop::Pi(Pid::new(gains(LOOP_S.2), limits, STEP_S, 0.0).map_err(text)?),
+            Hold::Pi | Hold::PiTrim => {
+                Loop::Pi(Pid::new(gains(LOOP_S.2), limits, STEP_S, 0.0).map_err(text)?)
+            }
             Hold::Smith | Hold::SmithRear => {
                 let c = Predictor::new(gains(LOOP_S.1), limits, STEP_S, 0.0, &known).map_err(text)?;
                 Loop::Smith(Box::new(c))
@@ -314,7 +322,12 @@ impl PowerSource for Source<'_> {
         self.grid.limits_nm(speed_rpm)
     }
 
-    fn step(&mut self, demand_nm: f64, speed_rpm: f64, dt_s: f64) -> Result<Power, dynocal_plant::error::PlantError> {
+    fn step(
+        &mut self,
+        demand_nm: f64,
+        speed_rpm: f64,
+        dt_s: f64,
+    ) -> Result<Power, dynocal_plant::error::PlantError> {
         let y = self.engine.outputs();
         // Overrun: no fuel, with some room between off and on.
         self.cut = demand_nm < -5.0 && speed_rpm > 1200.0 + if self.cut { 0.0 } else { 200.0 };
@@ -328,7 +341,8 @@ impl PowerSource for Source<'_> {
             if self.fuelled.feedback != Hold::Nothing {
                 self.trim_nm = (self.trim_nm + 0.8 * dt_s * (demand - y.torque_cycle_nm)).clamp(-20.0, 20.0);
             }
-            let (throttle_deg, spark_deg) = self.grid.actuators_deg(speed_rpm, (demand + self.trim_nm).clamp(-20.0, most.max(0.0)));
+            let (throttle_deg, spark_deg) =
+                self.grid.actuators_deg(speed_rpm, (demand + self.trim_nm).clamp(-20.0, most.max(0.0)));
             let injection_mg = self.injection_mg(demand, speed_rpm, y.air_g_s);
             Inputs { throttle_deg, spark_deg, injection_mg, ..now }
         };
@@ -370,7 +384,8 @@ pub(super) fn contest(
     for (title, fuelled) in FUELLED {
         let mut source = Source::new(&other, &grid, &fuel, fuelled)?;
         let options = DriveOptions { step_s: STEP_S, ..DriveOptions::default() };
-        let log = drive(&Car::thesis(), cycle, &mut source, options, stop).map_err(|e| format!("{title}: {e}"))?;
+        let log =
+            drive(&Car::thesis(), cycle, &mut source, options, stop).map_err(|e| format!("{title}: {e}"))?;
         if stop() {
             return Err("interrupted".into());
         }

@@ -62,7 +62,8 @@ impl Estimator {
                 }
             }
         }
-        let inverse = m.inverse().ok_or("the closed-loop record does not tell the torque estimator's terms")?;
+        let inverse =
+            m.inverse().ok_or("the closed-loop record does not tell the torque estimator's terms")?;
         let theta = inverse.apply(&r).iter().zip(&scale).map(|(t, s)| t.re / s).collect();
         Ok(Self { kind, theta, torque_nm: 0.0 })
     }

@@ -92,7 +92,8 @@ pub(super) fn draw(
     watch.note(&format!("{engine}: lambda with extra delay"));
     let delays = if reduced { &DELAYS[..1] } else { &DELAYS[..] };
     let undelayed = loops[1][1].clone();
-    let late = delays.iter().map(|d| late(&rig, *d, sizes[1], count, &undelayed)).collect::<Result<_, _>>()?;
+    let late =
+        delays.iter().map(|d| late(&rig, *d, sizes[1], count, &undelayed)).collect::<Result<_, _>>()?;
     watch.note(&format!("{engine}: torque without a sensor"));
     let estimate = estimate(&rig, engine, seed, sizes[0], count, reduced)?;
     let lambda = loops.pop().unwrap_or_default();
@@ -145,7 +146,8 @@ fn late(rig: &Rig, samples: usize, size: f64, count: usize, undelayed: &Steps) -
     let channel = Channel::new(rig.plant.time, whole).map_err(|e| e.to_string())?;
     let lags: Vec<_> = lag(&channel).ok().into_iter().collect();
     let channels = [channel];
-    let found = choose(&channels, &Margin::default(), step_run(&channels, &lags)).map_err(|e| e.to_string())?;
+    let found =
+        choose(&channels, &Margin::default(), step_run(&channels, &lags)).map_err(|e| e.to_string())?;
     let retuned = PidGains::pi(found.tuned.kp, found.tuned.ki);
     let g = rig.gains[1];
     let steps = [

@@ -22,7 +22,8 @@ pub(super) fn checks(all: &[Case], worths: &[WorthCase]) -> Vec<Check> {
 fn each(all: &[Case], of: &dyn Fn(&Figures) -> Option<f64>) -> (Vec<Option<f64>>, String) {
     let found: Vec<(&str, Option<f64>)> =
         all.iter().map(|c| (c.engine.as_str(), c.figures.as_ref().and_then(of))).collect();
-    let text = |(name, v): &(&str, Option<f64>)| format!("{name} {}", v.map_or("-".into(), |v| format!("{v:.2}")));
+    let text =
+        |(name, v): &(&str, Option<f64>)| format!("{name} {}", v.map_or("-".into(), |v| format!("{v:.2}")));
     (found.iter().map(|f| f.1).collect(), found.iter().map(text).collect::<Vec<_>>().join(", "))
 }
 
@@ -76,11 +77,10 @@ fn smith(all: &[Case]) -> Vec<Check> {
 fn estimate(all: &[Case]) -> Vec<Check> {
     let fit = |k: usize| move |f: &Figures| Some(f.estimate.fits[k].0);
     let offset = |k: usize| move |f: &Figures| f.estimate.steps.get(k).map(|s| s.offset);
-    let drift = |k: usize| {
-        move |f: &Figures| f.estimate.drift.iter().map(|d| d.1[k].abs()).reduce(f64::max)
-    };
+    let drift = |k: usize| move |f: &Figures| f.estimate.drift.iter().map(|d| d.1[k].abs()).reduce(f64::max);
     let mut out = Vec::new();
-    for (k, name, what) in [(0, "published", "(7.24)"), (1, "observer", "the observer with pressure and air")] {
+    for (k, name, what) in [(0, "published", "(7.24)"), (1, "observer", "the observer with pressure and air")]
+    {
         let (fits, note) = each(all, &fit(k));
         out.push(check(
             format!("torque-fit-{name}"),
@@ -93,7 +93,9 @@ fn estimate(all: &[Case]) -> Vec<Check> {
         let (offsets, note) = each(all, &offset(k + 1));
         out.push(check(
             format!("torque-offset-{name}"),
-            format!("torque held by {what}: mean distance from its demand at the end of the steps, worst bed"),
+            format!(
+                "torque held by {what}: mean distance from its demand at the end of the steps, worst bed"
+            ),
             if k == 0 { Asked::AtMost(1.0) } else { Asked::Reported },
             Asked::AtMost(1.0).worst(&offsets),
             "Nm",
@@ -102,7 +104,9 @@ fn estimate(all: &[Case]) -> Vec<Check> {
         let (drifts, note) = each(all, &drift(k));
         out.push(check(
             format!("torque-drift-{name}"),
-            format!("largest distance by {what} over an hour from a cold start, means of twelfths, worst bed"),
+            format!(
+                "largest distance by {what} over an hour from a cold start, means of twelfths, worst bed"
+            ),
             Asked::Reported,
             Asked::AtMost(0.0).worst(&drifts),
             "Nm",

@@ -20,8 +20,8 @@ mod runs;
 mod worth;
 
 use dynocal_control::closed::Closed;
-use dynocal_control::interaction::relative_gains;
 use dynocal_control::identify::{ORDERS, identify};
+use dynocal_control::interaction::relative_gains;
 use dynocal_control::linear::about;
 use dynocal_control::margin::{Margins, Side, margins};
 use dynocal_control::matrix::Matrix;
@@ -106,34 +106,32 @@ fn tasks(o: &Options) -> Vec<Task> {
     let engines = if o.reduced { &ENGINES[..1] } else { &ENGINES[..] };
     let (seed, reduced) = (o.seed, o.reduced);
     let mut all = worth_tasks(o);
-    let beds = engines
-        .iter()
-        .map(|engine| Task {
-            name: (*engine).into(),
-            inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
-            run: Box::new(move |around: &Surroundings| {
-                let mut case = Case {
-                    engine: (*engine).into(),
-                    failed: None,
-                    orders: Vec::new(),
-                    fits: Vec::new(),
-                    steady: Vec::new(),
-                    relative_gain: f64::NAN,
-                    loops: Vec::new(),
-                    published: Vec::new(),
-                    figures: None,
-                };
-                // What fails on a bed is its result, and not the end of the study.
-                if let Err(reason) = fill(&mut case, seed, reduced, around) {
-                    if around.watch.interrupted() {
-                        return Err(StudyError::Interrupted);
-                    }
-                    case.failed = Some(reason);
+    let beds = engines.iter().map(|engine| Task {
+        name: (*engine).into(),
+        inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
+        run: Box::new(move |around: &Surroundings| {
+            let mut case = Case {
+                engine: (*engine).into(),
+                failed: None,
+                orders: Vec::new(),
+                fits: Vec::new(),
+                steady: Vec::new(),
+                relative_gain: f64::NAN,
+                loops: Vec::new(),
+                published: Vec::new(),
+                figures: None,
+            };
+            // What fails on a bed is its result, and not the end of the study.
+            if let Err(reason) = fill(&mut case, seed, reduced, around) {
+                if around.watch.interrupted() {
+                    return Err(StudyError::Interrupted);
                 }
-                serde_json::to_value(case)
-                    .map_err(|e| StudyError::Task { what: (*engine).into(), reason: e.to_string() })
-            }),
-        });
+                case.failed = Some(reason);
+            }
+            serde_json::to_value(case)
+                .map_err(|e| StudyError::Task { what: (*engine).into(), reason: e.to_string() })
+        }),
+    });
     all.extend(beds);
     all.extend(cycle_tasks(o));
     all
@@ -161,7 +159,8 @@ fn worth_tasks(o: &Options) -> Vec<Task> {
 /// Cycles below the folder of data, the engine whose maps are used, and engines that are driven.
 const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
 const MAPPED: &str = "pfi_1_6l";
-const DRIVEN: [&str; 4] = ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
+const DRIVEN: [&str; 4] =
+    ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
 
 /// Model in the loop, where the cycles are given: they are not part of the program.
 fn cycle_tasks(o: &Options) -> Vec<Task> {
@@ -178,7 +177,8 @@ fn cycle_tasks(o: &Options) -> Vec<Task> {
                 let failed = |reason: String| StudyError::Task { what: name.clone(), reason };
                 let watch = around.watch;
                 watch.note(&format!("{cycle}: {engine} under seven controllers"));
-                let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {}).map_err(|e| failed(e.to_string()))?;
+                let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {})
+                    .map_err(|e| failed(e.to_string()))?;
                 let found = cycles::contest(MAPPED, engine, cycle, &read, &|| watch.interrupted());
                 if watch.interrupted() {
                     return Err(StudyError::Interrupted);
@@ -231,7 +231,8 @@ fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Res
     let gains = tuned(&plant)?;
     let closed = closed(&plant, &gains)?;
     case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&plant, name, g)).collect();
-    case.figures = Some(figures::draw(&bench, &record, &map, &plant, &gains, (&case.engine, seed, reduced), watch)?);
+    case.figures =
+        Some(figures::draw(&bench, &record, &map, &plant, &gains, (&case.engine, seed, reduced), watch)?);
     for (k, g) in gains.iter().enumerate() {
         watch.note(&format!("{}: margins of the loop of {}", case.engine, OUTPUTS[k]));
         let promised = margins(&closed, Side::Outputs, k).map_err(|e| text(&e))?;

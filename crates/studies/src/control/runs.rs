@@ -106,7 +106,8 @@ impl Rig<'_> {
     ) -> Result<Steps, String> {
         let y0 = self.bench.point().1;
         let mut own = self.running(feedback, k, delay)?;
-        let beside = if matches!(feedback, Feedback::Map) { Feedback::Map } else { Feedback::Pi(self.gains[1 - k]) };
+        let beside =
+            if matches!(feedback, Feedback::Map) { Feedback::Map } else { Feedback::Pi(self.gains[1 - k]) };
         let mut other = self.running(&beside, 1 - k, 0)?;
         let mut line: VecDeque<f64> = std::iter::repeat_n(0.0, delay).collect();
         // The first hold stays at rest.
@@ -154,8 +155,7 @@ impl Rig<'_> {
             if past_y.len() > 3 {
                 past_y.remove(0);
             }
-            let estimate =
-                if past_u.len() == 3 { estimator.step(&past_u, &past_y) } else { y0[0] };
+            let estimate = if past_u.len() == 3 { estimator.step(&past_u, &past_y) } else { y0[0] };
             let d = [torque.step(demand(t), estimate - y0[0]), lambda.step(0.0, shown[1] - y0[1])];
             let u = self.actuators(d, 0.0);
             past_u.push(u);
