@@ -5,6 +5,7 @@
 
 mod deliver;
 mod load;
+mod loops;
 pub mod page;
 mod page_records;
 mod picture;

@@ -7,9 +7,9 @@ use dynocal_control::simulate::run;
 use dynocal_control::tune::{Choice, StepRun, step_run};
 
 use super::load::Loaded;
+use super::loops::controller;
 use super::result::{ControlJobError, LoopResult};
 use super::spec::Job;
-use super::work::controller;
 
 /// Most rows of a step response.
 const ROWS: usize = 4000;

@@ -83,6 +83,21 @@ fn worst(found: &Controlled) -> String {
 fn gains(found: &Controlled, l: &LoopResult) -> String {
     let mut text =
         format!("`{}` by `{}`: kp = {}, ki = {} 1/s", l.output, l.input, digits(l.kp), digits(l.ki));
+    if !l.by_point.is_empty() {
+        let range = |of: &dyn Fn(&(f64, f64)) -> f64| {
+            let all = l.by_point.iter().map(of);
+            let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+            format!("{} to {}", digits(low), digits(high))
+        };
+        return format!(
+            "`{}` by `{}`: gains over {}, kp {}, ki {} 1/s; each set point is judged with its own.",
+            l.output,
+            l.input,
+            found.schedule.join(" and "),
+            range(&|g| g.0),
+            range(&|g| g.1)
+        );
+    }
     if found.detuned > 1.0 {
         text += &format!(
             " (made smaller by F = {:.3} because the loops act on each other, alone {} and {})",
