@@ -8,22 +8,29 @@ use std::path::Path;
 /// Lowest first.
 const ORDER: &[&str] = &[
     "error",
+    "trim",
+    "oxygen",
     "poly",
     "matrix",
+    "experiment",
     "system",
     "grid",
     "closed",
     "margin",
+    "response",
     "mu",
     "disk",
     "perturb",
     "runtime",
+    "predictor",
+    "stored",
     "simulate",
     "interaction",
     "smith",
     "plane",
     "tune",
     "linear",
+    "identify",
 ];
 
 #[test]

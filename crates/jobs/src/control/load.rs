@@ -7,6 +7,7 @@ use dynocal_files::json;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 use dynocal_numerics::watch::Watch;
 
+use super::records::Measured;
 use super::result::ControlJobError;
 use super::spec::{Job, Plants, Point};
 
@@ -22,12 +23,34 @@ pub(super) struct AtPoint {
 /// All plants with what is to be said of them.
 pub(super) struct Loaded {
     pub(super) time: Time,
+    /// What was measured, for each set point that is a record.
+    pub(super) measured: Vec<Measured>,
+    /// Units of outputs and inputs of the loops, where they are known.
+    pub(super) units: Vec<(String, String)>,
     pub(super) points: Vec<AtPoint>,
     pub(super) warnings: Vec<String>,
 }
 
+/// The plant without the extra delay of loops that predict it: leading zeros of the numerators taken off again.
+pub(super) fn without_predicted(job: &Job, plant: &System) -> Result<System, ControlError> {
+    let mut out = plant.clone();
+    let dt_s = plant.time.sample_time_s().unwrap_or(1.0);
+    for (k, l) in job.loops.iter().enumerate().filter(|(_, l)| l.predictor) {
+        let n = (l.extra_delay_s / dt_s).round() as usize;
+        for g in &mut out.channels[k * plant.inputs..(k + 1) * plant.inputs] {
+            if !g.is_zero() {
+                g.num.drain(..n.min(g.num.len().saturating_sub(1)));
+            }
+        }
+    }
+    System::new(plant.time, plant.outputs, plant.inputs, out.channels)
+}
+
 pub(super) fn load(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
     match &job.plants {
+        Plants::Records { files, demands, segment_s } => {
+            super::records::load(job, files, demands, *segment_s, watch)
+        }
         Plants::Given { time, plants } => {
             let mut points = Vec::new();
             for p in plants {
@@ -40,15 +63,17 @@ pub(super) fn load(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
                     draws: Vec::new(),
                 });
             }
-            Ok(Loaded { time: *time, points, warnings: Vec::new() })
+            Ok(Loaded { points, ..Loaded::empty(*time) })
         }
         Plants::Models { files, points } => {
             let models = models(job, files)?;
-            let mut out = Loaded {
-                time: Time::Sampled { sample_time_s: models[0].sample_time_s },
-                points: Vec::new(),
-                warnings: Vec::new(),
+            let mut out = Loaded::empty(Time::Sampled { sample_time_s: models[0].sample_time_s });
+            let unit = |l: &super::spec::LoopSpec, m: &StoredModel| {
+                let inputs = m.measured_inputs();
+                let own = inputs.iter().find(|q| q.name == l.input).map_or("-", |q| q.unit.as_str());
+                (m.user_output().unit, own.to_string())
             };
+            out.units = job.loops.iter().zip(&models).map(|(l, m)| unit(l, m)).collect();
             if job.draws > 0 {
                 for m in models.iter().filter(|m| m.covariance().is_none()) {
                     out.warnings.push(format!(
@@ -104,7 +129,18 @@ fn models(job: &Job, files: &[std::path::PathBuf]) -> Result<Vec<StoredModel>, C
 }
 
 impl Loaded {
-    fn add(&mut self, job: &Job, models: &[StoredModel], p: &Point, k: usize) -> Result<(), ControlJobError> {
+    pub(super) fn empty(time: Time) -> Self {
+        let (points, warnings) = (Vec::new(), Vec::new());
+        Self { time, points, warnings, measured: Vec::new(), units: Vec::new() }
+    }
+
+    pub(super) fn add(
+        &mut self,
+        job: &Job,
+        models: &[StoredModel],
+        p: &Point,
+        k: usize,
+    ) -> Result<(), ControlJobError> {
         let moved: Vec<String> = job.loops.iter().map(|l| l.input.clone()).collect();
         let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
         let at = |models: &[StoredModel]| {

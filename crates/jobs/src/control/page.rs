@@ -33,8 +33,17 @@ pub fn report(found: &Controlled) -> Report {
         report = report.warning(warning.as_str());
     }
     report = report.section(together(found));
+    if !found.measured.is_empty() {
+        report = report.section(super::page_records::section(found));
+    }
     for (k, (l, p)) in found.loops.iter().zip(&found.picture.loops).enumerate() {
         report = report.section(one_loop(found, k, l, p));
+    }
+    if found.loops.iter().any(|l| l.predictor.is_some()) {
+        report = report.section(predictors(found));
+    }
+    if !found.schedule.is_empty() {
+        report = report.section(schedule(found));
     }
     if found.loops.len() > 1 {
         report = report.section(disks(found)).section(interaction(found));
@@ -218,6 +227,53 @@ fn bode(found: &Controlled, curves: &[Bode], size: bool) -> XyPlot {
         let x: Vec<f64> = b.w_rad_s.iter().map(|w| w.log10()).collect();
         plot.line(name.as_str(), x, if size { b.size_db.clone() } else { b.phase_deg.clone() })
     })
+}
+
+fn predictors(found: &Controlled) -> Section {
+    let head = vec![
+        Column::text("Loop"),
+        Column::number("Predicted delay", "s").digits(4),
+        Column::number("Delay may be longer by", "s").digits(4),
+        Column::number("shorter by", "s").digits(4),
+        Column::number("Gain of the plant from", "").digits(3),
+        Column::number("to", "").digits(3),
+    ];
+    let rows = found.loops.iter().filter_map(|l| Some((l, l.predictor.as_ref()?)));
+    let table = rows.fold(Table::new(head), |t, (l, p)| {
+        t.row(vec![
+            Cell::from(l.output.as_str()),
+            p.delay_s.into(),
+            Cell::from(p.above_s),
+            Cell::from(p.below_s.map(|d| -d)),
+            p.gain.0.into(),
+            p.gain.1.into(),
+        ])
+    });
+    Section::new("Smith predictors")
+        .text("The loop without the delay decides the gains; the predictor gives the same answer one delay later as long as its model is right. The intervals are the least over the set points and end where stability is first lost: beyond, there may be islands in which the loop is stable again, and they count for nothing. An empty cell is an end that was not reached. Gains are looked at from 0.1 to 10. In the table of the loop the retuned PI stands beside: it sees the whole delay, the others only what is left.")
+        .block(table)
+}
+
+fn schedule(found: &Controlled) -> Section {
+    let mut head = vec![Column::text("Set point")];
+    for l in &found.loops {
+        head.push(Column::number(format!("kp of {}", l.output), "").digits(4));
+        head.push(Column::number(format!("ki of {}", l.output), "1/s").digits(4));
+    }
+    let table = found.points.iter().enumerate().fold(Table::new(head), |t, (k, p)| {
+        let mut row = vec![Cell::from(p.as_str())];
+        row.extend(found.loops.iter().flat_map(|l| {
+            let g = l.by_point.get(k).copied();
+            [Cell::from(g.map(|g| g.0)), Cell::from(g.map(|g| g.1))]
+        }));
+        t.row(row)
+    });
+    Section::new("Gains over the operating range")
+        .text(format!(
+            "Each set point has its own gains, maps over {} in controller.json. Margins are those of each point with its own gains held: between points, and while the point moves, nothing is proved.",
+            found.schedule.join(" and ")
+        ))
+        .block(table)
 }
 
 fn disks(found: &Controlled) -> Section {

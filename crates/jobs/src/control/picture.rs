@@ -2,13 +2,14 @@
 
 use dynocal_control::closed::Closed;
 use dynocal_control::plane::{Channel, LocusPoint};
+use dynocal_control::response::Response;
 use dynocal_control::simulate::run;
 use dynocal_control::tune::{Choice, StepRun, step_run};
 
 use super::load::Loaded;
+use super::loops::controller;
 use super::result::{ControlJobError, LoopResult};
 use super::spec::Job;
-use super::work::controller;
 
 /// Most rows of a step response.
 const ROWS: usize = 4000;
@@ -23,6 +24,8 @@ pub(super) struct Picture {
     /// Answers of all outputs to a step of each demand, all loops closed: by loop that steps, set point, output.
     pub(super) steps: Vec<Vec<Vec<Vec<f64>>>>,
     pub(super) step_s: f64,
+    /// Responses that were measured, by set point.
+    pub(super) measured: Vec<Response>,
 }
 
 /// Curves of one loop.
@@ -60,7 +63,8 @@ pub(super) fn drawn(
     loops: &[LoopResult],
     choices: Vec<Option<Choice>>,
 ) -> Result<Picture, ControlJobError> {
-    let mut out = Picture::default();
+    let measured = loaded.measured.iter().map(|m| m.response.clone()).collect();
+    let mut out = Picture { measured, ..Picture::default() };
     let mut runs: Vec<StepRun> = Vec::new();
     for (k, (l, choice)) in loops.iter().zip(choices).enumerate() {
         let channel = |s: &dynocal_control::system::System| {
@@ -78,16 +82,16 @@ pub(super) fn drawn(
     let rows = ((whole_s / out.step_s) as usize).clamp(60, 200_000);
     for k in 0..job.loops.len() {
         let mut points = Vec::new();
-        for p in &loaded.points {
+        for (i, p) in loaded.points.iter().enumerate() {
             let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
-            let controller = controller(loaded.time, loops).map_err(refused)?;
+            let controller = controller(job, loaded, loops, i).map_err(refused)?;
             let closed = Closed::in_time(p.nominal.clone(), controller);
             // A delay that is no whole number of samples has no run.
             let found = run(
                 &closed,
                 out.step_s,
                 rows,
-                &|_, r| (0..r.len()).for_each(|i| r[i] = f64::from(u8::from(i == k))),
+                &|_, r| (0..r.len()).for_each(|j| r[j] = f64::from(u8::from(j == k))),
                 &|_, d| d.fill(0.0),
             );
             let n = job.loops.len();

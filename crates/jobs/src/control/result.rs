@@ -3,6 +3,9 @@
 use dynocal_control::disk::DiskMargin;
 use dynocal_control::error::ControlError;
 use dynocal_control::margin::Margins;
+use dynocal_control::response::MeasuredMargins;
+use dynocal_control::stored::StoredController;
+use dynocal_control::system::Transfer;
 use dynocal_control::tune::{Asked, Lag, Tuned};
 use dynocal_files::FilesError;
 use dynocal_ident::stored::StoredError;
@@ -37,6 +40,10 @@ pub struct Controlled {
     pub draws: usize,
     /// Factor by which gains were made smaller because loops act on each other (kp by it, ki by its square).
     pub detuned: f64,
+    /// Channels over which gains are scheduled.
+    pub schedule: Vec<String>,
+    /// Records: what they show.
+    pub measured: Vec<MeasuredResult>,
     /// Loops.
     pub loops: Vec<LoopResult>,
     /// Relative gains at rest, outputs by inputs, for each set point; none where a plant has no steady gains.
@@ -47,6 +54,9 @@ pub struct Controlled {
     pub checks: Vec<RunCheck>,
     /// Files, relative to the run folder.
     pub files: Vec<String>,
+    /// The controller as it runs elsewhere; none for continuous plants.
+    #[serde(skip)]
+    pub controller: Option<StoredController>,
     /// What is drawn.
     #[serde(skip)]
     pub(super) picture: Picture,
@@ -73,6 +83,43 @@ pub struct LoopResult {
     pub rules: Vec<Tuned>,
     /// Gains that each set point alone would have, positive.
     pub scheduled: Vec<Option<(f64, f64)>>,
+    /// Gains that are delivered at each set point, with their sign; empty where one set of gains serves all.
+    pub by_point: Vec<(f64, f64)>,
+    /// Smith predictor about it.
+    pub predictor: Option<PredictorResult>,
+}
+
+/// A Smith predictor: how wrong its delay and gain may be, at the set point that stands least.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PredictorResult {
+    /// Delay that it predicts in s.
+    pub delay_s: f64,
+    /// How much longer the delay of the plant may be in s until stability is first lost; none: not lost.
+    pub above_s: Option<f64>,
+    /// How much shorter, negative.
+    pub below_s: Option<f64>,
+    /// Factors of the gain of the plant about 1 between which it is stable, looked for from 0.1 to 10.
+    pub gain: (f64, f64),
+    /// Model of the plant without that delay.
+    pub model: Transfer,
+}
+
+/// What a record shows without a model, and the models that were made of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MeasuredResult {
+    /// Record, the name of its set point.
+    pub point: String,
+    /// Segments of its spectra, and their highest frequency in Hz: 0.4 of the sampling frequency.
+    pub segments: usize,
+    /// Highest frequency in Hz.
+    pub highest_hz: f64,
+    /// By loop: orders of A and B, free run over the half that chose them in percent.
+    pub models: Vec<((usize, usize), f64)>,
+    /// By loop: margins of the measured channel under its gains, the other loops open.
+    pub margins: Vec<MeasuredMargins>,
+    /// By loop: largest distance of the model's channel from the measured one over frequencies whose coherence is above 0.8, in
+    /// standard deviations of the measurement.
+    pub distance: Vec<Option<f64>>,
 }
 
 /// All loops closed together at one set point.
@@ -126,6 +173,26 @@ pub enum ControlJobError {
         file: String,
         /// What is wrong.
         source: StoredError,
+    },
+    /// A record.
+    #[error("{file}: {source}")]
+    Record {
+        /// Record file.
+        file: String,
+        /// What is wrong.
+        source: ControlError,
+    },
+    /// Gains are to be scheduled over points that make no grid.
+    #[error(
+        "schedule over {channels}: the {points} set points are no full grid of {expected}: give each combination of values once"
+    )]
+    Schedule {
+        /// Channels.
+        channels: String,
+        /// Set points.
+        points: usize,
+        /// What a grid of their values has.
+        expected: String,
     },
     /// No model of an output.
     #[error("the loop that holds `{output}`: no model of it; the models are those of {known}")]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use dynocal_control::runtime::ActuatorLimits;
 use dynocal_control::system::{Time, Transfer};
 use dynocal_control::tune::Asked;
 use dynocal_files::run_folder::RunPlace;
@@ -18,6 +19,11 @@ struct Typed {
     out: Option<PathBuf>,
     seed: Option<u64>,
     models: Option<Vec<PathBuf>>,
+    records: Option<Vec<PathBuf>>,
+    demands: Option<Vec<String>>,
+    segment_s: Option<f64>,
+    #[serde(default)]
+    schedule: Vec<String>,
     #[serde(default)]
     points: Vec<TypedPoint>,
     #[serde(default)]
@@ -63,6 +69,15 @@ struct TypedLoop {
     input: Option<String>,
     #[serde(default)]
     extra_delay_s: f64,
+    #[serde(default)]
+    predictor: bool,
+    #[serde(default)]
+    filter_s: f64,
+    lower: Option<f64>,
+    upper: Option<f64>,
+    rate_per_s: Option<f64>,
+    #[serde(default)]
+    start: f64,
     kp: Option<f64>,
     ki: Option<f64>,
 }
@@ -96,6 +111,15 @@ pub enum Plants {
         /// Set points.
         points: Vec<Point>,
     },
+    /// Records of tests, each about a set point of its own: linear models are identified from them.
+    Records {
+        /// Record files.
+        files: Vec<PathBuf>,
+        /// Channels of the demands of a test in closed loop, in the order of the loops; empty in open loop.
+        demands: Vec<String>,
+        /// Length in s of the segments of the spectra; none: a twelfth of the record.
+        segment_s: Option<f64>,
+    },
     /// Transfer functions.
     Given {
         /// Continuous or sampled.
@@ -114,6 +138,14 @@ pub struct LoopSpec {
     pub input: String,
     /// Delay in s beyond that of the plant (sampled: whole samples).
     pub extra_delay_s: f64,
+    /// Whether a Smith predictor stands about that delay.
+    pub predictor: bool,
+    /// Time constant in s of the filter of its prediction error.
+    pub filter_s: f64,
+    /// Limits of the actuator in the file of the controller.
+    pub limits: ActuatorLimits,
+    /// Actuator before the first step.
+    pub start: f64,
     /// Gains to be judged as they are, `(kp, ki)`; none: the search finds them.
     pub gains: Option<(f64, f64)>,
 }
@@ -131,6 +163,8 @@ pub struct Job {
     pub draws: usize,
     /// Samples from a measurement to the actuator that answers it.
     pub reaction_samples: usize,
+    /// Channels over which gains are scheduled; none: one set of gains for all set points.
+    pub schedule: Vec<String>,
     /// Loops.
     pub loops: Vec<LoopSpec>,
     /// Margins of each loop.
@@ -164,27 +198,16 @@ pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecE
 fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     let loops = loops(t, faults);
-    let plants = match (&t.models, t.plants.is_empty()) {
-        (Some(_), false) => {
-            faults.push(
-                "plants",
-                "`models` and `plants`",
-                "one of them: stored models at set points, or transfer functions",
-            );
-            None
-        }
-        (Some(files), true) => models(files, t, spec, faults),
-        (None, _) => given(t, loops.len(), faults),
-    };
+    let plants = plants(t, spec, &loops, faults);
     asked(&t.asked, faults);
     let disk_margin = t.disk_margin.unwrap_or(0.0);
     faults.range("disk_margin", disk_margin, 0.0, 2.0, "-");
-    let draws = t.draws.unwrap_or(if t.models.is_some() { 20 } else { 0 });
+    let draws = t.draws.unwrap_or(if t.plants.is_empty() { 20 } else { 0 });
     if draws > MOST.2 {
         faults.push("draws", draws, format!("at most {}", MOST.2));
     }
-    if t.models.is_none() && draws > 0 {
-        faults.push("draws", draws, "0: only stored models know the uncertainty of their parameters");
+    if !t.plants.is_empty() && draws > 0 {
+        faults.push("draws", draws, "0: only models and records know how uncertain their parameters are");
     }
     let continuous = matches!(&plants, Some(Plants::Given { time: Time::Continuous, .. }));
     let reaction_samples = t.reaction_samples.unwrap_or(usize::from(!continuous));
@@ -198,6 +221,15 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     if reaction_samples > 1000 {
         faults.push("reaction_samples", reaction_samples, "at most 1000");
     }
+    schedule(t, continuous, faults);
+    for (k, l) in loops.iter().enumerate().filter(|(_, l)| l.predictor && continuous) {
+        let found = format!("a predictor of `{}`", l.output);
+        faults.push(
+            &format!("loops[{}].predictor", k + 1),
+            found,
+            "sampled plants: a predictor runs in samples",
+        );
+    }
     let seed = over.seed.or(t.seed).unwrap_or(0);
     let (asked, plants) = (t.asked, plants?);
     Some(Job {
@@ -206,11 +238,95 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         plants,
         draws,
         reaction_samples,
+        schedule: t.schedule.clone(),
         loops,
         asked,
         disk_margin,
         out: place.out,
     })
+}
+
+fn plants(t: &Typed, spec: &Path, loops: &[LoopSpec], faults: &mut Faults) -> Option<Plants> {
+    let sources = [t.models.is_some(), t.records.is_some(), !t.plants.is_empty()];
+    if sources.iter().filter(|s| **s).count() > 1 {
+        faults.push(
+            "plants",
+            "several of `models`, `records` and `plants`",
+            "one of them: stored models at set points, records of tests, or transfer functions",
+        );
+        return None;
+    }
+    if t.records.is_none() && (t.demands.is_some() || t.segment_s.is_some()) {
+        faults.push("records", "`demands` or `segment_s` without them", "records of tests beside");
+    }
+    match (&t.models, &t.records) {
+        (Some(files), _) => models(files, t, spec, faults),
+        (None, Some(files)) => records(files, t, spec, loops, faults),
+        (None, None) => given(t, loops.len(), faults),
+    }
+}
+
+fn records(
+    files: &[PathBuf],
+    t: &Typed,
+    spec: &Path,
+    loops: &[LoopSpec],
+    faults: &mut Faults,
+) -> Option<Plants> {
+    if files.is_empty() || files.len() > MOST.1 {
+        let expected = format!("1 to {} files, each a test about a set point of its own", MOST.1);
+        faults.push("records", format!("{} files", files.len()), expected);
+    }
+    if t.sample_time_s.is_some() || !t.points.is_empty() {
+        faults.push(
+            "records",
+            "`sample_time_s` or set points beside them",
+            "neither: each record has its own",
+        );
+    }
+    let demands = t.demands.clone().unwrap_or_default();
+    if t.demands.is_some() && demands.len() != loops.len() {
+        faults.push(
+            "demands",
+            format!("{demands:?}"),
+            format!("{} channels, one for each loop", loops.len()),
+        );
+    }
+    if let Some(s) = t.segment_s {
+        faults.positive("segment_s", s, "s");
+    }
+    let folder = spec.parent().unwrap_or(Path::new(""));
+    let files = files.iter().map(|f| folder.join(f)).collect();
+    Some(Plants::Records { files, demands, segment_s: t.segment_s })
+}
+
+fn schedule(t: &Typed, continuous: bool, faults: &mut Faults) {
+    if t.schedule.is_empty() {
+        return;
+    }
+    if t.schedule.len() > 2 || t.models.is_none() || continuous {
+        faults.push(
+            "schedule",
+            format!("{:?}", t.schedule),
+            "one or two channels of the set points of stored models (`models` with [[points]])",
+        );
+    }
+    for (k, p) in t.points.iter().enumerate() {
+        for c in t.schedule.iter().filter(|c| p.values.as_ref().is_some_and(|v| !v.contains_key(*c))) {
+            faults.push(
+                "schedule",
+                format!("`{c}`, which points[{}] does not have", k + 1),
+                "channels of all points",
+            );
+        }
+    }
+    if t.loops.iter().any(|l| l.kp.is_some() || l.ki.is_some() || l.predictor) {
+        faults.push(
+            "schedule",
+            "a loop with given gains or a predictor",
+            "loops whose gains are searched, without one",
+        );
+    }
 }
 
 fn asked(a: &Asked, faults: &mut Faults) {
@@ -259,9 +375,34 @@ fn loops(t: &Typed, faults: &mut Faults) -> Vec<LoopSpec> {
                 "outputs and inputs that no other loop has",
             );
         }
-        out.push(LoopSpec { output, input, extra_delay_s: l.extra_delay_s, gains });
+        let limits = limits(l, k, faults);
+        let (extra_delay_s, predictor, filter_s, start) = (l.extra_delay_s, l.predictor, l.filter_s, l.start);
+        out.push(LoopSpec { output, input, extra_delay_s, predictor, filter_s, limits, start, gains });
     }
     out
+}
+
+/// Limits of an actuator; a predictor needs something to predict.
+fn limits(l: &TypedLoop, k: usize, faults: &mut Faults) -> ActuatorLimits {
+    let key = |part: &str| format!("loops[{}].{part}", k + 1);
+    // What is not limited may take any value that a 32-bit ECU can hold.
+    let wide = 1e9;
+    let (lower, upper) = (l.lower.unwrap_or(-wide), l.upper.unwrap_or(wide));
+    if !(lower < upper && lower.is_finite() && upper.is_finite()) {
+        faults.push(&key("upper"), format!("{lower} to {upper}"), "a range: `lower` below `upper`");
+    } else if !(l.start >= lower && l.start <= upper) {
+        faults.push(&key("start"), l.start, format!("a value between {lower} and {upper}"));
+    }
+    if let Some(rate) = l.rate_per_s {
+        faults.positive(&key("rate_per_s"), rate, "per s");
+    }
+    if l.predictor && !(l.extra_delay_s > 0.0) {
+        faults.push(&key("predictor"), "a predictor without `extra_delay_s`", "a delay that it predicts");
+    }
+    if !(l.filter_s >= 0.0 && l.filter_s.is_finite()) || (l.filter_s > 0.0 && !l.predictor) {
+        faults.push(&key("filter_s"), l.filter_s, "0, or with `predictor` a positive number, s");
+    }
+    ActuatorLimits { lower, upper, rate_per_s: l.rate_per_s }
 }
 
 fn models(files: &[PathBuf], t: &Typed, spec: &Path, faults: &mut Faults) -> Option<Plants> {

@@ -1,12 +1,15 @@
 //! The run folder of a control job.
 
+use dynocal_control::response::Response;
+use dynocal_control::stored::{CONTROLLER_SCHEMA, CONTROLLER_VERSION};
+use dynocal_files::json;
 use dynocal_files::run_folder::RunFolder;
 
 use super::page;
 use super::result::{ControlJobError, Controlled};
 use crate::kept;
 
-/// Writes the gains that each set point alone would have, the page and the summary.
+/// Writes the gains that each set point alone would have, the controller, measured responses, the page and the summary.
 ///
 /// # Errors
 /// [`ControlJobError::Files`], [`ControlJobError::Page`].
@@ -26,7 +29,45 @@ pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobErr
         all.extend(columns.iter().map(|(name, v)| (name.as_str(), "-", v.as_slice())));
         files.push(kept::write_columns(folder.path(), "gains_by_point", &all)?);
     }
+    if let Some(c) = &found.controller {
+        json::write_versioned(
+            &folder.path().join("controller.json"),
+            CONTROLLER_SCHEMA,
+            CONTROLLER_VERSION,
+            c,
+        )?;
+        files.push("controller.json".into());
+    }
+    for (k, (m, r)) in found.measured.iter().zip(&found.picture.measured).enumerate() {
+        files.push(response(folder, k, &m.point, found, r)?);
+    }
     page::write(found, folder.path())?;
     folder.write_summary(&Controlled { files, ..found.clone() })?;
     Ok(())
+}
+
+/// A measured response as a table: frequency, and for each channel real and imaginary part with the deviation.
+fn response(
+    folder: &RunFolder,
+    number: usize,
+    point: &str,
+    found: &Controlled,
+    r: &Response,
+) -> Result<String, ControlJobError> {
+    let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
+    let n = r.frequency_hz.len();
+    for (o, output) in found.loops.iter().enumerate() {
+        for (i, input) in found.loops.iter().enumerate() {
+            let name = |part: &str| format!("{}_by_{}_{part}", output.output, input.input);
+            columns.push((name("re"), (0..n).map(|f| r.at(f, o, i).re).collect()));
+            columns.push((name("im"), (0..n).map(|f| r.at(f, o, i).im).collect()));
+            columns.push((name("std"), (0..n).map(|f| r.std_at(f, o, i)).collect()));
+        }
+        columns
+            .push((format!("{}_coherence", output.output), (0..n).map(|f| r.coherence_at(f, o)).collect()));
+    }
+    let mut all: Vec<(&str, &str, &[f64])> = vec![("frequency", "Hz", &r.frequency_hz)];
+    all.extend(columns.iter().map(|(name, v)| (name.as_str(), "-", v.as_slice())));
+    let safe: String = point.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    Ok(kept::write_columns(folder.path(), &format!("response_{}_{safe}", number + 1), &all)?)
 }

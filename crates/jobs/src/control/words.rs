@@ -12,6 +12,7 @@ pub(super) fn say(found: &mut Controlled) {
     found.valid = together && checked && in_time;
     let mut verdict = vec![head(found, together)];
     verdict.extend(found.loops.iter().map(|l| gains(found, l)));
+    verdict.extend(found.loops.iter().filter_map(predicted));
     verdict.push(kept(found));
     let failed: Vec<&str> = found.checks.iter().filter(|c| !c.holds).map(|c| c.what.as_str()).collect();
     if found.checks.is_empty() {
@@ -82,6 +83,21 @@ fn worst(found: &Controlled) -> String {
 fn gains(found: &Controlled, l: &LoopResult) -> String {
     let mut text =
         format!("`{}` by `{}`: kp = {}, ki = {} 1/s", l.output, l.input, digits(l.kp), digits(l.ki));
+    if !l.by_point.is_empty() {
+        let range = |of: &dyn Fn(&(f64, f64)) -> f64| {
+            let all = l.by_point.iter().map(of);
+            let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+            format!("{} to {}", digits(low), digits(high))
+        };
+        return format!(
+            "`{}` by `{}`: gains over {}, kp {}, ki {} 1/s; each set point is judged with its own.",
+            l.output,
+            l.input,
+            found.schedule.join(" and "),
+            range(&|g| g.0),
+            range(&|g| g.1)
+        );
+    }
     if found.detuned > 1.0 {
         text += &format!(
             " (made smaller by F = {:.3} because the loops act on each other, alone {} and {})",
@@ -105,6 +121,23 @@ fn gains(found: &Controlled, l: &LoopResult) -> String {
         }
     }
     text + "."
+}
+
+/// How wrong the delay of a predictor may be.
+fn predicted(l: &LoopResult) -> Option<String> {
+    let p = l.predictor.as_ref()?;
+    let end = |v: Option<f64>, what: &str| {
+        v.map_or(format!("any time {what}"), |d| format!("{} s {what}", digits(d.abs())))
+    };
+    Some(format!(
+        "The Smith predictor of `{}` stands while the delay is less than {} or {} than its {} s; gains of the plant from {} to {} times that of its model.",
+        l.output,
+        end(p.above_s, "longer"),
+        end(p.below_s, "shorter"),
+        digits(p.delay_s),
+        digits(p.gain.0),
+        digits(p.gain.1)
+    ))
 }
 
 fn kept(found: &Controlled) -> String {

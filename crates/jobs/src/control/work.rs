@@ -16,11 +16,12 @@ use dynocal_control::tune::{self, Choice, Lag, StepRun, choose, judged, step_run
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
-use super::load::{AtPoint, Loaded, load};
+use super::load::{AtPoint, Loaded, load, without_predicted};
+use super::loops::{by_point, controller, predictor};
 use super::picture::{Picture, drawn};
 use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
 use super::spec::{Job, LoopSpec, Plants};
-use super::words;
+use super::{deliver, words};
 use crate::estimate::Estimate;
 
 /// Rounds in which draws that miss are added to what the search sees.
@@ -37,11 +38,18 @@ const RUN: (f64, usize) = (400.0, 1_000_000);
 /// # Errors
 /// [`ControlJobError`]: models that cannot be read or do not fit.
 pub fn estimate(job: &Job) -> Result<Estimate, ControlJobError> {
+    // Records are identified by the work itself: what it takes is told without.
+    if let Plants::Records { files, .. } = &job.plants {
+        let plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
+        let records = format!("{} records, {} draws of each model", files.len(), job.draws);
+        return Ok(plan.line("plants", records).line("loops", job.loops.len().to_string()));
+    }
     let loaded = load(&Job { draws: 0, ..job.clone() }, Watch::silent())?;
     let (loops, points) = (job.loops.len(), loaded.points.len());
     let kind = match &job.plants {
         Plants::Models { files, .. } => format!("{} stored models, {} draws", files.len(), job.draws),
         Plants::Given { .. } => "transfer functions".into(),
+        Plants::Records { files, .. } => format!("{} records", files.len()),
     };
     let frequencies: usize = loaded.points.iter().map(|p| frequencies(&p.nominal)).max().unwrap_or(0);
     let plan = Estimate::new(&job.name)
@@ -85,6 +93,7 @@ pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     watch.note("runs that check the margins");
     let checks = checks(job, &loaded, &loops, &together)?;
     let picture = drawn(job, &loaded, &loops, choices)?;
+    deliver::grid(job)?;
     Ok(result(job, loaded, loops, detuned, together, checks, picture))
 }
 
@@ -104,13 +113,16 @@ fn result(
         name: job.name.clone(),
         valid: false,
         verdict: Vec::new(),
-        warnings: loaded.warnings,
+        warnings: loaded.warnings.clone(),
         asked: job.asked,
         disk_margin_asked: job.disk_margin,
         sample_time_s: loaded.time.sample_time_s(),
         points: loaded.points.iter().map(|p| p.name.clone()).collect(),
         draws: job.draws,
         detuned,
+        schedule: job.schedule.clone(),
+        measured: deliver::measured(job, &loaded, &loops),
+        controller: deliver::controller(job, &loaded, &loops),
         relative_gains: loaded.points.iter().map(relative).collect(),
         loops,
         together,
@@ -136,7 +148,12 @@ fn one_loop(
     };
     alone_at_rest(loaded, k)?;
     let sign = sign(loaded, k, l)?;
-    let channel = |s: &System| Channel::new(loaded.time, s.channel(k, k).scaled(sign));
+    // A predictor's gains are those of the undelayed loop.
+    let whole = |s: &System| Channel::new(loaded.time, s.channel(k, k).scaled(sign));
+    let channel = |s: &System| match l.predictor {
+        true => without_predicted(job, s).and_then(|s| whole(&s)),
+        false => whole(s),
+    };
     let nominal: Vec<Channel> =
         loaded.points.iter().map(|p| channel(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
     let draws: Vec<Channel> = loaded
@@ -164,6 +181,16 @@ fn one_loop(
         rules.push(judged("SIMC", &simc, &nominal, &job.asked, r));
         rules.push(judged("lambda tuning", &lambda, &nominal, &job.asked, r));
     }
+    if l.predictor {
+        let late: Vec<Channel> =
+            loaded.points.iter().map(|p| whole(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
+        let lags: Vec<Lag> = late.iter().filter_map(|c| tune::lag(c).ok()).collect();
+        let r = step_run(&late, &lags);
+        if let Ok(c) = choose(&late, &job.asked, r) {
+            let gains = PidGains::pi(c.tuned.kp, c.tuned.ki);
+            rules.push(judged("PI alone, retuned for the whole delay", &gains, &late, &job.asked, r));
+        }
+    }
     let own =
         |c: &Channel| choose(std::slice::from_ref(c), &job.asked, r).ok().map(|c| (c.tuned.kp, c.tuned.ki));
     let scheduled =
@@ -178,9 +205,13 @@ fn one_loop(
         sign,
         lags,
         rules,
+        by_point: by_point(job, &scheduled, sign, l)?,
         scheduled,
+        predictor: None,
     };
-    Ok((found, choice))
+    let predictor =
+        if l.predictor { Some(predictor(job, loaded, k, l, &found).map_err(refused)?) } else { None };
+    Ok((LoopResult { predictor, ..found }, choice))
 }
 
 /// Refuses channels that run away by themselves: the sign of their gain at rest says nothing of the PI that holds them.
@@ -274,11 +305,6 @@ fn scenarios(
     }
 }
 
-pub(super) fn controller(time: Time, loops: &[LoopResult]) -> Result<System, ControlError> {
-    let own: Vec<Transfer> = loops.iter().map(|l| PidGains::pi(l.kp, l.ki).transfer(time)).collect();
-    System::diagonal(time, &own)
-}
-
 /// Closes all loops; where they act on each other, gains that were searched shrink until everything is kept.
 fn close(
     job: &Job,
@@ -295,7 +321,9 @@ fn close(
             return Err(ControlJobError::Interrupted);
         }
         for (l, a) in loops.iter_mut().zip(&alone) {
-            (l.kp, l.ki) = (a.kp / detuned, a.ki / (detuned * detuned));
+            let smaller = |(kp, ki): (f64, f64)| (kp / detuned, ki / (detuned * detuned));
+            (l.kp, l.ki) = smaller((a.kp, a.ki));
+            l.by_point = a.by_point.iter().copied().map(smaller).collect();
         }
         let together = judge(job, loaded, loops)?;
         let kept = together.iter().all(|t| t.violation.is_some_and(|v| v <= 1.0));
@@ -315,9 +343,10 @@ fn judge(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Result<Vec<Togethe
     loaded
         .points
         .iter()
-        .map(|p| {
+        .enumerate()
+        .map(|(k, p)| {
             let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
-            let c = controller(loaded.time, loops).map_err(refused)?;
+            let c = controller(job, loaded, loops, k).map_err(refused)?;
             let each: Vec<Option<f64>> = p
                 .draws
                 .par_iter()
@@ -376,7 +405,7 @@ fn checks(
     };
     let (p, t) = (&loaded.points[k], &together[k]);
     let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
-    let c = controller(loaded.time, loops).map_err(refused)?;
+    let c = controller(job, loaded, loops, k).map_err(refused)?;
     let mut out = Vec::new();
     let closed = |plant: System| Closed::new(plant, c.clone());
     let mut look = |what: String, plant: System, w: f64, expected_stable: bool| -> Result<(), ControlError> {

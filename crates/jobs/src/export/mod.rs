@@ -5,6 +5,7 @@
 //! writes it. A spec (`.toml`) is a source too: its plant leaves as an FMU.
 
 mod build;
+mod controller;
 mod dynamic_map;
 mod engine;
 mod model;
@@ -15,6 +16,7 @@ mod static_map;
 use std::path::{Path, PathBuf};
 
 use dynocal_calib::map::structures::StoredMap;
+use dynocal_control::stored::{CONTROLLER_SCHEMA, CONTROLLER_VERSION, StoredController};
 use dynocal_export::ExportError;
 use dynocal_export::characteristic::Characteristic;
 use dynocal_export::format::{self, Keys, OutFile};
@@ -26,6 +28,7 @@ use serde_json::Value;
 
 use crate::export_spec::UNITS;
 pub use crate::export_spec::{ExportKeys, ExportSpec};
+pub use controller::controller;
 pub use dynamic_map::dynamic_map;
 pub use model::model;
 pub use static_map::static_map;
@@ -230,6 +233,11 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
         MODEL_SCHEMA => {
             let stored: StoredModel = json::read_versioned(path, MODEL_SCHEMA, MODEL_VERSION)?;
             model(&stored).map_err(|e| e.at(path))?
+        }
+        CONTROLLER_SCHEMA => {
+            let stored: StoredController = json::read_versioned(path, CONTROLLER_SCHEMA, CONTROLLER_VERSION)?;
+            stored.check().map_err(|e| ExportJobError::source(path, e.to_string()))?;
+            controller(&stored)
         }
         "dynocal/static-map" => {
             let map = json::read_versioned(path, "dynocal/static-map", 2)?;

@@ -28,6 +28,10 @@ const INJ: usize = 0;
 const THROTTLE: usize = 2;
 const TORQUE: usize = 0;
 const LAMBDA: usize = 1;
+const MAP: usize = 2;
+const SPARK: usize = 1;
+/// The air flow is asked for behind the five outputs of every bed.
+const AIR: usize = 5;
 
 /// A bed at rest at its set point.
 pub(super) struct Bench {
@@ -47,10 +51,15 @@ pub(super) struct Record {
     pub(super) y: [Vec<f64>; 2],
 }
 
-impl Record {
-    pub(super) fn rows(&self) -> usize {
-        self.y[0].len()
-    }
+/// What a drive gave, row by row.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Driven {
+    /// Throttle, fuel, spark.
+    pub(super) u: Vec<[f64; 3]>,
+    /// Torque, lambda, manifold pressure and air flow as the sensors show them.
+    pub(super) shown: Vec<[f64; 4]>,
+    /// Torque of the last cycle, without sensor.
+    pub(super) torque_nm: Vec<f64>,
 }
 
 /// What is put into a loop.
@@ -63,9 +72,15 @@ pub(super) struct Injected {
 
 impl Bench {
     /// The bed of a parameter set at its start point, 2000 rpm and 50 Nm, settled.
-    pub(super) fn new(engine: &str, seed: u64) -> Result<Self, String> {
+    pub(super) fn new(engine: &str, seed: u64, start_k: Option<f64>) -> Result<Self, String> {
         let params = EngineParams::named(engine).map_err(|e| e.to_string())?;
-        let settings = BedSettings::of_set(engine, &params).map_err(|e| e.to_string())?;
+        let mut settings = BedSettings::of_set(engine, &params).map_err(|e| e.to_string())?;
+        if settings.options.outputs.is_empty() {
+            settings.options.outputs.push("air".into());
+        }
+        if let (Some(start_k), Some(thermal)) = (start_k, &mut settings.options.engine.warm_up) {
+            thermal.start_k = start_k;
+        }
         let mut bed = EngineBed::new(&params, settings).map_err(|e| e.to_string())?;
         bed.reset(seed);
         let inputs = bed.variables().iter().take_while(|v| v.causality == Causality::Input).count();
@@ -83,6 +98,36 @@ impl Bench {
         }
         let y0 = sums.map(|s| s / (n - n / 2) as f64);
         Ok(Self { settled: bed, u0, y0, outputs, seed })
+    }
+
+    /// Rows of throttle, fuel and spark that `act` gives for the row's number and what the sensors showed last (torque, lambda,
+    /// manifold pressure, air flow); the engine at its set point before.
+    pub(super) fn drive(
+        &self,
+        rows: usize,
+        act: &mut dyn FnMut(usize, &[f64; 4]) -> [f64; 3],
+    ) -> Result<Driven, String> {
+        let mut bed = self.settled.clone();
+        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
+        bed.outputs(&mut y).map_err(|e| e.to_string())?;
+        let mut out = Driven::default();
+        for t in 0..rows {
+            let wanted = act(t, &[y[TORQUE], y[LAMBDA], y[MAP], y[AIR]]);
+            u[THROTTLE] = wanted[0].clamp(1.0, 80.0);
+            u[INJ] = wanted[1].clamp(0.3 * self.u0[INJ], 3.0 * self.u0[INJ]);
+            u[SPARK] = wanted[2].clamp(-5.0, 50.0);
+            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
+            let truth = bed.engine().outputs();
+            out.u.push([u[THROTTLE], u[INJ], u[SPARK]]);
+            out.shown.push([y[TORQUE], y[LAMBDA], y[MAP], y[AIR]]);
+            out.torque_nm.push(truth.torque_cycle_nm);
+        }
+        Ok(out)
+    }
+
+    /// Throttle, fuel and spark of the set point, and its torque and lambda.
+    pub(super) fn point(&self) -> ([f64; 3], [f64; 2]) {
+        ([self.u0[THROTTLE], self.u0[INJ], self.u0[SPARK]], self.y0)
     }
 
     /// Throttle and fuel moved at random, each on its own.

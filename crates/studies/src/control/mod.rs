@@ -5,11 +5,22 @@
 //! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. About this compensated engine two PI controllers are
 //! tuned by the search of the plane. Their gain and delay margins, each loop with the other closed, are then measured: gain or
 //! delay is put into one loop and grows until the engine oscillates. The published gains are judged on the same models.
+//!
+//! Figures 7.22 to 7.30 are drawn on the same beds (`figures`): responses, steps under the loops, torque held by an estimate
+//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller.
 
 mod bed;
+mod cycles;
+mod estimator;
+mod figures;
+mod judge;
 mod page;
+mod page_figures;
+mod runs;
+mod worth;
 
 use dynocal_control::closed::Closed;
+use dynocal_control::identify::{ORDERS, identify};
 use dynocal_control::interaction::relative_gains;
 use dynocal_control::linear::about;
 use dynocal_control::margin::{Margins, Side, margins};
@@ -18,10 +29,6 @@ use dynocal_control::plane::Channel;
 use dynocal_control::runtime::PidGains;
 use dynocal_control::system::{System, Transfer};
 use dynocal_control::tune::{Asked as Margin, choose, lag, step_run};
-use dynocal_ident::estimate::pem::Pem;
-use dynocal_ident::experiment::Experiment;
-use dynocal_ident::linear::fit_linear;
-use dynocal_ident::model::linear::LinearModel;
 use dynocal_ident::stored::{Quantity, StoredModel};
 use dynocal_numerics::registry::MemberDoc;
 use serde::{Deserialize, Serialize};
@@ -30,11 +37,14 @@ use serde_json::json;
 use crate::asked::Asked;
 use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check};
 use bed::{Bench, SAMPLE_S};
+use cycles::CycleCase;
+use figures::Figures;
+use worth::WorthCase;
 
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
         name: "control",
-        what: "PI loops about an identified engine: promised margins measured on the bed, published gains beside",
+        what: "PI loops about an identified engine: margins measured on the bed, Smith predictor, torque without a sensor, tests for control",
         params: &[],
     },
     tasks,
@@ -46,8 +56,6 @@ pub(super) const STUDY: Study = Study {
 const ENGINES: [&str; 3] = ["pfi_1_6l", "gtdi_2l", "other_1_8l"];
 /// Length of the record that identifies, in s.
 const RECORD_S: f64 = 120.0;
-/// Orders of A and B that are compared on the second half of the record.
-const ORDERS: [(usize, usize); 5] = [(2, 8), (3, 12), (4, 16), (4, 24), (6, 24)];
 /// Names of inputs and outputs.
 const INPUTS: [&str; 2] = ["throttle", "inj"];
 const OUTPUTS: [&str; 2] = ["torque", "lambda"];
@@ -90,53 +98,123 @@ struct Case {
     relative_gain: f64,
     loops: Vec<LoopFound>,
     published: Vec<Judged>,
+    /// Frequency responses, runs of the loops, what estimates the torque: none where something failed before.
+    figures: Option<Figures>,
 }
 
 fn tasks(o: &Options) -> Vec<Task> {
     let engines = if o.reduced { &ENGINES[..1] } else { &ENGINES[..] };
     let (seed, reduced) = (o.seed, o.reduced);
-    engines
-        .iter()
-        .map(|engine| Task {
-            name: (*engine).into(),
-            inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
-            run: Box::new(move |around: &Surroundings| {
-                let mut case = Case {
-                    engine: (*engine).into(),
-                    failed: None,
-                    orders: Vec::new(),
-                    fits: Vec::new(),
-                    steady: Vec::new(),
-                    relative_gain: f64::NAN,
-                    loops: Vec::new(),
-                    published: Vec::new(),
-                };
-                // What fails on a bed is its result, and not the end of the study.
-                if let Err(reason) = fill(&mut case, seed, reduced, around) {
-                    if around.watch.interrupted() {
-                        return Err(StudyError::Interrupted);
-                    }
-                    case.failed = Some(reason);
+    let mut all = worth_tasks(o);
+    let beds = engines.iter().map(|engine| Task {
+        name: (*engine).into(),
+        inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
+        run: Box::new(move |around: &Surroundings| {
+            let mut case = Case {
+                engine: (*engine).into(),
+                failed: None,
+                orders: Vec::new(),
+                fits: Vec::new(),
+                steady: Vec::new(),
+                relative_gain: f64::NAN,
+                loops: Vec::new(),
+                published: Vec::new(),
+                figures: None,
+            };
+            // What fails on a bed is its result, and not the end of the study.
+            if let Err(reason) = fill(&mut case, seed, reduced, around) {
+                if around.watch.interrupted() {
+                    return Err(StudyError::Interrupted);
                 }
-                serde_json::to_value(case)
-                    .map_err(|e| StudyError::Task { what: (*engine).into(), reason: e.to_string() })
+                case.failed = Some(reason);
+            }
+            serde_json::to_value(case)
+                .map_err(|e| StudyError::Task { what: (*engine).into(), reason: e.to_string() })
+        }),
+    });
+    all.extend(beds);
+    all.extend(cycle_tasks(o));
+    all
+}
+
+/// Seeds of the tests for control.
+const WORTH: u64 = 20;
+
+fn worth_tasks(o: &Options) -> Vec<Task> {
+    let task = |seed: u64| {
+        let name = format!("test-for-control-{seed}");
+        Task {
+            name: name.clone(),
+            inputs: json!(["test for control", seed]),
+            run: Box::new(move |_: &Surroundings| {
+                let failed = |reason: String| StudyError::Task { what: name.clone(), reason };
+                let found = worth::contest(seed).map_err(failed)?;
+                serde_json::to_value(found).map_err(|e| failed(e.to_string()))
             }),
-        })
-        .collect()
+        }
+    };
+    (o.seed..o.seed + if o.reduced { 3 } else { WORTH }).map(task).collect()
+}
+
+/// Cycles below the folder of data, the engine whose maps are used, and engines that are driven.
+const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
+const MAPPED: &str = "pfi_1_6l";
+const DRIVEN: [&str; 4] =
+    ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
+
+/// Model in the loop, where the cycles are given: they are not part of the program.
+fn cycle_tasks(o: &Options) -> Vec<Task> {
+    let Some(data) = &o.data else { return Vec::new() };
+    let (cycles, engines) = if o.reduced { (&CYCLES[..1], &DRIVEN[..1]) } else { (&CYCLES[..], &DRIVEN[..]) };
+    let length_s = o.reduced.then_some(60.0);
+    let task = |(cycle, engine): (&'static str, &'static str)| {
+        let name = format!("{cycle}-{}", engine.replace(':', "-"));
+        let path = data.join(format!("data/drive_cycles/{cycle}.csv"));
+        Task {
+            name: name.clone(),
+            inputs: json!([cycle, engine, length_s, cycles::FUELLED.map(|f| f.0)]),
+            run: Box::new(move |around: &Surroundings| {
+                let failed = |reason: String| StudyError::Task { what: name.clone(), reason };
+                let watch = around.watch;
+                watch.note(&format!("{cycle}: {engine} under seven controllers"));
+                let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {})
+                    .map_err(|e| failed(e.to_string()))?;
+                let found = cycles::contest(MAPPED, engine, cycle, &read, &|| watch.interrupted());
+                if watch.interrupted() {
+                    return Err(StudyError::Interrupted);
+                }
+                serde_json::to_value(found.map_err(failed)?).map_err(|e| failed(e.to_string()))
+            }),
+        }
+    };
+    cycles.iter().flat_map(|c| engines.iter().map(move |e| (*c, *e))).map(task).collect()
+}
+
+fn driven(results: &[TaskResult]) -> Vec<CycleCase> {
+    results.iter().filter_map(|r| serde_json::from_value(r.value.clone()).ok()).collect()
+}
+
+fn worths(results: &[TaskResult]) -> Vec<WorthCase> {
+    results.iter().filter_map(|r| serde_json::from_value(r.value.clone()).ok()).collect()
 }
 
 fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Result<(), String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let watch = around.watch;
     watch.note(&format!("{}: record", case.engine));
-    let bench = Bench::new(&case.engine, seed)?;
+    let bench = Bench::new(&case.engine, seed, None)?;
     let record = bench.excite(if reduced { 60.0 } else { RECORD_S })?;
     let mut models = Vec::new();
     for (o, output) in OUTPUTS.iter().enumerate() {
-        let (model, orders, fit) = identify(&record, o, output, &|| watch.interrupted())?;
-        case.orders.push(orders);
-        case.fits.push(fit);
-        models.push(model);
+        let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
+        let column = |k: usize| record.u.iter().skip(k).step_by(2).copied().collect::<Vec<f64>>();
+        let inputs: Vec<_> = INPUTS.iter().enumerate().map(|(k, n)| (quantity(n), column(k))).collect();
+        let stop = || watch.interrupted();
+        let one = identify(&inputs, (quantity(output), &record.y[o]), SAMPLE_S, &ORDERS, &stop)
+            .map_err(|e| text(&e))?;
+        case.orders.push(one.orders);
+        case.fits.push(one.selection_r2);
+        models.push(one.model);
     }
     let all: Vec<&StoredModel> = models.iter().collect();
     let names: Vec<String> = INPUTS.iter().map(|n| n.to_string()).collect();
@@ -153,6 +231,8 @@ fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Res
     let gains = tuned(&plant)?;
     let closed = closed(&plant, &gains)?;
     case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&plant, name, g)).collect();
+    case.figures =
+        Some(figures::draw(&bench, &record, &map, &plant, &gains, (&case.engine, seed, reduced), watch)?);
     for (k, g) in gains.iter().enumerate() {
         watch.note(&format!("{}: margins of the loop of {}", case.engine, OUTPUTS[k]));
         let promised = margins(&closed, Side::Outputs, k).map_err(|e| text(&e))?;
@@ -166,47 +246,6 @@ fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Res
         });
     }
     Ok(())
-}
-
-/// A linear model of one output, its orders chosen by the free run over the second half of the record.
-fn identify(
-    record: &bed::Record,
-    o: usize,
-    output: &str,
-    stop: &dyn Fn() -> bool,
-) -> Result<(StoredModel, (usize, usize), f64), String> {
-    let half = record.rows() / 2;
-    let part = |from: usize, to: usize| Experiment {
-        name: "record".into(),
-        u: record.u[2 * from..2 * to].to_vec(),
-        y: record.y[o][from..to].to_vec(),
-        init_samples: 40,
-        weights: vec![],
-    };
-    let (first, second, whole) = (part(0, half), part(half, record.rows()), part(0, record.rows()));
-    let mut best: Option<((usize, usize), f64)> = None;
-    for (na, nb) in ORDERS {
-        let model = LinearModel::armax(&INPUTS, output, na, nb, na, 0);
-        let Ok(fit) = fit_linear(&model, std::slice::from_ref(&first), &Pem::default(), stop) else {
-            continue;
-        };
-        let score = fit.score(
-            std::slice::from_ref(&second),
-            dynocal_ident::validate::Kind::FreeRun,
-            dynocal_ident::validate::Seen::Selection,
-        );
-        if best.is_none_or(|b| 100.0 * score.r2 > b.1) {
-            best = Some(((na, nb), 100.0 * score.r2));
-        }
-    }
-    let ((na, nb), fit) = best.ok_or_else(|| format!("no model of {output} could be fitted"))?;
-    let model = LinearModel::armax(&INPUTS, output, na, nb, na, 0);
-    let found = fit_linear(&model, &[whole], &Pem::default(), stop).map_err(|e| e.to_string())?;
-    let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
-    let inputs = INPUTS.iter().map(|n| quantity(n)).collect();
-    let stored = StoredModel::new(model, &found.fit.theta, inputs, quantity(output), SAMPLE_S)
-        .map_err(|e| e.to_string())?;
-    Ok((stored, (na, nb), fit))
 }
 
 fn inverse(g: &Matrix) -> Result<Vec<f64>, String> {
@@ -320,12 +359,15 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "gains of the compensated engine of the thesis, whose sample time and sensors are others",
         ));
     }
+    checks.extend(judge::checks(&all, &worths(results)));
+    checks.extend(judge::cycles(&driven(results)));
     let failed: Vec<String> =
         all.iter().filter_map(|c| c.failed.as_ref().map(|f| format!("{}: {f}", c.engine))).collect();
-    let count = failed.len() + results.len() - all.len();
+    let others = worths(results).len() + driven(results).len();
+    let count = failed.len() + results.len() - all.len() - others;
     checks.push(check(
         "failed",
-        "beds without a result",
+        "tasks without a result",
         Asked::AtMost(0.0),
         Some(count as f64),
         "-",

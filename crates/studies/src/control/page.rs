@@ -2,12 +2,22 @@
 
 use dynocal_report::{Cell, Column, Report, Section, Table};
 
-use super::{Case, OUTPUTS, cases, gain_error_db, phase_error_deg};
+use super::{Case, OUTPUTS, cases, gain_error_db, page_figures, phase_error_deg};
 use crate::TaskResult;
 
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let all = cases(results);
-    report.section(promised(&all)).section(models(&all)).section(published(&all))
+    let mut report = report.section(promised(&all)).section(models(&all)).section(published(&all));
+    for c in &all {
+        if let Some(f) = &c.figures {
+            report = report.section(page_figures::section(&c.engine, f));
+        }
+    }
+    let drives = super::driven(results);
+    if !drives.is_empty() {
+        report = report.section(page_figures::drives(&drives));
+    }
+    report.section(page_figures::worth(&super::worths(results)))
 }
 
 fn promised(all: &[Case]) -> Section {

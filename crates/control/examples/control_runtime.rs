@@ -1,0 +1,62 @@
+//! Time of a sample of the controllers that run: written as JSON. The limit of an ECU task is 2 us.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use dynocal_control::error::ControlError;
+use dynocal_control::oxygen::{OxygenObserver, OxygenSettings};
+use dynocal_control::predictor::{PredictedModel, Predictor};
+use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
+use dynocal_control::system::Transfer;
+use dynocal_control::trim::LongTrim;
+
+/// Samples that are timed.
+const SAMPLES: usize = 1_000_000;
+
+/// Mean time of a sample in us.
+fn timed(name: &str, step: &mut dyn FnMut(f64) -> f64) {
+    let begun = Instant::now();
+    let mut sum = 0.0;
+    for t in 0..SAMPLES {
+        sum += step(black_box((t % 97) as f64 * 0.01));
+    }
+    let us = 1e6 * begun.elapsed().as_secs_f64() / SAMPLES as f64;
+    black_box(sum);
+    println!("{{\"controller\": \"{name}\", \"us_per_sample\": {us:.4}}}");
+}
+
+fn main() -> Result<(), ControlError> {
+    let limits = ActuatorLimits { lower: -1.0, upper: 1.0, rate_per_s: Some(20.0) };
+    let gains = PidGains { kp: 1.0, ki: 2.0, kd: 0.01, filter_s: 0.05 };
+    let mut pid = Pid::new(gains, limits, 0.01, 0.0)?;
+    timed("PID", &mut |y| pid.step(0.0, 0.5 - y));
+    let mut num = vec![0.0];
+    num.extend((0..24).map(|k| 0.02 / (1.0 + k as f64)));
+    let den = [1.0, -1.2, 0.5, -0.1, 0.05, -0.02, 0.01];
+    let known = PredictedModel {
+        model: Transfer::sampled(&num, &den),
+        delay_samples: 17.5,
+        longest_samples: 100,
+        filter_s: 0.2,
+    };
+    let mut smith = Predictor::new(gains, limits, 0.01, 0.0, &known)?;
+    timed("Smith predictor, model of 6 and 24", &mut |y| {
+        smith.set_delay(10.0 + 20.0 * y);
+        smith.step(0.0, 0.5, y)
+    });
+    let store = OxygenSettings {
+        capacity_g: 1.0,
+        half_g_s: 60.0,
+        rear_band: 0.01,
+        target: 0.5,
+        gain: 0.03,
+        most: 0.02,
+        learn: 0.3,
+    };
+    let mut oxygen = OxygenObserver::new(store, 0.5)?;
+    timed("oxygen store and rear trim", &mut |y| oxygen.step(0.99 + 0.02 * y, 1.0, 10.0, 0.01));
+    let axis = |n: usize| (0..n).map(|k| k as f64).collect::<Vec<f64>>();
+    let mut trim = LongTrim::new(vec![axis(16), axis(16)], 60.0, 0.3)?;
+    timed("long-term trim of 16 x 16", &mut |y| trim.learn(&[15.0 * y, 7.0], 0.01 * y, 0.01));
+    Ok(())
+}

@@ -1,0 +1,86 @@
+//! Linear models out of records about a set point, with the uncertainty of their parameters.
+//!
+//! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors; the orders are those of a list whose free run over the second half of the
+//! record, fitted on the first, leaves least; the model that is given is then fitted on all of it. What chose the orders is no unseen data.
+
+use dynocal_ident::estimate::pem::Pem;
+use dynocal_ident::experiment::Experiment;
+use dynocal_ident::linear::fit_linear;
+use dynocal_ident::model::linear::LinearModel;
+use dynocal_ident::stored::{Quantity, StoredModel};
+use dynocal_ident::validate::{Kind, Seen};
+
+use crate::error::ControlError;
+
+/// Orders of A and B that are compared.
+pub const ORDERS: [(usize, usize); 5] = [(2, 8), (3, 12), (4, 16), (4, 24), (6, 24)];
+/// Samples before anything is scored.
+const INIT: usize = 40;
+
+/// A model of one output.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    /// With the covariance of its parameters.
+    pub model: StoredModel,
+    /// Orders of A and B.
+    pub orders: (usize, usize),
+    /// Free run over the half that chose the orders, in percent of the output's variance.
+    pub selection_r2: f64,
+}
+
+/// Model of `output` from `inputs` (columns; deviations from a point of rest), its orders among `orders` ([`ORDERS`]).
+///
+/// # Errors
+/// [`ControlError::Model`]: a record too short, or one that no model of the list fits.
+pub fn identify(
+    inputs: &[(Quantity, Vec<f64>)],
+    output: (Quantity, &[f64]),
+    sample_time_s: f64,
+    orders: &[(usize, usize)],
+    stop: &dyn Fn() -> bool,
+) -> Result<Identified, ControlError> {
+    let (quantity, y) = output;
+    let (rows, m) = (y.len(), inputs.len());
+    let refused = |text: String| ControlError::Model(format!("a model of `{}`: {text}", quantity.name));
+    if rows < 8 * INIT {
+        return Err(refused(format!("the record has {rows} samples, expected {} at least", 8 * INIT)));
+    }
+    let u: Vec<f64> = (0..rows * m).map(|k| inputs[k % m].1[k / m]).collect();
+    let part = |from: usize, to: usize| Experiment {
+        name: "record".into(),
+        u: u[m * from..m * to].to_vec(),
+        y: y[from..to].to_vec(),
+        init_samples: INIT,
+        weights: vec![],
+    };
+    let (first, second) = (part(0, rows / 2), part(rows / 2, rows));
+    let names: Vec<&str> = inputs.iter().map(|(q, _)| q.name.as_str()).collect();
+    let structure = |(na, nb): (usize, usize)| LinearModel::armax(&names, &quantity.name, na, nb, na, 0);
+    let mut best: Option<((usize, usize), f64)> = None;
+    // A quarter of the samples at most are parameters.
+    for orders in orders.iter().copied().filter(|(na, nb)| 4 * (2 * na + m * nb) < rows / 2) {
+        let Ok(fit) = fit_linear(&structure(orders), std::slice::from_ref(&first), &Pem::default(), stop)
+        else {
+            continue;
+        };
+        let r2 = 100.0 * fit.score(std::slice::from_ref(&second), Kind::FreeRun, Seen::Selection).r2;
+        if r2.is_finite() && best.is_none_or(|b| r2 > b.1) {
+            best = Some((orders, r2));
+        }
+    }
+    if stop() {
+        return Err(refused("interrupted".into()));
+    }
+    let (orders, selection_r2) = best.ok_or_else(|| refused("none of the orders could be fitted".into()))?;
+    let found = fit_linear(&structure(orders), &[part(0, rows)], &Pem::default(), stop)
+        .map_err(|e| refused(e.to_string()))?;
+    let quantities = inputs.iter().map(|(q, _)| q.clone()).collect();
+    let mut model =
+        StoredModel::new(structure(orders), &found.fit.theta, quantities, quantity.clone(), sample_time_s)
+            .map_err(|e| refused(e.to_string()))?;
+    for (p, s) in model.parameters.iter_mut().zip(&found.fit.std_errors) {
+        p.std_error = s.is_finite().then_some(*s);
+    }
+    model.correlate(&found.fit.covariance);
+    Ok(Identified { model, orders, selection_r2 })
+}

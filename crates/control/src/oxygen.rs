@@ -1,0 +1,160 @@
+//! The oxygen in a catalyst, estimated from the lambda before it, and a trim of that lambda that holds it at a target.
+//!
+//! ```text
+//! dO/dt = 0.23 m_air (1 - 1/lambda) + bias m_air,    0 <= O <= C(m_air),   C = C0 / (1 + m_air / m_half)
+//! behind the brick lambda leaves 1 when the store is full (lean) or empty (rich): then O is known
+//! trim = clip(k (target - O / C)) - bias / 0.23
+//! ```
+//!
+//! The bias stands for an error of the front sensor, which the integrator would add up: whatever the store was thought to hold
+//! when it broke through, over the air since it was last known, is the bias that explains it; a stated share of that is learnt.
+//! A break-through is counted when the rear sensor leaves its band: the score of a controller. (Form of the store: E. P. Brandt,
+//! Y. Wang, J. W. Grizzle, IEEE Trans. Control Systems Technology 8 (2000) 767-776.)
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::ControlError;
+
+/// Mass fraction of oxygen in air, as the balance takes it.
+pub const OXYGEN: f64 = 0.23;
+
+/// What is known of a catalyst and its sensors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OxygenSettings {
+    /// Oxygen that it stores without flow in g.
+    pub capacity_g: f64,
+    /// Flow of air in g/s at which half of it is usable; infinite: always all.
+    pub half_g_s: f64,
+    /// Band of the rear lambda about 1 outside of which the store is full or empty.
+    pub rear_band: f64,
+    /// Filling that is held.
+    pub target: f64,
+    /// Trim of lambda for a filling that is wrong by all of the store.
+    pub gain: f64,
+    /// Largest trim of lambda either way.
+    pub most: f64,
+    /// Share of the bias that a break-through shows that is learnt, 0 to 1.
+    pub learn: f64,
+}
+
+/// What the observer remembers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OxygenState {
+    /// Oxygen in g.
+    pub oxygen_g: f64,
+    /// Bias of the front sensor in g of oxygen for each g of air.
+    pub bias: f64,
+    /// Air in g since the store was last known.
+    pub air_g: f64,
+    /// Whether the rear sensor was outside of its band.
+    pub outside: bool,
+    /// Break-throughs, lean and rich.
+    pub breaks: [u32; 2],
+}
+
+/// Observer and rear trim.
+///
+/// ```
+/// use dynocal_control::oxygen::{OxygenObserver, OxygenSettings};
+/// // 1 g of store, 10 g/s of air at lambda 1.05: empty to full in 9.13 s.
+/// let s = OxygenSettings { capacity_g: 1.0, half_g_s: f64::INFINITY, rear_band: 0.01, target: 0.5, gain: 0.02, most: 0.02, learn: 0.3 };
+/// let mut store = OxygenObserver::new(s, 0.0)?;
+/// let mut time_s = 0.0;
+/// while store.filling(10.0) < 1.0 {
+///     store.step(1.05, 1.0, 10.0, 0.01);
+///     time_s += 0.01;
+/// }
+/// assert!((time_s - 9.13f64).abs() < 0.011);
+/// # Ok::<(), dynocal_control::error::ControlError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OxygenObserver {
+    settings: OxygenSettings,
+    state: OxygenState,
+}
+
+impl OxygenObserver {
+    /// A store of which `filling` is thought to be full.
+    ///
+    /// # Errors
+    /// [`ControlError::Number`]: settings that cannot be.
+    pub fn new(settings: OxygenSettings, filling: f64) -> Result<Self, ControlError> {
+        let s = settings;
+        let positive = [("capacity_g", s.capacity_g), ("half_g_s", s.half_g_s), ("rear_band", s.rear_band)];
+        for (what, v) in positive {
+            if !(v > 0.0) {
+                return Err(ControlError::number(what, v, "a positive number"));
+            }
+        }
+        for (what, v) in [("target", s.target), ("learn", s.learn), ("filling", filling)] {
+            if !(0.0..=1.0).contains(&v) {
+                return Err(ControlError::number(what, v, "0 to 1"));
+            }
+        }
+        for (what, v) in [("gain", s.gain), ("most", s.most)] {
+            if !(v >= 0.0 && v.is_finite()) {
+                return Err(ControlError::number(what, v, "0 or a positive number"));
+            }
+        }
+        let oxygen_g = filling * s.capacity_g;
+        let state = OxygenState { oxygen_g, bias: 0.0, air_g: 0.0, outside: false, breaks: [0; 2] };
+        Ok(Self { settings, state })
+    }
+
+    /// What the store holds at most at a flow of air in g/s.
+    pub fn capacity_g(&self, air_g_s: f64) -> f64 {
+        self.settings.capacity_g / (1.0 + air_g_s.max(0.0) / self.settings.half_g_s)
+    }
+
+    /// Share of the store that is full, 0 to 1.
+    pub fn filling(&self, air_g_s: f64) -> f64 {
+        (self.state.oxygen_g / self.capacity_g(air_g_s)).clamp(0.0, 1.0)
+    }
+
+    /// Trim of the demanded lambda after a sample of `dt_s` with the lambdas before and behind and the flow of air in g/s.
+    /// Sensors that show no number leave it what it is.
+    pub fn step(&mut self, front: f64, rear: f64, air_g_s: f64, dt_s: f64) -> f64 {
+        let s = self.settings;
+        if front.is_finite() && front > 0.0 && air_g_s.is_finite() {
+            let air_g = air_g_s.max(0.0) * dt_s;
+            let capacity_g = self.capacity_g(air_g_s);
+            let taken = (OXYGEN * (1.0 - 1.0 / front) + self.state.bias) * air_g;
+            self.state.oxygen_g = (self.state.oxygen_g + taken).clamp(0.0, capacity_g);
+            self.state.air_g += air_g;
+            if rear.is_finite() {
+                self.seen(rear, capacity_g);
+            }
+        }
+        let held = (s.gain * (s.target - self.filling(air_g_s))).clamp(-s.most, s.most);
+        (held - self.state.bias / OXYGEN).clamp(-2.0 * s.most, 2.0 * s.most)
+    }
+
+    /// The rear sensor: a store that breaks through is full or empty.
+    fn seen(&mut self, rear: f64, capacity_g: f64) {
+        let outside = (rear - 1.0).abs() > self.settings.rear_band;
+        if outside {
+            let lean = rear > 1.0;
+            let known_g = if lean { capacity_g } else { 0.0 };
+            if !self.state.outside {
+                self.state.breaks[usize::from(!lean)] += 1;
+                if self.state.air_g > 0.0 {
+                    let shown = (known_g - self.state.oxygen_g) / self.state.air_g;
+                    self.state.bias += self.settings.learn * shown;
+                }
+            }
+            (self.state.oxygen_g, self.state.air_g) = (known_g, 0.0);
+        }
+        self.state.outside = outside;
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> OxygenState {
+        self.state
+    }
+
+    /// Goes on from a saved state.
+    pub fn restore(&mut self, state: OxygenState) {
+        self.state = state;
+    }
+}

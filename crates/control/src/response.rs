@@ -1,0 +1,376 @@
+//! Frequency responses out of records: spectra averaged over segments, with coherence and standard deviations.
+//!
+//! ```text
+//! S_ab(f) = mean over segments of A conj(B)          Hann window, half overlapping, straight line taken off each segment
+//! G = S_yw S_uw^-1       w = u in open loop; in closed loop w is the demand, which no disturbance of the loop reaches
+//! v = y - G u,    S_vv = S_yy - G S_uy - (G S_uy)' + G S_uu G'
+//! var G_i = S_vv [(S_uw^-1)' S_ww S_uw^-1]_ii / (n - m),        n = segments / (1 + 2 (1/6)^2) independent ones, m inputs
+//! coherence = S_yw S_ww^-1 S_wy / S_yy
+//! ```
+//!
+//! Nothing is given above [`HIGHEST`] of the sampling frequency: half of it is where a record ends, and before it the filters of
+//! sensors and the hold of actuators leave nothing to see. (P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73, for
+//! the overlap; L. Ljung, System Identification, 2nd ed. (1999), section 6.4; P. Van den Hof, Annual Reviews in Control 22
+//! (1998) 173-186, for the loop.)
+
+use std::f64::consts::{PI, TAU};
+
+use dynocal_numerics::fft::RealDft;
+use dynocal_numerics::rng::Rng64;
+use serde::{Deserialize, Serialize};
+
+use crate::error::ControlError;
+use crate::margin::{Margins, of_response};
+use crate::matrix::{C, Matrix, ZERO};
+use crate::system::{Time, Transfer};
+
+/// Highest frequency as a share of the sampling frequency.
+pub const HIGHEST: f64 = 0.4;
+/// Correlation of the powers of segments that overlap by half under a Hann window.
+const OVERLAP: f64 = 1.0 / 36.0;
+/// Segments that are aimed at where their length is not given.
+const SEGMENTS: usize = 24;
+
+/// A record of equal length in all its channels.
+#[derive(Clone, Copy, Debug)]
+pub struct Test<'a> {
+    /// Inputs, each a column.
+    pub inputs: &'a [Vec<f64>],
+    /// Outputs, each a column.
+    pub outputs: &'a [Vec<f64>],
+    /// Demands of a closed loop, as many as inputs; none in open loop.
+    pub demands: Option<&'a [Vec<f64>]>,
+    /// Sample time in s.
+    pub sample_time_s: f64,
+}
+
+/// A measured frequency response.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Response {
+    /// Frequencies in Hz.
+    pub frequency_hz: Vec<f64>,
+    /// Outputs.
+    pub outputs: usize,
+    /// Inputs.
+    pub inputs: usize,
+    /// Real and imaginary part: by frequency, output, input.
+    pub gain: Vec<(f64, f64)>,
+    /// Standard deviation of each.
+    pub std: Vec<f64>,
+    /// Coherence between an output and all inputs (demands in closed loop): by frequency, output.
+    pub coherence: Vec<f64>,
+    /// Segments that were averaged.
+    pub segments: usize,
+    /// Sample time in s.
+    pub sample_time_s: f64,
+}
+
+/// Sums of products of spectra at one frequency.
+struct Sums {
+    ww: Matrix,
+    uw: Matrix,
+    uu: Matrix,
+    yw: Matrix,
+    yu: Matrix,
+    yy: Vec<f64>,
+}
+
+/// Response of a record over segments of `segment` samples (none: as many as give about 24 segments).
+///
+/// ```
+/// use dynocal_control::response::{Test, frequency_response};
+/// use dynocal_numerics::rng::Rng64;
+/// // y(t) = 0.5 y(t-1) + u(t-1): 2 at rest.
+/// let mut rng = Rng64::new(1);
+/// let u: Vec<f64> = (0..8000).map(|_| rng.normal()).collect();
+/// let mut y = vec![0.0; 8000];
+/// (1..8000).for_each(|t| y[t] = 0.5 * y[t - 1] + u[t - 1]);
+/// let found = frequency_response(&Test { inputs: &[u], outputs: &[y], demands: None, sample_time_s: 0.1 }, Some(256))?;
+/// let (re, im) = found.gain[0];
+/// assert!((re.hypot(im) - 2.0).abs() < 0.05 && found.coherence[0] > 0.99);
+/// assert!(found.frequency_hz.last().unwrap() <= &4.0);
+/// # Ok::<(), dynocal_control::error::ControlError>(())
+/// ```
+///
+/// # Errors
+/// [`ControlError`]: channels of different lengths or with values that are no numbers, a record too short for its segments,
+/// inputs that do not move on their own at some frequency.
+pub fn frequency_response(test: &Test, segment: Option<usize>) -> Result<Response, ControlError> {
+    let (m, p) = (test.inputs.len(), test.outputs.len());
+    let rows = check(test)?;
+    let n = segment.unwrap_or((2 * rows / (SEGMENTS + 1)).max(16)) & !1;
+    let segments = if n >= 16 && n <= rows { (rows - n) / (n / 2) + 1 } else { 0 };
+    if segments < m + 2 {
+        return Err(ControlError::shape(
+            format!("a record of {rows} samples in segments of {n}"),
+            format!("{segments} segments"),
+            format!("{} at least, of 16 samples at least: a longer record or shorter segments", m + 2),
+        ));
+    }
+    let spectra = Spectra::new(test, n, segments);
+    let independent = segments as f64 / (1.0 + 2.0 * OVERLAP);
+    let last = (HIGHEST * n as f64).floor() as usize;
+    let mut out = Response {
+        frequency_hz: Vec::new(),
+        outputs: p,
+        inputs: m,
+        gain: Vec::new(),
+        std: Vec::new(),
+        coherence: Vec::new(),
+        segments,
+        sample_time_s: test.sample_time_s,
+    };
+    // The first line holds what is left of the straight line.
+    for k in 2..=last {
+        let frequency_hz = k as f64 / (n as f64 * test.sample_time_s);
+        let sums = spectra.at(k);
+        let silent = || {
+            let what = "the inputs of the record (one of them stands still, or two move alike)".into();
+            ControlError::Singular { what, frequency_rad_s: TAU * frequency_hz }
+        };
+        let (a, ww) = (regular(&sums.uw).ok_or_else(silent)?, regular(&sums.ww).ok_or_else(silent)?);
+        let g = sums.yw.times(&a);
+        let spread = a.adjoint().times(&sums.ww).times(&a);
+        let explained = sums.yw.times(&ww).times(&sums.yw.adjoint());
+        let (gyu, guu) = (g.times(&sums.yu.adjoint()), g.times(&sums.uu).times(&g.adjoint()));
+        out.frequency_hz.push(frequency_hz);
+        for o in 0..p {
+            let left = (sums.yy[o] - 2.0 * gyu.at(o, o).re + guu.at(o, o).re).max(0.0);
+            for i in 0..m {
+                let v = g.at(o, i);
+                out.gain.push((v.re, v.im));
+                out.std.push((left * spread.at(i, i).re.max(0.0) / (independent - m as f64).max(1.0)).sqrt());
+            }
+            let share = if sums.yy[o] > 0.0 { explained.at(o, o).re / sums.yy[o] } else { 0.0 };
+            out.coherence.push(share.clamp(0.0, 1.0));
+        }
+    }
+    Ok(out)
+}
+
+fn check(test: &Test) -> Result<usize, ControlError> {
+    if !(test.sample_time_s > 0.0 && test.sample_time_s.is_finite()) {
+        return Err(ControlError::number(
+            "the sample time",
+            test.sample_time_s,
+            "a positive number of seconds",
+        ));
+    }
+    if test.inputs.is_empty() || test.outputs.is_empty() {
+        return Err(ControlError::shape("a record", "no inputs or no outputs", "one of each at least"));
+    }
+    let rows = test.inputs[0].len();
+    let demands = test.demands.unwrap_or_default();
+    if test.demands.is_some() && demands.len() != test.inputs.len() {
+        return Err(ControlError::shape("demands of a closed loop", demands.len(), test.inputs.len()));
+    }
+    for c in test.inputs.iter().chain(test.outputs).chain(demands) {
+        if c.len() != rows {
+            return Err(ControlError::shape("samples of a channel", c.len(), rows));
+        }
+        if let Some(k) = c.iter().position(|v| !v.is_finite()) {
+            return Err(ControlError::number(format!("sample {}", k + 1), c[k], "a finite number"));
+        }
+    }
+    Ok(rows)
+}
+
+/// The inverse where rounding has not made it up.
+fn regular(a: &Matrix) -> Option<Matrix> {
+    let scale: f64 =
+        (0..a.rows).map(|i| (0..a.cols).map(|j| a.at(i, j).norm()).fold(0.0, f64::max)).product();
+    let (det, inverse) = a.solved();
+    if det.norm() > 1e-10 * scale { inverse } else { None }
+}
+
+/// Spectra of all segments.
+struct Spectra {
+    u: Vec<Vec<Vec<C>>>,
+    y: Vec<Vec<Vec<C>>>,
+    w: Option<Vec<Vec<Vec<C>>>>,
+    segments: usize,
+}
+
+impl Spectra {
+    fn new(test: &Test, n: usize, segments: usize) -> Self {
+        let dft = RealDft::new(n);
+        let window: Vec<f64> =
+            (0..n).map(|t| 0.5 - 0.5 * (TAU * (t as f64 + 0.5) / n as f64).cos()).collect();
+        let each = |column: &Vec<f64>| -> Vec<Vec<C>> {
+            (0..segments)
+                .map(|s| dft.transform(&windowed(&column[s * (n / 2)..s * (n / 2) + n], &window)))
+                .collect()
+        };
+        let all = |columns: &[Vec<f64>]| columns.iter().map(each).collect::<Vec<_>>();
+        Self { u: all(test.inputs), y: all(test.outputs), w: test.demands.map(all), segments }
+    }
+
+    fn at(&self, k: usize) -> Sums {
+        let w = self.w.as_ref().unwrap_or(&self.u);
+        let product = |a: &[Vec<Vec<C>>], b: &[Vec<Vec<C>>]| {
+            let mut out = Matrix::zeros(a.len(), b.len());
+            for i in 0..a.len() {
+                for j in 0..b.len() {
+                    let sum = (0..self.segments).fold(ZERO, |sum, s| sum + a[i][s][k] * b[j][s][k].conj());
+                    *out.at_mut(i, j) = sum / self.segments as f64;
+                }
+            }
+            out
+        };
+        let power = |c: &Vec<Vec<C>>| c.iter().map(|s| s[k].norm_sqr()).sum::<f64>() / self.segments as f64;
+        Sums {
+            ww: product(w, w),
+            uw: product(&self.u, w),
+            uu: product(&self.u, &self.u),
+            yw: product(&self.y, w),
+            yu: product(&self.y, &self.u),
+            yy: self.y.iter().map(power).collect(),
+        }
+    }
+}
+
+/// A segment without its straight line, under the window.
+fn windowed(x: &[f64], window: &[f64]) -> Vec<f64> {
+    let n = x.len() as f64;
+    let middle = 0.5 * (n - 1.0);
+    let mean = x.iter().sum::<f64>() / n;
+    let slope =
+        x.iter().enumerate().map(|(t, v)| (t as f64 - middle) * v).sum::<f64>() * 12.0 / (n * (n * n - 1.0));
+    x.iter().zip(window).enumerate().map(|(t, (v, w))| (v - mean - slope * (t as f64 - middle)) * w).collect()
+}
+
+/// Margins of a measured channel under a controller, and what their uncertainty makes of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredMargins {
+    /// Of the response as it was measured.
+    pub found: Margins,
+    /// Least and greatest gain margin of nine tenths of the draws; none where a draw has none.
+    pub gain_up: Option<(f64, f64)>,
+    /// The same of the phase margin in deg.
+    pub phase_deg: Option<(f64, f64)>,
+}
+
+impl Response {
+    /// Channel from an input to an output at a place of the frequencies.
+    pub fn at(&self, k: usize, output: usize, input: usize) -> C {
+        let (re, im) = self.gain[(k * self.outputs + output) * self.inputs + input];
+        C::new(re, im)
+    }
+
+    /// Its standard deviation.
+    pub fn std_at(&self, k: usize, output: usize, input: usize) -> f64 {
+        self.std[(k * self.outputs + output) * self.inputs + input]
+    }
+
+    /// Coherence of an output at a place of the frequencies.
+    pub fn coherence_at(&self, k: usize, output: usize) -> f64 {
+        self.coherence[k * self.outputs + output]
+    }
+
+    /// Gain and phase margin of the loop of one channel under a controller, without a model: the response between its
+    /// frequencies is on the line between them, its delay of `delay_s` turned out before. `draws` responses about it, independent
+    /// from frequency to frequency, give the intervals. That the loop is stable is not asked here: a response says nothing of it.
+    pub fn margins(
+        &self,
+        output: usize,
+        input: usize,
+        controller: &Transfer,
+        delay_s: f64,
+        draws: usize,
+        seed: u64,
+    ) -> MeasuredMargins {
+        let own: Vec<C> = (0..self.frequency_hz.len()).map(|k| self.at(k, output, input)).collect();
+        let found = self.of(&own, controller, delay_s);
+        let (mut gains, mut phases) = (Vec::new(), Vec::new());
+        for d in 0..draws {
+            let mut rng = Rng64::stream(seed, d as u64);
+            let drawn: Vec<C> = own
+                .iter()
+                .enumerate()
+                .map(|(k, g)| {
+                    let std = self.std_at(k, output, input) / std::f64::consts::SQRT_2;
+                    g + C::new(std * rng.normal(), std * rng.normal())
+                })
+                .collect();
+            let m = self.of(&drawn, controller, delay_s);
+            gains.push(m.gain_up);
+            phases.push(m.phase_deg);
+        }
+        MeasuredMargins { found, gain_up: most(&gains), phase_deg: most(&phases) }
+    }
+
+    fn of(&self, own: &[C], controller: &Transfer, delay_s: f64) -> Margins {
+        let grid: Vec<f64> = self.frequency_hz.iter().map(|f| TAU * f).collect();
+        let time = Time::Sampled { sample_time_s: self.sample_time_s };
+        let turned: Vec<C> = grid.iter().zip(own).map(|(w, g)| g * C::from_polar(1.0, w * delay_s)).collect();
+        let at = |w: f64| {
+            let k = grid.partition_point(|v| *v < w).clamp(1, grid.len() - 1);
+            let share = (w - grid[k - 1]) / (grid[k] - grid[k - 1]);
+            let g = turned[k - 1] + (turned[k] - turned[k - 1]) * share;
+            g * C::from_polar(1.0, -w * delay_s) * controller.at(time, w)
+        };
+        let values: Vec<C> = grid.iter().map(|w| at(*w)).collect();
+        of_response(&grid, &values, &at, None)
+    }
+
+    /// Delay in s by which an output follows an input best, from the phase of the frequencies where the coherence is above
+    /// nine tenths: the slope that leaves least.
+    pub fn delay_s(&self, output: usize, input: usize) -> Option<f64> {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for k in 1..self.frequency_hz.len() {
+            if self.coherence_at(k, output).min(self.coherence_at(k - 1, output)) < 0.9 {
+                continue;
+            }
+            let turn = (self.at(k, output, input) * self.at(k - 1, output, input).conj()).arg();
+            let step = TAU * (self.frequency_hz[k] - self.frequency_hz[k - 1]);
+            let w = self.at(k, output, input).norm();
+            sum -= w * turn / step;
+            weight += w;
+        }
+        (weight > 0.0).then(|| sum / weight)
+    }
+}
+
+/// The interval of nine tenths.
+fn most(values: &[Option<f64>]) -> Option<(f64, f64)> {
+    let mut all: Vec<f64> = values.iter().copied().collect::<Option<Vec<f64>>>()?;
+    if all.is_empty() {
+        return None;
+    }
+    all.sort_by(f64::total_cmp);
+    let at = |share: f64| all[((all.len() - 1) as f64 * share).round() as usize];
+    Some((at(0.05), at(0.95)))
+}
+
+/// A periodic input with random phases: equal amplitudes on odd lines of `period` samples up to `highest_hz`, of which every
+/// third is left out for what is nonlinear to show itself; scaled to a largest value of `size`.
+///
+/// # Errors
+/// [`ControlError::Number`]: a frequency past [`HIGHEST`] of the sampling frequency, or below the first lines.
+pub fn odd_multisine(
+    period: usize,
+    sample_time_s: f64,
+    highest_hz: f64,
+    size: f64,
+    rng: &mut Rng64,
+) -> Result<Vec<f64>, ControlError> {
+    let sampling_hz = 1.0 / sample_time_s;
+    let lines = (highest_hz * period as f64 * sample_time_s).floor();
+    if !(highest_hz <= HIGHEST * sampling_hz * (1.0 + 1e-12) && lines >= 5.0) {
+        return Err(ControlError::number(
+            format!("the highest frequency of a multisine of {period} samples at {sampling_hz} Hz"),
+            highest_hz,
+            "at most 0.4 of the sampling frequency, and five lines at least",
+        ));
+    }
+    let mut out = vec![0.0; period];
+    for k in (1..=lines as usize).step_by(2).filter(|k| k / 2 % 3 != 2) {
+        let phase = rng.uniform_in(-PI, PI);
+        for (t, v) in out.iter_mut().enumerate() {
+            *v += (TAU * (k * t % period) as f64 / period as f64 + phase).cos();
+        }
+    }
+    let largest = out.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    out.iter_mut().for_each(|v| *v *= size / largest);
+    Ok(out)
+}

@@ -1,0 +1,207 @@
+//! Frequency responses out of records: against responses that are known, in open and closed loop, with honest deviations.
+
+use dynocal_control::matrix::C;
+use dynocal_control::response::{HIGHEST, Response, Test, frequency_response, odd_multisine};
+use dynocal_control::runtime::PidGains;
+use dynocal_control::system::{Time, Transfer};
+use dynocal_numerics::rng::Rng64;
+
+const DT_S: f64 = 0.05;
+const TIME: Time = Time::Sampled { sample_time_s: DT_S };
+
+/// Two inputs, two outputs, each output a lag of both inputs.
+fn channels() -> [[Transfer; 2]; 2] {
+    let lag = |b: f64, a: f64, delay: usize| {
+        let mut num = vec![0.0; delay];
+        num.push(b);
+        Transfer::sampled(&num, &[1.0, -a])
+    };
+    [[lag(0.3, 0.8, 1), lag(0.1, 0.8, 2)], [lag(-0.05, 0.6, 1), lag(0.4, 0.6, 3)]]
+}
+
+fn filtered(g: &Transfer, u: &[f64]) -> Vec<f64> {
+    let mut y = vec![0.0; u.len()];
+    for t in 0..u.len() {
+        let forward: f64 = (0..g.num.len().min(t + 1)).map(|k| g.num[k] * u[t - k]).sum();
+        let back: f64 = (1..g.den.len().min(t + 1)).map(|k| g.den[k] * y[t - k]).sum();
+        y[t] = forward - back;
+    }
+    y
+}
+
+/// Outputs of both channels with noise, inputs of their own.
+fn record(rows: usize, noise: f64, seed: u64) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
+    let mut rng = Rng64::new(seed);
+    let u: Vec<Vec<f64>> = (0..2).map(|_| (0..rows).map(|_| rng.normal()).collect()).collect();
+    let y = channels()
+        .iter()
+        .map(|row| {
+            let (a, b) = (filtered(&row[0], &u[0]), filtered(&row[1], &u[1]));
+            a.iter().zip(&b).map(|(a, b)| a + b + noise * rng.normal()).collect()
+        })
+        .collect();
+    (u, y)
+}
+
+/// Errors over stated deviations of all channels and frequencies, root of the mean square.
+fn ratio(found: &Response, own: &[[Transfer; 2]; 2]) -> f64 {
+    let (mut sum, mut n) = (0.0, 0.0);
+    for (k, f) in found.frequency_hz.iter().enumerate() {
+        for (o, row) in own.iter().enumerate() {
+            for (i, g) in row.iter().enumerate() {
+                let truth = g.at(TIME, std::f64::consts::TAU * f);
+                sum += ((found.at(k, o, i) - truth).norm() / found.std_at(k, o, i)).powi(2);
+                n += 1.0;
+            }
+        }
+    }
+    f64::sqrt(sum / n)
+}
+
+/// Over seeds the error is what the deviation says, and no frequency goes past 0.4 of the sampling frequency.
+#[test]
+fn two_by_two_is_found_with_honest_deviations() {
+    for seed in 0..6 {
+        let (u, y) = record(20_000, 0.3, seed);
+        let test = Test { inputs: &u, outputs: &y, demands: None, sample_time_s: DT_S };
+        let found = frequency_response(&test, Some(400)).unwrap();
+        let r = ratio(&found, &channels());
+        assert!((0.85..1.15).contains(&r), "seed {seed}: errors are {r} of what is stated");
+        let last = *found.frequency_hz.last().unwrap();
+        assert!(last <= HIGHEST / DT_S && last > 0.39 / DT_S);
+        assert!(found.coherence.iter().all(|c| (0.0..=1.0).contains(c)));
+    }
+}
+
+/// In closed loop under a strong disturbance u and noise go together: the direct quotient is biased, that with the demand is not.
+#[test]
+fn a_closed_loop_needs_its_demand() {
+    let g = &channels()[0][0];
+    let (rows, mut rng) = (120_000, Rng64::new(5));
+    let w: Vec<f64> = (0..rows).map(|_| rng.normal()).collect();
+    let (mut u, mut y) = (vec![0.0; rows], vec![0.0; rows]);
+    let (mut x, mut load) = (0.0, 0.0);
+    for t in 0..rows {
+        load = 0.9 * load + 0.5 * rng.normal();
+        x = 0.8 * x + 0.3 * if t > 0 { u[t - 1] } else { 0.0 };
+        y[t] = x + load;
+        u[t] = w[t] - 1.5 * y[t];
+    }
+    let (inputs, outputs, demands) = ([u], [y], [w]);
+    // Mean error as a share of the response, and root of the mean square of errors over what is stated of them.
+    let error = |demands: Option<&[Vec<f64>]>| {
+        let test = Test { inputs: &inputs, outputs: &outputs, demands, sample_time_s: DT_S };
+        let found = frequency_response(&test, Some(256)).unwrap();
+        let n = found.frequency_hz.len() / 4;
+        let (mut share, mut stated) = (0.0, 0.0);
+        for k in 0..n {
+            let truth = g.at(TIME, std::f64::consts::TAU * found.frequency_hz[k]);
+            let e = (found.at(k, 0, 0) - truth).norm();
+            share += e / truth.norm() / n as f64;
+            stated += (e / found.std_at(k, 0, 0)).powi(2) / n as f64;
+        }
+        (share, stated.sqrt())
+    };
+    let ((direct, beyond), (by_demand, stated)) = (error(None), error(Some(&demands)));
+    assert!(by_demand < 0.2 && direct > 4.0 * by_demand, "direct {direct}, by the demand {by_demand}");
+    assert!((0.7..1.4).contains(&stated) && beyond > 3.0, "{stated}, direct {beyond}");
+}
+
+/// Margins without a model lie where those of the plant are, nine tenths of the intervals hold them; the delay is found.
+#[test]
+fn margins_of_a_measured_response() {
+    let g = Transfer::sampled(&[0.0, 0.0, 0.0, 0.0, 0.2], &[1.0, -0.8]);
+    let c = PidGains::pi(1.2, 3.0).transfer(TIME);
+    let plant = dynocal_control::system::System::single(TIME, g.clone()).unwrap();
+    let own = dynocal_control::system::System::single(TIME, c.clone()).unwrap();
+    let closed = dynocal_control::closed::Closed::new(plant, own).unwrap();
+    let truth = dynocal_control::margin::margins(&closed, dynocal_control::margin::Side::Outputs, 0).unwrap();
+    let mut inside = 0;
+    for seed in 0..12 {
+        let mut rng = Rng64::new(100 + seed);
+        let u: Vec<f64> = (0..24_000).map(|_| rng.normal()).collect();
+        let y: Vec<f64> = filtered(&g, &u).iter().map(|v| v + 0.05 * rng.normal()).collect();
+        let test = Test { inputs: &[u], outputs: &[y], demands: None, sample_time_s: DT_S };
+        let found = frequency_response(&test, Some(512)).unwrap();
+        let m = found.margins(0, 0, &c, 0.2, 100, seed);
+        let (gain, phase) = (m.found.gain_up.unwrap(), m.found.phase_deg.unwrap());
+        assert!((gain / truth.gain_up.unwrap() - 1.0).abs() < 0.05, "{gain} {:?}", truth.gain_up);
+        assert!((phase - truth.phase_deg.unwrap()).abs() < 3.0, "{phase} {:?}", truth.phase_deg);
+        // The draws lie about the response that was found: their interval moves with it.
+        let (low, high) = m.phase_deg.unwrap();
+        inside += u32::from(low - 1.0 < truth.phase_deg.unwrap() && truth.phase_deg.unwrap() < high + 1.0);
+        let delay = found.delay_s(0, 0).unwrap();
+        assert!(delay > 0.15 && delay < 0.45, "four samples and the lag: {delay}");
+    }
+    assert!(inside >= 9, "{inside} of 12 intervals hold the phase margin");
+}
+
+#[test]
+fn multisines_are_odd_and_stay_below_what_a_record_shows() {
+    let mut rng = Rng64::new(1);
+    let u = odd_multisine(500, DT_S, 6.0, 0.7, &mut rng).unwrap();
+    assert!((u.iter().fold(0.0f64, |m, v| m.max(v.abs())) - 0.7).abs() < 1e-12);
+    // Odd lines alone: the second half is the first with the other sign.
+    assert!((0..250).all(|t| (u[t] + u[t + 250]).abs() < 1e-9));
+    let line = |k: usize| {
+        let sum = u.iter().enumerate().fold(C::new(0.0, 0.0), |s, (t, v)| {
+            s + C::from_polar(*v, -std::f64::consts::TAU * (k * t) as f64 / 500.0)
+        });
+        sum.norm()
+    };
+    assert!(line(1) > 1.0 && line(2) < 1e-9 && line(5) < 1e-9 && line(151) < 1e-9);
+    let text = odd_multisine(500, DT_S, 9.0, 1.0, &mut rng).unwrap_err().to_string();
+    assert!(text.contains("0.4 of the sampling frequency") && text.contains('9'), "{text}");
+}
+
+#[test]
+fn records_that_tell_nothing_are_named() {
+    let (u, y) = record(600, 0.1, 1);
+    let of = |inputs: &[Vec<f64>], outputs: &[Vec<f64>], segment: usize| {
+        let test = Test { inputs, outputs, demands: None, sample_time_s: DT_S };
+        frequency_response(&test, Some(segment)).map(|_| ()).unwrap_err().to_string()
+    };
+    assert!(of(&u, &y, 500).contains("longer record or shorter segments"));
+    let still = vec![u[0].clone(), vec![1.0; 600]];
+    assert!(of(&still, &y, 100).contains("stands still"), "{}", of(&still, &y, 100));
+    let alike = vec![u[0].clone(), u[0].iter().map(|v| 2.0 * v).collect()];
+    assert!(of(&alike, &y, 100).contains("move alike"));
+    let mut gap = y.clone();
+    gap[1][70] = f64::NAN;
+    assert!(of(&u, &gap, 100).contains("sample 71"));
+    assert!(of(&u, &[y[0][..100].to_vec()], 100).contains("samples of a channel"));
+}
+
+/// A record gives back its plant, and the draws of the model spread as estimates from other records do.
+#[test]
+fn identified_models_know_how_uncertain_they_are() {
+    use dynocal_control::identify::identify;
+    use dynocal_control::linear::{about, drawn};
+    use dynocal_ident::stored::Quantity;
+    let quantity = |n: &str| Quantity { name: n.into(), unit: "-".into() };
+    let gain_of = |model: &dynocal_ident::stored::StoredModel| {
+        let names = ["a".to_string(), "b".to_string()];
+        let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
+        about(&[model], &names, &point).unwrap().system.channel(0, 0).steady_gain(TIME)
+    };
+    let (mut gains, mut stated) = (Vec::new(), Vec::new());
+    for seed in 0..8 {
+        let (u, y) = record(1200, 0.3, 50 + seed);
+        let inputs: Vec<_> = ["a", "b"].iter().zip(&u).map(|(n, c)| (quantity(n), c.clone())).collect();
+        let found = identify(&inputs, (quantity("y"), &y[0]), DT_S, &[(1, 2), (2, 4)], &|| false).unwrap();
+        assert!(found.selection_r2 > 60.0, "{}", found.selection_r2);
+        gains.push(gain_of(&found.model));
+        let own: Vec<f64> = (0..40).filter_map(|d| drawn(&found.model, 1, d)).map(|m| gain_of(&m)).collect();
+        let mean = own.iter().sum::<f64>() / own.len() as f64;
+        stated.push((own.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 39.0).sqrt());
+    }
+    let (mean, said) = (gains.iter().sum::<f64>() / 8.0, stated.iter().sum::<f64>() / 8.0);
+    let met = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 7.0).sqrt();
+    assert!((mean - 1.5).abs() < 4.0 * met / 8f64.sqrt(), "{mean}, deviation {met}");
+    assert!(said > 0.4 * met && said < 2.5 * met, "stated {said}, met {met}");
+    let short = vec![(quantity("a"), vec![0.0; 100])];
+    let text = identify(&short, (quantity("y"), &[0.0; 100]), DT_S, &[(1, 2), (2, 4)], &|| false)
+        .unwrap_err()
+        .to_string();
+    assert!(text.contains("100 samples"), "{text}");
+}

@@ -1,0 +1,108 @@
+//! The controllers of the loops: gains by set point, predictors in their place, and how much those stand.
+
+use dynocal_control::error::ControlError;
+use dynocal_control::poly::{add, multiply};
+use dynocal_control::runtime::PidGains;
+use dynocal_control::smith::Smith;
+use dynocal_control::system::{System, Time, Transfer};
+use dynocal_numerics::interval::Interval;
+
+use super::load::{Loaded, without_predicted};
+use super::result::{ControlJobError, LoopResult, PredictorResult};
+use super::spec::{Job, LoopSpec};
+
+/// The controllers of a set point: PIs, with a schedule those of the point, with a predictor what stands in its place.
+pub(super) fn controller(
+    job: &Job,
+    loaded: &Loaded,
+    loops: &[LoopResult],
+    point: usize,
+) -> Result<System, ControlError> {
+    let own = |(spec, l): (&LoopSpec, &LoopResult)| {
+        let (kp, ki) = l.by_point.get(point).copied().unwrap_or((l.kp, l.ki));
+        let pi = PidGains::pi(kp, ki).transfer(loaded.time);
+        l.predictor.as_ref().map_or(pi.clone(), |p| predicting(&pi, spec, p, loaded.time))
+    };
+    let own: Vec<Transfer> = job.loops.iter().zip(loops).map(own).collect();
+    System::diagonal(loaded.time, &own)
+}
+
+/// `K / (1 + K P (1 - F q^d))` of (7.28).
+fn predicting(k: &Transfer, spec: &LoopSpec, p: &PredictorResult, time: Time) -> Transfer {
+    let f = filter(spec, time);
+    let samples = (p.delay_s / time.sample_time_s().unwrap_or(1.0)).round() as usize;
+    let mut late = vec![0.0; samples];
+    late.extend(&f.num);
+    let less: Vec<f64> = late.iter().map(|v| -v).collect();
+    let known = multiply(&multiply(&k.num, &p.model.num), &add(&f.den, &less));
+    Transfer {
+        num: multiply(&k.num, &multiply(&p.model.den, &f.den)),
+        den: add(&multiply(&k.den, &multiply(&p.model.den, &f.den)), &known),
+        delay_s: 0.0,
+    }
+}
+
+/// Filter of the prediction error as it runs.
+fn filter(spec: &LoopSpec, time: Time) -> Transfer {
+    match time.sample_time_s().filter(|_| spec.filter_s > 0.0) {
+        Some(dt_s) => {
+            let share = -(-dt_s / spec.filter_s).exp_m1();
+            Transfer::sampled(&[share], &[1.0, share - 1.0])
+        }
+        None => Transfer::gain(1.0),
+    }
+}
+
+/// Gains of a schedule: those that each set point alone would have.
+pub(super) fn by_point(
+    job: &Job,
+    scheduled: &[Option<(f64, f64)>],
+    sign: f64,
+    l: &LoopSpec,
+) -> Result<Vec<(f64, f64)>, ControlJobError> {
+    if job.schedule.is_empty() {
+        return Ok(Vec::new());
+    }
+    let none = |k: usize| ControlJobError::Loop {
+        output: l.output.clone(),
+        input: l.input.clone(),
+        source: ControlError::Model(format!("no PI keeps what is asked at set point {} alone", k + 1)),
+    };
+    let own =
+        |(k, g): (usize, &Option<(f64, f64)>)| g.map(|g| (g.0 * sign, g.1 * sign)).ok_or_else(|| none(k));
+    scheduled.iter().enumerate().map(own).collect()
+}
+
+/// The predictor about the first set point's model, and the least that it stands over all of them.
+pub(super) fn predictor(
+    job: &Job,
+    loaded: &Loaded,
+    k: usize,
+    l: &LoopSpec,
+    found: &LoopResult,
+) -> Result<PredictorResult, ControlError> {
+    let plants = loaded
+        .points
+        .iter()
+        .map(|p| Ok(without_predicted(job, &p.nominal)?.channel(k, k).clone()))
+        .collect::<Result<Vec<Transfer>, ControlError>>()?;
+    let pi = PidGains::pi(found.kp, found.ki).transfer(loaded.time);
+    let mut smith = Smith::new(loaded.time, pi, plants[0].clone(), l.extra_delay_s);
+    smith.filter = filter(l, loaded.time);
+    let mut out = PredictorResult {
+        delay_s: l.extra_delay_s,
+        above_s: None,
+        below_s: None,
+        gain: (0.1, 10.0),
+        model: plants[0].clone(),
+    };
+    for plant in &plants {
+        // Where the loop of a point is not stable at all the margins say so.
+        let Ok(d) = smith.delay_interval(plant, 1.0) else { continue };
+        out.above_s = [out.above_s, d.above_s].into_iter().flatten().reduce(f64::min);
+        out.below_s = [out.below_s, d.below_s].into_iter().flatten().reduce(f64::max);
+        let g = smith.gain_interval(plant, 0.0, Interval { lower: 0.1, upper: 10.0 })?;
+        out.gain = (out.gain.0.max(g.lower), out.gain.1.min(g.upper));
+    }
+    Ok(out)
+}

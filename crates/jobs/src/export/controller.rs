@@ -1,0 +1,224 @@
+//! A controller as a program: each loop reads its demand, its measurement and a feedforward, and gives its actuator.
+//!
+//! Operation by operation it is [`dynocal_control::runtime::Pid`] and [`dynocal_control::predictor::Predictor`]: within the limits the same
+//! numbers, at them the same but for rounding. A measurement that is no number drives the actuator to its lower limit
+//! (the running controller holds it: a program has no such branch).
+
+use dynocal_control::stored::{Schedule, StoredController, StoredLoop};
+use dynocal_export::characteristic::{Axis, Characteristic, identifier};
+use dynocal_export::package::Package;
+use dynocal_export::program::{Factor, NodeId, Op, Start, Term};
+
+use super::Made;
+use super::build::Build;
+
+fn term(coefficient: f64, nodes: &[NodeId]) -> Term {
+    Term { coefficient, factors: nodes.iter().map(|n| Factor { node: *n, power: 1 }).collect() }
+}
+
+/// The loops as one program; gains by operating point are maps beside it.
+pub fn controller(stored: &StoredController) -> Made {
+    let mut b = Build::new(stored.sample_time_s);
+    let mut maps = Vec::new();
+    let mut channels: Vec<(String, NodeId)> = Vec::new();
+    for l in &stored.loops {
+        let gains = l.schedule.as_ref().map(|s| scheduled(&mut b, l, s, &mut channels, &mut maps));
+        one(&mut b, l, stored.sample_time_s, gains);
+    }
+    let notes = vec![
+        "a measurement that is no number drives the exported controller to the lower limit of its actuator"
+            .into(),
+    ];
+    let package = Package {
+        name: "controller".into(),
+        description: "Feedback controllers".into(),
+        characteristics: maps,
+        program: Some(b.program),
+        ..Default::default()
+    };
+    Made { package, notes }
+}
+
+/// Nodes of kp and ki, read from maps over scheduling channels.
+fn scheduled(
+    b: &mut Build,
+    l: &StoredLoop,
+    s: &Schedule,
+    channels: &mut Vec<(String, NodeId)>,
+    maps: &mut Vec<Characteristic>,
+) -> (NodeId, NodeId) {
+    let mut inputs = Vec::new();
+    for a in &s.axes {
+        let node = match channels.iter().find(|(n, _)| *n == a.channel) {
+            Some((_, node)) => *node,
+            None => {
+                let middle = 0.5 * (a.points[0] + a.points[a.points.len() - 1]);
+                let node = b.input(&a.channel, &a.unit, middle, None);
+                channels.push((a.channel.clone(), node));
+                node
+            }
+        };
+        inputs.push(node);
+    }
+    let mut map = |what: &str, unit: String, values: &[f64]| {
+        let name = identifier(&format!("{}_{what}", l.output).to_uppercase());
+        let axes = s
+            .axes
+            .iter()
+            .enumerate()
+            .map(|(k, a)| Axis {
+                name: format!("{name}_{}", ["x", "y"][k.min(1)]),
+                description: a.channel.clone(),
+                unit: a.unit.clone(),
+                input: a.channel.clone(),
+                points: a.points.clone(),
+                shared: false,
+            })
+            .collect();
+        let description = format!("{what} of the controller of {}", l.output);
+        maps.push(Characteristic {
+            name: name.clone(),
+            description,
+            unit,
+            axes,
+            values: values.to_vec(),
+            limits: None,
+        });
+        name
+    };
+    let unit = format!("{}/{}", l.input_unit, l.output_unit);
+    let names = [map("kp", unit.clone(), &s.kp), map("ki", format!("{unit}/s"), &s.ki)];
+    let nodes = names.map(|n| {
+        let op = Op::Lookup { characteristic: n.clone(), inputs: inputs.clone() };
+        b.node(&format!("{n}_now"), op)
+    });
+    (nodes[0], nodes[1])
+}
+
+fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>) {
+    let name = |what: &str| format!("{}_{what}", l.output);
+    let (lower, upper) = (l.limits.lower, l.limits.upper);
+    let start = l.start.clamp(lower, upper);
+    let demand = b.input(&name("demand"), &l.output_unit, 0.0, None);
+    let measured = b.input(&name("measured"), &l.output_unit, 0.0, None);
+    let forward = b.input(&name("feedforward"), &l.input_unit, 0.0, None);
+    // Nodes that read the past of later ones are made first and turned to them at the end.
+    let later = |b: &mut Build, what: &str, samples: usize, start: f64| {
+        b.node(&name(what), Op::Delay { of: 0, samples, start: Start::Value(start) })
+    };
+    let mut turned: Vec<(NodeId, &str)> = Vec::new();
+    let last_integral = later(b, "integral_1", 1, start);
+    let last_output = l.limits.rate_per_s.map(|_| later(b, "output_1", 1, start));
+    let (error, model) = match &l.predictor {
+        None => (b.node(&name("error"), Op::Difference { a: demand, b: measured }), None),
+        Some(p) => predicted(b, &name, p, demand, measured, dt_s, start),
+    };
+    let g = &l.gains;
+    let proportional = match gains {
+        Some((kp, _)) => term(1.0, &[kp, error]),
+        None => term(g.kp, &[error]),
+    };
+    let mut terms = vec![term(1.0, &[forward]), proportional];
+    if g.kd != 0.0 {
+        let before = b.node(&name("error_1"), Op::Delay { of: error, samples: 1, start: Start::First });
+        let change = b.node(&name("error_change"), Op::Difference { a: error, b: before });
+        let last = later(b, "derivative_1", 1, 0.0);
+        let whole = g.filter_s + dt_s;
+        let own = vec![term(g.filter_s / whole, &[last]), term(g.kd / whole, &[change])];
+        let derivative = b.node(&name("derivative"), Op::Polynomial { terms: own });
+        point(b, last, derivative);
+        terms.push(term(1.0, &[derivative]));
+    }
+    let base = b.node(&name("base"), Op::Polynomial { terms });
+    let by_integral = match gains {
+        Some((_, ki)) => term(dt_s, &[ki, error]),
+        None => term(g.ki * dt_s, &[error]),
+    };
+    let raw = b.node(
+        &name("integral_raw"),
+        Op::Polynomial { terms: vec![term(1.0, &[last_integral]), by_integral] },
+    );
+    let sum = b.node(&name("sum"), Op::Polynomial { terms: vec![term(1.0, &[base]), term(1.0, &[raw])] });
+    let mut held = sum;
+    if let (Some(rate), Some(last)) = (l.limits.rate_per_s, last_output) {
+        let step = b.node(&name("move"), Op::Difference { a: sum, b: last });
+        let most = rate * dt_s;
+        let step = b.node(&name("move_held"), Op::Clamp { of: step, lower: -most, upper: most });
+        held = b.node(&name("rated"), Op::Polynomial { terms: vec![term(1.0, &[last]), term(1.0, &[step])] });
+        turned.push((last, "output"));
+    }
+    let output = b.node(&name("limited"), Op::Clamp { of: held, lower, upper });
+    // What the limits took off is taken off the integral: nothing winds up.
+    let cut = b.node(&name("cut"), Op::Difference { a: output, b: sum });
+    let integral =
+        b.node(&name("integral"), Op::Polynomial { terms: vec![term(1.0, &[raw]), term(1.0, &[cut])] });
+    point(b, last_integral, integral);
+    for (node, _) in turned {
+        point(b, node, output);
+    }
+    for node in model.into_iter().flatten() {
+        point(b, node, output);
+    }
+    b.output(&l.input, &l.input_unit, output);
+}
+
+/// Turns a delay to the node whose past it reads.
+fn point(b: &mut Build, delay: NodeId, to: NodeId) {
+    if let Op::Delay { of, .. } = &mut b.program.nodes[delay].op {
+        *of = to;
+    }
+}
+
+/// Error over the undelayed model with what it does not know, and the delays of the actuator that are to be turned to it.
+fn predicted(
+    b: &mut Build,
+    name: &dyn Fn(&str) -> String,
+    p: &dynocal_control::predictor::PredictedModel,
+    demand: NodeId,
+    measured: NodeId,
+    dt_s: f64,
+    start: f64,
+) -> (NodeId, Option<Vec<NodeId>>) {
+    let first = p.model.den[0];
+    let mut waiting = Vec::new();
+    let mut terms = Vec::new();
+    let mut offset = 0.0;
+    for (k, v) in p.model.num.iter().enumerate().skip(1).filter(|(_, v)| **v != 0.0) {
+        let op = Op::Delay { of: 0, samples: k, start: Start::Value(start) };
+        let node = b.node(&name(&format!("actuator_{k}")), op);
+        waiting.push(node);
+        terms.push(term(v / first, &[node]));
+        offset -= v / first * start;
+    }
+    if offset != 0.0 {
+        terms.push(term(offset, &[]));
+    }
+    let mut own = Vec::new();
+    for (k, v) in p.model.den.iter().enumerate().skip(1).filter(|(_, v)| **v != 0.0) {
+        let op = Op::Delay { of: 0, samples: k, start: Start::Value(0.0) };
+        let node = b.node(&name(&format!("model_{k}")), op);
+        own.push(node);
+        terms.push(term(-v / first, &[node]));
+    }
+    let model = b.node(&name("model"), Op::Polynomial { terms });
+    own.iter().for_each(|n| point(b, *n, model));
+    let samples = p.delay_samples as usize;
+    let late = match samples {
+        0 => model,
+        _ => b.node(&name("model_late"), Op::Delay { of: model, samples, start: Start::Value(0.0) }),
+    };
+    let unknown = b.node(&name("unknown"), Op::Difference { a: measured, b: late });
+    let correction = if p.filter_s > 0.0 {
+        let share = -(-dt_s / p.filter_s).exp_m1();
+        let op = Op::Delay { of: 0, samples: 1, start: Start::Value(0.0) };
+        let last = b.node(&name("correction_1"), op);
+        let terms = vec![term(1.0 - share, &[last]), term(share, &[unknown])];
+        let node = b.node(&name("correction"), Op::Polynomial { terms });
+        point(b, last, node);
+        node
+    } else {
+        unknown
+    };
+    let terms = vec![term(1.0, &[demand]), term(-1.0, &[model]), term(-1.0, &[correction])];
+    (b.node(&name("error"), Op::Polynomial { terms }), Some(waiting))
+}

@@ -1,0 +1,199 @@
+//! What is asked of the figures and of the tests for control.
+
+use super::Case;
+use super::cycles::CycleCase;
+use super::figures::Figures;
+use super::worth::{TESTS, WorthCase};
+use crate::asked::Asked;
+use crate::{Check, check};
+
+/// Place of the predictor without filter, and of the retuned PI, among the delayed loops.
+pub(super) const PREDICTOR: usize = 1;
+const RETUNED: usize = 3;
+
+pub(super) fn checks(all: &[Case], worths: &[WorthCase]) -> Vec<Check> {
+    let mut out = smith(all);
+    out.extend(estimate(all));
+    out.extend(worth(worths));
+    out
+}
+
+/// A number of each bed that has figures, with its name.
+fn each(all: &[Case], of: &dyn Fn(&Figures) -> Option<f64>) -> (Vec<Option<f64>>, String) {
+    let found: Vec<(&str, Option<f64>)> =
+        all.iter().map(|c| (c.engine.as_str(), c.figures.as_ref().and_then(of))).collect();
+    let text =
+        |(name, v): &(&str, Option<f64>)| format!("{name} {}", v.map_or("-".into(), |v| format!("{v:.2}")));
+    (found.iter().map(|f| f.1).collect(), found.iter().map(text).collect::<Vec<_>>().join(", "))
+}
+
+fn smith(all: &[Case]) -> Vec<Check> {
+    let share = |place: usize, late: usize| {
+        move |f: &Figures| Some(100.0 * f.late.get(late)?.apart.get(place).copied()?)
+    };
+    let (sizes, note) = each(all, &share(PREDICTOR, 0));
+    let mut out = vec![check(
+        "smith-5",
+        "lambda 5 samples late under the Smith predictor: distance from the undelayed loop after the pure delay, worst bed",
+        Asked::AtMost(10.0),
+        Asked::AtMost(10.0).worst(&sizes),
+        "%",
+        format!("{note}; share of the undelayed loop's own distance from its demand, mean of the steps"),
+    )];
+    for (name, place, late) in [
+        ("smith-5-same-pi", 0, 0),
+        ("smith-5-retuned", RETUNED, 0),
+        ("smith-30", PREDICTOR, 2),
+        ("smith-30-retuned", RETUNED, 2),
+    ] {
+        let (sizes, note) = each(all, &share(place, late));
+        // A reduced study has the first delay alone.
+        if sizes.iter().all(Option::is_none) {
+            continue;
+        }
+        let what = ["the same PI", "the Smith predictor", "", "a PI retuned for the delay"][place];
+        let samples = [5, 15, 30][late];
+        out.push(check(
+            name,
+            format!("the same distance with {what}, {samples} samples late"),
+            Asked::Reported,
+            Asked::AtMost(0.0).worst(&sizes),
+            "%",
+            note,
+        ));
+    }
+    let (times, note) = each(all, &|f| f.torque.get(1)?.settling_s);
+    out.push(check(
+        "settling",
+        "torque settles within 5 % under our PI, slowest bed",
+        Asked::Reported,
+        Asked::AtMost(0.0).worst(&times),
+        "s",
+        format!("{note}; the thesis has about 1.5 s"),
+    ));
+    out
+}
+
+fn estimate(all: &[Case]) -> Vec<Check> {
+    let fit = |k: usize| move |f: &Figures| Some(f.estimate.fits[k].0);
+    let offset = |k: usize| move |f: &Figures| f.estimate.steps.get(k).map(|s| s.offset);
+    let drift = |k: usize| move |f: &Figures| f.estimate.drift.iter().map(|d| d.1[k].abs()).reduce(f64::max);
+    let mut out = Vec::new();
+    for (k, name, what) in [(0, "published", "(7.24)"), (1, "observer", "the observer with pressure and air")]
+    {
+        let (fits, note) = each(all, &fit(k));
+        out.push(check(
+            format!("torque-fit-{name}"),
+            format!("free run of {what} on an unseen record of the closed loop, worst bed"),
+            Asked::Reported,
+            Asked::AtLeast(0.0).worst(&fits),
+            "%",
+            format!("{note}; the thesis has 98.87 and 98.90"),
+        ));
+        let (offsets, note) = each(all, &offset(k + 1));
+        out.push(check(
+            format!("torque-offset-{name}"),
+            format!(
+                "torque held by {what}: mean distance from its demand at the end of the steps, worst bed"
+            ),
+            if k == 0 { Asked::AtMost(1.0) } else { Asked::Reported },
+            Asked::AtMost(1.0).worst(&offsets),
+            "Nm",
+            format!("{note}; the thesis has about 1 Nm"),
+        ));
+        let (drifts, note) = each(all, &drift(k));
+        out.push(check(
+            format!("torque-drift-{name}"),
+            format!(
+                "largest distance by {what} over an hour from a cold start, means of twelfths, worst bed"
+            ),
+            Asked::Reported,
+            Asked::AtMost(0.0).worst(&drifts),
+            "Nm",
+            note,
+        ));
+    }
+    out
+}
+
+fn worth(all: &[WorthCase]) -> Vec<Check> {
+    if all.is_empty() {
+        return Vec::new();
+    }
+    let mean = |k: usize| all.iter().map(|c| c.losses[k]).sum::<f64>() / all.len() as f64;
+    let share = 100.0 * mean(3) / mean(1);
+    let better = all.iter().filter(|c| c.losses[3] < c.losses[1]).count();
+    let means: Vec<String> = (0..4).map(|k| format!("{} {:.4}", TESTS[k], mean(k))).collect();
+    let lost: usize = all.iter().map(|c| c.unstable.iter().sum::<usize>()).sum();
+    vec![check(
+        "test-for-control",
+        "mean loss of the controller after a test designed for it, over that after a D design of equal length",
+        Asked::AtMost(80.0),
+        Some(share),
+        "%",
+        format!(
+            "{} seeds, less than D's in {better}; means: {}; {lost} controllers lost stability",
+            all.len(),
+            means.join(", ")
+        ),
+    )]
+}
+
+/// Places of the static map with feedback, and of ours, among the drives.
+const RIVAL: usize = 1;
+const OURS: usize = 5;
+
+/// Along each cycle, ours against the static map with feedback: differences engine by engine.
+pub(super) fn cycles(all: &[CycleCase]) -> Vec<Check> {
+    let mut names: Vec<&str> = all.iter().map(|c| c.cycle.as_str()).collect();
+    names.dedup();
+    let mut out = Vec::new();
+    for name in names {
+        let own: Vec<&CycleCase> = all.iter().filter(|c| c.cycle == name).collect();
+        let share: Vec<f64> =
+            own.iter().map(|c| 100.0 * (c.drives[OURS].within - c.drives[RIVAL].within)).collect();
+        let fuel: Vec<f64> =
+            own.iter().map(|c| 100.0 * (c.drives[OURS].fuel_g / c.drives[RIVAL].fuel_g - 1.0)).collect();
+        let mean = |k: usize| 100.0 * own.iter().map(|c| c.drives[k].within).sum::<f64>() / own.len() as f64;
+        let note = format!(
+            "{} engines; ours {:.1} %, static map with feedback {:.1} %, difference {}",
+            own.len(),
+            mean(OURS),
+            mean(RIVAL),
+            interval(&share, "points")
+        );
+        let average = |v: &[f64]| Some(v.iter().sum::<f64>() / v.len() as f64);
+        out.push(check(
+            format!("{name}-lambda"),
+            format!("{name}: fuelled time with lambda within 1 %, measured air with predictor less static map with feedback"),
+            Asked::Above(0.0),
+            average(&share),
+            "points",
+            note,
+        ));
+        out.push(check(
+            format!("{name}-fuel"),
+            format!("{name}: fuel of the same over that of the same, less 100 %"),
+            Asked::AtMost(0.0),
+            average(&fuel),
+            "%",
+            interval(&fuel, "%"),
+        ));
+    }
+    out
+}
+
+/// Mean with the interval of nineteen of twenty for few values (t of Student).
+pub(super) fn interval(values: &[f64], unit: &str) -> String {
+    let n = values.len();
+    let mean = values.iter().sum::<f64>() / n as f64;
+    let t = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365];
+    match n {
+        0 | 1 => format!("{mean:.2} {unit} (one engine: no interval)"),
+        _ => {
+            let spread = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1) as f64).sqrt();
+            let half = t[(n - 2).min(t.len() - 1)] * spread / (n as f64).sqrt();
+            format!("{mean:.2} {unit}, 95 % interval {:.2} to {:.2}", mean - half, mean + half)
+        }
+    }
+}
