@@ -4,7 +4,7 @@ set -uo pipefail
 cd "$(dirname "$0")"
 [ -x .venv/bin/python ] && [ -x .venv-selection/bin/python ] || bash setup.sh || exit 2
 missed=0
-for script in sensitivities.py estimation.py linear.py neural.py design.py fuel.py fuel_neural.py horizon.py free_outputs.py long_record.py hock_schittkowski.py response.py whole_map.py labels.py; do
+for script in sensitivities.py estimation.py linear.py neural.py design.py fuel.py fuel_neural.py horizon.py free_outputs.py long_record.py hock_schittkowski.py response.py map_day.py whole_map.py labels.py; do
     .venv/bin/python "$script" || missed=1
 done
 .venv-selection/bin/python selection.py || missed=1

@@ -82,7 +82,7 @@ input = "inj"
 gains = { ki = -10.0, kp = -0.75 }
 
 [bed]
-points = 26
+points = 34
 block = 13
 [bed.refine]
 share = 0.25
@@ -144,7 +144,12 @@ fn a_plan_is_shown_without_running_and_faults_are_named() {
         ("{ spark = 10.0 }", "{ spark = 10.0 }\nresidence = [1.0, 2.0]", "9 numbers"),
         ("torque = [30.0, 50.0, 70.0]", "torque = [30.0, 30.0, 70.0]", "axes.torque"),
         ("speed = [1500.0", "speed = [500.0", "axes.speed"),
-        ("points = 26", "points = 3", "bed.points"),
+        ("points = 34", "points = 3", "bed.points"),
+        (
+            "points = 34",
+            "points = 25",
+            "at least 26: points to learn from, repeats and verification together",
+        ),
     ];
     for (from, to, says) in faults {
         let o = map(tmp.path(), &SPEC.replace(from, to), &[]);

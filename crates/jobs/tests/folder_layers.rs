@@ -67,8 +67,8 @@ fn no_file_of_calibrate_uses_one_above_it() {
 
 /// Lowest first.
 const MAP: &[&str] = &[
-    "error", "spec", "check", "job", "estimate", "bench", "choose", "learn", "setting", "refine", "result",
-    "cells", "front", "deliver", "verify", "verdict", "work", "page", "store",
+    "error", "spec", "budget", "check", "job", "estimate", "bench", "journal", "choose", "learn", "drive",
+    "setting", "refine", "result", "cells", "front", "deliver", "verify", "verdict", "work", "page", "store",
 ];
 
 #[test]

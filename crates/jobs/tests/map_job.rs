@@ -120,10 +120,11 @@ impl Plant for Bench {
         Vec::new()
     }
     fn save(&self) -> PlantState {
-        PlantState(vec![self.torque, self.time_s])
+        PlantState([&[self.torque, self.time_s], &self.shown[..]].concat())
     }
     fn restore(&mut self, state: &PlantState) -> Result<(), PlantError> {
         (self.torque, self.time_s) = (state.0[0], state.0[1]);
+        self.shown.copy_from_slice(&state.0[2..]);
         Ok(())
     }
     fn describe(&self) -> String {
@@ -217,7 +218,7 @@ fn run_with(more: &str, seed: u64, mut plant: Bench) -> Result<Mapped, MapError>
 }
 
 const DAY: &str =
-    "[bed]\npoints = 40\nblock = 10\n[bed.approach]\nsettle_s = 12.0\nwindow_s = 1.0\naverage_s = 2.0\n";
+    "[bed]\npoints = 54\nblock = 10\n[bed.approach]\nsettle_s = 12.0\nwindow_s = 1.0\naverage_s = 2.0\n";
 
 /// Fuel that the engine takes at a setting in closed form.
 fn fuel(torque: f64, speed: f64, spark: f64, cam: f64, shift: f64) -> f64 {
@@ -462,6 +463,96 @@ fn equal_seeds_give_equal_days_and_other_seeds_other_ones() {
     let one = day(5);
     assert_eq!(one, day(5));
     assert_ne!(one, day(6));
+}
+
+/// Ctrl-C after a dozen points, then the same again: the day is the one that was never interrupted.
+#[test]
+fn an_interrupted_day_goes_on_where_it_stopped() {
+    let read = |seed| job::parse("map.toml", &text(DAY), &Overrides { seed: Some(seed), out: None }).unwrap();
+    let said = |m: &Mapped| serde_json::to_string(&(&m.points, &m.cells, &m.verified)).unwrap();
+    let bench = || Bench::new(0.0, Fault::None);
+    let whole = said(&work::run_on(&read(1), &mut bench(), Watch::silent()).unwrap());
+    let tmp = tempfile::tempdir().unwrap();
+    let file = tmp.path().join("day.jsonl");
+    let lines = || std::fs::read_to_string(&file).map_or(0, |t| t.lines().count());
+    let stop = || lines() > 12;
+    let early = Watch { interrupt: &stop, ..Watch::silent() };
+    let e = work::run_on_in(&read(1), &mut bench(), Some(tmp.path()), early).unwrap_err();
+    assert!(matches!(e, MapError::Interrupted), "{e}");
+    assert_eq!(lines(), 13, "a head and twelve points");
+    let go_on = |seed| {
+        let notes = std::sync::Mutex::new(Vec::new());
+        let note = |n: &str| notes.lock().unwrap().push(n.to_string());
+        let watch = Watch { note: &note, ..Watch::silent() };
+        let found = work::run_on_in(&read(seed), &mut bench(), Some(tmp.path()), watch).unwrap();
+        (said(&found), notes.into_inner().unwrap().join("\n"))
+    };
+    let (found, notes) = go_on(1);
+    assert!(notes.contains("12 points are those of the earlier run"), "{notes}");
+    assert!(found == whole, "the same day");
+    // A line that was cut off is measured again.
+    let text = std::fs::read_to_string(&file).unwrap();
+    let points = text.lines().count() - 1;
+    write(&file, text[..text.len() - 30].to_string());
+    let (found, notes) = go_on(1);
+    assert!(notes.contains(&format!("{} points are those", points - 1)) && found == whole, "{notes}");
+    // Nothing of another seed is taken.
+    let (found, notes) = go_on(2);
+    assert!(!notes.contains("earlier run") && found != whole, "{notes}");
+}
+
+/// The map of the load holds torque alone: it is the load that the closed form takes at the settings of the cells.
+#[test]
+fn the_map_of_a_driven_input_is_that_of_the_closed_form() {
+    let found = run_with(DAY, 1, Bench::new(0.0, Fault::None)).unwrap();
+    let d = &found.drives[0];
+    assert!(d.input == "load" && d.relative && !d.rough() && d.error < 0.01, "{}", d.words());
+    for c in found.cells.iter().filter(|c| c.state == CellState::Optimal) {
+        let load = fuel(c.at[0], c.at[1], c.optimum.x[2], c.optimum.x[3], 0.0);
+        let (got, d) = (c.optimum.responses[0], c.optimum.deviations[0]);
+        assert!(
+            (got / load - 1.0).abs() < 0.01 && d > 0.0 && d < 0.05 * load,
+            "{:?}: {got} against {load}",
+            c.at
+        );
+    }
+    let place = found.map.ports.actuators.iter().position(|a| a.name == "load").unwrap();
+    assert!(
+        found.map.points.iter().zip(&found.cells).all(|(p, c)| p.actuators[place] == c.optimum.responses[0])
+    );
+    // Channels that it cannot follow from are named.
+    for (more, says) in [
+        ("load = [\"fuel\"]", "a channel that does not follow from `load` itself"),
+        ("load = [\"nock\"]", "nock"),
+        ("load = []", "0 channels"),
+        ("spark = [\"knock\"]", "spark"),
+    ] {
+        let text = text(&format!("{DAY}[models.over]\n{more}\n"));
+        let e = job::parse("map.toml", &text, &Overrides::default()).map(|_| ()).unwrap_err().to_string();
+        assert!(e.contains("models.over") && e.contains(says), "{more}: {e}");
+    }
+}
+
+/// A bed on which every setting gives the same point: copies are no knowledge.
+#[test]
+fn points_that_are_all_the_same_are_refused_with_their_numbers() {
+    let tmp = tempfile::tempdir().unwrap();
+    let over = Overrides { seed: Some(1), out: Some(tmp.path().join("run")) };
+    let job = job::parse("map.toml", &format!("{}[plant]\nname = \"bed\"\n", text(DAY)), &over).unwrap();
+    let Err(MapError::NeedsMeasurement { plan, measured, .. }) =
+        dynocal_jobs::map::run(&job, Watch::silent())
+    else {
+        panic!("a bed has to measure first")
+    };
+    let good = played(&std::fs::read_to_string(plan).unwrap(), 0, 0);
+    let first: Vec<&str> = good.lines().nth(1).unwrap().splitn(3, ',').collect();
+    let copy = |(k, line): (usize, &str)| match k {
+        0 => line.to_string(),
+        _ => format!("{k},{},{}", line.split(',').nth(1).unwrap(), first[2]),
+    };
+    write(std::path::Path::new(&measured), good.lines().enumerate().map(copy).collect::<Vec<_>>().join("\n"));
+    let e = dynocal_jobs::map::run(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
+    assert!(e.contains("points01.csv") && e.contains("set elsewhere than planned"), "{e}");
 }
 
 #[test]

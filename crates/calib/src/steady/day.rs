@@ -117,12 +117,32 @@ pub fn tasks(layout: &Layout, first: &[f64], plan: &DayPlan) -> Vec<(Purpose, Ve
     tasks
 }
 
+/// What measures the points of a day one after the other.
+pub trait Measures {
+    /// Goes to `target` and measures there, or as near as the limits allow.
+    ///
+    /// # Errors
+    /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
+    fn measure(&mut self, purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError>;
+    /// Bed time so far in s.
+    fn bed_s(&self) -> f64;
+}
+
+impl Measures for Station<'_> {
+    fn measure(&mut self, _purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError> {
+        Station::measure(self, target)
+    }
+    fn bed_s(&self) -> f64 {
+        self.used_s
+    }
+}
+
 /// Measures `tasks` one after the other until `bed_s` is used up, adding to `points`; why it ended.
 ///
 /// # Errors
 /// [`PlayError`]: the plan does not fit the plant, or the user interrupted.
 pub fn run(
-    station: &mut Station,
+    station: &mut dyn Measures,
     tasks: Vec<(Purpose, Vec<f64>)>,
     bed_s: f64,
     points: &mut Vec<DayPoint>,
@@ -130,11 +150,11 @@ pub fn run(
 ) -> Result<DayEnd, PlayError> {
     let (n, mut unusable) = (tasks.len(), 0);
     for (k, (purpose, target)) in tasks.into_iter().enumerate() {
-        if station.used_s >= bed_s {
+        if station.bed_s() >= bed_s {
             return Ok(DayEnd::BedTime);
         }
         watch.fraction(k as f64 / n as f64);
-        let point = match station.measure(&target) {
+        let point = match station.measure(purpose, &target) {
             Ok(point) => point,
             Err(e) => return refused(e).map(DayEnd::Refused),
         };

@@ -9,9 +9,9 @@
 
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::plan::Plan;
-use dynocal_ident::plant::{LimitEvent, Plant};
+use dynocal_ident::plant::{LimitEvent, Plant, PlantError, PlantState};
 use dynocal_ident::play::{self, Course, Interruptible, PlayError, Played, Reason, Stop, Watchdog};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::layout::{Layout, ResponseSource};
 
@@ -58,8 +58,10 @@ pub struct Touched {
     /// Output, or what the plant calls it.
     pub output: String,
     /// What was met.
+    #[serde(deserialize_with = "gap")]
     pub value: f64,
     /// The limit.
+    #[serde(deserialize_with = "gap")]
     pub limit: f64,
     /// Factors as commanded there.
     pub factors: Vec<f64>,
@@ -72,11 +74,14 @@ pub struct Touched {
 pub struct SteadyPoint {
     /// Factors that were asked for.
     pub asked: Vec<f64>,
-    /// Mean factors while averaging; demands as measured.
+    /// Mean factors while averaging; demands as measured. Not a number where nothing was measured, in files `null`.
+    #[serde(deserialize_with = "gaps")]
     pub factors: Vec<f64>,
     /// Mean responses.
+    #[serde(deserialize_with = "gaps")]
     pub responses: Vec<f64>,
     /// Mean errors of the demands, measured less demanded.
+    #[serde(deserialize_with = "gaps")]
     pub errors: Vec<f64>,
     /// Whether it may be learnt from.
     pub usable: bool,
@@ -89,6 +94,29 @@ pub struct SteadyPoint {
     /// Bed time at its end, from the begin of the day, in s.
     pub at_s: f64,
     /// Bed time that it took in s.
+    pub used_s: f64,
+}
+
+/// JSON has no number that is none.
+fn gap<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f64::NAN))
+}
+
+fn gaps<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<f64>, D::Error> {
+    let all: Vec<Option<f64>> = Vec::deserialize(from)?;
+    Ok(all.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect())
+}
+
+/// Where a station stands: enough to go on from there as if it had never been left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stand {
+    /// State of the plant.
+    pub plant: PlantState,
+    /// Factors that are commanded.
+    pub at: Vec<f64>,
+    /// Inputs of the loops, in their order.
+    pub driven: Vec<f64>,
+    /// Bed time so far in s.
     pub used_s: f64,
 }
 
@@ -178,6 +206,24 @@ impl<'a> Station<'a> {
     /// Factors that are commanded now.
     pub fn at(&self) -> &[f64] {
         &self.at
+    }
+
+    /// Where it stands.
+    pub fn stand(&self) -> Stand {
+        let (plant, at, driven) = (self.plant.save(), self.at.clone(), self.driven.clone());
+        Stand { plant, at, driven, used_s: self.used_s }
+    }
+
+    /// Goes on from where an earlier station of the same plant stood.
+    ///
+    /// # Errors
+    /// [`PlantError::Call`]: the state is not that of this plant.
+    pub fn go_on(&mut self, from: &Stand) -> Result<(), PlantError> {
+        self.plant.restore(&from.plant)?;
+        self.at.clone_from(&from.at);
+        self.driven.clone_from(&from.driven);
+        self.used_s = from.used_s;
+        Ok(())
     }
 
     /// From now on limits may be passed by a share of their size on the way: what is approached is no exploration any more.

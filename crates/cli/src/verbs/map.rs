@@ -45,6 +45,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
             Failure::from(e).print();
             return Ok(Exit::NotValid);
         }
+        Err(e @ MapError::Interrupted) => {
+            let hint = "the same command goes on with the points that are measured; they are kept in";
+            return Err(Failure::from(e).hint(format!("{hint} `{}`", job.out.display())));
+        }
         other => other?,
     };
     if !args.common.quiet {

@@ -9,8 +9,8 @@ use super::{Draft, DraftError, Wishes, quoted, rounded};
 /// Values of an axis.
 const AXIS: usize = 5;
 /// Points to learn from: so many for each factor of the test, and at least and at most.
-const POINTS_PER_FACTOR: usize = 15;
-const POINTS: [usize; 2] = [30, 120];
+const POINTS_PER_FACTOR: usize = 18;
+const POINTS: [usize; 2] = [45, 140];
 
 pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, DraftError> {
     let roles = roles(f, wishes)?;
@@ -53,7 +53,7 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
     let points = (POINTS_PER_FACTOR * factors).clamp(POINTS[0], POINTS[1]);
     let _ = write!(
         out,
-        "\n[bed]\npoints = {points}                  # to learn from, repeats left out\n\n[verify]\npoints = 8                   # of the finished maps, that no model has seen\n\n# Steps of the ECU: the maps then hold multiples of them that keep the limits.\n# [optimise.resolution]\n"
+        "\n[bed]\npoints = {points}                  # to learn from, repeats and verification together\n\n[verify]\npoints = 8                   # of the finished maps, that no model has seen\n\n# Steps of the ECU: the maps then hold multiples of them that keep the limits.\n# [optimise.resolution]\n"
     );
     for c in &free {
         let _ = writeln!(out, "# {} = {}", key(&c.name), rounded(0.01 * (c.upper - c.lower), true));

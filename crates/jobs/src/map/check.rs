@@ -8,6 +8,7 @@ use dynocal_ident::model::response::learner;
 use dynocal_numerics::interval::Interval;
 use dynocal_plant::plants;
 
+use super::budget::Budget;
 use super::spec::MapSpec;
 
 /// Most cells of a map.
@@ -315,7 +316,12 @@ fn channels(s: &MapSpec, faults: &mut Faults) {
 
 fn bed(s: &MapSpec, faults: &mut Faults) {
     let a = &s.bed.approach;
-    count("bed.points", s.bed.points, 10, 10_000, faults);
+    let most = 10_000;
+    count("bed.points", s.bed.points, 10, most, faults);
+    if (10..=most).contains(&s.bed.points) && s.verify.points <= most && Budget::of(s).is_none() {
+        let why = "points to learn from, repeats and verification together";
+        faults.push("bed.points", s.bed.points, format!("at least {}: {why}", Budget::least(s)));
+    }
     count("bed.block", s.bed.block, 1, 10_000, faults);
     let r = &s.bed.refine;
     faults.range("bed.refine.share", r.share, 0.0, 0.9, "of the points");
@@ -330,7 +336,53 @@ fn bed(s: &MapSpec, faults: &mut Faults) {
     count("bed.approach.backoffs", a.backoffs, 0, 100, faults);
 }
 
+/// Channels that maps of driven inputs may follow from.
+fn over(s: &MapSpec, faults: &mut Faults) {
+    let driven: Vec<String> = s.loops.iter().map(|l| l.input.clone()).collect();
+    let p = &s.problem;
+    let limited = p.limits.iter().map(|l| l.output.clone());
+    let minimised = p.minimise.iter().map(|m| m.channel.clone());
+    let given = p.input_names().into_iter().chain(p.given_names()).chain(p.demand_names());
+    let measured: Vec<String> = given.chain(limited).chain(minimised).collect();
+    let derived = p.derive.iter().map(|d| d.name.clone());
+    let known: Vec<String> = measured.iter().cloned().chain(derived).collect();
+    for (input, channels) in &s.models.over {
+        let key = format!("models.over.{input}");
+        if !driven.contains(input) {
+            faults.unknown(&key, input, &driven);
+        }
+        if channels.is_empty() || channels.len() > MOST_DIMENSIONS {
+            faults.push(
+                &key,
+                format!("{} channels", channels.len()),
+                format!("1 to {MOST_DIMENSIONS} channels"),
+            );
+        }
+        for (k, name) in channels.iter().enumerate() {
+            let at = format!("{key}[{k}]");
+            let powers = powers_of(s, name, 0);
+            if !known.contains(name) {
+                faults.unknown(&at, name, &known);
+            } else if powers.contains_key(input) {
+                faults.push(
+                    &at,
+                    format!("`{name}`"),
+                    format!("a channel that does not follow from `{input}` itself"),
+                );
+            } else if let Some(missing) = powers.keys().find(|c| !measured.contains(c)) {
+                let found = format!("`{name}`, which needs `{missing}`");
+                faults.push(
+                    &at,
+                    found,
+                    "channels that are moved, limited or minimised: the models know no other",
+                );
+            }
+        }
+    }
+}
+
 fn models(s: &MapSpec, faults: &mut Faults) {
+    over(s, faults);
     count("models.folds", s.models.folds, 2, 50, faults);
     if s.models.candidates.is_empty() {
         faults.push(

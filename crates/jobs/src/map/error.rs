@@ -67,6 +67,14 @@ pub enum MapError {
     /// A record of a bed that does not fit its plan.
     #[error("{0}")]
     Record(String),
+    /// A channel that the map of a driven input is to follow from.
+    #[error("models.over: `{channel}` does not follow from what the points have: {why}")]
+    Over {
+        /// Channel.
+        channel: String,
+        /// What is missing.
+        why: String,
+    },
     /// A response model.
     #[error("response model of `{response}`: {source}")]
     Learn {
@@ -90,6 +98,16 @@ pub enum MapError {
         spread: f64,
         /// Points.
         points: usize,
+    },
+    /// The points of the day are too few for what they are for.
+    #[error(
+        "bed.points: found {points}, expected at least {least}: points to learn from, repeats and verification together"
+    )]
+    Budget {
+        /// Points of the spec.
+        points: usize,
+        /// Points of the smallest day.
+        least: usize,
     },
     /// Too few points came from the bed.
     #[error(

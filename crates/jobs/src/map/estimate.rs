@@ -1,5 +1,6 @@
 //! What a steady calibration takes, before it runs.
 
+use super::budget::Budget;
 use super::job::Job;
 use crate::estimate::Estimate;
 
@@ -15,10 +16,10 @@ pub fn estimate(job: &Job) -> Estimate {
         .filter(|i| !s.loops.iter().any(|l| l.input == i.name))
         .map(|i| i.name.as_str())
         .collect();
-    let follow = (s.bed.refine.share * s.bed.points as f64).round() as usize;
-    let planned = s.bed.points - follow.min(s.bed.points);
-    let repeats = planned.div_ceil(s.bed.block.max(1)) + 1 + follow.div_ceil(s.bed.refine.batch.max(1));
-    let points = (s.bed.points + repeats + s.verify.points) as f64;
+    let budget = Budget::of(s);
+    let (planned, follow) = budget.map_or((0, 0), |b| (b.planned, b.followed));
+    let repeats: usize = budget.map_or(0, |b| b.repeats.iter().sum());
+    let points = s.bed.points as f64;
     let most_s = (points * (a.ramp_s + a.settle_s + a.average_s)).min(60.0 * s.bed.minutes);
     let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
     let held: Vec<String> = s.held.iter().map(|(name, v)| format!("{name} = {v}")).collect();

@@ -74,7 +74,7 @@ impl Response for Learned {
 }
 
 /// The candidates with the names that reports give them.
-fn kinds(models: &ModelsSpec) -> Result<Kinds, MapError> {
+pub(super) fn kinds(models: &ModelsSpec) -> Result<Kinds, MapError> {
     let one = |table: &toml::Table| {
         let mut keys = table.clone();
         let kind = keys.remove("kind").and_then(|v| v.as_str().map(str::to_string)).unwrap_or_default();

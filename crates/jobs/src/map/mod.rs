@@ -4,14 +4,17 @@
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
 mod bench;
+mod budget;
 mod cells;
 mod check;
 mod choose;
 mod deliver;
+pub mod drive;
 pub mod error;
 pub mod estimate;
 mod front;
 pub mod job;
+mod journal;
 mod learn;
 pub mod page;
 pub mod refine;
@@ -33,14 +36,15 @@ pub use result::Mapped;
 /// Kind of the run folder.
 pub const KIND: &str = "map";
 
-/// Measures, learns, optimises, verifies; points, models, maps, `report.html` and `summary.json` go into the run folder.
+/// Measures, learns, optimises, verifies; points, models, maps, `report.html` and `summary.json` go into the run folder. What an
+/// interrupted run has measured is kept there and taken over by the next.
 ///
 /// # Errors
 /// [`MapError`].
 pub fn run(job: &Job, watch: Watch) -> Result<(Mapped, RunFolder), MapError> {
     // A folder that cannot be written is known before the plant is run.
     let folder = RunFolder::open_at(&job.out, KIND, &job.spec)?;
-    let found = work::run(job, watch);
+    let found = work::run_in(job, folder.path(), watch);
     if let Err(MapError::NeedsMeasurement { .. }) = &found {
         // What an earlier, shorter day left is not the result of this one.
         store::forget(folder.path());

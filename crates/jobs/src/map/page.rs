@@ -88,8 +88,11 @@ fn drawn(found: &Mapped, title: &str, z: Axis, values: Vec<f64>) -> Option<Block
 
 fn maps(found: &Mapped) -> Section {
     let mut section = Section::new("Maps").text(
-        "Values of the inputs in every cell. Inputs that a loop drives stand as the models expect them.",
+        "Values of the inputs in every cell. Those of inputs that a loop drives are what holds the demand alone, as far as is known:",
     );
+    for d in &found.drives {
+        section = section.text(d.words());
+    }
     let all: Vec<Vec<f64>> = found.cells.iter().map(|c| actuators(&found.layout, c)).collect();
     let mut blocks = Vec::new();
     for (k, i) in found.layout.problem.inputs.iter().enumerate() {

@@ -42,8 +42,8 @@ pub(super) struct Refinement<'a> {
     pub(super) axes: &'a [Vec<f64>],
     /// First point of the day, which is repeated.
     pub(super) first: &'a [f64],
-    /// Points that may be spent.
-    pub(super) points: usize,
+    /// Points that the day may have when this ends, repeats among them.
+    pub(super) most: usize,
     /// Bed time after which no further point begins.
     pub(super) bed_s: f64,
 }
@@ -59,8 +59,10 @@ impl Refinement<'_> {
         points: &mut Vec<DayPoint>,
         watch: Watch,
     ) -> Result<(Vec<Round>, DayEnd), MapError> {
-        let (mut rounds, mut left) = (Vec::new(), self.points);
-        while left > 0 {
+        let mut rounds = Vec::new();
+        // A batch ends with a repeat.
+        while points.len() + 1 < self.most {
+            let left = self.most - points.len() - 1;
             let drift = day::drift(self.layout, points);
             let models = learn::learn(self.layout, points, &drift, &self.spec.models, false, watch)?;
             let (targets, untried) =
@@ -71,7 +73,6 @@ impl Refinement<'_> {
             if targets.is_empty() {
                 break;
             }
-            left -= targets.len().min(left);
             let begun = points.len();
             let mut tasks: Vec<_> = targets.into_iter().map(|x| (Purpose::Optimum, x)).collect();
             tasks.push((Purpose::Repeat, self.first.to_vec()));

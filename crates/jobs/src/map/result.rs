@@ -12,6 +12,7 @@ use dynocal_numerics::status::Status;
 use dynocal_report::Check;
 use serde::Serialize;
 
+use super::drive::Drive;
 use super::learn::Learned;
 use super::refine::Round;
 
@@ -148,6 +149,8 @@ pub struct Mapped {
     pub drift: Vec<Drift>,
     /// Response models.
     pub models: Vec<Learned>,
+    /// Maps of the inputs that loops drive.
+    pub drives: Vec<Drive>,
     /// Verification points.
     pub verified: Vec<Verified>,
     /// Cells, the last axis fastest.

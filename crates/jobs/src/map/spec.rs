@@ -78,7 +78,7 @@ impl Default for MapSpec {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BedSpec {
-    /// Points to learn from, repeats left out.
+    /// Most points of the day: to learn from, repeats and verification together.
     pub points: usize,
     /// Points between two repeats of the first point.
     pub block: usize,
@@ -97,7 +97,7 @@ pub struct BedSpec {
 impl Default for BedSpec {
     fn default() -> Self {
         Self {
-            points: 60,
+            points: 75,
             block: 15,
             minutes: 60.0,
             ranges: BTreeMap::new(),
@@ -116,6 +116,10 @@ pub struct ModelsSpec {
     pub candidates: Vec<toml::Table>,
     /// Folds, inner and outer.
     pub folds: usize,
+    /// Channels that the map of a driven input may follow from in place of the factors, by input: factors, other driven inputs, limited
+    /// outputs, what is minimised, derived channels. The folds decide between them and the factors.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub over: BTreeMap<String, Vec<String>>,
 }
 
 impl Default for ModelsSpec {
@@ -133,7 +137,11 @@ impl Default for ModelsSpec {
         };
         let polynomials =
             [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
-        Self { candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(), folds: 5 }
+        Self {
+            candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(),
+            folds: 5,
+            over: BTreeMap::new(),
+        }
     }
 }
 

@@ -8,6 +8,7 @@ use dynocal_ident::data::{Channel, Dataset, Role};
 
 use super::error::MapError;
 use super::job::Job;
+use super::journal;
 use super::page;
 use super::result::Mapped;
 
@@ -41,6 +42,9 @@ pub fn write(folder: &RunFolder, job: &Job, mut found: Mapped) -> Result<Mapped,
         json::write_versioned(&named(name), "dynocal/response", 1, &m.model)?;
     }
     json::write_versioned(&named(format!("{STEP}/static_map.json")), "dynocal/static-map", 2, &found.map)?;
+    if root.join(journal::FILE).is_file() {
+        files.push(journal::FILE.into());
+    }
     found.files = files;
     page::write(&found, job, Path::new(root))?;
     folder.write_summary(&found)?;

@@ -131,7 +131,13 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             significant(d.per_hour_error, 2)
         ));
     }
-    for m in found.models.iter().filter(|m| m.explained() < ROUGH) {
+    for d in found.drives.iter().filter(|d| d.rough()) {
+        let (input, missed) = (&d.input, d.missed());
+        warnings.push(format!(
+            "the map of `{input}` alone does not hold its demand: it misses unseen points by {missed} rms"
+        ));
+    }
+    for m in found.models.iter().filter(|m| m.explained() < ROUGH && !driven(found, &m.response)) {
         warnings.push(format!(
             "the model of `{}` is rough: it misses unseen points by {} {} rms where they scatter by {}",
             m.response,
@@ -167,13 +173,16 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
 
 /// The verification holds the demands with controllers: a map whose model is rough was not shown to hold one alone.
 fn guided(found: &Mapped) -> String {
-    let driven = |name: &str| found.layout.problem.inputs.iter().any(|i| i.name == name);
-    let rough = found.models.iter().filter(|m| m.explained() < ROUGH && driven(&m.response));
-    let names: Vec<String> = rough.map(|m| format!("`{}`", m.response)).collect();
+    let rough = found.drives.iter().filter(|d| d.rough());
+    let names: Vec<String> = rough.map(|d| format!("`{}` (missed by {})", d.input, d.missed())).collect();
     if names.is_empty() {
         return String::new();
     }
-    format!(", but only under a controller that corrects {} (its model is rough)", names.join(", "))
+    format!(", but only under a controller that corrects {}", names.join(" and "))
+}
+
+fn driven(found: &Mapped, name: &str) -> bool {
+    found.layout.problem.inputs.iter().any(|i| i.name == name)
 }
 
 /// The share that is asked of the front.

@@ -11,6 +11,7 @@ use dynocal_numerics::watch::Watch;
 
 use super::bench::Bench;
 use super::cells::end_in_words;
+use super::drive::{Drive, Driven};
 use super::error::MapError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
@@ -23,6 +24,8 @@ pub(super) struct Verification<'a> {
     pub(super) spec: &'a MapSpec,
     pub(super) layout: &'a Layout,
     pub(super) setting: &'a Setting<'a>,
+    /// Maps of the inputs that loops drive, in the order of the loops.
+    pub(super) drives: &'a [Drive],
     pub(super) axes: &'a [Vec<f64>],
     pub(super) cells: &'a [Cell],
 }
@@ -81,9 +84,29 @@ impl Verification<'_> {
         order.into_iter().map(|k| whole[k].clone()).collect()
     }
 
+    /// What the inputs that loops drive should be where it was measured, as far as their maps know.
+    fn driven(&self, point: &SteadyPoint) -> Vec<Driven> {
+        let mut at = Prediction::new(self.layout.factors.len());
+        let expected = self.setting.models.iter().map(|m| {
+            m.predict(&point.factors, Ask::Mean, &mut at);
+            at.mean
+        });
+        let expected: Vec<f64> = expected.collect();
+        let row = [(&point.factors[..], &expected[..])];
+        // What a map cannot say here is left to the models over the factors.
+        let one = |d: &Drive| {
+            d.at(self.layout, &row)
+                .ok()
+                .and_then(|v| v.first().copied())
+                .unwrap_or(Driven { value: f64::NAN, deviation: f64::NAN })
+        };
+        self.drives.iter().map(one).collect()
+    }
+
     /// What was measured beside what was promised where it was measured.
     fn judge(&self, point: &SteadyPoint) -> Verified {
         let mut at = Prediction::new(self.layout.factors.len());
+        let driven = self.driven(point);
         let band = deviations(BAND);
         let (mut all, mut kept) = (Vec::new(), true);
         let (mut promised, mut variance, mut measured) = (0.0, 0.0, 0.0);
@@ -94,10 +117,12 @@ impl Verification<'_> {
             let below = r.lower.map(|l| (l - value, l.abs()));
             let worst = [above, below].into_iter().flatten().max_by(|a, b| a.0.total_cmp(&b.0));
             kept &= worst.is_none_or(|(passed, size)| passed <= self.spec.verify.limit * size);
+            let here = Driven { value: at.mean, deviation: at.measured_std() };
+            let here = driven.get(k).copied().filter(|d| d.value.is_finite()).unwrap_or(here);
             all.push(Deviation {
                 response: r.name.clone(),
-                promised: at.mean,
-                half_width: band * at.measured_std(),
+                promised: here.value,
+                half_width: band * here.deviation,
                 measured: value,
                 passed: worst.map(|w| w.0),
             });

@@ -1,6 +1,7 @@
 //! A steady calibration in memory: measure, learn, optimise, verify.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
@@ -17,10 +18,13 @@ use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
 use super::bench::{self, Bench, OnBed};
+use super::budget::{Budget, fewest};
 use super::cells::{actuators, end_in_words, missed};
+use super::drive;
 use super::error::MapError;
 use super::front::Maps;
 use super::job::Job;
+use super::journal::Journal;
 use super::learn;
 use super::refine::{Refinement, Round};
 use super::result::{BedTime, MapAxis, Mapped};
@@ -42,11 +46,35 @@ pub fn run(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
     run_on(job, make(&job.spec)?.as_mut(), watch)
 }
 
+/// As [`run`], every measured point kept in `folder`: a run that was interrupted goes on where it stopped.
+///
+/// # Errors
+/// [`MapError`].
+pub fn run_in(job: &Job, folder: &Path, watch: Watch) -> Result<Mapped, MapError> {
+    if job.spec.plant.name == "bed" {
+        return on_bed(job, watch);
+    }
+    run_on_in(job, make(&job.spec)?.as_mut(), Some(folder), watch)
+}
+
 /// The same on a plant that is there.
 ///
 /// # Errors
 /// [`MapError`].
 pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, MapError> {
+    run_on_in(job, plant, None, watch)
+}
+
+/// The day on a plant that is there, kept in `folder` where there is one.
+///
+/// # Errors
+/// [`MapError`].
+pub fn run_on_in(
+    job: &Job,
+    plant: &mut dyn Plant,
+    folder: Option<&Path>,
+    watch: Watch,
+) -> Result<Mapped, MapError> {
     let spec = &job.spec;
     plant.reset(spec.seed);
     has_channels(spec, plant.variables())?;
@@ -63,7 +91,12 @@ pub fn run_on(job: &Job, plant: &mut dyn Plant, watch: Watch) -> Result<Mapped, 
     let approach = &spec.bed.approach;
     let mut station = Station::new(plant, &layout, approach, &beyond, (first.clone(), driven), &interrupt);
     let day = Day { job, layout: &layout, axes, tuned, first };
-    day.run(&mut station, watch)
+    let Some(folder) = folder else { return day.run(&mut station, watch) };
+    // All that a point depends on but the points before it, which are compared one by one.
+    let inputs =
+        (&spec.plant, spec.seed, &start, approach, &spec.bed.beyond, &spec.tune, spec.verify.limit, &layout);
+    let mut journal = Journal::open(&mut station, folder, &inputs, watch)?;
+    day.run(&mut journal, watch)
 }
 
 /// The same on a bed that measures batches of points from files.
@@ -123,13 +156,21 @@ impl Day<'_> {
         let front = maps.front(&mut cells, watch);
         let whole = maps.couple(front.as_ref(), &mut cells, watch);
         let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
+        let drives = drive::learn(layout, &points, spec, watch)?;
+        drive::fill(&drives, layout, &mut cells)?;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         if watch.interrupted() {
             return Err(MapError::Interrupted);
         }
         watch.note(&format!("{} verification points on the bed", spec.verify.points));
-        let verification =
-            verify::Verification { spec, layout, setting: &setting, axes: &grid_axes, cells: &cells };
+        let verification = verify::Verification {
+            spec,
+            layout,
+            setting: &setting,
+            drives: &drives,
+            axes: &grid_axes,
+            cells: &cells,
+        };
         let verified = verification.run(bench, budget_s, &mut points, watch)?;
         bed.verify_s = bench.used_s() - bed.points_s;
         let map = static_map(spec, layout, &axes, &cells, bed.all_s());
@@ -149,6 +190,7 @@ impl Day<'_> {
             delivered,
             drift,
             models,
+            drives,
             verified,
             cells,
             tuned,
@@ -173,21 +215,25 @@ fn measured(
     bench: &mut dyn Bench,
     watch: Watch,
 ) -> Result<(Vec<DayPoint>, Vec<Round>, DayEnd), MapError> {
-    watch.note(&format!("{} points on the bed", spec.bed.points));
+    let budget = Budget::of(spec)
+        .ok_or_else(|| MapError::Budget { points: spec.bed.points, least: Budget::least(spec) })?;
+    let [planned_repeats, _] = budget.repeats;
+    watch.note(&format!("{} points on the bed, {} of them to verify", spec.bed.points, spec.verify.points));
     // The verification comes out of the same bed time, and so do the points that follow the optimum: as much as their share.
-    let refined = refined(layout, spec);
-    let all = (spec.bed.points + spec.verify.points) as f64;
-    let until_s = |points: usize| points as f64 / all * budget_s;
-    let planned = spec.bed.points - refined;
-    let tasks =
-        day::tasks(layout, first, &DayPlan { points: planned, block: spec.bed.block, seed: spec.seed });
+    let until_s = |points: usize| points as f64 / (budget.before() + spec.verify.points) as f64 * budget_s;
+    let tasks = day::tasks(
+        layout,
+        first,
+        &DayPlan { points: budget.planned, block: spec.bed.block, seed: spec.seed },
+    );
     let mut points = Vec::new();
-    let mut end = bench.run(tasks, until_s(planned), &mut points, watch)?;
-    enough(layout, &points, &end)?;
+    let planned_s = until_s(budget.planned + planned_repeats);
+    let mut end = bench.run(tasks, planned_s, &mut points, watch)?;
+    enough(spec, &points, &end)?;
     let mut rounds = Vec::new();
-    if refined > 0 && matches!(end, DayEnd::Done | DayEnd::BedTime) {
-        let bed_s = until_s(spec.bed.points);
-        let refinement = Refinement { spec, layout, axes, first, points: refined, bed_s };
+    if budget.followed > 0 && matches!(end, DayEnd::Done | DayEnd::BedTime) {
+        let (most, bed_s) = (budget.before(), until_s(budget.before()));
+        let refinement = Refinement { spec, layout, axes, first, most, bed_s };
         (rounds, end) = refinement.run(bench, &mut points, watch)?;
     }
     Ok((points, rounds, end))
@@ -355,10 +401,10 @@ fn tuned(
 }
 
 /// Usable points for each factor, and at least so many for the envelope.
-fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapError> {
+fn enough(spec: &MapSpec, points: &[DayPoint], end: &DayEnd) -> Result<(), MapError> {
     let learnt = || points.iter().filter(|p| p.purpose != Purpose::Verify);
     let usable = learnt().filter(|p| p.point.usable).count();
-    let least = least(layout);
+    let least = fewest(spec);
     if usable >= least {
         return Ok(());
     }
@@ -369,18 +415,6 @@ fn enough(layout: &Layout, points: &[DayPoint], end: &DayEnd) -> Result<(), MapE
     let notes: Vec<String> = notes.iter().take(5).map(|(note, n)| format!("{note} ({n} times)")).collect();
     let end = end_in_words(end);
     Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
-}
-
-/// Points that follow the optimum; what is planned has to be enough for first models.
-fn refined(layout: &Layout, spec: &MapSpec) -> usize {
-    let n = spec.bed.points;
-    let asked = (spec.bed.refine.share * n as f64).round() as usize;
-    asked.min(n.saturating_sub(least(layout)))
-}
-
-/// Fewest usable points that models and envelope are learnt from.
-fn least(layout: &Layout) -> usize {
-    (2 * (layout.factors.len() + 1)).max(5 * (layout.axes + 2))
 }
 
 /// The maps in the form of the house: demand slow, given channel fast.

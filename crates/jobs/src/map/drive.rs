@@ -1,0 +1,268 @@
+//! Maps of the inputs that loops drive.
+//!
+//! While points are measured the loops hold the demands, so that an input that a loop drives is a response. In its map it has to hold
+//! the demand alone, and what counts there is its relative error: a throttle of 8 deg that is 1 deg off is another load, one of 50 deg
+//! is not.
+//!
+//! ```text
+//! log u = g(log q_1, .., log q_m)    q: the factors, or the channels that the spec names (`models.over`)
+//! ```
+//!
+//! A channel that is not positive everywhere stands as it is. Points at which the loop stood at an end of its range are left out: what was
+//! reached there does not depend on the input any more. Channels that are responses are taken as measured to learn from, and as their
+//! models expect them in the cells: `g` may then have fewer inputs than there are factors (the angle of a throttle follows from the
+//! mass that flows, the pressures on either side, and nothing else).
+
+use std::collections::BTreeMap;
+
+use dynocal_calib::steady::day::{DayPoint, Purpose};
+use dynocal_calib::steady::grid::Cell;
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::SteadyPoint;
+use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::model::response::{Ask, Points, Prediction, Response, ResponseModel};
+use dynocal_numerics::watch::Watch;
+use serde::Serialize;
+
+use super::budget::fewest;
+use super::choose::{Chosen, choose};
+use super::error::MapError;
+use super::learn::kinds;
+use super::spec::MapSpec;
+
+/// The map of an input that a loop drives, as a model of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Drive {
+    /// Input.
+    pub input: String,
+    /// Unit.
+    pub unit: String,
+    /// Channels that it follows from.
+    pub over: Vec<String>,
+    /// How it was chosen.
+    pub choice: String,
+    /// Points that it was learnt from.
+    pub points: usize,
+    /// RMS error on points that had no part in learning and choosing: as a share of the input where [`Drive::relative`], else in its unit.
+    pub error: f64,
+    /// Whether it is the logarithm that was learnt.
+    pub relative: bool,
+    /// Standard deviation over the points of what was learnt: of the input, or of its logarithm.
+    pub spread: f64,
+    /// Factor by which its standard deviations are widened, so that held-out points lie in their intervals.
+    pub widen: f64,
+    /// Which channels are learnt over by their logarithms.
+    logs: Vec<bool>,
+    /// The model.
+    #[serde(skip)]
+    model: ResponseModel,
+}
+
+/// A value with the half width of one standard deviation of a measurement about it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Driven {
+    /// Value in the unit of the input; not a number where a channel has no logarithm.
+    pub value: f64,
+    /// Standard deviation of a measurement about it.
+    pub deviation: f64,
+}
+
+/// Models of all inputs that loops drive, in the order of the loops.
+///
+/// # Errors
+/// [`MapError`] where no candidate can be learnt.
+pub(super) fn learn(
+    layout: &Layout,
+    points: &[DayPoint],
+    spec: &MapSpec,
+    watch: Watch,
+) -> Result<Vec<Drive>, MapError> {
+    let one = |(l, k): (usize, usize)| {
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        let input = &layout.problem.inputs[k];
+        watch.note(&format!("map of {}", input.name));
+        let used = roomy(points, &input.name, fewest(spec));
+        let columns = channels(layout, &used);
+        let y: Vec<f64> = used.iter().map(|p| p.responses[l]).collect();
+        let mut sets = vec![layout.factor_names()];
+        sets.extend(spec.models.over.get(&input.name).cloned());
+        let mut best: Option<Drive> = None;
+        for over in sets {
+            let found = drive(layout, &columns, over, &y, (&input.name, &input.unit), spec, watch)?;
+            if best.as_ref().is_none_or(|b| found.error < b.error) {
+                best = Some(found);
+            }
+        }
+        best.ok_or(MapError::Interrupted)
+    };
+    layout.driven().into_iter().enumerate().map(one).collect()
+}
+
+/// Usable points at which the loop of `input` had room; all usable ones where that are fewer than `fewest`.
+fn roomy<'a>(points: &'a [DayPoint], input: &str, fewest: usize) -> Vec<&'a SteadyPoint> {
+    let usable = points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable).map(|p| &p.point);
+    let room: Vec<&SteadyPoint> =
+        usable.clone().filter(|p| !p.saturated.iter().any(|s| s == input)).collect();
+    if room.len() >= fewest { room } else { usable.collect() }
+}
+
+/// Factors, demands and given channels that are held, and responses of points, as a record.
+fn channels(layout: &Layout, points: &[&SteadyPoint]) -> Dataset {
+    let rows: Vec<(&[f64], &[f64])> = points.iter().map(|p| (&p.factors[..], &p.responses[..])).collect();
+    record(layout, &rows)
+}
+
+fn record(layout: &Layout, rows: &[(&[f64], &[f64])]) -> Dataset {
+    let channel = |name: &str, unit: &str, values: Vec<f64>| Channel {
+        name: name.into(),
+        unit: unit.into(),
+        role: Role::Auxiliary,
+        values,
+    };
+    let factors = layout.factors.iter().enumerate();
+    let factors = factors.map(|(k, f)| channel(&f.name, &f.unit, rows.iter().map(|r| r.0[k]).collect()));
+    let responses = layout.responses.iter().enumerate();
+    let responses = responses.map(|(k, r)| channel(&r.name, &r.unit, rows.iter().map(|r| r.1[k]).collect()));
+    let held = layout
+        .held
+        .iter()
+        .map(|(name, v)| channel(name, layout.problem.unit(name).unwrap_or("-"), vec![*v; rows.len()]));
+    Dataset {
+        name: "points".into(),
+        sample_time_s: 1.0,
+        channels: factors.chain(responses).chain(held).collect(),
+        init_samples: 0,
+        origin: "steady points".into(),
+    }
+}
+
+/// Columns of the channels `over`.
+fn columns(layout: &Layout, record: &Dataset, over: &[String]) -> Result<Vec<Vec<f64>>, MapError> {
+    let one = |name: &String| {
+        layout
+            .problem
+            .values(name, record)
+            .map_err(|e| MapError::Over { channel: name.clone(), why: e.to_string() })
+    };
+    over.iter().map(one).collect()
+}
+
+/// The best of the candidates over one set of channels.
+fn drive(
+    layout: &Layout,
+    record: &Dataset,
+    over: Vec<String>,
+    y: &[f64],
+    (input, unit): (&str, &str),
+    spec: &MapSpec,
+    watch: Watch,
+) -> Result<Drive, MapError> {
+    let columns = columns(layout, record, &over)?;
+    let positive = |v: &[f64]| v.iter().all(|v| *v > 0.0);
+    let logs: Vec<bool> = columns.iter().map(|c| positive(c)).collect();
+    let relative = positive(y);
+    let of = |log: bool, v: f64| if log { v.ln() } else { v };
+    let row = |i: usize| columns.iter().zip(&logs).map(move |(c, log)| of(*log, c[i]));
+    let points = Points {
+        inputs: over.clone(),
+        output: input.into(),
+        x: (0..y.len()).flat_map(row).collect(),
+        y: y.iter().map(|v| of(relative, *v)).collect(),
+    };
+    let kinds = kinds(&spec.models)?;
+    let Chosen { learnt, rmse, widen, words } =
+        choose(&kinds, &points, spec.models.folds, true, watch.interrupt)
+            .map_err(|source| MapError::Learn { response: input.into(), source })?;
+    Ok(Drive {
+        input: input.into(),
+        unit: unit.into(),
+        over,
+        choice: words,
+        points: y.len(),
+        error: rmse,
+        relative,
+        spread: spread(&points.y),
+        widen,
+        logs,
+        model: learnt.model,
+    })
+}
+
+fn spread(y: &[f64]) -> f64 {
+    let n = y.len() as f64;
+    let mean = y.iter().sum::<f64>() / n;
+    (y.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)).sqrt()
+}
+
+/// Error of an input, as a share of it, from which on a map does not hold a demand alone. The flow through a throttle goes with a power
+/// of its angle between 1 and 2, and the load with the flow.
+const ROUGH: f64 = 0.05;
+/// The same where there is no share, of the spread of the input.
+const ROUGH_OF_SPREAD: f64 = 0.2;
+
+impl Drive {
+    /// Whether the map holds its demand under a controller only.
+    pub fn rough(&self) -> bool {
+        self.error > if self.relative { ROUGH } else { ROUGH_OF_SPREAD * self.spread }
+    }
+
+    /// Its error on unseen points with its unit, in words.
+    pub fn missed(&self) -> String {
+        let error = if self.relative { 100.0 * self.error } else { self.error };
+        format!("{} {}", dynocal_report::significant(error, 2), if self.relative { "%" } else { &self.unit })
+    }
+
+    /// Values at rows of factors and responses.
+    ///
+    /// # Errors
+    /// [`MapError::Over`] where a channel does not follow from factors and responses.
+    pub(super) fn at(&self, layout: &Layout, rows: &[(&[f64], &[f64])]) -> Result<Vec<Driven>, MapError> {
+        let columns = columns(layout, &record(layout, rows), &self.over)?;
+        let mut at = Prediction::new(self.over.len());
+        let one = |i: usize| {
+            let of = |(c, log): (&Vec<f64>, &bool)| if *log { c[i].ln() } else { c[i] };
+            let x: Vec<f64> = columns.iter().zip(&self.logs).map(of).collect();
+            self.model.predict(&x, Ask::Variance, &mut at);
+            let deviation = self.widen * at.measured_std();
+            match self.relative {
+                true => Driven { value: at.mean.exp(), deviation: deviation * at.mean.exp() },
+                false => Driven { value: at.mean, deviation },
+            }
+        };
+        Ok((0..rows.len()).map(one).collect())
+    }
+
+    /// In words for reports: what it follows from and how well.
+    pub fn words(&self) -> String {
+        format!(
+            "`{}` over {}: {} rms on points that had no part in it ({} points)",
+            self.input,
+            self.over.join(", "),
+            self.missed(),
+            self.points
+        )
+    }
+}
+
+/// Puts the values of driven inputs into the cells, in place of what the models of the day expect over the factors. A cell in which a
+/// channel has no logarithm keeps what it has.
+///
+/// # Errors
+/// As of [`Drive::at`].
+pub(super) fn fill(drives: &[Drive], layout: &Layout, cells: &mut [Cell]) -> Result<(), MapError> {
+    let mut found: BTreeMap<usize, Vec<Driven>> = BTreeMap::new();
+    for (l, d) in drives.iter().enumerate() {
+        let rows: Vec<(&[f64], &[f64])> =
+            cells.iter().map(|c| (&c.optimum.x[..], &c.optimum.responses[..])).collect();
+        found.insert(l, d.at(layout, &rows)?);
+    }
+    for (l, values) in found {
+        for (c, v) in cells.iter_mut().zip(values).filter(|(_, v)| v.value.is_finite()) {
+            c.optimum.responses[l] = v.value;
+            c.optimum.deviations[l] = v.deviation;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,188 @@
+//! The day kept point by point: a run that was interrupted goes on where it stopped.
+//!
+//! `day.jsonl` in the run folder has a first line with the digest of what the points depend on, and a line for each point with the state
+//! in which the plant was left. A later run takes points over as long as it asks for the same ones in the same order; then the plant
+//! is put back into the state after the last of them, and the day goes on as if it had never been left.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Measures, Purpose};
+use dynocal_calib::steady::station::{Stand, Station, SteadyPoint};
+use dynocal_files::run_folder::digest_of;
+use dynocal_files::{FilesError, atomic};
+use dynocal_ident::plant::PlantState;
+use dynocal_ident::play::PlayError;
+use dynocal_numerics::watch::Watch;
+use serde::{Deserialize, Serialize};
+
+use super::bench::{Bench, Task};
+use super::error::{MapError, stopped};
+
+/// File in the run folder.
+pub(super) const FILE: &str = "day.jsonl";
+/// Numbers of a state above which days are not kept: a unit that cannot save itself has all that was ever done to it as its state.
+const LARGEST: usize = 100_000;
+
+#[derive(Serialize, Deserialize)]
+struct Head {
+    schema: String,
+    schema_version: u32,
+    inputs: String,
+}
+
+/// A measured point with the place where it left the bed; numbers of the state as their bits, for they need not be finite.
+#[derive(Clone, Serialize, Deserialize)]
+struct Kept {
+    purpose: Purpose,
+    target: Vec<f64>,
+    point: SteadyPoint,
+    plant: Vec<u64>,
+    at: Vec<f64>,
+    driven: Vec<f64>,
+    used_s: f64,
+}
+
+impl Kept {
+    fn stand(&self) -> Stand {
+        let plant = PlantState(self.plant.iter().map(|b| f64::from_bits(*b)).collect());
+        Stand { plant, at: self.at.clone(), driven: self.driven.clone(), used_s: self.used_s }
+    }
+}
+
+/// A station whose points are kept.
+pub(super) struct Journal<'s, 'a> {
+    station: &'s mut Station<'a>,
+    path: PathBuf,
+    head: String,
+    /// Points of an earlier run.
+    kept: Vec<Kept>,
+    /// Points of this run so far.
+    count: usize,
+    /// Where new points go; none before the first of them, and where the file cannot be written.
+    file: Option<File>,
+    /// Whether the bed itself measures now.
+    live: bool,
+    watch: Watch<'s>,
+}
+
+impl<'s, 'a> Journal<'s, 'a> {
+    /// In `folder`; `inputs` are all that the points depend on.
+    ///
+    /// # Errors
+    /// [`FilesError::Malformed`] where `inputs` cannot be written.
+    pub(super) fn open<I: Serialize>(
+        station: &'s mut Station<'a>,
+        folder: &Path,
+        inputs: &I,
+        watch: Watch<'s>,
+    ) -> Result<Self, FilesError> {
+        let inputs = digest_of(&(env!("CARGO_PKG_VERSION"), inputs))?;
+        let head = Head { schema: "dynocal/day".into(), schema_version: 1, inputs };
+        let path = folder.join(FILE);
+        let kept = earlier(&path, &head);
+        let head = line(&head).unwrap_or_default();
+        Ok(Self { station, path, head, kept, count: 0, file: None, live: false, watch })
+    }
+
+    /// From here on the bed measures: what the earlier run had beyond is not of this day.
+    fn begin(&mut self) {
+        self.live = true;
+        self.kept.truncate(self.count);
+        if self.count > 0 {
+            self.watch.note(&format!("{} points are those of the earlier run", self.count));
+        }
+        let lines: Vec<String> = self.kept.iter().filter_map(line).collect();
+        let text = format!("{}{}", self.head, lines.concat());
+        let opened = atomic::write(&self.path, text.as_bytes()).map_err(|e| e.to_string());
+        let opened =
+            opened.and_then(|()| OpenOptions::new().append(true).open(&self.path).map_err(|e| e.to_string()));
+        match opened {
+            Ok(file) => self.file = Some(file),
+            Err(e) => self.unkept(&e),
+        }
+    }
+
+    fn unkept(&mut self, why: &str) {
+        self.file = None;
+        self.watch
+            .note(&format!("{}: {why}. A run that is interrupted begins the day anew", self.path.display()));
+    }
+
+    fn keep(&mut self, purpose: Purpose, target: &[f64], point: &SteadyPoint) {
+        let Some(file) = &mut self.file else { return };
+        let Stand { plant, at, driven, used_s } = self.station.stand();
+        if plant.0.len() > LARGEST {
+            self.unkept(&format!("the plant has a state of {} numbers, too large to be kept", plant.0.len()));
+            return;
+        }
+        let plant = plant.0.iter().map(|v| v.to_bits()).collect();
+        let kept = Kept { purpose, target: target.to_vec(), point: point.clone(), plant, at, driven, used_s };
+        let written = line(&kept).map(|l| file.write_all(l.as_bytes()).and_then(|()| file.flush()));
+        match written {
+            Some(Ok(())) => {}
+            Some(Err(e)) => self.unkept(&e.to_string()),
+            None => self.unkept("a point cannot be written as JSON"),
+        }
+    }
+}
+
+fn line<T: Serialize>(value: &T) -> Option<String> {
+    serde_json::to_string(value).ok().map(|l| l + "\n")
+}
+
+/// Points of an earlier run with the same inputs, up to the first line that was not written to its end.
+fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
+    let Ok(text) = std::fs::read_to_string(path) else { return Vec::new() };
+    let mut lines = text.lines();
+    let same = lines.next().and_then(|l| serde_json::from_str::<Head>(l).ok()).is_some_and(|h| {
+        h.schema == head.schema && h.schema_version == head.schema_version && h.inputs == head.inputs
+    });
+    if !same {
+        return Vec::new();
+    }
+    lines.map_while(|l| serde_json::from_str(l).ok()).collect()
+}
+
+impl Measures for Journal<'_, '_> {
+    fn measure(&mut self, purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError> {
+        if !self.live {
+            let known = self.kept.get(self.count).filter(|k| k.purpose == purpose && k.target == target);
+            if let Some(k) = known
+                && self.station.go_on(&k.stand()).is_ok()
+            {
+                self.count += 1;
+                return Ok(k.point.clone());
+            }
+            self.begin();
+        }
+        let point = self.station.measure(target)?;
+        self.keep(purpose, target, &point);
+        Ok(point)
+    }
+    fn bed_s(&self) -> f64 {
+        self.station.used_s
+    }
+}
+
+impl Bench for Journal<'_, '_> {
+    fn run(
+        &mut self,
+        tasks: Vec<Task>,
+        bed_s: f64,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<DayEnd, MapError> {
+        day::run(self, tasks, bed_s, points, watch).map_err(stopped(watch))
+    }
+    fn stands_at(&self) -> &[f64] {
+        self.station.at()
+    }
+    fn used_s(&self) -> f64 {
+        self.station.used_s
+    }
+    fn widen_limits(&mut self, share: f64) {
+        self.station.widen(share);
+    }
+}
