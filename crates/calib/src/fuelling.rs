@@ -28,6 +28,7 @@ mod coolant;
 mod filling;
 mod film;
 mod identify;
+mod learning;
 mod policy;
 mod trim;
 
@@ -36,6 +37,7 @@ pub use coolant::{Air, CoolantLaw};
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
 pub use identify::{FuellingError, TransientRecord, identify, steady_charge};
+pub use learning::Learning;
 pub use policy::{FuelPolicy, Sensed};
 pub use trim::Trim;
 

@@ -40,6 +40,23 @@ pub(super) trait Controller {
     fn step(&mut self, torque_nm: f64, y: &Measured) -> Command;
 }
 
+/// Least and most.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Between(pub(super) f64, pub(super) f64);
+
+impl Between {
+    fn drawn(self, rng: &mut Rng64) -> f64 {
+        rng.uniform_in(self.0, self.1)
+    }
+}
+
+/// What random points are drawn from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Range {
+    pub(super) torque_nm: Between,
+    pub(super) speed_rpm: Between,
+}
+
 /// Demands over time, and the samples at which they change (one past the last is the end).
 #[derive(Clone, Debug)]
 pub(super) struct Course {
@@ -49,24 +66,24 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// 30, 70, 30, .. Nm at 2000 rpm: the steps of the table of rivals.
-    pub(super) fn steps(count: usize) -> Self {
+    /// Low, high, low, .. torque at a speed, 10 s and then 6 s each: the steps of the table of rivals.
+    pub(super) fn steps(count: usize, [low_nm, high_nm]: [f64; 2], speed_rpm: f64) -> Self {
         let (first, hold) = (samples(10.0), samples(6.0));
-        let mut torque_nm = vec![30.0; first];
+        let mut torque_nm = vec![low_nm; first];
         let mut switches = Vec::new();
         for k in 0..count {
             switches.push(torque_nm.len());
-            torque_nm.extend(vec![if k % 2 == 0 { 70.0 } else { 30.0 }; hold]);
+            torque_nm.extend(vec![if k % 2 == 0 { high_nm } else { low_nm }; hold]);
         }
         switches.push(torque_nm.len());
-        Self { speed_rpm: vec![2000.0; torque_nm.len()], torque_nm, switches }
+        Self { speed_rpm: vec![speed_rpm; torque_nm.len()], torque_nm, switches }
     }
 
     /// Points drawn from ranges and held; the speed goes to the next one at 1000 rpm/s. The first one is no step.
-    pub(super) fn random(count: usize, hold_s: f64, rng: &mut Rng64) -> Self {
+    pub(super) fn random(count: usize, hold_s: f64, range: &Range, rng: &mut Rng64) -> Self {
         let mut out = Self { torque_nm: Vec::new(), speed_rpm: Vec::new(), switches: Vec::new() };
         for k in 0..=count {
-            let (torque, speed) = (rng.uniform_in(20.0, 80.0), rng.uniform_in(1100.0, 2900.0));
+            let (torque, speed) = (range.torque_nm.drawn(rng), range.speed_rpm.drawn(rng));
             if k > 0 {
                 out.switches.push(out.torque_nm.len());
             }

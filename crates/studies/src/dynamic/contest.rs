@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::bed::{Controller, Course, MOST_MG, SAMPLE_S, Trace, play};
+use super::learned;
 use super::measures::{Measures, integral_s};
 use super::rivals::{Coat, Ecu, Feedback, Load, Mapped, Ours};
 
@@ -20,6 +21,13 @@ pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Names of ours: the one that is judged, and the same without what the sensor shows.
 pub(super) const OURS: &str = "identified air and film, lambda trim";
 pub(super) const UNTRIMMED: &str = "identified air and film";
+/// Names of what is possible: fuel learned on the judged record itself, without and with preview of the demand.
+pub(super) const POSSIBLE: &str = "possible: learned on the record itself";
+pub(super) const PREVIEW: &str = "possible with preview of the demand";
+/// Name of the rival of the sixth scenario.
+pub(super) const LAGGED: &str = "static map, lag";
+/// The map that all start from.
+pub(super) const STATIC: &str = "static map";
 /// How names of rivals with lambda feedback end.
 pub(super) const FEEDBACK: &str = ", lambda feedback";
 
@@ -68,8 +76,8 @@ impl From<String> for Ended {
 }
 
 /// What was identified, and what the ECU knows.
-struct Known {
-    fuelling: Fuelling,
+pub(super) struct Known {
+    pub(super) fuelling: Fuelling,
     at_rest: Load,
     ours: Load,
 }
@@ -110,17 +118,21 @@ impl Contest<'_> {
             .par_iter()
             .map(|(name, rival)| if interrupted() { Ok(Vec::new()) } else { self.rows(&known, name, rival) })
             .collect::<Result<_, String>>()?;
-        if interrupted() {
-            return Err(Ended::Interrupted);
+        let mut rows: Vec<Row> = rows.into_iter().flatten().collect();
+        for (name, preview) in [(POSSIBLE, false), (PREVIEW, true)] {
+            if interrupted() {
+                return Err(Ended::Interrupted);
+            }
+            rows.push(learned::row(self, &known, name, preview)?);
         }
-        Ok((known.fuelling, rows.into_iter().flatten().collect()))
+        Ok((known.fuelling, rows))
     }
 
     fn rivals(&self, known: &Known) -> Vec<(String, Rival)> {
         let found = Coat { film: known.fuelling.film, law: known.fuelling.coolant };
         let mut out = vec![
-            ("static map".to_string(), Rival::Map { searched: false }),
-            ("static map, lag".into(), Rival::Map { searched: true }),
+            (STATIC.to_string(), Rival::Map { searched: false }),
+            (LAGGED.into(), Rival::Map { searched: true }),
             (UNTRIMMED.into(), Rival::Ours { trimmed: false }),
             (OURS.into(), Rival::Ours { trimmed: true }),
         ];
@@ -140,7 +152,7 @@ impl Contest<'_> {
         out
     }
 
-    fn base(&self, lag_s: f64) -> Result<Mapped<'_>, String> {
+    pub(super) fn base(&self, lag_s: f64) -> Result<Mapped<'_>, String> {
         Mapped::new(self.map, lag_s).ok_or_else(|| "the map lacks an actuator".into())
     }
 
@@ -217,8 +229,7 @@ impl Contest<'_> {
     ) -> Result<Row, String> {
         let measured = |d: &Drive| {
             let mut controller = self.controller(known, rival, c)?;
-            // Not the disturbances of the record.
-            let seed = self.seed + 1000;
+            let seed = self.judged_seed();
             let trace = play(&d.bed, seed, &d.course, controller.as_mut()).map_err(|e| e.to_string())?;
             Ok::<_, String>(Measures::of(&trace, &d.course))
         };
@@ -227,6 +238,11 @@ impl Contest<'_> {
         let setting = if searched == 0 { "-".into() } else { format!("{} s{closed}", c.first_s) };
         let search_s = searched as f64 * self.record_s();
         Ok(Row { name: name.into(), setting, search_s, courses })
+    }
+
+    /// Not the disturbances of the record.
+    pub(super) fn judged_seed(&self) -> u64 {
+        self.seed + 1000
     }
 
     /// Bed time of the records in s.

@@ -1,21 +1,46 @@
 //! The checks.
 
-use super::contest::{FEEDBACK, OURS, Row, UNTRIMMED};
+use super::contest::{FEEDBACK, LAGGED, OURS, POSSIBLE, PREVIEW, STATIC, UNTRIMMED};
 use super::measures::Measures;
-use super::{Case, ENGINE, STARTS_C, cases};
+use super::scenario::{SCENARIOS, Scenario};
+use super::{Case, cases};
 use crate::asked::Asked;
 use crate::{Check, TaskResult, check};
 
 type Of = fn(&Measures) -> f64;
 
-/// Ours over the best rival, whichever that is for this measure, with or without those that have lambda feedback. Ours without
-/// trim is no rival.
-fn ratio(case: &Case, course: usize, of: Of, feedback: bool) -> Option<f64> {
-    let value = |r: &Row| r.courses.get(course).map(of);
-    let ours = case.rows.iter().find(|r| r.name == OURS).and_then(value)?;
-    let rivals = case.rows.iter().filter(|r| r.name != OURS && r.name != UNTRIMMED);
-    let rivals = rivals.filter(|r| feedback || !r.name.ends_with(FEEDBACK));
-    Some(ours / rivals.filter_map(value).reduce(f64::min)?)
+/// What ours is held against.
+#[derive(Clone, Copy)]
+enum Against {
+    /// The best rival, whichever that is for the measure.
+    Best,
+    /// The best of those without lambda feedback.
+    Open,
+    /// That one.
+    One(&'static str),
+}
+
+impl Against {
+    fn holds(self, name: &str) -> bool {
+        match self {
+            Self::One(one) => name == one,
+            _ if [OURS, UNTRIMMED, POSSIBLE, PREVIEW].contains(&name) => false,
+            Self::Best => true,
+            Self::Open => !name.ends_with(FEEDBACK),
+        }
+    }
+}
+
+/// What a row of a case has in a course.
+fn value(case: &Case, name: &str, course: usize, of: Of) -> Option<f64> {
+    case.rows.iter().find(|r| r.name == name)?.courses.get(course).map(of)
+}
+
+/// A row over the best of what it is held against.
+fn ratio(case: &Case, name: &str, course: usize, of: Of, against: Against) -> Option<f64> {
+    let rivals = case.rows.iter().filter(|r| against.holds(&r.name));
+    let best = rivals.filter_map(|r| r.courses.get(course).map(of)).reduce(f64::min)?;
+    Some(value(case, name, course, of)? / best)
 }
 
 /// Mean of the seeds with its standard error in words; the worst of engines.
@@ -36,31 +61,124 @@ fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: boo
     check(id, what, asked, measured, "-", note)
 }
 
-/// A ratio that is asked: scenario, course, id, words, most.
-type Ratio = (usize, usize, String, String, Asked, Of);
+/// A number of each case that is asked.
+struct Number {
+    scenario: usize,
+    id: String,
+    what: String,
+    asked: Asked,
+    of: Box<dyn Fn(&Case) -> Option<f64>>,
+}
 
 fn at_most(most: f64) -> Asked {
     Asked::AtMost((most * 1e4_f64).round() / 1e4)
 }
 
-fn ratios() -> Vec<Ratio> {
-    let integral: Of = |m| m.integral_s;
-    let t90: Of = |m| m.t90_s;
+/// A measure over that of the best rival.
+fn over(scenario: usize, course: usize, id: String, what: String, asked: Asked, of: Of) -> Number {
+    let of = move |c: &Case| ratio(c, OURS, course, of, Against::Best);
+    Number { scenario, id, what: format!("{what}, over the best rival's"), asked, of: Box::new(of) }
+}
+
+fn port_numbers() -> Vec<Number> {
+    let (integral, t90): (Of, Of) = (|m| m.integral_s, |m| m.t90_s);
+    let third = at_most(1.0 / 3.0);
     let mut out = Vec::new();
-    for (course, id, words) in [(0, "steps", "steps of 30 and 70 Nm"), (1, "random", "random points")] {
-        let what = format!("{words}: integral of |lambda - 1|");
-        out.push((1, course, format!("1-{id}-integral"), what, at_most(1.0 / 3.0), integral));
-        let what = format!("{words}: largest spike of lambda");
-        out.push((1, course, format!("1-{id}-spike"), what, at_most(0.5), Measures::spike as Of));
+    for scenario in SCENARIOS.iter().filter(|s| s.number < 6) {
+        let number = scenario.number;
+        for (course, (id, words)) in scenario.courses().into_iter().enumerate() {
+            let what = format!("{words}: integral of |lambda - 1|");
+            out.push(over(number, course, format!("{number}-{id}-integral"), what.clone(), third, integral));
+            for (row, suffix, told) in
+                [(POSSIBLE, "possible", "of what is possible"), (PREVIEW, "preview", "of that with preview")]
+            {
+                out.push(Number {
+                    scenario: number,
+                    id: format!("{number}-{id}-integral-{suffix}"),
+                    what: format!("{what} {told}, over the best rival's"),
+                    asked: Asked::Reported,
+                    of: Box::new(move |c| ratio(c, row, course, integral, Against::Best)),
+                });
+            }
+            let torque = format!("{words}: time until 90 % of the torque");
+            if number == 2 {
+                out.push(over(2, course, format!("2-{id}-t90"), torque, at_most(1.07), t90));
+                continue;
+            }
+            // The table of rivals has no feedback in this scenario, but ours has a trim.
+            out.push(Number {
+                scenario: number,
+                id: format!("{number}-{id}-integral-open"),
+                what: format!("{what}, over the best rival's, rivals with lambda feedback left out"),
+                asked: Asked::Reported,
+                of: Box::new(move |c| ratio(c, OURS, course, integral, Against::Open)),
+            });
+            let what = format!("{words}: largest spike of lambda");
+            out.push(over(
+                number,
+                course,
+                format!("{number}-{id}-spike"),
+                what,
+                at_most(0.5),
+                Measures::spike,
+            ));
+            if id == "steps" {
+                out.push(over(number, course, format!("{number}-t90"), torque, Asked::Reported, t90));
+            }
+        }
     }
-    let what = "steps of 30 and 70 Nm: time until 90 % of the torque".to_string();
-    out.push((1, 0, "1-t90".into(), what, Asked::Reported, t90));
-    for (course, start_c) in STARTS_C.iter().enumerate() {
-        let words = format!("steps, coolant at {start_c} degC at the start");
-        let what = format!("{words}: integral of |lambda - 1|");
-        out.push((2, course, format!("2-{start_c}-integral"), what, at_most(1.0 / 3.0), integral));
-        let what = format!("{words}: time until 90 % of the torque");
-        out.push((2, course, format!("2-{start_c}-t90"), what, at_most(1.07), t90));
+    out
+}
+
+/// The sixth scenario: ours beside the tuned lag, and its offsets beside those of the static map.
+fn thesis_numbers() -> Vec<Number> {
+    let measures: [(&str, &str, f64, Of); 3] = [
+        ("integral", "integral of |lambda - 1|", 0.8, |m| m.integral_s),
+        ("spike", "largest spike of lambda", 0.8, Measures::spike),
+        ("torque-rms", "torque beside the demand behind a lag, RMS", 1.0, |m| m.torque_rms_nm),
+    ];
+    let offsets: [(&str, &str, f64, Of); 2] = [
+        ("offset", "offset of lambda", 0.002, |m| m.offset),
+        ("torque-offset", "offset of the torque in Nm", 0.1, |m| m.torque_offset_nm),
+    ];
+    let Some(scenario) = Scenario::of(6) else {
+        return Vec::new();
+    };
+    let mut out = Vec::new();
+    for (course, (id, words)) in scenario.courses().into_iter().enumerate() {
+        for (name, what, most, of) in measures {
+            out.push(Number {
+                scenario: 6,
+                id: format!("6-{id}-{name}"),
+                what: format!("{words}: {what}, over that of the static map with a tuned lag"),
+                asked: at_most(most),
+                of: Box::new(move |c| ratio(c, OURS, course, of, Against::One(LAGGED))),
+            });
+        }
+        for (name, what, most, of) in offsets {
+            out.push(Number {
+                scenario: 6,
+                id: format!("6-{id}-{name}"),
+                what: format!("{words}: {what} beyond that of the static map"),
+                asked: at_most(most),
+                of: Box::new(move |c| Some(value(c, OURS, course, of)? - value(c, STATIC, course, of)?)),
+            });
+        }
+        let integral: Of = |m| m.integral_s;
+        for (row, suffix, against, told) in [
+            (OURS, "best", Against::Best, "integral of |lambda - 1|"),
+            (POSSIBLE, "possible", Against::One(LAGGED), "integral of |lambda - 1| of what is possible"),
+        ] {
+            let beside =
+                if suffix == "best" { "the best rival's" } else { "that of the static map with a tuned lag" };
+            out.push(Number {
+                scenario: 6,
+                id: format!("6-{id}-integral-{suffix}"),
+                what: format!("{words}: {told}, over {beside}"),
+                asked: Asked::Reported,
+                of: Box::new(move |c| ratio(c, row, course, integral, against)),
+            });
+        }
     }
     out
 }
@@ -68,27 +186,21 @@ fn ratios() -> Vec<Ratio> {
 pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let all = cases(results);
     let mut checks = Vec::new();
-    for (own, suffix, words) in [
-        (true, "", "over the best rival's, mean of seeds"),
-        (false, "-others", "over the best rival's, worst of engines like it"),
-    ] {
-        for (scenario, course, id, what, asked, of) in ratios() {
-            let of_it = all.iter().filter(|c| c.scenario == scenario && (c.engine == ENGINE) == own);
-            let of_it: Vec<&Case> = of_it.collect();
-            if !own && of_it.is_empty() {
+    let numbers: Vec<Number> = port_numbers().into_iter().chain(thesis_numbers()).collect();
+    for (own, suffix, words) in [(true, "", "mean of seeds"), (false, "-others", "worst of engines like it")]
+    {
+        for n in &numbers {
+            let engine = Scenario::of(n.scenario).map_or("", |s| s.engine);
+            let of_it = all.iter().filter(|c| c.scenario == n.scenario && (c.engine == engine) == own);
+            let found: Vec<Option<f64>> = of_it.map(|c| (n.of)(c)).collect();
+            if !own && found.is_empty() {
                 continue;
             }
-            let ratios = |feedback| of_it.iter().map(|c| ratio(c, course, of, feedback)).collect::<Vec<_>>();
-            let (id, what) = (format!("{id}{suffix}"), format!("{what}, {words}"));
-            checks.push(judged(&id, &what, asked, &ratios(true), !own));
-            // The table of rivals has no feedback in this scenario, but ours has a trim.
-            if scenario == 1 && id.contains("-integral") {
-                let what = format!("{what}, rivals with lambda feedback left out");
-                checks.push(judged(&format!("{id}-open"), &what, Asked::Reported, &ratios(false), !own));
-            }
+            let (id, what) = (format!("{}{suffix}", n.id), format!("{}, {words}", n.what));
+            checks.push(judged(&id, &what, n.asked, &found, !own));
         }
     }
-    for scenario in [1, 2] {
+    for scenario in SCENARIOS.iter().map(|s| s.number) {
         let of_it = || all.iter().filter(|c| c.scenario == scenario);
         let bed = of_it().map(|c| Some(c.record_s)).collect::<Vec<_>>();
         let map = of_it().map(|c| c.map_s).fold(0.0, f64::max);

@@ -2,6 +2,7 @@
 
 use super::contest::{OURS, Row};
 use super::measures::Measures;
+use super::scenario::SCENARIOS;
 use super::{Case, cases};
 use crate::TaskResult;
 use dynocal_report::{Block, Cell, Column, Details, Report, Section, Table};
@@ -9,16 +10,17 @@ use dynocal_report::{Block, Cell, Column, Details, Report, Section, Table};
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let all = cases(results);
     let mut report = report;
-    for (scenario, title) in [
-        (1, "Warm: steps and random points"),
-        (2, "Steps with the coolant at 20, 50 and 90 degC at the start"),
-    ] {
-        let of_it: Vec<&Case> = all.iter().filter(|c| c.scenario == scenario).collect();
+    for scenario in &SCENARIOS {
+        let title = scenario.title;
+        let of_it: Vec<&Case> = all.iter().filter(|c| c.scenario == scenario.number).collect();
         if of_it.is_empty() {
             continue;
         }
         let words = "Means over the cases, each controller as its line searches tuned it on the records of the case. Integral: of \
-            |lambda - 1| per step of 6 s; spike: the largest |lambda - 1|; offset: the largest mean error over the last 1.5 s of a step.";
+            |lambda - 1| per step of 6 s; spike: the largest |lambda - 1|; offset: the largest mean error over the last 1.5 s of a step. What is possible \
+            is no controller: its fuel was learned by 14 trials on the judged course itself, by the true mixture, without preparing for \
+            a demand that has not come, and with it. From that with preview to that without is the price of causality, from there to \
+            ours that of not knowing.";
         let mut section = Section::new(title).text(words).block(table(&mean_rows(&of_it), &of_it));
         for case in &of_it {
             let summary = format!("{}, seed {}", case.engine, case.seed);

@@ -1,0 +1,66 @@
+//! What is possible: fuel learned by trials on the judged record itself, by the true mixture.
+//!
+//! No controller: it is told what no sensor says, and it repeats the record that is judged. It says which ratios can be had.
+
+use dynocal_calib::fuelling::{FuelPolicy, Learning};
+
+use super::bed::{Course, MOST_MG, SAMPLE_S, Trace, play};
+use super::contest::{Contest, Drive, Known, Row};
+use super::measures::Measures;
+use super::rivals::{Ours, Played};
+
+/// Trials, and what the learning of the table of rivals does in each: gain, and samples on either side of a mean over 50 ms.
+const TRIALS: u64 = 14;
+const GAIN: f64 = 0.6;
+const HALF: usize = 2;
+/// Cycles from the command of an injection until its gas is in the exhaust manifold that are tried; the best one counts, by the
+/// judged record: what is sought is the best that there is.
+const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
+
+/// Learned fuel in all courses.
+pub(super) fn row(of: &Contest<'_>, known: &Known, name: &str, preview: bool) -> Result<Row, String> {
+    use rayon::prelude::*;
+    let tries: Vec<(usize, f64)> =
+        (0..of.judged.len()).flat_map(|k| LATE_CYCLES.map(|cycles| (k, cycles))).collect();
+    let found: Vec<(usize, Measures)> = tries
+        .par_iter()
+        .map(|(k, cycles)| Ok((*k, learned(of, known, &of.judged[*k], preview, *cycles)?)))
+        .collect::<Result<_, String>>()?;
+    let best = |k: usize| {
+        let of_it = found.iter().filter(|f| f.0 == k).map(|f| f.1);
+        of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s)).unwrap_or_default()
+    };
+    let courses = (0..of.judged.len()).map(best).collect();
+    Ok(Row { name: name.into(), setting: format!("{TRIALS} trials"), search_s: 0.0, courses })
+}
+
+/// Begins with our fuel, and repeats the course with other disturbances each time; judged with those of all.
+fn learned(
+    of: &Contest<'_>,
+    known: &Known,
+    d: &Drive,
+    preview: bool,
+    cycles: f64,
+) -> Result<Measures, String> {
+    let learning = Learning { gain: GAIN, half: HALF, preview };
+    let changes: Vec<usize> = std::iter::once(0).chain(d.course.switches.iter().copied()).collect();
+    let late = |course: &Course, t: usize| (cycles * 120.0 / course.speed_rpm[t] / SAMPLE_S).round() as usize;
+    let mut ours = Ours {
+        base: of.base(0.0)?,
+        policy: FuelPolicy::new(known.fuelling.clone(), MOST_MG),
+        trimmed: false,
+    };
+    let seed = of.judged_seed();
+    let mut trace: Trace = play(&d.bed, seed, &d.course, &mut ours).map_err(|e| e.to_string())?;
+    let mut fuel = trace.injection_mg.clone();
+    for trial in 1..=TRIALS {
+        let error: Vec<f64> = trace.true_lambda.iter().map(|l| l - 1.0).collect();
+        learning.correct(&mut fuel, &error, |t| late(&d.course, t), &changes);
+        fuel.iter_mut().for_each(|q| *q = q.clamp(0.0, MOST_MG));
+        // The last one is judged, so it has the disturbances of all controllers.
+        let seed = if trial < TRIALS { seed + 1000 * trial } else { seed };
+        let mut played = Played { base: of.base(0.0)?, injection_mg: &fuel, at: 0 };
+        trace = play(&d.bed, seed, &d.course, &mut played).map_err(|e| e.to_string())?;
+    }
+    Ok(Measures::of(&trace, &d.course))
+}
