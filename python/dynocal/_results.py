@@ -217,8 +217,9 @@ class Maps(Mapping[str, Map]):
 def maps(source: str | os.PathLike[str]) -> Maps:
     """Scalars, curves and maps of a run of ``calibrate``, ``map`` or ``label``, or of a file (``.dcm``, ``.cdfx``, ``.json``, ``.csv``)."""
     where = Path(arguments.path("source", source))
-    if (where / "labels.dcm").is_file():
-        where = where / "labels.dcm"
+    if where.is_dir() and (written := sorted(where.glob("*.dcm"))):
+        # A run of `label` has written its own.
+        where = written[0]
     found: dict[str, Map] = {}
     with tempfile.TemporaryDirectory() as folder:
         files, _ = _dynocal.export(str(where), ["json"], folder, True, False, None)
