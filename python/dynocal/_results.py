@@ -198,7 +198,8 @@ class Maps(Mapping[str, Map]):
 
     def __getitem__(self, name: str) -> Map:
         if name not in self._found:
-            raise ArgumentError(f"map: found `{name}`, expected one of {', '.join(self._found) or 'none'}")
+            none = "none here (a dynamic map is a program: to_fmu, or dynocal.export)"
+            raise ArgumentError(f"map: found `{name}`, expected one of {', '.join(self._found) or none}")
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -269,4 +269,4 @@ fn a_study_of_the_table_in_parts_is_the_study() {
 }
 
 /// The study whose reduced length takes least.
-const QUICKEST: &str = "control";
+const QUICKEST: &str = "limits";
