@@ -103,6 +103,10 @@ def _asked(
         if spec.endswith(".toml"):
             spec = str(Path(spec).absolute())
         else:
+            known = json.loads(_dynocal.members())["studies"]["members"]
+            names = [m["name"] for m in known]
+            if spec not in names:
+                raise ArgumentError(f"what: found `{spec}`, expected a file ending in .toml, or one of {', '.join(names)}")
             name = f"study-{spec}-quick" if quick else f"study-{spec}"
     place = Path("runs") / name if out is None else Path(arguments.path("out", out))
     listed = None if seeds is None else [arguments.count(f"seeds[{k}]", s, 0, 2**63 - 1) for k, s in enumerate(seeds)]

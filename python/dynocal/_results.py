@@ -198,7 +198,8 @@ class Maps(Mapping[str, Map]):
 
     def __getitem__(self, name: str) -> Map:
         if name not in self._found:
-            raise ArgumentError(f"map: found `{name}`, expected one of {', '.join(self._found) or 'none'}")
+            none = "none here (a dynamic map is a program: to_fmu, or dynocal.export)"
+            raise ArgumentError(f"map: found `{name}`, expected one of {', '.join(self._found) or none}")
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -217,8 +218,9 @@ class Maps(Mapping[str, Map]):
 def maps(source: str | os.PathLike[str]) -> Maps:
     """Scalars, curves and maps of a run of ``calibrate``, ``map`` or ``label``, or of a file (``.dcm``, ``.cdfx``, ``.json``, ``.csv``)."""
     where = Path(arguments.path("source", source))
-    if (where / "labels.dcm").is_file():
-        where = where / "labels.dcm"
+    if where.is_dir() and (written := sorted(where.glob("*.dcm"))):
+        # A run of `label` has written its own.
+        where = written[0]
     found: dict[str, Map] = {}
     with tempfile.TemporaryDirectory() as folder:
         files, _ = _dynocal.export(str(where), ["json"], folder, True, False, None)

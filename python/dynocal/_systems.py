@@ -124,13 +124,15 @@ def from_system(system: Any, *, ts_s: float | None, input: str | Iterable[str] |
         raise ArgumentError(f"input: found {len(names)} names, expected {len(pairs)}: one for each input of the system")
     output = arguments.text("output", output)
     known = arguments.mapping("units", units)
-    orders, theta = [], []
+    # All numerators come before all denominators.
+    orders, zeros, poles = [], [], []
     for name, (num, den) in zip(names, pairs, strict=True):
         num, den = _monic(name, num, den)
         delay = int(np.flatnonzero(num)[0]) if num.any() else 0
         num = num[delay:]
         orders.append({"nb": len(num), "nf": len(den) - 1, "nk": delay})
-        theta += [(f"b{k}({name})", v) for k, v in enumerate(num)] + [(f"f{k + 1}({name})", v) for k, v in enumerate(den[1:])]
+        zeros += [(f"b{k}({name})", v) for k, v in enumerate(num)]
+        poles += [(f"f{k + 1}({name})", v) for k, v in enumerate(den[1:])]
     stored = {
         "schema": "dynocal/model",
         "schema_version": 3,
@@ -138,8 +140,8 @@ def from_system(system: Any, *, ts_s: float | None, input: str | Iterable[str] |
         "inputs": [{"name": n, "unit": known.get(n, "-")} for n in names],
         "output": {"name": output, "unit": known.get(output, "-")},
         "sample_time_s": step,
-        "parameters": [{"name": n, "value": float(v), "std_error": None} for n, v in theta],
-        "correlation": [],
+        "parameters": [{"name": n, "value": float(v), "std_error": None} for n, v in zeros + poles],
+        "correlation": None,
         "estimator": "given",
         "noise_variance": None,
         "boundary": None,

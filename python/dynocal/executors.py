@@ -158,7 +158,7 @@ class Dask:
         }
         done, total = far
         try:
-            for future in as_completed(list(futures)):
+            for future in as_completed(list(futures), loop=client.loop):
                 first, last = futures[future]
                 if future.status == "error":
                     raise RunError(f"tasks {first} to {last}: {future.exception()}")

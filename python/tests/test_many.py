@@ -166,11 +166,12 @@ class Cluster:
             subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_worker", *how, "--local-directory", str(folder)], **quiet)
             for _ in range(workers)
         ]
+        self.clients: list[subprocess.Popen[bytes]] = []
         self.address = json.loads(self.file.read_text())["address"]
 
     def end(self) -> None:
         # Workers before the scheduler: one that has lost it waits for it.
-        for p in [*self.workers, self.scheduler]:
+        for p in [*self.clients, *self.workers, self.scheduler]:
             if p.poll() is None:
                 p.terminate()
             try:
@@ -185,7 +186,7 @@ def cluster(tmp_path: Path):
     made = Cluster(tmp_path, 2)
     yield made
     made.end()
-    assert all(p.poll() is not None for p in [*made.workers, made.scheduler])
+    assert all(p.poll() is not None for p in [*made.clients, *made.workers, made.scheduler])
 
 
 CLIENT = """
@@ -197,7 +198,10 @@ dynocal.study(json.loads(sys.argv[1]), out=sys.argv[2], chunk_tasks=1, executor=
 
 
 def client(out: Path, cluster: Cluster) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-c", CLIENT, json.dumps(SPEC), str(out), cluster.address], stderr=subprocess.PIPE)
+    """One that asks for the study; it ends with the cluster at the latest."""
+    command = [sys.executable, "-c", CLIENT, json.dumps(SPEC), str(out), cluster.address]
+    cluster.clients.append(subprocess.Popen(command, stderr=subprocess.PIPE))
+    return cluster.clients[-1]
 
 
 def test_dask_with_a_worker_killed(alone: Path, tmp_path: Path, cluster: Cluster) -> None:

@@ -98,7 +98,7 @@ def test_maps_keep_their_axes_through_files(tmp_path) -> None:
         dynocal.maps(tmp_path / "m.json")["FUEL"]
     with pytest.raises(errors.ArgumentError, match="format"):
         spark.write(tmp_path / "x", "xls")
-    plotted = pytest.importorskip("matplotlib").figure.Figure().add_subplot()
+    plotted = pytest.importorskip("matplotlib.figure").Figure().add_subplot()
     assert spark.plot(plotted) is plotted
 
 

@@ -205,7 +205,7 @@ fn base(t: &Typed, path: &Path, faults: &mut Faults) -> Option<(String, Table)> 
         }
         Value::Table(table) => Some((format!("{} [spec]", path.display()), table)),
         other => {
-            faults.push("spec", format!("a {}", other.type_str()), expected);
+            faults.push("spec", &other, expected);
             None
         }
     }

@@ -18,7 +18,7 @@ const MOST_LIST: usize = 32;
 /// A number of every task; NaN where a task has none.
 #[derive(Clone, Debug)]
 pub(super) struct Column {
-    /// Its place in a line, e.g. `result.models[0].rmse`. The unit is where the key says it.
+    /// Its place in a line, e.g. `result.models.0.rmse`. The unit is where the key says it.
     pub(super) name: String,
     pub(super) values: Vec<f64>,
 }
@@ -112,7 +112,7 @@ fn numbers(name: &str, value: &Value, out: &mut Vec<(String, f64)>) {
         Value::Bool(b) => out.push((name.to_string(), f64::from(*b))),
         Value::Object(o) => o.iter().for_each(|(k, v)| numbers(&format!("{name}.{k}"), v, out)),
         Value::Array(a) if a.len() <= MOST_LIST => {
-            a.iter().enumerate().for_each(|(k, v)| numbers(&format!("{name}[{k}]"), v, out));
+            a.iter().enumerate().for_each(|(k, v)| numbers(&format!("{name}.{k}"), v, out));
         }
         _ => {}
     }
@@ -133,7 +133,7 @@ mod tests {
         ];
         lines.iter().for_each(|l| columns.push(l.as_object().unwrap()));
         let names: Vec<&str> = columns.columns.iter().map(|c| c.name.as_str()).collect();
-        assert_eq!(names, ["task", "valid", "result.r[0]", "result.r[1]", "result.more"]);
+        assert_eq!(names, ["task", "valid", "result.r.0", "result.r.1", "result.more"]);
         assert!(columns.columns.iter().all(|c| c.values.len() == 3));
         assert!(
             columns.columns[2].values[1].is_nan()

@@ -227,7 +227,10 @@ impl<'a> Worker<'a> {
 
 /// Name, log and folder of a worker. Workers of one process share a log, to which they add whole lines; the folder is this one's alone.
 fn own(out: &Path) -> Result<(String, fs::File, PathBuf), StudyError> {
-    let fail = |path: &Path, e: std::io::Error| FilesError::Write { path: path.display().to_string(), reason: e.to_string() };
+    let fail = |path: &Path, e: std::io::Error| FilesError::Write {
+        path: path.display().to_string(),
+        reason: e.to_string(),
+    };
     let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String = host.trim().chars().filter(|c| c.is_ascii_alphanumeric()).take(40).collect();
     let host = if host.is_empty() { "host".into() } else { host };
