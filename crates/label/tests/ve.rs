@@ -9,6 +9,7 @@ use dynocal_files::table::Cells;
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Verdict;
 use dynocal_label::ve::judge::Decision;
+use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Found, Keys, Log, run};
 use dynocal_numerics::rng::Rng64;
 
@@ -190,4 +191,26 @@ fn a_true_table_stays() {
         say("true", &found);
         assert_eq!(found.judgement.decision, Decision::Keep, "seed {seed}: {:?}", found.judgement.evidence);
     }
+}
+
+/// Over seeds that nothing was set by: truth within the stated interval, of the cells that are called determined.
+#[test]
+fn intervals_of_planted_tables_hold_the_truth() {
+    let (mut inside, mut all) = (0usize, 0usize);
+    for seed in 200..240 {
+        let (label, truth, log) = planted(seed, 0.15);
+        // The sensor is the planted one: what is judged are the intervals of the table.
+        let sensor = Sensor { delay_s: 0.2, flow_delay_s: 0.15, lag_s: 0.25 };
+        let keys = Keys { sensor: Some(sensor), ..Keys::default() };
+        let found = run(&label, &[log], &keys, &|_| ()).unwrap();
+        let t = &found.table;
+        let told = (0..truth.len()).filter(|k| t.verdicts[*k] == Verdict::Determined);
+        for k in told {
+            all += 1;
+            inside += usize::from((t.exact[k] - truth[k]).abs() <= t.half_width[k]);
+        }
+    }
+    let share = inside as f64 / all as f64;
+    println!("{inside} of {all} determined cells within their interval, {:.1} %", 100.0 * share);
+    assert!(all > 1000 && (0.9..=0.995).contains(&share), "{share} of {all}");
 }
