@@ -155,6 +155,13 @@ pub fn fit_from(
         return Err(LabelError::TooFew { found: start.len(), expected: cells });
     }
     let mut theta = start.to_vec();
+    // A locked cell is its base wherever the search starts.
+    let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
+    for ((t, locked), base) in theta.iter_mut().zip(locked).zip(graph.base()) {
+        if locked {
+            *t = base;
+        }
+    }
     let begun = begin::search(graph, &mut theta, targets, options, interrupt)?;
     settle::search(graph, theta, targets, options, begun, interrupt)
 }

@@ -63,8 +63,6 @@ pub struct Used {
     pub rows: Rows,
     /// Measured lambda.
     pub y: Vec<f64>,
-    /// What the function gives with the table that the ECU had.
-    pub now: Vec<f64>,
 }
 
 impl Used {
@@ -76,12 +74,7 @@ impl Used {
             let (at, weight) = self.rows.row(k);
             at.iter().zip(weight).for_each(|(j, w)| rows.push(*j, *w));
         }
-        Self {
-            at: self.at[range.clone()].to_vec(),
-            rows,
-            y: self.y[range.clone()].to_vec(),
-            now: self.now[range].to_vec(),
-        }
+        Self { at: self.at[range.clone()].to_vec(), rows, y: self.y[range].to_vec() }
     }
 
     /// Ranges without a gap of more than a few samples in one log.

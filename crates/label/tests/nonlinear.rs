@@ -146,6 +146,11 @@ fn a_second_row_of_the_criterion_settles_what_the_first_leaves_open() {
     for (a, b) in found.fit.values.iter().zip(&other.fit.values) {
         assert!((a - b).abs() < 1e-6);
     }
+    // A locked cell is its base, whatever the start.
+    let mut locked = graph.clone();
+    locked.labels[1].locked[0] = true;
+    let other = fit_from(&locked, &[2.0, 2.0, 2.0, 7.0], &targets, &options, &|| false).unwrap();
+    assert_eq!(other.fit.values[3], 1.0);
     let bad = Target { record: record(), node: Some(9), y: &curve, weights: &weights };
     let message = fit(&graph, &[bad], &options, &|| false).unwrap_err().to_string();
     assert!(message.contains("there are 4 nodes"), "{message}");

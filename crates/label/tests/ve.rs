@@ -9,6 +9,7 @@ use dynocal_files::table::Cells;
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Verdict;
 use dynocal_label::ve::judge::Decision;
+use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Found, Keys, Log, run};
 use dynocal_numerics::rng::Rng64;
 
@@ -107,6 +108,11 @@ fn later_parts_of_real_drives_are_explained_better() {
 
 /// A car whose table is true, or wrong by a smooth factor, with a sensor of known delay and lag.
 fn planted(seed: u64, wrong: f64) -> (Label, Vec<f64>, Log) {
+    planted_with(seed, wrong, false)
+}
+
+/// The same; the ECU may cut its look-ups to whole numbers, as real ones do.
+fn planted_with(seed: u64, wrong: f64, cut: bool) -> (Label, Vec<f64>, Log) {
     let mut rng = Rng64::new(seed);
     let x: Vec<f64> = (0..12).map(|k| 600.0 + 450.0 * f64::from(k)).collect();
     let y: Vec<f64> = (0..10).map(|k| 20.0 + 9.0 * f64::from(k)).collect();
@@ -134,7 +140,8 @@ fn planted(seed: u64, wrong: f64) -> (Label, Vec<f64>, Log) {
         speed.push(2500.0 + 1000.0 * a);
         load.push((55.0 + 20.0 * b).clamp(22.0, 100.0));
     }
-    let ve: Vec<f64> = (0..n).map(|k| label.value(&base, &[speed[k], load[k]])).collect();
+    let whole = |v: f64| if cut { v.floor() } else { v };
+    let ve: Vec<f64> = (0..n).map(|k| whole(label.value(&base, &[speed[k], load[k]]))).collect();
     let real: Vec<f64> = (0..n).map(|k| label.value(&truth, &[speed[k], load[k]]) / ve[k]).collect();
     // 0.2 s and 0.15 s at the reference flow, then a lag of 0.25 s, then noise that is correlated.
     let mut lambda = vec![1.0; n];
@@ -190,4 +197,37 @@ fn a_true_table_stays() {
         say("true", &found);
         assert_eq!(found.judgement.decision, Decision::Keep, "seed {seed}: {:?}", found.judgement.evidence);
     }
+}
+
+/// The log shows an engine that is 1 % lean on average, which is the half count that the ECU cuts off and no fault of the table.
+#[test]
+fn a_true_table_stays_where_the_ecu_cuts_its_look_ups() {
+    for seed in 300..305 {
+        let (label, _, log) = planted_with(seed, 0.0, true);
+        let found = run(&label, &[log], &Keys::default(), &|_| ()).unwrap();
+        say("cut", &found);
+        assert_eq!(found.judgement.decision, Decision::Keep, "seed {seed}: {:?}", found.judgement.evidence);
+    }
+}
+
+/// Over seeds that nothing was set by: truth within the stated interval, of the cells that are called determined.
+#[test]
+fn intervals_of_planted_tables_hold_the_truth() {
+    let (mut inside, mut all) = (0usize, 0usize);
+    for seed in 200..240 {
+        let (label, truth, log) = planted(seed, 0.15);
+        // The sensor is the planted one: what is judged are the intervals of the table.
+        let sensor = Sensor { delay_s: 0.2, flow_delay_s: 0.15, lag_s: 0.25 };
+        let keys = Keys { sensor: Some(sensor), ..Keys::default() };
+        let found = run(&label, &[log], &keys, &|_| ()).unwrap();
+        let t = &found.table;
+        let told = (0..truth.len()).filter(|k| t.verdicts[*k] == Verdict::Determined);
+        for k in told {
+            all += 1;
+            inside += usize::from((t.exact[k] - truth[k]).abs() <= t.half_width[k]);
+        }
+    }
+    let share = inside as f64 / all as f64;
+    println!("{inside} of {all} determined cells within their interval, {:.1} %", 100.0 * share);
+    assert!(all > 1000 && (0.9..=0.995).contains(&share), "{share} of {all}");
 }

@@ -65,7 +65,8 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
         }
         let share = |expected: f64| test.y[k] / expected - 1.0;
         errors.push([
-            share(test.now[k]),
+            // Both tables as the function reads them: what the ECU cuts off its look-ups is no fault of the present one.
+            share(test.rows.times(k, &label.base)),
             share(test.rows.times(k, &found.values)),
             share(test.rows.times(k, &nearest)),
         ]);
@@ -74,7 +75,7 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
     let n = errors.len().max(1) as f64;
     let rms = |c: usize| (errors.iter().map(|e| e[c] * e[c]).sum::<f64>() / n).sqrt();
     let gain: Vec<f64> = errors.iter().map(|e| e[0] * e[0] - e[1] * e[1]).collect();
-    let part = Used { at, rows: crate::rows::Rows::default(), y: Vec::new(), now: Vec::new() };
+    let part = Used { at, rows: crate::rows::Rows::default(), y: Vec::new() };
     let (mean_gain, se_gain) = mean_and_error(&gain, &part);
     let left: Vec<f64> = errors.iter().map(|e| e[1]).collect();
     let (drift, se_drift) = mean_and_error(&left, &part);

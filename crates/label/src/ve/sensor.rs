@@ -39,7 +39,7 @@ impl Sensor {
 
 /// Samples of all logs that count with this sensor: the states that reach it are all usable.
 pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> Used {
-    let mut used = Used { at: Vec::new(), rows: Rows::default(), y: Vec::new(), now: Vec::new() };
+    let mut used = Used { at: Vec::new(), rows: Rows::default(), y: Vec::new() };
     let (mut sums, mut touched) = (vec![0.0; label.len()], Vec::new());
     for (number, (log, mask)) in logs.iter().zip(masks).enumerate() {
         let mut window: Vec<(usize, f64)> = Vec::new();
@@ -57,7 +57,6 @@ pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> 
                 continue;
             }
             used.rows.start();
-            let mut now = 0.0;
             touched.clear();
             for &(k, w) in &window {
                 let factor = w * log.target[k] / (log.ve[k] * log.enrichment[k]);
@@ -68,7 +67,6 @@ pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> 
                     }
                     sums[cells[c]] += factor * weights[c];
                 }
-                now += w * log.target[k] / log.enrichment[k];
             }
             // States of one window share cells: each comes once.
             touched.sort_unstable();
@@ -77,7 +75,6 @@ pub fn samples(label: &Label, logs: &[Log], masks: &[Mask], sensor: &Sensor) -> 
             }
             used.at.push((number, t));
             used.y.push(log.lambda[t]);
-            used.now.push(now);
         }
     }
     used

@@ -35,6 +35,8 @@ const DRIVES: [(&str, f64, f64, f64); 3] = [
     ("2026-02-28_17.53.41", 0.019, 0.020, 0.210),
 ];
 const PULSE: &str = "2025-12-02_10.58.15o";
+/// Drives on which the correction is never 100 % and that accelerate: without enrichment as a term of its own nothing fits.
+const ENRICHED: [&str; 3] = ["2025-12-02_10.08.37", "2025-12-08_15.52.00", "2026-02-28_17.53.41"];
 
 /// The pulse-width function against the tune.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -44,6 +46,19 @@ struct Pulse {
     dead_ms: f64,
     /// What the tune says, at the mean voltage of the samples.
     true_dead_ms: f64,
+    unseen_rms_ms: f64,
+}
+
+/// The pulse-width function with acceleration enrichment.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Enriched {
+    samples: usize,
+    factor: f64,
+    dead_ms: f64,
+    /// Of one percent of enrichment.
+    enrichment_ms: f64,
+    /// Half of the required fuel of the tune over 100.
+    true_enrichment_ms: f64,
     unseen_rms_ms: f64,
 }
 
@@ -71,6 +86,14 @@ fn tasks(o: &Options) -> Vec<Task> {
             Box::new(move |around| value("pulse", pulse(data.as_deref(), around)?))
         },
     }];
+    for name in if o.reduced { &ENRICHED[..1] } else { &ENRICHED[..] } {
+        let data = data.clone();
+        out.push(Task {
+            name: format!("enriched-{name}"),
+            inputs: json!([name]),
+            run: Box::new(move |around| value(name, enriched(data.as_deref(), name, around)?)),
+        });
+    }
     let length_s = if o.reduced { 60.0 } else { 120.0 };
     out.push(Task {
         name: "film".into(),
@@ -130,6 +153,27 @@ fn pulse(data: Option<&Path>, around: &Surroundings) -> Result<Pulse, StudyError
     })
 }
 
+fn enriched(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Enriched, StudyError> {
+    let path = log(data, name)?;
+    let fail = |e: &dyn std::fmt::Display| refused(name, e);
+    let (_, tune) = channels::log(&path, &mut Vec::new()).map_err(|e| fail(&e))?;
+    let tune = tune.ok_or_else(|| refused(name, "the log carries no tune"))?;
+    let required = tune.constant("reqFuel").map(|c| c.values[0]).map_err(|e| fail(&e))?;
+    let text = include_str!("pulse_enriched.toml").replace("REQUIRED", &format!("{:e}", 1e-6 * required));
+    let over = Overrides { out: Some(around.runs.join(format!("enriched-{name}"))), ..Overrides::default() };
+    let mut job = function::spec::parse("pulse_enriched.toml", &text, &over).map_err(|e| fail(&e))?;
+    job.data = vec![path];
+    let (found, _) = function::run(&job, around.watch).map_err(|e| fail(&e))?;
+    Ok(Enriched {
+        samples: found.samples[0] + found.samples[1],
+        factor: found.fit.values[0],
+        dead_ms: found.fit.values[1],
+        enrichment_ms: found.fit.values[2],
+        true_enrichment_ms: 0.5 * required / 100.0,
+        unseen_rms_ms: found.unseen_rms[1],
+    })
+}
+
 fn drive(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Drive, StudyError> {
     let path = log(data, name)?;
     let mut job = Job::ve(vec![path], None, None, Some(&around.runs.join(name)));
@@ -182,6 +226,26 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "",
         ),
     ];
+    for name in ENRICHED.iter().filter(|n| results.iter().any(|r| r.name == format!("enriched-{n}"))) {
+        let e: Option<Enriched> = result(results, &format!("enriched-{name}"));
+        let structure = "the structure that is missing without it: acceleration enrichment adds half of the required fuel a hundred percent";
+        out.push(check(
+            format!("enrichment-{name}"),
+            "Pulse width of one percent of acceleration enrichment less half of the required fuel over 100, as a share",
+            Asked::Reported,
+            e.as_ref().map(|e| 100.0 * (e.enrichment_ms / e.true_enrichment_ms - 1.0).abs()),
+            "%",
+            structure,
+        ));
+        out.push(check(
+            format!("enriched-rms-{name}"),
+            "What is left of the pulse width on later samples with it (root mean square)",
+            Asked::Reported,
+            e.as_ref().map(|e| 1000.0 * e.unseen_rms_ms),
+            "us",
+            "the correction is logged in whole percent and the battery's share of the dead time is left out",
+        ));
+    }
     let f: Option<film::Film> = result(results, "film");
     let off = |found: f64, truth: f64| 100.0 * (found / truth - 1.0).abs();
     for (name, what, measured) in [

@@ -26,21 +26,28 @@ pub struct Chosen {
 /// Most numbers of breakpoints for which the loss is told.
 const MOST_TOLD: usize = 40;
 
-/// Every `step`-th breakpoint of each axis of each label, the ends kept.
+/// Every `step`-th breakpoint of each axis of each label; the ends stay, and those of locked cells: a value that is given by definition
+/// settles the size of others.
 pub(super) fn every(graph: &Graph, step: usize) -> Graph {
     let labels = graph.labels.iter().map(|l| {
-        let kept: Vec<Vec<usize>> = l.axes.iter().map(|a| stride(a.points.len(), step)).collect();
+        let nx = l.axes.first().map_or(1, |a| a.points.len());
+        let locked: Vec<[usize; 2]> =
+            (0..l.len()).filter(|c| l.locked[*c]).map(|c| [c % nx, c / nx]).collect();
+        let kept: Vec<Vec<usize>> = l
+            .axes
+            .iter()
+            .enumerate()
+            .map(|(k, a)| {
+                let n = a.points.len();
+                let stays = |i: &usize| {
+                    i.is_multiple_of(step.max(1)) || *i == n - 1 || locked.iter().any(|c| c[k] == *i)
+                };
+                (0..n).filter(stays).collect()
+            })
+            .collect();
         l.thinned(&kept)
     });
     Graph { labels: labels.collect(), nodes: graph.nodes.clone() }
-}
-
-fn stride(n: usize, step: usize) -> Vec<usize> {
-    let mut kept: Vec<usize> = (0..n).step_by(step.max(1)).collect();
-    if kept.last() != Some(&(n - 1)) {
-        kept.push(n - 1);
-    }
-    kept
 }
 
 /// Cells of `graph` from those of `coarse`.
