@@ -117,7 +117,7 @@ fn read(job: &Job, path: &Path, demands: &[String]) -> Result<Record, ControlJob
         sample_time_s: d.sample_time_s,
     };
     let length_s = d.len() as f64 * d.sample_time_s;
-    for l in job.loops.iter().filter(|l| l.extra_delay_s >= length_s) {
+    if let Some(l) = job.loops.iter().find(|l| l.extra_delay_s >= length_s) {
         let what = format!("the delay of the loop of `{}` in s, against a record of {length_s} s", l.output);
         let expected = "less than the record lasts";
         return Err(refused(ControlError::Number { what, found: l.extra_delay_s, expected }));

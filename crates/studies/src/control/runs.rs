@@ -121,7 +121,7 @@ impl Rig<'_> {
             d[1 - k] = other.step(0.0, shown[1 - k]);
             self.actuators(d, 0.0)
         })?;
-        Ok(mean_of(name, &run, k, y0[k], size, count, &demand))
+        Ok(mean_of(name, &run, k, delay, y0[k], size, count, &demand))
     }
 
     /// Torque held by an estimate of it, its steps as in [`Rig::steps`].
@@ -134,7 +134,7 @@ impl Rig<'_> {
     ) -> Result<Steps, String> {
         let demand = |t: usize| if t / HOLD % 2 == 1 { size } else { 0.0 };
         let run = self.estimated((count + 1) * HOLD, estimator, &demand)?;
-        Ok(mean_of(name, &run, 0, self.bench.point().1[0], size, count, &demand))
+        Ok(mean_of(name, &run, 0, 0, self.bench.point().1[0], size, count, &demand))
     }
 
     /// A run under an estimate of the torque.
@@ -167,17 +167,18 @@ impl Rig<'_> {
     }
 }
 
-/// Mean over the steps, torque without its sensor.
+/// Mean over the steps of what is shown `delay` samples late, torque without its sensor.
 fn mean_of(
     name: &str,
     run: &Driven,
     k: usize,
+    delay: usize,
     y0: f64,
     size: f64,
     count: usize,
     demand: &dyn Fn(usize) -> f64,
 ) -> Steps {
-    let value = |t: usize| if k == 0 { run.torque_nm[t] } else { run.shown[t][k] } - y0;
+    let value = |t: usize| if k == 0 { run.torque_nm[t - delay] } else { run.shown[t - delay][k] } - y0;
     let mut response = vec![0.0; HOLD];
     for s in 1..=count {
         let (from, to) = (demand(s * HOLD - 1), demand(s * HOLD));
