@@ -8,7 +8,7 @@ use super::{Draft, DraftError, Wishes, quoted, rounded};
 
 /// Values of an axis.
 const AXIS: usize = 5;
-/// Points to learn from: so many for each factor of the test, and at least and at most.
+/// Points of the day: so many for each factor of the test, and at least and at most.
 const POINTS_PER_FACTOR: usize = 18;
 const POINTS: [usize; 2] = [45, 140];
 

@@ -13,8 +13,6 @@
 //! models expect them in the cells: `g` may then have fewer inputs than there are factors (the angle of a throttle follows from the
 //! mass that flows, the pressures on either side, and nothing else).
 
-use std::collections::BTreeMap;
-
 use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::Layout;
@@ -88,14 +86,17 @@ pub(super) fn learn(
         let y: Vec<f64> = used.iter().map(|p| p.responses[l]).collect();
         let mut sets = vec![layout.factor_names()];
         sets.extend(spec.models.over.get(&input.name).cloned());
-        let mut best: Option<Drive> = None;
+        let (mut best, mut why): (Option<Drive>, MapError) = (None, MapError::Interrupted);
         for over in sets {
-            let found = drive(layout, &columns, over, &y, (&input.name, &input.unit), spec, watch)?;
-            if best.as_ref().is_none_or(|b| found.error < b.error) {
-                best = Some(found);
+            match drive(layout, &columns, over, &y, (&input.name, &input.unit), spec, watch) {
+                Ok(found) if best.as_ref().is_none_or(|b| found.error < b.error) => best = Some(found),
+                Ok(_) => {}
+                // One set that can be learnt over is enough; channels that are not there are a fault of the spec.
+                Err(e @ MapError::Over { .. }) => return Err(e),
+                Err(e) => why = e,
             }
         }
-        best.ok_or(MapError::Interrupted)
+        best.ok_or(why)
     };
     layout.driven().into_iter().enumerate().map(one).collect()
 }
@@ -252,13 +253,10 @@ impl Drive {
 /// # Errors
 /// As of [`Drive::at`].
 pub(super) fn fill(drives: &[Drive], layout: &Layout, cells: &mut [Cell]) -> Result<(), MapError> {
-    let mut found: BTreeMap<usize, Vec<Driven>> = BTreeMap::new();
-    for (l, d) in drives.iter().enumerate() {
-        let rows: Vec<(&[f64], &[f64])> =
-            cells.iter().map(|c| (&c.optimum.x[..], &c.optimum.responses[..])).collect();
-        found.insert(l, d.at(layout, &rows)?);
-    }
-    for (l, values) in found {
+    let rows: Vec<(&[f64], &[f64])> =
+        cells.iter().map(|c| (&c.optimum.x[..], &c.optimum.responses[..])).collect();
+    let found: Vec<Vec<Driven>> = drives.iter().map(|d| d.at(layout, &rows)).collect::<Result<_, _>>()?;
+    for (l, values) in found.into_iter().enumerate() {
         for (c, v) in cells.iter_mut().zip(values).filter(|(_, v)| v.value.is_finite()) {
             c.optimum.responses[l] = v.value;
             c.optimum.deviations[l] = v.deviation;

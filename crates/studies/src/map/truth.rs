@@ -126,7 +126,7 @@ impl<'a> Truth<'a> {
     }
 
     /// Holds the factors `x` with the loops closed; limits are read, not kept.
-    pub(super) fn measure(&mut self, x: &[f64]) -> Result<SteadyPoint, String> {
+    fn measure(&mut self, x: &[f64]) -> Result<SteadyPoint, String> {
         let layout = &self.found.layout;
         let watch = self.watch;
         let interrupt = || watch.interrupted();
@@ -193,7 +193,7 @@ impl<'a> Truth<'a> {
     }
 
     /// The first demand with the maps alone, no loop closed.
-    pub(super) fn open(&mut self, at: &[f64]) -> Result<f64, String> {
+    fn open(&mut self, at: &[f64]) -> Result<f64, String> {
         let (found, around) = (self.found, corners(&self.axes, at));
         let layout = &found.layout;
         let p = &layout.problem;
