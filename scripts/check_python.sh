@@ -50,7 +50,11 @@ done
 environment full "$wheel" pytest mypy pandas pyarrow polars scikit-learn gymnasium scipy control matplotlib \
     distributed tqdm sphinx myst-parser furo nbclient ipykernel
 "$place/full/bin/python" -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps "$wheel"
-"$place/full/bin/python" -m pytest python/tests
+# Thousands of small files are written and synced: in memory where there is some.
+memory=()
+[ -w /dev/shm ] && memory=(--basetemp "$(mktemp -d /dev/shm/dynocal.XXXXXX)/tests")
+"$place/full/bin/python" -m pytest python/tests "${memory[@]}"
+[ "${#memory[@]}" = 0 ] || rm -rf "$(dirname "${memory[1]}")"
 
 # The site: its tutorials and notebooks are run, its links and the keys of every spec checked.
 DYNOCAL_ROOT="$PWD" "$place/full/bin/python" docs/site/build.py "$place/site-html"

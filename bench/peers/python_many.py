@@ -97,10 +97,14 @@ def main() -> None:
                         flush=True,
                     )
         finally:
+            # Workers before the scheduler: one that has lost it waits for it.
             for p in reversed(started):
                 p.terminate()
-            for p in started:
-                p.wait(20)
+                try:
+                    p.wait(20)
+                except subprocess.TimeoutExpired:
+                    p.kill()
+                    p.wait()
 
 
 if __name__ == "__main__":

@@ -119,6 +119,8 @@ def tree(title: str, pages: list[str]) -> str:
     return "\n".join([f"```{{toctree}}", ":maxdepth: 1", f":caption: {title}", "", *pages, "```", ""])
 
 
+# Methods that scikit-learn puts into its estimators; their words are its own.
+MADE_BY_OTHERS = "set_fit_request, set_score_request"
 API = ["", "executors", "gym", "sklearn", "errors"]
 
 
@@ -132,7 +134,7 @@ def api() -> str:
         elif callable(thing):
             out.append(f"```{{eval-rst}}\n.. autofunction:: dynocal.{name}\n```\n")
     for name in API[1:]:
-        out.append(f"## dynocal.{name}\n\n```{{eval-rst}}\n.. automodule:: dynocal.{name}\n```\n")
+        out.append(f"## dynocal.{name}\n\n```{{eval-rst}}\n.. automodule:: dynocal.{name}\n   :exclude-members: {MADE_BY_OTHERS}\n```\n")
     return "\n".join(out)
 
 

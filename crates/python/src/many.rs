@@ -77,6 +77,9 @@ impl Tasks {
 /// Folder, number of tasks, number that are done, and the chunks that are left as first and last task.
 type Planned = (PathBuf, usize, usize, Vec<(usize, usize)>);
 
+/// Folder, and where all is done whether it is valid, with the verdict.
+type Parted = (PathBuf, Option<(bool, Vec<String>)>);
+
 #[pymethods]
 impl Tasks {
     /// `spec`: name of a study, a file, or the name of `text`.
@@ -146,7 +149,7 @@ impl Tasks {
         py: Python<'_>,
         shard: Option<(usize, usize)>,
         progress: Option<Py<PyAny>>,
-    ) -> PyResult<(PathBuf, Option<(bool, Vec<String>)>)> {
+    ) -> PyResult<Parted> {
         let tasks = self.clone();
         let part = shard.map_or(Part::Join, |(index, of)| Part::Shard { index, of });
         let work = move |watch: Watch| {

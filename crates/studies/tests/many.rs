@@ -7,7 +7,7 @@ use std::time::Duration;
 use dynocal_files::atomic;
 use dynocal_numerics::watch::Watch;
 use dynocal_studies::many::{self, How, JobStudy, Part, Replaced};
-use dynocal_studies::{Options, StudyError};
+use dynocal_studies::{Check, Options, Study, StudyError, Surroundings, Task};
 use serde_json::Value;
 
 const SPEC: &str = "job = 'signal'\nseeds = { first = 3, count = 4 }\n\
@@ -251,22 +251,44 @@ fn faults_name_key_found_and_expected() {
     assert!(said.contains("length_s") && !out.exists(), "{said}");
 }
 
-/// A study of the table in parts is the study.
+/// A study as those of the table, quick: squares, and their sum as its check.
+static SQUARES: Study = Study {
+    doc: dynocal_numerics::registry::MemberDoc { name: "squares", what: "squares of numbers", params: &[] },
+    tasks: |options| (0..7).map(|k| square(k + options.seed)).collect(),
+    reduce: |results| {
+        let sum: f64 = results.iter().filter_map(|r| r.value.as_f64()).sum();
+        vec![Check {
+            id: "sum".into(),
+            what: "sum of squares".into(),
+            asked: Some("= 140".into()),
+            measured: Some(sum),
+            unit: "-",
+            holds: Some(sum == 140.0),
+            note: results.iter().map(|r| r.name.as_str()).collect::<Vec<_>>().join(" "),
+        }]
+    },
+    sections: |report, _| report,
+};
+
+fn square(k: u64) -> Task {
+    let run = move |_: &Surroundings| Ok(Value::from((k * k) as f64));
+    Task { name: format!("square-{k}"), inputs: k.into(), run: Box::new(run) }
+}
+
+/// A study of many tasks in parts is the study, by files and checks: 1 + 4 + .. + 49 = 140.
 #[test]
-fn a_study_of_the_table_in_parts_is_the_study() {
+fn a_study_in_parts_is_the_study() {
     let tmp = tempfile::tempdir().unwrap();
     let (alone, parts) = (tmp.path().join("alone"), tmp.path().join("parts"));
-    let study = dynocal_studies::find(QUICKEST).unwrap();
-    let options = Options { seed: 1, reduced: true, reference: None, data: None };
-    dynocal_studies::run(study, &options, &alone, Watch::silent()).unwrap();
-    let batch = many::of_study(study, &options).unwrap();
-    let left =
-        many::run(&batch, &How { chunk_tasks: Some(1), ..How::join() }, &parts, Watch::silent()).unwrap();
-    assert!(left.finished.is_some() && left.state.tasks == batch.count);
+    let options = Options { seed: 1, reduced: false, reference: None, data: None };
+    dynocal_studies::run(&SQUARES, &options, &alone, Watch::silent()).unwrap();
+    let batch = many::of_study(&SQUARES, &options).unwrap();
+    let half = How { part: Part::Shard { index: 2, of: 2 }, ..join(2) };
+    assert!(many::run(&batch, &half, &parts, Watch::silent()).unwrap().finished.is_none());
+    let left = many::run(&batch, &join(2), &parts, Watch::silent()).unwrap();
+    let ended = left.finished.unwrap();
+    assert!(ended.written.valid && ended.written.checks[0].measured == Some(140.0));
     for file in ["summary.json", "report.html"] {
         assert_eq!(fs::read(alone.join(file)).unwrap(), fs::read(parts.join(file)).unwrap(), "{file}");
     }
 }
-
-/// The study whose reduced length takes least.
-const QUICKEST: &str = "limits";
