@@ -18,7 +18,7 @@ use super::result::LabelJobError;
 pub use spec::Job;
 pub use work::Fitted;
 
-/// Fits, judges, and writes `labels.dcm`, `report.html` and `summary.json` into the run folder; labels that explain unseen samples worse
+/// Fits, judges, and writes `LABELS.dcm`, `report.html` and `summary.json` into the run folder; labels that explain unseen samples worse
 /// than their base are not written.
 ///
 /// # Errors

@@ -11,9 +11,12 @@ use crate::label::Limit;
 use crate::linear::{Options, offsets};
 use crate::qp;
 
+/// Cells with factors, what the base gives, weight.
+type RoughRow = (Vec<(usize, f64)>, f64, f64);
+
 /// Rows of the roughness with their weights: `sum_i w_i (d_i' theta - told_i)^2`.
-pub(super) struct Rough {
-    rows: Vec<(Vec<(usize, f64)>, f64, f64)>,
+struct Rough {
+    rows: Vec<RoughRow>,
 }
 
 impl Rough {
