@@ -10,12 +10,13 @@ use std::path::{Path, PathBuf};
 
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Measures, Purpose};
 use dynocal_calib::steady::station::{Stand, Station, SteadyPoint};
-use dynocal_files::run_folder::digest_of;
+use dynocal_files::run_folder::{digest, digest_of};
 use dynocal_files::{FilesError, atomic};
 use dynocal_ident::plant::PlantState;
 use dynocal_ident::play::PlayError;
 use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::bench::{Bench, Task};
 use super::error::{MapError, stopped};
@@ -126,6 +127,20 @@ impl<'s, 'a> Journal<'s, 'a> {
             None => self.unkept("a point cannot be written as JSON"),
         }
     }
+}
+
+/// Digests of the files that a spec names: a plant whose file has changed is another one.
+pub(super) fn digests<T: Serialize>(spec: &T) -> Vec<String> {
+    let (mut left, mut found) = (vec![serde_json::to_value(spec).unwrap_or_default()], Vec::new());
+    while let Some(value) = left.pop() {
+        match value {
+            Value::String(path) => found.extend(std::fs::read(path).ok().map(|bytes| digest(&bytes))),
+            Value::Array(all) => left.extend(all),
+            Value::Object(all) => left.extend(all.into_iter().map(|(_, v)| v)),
+            _ => {}
+        }
+    }
+    found
 }
 
 fn line<T: Serialize>(value: &T) -> Option<String> {

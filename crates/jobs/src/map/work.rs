@@ -24,7 +24,7 @@ use super::drive;
 use super::error::MapError;
 use super::front::Maps;
 use super::job::Job;
-use super::journal::Journal;
+use super::journal::{Journal, digests};
 use super::learn;
 use super::refine::{Refinement, Round};
 use super::result::{BedTime, MapAxis, Mapped};
@@ -89,12 +89,16 @@ pub fn run_on_in(
     let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
     let beyond = |name: &str| spec.bed.beyond.get(name).copied().unwrap_or(0.0);
     let approach = &spec.bed.approach;
+    let described = plant.describe();
     let mut station = Station::new(plant, &layout, approach, &beyond, (first.clone(), driven), &interrupt);
     let day = Day { job, layout: &layout, axes, tuned, first };
     let Some(folder) = folder else { return day.run(&mut station, watch) };
     // All that a point depends on but the points before it, which are compared one by one.
-    let inputs =
-        (&spec.plant, spec.seed, &start, approach, &spec.bed.beyond, &spec.tune, spec.verify.limit, &layout);
+    let inputs = (
+        (&spec.plant, digests(&spec.plant), described),
+        (spec.seed, &start, approach, &spec.bed.beyond, &spec.tune, spec.verify.limit),
+        &layout,
+    );
     let mut journal = Journal::open(&mut station, folder, &inputs, watch)?;
     day.run(&mut journal, watch)
 }
