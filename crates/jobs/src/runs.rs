@@ -216,8 +216,9 @@ pub static VERBS: &[Verb] = &[
         },
         plan: |asked, _| {
             let job = job!(asked, label::function::spec, &asked.over);
-            let files = job.data.len();
-            Ok(Estimate::new(job.name).line("fit", format!("{} to {files} data files", job.target)))
+            let targets: Vec<&str> = job.rows.iter().map(|r| r.target.as_str()).collect();
+            let fit = format!("{} to {} data files", targets.join(", "), job.data.len());
+            Ok(Estimate::new(job.name).line("fit", fit))
         },
     },
     Verb {

@@ -61,13 +61,16 @@ fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: boo
     check(id, what, asked, measured, "-", note)
 }
 
+/// Reads a number from a case.
+type Reads = Box<dyn Fn(&Case) -> Option<f64>>;
+
 /// A number of each case that is asked.
 struct Number {
     scenario: usize,
     id: String,
     what: String,
     asked: Asked,
-    of: Box<dyn Fn(&Case) -> Option<f64>>,
+    of: Reads,
 }
 
 fn at_most(most: f64) -> Asked {
