@@ -1,7 +1,9 @@
 //! Linear models out of records about a set point, with the uncertainty of their parameters.
 //!
-//! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors; the orders are those of a list whose free run over the second half of the
-//! record, fitted on the first, leaves least; the model that is given is then fitted on all of it. What chose the orders is no unseen data.
+//! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors. The orders are the first ones of a list, from few parameters to many, whose
+//! free run over the second half of the record, fitted on the first, is not worse than the best one's by more than a standard error: more
+//! parameters than the record asks for give factors that A, B and C have in common, anywhere, and gains at rest that mean nothing. The
+//! model that is given is then fitted on all of the record. What chose the orders is no unseen data.
 
 use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::experiment::Experiment;
@@ -12,8 +14,10 @@ use dynocal_ident::validate::{Kind, Seen};
 
 use crate::error::ControlError;
 
-/// Orders of A and B that are compared.
-pub const ORDERS: [(usize, usize); 5] = [(2, 8), (3, 12), (4, 16), (4, 24), (6, 24)];
+/// Orders of A and B that are compared, from few parameters to many.
+pub const ORDERS: [(usize, usize); 6] = [(1, 4), (2, 8), (3, 12), (4, 16), (4, 24), (6, 24)];
+/// Stretches of the second half whose means say how sure a difference is.
+const STRETCHES: usize = 10;
 /// Samples before anything is scored.
 const INIT: usize = 40;
 
@@ -26,6 +30,26 @@ pub struct Identified {
     pub orders: (usize, usize),
     /// Free run over the half that chose the orders, in percent of the output's variance.
     pub selection_r2: f64,
+}
+
+/// Orders with what their free run left of the second half.
+struct Tried {
+    orders: (usize, usize),
+    r2: f64,
+    /// Mean squared error of each stretch.
+    left: Vec<f64>,
+}
+
+/// The first one that is not worse than the best by more than a standard error of the difference over the stretches.
+fn simplest(tried: &[Tried]) -> Option<&Tried> {
+    let best = tried.iter().max_by(|a, b| a.r2.total_cmp(&b.r2))?;
+    tried.iter().find(|t| {
+        let more: Vec<f64> = t.left.iter().zip(&best.left).map(|(a, b)| a - b).collect();
+        let n = more.len() as f64;
+        let mean = more.iter().sum::<f64>() / n;
+        let variance = more.iter().map(|m| (m - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        mean <= (variance / n).sqrt()
+    })
 }
 
 /// Model of `output` from `inputs` (columns; deviations from a point of rest), its orders among `orders` ([`ORDERS`]).
@@ -56,7 +80,7 @@ pub fn identify(
     let (first, second) = (part(0, rows / 2), part(rows / 2, rows));
     let names: Vec<&str> = inputs.iter().map(|(q, _)| q.name.as_str()).collect();
     let structure = |(na, nb): (usize, usize)| LinearModel::armax(&names, &quantity.name, na, nb, na, 0);
-    let mut best: Option<((usize, usize), f64)> = None;
+    let mut tried: Vec<Tried> = Vec::new();
     // A quarter of the samples at most are parameters.
     for orders in orders.iter().copied().filter(|(na, nb)| 4 * (2 * na + m * nb) < rows / 2) {
         let Ok(fit) = fit_linear(&structure(orders), std::slice::from_ref(&first), &Pem::default(), stop)
@@ -64,14 +88,20 @@ pub fn identify(
             continue;
         };
         let r2 = 100.0 * fit.score(std::slice::from_ref(&second), Kind::FreeRun, Seen::Selection).r2;
-        if r2.is_finite() && best.is_none_or(|b| r2 > b.1) {
-            best = Some((orders, r2));
+        let run = fit.output(&second, Kind::FreeRun);
+        let errors: Vec<f64> = second.y.iter().zip(&run).skip(INIT).map(|(y, p)| (y - p).powi(2)).collect();
+        let length = errors.len().div_ceil(STRETCHES);
+        let left = errors.chunks(length).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect();
+        if r2.is_finite() {
+            tried.push(Tried { orders, r2, left });
         }
     }
     if stop() {
         return Err(refused("interrupted".into()));
     }
-    let (orders, selection_r2) = best.ok_or_else(|| refused("none of the orders could be fitted".into()))?;
+    let Some(&Tried { orders, r2: selection_r2, .. }) = simplest(&tried) else {
+        return Err(refused("none of the orders could be fitted".into()));
+    };
     let found = fit_linear(&structure(orders), &[part(0, rows)], &Pem::default(), stop)
         .map_err(|e| refused(e.to_string()))?;
     let quantities = inputs.iter().map(|(q, _)| q.clone()).collect();

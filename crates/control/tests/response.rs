@@ -188,14 +188,16 @@ fn identified_models_know_how_uncertain_they_are() {
     for seed in 0..8 {
         let (u, y) = record(1200, 0.3, 50 + seed);
         let inputs: Vec<_> = ["a", "b"].iter().zip(&u).map(|(n, c)| (quantity(n), c.clone())).collect();
-        let found = identify(&inputs, (quantity("y"), &y[0]), DT_S, &[(1, 2), (2, 4)], &|| false).unwrap();
+        let found = identify(&inputs, (quantity("y"), &y[0]), DT_S, &[(1, 3), (2, 5)], &|| false).unwrap();
         assert!(found.selection_r2 > 60.0, "{}", found.selection_r2);
         gains.push(gain_of(&found.model));
         let own: Vec<f64> = (0..40).filter_map(|d| drawn(&found.model, 1, d)).map(|m| gain_of(&m)).collect();
         let mean = own.iter().sum::<f64>() / own.len() as f64;
         stated.push((own.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 39.0).sqrt());
     }
-    let (mean, said) = (gains.iter().sum::<f64>() / 8.0, stated.iter().sum::<f64>() / 8.0);
+    // Orders beyond those of the plant may be chosen by chance, with a factor in common that may lie anywhere: the usual record counts.
+    stated.sort_by(f64::total_cmp);
+    let (mean, said) = (gains.iter().sum::<f64>() / 8.0, 0.5 * (stated[3] + stated[4]));
     let met = (gains.iter().map(|g| (g - mean).powi(2)).sum::<f64>() / 7.0).sqrt();
     assert!((mean - 1.5).abs() < 4.0 * met / 8f64.sqrt(), "{mean}, deviation {met}");
     assert!(said > 0.4 * met && said < 2.5 * met, "stated {said}, met {met}");

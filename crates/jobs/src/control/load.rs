@@ -151,6 +151,17 @@ impl Loaded {
         self.warnings.extend(nominal.warnings.iter().map(|w| format!("{}: {w}", p.name)));
         let mut draws = Vec::new();
         let mut restless = 0;
+        let unknown =
+            |m: &&StoredModel| m.covariance().is_none() || m.parameters.iter().any(|p| p.std_error.is_none());
+        let sure = models.iter().filter(unknown).map(|m| m.user_output().name.clone());
+        let sure: Vec<String> = sure.map(|name| format!("`{name}`")).collect();
+        if job.draws > 0 && !sure.is_empty() {
+            self.warnings.push(format!(
+                "{}: the model of {} has parameters without a deviation: they are the same in all draws, and margins over draws say less than they seem to",
+                p.name,
+                sure.join(", ")
+            ));
+        }
         for d in 0..job.draws {
             // One stream for each model, set point and draw: equal for any order.
             let own = |(i, m): (usize, &StoredModel)| {

@@ -20,8 +20,10 @@ const LATE_CYCLES: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
 /// Learned fuel in all courses.
 pub(super) fn row(of: &Contest<'_>, known: &Known, name: &str, preview: bool) -> Result<Row, String> {
     use rayon::prelude::*;
+    // At reduced length one of them only.
+    let late = if of.stride > 1 { &LATE_CYCLES[1..2] } else { &LATE_CYCLES[..] };
     let tries: Vec<(usize, f64)> =
-        (0..of.judged.len()).flat_map(|k| LATE_CYCLES.map(|cycles| (k, cycles))).collect();
+        (0..of.judged.len()).flat_map(|k| late.iter().map(move |cycles| (k, *cycles))).collect();
     let found: Vec<(usize, Measures)> = tries
         .par_iter()
         .map(|(k, cycles)| Ok((*k, learned(of, known, &of.judged[*k], preview, *cycles)?)))
