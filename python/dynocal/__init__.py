@@ -143,6 +143,15 @@ def signal(name: str, n: int, ts_s: float, *, seed: int = 1, keys: Mapping[str, 
     )
 
 
+def __getattr__(name: str) -> Any:
+    """Modules that are loaded when they are asked for: ``dynocal.executors``, ``dynocal.gym``, ``dynocal.sklearn``."""
+    if name in ("executors", "gym", "sklearn"):
+        import importlib
+
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module `dynocal` has no `{name}`")
+
+
 if hasattr(os, "register_at_fork"):
     # A child that was forked has none of our threads: it is told so instead of waiting for them.
     os.register_at_fork(after_in_child=_dynocal.after_fork)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from . import _arguments as arguments
 from . import _dynocal
 from ._arguments import FloatArray
 from ._data import Dataset
-from .errors import ArgumentError, ModelError
+from .errors import ArgumentError, ModelError, ResultWarning
 
 __all__ = ["Finding", "Model", "Score", "Scores"]
 
@@ -351,6 +352,11 @@ class Model:
             start = self._outputs("y0", y0)
             starts = [np.ascontiguousarray(start[:, k]) for k in range(start.shape[1])]
         found = [m.simulate_arrays(inputs[:, c], s) for m, c, s in zip(self._models, self._columns, starts, strict=True)]
+        for name, values in zip(self.outputs, found, strict=True):
+            if not np.isfinite(values).all():
+                at = int(np.argmin(np.isfinite(values)))
+                text = f"the free run of `{name}` left all numbers in sample {at}: it must not be used from there on"
+                warnings.warn(text, ResultWarning, stacklevel=2)
         return self._shaped(found)
 
     @overload
@@ -377,6 +383,8 @@ class Model:
             The first samples are the measured ones.
         """
         ahead = arguments.count("steps", steps, 1)
+        # Further ahead than the record is long nothing changes, and memory would be asked for.
+        ahead = min(ahead, max(len(u) if isinstance(u, Dataset) else np.size(u), 1))
         if isinstance(u, Dataset):
             if y is not None:
                 raise ArgumentError("y: found it beside a Dataset, expected the outputs inside of it")
@@ -395,14 +403,23 @@ class Model:
     def score(self, *records: Dataset, k_steps: Iterable[int] = ()) -> Scores:
         """One step, k steps ahead and free run on records, each with R2, NRMSE and RMSE in the unit of the output.
 
-        A record that the model was estimated from is said to be seen (``identification``); others are ``unseen``.
+        A record that the model was estimated from, or that chose between its candidates, is said to be seen (``identification``);
+        others are ``unseen``.
         """
         if not records:
             raise ArgumentError("records: found none, expected at least one Dataset")
         for k, d in enumerate(records):
             if not isinstance(d, Dataset):
                 raise ArgumentError(f"records[{k}]: found {arguments.kind(d)}, expected a Dataset")
-        steps = [arguments.count(f"k_steps[{i}]", k, 1) for i, k in enumerate(k_steps)]
+        longest = max(len(d) for d in records)
+        steps: list[int] = []
+        for i, k in enumerate(k_steps):
+            if (ahead := arguments.count(f"k_steps[{i}]", k, 1)) >= longest:
+                raise ArgumentError(
+                    f"k_steps[{i}]: found {ahead}, expected less than the {longest} samples of the longest record: so far ahead it is a free run"
+                )
+            if ahead not in steps:
+                steps.append(ahead)
         text, said = _dynocal.judge(list(self._models), [d._record for d in records], steps)
         names = ("output", "unit", "data", "samples", "rmse", "error_95", "r2_percent", "nrmse_fit_percent")
         rows = [Score(kind=_kind(r["kind"]), **{n: r[n] for n in names}) for r in json.loads(text)]

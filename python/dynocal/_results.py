@@ -112,7 +112,8 @@ def _shaped(values: FloatArray, axes: list[tuple[str, str, FloatArray]]) -> Floa
 class Map:
     """A scalar, curve or map with axes and units.
 
-    ``values[i, j]`` belongs to ``axes[0].points[i]`` and ``axes[1].points[j]``: the first axis is the first dimension.
+    ``values[i, j]`` belongs to ``axes[0].points[i]`` and ``axes[1].points[j]``: the first axis is the first dimension. What is written
+    is what was read: values and breakpoints cannot be changed.
     """
 
     def __init__(self, stored: Mapping[str, Any], document: Mapping[str, Any]) -> None:
@@ -123,7 +124,9 @@ class Map:
         self.axes: list[tuple[str, str, FloatArray]] = [
             (a["input"] or a["name"], a["unit"], np.array(a["points"], dtype=float)) for a in stored["axes"]
         ]
-        self.values: FloatArray = _shaped(np.array(stored["values"], dtype=float), self.axes)
+        self.values: FloatArray = np.asarray(_shaped(np.array(stored["values"], dtype=float), self.axes))
+        for array in (self.values, *(points for _, _, points in self.axes)):
+            array.setflags(write=False)
 
     def __repr__(self) -> str:
         over = " x ".join(f"{len(points)} {name} [{unit}]" for name, unit, points in self.axes)
@@ -184,7 +187,11 @@ def to_file(source: str | os.PathLike[str], path: str | os.PathLike[str], format
             # Beside its place first, so that nobody sees half of it.
             beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
             beside.write_bytes(Path(files[0]).read_bytes())
-            beside.replace(target)
+            try:
+                beside.replace(target)
+            except OSError:
+                beside.unlink()
+                raise
         except OSError as error:
             raise FileError(f"{target}: cannot be written: {error.strerror}") from None
     return target
@@ -201,6 +208,13 @@ class Maps(Mapping[str, Map]):
             none = "none here (a dynamic map is a program: to_fmu, or dynocal.export)"
             raise ArgumentError(f"map: found `{name}`, expected one of {', '.join(self._found) or none}")
         return self._found[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._found
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The characteristic of that name, or ``default``."""
+        return self._found.get(name, default)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._found)

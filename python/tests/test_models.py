@@ -175,3 +175,30 @@ def test_refusals_are_ours() -> None:
         dynocal.Arx().fit(np.ones(60), y)
     with pytest.raises((DataError, EstimateError)):
         dynocal.Arx(na=30, nb=30).fit(u, y)
+
+
+def test_far_ahead_costs_no_memory() -> None:
+    u, y = lagged(300, noise=0.1)
+    d = dynocal.Dataset({"u": u, "y": y}, ts_s=0.1, outputs="y")
+    m = dynocal.Arx(na=2, nb=2).fit(d).model_
+    assert np.array_equal(m.predict(u, y, steps=10**12), m.predict(u, y, steps=300))
+    with pytest.raises(ArgumentError, match=r"k_steps\[0\]: found 300, expected less than the 300 samples"):
+        m.score(d, k_steps=[300])
+    assert [r.kind for r in m.score(d, k_steps=[5, 5])] == [r.kind for r in m.score(d, k_steps=[5])]
+
+
+def test_a_free_run_without_end_is_said() -> None:
+    m = dynocal.Model.from_system(([0.0, 1.0], [1.0, -5.0]), ts_s=0.1)
+    with pytest.warns(ResultWarning, match="left all numbers in sample"):
+        m.simulate(np.ones(1000))
+
+
+def test_what_chose_a_model_is_not_unseen(tmp_path) -> None:
+    u, y = lagged(400, noise=0.1)
+    first, rest = dynocal.Dataset({"u": u, "y": y}, ts_s=0.1, outputs="y").split(fraction=0.5)
+    chose, unseen = rest.split(fraction=0.5)
+    m = dynocal.Neural(2, starts=1, max_evaluations=5, seed=1).fit(first, selecting=chose).model_
+    m.save(tmp_path / "m.json")
+    for one in (m, dynocal.Model.load(tmp_path / "m.json")):
+        assert {r.data for r in one.score(chose)} == {"identification"}
+        assert {r.data for r in one.score(unseen)} == {"unseen"}

@@ -91,3 +91,9 @@ def test_examples_run(root, tmp_path) -> None:
         done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == 0, f"{script.name}: {done.stderr}"
         assert done.stdout.strip(), script.name
+
+
+def test_modules_that_load_when_asked_for() -> None:
+    assert dynocal.executors.Local(1) is not None
+    with pytest.raises(AttributeError, match="no `nothing`"):
+        dynocal.nothing

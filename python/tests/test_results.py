@@ -154,3 +154,17 @@ def test_a_bar_is_shown_where_there_is_one(capfd) -> None:
     u, y = lagged(3000, noise=0.1)
     dynocal.Neural(hidden=3, starts=2, max_evaluations=10).fit(u, y, ts_s=0.1, progress=True)
     assert "gone" in capfd.readouterr().err
+
+
+def test_maps_are_what_was_read(tmp_path) -> None:
+    file = tmp_path / "one.dcm"
+    file.write_text('KONSERVIERUNG_FORMAT 2.0\n\nKENNLINIE A 2\n   EINHEIT_X "rpm"\n   EINHEIT_W "Nm"\n   ST/X 1 2\n   WERT 3 4\nEND\n')
+    maps = dynocal.maps(file)
+    name = next(iter(maps))
+    assert name in maps and "none of them" not in maps and maps.get("none of them") is None
+    with pytest.raises(ValueError, match="read-only"):
+        maps[name].values[...] = 1.0
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(errors.FileError):
+        maps[name].to_dcm(tmp_path / "folder")
+    assert not list(tmp_path.glob(".*.tmp"))

@@ -155,7 +155,8 @@ pub fn learn(
     let mut origins: Vec<String> =
         records.iter().map(|d| d.origin.clone()).filter(|o| !o.is_empty()).collect();
     origins.dedup();
-    let digests: Vec<String> = records.iter().map(fingerprint).collect();
+    // What chose between candidates is no test of the model either.
+    let digests: Vec<String> = records.iter().chain(&selecting).map(fingerprint).collect();
     let mut parts = vec![part("estimation", Seen::Identification, records)];
     if !selecting.is_empty() {
         parts.push(part("selection", Seen::Selection, selecting));
@@ -188,7 +189,7 @@ pub fn learn(
 }
 
 /// Scores `models`, which run as one set, on `records`: one step, `k_steps` ahead and free run, in the units of the records. A
-/// record that one of the models was estimated from is said to be seen.
+/// record that one of the models was estimated from, or that chose between its candidates, is said to be seen.
 ///
 /// # Errors
 /// [`IdentifyError`].
