@@ -124,11 +124,12 @@ fn filled(case: &mut Case, name: &str, reduced: bool, around: &Surroundings) -> 
     let scenario = Scenario::of(case.scenario).ok_or_else(|| "no such scenario".to_string())?;
     let (map, map_s) = static_map(name, scenario, case, around)?;
     case.map_s = map_s;
-    let (records, judged) = scenario.drives(&case.engine, case.seed, reduced)?;
+    let [records, repeated, judged] = scenario.drives(&case.engine, case.seed, reduced)?;
     let exact = exact_film(&case.engine).map_err(|e| e.to_string())?;
     let contest = Contest {
         map: &map,
         records: &records,
+        repeated: &repeated,
         judged: &judged,
         seed: case.seed,
         exact,

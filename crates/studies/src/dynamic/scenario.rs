@@ -104,13 +104,8 @@ impl Scenario {
         out
     }
 
-    /// Records and judged courses.
-    pub(super) fn drives(
-        &self,
-        engine: &str,
-        seed: u64,
-        reduced: bool,
-    ) -> Result<(Vec<Drive>, Vec<Drive>), String> {
+    /// First records, records that ours drives, and judged courses.
+    pub(super) fn drives(&self, engine: &str, seed: u64, reduced: bool) -> Result<[Vec<Drive>; 3], String> {
         let mut rng = Rng64::stream(seed, self.number as u64);
         let on = |start_c: Option<f64>, course: Course| {
             bed(engine, start_c).map(|bed| Drive { bed, course }).map_err(|e| e.to_string())
@@ -135,7 +130,13 @@ impl Scenario {
                 judged.push(on(None, random)?);
             }
         }
-        Ok((records, judged))
+        // Drawn last: the courses are those of before. Three records and their repetitions are 600 s at most.
+        let full = if self.starts_c.is_empty() { 60 } else { 26 };
+        let starts = self.starts_c.iter().map(|c| Some(*c)).chain(self.starts_c.is_empty().then_some(None));
+        let repeated = starts
+            .map(|c| on(c, Course::random(length(reduced, full, 20), 3.0, &self.range, &mut rng)))
+            .collect::<Result<_, _>>()?;
+        Ok([records, repeated, judged])
     }
 
     /// Engine and range of the static map; the range of the problem goes a little beyond the grid.
