@@ -246,7 +246,7 @@ fn a_point_that_is_added_gives_the_model_of_all_points() {
         let (_, mut model) = learn(&GaussianProcess { mean, starts: 1, ..Default::default() }, &p);
         let more = case(5, 2, 0.05, 13);
         for i in 0..5 {
-            model.add(more.row(i), more.y[i]);
+            model.add(more.row(i), more.y[i]).unwrap();
         }
         // What is stored is rebuilt from all points at once.
         let rebuilt: GpModel = serde_json::from_str(&serde_json::to_string(&model).unwrap()).unwrap();

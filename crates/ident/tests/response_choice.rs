@@ -190,7 +190,7 @@ fn integrated_variance_is_what_a_measurement_takes_off() {
             .chunks_exact(2)
             .map(|x| {
                 let mut more = model.clone();
-                more.add(x, 0.0);
+                more.add(x, 0.0).unwrap();
                 before - integrated(&more)
             })
             .collect();

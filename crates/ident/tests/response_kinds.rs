@@ -49,6 +49,7 @@ fn all_kinds() -> Vec<Box<dyn Learn>> {
         ),
         ("gaussian_process", "starts = 1"),
         ("gaussian_process", "starts = 1\nkernel = \"matern52\"\nmean = \"linear\""),
+        ("gaussian_process", "starts = 1\ntransform = \"log\""),
         ("local_linear", ""),
         ("local_linear", "quadratic = true\nmost = 4\nsteepness = [4.0]"),
         ("rbf", ""),

@@ -6,6 +6,29 @@
 use dynocal_ident::model::response::score::{FoldKind, folds};
 use dynocal_ident::model::response::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError};
 
+/// What an error counts by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Errors {
+    /// Itself.
+    Absolute,
+    /// Its share of what was measured: what is minimised differs by few percent between settings, and by multiples over the map.
+    Relative,
+}
+
+impl Errors {
+    /// Relative for outputs that are positive everywhere.
+    pub(super) fn relative_to(y: &[f64]) -> Self {
+        if y.iter().all(|y| *y > 0.0) { Self::Relative } else { Self::Absolute }
+    }
+
+    fn words(self, error: f64) -> String {
+        match self {
+            Self::Absolute => format!("{error:.4}"),
+            Self::Relative => format!("{:.2} %", 100.0 * error),
+        }
+    }
+}
+
 /// Kinds of response models with their names.
 pub(super) type Kinds = Vec<(String, Box<dyn Learn>)>;
 
@@ -23,32 +46,34 @@ pub(super) struct Chosen {
 const HELD: f64 = 0.95;
 const QUANTILE: f64 = 1.959_963_984_540_054;
 
-/// Chooses among `kinds` (name, kind) by `count` folds and learns the choice on all points.
+/// Chooses among `kinds` (name, kind) by the `errors` of `count` folds and learns the choice on all points.
 ///
 /// # Errors
 /// [`ResponseError`] when no kind can be learnt.
 pub(super) fn choose(
     kinds: &[(String, Box<dyn Learn>)],
+    by: Errors,
     points: &Points,
     count: usize,
     nested: bool,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Chosen, ResponseError> {
-    let (chosen, errors) = least(kinds, points, count, interrupt)?;
+    let (chosen, errors, absolute) = least(kinds, by, points, count, interrupt)?;
     let name = |k: usize| kinds[k].0.clone();
-    let (mut rmse, mut same) = (errors[chosen], 0);
+    let (mut rmse, mut same) = (absolute, 0);
     if nested {
         let mut squares = 0.0;
         let outer = folds(points, count, FoldKind::Interleaved);
         for held in &outer {
             let part = without(points, held);
-            let (inner, _) = least(kinds, &part, count, interrupt)?;
+            let (inner, ..) = least(kinds, by, &part, count, interrupt)?;
             same += usize::from(inner == chosen);
-            squares += squares_of(&*kinds[inner].1, &part, points, held, interrupt)?;
+            squares += squares_of(&*kinds[inner].1, &part, points, held, interrupt)?.0;
         }
         rmse = (squares / points.len() as f64).sqrt();
     }
-    let each: Vec<String> = errors.iter().enumerate().map(|(k, e)| format!("{} {e:.4}", name(k))).collect();
+    let each: Vec<String> =
+        errors.iter().enumerate().map(|(k, e)| format!("{} {}", name(k), by.words(*e))).collect();
     let tested = if nested {
         format!(
             " The whole choice, tested on points that had no part in it, has an error of {rmse:.4}; {same} of {count} such tests chose the same."
@@ -91,21 +116,29 @@ fn widen(
     Ok(if quantile.is_finite() { quantile.max(1.0) } else { 1.0 })
 }
 
-/// The kind of least error in folds, and the errors of all; those that cannot be learnt have an infinite one.
+/// The kind of least error in folds, the errors of all, those that cannot be learnt having an infinite one, and the absolute error of
+/// that kind.
 fn least(
     kinds: &[(String, Box<dyn Learn>)],
+    by: Errors,
     points: &Points,
     count: usize,
     interrupt: &dyn Fn() -> bool,
-) -> Result<(usize, Vec<f64>), ResponseError> {
+) -> Result<(usize, Vec<f64>, f64), ResponseError> {
     let parts = folds(points, count, FoldKind::Interleaved);
-    let (mut errors, mut why) = (Vec::new(), None);
+    let (mut errors, mut absolute, mut why) = (Vec::new(), Vec::new(), None);
+    let root = |sum: f64| (sum / points.len() as f64).sqrt();
     for (_, kind) in kinds {
         let each =
             parts.iter().map(|held| squares_of(&**kind, &without(points, held), points, held, interrupt));
-        match each.sum::<Result<f64, ResponseError>>() {
-            Ok(sum) => errors.push((sum / points.len() as f64).sqrt()),
+        match each.collect::<Result<Vec<_>, ResponseError>>() {
+            Ok(sums) => {
+                let relative = root(sums.iter().map(|s| s.1).sum());
+                absolute.push(root(sums.iter().map(|s| s.0).sum()));
+                errors.push(if by == Errors::Relative { relative } else { absolute[absolute.len() - 1] });
+            }
             Err(e) => {
+                absolute.push(f64::INFINITY);
                 errors.push(f64::INFINITY);
                 why = Some(e);
             }
@@ -113,7 +146,7 @@ fn least(
     }
     let best = (0..errors.len()).filter(|k| errors[*k].is_finite());
     match (best.min_by(|a, b| errors[*a].total_cmp(&errors[*b])), why) {
-        (Some(best), _) => Ok((best, errors)),
+        (Some(best), _) => Ok((best, errors, absolute[best])),
         (None, Some(e)) => Err(e),
         (None, None) => Err(ResponseError::Key {
             model: "choice",
@@ -129,21 +162,24 @@ fn without(points: &Points, held: &[usize]) -> Points {
     points.rows(&rest)
 }
 
-/// Sum of the squared errors of `kind`, learnt on `part`, at the rows `held`.
+/// Sums of the squared errors of `kind`, learnt on `part`, at the rows `held`: absolute, and as shares of what was measured.
 fn squares_of(
     kind: &dyn Learn,
     part: &Points,
     points: &Points,
     held: &[usize],
     interrupt: &dyn Fn() -> bool,
-) -> Result<f64, ResponseError> {
+) -> Result<(f64, f64), ResponseError> {
     let learnt = kind.learn(part, interrupt)?;
     let mut at = Prediction::new(points.dim());
-    let square = |i: &usize| {
+    let (mut absolute, mut relative) = (0.0, 0.0);
+    for i in held {
         learnt.model.predict(points.row(*i), Ask::Mean, &mut at);
-        (points.y[*i] - at.mean).powi(2)
-    };
-    Ok(held.iter().map(square).sum())
+        let error = points.y[*i] - at.mean;
+        absolute += error.powi(2);
+        relative += (error / points.y[*i]).powi(2);
+    }
+    Ok((absolute, relative))
 }
 
 #[cfg(test)]
@@ -167,10 +203,34 @@ mod tests {
         let mut y: Vec<f64> = x.iter().map(|x| (x - 0.5).powi(2)).collect();
         y[13] += 0.5;
         let points = Points { inputs: vec!["spark".into()], output: "fuel".into(), x, y };
-        let found = choose(&kinds(), &points, 5, true, &|| false).unwrap();
+        let found = choose(&kinds(), Errors::Absolute, &points, 5, true, &|| false).unwrap();
         assert!(found.words.contains("degree 2 is taken"), "{}", found.words);
         // The odd point is in one fold and cannot be told beforehand: 0.5 / sqrt(30).
         assert!(found.rmse > 0.08 && found.rmse < 0.12, "{}", found.rmse);
         assert!(found.widen >= 1.0 && found.widen.is_finite());
+    }
+
+    /// Over a range of decades the relative error takes the model whose errors grow with the output, though the other one has the smaller
+    /// absolute error: a line through the greatest values, which misses the small ones by multiples.
+    #[test]
+    fn what_is_minimised_is_chosen_by_relative_errors() {
+        let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
+        let odd = |i: usize| if i % 2 == 0 { 1.1 } else { 1.0 / 1.1 };
+        let y: Vec<f64> = x.iter().enumerate().map(|(i, x)| odd(i) * (4.0 * x).exp()).collect();
+        let points = Points { inputs: vec!["torque".into()], output: "fuel".into(), x, y };
+        let log = toml::Table::from_iter([
+            ("transform".to_string(), "log".into()),
+            ("degree".to_string(), 1.into()),
+        ]);
+        let cubic = toml::Table::from_iter([("degree".to_string(), 3.into())]);
+        let kinds: Kinds = [("log", log), ("cubic", cubic)]
+            .map(|(name, keys)| (name.to_string(), learner("stepwise_polynomial", &keys).unwrap()))
+            .into();
+        assert_eq!(Errors::relative_to(&points.y), Errors::Relative);
+        let found = choose(&kinds, Errors::Relative, &points, 5, true, &|| false).unwrap();
+        assert!(found.words.contains("log is taken") && found.words.contains(" %"), "{}", found.words);
+        // Ten percent up and down is what no model can know.
+        let (_, errors, _) = least(&kinds, Errors::Relative, &points, 5, &|| false).unwrap();
+        assert!(errors[0] > 0.08 && errors[0] < 0.13 && errors[1] > errors[0], "{errors:?}");
     }
 }

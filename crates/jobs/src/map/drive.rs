@@ -23,7 +23,7 @@ use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
 use super::budget::fewest;
-use super::choose::{Chosen, choose};
+use super::choose::{Chosen, Errors, choose};
 use super::error::MapError;
 use super::learn::kinds;
 use super::spec::MapSpec;
@@ -174,7 +174,7 @@ fn drive(
     };
     let kinds = kinds(&spec.models)?;
     let Chosen { learnt, rmse, widen, words } =
-        choose(&kinds, &points, spec.models.folds, true, watch.interrupt)
+        choose(&kinds, Errors::Absolute, &points, spec.models.folds, true, watch.interrupt)
             .map_err(|source| MapError::Learn { response: input.into(), source })?;
     Ok(Drive {
         input: input.into(),

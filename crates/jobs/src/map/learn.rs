@@ -9,7 +9,7 @@ use dynocal_ident::model::response::{
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
-use super::choose::{Chosen, Kinds, choose};
+use super::choose::{Chosen, Errors, Kinds, choose};
 use super::error::MapError;
 use super::spec::ModelsSpec;
 
@@ -120,8 +120,9 @@ pub(super) fn learn(
         watch.note(&format!("response model of {}", r.name));
         let table = table(layout, points, drift, k);
         let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
+        let by = if r.weight != 0.0 { Errors::relative_to(&table.y) } else { Errors::Absolute };
         let Chosen { learnt, rmse, widen, words } =
-            choose(&kinds, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
+            choose(&kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
         let mean = table.y.iter().sum::<f64>() / n;
         let spread = (table.y.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();

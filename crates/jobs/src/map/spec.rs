@@ -138,7 +138,10 @@ impl Default for ModelsSpec {
         let polynomials =
             [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
         Self {
-            candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(),
+            candidates: polynomials
+                .into_iter()
+                .chain([kind("gaussian_process"), log(kind("gaussian_process"))])
+                .collect(),
             folds: 5,
             over: BTreeMap::new(),
         }

@@ -121,16 +121,17 @@ impl ResponseModel {
     /// assert!(formulas.len() == 1 && (formulas[0].value(&[4.5]) - 12.0).abs() < 1e-9);
     /// ```
     pub fn formulas(&self) -> Vec<Formula> {
-        let plain = |scaling: &Scaling, parts| Formula {
+        let of = |scaling: &Scaling, parts, transform| Formula {
             scaling: scaling.clone(),
             parts,
-            transform: Transform::None,
+            transform,
             share: 1.0,
         };
+        let plain = |scaling: &Scaling, parts| of(scaling, parts, Transform::None);
         match self {
             Self::Polynomial(model) => vec![model.formula()],
-            Self::GaussianProcess(model) => vec![plain(model.scaling(), model.parts())],
-            Self::SparseGaussianProcess(model) => vec![plain(model.scaling(), model.parts())],
+            Self::GaussianProcess(model) => vec![of(model.scaling(), model.parts(), model.transform())],
+            Self::SparseGaussianProcess(model) => vec![of(model.scaling(), model.parts(), model.transform())],
             Self::LocalLinear(model) => vec![plain(&model.scaling, vec![model.part()])],
             Self::Rbf(model) => vec![plain(model.scaling(), model.parts())],
             Self::MeanOf(model) => {

@@ -36,6 +36,11 @@ pub enum Transform {
 }
 
 impl Transform {
+    /// Whether nothing is changed.
+    pub fn is_none(&self) -> bool {
+        *self == Self::None
+    }
+
     /// g(y).
     ///
     /// # Errors
@@ -71,6 +76,15 @@ impl Transform {
                 let (w, p) = (high - low, s * (1.0 - s));
                 [low + w * s, w * p, w * p * (1.0 - 2.0 * s), w * p * (1.0 - 6.0 * p)]
             }
+        }
+    }
+
+    /// G' where the response is `y`: 1 without a transform.
+    pub fn slope_at(&self, y: f64) -> f64 {
+        match *self {
+            Self::None => 1.0,
+            Self::BoxCox { power } => y.powf(1.0 - power),
+            Self::Logit { low, high } => (y - low) * (high - y) / (high - low),
         }
     }
 

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::points::Points;
 use super::super::scaling::Scaling;
+use super::super::transform::Transform;
 use super::super::{Learn, Learnt, LeftOut, ResponseError, ResponseModel};
 use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
@@ -44,6 +45,12 @@ pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
                 unit: "-",
                 default: "\"constant\"",
                 what: "constant, or varying: its logarithm is a smooth function of the inputs",
+            },
+            ParamDoc {
+                name: "transform",
+                unit: "-",
+                default: "\"none\"",
+                what: "none, or log: learnt is the logarithm of the output, so that its errors are relative",
             },
             ParamDoc {
                 name: "exact_points",
@@ -116,6 +123,26 @@ pub enum NoiseChoice {
     Varying,
 }
 
+/// Which transform of the output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutputChoice {
+    /// None.
+    #[default]
+    None,
+    /// Logarithm.
+    Log,
+}
+
+impl OutputChoice {
+    pub(super) fn transform(self) -> Transform {
+        match self {
+            Self::None => Transform::None,
+            Self::Log => Transform::BoxCox { power: 0.0 },
+        }
+    }
+}
+
 /// Turns of process and noise.
 const TURNS: usize = 3;
 
@@ -133,6 +160,8 @@ pub struct GaussianProcess {
     pub seed: u64,
     /// Whether the noise varies with the inputs.
     pub noise: NoiseChoice,
+    /// Transform of the output.
+    pub transform: OutputChoice,
     /// Most points that are taken exactly.
     pub exact_points: usize,
     /// Most inducing points of a sparse process above that; 0 refuses instead.
@@ -147,6 +176,7 @@ impl Default for GaussianProcess {
             starts: 4,
             seed: 0,
             noise: NoiseChoice::Constant,
+            transform: OutputChoice::None,
             exact_points: 3000,
             inducing_points: 150,
         }
@@ -164,6 +194,9 @@ impl Learn for GaussianProcess {
             let (key, found, expected) = ("starts", self.starts.to_string(), format!("1 to {MOST_STARTS}"));
             return Err(ResponseError::Key { model: "gaussian_process", key, found, expected });
         }
+        let transform = self.transform.transform();
+        let learnt = Points { y: transform.apply(&points.y)?, ..points.clone() };
+        let (measured, points) = (&points.y, &learnt);
         let scaling = Scaling::of(points);
         let data = Scaled::new(&scaling, points, self.mean);
         let sparse = points.len() > self.exact_points;
@@ -179,7 +212,9 @@ impl Learn for GaussianProcess {
         let none = || ResponseError::NoStart { model: "gaussian_process", output: points.output.clone() };
         let start = self.screen(&data, &points.inputs, interrupt).ok_or_else(none)?;
         if sparse {
-            return self.finish_sparse(points, scaling, &data, &start, interrupt);
+            let mut learnt = self.finish_sparse(points, scaling, &data, &start, interrupt)?;
+            left_out_of(transform, measured, points, &mut learnt.left_out);
+            return Ok(learnt);
         }
         let mut best = polish(&data.problem(start.kernel), &start, interrupt).ok_or_else(none)?;
         let mut noise = None;
@@ -192,7 +227,21 @@ impl Learn for GaussianProcess {
                 noise = Some(learnt);
             }
         }
-        self.finish(points, scaling, data, best, noise)
+        let mut learnt = self.finish(points, scaling, data, best, noise)?;
+        left_out_of(transform, measured, points, &mut learnt.left_out);
+        Ok(learnt)
+    }
+}
+
+/// Left-out residuals of a transformed output, in the unit of the measured one.
+fn left_out_of(transform: Transform, measured: &[f64], points: &Points, left: &mut LeftOut) {
+    if transform == Transform::None {
+        return;
+    }
+    for (i, (y, g)) in measured.iter().zip(&points.y).enumerate() {
+        let [back, slope, ..] = transform.inverse(g - left.residuals[i]);
+        left.residuals[i] = y - back;
+        left.variance[i] *= slope * slope;
     }
 }
 
@@ -344,8 +393,16 @@ impl GaussianProcess {
         let mut notes = points.notes();
         notes.extend(lost_inputs(points, &log_lengths));
         let hyper = Hyperparameters { log_lengths, noise_ratio, signal_variance };
-        let stored =
-            Stored { scaling, kernel: best.kernel, mean: self.mean, hyper, noise, z: data.z, y: data.y };
+        let stored = Stored {
+            scaling,
+            transform: self.transform.transform(),
+            kernel: best.kernel,
+            mean: self.mean,
+            hyper,
+            noise,
+            z: data.z,
+            y: data.y,
+        };
         let model = GpModel::build(stored)?;
         notes.push(format!(
             "{}; {} likelihoods were computed",

@@ -38,7 +38,8 @@ impl GaussianProcess {
         let (lengths, g) = (&found.x[..d], found.x[d].exp());
         let left_out = bound.left_out(lengths, g, scaling.output_std).ok_or_else(none)?;
         let lost: Vec<String> = super::fit::lost_inputs(points, lengths);
-        let model = SparseGpModel::build(&bound, scaling, lengths, g, trend).ok_or_else(none)?;
+        let model = SparseGpModel::build(&bound, (scaling, self.transform.transform()), lengths, g, trend)
+            .ok_or_else(none)?;
         let mut notes = points.notes();
         notes.extend(lost);
         notes.push(format!(

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::super::ResponseError;
 use super::super::formula::{Part, Product};
 use super::super::scaling::Scaling;
+use super::super::transform::Transform;
 use super::factors::Factors;
 use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
@@ -37,6 +38,9 @@ pub struct GpModel {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Stored {
     pub(super) scaling: Scaling,
+    /// Of the output, before it is scaled.
+    #[serde(default, skip_serializing_if = "Transform::is_none")]
+    pub(super) transform: Transform,
     pub(super) kernel: Kernel,
     pub(super) mean: Mean,
     pub(super) hyper: Hyperparameters,
@@ -125,10 +129,16 @@ impl GpModel {
         scaled.map(|(l, s)| l.exp() * s).collect()
     }
 
-    /// Standard deviation of the noise, in the unit of the output (its geometric mean over the points where it varies).
+    /// Standard deviation of the noise, in the unit of the output, or of what its transform gives (its geometric mean over the points
+    /// where it varies).
     pub fn noise_std(&self) -> f64 {
         (self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt()
             * self.stored.scaling.output_std
+    }
+
+    /// Transform of the output.
+    pub fn transform(&self) -> Transform {
+        self.stored.transform
     }
 
     /// Scaling of inputs and output.
@@ -163,10 +173,14 @@ impl GpModel {
     }
 
     /// Takes one more measured point in, hyperparameters and scaling kept, in O(n^2): a new row of the factor.
-    pub fn add(&mut self, x: &[f64], y: f64) {
+    ///
+    /// # Errors
+    /// [`ResponseError::Domain`] for an output that its transform cannot take.
+    pub fn add(&mut self, x: &[f64], y: f64) -> Result<(), ResponseError> {
         let (d, n) = (self.columns.len(), self.points());
         let mut point = vec![0.0; d];
         self.stored.scaling.input(x, &mut point);
+        let y = self.stored.transform.apply(&[y])?[0];
         let y = (y - self.stored.scaling.output_mean) / self.stored.scaling.output_std;
         let (mut k, mut slopes) = (vec![0.0; n], vec![0.0; n]);
         let mut h = vec![0.0; self.stored.mean.count(d)];
@@ -176,6 +190,7 @@ impl GpModel {
         self.columns.iter_mut().zip(&point).for_each(|(column, v)| column.push(*v));
         self.stored.z.extend_from_slice(&point);
         self.stored.y.push(y);
+        Ok(())
     }
 }
 

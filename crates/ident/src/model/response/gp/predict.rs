@@ -63,11 +63,13 @@ impl Response for GpModel {
             self.hessians(point, slopes, p, t, k, rest, out);
         }
         out.work = work;
+        self.stored.transform.back(ask, out);
     }
 
     fn describe(&self) -> String {
+        let of = if self.stored.transform.is_none() { "" } else { " of the logarithm" };
         format!(
-            "Gaussian process, {} kernel, {} points, noise {} of the output's standard deviation",
+            "Gaussian process{of}, {} kernel, {} points, noise {} of the output's standard deviation",
             self.stored.kernel.words(),
             self.points(),
             four((self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt())
@@ -77,7 +79,7 @@ impl Response for GpModel {
 
 impl GpModel {
     /// Covariances of the response at x (d) with that at each reference point (row by row), given the measurements:
-    /// `s^2 (k(x,r) - v_x'v_r + t_x't_r)`.
+    /// `s^2 (k(x,r) - v_x'v_r + t_x't_r)`; of a transformed output to first order.
     pub fn covariances(&self, x: &[f64], reference: &[f64]) -> Vec<f64> {
         let (d, n) = (self.columns.len(), self.points());
         let q = self.stored.mean.count(d);
@@ -97,12 +99,21 @@ impl GpModel {
         let (z, p, of_t) = rotated(x);
         let (mut other, mut h) = (vec![0.0; d], vec![0.0; q]);
         let (mut k, mut slopes) = (vec![0.0; n], vec![0.0; n]);
+        let slope = |x: &[f64]| {
+            if self.stored.transform.is_none() {
+                return 1.0;
+            }
+            let mut at = Prediction::new(d);
+            self.predict(x, Ask::Mean, &mut at);
+            self.stored.transform.slope_at(at.mean)
+        };
+        let own = slope(x);
         let each = reference.chunks_exact(d).map(|r| {
             self.stored.scaling.input(r, &mut other);
             self.stored.mean.values(&other, &mut h);
             self.correlations(&other, &mut k, &mut slopes);
             let r2 = z.iter().zip(&other).zip(&w).map(|((a, b), w)| w * (a - b) * (a - b)).sum();
-            s2 * (self.stored.kernel.value_slope(r2).0 - dot(&p, &k) + dot(&of_t, &h))
+            own * slope(r) * s2 * (self.stored.kernel.value_slope(r2).0 - dot(&p, &k) + dot(&of_t, &h))
         });
         each.collect()
     }

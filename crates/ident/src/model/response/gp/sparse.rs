@@ -22,6 +22,7 @@ use dynocal_numerics::linalg::{
 use serde::{Deserialize, Serialize};
 
 use super::super::formula::{Part, Product};
+use super::super::transform::Transform;
 use super::super::{Ask, Prediction, Response, Scaling};
 use super::kernel::Kernel;
 use super::mean::Mean;
@@ -282,6 +283,9 @@ pub(super) fn choose(
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SparseGpModel {
     scaling: Scaling,
+    /// Of the output, before it is scaled.
+    #[serde(default, skip_serializing_if = "Transform::is_none")]
+    transform: Transform,
     kernel: Kernel,
     log_lengths: Vec<f64>,
     noise_ratio: f64,
@@ -301,7 +305,7 @@ impl SparseGpModel {
     /// Builds the predictor from the bound's factors.
     pub(super) fn build(
         bound: &Bound<'_>,
-        scaling: Scaling,
+        (scaling, transform): (Scaling, Transform),
         log_lengths: &[f64],
         g: f64,
         trend: Vec<f64>,
@@ -323,6 +327,7 @@ impl SparseGpModel {
         product(-1.0, Factor::transposed(&ui, m, m), Factor::new(&ui, m, m), true, &mut reduction).ok()?;
         Some(Self {
             scaling,
+            transform,
             kernel: bound.kernel,
             log_lengths: log_lengths.to_vec(),
             noise_ratio: g,
@@ -333,6 +338,11 @@ impl SparseGpModel {
             reduction,
             points: bound.y.len(),
         })
+    }
+
+    /// Transform of the output.
+    pub fn transform(&self) -> Transform {
+        self.transform
     }
 
     /// Scaling of inputs and output.
@@ -427,11 +437,13 @@ impl Response for SparseGpModel {
             }
         }
         out.work = work;
+        self.transform.back(ask, out);
     }
 
     fn describe(&self) -> String {
+        let of = if self.transform.is_none() { "" } else { " of the logarithm" };
         format!(
-            "sparse Gaussian process, {} kernel, {} inducing points for {} points",
+            "sparse Gaussian process{of}, {} kernel, {} inducing points for {} points",
             self.kernel.words(),
             self.weights.len(),
             self.points
