@@ -4,7 +4,9 @@
 mod common;
 
 use dynocal_ident::model::response::gp::likelihood::{Problem, Work};
-use dynocal_ident::model::response::gp::{GaussianProcess, GpModel, Kernel, KernelChoice, Mean};
+use dynocal_ident::model::response::gp::{
+    GaussianProcess, GpModel, Kernel, KernelChoice, Mean, OutputChoice,
+};
 use dynocal_ident::model::response::{
     Ask, Learn, Learnt, Points, PointsError, Prediction, Response, ResponseError, ResponseModel,
 };
@@ -292,4 +294,39 @@ fn faults_of_the_points_are_named() {
     assert!(learnt.notes.iter().any(|n| n.contains("6 points lie at 3 repeated")), "{:?}", learnt.notes);
     let warnings = doubled.warnings(&learnt.left_out);
     assert!(warnings.iter().any(|n| n.contains("row 31 repeats inputs and output")), "{warnings:?}");
+}
+
+/// A process of the logarithm is the process of logarithms, turned back: mean, first-order variance, formula, covariances, sparse too.
+#[test]
+fn a_process_of_the_logarithm_is_that_of_logarithms() {
+    let mut p = case(60, 2, 0.05, 21);
+    p.y.iter_mut().for_each(|y| *y = y.exp());
+    let logs = Points { y: p.y.iter().map(|y| y.ln()).collect(), ..p.clone() };
+    for exact_points in [3000, 40] {
+        let plain = GaussianProcess { starts: 1, exact_points, ..Default::default() };
+        let of_log = GaussianProcess { transform: OutputChoice::Log, ..plain.clone() };
+        let a = of_log.learn(&p, &|| false).unwrap();
+        let b = plain.learn(&logs, &|| false).unwrap();
+        let (mut at, mut of) = (Prediction::new(2), Prediction::new(2));
+        for x in case(20, 2, 0.0, 22).x.chunks_exact(2) {
+            a.model.predict(x, Ask::Variance, &mut at);
+            b.model.predict(x, Ask::Variance, &mut of);
+            let y = of.mean.exp();
+            assert!((at.mean / y - 1.0).abs() < 1e-12);
+            assert!((at.variance - y * y * of.variance).abs() < 1e-9 * at.variance.max(1e-9));
+            assert!((a.model.formulas()[0].value(x) / y - 1.0).abs() < 1e-9);
+        }
+        let shown = p.y[7] - a.left_out.residuals[7];
+        assert!((shown.ln() - (logs.y[7] - b.left_out.residuals[7])).abs() < 1e-9);
+        if let (ResponseModel::GaussianProcess(a), ResponseModel::GaussianProcess(b)) = (a.model, b.model) {
+            let (x, r) = ([0.3, -0.2], [0.1, 0.4]);
+            a.predict(&x, Ask::Mean, &mut at);
+            a.predict(&r, Ask::Mean, &mut of);
+            let expected = at.mean * of.mean * b.covariances(&x, &r)[0];
+            assert!((a.covariances(&x, &r)[0] / expected - 1.0).abs() < 1e-9);
+        }
+    }
+    p.y[3] = -1.0;
+    let of_log = GaussianProcess { transform: OutputChoice::Log, ..Default::default() };
+    assert!(matches!(of_log.learn(&p, &|| false), Err(ResponseError::Domain { .. })));
 }

@@ -21,7 +21,7 @@ mod tiles;
 pub(super) use fit::MEMBER;
 
 pub use factors::Factors;
-pub use fit::{GaussianProcess, KernelChoice, NoiseChoice};
+pub use fit::{GaussianProcess, KernelChoice, NoiseChoice, OutputChoice};
 pub use kernel::Kernel;
 pub use mean::Mean;
 pub use model::{GpModel, Hyperparameters};
