@@ -91,7 +91,10 @@ pub fn next_points(
         if chosen.len() < count {
             let mut at = Prediction::new(d);
             believer.predict(rows[best], Ask::Mean, &mut at);
-            believer.add(rows[best], at.mean);
+            // What the model expects lies in the range of its transform.
+            if believer.add(rows[best], at.mean).is_err() {
+                break;
+            }
         }
     }
     chosen
