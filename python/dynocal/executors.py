@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from . import _arguments as arguments
 from ._many import Asked, chunk
-from .errors import FileError, MissingPackageError, RunError
+from .errors import ArgumentError, FileError, MissingPackageError, RunError
 
 __all__ = ["Dask", "Executor", "Local"]
 
@@ -62,7 +62,8 @@ class Local:
         environment = {**os.environ, "RAYON_NUM_THREADS": str(self.threads)}
         with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
             started = [
-                subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said)
+                # Nothing is written into the pipe: a worker ends when it closes, with this process.
+                subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
                 for _ in range(min(self.workers, len(left)))
             ]
             try:
@@ -97,6 +98,9 @@ def _stop(started: list[subprocess.Popen[bytes]]) -> None:
         except subprocess.TimeoutExpired:
             p.kill()
             p.wait()
+    for p in started:
+        if p.stdin is not None:
+            p.stdin.close()
 
 
 class Dask:
@@ -116,6 +120,8 @@ class Dask:
     """
 
     def __init__(self, address: Any, *, retries: int = 2, timeout_s: float = 10.0) -> None:
+        if not isinstance(address, str) and not hasattr(address, "submit"):
+            raise ArgumentError(f"address: found {arguments.kind(address)}, expected the address of a scheduler, or a distributed.Client")
         self.address = address
         self.retries = arguments.count("retries", retries, 0, 1000)
         self.timeout_s = arguments.number("timeout_s", timeout_s, "seconds", positive=True)
