@@ -217,10 +217,11 @@ def _with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def work(text: str) -> None:
-    """A worker of :class:`dynocal.executors.Local`: joins until nothing is left."""
+def work() -> None:
+    """A worker of :class:`dynocal.executors.Local`: is told by a line what to join, and does so until nothing is left."""
     from .errors import DynocalError
 
+    text = sys.stdin.buffer.readline()
     _with_parent()
     try:
         Asked(**json.loads(text)).tasks().part(None, None)

@@ -15,13 +15,15 @@ import dynocal
 SPEC = """
 [data]
 file = "{file}"
-split = {{ fractions = [0.5, 0.2, 0.3] }}
+time = "{time}"
+[split]
+fractions = [0.5, 0.2, 0.3]
 [[channels]]
-name = "u"
+column = "u"
 unit = "V"
 role = "input"
 [[channels]]
-name = "y"
+column = "y"
 unit = "Nm"
 role = "output"
 [model]
@@ -87,7 +89,7 @@ def test_a_model_of_a_job_knows_its_file_and_the_other_way(ending: str, tmp_path
     d = record()
     d.write(tmp_path / f"d.{ending}")
     spec = tmp_path / "job.toml"
-    spec.write_text(SPEC.format(file=f"d.{ending}"), encoding="utf-8")
+    spec.write_text(SPEC.format(file=f"d.{ending}", time="Time" if ending == "mf4" else "time"), encoding="utf-8")
     run = dynocal.identify(spec, out=tmp_path / "run")
     own = run.models["y"]
     read = dynocal.read(tmp_path / f"d.{ending}", outputs="y")
