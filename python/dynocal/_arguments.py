@@ -105,6 +105,9 @@ def names(name: str, value: str | Iterable[str] | None, default: Sequence[str] =
 
 def table_columns(value: object) -> list[str] | None:
     """Names of the columns of a frame or table or mapping; ``None`` for what has none that are texts."""
+    if type(value) is np.ndarray:
+        # The usual case, in calls that are short.
+        return None
     if isinstance(value, Mapping):
         found = list(value)
     elif hasattr(value, "__arrow_c_stream__") and (hasattr(value, "columns") or hasattr(value, "column_names")):

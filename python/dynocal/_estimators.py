@@ -187,7 +187,13 @@ class Estimator:
         ArgumentError, DataError, SpecError, EstimateError
         """
         records = _records(u, y, inputs, outputs, ts_s)
-        others = _records(selecting, None, inputs, outputs, ts_s) if selecting is not None else []
+        if selecting is not None:
+            chosen = [selecting] if isinstance(selecting, Dataset) else arguments.listed("selecting", selecting, "a Dataset or a list of them")
+            for k, d in enumerate(chosen):
+                if not isinstance(d, Dataset):
+                    raise ArgumentError(f"selecting[{k}]: found {arguments.kind(d)}, expected a Dataset")
+            selecting = chosen
+        others = _records(selecting, None, inputs, outputs, None) if selecting else []
         first = records[0]
         outs = first.outputs
         if not outs:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -209,10 +208,10 @@ def _with_parent() -> None:
     """
 
     def wait() -> None:
-        try:
-            sys.stdin.buffer.read()
-        finally:
-            os._exit(1)
+        # Not by sys.stdin: an interpreter that ends wants its lock, which a thread that reads would hold.
+        while os.read(0, 4096):
+            pass
+        os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
 
@@ -221,7 +220,9 @@ def work() -> None:
     """A worker of :class:`dynocal.executors.Local`: is told by a line what to join, and does so until nothing is left."""
     from .errors import DynocalError
 
-    text = sys.stdin.buffer.readline()
+    text = b""
+    while not text.endswith(b"\n") and (more := os.read(0, 1 << 16)):
+        text += more
     _with_parent()
     try:
         Asked(**json.loads(text)).tasks().part(None, None)

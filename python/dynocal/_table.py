@@ -76,7 +76,8 @@ def time_of(found: Table, time: str | None, ts_s: float | None, named: list[str]
         found.columns.pop(found.index)
     for name in found.columns:
         unit = units.get(name, found.units.get(name, "-"))
-        timed = name in found.stamps or _dynocal.is_time(name, None if unit == "-" else unit)
+        # A capital T is as often a temperature or a torque.
+        timed = name in found.stamps or name != "T" and _dynocal.is_time(name, None if unit == "-" else unit)
         if timed and name != time and name not in named:
             raise ArgumentError(
                 f"data: found the column `{name}`, which looks like time, expected to be told: time={name!r} (instead of ts_s=), or "

@@ -149,6 +149,8 @@ def test_whatever_is_raised_is_ours(tmp_path: Path) -> None:
         lambda: dynocal.study(signal_spec(), seeds=3),
         lambda: dynocal.study({"name": "s", "job": "signal", "spec": signal_spec()}, seeds=[1], executor=dynocal.executors.Local),
         lambda: m.score(d, k_steps=5),
+        lambda: dynocal.Arx().fit(d, selecting=3),
+        lambda: dynocal.Arx().fit(d, selecting=[d["u"]]),
         lambda: dynocal.identify({}, data=None),
         lambda: dynocal.design(m, n=50, limits={"u": (-1, 1)}, criterion=3),
         lambda: dynocal.plan(None),

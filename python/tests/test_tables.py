@@ -66,6 +66,7 @@ def test_time_is_no_input() -> None:
     assert taken.inputs == ["u"] and taken.ts_s == 0.1
     assert dynocal.Dataset(d.to_polars(), ts_s=0.1, inputs="u", outputs="y").inputs == ["u"]
     assert dynocal.Dataset({"t": u, "y": y}, ts_s=0.1, outputs="y", units={"t": "degC"}).inputs == ["t"]
+    assert dynocal.Dataset({"T": u, "y": y}, ts_s=0.1, outputs="y").inputs == ["T"]
 
 
 def test_the_index_of_a_frame_is_the_time() -> None:
