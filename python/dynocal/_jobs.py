@@ -164,6 +164,7 @@ class Run:
 
     def to_fmu(self, path: PathLike, *, version: str = "2.0") -> Path:
         """What the run found as one FMU of FMI 2.0 or 3.0, e.g. its map; returns the file."""
+        self._unchanged()
         return to_file(self.folder, path, {"2.0": "fmu2", "3.0": "fmu3"}[arguments.one_of("version", version, ["2.0", "3.0"])])
 
     def __repr__(self) -> str:

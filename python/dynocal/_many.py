@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from . import _arguments as arguments
 from . import _dynocal
 from ._data import Dataset, read
-from ._jobs import PathLike, Progress, Run
+from ._jobs import PathLike, Progress, Run, own_folder
 from .errors import ArgumentError, warn
 
 if TYPE_CHECKING:
@@ -109,11 +109,16 @@ def _asked(
             if spec not in names:
                 raise ArgumentError(f"what: found `{spec}`, expected a file ending in .toml, or one of {', '.join(names)}")
             name = f"study-{spec}-quick" if quick else f"study-{spec}"
-    place = Path("runs") / name if out is None else Path(arguments.path("out", out))
     given = None if seeds is None else arguments.listed("seeds", seeds, "a list of seeds")
     listed = None if given is None else [arguments.count(f"seeds[{k}]", s, 0, 2**63 - 1) for k, s in enumerate(given)]
     if listed is not None and (not listed or len(set(listed)) < len(listed)):
         raise ArgumentError(f"seeds: found {len(listed)} with repetitions or none, expected seeds, each once")
+    if out is not None:
+        place = Path(arguments.path("out", out))
+    elif isinstance(what, Mapping) and not what.get("name"):
+        place = own_folder("study", text or "", listed)
+    else:
+        place = Path("runs") / name
     return Asked(
         spec,
         text,

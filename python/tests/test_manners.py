@@ -36,6 +36,8 @@ def test_runs_without_a_name_do_not_meet(tmp_path: Path, monkeypatch: pytest.Mon
     seeded = dynocal.signal_plan(signal_spec(), seed=7)
     assert len({one.folder, other.folder, seeded.folder}) == 3
     assert dynocal.signal_plan(signal_spec()).folder == one.folder
+    few, more = (dynocal.study({"job": "signal", "spec": signal_spec()}, seeds=range(n)) for n in (2, 3))
+    assert (len(few.lines()), len(more.lines())) == (2, 3)
     # Wherever the notebook goes.
     monkeypatch.chdir("/")
     assert one.folder.is_absolute() and one.summary["verb"] == "signal"

@@ -367,7 +367,7 @@ fn write_text(
     let rows = columns.iter().map(|c| c.2.len()).min().unwrap_or(0);
     let mut line = String::new();
     for t in 0..rows {
-        if t % 4096 == 0 && stop() {
+        if t.is_multiple_of(4096) && stop() {
             return Err(std::io::Error::other("interrupted"));
         }
         line.clear();

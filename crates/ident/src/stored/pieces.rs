@@ -36,7 +36,7 @@ impl TryFrom<String> for Pieces {
     fn try_from(text: String) -> Result<Self, String> {
         let fault =
             || format!("found {} characters, expected 16 hexadecimal digits for each piece", text.len());
-        if !text.is_ascii() || text.len() % 16 != 0 {
+        if !text.is_ascii() || !text.len().is_multiple_of(16) {
             return Err(fault());
         }
         let one = |k: usize| u64::from_str_radix(&text[16 * k..16 * (k + 1)], 16).map_err(|_| fault());
