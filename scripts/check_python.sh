@@ -27,6 +27,10 @@ environment build "maturin==$MATURIN_VERSION"
 wheel="$(ls "$wheels"/dynocal-*.whl)"
 echo "wheel: $(basename "$wheel"), $(($(stat -c %s "$wheel") / 1000000)) MB"
 
+# The source distribution has what the wheel was built of.
+"$place/build/bin/maturin" sdist --out "$wheels" >/dev/null 2>&1
+python3 scripts/sdist.py "$wheels"/dynocal-*.tar.gz target/release/lib_dynocal.d
+
 # Whoever has nothing but NumPy.
 rm -rf "$place/bare"
 environment bare "$wheel"

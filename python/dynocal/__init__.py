@@ -15,31 +15,30 @@ from typing import Any
 from . import _arguments, _dynocal, errors
 from ._arguments import FloatArray
 from ._data import Dataset, contents, convert, read
+from ._design import Limits, design, plan
 from ._estimators import Estimator
 from ._jobs import (
     Control,
     Labels,
-    Limits,
     Run,
     calibrate,
     check,
     control,
-    design,
     export,
     identify,
     label,
     map,
     optimise,
-    plan,
     run,
     sequential,
     signal_plan,
     simulate,
 )
 from ._many import Study, study
-from ._model import Finding, Model, Score, Scores
+from ._model import Model
 from ._plant import Engine, LimitEvent, Variable
 from ._results import Label, Loop, Map, Maps, Margins, maps
+from ._scores import Finding, Score, Scores
 from ._structures import (
     Armax,
     Arx,
@@ -137,7 +136,7 @@ def signal(name: str, n: int, ts_s: float, *, seed: int = 1, keys: Mapping[str, 
     return _dynocal.signal(
         name,
         chosen,
-        _arguments.count("n", n, 2),
+        _arguments.count("n", n, 2, 100_000_000),
         _arguments.number("ts_s", ts_s, "seconds", positive=True),
         _arguments.count("seed", seed, 0, 2**63 - 1),
     )
@@ -151,6 +150,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module(f".{name}", __name__)
     raise AttributeError(f"module `dynocal` has no `{name}`")
 
+
+errors.guard(globals(), __all__)
 
 if hasattr(os, "register_at_fork"):
     # A child that was forked has none of our threads: it is told so instead of waiting for them.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .errors import ArgumentError, DataError
+from .errors import ArgumentError, DataError, _Passed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def array(name: str, value: object) -> FloatArray:
     if found.dtype.kind == "O":
         try:
             found = found.astype(np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ArgumentError(f"{name}: found {kind(value)}, expected an array of numbers") from None
     if found.dtype.kind not in "fiub":
         raise ArgumentError(f"{name}: found dtype {found.dtype}, expected real numbers (float64 or what becomes it)")
@@ -73,7 +73,18 @@ def text(name: str, value: object) -> str:
     """A text."""
     if not isinstance(value, str):
         raise ArgumentError(f"{name}: found {kind(value)}, expected a text")
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise ArgumentError(f"{name}: found {value!a}, expected a text that Unicode has") from None
     return value
+
+
+def listed(name: str, value: object, what: str) -> list[Any]:
+    """Something to go through, as a list; a text is none."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+        raise ArgumentError(f"{name}: found {kind(value)}, expected {what}")
+    return list(value)
 
 
 def names(name: str, value: str | Iterable[str] | None, default: Sequence[str] = ()) -> list[str]:
@@ -92,6 +103,21 @@ def names(name: str, value: str | Iterable[str] | None, default: Sequence[str] =
     return found
 
 
+def table_columns(value: object) -> list[str] | None:
+    """Names of the columns of a frame or table or mapping; ``None`` for what has none that are texts."""
+    if type(value) is np.ndarray:
+        # The usual case, in calls that are short.
+        return None
+    if isinstance(value, Mapping):
+        found = list(value)
+    elif hasattr(value, "__arrow_c_stream__") and (hasattr(value, "columns") or hasattr(value, "column_names")):
+        # pyarrow has its columns themselves under `columns`, the others their names.
+        found = list(getattr(value, "column_names", None) or value.columns)  # type: ignore[attr-defined]
+    else:
+        return None
+    return found if all(isinstance(n, str) for n in found) else None
+
+
 def number(name: str, value: object, unit: str = "", *, positive: bool = False) -> float:
     """A finite number, positive where asked."""
     unit = f" of {unit}" if unit else ""
@@ -100,7 +126,7 @@ def number(name: str, value: object, unit: str = "", *, positive: bool = False) 
         raise ArgumentError(f"{name}: found {kind(value)}, expected {expected}")
     try:
         found = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ArgumentError(f"{name}: found {kind(value)}, expected {expected}") from None
     if not math.isfinite(found) or (positive and found <= 0.0):
         raise ArgumentError(f"{name}: found {found:g}, expected {expected}")
@@ -121,6 +147,13 @@ def count(name: str, value: object, least: int = 0, most: int = 2**62) -> int:
     return found
 
 
+def flag(name: str, value: object) -> bool:
+    """True or false."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ArgumentError(f"{name}: found {kind(value)}, expected True or False")
+    return bool(value)
+
+
 def one_of(name: str, value: object, known: Iterable[str]) -> str:
     """One of the known texts."""
     known = list(known)
@@ -136,7 +169,21 @@ def mapping(name: str, value: object) -> dict[str, Any]:
     items = getattr(value, "items", None)
     if not callable(items):
         raise ArgumentError(f"{name}: found {kind(value)}, expected a mapping")
-    return {text(f"{name}: key", k): v for k, v in items()}
+    return {text(f"{name}: key", k): _encoded(f"{name}: {k}", v) for k, v in items()}
+
+
+def _encoded(name: str, value: object, depth: int = 0) -> Any:
+    """The same value; texts deep in it are such that Unicode has."""
+    if isinstance(value, str):
+        return text(name, value)
+    # What is deeper is refused where it is read.
+    if isinstance(value, dict) and depth < 32:
+        for k, v in value.items():
+            _encoded(f"{name}.{k}", v, depth + 1)
+    elif isinstance(value, (list, tuple)) and depth < 32 and not (value and isinstance(value[0], (int, float))):
+        for k, v in enumerate(value):
+            _encoded(f"{name}[{k}]", v, depth + 1)
+    return value
 
 
 def callback(value: object) -> Any:
@@ -148,7 +195,7 @@ def callback(value: object) -> Any:
     if value is None or value is False:
         return None
     if callable(value):
-        return value
+        return _Passed(value)
     raise ArgumentError(f"progress: found {kind(value)}, expected None, True for a bar, or a function of (text, fraction)")
 
 
@@ -157,6 +204,9 @@ def path(name: str, value: object) -> str:
     import os
 
     try:
-        return os.fsdecode(os.fspath(value))  # type: ignore[call-overload]
+        found: str = os.fsdecode(os.fspath(value))  # type: ignore[call-overload]
     except TypeError:
         raise ArgumentError(f"{name}: found {kind(value)}, expected a path") from None
+    if not found or "\0" in found:
+        raise ArgumentError(f"{name}: found {found!a}, expected a path")
+    return found

@@ -11,6 +11,7 @@ import numpy as np
 
 from . import _arguments as arguments
 from . import _dynocal
+from . import _table as tables
 from ._arguments import FloatArray
 from .errors import ArgumentError, DataError, MissingPackageError
 
@@ -20,28 +21,6 @@ if TYPE_CHECKING:
     import polars
 
 __all__ = ["Dataset", "contents", "convert", "read"]
-
-
-def _columns(data: object, time: str | None) -> tuple[dict[str, FloatArray], list[str]]:
-    """Columns by name of anything that has them, and what is left out."""
-    if isinstance(data, Mapping):
-        return {arguments.text("data: a name", k): arguments.array(f"data[{k!r}]", v) for k, v in data.items()}, []
-    if hasattr(data, "__arrow_c_stream__"):
-        found, others = _dynocal.record_from_arrow(data)
-        if hasattr(data, "index") and hasattr(data, "columns"):
-            # A pandas frame sends its index along: that is no channel, but it may be the time.
-            own = [str(c) for c in data.columns]
-            found = [pair for pair in found if pair[0] in own or pair[0] == time]
-        taken = [name for name, _ in found]
-        for k, name in enumerate(taken):
-            if name in taken[:k]:
-                raise DataError(f"data: found the column `{name}` twice, expected names that differ")
-        left_out = [f"column `{name}` is left out: it holds no numbers ({kind})" for name, kind in others]
-        return dict(found), left_out
-    raise ArgumentError(
-        f"data: found {arguments.kind(data)}, expected a mapping of name to samples, or a table with __arrow_c_stream__ "
-        "(pandas, polars, pyarrow, DuckDB)"
-    )
 
 
 class Dataset:
@@ -59,7 +38,8 @@ class Dataset:
     units
         Unit of a channel; ``-`` where it is not given.
     time
-        Channel of uniform stamps in s, instead of ``ts_s``.
+        Channel of uniform stamps in s, instead of ``ts_s``. Where neither is given, an index of a pandas frame that holds stamps is the
+        time. Other columns that look like it are refused until it is said what they are.
     name
         Name of the record in messages.
     init_samples
@@ -95,19 +75,35 @@ class Dataset:
         init_samples: int = 0,
         missing: bool = False,
     ) -> None:
-        found, left_out = _columns(data, time)
+        outs = arguments.names("outputs", outputs)
+        if isinstance(data, Dataset):
+            ts_s = data.ts_s if ts_s is None and time is None else ts_s
+            outs = data.outputs if outputs is None else outs
+            inputs = [n for n in data.inputs if n not in outs] if inputs is None else inputs
+            units = {**data.units, **arguments.mapping("units", units)}
+            init_samples, data = init_samples or data.init_samples, data.to_dict()
+        table = tables.table(data, None if time is None else arguments.text("time", time))
+        given = arguments.mapping("units", units)
+        # Without a list of inputs everything would be one, time too.
+        named = [*outs, *(table.columns if inputs is not None else [])]
+        time = tables.time_of(table, time, ts_s, named, given)
+        found = table.columns
         if not found:
             raise DataError("data: found no column of numbers, expected at least one")
-        stamps = found.pop(arguments.text("time", time), None) if time is not None else None
+        stamps = found.pop(time, None) if time is not None else None
         if time is not None and stamps is None:
             raise ArgumentError(f"time: found `{time}`, expected one of {', '.join(found)}")
         if ts_s is not None and stamps is not None:
             raise ArgumentError("ts_s: found it beside time, expected one of the two")
-        step = _interval(time or "", stamps) if stamps is not None else ts_s
+        step = tables.interval(time or "", stamps) if stamps is not None else ts_s
         step = 1.0 if step is None else arguments.number("ts_s", step, "seconds", positive=True)
-        outs = arguments.names("outputs", outputs)
         ins = arguments.names("inputs", inputs, [n for n in found if n not in outs])
-        given = arguments.mapping("units", units)
+        both = [n for n in ins if n in outs]
+        if both:
+            raise ArgumentError(f"inputs: found `{both[0]}`, which is an output as well")
+        given = {**table.units, **given}
+        if time is not None:
+            given.pop(time, None)
         for what, listed in (("inputs", ins), ("outputs", outs), ("units", list(given))):
             for one in listed:
                 if one not in found:
@@ -125,12 +121,12 @@ class Dataset:
         count = arguments.count("init_samples", init_samples)
         self._record = _dynocal.Record(arguments.text("name", name), step, channels, count, name)
         self._steady = ts_s is None and stamps is None
-        self.notes = left_out
+        self.notes = table.notes
 
     @classmethod
     def _of(cls, record: _dynocal.Record, steady: bool = False, notes: list[str] | None = None) -> Dataset:
         new = cls.__new__(cls)
-        new._record, new._steady, new.notes = record, steady, notes or []
+        new._record, new._steady, new.notes = record, steady, list(notes or [])
         return new
 
     # ------------------------------------------------------------------ what it is
@@ -200,24 +196,29 @@ class Dataset:
         return self._record.values(arguments.text("channel", name))
 
     def __eq__(self, other: object) -> bool:
+        """Whether the other has the same samples in the same channels, units, roles and sample time; names do not count."""
         if not isinstance(other, Dataset):
             return NotImplemented
-        return self._record.fingerprint() == other._record.fingerprint()
+        return self._key() == other._key()
 
     def __hash__(self) -> int:
-        return hash(self._record.fingerprint())
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return self._record.fingerprint(), self._steady, tuple(self._record.channels()), self.init_samples
 
     def __repr__(self) -> str:
         def listed(names: list[str]) -> str:
             return ", ".join(f"{n} [{self.units[n]}]" for n in names) or "none"
 
         time = "steady points" if self._steady else f"samples of {self._record.sample_time_s:g} s"
-        return f"<Dataset {self.name}: {len(self)} {time}, inputs {listed(self.inputs)}, outputs {listed(self.outputs)}>"
+        noted = f"; {len(self.notes)} note{'s' * (len(self.notes) > 1)}" if self.notes else ""
+        return f"<Dataset {self.name}: {len(self)} {time}, inputs {listed(self.inputs)}, outputs {listed(self.outputs)}{noted}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         columns = {name: self[name] for name in self.channels}
         more = (self._record.sample_time_s, self.inputs, self.outputs, self.units, self.name, self.init_samples)
-        return _rebuilt, (columns, *more, self._steady, self.origin)
+        return _rebuilt, (columns, *more, self._steady, self.origin, self.notes)
 
     # ------------------------------------------------------------------ parts
 
@@ -251,7 +252,7 @@ class Dataset:
         """Samples ``start`` to ``stop`` (exclusive) as a record of their own."""
         n = len(self)
         first, last = arguments.count("start", start, 0, n - 1), arguments.count("stop", stop, 1, n)
-        return Dataset._of(self._record.part(first, last, f"{self.name}[{first}:{last}]"), self._steady)
+        return Dataset._of(self._record.part(first, last, f"{self.name}[{first}:{last}]"), self._steady, self.notes)
 
     def with_roles(
         self, inputs: str | Iterable[str] | None = None, outputs: str | Iterable[str] | None = None
@@ -290,6 +291,8 @@ class Dataset:
     def to_polars(self) -> polars.DataFrame:
         """A polars frame; its first column is the time in s."""
         polars = _package("polars", "to_polars")
+        if not self._steady and "time_s" in self:
+            raise DataError("to_polars: found a channel `time_s`, which is how the column of the time is called")
         time = {} if self._steady else {"time_s": self.time_s}
         return polars.DataFrame({**time, **self.to_dict()})
 
@@ -298,7 +301,7 @@ class Dataset:
 
     def write(self, path: str | os.PathLike[str]) -> list[str]:
         """Writes the record in the format that the ending names; returns what could not be kept, in sentences."""
-        return _dynocal.convert(self._record, arguments.path("path", path), {})
+        return _dynocal.write(self._record, arguments.path("path", path), self._steady)
 
     def plot(self, channels: str | Iterable[str] | None = None, ax: matplotlib.axes.Axes | None = None) -> Any:
         """Draws channels over time into Matplotlib axes and returns them; never shows a window."""
@@ -310,14 +313,22 @@ class Dataset:
         from ._pictures import trace
 
         rows = []
-        for name, unit, role in self._record.channels():
+        channels = self._record.channels()
+        for name, unit, role in channels[:_SHOWN]:
             values = self[name]
             known = values[np.isfinite(values)]
             least, most = (f"{known.min():.5g}", f"{known.max():.5g}") if known.size else ("-", "-")
             cells = "".join(f"<td>{html.escape(str(c))}</td>" for c in (name, unit, role, least, most))
             rows.append(f"<tr>{cells}<td>{trace(values)}</td></tr>")
         head = "".join(f"<th>{c}</th>" for c in ("channel", "unit", "role", "least", "greatest", ""))
-        return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{''.join(rows)}</table>"
+        more = f"<p>and {len(channels) - _SHOWN} more channels</p>" if len(channels) > _SHOWN else ""
+        noted = "".join(f"<li>{html.escape(n)}</li>" for n in self.notes)
+        text = f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{''.join(rows)}</table>{more}"
+        return text + (f"<ul>{noted}</ul>" if noted else "")
+
+
+_SHOWN = 60
+"""Channels that a notebook shows of a record."""
 
 
 def _rebuilt(
@@ -330,29 +341,13 @@ def _rebuilt(
     init_samples: int,
     steady: bool,
     origin: str,
+    notes: list[str],
 ) -> Dataset:
     def role(channel: str) -> str:
         return "output" if channel in outputs else "input" if channel in inputs else "auxiliary"
 
     channels = [(channel, units[channel], role(channel), values) for channel, values in columns.items()]
-    return Dataset._of(_dynocal.Record(name, ts_s, channels, init_samples, origin), steady)
-
-
-def _interval(name: str, stamps: FloatArray) -> float:
-    """The interval of uniform stamps in s."""
-    arguments.finite(f"data[{name!r}]", stamps, " of seconds")
-    if stamps.ndim != 1 or stamps.size < 2:
-        raise DataError(f"data[{name!r}]: found shape {stamps.shape}, expected at least two stamps in s")
-    step = (stamps[-1] - stamps[0]) / (stamps.size - 1)
-    steps = np.diff(stamps)
-    if step <= 0.0 or np.abs(steps - step).max() > 1e-3 * step:
-        least, most = steps.min(), steps.max()
-        raise DataError(
-            f"data[{name!r}]: found stamps {least:g} to {most:g} s apart, expected uniform ones: read a file with ts_s=, or "
-            "resample before"
-        )
-    # What has been rounded when the stamps were written is not part of the interval.
-    return float(f"{step:.9g}")
+    return Dataset._of(_dynocal.Record(name, ts_s, channels, init_samples, origin), steady, notes)
 
 
 def _package(name: str, what: str) -> Any:
@@ -406,23 +401,29 @@ def read(
     Dataset
         Its ``notes`` say what was decided or lost on the way in.
     """
+    if steady and ts_s is not None:
+        raise ArgumentError("ts_s: found it beside steady=True, expected one of the two: points have no sample time")
+    ins, outs = arguments.names("inputs", inputs), arguments.names("outputs", outputs)
+    for one in ins:
+        if one in outs:
+            raise ArgumentError(f"inputs: found `{one}`, which is an output as well")
     wanted: list[tuple[str, str]] | None = None
     if isinstance(channels, Mapping):
         wanted = [(arguments.text(f"channels[{k!r}]", v), k) for k, v in channels.items()]
     elif channels is not None:
         wanted = [(n, n) for n in arguments.names("channels", channels)]
     how = {
-        "format": format,
+        "format": None if format is None else arguments.text("format", format),
         "keys": arguments.mapping("keys", keys),
         "channels": [list(pair) for pair in wanted] if wanted is not None else None,
         "units": arguments.mapping("units", units),
-        "time": time,
-        "time_unit": time_unit,
+        "time": None if time is None else arguments.text("time", time),
+        "time_unit": None if time_unit is None else arguments.text("time_unit", time_unit),
         "sample_time_s": None if ts_s is None else arguments.number("ts_s", ts_s, "seconds", positive=True),
-        "steady": steady,
-        "missing": missing,
-        "inputs": arguments.names("inputs", inputs),
-        "outputs": arguments.names("outputs", outputs),
+        "steady": arguments.flag("steady", steady),
+        "missing": arguments.flag("missing", missing),
+        "inputs": ins,
+        "outputs": outs,
     }
     record, notes = _dynocal.read(arguments.path("path", path), how)
     if init_samples:
@@ -434,7 +435,7 @@ def contents(path: str | os.PathLike[str], format: str | None = None) -> dict[st
     """What is in a measurement file: its groups and channels with units, ranges and gaps, as ``dynocal show`` says it."""
     import json
 
-    found: dict[str, Any] = json.loads(_dynocal.contents(arguments.path("path", path), format))
+    found: dict[str, Any] = json.loads(_dynocal.contents(arguments.path("path", path), None if format is None else arguments.text("format", format)))
     return found
 
 
@@ -450,9 +451,9 @@ def convert(
 ) -> list[str]:
     """Writes a measurement file in the format that the ending of ``target`` names; returns notes, in sentences."""
     how = {
-        "format": format,
+        "format": None if format is None else arguments.text("format", format),
         "read": arguments.mapping("keys", keys),
-        "merge": merge,
+        "merge": arguments.flag("merge", merge),
         "channels": arguments.names("channels", channels),
         "units": arguments.mapping("units", units),
     }

@@ -5,19 +5,21 @@ Keyword arguments are stored as they are given, ``fit`` returns the estimator, w
 
 from __future__ import annotations
 
+import html
 import inspect
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, overload
 
+import numpy as np
 import numpy.typing as npt
 
 from . import _arguments as arguments
 from . import _dynocal
 from ._arguments import FloatArray
 from ._data import Dataset
-from ._model import Finding, Model, Scores, _findings
-from .errors import ArgumentError, DataError, NotFittedError, ResultWarning
+from ._model import Model
+from ._scores import Finding, Scores, findings_of
+from .errors import ArgumentError, DataError, NotFittedError, warn
 
 __all__ = ["Estimator"]
 
@@ -33,7 +35,8 @@ class Estimator:
     structure
         Name of the structure.
     estimator
-        Name of the estimator, or a mapping of ``name`` and its keys.
+        Name of the estimator, or a mapping of ``name`` and its keys; by default least squares of one step (``ols``), and for response
+        models their own learning (``learn``).
     keys
         Keys of the structure.
     select
@@ -61,7 +64,7 @@ class Estimator:
     def __init__(
         self,
         structure: str = "arx",
-        estimator: str | Mapping[str, Any] = "ols",
+        estimator: str | Mapping[str, Any] | None = None,
         *,
         keys: Mapping[str, Any] | None = None,
         select: Mapping[str, Any] | None = None,
@@ -69,7 +72,7 @@ class Estimator:
         seed: int | None = None,
     ) -> None:
         self.structure = structure
-        self.estimator = estimator
+        self.estimator: str | Mapping[str, Any] | None = estimator
         self.keys = keys
         self.select = select
         self.prepare = prepare
@@ -103,9 +106,16 @@ class Estimator:
                     same = type(value) is type(defaults[name]) and bool(value == defaults[name])
                 except (TypeError, ValueError):
                     same = False
-            if not same or isinstance(self, Estimator) and type(self) is Estimator and name in ("structure", "estimator"):
+            if not same or type(self) is Estimator and name == "structure":
                 shown.append(f"{name}={value!r}")
         return f"{type(self).__name__}({', '.join(shown)})"
+
+    def _repr_html_(self) -> str:
+        model = getattr(self, "model_", None)
+        if model is None:
+            return f"<p>{html.escape(repr(self))}, not fitted</p>"
+        said = "".join(f"<li>{html.escape(str(f))}</li>" for f in self.findings_)
+        return f"<p>{html.escape(repr(self))}</p>{model._repr_html_()}" + (f"<ul>{said}</ul>" if said else "")
 
     def _structure(self) -> tuple[str, dict[str, Any]]:
         """Name and keys of the structure."""
@@ -114,8 +124,10 @@ class Estimator:
     def _tables(self) -> dict[str, Any]:
         """The tables of a spec that this is."""
         name, keys = self._structure()
-        chosen = self.estimator
-        estimator = {"name": chosen} if isinstance(chosen, str) else arguments.mapping("estimator", chosen)
+        for key, value in keys.items():
+            if value is None:
+                raise ArgumentError(f"{key}: found None, expected a value: leave it out for the default")
+        estimator = self._estimator(name)
         model: dict[str, Any] = {"estimator": estimator, "select": self.select}
         if name != "pool":
             model["structure"] = {"name": name, **keys}
@@ -125,6 +137,13 @@ class Estimator:
         if self.prepare is not None:
             tables["prepare"] = [arguments.mapping(f"prepare[{k}]", s) for k, s in enumerate(self.prepare)]
         return tables
+
+    def _estimator(self, structure: str) -> dict[str, Any]:
+        """Name and keys of the estimator."""
+        chosen = self.estimator
+        if chosen is None:
+            chosen = "learn" if structure in _RESPONSES else "ols"
+        return {"name": chosen} if isinstance(chosen, str) else arguments.mapping("estimator", chosen)
 
     # ------------------------------------------------------------------ fit
 
@@ -144,15 +163,17 @@ class Estimator:
         Parameters
         ----------
         u
-            A Dataset, a list of them (experiments), a table with ``__arrow_c_stream__``, or inputs (N,) or (N, m).
+            A Dataset, a list of them (experiments), a table with ``__arrow_c_stream__``, or inputs (N,) or (N, m), a frame of inputs
+            too.
         y
-            Outputs (N,) or (N, p); with arrays only.
+            Outputs (N,) or (N, p), a series or frame too; beside inputs only.
         inputs, outputs
-            Channels, where the roles of the Dataset are not meant; names of the columns of arrays (u, u1, .. and y, y1, ..).
+            Channels, where the roles of the Dataset are not meant; names of the columns of arrays (those of frames and
+            series, else u, u1, .. and y, y1, ..).
         ts_s
-            Sample time in s of arrays and tables; 1 where it is not given.
+            Sample time in s of arrays and tables; 1 where neither it nor the index of a frame is given.
         selecting
-            Records that choose between candidates, for estimators that have some (early stopping).
+            Records that choose between candidates: where ``train`` stops.
         progress
             Called as ``progress(text, fraction)``.
 
@@ -166,7 +187,13 @@ class Estimator:
         ArgumentError, DataError, SpecError, EstimateError
         """
         records = _records(u, y, inputs, outputs, ts_s)
-        others = _records(selecting, None, inputs, outputs, ts_s) if selecting is not None else []
+        if selecting is not None:
+            chosen = [selecting] if isinstance(selecting, Dataset) else arguments.listed("selecting", selecting, "a Dataset or a list of them")
+            for k, d in enumerate(chosen):
+                if not isinstance(d, Dataset):
+                    raise ArgumentError(f"selecting[{k}]: found {arguments.kind(d)}, expected a Dataset")
+            selecting = chosen
+        others = _records(selecting, None, inputs, outputs, None) if selecting else []
         first = records[0]
         outs = first.outputs
         if not outs:
@@ -175,6 +202,12 @@ class Estimator:
         tables["model"].update(targets=outs, inputs=first.inputs)
         if first.is_steady and not self._takes_points():
             raise DataError(f"{first.name}: found steady points, expected a record in time (ts_s=) for a dynamic model")
+        chooses = tables["model"].get("estimator", {}).get("name")
+        if others and chooses != "train":
+            raise ArgumentError(
+                f"selecting: found records beside the estimator `{chooses or 'learn'}`, expected none: it does not choose between candidates "
+                "by records of their own (`train` does)"
+            )
         seed = None if self.seed is None else arguments.count("seed", self.seed, 0, 2**63 - 1)
         name = type(self).__name__
         learnt = _dynocal.learn(
@@ -189,13 +222,17 @@ class Estimator:
         self.model_ = Model(one[0] for one in learnt)
         self.status_ = [one[1] for one in learnt]
         self.n_evaluations_ = [one[2] for one in learnt]
-        self.findings_ = _findings(said for one in learnt for said in one[5])
+        self.findings_ = findings_of(said for one in learnt for said in one[5])
         for fault in (f for f in self.findings_ if f.grade == "fault"):
-            warnings.warn(f"{fault.about}: {fault.text}", ResultWarning, stacklevel=2)
+            warn(f"{fault.about}: {fault.text}")
         return self
 
     def _takes_points(self) -> bool:
-        return False
+        """Whether the structure reads present values alone."""
+        name, keys = self._structure()
+        if name == "polynomial":
+            return not any("(t-" in text.replace(" ", "") for text in keys.get("regressors", ()) if isinstance(text, str))
+        return name in _RESPONSES and not (keys.get("input_lags") or keys.get("output_lags"))
 
     def _fitted(self) -> Model:
         model = getattr(self, "model_", None)
@@ -271,10 +308,15 @@ def _records(
                 raise DataError(f"{d.name}: found inputs {d.inputs} and outputs {d.outputs}, expected {names[0]} and {names[1]}")
         return records
     if y is None and (hasattr(u, "__arrow_c_stream__") or isinstance(u, Mapping)):
-        return [Dataset(u, ts_s=1.0 if ts_s is None else ts_s, inputs=ins, outputs=outs)]
+        return [_of_table(u, ts_s, ins, outs)]
     if y is None:
         raise ArgumentError(f"y: found None beside {arguments.kind(u)}, expected outputs (N,) or (N, p), or a Dataset as u")
-    a, b = arguments.columns("u", u), arguments.columns("y", y)
+    # A frame knows the names of its channels, and its index may be the time.
+    if ts_s is None and arguments.table_columns(u) is not None and hasattr(u, "index"):
+        ts_s = Dataset(u, inputs=arguments.table_columns(u), missing=True).ts_s
+    ins = arguments.table_columns(u) if ins is None else ins
+    outs = _names_of(y) if outs is None else outs
+    a, b = arguments.columns("u", _plain(u)), arguments.columns("y", _plain(y))
     if len(a) != len(b):
         raise ArgumentError(f"y: found {len(b)} samples, expected {len(a)} as of u")
     arguments.finite("u", a)
@@ -293,6 +335,30 @@ def _records(
     columns = {**{n: a[:, k] for k, n in enumerate(ins)}, **{n: b[:, k] for k, n in enumerate(outs)}}
     step = 1.0 if ts_s is None else arguments.number("ts_s", ts_s, "seconds", positive=True)
     return [Dataset(columns, ts_s=step, inputs=ins, outputs=outs, name="arrays")]
+
+
+def _of_table(table: object, ts_s: float | None, ins: list[str] | None, outs: list[str] | None) -> Dataset:
+    """A table as a record in time: the index of a frame may say its stamps, else samples are ``ts_s`` apart, 1 s where nobody says."""
+    if ts_s is None:
+        found = Dataset(table, inputs=ins, outputs=outs)
+        if not found.is_steady:
+            return found
+        ts_s = 1.0
+    return Dataset(table, ts_s=ts_s, inputs=ins, outputs=outs)
+
+
+def _names_of(y: object) -> list[str] | None:
+    """Names of outputs that come as a frame, or as a series with a name."""
+    found = arguments.table_columns(y)
+    name = getattr(y, "name", None)
+    return [name] if found is None and isinstance(name, str) and name else found
+
+
+def _plain(value: object) -> object:
+    """A mapping as columns; what knows how to be an array does that itself."""
+    if isinstance(value, Mapping):
+        return np.column_stack([arguments.array(f"[{k!r}]", v) for k, v in value.items()]) if value else np.zeros((1, 0))
+    return value
 
 
 _RESPONSES = ("gaussian_process", "local_linear", "rbf", "stepwise_polynomial", "mean_of", "best_of")

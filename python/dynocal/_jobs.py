@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import json
 import os
-import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from . import _arguments as arguments
 from . import _dynocal
 from ._data import Dataset, read
-from ._estimators import Estimator
 from ._model import Model
 from ._results import Label, Loop, Map, Maps, labels, loops, maps, to_file
-from .errors import ArgumentError, FileError, ResultWarning, RunError
+from .errors import ArgumentError, FileError, RunError, warn
 
 __all__ = [
-    "Limits",
     "Run",
     "Control",
     "Labels",
     "calibrate",
     "check",
     "control",
-    "design",
     "export",
     "identify",
     "label",
@@ -75,19 +71,43 @@ class Run:
     def __init__(
         self, folder: PathLike, *, valid: bool | None = None, warnings: Iterable[str] = (), waiting: str | None = None
     ) -> None:
-        self.folder = Path(folder)
+        # Absolute: a notebook may change its folder.
+        self.folder = Path(arguments.path("folder", folder)).absolute()
         self.waiting = waiting
         self._valid, self._warnings = valid, list(warnings)
+        self._stamp = self._digest()
         if valid is None and not (self.folder / "summary.json").is_file():
             raise FileError(f"{self.folder}: found no summary.json, expected the folder of a finished run")
+
+    def _digest(self) -> str | None:
+        """What the summary was when this was made."""
+        path = self.folder / "summary.json"
+        return hashlib.blake2b(path.read_bytes()).hexdigest() if path.is_file() else None
+
+    def _unchanged(self) -> None:
+        """Says it where a later run has written into the folder: what is there is no longer what this run found."""
+        if self._stamp is not None and self._digest() != self._stamp:
+            self._stamp = self._digest()
+            warn(f"{self.folder}: a later run has written into this folder: what is read from now on is that run's (give each its out=)")
 
     @property
     def summary(self) -> dict[str, Any]:
         """``summary.json``; its keys are in docs/summary.md."""
+        self._unchanged()
         path = self.folder / "summary.json"
         if not path.is_file():
             raise FileError(f"{path}: there is none" + (f": {self.waiting}" if self.waiting else ""))
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise FileError(f"{path}: found no whole summary ({error}), expected that of a finished run") from None
+        return found
+
+    def _part(self, key: str, job: str) -> dict[str, Any]:
+        """The summary of a run that has such a part."""
+        found = self.summary
+        if key not in found:
+            raise RunError(f"{self.folder}: found a run of {found.get('verb', 'another job')}, expected one of {job}")
         return found
 
     @property
@@ -135,6 +155,7 @@ class Run:
     @property
     def maps(self) -> Maps:
         """Scalars, curves and maps by name, of a run of ``calibrate``, ``map`` or ``label``."""
+        self._unchanged()
         return maps(self.folder)
 
     def map(self, name: str) -> Map:
@@ -143,11 +164,12 @@ class Run:
 
     def to_fmu(self, path: PathLike, *, version: str = "2.0") -> Path:
         """What the run found as one FMU of FMI 2.0 or 3.0, e.g. its map; returns the file."""
+        self._unchanged()
         return to_file(self.folder, path, {"2.0": "fmu2", "3.0": "fmu3"}[arguments.one_of("version", version, ["2.0", "3.0"])])
 
     def __repr__(self) -> str:
         state = "waiting" if self.waiting else "valid" if self.valid else "NOT VALID"
-        return f"<Run {self.folder}: {state}, {len(self.warnings)} warnings>"
+        return f"<{type(self).__name__} {self.folder}: {state}, {len(self.warnings)} warnings>"
 
     def _repr_html_(self) -> str:
         def paragraphs(text: str) -> str:
@@ -163,7 +185,7 @@ class Control(Run):
     @property
     def loops(self) -> list[Loop]:
         """Loops in the order of the spec."""
-        return loops(self.summary)
+        return loops(self._part("loops", "control"))
 
     @classmethod
     def _of(cls, run: Run) -> Control:
@@ -188,11 +210,17 @@ class Labels(Run):
     @property
     def labels(self) -> dict[str, Label]:
         """Labels by name."""
-        return labels(self.summary)
+        return labels(self._part("fit", "label"))
 
     @classmethod
     def _of(cls, run: Run) -> Labels:
         return cls(run.folder, valid=run._valid, warnings=run._warnings, waiting=run.waiting)
+
+
+def own_folder(job: str, *parts: object) -> Path:
+    """A folder for what has no name: the same call finds it again, another one gets another."""
+    text = "\n".join(p if isinstance(p, str) else json.dumps(p, sort_keys=True, default=str) for p in parts)
+    return Path("runs") / f"{job}-{hashlib.blake2b(text.encode(), digest_size=4).hexdigest()}"
 
 
 def _name(spec: Spec, default: str) -> str:
@@ -234,7 +262,8 @@ def run(
     spec
         File of TOML, or a mapping with its keys; files in a mapping are relative to the working folder.
     out
-        Run folder; by default that of the spec, else ``runs/NAME``.
+        Run folder; by default that of the spec, else ``runs/NAME``. A mapping without a name has ``runs/JOB-`` and a digest of its keys and of
+        the seed: the same call goes on there, another one has another folder.
     seed
         Seed of every random choice, instead of that of the spec.
     data
@@ -250,7 +279,9 @@ def run(
         Byte for byte the files that the program writes for this spec, but for times.
     """
     chosen = _spec(spec)
-    files = [data] if isinstance(data, (str, os.PathLike)) else list(data)
+    files = [data] if isinstance(data, (str, os.PathLike)) else arguments.listed("data", data, "a path or a list of paths")
+    if out is None and isinstance(chosen, dict) and not chosen.get("name") and not chosen.get("out"):
+        out = own_folder(arguments.text("job", job), _dynocal.to_toml(chosen), str(seed), [str(f) for f in files])
     done = _dynocal.run(
         arguments.text("job", job),
         chosen,
@@ -258,13 +289,13 @@ def run(
         _seed(seed),
         None if out is None else arguments.path("out", out),
         [arguments.path(f"data[{k}]", f) for k, f in enumerate(files)],
-        until,
+        None if until is None else arguments.text("until", until),
         arguments.callback(progress),
     )
     found = Run(done.folder, valid=done.valid, warnings=done.warnings, waiting=done.waiting)
     if not found.valid:
         why = done.waiting or (done.warnings[0] if done.warnings else "its page says why")
-        warnings.warn(f"{done.folder}: the result must not be used as it is: {why}", ResultWarning, stacklevel=3)
+        warn(f"{done.folder}: the result must not be used as it is: {why}")
     return found
 
 
@@ -335,134 +366,6 @@ def label(spec: Spec, *, out: PathLike | None = None, progress: Progress | bool 
     return Labels._of(run("label", spec, out=out, progress=progress))
 
 
-# ---------------------------------------------------------------------- design
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of the channels of a test, each in the unit of its channel.
-
-    ``Limits(spark=(0, 40), spark_rate=15, torque=(0, 250))``: a pair of a channel bounds it, ``NAME_rate`` is its greatest change per
-    second, ``NAME_hold`` its least time at a value in s. Pairs of outputs bound what the model predicts.
-    """
-
-    given: Mapping[str, Any] = field(default_factory=dict)
-
-    def __init__(self, given: Mapping[str, Any] | None = None, /, **more: Any) -> None:
-        object.__setattr__(self, "given", {**arguments.mapping("limits", given), **more})
-
-    def _pair(self, name: str) -> tuple[float, float] | None:
-        if name not in self.given:
-            return None
-        value = self.given[name]
-        if not isinstance(value, (tuple, list)) or len(value) != 2:
-            raise ArgumentError(f"limits: {name}: found {arguments.kind(value)}, expected (least, greatest)")
-        low, high = (arguments.number(f"limits: {name}[{k}]", v) for k, v in enumerate(value))
-        if not low < high:
-            raise ArgumentError(f"limits: {name}: found {low:g} to {high:g}, expected the least below the greatest")
-        return low, high
-
-    def _channels(self, model: Model) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Tables of the channels, and limits by output."""
-        known = [f"{n}{end}" for n in model.inputs for end in ("", "_rate", "_hold")] + model.outputs
-        for key in self.given:
-            arguments.one_of("limits", key, known)
-        channels = []
-        for name in model.inputs:
-            pair = self._pair(name)
-            if pair is None:
-                raise ArgumentError(f"limits: found none of the input `{name}`, expected {name}=(least, greatest)")
-            table: dict[str, Any] = {"name": name, "unit": model.units[name], "lower": pair[0], "upper": pair[1]}
-            for end, key in (("_rate", "rate_per_s"), ("_hold", "hold_s")):
-                if f"{name}{end}" in self.given:
-                    table[key] = arguments.number(f"limits: {name}{end}", self.given[f"{name}{end}"], positive=True)
-            channels.append(table)
-        outputs = {}
-        for name in model.outputs:
-            pair = self._pair(name)
-            if pair is not None:
-                outputs[name] = {"lower": pair[0], "upper": pair[1]}
-        return channels, outputs
-
-
-def design(
-    what: Spec | Model | Estimator,
-    *,
-    criterion: str = "d",
-    n: int | None = None,
-    limits: Limits | Mapping[str, Any] | None = None,
-    margin: float | None = None,
-    search: Mapping[str, Any] | None = None,
-    out: PathLike | None = None,
-    seed: int | None = None,
-    progress: Progress | bool | None = None,
-) -> Run:
-    """The most informative test signal within limits.
-
-    Parameters
-    ----------
-    what
-        A spec (file or mapping), or a model whose parameters the test is to sharpen.
-    criterion
-        One of ``dynocal.members("criteria")``, for a model.
-    n
-        Samples of the test, for a model.
-    limits
-        Limits of inputs and predicted outputs, for a model.
-    margin
-        Distance that predicted outputs keep from their limits, in their unit.
-    search
-        Table ``[search]`` of a spec.
-
-    Returns
-    -------
-    Run
-        ``plan(run)`` is the record of the test.
-    """
-    if isinstance(what, Estimator):
-        what = what._fitted()
-    if not isinstance(what, Model):
-        if n is not None or limits is not None or margin is not None or search is not None:
-            raise ArgumentError("design: found n, limits, margin or search beside a spec, which says them itself")
-        return run("design", what, out=out, seed=seed, progress=progress)
-    if n is None or limits is None:
-        raise ArgumentError("design: found a model without n and limits, expected both")
-    import tempfile
-
-    step = what.ts_s
-    if step is None:
-        raise ArgumentError("what: found a model of present values, expected a dynamic one")
-    bounds = limits if isinstance(limits, Limits) else Limits(limits)
-    channels, outputs = bounds._channels(what)
-    with tempfile.TemporaryDirectory() as folder:
-        models = []
-        for name in what.outputs:
-            path = Path(folder) / f"{name}.json"
-            what.single(name).save(path)
-            table: dict[str, Any] = {"file": path, "criterion": criterion.lower()}
-            if name in outputs:
-                table["limits"] = {**outputs[name], "margin": 0.0 if margin is None else arguments.number("margin", margin)}
-            models.append(table)
-        spec: dict[str, Any] = {
-            "name": "design",
-            "length_s": arguments.count("n", n, 2) * step,
-            "sample_time_s": step,
-            "channels": channels,
-            "models": models,
-        }
-        if search is not None:
-            spec["search"] = arguments.mapping("search", search)
-        return run("design", spec, out=out, seed=seed, progress=progress)
-
-
-def plan(done: Run) -> Dataset:
-    """The record of the test that a run of ``design`` found."""
-    path = done.folder / "design.csv"
-    if not path.is_file():
-        raise RunError(f"{done.folder}: found no design.csv, expected a run of design")
-    return read(path)
-
-
 def export(
     source: PathLike | Run,
     to: str | Iterable[str],
@@ -476,7 +379,9 @@ def export(
 
     ``source`` is a run of ``calibrate``, ``map`` or ``identify``, one of their files, or a map file.
     """
-    place = source.folder if isinstance(source, Run) else source
+    place = source.folder if isinstance(source, Run) else Path(arguments.path("source", source))
+    if not place.exists():
+        raise FileError(f"{place}: found no such file or folder")
     formats = arguments.names("to", to)
     if not formats:
         raise ArgumentError("to: found nothing, expected formats, e.g. [\"c\", \"dcm\"]")

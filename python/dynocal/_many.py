@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import warnings
+import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from . import _arguments as arguments
 from . import _dynocal
 from ._data import Dataset, read
-from ._jobs import PathLike, Progress, Run
-from .errors import ArgumentError, ResultWarning
+from ._jobs import PathLike, Progress, Run, own_folder
+from .errors import ArgumentError, warn
 
 if TYPE_CHECKING:
     from .executors import Executor
@@ -71,6 +71,7 @@ class Study(Run):
         """``results.parquet`` as a pandas frame."""
         from ._data import _package
 
+        self._unchanged()
         return _package("pandas", "to_pandas").read_parquet(self.folder / "results.parquet")
 
     def to_polars(self) -> Any:
@@ -108,10 +109,16 @@ def _asked(
             if spec not in names:
                 raise ArgumentError(f"what: found `{spec}`, expected a file ending in .toml, or one of {', '.join(names)}")
             name = f"study-{spec}-quick" if quick else f"study-{spec}"
-    place = Path("runs") / name if out is None else Path(arguments.path("out", out))
-    listed = None if seeds is None else [arguments.count(f"seeds[{k}]", s, 0, 2**63 - 1) for k, s in enumerate(seeds)]
+    given = None if seeds is None else arguments.listed("seeds", seeds, "a list of seeds")
+    listed = None if given is None else [arguments.count(f"seeds[{k}]", s, 0, 2**63 - 1) for k, s in enumerate(given)]
     if listed is not None and (not listed or len(set(listed)) < len(listed)):
         raise ArgumentError(f"seeds: found {len(listed)} with repetitions or none, expected seeds, each once")
+    if out is not None:
+        place = Path(arguments.path("out", out))
+    elif isinstance(what, Mapping) and not what.get("name"):
+        place = own_folder("study", text or "", listed)
+    else:
+        place = Path("runs") / name
     return Asked(
         spec,
         text,
@@ -178,6 +185,8 @@ def study(
     tell = arguments.callback(progress)
     asked = _asked(what, seeds, out, chunk_tasks, lease_s, quick, reference, data)
     named = asked.text is None and not asked.spec.endswith(".toml")
+    if isinstance(executor, type):
+        raise ArgumentError(f"executor: found the class {executor.__name__}, expected one with its arguments: {executor.__name__}(..)")
     if named and executor is None:
         first = asked.seeds[0] if asked.seeds else 1
         if asked.seeds and len(asked.seeds) > 1:
@@ -193,14 +202,33 @@ def study(
     folder, ended = tasks.part(None, tell)
     found = Study(folder)
     if ended is not None and not ended[0]:
-        warnings.warn(f"{folder}: not every result may be used as it is: {' '.join(ended[1])}", ResultWarning, stacklevel=2)
+        warn(f"{folder}: not every result may be used as it is: {' '.join(ended[1])}")
     return found
 
 
-def work(text: str) -> None:
-    """A worker of :class:`dynocal.executors.Local`: joins until nothing is left."""
+def _with_parent() -> None:
+    """Ends this process with the one that started it, however that ends: its end of the pipe closes then.
+
+    What the worker was at is taken by others when its claim is no longer touched.
+    """
+
+    def wait() -> None:
+        # Not by sys.stdin: an interpreter that ends wants its lock, which a thread that reads would hold.
+        while os.read(0, 4096):
+            pass
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def work() -> None:
+    """A worker of :class:`dynocal.executors.Local`: is told by a line what to join, and does so until nothing is left."""
     from .errors import DynocalError
 
+    text = b""
+    while not text.endswith(b"\n") and (more := os.read(0, 1 << 16)):
+        text += more
+    _with_parent()
     try:
         Asked(**json.loads(text)).tasks().part(None, None)
     except DynocalError as error:

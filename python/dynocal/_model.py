@@ -5,9 +5,7 @@ from __future__ import annotations
 import html
 import json
 import os
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sized
 from pathlib import Path
 from typing import Any, overload
 
@@ -18,103 +16,10 @@ from . import _arguments as arguments
 from . import _dynocal
 from ._arguments import FloatArray
 from ._data import Dataset
-from .errors import ArgumentError, ModelError, ResultWarning
+from ._scores import Score, Scores, findings_of, kind_of
+from .errors import ArgumentError, ModelError, warn
 
-__all__ = ["Finding", "Model", "Score", "Scores"]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What a user should know: ``grade`` is fault, warning or note."""
-
-    grade: str
-    about: str
-    text: str
-
-    def __str__(self) -> str:
-        return f"{self.grade}: {self.about}: {self.text}" if self.about else f"{self.grade}: {self.text}"
-
-
-@dataclass(frozen=True)
-class Score:
-    """Fit numbers of one output and one kind of computation over all scored samples.
-
-    ``r2_percent`` is 100 (1 - SSE/SST), ``nrmse_fit_percent`` 100 (1 - sqrt(SSE/SST)), SST about the mean of the scored samples;
-    they and ``rmse`` are ``None`` where a free run diverges. ``data`` says whether the parameters have seen the samples.
-    """
-
-    output: str
-    unit: str
-    kind: str
-    data: str
-    samples: int
-    rmse: float | None
-    error_95: float | None
-    r2_percent: float | None
-    nrmse_fit_percent: float | None
-
-
-class Scores(Sequence[Score]):
-    """A table of scores with what is wrong with them."""
-
-    def __init__(self, rows: Iterable[Score], findings: Iterable[Finding]) -> None:
-        self._rows, self.findings = tuple(rows), tuple(findings)
-
-    @overload
-    def __getitem__(self, index: int) -> Score: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Score]: ...
-    def __getitem__(self, index: int | slice) -> Score | Sequence[Score]:
-        return self._rows[index]
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def of(self, kind: str = "free_run", output: str | None = None) -> Score:
-        """The row of a kind (``one_step``, ``k_step(5)``, ``free_run``) and an output."""
-        found = [r for r in self._rows if r.kind == kind and output in (None, r.output)]
-        if len(found) != 1:
-            known = ", ".join(f"{r.kind} of {r.output}" for r in self._rows)
-            raise ArgumentError(f"kind: found {kind!r} of {output!r}, which is {len(found)} rows of: {known}")
-        return found[0]
-
-    def _cells(self) -> list[list[str]]:
-        def number(value: float | None) -> str:
-            return "diverged" if value is None else f"{value:.5g}"
-
-        head = ["output", "unit", "computed", "data", "samples", "RMSE", "95 % within", "R2 [%]", "NRMSE fit [%]"]
-        rows = [
-            [r.output, r.unit, r.kind, r.data, str(r.samples)]
-            + [number(v) for v in (r.rmse, r.error_95, r.r2_percent, r.nrmse_fit_percent)]
-            for r in self._rows
-        ]
-        return [head, *rows]
-
-    def __repr__(self) -> str:
-        cells = self._cells()
-        widths = [max(len(row[k]) for row in cells) for k in range(len(cells[0]))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells]
-        return "\n".join(lines + [str(f) for f in self.findings])
-
-    def _repr_html_(self) -> str:
-        head, *rows = self._cells()
-        text = "<tr>" + "".join(f"<th>{html.escape(c)}</th>" for c in head) + "</tr>"
-        for row in rows:
-            text += "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
-        said = "".join(f"<li>{html.escape(str(f))}</li>" for f in self.findings)
-        return f"<table>{text}</table><ul>{said}</ul>"
-
-
-def _findings(said: Iterable[tuple[str, str, str]]) -> list[Finding]:
-    return [Finding(*one) for one in said]
-
-
-def _kind(value: object) -> str:
-    """The kind of a score as one word."""
-    if isinstance(value, Mapping):
-        ((name, steps),) = value.items()
-        return f"{name}({steps})"
-    return str(value)
+__all__ = ["Model"]
 
 
 class Model:
@@ -235,6 +140,15 @@ class Model:
         """The text of the file."""
         return self._one("to_json").to_json()
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the other has the same file, records that it comes from among it."""
+        if not isinstance(other, Model):
+            return NotImplemented
+        return [m.to_json() for m in self._models] == [m.to_json() for m in other._models]
+
+    def __hash__(self) -> int:
+        return hash(tuple(m.to_json() for m in self._models))
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, ([m.to_json() for m in self._models],)
 
@@ -291,6 +205,11 @@ class Model:
         """Standard errors of the parameters; ``None`` where the data do not determine one."""
         return {name: error for name, _, error in self._one("std_errors").parameters()}
 
+    def _dataset(self, what: str, record: object) -> Dataset:
+        if not isinstance(record, Dataset):
+            raise ArgumentError(f"{what}: found {arguments.kind(record)}, expected a Dataset")
+        return record
+
     def _one(self, what: str) -> _dynocal.Model:
         if len(self._models) != 1:
             raise ModelError(f"{what}: the model has the outputs {', '.join(self.outputs)}, expected one: take single(output)")
@@ -327,7 +246,7 @@ class Model:
         Parameters
         ----------
         u
-            Dataset, or inputs (N,) or (N, m) in the order of :attr:`inputs`.
+            Dataset, inputs (N,) or (N, m) in the order of :attr:`inputs`, or a frame or mapping that has them as columns by name.
         y0
             Measured outputs of the first samples, (k,) or (k, outputs), k at least :attr:`memory`; without it the run
             starts at rest: zero for a linear model, else the equilibrium that the first inputs hold. With arrays only.
@@ -343,6 +262,8 @@ class Model:
         if isinstance(u, Dataset):
             if y0 is not None:
                 raise ArgumentError("y0: found it beside a Dataset, expected initial= (the Dataset holds the outputs)")
+            if initial is not None:
+                arguments.one_of("initial", initial, ["rest", "measured", "estimated"])
             return self._over(u, lambda m: m.simulate(u._record, initial))
         if initial is not None:
             raise ArgumentError("initial: found it beside arrays, expected y0= or a Dataset")
@@ -355,8 +276,7 @@ class Model:
         for name, values in zip(self.outputs, found, strict=True):
             if not np.isfinite(values).all():
                 at = int(np.argmin(np.isfinite(values)))
-                text = f"the free run of `{name}` left all numbers in sample {at}: it must not be used from there on"
-                warnings.warn(text, ResultWarning, stacklevel=2)
+                warn(f"the free run of `{name}` left all numbers in sample {at}: it must not be used from there on")
         return self._shaped(found)
 
     @overload
@@ -384,7 +304,7 @@ class Model:
         """
         ahead = arguments.count("steps", steps, 1)
         # Further ahead than the record is long nothing changes, and memory would be asked for.
-        ahead = min(ahead, max(len(u) if isinstance(u, Dataset) else np.size(u), 1))
+        ahead = min(ahead, max(len(y) if isinstance(y, Sized) else len(u) if isinstance(u, Sized) else 1, 1))
         if isinstance(u, Dataset):
             if y is not None:
                 raise ArgumentError("y: found it beside a Dataset, expected the outputs inside of it")
@@ -403,17 +323,19 @@ class Model:
     def score(self, *records: Dataset, k_steps: Iterable[int] = ()) -> Scores:
         """One step, k steps ahead and free run on records, each with R2, NRMSE and RMSE in the unit of the output.
 
-        A record that the model was estimated from, or that chose between its candidates, is said to be seen (``identification``);
-        others are ``unseen``.
+        A record that the model was estimated from is said to be seen (``identification``), as one that chose between its candidates
+        (``selection``); others are ``unseen``. The model knows its records by pieces of them, wherever they were read: parts, longer
+        records around them, other channels beside. Parts below some three per cent, resampled or rescaled samples are not recognised.
         """
         if not records:
             raise ArgumentError("records: found none, expected at least one Dataset")
         for k, d in enumerate(records):
             if not isinstance(d, Dataset):
                 raise ArgumentError(f"records[{k}]: found {arguments.kind(d)}, expected a Dataset")
+            self._timed(d)
         longest = max(len(d) for d in records)
         steps: list[int] = []
-        for i, k in enumerate(k_steps):
+        for i, k in enumerate(arguments.listed("k_steps", k_steps, "a list of numbers of samples")):
             if (ahead := arguments.count(f"k_steps[{i}]", k, 1)) >= longest:
                 raise ArgumentError(
                     f"k_steps[{i}]: found {ahead}, expected less than the {longest} samples of the longest record: so far ahead it is a free run"
@@ -422,8 +344,8 @@ class Model:
                 steps.append(ahead)
         text, said = _dynocal.judge(list(self._models), [d._record for d in records], steps)
         names = ("output", "unit", "data", "samples", "rmse", "error_95", "r2_percent", "nrmse_fit_percent")
-        rows = [Score(kind=_kind(r["kind"]), **{n: r[n] for n in names}) for r in json.loads(text)]
-        return Scores(rows, _findings(said))
+        rows = [Score(kind=kind_of(r["kind"]), **{n: r[n] for n in names}) for r in json.loads(text)]
+        return Scores(rows, findings_of(said))
 
     def transfer_functions(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Numerator and denominator in powers of z^-1 of a linear model of one output, by input."""
@@ -445,19 +367,24 @@ class Model:
 
     def outside(self, record: Dataset) -> list[str]:
         """Sentences on the channels of a record that leave what the model was estimated on."""
+        record = self._dataset("outside", record)
         return [text for m in self._models for text in m.outside(record._record)]
 
     def plot(self, record: Dataset, output: str | None = None, ax: Any = None) -> Any:
         """Draws a measured output and its free run into Matplotlib axes and returns them."""
         from ._plots import agreement
 
+        record = self._dataset("plot", record)
         name = arguments.one_of("output", output or self.outputs[0], self.outputs)
         return agreement(record, self.simulate(record), name, ax)
 
     # ------------------------------------------------------------------ arrays
 
     def _inputs(self, u: object) -> FloatArray:
-        """Inputs as columns; that they are finite is looked at where they are copied."""
+        """Inputs as columns, of what has names by these; that they are finite is looked at where they are copied."""
+        named = arguments.table_columns(u)
+        if named is not None:
+            return self._named("u", u, named, self._names)
         found = arguments.columns("u", u)
         if found.shape[1] != len(self._names):
             raise ArgumentError(
@@ -465,7 +392,22 @@ class Model:
             )
         return found
 
+    def _named(self, what: str, table: Any, found: list[str], names: list[str]) -> FloatArray:
+        """Columns of a frame by name: their order is nobody's promise."""
+        missing = [n for n in names if n not in found]
+        if missing:
+            raise ArgumentError(
+                f"{what}: found the columns {', '.join(found)}, expected {', '.join(names)}: rename them, or give an array with the "
+                "channels in this order"
+            )
+        if len(set(found)) < len(found):
+            raise ArgumentError(f"{what}: found the columns {', '.join(found)}, expected names that differ")
+        return np.column_stack([arguments.array(f"{what}[{n!r}]", table[n]) for n in names])
+
     def _outputs(self, name: str, y: object) -> FloatArray:
+        named = arguments.table_columns(y)
+        if named is not None:
+            return self._named(name, y, named, self.outputs)
         found = arguments.columns(name, y)
         if found.shape[1] != len(self._models):
             expected = f"{len(self._models)}: {', '.join(self.outputs)}"
@@ -475,7 +417,13 @@ class Model:
     def _shaped(self, found: list[FloatArray]) -> FloatArray:
         return found[0] if len(found) == 1 else np.column_stack(found)
 
+    def _timed(self, record: Dataset) -> None:
+        """Refuses points where a model needs samples in time."""
+        if record.is_steady and not self.is_steady:
+            raise ModelError(f"{record.name}: found steady points, expected a record in time: the model has samples of {self.ts_s:g} s")
+
     def _over(self, record: Dataset, run: Any) -> Dataset:
+        self._timed(record)
         columns: dict[str, FloatArray] = {}
         notes: list[str] = []
         for m in self._models:

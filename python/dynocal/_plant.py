@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,7 @@ from . import _arguments as arguments
 from . import _dynocal
 from ._arguments import FloatArray
 from ._data import Dataset
-from .errors import ArgumentError
+from .errors import ArgumentError, FileError
 
 __all__ = ["Engine", "LimitEvent", "Variable"]
 
@@ -75,9 +78,15 @@ class Engine:
         spec = {**given, "name": arguments.text("name", name)}
         if parameters is not None:
             spec["parameters"] = arguments.text("parameters", parameters)
+        file = given.get("file")
+        if isinstance(file, (str, os.PathLike)) and not Path(file).exists():
+            raise FileError(f"file: found nothing at {file}, expected a file")
         self._spec, self._noise = spec, bool(noise)
         self._plant = _dynocal.Plant(spec, self._noise)
         self.reset(seed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self._spec, self._noise, self.save())
 
     # ------------------------------------------------------------------ what it is
 
@@ -107,6 +116,17 @@ class Engine:
 
     def __repr__(self) -> str:
         return f"<Engine {self._plant.describe()} at {self.time_s:g} s>"
+
+    def _repr_html_(self) -> str:
+        shown = self.shown
+        rows = [
+            (v.name, v.unit, kind, f"{v.low:g}", f"{v.high:g}", f"{shown[v.name]:.5g}" if kind == "output" else f"{v.start:.5g} at the start")
+            for kind, known in (("input", self.inputs), ("output", self.outputs))
+            for v in known.values()
+        ]
+        head = "".join(f"<th>{c}</th>" for c in ("variable", "unit", "", "least", "greatest", "value"))
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>" for row in rows)
+        return f"<p>{html.escape(repr(self)[1:-1])}</p><table><tr>{head}</tr>{body}</table>"
 
     # ------------------------------------------------------------------ runs
 
@@ -143,7 +163,8 @@ class Engine:
         Parameters
         ----------
         plan
-            Dataset with the inputs as channels (those that it does not have stay at their start values), or (N, inputs).
+            Dataset with the inputs as channels in the units of the plant (``-`` where nobody says one; those that it does not have stay at their start
+            values), or (N, inputs).
         ts_s
             Sample time in s; with an array only.
 
@@ -161,6 +182,7 @@ class Engine:
             step = plan.ts_s
             if not any(n in plan for n in variables):
                 raise ArgumentError(f"plan: found the channels {', '.join(plan)}, expected at least one of {', '.join(variables)}")
+            self._fits(plan, variables)
             rows = np.column_stack([plan[n] if n in plan else np.full(len(plan), v.start) for n, v in variables.items()])
         else:
             rows = arguments.finite("plan", arguments.columns("plan", plan))
@@ -174,6 +196,19 @@ class Engine:
         columns.update({n: y[:, k] for k, n in enumerate(self.outputs)})
         units = {n: v.unit for n, v in {**variables, **self.outputs}.items()}
         return Dataset(columns, ts_s=step, inputs=list(variables), outputs=list(self.outputs), units=units, name="engine")
+
+    def _fits(self, plan: Dataset, variables: Mapping[str, Variable]) -> None:
+        """Refuses inputs that the plant does not have and units that it does not take: they would be played as something else."""
+        outputs = self.outputs
+        for name in plan.inputs:
+            if name not in variables and name not in outputs:
+                raise ArgumentError(
+                    f"plan: found the input `{name}`, expected inputs out of {', '.join(variables)}: with_roles(inputs=..) says which are meant"
+                )
+        for name, v in variables.items():
+            unit = plan.units.get(name, "-")
+            if unit not in ("-", v.unit):
+                raise ArgumentError(f"plan: found `{name}` in {unit}, expected {v.unit}")
 
     # ------------------------------------------------------------------ state
 
@@ -191,3 +226,11 @@ class Engine:
     def events(self) -> list[LimitEvent]:
         """Limits that were touched since the last call."""
         return [LimitEvent(*e) for e in self._plant.events()]
+
+
+def _rebuilt(spec: dict[str, Any], noise: bool, state: FloatArray) -> Engine:
+    """A plant in a state that was saved."""
+    new = Engine.__new__(Engine)
+    new._spec, new._noise, new._plant = spec, noise, _dynocal.Plant(spec, noise)
+    new._plant.restore(state)
+    return new

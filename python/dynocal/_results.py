@@ -186,12 +186,11 @@ def to_file(source: str | os.PathLike[str], path: str | os.PathLike[str], format
             target.parent.mkdir(parents=True, exist_ok=True)
             # Beside its place first, so that nobody sees half of it.
             beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-            beside.write_bytes(Path(files[0]).read_bytes())
             try:
+                beside.write_bytes(Path(files[0]).read_bytes())
                 beside.replace(target)
-            except OSError:
-                beside.unlink()
-                raise
+            finally:
+                beside.unlink(missing_ok=True)
         except OSError as error:
             raise FileError(f"{target}: cannot be written: {error.strerror}") from None
     return target
@@ -232,6 +231,8 @@ class Maps(Mapping[str, Map]):
 def maps(source: str | os.PathLike[str]) -> Maps:
     """Scalars, curves and maps of a run of ``calibrate``, ``map`` or ``label``, or of a file (``.dcm``, ``.cdfx``, ``.json``, ``.csv``)."""
     where = Path(arguments.path("source", source))
+    if not where.exists():
+        raise FileError(f"{where}: found no such file or folder")
     if where.is_dir() and (written := sorted(where.glob("*.dcm"))):
         # A run of `label` has written its own.
         where = written[0]

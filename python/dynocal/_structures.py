@@ -7,6 +7,7 @@ from typing import Any
 
 from . import _arguments as arguments
 from ._estimators import Estimator
+from .errors import ArgumentError
 
 __all__ = [
     "Armax",
@@ -130,7 +131,7 @@ class Neural(Estimator):
     ) -> None:
         self.hidden, self.input_lags, self.output_lags = hidden, input_lags, output_lags
         self.activation, self.direct, self.starts, self.max_evaluations = activation, direct, starts, max_evaluations
-        self.estimator, self.prepare, self.seed = estimator, prepare, seed  # type: ignore[assignment]
+        self.estimator, self.prepare, self.seed = estimator, prepare, seed
         self.select = None
 
     def _structure(self) -> tuple[str, dict[str, Any]]:
@@ -139,6 +140,9 @@ class Neural(Estimator):
 
     def _tables(self) -> dict[str, Any]:
         if self.estimator is not None:
+            for name, default in (("starts", 12), ("max_evaluations", 120)):
+                if getattr(self, name) != default:
+                    raise ArgumentError(f"{name}: found {getattr(self, name)} beside estimator=, which says it itself: expected one of them")
             return super()._tables()
         own = {"name": "train", "starts": self.starts, "max_evaluations": self.max_evaluations}
         full = Estimator("neural", own, keys=self._structure()[1], prepare=self.prepare)
@@ -215,14 +219,7 @@ class BoxJenkins(_Linear):
         self.select = self.seed = None
 
 
-class _Response(Estimator):
-    """Response models: of steady points, or of lagged values."""
-
-    def _takes_points(self) -> bool:
-        return not (getattr(self, "input_lags", 0) or getattr(self, "output_lags", 0))
-
-
-class GaussianProcess(_Response):
+class GaussianProcess(Estimator):
     """Gaussian process with a length for each input and estimated noise."""
 
     def __init__(
@@ -246,7 +243,7 @@ class GaussianProcess(_Response):
         return "gaussian_process", {n: getattr(self, n) for n in names}
 
 
-class LocalLinear(_Response):
+class LocalLinear(Estimator):
     """Local linear models under smooth splits, as many as the left-out error asks for."""
 
     def __init__(

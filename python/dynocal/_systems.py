@@ -123,7 +123,13 @@ def from_system(system: Any, *, ts_s: float | None, input: str | Iterable[str] |
     if len(names) != len(pairs):
         raise ArgumentError(f"input: found {len(names)} names, expected {len(pairs)}: one for each input of the system")
     output = arguments.text("output", output)
+    if not output or not all(names):
+        raise ArgumentError("input: found an empty name, expected a name of each channel")
+    if output in names:
+        raise ArgumentError(f"output: found `{output}`, which is an input as well")
     known = arguments.mapping("units", units)
+    for name in known:
+        arguments.one_of("units", name, [*names, output])
     # All numerators come before all denominators.
     orders, zeros, poles = [], [], []
     for name, (num, den) in zip(names, pairs, strict=True):
@@ -181,13 +187,16 @@ def _pairs(system: Any) -> tuple[list[tuple[Any, Any]], float | None]:
             found = arguments.kind(system)
             raise ArgumentError(f"system: found {found}, expected a system of SciPy or control, or (num, den) in powers of z^-1")
         return _pairs(transfer())
-    if not isinstance(step, (int, float)) or isinstance(step, bool) or step <= 0:
+    if step is True:
+        # Sampled, and nobody has said how often.
+        step = None
+    elif not isinstance(step, (int, float)) or isinstance(step, bool) or step <= 0:
         raise ArgumentError(f"system: found the sample time {step}, expected a sampled system: sample a continuous one first")
     if isinstance(num, np.ndarray) and num.dtype != object:
-        return [_powers(num, den)], float(step)
+        return [_powers(num, den)], None if step is None else float(step)
     if len(num) != 1:
         raise ArgumentError(f"system: found {len(num)} outputs, expected one: a model has one output")
-    return [_powers(n, d) for n, d in zip(num[0], den[0], strict=True)], float(step)
+    return [_powers(n, d) for n, d in zip(num[0], den[0], strict=True)], None if step is None else float(step)
 
 
 def _powers(num: Any, den: Any) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ either, ``dynocal study SPEC --join DIR`` from anywhere that sees the folder, or
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -19,7 +20,7 @@ from typing import Any, Protocol
 
 from . import _arguments as arguments
 from ._many import Asked, chunk
-from .errors import FileError, MissingPackageError, RunError
+from .errors import ArgumentError, FileError, MissingPackageError, RunError
 
 __all__ = ["Dask", "Executor", "Local"]
 
@@ -57,15 +58,18 @@ class Local:
         _, total, _, left = tasks.plan(progress)
         if not left:
             return
-        code = "import sys; from dynocal import _many; _many.work(sys.argv[1])"
-        command = [sys.executable, "-c", code, json.dumps(asdict(asked))]
+        command = [sys.executable, "-c", "from dynocal import _many; _many.work()"]
+        # Through a pipe: a command line holds no hundred thousand seeds.
+        told = f"{json.dumps(asdict(asked))}\n".encode()
         environment = {**os.environ, "RAYON_NUM_THREADS": str(self.threads)}
         with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
             started = [
-                subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said)
+                subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
                 for _ in range(min(self.workers, len(left)))
             ]
             try:
+                for p in started:
+                    _tell(p, told)
                 self._wait(started, tasks, total, progress)
             finally:
                 _stop(started)
@@ -86,6 +90,18 @@ class Local:
                 progress(f"{done} of {total} tasks", done / total)
 
 
+def _tell(p: subprocess.Popen[bytes], what: bytes) -> None:
+    """Writes into the pipe and leaves it open: a worker ends when it closes, with this process."""
+    if p.stdin is None:
+        return
+    try:
+        p.stdin.write(what)
+        p.stdin.flush()
+    except BrokenPipeError:
+        # It has ended already; what it said of that is read at the end.
+        pass
+
+
 def _stop(started: list[subprocess.Popen[bytes]]) -> None:
     """Ends processes of ours that are still there."""
     for p in started:
@@ -97,6 +113,10 @@ def _stop(started: list[subprocess.Popen[bytes]]) -> None:
         except subprocess.TimeoutExpired:
             p.kill()
             p.wait()
+    for p in started:
+        if p.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                p.stdin.close()
 
 
 class Dask:
@@ -116,6 +136,8 @@ class Dask:
     """
 
     def __init__(self, address: Any, *, retries: int = 2, timeout_s: float = 10.0) -> None:
+        if not isinstance(address, str) and not hasattr(address, "submit"):
+            raise ArgumentError(f"address: found {arguments.kind(address)}, expected the address of a scheduler, or a distributed.Client")
         self.address = address
         self.retries = arguments.count("retries", retries, 0, 1000)
         self.timeout_s = arguments.number("timeout_s", timeout_s, "seconds", positive=True)

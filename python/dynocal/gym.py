@@ -43,7 +43,8 @@ class TorqueEnv(gymnasium.Env):  # type: ignore[misc]
         Keyword arguments of :class:`dynocal.Engine`.
 
     Observations are the outputs of the plant, divided by the sizes of their ranges, and the demand from 0 to 1; actions are the
-    actuators from -1 to 1 over their ranges. An action that the plant refuses ends the episode.
+    actuators from -1 to 1 over their ranges. An action that the plant refuses ends the episode. It can be copied, pickled and taken along by a
+    fork (``gymnasium.vector.AsyncVectorEnv``).
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -60,18 +61,26 @@ class TorqueEnv(gymnasium.Env):  # type: ignore[misc]
         reward: Reward | None = None,
         engine: Mapping[str, Any] | None = None,
     ) -> None:
-        self.plant = Engine(**dict(engine or {}))
+        self.plant = Engine(**arguments.mapping("engine", engine))
         self.actuators = arguments.names("actuators", actuators)
-        for name in [*self.actuators, *(given or {})]:
-            arguments.one_of("actuators", name, self.plant.inputs)
+        if not self.actuators:
+            raise ArgumentError("actuators: found none, expected at least one")
+        self.given = {n: arguments.number(f"given[{n!r}]", v) for n, v in arguments.mapping("given", given).items()}
+        for what, names in (("actuators", self.actuators), ("given", self.given)):
+            for name in names:
+                arguments.one_of(what, name, self.plant.inputs)
         self.ts_s = arguments.number("ts_s", ts_s, "seconds", positive=True)
         self.length = arguments.count("length", length, 1)
         self.hold = max(1, round(arguments.number("hold_s", hold_s, "seconds", positive=True) / self.ts_s))
+        if not isinstance(demand_nm, (tuple, list)) or len(demand_nm) != 2:
+            raise ArgumentError(f"demand_nm: found {arguments.kind(demand_nm)}, expected (least, greatest) in Nm")
         low, high = (arguments.number("demand_nm", v, "Nm") for v in demand_nm)
         if not low < high:
             raise ArgumentError(f"demand_nm: found {low:g} to {high:g}, expected the least below the greatest")
         self.demand_range = (low, high)
-        self.given = dict(given or {})
+        if reward is not None and not callable(reward):
+            raise ArgumentError(f"reward: found {arguments.kind(reward)}, expected a function of outputs and demand")
+        self._t, self._demands = self.length, np.zeros(0)
         self._reward = reward or self._squared
         outputs = self.plant.outputs
         if "torque" not in outputs:
@@ -105,7 +114,12 @@ class TorqueEnv(gymnasium.Env):  # type: ignore[misc]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Holds the actuators for a sample."""
-        share = np.clip(np.asarray(action, dtype=np.float64).reshape(len(self.actuators)), -1.0, 1.0)
+        if self._t >= self.length:
+            raise PlantError("step: found no episode that goes on, expected a call of reset() before")
+        asked = arguments.finite("action", arguments.array("action", action))
+        if asked.shape != (len(self.actuators),):
+            raise ArgumentError(f"action: found shape {asked.shape}, expected ({len(self.actuators)},)")
+        share = np.clip(asked, -1.0, 1.0)
         inputs = self.plant.inputs
         u = {**self.plant.start, **self.given}
         for name, s in zip(self.actuators, share, strict=True):
@@ -118,4 +132,8 @@ class TorqueEnv(gymnasium.Env):  # type: ignore[misc]
             y, refused = self.plant.shown, str(error)
         self._t += 1
         info = {"demand_nm": float(self._demands[self._t]), "refused": refused, **y}
-        return self._observed(y), float(self._reward(y, demand)), bool(refused), self._t >= self.length, info
+        seen, over = self._observed(y), self._t >= self.length
+        if refused:
+            # Nothing goes on from a state that the plant did not take.
+            self._t = self.length
+        return seen, float(self._reward(y, demand)), bool(refused), over, info

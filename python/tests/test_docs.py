@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pytest
-from conftest import lagged
-
-import dynocal
 
 PAGES = ["python", "many", "coming_from"]
 
@@ -17,11 +13,7 @@ PAGES = ["python", "many", "coming_from"]
 def test_code_of_the_page_runs(name: str, root, tmp_path, monkeypatch) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (root / "docs" / f"{name}.md").read_text(encoding="utf-8"), flags=re.DOTALL)
     assert blocks, f"docs/{name}.md has no code"
-    # What the pages take for given: a record of a bed.
     monkeypatch.chdir(tmp_path)
-    u, y = lagged(3000, noise=0.1)
-    columns = {"inj": u, "spark": np.roll(u, 7), "torque": y}
-    dynocal.Dataset(columns, ts_s=0.03, outputs="torque", units={"torque": "Nm"}).write("bed.mf4")
     names: dict[str, object] = {"__name__": "page"}
     for block in blocks:
         exec(compile(block, f"docs/{name}.md", "exec"), names)

@@ -200,5 +200,5 @@ def test_what_chose_a_model_is_not_unseen(tmp_path) -> None:
     m = dynocal.Neural(2, starts=1, max_evaluations=5, seed=1).fit(first, selecting=chose).model_
     m.save(tmp_path / "m.json")
     for one in (m, dynocal.Model.load(tmp_path / "m.json")):
-        assert {r.data for r in one.score(chose)} == {"identification"}
+        assert {r.data for r in one.score(chose)} == {"selection"}
         assert {r.data for r in one.score(unseen)} == {"unseen"}

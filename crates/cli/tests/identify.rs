@@ -432,9 +432,21 @@ fn irregular_stamps_need_a_step_that_resamples() {
 
 #[test]
 fn a_saved_model_scores_another_record() {
-    let o = identify(&format!("{HEAD}{ROWS}{ARX}"), &[("bed.csv", record(300)), ("other.csv", record(120))]);
+    // Another record: the same system under smaller inputs. Half of the first one is known as a part of it.
+    let mut y = 0.0;
+    let answer = |t| {
+        let row = (0.7 * u(t), y);
+        y = 0.5 + 0.8 * y + 2.0 * row.0;
+        row
+    };
+    let other = csv("u [mg],y [Nm]", &(0..120).map(answer).collect::<Vec<_>>());
+    let part = csv("u [mg],y [Nm]", &rows(120));
+    let files = [("bed.csv", record(300)), ("other.csv", other), ("part.csv", part)];
+    let o = identify(&format!("{HEAD}{ROWS}{ARX}"), &files);
     assert_eq!(o.code, 0, "{}", o.stderr);
     let model = "run/steps/01-identify/model.json";
+    let o = run(o.folder, &["identify", "--model", model, "--data", "part.csv", "--out", "part", "--json"]);
+    assert_eq!(score(&o.summary(), "y", "record", &"free_run".into())["data"], "identification");
     let args = ["identify", "--model", model, "--data", "other.csv", "--out", "again", "--json"];
     let o = run(o.folder, &args);
     let s = o.summary();

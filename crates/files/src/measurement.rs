@@ -328,6 +328,11 @@ pub fn time_column(table: &Table) -> Option<&Column> {
     table.column("time").ok().or_else(usual)
 }
 
+/// Whether a column of this name and unit, where it has one, would be taken for the time of a file.
+pub fn looks_like_time(name: &str, unit: Option<&str>) -> bool {
+    is_time(name) && unit.is_none_or(|u| units::dimension(u) == Some("time"))
+}
+
 fn is_time(name: &str) -> bool {
     const NAMES: [&str; 5] = ["time", "t", "timestamp", "timestamps", "zeit"];
     let of_time = |suffix: &str| units::dimension(suffix) == Some("time");

@@ -27,6 +27,7 @@
 
 mod measured;
 mod path;
+pub mod pieces;
 mod pointwise;
 mod run;
 
@@ -34,16 +35,18 @@ use serde::{Deserialize, Serialize};
 
 pub use measured::MeasuredModel;
 pub use path::Path;
+pub use pieces::Pieces;
 pub use pointwise::Pointwise;
 pub use run::{Computed, Outside};
 
-use crate::data::DataError;
+use crate::data::{DataError, Dataset};
 use crate::derived::{Derived, DerivedError};
 use crate::model::fitted::Fitted;
 use crate::model::form::{AnyForm, Driven};
 use crate::model::initial::Initial;
 use crate::model::poly::StructureError;
 use crate::prepare::{Effect, Note, PrepareError};
+use crate::validate;
 use crate::validate::boundary::BoundaryModel;
 
 /// Schema name of a model file.
@@ -128,6 +131,13 @@ pub struct StoredModel {
     /// Digests of those files: a record out of one of them is not unseen.
     #[serde(default)]
     pub files: Vec<String>,
+    /// Pieces of the records that it was estimated from: a record that holds them is not unseen. Absent in files that were written
+    /// before there were any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimated_on: Option<Pieces>,
+    /// The same of the records that chose between its candidates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selected_on: Option<Pieces>,
 }
 
 /// A stored model that cannot be used as asked.
@@ -271,6 +281,8 @@ impl StoredModel {
             seen: Vec::new(),
             origin: String::new(),
             files: Vec::new(),
+            estimated_on: None,
+            selected_on: None,
         };
         model.check()?;
         Ok(model)
@@ -404,6 +416,21 @@ impl StoredModel {
             self.behind(q, &mut out);
         }
         out
+    }
+
+    /// Whether its parameters have seen a record as it was measured, or its choice has: by pieces of it, whatever stands around
+    /// them. Pieces too few to be among those that are kept, resampled or converted ones are not recognised.
+    pub fn has_seen(&self, record: &Dataset) -> validate::Seen {
+        let channels: Vec<String> = self.measured().into_iter().map(|q| q.name).collect();
+        let knows =
+            |p: &Option<Pieces>| p.as_ref().is_some_and(|p| p.know(record, &channels, self.is_steady()));
+        if knows(&self.estimated_on) {
+            validate::Seen::Identification
+        } else if knows(&self.selected_on) {
+            validate::Seen::Selection
+        } else {
+            validate::Seen::Unseen
+        }
     }
 
     /// The measured channels behind the inputs alone.

@@ -6,12 +6,13 @@ use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyCapsuleMethods};
 
-use crate::arrow_type::{Array, Number, OwnedArray, OwnedSchema, Schema, Stream, text};
+use crate::arrow_type::{Array, Number, OwnedArray, OwnedSchema, Schema, Stream, metadata, text};
 use crate::errors::{Kind, Refusal};
 
-/// One column: its name, its type where that is a number, and what has been read.
+/// One column: its name, its unit where the field says one, its type where that is a number, and what has been read.
 struct Column {
     name: String,
+    unit: Option<String>,
     format: String,
     number: Option<Number>,
     values: Vec<f64>,
@@ -20,11 +21,11 @@ struct Column {
 /// Name and type of a column that holds no numbers.
 type LeftOut = (String, String);
 
-/// Name and samples of a column.
-type Numbers<'py> = (String, Bound<'py, PyArray1<f64>>);
+/// Name, unit, whether they are stamps or durations, and samples of a column.
+type Numbers<'py> = (String, Option<String>, bool, Bound<'py, PyArray1<f64>>);
 
-/// Columns (name, samples) of an object with `__arrow_c_stream__`, missing values as NaN, stamps in s; and the names and types of
-/// columns that hold no numbers.
+/// Columns of an object with `__arrow_c_stream__`, missing values as NaN, stamps in s; and the names and types of columns that hold no
+/// numbers.
 #[pyfunction]
 pub(crate) fn record_from_arrow<'py>(
     py: Python<'py>,
@@ -39,9 +40,14 @@ pub(crate) fn record_from_arrow<'py>(
     let columns = unsafe { read(&mut *stream) }?;
     let (numbers, others): (Vec<Column>, Vec<Column>) = columns.into_iter().partition(|c| c.number.is_some());
     Ok((
-        numbers.into_iter().map(|c| (c.name, c.values.into_pyarray(py))).collect(),
+        numbers.into_iter().map(|c| numbered(py, c)).collect(),
         others.into_iter().map(|c| (c.name, c.format)).collect(),
     ))
+}
+
+fn numbered(py: Python<'_>, c: Column) -> Numbers<'_> {
+    let stamps = matches!(c.number, Some(Number::Time(_)));
+    (c.name, c.unit, stamps, c.values.into_pyarray(py))
 }
 
 fn refused(text: impl Into<String>) -> Refusal {
@@ -108,8 +114,10 @@ unsafe fn columns(schema: &Schema) -> Result<Vec<Column>, Refusal> {
         let child = unsafe { &**schema.children.add(k) };
         // SAFETY: texts of the producer.
         let (name, format) = unsafe { (text(child.name), text(child.format)) };
+        // SAFETY: metadata of the producer.
+        let unit = unsafe { metadata(child.metadata, "unit") };
         let number = Number::of(&format).filter(|_| child.dictionary.is_null());
-        Column { name, format, number, values: Vec::new() }
+        Column { name, unit, format, number, values: Vec::new() }
     };
     Ok((0..usize::try_from(schema.n_children).unwrap_or(0)).map(one).collect())
 }

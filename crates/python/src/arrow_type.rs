@@ -152,3 +152,48 @@ pub(crate) unsafe fn text(text: *const c_char) -> String {
     // SAFETY: as of this function.
     unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
 }
+
+/// The value of a key in the metadata of a field: a count, then length and bytes of key and of value for each entry, lengths as 32-bit
+/// integers of this machine.
+///
+/// # Safety
+/// `metadata` is null or laid out like that.
+pub(crate) unsafe fn metadata(metadata: *const c_char, key: &str) -> Option<String> {
+    if metadata.is_null() {
+        return None;
+    }
+    let mut at = metadata.cast::<u8>();
+    // SAFETY: as of this function; integers need not be aligned.
+    let entries = unsafe { integer(&mut at) };
+    for _ in 0..entries {
+        // SAFETY: every entry has two texts.
+        let (name, value) = unsafe { (counted(&mut at), counted(&mut at)) };
+        if name == key {
+            return Some(value);
+        }
+    }
+    None
+}
+
+/// # Safety
+/// Four bytes are there.
+unsafe fn integer(at: &mut *const u8) -> usize {
+    // SAFETY: as of this function.
+    unsafe {
+        let found = at.cast::<i32>().read_unaligned();
+        *at = at.add(4);
+        usize::try_from(found).unwrap_or(0)
+    }
+}
+
+/// # Safety
+/// A length and so many bytes are there.
+unsafe fn counted(at: &mut *const u8) -> String {
+    // SAFETY: as of this function.
+    unsafe {
+        let n = integer(at);
+        let bytes = std::slice::from_raw_parts(*at, n);
+        *at = at.add(n);
+        String::from_utf8_lossy(bytes).into_owned()
+    }
+}

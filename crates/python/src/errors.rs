@@ -7,10 +7,13 @@ use dynocal_files::spec::{LoadError, SpecError};
 use dynocal_ident::data::DataError;
 use dynocal_ident::plant::PlantError;
 use dynocal_ident::stored::StoredError;
+use dynocal_jobs::export::ExportJobError;
 use dynocal_jobs::identify::error::IdentifyError;
 use dynocal_jobs::runs::RunError;
 use dynocal_numerics::registry::BuildError;
 use pyo3::prelude::*;
+
+use crate::words::plain;
 
 /// Class of `dynocal.errors`.
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +56,7 @@ pub(crate) struct Refusal {
 
 impl Refusal {
     pub(crate) fn new(kind: Kind, text: impl Into<String>) -> Self {
-        Self { kind, text: text.into() }
+        Self { kind, text: plain(&text.into()) }
     }
 
     /// An error with its causes.
@@ -68,7 +71,13 @@ impl Refusal {
             }
             cause = c.source();
         }
-        Self { kind, text }
+        Self { kind, text: plain(&text) }
+    }
+
+    /// The same where a name that stands for no file is not called one.
+    pub(crate) fn instead(mut self, of: &str, name: &str) -> Self {
+        self.text = self.text.replace(of, name);
+        self
     }
 
     /// The same with what it is about in front.
@@ -135,6 +144,16 @@ impl From<IdentifyError> for Refusal {
             _ => Kind::Estimate,
         };
         Self::of(kind, &e)
+    }
+}
+
+impl From<ExportJobError> for Refusal {
+    fn from(e: ExportJobError) -> Self {
+        match e {
+            ExportJobError::Files(e) => e.into(),
+            ExportJobError::Model { .. } => Self::of(Kind::Model, &e),
+            e => Self::of(Kind::Run, &e),
+        }
     }
 }
 

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use dynocal_files::FilesError;
 use dynocal_files::dataset::{ChannelSpec, Format, Layout, Missing, Select, Time, datasets, read_table_with};
-use dynocal_files::measurement::{ReadKeys, csv_io, parquet_io, time_column};
-use dynocal_files::table::{Cells, Table};
+use dynocal_files::measurement::{ReadKeys, csv_io, looks_like_time, parquet_io, time_column};
+use dynocal_files::table::{Cells, Column, Table};
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_jobs::convert::{Conversion, convert as convert_file};
 use dynocal_jobs::show;
+use dynocal_numerics::watch::Watch;
 use pyo3::prelude::*;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -70,8 +71,9 @@ fn read_file(path: &Path, how: Reading) -> Result<(Dataset, Vec<String>), Refusa
     let mut keys = how.keys;
     let format = format(how.format)?;
     let mut table = read_table_with(path, format, &keys)?;
-    let stamps =
-        how.time.clone().or_else(|| time_column(&table).map(|c| c.name.clone())).filter(|_| !how.steady);
+    // Points have no time: what looks like it is no channel, unless somebody asks for it.
+    let stamped = how.time.clone().or_else(|| time_column(&table).map(|c| c.name.clone()));
+    let stamps = stamped.clone().filter(|_| !how.steady);
     if let (Some(_), Some(dt)) = (&stamps, how.sample_time_s)
         && keys.merge.sample_time_s.is_none()
     {
@@ -94,7 +96,14 @@ fn read_file(path: &Path, how: Reading) -> Result<(Dataset, Vec<String>), Refusa
         }
     };
     let mut notes = table.notes.clone();
-    let wanted = how.channels.unwrap_or_else(|| numbers(&table, stamps.as_deref(), &mut notes));
+    let hidden = if how.steady { stamped } else { stamps };
+    let wanted = how.channels.unwrap_or_else(|| numbers(&table, hidden.as_deref(), &mut notes));
+    for (column, _) in wanted.iter().filter(|(_, name)| how.units.contains_key(name)) {
+        // `-` is how a record without a unit was written: it does not say that this is a ratio.
+        if let Some(c) = table.columns.iter_mut().find(|c| c.name == *column) {
+            c.unit = c.unit.take().filter(|u| u.0 != "-");
+        }
+    }
     let role = |name: &String| {
         if how.outputs.contains(name) {
             Role::Output
@@ -129,7 +138,7 @@ fn read_file(path: &Path, how: Reading) -> Result<(Dataset, Vec<String>), Refusa
     Ok((data, notes))
 }
 
-/// Every column of numbers but time; what else there is goes to the notes.
+/// Every column of numbers but time and one that only counts the rows; what else there is goes to the notes.
 fn numbers(table: &Table, time: Option<&str>, notes: &mut Vec<String>) -> Vec<(String, String)> {
     let (numbers, words): (Vec<_>, Vec<_>) = table
         .columns
@@ -137,7 +146,21 @@ fn numbers(table: &Table, time: Option<&str>, notes: &mut Vec<String>) -> Vec<(S
         .filter(|c| Some(c.name.as_str()) != time)
         .partition(|c| matches!(c.cells, Cells::Number(_)));
     notes.extend(words.iter().map(|c| format!("column `{}` is left out: it holds words", c.name)));
+    let (counting, numbers): (Vec<_>, Vec<_>) = numbers.into_iter().partition(|c| counts(c));
+    notes.extend(counting.iter().map(|c| format!("column `{}` is left out: it counts the rows", c.name)));
     numbers.into_iter().map(|c| (c.name.clone(), c.name.clone())).collect()
+}
+
+/// Whether a column without a name of its own counts the rows, as the index of a frame does that was written beside them.
+fn counts(column: &Column) -> bool {
+    let nameless = column.name.starts_with("column_") || column.name.starts_with("Unnamed: ");
+    match &column.cells {
+        Cells::Number(v) if nameless && v.len() > 1 => {
+            let first = v[0];
+            (first == 0.0 || first == 1.0) && v.iter().enumerate().all(|(k, x)| *x == first + k as f64)
+        }
+        _ => false,
+    }
 }
 
 fn known<'a>(
@@ -153,6 +176,12 @@ fn known<'a>(
             Err(Refusal::new(Kind::Argument, text))
         }
     }
+}
+
+/// Whether a column of that name and unit would be taken for the time of a file.
+#[pyfunction]
+pub(crate) fn is_time(name: &str, unit: Option<&str>) -> bool {
+    looks_like_time(name, unit)
 }
 
 /// What is in a file, as JSON.
@@ -174,39 +203,50 @@ struct Converting {
     units: std::collections::BTreeMap<String, String>,
 }
 
-/// Converts a measurement file, or writes a record; returns what was decided and lost.
+/// Converts a measurement file; returns what was decided and lost.
 #[pyfunction]
 pub(crate) fn convert(
     py: Python<'_>,
-    source: &Bound<'_, PyAny>,
+    source: PathBuf,
     target: PathBuf,
     how: &Bound<'_, PyAny>,
 ) -> PyResult<Vec<String>> {
     let how: Converting = parsed("convert", how)?;
     let format = format(how.format)?;
-    if let Ok(record) = source.cast::<Record>() {
-        let data = record.get().data.clone();
-        return Ok(watched(py, None, move |_| write(&data, &target))??);
-    }
-    let source: PathBuf = source.extract()?;
     let how =
         Conversion { format, read: how.read, merge: how.merge, channels: how.channels, units: how.units };
     Ok(watched(py, None, move |_| convert_file(&source, &target, &how))?.map_err(Refusal::from)?)
 }
 
-/// Writes a record in the format that the ending of `to` names.
-fn write(data: &Dataset, to: &Path) -> Result<Vec<String>, Refusal> {
+/// Writes a record in the format that the ending of `target` names; returns what could not be kept. `steady`: rows are points without
+/// time, which gets no column where a format can do without.
+#[pyfunction]
+pub(crate) fn write(py: Python<'_>, record: &Record, target: PathBuf, steady: bool) -> PyResult<Vec<String>> {
+    let data = record.data.clone();
+    Ok(watched(py, None, move |watch| write_file(&data, &target, steady, watch))??)
+}
+
+fn write_file(data: &Dataset, to: &Path, steady: bool, watch: Watch) -> Result<Vec<String>, Refusal> {
+    data.check_marked()?;
     let name = to.to_string_lossy().into_owned();
-    if name.ends_with(".csv") || name.ends_with(".csv.gz") {
-        csv_io::write_dataset(to, data)?;
+    let csv = name.ends_with(".csv") || name.ends_with(".csv.gz");
+    let plain = csv || name.ends_with(".parquet");
+    let time: Vec<f64> = (0..data.len()).map(|t| t as f64 * data.sample_time_s).collect();
+    let mut columns: Vec<(&str, &str, &[f64])> = Vec::new();
+    if !(steady && plain) {
+        columns.push(("time", "s", &time));
+    }
+    columns.extend(data.channels.iter().map(|c| (c.name.as_str(), c.unit.as_str(), c.values.as_slice())));
+    if csv {
+        csv_io::write_columns_until(to, &columns, watch.interrupt)?;
         return Ok(Vec::new());
     }
-    if name.ends_with(".parquet") {
-        parquet_io::write_dataset(to, data)?;
+    if plain {
+        parquet_io::write_columns(to, &columns)?;
         return Ok(Vec::new());
     }
     let between = to.with_extension("between.parquet");
-    parquet_io::write_dataset(&between, data)?;
+    parquet_io::write_columns(&between, &columns)?;
     let done = convert_file(&between, to, &Conversion::default());
     let gone = std::fs::remove_file(&between);
     let notes = done?;

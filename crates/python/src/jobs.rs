@@ -53,6 +53,14 @@ fn asked(
     Ok(Asked { spec, over: Overrides { seed, out }, data, until })
 }
 
+/// What a mapping is called in messages: it has no file.
+fn named(spec: &Bound<'_, PyAny>, name: &str) -> (String, String) {
+    let is_file = spec.extract::<PathBuf>().is_ok();
+    let file = format!("{name}.toml");
+    let called = if is_file { file.clone() } else { format!("the spec `{name}`") };
+    (file, called)
+}
+
 /// Runs a job; `spec` is a file, or a mapping whose files are relative to the working folder.
 #[pyfunction]
 pub(crate) fn run(
@@ -67,9 +75,10 @@ pub(crate) fn run(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Finished> {
     let verb = find(job).map_err(Refusal::from)?;
+    let (file, called) = named(spec, &name);
     let asked = asked(spec, name, seed, out, data, until)?;
     let done = watched(py, progress, move |watch| (verb.run)(&asked, watch))?;
-    Ok(done.map_err(Refusal::from)?.into())
+    Ok(done.map_err(|e| Refusal::from(e).instead(&file, &called))?.into())
 }
 
 /// What a job would do and take, as JSON; runs nothing.
@@ -84,8 +93,10 @@ pub(crate) fn check(
     data: Vec<PathBuf>,
 ) -> PyResult<String> {
     let verb = find(job).map_err(Refusal::from)?;
+    let (file, called) = named(spec, &name);
     let asked = asked(spec, name, seed, out, data, None)?;
-    let plan = watched(py, None, move |watch| (verb.plan)(&asked, watch))?.map_err(Refusal::from)?;
+    let plan = watched(py, None, move |watch| (verb.plan)(&asked, watch))?
+        .map_err(|e| Refusal::from(e).instead(&file, &called))?;
     plan.allowed().map_err(failed)?;
     Ok(serde_json::to_string(&plan).map_err(failed)?)
 }
@@ -136,7 +147,7 @@ pub(crate) fn export(
         sample_time_s,
         ..ExportSpec::default()
     };
-    let done = watched(py, None, move |_| exporting::run(&source, &folder, &spec))?.map_err(failed)?;
+    let done = watched(py, None, move |_| exporting::run(&source, &folder, &spec))?.map_err(Refusal::from)?;
     Ok((done.files, done.notes))
 }
 

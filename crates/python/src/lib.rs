@@ -17,6 +17,7 @@ mod record;
 mod tables;
 mod values;
 mod watched;
+mod words;
 
 // What has not been tried without the lock does not claim to be safe without it.
 #[pyo3::pymodule(gil_used = true)]
@@ -26,7 +27,7 @@ mod _dynocal {
     #[pymodule_export]
     use super::arrow_out::record_to_arrow;
     #[pymodule_export]
-    use super::files::{contents, convert, read};
+    use super::files::{contents, convert, is_time, read, write};
     #[pymodule_export]
     use super::fit::{judge, learn};
     #[pymodule_export]
@@ -43,4 +44,15 @@ mod _dynocal {
     use super::tables::{members, signal, to_toml, version};
     #[pymodule_export]
     use super::watched::{after_fork, rest};
+
+    use numpy::{PyArray1, PyArrayMethods};
+    use pyo3::prelude::*;
+
+    /// Looks the C interface of NumPy up, and that by which arrays are borrowed. The first array would do it otherwise, where a pending
+    /// Ctrl-C makes the look-up fail, and with it the process.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        PyArray1::<f64>::zeros(module.py(), 1, false).try_readonly()?;
+        Ok(())
+    }
 }

@@ -66,7 +66,11 @@ impl Tasks {
                 return Ok(work(&batch, &self.how, folder)?);
             }
             What::File(path, seeds) => many::read(path, &replaced(seeds))?,
-            What::Text { name, text, seeds } => many::parse(name, text, &replaced(seeds))?,
+            What::Text { name, text, seeds } => many::parse(name, text, &replaced(seeds)).map_err(|e| {
+                let called = PathBuf::from(name).file_stem().map(|s| s.to_string_lossy().into_owned());
+                Refusal::from(e)
+                    .instead(name, &format!("the spec `{}`", called.unwrap_or_default()))
+            })?,
         };
         let batch = many::of_job(&study, watch)?;
         let how = How { chunk_tasks: self.how.chunk_tasks.or(study.chunk_tasks), ..self.how };

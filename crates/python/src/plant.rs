@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use crate::errors::{Kind, Refusal};
 use crate::values::table;
-use crate::watched::{bug, ready, watched};
+use crate::watched::{bug, watched};
 
 /// A plant in its state. One thread at a time: a call while another one runs is refused.
 #[pyclass(frozen, module = "dynocal._dynocal")]
@@ -25,8 +25,8 @@ type Variable = (String, String, bool, f64, f64, f64);
 type Event = (f64, String, f64, f64);
 
 impl Plant {
+    /// The plant for one call. Its steps use no thread of a pool, so a forked process may take them.
     fn held(&self) -> PyResult<MutexGuard<'_, Box<dyn Contract>>> {
-        ready()?;
         let busy = || {
             Refusal::new(
                 Kind::Plant,

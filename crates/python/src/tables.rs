@@ -3,13 +3,14 @@
 use dynocal_ident::signal as signals;
 use dynocal_jobs::families::FAMILIES;
 use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::watch::Watch;
 use dynocal_studies::STUDIES;
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 
 use crate::errors::{Kind, Refusal, run};
 use crate::values::table;
-use crate::watched::short;
+use crate::watched::watched;
 
 /// Longest signal, in samples.
 const MOST_SAMPLES: usize = 100_000_000;
@@ -45,11 +46,11 @@ pub(crate) fn signal<'py>(
         return Err(Refusal::new(Kind::Argument, text).into());
     }
     let signal = signals::signal(name, &keys).map_err(Refusal::from)?;
-    let fill = move || {
+    let fill = move |_: Watch| {
         let mut u = vec![0.0; samples];
         signal.fill(&mut u, sample_time_s, &mut Rng64::new(seed)).map(|()| u)
     };
-    Ok(short(py, fill)?.map_err(Refusal::from)?.into_pyarray(py))
+    Ok(watched(py, None, fill)?.map_err(Refusal::from)?.into_pyarray(py))
 }
 
 /// A mapping as the text of a spec.

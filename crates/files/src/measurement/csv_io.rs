@@ -324,25 +324,41 @@ fn write_cells(w: &mut dyn Write, columns: &[(String, String, Cells)]) -> std::i
     Ok(())
 }
 
-/// Writes columns (name, unit, values) of equal length; as [`write_dataset`].
+/// Writes columns (name, unit, values) of equal length; as [`write_dataset`], a missing sample as `NaN`.
 ///
 /// # Errors
 /// [`FilesError::Write`].
 pub fn write_columns(path: &Path, columns: &[(&str, &str, &[f64])]) -> Result<(), FilesError> {
+    write_columns_until(path, columns, &|| false)
+}
+
+/// The same, given up where `stop` says so: nothing is left behind then.
+///
+/// # Errors
+/// [`FilesError::Write`].
+pub fn write_columns_until(
+    path: &Path,
+    columns: &[(&str, &str, &[f64])],
+    stop: &dyn Fn() -> bool,
+) -> Result<(), FilesError> {
     let gz = path.extension().is_some_and(|e| e == "gz");
     atomic::write_with(path, |w| {
         if gz {
             // No name and no time in the gzip header: equal data, equal bytes.
             let mut z = GzBuilder::new().mtime(0).write(w, Compression::default());
-            write_text(&mut z, columns)?;
+            write_text(&mut z, columns, stop)?;
             z.finish().map(|_| ())
         } else {
-            write_text(w, columns)
+            write_text(w, columns, stop)
         }
     })
 }
 
-fn write_text(w: &mut dyn Write, columns: &[(&str, &str, &[f64])]) -> std::io::Result<()> {
+fn write_text(
+    w: &mut dyn Write,
+    columns: &[(&str, &str, &[f64])],
+    stop: &dyn Fn() -> bool,
+) -> std::io::Result<()> {
     for (k, (name, unit, _)) in columns.iter().enumerate() {
         let cell = quoted(&format!("{name} [{unit}]"));
         write!(w, "{}{cell}", if k == 0 { "" } else { "," })?;
@@ -351,6 +367,9 @@ fn write_text(w: &mut dyn Write, columns: &[(&str, &str, &[f64])]) -> std::io::R
     let rows = columns.iter().map(|c| c.2.len()).min().unwrap_or(0);
     let mut line = String::new();
     for t in 0..rows {
+        if t.is_multiple_of(4096) && stop() {
+            return Err(std::io::Error::other("interrupted"));
+        }
         line.clear();
         for (k, (_, _, values)) in columns.iter().enumerate() {
             if k > 0 {

@@ -31,6 +31,7 @@ use super::load::{Part, digest_of_file, parts};
 use super::odd::of_values;
 use super::points::points;
 use super::prepare::{own_unit, prepare_parts, restored};
+use super::remembered::{Remembered, pieces};
 use super::result::{Identified, Modelled, Path, Prepared, in_step};
 use super::score::{Judged, Scored, score};
 use super::set::{Member, Set, shape};
@@ -109,6 +110,7 @@ fn of_read(
     watch: Watch,
 ) -> Result<Identified, IdentifyError> {
     let measured = measured(&parts[0].records);
+    let pieces = job.targets.iter().map(|t| pieces(job, t, &parts)).collect::<Result<Vec<_>, _>>()?;
     let preparation = prepare_parts(job, &mut parts, Some(dir))?;
     let dynamic = job.saved.is_empty() && !job.is_steady();
     let first = if dynamic { before(job, &parts[0].records)? } else { None };
@@ -156,7 +158,7 @@ fn of_read(
         let judged = after(job, t, e, &parts, watch)?;
         let notes = preparation.first().map_or(&[][..], |p| &p.notes);
         let whole = (&parts[0].records[0], notes, measured.as_slice());
-        let mut model = modelled(job, t, e, whole, &scored, judged, dir)?;
+        let mut model = modelled(job, t, e, whole, &scored, judged, (dir, pieces[k].clone()))?;
         if job.saved.is_empty()
             && !set.is_coupled()
             && let Some((driven, _)) = e.model.simulated()
@@ -287,12 +289,13 @@ fn modelled(
     (d, notes, measured): (&Dataset, &[Note], &[stored::Seen]),
     scored: &[Scored],
     (after, boundary): (After, Option<BoundaryModel>),
-    dir: &path::Path,
+    (dir, pieces): (&path::Path, Remembered),
 ) -> Result<Modelled, IdentifyError> {
     let origin = job.sources.iter().filter_map(|s| s.file.file_name()).map(|n| n.to_string_lossy());
     let from = From {
         origin: origin.collect::<Vec<_>>().join(", "),
         files: job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<_, _>>()?,
+        pieces,
     };
     let file = stored_model(job, t, e, (d, notes, measured), boundary, from)?;
     let output = file.output.clone();
@@ -331,8 +334,10 @@ fn modelled(
 pub(super) struct From {
     /// In words.
     pub(super) origin: String,
-    /// Digests of its files or records.
+    /// Digests of its files.
     pub(super) files: Vec<String>,
+    /// What the model remembers of its records.
+    pub(super) pieces: Remembered,
 }
 
 /// What is kept of a target: `d` is the first prepared record of the estimation, `measured` what its channels were before.
@@ -363,6 +368,8 @@ pub(super) fn stored_model(
         seen: measured.to_vec(),
         origin: from.origin,
         files: from.files,
+        estimated_on: from.pieces.estimation,
+        selected_on: from.pieces.selection,
     };
     if let Some(fit) = &e.fit {
         file.correlate(&fit.covariance);

@@ -11,6 +11,7 @@ use dynocal_ident::data::{DataError, Dataset};
 use dynocal_ident::validate::Seen;
 
 use super::error::IdentifyError;
+use super::remembered::seen_by;
 use super::spec::{DeriveSpec, Job, Source, Split, TestSet};
 
 /// Records with one purpose.
@@ -47,14 +48,7 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
     let names = ["estimation", "selection", "test"];
     // A model that is only scored has seen none of them.
     let names = if job.saved.is_empty() { names } else { ["record", "selection", "test"] };
-    // What has estimated one of the models is not unseen; where the spec cuts the file, its cut is taken for that of the estimate.
-    let known = |file: &String| job.saved.iter().any(|m| m.files.contains(file));
-    let files = job.sources.iter().map(|s| digest_of_file(&s.file)).collect::<Result<Vec<_>, _>>()?;
-    let seen = if job.saved.is_empty() || files.iter().any(known) {
-        [Seen::Identification, Seen::Selection, Seen::Unseen]
-    } else {
-        [Seen::Unseen; 3]
-    };
+    let seen = seen_of_file(job, &found)?;
     let mut parts: Vec<Part> = names
         .iter()
         .zip(seen)
@@ -84,6 +78,24 @@ pub fn parts(job: &Job, note: &dyn Fn(&str)) -> Result<Vec<Part>, IdentifyError>
         parts.push(test_set(job, test, note)?);
     }
     completed(job, parts)
+}
+
+/// What the parameters have seen of the parts of a file. Of models that are only scored: what they remember of their records; where they
+/// were written before they did, the file counts, and a cut that the spec has is taken for that of the estimate.
+fn seen_of_file(job: &Job, found: &[Vec<Dataset>; 3]) -> Result<[Seen; 3], FilesError> {
+    let as_cut = [Seen::Identification, Seen::Selection, Seen::Unseen];
+    if job.saved.is_empty() {
+        return Ok(as_cut);
+    }
+    let mut seen = [0, 1, 2].map(|k| seen_by(&job.saved, &found[k]));
+    let older: Vec<&String> =
+        job.saved.iter().filter(|m| m.estimated_on.is_none()).flat_map(|m| &m.files).collect();
+    for source in job.sources.iter().filter(|_| !older.is_empty()) {
+        if older.contains(&&digest_of_file(&source.file)?) {
+            seen = [0, 1, 2].map(|k| if seen[k] == Seen::Unseen { as_cut[k] } else { seen[k] });
+        }
+    }
+    Ok(seen)
 }
 
 /// Parts whose records are checked against each other, with their derived channels.
@@ -175,7 +187,7 @@ fn test_set(job: &Job, test: &TestSet, note: &dyn Fn(&str)) -> Result<Part, Iden
         layout.trajectory = None;
     }
     let records = datasets(&table, &layout, &Select::All)?;
-    Ok(Part { name: test.name.clone(), seen: Seen::Unseen, records, notes })
+    Ok(Part { name: test.name.clone(), seen: seen_by(&job.saved, &records), records, notes })
 }
 
 /// Every record cut into `blocks` blocks that are dealt to the three parts so that their shares come out; neighbours of

@@ -48,6 +48,7 @@ use super::job::{From, estimate_target, fit_records, judged, measured, member, s
 use super::judge::{losses, of_fit};
 use super::load::{Part, completed};
 use super::prepare::prepare_parts;
+use super::remembered::{Remembered, pieces, seen_by};
 use super::result::Score;
 use super::score::{Judged, score};
 use super::set::{Set, shape};
@@ -155,8 +156,6 @@ pub fn learn(
     let mut origins: Vec<String> =
         records.iter().map(|d| d.origin.clone()).filter(|o| !o.is_empty()).collect();
     origins.dedup();
-    // What chose between candidates is no test of the model either.
-    let digests: Vec<String> = records.iter().chain(&selecting).map(fingerprint).collect();
     let mut parts = vec![part("estimation", Seen::Identification, records)];
     if !selecting.is_empty() {
         parts.push(part("selection", Seen::Selection, selecting));
@@ -164,12 +163,14 @@ pub fn learn(
     let mut parts = completed(job, parts)?;
     of_parts(job, &parts)?.allowed().map_err(|e| IdentifyError::Large(e.to_string()))?;
     let measured = measured(&parts[0].records);
+    let remembered = job.targets.iter().map(|t| pieces(job, t, &parts)).collect::<Result<Vec<_>, _>>()?;
+    let targets: Vec<(&super::spec::Target, Remembered)> = job.targets.iter().zip(remembered).collect();
     let preparation = prepare_parts(job, &mut parts, None)?;
     let notes = preparation.first().map_or(&[][..], |p| &p.notes);
-    let one = |t: &super::spec::Target| {
+    let one = |(t, pieces): (&super::spec::Target, Remembered)| {
         let e = estimate_target(t, &parts, watch)?.starting(job.validate.initial);
         let (boundary, remark) = boundary(job, t, &e, &parts[0])?;
-        let from = From { origin: origins.join(", "), files: digests.clone() };
+        let from = From { origin: origins.join(", "), files: Vec::new(), pieces };
         let model = stored_model(job, t, &e, (&parts[0].records[0], notes, &measured), boundary, from)?;
         let mut findings = losses(&preparation);
         findings.extend(e.fit.iter().flat_map(|f| of_fit(t, f)));
@@ -185,11 +186,11 @@ pub fn learn(
         })
     };
     // Targets share nothing but the data.
-    job.targets.par_iter().map(one).collect()
+    targets.into_par_iter().map(one).collect()
 }
 
-/// Scores `models`, which run as one set, on `records`: one step, `k_steps` ahead and free run, in the units of the records. A
-/// record that one of the models was estimated from, or that chose between its candidates, is said to be seen.
+/// Scores `models`, which run as one set, on `records`: one step, `k_steps` ahead and free run, in the units of the records. Where
+/// one of them was seen by a model ([`StoredModel::has_seen`]), they are said to be seen.
 ///
 /// # Errors
 /// [`IdentifyError`].
@@ -203,11 +204,7 @@ pub fn judge(
     }
     let mut job = Job::of_models(models, &Overrides::default())?;
     job.validate.k_steps = k_steps;
-    let known = |d: &Dataset| {
-        let own = fingerprint(d);
-        job.saved.iter().any(|m| m.files.contains(&own))
-    };
-    let seen = if records.iter().any(known) { Seen::Identification } else { Seen::Unseen };
+    let seen = seen_by(&job.saved, &records);
     let mut parts = completed(&job, vec![part("record", seen, records)])?;
     fit_records(&job, &parts)?;
     let range = measured(&parts[0].records);

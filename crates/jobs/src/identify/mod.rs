@@ -22,6 +22,7 @@ pub mod page;
 pub mod points;
 pub mod poles;
 pub mod prepare;
+mod remembered;
 pub mod result;
 pub mod score;
 pub mod set;
