@@ -22,7 +22,7 @@ const CELLS: usize = 16;
 /// Quantities that maps are read at, two each, and all channels: the others are gains.
 const READ: usize = 6;
 const CHANNELS: usize = READ + MAPS.div_ceil(READ / 2);
-const SAMPLE_S: f64 = 0.01;
+const SAMPLE_S: f64 = 0.1;
 const NOISE: f64 = 0.5;
 
 fn function() -> Graph {
@@ -102,7 +102,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let y: Vec<f64> = graph.values(&truth, &record).iter().map(|v| v + NOISE * rng.normal()).collect();
     let weights = vec![1.0; n];
     let target = Target { record, node: None, y: &y, weights: &weights };
-    let options = Options { smooth: Some(1e-4), draws, ..Options::default() };
+    let options = Options { smooth: Some(1e-3), draws, ..Options::default() };
     let before = cpu_s()?;
     let clock = Instant::now();
     let found = fit(&graph, &[target], &options, &|| false)?;

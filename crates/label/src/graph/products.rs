@@ -3,6 +3,9 @@
 //! Nodes are taken in stages: nodes with a memory one after the other over the whole record, all others in pieces of time, whose
 //! numbers stay near the processor. Sums are made over a fixed number of parts, so that results do not depend on the processors.
 
+use std::borrow::Cow;
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::forward::{Run, slopes};
@@ -13,6 +16,9 @@ use crate::rows::between;
 const PARTS: usize = 32;
 /// Samples of a piece.
 const PIECE: usize = 2048;
+
+/// Samples that the shape of a label's own equations is taken from.
+const SHAPE_SAMPLES: usize = 1 << 16;
 
 /// Interval of an axis and share of the way through it, at each sample.
 struct LookUp {
@@ -135,7 +141,7 @@ impl<'a> Products<'a> {
     }
 
     /// Samples of part `p`.
-    fn part(&self, p: usize) -> std::ops::Range<usize> {
+    fn part(&self, p: usize) -> Range<usize> {
         let n = self.samples();
         n * p / PARTS..n * (p + 1) / PARTS
     }
@@ -164,6 +170,76 @@ impl<'a> Products<'a> {
                 )
             }
         }
+    }
+
+    /// Places of a map over a piece: cells in a row of it, its first cell, and interval and share along both axes.
+    fn plane(
+        &self,
+        k: usize,
+        l: usize,
+        piece: Range<usize>,
+    ) -> Option<(usize, usize, impl Iterator<Item = (usize, f64, usize, f64)> + '_)> {
+        let [x, y] = self.look[k][..] else { return None };
+        let along = move |look: usize| {
+            let look = &self.looks[look];
+            let whole = look.below[piece.clone()].iter().map(|i| usize::from(*i));
+            whole.zip(look.share[piece.clone()].iter().copied())
+        };
+        let at = along(x).zip(along(y)).map(|((i, s), (j, r))| (i, s, j, r));
+        Some((self.graph.labels[l].axes[0].points.len(), self.first[l], at))
+    }
+
+    /// Adds what reaches label node `k` over a piece to its cells.
+    fn to_cells(&self, k: usize, l: usize, piece: Range<usize>, own: &[f64], cells: &mut [f64]) {
+        match self.plane(k, l, piece.clone()) {
+            Some((n, first, at)) => own.iter().zip(at).for_each(|(g, (i, s, j, r))| {
+                let c = first + j * n + i;
+                let (low, high) = (g * (1.0 - r), g * r);
+                cells[c] += low * (1.0 - s);
+                cells[c + 1] += low * s;
+                cells[c + n] += high * (1.0 - s);
+                cells[c + n + 1] += high * s;
+            }),
+            None => own.iter().enumerate().for_each(|(i, g)| {
+                let (at, weights, n) = self.corners(k, l, piece.start + i);
+                (0..n).for_each(|c| cells[at[c]] += g * weights[c]);
+            }),
+        }
+    }
+
+    /// The part of `J'WJ` within each label of at most `most` cells (upper triangles), as if the function had no memory, from some
+    /// thousands of samples: its shape, not its size.
+    pub(crate) fn shapes(&self, weights: &[f64], most: usize) -> Vec<Vec<f64>> {
+        let labels = &self.graph.labels;
+        let size = |n: usize| if n <= most { n * n } else { 0 };
+        let mut out: Vec<Vec<f64>> = labels.iter().map(|l| vec![0.0; size(l.len())]).collect();
+        let mut bar = vec![0.0; self.graph.nodes.len()];
+        for t in (0..self.samples()).step_by(self.samples().div_ceil(SHAPE_SAMPLES).max(1)) {
+            if !(weights[t] > 0.0) {
+                continue;
+            }
+            bar.fill(0.0);
+            bar[self.output] = 1.0;
+            for k in (0..=self.output).rev().filter(|k| self.stage[*k].is_some()) {
+                let (g, op) = (bar[k], &self.graph.nodes[k].op);
+                for (which, input) in op.inputs().into_iter().enumerate() {
+                    bar[input] += g * match op {
+                        Op::Integrator(..) => 0.0,
+                        _ if op.remembers() => f64::from(u8::from(which == 0)),
+                        _ => self.partial(k, which, t),
+                    };
+                }
+                let Op::Label(l, _) = op else { continue };
+                let (cells, a, count) = self.corners(k, *l, t);
+                let (n, first, w) = (labels[*l].len(), self.first[*l], weights[t] * g * g);
+                for i in (0..count).filter(|_| n <= most) {
+                    for j in i..count {
+                        out[*l][(cells[i] - first) * n + cells[j] - first] += w * a[i] * a[j];
+                    }
+                }
+            }
+        }
+        out
     }
 
     /// Calls `take` with cell and weight of each look-up of a label, with each sample that `counts`.
@@ -243,7 +319,7 @@ impl<'a> Products<'a> {
         &self,
         k: usize,
         stage: usize,
-        piece: std::ops::Range<usize>,
+        piece: Range<usize>,
         v: &[f64],
         d: &[Vec<f64>],
         near: &[Vec<f64>],
@@ -252,9 +328,17 @@ impl<'a> Products<'a> {
         let op = &self.graph.nodes[k].op;
         let from = piece.start;
         if let Op::Label(l, _) = op {
-            for (i, own) in own.iter_mut().enumerate() {
-                let (cells, weights, n) = self.corners(k, *l, from + i);
-                *own = (0..n).map(|c| weights[c] * v[cells[c]]).sum();
+            match self.plane(k, *l, piece.clone()) {
+                Some((n, first, at)) => own.iter_mut().zip(at).for_each(|(own, (i, s, j, r))| {
+                    let c = first + j * n + i;
+                    let (low, high) =
+                        (v[c] + s * (v[c + 1] - v[c]), v[c + n] + s * (v[c + n + 1] - v[c + n]));
+                    *own = low + r * (high - low);
+                }),
+                None => own.iter_mut().enumerate().for_each(|(i, own)| {
+                    let (cells, weights, n) = self.corners(k, *l, from + i);
+                    *own = (0..n).map(|c| weights[c] * v[cells[c]]).sum();
+                }),
             }
         }
         for (which, input) in op.inputs().into_iter().enumerate() {
@@ -262,17 +346,21 @@ impl<'a> Products<'a> {
                 continue;
             }
             let dx = if self.instant(input, stage) { &near[input][..] } else { &d[input][piece.clone()] };
-            let factors = self.partials(k, which, piece.clone());
-            own.iter_mut().zip(dx).zip(factors).for_each(|((o, d), f)| *o += d * f);
+            match op {
+                Op::Add(_) => own.iter_mut().zip(dx).for_each(|(o, d)| *o += d),
+                _ => {
+                    let factors = self.partials(k, which, piece.clone());
+                    own.iter_mut().zip(dx).zip(factors.iter()).for_each(|((o, d), f)| *o += d * f);
+                }
+            }
         }
     }
 
-    /// Derivatives of node `k` over a piece; sums and products of two are the rule.
-    fn partials(&self, k: usize, which: usize, piece: std::ops::Range<usize>) -> Vec<f64> {
+    /// Derivatives of node `k` over a piece; products of two are the rule.
+    fn partials(&self, k: usize, which: usize, piece: Range<usize>) -> Cow<'_, [f64]> {
         match &self.graph.nodes[k].op {
-            Op::Add(_) => vec![1.0; piece.len()],
-            Op::Multiply(i) if i.len() == 2 => self.run.values[i[1 - which]][piece].to_vec(),
-            _ => piece.map(|t| self.partial(k, which, t)).collect(),
+            Op::Multiply(i) if i.len() == 2 => Cow::Borrowed(&self.run.values[i[1 - which]][piece]),
+            _ => Cow::Owned(piece.map(|t| self.partial(k, which, t)).collect()),
         }
     }
 
@@ -353,10 +441,7 @@ impl<'a> Products<'a> {
             for k in (0..m).rev().filter(|k| self.instant(*k, stage)) {
                 let own = std::mem::take(&mut near[k]);
                 if let Op::Label(l, _) = self.graph.nodes[k].op {
-                    for (i, g) in own.iter().enumerate() {
-                        let (at, weights, n) = self.corners(k, l, from + i);
-                        (0..n).for_each(|c| cells[at[c]] += g * weights[c]);
-                    }
+                    self.to_cells(k, l, piece.clone(), &own, &mut cells);
                 }
                 for (which, input) in self.graph.nodes[k].op.inputs().into_iter().enumerate() {
                     if self.stage[input].is_none() {
@@ -369,8 +454,12 @@ impl<'a> Products<'a> {
                         out[input].resize(all.len(), 0.0);
                         &mut out[input][offset..offset + piece.len()]
                     };
-                    let factors = self.partials(k, which, piece.clone());
-                    to.iter_mut().zip(&own).zip(factors).for_each(|((t, g), f)| *t += g * f);
+                    if let Op::Add(_) = self.graph.nodes[k].op {
+                        to.iter_mut().zip(&own).for_each(|(t, g)| *t += g);
+                    } else {
+                        let factors = self.partials(k, which, piece.clone());
+                        to.iter_mut().zip(&own).zip(factors.iter()).for_each(|((t, g), f)| *t += g * f);
+                    }
                 }
                 near[k] = own;
             }

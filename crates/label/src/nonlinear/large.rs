@@ -5,8 +5,8 @@
 //! then     theta+ = theta + p, back within the bounds
 //! ```
 //!
-//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned label by label, by the diagonal of J'WJ with
-//! the label's own roughness; the diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic
+//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned label by label: by the label's own part of
+//! J'WJ as if the function had no memory, in the size of the diagonal, with its roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic
 //! estimator of the trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far
 //! as the step is right (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408).
 //! Cells at a bound that the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20
@@ -32,8 +32,9 @@ const MOST_ROUNDS: usize = 4;
 const NEAR: f64 = 1e-2;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
-/// Part of the equations of a step that may be left.
-const LEFT: f64 = 1e-3;
+/// Part of the equations of a step that may be left, and of the first steps, which are far from where they lead.
+const LEFT: f64 = 1e-2;
+const FIRST_LEFT: f64 = 0.1;
 /// Damping below which a step is as long as the equations have it.
 const DAMPED: f64 = 1e-3;
 /// Share of the cost that a step may promise and rounding take.
@@ -157,7 +158,7 @@ impl<'a> Search<'a> {
         let mut round = 0;
         loop {
             let before = theta.clone();
-            let system = self.round(theta, weights, if round == 0 { FIRST_STEPS } else { MOST_STEPS })?;
+            let system = self.round(theta, weights, round == 0)?;
             let change: Vec<f64> = before.iter().zip(theta.iter()).map(|(a, b)| a - b).collect();
             let near = norm2(&change) <= NEAR * norm2(theta);
             round += 1;
@@ -171,7 +172,7 @@ impl<'a> Search<'a> {
         &mut self,
         theta: &mut Vec<f64>,
         weights: &[Vec<f64>],
-        most: usize,
+        first: bool,
     ) -> Result<System<'a>, LabelError> {
         let (graph, targets) = (self.graph, self.targets);
         let wrong = |theta: &[f64]| not_finite(graph, theta, targets);
@@ -191,12 +192,13 @@ impl<'a> Search<'a> {
         cost += system.cost_of_base(theta);
         let mut mu = DAMPED;
         self.converged = false;
+        let (most, left) = if first { (FIRST_STEPS, FIRST_LEFT) } else { (MOST_STEPS, LEFT) };
         for _ in 0..most {
             if self.converged || (self.interrupt)() {
                 break;
             }
             self.steps += 1;
-            if !self.step(theta, &mut cost, &mut mu, &mut system, weights)? {
+            if !self.step(theta, &mut cost, &mut mu, left, &mut system, weights)? {
                 break;
             }
         }
@@ -209,13 +211,14 @@ impl<'a> Search<'a> {
         theta: &mut Vec<f64>,
         cost: &mut f64,
         mu: &mut f64,
+        left: f64,
         system: &mut System<'a>,
         weights: &[Vec<f64>],
     ) -> Result<bool, LabelError> {
         let g = system.gradient(theta);
         let (mut tried, mut promised) = (0, f64::INFINITY);
         loop {
-            let p = system.step(&g, theta, *mu, LEFT, self.interrupt)?;
+            let p = system.step(&g, theta, *mu, left, self.interrupt)?;
             let moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
             let next = within(self.graph, &moved);
             // A step that is short because it is damped says nothing.
@@ -223,6 +226,10 @@ impl<'a> Search<'a> {
             if tried == 0 {
                 promised = dot(&g, &p);
             }
+            eprintln!(
+                "DBG step {} try {tried} cost {:.6e} mu {:.1e} small {small} promised {promised:.3e}",
+                self.steps, *cost, *mu
+            );
             let new = evaluate(self.graph, &next, self.targets, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
             if let Some((c, found)) = better {

@@ -15,9 +15,11 @@ const SIGNS: u64 = 8;
 /// Scalars whose part of the diagonal is computed.
 const MOST_SCALARS: usize = 16;
 /// Most steps of the conjugate gradients.
-const MOST_STEPS: usize = 60;
+const MOST_STEPS: usize = 100;
 /// Cells of a label up to which its own equations are factorised.
 const MOST_FACTORISED: usize = 1024;
+/// Part of the diagonal that the shape of a label's equations has at least: a cell may have been missed by its samples.
+const LEAST_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
 const TIE: f64 = 1e-12;
 
@@ -43,6 +45,8 @@ pub(super) struct System<'a> {
     /// Samples at each cell by their interpolation weights, and the sum of the squares of these.
     pub(super) visits: Vec<f64>,
     pub(super) facts: Vec<f64>,
+    /// The part of `J'WJ` within each label, in shape.
+    shapes: Vec<Vec<f64>>,
     spans: Vec<std::ops::Range<usize>>,
 }
 
@@ -74,6 +78,7 @@ impl<'a> System<'a> {
             visits: vec![0.0; base.len()],
             facts: vec![0.0; base.len()],
             base,
+            shapes: Vec::new(),
             spans: spans(graph),
         };
         out.residuals = out.left();
@@ -86,6 +91,7 @@ impl<'a> System<'a> {
             unit[k] = 1.0;
             out.diagonal[k] = out.square(&unit);
         }
+        out.shapes = out.shaped();
         let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
         for (k, locked) in locked.enumerate() {
             let seen = out.visits[k] >= options.least_visits.max(1e-9);
@@ -128,6 +134,30 @@ impl<'a> System<'a> {
                 axpy(1.0, &p.backward(&u), &mut sum);
             }
             out.iter_mut().zip(&sum).for_each(|(o, s)| *o += s * s / SIGNS as f64);
+        }
+        out
+    }
+
+    /// The part of `J'WJ` within each label: the shape of one without memory, in the size of the diagonal.
+    fn shaped(&self) -> Vec<Vec<f64>> {
+        let mut out: Vec<Vec<f64>> = Vec::new();
+        for (p, w) in self.products.iter().zip(&self.weights) {
+            let own = p.shapes(w, MOST_FACTORISED);
+            match out.is_empty() {
+                true => out = own,
+                false => out.iter_mut().zip(own).for_each(|(o, s)| axpy(1.0, &s, o)),
+            }
+        }
+        for (shape, span) in out.iter_mut().zip(&self.spans) {
+            let n = span.len();
+            let trace: f64 = (0..n).filter(|_| !shape.is_empty()).map(|k| shape[k * n + k]).sum();
+            let size: f64 = self.diagonal[span.clone()].iter().sum();
+            let factor = if trace > 0.0 { size / trace } else { 0.0 };
+            shape.iter_mut().for_each(|v| *v *= factor);
+            for k in 0..if shape.is_empty() { 0 } else { n } {
+                let least = LEAST_SHAPE * self.diagonal[span.start + k];
+                shape[k * n + k] = shape[k * n + k].max(least);
+            }
         }
         out
     }
@@ -269,6 +299,7 @@ impl<'a> System<'a> {
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
             rz = next;
         }
+        eprintln!("DBG cg rz {:.3e} goal {:.3e}", rz, goal);
         Ok(x)
     }
 
@@ -295,7 +326,7 @@ impl<'a> System<'a> {
     }
 }
 
-/// A matrix near that of the step, label by label: the diagonal of the data, the label's own roughness.
+/// A matrix near that of the step, label by label: the shape of the label's own equations, and its roughness.
 struct Near {
     /// First cell, size, and upper triangular factor; none for a diagonal.
     blocks: Vec<(usize, usize, Option<Vec<f64>>)>,
@@ -315,9 +346,13 @@ impl Near {
         let diagonal: Vec<f64> = (0..moves.len()).map(|k| own(k) + ties[k] - s.base_weight[k]).collect();
         let mut blocks = Vec::new();
         let mut rows = s.rough.iter().peekable();
-        for span in &s.spans {
+        for (span, shape) in s.spans.iter().zip(&s.shapes) {
             let n = span.len();
-            let mut h = if n <= MOST_FACTORISED { vec![0.0; n * n] } else { Vec::new() };
+            let mut h = shape.clone();
+            let moving = &moves[span.clone()];
+            for (k, v) in h.iter_mut().enumerate().filter(|(k, _)| !moving[k / n] || !moving[k % n]) {
+                *v = f64::from(u8::from(k / n == k % n));
+            }
             while let Some((row, w)) = rows.next_if(|(row, _)| span.contains(&row[0].0)) {
                 if h.is_empty() {
                     continue;
@@ -332,8 +367,12 @@ impl Near {
                 blocks.push((span.start, n, None));
                 continue;
             }
-            (0..n)
-                .for_each(|k| h[k * n + k] += if moves[span.start + k] { own(span.start + k) } else { 1.0 });
+            for k in (0..n).filter(|k| moving[*k]) {
+                let cell = span.start + k;
+                let more = s.base_weight[cell] + mu * s.diagonal[cell];
+                // What no data reach is held by its neighbours, and by a little of the mean.
+                h[k * n + k] += more + 1e-9 * mean;
+            }
             linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
             blocks.push((span.start, n, Some(h)));
         }
