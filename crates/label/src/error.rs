@@ -25,6 +25,20 @@ pub enum LabelError {
         /// Least number.
         expected: usize,
     },
+    /// A log of which too little counts.
+    #[error(
+        "found {found} of {samples} samples that count, expected at least {expected}; left out: {left_out}"
+    )]
+    LeftOut {
+        /// Samples that count.
+        found: usize,
+        /// All samples.
+        samples: usize,
+        /// Least number.
+        expected: usize,
+        /// Reasons with their samples.
+        left_out: String,
+    },
     /// A function cannot be evaluated.
     #[error("node `{node}`: {reason}")]
     Node {

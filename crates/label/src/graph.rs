@@ -11,16 +11,19 @@
 //! hysteresis   y = 1 above `high`, 0 below `low`, else as before
 //! ```
 //!
-//! The derivatives go forward in time with the values ([`Graph::forward`]) or backward ([`Graph::gradient`]); they are those of the
+//! The derivatives go forward in time with the values ([`Graph::forward`]) or backward ([`Graph::gradient`]), for long records over all
+//! processors ([`Graph::products`]); they are those of the
 //! discrete function, and one-sided where it has an edge.
 
 mod backward;
 pub(crate) mod forward;
+pub(crate) mod products;
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::LabelError;
 use crate::label::Label;
+pub use products::Products;
 
 /// What a node computes; numbers are those of earlier nodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,6 +64,19 @@ pub enum Op {
 }
 
 impl Op {
+    /// Whether it knows samples before its own.
+    pub(crate) fn remembers(&self) -> bool {
+        matches!(
+            self,
+            Op::Delay(..)
+                | Op::DelayFlow(..)
+                | Op::Lag(..)
+                | Op::Integrator(..)
+                | Op::Hysteresis(..)
+                | Op::Film(..)
+        )
+    }
+
     /// Nodes that enter.
     pub fn inputs(&self) -> Vec<usize> {
         match self {

@@ -7,7 +7,7 @@
 //!
 //! a_k holds the weights of the cells around an operating point ([`rows`]), D the curvature along each axis in physical units
 //! ([`label`]). [`linear`] solves it, chooses lambda and says what the data tell of each cell; [`qp`] is the solver with limits,
-//! [`quantise`] finds whole steps; a function that is not linear in its labels is a graph ([`graph`]) and goes to [`nonlinear`].
+//! [`quantise`] finds whole steps, [`truncated`] a table from look-ups that were cut; a function that is not linear in its labels is a graph ([`graph`]) and goes to [`nonlinear`].
 //!
 //! ```
 //! use dynocal_label::label::Label;
@@ -35,6 +35,7 @@ pub mod nonlinear;
 pub mod qp;
 pub mod quantise;
 pub mod rows;
+pub mod truncated;
 pub mod ve;
 
 pub use error::LabelError;

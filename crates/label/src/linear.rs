@@ -53,11 +53,21 @@ pub struct Options {
     pub least_visits: f64,
     /// Cells without data follow their neighbours instead.
     pub extrapolate: bool,
+    /// Draws that the intervals come from where a function is too large for its equations to be held, at most 16; without any it
+    /// has no intervals.
+    pub draws: usize,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { smooth: None, smooth_change: true, robust: false, least_visits: 1.0, extrapolate: false }
+        Self {
+            smooth: None,
+            smooth_change: true,
+            robust: false,
+            least_visits: 1.0,
+            extrapolate: false,
+            draws: 8,
+        }
     }
 }
 
@@ -241,7 +251,7 @@ fn residuals(p: &Problem, map: &[Option<usize>], offset: &[f64], delta: &[f64]) 
 }
 
 /// Huber's weights, from the median of the absolute residuals.
-fn huber(residuals: &[f64]) -> Vec<f64> {
+pub(crate) fn huber(residuals: &[f64]) -> Vec<f64> {
     let mut size: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
     size.sort_by(f64::total_cmp);
     let sigma = 1.4826 * size[size.len() / 2];

@@ -8,8 +8,13 @@
 //! J is exact ([`Graph::forward`]), every step a quadratic program ([`crate::qp`]), so that bounds, monotone and convex labels are kept
 //! at every step. The second stage is what [`crate::linear`] does, repeated until its own solution reproduces itself; it is left out
 //! where there is nothing to smooth and no outlier to weigh down. Without a weight of the smoothness the first stage takes 0.01.
+//!
+//! A function of more than [`MOST_CELLS`] cells, or whose J would fill a GiB, goes another way ([`large`]): the same criterion, without
+//! J. There the weight of the smoothness is 0.01 unless it is given, whole steps are the nearest ones, gradients and curvature cannot be
+//! limited, and intervals come from draws.
 
 mod begin;
+pub mod large;
 mod settle;
 
 use dynocal_numerics::linalg;
@@ -43,7 +48,7 @@ impl Target<'_> {
     }
 }
 
-/// Most cells of a function that is fitted this way: J is held.
+/// Most cells of a function whose J is held.
 pub const MOST_CELLS: usize = 500;
 /// Most steps.
 const MOST_STEPS: usize = 100;
@@ -144,15 +149,15 @@ pub fn fit_from(
     let channels = targets.first().map_or(0, |t| t.record.channels.len());
     graph.check(channels)?;
     let cells = graph.base().len();
-    if cells > MOST_CELLS {
-        return Err(LabelError::TooLarge { found: cells, most: MOST_CELLS });
-    }
     if let Some(t) = targets.iter().find(|t| t.node_of(graph) >= graph.nodes.len()) {
         let reason = format!("there are {} nodes", graph.nodes.len());
         return Err(LabelError::Node { node: t.node_of(graph).to_string(), reason });
     }
     if start.len() != cells {
         return Err(LabelError::TooFew { found: start.len(), expected: cells });
+    }
+    if large::is_large(cells, targets.iter().map(|t| t.counts().count()).sum()) {
+        return large::fit(graph, start, targets, options, interrupt);
     }
     let mut theta = start.to_vec();
     // A locked cell is its base wherever the search starts.

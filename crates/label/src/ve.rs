@@ -25,6 +25,9 @@ use crate::linear::{self, Fit, Options, Problem};
 use crate::rows::Rows;
 use sensor::Sensor;
 
+/// Samples that a table is fitted to and judged by, at least.
+const LEAST_SAMPLES: usize = 100;
+
 /// A log on its own stamps.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct Log {
@@ -183,20 +186,32 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
             None => left_out.push((reason, count)),
         }
     }
+    let all: usize = logs.iter().map(|l| l.time_s.len()).sum();
+    let too_few = |found: usize, left_out: &[(String, usize)]| {
+        let reasons =
+            left_out.iter().filter(|(_, n)| *n > 0).map(|(reason, n)| format!("{n} for `{reason}`"));
+        let left_out = reasons.collect::<Vec<_>>().join(", ");
+        LabelError::LeftOut { found, samples: all, expected: LEAST_SAMPLES, left_out }
+    };
+    let usable: usize = masks.iter().map(|m| m.use_at.iter().filter(|u| **u).count()).sum();
+    if usable < LEAST_SAMPLES {
+        return Err(too_few(usable, &left_out));
+    }
     let split = |used: &Used| (keys.train * used.at.len() as f64).round() as usize;
     let (sensor, tried) = match keys.sensor {
         Some(s) => (s, Vec::new()),
-        None => sensor::search(label, logs, &masks, keys, tell)?,
+        None => sensor::search(label, logs, &masks, keys, tell).map_err(|e| match e {
+            LabelError::TooFew { found, .. } => too_few(found, &left_out),
+            other => other,
+        })?,
     };
     let used = sensor::samples(label, logs, &masks, &sensor);
-    let all = logs.iter().map(|l| l.time_s.len()).sum();
     left_out.push(("within the delay of one of these, or of the ends of a log".into(), {
-        let valid: usize = masks.iter().map(|m| m.use_at.iter().filter(|u| **u).count()).sum();
-        valid.saturating_sub(used.at.len())
+        usable.saturating_sub(used.at.len())
     }));
     let cut = split(&used);
     if cut < 50 || used.at.len() - cut < 20 {
-        return Err(LabelError::TooFew { found: used.at.len(), expected: 100 });
+        return Err(too_few(used.at.len(), &left_out));
     }
     tell("fitting the table to the first part of the samples");
     let train = used.part(0..cut);

@@ -101,6 +101,40 @@ fn derivatives_forward_are_differences_and_backward_are_forward() {
     }
 }
 
+/// Over all processors, for the output and for nodes before it.
+#[test]
+fn products_are_those_of_the_derivatives_one_by_one() {
+    let mut g = everything();
+    // A node that no label reaches beside one that two do, and one behind the output.
+    let behind = g.nodes.len() - 1;
+    g.nodes.push(Node { name: "quotient".into(), op: Op::Divide(2, 7) });
+    g.nodes.push(Node { name: "end".into(), op: Op::Multiply(vec![behind, behind + 1]) });
+    let mut rng = Rng64::new(2);
+    let n = 5000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.066 * k as f64).collect();
+    let channel = |f: &dyn Fn(f64) -> f64| time_s.iter().map(|t| f(*t)).collect::<Vec<f64>>();
+    let c = [
+        channel(&|t| 0.9 * (1.3 * t).sin()),
+        channel(&|t| 0.6 + 0.9 * (0.7 * t + 1.0).cos()),
+        channel(&|t| 2.0 + (0.9 * t).sin()),
+    ];
+    let record = Record { time_s: &time_s, channels: c.iter().map(Vec::as_slice).collect() };
+    let theta = g.base();
+    let u: Vec<f64> = (0..n).map(|_| rng.normal()).collect();
+    let v: Vec<f64> = (0..theta.len()).map(|_| rng.normal()).collect();
+    let near = |a: &[f64], b: &[f64]| {
+        let size = b.iter().fold(1e-9f64, |s, v| s.max(v.abs()));
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-12 * size)
+    };
+    for output in [7, 11, 19, 22, 24] {
+        let products = g.products(&theta, &record, output);
+        let mut part = g.clone();
+        part.nodes.truncate(output + 1);
+        assert!(near(&products.forward(&v), &part.forward(&theta, &record, &v).1), "J v of node {output}");
+        assert!(near(&products.backward(&u), &part.gradient(&theta, &record, &u)), "J'u of node {output}");
+    }
+}
+
 /// Delay: a step comes d later. Pipe: the delay is volume over flow. Lag and film against their closed forms.
 #[test]
 fn nodes_with_a_memory_are_what_their_equations_say() {

@@ -11,6 +11,7 @@ use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::{Options, Problem, Verdict, fit};
 use dynocal_label::nonlinear::{self, Target};
 use dynocal_label::rows::Rows;
+use dynocal_label::truncated;
 
 struct Drive {
     tune: Tune,
@@ -93,6 +94,93 @@ fn the_pulse_width_gives_factor_and_dead_time_back() {
     assert!((v[0] / 0.5 - 1.0).abs() < 0.005, "factor {}", v[0]);
     assert!((v[1] - dead).abs() < 0.03, "dead time {} for {dead}", v[1]);
     assert!(found.fit.rms[1] <= 0.004, "rms {} ms", found.fit.rms[1]);
+}
+
+/// A sample is a look-up that was cut: its interval knows more than its middle, and where cells were edited while driving the first
+/// part of the log, as far as one table explains it, has the table that it began with.
+#[test]
+fn cut_look_ups_are_intervals() {
+    for name in ["2025-12-02_10.58.15o", "2025-12-02_10.08.37", "2026-02-28_17.53.41"] {
+        let Some(d) = Drive::read(name) else { return };
+        let base = d.label("veTable");
+        let axes = vec![
+            Axis::new("RPM", "rpm", &d.label("rpmBins")),
+            Axis::new("load", "kPa", &d.label("fuelLoadBins")),
+        ];
+        let label = Label::new("veTable", "%", axes, &vec![50.0; base.len()]);
+        let (rpm, load, ve) = (d.channel("RPM"), d.channel("FuelLoad"), d.channel("VE1"));
+        let used: Vec<usize> = (0..ve.len()).filter(|k| ve[*k] > 0.0 && rpm[*k] > 0.0).collect();
+        let (mut rows, mut cut) = (Rows::default(), Vec::new());
+        for &k in &used {
+            rows.start();
+            label.enter(&mut rows, 0, 1.0, &[rpm[k], load[k]]);
+            cut.push(ve[k]);
+        }
+        let by = truncated::Cut { step: 1.0, slack: 0.1 };
+        let (samples, table) = truncated::longest(&label, &rows, &cut, by).unwrap();
+        let off = |k: usize| rows.times(k, &table) - cut[k];
+        let kept = (0..samples).filter(|k| (-0.11..=1.11).contains(&off(*k))).count();
+        assert_eq!(kept, samples, "{name}");
+        // Cells that this part determines to half a count.
+        let (mut part, mut y) = (Rows::default(), Vec::new());
+        for k in 0..samples {
+            part.start();
+            let (at, weights) = rows.row(k);
+            at.iter().zip(weights).for_each(|(j, w)| part.push(*j, *w));
+            y.push(cut[k] + 0.5);
+        }
+        let problem = Problem::new(std::slice::from_ref(&label), &part, &y);
+        let plain = fit(&problem, &Options { smooth: Some(1e-9), ..Options::default() }).unwrap();
+        let told: Vec<usize> = (0..256)
+            .filter(|k| plain.verdicts[*k] == Verdict::Determined && plain.half_width[*k] < 0.5)
+            .collect();
+        let near = told.iter().filter(|k| (table[**k] - base[**k]).abs() <= 1.0).count();
+        println!(
+            "{name}: one table explains the first {samples} of {} samples; {near} of {} determined cells within one count",
+            cut.len(),
+            told.len()
+        );
+        assert!(
+            !told.is_empty() && near as f64 >= 0.95 * told.len() as f64,
+            "{name}: {near} of {}",
+            told.len()
+        );
+    }
+}
+
+/// Look-ups of a planted table, cut: least squares take what was cut off for noise.
+#[test]
+fn a_planted_table_comes_back_from_cut_look_ups() {
+    let axis = [0.0, 1.0, 2.0, 3.0, 4.0];
+    let truth: Vec<f64> = (0..25).map(|k| 40.0 + 3.7 * (k % 5) as f64 + 2.3 * (k / 5) as f64).collect();
+    let label =
+        Label::new("T", "%", vec![Axis::new("x", "-", &axis), Axis::new("y", "-", &axis)], &[50.0; 25]);
+    let mut rng = dynocal_numerics::rng::Rng64::new(1);
+    let (mut rows, mut cut) = (Rows::default(), Vec::new());
+    for _ in 0..1500 {
+        let at = [rng.uniform_in(0.0, 4.0), rng.uniform_in(0.0, 4.0)];
+        rows.start();
+        label.enter(&mut rows, 0, 1.0, &at);
+        cut.push(label.value(&truth, &at).floor());
+    }
+    let by = truncated::Cut { step: 1.0, slack: 0.0 };
+    let found = truncated::fit(&label, &rows, &cut, by).unwrap();
+    let middle: Vec<f64> = cut.iter().map(|c| c + 0.5).collect();
+    let problem = Problem::new(std::slice::from_ref(&label), &rows, &middle);
+    let plain = fit(&problem, &Options { smooth: Some(0.0), ..Options::default() }).unwrap();
+    let worst = |v: &[f64]| v.iter().zip(&truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    println!(
+        "off by at most {:.3} with intervals, {:.3} with least squares",
+        worst(&found),
+        worst(&plain.exact)
+    );
+    assert!(worst(&found) < worst(&plain.exact) && worst(&found) < 0.3);
+    // A cell that changes half way: as many samples as before the first that shows it.
+    let mut edited = cut.clone();
+    edited[900..].iter_mut().for_each(|c| *c += 5.0);
+    assert!(truncated::fit(&label, &rows, &edited, by).unwrap_err().to_string().contains("cut to"));
+    let (samples, _) = truncated::longest(&label, &rows, &edited, by).unwrap();
+    assert!((900..=905).contains(&samples), "{samples}");
 }
 
 /// VE1 is the look-up cut to a whole number: least squares on the middle of the step, then whole steps within it.

@@ -6,8 +6,19 @@ mod layers;
 use std::path::Path;
 
 /// Lowest first.
-const ORDER: &[&str] =
-    &["error", "rows", "label", "correlation", "qp", "quantise", "linear", "graph", "nonlinear", "ve"];
+const ORDER: &[&str] = &[
+    "error",
+    "rows",
+    "label",
+    "correlation",
+    "qp",
+    "quantise",
+    "linear",
+    "truncated",
+    "graph",
+    "nonlinear",
+    "ve",
+];
 
 #[test]
 fn no_module_uses_one_above_it() {

@@ -115,6 +115,9 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
         lambda.iter_mut().for_each(|v| *v /= STOICHIOMETRIC);
         notes.push(format!("{file}: lambda is the air-fuel ratio over {STOICHIOMETRIC}"));
     }
+    if let Some(median) = median(&lambda).filter(|m| !(0.4..=3.0).contains(m)) {
+        return Err(LabelJobError::Lambda { file, channel: lambda_name, median });
+    }
     if load_name != "fuelload" {
         notes.push(format!("{file}: the load is taken from the channel `{load_name}`"));
     }
@@ -128,7 +131,7 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
         name: path.file_name().map_or(file.clone(), |n| n.to_string_lossy().into_owned()),
         enrichment: enrichment(&raster, needed(&raster, &GAMMA)?.1),
         target: vec![1.0; raster.time_s.len()],
-        coolant_c: column(&raster, STATE[0]).map(|c| c.1),
+        coolant_c: coolant(&raster, &file, notes),
         throttle_rate: column(&raster, STATE[1]).map(|c| c.1),
         // Bits of the state: after-start enrichment 4, warm-up 8, acceleration 16.
         enriching: engine.map(|e| e.1.iter().map(|v| (*v as i64) & (4 | 8 | 16) != 0).collect()),
@@ -140,6 +143,27 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
         time_s: raster.time_s,
     };
     Ok((log, tune))
+}
+
+/// Median of what is positive.
+fn median(v: &[f64]) -> Option<f64> {
+    let mut v: Vec<f64> = v.iter().copied().filter(|v| *v > 0.0 && v.is_finite()).collect();
+    v.sort_by(f64::total_cmp);
+    v.get(v.len() / 2).copied()
+}
+
+/// Coolant temperature in degC, whatever the log has.
+fn coolant(raster: &Raster, file: &str, notes: &mut Vec<String>) -> Option<Vec<f64>> {
+    let found = raster.columns.iter().find(|c| STATE[0].contains(&plain(&c.name).as_str()))?;
+    let Cells::Number(values) = &found.cells else { return None };
+    let unit = found.unit.as_ref().map_or(String::new(), |u| plain(&u.0));
+    let as_c: fn(f64) -> f64 = match unit.as_str() {
+        "f" | "degf" | "fahrenheit" => |v| (v - 32.0) / 1.8,
+        "k" | "kelvin" => |v| v - 273.15,
+        _ => return Some(values.clone()),
+    };
+    notes.push(format!("{file}: the coolant temperature is logged in `{unit}` and counts as degC"));
+    Some(values.iter().map(|v| as_c(*v)).collect())
 }
 
 /// What multiplied the table and is no air: the whole correction without those of air density and altitude.
@@ -184,6 +208,10 @@ pub(super) fn table(
         }
     }
     label.check()?;
+    if !z.values.iter().any(|v| *v > 0.0) {
+        let reason = "found no value above 0: an ECU with this table injects nothing".into();
+        return Err(dynocal_label::LabelError::Label { label: def.z, reason }.into());
+    }
     Ok((label, held))
 }
 

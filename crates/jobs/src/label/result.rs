@@ -77,6 +77,18 @@ pub enum LabelJobError {
         /// Unit of the spec.
         expected: String,
     },
+    /// A lambda that is none.
+    #[error(
+        "{file}: channel `{channel}` has a median of {median:.3} as lambda, expected 0.4 to 3: an air-fuel ratio must be called AFR, a voltage is neither"
+    )]
+    Lambda {
+        /// Log.
+        file: String,
+        /// Channel.
+        channel: String,
+        /// Middle value.
+        median: f64,
+    },
     /// No tune anywhere.
     #[error("{file}: the log carries no tune: give the one that was in the ECU with --tune FILE.msq")]
     NoTune {

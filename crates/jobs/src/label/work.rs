@@ -17,6 +17,8 @@ use super::spec::Job;
 
 /// Share of samples at which the logged table value must be that of the tune.
 const SAME_TUNE: f64 = 0.95;
+/// Share of the samples outside of the table that is said.
+const OUTSIDE: f64 = 0.05;
 /// Drift of unseen samples that is said, as a share of lambda.
 const DRIFT: f64 = 0.02;
 
@@ -51,6 +53,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
     };
     let (label, held) = channels::table(&tune, definition.as_ref())?;
     let mut warnings = same_tune(&label, &logs);
+    warnings.extend(outside(&label, &logs));
     if held.is_none() {
         warnings.push(format!(
             "no definition of the ECU (--ini): `{}` is written in steps of {} {} as the tune shows it, and its greatest value is not checked",
@@ -124,6 +127,29 @@ fn same_tune(label: &Label, logs: &[Log]) -> Vec<String> {
         }
     }
     out
+}
+
+/// Logs that leave the axes of the table: there the ECU takes its edge, and so does the fit.
+fn outside(label: &Label, logs: &[Log]) -> Vec<String> {
+    let ends = |k: usize| {
+        let p = &label.axes[k].points;
+        p[0]..=p[p.len() - 1]
+    };
+    let (speeds, loads) = (ends(0), ends(1));
+    let one = |log: &Log| {
+        let driven: Vec<usize> = (0..log.time_s.len()).filter(|k| log.pulse_ms[*k] > 0.0).collect();
+        let out = |k: &&usize| !speeds.contains(&log.speed_rpm[**k]) || !loads.contains(&log.load[**k]);
+        let share = driven.iter().filter(out).count() as f64 / driven.len().max(1) as f64;
+        (share > OUTSIDE).then(|| {
+            format!(
+                "{}: {:.0} % of the samples lie outside of the axes of `{}`, where the ECU takes its edge: cells there are a mean of all that is beyond",
+                log.name,
+                100.0 * share,
+                label.name
+            )
+        })
+    };
+    logs.iter().filter_map(one).collect()
 }
 
 fn targets(

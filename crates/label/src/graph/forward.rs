@@ -1,6 +1,11 @@
 //! Values and derivatives forward in time.
 
+use rayon::prelude::*;
+
 use super::{Graph, Op, Record, place};
+
+/// Samples that one processor takes at a time.
+const PIECE: usize = 8192;
 
 /// What a run leaves: all that the way back needs.
 pub(crate) struct Run {
@@ -54,26 +59,33 @@ impl Graph {
             if matches!(node.op, Op::Delay(..) | Op::DelayFlow(..)) {
                 run.places[k] = vec![(0, 0.0); n];
             }
-            for t in 0..n {
-                y[t] = self.sample(k, t, theta, &first, record, &mut run, &y);
+            if node.op.remembers() {
+                for t in 0..n {
+                    y[t] = self.remembered(k, t, record, &mut run, &y);
+                }
+            } else {
+                y.par_chunks_mut(PIECE).enumerate().for_each(|(piece, y)| {
+                    for (i, y) in y.iter_mut().enumerate() {
+                        *y = self.instant(k, piece * PIECE + i, theta, &first, record, &run.values);
+                    }
+                });
             }
             run.values.push(y);
         }
         run
     }
 
-    fn sample(
+    /// A node that knows only its sample.
+    fn instant(
         &self,
         k: usize,
         t: usize,
         theta: &[f64],
         first: &[usize],
         record: &Record,
-        run: &mut Run,
-        y: &[f64],
+        values: &[Vec<f64>],
     ) -> f64 {
-        let v = |i: &usize| run.values[*i][t];
-        let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
+        let v = |i: &usize| values[*i][t];
         match &self.nodes[k].op {
             Op::Channel(c) => record.channels[*c][t],
             Op::Constant(c) => *c,
@@ -87,18 +99,31 @@ impl Graph {
                 let label = &self.labels[*l];
                 label.value(&theta[first[*l]..first[*l] + label.len()], &spot(at, v))
             }
+            Op::Switch(c, a, b) => v(if v(c) > 0.0 { a } else { b }),
+            Op::Delay(..)
+            | Op::DelayFlow(..)
+            | Op::Lag(..)
+            | Op::Integrator(..)
+            | Op::Hysteresis(..)
+            | Op::Film(..) => f64::NAN,
+        }
+    }
+
+    /// A node that knows the samples before, of which `y` are its own values.
+    fn remembered(&self, k: usize, t: usize, record: &Record, run: &mut Run, y: &[f64]) -> f64 {
+        let v = |i: &usize| run.values[*i][t];
+        let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
+        match &self.nodes[k].op {
             Op::Delay(x, d) => {
                 let at = place(record.time_s, record.time_s[t] - v(d).max(0.0), t);
-                let x = &run.values[*x];
-                let out = x[at.0] + at.1 * (x.get(at.0 + 1).unwrap_or(&x[at.0]) - x[at.0]);
+                let out = on_the_way(&run.values[*x], at);
                 run.places[k][t] = at;
                 out
             }
             Op::DelayFlow(x, _, volume) => {
                 let flown = &run.flown[k];
                 let at = place(flown, flown[t] - v(volume).max(0.0), t);
-                let x = &run.values[*x];
-                let out = x[at.0] + at.1 * (x.get(at.0 + 1).unwrap_or(&x[at.0]) - x[at.0]);
+                let out = on_the_way(&run.values[*x], at);
                 run.places[k][t] = at;
                 out
             }
@@ -133,13 +158,7 @@ impl Graph {
                 run.film[k][t] = m;
                 (1.0 - s) * fuel + m / tau_s
             }
-            Op::Switch(c, a, b) => {
-                if v(c) > 0.0 {
-                    v(a)
-                } else {
-                    v(b)
-                }
-            }
+            _ => f64::NAN,
         }
     }
 
@@ -182,7 +201,7 @@ impl Graph {
         d
     }
 
-    fn tangent(
+    pub(super) fn tangent(
         &self,
         k: usize,
         t: usize,
@@ -279,6 +298,11 @@ impl Graph {
 fn spot(at: &[usize], value: impl Fn(&usize) -> f64) -> [f64; 2] {
     let of = |k: usize| at.get(k).map_or(0.0, &value);
     [of(0), of(1)]
+}
+
+/// Value at a place between samples.
+fn on_the_way(x: &[f64], (i, s): (usize, f64)) -> f64 {
+    x[i] + s * (x.get(i + 1).unwrap_or(&x[i]) - x[i])
 }
 
 /// Derivative of what stands between samples `i` and `i + 1`, and the slope there over `axis`.

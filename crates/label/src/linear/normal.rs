@@ -113,8 +113,14 @@ impl Normal {
             let (at, value) = p.rows.row(k);
             row.clear();
             row.extend(at.iter().zip(value).filter_map(|(j, v)| map[*j].map(|f| (f, *v))));
-            let size: f64 = row.iter().map(|(_, v)| v.abs()).sum();
+            let all: f64 = row.iter().map(|(_, v)| v.abs()).sum();
             for &(i, v) in &row {
+                // What the sample says of this label: others have other units.
+                let own = |j: &usize| self.owner[*j] == self.owner[i];
+                let size: f64 = match self.scales.len() {
+                    1 => all,
+                    _ => row.iter().filter(|(j, _)| own(j)).map(|(_, u)| u.abs()).sum(),
+                };
                 // A sample that is shared out among cells counts with its share, with the weight that it would have at one cell.
                 full[i] += w * v.abs() * size;
                 share[i] += v.abs() / size;

@@ -1,16 +1,20 @@
 //! Study `labels`: labels of a real ECU from its logs, where the tune in the log says the truth or later samples judge.
 //!
 //! The logs stay outside the program: they lie below the folder of `--data`, in `data/open_ecu`. The fuel film is that of the virtual
-//! engine with port injection ([`film`]), whose parameters are the truth.
+//! engine with port injection ([`film`]), whose parameters are the truth; the same engine drives a virtual car ([`planted`]), whose ECU has
+//! labels that are known.
 
 mod film;
+mod planted;
 
 use std::path::{Path, PathBuf};
 
 use dynocal_jobs::label::{self, Job, channels, function};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::registry::MemberDoc;
+use dynocal_numerics::watch::Watch;
 use dynocal_report::{Column, Report, Section, Table};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -34,6 +38,12 @@ const DRIVES: [(&str, f64, f64, f64); 3] = [
     ("2025-12-02_10.58.15o", 0.079, 0.117, 0.104),
     ("2026-02-28_17.53.41", 0.019, 0.020, 0.210),
 ];
+/// Coolant temperature from which the drives count: with it the rivals of the specification have the numbers that it prints (on the third
+/// drive 2.0 and 1.9 % from 80 degC on, 8.1 and 4.7 % from 71 degC on).
+const WARM_C: f64 = 80.0;
+/// Seeds of the virtual car, and how many of them are one task.
+const CARS: u64 = 100;
+const CARS_A_TASK: u64 = 25;
 const PULSE: &str = "2025-12-02_10.58.15o";
 /// Drives on which the correction is never 100 % and that accelerate: without enrichment as a term of its own nothing fits.
 const ENRICHED: [&str; 3] = ["2025-12-02_10.08.37", "2025-12-08_15.52.00", "2026-02-28_17.53.41"];
@@ -100,6 +110,14 @@ fn tasks(o: &Options) -> Vec<Task> {
         inputs: json!([length_s]),
         run: Box::new(move |around| value("film", film::fit(around, length_s)?)),
     });
+    let (cars, each) = if o.reduced { (2, 2) } else { (CARS, CARS_A_TASK) };
+    for from in (0..cars).step_by(each as usize).map(|k| o.seed + k) {
+        out.push(Task {
+            name: format!("planted-{from}"),
+            inputs: json!([from, each]),
+            run: Box::new(move |around| value("planted", cars_of(from..from + each, around)?)),
+        });
+    }
     let drives = if o.reduced { &DRIVES[..1] } else { &DRIVES[..] };
     for (name, ..) in drives {
         let data = data.clone();
@@ -110,6 +128,18 @@ fn tasks(o: &Options) -> Vec<Task> {
         });
     }
     out
+}
+
+/// Virtual cars, several at a time.
+fn cars_of(seeds: std::ops::Range<u64>, around: &Surroundings) -> Result<Vec<planted::Back>, StudyError> {
+    let truth = planted::truth()?;
+    around.watch.note(&format!(
+        "driving the virtual car with the seeds {} to {}",
+        seeds.start,
+        seeds.end - 1
+    ));
+    let runs = &around.runs;
+    seeds.into_par_iter().map(|seed| planted::back(seed, &truth, runs, Watch::silent())).collect()
 }
 
 fn value<T: Serialize>(what: &str, found: T) -> Result<serde_json::Value, StudyError> {
@@ -179,6 +209,7 @@ fn drive(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Drive
     let mut job = Job::ve(vec![path], None, None, Some(&around.runs.join(name)));
     // As the specification does: everything is related to 14.7.
     job.target_lambda = Some(1.0);
+    job.keys.mask.least_coolant_c = WARM_C;
     let (found, _) = label::run(&job, around.watch).map_err(|e| refused(name, e))?;
     let (j, s) = (&found.found.judgement, found.found.sensor);
     let count = |word: &str| {
@@ -274,6 +305,7 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "from two drives fitted together, 20 and 90 degC at the start",
         ));
     }
+    out.extend(planted_checks(&planted_of(results)));
     for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {
         let d: Option<Drive> = result(results, name);
         out.push(check(
@@ -298,6 +330,101 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
         ));
     }
     out
+}
+
+/// What came back of all virtual cars.
+fn planted_of(results: &[TaskResult]) -> Vec<planted::Back> {
+    let tasks = results.iter().filter(|r| r.name.starts_with("planted-"));
+    tasks.filter_map(|r| result::<Vec<planted::Back>>(results, &r.name)).flatten().collect()
+}
+
+/// Seeds of a hundred in which each label of the pulse width lies within its interval, in the order of the labels.
+fn within(cars: &[planted::Back]) -> Vec<f64> {
+    let labels = cars.first().map_or(0, |c| c.pulse.len());
+    let inside = |k: usize| cars.iter().filter(|c| c.pulse[k][0].abs() <= c.pulse[k][1]).count();
+    (0..labels).map(|k| 100.0 * inside(k) as f64 / cars.len() as f64).collect()
+}
+
+fn planted_checks(cars: &[planted::Back]) -> Vec<Check> {
+    let within = within(cars);
+    // A few seeds tell no share.
+    let whole = cars.len() as u64 >= CARS;
+    let asked = |a: Asked| if whole { a } else { Asked::Reported };
+    let sum = |k: usize| cars.iter().map(|c| c.cells[k]).sum::<usize>() as f64;
+    let share = |k: usize| (sum(0) > 0.0).then(|| 100.0 * sum(k) / sum(0));
+    let least = within.iter().copied().reduce(f64::min);
+    let most = within.iter().copied().reduce(f64::max);
+    let of = format!("{} seeds", cars.len());
+    let pulse = "Virtual car: seeds in which a label of the pulse width lies within its 95 % interval";
+    vec![
+        check(
+            "planted-pulse-least",
+            format!("{pulse}, the label with the fewest"),
+            asked(Asked::AtLeast(90.0)),
+            least,
+            "%",
+            of.clone(),
+        ),
+        check(
+            "planted-pulse-most",
+            format!("{pulse}, the label with the most"),
+            asked(Asked::AtMost(99.0)),
+            most,
+            "%",
+            "more would be intervals that are too wide",
+        ),
+        check(
+            "planted-table",
+            "Virtual car: determined cells of the fuel table within their 95 % interval",
+            asked(Asked::AtLeast(90.0)),
+            share(1),
+            "%",
+            "the truth is what the engine breathes there in steady state",
+        ),
+        check(
+            "planted-table-count",
+            "Virtual car: determined cells of the fuel table within one count",
+            Asked::Reported,
+            share(2),
+            "%",
+            of,
+        ),
+    ]
+}
+
+fn planted_section(cars: &[planted::Back]) -> Section {
+    let head = vec![
+        Column::text("Label"),
+        Column::number("Seeds within the interval", "%").digits(3),
+        Column::number("Root mean square off", "").digits(3),
+        Column::number("Mean half width", "").digits(3),
+    ];
+    let mut table = Table::new(head);
+    let names = ["factor", "dead time at 12 V, ms", "dead time at 13 V, ms", "dead time at 14.6 V, ms"];
+    let n = cars.len().max(1) as f64;
+    for (k, (name, within)) in names.iter().zip(within(cars)).enumerate() {
+        let off = (cars.iter().map(|c| c.pulse[k][0].powi(2)).sum::<f64>() / n).sqrt();
+        let half = cars.iter().map(|c| c.pulse[k][1]).sum::<f64>() / n;
+        table = table.row(vec![(*name).into(), within.into(), off.into(), half.into()]);
+    }
+    let sum = |k: usize| cars.iter().map(|c| c.cells[k]).sum::<usize>();
+    let taken = cars.iter().filter(|c| c.taken).count();
+    let mean = |k: usize| 100.0 * cars.iter().map(|c| c.lambda[k]).sum::<f64>() / n;
+    let text = format!(
+        "The bed of the engine ran in a loop with the fuel function of an open ECU and was logged with its tune, {} times. Of {} determined \
+         cells of the table {} lie within their 95 % interval and {} within one count of what the engine breathes there in steady state; \
+         they are off by {:.2} counts on average. The new table is taken in {taken} of {} cases; lambda on later samples is off by {:.2} % \
+         with the table as it was and by {:.2} % with the fitted one.",
+        cars.len(),
+        sum(0),
+        sum(1),
+        sum(2),
+        cars.iter().map(|c| c.off).sum::<f64>() / sum(0).max(1) as f64,
+        cars.len(),
+        mean(0),
+        mean(1)
+    );
+    Section::new("Labels of a virtual car").text(text).block(table)
 }
 
 fn sections(report: Report, results: &[TaskResult]) -> Report {
@@ -330,8 +457,12 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
         ]);
     }
     let text = "Each table was fitted to the first 60 % of the samples that count, the delay and the lag of the sensor as well; the numbers \
-                are of the other 40 %, in cells that the first part has seen.";
-    let report = report.section(Section::new("Fuel tables on later samples").text(text).block(table));
+                are of the other 40 %, in cells that the first part has seen. Samples count from 80 degC of the coolant on.";
+    let mut report = report.section(Section::new("Fuel tables on later samples").text(text).block(table));
+    let cars = planted_of(results);
+    if !cars.is_empty() {
+        report = report.section(planted_section(&cars));
+    }
     match result::<film::Film>(results, "film") {
         Some(f) => report.section(film_section(&f)),
         None => report,

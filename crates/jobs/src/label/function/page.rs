@@ -183,7 +183,7 @@ fn cells(found: &Fitted) -> Section {
             };
             let verdict = match found.fit.verdicts[at] {
                 Verdict::Determined => "determined",
-                Verdict::Pulled => "pulled by neighbours or base",
+                Verdict::Pulled => "pulled",
                 Verdict::Untouched => "untouched",
                 Verdict::Locked => "locked",
             };
@@ -200,7 +200,10 @@ fn cells(found: &Fitted) -> Section {
             at += 1;
         }
     }
-    Section::new("Labels").block(table)
+    let text = "Determined: one independent measurement at the cell itself or more, and they outweigh what ties it to its neighbours and its \
+                base. Pulled: these say more than the data. Untouched: no data, the base stays. Labels that act together may each be \
+                uncertain where their sum is known: that is in the intervals.";
+    Section::new("Labels").text(text).block(table)
 }
 
 fn plot(found: &Fitted) -> Section {

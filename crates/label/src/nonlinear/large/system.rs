@@ -1,0 +1,398 @@
+//! The equations of a step, as products.
+
+use dynocal_numerics::linalg::{self, axpy, dot};
+use dynocal_numerics::rng::Rng64;
+
+use super::spans;
+use crate::error::LabelError;
+use crate::graph::Graph;
+use crate::graph::products::Products;
+use crate::linear::Options;
+use crate::nonlinear::Target;
+
+/// Draws of random signs for the diagonal.
+const SIGNS: u64 = 8;
+/// Scalars whose part of the diagonal is computed.
+const MOST_SCALARS: usize = 16;
+/// Most steps of the conjugate gradients.
+const MOST_STEPS: usize = 100;
+/// Cells of a label up to which its own equations are factorised.
+const MOST_FACTORISED: usize = 1024;
+/// Part of the diagonal that the shape of a label's equations has at least: a cell may have been missed by its samples.
+const LEAST_SHAPE: f64 = 0.1;
+/// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
+const TIE: f64 = 1e-12;
+
+/// Cells with factors, and the weight of the square.
+type RoughRow = (Vec<(usize, f64)>, f64);
+
+/// The equations at a point.
+pub(super) struct System<'a> {
+    products: Vec<Products<'a>>,
+    targets: &'a [Target<'a>],
+    pub(super) weights: Vec<Vec<f64>>,
+    pub(super) residuals: Vec<Vec<f64>>,
+    rough: Vec<RoughRow>,
+    rough_to_base: bool,
+    base: Vec<f64>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    base_weight: Vec<f64>,
+    /// Cells that are fitted.
+    pub(super) free: Vec<bool>,
+    /// Diagonal of `J'WJ`, estimated.
+    pub(super) diagonal: Vec<f64>,
+    /// Samples at each cell by their interpolation weights, and the sum of the squares of these.
+    pub(super) visits: Vec<f64>,
+    pub(super) facts: Vec<f64>,
+    /// The part of `J'WJ` within each label, in shape.
+    shapes: Vec<Vec<f64>>,
+    spans: Vec<std::ops::Range<usize>>,
+}
+
+impl<'a> System<'a> {
+    pub(super) fn new(
+        graph: &Graph,
+        products: Vec<Products<'a>>,
+        targets: &'a [Target<'a>],
+        weights: &[Vec<f64>],
+        options: &Options,
+        smooth: f64,
+    ) -> Self {
+        let of = |f: &dyn Fn(&crate::label::Label) -> f64| -> Vec<f64> {
+            graph.labels.iter().flat_map(|l| vec![f(l); l.len()]).collect()
+        };
+        let base = graph.base();
+        let mut out = Self {
+            products,
+            targets,
+            weights: weights.to_vec(),
+            residuals: Vec::new(),
+            rough: Vec::new(),
+            rough_to_base: options.smooth_change,
+            lower: of(&|l| l.lower),
+            upper: of(&|l| l.upper),
+            base_weight: of(&|l| l.base_weight),
+            free: vec![false; base.len()],
+            diagonal: vec![0.0; base.len()],
+            visits: vec![0.0; base.len()],
+            facts: vec![0.0; base.len()],
+            base,
+            shapes: Vec::new(),
+            spans: spans(graph),
+        };
+        out.residuals = out.left();
+        out.visit();
+        out.diagonal = out.signs();
+        // Of a scalar the number itself costs no more, and a film or a lag deserves it.
+        let scalars: Vec<usize> = out.spans.iter().filter(|s| s.len() == 1).map(|s| s.start).collect();
+        for k in scalars.into_iter().take(MOST_SCALARS) {
+            let mut unit = vec![0.0; out.diagonal.len()];
+            unit[k] = 1.0;
+            out.diagonal[k] = out.square(&unit);
+        }
+        out.shapes = out.shaped();
+        let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
+        for (k, locked) in locked.enumerate() {
+            let seen = out.visits[k] >= options.least_visits.max(1e-9);
+            out.free[k] = !locked && (seen || options.extrapolate);
+        }
+        out.roughen(graph, options, smooth);
+        let mean = out.diagonal.iter().sum::<f64>() / out.diagonal.len().max(1) as f64;
+        out.base_weight.iter_mut().for_each(|w| *w += TIE * mean);
+        out
+    }
+
+    /// Target less function, 0 where a sample does not count.
+    fn left(&self) -> Vec<Vec<f64>> {
+        let one = |((p, t), w): ((&Products, &Target), &Vec<f64>)| -> Vec<f64> {
+            let counted = p.values().iter().zip(t.y).zip(w);
+            counted.map(|((f, y), w)| if *w > 0.0 { y - f } else { 0.0 }).collect()
+        };
+        self.products.iter().zip(self.targets).zip(&self.weights).map(one).collect()
+    }
+
+    fn visit(&mut self) {
+        let (visits, facts) = (&mut self.visits, &mut self.facts);
+        for (p, w) in self.products.iter().zip(&self.weights) {
+            p.visits(&|t| w[t] > 0.0, &mut |cell, share| {
+                visits[cell] += share;
+                facts[cell] += share * share;
+            });
+        }
+    }
+
+    /// The diagonal of `J'WJ` from random signs.
+    fn signs(&self) -> Vec<f64> {
+        let mut out = vec![0.0; self.base.len()];
+        for draw in 0..SIGNS {
+            let mut rng = Rng64::stream(0, draw);
+            let mut sum = vec![0.0; out.len()];
+            for (p, w) in self.products.iter().zip(&self.weights) {
+                let u: Vec<f64> =
+                    w.iter().map(|w| if rng.uniform() < 0.5 { w.sqrt() } else { -w.sqrt() }).collect();
+                axpy(1.0, &p.backward(&u), &mut sum);
+            }
+            out.iter_mut().zip(&sum).for_each(|(o, s)| *o += s * s / SIGNS as f64);
+        }
+        out
+    }
+
+    /// The part of `J'WJ` within each label: the shape of one without memory, in the size of the diagonal.
+    fn shaped(&self) -> Vec<Vec<f64>> {
+        let mut out: Vec<Vec<f64>> = Vec::new();
+        for (p, w) in self.products.iter().zip(&self.weights) {
+            let own = p.shapes(w, MOST_FACTORISED);
+            match out.is_empty() {
+                true => out = own,
+                false => out.iter_mut().zip(own).for_each(|(o, s)| axpy(1.0, &s, o)),
+            }
+        }
+        for (shape, span) in out.iter_mut().zip(&self.spans) {
+            let n = span.len();
+            let trace: f64 = (0..n).filter(|_| !shape.is_empty()).map(|k| shape[k * n + k]).sum();
+            let size: f64 = self.diagonal[span.clone()].iter().sum();
+            let factor = if trace > 0.0 { size / trace } else { 0.0 };
+            shape.iter_mut().for_each(|v| *v *= factor);
+            for k in 0..if shape.is_empty() { 0 } else { n } {
+                let least = LEAST_SHAPE * self.diagonal[span.start + k];
+                shape[k * n + k] = shape[k * n + k].max(least);
+            }
+        }
+        out
+    }
+
+    /// The roughness of each label in the size that the data have on it.
+    fn roughen(&mut self, graph: &Graph, options: &Options, smooth: f64) {
+        for (l, span) in graph.labels.iter().zip(&self.spans) {
+            let from = span.start;
+            // A change that is not known is none; of a value nothing is known.
+            let unknown = |k: usize| !self.free[from + k] && !l.locked[k];
+            let known =
+                |row: &Vec<(usize, f64)>| options.smooth_change || !row.iter().any(|(k, _)| unknown(*k));
+            let rows: Vec<Vec<(usize, f64)>> = l.roughness().into_iter().filter(known).collect();
+            let own: f64 =
+                rows.iter().flatten().filter(|(k, _)| self.free[from + k]).map(|(_, d)| d * d).sum();
+            let data: f64 = span.clone().filter(|k| self.free[*k]).map(|k| self.diagonal[k]).sum();
+            if !(smooth > 0.0 && own > 0.0 && data > 0.0) {
+                continue;
+            }
+            let rows = rows.into_iter().map(|r| r.into_iter().map(|(k, d)| (from + k, d)).collect());
+            self.rough.extend(rows.map(|r| (r, smooth * data / own)));
+        }
+    }
+
+    /// `theta` with the base where a cell is not fitted.
+    pub(super) fn known(&self, theta: &[f64]) -> Vec<f64> {
+        (0..theta.len()).map(|k| if self.free[k] { theta[k] } else { self.base[k] }).collect()
+    }
+
+    /// The equations at another point.
+    pub(super) fn move_to(&mut self, products: Vec<Products<'a>>) {
+        self.products = products;
+        self.residuals = self.left();
+    }
+
+    fn bends(&self, row: &[(usize, f64)], theta: &[f64]) -> f64 {
+        let of = |k: usize| theta[k] - if self.rough_to_base { self.base[k] } else { 0.0 };
+        row.iter().map(|(k, d)| d * of(*k)).sum()
+    }
+
+    /// What roughness and base cost at `theta`.
+    pub(super) fn cost_of_base(&self, theta: &[f64]) -> f64 {
+        let rough: f64 = self.rough.iter().map(|(row, w)| w * self.bends(row, theta).powi(2)).sum();
+        let tied = (0..theta.len()).map(|k| self.base_weight[k] * (theta[k] - self.base[k]).powi(2));
+        rough + tied.sum::<f64>()
+    }
+
+    /// Half of the negative gradient of the cost.
+    pub(super) fn gradient(&self, theta: &[f64]) -> Vec<f64> {
+        let mut g = self.back(&self.residuals, &self.weights);
+        for (row, w) in &self.rough {
+            let bend = self.bends(row, theta);
+            row.iter().for_each(|(k, d)| g[*k] -= w * d * bend);
+        }
+        (0..g.len()).for_each(|k| g[k] -= self.base_weight[k] * (theta[k] - self.base[k]));
+        g
+    }
+
+    /// `J'Wr`.
+    pub(super) fn back(&self, r: &[Vec<f64>], weights: &[Vec<f64>]) -> Vec<f64> {
+        let mut out = vec![0.0; self.base.len()];
+        for ((p, r), w) in self.products.iter().zip(r).zip(weights) {
+            let u: Vec<f64> = r.iter().zip(w).map(|(r, w)| r * w).collect();
+            axpy(1.0, &p.backward(&u), &mut out);
+        }
+        out
+    }
+
+    /// `v'J'WJv`.
+    pub(super) fn square(&self, v: &[f64]) -> f64 {
+        let of =
+            |(p, w): (&Products, &Vec<f64>)| p.forward(v).iter().zip(w).map(|(d, w)| w * d * d).sum::<f64>();
+        self.products.iter().zip(&self.weights).map(of).sum()
+    }
+
+    /// The matrix of the step times `v`, over the cells that move.
+    fn times(&self, v: &[f64], moves: &[bool], mu: f64) -> Vec<f64> {
+        let d: Vec<Vec<f64>> = self.products.iter().map(|p| p.forward(v)).collect();
+        let mut out = self.back(&d, &self.weights);
+        for (row, w) in &self.rough {
+            let bend: f64 = row.iter().map(|(k, d)| d * v[*k]).sum();
+            row.iter().for_each(|(k, d)| out[*k] += w * d * bend);
+        }
+        for k in 0..v.len() {
+            out[k] =
+                if moves[k] { out[k] + (self.base_weight[k] + mu * self.diagonal[k]) * v[k] } else { 0.0 };
+        }
+        out
+    }
+
+    /// The step from `theta` with the gradient `g`: what is left of its equations is at most the share `left`.
+    pub(super) fn step(
+        &self,
+        g: &[f64],
+        theta: &[f64],
+        mu: f64,
+        left: f64,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Vec<f64>, LabelError> {
+        let moves: Vec<bool> = (0..g.len())
+            .map(|k| {
+                let low = theta[k] <= self.lower[k] && g[k] < 0.0;
+                let high = theta[k] >= self.upper[k] && g[k] > 0.0;
+                self.free[k] && !low && !high
+            })
+            .collect();
+        self.solve(g, &moves, mu, left, interrupt)
+    }
+
+    /// Conjugate gradients over the cells that move.
+    pub(super) fn solve(
+        &self,
+        g: &[f64],
+        moves: &[bool],
+        mu: f64,
+        left: f64,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<Vec<f64>, LabelError> {
+        let near = Near::new(self, moves, mu)?;
+        let mut x = vec![0.0; g.len()];
+        let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
+        let mut z = near.solve(&r)?;
+        let (mut p, mut rz) = (z.clone(), dot(&r, &z));
+        let goal = left * left * rz;
+        for _ in 0..MOST_STEPS {
+            if !(rz > goal) || interrupt() {
+                break;
+            }
+            let q = self.times(&p, moves, mu);
+            let curvature = dot(&p, &q);
+            if !(curvature > 0.0) {
+                break;
+            }
+            let a = rz / curvature;
+            axpy(a, &p, &mut x);
+            axpy(-a, &q, &mut r);
+            z = near.solve(&r)?;
+            let next = dot(&r, &z);
+            p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
+            rz = next;
+        }
+        eprintln!("DBG cg rz {:.3e} goal {:.3e}", rz, goal);
+        Ok(x)
+    }
+
+    /// Diagonal of the roughness and the weight of the base.
+    pub(super) fn ties(&self) -> Vec<f64> {
+        let mut out = self.base_weight.clone();
+        self.rough.iter().for_each(|(row, w)| row.iter().for_each(|(k, d)| out[*k] += w * d * d));
+        out
+    }
+
+    /// `J'sqrt(W) e + D'sqrt(R) f + sqrt(V) h` for standard normal e, f, h: its covariance is the matrix of the equations.
+    pub(super) fn noise(&self, draw: u64) -> Vec<f64> {
+        let mut rng = Rng64::stream(1, draw);
+        let e: Vec<Vec<f64>> =
+            self.weights.iter().map(|w| w.iter().map(|w| w.sqrt() * rng.normal()).collect()).collect();
+        let ones: Vec<Vec<f64>> = e.iter().map(|e| vec![1.0; e.len()]).collect();
+        let mut out = self.back(&e, &ones);
+        for (row, w) in &self.rough {
+            let f = w.sqrt() * rng.normal();
+            row.iter().for_each(|(k, d)| out[*k] += f * d);
+        }
+        out.iter_mut().zip(&self.base_weight).for_each(|(o, w)| *o += w.sqrt() * rng.normal());
+        out
+    }
+}
+
+/// A matrix near that of the step, label by label: the shape of the label's own equations, and its roughness.
+struct Near {
+    /// First cell, size, and upper triangular factor; none for a diagonal.
+    blocks: Vec<(usize, usize, Option<Vec<f64>>)>,
+    diagonal: Vec<f64>,
+    moves: Vec<bool>,
+}
+
+impl Near {
+    fn new(s: &System, moves: &[bool], mu: f64) -> Result<Self, LabelError> {
+        let mean = s.diagonal.iter().sum::<f64>() / s.diagonal.len().max(1) as f64;
+        let own = |k: usize| {
+            let size = s.base_weight[k] + (1.0 + mu) * s.diagonal[k];
+            // A cell that data do not reach is held by its neighbours.
+            if size > 1e-9 * mean { size } else { 1e-9 * mean }
+        };
+        let ties = s.ties();
+        let diagonal: Vec<f64> = (0..moves.len()).map(|k| own(k) + ties[k] - s.base_weight[k]).collect();
+        let mut blocks = Vec::new();
+        let mut rows = s.rough.iter().peekable();
+        for (span, shape) in s.spans.iter().zip(&s.shapes) {
+            let n = span.len();
+            let mut h = shape.clone();
+            let moving = &moves[span.clone()];
+            for (k, v) in h.iter_mut().enumerate().filter(|(k, _)| !moving[k / n] || !moving[k % n]) {
+                *v = f64::from(u8::from(k / n == k % n));
+            }
+            while let Some((row, w)) = rows.next_if(|(row, _)| span.contains(&row[0].0)) {
+                if h.is_empty() {
+                    continue;
+                }
+                for (i, a) in row.iter().filter(|(i, _)| moves[*i]) {
+                    for (j, b) in row.iter().filter(|(j, _)| moves[*j] && j >= i) {
+                        h[(i - span.start) * n + j - span.start] += w * a * b;
+                    }
+                }
+            }
+            if h.is_empty() {
+                blocks.push((span.start, n, None));
+                continue;
+            }
+            for k in (0..n).filter(|k| moving[*k]) {
+                let cell = span.start + k;
+                let more = s.base_weight[cell] + mu * s.diagonal[cell];
+                // What no data reach is held by its neighbours, and by a little of the mean.
+                h[k * n + k] += more + 1e-9 * mean;
+            }
+            linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
+            blocks.push((span.start, n, Some(h)));
+        }
+        Ok(Self { blocks, diagonal, moves: moves.to_vec() })
+    }
+
+    fn solve(&self, r: &[f64]) -> Result<Vec<f64>, LabelError> {
+        let mut x = r.to_vec();
+        for (from, n, factor) in &self.blocks {
+            let own = &mut x[*from..from + n];
+            match factor {
+                None => own.iter_mut().zip(&self.diagonal[*from..]).for_each(|(x, d)| *x /= d),
+                Some(u) => {
+                    let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
+                    linalg::solve_upper_transposed(u, *n, own).map_err(singular)?;
+                    linalg::solve_upper(u, *n, own).map_err(singular)?;
+                }
+            }
+        }
+        x.iter_mut().zip(&self.moves).for_each(|(x, m)| *x = if *m { *x } else { 0.0 });
+        Ok(x)
+    }
+}
