@@ -19,8 +19,13 @@ const HOLDS: (f64, f64) = (2.0, 60.0);
 const SETTLE_S: f64 = 20.0;
 /// Length of a run that shows whether the loops oscillate, in s, and what of its end is looked at.
 const RUN: (f64, f64) = (60.0, 15.0);
-/// Times the scatter of the nominal loops at which it is an oscillation.
-const OSCILLATES: f64 = 4.0;
+/// The same end in samples, and the length of a kick.
+const END: usize = (RUN.1 / SAMPLE_S) as usize;
+const KICK: usize = 50;
+/// Times the scatter of the nominal loops at which it is an oscillation, whatever a kick does.
+const OSCILLATES: f64 = 10.0;
+/// Share of what a kick does in its first seconds that may be left at the end.
+const LEFT: f64 = 0.3;
 /// Halvings of the interval in which it begins.
 const HALVINGS: usize = 7;
 /// Places of injection, throttle, torque and lambda.
@@ -67,7 +72,8 @@ pub(super) struct Driven {
 pub(super) struct Injected {
     pub(super) at: usize,
     pub(super) gain: f64,
-    pub(super) delay_samples: usize,
+    /// Between two samples the error is on the line between them.
+    pub(super) delay_samples: f64,
 }
 
 impl Bench {
@@ -158,45 +164,55 @@ impl Bench {
         Ok(record)
     }
 
-    /// Scatter (standard deviation) of the output of loop `at` at the end of a run with what is put in. The demand of that loop
-    /// makes one small step at the start, so that an oscillation has something to grow from.
-    fn scatter(&self, map: &[f64], gains: &[PidGains], put: Injected) -> Result<f64, String> {
-        let mut bed = self.settled.clone();
+    /// Output of loop `at` over a run with what is put in. `kicked`: the demand of that loop makes one small step at the start, so
+    /// that an oscillation has something to grow from.
+    fn looped(
+        &self,
+        map: &[f64],
+        gains: &[PidGains],
+        put: Injected,
+        kicked: bool,
+    ) -> Result<Vec<f64>, String> {
         let wide = ActuatorLimits { lower: -1e6, upper: 1e6, rate_per_s: None };
         let mut pids = gains
             .iter()
             .map(|g| Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string()))
             .collect::<Result<Vec<_>, _>>()?;
-        let n = (RUN.0 / SAMPLE_S) as usize;
-        let tail = n - (RUN.1 / SAMPLE_S) as usize;
-        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
-        bed.outputs(&mut y).map_err(|e| e.to_string())?;
-        let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, put.delay_samples).collect();
-        let mut seen = Vec::with_capacity(n - tail);
+        let (whole, share) = (put.delay_samples.floor() as usize, put.delay_samples.fract());
+        let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, whole + 1).collect();
         let kick = [0.03 * self.y0[0].abs(), 0.02];
-        for t in 0..n {
-            let shown = [y[TORQUE] - self.y0[0], y[LAMBDA] - self.y0[1]];
+        let u0 = self.point().0;
+        let run = self.drive((RUN.0 / SAMPLE_S) as usize, &mut |t, shown| {
             let mut d = [0.0; 2];
             for k in 0..2 {
-                let mut error = -shown[k];
+                let mut error = self.y0[k] - shown[k];
                 if k == put.at {
-                    error += if t < 50 { kick[k] } else { 0.0 };
+                    error += if kicked && t < KICK { kick[k] } else { 0.0 };
                     waiting.push_back(error);
-                    error = put.gain * waiting.pop_front().unwrap_or(0.0);
+                    // Oldest first: the one before the whole delay, and the one at it.
+                    let before = waiting.pop_front().unwrap_or(0.0);
+                    let at = waiting.front().copied().unwrap_or(0.0);
+                    error = put.gain * (at + share * (before - at));
                 }
                 d[k] = pids[k].step(0.0, error);
             }
             // The map takes demands to throttle and fuel; actuators end where they end.
-            u[THROTTLE] = (self.u0[THROTTLE] + map[0] * d[0] + map[1] * d[1]).clamp(1.0, 80.0);
-            let fuel = self.u0[INJ] + map[2] * d[0] + map[3] * d[1];
-            u[INJ] = fuel.clamp(0.3 * self.u0[INJ], 3.0 * self.u0[INJ]);
-            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
-            if t >= tail {
-                seen.push([y[TORQUE], y[LAMBDA]][put.at]);
-            }
+            [u0[0] + map[0] * d[0] + map[1] * d[1], u0[1] + map[2] * d[0] + map[3] * d[1], u0[2]]
+        })?;
+        Ok(run.shown.iter().map(|s| s[put.at]).collect())
+    }
+
+    /// Whether a loop oscillates: of two runs with the same scatter, one with a kick, the difference does not fade; or its output
+    /// scatters so much that it has ended in a cycle, in which two runs may meet again.
+    fn oscillates(&self, map: &[f64], gains: &[PidGains], put: Injected, calm: f64) -> Result<bool, String> {
+        let kicked = self.looped(map, gains, put, true)?;
+        if scatter(&kicked) > OSCILLATES * calm {
+            return Ok(true);
         }
-        let mean = seen.iter().sum::<f64>() / seen.len() as f64;
-        Ok((seen.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / seen.len() as f64).sqrt())
+        let other = self.looped(map, gains, put, false)?;
+        let off: Vec<f64> = kicked.iter().zip(&other).map(|(a, b)| a - b).collect();
+        let size = |part: &[f64]| (part.iter().map(|v| v * v).sum::<f64>() / part.len() as f64).sqrt();
+        Ok(size(&off[off.len() - END..]) > LEFT * size(&off[KICK..5 * KICK]))
     }
 
     /// Gain (factor) or delay (s) in loop `k` at which the engine begins to oscillate; none where it does not up to three times
@@ -213,16 +229,15 @@ impl Bench {
         let put = |amount: f64| Injected {
             at: k,
             gain: if delay { 1.0 } else { amount },
-            delay_samples: if delay { (amount / SAMPLE_S).round() as usize } else { 0 },
+            delay_samples: if delay { amount / SAMPLE_S } else { 0.0 },
         };
         let (least, most) = if delay {
             (0.0, 3.0 * promised.delay_s.unwrap_or(1.0))
         } else {
             (1.0, 3.0 * promised.gain_up.unwrap_or(4.0))
         };
-        let calm = self.scatter(map, gains, put(least))?;
-        let oscillates =
-            |amount: f64| Ok::<bool, String>(self.scatter(map, gains, put(amount))? > OSCILLATES * calm);
+        let calm = scatter(&self.looped(map, gains, put(least), false)?);
+        let oscillates = |amount: f64| self.oscillates(map, gains, put(amount), calm);
         if !oscillates(most)? {
             return Ok(None);
         }
@@ -236,4 +251,11 @@ impl Bench {
         }
         Ok(Some(if delay { 0.5 * (good + bad) } else { (good * bad).sqrt() }))
     }
+}
+
+/// Standard deviation over the end of a run.
+fn scatter(run: &[f64]) -> f64 {
+    let end = &run[run.len() - END..];
+    let mean = end.iter().sum::<f64>() / END as f64;
+    (end.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / END as f64).sqrt()
 }

@@ -7,7 +7,8 @@
 //! delay is put into one loop and grows until the engine oscillates. The published gains are judged on the same models.
 //!
 //! Figures 7.22 to 7.30 are drawn on the same beds (`figures`): responses, steps under the loops, torque held by an estimate
-//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller.
+//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller, `refine` makes the map again from data of the closed loop until
+//! feedback has nothing left to do.
 
 mod bed;
 mod cycles;
@@ -16,6 +17,7 @@ mod figures;
 mod judge;
 mod page;
 mod page_figures;
+mod refine;
 mod runs;
 mod worth;
 
@@ -55,7 +57,7 @@ pub(super) const STUDY: Study = Study {
 /// Beds, and seeds of their scatter.
 const ENGINES: [&str; 3] = ["pfi_1_6l", "gtdi_2l", "other_1_8l"];
 /// Length of the record that identifies, in s.
-const RECORD_S: f64 = 120.0;
+const RECORD_S: f64 = 240.0;
 /// Names of inputs and outputs.
 const INPUTS: [&str; 2] = ["throttle", "inj"];
 const OUTPUTS: [&str; 2] = ["torque", "lambda"];
