@@ -20,7 +20,7 @@ use crate::poly::{add, multiply};
 use crate::system::{System, Time, Transfer};
 
 /// Share of the mean square of a regressor that is added to the diagonal: a filter that no step tells stays small.
-const RIDGE: f64 = 1e-6;
+const RIDGE: f64 = 1e-11;
 /// Most samples of the step responses.
 const LONGEST: usize = 4000;
 

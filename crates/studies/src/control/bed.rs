@@ -9,16 +9,20 @@ use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
+/// How tests and measures are made, for results that are kept: behind the first map; margins by pairs of runs.
+pub(super) const METHOD: &str = "demands, pairs";
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.02;
 /// Movements of the test as shares of throttle and fuel.
 const MOVES: [f64; 2] = [0.04, 0.04];
+/// Movements behind a map as shares of torque and lambda: where the loops will work, with fuel and air that go together.
+const DEMANDS: [f64; 2] = [0.1, 0.03];
 /// Holds of a level in samples, drawn evenly on a logarithmic scale.
 const HOLDS: (f64, f64) = (2.0, 60.0);
 /// Time in s before anything is looked at.
 const SETTLE_S: f64 = 20.0;
 /// Length of a run that shows whether the loops oscillate, in s, and what of its end is looked at.
-const RUN: (f64, f64) = (60.0, 15.0);
+const RUN: (f64, f64) = (40.0, 10.0);
 /// The same end in samples, and the length of a kick.
 const END: usize = (RUN.1 / SAMPLE_S) as usize;
 const KICK: usize = 50;
@@ -50,7 +54,7 @@ pub(super) struct Bench {
 
 /// Movements about the set point.
 pub(super) struct Record {
-    /// Throttle and fuel, rows x 2.
+    /// Throttle and fuel, or demands of torque and lambda, rows x 2.
     pub(super) u: Vec<f64>,
     /// Torque, lambda.
     pub(super) y: [Vec<f64>; 2],
@@ -136,17 +140,18 @@ impl Bench {
         ([self.u0[THROTTLE], self.u0[INJ], self.u0[SPARK]], self.y0)
     }
 
-    /// Throttle and fuel moved at random, each on its own.
-    pub(super) fn excite(&self, length_s: f64) -> Result<Record, String> {
+    /// Throttle and fuel moved at random, each on its own; behind a map demands of torque and lambda.
+    pub(super) fn excite(&self, length_s: f64, map: Option<&[f64]>) -> Result<Record, String> {
         let n = (length_s / SAMPLE_S) as usize;
-        let mut rng = Rng64::stream(self.seed, 7);
-        let mut bed = self.settled.clone();
-        let moves = [MOVES[0] * self.u0[THROTTLE], MOVES[1] * self.u0[INJ]];
-        let mut record =
-            Record { u: Vec::with_capacity(2 * n), y: [Vec::with_capacity(n), Vec::with_capacity(n)] };
+        let mut rng = Rng64::stream(self.seed, 7 + u64::from(map.is_some()));
+        let (u0, y0) = self.point();
+        let moves = match map {
+            None => [MOVES[0] * u0[0], MOVES[1] * u0[1]],
+            Some(_) => [DEMANDS[0] * y0[0], DEMANDS[1] * y0[1]],
+        };
+        let mut moved = Vec::with_capacity(2 * n);
         let (mut left, mut level) = ([0usize; 2], [0.0; 2]);
-        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
-        for _ in 0..n {
+        let run = self.drive(n, &mut |_, _| {
             for k in 0..2 {
                 if left[k] == 0 {
                     left[k] = rng.uniform_in(HOLDS.0.ln(), HOLDS.1.ln()).exp() as usize;
@@ -154,14 +159,15 @@ impl Bench {
                 }
                 left[k] -= 1;
             }
-            u[THROTTLE] = self.u0[THROTTLE] + level[0];
-            u[INJ] = self.u0[INJ] + level[1];
-            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
-            record.u.extend(level);
-            record.y[0].push(y[TORQUE] - self.y0[0]);
-            record.y[1].push(y[LAMBDA] - self.y0[1]);
-        }
-        Ok(record)
+            moved.extend(level);
+            let d = match map {
+                None => level,
+                Some(m) => [m[0] * level[0] + m[1] * level[1], m[2] * level[0] + m[3] * level[1]],
+            };
+            [u0[0] + d[0], u0[1] + d[1], u0[2]]
+        })?;
+        let column = |k: usize| run.shown.iter().map(|s| s[k] - y0[k]).collect();
+        Ok(Record { u: moved, y: [column(0), column(1)] })
     }
 
     /// Output of loop `at` over a run with what is put in. `kicked`: the demand of that loop makes one small step at the start, so

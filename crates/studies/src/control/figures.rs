@@ -68,7 +68,7 @@ pub(super) struct Estimate {
 
 pub(super) fn draw(
     bench: &Bench,
-    record: &Record,
+    (record, finer): (&Record, &[f64]),
     map: &[f64],
     plant: &System,
     gains: &[PidGains],
@@ -78,7 +78,7 @@ pub(super) fn draw(
     let rig = Rig { bench, map, plant, gains };
     let count = if reduced { 4 } else { 8 };
     watch.note(&format!("{engine}: responses"));
-    let response = measured(record, map)?;
+    let response = measured(record, finer)?;
     let distortion_db = (0..2).map(|k| distortion(&rig, k, seed)).collect::<Result<_, _>>()?;
     let y0 = bench.point().1;
     let sizes = [0.2 * y0[0], 0.04];
@@ -118,11 +118,11 @@ pub(super) fn draw(
     })
 }
 
-/// From demands of torque and lambda, that is behind the map: d = G(0) u.
+/// From demands of torque and lambda behind the map that is finer by a matrix than that of the record: d = finer^-1 of its demands.
 fn measured(record: &Record, map: &[f64]) -> Result<Response, String> {
     let real = |v: &f64| dynocal_control::matrix::C::new(*v, 0.0);
     let inverse = Matrix { rows: 2, cols: 2, data: map.iter().map(real).collect() };
-    let steady = inverse.inverse().ok_or("the map has no inverse")?;
+    let steady = inverse.inverse().ok_or("what makes the map finer has no inverse")?;
     let column = |k: usize| -> Vec<f64> {
         record.u.chunks(2).map(|u| steady.at(k, 0).re * u[0] + steady.at(k, 1).re * u[1]).collect()
     };
