@@ -52,6 +52,7 @@ fn main() -> Result<(), ControlError> {
         gain: 0.03,
         most: 0.02,
         learn: 0.3,
+        memory: 0.0,
     };
     let mut oxygen = OxygenObserver::new(store, 0.5)?;
     timed("oxygen store and rear trim", &mut |y| oxygen.step(0.99 + 0.02 * y, 1.0, 10.0, 0.01));

@@ -1,9 +1,16 @@
 //! Linear models out of records about a set point, with the uncertainty of their parameters.
 //!
-//! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors. The orders are the first ones of a list, from few parameters to many, whose
+//! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors, of deviations from the means of the record: a plant that bends has
+//! another mean while it is moved than at rest, and a model without a constant would give what is left of it to a pole slower than
+//! the record. The orders are the first ones of a list, from few parameters to many, whose
 //! free run over the second half of the record, fitted on the first, is not worse than the best one's by more than a standard error: more
 //! parameters than the record asks for give factors that A, B and C have in common, anywhere, and gains at rest that mean nothing. The
 //! model that is given is then fitted on all of the record. What chose the orders is no unseen data.
+//!
+//! A disturbance that goes on by itself (the ripple of an engine's cycle seen at its samples, a drift) is told by 1/A, the noise of these
+//! models: poles on the circle that B has to cancel, and never does quite. A model whose A rings for longer than the record shows is left
+//! out, and one that creeps as long wherever one that does not leaves no more than twice as much: a plant that integrates is not taken for
+//! a drift.
 
 use dynocal_ident::estimate::pem::Pem;
 use dynocal_ident::experiment::Experiment;
@@ -20,6 +27,10 @@ pub const ORDERS: [(usize, usize); 6] = [(1, 4), (2, 8), (3, 12), (4, 16), (4, 2
 const STRETCHES: usize = 10;
 /// Samples before anything is scored.
 const INIT: usize = 40;
+/// Time constant of a pole, as a share of the half that chooses, from which the record does not show that it fades.
+const LASTING: f64 = 0.2;
+/// Mean squared error of a model that comes to rest over that of one that creeps, up to which it is preferred.
+const CREEPS: f64 = 2.0;
 
 /// A model of one output.
 #[derive(Clone, Debug)]
@@ -38,6 +49,45 @@ struct Tried {
     r2: f64,
     /// Mean squared error of each stretch.
     left: Vec<f64>,
+    lasting: Lasting,
+}
+
+/// Whether a model goes on by itself for longer than the record shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Lasting {
+    No,
+    Creeps,
+    Rings,
+}
+
+/// What the poles of `A` do over `rows` samples.
+fn lasting(a: &[f64], rows: usize) -> Lasting {
+    let most = (-1.0 / (LASTING * rows as f64)).exp();
+    // Roots in z^-1.
+    let poles = crate::poly::roots(a).unwrap_or_default();
+    let one = |z: &dynocal_numerics::fft::Complex<f64>| match z.norm() * most < 1.0 {
+        false => Lasting::No,
+        true if z.re > 0.0 && z.im.abs() < 1.0 / (LASTING * rows as f64) => Lasting::Creeps,
+        true => Lasting::Rings,
+    };
+    poles.iter().map(one).max().unwrap_or(Lasting::No)
+}
+
+/// Without models that go on by themselves, where there are others that are as good.
+fn settled(tried: Vec<Tried>) -> Vec<Tried> {
+    let least = |of: &dyn Fn(&Tried) -> bool| {
+        let each = tried.iter().filter(|t| of(t)).map(|t| t.left.iter().sum::<f64>());
+        each.reduce(f64::min)
+    };
+    let (rests, creeps) = (least(&|t| t.lasting == Lasting::No), least(&|t| t.lasting == Lasting::Creeps));
+    let most = match (rests, creeps) {
+        (Some(r), Some(c)) if r > CREEPS * c => Lasting::Creeps,
+        (None, Some(_)) => Lasting::Creeps,
+        (Some(_), _) => Lasting::No,
+        // Nothing else there is: what is left says so by its margins.
+        (None, None) => Lasting::Rings,
+    };
+    tried.into_iter().filter(|t| t.lasting <= most).collect()
 }
 
 /// The first one that is not worse than the best by more than a standard error of the difference over the stretches.
@@ -52,7 +102,13 @@ fn simplest(tried: &[Tried]) -> Option<&Tried> {
     })
 }
 
-/// Model of `output` from `inputs` (columns; deviations from a point of rest), its orders among `orders` ([`ORDERS`]).
+/// A column without its mean.
+fn centred(x: &[f64]) -> Vec<f64> {
+    let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
+    x.iter().map(|v| v - mean).collect()
+}
+
+/// Model of `output` from `inputs` (columns about a point of rest), its orders among `orders` ([`ORDERS`]).
 ///
 /// # Errors
 /// [`ControlError::Model`]: a record too short, or one that no model of the list fits.
@@ -69,7 +125,8 @@ pub fn identify(
     if rows < 8 * INIT {
         return Err(refused(format!("the record has {rows} samples, expected {} at least", 8 * INIT)));
     }
-    let u: Vec<f64> = (0..rows * m).map(|k| inputs[k % m].1[k / m]).collect();
+    let (columns, y): (Vec<Vec<f64>>, _) = (inputs.iter().map(|i| centred(&i.1)).collect(), centred(y));
+    let u: Vec<f64> = (0..rows * m).map(|k| columns[k % m][k / m]).collect();
     let part = |from: usize, to: usize| Experiment {
         name: "record".into(),
         u: u[m * from..m * to].to_vec(),
@@ -93,17 +150,27 @@ pub fn identify(
         let length = errors.len().div_ceil(STRETCHES);
         let left = errors.chunks(length).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect();
         if r2.is_finite() {
-            tried.push(Tried { orders, r2, left });
+            let a = structure(orders).polynomials(&fit.fit.theta).a;
+            tried.push(Tried { orders, r2, left, lasting: lasting(&a, rows / 2) });
         }
     }
+    let mut tried = settled(tried);
     if stop() {
         return Err(refused("interrupted".into()));
     }
-    let Some(&Tried { orders, r2: selection_r2, .. }) = simplest(&tried) else {
-        return Err(refused("none of the orders could be fitted".into()));
+    let (orders, selection_r2, found) = loop {
+        let Some(&Tried { orders, r2, lasting: as_chosen, .. }) = simplest(&tried) else {
+            return Err(refused("none of the orders could be fitted".into()));
+        };
+        let found = fit_linear(&structure(orders), &[part(0, rows)], &Pem::default(), stop)
+            .map_err(|e| refused(e.to_string()))?;
+        // On all of the record the fit may take up what it did not on the half.
+        let a = structure(orders).polynomials(&found.fit.theta).a;
+        if tried.len() == 1 || lasting(&a, rows) <= as_chosen {
+            break (orders, r2, found);
+        }
+        tried.retain(|t| t.orders != orders);
     };
-    let found = fit_linear(&structure(orders), &[part(0, rows)], &Pem::default(), stop)
-        .map_err(|e| refused(e.to_string()))?;
     let quantities = inputs.iter().map(|(q, _)| q.clone()).collect();
     let mut model =
         StoredModel::new(structure(orders), &found.fit.theta, quantities, quantity.clone(), sample_time_s)

@@ -1,11 +1,28 @@
-//! How loops act on each other: relative gain array, and the static decoupler.
+//! How loops act on each other: relative gain array, and decouplers, `u = D d`, that stand between controllers and plant.
+//!
+//! ```text
+//! static   D = G(0)^-1 with each column over its own entry on the diagonal
+//! dynamic  D_jj = 1, the others FIR: for each j least squares of the answers of the other outputs to a step of d_j,
+//!          min sum_t sum_{i != j} [s_ij(t) + sum_k (s_ik * D_kj)(t)]^2,  s the step responses of the plant
+//! ```
+//!
+//! A filter of finite length is causal and stable whatever zeros and delays the plant has, where the quotient of channels would be neither:
+//! what cannot be cancelled in time is left, as little of it as the length allows.
 //!
 //! `RGA = G(0) .* (G(0)^-1)'` (E. H. Bristol, IEEE Trans. Automatic Control 11 (1966) 133-134): 1 where a loop sees the same gain
 //! with the others open and closed, negative where it changes its sign.
 
+use dynocal_numerics::linalg::{cholesky, solve_upper, solve_upper_transposed};
+
 use crate::error::ControlError;
 use crate::matrix::Matrix;
-use crate::system::{System, Time};
+use crate::poly::{add, multiply};
+use crate::system::{System, Time, Transfer};
+
+/// Share of the mean square of a regressor that is added to the diagonal: a filter that no step tells stays small.
+const RIDGE: f64 = 1e-11;
+/// Most samples of the step responses.
+const LONGEST: usize = 4000;
 
 /// Relative gains at an angular frequency (0: at rest), outputs by inputs, row-major: real parts.
 ///
@@ -27,6 +44,171 @@ pub fn decoupler(plant: &System) -> Result<Vec<f64>, ControlError> {
     let n = g.rows;
     let own: Vec<_> = (0..n).map(|k| g.at(k, k)).collect();
     Ok(inverse(&g, 0.0)?.times(&Matrix::diagonal(&own)).data.iter().map(|v| v.re).collect())
+}
+
+/// The static decoupler as a system, each controller's own input left as it is.
+///
+/// # Errors
+/// As of [`relative_gains`], and an input that its own loop does not move.
+pub fn static_decoupler(plant: &System) -> Result<System, ControlError> {
+    let d = decoupler(plant)?;
+    let n = plant.inputs;
+    for k in 0..n {
+        if !(d[k * n + k].abs() > 1e-9) {
+            let what = format!("the decoupler: own part of input {}", k + 1);
+            return Err(ControlError::number(what, d[k * n + k], "not 0: pair outputs and inputs otherwise"));
+        }
+    }
+    let own = (0..n * n).map(|k| Transfer::gain(d[k] / d[(k % n) * n + k % n])).collect();
+    System::new(plant.time, n, n, own)
+}
+
+/// The dynamic decoupler of a sampled plant that comes to rest, its filters of `taps` samples.
+///
+/// # Errors
+/// [`ControlError`]: a continuous plant, one that is not square or does not come to rest, filters without a sample.
+pub fn dynamic_decoupler(plant: &System, taps: usize) -> Result<System, ControlError> {
+    let n = plant.inputs;
+    // Shape and steady gains are asked for there.
+    static_decoupler(plant)?;
+    if plant.time.sample_time_s().is_none() || taps == 0 {
+        return Err(ControlError::shape(
+            "a dynamic decoupler",
+            format!("{:?}, {taps} taps", plant.time),
+            "a sampled plant and one tap at least",
+        ));
+    }
+    let rows = horizon(plant, taps)?;
+    let steps: Vec<Vec<f64>> = plant.channels.iter().map(|g| step(g, plant.time, rows)).collect();
+    let mut channels = vec![Transfer::gain(0.0); n * n];
+    for j in 0..n {
+        channels[j * n + j] = Transfer::gain(1.0);
+        let others: Vec<usize> = (0..n).filter(|k| *k != j).collect();
+        for (k, filter) in others.iter().zip(filters(&steps, n, j, &others, taps)?) {
+            channels[k * n + j] = Transfer::sampled(&filter, &[1.0]);
+        }
+    }
+    System::new(plant.time, n, n, channels)
+}
+
+/// Filters from demand `j` to the other inputs, by the normal equations.
+fn filters(
+    steps: &[Vec<f64>],
+    n: usize,
+    j: usize,
+    others: &[usize],
+    taps: usize,
+) -> Result<Vec<Vec<f64>>, ControlError> {
+    let (rows, p) = (steps[0].len(), others.len() * taps);
+    let (mut a, mut b) = (vec![0.0; p * p], vec![0.0; p]);
+    let mut x = vec![0.0; p];
+    for i in others {
+        for t in 0..rows {
+            for (k, other) in others.iter().enumerate() {
+                for l in 0..taps {
+                    x[k * taps + l] = if t >= l { steps[i * n + other][t - l] } else { 0.0 };
+                }
+            }
+            for r in 0..p {
+                b[r] -= x[r] * steps[i * n + j][t];
+                (0..=r).for_each(|c| a[r * p + c] += x[r] * x[c]);
+            }
+        }
+    }
+    let mean = (0..p).map(|r| a[r * p + r]).sum::<f64>() / p as f64;
+    for r in 0..p {
+        a[r * p + r] += RIDGE * mean;
+        (0..r).for_each(|c| a[c * p + r] = a[r * p + c]);
+    }
+    let singular =
+        |_| ControlError::Singular { what: "the plant's step responses".into(), frequency_rad_s: 0.0 };
+    cholesky(&mut a, p).map_err(singular)?;
+    solve_upper_transposed(&a, p, &mut b).map_err(singular)?;
+    solve_upper(&a, p, &mut b).map_err(singular)?;
+    Ok(b.chunks(taps).map(<[f64]>::to_vec).collect())
+}
+
+/// Samples in which the slowest pole fades, and the filters beside.
+fn horizon(plant: &System, taps: usize) -> Result<usize, ControlError> {
+    let roots = plant.poles.iter().flat_map(|p| crate::poly::roots(p).unwrap_or_default());
+    let slowest = roots.map(|r| 1.0 / r.norm()).fold(0.0, f64::max);
+    if !(slowest < 1.0 - 1e-9) {
+        return Err(ControlError::number(
+            "the largest pole of the plant",
+            slowest,
+            "below 1: a dynamic decoupler is made for plants that come to rest",
+        ));
+    }
+    let fade = if slowest > 0.0 { (-5.0 / slowest.ln()) as usize } else { 0 };
+    let lags = plant.channels.iter().map(|g| g.num.len()).max().unwrap_or(0);
+    Ok((fade + lags + 2 * taps).min(LONGEST))
+}
+
+/// Step response of a sampled channel; a delay counts in whole samples.
+fn step(g: &Transfer, time: Time, rows: usize) -> Vec<f64> {
+    let late = time.sample_time_s().map_or(0, |dt_s| (g.delay_s / dt_s).round() as usize);
+    let mut y = vec![0.0; rows];
+    for t in 0..rows {
+        let moved: f64 = g.num.iter().take((t + 1).saturating_sub(late)).sum();
+        let kept: f64 = g.den.iter().enumerate().skip(1).take(t).map(|(k, a)| a * y[t - k]).sum();
+        y[t] = (moved - kept) / g.den[0];
+    }
+    y
+}
+
+/// Channel from demand `k` to output `k` behind a decoupler: `sum_i G_ki D_ik`.
+///
+/// # Errors
+/// [`ControlError::Shape`]: delays that differ between the summed channels of a continuous plant.
+pub fn behind(plant: &System, decoupler: &System, k: usize) -> Result<Transfer, ControlError> {
+    let mut sum: Option<Transfer> = None;
+    for i in 0..plant.inputs {
+        let (g, d) = (plant.channel(k, i), decoupler.channel(i, k));
+        if g.is_zero() || d.is_zero() {
+            continue;
+        }
+        let one = whole(g.times(d), plant.time);
+        sum = Some(match sum {
+            None => one,
+            Some(s) if s.delay_s != one.delay_s => {
+                return Err(ControlError::shape(
+                    "delays of the channels that a decoupler adds up",
+                    format!("{} and {} s", s.delay_s, one.delay_s),
+                    "one delay for each output",
+                ));
+            }
+            // Channels of one output mostly share their denominator: it is not squared.
+            Some(s) if s.den == one.den => Transfer { num: add(&s.num, &one.num), ..s },
+            Some(s) => Transfer {
+                num: add(&multiply(&s.num, &one.den), &multiply(&one.num, &s.den)),
+                den: multiply(&s.den, &one.den),
+                delay_s: s.delay_s,
+            },
+        });
+    }
+    Ok(sum.unwrap_or(Transfer::gain(0.0)))
+}
+
+/// A sampled channel with its delay as leading zeros, where it is whole.
+fn whole(g: Transfer, time: Time) -> Transfer {
+    let Some(samples) = time.sample_time_s().map(|dt_s| g.delay_s / dt_s) else { return g };
+    if (samples - samples.round()).abs() > 1e-6 {
+        return g;
+    }
+    let mut num = vec![0.0; samples.round() as usize];
+    num.extend(&g.num);
+    Transfer { num, den: g.den, delay_s: 0.0 }
+}
+
+/// `u = D d` with `d` of the controllers, as one controller.
+///
+/// # Errors
+/// As of [`System::new`].
+pub fn through(decoupler: &System, own: &[Transfer]) -> Result<System, ControlError> {
+    let mut out = decoupler.before(own)?;
+    // The integrators are those of the controllers, each once, however many inputs they move.
+    out.poles = own.iter().map(|c| c.den.clone()).collect();
+    Ok(out)
 }
 
 fn response(plant: &System, w_rad_s: f64) -> Result<Matrix, ControlError> {

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::ControlError;
 use crate::margin::{Margins, of_response};
 use crate::matrix::{C, Matrix, ZERO};
-use crate::system::{Time, Transfer};
+use crate::system::{System, Time, Transfer};
 
 /// Highest frequency as a share of the sampling frequency.
 pub const HIGHEST: f64 = 0.4;
@@ -265,6 +265,24 @@ impl Response {
     /// Coherence of an output at a place of the frequencies.
     pub fn coherence_at(&self, k: usize, output: usize) -> f64 {
         self.coherence[k * self.outputs + output]
+    }
+
+    /// The same as it is seen behind a decoupler, `G D`; deviations as if the channels' errors were independent.
+    pub fn behind(&self, decoupler: &System) -> Self {
+        let mut out = Self { gain: Vec::new(), std: Vec::new(), ..self.clone() };
+        for (k, f) in self.frequency_hz.iter().enumerate() {
+            let d = decoupler.at(TAU * f);
+            for o in 0..self.outputs {
+                for j in 0..self.inputs {
+                    let parts = || (0..self.inputs).map(|i| (i, d.at(i, j)));
+                    let v = parts().fold(ZERO, |sum, (i, d)| sum + self.at(k, o, i) * d);
+                    out.gain.push((v.re, v.im));
+                    let var: f64 = parts().map(|(i, d)| (self.std_at(k, o, i) * d.norm()).powi(2)).sum();
+                    out.std.push(var.sqrt());
+                }
+            }
+        }
+        out
     }
 
     /// Gain and phase margin of the loop of one channel under a controller, without a model: the response between its

@@ -101,6 +101,8 @@ pub struct Tuned {
 
 /// Steps in each direction of the plane.
 const RASTER: usize = 28;
+/// Share of the largest kp that is searched below zero.
+const BELOW: f64 = 0.25;
 /// Rounds of refinement about the best point.
 const ROUNDS: usize = 8;
 /// Share of the step within which it counts as settled.
@@ -357,8 +359,8 @@ fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
         let top = own.filter_map(|p| c.stable_ki(p).last().map(|i| i.upper)).fold(0.0, f64::max);
         ki = ki.min(1.1 * top);
     }
-    // Below zero the proportional part only takes from the integral one.
-    kp.lower = kp.lower.max(0.0);
+    // Below zero the proportional part takes from the integral one, which an inverse response may ask for: a part of the range.
+    kp.lower = kp.lower.max(if kp.upper > 0.0 { -BELOW * kp.upper } else { f64::NEG_INFINITY });
     if !(kp.upper > kp.lower && ki > 0.0) {
         return Err(ControlError::Unstable {
             what: "every PI on all set points together".into(),

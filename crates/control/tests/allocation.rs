@@ -26,6 +26,7 @@ fn no_allocation_in_a_sample() {
         gain: 0.03,
         most: 0.02,
         learn: 0.3,
+        memory: 0.0,
     };
     let mut pid = Pid::new(gains, limits, 0.01, 0.0).unwrap();
     let mut smith = Predictor::new(gains, limits, 0.01, 0.0, &known).unwrap();

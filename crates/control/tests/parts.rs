@@ -261,3 +261,71 @@ fn bad_numbers_are_named() {
         dynocal_control::disk::disk(&l, dynocal_control::disk::Place::Inputs, 0.0).map(|_| ()).map_err(text);
     assert!(refused.unwrap_err().contains("2 unstable poles"));
 }
+
+/// What can be cancelled in time is, what cannot is left as small as least squares make it; behind it the channels are the sums.
+#[test]
+fn decouplers_cancel_what_can_be_cancelled() {
+    use dynocal_control::interaction::{behind, dynamic_decoupler, static_decoupler};
+    use dynocal_control::system::{System, Time, Transfer};
+    let time = Time::Sampled { sample_time_s: 0.1 };
+    let lag = |num: &[f64]| Transfer::sampled(num, &[1.0, -0.9]);
+    // u2 reaches y1 one sample after u1 at half its gain: D12 = -0.5 q. y2 does not hear of u1.
+    let plant = System::new(
+        time,
+        2,
+        2,
+        vec![lag(&[0.0, 0.2]), lag(&[0.0, 0.0, 0.1]), Transfer::gain(0.0), lag(&[0.0, 0.3])],
+    )
+    .unwrap();
+    let d = dynamic_decoupler(&plant, 6).unwrap();
+    let filter = &d.channel(0, 1).num;
+    for (k, v) in filter.iter().enumerate() {
+        assert!((v - if k == 1 { -0.5 } else { 0.0 }).abs() < 1e-3, "{filter:?}");
+    }
+    assert!(d.channel(1, 0).num.iter().all(|v| v.abs() < 1e-6));
+    assert_eq!(d.channel(0, 0).num, [1.0]);
+    // Sooner than it can be met: the answer comes back, and what is left is less than with the gain alone.
+    let soon = System::new(
+        time,
+        2,
+        2,
+        vec![lag(&[0.0, 0.0, 0.0, 0.2]), lag(&[0.0, 0.1]), Transfer::gain(0.0), lag(&[0.0, 0.3])],
+    )
+    .unwrap();
+    let left = |d: &System| {
+        // Step of the second demand as the first output sees it.
+        let (a, b) = (soon.channel(0, 0).times(d.channel(0, 1)), soon.channel(0, 1).times(d.channel(1, 1)));
+        let answer = |g: &Transfer, t: usize| {
+            let mut y = vec![0.0; t + 1];
+            for k in 0..=t {
+                let moved: f64 = g.num.iter().take(k + 1).sum();
+                y[k] = moved + if k > 0 { 0.9 * y[k - 1] } else { 0.0 };
+            }
+            y[t]
+        };
+        (0..80).map(|t| (answer(&a, t) + answer(&b, t)).powi(2)).sum::<f64>()
+    };
+    let (fixed, filtered) = (static_decoupler(&soon).unwrap(), dynamic_decoupler(&soon, 30).unwrap());
+    assert!(left(&filtered) < 0.7 * left(&fixed), "{} {}", left(&filtered), left(&fixed));
+    for w in [0.1, 3.0, 20.0] {
+        for k in 0..2 {
+            let sum = soon.at(w).times(&filtered.at(w)).at(k, k);
+            assert!(
+                (behind(&soon, &filtered, k).unwrap().at(time, w) - sum).norm() < 1e-9 * (1.0 + sum.norm())
+            );
+        }
+    }
+    let endless = System::new(
+        time,
+        2,
+        2,
+        vec![
+            Transfer::sampled(&[0.0, 0.1], &[1.0, -1.0]),
+            lag(&[0.0, 0.1]),
+            Transfer::gain(0.0),
+            lag(&[0.0, 0.3]),
+        ],
+    )
+    .unwrap();
+    assert!(dynamic_decoupler(&endless, 5).is_err());
+}

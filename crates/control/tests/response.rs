@@ -207,3 +207,53 @@ fn identified_models_know_how_uncertain_they_are() {
         .to_string();
     assert!(text.contains("100 samples"), "{text}");
 }
+
+/// An offset, a ripple of three samples and a drift that the inputs do not make: the gain at rest is the plant's, no pole is theirs; a
+/// plant that integrates keeps its own.
+#[test]
+fn disturbances_that_go_on_are_not_the_plants() {
+    use dynocal_control::identify::{ORDERS, identify};
+    use dynocal_control::linear::about;
+    use dynocal_ident::stored::Quantity;
+    let quantity = |n: &str| Quantity { name: n.into(), unit: "-".into() };
+    for seed in 0..2 {
+        let mut rng = Rng64::new(70 + seed);
+        let (mut u, mut left, mut level) = (vec![0.0; 3000], 0, 0.0);
+        for v in &mut u {
+            if left == 0 {
+                (left, level) = (2 + rng.below(40), rng.uniform_in(-1.0, 1.0));
+            }
+            left -= 1;
+            *v = level;
+        }
+        let g = Transfer::sampled(&[0.0, 0.0, 0.0, 0.1], &[1.0, -0.9]);
+        let y: Vec<f64> = filtered(&g, &u)
+            .iter()
+            .enumerate()
+            .map(|(t, v)| {
+                v + 2.0
+                    + 0.1 * (std::f64::consts::TAU * t as f64 / 3.0).sin()
+                    + 1e-5 * t as f64
+                    + 0.05 * rng.normal()
+            })
+            .collect();
+        let of = |y: &[f64]| {
+            let inputs = [(quantity("u"), u.clone())];
+            let found = identify(&inputs, (quantity("y"), y), DT_S, &ORDERS, &|| false).unwrap();
+            let point = [("u".to_string(), 0.0)].into();
+            let linear = about(&[&found.model], &["u".to_string()], &point);
+            (found.orders, linear.map(|l| (l.system.channel(0, 0).steady_gain(TIME), l.slowest_pole)))
+        };
+        let (orders, linear) = of(&y);
+        let (gain, slowest) = linear.unwrap();
+        assert!(
+            (gain - 1.0).abs() < 0.1 && slowest < 0.99,
+            "seed {seed}: {orders:?}, gain {gain}, pole {slowest}"
+        );
+        // Beside it: what adds up.
+        let integral = Transfer::sampled(&[0.0, 0.05], &[1.0, -1.0]);
+        let y: Vec<f64> = filtered(&integral, &u).iter().map(|v| v + 0.02 * rng.normal()).collect();
+        let creeps = of(&y).1.map_or(1.0, |l| l.1);
+        assert!(creeps > 0.99, "seed {seed}: {creeps}");
+    }
+}

@@ -171,6 +171,7 @@ const STORE: OxygenSettings = OxygenSettings {
     gain: 0.03,
     most: 0.02,
     learn: 0.3,
+    memory: 0.0,
 };
 
 /// A store whose front sensor reads 0.5 % rich, driven at random: with the trim that is learnt from break-throughs the
@@ -207,6 +208,42 @@ fn the_rear_trim_learns_the_bias_of_the_front_sensor() {
         };
         let (with, without) = (breaks(true), breaks(false));
         assert!(4 * with < without, "seed {seed}: {with} break-throughs with the trim, {without} without");
+    }
+}
+
+/// A store that holds 0.6 or 1.6 of what is given, a front sensor 0.3 % wrong: over passages from end to end both are found.
+#[test]
+fn capacity_and_bias_are_estimated_together() {
+    for (seed, truth, off) in [(1, 0.6, 0.003), (2, 1.6, -0.003), (3, 1.0, 0.0), (4, 1.6, 0.003)] {
+        let mut rng = Rng64::new(seed);
+        let mut c = OxygenObserver::new(OxygenSettings { memory: 30.0, ..STORE }, 0.5).unwrap();
+        let (mut held, mut air, mut wanted) = (0.5 * truth, 10.0, 1.0);
+        for t in 0..200_000 {
+            if t % 500 == 0 {
+                air = rng.uniform_in(4.0, 25.0);
+                wanted = 1.0 + rng.uniform_in(-0.04, 0.04);
+            }
+            let lambda = wanted + 0.005 * rng.normal();
+            let room = truth / (1.0 + air / 60.0);
+            let next = held + 0.23 * air * (1.0 - 1.0 / lambda) * 0.01;
+            let rear = if next > room {
+                1.02
+            } else if next < 0.0 {
+                0.98
+            } else {
+                1.0
+            };
+            held = next.clamp(0.0, room);
+            c.step(lambda + off, rear, air, 0.01);
+        }
+        let found = c.state().passages.capacity_g;
+        assert!((found / truth - 1.0).abs() < 0.1, "seed {seed}: {found} of {truth} g");
+        // A sensor that reads lean tells of oxygen that is not there.
+        assert!((c.state().bias / 0.23 + off).abs() < 0.001, "seed {seed}: bias {}", c.state().bias / 0.23);
+        // A saved state goes on as it was.
+        let mut again = OxygenObserver::new(OxygenSettings { memory: 30.0, ..STORE }, 0.1).unwrap();
+        again.restore(c.state());
+        assert_eq!(again.step(1.01, 1.0, 9.0, 0.01), c.step(1.01, 1.0, 9.0, 0.01));
     }
 }
 

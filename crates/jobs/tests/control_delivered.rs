@@ -275,6 +275,45 @@ fn exported_controllers_are_those_that_run() {
     file.loops[0].limits.rate_per_s = Some(4.0);
     program_is_runtime(&file);
     gcc(&file);
+    unit(&file);
+}
+
+/// The functional mock-up unit of the export, run by the reader of plants, beside the controller that runs.
+fn unit(file: &StoredController) {
+    use dynocal_export::format::{Keys, write};
+    use dynocal_plant::plants::{PlantSpec, find};
+    let l = &file.loops[0];
+    let mut rng = Rng64::new(11);
+    let rows: Vec<[f64; 3]> = (0..500).map(|_| [rng.normal(), rng.normal(), 0.1 * rng.normal()]).collect();
+    for format in ["fmu2", "fmu3"] {
+        let tmp = tempfile::tempdir().unwrap();
+        let made = controller(file);
+        let files = write(&made.package, format, &Keys::default()).unwrap();
+        let fmu = files.iter().find(|f| f.name.ends_with(".fmu")).unwrap();
+        dynocal_files::atomic::write(&tmp.path().join(&fmu.name), &fmu.bytes).unwrap();
+        let ranges =
+            ["demand", "measured", "feedforward"].map(|n| format!("y_{n} = [-100.0, 100.0]")).join(", ");
+        let table = toml::from_str(&format!("ranges = {{ {ranges} }}")).unwrap();
+        let spec = PlantSpec {
+            name: "fmu".into(),
+            file: Some(tmp.path().join(&fmu.name)),
+            fmu: table,
+            ..PlantSpec::default()
+        };
+        let mut unit = find("fmu").and_then(|m| m.make).unwrap()(&spec, false).unwrap();
+        unit.reset(0);
+        let mut pid = Pid::new(l.gains, l.limits, file.sample_time_s, l.start).unwrap();
+        let mut y = [0.0];
+        for (t, row) in rows.iter().enumerate() {
+            let own = pid.step(row[2], row[0] - row[1]);
+            unit.step(row, file.sample_time_s, &mut y).unwrap();
+            assert!(
+                (own - y[0]).abs() < 1e-6 * (1.0 + own.abs()),
+                "{format}, sample {t}: runs {own}, unit {}",
+                y[0]
+            );
+        }
+    }
 }
 
 /// The C of the export, compiled, beside the evaluator bit for bit and beside the running controller.

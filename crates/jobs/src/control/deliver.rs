@@ -15,7 +15,8 @@ const CLEAR: f64 = 0.8;
 
 /// The controller of sampled plants.
 pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Option<StoredController> {
-    let sample_time_s = loaded.time.sample_time_s()?;
+    // A controller file has loops that each move their own input.
+    let sample_time_s = loaded.time.sample_time_s().filter(|_| loaded.decoupler.is_none())?;
     let one = |(k, (spec, l)): (usize, (&LoopSpec, &LoopResult))| {
         let (output_unit, input_unit) = loaded.units.get(k).cloned().unwrap_or(("-".into(), "-".into()));
         let predictor = l.predictor.as_ref().map(|p| {
@@ -45,7 +46,7 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
 
 fn points(job: &Job) -> &[Point] {
     match &job.plants {
-        Plants::Models { points, .. } => points,
+        Plants::Models { points, .. } | Plants::Bed { points, .. } => points,
         _ => &[],
     }
 }
@@ -118,11 +119,13 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
         let r = &m.response;
         let plant = &loaded.points[point].nominal;
         let dt_s = r.sample_time_s;
+        // Controllers see what is behind the decoupler.
+        let seen = loaded.decoupler.as_ref().map_or(r.clone(), |d| r.behind(d));
         let margins = |(k, l): (usize, &LoopResult)| {
             // From the measurement to the actuator, and what the loop has beyond the record.
             let later = job.reaction_samples as f64 * dt_s + job.loops[k].extra_delay_s;
             let c = PidGains::pi(l.kp, l.ki).transfer(loaded.time).delayed(later);
-            r.margins(k, k, &c, 0.0, job.draws, job.seed)
+            seen.margins(k, k, &c, 0.0, job.draws, job.seed)
         };
         let distance = |k: usize| {
             let later = job.reaction_samples as f64 * dt_s + job.loops[k].extra_delay_s;
@@ -139,6 +142,7 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
             segments: r.segments,
             highest_hz: r.frequency_hz.last().copied().unwrap_or(0.0),
             models: m.models.clone(),
+            distortion: m.distortion.clone(),
             margins: loops.iter().enumerate().map(margins).collect(),
             distance: (0..loops.len()).map(distance).collect(),
         }

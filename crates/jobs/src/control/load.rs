@@ -28,6 +28,8 @@ pub(super) struct Loaded {
     /// Units of outputs and inputs of the loops, where they are known.
     pub(super) units: Vec<(String, String)>,
     pub(super) points: Vec<AtPoint>,
+    /// What stands between the controllers and all these plants.
+    pub(super) decoupler: Option<System>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -47,7 +49,14 @@ pub(super) fn without_predicted(job: &Job, plant: &System) -> Result<System, Con
 }
 
 pub(super) fn load(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
+    let mut loaded = plants(job, watch)?;
+    loaded.decoupler = super::decouple::made(job, &loaded)?;
+    Ok(loaded)
+}
+
+fn plants(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
     match &job.plants {
+        Plants::Bed { .. } => super::records::from_bed(job, watch),
         Plants::Records { files, demands, segment_s } => {
             super::records::load(job, files, demands, *segment_s, watch)
         }
@@ -131,7 +140,7 @@ fn models(job: &Job, files: &[std::path::PathBuf]) -> Result<Vec<StoredModel>, C
 impl Loaded {
     pub(super) fn empty(time: Time) -> Self {
         let (points, warnings) = (Vec::new(), Vec::new());
-        Self { time, points, warnings, measured: Vec::new(), units: Vec::new() }
+        Self { time, points, warnings, decoupler: None, measured: Vec::new(), units: Vec::new() }
     }
 
     pub(super) fn add(

@@ -1,6 +1,7 @@
 //! The controllers of the loops: gains by set point, predictors in their place, and how much those stand.
 
 use dynocal_control::error::ControlError;
+use dynocal_control::interaction::through;
 use dynocal_control::poly::{add, multiply};
 use dynocal_control::runtime::PidGains;
 use dynocal_control::smith::Smith;
@@ -24,7 +25,10 @@ pub(super) fn controller(
         l.predictor.as_ref().map_or(pi.clone(), |p| predicting(&pi, spec, p, loaded.time))
     };
     let own: Vec<Transfer> = job.loops.iter().zip(loops).map(own).collect();
-    System::diagonal(loaded.time, &own)
+    match &loaded.decoupler {
+        Some(d) => through(d, &own),
+        None => System::diagonal(loaded.time, &own),
+    }
 }
 
 /// `K / (1 + K P (1 - F q^d))` of (7.28).

@@ -1,10 +1,13 @@
 //! Feedback around stored models or given transfer functions: margins, the plane of PI gains, a tuned point (thesis section 7.7).
 //!
-//! [`spec`] reads what the user wrote and checks it as a whole, `load` makes linear plants of models at set points (`records` of tests), [`work`]
-//! tunes and judges in memory, [`result`] is what comes out, `deliver` makes it a controller that runs elsewhere, `words` says it, [`page`] draws it, [`store`] writes the run folder.
+//! [`spec`] reads what the user wrote and checks it as a whole, `load` makes linear plants of models at set points (`records` of tests, which `bed` makes where a plant
+//! answers), [`work`] tunes and judges in memory, [`result`] is what comes out, `deliver` makes it a controller that runs elsewhere, `words` says it, [`page`] draws it, [`store`] writes the run folder.
 
+mod bed;
+mod decouple;
 mod deliver;
 mod load;
+mod loop_spec;
 mod loops;
 pub mod page;
 mod page_records;
@@ -13,6 +16,7 @@ mod records;
 pub mod result;
 pub mod spec;
 pub mod store;
+mod test_spec;
 mod words;
 pub mod work;
 

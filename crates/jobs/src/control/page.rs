@@ -47,6 +47,9 @@ pub fn report(found: &Controlled) -> Report {
     }
     if found.loops.len() > 1 {
         report = report.section(disks(found)).section(interaction(found));
+        if let Some(d) = &found.decoupler {
+            report = report.section(super::page_records::decoupler(found, d));
+        }
     }
     report.section(runs(found))
 }

@@ -2,7 +2,9 @@
 
 use dynocal_report::{Axis, Cell, Column, Section, Table, XyPlot};
 
+use super::decouple::Decoupled;
 use super::result::Controlled;
+use super::spec::Decoupler;
 
 pub(super) fn section(found: &Controlled) -> Section {
     let mut section = Section::new("What the records show")
@@ -11,6 +13,9 @@ pub(super) fn section(found: &Controlled) -> Section {
             found.measured.iter().map(|m| m.highest_hz).fold(f64::INFINITY, f64::min)
         ))
         .block(table(found));
+    if found.measured.iter().any(|m| !m.distortion.iter().all(Option::is_none)) {
+        section = section.block(distortion(found));
+    }
     for k in 0..found.loops.len() {
         section = section.block(sizes(found, k)).block(coherence(found, k));
     }
@@ -54,6 +59,55 @@ fn table(found: &Controlled) -> Table {
         }
     }
     table
+}
+
+/// What multisines show that is not linear.
+fn distortion(found: &Controlled) -> Table {
+    let head = vec![
+        Column::text("Set point"),
+        Column::text("Loop"),
+        Column::text("Odd distortion over the excited lines"),
+        Column::text("Even distortion"),
+    ];
+    let level = |v: Option<f64>| v.map_or("not above the noise".to_string(), |v| format!("{v:.1} dB"));
+    let mut table = Table::new(head);
+    for m in &found.measured {
+        for (l, d) in found.loops.iter().zip(&m.distortion) {
+            let Some(d) = d else { continue };
+            table = table.row(vec![
+                Cell::from(m.point.as_str()),
+                format!("{} by {}", l.output, l.input).as_str().into(),
+                level(d.odd_db).as_str().into(),
+                level(d.even_db).as_str().into(),
+            ]);
+        }
+    }
+    table
+}
+
+/// What a decoupler leaves.
+pub(super) fn decoupler(found: &Controlled, d: &Decoupled) -> Section {
+    let head = vec![
+        Column::text("Set point"),
+        Column::number("Other outputs at rest, without", "% of the own").digits(3),
+        Column::number("with it", "% of the own").digits(3),
+    ];
+    let table = found.points.iter().zip(&d.left).fold(Table::new(head), |t, (p, (without, with))| {
+        t.row(vec![Cell::from(p.as_str()), (100.0 * without).into(), (100.0 * with).into()])
+    });
+    let kind = match d.kind {
+        Decoupler::Static => {
+            "Gains between the controllers and the inputs leave each output its own demand at rest"
+                .to_string()
+        }
+        Decoupler::Dynamic => format!(
+            "Filters of {} samples between the controllers and the inputs keep the other outputs still after a step of a demand, as far as zeros and delays of the plant let them",
+            d.filters.iter().map(Vec::len).max().unwrap_or(0)
+        ),
+    };
+    Section::new("The decoupler")
+        .text(format!("{kind}. It is made for the nominal plant of {}, and all margins are those of the plant with it, at the inputs of the plant itself. Its coefficients are in decoupler.csv; controller.json has loops that each move one input and is not written.", d.point))
+        .block(table)
 }
 
 fn log_hz(frequency_hz: &[f64]) -> Vec<f64> {

@@ -68,7 +68,7 @@ pub(super) fn drawn(
     let mut runs: Vec<StepRun> = Vec::new();
     for (k, (l, choice)) in loops.iter().zip(choices).enumerate() {
         let channel = |s: &dynocal_control::system::System| {
-            Channel::new(loaded.time, s.channel(k, k).scaled(l.sign)).ok()
+            Channel::new(loaded.time, super::decouple::channel(loaded, s, k).ok()?.scaled(l.sign)).ok()
         };
         let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| channel(&p.nominal)).collect();
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();

@@ -11,9 +11,10 @@ use dynocal_files::dataset::read_dataset;
 use dynocal_ident::stored::{Quantity, StoredModel};
 use dynocal_numerics::watch::Watch;
 
+use super::bed::{Distortion, tested};
 use super::load::Loaded;
 use super::result::ControlJobError;
-use super::spec::{Job, Point};
+use super::spec::{Job, Plants, Point};
 
 /// Share of the samples at an end of its range from which an actuator counts as saturated in a closed loop.
 const SATURATED: f64 = 0.1;
@@ -23,18 +24,20 @@ const LITTLE: f64 = 50.0;
 /// What one record shows.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
+    /// By loop: what a multisine shows that is not linear; none where the test was none.
+    pub(super) distortion: Vec<Option<Distortion>>,
     pub(super) response: Response,
     /// Orders of A and B of each output's model, and its free run over the half that chose them, in percent.
     pub(super) models: Vec<((usize, usize), f64)>,
 }
 
-/// One record in memory.
-struct Record {
-    name: String,
-    inputs: Vec<(Quantity, Vec<f64>)>,
-    outputs: Vec<(Quantity, Vec<f64>)>,
-    demands: Vec<Vec<f64>>,
-    sample_time_s: f64,
+/// One record in memory, deviations from its means.
+pub(super) struct Record {
+    pub(super) name: String,
+    pub(super) inputs: Vec<(Quantity, Vec<f64>)>,
+    pub(super) outputs: Vec<(Quantity, Vec<f64>)>,
+    pub(super) demands: Vec<Vec<f64>>,
+    pub(super) sample_time_s: f64,
 }
 
 pub(super) fn load(
@@ -47,9 +50,8 @@ pub(super) fn load(
     let mut out: Option<Loaded> = None;
     for (k, path) in files.iter().enumerate() {
         let record = read(job, path, demands)?;
-        watch.note(&format!("{}: spectra and models", record.name));
-        watch.fraction(0.1 * k as f64 / files.len() as f64);
         let refused = |source| ControlJobError::Record { file: path.display().to_string(), source };
+        watch.fraction(0.1 * k as f64 / files.len() as f64);
         let time = Time::Sampled { sample_time_s: record.sample_time_s };
         let loaded = out.get_or_insert_with(|| Loaded::empty(time));
         if loaded.time != time {
@@ -61,32 +63,58 @@ pub(super) fn load(
                 expected: "one sample time for all records",
             }));
         }
-        let (response, warnings) = spectra(job, &record, segment_s).map_err(refused)?;
-        loaded.warnings.extend(warnings);
-        let (models, found) = models(&record, watch).map_err(|e| match watch.interrupted() {
-            true => ControlJobError::Interrupted,
-            false => refused(e),
-        })?;
-        for (l, (_, r2)) in job.loops.iter().zip(&found).filter(|(_, f)| f.1 < LITTLE) {
-            loaded.warnings.push(format!(
-                "{}: the model of `{}` explains {r2:.0} % of its movement in free run: margins of it say little",
-                record.name, l.output
-            ));
-        }
-        loaded.units = record
-            .outputs
-            .iter()
-            .zip(&record.inputs)
-            .map(|(o, i)| (o.0.unit.clone(), i.0.unit.clone()))
-            .collect();
-        loaded.measured.push(Measured { response, models: found });
-        let values: BTreeMap<String, f64> = job.loops.iter().map(|l| (l.input.clone(), 0.0)).collect();
-        loaded.add(job, &models, &Point { name: record.name.clone(), values }, k)?;
+        taken(job, loaded, &record, (segment_s, k), Vec::new(), watch, &refused)?;
     }
     out.ok_or_else(|| ControlJobError::Record {
         file: job.name.clone(),
         source: ControlError::Model("no record was given".into()),
     })
+}
+
+/// Tests on a plant about its set points, as records.
+pub(super) fn from_bed(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
+    let Plants::Bed { plant, test, points } = &job.plants else {
+        return Ok(Loaded::empty(Time::Continuous));
+    };
+    let mut loaded = Loaded::empty(Time::Sampled { sample_time_s: test.sample_time_s });
+    for (k, p) in points.iter().enumerate() {
+        watch.note(&format!("{}: test on the plant", p.name));
+        watch.fraction(0.1 * k as f64 / points.len() as f64);
+        let (record, distortion) = tested(job, plant, test, p, k, watch)?;
+        let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
+        taken(job, &mut loaded, &record, (None, k), distortion, watch, &refused)?;
+    }
+    Ok(loaded)
+}
+
+/// Spectra and models of a record, as a set point.
+fn taken(
+    job: &Job,
+    loaded: &mut Loaded,
+    record: &Record,
+    (segment_s, number): (Option<f64>, usize),
+    distortion: Vec<Option<Distortion>>,
+    watch: Watch,
+    refused: &dyn Fn(ControlError) -> ControlJobError,
+) -> Result<(), ControlJobError> {
+    watch.note(&format!("{}: spectra and models", record.name));
+    let (response, warnings) = spectra(job, record, segment_s).map_err(refused)?;
+    loaded.warnings.extend(warnings);
+    let (models, found) = models(record, watch).map_err(|e| match watch.interrupted() {
+        true => ControlJobError::Interrupted,
+        false => refused(e),
+    })?;
+    for (l, (_, r2)) in job.loops.iter().zip(&found).filter(|(_, f)| f.1 < LITTLE) {
+        loaded.warnings.push(format!(
+            "{}: the model of `{}` explains {r2:.0} % of its movement in free run: margins of it say little",
+            record.name, l.output
+        ));
+    }
+    let units = record.outputs.iter().zip(&record.inputs).map(|(o, i)| (o.0.unit.clone(), i.0.unit.clone()));
+    loaded.units = units.collect();
+    loaded.measured.push(Measured { response, models: found, distortion });
+    let values: BTreeMap<String, f64> = job.loops.iter().map(|l| (l.input.clone(), 0.0)).collect();
+    loaded.add(job, &models, &Point { name: record.name.clone(), values }, number)
 }
 
 fn read(job: &Job, path: &Path, demands: &[String]) -> Result<Record, ControlJobError> {

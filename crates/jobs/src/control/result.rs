@@ -11,6 +11,8 @@ use dynocal_files::FilesError;
 use dynocal_ident::stored::StoredError;
 use serde::Serialize;
 
+use super::bed::Distortion;
+use super::decouple::Decoupled;
 use super::picture::Picture;
 use crate::page::PageError;
 
@@ -42,6 +44,9 @@ pub struct Controlled {
     pub detuned: f64,
     /// Channels over which gains are scheduled.
     pub schedule: Vec<String>,
+    /// What stands between controllers and plant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decoupler: Option<Decoupled>,
     /// Records: what they show.
     pub measured: Vec<MeasuredResult>,
     /// Loops.
@@ -115,6 +120,9 @@ pub struct MeasuredResult {
     pub highest_hz: f64,
     /// By loop: orders of A and B, free run over the half that chose them in percent.
     pub models: Vec<((usize, usize), f64)>,
+    /// By loop: distortion of the output by its own input, where the test was a multisine.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub distortion: Vec<Option<Distortion>>,
     /// By loop: margins of the measured channel under its gains, the other loops open.
     pub margins: Vec<MeasuredMargins>,
     /// By loop: largest distance of the model's channel from the measured one over frequencies whose coherence is above 0.8, in

@@ -3,14 +3,19 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use dynocal_control::runtime::ActuatorLimits;
 use dynocal_control::system::{Time, Transfer};
 use dynocal_control::tune::Asked;
 use dynocal_files::run_folder::RunPlace;
 use dynocal_files::spec::{Faults, LoadError, SpecError};
+use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
+use super::loop_spec::{self, TypedLoop};
+use super::test_spec::{self, TypedTest};
 use crate::place::{Overrides, Place};
+
+pub use super::loop_spec::LoopSpec;
+pub use super::test_spec::{Kind, TestSpec};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -28,6 +33,10 @@ struct Typed {
     points: Vec<TypedPoint>,
     #[serde(default)]
     plants: Vec<TypedPlant>,
+    plant: Option<PlantSpec>,
+    test: Option<TypedTest>,
+    decoupler: Option<Decoupler>,
+    taps: Option<usize>,
     sample_time_s: Option<f64>,
     draws: Option<usize>,
     reaction_samples: Option<usize>,
@@ -62,26 +71,6 @@ struct TypedChannel {
     delay_s: f64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TypedLoop {
-    output: Option<String>,
-    input: Option<String>,
-    #[serde(default)]
-    extra_delay_s: f64,
-    #[serde(default)]
-    predictor: bool,
-    #[serde(default)]
-    filter_s: f64,
-    lower: Option<f64>,
-    upper: Option<f64>,
-    rate_per_s: Option<f64>,
-    #[serde(default)]
-    start: f64,
-    kp: Option<f64>,
-    ki: Option<f64>,
-}
-
 /// A set point of stored models.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
@@ -98,6 +87,16 @@ pub struct Given {
     pub name: String,
     /// Channels, row-major, outputs by inputs in the order of the loops.
     pub channels: Vec<Transfer>,
+}
+
+/// What stands between controllers and plant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Decoupler {
+    /// Gains that leave each output its own demand at rest.
+    Static,
+    /// Filters that do so in time, as far as their length allows.
+    Dynamic,
 }
 
 /// Where plants come from.
@@ -120,6 +119,15 @@ pub enum Plants {
         /// Length in s of the segments of the spectra; none: a twelfth of the record.
         segment_s: Option<f64>,
     },
+    /// A plant that answers: the job makes tests about its set points, and identifies as from records.
+    Bed {
+        /// Plant.
+        plant: PlantSpec,
+        /// Test.
+        test: TestSpec,
+        /// Set points.
+        points: Vec<Point>,
+    },
     /// Transfer functions.
     Given {
         /// Continuous or sampled.
@@ -127,27 +135,6 @@ pub enum Plants {
         /// One for each set point.
         plants: Vec<Given>,
     },
-}
-
-/// One loop.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LoopSpec {
-    /// What it holds.
-    pub output: String,
-    /// By what.
-    pub input: String,
-    /// Delay in s beyond that of the plant (sampled: whole samples).
-    pub extra_delay_s: f64,
-    /// Whether a Smith predictor stands about that delay.
-    pub predictor: bool,
-    /// Time constant in s of the filter of its prediction error.
-    pub filter_s: f64,
-    /// Limits of the actuator in the file of the controller.
-    pub limits: ActuatorLimits,
-    /// Actuator before the first step.
-    pub start: f64,
-    /// Gains to be judged as they are, `(kp, ki)`; none: the search finds them.
-    pub gains: Option<(f64, f64)>,
 }
 
 /// A control job as understood.
@@ -165,6 +152,10 @@ pub struct Job {
     pub reaction_samples: usize,
     /// Channels over which gains are scheduled; none: one set of gains for all set points.
     pub schedule: Vec<String>,
+    /// Decoupler of the first set point's nominal plant; none: each controller moves its own input alone.
+    pub decoupler: Option<Decoupler>,
+    /// Samples of the filters of a dynamic one.
+    pub taps: usize,
     /// Loops.
     pub loops: Vec<LoopSpec>,
     /// Margins of each loop.
@@ -176,8 +167,8 @@ pub struct Job {
     pub out: RunPlace,
 }
 
-/// Most loops, set points and draws.
-const MOST: (usize, usize, usize) = (4, 400, 1000);
+/// Most set points and draws.
+const MOST: (usize, usize) = (400, 1000);
 
 /// Reads and checks the spec at `path`. Files in it are relative to its folder.
 ///
@@ -197,14 +188,14 @@ pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecE
 
 fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
-    let loops = loops(t, faults);
+    let loops = loop_spec::loops(&t.loops, faults);
     let plants = plants(t, spec, &loops, faults);
     asked(&t.asked, faults);
     let disk_margin = t.disk_margin.unwrap_or(0.0);
     faults.range("disk_margin", disk_margin, 0.0, 2.0, "-");
     let draws = t.draws.unwrap_or(if t.plants.is_empty() { 20 } else { 0 });
-    if draws > MOST.2 {
-        faults.push("draws", draws, format!("at most {}", MOST.2));
+    if draws > MOST.1 {
+        faults.push("draws", draws, format!("at most {}", MOST.1));
     }
     if !t.plants.is_empty() && draws > 0 {
         faults.push("draws", draws, "0: only models and records know how uncertain their parameters are");
@@ -222,6 +213,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         faults.push("reaction_samples", reaction_samples, "at most 1000");
     }
     schedule(t, continuous, faults);
+    let taps = decoupler(t, continuous, faults);
     for (k, l) in loops.iter().enumerate().filter(|(_, l)| l.predictor && continuous) {
         let found = format!("a predictor of `{}`", l.output);
         faults.push(
@@ -239,6 +231,8 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         draws,
         reaction_samples,
         schedule: t.schedule.clone(),
+        decoupler: t.decoupler,
+        taps,
         loops,
         asked,
         disk_margin,
@@ -247,23 +241,75 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
 }
 
 fn plants(t: &Typed, spec: &Path, loops: &[LoopSpec], faults: &mut Faults) -> Option<Plants> {
-    let sources = [t.models.is_some(), t.records.is_some(), !t.plants.is_empty()];
+    let sources = [t.models.is_some(), t.records.is_some(), !t.plants.is_empty(), t.plant.is_some()];
     if sources.iter().filter(|s| **s).count() > 1 {
         faults.push(
             "plants",
-            "several of `models`, `records` and `plants`",
-            "one of them: stored models at set points, records of tests, or transfer functions",
+            "several of `models`, `records`, `plants` and `[plant]`",
+            "one of them: stored models at set points, records of tests, transfer functions, or a plant to be tested",
         );
         return None;
     }
     if t.records.is_none() && (t.demands.is_some() || t.segment_s.is_some()) {
         faults.push("records", "`demands` or `segment_s` without them", "records of tests beside");
     }
-    match (&t.models, &t.records) {
-        (Some(files), _) => models(files, t, spec, faults),
-        (None, Some(files)) => records(files, t, spec, loops, faults),
-        (None, None) => given(t, loops.len(), faults),
+    if t.plant.is_none() && (t.test.is_some() || loops.iter().any(|l| l.step.is_some())) {
+        faults.push("plant", "`[test]` or a `step` of a loop without it", "a table [plant] that is tested");
     }
+    match (&t.models, &t.records, &t.plant) {
+        (Some(files), ..) => models(files, t, spec, faults),
+        (None, Some(files), _) => records(files, t, spec, loops, faults),
+        (None, None, Some(plant)) => Some(tested(plant, t, loops, faults)),
+        (None, None, None) => given(t, loops.len(), faults),
+    }
+}
+
+/// Tests about set points; without any at the plant's start.
+fn tested(plant: &PlantSpec, t: &Typed, loops: &[LoopSpec], faults: &mut Faults) -> Plants {
+    if t.sample_time_s.is_some() {
+        faults.push("sample_time_s", "a sample time beside `[plant]`", "`sample_time_s` of [test]");
+    }
+    for (k, l) in loops.iter().enumerate().filter(|(_, l)| l.step.is_none()) {
+        let found = format!("nothing for `{}`", l.input);
+        faults.push(
+            &format!("loops[{}].step", k + 1),
+            found,
+            "how far the input is moved either way in the test",
+        );
+    }
+    let test = test_spec::check(t.test.as_ref(), plant, faults);
+    let mut points = points(t, faults);
+    if points.is_empty() {
+        points.push(Point { name: "start".into(), values: BTreeMap::new() });
+    }
+    Plants::Bed { plant: plant.clone(), test, points }
+}
+
+/// Whether loops can be decoupled; the samples of the filters.
+fn decoupler(t: &Typed, continuous: bool, faults: &mut Faults) -> usize {
+    let taps = t.taps.unwrap_or(40);
+    if t.taps.is_some() && t.decoupler != Some(Decoupler::Dynamic) {
+        faults.push("taps", taps, "with `decoupler = \"dynamic\"` only");
+    }
+    if !(1..=200).contains(&taps) {
+        faults.push("taps", taps, "1 to 200 samples");
+    }
+    let Some(kind) = t.decoupler else { return taps };
+    if t.loops.len() < 2 || t.loops.iter().any(loop_spec::predicts) {
+        faults.push(
+            "decoupler",
+            "one loop, or a loop with a predictor",
+            "two loops at least, none of which predicts",
+        );
+    }
+    if continuous && kind == Decoupler::Dynamic {
+        faults.push(
+            "decoupler",
+            "dynamic, for continuous plants",
+            "`static`, or sampled plants: filters run in samples",
+        );
+    }
+    taps
 }
 
 fn records(
@@ -273,8 +319,8 @@ fn records(
     loops: &[LoopSpec],
     faults: &mut Faults,
 ) -> Option<Plants> {
-    if files.is_empty() || files.len() > MOST.1 {
-        let expected = format!("1 to {} files, each a test about a set point of its own", MOST.1);
+    if files.is_empty() || files.len() > MOST.0 {
+        let expected = format!("1 to {} files, each a test about a set point of its own", MOST.0);
         faults.push("records", format!("{} files", files.len()), expected);
     }
     if t.sample_time_s.is_some() || !t.points.is_empty() {
@@ -320,7 +366,7 @@ fn schedule(t: &Typed, continuous: bool, faults: &mut Faults) {
             );
         }
     }
-    if t.loops.iter().any(|l| l.kp.is_some() || l.ki.is_some() || l.predictor) {
+    if t.loops.iter().any(|l| loop_spec::gains_given(l) || loop_spec::predicts(l)) {
         faults.push(
             "schedule",
             "a loop with given gains or a predictor",
@@ -339,72 +385,6 @@ fn asked(a: &Asked, faults: &mut Faults) {
     }
 }
 
-fn loops(t: &Typed, faults: &mut Faults) -> Vec<LoopSpec> {
-    if t.loops.is_empty() || t.loops.len() > MOST.0 {
-        let expected = format!("1 to {} tables [[loops]] with `output` and `input`", MOST.0);
-        faults.push("loops", format!("{} loops", t.loops.len()), expected);
-    }
-    let mut out: Vec<LoopSpec> = Vec::new();
-    for (k, l) in t.loops.iter().enumerate() {
-        let key = |part: &str| format!("loops[{}].{part}", k + 1);
-        let output = faults.required(&key("output"), &l.output, "the channel that the loop holds");
-        let input = faults.required(&key("input"), &l.input, "the channel by which it holds it");
-        if !(l.extra_delay_s >= 0.0 && l.extra_delay_s.is_finite()) {
-            faults.push(&key("extra_delay_s"), l.extra_delay_s, "0 or a positive number, s");
-        }
-        let gains = match (l.kp, l.ki) {
-            (None, None) => None,
-            (kp, Some(ki)) if ki.is_finite() && ki != 0.0 && kp.unwrap_or(0.0).is_finite() => {
-                Some((kp.unwrap_or(0.0), ki))
-            }
-            (_, found) => {
-                let found = found.map_or("nothing".into(), |v| v.to_string());
-                faults.push(
-                    &key("ki"),
-                    found,
-                    "a number other than 0 beside `kp` (or neither: the search finds them)",
-                );
-                None
-            }
-        };
-        let (Some(output), Some(input)) = (output, input) else { continue };
-        if out.iter().any(|o| o.output == output || o.input == input) {
-            faults.push(
-                &key("output"),
-                format!("`{output}` by `{input}`"),
-                "outputs and inputs that no other loop has",
-            );
-        }
-        let limits = limits(l, k, faults);
-        let (extra_delay_s, predictor, filter_s, start) = (l.extra_delay_s, l.predictor, l.filter_s, l.start);
-        out.push(LoopSpec { output, input, extra_delay_s, predictor, filter_s, limits, start, gains });
-    }
-    out
-}
-
-/// Limits of an actuator; a predictor needs something to predict.
-fn limits(l: &TypedLoop, k: usize, faults: &mut Faults) -> ActuatorLimits {
-    let key = |part: &str| format!("loops[{}].{part}", k + 1);
-    // What is not limited may take any value that a 32-bit ECU can hold.
-    let wide = 1e9;
-    let (lower, upper) = (l.lower.unwrap_or(-wide), l.upper.unwrap_or(wide));
-    if !(lower < upper && lower.is_finite() && upper.is_finite()) {
-        faults.push(&key("upper"), format!("{lower} to {upper}"), "a range: `lower` below `upper`");
-    } else if !(l.start >= lower && l.start <= upper) {
-        faults.push(&key("start"), l.start, format!("a value between {lower} and {upper}"));
-    }
-    if let Some(rate) = l.rate_per_s {
-        faults.positive(&key("rate_per_s"), rate, "per s");
-    }
-    if l.predictor && !(l.extra_delay_s > 0.0) {
-        faults.push(&key("predictor"), "a predictor without `extra_delay_s`", "a delay that it predicts");
-    }
-    if !(l.filter_s >= 0.0 && l.filter_s.is_finite()) || (l.filter_s > 0.0 && !l.predictor) {
-        faults.push(&key("filter_s"), l.filter_s, "0, or with `predictor` a positive number, s");
-    }
-    ActuatorLimits { lower, upper, rate_per_s: l.rate_per_s }
-}
-
 fn models(files: &[PathBuf], t: &Typed, spec: &Path, faults: &mut Faults) -> Option<Plants> {
     let folder = spec.parent().unwrap_or(Path::new(""));
     if files.is_empty() {
@@ -417,6 +397,18 @@ fn models(files: &[PathBuf], t: &Typed, spec: &Path, faults: &mut Faults) -> Opt
     if t.sample_time_s.is_some() {
         faults.push("sample_time_s", "a sample time beside `models`", "none: the models have their own");
     }
+    let points = points(t, faults);
+    if t.points.is_empty() || t.points.len() > MOST.0 {
+        faults.push(
+            "points",
+            format!("{} set points", t.points.len()),
+            format!("1 to {} tables [[points]] with `values`", MOST.0),
+        );
+    }
+    Some(Plants::Models { files: files.iter().map(|f| folder.join(f)).collect(), points })
+}
+
+fn points(t: &Typed, faults: &mut Faults) -> Vec<Point> {
     let mut points = Vec::new();
     for (k, p) in t.points.iter().enumerate() {
         let expected = "a table of the channels that the models read, in their units";
@@ -428,20 +420,13 @@ fn models(files: &[PathBuf], t: &Typed, spec: &Path, faults: &mut Faults) -> Opt
         }
         points.push(Point { name: p.name.clone().unwrap_or_else(|| format!("point {}", k + 1)), values });
     }
-    if t.points.is_empty() || t.points.len() > MOST.1 {
-        faults.push(
-            "points",
-            format!("{} set points", t.points.len()),
-            format!("1 to {} tables [[points]] with `values`", MOST.1),
-        );
-    }
-    Some(Plants::Models { files: files.iter().map(|f| folder.join(f)).collect(), points })
+    points
 }
 
 fn given(t: &Typed, loops: usize, faults: &mut Faults) -> Option<Plants> {
-    if t.plants.is_empty() || t.plants.len() > MOST.1 {
+    if t.plants.is_empty() || t.plants.len() > MOST.0 {
         let expected =
-            format!("`models` with [[points]], or 1 to {} tables [[plants]] with `channels`", MOST.1);
+            format!("`models` with [[points]], or 1 to {} tables [[plants]] with `channels`", MOST.0);
         faults.push("plants", format!("{} plants", t.plants.len()), expected);
         return None;
     }

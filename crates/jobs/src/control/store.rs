@@ -5,6 +5,7 @@ use dynocal_control::stored::{CONTROLLER_SCHEMA, CONTROLLER_VERSION};
 use dynocal_files::json;
 use dynocal_files::run_folder::RunFolder;
 
+use super::decouple::Decoupled;
 use super::page;
 use super::result::{ControlJobError, Controlled};
 use crate::kept;
@@ -38,12 +39,30 @@ pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobErr
         )?;
         files.push("controller.json".into());
     }
+    if let Some(d) = &found.decoupler {
+        files.push(decoupler(folder, found, d)?);
+    }
     for (k, (m, r)) in found.measured.iter().zip(&found.picture.measured).enumerate() {
         files.push(response(folder, k, &m.point, found, r)?);
     }
     page::write(found, folder.path())?;
     folder.write_summary(&Controlled { files, ..found.clone() })?;
     Ok(())
+}
+
+/// The filters of a decoupler, coefficient by coefficient.
+fn decoupler(folder: &RunFolder, found: &Controlled, d: &Decoupled) -> Result<String, ControlJobError> {
+    let longest = d.filters.iter().map(Vec::len).max().unwrap_or(0);
+    let n = found.loops.len();
+    let lags: Vec<f64> = (0..longest).map(|k| k as f64).collect();
+    let column = |(k, f): (usize, &Vec<f64>)| {
+        let name = format!("{}_from_{}", found.loops[k / n].input, found.loops[k % n].output);
+        (name, (0..longest).map(|l| f.get(l).copied().unwrap_or(0.0)).collect::<Vec<f64>>())
+    };
+    let columns: Vec<(String, Vec<f64>)> = d.filters.iter().enumerate().map(column).collect();
+    let mut all: Vec<(&str, &str, &[f64])> = vec![("lag", "samples", &lags)];
+    all.extend(columns.iter().map(|(name, v)| (name.as_str(), "-", v.as_slice())));
+    Ok(kept::write_columns(folder.path(), "decoupler", &all)?)
 }
 
 /// A measured response as a table: frequency, and for each channel real and imaginary part with the deviation.

@@ -21,7 +21,7 @@ use super::loops::{by_point, controller, predictor};
 use super::picture::{Picture, drawn};
 use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
 use super::spec::{Job, LoopSpec, Plants};
-use super::{deliver, words};
+use super::{decouple, deliver, words};
 use crate::estimate::Estimate;
 
 /// Rounds in which draws that miss are added to what the search sees.
@@ -39,9 +39,21 @@ const RUN: (f64, usize) = (400.0, 1_000_000);
 /// [`ControlJobError`]: models that cannot be read or do not fit.
 pub fn estimate(job: &Job) -> Result<Estimate, ControlJobError> {
     // Records are identified by the work itself: what it takes is told without.
-    if let Plants::Records { files, .. } = &job.plants {
+    if let Plants::Records { .. } | Plants::Bed { .. } = &job.plants {
         let plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
-        let records = format!("{} records, {} draws of each model", files.len(), job.draws);
+        let records = match &job.plants {
+            Plants::Bed { plant, test, points } => format!(
+                "tests of {} s about {} set points of `{}`, {} draws of each model",
+                test.length_s,
+                points.len(),
+                plant.name,
+                job.draws
+            ),
+            Plants::Records { files, .. } => {
+                format!("{} records, {} draws of each model", files.len(), job.draws)
+            }
+            _ => String::new(),
+        };
         return Ok(plan.line("plants", records).line("loops", job.loops.len().to_string()));
     }
     let loaded = load(&Job { draws: 0, ..job.clone() }, Watch::silent())?;
@@ -49,7 +61,7 @@ pub fn estimate(job: &Job) -> Result<Estimate, ControlJobError> {
     let kind = match &job.plants {
         Plants::Models { files, .. } => format!("{} stored models, {} draws", files.len(), job.draws),
         Plants::Given { .. } => "transfer functions".into(),
-        Plants::Records { files, .. } => format!("{} records", files.len()),
+        Plants::Records { .. } | Plants::Bed { .. } => String::new(),
     };
     let frequencies: usize = loaded.points.iter().map(|p| frequencies(&p.nominal)).max().unwrap_or(0);
     let plan = Estimate::new(&job.name)
@@ -121,6 +133,7 @@ fn result(
         draws: job.draws,
         detuned,
         schedule: job.schedule.clone(),
+        decoupler: decouple::told(job, &loaded),
         measured: deliver::measured(job, &loaded, &loops),
         controller: deliver::controller(job, &loaded, &loops),
         relative_gains: loaded.points.iter().map(relative).collect(),
@@ -149,7 +162,7 @@ fn one_loop(
     alone_at_rest(loaded, k)?;
     let sign = sign(loaded, k, l)?;
     // A predictor's gains are those of the undelayed loop.
-    let whole = |s: &System| Channel::new(loaded.time, s.channel(k, k).scaled(sign));
+    let whole = |s: &System| Channel::new(loaded.time, decouple::channel(loaded, s, k)?.scaled(sign));
     let channel = |s: &System| match l.predictor {
         true => without_predicted(job, s).and_then(|s| whole(&s)),
         false => whole(s),
@@ -249,7 +262,9 @@ fn sign(loaded: &Loaded, k: usize, l: &LoopSpec) -> Result<f64, ControlJobError>
     let mut first: Option<(f64, &str)> = None;
     for p in &loaded.points {
         for s in std::iter::once(&p.nominal).chain(&p.draws) {
-            let gain = s.channel(k, k).steady_gain(s.time);
+            let channel = decouple::channel(loaded, s, k)
+                .map_err(|source| ControlJobError::Point { point: p.name.clone(), source })?;
+            let gain = channel.steady_gain(s.time);
             if !(gain.abs() > 0.0) {
                 let source = ControlError::Model(format!(
                     "`{}` does nothing to `{}` at rest (gain {gain})",

@@ -9,18 +9,27 @@ use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
+/// How tests and measures are made, for results that are kept: behind the first map; margins by pairs of runs.
+pub(super) const METHOD: &str = "demands, pairs";
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.02;
 /// Movements of the test as shares of throttle and fuel.
 const MOVES: [f64; 2] = [0.04, 0.04];
+/// Movements behind a map as shares of torque and lambda: where the loops will work, with fuel and air that go together.
+const DEMANDS: [f64; 2] = [0.1, 0.03];
 /// Holds of a level in samples, drawn evenly on a logarithmic scale.
 const HOLDS: (f64, f64) = (2.0, 60.0);
 /// Time in s before anything is looked at.
 const SETTLE_S: f64 = 20.0;
 /// Length of a run that shows whether the loops oscillate, in s, and what of its end is looked at.
-const RUN: (f64, f64) = (60.0, 15.0);
-/// Times the scatter of the nominal loops at which it is an oscillation.
-const OSCILLATES: f64 = 4.0;
+const RUN: (f64, f64) = (40.0, 10.0);
+/// The same end in samples, and the length of a kick.
+const END: usize = (RUN.1 / SAMPLE_S) as usize;
+const KICK: usize = 50;
+/// Times the scatter of the nominal loops at which it is an oscillation, whatever a kick does.
+const OSCILLATES: f64 = 10.0;
+/// Share of what a kick does in its first seconds that may be left at the end.
+const LEFT: f64 = 0.3;
 /// Halvings of the interval in which it begins.
 const HALVINGS: usize = 7;
 /// Places of injection, throttle, torque and lambda.
@@ -45,7 +54,7 @@ pub(super) struct Bench {
 
 /// Movements about the set point.
 pub(super) struct Record {
-    /// Throttle and fuel, rows x 2.
+    /// Throttle and fuel, or demands of torque and lambda, rows x 2.
     pub(super) u: Vec<f64>,
     /// Torque, lambda.
     pub(super) y: [Vec<f64>; 2],
@@ -67,7 +76,8 @@ pub(super) struct Driven {
 pub(super) struct Injected {
     pub(super) at: usize,
     pub(super) gain: f64,
-    pub(super) delay_samples: usize,
+    /// Between two samples the error is on the line between them.
+    pub(super) delay_samples: f64,
 }
 
 impl Bench {
@@ -130,17 +140,18 @@ impl Bench {
         ([self.u0[THROTTLE], self.u0[INJ], self.u0[SPARK]], self.y0)
     }
 
-    /// Throttle and fuel moved at random, each on its own.
-    pub(super) fn excite(&self, length_s: f64) -> Result<Record, String> {
+    /// Throttle and fuel moved at random, each on its own; behind a map demands of torque and lambda.
+    pub(super) fn excite(&self, length_s: f64, map: Option<&[f64]>) -> Result<Record, String> {
         let n = (length_s / SAMPLE_S) as usize;
-        let mut rng = Rng64::stream(self.seed, 7);
-        let mut bed = self.settled.clone();
-        let moves = [MOVES[0] * self.u0[THROTTLE], MOVES[1] * self.u0[INJ]];
-        let mut record =
-            Record { u: Vec::with_capacity(2 * n), y: [Vec::with_capacity(n), Vec::with_capacity(n)] };
+        let mut rng = Rng64::stream(self.seed, 7 + u64::from(map.is_some()));
+        let (u0, y0) = self.point();
+        let moves = match map {
+            None => [MOVES[0] * u0[0], MOVES[1] * u0[1]],
+            Some(_) => [DEMANDS[0] * y0[0], DEMANDS[1] * y0[1]],
+        };
+        let mut moved = Vec::with_capacity(2 * n);
         let (mut left, mut level) = ([0usize; 2], [0.0; 2]);
-        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
-        for _ in 0..n {
+        let run = self.drive(n, &mut |_, _| {
             for k in 0..2 {
                 if left[k] == 0 {
                     left[k] = rng.uniform_in(HOLDS.0.ln(), HOLDS.1.ln()).exp() as usize;
@@ -148,55 +159,66 @@ impl Bench {
                 }
                 left[k] -= 1;
             }
-            u[THROTTLE] = self.u0[THROTTLE] + level[0];
-            u[INJ] = self.u0[INJ] + level[1];
-            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
-            record.u.extend(level);
-            record.y[0].push(y[TORQUE] - self.y0[0]);
-            record.y[1].push(y[LAMBDA] - self.y0[1]);
-        }
-        Ok(record)
+            moved.extend(level);
+            let d = match map {
+                None => level,
+                Some(m) => [m[0] * level[0] + m[1] * level[1], m[2] * level[0] + m[3] * level[1]],
+            };
+            [u0[0] + d[0], u0[1] + d[1], u0[2]]
+        })?;
+        let column = |k: usize| run.shown.iter().map(|s| s[k] - y0[k]).collect();
+        Ok(Record { u: moved, y: [column(0), column(1)] })
     }
 
-    /// Scatter (standard deviation) of the output of loop `at` at the end of a run with what is put in. The demand of that loop
-    /// makes one small step at the start, so that an oscillation has something to grow from.
-    fn scatter(&self, map: &[f64], gains: &[PidGains], put: Injected) -> Result<f64, String> {
-        let mut bed = self.settled.clone();
+    /// Output of loop `at` over a run with what is put in. `kicked`: the demand of that loop makes one small step at the start, so
+    /// that an oscillation has something to grow from.
+    fn looped(
+        &self,
+        map: &[f64],
+        gains: &[PidGains],
+        put: Injected,
+        kicked: bool,
+    ) -> Result<Vec<f64>, String> {
         let wide = ActuatorLimits { lower: -1e6, upper: 1e6, rate_per_s: None };
         let mut pids = gains
             .iter()
             .map(|g| Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string()))
             .collect::<Result<Vec<_>, _>>()?;
-        let n = (RUN.0 / SAMPLE_S) as usize;
-        let tail = n - (RUN.1 / SAMPLE_S) as usize;
-        let (mut u, mut y) = (self.u0.clone(), vec![0.0; self.outputs]);
-        bed.outputs(&mut y).map_err(|e| e.to_string())?;
-        let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, put.delay_samples).collect();
-        let mut seen = Vec::with_capacity(n - tail);
+        let (whole, share) = (put.delay_samples.floor() as usize, put.delay_samples.fract());
+        let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, whole + 1).collect();
         let kick = [0.03 * self.y0[0].abs(), 0.02];
-        for t in 0..n {
-            let shown = [y[TORQUE] - self.y0[0], y[LAMBDA] - self.y0[1]];
+        let u0 = self.point().0;
+        let run = self.drive((RUN.0 / SAMPLE_S) as usize, &mut |t, shown| {
             let mut d = [0.0; 2];
             for k in 0..2 {
-                let mut error = -shown[k];
+                let mut error = self.y0[k] - shown[k];
                 if k == put.at {
-                    error += if t < 50 { kick[k] } else { 0.0 };
+                    error += if kicked && t < KICK { kick[k] } else { 0.0 };
                     waiting.push_back(error);
-                    error = put.gain * waiting.pop_front().unwrap_or(0.0);
+                    // Oldest first: the one before the whole delay, and the one at it.
+                    let before = waiting.pop_front().unwrap_or(0.0);
+                    let at = waiting.front().copied().unwrap_or(0.0);
+                    error = put.gain * (at + share * (before - at));
                 }
                 d[k] = pids[k].step(0.0, error);
             }
             // The map takes demands to throttle and fuel; actuators end where they end.
-            u[THROTTLE] = (self.u0[THROTTLE] + map[0] * d[0] + map[1] * d[1]).clamp(1.0, 80.0);
-            let fuel = self.u0[INJ] + map[2] * d[0] + map[3] * d[1];
-            u[INJ] = fuel.clamp(0.3 * self.u0[INJ], 3.0 * self.u0[INJ]);
-            bed.step(&u, SAMPLE_S, &mut y).map_err(|e| e.to_string())?;
-            if t >= tail {
-                seen.push([y[TORQUE], y[LAMBDA]][put.at]);
-            }
+            [u0[0] + map[0] * d[0] + map[1] * d[1], u0[1] + map[2] * d[0] + map[3] * d[1], u0[2]]
+        })?;
+        Ok(run.shown.iter().map(|s| s[put.at]).collect())
+    }
+
+    /// Whether a loop oscillates: of two runs with the same scatter, one with a kick, the difference does not fade; or its output
+    /// scatters so much that it has ended in a cycle, in which two runs may meet again.
+    fn oscillates(&self, map: &[f64], gains: &[PidGains], put: Injected, calm: f64) -> Result<bool, String> {
+        let kicked = self.looped(map, gains, put, true)?;
+        if scatter(&kicked) > OSCILLATES * calm {
+            return Ok(true);
         }
-        let mean = seen.iter().sum::<f64>() / seen.len() as f64;
-        Ok((seen.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / seen.len() as f64).sqrt())
+        let other = self.looped(map, gains, put, false)?;
+        let off: Vec<f64> = kicked.iter().zip(&other).map(|(a, b)| a - b).collect();
+        let size = |part: &[f64]| (part.iter().map(|v| v * v).sum::<f64>() / part.len() as f64).sqrt();
+        Ok(size(&off[off.len() - END..]) > LEFT * size(&off[KICK..5 * KICK]))
     }
 
     /// Gain (factor) or delay (s) in loop `k` at which the engine begins to oscillate; none where it does not up to three times
@@ -213,16 +235,15 @@ impl Bench {
         let put = |amount: f64| Injected {
             at: k,
             gain: if delay { 1.0 } else { amount },
-            delay_samples: if delay { (amount / SAMPLE_S).round() as usize } else { 0 },
+            delay_samples: if delay { amount / SAMPLE_S } else { 0.0 },
         };
         let (least, most) = if delay {
             (0.0, 3.0 * promised.delay_s.unwrap_or(1.0))
         } else {
             (1.0, 3.0 * promised.gain_up.unwrap_or(4.0))
         };
-        let calm = self.scatter(map, gains, put(least))?;
-        let oscillates =
-            |amount: f64| Ok::<bool, String>(self.scatter(map, gains, put(amount))? > OSCILLATES * calm);
+        let calm = scatter(&self.looped(map, gains, put(least), false)?);
+        let oscillates = |amount: f64| self.oscillates(map, gains, put(amount), calm);
         if !oscillates(most)? {
             return Ok(None);
         }
@@ -236,4 +257,11 @@ impl Bench {
         }
         Ok(Some(if delay { 0.5 * (good + bad) } else { (good * bad).sqrt() }))
     }
+}
+
+/// Standard deviation over the end of a run.
+fn scatter(run: &[f64]) -> f64 {
+    let end = &run[run.len() - END..];
+    let mean = end.iter().sum::<f64>() / END as f64;
+    (end.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / END as f64).sqrt()
 }

@@ -218,6 +218,7 @@ impl<'a> Source<'a> {
             gain: 0.02,
             most: 0.01,
             learn: 0.2,
+            memory: 0.0,
         };
         Ok(Self {
             engine: engine.clone(),

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bed::{Bench, Driven, Record, SAMPLE_S};
 use super::estimator::{Estimator, Kind};
+use super::refine::{Round, refined};
 use super::runs::{Feedback, Rig, Steps, apart};
 use super::{OUTPUTS, PUBLISHED};
 
@@ -22,6 +23,8 @@ const DELAYS: [usize; 3] = [5, 15, 30];
 const FILTER_S: f64 = 0.3;
 /// Samples of a period of a multisine, periods that are kept, realisations.
 const SINES: (usize, usize, usize) = (500, 3, 3);
+/// Movement of the demanded torque about the set point that takes it from 10 to 90 Nm, as in the thesis.
+const WIDE_NM: f64 = 40.0;
 /// Coolant, oil and walls at the start of the drift in K, and its length in s.
 const DRIFT: (f64, f64) = (293.15, 3600.0);
 
@@ -37,6 +40,7 @@ pub(super) struct Figures {
     pub(super) lambda: Vec<Steps>,
     pub(super) late: Vec<Late>,
     pub(super) estimate: Estimate,
+    pub(super) refined: Vec<Round>,
 }
 
 /// Lambda with an extra delay.
@@ -53,6 +57,10 @@ pub(super) struct Late {
 pub(super) struct Estimate {
     /// Free run on a record that nothing saw, percent and Nm2: (7.24), observer.
     pub(super) fits: [(f64, f64); 2],
+    /// The same, fitted and run over the range of the thesis, 10 to 90 Nm.
+    pub(super) wide: [(f64, f64); 2],
+    /// Scatter of the torque in both records in Nm.
+    pub(super) moved_nm: [f64; 2],
     pub(super) steps: Vec<Steps>,
     /// Seconds since a cold start, and the distance of the torque from its demand in Nm by (7.24) and by the observer.
     pub(super) drift: Vec<(f64, [f64; 2])>,
@@ -60,7 +68,7 @@ pub(super) struct Estimate {
 
 pub(super) fn draw(
     bench: &Bench,
-    record: &Record,
+    (record, finer): (&Record, &[f64]),
     map: &[f64],
     plant: &System,
     gains: &[PidGains],
@@ -68,9 +76,9 @@ pub(super) fn draw(
     watch: Watch,
 ) -> Result<Figures, String> {
     let rig = Rig { bench, map, plant, gains };
-    let count = if reduced { 4 } else { 16 };
+    let count = if reduced { 4 } else { 8 };
     watch.note(&format!("{engine}: responses"));
-    let response = measured(record, map)?;
+    let response = measured(record, finer)?;
     let distortion_db = (0..2).map(|k| distortion(&rig, k, seed)).collect::<Result<_, _>>()?;
     let y0 = bench.point().1;
     let sizes = [0.2 * y0[0], 0.04];
@@ -96,15 +104,25 @@ pub(super) fn draw(
         delays.iter().map(|d| late(&rig, *d, sizes[1], count, &undelayed)).collect::<Result<_, _>>()?;
     watch.note(&format!("{engine}: torque without a sensor"));
     let estimate = estimate(&rig, engine, seed, sizes[0], count, reduced)?;
+    watch.note(&format!("{engine}: map made again"));
+    let refined = refined(&rig, seed, if reduced { 2 } else { 4 })?;
     let lambda = loops.pop().unwrap_or_default();
-    Ok(Figures { response, distortion_db, torque: loops.pop().unwrap_or_default(), lambda, late, estimate })
+    Ok(Figures {
+        refined,
+        response,
+        distortion_db,
+        torque: loops.pop().unwrap_or_default(),
+        lambda,
+        late,
+        estimate,
+    })
 }
 
-/// From demands of torque and lambda, that is behind the map: d = G(0) u.
+/// From demands of torque and lambda behind the map that is finer by a matrix than that of the record: d = finer^-1 of its demands.
 fn measured(record: &Record, map: &[f64]) -> Result<Response, String> {
     let real = |v: &f64| dynocal_control::matrix::C::new(*v, 0.0);
     let inverse = Matrix { rows: 2, cols: 2, data: map.iter().map(real).collect() };
-    let steady = inverse.inverse().ok_or("the map has no inverse")?;
+    let steady = inverse.inverse().ok_or("what makes the map finer has no inverse")?;
     let column = |k: usize| -> Vec<f64> {
         record.u.chunks(2).map(|u| steady.at(k, 0).re * u[0] + steady.at(k, 1).re * u[1]).collect()
     };
@@ -164,7 +182,7 @@ fn late(rig: &Rig, samples: usize, size: f64, count: usize, undelayed: &Steps) -
 }
 
 /// A record of the closed loop with demands and spark that move at random.
-fn closed_record(rig: &Rig, rows: usize, seed: u64) -> Result<Driven, String> {
+fn closed_record(rig: &Rig, rows: usize, seed: u64, torque_nm: f64) -> Result<Driven, String> {
     use dynocal_control::runtime::{ActuatorLimits, Pid};
     let mut rng = Rng64::stream(seed, 31);
     let y0 = rig.bench.point().1;
@@ -172,7 +190,7 @@ fn closed_record(rig: &Rig, rows: usize, seed: u64) -> Result<Driven, String> {
     let pid = |g: PidGains| Pid::new(g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string());
     let mut loops = [pid(rig.gains[0])?, pid(rig.gains[1])?];
     let (mut left, mut demand) = ([0usize; 3], [0.0; 3]);
-    let reach = [0.4 * y0[0], 0.05, 4.0];
+    let reach = [torque_nm, 0.05, 4.0];
     rig.bench.drive(rows, &mut |_, shown| {
         for k in 0..3 {
             if left[k] == 0 {
@@ -195,7 +213,12 @@ fn estimate(
     reduced: bool,
 ) -> Result<Estimate, String> {
     let rows = if reduced { 3000 } else { 15_000 };
-    let (seen, unseen) = (closed_record(rig, rows, seed)?, closed_record(rig, rows, seed + 1000)?);
+    let narrow_nm = 0.4 * rig.bench.point().1[0];
+    let (seen, unseen) =
+        (closed_record(rig, rows, seed, narrow_nm)?, closed_record(rig, rows, seed + 1000, narrow_nm)?);
+    let (first, second) =
+        (closed_record(rig, rows, seed, WIDE_NM)?, closed_record(rig, rows, seed + 1000, WIDE_NM)?);
+    let over = |kind| Ok::<_, String>(Estimator::fitted(kind, &first)?.fit(&second));
     let (published, observer) =
         (Estimator::fitted(Kind::Published, &seen)?, Estimator::fitted(Kind::Observer, &seen)?);
     let steps = vec![
@@ -204,7 +227,20 @@ fn estimate(
         rig.estimated_steps("observer", size, count, &observer)?,
     ];
     let drift = drift(rig, engine, seed, [&published, &observer], if reduced { 60.0 } else { DRIFT.1 })?;
-    Ok(Estimate { fits: [published.fit(&unseen), observer.fit(&unseen)], steps, drift })
+    Ok(Estimate {
+        fits: [published.fit(&unseen), observer.fit(&unseen)],
+        wide: [over(Kind::Published)?, over(Kind::Observer)?],
+        moved_nm: [moved_nm(&unseen), moved_nm(&second)],
+        steps,
+        drift,
+    })
+}
+
+/// Scatter of the torque over a record in Nm.
+fn moved_nm(record: &Driven) -> f64 {
+    let n = record.shown.len() as f64;
+    let mean = record.shown.iter().map(|s| s[0]).sum::<f64>() / n;
+    (record.shown.iter().map(|s| (s[0] - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
 /// Mean distance from a constant demand over each of twelve parts of the time after a cold start.

@@ -2,12 +2,14 @@
 //!
 //! On three beds, with sensors and scatter: throttle and injected fuel are moved a little about a set point, a linear model of
 //! torque and lambda is estimated from the record, and its steady gains are inverted, which is what a static map is about its
-//! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. About this compensated engine two PI controllers are
-//! tuned by the search of the plane. Their gain and delay margins, each loop with the other closed, are then measured: gain or
+//! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. Behind it the demands are moved, as in the thesis, and the
+//! model of the loops is estimated from that record: torque bends at lambda 1, and fuel that moves without its air sees another slope than
+//! loops that move both. About this compensated engine two PI controllers are tuned by the search of the plane. Their gain and delay margins, each loop with the other closed, are then measured: gain or
 //! delay is put into one loop and grows until the engine oscillates. The published gains are judged on the same models.
 //!
 //! Figures 7.22 to 7.30 are drawn on the same beds (`figures`): responses, steps under the loops, torque held by an estimate
-//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller.
+//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller, `refine` makes the map again from data of the closed loop until
+//! feedback has nothing left to do.
 
 mod bed;
 mod cycles;
@@ -16,6 +18,7 @@ mod figures;
 mod judge;
 mod page;
 mod page_figures;
+mod refine;
 mod runs;
 mod worth;
 
@@ -31,6 +34,7 @@ use dynocal_control::system::{System, Transfer};
 use dynocal_control::tune::{Asked as Margin, choose, lag, step_run};
 use dynocal_ident::stored::{Quantity, StoredModel};
 use dynocal_numerics::registry::MemberDoc;
+use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -55,10 +59,11 @@ pub(super) const STUDY: Study = Study {
 /// Beds, and seeds of their scatter.
 const ENGINES: [&str; 3] = ["pfi_1_6l", "gtdi_2l", "other_1_8l"];
 /// Length of the record that identifies, in s.
-const RECORD_S: f64 = 120.0;
+const RECORD_S: f64 = 240.0;
 /// Names of inputs and outputs.
 const INPUTS: [&str; 2] = ["throttle", "inj"];
 const OUTPUTS: [&str; 2] = ["torque", "lambda"];
+const DEMANDED: [&str; 2] = ["torque_demand", "lambda_demand"];
 /// The published gains: equation, kp and ki of torque, kp and ki of lambda.
 const PUBLISHED: [(&str, [f64; 4]); 2] =
     [("(7.23)", [0.33, 2.64, 3.59, 19.34]), ("(7.33)", [0.33, 2.64, 0.5, 2.0])];
@@ -108,7 +113,7 @@ fn tasks(o: &Options) -> Vec<Task> {
     let mut all = worth_tasks(o);
     let beds = engines.iter().map(|engine| Task {
         name: (*engine).into(),
-        inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS]),
+        inputs: json!([engine, seed, reduced, RECORD_S, SAMPLE_S, ORDERS, bed::METHOD]),
         run: Box::new(move |around: &Surroundings| {
             let mut case = Case {
                 engine: (*engine).into(),
@@ -201,38 +206,35 @@ fn worths(results: &[TaskResult]) -> Vec<WorthCase> {
 fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Result<(), String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let watch = around.watch;
-    watch.note(&format!("{}: record", case.engine));
+    watch.note(&format!("{}: records", case.engine));
     let bench = Bench::new(&case.engine, seed, None)?;
-    let record = bench.excite(if reduced { 60.0 } else { RECORD_S })?;
-    let mut models = Vec::new();
-    for (o, output) in OUTPUTS.iter().enumerate() {
-        let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
-        let column = |k: usize| record.u.iter().skip(k).step_by(2).copied().collect::<Vec<f64>>();
-        let inputs: Vec<_> = INPUTS.iter().enumerate().map(|(k, n)| (quantity(n), column(k))).collect();
-        let stop = || watch.interrupted();
-        let one = identify(&inputs, (quantity(output), &record.y[o]), SAMPLE_S, &ORDERS, &stop)
-            .map_err(|e| text(&e))?;
-        case.orders.push(one.orders);
-        case.fits.push(one.selection_r2);
-        models.push(one.model);
-    }
-    let all: Vec<&StoredModel> = models.iter().collect();
-    let names: Vec<String> = INPUTS.iter().map(|n| n.to_string()).collect();
-    let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
-    let found = about(&all, &names, &point).map_err(|e| text(&e))?;
-    let at_rest = found.system.at(0.0);
+    let length_s = if reduced { 60.0 } else { RECORD_S };
+    // A first test tells the steady gains; the second moves behind their inverse, which is where the loops work.
+    let (first, ..) = identified(&bench.excite(length_s, None)?, INPUTS, watch)?;
+    let at_rest = first.at(0.0);
     case.steady = at_rest.data.iter().map(|v| v.re).collect();
-    case.relative_gain = relative_gains(&found.system, 0.0).map_err(|e| text(&e))?[0];
-    let map = inverse(&at_rest)?;
+    case.relative_gain = relative_gains(&first, 0.0).map_err(|e| text(&e))?[0];
+    let rough = inverse(&at_rest)?;
+    let record = bench.excite(length_s, Some(&rough))?;
+    let (behind, orders, fits) = identified(&record, DEMANDED, watch)?;
+    (case.orders, case.fits) = (orders, fits);
+    let finer = inverse(&behind.at(0.0))?;
+    let map = product(&rough, &finer);
     // The controller answers a record's row in the next one.
     let later = Transfer::sampled(&[0.0, 1.0], &[1.0]);
-    let plant =
-        found.system.mixed(&map).and_then(|s| s.after(&[later.clone(), later])).map_err(|e| text(&e))?;
+    let plant = behind.mixed(&finer).and_then(|s| s.after(&[later.clone(), later])).map_err(|e| text(&e))?;
     let gains = tuned(&plant)?;
     let closed = closed(&plant, &gains)?;
     case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&plant, name, g)).collect();
-    case.figures =
-        Some(figures::draw(&bench, &record, &map, &plant, &gains, (&case.engine, seed, reduced), watch)?);
+    case.figures = Some(figures::draw(
+        &bench,
+        (&record, &finer),
+        &map,
+        &plant,
+        &gains,
+        (&case.engine, seed, reduced),
+        watch,
+    )?);
     for (k, g) in gains.iter().enumerate() {
         watch.note(&format!("{}: margins of the loop of {}", case.engine, OUTPUTS[k]));
         let promised = margins(&closed, Side::Outputs, k).map_err(|e| text(&e))?;
@@ -246,6 +248,34 @@ fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Res
         });
     }
     Ok(())
+}
+
+type Identified = (System, Vec<(usize, usize)>, Vec<f64>);
+
+/// Linear model of both outputs from a record, with orders and fits.
+fn identified(record: &bed::Record, inputs: [&str; 2], watch: Watch) -> Result<Identified, String> {
+    let (mut models, mut orders, mut fits) = (Vec::new(), Vec::new(), Vec::new());
+    for (o, output) in OUTPUTS.iter().enumerate() {
+        let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
+        let column = |k: usize| record.u.iter().skip(k).step_by(2).copied().collect::<Vec<f64>>();
+        let columns: Vec<_> = inputs.iter().enumerate().map(|(k, n)| (quantity(n), column(k))).collect();
+        let stop = || watch.interrupted();
+        let one = identify(&columns, (quantity(output), &record.y[o]), SAMPLE_S, &ORDERS, &stop)
+            .map_err(|e| e.to_string())?;
+        orders.push(one.orders);
+        fits.push(one.selection_r2);
+        models.push(one.model);
+    }
+    let all: Vec<&StoredModel> = models.iter().collect();
+    let names: Vec<String> = inputs.iter().map(|n| n.to_string()).collect();
+    let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
+    let found = about(&all, &names, &point).map_err(|e| e.to_string())?;
+    Ok((found.system, orders, fits))
+}
+
+/// Product of two matrices of two rows.
+fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
+    (0..4).map(|k| a[k / 2 * 2] * b[k % 2] + a[k / 2 * 2 + 1] * b[2 + k % 2]).collect()
 }
 
 fn inverse(g: &Matrix) -> Result<Vec<f64>, String> {

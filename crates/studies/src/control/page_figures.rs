@@ -24,7 +24,8 @@ pub(super) fn section(engine: &str, f: &Figures) -> Section {
         .block(table(&f.torque.iter().chain(&f.lambda).collect::<Vec<_>>(), &[]));
     section = section
         .block(steps("Figure 7.26: torque held by an estimate of it", &f.estimate.steps))
-        .block(estimates(f));
+        .block(estimates(f))
+        .block(refined(f));
     for l in &f.late {
         let mut shown = l.steps.clone();
         // The undelayed loop first, for comparison.
@@ -111,6 +112,8 @@ fn estimates(f: &Figures) -> Table {
         Column::text("What holds torque"),
         Column::number("Free run, unseen", "%").digits(4),
         Column::number("mean squared error", "Nm2").digits(4),
+        Column::number("over 10 to 90 Nm", "%").digits(4),
+        Column::number("mean squared error", "Nm2").digits(4),
         Column::number("Left at the end of steps", "Nm").digits(3),
         Column::number("after a cold start, first part", "Nm").digits(3),
         Column::number("last part", "Nm").digits(3),
@@ -123,9 +126,32 @@ fn estimates(f: &Figures) -> Table {
             Cell::from(s.name.as_str()),
             Cell::from(own.map(|o| e.fits[o].0)),
             Cell::from(own.map(|o| e.fits[o].1)),
+            Cell::from(own.map(|o| e.wide[o].0)),
+            Cell::from(own.map(|o| e.wide[o].1)),
             s.offset.into(),
             drift(e.drift.first()),
             drift(e.drift.last()),
+        ])
+    })
+}
+
+/// (7.34): round by round.
+fn refined(f: &Figures) -> Table {
+    let head = vec![
+        Column::text("Map"),
+        Column::number("Feedback adds to torque", "Nm").digits(3),
+        Column::number("to lambda", "").digits(3),
+        Column::number("Map alone: torque off", "%").digits(3),
+        Column::number("lambda off", "%").digits(3),
+    ];
+    f.refined.iter().enumerate().fold(Table::new(head), |t, (k, r)| {
+        let name = if k == 0 { "inverted steady gains".to_string() } else { format!("made again, {k}") };
+        t.row(vec![
+            Cell::from(name.as_str()),
+            r.added[0].into(),
+            r.added[1].into(),
+            r.off_pct[0].into(),
+            r.off_pct[1].into(),
         ])
     })
 }

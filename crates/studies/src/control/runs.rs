@@ -1,4 +1,7 @@
 //! Steps of a demand on the engine under different loops, averaged over repetitions.
+//!
+//! Each run is driven twice with the same scatter of engine and sensors, with the steps and without: the difference is what the steps did.
+//! What is left at the end of a step is taken from the run with the steps alone: there a wrong level counts.
 
 use std::collections::VecDeque;
 
@@ -104,15 +107,29 @@ impl Rig<'_> {
         feedback: &Feedback,
         delay: usize,
     ) -> Result<Steps, String> {
+        let demand = |t: usize| if t / HOLD % 2 == 1 { size } else { 0.0 };
+        let rows = (count + 1) * HOLD;
+        let run = self.held(k, feedback, delay, rows, &demand)?;
+        let still = self.held(k, feedback, delay, rows, &|_| 0.0)?;
+        Ok(mean_of(name, [&run, &still], (k, delay), (self.bench.point().1[k], size), count, &demand))
+    }
+
+    /// A run of output `k` under `feedback`.
+    fn held(
+        &self,
+        k: usize,
+        feedback: &Feedback,
+        delay: usize,
+        rows: usize,
+        demand: &dyn Fn(usize) -> f64,
+    ) -> Result<Driven, String> {
         let y0 = self.bench.point().1;
         let mut own = self.running(feedback, k, delay)?;
         let beside =
             if matches!(feedback, Feedback::Map) { Feedback::Map } else { Feedback::Pi(self.gains[1 - k]) };
         let mut other = self.running(&beside, 1 - k, 0)?;
         let mut line: VecDeque<f64> = std::iter::repeat_n(0.0, delay).collect();
-        // The first hold stays at rest.
-        let demand = |t: usize| if t / HOLD % 2 == 1 { size } else { 0.0 };
-        let run = self.bench.drive((count + 1) * HOLD, &mut |t, shown| {
+        self.bench.drive(rows, &mut |t, shown| {
             let shown = [shown[0] - y0[0], shown[1] - y0[1]];
             line.push_back(shown[k]);
             let late = line.pop_front().unwrap_or(0.0);
@@ -120,8 +137,7 @@ impl Rig<'_> {
             d[k] = own.step(demand(t), late);
             d[1 - k] = other.step(0.0, shown[1 - k]);
             self.actuators(d, 0.0)
-        })?;
-        Ok(mean_of(name, &run, k, delay, y0[k], size, count, &demand))
+        })
     }
 
     /// Torque held by an estimate of it, its steps as in [`Rig::steps`].
@@ -134,7 +150,8 @@ impl Rig<'_> {
     ) -> Result<Steps, String> {
         let demand = |t: usize| if t / HOLD % 2 == 1 { size } else { 0.0 };
         let run = self.estimated((count + 1) * HOLD, estimator, &demand)?;
-        Ok(mean_of(name, &run, 0, 0, self.bench.point().1[0], size, count, &demand))
+        let still = self.estimated((count + 1) * HOLD, estimator, &|_| 0.0)?;
+        Ok(mean_of(name, [&run, &still], (0, 0), (self.bench.point().1[0], size), count, &demand))
     }
 
     /// A run under an estimate of the torque.
@@ -167,23 +184,24 @@ impl Rig<'_> {
     }
 }
 
-/// Mean over the steps of what is shown `delay` samples late, torque without its sensor.
+/// Mean over the steps of what is shown `delay` samples late, torque without its sensor: of the run with the steps less the one
+/// without them.
 fn mean_of(
     name: &str,
-    run: &Driven,
-    k: usize,
-    delay: usize,
-    y0: f64,
-    size: f64,
+    [run, still]: [&Driven; 2],
+    (k, delay): (usize, usize),
+    (y0, size): (f64, f64),
     count: usize,
     demand: &dyn Fn(usize) -> f64,
 ) -> Steps {
-    let value = |t: usize| if k == 0 { run.torque_nm[t - delay] } else { run.shown[t - delay][k] } - y0;
-    let mut response = vec![0.0; HOLD];
+    let value = |d: &Driven, t: usize| if k == 0 { d.torque_nm[t - delay] } else { d.shown[t - delay][k] };
+    let (mut response, mut level) = (vec![0.0; HOLD], vec![0.0; HOLD]);
     for s in 1..=count {
         let (from, to) = (demand(s * HOLD - 1), demand(s * HOLD));
-        for (j, r) in response.iter_mut().enumerate() {
-            *r += (value(s * HOLD + j) - from) / (to - from) / count as f64;
+        for (j, (r, l)) in response.iter_mut().zip(&mut level).enumerate() {
+            let (t, share) = (s * HOLD + j, count as f64 * (to - from));
+            *r += (value(run, t) - value(still, t) - from) / share;
+            *l += (value(run, t) - y0 - from) / share;
         }
     }
     let smooth: Vec<f64> = response.windows(SMOOTH).map(|w| w.iter().sum::<f64>() / SMOOTH as f64).collect();
@@ -194,7 +212,7 @@ fn mean_of(
         None => Some(0.0),
     };
     let tail = 50;
-    let end = response[HOLD - tail..].iter().sum::<f64>() / tail as f64;
+    let end = level[HOLD - tail..].iter().sum::<f64>() / tail as f64;
     let overshoot = smooth.iter().copied().fold(0.0, f64::max) - 1.0;
     Steps { name: name.into(), response, settling_s, overshoot, offset: (end - 1.0).abs() * size }
 }

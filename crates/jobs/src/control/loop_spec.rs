@@ -1,0 +1,133 @@
+//! Loops of a spec: what each holds, by what, and within which limits.
+
+use dynocal_control::runtime::ActuatorLimits;
+use dynocal_files::spec::Faults;
+use serde::{Deserialize, Serialize};
+
+/// Most loops.
+const MOST: usize = 4;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TypedLoop {
+    output: Option<String>,
+    input: Option<String>,
+    #[serde(default)]
+    extra_delay_s: f64,
+    #[serde(default)]
+    predictor: bool,
+    #[serde(default)]
+    filter_s: f64,
+    lower: Option<f64>,
+    upper: Option<f64>,
+    rate_per_s: Option<f64>,
+    #[serde(default)]
+    start: f64,
+    step: Option<f64>,
+    kp: Option<f64>,
+    ki: Option<f64>,
+}
+
+/// One loop.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LoopSpec {
+    /// What it holds.
+    pub output: String,
+    /// By what.
+    pub input: String,
+    /// Delay in s beyond that of the plant (sampled: whole samples).
+    pub extra_delay_s: f64,
+    /// Whether a Smith predictor stands about that delay.
+    pub predictor: bool,
+    /// Time constant in s of the filter of its prediction error.
+    pub filter_s: f64,
+    /// Limits of the actuator in the file of the controller.
+    pub limits: ActuatorLimits,
+    /// Actuator before the first step.
+    pub start: f64,
+    /// How far its input is moved either way in a test that the job makes.
+    pub step: Option<f64>,
+    /// Gains to be judged as they are, `(kp, ki)`; none: the search finds them.
+    pub gains: Option<(f64, f64)>,
+}
+
+/// Whether a loop has gains.
+pub(super) fn gains_given(l: &TypedLoop) -> bool {
+    l.kp.is_some() || l.ki.is_some()
+}
+
+/// Whether a loop has a predictor.
+pub(super) fn predicts(l: &TypedLoop) -> bool {
+    l.predictor
+}
+
+/// Checks the tables `[[loops]]`.
+pub(super) fn loops(typed: &[TypedLoop], faults: &mut Faults) -> Vec<LoopSpec> {
+    if typed.is_empty() || typed.len() > MOST {
+        let expected = format!("1 to {} tables [[loops]] with `output` and `input`", MOST);
+        faults.push("loops", format!("{} loops", typed.len()), expected);
+    }
+    let mut out: Vec<LoopSpec> = Vec::new();
+    for (k, l) in typed.iter().enumerate() {
+        let key = |part: &str| format!("loops[{}].{part}", k + 1);
+        let output = faults.required(&key("output"), &l.output, "the channel that the loop holds");
+        let input = faults.required(&key("input"), &l.input, "the channel by which it holds it");
+        if !(l.extra_delay_s >= 0.0 && l.extra_delay_s.is_finite()) {
+            faults.push(&key("extra_delay_s"), l.extra_delay_s, "0 or a positive number, s");
+        }
+        let gains = match (l.kp, l.ki) {
+            (None, None) => None,
+            (kp, Some(ki)) if ki.is_finite() && ki != 0.0 && kp.unwrap_or(0.0).is_finite() => {
+                Some((kp.unwrap_or(0.0), ki))
+            }
+            (_, found) => {
+                let found = found.map_or("nothing".into(), |v| v.to_string());
+                faults.push(
+                    &key("ki"),
+                    found,
+                    "a number other than 0 beside `kp` (or neither: the search finds them)",
+                );
+                None
+            }
+        };
+        let (Some(output), Some(input)) = (output, input) else { continue };
+        if out.iter().any(|o| o.output == output || o.input == input) {
+            faults.push(
+                &key("output"),
+                format!("`{output}` by `{input}`"),
+                "outputs and inputs that no other loop has",
+            );
+        }
+        if let Some(step) = l.step {
+            faults.positive(&key("step"), step, "in the unit of the input");
+        }
+        let limits = limits(l, k, faults);
+        let (extra_delay_s, predictor, filter_s, start) = (l.extra_delay_s, l.predictor, l.filter_s, l.start);
+        let step = l.step;
+        out.push(LoopSpec { output, input, extra_delay_s, predictor, filter_s, limits, start, step, gains });
+    }
+    out
+}
+
+/// Limits of an actuator; a predictor needs something to predict.
+fn limits(l: &TypedLoop, k: usize, faults: &mut Faults) -> ActuatorLimits {
+    let key = |part: &str| format!("loops[{}].{part}", k + 1);
+    // What is not limited may take any value that a 32-bit ECU can hold.
+    let wide = 1e9;
+    let (lower, upper) = (l.lower.unwrap_or(-wide), l.upper.unwrap_or(wide));
+    if !(lower < upper && lower.is_finite() && upper.is_finite()) {
+        faults.push(&key("upper"), format!("{lower} to {upper}"), "a range: `lower` below `upper`");
+    } else if !(l.start >= lower && l.start <= upper) {
+        faults.push(&key("start"), l.start, format!("a value between {lower} and {upper}"));
+    }
+    if let Some(rate) = l.rate_per_s {
+        faults.positive(&key("rate_per_s"), rate, "per s");
+    }
+    if l.predictor && !(l.extra_delay_s > 0.0) {
+        faults.push(&key("predictor"), "a predictor without `extra_delay_s`", "a delay that it predicts");
+    }
+    if !(l.filter_s >= 0.0 && l.filter_s.is_finite()) || (l.filter_s > 0.0 && !l.predictor) {
+        faults.push(&key("filter_s"), l.filter_s, "0, or with `predictor` a positive number, s");
+    }
+    ActuatorLimits { lower, upper, rate_per_s: l.rate_per_s }
+}
