@@ -228,18 +228,19 @@ class GaussianProcess(Estimator):
         kernel: str = "auto",
         mean: str = "linear",
         noise: str = "constant",
+        transform: str = "none",
         starts: int = 4,
         input_lags: int = 0,
         output_lags: int = 0,
         prepare: Iterable[Mapping[str, Any]] | None = None,
         seed: int | None = None,
     ) -> None:
-        self.kernel, self.mean, self.noise, self.starts = kernel, mean, noise, starts
+        self.kernel, self.mean, self.noise, self.transform, self.starts = kernel, mean, noise, transform, starts
         self.input_lags, self.output_lags, self.prepare, self.seed = input_lags, output_lags, prepare, seed
         self.select, self.estimator = None, "learn"
 
     def _structure(self) -> tuple[str, dict[str, Any]]:
-        names = ("kernel", "mean", "noise", "starts", "input_lags", "output_lags")
+        names = ("kernel", "mean", "noise", "transform", "starts", "input_lags", "output_lags")
         return "gaussian_process", {n: getattr(self, n) for n in names}
 
 
