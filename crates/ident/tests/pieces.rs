@@ -56,10 +56,7 @@ fn parts_and_what_is_around_are_known_by_their_share() {
     let around = known(&quarter).share(&whole, &names(), false).unwrap();
     assert!((around - 0.25).abs() < 0.1, "{around}");
     // Of a model of the whole a tenth is all known; so is nothing of the rest by a model of the quarter.
-    assert_eq!(
-        known(&whole).share(&whole.part(7000, 9000, "tenth".into()), &names(), false).unwrap(),
-        1.0
-    );
+    assert_eq!(known(&whole).share(&whole.part(7000, 9000, "tenth".into()), &names(), false).unwrap(), 1.0);
     assert!(!known(&quarter).know(&whole.part(5000, 20_000, "rest".into()), &names(), false));
     assert!(!known(&whole).know(&record(20_000, 4), &names(), false));
 }

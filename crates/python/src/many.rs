@@ -68,8 +68,7 @@ impl Tasks {
             What::File(path, seeds) => many::read(path, &replaced(seeds))?,
             What::Text { name, text, seeds } => many::parse(name, text, &replaced(seeds)).map_err(|e| {
                 let called = PathBuf::from(name).file_stem().map(|s| s.to_string_lossy().into_owned());
-                Refusal::from(e)
-                    .instead(name, &format!("the spec `{}`", called.unwrap_or_default()))
+                Refusal::from(e).instead(name, &format!("the spec `{}`", called.unwrap_or_default()))
             })?,
         };
         let batch = many::of_job(&study, watch)?;

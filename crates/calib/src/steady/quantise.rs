@@ -19,7 +19,7 @@ pub fn quantise(setting: &Setting, o: &CellOptimum, steps: &[Option<f64>]) -> Ce
 }
 
 /// The multiple n of a step in as many decimals as the step has: 7 times 0.1 is 0.7, not 0.7000000000000001.
-fn multiple(n: f64, step: f64) -> f64 {
+pub fn multiple(n: f64, step: f64) -> f64 {
     let decimals = format!("{step}").split_once('.').map_or(0, |(_, after)| after.len());
     let exact = n * step;
     let short: f64 = format!("{exact:.decimals$}").parse().unwrap_or(exact);

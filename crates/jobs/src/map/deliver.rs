@@ -4,7 +4,7 @@ use dynocal_calib::steady::breakpoints::{Tables, places};
 use dynocal_calib::steady::cell::CellOptimum;
 use dynocal_calib::steady::front::Front;
 use dynocal_calib::steady::grid::{self, Cell, CellState, corners, interpolate};
-use dynocal_calib::steady::quantise::quantise;
+use dynocal_calib::steady::quantise::{multiple, quantise};
 use dynocal_numerics::status::Status;
 
 use super::front::Maps;
@@ -81,7 +81,7 @@ impl Maps<'_> {
         for c in cells.iter_mut().filter(|c| c.state == CellState::Filled) {
             for (i, step) in steps.iter().enumerate() {
                 let x = &mut c.optimum.x[self.layout.axes + i];
-                *x = step.map_or(*x, |s| (*x / s).round() * s).clamp(free[i].lower, free[i].upper);
+                *x = step.map_or(*x, |s| multiple((*x / s).round(), s)).clamp(free[i].lower, free[i].upper);
             }
         }
         lost

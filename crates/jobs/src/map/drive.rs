@@ -172,7 +172,10 @@ fn drive(
         x: (0..y.len()).flat_map(row).collect(),
         y: y.iter().map(|v| of(relative, *v)).collect(),
     };
-    let kinds = kinds(&spec.models)?;
+    // What is learnt is a logarithm already where the input is positive.
+    let mut models = spec.models.clone();
+    models.candidates.retain(|c| !relative || c.get("transform").is_none());
+    let kinds = kinds(if models.candidates.is_empty() { &spec.models } else { &models })?;
     let Chosen { learnt, rmse, widen, words } =
         choose(&kinds, Errors::Absolute, &points, spec.models.folds, true, watch.interrupt)
             .map_err(|source| MapError::Learn { response: input.into(), source })?;
