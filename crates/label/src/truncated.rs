@@ -34,7 +34,8 @@ pub fn fit(label: &Label, rows: &Rows, cut: &[f64], by: Cut) -> Result<Vec<f64>,
     let middle: Vec<f64> = cut.iter().map(|c| c + 0.5 * by.step).collect();
     let plain = Label { step: None, ..label.clone() };
     let problem = Problem::new(std::slice::from_ref(&plain), rows, &middle);
-    let start = least_squares(&problem, &Options { smooth: Some(0.0), ..Options::default() })?;
+    let open = Options { smooth: Some(0.0), least_visits: 0.0, ..Options::default() };
+    let start = least_squares(&problem, &open)?;
     let mut number = vec![None; label.len()];
     let seen: Vec<usize> = (0..label.len()).filter(|k| start.visits[*k] > 0.0 && !label.locked[*k]).collect();
     seen.iter().enumerate().for_each(|(f, k)| number[*k] = Some(f));

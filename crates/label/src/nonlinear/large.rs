@@ -226,10 +226,6 @@ impl<'a> Search<'a> {
             if tried == 0 {
                 promised = dot(&g, &p);
             }
-            eprintln!(
-                "DBG step {} try {tried} cost {:.6e} mu {:.1e} small {small} promised {promised:.3e}",
-                self.steps, *cost, *mu
-            );
             let new = evaluate(self.graph, &next, self.targets, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
             if let Some((c, found)) = better {

@@ -13,7 +13,7 @@ use dynocal_jobs::label::{self, Job, channels, function};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::watch::Watch;
-use dynocal_report::{Column, Report, Section, Table};
+use dynocal_report::{Cell, Column, Report, Section, Table};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -435,10 +435,8 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
         Column::number("Nearest cell", "%").digits(3),
         Column::number("Fitted", "%").digits(3),
         Column::number("Unseen samples", ""),
-        Column::number("Delay", "s").digits(3),
-        Column::number("Delay with the flow", "s").digits(3),
-        Column::number("Lag", "s").digits(3),
-        Column::text("Cells determined, pulled, untouched"),
+        Column::text("Delay, with the flow, lag, s"),
+        Column::text("Determined, pulled, untouched"),
     ];
     let mut table = Table::new(head);
     for (name, ..) in DRIVES {
@@ -450,9 +448,7 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
             (100.0 * d.nearest).into(),
             (100.0 * d.after).into(),
             d.samples.into(),
-            d.sensor_s[0].into(),
-            d.sensor_s[1].into(),
-            d.sensor_s[2].into(),
+            d.sensor_s.map(|s| format!("{s:.2}")).join(", ").into(),
             format!("{}, {}, {}", d.determined, d.pulled, d.untouched).into(),
         ]);
     }
@@ -476,7 +472,7 @@ fn film_section(f: &film::Film) -> Section {
         Column::number("Found", "").digits(4),
         Column::number("Engine", "").digits(4),
     ])
-    .row(vec!["share".into(), f64::NAN.into(), f.share.into(), f.true_share.into()]);
+    .row(vec!["share".into(), Cell::from(None::<f64>), f.share.into(), f.true_share.into()]);
     for (k, name) in ["time constant, s, warm drive", "time constant, s, cold drive"].iter().enumerate() {
         table =
             table.row(vec![(*name).into(), f.coolant_k[k].into(), f.tau_s[k].into(), f.true_tau_s[k].into()]);

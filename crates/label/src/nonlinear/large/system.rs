@@ -299,7 +299,6 @@ impl<'a> System<'a> {
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
             rz = next;
         }
-        eprintln!("DBG cg rz {:.3e} goal {:.3e}", rz, goal);
         Ok(x)
     }
 
