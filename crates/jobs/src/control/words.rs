@@ -48,10 +48,8 @@ fn head(found: &Controlled, together: bool) -> String {
         format!("The gains keep the margins that are asked {points}{draws}.")
     } else if !together {
         let stable = found.together.iter().all(|t| t.violation.is_some());
-        let what = if stable { "keep what is asked" } else { "are stable" };
-        format!("The gains must not be used: they do not {what} {points}{draws}. {}", worst(found))
-            .trim_end()
-            .into()
+        let what = if stable { "do not keep what is asked" } else { "are not stable" };
+        format!("The gains must not be used: they {what} {points}{draws}. {}", worst(found)).trim_end().into()
     } else if !found.checks.iter().all(|c| c.holds) {
         "The gains must not be used: a run contradicts a margin.".into()
     } else {
