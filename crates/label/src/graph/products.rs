@@ -172,28 +172,33 @@ impl<'a> Products<'a> {
         }
     }
 
-    /// Places of a map over a piece: cells in a row of it, its first cell, and interval and share along both axes.
+    /// Places in a map over a piece: the lowest of the four cells, and the shares along both axes; none for what is no map.
     fn plane(
         &self,
         k: usize,
         l: usize,
         piece: Range<usize>,
-    ) -> Option<(usize, usize, impl Iterator<Item = (usize, f64, usize, f64)> + '_)> {
+    ) -> Option<impl Iterator<Item = (usize, f64, f64)> + '_> {
         let [x, y] = self.look[k][..] else { return None };
+        let (n, first) = (self.row(l), self.first[l]);
         let along = move |look: usize| {
             let look = &self.looks[look];
             let whole = look.below[piece.clone()].iter().map(|i| usize::from(*i));
             whole.zip(look.share[piece.clone()].iter().copied())
         };
-        let at = along(x).zip(along(y)).map(|((i, s), (j, r))| (i, s, j, r));
-        Some((self.graph.labels[l].axes[0].points.len(), self.first[l], at))
+        Some(along(x).zip(along(y)).map(move |((i, s), (j, r))| (first + j * n + i, s, r)))
+    }
+
+    /// Cells of label `l` along its first axis.
+    fn row(&self, l: usize) -> usize {
+        self.graph.labels[l].axes.first().map_or(1, |a| a.points.len())
     }
 
     /// Adds what reaches label node `k` over a piece to its cells.
     fn to_cells(&self, k: usize, l: usize, piece: Range<usize>, own: &[f64], cells: &mut [f64]) {
+        let n = self.row(l);
         match self.plane(k, l, piece.clone()) {
-            Some((n, first, at)) => own.iter().zip(at).for_each(|(g, (i, s, j, r))| {
-                let c = first + j * n + i;
+            Some(at) => own.iter().zip(at).for_each(|(g, (c, s, r))| {
                 let (low, high) = (g * (1.0 - r), g * r);
                 cells[c] += low * (1.0 - s);
                 cells[c + 1] += low * s;
@@ -328,9 +333,9 @@ impl<'a> Products<'a> {
         let op = &self.graph.nodes[k].op;
         let from = piece.start;
         if let Op::Label(l, _) = op {
+            let n = self.row(*l);
             match self.plane(k, *l, piece.clone()) {
-                Some((n, first, at)) => own.iter_mut().zip(at).for_each(|(own, (i, s, j, r))| {
-                    let c = first + j * n + i;
+                Some(at) => own.iter_mut().zip(at).for_each(|(own, (c, s, r))| {
                     let (low, high) =
                         (v[c] + s * (v[c + 1] - v[c]), v[c + n] + s * (v[c + n + 1] - v[c + n]));
                     *own = low + r * (high - low);

@@ -32,8 +32,9 @@ const SAMPLE_S: f64 = 0.05;
 const LENGTH_S: f64 = 240.0;
 const SPARK_DEG: f64 = 20.0;
 const CYLINDERS: f64 = 4.0;
-/// Labels of the pulse width, and the flow of an injector in mg/ms.
-const REQUIRED_MS: f64 = 10.0;
+/// Labels of the pulse width, and the flow of an injector in mg/ms. With a required time of 10 ms every second pulse would end on half a
+/// microsecond, and rounding would always go up.
+const REQUIRED_MS: f64 = 9.7;
 const FACTOR: f64 = 0.5;
 const BATTERY_V: [f64; 3] = [12.0, 13.0, 14.6];
 const DEAD_MS: [f64; 3] = [1.06, 1.03, 1.0];

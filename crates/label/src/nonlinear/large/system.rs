@@ -18,8 +18,8 @@ const MOST_SCALARS: usize = 16;
 const MOST_STEPS: usize = 100;
 /// Cells of a label up to which its own equations are factorised.
 const MOST_FACTORISED: usize = 1024;
-/// Part of the diagonal that the shape of a label's equations has at least: a cell may have been missed by its samples.
-const LEAST_SHAPE: f64 = 0.1;
+/// Part of the diagonal that the shape of a label's equations gets more: cells that few samples reached may have none of their own.
+const MORE_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
 const TIE: f64 = 1e-12;
 
@@ -155,8 +155,7 @@ impl<'a> System<'a> {
             let factor = if trace > 0.0 { size / trace } else { 0.0 };
             shape.iter_mut().for_each(|v| *v *= factor);
             for k in 0..if shape.is_empty() { 0 } else { n } {
-                let least = LEAST_SHAPE * self.diagonal[span.start + k];
-                shape[k * n + k] = shape[k * n + k].max(least);
+                shape[k * n + k] += MORE_SHAPE * self.diagonal[span.start + k];
             }
         }
         out
