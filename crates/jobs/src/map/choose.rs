@@ -6,27 +6,19 @@
 use dynocal_ident::model::response::score::{FoldKind, folds};
 use dynocal_ident::model::response::{Ask, Learn, Learnt, Points, Prediction, Response, ResponseError};
 
-/// What an error counts by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Errors {
-    /// Itself.
-    Absolute,
-    /// Its share of what was measured: what is minimised differs by few percent between settings, and by multiples over the map.
-    Relative,
+use super::spec::Errors;
+
+/// An error in words.
+fn shown(by: Errors, error: f64) -> String {
+    match by {
+        Errors::Absolute => format!("{error:.4}"),
+        Errors::Relative => format!("{:.2} %", 100.0 * error),
+    }
 }
 
-impl Errors {
-    /// Relative for outputs that are positive everywhere.
-    pub(super) fn relative_to(y: &[f64]) -> Self {
-        if y.iter().all(|y| *y > 0.0) { Self::Relative } else { Self::Absolute }
-    }
-
-    fn words(self, error: f64) -> String {
-        match self {
-            Self::Absolute => format!("{error:.4}"),
-            Self::Relative => format!("{:.2} %", 100.0 * error),
-        }
-    }
+/// Relative errors where they are asked and the output is positive everywhere.
+pub(super) fn errors_of(asked: Errors, y: &[f64]) -> Errors {
+    if y.iter().all(|y| *y > 0.0) { asked } else { Errors::Absolute }
 }
 
 /// Kinds of response models with their names.
@@ -73,7 +65,7 @@ pub(super) fn choose(
         rmse = (squares / points.len() as f64).sqrt();
     }
     let each: Vec<String> =
-        errors.iter().enumerate().map(|(k, e)| format!("{} {}", name(k), by.words(*e))).collect();
+        errors.iter().enumerate().map(|(k, e)| format!("{} {}", name(k), shown(by, *e))).collect();
     let tested = if nested {
         format!(
             " The whole choice, tested on points that had no part in it, has an error of {rmse:.4}; {same} of {count} such tests chose the same."
@@ -226,7 +218,8 @@ mod tests {
         let kinds: Kinds = [("log", log), ("cubic", cubic)]
             .map(|(name, keys)| (name.to_string(), learner("stepwise_polynomial", &keys).unwrap()))
             .into();
-        assert_eq!(Errors::relative_to(&points.y), Errors::Relative);
+        assert_eq!(errors_of(Errors::Relative, &points.y), Errors::Relative);
+        assert_eq!(errors_of(Errors::Relative, &[1.0, 0.0]), Errors::Absolute);
         let found = choose(&kinds, Errors::Relative, &points, 5, true, &|| false).unwrap();
         assert!(found.words.contains("log is taken") && found.words.contains(" %"), "{}", found.words);
         // Ten percent up and down is what no model can know.

@@ -23,10 +23,10 @@ use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
 use super::budget::fewest;
-use super::choose::{Chosen, Errors, choose};
+use super::choose::{Chosen, choose};
 use super::error::MapError;
 use super::learn::kinds;
-use super::spec::MapSpec;
+use super::spec::{Errors, MapSpec};
 
 /// The map of an input that a loop drives, as a model of it.
 #[derive(Clone, Debug, Serialize)]

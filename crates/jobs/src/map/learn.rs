@@ -9,9 +9,9 @@ use dynocal_ident::model::response::{
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
-use super::choose::{Chosen, Errors, Kinds, choose};
+use super::choose::{Chosen, Kinds, choose, errors_of};
 use super::error::MapError;
-use super::spec::ModelsSpec;
+use super::spec::{Errors, ModelsSpec};
 
 /// A response with its model.
 #[derive(Clone, Debug, Serialize)]
@@ -120,7 +120,7 @@ pub(super) fn learn(
         watch.note(&format!("response model of {}", r.name));
         let table = table(layout, points, drift, k);
         let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
-        let by = if r.weight != 0.0 { Errors::relative_to(&table.y) } else { Errors::Absolute };
+        let by = if r.weight != 0.0 { errors_of(spec.errors, &table.y) } else { Errors::Absolute };
         let Chosen { learnt, rmse, widen, words } =
             choose(&kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;

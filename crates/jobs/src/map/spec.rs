@@ -108,12 +108,26 @@ impl Default for BedSpec {
     }
 }
 
+/// What an error of a response counts by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Errors {
+    /// Itself.
+    #[default]
+    Absolute,
+    /// Its share of what was measured: what is minimised differs by few percent between settings, and by multiples over the map.
+    /// Only for outputs that are positive everywhere.
+    Relative,
+}
+
 /// Response models: candidates as for `best_of`, the simplest first, each a table with `kind` and its keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelsSpec {
     /// Candidates; chosen by nested validation for each response.
     pub candidates: Vec<toml::Table>,
+    /// By which errors the model of what is minimised is chosen.
+    pub errors: Errors,
     /// Folds, inner and outer.
     pub folds: usize,
     /// Channels that the map of a driven input may follow from in place of the factors, by input: factors, other driven inputs, limited
@@ -138,10 +152,8 @@ impl Default for ModelsSpec {
         let polynomials =
             [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
         Self {
-            candidates: polynomials
-                .into_iter()
-                .chain([kind("gaussian_process"), log(kind("gaussian_process"))])
-                .collect(),
+            candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(),
+            errors: Errors::Absolute,
             folds: 5,
             over: BTreeMap::new(),
         }
