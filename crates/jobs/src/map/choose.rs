@@ -207,7 +207,7 @@ mod tests {
     #[test]
     fn what_is_minimised_is_chosen_by_relative_errors() {
         let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
-        let odd = |i: usize| if i % 2 == 0 { 1.1 } else { 1.0 / 1.1 };
+        let odd = |i: usize| if i.is_multiple_of(2) { 1.1 } else { 1.0 / 1.1 };
         let y: Vec<f64> = x.iter().enumerate().map(|(i, x)| odd(i) * (4.0 * x).exp()).collect();
         let points = Points { inputs: vec!["torque".into()], output: "fuel".into(), x, y };
         let log = toml::Table::from_iter([
