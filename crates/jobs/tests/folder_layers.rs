@@ -7,9 +7,31 @@ use std::path::Path;
 
 /// Lowest first.
 const IDENTIFY: &[&str] = &[
-    "error", "finding", "spec", "before", "odd", "gaps", "fit", "load", "set", "bounds", "poles", "curves",
-    "after", "points", "result", "estimate", "prepare", "score", "baseline", "judge", "verdict", "job",
-    "page", "memory",
+    "error",
+    "finding",
+    "spec",
+    "before",
+    "odd",
+    "gaps",
+    "fit",
+    "load",
+    "remembered",
+    "set",
+    "bounds",
+    "poles",
+    "curves",
+    "after",
+    "points",
+    "result",
+    "estimate",
+    "prepare",
+    "score",
+    "baseline",
+    "judge",
+    "verdict",
+    "job",
+    "page",
+    "memory",
 ];
 
 #[test]

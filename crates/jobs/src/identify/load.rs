@@ -8,10 +8,10 @@ use dynocal_files::split;
 use dynocal_files::table::Table;
 use dynocal_files::{FilesError, csv_io};
 use dynocal_ident::data::{DataError, Dataset};
+use dynocal_ident::stored::StoredModel;
 use dynocal_ident::validate::Seen;
 
 use super::error::IdentifyError;
-use super::remembered::seen_by;
 use super::spec::{DeriveSpec, Job, Source, Split, TestSet};
 
 /// Records with one purpose.
@@ -25,6 +25,12 @@ pub struct Part {
     pub records: Vec<Dataset>,
     /// What was decided or lost while its files were read, with the file.
     pub notes: Vec<String>,
+}
+
+/// What any of the models has seen of any of the records.
+pub(super) fn seen_by(models: &[StoredModel], records: &[Dataset]) -> Seen {
+    let all: Vec<Seen> = models.iter().flat_map(|m| records.iter().map(|d| m.has_seen(d))).collect();
+    [Seen::Identification, Seen::Selection].into_iter().find(|s| all.contains(s)).unwrap_or(Seen::Unseen)
 }
 
 /// All parts, the estimation first.

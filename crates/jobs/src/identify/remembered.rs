@@ -1,7 +1,7 @@
-//! What a model remembers of its records, and what it recognises.
+//! What a model remembers of its records.
 
 use dynocal_ident::data::{DataError, Dataset};
-use dynocal_ident::stored::{Pieces, StoredModel};
+use dynocal_ident::stored::Pieces;
 use dynocal_ident::validate::Seen;
 
 use super::load::Part;
@@ -36,10 +36,4 @@ fn behind(job: &Job, name: &String, out: &mut Vec<String>) {
         None if out.contains(name) => {}
         None => out.push(name.clone()),
     }
-}
-
-/// What any of the models has seen of any of the records.
-pub(super) fn seen_by(models: &[StoredModel], records: &[Dataset]) -> Seen {
-    let all: Vec<Seen> = models.iter().flat_map(|m| records.iter().map(|d| m.has_seen(d))).collect();
-    [Seen::Identification, Seen::Selection].into_iter().find(|s| all.contains(s)).unwrap_or(Seen::Unseen)
 }
