@@ -202,8 +202,8 @@ mod tests {
         assert!(found.widen >= 1.0 && found.widen.is_finite());
     }
 
-    /// Over a range of decades the relative error takes the model whose errors grow with the output, though the other one has the smaller
-    /// absolute error: a line through the greatest values, which misses the small ones by multiples.
+    /// Over a range of decades the relative error takes the model whose errors grow with the output: a cubic follows the greatest values and
+    /// misses the small ones by multiples. Which one absolute errors would take is not asked here.
     #[test]
     fn what_is_minimised_is_chosen_by_relative_errors() {
         let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
