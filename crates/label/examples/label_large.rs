@@ -7,6 +7,8 @@
 //!
 //! Three maps with one gain are read at six quantities; a cell of two of them is locked, since the data know the sum of their means only.
 
+mod process;
+
 use std::error::Error;
 use std::time::Instant;
 
@@ -16,6 +18,8 @@ use dynocal_label::linear::Options;
 use dynocal_label::nonlinear::{Target, fit};
 use dynocal_numerics::rng::Rng64;
 use serde_json::json;
+
+use process::{cpu_s, peak_gib};
 
 const MAPS: usize = 50;
 const CELLS: usize = 16;
@@ -128,22 +132,4 @@ fn main() -> Result<(), Box<dyn Error>> {
         })
     );
     Ok(())
-}
-
-/// User and system time of the process in s.
-fn cpu_s() -> Result<f64, Box<dyn Error>> {
-    let stat = std::fs::read_to_string("/proc/self/stat")?;
-    let after_name = stat.rsplit(')').next().unwrap_or_default();
-    let ticks = |k: usize| -> Result<f64, Box<dyn Error>> {
-        Ok(after_name.split_whitespace().nth(k).ok_or("short /proc/self/stat")?.parse()?)
-    };
-    Ok((ticks(11)? + ticks(12)?) / 100.0)
-}
-
-/// Most memory that the process has held so far, in GiB.
-fn peak_gib() -> Result<f64, Box<dyn Error>> {
-    let status = std::fs::read_to_string("/proc/self/status")?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:")).ok_or("no VmHWM")?;
-    let kib: f64 = line.split_whitespace().nth(1).ok_or("no number in VmHWM")?.parse()?;
-    Ok(kib / 1048576.0)
 }

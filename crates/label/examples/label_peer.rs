@@ -4,6 +4,8 @@
 //! label_peer INPUT.json        axes "x" and "y", samples "u", "v", "z", weight of the roughness "smooth"; prints JSON
 //! ```
 
+mod process;
+
 use std::error::Error;
 use std::time::Instant;
 
@@ -11,6 +13,8 @@ use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::{Options, Problem, fit};
 use dynocal_label::rows::Rows;
 use serde_json::{Value, json};
+
+use process::{cpu_s, peak_gib};
 
 /// Time in s over which a computation is repeated.
 const LEAST_S: f64 = 1.0;
@@ -47,22 +51,4 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     println!("{found}");
     Ok(())
-}
-
-/// User and system time of the process in s.
-fn cpu_s() -> Result<f64, Box<dyn Error>> {
-    let stat = std::fs::read_to_string("/proc/self/stat")?;
-    let after_name = stat.rsplit(')').next().unwrap_or_default();
-    let ticks = |k: usize| -> Result<f64, Box<dyn Error>> {
-        Ok(after_name.split_whitespace().nth(k).ok_or("short /proc/self/stat")?.parse()?)
-    };
-    Ok((ticks(11)? + ticks(12)?) / 100.0)
-}
-
-/// Most memory that the process has held so far, in GiB.
-fn peak_gib() -> Result<f64, Box<dyn Error>> {
-    let status = std::fs::read_to_string("/proc/self/status")?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:")).ok_or("no VmHWM")?;
-    let kib: f64 = line.split_whitespace().nth(1).ok_or("no number in VmHWM")?.parse()?;
-    Ok(kib / 1048576.0)
 }
