@@ -10,9 +10,12 @@
 # that every crate compiles once.
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+# Nothing is built twice here: what an incremental build would keep only fills the disk.
+export CARGO_INCREMENTAL=0
 export CARGO_TERM_COLOR="${CARGO_TERM_COLOR:-never}" CARGO_TERM_PROGRESS_WHEN=never DEBIAN_FRONTEND=noninteractive
 NEXTEST_VERSION=0.9.143
 DENY_VERSION=0.20.2
+NEEDED_GB=9
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
 # What the step of the tests leaves: programs and examples.
@@ -120,6 +123,16 @@ report_check_itself() {
 # fetched first: a build leaves them out, and their licences count too.
 licences() { cargo fetch --quiet --locked && cargo deny --offline --log-level error check licenses bans sources; }
 
+# A full disk fails everything after it with other words: said first.
+room() {
+    local free_gb
+    free_gb="$(df --output=avail -BG . | tail -n 1 | tr -dc 0-9)"
+    echo "$free_gb GB free here"
+    [ "$free_gb" -ge "$NEEDED_GB" ] || { echo "error: $free_gb GB free on this disk, expected $NEEDED_GB: what is built takes that much"; return 1; }
+}
+
+step "room on the disk" room
+[ "${#failed[@]}" = 0 ] || exit 1
 step "tools" install_missing
 [ "${#failed[@]}" = 0 ] || { echo "error: the tools could not be installed"; exit 1; }
 [ -n "${DYNOCAL_REFERENCE_DIR:-}" ] && echo "reference data: $DYNOCAL_REFERENCE_DIR" || echo "reference data: not given"

@@ -25,6 +25,7 @@ __all__ = [
     "check",
     "control",
     "export",
+    "fuelling",
     "identify",
     "label",
     "map",
@@ -258,7 +259,8 @@ def run(
     Parameters
     ----------
     job
-        ``identify``, ``simulate``, ``optimise``, ``design``, ``sequential``, ``signal``, ``map``, ``control``, ``label`` or ``calibrate``.
+        ``identify``, ``simulate``, ``optimise``, ``design``, ``sequential``, ``signal``, ``map``, ``control``,
+        ``fuelling``, ``label`` or ``calibrate``.
     spec
         File of TOML, or a mapping with its keys; files in a mapping are relative to the working folder.
     out
@@ -359,6 +361,11 @@ def calibrate(
 def control(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Control:
     """PI gains and proven margins of loops around stored models or transfer functions: :func:`run` of ``control``."""
     return Control._of(run("control", spec, out=out, seed=seed, progress=progress))
+
+
+def fuelling(spec: Spec, *, out: PathLike | None = None, seed: int | None = None, progress: Progress | bool | None = None) -> Run:
+    """Air charge, manifold, fuel film and lambda sensor from records, judged on others: :func:`run` of ``fuelling``."""
+    return run("fuelling", spec, out=out, seed=seed, progress=progress)
 
 
 def label(spec: Spec, *, out: PathLike | None = None, progress: Progress | bool | None = None) -> Labels:

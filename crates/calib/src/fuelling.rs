@@ -30,15 +30,17 @@ mod film;
 mod identify;
 mod learning;
 mod policy;
+mod speed_density;
 mod trim;
 
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
-pub use identify::{FuellingError, TransientRecord, identify, steady_charge};
+pub use identify::{FuellingError, TransientRecord, identify, identify_without_film, steady_charge};
 pub use learning::Learning;
 pub use policy::{FuelPolicy, Sensed};
+pub use speed_density::{Coat, Feedback, SpeedDensity, SpeedDensityState};
 pub use trim::Trim;
 
 use serde::{Deserialize, Serialize};

@@ -15,6 +15,7 @@ pub mod estimate;
 pub mod export;
 pub mod export_spec;
 pub mod families;
+pub mod fuelling;
 pub mod identify;
 pub mod kept;
 pub mod label;

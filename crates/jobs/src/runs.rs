@@ -11,7 +11,9 @@ use crate::estimate::{Estimate, TooLarge};
 use crate::export as exporting;
 use crate::identify::error::IdentifyError;
 use crate::place::Overrides;
-use crate::{calibrate, control, design, identify, label, map, optimise, sequential, signal, simulate};
+use crate::{
+    calibrate, control, design, fuelling, identify, label, map, optimise, sequential, signal, simulate,
+};
 
 /// Where a spec is.
 #[derive(Clone, Debug)]
@@ -205,6 +207,16 @@ pub static VERBS: &[Verb] = &[
             Ok(Ended::new(folder.path(), found.valid, &found.warnings))
         },
         plan: |asked, _| control::estimate(&job!(asked, control::spec, &asked.over)).map_err(failed),
+    },
+    Verb {
+        name: "fuelling",
+        run: |asked, watch| {
+            let (found, folder) =
+                fuelling::run(&job!(asked, fuelling::spec, &asked.over), watch).map_err(failed)?;
+            let why = if found.valid { Vec::new() } else { found.verdict.clone() };
+            Ok(Ended::new(folder.path(), found.valid, &[why, found.warnings].concat()))
+        },
+        plan: |asked, _| fuelling::work::estimate(&job!(asked, fuelling::spec, &asked.over)).map_err(failed),
     },
     Verb {
         name: "label",

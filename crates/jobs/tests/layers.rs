@@ -18,6 +18,7 @@ const ORDER: &[&str] = &[
     "simulate",
     "control",
     "label",
+    "fuelling",
     "optimise",
     "signal",
     "engine",

@@ -21,7 +21,7 @@ const CYCLE_S: f64 = 0.3;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Filling {
-    /// Pressure before the throttle in kPa.
+    /// Pressure before the throttle in kPa: what it is where it is not measured, and what [`Filling::area`] is told at.
     pub upstream_kpa: f64,
     /// What the throttle angle is divided by, in deg.
     pub throttle_deg: f64,
@@ -43,13 +43,14 @@ fn psi(ratio: f64) -> f64 {
 }
 
 impl Filling {
-    /// The throttle from steady points `(flow into the cylinder, pressure, throttle)`, where what flows in flows out.
-    pub(super) fn of_rest(&self, points: &[[f64; 3]]) -> Result<Self, LinalgError> {
+    /// The throttle from steady points `(flow into the cylinder, pressure, throttle, pressure before it)`, where what flows in flows
+    /// out.
+    pub(super) fn of_rest(&self, points: &[[f64; 4]]) -> Result<Self, LinalgError> {
         let throttle_deg = points.iter().map(|p| p[2].abs()).fold(1e-9, f64::max);
         let mut out = Self { throttle_deg, area: vec![0.0; TERMS], ..self.clone() };
         let mut rows = Vec::with_capacity(points.len() * TERMS);
-        for [flow, p, throttle] in points {
-            let share = psi(p / self.upstream_kpa) / flow;
+        for [flow, p, throttle, upstream] in points {
+            let share = self.nozzle(*p, *upstream) / flow;
             rows.extend(out.terms(*throttle).map(|t| t * share));
         }
         out.area = least_squares(&rows, points.len(), TERMS, &vec![1.0; points.len()], 1e-9)?.x;
@@ -61,10 +62,15 @@ impl Filling {
         [1.0, x, x * x, x * x * x]
     }
 
-    /// What flows through the throttle, in the unit of the injection per s and cylinder.
-    pub fn inflow(&self, throttle_deg: f64, pressure_kpa: f64) -> f64 {
+    /// What flows through the throttle at pressures behind and before it, in the unit of the injection per s and cylinder.
+    pub fn inflow(&self, throttle_deg: f64, pressure_kpa: f64, upstream_kpa: f64) -> f64 {
         let area = dynocal_numerics::linalg::dot(&self.terms(throttle_deg), &self.area);
-        area.max(0.0) * psi(pressure_kpa / self.upstream_kpa)
+        area.max(0.0) * self.nozzle(pressure_kpa, upstream_kpa)
+    }
+
+    /// Flow of a nozzle over that which is choked at the pressure of the record: it goes with the pressure before it.
+    fn nozzle(&self, pressure_kpa: f64, upstream_kpa: f64) -> f64 {
+        upstream_kpa / self.upstream_kpa * psi(pressure_kpa / upstream_kpa)
     }
 
     /// Pressure and throttle `h_s` later.
@@ -72,19 +78,19 @@ impl Filling {
         &self,
         air: Air<'_>,
         (mut p, mut throttle): (f64, f64),
-        speed_rpm: f64,
-        command: f64,
+        (speed_rpm, command, upstream_kpa): (f64, f64, f64),
         h_s: f64,
     ) -> (f64, f64) {
         let h = h_s / STEPS as f64;
         let follow = -(-h / self.throttle_lag_s.max(1e-6)).exp_m1();
         for _ in 0..STEPS {
             throttle += follow * (command - throttle);
-            let slope = |p: f64| self.gain * (self.inflow(throttle, p) - air.flow(speed_rpm, p));
+            let slope =
+                |p: f64| self.gain * (self.inflow(throttle, p, upstream_kpa) - air.flow(speed_rpm, p));
             // Heun: the manifold is fast where the throttle is nearly wide open.
             let first = slope(p);
             p += 0.5 * h * (first + slope(p + h * first));
-            p = p.clamp(LEAST_KPA, self.upstream_kpa - LEAST_DROP_KPA);
+            p = p.clamp(LEAST_KPA, upstream_kpa.max(2.0 * LEAST_KPA) - LEAST_DROP_KPA);
         }
         (p, throttle)
     }
@@ -119,31 +125,32 @@ impl FillingState {
         self.past.iter().take(samples).sum::<f64>() / samples as f64
     }
 
-    /// One sample on: `measured_kpa` is what the channel shows at its beginning, `command_deg` holds during it.
+    /// One sample on: `measured_kpa` is what the channel shows at its beginning, `command_deg` and `upstream_kpa` hold during it.
     pub fn step(
         &mut self,
         filling: &Filling,
         air: Air<'_>,
-        speed_rpm: f64,
-        command_deg: f64,
+        (speed_rpm, command_deg, upstream_kpa): (f64, f64, f64),
         measured_kpa: f64,
         dt_s: f64,
     ) {
         let error = measured_kpa - self.shown_kpa(speed_rpm, dt_s);
         let corrected = self.pressure_kpa + filling.correction_per_s * dt_s * error;
         let from = (corrected, self.throttle_deg);
-        (self.pressure_kpa, self.throttle_deg) = filling.advance(air, from, speed_rpm, command_deg, dt_s);
+        let held = (speed_rpm, command_deg, upstream_kpa);
+        (self.pressure_kpa, self.throttle_deg) = filling.advance(air, from, held, dt_s);
         self.past.pop_back();
         self.past.push_front(self.pressure_kpa);
     }
 
-    /// Pressure `ahead_s` from now, the command being held and the speed going on as it goes (`[rpm, rpm/s]`).
+    /// Pressure `ahead_s` from now, command and pressure before the throttle being held and the speed going on as it goes
+    /// (`[rpm, rpm/s]`).
     pub fn ahead(
         &self,
         filling: &Filling,
         air: Air<'_>,
         [speed_rpm, slope]: [f64; 2],
-        command_deg: f64,
+        (command_deg, upstream_kpa): (f64, f64),
         ahead_s: f64,
         dt_s: f64,
     ) -> f64 {
@@ -151,7 +158,7 @@ impl FillingState {
         while left > 1e-12 {
             let h = left.min(dt_s);
             let then_rpm = speed_rpm + slope * (ahead_s - left + 0.5 * h);
-            at = filling.advance(air, at, then_rpm, command_deg, h);
+            at = filling.advance(air, at, (then_rpm, command_deg, upstream_kpa), h);
             left -= h;
         }
         at.0

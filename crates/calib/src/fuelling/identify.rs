@@ -76,8 +76,9 @@ const CORRECTIONS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
 const ROBUST: f64 = 0.05;
 /// Times that throttle and filling are taken anew by the charge that the mixture gave.
 const ROUNDS: usize = 2;
-/// Parameters of timing and film, and of the law of the coolant, before those of the charge.
-const FIRST: usize = 7;
+/// Parameters of film, timing and the law of the coolant, before those of the charge.
+const FILM: usize = 2;
+const TIMING: usize = 5;
 const LAW: usize = 3;
 
 /// Means of a stretch at rest.
@@ -88,6 +89,7 @@ struct Rested {
     /// Fuel that would make lambda 1.
     fuel: f64,
     coolant_c: f64,
+    upstream_kpa: f64,
 }
 
 /// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
@@ -99,8 +101,30 @@ pub fn identify(
     records: &[TransientRecord<'_>],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
+    identified(records, true, interrupt)
+}
+
+/// The same as if all fuel went into the cylinder at once: what a model without a film makes of the records.
+///
+/// # Errors
+/// [`FuellingError`].
+pub fn identify_without_film(
+    records: &[TransientRecord<'_>],
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Fuelling, FuellingError> {
+    identified(records, false, interrupt)
+}
+
+fn identified(
+    records: &[TransientRecord<'_>],
+    with_film: bool,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Fuelling, FuellingError> {
     let rested = rested(records)?;
-    let start = started(records, &rested)?;
+    let mut start = started(records, &rested)?;
+    if !with_film {
+        start.film.share = 0.0;
+    }
     let start = filled(records, &rested, start, interrupt)?;
     // Which correction suits is what the lambda that was measured says.
     let tries: Vec<Fuelling> = CORRECTIONS
@@ -171,9 +195,9 @@ fn filled(
 ) -> Result<Fuelling, FuellingError> {
     let point = |r: &Rested| {
         let flow = start.air(r.coolant_c).flow(r.speed_rpm, r.map_kpa);
-        [flow, r.map_kpa, r.throttle_deg]
+        [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
     };
-    let points: Vec<[f64; 3]> = rested.iter().map(point).collect();
+    let points: Vec<[f64; 4]> = rested.iter().map(point).collect();
     let filling = start.filling.of_rest(&points)?;
     let with = |x: &[f64]| Fuelling {
         filling: Filling { gain: x[0].exp(), throttle_lag_s: x[1].exp(), ..filling.clone() },
@@ -225,6 +249,22 @@ fn mixed(
     Ok(Fuelling { rms: (found.cost / samples as f64).sqrt(), ..taken(&found.x, &start) })
 }
 
+impl Fuelling {
+    /// 1 / lambda as the sensor would show it, sample by sample of a record.
+    ///
+    /// # Errors
+    /// [`FuellingError::Channel`], [`FuellingError::Records`]: a record that cannot be read, or with another sample time.
+    pub fn shown(&self, record: &TransientRecord<'_>) -> Result<Vec<f64>, FuellingError> {
+        record::check(std::slice::from_ref(record))?;
+        if record.sample_time_s != self.sample_time_s {
+            let found = format!("samples of {} s", record.sample_time_s);
+            let expected = format!("{} s", self.sample_time_s);
+            return Err(FuellingError::Channel { channel: "time", found, expected });
+        }
+        Ok(richness(record, self, &pressure(record, self)))
+    }
+}
+
 /// The logarithm of what the sensor showed over what it would show, sample by sample; forward in time by what it shows late.
 fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     let pressure = pressure(r, f);
@@ -240,6 +280,11 @@ fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     (errors, (late_s / r.sample_time_s).round() as usize)
 }
 
+/// Without a share on the wall there is no film to search.
+fn has_film(f: &Fuelling) -> bool {
+    f.film.share > 0.0
+}
+
 /// The half width of the temperatures: slopes are searched over it.
 fn half_k(f: &Fuelling) -> Option<f64> {
     f.coolant.map(|l| 0.5 * (l.range_c[1] - l.range_c[0]))
@@ -248,8 +293,11 @@ fn half_k(f: &Fuelling) -> Option<f64> {
 /// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, charge.
 fn given(f: &Fuelling) -> Vec<f64> {
     let t = &f.timing;
-    let mut x =
-        vec![(f.film.share / (1.0 - f.film.share)).ln(), f.film.tau_s.ln(), t.charge_s, t.charge_cycles];
+    let mut x = Vec::new();
+    if has_film(f) {
+        x.extend([(f.film.share / (1.0 - f.film.share)).ln(), f.film.tau_s.ln()]);
+    }
+    x.extend([t.charge_s, t.charge_cycles]);
     x.extend([t.transport_cycles, t.transport_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
     if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
         x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
@@ -260,18 +308,21 @@ fn given(f: &Fuelling) -> Vec<f64> {
 
 /// The reverse of [`given`].
 fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
-    let film = Film { share: 1.0 / (1.0 + (-x[0]).exp()), tau_s: x[1].exp() };
-    let timing = Timing {
-        charge_s: x[2],
-        charge_cycles: x[3],
-        transport_cycles: x[4].exp(),
-        transport_fuel: x[5].exp(),
-        sensor_lag_s: x[6].exp(),
+    let (film, x) = match has_film(start) {
+        true => (Film { share: 1.0 / (1.0 + (-x[0]).exp()), tau_s: x[1].exp() }, &x[FILM..]),
+        false => (start.film, x),
     };
-    let mut from = FIRST;
+    let timing = Timing {
+        charge_s: x[0],
+        charge_cycles: x[1],
+        transport_cycles: x[2].exp(),
+        transport_fuel: x[3].exp(),
+        sensor_lag_s: x[4].exp(),
+    };
+    let mut from = TIMING;
     let mut coolant = start.coolant;
     if let (Some(l), Some(half)) = (&mut coolant, half_k(start)) {
-        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[FIRST + k] / half);
+        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[TIMING + k] / half);
         from += LAW;
     }
     let charge = Charge { coefficients: x[from..].to_vec(), ..start.charge.clone() };

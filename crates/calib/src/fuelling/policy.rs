@@ -19,6 +19,8 @@ pub struct Sensed {
     pub throttle_deg: f64,
     /// Manifold pressure that the channel shows, in kPa.
     pub map_kpa: f64,
+    /// Pressure before the throttle in kPa, where it is measured.
+    pub upstream_kpa: Option<f64>,
     /// Coolant temperature in degC; any number where nothing was identified of it.
     pub coolant_c: f64,
     /// Lambda that the sensor shows; none while it shows nothing: no trim then.
@@ -65,10 +67,12 @@ impl FuelPolicy {
         let (dt_s, speed_rpm, throttle_deg) = (f.sample_time_s, y.speed_rpm, y.throttle_deg);
         let air = f.air(y.coolant_c);
         let state = self.filling.get_or_insert_with(|| FillingState::at_rest(y.map_kpa, throttle_deg, dt_s));
-        state.step(&f.filling, air, speed_rpm, throttle_deg, y.map_kpa, dt_s);
+        let upstream_kpa = y.upstream_kpa.unwrap_or(f.filling.upstream_kpa);
+        state.step(&f.filling, air, (speed_rpm, throttle_deg, upstream_kpa), y.map_kpa, dt_s);
         let now_kpa = state.pressure_kpa();
         let ahead_s = f.timing.ahead_s(speed_rpm);
-        let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], throttle_deg, ahead_s, dt_s);
+        let held = (throttle_deg, upstream_kpa);
+        let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], held, ahead_s, dt_s);
         let then_rpm =
             speed_rpm * (1.0 + slope * ahead_s / speed_rpm).clamp(1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE);
         if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {

@@ -37,6 +37,7 @@ verbs![
     label,      //
     optimise,   //
     control,    //
+    fuelling,   //
     design,     //
     sequential, //
     signal,     //

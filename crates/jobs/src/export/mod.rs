@@ -8,6 +8,7 @@ mod build;
 mod controller;
 mod dynamic_map;
 mod engine;
+mod fuelling;
 mod model;
 mod origin;
 mod response;
@@ -28,6 +29,7 @@ use serde_json::Value;
 
 use crate::export_spec::UNITS;
 pub use crate::export_spec::{ExportKeys, ExportSpec};
+use crate::fuelling::stored::{FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
 pub use controller::controller;
 pub use dynamic_map::dynamic_map;
 pub use model::model;
@@ -238,6 +240,16 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
             let stored: StoredController = json::read_versioned(path, CONTROLLER_SCHEMA, CONTROLLER_VERSION)?;
             stored.check().map_err(|e| ExportJobError::source(path, e.to_string()))?;
             controller(&stored)
+        }
+        FUELLING_SCHEMA => {
+            let stored: StoredFuelling = json::read_versioned(path, FUELLING_SCHEMA, FUELLING_VERSION)?;
+            if !stored.valid {
+                return Err(ExportJobError::source(
+                    path,
+                    "found a model that must not be used (`valid` is false): its report says why",
+                ));
+            }
+            fuelling::fuelling(&stored)
         }
         "dynocal/static-map" => {
             let map = json::read_versioned(path, "dynocal/static-map", 2)?;

@@ -1,14 +1,12 @@
 //! A bed, controllers on it, and what the engine really did.
 
-use dynocal_calib::fuelling::{CoolantLaw, Film};
+use dynocal_calib::fuelling::{Coat, CoolantLaw, Film};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::error::PlantError as EngineError;
 use dynocal_plant::film::FilmModel;
 use dynocal_plant::params::EngineParams;
-
-use super::rivals::Coat;
 
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.01;

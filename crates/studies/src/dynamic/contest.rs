@@ -1,6 +1,8 @@
 //! Controllers against each other: line searches of the rivals on the record, then the judged courses.
 
-use dynocal_calib::fuelling::{self, FuelPolicy, Fuelling, FuellingError, TransientRecord};
+use dynocal_calib::fuelling::{
+    self, Coat, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, TransientRecord,
+};
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_plant::bed::EngineBed;
 use rayon::prelude::*;
@@ -9,10 +11,11 @@ use serde::{Deserialize, Serialize};
 use super::bed::{Controller, Course, MOST_MG, SAMPLE_S, Trace, play};
 use super::learned;
 use super::measures::{Measures, integral_s};
-use super::rivals::{Coat, Ecu, Feedback, Load, Mapped, Ours};
+use super::rivals::{Ecu, Mapped, Ours};
 
-/// Pressure before the throttle in kPa.
+/// Pressure before the throttle in kPa, and most of an extrapolation.
 const AMBIENT_KPA: f64 = 101.325;
+const MOST_KPA: f64 = 100.0;
 /// What the line searches of the rivals try: lag at 2000 rpm, time of the extrapolation, time constant of the closed lambda loop,
 /// in s.
 pub(super) const LAGS_S: [f64; 8] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2];
@@ -82,8 +85,9 @@ impl From<String> for Ended {
 /// What was identified, and what the ECU knows.
 pub(super) struct Known {
     pub(super) fuelling: Fuelling,
-    at_rest: Load,
-    ours: Load,
+    /// An ECU without film compensation, extrapolation and feedback: with the charge at rest, and with that of ours.
+    at_rest: SpeedDensity,
+    ours: SpeedDensity,
 }
 
 /// A rival with what it tunes.
@@ -119,9 +123,18 @@ impl Contest<'_> {
         let views = self.views(&traces);
         let fuelling = fuelling::identify(&views, interrupted).map_err(ended)?;
         let (charge, law) = fuelling::steady_charge(&views).map_err(ended)?;
+        let ecu = |charge, law| SpeedDensity {
+            sample_time_s: SAMPLE_S,
+            charge,
+            law,
+            most_kpa: MOST_KPA,
+            ahead_s: 0.0,
+            film: None,
+            feedback: None,
+        };
         let known = Known {
-            at_rest: Load { charge, law },
-            ours: Load { charge: fuelling.charge.clone(), law: fuelling.coolant },
+            at_rest: ecu(charge, law),
+            ours: ecu(fuelling.charge.clone(), fuelling.coolant),
             fuelling,
         };
         let rows: Vec<Vec<Row>> = self
@@ -185,10 +198,11 @@ impl Contest<'_> {
         Ok(match rival {
             Rival::Map { .. } => Box::new(self.base(c.first_s)?),
             Rival::Ecu { film, at_rest, .. } => {
-                let load = if *at_rest { &known.at_rest } else { &known.ours };
-                let timing = &known.fuelling.timing;
+                let plain = if *at_rest { &known.at_rest } else { &known.ours };
+                let timing = known.fuelling.timing;
                 let feedback = c.closed_s.map(|closed_s| Feedback { timing, closed_s });
-                Box::new(Ecu::new(self.base(0.0)?, load, c.first_s, *film, feedback))
+                let ecu = SpeedDensity { ahead_s: c.first_s, film: *film, feedback, ..plain.clone() };
+                Box::new(Ecu::new(self.base(0.0)?, ecu))
             }
             Rival::Ours { trimmed } => {
                 let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
@@ -288,6 +302,7 @@ fn view<'a>(course: &'a Course, trace: &'a Trace) -> TransientRecord<'a> {
         map_kpa: &trace.map_kpa,
         lambda: &trace.lambda,
         upstream_kpa: AMBIENT_KPA,
+        boost_kpa: None,
         coolant_c: Some(&trace.coolant_c),
     }
 }

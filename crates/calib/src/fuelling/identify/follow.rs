@@ -22,7 +22,8 @@ fn followed(r: &TransientRecord<'_>, f: &Fuelling, of: impl Fn(&FillingState, us
     let step = |t: usize| {
         let before = r.map_kpa[t.saturating_sub(1)];
         let air = f.air(r.coolant_c(t));
-        state.step(&f.filling, air, r.speed_rpm[t], r.throttle_deg[t], before, dt);
+        let held = (r.speed_rpm[t], r.throttle_deg[t], r.upstream_kpa(t));
+        state.step(&f.filling, air, held, before, dt);
         of(&state, t)
     };
     (0..r.speed_rpm.len()).map(step).collect()

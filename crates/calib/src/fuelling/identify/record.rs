@@ -19,8 +19,10 @@ pub struct TransientRecord<'a> {
     pub map_kpa: &'a [f64],
     /// Lambda as the sensor shows it, after each sample.
     pub lambda: &'a [f64],
-    /// Pressure before the throttle in kPa.
+    /// Pressure before the throttle in kPa, where it is not measured.
     pub upstream_kpa: f64,
+    /// The same as measured, after each sample; none: it stands still.
+    pub boost_kpa: Option<&'a [f64]>,
     /// Coolant temperature in degC, if it is to count.
     pub coolant_c: Option<&'a [f64]>,
 }
@@ -29,6 +31,11 @@ impl TransientRecord<'_> {
     /// Coolant temperature of a sample; any number where it does not count.
     pub(super) fn coolant_c(&self, t: usize) -> f64 {
         self.coolant_c.map_or(0.0, |c| c[t])
+    }
+
+    /// Pressure before the throttle that is known at the begin of a sample.
+    pub(super) fn upstream_kpa(&self, t: usize) -> f64 {
+        self.boost_kpa.map_or(self.upstream_kpa, |b| b[t.saturating_sub(1)])
     }
 }
 
@@ -54,6 +61,7 @@ fn check_one(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
         ("lambda", r.lambda, 0.05),
     ];
     channels.extend(r.coolant_c.map(|c| ("coolant", c, -60.0)));
+    channels.extend(r.boost_kpa.map(|b| ("boost", b, 20.0)));
     let refused =
         |channel, found: String, expected: String| FuellingError::Channel { channel, found, expected };
     for (name, values, least) in channels {
@@ -69,12 +77,15 @@ fn check_one(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
         }
     }
     let greatest = r.map_kpa.iter().copied().fold(0.0, f64::max);
-    if !(r.upstream_kpa > greatest) {
+    if r.boost_kpa.is_none() && !(r.upstream_kpa > greatest) {
         let found = format!("a pressure of {greatest} kPa");
         return Err(refused(
             "map",
             found,
-            format!("less than the {} kPa before the throttle", r.upstream_kpa),
+            format!(
+                "less than the {} kPa before the throttle: give its channel where the engine is boosted",
+                r.upstream_kpa
+            ),
         ));
     }
     if !(r.sample_time_s > 0.0 && r.sample_time_s <= 0.05) {
@@ -117,10 +128,13 @@ pub(super) fn check(records: &[TransientRecord<'_>]) -> Result<(), FuellingError
     for (k, r) in records.iter().enumerate() {
         check_one(r)?;
         let of = |r: &TransientRecord<'_>| {
-            let coolant = if r.coolant_c.is_some() { "with" } else { "without" };
+            let given = |is: bool| if is { "with" } else { "without" };
             format!(
-                "samples of {} s, {} kPa before the throttle, {coolant} coolant",
-                r.sample_time_s, r.upstream_kpa
+                "samples of {} s, {} kPa before the throttle, {} coolant, {} boost",
+                r.sample_time_s,
+                r.upstream_kpa,
+                given(r.coolant_c.is_some()),
+                given(r.boost_kpa.is_some())
             )
         };
         if of(r) != of(first) {
@@ -142,6 +156,7 @@ pub(super) fn rested(records: &[TransientRecord<'_>]) -> Result<Vec<Rested>, Fue
             throttle_deg: mean(r.throttle_deg, s),
             fuel: mean(&fuel, s),
             coolant_c: r.coolant_c.map_or(0.0, |c| mean(c, s)),
+            upstream_kpa: r.boost_kpa.map_or(r.upstream_kpa, |b| mean(b, s)),
         }));
     }
     let expected = TERMS + 5;

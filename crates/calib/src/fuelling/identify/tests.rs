@@ -74,6 +74,7 @@ fn heated(f: &Fuelling, holds: usize, seed: u64, start_c: Option<f64>) -> Channe
         map_kpa: &vec![50.0; speed.len()],
         lambda: &vec![1.0; speed.len()],
         upstream_kpa: 101.325,
+        boost_kpa: None,
         coolant_c: start_c.map(|_| heat.as_slice()),
     };
     let p = pressure(&r, f);
@@ -84,7 +85,7 @@ fn heated(f: &Fuelling, holds: usize, seed: u64, start_c: Option<f64>) -> Channe
 }
 
 fn sensed(speed_rpm: f64, throttle_deg: f64, map_kpa: f64, lambda: Option<f64>) -> Sensed {
-    Sensed { speed_rpm, throttle_deg, map_kpa, coolant_c: 90.0, lambda }
+    Sensed { speed_rpm, throttle_deg, map_kpa, upstream_kpa: None, coolant_c: 90.0, lambda }
 }
 
 fn view(c: &Channels) -> TransientRecord<'_> {
@@ -96,6 +97,7 @@ fn view(c: &Channels) -> TransientRecord<'_> {
         map_kpa: &c[3],
         lambda: &c[4],
         upstream_kpa: 101.325,
+        boost_kpa: None,
         coolant_c: None,
     }
 }
@@ -137,6 +139,7 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
         map_kpa: &vec![40.0; n],
         lambda: &vec![1.0; n],
         upstream_kpa: 101.325,
+        boost_kpa: None,
         coolant_c: None,
     };
     // At rest at the first throttle, whatever it began with.
@@ -172,6 +175,58 @@ fn what_says_too_little_is_refused() {
     let low = TransientRecord { upstream_kpa: 30.0, ..view(&channels) };
     assert!(identify(&[low], &|| false).unwrap_err().to_string().contains("before the throttle"));
     assert!(matches!(identify(&[view(&channels)], &|| true), Err(FuellingError::Interrupted)));
+}
+
+/// A turbocharger that spools up and down before the throttle: measured, it is no error; taken for ambient, it is one.
+#[test]
+fn a_measured_pressure_before_the_throttle_counts() {
+    let truth = truth();
+    let plain = record(&truth, 40);
+    let n = plain[0].len();
+    let boost: Vec<f64> = (0..n).map(|t| 115.0 + 12.0 * (t as f64 * DT / 7.0).sin()).collect();
+    let blown = |boost: Option<&'_ [f64]>, map: &[f64], lambda: &[f64], f: &Fuelling| {
+        let r = TransientRecord { boost_kpa: boost, map_kpa: map, lambda, ..view(&plain) };
+        let p = pressure(&r, f);
+        let phi = richness(&r, f, &p);
+        (shown(&r, f), phi.iter().map(|v| 1.0 / v).collect::<Vec<f64>>())
+    };
+    let (map, lambda) = blown(Some(&boost), &plain[3], &plain[4], &truth);
+    let r = TransientRecord { boost_kpa: Some(&boost), map_kpa: &map, lambda: &lambda, ..view(&plain) };
+    let found = identify(&[r], &|| false).unwrap();
+    let blind =
+        identify(&[TransientRecord { upstream_kpa: 200.0, boost_kpa: None, ..r }], &|| false).unwrap();
+    assert!(
+        found.pressure_rms_kpa < 0.3 * blind.pressure_rms_kpa,
+        "{} {}",
+        found.pressure_rms_kpa,
+        blind.pressure_rms_kpa
+    );
+    assert!((found.filling.gain / truth.filling.gain - 1.0).abs() < 0.03, "{}", found.filling.gain);
+    // Half as much before a choked throttle is half the flow.
+    let flow = |upstream| found.filling.inflow(12.0, 20.0, upstream);
+    assert!((flow(60.0) / flow(120.0) - 0.5).abs() < 1e-12);
+}
+
+/// Without a film a model of a record that has one is worse, and says that nothing wets the wall.
+#[test]
+fn a_model_without_a_film_is_one() {
+    let truth = truth();
+    let channels = record(&truth, 40);
+    let (with, without) = (
+        identify(&[view(&channels)], &|| false).unwrap(),
+        identify_without_film(&[view(&channels)], &|| false).unwrap(),
+    );
+    assert_eq!(without.film.share, 0.0);
+    assert!(without.rms > 3.0 * with.rms, "{} {}", without.rms, with.rms);
+    let dry = Fuelling { film: Film { share: 0.0, tau_s: 1.0 }, ..truth };
+    let channels = record(&dry, 40);
+    let found = identify_without_film(&[view(&channels)], &|| false).unwrap();
+    assert!(found.rms < 1e-3, "{}", found.rms);
+    // What it would show of another record of the same engine is what was measured there.
+    let other = heated(&dry, 10, 11, None);
+    let phi = found.shown(&view(&other)).unwrap();
+    let worst = phi.iter().zip(&other[4]).skip(50).map(|(phi, l)| (phi * l - 1.0).abs()).fold(0.0, f64::max);
+    assert!(worst < 2e-2, "{worst}");
 }
 
 /// Film and charge over the coolant, from three records that heat up.
@@ -221,6 +276,7 @@ fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Ve
         map_kpa: &vec![40.0; n],
         lambda: &ones,
         upstream_kpa: 101.325,
+        boost_kpa: None,
         coolant_c: None,
     };
     let (p, map) = (pressure(&r, truth), shown(&r, truth));

@@ -1,0 +1,242 @@
+//! A plant that answers, driven over throttle and speed by whatever gives its fuel.
+
+use dynocal_calib::fuelling::{FuelPolicy, Sensed, SpeedDensityState};
+use dynocal_files::units;
+use dynocal_ident::plant::{Causality, Plant, Variable};
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::watch::Watch;
+use dynocal_plant::plants::{self, PlantSpec};
+
+use super::records::Record;
+use super::result::FuellingJobError;
+use super::spec::{Channels, Test};
+
+/// Most change of the speed in rpm/s.
+const SPEED_RATE: f64 = 1000.0;
+/// Steps of the fuel in the middle of a hold, as shares: they tell the film where the air stands still.
+const STEP: f64 = 0.08;
+/// Time constant of the loop of a first record in s: slower than any transport.
+const LOOP_S: f64 = 1.5;
+/// Most of the logarithm of what that loop corrects.
+const MOST_LOOP: f64 = 1.5;
+
+/// Throttle and speed over time.
+pub(super) struct Course {
+    pub(super) throttle_deg: Vec<f64>,
+    pub(super) speed_rpm: Vec<f64>,
+    /// Share by which a driver that is to excite changes its fuel.
+    share: Vec<f64>,
+}
+
+impl Course {
+    /// Points drawn and held.
+    pub(super) fn drawn(test: &Test, length_s: f64, rng: &mut Rng64) -> Self {
+        let dt_s = test.sample_time_s;
+        let samples = (length_s / dt_s).round() as usize;
+        let mut out = Self { throttle_deg: Vec::new(), speed_rpm: Vec::new(), share: Vec::new() };
+        let (low, high) = (test.throttle_deg.lower.ln(), test.throttle_deg.upper.ln());
+        let mut at_rpm = None;
+        while out.throttle_deg.len() < samples {
+            let throttle = rng.uniform_in(low, high).exp();
+            let speed = rng.uniform_in(test.speed_rpm.lower, test.speed_rpm.upper);
+            let hold = (rng.uniform_in(test.hold_s.lower, test.hold_s.upper) / dt_s) as usize;
+            let step = if rng.uniform_in(0.0, 1.0) < 0.5 { STEP } else { -STEP };
+            let mut now = at_rpm.unwrap_or(speed);
+            for t in 0..hold {
+                now += (speed - now).clamp(-SPEED_RATE * dt_s, SPEED_RATE * dt_s);
+                out.throttle_deg.push(throttle);
+                out.speed_rpm.push(now);
+                // Back to the middle for the last third: what rests at the end of a hold is charge.
+                out.share.push(if (hold / 3..2 * hold / 3).contains(&t) { step } else { 0.0 });
+            }
+            at_rpm = Some(now);
+        }
+        out.throttle_deg.truncate(samples);
+        out.speed_rpm.truncate(samples);
+        out
+    }
+}
+
+/// What gives the fuel.
+pub(super) enum Driver {
+    /// Fuel that goes with the pressure, corrected slowly by lambda: what can be driven before anything is known.
+    First {
+        /// Injection per kPa.
+        per_kpa: f64,
+        /// Logarithm of the correction.
+        k: f64,
+    },
+    /// The identified policy; with what the sensor shows, or without it.
+    Policy { policy: Box<FuelPolicy>, trimmed: bool },
+    /// A speed-density ECU.
+    Ecu(Box<SpeedDensityState>),
+}
+
+impl Driver {
+    fn step(&mut self, y: &Sensed, dt_s: f64, share: f64, most: f64) -> f64 {
+        match self {
+            Self::First { per_kpa, k } => {
+                let error = y.lambda.map_or(0.0, f64::ln);
+                *k = (*k + dt_s / LOOP_S * error.clamp(-0.3, 0.3)).clamp(-MOST_LOOP, MOST_LOOP);
+                (*per_kpa * y.map_kpa * k.exp() * (1.0 + share)).clamp(0.0, most)
+            }
+            Self::Policy { policy, trimmed } => {
+                let shown = Sensed { lambda: y.lambda.filter(|_| *trimmed), ..*y };
+                // A demand that moves the fuel as the first driver moves it.
+                policy.step(&shown, 1.0 / (1.0 + share))
+            }
+            Self::Ecu(ecu) => ecu.step(y, 1.0 / (1.0 + share)),
+        }
+    }
+}
+
+/// Where a channel lies, and how its unit becomes ours: `value * scale + offset`.
+#[derive(Clone, Copy)]
+struct Place {
+    at: usize,
+    scale: f64,
+    offset: f64,
+}
+
+impl Place {
+    fn of(self, values: &[f64]) -> f64 {
+        values[self.at] * self.scale + self.offset
+    }
+
+    fn set(self, values: &mut [f64], value: f64) {
+        values[self.at] = (value - self.offset) / self.scale;
+    }
+}
+
+/// A plant with the places of the channels.
+pub(super) struct Rig {
+    plant: Box<dyn Plant>,
+    start: Vec<f64>,
+    speed: Place,
+    throttle: Place,
+    injection: Place,
+    map: Place,
+    lambda: Place,
+    boost: Option<Place>,
+    coolant: Option<Place>,
+    injection_unit: String,
+    outputs: usize,
+}
+
+fn refused(text: impl Into<String>) -> FuellingJobError {
+    FuellingJobError::Plant(text.into())
+}
+
+impl Rig {
+    /// Makes the plant and finds its channels.
+    pub(super) fn new(spec: &PlantSpec, names: &Channels, test: &Test) -> Result<Self, FuellingJobError> {
+        let make = plants::find(&spec.name).and_then(|p| p.make);
+        let make = make.ok_or_else(|| refused(format!("the plant `{}` does not answer", spec.name)))?;
+        let plant = make(spec, true).map_err(|e| refused(e.to_string()))?;
+        let of = |causality: Causality| -> Vec<Variable> {
+            plant.variables().iter().filter(|v| v.causality == causality).cloned().collect()
+        };
+        let (inputs, outputs) = (of(Causality::Input), of(Causality::Output));
+        let mut start: Vec<f64> = inputs.iter().map(|v| v.start).collect();
+        for (name, value) in &test.held {
+            start[find(&inputs, name, None, "input")?.at] = *value;
+        }
+        let (boost, coolant) = (names.boost.as_deref(), names.coolant.as_deref());
+        let injection = find(&inputs, &names.injection, None, "input")?;
+        Ok(Self {
+            speed: find(&inputs, &names.speed, Some("rpm"), "input")?,
+            throttle: find(&inputs, &names.throttle, Some("deg"), "input")?,
+            injection,
+            map: find(&outputs, &names.map, Some("kPa"), "output")?,
+            lambda: find(&outputs, &names.lambda, Some("-"), "output")?,
+            boost: boost.map(|b| find(&outputs, b, Some("kPa"), "output")).transpose()?,
+            coolant: coolant.map(|c| find(&outputs, c, Some("degC"), "output")).transpose()?,
+            injection_unit: inputs[injection.at].unit.clone(),
+            outputs: outputs.len(),
+            start,
+            plant,
+        })
+    }
+
+    /// A first driver that begins with the fuel of the plant's start.
+    pub(super) fn first(&mut self) -> Result<Driver, FuellingJobError> {
+        self.plant.reset(0);
+        let mut y = vec![0.0; self.outputs];
+        self.plant.outputs(&mut y).map_err(|e| refused(e.to_string()))?;
+        let map_kpa = self.map.of(&y);
+        let per_kpa = self.injection.of(&self.start) / map_kpa;
+        if !(per_kpa.is_finite() && per_kpa > 0.0) {
+            let text =
+                format!("starts with an injection of {} at {map_kpa} kPa", self.injection.of(&self.start));
+            return Err(refused(format!("the plant {text}: expected fuel and a pressure to begin with")));
+        }
+        Ok(Driver::First { per_kpa, k: 0.0 })
+    }
+
+    /// Drives a course; the throttle of the first sample has been held for a while.
+    pub(super) fn drive(
+        &mut self,
+        name: &str,
+        (course, test, excite): (&Course, &Test, bool),
+        driver: &mut Driver,
+        (seed, most): (u64, f64),
+        watch: &Watch,
+    ) -> Result<Record, FuellingJobError> {
+        self.plant.reset(seed);
+        let (mut u, mut y) = (self.start.clone(), vec![0.0; self.outputs]);
+        self.plant.outputs(&mut y).map_err(|e| refused(e.to_string()))?;
+        let dt_s = test.sample_time_s;
+        let mut out = Record {
+            name: name.into(),
+            sample_time_s: dt_s,
+            injection_unit: self.injection_unit.clone(),
+            boost_kpa: self.boost.map(|_| Vec::new()),
+            coolant_c: self.coolant.map(|_| Vec::new()),
+            ..Record::default()
+        };
+        for (t, (throttle, speed)) in course.throttle_deg.iter().zip(&course.speed_rpm).enumerate() {
+            if t % 100 == 0 && watch.interrupted() {
+                return Err(FuellingJobError::Interrupted);
+            }
+            let sensed = Sensed {
+                speed_rpm: *speed,
+                throttle_deg: *throttle,
+                map_kpa: self.map.of(&y),
+                upstream_kpa: self.boost.map(|b| b.of(&y)),
+                coolant_c: self.coolant.map_or(f64::NAN, |c| c.of(&y)),
+                lambda: Some(self.lambda.of(&y)),
+            };
+            let share = if excite { course.share[t] } else { 0.0 };
+            let injection = driver.step(&sensed, dt_s, share, most);
+            self.throttle.set(&mut u, *throttle);
+            self.speed.set(&mut u, *speed);
+            self.injection.set(&mut u, injection);
+            self.plant.step(&u, dt_s, &mut y).map_err(|e| refused(e.to_string()))?;
+            out.speed_rpm.push(*speed);
+            out.throttle_deg.push(*throttle);
+            out.injection.push(injection);
+            out.map_kpa.push(self.map.of(&y));
+            out.lambda.push(self.lambda.of(&y));
+            for (place, values) in [(self.boost, &mut out.boost_kpa), (self.coolant, &mut out.coolant_c)] {
+                if let (Some(place), Some(values)) = (place, values) {
+                    values.push(place.of(&y));
+                }
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// A channel by name, in a unit or as it is.
+fn find(all: &[Variable], name: &str, unit: Option<&str>, what: &str) -> Result<Place, FuellingJobError> {
+    let Some(at) = all.iter().position(|v| v.name == name) else {
+        let names: Vec<&str> = all.iter().map(|v| v.name.as_str()).collect();
+        return Err(refused(format!("the plant has no {what} `{name}`; it has {}", names.join(", "))));
+    };
+    let own = all[at].unit.as_str();
+    let Some(unit) = unit else { return Ok(Place { at, scale: 1.0, offset: 0.0 }) };
+    let (scale, offset) = units::conversion(own, unit).ok_or_else(|| {
+        refused(format!("`{name}` of the plant is in {own}, expected a unit that converts to {unit}"))
+    })?;
+    Ok(Place { at, scale, offset })
+}

@@ -1,0 +1,132 @@
+//! What is kept of identified fuelling, `fuelling.json`: the model, where it holds, and on which breakpoints it is delivered.
+
+use dynocal_calib::fuelling::Fuelling;
+use serde::{Deserialize, Serialize};
+
+use super::result::Seen;
+use super::spec::Tables;
+
+/// Schema and version of `fuelling.json`.
+pub const FUELLING_SCHEMA: &str = "dynocal/fuelling";
+/// See [`FUELLING_SCHEMA`].
+pub const FUELLING_VERSION: u32 = 1;
+
+/// Places between two breakpoints at which a table is held against the model.
+const BETWEEN: usize = 4;
+
+/// Identified fuelling as it is kept.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoredFuelling {
+    /// Whether it may be used.
+    pub valid: bool,
+    /// What was identified.
+    pub fuelling: Fuelling,
+    /// Unit of the injection.
+    pub injection_unit: String,
+    /// Ranges of the records that identified it.
+    pub seen: Seen,
+    /// Breakpoints.
+    pub tables: Tables,
+}
+
+impl StoredFuelling {
+    /// Charge at the breakpoints, speed fastest, in the unit of the injection.
+    pub fn charge(&self) -> Vec<f64> {
+        let at = |p: &f64| {
+            self.tables.speed_rpm.iter().map(|n| self.fuelling.charge.at(*n, *p)).collect::<Vec<f64>>()
+        };
+        self.tables.map_kpa.iter().flat_map(at).collect()
+    }
+
+    /// What the table loses: the largest relative difference between its bilinear interpolation and the charge of the model, at five
+    /// by five places of each cell. None where the charge is not positive.
+    pub fn loss(&self) -> Option<f64> {
+        let (speed, map, values) = (&self.tables.speed_rpm, &self.tables.map_kpa, self.charge());
+        let mut worst = 0.0_f64;
+        for (j, p) in map.windows(2).enumerate() {
+            for (i, n) in speed.windows(2).enumerate() {
+                let at = |di: usize, dj: usize| values[(j + dj) * speed.len() + i + di];
+                for k in 0..=BETWEEN * (BETWEEN + 2) {
+                    let share = |k: usize| k as f64 / BETWEEN as f64;
+                    let (x, y) = (share(k % (BETWEEN + 1)), share(k / (BETWEEN + 1)));
+                    let low = at(0, 0) + x * (at(1, 0) - at(0, 0));
+                    let high = at(0, 1) + x * (at(1, 1) - at(0, 1));
+                    let truth = self.fuelling.charge.at(n[0] + x * (n[1] - n[0]), p[0] + y * (p[1] - p[0]));
+                    if !(truth > 0.0) {
+                        return None;
+                    }
+                    worst = worst.max(((low + y * (high - low)) / truth - 1.0).abs());
+                }
+            }
+        }
+        Some(worst)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_calib::fuelling::{Charge, Filling, Film, Timing};
+
+    /// The charge 1e-4 n p: bilinear, so that tables lose nothing; with p squared the loss is that of a chord of a parabola.
+    fn stored(truth: impl Fn(f64, f64) -> f64) -> StoredFuelling {
+        let points: Vec<[f64; 3]> = (0..100)
+            .map(|k| (1000.0 + 300.0 * f64::from(k % 10), 20.0 + 8.0 * f64::from(k / 10)))
+            .map(|(n, p)| [n, p, truth(n, p)])
+            .collect();
+        StoredFuelling {
+            valid: true,
+            fuelling: Fuelling {
+                sample_time_s: 0.01,
+                charge: Charge::fit(&points).unwrap(),
+                filling: Filling {
+                    upstream_kpa: 101.325,
+                    throttle_deg: 1.0,
+                    area: vec![0.0, 1.0, 0.0, 0.0],
+                    gain: 1.0,
+                    throttle_lag_s: 0.05,
+                    correction_per_s: 0.5,
+                },
+                film: Film { share: 0.2, tau_s: 0.3 },
+                timing: Timing {
+                    charge_s: 0.0,
+                    charge_cycles: 0.5,
+                    transport_cycles: 1.0,
+                    transport_fuel: 1.0,
+                    sensor_lag_s: 0.1,
+                },
+                coolant: None,
+                trim: None,
+                rms: 0.01,
+                pressure_rms_kpa: 0.1,
+            },
+            injection_unit: "mg".into(),
+            seen: Seen {
+                speed_rpm: [1000.0, 3700.0],
+                map_kpa: [20.0, 92.0],
+                throttle_deg: [5.0, 40.0],
+                coolant_c: None,
+            },
+            tables: Tables {
+                speed_rpm: vec![1000.0, 2000.0, 3700.0],
+                map_kpa: vec![40.0, 60.0, 80.0],
+                coolant_c: vec![],
+            },
+        }
+    }
+
+    #[test]
+    fn a_table_of_a_bilinear_charge_loses_nothing() {
+        let s = stored(|n, p| 1e-4 * n * p);
+        assert!(s.loss().unwrap() < 1e-6, "{:?}", s.loss());
+        assert!((s.charge()[4] - 1e-4 * 2000.0 * 60.0).abs() < 1e-5, "{:?}", s.charge());
+    }
+
+    #[test]
+    fn a_chord_of_a_parabola_is_off_by_its_middle() {
+        // (h / 2)^2 above p^2 at the middle of 40 to 60, where 50^2 is true.
+        let s = stored(|_, p| 1e-3 * p * p);
+        assert!((s.loss().unwrap() - 100.0 / 2500.0).abs() < 1e-5, "{:?}", s.loss());
+    }
+}

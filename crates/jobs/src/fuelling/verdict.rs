@@ -1,0 +1,90 @@
+//! What the numbers mean, in words.
+
+use dynocal_calib::fuelling::Fuelling;
+
+use super::result::{Driven, Score, Seen, best_rival};
+
+/// Errors on unseen records beyond this multiple of those of the identification: the model does not carry over.
+const CARRIES: f64 = 2.0;
+/// Share of samples outside of what was seen that is said.
+const OUTSIDE: f64 = 0.02;
+/// A film that takes away less than this share of the error is none that the records show.
+const FILM: f64 = 0.02;
+
+fn worst<'a>(scores: impl Iterator<Item = &'a Score>, of: fn(&Score) -> f64) -> f64 {
+    scores.map(of).fold(0.0, f64::max)
+}
+
+fn percent(v: f64) -> String {
+    dynocal_report::significant(100.0 * v, 3)
+}
+
+/// Whether it may be used, and why.
+pub(super) fn verdict(scores: &[Score], driven: &[Driven]) -> (bool, Vec<String>) {
+    let of = |role: &'static str| scores.iter().filter(move |s| s.role == role);
+    let (learnt, unseen) = (worst(of("identification"), |s| s.rms), worst(of("unseen"), |s| s.rms));
+    let bare = worst(of("unseen"), |s| s.rms_without_film);
+    let carries = unseen <= CARRIES * learnt;
+    let mut out = vec![format!(
+        "{}: on unseen records the model shows 1 / lambda within {} % (root mean square; {} % on those that identified it, {} % without a film).",
+        if carries {
+            "The air and film model carries over"
+        } else {
+            "The air and film model must not be used"
+        },
+        percent(unseen),
+        percent(learnt),
+        percent(bare),
+    )];
+    if !carries {
+        out.push(format!(
+            "Its error is more than {CARRIES} times as large where it was not identified: longer records, or records over the whole range, are needed."
+        ));
+    }
+    let (Some(ours), Some(rival)) = (driven.first(), best_rival(driven)) else {
+        return (carries, out);
+    };
+    let spike = |d: &Driven| d.lean.max(d.rich);
+    let (better_mean, better_spike) = (ours.mean < rival.mean, spike(ours) < spike(rival));
+    let head = match (better_mean, better_spike) {
+        (true, true) => "Driving with it wins",
+        (false, false) => "Driving with it loses, and it must not be used",
+        _ => "Driving with it wins in one of two",
+    };
+    out.push(format!(
+        "{head}: mean |lambda - 1| {} % against {} % of the best rival ({}), largest deviation {} % against {} %, on a course that tuned nothing, by the lambda that the sensor shows.",
+        percent(ours.mean),
+        percent(rival.mean),
+        rival.name,
+        percent(spike(ours)),
+        percent(spike(rival)),
+    ));
+    (carries && (better_mean || better_spike), out)
+}
+
+/// What the user should know.
+pub(super) fn warnings(f: &Fuelling, scores: &[Score], seen: &Seen) -> Vec<String> {
+    let mut out = Vec::new();
+    for s in scores.iter().filter(|s| s.role == "unseen" && s.outside > OUTSIDE) {
+        out.push(format!(
+            "{}: {} % of its samples lie outside of {:.0} to {:.0} rpm and {:.0} to {:.0} kPa, which is what the identification saw",
+            s.record,
+            percent(s.outside),
+            seen.speed_rpm[0],
+            seen.speed_rpm[1],
+            seen.map_kpa[0],
+            seen.map_kpa[1]
+        ));
+    }
+    let of = |of: fn(&Score) -> f64| worst(scores.iter().filter(|s| s.role == "unseen"), of);
+    if of(|s| s.rms) > (1.0 - FILM) * of(|s| s.rms_without_film) {
+        out.push("the records show no fuel film: without one the unseen records are shown as well; share and time constant of the film say little".into());
+    }
+    if f.trim.is_none() {
+        out.push("no lambda trim: on these records none leaves less error than the model alone".into());
+    }
+    if f.coolant.is_none() {
+        out.push("what the coolant does to film and charge is not known: its temperature was not given, or moved by less than 10 K".into());
+    }
+    out
+}
