@@ -123,16 +123,13 @@ report_check_itself() {
 # fetched first: a build leaves them out, and their licences count too.
 licences() { cargo fetch --quiet --locked && cargo deny --offline --log-level error check licenses bans sources; }
 
-# A full disk fails everything after it with other words: said first.
-room() {
-    local free_gb
-    free_gb="$(df --output=avail -BG . | tail -n 1 | tr -dc 0-9)"
-    echo "$free_gb GB free here"
-    [ "$free_gb" -ge "$NEEDED_GB" ] || { echo "error: $free_gb GB free on this disk, expected $NEEDED_GB: what is built takes that much"; return 1; }
-}
+# A full disk fails what comes with other words: said first.
+free_gb="$(df --output=avail -BG . | tail -n 1 | tr -dc 0-9)"
+if [ "$free_gb" -lt "$NEEDED_GB" ]; then
+    say "only $free_gb GB are free on this disk; what is built from nothing takes $NEEDED_GB"
+    notes+=("note    only $free_gb GB were free on the disk at the start, $NEEDED_GB are needed from nothing")
+fi
 
-step "room on the disk" room
-[ "${#failed[@]}" = 0 ] || exit 1
 step "tools" install_missing
 [ "${#failed[@]}" = 0 ] || { echo "error: the tools could not be installed"; exit 1; }
 [ -n "${DYNOCAL_REFERENCE_DIR:-}" ] && echo "reference data: $DYNOCAL_REFERENCE_DIR" || echo "reference data: not given"
