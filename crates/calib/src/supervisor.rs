@@ -15,9 +15,9 @@
 //!
 //! The safe point is what was applied at the end of settling; the way back leads there at the rates of the channels, loops
 //! open. What a closed loop is about to apply is known when it is about to be applied, so that plans with loops are
-//! watched in the same way. The way back was predicted to be safe one step before, so that it is there when it is needed. An output without a
-//! model is watched by its measured value and its margin alone. No prediction can promise what a plant does that is
-//! unlike anything the model and this run have seen: the margin is for that.
+//! watched in the same way. The way back was predicted to be safe one step before, so that it is there when it is needed. An
+//! output without a model is watched by its measured value and its margin alone. No prediction can promise what a plant does that
+//! is unlike anything the model and this run have seen: the margin is for that.
 
 use dynocal_ident::model::{Model, Run};
 use dynocal_ident::plan::Plan;

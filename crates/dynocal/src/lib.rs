@@ -108,8 +108,8 @@
 //! # Ok::<(), dynocal::label::LabelError>(())
 //! ```
 //!
-//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record, simulate a stored model,
-//! calibrate on the virtual engine.
+//! The folder `examples` of this crate has whole tasks: identify a measured file, design a test, optimise a record, simulate a
+//! stored model, calibrate on the virtual engine.
 
 pub use dynocal_calib as calib;
 pub use dynocal_control as control;

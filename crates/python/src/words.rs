@@ -57,10 +57,11 @@ const WORDS: &[(&str, &str)] = &[
 pub(crate) fn plain(text: &str) -> String {
     let mut text = text.to_string();
     for (found, meant) in WORDS {
-        if text.contains(found) {
-            // `expected a mapping` holds `expected a map`.
-            text = text.replace(found, meant).replace("mappingping", "mapping");
+        // `expected a mapping` holds `expected a map`: what is said already goes back first.
+        if meant.starts_with(found) {
+            text = text.replace(meant, found);
         }
+        text = text.replace(found, meant);
     }
     without_numbers_of_the_system(text)
 }

@@ -21,8 +21,8 @@ struct Output {
 }
 
 /// Input: `u` (N x 4: INJ, SA, throttle, speed), `rate` in deg per sample, `bounds`, and for `torque` and `lambda` their
-/// `regressors` or `network`, `theta`, `y` (of which the first samples start the demand); `way` where it is not the batch, `max_iterations`. Output:
-/// inputs (N x 3), fuel, parts solved of all, CPU time of building and solving, most memory held.
+/// `regressors` or `network`, `theta`, `y` (of which the first samples start the demand); `way` where it is not the batch,
+/// `max_iterations`. Output: inputs (N x 3), fuel, parts solved of all, CPU time of building and solving, most memory held.
 pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
     let u = numbers(input, "u")?;
     let outputs = [output(input, "torque")?, output(input, "lambda")?];

@@ -3,8 +3,8 @@
 //! A start record gives the given channels, the inputs to begin with and the first samples of the outputs. The demand of
 //! the demanded outputs is the models' own response to the start inputs, so the program is feasible by construction (or, where
 //! [`DemandFrom::Record`] asks for it, the output of the record). Channels `<input>_lower` and `<input>_upper` of the record bound an
-//! input sample by sample, inside its bounds of the problem; of an output with limits they tighten its limits. It is solved as one sparse program over all samples
-//! ([`program`] has the equations).
+//! input sample by sample, inside its bounds of the problem; of an output with limits they tighten its limits. It is solved as
+//! one sparse program over all samples ([`program`] has the equations).
 //!
 //! ```
 //! use dynocal_calib::optimise::{OptimiseOptions, model::OutputModel, optimise_models};

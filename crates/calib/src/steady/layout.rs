@@ -218,8 +218,8 @@ impl Layout {
         place.map_or(f64::NAN, |k| x[k])
     }
 
-    /// One more response without a limit or weight, where it is not there yet: an output among the `variables` of a plant, else a derived channel.
-    /// False where it is neither.
+    /// One more response without a limit or weight, where it is not there yet: an output among the `variables` of a plant, else a
+    /// derived channel. False where it is neither.
     pub fn add_response(&mut self, name: &str, variables: &[Variable]) -> bool {
         if self.responses.iter().any(|r| r.name == name) {
             return true;

@@ -24,7 +24,8 @@ struct New {
     /// Measurement file
     #[arg(long, value_name = "FILE")]
     from: PathBuf,
-    /// Spec to write; without it the name of the file in this folder: FILE.toml (identify), FILE-design.toml, FILE-calibrate.toml, FILE-map.toml
+    /// Spec to write; without it the name of the file in this folder: FILE.toml (identify), FILE-design.toml,
+    /// FILE-calibrate.toml, FILE-map.toml
     #[arg(long, value_name = "SPEC")]
     to: Option<PathBuf>,
     /// Output (calibrate, map: what is demanded); may be repeated; without it the last channel that moves

@@ -17,8 +17,8 @@ use serde::Deserialize;
 /// the mean over the objective signal of variance and squared bias (G. E. P. Box and N. R. Draper, J. Am. Stat. Assoc. 54
 /// (1959) 622-654). The terms left out are independent, of mean zero, and what the kept ones cannot follow of them over the
 /// objective signal is together `lack` times the noise variance, shared equally; the bias is then at least
-/// `lack sigma^2`, which a record whose moments are those of the objective signal reaches. A design for variance alone goes to the ends of the box, where a model that is too simple errs most. With no
-/// term left out it is V.
+/// `lack sigma^2`, which a record whose moments are those of the objective signal reaches. A design for variance alone goes to
+/// the ends of the box, where a model that is too simple errs most. With no term left out it is V.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct Mse {

@@ -135,7 +135,8 @@ impl<'a> Evaluator<'a> {
         value
     }
 
-    /// The search objective at `x` and its gradient (none where `grad` is empty), with the augmented Lagrangian of the constraints when given.
+    /// The search objective at `x` and its gradient (none where `grad` is empty), with the augmented Lagrangian of the
+    /// constraints when given.
     pub(crate) fn objective(
         &mut self,
         x: &[f64],

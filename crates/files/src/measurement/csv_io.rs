@@ -1,9 +1,9 @@
 //! CSV, plain or gzip (told by the first bytes): as loggers, spreadsheets and calibration tools write it.
 //!
 //! Encoding, separator, preamble, header, a row of units, decimal comma and thousands are guessed by
-//! [`crate::measurement::csv_dialect`], told in a note of the table where they are not the plain ones, and fixed by keys. Units stand in the header, `name [unit]`, in
-//! a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a clock become seconds, columns of
-//! `On` and `Off` become 1 and 0; both are told in a note.
+//! [`crate::measurement::csv_dialect`], told in a note of the table where they are not the plain ones, and fixed by keys. Units
+//! stand in the header, `name [unit]`, in a row below it, or as a suffix of the name, `torque_nm`. Stamps in ISO 8601 or as a
+//! clock become seconds, columns of `On` and `Off` become 1 and 0; both are told in a note.
 
 use std::collections::BTreeSet;
 use std::fs::File;

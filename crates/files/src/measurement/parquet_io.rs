@@ -1,5 +1,6 @@
 //! Parquet (zstd, snappy, gzip or plain pages), flat columns: float32, float64, signed and unsigned integers,
-//! booleans, text, and time stamps (dates, clocks) as seconds since the first. Page checksums are verified. Key-value metadata `unit:NAME` gives the unit of a column, beside `NAME [unit]` and suffixes.
+//! booleans, text, and time stamps (dates, clocks) as seconds since the first. Page checksums are verified. Key-value metadata
+//! `unit:NAME` gives the unit of a column, beside `NAME [unit]` and suffixes.
 
 use std::collections::BTreeSet;
 use std::fs::File;

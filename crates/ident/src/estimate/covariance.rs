@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Sensitivities of a free run, and regressors without outputs, depend on inputs only, so that the errors' own
-//! autocovariance is all that is needed; regressors with measured outputs depend on the errors, so that products of both are summed (Newey and West). The lags
-//! L follow from Andrews' rule for that kernel, `L + 1 = 1.1447 (alpha n)^(1/3)`, with alpha from first-order
-//! autoregressions of the components of g.
+//! autocovariance is all that is needed; regressors with measured outputs depend on the errors, so that products of both are
+//! summed (Newey and West). The lags L follow from Andrews' rule for that kernel, `L + 1 = 1.1447 (alpha n)^(1/3)`, with alpha
+//! from first-order autoregressions of the components of g.
 //!
 //! A ridge adds its diagonal to the outer J'J. Neither needs J whole: it comes in blocks, twice for the robust one.
 //!

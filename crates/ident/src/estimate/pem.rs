@@ -10,8 +10,8 @@
 //! [`crate::estimate::missing`]. A trial with an unstable filter gives a large or non-finite error and is a bad trial,
 //! nothing more.
 //!
-//! The start is least squares throughout (one that is given besides is searched from as well, and the better end counts): a high-order ARX model gives the innovations and the noise-free response,
-//! from which the wanted polynomials follow linearly.
+//! The start is least squares throughout (one that is given besides is searched from as well, and the better end counts): a
+//! high-order ARX model gives the innovations and the noise-free response, from which the wanted polynomials follow linearly.
 //!
 //! Reference: E. J. Hannan, J. Rissanen, Recursive estimation of mixed autoregressive-moving average order,
 //! Biometrika 69 (1982); K. Steiglitz, L. E. McBride, IEEE Trans. Autom. Control 10 (1965); L. Ljung, System

@@ -32,7 +32,8 @@ pub fn output(model: &dyn Model, theta: &[f64], e: &Experiment, kind: Kind) -> V
     y
 }
 
-/// Prediction k samples ahead, y(t | t-k): measured outputs up to t-k, inputs up to t. For every t a free run over the last k samples from the measured outputs before.
+/// Prediction k samples ahead, y(t | t-k): measured outputs up to t-k, inputs up to t. For every t a free run over the last k
+/// samples from the measured outputs before.
 fn k_step(model: &dyn Model, theta: &[f64], run: &Run, k: usize, y: &mut [f64]) {
     let (m, lag) = (model.n_inputs(), model.max_lag());
     let start = run.start.min(run.len());

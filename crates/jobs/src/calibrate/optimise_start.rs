@@ -137,7 +137,8 @@ impl Begin<'_> {
     }
 
     /// Moves the reference against the miss of the response, by one range of the demand beyond it at most; mean square of the miss
-    /// in units of that range. The rule is an approximate inverse of the models: the iteration is that of internal model control over a record.
+    /// in units of that range. The rule is an approximate inverse of the models: the iteration is that of internal model control
+    /// over a record.
     fn correct(&self, response: &[Vec<f64>], reference: &mut [Vec<f64>]) -> f64 {
         let mut cost = 0.0;
         let ranges = self.ctx.spec.problem.demands.iter().map(|d| (d.lower, d.upper));

@@ -45,8 +45,8 @@ pub struct Pass {
     pub status: Status,
     /// Iterations.
     pub iterations: usize,
-    /// Which of the records of references that were drawn is the one: over it the models found a way first. As many as were drawn where they
-    /// found none.
+    /// Which of the records of references that were drawn is the one: over it the models found a way first. As many as were drawn
+    /// where they found none.
     pub draws: usize,
     /// Demands that gave way to what the models can do; what was measured is compared with what was left of them.
     #[serde(default)]

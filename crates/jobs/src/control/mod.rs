@@ -1,7 +1,8 @@
 //! Feedback around stored models or given transfer functions: margins, the plane of PI gains, a tuned point (thesis section 7.7).
 //!
-//! [`spec`] reads what the user wrote and checks it as a whole, `load` makes linear plants of models at set points (`records` of tests, which `bed` makes where a plant
-//! answers), [`work`] tunes and judges in memory, [`result`] is what comes out, `deliver` makes it a controller that runs elsewhere, `words` says it, [`page`] draws it, [`store`] writes the run folder.
+//! [`spec`] reads what the user wrote and checks it as a whole, `load` makes linear plants of models at set points (`records` of
+//! tests, which `bed` makes where a plant answers), [`work`] tunes and judges in memory, [`result`] is what comes out, `deliver`
+//! makes it a controller that runs elsewhere, `words` says it, [`page`] draws it, [`store`] writes the run folder.
 
 mod bed;
 mod decouple;

@@ -23,8 +23,8 @@ struct Part {
     sample_time_s: Option<f64>,
 }
 
-/// FMUs of the plant of the spec `source` (as written, or as a run keeps it; the virtual engine where it names none) in the formats `to`, which are `fmu2` and `fmu3`; `library` where it does not stand beside
-/// the program.
+/// FMUs of the plant of the spec `source` (as written, or as a run keeps it; the virtual engine where it names none) in the
+/// formats `to`, which are `fmu2` and `fmu3`; `library` where it does not stand beside the program.
 ///
 /// # Errors
 /// [`ExportJobError`]: a spec whose plant cannot leave, a format that holds no plant, a library that is not there or another's.

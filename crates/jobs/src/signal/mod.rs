@@ -32,7 +32,8 @@ use dynocal_numerics::watch::Watch;
 pub use result::{Made, SignalError};
 pub use spec::Job;
 
-/// Makes the signals and writes `signal.csv` (`signal.parquet` above 100 000 samples), `report.html` and `summary.json` into the run folder.
+/// Makes the signals and writes `signal.csv` (`signal.parquet` above 100 000 samples), `report.html` and `summary.json` into the
+/// run folder.
 ///
 /// # Errors
 /// [`SignalError`].

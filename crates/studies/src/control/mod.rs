@@ -4,12 +4,13 @@
 //! torque and lambda is estimated from the record, and its steady gains are inverted, which is what a static map is about its
 //! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. Behind it the demands are moved, as in the thesis, and the
 //! model of the loops is estimated from that record: torque bends at lambda 1, and fuel that moves without its air sees another slope than
-//! loops that move both. About this compensated engine two PI controllers are tuned by the search of the plane. Their gain and delay margins, each loop with the other closed, are then measured: gain or
-//! delay is put into one loop and grows until the engine oscillates. The published gains are judged on the same models.
+//! loops that move both. About this compensated engine two PI controllers are tuned by the search of the plane. Their gain and
+//! delay margins, each loop with the other closed, are then measured: gain or delay is put into one loop and grows until the
+//! engine oscillates. The published gains are judged on the same models.
 //!
 //! Figures 7.22 to 7.30 are drawn on the same beds (`figures`): responses, steps under the loops, torque held by an estimate
-//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller, `refine` makes the map again from data of the closed loop until
-//! feedback has nothing left to do.
+//! (`estimator`), lambda with delay under a Smith predictor (`runs`). `worth` asks which test gives the safest controller,
+//! `refine` makes the map again from data of the closed loop until feedback has nothing left to do.
 
 mod bed;
 mod cycles;

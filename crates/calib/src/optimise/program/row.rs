@@ -5,8 +5,8 @@
 //! free, limited     f(r(t-k), .. ; g(y(t-j)), ..) - g(y(t)) = 0    outputs y are variables
 //! ```
 //!
-//! r readings of the model's inputs, s what a demand gives way (0 where it must be met exactly), g the way from the user's output to the model's. An *atom* is one column at one lag
-//! that an equation reads through one entry of the model's window.
+//! r readings of the model's inputs, s what a demand gives way (0 where it must be met exactly), g the way from the user's output
+//! to the model's. An *atom* is one column at one lag that an equation reads through one entry of the model's window.
 
 use super::columns::{Columns, FIXED};
 use super::hessian::{Merged, NOWHERE, Places};

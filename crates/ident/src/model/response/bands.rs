@@ -86,8 +86,8 @@ struct Unseen {
 }
 
 /// Noise and variance of the response from models that are learnt by `refit` (from scaled inputs and outputs) without each of
-/// the folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or where nothing can
-/// be left out, the structure counts as known.
+/// the folds in turn; `known` is the noise of the model of all points if its structure had been known. After an interrupt, or
+/// where nothing can be left out, the structure counts as known.
 pub(super) fn calibrate(
     known: f64,
     (z, y): (&[f64], &[f64]),

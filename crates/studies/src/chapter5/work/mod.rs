@@ -4,7 +4,8 @@
 //! the right criterion) or in the equation (then the prediction error is); [`searches`] minimises the simulation error
 //! by the methods of Table 5.1 and by ours, [`repeated`] does both over many records. [`engine`] makes records of an
 //! engine as sections 5.5 and 7.4 did ([`excite`] draws references, [`plans`] and [`gains`] hold them in closed loop),
-//! [`polynomials`] fits their structures and [`networks`] trains theirs. [`published`] holds what the thesis printed and what an independent implementation found.
+//! [`polynomials`] fits their structures and [`networks`] trains theirs. [`published`] holds what the thesis printed and what an
+//! independent implementation found.
 //!
 //! Readings: u1 is a fraction; inputs are uniform, held 10, 10 and 100 samples (the printed R2 and MSE imply it), 1000
 //! samples; the noise is output error of variance 0.5; a free run starts from the seven measured samples that the lags
