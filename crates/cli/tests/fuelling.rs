@@ -78,7 +78,10 @@ fn identified_on_a_plant_and_again_from_its_files() {
         let (a, b) = (film(&found, key), film(&again, key));
         assert!((a / b - 1.0).abs() < 1e-3, "{key}: {a} on the plant, {b} from its files");
     }
-    let o = dynocal(tmp.path(), &["export", "again/fuelling.json", "--to", "dcm,json", "--out", "out"]);
+    let o = dynocal(
+        tmp.path(),
+        &["export", "again/fuelling.json", "--to", "dcm", "--to", "json", "--out", "out"],
+    );
     assert_eq!(o.code, 0, "{}{}", o.stdout, o.stderr);
     assert!(
         o.stderr.contains("FUEL_CHARGE loses at most") || o.stdout.contains("FUEL_CHARGE loses at most"),
@@ -90,6 +93,11 @@ fn identified_on_a_plant_and_again_from_its_files() {
     for name in ["FUEL_CHARGE", "FUEL_THROTTLE_FLOW", "FILM_SHARE", "FILM_TAU", "LAMBDA_LAG"] {
         assert!(dcm.contains(name), "{name}");
     }
+
+    // A record judges nothing that was identified from it.
+    write(tmp.path(), "twice.toml", &FILES.replace("run/unseen.csv", "run/record-2.csv"));
+    let o = dynocal(tmp.path(), &["fuelling", "twice.toml", "--out", "twice"]);
+    assert!(o.code == 2 && o.stderr.contains("`record-2` is, in whole or in part"), "{}", o.stderr);
 
     // What must not be used does not leave.
     let mut bad = again.clone();

@@ -30,7 +30,7 @@ fn table(name: &str, what: &str, unit: &str, axes: Vec<Axis>, values: Vec<f64>) 
 }
 
 /// Tables and scalars.
-pub fn fuelling(stored: &StoredFuelling) -> Made {
+pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
     let (f, unit, t) = (&stored.fuelling, stored.injection_unit.as_str(), &stored.tables);
     let speed = axis("FUEL_SPEED", "rpm", "speed", &t.speed_rpm);
     let map = axis("FUEL_MAP", "kPa", "map", &t.map_kpa);

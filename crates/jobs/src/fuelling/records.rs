@@ -5,7 +5,8 @@ use std::path::Path;
 use dynocal_calib::fuelling::TransientRecord;
 use dynocal_files::dataset::{ChannelSpec, Layout, Select, Time, datasets, read_table};
 use dynocal_files::measurement;
-use dynocal_ident::data::Role;
+use dynocal_ident::data::{Dataset, Role};
+use dynocal_ident::stored::Pieces;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
@@ -42,6 +43,9 @@ pub struct Record {
     /// Coolant temperature in degC, where it counts.
     #[serde(skip)]
     pub coolant_c: Option<Vec<f64>>,
+    /// As it was read from a file.
+    #[serde(skip)]
+    pub read: Option<Dataset>,
 }
 
 impl Record {
@@ -109,7 +113,21 @@ pub(super) fn read(file: &Path, names: &Channels, watch: &Watch) -> Result<Vec<R
                 lambda: of(&names.lambda)?,
                 boost_kpa: names.boost.as_deref().map(of).transpose()?,
                 coolant_c: names.coolant.as_deref().map(of).transpose()?,
+                read: Some(d),
             })
         })
         .collect()
+}
+
+/// Refuses a record that is to judge and whose pieces the records that identify hold.
+pub(super) fn apart(learn: &[Record], judge: &[Record], names: &Channels) -> Result<(), FuellingJobError> {
+    let channels = [names.lambda.clone(), names.injection.clone()];
+    let learnt: Vec<&Dataset> = learn.iter().filter_map(|r| r.read.as_ref()).collect();
+    let known = Pieces::of(&learnt, &channels, false)?;
+    for r in judge {
+        if r.read.as_ref().is_some_and(|d| known.know(d, &channels, false)) {
+            return Err(FuellingJobError::Seen { record: r.name.clone() });
+        }
+    }
+    Ok(())
 }

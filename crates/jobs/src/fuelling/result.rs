@@ -140,6 +140,14 @@ pub enum FuellingJobError {
         /// Why.
         source: FuellingError,
     },
+    /// A record that judges what was identified from it.
+    #[error(
+        "unseen: `{record}` is, in whole or in part, among the records of `identification`: expected one that was measured apart"
+    )]
+    Seen {
+        /// Record.
+        record: String,
+    },
     /// The page.
     #[error(transparent)]
     Page(#[from] PageError),

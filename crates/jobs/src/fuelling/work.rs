@@ -39,6 +39,7 @@ pub fn fuelling(job: &Job, watch: Watch) -> Result<Fuelled, FuellingJobError> {
                 Ok(each?.into_iter().flatten().collect())
             };
             let (learn, judge) = (all(identification)?, all(unseen)?);
+            records::apart(&learn, &judge, &job.channels)?;
             watch.fraction(0.1);
             let known = Known::of(job, &learn, &watch)?;
             finished(job, &known, learn, judge, Vec::new(), Vec::new())
