@@ -134,6 +134,7 @@ fn no_value_of_a_spec_ends_a_check_without_a_word() {
         ("calibrate", "gtdi/calibrate.toml"),
         ("calibrate", "gtdi_2l/calibrate.toml"),
         ("map", "gtdi_2l/map.toml"),
+        ("fuelling", "pfi_1_6l/fuelling.toml"),
     ] {
         let root: Table = std::fs::read_to_string(example(file)).unwrap().parse().unwrap();
         let mut all = Vec::new();

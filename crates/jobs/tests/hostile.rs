@@ -11,7 +11,7 @@ use dynocal_ident::experiment::Experiment;
 use dynocal_ident::model::kinds;
 use dynocal_ident::prepare::{self, Planned, prepare};
 use dynocal_ident::{select, signal};
-use dynocal_jobs::{calibrate, design, identify, map, optimise, sequential, signal as signals};
+use dynocal_jobs::{calibrate, design, fuelling, identify, map, optimise, sequential, signal as signals};
 use dynocal_numerics::registry::MemberDoc;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -131,6 +131,11 @@ fn read(verb: &str, path: &Path) -> bool {
             let Ok(job) = sequential::spec::read(path, &overrides) else { return false };
             sequential::estimate::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_finite())
         }
+        "fuelling" => {
+            let overrides = dynocal_jobs::place::Overrides { seed: None, out };
+            let Ok(job) = fuelling::spec::read(path, &overrides) else { return false };
+            fuelling::work::estimate(&job).is_ok_and(|plan| plan.memory_bytes.is_finite())
+        }
         "map" => {
             let overrides = dynocal_jobs::place::Overrides { seed: None, out };
             let Ok(job) = map::job::read(path, &overrides) else { return false };
@@ -161,6 +166,7 @@ fn examples() -> Vec<(&'static str, PathBuf)> {
         ("calibrate", "gtdi/quick.toml"),
         ("calibrate", "gtdi_2l/calibrate.toml"),
         ("map", "gtdi_2l/map.toml"),
+        ("fuelling", "pfi_1_6l/fuelling.toml"),
         ("sequential", "sequential/spec.toml"),
         ("identify", "steady/engine_points.toml"),
     ]
