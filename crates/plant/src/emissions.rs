@@ -7,8 +7,8 @@
 //! What hides is the charge that peak pressure packs into the crevices, p V_c/(R T_w m) of it (Heywood 1988, 11.4.3), and
 //! an oil film that takes `oil_share` of that on a wall of 440 K and 1/e more for each 60 K below. Of it the share
 //! s r(lambda) exp(-(T - 900 K)/700 K) survives late burning in cylinder and port, T that of the exhaust manifold (retard
-//! by 1 deg, 10 K: -1.5 %). r falls from 1.8 to 0.55 where oxygen appears, half way at lambda 0.957: measured HC over
-//! lambda, one over its value at 1.
+//! by 1 deg, 10 K: -1.5 %). r is a table over lambda: HC in ppm measured on a real engine at lambda 0.7 to 1.2 over its value
+//! at 1, less what carbon of the exhaust and exhaust temperature do here at 2000 rpm and 70 Nm. It falls where oxygen appears.
 //!
 //! Gas that comes out of crevices and oil leaves the cylinder last, so that what stays as residual gas is richer in HC than
 //! what has left: with `retained` times the mean concentration in a residual share x, the share 1 - `retained` x leaves and
@@ -70,8 +70,15 @@ const R_CHARGE: f64 = 280.0;
 const EXHAUST_K: (f64, f64) = (900.0, 700.0);
 /// Least share of HC that leaves the cylinder \[-\]: the form does not hold where nearly all gas stays.
 const LEAST_LEFT: f64 = 0.2;
-/// Survival over lambda: lean end, rich end, lambda half way, width.
-const SURVIVAL: [f64; 4] = [0.55, 1.8, 0.957, 0.075];
+/// Survival r over lambda, linear in between and held at the ends.
+const SURVIVAL: [(f64, f64); 5] = [(0.7, 1.57), (0.9, 1.30), (1.0, 1.0), (1.1, 0.61), (1.2, 0.60)];
+
+/// r at a lambda.
+fn survival(lambda: f64) -> f64 {
+    let k = SURVIVAL.partition_point(|p| p.0 <= lambda).clamp(1, SURVIVAL.len() - 1);
+    let ((l0, r0), (l1, r1)) = (SURVIVAL[k - 1], SURVIVAL[k]);
+    r0 + ((lambda - l0) / (l1 - l0)).clamp(0.0, 1.0) * (r1 - r0)
+}
 
 impl Hydrocarbons {
     /// Share of the fuel that leaves unburned.
@@ -91,8 +98,7 @@ impl Hydrocarbons {
     pub fn share(&self, c: &Hidden, lambda: f64) -> f64 {
         let crevices = c.peak_pa * self.crevice_m3 / (R_CHARGE * c.wall_k * c.trapped_kg.max(1e-6));
         let oil = self.oil_share * ((WALL_K - c.wall_k) / 60.0).min(4.0).exp() * c.wall_k / WALL_K;
-        let [lean, rich, middle, width] = SURVIVAL;
-        let mixture = lean + (rich - lean) / (1.0 + ((lambda - middle) / width).exp());
+        let mixture = survival(lambda);
         let late = (-(c.exhaust_k - EXHAUST_K.0) / EXHAUST_K.1).exp();
         let left = (1.0 - self.retained * c.residual).max(LEAST_LEFT);
         (crevices * (1.0 + oil) * self.survival * mixture * late * left).clamp(0.0, 1.0)

@@ -4,7 +4,7 @@ use super::air_path::{self, StepRecord, SweepPoint};
 use super::boosted::{FULL_LOAD, MIXTURE, points};
 use super::checks::check;
 use super::class_rows::{self, PRODUCTION, PartLoad, Retard};
-use super::results::{GridPoint, Mixture};
+use super::results::Mixture;
 use super::task;
 use crate::asked::Asked;
 use crate::{Check, Options, StudyError, Task, TaskResult, result};
@@ -93,11 +93,6 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     out
 }
 
-fn torque_at(all: &[GridPoint], speed_rpm: f64) -> Option<f64> {
-    let found = all.iter().filter_map(|p| p.point.as_ref()).find(|p| p.request.speed_rpm == speed_rpm);
-    found.map(|p| p.outputs.torque_nm)
-}
-
 fn boost(results: &[TaskResult]) -> Vec<Check> {
     let all: Option<Vec<SweepPoint>> = result(results, AIR_PATH);
     let spread = all.as_ref().map(|p| air_path::spread(p));
@@ -128,22 +123,6 @@ fn boost(results: &[TaskResult]) -> Vec<Check> {
             Asked::AtMost(0.01),
             surge,
             "1000 to 5500 rpm",
-        ),
-        check(
-            "gtdi-1250",
-            "Full load at 1250 rpm (about 230, 5 %)",
-            "Nm",
-            Asked::AtLeast(218.5),
-            torque_at(&full, 1250.0),
-            MAP_B,
-        ),
-        check(
-            "gtdi-1500",
-            "Full load at 1500 rpm (about 300, 5 %)",
-            "Nm",
-            Asked::AtLeast(285.0),
-            torque_at(&full, 1500.0),
-            MAP_B,
         ),
     ]
 }
