@@ -3,7 +3,7 @@
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::outputs::Outputs;
-use dynocal_plant::params::{EngineParams, sets::PARAMETER_SETS};
+use dynocal_plant::params::{EngineParams, PARAMETER_SETS};
 use dynocal_plant::statics::steady;
 
 /// 2000 rpm at a throttle and a lambda: fuel follows the air.
