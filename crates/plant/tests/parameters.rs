@@ -35,8 +35,7 @@ fn specified() -> EngineParams {
         egr: None,
         knock: None,
         burned_energy: None,
-        // Beside the specification: they only observe (tests/parts_apart.rs).
-        emissions: EngineParams::thesis().emissions,
+        emissions: None,
         cams: None,
         injection: Injection { rate_kg_s: 0.01, evaporation_s: 0.002, charge_share: 0.8 },
         burn: BurnModel::thesis(),
