@@ -261,7 +261,7 @@ fn part_load(results: &[TaskResult]) -> Vec<Check> {
             "kPa",
             Asked::Reported,
             zero(0).map(|y| y.map_kpa),
-            "no measured idle runs at best spark; a measured line of intake pressure over load ends at 27 kPa",
+            "for orientation: a measured line of intake pressure over load at 2050 rpm ends at 27 kPa",
         ),
         check(
             "gtdi-idle-map",
