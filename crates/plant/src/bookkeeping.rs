@@ -4,9 +4,23 @@ use crate::combustion::{Charge, Wiebe};
 use crate::emissions::Hidden;
 use crate::end_gas::{EndGas, KnockModel, ZoneStep};
 use crate::engine::VirtualEngine;
+use crate::gas::GasModel;
 use crate::grid::EventKind;
 use crate::state::{CycleRecord, EXHAUST, INTAKE, PIPE, Sums};
 use std::f64::consts::PI;
+
+/// Unburned gas that is followed from here on; the temperature kept is that of the step before, hence one Newton
+/// correction to the present one.
+fn unburned(gas: &GasModel, mass_kg: [f64; 3], energy_j: f64, p_pa: f64, t_k: f64) -> EndGas {
+    let (u, cv) = gas.energy_and_capacity(mass_kg, t_k);
+    let now = t_k + (energy_j - u) / cv;
+    EndGas::closed(gas, mass_kg, p_pa * now / t_k, now)
+}
+
+/// Mole fraction of NO that the residual gas of a charge brings along.
+fn entrained(last: &CycleRecord, [air, fuel, products]: [f64; 3]) -> f64 {
+    1e-6 * last.emissions.no_ppm * products / (air + fuel + products)
+}
 
 impl VirtualEngine {
     /// Handle every event up to the present cell.
@@ -58,6 +72,7 @@ impl VirtualEngine {
                         trapped_kg: m.trapped_kg,
                         wall_k: self.held.cylinder_wall_k,
                         exhaust_k: s.t_k[EXHAUST],
+                        residual: m.residual,
                     };
                     m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable, &hidden);
                 }
@@ -81,14 +96,9 @@ impl VirtualEngine {
                 let p = self.model.gas.mass_r_j_k([air, fuel, products]) * t / node.volume_m3;
                 m.woschni_ref = geometry.displacement_m3() * t / (p * node.volume_m3);
                 m.motored_ref = p / node.motored;
-                if boosted.zones() {
-                    // The temperature kept is that of the step before: one Newton correction to the present one.
-                    let mass = [air, fuel, products];
-                    let (u, cv) = self.model.gas.energy_and_capacity(mass, t);
-                    let now = t + (s.gas.energy_j[c] - u) / cv;
-                    m.end_gas = EndGas::closed(&self.model.gas, mass, p * now / t, now);
-                    let total = air + fuel + products;
-                    m.end_gas.entrained = 1e-6 * m.last.emissions.no_ppm * products / total;
+                if boosted.knock.is_some() {
+                    m.end_gas = unburned(&self.model.gas, [air, fuel, products], s.gas.energy_j[c], p, t);
+                    m.end_gas.entrained = entrained(&m.last, [air, fuel, products]);
                 }
             }
             EventKind::Spark => {
@@ -119,6 +129,14 @@ impl VirtualEngine {
                     lambda: m.lambda,
                 });
                 m.wiebe = wiebe.stretched(u.spark_deg, d.burn_share[c] * scale.burn);
+                if boosted.knock.is_none() && boosted.emissions.is_some() {
+                    // Nothing has burned yet and no delay of knock is followed: all gas is unburned and of one temperature.
+                    let node = &self.grid.nodes[self.grid.local_nodes(s.cell)[c]];
+                    let mass = [air, fuel, products];
+                    let p = gas.mass_r_j_k(mass) * s.t_k[c] / node.volume_m3;
+                    m.end_gas = unburned(gas, mass, s.gas.energy_j[c], p, s.t_k[c]);
+                    m.end_gas.entrained = entrained(&m.last, mass);
+                }
             }
         }
     }
@@ -215,7 +233,7 @@ impl VirtualEngine {
             let m = &mut self.state.cylinders[c];
             let node = &self.grid.nodes[middle[c]];
             let phi = node.phi_deg;
-            // From intake closing (a temperature is there) to the opening of the exhaust.
+            // From intake closing or the latch of the burn (a temperature is there) to the opening of the exhaust.
             if m.end_gas.t_k == 0.0 || phi > 150.0 {
                 continue;
             }

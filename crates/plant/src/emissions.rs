@@ -7,8 +7,12 @@
 //! What hides is the charge that peak pressure packs into the crevices, p V_c/(R T_w m) of it (Heywood 1988, 11.4.3), and
 //! an oil film that takes `oil_share` of that on a wall of 440 K and 1/e more for each 60 K below. Of it the share
 //! s r(lambda) exp(-(T - 900 K)/700 K) survives late burning in cylinder and port, T that of the exhaust manifold (retard
-//! by 1 deg, 10 K: -1.5 %). r falls from 1.8 to 0.55 where oxygen appears, half way at lambda 0.957: measured HC over
-//! lambda, one over its value at 1.
+//! by 1 deg, 10 K: -1.5 %). r is a table over lambda: HC in ppm measured on a real engine at lambda 0.7 to 1.2 over its value
+//! at 1, less what carbon of the exhaust and exhaust temperature do here at 2000 rpm and 70 Nm. It falls where oxygen appears.
+//!
+//! Gas that comes out of crevices and oil leaves the cylinder last, so that what stays as residual gas is richer in HC than
+//! what has left: with `retained` times the mean concentration in a residual share x, the share 1 - `retained` x leaves and
+//! the rest burns in the next cycle. Gas recirculated outside counts as residual gas here.
 
 use crate::dissociation::BurnedTable;
 use crate::end_gas::EndGas;
@@ -40,6 +44,9 @@ pub struct Hydrocarbons {
     pub oil_share: f64,
     /// Share s that survives at lambda 1 and 900 K \[-\].
     pub survival: f64,
+    /// Concentration of HC in the gas that stays in the cylinder over the mean of what has left \[-\]; 0: nothing stays.
+    #[serde(default)]
+    pub retained: f64,
 }
 
 /// What a cycle was like for the fuel that hides.
@@ -53,34 +60,48 @@ pub struct Hidden {
     pub wall_k: f64,
     /// Gas in the exhaust manifold \[K\].
     pub exhaust_k: f64,
+    /// Share of residual gas in the charge \[-\].
+    pub residual: f64,
 }
 
 /// Wall of the constants, gas constant \[J/kg/K\] of what hides; temperature of the exhaust and its scale \[K\].
 const WALL_K: f64 = 440.0;
 const R_CHARGE: f64 = 280.0;
 const EXHAUST_K: (f64, f64) = (900.0, 700.0);
-/// Survival over lambda: lean end, rich end, lambda half way, width.
-const SURVIVAL: [f64; 4] = [0.55, 1.8, 0.957, 0.075];
+/// Least share of HC that leaves the cylinder \[-\]: the form does not hold where nearly all gas stays.
+const LEAST_LEFT: f64 = 0.2;
+/// Survival r over lambda, linear in between and held at the ends.
+const SURVIVAL: [(f64, f64); 5] = [(0.7, 1.57), (0.9, 1.30), (1.0, 1.0), (1.1, 0.61), (1.2, 0.60)];
+
+/// r at a lambda.
+fn survival(lambda: f64) -> f64 {
+    let k = SURVIVAL.partition_point(|p| p.0 <= lambda).clamp(1, SURVIVAL.len() - 1);
+    let ((l0, r0), (l1, r1)) = (SURVIVAL[k - 1], SURVIVAL[k]);
+    r0 + ((lambda - l0) / (l1 - l0)).clamp(0.0, 1.0) * (r1 - r0)
+}
 
 impl Hydrocarbons {
     /// Share of the fuel that leaves unburned.
     ///
     /// ```
     /// use dynocal_plant::emissions::{Hidden, Hydrocarbons};
-    /// let h = Hydrocarbons { crevice_m3: 1e-6, oil_share: 0.25, survival: 0.16 };
-    /// let warm = Hidden { peak_pa: 29e5, trapped_kg: 3e-4, wall_k: 440.0, exhaust_k: 900.0 };
+    /// let h = Hydrocarbons { crevice_m3: 1e-6, oil_share: 0.25, survival: 0.16, retained: 0.0 };
+    /// let warm = Hidden { peak_pa: 29e5, trapped_kg: 3e-4, wall_k: 440.0, exhaust_k: 900.0, residual: 0.1 };
     /// let [rich, one, lean] = [0.9, 1.0, 1.1].map(|lambda| h.share(&warm, lambda));
-    /// assert!(one > 0.008 && one < 0.019 && rich > 1.3 * one && lean < 0.8 * one);
+    /// assert!(one > 0.008 && one < 0.019 && rich > 1.25 * one && lean < 0.8 * one);
     /// let cold = h.share(&Hidden { wall_k: 370.0, ..warm }, 1.0) / one;
     /// assert!(cold > 1.5 && cold < 2.0);
+    /// // A third of it stays where the residual gas is richer by a factor of 2.5.
+    /// let kept = Hydrocarbons { retained: 2.5, ..h }.share(&Hidden { residual: 0.4 / 3.0, ..warm }, 1.0);
+    /// assert!((kept / one - 2.0 / 3.0).abs() < 1e-12);
     /// ```
     pub fn share(&self, c: &Hidden, lambda: f64) -> f64 {
         let crevices = c.peak_pa * self.crevice_m3 / (R_CHARGE * c.wall_k * c.trapped_kg.max(1e-6));
         let oil = self.oil_share * ((WALL_K - c.wall_k) / 60.0).min(4.0).exp() * c.wall_k / WALL_K;
-        let [lean, rich, middle, width] = SURVIVAL;
-        let mixture = lean + (rich - lean) / (1.0 + ((lambda - middle) / width).exp());
+        let mixture = survival(lambda);
         let late = (-(c.exhaust_k - EXHAUST_K.0) / EXHAUST_K.1).exp();
-        (crevices * (1.0 + oil) * self.survival * mixture * late).clamp(0.0, 1.0)
+        let left = (1.0 - self.retained * c.residual).max(LEAST_LEFT);
+        (crevices * (1.0 + oil) * self.survival * mixture * late * left).clamp(0.0, 1.0)
     }
 }
 

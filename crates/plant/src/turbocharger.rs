@@ -17,7 +17,7 @@
 //! a measured map), power eta_t m' c_p T (1 - (p_7/p_6)^((g-1)/g)), eta_t = eta_max (2 s - s^2) with s the blade speed
 //! over jet speed relative to its best value. Shaft J w w' = eta_m P_t - P_c - c_f w^2. The flap of the wastegate is held
 //! by a spring: where the exhaust pressure passes its preload it lifts, whatever was asked for. The intercooler takes the
-//! share `cooling` of the compressor's heat.
+//! share `cooling` of the compressor's heat, less at high flow where its conductance is given.
 //!
 //! Not covered: flow that turns back in deep surge, heat from turbine to compressor, pressure loss of the intercooler.
 
@@ -55,8 +55,11 @@ pub struct Turbocharger {
     pub friction_w_s2: f64,
     /// Moment of inertia J of the rotor \[kg m2\].
     pub inertia_kg_m2: f64,
-    /// Share of the heat of compression that the intercooler takes \[-\].
+    /// Share of the heat of compression that the intercooler takes at little flow \[-\].
     pub cooling: f64,
+    /// Conductance of the intercooler \[W/K\], by which that share falls with flow; 0: it does not.
+    #[serde(default)]
+    pub cooler_w_k: f64,
     /// Least shaft speed \[rad/s\]: where it stands while the turbine gives nothing.
     pub least_rad_s: f64,
     /// Pressure over the wastegate at which its flap lifts against the spring \[Pa\].
@@ -168,6 +171,17 @@ impl Turbocharger {
     #[inline]
     pub fn flap_lift(&self, over_pa: f64) -> f64 {
         ((over_pa - self.flap_preload_pa) / self.flap_range_pa).clamp(0.0, 1.0)
+    }
+
+    /// Share of the heat of compression that the intercooler takes at a flow \[kg/s\], e (1 - exp(-UA/(m' c_p))): a heat
+    /// exchanger whose other side does not warm (effectiveness and number of transfer units), with the share e of the air that
+    /// meets it.
+    #[inline]
+    pub fn cooled_share(&self, flow_kg_s: f64) -> f64 {
+        if self.cooler_w_k <= 0.0 || flow_kg_s <= 0.0 {
+            return self.cooling;
+        }
+        self.cooling * -(-self.cooler_w_k / (flow_kg_s * CP_AIR)).exp_m1()
     }
 
     /// Power of the turbine \[W\] for `flow_kg_s` of gas of c_p \[J/kg/K\] and R/c_p `kappa`, expanded from `t_k` over the

@@ -111,3 +111,21 @@ fn the_form_meets_a_measured_map() {
     assert!(off.sqrt() < 0.04, "lines: {}", off.sqrt());
     assert!(efficiency.sqrt() < 0.04, "efficiency: {}", efficiency.sqrt());
 }
+
+#[test]
+fn the_intercooler_takes_less_at_high_flow() {
+    let plain = turbo();
+    assert_eq!(plain.cooler_w_k, 0.0);
+    assert_eq!((plain.cooled_share(0.01), plain.cooled_share(0.2)), (plain.cooling, plain.cooling));
+    let t = Turbocharger { cooling: 0.9, cooler_w_k: 200.0, ..plain };
+    assert!((t.cooled_share(1e-4) - 0.9).abs() < 1e-12, "all that meets it");
+    // One transfer unit: UA = m' c_p.
+    let one = t.cooled_share(200.0 / 1006.0);
+    assert!((one - 0.9 * (1.0 - (-1.0f64).exp())).abs() < 1e-12, "{one}");
+    let mut last = 1.0;
+    for k in 1..40 {
+        let share = t.cooled_share(0.005 * f64::from(k));
+        assert!(share < last && share > 0.0, "{share}");
+        last = share;
+    }
+}

@@ -46,8 +46,9 @@ fn steps_end_where_sweeps_do_and_take_the_time_of_a_shaft() {
 
 #[test]
 fn retard_follows_a_production_table() {
-    let found =
-        retards(&params(), &[(2000.0, 12.0, 9.0), (2000.0, 16.0, 16.0), (3000.0, 16.0, 10.5)]).unwrap();
+    let twin = EngineParams::named("twin_2l").unwrap();
+    let found = retards(&twin, &params(), &[(2000.0, 12.0, 9.0), (2000.0, 16.0, 16.0), (3000.0, 16.0, 10.5)])
+        .unwrap();
     for r in &found {
         assert!((r.like_deg - r.production_deg).abs() < 3.0, "{r:?}");
         assert!(r.own_deg < r.like_deg, "less compression, more octane: {r:?}");

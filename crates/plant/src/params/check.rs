@@ -171,6 +171,7 @@ impl EngineParams {
                 ("turbocharger.friction_w_s2", t.friction_w_s2, 0.0, 1e-3),
                 ("turbocharger.inertia_kg_m2", t.inertia_kg_m2, 1e-7, 1e-2),
                 ("turbocharger.cooling", t.cooling, 0.0, 1.0),
+                ("turbocharger.cooler_w_k", t.cooler_w_k, 0.0, 1e5),
                 ("turbocharger.least_rad_s", t.least_rad_s, 10.0, 5000.0),
                 ("turbocharger.flap_preload_pa", t.flap_preload_pa, 0.0, 1e7),
                 ("turbocharger.flap_range_pa", t.flap_range_pa, 1e4, 1e7),
@@ -207,6 +208,7 @@ impl EngineParams {
                     ("emissions.hydrocarbons.crevice_m3", h.crevice_m3, 0.0, 1e-4),
                     ("emissions.hydrocarbons.oil_share", h.oil_share, 0.0, 5.0),
                     ("emissions.hydrocarbons.survival", h.survival, 0.0, 1.0),
+                    ("emissions.hydrocarbons.retained", h.retained, 0.0, 10.0),
                 ])?;
             }
         }

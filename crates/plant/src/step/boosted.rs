@@ -97,7 +97,7 @@ impl Model {
         let b = &self.boosted;
         let c = t.compressor(w, s.p[PIPE], self.ambient_pa, b.ambient_k, b.rho);
         let on = c.share * c.power_w;
-        let cooled = t.cooling * on;
+        let cooled = t.cooled_share(c.flow_kg_s) * on;
         k.mass[0][PIPE] += c.flow_kg_s;
         k.energy[PIPE] += c.flow_kg_s * b.enthalpy + on - cooled;
         // What is recirculated gives its heat to the surroundings.

@@ -13,6 +13,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     report
         .section(Section::new("Full load of gtdi_2l").text(text).columns(full_load(results)))
         .section(Section::new("Maps of gtdi_2l").columns(maps(results)))
+        .section(Section::new("Load sweeps of gtdi_2l").columns(load_sweeps(results)))
         .section(Section::new("Sweeps of gtdi_2l").columns(sweeps(results)))
 }
 
@@ -66,6 +67,15 @@ fn maps(results: &[TaskResult]) -> Vec<Block> {
     if speeds.len() < 2 || torques.len() < 2 {
         return vec![];
     }
+    let inside =
+        |p: &&LoadPoint| p.request.speed_rpm >= speeds[0] && p.request.speed_rpm <= speeds[speeds.len() - 1];
+    let full = points(results, FULL_LOAD);
+    let line: (Vec<f64>, Vec<f64>) = full
+        .iter()
+        .filter_map(|p| p.point.as_ref())
+        .filter(inside)
+        .map(|p| (p.request.speed_rpm, p.outputs.torque_nm))
+        .unzip();
     let quantities: [Mapped; 6] = [
         ("BSFC", "g/kWh", |p| p.outputs.bsfc_g_kwh),
         ("Spark", "deg", |p| p.inputs.spark_deg),
@@ -79,16 +89,41 @@ fn maps(results: &[TaskResult]) -> Vec<Block> {
             |j: usize, i: usize| map.rows[i][j].point.as_ref().filter(|p| p.reached).map_or(f64::NAN, of);
         let z =
             (0..torques.len()).flat_map(|j| (0..speeds.len()).map(move |i| (j, i))).map(|(j, i)| at(j, i));
-        HeatMap::new(
+        let mut map = HeatMap::new(
             title,
             (Axis::new("Speed", "rpm"), speeds.clone()),
             (Axis::new("Torque", "Nm"), torques.clone()),
             (Axis::new(title, unit), z.collect()),
         )
-        .contours()
-        .into()
+        .contours();
+        if !line.0.is_empty() {
+            map = map.overlay_line("full load", line.0.clone(), line.1.clone());
+        }
+        map.into()
     };
     quantities.into_iter().map(heat).collect()
+}
+
+/// Over torque, a line for each of three speeds; points that are not reached are left out.
+fn load_sweeps(results: &[TaskResult]) -> Vec<Block> {
+    let Some(map) = result::<Grid>(results, MAP) else { return vec![] };
+    let quantities: [Mapped; 4] = [
+        ("50 % burned, after dead centre", "deg", |p| p.outputs.ca50_deg),
+        ("Knock integral", "", |p| p.outputs.knock),
+        ("Spark advance", "deg", |p| p.inputs.spark_deg),
+        ("Lambda held", "", |p| p.lambda),
+    ];
+    let plot = |(title, unit, of): Mapped| {
+        let empty = XyPlot::new(title, Axis::new("Torque", "Nm"), Axis::new(title, unit));
+        let rows = map.speed_rpm.iter().zip(&map.rows).filter(|(n, _)| [1500.0, 2000.0, 3000.0].contains(n));
+        rows.fold(empty, |plot, (speed_rpm, row)| {
+            let held = row.iter().filter_map(|p| p.point.as_ref()).filter(|p| p.reached);
+            let (x, y): (Vec<f64>, Vec<f64>) = held.map(|p| (p.outputs.torque_nm, of(p))).unzip();
+            plot.line(format!("{speed_rpm} rpm"), x, y)
+        })
+        .into()
+    };
+    quantities.into_iter().map(plot).collect()
 }
 
 fn sweeps(results: &[TaskResult]) -> Vec<Block> {

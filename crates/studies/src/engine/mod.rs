@@ -8,6 +8,7 @@ pub mod class_rows;
 pub mod class_values;
 mod light_off;
 mod results;
+mod row_plots;
 mod rows;
 mod tables;
 mod tasks;

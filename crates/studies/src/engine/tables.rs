@@ -28,7 +28,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         .section(Section::new("Spark at 2000 rpm, 70 Nm").columns(spark_plots(results)))
         .section(responses(results))
         .section(Section::new("Open throttle").block(open_table(results)));
-    let report = super::rows::sections(super::boosted_tables::sections(report, results), results);
+    let report = super::row_plots::sections(super::boosted_tables::sections(report, results), results);
     super::light_off::sections(super::twin::sections(report, results), results)
 }
 
