@@ -15,23 +15,34 @@
 mod system;
 mod told;
 
+use std::sync::Arc;
+
 use super::{FIRST_SMOOTH, Found, Target, not_finite};
 use crate::error::LabelError;
-use crate::graph::Graph;
+use crate::graph::{Graph, Op};
 use crate::graph::forward::Run;
 use crate::graph::products::Products;
 use crate::linear::{self, Options, offsets};
 use dynocal_numerics::linalg::{dot, norm2};
-use system::System;
+use system::{Joint, System};
 
-/// Most steps, and those after which sizes are taken anew.
+/// Most steps of a round.
 const MOST_STEPS: usize = 60;
-const FIRST_STEPS: usize = 3;
-/// Most times that sizes are taken, and the change of the labels, as a share of their size, up to which they need not be.
+/// Most times that sizes are taken, and the change of one, as a share, up to which they need not be.
 const MOST_ROUNDS: usize = 4;
 const NEAR: f64 = 1e-2;
+/// Change of a size, as a share, from which the matrix over all labels is another one.
+const FAR: f64 = 0.5;
+/// A search begins with one in so many samples, where these are at least so many for each cell and so many in all, and until a step
+/// gains less than this share.
+const PART: usize = 8;
+const PART_SAMPLES_A_CELL: usize = 4;
+const LEAST_PART: usize = 1 << 14;
+const ENOUGH: f64 = 1e-2;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
+/// Square of a step in standard errors, over all labels together, below which they stand.
+const SURE: f64 = 1e-2;
 /// Part of the equations of a step that may be left, and of the first steps, which are far from where they lead.
 const LEFT: f64 = 1e-2;
 const FIRST_LEFT: f64 = 0.1;
@@ -96,7 +107,9 @@ pub fn fit(
         return Err(LabelError::TooFew { found: 0, expected: start.len() });
     }
     let mut theta = within(graph, start);
-    let mut search = Search { graph, targets, options, interrupt, steps: 0, converged: false };
+    let held = vec![false; start.len()];
+    let mut search =
+        Search { graph, targets, options, interrupt, joint: None, held, steps: 0, converged: false };
     let mut system = search.run(&mut theta, &weights)?;
     let plain = weights.clone();
     for _ in 0..if options.robust { ROUNDS } else { 0 } {
@@ -147,40 +160,91 @@ struct Search<'a> {
     targets: &'a [Target<'a>],
     options: &'a Options,
     interrupt: &'a dyn Fn() -> bool,
+    joint: Option<Arc<Joint>>,
+    /// Cells that do not move.
+    held: Vec<bool>,
     steps: usize,
     converged: bool,
 }
 
+/// How far a round goes: most steps, the part of their equations that may be left, and the share of the cost that a step must take
+/// away for another one.
+struct Reach {
+    steps: usize,
+    left: f64,
+    gain: f64,
+}
+
 impl<'a> Search<'a> {
-    /// Moves `theta` to a minimum; the equations there. Where the search starts a film may see nothing that moves, so that sizes are
-    /// taken anew after a few steps, and once more where the labels have gone far since.
+    /// Moves `theta` to a minimum; the equations there. Sizes are taken anew where they have changed since.
     fn run(&mut self, theta: &mut Vec<f64>, weights: &[Vec<f64>]) -> Result<System<'a>, LabelError> {
-        let mut round = 0;
+        self.begin(theta, weights)?;
+        let mut round = 1;
         loop {
-            let before = theta.clone();
-            let system = self.round(theta, weights, round == 0)?;
-            let change: Vec<f64> = before.iter().zip(theta.iter()).map(|(a, b)| a - b).collect();
-            let near = norm2(&change) <= NEAR * norm2(theta);
-            round += 1;
-            if (round > 1 && (near || !self.converged)) || round == MOST_ROUNDS || (self.interrupt)() {
+            let system = self.round(theta, weights, &Reach { steps: MOST_STEPS, left: LEFT, gain: 0.0 })?;
+            if round == MOST_ROUNDS || (self.interrupt)() || !self.converged {
                 return Ok(system);
             }
+            let grown = system.grown();
+            if grown <= NEAR {
+                return Ok(system);
+            }
+            if grown > FAR {
+                self.joint = None;
+            }
+            round += 1;
         }
+    }
+
+    /// The way from the start to where steps may be long. First what times a memory is held and the others are fitted: a film that sees
+    /// nothing but the start's mistakes goes anywhere. Where samples are many, one in some of them is enough for a start.
+    fn begin(&mut self, theta: &mut Vec<f64>, weights: &[Vec<f64>]) -> Result<(), LabelError> {
+        let samples: usize = self.targets.iter().map(|t| t.y.len()).sum();
+        let part = |n: usize| match samples < PART * (PART_SAMPLES_A_CELL * theta.len()).max(LEAST_PART) {
+            true => n,
+            false => n.div_ceil(PART),
+        };
+        let targets: Vec<Target> = self.targets.iter().map(|t| t.first(part(t.y.len()))).collect();
+        let weights_of_part: Vec<Vec<f64>> = weights.iter().map(|w| w[..part(w.len())].to_vec()).collect();
+        if !weights_of_part.iter().flatten().any(|w| *w > 0.0) {
+            return Ok(());
+        }
+        if part(samples) < samples && self.joint.is_none() && theta.len() <= system::MOST_JOINED {
+            // The matrix over all labels is that of all samples.
+            self.round(theta, weights, &Reach { steps: 0, left: FIRST_LEFT, gain: 0.0 })?;
+        }
+        let (graph, options, interrupt) = (self.graph, self.options, self.interrupt);
+        let held = timing(graph);
+        let joint = self.joint.take();
+        let mut search =
+            Search { graph, targets: &targets, options, interrupt, joint, held, steps: 0, converged: false };
+        let reach = Reach { steps: MOST_STEPS, left: FIRST_LEFT, gain: ENOUGH };
+        if search.held.contains(&true) {
+            search.round(theta, &weights_of_part, &reach)?;
+            search.held.fill(false);
+        }
+        search.round(theta, &weights_of_part, &reach)?;
+        self.steps += search.steps;
+        self.joint = search.joint;
+        Ok(())
     }
 
     fn round(
         &mut self,
         theta: &mut Vec<f64>,
         weights: &[Vec<f64>],
-        first: bool,
+        reach: &Reach,
     ) -> Result<System<'a>, LabelError> {
         let (graph, targets) = (self.graph, self.targets);
         let wrong = |theta: &[f64]| not_finite(graph, theta, targets);
+        let clock = std::time::Instant::now(); //DEV
         let state = evaluate(graph, theta, targets, weights).ok_or_else(|| wrong(theta))?;
+        eprintln!("DEV evaluate {:.2}", clock.elapsed().as_secs_f64()); //DEV
         let smooth = self.options.smooth.unwrap_or(FIRST_SMOOTH);
         let products = self.products(theta, state.runs);
         let mut system = System::new(graph, products, targets, weights, self.options, smooth);
         let mut cost = state.cost;
+        eprintln!("DEV system {:.2}", clock.elapsed().as_secs_f64()); //DEV
         // A cell without data has its base, wherever the search starts.
         let known = system.known(theta);
         if known != *theta {
@@ -189,18 +253,26 @@ impl<'a> Search<'a> {
             cost = state.cost;
             system.move_to(self.products(theta, state.runs));
         }
+        system.join(graph, self.joint.as_ref())?;
+        self.joint = system.joined().cloned();
+        eprintln!("DEV joint {:.2}", clock.elapsed().as_secs_f64()); //DEV
         cost += system.cost_of_base(theta);
         let mut mu = DAMPED;
         self.converged = false;
-        let (most, left) = if first { (FIRST_STEPS, FIRST_LEFT) } else { (MOST_STEPS, LEFT) };
-        for _ in 0..most {
+        for _ in 0..reach.steps {
             if self.converged || (self.interrupt)() {
                 break;
             }
             self.steps += 1;
-            if !self.step(theta, &mut cost, &mut mu, left, &mut system, weights)? {
+            let before = cost;
+            let clock = std::time::Instant::now(); //DEV
+            if !self.step(theta, &mut cost, &mut mu, reach.left, &mut system, weights)?
+                || before - cost < reach.gain * before
+            {
+                eprintln!("DEV last step {:.2} s cost {cost:.8e}", clock.elapsed().as_secs_f64()); //DEV
                 break;
             }
+            eprintln!("DEV {:?}", &theta[theta.len()-4..]); eprintln!("DEV step {:.2} s cost {before:.8e} -> {cost:.8e} mu {mu:e} conv {}", clock.elapsed().as_secs_f64(), self.converged); //DEV
         }
         Ok(system)
     }
@@ -217,14 +289,16 @@ impl<'a> Search<'a> {
     ) -> Result<bool, LabelError> {
         let g = system.gradient(theta);
         let (mut tried, mut promised) = (0, f64::INFINITY);
+        let samples = weights.iter().flatten().filter(|w| **w > 0.0).count() as f64;
         loop {
-            let p = system.step(&g, theta, *mu, left, self.interrupt)?;
+            let p = system.step(&g, theta, &self.held, *mu, left, self.interrupt)?;
             let moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
             let next = within(self.graph, &moved);
             // A step that is short because it is damped says nothing.
-            let small = *mu <= DAMPED && stands(&next, theta);
+            let own = dot(&g, &p);
+            let small = *mu <= DAMPED && (stands(&next, theta) || own <= SURE * *cost / samples);
             if tried == 0 {
-                promised = dot(&g, &p);
+                promised = own;
             }
             let new = evaluate(self.graph, &next, self.targets, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
@@ -250,6 +324,26 @@ impl<'a> Search<'a> {
         };
         self.targets.iter().zip(runs).map(one).collect()
     }
+}
+
+/// Cells of labels that a delay, lag or film is timed by, and of shares of a film.
+fn timing(graph: &Graph) -> Vec<bool> {
+    let mut times = vec![false; graph.nodes.len()];
+    let mut out = vec![false; graph.base().len()];
+    let spans = spans(graph);
+    for (k, node) in graph.nodes.iter().enumerate().rev() {
+        let inputs = node.op.inputs();
+        let from = match node.op {
+            _ if times[k] => 0,
+            Op::Delay(..) | Op::DelayFlow(..) | Op::Lag(..) | Op::Film(..) => 1,
+            _ => inputs.len(),
+        };
+        inputs[from..].iter().for_each(|i| times[*i] = true);
+        if let (true, Op::Label(l, _)) = (times[k], &node.op) {
+            out[spans[*l].clone()].fill(true);
+        }
+    }
+    out
 }
 
 /// Cells of each label, one after the other.

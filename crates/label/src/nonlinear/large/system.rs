@@ -1,6 +1,12 @@
 //! The equations of a step, as products.
 
-use dynocal_numerics::linalg::{self, axpy, dot};
+mod joint;
+mod near;
+mod tiles;
+
+use std::sync::Arc;
+
+use dynocal_numerics::linalg::{axpy, dot};
 use dynocal_numerics::rng::Rng64;
 
 use super::spans;
@@ -9,6 +15,8 @@ use crate::graph::Graph;
 use crate::graph::products::Products;
 use crate::linear::Options;
 use crate::nonlinear::Target;
+pub(super) use joint::{Joint, MOST_CELLS as MOST_JOINED};
+use near::Near;
 
 /// Draws of random signs for the diagonal.
 const SIGNS: u64 = 8;
@@ -18,6 +26,10 @@ const MOST_SCALARS: usize = 16;
 const MOST_STEPS: usize = 100;
 /// Cells of a label up to which its own equations are factorised.
 const MOST_FACTORISED: usize = 1024;
+/// Samples that the shape of a label's own equations is taken from.
+const SHAPE_SAMPLES: usize = 1 << 16;
+/// Damping, as a share of the diagonal, from which a matrix label by label is as near.
+const DAMPED_MUCH: f64 = 0.1;
 /// Part of the diagonal that the shape of a label's equations gets more: cells that few samples reached may have none of their own.
 const MORE_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
@@ -45,8 +57,12 @@ pub(super) struct System<'a> {
     /// Samples at each cell by their interpolation weights, and the sum of the squares of these.
     pub(super) visits: Vec<f64>,
     pub(super) facts: Vec<f64>,
+    /// Pairs of scalars with their entries of `J'WJ`.
+    scalars: Vec<((usize, usize), f64)>,
     /// The part of `J'WJ` within each label, in shape.
     shapes: Vec<Vec<f64>>,
+    /// A matrix near that of the step over all labels, where it is held.
+    joint: Option<Arc<Joint>>,
     spans: Vec<std::ops::Range<usize>>,
 }
 
@@ -78,19 +94,15 @@ impl<'a> System<'a> {
             visits: vec![0.0; base.len()],
             facts: vec![0.0; base.len()],
             base,
+            scalars: Vec::new(),
             shapes: Vec::new(),
+            joint: None,
             spans: spans(graph),
         };
         out.residuals = out.left();
         out.visit();
         out.diagonal = out.signs();
-        // Of a scalar the number itself costs no more, and a film or a lag deserves it.
-        let scalars: Vec<usize> = out.spans.iter().filter(|s| s.len() == 1).map(|s| s.start).collect();
-        for k in scalars.into_iter().take(MOST_SCALARS) {
-            let mut unit = vec![0.0; out.diagonal.len()];
-            unit[k] = 1.0;
-            out.diagonal[k] = out.square(&unit);
-        }
+        out.find_scalars();
         out.shapes = out.shaped();
         let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
         for (k, locked) in locked.enumerate() {
@@ -101,6 +113,59 @@ impl<'a> System<'a> {
         let mean = out.diagonal.iter().sum::<f64>() / out.diagonal.len().max(1) as f64;
         out.base_weight.iter_mut().for_each(|w| *w += TIE * mean);
         out
+    }
+
+    /// Of scalars the numbers themselves cost no more, and a film or a lag deserves them.
+    fn find_scalars(&mut self) {
+        let scalars = self.spans.iter().filter(|s| s.len() == 1).map(|s| s.start);
+        let columns: Vec<(usize, Vec<Vec<f64>>)> = scalars
+            .take(MOST_SCALARS)
+            .map(|k| {
+                let mut unit = vec![0.0; self.diagonal.len()];
+                unit[k] = 1.0;
+                (k, self.products.iter().map(|p| p.forward(&unit)).collect())
+            })
+            .collect();
+        for (n, (i, a)) in columns.iter().enumerate() {
+            for (j, b) in &columns[n..] {
+                let of = |((a, b), w): ((&Vec<f64>, &Vec<f64>), &Vec<f64>)| -> f64 {
+                    a.iter().zip(b).zip(w).map(|((a, b), w)| w * a * b).sum()
+                };
+                let v = a.iter().zip(b).zip(&self.weights).map(of).sum();
+                self.scalars.push(((*i, *j), v));
+                if i == j {
+                    self.diagonal[*i] = v;
+                }
+            }
+        }
+    }
+
+    /// Holds a matrix over all labels, a new one where there is none yet.
+    pub(super) fn join(&mut self, graph: &Graph, known: Option<&Arc<Joint>>) -> Result<(), LabelError> {
+        if self.base.len() <= MOST_JOINED {
+            self.joint = Some(match known {
+                Some(known) => known.clone(),
+                None => Arc::new(Joint::new(graph, self)?),
+            });
+        }
+        Ok(())
+    }
+
+    /// The matrix over all labels, if it is held.
+    pub(super) fn joined(&self) -> Option<&Arc<Joint>> {
+        self.joint.as_ref()
+    }
+
+    /// Size of the data on each label at another point, over that from which the sizes were taken: the greatest change, as a share.
+    pub(super) fn grown(&self) -> f64 {
+        let now = self.signs();
+        let size = |d: &[f64], s: &std::ops::Range<usize>| d[s.clone()].iter().sum::<f64>();
+        let rough = self.spans.iter().filter(|s| s.len() > 2);
+        let change = |s: &std::ops::Range<usize>| {
+            let before = size(&self.diagonal, s);
+            if before > 0.0 { (size(&now, s) / before - 1.0).abs() } else { 0.0 }
+        };
+        rough.map(change).fold(0.0, f64::max)
     }
 
     /// Target less function, 0 where a sample does not count.
@@ -142,7 +207,7 @@ impl<'a> System<'a> {
     fn shaped(&self) -> Vec<Vec<f64>> {
         let mut out: Vec<Vec<f64>> = Vec::new();
         for (p, w) in self.products.iter().zip(&self.weights) {
-            let own = p.shapes(w, MOST_FACTORISED);
+            let own = p.shapes(w, MOST_FACTORISED, SHAPE_SAMPLES);
             match out.is_empty() {
                 true => out = own,
                 false => out.iter_mut().zip(own).for_each(|(o, s)| axpy(1.0, &s, o)),
@@ -252,6 +317,7 @@ impl<'a> System<'a> {
         &self,
         g: &[f64],
         theta: &[f64],
+        held: &[bool],
         mu: f64,
         left: f64,
         interrupt: &dyn Fn() -> bool,
@@ -260,7 +326,7 @@ impl<'a> System<'a> {
             .map(|k| {
                 let low = theta[k] <= self.lower[k] && g[k] < 0.0;
                 let high = theta[k] >= self.upper[k] && g[k] > 0.0;
-                self.free[k] && !low && !high
+                self.free[k] && !held[k] && !low && !high
             })
             .collect();
         self.solve(g, &moves, mu, left, interrupt)
@@ -275,14 +341,21 @@ impl<'a> System<'a> {
         left: f64,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
-        let near = Near::new(self, moves, mu)?;
+        let near: Box<dyn Fn(&[f64]) -> Result<Vec<f64>, LabelError>> = match &self.joint {
+            Some(joint) if mu <= DAMPED_MUCH => Box::new(|r| joint.solve(r, moves)),
+            _ => {
+                let near = Near::new(self, moves, mu)?;
+                Box::new(move |r| near.solve(r))
+            }
+        };
         let mut x = vec![0.0; g.len()];
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
-        let mut z = near.solve(&r)?;
+        let mut z = near(&r)?;
         let (mut p, mut rz) = (z.clone(), dot(&r, &z));
         let goal = left * left * rz;
-        for _ in 0..MOST_STEPS {
+        for it in 0..MOST_STEPS {
             if !(rz > goal) || interrupt() {
+                eprintln!("DEV cg {it}"); //DEV
                 break;
             }
             let q = self.times(&p, moves, mu);
@@ -293,7 +366,7 @@ impl<'a> System<'a> {
             let a = rz / curvature;
             axpy(a, &p, &mut x);
             axpy(-a, &q, &mut r);
-            z = near.solve(&r)?;
+            z = near(&r)?;
             let next = dot(&r, &z);
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
             rz = next;
@@ -321,76 +394,5 @@ impl<'a> System<'a> {
         }
         out.iter_mut().zip(&self.base_weight).for_each(|(o, w)| *o += w.sqrt() * rng.normal());
         out
-    }
-}
-
-/// A matrix near that of the step, label by label: the shape of the label's own equations, and its roughness.
-struct Near {
-    /// First cell, size, and upper triangular factor; none for a diagonal.
-    blocks: Vec<(usize, usize, Option<Vec<f64>>)>,
-    diagonal: Vec<f64>,
-    moves: Vec<bool>,
-}
-
-impl Near {
-    fn new(s: &System, moves: &[bool], mu: f64) -> Result<Self, LabelError> {
-        let mean = s.diagonal.iter().sum::<f64>() / s.diagonal.len().max(1) as f64;
-        let own = |k: usize| {
-            let size = s.base_weight[k] + (1.0 + mu) * s.diagonal[k];
-            // A cell that data do not reach is held by its neighbours.
-            if size > 1e-9 * mean { size } else { 1e-9 * mean }
-        };
-        let ties = s.ties();
-        let diagonal: Vec<f64> = (0..moves.len()).map(|k| own(k) + ties[k] - s.base_weight[k]).collect();
-        let mut blocks = Vec::new();
-        let mut rows = s.rough.iter().peekable();
-        for (span, shape) in s.spans.iter().zip(&s.shapes) {
-            let n = span.len();
-            let mut h = shape.clone();
-            let moving = &moves[span.clone()];
-            for (k, v) in h.iter_mut().enumerate().filter(|(k, _)| !moving[k / n] || !moving[k % n]) {
-                *v = f64::from(u8::from(k / n == k % n));
-            }
-            while let Some((row, w)) = rows.next_if(|(row, _)| span.contains(&row[0].0)) {
-                if h.is_empty() {
-                    continue;
-                }
-                for (i, a) in row.iter().filter(|(i, _)| moves[*i]) {
-                    for (j, b) in row.iter().filter(|(j, _)| moves[*j] && j >= i) {
-                        h[(i - span.start) * n + j - span.start] += w * a * b;
-                    }
-                }
-            }
-            if h.is_empty() {
-                blocks.push((span.start, n, None));
-                continue;
-            }
-            for k in (0..n).filter(|k| moving[*k]) {
-                let cell = span.start + k;
-                let more = s.base_weight[cell] + mu * s.diagonal[cell];
-                // What no data reach is held by its neighbours, and by a little of the mean.
-                h[k * n + k] += more + 1e-9 * mean;
-            }
-            linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
-            blocks.push((span.start, n, Some(h)));
-        }
-        Ok(Self { blocks, diagonal, moves: moves.to_vec() })
-    }
-
-    fn solve(&self, r: &[f64]) -> Result<Vec<f64>, LabelError> {
-        let mut x = r.to_vec();
-        for (from, n, factor) in &self.blocks {
-            let own = &mut x[*from..from + n];
-            match factor {
-                None => own.iter_mut().zip(&self.diagonal[*from..]).for_each(|(x, d)| *x /= d),
-                Some(u) => {
-                    let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
-                    linalg::solve_upper_transposed(u, *n, own).map_err(singular)?;
-                    linalg::solve_upper(u, *n, own).map_err(singular)?;
-                }
-            }
-        }
-        x.iter_mut().zip(&self.moves).for_each(|(x, m)| *x = if *m { *x } else { 0.0 });
-        Ok(x)
     }
 }

@@ -58,7 +58,7 @@ pub(super) fn tell(
         }
     };
     let all = 0..theta.len();
-    let before = rms(graph, &graph.base(), targets);
+    let before = rms(targets, &residuals(graph, &graph.base(), targets));
     let (values, proven) = whole_steps(graph, theta);
     Ok(Fit {
         values,
@@ -71,7 +71,7 @@ pub(super) fn tell(
         sigma: variance.sqrt(),
         correlation_samples: tau,
         effective_parameters: parameters,
-        rms: [before, rms(graph, theta, targets)],
+        rms: [before, rms(targets, &system.residuals)],
         held: held(graph, theta),
         broken: Vec::new(),
         proven,
@@ -98,12 +98,19 @@ fn correlated(targets: &[Target], system: &System) -> (Vec<f64>, Vec<f64>, f64) 
     (left, weights, tau)
 }
 
-fn rms(graph: &Graph, theta: &[f64], targets: &[Target]) -> f64 {
-    let (mut sum, mut all) = (0.0, 0.0);
-    for t in targets {
+fn residuals(graph: &Graph, theta: &[f64], targets: &[Target]) -> Vec<Vec<f64>> {
+    let one = |t: &Target| {
         let y = graph.run(theta, &t.record).values.swap_remove(t.node_of(graph));
+        t.y.iter().zip(y).map(|(y, f)| y - f).collect()
+    };
+    targets.iter().map(one).collect()
+}
+
+fn rms(targets: &[Target], left: &[Vec<f64>]) -> f64 {
+    let (mut sum, mut all) = (0.0, 0.0);
+    for (t, left) in targets.iter().zip(left) {
         for k in t.counts() {
-            sum += t.weights[k] * (t.y[k] - y[k]).powi(2);
+            sum += t.weights[k] * left[k] * left[k];
             all += t.weights[k];
         }
     }
