@@ -200,9 +200,9 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
     let mut told =
         verdict::tell(&normal, &normal.hessian(found.cautious), &cautious, tau, &map, &locked, &visits)?;
-    let spread = spread(&mut normal, p, (&map, &offset, &weights, tau), &found)?;
-    for (half, f) in told.half_width.iter_mut().zip(&map).filter_map(|(h, f)| f.map(|f| (h, f))) {
-        *half = verdict::Z95 * spread[f].sqrt();
+    // The interval reaches as far as that of the cautious fit, which lies elsewhere.
+    for (half, f) in told.half_width.iter_mut().zip(&map) {
+        *half += f.map_or(0.0, |f| (found.delta[f] - cautious.delta[f]).abs());
     }
     Ok(Fit {
         values,
@@ -220,26 +220,6 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         broken,
         proven,
     })
-}
-
-/// Mean square by which the truth is off the values `found`: over the weights of the roughness that are likely, the variance with each
-/// and the square of how far its values lie from those that were found.
-fn spread(
-    normal: &mut Normal,
-    p: &Problem,
-    (map, offset, weights, tau): (&[Option<usize>], &[f64], &[f64], f64),
-    found: &normal::Smooth,
-) -> Result<Vec<f64>, LabelError> {
-    let mut out = vec![0.0; found.delta.len()];
-    for (smooth, share) in &found.likely {
-        let one = normal.solve(p, map, offset, weights, tau, Some(*smooth))?;
-        let inverse = verdict::diagonal_of_inverse(&normal.hessian(*smooth), normal.n)?;
-        for (k, out) in out.iter_mut().enumerate() {
-            let apart = one.delta[k] - found.delta[k];
-            *out += share * (tau * one.variance * inverse[k] + apart * apart);
-        }
-    }
-    Ok(out)
 }
 
 fn check(p: &Problem, cells: usize) -> Result<(), LabelError> {

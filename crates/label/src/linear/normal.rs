@@ -11,8 +11,6 @@ const SMOOTH_TO: f64 = 4.0;
 /// Difference of `n ln V` up to which two weights of the roughness explain the data as well: 95 % of chi-squared with one degree of
 /// freedom, as of a ratio of likelihoods.
 const AS_GOOD: f64 = 3.841_458_820_694_124;
-/// Share of the greatest likelihood below which a weight of the roughness is left out.
-const UNLIKELY: f64 = 1e-3;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
 const TIE: f64 = 1e-12;
 
@@ -42,10 +40,8 @@ pub(super) struct Normal {
 pub(super) struct Smooth {
     pub(super) delta: Vec<f64>,
     pub(super) smooth: f64,
-    /// The least weight of the roughness that explains the data as well: what verdicts stand on.
+    /// The least weight of the roughness that explains the data as well: what the intervals stand on.
     pub(super) cautious: f64,
-    /// Weights of the roughness with what the data say for each, of sum 1: what intervals stand on.
-    pub(super) likely: Vec<(f64, f64)>,
     pub(super) parameters: f64,
     pub(super) variance: f64,
 }
@@ -200,8 +196,7 @@ impl Normal {
         let score = if left > 1e-3 { square / self.samples / (left * left) } else { f64::INFINITY };
         // Parameters take as much of correlated noise as tau independent samples have.
         let variance = square / (self.samples - tau * parameters).max(1.0);
-        let likely = vec![(smooth, 1.0)];
-        Ok((Smooth { delta: x, smooth, cautious: smooth, likely, parameters, variance }, score))
+        Ok((Smooth { delta: x, smooth, cautious: smooth, parameters, variance }, score))
     }
 
     /// Solves with the given weight of the roughness, or with the one of least
@@ -249,7 +244,7 @@ impl Normal {
             }
         }
         // The values are those that predict best. The score is flat where the data do not say how smooth the label is, and what they
-        // allow is no knowledge: verdicts stand on the least smooth of the weights that explain as well, intervals on all of them.
+        // allow is no knowledge: the intervals stand on the least smooth of the weights that explain as well.
         let (best, score) = least(&tried);
         let facts = self.samples / tau;
         let as_good = tried.iter().filter(|t| !(facts * (t.1 / score).ln() > AS_GOOD));
@@ -259,24 +254,6 @@ impl Normal {
         let smooth = if score.is_finite() { 10f64.powf(best) } else { 1.0 };
         let mut found = self.at(smooth, tau)?.0;
         found.cautious = cautious.min(smooth);
-        if score.is_finite() {
-            found.likely = likely(&mut tried, facts, score);
-        }
         Ok(found)
     }
-}
-
-/// Weights of the roughness that were tried, as powers of ten with their scores V, and what the data say for each:
-/// `exp(-n ln(V / V_best) / 2)` times its share of the powers, in sum 1. n ln V is Akaike's criterion for few parameters, and these are its
-/// weights (H. Akaike, On the likelihood of a time series model, The Statistician 27 (1978), 217-235).
-fn likely(tried: &mut [(f64, f64)], facts: f64, best: f64) -> Vec<(f64, f64)> {
-    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let last = tried.len() - 1;
-    let share = |k: usize| 0.5 * (tried[(k + 1).min(last)].0 - tried[k.max(1) - 1].0);
-    let own = |k: usize| share(k) * (-0.5 * facts * (tried[k].1 / best).ln()).exp();
-    let all: Vec<(f64, f64)> = (0..=last).map(|k| (10f64.powf(tried[k].0), own(k))).collect();
-    let most = all.iter().map(|w| w.1).fold(0.0, f64::max);
-    let kept: Vec<(f64, f64)> = all.into_iter().filter(|w| w.1 > UNLIKELY * most).collect();
-    let sum: f64 = kept.iter().map(|w| w.1).sum();
-    kept.into_iter().map(|(smooth, w)| (smooth, w / sum)).collect()
 }

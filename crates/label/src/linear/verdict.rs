@@ -9,7 +9,7 @@ use crate::error::LabelError;
 /// Independent measurements at the cell itself from which it may be called determined.
 const DETERMINED: f64 = 1.0;
 /// Two-sided 95 % of the normal distribution.
-pub(super) const Z95: f64 = 1.959_963_984_540_054;
+const Z95: f64 = 1.959_963_984_540_054;
 
 pub(super) struct Told {
     pub(super) half_width: Vec<f64>,
@@ -75,7 +75,7 @@ pub(super) fn tell(
     Ok(Told { half_width, facts, verdicts, sigma: found.variance.sqrt() })
 }
 
-pub(super) fn diagonal_of_inverse(h: &[f64], n: usize) -> Result<Vec<f64>, LabelError> {
+fn diagonal_of_inverse(h: &[f64], n: usize) -> Result<Vec<f64>, LabelError> {
     let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
     let mut r = h.to_vec();
     linalg::cholesky(&mut r, n).map_err(singular)?;

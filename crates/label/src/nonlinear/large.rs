@@ -5,12 +5,16 @@
 //! then     theta+ = theta + p, back within the bounds
 //! ```
 //!
-//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned label by label: by the label's own part of
-//! J'WJ as if the function had no memory, in the size of the diagonal, with its roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic
-//! estimator of the trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far
-//! as the step is right (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408).
-//! Cells at a bound that the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20
-//! (1982), 221-246). Intervals come from draws of the posterior, each the solution for one draw of the noise.
+//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned by a factorised matrix over all labels at
+//! once ([`system::Joint`]), above 16 384 cells label by label: J'WJ as if the function had no memory, in the size of the diagonal, with
+//! the roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic estimator of the
+//! trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far as the step is right
+//! (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408). Cells at a bound that
+//! the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982), 221-246).
+//! Intervals come from draws of the posterior, each the solution for one draw of the noise.
+//!
+//! What times a memory (delays, time constants, shares of a film) is held until the other labels fit, and changes by half of itself a
+//! step at most. Where samples are many the search begins with the first eighth of each record.
 
 mod system;
 mod told;
@@ -19,33 +23,35 @@ use std::sync::Arc;
 
 use super::{FIRST_SMOOTH, Found, Target, not_finite};
 use crate::error::LabelError;
-use crate::graph::{Graph, Op};
 use crate::graph::forward::Run;
 use crate::graph::products::Products;
+use crate::graph::{Graph, Op};
 use crate::linear::{self, Options, offsets};
 use dynocal_numerics::linalg::{dot, norm2};
-use system::{Joint, System};
+use system::{Exact, Joint, System};
 
 /// Most steps of a round.
 const MOST_STEPS: usize = 60;
 /// Most times that sizes are taken, and the change of one, as a share, up to which they need not be.
 const MOST_ROUNDS: usize = 4;
 const NEAR: f64 = 1e-2;
-/// Change of a size, as a share, from which the matrix over all labels is another one.
-const FAR: f64 = 0.5;
 /// A search begins with one in so many samples, where these are at least so many for each cell and so many in all, and until a step
 /// gains less than this share.
 const PART: usize = 8;
 const PART_SAMPLES_A_CELL: usize = 4;
 const LEAST_PART: usize = 1 << 14;
-const ENOUGH: f64 = 1e-2;
+const ENOUGH: f64 = 0.01;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
 /// Square of a step in standard errors, over all labels together, below which they stand.
-const SURE: f64 = 1e-2;
-/// Part of the equations of a step that may be left, and of the first steps, which are far from where they lead.
-const LEFT: f64 = 1e-2;
-const FIRST_LEFT: f64 = 0.1;
+const SURE: f64 = 1e-8;
+/// How exact steps are, and the first ones, which are far from where they lead.
+const LATER: Exact = Exact { left: 1e-2, most: 100 };
+const FIRST: Exact = Exact { left: 0.1, most: 12 };
+/// Start, in s or as a share, that a value of 0 counts as.
+const LEAST_START: f64 = 0.01;
+/// Step of what times a memory, as a share of its value, at most.
+const FACTOR: f64 = 0.5;
 /// Damping below which a step is as long as the equations have it.
 const DAMPED: f64 = 1e-3;
 /// Share of the cost that a step may promise and rounding take.
@@ -108,8 +114,18 @@ pub fn fit(
     }
     let mut theta = within(graph, start);
     let held = vec![false; start.len()];
-    let mut search =
-        Search { graph, targets, options, interrupt, joint: None, held, steps: 0, converged: false };
+    let reach = furthest(graph, start);
+    let mut search = Search {
+        graph,
+        targets,
+        options,
+        interrupt,
+        joint: None,
+        held,
+        furthest: reach,
+        steps: 0,
+        converged: false,
+    };
     let mut system = search.run(&mut theta, &weights)?;
     let plain = weights.clone();
     for _ in 0..if options.robust { ROUNDS } else { 0 } {
@@ -163,34 +179,34 @@ struct Search<'a> {
     joint: Option<Arc<Joint>>,
     /// Cells that do not move.
     held: Vec<bool>,
+    /// How far each cell goes in one step where its own value is small.
+    furthest: Vec<f64>,
     steps: usize,
     converged: bool,
 }
 
-/// How far a round goes: most steps, the part of their equations that may be left, and the share of the cost that a step must take
-/// away for another one.
+/// How far a round goes: most steps, how exact they are, and the share of the cost that a step must take away for another one.
 struct Reach {
     steps: usize,
-    left: f64,
+    exact: Exact,
     gain: f64,
 }
 
 impl<'a> Search<'a> {
     /// Moves `theta` to a minimum; the equations there. Sizes are taken anew where they have changed since.
     fn run(&mut self, theta: &mut Vec<f64>, weights: &[Vec<f64>]) -> Result<System<'a>, LabelError> {
-        self.begin(theta, weights)?;
+        if self.steps == 0 {
+            self.begin(theta, weights)?;
+        }
         let mut round = 1;
         loop {
-            let system = self.round(theta, weights, &Reach { steps: MOST_STEPS, left: LEFT, gain: 0.0 })?;
+            let system = self.round(theta, weights, &Reach { steps: MOST_STEPS, exact: LATER, gain: 0.0 })?;
             if round == MOST_ROUNDS || (self.interrupt)() || !self.converged {
                 return Ok(system);
             }
             let grown = system.grown();
             if grown <= NEAR {
                 return Ok(system);
-            }
-            if grown > FAR {
-                self.joint = None;
             }
             round += 1;
         }
@@ -211,14 +227,14 @@ impl<'a> Search<'a> {
         }
         if part(samples) < samples && self.joint.is_none() && theta.len() <= system::MOST_JOINED {
             // The matrix over all labels is that of all samples.
-            self.round(theta, weights, &Reach { steps: 0, left: FIRST_LEFT, gain: 0.0 })?;
+            self.round(theta, weights, &Reach { steps: 0, exact: FIRST, gain: 0.0 })?;
         }
         let (graph, options, interrupt) = (self.graph, self.options, self.interrupt);
-        let held = timing(graph);
-        let joint = self.joint.take();
+        let (joint, held, furthest) = (self.joint.take(), timing(graph), self.furthest.clone());
+        let targets = &targets;
         let mut search =
-            Search { graph, targets: &targets, options, interrupt, joint, held, steps: 0, converged: false };
-        let reach = Reach { steps: MOST_STEPS, left: FIRST_LEFT, gain: ENOUGH };
+            Search { graph, targets, options, interrupt, joint, held, furthest, steps: 0, converged: false };
+        let reach = Reach { steps: MOST_STEPS, exact: FIRST, gain: ENOUGH };
         if search.held.contains(&true) {
             search.round(theta, &weights_of_part, &reach)?;
             search.held.fill(false);
@@ -237,14 +253,11 @@ impl<'a> Search<'a> {
     ) -> Result<System<'a>, LabelError> {
         let (graph, targets) = (self.graph, self.targets);
         let wrong = |theta: &[f64]| not_finite(graph, theta, targets);
-        let clock = std::time::Instant::now(); //DEV
         let state = evaluate(graph, theta, targets, weights).ok_or_else(|| wrong(theta))?;
-        eprintln!("DEV evaluate {:.2}", clock.elapsed().as_secs_f64()); //DEV
         let smooth = self.options.smooth.unwrap_or(FIRST_SMOOTH);
         let products = self.products(theta, state.runs);
         let mut system = System::new(graph, products, targets, weights, self.options, smooth);
         let mut cost = state.cost;
-        eprintln!("DEV system {:.2}", clock.elapsed().as_secs_f64()); //DEV
         // A cell without data has its base, wherever the search starts.
         let known = system.known(theta);
         if known != *theta {
@@ -255,7 +268,6 @@ impl<'a> Search<'a> {
         }
         system.join(graph, self.joint.as_ref())?;
         self.joint = system.joined().cloned();
-        eprintln!("DEV joint {:.2}", clock.elapsed().as_secs_f64()); //DEV
         cost += system.cost_of_base(theta);
         let mut mu = DAMPED;
         self.converged = false;
@@ -265,14 +277,11 @@ impl<'a> Search<'a> {
             }
             self.steps += 1;
             let before = cost;
-            let clock = std::time::Instant::now(); //DEV
-            if !self.step(theta, &mut cost, &mut mu, reach.left, &mut system, weights)?
+            if !self.step(theta, &mut cost, &mut mu, reach.exact, &mut system, weights)?
                 || before - cost < reach.gain * before
             {
-                eprintln!("DEV last step {:.2} s cost {cost:.8e}", clock.elapsed().as_secs_f64()); //DEV
                 break;
             }
-            eprintln!("DEV {:?}", &theta[theta.len()-4..]); eprintln!("DEV step {:.2} s cost {before:.8e} -> {cost:.8e} mu {mu:e} conv {}", clock.elapsed().as_secs_f64(), self.converged); //DEV
         }
         Ok(system)
     }
@@ -283,7 +292,7 @@ impl<'a> Search<'a> {
         theta: &mut Vec<f64>,
         cost: &mut f64,
         mu: &mut f64,
-        left: f64,
+        exact: Exact,
         system: &mut System<'a>,
         weights: &[Vec<f64>],
     ) -> Result<bool, LabelError> {
@@ -291,12 +300,18 @@ impl<'a> Search<'a> {
         let (mut tried, mut promised) = (0, f64::INFINITY);
         let samples = weights.iter().flatten().filter(|w| **w > 0.0).count() as f64;
         loop {
-            let p = system.step(&g, theta, &self.held, *mu, left, self.interrupt)?;
-            let moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
+            let p = system.step(&g, theta, &self.held, *mu, exact, self.interrupt)?;
+            let mut moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
+            // What times a memory doubles or halves at most: far away a film or a lag may be none, and then nothing leads back.
+            let mut short = false;
+            for (k, v) in moved.iter_mut().enumerate() {
+                let most = FACTOR * theta[k].abs().max(self.furthest[k]);
+                short |= (*v - theta[k]).abs() > most;
+                *v = v.clamp(theta[k] - most, theta[k] + most);
+            }
             let next = within(self.graph, &moved);
-            // A step that is short because it is damped says nothing.
             let own = dot(&g, &p);
-            let small = *mu <= DAMPED && (stands(&next, theta) || own <= SURE * *cost / samples);
+            let small = *mu <= DAMPED && !short && (stands(&next, theta) || own <= SURE * *cost / samples);
             if tried == 0 {
                 promised = own;
             }
@@ -324,6 +339,12 @@ impl<'a> Search<'a> {
         };
         self.targets.iter().zip(runs).map(one).collect()
     }
+}
+
+/// How far cells go in one step where their own value is small: what times a memory by its start, all others by any distance.
+fn furthest(graph: &Graph, start: &[f64]) -> Vec<f64> {
+    let of = |(times, start): (bool, &f64)| if times { start.abs().max(LEAST_START) } else { f64::INFINITY };
+    timing(graph).into_iter().zip(start).map(of).collect()
 }
 
 /// Cells of labels that a delay, lag or film is timed by, and of shares of a film.

@@ -6,7 +6,7 @@ mod tiles;
 
 use std::sync::Arc;
 
-use dynocal_numerics::linalg::{axpy, dot};
+use dynocal_numerics::linalg::{self, axpy, dot};
 use dynocal_numerics::rng::Rng64;
 
 use super::spans;
@@ -22,8 +22,6 @@ use near::Near;
 const SIGNS: u64 = 8;
 /// Scalars whose part of the diagonal is computed.
 const MOST_SCALARS: usize = 16;
-/// Most steps of the conjugate gradients.
-const MOST_STEPS: usize = 100;
 /// Cells of a label up to which its own equations are factorised.
 const MOST_FACTORISED: usize = 1024;
 /// Samples that the shape of a label's own equations is taken from.
@@ -34,6 +32,13 @@ const DAMPED_MUCH: f64 = 0.1;
 const MORE_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
 const TIE: f64 = 1e-12;
+
+/// How far equations are solved: the part of them that may be left, and most steps of the conjugate gradients.
+#[derive(Clone, Copy)]
+pub(super) struct Exact {
+    pub(super) left: f64,
+    pub(super) most: usize,
+}
 
 /// Cells with factors, and the weight of the square.
 type RoughRow = (Vec<(usize, f64)>, f64);
@@ -59,7 +64,9 @@ pub(super) struct System<'a> {
     pub(super) facts: Vec<f64>,
     /// Pairs of scalars with their entries of `J'WJ`.
     scalars: Vec<((usize, usize), f64)>,
-    /// The part of `J'WJ` within each label, in shape.
+    /// Scalars, and the factor of the part of the equations among them.
+    block: (Vec<usize>, Vec<f64>),
+    /// The part of `J'WJ` within each label, in shape, where no matrix over all labels is held.
     shapes: Vec<Vec<f64>>,
     /// A matrix near that of the step over all labels, where it is held.
     joint: Option<Arc<Joint>>,
@@ -95,7 +102,8 @@ impl<'a> System<'a> {
             facts: vec![0.0; base.len()],
             base,
             scalars: Vec::new(),
-            shapes: Vec::new(),
+            block: (Vec::new(), Vec::new()),
+            shapes: vec![Vec::new(); graph.labels.len()],
             joint: None,
             spans: spans(graph),
         };
@@ -103,7 +111,6 @@ impl<'a> System<'a> {
         out.visit();
         out.diagonal = out.signs();
         out.find_scalars();
-        out.shapes = out.shaped();
         let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
         for (k, locked) in locked.enumerate() {
             let seen = out.visits[k] >= options.least_visits.max(1e-9);
@@ -140,15 +147,58 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Holds a matrix over all labels, a new one where there is none yet.
+    /// Holds a matrix over all labels: the known one where the sizes are still nearly its own, else a new one.
     pub(super) fn join(&mut self, graph: &Graph, known: Option<&Arc<Joint>>) -> Result<(), LabelError> {
-        if self.base.len() <= MOST_JOINED {
-            self.joint = Some(match known {
-                Some(known) => known.clone(),
-                None => Arc::new(Joint::new(graph, self)?),
-            });
+        if self.base.len() > MOST_JOINED {
+            self.shapes = self.shaped();
+            return Ok(());
         }
+        self.block = self.scalar_block()?;
+        let sizes = self.sizes();
+        self.joint = Some(match known.filter(|k| k.fits(&sizes)) {
+            Some(known) => known.clone(),
+            None => Arc::new(Joint::new(graph, self, sizes)?),
+        });
         Ok(())
+    }
+
+    /// Size of the data on each label.
+    fn sizes(&self) -> Vec<f64> {
+        self.spans.iter().map(|s| self.diagonal[s.clone()].iter().sum()).collect()
+    }
+
+    /// Factor of the part of the equations among scalars.
+    fn scalar_block(&self) -> Result<(Vec<usize>, Vec<f64>), LabelError> {
+        let cells: Vec<usize> = self.spans.iter().filter(|s| s.len() == 1).map(|s| s.start).collect();
+        let n = cells.len();
+        let mean = self.diagonal.iter().sum::<f64>() / self.diagonal.len().max(1) as f64;
+        let mut h = vec![0.0; n * n];
+        for ((i, j), v) in self.scalars.iter().filter(|((i, j), _)| self.free[*i] && self.free[*j]) {
+            let at = |k: &usize| cells.binary_search(k).unwrap_or_default();
+            h[at(i) * n + at(j)] = *v;
+        }
+        for (at, k) in cells.iter().enumerate() {
+            let own = self.diagonal[*k];
+            // What nothing depends on yet must not seem easy to move.
+            let more =
+                if self.free[*k] && own > 1e-9 * mean { 1e-9 * own } else { mean.max(f64::MIN_POSITIVE) };
+            h[at * n + at] =
+                h[at * n + at].max(if self.free[*k] { own } else { 0.0 }) + more + self.base_weight[*k];
+        }
+        linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
+        Ok((cells, h))
+    }
+
+    /// Solves with the matrix over all labels, scalars apart.
+    fn near_all(&self, joint: &Joint, r: &[f64], moves: &[bool]) -> Result<Vec<f64>, LabelError> {
+        let mut z = joint.solve(r, moves)?;
+        let (cells, factor) = &self.block;
+        let mut own: Vec<f64> = cells.iter().map(|k| if moves[*k] { r[*k] } else { 0.0 }).collect();
+        let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
+        linalg::solve_upper_transposed(factor, own.len(), &mut own).map_err(singular)?;
+        linalg::solve_upper(factor, own.len(), &mut own).map_err(singular)?;
+        cells.iter().zip(own).for_each(|(k, v)| z[*k] = if moves[*k] { v } else { 0.0 });
+        Ok(z)
     }
 
     /// The matrix over all labels, if it is held.
@@ -312,14 +362,14 @@ impl<'a> System<'a> {
         out
     }
 
-    /// The step from `theta` with the gradient `g`: what is left of its equations is at most the share `left`.
+    /// The step from `theta` with the gradient `g`, of the cells that are not held, as exact as is said.
     pub(super) fn step(
         &self,
         g: &[f64],
         theta: &[f64],
         held: &[bool],
         mu: f64,
-        left: f64,
+        exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
         let moves: Vec<bool> = (0..g.len())
@@ -329,7 +379,7 @@ impl<'a> System<'a> {
                 self.free[k] && !held[k] && !low && !high
             })
             .collect();
-        self.solve(g, &moves, mu, left, interrupt)
+        self.solve(g, &moves, mu, exact, interrupt)
     }
 
     /// Conjugate gradients over the cells that move.
@@ -338,11 +388,11 @@ impl<'a> System<'a> {
         g: &[f64],
         moves: &[bool],
         mu: f64,
-        left: f64,
+        exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
         let near: Box<dyn Fn(&[f64]) -> Result<Vec<f64>, LabelError>> = match &self.joint {
-            Some(joint) if mu <= DAMPED_MUCH => Box::new(|r| joint.solve(r, moves)),
+            Some(joint) if mu <= DAMPED_MUCH => Box::new(|r| self.near_all(joint, r, moves)),
             _ => {
                 let near = Near::new(self, moves, mu)?;
                 Box::new(move |r| near.solve(r))
@@ -352,10 +402,9 @@ impl<'a> System<'a> {
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
         let mut z = near(&r)?;
         let (mut p, mut rz) = (z.clone(), dot(&r, &z));
-        let goal = left * left * rz;
-        for it in 0..MOST_STEPS {
+        let goal = exact.left * exact.left * rz;
+        for _ in 0..exact.most {
             if !(rz > goal) || interrupt() {
-                eprintln!("DEV cg {it}"); //DEV
                 break;
             }
             let q = self.times(&p, moves, mu);

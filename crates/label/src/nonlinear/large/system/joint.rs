@@ -28,11 +28,16 @@ const HELD: usize = 4096;
 /// Part of the diagonal that is added: some cells may have none of the samples.
 const MORE: f64 = 1e-3;
 
+/// Change of the size of the data on a label, as a factor, from which the matrix is another one.
+const OTHER: f64 = 4.0;
+
 /// The matrix, factorised.
 pub(in super::super) struct Joint {
     /// Place of each cell in it.
     place: Vec<usize>,
     tiles: Tiles,
+    /// Size of the data on each label that it was made for.
+    sizes: Vec<f64>,
 }
 
 /// Where the cells of labels stand: those of labels that are read at the same place lie side by side, cell by cell.
@@ -123,8 +128,7 @@ impl Row {
 
 impl Joint {
     /// The matrix at the point of `s`.
-    pub(super) fn new(graph: &Graph, s: &System) -> Result<Self, LabelError> {
-        let clock = std::time::Instant::now(); //DEV
+    pub(super) fn new(graph: &Graph, s: &System, sizes: Vec<f64>) -> Result<Self, LabelError> {
         let order = Order::new(graph, &s.spans);
         let n = s.base.len();
         let most = (SAMPLES_A_CELL * n).clamp(SAMPLES[0], SAMPLES[1]) / s.products.len().max(1);
@@ -132,15 +136,17 @@ impl Joint {
         for (p, w) in s.products.iter().zip(&s.weights) {
             axpy(1.0, &p.traces(w, most), &mut trace);
         }
-        // Of scalars the numbers themselves are known.
+        // Scalars have a part of their own.
         let factors: Vec<f64> = s
             .spans
             .iter()
             .zip(&trace)
-            .map(|(span, trace)| {
-                let size: f64 = s.diagonal[span.clone()].iter().sum();
-                if *trace > 0.0 && span.len() > 1 { (size / trace).sqrt() } else { 0.0 }
-            })
+            .zip(&sizes)
+            .map(
+                |((span, trace), size)| {
+                    if *trace > 0.0 && span.len() > 1 { (size / trace).sqrt() } else { 0.0 }
+                },
+            )
             .collect();
         let mut tiles = Tiles::zeros(n);
         for (p, w) in s.products.iter().zip(&s.weights) {
@@ -162,25 +168,19 @@ impl Joint {
                 sum_up(&mut tiles, &rows);
             }
         }
-        eprintln!("DEV summed {:.2}", clock.elapsed().as_secs_f64()); //DEV
         let mut place = vec![0; n];
         for (l, span) in s.spans.iter().enumerate() {
             span.clone().for_each(|cell| place[cell] = order.place(l, cell));
         }
-        let mut out = Self { place, tiles };
+        let mut out = Self { place, tiles, sizes };
         out.hold(s);
         out.tiles.factor().map_err(|e| LabelError::Singular(e.to_string()))?;
         Ok(out)
     }
 
-    /// Adds scalars, roughness, base, and what keeps cells that do not move where they are.
+    /// Adds roughness, base, and what keeps cells that do not move where they are.
     fn hold(&mut self, s: &System) {
         let mean = s.diagonal.iter().sum::<f64>() / s.diagonal.len().max(1) as f64;
-        for (k, v) in &s.scalars {
-            if s.free[k.0] && s.free[k.1] {
-                *self.tiles.at(self.place[k.0], self.place[k.1]) += v;
-            }
-        }
         for (row, w) in &s.rough {
             for (i, a) in row.iter().filter(|(i, _)| s.free[*i]) {
                 for (j, b) in row.iter().filter(|(j, _)| s.free[*j] && j >= i) {
@@ -190,8 +190,14 @@ impl Joint {
         }
         for k in 0..self.place.len() {
             let own = if s.free[k] { s.base_weight[k] + MORE * s.diagonal[k] + 1e-9 * mean } else { mean };
+            let own = if s.diagonal[k] > 0.0 { own } else { mean };
             *self.tiles.at(self.place[k], self.place[k]) += own.max(f64::MIN_POSITIVE);
         }
+    }
+
+    /// Whether the data have nearly these sizes on the labels.
+    pub(super) fn fits(&self, sizes: &[f64]) -> bool {
+        self.sizes.iter().zip(sizes).all(|(a, b)| (a / OTHER..=a * OTHER).contains(b))
     }
 
     /// Solves with the matrix; only what `moves` counts.
