@@ -29,6 +29,7 @@ impl Products<'_> {
     pub(super) fn remember_forward(&self, k: usize, d: &[Vec<f64>], dy: &mut [f64]) -> bool {
         let values = &self.run.values;
         match self.graph.nodes[k].op {
+            _ if dy.is_empty() => return true,
             Op::Lag(x, tau) => {
                 let (y, u, du, dtau) = (&values[k], &values[x], &d[x], &d[tau]);
                 dy[0] = du[0];
@@ -65,6 +66,7 @@ impl Products<'_> {
         let (before, own) = bar.split_at_mut(k);
         let own = &mut own[0];
         match self.graph.nodes[k].op {
+            _ if own.is_empty() => return true,
             Op::Lag(x, tau) => {
                 let (y, u) = (&values[k], &values[x]);
                 for t in (1..own.len()).rev() {
