@@ -391,12 +391,15 @@ impl<'a> System<'a> {
         exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
-        let near: Box<dyn Fn(&[f64]) -> Result<Vec<f64>, LabelError>> = match &self.joint {
-            Some(joint) if mu <= DAMPED_MUCH => Box::new(|r| self.near_all(joint, r, moves)),
-            _ => {
-                let near = Near::new(self, moves, mu)?;
-                Box::new(move |r| near.solve(r))
-            }
+        let joint = self.joint.as_ref().filter(|_| mu <= DAMPED_MUCH);
+        let blocks = match joint {
+            Some(_) => None,
+            None => Some(Near::new(self, moves, mu)?),
+        };
+        let near = |r: &[f64]| match (joint, &blocks) {
+            (Some(joint), _) => self.near_all(joint, r, moves),
+            (None, Some(blocks)) => blocks.solve(r),
+            (None, None) => Ok(r.to_vec()),
         };
         let mut x = vec![0.0; g.len()];
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
