@@ -149,6 +149,23 @@ fn a_true_table_stays_and_a_contradicted_one_is_refused() {
     assert!(!tmp.path().join("refused/tune.msq").exists());
 }
 
+/// A tune whose loads are another quantity: all samples lie beyond its edge, which is said with the numbers of both.
+#[test]
+fn a_log_outside_of_the_table_is_refused_with_its_numbers() {
+    let tmp = tempfile::tempdir().unwrap();
+    drive(&tmp.path().join("a.mlg"), &truth(), &truth(), &truth(), 1);
+    let column = |v: &[f64]| v.iter().map(|x| format!("         {x:.1} \n")).collect::<String>();
+    let far: Vec<f64> = LOAD.iter().map(|l| l + 200.0).collect();
+    let text = tune(&truth()).replace(&column(&LOAD), &column(&far));
+    dynocal_files::atomic::write(&tmp.path().join("far.msq"), text.as_bytes()).unwrap();
+    let o = dynocal(tmp.path(), &["label", "ve", "a.mlg", "--tune", "far.msq", "--out", "out"]);
+    assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
+    for part in ["a.mlg: 100 % of 9000 samples", "`veTable`", "loads of [", "[220, 300]", "at most 90 %"] {
+        assert!(o.stderr.contains(part), "{part} is not in: {}", o.stderr);
+    }
+    assert!(!tmp.path().join("out").exists());
+}
+
 #[test]
 fn bad_input_is_named() {
     let tmp = tempfile::tempdir().unwrap();

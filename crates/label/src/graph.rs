@@ -25,6 +25,9 @@ use crate::error::LabelError;
 use crate::label::Label;
 pub use products::Products;
 
+/// Most breakpoints of an axis: places on it are held in two bytes.
+pub const MOST_POINTS: usize = 1 << 16;
+
 /// What a node computes; numbers are those of earlier nodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -124,6 +127,14 @@ impl Graph {
     /// [`LabelError::Node`], [`LabelError::Label`].
     pub fn check(&self, channels: usize) -> Result<(), LabelError> {
         self.labels.iter().try_for_each(Label::check)?;
+        for (l, a) in self.labels.iter().flat_map(|l| l.axes.iter().map(move |a| (l, a))) {
+            if a.points.len() > MOST_POINTS {
+                let found = a.points.len();
+                let reason =
+                    format!("axis `{}`: found {found} breakpoints, expected at most {MOST_POINTS}", a.name);
+                return Err(LabelError::label(&l.name, reason));
+            }
+        }
         if self.nodes.is_empty() {
             return Err(LabelError::Node { node: "-".into(), reason: "found no node".into() });
         }

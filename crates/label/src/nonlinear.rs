@@ -43,6 +43,13 @@ impl Target<'_> {
         self.node.unwrap_or(graph.nodes.len() - 1)
     }
 
+    /// The same with its first `n` samples only.
+    fn first(&self, n: usize) -> Target<'_> {
+        let channels = self.record.channels.iter().map(|c| &c[..n]).collect();
+        let record = Record { time_s: &self.record.time_s[..n], channels };
+        Target { record, node: self.node, y: &self.y[..n], weights: &self.weights[..n] }
+    }
+
     fn counts(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.y.len()).filter(|k| self.weights[*k] > 0.0)
     }

@@ -11,6 +11,7 @@
 //! samples as the table ([`sensor`]); samples that say nothing of the table are left out and counted ([`mask`]); whether the new table
 //! is taken is decided on later samples that were not used ([`judge`]).
 
+pub mod holes;
 pub mod judge;
 pub mod mask;
 pub mod sensor;
@@ -178,15 +179,17 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     if label.axes.len() != 2 {
         return Err(LabelError::label(&label.name, "expected a map over speed and load"));
     }
+    let all: usize = logs.iter().map(|l| l.time_s.len()).sum();
+    let (logs, lost): (Vec<Log>, Vec<usize>) = logs.iter().map(holes::closed).unzip();
+    let logs = &logs[..];
     let masks: Vec<mask::Mask> = logs.iter().map(|l| mask::of(l, &keys.mask)).collect();
-    let mut left_out: Vec<(String, usize)> = Vec::new();
+    let mut left_out: Vec<(String, usize)> = vec![(holes::REASON.into(), lost.iter().sum())];
     for (reason, count) in masks.iter().flat_map(|m| m.left_out.iter().cloned()) {
         match left_out.iter_mut().find(|r| r.0 == reason) {
             Some(r) => r.1 += count,
             None => left_out.push((reason, count)),
         }
     }
-    let all: usize = logs.iter().map(|l| l.time_s.len()).sum();
     let too_few = |found: usize, left_out: &[(String, usize)]| {
         let reasons =
             left_out.iter().filter(|(_, n)| *n > 0).map(|(reason, n)| format!("{n} for `{reason}`"));

@@ -214,3 +214,16 @@ fn a_graph_that_makes_no_sense_is_refused_with_its_node() {
     assert!(bad(vec![("a", Op::Channel(0)), ("b", Op::Label(0, vec![0]))]).contains("0 axes, found 1"));
     assert!(bad(vec![]).contains("no node"));
 }
+
+#[test]
+fn an_axis_of_too_many_breakpoints_is_refused_by_its_name() {
+    let of = |n: u32| {
+        let points: Vec<f64> = (0..n).map(f64::from).collect();
+        let label = Label::curve("WIDE", "-", "count", "-", &points, &vec![0.0; points.len()]);
+        graph(vec![("x", Op::Channel(0)), ("out", Op::Label(0, vec![0]))], vec![label])
+    };
+    assert!(of(1 << 16).check(1).is_ok());
+    let message = of((1 << 16) + 1).check(1).unwrap_err().to_string();
+    assert!(message.contains("`WIDE`") && message.contains("`count`"), "{message}");
+    assert!(message.contains("65537") && message.contains("65536"), "{message}");
+}

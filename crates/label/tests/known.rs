@@ -96,26 +96,31 @@ fn the_pulse_width_gives_factor_and_dead_time_back() {
     assert!(found.fit.rms[1] <= 0.004, "rms {} ms", found.fit.rms[1]);
 }
 
+/// The fuel table of a drive, of which nothing is known before; what the tune says; rows and values of its look-ups, cut to whole numbers.
+fn look_ups(d: &Drive) -> (Label, Vec<f64>, Rows, Vec<f64>) {
+    let base = d.label("veTable");
+    let axes = vec![
+        Axis::new("RPM", "rpm", &d.label("rpmBins")),
+        Axis::new("load", "kPa", &d.label("fuelLoadBins")),
+    ];
+    let label = Label::new("veTable", "%", axes, &vec![50.0; base.len()]);
+    let (rpm, load, ve) = (d.channel("RPM"), d.channel("FuelLoad"), d.channel("VE1"));
+    let (mut rows, mut cut) = (Rows::default(), Vec::new());
+    for k in (0..ve.len()).filter(|k| ve[*k] > 0.0 && rpm[*k] > 0.0) {
+        rows.start();
+        label.enter(&mut rows, 0, 1.0, &[rpm[k], load[k]]);
+        cut.push(ve[k]);
+    }
+    (label, base, rows, cut)
+}
+
 /// A sample is a look-up that was cut: the first part of a log, as far as one table explains it, has the table that it began with. Where
 /// cells were edited while driving, or a look-up is older than the state beside it, that part ends.
 #[test]
 fn cut_look_ups_are_intervals() {
     for name in ["2025-12-02_10.58.15o", "2025-12-02_10.08.37", "2026-02-28_17.53.41"] {
         let Some(d) = Drive::read(name) else { return };
-        let base = d.label("veTable");
-        let axes = vec![
-            Axis::new("RPM", "rpm", &d.label("rpmBins")),
-            Axis::new("load", "kPa", &d.label("fuelLoadBins")),
-        ];
-        let label = Label::new("veTable", "%", axes, &vec![50.0; base.len()]);
-        let (rpm, load, ve) = (d.channel("RPM"), d.channel("FuelLoad"), d.channel("VE1"));
-        let used: Vec<usize> = (0..ve.len()).filter(|k| ve[*k] > 0.0 && rpm[*k] > 0.0).collect();
-        let (mut rows, mut cut) = (Rows::default(), Vec::new());
-        for &k in &used {
-            rows.start();
-            label.enter(&mut rows, 0, 1.0, &[rpm[k], load[k]]);
-            cut.push(ve[k]);
-        }
+        let (label, base, rows, cut) = look_ups(&d);
         let by = truncated::Cut { step: 1.0, slack: 0.1 };
         let (samples, table) = truncated::longest(&label, &rows, &cut, by).unwrap();
         let off = |k: usize| rows.times(k, &table) - cut[k];
@@ -187,25 +192,9 @@ fn a_planted_table_comes_back_from_cut_look_ups() {
 fn a_known_table_comes_back_from_its_look_ups() {
     for name in ["2025-12-02_10.58.15o", "2025-12-02_10.08.37", "2026-02-28_17.53.41"] {
         let Some(d) = Drive::read(name) else { return };
-        let base = d.label("veTable");
-        let axes = vec![
-            Axis::new("RPM", "rpm", &d.label("rpmBins")),
-            Axis::new("load", "kPa", &d.label("fuelLoadBins")),
-        ];
-        // Nothing is known of the table before.
-        let label = Label::new("veTable", "%", axes, &vec![50.0; base.len()]);
-        let (rpm, load, ve) = (d.channel("RPM"), d.channel("FuelLoad"), d.channel("VE1"));
-        let used: Vec<usize> = (0..ve.len()).filter(|k| ve[*k] > 0.0 && rpm[*k] > 0.0).collect();
-        let (mut rows, mut y) = (Rows::default(), Vec::new());
-        for &k in &used {
-            rows.start();
-            label.enter(&mut rows, 0, 1.0, &[rpm[k], load[k]]);
-            y.push(ve[k] + 0.5);
-        }
-        let same = used
-            .iter()
-            .filter(|k| (label.value(&base, &[rpm[**k], load[**k]]) - ve[**k] - 0.5).abs() <= 0.52)
-            .count();
+        let (label, base, rows, cut) = look_ups(&d);
+        let y: Vec<f64> = cut.iter().map(|c| c + 0.5).collect();
+        let same = (0..y.len()).filter(|k| (rows.times(*k, &base) - y[*k]).abs() <= 0.52).count();
         let problem = Problem::new(std::slice::from_ref(&label), &rows, &y);
         let plain = fit(&problem, &Options { smooth: Some(1e-9), ..Options::default() }).unwrap();
         let told: Vec<usize> = (0..256)
@@ -214,13 +203,13 @@ fn a_known_table_comes_back_from_its_look_ups() {
         let near = |v: &[f64]| told.iter().filter(|k| (v[**k] - base[**k]).abs() <= 1.0).count();
         println!(
             "{name}: tune agrees at {:.1} % of {} samples; {} cells determined to half a count, {} within one count",
-            100.0 * same as f64 / used.len() as f64,
-            used.len(),
+            100.0 * same as f64 / y.len() as f64,
+            y.len(),
             told.len(),
             near(&plain.values.iter().map(|v| v.round()).collect::<Vec<_>>())
         );
         // Where cells were edited while driving there is no one table to come back to.
-        if same as f64 >= 0.9 * used.len() as f64 {
+        if same as f64 >= 0.9 * y.len() as f64 {
             let near = near(&plain.values);
             assert!(
                 !told.is_empty() && near as f64 >= 0.95 * told.len() as f64,

@@ -9,6 +9,7 @@ use dynocal_files::table::Cells;
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Verdict;
 use dynocal_label::ve::judge::Decision;
+use dynocal_label::ve::mask;
 use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Found, Keys, Log, run};
 use dynocal_numerics::rng::Rng64;
@@ -230,4 +231,38 @@ fn intervals_of_planted_tables_hold_the_truth() {
     let share = inside as f64 / all as f64;
     println!("{inside} of {all} determined cells within their interval, {:.1} %", 100.0 * share);
     assert!(all > 1000 && (0.9..=0.995).contains(&share), "{share} of {all}");
+}
+
+/// A log of which every tenth sample has no speed or no load is a log with nine tenths of its samples: no hole of it is a fuel cut.
+#[test]
+fn scattered_samples_without_a_value_cost_only_themselves() {
+    let (label, _, log) = planted(1, 0.15);
+    let keys =
+        Keys { sensor: Some(Sensor { delay_s: 0.2, flow_delay_s: 0.15, lag_s: 0.25 }), ..Keys::default() };
+    let whole = run(&label, std::slice::from_ref(&log), &keys, &|_| ()).unwrap();
+    let mut holes = log;
+    for k in (5..holes.time_s.len()).step_by(10) {
+        if k % 20 == 5 { holes.speed_rpm[k] = f64::NAN } else { holes.load[k] = f64::NAN }
+    }
+    let found = run(&label, &[holes], &keys, &|_| ()).unwrap();
+    println!("{:?} samples without holes, {:?} with: {:?}", whole.samples, found.samples, found.left_out);
+    assert_eq!(found.left_out[0].1, 1200);
+    assert!(found.samples[1] as f64 > 0.88 * whole.samples[1] as f64, "{:?}", found.samples);
+    assert_eq!(found.judgement.decision, Decision::Change);
+    let told = |f: &Found| f.table.verdicts.iter().filter(|v| **v == Verdict::Determined).count();
+    assert!(told(&found) as f64 > 0.9 * told(&whole) as f64, "{} and {}", told(&found), told(&whole));
+}
+
+/// After a hole of seconds nobody knows whether fuel was cut in it: what follows counts after the time of an echo only.
+#[test]
+fn a_long_hole_is_a_cut_that_is_not_known() {
+    let (_, _, mut log) = planted(1, 0.0);
+    let keys = mask::Keys::default();
+    let echo = (keys.after_cut_s / 0.0667).ceil() as usize;
+    let before = mask::of(&log, &keys).use_at;
+    let hole = (1000..).find(|k| before[k - 1..k + echo + 2].iter().all(|u| *u)).unwrap();
+    log.time_s[hole..].iter_mut().for_each(|t| *t += 5.0);
+    let after = mask::of(&log, &keys).use_at;
+    assert!(after[hole - 1] && after[hole + echo + 1]);
+    assert!(after[hole..hole + echo - 1].iter().all(|u| !*u), "{:?}", &after[hole..hole + echo]);
 }

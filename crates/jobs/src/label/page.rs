@@ -74,7 +74,9 @@ fn maps(found: &Labelled) -> Section {
         .collect();
     let visits: Vec<f64> = t.visits.iter().map(|v| if *v > 0.0 { v.round() } else { f64::NAN }).collect();
     // The colours of counts: a state of hours would leave all others white.
-    let log: Vec<f64> = visits.iter().map(|v| v.max(1.0).log10()).collect();
+    // A cell without a visit stays empty: the greater of nothing and 1 would be 1.
+    let log: Vec<f64> =
+        visits.iter().map(|v| if v.is_nan() { f64::NAN } else { v.max(1.0).log10() }).collect();
     let text = "Rows from the lowest load up, as in the tune. Before and after have the same colours. An untouched cell keeps \
                 its value and has no interval.";
     Section::new("Maps")
@@ -96,6 +98,7 @@ fn maps(found: &Labelled) -> Section {
         ))
         .block(
             map(found, "Verdict", "-", verdict)
+                .range(0.0, 2.0)
                 .caption("2: determined by data; 1: pulled by neighbours; empty: untouched; 0: locked."),
         )
 }

@@ -89,6 +89,28 @@ pub enum LabelJobError {
         /// Middle value.
         median: f64,
     },
+    /// A log that is hardly ever where the table is.
+    #[error(
+        "{file}: {outside:.0} % of {samples} samples with fuel lie outside of `{table}`: found speeds of {speed_rpm:.0?} and loads of {load:.1?}, expected {axes:.0?} (at most {most:.0} % outside): is it the log, the tune and the load of this engine?"
+    )]
+    Outside {
+        /// Log.
+        file: String,
+        /// Share of the samples in percent, and what it may be.
+        outside: f64,
+        /// Greatest share.
+        most: f64,
+        /// Samples with fuel.
+        samples: usize,
+        /// Table.
+        table: String,
+        /// Least and greatest speed.
+        speed_rpm: [f64; 2],
+        /// Least and greatest load.
+        load: [f64; 2],
+        /// Ends of the axes.
+        axes: [[f64; 2]; 2],
+    },
     /// No tune anywhere.
     #[error("{file}: the log carries no tune: give the one that was in the ECU with --tune FILE.msq")]
     NoTune {

@@ -19,6 +19,8 @@ use super::spec::Job;
 const SAME_TUNE: f64 = 0.95;
 /// Share of the samples outside of the table that is said.
 const OUTSIDE: f64 = 0.05;
+/// Share of them from which a log says of the edges only and is refused.
+const MOST_OUTSIDE: f64 = 0.9;
 /// Drift of unseen samples that is said, as a share of lambda.
 const DRIFT: f64 = 0.02;
 
@@ -53,7 +55,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
     };
     let (label, held) = channels::table(&tune, definition.as_ref())?;
     let mut warnings = same_tune(&label, &logs);
-    warnings.extend(outside(&label, &logs));
+    warnings.extend(outside(&label, &logs)?);
     if held.is_none() {
         warnings.push(format!(
             "no definition of the ECU (--ini): `{}` is written in steps of {} {} as the tune shows it, and its greatest value is not checked",
@@ -129,27 +131,48 @@ fn same_tune(label: &Label, logs: &[Log]) -> Vec<String> {
     out
 }
 
-/// Logs that leave the axes of the table: there the ECU takes its edge, and so does the fit.
-fn outside(label: &Label, logs: &[Log]) -> Vec<String> {
+/// Logs that leave the axes of the table: there the ECU takes its edge, and so does the fit. One that is hardly ever within them says
+/// nothing of the cells, and is refused.
+fn outside(label: &Label, logs: &[Log]) -> Result<Vec<String>, LabelJobError> {
     let ends = |k: usize| {
         let p = &label.axes[k].points;
-        p[0]..=p[p.len() - 1]
+        [p[0], p[p.len() - 1]]
     };
-    let (speeds, loads) = (ends(0), ends(1));
-    let one = |log: &Log| {
-        let driven: Vec<usize> = (0..log.time_s.len()).filter(|k| log.pulse_ms[*k] > 0.0).collect();
-        let out = |k: &&usize| !speeds.contains(&log.speed_rpm[**k]) || !loads.contains(&log.load[**k]);
+    let axes = [ends(0), ends(1)];
+    let mut said = Vec::new();
+    for log in logs {
+        let known =
+            |k: &usize| log.pulse_ms[*k] > 0.0 && log.speed_rpm[*k].is_finite() && log.load[*k].is_finite();
+        let driven: Vec<usize> = (0..log.time_s.len()).filter(known).collect();
+        let beyond = |v: f64, [from, to]: [f64; 2]| v < from || v > to;
+        let out = |k: &&usize| beyond(log.speed_rpm[**k], axes[0]) || beyond(log.load[**k], axes[1]);
         let share = driven.iter().filter(out).count() as f64 / driven.len().max(1) as f64;
-        (share > OUTSIDE).then(|| {
-            format!(
+        if share > MOST_OUTSIDE {
+            let range = |v: &[f64]| {
+                let all = || driven.iter().map(|k| v[*k]);
+                [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)]
+            };
+            return Err(LabelJobError::Outside {
+                file: log.name.clone(),
+                outside: 100.0 * share,
+                most: 100.0 * MOST_OUTSIDE,
+                samples: driven.len(),
+                table: label.name.clone(),
+                speed_rpm: range(&log.speed_rpm),
+                load: range(&log.load),
+                axes,
+            });
+        }
+        if share > OUTSIDE {
+            said.push(format!(
                 "{}: {:.0} % of the samples lie outside of the axes of `{}`, where the ECU takes its edge: cells there are a mean of all that is beyond",
                 log.name,
                 100.0 * share,
                 label.name
-            )
-        })
-    };
-    logs.iter().filter_map(one).collect()
+            ));
+        }
+    }
+    Ok(said)
 }
 
 fn targets(

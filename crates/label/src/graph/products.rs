@@ -3,6 +3,9 @@
 //! Nodes are taken in stages: nodes with a memory one after the other over the whole record, all others in pieces of time, whose
 //! numbers stay near the processor. Sums are made over a fixed number of parts, so that results do not depend on the processors.
 
+mod memory;
+pub(crate) mod statics;
+
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -16,9 +19,6 @@ use crate::rows::between;
 const PARTS: usize = 32;
 /// Samples of a piece.
 const PIECE: usize = 2048;
-
-/// Samples that the shape of a label's own equations is taken from.
-const SHAPE_SAMPLES: usize = 1 << 16;
 
 /// Interval of an axis and share of the way through it, at each sample.
 struct LookUp {
@@ -44,6 +44,8 @@ pub struct Products<'a> {
     looks: Vec<LookUp>,
     /// Look-ups of each label node.
     look: Vec<Vec<usize>>,
+    /// What decays in each lag and film.
+    decays: Vec<memory::Decay>,
 }
 
 /// Values over a piece of time.
@@ -107,8 +109,10 @@ impl<'a> Products<'a> {
             whole,
             looks: Vec::new(),
             look: vec![Vec::new(); m],
+            decays: vec![Vec::new(); m],
         };
         out.look_up();
+        out.find_decays();
         out
     }
 
@@ -212,41 +216,6 @@ impl<'a> Products<'a> {
         }
     }
 
-    /// The part of `J'WJ` within each label of at most `most` cells (upper triangles), as if the function had no memory, from some
-    /// thousands of samples: its shape, not its size.
-    pub(crate) fn shapes(&self, weights: &[f64], most: usize) -> Vec<Vec<f64>> {
-        let labels = &self.graph.labels;
-        let size = |n: usize| if n <= most { n * n } else { 0 };
-        let mut out: Vec<Vec<f64>> = labels.iter().map(|l| vec![0.0; size(l.len())]).collect();
-        let mut bar = vec![0.0; self.graph.nodes.len()];
-        for t in (0..self.samples()).step_by(self.samples().div_ceil(SHAPE_SAMPLES).max(1)) {
-            if !(weights[t] > 0.0) {
-                continue;
-            }
-            bar.fill(0.0);
-            bar[self.output] = 1.0;
-            for k in (0..=self.output).rev().filter(|k| self.stage[*k].is_some()) {
-                let (g, op) = (bar[k], &self.graph.nodes[k].op);
-                for (which, input) in op.inputs().into_iter().enumerate() {
-                    bar[input] += g * match op {
-                        Op::Integrator(..) => 0.0,
-                        _ if op.remembers() => f64::from(u8::from(which == 0)),
-                        _ => self.partial(k, which, t),
-                    };
-                }
-                let Op::Label(l, _) = op else { continue };
-                let (cells, a, count) = self.corners(k, *l, t);
-                let (n, first, w) = (labels[*l].len(), self.first[*l], weights[t] * g * g);
-                for i in (0..count).filter(|_| n <= most) {
-                    for j in i..count {
-                        out[*l][(cells[i] - first) * n + cells[j] - first] += w * a[i] * a[j];
-                    }
-                }
-            }
-        }
-        out
-    }
-
     /// Calls `take` with cell and weight of each look-up of a label, with each sample that `counts`.
     pub(crate) fn visits(&self, counts: &dyn Fn(usize) -> bool, take: &mut dyn FnMut(usize, f64)) {
         for k in (0..self.graph.nodes.len()).filter(|k| self.stage[*k].is_some()) {
@@ -266,7 +235,8 @@ impl<'a> Products<'a> {
         for stage in 0..self.stages {
             for k in (0..m).filter(|k| self.stage[*k] == Some(stage) && self.graph.nodes[*k].op.remembers()) {
                 let (mut dy, mut dm) = (std::mem::take(&mut d[k]), 0.0);
-                for t in 0..n {
+                let done = self.remember_forward(k, &d, &mut dy);
+                for t in 0..if done { 0 } else { n } {
                     dy[t] = self.graph.tangent(
                         k,
                         t,
@@ -411,7 +381,7 @@ impl<'a> Products<'a> {
                 }
             }
             for k in (0..m).rev().filter(|k| self.stage[*k] == Some(stage)) {
-                if self.graph.nodes[k].op.remembers() {
+                if self.graph.nodes[k].op.remembers() && !self.remember_backward(k, &mut bar) {
                     self.graph.hand_back(
                         k,
                         &self.theta,

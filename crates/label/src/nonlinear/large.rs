@@ -5,36 +5,53 @@
 //! then     theta+ = theta + p, back within the bounds
 //! ```
 //!
-//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned label by label: by the label's own part of
-//! J'WJ as if the function had no memory, in the size of the diagonal, with its roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic
-//! estimator of the trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far
-//! as the step is right (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408).
-//! Cells at a bound that the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20
-//! (1982), 221-246). Intervals come from draws of the posterior, each the solution for one draw of the noise.
+//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned by a factorised matrix over all labels at
+//! once ([`system::Joint`]), above 16 384 cells label by label: J'WJ as if the function had no memory, in the size of the diagonal, with
+//! the roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic estimator of the
+//! trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far as the step is right
+//! (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408). Cells at a bound that
+//! the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982), 221-246).
+//! Intervals come from draws of the posterior, each the solution for one draw of the noise.
+//!
+//! What times a memory (delays, time constants, shares of a film) is held until the other labels fit, and changes by half of itself a
+//! step at most. Where samples are many the search begins with the first eighth of each record.
 
 mod system;
 mod told;
 
+use std::sync::Arc;
+
 use super::{FIRST_SMOOTH, Found, Target, not_finite};
 use crate::error::LabelError;
-use crate::graph::Graph;
 use crate::graph::forward::Run;
 use crate::graph::products::Products;
+use crate::graph::{Graph, Op};
 use crate::linear::{self, Options, offsets};
 use dynocal_numerics::linalg::{dot, norm2};
-use system::System;
+use system::{Exact, Joint, System};
 
-/// Most steps, and those after which sizes are taken anew.
+/// Most steps of a round.
 const MOST_STEPS: usize = 60;
-const FIRST_STEPS: usize = 3;
-/// Most times that sizes are taken, and the change of the labels, as a share of their size, up to which they need not be.
+/// Most times that sizes are taken, and the change of one, as a share, up to which they need not be.
 const MOST_ROUNDS: usize = 4;
 const NEAR: f64 = 1e-2;
+/// A search begins with one in so many samples, where these are at least so many for each cell and so many in all, and until a step
+/// gains less than this share.
+const PART: usize = 8;
+const PART_SAMPLES_A_CELL: usize = 4;
+const LEAST_PART: usize = 1 << 14;
+const ENOUGH: f64 = 0.01;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
-/// Part of the equations of a step that may be left, and of the first steps, which are far from where they lead.
-const LEFT: f64 = 1e-2;
-const FIRST_LEFT: f64 = 0.1;
+/// Square of a step in standard errors, over all labels together, below which they stand.
+const SURE: f64 = 1e-8;
+/// How exact steps are, and the first ones, which are far from where they lead.
+const LATER: Exact = Exact { left: 1e-2, most: 100 };
+const FIRST: Exact = Exact { left: 0.1, most: 12 };
+/// Start, in s or as a share, that a value of 0 counts as.
+const LEAST_START: f64 = 0.01;
+/// Step of what times a memory, as a share of its value, at most.
+const FACTOR: f64 = 0.5;
 /// Damping below which a step is as long as the equations have it.
 const DAMPED: f64 = 1e-3;
 /// Share of the cost that a step may promise and rounding take.
@@ -96,7 +113,19 @@ pub fn fit(
         return Err(LabelError::TooFew { found: 0, expected: start.len() });
     }
     let mut theta = within(graph, start);
-    let mut search = Search { graph, targets, options, interrupt, steps: 0, converged: false };
+    let held = vec![false; start.len()];
+    let reach = furthest(graph, start);
+    let mut search = Search {
+        graph,
+        targets,
+        options,
+        interrupt,
+        joint: None,
+        held,
+        furthest: reach,
+        steps: 0,
+        converged: false,
+    };
     let mut system = search.run(&mut theta, &weights)?;
     let plain = weights.clone();
     for _ in 0..if options.robust { ROUNDS } else { 0 } {
@@ -147,32 +176,80 @@ struct Search<'a> {
     targets: &'a [Target<'a>],
     options: &'a Options,
     interrupt: &'a dyn Fn() -> bool,
+    joint: Option<Arc<Joint>>,
+    /// Cells that do not move.
+    held: Vec<bool>,
+    /// How far each cell goes in one step where its own value is small.
+    furthest: Vec<f64>,
     steps: usize,
     converged: bool,
 }
 
+/// How far a round goes: most steps, how exact they are, and the share of the cost that a step must take away for another one.
+struct Reach {
+    steps: usize,
+    exact: Exact,
+    gain: f64,
+}
+
 impl<'a> Search<'a> {
-    /// Moves `theta` to a minimum; the equations there. Where the search starts a film may see nothing that moves, so that sizes are
-    /// taken anew after a few steps, and once more where the labels have gone far since.
+    /// Moves `theta` to a minimum; the equations there. Sizes are taken anew where they have changed since.
     fn run(&mut self, theta: &mut Vec<f64>, weights: &[Vec<f64>]) -> Result<System<'a>, LabelError> {
-        let mut round = 0;
+        if self.steps == 0 {
+            self.begin(theta, weights)?;
+        }
+        let mut round = 1;
         loop {
-            let before = theta.clone();
-            let system = self.round(theta, weights, round == 0)?;
-            let change: Vec<f64> = before.iter().zip(theta.iter()).map(|(a, b)| a - b).collect();
-            let near = norm2(&change) <= NEAR * norm2(theta);
-            round += 1;
-            if (round > 1 && (near || !self.converged)) || round == MOST_ROUNDS || (self.interrupt)() {
+            let system = self.round(theta, weights, &Reach { steps: MOST_STEPS, exact: LATER, gain: 0.0 })?;
+            if round == MOST_ROUNDS || (self.interrupt)() || !self.converged {
                 return Ok(system);
             }
+            let grown = system.grown();
+            if grown <= NEAR {
+                return Ok(system);
+            }
+            round += 1;
         }
+    }
+
+    /// The way from the start to where steps may be long. First what times a memory is held and the others are fitted: a film that sees
+    /// nothing but the start's mistakes goes anywhere. Where samples are many, one in some of them is enough for a start.
+    fn begin(&mut self, theta: &mut Vec<f64>, weights: &[Vec<f64>]) -> Result<(), LabelError> {
+        let samples: usize = self.targets.iter().map(|t| t.y.len()).sum();
+        let part = |n: usize| match samples < PART * (PART_SAMPLES_A_CELL * theta.len()).max(LEAST_PART) {
+            true => n,
+            false => n.div_ceil(PART),
+        };
+        let targets: Vec<Target> = self.targets.iter().map(|t| t.first(part(t.y.len()))).collect();
+        let weights_of_part: Vec<Vec<f64>> = weights.iter().map(|w| w[..part(w.len())].to_vec()).collect();
+        if !weights_of_part.iter().flatten().any(|w| *w > 0.0) {
+            return Ok(());
+        }
+        if part(samples) < samples && self.joint.is_none() && theta.len() <= system::MOST_JOINED {
+            // The matrix over all labels is that of all samples.
+            self.round(theta, weights, &Reach { steps: 0, exact: FIRST, gain: 0.0 })?;
+        }
+        let (graph, options, interrupt) = (self.graph, self.options, self.interrupt);
+        let (joint, held, furthest) = (self.joint.take(), timing(graph), self.furthest.clone());
+        let targets = &targets;
+        let mut search =
+            Search { graph, targets, options, interrupt, joint, held, furthest, steps: 0, converged: false };
+        let reach = Reach { steps: MOST_STEPS, exact: FIRST, gain: ENOUGH };
+        if search.held.contains(&true) {
+            search.round(theta, &weights_of_part, &reach)?;
+            search.held.fill(false);
+        }
+        search.round(theta, &weights_of_part, &reach)?;
+        self.steps += search.steps;
+        self.joint = search.joint;
+        Ok(())
     }
 
     fn round(
         &mut self,
         theta: &mut Vec<f64>,
         weights: &[Vec<f64>],
-        first: bool,
+        reach: &Reach,
     ) -> Result<System<'a>, LabelError> {
         let (graph, targets) = (self.graph, self.targets);
         let wrong = |theta: &[f64]| not_finite(graph, theta, targets);
@@ -189,16 +266,20 @@ impl<'a> Search<'a> {
             cost = state.cost;
             system.move_to(self.products(theta, state.runs));
         }
+        system.join(graph, self.joint.as_ref())?;
+        self.joint = system.joined().cloned();
         cost += system.cost_of_base(theta);
         let mut mu = DAMPED;
         self.converged = false;
-        let (most, left) = if first { (FIRST_STEPS, FIRST_LEFT) } else { (MOST_STEPS, LEFT) };
-        for _ in 0..most {
+        for _ in 0..reach.steps {
             if self.converged || (self.interrupt)() {
                 break;
             }
             self.steps += 1;
-            if !self.step(theta, &mut cost, &mut mu, left, &mut system, weights)? {
+            let before = cost;
+            if !self.step(theta, &mut cost, &mut mu, reach.exact, &mut system, weights)?
+                || before - cost < reach.gain * before
+            {
                 break;
             }
         }
@@ -211,20 +292,28 @@ impl<'a> Search<'a> {
         theta: &mut Vec<f64>,
         cost: &mut f64,
         mu: &mut f64,
-        left: f64,
+        exact: Exact,
         system: &mut System<'a>,
         weights: &[Vec<f64>],
     ) -> Result<bool, LabelError> {
         let g = system.gradient(theta);
         let (mut tried, mut promised) = (0, f64::INFINITY);
+        let samples = weights.iter().flatten().filter(|w| **w > 0.0).count() as f64;
         loop {
-            let p = system.step(&g, theta, *mu, left, self.interrupt)?;
-            let moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
+            let p = system.step(&g, theta, &self.held, *mu, exact, self.interrupt)?;
+            let mut moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
+            // What times a memory doubles or halves at most: far away a film or a lag may be none, and then nothing leads back.
+            let mut short = false;
+            for (k, v) in moved.iter_mut().enumerate() {
+                let most = FACTOR * theta[k].abs().max(self.furthest[k]);
+                short |= (*v - theta[k]).abs() > most;
+                *v = v.clamp(theta[k] - most, theta[k] + most);
+            }
             let next = within(self.graph, &moved);
-            // A step that is short because it is damped says nothing.
-            let small = *mu <= DAMPED && stands(&next, theta);
+            let own = dot(&g, &p);
+            let small = *mu <= DAMPED && !short && (stands(&next, theta) || own <= SURE * *cost / samples);
             if tried == 0 {
-                promised = dot(&g, &p);
+                promised = own;
             }
             let new = evaluate(self.graph, &next, self.targets, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
@@ -250,6 +339,32 @@ impl<'a> Search<'a> {
         };
         self.targets.iter().zip(runs).map(one).collect()
     }
+}
+
+/// How far cells go in one step where their own value is small: what times a memory by its start, all others by any distance.
+fn furthest(graph: &Graph, start: &[f64]) -> Vec<f64> {
+    let of = |(times, start): (bool, &f64)| if times { start.abs().max(LEAST_START) } else { f64::INFINITY };
+    timing(graph).into_iter().zip(start).map(of).collect()
+}
+
+/// Cells of labels that a delay, lag or film is timed by, and of shares of a film.
+fn timing(graph: &Graph) -> Vec<bool> {
+    let mut times = vec![false; graph.nodes.len()];
+    let mut out = vec![false; graph.base().len()];
+    let spans = spans(graph);
+    for (k, node) in graph.nodes.iter().enumerate().rev() {
+        let inputs = node.op.inputs();
+        let from = match node.op {
+            _ if times[k] => 0,
+            Op::Delay(..) | Op::DelayFlow(..) | Op::Lag(..) | Op::Film(..) => 1,
+            _ => inputs.len(),
+        };
+        inputs[from..].iter().for_each(|i| times[*i] = true);
+        if let (true, Op::Label(l, _)) = (times[k], &node.op) {
+            out[spans[*l].clone()].fill(true);
+        }
+    }
+    out
 }
 
 /// Cells of each label, one after the other.

@@ -42,6 +42,9 @@ const RAIL_SAMPLES: usize = 5;
 /// Stamps in s without any change of lambda that mean a sensor that is not ready.
 const STUCK_S: f64 = 10.0;
 
+/// Stamps in s between two samples beyond which nobody knows what the engine did.
+pub const GAP_S: f64 = 1.0;
+
 /// What counts of `log`.
 pub fn of(log: &Log, keys: &Keys) -> Mask {
     let n = log.time_s.len();
@@ -87,12 +90,12 @@ pub fn of(log: &Log, keys: &Keys) -> Mask {
     Mask { use_at, burning, sensed, left_out }
 }
 
-/// Time since the engine last ran without fuel; a log begins with one that is not known.
+/// Time since the engine last ran without fuel; a log begins with one that is not known, and so does what follows a hole in it.
 fn since_cut(log: &Log, burning: &[bool]) -> Vec<f64> {
     let mut last = log.time_s.first().copied().unwrap_or(0.0);
     (0..burning.len())
         .map(|k| {
-            if !burning[k] {
+            if !burning[k] || (k > 0 && log.time_s[k] - log.time_s[k - 1] > GAP_S) {
                 last = log.time_s[k];
             }
             log.time_s[k] - last

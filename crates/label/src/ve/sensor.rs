@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::mask::Mask;
+use super::mask::{GAP_S, Mask};
 use super::{Keys, Log, Used, fit};
 use crate::error::LabelError;
 use crate::label::Label;
@@ -92,7 +92,7 @@ fn reach(log: &Log, start_s: f64, t: usize, lag_s: f64, window: &mut Vec<(usize,
         return false;
     }
     // A hole in the log is no state.
-    if time_s[k + 1] - time_s[k] > 1.0 {
+    if time_s[k + 1] - time_s[k] > GAP_S {
         return false;
     }
     if !(lag_s > 0.0) {

@@ -1,5 +1,11 @@
 //! The equations of a step, as products.
 
+mod joint;
+mod near;
+mod tiles;
+
+use std::sync::Arc;
+
 use dynocal_numerics::linalg::{self, axpy, dot};
 use dynocal_numerics::rng::Rng64;
 
@@ -9,19 +15,30 @@ use crate::graph::Graph;
 use crate::graph::products::Products;
 use crate::linear::Options;
 use crate::nonlinear::Target;
+pub(super) use joint::{Joint, MOST_CELLS as MOST_JOINED};
+use near::Near;
 
 /// Draws of random signs for the diagonal.
 const SIGNS: u64 = 8;
 /// Scalars whose part of the diagonal is computed.
 const MOST_SCALARS: usize = 16;
-/// Most steps of the conjugate gradients.
-const MOST_STEPS: usize = 100;
 /// Cells of a label up to which its own equations are factorised.
 const MOST_FACTORISED: usize = 1024;
+/// Samples that the shape of a label's own equations is taken from.
+const SHAPE_SAMPLES: usize = 1 << 16;
+/// Damping, as a share of the diagonal, from which a matrix label by label is as near.
+const DAMPED_MUCH: f64 = 0.1;
 /// Part of the diagonal that the shape of a label's equations gets more: cells that few samples reached may have none of their own.
 const MORE_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
 const TIE: f64 = 1e-12;
+
+/// How far equations are solved: the part of them that may be left, and most steps of the conjugate gradients.
+#[derive(Clone, Copy)]
+pub(super) struct Exact {
+    pub(super) left: f64,
+    pub(super) most: usize,
+}
 
 /// Cells with factors, and the weight of the square.
 type RoughRow = (Vec<(usize, f64)>, f64);
@@ -45,8 +62,14 @@ pub(super) struct System<'a> {
     /// Samples at each cell by their interpolation weights, and the sum of the squares of these.
     pub(super) visits: Vec<f64>,
     pub(super) facts: Vec<f64>,
-    /// The part of `J'WJ` within each label, in shape.
+    /// Pairs of scalars with their entries of `J'WJ`.
+    scalars: Vec<((usize, usize), f64)>,
+    /// Scalars, and the factor of the part of the equations among them.
+    block: (Vec<usize>, Vec<f64>),
+    /// The part of `J'WJ` within each label, in shape, where no matrix over all labels is held.
     shapes: Vec<Vec<f64>>,
+    /// A matrix near that of the step over all labels, where it is held.
+    joint: Option<Arc<Joint>>,
     spans: Vec<std::ops::Range<usize>>,
 }
 
@@ -78,20 +101,16 @@ impl<'a> System<'a> {
             visits: vec![0.0; base.len()],
             facts: vec![0.0; base.len()],
             base,
-            shapes: Vec::new(),
+            scalars: Vec::new(),
+            block: (Vec::new(), Vec::new()),
+            shapes: vec![Vec::new(); graph.labels.len()],
+            joint: None,
             spans: spans(graph),
         };
         out.residuals = out.left();
         out.visit();
         out.diagonal = out.signs();
-        // Of a scalar the number itself costs no more, and a film or a lag deserves it.
-        let scalars: Vec<usize> = out.spans.iter().filter(|s| s.len() == 1).map(|s| s.start).collect();
-        for k in scalars.into_iter().take(MOST_SCALARS) {
-            let mut unit = vec![0.0; out.diagonal.len()];
-            unit[k] = 1.0;
-            out.diagonal[k] = out.square(&unit);
-        }
-        out.shapes = out.shaped();
+        out.find_scalars();
         let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
         for (k, locked) in locked.enumerate() {
             let seen = out.visits[k] >= options.least_visits.max(1e-9);
@@ -101,6 +120,102 @@ impl<'a> System<'a> {
         let mean = out.diagonal.iter().sum::<f64>() / out.diagonal.len().max(1) as f64;
         out.base_weight.iter_mut().for_each(|w| *w += TIE * mean);
         out
+    }
+
+    /// Of scalars the numbers themselves cost no more, and a film or a lag deserves them.
+    fn find_scalars(&mut self) {
+        let scalars = self.spans.iter().filter(|s| s.len() == 1).map(|s| s.start);
+        let columns: Vec<(usize, Vec<Vec<f64>>)> = scalars
+            .take(MOST_SCALARS)
+            .map(|k| {
+                let mut unit = vec![0.0; self.diagonal.len()];
+                unit[k] = 1.0;
+                (k, self.products.iter().map(|p| p.forward(&unit)).collect())
+            })
+            .collect();
+        for (n, (i, a)) in columns.iter().enumerate() {
+            for (j, b) in &columns[n..] {
+                let of = |((a, b), w): ((&Vec<f64>, &Vec<f64>), &Vec<f64>)| -> f64 {
+                    a.iter().zip(b).zip(w).map(|((a, b), w)| w * a * b).sum()
+                };
+                let v = a.iter().zip(b).zip(&self.weights).map(of).sum();
+                self.scalars.push(((*i, *j), v));
+                if i == j {
+                    self.diagonal[*i] = v;
+                }
+            }
+        }
+    }
+
+    /// Holds a matrix over all labels: the known one where the sizes are still nearly its own, else a new one.
+    pub(super) fn join(&mut self, graph: &Graph, known: Option<&Arc<Joint>>) -> Result<(), LabelError> {
+        if self.base.len() > MOST_JOINED {
+            self.shapes = self.shaped();
+            return Ok(());
+        }
+        self.block = self.scalar_block()?;
+        let sizes = self.sizes();
+        self.joint = Some(match known.filter(|k| k.fits(&sizes)) {
+            Some(known) => known.clone(),
+            None => Arc::new(Joint::new(graph, self, sizes)?),
+        });
+        Ok(())
+    }
+
+    /// Size of the data on each label.
+    fn sizes(&self) -> Vec<f64> {
+        self.spans.iter().map(|s| self.diagonal[s.clone()].iter().sum()).collect()
+    }
+
+    /// Factor of the part of the equations among scalars.
+    fn scalar_block(&self) -> Result<(Vec<usize>, Vec<f64>), LabelError> {
+        let cells: Vec<usize> = self.spans.iter().filter(|s| s.len() == 1).map(|s| s.start).collect();
+        let n = cells.len();
+        let mean = self.diagonal.iter().sum::<f64>() / self.diagonal.len().max(1) as f64;
+        let mut h = vec![0.0; n * n];
+        for ((i, j), v) in self.scalars.iter().filter(|((i, j), _)| self.free[*i] && self.free[*j]) {
+            let at = |k: &usize| cells.binary_search(k).unwrap_or_default();
+            h[at(i) * n + at(j)] = *v;
+        }
+        for (at, k) in cells.iter().enumerate() {
+            let own = self.diagonal[*k];
+            // What nothing depends on yet must not seem easy to move.
+            let more =
+                if self.free[*k] && own > 1e-9 * mean { 1e-9 * own } else { mean.max(f64::MIN_POSITIVE) };
+            h[at * n + at] =
+                h[at * n + at].max(if self.free[*k] { own } else { 0.0 }) + more + self.base_weight[*k];
+        }
+        linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
+        Ok((cells, h))
+    }
+
+    /// Solves with the matrix over all labels, scalars apart.
+    fn near_all(&self, joint: &Joint, r: &[f64], moves: &[bool]) -> Result<Vec<f64>, LabelError> {
+        let mut z = joint.solve(r, moves)?;
+        let (cells, factor) = &self.block;
+        let mut own: Vec<f64> = cells.iter().map(|k| if moves[*k] { r[*k] } else { 0.0 }).collect();
+        let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
+        linalg::solve_upper_transposed(factor, own.len(), &mut own).map_err(singular)?;
+        linalg::solve_upper(factor, own.len(), &mut own).map_err(singular)?;
+        cells.iter().zip(own).for_each(|(k, v)| z[*k] = if moves[*k] { v } else { 0.0 });
+        Ok(z)
+    }
+
+    /// The matrix over all labels, if it is held.
+    pub(super) fn joined(&self) -> Option<&Arc<Joint>> {
+        self.joint.as_ref()
+    }
+
+    /// Size of the data on each label at another point, over that from which the sizes were taken: the greatest change, as a share.
+    pub(super) fn grown(&self) -> f64 {
+        let now = self.signs();
+        let size = |d: &[f64], s: &std::ops::Range<usize>| d[s.clone()].iter().sum::<f64>();
+        let rough = self.spans.iter().filter(|s| s.len() > 2);
+        let change = |s: &std::ops::Range<usize>| {
+            let before = size(&self.diagonal, s);
+            if before > 0.0 { (size(&now, s) / before - 1.0).abs() } else { 0.0 }
+        };
+        rough.map(change).fold(0.0, f64::max)
     }
 
     /// Target less function, 0 where a sample does not count.
@@ -142,7 +257,7 @@ impl<'a> System<'a> {
     fn shaped(&self) -> Vec<Vec<f64>> {
         let mut out: Vec<Vec<f64>> = Vec::new();
         for (p, w) in self.products.iter().zip(&self.weights) {
-            let own = p.shapes(w, MOST_FACTORISED);
+            let own = p.shapes(w, MOST_FACTORISED, SHAPE_SAMPLES);
             match out.is_empty() {
                 true => out = own,
                 false => out.iter_mut().zip(own).for_each(|(o, s)| axpy(1.0, &s, o)),
@@ -247,23 +362,24 @@ impl<'a> System<'a> {
         out
     }
 
-    /// The step from `theta` with the gradient `g`: what is left of its equations is at most the share `left`.
+    /// The step from `theta` with the gradient `g`, of the cells that are not held, as exact as is said.
     pub(super) fn step(
         &self,
         g: &[f64],
         theta: &[f64],
+        held: &[bool],
         mu: f64,
-        left: f64,
+        exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
         let moves: Vec<bool> = (0..g.len())
             .map(|k| {
                 let low = theta[k] <= self.lower[k] && g[k] < 0.0;
                 let high = theta[k] >= self.upper[k] && g[k] > 0.0;
-                self.free[k] && !low && !high
+                self.free[k] && !held[k] && !low && !high
             })
             .collect();
-        self.solve(g, &moves, mu, left, interrupt)
+        self.solve(g, &moves, mu, exact, interrupt)
     }
 
     /// Conjugate gradients over the cells that move.
@@ -272,16 +388,25 @@ impl<'a> System<'a> {
         g: &[f64],
         moves: &[bool],
         mu: f64,
-        left: f64,
+        exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
-        let near = Near::new(self, moves, mu)?;
+        let joint = self.joint.as_ref().filter(|_| mu <= DAMPED_MUCH);
+        let blocks = match joint {
+            Some(_) => None,
+            None => Some(Near::new(self, moves, mu)?),
+        };
+        let near = |r: &[f64]| match (joint, &blocks) {
+            (Some(joint), _) => self.near_all(joint, r, moves),
+            (None, Some(blocks)) => blocks.solve(r),
+            (None, None) => Ok(r.to_vec()),
+        };
         let mut x = vec![0.0; g.len()];
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
-        let mut z = near.solve(&r)?;
+        let mut z = near(&r)?;
         let (mut p, mut rz) = (z.clone(), dot(&r, &z));
-        let goal = left * left * rz;
-        for _ in 0..MOST_STEPS {
+        let goal = exact.left * exact.left * rz;
+        for _ in 0..exact.most {
             if !(rz > goal) || interrupt() {
                 break;
             }
@@ -293,7 +418,7 @@ impl<'a> System<'a> {
             let a = rz / curvature;
             axpy(a, &p, &mut x);
             axpy(-a, &q, &mut r);
-            z = near.solve(&r)?;
+            z = near(&r)?;
             let next = dot(&r, &z);
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
             rz = next;
@@ -321,76 +446,5 @@ impl<'a> System<'a> {
         }
         out.iter_mut().zip(&self.base_weight).for_each(|(o, w)| *o += w.sqrt() * rng.normal());
         out
-    }
-}
-
-/// A matrix near that of the step, label by label: the shape of the label's own equations, and its roughness.
-struct Near {
-    /// First cell, size, and upper triangular factor; none for a diagonal.
-    blocks: Vec<(usize, usize, Option<Vec<f64>>)>,
-    diagonal: Vec<f64>,
-    moves: Vec<bool>,
-}
-
-impl Near {
-    fn new(s: &System, moves: &[bool], mu: f64) -> Result<Self, LabelError> {
-        let mean = s.diagonal.iter().sum::<f64>() / s.diagonal.len().max(1) as f64;
-        let own = |k: usize| {
-            let size = s.base_weight[k] + (1.0 + mu) * s.diagonal[k];
-            // A cell that data do not reach is held by its neighbours.
-            if size > 1e-9 * mean { size } else { 1e-9 * mean }
-        };
-        let ties = s.ties();
-        let diagonal: Vec<f64> = (0..moves.len()).map(|k| own(k) + ties[k] - s.base_weight[k]).collect();
-        let mut blocks = Vec::new();
-        let mut rows = s.rough.iter().peekable();
-        for (span, shape) in s.spans.iter().zip(&s.shapes) {
-            let n = span.len();
-            let mut h = shape.clone();
-            let moving = &moves[span.clone()];
-            for (k, v) in h.iter_mut().enumerate().filter(|(k, _)| !moving[k / n] || !moving[k % n]) {
-                *v = f64::from(u8::from(k / n == k % n));
-            }
-            while let Some((row, w)) = rows.next_if(|(row, _)| span.contains(&row[0].0)) {
-                if h.is_empty() {
-                    continue;
-                }
-                for (i, a) in row.iter().filter(|(i, _)| moves[*i]) {
-                    for (j, b) in row.iter().filter(|(j, _)| moves[*j] && j >= i) {
-                        h[(i - span.start) * n + j - span.start] += w * a * b;
-                    }
-                }
-            }
-            if h.is_empty() {
-                blocks.push((span.start, n, None));
-                continue;
-            }
-            for k in (0..n).filter(|k| moving[*k]) {
-                let cell = span.start + k;
-                let more = s.base_weight[cell] + mu * s.diagonal[cell];
-                // What no data reach is held by its neighbours, and by a little of the mean.
-                h[k * n + k] += more + 1e-9 * mean;
-            }
-            linalg::cholesky(&mut h, n).map_err(|e| LabelError::Singular(e.to_string()))?;
-            blocks.push((span.start, n, Some(h)));
-        }
-        Ok(Self { blocks, diagonal, moves: moves.to_vec() })
-    }
-
-    fn solve(&self, r: &[f64]) -> Result<Vec<f64>, LabelError> {
-        let mut x = r.to_vec();
-        for (from, n, factor) in &self.blocks {
-            let own = &mut x[*from..from + n];
-            match factor {
-                None => own.iter_mut().zip(&self.diagonal[*from..]).for_each(|(x, d)| *x /= d),
-                Some(u) => {
-                    let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
-                    linalg::solve_upper_transposed(u, *n, own).map_err(singular)?;
-                    linalg::solve_upper(u, *n, own).map_err(singular)?;
-                }
-            }
-        }
-        x.iter_mut().zip(&self.moves).for_each(|(x, m)| *x = if *m { *x } else { 0.0 });
-        Ok(x)
     }
 }

@@ -1,7 +1,7 @@
 //! What the data say of each cell, from draws.
 
 use super::super::Target;
-use super::system::System;
+use super::system::{Exact, System};
 use crate::correlation;
 use crate::error::LabelError;
 use crate::graph::Graph;
@@ -12,8 +12,8 @@ const T95: [f64; 16] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
     2.120,
 ];
-/// Part of the equations of a draw that may be left.
-const LEFT: f64 = 0.03;
+/// How exact a draw is.
+const DRAWN: Exact = Exact { left: 0.03, most: 100 };
 
 /// Values, intervals, verdicts at `theta`. Draws x of covariance `H^-1` give the spread of each cell, and `x'J'WJx` the parameters that
 /// the fit effectively has.
@@ -29,7 +29,7 @@ pub(super) fn tell(
     let mut parameters = 0.0;
     let draws = options.draws.min(T95.len());
     for draw in 0..draws {
-        let x = system.solve(&system.noise(draw as u64), free, 0.0, LEFT, &|| false)?;
+        let x = system.solve(&system.noise(draw as u64), free, 0.0, DRAWN, &|| false)?;
         parameters += system.square(&x) / draws as f64;
         squares.iter_mut().zip(&x).for_each(|(s, x)| *s += x * x / draws as f64);
     }
@@ -58,7 +58,7 @@ pub(super) fn tell(
         }
     };
     let all = 0..theta.len();
-    let before = rms(graph, &graph.base(), targets);
+    let before = rms(targets, &residuals(graph, &graph.base(), targets));
     let (values, proven) = whole_steps(graph, theta);
     Ok(Fit {
         values,
@@ -71,7 +71,7 @@ pub(super) fn tell(
         sigma: variance.sqrt(),
         correlation_samples: tau,
         effective_parameters: parameters,
-        rms: [before, rms(graph, theta, targets)],
+        rms: [before, rms(targets, &system.residuals)],
         held: held(graph, theta),
         broken: Vec::new(),
         proven,
@@ -98,12 +98,19 @@ fn correlated(targets: &[Target], system: &System) -> (Vec<f64>, Vec<f64>, f64) 
     (left, weights, tau)
 }
 
-fn rms(graph: &Graph, theta: &[f64], targets: &[Target]) -> f64 {
-    let (mut sum, mut all) = (0.0, 0.0);
-    for t in targets {
+fn residuals(graph: &Graph, theta: &[f64], targets: &[Target]) -> Vec<Vec<f64>> {
+    let one = |t: &Target| {
         let y = graph.run(theta, &t.record).values.swap_remove(t.node_of(graph));
+        t.y.iter().zip(y).map(|(y, f)| y - f).collect()
+    };
+    targets.iter().map(one).collect()
+}
+
+fn rms(targets: &[Target], left: &[Vec<f64>]) -> f64 {
+    let (mut sum, mut all) = (0.0, 0.0);
+    for (t, left) in targets.iter().zip(left) {
         for k in t.counts() {
-            sum += t.weights[k] * (t.y[k] - y[k]).powi(2);
+            sum += t.weights[k] * left[k] * left[k];
             all += t.weights[k];
         }
     }
