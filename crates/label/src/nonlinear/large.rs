@@ -6,7 +6,7 @@
 //! ```
 //!
 //! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned by a factorised matrix over all labels at
-//! once ([`system::Joint`]), above 16 384 cells label by label: J'WJ as if the function had no memory, in the size of the diagonal, with
+//! once (`system::Joint`), above 16 384 cells label by label: J'WJ as if the function had no memory, in the size of the diagonal, with
 //! the roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic estimator of the
 //! trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far as the step is right
 //! (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408). Cells at a bound that
