@@ -109,6 +109,9 @@ impl VirtualEngine {
                 m.residual = products / total;
                 m.lambda = gas.lambda(air, all_fuel, 0.0);
                 m.stable = self.params.burn.stability(m.lambda, m.residual);
+                if let Some(knock) = &boosted.knock {
+                    m.end_gas.slower = knock.charge_factor(m.lambda, m.residual, gas.afr_stoich);
+                }
                 if let (Some(energy), Some(table)) = (&boosted.burned, &boosted.table) {
                     m.held = table.held(m.lambda, energy.dissociation);
                     m.bound_j_kg = energy.bound_j_kg * (1.0 / m.lambda - 1.0).clamp(0.0, 2.0);
@@ -119,7 +122,7 @@ impl VirtualEngine {
                     * self.params.burn.dilution_share(m.residual)
                     * scale.heat;
                 m.burnable_kg = share.min(1.0) * limited;
-                let wiebe: Wiebe = self.params.burn.wiebe(&Charge {
+                let charge = Charge {
                     speed_rpm: u.speed_rpm,
                     spark_deg: u.spark_deg,
                     wiebe_m: u.wiebe_m,
@@ -127,7 +130,8 @@ impl VirtualEngine {
                     trapped_kg: total,
                     residual: m.residual,
                     lambda: m.lambda,
-                });
+                };
+                let wiebe: Wiebe = self.params.burn.wiebe(&charge, geometry);
                 m.wiebe = wiebe.stretched(u.spark_deg, d.burn_share[c] * scale.burn);
                 if boosted.knock.is_none() && boosted.emissions.is_some() {
                     // Nothing has burned yet and no delay of knock is followed: all gas is unburned and of one temperature.
@@ -201,6 +205,7 @@ impl VirtualEngine {
             exhaust_kg: dt * k.tail,
             exhaust_kg_k: dt * k.tail * s.t_k[EXHAUST],
             work_j: work,
+            cylinder_heat_j: dt * k.cylinder_wall,
             friction_nm_s: dt * friction_nm,
             torque_nm_s: dt * s.torque_sensor_nm,
         };
@@ -210,6 +215,7 @@ impl VirtualEngine {
         l.work_j += work;
         l.wall_heat_j += dt * k.wall;
         l.cylinder_heat_j += dt * k.cylinder_wall;
+        l.exhaust_heat_j += dt * k.exhaust_wall;
         l.burned_kg += dt * k.burned;
         l.evaporation_j += dt * k.evaporated * self.model.evaporation_j_kg;
         l.enthalpy_in_j += dt * k.enthalpy_in;
@@ -257,6 +263,10 @@ impl VirtualEngine {
             s.half_turns[s.slot] = s.running;
             s.slot = (s.slot + 1) & 3;
             s.running = Sums::default();
+            if self.params.exhaust_wall.is_some() || self.params.heat.coolant.is_some() {
+                let means = s.means();
+                self.held.rest(&self.params, &self.deviations, &means);
+            }
         }
         if s.cell >= cells {
             s.cell -= cells;

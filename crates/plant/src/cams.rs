@@ -48,28 +48,56 @@ pub struct CamShift {
     pub width_kpa: f64,
     /// Its width over speed, and that of the boost part \[rpm\].
     pub width_rpm: f64,
-    /// Height of the boost part, of both cams \[deg\].
+    /// Power k of the bell, e = exp(-|dp/w_p|^k - |dN/w_N|^k): 2 a Gaussian, 4 flat on top \[-\].
+    #[serde(default = "gaussian")]
+    pub bell_power: f64,
+    /// Exponent q of speed by which the bell grows, (N/N_c)^q: 0 the same overlap in degrees, 1 in time \[-\].
+    #[serde(default)]
+    pub bell_speed: f64,
+    /// Height of the boost part, intake \[deg\].
     pub boost_deg: f64,
+    /// Height of that of the exhaust over it \[-\].
+    #[serde(default = "one")]
+    pub boost_exhaust: f64,
     /// Manifold pressure at which half of it is there \[kPa\].
     pub boost_kpa: f64,
     /// Width of its ramp \[kPa\].
     pub boost_width_kpa: f64,
     /// Speed at which it is highest \[rpm\].
     pub boost_rpm: f64,
+    /// Its width over speed \[rpm\]; absent, that of the bell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boost_width_rpm: Option<f64>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn gaussian() -> f64 {
+    2.0
 }
 
 impl CamShift {
     /// Shift of intake and exhaust \[deg\].
     fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
         let square = |x: f64| x * x;
-        let bell = (-square((map_kpa - self.summit_kpa) / self.width_kpa)
-            - square((speed_rpm - self.summit_rpm) / self.width_rpm))
+        let power = |x: f64| if self.bell_power == 2.0 { square(x) } else { x.abs().powf(self.bell_power) };
+        let bell = (-power((map_kpa - self.summit_kpa) / self.width_kpa)
+            - power((speed_rpm - self.summit_rpm) / self.width_rpm))
         .exp();
+        let bell = if self.bell_speed == 0.0 {
+            bell
+        } else {
+            bell * (speed_rpm / self.summit_rpm.max(1.0)).powf(self.bell_speed)
+        };
         let ramp = 1.0 / (1.0 + ((self.boost_kpa - map_kpa) / self.boost_width_kpa).exp());
-        let boost = self.boost_deg * ramp * (-square((speed_rpm - self.boost_rpm) / self.width_rpm)).exp();
+        let boost = self.boost_deg
+            * ramp
+            * (-square((speed_rpm - self.boost_rpm) / self.boost_width_rpm.unwrap_or(self.width_rpm))).exp();
         (
             self.intake_deg + bell * self.intake_bell_deg + boost,
-            self.exhaust_deg + bell * self.exhaust_bell_deg + boost,
+            self.exhaust_deg + bell * self.exhaust_bell_deg + self.boost_exhaust * boost,
         )
     }
 }

@@ -64,6 +64,10 @@ pub struct Deviations {
     pub burn_share: [f64; 4],
     /// Wall temperature of the cylinders \[K\] in place of the parameter.
     pub cylinder_wall_k: Option<f64>,
+    /// Coolant \[K\]: that of a cold engine cools its exhaust ports more.
+    pub coolant_k: Option<f64>,
+    /// Wall of the exhaust manifold \[K\] where it is followed; otherwise it is at rest ([`crate::exhaust_wall`]).
+    pub manifold_wall_k: Option<f64>,
     /// Friction over that of the warm engine \[-\].
     pub friction_factor: f64,
     /// Time constant of the fuel film over that of the warm engine \[-\].
@@ -81,6 +85,8 @@ impl Default for Deviations {
             fuel_share: [1.0; 4],
             burn_share: [1.0; 4],
             cylinder_wall_k: None,
+            coolant_k: None,
+            manifold_wall_k: None,
             friction_factor: 1.0,
             film_factor: 1.0,
             octane: None,

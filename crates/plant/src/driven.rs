@@ -288,7 +288,7 @@ fn best_spark_deg(params: &EngineParams, charge: Charge) -> f64 {
     let (mut late, mut early) = (-10.0, 55.0);
     for _ in 0..40 {
         let spark_deg = 0.5 * (late + early);
-        let wiebe = params.burn.wiebe(&Charge { spark_deg, ..charge });
+        let wiebe = params.burn.wiebe(&Charge { spark_deg, ..charge }, &params.geometry);
         if wiebe.angle_of_fraction_deg(0.5) > BEST_CA50_DEG { late = spark_deg } else { early = spark_deg }
     }
     0.5 * (late + early)

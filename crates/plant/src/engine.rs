@@ -3,13 +3,14 @@
 use crate::deviations::Deviations;
 use crate::dissociation::HeldEnergy;
 use crate::error::PlantError;
+use crate::exhaust_wall::Sinks;
 use crate::gas::VOLUMES;
 use crate::grid::Grid;
 use crate::initial::{initial_state, set_volume};
 use crate::inputs::Inputs;
 use crate::outputs::Outputs;
 use crate::params::EngineParams;
-use crate::state::{CycleRecord, EXHAUST, EngineState, Gas, Sums};
+use crate::state::{CycleRecord, EXHAUST, EngineState, Gas, Means, Sums};
 use crate::step::{Held, Model, Rates, add, advance};
 use std::sync::Arc;
 
@@ -61,7 +62,7 @@ impl VirtualEngine {
         let grid = Grid::new(params);
         let inputs = Inputs::default();
         let deviations = Deviations::default();
-        let held = Held::new(params, &grid, &inputs, &deviations);
+        let held = Held::new(params, &grid, &inputs, &deviations, &Means::default());
         let state = initial_state(params, &grid, inputs);
         let mid = state.gas.clone();
         Ok(Self {
@@ -98,8 +99,8 @@ impl VirtualEngine {
             });
         }
         if inputs != self.state.inputs {
-            self.held = Held::new(&self.params, &self.grid, &inputs, &self.deviations);
             self.state.inputs = inputs;
+            self.hold();
         }
         Ok(())
     }
@@ -108,9 +109,33 @@ impl VirtualEngine {
     /// sets them sets them again after [`Self::restore`].
     pub fn set_deviations(&mut self, deviations: Deviations) {
         if deviations != self.deviations {
-            self.held = Held::new(&self.params, &self.grid, &self.state.inputs, &deviations);
             self.deviations = deviations;
+            self.hold();
         }
+    }
+
+    /// What follows from inputs and deviations until they change.
+    fn hold(&mut self) {
+        let means = self.state.means();
+        self.held = Held::new(&self.params, &self.grid, &self.state.inputs, &self.deviations, &means);
+    }
+
+    /// Where the heat of the exhaust manifold goes; none where ports and manifold are not apart.
+    pub fn exhaust_sinks(&self) -> Option<Sinks> {
+        let wall = self.params.exhaust_wall?;
+        Some(wall.of(&self.params, &self.deviations, self.state.means().exhaust_kg_s))
+    }
+
+    /// Wall of the exhaust manifold \[K\]: as set from outside, at rest with the gas, or one temperature of all.
+    pub fn manifold_wall_k(&self) -> f64 {
+        let Some(wall) = self.params.exhaust_wall else { return self.params.exhaust_manifold.wall_k };
+        self.deviations.manifold_wall_k.unwrap_or_else(|| {
+            let ambient_k = self.params.ambient.temperature_k;
+            let through = self.exhaust_sinks().map_or(0.0, |s| s.manifold.0);
+            // In series: what passes the wall leaves it to the air.
+            let drop = if wall.ambient_w_k > 0.0 { through / wall.ambient_w_k } else { 1.0 };
+            ambient_k + drop * (self.state.t_k[EXHAUST] - ambient_k)
+        })
     }
 
     /// Advance by an angle \[deg\]; what is less than a step is carried to the next call.
@@ -176,7 +201,7 @@ impl VirtualEngine {
         }
         state.inputs.check()?;
         self.state.clone_from(state);
-        self.held = Held::new(&self.params, &self.grid, &state.inputs, &self.deviations);
+        self.hold();
         Ok(())
     }
 

@@ -40,6 +40,7 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
             &mut z.burned,
             &mut z.burned_k,
             &mut z.entrained,
+            &mut z.slower,
         ]
         .into_iter()
         .for_each(&mut *f);
@@ -74,7 +75,9 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
     [&mut l.enthalpy_in_j, &mut l.mass_in_kg, &mut l.injected_kg, &mut l.cylinder_heat_j]
         .into_iter()
         .for_each(&mut *f);
-    [&mut l.bound_j, &mut l.compressor_j, &mut l.turbine_j].into_iter().for_each(&mut *f);
+    [&mut l.bound_j, &mut l.compressor_j, &mut l.turbine_j, &mut l.exhaust_heat_j]
+        .into_iter()
+        .for_each(&mut *f);
     for counter in [&mut s.cell, &mut s.next_event, &mut s.slot] {
         let mut x = *counter as f64;
         f(&mut x);
@@ -89,7 +92,7 @@ fn visit_sums(s: &mut Sums, f: &mut impl FnMut(&mut f64)) {
     [&mut s.time_s, &mut s.lambda_s, &mut s.map_pa_s, &mut s.exhaust_pa_s, &mut s.air_kg]
         .into_iter()
         .for_each(&mut *f);
-    [&mut s.pipe_pa_s, &mut s.egr_kg, &mut s.surge_s].into_iter().for_each(&mut *f);
+    [&mut s.pipe_pa_s, &mut s.egr_kg, &mut s.surge_s, &mut s.cylinder_heat_j].into_iter().for_each(&mut *f);
     [&mut s.exhaust_kg, &mut s.exhaust_kg_k, &mut s.work_j, &mut s.friction_nm_s, &mut s.torque_nm_s]
         .into_iter()
         .for_each(&mut *f);

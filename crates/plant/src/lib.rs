@@ -20,6 +20,7 @@ pub mod end_gas;
 pub mod engine;
 pub mod equilibrium;
 pub mod error;
+pub mod exhaust_wall;
 pub mod film;
 mod flatten;
 pub mod full_load;

@@ -15,6 +15,7 @@ use crate::dissociation::BurnedEnergy;
 use crate::egr::EgrPath;
 use crate::emissions::EmissionsModel;
 use crate::end_gas::KnockModel;
+use crate::exhaust_wall::ExhaustWall;
 use crate::film::FilmModel;
 use crate::gas::GasModel;
 use crate::geometry::Geometry;
@@ -120,6 +121,16 @@ pub struct Injection {
     pub charge_share: f64,
 }
 
+/// Walls of the cylinders that are at rest with the gas, T_w = T_c + Q/UA, Q the heat of all cylinders, mean of a cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Coolant {
+    /// Temperature T_c \[K\].
+    pub temperature_k: f64,
+    /// Conductance UA between the walls of all cylinders and coolant and oil \[W/K\].
+    pub conductance_w_k: f64,
+}
+
 /// Heat transfer in the cylinder \[L/C\].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -128,6 +139,9 @@ pub struct HeatTransfer {
     pub scale: f64,
     /// Wall temperature \[K\] \[A\].
     pub wall_k: f64,
+    /// What cools the walls; absent, they stand at `wall_k`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coolant: Option<Coolant>,
     /// Correlation.
     #[serde(default)]
     pub law: HeatLaw,
@@ -190,6 +204,9 @@ pub struct EngineParams {
     pub intake_manifold: Manifold,
     /// Exhaust manifold \[A\].
     pub exhaust_manifold: Manifold,
+    /// Ports and manifold apart, in place of `ua_w_k` and `wall_k` of the exhaust manifold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exhaust_wall: Option<ExhaustWall>,
     /// Catalyst \[A\].
     pub catalyst: Manifold,
     /// Exhaust restrictions.

@@ -124,6 +124,8 @@ pub struct Sums {
     pub exhaust_kg_k: f64,
     /// Work of the gas on the pistons \[J\].
     pub work_j: f64,
+    /// Heat to the walls of the cylinders \[J\].
+    pub cylinder_heat_j: f64,
     /// Integral of the friction torque \[Nm s\].
     pub friction_nm_s: f64,
     /// Integral of the torque-sensor signal \[Nm s\].
@@ -143,6 +145,7 @@ impl Sums {
         self.exhaust_kg += o.exhaust_kg;
         self.exhaust_kg_k += o.exhaust_kg_k;
         self.work_j += o.work_j;
+        self.cylinder_heat_j += o.cylinder_heat_j;
         self.friction_nm_s += o.friction_nm_s;
         self.torque_nm_s += o.torque_nm_s;
     }
@@ -157,6 +160,8 @@ pub struct Ledger {
     pub wall_heat_j: f64,
     /// Heat to the walls of the cylinders \[J\].
     pub cylinder_heat_j: f64,
+    /// Heat from the exhaust manifold \[J\].
+    pub exhaust_heat_j: f64,
     /// Fuel burned \[kg\].
     pub burned_kg: f64,
     /// Heat taken by evaporation \[J\].
@@ -216,4 +221,25 @@ pub struct EngineState {
     pub slot: usize,
     /// Balance sheet.
     pub ledger: Ledger,
+}
+
+/// Means of the last 720 deg that walls at rest follow from.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Means {
+    /// Flow out of the tailpipe \[kg/s\]; 0 before the first half turn.
+    pub(crate) exhaust_kg_s: f64,
+    /// Heat to the walls of all cylinders \[W\]; none before the first half turn.
+    pub(crate) cylinder_heat_w: Option<f64>,
+}
+
+impl EngineState {
+    pub(crate) fn means(&self) -> Means {
+        let sum = |of: fn(&Sums) -> f64| self.half_turns.iter().map(of).sum::<f64>();
+        let time_s = sum(|h| h.time_s);
+        if time_s <= 0.0 {
+            return Means::default();
+        }
+        let heat = sum(|h| h.cylinder_heat_j) / time_s;
+        Means { exhaust_kg_s: sum(|h| h.exhaust_kg) / time_s, cylinder_heat_w: Some(heat) }
+    }
 }

@@ -9,8 +9,8 @@ use crate::grid::{Grid, Node};
 use crate::heat::{self, HeatLaw};
 use crate::inputs::Inputs;
 use crate::orifice::PsiTable;
-use crate::params::EngineParams;
-use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, PIPE};
+use crate::params::{Coolant, EngineParams};
+use crate::state::{CATALYST, Cylinder, EXHAUST, Gas, INTAKE, Means, PIPE};
 
 /// Rate at which a volume V and its neighbour level out through an area A, over A/V \[m/s\]: 11.5 g sqrt(R T) (slope of
 /// Psi near equal pressures) for hot gas. The explicit midpoint rule is stable up to 2 over the rate.
@@ -27,6 +27,8 @@ pub(crate) struct Held {
     pub(crate) throttle_m2: f64,
     /// Half of the inverse step \[1/s\]: no rate may use up a species within a step.
     pub(crate) half_per_step: f64,
+    /// Heat of the exhaust manifold: conductance \[W/K\] and temperature at which it ends \[K\].
+    pub(crate) exhaust_heat: (f64, f64),
     pub(crate) turbine_m2: f64,
     /// Of that the wastegate.
     pub(crate) wastegate_m2: f64,
@@ -46,7 +48,7 @@ pub(crate) struct Held {
 }
 
 impl Held {
-    pub(crate) fn new(p: &EngineParams, grid: &Grid, u: &Inputs, d: &Deviations) -> Self {
+    pub(crate) fn new(p: &EngineParams, grid: &Grid, u: &Inputs, d: &Deviations, means: &Means) -> Self {
         let deg_s = 6.0 * u.speed_rpm;
         let intake_shift = grid.valve_shift(720.0 - u.intake_mop_deg_btdc);
         let exhaust_shift = grid.valve_shift(u.exhaust_mop_deg_atdc);
@@ -68,7 +70,7 @@ impl Held {
         let wastegate_m2 = 0.25 * std::f64::consts::PI * wastegate_m * wastegate_m;
         let wastegate_m2 = p.exhaust.wastegate_discharge * wastegate_m2;
         let turbine_m2 = p.exhaust.turbine_m2 + wastegate_m2;
-        Self {
+        let mut held = Self {
             omega: deg_s.to_radians(),
             deg_s,
             step_cells,
@@ -83,10 +85,22 @@ impl Held {
             closed_w: 2.28 * piston_speed,
             piston_speed,
             lag_per_cell: -(-grid.cell_deg / deg_s / p.torque_lag_s).exp_m1(),
-            cylinder_wall_k: d.cylinder_wall_k.unwrap_or(p.heat.wall_k),
             friction_factor: d.friction_factor,
             fuel_share: 0.25 * d.fuel_share.iter().sum::<f64>(),
-        }
+            ..Self::default()
+        };
+        held.rest(p, d, means);
+        held
+    }
+
+    /// Walls that are at rest with the last cycle, where they are not given from outside.
+    pub(crate) fn rest(&mut self, p: &EngineParams, d: &Deviations, means: &Means) {
+        let m = &p.exhaust_manifold;
+        self.exhaust_heat =
+            p.exhaust_wall.map_or((m.ua_w_k, m.wall_k), |w| w.of(p, d, means.exhaust_kg_s).joined());
+        let at_rest = p.heat.coolant.zip(means.cylinder_heat_w);
+        let warmed = |(c, w): (Coolant, f64)| (c.temperature_k + w / c.conductance_w_k).clamp(220.0, 800.0);
+        self.cylinder_wall_k = d.cylinder_wall_k.unwrap_or(at_rest.map_or(p.heat.wall_k, warmed));
     }
 }
 
@@ -96,8 +110,9 @@ pub(crate) struct Model {
     pub(crate) gas: GasModel,
     pub(crate) psi: PsiTable,
     pub(crate) manifold_m3: [f64; VOLUMES],
-    pub(crate) ua_w_k: [f64; VOLUMES],
-    pub(crate) wall_k: [f64; VOLUMES],
+    /// Of intake manifold and catalyst; those of the exhaust manifold change: [`Held::exhaust_heat`].
+    pub(crate) ua_w_k: [f64; 2],
+    pub(crate) wall_k: [f64; 2],
     pub(crate) ambient_pa: f64,
     pub(crate) tail_m2: f64,
     pub(crate) woschni: f64,
@@ -118,8 +133,8 @@ impl Model {
             gas: p.gas.clone(),
             psi: PsiTable::default(),
             manifold_m3: [1.0, 1.0, 1.0, 1.0, p.charge_pipe_m3, i.volume_m3, e.volume_m3, c.volume_m3],
-            ua_w_k: [0.0, 0.0, 0.0, 0.0, 0.0, i.ua_w_k, e.ua_w_k, c.ua_w_k],
-            wall_k: [0.0, 0.0, 0.0, 0.0, 0.0, i.wall_k, e.wall_k, c.wall_k],
+            ua_w_k: [i.ua_w_k, c.ua_w_k],
+            wall_k: [i.wall_k, c.wall_k],
             ambient_pa: p.ambient.pressure_pa,
             tail_m2: p.exhaust.tailpipe_m2,
             woschni: heat::woschni_constant(p.heat.scale, p.geometry.bore_m),
@@ -149,6 +164,8 @@ pub(crate) struct Rates {
     /// Heat to all walls and to those of the cylinders \[W\].
     pub(crate) wall: f64,
     pub(crate) cylinder_wall: f64,
+    /// Heat from the exhaust manifold \[W\].
+    pub(crate) exhaust_wall: f64,
     /// Heat-transfer coefficients of the cylinders \[W/m2/K\].
     pub(crate) wall_w_m2_k: [f64; 4],
     /// Fuel burned \[kg/s\].
@@ -182,6 +199,7 @@ impl Rates {
         work: [0.0; 4],
         wall: 0.0,
         cylinder_wall: 0.0,
+        exhaust_wall: 0.0,
         wall_w_m2_k: [0.0; 4],
         burned: 0.0,
         evaporated: 0.0,
@@ -365,10 +383,14 @@ impl Model {
         let out = k.tail * s.h[CATALYST];
         k.energy[CATALYST] -= out;
         k.enthalpy_in -= out;
-        for v in INTAKE..VOLUMES {
-            let q = self.ua_w_k[v] * (t_k[v] - self.wall_k[v]);
+        let ([ui, uc], [ti, tc]) = (self.ua_w_k, self.wall_k);
+        for (v, ua, wall_k) in
+            [(INTAKE, ui, ti), (EXHAUST, held.exhaust_heat.0, held.exhaust_heat.1), (CATALYST, uc, tc)]
+        {
+            let q = ua * (t_k[v] - wall_k);
             k.energy[v] -= q;
             k.wall += q;
+            k.exhaust_wall = if v == EXHAUST { q } else { k.exhaust_wall };
         }
     }
 

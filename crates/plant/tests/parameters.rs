@@ -39,7 +39,7 @@ fn specified() -> EngineParams {
         cams: None,
         injection: Injection { rate_kg_s: 0.01, evaporation_s: 0.002, charge_share: 0.8 },
         burn: BurnModel::thesis(),
-        heat: HeatTransfer { scale: 0.90, wall_k: 440.0, law: HeatLaw::Woschni },
+        heat: HeatTransfer { scale: 0.90, wall_k: 440.0, coolant: None, law: HeatLaw::Woschni },
         friction: Friction {
             constant_pa: 8000.0,
             peak_share: 0.004,

@@ -277,7 +277,13 @@ fn the_knock_integral_is_the_quadrature_of_its_formula() {
 #[test]
 fn the_ignition_delay_is_that_of_the_publication() {
     // Douaud and Eyzat: 17.68 ms (ON/100)^3.402 p^-1.7 exp(3800/T), p in atm.
-    let k = KnockModel { octane: 95.0, delay_factor: 1.0, wall_share: 0.0 };
+    let k = KnockModel {
+        octane: 95.0,
+        delay_factor: 1.0,
+        wall_share: 0.0,
+        oxygen_exponent: 0.0,
+        fuel_exponent: 0.0,
+    };
     let expected = 17.68e-3 * 0.95f64.powf(3.402) * 30f64.powf(-1.7) * (3800.0f64 / 800.0).exp();
     assert!((k.delay_s(30.0 * 101_325.0, 800.0) / expected - 1.0).abs() < 1e-12);
     // More octane, less pressure, less temperature: later.

@@ -116,6 +116,17 @@ impl EngineParams {
             ("injection.evaporation_s", self.injection.evaporation_s, 1e-4, 1.0),
             ("injection.charge_share", self.injection.charge_share, 0.0, 1.0),
         ])?;
+        if let Some(w) = &self.exhaust_wall {
+            first_outside(&[
+                ("exhaust_wall.port_w_k", w.port_w_k, 0.0, 1e3),
+                ("exhaust_wall.port_k", w.port_k, 220.0, 1000.0),
+                ("exhaust_wall.manifold_w_k", w.manifold_w_k, 0.0, 1e3),
+                ("exhaust_wall.manifold_j_k", w.manifold_j_k, 10.0, 1e5),
+                ("exhaust_wall.ambient_w_k", w.ambient_w_k, 0.0, 1e3),
+                ("exhaust_wall.reference_kg_s", w.reference_kg_s, 1e-4, 10.0),
+                ("exhaust_wall.flow_exponent", w.flow_exponent, 0.0, 1.5),
+            ])?;
+        }
         match &self.port {
             Some(f) => {
                 first_outside(&[("port.share", f.share, 0.0, 1.0), ("port.tau_s", f.tau_s, 1e-4, 100.0)])
@@ -142,9 +153,12 @@ impl EngineParams {
             ("burn.end_deg", b.end_deg, 60.0, 180.0),
             ("burn.dilution.limit", b.dilution.map_or(0.5, |d| d.limit), 0.05, 2.0),
             ("burn.dilution.width", b.dilution.map_or(0.5, |d| d.width), 1e-3, 1.0),
+            ("burn.state_exponent", b.state_exponent, 0.0, 2.0),
             ("burn.tail_share", b.tail_share, 0.0, 0.9),
             ("heat.scale", h.scale, 0.0, 5.0),
             ("heat.wall_k", h.wall_k, 220.0, 800.0),
+            ("heat.coolant.temperature_k", h.coolant.map_or(300.0, |c| c.temperature_k), 220.0, 500.0),
+            ("heat.coolant.conductance_w_k", h.coolant.map_or(100.0, |c| c.conductance_w_k), 10.0, 1e5),
         ])
     }
 
@@ -188,6 +202,8 @@ impl EngineParams {
             first_outside(&[
                 ("knock.octane", k.octane, 60.0, 130.0),
                 ("knock.delay_factor", k.delay_factor, 0.05, 20.0),
+                ("knock.oxygen_exponent", k.oxygen_exponent, 0.0, 5.0),
+                ("knock.fuel_exponent", k.fuel_exponent, 0.0, 5.0),
                 ("knock.wall_share", k.wall_share, 0.0, 5.0),
             ])?;
         }
@@ -222,7 +238,11 @@ impl EngineParams {
                 ("cams.shift.summit_rpm", s.summit_rpm, 0.0, 20e3),
                 ("cams.shift.width_kpa", s.width_kpa, 1.0, 1000.0),
                 ("cams.shift.width_rpm", s.width_rpm, 10.0, 20e3),
+                ("cams.shift.bell_power", s.bell_power, 1.0, 16.0),
+                ("cams.shift.bell_speed", s.bell_speed, 0.0, 4.0),
                 ("cams.shift.boost_deg", s.boost_deg, -60.0, 60.0),
+                ("cams.shift.boost_exhaust", s.boost_exhaust, -2.0, 2.0),
+                ("cams.shift.boost_width_rpm", s.boost_width_rpm.unwrap_or(s.width_rpm), 10.0, 20e3),
                 ("cams.shift.boost_kpa", s.boost_kpa, 0.0, 1000.0),
                 ("cams.shift.boost_width_kpa", s.boost_width_kpa, 0.5, 1000.0),
                 ("cams.shift.boost_rpm", s.boost_rpm, 0.0, 20e3),

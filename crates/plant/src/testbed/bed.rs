@@ -17,7 +17,7 @@ use crate::error::PlantError as EngineError;
 use crate::inputs::Inputs;
 use crate::params::EngineParams;
 use crate::sensors::SensorNoise;
-use crate::state::EngineState;
+use crate::state::{EngineState, Ledger};
 use dynocal_ident::plant::{LimitEvent, PlantError, Variable};
 
 /// Inputs that every bed has.
@@ -297,10 +297,10 @@ impl EngineBed {
         self.engine.set_inputs(u).map_err(|e| PlantError::Call(e.to_string()))?;
         self.apply_deviations();
         self.engine.clear_interval();
-        let heat_j = self.engine.state().ledger.cylinder_heat_j;
+        let before = self.engine.state().ledger;
         self.engine.advance_time(h_s);
         self.state.time_s += h_s;
-        self.after(turn, h_s, heat_j)?;
+        self.after(turn, h_s, &before)?;
         Ok(6.0 * u.speed_rpm * h_s)
     }
 
@@ -335,7 +335,12 @@ impl EngineBed {
     }
 
     /// What follows from a tick: rotor, temperatures, catalyst, sensors, limits.
-    fn after(&mut self, turn: super::dynamometer::DynoTick, h_s: f64, heat_j: f64) -> Result<(), PlantError> {
+    fn after(
+        &mut self,
+        turn: super::dynamometer::DynoTick,
+        h_s: f64,
+        before: &Ledger,
+    ) -> Result<(), PlantError> {
         let y = self.engine.outputs();
         let o = &self.settings.options;
         let s = &mut self.state;
@@ -354,8 +359,9 @@ impl EngineBed {
             }
         }
         if let (Some(settings), Some(t)) = (&o.engine.warm_up, &mut s.thermal) {
-            let gas_j = self.engine.state().ledger.cylinder_heat_j - heat_j;
-            settings.step(t, gas_j, friction_j, h_s);
+            let now = &self.engine.state().ledger;
+            settings.step(t, now.cylinder_heat_j - before.cylinder_heat_j, friction_j, h_s);
+            settings.manifold(t, &self.engine, now.exhaust_heat_j - before.exhaust_heat_j, h_s);
         }
         let flow_g_s = y.air_g_s + y.fuel_kg_h / 3.6;
         if let (Some(settings), Some(c)) = (&o.engine.catalyst, &mut s.catalyst) {
@@ -421,9 +427,7 @@ impl EngineBed {
     pub(super) fn apply_deviations(&mut self) {
         let mut d = Deviations { seed: self.state.seed, ..self.deviations };
         if let (Some(settings), Some(t)) = (&self.settings.options.engine.warm_up, &self.state.thermal) {
-            d.cylinder_wall_k = Some(t.wall_k);
-            d.friction_factor = settings.friction_factor(t.oil_k);
-            d.film_factor = settings.film_factor(t.coolant_k);
+            d = settings.applied(t, d);
         }
         self.engine.set_deviations(d);
     }

@@ -98,6 +98,9 @@ pub(crate) static QUANTITIES: &[Quantity] = &[
         r.bed.thermal.map_or(363.15, |t| t.coolant_k)
     }),
     quantity("oil", "K", (200.0, 500.0), "Oil (warm-up)", |r| r.bed.thermal.map_or(363.15, |t| t.oil_k)),
+    quantity("manifold_wall", "K", (200.0, 1600.0), "Wall of the exhaust manifold", |r| {
+        r.engine.manifold_wall_k()
+    }),
     quantity("lambda_post", "-", (0.0, 9.99), "Lambda behind the catalyst", |r| {
         r.bed.catalyst.map_or(r.lambda, |c| c.lambda)
     }),

@@ -4,10 +4,19 @@
 //! C_c T_c' = UA_wc (T_w - T_c) - UA_co (T_c - T_o) - open(T_c) UA_r (T_c - T_a)
 //! C_o T_o' = s Q_friction + UA_co (T_c - T_o) - UA_oa (T_o - T_a)
 //!
+//! An engine whose exhaust ports and manifold are apart has one mass more where it starts cold (below [`COLD_START_K`]),
+//!
+//! C_m T_m' = Q_manifold - UA_ma (T_m - T_a),
+//!
+//! with constants of the engine ([`crate::exhaust_wall`]). A bed that starts warm is taken to have run long before: there the
+//! wall of the manifold is at rest with the gas.
+//!
 //! The thermostat opens in proportion between two temperatures. Friction follows the viscosity of the oil,
 //! (nu(T_o)/nu(90 degC))^0.24, with Vogel's nu = A e^(B/(T - C)) of a 5W-30 oil (62 mm2/s at 40 degC, 10.5 at 100).
 //! The exponent is a textbook value for whole engines; masses and conductances are assumptions of a 2 l engine.
 
+use crate::deviations::Deviations;
+use crate::engine::VirtualEngine;
 use serde::{Deserialize, Serialize};
 
 /// Constants.
@@ -54,6 +63,9 @@ impl Default for ThermalSettings {
     }
 }
 
+/// Start temperature below which the wall of the exhaust manifold is followed \[K\].
+pub const COLD_START_K: f64 = 340.0;
+
 /// Temperatures \[K\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ThermalState {
@@ -63,6 +75,8 @@ pub struct ThermalState {
     pub coolant_k: f64,
     /// Oil.
     pub oil_k: f64,
+    /// Wall of the exhaust manifold where it is followed.
+    pub manifold_k: f64,
     /// Heat given to the surroundings since the start \[J\].
     pub lost_j: f64,
 }
@@ -70,7 +84,8 @@ pub struct ThermalState {
 impl ThermalSettings {
     /// All masses at the start temperature.
     pub fn start(&self) -> ThermalState {
-        ThermalState { wall_k: self.start_k, coolant_k: self.start_k, oil_k: self.start_k, lost_j: 0.0 }
+        let t = self.start_k;
+        ThermalState { wall_k: t, coolant_k: t, oil_k: t, manifold_k: t, lost_j: 0.0 }
     }
 
     /// One step of `h_s` with the heat of the gas and the friction work \[J\] that fell in it.
@@ -91,6 +106,39 @@ impl ThermalSettings {
             s.oil_k += (self.friction_share * friction_j / pieces + to_oil - from_oil) / co;
             s.lost_j += radiator + from_oil;
         }
+    }
+
+    /// What the engine is given of these temperatures.
+    pub fn applied(&self, s: &ThermalState, d: Deviations) -> Deviations {
+        Deviations {
+            cylinder_wall_k: Some(s.wall_k),
+            coolant_k: Some(s.coolant_k),
+            manifold_wall_k: self.follows_manifold().then_some(s.manifold_k),
+            friction_factor: self.friction_factor(s.oil_k),
+            film_factor: self.film_factor(s.coolant_k),
+            ..d
+        }
+    }
+
+    fn follows_manifold(&self) -> bool {
+        self.start_k < COLD_START_K
+    }
+
+    /// One step of the wall of the exhaust manifold, where it is followed, with the heat `exhaust_j` \[J\] that ports and manifold took in it.
+    pub fn manifold(&self, s: &mut ThermalState, engine: &VirtualEngine, exhaust_j: f64, h_s: f64) {
+        let (Some(wall), Some(sinks)) = (engine.params().exhaust_wall, engine.exhaust_sinks()) else {
+            return;
+        };
+        // Mean temperature of the gas from the heat of both, then the part of the manifold.
+        let (both_w_k, rest_k) = sinks.joined();
+        if !self.follows_manifold() || both_w_k <= 0.0 {
+            return;
+        }
+        let gas_k = rest_k + exhaust_j / (h_s * both_w_k);
+        let to_wall = h_s * sinks.manifold.0 * (gas_k - sinks.manifold.1);
+        let lost = h_s * wall.ambient_w_k * (s.manifold_k - self.ambient_k);
+        s.manifold_k += (to_wall - lost) / wall.manifold_j_k;
+        s.lost_j += lost;
     }
 
     /// Friction over that of the engine at 90 degC oil.
@@ -115,6 +163,8 @@ pub fn viscosity_mm2_s(oil_k: f64) -> f64 {
 
 impl ThermalState {
     pub(crate) fn visit(&mut self, f: &mut impl FnMut(&mut f64)) {
-        [&mut self.wall_k, &mut self.coolant_k, &mut self.oil_k, &mut self.lost_j].into_iter().for_each(f);
+        [&mut self.wall_k, &mut self.coolant_k, &mut self.oil_k, &mut self.manifold_k, &mut self.lost_j]
+            .into_iter()
+            .for_each(f);
     }
 }

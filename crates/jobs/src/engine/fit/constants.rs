@@ -1,7 +1,7 @@
 //! What a fit may move, and within which range.
 
 use dynocal_plant::cams::CamShift;
-use dynocal_plant::params::EngineParams;
+use dynocal_plant::params::{EngineParams, Manifold};
 
 use super::Compared;
 
@@ -21,6 +21,11 @@ pub struct Constant {
 
 fn shift(p: &mut EngineParams) -> Option<&mut CamShift> {
     p.cams.as_mut()?.shift.as_mut()
+}
+
+/// The exhaust manifold where it is one lump with its ports.
+fn lumped(p: &mut EngineParams) -> Option<&mut Manifold> {
+    p.exhaust_wall.is_none().then_some(&mut p.exhaust_manifold)
 }
 
 /// A row of the table.
@@ -55,11 +60,17 @@ pub static CONSTANTS: &[Constant] = &[
     row!("intake_manifold.ua_w_k", "heat of the intake manifold", 0.0, 30.0, Air, |p| Some(
         &mut p.intake_manifold.ua_w_k
     )),
-    row!("exhaust_manifold.ua_w_k", "heat of the exhaust manifold", 1.0, 40.0, ExhaustTemperature, |p| Some(
-        &mut p.exhaust_manifold.ua_w_k
-    )),
+    row!("exhaust_manifold.ua_w_k", "heat of the exhaust manifold", 1.0, 40.0, ExhaustTemperature, |p| {
+        lumped(p).map(|m| &mut m.ua_w_k)
+    }),
     row!("exhaust_manifold.wall_k", "wall of the exhaust manifold", 300.0, 800.0, ExhaustTemperature, |p| {
-        Some(&mut p.exhaust_manifold.wall_k)
+        lumped(p).map(|m| &mut m.wall_k)
+    }),
+    row!("exhaust_wall.port_w_k", "heat of the exhaust ports", 1.0, 40.0, ExhaustTemperature, |p| Some(
+        &mut p.exhaust_wall.as_mut()?.port_w_k
+    )),
+    row!("exhaust_wall.flow_exponent", "growth of that heat with flow", 0.0, 0.8, ExhaustTemperature, |p| {
+        Some(&mut p.exhaust_wall.as_mut()?.flow_exponent)
     }),
     row!("exhaust.turbine_m2", "area of the turbine", 1e-4, 8e-4, ExhaustPressure, |p| Some(
         &mut p.exhaust.turbine_m2
