@@ -16,6 +16,7 @@ pub mod quantise;
 pub mod refine;
 pub mod search;
 pub mod station;
+pub mod trim;
 pub mod whole;
 
 pub use hold::{Held, HoldSpec, hold};

@@ -31,6 +31,9 @@ pub struct GridSpec {
     /// Number of breakpoints that are kept of an axis, by channel; all where it is not there.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub breakpoints: BTreeMap<String, usize>,
+    /// Error of interpolation of the inputs that loops drive, as a share of them, above which the maps get values between those of the
+    /// axes; 0: they keep the axes as they are.
+    pub between: f64,
     /// Steps of free inputs in an ECU, in their unit: their values are multiples of it.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub resolution: BTreeMap<String, f64>,
@@ -64,6 +67,7 @@ impl Default for GridSpec {
             whole: None,
             front: None,
             breakpoints: BTreeMap::new(),
+            between: 0.0,
             resolution: BTreeMap::new(),
         }
     }

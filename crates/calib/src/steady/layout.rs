@@ -187,25 +187,39 @@ impl Layout {
         ramp: usize,
         hold: usize,
     ) -> Plan {
-        let n = ramp + hold;
-        let course = |a: f64, b: f64| -> Vec<f64> {
-            (0..n).map(|t| if t < ramp { a + (b - a) * (t + 1) as f64 / ramp as f64 } else { b }).collect()
+        self.along(name, from, &[(to, ramp), (to, hold)], driven)
+    }
+
+    /// A plan that goes from the factors `from` along straight ways: each to its factors in so many samples.
+    pub fn along(&self, name: &str, from: &[f64], ways: &[(&[f64], usize)], driven: &[f64]) -> Plan {
+        let n: usize = ways.iter().map(|w| w.1).sum();
+        let course = |value: &dyn Fn(&[f64]) -> f64| -> Vec<f64> {
+            let (mut values, mut a) = (Vec::with_capacity(n), value(from));
+            for (to, samples) in ways {
+                let b = value(to);
+                values.extend((1..=*samples).map(|t| a + (b - a) * t as f64 / *samples as f64));
+                a = b;
+            }
+            values
         };
         let loops_of = self.driven();
         let moved = self.problem.inputs.iter().enumerate().map(|(k, i)| {
             let values = match loops_of.iter().position(|d| *d == k) {
                 Some(l) => vec![driven[l]; n],
-                None => course(self.free(k, from), self.free(k, to)),
+                None => course(&|x| self.free(k, x)),
             };
             PlanChannel::free(&i.name, &i.unit, values).within(i.lower, i.upper)
         });
-        let imposed = self.problem.given.iter().enumerate().map(|(k, g)| {
-            PlanChannel::free(&g.name, &g.unit, course(self.given(k, from), self.given(k, to)))
-        });
+        let imposed = self
+            .problem
+            .given
+            .iter()
+            .enumerate()
+            .map(|(k, g)| PlanChannel::free(&g.name, &g.unit, course(&|x| self.given(k, x))));
         let demands = self.problem.demands.iter().enumerate().map(|(k, d)| PlanDemand {
             output: d.output.clone(),
             unit: d.unit.clone(),
-            values: course(self.demand(k, from), self.demand(k, to)),
+            values: course(&|x| self.demand(k, x)),
         });
         let mut plan = Plan::open_loop(name, self.sample_time_s, moved.chain(imposed).collect())
             .with_loops(demands.collect(), self.loops.clone());

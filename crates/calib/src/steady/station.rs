@@ -7,13 +7,20 @@
 //! s <- s* - backoff                                  and it is tried again from there
 //! ```
 
+use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::DerivedError;
 use dynocal_ident::plan::Plan;
-use dynocal_ident::plant::{LimitEvent, Plant, PlantError, PlantState};
-use dynocal_ident::play::{self, Course, Interruptible, PlayError, Played, Reason, Stop, Watchdog};
+use dynocal_ident::plant::{Plant, PlantError, PlantState};
+use dynocal_ident::play::{self, Interruptible, PlayError, Played, Reason, Stop};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::layout::{Layout, ResponseSource};
+
+mod sweep;
+mod watching;
+
+pub use sweep::{Leg, SweepRow, Swept};
+use watching::Watching;
 
 /// How points are approached and held.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -139,30 +146,6 @@ pub struct Station<'a> {
 const RESOLUTION: f64 = 2e-3;
 /// Error of a held demand above which it is missed, as a share of its range.
 const MISSED: f64 = 0.0125;
-
-/// Batches of a window, and quantile 0.975 of Student's t for the difference of two windows (8 degrees of freedom) and 0.99 for
-/// the mean of one (4 degrees of freedom).
-const BATCHES: usize = 5;
-const DOUBT: f64 = 2.306;
-const NEAR: f64 = 3.747;
-
-/// Mean of a window, and its variance from the means of batches: samples of a bed are not independent (lags of sensors, loops),
-/// those of batches nearly are.
-struct Batches {
-    mean: f64,
-    variance_of_mean: f64,
-}
-
-impl Batches {
-    fn of(values: &[f64]) -> Self {
-        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        let size = values.len().div_ceil(BATCHES).max(1);
-        let means: Vec<f64> = values.chunks(size).map(|b| b.iter().sum::<f64>() / b.len() as f64).collect();
-        let n = means.len() as f64;
-        let squares: f64 = means.iter().map(|m| (m - mean).powi(2)).sum();
-        Self { mean, variance_of_mean: squares / (n - 1.0).max(1.0) / n }
-    }
-}
 
 /// Where one plan ended.
 struct Drive {
@@ -293,21 +276,16 @@ impl<'a> Station<'a> {
         let hold = samples(self.spec.settle_s + self.spec.average_s);
         let plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
         let window = samples(self.spec.window_s).max(2);
-        let mut watch = Watching {
-            guards: &self.guards,
-            tolerances: &self.tolerances,
-            plan: &plan,
-            places: Vec::new(),
-            demands: Vec::new(),
-            driven: Vec::new(),
-            window,
+        let mut watch = Watching::new(
+            (&self.guards, &self.tolerances),
+            &plan,
             ramp,
-            watched_from: if back { ramp + window } else { window },
-            more: samples(self.spec.average_s),
-            left: None,
-            saturated: vec![false; plan.loops.len()],
-            restless: Vec::new(),
-        };
+            window,
+            samples(self.spec.average_s),
+        );
+        if back {
+            watch.watched_from += ramp;
+        }
         let played = {
             let mut both = Interruptible { interrupt: self.interrupt, watchdog: &mut watch };
             play::play(self.plant, &plan, &mut both)?
@@ -316,13 +294,19 @@ impl<'a> Station<'a> {
         let saturated = plan.loops.iter().zip(&watch.saturated).filter(|(_, s)| **s);
         let saturated = saturated.map(|(l, _)| l.input.clone()).collect();
         self.used_s += played.used_s;
+        self.keep_driven(&plan, &played.record)?;
+        self.at = to.to_vec();
+        Ok(Drive { played, ramp, settled, restless, saturated })
+    }
+
+    /// Where the loops left their inputs.
+    fn keep_driven(&mut self, plan: &Plan, record: &Dataset) -> Result<(), PlayError> {
         for (k, l) in plan.loops.iter().enumerate() {
-            if let Some(last) = played.record.values(&l.input)?.last() {
+            if let Some(last) = record.values(&l.input)?.last() {
                 self.driven[k] = *last;
             }
         }
-        self.at = to.to_vec();
-        Ok(Drive { played, ramp, settled, restless, saturated })
+        Ok(())
     }
 
     fn point(
@@ -337,10 +321,7 @@ impl<'a> Station<'a> {
         let record = &drive.played.record;
         let end = record.len();
         let averaged = record.part(end.saturating_sub(n), end, "average".into());
-        let (factors, responses) = self.layout.means(&averaged).map_err(|e| match e {
-            DerivedError::Data(e) => PlayError::Data(e),
-            e => PlayError::Model { output: "a derived channel".into(), reason: e.to_string() },
-        })?;
+        let (factors, responses) = means(self.layout, &averaged)?;
         let mut errors = Vec::new();
         for (k, d) in self.layout.problem.demands.iter().enumerate() {
             let values = averaged.values(&d.output)?;
@@ -386,121 +367,10 @@ impl<'a> Station<'a> {
     }
 }
 
-/// Watches limits on the way and ends the plan when everything rests.
-struct Watching<'a> {
-    guards: &'a [Guard],
-    tolerances: &'a [(f64, f64)],
-    plan: &'a Plan,
-    /// Columns of guards and demands, and of the inputs that loops drive.
-    places: Vec<usize>,
-    demands: Vec<usize>,
-    driven: Vec<usize>,
-    window: usize,
-    ramp: usize,
-    watched_from: usize,
-    more: usize,
-    left: Option<usize>,
-    saturated: Vec<bool>,
-    /// Outputs that did not rest when it was tested last.
-    restless: Vec<String>,
-}
-
-impl Watching<'_> {
-    /// The last window of an output and the one before.
-    fn windows(&self, course: &Course, place: usize) -> (Batches, Batches) {
-        let n = course.rows();
-        let of = |end: usize| {
-            let values: Vec<f64> = (end + 1 - self.window..=end).map(|t| course.output(t)[place]).collect();
-            Batches::of(&values)
-        };
-        (of(n - self.window), of(n))
-    }
-
-    fn still(before: &Batches, now: &Batches, resolution: f64) -> bool {
-        let doubt = DOUBT * (before.variance_of_mean + now.variance_of_mean).sqrt();
-        (now.mean - before.mean).abs() <= resolution.max(doubt)
-    }
-
-    fn at_rest(&mut self, course: &Course) -> bool {
-        self.restless.clear();
-        for (k, place) in self.demands.iter().enumerate() {
-            let (before, now) = self.windows(course, *place);
-            let (resolution, _) = self.tolerances[k];
-            let near = (2.0 * resolution).max(NEAR * now.variance_of_mean.sqrt());
-            let demand = self.plan.demands[k].values.last().copied().unwrap_or(f64::NAN);
-            self.saturated[k] = self.stands_at_an_end(course, k);
-            let there = (now.mean - demand).abs() <= near || self.saturated[k];
-            if !(there && Self::still(&before, &now, resolution)) {
-                self.restless.push(self.plan.demands[k].output.clone());
-            }
-        }
-        for (g, place) in self.guards.iter().zip(&self.places) {
-            let (before, now) = self.windows(course, *place);
-            // Without a limit its own size says what counts as none.
-            let resolution = if g.resolution > 0.0 { g.resolution } else { RESOLUTION * now.mean.abs() };
-            if !Self::still(&before, &now, resolution) {
-                self.restless.push(g.output.clone());
-            }
-        }
-        self.restless.is_empty()
-    }
-
-    /// Whether the input of the loop of demand `k` was at an end of its range all through the last window.
-    fn stands_at_an_end(&self, course: &Course, k: usize) -> bool {
-        let (place, n) = (self.driven[k], course.rows());
-        let c = &self.plan.channels[place];
-        (n - self.window..n).all(|t| {
-            let u = course.input(t)[place];
-            u <= c.lower || u >= c.upper
-        })
-    }
-}
-
-impl Watchdog for Watching<'_> {
-    fn prepare(&mut self, plan: &Plan, course: &Course) -> Result<usize, PlayError> {
-        let place = |output: &str| {
-            course.outputs.iter().position(|o| o == output).ok_or_else(|| PlayError::Model {
-                output: output.into(),
-                reason: format!("there is no such output; outputs are: {}", course.outputs.join(", ")),
-            })
-        };
-        self.places = self.guards.iter().map(|g| place(&g.output)).collect::<Result<_, _>>()?;
-        self.demands = plan.demands.iter().map(|d| place(&d.output)).collect::<Result<_, _>>()?;
-        let driver = |output: &str| {
-            let l = plan.loops.iter().find(|l| l.output == output)?;
-            plan.channels.iter().position(|c| c.name == l.input)
-        };
-        self.driven = plan.demands.iter().map(|d| driver(&d.output).unwrap_or(0)).collect();
-        Ok(0)
-    }
-
-    fn after(&mut self, course: &Course, _events: &[LimitEvent]) -> Option<Stop> {
-        let t = course.rows() - course.before;
-        if t >= self.watched_from {
-            for (g, place) in self.guards.iter().zip(&self.places) {
-                let mean = self.windows_now(course, *place);
-                if !(g.lower..=g.upper).contains(&mean) {
-                    let limit = if mean < g.lower { g.lower } else { g.upper };
-                    return Some(Stop::new(&g.output, Reason::Measured { value: mean, limit }));
-                }
-            }
-        }
-        let since = t.saturating_sub(self.ramp);
-        // Windows do not overlap: the test is made once in each.
-        let tested = since >= 2 * self.window && since.is_multiple_of(self.window);
-        self.left = match self.left {
-            Some(left) => Some(left.saturating_sub(1)),
-            None => (tested && self.at_rest(course)).then_some(self.more),
-        };
-        (self.left == Some(0)).then(|| Stop::new("", Reason::Still))
-    }
-}
-
-impl Watching<'_> {
-    /// Mean of an output over the last window.
-    fn windows_now(&self, course: &Course, place: usize) -> f64 {
-        let n = course.rows();
-        let from = n + 1 - self.window.min(n);
-        (from..=n).map(|t| course.output(t)[place]).sum::<f64>() / (n + 1 - from) as f64
-    }
+/// Means over a record.
+fn means(layout: &Layout, record: &Dataset) -> Result<(Vec<f64>, Vec<f64>), PlayError> {
+    layout.means(record).map_err(|e| match e {
+        DerivedError::Data(e) => PlayError::Data(e),
+        e => PlayError::Model { output: "a derived channel".into(), reason: e.to_string() },
+    })
 }

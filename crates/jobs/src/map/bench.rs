@@ -6,7 +6,7 @@ use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
 use dynocal_calib::steady::front::FrontSpec;
 use dynocal_calib::steady::layout::{Factor, Layout};
-use dynocal_calib::steady::station::{Station, SteadyPoint};
+use dynocal_calib::steady::station::{Leg, Station, SteadyPoint, Swept, Touched};
 use dynocal_files::FilesError;
 use dynocal_files::atomic;
 use dynocal_files::dataset::{self, ChannelSpec, Missing, Select, Time};
@@ -14,6 +14,7 @@ use dynocal_files::measurement;
 use dynocal_files::table::Table;
 use dynocal_ident::data::{Dataset, Role};
 use dynocal_ident::plant::{Causality, Variable};
+use dynocal_ident::play::PlayError;
 use dynocal_numerics::watch::Watch;
 
 use super::error::{MapError, stopped};
@@ -31,6 +32,8 @@ pub(super) trait Bench {
         points: &mut Vec<DayPoint>,
         watch: Watch,
     ) -> Result<DayEnd, MapError>;
+    /// Goes along a line of the maps; none where the bed cannot.
+    fn sweep(&mut self, from: &[f64], legs: &[Leg], watch: Watch) -> Result<Option<Swept>, MapError>;
     /// Factors where it stands.
     fn stands_at(&self) -> &[f64];
     /// Bed time so far in s.
@@ -49,6 +52,9 @@ impl Bench for Station<'_> {
     ) -> Result<DayEnd, MapError> {
         day::run(self, tasks, bed_s, points, watch).map_err(stopped(watch))
     }
+    fn sweep(&mut self, from: &[f64], legs: &[Leg], watch: Watch) -> Result<Option<Swept>, MapError> {
+        swept(Station::sweep(self, from, legs), watch).map(Some)
+    }
     fn stands_at(&self) -> &[f64] {
         self.at()
     }
@@ -58,6 +64,16 @@ impl Bench for Station<'_> {
     fn widen_limits(&mut self, share: f64) {
         self.widen(share);
     }
+}
+
+/// A plant that refuses ends a line; anything else is an error.
+pub(super) fn swept(found: Result<Swept, PlayError>, watch: Watch) -> Result<Swept, MapError> {
+    found.or_else(|e| {
+        let words = day::refused(e).map_err(stopped(watch))?;
+        let touched =
+            Touched { output: String::new(), value: f64::NAN, limit: f64::NAN, factors: Vec::new(), words };
+        Ok(Swept { rows: Vec::new(), touched: Some(touched), used_s: 0.0 })
+    })
 }
 
 /// A bed that reads plans and writes what it measured: `RUN/points01.csv` to `RUN/measured/points01.csv`, batch after batch, then
@@ -464,6 +480,9 @@ impl Bench for OnBed<'_> {
                 )))
             }
         }
+    }
+    fn sweep(&mut self, _from: &[f64], _legs: &[Leg], _watch: Watch) -> Result<Option<Swept>, MapError> {
+        Ok(None)
     }
     fn stands_at(&self) -> &[f64] {
         &self.at

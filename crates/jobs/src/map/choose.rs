@@ -202,13 +202,13 @@ mod tests {
         assert!(found.widen >= 1.0 && found.widen.is_finite());
     }
 
-    /// Over a range of decades the relative error takes the model whose errors grow with the output: a cubic follows the greatest values and
-    /// misses the small ones by multiples. Which one absolute errors would take is not asked here.
+    /// Two kinds over a range of decades, `y = exp(4 x + 0.8 x^2)` from 1 to 121. A line of the logarithm misses it by the same share
+    /// everywhere, 0.8 (x^2 - x + 1/6): 6 % rms, 16 units at the top. A cubic of the value itself misses it by units everywhere: nothing at
+    /// the top, multiples of the least values.
     #[test]
-    fn what_is_minimised_is_chosen_by_relative_errors() {
+    fn absolute_and_relative_errors_choose_differently() {
         let x: Vec<f64> = (0..40).map(|i| f64::from(i) / 39.0).collect();
-        let odd = |i: usize| if i.is_multiple_of(2) { 1.1 } else { 1.0 / 1.1 };
-        let y: Vec<f64> = x.iter().enumerate().map(|(i, x)| odd(i) * (4.0 * x).exp()).collect();
+        let y: Vec<f64> = x.iter().map(|x| (4.0 * x + 0.8 * x * x).exp()).collect();
         let points = Points { inputs: vec!["torque".into()], output: "fuel".into(), x, y };
         let log = toml::Table::from_iter([
             ("transform".to_string(), "log".into()),
@@ -220,10 +220,11 @@ mod tests {
             .into();
         assert_eq!(errors_of(Errors::Relative, &points.y), Errors::Relative);
         assert_eq!(errors_of(Errors::Relative, &[1.0, 0.0]), Errors::Absolute);
-        let found = choose(&kinds, Errors::Relative, &points, 5, true, &|| false).unwrap();
-        assert!(found.words.contains("log is taken") && found.words.contains(" %"), "{}", found.words);
-        // Ten percent up and down is what no model can know.
+        let by = |errors: Errors| choose(&kinds, errors, &points, 5, true, &|| false).unwrap().words;
+        let (relative, absolute) = (by(Errors::Relative), by(Errors::Absolute));
+        assert!(relative.contains("log is taken") && relative.contains(" %"), "{relative}");
+        assert!(absolute.contains("cubic is taken") && !absolute.contains(" %"), "{absolute}");
         let (_, errors, _) = least(&kinds, Errors::Relative, &points, 5, &|| false).unwrap();
-        assert!(errors[0] > 0.08 && errors[0] < 0.13 && errors[1] > errors[0], "{errors:?}");
+        assert!(errors[0] > 0.04 && errors[0] < 0.09 && errors[1] > 0.3, "{errors:?}");
     }
 }

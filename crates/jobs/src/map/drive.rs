@@ -17,6 +17,7 @@ use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::station::SteadyPoint;
+use dynocal_calib::steady::trim::Trim;
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::model::response::{Ask, Points, Prediction, Response, ResponseModel};
 use dynocal_numerics::watch::Watch;
@@ -49,11 +50,26 @@ pub struct Drive {
     pub spread: f64,
     /// Factor by which its standard deviations are widened, so that held-out points lie in their intervals.
     pub widen: f64,
+    /// What sweeps along the maps changed; none where there were none.
+    pub trimmed: Option<Trimmed>,
     /// Which channels are learnt over by their logarithms.
     logs: Vec<bool>,
     /// The model.
     #[serde(skip)]
     model: ResponseModel,
+}
+
+/// A map that was trimmed by what was measured along it ([`super::sweep`]); shares of the input where the map is relative, else in its unit.
+#[derive(Clone, Debug, Serialize)]
+pub struct Trimmed {
+    /// RMS of what the map missed along the lines before.
+    pub before: f64,
+    /// Scatter of a window about the trimmed map, lags of the way counted in.
+    pub scatter: f64,
+    /// RMS of what a line differs from what the lines beside it say of it; none with fewer than three lines.
+    pub between: Option<f64>,
+    #[serde(skip)]
+    trim: Trim,
 }
 
 /// A value with the half width of one standard deviation of a measurement about it.
@@ -189,6 +205,7 @@ fn drive(
         relative,
         spread: spread(&points.y),
         widen,
+        trimmed: None,
         logs,
         model: learnt.model,
     })
@@ -209,13 +226,32 @@ const ROUGH_OF_SPREAD: f64 = 0.2;
 impl Drive {
     /// Whether the map holds its demand under a controller only.
     pub fn rough(&self) -> bool {
-        self.error > if self.relative { ROUGH } else { ROUGH_OF_SPREAD * self.spread }
+        self.missing() > if self.relative { ROUGH } else { ROUGH_OF_SPREAD * self.spread }
+    }
+
+    /// Its error: between the lines that were swept, where there are three, else on points that had no part in it.
+    fn missing(&self) -> f64 {
+        self.trimmed.as_ref().and_then(|t| t.between).unwrap_or(self.error)
     }
 
     /// Its error on unseen points with its unit, in words.
     pub fn missed(&self) -> String {
-        let error = if self.relative { 100.0 * self.error } else { self.error };
+        self.in_words(self.missing())
+    }
+
+    fn in_words(&self, error: f64) -> String {
+        let error = if self.relative { 100.0 * error } else { error };
         format!("{} {}", dynocal_report::significant(error, 2), if self.relative { "%" } else { &self.unit })
+    }
+
+    /// How far `measured` is from `expected`, in what is learnt: logarithms where the map is relative.
+    pub(super) fn missed_by(&self, measured: f64, expected: f64) -> f64 {
+        if self.relative { measured.ln() - expected.ln() } else { measured - expected }
+    }
+
+    /// Takes what was measured along the maps: `before` is what they missed there, `between` what a line differs from its neighbours.
+    pub(super) fn take(&mut self, trim: Trim, before: f64, between: Option<f64>) {
+        self.trimmed = Some(Trimmed { before, scatter: trim.scatter, between, trim });
     }
 
     /// Values at rows of factors and responses.
@@ -229,10 +265,13 @@ impl Drive {
             let of = |(c, log): (&Vec<f64>, &bool)| if *log { c[i].ln() } else { c[i] };
             let x: Vec<f64> = columns.iter().zip(&self.logs).map(of).collect();
             self.model.predict(&x, Ask::Variance, &mut at);
-            let deviation = self.widen * at.measured_std();
+            let (mean, deviation) = match &self.trimmed {
+                Some(t) => (at.mean + t.trim.at(&rows[i].0[..layout.axes]), t.scatter),
+                None => (at.mean, self.widen * at.measured_std()),
+            };
             match self.relative {
-                true => Driven { value: at.mean.exp(), deviation: deviation * at.mean.exp() },
-                false => Driven { value: at.mean, deviation },
+                true => Driven { value: mean.exp(), deviation: deviation * mean.exp() },
+                false => Driven { value: mean, deviation },
             }
         };
         Ok((0..rows.len()).map(one).collect())
@@ -240,12 +279,20 @@ impl Drive {
 
     /// In words for reports: what it follows from and how well.
     pub fn words(&self) -> String {
-        format!(
+        let learnt = format!(
             "`{}` over {}: {} rms on points that had no part in it ({} points)",
             self.input,
             self.over.join(", "),
-            self.missed(),
+            self.in_words(self.error),
             self.points
+        );
+        let Some(t) = &self.trimmed else { return learnt };
+        let between = t.between.map_or(String::new(), |b| {
+            format!("; a line differs from what the lines beside it say of it by {} rms", self.in_words(b))
+        });
+        format!(
+            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there{between}",
+            self.in_words(t.before)
         )
     }
 }

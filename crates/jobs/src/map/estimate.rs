@@ -20,7 +20,16 @@ pub fn estimate(job: &Job) -> Estimate {
     let (planned, follow) = budget.map_or((0, 0), |b| (b.planned, b.followed));
     let repeats: usize = budget.map_or(0, |b| b.repeats.iter().sum());
     let points = s.bed.points as f64;
-    let most_s = (points * (a.ramp_s + a.settle_s + a.average_s)).min(60.0 * s.bed.minutes);
+    // In the order of maps: the demand, then the given channel.
+    let axes: Vec<Vec<f64>> = s
+        .problem
+        .demand_names()
+        .iter()
+        .chain(&s.problem.given_names())
+        .filter_map(|n| s.axes.get(n).cloned())
+        .collect();
+    let most_s = points * (a.ramp_s + a.settle_s + a.average_s) + super::sweep::expected_s(s, &axes);
+    let most_s = most_s.min(60.0 * s.bed.minutes);
     let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
     let held: Vec<String> = s.held.iter().map(|(name, v)| format!("{name} = {v}")).collect();
     let limits: Vec<String> = s.problem.limits.iter().map(|l| l.output.clone()).collect();

@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Measures, Purpose};
-use dynocal_calib::steady::station::{Stand, Station, SteadyPoint};
+use dynocal_calib::steady::station::{Leg, Stand, Station, SteadyPoint, Swept};
 use dynocal_files::run_folder::{digest, digest_of};
 use dynocal_files::{FilesError, atomic};
 use dynocal_ident::plant::PlantState;
@@ -18,7 +18,7 @@ use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::bench::{Bench, Task};
+use super::bench::{Bench, Task, swept};
 use super::error::{MapError, stopped};
 
 /// File in the run folder.
@@ -33,12 +33,19 @@ struct Head {
     inputs: String,
 }
 
-/// A measured point with the place where it left the bed; numbers of the state as their bits, for they need not be finite.
+/// What was measured.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(untagged)]
+enum Measured {
+    Point { purpose: Purpose, target: Vec<f64>, point: SteadyPoint },
+    Sweep { from: Vec<f64>, legs: Vec<Leg>, swept: Swept },
+}
+
+/// What was measured with the place where it left the bed; numbers of the state as their bits, for they need not be finite.
 #[derive(Clone, Serialize, Deserialize)]
 struct Kept {
-    purpose: Purpose,
-    target: Vec<f64>,
-    point: SteadyPoint,
+    #[serde(flatten)]
+    measured: Measured,
     plant: Vec<u64>,
     at: Vec<f64>,
     driven: Vec<f64>,
@@ -57,9 +64,9 @@ pub(super) struct Journal<'s, 'a> {
     station: &'s mut Station<'a>,
     path: PathBuf,
     head: String,
-    /// Points of an earlier run.
+    /// Points and sweeps of an earlier run.
     kept: Vec<Kept>,
-    /// Points of this run so far.
+    /// Those of this run so far.
     count: usize,
     /// Where new points go; none before the first of them, and where the file cannot be written.
     file: Option<File>,
@@ -111,7 +118,15 @@ impl<'s, 'a> Journal<'s, 'a> {
             .note(&format!("{}: {why}. A run that is interrupted begins the day anew", self.path.display()));
     }
 
-    fn keep(&mut self, purpose: Purpose, target: &[f64], point: &SteadyPoint) {
+    /// The next one of the earlier run, where it is what is asked for now.
+    fn known(&mut self, same: impl Fn(&Measured) -> bool) -> Option<Measured> {
+        let kept = self.kept.get(self.count).filter(|k| !self.live && same(&k.measured))?;
+        self.station.go_on(&kept.stand()).ok()?;
+        self.count += 1;
+        Some(kept.measured.clone())
+    }
+
+    fn keep(&mut self, measured: Measured) {
         let Some(file) = &mut self.file else { return };
         let Stand { plant, at, driven, used_s } = self.station.stand();
         if plant.0.len() > LARGEST {
@@ -119,7 +134,7 @@ impl<'s, 'a> Journal<'s, 'a> {
             return;
         }
         let plant = plant.0.iter().map(|v| v.to_bits()).collect();
-        let kept = Kept { purpose, target: target.to_vec(), point: point.clone(), plant, at, driven, used_s };
+        let kept = Kept { measured, plant, at, driven, used_s };
         let written = line(&kept).map(|l| file.write_all(l.as_bytes()).and_then(|()| file.flush()));
         match written {
             Some(Ok(())) => {}
@@ -162,18 +177,15 @@ fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
 
 impl Measures for Journal<'_, '_> {
     fn measure(&mut self, purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError> {
+        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, .. } if *p == purpose && t == target);
+        if let Some(Measured::Point { point, .. }) = self.known(same) {
+            return Ok(point);
+        }
         if !self.live {
-            let known = self.kept.get(self.count).filter(|k| k.purpose == purpose && k.target == target);
-            if let Some(k) = known
-                && self.station.go_on(&k.stand()).is_ok()
-            {
-                self.count += 1;
-                return Ok(k.point.clone());
-            }
             self.begin();
         }
         let point = self.station.measure(target)?;
-        self.keep(purpose, target, &point);
+        self.keep(Measured::Point { purpose, target: target.to_vec(), point: point.clone() });
         Ok(point)
     }
     fn bed_s(&self) -> f64 {
@@ -190,6 +202,19 @@ impl Bench for Journal<'_, '_> {
         watch: Watch,
     ) -> Result<DayEnd, MapError> {
         day::run(self, tasks, bed_s, points, watch).map_err(stopped(watch))
+    }
+    fn sweep(&mut self, from: &[f64], legs: &[Leg], watch: Watch) -> Result<Option<Swept>, MapError> {
+        let same =
+            |m: &Measured| matches!(m, Measured::Sweep { from: f, legs: l, .. } if f == from && l == legs);
+        if let Some(Measured::Sweep { swept, .. }) = self.known(same) {
+            return Ok(Some(swept));
+        }
+        if !self.live {
+            self.begin();
+        }
+        let swept = swept(self.station.sweep(from, legs), watch)?;
+        self.keep(Measured::Sweep { from: from.to_vec(), legs: legs.to_vec(), swept: swept.clone() });
+        Ok(Some(swept))
     }
     fn stands_at(&self) -> &[f64] {
         self.station.at()

@@ -4,6 +4,7 @@
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
 mod bench;
+mod between;
 mod budget;
 mod cells;
 mod check;
@@ -22,6 +23,7 @@ pub mod result;
 mod setting;
 pub mod spec;
 pub mod store;
+pub mod sweep;
 mod verdict;
 mod verify;
 pub mod work;

@@ -93,6 +93,7 @@ fn maps(found: &Mapped) -> Section {
     for d in &found.drives {
         section = section.text(d.words());
     }
+    section = swept(found, section);
     let all: Vec<Vec<f64>> = found.cells.iter().map(|c| actuators(&found.layout, c)).collect();
     let mut blocks = Vec::new();
     for (k, i) in found.layout.problem.inputs.iter().enumerate() {
@@ -104,6 +105,29 @@ fn maps(found: &Mapped) -> Section {
     }
     if let Some(d) = &found.delivered {
         section = section.text(delivered(found, d));
+    }
+    section
+}
+
+/// What was measured along the maps, and where they have values between the cells.
+fn swept(found: &Mapped, mut section: Section) -> Section {
+    if let Some(s) = &found.sweeps {
+        section = section.text(format!(
+            "{} of {} lines of the maps were gone there and back on the bed, loops closed: {} windows in {:.1} min.",
+            s.whole,
+            s.planned,
+            s.rows,
+            s.bed_s / 60.0
+        ));
+    }
+    let values = |a: &[f64]| a.len();
+    let map = &found.map;
+    if values(&map.demand) * values(&map.given) > found.cells.len() {
+        section = section.text(format!(
+            "The maps have {} x {} values: more than cells, where straight lines between these would miss the inputs that loops drive.",
+            values(&map.demand),
+            values(&map.given)
+        ));
     }
     section
 }
@@ -340,9 +364,10 @@ fn intersection(m: &Learned, i: &dynocal_ident::model::response::score::Intersec
 fn day(found: &Mapped) -> Section {
     let minutes = |s: f64| format!("{:.1} min", s / 60.0);
     let mut section = Section::new("The day on the bed").text(format!(
-        "Bed time: {} for the gains, {} for the points, {} for the verification. {} points were measured, {} of them can be used.",
+        "Bed time: {} for the gains, {} for the points, {} along the maps, {} for the verification. {} points were measured, {} of them can be used.",
         minutes(found.bed.gains_s),
         minutes(found.bed.points_s),
+        minutes(found.bed.sweeps_s),
         minutes(found.bed.verify_s),
         found.points.len(),
         found.points.iter().filter(|p| p.point.usable).count(),

@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::drive::Drive;
 use super::learn::Learned;
 use super::refine::Round;
+use super::sweep::Sweeps;
 
 /// An axis of the maps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -45,6 +46,8 @@ pub struct BedTime {
     pub gains_s: f64,
     /// Points to learn from, repeats among them.
     pub points_s: f64,
+    /// Lines of the maps.
+    pub sweeps_s: f64,
     /// Verification.
     pub verify_s: f64,
 }
@@ -52,7 +55,7 @@ pub struct BedTime {
 impl BedTime {
     /// All of it.
     pub fn all_s(&self) -> f64 {
-        self.gains_s + self.points_s + self.verify_s
+        self.gains_s + self.points_s + self.sweeps_s + self.verify_s
     }
 }
 
@@ -151,6 +154,8 @@ pub struct Mapped {
     pub models: Vec<Learned>,
     /// Maps of the inputs that loops drive.
     pub drives: Vec<Drive>,
+    /// Lines of the maps that were gone along; none where none were asked for.
+    pub sweeps: Option<Sweeps>,
     /// Verification points.
     pub verified: Vec<Verified>,
     /// Cells, the last axis fastest.

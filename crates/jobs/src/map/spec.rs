@@ -92,6 +92,25 @@ pub struct BedSpec {
     pub approach: ApproachSpec,
     /// Points that follow the optimum.
     pub refine: RefineSpec,
+    /// Lines of the finished maps along which the inputs that loops drive are measured, where it is there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sweep: Option<SweepSpec>,
+}
+
+/// Sweeps along the finished maps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SweepSpec {
+    /// Time in s in which the whole of the first axis is gone through; every line is gone there and back.
+    pub pass_s: f64,
+    /// Lines between two neighbouring values of the other axis.
+    pub between: usize,
+}
+
+impl Default for SweepSpec {
+    fn default() -> Self {
+        Self { pass_s: 25.0, between: 1 }
+    }
 }
 
 impl Default for BedSpec {
@@ -104,6 +123,7 @@ impl Default for BedSpec {
             beyond: BTreeMap::new(),
             approach: ApproachSpec::default(),
             refine: RefineSpec::default(),
+            sweep: None,
         }
     }
 }

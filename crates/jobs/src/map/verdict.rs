@@ -131,6 +131,9 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             significant(d.per_hour_error, 2)
         ));
     }
+    for note in found.sweeps.iter().flat_map(|s| &s.notes) {
+        warnings.push(format!("along the maps: {note}"));
+    }
     for d in found.drives.iter().filter(|d| d.rough()) {
         let (input, missed) = (&d.input, d.missed());
         warnings.push(format!(

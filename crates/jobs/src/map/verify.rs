@@ -19,6 +19,11 @@ use super::spec::MapSpec;
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
 
+/// Share of the bed time of all points that the verification takes.
+pub(super) fn share(spec: &MapSpec) -> f64 {
+    spec.verify.points as f64 / spec.bed.points.max(1) as f64
+}
+
 /// What is verified.
 pub(super) struct Verification<'a> {
     pub(super) spec: &'a MapSpec,
@@ -39,7 +44,6 @@ impl Verification<'_> {
         points: &mut Vec<DayPoint>,
         watch: Watch,
     ) -> Result<Vec<Verified>, MapError> {
-        bench.widen_limits(self.spec.verify.limit);
         let place = |at: Vec<f64>| interpolate(self.axes, self.cells, &at[..self.layout.axes]);
         let targets: Vec<Vec<f64>> = self.places(bench.stands_at()).into_iter().map(place).collect();
         let begun = points.len();

@@ -18,6 +18,7 @@ use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
 use super::bench::{self, Bench, OnBed};
+use super::between::Between;
 use super::budget::{Budget, fewest};
 use super::cells::{actuators, end_in_words, missed};
 use super::drive;
@@ -30,7 +31,7 @@ use super::refine::{Refinement, Round};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
-use super::{verdict, verify};
+use super::{sweep, verdict, verify};
 
 /// Share of an axis by which points are planned beyond its ends.
 const BEYOND: f64 = 0.05;
@@ -146,7 +147,8 @@ impl Day<'_> {
         let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-        let (mut points, rounds, end) = measured(spec, layout, &grid_axes, &first, budget_s, bench, watch)?;
+        let points_s = (budget_s - sweep::expected_s(spec, &grid_axes)).max(0.0);
+        let (mut points, rounds, end) = measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
         let drift = day::drift(layout, &points);
         let models = learn::learn(layout, &points, &drift, &spec.models, true, watch)?;
@@ -160,12 +162,18 @@ impl Day<'_> {
         let front = maps.front(&mut cells, watch);
         let whole = maps.couple(front.as_ref(), &mut cells, watch);
         let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
-        let drives = drive::learn(layout, &points, spec, watch)?;
-        drive::fill(&drives, layout, &mut cells)?;
+        let mut drives = drive::learn(layout, &points, spec, watch)?;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         if watch.interrupted() {
             return Err(MapError::Interrupted);
         }
+        bench.widen_limits(spec.verify.limit);
+        let lines =
+            sweep::Lines { spec, layout, setting: &setting, axes: &grid_axes, cells: &cells, drift: &drift };
+        let until_s = budget_s - verify::share(spec) * points_s;
+        let sweeps = lines.run(bench, &mut drives, until_s, watch)?;
+        bed.sweeps_s = bench.used_s() - bed.points_s;
+        drive::fill(&drives, layout, &mut cells)?;
         watch.note(&format!("{} verification points on the bed", spec.verify.points));
         let verification = verify::Verification {
             spec,
@@ -176,8 +184,11 @@ impl Day<'_> {
             cells: &cells,
         };
         let verified = verification.run(bench, budget_s, &mut points, watch)?;
-        bed.verify_s = bench.used_s() - bed.points_s;
-        let map = static_map(spec, layout, &axes, &cells, bed.all_s());
+        bed.verify_s = bench.used_s() - bed.points_s - bed.sweeps_s;
+        let between =
+            Between { spec, layout, setting: &setting, drives: &drives, axes: &axes, cells: &cells };
+        let (map_axes, map_cells) = between.maps()?;
+        let map = static_map(spec, layout, &map_axes, &map_cells, bed.all_s());
         let mut found = Mapped {
             verb: "map",
             name: job.name.clone(),
@@ -195,6 +206,7 @@ impl Day<'_> {
             drift,
             models,
             drives,
+            sweeps,
             verified,
             cells,
             tuned,

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::steady::grid::{CellState, corners, interpolate};
 use dynocal_calib::steady::hold::{HoldSpec, hold};
 use dynocal_calib::steady::layout::FactorKind;
@@ -56,6 +57,11 @@ pub(super) struct Truth<'a> {
     /// Where it stands: factors, driven inputs.
     now: (Vec<f64>, Vec<f64>),
     watch: Watch<'a>,
+}
+
+/// Place of a name.
+fn place_of(names: &[String], name: &str) -> Option<usize> {
+    names.iter().position(|n| n == name)
 }
 
 /// Seed of the unseen points: the same for all days.
@@ -194,20 +200,29 @@ impl<'a> Truth<'a> {
 
     /// The first demand with the maps alone, no loop closed.
     fn open(&mut self, at: &[f64]) -> Result<f64, String> {
-        let (found, around) = (self.found, corners(&self.axes, at));
+        let found = self.found;
         let layout = &found.layout;
+        let x = interpolate(&self.axes, &found.cells, at);
+        let demand =
+            |name: &str| place_of(&layout.problem.demand_names(), name).map(|k| layout.demand(k, &x));
+        let given = |name: &str| place_of(&layout.problem.given_names(), name).map(|k| layout.given(k, &x));
+        let ports = &found.map.ports;
+        let reference =
+            ports.demands.iter().map(|p| demand(&p.name)).chain(ports.given.iter().map(|p| given(&p.name)));
+        let reference: Vec<f64> = reference.map(|v| v.unwrap_or(f64::NAN)).collect();
+        let values = found.map.steady(&reference);
         let p = &layout.problem;
         let spec = HoldSpec { settle_s: 2.0 * OPEN_S, window_s: OPEN_S, average_s: 2.0 };
         let n = spec.samples(layout.sample_time_s);
-        let value = |i: usize| around.iter().map(|(k, w)| w * found.map.points[*k].actuators[i]).sum::<f64>();
         let inputs =
             p.inputs.iter().enumerate().map(|(k, i)| {
-                PlanChannel::free(&i.name, &i.unit, vec![value(k); n]).within(i.lower, i.upper)
+                PlanChannel::free(&i.name, &i.unit, vec![values[k]; n]).within(i.lower, i.upper)
             });
-        let given = p.given.iter().enumerate().map(|(k, g)| {
-            let x = interpolate(&self.axes, &found.cells, at);
-            PlanChannel::free(&g.name, &g.unit, vec![layout.given(k, &x); n])
-        });
+        let given = p
+            .given
+            .iter()
+            .enumerate()
+            .map(|(k, g)| PlanChannel::free(&g.name, &g.unit, vec![layout.given(k, &x); n]));
         let mut plan = Plan::open_loop("maps", layout.sample_time_s, inputs.chain(given).collect());
         plan.outputs = vec![p.demands[0].output.clone()];
         let held = hold(self.plant.as_mut(), &spec, &plan, &[]).map_err(|e| e.to_string())?;

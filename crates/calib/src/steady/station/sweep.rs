@@ -1,0 +1,108 @@
+//! Lines of a map on a plant: the factors go along a path slowly while loops hold the demands, and everything is averaged over windows.
+//!
+//! What is averaged lags behind what it would be at rest, one way up and the other way down: a path that goes there and back holds both.
+
+use dynocal_ident::play::{self, Interruptible, PlayError, Reason};
+use serde::{Deserialize, Serialize};
+
+use super::{Station, Touched, Watching, means};
+
+/// A straight part of a path.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Leg {
+    /// Factors at its end.
+    pub to: Vec<f64>,
+    /// Time that it takes in s.
+    pub seconds: f64,
+}
+
+/// Means over a window of a sweep.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SweepRow {
+    /// Factors; demands as measured.
+    pub factors: Vec<f64>,
+    /// Responses.
+    pub responses: Vec<f64>,
+    /// Whether the input of each loop was at an end of its range, by loop.
+    pub at_end: Vec<bool>,
+    /// Bed time at its end, from the begin of the day, in s.
+    pub at_s: f64,
+}
+
+/// A line that was swept, as far as the limits allowed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Swept {
+    /// Windows along the way.
+    pub rows: Vec<SweepRow>,
+    /// The limit that ended it; none where it came to its end.
+    pub touched: Option<Touched>,
+    /// Bed time in s, the way to its begin counted in.
+    pub used_s: f64,
+}
+
+impl Station<'_> {
+    /// Goes to `from`, rests there, and goes along `legs`. A limit that is touched on the way there or along it ends the line.
+    ///
+    /// # Errors
+    /// As of [`Station::measure`].
+    pub fn sweep(&mut self, from: &[f64], legs: &[Leg]) -> Result<Swept, PlayError> {
+        let begun_s = self.used_s;
+        let origin = self.at.clone();
+        let drive = self.drive(from, false)?;
+        if let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) {
+            let share = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
+            self.at = between(&origin, from, share);
+            let touched = Some(self.touched(stop, self.at.clone())?);
+            return Ok(Swept { rows: Vec::new(), touched, used_s: self.used_s - begun_s });
+        }
+        let dt = self.layout.sample_time_s;
+        let samples = |s: f64| (s / dt).round().max(1.0) as usize;
+        let ways: Vec<(&[f64], usize)> = legs.iter().map(|l| (&l.to[..], samples(l.seconds))).collect();
+        let plan = self.layout.along("sweep", from, &ways, &self.driven);
+        let window = samples(self.spec.window_s).max(2);
+        // A plan without a hold is never at rest: only limits are watched.
+        let mut watch = Watching::new((&self.guards, &self.tolerances), &plan, plan.len(), window, 1);
+        let played = {
+            let mut both = Interruptible { interrupt: self.interrupt, watchdog: &mut watch };
+            play::play(self.plant, &plan, &mut both)?
+        };
+        let started_s = self.used_s;
+        self.used_s += played.used_s;
+        self.keep_driven(&plan, &played.record)?;
+        let mut rows = Vec::new();
+        for k in 0..played.record.len() / window {
+            let part = played.record.part(k * window, (k + 1) * window, "window".into());
+            let (factors, responses) = means(self.layout, &part)?;
+            let mut at_end = Vec::new();
+            for l in &plan.loops {
+                let c = plan.channels.iter().find(|c| c.name == l.input);
+                let values = part.values(&l.input)?;
+                at_end.push(c.is_some_and(|c| values.iter().any(|u| *u <= c.lower || *u >= c.upper)));
+            }
+            let at_s = started_s + ((k + 1) * window) as f64 * dt;
+            rows.push(SweepRow { factors, responses, at_end, at_s });
+        }
+        self.at = reached(from, &ways, played.played);
+        let touched = match played.stop.as_ref() {
+            Some(stop) => Some(self.touched(stop, self.at.clone())?),
+            None => None,
+        };
+        Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
+    }
+}
+
+fn between(a: &[f64], b: &[f64], share: f64) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
+}
+
+/// Factors that are commanded after so many samples.
+fn reached(from: &[f64], ways: &[(&[f64], usize)], samples: usize) -> Vec<f64> {
+    let (mut left, mut at) = (samples, from);
+    for (to, n) in ways {
+        if left < *n {
+            return between(at, to, left as f64 / *n as f64);
+        }
+        (left, at) = (left - n, to);
+    }
+    at.to_vec()
+}

@@ -1,0 +1,243 @@
+//! A correction over the axes of a map, learnt from what was measured along its lines.
+//!
+//! ```text
+//! minimise over c   sum_i ( r_i - sum_k h_k(z_i) c_k )^2  +  lambda sum_axes | second differences of c |^2
+//! ```
+//!
+//! z: place over the axes, r: what was measured less what was expected, h: hats of the knots (multilinear between them), second
+//! differences over knots in shares of the axis. `lambda` is the one of least generalised cross-validation, so that scatter and lags
+//! (one way up, the other down) are averaged and what is there stays. Knots without a measurement nearby go on as the others bend, but not beyond what was found where there are some.
+//!
+//! Reference: P. Craven, G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik 31 (1979), 377.
+
+use dynocal_numerics::linalg::{cholesky, cholesky_inverse, solve_upper, solve_upper_transposed};
+use serde::{Deserialize, Serialize};
+
+use super::grid::{corners, place};
+
+/// A correction over one or two axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Trim {
+    /// Knots of each axis.
+    pub axes: Vec<Vec<f64>>,
+    /// Values at the knots, the last axis fastest.
+    pub values: Vec<f64>,
+    /// Standard deviation of a measurement about it.
+    pub scatter: f64,
+    /// Weight of the bending.
+    pub lambda: f64,
+}
+
+/// Weights that are tried, and the one that keeps knots solvable that nothing bears on: both as shares of the mean diagonal.
+const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
+const RIDGE: f64 = 1e-9;
+
+impl Trim {
+    /// From measurements `r` at the places `at`; none where there are none, or where they are not finite.
+    pub fn learn(axes: &[Vec<f64>], at: &[Vec<f64>], r: &[f64]) -> Option<Self> {
+        let rows = Rows::new(axes, at, r)?;
+        let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l)?)));
+        let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
+        Some(Self::of(axes, at, best, lambda))
+    }
+
+    /// The same with a given weight of the bending.
+    pub fn with_lambda(axes: &[Vec<f64>], at: &[Vec<f64>], r: &[f64], lambda: f64) -> Option<Self> {
+        let fit = Rows::new(axes, at, r)?.fit(lambda)?;
+        Some(Self::of(axes, at, fit, lambda))
+    }
+
+    fn of(axes: &[Vec<f64>], at: &[Vec<f64>], fit: Fit, lambda: f64) -> Self {
+        let mut trim = Self { axes: axes.to_vec(), values: fit.values, scatter: fit.scatter, lambda };
+        let found = at.iter().map(|z| trim.at(z));
+        let (low, high) = found.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        trim.values.iter_mut().for_each(|v| *v = v.clamp(low, high));
+        trim
+    }
+
+    /// The correction at the axes `at`, held at the edges.
+    pub fn at(&self, at: &[f64]) -> f64 {
+        corners(&self.axes, at).iter().map(|(k, w)| w * self.values[*k]).sum()
+    }
+}
+
+/// The normal equations without their weight of the bending.
+struct Rows {
+    n: usize,
+    count: f64,
+    /// H'H, H'r, r'r.
+    gram: Vec<f64>,
+    right: Vec<f64>,
+    square: f64,
+    bending: Vec<f64>,
+    /// Mean diagonal of H'H over that of the bending.
+    scale: f64,
+}
+
+struct Fit {
+    values: Vec<f64>,
+    scatter: f64,
+    score: f64,
+}
+
+impl Rows {
+    fn new(axes: &[Vec<f64>], at: &[Vec<f64>], r: &[f64]) -> Option<Self> {
+        let n: usize = axes.iter().map(Vec::len).product();
+        if r.is_empty() || n == 0 || !r.iter().chain(at.iter().flatten()).all(|v| v.is_finite()) {
+            return None;
+        }
+        let (mut gram, mut right) = (vec![0.0; n * n], vec![0.0; n]);
+        for (z, r) in at.iter().zip(r) {
+            let around = corners(axes, z);
+            for (k, w) in &around {
+                right[*k] += w * r;
+                around.iter().for_each(|(j, v)| gram[k * n + j] += w * v);
+            }
+        }
+        let bending = bending(axes);
+        let trace = |a: &[f64]| (0..n).map(|k| a[k * n + k]).sum::<f64>();
+        let stiff = trace(&bending);
+        let scale = if stiff > 0.0 { trace(&gram) / stiff } else { 0.0 };
+        let square = r.iter().map(|r| r * r).sum();
+        Some(Self { n, count: r.len() as f64, gram, right, square, bending, scale })
+    }
+
+    fn fit(&self, lambda: f64) -> Option<Fit> {
+        let n = self.n;
+        let ridge = RIDGE * (0..n).map(|k| self.gram[k * n + k]).sum::<f64>() / n as f64;
+        let mut a: Vec<f64> =
+            self.gram.iter().zip(&self.bending).map(|(g, b)| g + lambda * self.scale * b).collect();
+        (0..n).for_each(|k| a[k * n + k] += ridge);
+        cholesky(&mut a, n).ok()?;
+        let mut values = self.right.clone();
+        solve_upper_transposed(&a, n, &mut values).ok()?;
+        solve_upper(&a, n, &mut values).ok()?;
+        let (mut work, mut inverse) = (vec![0.0; n * n], vec![0.0; n * n]);
+        cholesky_inverse(&a, n, &mut work, &mut inverse).ok()?;
+        // Trace of the hat matrix; the inverse holds its upper triangle.
+        let of = |i: usize, j: usize| inverse[i.min(j) * n + i.max(j)];
+        let used: f64 = (0..n)
+            .flat_map(|i| (0..n).map(move |j| (i, j)))
+            .map(|(i, j)| of(i, j) * self.gram[i * n + j])
+            .sum();
+        let times = |i: usize| (0..n).map(|j| self.gram[i * n + j] * values[j]).sum::<f64>();
+        let explained: f64 = (0..n).map(|i| values[i] * (2.0 * self.right[i] - times(i))).sum();
+        let rest = (self.square - explained).max(0.0);
+        let free = (self.count - used).max(1e-3 * self.count);
+        let scatter = (rest / free).sqrt();
+        Some(Fit { values, scatter, score: self.count * rest / (free * free) })
+    }
+}
+
+/// Sum of the squared second differences along every line of every axis, over knots in shares of the axis.
+fn bending(axes: &[Vec<f64>]) -> Vec<f64> {
+    let n: usize = axes.iter().map(Vec::len).product();
+    let mut sum = vec![0.0; n * n];
+    let mut stride = 1;
+    for axis in axes.iter().rev() {
+        let last = axis.len() - 1;
+        let mean = (axis[last] - axis[0]) / last.max(1) as f64;
+        for k in 0..n {
+            let i = (k / stride) % axis.len();
+            if i == 0 || i == last {
+                continue;
+            }
+            let (before, after) = ((axis[i] - axis[i - 1]) / mean, (axis[i + 1] - axis[i]) / mean);
+            let row =
+                [(k - stride, 1.0 / before), (k, -1.0 / before - 1.0 / after), (k + stride, 1.0 / after)];
+            for (a, v) in row {
+                row.iter().for_each(|(b, w)| sum[a * n + b] += v * w);
+            }
+        }
+        stride *= axis.len();
+    }
+    sum
+}
+
+/// Knots of a map: the values of its axes with `between` more in each interval.
+pub fn finer(axes: &[Vec<f64>], between: usize) -> Vec<Vec<f64>> {
+    let one = |axis: &Vec<f64>| -> Vec<f64> {
+        let parts = between + 1;
+        let inner = axis.windows(2).flat_map(|w| {
+            let (a, b) = (w[0], w[1]);
+            (0..parts).map(move |k| a + (b - a) * k as f64 / parts as f64)
+        });
+        inner.chain(axis.last().copied()).collect()
+    };
+    axes.iter().map(one).collect()
+}
+
+/// Places of all knots, the last axis fastest.
+pub fn places(axes: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    (0..axes.iter().map(Vec::len).product()).map(|k| place(axes, k)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_numerics::rng::Rng64;
+
+    fn axes() -> Vec<Vec<f64>> {
+        vec![vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 20.0, 40.0]]
+    }
+
+    /// What is bilinear is not bent: it is found again whatever its weight, and goes on where nothing was measured, but not beyond
+    /// the greatest and the least of what was (here 1.8 and 0.6).
+    #[test]
+    fn a_plane_is_found_again_and_goes_on_within_its_range() {
+        let plane = |z: &[f64]| (1.0 + 0.5 * z[0] - 0.02 * z[1]).clamp(0.6, 1.8);
+        let at: Vec<Vec<f64>> = (0..60)
+            .map(|k| vec![2.0 * f64::from(k % 10) / 9.0, [10.0, 20.0][(k / 10 % 2) as usize]])
+            .collect();
+        let r: Vec<f64> = at.iter().map(|z| plane(z)).collect();
+        let trim = Trim::learn(&axes(), &at, &r).unwrap();
+        for z in places(&axes()) {
+            assert!((trim.at(&z) - plane(&z)).abs() < 1e-4, "{z:?}: {} {}", trim.at(&z), plane(&z));
+        }
+        assert!(trim.scatter < 1e-5, "{}", trim.scatter);
+    }
+
+    /// Lags are opposite up and down: their mean is what is at rest. Scatter is known at its size.
+    #[test]
+    fn up_and_down_are_averaged_and_the_scatter_is_known() {
+        let mut rng = Rng64::new(3);
+        let bent = |x: f64| 0.1 * (1.5 * x).sin();
+        let axes = finer(&[vec![0.0, 1.0, 2.0, 3.0]], 1);
+        assert_eq!(axes[0], vec![0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]);
+        let (mut at, mut r) = (Vec::new(), Vec::new());
+        for k in 0..400 {
+            let (x, lag) = (3.0 * f64::from(k % 200) / 199.0, if k < 200 { 0.03 } else { -0.03 });
+            at.push(vec![x]);
+            r.push(bent(x) + lag + 0.01 * rng.normal());
+        }
+        let trim = Trim::learn(&axes, &at, &r).unwrap();
+        // Hats half a unit apart miss a sine by 0.1 1.5^2 0.5^2 / 8.
+        let worst = (0..31).map(|k| f64::from(k) / 10.0).map(|x| (trim.at(&[x]) - bent(x)).abs());
+        assert!(worst.fold(0.0, f64::max) < 0.012);
+        let expected = (0.03f64.powi(2) + 0.01f64.powi(2)).sqrt();
+        assert!((trim.scatter / expected - 1.0).abs() < 0.1, "{} {expected}", trim.scatter);
+        assert!(Trim::learn(&axes, &[], &[]).is_none());
+        assert!(Trim::learn(&axes, &[vec![0.5]], &[f64::NAN]).is_none());
+    }
+
+    /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one.
+    #[test]
+    fn scatter_is_not_followed() {
+        let mut rng = Rng64::new(5);
+        let axes = finer(&[vec![0.0, 1.0, 2.0, 3.0], vec![0.0, 1.0, 2.0]], 1);
+        let at: Vec<Vec<f64>> = (0..120).map(|_| vec![3.0 * rng.uniform(), 2.0 * rng.uniform()]).collect();
+        let r: Vec<f64> = at.iter().map(|z| 0.2 * z[0] * z[1] + 0.1 * rng.normal()).collect();
+        let error = |t: &Trim| {
+            let each = places(&axes).into_iter().map(|z| (t.at(&z) - 0.2 * z[0] * z[1]).powi(2));
+            (each.sum::<f64>() / t.values.len() as f64).sqrt()
+        };
+        let chosen = Trim::learn(&axes, &at, &r).unwrap();
+        let soft = Trim::with_lambda(&axes, &at, &r, LAMBDAS[0]).unwrap();
+        assert!(
+            error(&chosen) < 0.05 && error(&chosen) < 0.6 * error(&soft),
+            "{} {}",
+            error(&chosen),
+            error(&soft)
+        );
+    }
+}
