@@ -1,7 +1,7 @@
 //! Our side of `bench/peers/labels.py` for large functions: fifty maps behind a film and two lags, planted, from one record.
 //!
 //! ```text
-//! label_large SAMPLES DRAWS        prints JSON: times, memory, how far the labels are from those that were planted
+//! label_large SAMPLES DRAWS [MAPS]    prints JSON: times, memory, how far the labels are from those that were planted
 //! out = lag(lag(film(sum_i gain_i(t) map_i(x_i, y_i), share, tau), lag1), lag2)
 //! ```
 //!
@@ -21,15 +21,15 @@ use serde_json::json;
 
 use process::{cpu_s, peak_gib};
 
-const MAPS: usize = 50;
+const MOST_MAPS: usize = 50;
 const CELLS: usize = 16;
 /// Quantities that maps are read at, two each, and all channels: the others are gains.
 const READ: usize = 6;
-const CHANNELS: usize = READ + MAPS.div_ceil(READ / 2);
+const CHANNELS: usize = READ + MOST_MAPS.div_ceil(READ / 2);
 const SAMPLE_S: f64 = 0.1;
 const NOISE: f64 = 0.5;
 
-fn function() -> Graph {
+fn function(maps: usize) -> Graph {
     let points: Vec<f64> = (0..CELLS).map(|k| k as f64 / (CELLS - 1) as f64).collect();
     let axes = || vec![Axis::new("x", "-", &points), Axis::new("y", "-", &points)];
     let mut nodes: Vec<Node> = Vec::new();
@@ -40,7 +40,7 @@ fn function() -> Graph {
     let channels: Vec<usize> = (0..CHANNELS).map(|k| add(Op::Channel(k))).collect();
     let mut labels = Vec::new();
     let mut terms = Vec::new();
-    for k in 0..MAPS {
+    for k in 0..maps {
         let (gain, pair) = (channels[READ + k / (READ / 2)], 2 * (k % (READ / 2)));
         let mut label = Label::new(&format!("MAP{k}"), "-", axes(), &[0.5; CELLS * CELLS]);
         if pair > 0 {
@@ -73,18 +73,19 @@ fn planted(map: usize, cell: usize) -> f64 {
     1.0 + (3.0 * x + map as f64).sin() * (2.0 * y - 0.3 * map as f64).cos()
 }
 
-fn truth() -> Vec<f64> {
-    let mut out: Vec<f64> = (0..MAPS).flat_map(|m| (0..CELLS * CELLS).map(move |k| planted(m, k))).collect();
+fn truth(maps: usize) -> Vec<f64> {
+    let mut out: Vec<f64> = (0..maps).flat_map(|m| (0..CELLS * CELLS).map(move |k| planted(m, k))).collect();
     out.extend([0.3, 0.8, 0.05, 0.3]);
     out
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut args = std::env::args().skip(1);
-    let usage = "usage: label_large SAMPLES DRAWS";
+    let usage = "usage: label_large SAMPLES DRAWS [MAPS]";
     let n: usize = args.next().ok_or(usage)?.parse()?;
     let draws: usize = args.next().ok_or(usage)?.parse()?;
-    let (graph, truth) = (function(), truth());
+    let maps: usize = args.next().map_or(Ok(MOST_MAPS), |m| m.parse())?;
+    let (graph, truth) = (function(maps), truth(maps));
     let mut rng = Rng64::new(1);
     let time_s: Vec<f64> = (0..n).map(|k| SAMPLE_S * k as f64).collect();
     // Quantities that are held and jump, each at its own times, as set points of a drive do.
@@ -111,8 +112,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let clock = Instant::now();
     let found = fit(&graph, &[target], &options, &|| false)?;
     let (wall_s, cpu) = (clock.elapsed().as_secs_f64(), cpu_s()? - before);
-    let maps = MAPS * CELLS * CELLS;
-    let square: f64 = (0..maps).map(|k| (found.fit.exact[k] - truth[k]).powi(2)).sum();
+    let cells = maps * CELLS * CELLS;
+    let square: f64 = (0..cells).map(|k| (found.fit.exact[k] - truth[k]).powi(2)).sum();
     let inside =
         (0..truth.len()).filter(|k| (found.fit.exact[*k] - truth[*k]).abs() <= found.fit.half_width[*k]);
     println!(
@@ -126,8 +127,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             "steps": found.steps,
             "converged": found.converged,
             "rms": found.fit.rms[1],
-            "off": (square / maps as f64).sqrt(),
-            "dynamics": found.fit.exact[maps..].to_vec(),
+            "off": (square / cells as f64).sqrt(),
+            "dynamics": found.fit.exact[cells..].to_vec(),
             "within_interval": if draws > 0 { Some(inside.count() as f64 / truth.len() as f64) } else { None },
         })
     );

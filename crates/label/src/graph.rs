@@ -11,18 +11,22 @@
 //! hysteresis   y = 1 above `high`, 0 below `low`, else as before
 //! ```
 //!
+//! A model (a stored one, an FMU) may be a node as well ([`outside`]): its derivative is that of central differences over the record.
+//!
 //! The derivatives go forward in time with the values ([`Graph::forward`]) or backward ([`Graph::gradient`]), for long records over all
 //! processors ([`Graph::products`]); they are those of the
 //! discrete function, and one-sided where it has an edge.
 
 mod backward;
 pub(crate) mod forward;
+pub mod outside;
 pub(crate) mod products;
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::LabelError;
 use crate::label::Label;
+use outside::Outside;
 pub use products::Products;
 
 /// Most breakpoints of an axis: places on it are held in two bytes.
@@ -64,6 +68,8 @@ pub enum Op {
     Film(usize, usize, usize),
     /// Second node where the first is above 0, else the third.
     Switch(usize, usize, usize),
+    /// What is no graph, and the nodes that enter it.
+    Model(Outside, Vec<usize>),
 }
 
 impl Op {
@@ -77,6 +83,7 @@ impl Op {
                 | Op::Integrator(..)
                 | Op::Hysteresis(..)
                 | Op::Film(..)
+                | Op::Model(..)
         )
     }
 
@@ -84,7 +91,7 @@ impl Op {
     pub fn inputs(&self) -> Vec<usize> {
         match self {
             Op::Channel(_) | Op::Constant(_) => Vec::new(),
-            Op::Add(v) | Op::Multiply(v) | Op::Label(_, v) => v.clone(),
+            Op::Add(v) | Op::Multiply(v) | Op::Label(_, v) | Op::Model(_, v) => v.clone(),
             Op::Subtract(a, b) | Op::Divide(a, b) | Op::Min(a, b) | Op::Max(a, b) => vec![*a, *b],
             Op::Delay(a, b) | Op::Lag(a, b) => vec![*a, *b],
             Op::DelayFlow(a, b, c) | Op::Film(a, b, c) | Op::Switch(a, b, c) => vec![*a, *b, *c],
@@ -161,6 +168,10 @@ impl Graph {
                 Op::DelayFlow(_, flow, _) if self.depends(*flow) => {
                     return fail("the flow of a pipe must be a function of channels only".into());
                 }
+                Op::Model(model, v) if v.len() != model.inputs.len() => {
+                    let names: Vec<&str> = model.inputs.iter().map(|i| i.0.as_str()).collect();
+                    return fail(format!("found {} inputs, expected {}", v.len(), names.join(", ")));
+                }
                 Op::Add(v) | Op::Multiply(v) if v.is_empty() => return fail("found no input".into()),
                 Op::Integrator(_, lo, hi, _) | Op::Hysteresis(_, lo, hi) if !(lo <= hi) => {
                     return fail(format!("found the limits {lo} and {hi}, expected the lower first"));
@@ -175,6 +186,34 @@ impl Graph {
     fn depends(&self, k: usize) -> bool {
         let op = &self.nodes[k].op;
         matches!(op, Op::Label(..)) || op.inputs().into_iter().any(|i| self.depends(i))
+    }
+
+    /// The first node that is a model.
+    pub(crate) fn model(&self) -> Option<&Node> {
+        self.nodes.iter().find(|n| matches!(n.op, Op::Model(..)))
+    }
+
+    /// Asks every model for its answer with the cells `theta`.
+    ///
+    /// # Errors
+    /// [`LabelError::Node`] with what a model says, where it has none.
+    pub(crate) fn answers(&self, theta: &[f64], record: &Record) -> Result<(), LabelError> {
+        if self.model().is_none() {
+            return Ok(());
+        }
+        let values = self.all_values(theta, record);
+        for node in &self.nodes {
+            let Op::Model(model, at) = &node.op else { continue };
+            let inputs: Vec<&[f64]> = at.iter().map(|i| values[*i].as_slice()).collect();
+            let fail = |reason: String| LabelError::Node { node: node.name.clone(), reason };
+            let found = model.response.values(record.time_s, &inputs);
+            let found = found.map_err(|why| fail(format!("`{}`: {why}", model.name)))?.len();
+            if found != record.time_s.len() {
+                let expected = record.time_s.len();
+                return Err(fail(format!("`{}`: found {found} values, expected {expected}", model.name)));
+            }
+        }
+        Ok(())
     }
 
     /// Cells of all labels, as they are.

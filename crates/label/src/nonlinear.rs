@@ -163,6 +163,7 @@ pub fn fit_from(
     if start.len() != cells {
         return Err(LabelError::TooFew { found: start.len(), expected: cells });
     }
+    targets.iter().try_for_each(|t| graph.answers(start, &t.record))?;
     if large::is_large(cells, targets.iter().map(|t| t.counts().count()).sum()) {
         return large::fit(graph, start, targets, options, interrupt);
     }

@@ -15,6 +15,7 @@ pub mod holes;
 pub mod judge;
 pub mod mask;
 pub mod sensor;
+pub mod steps;
 
 use std::ops::Range;
 
@@ -152,6 +153,8 @@ pub struct Found {
     pub sensor: Sensor,
     /// Sensors that were tried, with the criterion of each.
     pub tried: Vec<(Sensor, f64)>,
+    /// Half heights of the returns of fuel, where there are some.
+    pub steps: Option<steps::HalfHeight>,
     /// Samples that are left out, by reason.
     pub left_out: Vec<(String, usize)>,
     /// All samples, and those that count.
@@ -200,14 +203,17 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     if usable < LEAST_SAMPLES {
         return Err(too_few(usable, &left_out));
     }
+    let steps = steps::half_height(logs, &masks);
     let split = |used: &Used| (keys.train * used.at.len() as f64).round() as usize;
-    let (sensor, tried) = match keys.sensor {
-        Some(s) => (s, Vec::new()),
-        None => sensor::search(label, logs, &masks, keys, tell).map_err(|e| match e {
-            LabelError::TooFew { found, .. } => too_few(found, &left_out),
-            other => other,
-        })?,
-    };
+    let (sensor, tried) =
+        match keys.sensor {
+            Some(s) => (s, Vec::new()),
+            None => sensor::search(label, logs, &masks, keys, steps.map(|s| s.quartiles_s[1]), tell)
+                .map_err(|e| match e {
+                    LabelError::TooFew { found, .. } => too_few(found, &left_out),
+                    other => other,
+                })?,
+        };
     let used = sensor::samples(label, logs, &masks, &sensor);
     left_out.push(("within the delay of one of these, or of the ends of a log".into(), {
         usable.saturating_sub(used.at.len())
@@ -230,5 +236,5 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
         .collect();
     let states = used.at.iter().map(|(l, k)| [logs[*l].speed_rpm[*k], logs[*l].load[*k]]).collect();
     let samples = [all, used.at.len()];
-    Ok(Found { sensor, tried, left_out, samples, judged, table, judgement, residuals, states })
+    Ok(Found { sensor, tried, steps, left_out, samples, judged, table, judgement, residuals, states })
 }

@@ -23,6 +23,9 @@ impl Graph {
     /// `J'u`: the gradient of `sum_t u_t y_t` with respect to all cells.
     pub fn gradient(&self, theta: &[f64], record: &Record, u: &[f64]) -> Vec<f64> {
         let (run, first) = (self.run(theta, record), self.first());
+        if self.model().is_some() {
+            return self.gradient_by_cells(theta, record, u, &run);
+        }
         let (n, m) = (record.time_s.len(), self.nodes.len());
         let mut bar: Vec<Vec<f64>> = vec![vec![0.0; n]; m];
         bar[m - 1].copy_from_slice(u);
@@ -31,6 +34,18 @@ impl Graph {
             self.hand_back(k, theta, &first, record, &run, &mut bar, &mut out);
         }
         out
+    }
+
+    /// The same where a model, which has no way back, is a node: forward, one cell after the other.
+    fn gradient_by_cells(&self, theta: &[f64], record: &Record, u: &[f64], run: &Run) -> Vec<f64> {
+        let mut unit = vec![0.0; theta.len()];
+        let mut one = |c: usize| {
+            unit[c] = 1.0;
+            let d = self.tangents(theta, record, &unit, run).pop().unwrap_or_default();
+            unit[c] = 0.0;
+            d.iter().zip(u).map(|(d, u)| d * u).sum()
+        };
+        (0..theta.len()).map(&mut one).collect()
     }
 
     /// What reaches node `k` goes on to the nodes that enter it, and to cells. Nodes use earlier ones only, so that it is complete.
@@ -53,7 +68,7 @@ impl Graph {
             let x = |i: &usize| run.values[*i][t];
             let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
             match &self.nodes[k].op {
-                Op::Channel(_) | Op::Constant(_) | Op::Hysteresis(..) => {}
+                Op::Channel(_) | Op::Constant(_) | Op::Hysteresis(..) | Op::Model(..) => {}
                 Op::Add(i) => i.iter().for_each(|i| before[*i][t] += g),
                 Op::Multiply(i) => {
                     for a in 0..i.len() {

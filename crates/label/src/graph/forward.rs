@@ -50,6 +50,12 @@ impl Graph {
             flown: vec![Vec::new(); m],
         };
         for (k, node) in self.nodes.iter().enumerate() {
+            if let Op::Model(model, at) = &node.op {
+                let inputs: Vec<&[f64]> = at.iter().map(|i| run.values[*i].as_slice()).collect();
+                let y = model.answer(record.time_s, &inputs);
+                run.values.push(y);
+                continue;
+            }
             let mut y = vec![0.0; n];
             match &node.op {
                 Op::DelayFlow(_, flow, _) => run.flown[k] = integral(record.time_s, &run.values[*flow]),
@@ -105,7 +111,8 @@ impl Graph {
             | Op::Lag(..)
             | Op::Integrator(..)
             | Op::Hysteresis(..)
-            | Op::Film(..) => f64::NAN,
+            | Op::Film(..)
+            | Op::Model(..) => f64::NAN,
         }
     }
 
@@ -191,6 +198,13 @@ impl Graph {
                 d.push(dy);
                 continue;
             }
+            if let Op::Model(model, at) = op {
+                let x: Vec<&[f64]> = at.iter().map(|i| run.values[*i].as_slice()).collect();
+                let dx: Vec<&[f64]> = at.iter().map(|i| d[*i].as_slice()).collect();
+                let dy = model.tangent(record.time_s, &x, &dx);
+                d.push(dy);
+                continue;
+            }
             // State of a film has a derivative of its own.
             let mut dm = 0.0;
             for t in 0..n {
@@ -219,6 +233,8 @@ impl Graph {
         let dt = if t == 0 { 0.0 } else { record.time_s[t] - record.time_s[t - 1] };
         match &self.nodes[k].op {
             Op::Channel(_) | Op::Constant(_) | Op::Hysteresis(..) => 0.0,
+            // Taken over the whole record by the caller.
+            Op::Model(..) => f64::NAN,
             Op::Add(i) => i.iter().map(dx).sum(),
             Op::Multiply(i) => (0..i.len())
                 .map(|a| dx(&i[a]) * (0..i.len()).filter(|b| *b != a).map(|b| x(&i[b])).product::<f64>())

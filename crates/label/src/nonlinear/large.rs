@@ -5,9 +5,9 @@
 //! then     theta+ = theta + p, back within the bounds
 //! ```
 //!
-//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned by a factorised matrix over all labels at
-//! once (`system::Joint`), above 16 384 cells label by label: J'WJ as if the function had no memory, in the size of the diagonal, with
-//! the roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic estimator of the
+//! R is the roughness, V the weight of the base. The conjugate gradients are preconditioned on two levels (`system::Levels`): by bands
+//! within labels that are read at one place, and by a matrix between coarse functions of all labels, both of J'WJ as if the function had
+//! no memory, in the size of the diagonal, with the roughness. The diagonal is the mean square of `J'sqrt(W) e` over random signs e (M. F. Hutchinson, A stochastic estimator of the
 //! trace of the influence matrix, Commun. Stat. Simul. 19 (1990), 433-450). A step's equations are solved only as far as the step is right
 //! (R. S. Dembo, S. C. Eisenstat, T. Steihaug, Inexact Newton methods, SIAM J. Numer. Anal. 19 (1982), 400-408). Cells at a bound that
 //! the gradient points beyond stay there (D. P. Bertsekas, Projected Newton methods, SIAM J. Control Optim. 20 (1982), 221-246).
@@ -28,7 +28,7 @@ use crate::graph::products::Products;
 use crate::graph::{Graph, Op};
 use crate::linear::{self, Options, offsets};
 use dynocal_numerics::linalg::{dot, norm2};
-use system::{Exact, Joint, System};
+use system::{Exact, Levels, System};
 
 /// Most steps of a round.
 const MOST_STEPS: usize = 60;
@@ -36,16 +36,16 @@ const MOST_STEPS: usize = 60;
 const MOST_ROUNDS: usize = 4;
 const NEAR: f64 = 1e-2;
 /// A search begins with one in so many samples, where these are at least so many for each cell and so many in all, and until a step
-/// gains less than this share.
-const PART: usize = 8;
-const PART_SAMPLES_A_CELL: usize = 4;
+/// gains less than this share. With fewer for each cell it would fit their noise, and the equations would be the harder for it.
+const PART: usize = 4;
+const PART_SAMPLES_A_CELL: usize = 16;
 const LEAST_PART: usize = 1 << 14;
-const ENOUGH: f64 = 0.01;
+const ENOUGH: f64 = 0.1;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
-/// Square of a step in standard errors, over all labels together, below which they stand.
+/// Square of a step in standard errors, as the mean over all labels, below which they stand.
 const SURE: f64 = 1e-8;
-/// How exact steps are, and the first ones, which are far from where they lead.
+/// How exact steps are at most, and the first ones, which are far from where they lead.
 const LATER: Exact = Exact { left: 1e-2, most: 100 };
 const FIRST: Exact = Exact { left: 0.1, most: 12 };
 /// Start, in s or as a share, that a value of 0 counts as.
@@ -108,6 +108,14 @@ pub fn fit(
         );
         return Err(LabelError::label(&l.name, reason));
     }
+    if let Some(node) = graph.model() {
+        let reason = format!(
+            "a model is a node of functions of at most {} cells and {MOST_HELD} cells times samples, found {} cells",
+            super::MOST_CELLS,
+            start.len()
+        );
+        return Err(LabelError::Node { node: node.name.clone(), reason });
+    }
     let mut weights: Vec<Vec<f64>> = targets.iter().map(|t| t.weights.to_vec()).collect();
     if !weights.iter().flatten().any(|w| *w > 0.0) {
         return Err(LabelError::TooFew { found: 0, expected: start.len() });
@@ -120,9 +128,10 @@ pub fn fit(
         targets,
         options,
         interrupt,
-        joint: None,
+        levels: None,
         held,
         furthest: reach,
+        promised: [0.0; 2],
         steps: 0,
         converged: false,
     };
@@ -176,11 +185,13 @@ struct Search<'a> {
     targets: &'a [Target<'a>],
     options: &'a Options,
     interrupt: &'a dyn Fn() -> bool,
-    joint: Option<Arc<Joint>>,
+    levels: Option<Arc<Levels>>,
     /// Cells that do not move.
     held: Vec<bool>,
     /// How far each cell goes in one step where its own value is small.
     furthest: Vec<f64>,
+    /// What the last two steps promised to take from the cost.
+    promised: [f64; 2],
     steps: usize,
     converged: bool,
 }
@@ -225,15 +236,25 @@ impl<'a> Search<'a> {
         if !weights_of_part.iter().flatten().any(|w| *w > 0.0) {
             return Ok(());
         }
-        if part(samples) < samples && self.joint.is_none() && theta.len() <= system::MOST_JOINED {
-            // The matrix over all labels is that of all samples.
+        if part(samples) < samples && self.levels.is_none() {
+            // The matrices are those of all samples.
             self.round(theta, weights, &Reach { steps: 0, exact: FIRST, gain: 0.0 })?;
         }
         let (graph, options, interrupt) = (self.graph, self.options, self.interrupt);
-        let (joint, held, furthest) = (self.joint.take(), timing(graph), self.furthest.clone());
+        let (levels, held, furthest) = (self.levels.take(), timing(graph), self.furthest.clone());
         let targets = &targets;
-        let mut search =
-            Search { graph, targets, options, interrupt, joint, held, furthest, steps: 0, converged: false };
+        let mut search = Search {
+            graph,
+            targets,
+            options,
+            interrupt,
+            levels,
+            held,
+            furthest,
+            promised: [0.0; 2],
+            steps: 0,
+            converged: false,
+        };
         let reach = Reach { steps: MOST_STEPS, exact: FIRST, gain: ENOUGH };
         if search.held.contains(&true) {
             search.round(theta, &weights_of_part, &reach)?;
@@ -241,7 +262,7 @@ impl<'a> Search<'a> {
         }
         search.round(theta, &weights_of_part, &reach)?;
         self.steps += search.steps;
-        self.joint = search.joint;
+        self.levels = search.levels;
         Ok(())
     }
 
@@ -266,11 +287,11 @@ impl<'a> Search<'a> {
             cost = state.cost;
             system.move_to(self.products(theta, state.runs));
         }
-        system.join(graph, self.joint.as_ref())?;
-        self.joint = system.joined().cloned();
+        system.near_to(graph, self.levels.as_ref())?;
+        self.levels = system.levels().cloned();
         cost += system.cost_of_base(theta);
         let mut mu = DAMPED;
-        self.converged = false;
+        (self.converged, self.promised) = (false, [0.0; 2]);
         for _ in 0..reach.steps {
             if self.converged || (self.interrupt)() {
                 break;
@@ -299,6 +320,8 @@ impl<'a> Search<'a> {
         let g = system.gradient(theta);
         let (mut tried, mut promised) = (0, f64::INFINITY);
         let samples = weights.iter().flatten().filter(|w| **w > 0.0).count() as f64;
+        let sure = SURE * theta.len() as f64 / samples;
+        let exact = self.exact(exact);
         loop {
             let p = system.step(&g, theta, &self.held, *mu, exact, self.interrupt)?;
             let mut moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
@@ -311,9 +334,10 @@ impl<'a> Search<'a> {
             }
             let next = within(self.graph, &moved);
             let own = dot(&g, &p);
-            let small = *mu <= DAMPED && !short && (stands(&next, theta) || own <= SURE * *cost / samples);
+            let small = *mu <= DAMPED && !short && (stands(&next, theta) || own <= sure * *cost);
             if tried == 0 {
                 promised = own;
+                self.promised = [own, self.promised[0]];
             }
             let new = evaluate(self.graph, &next, self.targets, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
@@ -331,6 +355,14 @@ impl<'a> Search<'a> {
                 return Ok(false);
             }
         }
+    }
+
+    /// How exact the next step is: as much as the last one was right (S. C. Eisenstat, H. F. Walker, Choosing the forcing terms in an
+    /// inexact Newton method, SIAM J. Sci. Comput. 17 (1996), 16-32, choice 2).
+    fn exact(&self, most: Exact) -> Exact {
+        let [last, before] = self.promised;
+        let left = if before > 0.0 { 0.9 * last / before } else { FIRST.left };
+        Exact { left: left.clamp(most.left, FIRST.left), most: most.most }
     }
 
     fn products(&self, theta: &[f64], runs: Vec<Run>) -> Vec<Products<'a>> {

@@ -121,7 +121,7 @@ fn reach(log: &Log, start_s: f64, t: usize, lag_s: f64, window: &mut Vec<(usize,
 }
 
 /// The sensor that explains the first part of the samples best: `n ln(rms^2) + parts ln(n)` with n the independent samples, searched
-/// part by part from coarse to fine.
+/// part by part from coarse to fine, from none and from what the half height of steps says ([`super::steps`]).
 ///
 /// # Errors
 /// [`LabelError`]: no sensor leaves samples that count.
@@ -130,6 +130,7 @@ pub fn search(
     logs: &[Log],
     masks: &[Mask],
     keys: &Keys,
+    half_height_s: Option<f64>,
     tell: &dyn Fn(&str),
 ) -> Result<(Sensor, Vec<(Sensor, f64)>), LabelError> {
     // The smoothness of the search is fixed: what is compared is the sensor.
@@ -155,10 +156,37 @@ pub fn search(
     };
     let mut best = Sensor::default();
     let mut least = score(best).ok_or(LabelError::TooFew { found: 0, expected: 100 })?;
+    // From none, and from what steps say: as a delay alone, and half of it as a lag.
+    let step_s = half_height_s.unwrap_or(0.0).clamp(0.0, 2.0);
+    let round = |v: f64| (v * 20.0).round() / 20.0;
+    let starts = [
+        Sensor::default(),
+        Sensor { delay_s: round(step_s), ..Sensor::default() },
+        Sensor {
+            delay_s: round(0.5 * step_s),
+            lag_s: round(0.5 * step_s / std::f64::consts::LN_2),
+            ..Sensor::default()
+        },
+    ];
+    for (k, start) in starts.iter().enumerate().filter(|(k, _)| *k == 0 || step_s > 0.0) {
+        if k == 0 {
+            tell("looking for the delay and lag of the lambda sensor");
+        } else {
+            tell(&format!("looking for them from the half height of {step_s:.2} s of steps"));
+        }
+        if let Some((found, value)) = descend(*start, &mut score).filter(|(_, v)| *v < least || k == 0) {
+            (best, least) = (found, value);
+        }
+    }
+    Ok((best, tried))
+}
+
+/// From `start`, part by part in finer and finer steps; the sensor and its criterion.
+fn descend(start: Sensor, score: &mut dyn FnMut(Sensor) -> Option<f64>) -> Option<(Sensor, f64)> {
+    let (mut best, mut least) = (start, score(start)?);
     let parts: [fn(&mut Sensor) -> &mut f64; 3] =
         [|s| &mut s.delay_s, |s| &mut s.flow_delay_s, |s| &mut s.lag_s];
     for (step, count) in [(0.2, 6i32), (0.1, 1), (0.05, 1)] {
-        tell(&format!("looking for the delay and lag of the lambda sensor, in steps of {step} s"));
         for _ in 0..4 {
             let before = least;
             for part in parts {
@@ -180,5 +208,5 @@ pub fn search(
             }
         }
     }
-    Ok((best, tried))
+    Some((best, least))
 }

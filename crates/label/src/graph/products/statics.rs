@@ -73,26 +73,4 @@ impl Products<'_> {
             sum
         })
     }
-
-    /// The part of `J'WJ` within each label of at most `largest` cells (upper triangles), as if the function had no memory, from at most
-    /// `most` samples: its shape, not its size.
-    pub(crate) fn shapes(&self, weights: &[f64], largest: usize, most: usize) -> Vec<Vec<f64>> {
-        let labels = &self.graph.labels;
-        let size = |n: usize| if n <= largest { n * n } else { 0 };
-        let mut out: Vec<Vec<f64>> = labels.iter().map(|l| vec![0.0; size(l.len())]).collect();
-        let nodes = self.on_the_way();
-        for t in self.some(most).into_iter().filter(|t| weights[*t] > 0.0) {
-            self.read_at(t, &nodes, &mut |r| {
-                let (n, first, w) =
-                    (labels[r.label].len(), self.first[r.label], weights[t] * r.slope * r.slope);
-                for i in (0..r.count).filter(|_| n <= largest) {
-                    for j in i..r.count {
-                        let at = (r.cells[i] - first) * n + r.cells[j] - first;
-                        out[r.label][at] += w * r.weights[i] * r.weights[j];
-                    }
-                }
-            });
-        }
-        out
-    }
 }

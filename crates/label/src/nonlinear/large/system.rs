@@ -1,7 +1,9 @@
 //! The equations of a step, as products.
 
-mod joint;
+mod band;
+mod levels;
 mod near;
+mod order;
 mod tiles;
 
 use std::sync::Arc;
@@ -15,21 +17,15 @@ use crate::graph::Graph;
 use crate::graph::products::Products;
 use crate::linear::Options;
 use crate::nonlinear::Target;
-pub(super) use joint::{Joint, MOST_CELLS as MOST_JOINED};
+pub(super) use levels::Levels;
 use near::Near;
 
 /// Draws of random signs for the diagonal.
 const SIGNS: u64 = 8;
 /// Scalars whose part of the diagonal is computed.
 const MOST_SCALARS: usize = 16;
-/// Cells of a label up to which its own equations are factorised.
-const MOST_FACTORISED: usize = 1024;
-/// Samples that the shape of a label's own equations is taken from.
-const SHAPE_SAMPLES: usize = 1 << 16;
-/// Damping, as a share of the diagonal, from which a matrix label by label is as near.
+/// Damping, as a share of the diagonal, from which the diagonal is as near.
 const DAMPED_MUCH: f64 = 0.1;
-/// Part of the diagonal that the shape of a label's equations gets more: cells that few samples reached may have none of their own.
-const MORE_SHAPE: f64 = 0.1;
 /// Weight of the base where nothing else holds a cell, as a share of the mean of the diagonal.
 const TIE: f64 = 1e-12;
 
@@ -66,10 +62,10 @@ pub(super) struct System<'a> {
     scalars: Vec<((usize, usize), f64)>,
     /// Scalars, and the factor of the part of the equations among them.
     block: (Vec<usize>, Vec<f64>),
-    /// The part of `J'WJ` within each label, in shape, where no matrix over all labels is held.
-    shapes: Vec<Vec<f64>>,
-    /// A matrix near that of the step over all labels, where it is held.
-    joint: Option<Arc<Joint>>,
+    /// `J'sqrt(W) e` for draws of random signs e.
+    draws: Vec<Vec<f64>>,
+    /// Matrices near that of the step.
+    levels: Option<Arc<Levels>>,
     spans: Vec<std::ops::Range<usize>>,
 }
 
@@ -103,13 +99,14 @@ impl<'a> System<'a> {
             base,
             scalars: Vec::new(),
             block: (Vec::new(), Vec::new()),
-            shapes: vec![Vec::new(); graph.labels.len()],
-            joint: None,
+            draws: Vec::new(),
+            levels: None,
             spans: spans(graph),
         };
         out.residuals = out.left();
         out.visit();
-        out.diagonal = out.signs();
+        out.draws = out.signs();
+        out.diagonal = squares(&out.draws);
         out.find_scalars();
         let locked = graph.labels.iter().flat_map(|l| l.locked.iter().copied());
         for (k, locked) in locked.enumerate() {
@@ -147,17 +144,13 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Holds a matrix over all labels: the known one where the sizes are still nearly its own, else a new one.
-    pub(super) fn join(&mut self, graph: &Graph, known: Option<&Arc<Joint>>) -> Result<(), LabelError> {
-        if self.base.len() > MOST_JOINED {
-            self.shapes = self.shaped();
-            return Ok(());
-        }
+    /// Holds matrices near that of the step: the known ones where the sizes are still nearly their own, else new ones.
+    pub(super) fn near_to(&mut self, graph: &Graph, known: Option<&Arc<Levels>>) -> Result<(), LabelError> {
         self.block = self.scalar_block()?;
         let sizes = self.sizes();
-        self.joint = Some(match known.filter(|k| k.fits(&sizes)) {
+        self.levels = Some(match known.filter(|k| k.fits(&sizes)) {
             Some(known) => known.clone(),
-            None => Arc::new(Joint::new(graph, self, sizes)?),
+            None => Arc::new(Levels::new(graph, self, sizes)?),
         });
         Ok(())
     }
@@ -189,9 +182,9 @@ impl<'a> System<'a> {
         Ok((cells, h))
     }
 
-    /// Solves with the matrix over all labels, scalars apart.
-    fn near_all(&self, joint: &Joint, r: &[f64], moves: &[bool]) -> Result<Vec<f64>, LabelError> {
-        let mut z = joint.solve(r, moves)?;
+    /// Solves with the matrices near that of the step, scalars apart.
+    fn near_all(&self, levels: &Levels, r: &[f64], moves: &[bool]) -> Result<Vec<f64>, LabelError> {
+        let mut z = levels.solve(r, moves)?;
         let (cells, factor) = &self.block;
         let mut own: Vec<f64> = cells.iter().map(|k| if moves[*k] { r[*k] } else { 0.0 }).collect();
         let singular = |e: linalg::LinalgError| LabelError::Singular(e.to_string());
@@ -201,14 +194,14 @@ impl<'a> System<'a> {
         Ok(z)
     }
 
-    /// The matrix over all labels, if it is held.
-    pub(super) fn joined(&self) -> Option<&Arc<Joint>> {
-        self.joint.as_ref()
+    /// The matrices near that of the step.
+    pub(super) fn levels(&self) -> Option<&Arc<Levels>> {
+        self.levels.as_ref()
     }
 
     /// Size of the data on each label at another point, over that from which the sizes were taken: the greatest change, as a share.
     pub(super) fn grown(&self) -> f64 {
-        let now = self.signs();
+        let now = squares(&self.signs());
         let size = |d: &[f64], s: &std::ops::Range<usize>| d[s.clone()].iter().sum::<f64>();
         let rough = self.spans.iter().filter(|s| s.len() > 2);
         let change = |s: &std::ops::Range<usize>| {
@@ -237,43 +230,19 @@ impl<'a> System<'a> {
         }
     }
 
-    /// The diagonal of `J'WJ` from random signs.
-    fn signs(&self) -> Vec<f64> {
-        let mut out = vec![0.0; self.base.len()];
-        for draw in 0..SIGNS {
+    /// `J'sqrt(W) e` for draws of random signs e.
+    fn signs(&self) -> Vec<Vec<f64>> {
+        let one = |draw: u64| {
             let mut rng = Rng64::stream(0, draw);
-            let mut sum = vec![0.0; out.len()];
+            let mut sum = vec![0.0; self.base.len()];
             for (p, w) in self.products.iter().zip(&self.weights) {
                 let u: Vec<f64> =
                     w.iter().map(|w| if rng.uniform() < 0.5 { w.sqrt() } else { -w.sqrt() }).collect();
                 axpy(1.0, &p.backward(&u), &mut sum);
             }
-            out.iter_mut().zip(&sum).for_each(|(o, s)| *o += s * s / SIGNS as f64);
-        }
-        out
-    }
-
-    /// The part of `J'WJ` within each label: the shape of one without memory, in the size of the diagonal.
-    fn shaped(&self) -> Vec<Vec<f64>> {
-        let mut out: Vec<Vec<f64>> = Vec::new();
-        for (p, w) in self.products.iter().zip(&self.weights) {
-            let own = p.shapes(w, MOST_FACTORISED, SHAPE_SAMPLES);
-            match out.is_empty() {
-                true => out = own,
-                false => out.iter_mut().zip(own).for_each(|(o, s)| axpy(1.0, &s, o)),
-            }
-        }
-        for (shape, span) in out.iter_mut().zip(&self.spans) {
-            let n = span.len();
-            let trace: f64 = (0..n).filter(|_| !shape.is_empty()).map(|k| shape[k * n + k]).sum();
-            let size: f64 = self.diagonal[span.clone()].iter().sum();
-            let factor = if trace > 0.0 { size / trace } else { 0.0 };
-            shape.iter_mut().for_each(|v| *v *= factor);
-            for k in 0..if shape.is_empty() { 0 } else { n } {
-                shape[k * n + k] += MORE_SHAPE * self.diagonal[span.start + k];
-            }
-        }
-        out
+            sum
+        };
+        (0..SIGNS).map(one).collect()
     }
 
     /// The roughness of each label in the size that the data have on it.
@@ -391,15 +360,11 @@ impl<'a> System<'a> {
         exact: Exact,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
-        let joint = self.joint.as_ref().filter(|_| mu <= DAMPED_MUCH);
-        let blocks = match joint {
-            Some(_) => None,
-            None => Some(Near::new(self, moves, mu)?),
-        };
-        let near = |r: &[f64]| match (joint, &blocks) {
-            (Some(joint), _) => self.near_all(joint, r, moves),
-            (None, Some(blocks)) => blocks.solve(r),
-            (None, None) => Ok(r.to_vec()),
+        let levels = self.levels.as_ref().filter(|_| mu <= DAMPED_MUCH);
+        let diagonal = Near::new(self, moves, mu);
+        let near = |r: &[f64]| match levels {
+            Some(levels) => self.near_all(levels, r, moves),
+            None => Ok(diagonal.solve(r)),
         };
         let mut x = vec![0.0; g.len()];
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
@@ -447,4 +412,13 @@ impl<'a> System<'a> {
         out.iter_mut().zip(&self.base_weight).for_each(|(o, w)| *o += w.sqrt() * rng.normal());
         out
     }
+}
+
+/// Mean squares over draws.
+fn squares(draws: &[Vec<f64>]) -> Vec<f64> {
+    let mut out = vec![0.0; draws.first().map_or(0, Vec::len)];
+    for draw in draws {
+        out.iter_mut().zip(draw).for_each(|(o, s)| *o += s * s / draws.len() as f64);
+    }
+    out
 }
