@@ -1,6 +1,10 @@
 //! Validation of feedforward maps on the plant: random operating points and steps of the leading demand (thesis sections 6.7,
 //! 7.6.4).
 
+mod unreached;
+
+pub use unreached::{MOST_OFFSET, Unreached, unreached};
+
 use crate::limits::{LimitScore, limit_scores};
 use crate::map::Rows;
 use crate::problem::CalibrationProblem;
@@ -236,6 +240,9 @@ pub struct MapScore {
     pub economy_equal: Option<f64>,
     /// Limits of the problem against the whole record.
     pub limits: Vec<LimitScore>,
+    /// Points at whose end a demand is not reached.
+    #[serde(default)]
+    pub unreached: Vec<Unreached>,
 }
 
 impl MapScore {
@@ -253,14 +260,20 @@ struct Measured<'a> {
     /// The input that the objective is proportional to.
     spent: Option<&'a [f64]>,
     limits: Vec<LimitScore>,
+    unreached: Vec<Unreached>,
 }
 
-fn measured<'a>(problem: &CalibrationProblem, record: &'a Dataset) -> Result<Measured<'a>, DerivedError> {
+fn measured<'a>(
+    problem: &CalibrationProblem,
+    scenario: &Scenario,
+    record: &'a Dataset,
+) -> Result<Measured<'a>, DerivedError> {
     let outputs =
         problem.demands.iter().map(|d| record.values(&d.output)).collect::<Result<_, DataError>>()?;
     let spent = spent_input(problem).map(|name| record.values(&name)).transpose()?;
     let limits = limit_scores(problem, record, 0)?;
-    Ok(Measured { outputs, objective: objective(problem, record)?, spent, limits })
+    let unreached = unreached(problem, scenario, record)?;
+    Ok(Measured { outputs, objective: objective(problem, record)?, spent, limits, unreached })
 }
 
 /// The input that a single objective term is proportional to, apart from given channels: injected fuel for a fuel flow.
@@ -298,7 +311,7 @@ pub fn score(
     names: &[&str],
     records: &[&Dataset],
 ) -> Result<Vec<MapScore>, DerivedError> {
-    let runs = records.iter().map(|r| measured(problem, r)).collect::<Result<Vec<_>, _>>()?;
+    let runs = records.iter().map(|r| measured(problem, scenario, r)).collect::<Result<Vec<_>, _>>()?;
     let n = scenario.reference.len();
     let near = |t: usize| {
         runs.iter().all(|m| {
@@ -319,6 +332,7 @@ pub fn score(
         economy: economy(m, 0..n),
         economy_equal: economy(m, comparable.iter().copied()),
         limits: m.limits.clone(),
+        unreached: m.unreached.clone(),
     };
     Ok(runs.iter().zip(names).map(one).collect())
 }

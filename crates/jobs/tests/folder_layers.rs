@@ -63,6 +63,7 @@ const CALIBRATE: &[&str] = &[
     "models",
     "optimise_plan",
     "design_spec",
+    "refine",
     "invert_step",
     "optimise_step",
     "design_step",

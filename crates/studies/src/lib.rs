@@ -9,6 +9,7 @@ mod chain;
 pub mod chapter4;
 pub mod chapter5;
 mod chapter6;
+mod chapter7;
 mod control;
 mod design;
 mod dynamic;
@@ -116,6 +117,7 @@ pub static STUDIES: &[Study] = &[
     chapter4::STUDY,
     chapter5::STUDY,
     chapter6::STUDY,
+    chapter7::STUDY,
     control::STUDY,
     design::STUDY,
     dynamic::STUDY,

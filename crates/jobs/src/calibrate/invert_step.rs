@@ -4,11 +4,14 @@
 use super::context::Context;
 use super::error::ChainError;
 use super::optimise_plan::END_EFFECT;
+use super::records::RecordRef;
+use super::refine;
 use dynocal_calib::map::Rows;
 use dynocal_calib::map::structures::{self, FitTask, InverseScore, MapError, Pairs, StoredMap};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 /// What step 5 leaves behind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -26,6 +29,15 @@ pub struct InvertResult {
     pub records: Vec<String>,
     /// Records of passes that were left out because their optimum must not be used.
     pub left_out: Vec<String>,
+    /// Records that the map itself drove, after each of which it was fitted again.
+    #[serde(default)]
+    pub refined: Vec<RecordRef>,
+    /// Their bed time in s.
+    #[serde(default)]
+    pub refine_s: f64,
+    /// The map before them, where there are some.
+    #[serde(default)]
+    pub before: Option<StoredMap>,
 }
 
 /// Response and actuators of one record.
@@ -72,7 +84,35 @@ pub fn invert(
         pairs: if simulated { "simulated" } else { "measured" }.into(),
         records: optima.iter().map(|d| d.name.clone()).collect(),
         left_out,
+        refined: Vec::new(),
+        refine_s: 0.0,
+        before: None,
     })
+}
+
+/// Fits as [`invert`] does, then `invert.refine` times again with one more record that the map of then drives.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn invert_refined(
+    ctx: &Context,
+    folder: &Path,
+    mut optima: Vec<Dataset>,
+    left_out: &[String],
+    models: &[&StoredModel],
+) -> Result<InvertResult, ChainError> {
+    let mut found = invert(ctx, &optima, left_out.to_vec(), models)?;
+    let before = (ctx.spec.invert.refine > 0).then(|| found.dynamic.clone());
+    let (mut refined, mut refine_s) = (Vec::new(), 0.0);
+    for k in 1..=ctx.spec.invert.refine {
+        ctx.check_interrupt()?;
+        let (record, kept) = refine::driven(ctx, folder, k, &*found.dynamic)?;
+        refine_s += record.len() as f64 * record.sample_time_s + ctx.spec.excite.lead_in_s;
+        refined.push(kept);
+        optima.push(record);
+        found = invert(ctx, &optima, left_out.to_vec(), models)?;
+    }
+    Ok(InvertResult { refined, refine_s, before, ..found })
 }
 
 fn pairs_of(

@@ -26,6 +26,7 @@ mod optimise_start;
 pub mod optimise_step;
 pub mod page;
 pub mod records;
+mod refine;
 pub mod run;
 mod signals;
 pub mod spec;

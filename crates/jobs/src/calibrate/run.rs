@@ -4,7 +4,7 @@ use super::context::Context;
 use super::design_step::{DesignResult, design};
 use super::error::ChainError;
 use super::excite_step::{ExciteResult, excite};
-use super::invert_step::{InvertResult, invert};
+use super::invert_step::{InvertResult, invert_refined};
 use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
 use super::records::RecordRef;
@@ -61,6 +61,7 @@ impl ChainResult {
             + self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
             + self.design.as_ref().map_or(0.0, |d| d.result.bed_s)
             + self.optimise.as_ref().map_or(0.0, |d| d.result.bed_s)
+            + self.invert.as_ref().map_or(0.0, |d| d.result.refine_s)
     }
 }
 
@@ -285,7 +286,7 @@ fn step_invert(
                 left_out.push(format!("pass {}: {}", pass.pass, pass.reason));
             }
         }
-        let done = invert(ctx, &optima, left_out, &last.models.chosen())?;
+        let done = invert_refined(ctx, path, optima, &left_out, &last.models.chosen())?;
         json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 3, &done.dynamic)?;
         Ok(done)
     })

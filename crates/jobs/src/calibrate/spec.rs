@@ -330,6 +330,9 @@ pub struct InvertSpec {
     /// Whether the map learns from the re-identified models' simulated outputs instead of the measured ones (better
     /// when sensors are noisy); `auto` decides by the noise of the plant.
     pub pairs: String,
+    /// Records that the map itself drives with the loops about it, each as long as one of the optimisation, after each of which the
+    /// map is fitted again (thesis section 7.8.2).
+    pub refine: usize,
 }
 
 impl Default for InvertSpec {
@@ -339,6 +342,7 @@ impl Default for InvertSpec {
             shape: toml::Table::new(),
             rivals: vec!["published_7_18".into()],
             pairs: "auto".into(),
+            refine: 0,
         }
     }
 }

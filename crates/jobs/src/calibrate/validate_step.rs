@@ -7,9 +7,9 @@ use super::lag::best_lag;
 use super::optimise_step::Pass;
 use super::records::{RecordRef, save_records};
 use super::static_search::calibrate_static;
-use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::map::{FeedforwardMap, Ports, Rows};
 use dynocal_calib::validate::{MapScore, Scenario, demand_steps, random_points, score};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
@@ -27,7 +27,7 @@ pub struct StaticOnRecord {
     pub objective: f64,
     /// Its ratio to the start record.
     pub ratio: f64,
-    /// Share of the saving that the static map's values reach: (1 - measured) / (1 - this ratio). None when they save
+    /// Saving of the optimum over that of the static map's values: (1 - measured) / (1 - this ratio). None when they save
     /// nothing.
     pub share_of_saving: Option<f64>,
 }
@@ -53,6 +53,34 @@ pub struct ValidateResult {
 /// Name of the map that is delivered.
 pub const DYNAMIC: &str = "dynamic map";
 
+/// Name of the same before it was refined.
+pub const NOT_REFINED: &str = "dynamic map before refinement";
+
+/// The map as it was before records that it drove itself.
+struct Before<'a>(&'a dyn FeedforwardMap);
+
+impl FeedforwardMap for Before<'_> {
+    fn name(&self) -> &str {
+        NOT_REFINED
+    }
+
+    fn ports(&self) -> &Ports {
+        self.0.ports()
+    }
+
+    fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows {
+        self.0.drive(reference, sample_time_s)
+    }
+
+    fn steady(&self, reference: &[f64]) -> Vec<f64> {
+        self.0.steady(reference)
+    }
+
+    fn latency_s(&self, sample_time_s: f64) -> f64 {
+        self.0.latency_s(sample_time_s)
+    }
+}
+
 /// Runs the step.
 ///
 /// # Errors
@@ -72,7 +100,9 @@ pub fn validate(
     let lag_s = best_lag(problem, (&static_map, leader), &steps, models, dt)?;
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
     let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
+    let before = inverse.before.as_ref().map(|m| Before(&**m));
     let mut maps: Vec<&dyn FeedforwardMap> = vec![&*inverse.dynamic, &static_map, &lagged];
+    maps.extend(before.as_ref().map(|m| m as &dyn FeedforwardMap));
     maps.extend(inverse.rivals.iter().map(|m| &**m));
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
     let scenarios = [random_points(spec, problem, dt, &mut rng), steps];

@@ -4,24 +4,23 @@
 //! pass that it stands on. A pass that must not be used is left out of map and models, and said. Against the rivals the
 //! delivered map is compared in words, also where it is not better.
 
+mod rivals;
+
 use super::models::ModelsResult;
 use super::optimise_step::Pass;
 use super::run::ChainResult;
 use super::spec::CalibrateSpec;
 use super::validate_step::{DYNAMIC, ValidateResult};
-use dynocal_calib::limits::LimitScore;
-use dynocal_calib::validate::{MapScore, spent_input};
+use dynocal_calib::validate::{MOST_OFFSET, MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
+use rivals::{beaten, beyond_reference, of_static, out_of_reach, static_saves_more};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
 /// Difference of a meter and what follows from the inputs that is worth a warning, as a share.
 const METER: f64 = 0.01;
-/// Steady offset of a delivered map from which on it must not be used, as a share of the range of the leading demand and of
-/// further ones, whose range is narrow.
-const MOST_OFFSET: [f64; 2] = [0.05, 0.15];
 
 /// Warnings and what they mean together.
 pub struct Verdict {
@@ -59,6 +58,7 @@ pub fn of(spec: &CalibrateSpec, r: &ChainResult) -> Verdict {
     if let Some(v) = &r.validate {
         comparison(spec, &v.result, &mut f);
         f.notes.extend(static_saves_more(r, &v.result));
+        f.notes.extend(beyond_reference(&v.result));
     }
     design(r, &mut f);
     models(r, &mut f);
@@ -209,6 +209,7 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
                 );
             }
         }
+        f.notes.extend(out_of_reach(s));
         f.notes.extend(beaten(v, s));
         for l in s.limits.iter().filter(|l| l.passed()) {
             let text =
@@ -216,57 +217,6 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
             if l.soft { f.notes.push(text) } else { f.fault(Status::Infeasible, text) }
         }
     }
-}
-
-/// What the static map does about a limit that the dynamic map passes, in words.
-fn of_static(v: &ValidateResult, own: &MapScore, limit: &LimitScore) -> String {
-    let rival = v.scores.iter().find(|s| s.scenario == own.scenario && s.map == "static map");
-    let same = rival.and_then(|s| s.limits.iter().find(|l| l.output == limit.output && l.of == limit.of));
-    match same {
-        Some(l) if l.excess > 0.0 => {
-            format!("the static map passes it by {}", with_unit(l.excess, 3, &l.unit))
-        }
-        Some(l) => format!("the static map keeps {} away from it", with_unit(-l.excess, 3, &l.unit)),
-        None => "there is no static map to compare".into(),
-    }
-}
-
-/// Rivals that are better than the delivered map in the same scenario, in words.
-fn beaten(v: &ValidateResult, own: &MapScore) -> Vec<String> {
-    let rivals = v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != own.map);
-    let mut out = Vec::new();
-    for rival in rivals {
-        for (a, b) in own.demands.iter().zip(&rival.demands).skip(1) {
-            if b.integral_s < a.integral_s && b.spike() < a.spike() {
-                out.push(format!(
-                    "In {} the {} holds {} better than the dynamic map: integral {:.4} against {:.4} s, spike {:.4} against {:.4}.",
-                    own.scenario,
-                    rival.map,
-                    a.output,
-                    b.integral_s,
-                    a.integral_s,
-                    b.spike(),
-                    a.spike()
-                ));
-            }
-        }
-    }
-    out
-}
-
-/// The static map's free inputs against the optimum over its own record, in words where they save more.
-fn static_saves_more(r: &ChainResult, v: &ValidateResult) -> Option<String> {
-    let last = r.optimise.as_ref()?.result.passes.last()?;
-    let rival = v.static_on_record.as_ref()?;
-    let saved = |ratio: f64| 100.0 * (ratio - 1.0);
-    (rival.ratio < last.measured_ratio).then(|| {
-        format!(
-            "Over the record of pass {} the static map's inputs that no loop drives save more than the optimum: {:+.2} against {:+.2} %.",
-            last.pass,
-            saved(rival.ratio),
-            saved(last.measured_ratio)
-        )
-    })
 }
 
 fn design(r: &ChainResult, f: &mut Findings) {

@@ -22,7 +22,7 @@ use super::super::{Check, Options, Task, TaskResult};
 use super::{check, percent, plant, reference, result, task};
 
 const RANDOM: &str = "engine-random-inputs";
-const LOOP: &str = "engine-closed-loop";
+pub(super) const LOOP: &str = "engine-closed-loop";
 const STORED: &str = "stored-engine-records";
 /// Part of a record that is drawn, in samples.
 const DRAWN: usize = 700;

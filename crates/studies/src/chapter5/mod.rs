@@ -51,8 +51,49 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
     networks::sections(report, results)
 }
 
+/// Names of the models of section 7.4 among the tasks.
+const SECTION_7_4: [&str; 3] = [engine::LOOP, networks::NETWORKS[0], networks::NETWORKS[1]];
+
+/// The tasks of section 7.4 alone: polynomials and networks in closed loop.
+pub(super) fn section_7_4(o: &Options) -> Vec<Task> {
+    tasks(o).into_iter().filter(|t| SECTION_7_4.contains(&t.name.as_str())).collect()
+}
+
+/// A model of section 7.4 beside the thesis, R2 in percent.
+pub(super) struct Fit {
+    pub(super) thesis_identification_pct: f64,
+    pub(super) identification_pct: Option<f64>,
+    pub(super) thesis_unseen_pct: f64,
+    pub(super) unseen_pct: Option<f64>,
+}
+
+/// Polynomials by simulation error, then networks; torque, then lambda.
+pub(super) fn fits_7_4(results: &[TaskResult]) -> [[Fit; 2]; 2] {
+    let polynomials = engine::closed_loop_models(results);
+    let known = [&work::published::TORQUE_7_8, &work::published::LAMBDA_7_8];
+    let polynomial = |k: usize| {
+        let sem = polynomials.as_ref().map(|p| &p.models[k].sem);
+        Fit {
+            thesis_identification_pct: known[k].identification[1].1,
+            identification_pct: sem.map(|s| percent(s.free_run.r2)),
+            thesis_unseen_pct: known[k].unseen[1].map_or(f64::NAN, |u| u.1),
+            unseen_pct: sem.map(|s| percent(s.mean_unseen().r2)),
+        }
+    };
+    let network = |k: usize| {
+        let found = networks::best_of_two_records(results, k);
+        Fit {
+            thesis_identification_pct: work::published::TABLE_7_2[k].r2,
+            identification_pct: found.map(|f| percent(f.0)),
+            thesis_unseen_pct: work::published::TABLE_7_5[k].r2,
+            unseen_pct: found.map(|f| percent(f.1)),
+        }
+    };
+    [[0, 1].map(polynomial), [0, 1].map(network)]
+}
+
 /// The virtual engine of the thesis set, without sensor noise.
-fn plant(_noise: bool) -> Result<Box<dyn Plant>, PlantError> {
+pub(super) fn plant(_noise: bool) -> Result<Box<dyn Plant>, PlantError> {
     let settings = BedSettings::default();
     let bed =
         EngineBed::new(&EngineParams::thesis(), settings).map_err(|e| PlantError::Call(e.to_string()))?;

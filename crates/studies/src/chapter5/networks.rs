@@ -19,7 +19,7 @@ use super::engine::{Models, closed_loop_models, closed_loop_spec, digest, stored
 use super::{check, percent, plant, reference, result, task};
 
 const SIZES: &str = "layer-sizes";
-const NETWORKS: [&str; 2] = ["networks-torque", "networks-lambda"];
+pub(super) const NETWORKS: [&str; 2] = ["networks-torque", "networks-lambda"];
 const STORED: [&str; 2] = ["stored-networks-torque", "stored-networks-lambda"];
 const OUTPUTS: [&str; 2] = ["torque", "lambda"];
 const UNITS: [&str; 2] = ["Nm^2", ""];
@@ -151,6 +151,12 @@ fn unseen_check(k: usize, id: &str, records: &str, asked: Asked, found: Option<&
         "%",
         note,
     )
+}
+
+/// R2 of the network of output `k` that two records identified: on the first of them, and its mean on unseen ones.
+pub(super) fn best_of_two_records(results: &[TaskResult], k: usize) -> Option<(f64, f64)> {
+    let found: Networks = result(results, NETWORKS[k])?;
+    Some((found.two_records.identification.r2, found.two_records.mean_unseen().r2))
 }
 
 fn least(f: &Trained) -> f64 {

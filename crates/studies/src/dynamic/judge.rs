@@ -3,7 +3,7 @@
 use super::contest::{FEEDBACK, LAGGED, OURS, POSSIBLE, PREVIEW, STATIC, UNTRIMMED};
 use super::measures::Measures;
 use super::scenario::{SCENARIOS, Scenario};
-use super::{Case, cases};
+use super::{Case, boost, cases};
 use crate::asked::Asked;
 use crate::{Check, TaskResult, check};
 
@@ -44,7 +44,7 @@ fn ratio(case: &Case, name: &str, course: usize, of: Of, against: Against) -> Op
 }
 
 /// Mean of the seeds with its standard error in words; the worst of engines.
-fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: bool) -> Check {
+pub(super) fn judged(id: &str, what: &str, asked: Asked, ratios: &[Option<f64>], worst: bool) -> Check {
     let all: Option<Vec<f64>> = ratios.iter().copied().collect();
     let all = all.filter(|a| !a.is_empty());
     let mean = all.as_ref().map(|a| a.iter().sum::<f64>() / a.len() as f64);
@@ -217,13 +217,16 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
             format!("the line searches of the rivals took more, which is not counted against them; the map took up to {map:.0} s"),
         ));
     }
-    let failed: Vec<String> = all
+    let mut failed: Vec<String> = all
         .iter()
         .filter_map(|c| {
             c.failed.as_ref().map(|f| format!("scenario {}, {}, seed {}: {f}", c.scenario, c.engine, c.seed))
         })
         .collect();
-    let count = failed.len() + results.len() - all.len();
+    checks.extend(boost::checks(results));
+    let (tips, failed_tips) = boost::counted(results);
+    failed.extend(failed_tips);
+    let count = failed.len() + results.len() - all.len() - tips;
     checks.push(check(
         "failed",
         "cases without a controller",

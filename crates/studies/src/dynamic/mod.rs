@@ -11,6 +11,7 @@
 //! in the exhaust manifold. Beside them stands what is possible: fuel that is learned by trials on the judged record itself.
 
 mod bed;
+mod boost;
 mod contest;
 mod judge;
 mod learned;
@@ -68,10 +69,10 @@ struct Case {
 
 fn tasks(o: &Options) -> Vec<Task> {
     let (seeds, others) = if o.reduced { (1, 0) } else { (SEEDS, OTHERS) };
-    let engines = |s: &Scenario| {
-        let own = (0..seeds).map(|k| (s.engine.to_string(), o.seed + k));
-        let like = (1..=others).map(|k| (format!("perturbed:{}:{k}", s.engine), o.seed));
-        own.chain(like).map(|(engine, seed)| (s.number, engine, seed)).collect::<Vec<_>>()
+    let engines_of = |number: usize, engine: &str| {
+        let own = (0..seeds).map(|k| (engine.to_string(), o.seed + k));
+        let like = (1..=others).map(|k| (format!("perturbed:{engine}:{k}"), o.seed));
+        own.chain(like).map(|(engine, seed)| (number, engine, seed)).collect::<Vec<_>>()
     };
     let reduced = o.reduced;
     let task = |(scenario, engine, seed): (usize, String, u64)| {
@@ -86,7 +87,20 @@ fn tasks(o: &Options) -> Vec<Task> {
             }),
         }
     };
-    SCENARIOS.iter().flat_map(engines).map(task).collect()
+    let boosted = |(_, engine, seed): (usize, String, u64)| {
+        let name = format!("3-{}-{seed}", engine.replace(':', "-"));
+        Task {
+            name: name.clone(),
+            inputs: json!([3, engine, seed, reduced, contest::AHEADS_S, contest::CLOSED_S]),
+            run: Box::new(move |around: &Surroundings| {
+                let watch = around.watch;
+                watch.note(&format!("{engine}, seed {seed}, scenarios 3 and 4: records, searches, tip-ins"));
+                boost::case(&name, &engine, seed, reduced, &|| watch.interrupted())
+            }),
+        }
+    };
+    let tips = engines_of(3, boost::ENGINE).into_iter().map(boosted);
+    tips.chain(SCENARIOS.iter().flat_map(|s| engines_of(s.number, s.engine)).map(task)).collect()
 }
 
 fn refused(what: &str, reason: String) -> StudyError {

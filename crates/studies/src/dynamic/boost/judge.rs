@@ -1,0 +1,134 @@
+//! What scenarios 3 and 4 ask.
+
+use super::super::judge::judged;
+use super::contest::{OURS, PREPARED, TIPS, UNTRIMMED};
+use super::measures::TipIn;
+use super::{ENGINE, TipCase, cases};
+use crate::asked::Asked;
+use crate::{Check, TaskResult};
+
+type Of = fn(&TipIn) -> f64;
+
+/// Which rivals count: those of the table, or also those that rest as ours.
+#[derive(Clone, Copy, PartialEq)]
+enum Rivals {
+    Table,
+    Prepared,
+}
+
+fn value(case: &TipCase, name: &str, tip: usize, of: Of) -> Option<f64> {
+    case.found.as_ref()?.rows.iter().find(|r| r.name == name)?.tips.get(tip).map(of)
+}
+
+/// Ours over the best rival's.
+fn ratio(case: &TipCase, tip: usize, of: Of, rivals: Rivals) -> Option<f64> {
+    let rows = &case.found.as_ref()?.rows;
+    let counts = |name: &str| {
+        ![OURS, UNTRIMMED].contains(&name) && name.ends_with(PREPARED) == (rivals == Rivals::Prepared)
+    };
+    let best = rows.iter().filter(|r| counts(&r.name)).filter_map(|r| r.tips.get(tip).map(of));
+    Some(value(case, OURS, tip, of)? / best.reduce(f64::min)?)
+}
+
+/// A number of a case that is asked.
+struct Number {
+    id: String,
+    what: String,
+    asked: Asked,
+    of: Box<dyn Fn(&TipCase) -> Option<f64>>,
+}
+
+fn numbers() -> Vec<Number> {
+    use Asked::{AtMost, Reported};
+    use Rivals::{Prepared, Table};
+    let ratios: [(&str, &str, Asked, Of, Rivals); 9] = [
+        ("3", "t90: time until 90 % of the torque", AtMost(0.8), |t| t.t90_s, Table),
+        (
+            "3",
+            "t90-prepared: the same beside a rival whose wastegate rests as ours",
+            Reported,
+            |t| t.t90_s,
+            Prepared,
+        ),
+        ("3", "fuel-per-work: fuel per work of the first 3 s", AtMost(1.02), |t| t.fuel_g_kwh, Table),
+        ("3", "fuel-at-rest: fuel per work before the tip-in", Reported, |t| t.rest_g_kwh, Table),
+        (
+            "4",
+            "integral: integral of |lambda - 1|, mean of tip-in and tip-out",
+            AtMost(0.75),
+            |t| t.integral_s,
+            Table,
+        ),
+        (
+            "4",
+            "integral-prepared: the same beside a rival whose wastegate rests as ours",
+            Reported,
+            |t| t.integral_s,
+            Prepared,
+        ),
+        ("4", "co-hc: CO and HC of the first 4 s of both", AtMost(0.9), |t| t.co_hc_g, Table),
+        ("4", "no: NO of the same time", Reported, |t| t.no_g, Table),
+        ("4", "fuel: fuel of the same time", Reported, |t| t.fuel_g, Table),
+    ];
+    let values: [(&str, &str, Asked, Of); 4] = [
+        ("3", "knock: largest knock index", AtMost(1.0), |t| t.knock),
+        ("3", "overshoot: largest torque over its demand, less 1", AtMost(0.05), |t| t.overshoot),
+        ("3", "lambda: largest distance of lambda from its demand", AtMost(0.05), |t| t.lambda),
+        ("3", "offset: torque at the end less its demand in Nm", Reported, |t| t.offset_nm),
+    ];
+    let mut out = Vec::new();
+    for (tip, (speed, [low, high])) in TIPS.iter().enumerate() {
+        let named = |scenario: &str, words: &str| {
+            let (id, what) = words.split_once(": ").unwrap_or((words, words));
+            (format!("{scenario}-{speed}-{id}"), format!("{low} to {high} Nm at {speed} rpm: {what}"))
+        };
+        for (scenario, words, asked, of, rivals) in ratios {
+            let (id, what) = named(scenario, words);
+            let what = format!("{what}, over the best rival's");
+            out.push(Number { id, what, asked, of: Box::new(move |c| ratio(c, tip, of, rivals)) });
+        }
+        for (scenario, words, asked, of) in values {
+            let (id, what) = named(scenario, words);
+            out.push(Number { id, what, asked, of: Box::new(move |c| value(c, OURS, tip, of)) });
+        }
+    }
+    out
+}
+
+/// The checks; none where no case was run.
+pub(in super::super) fn checks(results: &[TaskResult]) -> Vec<Check> {
+    let all = cases(results);
+    let mut checks = Vec::new();
+    for (own, suffix, words) in [(true, "", "mean of seeds"), (false, "-others", "worst of engines like it")]
+    {
+        for n in numbers() {
+            let found: Vec<Option<f64>> =
+                all.iter().filter(|c| (c.boosted == ENGINE) == own).map(|c| (n.of)(c)).collect();
+            if own || !found.is_empty() {
+                let (id, what) = (format!("{}{suffix}", n.id), format!("{}, {words}", n.what));
+                checks.push(judged(&id, &what, n.asked, &found, !own));
+            }
+        }
+    }
+    let time = |of: fn(&super::Found) -> f64| {
+        Asked::Reported.worst(&all.iter().map(|c| c.found.as_ref().map(of)).collect::<Vec<_>>())
+    };
+    for (id, what, of) in [
+        (
+            "3-bed-time",
+            "bed time of ours beyond the steady points: records and searches",
+            (|f| f.record_s + f.search_s[1]) as fn(&super::Found) -> f64,
+        ),
+        ("3-bed-time-rival", "bed time of the searches of the rival's retard", |f| f.search_s[0]),
+    ] {
+        checks.push(crate::check(
+            id,
+            what,
+            Asked::Reported,
+            time(of),
+            "s",
+            "six inputs; the line searches of the rivals' fuel took more, which is not counted against them",
+        ));
+    }
+    checks
+}
