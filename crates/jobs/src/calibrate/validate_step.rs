@@ -3,7 +3,7 @@
 use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::invert_step::InvertResult;
-use super::lag::best_lag;
+use super::lag::{OnModels, best_lag};
 use super::optimise_step::Pass;
 use super::records::{RecordRef, save_records};
 use super::static_search::calibrate_static;
@@ -69,15 +69,16 @@ pub fn validate(
     let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
     let leader = ctx.channels.driven.first().copied().unwrap_or(0);
     let steps = demand_steps(spec, problem, dt);
-    let lag_s = best_lag(problem, (&static_map, leader), &steps, models, dt)?;
+    let lag_s = best_lag((&static_map, leader), &OnModels::new(ctx, models));
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
     let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
     let mut maps: Vec<&dyn FeedforwardMap> = vec![&*inverse.dynamic, &static_map, &lagged];
     maps.extend(inverse.rivals.iter().map(|m| &**m));
+    // What is delivered is called so, whatever its structure.
+    let names: Vec<&str> = [DYNAMIC].into_iter().chain(maps.iter().skip(1).map(|m| m.name())).collect();
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
     let scenarios = [random_points(spec, problem, dt, &mut rng), steps];
-    let runs = run_all(ctx, folder, &maps, &scenarios)?;
-    let names: Vec<&str> = maps.iter().map(|m| m.name()).collect();
+    let runs = run_all(ctx, folder, &maps, &names, &scenarios)?;
     let mut scores = Vec::new();
     for (scenario, records) in scenarios.iter().zip(&runs) {
         scores.extend(score(spec, problem, scenario, &names, &records.iter().collect::<Vec<_>>())?);
@@ -132,6 +133,7 @@ fn run_all(
     ctx: &Context,
     folder: &Path,
     maps: &[&dyn FeedforwardMap],
+    names: &[&str],
     scenarios: &[Scenario],
 ) -> Result<Vec<Vec<Dataset>>, ChainError> {
     let jobs: Vec<(usize, usize)> =
@@ -140,7 +142,7 @@ fn run_all(
     let records = jobs
         .par_iter()
         .map(|&(s, m)| {
-            let record = run_map(ctx, folder, maps[m], &scenarios[s])?;
+            let record = run_map(ctx, folder, (maps[m], names[m]), &scenarios[s])?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             ctx.fraction(0.7 + 0.3 * done as f64 / jobs.len() as f64);
             Ok(record)
@@ -156,7 +158,7 @@ fn run_all(
 fn run_map(
     ctx: &Context,
     folder: &Path,
-    map: &dyn FeedforwardMap,
+    (map, name): (&dyn FeedforwardMap, &str),
     scenario: &Scenario,
 ) -> Result<Dataset, ChainError> {
     let drive = map.drive(&scenario.reference, ctx.spec.sample_time_s);
@@ -164,7 +166,7 @@ fn run_map(
     let inputs = (0..drive.width()).map(|k| drive.column(k)).collect();
     let given = (0..ctx.channels.given.len()).map(|k| scenario.reference.column(demands + k)).collect();
     let wanted = (0..demands).map(|k| scenario.reference.column(k)).collect();
-    let name = format!("{}, {}", map.name(), scenario.name);
+    let name = format!("{name}, {}", scenario.name);
     let plan = ctx.plan(&name, inputs, given, wanted, Tone::Open).settled(4.0);
     ctx.measure(folder, &plan, false)
 }
