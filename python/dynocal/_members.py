@@ -143,6 +143,7 @@ MEMBERS: dict[str, tuple[str, ...]] = {
     "maps": (
         "structured",
         "published_7_18",
+        "lead_lag",
     ),
     "optimisers": (
         "quasi_newton",

@@ -6,8 +6,11 @@
 
 use serde::{Deserialize, Serialize};
 
+pub mod anchor;
 pub mod filter;
 pub mod lagged;
+pub mod lead_lag;
+mod lookup;
 pub mod published;
 pub mod rows;
 pub mod start;
@@ -84,6 +87,29 @@ impl Ports {
     }
 }
 
+/// What is minimised when the dynamics of a map are chosen: a number for any map, from models of the plant.
+pub type Judge<'a> = &'a dyn Fn(&dyn FeedforwardMap) -> f64;
+
+/// What a map is made of.
+pub enum MapForm<'a> {
+    /// Terms with coefficients.
+    Terms(&'a structured::StructuredMap),
+    /// Tables.
+    Tables(&'a lead_lag::LeadLagMap),
+    /// Something that has no form for people.
+    Other,
+}
+
+/// A measured point at rest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SteadyPoint {
+    /// References as measured (demanded outputs, given channels).
+    pub reference: Vec<f64>,
+    /// Actuators that were applied.
+    pub actuators: Vec<f64>,
+}
+
 /// A feedforward map.
 pub trait FeedforwardMap: Send + Sync {
     /// Name for tables and plots.
@@ -112,8 +138,20 @@ pub trait FeedforwardMap: Send + Sync {
         Err(serde::ser::Error::custom(format!("the {} is no structure of the table", self.name())))
     }
 
-    /// The map as terms with coefficients, which is what exports and pages can show of it; none where it is not such.
-    fn terms(&self) -> Option<&structured::StructuredMap> {
+    /// The map as what exports and pages can show of it.
+    fn form(&self) -> MapForm<'_> {
+        MapForm::Other
+    }
+
+    /// The same map moved onto points at rest that were measured; none where the structure cannot be moved, or the points ask
+    /// for nothing that holds at points left out.
+    fn anchored(&self, _points: &[SteadyPoint]) -> Option<structures::StoredMap> {
+        None
+    }
+
+    /// The same map with the dynamics that `judge` likes best (less is better); `leader` is the actuator that acts at once. None
+    /// where the structure has no dynamics to choose.
+    fn tuned(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {
         None
     }
 

@@ -3,6 +3,7 @@
 use dynocal_numerics::interval::Interval;
 use std::collections::BTreeMap;
 
+use dynocal_calib::map::lead_lag::{ActuatorTables, LagLaw, LeadLagMap, OtherReference};
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
 use dynocal_calib::map::structured::terms::{self, Scale};
 use dynocal_calib::map::structured::{StructuredMap, StructuredShape};
@@ -19,7 +20,7 @@ use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::model::response::form::{Learner, ResponseForm};
 use dynocal_ident::model::response::{self, Ask, Points, Prediction, Response};
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
-use dynocal_jobs::export::{ExportSpec, dynamic_map, model, run, static_map};
+use dynocal_jobs::export::{ExportSpec, dynamic_map, lead_lag, model, run, static_map};
 use dynocal_numerics::rng::Rng64;
 
 fn ports() -> Ports {
@@ -101,6 +102,49 @@ fn the_dynamic_map_drives_as_the_program() {
     // Not all of it may lie at the limits.
     assert!(free > 3000, "{free}");
     assert_eq!(made.package.provenance.validity[2].upper, 3000.0);
+}
+
+/// Tables, slopes and lags of any numbers; one actuator leads, one has a lead beside its lag.
+fn tables(rng: &mut Rng64) -> LeadLagMap {
+    let (demand, given) = (vec![10.0, 35.0, 50.0, 90.0], vec![1000.0, 2100.0, 3000.0]);
+    let mut values =
+        |lower: f64, upper: f64| -> Vec<f64> { (0..12).map(|_| rng.uniform_in(lower, upper)).collect() };
+    let law = |lead| LagLaw { tau_s: 0.1, by_given: 1.0, by_demand: 0.0, lead };
+    let mut one = |lag: f64, lead| ActuatorTables {
+        base: values(5.0, 35.0),
+        slopes: vec![values(-30.0, 30.0)],
+        lag_s: values(0.0, lag),
+        law: law(lead),
+    };
+    LeadLagMap {
+        ports: ports(),
+        region: [(10.0, 90.0), (0.9, 1.1), (1000.0, 3000.0)].map(Interval::from).to_vec(),
+        others: vec![OtherReference { place: 1, rest: 0.99 }],
+        actuators: vec![one(0.3, 0.0), one(0.5, 0.4), one(0.0, 0.0)],
+        demand,
+        given,
+        loss: vec![0.0; 3],
+    }
+}
+
+#[test]
+fn tables_with_lead_and_lag_drive_as_the_program() {
+    let mut rng = Rng64::new(5);
+    let map = tables(&mut rng);
+    let made = lead_lag(&map, 0.03);
+    made.package.check().unwrap();
+    // Base and slope of each, lags of the two that have some.
+    assert_eq!(made.package.characteristics.len(), 8);
+    let reference = references(2000, &mut rng);
+    let want = map.drive(&reference, 0.03);
+    let row = |t: usize| reference.row(t).to_vec();
+    let got = programmed(&made.package, &["torque", "lambda", "speed"], &row, reference.len());
+    for (t, got) in got.iter().enumerate() {
+        for (c, g) in got.iter().enumerate() {
+            let w = want.row(t)[c];
+            assert!((g - w).abs() < 1e-11, "sample {t}, actuator {c}: {g} {w}");
+        }
+    }
 }
 
 fn table() -> StaticMap {

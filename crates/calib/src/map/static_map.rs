@@ -1,5 +1,6 @@
 //! The static map: actuators over a grid of the leading demand and one given channel, the other demands being held.
 
+use super::lookup::Corners;
 use super::{FeedforwardMap, Ports, Rows};
 use serde::{Deserialize, Serialize};
 
@@ -46,33 +47,12 @@ impl StaticMap {
 
     /// Bilinear interpolation, held at the edges of the grid, at one row of references.
     pub fn at(&self, reference: &[f64], u: &mut [f64]) {
-        let (i, a) = locate(&self.demand, reference[0]);
-        let (j, b) = match reference.get(self.ports.demands.len()) {
-            Some(given) => locate(&self.given, *given),
-            None => (0, 0.0),
-        };
-        let columns = self.given.len();
-        let point = |i: usize, j: usize| &self.points[i * columns + j].actuators;
-        let (i1, j1) = ((i + 1).min(self.demand.len() - 1), (j + 1).min(columns - 1));
-        let corners = [point(i, j), point(i, j1), point(i1, j), point(i1, j1)];
+        let given = reference.get(self.ports.demands.len()).copied().unwrap_or(0.0);
+        let corners = Corners::around(&self.demand, &self.given, reference[0], given);
         for (c, v) in u.iter_mut().enumerate() {
-            let [p00, p01, p10, p11] = corners.map(|p| p[c]);
-            *v = (1.0 - a) * ((1.0 - b) * p00 + b * p01) + a * ((1.0 - b) * p10 + b * p11);
+            *v = corners.of(|k| self.points[k].actuators[c]);
         }
     }
-}
-
-/// Interval of `axis` that holds `x` and the position in it (0 to 1, clamped).
-fn locate(axis: &[f64], x: f64) -> (usize, f64) {
-    let last = axis.len() - 1;
-    if last == 0 || x <= axis[0] {
-        return (0, 0.0);
-    }
-    if x >= axis[last] {
-        return (last, 0.0);
-    }
-    let i = axis.partition_point(|v| *v <= x) - 1;
-    (i, (x - axis[i]) / (axis[i + 1] - axis[i]))
 }
 
 impl FeedforwardMap for StaticMap {

@@ -16,7 +16,7 @@ use super::filter::filtered;
 use super::structures::{
     FitTask, FittedMap, InverseScore, MapError, MapRow, MapStructure, Pairs, StoredMap, r2,
 };
-use super::{FeedforwardMap, Ports, Rows};
+use super::{FeedforwardMap, MapForm, Ports, Rows, SteadyPoint, anchor};
 use dynocal_files::spec::Faults;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg;
@@ -350,7 +350,7 @@ fn quasi_steady(r: &Rows, from: usize, to: usize, steady: &[f64]) -> bool {
 
 impl FeedforwardMap for StructuredMap {
     fn name(&self) -> &str {
-        "dynamic map"
+        "structured map"
     }
 
     fn ports(&self) -> &Ports {
@@ -398,8 +398,19 @@ impl FeedforwardMap for StructuredMap {
         serde_json::to_value(self)
     }
 
-    fn terms(&self) -> Option<&StructuredMap> {
-        Some(self)
+    fn form(&self) -> MapForm<'_> {
+        MapForm::Terms(self)
+    }
+
+    fn anchored(&self, points: &[SteadyPoint]) -> Option<StoredMap> {
+        let own = anchor::at_rest(&self.terms, self.ports.demands.len());
+        let terms: Vec<Term> = own.iter().map(|k| self.terms[*k].clone()).collect();
+        let moved = anchor::correction(&terms, &self.scales, points, |r| self.steady(r))?;
+        let mut map = self.clone();
+        for (c, delta) in map.coefficients.iter_mut().zip(moved) {
+            own.iter().zip(delta).for_each(|(k, d)| c[*k] += d);
+        }
+        Some(StoredMap::new(map))
     }
 
     fn latency_s(&self, sample_time_s: f64) -> f64 {

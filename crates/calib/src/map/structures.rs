@@ -10,10 +10,10 @@ use dynocal_numerics::registry::{self, BuildError, MemberDoc};
 use dynocal_numerics::status::Status;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{FeedforwardMap, Ports, Rows, published, structured};
+use super::{FeedforwardMap, Ports, Rows, lead_lag, published, structured};
 
 /// All structures.
-pub static MAP_STRUCTURES: &[&MapRow] = &[&structured::ROW, &published::ROW];
+pub static MAP_STRUCTURES: &[&MapRow] = &[&structured::ROW, &published::ROW, &lead_lag::ROW];
 
 /// One row of the table.
 pub struct MapRow {

@@ -10,7 +10,7 @@ pub(crate) fn results(r: &ChainResult) -> String {
     let parts = [models(r), passes(r), maps(r)];
     let mut text = parts.iter().filter(|p| !p.is_empty()).cloned().collect::<Vec<_>>().join("\n");
     text.push_str(&format!(
-        "\nbed time of gains, identification, design and optimisation: {:.0} s\n",
+        "\nbed time of gains, identification, design, optimisation and points at rest: {:.0} s\n",
         r.bed_s()
     ));
     text

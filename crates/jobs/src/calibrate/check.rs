@@ -217,6 +217,7 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
         ("identify.init_samples", s.identify.init_samples, 0, 100_000),
         ("design.max_evaluations", s.design.max_evaluations, 1, 1_000_000),
         ("design.starts", s.design.starts, 1, 1000),
+        ("invert.at_rest.points", s.invert.at_rest.points, 3, 50),
         ("optimise.passes", s.optimise.passes, 1, 100),
         ("optimise.max_iterations", s.optimise.max_iterations, 1, 100_000),
         ("validate.scenario.points", s.validate.scenario.points, 1, 10_000),
@@ -228,6 +229,9 @@ fn counts(s: &CalibrateSpec, faults: &mut Faults) {
         }
     }
     faults.range("optimise.smoothing", s.optimise.smoothing, 0.0, 1e3, "of the objective");
+    let r = &s.invert.at_rest;
+    faults.range("invert.at_rest.hold_s", r.hold_s, s.sample_time_s, 600.0, "s");
+    faults.range("invert.at_rest.average_s", r.average_s, s.sample_time_s, r.hold_s, "s");
     faults.range("optimise.give", s.optimise.give, 0.0, 0.1, "of the range of a demand");
     faults.range("optimise.tolerance", s.optimise.tolerance, 1e-12, 1e-2, "of the scaled KKT error");
     faults.range(

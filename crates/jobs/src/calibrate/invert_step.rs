@@ -1,13 +1,15 @@
-//! Step 5: from measured optimal records to the dynamic map that is delivered, and other structures beside it where they are made
-//! for the problem.
+//! Step 5: from measured optimal records to the dynamic map that is delivered, moved onto points at rest, with dynamics that the
+//! models like best; and other structures beside it where they are made for the problem.
 
+use super::at_rest::{self, AtRest};
 use super::context::Context;
 use super::error::ChainError;
+use super::lag::OnModels;
 use super::optimise_plan::END_EFFECT;
 use super::records::RecordRef;
 use super::refine;
-use dynocal_calib::map::Rows;
 use dynocal_calib::map::structures::{self, FitTask, InverseScore, MapError, Pairs, StoredMap};
+use dynocal_calib::map::{FeedforwardMap, Rows};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
 use serde::{Deserialize, Serialize};
@@ -21,6 +23,8 @@ pub struct InvertResult {
     pub dynamic: StoredMap,
     /// Other structures, for comparison, as far as they are made for the problem and a fit that can be run was found.
     pub rivals: Vec<StoredMap>,
+    /// Points at rest that the delivered map was moved onto; none where the spec wants none.
+    pub at_rest: Option<AtRest>,
     /// Fits.
     pub scores: Vec<InverseScore>,
     /// Whether pairs came from measured or simulated responses.
@@ -80,6 +84,7 @@ pub fn invert(
     Ok(InvertResult {
         dynamic,
         rivals,
+        at_rest: None,
         scores,
         pairs: if simulated { "simulated" } else { "measured" }.into(),
         records: optima.iter().map(|d| d.name.clone()).collect(),
@@ -113,6 +118,35 @@ pub fn invert_refined(
         found = invert(ctx, &optima, left_out.to_vec(), models)?;
     }
     Ok(InvertResult { refined, refine_s, before, ..found })
+}
+
+/// The maps as they are delivered: with the dynamics that the models like best, and moved onto points at rest that the fitted one
+/// drives on the plant. What the plant has told of points at rest is told to all of them.
+///
+/// # Errors
+/// [`ChainError`].
+pub fn finished(
+    ctx: &Context,
+    folder: &Path,
+    fitted: InvertResult,
+    models: &[&StoredModel],
+) -> Result<InvertResult, ChainError> {
+    let judge = OnModels::new(ctx, models);
+    let cost = |map: &dyn FeedforwardMap| match ctx.watch.interrupted() {
+        true => f64::INFINITY,
+        false => judge.cost(map),
+    };
+    let leader = ctx.channels.driven.first().copied().unwrap_or(0);
+    let tuned = |map: StoredMap| {
+        let tuned = judge.tells().then(|| map.tuned(&cost, leader)).flatten();
+        tuned.unwrap_or(map)
+    };
+    let dynamic = tuned(fitted.dynamic);
+    let mut points = at_rest::measured(ctx, folder, &*dynamic)?;
+    let dynamic = at_rest::anchored(dynamic, points.as_mut());
+    let rivals = fitted.rivals.into_iter();
+    let rivals = rivals.map(|m| at_rest::anchored(tuned(m), points.clone().as_mut())).collect();
+    Ok(InvertResult { dynamic, rivals, at_rest: points, ..fitted })
 }
 
 fn pairs_of(

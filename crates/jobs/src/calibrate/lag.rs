@@ -1,64 +1,113 @@
-//! The lag of the strong simple rival, tuned on the run's own models.
+//! How well a map holds its demands by the identified models: what its dynamics are chosen by, and those of its strong simple
+//! rival, the lagged static map, alike.
 
+use super::context::Context;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::map::{FeedforwardMap, Rows};
 use dynocal_calib::problem::CalibrationProblem;
-use dynocal_calib::validate::Scenario;
+use dynocal_calib::validate::{Scenario, demand_steps, random_points};
 use dynocal_ident::data::{Channel, Dataset, Role};
-use dynocal_ident::stored::{StoredError, StoredModel};
+use dynocal_ident::stored::StoredModel;
+use dynocal_numerics::rng::Rng64;
 
 /// Longest time constant that the line search looks at, in s.
 const LONGEST_LAG_S: f64 = 0.6;
 /// Its steps.
 const STEPS: u32 = 30;
+/// Weight of the leading demand: it decides where the others do not care.
+const LEADING: f64 = 0.05;
+/// Time at the end of a hold over which a model's own offset is told, in s.
+const END_S: f64 = 0.5;
+/// Stream of the random points that dynamics are chosen on; those of the comparison are others.
+const STREAM: u64 = 401;
 
-/// The lag in s at which the static map, led by the actuator `leader`, holds the demands but the first best on the steps, by
-/// the identified models: the strong simple rival at its best. 0 where no model tells.
-///
-/// ```text
-/// tau = argmin sum_k sum_t |y_k(t) - w_k(t)| / (upper_k - lower_k)          from the first step on
-/// ```
-pub(super) fn best_lag(
-    problem: &CalibrationProblem,
-    (map, leader): (&StaticMap, usize),
-    steps: &Scenario,
-    models: &[&StoredModel],
+/// Models and demands that judge a map.
+pub(super) struct OnModels<'a> {
+    problem: &'a CalibrationProblem,
+    /// Place of the demand and model of it.
+    models: Vec<(usize, &'a StoredModel)>,
+    scenarios: Vec<Scenario>,
     sample_time_s: f64,
-) -> Result<f64, StoredError> {
-    let demand_of = |m: &&&StoredModel| {
-        let name = m.user_output().name;
-        problem.demands.iter().position(|d| d.output == name).filter(|k| *k > 0)
-    };
-    let judged: Vec<(usize, &&StoredModel)> =
-        models.iter().filter_map(|m| Some((demand_of(&m)?, m))).collect();
-    if judged.is_empty() {
-        return Ok(0.0);
+}
+
+impl<'a> OnModels<'a> {
+    /// Steps as in the comparison, and random points of their own.
+    pub(super) fn new(ctx: &'a Context, models: &[&'a StoredModel]) -> Self {
+        let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
+        let points = random_points(spec, problem, dt, &mut Rng64::stream(ctx.spec.seed, STREAM));
+        Self::over(problem, models, vec![demand_steps(spec, problem, dt), points], dt)
     }
-    let from = steps.switches.get(1).copied().unwrap_or(0);
-    let integral = |tau_s: f64| -> Result<f64, StoredError> {
-        let lagged = LaggedStaticMap { map, tau_s, leader };
-        let drive = lagged.drive(&steps.reference, sample_time_s);
-        let record = as_record(problem, &drive, steps, sample_time_s);
+
+    fn over(
+        problem: &'a CalibrationProblem,
+        models: &[&'a StoredModel],
+        scenarios: Vec<Scenario>,
+        sample_time_s: f64,
+    ) -> Self {
+        let place = |m: &&'a StoredModel| {
+            let name = m.user_output().name;
+            problem.demands.iter().position(|d| d.output == name).map(|k| (k, *m))
+        };
+        Self { problem, models: models.iter().filter_map(place).collect(), scenarios, sample_time_s }
+    }
+
+    /// Whether a demand other than the leading one has a model: the leading one alone says nothing of what follows it.
+    pub(super) fn tells(&self) -> bool {
+        self.models.iter().any(|(k, _)| *k > 0)
+    }
+
+    /// What transients of a map cost by the models:
+    ///
+    /// ```text
+    /// sum_k w_k sum_t |e_k(t) - mean of e_k at the end of the hold| / (upper_k - lower_k),   e_k = y_k - demand_k
+    /// ```
+    ///
+    /// from the first step on; w is 1, and 0.05 for the leading demand. What a model is off at rest is not the map's. Infinite
+    /// where a model runs away.
+    pub(super) fn cost(&self, map: &dyn FeedforwardMap) -> f64 {
         let mut sum = 0.0;
-        for (k, m) in &judged {
-            let d = &problem.demands[*k];
-            for run in m.simulate(&record, None)? {
-                let error = |t: usize| (run.y[t] - steps.reference.row(t)[*k]).abs() / (d.upper - d.lower);
-                sum += (from..run.y.len()).map(error).sum::<f64>();
+        for scenario in &self.scenarios {
+            let drive = map.drive(&scenario.reference, self.sample_time_s);
+            let record = as_record(self.problem, &drive, scenario, self.sample_time_s);
+            for (k, model) in &self.models {
+                let Ok(runs) = model.simulate(&record, None) else { return f64::INFINITY };
+                let d = &self.problem.demands[*k];
+                let weight = if *k == 0 { LEADING } else { 1.0 } / (d.upper - d.lower);
+                sum += runs.iter().map(|r| weight * self.moved(scenario, *k, &r.y)).sum::<f64>();
             }
         }
-        Ok(if sum.is_finite() { sum } else { f64::MAX })
-    };
+        if sum.is_finite() { sum } else { f64::INFINITY }
+    }
+
+    /// Absolute errors of demand `k` about their end in each hold, summed.
+    fn moved(&self, scenario: &Scenario, k: usize, y: &[f64]) -> f64 {
+        let error = |t: usize| y[t] - scenario.reference.row(t)[k];
+        let last = (END_S / self.sample_time_s).round().max(1.0) as usize;
+        let ends = scenario.switches.iter().skip(1).copied().chain([y.len()]);
+        let holds = scenario.switches.iter().copied().zip(ends).skip(1);
+        holds
+            .map(|(from, to)| {
+                let end = to.saturating_sub(last).max(from);
+                let rest = (end..to).map(error).sum::<f64>() / (to - end).max(1) as f64;
+                (from..to).map(|t| (error(t) - rest).abs()).sum::<f64>()
+            })
+            .sum()
+    }
+}
+
+/// The lag in s at which the static map, led by the actuator `leader`, costs least by the identified models
+/// ([`OnModels::cost`]): the strong simple rival at its best. 0 where no model tells.
+pub(super) fn best_lag((map, leader): (&StaticMap, usize), judge: &OnModels) -> f64 {
     let mut best = (f64::INFINITY, 0.0);
-    for k in 0..=STEPS {
+    for k in (0..=STEPS).filter(|_| judge.tells()) {
         let tau_s = LONGEST_LAG_S * f64::from(k) / f64::from(STEPS);
-        let value = integral(tau_s)?;
+        let value = judge.cost(&LaggedStaticMap { map, tau_s, leader });
         if value < best.0 {
             best = (value, tau_s);
         }
     }
-    Ok(best.1)
+    best.1
 }
 
 /// Inputs of a scenario as a record without outputs.
@@ -152,7 +201,8 @@ mod tests {
         for known_s in [0.06, 0.1, 0.15, 0.23, 0.37, 0.5] {
             for speed in [1000.0, 2000.0, 2800.0] {
                 let plant = engine(known_s);
-                let found = best_lag(&problem, (&map, 2), &steps(speed), &[&plant], DT_S).unwrap();
+                let judge = OnModels::over(&problem, &[&plant], vec![steps(speed)], DT_S);
+                let found = best_lag((&map, 2), &judge);
                 let cycles = known_s * speed / 2000.0;
                 let near =
                     (found - cycles).abs() <= step_s || (cycles > LONGEST_LAG_S && found == LONGEST_LAG_S);
@@ -165,6 +215,8 @@ mod tests {
     #[test]
     fn without_a_judge_there_is_no_lag() {
         let problem = CalibrationProblem::thesis();
-        assert_eq!(best_lag(&problem, (&map(&problem), 2), &steps(2000.0), &[], DT_S).unwrap(), 0.0);
+        let judge = OnModels::over(&problem, &[], vec![steps(2000.0)], DT_S);
+        assert!(!judge.tells());
+        assert_eq!(best_lag((&map(&problem), 2), &judge), 0.0);
     }
 }

@@ -5,6 +5,7 @@
 //! measured records (`excite.identification_files`), a stored model (`identify.files`), a designed and measured record
 //! (`design.record`). Every product can be taken out of the run folder and used elsewhere.
 
+pub mod at_rest;
 pub mod channels;
 mod check;
 pub mod context;

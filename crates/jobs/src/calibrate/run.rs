@@ -4,7 +4,7 @@ use super::context::Context;
 use super::design_step::{DesignResult, design};
 use super::error::ChainError;
 use super::excite_step::{ExciteResult, excite};
-use super::invert_step::{InvertResult, invert_refined};
+use super::invert_step::{InvertResult, finished, invert_refined};
 use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
 use super::records::RecordRef;
@@ -55,13 +55,19 @@ impl ChainResult {
         self.excite.as_ref().and_then(|d| d.result.tuned.as_ref()).map_or(0.0, |t| t.used_s)
     }
 
-    /// Bed time of tests of loops and of identification, design and optimisation records in s.
+    /// Bed time of tests of loops and of identification, design, optimisation records and points at rest in s.
     pub fn bed_s(&self) -> f64 {
         self.loops_bed_s()
             + self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
             + self.design.as_ref().map_or(0.0, |d| d.result.bed_s)
             + self.optimise.as_ref().map_or(0.0, |d| d.result.bed_s)
             + self.invert.as_ref().map_or(0.0, |d| d.result.refine_s)
+            + self.at_rest_bed_s()
+    }
+
+    /// Bed time of the points that the map was moved onto, in s.
+    pub fn at_rest_bed_s(&self) -> f64 {
+        self.invert.as_ref().and_then(|d| d.result.at_rest.as_ref()).map_or(0.0, |r| r.bed_s)
     }
 }
 
@@ -271,7 +277,8 @@ fn step_invert(
     how: How,
 ) -> Result<Option<Done<InvertResult>>, ChainError> {
     let optimise = needed(&result.optimise, "optimise")?;
-    let inputs = (&ctx.spec.invert, &optimise.digest);
+    // The points at rest move as those of the comparison do, and dynamics are chosen on demands like them.
+    let inputs = (&ctx.spec.invert, &ctx.spec.validate.scenario, &optimise.digest);
     run_step(ctx, folder, how, "invert", &inputs, |path| {
         let passes = &optimise.result.passes;
         let last = last_pass(&optimise.result)?;
@@ -286,7 +293,9 @@ fn step_invert(
                 left_out.push(format!("pass {}: {}", pass.pass, pass.reason));
             }
         }
-        let done = invert_refined(ctx, path, optima, &left_out, &last.models.chosen())?;
+        let models = last.models.chosen();
+        let fitted = invert_refined(ctx, path, optima, &left_out, &models)?;
+        let done = finished(ctx, path, fitted, &models)?;
         json::write_versioned(&path.join("dynamic_map.json"), "dynocal/dynamic-map", 3, &done.dynamic)?;
         Ok(done)
     })

@@ -333,17 +333,40 @@ pub struct InvertSpec {
     /// Records that the map itself drives with the loops about it, each as long as one of the optimisation, after each of which the
     /// map is fitted again (thesis section 7.8.2).
     pub refine: usize,
+    /// Points at rest on the plant that the map is moved onto.
+    pub at_rest: AtRestSpec,
 }
 
 impl Default for InvertSpec {
     fn default() -> Self {
         Self {
-            structure: "structured".into(),
+            structure: "lead_lag".into(),
             shape: toml::Table::new(),
-            rivals: vec!["published_7_18".into()],
+            rivals: vec!["structured".into(), "published_7_18".into()],
             pairs: "auto".into(),
             refine: 0,
+            at_rest: AtRestSpec::default(),
         }
+    }
+}
+
+/// The points at rest that a map is moved onto.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AtRestSpec {
+    /// Whether to measure them at all.
+    pub enabled: bool,
+    /// Points along the leading demand and along the first given channel.
+    pub points: usize,
+    /// Time at each point in s.
+    pub hold_s: f64,
+    /// Its end over which is averaged, in s.
+    pub average_s: f64,
+}
+
+impl Default for AtRestSpec {
+    fn default() -> Self {
+        Self { enabled: true, points: 5, hold_s: 3.5, average_s: 1.0 }
     }
 }
 

@@ -1,5 +1,6 @@
 //! `summary.json` of a calibration: results only, equal for equal runs (keys: docs/summary.md).
 
+use super::at_rest::AtRest;
 use super::design_step::Gain;
 use super::models::{FreeRunScore, OutputModels};
 use super::optimise_step::{Miss, Pass};
@@ -49,7 +50,8 @@ pub(crate) struct BedTimes {
     pub(crate) identification_s: f64,
     pub(crate) design_s: f64,
     pub(crate) optimisation_s: f64,
-    /// Gains, identification, design and optimisation: what a calibration needs.
+    pub(crate) at_rest_s: f64,
+    /// Gains, identification, design, optimisation and points at rest: what a calibration needs.
     pub(crate) total_s: f64,
     pub(crate) validation_records_s: f64,
     pub(crate) design_comparison_s: f64,
@@ -116,6 +118,8 @@ pub(crate) struct Inverse<'a> {
     pub(crate) records: &'a [String],
     pub(crate) left_out: &'a [String],
     pub(crate) scores: &'a [InverseScore],
+    /// Points at rest that the map was moved onto.
+    pub(crate) at_rest: Option<&'a AtRest>,
 }
 
 impl<'a> Summary<'a> {
@@ -158,6 +162,7 @@ impl<'a> Summary<'a> {
                 records: &d.result.records,
                 left_out: &d.result.left_out,
                 scores: &d.result.scores,
+                at_rest: d.result.at_rest.as_ref(),
             }),
             static_map: validate.map(|v| v.static_map.points.as_slice()),
             lag_s: validate.map(|v| v.lag_s),
@@ -176,6 +181,7 @@ fn bed_times(r: &ChainResult) -> BedTimes {
         identification_s: excite.map_or(0.0, |e| e.identification_bed_s),
         design_s: design.map_or(0.0, |d| d.bed_s),
         optimisation_s: r.optimise.as_ref().map_or(0.0, |d| d.result.bed_s),
+        at_rest_s: r.at_rest_bed_s(),
         total_s: r.bed_s(),
         validation_records_s: excite.map_or(0.0, |e| e.validation_bed_s),
         design_comparison_s: design.map_or(0.0, |d| d.comparison_bed_s),

@@ -3,7 +3,7 @@
 use super::context::{Context, Tone};
 use super::error::ChainError;
 use super::invert_step::InvertResult;
-use super::lag::best_lag;
+use super::lag::{OnModels, best_lag};
 use super::optimise_step::Pass;
 use super::records::{RecordRef, save_records};
 use super::static_search::calibrate_static;
@@ -56,30 +56,8 @@ pub const DYNAMIC: &str = "dynamic map";
 /// Name of the same before it was refined.
 pub const NOT_REFINED: &str = "dynamic map before refinement";
 
-/// The map as it was before records that it drove itself.
-struct Before<'a>(&'a dyn FeedforwardMap);
-
-impl FeedforwardMap for Before<'_> {
-    fn name(&self) -> &str {
-        NOT_REFINED
-    }
-
-    fn ports(&self) -> &Ports {
-        self.0.ports()
-    }
-
-    fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows {
-        self.0.drive(reference, sample_time_s)
-    }
-
-    fn steady(&self, reference: &[f64]) -> Vec<f64> {
-        self.0.steady(reference)
-    }
-
-    fn latency_s(&self, sample_time_s: f64) -> f64 {
-        self.0.latency_s(sample_time_s)
-    }
-}
+/// A map with the name that it has in the comparison.
+type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);
 
 /// Runs the step.
 ///
@@ -97,17 +75,18 @@ pub fn validate(
     let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
     let leader = ctx.channels.driven.first().copied().unwrap_or(0);
     let steps = demand_steps(spec, problem, dt);
-    let lag_s = best_lag(problem, (&static_map, leader), &steps, models, dt)?;
+    let lag_s = best_lag((&static_map, leader), &OnModels::new(ctx, models));
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
     let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
-    let before = inverse.before.as_ref().map(|m| Before(&**m));
-    let mut maps: Vec<&dyn FeedforwardMap> = vec![&*inverse.dynamic, &static_map, &lagged];
-    maps.extend(before.as_ref().map(|m| m as &dyn FeedforwardMap));
-    maps.extend(inverse.rivals.iter().map(|m| &**m));
+    // What is delivered is called so, whatever its structure.
+    let mut maps: Vec<NamedMap> =
+        vec![(&*inverse.dynamic, DYNAMIC), (&static_map, static_map.name()), (&lagged, lagged.name())];
+    maps.extend(inverse.before.as_ref().map(|m| -> NamedMap { (&**m, NOT_REFINED) }));
+    maps.extend(inverse.rivals.iter().map(|m| -> NamedMap { (&**m, m.name()) }));
+    let names: Vec<&str> = maps.iter().map(|m| m.1).collect();
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
     let scenarios = [random_points(spec, problem, dt, &mut rng), steps];
     let runs = run_all(ctx, folder, &maps, &scenarios)?;
-    let names: Vec<&str> = maps.iter().map(|m| m.name()).collect();
     let mut scores = Vec::new();
     for (scenario, records) in scenarios.iter().zip(&runs) {
         scores.extend(score(spec, problem, scenario, &names, &records.iter().collect::<Vec<_>>())?);
@@ -161,7 +140,7 @@ fn static_on_record(
 fn run_all(
     ctx: &Context,
     folder: &Path,
-    maps: &[&dyn FeedforwardMap],
+    maps: &[NamedMap],
     scenarios: &[Scenario],
 ) -> Result<Vec<Vec<Dataset>>, ChainError> {
     let jobs: Vec<(usize, usize)> =
@@ -186,7 +165,7 @@ fn run_all(
 fn run_map(
     ctx: &Context,
     folder: &Path,
-    map: &dyn FeedforwardMap,
+    (map, name): NamedMap,
     scenario: &Scenario,
 ) -> Result<Dataset, ChainError> {
     let drive = map.drive(&scenario.reference, ctx.spec.sample_time_s);
@@ -194,7 +173,7 @@ fn run_map(
     let inputs = (0..drive.width()).map(|k| drive.column(k)).collect();
     let given = (0..ctx.channels.given.len()).map(|k| scenario.reference.column(demands + k)).collect();
     let wanted = (0..demands).map(|k| scenario.reference.column(k)).collect();
-    let name = format!("{}, {}", map.name(), scenario.name);
+    let name = format!("{name}, {}", scenario.name);
     let plan = ctx.plan(&name, inputs, given, wanted, Tone::Open).settled(4.0);
     ctx.measure(folder, &plan, false)
 }

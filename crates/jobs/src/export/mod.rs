@@ -9,6 +9,7 @@ mod controller;
 mod dynamic_map;
 mod engine;
 mod fuelling;
+mod lead_lag;
 mod model;
 mod origin;
 mod response;
@@ -16,6 +17,7 @@ mod static_map;
 
 use std::path::{Path, PathBuf};
 
+use dynocal_calib::map::MapForm;
 use dynocal_calib::map::structures::StoredMap;
 use dynocal_control::stored::{CONTROLLER_SCHEMA, CONTROLLER_VERSION, StoredController};
 use dynocal_export::ExportError;
@@ -32,6 +34,7 @@ pub use crate::export_spec::{ExportKeys, ExportSpec};
 use crate::fuelling::stored::{FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
 pub use controller::controller;
 pub use dynamic_map::dynamic_map;
+pub use lead_lag::lead_lag;
 pub use model::model;
 pub use static_map::static_map;
 
@@ -257,20 +260,23 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
         }
         "dynocal/dynamic-map" => {
             let map: StoredMap = json::read_versioned(path, "dynocal/dynamic-map", 3)?;
-            let map = map.terms().ok_or_else(|| {
-                let reason = format!(
-                    "found a map of the structure `{}`, expected one that is made of terms",
-                    map.structure()
-                );
-                ExportJobError::source(path, reason)
-            })?;
             let dt = spec.sample_time_s.or(origin.sample_time_s).ok_or_else(|| {
                 ExportJobError::source(
                     path,
                     "found no run with its sample time, expected one around it (or --sample-time-s)",
                 )
             })?;
-            dynamic_map(map, dt)
+            match map.form() {
+                MapForm::Terms(terms) => dynamic_map(terms, dt),
+                MapForm::Tables(tables) => lead_lag(tables, dt),
+                MapForm::Other => {
+                    let reason = format!(
+                        "found a map of the structure `{}`, expected one that is made of terms or tables",
+                        map.structure()
+                    );
+                    return Err(ExportJobError::source(path, reason));
+                }
+            }
         }
         _ => {
             let package = format::read(&path.display().to_string(), &bytes)?;

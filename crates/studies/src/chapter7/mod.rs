@@ -37,6 +37,10 @@ fn tasks(o: &Options) -> Vec<Task> {
     let spec = spec.map(|s| {
         let mut s = CalibrateSpec { seed: o.seed, ..s };
         s.invert.refine = if o.reduced { 1 } else { 2 };
+        // The thesis' way from records to a map: terms, refined by records that the map drives.
+        s.invert.structure = "structured".into();
+        s.invert.rivals = vec!["published_7_18".into()];
+        s.invert.at_rest.enabled = false;
         s
     });
     let inputs = spec.as_ref().map_or_else(|e| json!(e.to_string()), |s| json!([s, UNSEEN]));

@@ -1,5 +1,6 @@
 //! The work: campaigns, and what they give in the numbers of the thesis.
 
+use dynocal_calib::map::MapForm;
 use dynocal_calib::map::structures::{InverseScore, r2};
 use dynocal_calib::optimise::{OptimiseOptions, Way, optimise_record};
 use dynocal_calib::problem::CalibrationProblem;
@@ -241,8 +242,8 @@ fn unseen(
     r: &ChainResult,
     other: &ChainResult,
 ) -> Result<Vec<(String, Option<f64>)>, StudyError> {
-    let map = r.invert.as_ref().and_then(|d| d.result.dynamic.terms().cloned());
-    let (Some(map), Some(d)) = (map, &other.optimise) else { return Ok(Vec::new()) };
+    let form = r.invert.as_ref().map(|d| d.result.dynamic.form());
+    let (Some(MapForm::Terms(map)), Some(d)) = (form, &other.optimise) else { return Ok(Vec::new()) };
     let Some(last) = d.result.passes.last() else { return Ok(Vec::new()) };
     let record = read(&d.folder, &last.records[1], spec)?;
     let channels = Channels::of(spec);

@@ -94,6 +94,7 @@ fn bed(s: &Summary) -> (Table, Bars) {
         ("identification", b.identification_s),
         ("design", b.design_s),
         ("optimisation", b.optimisation_s),
+        ("points at rest", b.at_rest_s),
     ];
     let beside = [
         ("validation records", b.validation_records_s),

@@ -4,6 +4,8 @@ use super::super::context::Context;
 use super::super::invert_step::InvertResult;
 use super::super::verdict::word;
 use super::parts::{label, percent, unit};
+use dynocal_calib::map::MapForm;
+use dynocal_calib::map::lead_lag::LeadLagMap;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::map::structured::StructuredMap;
 use dynocal_calib::validate::reference_row;
@@ -16,9 +18,10 @@ const GRID: (usize, usize) = (19, 13);
 /// The whole step.
 pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>) -> Section {
     let mut section = Section::new("Dynamic map").id("maps").text(format!(
-        "Fitted on {} responses of the records {}. It is a static part plus differences over a window of the filtered demand, which vanish in steady state.",
+        "Fitted on {} responses of the records {}. {}",
         i.pairs,
-        i.records.join(", ")
+        i.records.join(", "),
+        made_of(&i.dynamic.form())
     ));
     if !i.left_out.is_empty() {
         section = section.text(format!("Left out: {}.", i.left_out.join("; ")));
@@ -60,11 +63,108 @@ pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>
             section = section.columns(blocks);
         }
     }
-    let section = section.block(scores(i));
-    match i.dynamic.terms() {
-        Some(map) => section.block(coefficients(map)),
-        None => section,
+    let section = at_rest(section, i).block(scores(i));
+    match i.dynamic.form() {
+        MapForm::Terms(map) => section.block(coefficients(map)),
+        MapForm::Tables(map) => section.block(dynamics(map)).block(tables(map)),
+        MapForm::Other => section,
     }
+}
+
+fn made_of(form: &MapForm) -> String {
+    match form {
+        MapForm::Terms(_) => "It is a static part plus differences over a window of the filtered demand, which vanish in steady state.".into(),
+        MapForm::Tables(map) => format!(
+            "It is tables of {} by {} breakpoints for each actuator, and for those that follow a lag, whose time constant is a table as well, with a lead. The dynamics are those that hold the demands best by the identified models, on steps and on random points that are not those of the comparison; at rest they do not speak.",
+            map.demand.len(),
+            map.given.len()
+        ),
+        MapForm::Other => String::new(),
+    }
+}
+
+/// What the points at rest have told.
+fn at_rest(section: Section, i: &InvertResult) -> Section {
+    let Some(r) = &i.at_rest else { return section };
+    if !r.refused.is_empty() {
+        return section.text(format!("It was not moved onto points of the plant: {}.", r.refused));
+    }
+    let restless = match r.restless {
+        0 => String::new(),
+        n => format!(" {n} more had not come to rest and were left out."),
+    };
+    let mut table = Table::new(vec![
+        Column::text("Actuator"),
+        Column::number("before", "").digits(3),
+        Column::number("after", "").digits(3),
+        Column::text("unit"),
+    ])
+    .caption("What the plant took at these points less what the map gives there, root mean square");
+    for ((port, before), after) in i.dynamic.ports().actuators.iter().zip(&r.before).zip(&r.after) {
+        table = table.row([
+            label(&port.name).into(),
+            (*before).into(),
+            (*after).into(),
+            Cell::from(unit(&port.unit)),
+        ]);
+    }
+    section
+        .text(format!(
+            "Moved onto {} points at rest, {:.0} s of bed: the map drove them while the loops added what was missing, and that was taken into it.{restless}",
+            r.points.len(),
+            r.bed_s
+        ))
+        .block(table)
+}
+
+/// Lags and leads.
+fn dynamics(map: &LeadLagMap) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("Actuator"),
+        Column::number("lag in the middle", "s").digits(3),
+        Column::number("least", "s").digits(3),
+        Column::number("largest", "s").digits(3),
+        Column::number("lead, share of the lag", "-").digits(3),
+        Column::number("lost between breakpoints", "%").digits(3),
+    ])
+    .caption("Dynamics of the actuators, and the largest difference of their tables half-way between breakpoints from what they were made of (of the range of the table)");
+    for ((port, a), loss) in map.ports.actuators.iter().zip(&map.actuators).zip(&map.loss) {
+        let lags = Interval::spanning(a.lag_s.iter().copied());
+        table = table.row([
+            label(&port.name).into(),
+            a.law.tau_s.into(),
+            lags.lower.into(),
+            lags.upper.into(),
+            a.law.lead.into(),
+            (100.0 * loss).into(),
+        ]);
+    }
+    table
+}
+
+/// The numbers that are delivered.
+fn tables(map: &LeadLagMap) -> Details {
+    let mut details = Details::new("Tables of the dynamic map");
+    let lead = &map.ports.demands[0];
+    let given = map.ports.given.first();
+    for (port, a) in map.ports.actuators.iter().zip(&map.actuators) {
+        let parts = [("", unit(&port.unit), &a.base), (", lag", "s", &a.lag_s)];
+        for (what, of, values) in parts.into_iter().filter(|p| p.0.is_empty() || a.law.tau_s > 0.0) {
+            let name = format!("{}{what} [{of}]", label(&port.name));
+            let head = map.given.iter().map(|n| match given {
+                Some(g) => Column::number(&format!("{} {n:.4}", g.name), unit(&g.unit)).digits(4),
+                None => Column::number("value", of).digits(4),
+            });
+            let first = Column::number(label(&lead.name), unit(&lead.unit)).digits(4);
+            let mut table = Table::new([first].into_iter().chain(head).collect()).caption(name);
+            for (t, row) in map.demand.iter().zip(values.chunks(map.given.len())) {
+                let cells = row.iter().map(|v| Cell::from(*v));
+                table = table.row([Cell::from(*t)].into_iter().chain(cells).collect::<Vec<_>>());
+            }
+            details = details.block(table);
+        }
+    }
+    details
 }
 
 /// The drawn plane: given channel and leading demand, everything else in its middle.

@@ -1,0 +1,443 @@
+//! Base tables with a lead and a lag: what a calibrator reads, edits and signs.
+//!
+//! With the leading demand T, the first given channel N and every other reference r about its rest r0, for every actuator
+//!
+//! ```text
+//! v(t)  = B(T, N) + sum_r S_r(T, N) (r - r0)          tables, bilinear
+//! tau x' + x = v,      u = x + h (v - x)              (1 + h tau s) / (1 + tau s),  tau = tau(T, N) a table
+//! ```
+//!
+//! At rest u = v, so that dynamics never move what holds at rest. The tables come from the structured inverse of the optimal
+//! records at rest; [`LeadLagMap::anchored`] moves them onto points that were measured at rest, and [`LeadLagMap::tuned`] chooses
+//! h and tau(T, N) = tau0 (N0/N)^a (T/T0)^b for every actuator that does not lead, by models of the plant.
+
+use super::lookup::Corners;
+use super::structured::terms::{self, Scale, Term};
+use super::structured::{StructuredMap, StructuredShape};
+use super::structures::{
+    FitTask, FittedMap, InverseScore, MapError, MapRow, MapStructure, Pairs, StoredMap, r2,
+};
+use super::{FeedforwardMap, FirstOrder, Judge, MapForm, Ports, Rows, SteadyPoint, anchor};
+use dynocal_files::spec::Faults;
+use dynocal_numerics::interval::Interval;
+use dynocal_numerics::registry::{self, MemberDoc, ParamDoc};
+use dynocal_numerics::status::Status;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Row of the table.
+pub(super) const ROW: MapRow = MapRow {
+    doc: MemberDoc {
+        name: "lead_lag",
+        what: "base tables over the leading demand and the first given channel, each with a lead and a table of lags",
+        params: &[
+            ParamDoc {
+                name: "demand_points",
+                unit: "-",
+                default: "9",
+                what: "breakpoints of the leading demand",
+            },
+            ParamDoc {
+                name: "given_points",
+                unit: "-",
+                default: "9",
+                what: "breakpoints of the given channel",
+            },
+        ],
+    },
+    fits: |ports| !ports.demands.is_empty(),
+    build: |keys| Ok(Box::new(registry::keys::<LeadLagShape>("lead_lag", keys)?)),
+    read: |map| Ok(Arc::new(serde_json::from_value::<LeadLagMap>(map)?)),
+};
+
+/// Longest lag that is looked for, in s.
+const LONGEST_S: f64 = 0.6;
+/// Steps of the line search of the lag that all followers share at first.
+const STEPS: u32 = 30;
+/// Times that the steps of the search of each actuator's own dynamics are halved.
+const HALVINGS: u32 = 4;
+/// Share of the judged number by which a change must pay.
+const PAYS: f64 = 1e-3;
+
+/// Shape of the map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LeadLagShape {
+    /// Breakpoints of the leading demand.
+    pub demand_points: usize,
+    /// Breakpoints of the first given channel.
+    pub given_points: usize,
+}
+
+impl Default for LeadLagShape {
+    fn default() -> Self {
+        Self { demand_points: 9, given_points: 9 }
+    }
+}
+
+/// Dynamics of one actuator.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LagLaw {
+    /// Lag in s in the middle of both axes.
+    pub tau_s: f64,
+    /// Power of (middle / given channel).
+    pub by_given: f64,
+    /// Power of (leading demand / middle).
+    pub by_demand: f64,
+    /// Time constant of the lead over that of the lag: 0 a lag, 1 at once.
+    pub lead: f64,
+}
+
+impl LagLaw {
+    /// At once.
+    const NONE: Self = Self { tau_s: 0.0, by_given: 1.0, by_demand: 0.0, lead: 0.0 };
+}
+
+/// The map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeadLagMap {
+    /// What it reads and gives.
+    pub ports: Ports,
+    /// Breakpoints of the leading demand.
+    pub demand: Vec<f64>,
+    /// Breakpoints of the first given channel; one value where there is none.
+    pub given: Vec<f64>,
+    /// Range of each reference in the data; references outside are clamped to it.
+    pub region: Vec<Interval>,
+    /// Rest of each reference that is no axis, and its place among the references.
+    pub others: Vec<OtherReference>,
+    /// Actuators in the order of the ports.
+    pub actuators: Vec<ActuatorTables>,
+    /// Largest difference of the tables between their breakpoints from what they were made of, as a share of the range of each
+    /// actuator's table.
+    pub loss: Vec<f64>,
+}
+
+/// A reference that acts by slopes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OtherReference {
+    /// Place among the references.
+    pub place: usize,
+    /// Value at which the base tables hold.
+    pub rest: f64,
+}
+
+/// Tables of one actuator, leading demand slow, given channel fast.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActuatorTables {
+    /// Values at rest.
+    pub base: Vec<f64>,
+    /// Slopes over each other reference.
+    pub slopes: Vec<Vec<f64>>,
+    /// Time constants of the lag in s.
+    pub lag_s: Vec<f64>,
+    /// What they were made of.
+    pub law: LagLaw,
+}
+
+impl MapStructure for LeadLagShape {
+    fn check(&self, _ports: &Ports, key: &str, faults: &mut Faults) {
+        for (name, n) in [("demand_points", self.demand_points), ("given_points", self.given_points)] {
+            if !(2..=65).contains(&n) {
+                faults.push(&format!("{key}.{name}"), n, "from 2 to 65");
+            }
+        }
+    }
+
+    fn filter_s(&self, demand: &str, k: usize) -> Vec<f64> {
+        StructuredShape::default().filter_of(demand, k).to_vec()
+    }
+
+    fn fit(&self, task: &FitTask) -> Result<FittedMap, MapError> {
+        let inverse = StructuredMap::fit(&StructuredShape::default(), task.ports, task.pairs)?;
+        let map = LeadLagMap::from_inverse(self, &inverse, task.pairs);
+        let scores = map.scores(task.pairs);
+        Ok(FittedMap { map: Some(StoredMap::new(map)), scores })
+    }
+}
+
+/// `n` values over a range.
+fn spread(range: Interval, n: usize) -> Vec<f64> {
+    (0..n).map(|k| range.lower + range.width() * k as f64 / (n - 1) as f64).collect()
+}
+
+impl LeadLagMap {
+    /// Tables of an inverse at rest, without dynamics.
+    fn from_inverse(shape: &LeadLagShape, inverse: &StructuredMap, pairs: &[Pairs]) -> Self {
+        let (ports, region) = (inverse.ports.clone(), inverse.region.clone());
+        let first_given = (!ports.given.is_empty()).then_some(ports.demands.len());
+        let demand = spread(region[0], shape.demand_points);
+        let given = first_given.map_or_else(|| vec![0.0], |g| spread(region[g], shape.given_points));
+        let others: Vec<OtherReference> = (1..ports.n_references())
+            .filter(|r| Some(*r) != first_given)
+            .map(|place| OtherReference { place, rest: mean_of(pairs, place) })
+            .collect();
+        let mut row = vec![0.0; ports.n_references()];
+        others.iter().for_each(|o| row[o.place] = o.rest);
+        let at = |t: f64, n: f64, row: &mut Vec<f64>| {
+            row[0] = t;
+            if let Some(g) = first_given {
+                row[g] = n;
+            }
+            inverse.steady(row)
+        };
+        let cells = demand.len() * given.len();
+        let mut actuators: Vec<ActuatorTables> = ports
+            .actuators
+            .iter()
+            .map(|_| ActuatorTables {
+                base: Vec::with_capacity(cells),
+                slopes: vec![Vec::with_capacity(cells); others.len()],
+                lag_s: vec![0.0; cells],
+                law: LagLaw::NONE,
+            })
+            .collect();
+        for &t in &demand {
+            for &n in &given {
+                let base = at(t, n, &mut row);
+                actuators.iter_mut().zip(&base).for_each(|(a, v)| a.base.push(*v));
+                for (k, o) in others.iter().enumerate() {
+                    // A tenth of what was seen on either side: the slope about its rest.
+                    let half = 0.1 * region[o.place].width();
+                    let mut side = |sign: f64| {
+                        row[o.place] = o.rest + sign * half;
+                        at(t, n, &mut row)
+                    };
+                    let (up, down) = (side(1.0), side(-1.0));
+                    row[o.place] = o.rest;
+                    for (c, a) in actuators.iter_mut().enumerate() {
+                        let slope = (up[c] - down[c]) / (2.0 * half);
+                        a.slopes[k].push(if slope.is_finite() { slope } else { 0.0 });
+                    }
+                }
+            }
+        }
+        let mut map = Self { ports, demand, given, region, others, actuators, loss: Vec::new() };
+        map.loss = map.loss_against(|t, n| at(t, n, &mut row));
+        map
+    }
+
+    /// Largest difference of every base table from `whole` half-way between its breakpoints, as a share of its range.
+    fn loss_against(&self, mut whole: impl FnMut(f64, f64) -> Vec<f64>) -> Vec<f64> {
+        let between = |axis: &[f64]| -> Vec<f64> {
+            let middles: Vec<f64> = axis.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect();
+            if middles.is_empty() { axis.to_vec() } else { middles }
+        };
+        let mut worst = vec![0.0f64; self.actuators.len()];
+        for t in between(&self.demand) {
+            for n in between(&self.given) {
+                let (corners, exact) = (Corners::around(&self.demand, &self.given, t, n), whole(t, n));
+                for (w, (a, e)) in worst.iter_mut().zip(self.actuators.iter().zip(exact)) {
+                    *w = w.max((corners.of(|k| a.base[k]) - e).abs());
+                }
+            }
+        }
+        let range = |a: &ActuatorTables| Interval::spanning(a.base.iter().copied()).width();
+        worst.iter().zip(&self.actuators).map(|(w, a)| w / range(a).max(f64::MIN_POSITIVE)).collect()
+    }
+
+    /// Corners about the axes' place of one row of references.
+    fn corners(&self, reference: &[f64]) -> Corners {
+        let given = if self.ports.given.is_empty() { 0.0 } else { reference[self.ports.demands.len()] };
+        Corners::around(&self.demand, &self.given, reference[0], given)
+    }
+
+    /// Values of the tables at a row of references, before the dynamics.
+    fn at_rest(&self, reference: &[f64], corners: &Corners, v: &mut [f64]) {
+        for (v, a) in v.iter_mut().zip(&self.actuators) {
+            *v = corners.of(|k| a.base[k]);
+            for (slope, o) in a.slopes.iter().zip(&self.others) {
+                *v += corners.of(|k| slope[k]) * (self.region[o.place].clamp(reference[o.place]) - o.rest);
+            }
+        }
+    }
+
+    /// How well the tables alone give each actuator of the records.
+    fn scores(&self, data: &[Pairs]) -> Vec<InverseScore> {
+        let width = self.actuators.len();
+        let mut v = vec![0.0; width];
+        let mut columns = vec![(Vec::new(), Vec::new()); width];
+        for pairs in data {
+            for (reference, applied) in pairs.response.iter().zip(pairs.actuators.iter()) {
+                self.at_rest(reference, &self.corners(reference), &mut v);
+                for (c, (y, z)) in columns.iter_mut().enumerate() {
+                    y.push(v[c]);
+                    z.push(applied[c]);
+                }
+            }
+        }
+        let score = |(port, (y, z)): (&super::ActuatorPort, (Vec<f64>, Vec<f64>))| InverseScore {
+            map: "tables at rest".into(),
+            actuator: port.name.clone(),
+            estimator: "least squares".into(),
+            r2: r2(&y, &z),
+            status: Status::Converged,
+        };
+        self.ports.actuators.iter().zip(columns).map(score).collect()
+    }
+
+    /// The table of lags of a law.
+    fn lags(&self, law: &LagLaw) -> Vec<f64> {
+        let middle = |axis: &[f64]| 0.5 * (axis[0] + axis[axis.len() - 1]);
+        let (t0, n0) = (middle(&self.demand), middle(&self.given));
+        // A channel that reaches zero or changes its sign has no powers.
+        let power = |ratio: f64, p: f64| if ratio > 0.0 && ratio.is_finite() { ratio.powf(p) } else { 1.0 };
+        let cells = self.demand.iter().flat_map(|t| self.given.iter().map(move |n| (*t, *n)));
+        cells
+            .map(|(t, n)| {
+                let tau = law.tau_s * power(n0 / n, law.by_given) * power(t / t0, law.by_demand);
+                tau.clamp(0.0, 2.0 * LONGEST_S)
+            })
+            .collect()
+    }
+
+    /// The map with other dynamics of some actuators.
+    fn with(&self, laws: &[(usize, LagLaw)]) -> Self {
+        let mut map = self.clone();
+        for (c, law) in laws {
+            map.actuators[*c].lag_s = self.lags(law);
+            map.actuators[*c].law = *law;
+        }
+        map
+    }
+}
+
+/// Mean of a reference over all records.
+fn mean_of(pairs: &[Pairs], place: usize) -> f64 {
+    let n: usize = pairs.iter().map(|p| p.response.len()).sum();
+    let sum: f64 = pairs.iter().flat_map(|p| p.response.iter()).map(|r| r[place]).sum();
+    sum / n.max(1) as f64
+}
+
+/// Changes of a law that the search tries, at steps of `size` (1, then halves of it).
+fn neighbours(law: LagLaw, size: f64) -> impl Iterator<Item = LagLaw> {
+    let changes = [(0.03, 0.0, 0.0, 0.0), (0.0, 0.4, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.0, 0.0, 0.0, 0.2)];
+    changes.into_iter().flat_map(move |(tau, given, demand, lead)| {
+        [size, -size].map(|s| LagLaw {
+            tau_s: (law.tau_s + s * tau).clamp(0.0, LONGEST_S),
+            by_given: (law.by_given + s * given).clamp(-1.0, 3.0),
+            by_demand: (law.by_demand + s * demand).clamp(-1.0, 1.0),
+            lead: (law.lead + s * lead).clamp(0.0, 1.0),
+        })
+    })
+}
+
+impl FeedforwardMap for LeadLagMap {
+    fn name(&self) -> &str {
+        "map with lead and lag"
+    }
+
+    fn ports(&self) -> &Ports {
+        &self.ports
+    }
+
+    fn drive(&self, reference: &Rows, sample_time_s: f64) -> Rows {
+        let width = self.actuators.len();
+        let mut out = Rows::from_values(width, vec![0.0; reference.len() * width]);
+        let (mut v, mut lags) = (vec![0.0; width], Vec::new());
+        for t in 0..reference.len() {
+            let row = reference.row(t);
+            let corners = self.corners(row);
+            self.at_rest(row, &corners, &mut v);
+            if t == 0 {
+                lags.extend(v.iter().map(|v| FirstOrder::new(*v)));
+            }
+            let u = out.row_mut(t);
+            for (c, (lag, a)) in lags.iter_mut().zip(&self.actuators).enumerate() {
+                let x = lag.step(v[c], sample_time_s, corners.of(|k| a.lag_s[k]));
+                u[c] = x + a.law.lead * (v[c] - x);
+            }
+            self.ports.clamp(u);
+        }
+        out
+    }
+
+    fn steady(&self, reference: &[f64]) -> Vec<f64> {
+        let mut v = vec![0.0; self.actuators.len()];
+        self.at_rest(reference, &self.corners(reference), &mut v);
+        self.ports.clamp(&mut v);
+        v
+    }
+
+    fn structure(&self) -> &'static str {
+        ROW.doc.name
+    }
+
+    fn stored(&self) -> Result<serde_json::Value, serde_json::Error> {
+        serde_json::to_value(self)
+    }
+
+    fn form(&self) -> MapForm<'_> {
+        MapForm::Tables(self)
+    }
+
+    /// Tables moved by the correction of the points inside of their box, and by its value at the edge outside.
+    fn anchored(&self, points: &[SteadyPoint]) -> Option<StoredMap> {
+        let scales: Vec<Scale> = self.region.iter().map(|r| Scale::of_range(*r)).collect();
+        let all = terms::terms(&self.ports, &scales, &StructuredShape::default());
+        let own = anchor::at_rest(&all, self.ports.demands.len());
+        let terms: Vec<Term> = own.iter().map(|k| all[*k].clone()).collect();
+        let moved = anchor::correction(&terms, &scales, points, |r| self.steady(r))?;
+        let span = |r: usize| Interval::spanning(points.iter().map(|p| p.reference[r]));
+        let box_of: Vec<Interval> = (0..self.region.len()).map(span).collect();
+        // Given channels beyond the first are no axes: where the points were.
+        let mut at: Vec<f64> = box_of.iter().map(|b| b.middle()).collect();
+        let (mut map, mut row, first_given) = (self.clone(), Vec::new(), self.ports.demands.len());
+        for (i, t) in self.demand.iter().enumerate() {
+            for (j, n) in self.given.iter().enumerate() {
+                at[0] = box_of[0].clamp(*t);
+                if let Some(b) = box_of.get(first_given) {
+                    at[first_given] = b.clamp(*n);
+                }
+                terms::values(&terms, &scales, |r, _| at[r], &mut row);
+                for (a, delta) in map.actuators.iter_mut().zip(&moved) {
+                    a.base[i * self.given.len() + j] += dynocal_numerics::linalg::dot(&row, delta);
+                }
+            }
+        }
+        Some(StoredMap::new(map))
+    }
+
+    /// First one lag for all that follow, by a line search (0 to 0.6 s, inverse to the given channel); then for each of them lag,
+    /// powers and lead by steps that are halved, each step for at least a thousandth of what is judged.
+    fn tuned(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
+        let followers: Vec<usize> = (0..self.actuators.len()).filter(|c| *c != leader).collect();
+        let together =
+            |law: LagLaw| -> Vec<(usize, LagLaw)> { followers.iter().map(|c| (*c, law)).collect() };
+        let mut best = (f64::INFINITY, self.clone());
+        for k in 0..=STEPS {
+            let law = LagLaw { tau_s: LONGEST_S * f64::from(k) / f64::from(STEPS), ..LagLaw::NONE };
+            let map = self.with(&together(law));
+            let value = judge(&map);
+            if value < best.0 {
+                best = (value, map);
+            }
+        }
+        if !best.0.is_finite() {
+            return None;
+        }
+        for halving in 0..HALVINGS {
+            for &c in &followers {
+                for law in neighbours(best.1.actuators[c].law, 0.5f64.powi(halving as i32)) {
+                    let map = best.1.with(&[(c, law)]);
+                    let value = judge(&map);
+                    if value < (1.0 - PAYS) * best.0 {
+                        best = (value, map);
+                    }
+                }
+            }
+        }
+        Some(StoredMap::new(best.1))
+    }
+
+    fn latency_s(&self, _sample_time_s: f64) -> f64 {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests;
