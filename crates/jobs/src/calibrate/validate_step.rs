@@ -9,7 +9,7 @@ use super::records::{RecordRef, save_records};
 use super::static_search::calibrate_static;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
-use dynocal_calib::map::{FeedforwardMap, Ports, Rows};
+use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::validate::{MapScore, Scenario, demand_steps, random_points, score};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
