@@ -244,7 +244,8 @@ mod tests {
         assert!(Trim::learn(&axes, &[vec![0.5]], &[1.0], &[f64::NAN]).is_none());
     }
 
-    /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one.
+    /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one,
+    /// and less than one measurement has.
     #[test]
     fn scatter_is_not_followed() {
         let mut rng = Rng64::new(5);
@@ -259,7 +260,7 @@ mod tests {
         let chosen = Trim::learn(&axes, &at, &up, &r).unwrap();
         let soft = Trim::with_lambda(&axes, &at, &up, &r, LAMBDAS[0]).unwrap();
         assert!(
-            error(&chosen) < 0.05 && error(&chosen) < 0.6 * error(&soft),
+            error(&chosen) < 0.1 && error(&chosen) < 0.6 * error(&soft),
             "{} {}",
             error(&chosen),
             error(&soft)

@@ -74,7 +74,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         let engines: Vec<_> =
             own.chain((1..=others).map(|k| (format!("perturbed:{}:{k}", e.name), o.seed))).collect();
         for (parameters, seed) in engines {
-            let counts = if o.reduced { (50, 0) } else { (UNSEEN, SEARCHED) };
+            let counts = if o.reduced { (6, 1) } else { (UNSEEN, SEARCHED) };
             let name = format!("{}-{seed}", parameters.replace(':', "-"));
             tasks.push(task(name, e, parameters, seed, counts, None));
         }
