@@ -64,7 +64,7 @@ pub struct Drive {
 pub struct Trimmed {
     /// RMS of what the map missed along the lines before.
     pub before: f64,
-    /// Scatter of a window about the trimmed map, lags of the way counted in.
+    /// Scatter of a window about the trimmed map and the lag of its way.
     pub scatter: f64,
     /// RMS of what a line differs from what the lines beside it say of it; none with fewer than three lines.
     pub between: Option<f64>,

@@ -5,10 +5,11 @@
 //!
 //! ```text
 //! r = log u - log g(q)      u: input as measured, g(q): what its model expects there ([`super::drive`])
-//! u_map = g(q) exp(trim)    trim: r over the axes of the maps, there and back averaged ([`dynocal_calib::steady::trim`])
+//! u_map = g(q) exp(trim)    trim: r over the axes of the maps without the lag of the way ([`dynocal_calib::steady::trim`])
 //! ```
 //!
-//! Free inputs follow the maps as an ECU will interpolate them. A line ends where a limit is touched, and goes through cells that hold an
+//! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with g, so that the loops have only the rest to
+//! do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
 //! optimum only.
 
 use dynocal_calib::steady::cell::Setting;
@@ -56,14 +57,25 @@ struct Line {
     /// Value of the other axis; none where there is none.
     other: Option<f64>,
     nodes: Vec<Vec<f64>>,
+    /// What the maps of the driven inputs say at the nodes, by loop.
+    driven: Vec<Vec<f64>>,
+}
+
+/// A window of a sweep.
+struct Window {
+    line: usize,
+    /// 1: up the first axis; -1: down.
+    up: f64,
+    row: SweepRow,
 }
 
 /// Bed time that the sweeps of a spec take, about.
 pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
     let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
+    let a = &spec.bed.approach;
     // There and back, and to the next line with its rest.
-    lines as f64 * (2.0 * s.pass_s + 0.5 * spec.bed.approach.ramp_s + 3.0 * spec.bed.approach.window_s)
+    lines as f64 * (2.0 * s.pass_s + 0.5 * a.ramp_s + 3.0 * a.window_s + a.average_s)
 }
 
 impl Lines<'_> {
@@ -80,11 +92,11 @@ impl Lines<'_> {
         watch: Watch,
     ) -> Result<Option<Sweeps>, MapError> {
         let Some(spec) = &self.spec.bed.sweep else { return Ok(None) };
-        let lines = self.lines(spec);
+        let lines = self.lines(spec, drives)?;
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
         let begun_s = bench.used_s();
         let mut sweeps = Sweeps { planned: lines.len(), ..Sweeps::default() };
-        let mut rows: Vec<(usize, SweepRow)> = Vec::new();
+        let mut rows: Vec<Window> = Vec::new();
         for (k, line) in lines.iter().enumerate() {
             if bench.used_s() >= bed_s {
                 sweeps
@@ -99,7 +111,16 @@ impl Lines<'_> {
                 Some(t) => sweeps.notes.push(format!("{} ended early: {}", self.named(line), t.words)),
                 None => sweeps.whole += 1,
             }
-            rows.extend(swept.rows.into_iter().map(|r| (k, r)));
+            let ends: Vec<f64> = [from[0]].into_iter().chain(legs.iter().map(|l| l.to[0])).collect();
+            let up = |leg: usize| (ends[leg + 1] - ends[leg]).signum();
+            let mut way = 0.0;
+            for row in swept.rows {
+                // The first window of a way is not yet behind by all of the lag.
+                let before = std::mem::replace(&mut way, up(row.leg));
+                if before == way {
+                    rows.push(Window { line: k, up: way, row });
+                }
+            }
         }
         sweeps.rows = rows.len();
         sweeps.bed_s = bench.used_s() - begun_s;
@@ -126,7 +147,7 @@ impl Lines<'_> {
     }
 
     /// Lines along the first axis, each as long as all cells around it hold an optimum.
-    fn lines(&self, spec: &SweepSpec) -> Vec<Line> {
+    fn lines(&self, spec: &SweepSpec, drives: &[Drive]) -> Result<Vec<Line>, MapError> {
         let others: Vec<Option<f64>> = match self.axes.get(1) {
             Some(a) => finer(std::slice::from_ref(a), spec.between)[0].iter().map(|v| Some(*v)).collect(),
             None => vec![None],
@@ -138,76 +159,109 @@ impl Lines<'_> {
             };
             let all: Vec<Vec<f64>> = self.axes[0].iter().map(place).collect();
             let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
-            let nodes = longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
-            Line { other, nodes }
+            let nodes: Vec<Vec<f64>> =
+                longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
+            let driven = drives.iter().map(|d| self.models_say(d, &nodes)).collect::<Result<_, _>>()?;
+            Ok(Line { other, nodes, driven })
         };
-        others.into_iter().map(line).filter(|l| l.nodes.len() > 1).collect()
+        let all: Vec<Line> = others.into_iter().map(line).collect::<Result<_, MapError>>()?;
+        Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
+    }
+
+    /// What the map of a driven input says at factors, all responses being as they are expected there.
+    fn models_say(&self, drive: &Drive, factors: &[Vec<f64>]) -> Result<Vec<f64>, MapError> {
+        let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(self.setting, x)).collect();
+        let asked: Vec<(&[f64], &[f64])> =
+            factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
+        Ok(drive.at(self.layout, &asked)?.into_iter().map(|v| v.value).collect())
     }
 
     /// There and back, beginning at the nearer end.
     fn path(&self, line: &Line, now: &[f64], pass_s: f64) -> (Vec<f64>, Vec<Leg>) {
-        let mut nodes: Vec<&Vec<f64>> = line.nodes.iter().collect();
-        let far = |x: &[f64]| (x[0] - now[0]).abs();
-        if far(nodes[nodes.len() - 1]) < far(nodes[0]) {
-            nodes.reverse();
+        let mut order: Vec<usize> = (0..line.nodes.len()).collect();
+        let far = |k: usize| (line.nodes[k][0] - now[0]).abs();
+        if far(order.len() - 1) < far(0) {
+            order.reverse();
         }
+        let begin = line.nodes[order[0]].clone();
+        order.extend(order.clone().into_iter().rev().skip(1));
         let axis = &self.axes[0];
         let whole = axis[axis.len() - 1] - axis[0];
-        let there: Vec<Leg> = nodes
-            .windows(2)
-            .map(|w| Leg { to: w[1].clone(), seconds: pass_s * (w[1][0] - w[0][0]).abs() / whole })
-            .collect();
-        let back = nodes.windows(2).rev().zip(there.iter().rev());
-        let back = back.map(|(w, leg)| Leg { to: w[0].clone(), seconds: leg.seconds }).collect::<Vec<_>>();
-        (nodes[0].clone(), there.into_iter().chain(back).collect())
+        let leg = |w: &[usize]| {
+            let (a, b) = (&line.nodes[w[0]], &line.nodes[w[1]]);
+            // A model that says nothing there is not fed forward.
+            let change = |d: &Vec<f64>| Some(d[w[1]] - d[w[0]]).filter(|v| v.is_finite()).unwrap_or(0.0);
+            Leg {
+                to: b.clone(),
+                seconds: pass_s * (b[0] - a[0]).abs() / whole,
+                driven: line.driven.iter().map(change).collect(),
+            }
+        };
+        (begin, order.windows(2).map(leg).collect())
     }
 
-    /// Learns the trim of the input of loop `l` from rows with room.
-    fn trim(
-        &self,
-        l: usize,
-        drive: &mut Drive,
-        rows: &[(usize, SweepRow)],
-        knots: &[Vec<f64>],
-    ) -> Result<(), MapError> {
+    /// Learns the trim of the input of loop `l` from windows with room.
+    fn trim(&self, l: usize, drive: &mut Drive, rows: &[Window], knots: &[Vec<f64>]) -> Result<(), MapError> {
         let (n, drift) = (self.layout.axes, self.drift.get(l).filter(|d| d.corrected));
-        let used: Vec<&(usize, SweepRow)> = rows.iter().filter(|r| !r.1.at_end[l]).collect();
-        let expected: Vec<Vec<f64>> = used.iter().map(|r| expected(self.setting, &r.1.factors)).collect();
-        let asked: Vec<(&[f64], &[f64])> =
-            used.iter().zip(&expected).map(|(r, e)| (&r.1.factors[..], &e[..])).collect();
-        let model = drive.at(self.layout, &asked)?;
-        let (mut at, mut missed, mut of) = (Vec::new(), Vec::new(), Vec::new());
-        for ((line, row), model) in used.into_iter().zip(model) {
-            let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (row.at_s - d.mean_s));
-            let r = drive.missed_by(row.responses[l] - gone, model.value);
+        let used: Vec<&Window> = rows.iter().filter(|w| !w.row.at_end[l]).collect();
+        let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
+        let mut missed = Missed::default();
+        for (w, model) in used.into_iter().zip(self.models_say(drive, &factors)?) {
+            let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s));
+            let r = drive.missed_by(w.row.responses[l] - gone, model);
             if r.is_finite() {
-                at.push(row.factors[..n].to_vec());
-                missed.push(r);
-                of.push(*line);
+                missed.push(w.row.factors[..n].to_vec(), w.up, r, w.line);
             }
         }
-        let Some(trim) = Trim::learn(knots, &at, &missed) else { return Ok(()) };
-        let error = between(&trim, &at, &missed, &of);
-        let before = (missed.iter().map(|r| r * r).sum::<f64>() / missed.len() as f64).sqrt();
-        drive.take(trim, before, error);
+        let Some(trim) = Trim::learn(knots, &missed.at, &missed.up, &missed.r) else { return Ok(()) };
+        let error = missed.between(&trim);
+        let squares: f64 = missed.at.iter().map(|z| trim.at(z).powi(2)).sum();
+        drive.take(trim, (squares / missed.r.len() as f64).sqrt(), error);
         Ok(())
     }
 }
 
-/// How far each line is from what the others say of it, where there are others on both sides: rms of the trims at its knots.
-fn between(trim: &Trim, at: &[Vec<f64>], r: &[f64], line: &[usize]) -> Option<f64> {
-    let last = *line.iter().max()?;
-    let (mut sum, mut n) = (0.0, 0.0);
-    for held in 1..last {
-        let rest: Vec<usize> = (0..at.len()).filter(|i| line[*i] != held).collect();
-        let (z, y): (Vec<Vec<f64>>, Vec<f64>) = rest.iter().map(|i| (at[*i].clone(), r[*i])).unzip();
-        let Some(without) = Trim::with_lambda(&trim.axes, &z, &y, trim.lambda) else { continue };
-        for (z, _) in at.iter().zip(line).filter(|(_, l)| **l == held) {
-            sum += (without.at(z) - trim.at(z)).powi(2);
-            n += 1.0;
-        }
+/// What a map misses along the lines: places, ways, how much, numbers of the lines.
+#[derive(Default)]
+struct Missed {
+    at: Vec<Vec<f64>>,
+    up: Vec<f64>,
+    r: Vec<f64>,
+    line: Vec<usize>,
+}
+
+impl Missed {
+    fn push(&mut self, at: Vec<f64>, up: f64, r: f64, line: usize) {
+        self.at.push(at);
+        self.up.push(up);
+        self.r.push(r);
+        self.line.push(line);
     }
-    (n > 0.0).then(|| (sum / n).sqrt())
+
+    /// All but one line.
+    fn without(&self, held: usize) -> Self {
+        let mut rest = Self::default();
+        for i in (0..self.r.len()).filter(|i| self.line[*i] != held) {
+            rest.push(self.at[i].clone(), self.up[i], self.r[i], self.line[i]);
+        }
+        rest
+    }
+
+    /// How far each line is from what the others say of it, where there are others on both sides: rms of the trims along it.
+    fn between(&self, trim: &Trim) -> Option<f64> {
+        let last = *self.line.iter().max()?;
+        let (mut sum, mut n) = (0.0, 0.0);
+        for held in 1..last {
+            let rest = self.without(held);
+            let without = Trim::with_lambda(&trim.axes, &rest.at, &rest.up, &rest.r, trim.lambda);
+            let Some(without) = without else { continue };
+            for (z, _) in self.at.iter().zip(&self.line).filter(|(_, l)| **l == held) {
+                sum += (without.at(z) - trim.at(z)).powi(2);
+                n += 1.0;
+            }
+        }
+        (n > 0.0).then(|| (sum / n).sqrt())
+    }
 }
 
 /// What the models expect of all responses.

@@ -152,14 +152,13 @@ fn the_map_of_a_driven_input_is_that_of_the_closed_form() {
     }
 }
 
-/// The bed goes along the maps: whatever the model of the load misses (a plane of the factors, here), the maps hold torque alone, between
-/// their cells, too. The load at rest is known in closed form.
+/// The bed goes along the maps: whatever the model of the load misses, the maps hold torque alone, between their cells, too. The load at
+/// rest is known in closed form.
 #[test]
 fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
-    let plane = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 2 }, { kind = \"gaussian_process\" }]\n";
-    let day = DAY.replace("minutes = 60.0", "");
+    let few = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 2 }, { kind = \"gaussian_process\" }]\n";
     let worst = |more: &str, noise: f64| {
-        let found = run_with(&format!("{day}{more}{plane}"), 4, Bench::new(noise, Fault::None)).unwrap();
+        let found = run_with(&format!("{DAY}{more}{few}"), 4, Bench::new(noise, Fault::None)).unwrap();
         let axes: Vec<Vec<f64>> = found.axes.iter().map(|a| a.points.clone()).collect();
         let load = found.map.ports.actuators.iter().position(|a| a.name == "load").unwrap();
         let mut worst: f64 = 0.0;
@@ -174,8 +173,9 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     let sweep = "[bed.sweep]\npass_s = 20.0\n[optimise]\nbetween = 0.002\n";
     let (with, found) = worst(sweep, 1.0);
     let s = found.sweeps.as_ref().unwrap();
-    assert!((s.planned, s.whole) == (5, 5) && s.rows >= 5 * 38, "{s:?}");
-    assert!(found.bed.sweeps_s > 5.0 * 40.0, "{:?}", found.bed);
+    // Three speeds and two between; a line is as long as there are optima, and none is left out.
+    assert!(s.planned == 5 && s.whole == 5 && s.rows > 5 * 18, "{s:?}");
+    assert!(found.bed.sweeps_s >= 5.0 * 20.0 && s.bed_s == found.bed.sweeps_s, "{:?}", found.bed);
     assert!(found.drives[0].trimmed.is_some() && found.drives[0].words().contains("Along the maps"));
     // 0.5 Nm of scatter of 30 Nm in a sample, ten samples in a window, forty of them along a line.
     assert!(with < 0.006, "{with}");

@@ -2,6 +2,8 @@
 //!
 //! What is averaged lags behind what it would be at rest, one way up and the other way down: a path that goes there and back holds both.
 
+use dynocal_ident::data::Dataset;
+use dynocal_ident::plan::Plan;
 use dynocal_ident::play::{self, Interruptible, PlayError, Reason};
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +14,8 @@ use super::{Station, Touched, Watching, means};
 pub struct Leg {
     /// Factors at its end.
     pub to: Vec<f64>,
+    /// What the inputs of the loops are expected to change along it, by loop: fed forward, so that the loops have only the rest to do.
+    pub driven: Vec<f64>,
     /// Time that it takes in s.
     pub seconds: f64,
 }
@@ -23,6 +27,8 @@ pub struct SweepRow {
     pub factors: Vec<f64>,
     /// Responses.
     pub responses: Vec<f64>,
+    /// Number of the leg in its middle.
+    pub leg: usize,
     /// Whether the input of each loop was at an end of its range, by loop.
     pub at_end: Vec<bool>,
     /// Bed time at its end, from the begin of the day, in s.
@@ -58,7 +64,8 @@ impl Station<'_> {
         let dt = self.layout.sample_time_s;
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
         let ways: Vec<(&[f64], usize)> = legs.iter().map(|l| (&l.to[..], samples(l.seconds))).collect();
-        let plan = self.layout.along("sweep", from, &ways, &self.driven);
+        let mut plan = self.layout.along("sweep", from, &ways, &self.driven);
+        self.feed_forward(&mut plan, legs, &ways);
         let window = samples(self.spec.window_s).max(2);
         // A plan without a hold is never at rest: only limits are watched.
         let mut watch = Watching::new((&self.guards, &self.tolerances), &plan, plan.len(), window, 1);
@@ -72,15 +79,9 @@ impl Station<'_> {
         let mut rows = Vec::new();
         for k in 0..played.record.len() / window {
             let part = played.record.part(k * window, (k + 1) * window, "window".into());
-            let (factors, responses) = means(self.layout, &part)?;
-            let mut at_end = Vec::new();
-            for l in &plan.loops {
-                let c = plan.channels.iter().find(|c| c.name == l.input);
-                let values = part.values(&l.input)?;
-                at_end.push(c.is_some_and(|c| values.iter().any(|u| *u <= c.lower || *u >= c.upper)));
-            }
             let at_s = started_s + ((k + 1) * window) as f64 * dt;
-            rows.push(SweepRow { factors, responses, at_end, at_s });
+            let leg = leg_at(&ways, k * window + window / 2);
+            rows.push(self.row(&plan, &part, leg, at_s)?);
         }
         self.at = reached(from, &ways, played.played);
         let touched = match played.stop.as_ref() {
@@ -89,6 +90,44 @@ impl Station<'_> {
         };
         Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
     }
+
+    /// Adds to the inputs of the loops what they are expected to change along the legs.
+    fn feed_forward(&self, plan: &mut Plan, legs: &[Leg], ways: &[(&[f64], usize)]) {
+        for (l, which) in plan.loops.clone().iter().enumerate() {
+            let Some(c) = plan.channels.iter_mut().find(|c| c.name == which.input) else { continue };
+            let (mut gone, mut t) = (0.0, 0);
+            for (leg, (_, n)) in legs.iter().zip(ways) {
+                let more = leg.driven.get(l).copied().unwrap_or(0.0);
+                for k in 1..=*n {
+                    let value = c.values[t] + gone + more * k as f64 / *n as f64;
+                    c.values[t] = value.clamp(c.lower, c.upper);
+                    t += 1;
+                }
+                gone += more;
+            }
+        }
+    }
+
+    fn row(&self, plan: &Plan, part: &Dataset, leg: usize, at_s: f64) -> Result<SweepRow, PlayError> {
+        let (factors, responses) = means(self.layout, part)?;
+        let mut at_end = Vec::new();
+        for l in &plan.loops {
+            let c = plan.channels.iter().find(|c| c.name == l.input);
+            let values = part.values(&l.input)?;
+            at_end.push(c.is_some_and(|c| values.iter().any(|u| *u <= c.lower || *u >= c.upper)));
+        }
+        Ok(SweepRow { factors, responses, leg, at_end, at_s })
+    }
+}
+
+/// Number of the leg at a sample.
+fn leg_at(ways: &[(&[f64], usize)], sample: usize) -> usize {
+    let mut end = 0;
+    let found = ways.iter().position(|(_, n)| {
+        end += n;
+        sample < end
+    });
+    found.unwrap_or(ways.len().saturating_sub(1))
 }
 
 fn between(a: &[f64], b: &[f64], share: f64) -> Vec<f64> {
