@@ -118,6 +118,78 @@ fn rounds_of_design_find_the_equation_of_the_unit() {
     }
 }
 
+/// The unit behind a scalar of `dynocal label`.
+const NODE: &str = r#"
+data = ["drive.csv"]
+target = "inj"
+
+[[labels]]
+name = "GAIN"
+unit = "-"
+base = [1.0]
+
+[[nodes]]
+name = "speed"
+op = "channel"
+channel = "speed"
+
+[[nodes]]
+name = "wanted"
+op = "channel"
+channel = "torque"
+
+[[nodes]]
+name = "gain"
+op = "label"
+label = "GAIN"
+
+[[nodes]]
+name = "torque"
+op = "multiply"
+in = ["wanted", "gain"]
+
+[[nodes]]
+name = "inj"
+op = "model"
+file = "InjMap_fmi2.fmu"
+in = ["speed", "torque"]
+"#;
+
+/// A factor before the unit, planted by its own equation, comes back through it.
+#[test]
+fn a_unit_is_a_node_of_a_function() {
+    let tmp = tempfile::tempdir().unwrap();
+    if made(tmp.path()).is_none() {
+        return;
+    }
+    let (gain, a, n) = (1.1, (-0.1f64 / 0.1).exp(), 400);
+    let state = |k: usize| (1200.0 + 100.0 * ((k / 40) % 6) as f64, 60.0 + 5.0 * ((k / 7) % 12) as f64);
+    let (mut y, mut text) = (0.0, String::from("time [s],speed [rpm],torque [Nm],inj [mg]\n"));
+    for k in 0..n {
+        let (speed, torque) = state(k);
+        text += &format!("{},{speed},{torque},{y}\n", 0.1 * k as f64);
+        let share = (speed - 1000.0) / 1000.0;
+        let (low, high) = (12.5 - 0.5 * share, 31.0 - 0.5 * share);
+        y = a * y + (1.0 - a) * (low + (gain * torque - 50.0) / 100.0 * (high - low));
+    }
+    atomic::write(&tmp.path().join("drive.csv"), text.as_bytes()).unwrap();
+    atomic::write(&tmp.path().join("node.toml"), NODE.as_bytes()).unwrap();
+    let out = Command::cargo_bin("dynocal")
+        .unwrap()
+        .current_dir(tmp.path())
+        .args(["label", "node.toml", "--out", "label"])
+        .output()
+        .unwrap();
+    let err = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert_eq!(out.status.code(), Some(0), "{err}");
+    let text = std::fs::read_to_string(tmp.path().join("label/summary.json")).unwrap();
+    let summary: Value = serde_json::from_str(&text).unwrap();
+    let found = summary["fit"]["values"][0].as_f64().unwrap();
+    println!("gain {found}, planted {gain}");
+    // The unit looks its map up in 32 bits.
+    assert!((found - gain).abs() < 1e-4, "{found}");
+}
+
 /// Rows of time, speed, torque, injected mass.
 fn rows(path: &Path) -> Vec<[f64; 4]> {
     let text = std::fs::read_to_string(path).unwrap();

@@ -4,6 +4,10 @@ use std::path::Path;
 
 use dynocal_files::atomic;
 use dynocal_files::csv_io::write_columns;
+use dynocal_files::json;
+use dynocal_ident::model::initial::Initial;
+use dynocal_ident::model::poly::PolyNarx;
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
 use dynocal_jobs::label::function::{Fitted, run, spec};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::rng::Rng64;
@@ -260,4 +264,132 @@ in = ["x", "gain"]
     );
     let bare = fitted(tmp.path(), &text.replace("slower_than = 0.2\n", "")).unwrap_err();
     assert!(bare.contains("where[0].for_s") && bare.contains("slower_than"), "{bare}");
+}
+
+const NODE: &str = r#"data = ["data.csv"]
+target = "y"
+fit = { smooth = 0.0 }
+
+[[labels]]
+name = "CURVE"
+unit = "V"
+base = [2.0]
+axes = [{ name = "x", unit = "-", points = [0.0, 0.5, 1.0] }]
+
+[[nodes]]
+name = "x"
+op = "channel"
+channel = "x"
+unit = "-"
+
+[[nodes]]
+name = "u"
+op = "label"
+label = "CURVE"
+in = ["x"]
+
+[[nodes]]
+name = "y"
+op = "model"
+file = "model.json"
+in = ["u"]
+"#;
+
+/// A stored model behind a curve: the curve comes back through it.
+#[test]
+fn a_stored_model_is_a_node() {
+    let tmp = tempfile::tempdir().unwrap();
+    let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
+    // y(t) = 0.8 y(t-1) + 0.02 u(t-2)^2, from rest.
+    let structure = PolyNarx::parse(&["u"], "y", &["u(t-2)*u(t-2)", "y(t-1)"]).unwrap();
+    let mut model =
+        StoredModel::new(structure, &[0.02, 0.8], vec![quantity("u", "V")], quantity("y", "Nm"), 0.1)
+            .unwrap();
+    model.initial = Some(Initial::Rest);
+    json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+    let truth = [3.0, 5.0, 4.0];
+    let mut rng = Rng64::new(3);
+    let n = 1500;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
+    let mut held = 0.5;
+    let x: Vec<f64> = (0..n)
+        .map(|k| {
+            if k % 15 == 0 {
+                held = rng.uniform();
+            }
+            held
+        })
+        .collect();
+    let u = |x: f64| {
+        if x < 0.5 {
+            truth[0] + (truth[1] - truth[0]) * x / 0.5
+        } else {
+            truth[1] + (truth[2] - truth[1]) * (x - 0.5) / 0.5
+        }
+    };
+    let mut y = vec![0.02 * u(x[0]).powi(2) / 0.2; 2];
+    for t in 2..n {
+        y.push(0.8 * y[t - 1] + 0.02 * u(x[t - 2]).powi(2));
+    }
+    let y: Vec<f64> = y.iter().map(|v| v + 0.02 * rng.normal()).collect();
+    let write = |time_s: &[f64]| {
+        write_columns(
+            &tmp.path().join("data.csv"),
+            &[("time", "s", time_s), ("x", "-", &x), ("y", "Nm", &y)],
+        )
+        .unwrap();
+    };
+    write(&time_s);
+    let found = fitted(tmp.path(), NODE).unwrap();
+    assert!(found.valid, "{:?}", found.verdict);
+    for (k, truth) in truth.iter().enumerate() {
+        let (value, half) = (found.fit.values[k], found.half_width[k].unwrap());
+        assert!((value - truth).abs() < 2.0 * half && half < 0.05, "{value} +- {half}, planted {truth}");
+    }
+    // What does not fit is named with its key.
+    let refused = |from: &str, to: &str| fitted(tmp.path(), &NODE.replace(from, to)).unwrap_err();
+    assert!(refused("model.json", "other.json").contains("nodes[2].file"));
+    assert!(refused("in = [\"u\"]", "in = [\"u\", \"x\"]").contains("nodes[2].in"));
+    assert!(refused("unit = \"V\"", "unit = \"A\"").contains("the unit of `u`"));
+    assert!(refused("file = ", "output = \"z\"\nfile = ").contains("`y`, the one of the model"));
+    let mut uneven = time_s.clone();
+    uneven[700..].iter_mut().for_each(|t| *t += 0.05);
+    write(&uneven);
+    let message = fitted(tmp.path(), NODE).unwrap_err();
+    assert!(message.contains("found a step of 0.1500 s"), "{message}");
+}
+
+/// A curve with one corner between the breakpoints of the fit: chosen breakpoints end beside it, moved ones at it.
+#[test]
+fn breakpoints_move_to_a_corner_between_those_of_the_fit() {
+    let tmp = tempfile::tempdir().unwrap();
+    let points: Vec<f64> = (0..=20).map(|k| 0.05 * f64::from(k)).collect();
+    let corner = 0.37;
+    let f = |x: f64| if x < corner { 4.0 * x } else { 4.0 * corner - (x - corner) };
+    // Samples everywhere, not on the breakpoints alone.
+    let n = 2000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
+    let x: Vec<f64> = (0..n).map(|k| (k as f64 * 0.618_034).fract()).collect();
+    let y: Vec<f64> = x.iter().map(|x| f(*x)).collect();
+    write_columns(&tmp.path().join("data.csv"), &[("time", "s", &time_s), ("x", "-", &x), ("y", "Nm", &y)])
+        .unwrap();
+    let text = curve_spec(&points, 3);
+    let chosen = fitted(tmp.path(), &text).unwrap();
+    let moved = fitted(tmp.path(), &text.replace("place = 3", "place = 3, move = true")).unwrap();
+    assert!(points.contains(&chosen.chosen[0].points[1]) && chosen.chosen[0].moved.is_none());
+    let found = moved.chosen[0].points[1];
+    println!("{found}; left {:e} in place of {:e}", moved.unseen_rms[1], chosen.unseen_rms[1]);
+    assert!((found - corner).abs() < 0.01, "{found}");
+    let [before, after] = moved.chosen[0].moved.unwrap();
+    assert!(after < before && moved.unseen_rms[1] < 0.5 * chosen.unseen_rms[1]);
+    // Values that are given by definition keep their breakpoints.
+    let base: Vec<f64> = points.iter().map(|x| f(*x)).collect();
+    let held = text
+        .replace("place = 3", "place = 3, move = true")
+        .replace("base = [0.0]", &format!("base = {base:?}\nlocked = [7, 8]"));
+    let locked = fitted(tmp.path(), &held).unwrap();
+    assert!(points.contains(&locked.chosen[0].points[1]), "{:?}", locked.chosen[0].points);
+    let text = text.replace("place = 3", "place = 3, move = true");
+    let alone = fitted(tmp.path(), &text.replace("place = 3, ", "")).unwrap_err();
+    assert!(alone.contains("move") && alone.contains("`place` beside it"), "{alone}");
 }

@@ -2,6 +2,8 @@
 
 pub mod build;
 pub mod coarse;
+mod moves;
+mod outside;
 pub mod page;
 pub mod spec;
 pub mod work;

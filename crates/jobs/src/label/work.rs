@@ -270,7 +270,15 @@ fn verdict(label: &Label, found: &Found) -> Vec<String> {
         "The lambda sensor answers after {:.2} s{flow}, with a time constant of {:.2} s; this came from the first part of the samples as well.",
         s.delay_s, s.lag_s
     );
-    vec![first, numbers, cells, sensor]
+    let steps = found.steps.map(|h| {
+        let [low, middle, high] = h.quartiles_s;
+        format!(
+            "After a fuel cut lambda comes to half of its way back after {middle:.2} s ({} times, quartiles {low:.2} and {high:.2} s), whatever the table says; the delay and lag above make {:.2} s of it at 2000 rpm and load 50.",
+            h.steps,
+            s.delay_s + s.flow_delay_s + s.lag_s * std::f64::consts::LN_2
+        )
+    });
+    [first, numbers, cells, sensor].into_iter().chain(steps).collect()
 }
 
 fn said(found: &Found, logs: &[Log]) -> Vec<String> {

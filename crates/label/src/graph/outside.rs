@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
-/// Step of the differences, as a share of the size of what enters.
-const STEP: f64 = 1e-5;
+/// Step of the differences, as a share of the size of what enters: a unit may compute in single precision.
+const STEP: f64 = 1e-4;
 
 /// What answers.
 pub trait Response: Send + Sync + Debug {

@@ -17,8 +17,8 @@ use crate::rows::between;
 
 /// Parts of a record that are summed up apart.
 const PARTS: usize = 32;
-/// Samples of a piece.
-const PIECE: usize = 2048;
+/// Samples of a piece: of a hundred nodes its numbers stay in the second cache.
+const PIECE: usize = 256;
 
 /// Interval of an axis and share of the way through it, at each sample.
 struct LookUp {

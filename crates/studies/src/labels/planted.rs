@@ -38,6 +38,10 @@ const REQUIRED_MS: f64 = 9.7;
 const FACTOR: f64 = 0.5;
 const BATTERY_V: [f64; 3] = [12.0, 13.0, 14.6];
 const DEAD_MS: [f64; 3] = [1.06, 1.03, 1.0];
+/// How far the labels of one car lie from these: as a share, and in ms. What rounding a pulse to whole steps adds is the same each time for
+/// the same labels and states; only over different labels is it an error that intervals can hold.
+const FACTOR_SPREAD: f64 = 0.02;
+const DEAD_SPREAD_MS: f64 = 0.02;
 const RATE: f64 = 3.2;
 /// Breakpoints of the table.
 const RPM: [f64; 5] = [1200.0, 1600.0, 2000.0, 2400.0, 2800.0];
@@ -58,6 +62,22 @@ pub(super) struct Back {
     pub(super) taken: bool,
     /// Later lambda before and after, root mean square.
     pub(super) lambda: [f64; 2],
+}
+
+/// The labels of the pulse width in one car.
+struct Own {
+    factor: f64,
+    dead_ms: [f64; 3],
+}
+
+impl Own {
+    fn of(seed: u64) -> Self {
+        let mut rng = Rng64::stream(seed, 8);
+        Self {
+            factor: FACTOR * (1.0 + rng.uniform_in(-FACTOR_SPREAD, FACTOR_SPREAD)),
+            dead_ms: DEAD_MS.map(|d| d + rng.uniform_in(-DEAD_SPREAD_MS, DEAD_SPREAD_MS)),
+        }
+    }
 }
 
 fn fail(e: &dyn std::fmt::Display) -> StudyError {
@@ -186,7 +206,7 @@ impl Wander {
 }
 
 /// One drive, written as a log that carries its tune.
-fn drive(seed: u64, table: &[f64], path: &Path) -> Result<(), StudyError> {
+fn drive(seed: u64, own: &Own, table: &[f64], path: &Path) -> Result<(), StudyError> {
     let mut rng = Rng64::stream(seed, 7);
     let n = (LENGTH_S / SAMPLE_S) as usize;
     let wander = |range, rate, hold_s| Wander { range, rate, hold_s };
@@ -201,8 +221,8 @@ fn drive(seed: u64, table: &[f64], path: &Path) -> Result<(), StudyError> {
         let (rpm, kpa) = (speed[k].round(), car.read(1).round());
         let volts = (10.0 * battery[k]).round() / 10.0;
         let ve = look_up(table, rpm, kpa).floor();
-        let dead = curve(&BATTERY_V, &DEAD_MS, volts);
-        let pulse = (1e3 * (FACTOR * REQUIRED_MS * ve * kpa * 1e-4 + dead)).round() * 1e-3;
+        let dead = curve(&BATTERY_V, &own.dead_ms, volts);
+        let pulse = (1e3 * (own.factor * REQUIRED_MS * ve * kpa * 1e-4 + dead)).round() * 1e-3;
         let rate = (throttle[k] - throttle[k.saturating_sub(1)]) / SAMPLE_S / 0.9;
         for (column, v) in log.iter_mut().zip([rpm, kpa, ve, car.read(0), pulse, volts, rate]) {
             column.push(v);
@@ -259,13 +279,16 @@ fn tune(table: &[f64]) -> String {
 pub(super) fn back(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<Back, StudyError> {
     std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
     let path = runs.join(format!("planted-{seed}.mlg"));
-    drive(seed, &wrong(truth), &path)?;
+    let own = Own::of(seed);
+    // What the engine breathes is more or less percent of another factor.
+    let truth: Vec<f64> = truth.iter().map(|v| v * FACTOR / own.factor).collect();
+    drive(seed, &own, &wrong(&truth), &path)?;
     let over = Overrides { out: Some(runs.join("pulse-planted")), ..Overrides::default() };
     let text = include_str!("pulse_planted.toml").replace("REQUIRED", &format!("{:e}", 1e-4 * REQUIRED_MS));
     let mut job = function::spec::parse("pulse_planted.toml", &text, &over).map_err(|e| fail(&e))?;
     job.data = vec![path.clone()];
     let pulse = function::work::fit(&job, watch).map_err(|e| fail(&e))?;
-    let planted = std::iter::once(FACTOR).chain(DEAD_MS);
+    let planted = std::iter::once(own.factor).chain(own.dead_ms);
     let of =
         |(k, truth): (usize, f64)| [pulse.fit.values[k] - truth, pulse.half_width[k].unwrap_or(f64::NAN)];
     let mut job = Job::ve(vec![path.clone()], None, None, Some(&runs.join("ve-planted")));

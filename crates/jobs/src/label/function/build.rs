@@ -1,14 +1,17 @@
 //! From names to numbers: the graph of a spec.
 
+use std::path::Path;
+
 use dynocal_files::spec::Faults;
 use dynocal_files::units::normalise;
 use dynocal_label::graph::{Graph, Node, Op};
 use dynocal_label::label::{Axis, Label};
 
+use super::outside;
 use super::spec::{AxisKeys, LabelKeys, NodeKeys, Placed, Typed};
 
 /// What a node may be, with what it takes.
-const OPS: [&str; 18] = [
+const OPS: [&str; 19] = [
     "channel",
     "constant",
     "label",
@@ -27,6 +30,7 @@ const OPS: [&str; 18] = [
     "film",
     "switch",
     "scale",
+    "model",
 ];
 
 /// A function with what belongs to it.
@@ -37,8 +41,8 @@ pub(super) struct Built {
     pub(super) placed: Vec<Placed>,
 }
 
-/// The function, and the channels that it reads; faults are told where there are some.
-pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<Built> {
+/// The function, and the channels that it reads; files are relative to `folder`; faults are told where there are some.
+pub(super) fn graph(t: &Typed, folder: &Path, faults: &mut Faults) -> Option<Built> {
     let mut placed: Vec<Placed> = Vec::new();
     let labels: Vec<Option<Label>> =
         t.labels.iter().enumerate().map(|(k, l)| label(t, l, k, &mut placed, faults)).collect();
@@ -49,6 +53,7 @@ pub(super) fn graph(t: &Typed, faults: &mut Faults) -> Option<Built> {
         channel_units: Vec::new(),
         units: Vec::new(),
         labels: &t.labels,
+        folder,
     };
     let mut good = true;
     if t.nodes.is_empty() {
@@ -82,8 +87,8 @@ fn axis(
     placed: &mut Vec<Placed>,
     faults: &mut Faults,
 ) -> Option<Axis> {
-    let (unit, points, place, shared) = match &a.points {
-        Some(points) => (a.unit.clone().unwrap_or_else(|| "-".into()), points, a.place, false),
+    let (unit, points, place, moves, shared) = match &a.points {
+        Some(points) => (a.unit.clone().unwrap_or_else(|| "-".into()), points, a.place, a.moves, false),
         None => {
             let Some(own) = t.axes.iter().find(|s| s.name == a.name) else {
                 let known: Vec<String> = t.axes.iter().map(|s| s.name.clone()).collect();
@@ -93,7 +98,7 @@ fn axis(
             if let Some(place) = a.place {
                 faults.push(&format!("{key}.place"), place, "`place` beside the points of the shared axis");
             }
-            (own.unit.clone(), &own.points, own.place, true)
+            (own.unit.clone(), &own.points, own.place, own.moves, true)
         }
     };
     if let Some(count) = place {
@@ -107,8 +112,11 @@ fn axis(
                 let wanted = "a name of its own, or an axis of [[axes]] that labels share";
                 faults.push(&format!("{key}.name"), format!("`{}`, placed twice", a.name), wanted);
             }
-            None => placed.push(Placed { name: a.name.clone(), count, of: vec![at] }),
+            None => placed.push(Placed { name: a.name.clone(), count, moves, of: vec![at] }),
         }
+    }
+    if place.is_none() && moves {
+        faults.push(&format!("{key}.move"), "true", "`place` beside it: how many breakpoints there are");
     }
     let mut axis = Axis::new(&a.name, &unit, points);
     axis.smooth = a.smooth.unwrap_or(1.0);
@@ -192,6 +200,8 @@ struct Build<'a> {
     /// Unit of each node, where it is known.
     units: Vec<Option<String>>,
     labels: &'a [LabelKeys],
+    /// Folder that files are relative to.
+    folder: &'a Path,
 }
 
 impl Build<'_> {
@@ -290,6 +300,24 @@ impl Build<'_> {
                 )?;
                 Op::Hysteresis(inputs[0], low, high)
             }
+            "model" => {
+                let file = faults.required(
+                    &format!("{key}.file"),
+                    &n.file,
+                    "the path of a stored model or an FMU",
+                )?;
+                match outside::read(&self.folder.join(file), n.output.as_deref()) {
+                    Ok(model) => {
+                        let names: Vec<&str> = model.inputs.iter().map(|i| i.0.as_str()).collect();
+                        count(names.len(), &names.join(", "), faults)?;
+                        Op::Model(model, inputs)
+                    }
+                    Err((found, expected)) => {
+                        faults.push(&format!("{key}.file"), found, expected);
+                        return None;
+                    }
+                }
+            }
             other => {
                 faults.unknown(&format!("{key}.op"), other, &OPS.map(String::from));
                 return None;
@@ -334,6 +362,15 @@ impl Build<'_> {
                         );
                     }
                     units.first().cloned()
+                }
+                Op::Model(model, at) => {
+                    for (i, (name, wanted)) in at.iter().zip(&model.inputs) {
+                        if let Some(unit) = of(*i).filter(|u| *u != normalise(wanted)) {
+                            let wanted = format!("`{wanted}`, the unit of `{name}` of `{}`", model.name);
+                            faults.push(&format!("{key}.in"), format!("a node in `{unit}`"), wanted);
+                        }
+                    }
+                    Some(normalise(&model.unit))
                 }
                 Op::Switch(_, a, b) => of(*a).or_else(|| of(*b)),
                 Op::Delay(a, _) | Op::DelayFlow(a, ..) | Op::Lag(a, _) | Op::Film(a, ..) => of(*a),

@@ -5,6 +5,7 @@ use dynocal_label::graph::Graph;
 use dynocal_label::label::Label;
 use serde::Serialize;
 
+use super::moves;
 use super::spec::Placed;
 
 /// An axis with its chosen breakpoints.
@@ -21,6 +22,8 @@ pub struct Chosen {
     /// For each number of breakpoints, the root mean square of what interpolation between them loses, in shares of the ranges of the
     /// labels; the other axis has what was chosen for it.
     pub loss: Vec<(usize, f64)>,
+    /// The same between the chosen breakpoints before and after they were moved, where they were.
+    pub moved: Option<[f64; 2]>,
 }
 
 /// Most numbers of breakpoints for which the loss is told.
@@ -72,6 +75,8 @@ pub(super) fn place(graph: &Graph, placed: &[Placed], theta: &[f64]) -> (Graph, 
     let mut kept: Vec<Vec<Vec<usize>>> =
         fitted.iter().map(|l| l.axes.iter().map(|a| (0..a.points.len()).collect()).collect()).collect();
     let mut chosen = Vec::new();
+    // Breakpoints of the axes of labels that were moved.
+    let mut elsewhere: Vec<((usize, usize), Vec<f64>)> = Vec::new();
     let mut done: Vec<&str> = Vec::new();
     for p in placed {
         if done.contains(&p.name.as_str()) {
@@ -91,26 +96,57 @@ pub(super) fn place(graph: &Graph, placed: &[Placed], theta: &[f64]) -> (Graph, 
             .map(|(n, a)| all.iter().find(|q| q.name == *n).map_or(a.len(), |q| q.count))
             .collect();
         let best = group.tables.choose(&counts);
+        let mut points: Vec<Vec<f64>> =
+            best.iter().zip(&group.tables.axes).map(|(k, a)| k.iter().map(|i| a[*i]).collect()).collect();
+        let free: Vec<Vec<bool>> = (0..points.len())
+            .map(|k| {
+                let mover = all.iter().find(|q| q.moves && q.name == group.names[k]);
+                best[k].iter().map(|i| mover.is_some_and(|q| !holds(&fitted, q, *i))).collect()
+            })
+            .collect();
+        let cells = (group.tables.weights.len() * group.tables.layers.len()) as f64;
+        let moved = free
+            .iter()
+            .flatten()
+            .any(|f| *f)
+            .then(|| moves::moved(&group.tables, &mut points, &free).map(|e| (e / cells).sqrt()));
         for q in all {
             let Some(axis) = group.names.iter().position(|n| *n == q.name) else { continue };
             for (l, k) in &q.of {
                 kept[*l][*k].clone_from(&best[axis]);
+                if q.moves {
+                    elsewhere.push(((*l, *k), points[axis].clone()));
+                }
             }
             chosen.push(Chosen {
                 name: q.name.clone(),
                 labels: q.of.iter().map(|(l, _)| fitted[*l].name.clone()).collect(),
                 had: group.tables.axes[axis].len(),
-                points: best[axis].iter().map(|i| group.tables.axes[axis][*i]).collect(),
+                points: points[axis].clone(),
                 loss: loss(&group.tables, &counts, axis),
+                moved: moved.filter(|_| q.moves),
             });
         }
     }
-    let labels = fitted.iter().zip(&graph.labels).zip(&kept).map(|((f, l), k)| {
+    let labels = graph.labels.iter().zip(&kept).enumerate().map(|(number, (l, k))| {
+        let mut out = l.thinned(k);
+        for ((_, axis), points) in elsewhere.iter().filter(|((own, _), _)| *own == number) {
+            out.axes[*axis].points.clone_from(points);
+        }
         // Base stays what it was: the values come as a start.
-        let base = l.thinned(k);
-        Label { axes: f.thinned(k).axes, ..base }
+        out.base = out.sampled(l, &l.base);
+        out
     });
     (Graph { labels: labels.collect(), nodes: graph.nodes.clone() }, chosen)
+}
+
+/// Whether a cell that is given by definition lies at breakpoint `i` of the axis.
+fn holds(labels: &[Label], p: &Placed, i: usize) -> bool {
+    p.of.iter().any(|(l, k)| {
+        let label = &labels[*l];
+        let nx = label.axes[0].points.len();
+        (0..label.len()).any(|c| label.locked[c] && (if *k == 0 { c % nx } else { c / nx }) == i)
+    })
 }
 
 fn touches(a: &Placed, b: &Placed) -> bool {

@@ -111,6 +111,13 @@ fn chosen(found: &Fitted) -> Section {
             c.had,
             c.labels.join(", ")
         ));
+        if let Some([before, after]) = c.moved {
+            section = section.text(format!(
+                "Moved between their neighbours they lose {:.3} % in place of {:.3} %.",
+                100.0 * after,
+                100.0 * before
+            ));
+        }
         let (x, y): (Vec<f64>, Vec<f64>) = c.loss.iter().map(|(n, e)| (*n as f64, 100.0 * e)).unzip();
         section = section.block(
             XyPlot::new(

@@ -61,6 +61,9 @@ pub(super) struct SharedKeys {
     pub(super) points: Vec<f64>,
     /// Breakpoints that are left after the fit.
     pub(super) place: Option<usize>,
+    /// Whether they then leave the breakpoints of the fit.
+    #[serde(default, rename = "move")]
+    pub(super) moves: bool,
 }
 
 /// A row of the criterion as it is written.
@@ -80,6 +83,8 @@ pub(super) struct AxisKeys {
     pub(super) unit: Option<String>,
     pub(super) points: Option<Vec<f64>>,
     pub(super) place: Option<usize>,
+    #[serde(default, rename = "move")]
+    pub(super) moves: bool,
     pub(super) smooth: Option<f64>,
     pub(super) least_gradient: Option<f64>,
     pub(super) greatest_gradient: Option<f64>,
@@ -101,6 +106,9 @@ pub(super) struct NodeKeys {
     pub(super) least: Option<f64>,
     pub(super) greatest: Option<f64>,
     pub(super) start: Option<f64>,
+    /// A stored model or an FMU, relative to the spec, and which of its outputs.
+    pub(super) file: Option<PathBuf>,
+    pub(super) output: Option<String>,
     /// Unit of what it gives; of a channel it is compared with that of the file.
     pub(super) unit: Option<String>,
 }
@@ -141,6 +149,8 @@ pub struct Placed {
     pub name: String,
     /// Breakpoints that are left.
     pub count: usize,
+    /// Whether they then leave the breakpoints of the fit.
+    pub moves: bool,
     /// Labels with the axis, by number, and which of their axes it is.
     pub of: Vec<(usize, usize)>,
 }
@@ -202,7 +212,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     faults.range("reduce", reduce as f64, 1.0, 64.0, "");
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     conditions(&t.conditions, faults);
-    let built = build::graph(t, faults)?;
+    let built = build::graph(t, folder, faults)?;
     if let Err(e) = built.graph.check(built.channels.len()) {
         faults.push("nodes", "a function that cannot be evaluated", e);
     }
