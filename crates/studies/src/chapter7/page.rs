@@ -174,7 +174,7 @@ fn online(f: &Found) -> Section {
         Column::number("Economy (6.4)", "Nm/mg").digits(4),
     ])
     .caption("Sections 7.6.3, 7.6.4 and 7.8.2");
-    let mut row = |t: Table, name: &str, s: &dynocal_calib::validate::MapScore, scenario: &str| {
+    let row = |t: Table, name: &str, s: &dynocal_calib::validate::MapScore, scenario: &str| {
         let of =
             |d: &str, n: fn(&dynocal_calib::validate::DemandScore) -> f64| Cell::from(s.demand(d).map(n));
         t.row(vec![
@@ -199,7 +199,7 @@ fn online(f: &Found) -> Section {
     }
     let economy = |name| economy(f, name).map_or("none".into(), |e| dynocal_report::significant(e, 4));
     let text = format!(
-        "Thesis: on the models 5 % of torque and 2 % of lambda off at rest, settled within 1 s; on the engine 2 Nm and 0.1 (static map 1 Nm, 0.01), settled as fast as the static map, 4.15 Nm/mg as the static map; 60 s of data against {STATIC_BED_S} s. Ours: {} Nm/mg against {} of the static map where all hold lambda alike; {:.0} s of bed, {:.0} s of them for the refinement, against {:.0} s of a static map of 25 points. Reading: the map is driven on the models first, then on the engine; refined by records that it drives itself with loops about it.",
+        "Thesis: on the models 5 % of torque and 2 % of lambda off at rest, settled within 1 s; on the engine 2 Nm and 0.1 (static map 1 Nm, 0.01), settled as fast as the static map, 4.15 Nm/mg as the static map; 60 s of data against {STATIC_BED_S} s. Ours: {} Nm/mg against {} of the static map where all hold lambda alike; {:.0} s of bed, {:.0} s of them for the refinement, against {:.0} s of the static map. Reading: the map is driven on the models first, then on the engine; refined by records that it drives itself with loops about it.",
         economy(DYNAMIC),
         economy(STATIC),
         f.bed_s,

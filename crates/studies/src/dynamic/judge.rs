@@ -3,7 +3,7 @@
 use super::contest::{FEEDBACK, LAGGED, OURS, POSSIBLE, PREVIEW, STATIC, UNTRIMMED};
 use super::measures::Measures;
 use super::scenario::{SCENARIOS, Scenario};
-use super::{Case, boost, cases};
+use super::{Case, boost, cases, heating};
 use crate::asked::Asked;
 use crate::{Check, TaskResult, check};
 
@@ -83,6 +83,17 @@ fn over(scenario: usize, course: usize, id: String, what: String, asked: Asked, 
     Number { scenario, id, what: format!("{what}, over the best rival's"), asked, of: Box::new(of) }
 }
 
+/// Ours over what learning on the judged record itself reaches without preview: what is left to be had.
+fn over_possible(scenario: usize, course: usize, id: &str, words: &str) -> Number {
+    Number {
+        scenario,
+        id: format!("{scenario}-{id}-integral-left"),
+        what: format!("{words}: integral of |lambda - 1|, over that of what is possible"),
+        asked: Asked::Reported,
+        of: Box::new(move |c| ratio(c, OURS, course, |m| m.integral_s, Against::One(POSSIBLE))),
+    }
+}
+
 fn port_numbers() -> Vec<Number> {
     let (integral, t90): (Of, Of) = (|m| m.integral_s, |m| m.t90_s);
     let third = at_most(1.0 / 3.0);
@@ -92,6 +103,7 @@ fn port_numbers() -> Vec<Number> {
         for (course, (id, words)) in scenario.courses().into_iter().enumerate() {
             let what = format!("{words}: integral of |lambda - 1|");
             out.push(over(number, course, format!("{number}-{id}-integral"), what.clone(), third, integral));
+            out.push(over_possible(number, course, &id, &words));
             for (row, suffix, told) in
                 [(POSSIBLE, "possible", "of what is possible"), (PREVIEW, "preview", "of that with preview")]
             {
@@ -168,6 +180,7 @@ fn thesis_numbers() -> Vec<Number> {
             });
         }
         let integral: Of = |m| m.integral_s;
+        out.push(over_possible(6, course, &id, &words));
         for (row, suffix, against, told) in [
             (OURS, "best", Against::Best, "integral of |lambda - 1|"),
             (POSSIBLE, "possible", Against::One(LAGGED), "integral of |lambda - 1| of what is possible"),
@@ -224,9 +237,13 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
         })
         .collect();
     checks.extend(boost::checks(results));
-    let (tips, failed_tips) = boost::counted(results);
-    failed.extend(failed_tips);
-    let count = failed.len() + results.len() - all.len() - tips;
+    checks.extend(heating::checks(results));
+    let mut read = all.len();
+    for (count, of_it) in [boost::counted(results), heating::counted(results)] {
+        read += count;
+        failed.extend(of_it);
+    }
+    let count = failed.len() + results.len() - read;
     checks.push(check(
         "failed",
         "cases without a controller",

@@ -11,6 +11,8 @@ use super::rivals::{Ours, Played};
 
 /// Trials, and what the learning of the table of rivals does in each: gain, and samples on either side of a mean over 50 ms.
 const TRIALS: u64 = 14;
+/// Trials at reduced length.
+const SHORT: u64 = 3;
 const GAIN: f64 = 0.6;
 const HALF: usize = 2;
 /// Cycles from the command of an injection until its gas is in the exhaust manifold that are tried; the best one counts, by the
@@ -33,7 +35,11 @@ pub(super) fn row(of: &Contest<'_>, known: &Known, name: &str, preview: bool) ->
         of_it.min_by(|a, b| a.integral_s.total_cmp(&b.integral_s)).unwrap_or_default()
     };
     let courses = (0..of.judged.len()).map(best).collect();
-    Ok(Row { name: name.into(), setting: format!("{TRIALS} trials"), search_s: 0.0, courses })
+    Ok(Row { name: name.into(), setting: format!("{} trials", trials(of)), search_s: 0.0, courses })
+}
+
+fn trials(of: &Contest<'_>) -> u64 {
+    if of.stride > 1 { SHORT } else { TRIALS }
 }
 
 /// Begins with our fuel, and repeats the course with other disturbances each time; judged with those of all.
@@ -55,12 +61,12 @@ fn learned(
     let seed = of.judged_seed();
     let mut trace: Trace = play(&d.bed, seed, &d.course, &mut ours).map_err(|e| e.to_string())?;
     let mut fuel = trace.injection_mg.clone();
-    for trial in 1..=TRIALS {
+    for trial in 1..=trials(of) {
         let error: Vec<f64> = trace.true_lambda.iter().map(|l| l - 1.0).collect();
         learning.correct(&mut fuel, &error, |t| late(&d.course, t), &changes);
         fuel.iter_mut().for_each(|q| *q = q.clamp(0.0, MOST_MG));
         // The last one is judged, so it has the disturbances of all controllers.
-        let seed = if trial < TRIALS { seed + 1000 * trial } else { seed };
+        let seed = if trial < trials(of) { seed + 1000 * trial } else { seed };
         let mut played = Played { base: of.base(0.0)?, injection_mg: &fuel, at: 0 };
         trace = play(&d.bed, seed, &d.course, &mut played).map_err(|e| e.to_string())?;
     }

@@ -1,6 +1,6 @@
 //! Study `dynamic`: controllers of transients on real beds, ours beside rivals that are tuned on the same record.
 //!
-//! So far three scenarios of the table of rivals. On the port-injection engine the first two: warm, steps of 30 and 70 Nm at 2000 rpm
+//! Six scenarios of the table of rivals: three with fuel alone, here; the boosted engine in `boost`, the cold catalyst in `heating`. On the port-injection engine the first two: warm, steps of 30 and 70 Nm at 2000 rpm
 //! and random points; and the steps with the coolant at 20, 50 and 90 degC at the start. On the engine of the thesis and its ideal bed
 //! the sixth: random points and steps over the range that the thesis gives. All controllers take throttle and spark
 //! from the same static map, made by the job `map` on the same bed, so that only the fuel differs. Records of held random points,
@@ -13,6 +13,7 @@
 mod bed;
 mod boost;
 mod contest;
+mod heating;
 mod judge;
 mod learned;
 mod measures;
@@ -82,7 +83,7 @@ fn tasks(o: &Options) -> Vec<Task> {
             name: name.clone(),
             inputs: json!([scenario, engine, seed, reduced, MAP, STARTS_C, tried]),
             run: Box::new(move |around: &Surroundings| {
-                let case = case(&name, scenario, &engine, seed, reduced, around)?;
+                let case = case(scenario, &engine, seed, reduced, around)?;
                 serde_json::to_value(case).map_err(|e| refused(&name, e.to_string()))
             }),
         }
@@ -100,6 +101,19 @@ fn tasks(o: &Options) -> Vec<Task> {
         }
     };
     let tips = engines_of(3, boost::ENGINE).into_iter().map(boosted);
+    let heated = |(_, engine, seed): (usize, String, u64)| {
+        let name = format!("5-{}-{seed}", engine.replace(':', "-"));
+        Task {
+            name: name.clone(),
+            inputs: json!([5, engine, seed, reduced]),
+            run: Box::new(move |around: &Surroundings| {
+                let watch = around.watch;
+                watch.note(&format!("{engine}, seed {seed}, scenario 5: retards from cold"));
+                heating::case(&name, &engine, seed, reduced, &|| watch.interrupted())
+            }),
+        }
+    };
+    let tips = tips.chain(engines_of(5, heating::ENGINE).into_iter().map(heated));
     tips.chain(SCENARIOS.iter().flat_map(|s| engines_of(s.number, s.engine)).map(task)).collect()
 }
 
@@ -109,7 +123,6 @@ fn refused(what: &str, reason: String) -> StudyError {
 
 /// A case; what fails in it is its result, and not the end of the study.
 fn case(
-    name: &str,
     scenario: usize,
     engine: &str,
     seed: u64,
@@ -127,7 +140,7 @@ fn case(
         courses: Vec::new(),
         rows: Vec::new(),
     };
-    match filled(&mut case, name, reduced, around) {
+    match filled(&mut case, reduced, around) {
         Ok(()) => {}
         Err(Ended::Interrupted) => return Err(StudyError::Interrupted),
         Err(Ended::Failed(reason)) => case.failed = Some(reason),
@@ -135,9 +148,9 @@ fn case(
     Ok(case)
 }
 
-fn filled(case: &mut Case, name: &str, reduced: bool, around: &Surroundings) -> Result<(), Ended> {
+fn filled(case: &mut Case, reduced: bool, around: &Surroundings) -> Result<(), Ended> {
     let scenario = Scenario::of(case.scenario).ok_or_else(|| "no such scenario".to_string())?;
-    let (map, map_s) = static_map(name, scenario, case, around)?;
+    let (map, map_s) = static_map(scenario, case, around)?;
     case.map_s = map_s;
     let [records, repeated, judged] = scenario.drives(&case.engine, case.seed, reduced)?;
     let exact = exact_film(&case.engine).map_err(|e| e.to_string())?;
@@ -163,15 +176,10 @@ fn filled(case: &mut Case, name: &str, reduced: bool, around: &Surroundings) -> 
     Ok(())
 }
 
-/// The static map of the job `map`, over the range of the scenario.
-fn static_map(
-    name: &str,
-    scenario: &Scenario,
-    case: &Case,
-    around: &Surroundings,
-) -> Result<(StaticMap, f64), Ended> {
+/// The static map of the job `map`, over the range of the scenario. The first two share engine and range, and so the run.
+fn static_map(scenario: &Scenario, case: &Case, around: &Surroundings) -> Result<(StaticMap, f64), Ended> {
     let fail = Ended::Failed;
-    let out = around.runs.join(name);
+    let out = around.runs.join(format!("map-{}-{}", case.engine.replace(':', "-"), case.seed));
     let over = Overrides { seed: Some(case.seed), out: Some(out.clone()) };
     let mut job = map::job::parse("map.toml", MAP, &over).map_err(|e| fail(e.to_string()))?;
     scenario.range(&case.engine, &mut job.spec);

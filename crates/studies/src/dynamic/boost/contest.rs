@@ -1,5 +1,7 @@
 //! Ours beside production ECUs: records, searches on the bed, tip-ins that are judged.
 
+use std::collections::VecDeque;
+
 use dynocal_calib::fuelling::{
     self, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, SpeedDensityState, TransientRecord,
 };
@@ -15,7 +17,7 @@ use super::bed::{Course, MOST_MG, Trace, bed, play};
 use super::control::{Driver, Fuel, PRODUCTION, Path, Setting};
 use super::measures::TipIn;
 use super::search::Searched;
-use super::steady::Steady;
+use super::steady::{Of, Steady};
 
 /// The tip-ins of the table of rivals: speed in rpm, torque before and after in Nm.
 pub(super) const TIPS: [(f64, [f64; 2]); 2] = [(1750.0, [33.0, 220.0]), (2000.0, [33.0, 250.0])];
@@ -37,6 +39,7 @@ const AMBIENT_KPA: f64 = 101.325;
 /// Names.
 pub(super) const OURS: &str = "measured states, lambda trim";
 pub(super) const UNTRIMMED: &str = "measured states";
+pub(super) const WAITS: &str = "measured states, lambda trim, throttle waits for the fuel";
 pub(super) const PREPARED: &str = ", wastegate at rest as ours";
 
 /// A controller in all tip-ins.
@@ -84,8 +87,16 @@ pub(super) fn tip((speed_rpm, [low, high]): (f64, [f64; 2])) -> Course {
 #[derive(Clone, Copy)]
 enum Fuelled {
     Demand,
-    Ecu { at_rest: bool, ahead_s: f64, closed_s: Option<f64> },
-    Policy { trimmed: bool },
+    Ecu {
+        at_rest: bool,
+        ahead_s: f64,
+        closed_s: Option<f64>,
+    },
+    /// `waits`: the throttle waits until fuel that is injected now meets its air.
+    Policy {
+        trimmed: bool,
+        waits: bool,
+    },
 }
 
 /// What was identified, and charges that an ECU may know.
@@ -146,7 +157,8 @@ impl Contest {
         setting: Setting,
         fuel: Fuel,
     ) -> Driver<'a> {
-        Driver { path: Path::new(&self.steady, known.map(|f| &f.filling), setting), fuel }
+        let path = Path::new(&self.steady, known.map(|f| &f.filling), setting);
+        Driver { path, fuel, waiting: VecDeque::new() }
     }
 
     pub(super) fn played(
@@ -183,8 +195,13 @@ impl Contest {
     fn fuel(&self, known: &Known, fuelled: Fuelled) -> Fuel {
         match fuelled {
             Fuelled::Demand => Fuel::Demand,
-            Fuelled::Policy { trimmed } => {
-                let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
+            Fuelled::Policy { trimmed, waits } => {
+                let mut fuelling = known.fuelling.clone();
+                if waits {
+                    // The model knows the throttle that much earlier than the engine, and looks ahead that much less.
+                    fuelling.timing.charge_s -= wait(known) as f64 * SAMPLE_S;
+                }
+                let policy = FuelPolicy::new(fuelling, MOST_MG);
                 Fuel::Policy { policy: Box::new(policy), trimmed }
             }
             Fuelled::Ecu { at_rest, ahead_s, closed_s } => {
@@ -248,12 +265,21 @@ impl Contest {
             let prepared = Setting { rest_mm: ours.rest_mm, ..production };
             all.push((format!("{name}, lambda feedback{PREPARED}"), prepared, closed));
         }
-        all.push((UNTRIMMED.into(), ours, Fuelled::Policy { trimmed: false }));
-        all.push((OURS.into(), ours, Fuelled::Policy { trimmed: true }));
+        let policy = |trimmed, waits| Fuelled::Policy { trimmed, waits };
+        all.push((UNTRIMMED.into(), ours, policy(false, false)));
+        all.push((WAITS.into(), ours, policy(true, true)));
+        all.push((OURS.into(), ours, policy(true, false)));
         let row = |(name, setting, fuelled): &(String, Setting, Fuelled)| {
             let one = |t: &(f64, [f64; 2])| {
                 let course = tip(*t);
                 let mut driver = self.driver(Some(&known.fuelling), *setting, self.fuel(known, *fuelled));
+                if let Fuelled::Policy { waits: true, .. } = fuelled {
+                    driver.waiting = std::iter::repeat_n(
+                        self.steady.at(Of::Throttle, Of::Torque, t.1[0], t.0),
+                        wait(known),
+                    )
+                    .collect();
+                }
                 let trace = self.played(self.seed + 1000, &course, &mut driver)?;
                 Ok::<_, String>(TipIn::of(&trace, &course))
             };
@@ -262,6 +288,12 @@ impl Contest {
         };
         Ok(all.par_iter().map(row).collect::<Result<_, String>>()?)
     }
+}
+
+/// Samples from the command of an injection until its air counts, at the middle speed.
+fn wait(known: &Known) -> usize {
+    let middle_rpm = 0.5 * (TIPS[0].0 + TIPS[1].0);
+    (known.fuelling.timing.ahead_s(middle_rpm) / SAMPLE_S).round() as usize
 }
 
 fn words(fuelled: Fuelled) -> String {

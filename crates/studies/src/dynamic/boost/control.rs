@@ -1,5 +1,7 @@
 //! Controllers of the boosted engine: one air path for all, in which ours has two more rules, and what gives the fuel.
 
+use std::collections::VecDeque;
+
 use dynocal_calib::fuelling::{Filling, FuelPolicy, Sensed, SpeedDensityState};
 
 use super::super::bed::SAMPLE_S;
@@ -146,6 +148,8 @@ pub(super) enum Fuel {
 pub(super) struct Driver<'a> {
     pub(super) path: Path<'a>,
     pub(super) fuel: Fuel,
+    /// Commands of the throttle that wait, so that the fuel for their air is injected before it comes; as many as samples of waiting.
+    pub(super) waiting: VecDeque<f64>,
 }
 
 impl Controller for Driver<'_> {
@@ -170,6 +174,8 @@ impl Controller for Driver<'_> {
             Fuel::Ecu(ecu) => ecu.step(&sensed(true), 1.0),
             Fuel::Policy { policy, trimmed } => policy.step(&sensed(*trimmed), 1.0),
         };
-        Command { injection_mg, ..u }
+        self.waiting.push_back(u.throttle_deg);
+        let throttle_deg = self.waiting.pop_front().unwrap_or(u.throttle_deg);
+        Command { injection_mg, throttle_deg, ..u }
     }
 }

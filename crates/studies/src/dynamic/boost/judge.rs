@@ -1,7 +1,7 @@
 //! What scenarios 3 and 4 ask.
 
 use super::super::judge::judged;
-use super::contest::{OURS, PREPARED, TIPS, UNTRIMMED};
+use super::contest::{OURS, PREPARED, TIPS, UNTRIMMED, WAITS};
 use super::measures::TipIn;
 use super::{ENGINE, TipCase, cases};
 use crate::asked::Asked;
@@ -24,7 +24,7 @@ fn value(case: &TipCase, name: &str, tip: usize, of: Of) -> Option<f64> {
 fn ratio(case: &TipCase, tip: usize, of: Of, rivals: Rivals) -> Option<f64> {
     let rows = &case.found.as_ref()?.rows;
     let counts = |name: &str| {
-        ![OURS, UNTRIMMED].contains(&name) && name.ends_with(PREPARED) == (rivals == Rivals::Prepared)
+        ![OURS, UNTRIMMED, WAITS].contains(&name) && name.ends_with(PREPARED) == (rivals == Rivals::Prepared)
     };
     let best = rows.iter().filter(|r| counts(&r.name)).filter_map(|r| r.tips.get(tip).map(of));
     Some(value(case, OURS, tip, of)? / best.reduce(f64::min)?)
@@ -86,6 +86,16 @@ fn numbers() -> Vec<Number> {
             let (id, what) = named(scenario, words);
             let what = format!("{what}, over the best rival's");
             out.push(Number { id, what, asked, of: Box::new(move |c| ratio(c, tip, of, rivals)) });
+        }
+        // What it is worth to hold the throttle back until its fuel is there, and what it costs.
+        let waiting: [(&str, Of); 3] = [
+            ("waits-t90: time until 90 % where the throttle waits for the fuel, in s", |t| t.t90_s),
+            ("waits-lambda: largest distance of lambda from its demand there", |t| t.lambda),
+            ("waits-integral: integral of |lambda - 1| there, in s", |t| t.integral_s),
+        ];
+        for (words, of) in waiting {
+            let (id, what) = named("3", words);
+            out.push(Number { id, what, asked: Reported, of: Box::new(move |c| value(c, WAITS, tip, of)) });
         }
         for (scenario, words, asked, of) in values {
             let (id, what) = named(scenario, words);
