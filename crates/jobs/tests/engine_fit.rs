@@ -63,7 +63,7 @@ fn constants_of_a_known_engine_are_found_again() {
     write_map(&map, |p| {
         p.burn.efficiency = 0.915;
         p.friction.constant_pa = 70e3;
-        p.exhaust_manifold.ua_w_k = 11.0;
+        p.exhaust_wall.as_mut().unwrap().port_w_k = 13.0;
         p.exhaust.turbine_m2 = 2.2e-4;
         p.intake_valve.flow_coefficient = 0.52;
     });
@@ -79,7 +79,7 @@ fn constants_of_a_known_engine_are_found_again() {
     let value = |key: &str| found.constants.iter().find(|c| c.key == key).unwrap().value;
     for (key, truth, within) in [
         ("burn.efficiency", 0.915, 0.02),
-        ("exhaust_manifold.ua_w_k", 11.0, 0.2),
+        ("exhaust_wall.port_w_k", 13.0, 0.2),
         ("exhaust.turbine_m2", 2.2e-4, 0.05),
         ("intake_valve.flow_coefficient", 0.52, 0.06),
     ] {

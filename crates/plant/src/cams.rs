@@ -25,10 +25,9 @@ pub struct CamSchedule {
     pub shift: Option<CamShift>,
 }
 
-/// A smooth shift over speed and load, c + a e(p - p_c, N - N_c) + b r(p - p_b) e(0, N - N_b) for each cam, with the bell e =
-/// exp(-(dp/w_p)^2 - (dN/w_N)^2) and the ramp r = 1/(1 + exp(-dp/w_b)). Six constants (c and a of both cams, p_c, b) say how
-/// far overlap is opened at part load (dilution) and under boost at low speed (scavenging); places in speed and widths are
-/// given.
+/// A smooth shift over speed and load, c + a (N/N_c)^q e + b r g for each cam: a bell e = exp(-|dp/w_p|^k - |dN/w_N|^k) about
+/// (p_c, N_c), a ramp r = 1/(1 + exp((p_b - p)/w_b)) and g = exp(-((N - N_b)/w_g)^2). c and a of both cams, p_c and b say how
+/// far overlap is opened at part load (dilution) and under boost at low speed (scavenging).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CamShift {

@@ -123,7 +123,7 @@ impl VirtualEngine {
     /// Where the heat of the exhaust manifold goes; none where ports and manifold are not apart.
     pub fn exhaust_sinks(&self) -> Option<Sinks> {
         let wall = self.params.exhaust_wall?;
-        Some(wall.of(&self.params, &self.deviations, self.state.means().exhaust_kg_s))
+        Some(wall.of(self.params.ambient.temperature_k, &self.deviations, self.state.means().exhaust_kg_s))
     }
 
     /// Wall of the exhaust manifold \[K\]: as set from outside, at rest with the gas, or one temperature of all.

@@ -8,7 +8,6 @@
 //! conductances act in series. Warm-up is the bed's, as that of the cylinder walls ([`crate::testbed::thermal`]).
 
 use crate::deviations::Deviations;
-use crate::params::EngineParams;
 use serde::{Deserialize, Serialize};
 
 /// Constants.
@@ -83,9 +82,9 @@ impl ExhaustWall {
         Sinks { port: (more * self.port_w_k, port_k), manifold }
     }
 
-    /// Sinks of an engine with deviations.
-    pub(crate) fn of(&self, p: &EngineParams, d: &Deviations, flow_kg_s: f64) -> Sinks {
+    /// Sinks of an engine with deviations in air of `ambient_k`.
+    pub(crate) fn of(&self, ambient_k: f64, d: &Deviations, flow_kg_s: f64) -> Sinks {
         let colder = d.coolant_k.map_or(0.0, |t| (t - WARM_K).min(0.0));
-        self.sinks(flow_kg_s, self.port_k + colder, d.manifold_wall_k, p.ambient.temperature_k)
+        self.sinks(flow_kg_s, self.port_k + colder, d.manifold_wall_k, ambient_k)
     }
 }

@@ -8,14 +8,15 @@ use std::path::Path;
 /// Lowest first.
 const ORDER: &[&str] = &[
     "cams",
+    "geometry",
     "combustion",
     "deviations",
     "egr",
     "equilibrium",
     "error",
+    "exhaust_wall",
     "film",
     "gas",
-    "geometry",
     "heat",
     "orifice",
     "sensors",

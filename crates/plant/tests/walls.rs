@@ -59,12 +59,12 @@ fn cylinder_walls_at_rest_give_the_coolant_what_they_take() {
     let (heat_w, _) = heats(&mut e);
     let wall_k = c.temperature_k + heat_w / c.conductance_w_k;
     assert!((380.0..470.0).contains(&wall_k), "{wall_k} K");
-    // An engine whose walls are held there is the same.
+    // An engine whose walls are held at that mean is the same, but for what they move within it.
     let held = Deviations { cylinder_wall_k: Some(wall_k), ..Deviations::default() };
     let other = run(&params, held, 3.3);
     let (a, b) = (e.outputs(), other.outputs());
     assert!(
-        (a.torque_cycle_nm - b.torque_cycle_nm).abs() < 0.05,
+        (a.torque_cycle_nm - b.torque_cycle_nm).abs() < 0.2,
         "{} {}",
         a.torque_cycle_nm,
         b.torque_cycle_nm
@@ -103,7 +103,11 @@ fn the_manifold_of_a_cold_bed_warms_up_and_that_of_a_warm_one_is_at_rest() {
     };
     let mut cold = start(293.15);
     let (first, later) = (last(&mut cold, 1), last(&mut cold, 8));
-    assert!((293.0..320.0).contains(&first) && later > first + 15.0, "{first} {later} K");
+    assert!(
+        (293.0..320.0).contains(&first) && (first + 8.0..first + 20.0).contains(&later),
+        "{first} {later} K"
+    );
+    // (Some 1.6 kW, 3.1 W/K below 800 K, into 920 J/K.)
     let mut warm = start(363.15);
     let (first, later) = (last(&mut warm, 1), last(&mut warm, 8));
     assert!(first > 500.0 && (later - first).abs() < 15.0, "{first} {later} K");

@@ -96,7 +96,7 @@ pub static CONSTANTS: &[Constant] = &[
     row!("cams.shift.summit_kpa", "pressure of the summit of the bell", 35.0, 90.0, Air, |p| Some(
         &mut shift(p)?.summit_kpa
     )),
-    row!("cams.shift.boost_deg", "both cams, boost at low speed", -10.0, 35.0, Air, |p| Some(
+    row!("cams.shift.boost_deg", "cams, boost at low speed", -10.0, 50.0, Air, |p| Some(
         &mut shift(p)?.boost_deg
     )),
 ];
