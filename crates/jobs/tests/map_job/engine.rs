@@ -8,7 +8,7 @@ use dynocal_numerics::watch::Watch;
 
 /// How a bed fails.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Fault {
+pub(crate) enum Fault {
     None,
     /// It refuses to go on after so many seconds.
     Stalls(f64),
@@ -26,7 +26,7 @@ pub enum Fault {
 /// heat  = 500 + 3 torque - 100 spark + 150 cam
 /// fuel  = load
 /// ```
-pub struct Bench {
+pub(crate) struct Bench {
     variables: Vec<Variable>,
     noise: f64,
     shift: f64,
@@ -40,7 +40,7 @@ pub struct Bench {
 const OUTPUTS: [(&str, &str); 4] = [("torque", "Nm"), ("knock", "-"), ("heat", "K"), ("fuel", "kg/h")];
 
 impl Bench {
-    pub fn new(noise: f64, fault: Fault) -> Self {
+    pub(crate) fn new(noise: f64, fault: Fault) -> Self {
         let variable = |name: &str, unit: &str, causality, min, max, start| Variable {
             name: name.into(),
             unit: unit.into(),
@@ -69,7 +69,7 @@ impl Bench {
     }
 
     /// Another engine: its best spark lies elsewhere.
-    pub fn shifted(self, shift: f64) -> Self {
+    pub(crate) fn shifted(self, shift: f64) -> Self {
         Self { shift, ..self }
     }
 }
@@ -130,7 +130,7 @@ impl Plant for Bench {
 
 /// The best setting: spark limited by knock, cam by heat. On the boundary of heat spark and cam trade, so that both are found from
 /// the conditions of the first order by a fine search of the closed form.
-pub fn best(torque: f64, speed: f64, shift: f64) -> (f64, f64, f64) {
+pub(crate) fn best(torque: f64, speed: f64, shift: f64) -> (f64, f64, f64) {
     let n = speed / 1000.0 - 1.0;
     let (s0, c0) = (0.7 + 0.2 * n + shift, 0.3 + 0.3 * n);
     let mut found = (f64::INFINITY, 0.0, 0.0);
@@ -152,7 +152,7 @@ pub fn best(torque: f64, speed: f64, shift: f64) -> (f64, f64, f64) {
     found
 }
 
-pub fn text(more: &str) -> String {
+pub(crate) fn text(more: &str) -> String {
     format!(
         r#"
 sample_time_s = 0.1
@@ -208,16 +208,16 @@ speed = [1100.0, 1500.0, 1900.0]
     )
 }
 
-pub fn run_with(more: &str, seed: u64, mut plant: Bench) -> Result<Mapped, MapError> {
+pub(crate) fn run_with(more: &str, seed: u64, mut plant: Bench) -> Result<Mapped, MapError> {
     let job = job::parse("map.toml", &text(more), &Overrides { seed: Some(seed), out: None }).unwrap();
     work::run_on(&job, &mut plant, Watch::silent())
 }
 
-pub const DAY: &str =
+pub(crate) const DAY: &str =
     "[bed]\npoints = 54\nblock = 10\n[bed.approach]\nsettle_s = 12.0\nwindow_s = 1.0\naverage_s = 2.0\n";
 
 /// Fuel that the engine takes at a setting in closed form.
-pub fn fuel(torque: f64, speed: f64, spark: f64, cam: f64, shift: f64) -> f64 {
+pub(crate) fn fuel(torque: f64, speed: f64, spark: f64, cam: f64, shift: f64) -> f64 {
     let n = speed / 1000.0 - 1.0;
     let (s0, c0) = (0.7 + 0.2 * n + shift, 0.3 + 0.3 * n);
     torque / (1.0 - 0.2 * (spark - s0).powi(2) - 0.1 * (cam - c0).powi(2))
