@@ -14,6 +14,7 @@ pub mod disk;
 pub mod error;
 pub mod experiment;
 pub mod grid;
+pub mod horizon;
 pub mod identify;
 pub mod interaction;
 pub mod linear;

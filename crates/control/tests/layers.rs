@@ -23,6 +23,7 @@ const ORDER: &[&str] = &[
     "perturb",
     "runtime",
     "predictor",
+    "horizon",
     "stored",
     "simulate",
     "interaction",

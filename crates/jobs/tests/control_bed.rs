@@ -112,6 +112,12 @@ fn decoupled_loops_keep_what_is_asked() {
         COUPLED.split("[[plants]]").next().unwrap()
     );
     assert!(tried(&singular, tmp.path()).unwrap_err().contains("singular"));
+    // Nor have they loops without one: said with the set point.
+    let plain = singular
+        .replace("decoupler = \"static\"\n", "")
+        .replace("[[plants]]\n", "[[plants]]\nname = \"low\"\n");
+    let said = tried(&plain, tmp.path()).map(|_| ()).unwrap_err();
+    assert!(said.contains("low") && said.contains("always move together"), "{said}");
 }
 
 /// Integrators, inverse responses of either sign, no delay and a hundred samples of it: gains that keep what is asked; what runs away by

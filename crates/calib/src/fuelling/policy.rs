@@ -62,6 +62,16 @@ impl FuelPolicy {
 
     /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
     pub fn step(&mut self, y: &Sensed, lambda: f64) -> f64 {
+        self.stepped(y, Some(lambda))
+    }
+
+    /// A sample without injection, as in overrun: manifold, film and sensor go on, so that what was left on the wall is known when fuel
+    /// comes again. `y.lambda` must be none until the sensor shows fuelled gas again.
+    pub fn cut(&mut self, y: &Sensed) {
+        self.stepped(y, None);
+    }
+
+    fn stepped(&mut self, y: &Sensed, lambda: Option<f64>) -> f64 {
         let slope = self.slope(y.speed_rpm);
         let f = &self.fuelling;
         let (dt_s, speed_rpm, throttle_deg) = (f.sample_time_s, y.speed_rpm, y.throttle_deg);
@@ -78,11 +88,17 @@ impl FuelPolicy {
         if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
             self.trim.measured(trim, shown, dt_s);
         }
-        let wanted = (self.trim.factor() * air.at(then_rpm, pressure) / lambda).max(0.0);
+        let wanted = (self.trim.factor() * air.at(then_rpm, pressure) / lambda.unwrap_or(1.0)).max(0.0);
         let film = f.film_at(y.coolant_c);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;
-        let injection = film.inverse(on_wall, wanted, speed_rpm, dt_s, self.most);
+        let injection = match lambda {
+            Some(_) => film.inverse(on_wall, wanted, speed_rpm, dt_s, self.most),
+            None => {
+                film.forward(on_wall, 0.0, speed_rpm, dt_s);
+                0.0
+            }
+        };
         let fuel = film.forward(&mut before, injection, speed_rpm, dt_s);
         self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa));
         injection

@@ -118,6 +118,16 @@ impl SpeedDensityState {
 
     /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
     pub fn step(&mut self, y: &Sensed, lambda: f64) -> f64 {
+        self.stepped(y, Some(lambda))
+    }
+
+    /// A sample without injection, as in overrun: pressure and film go on. `y.lambda` must be none until the sensor shows fuelled gas
+    /// again.
+    pub fn cut(&mut self, y: &Sensed) {
+        self.stepped(y, None);
+    }
+
+    fn stepped(&mut self, y: &Sensed, lambda: Option<f64>) -> f64 {
         self.past.push_front(y.map_kpa);
         self.past.truncate(slope_samples(&self.ecu) + 1);
         let last = self.past.len() - 1;
@@ -126,13 +136,17 @@ impl SpeedDensityState {
         let pressure = (y.map_kpa + self.ecu.ahead_s * slope).clamp(LEAST_KPA, self.ecu.most_kpa);
         let air = Air::new(&self.ecu.charge, self.ecu.law.as_ref(), y.coolant_c);
         let (now, flow) = (air.at(y.speed_rpm, pressure), air.flow(y.speed_rpm, y.map_kpa));
-        let wanted = (now * self.trim(y, lambda, flow) / lambda).max(0.0);
-        match self.ecu.film {
-            None => wanted.min(self.most),
-            Some(coat) => {
-                let film = coat.at(y.coolant_c);
-                let state = self.film.get_or_insert_with(|| film.at_rest(wanted, y.speed_rpm));
-                film.inverse(state, wanted, y.speed_rpm, dt_s, self.most)
+        let demanded = lambda.unwrap_or(1.0);
+        let wanted = (now * self.trim(y, demanded, flow) / demanded).max(0.0);
+        let film = self.ecu.film.map(|coat| coat.at(y.coolant_c));
+        let state = film.map(|film| self.film.get_or_insert_with(|| film.at_rest(wanted, y.speed_rpm)));
+        match (film.zip(state), lambda) {
+            (None, Some(_)) => wanted.min(self.most),
+            (None, None) => 0.0,
+            (Some((film, state)), Some(_)) => film.inverse(state, wanted, y.speed_rpm, dt_s, self.most),
+            (Some((film, state)), None) => {
+                film.forward(state, 0.0, y.speed_rpm, dt_s);
+                0.0
             }
         }
     }

@@ -12,6 +12,9 @@ use super::load::{Loaded, without_predicted};
 use super::result::{ControlJobError, LoopResult, PredictorResult};
 use super::spec::{Job, LoopSpec};
 
+/// Size of the determinant at rest over the most that it can be, below which outputs move together: rounding leaves less.
+const SINGULAR: f64 = 1e-9;
+
 /// The controllers of a set point: PIs, with a schedule those of the point, with a predictor what stands in its place.
 pub(super) fn controller(
     job: &Job,
@@ -109,4 +112,22 @@ pub(super) fn predictor(
         out.gain = (out.gain.0.max(g.lower), out.gain.1.min(g.upper));
     }
     Ok(out)
+}
+
+/// Refuses plants whose outputs always move together at rest: integrators cannot hold them at demands of their own.
+pub(super) fn apart_at_rest(loaded: &Loaded) -> Result<(), ControlJobError> {
+    for p in loaded.points.iter().filter(|p| p.nominal.outputs > 1) {
+        let g = p.nominal.at(0.0);
+        // At most the product of the rows' lengths (Hadamard); integrators are infinite at rest and are left to the search.
+        let most: f64 =
+            g.data.chunks(g.cols).map(|r| r.iter().map(|v| v.norm_sqr()).sum::<f64>().sqrt()).product();
+        if most.is_finite() && most > 0.0 && g.determinant().norm() < SINGULAR * most {
+            let text = "the plant is singular at rest: its outputs always move together, whatever the inputs do, so that no loops hold them at demands of their own";
+            return Err(ControlJobError::Point {
+                point: p.name.clone(),
+                source: ControlError::Model(text.into()),
+            });
+        }
+    }
+    Ok(())
 }

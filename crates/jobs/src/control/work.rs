@@ -17,7 +17,7 @@ use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
 use super::load::{AtPoint, Loaded, load, without_predicted};
-use super::loops::{by_point, controller, predictor};
+use super::loops::{apart_at_rest, by_point, controller, predictor};
 use super::picture::{Picture, drawn};
 use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
 use super::spec::{Job, LoopSpec, Plants};
@@ -86,6 +86,7 @@ fn frequencies(plant: &System) -> usize {
 pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     watch.note("linear models of the set points");
     let loaded = load(job, watch)?;
+    apart_at_rest(&loaded)?;
     let mut loops = Vec::new();
     let mut choices = Vec::new();
     for (k, l) in job.loops.iter().enumerate() {

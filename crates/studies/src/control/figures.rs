@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bed::{Bench, Driven, Record, SAMPLE_S};
 use super::estimator::{Estimator, Kind};
+use super::horizon::{Reference, reference};
 use super::refine::{Round, refined};
 use super::runs::{Feedback, Rig, Steps, apart};
 use super::{OUTPUTS, PUBLISHED};
@@ -41,6 +42,7 @@ pub(super) struct Figures {
     pub(super) late: Vec<Late>,
     pub(super) estimate: Estimate,
     pub(super) refined: Vec<Round>,
+    pub(super) horizon: Reference,
 }
 
 /// Lambda with an extra delay.
@@ -106,9 +108,12 @@ pub(super) fn draw(
     let estimate = estimate(&rig, engine, seed, sizes[0], count, reduced)?;
     watch.note(&format!("{engine}: map made again"));
     let refined = refined(&rig, seed, if reduced { 2 } else { 4 })?;
+    watch.note(&format!("{engine}: receding horizon"));
+    let horizon = reference(&rig, engine, seed, sizes, if reduced { 30.0 } else { 120.0 })?;
     let lambda = loops.pop().unwrap_or_default();
     Ok(Figures {
         refined,
+        horizon,
         response,
         distortion_db,
         torque: loops.pop().unwrap_or_default(),

@@ -15,6 +15,7 @@ pub(super) fn checks(all: &[Case], worths: &[WorthCase]) -> Vec<Check> {
     let mut out = smith(all);
     out.extend(estimate(all));
     out.extend(refined(all));
+    out.extend(horizon(all));
     out.extend(worth(worths));
     out
 }
@@ -34,6 +35,30 @@ fn refined(all: &[Case]) -> Vec<Check> {
             Asked::AtMost(most).worst(&sizes),
             "%",
             format!("{note}; the first map {first}; feedback adds {added} % of what it added about the first; the thesis has less than {words} %"),
+        ));
+    }
+    out
+}
+
+/// What the loops leave beside a receding horizon on the same model.
+fn horizon(all: &[Case]) -> Vec<Check> {
+    let mut out = Vec::new();
+    for (k, name) in [(0, "torque"), (1, "lambda")] {
+        let share = |place: usize| {
+            move |f: &Figures| {
+                let kept = &f.horizon.kept;
+                Some(100.0 * kept.get(place)?.off[k] / kept.first()?.off[k])
+            }
+        };
+        let (sizes, note) = each(all, &share(1));
+        let preview = each(all, &share(2)).1;
+        out.push(check(
+            format!("horizon-{name}"),
+            format!("{name}: mean distance from demands that step under a receding horizon on the same model, over that under our PI, worst bed"),
+            Asked::Reported,
+            Asked::AtMost(0.0).worst(&sizes),
+            "%",
+            format!("{note}; with preview of the demands {preview}; its price and correction are chosen under another scatter"),
         ));
     }
     out

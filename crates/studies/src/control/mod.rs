@@ -16,6 +16,7 @@ mod bed;
 mod cycles;
 mod estimator;
 mod figures;
+mod horizon;
 mod judge;
 mod page;
 mod page_figures;

@@ -25,7 +25,8 @@ pub(super) fn section(engine: &str, f: &Figures) -> Section {
     section = section
         .block(steps("Figure 7.26: torque held by an estimate of it", &f.estimate.steps))
         .block(estimates(f))
-        .block(refined(f));
+        .block(refined(f))
+        .block(horizon(f));
     for l in &f.late {
         let mut shown = l.steps.clone();
         // The undelayed loop first, for comparison.
@@ -132,6 +133,18 @@ fn estimates(f: &Figures) -> Table {
             drift(e.drift.first()),
             drift(e.drift.last()),
         ])
+    })
+}
+
+/// What could be had of the same model.
+fn horizon(f: &Figures) -> Table {
+    let head = vec![
+        Column::text("Both demands step at random"),
+        Column::number("Torque off, mean", "Nm").digits(4),
+        Column::number("Lambda off, mean", "").digits(4),
+    ];
+    f.horizon.kept.iter().fold(Table::new(head), |t, k| {
+        t.row(vec![Cell::from(k.name.as_str()), k.off[0].into(), k.off[1].into()])
     })
 }
 

@@ -308,3 +308,43 @@ fn the_trim_takes_out_an_error_and_leaves_the_steps_alone() {
         assert!((policy.trimmed() - 1.0 / 0.97).abs() < 2e-3, "{}", policy.trimmed());
     }
 }
+
+/// A cut dries the wall by exp(-t / tau), and the first injection after it gives the wall what it has lost: policy and ECU.
+#[test]
+fn a_cut_leaves_the_wall_dry() {
+    use crate::fuelling::{Coat, SpeedDensity, SpeedDensityState};
+    let f = truth();
+    let (speed_rpm, map_kpa, throttle_deg) = (2000.0, 50.0, 15.0);
+    let y = sensed(speed_rpm, throttle_deg, map_kpa, None);
+    let wanted = f.charge.at(speed_rpm, map_kpa);
+    let ecu = SpeedDensity {
+        sample_time_s: DT,
+        charge: f.charge.clone(),
+        law: None,
+        most_kpa: 100.0,
+        ahead_s: 0.0,
+        film: Some(Coat { film: f.film, law: None }),
+        feedback: None,
+    };
+    for cut in [10, 40, 400] {
+        let left = (-cut as f64 * DT / f.film.tau_s).exp();
+        let expected = wanted * (1.0 - f.film.share * left) / (1.0 - f.film.share);
+        let mut state = SpeedDensityState::new(ecu.clone(), 60.0);
+        assert!((state.step(&y, 1.0) - wanted).abs() < 1e-9);
+        (0..cut).for_each(|_| state.cut(&y));
+        let first = state.step(&y, 1.0);
+        assert!((first - expected).abs() < 1e-9, "{cut}: {first} {expected}");
+        // The policy's pressure is its own: by its own next injection at rest.
+        let mut policy = FuelPolicy::new(f.clone(), 60.0);
+        let mut still = FuelPolicy::new(f.clone(), 60.0);
+        policy.step(&y, 1.0);
+        still.step(&y, 1.0);
+        for _ in 0..cut {
+            policy.cut(&y);
+            still.step(&y, 1.0);
+        }
+        let (first, rest) = (policy.step(&y, 1.0), still.step(&y, 1.0));
+        let expected = (1.0 - f.film.share * left) / (1.0 - f.film.share);
+        assert!((first / rest - expected).abs() < 0.02, "{cut}: {first} over {rest}, expected {expected}");
+    }
+}
