@@ -164,7 +164,8 @@ fn a_unit_is_a_node_of_a_function() {
     }
     let (gain, a, n) = (1.1, (-0.1f64 / 0.1).exp(), 400);
     let state = |k: usize| (1200.0 + 100.0 * ((k / 40) % 6) as f64, 60.0 + 5.0 * ((k / 7) % 12) as f64);
-    let (mut y, mut text) = (0.0, String::from("time [s],speed [rpm],torque [Nm],inj [mg]\n"));
+    // The unit starts settled at 2000 rpm and 100 Nm.
+    let (mut y, mut text) = (21.25, String::from("time [s],speed [rpm],torque [Nm],inj [mg]\n"));
     for k in 0..n {
         let (speed, torque) = state(k);
         text += &format!("{},{speed},{torque},{y}\n", 0.1 * k as f64);

@@ -6,7 +6,7 @@ use dynocal_label::label::Label;
 use dynocal_label::linear::Verdict;
 use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Keys, Log, run};
-use planted::planted_with;
+use planted::planted;
 
 /// Root mean square of the table less the truth, in counts, over cells that data reach, and how many these are.
 fn off(label: &Label, truth: &[f64], log: &Log) -> (f64, usize) {
@@ -19,6 +19,9 @@ fn off(label: &Label, truth: &[f64], log: &Log) -> (f64, usize) {
     let square: f64 = told.iter().map(|k| (t.exact[*k] - truth[*k]).powi(2)).sum();
     ((square / told.len() as f64).sqrt(), told.len())
 }
+
+/// What is done to a log.
+type Spoil = fn(&mut Log);
 
 /// Stretches of `length` samples, every `every`.
 fn stretches(log: &Log, every: usize, length: usize) -> Vec<std::ops::Range<usize>> {
@@ -66,10 +69,10 @@ fn cold(log: &mut Log) {
 
 #[test]
 fn what_spoils_a_table_is_left_out() {
-    let (label, truth, log) = planted_with(1, 0.15, false);
+    let (label, truth, log) = planted(1, 0.15);
     let (clean, cells) = off(&label, &truth, &log);
     println!("as it is: {clean:.3} counts in {cells} cells");
-    let spoils: [(&str, fn(&mut Log)); 6] = [
+    let spoils: [(&str, Spoil); 6] = [
         ("fuel cut", cut),
         ("enrichment", enrichment),
         ("sensor warms up", warm_up),

@@ -5,12 +5,12 @@ use dynocal_label::ve::Log;
 use dynocal_numerics::rng::Rng64;
 
 /// A car whose table is true, or wrong by a smooth factor, with a sensor of known delay and lag.
-pub fn planted(seed: u64, wrong: f64) -> (Label, Vec<f64>, Log) {
+pub(crate) fn planted(seed: u64, wrong: f64) -> (Label, Vec<f64>, Log) {
     planted_with(seed, wrong, false)
 }
 
 /// The same; the ECU may cut its look-ups to whole numbers, as real ones do.
-pub fn planted_with(seed: u64, wrong: f64, cut: bool) -> (Label, Vec<f64>, Log) {
+pub(crate) fn planted_with(seed: u64, wrong: f64, cut: bool) -> (Label, Vec<f64>, Log) {
     let mut rng = Rng64::new(seed);
     let x: Vec<f64> = (0..12).map(|k| 600.0 + 450.0 * f64::from(k)).collect();
     let y: Vec<f64> = (0..10).map(|k| 20.0 + 9.0 * f64::from(k)).collect();
