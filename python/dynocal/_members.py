@@ -157,6 +157,7 @@ MEMBERS: dict[str, tuple[str, ...]] = {
         "chapter4",
         "chapter5",
         "chapter6",
+        "chapter7",
         "control",
         "design",
         "dynamic",

@@ -28,7 +28,7 @@ const SPARK_DEG: f64 = 26.0;
 const LEAST_DEG: f64 = -10.0;
 /// What is tried: retard in deg; temperature of the brick at which it ends, in K, over so many kelvin.
 const RETARDS_DEG: [f64; 9] = [0.0, 5.0, 10.0, 15.0, 20.0, 24.0, 28.0, 32.0, 36.0];
-const ENDS_K: [f64; 6] = [400.0, 450.0, 500.0, 550.0, 600.0, 700.0];
+const ENDS_K: [f64; 6] = [400.0, 500.0, 600.0, 700.0, 800.0, 900.0];
 const OVER_K: f64 = 50.0;
 /// Loops: throttle per error of torque, fuel per error of lambda, per second.
 const TORQUE: (f64, f64) = (0.01, 0.08);

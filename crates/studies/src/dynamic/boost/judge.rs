@@ -30,12 +30,15 @@ fn ratio(case: &TipCase, tip: usize, of: Of, rivals: Rivals) -> Option<f64> {
     Some(value(case, OURS, tip, of)? / best.reduce(f64::min)?)
 }
 
+/// Reads a number from a case.
+type Reads = Box<dyn Fn(&TipCase) -> Option<f64>>;
+
 /// A number of a case that is asked.
 struct Number {
     id: String,
     what: String,
     asked: Asked,
-    of: Box<dyn Fn(&TipCase) -> Option<f64>>,
+    of: Reads,
 }
 
 fn numbers() -> Vec<Number> {

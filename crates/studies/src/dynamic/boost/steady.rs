@@ -6,6 +6,8 @@ use dynocal_plant::params::EngineParams;
 
 /// Knock that the steady map leaves room to: cycles scatter.
 const KNOCK: f64 = 0.85;
+/// Least rise of torque (Nm) and pressure (kPa) from point to point.
+const RISE: f64 = 0.2;
 
 /// A steady point.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +61,18 @@ impl Steady {
                     y.map_kpa,
                     y.boost_kpa,
                 ];
-                held.push(Held { values });
+                // A point at a limit does not go beyond the one before: tables over torque and pressure have to rise.
+                let rises = |h: &Held| {
+                    [Of::Torque, Of::Map]
+                        .iter()
+                        .all(|of| values[*of as usize] > h.values[*of as usize] + RISE)
+                };
+                if held.last().is_none_or(rises) {
+                    held.push(Held { values });
+                }
+            }
+            if held.len() < 2 {
+                return Err("the engine holds fewer than two torques at a speed".into());
             }
             rows.push(held);
         }
