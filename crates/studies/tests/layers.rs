@@ -16,6 +16,7 @@ const ORDER: &[&str] = &[
     "chain",
     "chapter5",
     "chapter6",
+    "chapter7",
     "control",
     "design",
     "dynamic",
