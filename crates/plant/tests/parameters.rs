@@ -28,6 +28,7 @@ fn specified() -> EngineParams {
         charge_pipe_m3: 0.006,
         intake_manifold: Manifold { volume_m3: 0.0045, ua_w_k: 4.0, wall_k: 318.0 },
         exhaust_manifold: Manifold { volume_m3: 0.002, ua_w_k: 10.0, wall_k: 550.0 },
+        exhaust_wall: None,
         catalyst: Manifold { volume_m3: 0.005, ua_w_k: 8.0, wall_k: 600.0 },
         exhaust: Exhaust { turbine_m2: 330e-6, wastegate_discharge: 0.65, tailpipe_m2: 900e-6 },
         port: None,
