@@ -52,6 +52,8 @@ pub struct Drive {
     pub widen: f64,
     /// What sweeps along the maps changed; none where there were none.
     pub trimmed: Option<Trimmed>,
+    /// RMS of what the verification took there less what the map says, as [`Drive::error`]; none before there is one.
+    pub verified: Option<f64>,
     /// Which channels are learnt over by their logarithms.
     logs: Vec<bool>,
     /// The model.
@@ -206,6 +208,7 @@ fn drive(
         spread: spread(&points.y),
         widen,
         trimmed: None,
+        verified: None,
         logs,
         model: learnt.model,
     })
@@ -229,9 +232,18 @@ impl Drive {
         self.missing() > if self.relative { ROUGH } else { ROUGH_OF_SPREAD * self.spread }
     }
 
-    /// Its error: between the lines that were swept, where there are three, else on points that had no part in it.
+    /// Its error: between the lines that were swept, where there are three, else on points that had no part in it; or, where that is
+    /// larger, what the verification found: lines do not show what all of them have in common.
     fn missing(&self) -> f64 {
-        self.trimmed.as_ref().and_then(|t| t.between).unwrap_or(self.error)
+        let told = self.trimmed.as_ref().and_then(|t| t.between).unwrap_or(self.error);
+        self.verified.map_or(told, |v| v.max(told))
+    }
+
+    /// Takes what the loops set at the verification points, `(measured, expected)` each.
+    pub(super) fn verify(&mut self, pairs: &[(f64, f64)]) {
+        let squares: Vec<f64> = pairs.iter().map(|(m, e)| self.missed_by(*m, *e).powi(2)).collect();
+        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        self.verified = Some(rms).filter(|v| v.is_finite());
     }
 
     /// Its error on unseen points with its unit, in words.

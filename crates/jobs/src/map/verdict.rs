@@ -22,6 +22,7 @@ const SMALL: f64 = 0.02;
 
 /// Fills verdict, checks and warnings.
 pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
+    verify_drives(found);
     let mut warnings = Vec::new();
     let count = |state: CellState| found.cells.iter().filter(|c| c.state == state).count();
     let (optimal, infeasible, filled) =
@@ -172,6 +173,19 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
     found.warnings = warnings;
+}
+
+/// What loops set at the verification points, for the maps of the inputs that they drive.
+fn verify_drives(found: &mut Mapped) {
+    let measured: Vec<&Verified> = found.verified.iter().filter(|v| v.measured).collect();
+    for d in &mut found.drives {
+        let of = |v: &&Verified| {
+            let at = v.deviations.iter().find(|at| at.response == d.input)?;
+            Some((at.measured, at.promised))
+        };
+        let pairs: Vec<(f64, f64)> = measured.iter().filter_map(of).collect();
+        d.verify(&pairs);
+    }
 }
 
 /// The verification holds the demands with controllers: a map whose model is rough was not shown to hold one alone.
