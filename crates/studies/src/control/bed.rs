@@ -198,8 +198,8 @@ impl Bench {
                     // Oldest first: the one before the whole delay, and the one at it.
                     let before = waiting.pop_front().unwrap_or(0.0);
                     let at = waiting.front().copied().unwrap_or(0.0);
-                    // Behind what is put in: a kick that grew with the gain would leave the slopes that a margin is about, and tip engines
-                    // into cycles of their actuators' whole range at gains at which they are calm.
+                    // Behind what is put in: a kick that grew with the gain would leave the slopes that a margin is about, and tip an engine
+                    // (it was seen on `gtdi_2l`) into a cycle of its actuators' whole range at gains at which it is calm.
                     error = put.gain * (at + share * (before - at));
                     error += if kicked && t < KICK { kick[k] } else { 0.0 };
                 }

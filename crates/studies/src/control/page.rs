@@ -53,7 +53,7 @@ fn promised(all: &[Case]) -> Section {
         }
     }
     Section::new("Promised and measured margins")
-        .text("Each loop with the other closed, about the engine behind its inverted steady gains. On the engine the gain or the delay of one loop grows until what a kick of its demand does is not gone after forty seconds (two runs with the same scatter, one with the kick), or its output scatters ten times as much as with the nominal loops; actuators have their limits, sensors their noise.")
+        .text("Each loop with the other closed, about the engine behind its inverted steady gains. On the engine the gain or the delay of one loop grows until what a kick of its error does not fade within forty seconds (two runs with the same scatter, one with the kick), or its output scatters ten times as much as with the nominal loops; actuators have their limits, sensors their noise.")
         .block(table)
 }
 
