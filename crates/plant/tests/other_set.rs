@@ -57,7 +57,8 @@ fn part_load_and_boost_are_held_and_the_first_law_holds() {
     // 91 octane against 98, at the same mean effective pressure.
     let displacement = |set: &str| EngineParams::named(set).unwrap().displacement_m3();
     let (_, base) = held("gtdi_2l", 2500.0, 200.0 * displacement("gtdi_2l") / displacement("other_1_8l"));
-    assert!(p.outputs.knock > base.outputs.knock, "{} and {}", p.outputs.knock, base.outputs.knock);
+    // Both may stand at the limit of knock: the spark that it leaves tells them apart.
+    assert!(p.knock_limited && p.outputs.ca50_deg > base.outputs.ca50_deg + 2.0, "{p:?} and {base:?}");
 }
 
 /// A motored cycle: the heat in the ledger is the integral of Hohenberg's coefficient over the surface.
