@@ -41,9 +41,9 @@ impl AtRest {
 
 /// Share of the range of each axis that is left out at either end.
 const EDGE: f64 = 0.05;
-/// Change of a demanded output between the halves of the average, as a share of its settling band, from which on a point is not
-/// at rest: what was applied is then no longer what holds it.
-const MOVES: f64 = 0.25;
+/// Change of a demanded output between the halves of the average, in its settling bands, from which on a point is not at rest. A
+/// point that still creeps within its band says nearly what holds it; a corner without a point says nothing.
+const MOVES: f64 = 1.0;
 
 /// Plays the points with `map` as feedforward; none where the spec wants none.
 ///
