@@ -184,7 +184,7 @@ fn retard(results: &[TaskResult]) -> Vec<Check> {
         mine.map(|r| (r.like_deg - r.production_deg).abs()).reduce(f64::max)
     };
     let less = all.as_ref().and_then(|a| a.iter().map(|r| r.own_deg - r.like_deg).reduce(f64::max));
-    let note = "set twin_2l: compression 10.8, 95 octane, delay of knock as published; at the torque of each pressure";
+    let note = "set twin_2l: compression 10.8, 95 octane, delay of knock as published, over oxygen and fuel of the charge; at the torque of each pressure";
     let row = |id: &str, speed: f64| {
         let what = format!("Largest distance of the retard from a production table at {speed} rpm");
         check(id, &what, "deg", Asked::AtMost(3.0), off(speed), note)
