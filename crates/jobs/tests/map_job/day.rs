@@ -1,12 +1,13 @@
 //! The day: files, journals, run folders.
 
+use dynocal_calib::steady::grid::CellState;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_jobs::export::{self, ExportSpec};
-use dynocal_jobs::map::{MapError, job, store, work};
+use dynocal_jobs::map::{MapError, Mapped, job, store, work};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::watch::Watch;
 
-use super::engine::{Bench, DAY, Fault, fuel, run_with, text};
+use super::engine::{Bench, DAY, Fault, best, fuel, run_with, text};
 
 /// What a bed writes for a plan: the engine in closed form at every row, its loops holding torque.
 fn played(plan: &str, skip: usize, begin_s: usize) -> String {
