@@ -112,7 +112,7 @@ impl Wiebe {
 /// With `state_exponent` s above 0 the flame also feels how far the charge is compressed where it burns: the time to 10 %
 /// burned goes with (V/V_0)^s in its middle, V_0 at 10 deg before dead centre, and D with (V/V_1)^s at 50 % burned, V_1 at
 /// 8 deg after it. Eddy burning gives both times as nu^(1/3) S_L^(-2/3) (Hires, Tabaczynski and Novak, SAE 780232, as
-/// quoted by Heywood 1988, 14.3.4); on an isentrope with S_L as T^2.18 p^-0.16 (Metghalchi and Keck) that is V^0.6, and
+/// quoted by Heywood 1988, 14.3.4; cited from memory, not looked up); on an isentrope with S_L as T^2.18 p^-0.16 (Metghalchi and Keck) that is V^0.6, and
 /// over mass -0.23.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

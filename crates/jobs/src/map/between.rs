@@ -64,7 +64,7 @@ impl Between<'_> {
     fn parts(&self, axes: &[Vec<f64>], cells: &[Cell], k: usize, from: usize, tolerance: f64) -> usize {
         let stride: usize = axes[k + 1..].iter().map(Vec::len).product();
         let n = axes[k].len();
-        let lines = (0..cells.len()).filter(|c| (c / stride) % n == 0);
+        let lines = (0..cells.len()).filter(|c| (c / stride).is_multiple_of(n));
         let error = |start: usize, parts: usize| {
             let at = |i: usize| &cells[start + i * stride];
             let optimal = (from..=from + PARTS).all(|i| at(i).state == CellState::Optimal);

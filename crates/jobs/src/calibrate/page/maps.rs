@@ -152,7 +152,7 @@ fn tables(map: &LeadLagMap) -> Details {
         for (what, of, values) in parts.into_iter().filter(|p| p.0.is_empty() || a.law.tau_s > 0.0) {
             let name = format!("{}{what} [{of}]", label(&port.name));
             let head = map.given.iter().map(|n| match given {
-                Some(g) => Column::number(&format!("{} {n:.4}", g.name), unit(&g.unit)).digits(4),
+                Some(g) => Column::number(format!("{} {n:.4}", g.name), unit(&g.unit)).digits(4),
                 None => Column::number("value", of).digits(4),
             });
             let first = Column::number(label(&lead.name), unit(&lead.unit)).digits(4);
