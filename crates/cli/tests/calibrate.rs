@@ -66,7 +66,11 @@ fn equal_bytes_for_any_number_of_threads_resume_and_report() {
     assert_eq!(summary["bed"]["identification_s"].as_f64(), Some(42.0));
     let loops_s = summary["bed"]["loops_s"].as_f64().unwrap();
     assert_eq!(loops_s, summary["loops"]["used_s"].as_f64().unwrap());
-    assert_eq!(summary["bed"]["total_s"].as_f64(), Some(loops_s + 42.0 + 12.0 + 42.0));
+    // Five by five points at rest of 3.5 s, which are 117 samples of 0.03 s, after 3 s.
+    let at_rest_s = summary["bed"]["at_rest_s"].as_f64().unwrap();
+    assert!((at_rest_s - (25.0 * 117.0 * 0.03 + 3.0)).abs() < 1e-9, "{at_rest_s}");
+    let total_s = summary["bed"]["total_s"].as_f64().unwrap();
+    assert!((total_s - (loops_s + 42.0 + 12.0 + 42.0 + at_rest_s)).abs() < 1e-9, "{total_s}");
     assert!(summary.to_string().len() > 1000 && !two.stdout.contains("elapsed"));
 
     let before = text(&tmp.path().join("one/summary.json"));

