@@ -163,8 +163,9 @@ fn worth_tasks(o: &Options) -> Vec<Task> {
     (o.seed..o.seed + if o.reduced { 3 } else { WORTH }).map(task).collect()
 }
 
-/// Cycles below the folder of data, the engine whose maps are used, and engines that are driven.
-const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
+/// Cycles below the folder of data, the engine whose maps are used, and engines that are driven: on cycles beyond the first two, two of
+/// them.
+const CYCLES: [&str; 5] = ["us06", "wltc_class3b", "udds", "real_drive_tsdc42648", "real_drive_cmap4115766"];
 const MAPPED: &str = "pfi_1_6l";
 const DRIVEN: [&str; 4] =
     ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
@@ -172,18 +173,18 @@ const DRIVEN: [&str; 4] =
 /// Model in the loop, where the cycles are given: they are not part of the program.
 fn cycle_tasks(o: &Options) -> Vec<Task> {
     let Some(data) = &o.data else { return Vec::new() };
-    let (cycles, engines) = if o.reduced { (&CYCLES[..1], &DRIVEN[..1]) } else { (&CYCLES[..], &DRIVEN[..]) };
+    let (cycles, count) = if o.reduced { (&CYCLES[..1], 1) } else { (&CYCLES[..], DRIVEN.len()) };
     let length_s = o.reduced.then_some(60.0);
     let task = |(cycle, engine): (&'static str, &'static str)| {
         let name = format!("{cycle}-{}", engine.replace(':', "-"));
         let path = data.join(format!("data/drive_cycles/{cycle}.csv"));
         Task {
             name: name.clone(),
-            inputs: json!([cycle, engine, length_s, cycles::FUELLED.map(|f| f.0)]),
+            inputs: json!([cycle, engine, length_s, cycles::FUELLED.map(|f| f.0), cycles::METHOD]),
             run: Box::new(move |around: &Surroundings| {
                 let failed = |reason: String| StudyError::Task { what: name.clone(), reason };
                 let watch = around.watch;
-                watch.note(&format!("{cycle}: {engine} under seven controllers"));
+                watch.note(&format!("{cycle}: {engine} under {} controllers", cycles::FUELLED.len()));
                 let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {})
                     .map_err(|e| failed(e.to_string()))?;
                 let found = cycles::contest(MAPPED, engine, cycle, &read, &|| watch.interrupted());
@@ -194,7 +195,9 @@ fn cycle_tasks(o: &Options) -> Vec<Task> {
             }),
         }
     };
-    cycles.iter().flat_map(|c| engines.iter().map(move |e| (*c, *e))).map(task).collect()
+    let engines = |k: usize| &DRIVEN[..if k < 2 { count } else { count.min(2) }];
+    let all = cycles.iter().enumerate().flat_map(|(k, c)| engines(k).iter().map(move |e| (*c, *e)));
+    all.map(task).collect()
 }
 
 fn driven(results: &[TaskResult]) -> Vec<CycleCase> {

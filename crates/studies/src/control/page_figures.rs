@@ -189,32 +189,36 @@ pub(super) fn drives(all: &[CycleCase]) -> Section {
         Column::text("Fuel by"),
         Column::number("Fuel", "g").digits(5),
         Column::number("Lambda within 1 %", "% of the fuelled time").digits(4),
+        Column::number("Lambda off", "%, mean").digits(3),
         Column::number("Torque off", "Nm").digits(3),
         Column::number("Behind the catalyst beyond 1 %", "% of the fuelled time").digits(3),
         Column::number("Break-throughs", ""),
-        Column::number("CO while rich", "g").digits(3),
-        Column::number("NO while lean", "g").digits(3),
+        Column::number("CO", "g/km").digits(3),
+        Column::number("HC", "g/km").digits(3),
+        Column::number("NO", "g/km").digits(3),
         Column::number("Outside of the cycle's band", "steps"),
     ];
     let mut table = Table::new(head);
     for c in all {
         for d in &c.drives {
-            table = table.row(vec![
+            let mut row = vec![
                 Cell::from(c.cycle.as_str()),
                 c.driven_engine.as_str().into(),
                 d.name.as_str().into(),
                 d.fuel_g.into(),
                 (100.0 * d.within).into(),
+                (100.0 * d.off).into(),
                 d.torque_nm.into(),
                 (100.0 * d.broken).into(),
                 Cell::from(f64::from(d.breaks)),
-                d.rich_lean[0].into(),
-                d.rich_lean[1].into(),
-                Cell::from(d.outside as f64),
-            ]);
+            ];
+            row.extend(d.tailpipe_g_km.map(Cell::from));
+            row.push(Cell::from(d.outside as f64));
+            table = table.row(row);
         }
     }
+    let ecu = all.first().map_or([f64::NAN; 2], |c| c.ecu_s);
     Section::new("Model in the loop")
-        .text("A car with a driver follows the cycle. Maps are those of the first engine; the others are like it, not equal. Without feedback neither lambda nor torque is trimmed; with feedback torque has the same integral trim everywhere. What leaves the catalyst is counted as not converted while lambda behind it is beyond 1 %: carbon monoxide when rich, nitric oxide when lean.")
+        .text(format!("A car with a driver follows the cycle. Maps, the identified model and what the ECU tuned ({} s of extrapolation, a closed loop of {} s) are those of the first engine; the others are like it, not equal. Throttle and spark are those of the static map for all. Without feedback neither lambda nor torque is trimmed; with feedback torque has the same integral trim everywhere. Every loop holds still while its sensor shows gas of a fuel cut. Behind the catalyst carbon monoxide and hydrocarbons pass while lambda there is below 0.99, nitric oxide while it is above 1.01, else what the brick's temperature leaves; the catalyst starts cold, the engine warm.", ecu[0], ecu[1]))
         .block(table)
 }

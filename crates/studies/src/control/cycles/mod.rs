@@ -1,0 +1,167 @@
+//! Model in the loop: car, driver and engine along a speed cycle, fuel by a static map, a dynamic map (air, manifold and film that
+//! were identified, inverted), a production ECU or measured air, each without and with feedback of lambda; a catalyst behind the engine.
+//!
+//! Maps, models and what the ECU tunes are of one engine as it is (`known`), and drive engines that are like it. The sensor of lambda
+//! sees the gas of a cycle after a transport that goes with one over the flow, through a lag (`sensor`). Throttle and spark are those of
+//! the static map for all.
+
+mod known;
+mod sensor;
+mod source;
+
+use dynocal_plant::engine::VirtualEngine;
+use dynocal_plant::params::EngineParams;
+use dynocal_plant::vehicle::{Car, DriveCycle, DriveOptions, drive};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use known::{Known, known};
+use source::Source;
+
+/// Speeds of the maps in rpm, and torques a speed.
+const SPEEDS_RPM: [f64; 7] = [800.0, 1200.0, 1700.0, 2300.0, 3000.0, 3800.0, 4600.0];
+const TORQUES: usize = 6;
+/// Step of car, engine and controllers in s.
+const STEP_S: f64 = 0.02;
+/// Most fuel of an injection in mg.
+const MOST_MG: f64 = 120.0;
+/// Distance of lambda from 1 that counts.
+const NEAR: f64 = 0.01;
+/// How the drives are made, for results that are kept.
+pub(super) const METHOD: &str = "identified, blind after a cut";
+
+/// What gives the fuel before any feedback.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FuelBy {
+    /// The steady map of demand and speed.
+    Map,
+    /// The air of the last cycle.
+    Air,
+    /// The identified air, manifold and film, inverted.
+    Dynamic,
+    /// Air by the extrapolated pressure, film compensated.
+    Ecu,
+}
+
+/// What holds lambda.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Hold {
+    Nothing,
+    /// A PI by SIMC for a usual transport.
+    Pi,
+    /// The same with a map that learns.
+    PiTrim,
+    /// A Smith predictor with transport by flow.
+    Smith,
+    /// What belongs to the way of fuelling: the trim by the predicted sensor, the loop of the ECU.
+    Own,
+    /// The same about a lambda that holds the oxygen of the catalyst.
+    OwnRear,
+}
+
+/// All that are compared, with their names.
+pub(super) const FUELLED: [(&str, FuelBy, Hold); 10] = [
+    ("static map", FuelBy::Map, Hold::Nothing),
+    ("static map, PI", FuelBy::Map, Hold::Pi),
+    ("static map, PI, long-term trim", FuelBy::Map, Hold::PiTrim),
+    ("dynamic map", FuelBy::Dynamic, Hold::Nothing),
+    ("dynamic map, trim by the sensor", FuelBy::Dynamic, Hold::Own),
+    ("dynamic map, trim by the sensor, rear trim", FuelBy::Dynamic, Hold::OwnRear),
+    ("production ECU", FuelBy::Ecu, Hold::Nothing),
+    ("production ECU, feedback", FuelBy::Ecu, Hold::Own),
+    ("measured air, PI", FuelBy::Air, Hold::Pi),
+    ("measured air, Smith predictor", FuelBy::Air, Hold::Smith),
+];
+
+/// A drive.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Driven {
+    pub(super) name: String,
+    pub(super) fuel_g: f64,
+    /// Share of the fuelled time with lambda within 1 %, and mean distance of lambda from 1 over it.
+    pub(super) within: f64,
+    pub(super) off: f64,
+    /// Root of the mean squared distance of the torque from its demand, in Nm, where torque is asked for.
+    pub(super) torque_nm: f64,
+    /// Share of the fuelled time with lambda behind the catalyst outside of 1 %, and how often it left it.
+    pub(super) broken: f64,
+    pub(super) breaks: u32,
+    /// Carbon monoxide, hydrocarbons and nitric oxide behind the catalyst in g per km.
+    pub(super) tailpipe_g_km: [f64; 3],
+    /// Steps outside of the tolerance of the cycle.
+    pub(super) outside: usize,
+}
+
+/// All drives of one engine along the cycle.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct CycleCase {
+    pub(super) cycle: String,
+    pub(super) driven_engine: String,
+    pub(super) length_s: f64,
+    pub(super) drives: Vec<Driven>,
+    /// What the ECU tuned: time of its extrapolation and of its closed loop in s.
+    pub(super) ecu_s: [f64; 2],
+}
+
+/// The engine of a parameter set after a second of running: means over a cycle are there.
+fn running(set: &str) -> Result<VirtualEngine, String> {
+    let params = EngineParams::named(set).map_err(|e| e.to_string())?;
+    let mut engine = VirtualEngine::new(&params).map_err(|e| e.to_string())?;
+    engine.advance_time(1.0);
+    engine.check_state().map_err(|e| e.to_string())?;
+    Ok(engine)
+}
+
+/// All controllers along the cycle on an engine, maps and models from the engine `mapped`.
+pub(super) fn contest(
+    mapped: &str,
+    driven: &str,
+    name: &str,
+    cycle: &DriveCycle,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Result<CycleCase, String> {
+    let known = known(mapped, stop)?;
+    let engine = running(driven)?;
+    let one = |(title, by, hold): &(&str, FuelBy, Hold)| {
+        along(&engine, &known, (*by, *hold), cycle, stop)
+            .map(|d| Driven { name: (*title).into(), ..d })
+            .map_err(|e| format!("{title}: {e}"))
+    };
+    let drives = FUELLED.par_iter().map(one).collect::<Result<Vec<_>, String>>()?;
+    let closed_s = known.ecu.feedback.map_or(f64::NAN, |f| f.closed_s);
+    Ok(CycleCase {
+        cycle: name.into(),
+        driven_engine: driven.into(),
+        length_s: cycle.duration_s(),
+        drives,
+        ecu_s: [known.ecu.ahead_s, closed_s],
+    })
+}
+
+fn along(
+    engine: &VirtualEngine,
+    known: &Known,
+    fuelled: (FuelBy, Hold),
+    cycle: &DriveCycle,
+    stop: &dyn Fn() -> bool,
+) -> Result<Driven, String> {
+    let mut source = Source::new(engine, known, fuelled)?;
+    let options = DriveOptions { step_s: STEP_S, ..DriveOptions::default() };
+    let log = drive(&Car::thesis(), cycle, &mut source, options, stop).map_err(|e| e.to_string())?;
+    if stop() {
+        return Err("interrupted".into());
+    }
+    let t = &source.told;
+    let fuelled_s = t.fuelled.max(STEP_S);
+    Ok(Driven {
+        name: String::new(),
+        fuel_g: log.fuel_g,
+        within: t.near / fuelled_s,
+        off: t.off / fuelled_s,
+        torque_nm: (t.torque.0 / t.torque.1.max(1.0)).sqrt(),
+        broken: t.broken / fuelled_s,
+        breaks: t.breaks,
+        tailpipe_g_km: t.tailpipe_g.map(|g| g / (1e-3 * log.distance_m).max(1e-3)),
+        outside: log.outside,
+    })
+}
