@@ -155,6 +155,12 @@ pub trait FeedforwardMap: Send + Sync {
         None
     }
 
+    /// The same map with the plainest dynamics, one lag of all actuators but `leader`, as `judge` likes it best: what shows whether
+    /// those of [`FeedforwardMap::tuned`] pay. None where the structure has none.
+    fn lagged(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {
+        None
+    }
+
     /// Longest time in s that the map waits on purpose before it answers a demand.
     fn latency_s(&self, sample_time_s: f64) -> f64;
 }

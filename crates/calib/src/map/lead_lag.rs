@@ -295,6 +295,26 @@ impl LeadLagMap {
             .collect()
     }
 
+    /// Actuators that do not lead.
+    fn followers(&self, leader: usize) -> Vec<usize> {
+        (0..self.actuators.len()).filter(|c| *c != leader).collect()
+    }
+
+    /// One lag of all that follow, inverse to the given channel, by a line search from 0 to 0.6 s: what it costs, and the map. None where
+    /// nothing of it can be judged.
+    fn one_lag(&self, judge: Judge, followers: &[usize]) -> Option<(f64, Self)> {
+        let mut best = (f64::INFINITY, self.clone());
+        for k in 0..=STEPS {
+            let law = LagLaw { tau_s: LONGEST_S * f64::from(k) / f64::from(STEPS), ..LagLaw::NONE };
+            let map = self.with(&followers.iter().map(|c| (*c, law)).collect::<Vec<_>>());
+            let value = judge(&map);
+            if value < best.0 {
+                best = (value, map);
+            }
+        }
+        best.0.is_finite().then_some(best)
+    }
+
     /// The map with other dynamics of some actuators.
     fn with(&self, laws: &[(usize, LagLaw)]) -> Self {
         let mut map = self.clone();
@@ -402,24 +422,11 @@ impl FeedforwardMap for LeadLagMap {
         Some(StoredMap::new(map))
     }
 
-    /// First one lag for all that follow, by a line search (0 to 0.6 s, inverse to the given channel); then for each of them lag,
+    /// First one lag for all that follow ([`LeadLagMap::lagged`]); then for each of them lag,
     /// powers and lead by steps that are halved, each step for at least a thousandth of what is judged.
     fn tuned(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
-        let followers: Vec<usize> = (0..self.actuators.len()).filter(|c| *c != leader).collect();
-        let together =
-            |law: LagLaw| -> Vec<(usize, LagLaw)> { followers.iter().map(|c| (*c, law)).collect() };
-        let mut best = (f64::INFINITY, self.clone());
-        for k in 0..=STEPS {
-            let law = LagLaw { tau_s: LONGEST_S * f64::from(k) / f64::from(STEPS), ..LagLaw::NONE };
-            let map = self.with(&together(law));
-            let value = judge(&map);
-            if value < best.0 {
-                best = (value, map);
-            }
-        }
-        if !best.0.is_finite() {
-            return None;
-        }
+        let followers = self.followers(leader);
+        let mut best = self.one_lag(judge, &followers)?;
         for halving in 0..HALVINGS {
             for &c in &followers {
                 for law in neighbours(best.1.actuators[c].law, 0.5f64.powi(halving as i32)) {
@@ -432,6 +439,10 @@ impl FeedforwardMap for LeadLagMap {
             }
         }
         Some(StoredMap::new(best.1))
+    }
+
+    fn lagged(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
+        Some(StoredMap::new(self.one_lag(judge, &self.followers(leader))?.1))
     }
 
     fn latency_s(&self, _sample_time_s: f64) -> f64 {

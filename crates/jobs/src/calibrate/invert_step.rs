@@ -23,6 +23,10 @@ pub struct InvertResult {
     pub dynamic: StoredMap,
     /// Other structures, for comparison, as far as they are made for the problem and a fit that can be run was found.
     pub rivals: Vec<StoredMap>,
+    /// The delivered map with the plainest dynamics, one lag of all actuators but the leading one: what its own have to beat. None where
+    /// its structure has none or no model tells.
+    #[serde(default)]
+    pub one_lag: Option<StoredMap>,
     /// Points at rest that the delivered map was moved onto; none where the spec wants none.
     pub at_rest: Option<AtRest>,
     /// Fits.
@@ -84,6 +88,7 @@ pub fn invert(
     Ok(InvertResult {
         dynamic,
         rivals,
+        one_lag: None,
         at_rest: None,
         scores,
         pairs: if simulated { "simulated" } else { "measured" }.into(),
@@ -141,12 +146,14 @@ pub fn finished(
         let tuned = judge.tells().then(|| map.tuned(&cost, leader)).flatten();
         tuned.unwrap_or(map)
     };
+    let one_lag = judge.tells().then(|| fitted.dynamic.lagged(&cost, leader)).flatten();
     let dynamic = tuned(fitted.dynamic);
     let mut points = at_rest::measured(ctx, folder, &*dynamic)?;
     let dynamic = at_rest::anchored(dynamic, points.as_mut());
+    let one_lag = one_lag.map(|m| at_rest::anchored(m, points.clone().as_mut()));
     let rivals = fitted.rivals.into_iter();
     let rivals = rivals.map(|m| at_rest::anchored(tuned(m), points.clone().as_mut())).collect();
-    Ok(InvertResult { dynamic, rivals, at_rest: points, ..fitted })
+    Ok(InvertResult { dynamic, rivals, one_lag, at_rest: points, ..fitted })
 }
 
 fn pairs_of(

@@ -56,6 +56,9 @@ pub const DYNAMIC: &str = "dynamic map";
 /// Name of the same before it was refined.
 pub const NOT_REFINED: &str = "dynamic map before refinement";
 
+/// Name of the same with one lag in the place of its dynamics.
+pub const ONE_LAG: &str = "same tables, one lag";
+
 /// A map with the name that it has in the comparison.
 type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);
 
@@ -81,6 +84,7 @@ pub fn validate(
     // What is delivered is called so, whatever its structure.
     let mut maps: Vec<NamedMap> =
         vec![(&*inverse.dynamic, DYNAMIC), (&static_map, static_map.name()), (&lagged, lagged.name())];
+    maps.extend(inverse.one_lag.as_ref().map(|m| -> NamedMap { (&**m, ONE_LAG) }));
     maps.extend(inverse.before.as_ref().map(|m| -> NamedMap { (&**m, NOT_REFINED) }));
     maps.extend(inverse.rivals.iter().map(|m| -> NamedMap { (&**m, m.name()) }));
     let names: Vec<&str> = maps.iter().map(|m| m.1).collect();

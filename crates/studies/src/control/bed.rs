@@ -10,7 +10,7 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
 /// How tests and measures are made, for results that are kept: behind the first map; margins by pairs of runs.
-pub(super) const METHOD: &str = "demands, pairs with small kicks";
+pub(super) const METHOD: &str = "under loops, pairs with small kicks";
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.02;
 /// Movements of the test as shares of throttle and fuel.
@@ -33,6 +33,8 @@ const OSCILLATES: f64 = 10.0;
 const LEFT: f64 = 1.0;
 /// Halvings of the interval in which it begins.
 const HALVINGS: usize = 7;
+/// Samples until other gains take their turn in a record under loops.
+const TURN: usize = 500;
 /// Places of injection, throttle, torque and lambda.
 const INJ: usize = 0;
 const THROTTLE: usize = 2;
@@ -51,6 +53,24 @@ pub(super) struct Bench {
     y0: [f64; 2],
     outputs: usize,
     seed: u64,
+}
+
+/// Loops under which a record is made: a third of it as they are, then each of them with its gain raised by its factor. A gain margin
+/// is decided above the frequencies at which a loop of that margin moves the engine by itself.
+pub(super) struct Under<'a> {
+    pub(super) gains: &'a [PidGains],
+    pub(super) raised: [f64; 2],
+}
+
+impl Under<'_> {
+    /// Factors of the gains at a row.
+    fn factors(&self, row: usize) -> [f64; 2] {
+        let mut factors = [1.0; 2];
+        if let Some(loop_raised) = (row / TURN % 3).checked_sub(1) {
+            factors[loop_raised] = self.raised[loop_raised];
+        }
+        factors
+    }
 }
 
 /// Movements about the set point.
@@ -141,18 +161,25 @@ impl Bench {
         ([self.u0[THROTTLE], self.u0[INJ], self.u0[SPARK]], self.y0)
     }
 
-    /// Throttle and fuel moved at random, each on its own; behind a map demands of torque and lambda.
-    pub(super) fn excite(&self, length_s: f64, map: Option<&[f64]>) -> Result<Record, String> {
+    /// Throttle and fuel moved at random, each on its own; behind a map demands of torque and lambda; `under` loops, what these give
+    /// is added, so that the record has most of its movement where the loops have theirs.
+    pub(super) fn excite(
+        &self,
+        length_s: f64,
+        map: Option<&[f64]>,
+        under: Option<&Under>,
+    ) -> Result<Record, String> {
         let n = (length_s / SAMPLE_S) as usize;
-        let mut rng = Rng64::stream(self.seed, 7 + u64::from(map.is_some()));
+        let mut rng = Rng64::stream(self.seed, 7 + u64::from(map.is_some()) + u64::from(under.is_some()));
         let (u0, y0) = self.point();
         let moves = match map {
             None => [MOVES[0] * u0[0], MOVES[1] * u0[1]],
             Some(_) => [DEMANDS[0] * y0[0], DEMANDS[1] * y0[1]],
         };
+        let mut pids = started(under.map_or(&[], |u| u.gains))?;
         let mut moved = Vec::with_capacity(2 * n);
         let (mut left, mut level) = ([0usize; 2], [0.0; 2]);
-        let run = self.drive(n, &mut |_, _| {
+        let run = self.drive(n, &mut |t, shown| {
             for k in 0..2 {
                 if left[k] == 0 {
                     left[k] = rng.uniform_in(HOLDS.0.ln(), HOLDS.1.ln()).exp() as usize;
@@ -160,10 +187,14 @@ impl Bench {
                 }
                 left[k] -= 1;
             }
-            moved.extend(level);
+            let (mut asked, factors) = (level, under.map_or([1.0; 2], |u| u.factors(t)));
+            for (k, pid) in pids.iter_mut().enumerate() {
+                asked[k] += pid.step(0.0, factors[k] * (y0[k] - shown[k]));
+            }
+            moved.extend(asked);
             let d = match map {
-                None => level,
-                Some(m) => [m[0] * level[0] + m[1] * level[1], m[2] * level[0] + m[3] * level[1]],
+                None => asked,
+                Some(m) => [m[0] * asked[0] + m[1] * asked[1], m[2] * asked[0] + m[3] * asked[1]],
             };
             [u0[0] + d[0], u0[1] + d[1], u0[2]]
         })?;
@@ -180,11 +211,7 @@ impl Bench {
         put: Injected,
         kicked: bool,
     ) -> Result<Vec<f64>, String> {
-        let wide = ActuatorLimits { lower: -1e6, upper: 1e6, rate_per_s: None };
-        let mut pids = gains
-            .iter()
-            .map(|g| Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string()))
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut pids = started(gains)?;
         let (whole, share) = (put.delay_samples.floor() as usize, put.delay_samples.fract());
         let mut waiting: VecDeque<f64> = std::iter::repeat_n(0.0, whole + 1).collect();
         let kick = [0.03 * self.y0[0].abs(), 0.02];
@@ -260,6 +287,12 @@ impl Bench {
         }
         Ok(Some(if delay { 0.5 * (good + bad) } else { (good * bad).sqrt() }))
     }
+}
+
+/// Controllers at rest whose actuators end where they end.
+fn started(gains: &[PidGains]) -> Result<Vec<Pid>, String> {
+    let wide = ActuatorLimits { lower: -1e6, upper: 1e6, rate_per_s: None };
+    gains.iter().map(|g| Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(|e| e.to_string())).collect()
 }
 
 /// Standard deviation over the end of a run.

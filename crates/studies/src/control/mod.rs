@@ -3,9 +3,10 @@
 //! On three beds, with sensors and scatter: throttle and injected fuel are moved a little about a set point, a linear model of
 //! torque and lambda is estimated from the record, and its steady gains are inverted, which is what a static map is about its
 //! set point: `u = u0 + G(0)^-1 d`, d being demands of torque and lambda. Behind it the demands are moved, as in the thesis, and the
-//! model of the loops is estimated from that record: torque bends at lambda 1, and fuel that moves without its air sees another slope than
-//! loops that move both. About this compensated engine two PI controllers are tuned by the search of the plane. Their gain and
-//! delay margins, each loop with the other closed, are then measured: gain or delay is put into one loop and grows until the
+//! a model is estimated from that record: torque bends at lambda 1, and fuel that moves without its air sees another slope than
+//! loops that move both. About this compensated engine two PI controllers are tuned by the search of the plane. They are rough: under
+//! them the engine is tested a third time, their gains raised in turns, and what is built on that record is judged. The test grows until
+//! its model says the gain margins to 1 dB. Gain and delay margins, each loop with the other closed, are then measured: gain or delay is put into one loop and grows until the
 //! engine oscillates. The published gains are judged on the same models.
 //!
 //! Figures 7.22 to 7.30 are drawn on the same beds (`figures`): responses, steps under the loops, torque held by an estimate
@@ -20,23 +21,16 @@ mod horizon;
 mod judge;
 mod page;
 mod page_figures;
+mod plant;
 mod refine;
 mod runs;
 mod worth;
 
-use dynocal_control::closed::Closed;
-use dynocal_control::identify::{ORDERS, identify};
-use dynocal_control::interaction::relative_gains;
-use dynocal_control::linear::about;
+use dynocal_control::identify::ORDERS;
 use dynocal_control::margin::{Margins, Side, margins};
-use dynocal_control::matrix::Matrix;
 use dynocal_control::plane::Channel;
-use dynocal_control::runtime::PidGains;
-use dynocal_control::system::{System, Transfer};
-use dynocal_control::tune::{Asked as Margin, choose, lag, step_run};
-use dynocal_ident::stored::{Quantity, StoredModel};
+use dynocal_control::system::System;
 use dynocal_numerics::registry::MemberDoc;
-use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
@@ -60,8 +54,8 @@ pub(super) const STUDY: Study = Study {
 
 /// Beds, and seeds of their scatter.
 const ENGINES: [&str; 3] = ["pfi_1_6l", "gtdi_2l", "other_1_8l"];
-/// Length of the record that identifies, in s.
-const RECORD_S: f64 = 240.0;
+/// Least and greatest length of the records that identify, in s.
+const RECORD_S: (f64, f64) = (240.0, 960.0);
 /// Names of inputs and outputs.
 const INPUTS: [&str; 2] = ["throttle", "inj"];
 const OUTPUTS: [&str; 2] = ["torque", "lambda"];
@@ -76,6 +70,8 @@ struct LoopFound {
     kp: f64,
     ki: f64,
     promised: Margins,
+    /// Half of the interval that holds nine tenths of the gain margins of draws of the model, in dB.
+    half_db: f64,
     /// Factor of the gain at which the engine began to oscillate; none: not up to the largest that was tried.
     gain_measured: Option<f64>,
     /// Delay in s at which it began to oscillate.
@@ -100,6 +96,8 @@ struct Case {
     /// Orders of the models, and their free-run fit on the half that chose them, in percent.
     orders: Vec<(usize, usize)>,
     fits: Vec<f64>,
+    /// Length of the test under loops in s.
+    test_s: f64,
     /// Steady gains, outputs by inputs.
     steady: Vec<f64>,
     relative_gain: f64,
@@ -122,6 +120,7 @@ fn tasks(o: &Options) -> Vec<Task> {
                 failed: None,
                 orders: Vec::new(),
                 fits: Vec::new(),
+                test_s: f64::NAN,
                 steady: Vec::new(),
                 relative_gain: f64::NAN,
                 loops: Vec::new(),
@@ -213,111 +212,38 @@ fn fill(case: &mut Case, seed: u64, reduced: bool, around: &Surroundings) -> Res
     let watch = around.watch;
     watch.note(&format!("{}: records", case.engine));
     let bench = Bench::new(&case.engine, seed, None)?;
-    let length_s = if reduced { 60.0 } else { RECORD_S };
-    // A first test tells the steady gains; the second moves behind their inverse, which is where the loops work.
-    let (first, ..) = identified(&bench.excite(length_s, None)?, INPUTS, watch)?;
-    let at_rest = first.at(0.0);
-    case.steady = at_rest.data.iter().map(|v| v.re).collect();
-    case.relative_gain = relative_gains(&first, 0.0).map_err(|e| text(&e))?[0];
-    let rough = inverse(&at_rest)?;
-    let record = bench.excite(length_s, Some(&rough))?;
-    let (behind, orders, fits) = identified(&record, DEMANDED, watch)?;
-    (case.orders, case.fits) = (orders, fits);
-    let finer = inverse(&behind.at(0.0))?;
-    let map = product(&rough, &finer);
-    // The controller answers a record's row in the next one.
-    let later = Transfer::sampled(&[0.0, 1.0], &[1.0]);
-    let plant = behind.mixed(&finer).and_then(|s| s.after(&[later.clone(), later])).map_err(|e| text(&e))?;
-    let gains = tuned(&plant)?;
-    let closed = closed(&plant, &gains)?;
-    case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&plant, name, g)).collect();
+    let (least_s, most_s) = if reduced { (60.0, 60.0) } else { RECORD_S };
+    let first = plant::behind_a_map(&bench, least_s, watch)?;
+    case.steady = first.steady.data.iter().map(|v| v.re).collect();
+    case.relative_gain = first.relative_gain;
+    let known = plant::under_loops(&bench, &first, (least_s, most_s), seed, watch)?;
+    (case.orders, case.fits, case.test_s) = (known.orders, known.fits, known.test_s);
+    case.published = PUBLISHED.iter().flat_map(|(name, g)| judged(&known.plant, name, g)).collect();
     case.figures = Some(figures::draw(
         &bench,
-        (&record, &finer),
-        &map,
-        &plant,
-        &gains,
+        (&first.record, &first.finer),
+        &first.map,
+        &known.plant,
+        &known.gains,
         (&case.engine, seed, reduced),
         watch,
     )?);
-    for (k, g) in gains.iter().enumerate() {
+    let closed = plant::closed(&known.plant, &known.gains)?;
+    for (k, g) in known.gains.iter().enumerate() {
         watch.note(&format!("{}: margins of the loop of {}", case.engine, OUTPUTS[k]));
         let promised = margins(&closed, Side::Outputs, k).map_err(|e| text(&e))?;
-        let measure = |delay: bool| bench.lost(&map, &gains, k, delay, &promised, &|| watch.interrupted());
+        let measure =
+            |delay: bool| bench.lost(&first.map, &known.gains, k, delay, &promised, &|| watch.interrupted());
         case.loops.push(LoopFound {
             kp: g.kp,
             ki: g.ki,
             gain_measured: measure(false)?,
             delay_measured_s: measure(true)?,
             promised,
+            half_db: known.half_db[k],
         });
     }
     Ok(())
-}
-
-type Identified = (System, Vec<(usize, usize)>, Vec<f64>);
-
-/// Linear model of both outputs from a record, with orders and fits.
-fn identified(record: &bed::Record, inputs: [&str; 2], watch: Watch) -> Result<Identified, String> {
-    let (mut models, mut orders, mut fits) = (Vec::new(), Vec::new(), Vec::new());
-    for (o, output) in OUTPUTS.iter().enumerate() {
-        let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
-        let column = |k: usize| record.u.iter().skip(k).step_by(2).copied().collect::<Vec<f64>>();
-        let columns: Vec<_> = inputs.iter().enumerate().map(|(k, n)| (quantity(n), column(k))).collect();
-        let stop = || watch.interrupted();
-        let one = identify(&columns, (quantity(output), &record.y[o]), SAMPLE_S, &ORDERS, &stop)
-            .map_err(|e| e.to_string())?;
-        orders.push(one.orders);
-        fits.push(one.selection_r2);
-        models.push(one.model);
-    }
-    let all: Vec<&StoredModel> = models.iter().collect();
-    let names: Vec<String> = inputs.iter().map(|n| n.to_string()).collect();
-    let point = names.iter().map(|n| (n.clone(), 0.0)).collect();
-    let found = about(&all, &names, &point).map_err(|e| e.to_string())?;
-    Ok((found.system, orders, fits))
-}
-
-/// Product of two matrices of two rows.
-fn product(a: &[f64], b: &[f64]) -> Vec<f64> {
-    (0..4).map(|k| a[k / 2 * 2] * b[k % 2] + a[k / 2 * 2 + 1] * b[2 + k % 2]).collect()
-}
-
-fn inverse(g: &Matrix) -> Result<Vec<f64>, String> {
-    let inverse = g.inverse().ok_or("the steady gains of the engine have no inverse")?;
-    Ok(inverse.data.iter().map(|v| v.re).collect())
-}
-
-/// Gains of each loop alone, made smaller together until both keep the margins with the other closed.
-fn tuned(plant: &System) -> Result<Vec<PidGains>, String> {
-    let asked = Margin::default();
-    let mut alone = Vec::new();
-    for k in 0..2 {
-        let refused = |e: dynocal_control::error::ControlError| format!("gains of {}: {e}", OUTPUTS[k]);
-        let channel = Channel::new(plant.time, plant.channel(k, k).clone()).map_err(refused)?;
-        let lags: Vec<_> = lag(&channel).ok().into_iter().collect();
-        let channels = [channel];
-        let found = choose(&channels, &asked, step_run(&channels, &lags)).map_err(refused)?;
-        alone.push(PidGains::pi(found.tuned.kp, found.tuned.ki));
-    }
-    let mut factor = 1.0;
-    for _ in 0..60 {
-        let gains: Vec<PidGains> =
-            alone.iter().map(|g| PidGains::pi(g.kp / factor, g.ki / (factor * factor))).collect();
-        let l = closed(plant, &gains)?;
-        let kept = |k: usize| margins(&l, Side::Outputs, k).is_ok_and(|m| asked.violation(&m) <= 1.0);
-        if kept(0) && kept(1) {
-            return Ok(gains);
-        }
-        factor *= 1.06;
-    }
-    Err("no gains keep the margins with both loops closed".into())
-}
-
-fn closed(plant: &System, gains: &[PidGains]) -> Result<Closed, String> {
-    let own: Vec<Transfer> = gains.iter().map(|g| g.transfer(plant.time)).collect();
-    let controller = System::diagonal(plant.time, &own).map_err(|e| e.to_string())?;
-    Closed::new(plant.clone(), controller).map_err(|e| e.to_string())
 }
 
 /// Published gains, each loop alone.

@@ -74,11 +74,18 @@ pub(super) fn section(ctx: &Context, i: &InvertResult, rival: Option<&StaticMap>
 fn made_of(form: &MapForm) -> String {
     match form {
         MapForm::Terms(_) => "It is a static part plus differences over a window of the filtered demand, which vanish in steady state.".into(),
-        MapForm::Tables(map) => format!(
-            "It is tables of {} by {} breakpoints for each actuator, and for those that follow a lag, whose time constant is a table as well, with a lead. The dynamics are those that hold the demands best by the identified models, on steps and on random points that are not those of the comparison; at rest they do not speak.",
-            map.demand.len(),
-            map.given.len()
-        ),
+        MapForm::Tables(map) => {
+            let dynamics = if map.actuators.iter().any(|a| a.law.tau_s > 0.0) {
+                "and for those that follow a lag, whose time constant is a table as well, with a lead. The dynamics are those that hold the demands best by the identified models, on steps and on random points that are not those of the comparison; at rest they do not speak."
+            } else {
+                "without a lag: no model of a demand beyond the leading one says that one would pay."
+            };
+            format!(
+                "It is tables of {} by {} breakpoints for each actuator, {dynamics}",
+                map.demand.len(),
+                map.given.len()
+            )
+        }
         MapForm::Other => String::new(),
     }
 }
