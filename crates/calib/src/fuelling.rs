@@ -25,6 +25,7 @@
 
 mod charge;
 mod coolant;
+mod feedback;
 mod filling;
 mod film;
 mod identify;
@@ -35,12 +36,13 @@ mod trim;
 
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
+pub use feedback::Feedback;
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
 pub use identify::{FuellingError, TransientRecord, identify, identify_without_film, steady_charge};
 pub use learning::Learning;
 pub use policy::{FuelPolicy, Sensed};
-pub use speed_density::{Coat, Feedback, SpeedDensity, SpeedDensityState};
+pub use speed_density::{Coat, SpeedDensity, SpeedDensityState};
 pub use trim::Trim;
 
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Our side of `bench/peers/control.py`: disk margins of published loops, and margins of sampled loops over set points and draws.
+//! Our side of `bench/peers/disk_margins.py`: disk margins of published loops, and margins of sampled loops over set points and draws.
 //!
 //!     cargo run --release -p dynocal-control --example control_peer
 

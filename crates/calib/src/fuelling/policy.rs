@@ -1,6 +1,7 @@
 //! The causal policy: fuel for the air that will be there.
 
 use super::Fuelling;
+use super::feedback::{Feedback, FeedbackState};
 use super::filling::FillingState;
 use super::film::FilmState;
 use super::trim::TrimState;
@@ -35,6 +36,9 @@ pub struct FuelPolicy {
     filling: Option<FillingState>,
     film: Option<FilmState>,
     trim: TrimState,
+    /// A loop in the place of the trim.
+    feedback: Option<Feedback>,
+    loop_of: FeedbackState,
     /// Speeds of the samples before, newest first.
     speeds: VecDeque<f64>,
 }
@@ -44,7 +48,15 @@ impl FuelPolicy {
     pub fn new(fuelling: Fuelling, most: f64) -> Self {
         let trim = TrimState::at_rest(fuelling.sample_time_s);
         let speeds = VecDeque::with_capacity(samples(&fuelling) + 1);
-        Self { fuelling, most, filling: None, film: None, trim, speeds }
+        let loop_of = FeedbackState::default();
+        Self { fuelling, most, filling: None, film: None, trim, feedback: None, loop_of, speeds }
+    }
+
+    /// The same with the lambda loop of an ECU in the place of the trim: engines that are not quite the identified one are farther off than
+    /// what the model left of its records, which is what the trim goes by.
+    #[must_use]
+    pub fn with_feedback(self, feedback: Feedback) -> Self {
+        Self { feedback: Some(feedback), ..self }
     }
 
     /// Change of the speed in rpm/s, over the samples before.
@@ -85,10 +97,20 @@ impl FuelPolicy {
         let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], held, ahead_s, dt_s);
         let then_rpm =
             speed_rpm * (1.0 + slope * ahead_s / speed_rpm).clamp(1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE);
-        if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
-            self.trim.measured(trim, shown, dt_s);
-        }
-        let wanted = (self.trim.factor() * air.at(then_rpm, pressure) / lambda.unwrap_or(1.0)).max(0.0);
+        let demanded = lambda.unwrap_or(1.0);
+        let factor = match self.feedback {
+            Some(_) => {
+                let flow = air.flow(speed_rpm, now_kpa);
+                self.loop_of.factor(self.feedback, y, (demanded, flow), dt_s)
+            }
+            None => {
+                if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
+                    self.trim.measured(trim, shown, dt_s);
+                }
+                self.trim.factor()
+            }
+        };
+        let wanted = (factor * air.at(then_rpm, pressure) / demanded).max(0.0);
         let film = f.film_at(y.coolant_c);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;

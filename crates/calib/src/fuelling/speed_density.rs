@@ -1,9 +1,9 @@
 //! What a production ECU does with the same measurements: air by the measured pressure, which it extrapolates by its slope; the
 //! inverse of a film; lambda feedback.
 
-use super::Timing;
 use super::charge::Charge;
 use super::coolant::{Air, CoolantLaw};
+use super::feedback::{Feedback, FeedbackState};
 use super::film::{Film, FilmState};
 use super::policy::Sensed;
 use serde::{Deserialize, Serialize};
@@ -13,8 +13,6 @@ use std::collections::VecDeque;
 const SLOPE_S: f64 = 0.03;
 /// Pressures beyond these in kPa are no extrapolation.
 const LEAST_KPA: f64 = 10.0;
-/// Most of the integral of the feedback.
-const MOST_TRIM: f64 = 0.25;
 
 /// A film with what the coolant does to it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,15 +28,6 @@ impl Coat {
     pub fn at(&self, coolant_c: f64) -> Film {
         self.law.map_or(self.film, |law| law.film(self.film, coolant_c))
     }
-}
-
-/// Lambda feedback, proportional and integral by internal model control of a lag (that of the sensor) behind a delay.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Feedback {
-    /// What the sensor shows late.
-    pub timing: Timing,
-    /// Time constant of the closed loop in s.
-    pub closed_s: f64,
 }
 
 /// What a speed-density ECU knows and tunes.
@@ -66,8 +55,7 @@ pub struct SpeedDensity {
 /// q = inverse of the film of  c(N, p + t dp/dt) (1 + trim) / lambda demanded
 /// ```
 ///
-/// The rival of every map of transients. The lambda feedback is that of D. E. Rivera, M. Morari, S. Skogestad, Ind. Eng.
-/// Chem. Process Des. Dev. 25 (1986) for a lag with delay.
+/// The rival of every map of transients.
 ///
 /// ```
 /// use dynocal_calib::fuelling::{Charge, Sensed, SpeedDensity, SpeedDensityState};
@@ -95,25 +83,20 @@ pub struct SpeedDensityState {
     most: f64,
     past: VecDeque<f64>,
     film: Option<FilmState>,
-    integral: f64,
+    loop_of: FeedbackState,
 }
 
 impl SpeedDensityState {
     /// At rest; injections stay within 0 and `most`.
     pub fn new(ecu: SpeedDensity, most: f64) -> Self {
         let samples = slope_samples(&ecu);
-        Self { past: VecDeque::with_capacity(samples + 2), ecu, most, film: None, integral: 0.0 }
-    }
-
-    /// What the fuel is multiplied by.
-    fn trim(&mut self, y: &Sensed, lambda: f64, flow: f64) -> f64 {
-        let (Some(Feedback { timing, closed_s }), Some(shown)) = (self.ecu.feedback, y.lambda) else {
-            return 1.0 + self.integral;
-        };
-        let error = shown / lambda - 1.0;
-        let per_s = 1.0 / (closed_s + timing.delay_s(y.speed_rpm, flow));
-        self.integral = (self.integral + per_s * error * self.ecu.sample_time_s).clamp(-MOST_TRIM, MOST_TRIM);
-        1.0 + self.integral + per_s * timing.sensor_lag_s * error
+        Self {
+            past: VecDeque::with_capacity(samples + 2),
+            ecu,
+            most,
+            film: None,
+            loop_of: FeedbackState::default(),
+        }
     }
 
     /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
@@ -137,7 +120,8 @@ impl SpeedDensityState {
         let air = Air::new(&self.ecu.charge, self.ecu.law.as_ref(), y.coolant_c);
         let (now, flow) = (air.at(y.speed_rpm, pressure), air.flow(y.speed_rpm, y.map_kpa));
         let demanded = lambda.unwrap_or(1.0);
-        let wanted = (now * self.trim(y, demanded, flow) / demanded).max(0.0);
+        let trim = self.loop_of.factor(self.ecu.feedback, y, (demanded, flow), dt_s);
+        let wanted = (now * trim / demanded).max(0.0);
         let film = self.ecu.film.map(|coat| coat.at(y.coolant_c));
         let state = film.map(|film| self.film.get_or_insert_with(|| film.at_rest(wanted, y.speed_rpm)));
         match (film.zip(state), lambda) {

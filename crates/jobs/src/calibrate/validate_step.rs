@@ -57,7 +57,7 @@ pub const DYNAMIC: &str = "dynamic map";
 pub const NOT_REFINED: &str = "dynamic map before refinement";
 
 /// Name of the same with one lag in the place of its dynamics.
-pub const ONE_LAG: &str = "same tables, one lag";
+pub const ONE_LAG: &str = "same map with one lag";
 
 /// A map with the name that it has in the comparison.
 type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);

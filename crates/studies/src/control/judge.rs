@@ -235,7 +235,7 @@ fn one_cycle(name: &str, all: &[CycleCase]) -> Vec<Check> {
         check(
             format!("{name}-lambda"),
             format!(
-                "{name}: fuelled time with lambda within 1 %, dynamic map with its trim less static map with feedback"
+                "{name}: fuelled time with lambda within 1 %, dynamic map less static map, both with feedback"
             ),
             held(Asked::Above(0.0)),
             average(&more(RIVAL)),
@@ -253,7 +253,7 @@ fn one_cycle(name: &str, all: &[CycleCase]) -> Vec<Check> {
         check(
             format!("{name}-fuel"),
             format!(
-                "{name}: fuel of the dynamic map with its trim over that of the static map with feedback, less 100 %"
+                "{name}: fuel of the dynamic map over that of the static map, both with feedback, less 100 %"
             ),
             held(Asked::AtMost(0.0)),
             average(&fuel),

@@ -217,8 +217,8 @@ pub(super) fn drives(all: &[CycleCase]) -> Section {
             table = table.row(row);
         }
     }
-    let ecu = all.first().map_or([f64::NAN; 2], |c| c.ecu_s);
+    let found = all.first().map_or([f64::NAN; 3], |c| c.found_s);
     Section::new("Model in the loop")
-        .text(format!("A car with a driver follows the cycle. Maps, the identified model and what the ECU tuned ({} s of extrapolation, a closed loop of {} s) are those of the first engine; the others are like it, not equal. Throttle and spark are those of the static map for all. Without feedback neither lambda nor torque is trimmed; with feedback torque has the same integral trim everywhere. Every loop holds still while its sensor shows gas of a fuel cut. Behind the catalyst carbon monoxide and hydrocarbons pass while lambda there is below 0.99, nitric oxide while it is above 1.01, else what the brick's temperature leaves; the catalyst starts cold, the engine warm.", ecu[0], ecu[1]))
+        .text(format!("A car with a driver follows the cycle. Maps, the identified model and what was tuned are those of the first engine; the others are like it, not equal. Line searches on a record found an extrapolation of {} s for the ECU and closed loops of {} s about it and of {} s about the dynamic map. Throttle and spark are those of the static map for all. Without feedback neither lambda nor torque is trimmed; with feedback torque has the same integral trim everywhere. Every loop holds still while its sensor shows gas of a fuel cut. Behind the catalyst carbon monoxide and hydrocarbons pass while lambda there is below 0.99, nitric oxide while it is above 1.01, else what the brick's temperature leaves; the catalyst starts cold, the engine warm.", found[0], found[1], found[2]))
         .block(table)
 }

@@ -33,6 +33,8 @@ pub(super) struct Known {
     pub(super) grid: SteadyGrid,
     pub(super) fuel: FuelMap,
     pub(super) fuelling: Fuelling,
+    /// The loop of lambda about it.
+    pub(super) feedback: Feedback,
     /// A production ECU: extrapolation tuned on the record, its feedback too.
     pub(super) ecu: SpeedDensity,
 }
@@ -228,23 +230,31 @@ fn measured(mapped: &str, stop: &(dyn Fn() -> bool + Sync)) -> Result<Known, Str
         film: Some(Coat { film: fuelling.film, law: fuelling.coolant }),
         feedback: None,
     };
-    // The rival is tuned on the second course, without the steps of the fuel.
-    let best = |tried: Vec<SpeedDensity>| {
-        let mut found: Option<(f64, SpeedDensity)> = None;
-        for ecu in tried {
-            let mut own = SpeedDensityState::new(ecu.clone(), MOST_MG);
-            let off = drive(&courses[1], &mut |y, _| own.step(y, 1.0))?.off();
-            if found.as_ref().is_none_or(|f| off < f.0) {
-                found = Some((off, ecu));
-            }
-        }
-        found.map(|f| f.1).ok_or_else(|| "no ECU was tried".to_string())
+    // Loops and the rival are tuned on the second course, without the steps of the fuel.
+    let off = |fuel: &mut dyn FnMut(&Sensed) -> f64| drive(&courses[1], &mut |y, _| fuel(y)).map(|r| r.off());
+    let ecu_off = |ecu: &SpeedDensity| {
+        let mut own = SpeedDensityState::new(ecu.clone(), MOST_MG);
+        off(&mut |y| own.step(y, 1.0))
     };
-    let ahead = best(AHEADS_S.map(|ahead_s| SpeedDensity { ahead_s, ..plain.clone() }).to_vec())?;
-    let loops = CLOSED_S.map(|closed_s| SpeedDensity {
-        feedback: Some(Feedback { timing: fuelling.timing, closed_s }),
-        ..ahead.clone()
-    });
-    let ecu = best(loops.to_vec())?;
-    Ok(Known { grid, fuel, fuelling, ecu })
+    let loops = CLOSED_S.map(|closed_s| Feedback { timing: fuelling.timing, closed_s });
+    let ahead = best(AHEADS_S.map(|ahead_s| SpeedDensity { ahead_s, ..plain.clone() }).to_vec(), ecu_off)?;
+    let looped = loops.map(|f| SpeedDensity { feedback: Some(f), ..ahead.clone() });
+    let ecu = best(looped.to_vec(), ecu_off)?;
+    let feedback = best(loops.to_vec(), |f| {
+        let mut own = FuelPolicy::new(fuelling.clone(), MOST_MG).with_feedback(*f);
+        off(&mut |y| own.step(y, 1.0))
+    })?;
+    Ok(Known { grid, fuel, fuelling, feedback, ecu })
+}
+
+/// That of the tried which leaves least.
+fn best<T>(tried: Vec<T>, left: impl Fn(&T) -> Result<f64, String>) -> Result<T, String> {
+    let mut found: Option<(f64, T)> = None;
+    for one in tried {
+        let off = left(&one)?;
+        if found.as_ref().is_none_or(|f| off < f.0) {
+            found = Some((off, one));
+        }
+    }
+    found.map(|f| f.1).ok_or_else(|| "nothing was tried".into())
 }

@@ -9,6 +9,7 @@ mod known;
 mod sensor;
 mod source;
 
+use dynocal_calib::fuelling::Feedback;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::vehicle::{Car, DriveCycle, DriveOptions, drive};
@@ -28,7 +29,7 @@ const MOST_MG: f64 = 120.0;
 /// Distance of lambda from 1 that counts.
 const NEAR: f64 = 0.01;
 /// How the drives are made, for results that are kept.
-pub(super) const METHOD: &str = "identified, blind after a cut";
+pub(super) const METHOD: &str = "identified, loops by line searches";
 
 /// What gives the fuel before any feedback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,22 +54,25 @@ pub(super) enum Hold {
     PiTrim,
     /// A Smith predictor with transport by flow.
     Smith,
-    /// What belongs to the way of fuelling: the trim by the predicted sensor, the loop of the ECU.
-    Own,
+    /// The trim of the dynamic map by the predicted sensor.
+    Trim,
+    /// The loop of an ECU, its time constant found by a line search on a record for each way of fuelling.
+    Loop,
     /// The same about a lambda that holds the oxygen of the catalyst.
-    OwnRear,
+    LoopRear,
 }
 
 /// All that are compared, with their names.
-pub(super) const FUELLED: [(&str, FuelBy, Hold); 10] = [
+pub(super) const FUELLED: [(&str, FuelBy, Hold); 11] = [
     ("static map", FuelBy::Map, Hold::Nothing),
     ("static map, PI", FuelBy::Map, Hold::Pi),
     ("static map, PI, long-term trim", FuelBy::Map, Hold::PiTrim),
     ("dynamic map", FuelBy::Dynamic, Hold::Nothing),
-    ("dynamic map, trim by the sensor", FuelBy::Dynamic, Hold::Own),
-    ("dynamic map, trim by the sensor, rear trim", FuelBy::Dynamic, Hold::OwnRear),
+    ("dynamic map, feedback", FuelBy::Dynamic, Hold::Loop),
+    ("dynamic map, feedback, rear trim", FuelBy::Dynamic, Hold::LoopRear),
     ("production ECU", FuelBy::Ecu, Hold::Nothing),
-    ("production ECU, feedback", FuelBy::Ecu, Hold::Own),
+    ("production ECU, feedback", FuelBy::Ecu, Hold::Loop),
+    ("dynamic map, trim by the predicted sensor", FuelBy::Dynamic, Hold::Trim),
     ("measured air, PI", FuelBy::Air, Hold::Pi),
     ("measured air, Smith predictor", FuelBy::Air, Hold::Smith),
 ];
@@ -99,8 +103,8 @@ pub(super) struct CycleCase {
     pub(super) driven_engine: String,
     pub(super) length_s: f64,
     pub(super) drives: Vec<Driven>,
-    /// What the ECU tuned: time of its extrapolation and of its closed loop in s.
-    pub(super) ecu_s: [f64; 2],
+    /// What line searches found: the ECU's extrapolation, the closed loops of the ECU and of the dynamic map, in s.
+    pub(super) found_s: [f64; 3],
 }
 
 /// The engine of a parameter set after a second of running: means over a cycle are there.
@@ -128,13 +132,13 @@ pub(super) fn contest(
             .map_err(|e| format!("{title}: {e}"))
     };
     let drives = FUELLED.par_iter().map(one).collect::<Result<Vec<_>, String>>()?;
-    let closed_s = known.ecu.feedback.map_or(f64::NAN, |f| f.closed_s);
+    let closed_s = |f: Option<Feedback>| f.map_or(f64::NAN, |f| f.closed_s);
     Ok(CycleCase {
         cycle: name.into(),
         driven_engine: driven.into(),
         length_s: cycle.duration_s(),
         drives,
-        ecu_s: [known.ecu.ahead_s, closed_s],
+        found_s: [known.ecu.ahead_s, closed_s(known.ecu.feedback), closed_s(Some(known.feedback))],
     })
 }
 

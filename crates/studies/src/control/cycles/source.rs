@@ -89,7 +89,7 @@ fn beside(hold: Hold) -> Result<Loop, String> {
             let c = Predictor::new(gains(LOOP_S.1), limits, STEP_S, 0.0, &known).map_err(text)?;
             Loop::Smith(Box::new(c))
         }
-        Hold::Nothing | Hold::Own | Hold::OwnRear => Loop::Nothing,
+        Hold::Nothing | Hold::Trim | Hold::Loop | Hold::LoopRear => Loop::Nothing,
     })
 }
 
@@ -100,13 +100,17 @@ impl<'a> Source<'a> {
         (by, hold): (FuelBy, Hold),
     ) -> Result<Self, String> {
         let text = |e: dynocal_control::error::ControlError| e.to_string();
-        let own = matches!(hold, Hold::Own | Hold::OwnRear);
+        let looped = matches!(hold, Hold::Loop | Hold::LoopRear);
         let fuel = match by {
             FuelBy::Map => Fuel::Map,
             FuelBy::Air => Fuel::Air,
-            FuelBy::Dynamic => Fuel::Dynamic(Box::new(FuelPolicy::new(known.fuelling.clone(), MOST_MG))),
+            FuelBy::Dynamic => {
+                let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
+                let policy = if looped { policy.with_feedback(known.feedback) } else { policy };
+                Fuel::Dynamic(Box::new(policy))
+            }
             FuelBy::Ecu => {
-                let feedback = known.ecu.feedback.filter(|_| own);
+                let feedback = known.ecu.feedback.filter(|_| looped);
                 let ecu = SpeedDensity { feedback, ..known.ecu.clone() };
                 Fuel::Ecu(Box::new(SpeedDensityState::new(ecu, MOST_MG)))
             }
@@ -144,7 +148,7 @@ impl<'a> Source<'a> {
 
     /// Fuel of a step at what is sensed, demand in Nm.
     fn injection_mg(&mut self, y: &Sensed, demand_nm: f64, air_g_s: f64) -> f64 {
-        let own = matches!(self.hold, Hold::Own | Hold::OwnRear);
+        let own = matches!(self.hold, Hold::Trim | Hold::Loop | Hold::LoopRear);
         let shown = Sensed { lambda: y.lambda.filter(|_| own), ..*y };
         let wanted = 1.0 + self.asked;
         let base = match &mut self.fuel {
@@ -194,7 +198,7 @@ impl<'a> Source<'a> {
         let (settings, state) = &mut self.catalyst;
         settings.step(state, &feed, STEP_S);
         let (behind, conversion) = (state.lambda, state.conversion);
-        if self.hold == Hold::OwnRear {
+        if self.hold == Hold::LoopRear {
             // The air of a cut fills the store, and the sensors say so.
             self.asked = self.rear.step(self.sensor.shown(), behind, y.air_g_s, STEP_S);
         }
