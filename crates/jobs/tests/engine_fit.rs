@@ -85,6 +85,15 @@ fn constants_of_a_known_engine_are_found_again() {
     ] {
         assert!((value(key) / truth - 1.0).abs() < within, "{key}: {} of {truth}", value(key));
     }
+    // The truth lies in the intervals, or nearly: what is left of a point that stands still is no independent error.
+    for (key, truth) in [("exhaust_wall.port_w_k", 13.0), ("exhaust.turbine_m2", 2.2e-4)] {
+        let c = found.constants.iter().find(|c| c.key == key).unwrap();
+        let half = c.half_width.unwrap_or_else(|| panic!("{key} has no interval: {:?}", c.note));
+        assert!(half > 0.0 && (c.value - truth).abs() < 3.0 * half + 0.02 * truth, "{c:?}");
+    }
+    // Two thirds of 30 rows; a condition of a matrix is 1 or more.
+    assert_eq!(found.fitted_points, 20);
+    assert!(found.condition.is_some_and(|c| c > 1.0 && c < 1e6), "{:?}", found.condition);
     // Cams were given: nothing about them is inferred.
     assert!(found.constants.iter().all(|c| !c.key.starts_with("cams.")));
     // What is written is an engine.

@@ -97,3 +97,18 @@ fn faulty_files_are_refused_with_key_and_line() {
     assert!(changed("cells_per_deg = 2", "cells_per_deg = 3").is_err());
     assert!(changed("fixed_cells = 0", "fixed_cells = 3").is_err());
 }
+
+/// The files say that the delay of knock is the published one: no set multiplies it, and the constants are those of the page.
+#[test]
+fn the_delay_of_knock_is_the_published_one_in_every_set() {
+    let mut sets = 0;
+    for set in PARAMETER_SETS {
+        let Some(knock) = EngineParams::named(set.doc.name).unwrap().knock else { continue };
+        sets += 1;
+        assert_eq!(knock.delay_factor, 1.0, "{}", set.doc.name);
+        let published =
+            17.68e-3 * (knock.octane / 100.0).powf(3.402) * 30f64.powf(-1.7) * (3800.0f64 / 900.0).exp();
+        assert!((knock.delay_s(30.0 * 101_325.0, 900.0) / published - 1.0).abs() < 1e-12);
+    }
+    assert!(sets >= 3);
+}

@@ -57,6 +57,11 @@ fn show(found: &FitResult) -> Result<(), Failure> {
         })
         .collect();
     print(&table::render(&["constant", "before", "fitted", "+-", "note"], &constants, &[1, 2, 3]))?;
+    let condition = found.condition.map_or("not determined".into(), |c| significant(c, 3));
+    let n = found.fitted_points;
+    print(&format!(
+        "{n} points fitted; +-: 95 % for independent errors; condition of the derivatives {condition}\n"
+    ))?;
     let scores: Vec<Vec<String>> = found
         .scores
         .iter()

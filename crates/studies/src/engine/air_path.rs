@@ -168,6 +168,20 @@ impl StepRecord {
         }
     }
 
+    /// The record as far as a time \[s\], as one that was measured for so long.
+    #[must_use]
+    pub fn first_s(&self, time_s: f64) -> Self {
+        let n = self.time_s.iter().take_while(|t| **t <= time_s).count();
+        let of = |y: &[f64]| y[..n].to_vec();
+        Self {
+            speed_rpm: self.speed_rpm,
+            time_s: of(&self.time_s),
+            torque_nm: of(&self.torque_nm),
+            map_kpa: of(&self.map_kpa),
+            turbo_rpm: of(&self.turbo_rpm),
+        }
+    }
+
     /// First time \[s\] at which `y` has gone the share from `from` to `to`.
     pub fn reached_s(&self, y: &[f64], from: f64, to: f64, share: f64) -> Option<f64> {
         let goal = from + share * (to - from);
@@ -229,6 +243,28 @@ pub fn throttle_step(
         held[place] = u.throttle_deg;
     }
     u.throttle_deg = held[1];
+    StepRecord::take(&mut e, u, 10.0, |_| Inputs::default().spark_deg)
+}
+
+/// The wastegate jumps between two positions behind a throttle that holds an intake pressure \[kPa\] at the first one; 10 s of
+/// record.
+///
+/// # Errors
+/// As [`wastegate_sweep`].
+pub fn throttled_wastegate_step(
+    params: &EngineParams,
+    speed_rpm: f64,
+    kpa: f64,
+    from_mm: f64,
+    to_mm: f64,
+) -> Result<StepRecord, PlantError> {
+    let mut e = VirtualEngine::new(params)?;
+    let mut u = Inputs { speed_rpm, wastegate_mm: from_mm, ..Inputs::default() };
+    for _ in 0..(15.0 * speed_rpm / 120.0) as usize {
+        let y = cycle(&mut e, &mut u, 1.0)?;
+        u.throttle_deg = (u.throttle_deg + (0.02 * (kpa - y.map_kpa)).clamp(-0.5, 0.5)).clamp(0.0, 90.0);
+    }
+    u.wastegate_mm = to_mm;
     StepRecord::take(&mut e, u, 10.0, |_| Inputs::default().spark_deg)
 }
 

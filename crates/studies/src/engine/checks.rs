@@ -54,6 +54,9 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
     out.extend(thesis(results));
     out.extend(super::boosted::checks(results));
     out.extend(super::rows::checks(results));
+    out.extend(super::as_measured_rows::checks(results));
+    out.extend(super::reach::checks(results));
+    out.extend(super::other::checks(results));
     out.extend(super::twin::checks(results));
     out.extend(super::light_off::checks(results));
     out

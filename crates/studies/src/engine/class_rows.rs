@@ -80,7 +80,7 @@ pub fn retards(
 }
 
 /// Torque of a mean effective pressure of 1 bar \[Nm\].
-fn nm_per_bar(params: &EngineParams) -> f64 {
+pub(super) fn nm_per_bar(params: &EngineParams) -> f64 {
     1e5 * params.displacement_m3() / (4.0 * std::f64::consts::PI)
 }
 

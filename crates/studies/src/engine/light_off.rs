@@ -4,6 +4,7 @@
 //! 33 Nm; the sensor behind the catalyst begins to calm after 33 s and is quiet after 40 s, at 0.26 kg of air. Cylinder walls,
 //! oil, ports, exhaust manifold, pipe and brick start at 20 deg C.
 
+use super::as_measured::MEASURED_M3;
 use super::checks::check;
 use super::task;
 use crate::asked::Asked;
@@ -21,6 +22,8 @@ use serde_json::json;
 
 const LIGHT_OFF: &str = "gtdi-light-off";
 const COLD_K: f64 = 293.15;
+/// Fuel of the measured cold idle \[kg/h\].
+const COLD_IDLE_KG_H: f64 = 1.3;
 /// Fast idle \[s\]; end of the run \[s\]; later 50 % burned while heating \[deg\].
 const IDLE_S: f64 = 13.0;
 const END_S: f64 = 150.0;
@@ -35,6 +38,8 @@ struct ColdStart {
     conversion: Vec<f64>,
     /// Time \[s\] at which half is converted, and the air until then \[kg\].
     half: Option<(f64, f64)>,
+    /// At the end of the fast idle: speed \[rpm\], fuel \[kg/h\], intake pressure \[kPa\].
+    idle: (f64, f64, f64),
 }
 
 pub(super) fn tasks() -> Vec<Task> {
@@ -62,8 +67,14 @@ fn cold_start(params: &EngineParams, later_deg: f64) -> Result<ColdStart, PlantE
     let (mut walls, mut brick) = (thermal.start(), catalyst.start());
     let mut e = VirtualEngine::new(params)?;
     let mut u = Inputs { throttle_deg: 5.0, injection_mg: 10.0, ..Inputs::default() };
-    let mut run =
-        ColdStart { time_s: vec![], front_k: vec![], gas_k: vec![], conversion: vec![], half: None };
+    let mut run = ColdStart {
+        time_s: vec![],
+        front_k: vec![],
+        gas_k: vec![],
+        conversion: vec![],
+        half: None,
+        idle: (0.0, 0.0, 0.0),
+    };
     let (mut t_s, mut air_kg) = (0.0, 0.0);
     while t_s < END_S {
         let (speed_rpm, torque_nm, lambda) = schedule(t_s);
@@ -87,6 +98,9 @@ fn cold_start(params: &EngineParams, later_deg: f64) -> Result<ColdStart, PlantE
             unburned_j_g: Feed::unburned_of(y.co_pct, y.hc_ppm),
         };
         catalyst.step(&mut brick, &feed, h_s);
+        if t_s < IDLE_S {
+            run.idle = (speed_rpm, y.fuel_kg_h, y.map_kpa);
+        }
         t_s += h_s;
         air_kg += 1e-3 * y.air_g_s * h_s;
         if run.half.is_none() && brick.conversion >= 0.5 {
@@ -133,12 +147,35 @@ pub(super) fn checks(results: &[TaskResult]) -> Vec<Check> {
             "no print",
         ),
     ];
-    rows.into_iter()
+    let mut all: Vec<Check> = rows
+        .into_iter()
         .map(|(id, how, seconds, k, measured)| {
             let what = format!("Time of half conversion after a cold start {how}: distance from the range");
             check(id, &what, "s", Asked::AtMost(0.0), seconds, &note(k, measured))
         })
-        .collect()
+        .collect();
+    all.push(cold_idle(runs.as_deref()));
+    all
+}
+
+/// Fuel at the end of the fast idle beside a measured cold idle, over displacement.
+fn cold_idle(runs: Option<&[ColdStart]>) -> Check {
+    let idle = runs.and_then(|r| r.first()).map(|r| r.idle);
+    let share = EngineParams::named("gtdi_2l").map_or(f64::NAN, |p| p.displacement_m3() / MEASURED_M3);
+    let expected = share * COLD_IDLE_KG_H;
+    let found = idle.map_or_else(String::new, |(n, kg_h, kpa)| {
+        format!("found: {kg_h:.2} kg/h, {kpa:.1} kPa at {n:.0} rpm, 13 s after the start at 20 deg C; ")
+    });
+    check(
+        "gtdi-cold-idle",
+        &format!("Fuel of a cold idle: distance from {expected:.2} kg/h"),
+        "%",
+        Asked::AtMost(5.0),
+        idle.map(|(_, kg_h, _)| 100.0 * (kg_h / expected - 1.0).abs()),
+        &format!(
+            "{found}measured on a 2.3 l engine at 966 rpm without load: 1.3 kg/h, 35.6 kPa; over its displacement"
+        ),
+    )
 }
 
 /// Plots.

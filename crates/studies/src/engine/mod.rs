@@ -1,12 +1,16 @@
 //! Study `engine`: the virtual engine against its reference table, its verification cases and the thesis.
 
 pub mod air_path;
+pub mod as_measured;
+mod as_measured_rows;
 mod boosted;
 mod boosted_tables;
 mod checks;
 pub mod class_rows;
 pub mod class_values;
 mod light_off;
+pub mod other;
+pub mod reach;
 mod results;
 mod row_plots;
 mod rows;
@@ -90,6 +94,9 @@ fn tasks(o: &Options) -> Vec<Task> {
     tasks.push(task(RANDOM.into(), json!([seed, time_s]), move || work::random_inputs(seed, time_s)));
     tasks.extend(boosted_tasks(o));
     tasks.extend(rows::tasks(o));
+    tasks.extend(as_measured_rows::tasks());
+    tasks.extend(reach::tasks());
+    tasks.extend(other::tasks());
     tasks.extend(twin::tasks());
     tasks.extend(light_off::tasks());
     tasks

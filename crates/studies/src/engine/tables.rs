@@ -29,7 +29,9 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         .section(responses(results))
         .section(Section::new("Open throttle").block(open_table(results)));
     let report = super::row_plots::sections(super::boosted_tables::sections(report, results), results);
-    super::light_off::sections(super::twin::sections(report, results), results)
+    let report = super::as_measured_rows::sections(report, results);
+    let report = super::light_off::sections(super::twin::sections(report, results), results);
+    super::other::sections(super::reach::sections(report, results), results)
 }
 
 fn text(values: &[Option<f64>], digits: usize) -> String {

@@ -173,6 +173,10 @@ pub struct FitResult {
     pub evaluations: usize,
     /// Sum of the squared weighted errors over the number of them, at the start and at the end.
     pub cost: (f64, f64),
+    /// Points that were fitted: two thirds of the map.
+    pub fitted_points: usize,
+    /// Condition of the derivatives at the end, each constant's column of unit length; none where they do not determine all.
+    pub condition: Option<f64>,
     /// What was assumed, and what cannot be found from these points.
     pub notes: Vec<String>,
     /// Points that do not stand still, judged errors beyond what is asked.

@@ -59,8 +59,18 @@ fn constants(found: &FitResult) -> Section {
             c.note.unwrap_or_default().into(),
         ])
     });
+    let condition = found.condition.map_or_else(
+        || "not all constants are determined".to_owned(),
+        |c| {
+            format!(
+                "condition of the derivatives, each constant's column of unit length: {}",
+                significant(c, 3)
+            )
+        },
+    );
+    let n = found.fitted_points;
     Section::new("Constants")
-        .text("Intervals hold for independent errors of equal weight; errors of the model are not independent, so that they are too narrow.")
+        .text(format!("From the derivatives at the end of the search, over the {n} points that were fitted; {condition}. Intervals hold for independent errors of equal weight; errors of the model are not independent, so that they are too narrow."))
         .block(table)
 }
 

@@ -53,6 +53,11 @@ impl<'a> Problem<'a> {
         Self { base: base.clone(), constants, rows, states, watch, evaluations: 0, error: None, points }
     }
 
+    /// Number of points that are fitted.
+    pub(super) fn points(&self) -> usize {
+        self.points.len()
+    }
+
     /// Where the constants of the set stand; those at an end of their range start a little inside.
     pub(super) fn start(&self) -> Vec<f64> {
         let mut p = self.base.clone();

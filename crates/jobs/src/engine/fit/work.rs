@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use dynocal_numerics::interval::Interval;
-use dynocal_numerics::linalg::{cholesky, cholesky_inverse};
+use dynocal_numerics::linalg::{cholesky, cholesky_inverse, symmetric_eigenvalues};
 use dynocal_numerics::lm::{LeastSquares, LmOptions, levenberg_marquardt_interruptible};
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::driven::{Answer, drive};
@@ -48,7 +48,7 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<FitResult, Engi
     if let (false, Some(e)) = (found.cost.is_finite(), problem.error.take()) {
         return Err(e.into());
     }
-    let widths = half_widths(&mut problem, &found.x);
+    let (widths, condition) = half_widths(&mut problem, &found.x);
     let params = problem.params(&found.x);
     let after = compare(&params, &map.points, watch)?;
     let constants = described(&engine.params, &params, &constants, &widths);
@@ -61,6 +61,8 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<FitResult, Engi
         status: found.status,
         evaluations: problem.evaluations,
         cost: (first, found.cost / m),
+        fitted_points: problem.points(),
+        condition,
         notes: map.notes,
         warnings: Vec::new(),
         points: after,
@@ -115,12 +117,13 @@ fn compare(params: &EngineParams, points: &[Measured], watch: Watch) -> Result<V
 }
 
 /// Half widths of the intervals of 95 % in z: 1.96 sqrt(s^2 (J'J)^-1_kk), s^2 the sum of squares over the degrees of freedom;
-/// infinite where the derivatives do not determine a constant.
-fn half_widths(problem: &mut Problem, z: &[f64]) -> Vec<f64> {
+/// infinite where the derivatives do not determine a constant. With them the condition of J, its columns of unit length: how far the
+/// constants stand in for each other.
+fn half_widths(problem: &mut Problem, z: &[f64]) -> (Vec<f64>, Option<f64>) {
     let (n, m) = (problem.n(), problem.residuals());
     let (mut r, mut jac) = (vec![0.0; m], vec![0.0; m * n]);
     if m <= n || !problem.residual_jacobian(z, &mut r, &mut jac) {
-        return vec![f64::INFINITY; n];
+        return (vec![f64::INFINITY; n], None);
     }
     let s2 = mean_square(&r) * m as f64 / (m - n) as f64;
     let mut gram = vec![0.0; n * n];
@@ -131,16 +134,36 @@ fn half_widths(problem: &mut Problem, z: &[f64]) -> Vec<f64> {
             }
         }
     }
+    let condition = condition(&gram, n);
     // A little on the diagonal keeps the factor of a singular matrix, whose widths are then very large.
     for i in 0..n {
         gram[i * n + i] += 1e-9 + 1e-12 * gram[i * n + i];
     }
     let (mut work, mut inverse) = (vec![0.0; n * n], vec![0.0; n * n]);
     let solved = cholesky(&mut gram, n).and_then(|()| cholesky_inverse(&gram, n, &mut work, &mut inverse));
-    match solved {
+    let widths = match solved {
         Ok(()) => (0..n).map(|i| NORMAL_95 * (s2 * inverse[i * n + i]).sqrt()).collect(),
         Err(_) => vec![f64::INFINITY; n],
+    };
+    (widths, condition)
+}
+
+/// Condition of J from the upper half of J'J, columns of unit length: the root of its greatest over its least eigenvalue; none
+/// where a column vanishes or an eigenvalue is lost in rounding.
+fn condition(gram: &[f64], n: usize) -> Option<f64> {
+    let length: Vec<f64> = (0..n).map(|i| gram[i * n + i].sqrt()).collect();
+    if length.iter().any(|l| !(*l > 0.0)) {
+        return None;
     }
+    let scaled: Vec<f64> = (0..n * n)
+        .map(|k| {
+            let (i, j) = (k / n, k % n);
+            gram[i.min(j) * n + i.max(j)] / (length[i] * length[j])
+        })
+        .collect();
+    let values = symmetric_eigenvalues(&scaled, n).ok()?;
+    let (least, most) = values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+    (least > 1e-12).then(|| (most / least).sqrt())
 }
 
 /// The constants before and after, with intervals.
