@@ -329,7 +329,7 @@ static ROWS: &[Row] = &[
     ),
     Row(
         "bed-time",
-        "Bed time of identification, design and optimisation records",
+        "Bed time beyond the static map's: identification, design, optimisation, points at rest",
         "s",
         Asked::AtMost(600.0),
         |c| Some(c.bed_s),

@@ -54,6 +54,7 @@ pub(super) struct Calibrated {
     /// All scores.
     pub(super) maps: Vec<MapScore>,
     /// Bed times in s.
+    /// Beyond the gains of the loops, which the static map needs as well.
     pub(super) bed_s: f64,
     pub(super) static_bed_s: Option<f64>,
     pub(super) validation_bed_s: Option<f64>,
@@ -117,7 +118,7 @@ fn calibrated(done: &job::Finished, report_missing: Vec<String>) -> Result<Calib
         share_of_saving: fixed.and_then(|f| f.share_of_saving),
         lag_s: v.map(|v| v.lag_s),
         maps: v.map_or(Vec::new(), |v| v.scores.clone()),
-        bed_s: r.bed_s(),
+        bed_s: r.bed_s() - r.loops_bed_s(),
         static_bed_s: v.map(|v| v.static_map.bed_s),
         validation_bed_s: r.excite.as_ref().map(|d| d.result.validation_bed_s),
         report_missing,

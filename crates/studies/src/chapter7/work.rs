@@ -44,6 +44,7 @@ pub(super) struct Found {
     /// All maps on the engine.
     pub(super) maps: Vec<MapScore>,
     /// Bed times in s: of the dynamic map, of its refinement (part of it), of the static map, of one identification record.
+    /// Beyond the gains of the loops, which the static map needs as well.
     pub(super) bed_s: f64,
     pub(super) refine_s: f64,
     pub(super) static_bed_s: Option<f64>,
@@ -104,7 +105,7 @@ pub(super) fn calibrated(
         unseen: unseen(spec, r, &other.result)?,
         on_models: on_models(spec, r)?,
         maps: v.map_or(Vec::new(), |v| v.scores.clone()),
-        bed_s: r.bed_s(),
+        bed_s: r.bed_s() - r.loops_bed_s(),
         refine_s: r.invert.as_ref().map_or(0.0, |d| d.result.refine_s),
         static_bed_s: v.map(|v| v.static_map.bed_s),
         record_s: spec.excite.record_s,
