@@ -43,8 +43,8 @@ pub(super) struct Found {
     pub(super) on_models: Option<MapScore>,
     /// All maps on the engine.
     pub(super) maps: Vec<MapScore>,
-    /// Bed times in s: of the dynamic map, of its refinement (part of it), of the static map, of one identification record.
-    /// Beyond the gains of the loops, which the static map needs as well.
+    /// Bed times in s: of the dynamic map without the gains of the loops, which the static map needs as well, of its refinement (part of
+    /// it), of the static map, of one identification record.
     pub(super) bed_s: f64,
     pub(super) refine_s: f64,
     pub(super) static_bed_s: Option<f64>,
