@@ -97,48 +97,21 @@ struct Rest<'a> {
 
 impl Rest<'_> {
     /// Two windows have the same mean when it moved by less than the resolution or twice its standard error, so that sensors
-    /// with scatter settle too. Scatter of a burn reaches a sensor behind its lag: neighbouring samples are alike, and the mean of a
-    /// window tells less than that of as many independent ones. The larger of both standard errors counts.
+    /// with scatter settle too.
     fn at_rest(&self, course: &Course) -> bool {
         let n = course.rows();
         if n < 2 * self.window {
             return false;
         }
         self.outputs.iter().zip(&self.places).all(|(o, &place)| {
-            let values = |from: usize, to: usize| (from..=to).map(move |t| course.output(t)[place]);
-            let window = |end: usize| Window::of(values(end - self.window + 1, end));
+            let window =
+                |end: usize| Window::of((end - self.window + 1..=end).map(|t| course.output(t)[place]));
             let (before, now) = (window(n - self.window), window(n));
-            let both: Vec<f64> = values(n - 2 * self.window + 1, n).collect();
-            let alike = alike_variance(&both, self.window);
-            let doubt = 2.0 * (before.variance_of_mean() + now.variance_of_mean()).max(2.0 * alike).sqrt();
-            let near = (2.0 * o.resolution).max(3.0 * now.variance_of_mean().max(alike).sqrt());
+            let doubt = 2.0 * (before.variance_of_mean() + now.variance_of_mean()).sqrt();
+            let near = (2.0 * o.resolution).max(3.0 * now.variance_of_mean().sqrt());
             (now.mean - before.mean).abs() <= o.resolution.max(doubt) && (now.mean - o.demand).abs() <= near
         })
     }
-}
-
-/// Variance of the mean of `window` samples that are alike, from `values` about their line, so that a drift does not count as scatter:
-/// s^2/n (1 + rho)/(1 - rho) with the correlation rho of neighbours, at most that of a single sample.
-fn alike_variance(values: &[f64], window: usize) -> f64 {
-    let n = values.len() as f64;
-    if n < 4.0 {
-        return 0.0;
-    }
-    let (middle, mean) = (0.5 * (n - 1.0), values.iter().sum::<f64>() / n);
-    let place = |t: usize| t as f64 - middle;
-    let (along, spread) = values
-        .iter()
-        .enumerate()
-        .fold((0.0, 0.0), |(a, s), (t, v)| (a + place(t) * (v - mean), s + place(t) * place(t)));
-    let rest: Vec<f64> =
-        values.iter().enumerate().map(|(t, v)| v - mean - along / spread * place(t)).collect();
-    let squares: f64 = rest.iter().map(|r| r * r).sum();
-    if squares <= 0.0 {
-        return 0.0;
-    }
-    let rho = (rest.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / squares).clamp(0.0, 0.95);
-    let fewer = ((1.0 + rho) / (1.0 - rho)).min(window as f64);
-    squares / (n - 2.0) * fewer / window as f64
 }
 
 impl Watchdog for Rest<'_> {
