@@ -3,6 +3,7 @@
 use dynocal_ident::plan::Plan;
 use dynocal_ident::plant::{LimitEvent, Plant};
 use dynocal_ident::play::{self, Course, Oscillation, PlayError, Reason, Stop, Watchdog};
+use dynocal_numerics::linalg::least_squares;
 use serde::{Deserialize, Serialize};
 
 /// When a point counts as settled, and for how long it is averaged.
@@ -97,21 +98,48 @@ struct Rest<'a> {
 
 impl Rest<'_> {
     /// Two windows have the same mean when it moved by less than the resolution or twice its standard error, so that sensors
-    /// with scatter settle too.
+    /// with scatter settle too. Scatter of a burn reaches a sensor behind its lag: neighbouring samples are alike, and the mean of a
+    /// window tells less than that of as many independent ones. The larger of both standard errors counts.
     fn at_rest(&self, course: &Course) -> bool {
         let n = course.rows();
         if n < 2 * self.window {
             return false;
         }
         self.outputs.iter().zip(&self.places).all(|(o, &place)| {
-            let window =
-                |end: usize| Window::of((end - self.window + 1..=end).map(|t| course.output(t)[place]));
+            let values = |from: usize, to: usize| (from..=to).map(move |t| course.output(t)[place]);
+            let window = |end: usize| Window::of(values(end - self.window + 1, end));
             let (before, now) = (window(n - self.window), window(n));
-            let doubt = 2.0 * (before.variance_of_mean() + now.variance_of_mean()).sqrt();
-            let near = (2.0 * o.resolution).max(3.0 * now.variance_of_mean().sqrt());
+            let both: Vec<f64> = values(n - 2 * self.window + 1, n).collect();
+            let alike = alike_variance(&both, self.window).min(innovation_variance(&both, self.window));
+            let doubt = 2.0 * (before.variance_of_mean() + now.variance_of_mean()).max(2.0 * alike).sqrt();
+            let near = (2.0 * o.resolution).max(3.0 * now.variance_of_mean().max(alike).sqrt());
             (now.mean - before.mean).abs() <= o.resolution.max(doubt) && (now.mean - o.demand).abs() <= near
         })
     }
+}
+
+/// Variance of the mean of `window` samples that are alike, from `values` about their line, so that a drift does not count as scatter:
+/// s^2/n (1 + rho)/(1 - rho) with the correlation rho of neighbours, at most that of a single sample.
+fn alike_variance(values: &[f64], window: usize) -> f64 {
+    let n = values.len() as f64;
+    if n < 4.0 {
+        return 0.0;
+    }
+    let (middle, mean) = (0.5 * (n - 1.0), values.iter().sum::<f64>() / n);
+    let place = |t: usize| t as f64 - middle;
+    let (along, spread) = values
+        .iter()
+        .enumerate()
+        .fold((0.0, 0.0), |(a, s), (t, v)| (a + place(t) * (v - mean), s + place(t) * place(t)));
+    let rest: Vec<f64> =
+        values.iter().enumerate().map(|(t, v)| v - mean - along / spread * place(t)).collect();
+    let squares: f64 = rest.iter().map(|r| r * r).sum();
+    if squares <= 0.0 {
+        return 0.0;
+    }
+    let rho = (rest.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / squares).clamp(0.0, 0.95);
+    let fewer = ((1.0 + rho) / (1.0 - rho)).min(window as f64);
+    squares / (n - 2.0) * fewer / window as f64
 }
 
 impl Watchdog for Rest<'_> {
@@ -135,6 +163,27 @@ impl Watchdog for Rest<'_> {
         };
         (self.left == Some(0)).then(|| Stop::new("", Reason::Still))
     }
+}
+
+/// The same from an autoregression y_t = a y_(t-1) + b y_(t-2) + c + d t + e_t: s_e^2/(1 - a - b)^2/n. A transient of a quiet plant obeys
+/// it without a rest, so that its curve is not taken for scatter; scatter behind a lag does not.
+fn innovation_variance(values: &[f64], window: usize) -> f64 {
+    const TERMS: usize = 4;
+    let rows = values.len().saturating_sub(2);
+    if rows < 3 * TERMS {
+        return 0.0;
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let (mut a, mut b) = (Vec::with_capacity(rows * TERMS), Vec::with_capacity(rows));
+    for (t, w) in values.windows(3).enumerate() {
+        a.extend([w[1] - mean, w[0] - mean, 1.0, t as f64 / rows as f64 - 0.5]);
+        b.push(w[2] - mean);
+    }
+    let Ok(fit) = least_squares(&a, rows, TERMS, &b, 0.0) else { return 0.0 };
+    let (found, rest) = (fit.x, fit.residual_sum_squares / (rows - TERMS) as f64);
+    // A root near one says nothing about a second of record: at most a memory of twenty samples.
+    let left = (1.0 - found[0] - found[1]).max(0.05);
+    rest / (left * left) / window as f64
 }
 
 /// Plays `plan` (constant rows, at least [`HoldSpec::samples`] of them) until `outputs` rest, and averages.
