@@ -3,6 +3,7 @@
 use dynocal_ident::plan::Plan;
 use dynocal_ident::plant::{LimitEvent, Plant};
 use dynocal_ident::play::{self, Course, Oscillation, PlayError, Reason, Stop, Watchdog};
+use dynocal_numerics::linalg::least_squares;
 use serde::{Deserialize, Serialize};
 
 /// When a point counts as settled, and for how long it is averaged.
@@ -109,7 +110,7 @@ impl Rest<'_> {
             let window = |end: usize| Window::of(values(end - self.window + 1, end));
             let (before, now) = (window(n - self.window), window(n));
             let both: Vec<f64> = values(n - 2 * self.window + 1, n).collect();
-            let alike = alike_variance(&both, self.window);
+            let alike = alike_variance(&both, self.window).min(innovation_variance(&both, self.window));
             let doubt = 2.0 * (before.variance_of_mean() + now.variance_of_mean()).max(2.0 * alike).sqrt();
             let near = (2.0 * o.resolution).max(3.0 * now.variance_of_mean().max(alike).sqrt());
             (now.mean - before.mean).abs() <= o.resolution.max(doubt) && (now.mean - o.demand).abs() <= near
@@ -162,6 +163,27 @@ impl Watchdog for Rest<'_> {
         };
         (self.left == Some(0)).then(|| Stop::new("", Reason::Still))
     }
+}
+
+/// The same from an autoregression y_t = a y_(t-1) + b y_(t-2) + c + d t + e_t: s_e^2/(1 - a - b)^2/n. A transient of a quiet plant obeys
+/// it without a rest, so that its curve is not taken for scatter; scatter behind a lag does not.
+fn innovation_variance(values: &[f64], window: usize) -> f64 {
+    const TERMS: usize = 4;
+    let rows = values.len().saturating_sub(2);
+    if rows < 3 * TERMS {
+        return 0.0;
+    }
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let (mut a, mut b) = (Vec::with_capacity(rows * TERMS), Vec::with_capacity(rows));
+    for (t, w) in values.windows(3).enumerate() {
+        a.extend([w[1] - mean, w[0] - mean, 1.0, t as f64 / rows as f64 - 0.5]);
+        b.push(w[2] - mean);
+    }
+    let Ok(fit) = least_squares(&a, rows, TERMS, &b, 0.0) else { return 0.0 };
+    let (found, rest) = (fit.x, fit.residual_sum_squares / (rows - TERMS) as f64);
+    // A root near one says nothing about a second of record: at most a memory of twenty samples.
+    let left = (1.0 - found[0] - found[1]).max(0.05);
+    rest / (left * left) / window as f64
 }
 
 /// Plays `plan` (constant rows, at least [`HoldSpec::samples`] of them) until `outputs` rest, and averages.
