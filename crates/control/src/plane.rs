@@ -241,7 +241,7 @@ impl Channel {
         }
         edges.retain(|v| *v >= 0.0 && v.is_finite());
         edges.sort_by(f64::total_cmp);
-        edges.push(edges.last().map_or(1.0, |v| 2.0 * v + 1.0));
+        edges.push(edges.last().map_or(0.0, |v| 2.0 * v).max(wide(self).1));
         let pieces = edges.windows(2).filter(|e| e[1] - e[0] > 1e-12 * e[1]);
         pieces
             .filter(|e| self.is_stable(kp, 0.5 * (e[0] + e[1])))
@@ -336,10 +336,11 @@ impl Channel {
         let reach = (last - first).max(last.abs());
         ends.insert(0, first - 0.5 * reach);
         // Without delay there may be no upper end: gains of twenty times the plant's are enough to choose from.
-        let wide = 20.0 / self.transfer.steady_gain(self.time).abs();
-        ends.push((last + 0.5 * reach).max(if wide.is_finite() { wide } else { 0.0 }));
+        ends.push((last + 0.5 * reach).max(wide(self).0));
         let mut out: Vec<Interval> = Vec::new();
-        for e in ends.windows(2).filter(|e| e[1] - e[0] > 1e-9 * reach) {
+        // Ends grow with the frequency without limit where the plant falls faster than one over it: what is narrow is told by the ends of
+        // each piece alone.
+        for e in ends.windows(2).filter(|e| e[1] - e[0] > 1e-9 * e[0].abs().max(e[1].abs())) {
             if !self.stable_ki(0.5 * (e[0] + e[1])).is_empty() {
                 match out.last_mut() {
                     Some(before) if before.upper == e[0] => before.upper = e[1],
@@ -349,6 +350,18 @@ impl Channel {
         }
         out
     }
+}
+
+/// Gains kp and ki to choose from where the plane has no end: twenty times those at which the channel, where it has fallen to half of its
+/// gain at rest, has gain 1; an integrator in the middle of its grid.
+fn wide(channel: &Channel) -> (f64, f64) {
+    let steady = channel.transfer.steady_gain(channel.time).abs();
+    let fallen =
+        if steady.is_finite() { channel.response.iter().position(|g| g.norm() < 0.5 * steady) } else { None };
+    let k = fallen.unwrap_or(channel.grid.len() / 2);
+    let gain = channel.response[k].norm().max(f64::MIN_POSITIVE);
+    let kp = 20.0 / gain;
+    (if kp.is_finite() { kp } else { 0.0 }, if kp.is_finite() { kp * channel.grid[k] } else { 1.0 })
 }
 
 fn product(poles: &[Vec<f64>; 2], x: C) -> C {

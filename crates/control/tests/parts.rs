@@ -329,3 +329,26 @@ fn decouplers_cancel_what_can_be_cancelled() {
     .unwrap();
     assert!(dynamic_decoupler(&endless, 5).is_err());
 }
+
+/// Plants whose plane has ends that grow without limit, or none at all: `e^(-s/2) / (s + 1)^2` loses stability without an integral at
+/// `kp = 1 + w^2`, `w / 2 + 2 atan w = pi`; an integrator never; a fast lag takes an integral as fast as itself.
+#[test]
+fn the_plane_has_a_range_where_its_ends_run_away() {
+    let channel = |num: &[f64], den: &[f64], delay_s: f64| {
+        Channel::new(Time::Continuous, Transfer::continuous(num, den, delay_s)).unwrap()
+    };
+    let twice = channel(&[1.0], &[1.0, 2.0, 1.0], 0.5);
+    let (mut lower, mut upper) = (1.0f64, 3.0f64);
+    for _ in 0..60 {
+        let w = 0.5 * (lower + upper);
+        if 0.5 * w + 2.0 * w.atan() < std::f64::consts::PI { lower = w } else { upper = w }
+    }
+    let ranges = twice.kp_ranges();
+    let end = ranges.last().unwrap().upper;
+    assert!((end - (1.0 + lower * lower)).abs() < 1e-6 && ranges[0].lower < 0.0, "{ranges:?}");
+    assert!(!twice.stable_ki(0.8).is_empty());
+    let integrator = channel(&[1.0], &[1.0, 0.0], 0.0);
+    assert!(integrator.kp_ranges().iter().any(|r| r.upper > 0.0), "{:?}", integrator.kp_ranges());
+    let fast = channel(&[1.0], &[1e-3, 1.0], 0.0);
+    assert!(fast.stable_ki(1.0).last().unwrap().upper > 1e3, "{:?}", fast.stable_ki(1.0));
+}

@@ -361,3 +361,23 @@ fn gcc(file: &StoredController) {
         assert_eq!(machine.step(row)[0].to_bits(), compiled.to_bits());
     }
 }
+
+/// With a filter of the prediction error the margins are those of the loop that runs: the gain at which they end is the one at which the
+/// plant's gain may grow no more, which is found without them.
+#[test]
+fn a_filtered_predictor_has_the_margins_of_its_own_loop() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant = "[[plants]]\nchannels = [[{ num = [0.0, 0.1], den = [1.0, -0.9] }]]\n";
+    for filter_s in [0.0, 0.5, 2.0] {
+        let text = format!(
+            "sample_time_s = 0.1\n[[loops]]\noutput = \"y\"\ninput = \"u\"\nextra_delay_s = 1.0\npredictor = true\nfilter_s = {filter_s}\n{plant}"
+        );
+        let file = tmp.path().join("spec.toml");
+        let over = Overrides { seed: None, out: Some(tmp.path().join("run")) };
+        let job = spec::parse(&file.display().to_string(), &text, &over).unwrap();
+        let own = work::control(&job, Watch::silent()).unwrap();
+        let promised = own.together[0].loops[0].gain_up.unwrap();
+        let plants = own.loops[0].predictor.as_ref().unwrap().gain.1;
+        assert!((promised / plants - 1.0).abs() < 1e-4, "{filter_s}: {promised} {plants}");
+    }
+}

@@ -34,7 +34,8 @@ pub(super) fn controller(
     }
 }
 
-/// `K / (1 + K P (1 - F q^d))` of (7.28).
+/// `K F / (1 + K P (1 - F q^d))`: what stands between the measured output and the actuator in (7.28), with the filter F of the prediction
+/// error.
 fn predicting(k: &Transfer, spec: &LoopSpec, p: &PredictorResult, time: Time) -> Transfer {
     let f = filter(spec, time);
     let samples = (p.delay_s / time.sample_time_s().unwrap_or(1.0)).round() as usize;
@@ -43,7 +44,7 @@ fn predicting(k: &Transfer, spec: &LoopSpec, p: &PredictorResult, time: Time) ->
     let less: Vec<f64> = late.iter().map(|v| -v).collect();
     let known = multiply(&multiply(&k.num, &p.model.num), &add(&f.den, &less));
     Transfer {
-        num: multiply(&k.num, &multiply(&p.model.den, &f.den)),
+        num: multiply(&k.num, &multiply(&p.model.den, &f.num)),
         den: add(&multiply(&k.den, &multiply(&p.model.den, &f.den)), &known),
         delay_s: 0.0,
     }

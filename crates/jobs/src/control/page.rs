@@ -122,7 +122,10 @@ fn one_loop(found: &Controlled, k: usize, l: &LoopResult, p: &LoopPicture) -> Se
         section = section.block(plane_map(l, plane));
         section = section.block(loci(l, plane));
     }
-    section = section.block(steps(found, k, l));
+    section = match steps(found, k, l) {
+        Some(plot) => section.block(plot),
+        None => section.text("A step of the demand is not drawn: at no set point could it be run, its delay being no whole number of samples or far shorter than its lag."),
+    };
     section.block(bode(found, &p.bode, true)).block(bode(found, &p.bode, false))
 }
 
@@ -192,9 +195,10 @@ fn loci(l: &LoopResult, p: &Plane) -> XyPlot {
     plot.points("gains", [kp], [ki])
 }
 
-fn steps(found: &Controlled, k: usize, l: &LoopResult) -> TimePlot {
+/// None where no set point has a run.
+fn steps(found: &Controlled, k: usize, l: &LoopResult) -> Option<TimePlot> {
     let points = &found.picture.steps[k];
-    let rows = points.iter().flatten().map(Vec::len).max().unwrap_or(0);
+    let rows = points.iter().flatten().map(Vec::len).max().filter(|rows| *rows > 0)?;
     let mut plot =
         TimePlot::sampled(format!("Step of the demand of {}", l.output), found.picture.step_s, rows);
     for (o, other) in found.loops.iter().enumerate() {
@@ -216,7 +220,7 @@ fn steps(found: &Controlled, k: usize, l: &LoopResult) -> TimePlot {
     } else {
         plot = plot.caption("Linear models of the set points, all loops closed, no limits of actuators.");
     }
-    plot
+    Some(plot)
 }
 
 fn bode(found: &Controlled, curves: &[Bode], size: bool) -> XyPlot {

@@ -105,8 +105,7 @@ fn gains(found: &Controlled, l: &LoopResult) -> String {
         );
     }
     if let Some(t) = l.rules.first() {
-        let alone =
-            if found.detuned > 1.0 || found.loops.len() > 1 { " alone and before any detuning" } else { "" };
+        let alone = if found.loops.len() > 1 { ", the other loops open," } else { "" };
         match t.settling_s {
             Some(s) => {
                 text += &format!(

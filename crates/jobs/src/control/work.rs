@@ -102,6 +102,9 @@ pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     watch.fraction(0.7);
     watch.note("all loops closed together");
     let (detuned, together) = close(job, &loaded, &mut loops, watch)?;
+    if detuned > 1.0 {
+        smaller_rules(&loaded, job, &mut loops)?;
+    }
     watch.fraction(0.9);
     watch.note("runs that check the margins");
     let checks = checks(job, &loaded, &loops, &together)?;
@@ -319,6 +322,28 @@ fn scenarios(
             left.remove(*k);
         }
     }
+}
+
+/// The gains that were made smaller, judged alone as those of the rules are: before these, as what is delivered.
+fn smaller_rules(loaded: &Loaded, job: &Job, loops: &mut [LoopResult]) -> Result<(), ControlJobError> {
+    for (k, l) in loops.iter_mut().enumerate() {
+        let whole = |s: &System| Channel::new(loaded.time, decouple::channel(loaded, s, k)?.scaled(l.sign));
+        let channel = |p: &AtPoint| match job.loops[k].predictor {
+            true => without_predicted(job, &p.nominal).and_then(|s| whole(&s)),
+            false => whole(&p.nominal),
+        };
+        let channels = loaded.points.iter().map(channel).collect::<Result<Vec<_>, _>>();
+        let channels = channels.map_err(|source| ControlJobError::Loop {
+            output: l.output.clone(),
+            input: l.input.clone(),
+            source,
+        })?;
+        let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
+        let gains = PidGains::pi(l.kp * l.sign, l.ki * l.sign);
+        let run = step_run(&channels, &lags);
+        l.rules.insert(0, judged("search, made smaller", &gains, &channels, &job.asked, run));
+    }
+    Ok(())
 }
 
 /// Closes all loops; where they act on each other, gains that were searched shrink until everything is kept.
