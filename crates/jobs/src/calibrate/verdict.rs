@@ -10,12 +10,12 @@ use super::models::ModelsResult;
 use super::optimise_step::Pass;
 use super::run::ChainResult;
 use super::spec::CalibrateSpec;
-use super::validate_step::{DYNAMIC, ValidateResult};
+use super::validate_step::{DYNAMIC, NOT_REFINED, ONE_LAG, ValidateResult};
 use dynocal_calib::validate::{MOST_OFFSET, MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
-use rivals::{beaten, beyond_reference, of_static, out_of_reach, static_saves_more};
+use rivals::{beaten, beyond_reference, dynamics_pay, of_static, out_of_reach, static_saves_more};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
@@ -353,8 +353,10 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
 
 /// What the dynamic map is worth in one scenario, in sentences.
 fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> String {
+    let of_scenario = || v.scores.iter().filter(|s| s.scenario == own.scenario);
+    // What differs from the delivered map in its dynamics alone is no rival of it: it says what these are worth.
     let rivals: Vec<&MapScore> =
-        v.scores.iter().filter(|s| s.scenario == own.scenario && s.map != DYNAMIC).collect();
+        of_scenario().filter(|s| ![DYNAMIC, ONE_LAG, NOT_REFINED].contains(&s.map.as_str())).collect();
     let mut out = Vec::new();
     for d in &own.demands {
         let integrals = rivals
@@ -371,6 +373,7 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
             ));
         }
     }
+    out.extend(of_scenario().find(|s| s.map == ONE_LAG).and_then(|plain| dynamics_pay(own, plain)));
     if let Some(rival) = rivals.iter().find(|s| s.map == "static map") {
         let unit = match &spec.problem.minimise[..] {
             [one] => spec.problem.unit(&one.channel).unwrap_or("-"),

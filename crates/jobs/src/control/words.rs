@@ -67,10 +67,11 @@ fn worst(found: &Controlled) -> String {
         return String::new();
     };
     match (t.violation, t.violation_nominal) {
-        (Some(v), _) => format!(
-            "The worst is {}: asked is {v:.3} times what there is. These are the best that were found.",
-            t.point
-        ),
+        (Some(v), _) => {
+            let searched = found.loops.iter().all(|l| l.rules.first().is_some_and(|t| t.rule != "given"));
+            let best = if searched { " These are the best that were found." } else { "" };
+            format!("The worst is {}: asked is {v:.3} times what there is.{best}", t.point)
+        }
         (None, None) => format!("At {} the loop has {}.", t.point, t.stable),
         (None, Some(_)) => {
             format!("At {} {} of {} draws are not stable.", t.point, t.unstable_draws, found.draws)

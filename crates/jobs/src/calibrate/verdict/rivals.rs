@@ -4,7 +4,7 @@ use super::super::run::ChainResult;
 use super::super::validate_step::ValidateResult;
 use dynocal_calib::limits::LimitScore;
 use dynocal_calib::validate::MapScore;
-use dynocal_report::with_unit;
+use dynocal_report::{significant, with_unit};
 
 /// Share of the saving of the static map's inputs beyond which these are no reference at its best.
 const MOST_SHARE: f64 = 1.05;
@@ -59,6 +59,23 @@ pub(super) fn of_static(v: &ValidateResult, own: &MapScore, limit: &LimitScore) 
         Some(l) => format!("the static map keeps {} away from it", with_unit(-l.excess, 3, &l.unit)),
         None => "there is no static map to compare".into(),
     }
+}
+
+/// What the delivered dynamics leave of the further demands beside one lag on the same tables, in words.
+pub(super) fn dynamics_pay(own: &MapScore, plain: &MapScore) -> Option<String> {
+    let left = |s: &MapScore| s.demands.iter().skip(1).map(|d| d.integral_s).collect::<Vec<_>>();
+    let (ours, theirs) = (left(own), left(plain));
+    if ours.is_empty() {
+        return None;
+    }
+    let names: Vec<&str> = own.demands.iter().skip(1).map(|d| d.output.as_str()).collect();
+    let numbers = |v: &[f64]| v.iter().map(|i| significant(*i, 4)).collect::<Vec<_>>().join(", ");
+    Some(format!(
+        "with one lag in the place of its own dynamics it would leave {} s of {} instead of {}",
+        numbers(&theirs),
+        names.join(", "),
+        numbers(&ours)
+    ))
 }
 
 /// Rivals that are better than the delivered map in the same scenario, in words.
