@@ -56,6 +56,17 @@ fn motored_needs_torque_and_faults_are_named() {
     assert!(code == 2 && stderr.contains("9000") && stderr.contains("6500"), "{stderr}");
     let (code, _, stderr) = engine(tmp.path(), &["point", "--torque-nm", "500"]);
     assert!(code == 2 && stderr.contains("500 Nm") && stderr.contains("the throttle is open"), "{stderr}");
+    // What no engine burns is refused by its name, and a mixture richer than enrichment may make it is held.
+    for lambda in ["0", "nan", "-1", "3"] {
+        let (code, _, stderr) =
+            engine(tmp.path(), &["point", "--torque-nm", "100", &format!("--lambda={lambda}")]);
+        assert!(code == 2 && stderr.contains("lambda") && stderr.contains("0.5 to 2"), "{lambda}: {stderr}");
+    }
+    let (code, _, stderr) = engine(tmp.path(), &["point", "--torque-nm", "nan"]);
+    assert!(code == 2 && stderr.contains("torque"), "{stderr}");
+    let (code, stdout, stderr) =
+        engine(tmp.path(), &["point", "--parameters", "gtdi_2l", "--torque-nm", "200", "--lambda", "0.7"]);
+    assert!(code == 0 && (value(&stdout, "lambda") - 0.7).abs() < 0.01, "{stdout} {stderr}");
 }
 
 #[test]

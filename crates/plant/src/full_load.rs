@@ -154,10 +154,12 @@ impl Controller {
         let spark_still = self.spark(y);
         let hot = y.egt_k - self.request.limits.egt_k;
         let lambda = self.lambda - (2e-5 * hot).clamp(-1e-3, 1e-3);
-        self.lambda = lambda.clamp(self.request.limits.least_lambda, self.request.lambda);
+        // A mixture that is asked richer than enrichment may make it stays what it is.
+        let richest = self.request.limits.least_lambda.min(self.request.lambda);
+        self.lambda = lambda.clamp(richest, self.request.lambda);
         let lambda_still = hot.abs() < 2.0
             || (hot < 0.0 && self.lambda >= self.request.lambda)
-            || (hot > 0.0 && self.lambda <= self.request.limits.least_lambda);
+            || (hot > 0.0 && self.lambda <= richest);
         let air_mg = 1e3 * y.air_g_s * cycle_s / 4.0;
         self.u.injection_mg = (air_mg / (p.gas.afr_stoich * self.lambda)).clamp(0.0, 120.0);
         if let Some(cams) = &p.cams {

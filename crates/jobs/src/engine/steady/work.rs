@@ -54,6 +54,13 @@ fn held(engine: &mut VirtualEngine, inputs: Inputs) -> Result<Point, EngineJobEr
     Ok(Point { inputs, outputs: steady(engine, inputs, SETTLE_S, AVERAGE_S)? })
 }
 
+fn asked(name: &str, found: f64, holds: bool, expected: &str) -> Result<(), EngineJobError> {
+    match holds {
+        true => Ok(()),
+        false => Err(EngineJobError::Number { name: name.into(), found, expected: expected.into() }),
+    }
+}
+
 fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> {
     let speed_rpm = at.speed_rpm;
     let Some(torque_nm) = at.torque_nm else {
@@ -67,6 +74,8 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
         };
         return held(engine, u);
     };
+    asked("torque", torque_nm, torque_nm.is_finite(), "a number of Nm")?;
+    asked("lambda", at.lambda, (LAMBDAS.0..=LAMBDAS.1).contains(&at.lambda), "0.5 to 2")?;
     let target = Target { speed_rpm, torque_nm, lambda: at.lambda };
     let options = SettleOptions::default();
     let point = match at.spark_deg {
@@ -78,6 +87,9 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
     };
     Ok(Point { inputs: point.inputs, outputs: point.outputs })
 }
+
+/// Lambdas that burn at all.
+const LAMBDAS: (f64, f64) = (0.5, 2.0);
 
 /// A torque that throttle and best spark alone do not give: with wastegate, knock limit and enrichment as at full load, or
 /// the reason why not.
