@@ -131,6 +131,29 @@ pub struct LoadPoint {
     pub time_s: f64,
 }
 
+impl LoadPoint {
+    /// Limits that are passed all the same, because what keeps them stands at its end, in words; none where all are kept, to what the
+    /// controller leaves: 10 K, 3 kPa, 5 % of knock, 3 % of the others.
+    pub fn passed(&self) -> Option<String> {
+        let (y, l) = (&self.outputs, &self.request.limits);
+        let all = [
+            ("knock", y.knock, l.knock, 1.05 * l.knock, "-"),
+            ("exhaust temperature", y.egt_k - 273.15, l.egt_k - 273.15, l.egt_k - 263.15, "degC"),
+            ("peak pressure", y.pmax_bar, l.pmax_bar, 1.03 * l.pmax_bar, "bar"),
+            ("intake pressure", y.map_kpa, l.map_kpa, l.map_kpa + 3.0, "kPa"),
+            ("turbocharger", y.turbo_rpm, l.turbo_rpm, 1.03 * l.turbo_rpm, "rpm"),
+        ];
+        let beyond = all.iter().filter(|(_, found, _, most, _)| found > most);
+        let words: Vec<String> = beyond
+            .map(|(name, found, limit, _, unit)| match *unit {
+                "-" => format!("{name} {found:.2} (limit {limit})"),
+                _ => format!("{name} {found:.0} {unit} (limit {limit:.0})"),
+            })
+            .collect();
+        (!words.is_empty()).then(|| words.join(", "))
+    }
+}
+
 /// Cycles that must stand still, and over which the outputs are averaged.
 const STILL: usize = 25;
 /// Widest throttle and wastegate.

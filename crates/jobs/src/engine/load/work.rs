@@ -45,6 +45,9 @@ fn warning(p: &LoadPoint, full_load: bool) -> Option<String> {
             Some(format!("{n} rpm, {t} Nm is out of reach ({held:.1} Nm were held): {}", barrier.reason()))
         }
         _ if !p.settled => Some(format!("{n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s)),
-        _ => None,
+        _ => p.passed().map(|limits| {
+            let held = p.outputs.torque_nm;
+            format!("{n} rpm, {held:.1} Nm is held past a limit, as what would keep it stands at its end: {limits}")
+        }),
     }
 }
