@@ -9,10 +9,13 @@ use dynocal_jobs::calibrate::verdict::stages;
 pub(crate) fn results(r: &ChainResult) -> String {
     let parts = [models(r), passes(r), maps(r)];
     let mut text = parts.iter().filter(|p| !p.is_empty()).cloned().collect::<Vec<_>>().join("\n");
+    let gains = match r.loops_bed_s() {
+        s if s > 0.0 => format!(", {s:.0} s of it for gains, which a static map needs as well"),
+        _ => String::new(),
+    };
     text.push_str(&format!(
-        "\nbed time of gains, identification, design, optimisation and points at rest: {:.0} s, {:.0} s of it for gains, which a static map needs as well\n",
-        r.bed_s(),
-        r.loops_bed_s()
+        "\nbed time of gains, identification, design, optimisation and points at rest: {:.0} s{gains}\n",
+        r.bed_s()
     ));
     text
 }

@@ -151,6 +151,19 @@ fn result(
     found
 }
 
+/// The channel of a loop, its gain positive.
+fn whole(loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
+    Channel::new(loaded.time, decouple::channel(loaded, plant, k)?.scaled(sign))
+}
+
+/// What the PI of a loop sees of a plant: a predictor's gains are those of the undelayed loop.
+fn seen_by(job: &Job, loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
+    match job.loops[k].predictor {
+        true => whole(loaded, &without_predicted(job, plant)?, k, sign),
+        false => whole(loaded, plant, k, sign),
+    }
+}
+
 /// Gains of one loop on its own channel, with those of rules beside.
 fn one_loop(
     job: &Job,
@@ -165,12 +178,8 @@ fn one_loop(
     };
     alone_at_rest(loaded, k)?;
     let sign = sign(loaded, k, l)?;
-    // A predictor's gains are those of the undelayed loop.
-    let whole = |s: &System| Channel::new(loaded.time, decouple::channel(loaded, s, k)?.scaled(sign));
-    let channel = |s: &System| match l.predictor {
-        true => without_predicted(job, s).and_then(|s| whole(&s)),
-        false => whole(s),
-    };
+    let whole = |s: &System| whole(loaded, s, k, sign);
+    let channel = |s: &System| seen_by(job, loaded, s, k, sign);
     let nominal: Vec<Channel> =
         loaded.points.iter().map(|p| channel(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
     let draws: Vec<Channel> = loaded
@@ -327,11 +336,7 @@ fn scenarios(
 /// The gains that were made smaller, judged alone as those of the rules are: before these, as what is delivered.
 fn smaller_rules(loaded: &Loaded, job: &Job, loops: &mut [LoopResult]) -> Result<(), ControlJobError> {
     for (k, l) in loops.iter_mut().enumerate() {
-        let whole = |s: &System| Channel::new(loaded.time, decouple::channel(loaded, s, k)?.scaled(l.sign));
-        let channel = |p: &AtPoint| match job.loops[k].predictor {
-            true => without_predicted(job, &p.nominal).and_then(|s| whole(&s)),
-            false => whole(&p.nominal),
-        };
+        let channel = |p: &AtPoint| seen_by(job, loaded, &p.nominal, k, l.sign);
         let channels = loaded.points.iter().map(channel).collect::<Result<Vec<_>, _>>();
         let channels = channels.map_err(|source| ControlJobError::Loop {
             output: l.output.clone(),

@@ -3,7 +3,7 @@
 use super::super::run::ChainResult;
 use super::super::validate_step::ValidateResult;
 use dynocal_calib::limits::LimitScore;
-use dynocal_calib::validate::MapScore;
+use dynocal_calib::validate::{DemandScore, MapScore};
 use dynocal_report::{significant, with_unit};
 
 /// Share of the saving of the static map's inputs beyond which these are no reference at its best.
@@ -63,19 +63,14 @@ pub(super) fn of_static(v: &ValidateResult, own: &MapScore, limit: &LimitScore) 
 
 /// What the delivered dynamics leave of the further demands beside one lag on the same tables, in words.
 pub(super) fn dynamics_pay(own: &MapScore, plain: &MapScore) -> Option<String> {
-    let left = |s: &MapScore| s.demands.iter().skip(1).map(|d| d.integral_s).collect::<Vec<_>>();
-    let (ours, theirs) = (left(own), left(plain));
-    if ours.is_empty() {
-        return None;
-    }
-    let names: Vec<&str> = own.demands.iter().skip(1).map(|d| d.output.as_str()).collect();
-    let numbers = |v: &[f64]| v.iter().map(|i| significant(*i, 4)).collect::<Vec<_>>().join(", ");
-    Some(format!(
-        "with one lag in the place of its own dynamics it would leave {} s of {} instead of {}",
-        numbers(&theirs),
-        names.join(", "),
-        numbers(&ours)
-    ))
+    let one = |(ours, theirs): (&DemandScore, &DemandScore)| {
+        let unit = if ours.unit == "-" { "s".to_string() } else { format!("{} s", ours.unit) };
+        let (before, after) = (significant(theirs.integral_s, 4), significant(ours.integral_s, 4));
+        format!("{before} instead of {after} {unit} of {}", ours.output)
+    };
+    let all: Vec<String> = own.demands.iter().zip(&plain.demands).skip(1).map(one).collect();
+    (!all.is_empty())
+        .then(|| format!("with one lag in the place of its own dynamics it would leave {}", all.join(", ")))
 }
 
 /// Rivals that are better than the delivered map in the same scenario, in words.
@@ -119,7 +114,7 @@ pub(super) fn static_saves_more(r: &ChainResult, v: &ValidateResult) -> Option<S
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dynocal_calib::validate::{DemandScore, Unreached};
+    use dynocal_calib::validate::Unreached;
 
     fn demand(output: &str, unit: &str) -> DemandScore {
         DemandScore {
