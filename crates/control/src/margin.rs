@@ -88,7 +88,9 @@ pub fn of_response(grid: &[f64], values: &[C], at: &dyn Fn(f64) -> C, nyquist_ra
     let n = grid.len();
     for k in 1..n {
         let (a, b) = (values[k - 1], values[k]);
-        if (a.im > 0.0) != (b.im > 0.0) && a.re.min(b.re) < 0.0 {
+        // What is well within the circle of the crossing that is known can be no nearer to -1: long delays have thousands of them.
+        let within = found.gain_up.is_some_and(|g| 1.2 * a.norm().max(b.norm()) * g < 1.0);
+        if (a.im > 0.0) != (b.im > 0.0) && a.re.min(b.re) < 0.0 && !within {
             let w = bisect(grid[k - 1], grid[k], |w| at(w).im > 0.0, a.im > 0.0);
             found.real(w, at(w));
         }

@@ -1,19 +1,17 @@
-//! PI controllers in the plane of their gains: loci of margins and damping, and the set of stable gains.
+//! PI and PID controllers in the plane of their gains kp and ki: loci of margins and damping.
 //!
 //! ```text
-//! C(x) = kp + ki phi(x)         phi = 1/s,  or dt / (1 - q) as it runs
-//! G(x) C(x) = r                 kp = Re(r/G) - ki Re(phi),  ki = Im(r/G) / Im(phi)
+//! C(x) = kp + ki phi(x) + kd d(x)     phi = 1/s,          or dt / (1 - q) as it runs
+//!                                     d = s / (T s + 1),  or (1 - q) / (T + dt - T q)
+//! G(x) C(x) = r                       kp = Re(r/G - kd d) - ki Re(phi),  ki = Im(r/G - kd d) / Im(phi)
 //! gain margin g: r = -1/g      phase margin p: r = -e^(j p)      stability: r = -1
 //! damping z: r = -1 at s = w (-z + j sqrt(1 - z^2)),  q = e^(-s dt)
-//! Ms: |1 + G C| >= 1/Ms at each w leaves out an interval of ki for each kp
 //! ```
 //!
-//! On a locus a pole of the closed loop crosses; between the loci their number is constant, so the stable set follows from one
-//! count in every piece (decomposition of the parameter plane, J. Ackermann, Robust Control (2002), chapters 2 and 3; thesis
-//! section 7.7.1). Delays are exact.
+//! kd and its filter are the channel's: with them the plane is that of a PI about another curve. What is stable in it:
+//! [`crate::stable`]. Delays are exact. (J. Ackermann, Robust Control (2002), chapters 2 and 3; thesis section 7.7.1.)
 
 use dynocal_numerics::fft::Complex;
-use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 use crate::closed::{Unstable, continuous, sampled};
@@ -25,10 +23,7 @@ use crate::poly::{degree, value};
 use crate::runtime::PidGains;
 use crate::system::{System, Time, Transfer};
 
-/// Halvings of an interval that holds a crossing.
-const HALVINGS: usize = 80;
-
-/// One channel that a PI is to control.
+/// One channel that a PI, or a PID whose derivative part is given, is to control.
 #[derive(Clone, Debug)]
 pub struct Channel {
     /// Continuous or sampled.
@@ -37,12 +32,18 @@ pub struct Channel {
     pub transfer: Transfer,
     /// Frequencies in rad/s.
     pub grid: Vec<f64>,
-    response: Vec<C>,
-    phi: Vec<C>,
-    /// Denominators of the channel and of the integral.
-    poles: [Vec<f64>; 2],
+    /// Derivative gain in input unit x s per output unit, and the time constant of its filter in s.
+    pub derivative: (f64, f64),
+    pub(crate) response: Vec<C>,
+    pub(crate) phi: Vec<C>,
+    /// Derivative part of the controller, whatever kp and ki.
+    pub(crate) known: Vec<C>,
+    /// Denominators of the channel, of the integral and of the derivative.
+    poles: [Vec<f64>; 3],
     /// The same at the frequencies of the grid.
-    poles_at: Vec<C>,
+    pub(crate) poles_at: Vec<C>,
+    /// Gains of the boundary of stability there.
+    pub(crate) boundary: Vec<(f64, f64)>,
 }
 
 /// A point of a locus.
@@ -56,19 +57,6 @@ pub struct LocusPoint {
     pub ki: f64,
 }
 
-/// The stable set with positive integral gain.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct StableSet {
-    /// Ranges of kp in which there is a stable ki.
-    pub kp: Vec<Interval>,
-    /// Largest stable ki.
-    pub largest_ki: f64,
-    /// kp at it.
-    pub kp_at_largest_ki: f64,
-    /// Area in the plane.
-    pub area: f64,
-}
-
 impl Channel {
     /// A channel; its gain at rest must be positive (turn the sign of channel and gains where it is not).
     ///
@@ -80,18 +68,71 @@ impl Channel {
         if !(steady > 0.0) {
             return Err(ControlError::number("the gain of the channel at rest", steady, "a positive number"));
         }
-        let integral = PidGains::pi(1.0, 1.0).transfer(time);
-        let poles = [transfer.den.clone(), integral.den.clone()];
-        let grid = frequencies(&system, &System::single(time, integral)?);
+        Ok(Self::seen(time, transfer, (0.0, 0.0), &system))
+    }
+
+    /// The same channel under a derivative part.
+    ///
+    /// # Errors
+    /// [`ControlError`]: a gain that is no number, a filter that is not 0 or positive, or none where the time is continuous.
+    pub fn with_derivative(&self, kd: f64, filter_s: f64) -> Result<Self, ControlError> {
+        if !kd.is_finite() {
+            return Err(ControlError::number("kd", kd, "a finite number"));
+        }
+        let least = if self.time == Time::Continuous && kd != 0.0 { f64::MIN_POSITIVE } else { 0.0 };
+        if !(filter_s >= least && filter_s.is_finite()) {
+            let expected = "a positive number of seconds (0 only where the loop is sampled)";
+            return Err(ControlError::number("the filter time of the derivative", filter_s, expected));
+        }
+        let system = System::single(self.time, self.transfer.clone())?;
+        Ok(Self::seen(self.time, self.transfer.clone(), (kd, filter_s), &system))
+    }
+
+    fn seen(time: Time, transfer: Transfer, derivative: (f64, f64), system: &System) -> Self {
+        let unit = PidGains { kp: 1.0, ki: 1.0, kd: derivative.0, filter_s: derivative.1 };
+        let part = |gains: PidGains| gains.transfer(time);
+        let integral = part(PidGains { kp: 0.0, kd: 0.0, ..unit });
+        let rate = part(PidGains { kp: 0.0, ki: 0.0, ..unit });
+        let grid = System::single(time, part(unit)).map_or(Vec::new(), |c| frequencies(system, &c));
+        let poles = [transfer.den.clone(), integral.den, rate.den.clone()];
         let response: Vec<C> = grid.iter().map(|w| transfer.at(time, *w)).collect();
         let phi = grid.iter().map(|w| phi(time, time.variable(*w))).collect();
+        let known = grid.iter().map(|w| rate.at(time, *w)).collect();
         let poles_at = grid.iter().map(|w| product(&poles, time.variable(*w))).collect();
-        Ok(Self { time, transfer, grid, response, phi, poles, poles_at })
+        let boundary = Vec::new();
+        let mut out =
+            Self { time, transfer, grid, derivative, response, phi, known, poles, poles_at, boundary };
+        out.boundary = out.grid.iter().map(|w| out.boundary_at(*w)).collect();
+        out
+    }
+
+    /// The controller of gains with the channel's derivative part.
+    pub fn gains(&self, kp: f64, ki: f64) -> PidGains {
+        PidGains { kp, ki, kd: self.derivative.0, filter_s: self.derivative.1 }
+    }
+
+    /// Derivative part at `x` (s or q).
+    pub(crate) fn known_at(&self, x: C) -> C {
+        let (kd, filter_s) = self.derivative;
+        match self.time {
+            _ if kd == 0.0 => C::new(0.0, 0.0),
+            Time::Continuous => x * kd / (x * filter_s + ONE),
+            Time::Sampled { sample_time_s } => {
+                (ONE - x) * kd / (ONE * (filter_s + sample_time_s) - x * filter_s)
+            }
+        }
+    }
+
+    /// Controller at `x`.
+    fn controller(&self, x: C, kp: f64, ki: f64) -> C {
+        phi(self.time, x) * ki + kp + self.known_at(x)
     }
 
     /// Gains at which `G C = r` for `r(w)` along the frequencies of the grid.
     pub fn locus(&self, r: &dyn Fn(f64) -> C) -> Vec<LocusPoint> {
-        let point = |k: usize| self.point(self.grid[k], r(self.grid[k]) / self.response[k], self.phi[k]);
+        let point = |k: usize| {
+            self.point(self.grid[k], r(self.grid[k]) / self.response[k] - self.known[k], self.phi[k])
+        };
         (0..self.grid.len()).filter_map(point).collect()
     }
 
@@ -121,12 +162,12 @@ impl Channel {
             };
             let rational = value(&self.transfer.num, x) / value(&self.transfer.den, x);
             let g = rational * (-s * self.transfer.delay_s).exp();
-            self.point(*w, -ONE / g, phi(self.time, x))
+            self.point(*w, -ONE / g - self.known_at(x), phi(self.time, x))
         };
         self.grid.iter().filter_map(point).collect()
     }
 
-    fn states(&self) -> usize {
+    pub(crate) fn states(&self) -> usize {
         self.poles.iter().map(|p| degree(p)).sum()
     }
 
@@ -136,9 +177,11 @@ impl Channel {
         (ki.is_finite() && kp.is_finite()).then_some(LocusPoint { w_rad_s: w, kp, ki })
     }
 
-    fn boundary_at(&self, w: f64) -> (f64, f64) {
-        let c = -ONE / self.transfer.at(self.time, w);
-        let phi = phi(self.time, self.time.variable(w));
+    /// kp and ki of the boundary of stability at a frequency in rad/s.
+    pub(crate) fn boundary_at(&self, w: f64) -> (f64, f64) {
+        let x = self.time.variable(w);
+        let c = -ONE / self.transfer.at(self.time, w) - self.known_at(x);
+        let phi = phi(self.time, x);
         let ki = c.im / phi.im;
         (c.re - ki * phi.re, ki)
     }
@@ -147,13 +190,15 @@ impl Channel {
     pub fn unstable(&self, kp: f64, ki: f64) -> Unstable {
         let chi = |w: f64| {
             let x = self.time.variable(w);
-            product(&self.poles, x) * (ONE + self.transfer.at(self.time, w) * (phi(self.time, x) * ki + kp))
+            product(&self.poles, x) * (ONE + self.transfer.at(self.time, w) * self.controller(x, kp, ki))
         };
         match self.time {
             Time::Sampled { .. } => sampled(&chi, &self.grid),
             Time::Continuous => {
                 let beyond = self.grid.last().map_or(0.0, |w| self.transfer.at(self.time, w * 1e3).norm());
-                if self.transfer.delay_s > 0.0 && beyond * kp.abs() >= 1.0 {
+                let (kd, filter_s) = self.derivative;
+                let most = kp + if kd == 0.0 { 0.0 } else { kd / filter_s };
+                if self.transfer.delay_s > 0.0 && beyond * most.abs() >= 1.0 {
                     return Unstable::Neutral;
                 }
                 continuous(&chi, &self.grid, self.states())
@@ -163,221 +208,38 @@ impl Channel {
 
     /// Loop response on the grid.
     pub fn open(&self, kp: f64, ki: f64) -> Vec<C> {
-        self.response.iter().zip(&self.phi).map(|(g, phi)| g * (phi * ki + kp)).collect()
+        (0..self.grid.len()).map(|k| self.open_at(k, kp, ki)).collect()
     }
 
-    /// Margins under `kp + ki phi`; none where the loop is not stable.
+    pub(crate) fn open_at(&self, k: usize, kp: f64, ki: f64) -> C {
+        self.response[k] * (self.phi[k] * ki + kp + self.known[k])
+    }
+
+    /// Margins under `kp + ki phi + kd d`; none where the loop is not stable.
     pub fn margins(&self, kp: f64, ki: f64) -> Option<Margins> {
-        if !self.unstable(kp, ki).is_stable() {
+        if !self.is_stable(kp, ki) {
             return None;
         }
-        let at = |w: f64| self.transfer.at(self.time, w) * (phi(self.time, self.time.variable(w)) * ki + kp);
+        let at = |w: f64| self.transfer.at(self.time, w) * self.controller(self.time.variable(w), kp, ki);
         Some(of_response(&self.grid, &self.open(kp, ki), &at, self.time.nyquist_rad_s()))
     }
 
     /// Largest |1 / (1 + G C)| on the grid, without refinement and without asking for stability.
     pub fn sensitivity_on_grid(&self, kp: f64, ki: f64) -> f64 {
-        let least = self
-            .response
-            .iter()
-            .zip(&self.phi)
-            .map(|(g, phi)| (ONE + g * (phi * ki + kp)).norm_sqr())
-            .fold(f64::INFINITY, f64::min);
+        let size = |k: usize| (ONE + self.open_at(k, kp, ki)).norm_sqr();
+        let least = (0..self.grid.len()).map(size).fold(f64::INFINITY, f64::min);
         1.0 / least.sqrt()
     }
-
-    /// Whether `kp + ki phi` is stable, on the grid alone where it is fine enough for that, else with all refinement.
-    pub fn is_stable(&self, kp: f64, ki: f64) -> bool {
-        let mut sum = 0.0;
-        let mut last: Option<C> = None;
-        for ((g, phi), p) in self.response.iter().zip(&self.phi).zip(&self.poles_at) {
-            let v = p * (ONE + g * (phi * ki + kp));
-            if let Some(before) = last {
-                let angle = (v / before).arg();
-                if !(angle.abs() < 1.0) {
-                    return self.unstable(kp, ki).is_stable();
-                }
-                sum += angle;
-            } else if !(v.im.abs() < 0.05 * v.re.abs()) {
-                return self.unstable(kp, ki).is_stable();
-            }
-            last = Some(v);
-        }
-        let count = match self.time {
-            Time::Sampled { .. } => -sum / std::f64::consts::PI,
-            Time::Continuous => self.states() as f64 / 2.0 - sum / std::f64::consts::PI,
-        };
-        if (count - count.round()).abs() > 0.2 {
-            self.unstable(kp, ki).is_stable()
-        } else {
-            count.round() == 0.0
-        }
-    }
-
-    /// Intervals of positive ki that are stable with `kp`: the boundary is looked for along all frequencies, and one ki of
-    /// each piece is asked.
-    pub fn stable_ki(&self, kp: f64) -> Vec<Interval> {
-        let mut edges = vec![0.0];
-        let own: Vec<(f64, f64)> = self.grid.iter().map(|w| self.boundary_at(*w)).collect();
-        for k in 1..own.len() {
-            let (a, b) = (own[k - 1].0 - kp, own[k].0 - kp);
-            if (a > 0.0) != (b > 0.0) && a.is_finite() && b.is_finite() {
-                let (mut lower, mut upper) = (self.grid[k - 1], self.grid[k]);
-                for _ in 0..HALVINGS {
-                    let middle = 0.5 * (lower + upper);
-                    if (self.boundary_at(middle).0 > kp) == (a > 0.0) {
-                        lower = middle
-                    } else {
-                        upper = middle
-                    }
-                }
-                edges.push(self.boundary_at(0.5 * (lower + upper)).1);
-            }
-        }
-        // At half the sampling frequency a real pole passes: 1 + G (kp + ki phi) = 0 there.
-        if let Some(end) = self.time.nyquist_rad_s() {
-            let (g, phi) = (self.transfer.at(self.time, end), phi(self.time, self.time.variable(end)));
-            edges.push((-1.0 / g.re - kp) / phi.re);
-        }
-        edges.retain(|v| *v >= 0.0 && v.is_finite());
-        edges.sort_by(f64::total_cmp);
-        edges.push(edges.last().map_or(0.0, |v| 2.0 * v).max(wide(self).1));
-        let pieces = edges.windows(2).filter(|e| e[1] - e[0] > 1e-12 * e[1]);
-        pieces
-            .filter(|e| self.is_stable(kp, 0.5 * (e[0] + e[1])))
-            .map(|e| Interval { lower: e[0], upper: e[1] })
-            .collect()
-    }
-
-    /// Intervals of positive ki with `kp` that are stable and keep `Ms <= most` on the grid.
-    pub fn ki_with_sensitivity(&self, kp: f64, most: f64) -> Vec<Interval> {
-        let mut left = self.stable_ki(kp);
-        for (g, phi) in self.response.iter().zip(&self.phi) {
-            let (a, b) = (ONE + g * kp, g * phi);
-            let (square, half) = (b.norm_sqr(), (a * b.conj()).re);
-            let root = half * half - square * (a.norm_sqr() - 1.0 / (most * most));
-            if root > 0.0 && square > 0.0 {
-                let out = ((-half - root.sqrt()) / square, (-half + root.sqrt()) / square);
-                left = left.into_iter().flat_map(|i| without(i, out)).collect();
-            }
-        }
-        left
-    }
-
-    /// The stable set with positive ki, its extent and its area (`points` values of kp in each range, Gauss-Legendre pieces).
-    ///
-    /// ```
-    /// use dynocal_control::plane::Channel;
-    /// use dynocal_control::system::{Time, Transfer};
-    /// let lag = Channel::new(Time::Continuous, Transfer::continuous(&[1.0], &[4.0, 1.0], 1.0))?;
-    /// let set = lag.stable_set(200);
-    /// assert!((set.largest_ki - 3.21360).abs() < 1e-4 && (set.kp[0].upper - 6.93451).abs() < 1e-4);
-    /// # Ok::<(), dynocal_control::error::ControlError>(())
-    /// ```
-    pub fn stable_set(&self, points: usize) -> StableSet {
-        let mut set =
-            StableSet { kp: self.kp_ranges(), largest_ki: 0.0, kp_at_largest_ki: f64::NAN, area: 0.0 };
-        let height = |kp: f64| self.stable_ki(kp).iter().map(|i| i.upper - i.lower).sum::<f64>();
-        for range in &set.kp {
-            let width = (range.upper - range.lower) / points as f64;
-            let mut best = (0.0, f64::NAN);
-            for k in 0..points {
-                let start = range.lower + width * k as f64;
-                // Two points of Gauss: exact for cubic pieces.
-                for share in [0.5 - 0.5 / 3f64.sqrt(), 0.5 + 0.5 / 3f64.sqrt()] {
-                    let kp = start + share * width;
-                    let ki = height(kp);
-                    set.area += 0.5 * width * ki;
-                    if ki > best.0 {
-                        best = (ki, kp);
-                    }
-                }
-            }
-            let top = |kp: f64| self.stable_ki(kp).last().map_or(0.0, |i| i.upper);
-            let grid = [best.1 - width, best.1, best.1 + width];
-            let (kp, ki) = crate::margin::peak(&grid, &grid.map(top), &top);
-            if ki > set.largest_ki {
-                (set.largest_ki, set.kp_at_largest_ki) = (ki, kp);
-            }
-        }
-        set
-    }
-
-    /// Ranges of kp with some stable positive ki: ends are where the boundary meets ki = 0, or turns round.
-    pub fn kp_ranges(&self) -> Vec<Interval> {
-        let own: Vec<(f64, f64)> = self.grid.iter().map(|w| self.boundary_at(*w)).collect();
-        let mut ends = Vec::new();
-        for k in 1..own.len() {
-            if (own[k - 1].1 > 0.0) != (own[k].1 > 0.0) {
-                let (mut lower, mut upper) = (self.grid[k - 1], self.grid[k]);
-                let at_lower = own[k - 1].1 > 0.0;
-                for _ in 0..HALVINGS {
-                    let middle = 0.5 * (lower + upper);
-                    if (self.boundary_at(middle).1 > 0.0) == at_lower {
-                        lower = middle
-                    } else {
-                        upper = middle
-                    }
-                }
-                ends.push(self.boundary_at(0.5 * (lower + upper)).0);
-            }
-            if k + 1 < own.len() && (own[k].0 - own[k - 1].0) * (own[k + 1].0 - own[k].0) < 0.0 {
-                ends.push(own[k].0);
-            }
-        }
-        if let Some(end) = self.time.nyquist_rad_s() {
-            ends.push(-1.0 / self.transfer.at(self.time, end).re);
-        }
-        ends.push(-1.0 / self.transfer.steady_gain(self.time));
-        ends.retain(|v| v.is_finite());
-        ends.sort_by(f64::total_cmp);
-        let first = ends.first().copied().unwrap_or(0.0);
-        let last = ends.last().copied().unwrap_or(0.0);
-        let reach = (last - first).max(last.abs());
-        ends.insert(0, first - 0.5 * reach);
-        // Without delay there may be no upper end: gains of twenty times the plant's are enough to choose from.
-        ends.push((last + 0.5 * reach).max(wide(self).0));
-        let mut out: Vec<Interval> = Vec::new();
-        // Ends grow with the frequency without limit where the plant falls faster than one over it: what is narrow is told by the ends of
-        // each piece alone.
-        for e in ends.windows(2).filter(|e| e[1] - e[0] > 1e-9 * e[0].abs().max(e[1].abs())) {
-            if !self.stable_ki(0.5 * (e[0] + e[1])).is_empty() {
-                match out.last_mut() {
-                    Some(before) if before.upper == e[0] => before.upper = e[1],
-                    _ => out.push(Interval { lower: e[0], upper: e[1] }),
-                }
-            }
-        }
-        out
-    }
 }
 
-/// Gains kp and ki to choose from where the plane has no end: twenty times those at which the channel, where it has fallen to half of its
-/// gain at rest, has gain 1; an integrator in the middle of its grid.
-fn wide(channel: &Channel) -> (f64, f64) {
-    let steady = channel.transfer.steady_gain(channel.time).abs();
-    let fallen =
-        if steady.is_finite() { channel.response.iter().position(|g| g.norm() < 0.5 * steady) } else { None };
-    let k = fallen.unwrap_or(channel.grid.len() / 2);
-    let gain = channel.response[k].norm().max(f64::MIN_POSITIVE);
-    let kp = 20.0 / gain;
-    (if kp.is_finite() { kp } else { 0.0 }, if kp.is_finite() { kp * channel.grid[k] } else { 1.0 })
-}
-
-fn product(poles: &[Vec<f64>; 2], x: C) -> C {
-    value(&poles[0], x) * value(&poles[1], x)
+fn product(poles: &[Vec<f64>; 3], x: C) -> C {
+    poles.iter().map(|p| value(p, x)).product()
 }
 
 /// Integral part of a unit gain.
-fn phi(time: Time, x: C) -> C {
+pub(crate) fn phi(time: Time, x: C) -> C {
     match time {
         Time::Continuous => x.inv(),
         Time::Sampled { sample_time_s } => Complex::new(sample_time_s, 0.0) / (ONE - x),
     }
-}
-
-fn without(i: Interval, out: (f64, f64)) -> Vec<Interval> {
-    let below = Interval { lower: i.lower, upper: i.upper.min(out.0) };
-    let above = Interval { lower: i.lower.max(out.1), upper: i.upper };
-    [below, above].into_iter().filter(|i| i.upper > i.lower).collect()
 }

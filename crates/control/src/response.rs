@@ -6,7 +6,14 @@
 //! v = y - G u,    S_vv = S_yy - G S_uy - (G S_uy)' + G S_uu G'
 //! var G_i = S_vv [(S_uw^-1)' S_ww S_uw^-1]_ii / (n - m),        n = segments / (1 + 2 (1/6)^2) independent ones, m inputs
 //! coherence = S_yw S_ww^-1 S_wy / S_yy
+//! G = (4 G_n - G_n/2) / 3                             segments of n and of half as many samples
 //! ```
+//!
+//! All channels pass through one filter that makes the moving ones nearly white (an autoregressive model of them, order
+//! [`WHITENING`]): G stays what it is, and a window that sees a steep spectrum no longer sees its neighbours in place of a line. What is
+//! left of what a window smears goes with one over the square of its length, and two lengths take it out. For that the deviation is
+//! larger by `sqrt(12.5) / 3`: the shorter segments have half the variance of the longer ones, and what they see is an average of it.
+//! (R. B. Blackman, J. W. Tukey, Bell System Technical J. 37 (1958) 185-282, for prewhitening.)
 //!
 //! Nothing is given above [`HIGHEST`] of the sampling frequency: half of it is where a record ends, and before it the filters of
 //! sensors and the hold of actuators leave nothing to see. (P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73, for
@@ -28,6 +35,10 @@ use crate::system::{System, Time, Transfer};
 pub const HIGHEST: f64 = 0.4;
 /// Correlation of the powers of segments that overlap by half under a Hann window.
 const OVERLAP: f64 = 1.0 / 36.0;
+/// Order of the filter that makes the moving channels nearly white, and the share of white noise that is added to them for it.
+const WHITENING: (usize, f64) = (8, 1e-3);
+/// Correlation of the error of a line with that of the next one: of a product of two spectra under a Hann window.
+const NEIGHBOURS: f64 = 4.0 / 9.0;
 /// Segments that are aimed at where their length is not given.
 const SEGMENTS: usize = 24;
 
@@ -96,7 +107,7 @@ struct Sums {
 /// [`ControlError`]: channels of different lengths or with values that are no numbers, a record too short for its segments,
 /// inputs that do not move on their own at some frequency.
 pub fn frequency_response(test: &Test, segment: Option<usize>) -> Result<Response, ControlError> {
-    let (m, p) = (test.inputs.len(), test.outputs.len());
+    let m = test.inputs.len();
     let rows = check(test)?;
     let n = segment.unwrap_or((2 * rows / (SEGMENTS + 1)).max(16)) & !1;
     let segments = if n >= 16 && n <= rows { (rows - n) / (n / 2) + 1 } else { 0 };
@@ -107,7 +118,22 @@ pub fn frequency_response(test: &Test, segment: Option<usize>) -> Result<Respons
             format!("{} at least, of 16 samples at least: a longer record or shorter segments", m + 2),
         ));
     }
-    let spectra = Spectra::new(test, n, segments);
+    let white = Whitened::new(test);
+    let mut out = over_segments(&white.test(test), n)?;
+    // Segments of half the length, where they are long enough to say something of their own.
+    if n / 2 >= 16 {
+        let shorter = over_segments(&white.test(test), (n / 2) & !1)?;
+        out.extrapolate(&shorter);
+    }
+    Ok(out)
+}
+
+/// The response over segments of `n` samples.
+fn over_segments(test: &Test, n: usize) -> Result<Response, ControlError> {
+    let (m, p) = (test.inputs.len(), test.outputs.len());
+    let rows = test.inputs[0].len();
+    let segments = (rows.max(n) - n) / (n / 2) + 1;
+    let spectra = Spectra::new(test, n.min(rows), segments);
     let independent = segments as f64 / (1.0 + 2.0 * OVERLAP);
     let last = (HIGHEST * n as f64).floor() as usize;
     let mut out = Response {
@@ -146,6 +172,64 @@ pub fn frequency_response(test: &Test, segment: Option<usize>) -> Result<Respons
         }
     }
     Ok(out)
+}
+
+/// The channels of a test behind the filter that whitens the moving ones.
+struct Whitened {
+    inputs: Vec<Vec<f64>>,
+    outputs: Vec<Vec<f64>>,
+    demands: Option<Vec<Vec<f64>>>,
+}
+
+impl Whitened {
+    fn new(test: &Test) -> Self {
+        let filter = whitening(test.demands.unwrap_or(test.inputs));
+        let all = |columns: &[Vec<f64>]| columns.iter().map(|c| filtered(c, &filter)).collect::<Vec<_>>();
+        Self { inputs: all(test.inputs), outputs: all(test.outputs), demands: test.demands.map(all) }
+    }
+
+    fn test(&self, of: &Test) -> Test<'_> {
+        Test {
+            inputs: &self.inputs,
+            outputs: &self.outputs,
+            demands: self.demands.as_deref(),
+            sample_time_s: of.sample_time_s,
+        }
+    }
+}
+
+/// Prediction error filter `1, a_1, ..` of the mean correlation of columns (recursion of Levinson and Durbin).
+fn whitening(columns: &[Vec<f64>]) -> Vec<f64> {
+    let order = WHITENING.0.min(columns[0].len() / 50);
+    let mut r = vec![0.0; order + 1];
+    for c in columns {
+        let mean = c.iter().sum::<f64>() / c.len() as f64;
+        let lag = |k: usize| c.iter().zip(&c[k..]).map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>();
+        let power = lag(0);
+        if power > 0.0 {
+            r.iter_mut().enumerate().for_each(|(k, v)| *v += lag(k) / power);
+        }
+    }
+    r[0] *= 1.0 + WHITENING.1;
+    let mut a = vec![1.0];
+    let mut left = r[0];
+    for k in 1..=order {
+        if !(left > 0.0) {
+            break;
+        }
+        let reflection = -(0..k).map(|j| a[j] * r[k - j]).sum::<f64>() / left;
+        let before = a.clone();
+        a.push(0.0);
+        (1..=k).for_each(|j| a[j] += reflection * before.get(k - j).copied().unwrap_or(0.0));
+        left *= 1.0 - reflection * reflection;
+    }
+    a
+}
+
+/// What a filter of finite length makes of a column, from its first whole sum on.
+fn filtered(column: &[f64], filter: &[f64]) -> Vec<f64> {
+    let n = filter.len();
+    column.windows(n).map(|w| w.iter().rev().zip(filter).map(|(x, a)| a * x).sum()).collect()
 }
 
 fn check(test: &Test) -> Result<usize, ControlError> {
@@ -251,6 +335,29 @@ pub struct MeasuredMargins {
 }
 
 impl Response {
+    /// Takes out what goes with one over the square of the length of segments, by those of half the length.
+    fn extrapolate(&mut self, shorter: &Self) {
+        let channels = self.outputs * self.inputs;
+        let (first, last) = (shorter.frequency_hz[0], shorter.frequency_hz[shorter.frequency_hz.len() - 1]);
+        for (k, f) in self.frequency_hz.iter().enumerate() {
+            if !(*f >= first && *f <= last) {
+                continue;
+            }
+            let i = shorter.frequency_hz.partition_point(|v| v < f).clamp(1, shorter.frequency_hz.len() - 1);
+            let (a, b) = (shorter.frequency_hz[i - 1], shorter.frequency_hz[i]);
+            let share = (f - a) / (b - a);
+            for c in 0..channels {
+                let (x, y) = (shorter.gain[(i - 1) * channels + c], shorter.gain[i * channels + c]);
+                let own = &mut self.gain[k * channels + c];
+                // The chord between two lines lies inside of the curve: sizes and angles are taken between them.
+                let (x, y) = (C::new(x.0, x.1), C::new(y.0, y.1));
+                let between = between(x, y, share);
+                *own = ((4.0 * own.0 - between.re) / 3.0, (4.0 * own.1 - between.im) / 3.0);
+                self.std[k * channels + c] *= 12.5f64.sqrt() / 3.0;
+            }
+        }
+    }
+
     /// Channel from an input to an output at a place of the frequencies.
     pub fn at(&self, k: usize, output: usize, input: usize) -> C {
         let (re, im) = self.gain[(k * self.outputs + output) * self.inputs + input];
@@ -286,8 +393,8 @@ impl Response {
     }
 
     /// Gain and phase margin of the loop of one channel under a controller, without a model: the response between its
-    /// frequencies is on the line between them, its delay of `delay_s` turned out before. `draws` responses about it, independent
-    /// from frequency to frequency, give the intervals. That the loop is stable is not asked here: a response says nothing of it.
+    /// frequencies has sizes and angles between theirs, its delay of `delay_s` turned out before. `draws` responses about it,
+    /// whose errors are alike at neighbouring frequencies as the window makes them, give the intervals. That the loop is stable is not asked here: a response says nothing of it.
     pub fn margins(
         &self,
         output: usize,
@@ -300,14 +407,20 @@ impl Response {
         let own: Vec<C> = (0..self.frequency_hz.len()).map(|k| self.at(k, output, input)).collect();
         let found = self.of(&own, controller, delay_s);
         let (mut gains, mut phases) = (Vec::new(), Vec::new());
+        // Errors of neighbouring lines as a moving average of two that has their correlation.
+        let share = (1.0 - (1.0 - 4.0 * NEIGHBOURS * NEIGHBOURS).sqrt()) / (2.0 * NEIGHBOURS);
         for d in 0..draws {
             let mut rng = Rng64::stream(seed, d as u64);
+            let mut last = C::new(rng.normal(), rng.normal());
             let drawn: Vec<C> = own
                 .iter()
                 .enumerate()
                 .map(|(k, g)| {
                     let std = self.std_at(k, output, input) / std::f64::consts::SQRT_2;
-                    g + C::new(std * rng.normal(), std * rng.normal())
+                    let new = C::new(rng.normal(), rng.normal());
+                    let error = (new + last * share) / (1.0 + share * share).sqrt();
+                    last = new;
+                    g + error * std
                 })
                 .collect();
             let m = self.of(&drawn, controller, delay_s);
@@ -324,7 +437,7 @@ impl Response {
         let at = |w: f64| {
             let k = grid.partition_point(|v| *v < w).clamp(1, grid.len() - 1);
             let share = (w - grid[k - 1]) / (grid[k] - grid[k - 1]);
-            let g = turned[k - 1] + (turned[k] - turned[k - 1]) * share;
+            let g = between(turned[k - 1], turned[k], share);
             g * C::from_polar(1.0, -w * delay_s) * controller.at(time, w)
         };
         let values: Vec<C> = grid.iter().map(|w| at(*w)).collect();
@@ -346,6 +459,16 @@ impl Response {
             weight += w;
         }
         (weight > 0.0).then(|| sum / weight)
+    }
+}
+
+/// Size and angle between two values, the logarithm of the size on the line.
+fn between(a: C, b: C, share: f64) -> C {
+    let ratio = b / a;
+    if ratio.norm() > 0.0 && ratio.norm().is_finite() {
+        a * (ratio.ln() * share).exp()
+    } else {
+        a + (b - a) * share
     }
 }
 

@@ -1,15 +1,13 @@
-//! PI gains: by rules, and by a search of the plane for the fastest settling that keeps margins.
+//! What PI and PID gains are asked for and judged by, and gains by rules beside those of [`crate::search`].
 //!
 //! ```text
 //! step response: 28 % and 63 % of the end -> gain k, T = 1.5 (t63 - t28), L = t63 - T
 //! SIMC    kp = T / (k (tau + L)),  ki = kp / min(T, 4 (tau + L)),  tau = L
 //! lambda  kp = T / (k (tau + L)),  ki = kp / T
-//! search  least worst settling time over all plants, subject to the margins on all plants
 //! ```
 //!
 //! S. Skogestad, J. Process Control 13 (2003) 291-309; E. B. Dahlin, Instruments and Control Systems 41 (1968) 77-83.
 
-use dynocal_numerics::interval::Interval;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -89,6 +87,12 @@ pub struct Tuned {
     pub kp: f64,
     /// Integral gain in 1/s.
     pub ki: f64,
+    /// Derivative gain in s, and the time constant of its filter in s; both 0 for a PI.
+    #[serde(default)]
+    pub kd: f64,
+    /// Time constant of the filter of the derivative in s.
+    #[serde(default)]
+    pub filter_s: f64,
     /// Margins on each plant; none where the loop is not stable.
     pub margins: Vec<Option<Margins>>,
     /// Worst settling time in s of a step of the demand, within 2 %; none where a plant does not settle within the run.
@@ -99,12 +103,6 @@ pub struct Tuned {
     pub violation: Option<f64>,
 }
 
-/// Steps in each direction of the plane.
-const RASTER: usize = 28;
-/// Share of the largest kp that is searched below zero.
-const BELOW: f64 = 0.25;
-/// Rounds of refinement about the best point.
-const ROUNDS: usize = 8;
 /// Share of the step within which it counts as settled.
 const SETTLED: f64 = 0.02;
 
@@ -139,6 +137,11 @@ fn horizon(channel: &Channel) -> (f64, usize) {
     let slowest =
         |rates: &mut dyn Iterator<Item = f64>| rates.filter(|r| *r > 0.0).fold(f64::INFINITY, f64::min);
     match channel.time {
+        // Integrators alone have no time of their own: that of gains to choose from about the middle of the grid.
+        Time::Continuous if channel.transfer.delay_s == 0.0 && poles.iter().all(|p| p.norm() < 1e-12) => {
+            let middle = channel.grid[channel.grid.len() / 2];
+            (0.005 / middle, 1600)
+        }
         Time::Continuous => {
             let slow = slowest(&mut poles.iter().map(|p| -p.re));
             let fast = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
@@ -186,15 +189,15 @@ pub struct StepRun {
     pub rows: usize,
 }
 
-/// The run in which all plants can settle: twenty times the lag with its dead time, for channels without a lag ten times what
-/// shows them.
+/// The run in which all plants can settle: twenty times the lag with its dead time, and two and a half times what shows the channel from its
+/// delay to its slowest pole (a lightly damped one is slow under a PI), for channels without a lag ten times that.
 pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
     let shown = |c: &Channel| {
         let (step_s, rows) = horizon(c);
         10.0 * step_s * rows as f64
     };
-    let other =
-        if lags.len() < channels.len() { channels.iter().map(shown).fold(0.0, f64::max) } else { 0.0 };
+    let share = if lags.len() < channels.len() { 1.0 } else { 0.25 };
+    let other = channels.iter().map(|c| share * shown(c)).fold(0.0, f64::max);
     let whole = lags.iter().map(|l| 20.0 * (l.lag_s + l.dead_s)).fold(other, f64::max);
     let finest = channels.iter().map(|c| horizon(c).0).fold(f64::INFINITY, f64::min);
     StepRun { step_s: finest, rows: ((whole / finest) as usize).clamp(60, 50_000) }
@@ -211,9 +214,32 @@ pub fn step_response(channel: &Channel, gains: &PidGains, r: StepRun) -> Result<
     Ok(run(&closed, r.step_s, r.rows, &|_, r| r.fill(1.0), &|_, d| d.fill(0.0))?.y)
 }
 
+/// Time in s in which a step of the demand settles to 2 % of it. A channel that integrates needs no integral for that: of such a one a
+/// step of a load has to fade to 2 % of its largest effect as well. None: not within the run.
+pub fn settled_s(channel: &Channel, gains: &PidGains, r: StepRun) -> Option<f64> {
+    let y = step_response(channel, gains, r).ok()?;
+    let demand = settling_s(&y, 1, 0, r.step_s, 1.0, SETTLED)?;
+    if channel.transfer.steady_gain(channel.time).is_finite() {
+        return Some(demand);
+    }
+    let plant = System::single(channel.time, channel.transfer.clone()).ok()?;
+    let closed = Closed::in_time(plant, System::single(channel.time, gains.transfer(channel.time)).ok()?);
+    let y = run(&closed, r.step_s, r.rows, &|_, r| r.fill(0.0), &|_, d| d.fill(1.0)).ok()?.y;
+    let largest = y.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let last = y.iter().rposition(|v| v.abs() > SETTLED * largest)?;
+    (last + 1 < y.len()).then(|| demand.max((last + 1) as f64 * r.step_s))
+}
+
 /// Margins and settling of gains on all plants.
 pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked, r: StepRun) -> Tuned {
-    let margins: Vec<Option<Margins>> = channels.par_iter().map(|c| c.margins(gains.kp, gains.ki)).collect();
+    // The plane of a channel has a derivative part of its own: gains are judged with theirs.
+    let own = |c: &Channel| match c.derivative == (gains.kd, gains.filter_s) {
+        true => Some(c.clone()),
+        false => c.with_derivative(gains.kd, gains.filter_s).ok(),
+    };
+    let channels: Vec<Option<Channel>> = channels.iter().map(own).collect();
+    let margins: Vec<Option<Margins>> =
+        channels.par_iter().map(|c| c.as_ref().and_then(|c| c.margins(gains.kp, gains.ki))).collect();
     let violation = margins
         .iter()
         .map(|m| m.as_ref().map(|m| asked.violation(m)))
@@ -222,150 +248,19 @@ pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked,
         rule: rule.into(),
         kp: gains.kp,
         ki: gains.ki,
+        kd: gains.kd,
+        filter_s: gains.filter_s,
         margins,
         settling_s: Some(0.0),
         overshoot: 0.0,
         violation,
     };
-    for c in channels {
+    for c in channels.iter().flatten() {
         let y = if violation.is_some() { step_response(c, gains, r).ok() } else { None };
-        let settled = y.as_ref().and_then(|y| settling_s(y, 1, 0, r.step_s, 1.0, SETTLED));
+        let settled = if y.is_some() { settled_s(c, gains, r) } else { None };
         tuned.settling_s = tuned.settling_s.zip(settled).map(|(a, b)| a.max(b));
         let top = y.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
         tuned.overshoot = tuned.overshoot.max(if top.is_finite() { top - 1.0 } else { f64::INFINITY });
     }
     tuned
-}
-
-/// What the search of the plane found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Choice {
-    /// The gains: the fastest that keep everything, else those nearest to what is asked.
-    pub tuned: Tuned,
-    /// Whether they keep everything on every plant.
-    pub kept: bool,
-    /// Range of kp and of ki that was searched.
-    pub kp: Interval,
-    /// Range of ki.
-    pub ki: Interval,
-    /// The raster: for each ki (rows) and kp (columns) the worst ratio of asked to had over all plants; none: not stable on
-    /// all.
-    pub raster: Vec<Option<f64>>,
-    /// Values of kp of its columns.
-    pub kp_values: Vec<f64>,
-    /// Values of ki of its rows.
-    pub ki_values: Vec<f64>,
-}
-
-/// Searches the plane for the fastest settling that keeps `asked` on all channels.
-///
-/// The area is that of the smallest stable sets: gains that are stable on all plants lie within. Points of a raster are judged
-/// by their margins; of those that keep them the one with the least worst settling time is refined by halving steps. Where none
-/// keeps them, the same with the least ratio of asked to had.
-///
-/// # Errors
-/// [`ControlError::Unstable`] where no PI makes all plants stable.
-pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice, ControlError> {
-    let (kp, ki) = bounds(channels)?;
-    let inner = |i: &Interval, k: usize| i.lower + (i.upper - i.lower) * (k as f64 + 0.5) / RASTER as f64;
-    let kp_values: Vec<f64> = (0..RASTER).map(|k| inner(&kp, k)).collect();
-    // Small gains take most of the area of what keeps margins: squares of even steps.
-    let ki_values: Vec<f64> =
-        (0..RASTER).map(|k| ki.upper * ((k as f64 + 0.5) / RASTER as f64).powi(2)).collect();
-    let raster: Vec<Option<f64>> = (0..RASTER * RASTER)
-        .into_par_iter()
-        .map(|k| worst(channels, asked, kp_values[k % RASTER], ki_values[k / RASTER]))
-        .collect();
-    let score = |kp: f64, ki: f64| -> Option<(bool, f64)> {
-        let violation = worst(channels, asked, kp, ki)?;
-        if violation > 1.0 {
-            return Some((false, violation));
-        }
-        let settled = |c: &Channel| {
-            settling_s(&step_response(c, &PidGains::pi(kp, ki), r).ok()?, 1, 0, r.step_s, 1.0, SETTLED)
-        };
-        let times = channels.iter().map(|c| settled(c).unwrap_or(r.step_s * r.rows as f64 * 2.0));
-        Some((true, times.fold(0.0, f64::max)))
-    };
-    let better = |a: &(bool, f64), b: &(bool, f64)| (a.0 && !b.0) || (a.0 == b.0 && a.1 < b.1);
-    let scored: Vec<Option<(bool, f64)>> = (0..RASTER * RASTER)
-        .into_par_iter()
-        .map(|k| raster[k].and_then(|_| score(kp_values[k % RASTER], ki_values[k / RASTER])))
-        .collect();
-    let mut best: Option<((bool, f64), f64, f64)> = None;
-    for (k, s) in scored.iter().enumerate() {
-        if let Some(s) = s.filter(|s| best.as_ref().is_none_or(|b| better(s, &b.0))) {
-            best = Some((s, kp_values[k % RASTER], ki_values[k / RASTER]));
-        }
-    }
-    let none = || ControlError::Unstable {
-        what: "every PI that was tried on all set points".into(),
-        poles: "the raster of the plane".into(),
-    };
-    let mut best = best.ok_or_else(none)?;
-    let (mut dp, mut di) = ((kp.upper - kp.lower) / RASTER as f64, best.2 * 0.3);
-    for _ in 0..ROUNDS {
-        let mut around = Vec::new();
-        for (a, b) in [
-            (-1.0, 0.0),
-            (1.0, 0.0),
-            (0.0, -1.0),
-            (0.0, 1.0),
-            (-1.0, -1.0),
-            (1.0, 1.0),
-            (-1.0, 1.0),
-            (1.0, -1.0),
-        ] {
-            around.push((best.1 + a * dp, (best.2 + b * di).max(1e-9 * ki.upper)));
-        }
-        let found: Vec<Option<(bool, f64)>> = around.par_iter().map(|(p, i)| score(*p, *i)).collect();
-        let before = best.0;
-        for (s, (p, i)) in found.into_iter().zip(around) {
-            if let Some(s) = s.filter(|s| better(s, &best.0)) {
-                best = (s, p, i);
-            }
-        }
-        if best.0 == before {
-            (dp, di) = (0.5 * dp, 0.5 * di);
-        }
-    }
-    let tuned = judged("search", &PidGains::pi(best.1, best.2), channels, asked, r);
-    let kept = asked.kept_by(&tuned);
-    Ok(Choice { tuned, kept, kp, ki, raster, kp_values, ki_values })
-}
-
-/// Worst ratio of asked to had over all channels; none where one is not stable. Ends early where Ms alone says no and there is
-/// no better.
-fn worst(channels: &[Channel], asked: &Asked, kp: f64, ki: f64) -> Option<f64> {
-    channels.iter().try_fold(0.0, |w: f64, c| {
-        let m = if c.is_stable(kp, ki) { c.margins(kp, ki) } else { None };
-        Some(w.max(asked.violation(&m?)))
-    })
-}
-
-/// Range of kp and ki in which gains can be stable on all channels.
-fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
-    let mut kp = Interval { lower: f64::NEG_INFINITY, upper: f64::INFINITY };
-    let mut ki = f64::INFINITY;
-    for c in channels {
-        let ranges = c.kp_ranges();
-        let none = || ControlError::Unstable {
-            what: "the channel under every PI".into(),
-            poles: "no range of kp is stable".into(),
-        };
-        let (first, last) = (ranges.first().ok_or_else(none)?, ranges.last().ok_or_else(none)?);
-        kp = Interval { lower: kp.lower.max(first.lower), upper: kp.upper.min(last.upper) };
-        let own = (0..24).map(|k| first.lower + (last.upper - first.lower) * (f64::from(k) + 0.5) / 24.0);
-        let top = own.filter_map(|p| c.stable_ki(p).last().map(|i| i.upper)).fold(0.0, f64::max);
-        ki = ki.min(1.1 * top);
-    }
-    // Below zero the proportional part takes from the integral one, which an inverse response may ask for: a part of the range.
-    kp.lower = kp.lower.max(if kp.upper > 0.0 { -BELOW * kp.upper } else { f64::NEG_INFINITY });
-    if !(kp.upper > kp.lower && ki > 0.0) {
-        return Err(ControlError::Unstable {
-            what: "every PI on all set points together".into(),
-            poles: "their stable sets do not meet".into(),
-        });
-    }
-    Ok((kp, Interval { lower: 0.0, upper: ki }))
 }

@@ -29,7 +29,9 @@ const ORDER: &[&str] = &[
     "interaction",
     "smith",
     "plane",
+    "stable",
     "tune",
+    "search",
     "linear",
     "identify",
 ];

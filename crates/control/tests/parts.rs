@@ -7,10 +7,11 @@ use dynocal_control::closed::Closed;
 use dynocal_control::interaction::{decoupler, relative_gains};
 use dynocal_control::plane::Channel;
 use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
+use dynocal_control::search::choose;
 use dynocal_control::simulate::run;
 use dynocal_control::smith::Smith;
 use dynocal_control::system::{System, Time, Transfer};
-use dynocal_control::tune::{Asked, choose, lag, step_run};
+use dynocal_control::tune::{Asked, lag, step_run};
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 

@@ -150,3 +150,76 @@ fn smith_predictors_lose_stability_where_they_should() {
         }
     }
 }
+
+/// A sampled loop of three channels that others publish: structured singular values at five frequencies, the peak and the ends of that of
+/// its closed loop over 300 frequencies from 0.01 to 100 rad/s, and the disk margin of the first loop with the others closed at 4.05 rad/s
+/// (tests of RobustAndOptimalControl.jl).
+#[test]
+fn structured_singular_values_of_three_channels() {
+    use dynocal_control::matrix::{C, Matrix, ONE};
+    use dynocal_control::mu;
+    #[rustfmt::skip]
+    let a = [
+        1.0, 0.0, 9.84, 0.0, 0.0,
+        0.0, 1.0, 0.01, 2.14634e-6, 0.0,
+        0.0, 0.0, 1.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 1.0, -1.73983959887,
+        0.0, 0.0, 0.0, 0.0, 0.56597684805,
+    ];
+    #[rustfmt::skip]
+    let b = [
+        0.0, 4.901416e-5, 0.00019883877999999998,
+        0.0, 0.0, 0.0,
+        0.0, 0.0, 4.0414389999999996e-5,
+        0.0, -0.02004649371, 0.0,
+        0.0, -0.00490141631, 0.0,
+    ];
+    #[rustfmt::skip]
+    let c = [
+        0.0, -0.83516488404, 0.0, 0.0, 0.0,
+        186.74725411661, 0.0, 0.0, 0.0, 0.0,
+        -7.44299057498, 0.0, 7035.08410814126, 0.0, 0.0,
+    ];
+    let d = [0.0, 0.0, 0.0, 34875.36444283988, 0.0, 0.0, 48304.01940122544, 0.0, 0.0];
+    let matrix = |rows: usize, cols: usize, v: &[f64]| Matrix {
+        rows,
+        cols,
+        data: v.iter().map(|v| C::new(*v, 0.0)).collect(),
+    };
+    let (a, b, c, d) = (matrix(5, 5, &a), matrix(5, 3, &b), matrix(3, 5, &c), matrix(3, 3, &d));
+    let at = |w: f64| {
+        let z = C::from_polar(1.0, 0.01 * w);
+        let states = Matrix::identity(5).sum(z, &a, C::new(-1.0, 0.0)).inverse().unwrap();
+        c.times(&states).times(&b).sum(ONE, &d, ONE)
+    };
+    for (w, expected) in [
+        (0.01, 2.961017564832289e5),
+        (0.1, 0.029880921297303e5),
+        (1.0, 0.000452684368322e5),
+        (10.0, 0.000033712186847e5),
+        (100.0, 0.000003488286208e5),
+    ] {
+        let found = mu::upper(&at(w));
+        assert!((found / expected - 1.0).abs() < 1e-5, "{w}: {found} {expected}");
+        assert!((mu::lower(&at(w)).value / expected - 1.0).abs() < 1e-4, "{w}: lower");
+    }
+    let closed = |w: f64| -> (Matrix, Matrix) {
+        let open = at(w);
+        let inverse = open.sum(ONE, &Matrix::identity(3), ONE).inverse().unwrap();
+        (open.times(&inverse), inverse)
+    };
+    let of: Vec<f64> =
+        (0..300).map(|k| mu::upper(&closed(10f64.powf(-2.0 + 4.0 * f64::from(k) / 299.0)).0)).collect();
+    // To the tolerances of those tests, for the grids differ.
+    let peak = of.iter().copied().fold(0.0, f64::max);
+    let s = closed(4.05).1.at(0, 0);
+    let alpha = 1.0 / (s - C::new(0.5, 0.0)).norm();
+    for (found, expected, tolerance) in [
+        (of[0], 1.0, 1e-3),
+        (peak, 2.503148529400597, 1e-3),
+        (of[299], 0.397718223553195, 0.03),
+        (alpha, 0.794418036911981, 1e-3),
+    ] {
+        assert!((found / expected - 1.0).abs() < tolerance, "{found} {expected}");
+    }
+}

@@ -3,7 +3,6 @@
 use std::f64::consts::TAU;
 
 use dynocal_control::predictor::PredictedModel;
-use dynocal_control::runtime::PidGains;
 use dynocal_control::stored::{Schedule, ScheduleAxis, StoredController, StoredLoop};
 
 use super::load::Loaded;
@@ -33,7 +32,7 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
             output_unit,
             input: l.input.clone(),
             input_unit,
-            gains: PidGains::pi(l.kp, l.ki),
+            gains: l.gains(),
             schedule: schedule(job, l),
             limits: spec.limits,
             start: spec.start,
@@ -124,7 +123,7 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
         let margins = |(k, l): (usize, &LoopResult)| {
             // From the measurement to the actuator, and what the loop has beyond the record.
             let later = job.reaction_samples as f64 * dt_s + job.loops[k].extra_delay_s;
-            let c = PidGains::pi(l.kp, l.ki).transfer(loaded.time).delayed(later);
+            let c = l.gains_at(point).transfer(loaded.time).delayed(later);
             seen.margins(k, k, &c, 0.0, job.draws, job.seed)
         };
         let distance = |k: usize| {

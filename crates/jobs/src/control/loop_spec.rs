@@ -1,6 +1,6 @@
 //! Loops of a spec: what each holds, by what, and within which limits.
 
-use dynocal_control::runtime::ActuatorLimits;
+use dynocal_control::runtime::{ActuatorLimits, PidGains};
 use dynocal_files::spec::Faults;
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,10 @@ pub(super) struct TypedLoop {
     step: Option<f64>,
     kp: Option<f64>,
     ki: Option<f64>,
+    kd: Option<f64>,
+    #[serde(default)]
+    derivative: bool,
+    derivative_filter_s: Option<f64>,
 }
 
 /// One loop.
@@ -47,13 +51,17 @@ pub struct LoopSpec {
     pub start: f64,
     /// How far its input is moved either way in a test that the job makes.
     pub step: Option<f64>,
-    /// Gains to be judged as they are, `(kp, ki)`; none: the search finds them.
-    pub gains: Option<(f64, f64)>,
+    /// Gains to be judged as they are; none: the search finds them.
+    pub gains: Option<PidGains>,
+    /// Whether the search may use a derivative part.
+    pub derivative: bool,
+    /// Time constant in s of its filter; none: by the search.
+    pub derivative_filter_s: Option<f64>,
 }
 
 /// Whether a loop has gains.
 pub(super) fn gains_given(l: &TypedLoop) -> bool {
-    l.kp.is_some() || l.ki.is_some()
+    l.kp.is_some() || l.ki.is_some() || l.kd.is_some()
 }
 
 /// Whether a loop has a predictor.
@@ -75,21 +83,8 @@ pub(super) fn loops(typed: &[TypedLoop], faults: &mut Faults) -> Vec<LoopSpec> {
         if !(l.extra_delay_s >= 0.0 && l.extra_delay_s.is_finite()) {
             faults.push(&key("extra_delay_s"), l.extra_delay_s, "0 or a positive number, s");
         }
-        let gains = match (l.kp, l.ki) {
-            (None, None) => None,
-            (kp, Some(ki)) if ki.is_finite() && ki != 0.0 && kp.unwrap_or(0.0).is_finite() => {
-                Some((kp.unwrap_or(0.0), ki))
-            }
-            (_, found) => {
-                let found = found.map_or("nothing".into(), |v| v.to_string());
-                faults.push(
-                    &key("ki"),
-                    found,
-                    "a number other than 0 beside `kp` (or neither: the search finds them)",
-                );
-                None
-            }
-        };
+        let gains = gains(l, &key, faults);
+        derivative(l, &key, faults);
         let (Some(output), Some(input)) = (output, input) else { continue };
         if out.iter().any(|o| o.output == output || o.input == input) {
             faults.push(
@@ -103,10 +98,57 @@ pub(super) fn loops(typed: &[TypedLoop], faults: &mut Faults) -> Vec<LoopSpec> {
         }
         let limits = limits(l, k, faults);
         let (extra_delay_s, predictor, filter_s, start) = (l.extra_delay_s, l.predictor, l.filter_s, l.start);
-        let step = l.step;
-        out.push(LoopSpec { output, input, extra_delay_s, predictor, filter_s, limits, start, step, gains });
+        let (step, derivative, derivative_filter_s) = (l.step, l.derivative, l.derivative_filter_s);
+        out.push(LoopSpec {
+            output,
+            input,
+            extra_delay_s,
+            predictor,
+            filter_s,
+            limits,
+            start,
+            step,
+            gains,
+            derivative,
+            derivative_filter_s,
+        });
     }
     out
+}
+
+/// Gains that are given.
+fn gains(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Option<PidGains> {
+    let number = |v: Option<f64>| v.unwrap_or(0.0).is_finite();
+    match l.ki {
+        None if !gains_given(l) => None,
+        Some(ki) if ki.is_finite() && ki != 0.0 && number(l.kp) && number(l.kd) => Some(PidGains {
+            kp: l.kp.unwrap_or(0.0),
+            ki,
+            kd: l.kd.unwrap_or(0.0),
+            filter_s: if l.kd.is_some() { l.derivative_filter_s.unwrap_or(0.0) } else { 0.0 },
+        }),
+        found => {
+            let found = found.map_or("nothing".into(), |v| v.to_string());
+            let expected =
+                "a number other than 0 beside `kp` and `kd` (or none of them: the search finds them)";
+            faults.push(&key("ki"), found, expected);
+            None
+        }
+    }
+}
+
+/// A derivative part is searched or given, and its filter belongs to one.
+fn derivative(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) {
+    if l.derivative && gains_given(l) {
+        faults.push(&key("derivative"), "true beside gains", "gains, or a search with `derivative = true`");
+    }
+    if let Some(filter_s) = l.derivative_filter_s {
+        if !(filter_s >= 0.0 && filter_s.is_finite()) {
+            faults.push(&key("derivative_filter_s"), filter_s, "0 or a positive number, s");
+        } else if !l.derivative && l.kd.is_none() {
+            faults.push(&key("derivative_filter_s"), filter_s, "`derivative = true` or `kd` beside it");
+        }
+    }
 }
 
 /// Limits of an actuator; a predictor needs something to predict.

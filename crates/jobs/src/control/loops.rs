@@ -3,7 +3,6 @@
 use dynocal_control::error::ControlError;
 use dynocal_control::interaction::through;
 use dynocal_control::poly::{add, multiply};
-use dynocal_control::runtime::PidGains;
 use dynocal_control::smith::Smith;
 use dynocal_control::system::{System, Time, Transfer};
 use dynocal_numerics::interval::Interval;
@@ -23,9 +22,8 @@ pub(super) fn controller(
     point: usize,
 ) -> Result<System, ControlError> {
     let own = |(spec, l): (&LoopSpec, &LoopResult)| {
-        let (kp, ki) = l.by_point.get(point).copied().unwrap_or((l.kp, l.ki));
-        let pi = PidGains::pi(kp, ki).transfer(loaded.time);
-        l.predictor.as_ref().map_or(pi.clone(), |p| predicting(&pi, spec, p, loaded.time))
+        let pid = l.gains_at(point).transfer(loaded.time);
+        l.predictor.as_ref().map_or(pid.clone(), |p| predicting(&pid, spec, p, loaded.time))
     };
     let own: Vec<Transfer> = job.loops.iter().zip(loops).map(own).collect();
     match &loaded.decoupler {
@@ -94,8 +92,8 @@ pub(super) fn predictor(
         .iter()
         .map(|p| Ok(without_predicted(job, &p.nominal)?.channel(k, k).clone()))
         .collect::<Result<Vec<Transfer>, ControlError>>()?;
-    let pi = PidGains::pi(found.kp, found.ki).transfer(loaded.time);
-    let mut smith = Smith::new(loaded.time, pi, plants[0].clone(), l.extra_delay_s);
+    let pid = found.gains().transfer(loaded.time);
+    let mut smith = Smith::new(loaded.time, pid, plants[0].clone(), l.extra_delay_s);
     smith.filter = filter(l, loaded.time);
     let mut out = PredictorResult {
         delay_s: l.extra_delay_s,

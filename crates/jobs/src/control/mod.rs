@@ -7,6 +7,7 @@
 mod bed;
 mod decouple;
 mod deliver;
+mod gains;
 mod load;
 mod loop_spec;
 mod loops;

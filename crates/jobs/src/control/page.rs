@@ -135,12 +135,20 @@ fn rules(l: &LoopResult) -> Table {
         Column::number("kp", "").digits(4),
         Column::number("ki", "1/s").digits(4),
     ];
+    let derivative = l.rules.iter().any(|t| t.kd != 0.0);
+    if derivative {
+        head.push(Column::number("kd", "s").digits(4));
+        head.push(Column::number("its filter", "s").digits(4));
+    }
     head.extend(columns());
     head.push(Column::number("Settles within", "s").digits(4));
     head.push(Column::number("Overshoot", "%").digits(3));
     head.push(Column::number("Asked over had", "").digits(3));
     l.rules.iter().fold(Table::new(head), |table, t| {
         let mut row = vec![Cell::from(t.rule.as_str()), (t.kp * l.sign).into(), (t.ki * l.sign).into()];
+        if derivative {
+            row.extend([(t.kd * l.sign).into(), t.filter_s.into()]);
+        }
         row.extend(least(t));
         row.extend([Cell::from(t.settling_s), (100.0 * t.overshoot).into(), Cell::from(t.violation)]);
         if t.violation.is_some_and(|v| v <= 1.0) { table.row(row) } else { table.stressed_row(row) }

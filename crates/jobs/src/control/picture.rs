@@ -3,8 +3,9 @@
 use dynocal_control::closed::Closed;
 use dynocal_control::plane::{Channel, LocusPoint};
 use dynocal_control::response::Response;
+use dynocal_control::search::Choice;
 use dynocal_control::simulate::run;
-use dynocal_control::tune::{Choice, StepRun, step_run};
+use dynocal_control::tune::{StepRun, step_run};
 
 use super::load::Loaded;
 use super::loops::controller;
@@ -68,7 +69,8 @@ pub(super) fn drawn(
     let mut runs: Vec<StepRun> = Vec::new();
     for (k, (l, choice)) in loops.iter().zip(choices).enumerate() {
         let channel = |s: &dynocal_control::system::System| {
-            Channel::new(loaded.time, super::decouple::channel(loaded, s, k).ok()?.scaled(l.sign)).ok()
+            let whole = super::decouple::channel(loaded, s, k).ok()?.scaled(l.sign);
+            Channel::new(loaded.time, whole).ok()?.with_derivative(l.kd * l.sign, l.derivative_filter_s).ok()
         };
         let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| channel(&p.nominal)).collect();
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();

@@ -4,6 +4,7 @@ use dynocal_control::disk::DiskMargin;
 use dynocal_control::error::ControlError;
 use dynocal_control::margin::Margins;
 use dynocal_control::response::MeasuredMargins;
+use dynocal_control::runtime::PidGains;
 use dynocal_control::stored::StoredController;
 use dynocal_control::system::Transfer;
 use dynocal_control::tune::{Asked, Lag, Tuned};
@@ -78,6 +79,10 @@ pub struct LoopResult {
     pub kp: f64,
     /// Integral gain in 1/s that is delivered, with its sign.
     pub ki: f64,
+    /// Derivative gain in s that is delivered, with its sign; 0: a PI.
+    pub kd: f64,
+    /// Time constant in s of the filter of the derivative.
+    pub derivative_filter_s: f64,
     /// Where it comes from.
     pub rule: String,
     /// Sign of the channel.
@@ -92,6 +97,19 @@ pub struct LoopResult {
     pub by_point: Vec<(f64, f64)>,
     /// Smith predictor about it.
     pub predictor: Option<PredictorResult>,
+}
+
+impl LoopResult {
+    /// The gains that are delivered, with their sign.
+    pub fn gains(&self) -> PidGains {
+        PidGains { kp: self.kp, ki: self.ki, kd: self.kd, filter_s: self.derivative_filter_s }
+    }
+
+    /// Those of a set point: its own where gains are scheduled.
+    pub fn gains_at(&self, point: usize) -> PidGains {
+        let own = self.by_point.get(point).copied();
+        own.map_or(self.gains(), |(kp, ki)| PidGains { kp, ki, ..self.gains() })
+    }
 }
 
 /// A Smith predictor: how wrong its delay and gain may be, at the set point that stands least.

@@ -82,6 +82,9 @@ fn worst(found: &Controlled) -> String {
 fn gains(found: &Controlled, l: &LoopResult) -> String {
     let mut text =
         format!("`{}` by `{}`: kp = {}, ki = {} 1/s", l.output, l.input, digits(l.kp), digits(l.ki));
+    if l.kd != 0.0 {
+        text += &format!(", kd = {} s with a filter of {} s", digits(l.kd), digits(l.derivative_filter_s));
+    }
     if !l.by_point.is_empty() {
         let range = |of: &dyn Fn(&(f64, f64)) -> f64| {
             let all = l.by_point.iter().map(of);

@@ -8,26 +8,21 @@ use dynocal_control::error::ControlError;
 use dynocal_control::interaction::relative_gains;
 use dynocal_control::margin::{Side, margins};
 use dynocal_control::perturb::perturbed;
-use dynocal_control::plane::Channel;
 use dynocal_control::runtime::PidGains;
 use dynocal_control::simulate::growth;
 use dynocal_control::system::{System, Time, Transfer};
-use dynocal_control::tune::{self, Choice, Lag, StepRun, choose, judged, step_run};
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
-use super::load::{AtPoint, Loaded, load, without_predicted};
-use super::loops::{apart_at_rest, by_point, controller, predictor};
+use super::gains::{one_loop, smaller_rules};
+use super::load::{AtPoint, Loaded, load};
+use super::loops::{apart_at_rest, controller};
 use super::picture::{Picture, drawn};
 use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
-use super::spec::{Job, LoopSpec, Plants};
+use super::spec::{Job, Plants};
 use super::{decouple, deliver, words};
 use crate::estimate::Estimate;
 
-/// Rounds in which draws that miss are added to what the search sees.
-const SCENARIOS: usize = 4;
-/// Draws that are added in a round.
-const ADDED: usize = 5;
 /// Growth of F from one look to the next, and most looks.
 const DETUNE: (f64, usize) = (1.06, 80);
 /// Turns of the critical frequency in a run, and most rows.
@@ -151,206 +146,6 @@ fn result(
     found
 }
 
-/// The channel of a loop, its gain positive.
-fn whole(loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
-    Channel::new(loaded.time, decouple::channel(loaded, plant, k)?.scaled(sign))
-}
-
-/// What the PI of a loop sees of a plant: a predictor's gains are those of the undelayed loop.
-fn seen_by(job: &Job, loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
-    match job.loops[k].predictor {
-        true => whole(loaded, &without_predicted(job, plant)?, k, sign),
-        false => whole(loaded, plant, k, sign),
-    }
-}
-
-/// Gains of one loop on its own channel, with those of rules beside.
-fn one_loop(
-    job: &Job,
-    loaded: &Loaded,
-    k: usize,
-    l: &LoopSpec,
-) -> Result<(LoopResult, Option<Choice>), ControlJobError> {
-    let refused = |source: ControlError| ControlJobError::Loop {
-        output: l.output.clone(),
-        input: l.input.clone(),
-        source,
-    };
-    alone_at_rest(loaded, k)?;
-    let sign = sign(loaded, k, l)?;
-    let whole = |s: &System| whole(loaded, s, k, sign);
-    let channel = |s: &System| seen_by(job, loaded, s, k, sign);
-    let nominal: Vec<Channel> =
-        loaded.points.iter().map(|p| channel(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
-    let draws: Vec<Channel> = loaded
-        .points
-        .iter()
-        .flat_map(|p| &p.draws)
-        .map(channel)
-        .collect::<Result<_, _>>()
-        .map_err(|e| refused(ControlError::Model(format!("a draw of the parameters: {e}"))))?;
-    let lags: Vec<Option<Lag>> = nominal.iter().map(|c| tune::lag(c).ok()).collect();
-    let known: Vec<Lag> = lags.iter().flatten().copied().collect();
-    let r = step_run(&nominal, &known);
-    let mut rules = Vec::new();
-    let choice = match l.gains {
-        Some((kp, ki)) => {
-            rules.push(judged("given", &PidGains::pi(kp * sign, ki * sign), &nominal, &job.asked, r));
-            None
-        }
-        None => Some(scenarios(job, nominal.clone(), &draws, r).map_err(refused)?),
-    };
-    if let Some(c) = &choice {
-        rules.push(judged("search", &PidGains::pi(c.tuned.kp, c.tuned.ki), &nominal, &job.asked, r));
-    }
-    if let Some((simc, lambda)) = slowest(&known) {
-        rules.push(judged("SIMC", &simc, &nominal, &job.asked, r));
-        rules.push(judged("lambda tuning", &lambda, &nominal, &job.asked, r));
-    }
-    if l.predictor {
-        let late: Vec<Channel> =
-            loaded.points.iter().map(|p| whole(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
-        let lags: Vec<Lag> = late.iter().filter_map(|c| tune::lag(c).ok()).collect();
-        let r = step_run(&late, &lags);
-        if let Ok(c) = choose(&late, &job.asked, r) {
-            let gains = PidGains::pi(c.tuned.kp, c.tuned.ki);
-            rules.push(judged("PI alone, retuned for the whole delay", &gains, &late, &job.asked, r));
-        }
-    }
-    let own =
-        |c: &Channel| choose(std::slice::from_ref(c), &job.asked, r).ok().map(|c| (c.tuned.kp, c.tuned.ki));
-    let scheduled =
-        if nominal.len() > 1 && l.gains.is_none() { nominal.iter().map(own).collect() } else { Vec::new() };
-    let delivered = &rules[0];
-    let found = LoopResult {
-        output: l.output.clone(),
-        input: l.input.clone(),
-        kp: delivered.kp * sign,
-        ki: delivered.ki * sign,
-        rule: delivered.rule.clone(),
-        sign,
-        lags,
-        rules,
-        by_point: by_point(job, &scheduled, sign, l)?,
-        scheduled,
-        predictor: None,
-    };
-    let predictor =
-        if l.predictor { Some(predictor(job, loaded, k, l, &found).map_err(refused)?) } else { None };
-    Ok((LoopResult { predictor, ..found }, choice))
-}
-
-/// Refuses channels that run away by themselves: the sign of their gain at rest says nothing of the PI that holds them.
-fn alone_at_rest(loaded: &Loaded, k: usize) -> Result<(), ControlJobError> {
-    for p in &loaded.points {
-        let poles = dynocal_control::poly::roots(&p.nominal.channel(k, k).den).unwrap_or_default();
-        let runs_away = |z: &dynocal_control::matrix::C| match loaded.time {
-            Time::Continuous => z.re > 1e-9 * z.norm(),
-            // Roots in z^-1.
-            Time::Sampled { .. } => z.norm() < 1.0 - 1e-9,
-        };
-        if poles.iter().any(runs_away) {
-            let text = "the channel of a loop is unstable by itself; loops are tuned for channels that come to rest or integrate";
-            return Err(ControlJobError::Point {
-                point: p.name.clone(),
-                source: ControlError::Model(text.into()),
-            });
-        }
-    }
-    Ok(())
-}
-
-/// The smallest gains that the rules give over the set points.
-fn slowest(lags: &[Lag]) -> Option<(PidGains, PidGains)> {
-    let least = |of: &dyn Fn(&Lag) -> PidGains| {
-        let each: Vec<PidGains> = lags.iter().map(of).collect();
-        let smallest = |part: &dyn Fn(&PidGains) -> f64| each.iter().map(part).fold(f64::INFINITY, f64::min);
-        PidGains::pi(smallest(&|g| g.kp), smallest(&|g| g.ki))
-    };
-    (!lags.is_empty()).then(|| (least(&|l| tune::simc(l, None)), least(&|l| tune::lambda(l, None))))
-}
-
-/// The sign of a channel at rest, the same at all set points and for all draws.
-fn sign(loaded: &Loaded, k: usize, l: &LoopSpec) -> Result<f64, ControlJobError> {
-    let mut first: Option<(f64, &str)> = None;
-    for p in &loaded.points {
-        for s in std::iter::once(&p.nominal).chain(&p.draws) {
-            let channel = decouple::channel(loaded, s, k)
-                .map_err(|source| ControlJobError::Point { point: p.name.clone(), source })?;
-            let gain = channel.steady_gain(s.time);
-            if !(gain.abs() > 0.0) {
-                let source = ControlError::Model(format!(
-                    "`{}` does nothing to `{}` at rest (gain {gain})",
-                    l.input, l.output
-                ));
-                return Err(ControlJobError::Point { point: p.name.clone(), source });
-            }
-            match first {
-                None => first = Some((gain, &p.name)),
-                Some((before, at)) if before.signum() != gain.signum() => {
-                    return Err(ControlJobError::Sign {
-                        output: l.output.clone(),
-                        input: l.input.clone(),
-                        first: before,
-                        at_first: at.into(),
-                        second: gain,
-                        at_second: p.name.clone(),
-                    });
-                }
-                Some(_) => {}
-            }
-        }
-    }
-    Ok(first.map_or(1.0, |(gain, _)| gain.signum()))
-}
-
-/// The search on the nominal channels, and again with the draws that its gains miss most.
-fn scenarios(
-    job: &Job,
-    mut seen: Vec<Channel>,
-    draws: &[Channel],
-    r: StepRun,
-) -> Result<Choice, ControlError> {
-    let mut left: Vec<&Channel> = draws.iter().collect();
-    loop {
-        let found = choose(&seen, &job.asked, r)?;
-        let of = |c: &&Channel| {
-            let m = c.margins(found.tuned.kp, found.tuned.ki);
-            m.map_or(f64::INFINITY, |m| job.asked.violation(&m))
-        };
-        let missed: Vec<f64> = left.par_iter().map(of).collect();
-        let mut order: Vec<usize> = (0..left.len()).filter(|k| missed[*k] > 1.0).collect();
-        if order.is_empty() || !found.kept || seen.len() > SCENARIOS * ADDED + draws.len() {
-            return Ok(found);
-        }
-        order.sort_by(|a, b| missed[*b].total_cmp(&missed[*a]));
-        order.truncate(ADDED);
-        seen.extend(order.iter().map(|k| left[*k].clone()));
-        order.sort_unstable();
-        for k in order.iter().rev() {
-            left.remove(*k);
-        }
-    }
-}
-
-/// The gains that were made smaller, judged alone as those of the rules are: before these, as what is delivered.
-fn smaller_rules(loaded: &Loaded, job: &Job, loops: &mut [LoopResult]) -> Result<(), ControlJobError> {
-    for (k, l) in loops.iter_mut().enumerate() {
-        let channel = |p: &AtPoint| seen_by(job, loaded, &p.nominal, k, l.sign);
-        let channels = loaded.points.iter().map(channel).collect::<Result<Vec<_>, _>>();
-        let channels = channels.map_err(|source| ControlJobError::Loop {
-            output: l.output.clone(),
-            input: l.input.clone(),
-            source,
-        })?;
-        let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
-        let gains = PidGains::pi(l.kp * l.sign, l.ki * l.sign);
-        let run = step_run(&channels, &lags);
-        l.rules.insert(0, judged("search, made smaller", &gains, &channels, &job.asked, run));
-    }
-    Ok(())
-}
-
 /// Closes all loops; where they act on each other, gains that were searched shrink until everything is kept.
 fn close(
     job: &Job,
@@ -369,6 +164,7 @@ fn close(
         for (l, a) in loops.iter_mut().zip(&alone) {
             let smaller = |(kp, ki): (f64, f64)| (kp / detuned, ki / (detuned * detuned));
             (l.kp, l.ki) = smaller((a.kp, a.ki));
+            l.kd = a.kd / detuned;
             l.by_point = a.by_point.iter().copied().map(smaller).collect();
         }
         let together = judge(job, loaded, loops)?;

@@ -9,8 +9,9 @@ use dynocal_control::margin::{Side, margins};
 use dynocal_control::matrix::Matrix;
 use dynocal_control::plane::Channel;
 use dynocal_control::runtime::PidGains;
+use dynocal_control::search::choose;
 use dynocal_control::system::{System, Transfer};
-use dynocal_control::tune::{Asked as Margin, choose, lag, step_run};
+use dynocal_control::tune::{Asked as Margin, lag, step_run};
 use dynocal_ident::stored::{Quantity, StoredModel};
 use dynocal_numerics::watch::Watch;
 

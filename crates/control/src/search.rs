@@ -1,0 +1,284 @@
+//! The search of the plane for the fastest settling that keeps margins, for PI and PID.
+//!
+//! ```text
+//! PI    least worst settling time over all plants, subject to the margins on all plants
+//! PID   the same for derivative gains kd = f |C(jw)| / w of that PI, w its crossover, with a filter of kd / (10 |C(jw)|)
+//! ```
+//!
+//! Candidates are a raster of the area in which gains are stable on all plants, and for a fan of kp, from the ends of its range by
+//! halves to zero, the ki that keep Ms: what keeps margins can be a thousandth of what is stable (a lightly damped plant under a PI).
+
+use dynocal_numerics::interval::Interval;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::error::ControlError;
+use crate::matrix::C;
+use crate::plane::Channel;
+use crate::tune::{Asked, StepRun, Tuned, judged, settled_s};
+
+/// Steps in each direction of the plane.
+const RASTER: usize = 28;
+/// Halvings of kp in the fan, and the shares of each interval of ki that are tried.
+const FAN: i32 = 14;
+const SHARES: [f64; 8] = [0.98, 0.8, 0.6, 0.45, 0.3, 0.15, 0.05, 0.01];
+/// Share of the largest kp that is searched below zero.
+const BELOW: f64 = 0.25;
+/// Rounds of refinement about the best point.
+const ROUNDS: usize = 8;
+/// Factors f of the derivative that are tried, and the ratio of neighbours, whose roots are tried about the best.
+const DERIVATIVES: usize = 8;
+const RATIO: f64 = 3.0;
+const CLOSER: [f64; 3] = [0.5, 0.25, 0.125];
+/// Size of the derivative part at high frequencies over that of the PI at its crossover.
+const LIFT: f64 = 10.0;
+
+/// What the search of the plane found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// The gains: the fastest that keep everything, else those nearest to what is asked.
+    pub tuned: Tuned,
+    /// Whether they keep everything on every plant.
+    pub kept: bool,
+    /// Range of kp and of ki that was searched.
+    pub kp: Interval,
+    /// Range of ki.
+    pub ki: Interval,
+    /// The raster: for each ki (rows) and kp (columns) the worst ratio of asked to had over all plants; none: not stable on
+    /// all.
+    pub raster: Vec<Option<f64>>,
+    /// Values of kp of its columns.
+    pub kp_values: Vec<f64>,
+    /// Values of ki of its rows.
+    pub ki_values: Vec<f64>,
+}
+
+/// What the search for a PID found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PidChoice {
+    /// The plane of the derivative part that was chosen.
+    pub choice: Choice,
+    /// Derivative gain in input unit x s per output unit; 0 where no derivative part settles faster.
+    pub kd: f64,
+    /// Time constant of its filter in s.
+    pub filter_s: f64,
+    /// The best PI.
+    pub pi: Tuned,
+}
+
+/// How good gains are: whether they keep everything, and then the worst settling time in s, else the worst ratio of asked to had.
+#[derive(Clone, Copy, PartialEq)]
+struct Score {
+    keeps: bool,
+    value: f64,
+}
+
+impl Score {
+    fn beats(&self, other: &Self) -> bool {
+        (self.keeps && !other.keeps) || (self.keeps == other.keeps && self.value < other.value)
+    }
+}
+
+/// Gains with what they are worth, and how far the next look goes.
+#[derive(Clone, Copy)]
+struct Found {
+    score: Score,
+    kp: f64,
+    ki: f64,
+    step: (f64, f64),
+}
+
+struct Search<'a> {
+    channels: &'a [Channel],
+    asked: &'a Asked,
+    run: StepRun,
+    kp: Interval,
+    ki: Interval,
+}
+
+/// Searches the plane for the fastest settling that keeps `asked` on all channels.
+///
+/// # Errors
+/// [`ControlError::Unstable`] where no PI (with the channels' derivative part) makes all plants stable.
+pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice, ControlError> {
+    let (kp, ki) = bounds(channels)?;
+    let search = Search { channels, asked, run: r, kp, ki };
+    let inner = |i: &Interval, k: usize| i.lower + (i.upper - i.lower) * (k as f64 + 0.5) / RASTER as f64;
+    let kp_values: Vec<f64> = (0..RASTER).map(|k| inner(&kp, k)).collect();
+    // Small gains take most of the area of what keeps margins: squares of even steps.
+    let ki_values: Vec<f64> =
+        (0..RASTER).map(|k| ki.upper * ((k as f64 + 0.5) / RASTER as f64).powi(2)).collect();
+    let raster: Vec<Option<f64>> = (0..RASTER * RASTER)
+        .into_par_iter()
+        .map(|k| search.worst(kp_values[k % RASTER], ki_values[k / RASTER]))
+        .collect();
+    let width = (kp.upper - kp.lower) / RASTER as f64;
+    let on_raster = |k: usize| {
+        let (kp, ki) = (kp_values[k % RASTER], ki_values[k / RASTER]);
+        let score = search.settled(raster[k]?, kp, ki);
+        Some(Found { score, kp, ki, step: (width, 0.3 * ki) })
+    };
+    let mut found: Vec<Found> = (0..RASTER * RASTER).into_par_iter().filter_map(on_raster).collect();
+    found.extend(search.fan());
+    let first = found.into_iter().reduce(|a, b| if b.score.beats(&a.score) { b } else { a });
+    let none = || ControlError::Unstable {
+        what: "every PI that was tried on all set points".into(),
+        poles: "the raster of the plane".into(),
+    };
+    let best = search.refined(first.ok_or_else(none)?);
+    let tuned = judged("search", &channels[0].gains(best.kp, best.ki), channels, asked, r);
+    let kept = asked.kept_by(&tuned);
+    Ok(Choice { tuned, kept, kp, ki, raster, kp_values, ki_values })
+}
+
+/// Searches derivative parts as well; `filter_s` is their filter where it is given.
+///
+/// # Errors
+/// As of [`choose`] for the PI.
+pub fn choose_pid(
+    channels: &[Channel],
+    asked: &Asked,
+    filter_s: Option<f64>,
+    r: StepRun,
+) -> Result<PidChoice, ControlError> {
+    let pi = choose(channels, asked, r)?;
+    let (size, w_rad_s) = crossover(channels, &pi.tuned);
+    let score = |c: &Choice| match (c.tuned.violation, c.tuned.settling_s) {
+        (Some(v), _) if v > 1.0 => Score { keeps: false, value: v },
+        (Some(_), Some(s)) => Score { keeps: true, value: s },
+        _ => Score { keeps: false, value: f64::INFINITY },
+    };
+    let at = |f: f64| -> Option<(Choice, f64, f64)> {
+        let kd = f * size / w_rad_s;
+        let filter_s = filter_s.unwrap_or(kd / (LIFT * size));
+        let with: Vec<Channel> =
+            channels.iter().map(|c| c.with_derivative(kd, filter_s)).collect::<Result<_, _>>().ok()?;
+        Some((choose(&with, asked, r).ok()?, kd, filter_s))
+    };
+    let alone = pi.tuned.clone();
+    let mut best = (pi, 0.0, 0.0);
+    let mut f = 1.0;
+    let coarse: Vec<f64> = (0..DERIVATIVES).map(|k| RATIO.powi(1 - k as i32)).collect();
+    let mut rounds = vec![coarse];
+    rounds.extend(CLOSER.map(|c| vec![RATIO.powf(c), RATIO.powf(-c)]));
+    for (k, factors) in rounds.into_iter().enumerate() {
+        if k > 0 && best.1 == 0.0 {
+            break;
+        }
+        let about = if k == 0 { 1.0 } else { f };
+        for factor in factors {
+            let Some(found) = at(about * factor) else { continue };
+            if score(&found.0).beats(&score(&best.0)) {
+                (best, f) = (found, about * factor);
+            }
+        }
+    }
+    Ok(PidChoice { choice: best.0, kd: best.1, filter_s: best.2, pi: alone })
+}
+
+/// Size of the PI at the slowest crossover of its loops, and that frequency in rad/s.
+fn crossover(channels: &[Channel], pi: &Tuned) -> (f64, f64) {
+    let own = pi.margins.iter().flatten().map(|m| m.phase_rad_s.unwrap_or(m.sensitivity_rad_s));
+    let least = own.filter(|w| *w > 0.0).fold(f64::INFINITY, f64::min);
+    let middle = || channels[0].grid[channels[0].grid.len() / 2];
+    let w_rad_s = if least.is_finite() { least } else { middle() };
+    (C::new(pi.kp, -pi.ki / w_rad_s).norm().max(f64::MIN_POSITIVE), w_rad_s)
+}
+
+impl Search<'_> {
+    /// Worst ratio of asked to had over all channels; none where one is not stable.
+    fn worst(&self, kp: f64, ki: f64) -> Option<f64> {
+        self.channels.iter().try_fold(0.0, |w: f64, c| Some(w.max(self.asked.violation(&c.margins(kp, ki)?))))
+    }
+
+    fn score(&self, kp: f64, ki: f64) -> Option<Score> {
+        Some(self.settled(self.worst(kp, ki)?, kp, ki))
+    }
+
+    fn settled(&self, violation: f64, kp: f64, ki: f64) -> Score {
+        if violation > 1.0 {
+            return Score { keeps: false, value: violation };
+        }
+        let r = self.run;
+        let time = |c: &Channel| settled_s(c, &c.gains(kp, ki), r);
+        let times = self.channels.iter().map(|c| time(c).unwrap_or(r.step_s * r.rows as f64 * 2.0));
+        Score { keeps: true, value: times.fold(0.0, f64::max) }
+    }
+
+    /// For each kp of the fan the ki that keep Ms on all channels.
+    fn fan(&self) -> Vec<Found> {
+        let halves = (0..=FAN).map(|k| 0.5f64.powi(k));
+        let mut all: Vec<f64> = halves.flat_map(|s| [s * self.kp.upper, s * self.kp.lower]).collect();
+        all.push(0.0);
+        let smallest = self.kp.upper.abs().max(self.kp.lower.abs()) * 0.5f64.powi(FAN + 1);
+        let of = |kp: &f64| -> Vec<Found> {
+            let mut left = vec![Interval { lower: 0.0, upper: self.ki.upper }];
+            for c in self.channels {
+                let own = c.ki_with_sensitivity(*kp, self.asked.sensitivity);
+                left = left.iter().flat_map(|a| own.iter().filter_map(|b| met(a, b))).collect();
+            }
+            let inside = left.iter().flat_map(|i| SHARES.map(|s| i.lower + s * (i.upper - i.lower)));
+            let found = inside.filter_map(|ki| {
+                let step = (0.4 * kp.abs().max(smallest), 0.3 * ki);
+                Some(Found { score: self.score(*kp, ki)?, kp: *kp, ki, step })
+            });
+            found.collect()
+        };
+        all.par_iter().map(of).collect::<Vec<_>>().into_iter().flatten().collect()
+    }
+
+    /// The best about a point: steps in eight directions, halved where none is better.
+    fn refined(&self, mut best: Found) -> Found {
+        let (mut dp, mut di) = best.step;
+        for _ in 0..ROUNDS {
+            let around: Vec<(f64, f64)> = (0..9)
+                .filter(|k| *k != 4)
+                .map(|k| (f64::from(k / 3 - 1), f64::from(k % 3 - 1)))
+                .map(|(a, b)| (best.kp + a * dp, (best.ki + b * di).max(1e-9 * self.ki.upper)))
+                .collect();
+            let found: Vec<Option<Score>> = around.par_iter().map(|(p, i)| self.score(*p, *i)).collect();
+            let before = best.score;
+            for (score, (kp, ki)) in found.into_iter().zip(around) {
+                if let Some(score) = score.filter(|s| s.beats(&best.score)) {
+                    best = Found { score, kp, ki, step: best.step };
+                }
+            }
+            if best.score == before {
+                (dp, di) = (0.5 * dp, 0.5 * di);
+            }
+        }
+        best
+    }
+}
+
+fn met(a: &Interval, b: &Interval) -> Option<Interval> {
+    let both = Interval { lower: a.lower.max(b.lower), upper: a.upper.min(b.upper) };
+    (both.upper > both.lower).then_some(both)
+}
+
+/// Range of kp and ki in which gains can be stable on all channels.
+fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
+    let mut kp = Interval { lower: f64::NEG_INFINITY, upper: f64::INFINITY };
+    let mut ki = f64::INFINITY;
+    for c in channels {
+        let ranges = c.kp_ranges();
+        let none = || ControlError::Unstable {
+            what: "the channel under every PI".into(),
+            poles: "no range of kp is stable".into(),
+        };
+        let (first, last) = (ranges.first().ok_or_else(none)?, ranges.last().ok_or_else(none)?);
+        kp = Interval { lower: kp.lower.max(first.lower), upper: kp.upper.min(last.upper) };
+        let own = (0..24).map(|k| first.lower + (last.upper - first.lower) * (f64::from(k) + 0.5) / 24.0);
+        let top = own.filter_map(|p| c.stable_ki(p).last().map(|i| i.upper)).fold(0.0, f64::max);
+        ki = ki.min(1.1 * top);
+    }
+    // Below zero the proportional part takes from the integral one, which an inverse response may ask for: a part of the range.
+    kp.lower = kp.lower.max(if kp.upper > 0.0 { -BELOW * kp.upper } else { f64::NEG_INFINITY });
+    if !(kp.upper > kp.lower && ki > 0.0) {
+        return Err(ControlError::Unstable {
+            what: "every PI on all set points together".into(),
+            poles: "their stable sets do not meet".into(),
+        });
+    }
+    Ok((kp, Interval { lower: 0.0, upper: ki }))
+}
