@@ -41,6 +41,7 @@ fn main() -> Result<(), ControlError> {
         delay_samples: 17.5,
         longest_samples: 100,
         filter_s: 0.2,
+        flow: None,
     };
     let mut smith = Predictor::new(gains, limits, 0.01, 0.0, &known)?;
     timed("Smith predictor, model of 6 and 24", SAMPLES, &mut |y| {

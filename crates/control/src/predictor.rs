@@ -16,6 +16,18 @@ use crate::error::ControlError;
 use crate::runtime::{ActuatorLimits, Pid, PidGains};
 use crate::system::{Time, Transfer};
 
+/// Transport through a pipe: its delay goes with one over a flow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransportFlow {
+    /// Channel of the flow.
+    pub channel: String,
+    /// Its unit.
+    pub unit: String,
+    /// Flow at which the delay is the one that is given, in that unit.
+    pub nominal: f64,
+}
+
 /// What a predictor knows of its plant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,6 +41,9 @@ pub struct PredictedModel {
     /// Time constant in s of the filter of the prediction error; 0: none.
     #[serde(default)]
     pub filter_s: f64,
+    /// What the delay goes by; none: it stays as it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flow: Option<TransportFlow>,
 }
 
 /// A PID with a Smith predictor.
@@ -38,7 +53,7 @@ pub struct PredictedModel {
 /// use dynocal_control::runtime::{ActuatorLimits, PidGains};
 /// use dynocal_control::system::Transfer;
 /// let model = Transfer::sampled(&[0.0, 0.2], &[1.0, -0.8]);
-/// let known = PredictedModel { model, delay_samples: 5.0, longest_samples: 8, filter_s: 0.0 };
+/// let known = PredictedModel { model, delay_samples: 5.0, longest_samples: 8, filter_s: 0.0, flow: None };
 /// let limits = ActuatorLimits { lower: -10.0, upper: 10.0, rate_per_s: None };
 /// let mut c = Predictor::new(PidGains::pi(2.0, 4.0), limits, 0.1, 0.0, &known)?;
 /// // Nothing has been seen yet: the first step is that of the PI alone.
@@ -139,6 +154,18 @@ impl Predictor {
 }
 
 impl PredictedModel {
+    /// Delay in samples at a flow: `delay nominal / flow`, at most the longest one (no flow, or one that is no number); without a flow
+    /// that it goes by, the delay.
+    pub fn samples_at(&self, flow: f64) -> f64 {
+        let Some(f) = &self.flow else { return self.delay_samples };
+        self.delay_samples * f.nominal / flow.max(self.least_flow(f))
+    }
+
+    /// Flow at which the delay is the longest one.
+    pub fn least_flow(&self, f: &TransportFlow) -> f64 {
+        f.nominal * self.delay_samples / self.longest_samples as f64
+    }
+
     fn check(&self, dt_s: f64) -> Result<(), ControlError> {
         let time = Time::Sampled { sample_time_s: dt_s };
         crate::system::System::single(time, self.model.clone())?;
@@ -162,6 +189,12 @@ impl PredictedModel {
                 self.filter_s,
                 "0 or a positive number of seconds",
             ));
+        }
+        if let Some(f) = &self.flow {
+            if !(f.nominal > 0.0 && f.nominal.is_finite() && self.delay_samples > 0.0) {
+                let what = format!("the flow `{}` of the predictor at its delay", f.channel);
+                return Err(ControlError::number(what, f.nominal, "a positive number, beside a delay"));
+            }
         }
         Ok(())
     }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::ControlError;
+use crate::oxygen::{OxygenObserver, OxygenSettings};
 use crate::predictor::{PredictedModel, Predictor};
 use crate::runtime::{ActuatorLimits, Pid, PidGains};
 
@@ -69,6 +70,9 @@ pub struct StoredController {
     pub sample_time_s: f64,
     /// Loops.
     pub loops: Vec<StoredLoop>,
+    /// Observer of the oxygen in a catalyst, with the trim of lambda that holds it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub catalyst: Option<OxygenSettings>,
 }
 
 impl Schedule {
@@ -138,7 +142,7 @@ impl StoredController {
             match &l.predictor {
                 Some(p) => {
                     Predictor::new(l.gains, l.limits, self.sample_time_s, l.start, p)?;
-                    if p.delay_samples.fract() != 0.0 {
+                    if p.flow.is_none() && p.delay_samples.fract() != 0.0 {
                         return Err(ControlError::number(
                             format!("the delay of the predictor of `{}` in samples", l.output),
                             p.delay_samples,
@@ -149,6 +153,16 @@ impl StoredController {
                 None => {
                     Pid::new(l.gains, l.limits, self.sample_time_s, l.start)?;
                 }
+            }
+        }
+        if let Some(c) = self.catalyst {
+            OxygenObserver::new(c, c.target)?;
+            if c.memory > 0.0 {
+                return Err(ControlError::number(
+                    "memory of the catalyst",
+                    c.memory,
+                    "0 in a file: capacity and bias together are learnt only by the observer that runs here",
+                ));
             }
         }
         if self.loops.is_empty() {

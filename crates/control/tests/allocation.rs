@@ -17,7 +17,7 @@ fn no_allocation_in_a_sample() {
     let limits = ActuatorLimits { lower: -1.0, upper: 1.0, rate_per_s: Some(20.0) };
     let gains = PidGains { kp: 1.0, ki: 2.0, kd: 0.01, filter_s: 0.05 };
     let model = Transfer::sampled(&[0.0, 0.2, 0.1], &[1.0, -0.7]);
-    let known = PredictedModel { model, delay_samples: 7.0, longest_samples: 40, filter_s: 0.2 };
+    let known = PredictedModel { model, delay_samples: 7.0, longest_samples: 40, filter_s: 0.2, flow: None };
     let store = OxygenSettings {
         capacity_g: 1.0,
         half_g_s: 60.0,

@@ -42,6 +42,7 @@ fn known(delay: f64, filter_s: f64) -> PredictedModel {
         delay_samples: delay,
         longest_samples: 60,
         filter_s,
+        flow: None,
     }
 }
 

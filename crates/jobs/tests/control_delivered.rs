@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use dynocal_control::predictor::Predictor;
+use dynocal_control::oxygen::{OxygenObserver, OxygenSettings};
+use dynocal_control::predictor::{Predictor, TransportFlow};
 use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
 use dynocal_control::stored::{CONTROLLER_SCHEMA, CONTROLLER_VERSION, StoredController};
 use dynocal_control::system::Transfer;
@@ -236,6 +237,10 @@ fn program_is_runtime(file: &StoredController) {
         .map(|p| Predictor::new(l.gains, l.limits, file.sample_time_s, l.start, p).unwrap());
     for t in 0..3000 {
         let (r, y, f) = (if t / 200 % 2 == 0 { 1.0 } else { -0.6 }, 0.8 * rng.normal(), 0.05 * rng.normal());
+        let flow = if t % 700 == 699 { f64::NAN } else { 25.0 + 26.0 * (0.01 * t as f64).sin() };
+        if let (Some(p), Some(known)) = (&mut predictor, &l.predictor) {
+            p.set_delay(known.samples_at(flow));
+        }
         let own = match (&mut predictor, &l.schedule) {
             (Some(p), _) => p.step(f, r, y),
             (None, None) => pid.step(f, r - y),
@@ -250,7 +255,10 @@ fn program_is_runtime(file: &StoredController) {
                 pid.step(f, r - y)
             }
         };
-        let inputs = if l.schedule.is_some() { vec![1000.0 + t as f64, r, y, f] } else { vec![r, y, f] };
+        let mut inputs = if l.schedule.is_some() { vec![1000.0 + t as f64, r, y, f] } else { vec![r, y, f] };
+        if l.predictor.as_ref().is_some_and(|p| p.flow.is_some()) {
+            inputs.push(flow);
+        }
         let out = machine.step(&inputs)[0];
         assert!((own - out).abs() < 1e-9 * (1.0 + own.abs()), "sample {t}: runs {own}, exported {out}");
     }
@@ -270,12 +278,110 @@ fn exported_controllers_are_those_that_run() {
     file.loops[0].predictor.as_mut().unwrap().model =
         Transfer::sampled(&[0.0, 0.0, 0.3, 0.1], &[2.0, -1.5, 0.2]);
     program_is_runtime(&file);
+    // Its delay by a flow: between samples, to the longest one where nothing flows.
+    let predictor = file.loops[0].predictor.as_mut().unwrap();
+    predictor.flow = Some(TransportFlow { channel: "air".into(), unit: "g/s".into(), nominal: 20.0 });
+    program_is_runtime(&file);
     file.loops[0].predictor = None;
     file.loops[0].gains = PidGains { kp: 0.7, ki: 0.9, kd: 0.05, filter_s: 0.08 };
     file.loops[0].limits.rate_per_s = Some(4.0);
     program_is_runtime(&file);
     gcc(&file);
     unit(&file);
+}
+
+/// The exported observer of a catalyst beside the one that runs: a store that is driven through both ends, with a biased front sensor; a
+/// sensor without a number moves nothing.
+#[test]
+fn the_exported_observer_is_the_one_that_runs() {
+    let tmp = tempfile::tempdir().unwrap();
+    let text = format!(
+        "sample_time_s = 0.02\n{LOOP}[catalyst]\ncapacity_g = 0.6\nhalf_g_s = 30.0\nrear_band = 0.01\ntarget = 0.5\ngain = 0.02\nmost = 0.02\nlearn = 0.3\n[[plants]]\nchannels = [[{{ num = [0.0, 0.1], den = [1.0, -0.9] }}]]\n"
+    );
+    run(&parsed(&text, tmp.path()).unwrap(), Watch::silent()).unwrap();
+    let file = stored(tmp.path());
+    let settings: OxygenSettings = file.catalyst.unwrap();
+    let made = controller(&file);
+    made.package.check().unwrap();
+    let program = made.package.program.as_ref().unwrap();
+    let place = |name: &str| program.inputs.iter().position(|i| i.name == name).unwrap();
+    let out = |name: &str| program.outputs.iter().position(|o| o.name == name).unwrap();
+    let mut machine: Machine<f64> = Machine::new(&made.package).unwrap();
+    let mut own = OxygenObserver::new(settings, settings.target).unwrap();
+    let mut rng = Rng64::new(3);
+    let mut store_g = 0.3;
+    let mut inputs = vec![0.0; program.inputs.len()];
+    for t in 0..20_000 {
+        let air = 15.0 + 10.0 * (1e-3 * f64::from(t)).sin();
+        let lambda = 1.0 + if t / 1500 % 2 == 0 { 0.02 } else { -0.02 } + 0.002 * rng.normal();
+        let most = settings.capacity_g / (1.0 + air / settings.half_g_s);
+        store_g = (store_g + 0.23 * (1.0 - 1.0 / lambda) * air * 0.02).clamp(0.0, most);
+        let rear = if store_g == 0.0 {
+            0.97
+        } else if store_g == most {
+            1.03
+        } else {
+            1.0
+        };
+        let front = lambda + 0.004;
+        let trim = own.step(front, rear, air, 0.02);
+        (inputs[place("lambda_before")], inputs[place("lambda_behind")]) = (front, rear);
+        inputs[place("air_flow")] = air;
+        let y = machine.step(&inputs);
+        let (told, filled) = (y[out("lambda_trim")], y[out("oxygen_filling")]);
+        assert!((told - trim).abs() < 1e-9, "sample {t}: {told} {trim}");
+        assert!((filled - own.filling(air)).abs() < 1e-9, "sample {t}");
+    }
+    assert!(own.state().breaks.iter().all(|n| *n > 2), "{:?}", own.state());
+    let before = own.filling(15.0);
+    (inputs[place("lambda_before")], inputs[place("lambda_behind")]) = (f64::NAN, f64::NAN);
+    inputs[place("air_flow")] = 15.0;
+    let blind = machine.step(&inputs)[out("oxygen_filling")];
+    assert!((blind - before).abs() < 0.05, "{blind} {before}");
+    for (key, part) in [("target = 0.5\nmemory = 5.0", "catalyst.memory"), ("target = 2.0", "catalyst")] {
+        let text = text.replace("target = 0.5", key);
+        let refused = parsed(&text, tmp.path()).map(|_| ()).unwrap_err();
+        assert!(refused.contains(part), "{refused}");
+    }
+}
+
+/// A loop with a derivative part settles sooner than its best PI, keeps what is asked and leaves as a PID; transport goes by a flow.
+#[test]
+fn a_pid_is_tuned_judged_and_delivered() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant =
+        "[[plants]]\nchannels = [[{ num = [0.0, 0.0, 0.0, 0.01, 0.009], den = [1.0, -1.8, 0.81] }]]\n";
+    let of = |extra: &str| format!("sample_time_s = 0.1\n{LOOP}{extra}{plant}");
+    let (own, folder) =
+        run(&parsed(&of("derivative = true\n"), tmp.path()).unwrap(), Watch::silent()).unwrap();
+    let l = &own.loops[0];
+    let pi = l.rules.iter().find(|r| r.rule.contains("without a derivative")).unwrap();
+    assert!(own.valid && l.kd > 0.0, "{:?}", own.verdict);
+    assert!(l.rules[0].settling_s.unwrap() < pi.settling_s.unwrap(), "{:?}", l.rules);
+    assert!(own.verdict.iter().any(|v| v.contains("kd = ")), "{:?}", own.verdict);
+    let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(page.contains("its filter") && page.contains("Ms 1.7") && page.contains("delay margin"));
+    let file = stored(tmp.path());
+    assert_eq!((file.loops[0].gains.kd, file.loops[0].gains.filter_s), (l.kd, l.derivative_filter_s));
+    program_is_runtime(&file);
+    // The same gains, given, are the same loop.
+    let given = of(&format!(
+        "kp = {}\nki = {}\nkd = {}\nderivative_filter_s = {}\n",
+        l.kp, l.ki, l.kd, l.derivative_filter_s
+    ));
+    let given = found(&given, tmp.path());
+    let (a, b) = (&own.together[0].loops[0], &given.together[0].loops[0]);
+    assert!((a.sensitivity - b.sensitivity).abs() < 1e-9 && given.valid, "{a:?} {b:?}");
+    for (extra, part) in [
+        ("derivative = true\nkp = 1.0\nki = 1.0\n", "derivative"),
+        ("derivative_filter_s = 0.1\n", "derivative_filter_s"),
+        ("kd = 1.0\n", "ki"),
+        ("transport_flow = \"air\"\n", "transport_flow_nominal"),
+        ("transport_flow = \"air\"\ntransport_flow_nominal = 20.0\n", "predictor"),
+    ] {
+        let refused = parsed(&of(extra), tmp.path()).map(|_| ()).unwrap_err();
+        assert!(refused.contains(part), "{part}: {refused}");
+    }
 }
 
 /// The functional mock-up unit of the export, run by the reader of plants, beside the controller that runs.

@@ -2,7 +2,8 @@
 //!
 //! Once a cycle: throttle and then wastegate follow the torque (bounded by boost), fuel follows the air at the lambda
 //! asked for, which is enriched where the exhaust gets too hot, the spark places 50 % burned where it is best unless the
-//! knock integral stands in the way, and the cams follow the schedule of the parameter set.
+//! knock integral stands in the way, and the cams follow the schedule of the parameter set. Where spark or mixture stand at their end and
+//! knock, peak pressure or exhaust temperature are past their limit all the same, the load gives way.
 
 use crate::engine::VirtualEngine;
 use crate::error::PlantError;
@@ -84,8 +85,10 @@ pub enum Barrier {
     ThrottleClosed,
     /// Injectors at the end of their box.
     Injection,
-    /// Spark at the end of its box.
+    /// Spark at the end of its box, knock or peak pressure at their limit.
     Spark,
+    /// Mixture at its richest, exhaust temperature at its limit.
+    Mixture,
     /// Nothing: the time allowed was too short.
     Time,
 }
@@ -102,6 +105,7 @@ impl Barrier {
             Self::ThrottleClosed => "the throttle is closed",
             Self::Injection => "the injection stands at the end of its range",
             Self::Spark => "the spark stands at the end of its range",
+            Self::Mixture => "the mixture stands at its richest and the exhaust at its limit of temperature",
             Self::Time => "nothing stands at its limit, the time allowed was too short",
         }
     }
@@ -159,6 +163,14 @@ const STILL: usize = 25;
 /// Widest throttle and wastegate.
 const OPEN_DEG: f64 = 90.0;
 const OPEN_MM: f64 = 28.0;
+/// Ends of the spark in deg before top dead centre.
+const LATEST_DEG: f64 = -10.0;
+const EARLIEST_DEG: f64 = 55.0;
+/// Torque in Nm by which the load gives way for a unit of knock, a bar and a kelvin past their limits: of the size that a boosted engine
+/// of 2 l changes them by; the controller integrates what is left.
+const KNOCK_NM: f64 = 100.0;
+const PEAK_NM: f64 = 3.0;
+const HOT_NM: f64 = 0.3;
 
 /// Controller state of one point.
 struct Controller {
@@ -177,8 +189,7 @@ impl Controller {
         let spark_still = self.spark(y);
         let hot = y.egt_k - self.request.limits.egt_k;
         let lambda = self.lambda - (2e-5 * hot).clamp(-1e-3, 1e-3);
-        // A mixture that is asked richer than enrichment may make it stays what it is.
-        let richest = self.request.limits.least_lambda.min(self.request.lambda);
+        let richest = self.richest();
         self.lambda = lambda.clamp(richest, self.request.lambda);
         let lambda_still = hot.abs() < 2.0
             || (hot < 0.0 && self.lambda >= self.request.lambda)
@@ -203,7 +214,7 @@ impl Controller {
         // Torque that the limits of boost and shaft leave, in Nm.
         let boost = 1.7 * (limits.map_kpa - y.map_kpa);
         let shaft = 2e-3 * (limits.turbo_rpm - y.turbo_rpm);
-        let free = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft);
+        let free = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft).min(self.given_way(y));
         let u = &mut self.u;
         let boosted = p.turbocharger.is_some();
         let on_wastegate = boosted && u.throttle_deg >= OPEN_DEG && (free > 0.0 || u.wastegate_mm < OPEN_MM);
@@ -230,14 +241,35 @@ impl Controller {
         error.abs() < 0.1 || at_end
     }
 
+    /// Torque in Nm that spark and mixture at their ends leave: negative where a limit is passed that they keep no more.
+    fn given_way(&self, y: &Outputs) -> f64 {
+        let limits = &self.request.limits;
+        let mut left = f64::INFINITY;
+        if self.u.spark_deg <= LATEST_DEG {
+            left =
+                left.min(KNOCK_NM * (limits.knock - y.knock)).min(PEAK_NM * (limits.pmax_bar - y.pmax_bar));
+        }
+        if self.lambda <= self.richest() {
+            left = left.min(HOT_NM * (limits.egt_k - y.egt_k));
+        }
+        left
+    }
+
+    /// A mixture that is asked richer than enrichment may make it stays what it is.
+    fn richest(&self) -> f64 {
+        self.request.limits.least_lambda.min(self.request.lambda)
+    }
+
     /// The spark places 50 % burned; knock integral and peak pressure bound it.
     fn spark(&mut self, y: &Outputs) -> bool {
         let phase = y.ca50_deg - self.request.limits.ca50_deg;
         let knock = 8.0 * (self.request.limits.knock - y.knock);
         let peak = 0.3 * (self.request.limits.pmax_bar - y.pmax_bar);
         let off = phase.min(knock).min(peak);
-        self.u.spark_deg = (self.u.spark_deg + (0.2 * off).clamp(-0.5, 0.5)).clamp(-10.0, 55.0);
-        off.abs() < 0.1 || self.u.spark_deg <= -10.0
+        self.u.spark_deg = (self.u.spark_deg + (0.2 * off).clamp(-0.5, 0.5)).clamp(LATEST_DEG, EARLIEST_DEG);
+        off.abs() < 0.1
+            || (off < 0.0 && self.u.spark_deg <= LATEST_DEG)
+            || (off > 0.0 && self.u.spark_deg >= EARLIEST_DEG)
     }
 }
 
@@ -282,7 +314,7 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
             let reached = (outputs.torque_nm - request.torque_nm).abs() < 1.0;
             return Ok(LoadPoint {
                 request,
-                barrier: (!reached).then(|| barrier(&p, &request, &inputs, &outputs)),
+                barrier: (!reached).then(|| barrier(&p, &request, control.lambda, &inputs, &outputs)),
                 inputs,
                 outputs,
                 lambda: control.lambda,
@@ -308,7 +340,7 @@ fn surge_ratio(p: &EngineParams, y: &Outputs) -> Option<f64> {
 }
 
 /// What stands in the way of a torque that is not reached.
-fn barrier(p: &EngineParams, r: &LoadRequest, u: &Inputs, y: &Outputs) -> Barrier {
+fn barrier(p: &EngineParams, r: &LoadRequest, lambda: f64, u: &Inputs, y: &Outputs) -> Barrier {
     let open = u.throttle_deg >= OPEN_DEG - 0.01;
     if y.torque_nm > r.torque_nm {
         return if u.throttle_deg <= 0.01 { Barrier::ThrottleClosed } else { Barrier::Time };
@@ -318,7 +350,10 @@ fn barrier(p: &EngineParams, r: &LoadRequest, u: &Inputs, y: &Outputs) -> Barrie
         () if y.turbo_rpm >= 0.995 * r.limits.turbo_rpm => Barrier::TurboSpeed,
         () if open && surge_ratio(p, y).is_some_and(|s| s <= r.limits.surge_margin + 0.02) => Barrier::Surge,
         () if u.injection_mg >= 119.9 => Barrier::Injection,
-        () if u.spark_deg <= -9.9 => Barrier::Spark,
+        () if u.spark_deg <= LATEST_DEG + 0.1 => Barrier::Spark,
+        () if lambda <= r.limits.least_lambda.min(r.lambda) + 1e-9 && y.egt_k >= r.limits.egt_k - 5.0 => {
+            Barrier::Mixture
+        }
         () if open && p.turbocharger.is_none() => Barrier::ThrottleOpen,
         () if open && u.wastegate_mm <= 0.05 => Barrier::WastegateClosed,
         () => Barrier::Time,

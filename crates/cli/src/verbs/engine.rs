@@ -91,9 +91,9 @@ struct At {
     /// Brake torque to settle to; throttle and fuel follow, and boost as in full-load where they do not do
     #[arg(long, allow_negative_numbers = true, conflicts_with_all = ["inj_mg", "throttle_deg"])]
     torque_nm: Option<f64>,
-    /// Lambda to settle to
-    #[arg(long, default_value_t = 1.0, requires = "torque_nm")]
-    lambda: f64,
+    /// Lambda to settle to [default: 1]
+    #[arg(long, requires = "torque_nm", conflicts_with_all = ["inj_mg", "throttle_deg"])]
+    lambda: Option<f64>,
     /// Fuel per cylinder and cycle
     #[arg(long)]
     inj_mg: Option<f64>,
@@ -150,7 +150,7 @@ impl From<At> for steady::At {
         Self {
             speed_rpm: at.speed_rpm,
             torque_nm: at.torque_nm,
-            lambda: at.lambda,
+            lambda: at.lambda.unwrap_or(1.0),
             injection_mg: at.inj_mg,
             throttle_deg: at.throttle_deg,
             spark_deg: at.spark_deg,

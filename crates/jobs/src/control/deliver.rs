@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use dynocal_control::predictor::PredictedModel;
+use dynocal_control::predictor::{PredictedModel, TransportFlow};
 use dynocal_control::stored::{Schedule, ScheduleAxis, StoredController, StoredLoop};
 
 use super::load::Loaded;
@@ -25,6 +25,11 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
                 delay_samples: samples,
                 longest_samples: 4 * samples as usize,
                 filter_s: spec.filter_s,
+                flow: spec.flow.as_ref().map(|(channel, nominal)| TransportFlow {
+                    channel: channel.clone(),
+                    unit: "-".into(),
+                    nominal: *nominal,
+                }),
             }
         });
         StoredLoop {
@@ -40,7 +45,7 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
         }
     };
     let loops = job.loops.iter().zip(loops).enumerate().map(one).collect();
-    Some(StoredController { sample_time_s, loops })
+    Some(StoredController { sample_time_s, loops, catalyst: job.catalyst })
 }
 
 fn points(job: &Job) -> &[Point] {

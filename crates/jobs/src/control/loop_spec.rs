@@ -18,6 +18,8 @@ pub(super) struct TypedLoop {
     predictor: bool,
     #[serde(default)]
     filter_s: f64,
+    transport_flow: Option<String>,
+    transport_flow_nominal: Option<f64>,
     lower: Option<f64>,
     upper: Option<f64>,
     rate_per_s: Option<f64>,
@@ -45,6 +47,8 @@ pub struct LoopSpec {
     pub predictor: bool,
     /// Time constant in s of the filter of its prediction error.
     pub filter_s: f64,
+    /// Channel of the flow by which that delay goes, and the flow at which it is `extra_delay_s`.
+    pub flow: Option<(String, f64)>,
     /// Limits of the actuator in the file of the controller.
     pub limits: ActuatorLimits,
     /// Actuator before the first step.
@@ -97,6 +101,7 @@ pub(super) fn loops(typed: &[TypedLoop], faults: &mut Faults) -> Vec<LoopSpec> {
             faults.positive(&key("step"), step, "in the unit of the input");
         }
         let limits = limits(l, k, faults);
+        let flow = flow(l, &key, faults);
         let (extra_delay_s, predictor, filter_s, start) = (l.extra_delay_s, l.predictor, l.filter_s, l.start);
         let (step, derivative, derivative_filter_s) = (l.step, l.derivative, l.derivative_filter_s);
         out.push(LoopSpec {
@@ -105,6 +110,7 @@ pub(super) fn loops(typed: &[TypedLoop], faults: &mut Faults) -> Vec<LoopSpec> {
             extra_delay_s,
             predictor,
             filter_s,
+            flow,
             limits,
             start,
             step,
@@ -132,6 +138,28 @@ fn gains(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Op
             let expected =
                 "a number other than 0 beside `kp` and `kd` (or none of them: the search finds them)";
             faults.push(&key("ki"), found, expected);
+            None
+        }
+    }
+}
+
+/// A delay that goes by a flow belongs to a predictor, and has a flow at which it is the one that is given.
+fn flow(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Option<(String, f64)> {
+    match (&l.transport_flow, l.transport_flow_nominal) {
+        (None, None) => None,
+        (Some(channel), Some(nominal)) => {
+            faults.positive(&key("transport_flow_nominal"), nominal, "in the unit of the flow");
+            if !l.predictor {
+                faults.push(&key("transport_flow"), channel, "`predictor = true` beside it");
+            }
+            Some((channel.clone(), nominal))
+        }
+        (channel, nominal) => {
+            let (missing, found) = match channel {
+                Some(_) => ("transport_flow_nominal", "nothing".to_string()),
+                None => ("transport_flow", format!("nothing beside {}", nominal.unwrap_or(0.0))),
+            };
+            faults.push(&key(missing), found, "`transport_flow` and `transport_flow_nominal` together");
             None
         }
     }

@@ -101,6 +101,7 @@ pub(super) fn predictor(
         below_s: None,
         gain: (0.1, 10.0),
         model: plants[0].clone(),
+        flow: l.flow.clone(),
     };
     for plant in &plants {
         // Where the loop of a point is not stable at all the margins say so.

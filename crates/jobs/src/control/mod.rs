@@ -12,6 +12,7 @@ mod load;
 mod loop_spec;
 mod loops;
 pub mod page;
+mod page_disks;
 mod page_records;
 mod picture;
 mod records;

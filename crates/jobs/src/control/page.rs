@@ -8,7 +8,7 @@ use dynocal_files::atomic;
 use dynocal_report::{Axis, Cell, Column, HeatMap, Panel, Report, Section, Table, TimePlot, XyPlot, render};
 
 use super::picture::{Bode, LoopPicture, Plane};
-use super::result::{Controlled, LoopResult, Together};
+use super::result::{Controlled, LoopResult};
 use crate::page::PageError;
 
 /// Most set points whose curves are drawn.
@@ -45,8 +45,9 @@ pub fn report(found: &Controlled) -> Report {
     if !found.schedule.is_empty() {
         report = report.section(schedule(found));
     }
+    report = report.section(super::page_disks::section(found));
     if found.loops.len() > 1 {
-        report = report.section(disks(found)).section(interaction(found));
+        report = report.section(interaction(found));
         if let Some(d) = &found.decoupler {
             report = report.section(super::page_records::decoupler(found, d));
         }
@@ -197,7 +198,7 @@ fn loci(l: &LoopResult, p: &Plane) -> XyPlot {
         Axis::new(format!("kp x {}", l.sign), ""),
         Axis::new(format!("ki x {}", l.sign), "1/s"),
     )
-    .caption("The set point with the largest Ms, its delay exact; 0 dB is the boundary of stability. The region of a margin is the part below its locus.");
+    .caption("The set point with the largest Ms, its delay exact, with the derivative part where there is one (a predictor's delay left out); 0 dB is the boundary of stability. The region of a margin is the part below its locus, that of Ms inside its own. The delay margin that is drawn is the one that is asked, else that of the gains.");
     let plot = p.loci.iter().fold(plot, |plot, (name, x, y)| plot.line(name.as_str(), x.clone(), y.clone()));
     let (kp, ki) = (l.rules.first().map_or(0.0, |t| t.kp), l.rules.first().map_or(0.0, |t| t.ki));
     plot.points("gains", [kp], [ki])
@@ -288,41 +289,6 @@ fn schedule(found: &Controlled) -> Section {
             "Each set point has its own gains, maps over {} in controller.json. Margins are those of each point with its own gains held: between points, and while the point moves, nothing is proved.",
             found.schedule.join(" and ")
         ))
-        .block(table)
-}
-
-fn disks(found: &Controlled) -> Section {
-    let head = vec![
-        Column::text("Set point"),
-        Column::text("Where"),
-        Column::number("alpha guaranteed", "").digits(5),
-        Column::number("alpha lost", "").digits(5),
-        Column::number("All gains from", "").digits(4),
-        Column::number("to", "").digits(4),
-        Column::number("All phases", "deg").digits(4),
-        Column::number("At", "rad/s").digits(4),
-    ];
-    let rows = |t: &Together| {
-        [("inputs", &t.inputs), ("outputs", &t.outputs), ("inputs and outputs", &t.both)]
-            .into_iter()
-            .filter_map(|(name, d)| {
-                let d = d.as_ref()?;
-                Some(vec![
-                    Cell::from(t.point.as_str()),
-                    name.into(),
-                    d.alpha.into(),
-                    d.alpha_lost.into(),
-                    d.gain_down.into(),
-                    Cell::from(d.gain_up),
-                    d.phase_deg.into(),
-                    d.peak_rad_s.into(),
-                ])
-            })
-            .collect::<Vec<_>>()
-    };
-    let table = found.together.iter().flat_map(rows).fold(Table::new(head), Table::row);
-    Section::new("All loops at once")
-        .text("Balanced disk margins: every loop may change its gain or its phase at once, each in its own way. Guaranteed is what the upper bound of the structured singular value leaves on the frequencies that were looked at; lost is where a perturbation that was found makes the loop unstable. The truth lies between.")
         .block(table)
 }
 

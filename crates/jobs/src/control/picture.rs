@@ -5,7 +5,8 @@ use dynocal_control::plane::{Channel, LocusPoint};
 use dynocal_control::response::Response;
 use dynocal_control::search::Choice;
 use dynocal_control::simulate::run;
-use dynocal_control::tune::{StepRun, step_run};
+use dynocal_control::tune::{Asked, StepRun, step_run};
+use dynocal_numerics::interval::Interval;
 
 use super::load::Loaded;
 use super::loops::controller;
@@ -76,7 +77,7 @@ pub(super) fn drawn(
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
         runs.push(step_run(&channels, &lags));
         let bode = channels.iter().map(|c| bode(c, l.sign)).collect();
-        let plane = choice.map(|c| plane(l, c, &channels, loaded));
+        let plane = choice.map(|c| plane(l, c, &channels, loaded, &job.asked));
         out.loops.push(LoopPicture { plane, bode });
     }
     let whole_s = runs.iter().map(|r| r.step_s * r.rows as f64).fold(0.0, f64::max);
@@ -136,7 +137,24 @@ fn bode(c: &Channel, sign: f64) -> Bode {
     out
 }
 
-fn plane(l: &LoopResult, c: Choice, channels: &[Channel], loaded: &Loaded) -> Plane {
+/// Values of kp at which the edge of the region of Ms is looked for.
+const EDGE: usize = 120;
+
+/// Edge of the largest region that keeps Ms: upwards along kp, and back along its lower end.
+fn edge_of_sensitivity(channel: &Channel, kp: Interval, most: f64) -> (Vec<f64>, Vec<f64>) {
+    let at = |k: usize| {
+        let kp = kp.lower + (kp.upper - kp.lower) * (k as f64 + 0.5) / EDGE as f64;
+        let kept = channel.ki_with_sensitivity(kp, most);
+        let widest = kept.into_iter().max_by(|a, b| (a.upper - a.lower).total_cmp(&(b.upper - b.lower)))?;
+        Some((kp, widest))
+    };
+    let all: Vec<(f64, Interval)> = (0..EDGE).filter_map(at).collect();
+    let upper = all.iter().map(|(kp, i)| (*kp, i.upper));
+    let lower = all.iter().rev().map(|(kp, i)| (*kp, i.lower));
+    upper.chain(lower).unzip()
+}
+
+fn plane(l: &LoopResult, c: Choice, channels: &[Channel], loaded: &Loaded, asked: &Asked) -> Plane {
     let at =
         |m: &Option<dynocal_control::margin::Margins>| m.as_ref().map_or(f64::INFINITY, |m| m.sensitivity);
     let tight = l.rules.first().map_or(0, |t| {
@@ -164,6 +182,12 @@ fn plane(l: &LoopResult, c: Choice, channels: &[Channel], loaded: &Loaded) -> Pl
         add(format!("phase margin {p:.0} deg"), channel.phase_locus(p));
     }
     add(format!("damping {}", LOCI.2), channel.damping_locus(LOCI.2));
+    let had = l.rules.first().and_then(|t| t.margins.get(tight)?.as_ref()?.delay_s);
+    if let Some(delay_s) = Some(asked.delay_margin_s).filter(|d| *d > 0.0).or(had) {
+        add(format!("delay margin {} s", super::words::digits(delay_s)), channel.delay_locus(delay_s));
+    }
+    let (x, y) = edge_of_sensitivity(channel, kp, asked.sensitivity);
+    loci.push((format!("Ms {}", asked.sensitivity), x, y));
     Plane {
         ratio: c.raster.iter().map(|v| v.unwrap_or(f64::NAN)).collect(),
         kp_values: c.kp_values,

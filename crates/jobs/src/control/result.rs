@@ -125,6 +125,9 @@ pub struct PredictorResult {
     pub gain: (f64, f64),
     /// Model of the plant without that delay.
     pub model: Transfer,
+    /// Channel of the flow by which the delay goes, and the flow at which it is `delay_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flow: Option<(String, f64)>,
 }
 
 /// What a record shows without a model, and the models that were made of it.
@@ -163,6 +166,9 @@ pub struct Together {
     pub outputs: Option<DiskMargin>,
     /// Balanced disk margin at all inputs and outputs.
     pub both: Option<DiskMargin>,
+    /// Skewed disk margins (1: of S, -1: of T), all places at once, and balanced ones of each loop alone with the others closed, by where
+    /// they act.
+    pub other_disks: Vec<(String, DiskMargin)>,
     /// Largest ratio of asked to had over nominal model and draws: at most 1 keeps everything; none: not stable for all.
     pub violation: Option<f64>,
     /// The same of the nominal model alone.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use dynocal_control::oxygen::{OxygenObserver, OxygenSettings};
 use dynocal_control::system::{Time, Transfer};
 use dynocal_control::tune::Asked;
 use dynocal_files::run_folder::RunPlace;
@@ -42,6 +43,7 @@ struct Typed {
     reaction_samples: Option<usize>,
     #[serde(default)]
     loops: Vec<TypedLoop>,
+    catalyst: Option<OxygenSettings>,
     #[serde(default)]
     asked: Asked,
     disk_margin: Option<f64>,
@@ -158,6 +160,8 @@ pub struct Job {
     pub taps: usize,
     /// Loops.
     pub loops: Vec<LoopSpec>,
+    /// Observer of the oxygen in a catalyst that is delivered with the loops.
+    pub catalyst: Option<OxygenSettings>,
     /// Margins of each loop.
     pub asked: Asked,
     /// Balanced disk margin of all loops at once, at inputs and at outputs.
@@ -184,6 +188,24 @@ pub fn read(path: &Path, overrides: &Overrides) -> Result<Job, LoadError> {
 /// [`SpecError`] with every fault.
 pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecError> {
     dynocal_files::spec::parse(file, text, |t: &Typed, faults| check(t, Path::new(file), overrides, faults))
+}
+
+/// The observer of a catalyst is delivered with sampled loops, in the file that has no decoupler.
+fn catalyst(t: &Typed, continuous: bool, faults: &mut Faults) {
+    let Some(c) = t.catalyst else { return };
+    if let Err(e) = OxygenObserver::new(c, c.target) {
+        faults.push("catalyst", e, "settings of a store");
+    }
+    if c.memory > 0.0 {
+        faults.push("catalyst.memory", c.memory, "0: the delivered observer learns its bias alone");
+    }
+    if continuous || t.decoupler.is_some() {
+        faults.push(
+            "catalyst",
+            "an observer",
+            "sampled loops without a decoupler: it is delivered in controller.json",
+        );
+    }
 }
 
 fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
@@ -222,12 +244,14 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
             "sampled plants: a predictor runs in samples",
         );
     }
+    catalyst(t, continuous, faults);
     let seed = over.seed.or(t.seed).unwrap_or(0);
     let (asked, plants) = (t.asked, plants?);
     Some(Job {
         name: place.name,
         seed,
         plants,
+        catalyst: t.catalyst,
         draws,
         reaction_samples,
         schedule: t.schedule.clone(),

@@ -130,15 +130,19 @@ fn predicted(l: &LoopResult) -> Option<String> {
     let end = |v: Option<f64>, what: &str| {
         v.map_or(format!("any time {what}"), |d| format!("{} s {what}", digits(d.abs())))
     };
-    Some(format!(
-        "The Smith predictor of `{}` stands while the delay is less than {} or {} than its {} s; gains of the plant from {} to {} times that of its model.",
-        l.output,
-        end(p.above_s, "longer"),
-        end(p.below_s, "shorter"),
-        digits(p.delay_s),
-        digits(p.gain.0),
-        digits(p.gain.1)
-    ))
+    Some(
+        format!(
+            "The Smith predictor of `{}` stands while the delay is less than {} or {} than its {} s; gains of the plant from {} to {} times that of its model.",
+            l.output,
+            end(p.above_s, "longer"),
+            end(p.below_s, "shorter"),
+            digits(p.delay_s),
+            digits(p.gain.0),
+            digits(p.gain.1)
+        ) + &p.flow.as_ref().map_or(String::new(), |(channel, nominal)| {
+            format!(" Its delay goes with one over `{channel}`; it is judged at {}.", digits(*nominal))
+        }),
+    )
 }
 
 fn kept(found: &Controlled) -> String {

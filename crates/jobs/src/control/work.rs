@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use dynocal_control::closed::Closed;
-use dynocal_control::disk::{DiskMargin, Place, disk};
+use dynocal_control::disk::{DiskMargin, Place, disk, of_loop};
 use dynocal_control::error::ControlError;
 use dynocal_control::interaction::relative_gains;
 use dynocal_control::margin::{Side, margins};
@@ -212,10 +212,32 @@ fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> To
         inputs: disk_at(Place::Inputs),
         outputs: disk_at(Place::Outputs),
         both: disk_at(Place::Both),
+        other_disks: other_disks(job, closed),
         violation: all,
         violation_nominal: own,
         unstable_draws: draws.iter().filter(|d| d.is_none()).count(),
     }
+}
+
+/// Skewed disk margins, and those of each loop alone; none where the loop is not stable.
+fn other_disks(job: &Job, closed: &Closed) -> Vec<(String, DiskMargin)> {
+    let mut out = Vec::new();
+    let several = job.loops.len() > 1;
+    let mut add = |name: String, d: Result<DiskMargin, ControlError>| out.extend(d.ok().map(|d| (name, d)));
+    for (place, name) in
+        [(Place::Inputs, "inputs"), (Place::Outputs, "outputs"), (Place::Both, "inputs and outputs")]
+    {
+        for skew in [1.0, -1.0] {
+            if several || place == Place::Outputs {
+                add(name.into(), disk(closed, place, skew));
+            }
+        }
+    }
+    for (k, l) in job.loops.iter().enumerate().filter(|_| several) {
+        add(format!("`{}` alone, at its input", l.output), of_loop(closed, Side::Inputs, k, 0.0));
+        add(format!("`{}` alone, at its output", l.output), of_loop(closed, Side::Outputs, k, 0.0));
+    }
+    out
 }
 
 /// Largest ratio of asked to had: each loop with the others closed, and the disk margin at inputs and outputs where one is asked.

@@ -4,15 +4,17 @@
 //! numbers, at them the same but for rounding. A measurement that is no number drives the actuator to its lower limit
 //! (the running controller holds it: a program has no such branch).
 
+use dynocal_control::predictor::{PredictedModel, TransportFlow};
 use dynocal_control::stored::{Schedule, StoredController, StoredLoop};
 use dynocal_export::characteristic::{Axis, Characteristic, identifier};
 use dynocal_export::package::Package;
-use dynocal_export::program::{Factor, NodeId, Op, Start, Term};
+use dynocal_export::program::{Factor, NodeId, Op, Shape, Start, Term};
 
 use super::Made;
 use super::build::Build;
+use super::oxygen::observer;
 
-fn term(coefficient: f64, nodes: &[NodeId]) -> Term {
+pub(super) fn term(coefficient: f64, nodes: &[NodeId]) -> Term {
     Term { coefficient, factors: nodes.iter().map(|n| Factor { node: *n, power: 1 }).collect() }
 }
 
@@ -24,6 +26,9 @@ pub fn controller(stored: &StoredController) -> Made {
     for l in &stored.loops {
         let gains = l.schedule.as_ref().map(|s| scheduled(&mut b, l, s, &mut channels, &mut maps));
         one(&mut b, l, stored.sample_time_s, gains);
+    }
+    if let Some(c) = &stored.catalyst {
+        observer(&mut b, c, stored.sample_time_s);
     }
     let notes = vec![
         "a measurement that is no number drives the exported controller to the lower limit of its actuator"
@@ -163,17 +168,50 @@ fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>
 }
 
 /// Turns a delay to the node whose past it reads.
-fn point(b: &mut Build, delay: NodeId, to: NodeId) {
+pub(super) fn point(b: &mut Build, delay: NodeId, to: NodeId) {
     if let Op::Delay { of, .. } = &mut b.program.nodes[delay].op {
         *of = to;
     }
+}
+
+/// A node `samples` earlier.
+fn past(b: &mut Build, name: &dyn Fn(&str) -> String, of: NodeId, samples: usize) -> NodeId {
+    b.node(&name(&format!("model_late_{samples}")), Op::Delay { of, samples, start: Start::Value(0.0) })
+}
+
+/// The model a transport ago that goes with one over a flow: samples d = delay nominal / flow, read on the line between two of them,
+/// `sum_k max(0, 1 - |d - k|) m(t - k)`.
+fn by_flow(
+    b: &mut Build,
+    name: &dyn Fn(&str) -> String,
+    p: &PredictedModel,
+    f: &TransportFlow,
+    model: NodeId,
+) -> NodeId {
+    let flow = b.input(&name(&f.channel), &f.unit, f.nominal, None);
+    // No flow, or one that is no number, is the longest delay; no flow is so large that there is none.
+    let (lower, upper) = (p.least_flow(f), 1e9 * f.nominal);
+    let held = b.node(&name("flow_held"), Op::Clamp { of: flow, lower, upper });
+    let delay =
+        b.node(&name("delay_samples"), Op::Reciprocal { of: held, numerator: p.delay_samples * f.nominal });
+    let mut terms = Vec::new();
+    for k in 0..=p.longest_samples {
+        let away =
+            b.node(&name(&format!("away_{k}")), Op::Scale { of: delay, gain: 1.0, offset: -(k as f64) });
+        let size = b.node(&name(&format!("size_{k}")), Op::Function { of: away, shape: Shape::Abs });
+        let near = b.node(&name(&format!("near_{k}")), Op::Scale { of: size, gain: -1.0, offset: 1.0 });
+        let share = b.node(&name(&format!("share_{k}")), Op::Function { of: near, shape: Shape::Relu });
+        let value = if k == 0 { model } else { past(b, name, model, k) };
+        terms.push(term(1.0, &[share, value]));
+    }
+    b.node(&name("model_late"), Op::Polynomial { terms })
 }
 
 /// Error over the undelayed model with what it does not know, and the delays of the actuator that are to be turned to it.
 fn predicted(
     b: &mut Build,
     name: &dyn Fn(&str) -> String,
-    p: &dynocal_control::predictor::PredictedModel,
+    p: &PredictedModel,
     demand: NodeId,
     measured: NodeId,
     dt_s: f64,
@@ -202,10 +240,10 @@ fn predicted(
     }
     let model = b.node(&name("model"), Op::Polynomial { terms });
     own.iter().for_each(|n| point(b, *n, model));
-    let samples = p.delay_samples as usize;
-    let late = match samples {
-        0 => model,
-        _ => b.node(&name("model_late"), Op::Delay { of: model, samples, start: Start::Value(0.0) }),
+    let late = match &p.flow {
+        Some(f) => by_flow(b, name, p, f, model),
+        None if p.delay_samples == 0.0 => model,
+        None => past(b, name, model, p.delay_samples as usize),
     };
     let unknown = b.node(&name("unknown"), Op::Difference { a: measured, b: late });
     let correction = if p.filter_s > 0.0 {

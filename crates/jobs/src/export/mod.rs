@@ -12,6 +12,7 @@ mod fuelling;
 mod lead_lag;
 mod model;
 mod origin;
+mod oxygen;
 mod response;
 mod static_map;
 

@@ -82,6 +82,7 @@ impl Rig<'_> {
                     delay_samples: delay as f64,
                     longest_samples: 2 * delay + 1,
                     filter_s: *filter_s,
+                    flow: None,
                 };
                 let c = Predictor::new(*g, wide, SAMPLE_S, 0.0, &known).map_err(text)?;
                 Running::Predicted(Box::new(c))

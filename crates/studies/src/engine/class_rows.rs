@@ -10,12 +10,21 @@ use serde::{Deserialize, Serialize};
 
 /// Retard from best spark \[deg\] of a production 2.0 l turbo engine of compression 10.8: speed \[rpm\], brake mean effective
 /// pressure \[bar\], retard (a published table over speed and intake pressure, turned over by a measured map).
-pub const PRODUCTION: [(f64, f64, f64); 12] = [
+pub const PRODUCTION: [(f64, f64, f64); 25] = [
+    (1500.0, 8.0, 7.0),
+    (1500.0, 10.0, 11.0),
+    (1500.0, 12.0, 13.0),
+    (1500.0, 14.0, 15.0),
+    (1500.0, 16.0, 19.0),
     (2000.0, 8.0, 3.5),
     (2000.0, 10.0, 5.0),
     (2000.0, 12.0, 9.0),
     (2000.0, 14.0, 13.0),
     (2000.0, 16.0, 16.0),
+    (2500.0, 10.0, 2.0),
+    (2500.0, 12.0, 6.0),
+    (2500.0, 14.0, 10.0),
+    (2500.0, 16.0, 13.0),
     (3000.0, 10.0, 1.0),
     (3000.0, 12.0, 4.0),
     (3000.0, 14.0, 8.0),
@@ -23,6 +32,10 @@ pub const PRODUCTION: [(f64, f64, f64); 12] = [
     (4000.0, 12.0, 4.0),
     (4000.0, 14.0, 8.0),
     (4000.0, 16.0, 11.0),
+    (5000.0, 8.0, 1.0),
+    (5000.0, 10.0, 3.0),
+    (5000.0, 12.0, 5.0),
+    (5000.0, 14.0, 8.5),
 ];
 
 /// Retard at one point.

@@ -9,27 +9,32 @@ use dynocal_report::{Axis, Block, Report, Section, XyPlot};
 /// Plots.
 pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
     let text = "Wastegate swept closed and open again; steps of wastegate and throttle; tip-in from 30 Nm; retard from best spark beside a production table.";
-    let mut all: Vec<Block> = sweep(results).into_iter().collect();
+    let mut all: Vec<Block> = sweep(results);
     all.extend(steps(results));
     all.extend(retard(results));
     report.section(Section::new("Boost and knock of gtdi_2l").text(text).columns(all))
 }
 
-fn sweep(results: &[TaskResult]) -> Option<Block> {
-    let all: Vec<SweepPoint> = result(results, AIR_PATH)?;
-    let axes = (Axis::new("Wastegate", "mm"), Axis::new("Intake pressure", "kPa"));
-    let mut plot = XyPlot::new("Boost against the wastegate", axes.0, axes.1);
+/// Speeds in one plot of boost: two colours each, and no colour twice.
+const SPEEDS: usize = 3;
+
+fn sweep(results: &[TaskResult]) -> Vec<Block> {
+    let Some(all) = result::<Vec<SweepPoint>>(results, AIR_PATH) else { return vec![] };
     let mut speeds: Vec<f64> = all.iter().map(|p| p.speed_rpm).collect();
     speeds.dedup();
-    for speed in speeds {
-        let of = |y: fn(&SweepPoint) -> f64| -> Vec<f64> {
-            all.iter().filter(|p| p.speed_rpm == speed).map(y).collect()
+    let plot =
+        |speeds: &[f64]| {
+            let axes = (Axis::new("Wastegate", "mm"), Axis::new("Intake pressure", "kPa"));
+            let plot = XyPlot::new("Boost against the wastegate", axes.0, axes.1);
+            speeds.iter().fold(plot, |plot, speed| {
+                let of = |y: fn(&SweepPoint) -> f64| -> Vec<f64> {
+                    all.iter().filter(|p| p.speed_rpm == *speed).map(y).collect()
+                };
+                plot.line(format!("{speed} rpm closing"), of(|p| p.wastegate_mm), of(|p| p.closing_kpa))
+                    .points(format!("{speed} rpm opening"), of(|p| p.wastegate_mm), of(|p| p.opening_kpa))
+            })
         };
-        plot = plot
-            .line(format!("{speed} rpm closing"), of(|p| p.wastegate_mm), of(|p| p.closing_kpa))
-            .points(format!("{speed} rpm opening"), of(|p| p.wastegate_mm), of(|p| p.opening_kpa));
-    }
-    Some(plot.into())
+    speeds.chunks(SPEEDS).map(|s| plot(s).into()).collect()
 }
 
 /// A quantity of step records over time: title, unit, value; a name for each record.
@@ -57,18 +62,23 @@ fn steps(results: &[TaskResult]) -> Vec<Block> {
     ]
 }
 
-fn retard(results: &[TaskResult]) -> Option<Block> {
-    let all: Vec<Retard> = result(results, KNOCK)?;
-    let axes = (Axis::new("Mean effective pressure", "bar"), Axis::new("Retard from best spark", "deg"));
-    let mut plot = XyPlot::new("Retard against a production table", axes.0, axes.1);
-    for speed in [2000.0, 3000.0, 4000.0] {
+fn retard(results: &[TaskResult]) -> Vec<Block> {
+    let Some(all) = result::<Vec<Retard>>(results, KNOCK) else { return vec![] };
+    let mut speeds: Vec<f64> = all.iter().map(|r| r.speed_rpm).collect();
+    speeds.dedup();
+    let plot = |speed: f64| {
         let of = |y: fn(&Retard) -> f64| -> Vec<f64> {
             all.iter().filter(|r| r.speed_rpm == speed).map(y).collect()
         };
-        plot = plot
-            .line(format!("{speed} rpm, production"), of(|r| r.bmep_bar), of(|r| r.production_deg))
-            .line(format!("{speed} rpm, twin_2l"), of(|r| r.bmep_bar), of(|r| r.like_deg))
-            .line(format!("{speed} rpm, gtdi_2l"), of(|r| r.bmep_bar), of(|r| r.own_deg));
-    }
-    Some(plot.into())
+        let title = format!("Retard against a production table, {speed} rpm");
+        XyPlot::new(
+            title,
+            Axis::new("Mean effective pressure", "bar"),
+            Axis::new("Retard from best spark", "deg"),
+        )
+        .line("production", of(|r| r.bmep_bar), of(|r| r.production_deg))
+        .line("twin_2l", of(|r| r.bmep_bar), of(|r| r.like_deg))
+        .line("gtdi_2l", of(|r| r.bmep_bar), of(|r| r.own_deg))
+    };
+    speeds.into_iter().map(|s| plot(s).into()).collect()
 }

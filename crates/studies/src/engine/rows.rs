@@ -47,7 +47,7 @@ pub(super) fn tasks(o: &Options) -> Vec<Task> {
     let positions: Vec<f64> = (0..if o.reduced { 5 } else { 20 })
         .map(|k| 28.0 * f64::from(k) / if o.reduced { 4.0 } else { 19.0 })
         .collect();
-    let retards = if o.reduced { &PRODUCTION[4..5] } else { &PRODUCTION[..] };
+    let retards = if o.reduced { &PRODUCTION[9..10] } else { &PRODUCTION[..] };
     vec![
         task(AIR_PATH.into(), json!([speeds, positions]), move || {
             let params = EngineParams::named(SET).map_err(failed("wastegate sweep"))?;
@@ -215,9 +215,12 @@ fn retard(results: &[TaskResult]) -> Vec<Check> {
         check(id, &what, "deg", Asked::AtMost(3.0), off(speed), note)
     };
     vec![
+        row("gtdi-retard-1500", 1500.0),
         row("gtdi-retard-2000", 2000.0),
+        row("gtdi-retard-2500", 2500.0),
         row("gtdi-retard-3000", 3000.0),
         row("gtdi-retard-4000", 4000.0),
+        row("gtdi-retard-5000", 5000.0),
         check(
             "gtdi-retard-less",
             "Largest retard of gtdi_2l (9.9, 98 octane) above that of the twin (10.8, 95 octane)",

@@ -190,8 +190,8 @@ pub struct FitResult {
 }
 
 impl FitResult {
-    /// Whether every judged error is what is asked or less.
+    /// Whether the search converged and every judged error is what is asked or less.
     pub fn valid(&self) -> bool {
-        self.scores.iter().all(|s| s.judged <= s.asked)
+        self.status.is_success() && self.scores.iter().all(|s| s.judged <= s.asked)
     }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg::{cholesky, cholesky_inverse, symmetric_eigenvalues};
 use dynocal_numerics::lm::{LeastSquares, LmOptions, levenberg_marquardt_interruptible};
+use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::driven::{Answer, drive};
 use dynocal_plant::engine::VirtualEngine;
@@ -238,7 +239,17 @@ fn warnings(found: &FitResult) -> Vec<String> {
         all.push(format!("{short} points ask for more boost than the turbine gives with the wastegate shut"));
     }
     if !found.status.is_success() {
-        all.push(format!("the search ended as {:?} after {} evaluations", found.status, found.evaluations));
+        let n = found.evaluations;
+        all.push(match found.status {
+            Status::Limit => format!(
+                "the search used up its {n} evaluations before it converged: give it more with --evaluations"
+            ),
+            Status::Diverged => {
+                "the search could not begin: the engine cannot be computed with the constants it starts from"
+                    .into()
+            }
+            _ => format!("the search did not converge, it ended after {n} evaluations"),
+        });
     }
     all
 }

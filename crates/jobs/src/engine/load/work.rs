@@ -14,6 +14,7 @@ use crate::engine::{Engine, EngineJobError};
 /// # Errors
 /// [`EngineJobError`]: a grid that is none, a point that cannot be held at all, an interruption.
 pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Loaded, EngineJobError> {
+    finite(spec)?;
     let speeds_rpm = spec.speed_rpm.values("--speed-rpm")?;
     let torques_nm = match spec.what {
         What::Map { torque_nm } => torque_nm.values("--torque-nm")?,
@@ -34,6 +35,27 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Loaded, EngineJ
     let full_load = matches!(spec.what, What::FullLoad { .. });
     let warnings = rows.iter().flatten().filter_map(|p| warning(p, full_load)).collect();
     Ok(Loaded { warnings, full_load, speeds_rpm, torques_nm, rows })
+}
+
+/// Limits and torque that are numbers.
+fn finite(spec: &Spec) -> Result<(), EngineJobError> {
+    let l = &spec.limits;
+    let full_load = match spec.what {
+        What::FullLoad { torque_nm } => Some(("--torque-nm", torque_nm)),
+        What::Map { .. } => None,
+    };
+    let all = [
+        ("--max-map-kpa", l.map_kpa),
+        ("--max-egt-degc", l.egt_k - 273.15),
+        ("--max-pmax-bar", l.pmax_bar),
+        ("--max-knock", l.knock),
+    ];
+    match all.into_iter().chain(full_load).find(|(_, v)| !v.is_finite()) {
+        Some((name, found)) => {
+            Err(EngineJobError::Number { name: name.into(), found, expected: "a number".into() })
+        }
+        None => Ok(()),
+    }
 }
 
 /// What is not as asked for at a point.

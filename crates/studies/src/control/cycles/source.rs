@@ -82,6 +82,7 @@ fn beside(hold: Hold) -> Result<Loop, String> {
         delay_samples: 10.0,
         longest_samples: LONGEST,
         filter_s: 0.0,
+        flow: None,
     };
     Ok(match hold {
         Hold::Pi | Hold::PiTrim => Loop::Pi(Pid::new(gains(LOOP_S.2), limits, STEP_S, 0.0).map_err(text)?),
