@@ -179,6 +179,9 @@ struct Controller {
     lambda: f64,
     error_before: Option<f64>,
     shaft_before: f64,
+    /// Whether the load gives way to knock or peak pressure, and to the exhaust's temperature: as long as it does, the spark does not
+    /// advance and the mixture does not lean, or both would swing.
+    gives_way: (bool, bool),
 }
 
 impl Controller {
@@ -188,12 +191,14 @@ impl Controller {
         let load_still = self.load(p, y, cycle_s);
         let spark_still = self.spark(y);
         let hot = y.egt_k - self.request.limits.egt_k;
-        let lambda = self.lambda - (2e-5 * hot).clamp(-1e-3, 1e-3);
+        let least = if self.gives_way.1 { 0.0 } else { -1e-3 };
+        let lambda = self.lambda - (2e-5 * hot).clamp(least, 1e-3);
         let richest = self.richest();
         self.lambda = lambda.clamp(richest, self.request.lambda);
         let lambda_still = hot.abs() < 2.0
             || (hot < 0.0 && self.lambda >= self.request.lambda)
-            || (hot > 0.0 && self.lambda <= richest);
+            || (hot > 0.0 && self.lambda <= richest)
+            || self.gives_way.1;
         let air_mg = 1e3 * y.air_g_s * cycle_s / 4.0;
         self.u.injection_mg = (air_mg / (p.gas.afr_stoich * self.lambda)).clamp(0.0, 120.0);
         if let Some(cams) = &p.cams {
@@ -210,11 +215,14 @@ impl Controller {
 
     /// Throttle first, then the wastegate.
     fn load(&mut self, p: &EngineParams, y: &Outputs, cycle_s: f64) -> bool {
-        let limits = &self.request.limits;
+        let limits = self.request.limits;
         // Torque that the limits of boost and shaft leave, in Nm.
         let boost = 1.7 * (limits.map_kpa - y.map_kpa);
         let shaft = 2e-3 * (limits.turbo_rpm - y.turbo_rpm);
-        let free = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft).min(self.given_way(y));
+        let free = (self.request.torque_nm - y.torque_cycle_nm).min(boost).min(shaft);
+        let (knock, hot) = self.left(y);
+        self.gives_way = (knock < free, hot < free);
+        let free = free.min(knock).min(hot);
         let u = &mut self.u;
         let boosted = p.turbocharger.is_some();
         let on_wastegate = boosted && u.throttle_deg >= OPEN_DEG && (free > 0.0 || u.wastegate_mm < OPEN_MM);
@@ -241,18 +249,15 @@ impl Controller {
         error.abs() < 0.1 || at_end
     }
 
-    /// Torque in Nm that spark and mixture at their ends leave: negative where a limit is passed that they keep no more.
-    fn given_way(&self, y: &Outputs) -> f64 {
-        let limits = &self.request.limits;
-        let mut left = f64::INFINITY;
-        if self.u.spark_deg <= LATEST_DEG {
-            left =
-                left.min(KNOCK_NM * (limits.knock - y.knock)).min(PEAK_NM * (limits.pmax_bar - y.pmax_bar));
-        }
-        if self.lambda <= self.richest() {
-            left = left.min(HOT_NM * (limits.egt_k - y.egt_k));
-        }
-        left
+    /// Torque in Nm that the spark at its latest and the mixture at its richest leave: negative where a limit is passed that they keep no
+    /// more; any where they are not at their ends.
+    fn left(&self, y: &Outputs) -> (f64, f64) {
+        let l = &self.request.limits;
+        let knock = (KNOCK_NM * (l.knock - y.knock)).min(PEAK_NM * (l.pmax_bar - y.pmax_bar));
+        let hot = HOT_NM * (l.egt_k - y.egt_k);
+        let late = self.u.spark_deg <= LATEST_DEG;
+        let rich = self.lambda <= self.richest();
+        (if late { knock } else { f64::INFINITY }, if rich { hot } else { f64::INFINITY })
     }
 
     /// A mixture that is asked richer than enrichment may make it stays what it is.
@@ -265,7 +270,8 @@ impl Controller {
         let phase = y.ca50_deg - self.request.limits.ca50_deg;
         let knock = 8.0 * (self.request.limits.knock - y.knock);
         let peak = 0.3 * (self.request.limits.pmax_bar - y.pmax_bar);
-        let off = phase.min(knock).min(peak);
+        let held = if self.gives_way.0 { 0.0 } else { f64::INFINITY };
+        let off = phase.min(knock).min(peak).min(held);
         self.u.spark_deg = (self.u.spark_deg + (0.2 * off).clamp(-0.5, 0.5)).clamp(LATEST_DEG, EARLIEST_DEG);
         off.abs() < 0.1
             || (off < 0.0 && self.u.spark_deg <= LATEST_DEG)
@@ -295,8 +301,14 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
         burn_duration_deg: None,
         ..engine.state().inputs
     };
-    let mut control =
-        Controller { request, u, lambda: request.lambda, error_before: None, shaft_before: 0.0 };
+    let mut control = Controller {
+        request,
+        u,
+        lambda: request.lambda,
+        error_before: None,
+        shaft_before: 0.0,
+        gives_way: (false, false),
+    };
     engine.set_inputs(u)?;
     let start_s = engine.state().time_s;
     let mut still = 0;

@@ -5,7 +5,9 @@ use std::path::Path;
 use dynocal_control::margin::Margins;
 use dynocal_control::tune::Tuned;
 use dynocal_files::atomic;
-use dynocal_report::{Axis, Cell, Column, HeatMap, Panel, Report, Section, Table, TimePlot, XyPlot, render};
+use dynocal_report::{
+    Axis, Cell, Column, HeatMap, Panel, Report, Role, Section, Table, TimePlot, XyPlot, XySeries, render,
+};
 
 use super::picture::{Bode, LoopPicture, Plane};
 use super::result::{Controlled, LoopResult};
@@ -199,7 +201,12 @@ fn loci(l: &LoopResult, p: &Plane) -> XyPlot {
         Axis::new(format!("ki x {}", l.sign), "1/s"),
     )
     .caption("The set point with the largest Ms, its delay exact, with the derivative part where there is one (a predictor's delay left out); 0 dB is the boundary of stability. The region of a margin is the part below its locus, that of Ms inside its own. The delay margin that is drawn is the one that is asked, else that of the gains.");
-    let plot = p.loci.iter().fold(plot, |plot, (name, x, y)| plot.line(name.as_str(), x.clone(), y.clone()));
+    // The first is the boundary of stability.
+    let curve = |k: usize, name: &str| match k {
+        0 => XySeries::new(name, p.loci[k].1.clone(), p.loci[k].2.clone()).role(Role::Limit),
+        _ => XySeries::new(name, p.loci[k].1.clone(), p.loci[k].2.clone()),
+    };
+    let plot = p.loci.iter().enumerate().fold(plot, |plot, (k, (name, _, _))| plot.series(curve(k, name)));
     let (kp, ki) = (l.rules.first().map_or(0.0, |t| t.kp), l.rules.first().map_or(0.0, |t| t.ki));
     plot.points("gains", [kp], [ki])
 }

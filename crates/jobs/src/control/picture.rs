@@ -13,6 +13,8 @@ use super::loops::controller;
 use super::result::{ControlJobError, LoopResult};
 use super::spec::Job;
 
+/// Settling times that a step response shows.
+const SHOWN: f64 = 6.0;
 /// Most rows of a step response.
 const ROWS: usize = 4000;
 /// Margins whose loci are drawn: factors of the gain, phases in deg, dampings.
@@ -80,7 +82,11 @@ pub(super) fn drawn(
         let plane = choice.map(|c| plane(l, c, &channels, loaded, &job.asked));
         out.loops.push(LoopPicture { plane, bode });
     }
-    let whole_s = runs.iter().map(|r| r.step_s * r.rows as f64).fold(0.0, f64::max);
+    // Some times what the slowest loop takes to settle is enough to see it.
+    let settled =
+        loops.iter().map(|l| l.rules.first().and_then(|t| t.settling_s)).collect::<Option<Vec<f64>>>();
+    let shown_s = settled.map_or(f64::INFINITY, |all| SHOWN * all.into_iter().fold(0.0, f64::max));
+    let whole_s = runs.iter().map(|r| r.step_s * r.rows as f64).fold(0.0, f64::max).min(shown_s);
     out.step_s = runs.iter().map(|r| r.step_s).fold(f64::INFINITY, f64::min);
     let rows = ((whole_s / out.step_s) as usize).clamp(60, 200_000);
     for k in 0..job.loops.len() {
