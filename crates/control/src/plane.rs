@@ -19,7 +19,7 @@ use crate::error::ControlError;
 use crate::grid::frequencies;
 use crate::margin::{Margins, of_response};
 use crate::matrix::{C, ONE};
-use crate::poly::{degree, value};
+use crate::poly::{degree, roots, value};
 use crate::runtime::PidGains;
 use crate::system::{System, Time, Transfer};
 
@@ -89,9 +89,9 @@ impl Channel {
     }
 
     fn seen(time: Time, transfer: Transfer, derivative: (f64, f64), system: &System) -> Self {
-        let unit = PidGains { kp: 1.0, ki: 1.0, kd: derivative.0, filter_s: derivative.1 };
+        let unit = PidGains { kd: derivative.0, filter_s: derivative.1, ..middling(time, &transfer) };
         let part = |gains: PidGains| gains.transfer(time);
-        let integral = part(PidGains { kp: 0.0, kd: 0.0, ..unit });
+        let integral = part(PidGains { kp: 0.0, ki: 1.0, kd: 0.0, ..unit });
         let rate = part(PidGains { kp: 0.0, ki: 0.0, ..unit });
         let grid = System::single(time, part(unit)).map_or(Vec::new(), |c| frequencies(system, &c));
         let poles = [transfer.den.clone(), integral.den, rate.den.clone()];
@@ -230,6 +230,27 @@ impl Channel {
         let least = (0..self.grid.len()).map(size).fold(f64::INFINITY, f64::min);
         1.0 / least.sqrt()
     }
+}
+
+/// A PI of the size and time of a channel, for the frequencies at which it is looked at whatever its units.
+fn middling(time: Time, transfer: &Transfer) -> PidGains {
+    let poles = roots(&transfer.den).unwrap_or_default();
+    let rate = |p: &C| match time {
+        Time::Continuous => p.norm(),
+        Time::Sampled { sample_time_s } => p.norm().ln().abs() / sample_time_s,
+    };
+    let end = time.nyquist_rad_s().unwrap_or(f64::INFINITY);
+    let slow = poles
+        .iter()
+        .map(rate)
+        .filter(|r| *r > if end.is_finite() { 1e-6 * end } else { 0.0 })
+        .fold(f64::INFINITY, f64::min);
+    let late = if transfer.delay_s > 0.0 { 1.0 / transfer.delay_s } else { f64::INFINITY };
+    let w = slow.min(late).min(0.3 * end);
+    let w = if w.is_finite() { w } else { 1.0 };
+    let size = transfer.at(time, w).norm();
+    let kp = if size > 0.0 && size.is_finite() { 1.0 / size } else { 1.0 };
+    PidGains::pi(kp, kp * w)
 }
 
 fn product(poles: &[Vec<f64>; 3], x: C) -> C {

@@ -24,6 +24,9 @@ const FAN: i32 = 14;
 const SHARES: [f64; 8] = [0.98, 0.8, 0.6, 0.45, 0.3, 0.15, 0.05, 0.01];
 /// Share of the largest kp that is searched below zero.
 const BELOW: f64 = 0.25;
+/// Candidates that are run at a time, and how much longer than the best one's settling time a run is that shows who is slower.
+const ROUND: usize = 32;
+const LONGER: f64 = 1.3;
 /// Rounds of refinement about the best point.
 const ROUNDS: usize = 8;
 /// Factors f of the derivative that are tried, and the ratio of neighbours, whose roots are tried about the best.
@@ -62,8 +65,8 @@ pub struct PidChoice {
     pub kd: f64,
     /// Time constant of its filter in s.
     pub filter_s: f64,
-    /// The best PI.
-    pub pi: Tuned,
+    /// The best PI; none where no PI is stable.
+    pub pi: Option<Tuned>,
 }
 
 /// How good gains are: whether they keep everything, and then the worst settling time in s, else the worst ratio of asked to had.
@@ -77,6 +80,15 @@ impl Score {
     fn beats(&self, other: &Self) -> bool {
         (self.keeps && !other.keeps) || (self.keeps == other.keeps && self.value < other.value)
     }
+}
+
+/// Gains with the worst ratio of asked to had, and how far the next look goes.
+#[derive(Clone, Copy)]
+struct Candidate {
+    violation: f64,
+    kp: f64,
+    ki: f64,
+    step: (f64, f64),
 }
 
 /// Gains with what they are worth, and how far the next look goes.
@@ -115,12 +127,11 @@ pub fn choose(channels: &[Channel], asked: &Asked, r: StepRun) -> Result<Choice,
     let width = (kp.upper - kp.lower) / RASTER as f64;
     let on_raster = |k: usize| {
         let (kp, ki) = (kp_values[k % RASTER], ki_values[k / RASTER]);
-        let score = search.settled(raster[k]?, kp, ki);
-        Some(Found { score, kp, ki, step: (width, 0.3 * ki) })
+        Some(Candidate { violation: raster[k]?, kp, ki, step: (width, 0.3 * ki) })
     };
-    let mut found: Vec<Found> = (0..RASTER * RASTER).into_par_iter().filter_map(on_raster).collect();
-    found.extend(search.fan());
-    let first = found.into_iter().reduce(|a, b| if b.score.beats(&a.score) { b } else { a });
+    let mut candidates: Vec<Candidate> = (0..RASTER * RASTER).filter_map(on_raster).collect();
+    candidates.extend(search.fan());
+    let first = search.best_of(candidates);
     let none = || ControlError::Unstable {
         what: "every PI that was tried on all set points".into(),
         poles: "the raster of the plane".into(),
@@ -141,39 +152,71 @@ pub fn choose_pid(
     filter_s: Option<f64>,
     r: StepRun,
 ) -> Result<PidChoice, ControlError> {
-    let pi = choose(channels, asked, r)?;
-    let (size, w_rad_s) = crossover(channels, &pi.tuned);
-    let score = |c: &Choice| match (c.tuned.violation, c.tuned.settling_s) {
-        (Some(v), _) if v > 1.0 => Score { keeps: false, value: v },
-        (Some(_), Some(s)) => Score { keeps: true, value: s },
-        _ => Score { keeps: false, value: f64::INFINITY },
-    };
-    let at = |f: f64| -> Option<(Choice, f64, f64)> {
-        let kd = f * size / w_rad_s;
-        let filter_s = filter_s.unwrap_or(kd / (LIFT * size));
+    let pi = choose(channels, asked, r);
+    let at = |kd: f64, own_s: f64| -> Option<(Choice, f64, f64)> {
+        let filter_s = filter_s.unwrap_or(own_s);
         let with: Vec<Channel> =
             channels.iter().map(|c| c.with_derivative(kd, filter_s)).collect::<Result<_, _>>().ok()?;
         Some((choose(&with, asked, r).ok()?, kd, filter_s))
     };
-    let alone = pi.tuned.clone();
-    let mut best = (pi, 0.0, 0.0);
-    let mut f = 1.0;
-    let coarse: Vec<f64> = (0..DERIVATIVES).map(|k| RATIO.powi(1 - k as i32)).collect();
-    let mut rounds = vec![coarse];
-    rounds.extend(CLOSER.map(|c| vec![RATIO.powf(c), RATIO.powf(-c)]));
-    for (k, factors) in rounds.into_iter().enumerate() {
-        if k > 0 && best.1 == 0.0 {
-            break;
+    let better = |a: &Option<(Choice, f64, f64)>, b: &Option<(Choice, f64, f64)>| match (a, b) {
+        (Some(a), Some(b)) => worth(&a.0).beats(&worth(&b.0)),
+        (a, b) => a.is_some() && b.is_none(),
+    };
+    // Gains and filters about the PI's crossover; where no PI is stable, those of a derivative part that crosses over somewhere.
+    let (starts, pi) = match pi {
+        Ok(c) => {
+            let (size, w_rad_s) = crossover(channels, &c.tuned);
+            let kd = |k: usize| RATIO.powi(1 - k as i32) * size / w_rad_s;
+            ((0..DERIVATIVES).map(|k| (kd(k), kd(k) / (LIFT * size))).collect::<Vec<_>>(), Ok((c, 0.0, 0.0)))
         }
-        let about = if k == 0 { 1.0 } else { f };
-        for factor in factors {
-            let Some(found) = at(about * factor) else { continue };
-            if score(&found.0).beats(&score(&best.0)) {
-                (best, f) = (found, about * factor);
+        Err(e) => (by_frequency(&channels[0]), Err(e)),
+    };
+    let alone = pi.as_ref().ok().map(|c| c.0.tuned.clone());
+    let (mut best, refused) = match pi {
+        Ok(c) => (Some(c), None),
+        Err(e) => (None, Some(e)),
+    };
+    let mut about = None;
+    for (kd, own_s) in starts {
+        let found = at(kd, own_s);
+        if better(&found, &best) {
+            (best, about) = (found, Some((kd, own_s)));
+        }
+    }
+    for closer in CLOSER {
+        let Some((kd, own_s)) = about else { break };
+        for factor in [RATIO.powf(closer), RATIO.powf(-closer)] {
+            let found = at(kd * factor, own_s * factor);
+            if better(&found, &best) {
+                (best, about) = (found, Some((kd * factor, own_s * factor)));
             }
         }
     }
-    Ok(PidChoice { choice: best.0, kd: best.1, filter_s: best.2, pi: alone })
+    let none =
+        || ControlError::Unstable { what: "every PID that was tried".into(), poles: "the plane".into() };
+    let (choice, kd, filter_s) = best.ok_or_else(|| refused.unwrap_or_else(none))?;
+    Ok(PidChoice { choice, kd, filter_s, pi: alone })
+}
+
+/// What a choice is worth among others.
+fn worth(c: &Choice) -> Score {
+    match (c.tuned.violation, c.tuned.settling_s) {
+        (Some(v), _) if v > 1.0 => Score { keeps: false, value: v },
+        (Some(_), Some(s)) => Score { keeps: true, value: s },
+        _ => Score { keeps: false, value: f64::INFINITY },
+    }
+}
+
+/// Derivative gains, with their filters in s, that make the loop gain 1 at frequencies along the grid.
+fn by_frequency(channel: &Channel) -> Vec<(f64, f64)> {
+    let n = channel.grid.len();
+    let at = |k: usize| {
+        let place = n * (2 * k + 1) / (2 * 2 * DERIVATIVES);
+        let (w, size) = (channel.grid[place], channel.response[place].norm());
+        (1.0 / (w * size), 1.0 / (LIFT * w))
+    };
+    (0..2 * DERIVATIVES).map(at).filter(|(kd, _)| kd.is_finite() && *kd > 0.0).collect()
 }
 
 /// Size of the PI at the slowest crossover of its loops, and that frequency in rad/s.
@@ -191,27 +234,64 @@ impl Search<'_> {
         self.channels.iter().try_fold(0.0, |w: f64, c| Some(w.max(self.asked.violation(&c.margins(kp, ki)?))))
     }
 
-    fn score(&self, kp: f64, ki: f64) -> Option<Score> {
-        Some(self.settled(self.worst(kp, ki)?, kp, ki))
+    fn score(&self, kp: f64, ki: f64, best: &Score) -> Option<Score> {
+        Some(self.settled(self.worst(kp, ki)?, kp, ki, best))
     }
 
-    fn settled(&self, violation: f64, kp: f64, ki: f64) -> Score {
+    /// What gains are worth. Against gains that settle in a time, a run a little longer than that is enough to see that others do not.
+    fn settled(&self, violation: f64, kp: f64, ki: f64, best: &Score) -> Score {
         if violation > 1.0 {
             return Score { keeps: false, value: violation };
         }
         let r = self.run;
-        let time = |c: &Channel| settled_s(c, &c.gains(kp, ki), r);
-        let times = self.channels.iter().map(|c| time(c).unwrap_or(r.step_s * r.rows as f64 * 2.0));
-        Score { keeps: true, value: times.fold(0.0, f64::max) }
+        let never = r.step_s * r.rows as f64 * 2.0;
+        let time = |r: StepRun| {
+            let own = |c: &Channel| settled_s(c, &c.gains(kp, ki), r).unwrap_or(never);
+            self.channels.iter().map(own).fold(0.0, f64::max)
+        };
+        if best.keeps {
+            let rows = (LONGER * best.value / r.step_s) as usize + 20;
+            if rows < r.rows && time(StepRun { rows, ..r }) >= best.value {
+                return Score { keeps: true, value: never };
+            }
+        }
+        Score { keeps: true, value: time(r) }
+    }
+
+    /// The best candidate, those nearest to what is asked first: they are mostly the fastest. Rounds of a fixed size, so that the answer
+    /// does not hang on the number of threads.
+    fn best_of(&self, mut all: Vec<Candidate>) -> Option<Found> {
+        // What keeps everything by least first, then what misses by least.
+        all.sort_by(|a, b| {
+            let place = |c: &Candidate| if c.violation <= 1.0 { 1.0 - c.violation } else { c.violation };
+            place(a).total_cmp(&place(b))
+        });
+        let mut best: Option<Found> = None;
+        for round in all.chunks(ROUND) {
+            let against = best.map_or(Score { keeps: false, value: f64::INFINITY }, |b| b.score);
+            let found: Vec<Found> = round
+                .par_iter()
+                .map(|c| {
+                    let score = self.settled(c.violation, c.kp, c.ki, &against);
+                    Found { score, kp: c.kp, ki: c.ki, step: c.step }
+                })
+                .collect();
+            for f in found {
+                if best.as_ref().is_none_or(|b| f.score.beats(&b.score)) {
+                    best = Some(f);
+                }
+            }
+        }
+        best
     }
 
     /// For each kp of the fan the ki that keep Ms on all channels.
-    fn fan(&self) -> Vec<Found> {
+    fn fan(&self) -> Vec<Candidate> {
         let halves = (0..=FAN).map(|k| 0.5f64.powi(k));
         let mut all: Vec<f64> = halves.flat_map(|s| [s * self.kp.upper, s * self.kp.lower]).collect();
         all.push(0.0);
         let smallest = self.kp.upper.abs().max(self.kp.lower.abs()) * 0.5f64.powi(FAN + 1);
-        let of = |kp: &f64| -> Vec<Found> {
+        let of = |kp: &f64| -> Vec<Candidate> {
             let mut left = vec![Interval { lower: 0.0, upper: self.ki.upper }];
             for c in self.channels {
                 let own = c.ki_with_sensitivity(*kp, self.asked.sensitivity);
@@ -220,7 +300,7 @@ impl Search<'_> {
             let inside = left.iter().flat_map(|i| SHARES.map(|s| i.lower + s * (i.upper - i.lower)));
             let found = inside.filter_map(|ki| {
                 let step = (0.4 * kp.abs().max(smallest), 0.3 * ki);
-                Some(Found { score: self.score(*kp, ki)?, kp: *kp, ki, step })
+                Some(Candidate { violation: self.worst(*kp, ki)?, kp: *kp, ki, step })
             });
             found.collect()
         };
@@ -236,7 +316,8 @@ impl Search<'_> {
                 .map(|k| (f64::from(k / 3 - 1), f64::from(k % 3 - 1)))
                 .map(|(a, b)| (best.kp + a * dp, (best.ki + b * di).max(1e-9 * self.ki.upper)))
                 .collect();
-            let found: Vec<Option<Score>> = around.par_iter().map(|(p, i)| self.score(*p, *i)).collect();
+            let found: Vec<Option<Score>> =
+                around.par_iter().map(|(p, i)| self.score(*p, *i, &best.score)).collect();
             let before = best.score;
             for (score, (kp, ki)) in found.into_iter().zip(around) {
                 if let Some(score) = score.filter(|s| s.beats(&best.score)) {

@@ -103,6 +103,8 @@ pub struct Tuned {
     pub violation: Option<f64>,
 }
 
+/// Most rows of an open step.
+const ROWS: f64 = 200_000.0;
 /// Share of the step within which it counts as settled.
 const SETTLED: f64 = 0.02;
 
@@ -114,7 +116,9 @@ pub fn lag(channel: &Channel) -> Result<Lag, ControlError> {
     let steady = channel.transfer.steady_gain(channel.time);
     let refused =
         || ControlError::number("the step response of the channel at its end", steady, "that it settles");
-    let (step_s, rows) = horizon(channel);
+    let (fine_s, whole_s) = horizon(channel);
+    let step_s = if channel.time == Time::Continuous { fine_s.max(whole_s / ROWS) } else { fine_s };
+    let rows = (whole_s / step_s).min(ROWS) as usize;
     let open = open_step(channel, step_s, rows)?;
     let end = *open.last().ok_or_else(refused)?;
     if !(steady.is_finite() && (end / steady - 1.0).abs() < 0.05) {
@@ -131,30 +135,30 @@ pub fn lag(channel: &Channel) -> Result<Lag, ControlError> {
     Ok(Lag { gain: steady, lag_s: lag_s.max(0.1 * step_s), dead_s: (t63 - lag_s).max(0.5 * step_s) })
 }
 
-/// Step and rows of a run that shows a channel from its delay to its slowest pole.
-fn horizon(channel: &Channel) -> (f64, usize) {
+/// Step that follows a channel, and the time that shows it from its delay to its slowest pole, both in s.
+fn horizon(channel: &Channel) -> (f64, f64) {
     let poles = crate::poly::roots(&channel.transfer.den).unwrap_or_default();
     let slowest =
         |rates: &mut dyn Iterator<Item = f64>| rates.filter(|r| *r > 0.0).fold(f64::INFINITY, f64::min);
     match channel.time {
         // Integrators alone have no time of their own: that of gains to choose from about the middle of the grid.
-        Time::Continuous if channel.transfer.delay_s == 0.0 && poles.iter().all(|p| p.norm() < 1e-12) => {
+        Time::Continuous if channel.transfer.delay_s == 0.0 && poles.iter().all(|p| p.norm() == 0.0) => {
             let middle = channel.grid[channel.grid.len() / 2];
-            (0.005 / middle, 1600)
+            (0.005 / middle, 8.0 / middle)
         }
         Time::Continuous => {
             let slow = slowest(&mut poles.iter().map(|p| -p.re));
             let fast = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
             let delay = channel.transfer.delay_s;
-            let whole = 8.0 / slow.min(1e9) + 4.0 * delay;
-            let fine = (0.1 / fast.max(1e-9)).min(if delay > 0.0 { delay / 4.0 } else { f64::INFINITY });
-            (fine.max(whole / 200_000.0), ((whole / fine) as usize).clamp(400, 200_000))
+            let fine = (0.1 / fast).min(if delay > 0.0 { delay / 4.0 } else { f64::INFINITY });
+            let whole = if slow.is_finite() { 8.0 / slow } else { 0.0 } + 4.0 * delay;
+            (fine, whole.max(400.0 * fine))
         }
         Time::Sampled { sample_time_s } => {
             let slow = slowest(&mut poles.iter().map(|p| p.norm().ln()));
             let n = if slow.is_finite() { 8.0 / slow } else { 0.0 };
             let lags = channel.transfer.num.len() as f64 + channel.transfer.delay_s / sample_time_s;
-            (sample_time_s, ((n + 4.0 * lags) as usize).clamp(50, 200_000))
+            (sample_time_s, (n + 4.0 * lags).max(50.0) * sample_time_s)
         }
     }
 }
@@ -192,10 +196,7 @@ pub struct StepRun {
 /// The run in which all plants can settle: twenty times the lag with its dead time, and two and a half times what shows the channel from its
 /// delay to its slowest pole (a lightly damped one is slow under a PI), for channels without a lag ten times that.
 pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
-    let shown = |c: &Channel| {
-        let (step_s, rows) = horizon(c);
-        10.0 * step_s * rows as f64
-    };
+    let shown = |c: &Channel| 10.0 * horizon(c).1;
     let share = if lags.len() < channels.len() { 1.0 } else { 0.25 };
     let other = channels.iter().map(|c| share * shown(c)).fold(0.0, f64::max);
     let whole = lags.iter().map(|l| 20.0 * (l.lag_s + l.dead_s)).fold(other, f64::max);

@@ -79,7 +79,11 @@ fn a_derivative_part_holds_what_no_pi_holds() {
         let c = s.inv() * p.ki + p.kp + s * kd / (s * t + 1.0);
         assert!((c / (s * s) + 0.5).norm() < 1e-9, "{p:?}");
     }
+    // No PI holds it, and the search for a PID does not need one.
+    let late = [continuous(&[1.0], &[1.0, 0.0, 0.0], 0.2)];
     assert!(choose(&[twice], &asked, StepRun { step_s: 0.01, rows: 4000 }).is_err());
+    let found = choose_pid(&late, &asked, None, run_of(&late)).unwrap();
+    assert!(found.choice.kept && found.kd > 0.0 && found.pi.is_none(), "{:?}", found.choice.tuned);
 }
 
 /// A PID that is searched keeps what is asked and settles sooner than the best PI: on a lag with dead time, and by far on a lightly
@@ -98,8 +102,11 @@ fn a_pid_is_faster_than_the_best_pi() {
         let r = run_of(std::slice::from_ref(&channel));
         let found = choose_pid(std::slice::from_ref(&channel), &asked, None, r).unwrap();
         let pid = &found.choice.tuned;
-        assert!(found.kd > 0.0 && found.choice.kept && found.pi.violation.unwrap() <= 1.0, "{found:?}");
-        let (own, pi) = (pid.settling_s.unwrap(), found.pi.settling_s.unwrap());
+        assert!(
+            found.kd > 0.0 && found.choice.kept && found.pi.as_ref().unwrap().violation.unwrap() <= 1.0,
+            "{found:?}"
+        );
+        let (own, pi) = (pid.settling_s.unwrap(), found.pi.as_ref().unwrap().settling_s.unwrap());
         assert!(own < sooner * pi, "{own} {pi} {:?}", (found.kd, found.filter_s));
         let gains = PidGains { kp: pid.kp, ki: pid.ki, kd: found.kd, filter_s: found.filter_s };
         let closed = dynocal_control::closed::Closed::new(
@@ -149,4 +156,23 @@ fn long_delays_have_a_plane() {
     let ki = channel.stable_ki(0.0);
     let edge = std::f64::consts::FRAC_PI_2 / 101.0;
     assert!(ki.len() == 1 && (ki[0].upper / edge - 1.0).abs() < 0.01, "{ki:?}");
+}
+
+/// Gains follow the units and the time of the plant: the same plant in other ones has the same margins and settles in the same share of its
+/// time; a lag of a million dead times is no slower than its dead time lets it be.
+#[test]
+fn gains_follow_the_scales_of_the_plant() {
+    let asked = Asked::default();
+    let of = |channel: Channel| {
+        let channels = [channel];
+        choose(&channels, &asked, run_of(&channels)).unwrap().tuned
+    };
+    let plain = of(continuous(&[1.0], &[1.0, 2.0, 1.0], 0.3));
+    let (gain, time) = (1e9, 1e-6);
+    let scaled = of(continuous(&[gain], &[time * time, 2.0 * time, 1.0], 0.3 * time));
+    assert!((scaled.kp * gain / plain.kp - 1.0).abs() < 0.02, "{plain:?} {scaled:?}");
+    let (a, b) = (plain.settling_s.unwrap(), scaled.settling_s.unwrap());
+    assert!((b / time / a - 1.0).abs() < 0.02, "{a} {b}");
+    let slow = of(continuous(&[1.0], &[1e6, 1.0], 1.0));
+    assert!(slow.settling_s.unwrap() < 20.0, "{slow:?}");
 }

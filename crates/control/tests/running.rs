@@ -149,7 +149,7 @@ fn stored_controllers_are_checked() {
         start: 0.0,
         predictor: Some(known(5.0, 0.0)),
     };
-    let file = |l: StoredLoop| StoredController { sample_time_s: DT_S, loops: vec![l] };
+    let file = |l: StoredLoop| StoredController { sample_time_s: DT_S, loops: vec![l], catalyst: None };
     file(own.clone()).check().unwrap();
     let refused = |change: &dyn Fn(&mut StoredLoop)| {
         let mut l = own.clone();

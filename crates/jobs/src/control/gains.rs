@@ -136,7 +136,7 @@ fn searched(
     let found = choose_pid(&nominal, &job.asked, l.derivative_filter_s, r)?;
     let with = with_derivative(&nominal, found.kd, found.filter_s)?;
     let draws = with_derivative(draws, found.kd, found.filter_s)?;
-    Ok((scenarios(job, with.clone(), &draws, r)?, with, Some(found.pi)))
+    Ok((scenarios(job, with.clone(), &draws, r)?, with, found.pi))
 }
 
 /// Refuses channels that run away by themselves: the sign of their gain at rest says nothing of the PI that holds them.
