@@ -7,7 +7,8 @@
 //! ```
 //!
 //! The bias stands for an error of the front sensor, which the integrator would add up: whatever the store was thought to hold
-//! when it broke through, over the air since it was last known, is the bias that explains it; a stated share of that is learnt.
+//! when it broke through, over the air since it was last known, is the bias that explains it; a stated share of that is learnt, up to
+//! what the trim can take off. Before the first break-through nobody knows what the store holds: that one says nothing of the bias.
 //! With a memory the capacity is estimated beside the bias: from one end to the next
 //!
 //! ```text
@@ -22,6 +23,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ControlError;
 
+/// Lambda that no flame has: below it the front sensor shows nothing.
+pub const LEAST_LAMBDA: f64 = 0.3;
+/// Air in g since the store was last known, without which a break-through says nothing of the bias.
+pub const LEAST_AIR_G: f64 = 1e-6;
 /// Mass fraction of oxygen in air, as the balance takes it.
 pub const OXYGEN: f64 = 0.23;
 
@@ -112,7 +117,7 @@ impl OxygenObserver {
         let s = settings;
         let positive = [("capacity_g", s.capacity_g), ("half_g_s", s.half_g_s), ("rear_band", s.rear_band)];
         for (what, v) in positive {
-            if !(v > 0.0) {
+            if !(v > 0.0) || (what == "capacity_g" && !v.is_finite()) {
                 return Err(ControlError::number(what, v, "a positive number"));
             }
         }
@@ -151,7 +156,7 @@ impl OxygenObserver {
     /// Sensors that show no number leave it what it is.
     pub fn step(&mut self, front: f64, rear: f64, air_g_s: f64, dt_s: f64) -> f64 {
         let s = self.settings;
-        if front.is_finite() && front > 0.0 && air_g_s.is_finite() {
+        if front.is_finite() && front > LEAST_LAMBDA && air_g_s.is_finite() {
             let air_g = air_g_s.max(0.0) * dt_s;
             let capacity_g = self.capacity_g(air_g_s);
             let told = OXYGEN * (1.0 - 1.0 / front) * air_g;
@@ -180,10 +185,11 @@ impl OxygenObserver {
                     let air_g = self.state.air_g;
                     self.state.bias =
                         self.state.passages.ended(end, air_g, self.settings.memory, capacity_g, bias);
-                } else if self.state.air_g > 0.0 {
+                } else if self.state.passages.end.is_some() && self.state.air_g > LEAST_AIR_G {
                     let known_g = self.state.passages.capacity_g * end;
                     let shown = (known_g - self.state.oxygen_g) / self.state.air_g;
-                    self.state.bias += self.settings.learn * shown;
+                    let most = 2.0 * self.settings.most * OXYGEN;
+                    self.state.bias = (self.state.bias + self.settings.learn * shown).clamp(-most, most);
                 }
             }
             let passages = &mut self.state.passages;

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::matrix::{C, ONE};
 use crate::plane::{Channel, phi};
+use crate::poly::degree;
 use crate::system::Time;
 
 /// Halvings of an interval that holds a crossing.
@@ -302,6 +303,10 @@ impl Channel {
         if let Some(end) = self.time.nyquist_rad_s() {
             let known = self.known_at(self.time.variable(end));
             ends.push(-1.0 / self.transfer.at(self.time, end).re - known.re);
+        }
+        // A plant that answers at once keeps a gain at all high frequencies.
+        if self.time == Time::Continuous && degree(&self.transfer.num) == degree(&self.transfer.den) {
+            ends.extend(own.last().map(|b| b.0));
         }
         ends.push(-1.0 / self.transfer.steady_gain(self.time));
         ends

@@ -157,6 +157,13 @@ impl StoredController {
         }
         if let Some(c) = self.catalyst {
             OxygenObserver::new(c, c.target)?;
+            if !c.half_g_s.is_finite() {
+                return Err(ControlError::number(
+                    "half_g_s of the catalyst",
+                    c.half_g_s,
+                    "a finite number in a file",
+                ));
+            }
             if c.memory > 0.0 {
                 return Err(ControlError::number(
                     "memory of the catalyst",

@@ -176,3 +176,17 @@ fn gains_follow_the_scales_of_the_plant() {
     let slow = of(continuous(&[1.0], &[1e6, 1.0], 1.0));
     assert!(slow.settling_s.unwrap() < 20.0, "{slow:?}");
 }
+
+/// A plant that answers at once, `(1 - s) / (1 + s)`: stable for `|kp| < 1`, `0 < ki < 1 + kp`, by hand from
+/// `(1 - kp) s^2 + (1 + kp - ki) s + ki`.
+#[test]
+fn plants_that_answer_at_once_have_a_plane() {
+    let channel = continuous(&[-1.0, 1.0], &[1.0, 1.0], 0.0);
+    let ranges = channel.kp_ranges();
+    let end = ranges.last().unwrap().upper;
+    assert!((end - 1.0).abs() < 1e-3, "{ranges:?}");
+    for kp in [-0.5, 0.2, 0.8] {
+        let ki = channel.stable_ki(kp);
+        assert!(ki.len() == 1 && (ki[0].upper / (1.0 + kp) - 1.0).abs() < 1e-6, "{kp} {ki:?}");
+    }
+}

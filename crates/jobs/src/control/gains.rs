@@ -25,7 +25,13 @@ fn whole(loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel
 }
 
 /// What the PI of a loop sees of a plant: a predictor's gains are those of the undelayed loop.
-fn seen_by(job: &Job, loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
+pub(super) fn seen_by(
+    job: &Job,
+    loaded: &Loaded,
+    plant: &System,
+    k: usize,
+    sign: f64,
+) -> Result<Channel, ControlError> {
     match job.loops[k].predictor {
         true => whole(loaded, &without_predicted(job, plant)?, k, sign),
         false => whole(loaded, plant, k, sign),

@@ -5,6 +5,7 @@ use dynocal_control::plane::{Channel, LocusPoint};
 use dynocal_control::response::Response;
 use dynocal_control::search::Choice;
 use dynocal_control::simulate::run;
+use dynocal_control::system::System;
 use dynocal_control::tune::{Asked, StepRun, step_run};
 use dynocal_numerics::interval::Interval;
 
@@ -71,15 +72,20 @@ pub(super) fn drawn(
     let mut out = Picture { measured, ..Picture::default() };
     let mut runs: Vec<StepRun> = Vec::new();
     for (k, (l, choice)) in loops.iter().zip(choices).enumerate() {
-        let channel = |s: &dynocal_control::system::System| {
-            let whole = super::decouple::channel(loaded, s, k).ok()?.scaled(l.sign);
-            Channel::new(loaded.time, whole).ok()?.with_derivative(l.kd * l.sign, l.derivative_filter_s).ok()
+        let whole = |s: &System| {
+            Channel::new(loaded.time, super::decouple::channel(loaded, s, k).ok()?.scaled(l.sign)).ok()
         };
-        let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| channel(&p.nominal)).collect();
+        // The plane is that of what the controller sees: a predictor's loop without the delay.
+        let seen = |s: &System| {
+            let own = super::gains::seen_by(job, loaded, s, k, l.sign).ok()?;
+            own.with_derivative(l.kd * l.sign, l.derivative_filter_s).ok()
+        };
+        let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| whole(&p.nominal)).collect();
+        let planes: Vec<Channel> = loaded.points.iter().filter_map(|p| seen(&p.nominal)).collect();
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
         runs.push(step_run(&channels, &lags));
         let bode = channels.iter().map(|c| bode(c, l.sign)).collect();
-        let plane = choice.map(|c| plane(l, c, &channels, loaded, &job.asked));
+        let plane = choice.map(|c| plane(l, c, &planes, loaded, &job.asked));
         out.loops.push(LoopPicture { plane, bode });
     }
     // Some times what the slowest loop takes to settle is enough to see it.

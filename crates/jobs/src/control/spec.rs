@@ -196,6 +196,13 @@ fn catalyst(t: &Typed, continuous: bool, faults: &mut Faults) {
     if let Err(e) = OxygenObserver::new(c, c.target) {
         faults.push("catalyst", e, "settings of a store");
     }
+    if !c.half_g_s.is_finite() {
+        faults.push(
+            "catalyst.half_g_s",
+            c.half_g_s,
+            "a finite number, g/s (1e9: all of the store at any flow)",
+        );
+    }
     if c.memory > 0.0 {
         faults.push("catalyst.memory", c.memory, "0: the delivered observer learns its bias alone");
     }

@@ -102,8 +102,13 @@ fn gains(found: &Controlled, l: &LoopResult) -> String {
     }
     if found.detuned > 1.0 {
         text += &format!(
-            " (made smaller by F = {:.3} because the loops act on each other, alone {} and {})",
+            " (made smaller by F = {:.3} because {}, alone {} and {})",
             found.detuned,
+            if found.loops.len() > 1 {
+                "the loops act on each other"
+            } else {
+                "the predictor's loop keeps less than its undelayed one"
+            },
             digits(l.kp * found.detuned),
             digits(l.ki * found.detuned * found.detuned)
         );

@@ -169,7 +169,9 @@ fn close(
         }
         let together = judge(job, loaded, loops)?;
         let kept = together.iter().all(|t| t.violation.is_some_and(|v| v <= 1.0));
-        if kept || given || (loops.len() == 1 && job.disk_margin == 0.0) {
+        // One loop without a predictor is judged as it was searched; a predictor's margins at its output are not those of its undelayed loop.
+        let as_searched = loops.len() == 1 && job.disk_margin == 0.0 && loops[0].predictor.is_none();
+        if kept || given || as_searched {
             return Ok((detuned, together));
         }
         first.get_or_insert(together);

@@ -1,10 +1,11 @@
 //! A controller as a program: each loop reads its demand, its measurement and a feedforward, and gives its actuator.
 //!
 //! Operation by operation it is [`dynocal_control::runtime::Pid`] and [`dynocal_control::predictor::Predictor`]: within the limits the same
-//! numbers, at them the same but for rounding. A measurement that is no number drives the actuator to its lower limit
-//! (the running controller holds it: a program has no such branch).
+//! numbers, at them the same but for rounding. A measurement that is no number holds the actuator and all that the controller remembers, as
+//! in the running one: whether it is one is a number too, and what a branch would choose is a sum of products.
 
 use dynocal_control::predictor::{PredictedModel, TransportFlow};
+use dynocal_control::runtime::PidGains;
 use dynocal_control::stored::{Schedule, StoredController, StoredLoop};
 use dynocal_export::characteristic::{Axis, Characteristic, identifier};
 use dynocal_export::package::Package;
@@ -31,8 +32,7 @@ pub fn controller(stored: &StoredController) -> Made {
         observer(&mut b, c, stored.sample_time_s);
     }
     let notes = vec![
-        "a measurement that is no number drives the exported controller to the lower limit of its actuator"
-            .into(),
+        "a measurement that is no number holds the actuator of the exported controller where it is".into(),
     ];
     let package = Package {
         name: "controller".into(),
@@ -111,13 +111,17 @@ fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>
     let later = |b: &mut Build, what: &str, samples: usize, start: f64| {
         b.node(&name(what), Op::Delay { of: 0, samples, start: Start::Value(start) })
     };
-    let mut turned: Vec<(NodeId, &str)> = Vec::new();
     let last_integral = later(b, "integral_1", 1, start);
-    let last_output = l.limits.rate_per_s.map(|_| later(b, "output_1", 1, start));
-    let (error, model) = match &l.predictor {
-        None => (b.node(&name("error"), Op::Difference { a: demand, b: measured }), None),
+    let last_output = later(b, "output_1", 1, start);
+    let (raw, model) = match &l.predictor {
+        None => (b.node(&name("error_raw"), Op::Difference { a: demand, b: measured }), None),
         Some(p) => predicted(b, &name, p, demand, measured, dt_s, start),
     };
+    // Whether error and feedforward are numbers, and both as numbers in any case.
+    let known = [number(b, &name("error_is"), raw), number(b, &name("feedforward_is"), forward)];
+    let told = b.node(&name("told"), Op::Polynomial { terms: vec![term(1.0, &known)] });
+    let error = finite(b, &name("error"), raw);
+    let forward = finite(b, &name("feedforward_held"), forward);
     let g = &l.gains;
     let proportional = match gains {
         Some((kp, _)) => term(1.0, &[kp, error]),
@@ -125,14 +129,7 @@ fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>
     };
     let mut terms = vec![term(1.0, &[forward]), proportional];
     if g.kd != 0.0 {
-        let before = b.node(&name("error_1"), Op::Delay { of: error, samples: 1, start: Start::First });
-        let change = b.node(&name("error_change"), Op::Difference { a: error, b: before });
-        let last = later(b, "derivative_1", 1, 0.0);
-        let whole = g.filter_s + dt_s;
-        let own = vec![term(g.filter_s / whole, &[last]), term(g.kd / whole, &[change])];
-        let derivative = b.node(&name("derivative"), Op::Polynomial { terms: own });
-        point(b, last, derivative);
-        terms.push(term(1.0, &[derivative]));
+        terms.push(term(1.0, &[derivative(b, &name, g, dt_s, told, error)]));
     }
     let base = b.node(&name("base"), Op::Polynomial { terms });
     let by_integral = match gains {
@@ -145,26 +142,79 @@ fn one(b: &mut Build, l: &StoredLoop, dt_s: f64, gains: Option<(NodeId, NodeId)>
     );
     let sum = b.node(&name("sum"), Op::Polynomial { terms: vec![term(1.0, &[base]), term(1.0, &[raw])] });
     let mut held = sum;
-    if let (Some(rate), Some(last)) = (l.limits.rate_per_s, last_output) {
-        let step = b.node(&name("move"), Op::Difference { a: sum, b: last });
+    if let Some(rate) = l.limits.rate_per_s {
+        let step = b.node(&name("move"), Op::Difference { a: sum, b: last_output });
         let most = rate * dt_s;
         let step = b.node(&name("move_held"), Op::Clamp { of: step, lower: -most, upper: most });
-        held = b.node(&name("rated"), Op::Polynomial { terms: vec![term(1.0, &[last]), term(1.0, &[step])] });
-        turned.push((last, "output"));
+        let terms = vec![term(1.0, &[last_output]), term(1.0, &[step])];
+        held = b.node(&name("rated"), Op::Polynomial { terms });
     }
-    let output = b.node(&name("limited"), Op::Clamp { of: held, lower, upper });
+    let limited = b.node(&name("limited"), Op::Clamp { of: held, lower, upper });
     // What the limits took off is taken off the integral: nothing winds up.
-    let cut = b.node(&name("cut"), Op::Difference { a: output, b: sum });
-    let integral =
-        b.node(&name("integral"), Op::Polynomial { terms: vec![term(1.0, &[raw]), term(1.0, &[cut])] });
+    let cut = b.node(&name("cut"), Op::Difference { a: limited, b: sum });
+    let whole =
+        b.node(&name("integral_whole"), Op::Polynomial { terms: vec![term(1.0, &[raw]), term(1.0, &[cut])] });
+    let integral = chosen(b, &name("integral"), told, whole, last_integral);
+    let output = chosen(b, &name("output"), told, limited, last_output);
     point(b, last_integral, integral);
-    for (node, _) in turned {
-        point(b, node, output);
-    }
+    point(b, last_output, output);
     for node in model.into_iter().flatten() {
         point(b, node, output);
     }
     b.output(&l.input, &l.input_unit, output);
+}
+
+/// The filtered derivative of the error; of the first sample there is none.
+fn derivative(
+    b: &mut Build,
+    name: &dyn Fn(&str) -> String,
+    g: &PidGains,
+    dt_s: f64,
+    told: NodeId,
+    error: NodeId,
+) -> NodeId {
+    let later = |b: &mut Build, what: &str| {
+        b.node(&name(what), Op::Delay { of: 0, samples: 1, start: Start::Value(0.0) })
+    };
+    let (before, seen, last) = (later(b, "error_1"), later(b, "error_seen_1"), later(b, "derivative_1"));
+    // Whether there was an error before.
+    let terms = vec![term(1.0, &[seen]), term(1.0, &[told]), term(-1.0, &[seen, told])];
+    let ever = b.node(&name("error_seen"), Op::Polynomial { terms });
+    let terms = vec![term(1.0, &[seen, error]), term(-1.0, &[seen, before])];
+    let change = b.node(&name("error_change"), Op::Polynomial { terms });
+    let whole = g.filter_s + dt_s;
+    let own = vec![term(g.filter_s / whole, &[last]), term(g.kd / whole, &[change])];
+    let own = b.node(&name("derivative"), Op::Polynomial { terms: own });
+    let kept = chosen(b, &name("derivative_kept"), told, own, last);
+    let held = chosen(b, &name("error_kept"), told, error, before);
+    for (past, now) in [(before, held), (seen, ever), (last, kept)] {
+        point(b, past, now);
+    }
+    own
+}
+
+/// 1 where x is a finite number, else 0.
+pub(super) fn number(b: &mut Build, name: &str, x: NodeId) -> NodeId {
+    let one = b.node(&format!("{name}_one"), Op::Scale { of: x, gain: 0.0, offset: 1.0 });
+    b.node(name, Op::Clamp { of: one, lower: 0.0, upper: 1.0 })
+}
+
+/// x, and 0 where it is no number.
+fn finite(b: &mut Build, name: &str, x: NodeId) -> NodeId {
+    let positive = b.node(&format!("{name}_above"), Op::Clamp { of: x, lower: 0.0, upper: MOST });
+    let less = b.node(&format!("{name}_less"), Op::Scale { of: x, gain: -1.0, offset: 0.0 });
+    let negative = b.node(&format!("{name}_below"), Op::Clamp { of: less, lower: 0.0, upper: MOST });
+    b.node(name, Op::Difference { a: positive, b: negative })
+}
+
+/// Largest error that is one: what single precision holds with room for gains.
+const MOST: f64 = 1e20;
+
+/// `yes` where `told` is 1, `no` where it is 0.
+pub(super) fn chosen(b: &mut Build, name: &str, told: NodeId, yes: NodeId, no: NodeId) -> NodeId {
+    // Products with 0 and 1 alone: each side is exactly itself.
+    let not = b.node(&format!("{name}_not"), Op::Scale { of: told, gain: -1.0, offset: 1.0 });
+    b.node(name, Op::Polynomial { terms: vec![term(1.0, &[told, yes]), term(1.0, &[not, no])] })
 }
 
 /// Turns a delay to the node whose past it reads.
@@ -245,18 +295,26 @@ fn predicted(
         None if p.delay_samples == 0.0 => model,
         None => past(b, name, model, p.delay_samples as usize),
     };
-    let unknown = b.node(&name("unknown"), Op::Difference { a: measured, b: late });
+    let unknown = b.node(&name("unknown_raw"), Op::Difference { a: measured, b: late });
+    // A measurement that is no number leaves the correction what it was.
+    let told = number(b, &name("measured_is"), unknown);
+    let unknown = finite(b, &name("unknown"), unknown);
     let correction = if p.filter_s > 0.0 {
         let share = -(-dt_s / p.filter_s).exp_m1();
         let op = Op::Delay { of: 0, samples: 1, start: Start::Value(0.0) };
         let last = b.node(&name("correction_1"), op);
         let terms = vec![term(1.0 - share, &[last]), term(share, &[unknown])];
-        let node = b.node(&name("correction"), Op::Polynomial { terms });
+        let whole = b.node(&name("correction_whole"), Op::Polynomial { terms });
+        let node = chosen(b, &name("correction"), told, whole, last);
         point(b, last, node);
         node
     } else {
-        unknown
+        let op = Op::Delay { of: 0, samples: 1, start: Start::Value(0.0) };
+        let last = b.node(&name("correction_1"), op);
+        let node = chosen(b, &name("correction"), told, unknown, last);
+        point(b, last, node);
+        node
     };
     let terms = vec![term(1.0, &[demand]), term(-1.0, &[model]), term(-1.0, &[correction])];
-    (b.node(&name("error"), Op::Polynomial { terms }), Some(waiting))
+    (b.node(&name("error_raw"), Op::Polynomial { terms }), Some(waiting))
 }

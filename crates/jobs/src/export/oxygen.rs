@@ -3,11 +3,11 @@
 //! Whether the rear sensor has left its band is a number, 0 or 1: what a branch chooses there is a sum of products here. Sensors that
 //! show no number move nothing.
 
-use dynocal_control::oxygen::{OXYGEN, OxygenSettings};
+use dynocal_control::oxygen::{LEAST_AIR_G, LEAST_LAMBDA, OXYGEN, OxygenSettings};
 use dynocal_export::program::{NodeId, Op, Shape, Start};
 
 use super::build::Build;
-use super::controller::{point, term};
+use super::controller::{chosen, number, point, term};
 
 /// Steepness of a step between 0 and 1: a rear lambda is told from the edge of its band to a billionth.
 const STEEP: f64 = 1e9;
@@ -24,18 +24,20 @@ pub(super) fn observer(b: &mut Build, s: &OxygenSettings, dt_s: f64) {
     let bias_1 = later(b, "oxygen_bias_1", 0.0);
     let air_1 = later(b, "air_since_1", 0.0);
     let outside_1 = later(b, "rear_outside_1", 0.0);
+    let known_1 = later(b, "store_known_1", 0.0);
+
+    // What a sample tells: 1 where lambda before and flow are numbers that can be, and where lambda behind is one as well.
+    let lit = step(b, "lambda_before_is", front, LEAST_LAMBDA);
+    let moving = number(b, "air_flow_is", flow);
+    let told = b.node("front_told", Op::Polynomial { terms: vec![term(1.0, &[lit, moving])] });
+    let shown = number(b, "lambda_behind_is", rear);
+    let seen = b.node("rear_told", Op::Polynomial { terms: vec![term(1.0, &[told, shown])] });
 
     let flowing = b.node("air_flowing", Op::Clamp { of: flow, lower: 0.0, upper: 1e6 });
     let slower = b.node("store_slower", Op::Scale { of: flowing, gain: 1.0 / s.half_g_s, offset: 1.0 });
     let capacity = b.node("store_capacity", Op::Reciprocal { of: slower, numerator: s.capacity_g });
-    let air = b.node("air_step", Op::Scale { of: flowing, gain: dt_s, offset: 0.0 });
-    // What is no number is lambda 1: it moves no oxygen.
-    let lean = b.node("lambda_above", Op::Scale { of: front, gain: 1.0, offset: -1.0 });
-    let lean = b.node("lambda_lean", Op::Clamp { of: lean, lower: 0.0, upper: 1e3 });
-    let rich = b.node("lambda_below", Op::Scale { of: front, gain: -1.0, offset: 1.0 });
-    let rich = b.node("lambda_rich", Op::Clamp { of: rich, lower: 0.0, upper: 0.999 });
-    let sum = vec![term(1.0, &[]), term(1.0, &[lean]), term(-1.0, &[rich])];
-    let held = b.node("lambda_held", Op::Polynomial { terms: sum });
+    let air = b.node("air_step", Op::Polynomial { terms: vec![term(dt_s, &[told, flowing])] });
+    let held = b.node("lambda_held", Op::Clamp { of: front, lower: LEAST_LAMBDA, upper: 1e3 });
     let per = b.node("lambda_inverse", Op::Reciprocal { of: held, numerator: 1.0 });
     let raw = vec![
         term(1.0, &[oxygen_1]),
@@ -44,27 +46,39 @@ pub(super) fn observer(b: &mut Build, s: &OxygenSettings, dt_s: f64) {
         term(1.0, &[bias_1, air]),
     ];
     let raw = b.node("oxygen_raw", Op::Polynomial { terms: raw });
-    let inside = within(b, raw, capacity);
+    // A flow that is no number leaves the store as it is, whatever its capacity then.
+    let within = within(b, raw, capacity);
+    let inside = chosen(b, "oxygen_now", told, within, oxygen_1);
     let since = b.node("air_since", Op::Polynomial { terms: vec![term(1.0, &[air_1]), term(1.0, &[air])] });
 
     let off = b.node("rear_off", Op::Scale { of: rear, gain: 1.0, offset: -1.0 });
     let size = b.node("rear_size", Op::Function { of: off, shape: Shape::Abs });
-    let outside = step(b, "rear_outside", size, s.rear_band);
+    let beyond = step(b, "rear_beyond", size, s.rear_band);
     let lean = step(b, "rear_lean", off, 0.0);
-    let known = b.node("oxygen_known", Op::Polynomial { terms: vec![term(1.0, &[capacity, lean])] });
+    let outside = chosen(b, "rear_outside", seen, beyond, outside_1);
+    let ended = b.node("rear_ended", Op::Polynomial { terms: vec![term(1.0, &[seen, beyond])] });
+    let full = b.node("oxygen_known", Op::Polynomial { terms: vec![term(1.0, &[capacity, lean])] });
     // What the store was thought to hold when it broke through, over the air since it was last known.
-    let least = b.node("air_since_held", Op::Clamp { of: since, lower: 1e-12, upper: 1e12 });
+    let enough = step(b, "air_enough", since, LEAST_AIR_G);
+    let least = b.node("air_since_held", Op::Clamp { of: since, lower: LEAST_AIR_G, upper: 1e12 });
     let inverse = b.node("air_since_inverse", Op::Reciprocal { of: least, numerator: 1.0 });
-    let missed = b.node("oxygen_missed", Op::Difference { a: known, b: inside });
-    let entering = vec![term(1.0, &[outside]), term(-1.0, &[outside, outside_1])];
+    let missed = b.node("oxygen_missed", Op::Difference { a: full, b: inside });
+    let entering = vec![term(1.0, &[ended]), term(-1.0, &[ended, outside_1])];
     let entering = b.node("rear_entering", Op::Polynomial { terms: entering });
-    let learnt = vec![term(1.0, &[bias_1]), term(s.learn, &[entering, missed, inverse])];
-    let bias = b.node("oxygen_bias", Op::Polynomial { terms: learnt });
-    let chosen = vec![term(1.0, &[inside]), term(1.0, &[outside, missed])];
-    let oxygen = b.node("oxygen", Op::Polynomial { terms: chosen });
-    let reset = vec![term(1.0, &[since]), term(-1.0, &[outside, since])];
-    let since = b.node("air_since_known", Op::Polynomial { terms: reset });
-    for (last, now) in [(oxygen_1, oxygen), (bias_1, bias), (air_1, since), (outside_1, outside)] {
+    let counts = b.node("bias_told", Op::Polynomial { terms: vec![term(1.0, &[entering, known_1, enough])] });
+    let learnt = vec![term(1.0, &[bias_1]), term(s.learn, &[counts, missed, inverse])];
+    let learnt = b.node("oxygen_bias_raw", Op::Polynomial { terms: learnt });
+    let most = 2.0 * s.most * OXYGEN;
+    let bias = b.node("oxygen_bias", Op::Clamp { of: learnt, lower: -most, upper: most });
+    let reset = vec![term(1.0, &[inside]), term(1.0, &[ended, missed])];
+    let oxygen = b.node("oxygen", Op::Polynomial { terms: reset });
+    let left = vec![term(1.0, &[since]), term(-1.0, &[ended, since])];
+    let since = b.node("air_since_known", Op::Polynomial { terms: left });
+    let ever = vec![term(1.0, &[known_1]), term(1.0, &[ended]), term(-1.0, &[ended, known_1])];
+    let known = b.node("store_known", Op::Polynomial { terms: ever });
+    for (last, now) in
+        [(oxygen_1, oxygen), (bias_1, bias), (air_1, since), (outside_1, outside), (known_1, known)]
+    {
         point(b, last, now);
     }
 
