@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::closed::{Closed, Responses, one_of};
 use crate::error::ControlError;
 use crate::matrix::{C, ONE};
+use crate::system::Time;
 
 /// Halvings of an interval that holds a crossing.
 const HALVINGS: usize = 60;
@@ -68,7 +69,11 @@ pub fn margins(closed: &Closed, side: Side, k: usize) -> Result<Margins, Control
     };
     let values: Vec<C> = closed.responses()?.iter().map(open).collect();
     let at = |w: f64| closed.at(w).map_or(C::new(f64::NAN, f64::NAN), |r| open(&r));
-    Ok(of_response(&closed.grid, &values, &at, closed.plant.time.nyquist_rad_s()))
+    let mut found = of_response(&closed.grid, &values, &at, closed.plant.time.nyquist_rad_s());
+    if let (Time::Continuous, Some(last)) = (closed.plant.time, closed.grid.last()) {
+        found.at_high(*last, closed.plant.delay_s() + closed.controller.delay_s() > 0.0, &at);
+    }
+    Ok(found)
 }
 
 /// Margins from a response on a grid; `at` gives it between. At half the sampling frequency and at rest a response is real
@@ -119,6 +124,20 @@ pub fn of_response(grid: &[f64], values: &[C], at: &dyn Fn(f64) -> C, nyquist_ra
 }
 
 impl Margins {
+    /// A continuous loop that keeps a gain at all high frequencies: without delay it is real there, with one it takes every phase.
+    pub(crate) fn at_high(&mut self, last_rad_s: f64, delayed: bool, at: &dyn Fn(f64) -> C) {
+        let (a, b) = (at(1e5 * last_rad_s), at(1e6 * last_rad_s));
+        if !(b.norm() > 0.5 * a.norm() && b.norm() > 1e-12 && (delayed || b.re < 0.0)) {
+            return;
+        }
+        let factor = 1.0 / b.norm();
+        if factor > 1.0 && self.gain_up.is_none_or(|g| factor < g) {
+            (self.gain_up, self.gain_up_rad_s) = (Some(factor), Some(last_rad_s));
+        } else if factor <= 1.0 && self.gain_down.is_none_or(|g| factor > g) {
+            self.gain_down = Some(factor);
+        }
+    }
+
     /// A real value of the loop.
     fn real(&mut self, w: f64, l: C) {
         // A pole of the loop changes the sign of the imaginary part too.

@@ -221,7 +221,11 @@ impl Channel {
             return None;
         }
         let at = |w: f64| self.transfer.at(self.time, w) * self.controller(self.time.variable(w), kp, ki);
-        Some(of_response(&self.grid, &self.open(kp, ki), &at, self.time.nyquist_rad_s()))
+        let mut found = of_response(&self.grid, &self.open(kp, ki), &at, self.time.nyquist_rad_s());
+        if let (Time::Continuous, Some(last)) = (self.time, self.grid.last()) {
+            found.at_high(*last, self.transfer.delay_s > 0.0, &at);
+        }
+        Some(found)
     }
 
     /// Largest |1 / (1 + G C)| on the grid, without refinement and without asking for stability.

@@ -17,7 +17,7 @@ use crate::margin::Margins;
 use crate::plane::Channel;
 use crate::runtime::PidGains;
 use crate::simulate::{run, settling_s};
-use crate::system::{System, Time};
+use crate::system::{System, Time, Transfer};
 
 /// A lag with dead time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -166,7 +166,7 @@ fn horizon(channel: &Channel) -> (f64, f64) {
 /// Answer of the channel to a unit step: the plant of a loop whose controller is nothing, under a load.
 fn open_step(channel: &Channel, step_s: f64, rows: usize) -> Result<Vec<f64>, ControlError> {
     let plant = System::single(channel.time, channel.transfer.clone())?;
-    let nothing = System::single(channel.time, crate::system::Transfer::gain(0.0))?;
+    let nothing = System::single(channel.time, Transfer::gain(0.0))?;
     let closed = Closed::in_time(plant, nothing);
     Ok(run(&closed, step_s, rows, &|_, r| r.fill(0.0), &|_, d| d.fill(1.0))?.y)
 }
@@ -204,28 +204,62 @@ pub fn step_run(channels: &[Channel], lags: &[Lag]) -> StepRun {
     StepRun { step_s: finest, rows: ((whole / finest) as usize).clamp(60, 50_000) }
 }
 
-/// Answer of one channel to a unit step of the demand.
+/// The same run in steps that follow the loop of a channel under gains: a fifth of its fastest crossover, a third of the filter of a
+/// derivative part. Sampled channels have their own step.
+pub fn followed(channel: &Channel, gains: &PidGains, r: StepRun) -> StepRun {
+    if channel.time != Time::Continuous {
+        return r;
+    }
+    let controller = gains.transfer(channel.time);
+    let above = |k: &usize| {
+        let c = controller.at(channel.time, channel.grid[*k]);
+        (channel.response[*k] * c).norm() > 0.5
+    };
+    let w = (0..channel.grid.len()).rev().find(above).map_or(0.0, |k| channel.grid[k]);
+    let filter_s = if gains.kd != 0.0 { gains.filter_s / 3.0 } else { f64::INFINITY };
+    let step_s = r.step_s.min(0.2 / w).min(filter_s);
+    let whole = r.step_s * r.rows as f64;
+    StepRun { step_s, rows: ((whole / step_s).ceil() as usize).clamp(r.rows, (ROWS as usize).max(r.rows)) }
+}
+
+/// Answer of one channel to a unit step of the demand, with the steps in which it is.
 ///
 /// # Errors
 /// As of [`run`].
-pub fn step_response(channel: &Channel, gains: &PidGains, r: StepRun) -> Result<Vec<f64>, ControlError> {
-    let plant = System::single(channel.time, channel.transfer.clone())?;
+pub fn step_response(
+    channel: &Channel,
+    gains: &PidGains,
+    r: StepRun,
+) -> Result<(Vec<f64>, StepRun), ControlError> {
+    let r = followed(channel, gains, r);
+    Ok((in_loop(channel, gains, r, [1.0, 0.0])?, r))
+}
+
+/// Outputs under constant demand and load. Plant and controller that both answer at once have a loop without time: two steps of delay give
+/// it one.
+fn in_loop(channel: &Channel, gains: &PidGains, r: StepRun, of: [f64; 2]) -> Result<Vec<f64>, ControlError> {
     let controller = System::single(channel.time, gains.transfer(channel.time))?;
-    let closed = Closed::in_time(plant, controller);
-    Ok(run(&closed, r.step_s, r.rows, &|_, r| r.fill(1.0), &|_, d| d.fill(0.0))?.y)
+    let own = |transfer: Transfer| -> Result<Vec<f64>, ControlError> {
+        let closed = Closed::in_time(System::single(channel.time, transfer)?, controller.clone());
+        Ok(run(&closed, r.step_s, r.rows, &|_, r| r.fill(of[0]), &|_, d| d.fill(of[1]))?.y)
+    };
+    match own(channel.transfer.clone()) {
+        Err(_) if channel.time == Time::Continuous && channel.transfer.delay_s == 0.0 => {
+            own(channel.transfer.delayed(2.0 * r.step_s))
+        }
+        found => found,
+    }
 }
 
 /// Time in s in which a step of the demand settles to 2 % of it. A channel that integrates needs no integral for that: of such a one a
 /// step of a load has to fade to 2 % of its largest effect as well. None: not within the run.
 pub fn settled_s(channel: &Channel, gains: &PidGains, r: StepRun) -> Option<f64> {
-    let y = step_response(channel, gains, r).ok()?;
+    let (y, r) = step_response(channel, gains, r).ok()?;
     let demand = settling_s(&y, 1, 0, r.step_s, 1.0, SETTLED)?;
     if channel.transfer.steady_gain(channel.time).is_finite() {
         return Some(demand);
     }
-    let plant = System::single(channel.time, channel.transfer.clone()).ok()?;
-    let closed = Closed::in_time(plant, System::single(channel.time, gains.transfer(channel.time)).ok()?);
-    let y = run(&closed, r.step_s, r.rows, &|_, r| r.fill(0.0), &|_, d| d.fill(1.0)).ok()?.y;
+    let y = in_loop(channel, gains, r, [0.0, 1.0]).ok()?;
     let largest = y.iter().fold(0.0f64, |m, v| m.max(v.abs()));
     let last = y.iter().rposition(|v| v.abs() > SETTLED * largest)?;
     (last + 1 < y.len()).then(|| demand.max((last + 1) as f64 * r.step_s))
@@ -260,7 +294,7 @@ pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked,
         let y = if violation.is_some() { step_response(c, gains, r).ok() } else { None };
         let settled = if y.is_some() { settled_s(c, gains, r) } else { None };
         tuned.settling_s = tuned.settling_s.zip(settled).map(|(a, b)| a.max(b));
-        let top = y.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+        let top = y.iter().flat_map(|(y, _)| y).copied().fold(f64::NEG_INFINITY, f64::max);
         tuned.overshoot = tuned.overshoot.max(if top.is_finite() { top - 1.0 } else { f64::INFINITY });
     }
     tuned

@@ -4,7 +4,7 @@ use dynocal_control::plane::Channel;
 use dynocal_control::runtime::PidGains;
 use dynocal_control::search::{choose, choose_pid};
 use dynocal_control::system::{Time, Transfer};
-use dynocal_control::tune::{Asked, Lag, StepRun, judged, lag, step_run};
+use dynocal_control::tune::{Asked, Lag, StepRun, judged, lag, settled_s, step_run};
 use dynocal_numerics::rng::Rng64;
 
 const TIME: Time = Time::Sampled { sample_time_s: 0.1 };
@@ -116,6 +116,13 @@ fn a_pid_is_faster_than_the_best_pi() {
         .unwrap();
         let m = dynocal_control::margin::margins(&closed, dynocal_control::margin::Side::Outputs, 0).unwrap();
         let told = pid.margins[0].as_ref().unwrap();
+        // The time it settles in is that of a run eight times as fine.
+        if channel.time == Time::Continuous {
+            let fine =
+                StepRun { step_s: r.step_s / 40.0, rows: 3000.max((1.5 * own / r.step_s) as usize * 40) };
+            let again = settled_s(&channel, &gains, fine).unwrap();
+            assert!((again / own - 1.0).abs() < 0.03, "{own} {again}");
+        }
         assert!((m.sensitivity / told.sensitivity - 1.0).abs() < 1e-3, "{m:?} {told:?}");
     }
 }
@@ -178,7 +185,7 @@ fn gains_follow_the_scales_of_the_plant() {
 }
 
 /// A plant that answers at once, `(1 - s) / (1 + s)`: stable for `|kp| < 1`, `0 < ki < 1 + kp`, by hand from
-/// `(1 - kp) s^2 + (1 + kp - ki) s + ki`.
+/// `(1 - kp) s^2 + (1 + kp - ki) s + ki`; they settle in a run though plant and controller answer at once.
 #[test]
 fn plants_that_answer_at_once_have_a_plane() {
     let channel = continuous(&[-1.0, 1.0], &[1.0, 1.0], 0.0);
@@ -188,5 +195,10 @@ fn plants_that_answer_at_once_have_a_plane() {
     for kp in [-0.5, 0.2, 0.8] {
         let ki = channel.stable_ki(kp);
         assert!(ki.len() == 1 && (ki[0].upper / (1.0 + kp) - 1.0).abs() < 1e-6, "{kp} {ki:?}");
+        // The gain may grow until `1 - g kp` or `1 + g (kp - ki)` is 0.
+        let m = channel.margins(kp, 0.3).unwrap();
+        let most =
+            [1.0 / kp, 1.0 / (0.3 - kp)].into_iter().filter(|g| *g > 0.0).fold(f64::INFINITY, f64::min);
+        assert!((m.gain_up.unwrap() / most - 1.0).abs() < 1e-3, "{kp} {most} {m:?}");
     }
 }

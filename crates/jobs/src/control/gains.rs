@@ -256,6 +256,11 @@ pub(super) fn smaller_rules(
         let gains = PidGains { kp: l.kp * l.sign, ki: l.ki * l.sign, kd: l.kd * l.sign, ..l.gains() };
         let run = step_run(&channels, &lags);
         l.rules.insert(0, judged("search, made smaller", &gains, &channels, &job.asked, run));
+        if l.predictor.is_some() {
+            l.predictor = Some(predictor(job, loaded, k, &job.loops[k], l).map_err(|source| {
+                ControlJobError::Loop { output: l.output.clone(), input: l.input.clone(), source }
+            })?);
+        }
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use dynocal_control::response::Response;
 use dynocal_control::search::Choice;
 use dynocal_control::simulate::run;
 use dynocal_control::system::System;
-use dynocal_control::tune::{Asked, StepRun, step_run};
+use dynocal_control::tune::{Asked, StepRun, followed, step_run};
 use dynocal_numerics::interval::Interval;
 
 use super::load::Loaded;
@@ -83,7 +83,8 @@ pub(super) fn drawn(
         let channels: Vec<Channel> = loaded.points.iter().filter_map(|p| whole(&p.nominal)).collect();
         let planes: Vec<Channel> = loaded.points.iter().filter_map(|p| seen(&p.nominal)).collect();
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
-        runs.push(step_run(&channels, &lags));
+        let r = step_run(&channels, &lags);
+        runs.extend(channels.iter().enumerate().map(|(i, c)| followed(c, &l.gains_at(i), r)));
         let bode = channels.iter().map(|c| bode(c, l.sign)).collect();
         let plane = choice.map(|c| plane(l, c, &planes, loaded, &job.asked));
         out.loops.push(LoopPicture { plane, bode });
