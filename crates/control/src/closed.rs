@@ -163,10 +163,11 @@ impl Closed {
                 let n = self.plant.states() + self.controller.states();
                 let beyond = self.grid.last().copied().unwrap_or(1.0) * 1e3;
                 let gain = self.plant.at(beyond).times(&self.controller.at(beyond)).norm();
-                if self.plant.delay_s() + self.controller.delay_s() > 0.0 && gain >= 1.0 {
+                let delayed = self.plant.delay_s() + self.controller.delay_s() > 0.0;
+                if delayed && gain >= 1.0 {
                     return Unstable::Neutral;
                 }
-                continuous(&chi, &self.grid, n)
+                continuous(&chi, &self.grid, n, beyond_end(delayed, gain))
             }
         }
     }
@@ -177,12 +178,17 @@ impl Closed {
     }
 }
 
-/// Unstable zeros of a continuous function that grows as s^n.
-pub(crate) fn continuous(chi: &dyn Fn(f64) -> C, grid: &[f64], n: usize) -> Unstable {
+/// Unstable zeros of a continuous function that grows as s^n, followed to `beyond` times the end of the grid.
+pub(crate) fn continuous(chi: &dyn Fn(f64) -> C, grid: &[f64], n: usize, beyond: f64) -> Unstable {
     let (Some(first), Some(last)) = (grid.first(), grid.last()) else { return Unstable::Boundary };
     let Some(start) = real_start(chi, *first) else { return Unstable::Boundary };
-    let Some(turned) = turn(chi, &with_ends(grid, start, *last * 1e4)) else { return Unstable::Boundary };
+    let Some(turned) = turn(chi, &with_ends(grid, start, *last * beyond)) else { return Unstable::Boundary };
     whole(n as f64 / 2.0 - turned / std::f64::consts::PI)
+}
+
+/// How far a loop is followed: one with delay that keeps a gain below 1 turns for ever and goes nowhere.
+pub(crate) fn beyond_end(delayed: bool, gain: f64) -> f64 {
+    if delayed && gain > 1e-6 { 1.0 } else { 1e4 }
 }
 
 /// Zeros within |q| < 1 of a function of q = z^-1.

@@ -14,7 +14,7 @@
 use dynocal_numerics::fft::Complex;
 use serde::{Deserialize, Serialize};
 
-use crate::closed::{Unstable, continuous, sampled};
+use crate::closed::{Unstable, beyond_end, continuous, sampled};
 use crate::error::ControlError;
 use crate::grid::frequencies;
 use crate::margin::{Margins, of_response};
@@ -198,10 +198,11 @@ impl Channel {
                 let beyond = self.grid.last().map_or(0.0, |w| self.transfer.at(self.time, w * 1e3).norm());
                 let (kd, filter_s) = self.derivative;
                 let most = kp + if kd == 0.0 { 0.0 } else { kd / filter_s };
-                if self.transfer.delay_s > 0.0 && beyond * most.abs() >= 1.0 {
+                let (delayed, gain) = (self.transfer.delay_s > 0.0, beyond * most.abs());
+                if delayed && gain >= 1.0 {
                     return Unstable::Neutral;
                 }
-                continuous(&chi, &self.grid, self.states())
+                continuous(&chi, &self.grid, self.states(), beyond_end(delayed, gain))
             }
         }
     }

@@ -37,6 +37,8 @@ pub const HIGHEST: f64 = 0.4;
 const OVERLAP: f64 = 1.0 / 36.0;
 /// Order of the filter that makes the moving channels nearly white, and the share of white noise that is added to them for it.
 const WHITENING: (usize, f64) = (8, 1e-3);
+/// Deviation of a line over its size, above which it is left out of measured margins.
+const CLEAR: f64 = 0.5;
 /// Correlation of the error of a line with that of the next one: of a product of two spectra under a Hann window.
 const NEIGHBOURS: f64 = 4.0 / 9.0;
 /// Segments that are aimed at where their length is not given.
@@ -394,7 +396,7 @@ impl Response {
 
     /// Gain and phase margin of the loop of one channel under a controller, without a model: the response between its
     /// frequencies has sizes and angles between theirs, its delay of `delay_s` turned out before. `draws` responses about it,
-    /// whose errors are alike at neighbouring frequencies as the window makes them, give the intervals. That the loop is stable is not asked here: a response says nothing of it.
+    /// whose errors are alike at neighbouring frequencies as the window makes them, give the intervals. Lines whose deviation is more than half of their size are left out: margins beyond them are none. That the loop is stable is not asked here: a response says nothing of it.
     pub fn margins(
         &self,
         output: usize,
@@ -404,8 +406,11 @@ impl Response {
         draws: usize,
         seed: u64,
     ) -> MeasuredMargins {
-        let own: Vec<C> = (0..self.frequency_hz.len()).map(|k| self.at(k, output, input)).collect();
-        let found = self.of(&own, controller, delay_s);
+        // A line that is hardly told from nothing says nothing of where a loop crosses.
+        let clear = |k: &usize| self.std_at(*k, output, input) < CLEAR * self.at(*k, output, input).norm();
+        let lines: Vec<usize> = (0..self.frequency_hz.len()).filter(clear).collect();
+        let own: Vec<C> = lines.iter().map(|k| self.at(*k, output, input)).collect();
+        let found = self.of(&lines, &own, controller, delay_s);
         let (mut gains, mut phases) = (Vec::new(), Vec::new());
         // Errors of neighbouring lines as a moving average of two that has their correlation.
         let share = (1.0 - (1.0 - 4.0 * NEIGHBOURS * NEIGHBOURS).sqrt()) / (2.0 * NEIGHBOURS);
@@ -414,24 +419,27 @@ impl Response {
             let mut last = C::new(rng.normal(), rng.normal());
             let drawn: Vec<C> = own
                 .iter()
-                .enumerate()
-                .map(|(k, g)| {
-                    let std = self.std_at(k, output, input) / std::f64::consts::SQRT_2;
+                .zip(&lines)
+                .map(|(g, k)| {
+                    let std = self.std_at(*k, output, input) / std::f64::consts::SQRT_2;
                     let new = C::new(rng.normal(), rng.normal());
                     let error = (new + last * share) / (1.0 + share * share).sqrt();
                     last = new;
                     g + error * std
                 })
                 .collect();
-            let m = self.of(&drawn, controller, delay_s);
+            let m = self.of(&lines, &drawn, controller, delay_s);
             gains.push(m.gain_up);
             phases.push(m.phase_deg);
         }
         MeasuredMargins { found, gain_up: most(&gains), phase_deg: most(&phases) }
     }
 
-    fn of(&self, own: &[C], controller: &Transfer, delay_s: f64) -> Margins {
-        let grid: Vec<f64> = self.frequency_hz.iter().map(|f| TAU * f).collect();
+    fn of(&self, lines: &[usize], own: &[C], controller: &Transfer, delay_s: f64) -> Margins {
+        let grid: Vec<f64> = lines.iter().map(|k| TAU * self.frequency_hz[*k]).collect();
+        if grid.len() < 2 {
+            return of_response(&[], &[], &|_| ZERO, None);
+        }
         let time = Time::Sampled { sample_time_s: self.sample_time_s };
         let turned: Vec<C> = grid.iter().zip(own).map(|(w, g)| g * C::from_polar(1.0, w * delay_s)).collect();
         let at = |w: f64| {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::ControlError;
 use crate::matrix::C;
 use crate::plane::Channel;
-use crate::tune::{Asked, StepRun, Tuned, judged, settled_s};
+use crate::tune::{Asked, StepRun, Tuned, judged, soon_settled_s};
 
 /// Steps in each direction of the plane.
 const RASTER: usize = 28;
@@ -246,7 +246,7 @@ impl Search<'_> {
         let r = self.run;
         let never = r.step_s * r.rows as f64 * 2.0;
         let time = |r: StepRun| {
-            let own = |c: &Channel| settled_s(c, &c.gains(kp, ki), r).unwrap_or(never);
+            let own = |c: &Channel| soon_settled_s(c, &c.gains(kp, ki), r).unwrap_or(never);
             self.channels.iter().map(own).fold(0.0, f64::max)
         };
         if best.keeps {
@@ -258,14 +258,24 @@ impl Search<'_> {
         Score { keeps: true, value: time(r) }
     }
 
-    /// The best candidate, those nearest to what is asked first: they are mostly the fastest. Rounds of a fixed size, so that the answer
+    /// Highest frequency in rad/s at which the first channel's loop gain is above a half.
+    fn bandwidth_rad_s(&self, c: &Candidate) -> f64 {
+        let channel = &self.channels[0];
+        let above = |k: &usize| channel.open_at(*k, c.kp, c.ki).norm() > 0.5;
+        (0..channel.grid.len()).rev().find(above).map_or(0.0, |k| channel.grid[k])
+    }
+
+    /// The best candidate, the widest bandwidth first: it is mostly the fastest. Rounds of a fixed size, so that the answer
     /// does not hang on the number of threads.
-    fn best_of(&self, mut all: Vec<Candidate>) -> Option<Found> {
-        // What keeps everything by least first, then what misses by least.
-        all.sort_by(|a, b| {
-            let place = |c: &Candidate| if c.violation <= 1.0 { 1.0 - c.violation } else { c.violation };
-            place(a).total_cmp(&place(b))
-        });
+    fn best_of(&self, all: Vec<Candidate>) -> Option<Found> {
+        // What keeps everything, the widest bandwidth first, then what misses by least.
+        let place = |c: &Candidate| match c.violation <= 1.0 {
+            true => (false, -self.bandwidth_rad_s(c)),
+            false => (true, c.violation),
+        };
+        let mut placed: Vec<((bool, f64), Candidate)> = all.into_par_iter().map(|c| (place(&c), c)).collect();
+        placed.sort_by(|(a, _), (b, _)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let all: Vec<Candidate> = placed.into_iter().map(|(_, c)| c).collect();
         let mut best: Option<Found> = None;
         for round in all.chunks(ROUND) {
             let against = best.map_or(Score { keeps: false, value: f64::INFINITY }, |b| b.score);

@@ -96,7 +96,7 @@ impl Smith {
         };
         let n = parts.iter().map(|p| degree(p)).sum();
         Ok(match self.time {
-            Time::Continuous => continuous(&chi, &grid, n),
+            Time::Continuous => continuous(&chi, &grid, n, 1e4),
             Time::Sampled { .. } => sampled(&chi, &grid),
         })
     }

@@ -103,6 +103,11 @@ pub struct Tuned {
     pub violation: Option<f64>,
 }
 
+/// How much finer than a plant's own steps those of its loop are at most.
+const FINER: f64 = 50.0;
+/// Rows of the first of runs that grow in a search, and of the last.
+const SOON: usize = 400;
+const SEARCHED: usize = 20_000;
 /// Most rows of an open step.
 const ROWS: f64 = 200_000.0;
 /// Share of the step within which it counts as settled.
@@ -217,7 +222,8 @@ pub fn followed(channel: &Channel, gains: &PidGains, r: StepRun) -> StepRun {
     };
     let w = (0..channel.grid.len()).rev().find(above).map_or(0.0, |k| channel.grid[k]);
     let filter_s = if gains.kd != 0.0 { gains.filter_s / 3.0 } else { f64::INFINITY };
-    let step_s = r.step_s.min(0.2 / w).min(filter_s);
+    // A plant that keeps its gain at all high frequencies has no last crossover: its delay is what is followed.
+    let step_s = r.step_s.min((0.2 / w).max(r.step_s / FINER)).min(filter_s);
     let whole = r.step_s * r.rows as f64;
     StepRun { step_s, rows: ((whole / step_s).ceil() as usize).clamp(r.rows, (ROWS as usize).max(r.rows)) }
 }
@@ -265,6 +271,27 @@ pub fn settled_s(channel: &Channel, gains: &PidGains, r: StepRun) -> Option<f64>
     (last + 1 < y.len()).then(|| demand.max((last + 1) as f64 * r.step_s))
 }
 
+/// The same without runs that are much longer than they have to be: a time is taken once it is a tenth of its run, of which there are
+/// at most `most` rows; with the run that told it.
+fn soon(channel: &Channel, gains: &PidGains, r: StepRun, most: usize) -> (Option<f64>, StepRun) {
+    let r = followed(channel, gains, r);
+    let most = r.rows.min(most);
+    let mut rows = SOON;
+    loop {
+        let own = StepRun { rows: rows.min(most), ..r };
+        let found = settled_s(channel, gains, own);
+        if own.rows == most || found.is_some_and(|s| s < 0.1 * own.step_s * own.rows as f64) {
+            return (found, own);
+        }
+        rows *= 5;
+    }
+}
+
+/// As [`settled_s`] for a search.
+pub(crate) fn soon_settled_s(channel: &Channel, gains: &PidGains, r: StepRun) -> Option<f64> {
+    soon(channel, gains, r, SEARCHED).0
+}
+
 /// Margins and settling of gains on all plants.
 pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked, r: StepRun) -> Tuned {
     // The plane of a channel has a derivative part of its own: gains are judged with theirs.
@@ -291,8 +318,9 @@ pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked,
         violation,
     };
     for c in channels.iter().flatten() {
-        let y = if violation.is_some() { step_response(c, gains, r).ok() } else { None };
-        let settled = if y.is_some() { settled_s(c, gains, r) } else { None };
+        let told = violation.map(|_| soon(c, gains, r, usize::MAX));
+        let settled = told.as_ref().and_then(|t| t.0);
+        let y = told.and_then(|(_, own)| step_response(c, gains, own).ok());
         tuned.settling_s = tuned.settling_s.zip(settled).map(|(a, b)| a.max(b));
         let top = y.iter().flat_map(|(y, _)| y).copied().fold(f64::NEG_INFINITY, f64::max);
         tuned.overshoot = tuned.overshoot.max(if top.is_finite() { top - 1.0 } else { f64::INFINITY });

@@ -6,6 +6,7 @@ use dynocal_control::predictor::{PredictedModel, TransportFlow};
 use dynocal_control::stored::{Schedule, ScheduleAxis, StoredController, StoredLoop};
 
 use super::load::Loaded;
+use super::loops::own;
 use super::result::{ControlJobError, LoopResult, MeasuredResult};
 use super::spec::{Job, LoopSpec, Plants, Point};
 
@@ -128,7 +129,7 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
         let margins = |(k, l): (usize, &LoopResult)| {
             // From the measurement to the actuator, and what the loop has beyond the record.
             let later = job.reaction_samples as f64 * dt_s + job.loops[k].extra_delay_s;
-            let c = l.gains_at(point).transfer(loaded.time).delayed(later);
+            let c = own(&job.loops[k], l, point, loaded.time).delayed(later);
             seen.margins(k, k, &c, 0.0, job.draws, job.seed)
         };
         let distance = |k: usize| {

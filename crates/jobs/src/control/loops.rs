@@ -21,15 +21,18 @@ pub(super) fn controller(
     loops: &[LoopResult],
     point: usize,
 ) -> Result<System, ControlError> {
-    let own = |(spec, l): (&LoopSpec, &LoopResult)| {
-        let pid = l.gains_at(point).transfer(loaded.time);
-        l.predictor.as_ref().map_or(pid.clone(), |p| predicting(&pid, spec, p, loaded.time))
-    };
-    let own: Vec<Transfer> = job.loops.iter().zip(loops).map(own).collect();
+    let own: Vec<Transfer> =
+        job.loops.iter().zip(loops).map(|(spec, l)| own(spec, l, point, loaded.time)).collect();
     match &loaded.decoupler {
         Some(d) => through(d, &own),
         None => System::diagonal(loaded.time, &own),
     }
+}
+
+/// The controller of one loop at a set point.
+pub(super) fn own(spec: &LoopSpec, l: &LoopResult, point: usize, time: Time) -> Transfer {
+    let pid = l.gains_at(point).transfer(time);
+    l.predictor.as_ref().map_or(pid.clone(), |p| predicting(&pid, spec, p, time))
 }
 
 /// `K F / (1 + K P (1 - F q^d))`: what stands between the measured output and the actuator in (7.28), with the filter F of the prediction
