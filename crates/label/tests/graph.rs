@@ -136,6 +136,57 @@ fn products_are_those_of_the_derivatives_one_by_one() {
 }
 
 /// Delay: a step comes d later. Pipe: the delay is volume over flow. Lag and film against their closed forms.
+/// Labels that a sum takes at one place, alone or times a gain, are taken together: several sums, curves and maps, gains that other
+/// members share or lack, one label twice, a product that is used elsewhere as well.
+#[test]
+fn products_of_labels_that_are_taken_together_are_those_one_by_one() {
+    let (time_s, data) = channels();
+    let record = Record { time_s: &time_s, channels: data.iter().map(Vec::as_slice).collect() };
+    let axis = || Axis::new("a", "-", &[-1.0, 0.0, 0.4, 1.5]);
+    let other = || Axis::new("b", "-", &[-1.0, 0.5, 2.0]);
+    let map = |k: usize| Label::new(&format!("MAP{k}"), "-", vec![axis(), other()], &[1.0; 12]);
+    let curve = |k: usize| Label::new(&format!("CURVE{k}"), "-", vec![axis()], &[1.0; 4]);
+    let mut labels: Vec<Label> = (0..3).map(map).collect();
+    labels.extend((0..2).map(curve));
+    labels.push(Label::scalar("TAU", "s", 0.3));
+    let g = graph(
+        vec![
+            ("a", Op::Channel(0)),
+            ("b", Op::Channel(1)),
+            ("gain", Op::Channel(2)),
+            ("map0", Op::Label(0, vec![0, 1])),
+            ("map1", Op::Label(1, vec![0, 1])),
+            ("map2", Op::Label(2, vec![0, 1])),
+            ("curve0", Op::Label(3, vec![0])),
+            ("curve1", Op::Label(4, vec![0])),
+            ("again", Op::Label(0, vec![0, 1])),
+            ("times1", Op::Multiply(vec![2, 4])),
+            ("times2", Op::Multiply(vec![5, 1])),
+            ("times3", Op::Multiply(vec![7, 2])),
+            ("tau", Op::Label(5, vec![])),
+            ("late", Op::Lag(10, 12)),
+            ("sum", Op::Add(vec![3, 9, 10, 8, 6, 11, 13])),
+            ("slow", Op::Lag(14, 12)),
+            ("more", Op::Add(vec![15, 0])),
+        ],
+        labels,
+    );
+    let mut rng = Rng64::new(5);
+    let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| rng.uniform_in(0.2, 1.0)).collect() };
+    let theta = draw(g.base().len());
+    for output in [14, 15, 16] {
+        let part = Graph { nodes: g.nodes[..=output].to_vec(), labels: g.labels.clone() };
+        let (v, u) = (draw(theta.len()), draw(time_s.len()));
+        let products = g.products(&theta, &record, output);
+        let off = |a: &[f64], b: &[f64]| {
+            a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f64::max)
+        };
+        let forward = off(&products.forward(&v), &part.forward(&theta, &record, &v).1);
+        let backward = off(&products.backward(&u), &part.gradient(&theta, &record, &u));
+        assert!(forward < 1e-12 && backward < 1e-12, "node {output}: {forward:e} {backward:e}");
+    }
+}
+
 #[test]
 fn nodes_with_a_memory_are_what_their_equations_say() {
     let time_s: Vec<f64> = (0..200).map(|k| 0.05 * f64::from(k)).collect();
