@@ -8,9 +8,17 @@ use std::ops::Range;
 /// The sum ends at the first lag beyond five times what it has come to (A. Sokal, Monte Carlo methods in statistical mechanics, 1989,
 /// section 3) or at the first correlation that is not positive; it is at least 1.
 pub fn time_samples(residuals: &[f64], segments: &[Range<usize>]) -> f64 {
+    time_and_window(residuals, segments).0
+}
+
+/// The same, and the greatest lag of the sum.
+///
+/// The estimate has a relative variance of `2 (2 window + 1) / n` (Sokal, section 3), as that of a variance with `n / (2 window + 1)`
+/// degrees of freedom.
+pub fn time_and_window(residuals: &[f64], segments: &[Range<usize>]) -> (f64, usize) {
     let n: usize = segments.iter().map(Range::len).sum();
     if n < 3 {
-        return 1.0;
+        return (1.0, 0);
     }
     let mean = segments.iter().flat_map(|s| &residuals[s.clone()]).sum::<f64>() / n as f64;
     let at = |lag: usize| -> f64 {
@@ -24,16 +32,17 @@ pub fn time_samples(residuals: &[f64], segments: &[Range<usize>]) -> f64 {
     };
     let square = at(0);
     if !(square > 0.0) {
-        return 1.0;
+        return (1.0, 0);
     }
     let longest = segments.iter().map(Range::len).max().unwrap_or(0);
-    let mut tau = 1.0;
+    let (mut tau, mut window) = (1.0, 0);
     for lag in 1..longest.min(n / 4 + 1) {
         let rho = at(lag) / square;
         if !(rho > 0.0) || lag as f64 > 5.0 * tau {
             break;
         }
         tau += 2.0 * rho;
+        window = lag;
     }
-    tau
+    (tau, window)
 }
