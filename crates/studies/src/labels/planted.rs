@@ -275,6 +275,23 @@ fn tune(table: &[f64]) -> String {
     )
 }
 
+/// Whether a table is taken where that in the ECU is the truth, in whole counts.
+pub(super) fn changed(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<bool, StudyError> {
+    std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
+    let path = runs.join(format!("true-{seed}.mlg"));
+    let own = Own::of(seed);
+    let known = truth.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
+    // A look-up is cut: half a count more is the truth on average.
+    let count =
+        |v: &f64| if v.is_finite() { (v * FACTOR / own.factor + 0.5).round() } else { (0.8 * known).round() };
+    drive(seed, &own, &truth.iter().map(count).collect::<Vec<_>>(), &path)?;
+    let mut job = Job::ve(vec![path.clone()], None, None, Some(&runs.join("ve-true")));
+    job.target_lambda = Some(1.0);
+    let found = label::work::fit(&job, watch).map_err(|e| fail(&e))?;
+    std::fs::remove_file(&path).map_err(|e| fail(&e))?;
+    Ok(serde_json::to_value(found.found.judgement.decision).is_ok_and(|d| d == "change"))
+}
+
 /// Drives the car of `seed`, fits what its log says, and compares.
 pub(super) fn back(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<Back, StudyError> {
     std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
