@@ -3,7 +3,7 @@
 use dynocal_label::graph::{Graph, Node, Op, Record};
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Options;
-use dynocal_label::nonlinear::{Target, fit};
+use dynocal_label::nonlinear::{Target, fit, large};
 use dynocal_numerics::rng::Rng64;
 use serde_json::Value;
 
@@ -253,6 +253,65 @@ fn a_film_is_fitted_as_scipy_does() {
     bound.labels[0].upper = 0.2;
     let found = fit(&bound, &[target], &Options::default(), &|| false).unwrap();
     assert!((found.fit.values[0] - 0.2).abs() < 1e-9 && !found.fit.held.is_empty(), "{:?}", found.fit.values);
+}
+
+/// Delays, by time and by flow, before a lag: labels and squares of SciPy's own simulation, on both ways of the fit.
+#[test]
+fn delays_and_lags_are_fitted_as_scipy_does() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/reference/labels_dynamic.json");
+    let all: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let numbers =
+        |v: &Value| -> Vec<f64> { v.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect() };
+    let (u, flow, dt) = (numbers(&all["u"]), numbers(&all["flow"]), all["dt_s"].as_f64().unwrap());
+    let time_s: Vec<f64> = (0..u.len()).map(|k| dt * k as f64).collect();
+    let weights = vec![1.0; u.len()];
+    let label = |k: usize| Op::Label(k, vec![]);
+    let delay = vec![
+        ("u", Op::Channel(0)),
+        ("gain", label(0)),
+        ("by", label(1)),
+        ("tau", label(2)),
+        ("offset", label(3)),
+        ("late", Op::Delay(0, 2)),
+        ("slow", Op::Lag(5, 3)),
+        ("more", Op::Multiply(vec![6, 1])),
+        ("out", Op::Add(vec![7, 4])),
+    ];
+    let by_flow = vec![
+        ("u", Op::Channel(0)),
+        ("flow", Op::Channel(1)),
+        ("volume", label(0)),
+        ("tau", label(1)),
+        ("late", Op::DelayFlow(0, 1, 2)),
+        ("out", Op::Lag(4, 3)),
+    ];
+    for (name, ops) in [("by_time", delay), ("by_flow", by_flow)] {
+        let r = &all[name];
+        let (y, wanted) = (numbers(&r["y"]), numbers(&r["labels"]));
+        let labels = numbers(&r["start"])
+            .into_iter()
+            .enumerate()
+            .map(|(k, v)| Label::scalar(&format!("L{k}"), "-", v));
+        let g = graph(ops, labels.collect());
+        let record = Record { time_s: &time_s, channels: vec![&u, &flow] };
+        let targets = [Target { record, node: None, y: &y, weights: &weights }];
+        let options = Options::default();
+        let held = fit(&g, &targets, &options, &|| false).unwrap();
+        let large = large::fit(&g, &g.base(), &targets, &options, &|| false).unwrap();
+        for (way, found) in [("held", &held), ("large", &large)] {
+            let off =
+                found.fit.exact.iter().zip(&wanted).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+            let squares = found.fit.rms[1].powi(2) * y.len() as f64 / r["squares"].as_f64().unwrap() - 1.0;
+            println!(
+                "{name}, {way}: labels off by {off:.1e}, squares by {squares:.1e}, {} steps",
+                found.steps
+            );
+            assert!(
+                found.converged && off < 1e-6 && squares.abs() < 1e-9,
+                "{name}, {way}: {off:e} {squares:e}"
+            );
+        }
+    }
 }
 
 #[test]
