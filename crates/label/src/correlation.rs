@@ -46,3 +46,16 @@ pub fn time_and_window(residuals: &[f64], segments: &[Range<usize>]) -> (f64, us
     }
     (tau, window)
 }
+
+/// Degrees of freedom of the variance of a sum over time: that of chi-squared with the mean and the variance of the squares of block sums
+/// (F. E. Satterthwaite, An approximate distribution of estimates of variance components, Biometrics Bull. 2 (1946), 110-114). A few long
+/// stretches that say the same make it small.
+pub fn freedom(series: &[f64], segments: &[Range<usize>], block: usize) -> f64 {
+    let block = block.max(1);
+    let blocks = segments.iter().flat_map(|s| series[s.clone()].chunks(block));
+    let squares: Vec<f64> = blocks.map(|b| b.iter().sum::<f64>().powi(2)).collect();
+    let n = squares.len() as f64;
+    let mean = squares.iter().sum::<f64>() / n;
+    let variance = squares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
+    if mean > 0.0 && variance > 0.0 { 2.0 * mean * mean * n / variance } else { n }
+}

@@ -198,8 +198,9 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         false => (exact.clone(), None),
     };
     let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
-    let (_, window) = correlation::time_and_window(&residuals(p, &map, &offset, &found.delta), &p.segments);
-    let correlated = verdict::Correlated { tau, window };
+    let residuals = residuals(p, &map, &offset, &found.delta);
+    let (_, window) = correlation::time_and_window(&residuals, &p.segments);
+    let correlated = verdict::Correlated { tau, window, residuals };
     let h_cautious = normal.hessian(found.cautious);
     let mut told =
         verdict::tell(p, &weights, &normal, &h_cautious, &cautious, &correlated, &map, &locked, &visits)?;

@@ -5,6 +5,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::normal::{Normal, Smooth};
 use super::{Problem, Verdict, offsets};
+use crate::correlation;
 use crate::error::LabelError;
 
 /// Independent measurements at the cell itself from which it may be called determined.
@@ -37,10 +38,11 @@ pub(super) fn visits(p: &Problem, cells: usize) -> Vec<f64> {
     out
 }
 
-/// How residuals hang together in time: samples of one fact, and the greatest lag that counts.
+/// How residuals hang together in time: samples of one fact, the greatest lag that counts, and the residuals.
 pub(super) struct Correlated {
     pub(super) tau: f64,
     pub(super) window: usize,
+    pub(super) residuals: Vec<f64>,
 }
 
 /// Intervals from `tau' sigma^2 H^-1`, the posterior with the roughness as what is known before (G. Wahba, Bayesian confidence
@@ -50,7 +52,10 @@ pub(super) struct Correlated {
 ///
 /// What is left of a fit is less correlated than the noise was: of the sum over the window M, `e'W e`, a fit to regressors Q (orthonormal)
 /// takes `trace Q'W Q` of n away, which is added again, `tau' = tau (1 + trace Q'W Q / n)`. And tau is known as well as a variance with
-/// `n / (2 M + 1)` degrees of freedom is, so that the factor of 95 % is that of Student's distribution with as many.
+/// `n / (2 M + 1)` degrees of freedom is, so that the factor of 95 % is that of Student's distribution with as many. Of a label that is not
+/// smoothed the interval is that of least squares, and the same is asked of its own influence `(H^-1 a w e)(t)`, which may hang together
+/// for longer than residuals do on average (W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity and
+/// autocorrelation consistent covariance matrix, Econometrica 55 (1987), 703-708): the longer time counts, with its own degrees of freedom.
 pub(super) fn tell(
     p: &Problem,
     weights: &[f64],
@@ -66,7 +71,8 @@ pub(super) fn tell(
     let inverse = inverse(h, n)?;
     let tau = correlated.tau;
     let taken = overlap(p, weights, map, &inverse, n, correlated.window);
-    let reach = t95(p.target.len() as f64 / (2 * correlated.window + 1) as f64) * (1.0 + taken).sqrt();
+    let shared = (tau, p.target.len() as f64 / (2 * correlated.window + 1) as f64);
+    let own = Influence { p, weights, map, inverse: &inverse, n, residuals: &correlated.residuals };
     let (mut half_width, mut facts) = (vec![f64::INFINITY; map.len()], vec![0.0; map.len()]);
     let mut verdicts = vec![Verdict::Untouched; map.len()];
     for k in 0..map.len() {
@@ -75,7 +81,8 @@ pub(super) fn tell(
             half_width[k] = 0.0;
         }
         let Some(f) = map[k] else { continue };
-        half_width[k] = reach * (tau * found.variance * inverse[f * n + f]).sqrt();
+        let (longer, freedom) = if normal.is_rough(f) { shared } else { own.longer(f, shared) };
+        half_width[k] = t95(freedom) * (longer * (1.0 + taken) * found.variance * inverse[f * n + f]).sqrt();
         // In samples: a measurement at the cell itself has the weight that its own equation has for each visit.
         let own = normal.g[f * n + f];
         let each = if visits[k] > 0.0 { normal.mean_weight[f] } else { 0.0 };
@@ -89,6 +96,35 @@ pub(super) fn tell(
         };
     }
     Ok(Told { half_width, facts, verdicts, sigma: found.variance.sqrt() })
+}
+
+/// What each sample says of a free cell.
+struct Influence<'a> {
+    p: &'a Problem<'a>,
+    weights: &'a [f64],
+    map: &'a [Option<usize>],
+    inverse: &'a [f64],
+    n: usize,
+    residuals: &'a [f64],
+}
+
+impl Influence<'_> {
+    /// Correlation time of what samples say of cell `f`, with its degrees of freedom, where it is longer than the shared one.
+    fn longer(&self, f: usize, shared: (f64, f64)) -> (f64, f64) {
+        if self.p.segments.is_empty() {
+            return shared;
+        }
+        let inverse = &self.inverse[f * self.n..(f + 1) * self.n];
+        let at = |k: usize| {
+            let (at, w) = self.p.rows.row(k);
+            let own: f64 = at.iter().zip(w).filter_map(|(j, w)| self.map[*j].map(|g| w * inverse[g])).sum();
+            own * self.weights[k] * self.residuals[k]
+        };
+        let series: Vec<f64> = (0..self.residuals.len()).map(at).collect();
+        let (tau, window) = correlation::time_and_window(&series, &self.p.segments);
+        let freedom = correlation::freedom(&series, &self.p.segments, 2 * window + 1);
+        (tau.max(shared.0), freedom.min(shared.1))
+    }
 }
 
 /// Two-sided 95 % of Student's distribution.
