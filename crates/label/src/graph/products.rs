@@ -214,7 +214,7 @@ impl<'a> Products<'a> {
 
     /// Calls `take` with cells that samples visit, which `counts` says of each: sum of their weights there, and of the squares of these.
     pub(crate) fn visits(&self, counts: &[bool], take: &mut dyn FnMut(usize, [f64; 2])) {
-        self.front.visits(counts, take);
+        self.front.visits(counts, |sum| self.stage[sum].is_some(), take);
         let own = |k: &usize| self.stage[*k].is_some() && !self.front.taken[*k];
         for k in (0..self.graph.nodes.len()).filter(own) {
             let Op::Label(l, _) = self.graph.nodes[k].op else { continue };

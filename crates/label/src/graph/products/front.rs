@@ -305,9 +305,14 @@ impl Front {
         }
     }
 
-    /// Nodes that read a label in a bundle are visited at once: calls `take` with each cell of one of its labels, and what that visits.
-    pub(super) fn visits(&self, counts: &[bool], take: &mut dyn FnMut(usize, [f64; 2])) {
-        for b in &self.bundles {
+    /// Calls `take` with each cell of a bundle and the sums of the weights of its visits and of their squares, of sums that lead on.
+    pub(super) fn visits(
+        &self,
+        counts: &[bool],
+        leads: impl Fn(usize) -> bool,
+        take: &mut dyn FnMut(usize, [f64; 2]),
+    ) {
+        for b in self.bundles.iter().filter(|b| leads(b.sum)) {
             let width = self.gains[b.gains].width;
             let mut sums = vec![[0.0; 2]; b.cells];
             self.over(b, 0..counts.len(), |t, at, weights, count, _| {
