@@ -275,6 +275,15 @@ fn tune(table: &[f64]) -> String {
     )
 }
 
+/// The truth with that of the nearest load where the engine does not come to in steady state, but may on its way.
+fn everywhere(truth: &[f64]) -> Vec<f64> {
+    let nearest = |k: usize| {
+        let column = (k % RPM.len()..truth.len()).step_by(RPM.len()).filter(|j| truth[*j].is_finite());
+        column.min_by_key(|j| j.abs_diff(k)).map_or(f64::NAN, |j| truth[j])
+    };
+    (0..truth.len()).map(nearest).collect()
+}
+
 /// Whether a table is taken where that in the ECU is the truth, in whole counts.
 pub(super) fn changed(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<bool, StudyError> {
     std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
