@@ -345,9 +345,7 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             Asked::Reported,
             taken.as_ref().map(|t| t.iter().filter(|t| **t).count() as f64),
             "",
-            taken.as_ref().map_or(String::new(), |t| {
-                format!("of {} seeds; half a count is 1 % of lambda, and shows", t.len())
-            }),
+            taken.as_ref().map_or(String::new(), |t| format!("of {} seeds", t.len())),
         ));
     }
     for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {

@@ -289,11 +289,10 @@ pub(super) fn changed(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Re
     std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
     let path = runs.join(format!("true-{seed}.mlg"));
     let own = Own::of(seed);
-    let known = truth.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
     // A look-up is cut: half a count more is the truth on average.
-    let count =
-        |v: &f64| if v.is_finite() { (v * FACTOR / own.factor + 0.5).round() } else { (0.8 * known).round() };
-    drive(seed, &own, &truth.iter().map(count).collect::<Vec<_>>(), &path)?;
+    let count = |v: &f64| (v * FACTOR / own.factor + 0.5).round();
+    let table: Vec<f64> = everywhere(truth).iter().map(count).collect();
+    drive(seed, &own, &table, &path)?;
     let mut job = Job::ve(vec![path.clone()], None, None, Some(&runs.join("ve-true")));
     job.target_lambda = Some(1.0);
     let found = label::work::fit(&job, watch).map_err(|e| fail(&e))?;
