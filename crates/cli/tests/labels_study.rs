@@ -17,7 +17,9 @@ fn reduced_length_compares_with_the_tune_and_judges_a_drive() {
     let summary: Value = serde_json::from_slice(&out.stdout).unwrap_or_else(|e| panic!("{e}: {text}"));
     let checks = summary["checks"].as_array().unwrap();
     let of = |id: &str| checks.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("{id}: {summary}"));
-    for id in ["pulse-factor", "pulse-dead-time", "pulse-rms", "ve-2025-12-02_10.08.37"] {
+    let known = ["known-2025-12-02_10.08.37-explained", "known-2025-12-02_10.08.37-cells", "printed"];
+    let fitted = ["pulse-factor", "pulse-dead-time", "pulse-rms", "ve-2025-12-02_10.08.37"];
+    for id in known.into_iter().chain(fitted) {
         assert_eq!(of(id)["holds"], true, "{}", of(id));
     }
     assert_eq!(out.status.code(), Some(0), "{text}");

@@ -198,8 +198,12 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         false => (exact.clone(), None),
     };
     let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
+    let residuals = residuals(p, &map, &offset, &found.delta);
+    let (_, window) = correlation::time_and_window(&residuals, &p.segments);
+    let correlated = verdict::Correlated { tau, window, residuals };
+    let h_cautious = normal.hessian(found.cautious);
     let mut told =
-        verdict::tell(&normal, &normal.hessian(found.cautious), &cautious, tau, &map, &locked, &visits)?;
+        verdict::tell(p, &weights, &normal, &h_cautious, &cautious, &correlated, &map, &locked, &visits)?;
     // The interval reaches as far as that of the cautious fit, which lies elsewhere.
     for (half, f) in told.half_width.iter_mut().zip(&map) {
         *half += f.map_or(0.0, |f| (found.delta[f] - cautious.delta[f]).abs());

@@ -4,6 +4,16 @@
 //! minimise  sum_k (cut_k + step / 2 - a_k'theta)^2     subject to   cut_k - slack <= a_k'theta <= cut_k + step + slack   for each k
 //! ```
 //!
+//! With the rows of [`enter_eight_bits`] the intervals are those of the ECU itself: an open ECU looks a table up in whole numbers,
+//!
+//! ```text
+//! s = floor(256 (x - x_i) / (x_i+1 - x_i)),   w = floor((a b + 128) / 256)  for a in {256 - s_x, s_x}, b in {256 - s_y, s_y}
+//! look-up = floor(sum w cell / 256)
+//! ```
+//!
+//! which gives the logged value of every sample of three drives of a real car (Speeduino 2025.01), where weights that are not cut give
+//! 90 to 99 % of them.
+//!
 //! Least squares alone treat what is cut off as noise; where few states were visited often it is none. Where cells were edited while
 //! the log ran no table keeps all intervals: [`longest`] finds how far one does.
 
@@ -11,7 +21,7 @@ use crate::error::LabelError;
 use crate::label::{Label, Limit};
 use crate::linear::{Options, Problem, fit as least_squares};
 use crate::qp;
-use crate::rows::Rows;
+use crate::rows::{Rows, between};
 
 /// Weight of the least-squares solution of a cell that the intervals leave open, as a share of the mean diagonal.
 const TIE: f64 = 1e-9;
@@ -23,6 +33,42 @@ pub struct Cut {
     pub step: f64,
     /// What the ECU's own arithmetic may add on either side: fractions of eight bits between breakpoints.
     pub slack: f64,
+}
+
+/// Adds `label` at `at` to the last row as an ECU interpolates that holds shares and weights in eight bits.
+pub fn enter_eight_bits(label: &Label, rows: &mut Rows, offset: usize, at: &[f64]) {
+    let share = |k: usize| {
+        let points = &label.axes[k].points;
+        let (i, s) = between(points, at[k]);
+        // From the place itself: a share that was divided before may lie a rounding below a whole number.
+        let inside = s > 0.0 && s < 1.0;
+        (
+            i,
+            if inside {
+                (256.0 * (at[k] - points[i]) / (points[i + 1] - points[i])).floor()
+            } else {
+                256.0 * s
+            },
+        )
+    };
+    let weight = |a: f64, b: f64| ((a * b + 128.0) / 256.0).floor() / 256.0;
+    match label.axes.len() {
+        0 => rows.push(offset, 1.0),
+        1 => {
+            let (i, s) = share(0);
+            rows.push(offset + i, (256.0 - s) / 256.0);
+            rows.push(offset + i + 1, s / 256.0);
+        }
+        _ => {
+            let ((i, s), (j, r)) = (share(0), share(1));
+            let n = label.axes[0].points.len();
+            let corner = offset + j * n + i;
+            rows.push(corner, weight(256.0 - s, 256.0 - r));
+            rows.push(corner + 1, weight(s, 256.0 - r));
+            rows.push(corner + n, weight(256.0 - s, r));
+            rows.push(corner + n + 1, weight(s, r));
+        }
+    }
 }
 
 /// The cells of `label` by whose interpolation (`rows`) each look-up lies in the interval that was left of it (`cut`); cells without

@@ -2,10 +2,13 @@
 
 mod planted;
 
-use dynocal_label::label::Label;
-use dynocal_label::linear::Verdict;
+use dynocal_label::graph::{Graph, Node, Op, Record};
+use dynocal_label::label::{Axis, Label};
+use dynocal_label::linear::{Options, Verdict};
+use dynocal_label::nonlinear::{self, Target};
 use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Keys, Log, run};
+use dynocal_numerics::rng::Rng64;
 use planted::planted;
 
 /// Root mean square of the table less the truth, in counts, over cells that data reach, and how many these are.
@@ -96,4 +99,45 @@ fn what_spoils_a_table_is_left_out() {
         println!("{name}, not said: {found:.3} counts");
         assert!(found > 2.0 * clean, "{name}: {found}");
     }
+}
+
+/// Two tables, the second in use where a condition holds, and a multiplier of it: a function with two labels finds both.
+#[test]
+fn a_second_fuel_table_comes_back_as_a_function() {
+    let axes = || {
+        vec![
+            Axis::new("speed", "rpm", &[1000.0, 2000.0, 3000.0, 4000.0]),
+            Axis::new("load", "kPa", &[30.0, 60.0, 100.0]),
+        ]
+    };
+    let labels =
+        vec![Label::new("VE1", "%", axes(), &[60.0; 12]), Label::new("VE2", "%", axes(), &[60.0; 12])];
+    let node = |name: &str, op| Node { name: name.into(), op };
+    let nodes = vec![
+        node("speed", Op::Channel(0)),
+        node("load", Op::Channel(1)),
+        node("second", Op::Channel(2)),
+        node("first table", Op::Label(0, vec![0, 1])),
+        node("second table", Op::Label(1, vec![0, 1])),
+        node("in use", Op::Switch(2, 4, 3)),
+        node("fuel", Op::Multiply(vec![5, 1])),
+    ];
+    let graph = Graph { nodes, labels };
+    let truth: Vec<f64> =
+        (0..24).map(|k| 50.0 + 2.0 * (k % 12) as f64 + if k < 12 { 0.0 } else { 9.0 }).collect();
+    let mut rng = Rng64::new(3);
+    let n = 3000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * k as f64).collect();
+    let mut drawn = |low: f64, high: f64| -> Vec<f64> { (0..n).map(|_| rng.uniform_in(low, high)).collect() };
+    let (speed, load, second) = (drawn(1000.0, 4000.0), drawn(30.0, 100.0), drawn(-1.0, 1.0));
+    let record = Record { time_s: &time_s, channels: vec![&speed, &load, &second] };
+    let noise = drawn(-40.0, 40.0);
+    let y: Vec<f64> = graph.values(&truth, &record).iter().zip(&noise).map(|(y, e)| y + e).collect();
+    let weights = vec![1.0; n];
+    let target = Target { record, node: None, y: &y, weights: &weights };
+    let found = nonlinear::fit(&graph, &[target], &Options::default(), &|| false).unwrap().fit;
+    let inside = (0..24).filter(|k| (found.exact[*k] - truth[*k]).abs() <= found.half_width[*k]).count();
+    let worst = (0..24).map(|k| (found.exact[k] - truth[k]).abs()).fold(0.0, f64::max);
+    println!("{inside} of 24 cells within their intervals, worst off by {worst:.2} counts");
+    assert!(inside >= 20 && worst < 1.0, "{inside} {worst}");
 }

@@ -3,7 +3,7 @@
 use dynocal_label::graph::{Graph, Node, Op, Record};
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Options;
-use dynocal_label::nonlinear::{Target, fit};
+use dynocal_label::nonlinear::{Target, fit, large};
 use dynocal_numerics::rng::Rng64;
 use serde_json::Value;
 
@@ -136,6 +136,57 @@ fn products_are_those_of_the_derivatives_one_by_one() {
 }
 
 /// Delay: a step comes d later. Pipe: the delay is volume over flow. Lag and film against their closed forms.
+/// Labels that a sum takes at one place, alone or times a gain, are taken together: several sums, curves and maps, gains that other
+/// members share or lack, one label twice, a product that is used elsewhere as well.
+#[test]
+fn products_of_labels_that_are_taken_together_are_those_one_by_one() {
+    let (time_s, data) = channels();
+    let record = Record { time_s: &time_s, channels: data.iter().map(Vec::as_slice).collect() };
+    let axis = || Axis::new("a", "-", &[-1.0, 0.0, 0.4, 1.5]);
+    let other = || Axis::new("b", "-", &[-1.0, 0.5, 2.0]);
+    let map = |k: usize| Label::new(&format!("MAP{k}"), "-", vec![axis(), other()], &[1.0; 12]);
+    let curve = |k: usize| Label::new(&format!("CURVE{k}"), "-", vec![axis()], &[1.0; 4]);
+    let mut labels: Vec<Label> = (0..3).map(map).collect();
+    labels.extend((0..2).map(curve));
+    labels.push(Label::scalar("TAU", "s", 0.3));
+    let g = graph(
+        vec![
+            ("a", Op::Channel(0)),
+            ("b", Op::Channel(1)),
+            ("gain", Op::Channel(2)),
+            ("map0", Op::Label(0, vec![0, 1])),
+            ("map1", Op::Label(1, vec![0, 1])),
+            ("map2", Op::Label(2, vec![0, 1])),
+            ("curve0", Op::Label(3, vec![0])),
+            ("curve1", Op::Label(4, vec![0])),
+            ("again", Op::Label(0, vec![0, 1])),
+            ("times1", Op::Multiply(vec![2, 4])),
+            ("times2", Op::Multiply(vec![5, 1])),
+            ("times3", Op::Multiply(vec![7, 2])),
+            ("tau", Op::Label(5, vec![])),
+            ("late", Op::Lag(10, 12)),
+            ("sum", Op::Add(vec![3, 9, 10, 8, 6, 11, 13])),
+            ("slow", Op::Lag(14, 12)),
+            ("more", Op::Add(vec![15, 0])),
+        ],
+        labels,
+    );
+    let mut rng = Rng64::new(5);
+    let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| rng.uniform_in(0.2, 1.0)).collect() };
+    let theta = draw(g.base().len());
+    for output in [14, 15, 16] {
+        let part = Graph { nodes: g.nodes[..=output].to_vec(), labels: g.labels.clone() };
+        let (v, u) = (draw(theta.len()), draw(time_s.len()));
+        let products = g.products(&theta, &record, output);
+        let off = |a: &[f64], b: &[f64]| {
+            a.iter().zip(b).map(|(a, b)| (a - b).abs() / b.abs().max(1.0)).fold(0.0, f64::max)
+        };
+        let forward = off(&products.forward(&v), &part.forward(&theta, &record, &v).1);
+        let backward = off(&products.backward(&u), &part.gradient(&theta, &record, &u));
+        assert!(forward < 1e-12 && backward < 1e-12, "node {output}: {forward:e} {backward:e}");
+    }
+}
+
 #[test]
 fn nodes_with_a_memory_are_what_their_equations_say() {
     let time_s: Vec<f64> = (0..200).map(|k| 0.05 * f64::from(k)).collect();
@@ -202,6 +253,65 @@ fn a_film_is_fitted_as_scipy_does() {
     bound.labels[0].upper = 0.2;
     let found = fit(&bound, &[target], &Options::default(), &|| false).unwrap();
     assert!((found.fit.values[0] - 0.2).abs() < 1e-9 && !found.fit.held.is_empty(), "{:?}", found.fit.values);
+}
+
+/// Delays, by time and by flow, before a lag: labels and squares of SciPy's own simulation, on both ways of the fit.
+#[test]
+fn delays_and_lags_are_fitted_as_scipy_does() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/reference/labels_dynamic.json");
+    let all: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let numbers =
+        |v: &Value| -> Vec<f64> { v.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect() };
+    let (u, flow, dt) = (numbers(&all["u"]), numbers(&all["flow"]), all["dt_s"].as_f64().unwrap());
+    let time_s: Vec<f64> = (0..u.len()).map(|k| dt * k as f64).collect();
+    let weights = vec![1.0; u.len()];
+    let label = |k: usize| Op::Label(k, vec![]);
+    let delay = vec![
+        ("u", Op::Channel(0)),
+        ("gain", label(0)),
+        ("by", label(1)),
+        ("tau", label(2)),
+        ("offset", label(3)),
+        ("late", Op::Delay(0, 2)),
+        ("slow", Op::Lag(5, 3)),
+        ("more", Op::Multiply(vec![6, 1])),
+        ("out", Op::Add(vec![7, 4])),
+    ];
+    let by_flow = vec![
+        ("u", Op::Channel(0)),
+        ("flow", Op::Channel(1)),
+        ("volume", label(0)),
+        ("tau", label(1)),
+        ("late", Op::DelayFlow(0, 1, 2)),
+        ("out", Op::Lag(4, 3)),
+    ];
+    for (name, ops) in [("by_time", delay), ("by_flow", by_flow)] {
+        let r = &all[name];
+        let (y, wanted) = (numbers(&r["y"]), numbers(&r["labels"]));
+        let labels = numbers(&r["start"])
+            .into_iter()
+            .enumerate()
+            .map(|(k, v)| Label::scalar(&format!("L{k}"), "-", v));
+        let g = graph(ops, labels.collect());
+        let record = Record { time_s: &time_s, channels: vec![&u, &flow] };
+        let targets = [Target { record, node: None, y: &y, weights: &weights }];
+        let options = Options::default();
+        let held = fit(&g, &targets, &options, &|| false).unwrap();
+        let large = large::fit(&g, &g.base(), &targets, &options, &|| false).unwrap();
+        for (way, found) in [("held", &held), ("large", &large)] {
+            let off =
+                found.fit.exact.iter().zip(&wanted).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+            let squares = found.fit.rms[1].powi(2) * y.len() as f64 / r["squares"].as_f64().unwrap() - 1.0;
+            println!(
+                "{name}, {way}: labels off by {off:.1e}, squares by {squares:.1e}, {} steps",
+                found.steps
+            );
+            assert!(
+                found.converged && off < 1e-6 && squares.abs() < 1e-9,
+                "{name}, {way}: {off:e} {squares:e}"
+            );
+        }
+    }
 }
 
 #[test]

@@ -189,6 +189,48 @@ fn results_do_not_depend_on_the_number_of_threads() {
     assert_eq!(one.fit.half_width, three.fit.half_width);
 }
 
+/// Two maps, a film and two lags: wherever these start, the search ends no worse than at the labels that were planted, and near them.
+/// Starts of a tenth of a sample are places from which a lag does not see its samples.
+#[test]
+fn dynamic_labels_come_back_from_starts_that_are_far_off() {
+    let mut rng = Rng64::new(7);
+    let mut near = 0;
+    for drawn in 0..12 {
+        let mut graph = function(6);
+        // The lag of `function` is the first of two.
+        graph.labels.push(Label::scalar("SLOW", "s", 0.3));
+        graph.nodes.push(node("slow", Op::Label(5, vec![])));
+        graph.nodes.push(node("sensor", Op::Lag(10, 11)));
+        (graph.labels[5].lower, graph.labels[5].upper) = (0.001, 5.0);
+        let mut log = |low: f64, high: f64| low * (high / low).powf(rng.uniform());
+        let planted = [log(0.15, 0.5), log(0.4, 1.5), log(0.03, 0.1), log(0.15, 0.4)];
+        let start = [log(0.05, 0.3), log(0.2, 2.0), log(0.005, 0.05), log(0.1, 0.6)];
+        for (label, start) in graph.labels[2..].iter_mut().zip(start) {
+            label.base[0] = start;
+        }
+        let mut truth = truth(&function(6));
+        truth.truncate(39);
+        truth.extend(planted);
+        let mut d = drive(&function(6), drawn, 20_000, 0.05);
+        let clean = graph.values(&truth, &d.target().record);
+        let mut noise = Rng64::new(100 + drawn);
+        d.out = clean.iter().map(|v| v + 0.05 * noise.normal()).collect();
+        let options = Options { smooth: Some(0.0), ..Options::default() };
+        let found = large::fit(&graph, &graph.base(), &[d.target()], &options, &|| false).unwrap();
+        let left = |y: &[f64]| (0..y.len()).map(|k| d.weights[k] * (d.out[k] - y[k]).powi(2)).sum::<f64>();
+        let over = left(&graph.values(&found.fit.exact, &d.target().record)) / left(&clean) - 1.0;
+        let dynamics = &found.fit.exact[39..];
+        println!(
+            "{start:.3?} to {dynamics:.3?}, planted {planted:.3?}; squares {over:+.1e} of those of the planted ones, {} steps",
+            found.steps
+        );
+        assert!(found.converged && over < 0.0, "{drawn}: {over}");
+        near += (0..4).filter(|k| (dynamics[*k] - planted[*k]).abs() <= found.fit.half_width[39 + k]).count();
+    }
+    println!("{near} of 48 dynamic labels within their intervals");
+    assert!(near >= 42, "{near} of 48");
+}
+
 /// More cells than equations are held for: the same call goes the other way by itself.
 #[test]
 fn a_function_of_many_cells_is_fitted() {

@@ -231,6 +231,72 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
     }
 }
 
+/// A value that goes to new places at a rate and stays there for a while, in samples of 0.05 s.
+fn wander(rng: &mut Rng64, n: usize, [low, high]: [f64; 2], rate: f64, hold_s: [f64; 2]) -> Vec<f64> {
+    let (mut goal, mut left_s) = (0.5 * (low + high), 0.0);
+    let mut value = goal;
+    (0..n)
+        .map(|_| {
+            left_s -= if value == goal { 0.05 } else { 0.0 };
+            if left_s <= 0.0 {
+                goal = rng.uniform_in(low, high);
+                left_s = rng.uniform_in(hold_s[0], hold_s[1]);
+            }
+            value += (goal - value).clamp(-0.05 * rate, 0.05 * rate);
+            value
+        })
+        .collect()
+}
+
+/// Labels of a pulse width that is rounded to 1 us: the same state gives the same error, however long it is held. What was planted lies
+/// within the intervals as often as they say.
+#[test]
+fn intervals_hold_where_states_are_held_and_errors_are_those_of_rounding() {
+    let volts = [12.0, 13.0, 14.6];
+    let labels =
+        [Label::scalar("FACTOR", "-", 1.0), Label::curve("DEAD", "ms", "battery", "V", &volts, &[0.5; 3])];
+    let mut labels = labels.to_vec();
+    labels[1].axes[0].smooth = 0.0;
+    let (seeds, n) = (400, 3360);
+    let mut inside = [0; 4];
+    for seed in 0..seeds {
+        let mut rng = Rng64::new(1000 + seed);
+        let throttle = wander(&mut rng, n, [8.0, 26.0], 4.0, [0.5, 3.0]);
+        let speed = wander(&mut rng, n, [1250.0, 2750.0], 200.0, [1.0, 4.0]);
+        let battery = wander(&mut rng, n, [12.1, 14.5], 0.5, [0.5, 5.0]);
+        let truth = [
+            0.5 * (1.0 + rng.uniform_in(-0.02, 0.02)),
+            1.06 + rng.uniform_in(-0.02, 0.02),
+            1.03 + rng.uniform_in(-0.02, 0.02),
+            1.0 + rng.uniform_in(-0.02, 0.02),
+        ];
+        let more = rng.uniform_in(0.0, 1.0);
+        let (mut rows, mut y, mut pressure) = (Rows::default(), Vec::new(), None);
+        for k in 0..n {
+            let still = 20.0 + 80.0 * (1.0 - (-(throttle[k] - 5.0) / (speed[k] / 200.0)).exp());
+            let kpa = pressure.map_or(still, |p: f64| p + 0.3 * (still - p));
+            pressure = Some(kpa);
+            let (kpa, rpm) = (kpa.round(), speed[k].round());
+            let ve = (60.0 + 15.0 * (rpm / 900.0).sin() + 0.2 * kpa + more).floor();
+            let (fuel, u) = (9.7e-4 * ve * kpa, (10.0 * battery[k]).round() / 10.0);
+            rows.start();
+            rows.push(0, fuel);
+            labels[1].enter(&mut rows, 1, 1.0, &[u]);
+            let pulse = truth[0] * fuel + labels[1].value(&truth[1..], &[u]);
+            y.push((1e3 * pulse).round() * 1e-3);
+        }
+        let problem =
+            Problem { segments: std::iter::once(0..n).collect(), ..Problem::new(&labels, &rows, &y) };
+        let found = fit(&problem, &Options { smooth: Some(0.0), ..Options::default() }).unwrap();
+        for (k, truth) in truth.iter().enumerate() {
+            inside[k] += u32::from((found.exact[k] - truth).abs() <= found.half_width[k]);
+        }
+    }
+    let share = inside.map(|i| 100.0 * f64::from(i) / seeds as f64);
+    println!("within the intervals: {share:.1?} % of {seeds} seeds");
+    assert!(share.iter().all(|s| (92.0..=98.0).contains(s)), "{share:?}");
+}
+
 #[test]
 fn untouched_cells_keep_their_base_and_locked_ones_theirs() {
     let axis = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];

@@ -94,6 +94,9 @@ struct Ve {
     /// Cells without data follow their neighbours instead of keeping their values
     #[arg(long)]
     extrapolate: bool,
+    /// Samples in which the ECU enriches count too, by the correction in the log; without it they are left out
+    #[arg(long)]
+    enriched: bool,
     #[command(flatten)]
     common: Common,
 }
@@ -164,6 +167,7 @@ fn ve(args: &Ve) -> Result<Exit, Failure> {
     job.keys.train = args.train;
     job.keys.fit.smooth = args.smooth;
     job.keys.fit.extrapolate = args.extrapolate;
+    job.keys.mask.enriched = args.enriched;
     let (found, folder) = progress.during(|watch| label(&job, watch))?;
     for warning in &found.warnings {
         say(&format!("warning: {warning}"));

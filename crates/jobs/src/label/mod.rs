@@ -7,6 +7,7 @@
 pub mod channels;
 pub mod film;
 pub mod function;
+pub mod known;
 pub mod page;
 pub mod result;
 pub mod spec;

@@ -41,6 +41,17 @@ impl Graph {
 
     /// All nodes.
     pub(crate) fn run(&self, theta: &[f64], record: &Record) -> Run {
+        self.run_some(theta, record, &vec![true; self.nodes.len()], &|_| None)
+    }
+
+    /// The nodes of `need`; others have no values. `sum` has what those inputs of a sum give that have none.
+    pub(crate) fn run_some(
+        &self,
+        theta: &[f64],
+        record: &Record,
+        need: &[bool],
+        sum: &dyn Fn(usize) -> Option<Vec<f64>>,
+    ) -> Run {
         let (n, first) = (record.time_s.len(), self.first());
         let m = self.nodes.len();
         let mut run = Run {
@@ -50,35 +61,65 @@ impl Graph {
             flown: vec![Vec::new(); m],
         };
         for (k, node) in self.nodes.iter().enumerate() {
-            if let Op::Model(model, at) = &node.op {
-                let inputs: Vec<&[f64]> = at.iter().map(|i| run.values[*i].as_slice()).collect();
-                let y = model.answer(record.time_s, &inputs);
-                run.values.push(y);
-                continue;
-            }
-            let mut y = vec![0.0; n];
-            match &node.op {
-                Op::DelayFlow(_, flow, _) => run.flown[k] = integral(record.time_s, &run.values[*flow]),
-                Op::Film(..) => run.film[k] = vec![0.0; n],
-                _ => {}
-            }
-            if matches!(node.op, Op::Delay(..) | Op::DelayFlow(..)) {
-                run.places[k] = vec![(0, 0.0); n];
-            }
-            if node.op.remembers() {
-                for t in 0..n {
-                    y[t] = self.remembered(k, t, record, &mut run, &y);
+            let y = match &node.op {
+                _ if !need[k] => Vec::new(),
+                Op::Model(model, at) => {
+                    let inputs: Vec<&[f64]> = at.iter().map(|i| run.values[*i].as_slice()).collect();
+                    model.answer(record.time_s, &inputs)
                 }
-            } else {
-                y.par_chunks_mut(PIECE).enumerate().for_each(|(piece, y)| {
-                    for (i, y) in y.iter_mut().enumerate() {
-                        *y = self.instant(k, piece * PIECE + i, theta, &first, record, &run.values);
+                Op::Channel(c) => record.channels[*c].to_vec(),
+                Op::Add(terms) => match sum(k) {
+                    Some(mut y) => {
+                        terms
+                            .iter()
+                            .for_each(|i| y.iter_mut().zip(&run.values[*i]).for_each(|(y, x)| *y += x));
+                        y
                     }
-                });
-            }
+                    None => self.instants(k, n, theta, &first, record, &run.values),
+                },
+                op if op.remembers() => self.remembers(k, record, &mut run),
+                _ => self.instants(k, n, theta, &first, record, &run.values),
+            };
             run.values.push(y);
         }
         run
+    }
+
+    /// A node that knows the samples before.
+    fn remembers(&self, k: usize, record: &Record, run: &mut Run) -> Vec<f64> {
+        let n = record.time_s.len();
+        match &self.nodes[k].op {
+            Op::DelayFlow(_, flow, _) => run.flown[k] = integral(record.time_s, &run.values[*flow]),
+            Op::Film(..) => run.film[k] = vec![0.0; n],
+            _ => {}
+        }
+        if matches!(self.nodes[k].op, Op::Delay(..) | Op::DelayFlow(..)) {
+            run.places[k] = vec![(0, 0.0); n];
+        }
+        let mut y = vec![0.0; n];
+        for t in 0..n {
+            y[t] = self.remembered(k, t, record, run, &y);
+        }
+        y
+    }
+
+    /// A node that knows only its sample, at all samples.
+    fn instants(
+        &self,
+        k: usize,
+        n: usize,
+        theta: &[f64],
+        first: &[usize],
+        record: &Record,
+        values: &[Vec<f64>],
+    ) -> Vec<f64> {
+        let mut y = vec![0.0; n];
+        y.par_chunks_mut(PIECE).enumerate().for_each(|(piece, y)| {
+            for (i, y) in y.iter_mut().enumerate() {
+                *y = self.instant(k, piece * PIECE + i, theta, first, record, values);
+            }
+        });
+        y
     }
 
     /// A node that knows only its sample.

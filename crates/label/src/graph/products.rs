@@ -3,30 +3,24 @@
 //! Nodes are taken in stages: nodes with a memory one after the other over the whole record, all others in pieces of time, whose
 //! numbers stay near the processor. Sums are made over a fixed number of parts, so that results do not depend on the processors.
 
+pub(crate) mod front;
 mod memory;
 pub(crate) mod statics;
 
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::forward::{Run, slopes};
 use super::{Graph, Op, Record};
-use crate::rows::between;
+use front::{Front, LookUp};
 
 /// Parts of a record that are summed up apart.
 const PARTS: usize = 32;
 /// Samples of a piece: of a hundred nodes its numbers stay in the second cache.
 const PIECE: usize = 256;
-
-/// Interval of an axis and share of the way through it, at each sample.
-struct LookUp {
-    node: usize,
-    points: Vec<f64>,
-    below: Vec<u16>,
-    share: Vec<f64>,
-}
 
 /// J of one node of a function at one point, for products with it ([`Graph::products`]).
 pub struct Products<'a> {
@@ -41,7 +35,9 @@ pub struct Products<'a> {
     stages: usize,
     /// Nodes of which the whole record is needed: memory, output, and what later stages read.
     whole: Vec<bool>,
-    looks: Vec<LookUp>,
+    looks: Vec<Arc<LookUp>>,
+    /// What no label changes.
+    front: Arc<Front>,
     /// Look-ups of each label node.
     look: Vec<Vec<usize>>,
     /// What decays in each lag and film.
@@ -54,18 +50,20 @@ type Piece = Vec<Vec<f64>>;
 impl Graph {
     /// The derivative of node `output` at `theta`, without holding it.
     pub fn products<'a>(&'a self, theta: &[f64], record: &'a Record<'a>, output: usize) -> Products<'a> {
-        Products::new(self, record, theta, self.run(theta, record), output)
+        let front = Arc::new(Front::new(self, record, output));
+        Products::new(self, record, theta, self.run(theta, record), output, front)
     }
 }
 
 impl<'a> Products<'a> {
-    /// At `theta`, of which `run` are the values.
+    /// At `theta`, of which `run` are the values (those of members of bundles are not needed).
     pub(crate) fn new(
         graph: &'a Graph,
         record: &'a Record<'a>,
         theta: &[f64],
         run: Run,
         output: usize,
+        front: Arc<Front>,
     ) -> Self {
         let m = graph.nodes.len();
         let mut leads = vec![false; m];
@@ -88,10 +86,10 @@ impl<'a> Products<'a> {
         }
         let mut whole = vec![false; m];
         whole[output] = true;
-        for k in (0..m).filter(|k| stage[*k].is_some()) {
+        for k in (0..m).filter(|k| stage[*k].is_some() && !front.taken[*k]) {
             let op = &graph.nodes[k].op;
             whole[k] |= op.remembers();
-            for i in op.inputs() {
+            for i in op.inputs().into_iter().filter(|i| !front.taken[*i]) {
                 whole[i] |= op.remembers() || (stage[i].is_some() && stage[i] < stage[k]);
             }
         }
@@ -107,7 +105,8 @@ impl<'a> Products<'a> {
             stage,
             stages,
             whole,
-            looks: Vec::new(),
+            looks: front.looks.clone(),
+            front,
             look: vec![Vec::new(); m],
             decays: vec![Vec::new(); m],
         };
@@ -124,10 +123,7 @@ impl<'a> Products<'a> {
             for (node, axis) in at.iter().zip(&graph.labels[*l].axes) {
                 let known = self.looks.iter().position(|o| o.node == *node && o.points == axis.points);
                 let place = known.unwrap_or_else(|| {
-                    let at = |x: &f64| between(&axis.points, *x);
-                    let (below, share) =
-                        self.run.values[*node].par_iter().map(|x| (at(x).0 as u16, at(x).1)).unzip();
-                    self.looks.push(LookUp { node: *node, points: axis.points.clone(), below, share });
+                    self.looks.push(Arc::new(LookUp::new(*node, &axis.points, &self.run.values[*node])));
                     self.looks.len() - 1
                 });
                 self.look[k].push(place);
@@ -216,13 +212,17 @@ impl<'a> Products<'a> {
         }
     }
 
-    /// Calls `take` with cell and weight of each look-up of a label, with each sample that `counts`.
-    pub(crate) fn visits(&self, counts: &dyn Fn(usize) -> bool, take: &mut dyn FnMut(usize, f64)) {
-        for k in (0..self.graph.nodes.len()).filter(|k| self.stage[*k].is_some()) {
+    /// Calls `take` with cells that samples visit, which `counts` says of each: sum of their weights there, and of the squares of these.
+    pub(crate) fn visits(&self, counts: &[bool], take: &mut dyn FnMut(usize, [f64; 2])) {
+        self.front.visits(counts, |sum| self.stage[sum].is_some(), take);
+        let own = |k: &usize| self.stage[*k].is_some() && !self.front.taken[*k];
+        for k in (0..self.graph.nodes.len()).filter(own) {
             let Op::Label(l, _) = self.graph.nodes[k].op else { continue };
-            for t in (0..self.samples()).filter(|t| counts(*t)) {
+            for t in (0..self.samples()).filter(|t| counts[*t]) {
                 let (cells, weights, n) = self.corners(k, l, t);
-                (0..n).filter(|c| weights[*c] != 0.0).for_each(|c| take(cells[c], weights[c]));
+                (0..n)
+                    .filter(|c| weights[*c] != 0.0)
+                    .for_each(|c| take(cells[c], [weights[c], weights[c].powi(2)]));
             }
         }
     }
@@ -232,6 +232,7 @@ impl<'a> Products<'a> {
         let (n, m) = (self.samples(), self.graph.nodes.len());
         let mut d: Vec<Vec<f64>> =
             (0..m).map(|k| if self.whole[k] { vec![0.0; n] } else { Vec::new() }).collect();
+        let tables = self.front.tables(v);
         for stage in 0..self.stages {
             for k in (0..m).filter(|k| self.stage[*k] == Some(stage) && self.graph.nodes[*k].op.remembers()) {
                 let (mut dy, mut dm) = (std::mem::take(&mut d[k]), 0.0);
@@ -253,7 +254,7 @@ impl<'a> Products<'a> {
                 d[k] = dy;
             }
             let found: Vec<Piece> =
-                (0..PARTS).into_par_iter().map(|p| self.part_forward(p, stage, v, &d)).collect();
+                (0..PARTS).into_par_iter().map(|p| self.part_forward(p, stage, v, &tables, &d)).collect();
             for (p, piece) in found.into_iter().enumerate() {
                 for (k, values) in piece.into_iter().enumerate().filter(|(_, values)| !values.is_empty()) {
                     d[k][self.part(p)].copy_from_slice(&values);
@@ -265,11 +266,11 @@ impl<'a> Products<'a> {
 
     /// Whether node `k` is taken in pieces at this stage.
     fn instant(&self, k: usize, stage: usize) -> bool {
-        self.stage[k] == Some(stage) && !self.graph.nodes[k].op.remembers()
+        self.stage[k] == Some(stage) && !self.front.taken[k] && !self.graph.nodes[k].op.remembers()
     }
 
     /// Derivatives of the nodes of a stage that are needed as a whole, over one part.
-    fn part_forward(&self, p: usize, stage: usize, v: &[f64], d: &[Vec<f64>]) -> Piece {
+    fn part_forward(&self, p: usize, stage: usize, v: &[f64], tables: &[Vec<f64>], d: &[Vec<f64>]) -> Piece {
         let m = self.graph.nodes.len();
         let mut out: Piece = vec![Vec::new(); m];
         let mut near: Piece = vec![Vec::new(); m];
@@ -281,6 +282,7 @@ impl<'a> Products<'a> {
                 own.clear();
                 own.resize(piece.len(), 0.0);
                 self.tangents_of(k, stage, piece.clone(), v, d, &near, &mut own);
+                self.front.forward(k, tables, piece.clone(), &mut own);
                 if self.whole[k] {
                     out[k].extend_from_slice(&own);
                 }
@@ -317,7 +319,7 @@ impl<'a> Products<'a> {
             }
         }
         for (which, input) in op.inputs().into_iter().enumerate() {
-            if self.stage[input].is_none() {
+            if self.stage[input].is_none() || self.front.taken[input] {
                 continue;
             }
             let dx = if self.instant(input, stage) { &near[input][..] } else { &d[input][piece.clone()] };
@@ -402,6 +404,7 @@ impl<'a> Products<'a> {
         let m = self.graph.nodes.len();
         let mut out: Piece = vec![Vec::new(); m];
         let mut cells = vec![0.0; self.theta.len()];
+        let mut tables = self.front.none();
         let mut near: Piece = vec![Vec::new(); m];
         let all = self.part(p);
         for from in all.clone().step_by(PIECE) {
@@ -418,8 +421,9 @@ impl<'a> Products<'a> {
                 if let Op::Label(l, _) = self.graph.nodes[k].op {
                     self.to_cells(k, l, piece.clone(), &own, &mut cells);
                 }
+                self.front.backward(k, &mut tables, piece.clone(), &own);
                 for (which, input) in self.graph.nodes[k].op.inputs().into_iter().enumerate() {
-                    if self.stage[input].is_none() {
+                    if self.stage[input].is_none() || self.front.taken[input] {
                         continue;
                     }
                     let offset = from - all.start;
@@ -439,6 +443,7 @@ impl<'a> Products<'a> {
                 near[k] = own;
             }
         }
+        self.front.gather(&tables, &mut cells);
         (out, cells)
     }
 }

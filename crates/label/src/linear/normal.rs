@@ -96,6 +96,11 @@ impl Normal {
         }
     }
 
+    /// Whether the label of a free cell is smoothed.
+    pub(super) fn is_rough(&self, f: usize) -> bool {
+        self.rough.iter().any(|row| row.2 == self.owner[f])
+    }
+
     fn gather(&mut self, p: &Problem, map: &[Option<usize>], offset: &[f64], weights: &[f64]) {
         let n = self.n;
         self.g = vec![0.0; n * n];

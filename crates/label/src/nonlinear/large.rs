@@ -14,21 +14,24 @@
 //! Intervals come from draws of the posterior, each the solution for one draw of the noise.
 //!
 //! What times a memory (delays, time constants, shares of a film) is held until the other labels fit, and changes by half of itself a
-//! step at most. Where samples are many the search begins with the first eighth of each record.
+//! step at most ([`timing`]). Where samples are many the search begins with the first quarter of each record.
 
 mod system;
+mod timing;
 mod told;
 
 use std::sync::Arc;
 
 use super::{FIRST_SMOOTH, Found, Target, not_finite};
 use crate::error::LabelError;
+use crate::graph::Graph;
 use crate::graph::forward::Run;
 use crate::graph::products::Products;
-use crate::graph::{Graph, Op};
-use crate::linear::{self, Options, offsets};
+use crate::graph::products::front::Front;
+use crate::linear::{self, Options};
 use dynocal_numerics::linalg::{dot, norm2};
-use system::{Exact, Levels, System};
+use system::{Exact, Levels, Pairs, System};
+use timing::Timing;
 
 /// Most steps of a round.
 const MOST_STEPS: usize = 60;
@@ -48,10 +51,6 @@ const SURE: f64 = 1e-8;
 /// How exact steps are at most, and the first ones, which are far from where they lead.
 const LATER: Exact = Exact { left: 1e-2, most: 100 };
 const FIRST: Exact = Exact { left: 0.1, most: 12 };
-/// Start, in s or as a share, that a value of 0 counts as.
-const LEAST_START: f64 = 0.01;
-/// Step of what times a memory, as a share of its value, at most.
-const FACTOR: f64 = 0.5;
 /// Damping below which a step is as long as the equations have it.
 const DAMPED: f64 = 1e-3;
 /// Share of the cost that a step may promise and rounding take.
@@ -73,11 +72,22 @@ struct State {
     cost: f64,
 }
 
+/// What no label changes, of each target.
+fn fronts(graph: &Graph, targets: &[Target]) -> Vec<Arc<Front>> {
+    targets.iter().map(|t| Arc::new(Front::new(graph, &t.record, t.node_of(graph)))).collect()
+}
+
 /// Weighted squares and the runs of all targets; none where a sample is no number.
-fn evaluate(graph: &Graph, theta: &[f64], targets: &[Target], weights: &[Vec<f64>]) -> Option<State> {
+fn evaluate(
+    graph: &Graph,
+    theta: &[f64],
+    targets: &[Target],
+    fronts: &[Arc<Front>],
+    weights: &[Vec<f64>],
+) -> Option<State> {
     let (mut runs, mut cost) = (Vec::new(), 0.0);
-    for (t, w) in targets.iter().zip(weights) {
-        let run = graph.run(theta, &t.record);
+    for ((t, front), w) in targets.iter().zip(fronts).zip(weights) {
+        let run = front.run(graph, theta, &t.record);
         let y = &run.values[t.node_of(graph)];
         for k in (0..t.y.len()).filter(|k| w[*k] > 0.0) {
             cost += w[k] * (t.y[k] - y[k]).powi(2);
@@ -120,18 +130,21 @@ pub fn fit(
     if !weights.iter().flatten().any(|w| *w > 0.0) {
         return Err(LabelError::TooFew { found: 0, expected: start.len() });
     }
-    let mut theta = within(graph, start);
+    let sample_s = timing::sample_s(targets);
+    let mut theta = within(graph, &timing::seen(graph, start, sample_s));
     let held = vec![false; start.len()];
-    let reach = furthest(graph, start);
+    let timing = Arc::new(Timing::new(graph, &theta, sample_s));
     let mut search = Search {
         graph,
         targets,
+        fronts: fronts(graph, targets),
         options,
         interrupt,
         levels: None,
         held,
-        furthest: reach,
+        timing,
         promised: [0.0; 2],
+        pairs: Pairs::default(),
         steps: 0,
         converged: false,
     };
@@ -183,15 +196,17 @@ fn huber(system: &System, plain: &[Vec<f64>]) -> Vec<Vec<f64>> {
 struct Search<'a> {
     graph: &'a Graph,
     targets: &'a [Target<'a>],
+    fronts: Vec<Arc<Front>>,
     options: &'a Options,
     interrupt: &'a dyn Fn() -> bool,
     levels: Option<Arc<Levels>>,
     /// Cells that do not move.
     held: Vec<bool>,
-    /// How far each cell goes in one step where its own value is small.
-    furthest: Vec<f64>,
+    timing: Arc<Timing>,
     /// What the last two steps promised to take from the cost.
     promised: [f64; 2],
+    /// What the equations of earlier steps have told of the matrix.
+    pairs: Pairs,
     steps: usize,
     converged: bool,
 }
@@ -241,17 +256,19 @@ impl<'a> Search<'a> {
             self.round(theta, weights, &Reach { steps: 0, exact: FIRST, gain: 0.0 })?;
         }
         let (graph, options, interrupt) = (self.graph, self.options, self.interrupt);
-        let (levels, held, furthest) = (self.levels.take(), timing(graph), self.furthest.clone());
+        let (levels, timing) = (self.levels.take(), self.timing.clone());
         let targets = &targets;
         let mut search = Search {
             graph,
             targets,
+            fronts: fronts(graph, targets),
             options,
             interrupt,
             levels,
-            held,
-            furthest,
+            held: timing.times.clone(),
+            timing,
             promised: [0.0; 2],
+            pairs: Pairs::default(),
             steps: 0,
             converged: false,
         };
@@ -274,7 +291,7 @@ impl<'a> Search<'a> {
     ) -> Result<System<'a>, LabelError> {
         let (graph, targets) = (self.graph, self.targets);
         let wrong = |theta: &[f64]| not_finite(graph, theta, targets);
-        let state = evaluate(graph, theta, targets, weights).ok_or_else(|| wrong(theta))?;
+        let state = evaluate(graph, theta, targets, &self.fronts, weights).ok_or_else(|| wrong(theta))?;
         let smooth = self.options.smooth.unwrap_or(FIRST_SMOOTH);
         let products = self.products(theta, state.runs);
         let mut system = System::new(graph, products, targets, weights, self.options, smooth);
@@ -283,7 +300,7 @@ impl<'a> Search<'a> {
         let known = system.known(theta);
         if known != *theta {
             *theta = known;
-            let state = evaluate(graph, theta, targets, weights).ok_or_else(|| wrong(theta))?;
+            let state = evaluate(graph, theta, targets, &self.fronts, weights).ok_or_else(|| wrong(theta))?;
             cost = state.cost;
             system.move_to(self.products(theta, state.runs));
         }
@@ -323,15 +340,10 @@ impl<'a> Search<'a> {
         let sure = SURE * theta.len() as f64 / samples;
         let exact = self.exact(exact);
         loop {
-            let p = system.step(&g, theta, &self.held, *mu, exact, self.interrupt)?;
+            let p = system.step(&g, theta, &self.held, *mu, exact, &mut self.pairs, self.interrupt)?;
             let mut moved: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
-            // What times a memory doubles or halves at most: far away a film or a lag may be none, and then nothing leads back.
-            let mut short = false;
-            for (k, v) in moved.iter_mut().enumerate() {
-                let most = FACTOR * theta[k].abs().max(self.furthest[k]);
-                short |= (*v - theta[k]).abs() > most;
-                *v = v.clamp(theta[k] - most, theta[k] + most);
-            }
+            // Far away a film or a lag may be none, and then nothing leads back.
+            let short = self.timing.shorten(theta, &mut moved);
             let next = within(self.graph, &moved);
             let own = dot(&g, &p);
             let small = *mu <= DAMPED && !short && (stands(&next, theta) || own <= sure * *cost);
@@ -339,7 +351,7 @@ impl<'a> Search<'a> {
                 promised = own;
                 self.promised = [own, self.promised[0]];
             }
-            let new = evaluate(self.graph, &next, self.targets, weights);
+            let new = evaluate(self.graph, &next, self.targets, &self.fronts, weights);
             let better = new.map(|s| (s.cost + system.cost_of_base(&next), s)).filter(|(c, _)| *c < *cost);
             if let Some((c, found)) = better {
                 self.converged = small || (*mu <= DAMPED && *cost - c <= 1e-14 * *cost);
@@ -366,41 +378,9 @@ impl<'a> Search<'a> {
     }
 
     fn products(&self, theta: &[f64], runs: Vec<Run>) -> Vec<Products<'a>> {
-        let one = |(t, run): (&'a Target<'a>, Run)| {
-            Products::new(self.graph, &t.record, theta, run, t.node_of(self.graph))
+        let one = |((t, front), run): ((&'a Target<'a>, &Arc<Front>), Run)| {
+            Products::new(self.graph, &t.record, theta, run, t.node_of(self.graph), front.clone())
         };
-        self.targets.iter().zip(runs).map(one).collect()
+        self.targets.iter().zip(&self.fronts).zip(runs).map(one).collect()
     }
-}
-
-/// How far cells go in one step where their own value is small: what times a memory by its start, all others by any distance.
-fn furthest(graph: &Graph, start: &[f64]) -> Vec<f64> {
-    let of = |(times, start): (bool, &f64)| if times { start.abs().max(LEAST_START) } else { f64::INFINITY };
-    timing(graph).into_iter().zip(start).map(of).collect()
-}
-
-/// Cells of labels that a delay, lag or film is timed by, and of shares of a film.
-fn timing(graph: &Graph) -> Vec<bool> {
-    let mut times = vec![false; graph.nodes.len()];
-    let mut out = vec![false; graph.base().len()];
-    let spans = spans(graph);
-    for (k, node) in graph.nodes.iter().enumerate().rev() {
-        let inputs = node.op.inputs();
-        let from = match node.op {
-            _ if times[k] => 0,
-            Op::Delay(..) | Op::DelayFlow(..) | Op::Lag(..) | Op::Film(..) => 1,
-            _ => inputs.len(),
-        };
-        inputs[from..].iter().for_each(|i| times[*i] = true);
-        if let (true, Op::Label(l, _)) = (times[k], &node.op) {
-            out[spans[*l].clone()].fill(true);
-        }
-    }
-    out
-}
-
-/// Cells of each label, one after the other.
-fn spans(graph: &Graph) -> Vec<std::ops::Range<usize>> {
-    let (first, _) = offsets(&graph.labels);
-    graph.labels.iter().zip(first).map(|(l, from)| from..from + l.len()).collect()
 }

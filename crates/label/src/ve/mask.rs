@@ -16,11 +16,19 @@ pub struct Keys {
     pub after_cut_s: f64,
     /// Speed below which the engine is started, not run, in rpm.
     pub least_speed_rpm: f64,
+    /// Whether samples count in which the ECU enriches for start, warm-up or acceleration: by the correction that the log has of it.
+    pub enriched: bool,
 }
 
 impl Default for Keys {
     fn default() -> Self {
-        Self { least_coolant_c: 71.0, most_throttle_rate: 20.0, after_cut_s: 1.5, least_speed_rpm: 400.0 }
+        Self {
+            least_coolant_c: 71.0,
+            most_throttle_rate: 20.0,
+            after_cut_s: 1.5,
+            least_speed_rpm: 400.0,
+            enriched: false,
+        }
     }
 }
 
@@ -66,7 +74,7 @@ pub fn of(log: &Log, keys: &Keys) -> Mask {
     let cold = |k: usize| log.coolant_c.as_ref().is_some_and(|c| !(c[k] >= keys.least_coolant_c));
     let moving =
         |k: usize| log.throttle_rate.as_ref().is_some_and(|r| !(r[k].abs() < keys.most_throttle_rate));
-    let enriching = |k: usize| log.enriching.as_ref().is_some_and(|e| e[k]);
+    let enriching = |k: usize| !keys.enriched && log.enriching.as_ref().is_some_and(|e| e[k]);
     let reasons: [(&str, &dyn Fn(usize) -> bool); 7] = [
         ("engine stopped, started, or fuel cut", &|k| !burning[k]),
         ("echo of a fuel cut or a start", &|k| since[k] < keys.after_cut_s),

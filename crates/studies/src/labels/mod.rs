@@ -5,6 +5,7 @@
 //! labels that are known.
 
 mod film;
+mod known;
 mod planted;
 
 use std::path::{Path, PathBuf};
@@ -45,6 +46,8 @@ const WARM_C: f64 = 80.0;
 /// Seeds of the virtual car, and how many of them are one task.
 const CARS: u64 = 100;
 const CARS_A_TASK: u64 = 25;
+/// Seeds of the virtual car whose tune is the truth.
+const TRUE_CARS: u64 = 5;
 const PULSE: &str = "2025-12-02_10.58.15o";
 /// Drives on which the correction is never 100 % and that accelerate: without enrichment as a term of its own nothing fits.
 const ENRICHED: [&str; 3] = ["2025-12-02_10.08.37", "2025-12-08_15.52.00", "2026-02-28_17.53.41"];
@@ -111,6 +114,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         inputs: json!([length_s]),
         run: Box::new(move |around| value("film", film::fit(around, length_s)?)),
     });
+    out.extend(known::tasks(o));
     let (cars, each) = if o.reduced { (2, 2) } else { (CARS, CARS_A_TASK) };
     for from in (0..cars).step_by(each as usize).map(|k| o.seed + k) {
         out.push(Task {
@@ -120,15 +124,33 @@ fn tasks(o: &Options) -> Vec<Task> {
         });
     }
     let drives = if o.reduced { &DRIVES[..1] } else { &DRIVES[..] };
-    for (name, ..) in drives {
+    for (name, enriched) in drives.iter().flat_map(|d| [(d.0, false), (d.0, true)]) {
         let data = data.clone();
         out.push(Task {
-            name: (*name).into(),
-            inputs: json!([name]),
-            run: Box::new(move |around| value(name, drive(data.as_deref(), name, around)?)),
+            name: if enriched { with_enriched(name) } else { name.into() },
+            inputs: json!([name, enriched]),
+            run: Box::new(move |around| value(name, drive(data.as_deref(), name, enriched, around)?)),
         });
     }
+    let seeds = if o.reduced { 1 } else { TRUE_CARS };
+    let from = o.seed;
+    out.push(Task {
+        name: "unchanged".into(),
+        inputs: json!([from, seeds]),
+        run: Box::new(move |around| {
+            let truth = planted::truth()?;
+            let runs = &around.runs;
+            let taken =
+                (from..from + seeds).map(|seed| planted::changed(seed, &truth, runs, Watch::silent()));
+            value("unchanged", taken.collect::<Result<Vec<bool>, _>>()?)
+        }),
+    });
     out
+}
+
+/// Name of the task that counts samples of a drive in which the ECU enriches.
+fn with_enriched(name: &str) -> String {
+    format!("{name}-enriched-too")
 }
 
 /// Virtual cars, several at a time.
@@ -205,9 +227,16 @@ fn enriched(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<En
     })
 }
 
-fn drive(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Drive, StudyError> {
+fn drive(
+    data: Option<&Path>,
+    name: &str,
+    enriched: bool,
+    around: &Surroundings,
+) -> Result<Drive, StudyError> {
     let path = log(data, name)?;
-    let mut job = Job::ve(vec![path], None, None, Some(&around.runs.join(name)));
+    let run = if enriched { with_enriched(name) } else { name.into() };
+    let mut job = Job::ve(vec![path], None, None, Some(&around.runs.join(run)));
+    job.keys.mask.enriched = enriched;
     // As the specification does: everything is related to 14.7.
     job.target_lambda = Some(1.0);
     job.keys.mask.least_coolant_c = WARM_C;
@@ -306,9 +335,36 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             "from two drives fitted together, 20 and 90 degC at the start",
         ));
     }
+    out.extend(known::checks(results));
     out.extend(planted_checks(&planted_of(results)));
+    if results.iter().any(|r| r.name == "unchanged") {
+        let taken: Option<Vec<bool>> = result(results, "unchanged");
+        out.push(check(
+            "unchanged",
+            "Virtual car whose tune is the truth in whole counts: seeds in which another table is taken",
+            Asked::Reported,
+            taken.as_ref().map(|t| t.iter().filter(|t| **t).count() as f64),
+            "",
+            taken.as_ref().map_or(String::new(), |t| format!("of {} seeds", t.len())),
+        ));
+    }
     for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {
         let d: Option<Drive> = result(results, name);
+        let e: Option<Drive> = result(results, &with_enriched(name));
+        out.push(check(
+            format!("ve-{name}-enriched-too"),
+            "The same where samples count in which the ECU enriches, as those of the specification do",
+            Asked::AtMost(100.0 * page),
+            e.as_ref().map(|d| 100.0 * d.after),
+            "%",
+            e.as_ref().map_or(String::new(), |e| {
+                format!(
+                    "the nearest cell has {:.1} % and the tune {:.1} % on the same samples",
+                    100.0 * e.nearest,
+                    100.0 * e.before
+                )
+            }),
+        ));
         out.push(check(
             format!("ve-{name}"),
             "Lambda on later samples of the same drive with the fitted table (root mean square)",
@@ -456,6 +512,9 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
     let text = "Each table was fitted to the first 60 % of the samples that count, the delay and the lag of the sensor as well; the numbers \
                 are of the other 40 %, in cells that the first part has seen. Samples count from 80 degC of the coolant on.";
     let mut report = report.section(Section::new("Fuel tables on later samples").text(text).block(table));
+    if let Some(known) = known::section(results) {
+        report = report.section(known);
+    }
     let cars = planted_of(results);
     if !cars.is_empty() {
         report = report.section(planted_section(&cars));

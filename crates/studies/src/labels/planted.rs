@@ -275,6 +275,31 @@ fn tune(table: &[f64]) -> String {
     )
 }
 
+/// The truth with that of the nearest load where the engine does not come to in steady state, but may on its way.
+fn everywhere(truth: &[f64]) -> Vec<f64> {
+    let nearest = |k: usize| {
+        let column = (k % RPM.len()..truth.len()).step_by(RPM.len()).filter(|j| truth[*j].is_finite());
+        column.min_by_key(|j| j.abs_diff(k)).map_or(f64::NAN, |j| truth[j])
+    };
+    (0..truth.len()).map(nearest).collect()
+}
+
+/// Whether a table is taken where that in the ECU is the truth, in whole counts.
+pub(super) fn changed(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<bool, StudyError> {
+    std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;
+    let path = runs.join(format!("true-{seed}.mlg"));
+    let own = Own::of(seed);
+    // A look-up is cut: half a count more is the truth on average.
+    let count = |v: &f64| (v * FACTOR / own.factor + 0.5).round();
+    let table: Vec<f64> = everywhere(truth).iter().map(count).collect();
+    drive(seed, &own, &table, &path)?;
+    let mut job = Job::ve(vec![path.clone()], None, None, Some(&runs.join("ve-true")));
+    job.target_lambda = Some(1.0);
+    let found = label::work::fit(&job, watch).map_err(|e| fail(&e))?;
+    std::fs::remove_file(&path).map_err(|e| fail(&e))?;
+    Ok(serde_json::to_value(found.found.judgement.decision).is_ok_and(|d| d == "change"))
+}
+
 /// Drives the car of `seed`, fits what its log says, and compares.
 pub(super) fn back(seed: u64, truth: &[f64], runs: &Path, watch: Watch) -> Result<Back, StudyError> {
     std::fs::create_dir_all(runs).map_err(|e| fail(&e))?;

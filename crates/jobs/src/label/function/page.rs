@@ -38,7 +38,10 @@ fn report(found: &Fitted) -> Report {
             .holds(found.unseen_rms[1] <= found.unseen_rms[0])
             .note("the demand is the base"),
     );
-    report = report.section(cells(found)).section(shapes(found));
+    report = report.section(cells(found));
+    if found.labels.iter().any(|l| !l.axes.is_empty()) {
+        report = report.section(shapes(found));
+    }
     if !found.chosen.is_empty() {
         report = report.section(chosen(found));
     }

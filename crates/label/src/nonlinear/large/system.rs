@@ -4,6 +4,7 @@ mod band;
 mod levels;
 mod near;
 mod order;
+mod pairs;
 mod tiles;
 
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use std::sync::Arc;
 use dynocal_numerics::linalg::{self, axpy, dot};
 use dynocal_numerics::rng::Rng64;
 
-use super::spans;
+use super::timing::spans;
 use crate::error::LabelError;
 use crate::graph::Graph;
 use crate::graph::products::Products;
@@ -19,6 +20,7 @@ use crate::linear::Options;
 use crate::nonlinear::Target;
 pub(super) use levels::Levels;
 use near::Near;
+pub(super) use pairs::Pairs;
 
 /// Draws of random signs for the diagonal.
 const SIGNS: u64 = 8;
@@ -223,9 +225,10 @@ impl<'a> System<'a> {
     fn visit(&mut self) {
         let (visits, facts) = (&mut self.visits, &mut self.facts);
         for (p, w) in self.products.iter().zip(&self.weights) {
-            p.visits(&|t| w[t] > 0.0, &mut |cell, share| {
-                visits[cell] += share;
-                facts[cell] += share * share;
+            let counts: Vec<bool> = w.iter().map(|w| *w > 0.0).collect();
+            p.visits(&counts, &mut |cell, [sum, squares]| {
+                visits[cell] += sum;
+                facts[cell] += squares;
             });
         }
     }
@@ -339,6 +342,7 @@ impl<'a> System<'a> {
         held: &[bool],
         mu: f64,
         exact: Exact,
+        pairs: &mut Pairs,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
         let moves: Vec<bool> = (0..g.len())
@@ -348,7 +352,7 @@ impl<'a> System<'a> {
                 self.free[k] && !held[k] && !low && !high
             })
             .collect();
-        self.solve(g, &moves, mu, exact, interrupt)
+        self.solve(g, &moves, mu, exact, pairs, interrupt)
     }
 
     /// Conjugate gradients over the cells that move.
@@ -358,17 +362,19 @@ impl<'a> System<'a> {
         moves: &[bool],
         mu: f64,
         exact: Exact,
+        pairs: &mut Pairs,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<Vec<f64>, LabelError> {
         let levels = self.levels.as_ref().filter(|_| mu <= DAMPED_MUCH);
         let diagonal = Near::new(self, moves, mu);
-        let near = |r: &[f64]| match levels {
-            Some(levels) => self.near_all(levels, r, moves),
+        let known = pairs.len();
+        let near = |r: &[f64], pairs: &Pairs| match levels {
+            Some(levels) => pairs.solve(known, r, moves, |r| self.near_all(levels, r, moves)),
             None => Ok(diagonal.solve(r)),
         };
         let mut x = vec![0.0; g.len()];
         let mut r: Vec<f64> = g.iter().zip(moves).map(|(g, m)| if *m { *g } else { 0.0 }).collect();
-        let mut z = near(&r)?;
+        let mut z = near(&r, pairs)?;
         let (mut p, mut rz) = (z.clone(), dot(&r, &z));
         let goal = exact.left * exact.left * rz;
         for _ in 0..exact.most {
@@ -380,14 +386,18 @@ impl<'a> System<'a> {
             if !(curvature > 0.0) {
                 break;
             }
+            if levels.is_some() {
+                pairs.push(&p, &q, curvature);
+            }
             let a = rz / curvature;
             axpy(a, &p, &mut x);
             axpy(-a, &q, &mut r);
-            z = near(&r)?;
+            z = near(&r, pairs)?;
             let next = dot(&r, &z);
             p.iter_mut().zip(&z).for_each(|(p, z)| *p = z + next / rz * *p);
             rz = next;
         }
+        pairs.trim();
         Ok(x)
     }
 

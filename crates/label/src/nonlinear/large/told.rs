@@ -1,7 +1,7 @@
 //! What the data say of each cell, from draws.
 
 use super::super::Target;
-use super::system::{Exact, System};
+use super::system::{Exact, Pairs, System};
 use crate::correlation;
 use crate::error::LabelError;
 use crate::graph::Graph;
@@ -28,8 +28,9 @@ pub(super) fn tell(
     let mut squares = vec![0.0; theta.len()];
     let mut parameters = 0.0;
     let draws = options.draws.min(T95.len());
+    let mut pairs = Pairs::default();
     for draw in 0..draws {
-        let x = system.solve(&system.noise(draw as u64), free, 0.0, DRAWN, &|| false)?;
+        let x = system.solve(&system.noise(draw as u64), free, 0.0, DRAWN, &mut pairs, &|| false)?;
         parameters += system.square(&x) / draws as f64;
         squares.iter_mut().zip(&x).for_each(|(s, x)| *s += x * x / draws as f64);
     }
