@@ -52,7 +52,8 @@ pub struct Drive {
     pub widen: f64,
     /// What sweeps along the maps changed; none where there were none.
     pub trimmed: Option<Trimmed>,
-    /// RMS of what the verification took there less what the map says, as [`Drive::error`]; none before there is one.
+    /// RMS of what the verification took there less what the map says, by what it does to the demand: as a share of it where
+    /// [`Drive::relative`]; none before there is one.
     pub verified: Option<f64>,
     /// Which channels are learnt over by their logarithms.
     logs: Vec<bool>,
@@ -66,9 +67,11 @@ pub struct Drive {
 pub struct Trimmed {
     /// RMS of what the map missed along the lines before.
     pub before: f64,
-    /// Scatter of a window about the trimmed map and the lag of its way.
+    /// Scatter of a window about the trimmed map and the lag of its way: what the map does not follow, and noise.
     pub scatter: f64,
-    /// RMS of what a line differs from what the lines beside it say of it; none with fewer than three lines.
+    /// The same by what it does to the demand: as a share of it where the map is relative.
+    pub held: f64,
+    /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
     #[serde(skip)]
     trim: Trim,
@@ -233,20 +236,22 @@ impl Drive {
     }
 
     /// Its error: between the lines that were swept, where there are three, else on points that had no part in it; or, where that is
-    /// larger, what the verification found: lines do not show what all of them have in common.
+    /// larger, the scatter along the lines, which a map that is smooth does not follow, or what the verification found: lines do not
+    /// show what all of them have in common.
     fn missing(&self) -> f64 {
-        let told = self.trimmed.as_ref().and_then(|t| t.between).unwrap_or(self.error);
-        self.verified.map_or(told, |v| v.max(told))
+        let swept = self.trimmed.as_ref();
+        let told = swept.and_then(|t| t.between).unwrap_or(self.error);
+        let scattered = swept.map_or(0.0, |t| t.held);
+        self.verified.unwrap_or(0.0).max(told).max(scattered)
     }
 
-    /// Takes what the loops set at the verification points, `(measured, expected)` each.
-    pub(super) fn verify(&mut self, pairs: &[(f64, f64)]) {
-        let squares: Vec<f64> = pairs.iter().map(|(m, e)| self.missed_by(*m, *e).powi(2)).collect();
-        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    /// Takes what the loops set at the verification points less what the map says, by what it does to the demand.
+    pub(super) fn verify(&mut self, missed: &[f64]) {
+        let rms = (missed.iter().map(|m| m * m).sum::<f64>() / missed.len() as f64).sqrt();
         self.verified = Some(rms).filter(|v| v.is_finite());
     }
 
-    /// Its error on unseen points with its unit, in words.
+    /// Its error with its unit, in words.
     pub fn missed(&self) -> String {
         self.in_words(self.missing())
     }
@@ -263,7 +268,7 @@ impl Drive {
 
     /// Takes what was measured along the maps: `before` is what they missed there, `between` what a line differs from its neighbours.
     pub(super) fn take(&mut self, trim: Trim, before: f64, between: Option<f64>) {
-        self.trimmed = Some(Trimmed { before, scatter: trim.scatter, between, trim });
+        self.trimmed = Some(Trimmed { before, scatter: trim.rest, held: trim.scatter, between, trim });
     }
 
     /// Values at rows of factors and responses.
@@ -303,8 +308,10 @@ impl Drive {
             format!("; a line differs from what the lines beside it say of it by {} rms", self.in_words(b))
         });
         format!(
-            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there{between}",
-            self.in_words(t.before)
+            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}",
+            self.in_words(t.before),
+            self.in_words(t.scatter),
+            self.in_words(t.held)
         )
     }
 }
@@ -325,4 +332,74 @@ pub(super) fn fill(drives: &[Drive], layout: &Layout, cells: &mut [Cell]) -> Res
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_calib::steady::trim::Along;
+    use dynocal_ident::model::response::learner;
+
+    /// A map of u = 2 y that is known to within 1 %.
+    fn known() -> Drive {
+        let x: Vec<f64> = (1..=20).map(f64::from).collect();
+        let points = Points {
+            inputs: vec!["y".into()],
+            output: "u".into(),
+            y: x.iter().map(|v| 2.0 * v).collect(),
+            x,
+        };
+        let keys = toml::Table::from_iter([("degree".to_string(), toml::Value::Integer(1))]);
+        let learnt = learner("stepwise_polynomial", &keys).unwrap().learn(&points, &|| false).unwrap();
+        Drive {
+            input: "u".into(),
+            unit: "deg".into(),
+            over: vec!["y".into()],
+            choice: String::new(),
+            points: 20,
+            error: 0.01,
+            relative: true,
+            spread: 0.4,
+            widen: 1.0,
+            trimmed: None,
+            verified: None,
+            logs: vec![false],
+            model: learnt.model,
+        }
+    }
+
+    /// A trim from windows that scatter by `size` about a map that misses nothing else.
+    fn trim(size: f64) -> Trim {
+        let mut along = Along::default();
+        for k in 0..40 {
+            let (x, way) = (f64::from(k / 2) / 19.0, if k % 2 == 0 { 1.0 } else { -1.0 });
+            along.push(vec![x], way, if k % 4 < 2 { size } else { -size }, 1.0);
+        }
+        Trim::learn(&[vec![0.0, 1.0]], &along).unwrap()
+    }
+
+    /// What the verification found counts, as do the lines: the worst of what is known.
+    #[test]
+    fn the_worst_of_what_was_measured_is_what_a_map_misses() {
+        let mut d = known();
+        assert!(!d.rough() && d.missed() == "1 %", "{}", d.missed());
+        // The loops set so much more than the map says that it misses its demand by 8 % and 6 %.
+        d.verify(&[0.08, -0.06]);
+        assert!(d.rough() && d.missed() == "7.1 %", "{}", d.missed());
+        d.verify(&[0.01]);
+        assert!(!d.rough(), "{}", d.missed());
+        d.verify(&[]);
+        assert!(d.verified.is_none() && !d.rough());
+    }
+
+    /// Windows along the lines that scatter by 8 % are nothing that the map follows, though the lines agree with each other.
+    #[test]
+    fn scatter_along_the_lines_counts() {
+        for (size, rough) in [(0.01, false), (0.08, true)] {
+            let mut d = known();
+            d.take(trim(size), 0.02, Some(0.002));
+            assert_eq!(d.rough(), rough, "{}", d.missed());
+            assert!(d.words().contains("scatters by"), "{}", d.words());
+        }
+    }
 }

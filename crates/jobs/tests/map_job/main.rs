@@ -3,4 +3,5 @@
 mod day;
 mod engine;
 mod faults;
+mod more;
 mod optimum;
