@@ -269,8 +269,7 @@ fn a_limited_step_between_cells_is_kept_and_shared_by_weight() {
     let fuel =
         Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1000.0, &[0.0, 0.0], &[0.0, 0.0]) };
     let s = setting(vec![&fuel], Vec::new(), 2);
-    let coupling =
-        Coupling { weights: vec![1.0, 3.0], steps: vec![Some(0.5)], ..pair() };
+    let coupling = Coupling { weights: vec![1.0, 3.0], steps: vec![Some(0.5)], ..pair() };
     let found = solve_whole(&s, &[vec![1.0, 0.0], vec![3.0, 0.0]], &coupling, &|| false);
     assert!(found.status.is_success(), "{found:?}");
     // The starts scale the objectives of the cells: 1001 and 1009.

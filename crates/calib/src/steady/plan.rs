@@ -141,7 +141,9 @@ impl DayPlan {
     /// Cells inside of what was reached, with some settings of the free factors each, as places of the unit cube.
     fn operating_points(&self, layout: &Layout, axes: &[Vec<f64>], envelope: &Envelope) -> Vec<Vec<f64>> {
         let free = layout.factors.len() - layout.axes;
-        let Some(mut sequence) = Sobol::new(free.clamp(1, MOST_DIMENSIONS), self.seed) else { return Vec::new() };
+        let Some(mut sequence) = Sobol::new(free.clamp(1, MOST_DIMENSIONS), self.seed) else {
+            return Vec::new();
+        };
         let cells = (0..axes.iter().map(Vec::len).product()).map(|k| place(axes, k));
         let reached: Vec<Vec<f64>> = cells.filter(|at| envelope.contains(at)).collect();
         let mut all = Vec::new();

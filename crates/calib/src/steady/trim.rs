@@ -125,7 +125,8 @@ impl Rows {
         let Along { at, up, r, weight } = along;
         let knots: usize = axes.iter().map(Vec::len).product();
         let n = 2 * knots;
-        if r.is_empty() || n == 0 || !r.iter().chain(weight).chain(at.iter().flatten()).all(|v| v.is_finite()) {
+        if r.is_empty() || n == 0 || !r.iter().chain(weight).chain(at.iter().flatten()).all(|v| v.is_finite())
+        {
             return None;
         }
         let (mut gram, mut right) = (vec![0.0; n * n], vec![0.0; n]);
@@ -248,7 +249,8 @@ mod tests {
         }
         let equal = Along { weight: vec![1.0; 400], ..weighed.clone() };
         let error = |t: &Trim| {
-            let each = (0..20).map(|k| f64::from(k) / 10.0).map(|x| (t.at(&[x]) - 0.1 * (1.5 * x).sin()).powi(2));
+            let each =
+                (0..20).map(|k| f64::from(k) / 10.0).map(|x| (t.at(&[x]) - 0.1 * (1.5 * x).sin()).powi(2));
             (each.sum::<f64>() / 20.0).sqrt()
         };
         let (a, b) = (Trim::learn(&axes, &weighed).unwrap(), Trim::learn(&axes, &equal).unwrap());

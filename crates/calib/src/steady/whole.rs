@@ -111,7 +111,8 @@ impl<'a, 'b> Whole<'a, 'b> {
             .enumerate()
             .filter_map(|(i, (span, s))| Some((i, (*s)? / span)))
             .collect();
-        let steps = coupling.pairs.iter().flat_map(|(k, j)| limited.iter().map(|(i, s)| (*k, *j, *i, -s, *s)));
+        let steps =
+            coupling.pairs.iter().flat_map(|(k, j)| limited.iter().map(|(i, s)| (*k, *j, *i, -s, *s)));
         let ways = coupling.monotone.iter().map(|(pair, i, way)| {
             let (k, j) = coupling.pairs[*pair];
             match way {

@@ -223,7 +223,13 @@ mod tests {
         assert_eq!(d.len(), 24);
         assert!(log_determinant(&d) > log_determinant(&i) && log_determinant(&i) > log_determinant(&filling));
         let over = |p: &[Vec<f64>]| mean_variance(p, &all);
-        assert!(over(&i) < over(&d) && over(&d) < over(&filling), "{} {} {}", over(&i), over(&d), over(&filling));
+        assert!(
+            over(&i) < over(&d) && over(&d) < over(&filling),
+            "{} {} {}",
+            over(&i),
+            over(&d),
+            over(&filling)
+        );
         // No exchange of one point is left that would help.
         let chosen = choose(&there, &all[8..], &all, 16, Criterion::Determinant);
         let best = log_determinant(&with(&chosen));

@@ -39,7 +39,9 @@ pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
             let each: Vec<String> = each.collect();
             let each = each.join(", ");
             match cell.state {
-                CellState::Edited => format!("held as edited, which breaks limits: {each}, uncertainty counted in"),
+                CellState::Edited => {
+                    format!("held as edited, which breaks limits: {each}, uncertainty counted in")
+                }
                 _ => format!("limits conflict: {each} at the least violation, uncertainty counted in"),
             }
         }

@@ -65,7 +65,11 @@ fn whole(s: &MapSpec, faults: &mut Faults) {
             faults.unknown(&format!("{key}.{axis}"), axis, &axes);
         }
         if s.optimise.resolution.contains_key(name) {
-            faults.push(&key, "a way", "no `optimise.resolution` of the same input: rounding does not keep it");
+            faults.push(
+                &key,
+                "a way",
+                "no `optimise.resolution` of the same input: rounding does not keep it",
+            );
         }
     }
     let cells: usize = s.axes.values().map(Vec::len).product();

@@ -5,10 +5,11 @@
 
 use std::path::Path;
 
-use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::cell::{KEPT, Setting};
 use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_files::dataset;
+use dynocal_ident::data::UnitAfter;
 use serde::Serialize;
 
 use super::error::MapError;
@@ -60,10 +61,14 @@ pub(super) fn read(path: &Path, layout: &Layout, axes: &[MapAxis]) -> Result<Vec
     let table = dataset::read_table(path, None)?;
     let refused = |row: usize, column: &str, found: f64, expected: String| {
         let place = table.place(row);
-        Err(MapError::Edits(format!("{}, {place}, column `{column}`: found {found}, expected {expected}", table.file)))
+        Err(MapError::Edits(format!(
+            "{}, {place}, column `{column}`: found {found}, expected {expected}",
+            table.file
+        )))
     };
     let free = &layout.factors[layout.axes..];
-    let known: Vec<&str> = axes.iter().map(|a| a.name.as_str()).chain(free.iter().map(|f| f.name.as_str())).collect();
+    let known: Vec<&str> =
+        axes.iter().map(|a| a.name.as_str()).chain(free.iter().map(|f| f.name.as_str())).collect();
     if let Some(c) = table.columns.iter().find(|c| !known.contains(&c.name.as_str())) {
         return Err(MapError::Edits(format!(
             "{}: found column `{}`, expected the axes of the maps and inputs that no loop drives: {}",
@@ -120,7 +125,7 @@ pub(super) fn hold(asked: &[Asked], setting: &Setting, layout: &Layout, cells: &
         }
         let found = setting.judge(&x, cell.optimum.status, None);
         let costs = found.objective - cell.optimum.objective;
-        let broken = found.prices.iter().zip(&setting.sides).filter(|(p, s)| p.passed > dynocal_calib::steady::cell::KEPT * s.scale);
+        let broken = found.prices.iter().zip(&setting.sides).filter(|(p, s)| p.passed > KEPT * s.scale);
         let passed = broken.map(|(p, _)| {
             let r = &layout.responses[p.response];
             Passed { response: r.name.clone(), unit: r.unit.clone(), by: p.passed }
@@ -142,14 +147,16 @@ impl Edit {
     pub fn words(&self) -> String {
         let one = |e: &Edited| {
             let n = |v: f64| dynocal_report::significant(v, 4);
-            format!("`{}` {} {} where the optimum is {}", e.input, n(e.edit), e.unit, n(e.optimum))
+            format!("`{}` {}{} where the optimum is {}", e.input, n(e.edit), UnitAfter(&e.unit), n(e.optimum))
         };
         self.values.iter().map(one).collect::<Vec<_>>().join(", ")
     }
 
     /// Limits that it breaks, in words; empty where it breaks none.
     pub fn broken(&self) -> String {
-        let one = |p: &Passed| format!("`{}` by {} {}", p.response, dynocal_report::significant(p.by, 2), p.unit);
+        let one = |p: &Passed| {
+            format!("`{}` by {}{}", p.response, dynocal_report::significant(p.by, 2), UnitAfter(&p.unit))
+        };
         self.passed.iter().map(one).collect::<Vec<_>>().join(", ")
     }
 }

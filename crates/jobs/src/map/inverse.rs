@@ -11,7 +11,7 @@
 use dynocal_calib::map::static_map::StaticMap;
 use serde::Serialize;
 
-/// Times as many values of u as the map has of y.
+/// Times as many values of u as the map has of y, at most.
 const FINER: usize = 2;
 
 /// The inverse of the map of a driven input.
@@ -35,7 +35,7 @@ pub struct Inverse {
     pub givens: Vec<f64>,
     /// Values of the output, the other axis fastest.
     pub values: Vec<f64>,
-    /// Largest difference, over the values of the map, of what the inverse gives for its input from what it holds.
+    /// Largest difference, over the values of the map where it goes one way, of what the inverse gives for its input from what it holds.
     pub error: f64,
     /// Places along the other axis at which the map does not rise or fall all the way.
     pub several: Vec<f64>,
@@ -51,12 +51,17 @@ pub(super) fn of(map: &StaticMap, name: &str) -> Option<Inverse> {
     let columns: Vec<Vec<f64>> = (0..map.given.len())
         .map(|g| (0..map.demand.len()).map(|d| map.points[d * map.given.len() + g].actuators[k]).collect())
         .collect();
-    let ends = columns.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let ends =
+        columns.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
     if !(ends.1 > ends.0 && ends.0.is_finite() && ends.1.is_finite()) {
         return None;
     }
-    let n = FINER * map.demand.len();
-    let inputs: Vec<f64> = (0..n).map(|i| ends.0 + (ends.1 - ends.0) * i as f64 / (n - 1) as f64).collect();
+    // As many values as there are, denser where those of the map are.
+    let mut all: Vec<f64> = columns.iter().flatten().copied().collect();
+    all.sort_by(f64::total_cmp);
+    all.dedup();
+    let n = (FINER * map.demand.len()).min(all.len());
+    let inputs: Vec<f64> = (0..n).map(|i| all[i * (all.len() - 1) / (n - 1)]).collect();
     let values = inputs.iter().flat_map(|u| columns.iter().map(|c| inverted(c, &map.demand, *u))).collect();
     let mut found = Inverse {
         input: actuator.name.clone(),
@@ -75,6 +80,7 @@ pub(super) fn of(map: &StaticMap, name: &str) -> Option<Inverse> {
         let way = (column[column.len() - 1] - column[0]).signum();
         if column.windows(2).any(|w| (w[1] - w[0]) * way <= 0.0) {
             found.several.push(map.given[g]);
+            continue;
         }
         for (y, u) in map.demand.iter().zip(column) {
             found.error = found.error.max((found.at(*u, g) - y).abs());
@@ -95,10 +101,14 @@ impl Inverse {
 
     /// As a table: the input down, the other axis across.
     pub fn csv(&self) -> String {
-        let head: Vec<String> = self.givens.iter().map(|g| match self.given.as_str() {
-            "" => format!("{} [{}]", self.output, self.output_unit),
-            name => format!("{} at {name} {g} {} [{}]", self.output, self.given_unit, self.output_unit),
-        }).collect();
+        let head: Vec<String> = self
+            .givens
+            .iter()
+            .map(|g| match self.given.as_str() {
+                "" => format!("{} [{}]", self.output, self.output_unit),
+                name => format!("{} at {name} {g} {} [{}]", self.output, self.given_unit, self.output_unit),
+            })
+            .collect();
         let mut text = format!("{} [{}],{}\n", self.input, self.input_unit, head.join(","));
         for (u, row) in self.inputs.iter().zip(self.values.chunks(self.givens.len())) {
             let cells: Vec<String> = row.iter().map(|v| format!("{v:.6}")).collect();
@@ -146,7 +156,12 @@ mod tests {
             ports: Ports {
                 demands: vec![port("torque", "Nm")],
                 given: vec![port("speed", "rpm")],
-                actuators: vec![ActuatorPort { name: "throttle".into(), unit: "deg".into(), lower: 0.0, upper: 60.0 }],
+                actuators: vec![ActuatorPort {
+                    name: "throttle".into(),
+                    unit: "deg".into(),
+                    lower: 0.0,
+                    upper: 60.0,
+                }],
             },
             points: (0..6).map(|k| point(k / 2, k % 2)).collect(),
             demand,
@@ -159,13 +174,19 @@ mod tests {
     #[test]
     fn a_plane_is_inverted_exactly() {
         let found = of(&map([[5.0, 10.0], [10.0, 20.0], [15.0, 30.0]]), "throttle").unwrap();
-        assert!(found.inputs == [5.0, 10.0, 15.0, 20.0, 25.0, 30.0] && found.several.is_empty());
+        assert!(found.inputs == [5.0, 10.0, 15.0, 20.0, 30.0] && found.several.is_empty());
         for (u, row) in found.inputs.iter().zip(found.values.chunks(2)) {
-            assert!((row[0] - (4.0 * u).min(60.0)).abs() < 1e-12 && (row[1] - (2.0 * u).max(20.0)).abs() < 1e-12, "{u} {row:?}");
+            assert!(
+                (row[0] - (4.0 * u).min(60.0)).abs() < 1e-12 && (row[1] - (2.0 * u).max(20.0)).abs() < 1e-12,
+                "{u} {row:?}"
+            );
         }
         assert!(found.error < 1e-12, "{}", found.error);
         let csv = found.csv();
-        assert!(csv.starts_with("throttle [deg],torque at speed 1000 rpm [Nm],torque at speed 2000 rpm [Nm]\n"), "{csv}");
+        assert!(
+            csv.starts_with("throttle [deg],torque at speed 1000 rpm [Nm],torque at speed 2000 rpm [Nm]\n"),
+            "{csv}"
+        );
         assert!(csv.contains("10.000000,40.000000,20.000000"), "{csv}");
     }
 

@@ -52,7 +52,10 @@ pub(super) fn of(setting: &Setting, layout: &Layout, cells: &[Cell]) -> Vec<Inpu
             at: c.at.clone(),
             set: c.optimum.x[i],
             change: judged.iter().map(|o| o.objective / base - 1.0).collect(),
-            half_width: judged.iter().map(|o| deviations(0.975) * o.objective_deviation / base.abs()).collect(),
+            half_width: judged
+                .iter()
+                .map(|o| deviations(0.975) * o.objective_deviation / base.abs())
+                .collect(),
             kept: judged.iter().map(|o| o.feasible).collect(),
             x,
         }

@@ -462,6 +462,8 @@ fn rounds(found: &Mapped) -> Table {
         Column::number("Cells to be reached yet", "").digits(4),
         Column::number("Error of the promise, rms", "%").digits(2),
         Column::number("Mean", "%").digits(2),
+        Column::number("The optimum may lie below the map by", objective_unit(found)).digits(2),
+        Column::number("Interval of the map", objective_unit(found)).digits(2),
     ];
     found.rounds.iter().fold(Table::new(head).caption("Batches at the expected optimum"), |t, r| {
         t.row(vec![
@@ -471,6 +473,8 @@ fn rounds(found: &Mapped) -> Table {
             (r.untried as f64).into(),
             r.error.map(|e| 100.0 * e).into(),
             r.bias.map(|e| 100.0 * e).into(),
+            r.left.map(|l| l.gain).into(),
+            r.left.map(|l| l.interval).into(),
         ])
     })
 }

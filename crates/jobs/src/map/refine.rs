@@ -97,7 +97,8 @@ impl Refinement<'_> {
                 break;
             }
             let begun = points.len();
-            let mut tasks: Vec<_> = targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
+            let mut tasks: Vec<_> =
+                targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
             tasks.push(self.task(Purpose::Repeat, self.first.to_vec(), &models));
             let end = bench.run(tasks, self.bed_s, points, watch)?;
             let mut round = self.judge(&models, &points[begun..], untried);

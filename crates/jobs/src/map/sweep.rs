@@ -92,7 +92,7 @@ impl Lines<'_> {
         bed_s: f64,
         watch: Watch,
     ) -> Result<Option<Sweeps>, MapError> {
-        let Some(spec) = &self.spec.bed.sweep else { return Ok(None) };
+        let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
         let lines = self.lines(spec, drives)?;
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
         let begun_s = bench.used_s();
@@ -162,7 +162,10 @@ impl Lines<'_> {
             let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
             let nodes: Vec<Vec<f64>> =
                 longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
-            let driven = drives.iter().map(|d| models_say(self.layout, self.setting, d, &nodes)).collect::<Result<_, _>>()?;
+            let driven = drives
+                .iter()
+                .map(|d| models_say(self.layout, self.setting, d, &nodes))
+                .collect::<Result<_, _>>()?;
             Ok(Line { other, nodes, driven })
         };
         let all: Vec<Line> = others.into_iter().map(line).collect::<Result<_, MapError>>()?;

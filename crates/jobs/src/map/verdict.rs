@@ -221,10 +221,13 @@ fn worth(found: &Mapped, spec: &MapSpec) -> Vec<Check> {
     };
     let gain = "what the optimum may lie below the maps (two standard deviations), mean of the cells";
     let interval = "95 % interval of what is minimised in the cells, half width, mean";
-    [("gain", gain, r.gain, left.map(|l| l.gain)), ("interval", interval, r.interval, left.map(|l| l.interval))]
-        .into_iter()
-        .filter_map(one)
-        .collect()
+    [
+        ("gain", gain, r.gain, left.map(|l| l.gain)),
+        ("interval", interval, r.interval, left.map(|l| l.interval)),
+    ]
+    .into_iter()
+    .filter_map(one)
+    .collect()
 }
 
 /// What loops set at the verification points, for the maps of the inputs that they drive.

@@ -145,6 +145,8 @@ impl Day<'_> {
     fn run(self, bench: &mut dyn Bench, watch: Watch) -> Result<Mapped, MapError> {
         let Self { job, layout, mut axes, tuned, first } = self;
         let spec = &job.spec;
+        // Edits that do not fit are known before the bed is run.
+        spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
         let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();

@@ -66,7 +66,8 @@ impl Station<'_> {
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
         let ways: Vec<(&[f64], usize)> = legs.iter().map(|l| (&l.to[..], samples(l.seconds))).collect();
         let mut plan = self.layout.along("sweep", from, &ways, &self.driven);
-        let changes: Vec<(&[f64], usize)> = legs.iter().zip(&ways).map(|(l, w)| (&l.driven[..], w.1)).collect();
+        let changes: Vec<(&[f64], usize)> =
+            legs.iter().zip(&ways).map(|(l, w)| (&l.driven[..], w.1)).collect();
         feed_forward(&mut plan, &changes);
         let window = samples(self.spec.window_s).max(2);
         // A plan without a hold is never at rest: only limits are watched.

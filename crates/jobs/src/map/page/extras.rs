@@ -1,6 +1,8 @@
 //! Sections of the page beside the maps: loops of the inputs, edits, inverse maps.
 
-use dynocal_report::{Axis, Block, Cell as TableCell, Column, HeatMap, Section, Table, XyPlot, XySeries, capital, significant};
+use dynocal_report::{
+    Axis, Block, Cell as TableCell, Column, HeatMap, Section, Table, XyPlot, XySeries, capital, significant,
+};
 
 use crate::map::cells::objective_unit;
 use crate::map::inverse::Inverse;
@@ -14,14 +16,15 @@ pub(super) fn sections(found: &Mapped) -> Vec<Section> {
 
 /// What is minimised over each free input: the spark sweep of a bed, on the models.
 fn input_loops(found: &Mapped) -> Option<Section> {
-    let mut names: Vec<(&str, &str)> = found.loops.iter().map(|l| (l.input.as_str(), l.unit.as_str())).collect();
+    let mut names: Vec<(&str, &str)> =
+        found.loops.iter().map(|l| (l.input.as_str(), l.unit.as_str())).collect();
     names.dedup();
     if names.is_empty() {
         return None;
     }
     let blocks: Vec<Block> = names.iter().map(|(name, unit)| input_loop(found, name, unit).into()).collect();
     let section = Section::new("Loops of the inputs").text(
-        "What is minimised over one input, everything else as it stands in the map, at cells that are spread over the maps: as the models expect it, drawn where all limits are kept with the asked probability. Crosses: where a limit is broken. Dots: the maps.",
+        "What is minimised over one input, everything else as it stands in the map, at cells that are spread over the maps: as the models expect it, as lines where all limits are kept with the asked probability, as grey dots where one is broken.",
     );
     Some(blocks.chunks(2).fold(section, |s, pair| s.columns(pair.to_vec())))
 }
@@ -88,7 +91,7 @@ fn inverses(found: &Mapped) -> Option<Section> {
             ),
         };
         section = section.text(format!(
-            "{} from {}: at the values of the map it gives back the {} to within {} {}.{more}",
+            "{} from {}: where the map goes one way it gives back the {} to within {} {}.{more}",
             capital(&i.output),
             i.input,
             i.output,
@@ -105,7 +108,9 @@ fn inverse(i: &Inverse) -> Block {
     let title = format!("{} from {}", capital(&i.output), i.input);
     let z = (Axis::new(i.output.as_str(), i.output_unit.as_str()), i.values.clone());
     if i.givens.len() < 2 {
-        return XyPlot::new(title, axis(&i.input, &i.input_unit), z.0).line(i.output.as_str(), i.inputs.clone(), z.1).into();
+        return XyPlot::new(title, axis(&i.input, &i.input_unit), z.0)
+            .line(i.output.as_str(), i.inputs.clone(), z.1)
+            .into();
     }
     let (x, y) = (axis(&i.given, &i.given_unit), axis(&i.input, &i.input_unit));
     HeatMap::new(title, (x, i.givens.clone()), (y, i.inputs.clone()), z).contours().into()
