@@ -83,38 +83,3 @@ pub fn least_distance(points: &[Vec<f64>]) -> f64 {
     let pairs = points.iter().enumerate().flat_map(|(i, a)| points[..i].iter().map(move |b| distance(a, b)));
     pairs.fold(f64::INFINITY, f64::min)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// One point in each interval of every axis, before and after the exchanges; the seed draws the points.
-    #[test]
-    fn every_axis_has_a_point_in_each_of_its_intervals() {
-        for points in [latin_hypercube(17, 5, 3), maximin(17, 5, 3)] {
-            for k in 0..5 {
-                let mut cells: Vec<usize> = points.iter().map(|p| (17.0 * p[k]) as usize).collect();
-                cells.sort_unstable();
-                assert!(cells.into_iter().eq(0..17));
-            }
-        }
-        assert_eq!(maximin(17, 5, 3), maximin(17, 5, 3));
-        assert_ne!(latin_hypercube(17, 5, 3), latin_hypercube(17, 5, 4));
-    }
-
-    /// Farther apart than the hypercubes that it begins with, on every one of ten seeds.
-    #[test]
-    fn maximin_points_are_farther_apart() {
-        for seed in 0..10 {
-            let (before, after) =
-                (least_distance(&latin_hypercube(20, 3, seed)), least_distance(&maximin(20, 3, seed)));
-            assert!(after > 1.3 * before, "seed {seed}: {after} {before}");
-        }
-    }
-
-    #[test]
-    fn no_points_and_one_point() {
-        assert!(maximin(0, 3, 1).is_empty());
-        assert_eq!(maximin(1, 3, 1), [[0.5; 3]]);
-    }
-}
