@@ -42,7 +42,7 @@ pub struct Inverse {
 }
 
 /// Inverse of the map of actuator `name`, which holds the leading demand of `map`; none where its demand is no axis.
-pub(super) fn of(map: &StaticMap, name: &str) -> Option<Inverse> {
+pub fn of(map: &StaticMap, name: &str) -> Option<Inverse> {
     let k = map.ports.actuators.iter().position(|a| a.name == name)?;
     let (demand, actuator) = (map.ports.demands.first()?, &map.ports.actuators[k]);
     if map.demand.len() < 2 {
@@ -131,72 +131,4 @@ fn inverted(column: &[f64], along: &[f64], u: f64) -> f64 {
     }
     let nearest = column.iter().enumerate().min_by(|a, b| (a.1 - u).abs().total_cmp(&(b.1 - u).abs()));
     nearest.map_or(f64::NAN, |(i, _)| along[i])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use dynocal_calib::map::static_map::StaticPoint;
-    use dynocal_calib::map::{ActuatorPort, Port, Ports};
-
-    /// Two speeds, u = f(torque, speed) at three torques.
-    fn map(values: [[f64; 2]; 3]) -> StaticMap {
-        let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
-        let demand = vec![20.0, 40.0, 60.0];
-        let given = vec![1000.0, 2000.0];
-        let point = |d: usize, g: usize| StaticPoint {
-            demand: demand[d],
-            given: given[g],
-            actuators: vec![values[d][g]],
-            errors: Vec::new(),
-            objective: 0.0,
-            missed: String::new(),
-        };
-        StaticMap {
-            ports: Ports {
-                demands: vec![port("torque", "Nm")],
-                given: vec![port("speed", "rpm")],
-                actuators: vec![ActuatorPort {
-                    name: "throttle".into(),
-                    unit: "deg".into(),
-                    lower: 0.0,
-                    upper: 60.0,
-                }],
-            },
-            points: (0..6).map(|k| point(k / 2, k % 2)).collect(),
-            demand,
-            given,
-            bed_s: 0.0,
-        }
-    }
-
-    /// u = torque / 4 at 1000 rpm and torque / 2 at 2000 rpm: the inverse is 4 u and 2 u, held at the ends of the columns.
-    #[test]
-    fn a_plane_is_inverted_exactly() {
-        let found = of(&map([[5.0, 10.0], [10.0, 20.0], [15.0, 30.0]]), "throttle").unwrap();
-        assert!(found.inputs == [5.0, 10.0, 15.0, 20.0, 30.0] && found.several.is_empty());
-        for (u, row) in found.inputs.iter().zip(found.values.chunks(2)) {
-            assert!(
-                (row[0] - (4.0 * u).min(60.0)).abs() < 1e-12 && (row[1] - (2.0 * u).max(20.0)).abs() < 1e-12,
-                "{u} {row:?}"
-            );
-        }
-        assert!(found.error < 1e-12, "{}", found.error);
-        let csv = found.csv();
-        assert!(
-            csv.starts_with("throttle [deg],torque at speed 1000 rpm [Nm],torque at speed 2000 rpm [Nm]\n"),
-            "{csv}"
-        );
-        assert!(csv.contains("10.000000,40.000000,20.000000"), "{csv}");
-    }
-
-    /// A column that falls again has two torques for one throttle: the lower one is given, and the speed is named.
-    #[test]
-    fn what_has_two_inverses_is_named() {
-        let found = of(&map([[5.0, 10.0], [15.0, 20.0], [10.0, 30.0]]), "throttle").unwrap();
-        assert_eq!(found.several, [1000.0]);
-        let at_ten = found.inputs.iter().position(|u| *u == 10.0).unwrap();
-        assert!((found.values[2 * at_ten] - 30.0).abs() < 1e-12, "{found:?}");
-        assert!(of(&map([[5.0; 2]; 3]), "throttle").is_none() && of(&map([[5.0; 2]; 3]), "spark").is_none());
-    }
 }
