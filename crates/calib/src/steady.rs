@@ -12,6 +12,7 @@ pub mod front;
 pub mod grid;
 pub mod hold;
 pub mod layout;
+pub mod plan;
 pub mod quantise;
 pub mod refine;
 pub mod search;

@@ -7,7 +7,7 @@ use dynocal_calib::steady::front::Tradeoff;
 use dynocal_calib::steady::grid::{CellState, GridSpec, interpolate, solve};
 use dynocal_calib::steady::quantise::quantise;
 use dynocal_calib::steady::refine::Known;
-use dynocal_calib::steady::whole::{Coupling, solve_whole};
+use dynocal_calib::steady::whole::{Coupling, Way, solve_whole};
 use dynocal_ident::model::response::{Ask, Prediction, Response};
 use dynocal_numerics::interval::Interval;
 
@@ -214,6 +214,7 @@ fn a_whole_map_without_coupling_is_the_optimum_of_each_cell() {
         pairs: vec![(0, 1), (1, 2)],
         smooth: 0.0,
         steps: vec![None],
+        monotone: Vec::new(),
     };
     let starts: Vec<Vec<f64>> = [0.1, 0.4, 0.2].iter().map(|a| vec![*a, 0.0]).collect();
     let found = solve_whole(&s, &starts, &coupling, &|| false);
@@ -231,14 +232,44 @@ fn a_whole_map_without_coupling_is_the_optimum_of_each_cell() {
     }
 }
 
+/// Two cells that nothing couples.
+fn pair() -> Coupling {
+    Coupling {
+        weights: vec![1.0, 1.0],
+        pairs: vec![(0, 1)],
+        smooth: 0.0,
+        steps: vec![None],
+        monotone: Vec::new(),
+    }
+}
+
+/// Cells with optima 1 and 3 (x = a). Rising they stay there; falling they meet where the weighted slopes cancel: the mean, the weights being
+/// those of cells of nearly equal size.
+#[test]
+fn an_input_that_is_to_fall_along_an_axis_does_not_rise() {
+    let fuel =
+        Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1000.0, &[0.0, 0.0], &[0.0, 0.0]) };
+    let s = setting(vec![&fuel], Vec::new(), 2);
+    let solved = |way| {
+        let coupling = Coupling { monotone: vec![(0, 0, way)], ..pair() };
+        let found = solve_whole(&s, &[vec![1.0, 0.0], vec![3.0, 0.0]], &coupling, &|| false);
+        assert!(found.status.is_success(), "{found:?}");
+        [found.cells[0].x[1], found.cells[1].x[1]]
+    };
+    let [a, b] = solved(Way::Rising);
+    assert!((a - 1.0).abs() < 1e-4 && (b - 3.0).abs() < 1e-4, "{a} {b}");
+    let [a, b] = solved(Way::Falling);
+    let mean = (1.0 / 1001.0 + 3.0 / 1009.0) / (1.0 / 1001.0 + 1.0 / 1009.0);
+    assert!((a - mean).abs() < 1e-4 && (b - mean).abs() < 1e-4 && a >= b - 1e-9, "{a} {b} {mean}");
+}
+
 /// Two cells with optima 1 and 3, at most 0.5 apart: where the weighted slopes of (x - 1)^2 and (x + 0.5 - 3)^2 cancel.
 #[test]
 fn a_limited_step_between_cells_is_kept_and_shared_by_weight() {
     let fuel =
         Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1000.0, &[0.0, 0.0], &[0.0, 0.0]) };
     let s = setting(vec![&fuel], Vec::new(), 2);
-    let coupling =
-        Coupling { weights: vec![1.0, 3.0], pairs: vec![(0, 1)], smooth: 0.0, steps: vec![Some(0.5)] };
+    let coupling = Coupling { weights: vec![1.0, 3.0], steps: vec![Some(0.5)], ..pair() };
     let found = solve_whole(&s, &[vec![1.0, 0.0], vec![3.0, 0.0]], &coupling, &|| false);
     assert!(found.status.is_success(), "{found:?}");
     // The starts scale the objectives of the cells: 1001 and 1009.
@@ -255,7 +286,7 @@ fn smoothness_draws_neighbours_together_as_the_linear_system_says() {
         Quadratic { hessian: vec![2.0, -2.0, -2.0, 2.0], ..Quadratic::new(1.0, &[0.0, 0.0], &[0.0, 0.0]) };
     let s = setting(vec![&fuel], Vec::new(), 2);
     let rho = 0.3;
-    let coupling = Coupling { weights: vec![1.0, 1.0], pairs: vec![(0, 1)], smooth: rho, steps: vec![None] };
+    let coupling = Coupling { smooth: rho, ..pair() };
     let found = solve_whole(&s, &[vec![-1.0, -1.0], vec![1.0, 1.0]], &coupling, &|| false);
     assert!(found.status.is_success(), "{found:?}");
     // By symmetry x and -x: derivative of (x - 1)^2 / 2 [weight 1/2, scale 1] + rho / 2 (2 x / 10)^2 by x at the second cell.

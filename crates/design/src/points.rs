@@ -1,4 +1,5 @@
-//! Points of a steady test: a low-discrepancy sequence over the unit cube.
+//! Points of a steady test: a low-discrepancy sequence over the unit cube; [`space`] has Latin hypercubes, [`optimal`] what is best for a
+//! polynomial.
 //!
 //! ```text
 //! v_k = m_k 2^(32-k),   m_k by the primitive polynomial of the dimension
@@ -22,6 +23,9 @@
 //! ```
 
 use dynocal_numerics::rng::Rng64;
+
+pub mod optimal;
+pub mod space;
 
 /// Degree, inner coefficients and first direction numbers m of the dimensions from the second on.
 const DIRECTIONS: &[(u32, u32, &[u32])] = &[

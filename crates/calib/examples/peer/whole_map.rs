@@ -66,6 +66,7 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
         pairs: serde_json::from_value(input["pairs"].clone())?,
         smooth: input["smooth"].as_f64().ok_or("no smooth")?,
         steps: vec![None; dim - axes],
+        monotone: Vec::new(),
     };
     let mut found = None;
     let time = measure(|| found = Some(solve_whole(&setting, &starts, &coupling, &|| false)))?;

@@ -1,6 +1,6 @@
 //! A day on the bed: planned points in blocks, a repeated point between them, a budget.
 //!
-//! The points of a low-discrepancy sequence fill the space block by block; within a block the order is that of short ways. The
+//! What is planned ([`super::plan`]) is measured block by block. The
 //! first point of the day is measured again before every block: its scatter is the noise of a point, its trend over the bed time
 //! the drift.
 //!
@@ -9,13 +9,13 @@
 //! y   = measured - b (t - mean t_k)        where |b| > t_0.995 se(b)
 //! ```
 
-use dynocal_design::points::{MOST_DIMENSIONS, Sobol, short_ways};
 use dynocal_ident::play::{PlayError, Reason};
 use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::layout::Layout;
+use super::plan::DayPlan;
 use super::station::{Station, SteadyPoint};
 
 /// Why a point was measured.
@@ -42,15 +42,23 @@ pub struct DayPoint {
     pub point: SteadyPoint,
 }
 
-/// What bed time may be spent on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DayPlan {
-    /// Points to learn from, repeats left out.
-    pub points: usize,
-    /// Points of a block.
-    pub block: usize,
-    /// Seed of the plan.
-    pub seed: u64,
+/// What is measured next.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Task {
+    /// Why.
+    pub purpose: Purpose,
+    /// All factors.
+    pub target: Vec<f64>,
+    /// Where the inputs of the loops are expected to stand there, by loop: fed forward on the way, so that the loops have only the rest
+    /// to do. A value that is no number, or is not there, is not fed forward.
+    pub driven: Vec<f64>,
+}
+
+impl Task {
+    /// A point of whose driven inputs nothing is known.
+    pub fn new(purpose: Purpose, target: Vec<f64>) -> Self {
+        Self { purpose, target, driven: Vec::new() }
+    }
 }
 
 /// Points in a row that cannot be used before the day is given up.
@@ -70,67 +78,31 @@ pub enum DayEnd {
     Refused(String),
 }
 
-/// The planned points in the order in which they are measured, by blocks.
-pub fn blocks(layout: &Layout, plan: &DayPlan) -> Vec<Vec<Vec<f64>>> {
-    let d = layout.factors.len();
-    let mut at = vec![0.5; d];
-    let Some(mut sequence) = Sobol::new(d.min(MOST_DIMENSIONS), plan.seed) else { return Vec::new() };
-    let mut left = plan.points;
-    let mut all = Vec::new();
-    while left > 0 {
-        let n = left.min(plan.block.max(1));
-        let mut unit: Vec<Vec<f64>> = (0..n).map(|_| sequence.next_point()).collect();
-        if all.is_empty() {
-            corners(&mut unit, layout.axes);
-        }
-        let order = short_ways(&unit, &at);
-        if let Some(last) = order.last() {
-            at.clone_from(&unit[*last]);
-        }
-        all.push(order.iter().map(|k| layout.from_unit(&unit[*k])).collect());
-        left -= n;
-    }
-    all
+/// The blocks that are planned before the day begins, with a repeat of `first` before each; the last repeat is that of the last block.
+pub fn tasks(layout: &Layout, first: &[f64], plan: &DayPlan) -> Vec<Task> {
+    plan.blocks(layout).into_iter().flat_map(|block| with_repeat(first, block)).collect()
 }
 
-/// Moves the first points to the corners of the axes, where they leave as many points again elsewhere: maps reach there.
-fn corners(unit: &mut [Vec<f64>], axes: usize) {
-    let all = 1usize << axes;
-    if unit.len() < 2 * all {
-        return;
-    }
-    for (corner, point) in unit.iter_mut().take(all).enumerate() {
-        for (k, x) in point.iter_mut().take(axes).enumerate() {
-            *x = f64::from(u8::from(corner >> k & 1 == 1));
-        }
-    }
-}
-
-/// The blocks with a repeat of `first` before each and at the end.
-pub fn tasks(layout: &Layout, first: &[f64], plan: &DayPlan) -> Vec<(Purpose, Vec<f64>)> {
-    let mut tasks: Vec<(Purpose, Vec<f64>)> = Vec::new();
-    for block in blocks(layout, plan) {
-        tasks.push((Purpose::Repeat, first.to_vec()));
-        tasks.extend(block.into_iter().map(|x| (Purpose::Plan, x)));
-    }
-    tasks.push((Purpose::Repeat, first.to_vec()));
-    tasks
+/// A block with a repeat of `first` before it.
+pub fn with_repeat(first: &[f64], block: Vec<Vec<f64>>) -> Vec<Task> {
+    let planned = block.into_iter().map(|x| Task::new(Purpose::Plan, x));
+    std::iter::once(Task::new(Purpose::Repeat, first.to_vec())).chain(planned).collect()
 }
 
 /// What measures the points of a day one after the other.
 pub trait Measures {
-    /// Goes to `target` and measures there, or as near as the limits allow.
+    /// Goes to the target of `task` and measures there, or as near as the limits allow.
     ///
     /// # Errors
     /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
-    fn measure(&mut self, purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError>;
+    fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError>;
     /// Bed time so far in s.
     fn bed_s(&self) -> f64;
 }
 
 impl Measures for Station<'_> {
-    fn measure(&mut self, _purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError> {
-        Station::measure(self, target)
+    fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
+        Station::measure(self, &task.target, &task.driven)
     }
     fn bed_s(&self) -> f64 {
         self.used_s
@@ -143,23 +115,23 @@ impl Measures for Station<'_> {
 /// [`PlayError`]: the plan does not fit the plant, or the user interrupted.
 pub fn run(
     station: &mut dyn Measures,
-    tasks: Vec<(Purpose, Vec<f64>)>,
+    tasks: Vec<Task>,
     bed_s: f64,
     points: &mut Vec<DayPoint>,
     watch: Watch,
 ) -> Result<DayEnd, PlayError> {
     let (n, mut unusable) = (tasks.len(), 0);
-    for (k, (purpose, target)) in tasks.into_iter().enumerate() {
+    for (k, task) in tasks.into_iter().enumerate() {
         if station.bed_s() >= bed_s {
             return Ok(DayEnd::BedTime);
         }
         watch.fraction(k as f64 / n as f64);
-        let point = match station.measure(purpose, &target) {
+        let point = match station.measure(&task) {
             Ok(point) => point,
             Err(e) => return refused(e).map(DayEnd::Refused),
         };
         unusable = if point.usable { 0 } else { unusable + 1 };
-        points.push(DayPoint { purpose, point });
+        points.push(DayPoint { purpose: task.purpose, point });
         if unusable >= GIVEN_UP {
             let notes: Vec<&str> = points.iter().rev().take(3).map(|p| p.point.note.as_str()).collect();
             return Ok(DayEnd::Unusable(notes.join(" | ")));

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cell::{CellOptimum, Setting};
 use super::front::FrontSpec;
-use super::whole::{Coupling, solve_whole};
+use super::whole::{Coupling, Way, solve_whole};
 
 /// How a map is made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -49,11 +49,14 @@ pub struct WholeSpec {
     pub steps: BTreeMap<String, f64>,
     /// Weight of each cell, the last axis fastest; equal where it is empty.
     pub residence: Vec<f64>,
+    /// Free inputs that rise or fall along axes of the maps: by input, then by axis.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub monotone: BTreeMap<String, BTreeMap<String, Way>>,
 }
 
 impl Default for WholeSpec {
     fn default() -> Self {
-        Self { smooth: 0.01, steps: BTreeMap::new(), residence: Vec::new() }
+        Self { smooth: 0.01, steps: BTreeMap::new(), residence: Vec::new(), monotone: BTreeMap::new() }
     }
 }
 
@@ -83,6 +86,8 @@ pub enum CellState {
     Infeasible,
     /// Outside of what was reached on the bed: filled from its neighbours.
     Filled,
+    /// Held as a user has edited it, where that breaks a limit.
+    Edited,
 }
 
 /// A cell.
@@ -218,7 +223,7 @@ fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Ce
     }
 }
 
-/// All optimal cells as one program, `names` of the free factors for its steps; the others are filled again. How it ended and its
+/// All optimal cells as one program, `names` of all factors, axes first, for its steps and ways; the others are filled again. How it ended and its
 /// iterations; where it found nothing that keeps all limits the cells stay as they were.
 pub fn couple(
     setting: &Setting,
@@ -234,11 +239,24 @@ pub fn couple(
         let later = neighbours(axes, *k).into_iter().filter(|j| j > k);
         later.filter_map(order).map(|b| (a, b)).collect()
     };
+    let pairs: Vec<(usize, usize)> = optimal.iter().enumerate().flat_map(forward).collect();
+    let (of_axes, free) = names.split_at(setting.axes);
+    // A pair goes up one axis: the one along which its cells differ.
+    let ways = |(pair, (a, b)): (usize, &(usize, usize))| {
+        let (from, to) = (&cells[optimal[*a]].at, &cells[optimal[*b]].at);
+        let along = (0..of_axes.len()).find(|k| from[*k] != to[*k]);
+        let way = |(i, name): (usize, &String)| {
+            let way = spec.monotone.get(name)?.get(&of_axes[along?])?;
+            Some((pair, i, *way))
+        };
+        free.iter().enumerate().filter_map(way).collect::<Vec<_>>()
+    };
     let coupling = Coupling {
         weights: optimal.iter().map(|k| spec.residence.get(*k).copied().unwrap_or(1.0)).collect(),
-        pairs: optimal.iter().enumerate().flat_map(forward).collect(),
         smooth: spec.smooth,
-        steps: names.iter().map(|n| spec.steps.get(n).copied()).collect(),
+        steps: free.iter().map(|n| spec.steps.get(n).copied()).collect(),
+        monotone: pairs.iter().enumerate().flat_map(ways).collect(),
+        pairs: pairs.clone(),
     };
     let starts: Vec<Vec<f64>> = optimal.iter().map(|k| cells[*k].optimum.x.clone()).collect();
     let found = solve_whole(setting, &starts, &coupling, interrupt);

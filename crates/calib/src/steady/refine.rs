@@ -31,11 +31,54 @@ pub struct RefineSpec {
     pub batch: usize,
     /// Root mean square error of what was promised for a batch, as a share of what is minimised, at which no more are needed.
     pub tolerance: f64,
+    /// Gain that may still be there ([`Left::gain`]), in the unit of what is minimised, at which no more points are needed; 0: not asked.
+    pub gain: f64,
+    /// Interval of what is promised ([`Left::interval`]), in the unit of what is minimised, at which no more points are needed; 0: not asked.
+    pub interval: f64,
+}
+
+/// What more points may be worth, in the unit of what is minimised: means over the cells that hold an optimum.
+///
+/// ```text
+/// gain      mean of  max(0, m(x) - min (m - 2 s))      x: the map; the optimum may lie so far below it
+/// interval  mean of  1.96 s(x)                         half width of the 95 % interval of what is expected in the cells
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Left {
+    /// How far the optimum may lie below the map.
+    pub gain: f64,
+    /// Half width of the interval of the map.
+    pub interval: f64,
+}
+
+impl Left {
+    /// Of a map and of the same cells with [`HOPE`] for caution; none where no cell holds an optimum in both.
+    pub fn of(cells: &[Cell], hopeful: &[Cell]) -> Option<Self> {
+        let optimal = |c: &Cell| c.state == CellState::Optimal;
+        let both: Vec<(&Cell, &Cell)> =
+            cells.iter().zip(hopeful).filter(|(a, b)| optimal(a) && optimal(b)).collect();
+        let n = both.len() as f64;
+        let gain = |(a, b): &(&Cell, &Cell)| {
+            let least = b.optimum.objective + HOPE * b.optimum.objective_deviation;
+            (a.optimum.objective - least).max(0.0)
+        };
+        let interval = |(a, _): &(&Cell, &Cell)| 1.96 * a.optimum.objective_deviation;
+        (n > 0.0).then(|| Self {
+            gain: both.iter().map(gain).sum::<f64>() / n,
+            interval: both.iter().map(interval).sum::<f64>() / n,
+        })
+    }
+
+    /// Whether that is little enough: each that is asked for.
+    pub fn is_enough(&self, spec: &RefineSpec) -> bool {
+        let asked = [(spec.gain, self.gain), (spec.interval, self.interval)];
+        asked.iter().any(|(most, _)| *most > 0.0) && asked.iter().all(|(most, is)| *most == 0.0 || is <= most)
+    }
 }
 
 impl Default for RefineSpec {
     fn default() -> Self {
-        Self { share: 0.5, batch: 8, tolerance: 0.002 }
+        Self { share: 0.5, batch: 8, tolerance: 0.002, gain: 0.0, interval: 0.0 }
     }
 }
 

@@ -217,17 +217,28 @@ impl<'a> Station<'a> {
         }
     }
 
-    /// Goes to `target` and measures there, or as near as the limits allow.
+    /// Goes to `target` and measures there, or as near as the limits allow. `driven` says where the inputs of the loops are expected to
+    /// stand there (by loop, none where it is empty): it is fed forward along the ramp.
     ///
     /// # Errors
     /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
-    pub fn measure(&mut self, target: &[f64]) -> Result<SteadyPoint, PlayError> {
+    pub fn measure(&mut self, target: &[f64], driven: &[f64]) -> Result<SteadyPoint, PlayError> {
         let (origin, begun_s) = (self.at.clone(), self.used_s);
+        let stood = self.driven.clone();
+        // Where an input is expected to stand at a share of the way; as it stands where nothing is known.
+        let fed = |s: f64, now: &[f64]| -> Vec<f64> {
+            let one = |(l, now): (usize, &f64)| match driven.get(l).filter(|d| d.is_finite()) {
+                Some(d) => stood[l] + s * (d - stood[l]),
+                None => *now,
+            };
+            now.iter().enumerate().map(one).collect()
+        };
         let along =
             |s: f64| -> Vec<f64> { origin.iter().zip(target).map(|(a, b)| a + s * (b - a)).collect() };
         let (mut share, mut from, mut touched) = (1.0, 0.0, Vec::new());
         for attempt in 0..=self.spec.backoffs {
-            let drive = self.drive(&along(share), attempt > 0)?;
+            let expected = fed(share, &self.driven);
+            let drive = self.drive(&along(share), &expected, attempt > 0)?;
             let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) else {
                 return self.point(target, &drive, touched, begun_s);
             };
@@ -238,7 +249,7 @@ impl<'a> Station<'a> {
             (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
         }
         // Back to where it began.
-        self.drive(&origin, true)?;
+        self.drive(&origin, &stood, true)?;
         let note = format!("given up after {} limits on the way", touched.len());
         Ok(SteadyPoint {
             asked: target.to_vec(),
@@ -266,15 +277,18 @@ impl<'a> Station<'a> {
         Ok(Touched { output: stop.output.clone(), value, limit, factors, words: stop.to_string() })
     }
 
-    /// Plays a ramp to `to` and a hold; on the way back limits are watched only once it is there.
-    fn drive(&mut self, to: &[f64], back: bool) -> Result<Drive, PlayError> {
+    /// Plays a ramp to `to` and a hold, the inputs of the loops fed forward to `driven`; on the way back limits are watched only once it is
+    /// there.
+    fn drive(&mut self, to: &[f64], driven: &[f64], back: bool) -> Result<Drive, PlayError> {
         let dt = self.layout.sample_time_s;
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
         let spans = self.layout.factors.iter().map(|f| f.upper - f.lower);
         let ways = self.at.iter().zip(to).zip(spans).map(|((a, b), span)| (b - a).abs() / span);
         let ramp = samples(self.spec.ramp_s * ways.fold(0.0, f64::max));
         let hold = samples(self.spec.settle_s + self.spec.average_s);
-        let plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
+        let mut plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
+        let change: Vec<f64> = driven.iter().zip(&self.driven).map(|(to, now)| to - now).collect();
+        feed_forward(&mut plan, &[(&change, ramp.max(1))]);
         let window = samples(self.spec.window_s).max(2);
         let mut watch = Watching::new(
             (&self.guards, &self.tolerances),
@@ -364,6 +378,23 @@ impl<'a> Station<'a> {
             at_s: self.used_s,
             used_s: self.used_s - begun_s,
         })
+    }
+}
+
+/// Adds to the inputs of the loops what they are expected to change (by loop) over each of some spans of samples; after the last they stay.
+fn feed_forward(plan: &mut Plan, changes: &[(&[f64], usize)]) {
+    for (l, which) in plan.loops.clone().iter().enumerate() {
+        let Some(c) = plan.channels.iter_mut().find(|c| c.name == which.input) else { continue };
+        let (lower, upper) = (c.lower, c.upper);
+        let (mut gone, mut rest) = (0.0, c.values.iter_mut());
+        for (change, n) in changes {
+            let more = change.get(l).copied().unwrap_or(0.0);
+            for (k, value) in rest.by_ref().take(*n).enumerate() {
+                *value = (*value + gone + more * (k + 1) as f64 / *n as f64).clamp(lower, upper);
+            }
+            gone += more;
+        }
+        rest.for_each(|value| *value = (*value + gone).clamp(lower, upper));
     }
 }
 

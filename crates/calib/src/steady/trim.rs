@@ -1,11 +1,12 @@
 //! A correction over the axes of a map, learnt from what was measured along its lines.
 //!
 //! ```text
-//! minimise over c, d   sum_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  lambda sum_axes ( | D c |^2 + | D d |^2 )
+//! minimise over c, d   sum_i w_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  lambda sum_axes ( | D c |^2 + | D d |^2 )
 //! ```
 //!
 //! z: place over the axes, r: what was measured less what was expected, s: 1 where it was gone up the axis and -1 where it was gone down,
-//! h: hats of the knots (multilinear between them), D: second differences over the knots. c is the correction, d the lag of the way.
+//! h: hats of the knots (multilinear between them), D: second differences over the knots, w: weights of the measurements. c is the
+//! correction, d the lag of the way.
 //! `lambda` is the one of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
 //! measurement nearby go on as the others bend, but not beyond what was found where there are some.
 //!
@@ -25,8 +26,10 @@ pub struct Trim {
     pub values: Vec<f64>,
     /// Lag of the way at the knots: half of what is between up and down.
     pub lag: Vec<f64>,
-    /// Standard deviation of a measurement about both.
+    /// Standard deviation of a measurement of weight 1 about both.
     pub scatter: f64,
+    /// Root mean square of all measurements about both, whatever their weights.
+    pub rest: f64,
     /// Weight of the bending.
     pub lambda: f64,
 }
@@ -36,39 +39,65 @@ const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
 const RIDGE: f64 = 1e-9;
 
 impl Trim {
-    /// From measurements `r` at the places `at` on the ways `up` (1 or -1); none where there are none, or where they are not finite.
-    pub fn learn(axes: &[Vec<f64>], at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Option<Self> {
-        let rows = Rows::new(axes, at, up, r)?;
+    /// From what was measured along lines; none where there is nothing, or where it is not finite.
+    pub fn learn(axes: &[Vec<f64>], along: &Along) -> Option<Self> {
+        let rows = Rows::new(axes, along)?;
         let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l)?)));
         let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
-        Some(Self::of(axes, at, best, lambda))
+        Some(Self::of(axes, along, best, lambda))
     }
 
     /// The same with a given weight of the bending.
-    pub fn with_lambda(
-        axes: &[Vec<f64>],
-        at: &[Vec<f64>],
-        up: &[f64],
-        r: &[f64],
-        lambda: f64,
-    ) -> Option<Self> {
-        let fit = Rows::new(axes, at, up, r)?.fit(lambda)?;
-        Some(Self::of(axes, at, fit, lambda))
+    pub fn with_lambda(axes: &[Vec<f64>], along: &Along, lambda: f64) -> Option<Self> {
+        let fit = Rows::new(axes, along)?.fit(lambda)?;
+        Some(Self::of(axes, along, fit, lambda))
     }
 
-    fn of(axes: &[Vec<f64>], at: &[Vec<f64>], fit: Fit, lambda: f64) -> Self {
+    fn of(axes: &[Vec<f64>], along: &Along, fit: Fit, lambda: f64) -> Self {
         let mut values = fit.values;
         let lag = values.split_off(values.len() / 2);
-        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter: fit.scatter, lambda };
-        let found = at.iter().map(|z| trim.at(z));
+        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter: fit.scatter, rest: 0.0, lambda };
+        let found = along.at.iter().map(|z| trim.at(z));
         let (low, high) = found.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         trim.values.iter_mut().for_each(|v| *v = v.clamp(low, high));
+        let squares = (0..along.r.len()).map(|i| {
+            let (z, up) = (&along.at[i], along.up[i]);
+            (along.r[i] - trim.at(z) - up * trim.lag_at(z)).powi(2)
+        });
+        trim.rest = (squares.sum::<f64>() / along.r.len().max(1) as f64).sqrt();
         trim
     }
 
     /// The correction at the axes `at`, held at the edges.
     pub fn at(&self, at: &[f64]) -> f64 {
         corners(&self.axes, at).iter().map(|(k, w)| w * self.values[*k]).sum()
+    }
+
+    fn lag_at(&self, at: &[f64]) -> f64 {
+        corners(&self.axes, at).iter().map(|(k, w)| w * self.lag[*k]).sum()
+    }
+}
+
+/// What was measured along lines: an entry each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Along {
+    /// Places over the axes.
+    pub at: Vec<Vec<f64>>,
+    /// Ways: 1 up the axis that was gone along, -1 down.
+    pub up: Vec<f64>,
+    /// Measured less expected.
+    pub r: Vec<f64>,
+    /// Weights.
+    pub weight: Vec<f64>,
+}
+
+impl Along {
+    /// One more measurement.
+    pub fn push(&mut self, at: Vec<f64>, up: f64, r: f64, weight: f64) {
+        self.at.push(at);
+        self.up.push(up);
+        self.r.push(r);
+        self.weight.push(weight);
     }
 }
 
@@ -92,27 +121,29 @@ struct Fit {
 }
 
 impl Rows {
-    fn new(axes: &[Vec<f64>], at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Option<Self> {
+    fn new(axes: &[Vec<f64>], along: &Along) -> Option<Self> {
+        let Along { at, up, r, weight } = along;
         let knots: usize = axes.iter().map(Vec::len).product();
         let n = 2 * knots;
-        if r.is_empty() || n == 0 || !r.iter().chain(at.iter().flatten()).all(|v| v.is_finite()) {
+        if r.is_empty() || n == 0 || !r.iter().chain(weight).chain(at.iter().flatten()).all(|v| v.is_finite())
+        {
             return None;
         }
         let (mut gram, mut right) = (vec![0.0; n * n], vec![0.0; n]);
-        for ((z, up), r) in at.iter().zip(up).zip(r) {
+        for (((z, up), r), weight) in at.iter().zip(up).zip(r).zip(weight) {
             let around = corners(axes, z);
             let lags: Vec<(usize, f64)> = around.iter().map(|(k, w)| (knots + k, up * w)).collect();
             let around = [around, lags].concat();
             for (k, w) in &around {
-                right[*k] += w * r;
-                around.iter().for_each(|(j, v)| gram[k * n + j] += w * v);
+                right[*k] += weight * w * r;
+                around.iter().for_each(|(j, v)| gram[k * n + j] += weight * w * v);
             }
         }
         let bending = bending(axes);
         let trace = |a: &[f64]| (0..n).map(|k| a[k * n + k]).sum::<f64>();
         let stiff = trace(&bending);
         let scale = if stiff > 0.0 { trace(&gram) / stiff } else { 0.0 };
-        let square = r.iter().map(|r| r * r).sum();
+        let square = r.iter().zip(weight).map(|(r, w)| w * r * r).sum();
         Some(Self { n, count: r.len() as f64, gram, right, square, bending, scale })
     }
 
@@ -199,6 +230,10 @@ mod tests {
         vec![vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 20.0, 40.0]]
     }
 
+    fn along(at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Along {
+        Along { at: at.to_vec(), up: up.to_vec(), r: r.to_vec(), weight: vec![1.0; r.len()] }
+    }
+
     /// What is bilinear is not bent: it is found again whatever its weight, and goes on where nothing was measured, but not beyond
     /// the greatest and the least of what was (here 1.8 and 0.6).
     #[test]
@@ -209,7 +244,7 @@ mod tests {
             .collect();
         let r: Vec<f64> = at.iter().map(|z| plane(z)).collect();
         let up: Vec<f64> = (0..60).map(|k| if k < 30 { 1.0 } else { -1.0 }).collect();
-        let trim = Trim::learn(&axes(), &at, &up, &r).unwrap();
+        let trim = Trim::learn(&axes(), &along(&at, &up, &r)).unwrap();
         for z in places(&axes()) {
             // Where nothing was measured the small weight that makes it unique is left.
             assert!((trim.at(&z) - plane(&z)).abs() < 1e-3, "{z:?}: {} {}", trim.at(&z), plane(&z));
@@ -235,14 +270,14 @@ mod tests {
             up.push(way);
             r.push(bent(x) + 0.03 * way + 0.01 * rng.normal());
         }
-        let trim = Trim::learn(&axes, &at, &up, &r).unwrap();
+        let trim = Trim::learn(&axes, &along(&at, &up, &r)).unwrap();
         // Hats half a unit apart miss a sine by 0.1 1.5^2 0.5^2 / 8.
         let worst = (0..31).map(|k| f64::from(k) / 10.0).map(|x| (trim.at(&[x]) - bent(x)).abs());
         assert!(worst.fold(0.0, f64::max) < 0.012);
         assert!(trim.lag.iter().all(|d| (d - 0.03).abs() < 0.01), "{:?}", trim.lag);
         assert!((trim.scatter / 0.01 - 1.0).abs() < 0.15, "{}", trim.scatter);
-        assert!(Trim::learn(&axes, &[], &[], &[]).is_none());
-        assert!(Trim::learn(&axes, &[vec![0.5]], &[1.0], &[f64::NAN]).is_none());
+        assert!(Trim::learn(&axes, &Along::default()).is_none());
+        assert!(Trim::learn(&axes, &along(&[vec![0.5]], &[1.0], &[f64::NAN])).is_none());
     }
 
     /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one,
@@ -258,8 +293,8 @@ mod tests {
             (each.sum::<f64>() / t.values.len() as f64).sqrt()
         };
         let up: Vec<f64> = (0..120).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
-        let chosen = Trim::learn(&axes, &at, &up, &r).unwrap();
-        let soft = Trim::with_lambda(&axes, &at, &up, &r, LAMBDAS[0]).unwrap();
+        let chosen = Trim::learn(&axes, &along(&at, &up, &r)).unwrap();
+        let soft = Trim::with_lambda(&axes, &along(&at, &up, &r), LAMBDAS[0]).unwrap();
         assert!(
             error(&chosen) < 0.1 && error(&chosen) < 0.6 * error(&soft),
             "{} {}",

@@ -4,6 +4,7 @@
 //! minimise    sum_k w_k [m_k(x_k) + caution sd_k(x_k)] / |m_k|  +  rho / 2  sum_pairs sum_i (u_ki - u_ji)^2
 //! subject to  limits of every cell, as in `cell`
 //!             |x_ki - x_ji| <= step_i          neighbouring cells k, j; inputs with a limited step
+//!             x_ki <= x_ji or x_ki >= x_ji     neighbours along an axis over which input i is to rise or to fall
 //!             lower_i <= x_ki <= upper_i,      u = (x - lower) / (upper - lower)
 //! ```
 //!
@@ -14,6 +15,7 @@
 use dynocal_numerics::nlp::{NlpOptions, SparseNlp, solve};
 use dynocal_numerics::status::Status;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::cell::{CellOptimum, Local, Program, Setting};
 
@@ -28,6 +30,18 @@ pub struct Coupling {
     pub smooth: f64,
     /// Largest step of each free factor between neighbours, in its unit.
     pub steps: Vec<Option<f64>>,
+    /// Free factors that rise or fall from the first cell of a pair to the second: number of the pair, of the factor, way.
+    pub monotone: Vec<(usize, usize, Way)>,
+}
+
+/// How an input goes along an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Way {
+    /// It does not fall.
+    Rising,
+    /// It does not rise.
+    Falling,
 }
 
 /// What the program gave.
@@ -83,8 +97,8 @@ struct Whole<'a, 'b> {
     coupling: &'a Coupling,
     nf: usize,
     ns: usize,
-    /// Limited steps: cells, factor, largest step as a share of the range.
-    steps: Vec<(usize, usize, usize, f64)>,
+    /// Limited steps: cells, factor, least and greatest of what it is at the first less at the second, as shares of the range.
+    steps: Vec<(usize, usize, usize, f64, f64)>,
 }
 
 impl<'a, 'b> Whole<'a, 'b> {
@@ -97,14 +111,22 @@ impl<'a, 'b> Whole<'a, 'b> {
             .enumerate()
             .filter_map(|(i, (span, s))| Some((i, (*s)? / span)))
             .collect();
-        let steps = coupling.pairs.iter().flat_map(|(k, j)| limited.iter().map(|(i, s)| (*k, *j, *i, *s)));
+        let steps =
+            coupling.pairs.iter().flat_map(|(k, j)| limited.iter().map(|(i, s)| (*k, *j, *i, -s, *s)));
+        let ways = coupling.monotone.iter().map(|(pair, i, way)| {
+            let (k, j) = coupling.pairs[*pair];
+            match way {
+                Way::Rising => (k, j, *i, -1.0, 0.0),
+                Way::Falling => (k, j, *i, 0.0, 1.0),
+            }
+        });
         Self {
             cells: starts.iter().map(|x| Program::new(setting, x, false)).collect(),
             share: coupling.weights.iter().map(|w| w / total).collect(),
             coupling,
             nf,
             ns: setting.sides.len(),
-            steps: steps.collect(),
+            steps: steps.chain(ways).collect(),
         }
     }
 
@@ -156,8 +178,8 @@ impl SparseNlp for Whole<'_, '_> {
             upper[k * block..k * block + self.nf].fill(1.0);
         }
         let from = self.cells.len() * block;
-        for (t, (.., most)) in self.steps.iter().enumerate() {
-            (lower[from + t], upper[from + t]) = (-most, *most);
+        for (t, (.., least, most)) in self.steps.iter().enumerate() {
+            (lower[from + t], upper[from + t]) = (*least, *most);
         }
     }
 
@@ -167,8 +189,8 @@ impl SparseNlp for Whole<'_, '_> {
             c.start(&mut v[k * block..(k + 1) * block]);
         }
         let from = self.cells.len() * block;
-        for (t, (k, j, i, most)) in self.steps.iter().enumerate() {
-            v[from + t] = self.difference(v, *k, *j, *i).clamp(-most, *most);
+        for (t, (k, j, i, least, most)) in self.steps.iter().enumerate() {
+            v[from + t] = self.difference(v, *k, *j, *i).clamp(*least, *most);
         }
     }
 
@@ -206,7 +228,7 @@ impl SparseNlp for Whole<'_, '_> {
             }
         }
         let (from, rows) = (self.cells.len() * block, self.cells.len() * ns);
-        for (t, (k, j, i, _)) in self.steps.iter().enumerate() {
+        for (t, (k, j, i, ..)) in self.steps.iter().enumerate() {
             c[rows + t] = self.difference(v, *k, *j, *i) - v[from + t];
         }
     }
@@ -221,7 +243,7 @@ impl SparseNlp for Whole<'_, '_> {
             }
         }
         let (from, rows) = (self.cells.len() * block, self.cells.len() * ns);
-        for (t, (k, j, i, _)) in self.steps.iter().enumerate() {
+        for (t, (k, j, i, ..)) in self.steps.iter().enumerate() {
             all.extend([(rows + t, k * block + i), (rows + t, j * block + i), (rows + t, from + t)]);
         }
         all

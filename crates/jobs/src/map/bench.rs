@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use dynocal_calib::problem::CalibrationProblem;
-use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
 use dynocal_calib::steady::front::FrontSpec;
 use dynocal_calib::steady::layout::{Factor, Layout};
 use dynocal_calib::steady::station::{Leg, Station, SteadyPoint, Swept, Touched};
@@ -19,9 +19,6 @@ use dynocal_numerics::watch::Watch;
 
 use super::error::{MapError, stopped};
 
-/// A setting of all factors, and why it is measured.
-pub(super) type Task = (Purpose, Vec<f64>);
-
 /// What measures points.
 pub(super) trait Bench {
     /// Measures `tasks` in their order until `bed_s` is used up, adding to `points`; why it ended.
@@ -34,6 +31,10 @@ pub(super) trait Bench {
     ) -> Result<DayEnd, MapError>;
     /// Goes along a line of the maps; none where the bed cannot.
     fn sweep(&mut self, from: &[f64], legs: &[Leg], watch: Watch) -> Result<Option<Swept>, MapError>;
+    /// Whether more points can be measured at once, without a plan that is carried out elsewhere.
+    fn goes_on(&self) -> bool {
+        true
+    }
     /// Factors where it stands.
     fn stands_at(&self) -> &[f64];
     /// Bed time so far in s.
@@ -112,7 +113,7 @@ impl<'a> OnBed<'a> {
         let free = l.factors[l.axes..].iter().map(|f| format!("{} [{}]", f.name, f.unit));
         let head: Vec<String> = demands.chain(given).chain(free).collect();
         let mut text = format!("{NUMBER},purpose,{}\n", head.join(","));
-        for (k, (purpose, x)) in tasks.iter().enumerate() {
+        for (k, Task { purpose, target: x, .. }) in tasks.iter().enumerate() {
             let demands = (0..l.problem.demands.len()).map(|d| l.demand(d, x));
             let given = (0..l.problem.given.len()).map(|g| l.given(g, x));
             let cells: Vec<String> =
@@ -226,7 +227,7 @@ impl<'a> OnBed<'a> {
     fn belongs(&self, table: &Table, points: &[DayPoint], asked: &[Task]) -> Result<(), MapError> {
         let measured = points.iter().zip(asked).filter(|(p, _)| p.point.factors[0].is_finite());
         let away: Vec<String> =
-            measured.clone().filter_map(|(p, (_, x))| self.elsewhere(x, &p.point.factors)).collect();
+            measured.clone().filter_map(|(p, t)| self.elsewhere(&t.target, &p.point.factors)).collect();
         if away.len() as f64 > FOREIGN * measured.count() as f64 {
             return Err(MapError::Record(format!(
                 "{}: {} of {} points were set elsewhere than planned, first: {}. Is it the record of another plan (seed or spec changed), or are channels or units exchanged?",
@@ -259,7 +260,7 @@ impl<'a> OnBed<'a> {
         let stamps = self.times(&table)?;
         let rows = self.rows(&table, tasks.len())?;
         let mut points = Vec::new();
-        for ((purpose, asked), row) in tasks.iter().zip(rows) {
+        for (Task { purpose, target: asked, .. }, row) in tasks.iter().zip(rows) {
             let at_s = row.and_then(|r| Some(stamps.as_ref()?[r]));
             let point = match row {
                 Some(row) => self.point(asked, &one_row(&all, row), at_s.unwrap_or(0.0))?,
@@ -441,7 +442,7 @@ impl Bench for OnBed<'_> {
         if tasks.is_empty() {
             return Ok(DayEnd::Done);
         }
-        let verify = tasks.iter().all(|(p, _)| *p == Purpose::Verify);
+        let verify = tasks.iter().all(|t| t.purpose == Purpose::Verify);
         self.batches += usize::from(!verify);
         let name = if verify { "verify".to_string() } else { format!("points{:02}", self.batches) };
         let (plan, measured) = (self.folder.join(format!("{name}.csv")), Self::measured(self.folder));
@@ -483,6 +484,9 @@ impl Bench for OnBed<'_> {
     }
     fn sweep(&mut self, _from: &[f64], _legs: &[Leg], _watch: Watch) -> Result<Option<Swept>, MapError> {
         Ok(None)
+    }
+    fn goes_on(&self) -> bool {
+        false
     }
     fn stands_at(&self) -> &[f64] {
         &self.at

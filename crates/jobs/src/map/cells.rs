@@ -6,6 +6,8 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_ident::data::UnitAfter;
 
+use super::result::Mapped;
+
 /// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
 pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
     let driven = layout.driven();
@@ -27,7 +29,7 @@ pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
     match cell.state {
         CellState::Optimal => String::new(),
         CellState::Filled => "filled from its neighbours: not reached on the bed".into(),
-        CellState::Infeasible => {
+        CellState::Infeasible | CellState::Edited => {
             let each = cell.optimum.prices.iter().filter(|p| p.passed > 0.0).map(|p| {
                 let r = &layout.responses[p.response];
                 let (side, limit) = if p.sign > 0.0 { ("above", r.upper) } else { ("below", r.lower) };
@@ -35,7 +37,13 @@ pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
                 format!("`{}` {:.4}{unit} {side} {}{unit}", r.name, p.passed, limit.unwrap_or(f64::NAN))
             });
             let each: Vec<String> = each.collect();
-            format!("limits conflict: {} at the least violation, uncertainty counted in", each.join(", "))
+            let each = each.join(", ");
+            match cell.state {
+                CellState::Edited => {
+                    format!("held as edited, which breaks limits: {each}, uncertainty counted in")
+                }
+                _ => format!("limits conflict: {each} at the least violation, uncertainty counted in"),
+            }
         }
     }
 }
@@ -49,5 +57,14 @@ pub(super) fn end_in_words(end: &DayEnd) -> String {
             format!("the day was given up after many points in a row that cannot be used ({notes})")
         }
         DayEnd::Refused(words) => format!("the plant refused to go on: {words}"),
+    }
+}
+
+/// Unit of what is minimised; empty where that is a weighted sum.
+pub(super) fn objective_unit(found: &Mapped) -> String {
+    let weighted: Vec<_> = found.layout.responses.iter().filter(|r| r.weight != 0.0).collect();
+    match weighted.as_slice() {
+        [one] if one.weight == 1.0 => one.unit.clone(),
+        _ => String::new(),
     }
 }

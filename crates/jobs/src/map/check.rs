@@ -55,6 +55,23 @@ fn whole(s: &MapSpec, faults: &mut Faults) {
             faults.push(&key, step, "a step above 0");
         }
     }
+    let axes: Vec<String> = s.axes.keys().cloned().collect();
+    for (name, ways) in &w.monotone {
+        let key = format!("optimise.whole.monotone.{name}");
+        if !free.contains(name) {
+            faults.unknown(&key, name, &free);
+        }
+        for axis in ways.keys().filter(|a| !axes.contains(a)) {
+            faults.unknown(&format!("{key}.{axis}"), axis, &axes);
+        }
+        if s.optimise.resolution.contains_key(name) {
+            faults.push(
+                &key,
+                "a way",
+                "no `optimise.resolution` of the same input: rounding does not keep it",
+            );
+        }
+    }
     let cells: usize = s.axes.values().map(Vec::len).product();
     let sound =
         w.residence.iter().all(|r| *r >= 0.0 && r.is_finite()) && w.residence.iter().sum::<f64>() > 0.0;
@@ -332,6 +349,8 @@ fn bed(s: &MapSpec, faults: &mut Faults) {
     faults.range("bed.refine.share", r.share, 0.0, 0.9, "of the points");
     count("bed.refine.batch", r.batch, 1, 1000, faults);
     faults.range("bed.refine.tolerance", r.tolerance, 0.0, 1.0, "of what is minimised");
+    faults.range("bed.refine.gain", r.gain, 0.0, 1e9, "of what is minimised");
+    faults.range("bed.refine.interval", r.interval, 0.0, 1e9, "of what is minimised");
     faults.range("bed.minutes", s.bed.minutes, 0.1, 10_000.0, "min");
     faults.range("bed.approach.ramp_s", a.ramp_s, 0.0, 3600.0, "s");
     faults.range("bed.approach.settle_s", a.settle_s, 4.0 * s.sample_time_s, 3600.0, "s");

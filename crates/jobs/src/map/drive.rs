@@ -52,7 +52,8 @@ pub struct Drive {
     pub widen: f64,
     /// What sweeps along the maps changed; none where there were none.
     pub trimmed: Option<Trimmed>,
-    /// RMS of what the verification took there less what the map says, as [`Drive::error`]; none before there is one.
+    /// RMS of what the verification took there less what the map says, by what it does to the demand: as a share of it where
+    /// [`Drive::relative`]; none before there is one.
     pub verified: Option<f64>,
     /// Which channels are learnt over by their logarithms.
     logs: Vec<bool>,
@@ -66,9 +67,11 @@ pub struct Drive {
 pub struct Trimmed {
     /// RMS of what the map missed along the lines before.
     pub before: f64,
-    /// Scatter of a window about the trimmed map and the lag of its way.
+    /// Scatter of a window about the trimmed map and the lag of its way: what the map does not follow, and noise.
     pub scatter: f64,
-    /// RMS of what a line differs from what the lines beside it say of it; none with fewer than three lines.
+    /// The same by what it does to the demand: as a share of it where the map is relative.
+    pub held: f64,
+    /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
     #[serde(skip)]
     trim: Trim,
@@ -233,20 +236,22 @@ impl Drive {
     }
 
     /// Its error: between the lines that were swept, where there are three, else on points that had no part in it; or, where that is
-    /// larger, what the verification found: lines do not show what all of them have in common.
+    /// larger, the scatter along the lines, which a map that is smooth does not follow, or what the verification found: lines do not
+    /// show what all of them have in common.
     fn missing(&self) -> f64 {
-        let told = self.trimmed.as_ref().and_then(|t| t.between).unwrap_or(self.error);
-        self.verified.map_or(told, |v| v.max(told))
+        let swept = self.trimmed.as_ref();
+        let told = swept.and_then(|t| t.between).unwrap_or(self.error);
+        let scattered = swept.map_or(0.0, |t| t.held);
+        self.verified.unwrap_or(0.0).max(told).max(scattered)
     }
 
-    /// Takes what the loops set at the verification points, `(measured, expected)` each.
-    pub(super) fn verify(&mut self, pairs: &[(f64, f64)]) {
-        let squares: Vec<f64> = pairs.iter().map(|(m, e)| self.missed_by(*m, *e).powi(2)).collect();
-        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    /// Takes what the loops set at the verification points less what the map says, by what it does to the demand.
+    pub(super) fn verify(&mut self, missed: &[f64]) {
+        let rms = (missed.iter().map(|m| m * m).sum::<f64>() / missed.len() as f64).sqrt();
         self.verified = Some(rms).filter(|v| v.is_finite());
     }
 
-    /// Its error on unseen points with its unit, in words.
+    /// Its error with its unit, in words.
     pub fn missed(&self) -> String {
         self.in_words(self.missing())
     }
@@ -263,7 +268,7 @@ impl Drive {
 
     /// Takes what was measured along the maps: `before` is what they missed there, `between` what a line differs from its neighbours.
     pub(super) fn take(&mut self, trim: Trim, before: f64, between: Option<f64>) {
-        self.trimmed = Some(Trimmed { before, scatter: trim.scatter, between, trim });
+        self.trimmed = Some(Trimmed { before, scatter: trim.rest, held: trim.scatter, between, trim });
     }
 
     /// Values at rows of factors and responses.
@@ -303,8 +308,10 @@ impl Drive {
             format!("; a line differs from what the lines beside it say of it by {} rms", self.in_words(b))
         });
         format!(
-            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there{between}",
-            self.in_words(t.before)
+            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}",
+            self.in_words(t.before),
+            self.in_words(t.scatter),
+            self.in_words(t.held)
         )
     }
 }

@@ -40,6 +40,9 @@ pub enum MapError {
         /// Variables that there are, with their units.
         known: String,
     },
+    /// Edits that do not fit the maps.
+    #[error("edits: {0}")]
+    Edits(String),
     /// The front asks for a response that there is not.
     #[error(
         "optimise.front.against: the plant has no output `{name}`, and no derived channel is called so; there are: {known}"

@@ -49,10 +49,10 @@ impl Maps<'_> {
     ) -> Option<(Status, usize)> {
         let whole = self.spec.optimise.whole.as_ref()?;
         watch.note("all cells as one program");
-        let free = &self.layout.factor_names()[self.layout.axes..];
+        let names = &self.layout.factor_names();
         let taken = front.and_then(|f| Some((f, f.taken.as_ref()?)));
         let Some((front, taken)) = taken else {
-            return Some(grid::couple(self.setting, self.axes, whole, free, cells, watch.interrupt));
+            return Some(grid::couple(self.setting, self.axes, whole, names, cells, watch.interrupt));
         };
         let against = self.layout.responses.iter().position(|r| r.name == front.against)?;
         let which = optimal(cells);
@@ -61,7 +61,7 @@ impl Maps<'_> {
         trade.cells = front.points.first()?.cells.clone();
         let weighted = trade.weighted(taken.share);
         let before = cells.to_vec();
-        let ended = grid::couple(&weighted, self.axes, whole, free, cells, watch.interrupt);
+        let ended = grid::couple(&weighted, self.axes, whole, names, cells, watch.interrupt);
         if cells[..] != before[..] {
             let optima = which.iter().map(|k| trade.in_units(taken.share, &cells[*k].optimum)).collect();
             grid::replace(self.setting, self.axes, &which, optima, cells);

@@ -48,6 +48,7 @@ pub fn parse(file: &str, text: &str, overrides: &Overrides) -> Result<Job, SpecE
 
 fn checked(t: &MapSpec, path: &Path, over: &Overrides, faults: &mut Faults) -> Option<Job> {
     let mut spec = MapSpec { seed: over.seed.unwrap_or(t.seed), ..t.clone() };
+    spec.edits = spec.edits.map(|file| path.parent().unwrap_or(Path::new("")).join(file));
     fill(&mut spec);
     check(&spec, faults);
     let place = Place::of(path, t.name.as_deref(), None, over.out.as_deref(), faults);

@@ -8,7 +8,7 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Measures, Purpose};
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Measures, Purpose, Task};
 use dynocal_calib::steady::station::{Leg, Stand, Station, SteadyPoint, Swept};
 use dynocal_files::run_folder::{digest, digest_of};
 use dynocal_files::{FilesError, atomic};
@@ -18,7 +18,7 @@ use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::bench::{Bench, Task, swept};
+use super::bench::{Bench, swept};
 use super::error::{MapError, stopped};
 
 /// File in the run folder.
@@ -176,16 +176,17 @@ fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
 }
 
 impl Measures for Journal<'_, '_> {
-    fn measure(&mut self, purpose: Purpose, target: &[f64]) -> Result<SteadyPoint, PlayError> {
-        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, .. } if *p == purpose && t == target);
+    fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
+        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, .. } if *p == task.purpose && *t == task.target);
         if let Some(Measured::Point { point, .. }) = self.known(same) {
             return Ok(point);
         }
         if !self.live {
             self.begin();
         }
-        let point = self.station.measure(target)?;
-        self.keep(Measured::Point { purpose, target: target.to_vec(), point: point.clone() });
+        let point = self.station.measure(&task.target, &task.driven)?;
+        let (purpose, target) = (task.purpose, task.target.clone());
+        self.keep(Measured::Point { purpose, target, point: point.clone() });
         Ok(point)
     }
     fn bed_s(&self) -> f64 {

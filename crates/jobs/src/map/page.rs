@@ -4,18 +4,20 @@ use std::path::Path;
 
 use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::front::{Front, FrontPoint};
-use dynocal_calib::steady::grid::CellState;
+use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_files::atomic;
 use dynocal_report::{
     Axis, Block, Cell as TableCell, Column, Details, HeatMap, Report, Section, Table, XyPlot, XySeries,
     capital, render,
 };
 
-use super::cells::{actuators, missed};
+use super::cells::{actuators, missed, objective_unit};
 use super::error::MapError;
 use super::job::Job;
 use super::learn::Learned;
 use super::result::{Delivered, Mapped};
+
+mod extras;
 use crate::page::PageError;
 
 /// Writes `report.html` into the run folder.
@@ -43,6 +45,7 @@ pub fn report(found: &Mapped, job: &Job) -> Report {
         report = report.check(c.clone());
     }
     let report = report.section(maps(found)).section(responses(found)).section(cells(found));
+    let report = extras::sections(found).into_iter().fold(report, Report::section);
     let traced = found.front.iter().map(|f| front(found, f));
     traced
         .fold(report, Report::section)
@@ -76,7 +79,11 @@ fn drawn(found: &Mapped, title: &str, z: Axis, values: Vec<f64>) -> Option<Block
         return Some(plot.into());
     };
     let mut map = HeatMap::new(title, plane.x, y, (z, values)).contours();
-    for (state, label) in [(CellState::Filled, "filled"), (CellState::Infeasible, "limits conflict")] {
+    for (state, label) in [
+        (CellState::Filled, "filled"),
+        (CellState::Infeasible, "limits conflict"),
+        (CellState::Edited, "edited, breaks limits"),
+    ] {
         let marked = found.cells.iter().filter(|c| c.state == state);
         let (y, x): (Vec<f64>, Vec<f64>) = marked.map(|c| (c.at[0], c.at[1])).unzip();
         if !x.is_empty() {
@@ -174,7 +181,11 @@ fn responses(found: &Mapped) -> Section {
             (None, None) => String::new(),
         };
         let title = format!("{}{limit}", capital(&r.name));
-        blocks.extend(drawn(found, &title, Axis::new(r.name.as_str(), r.unit.as_str()), values));
+        let mut block = drawn(found, &title, Axis::new(r.name.as_str(), r.unit.as_str()), values);
+        if let Some(Block::HeatMap(map)) = &mut block {
+            *map = with_limit(found, k, std::mem::take(map));
+        }
+        blocks.extend(block);
     }
     for pair in blocks.chunks(2) {
         section = section.columns(pair.to_vec());
@@ -182,20 +193,45 @@ fn responses(found: &Mapped) -> Section {
     section
 }
 
+/// The limit of response `k` as a line: at each value of the given channel the least demand at which it acts, that is, has a price.
+fn with_limit(found: &Mapped, k: usize, map: HeatMap) -> HeatMap {
+    let acts = |c: &&Cell| {
+        let small = 1e-6 * c.optimum.objective.abs();
+        c.state == CellState::Optimal && c.optimum.prices.iter().any(|p| p.response == k && p.saves > small)
+    };
+    let (mut x, mut y): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    for given in found.axes.get(1).map_or(&[][..], |a| &a.points) {
+        let least = found.cells.iter().filter(|c| c.at[1] == *given).filter(acts).map(|c| c.at[0]);
+        let least = least.fold(f64::INFINITY, f64::min);
+        if least.is_finite() {
+            x.push(*given);
+            y.push(least);
+        }
+    }
+    if x.is_empty() { map } else { map.overlay_line("the limit acts from here up", x, y) }
+}
+
 /// Cells with the prices of their limits.
 fn cells(found: &Mapped) -> Section {
     let mut head: Vec<Column> =
         found.axes.iter().map(|a| Column::number(capital(&a.name), a.unit.as_str()).digits(4)).collect();
     head.push(Column::text("Cell"));
+    head.push(Column::text("Verification next to it"));
     head.push(Column::number("Minimised", objective_unit(found)).digits(4));
     head.push(Column::number("Standard deviation", objective_unit(found)).digits(2));
     head.push(Column::text("Limits that cost, and what one unit of room would save"));
     let mut table = Table::new(head);
-    for c in &found.cells {
+    for (c, verified) in found.cells.iter().zip(&found.verified_cells) {
         let mut row: Vec<TableCell> = c.at.iter().map(|v| (*v).into()).collect();
         row.push(match c.state {
+            CellState::Optimal if found.edits.iter().any(|e| e.at == c.at) => "held as edited".into(),
             CellState::Optimal => "optimum".into(),
             _ => missed(&found.layout, c).into(),
+        });
+        row.push(match verified {
+            Some(true) => "kept".into(),
+            Some(false) => "missed".into(),
+            None => TableCell::Empty,
         });
         row.push(c.optimum.objective.into());
         row.push(c.optimum.objective_deviation.into());
@@ -211,7 +247,7 @@ fn cells(found: &Mapped) -> Section {
         table = table.row(row);
     }
     Section::new("Cells")
-        .text("A price says what is saved at this cell if the limit is moved by one unit; a limit without one does not act.")
+        .text("A price says what is saved at this cell if the limit is moved by one unit; a limit without one does not act. Verification: whether all verification points that lie next to a cell keep limits and promise.")
         .block(Details::new(format!("{} cells", found.cells.len())).block(table))
 }
 
@@ -254,14 +290,6 @@ fn front(found: &Mapped, f: &Front) -> Section {
         ))
         .block(plot)
         .block(table)
-}
-
-fn objective_unit(found: &Mapped) -> String {
-    let weighted: Vec<_> = found.layout.responses.iter().filter(|r| r.weight != 0.0).collect();
-    match weighted.as_slice() {
-        [one] if one.weight == 1.0 => one.unit.clone(),
-        _ => String::new(),
-    }
 }
 
 fn verification(found: &Mapped) -> Section {
@@ -434,6 +462,8 @@ fn rounds(found: &Mapped) -> Table {
         Column::number("Cells to be reached yet", "").digits(4),
         Column::number("Error of the promise, rms", "%").digits(2),
         Column::number("Mean", "%").digits(2),
+        Column::number("The optimum may lie below the map by", objective_unit(found)).digits(2),
+        Column::number("Interval of the map", objective_unit(found)).digits(2),
     ];
     found.rounds.iter().fold(Table::new(head).caption("Batches at the expected optimum"), |t, r| {
         t.row(vec![
@@ -443,6 +473,8 @@ fn rounds(found: &Mapped) -> Table {
             (r.untried as f64).into(),
             r.error.map(|e| 100.0 * e).into(),
             r.bias.map(|e| 100.0 * e).into(),
+            r.left.map(|l| l.gain).into(),
+            r.left.map(|l| l.interval).into(),
         ])
     })
 }

@@ -1,12 +1,13 @@
 //! The part of the day that follows the optimum: models and maps so far, the next points, until promises are kept.
 
 use dynocal_calib::steady::cell::Setting;
-use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose};
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid;
 use dynocal_calib::steady::layout::Layout;
-use dynocal_calib::steady::refine::{HOPE, Known};
+use dynocal_calib::steady::refine::{HOPE, Known, Left};
 use dynocal_design::points::short_ways;
+use dynocal_ident::model::response::{Ask, Prediction, Response};
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
@@ -31,8 +32,27 @@ pub struct Round {
     pub error: Option<f64>,
     /// Mean error of the same, with its sign: positive where more was measured than promised.
     pub bias: Option<f64>,
+    /// What more points might have been worth before this batch; none where no cell held an optimum.
+    pub left: Option<Left>,
     /// Bed time at its end in s.
     pub at_s: f64,
+}
+
+/// The batches of a day.
+pub(super) struct Refined {
+    pub(super) rounds: Vec<Round>,
+    pub(super) end: DayEnd,
+    /// What more points might be worth, where that was little enough to end the refinement.
+    pub(super) enough: Option<Left>,
+}
+
+/// What comes next.
+struct Next {
+    targets: Vec<Vec<f64>>,
+    /// Cells that the bed has not reached and may be sent to.
+    untried: usize,
+    /// What more points may be worth.
+    worth: Option<Left>,
 }
 
 /// What the refinement needs.
@@ -49,7 +69,7 @@ pub(super) struct Refinement<'a> {
 }
 
 impl Refinement<'_> {
-    /// Batch after batch; what they were and why the day ended.
+    /// Batch after batch, until what was promised is kept, or more points would be worth less than is asked.
     ///
     /// # Errors
     /// [`MapError`].
@@ -58,40 +78,56 @@ impl Refinement<'_> {
         bench: &mut dyn Bench,
         points: &mut Vec<DayPoint>,
         watch: Watch,
-    ) -> Result<(Vec<Round>, DayEnd), MapError> {
+    ) -> Result<Refined, MapError> {
         let mut rounds = Vec::new();
         // A batch ends with a repeat.
         while points.len() + 1 < self.most {
             let left = self.most - points.len() - 1;
             let drift = day::drift(self.layout, points);
             let models = learn::learn(self.layout, points, &drift, &self.spec.models, false, watch)?;
-            let (targets, untried) =
+            let Next { targets, untried, worth } =
                 self.targets(&models, points, left, rounds.len(), bench.stands_at(), watch);
             if watch.interrupted() {
                 return Err(MapError::Interrupted);
+            }
+            if let Some(worth) = worth.filter(|w| untried == 0 && w.is_enough(&self.spec.bed.refine)) {
+                return Ok(Refined { rounds, end: DayEnd::Done, enough: Some(worth) });
             }
             if targets.is_empty() {
                 break;
             }
             let begun = points.len();
-            let mut tasks: Vec<_> = targets.into_iter().map(|x| (Purpose::Optimum, x)).collect();
-            tasks.push((Purpose::Repeat, self.first.to_vec()));
+            let mut tasks: Vec<_> =
+                targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
+            tasks.push(self.task(Purpose::Repeat, self.first.to_vec(), &models));
             let end = bench.run(tasks, self.bed_s, points, watch)?;
             let mut round = self.judge(&models, &points[begun..], untried);
-            round.at_s = bench.used_s();
+            (round.at_s, round.left) = (bench.used_s(), worth);
             let enough = round.error.is_some_and(|e| e <= self.spec.bed.refine.tolerance) && untried == 0;
             rounds.push(round);
             if end != DayEnd::Done {
-                return Ok((rounds, end));
+                return Ok(Refined { rounds, end, enough: None });
             }
             if enough {
                 break;
             }
         }
-        Ok((rounds, DayEnd::Done))
+        Ok(Refined { rounds, end: DayEnd::Done, enough: None })
     }
 
-    /// The next points in an order of short ways, and how many cells were untried before.
+    /// A point with what the models expect its loops to set: the way there is known better than at the begin of the day.
+    fn task(&self, purpose: Purpose, target: Vec<f64>, models: &[Learned]) -> Task {
+        let mut at = Prediction::new(target.len());
+        let expected = |(l, k): (usize, &usize)| {
+            models[l].predict(&target, Ask::Mean, &mut at);
+            let i = &self.layout.problem.inputs[*k];
+            at.mean.clamp(i.lower, i.upper)
+        };
+        let driven = self.layout.driven().iter().enumerate().map(expected).collect();
+        Task { purpose, target, driven }
+    }
+
+    /// The next points in an order of short ways.
     fn targets(
         &self,
         models: &[Learned],
@@ -100,7 +136,7 @@ impl Refinement<'_> {
         round: usize,
         now: &[f64],
         watch: Watch,
-    ) -> (Vec<Vec<f64>>, usize) {
+    ) -> Next {
         let envelope: Envelope = envelope(self.layout, points);
         let wide = Setting { caution: HOPE, ..setting(self.layout, models, self.spec) };
         let setting = setting(self.layout, models, self.spec);
@@ -130,7 +166,8 @@ impl Refinement<'_> {
         let next = known.next(self.spec.bed.refine.batch.min(left), seed, watch.interrupt);
         let unit: Vec<Vec<f64>> = next.iter().map(|x| self.layout.to_unit(x)).collect();
         let order = short_ways(&unit, &self.layout.to_unit(now));
-        (order.into_iter().map(|k| next[k].clone()).collect(), untried)
+        let targets = order.into_iter().map(|k| next[k].clone()).collect();
+        Next { targets, untried, worth: Left::of(&cells, &hopeful) }
     }
 
     /// What was promised for a batch beside what was measured.
@@ -153,6 +190,7 @@ impl Refinement<'_> {
             untried,
             error: mean(errors.iter().map(|e| e * e).sum()).map(f64::sqrt),
             bias: mean(errors.iter().sum()),
+            left: None,
             at_s: 0.0,
         }
     }

@@ -7,13 +7,17 @@ use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::front::Front;
 use dynocal_calib::steady::grid::Cell;
 use dynocal_calib::steady::layout::{AxisRange, Layout};
+use dynocal_calib::steady::refine::Left;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::status::Status;
 use dynocal_report::Check;
 use serde::Serialize;
 
 use super::drive::Drive;
+use super::edits::Edit;
+use super::inverse::Inverse;
 use super::learn::Learned;
+use super::loops::InputLoop;
 use super::refine::Round;
 use super::sweep::Sweeps;
 
@@ -72,6 +76,9 @@ pub struct Deviation {
     pub measured: f64,
     /// How far it passes its limit; negative: room. None without a limit.
     pub passed: Option<f64>,
+    /// What the deviation of an input that a loop drives does to the demand that it holds: as a share of it where its map is relative, else the
+    /// deviation itself; none for outputs.
+    pub at_demand: Option<f64>,
 }
 
 /// A verification point: the maps at an operating point that no model has seen.
@@ -142,12 +149,22 @@ pub struct Mapped {
     pub axes: Vec<MapAxis>,
     /// Batches of points that followed the optimum.
     pub rounds: Vec<Round>,
+    /// What more points might be worth, where that was little enough to take no more (`bed.refine.gain`, `interval`).
+    pub enough: Option<Left>,
     /// How the program of the whole map ended and its iterations; none where cells were optimised by themselves.
     pub whole: Option<(Status, usize)>,
     /// What is minimised against another response; none where it was not asked for.
     pub front: Option<Front>,
     /// What breakpoints and steps of the ECU cost; none where none were asked for.
     pub delivered: Option<Delivered>,
+    /// Cells that are held as a user has edited them.
+    pub edits: Vec<Edit>,
+    /// Inverse maps of the inputs that loops drive.
+    pub inverses: Vec<Inverse>,
+    /// What is minimised over each free input at some cells.
+    pub loops: Vec<InputLoop>,
+    /// What the verification says of each cell: whether all points around it keep limits and promise; none where there is none.
+    pub verified_cells: Vec<Option<bool>>,
     /// Drift over the day.
     pub drift: Vec<Drift>,
     /// Response models.

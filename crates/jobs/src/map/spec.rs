@@ -1,10 +1,12 @@
 //! The spec of a steady calibration as the user writes it. Every key has a default that works on the virtual engine.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use dynocal_calib::gains::TuneSpec;
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::grid::GridSpec;
+use dynocal_calib::steady::plan::{Order, PlanKind};
 use dynocal_calib::steady::refine::RefineSpec;
 use dynocal_calib::steady::station::ApproachSpec;
 use dynocal_numerics::interval::Interval;
@@ -49,6 +51,9 @@ pub struct MapSpec {
     pub optimise: GridSpec,
     /// Verification.
     pub verify: VerifySpec,
+    /// Table of cells that a user has edited ([`super::edits`]), relative to the spec; they stand in the maps as they are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edits: Option<PathBuf>,
 }
 
 impl Default for MapSpec {
@@ -70,6 +75,7 @@ impl Default for MapSpec {
             models: ModelsSpec::default(),
             optimise: GridSpec::default(),
             verify: VerifySpec::default(),
+            edits: None,
         }
     }
 }
@@ -80,6 +86,10 @@ impl Default for MapSpec {
 pub struct BedSpec {
     /// Most points of the day: to learn from, repeats and verification together.
     pub points: usize,
+    /// How the planned points are chosen.
+    pub plan: PlanKind,
+    /// Their order within a block.
+    pub order: Order,
     /// Points between two repeats of the first point.
     pub block: usize,
     /// Bed time in minutes after which no further point begins, verification included.
@@ -117,6 +127,8 @@ impl Default for BedSpec {
     fn default() -> Self {
         Self {
             points: 75,
+            plan: PlanKind::default(),
+            order: Order::default(),
             block: 15,
             minutes: 60.0,
             ranges: BTreeMap::new(),

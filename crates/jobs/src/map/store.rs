@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use dynocal_files::run_folder::RunFolder;
-use dynocal_files::{FilesError, csv_io, json};
+use dynocal_files::{FilesError, atomic, csv_io, json};
 use dynocal_ident::data::{Channel, Dataset, Role};
 
 use super::error::MapError;
@@ -42,6 +42,10 @@ pub fn write(folder: &RunFolder, job: &Job, mut found: Mapped) -> Result<Mapped,
         json::write_versioned(&named(name), "dynocal/response", 1, &m.model)?;
     }
     json::write_versioned(&named(format!("{STEP}/static_map.json")), "dynocal/static-map", 2, &found.map)?;
+    for i in &found.inverses {
+        let name = format!("inverse-{}.csv", file_name(&i.input));
+        atomic::write(&named(name), i.csv().as_bytes())?;
+    }
     if root.join(journal::FILE).is_file() {
         files.push(journal::FILE.into());
     }

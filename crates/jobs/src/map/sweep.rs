@@ -6,6 +6,7 @@
 //! ```text
 //! r = log u - log g(q)      u: input as measured, g(q): what its model expects there ([`super::drive`])
 //! u_map = g(q) exp(trim)    trim: r over the axes of the maps without the lag of the way ([`dynocal_calib::steady::trim`])
+//! w = (d log u / d log y)^-2   weight of r, y: the demand that u holds; where y hardly answers u the loop swings far and that is no matter
 //! ```
 //!
 //! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with g, so that the loops have only the rest to
@@ -15,9 +16,9 @@
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::Drift;
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
-use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_calib::steady::station::{Leg, SweepRow};
-use dynocal_calib::steady::trim::{Trim, finer};
+use dynocal_calib::steady::trim::{Along, Trim, finer};
 use dynocal_ident::model::response::{Ask, Prediction};
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
@@ -91,7 +92,7 @@ impl Lines<'_> {
         bed_s: f64,
         watch: Watch,
     ) -> Result<Option<Sweeps>, MapError> {
-        let Some(spec) = &self.spec.bed.sweep else { return Ok(None) };
+        let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
         let lines = self.lines(spec, drives)?;
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
         let begun_s = bench.used_s();
@@ -161,19 +162,14 @@ impl Lines<'_> {
             let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
             let nodes: Vec<Vec<f64>> =
                 longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
-            let driven = drives.iter().map(|d| self.models_say(d, &nodes)).collect::<Result<_, _>>()?;
+            let driven = drives
+                .iter()
+                .map(|d| models_say(self.layout, self.setting, d, &nodes))
+                .collect::<Result<_, _>>()?;
             Ok(Line { other, nodes, driven })
         };
         let all: Vec<Line> = others.into_iter().map(line).collect::<Result<_, MapError>>()?;
         Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
-    }
-
-    /// What the map of a driven input says at factors, all responses being as they are expected there.
-    fn models_say(&self, drive: &Drive, factors: &[Vec<f64>]) -> Result<Vec<f64>, MapError> {
-        let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(self.setting, x)).collect();
-        let asked: Vec<(&[f64], &[f64])> =
-            factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
-        Ok(drive.at(self.layout, &asked)?.into_iter().map(|v| v.value).collect())
     }
 
     /// There and back, beginning at the nearer end.
@@ -206,62 +202,105 @@ impl Lines<'_> {
         let used: Vec<&Window> = rows.iter().filter(|w| !w.row.at_end[l]).collect();
         let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
         let mut missed = Missed::default();
-        for (w, model) in used.into_iter().zip(self.models_say(drive, &factors)?) {
+        let say = models_say(self.layout, self.setting, drive, &factors)?;
+        let slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        for ((w, model), slope) in used.into_iter().zip(say).zip(slopes) {
             let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s));
             let r = drive.missed_by(w.row.responses[l] - gone, model);
             if r.is_finite() {
-                missed.push(w.row.factors[..n].to_vec(), w.up, r, w.line);
+                missed.along.push(w.row.factors[..n].to_vec(), w.up, r, 1.0 / (slope * slope));
+                missed.line.push(w.line);
             }
         }
-        let Some(trim) = Trim::learn(knots, &missed.at, &missed.up, &missed.r) else { return Ok(()) };
+        let Some(trim) = Trim::learn(knots, &missed.along) else { return Ok(()) };
         let error = missed.between(&trim);
-        let squares: f64 = missed.at.iter().map(|z| trim.at(z).powi(2)).sum();
-        drive.take(trim, (squares / missed.r.len() as f64).sqrt(), error);
+        let squares: f64 = missed.along.at.iter().map(|z| trim.at(z).powi(2)).sum();
+        drive.take(trim, (squares / missed.along.r.len() as f64).sqrt(), error);
         Ok(())
     }
 }
 
-/// What a map misses along the lines: places, ways, how much, numbers of the lines.
+/// Share by which a demand is moved to see what its input does.
+const SHARE: f64 = 0.01;
+/// Least slope of an input over its demand, both as shares: what flows goes with at most the square of an opening.
+const STEEP: f64 = 0.5;
+
+/// What a map misses along the lines, with the numbers of the lines.
 #[derive(Default)]
 struct Missed {
-    at: Vec<Vec<f64>>,
-    up: Vec<f64>,
-    r: Vec<f64>,
+    along: Along,
     line: Vec<usize>,
 }
 
 impl Missed {
-    fn push(&mut self, at: Vec<f64>, up: f64, r: f64, line: usize) {
-        self.at.push(at);
-        self.up.push(up);
-        self.r.push(r);
-        self.line.push(line);
-    }
-
     /// All but one line.
-    fn without(&self, held: usize) -> Self {
-        let mut rest = Self::default();
-        for i in (0..self.r.len()).filter(|i| self.line[*i] != held) {
-            rest.push(self.at[i].clone(), self.up[i], self.r[i], self.line[i]);
+    fn without(&self, held: usize) -> Along {
+        let (mut rest, a) = (Along::default(), &self.along);
+        for i in (0..a.r.len()).filter(|i| self.line[*i] != held) {
+            rest.push(a.at[i].clone(), a.up[i], a.r[i], a.weight[i]);
         }
         rest
     }
 
-    /// How far each line is from what the others say of it, where there are others on both sides: rms of the trims along it.
+    /// How far each line is from what the others say of it, where there are others on both sides: rms of the trims along it, counted by
+    /// what it does to the demand.
     fn between(&self, trim: &Trim) -> Option<f64> {
         let last = *self.line.iter().max()?;
         let (mut sum, mut n) = (0.0, 0.0);
         for held in 1..last {
-            let rest = self.without(held);
-            let without = Trim::with_lambda(&trim.axes, &rest.at, &rest.up, &rest.r, trim.lambda);
+            let without = Trim::with_lambda(&trim.axes, &self.without(held), trim.lambda);
             let Some(without) = without else { continue };
-            for (z, _) in self.at.iter().zip(&self.line).filter(|(_, l)| **l == held) {
-                sum += (without.at(z) - trim.at(z)).powi(2);
+            for i in (0..self.line.len()).filter(|i| self.line[*i] == held) {
+                let z = &self.along.at[i];
+                sum += self.along.weight[i] * (without.at(z) - trim.at(z)).powi(2);
                 n += 1.0;
             }
         }
         (n > 0.0).then(|| (sum / n).sqrt())
     }
+}
+
+/// What the map of a driven input says at factors, all responses being as they are expected there.
+///
+/// # Errors
+/// As of [`Drive::at`].
+pub(super) fn models_say(
+    layout: &Layout,
+    setting: &Setting,
+    drive: &Drive,
+    factors: &[Vec<f64>],
+) -> Result<Vec<f64>, MapError> {
+    let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(setting, x)).collect();
+    let asked: Vec<(&[f64], &[f64])> = factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
+    Ok(drive.at(layout, &asked)?.into_iter().map(|v| v.value).collect())
+}
+
+/// What a share of its demand is in shares of the input of loop `l`, d log u / d log y, as the map says: an error of the input counts by what it
+/// does to what the input has to hold. A throttle that is nearly open may be anywhere. 1 where the demand is no factor, or where the map is
+/// not relative.
+///
+/// # Errors
+/// As of [`Drive::at`].
+pub(super) fn slopes(
+    layout: &Layout,
+    setting: &Setting,
+    l: usize,
+    drive: &Drive,
+    factors: &[Vec<f64>],
+) -> Result<Vec<f64>, MapError> {
+    let place = layout.factors.iter().position(|f| f.kind == FactorKind::Demand(l));
+    let Some(k) = place.filter(|_| drive.relative) else { return Ok(vec![1.0; factors.len()]) };
+    let say = |share: f64| {
+        let mut moved = factors.to_vec();
+        moved.iter_mut().for_each(|x| x[k] *= 1.0 + share);
+        models_say(layout, setting, drive, &moved)
+    };
+    let span = (1.0 + SHARE).ln() - (1.0 - SHARE).ln();
+    let one = |(more, less): (&f64, &f64)| {
+        let slope = (more.ln() - less.ln()).abs() / span;
+        if slope.is_finite() { slope.max(STEEP) } else { 1.0 }
+    };
+    Ok(say(SHARE)?.iter().zip(&say(-SHARE)?).map(one).collect())
 }
 
 /// What the models expect of all responses.

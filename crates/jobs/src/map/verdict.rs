@@ -5,7 +5,7 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
-use super::cells::{end_in_words, missed};
+use super::cells::{end_in_words, missed, objective_unit};
 use super::result::{Mapped, Verified};
 use super::spec::MapSpec;
 
@@ -80,6 +80,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             None => check,
         });
     }
+    checks.extend(worth(found, spec));
     if let Some((status, iterations)) = found.whole {
         checks.push(
             Check::new("whole", "iterations of the program of all cells together")
@@ -105,6 +106,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
                 .note(format!("no map within the limits has less of {}", front.against)),
         });
     }
+    edited(found, &mut checks, &mut warnings);
     if let Some(d) = found.delivered.as_ref().filter(|d| d.largest_loss > LOST) {
         warnings.push(format!(
             "breakpoints and steps of the ECU cost {} % of what is minimised in the mean of the cells and {} % at most",
@@ -135,10 +137,17 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     for note in found.sweeps.iter().flat_map(|s| &s.notes) {
         warnings.push(format!("along the maps: {note}"));
     }
+    if spec.bed.sweep.is_some() && found.sweeps.is_none() {
+        let names: Vec<String> = found.drives.iter().map(|d| format!("`{}`", d.input)).collect();
+        warnings.push(format!(
+            "`bed.sweep` was asked for, but this bed cannot go along lines (it is driven through files): what {} set was measured at points only",
+            names.join(" and ")
+        ));
+    }
     for d in found.drives.iter().filter(|d| d.rough()) {
         let (input, missed) = (&d.input, d.missed());
         warnings.push(format!(
-            "the map of `{input}` alone does not hold its demand: it misses unseen points by {missed} rms"
+            "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
     for m in found.models.iter().filter(|m| m.explained() < ROUGH && !driven(found, &m.response)) {
@@ -175,16 +184,62 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     found.warnings = warnings;
 }
 
+/// Cells that are held as edited, and what that breaks.
+fn edited(found: &Mapped, checks: &mut Vec<Check>, warnings: &mut Vec<String>) {
+    if found.edits.is_empty() {
+        return;
+    }
+    let kept = found.edits.iter().filter(|e| e.passed.is_empty()).count();
+    checks.push(
+        Check::new("edits", "edited cells that keep all limits with the asked probability")
+            .asked(format!("{}", found.edits.len()))
+            .measured(kept as f64)
+            .holds(kept == found.edits.len()),
+    );
+    for e in &found.edits {
+        let at = place(found, &e.at);
+        if !e.passed.is_empty() {
+            warnings.push(format!("the edit at {at} breaks limits: {}; {}", e.broken(), e.words()));
+        }
+        if !e.reached {
+            warnings.push(format!("the edit at {at} lies outside of what was reached on the bed: nothing is known of limits there"));
+        }
+    }
+}
+
+/// What more points may be worth, where the spec asks for a stop in the unit of what is minimised.
+fn worth(found: &Mapped, spec: &MapSpec) -> Vec<Check> {
+    let r = &spec.bed.refine;
+    let left = found.enough.or(found.rounds.last().and_then(|r| r.left));
+    let note = match found.enough {
+        Some(_) => "no more points were taken for it",
+        None => "before the last batch; the day ended otherwise",
+    };
+    let one = |(id, what, most, is): (&'static str, &'static str, f64, Option<f64>)| {
+        let check = Check::new(id, what).asked(format!("<= {most}")).unit(objective_unit(found)).note(note);
+        (most > 0.0).then(|| is.map_or(check.clone(), |v| check.clone().measured(v)))
+    };
+    let gain = "what the optimum may lie below the maps (two standard deviations), mean of the cells";
+    let interval = "95 % interval of what is minimised in the cells, half width, mean";
+    [
+        ("gain", gain, r.gain, left.map(|l| l.gain)),
+        ("interval", interval, r.interval, left.map(|l| l.interval)),
+    ]
+    .into_iter()
+    .filter_map(one)
+    .collect()
+}
+
 /// What loops set at the verification points, for the maps of the inputs that they drive.
 fn verify_drives(found: &mut Mapped) {
     let measured: Vec<&Verified> = found.verified.iter().filter(|v| v.measured).collect();
     for d in &mut found.drives {
         let of = |v: &&Verified| {
             let at = v.deviations.iter().find(|at| at.response == d.input)?;
-            Some((at.measured, at.promised))
+            at.at_demand
         };
-        let pairs: Vec<(f64, f64)> = measured.iter().filter_map(of).collect();
-        d.verify(&pairs);
+        let missed: Vec<f64> = measured.iter().filter_map(of).collect();
+        d.verify(&missed);
     }
 }
 

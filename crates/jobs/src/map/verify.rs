@@ -1,7 +1,7 @@
 //! The verification run: the finished maps at operating points that no model has seen.
 
 use dynocal_calib::steady::cell::{Setting, deviations};
-use dynocal_calib::steady::day::{DayPoint, Purpose};
+use dynocal_calib::steady::day::{DayPoint, Purpose, Task};
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::station::SteadyPoint;
@@ -15,6 +15,7 @@ use super::drive::{Drive, Driven};
 use super::error::MapError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
+use super::sweep;
 
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
@@ -47,8 +48,19 @@ impl Verification<'_> {
         let place = |at: Vec<f64>| interpolate(self.axes, self.cells, &at[..self.layout.axes]);
         let targets: Vec<Vec<f64>> = self.places(bench.stands_at()).into_iter().map(place).collect();
         let begun = points.len();
-        let tasks = targets.iter().map(|x| (Purpose::Verify, x.clone())).collect();
-        let end = bench.run(tasks, bed_s, points, watch)?;
+        let task = |x: &Vec<f64>| {
+            // What the maps say is fed forward, as an ECU will: the loops have only the rest to do.
+            let say = |d: &Drive| sweep::models_say(self.layout, self.setting, d, std::slice::from_ref(x));
+            let driven = self.drives.iter().map(|d| Ok(say(d)?.first().copied().unwrap_or(f64::NAN)));
+            let driven = driven.collect::<Result<_, MapError>>()?;
+            Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven })
+        };
+        let tasks = targets.iter().map(task).collect::<Result<Vec<Task>, MapError>>()?;
+        // The day ends with these points: none begins that may pass the end of the bed time.
+        let approach = &self.spec.bed.approach;
+        let longest_s = approach.ramp_s + approach.settle_s + approach.average_s;
+        let end = bench.run(tasks.clone(), bed_s - longest_s, points, watch)?;
+        let latest = self.wait_longer(bench, &tasks, begun, bed_s - longest_s, points, watch)?;
         let missed = |at: &[f64], note: String| Verified {
             at: at[..self.layout.axes].to_vec(),
             measured: false,
@@ -57,12 +69,41 @@ impl Verification<'_> {
             objective: None,
             kept: false,
         };
-        let one = |(k, at): (usize, &Vec<f64>)| match points.get(begun + k).map(|p| &p.point) {
+        let one = |(k, at): (usize, &Vec<f64>)| match latest[k].map(|place| &points[place].point) {
             Some(p) if p.usable && p.touched.is_empty() => self.judge(p),
             Some(p) => missed(at, p.note.clone()),
             None => missed(at, end_in_words(&end)),
         };
         Ok(targets.iter().enumerate().map(one).collect())
+    }
+
+    /// Measures points once more that had not come to rest, where points and bed time are left. Where each of them stands among the points
+    /// at last; none that was not begun.
+    fn wait_longer(
+        &self,
+        bench: &mut dyn Bench,
+        tasks: &[Task],
+        begun: usize,
+        until_s: f64,
+        points: &mut Vec<DayPoint>,
+        watch: Watch,
+    ) -> Result<Vec<Option<usize>>, MapError> {
+        let mut latest: Vec<Option<usize>> =
+            (0..tasks.len()).map(|k| Some(begun + k).filter(|p| *p < points.len())).collect();
+        if !bench.goes_on() {
+            return Ok(latest);
+        }
+        let restless = |p: &SteadyPoint| !p.usable && p.touched.is_empty();
+        let again: Vec<usize> = (0..tasks.len())
+            .filter(|k| latest[*k].is_some_and(|p| restless(&points[p].point)))
+            .take(self.spec.bed.points.saturating_sub(points.len()))
+            .collect();
+        let before = points.len();
+        bench.run(again.iter().map(|k| tasks[*k].clone()).collect(), until_s, points, watch)?;
+        for (place, k) in (before..points.len()).zip(again) {
+            latest[k] = Some(place);
+        }
+        Ok(latest)
     }
 
     /// Points between the cells whose neighbours are optima, in an order of short ways (axes, then where the free inputs stand).
@@ -107,6 +148,14 @@ impl Verification<'_> {
         self.drives.iter().map(one).collect()
     }
 
+    /// What the deviation of the input of loop `l` does to its demand; none where response `l` is none.
+    fn at_demand(&self, l: usize, point: &SteadyPoint, measured: f64, promised: f64) -> Option<f64> {
+        let drive = self.drives.get(l)?;
+        let at = std::slice::from_ref(&point.factors);
+        let slope = sweep::slopes(self.layout, self.setting, l, drive, at).ok()?;
+        Some(drive.missed_by(measured, promised) / slope.first()?)
+    }
+
     /// What was measured beside what was promised where it was measured.
     fn judge(&self, point: &SteadyPoint) -> Verified {
         let mut at = Prediction::new(self.layout.factors.len());
@@ -129,6 +178,7 @@ impl Verification<'_> {
                 half_width: band * here.deviation,
                 measured: value,
                 passed: worst.map(|w| w.0),
+                at_demand: self.at_demand(k, point, value, here.value),
             });
             promised += r.weight * at.mean;
             variance += r.weight * r.weight * (at.variance + at.noise);
@@ -144,4 +194,16 @@ impl Verification<'_> {
             kept,
         }
     }
+}
+
+/// What the verification says of each cell of the maps: whether all points next to it (the cell is a corner of where they lie) keep limits
+/// and promise; none where there is no such point.
+pub(super) fn of_cells(axes: &[Vec<f64>], verified: &[Verified]) -> Vec<Option<bool>> {
+    let mut said = vec![None; axes.iter().map(Vec::len).product()];
+    for v in verified {
+        for (k, _) in corners(axes, &v.at) {
+            said[k] = Some(said[k].unwrap_or(true) && v.kept);
+        }
+    }
+    said
 }

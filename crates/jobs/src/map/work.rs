@@ -6,9 +6,10 @@ use std::path::Path;
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
 use dynocal_calib::map::{ActuatorPort, Port, Ports};
-use dynocal_calib::steady::day::{self, DayEnd, DayPlan, DayPoint, Purpose};
+use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
 use dynocal_calib::steady::grid::{self, Cell};
 use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
+use dynocal_calib::steady::plan::DayPlan;
 use dynocal_calib::steady::station::Station;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::PlanLoop;
@@ -27,11 +28,11 @@ use super::front::Maps;
 use super::job::Job;
 use super::journal::{Journal, digests};
 use super::learn;
-use super::refine::{Refinement, Round};
+use super::refine::{Refined, Refinement};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
-use super::{sweep, verdict, verify};
+use super::{edits, inverse, loops, sweep, verdict, verify};
 
 /// Share of an axis by which points are planned beyond its ends.
 const BEYOND: f64 = 0.05;
@@ -144,11 +145,14 @@ impl Day<'_> {
     fn run(self, bench: &mut dyn Bench, watch: Watch) -> Result<Mapped, MapError> {
         let Self { job, layout, mut axes, tuned, first } = self;
         let spec = &job.spec;
+        // Edits that do not fit are known before the bed is run.
+        spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
         let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         let points_s = (budget_s - sweep::expected_s(spec, &grid_axes)).max(0.0);
-        let (mut points, rounds, end) = measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
+        let (mut points, Refined { rounds, end, enough }) =
+            measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
         let drift = day::drift(layout, &points);
         let models = learn::learn(layout, &points, &drift, &spec.models, true, watch)?;
@@ -162,6 +166,8 @@ impl Day<'_> {
         let front = maps.front(&mut cells, watch);
         let whole = maps.couple(front.as_ref(), &mut cells, watch);
         let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
+        let edited = spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
+        let edits = edits::hold(&edited.unwrap_or_default(), &setting, layout, &mut cells);
         let mut drives = drive::learn(layout, &points, spec, watch)?;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         if watch.interrupted() {
@@ -189,6 +195,9 @@ impl Day<'_> {
             Between { spec, layout, setting: &setting, drives: &drives, axes: &axes, cells: &cells };
         let (map_axes, map_cells) = between.maps()?;
         let map = static_map(spec, layout, &map_axes, &map_cells, bed.all_s());
+        let inverses = drives.iter().filter_map(|d| inverse::of(&map, &d.input)).collect();
+        let shown = loops::of(&setting, layout, &cells);
+        let verified_cells = verify::of_cells(&grid_axes, &verified);
         let mut found = Mapped {
             verb: "map",
             name: job.name.clone(),
@@ -200,9 +209,14 @@ impl Day<'_> {
             end,
             axes,
             rounds,
+            enough,
             whole,
             front,
             delivered,
+            edits,
+            inverses,
+            loops: shown,
+            verified_cells,
             drift,
             models,
             drives,
@@ -230,29 +244,63 @@ fn measured(
     budget_s: f64,
     bench: &mut dyn Bench,
     watch: Watch,
-) -> Result<(Vec<DayPoint>, Vec<Round>, DayEnd), MapError> {
+) -> Result<(Vec<DayPoint>, Refined), MapError> {
     let budget = Budget::of(spec)
         .ok_or_else(|| MapError::Budget { points: spec.bed.points, least: Budget::least(spec) })?;
     let [planned_repeats, _] = budget.repeats;
     watch.note(&format!("{} points on the bed, {} of them to verify", spec.bed.points, spec.verify.points));
     // The verification comes out of the same bed time, and so do the points that follow the optimum: as much as their share.
     let until_s = |points: usize| points as f64 / (budget.before() + spec.verify.points) as f64 * budget_s;
-    let tasks = day::tasks(
-        layout,
-        first,
-        &DayPlan { points: budget.planned, block: spec.bed.block, seed: spec.seed },
-    );
-    let mut points = Vec::new();
+    let (points, block) = (budget.planned, spec.bed.block);
+    let plan = DayPlan { points, block, seed: spec.seed, kind: spec.bed.plan, order: spec.bed.order };
     let planned_s = until_s(budget.planned + planned_repeats);
-    let mut end = bench.run(tasks, planned_s, &mut points, watch)?;
+    let (mut points, end) = planned(&plan, layout, axes, first, planned_s, bench, watch)?;
     enough(spec, &points, &end)?;
-    let mut rounds = Vec::new();
-    if budget.followed > 0 && matches!(end, DayEnd::Done | DayEnd::BedTime) {
-        let (most, bed_s) = (budget.before(), until_s(budget.before()));
-        let refinement = Refinement { spec, layout, axes, first, most, bed_s };
-        (rounds, end) = refinement.run(bench, &mut points, watch)?;
+    if budget.followed == 0 || !matches!(end, DayEnd::Done | DayEnd::BedTime) {
+        return Ok((points, Refined { rounds: Vec::new(), end, enough: None }));
     }
-    Ok((points, rounds, end))
+    let (most, bed_s) = (budget.before(), until_s(budget.before()));
+    let refinement = Refinement { spec, layout, axes, first, most, bed_s };
+    let refined = refinement.run(bench, &mut points, watch)?;
+    Ok((points, refined))
+}
+
+/// The planned points, block by block where later ones are chosen inside of what was reached; a repeat before each block and at the end.
+fn planned(
+    plan: &DayPlan,
+    layout: &Layout,
+    axes: &[Vec<f64>],
+    first: &[f64],
+    bed_s: f64,
+    bench: &mut dyn Bench,
+    watch: Watch,
+) -> Result<(Vec<DayPoint>, DayEnd), MapError> {
+    let last = || Task::new(Purpose::Repeat, first.to_vec());
+    let (mut tasks, mut points) = (day::tasks(layout, first, plan), Vec::new());
+    if !plan.kind.follows_the_envelope() {
+        tasks.push(last());
+        let end = bench.run(tasks, bed_s, &mut points, watch)?;
+        return Ok((points, end));
+    }
+    let (mut begun, mut number) = (plan.points.min(plan.block.max(1)), 1);
+    loop {
+        if begun == plan.points {
+            tasks.push(last());
+        }
+        let end = bench.run(tasks, bed_s, &mut points, watch)?;
+        if begun == plan.points || end != DayEnd::Done {
+            return Ok((points, end));
+        }
+        let there: Vec<Vec<f64>> =
+            points.iter().filter(|p| p.point.usable).map(|p| p.point.factors.clone()).collect();
+        let state = (number, plan.points - begun, bench.stands_at());
+        let block = plan.next_block(layout, axes, &there, &envelope(layout, &points), state);
+        if block.is_empty() {
+            return Ok((points, end));
+        }
+        (begun, number) = (begun + block.len(), number + 1);
+        tasks = day::with_repeat(first, block);
+    }
 }
 
 fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
@@ -319,7 +367,7 @@ fn start(spec: &MapSpec, variables: &[Variable]) -> Vec<f64> {
 }
 
 /// The loops in the order of the demands.
-fn loops(spec: &MapSpec, gains: &dyn Fn(&str) -> PiGains) -> Vec<PlanLoop> {
+fn closed(spec: &MapSpec, gains: &dyn Fn(&str) -> PiGains) -> Vec<PlanLoop> {
     let one = |d: &dynocal_calib::problem::DemandChannel| {
         let l = spec.loops.iter().find(|l| l.output == d.output)?;
         Some(PlanLoop::closed(&l.output, &l.input, l.gains.unwrap_or_else(|| gains(&l.output))))
@@ -338,7 +386,7 @@ fn layout(
         l.map_or(PiGains { ki: 0.0, kp: 0.0 }, |l| l.gains)
     };
     let ranges: Vec<_> = axes.iter().map(|a| beyond_the_axis(spec, a)).collect();
-    let loops = loops(spec, &found);
+    let loops = closed(spec, &found);
     let mut layout =
         Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, variables);
     for f in &mut layout.factors {

@@ -39,7 +39,7 @@ fn a_bed_measures_the_day_from_files() {
     let tmp = tempfile::tempdir().unwrap();
     let out = tmp.path().join("run");
     let over = Overrides { seed: Some(1), out: Some(out.clone()) };
-    let spec = format!("{}[plant]\nname = \"bed\"\n", text(DAY));
+    let spec = format!("{}[plant]\nname = \"bed\"\n", text(&format!("{DAY}[bed.sweep]\npass_s = 20.0\n")));
     let job = job::parse("map.toml", &spec, &over).unwrap();
     let mut asked = Vec::new();
     let found = loop {
@@ -61,6 +61,9 @@ fn a_bed_measures_the_day_from_files() {
     assert!(asked.len() > 2 && asked[0] == "points01" && asked[asked.len() - 1] == "verify", "{asked:?}");
     assert!(found.valid, "{} {:?}", found.verdict, found.warnings);
     assert_eq!(found.points.iter().filter(|p| !p.point.usable).count(), 1);
+    // Lines of the maps were asked for, and files cannot go along them.
+    let said = found.warnings.iter().any(|w| w.contains("`bed.sweep` was asked for") && w.contains("`load`"));
+    assert!(found.sweeps.is_none() && said, "{:?}", found.warnings);
     for c in found.cells.iter().filter(|c| c.state == CellState::Optimal) {
         let (least, ..) = best(c.at[0], c.at[1], 0.0);
         let got = fuel(c.at[0], c.at[1], c.optimum.x[2], c.optimum.x[3], 0.0);

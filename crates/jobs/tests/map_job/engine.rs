@@ -14,6 +14,8 @@ pub(crate) enum Fault {
     Stalls(f64),
     /// Torque swings for ever.
     Swings,
+    /// Torque swings from one time to another, in s.
+    SwingsIn(f64, f64),
     /// Knock does not depend on anything.
     NoSignal,
 }
@@ -95,7 +97,12 @@ impl Plant for Bench {
         self.torque += (load * eff - self.torque) * (1.0 - (-dt_s / 0.3f64).exp());
         self.time_s += dt_s;
         let mut scatter = |size: f64| size * self.noise * self.rng.normal();
-        let swing = if self.fault == Fault::Swings { 15.0 * (2.0 * self.time_s).sin() } else { 0.0 };
+        let swings = match self.fault {
+            Fault::Swings => true,
+            Fault::SwingsIn(from, to) => (from..to).contains(&self.time_s),
+            _ => false,
+        };
+        let swing = if swings { 15.0 * (2.0 * self.time_s).sin() } else { 0.0 };
         y[0] = self.torque + swing + scatter(0.5);
         y[1] = match self.fault {
             Fault::NoSignal => 0.97 + scatter(0.05),

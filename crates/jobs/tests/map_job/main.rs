@@ -3,4 +3,6 @@
 mod day;
 mod engine;
 mod faults;
+mod maps;
+mod more;
 mod optimum;

@@ -145,7 +145,7 @@ impl<'a> Truth<'a> {
             self.now.clone(),
             &interrupt,
         );
-        let point = station.measure(x).map_err(|e| e.to_string())?;
+        let point = station.measure(x, &[]).map_err(|e| e.to_string())?;
         let driven = (0..layout.loops.len()).map(|k| point.responses[k]).collect();
         self.now = (x.to_vec(), driven);
         Ok(point)

@@ -7,7 +7,7 @@ use dynocal_ident::plan::Plan;
 use dynocal_ident::play::{self, Interruptible, PlayError, Reason};
 use serde::{Deserialize, Serialize};
 
-use super::{Station, Touched, Watching, means};
+use super::{Station, Touched, Watching, feed_forward, means};
 
 /// A straight part of a path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,8 @@ impl Station<'_> {
     pub fn sweep(&mut self, from: &[f64], legs: &[Leg]) -> Result<Swept, PlayError> {
         let begun_s = self.used_s;
         let origin = self.at.clone();
-        let drive = self.drive(from, false)?;
+        let driven = self.driven.clone();
+        let drive = self.drive(from, &driven, false)?;
         if let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) {
             let share = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             self.at = between(&origin, from, share);
@@ -65,7 +66,9 @@ impl Station<'_> {
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
         let ways: Vec<(&[f64], usize)> = legs.iter().map(|l| (&l.to[..], samples(l.seconds))).collect();
         let mut plan = self.layout.along("sweep", from, &ways, &self.driven);
-        self.feed_forward(&mut plan, legs, &ways);
+        let changes: Vec<(&[f64], usize)> =
+            legs.iter().zip(&ways).map(|(l, w)| (&l.driven[..], w.1)).collect();
+        feed_forward(&mut plan, &changes);
         let window = samples(self.spec.window_s).max(2);
         // A plan without a hold is never at rest: only limits are watched.
         let mut watch = Watching::new((&self.guards, &self.tolerances), &plan, plan.len(), window, 1);
@@ -89,23 +92,6 @@ impl Station<'_> {
             None => None,
         };
         Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
-    }
-
-    /// Adds to the inputs of the loops what they are expected to change along the legs.
-    fn feed_forward(&self, plan: &mut Plan, legs: &[Leg], ways: &[(&[f64], usize)]) {
-        for (l, which) in plan.loops.clone().iter().enumerate() {
-            let Some(c) = plan.channels.iter_mut().find(|c| c.name == which.input) else { continue };
-            let (mut gone, mut t) = (0.0, 0);
-            for (leg, (_, n)) in legs.iter().zip(ways) {
-                let more = leg.driven.get(l).copied().unwrap_or(0.0);
-                for k in 1..=*n {
-                    let value = c.values[t] + gone + more * k as f64 / *n as f64;
-                    c.values[t] = value.clamp(c.lower, c.upper);
-                    t += 1;
-                }
-                gone += more;
-            }
-        }
     }
 
     fn row(&self, plan: &Plan, part: &Dataset, leg: usize, at_s: f64) -> Result<SweepRow, PlayError> {
