@@ -190,11 +190,10 @@ impl PredictedModel {
                 "0 or a positive number of seconds",
             ));
         }
-        if let Some(f) = &self.flow {
-            if !(f.nominal > 0.0 && f.nominal.is_finite() && self.delay_samples > 0.0) {
-                let what = format!("the flow `{}` of the predictor at its delay", f.channel);
-                return Err(ControlError::number(what, f.nominal, "a positive number, beside a delay"));
-            }
+        let sound = |f: &TransportFlow| f.nominal > 0.0 && f.nominal.is_finite() && self.delay_samples > 0.0;
+        if let Some(f) = self.flow.as_ref().filter(|f| !sound(f)) {
+            let what = format!("the flow `{}` of the predictor at its delay", f.channel);
+            return Err(ControlError::number(what, f.nominal, "a positive number, beside a delay"));
         }
         Ok(())
     }
