@@ -83,12 +83,15 @@ fn a_boosted_point_is_held_and_a_map_leaves_out_what_is_out_of_reach() {
     assert_eq!(code, 1, "{stderr}");
     assert!(stderr.contains("2000 rpm, 400 Nm is out of reach"), "{stderr}");
     assert!(stderr.contains("the throttle is open"), "{stderr}");
-    // A torque that is met while a limit is passed is said so.
+    // Where the mixture cools the exhaust no further the load gives way, and that is said.
     let hot = ["map", "--speed-rpm", "2000", "2000", "1", "--torque-nm", "100", "100", "1"];
     let hot: Vec<&str> =
-        hot.into_iter().chain(["--parameters", "gtdi_2l", "--max-egt-degc", "300"]).collect();
+        hot.into_iter().chain(["--parameters", "gtdi_2l", "--max-egt-degc", "500"]).collect();
     let (code, _, stderr) = engine(tmp.path(), &hot);
-    assert!(code == 1 && stderr.contains("exhaust temperature") && stderr.contains("limit 300"), "{stderr}");
+    assert!(code == 1 && stderr.contains("100 Nm is out of reach"), "{stderr}");
+    assert!(stderr.contains("the mixture stands at its richest"), "{stderr}");
+    let (code, _, stderr) = engine(tmp.path(), &["map", "--max-map-kpa", "nan"]);
+    assert!(code == 2 && stderr.contains("--max-map-kpa"), "{stderr}");
     let table = dynocal_files::csv_io::read(&tmp.path().join("m.csv")).unwrap();
     assert_eq!(table.rows(), 1);
     assert!((table.numbers("torque", 0, 1).unwrap()[0] - 60.0).abs() < 1.0);

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! All channels pass through one filter that makes the moving ones nearly white (an autoregressive model of them, order
-//! [`WHITENING`]): G stays what it is, and a window that sees a steep spectrum no longer sees its neighbours in place of a line. What is
+//! eight): G stays what it is, and a window that sees a steep spectrum no longer sees its neighbours in place of a line. What is
 //! left of what a window smears goes with one over the square of its length, and two lengths take it out. For that the deviation is
 //! larger by `sqrt(12.5) / 3`: the shorter segments have half the variance of the longer ones, and what they see is an average of it.
 //! (R. B. Blackman, J. W. Tukey, Bell System Technical J. 37 (1958) 185-282, for prewhitening.)

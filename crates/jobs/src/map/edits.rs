@@ -10,38 +10,9 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_files::dataset;
 use dynocal_ident::data::UnitAfter;
-use serde::Serialize;
 
 use super::error::MapError;
-use super::result::{MapAxis, Passed};
-
-/// A cell with edits.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Edit {
-    /// Values of the axes.
-    pub at: Vec<f64>,
-    /// What was edited.
-    pub values: Vec<Edited>,
-    /// What is minimised, edited less optimum, as the models expect it.
-    pub costs: f64,
-    /// Limits that are broken, uncertainty counted in.
-    pub passed: Vec<Passed>,
-    /// Whether the bed has reached the cell: where it has not, nothing is known of limits.
-    pub reached: bool,
-}
-
-/// An edited value.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Edited {
-    /// Input.
-    pub input: String,
-    /// Unit.
-    pub unit: String,
-    /// The optimum.
-    pub optimum: f64,
-    /// The edit.
-    pub edit: f64,
-}
+use super::result::{Edit, Edited, MapAxis, Passed};
 
 /// What a table asks for: number of the cell, and of each edited factor with its value.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,12 +14,39 @@ use dynocal_report::Check;
 use serde::Serialize;
 
 use super::drive::Drive;
-use super::edits::Edit;
 use super::inverse::Inverse;
 use super::learn::Learned;
 use super::loops::InputLoop;
 use super::refine::Round;
 use super::sweep::Sweeps;
+
+/// A cell with edits.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Edit {
+    /// Values of the axes.
+    pub at: Vec<f64>,
+    /// What was edited.
+    pub values: Vec<Edited>,
+    /// What is minimised, edited less optimum, as the models expect it.
+    pub costs: f64,
+    /// Limits that are broken, uncertainty counted in.
+    pub passed: Vec<Passed>,
+    /// Whether the bed has reached the cell: where it has not, nothing is known of limits.
+    pub reached: bool,
+}
+
+/// An edited value.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Edited {
+    /// Input.
+    pub input: String,
+    /// Unit.
+    pub unit: String,
+    /// The optimum.
+    pub optimum: f64,
+    /// The edit.
+    pub edit: f64,
+}
 
 /// An axis of the maps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
