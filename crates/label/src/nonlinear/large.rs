@@ -14,7 +14,7 @@
 //! Intervals come from draws of the posterior, each the solution for one draw of the noise.
 //!
 //! What times a memory (delays, time constants, shares of a film) is held until the other labels fit, and changes by half of itself a
-//! step at most ([`timing`]). Where samples are many the search begins with the first quarter of each record.
+//! step at most (`timing.rs`). Where samples are many the search begins with the first quarter of each record.
 
 mod system;
 mod timing;
