@@ -368,6 +368,7 @@ fn is_ours(path: &Path, kind: &str, from: Option<&PathBuf>) -> Result<(), FilesE
     let marker = path.join("run.json");
     if !marker.exists() {
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+        let entries = entries.filter(|e| !is_beginning(e));
         let names = entries.map(|e| e.file_name().to_string_lossy().into_owned());
         // Records of a bed may be there before the first run.
         return match names.filter(|n| n != MEASURED).min() {
@@ -388,6 +389,13 @@ fn is_ours(path: &Path, kind: &str, from: Option<&PathBuf>) -> Result<(), FilesE
         }
         _ => Ok(()),
     }
+}
+
+/// What a run that opens the folder at this moment has written before its marker: the lock of its log says who is first.
+fn is_beginning(e: &fs::DirEntry) -> bool {
+    let name = e.file_name().to_string_lossy().into_owned();
+    let empty = || e.metadata().is_ok_and(|m| m.len() == 0);
+    (name == "log.txt" && empty()) || (name.starts_with('.') && name.ends_with(".tmp"))
 }
 
 fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {
