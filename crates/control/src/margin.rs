@@ -36,7 +36,7 @@ pub enum Side {
 pub struct Margins {
     /// Factor by which the gain may grow; none: any.
     pub gain_up: Option<f64>,
-    /// Frequency at which it is lost, rad/s.
+    /// Frequency at which it is lost, rad/s. None where it is infinite: no run can show that one.
     pub gain_up_rad_s: Option<f64>,
     /// Factor below 1 to which the gain may fall; none: any.
     pub gain_down: Option<f64>,
@@ -132,7 +132,7 @@ impl Margins {
         }
         let factor = 1.0 / b.norm();
         if factor > 1.0 && self.gain_up.is_none_or(|g| factor < g) {
-            (self.gain_up, self.gain_up_rad_s) = (Some(factor), Some(last_rad_s));
+            (self.gain_up, self.gain_up_rad_s) = (Some(factor), None);
         } else if factor <= 1.0 && self.gain_down.is_none_or(|g| factor > g) {
             self.gain_down = Some(factor);
         }

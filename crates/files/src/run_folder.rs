@@ -395,7 +395,7 @@ fn is_ours(path: &Path, kind: &str, from: Option<&PathBuf>) -> Result<(), FilesE
 fn is_beginning(e: &fs::DirEntry) -> bool {
     let name = e.file_name().to_string_lossy().into_owned();
     let empty = || e.metadata().is_ok_and(|m| m.len() == 0);
-    (name == "log.txt" && empty()) || (name.starts_with('.') && name.ends_with(".tmp"))
+    (name == "log.txt" && empty()) || (name.starts_with(".run.json.") && name.ends_with(".tmp"))
 }
 
 fn foreign(path: &Path, kind: &str, found: &str) -> FilesError {
