@@ -202,9 +202,10 @@ fn loci(l: &LoopResult, p: &Plane) -> XyPlot {
     )
     .caption("The set point with the largest Ms, its delay exact, with the derivative part where there is one, a predictor's delay left out as the predictor does; 0 dB is the boundary of stability. The region of a margin is the part below its locus, that of Ms inside its own. The delay margin that is drawn is the one that is asked, else that of the gains.");
     // The first is the boundary of stability.
-    let curve = |k: usize, name: &str| match k {
-        0 => XySeries::new(name, p.loci[k].1.clone(), p.loci[k].2.clone()).role(Role::Limit),
-        _ => XySeries::new(name, p.loci[k].1.clone(), p.loci[k].2.clone()),
+    let curve = |k: usize, name: &str| {
+        let (_, x, y) = &p.loci[k];
+        let role = if k == 0 { Role::Limit } else { Role::Other };
+        XySeries { line: true, ..XySeries::new(name, x.clone(), y.clone()) }.role(role)
     };
     let plot = p.loci.iter().enumerate().fold(plot, |plot, (k, (name, _, _))| plot.series(curve(k, name)));
     let (kp, ki) = (l.rules.first().map_or(0.0, |t| t.kp), l.rules.first().map_or(0.0, |t| t.ki));
