@@ -19,6 +19,8 @@ const BEYOND: f64 = 2.0;
 const SMALL: f64 = 0.02;
 /// Rate in a sample below which a root is one at rest: repeated roots are found with that uncertainty.
 const SLOWEST: f64 = 1e-6;
+/// Frequencies in which delay turns by a half turn.
+const STEPS: f64 = 8.0;
 /// Most frequencies that delay adds.
 const MOST: usize = 20_000;
 
@@ -37,11 +39,12 @@ pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
         Time::Continuous => continuous(&roots, delay_s),
         Time::Sampled { sample_time_s } => sampled(&roots, sample_time_s),
     };
+    let gain = |w: f64| plant.at(w).times(&controller.at(w)).norm();
+    let repeats = if time == Time::Continuous { repeated(&mut out, delay_s, gain) } else { false };
     if delay_s > 0.0 || time.nyquist_rad_s().is_some() {
-        let turns = delay_s + lags(plant) + lags(controller);
-        delayed(&mut out, turns, |w| plant.at(w).times(&controller.at(w)).norm());
+        delayed(&mut out, delay_s + lags(plant) + lags(controller), gain);
     }
-    ends(&mut out, time);
+    ends(&mut out, time == Time::Continuous && !repeats);
     out.sort_by(f64::total_cmp);
     out.dedup_by(|a, b| (*a - *b).abs() <= 1e-13 * b.abs());
     // A pole of the open loop on the axis has no response there.
@@ -56,13 +59,28 @@ fn lags(system: &System) -> f64 {
     longest as f64 * sample_time_s
 }
 
-/// A few frequencies far below, and of a continuous loop far above: a peak at rest is approached with the square of the
+/// Whether a loop with delay keeps its gain at high frequencies: it repeats itself then, turn by turn, and the grid ends with a whole half
+/// turn beyond its roots, where the loop is real.
+fn repeated(out: &mut Vec<f64>, delay_s: f64, gain: impl Fn(f64) -> f64) -> bool {
+    let top = out.iter().copied().fold(0.0, f64::max);
+    if !(delay_s > 0.0 && gain(1e3 * top) > SMALL) {
+        return false;
+    }
+    let end = (top * delay_s / PI).ceil() * PI / delay_s;
+    let affordable = end * STEPS * delay_s / PI <= MOST as f64;
+    if affordable {
+        out.push(end);
+    }
+    affordable
+}
+
+/// A few frequencies far below, and of a loop whose gain fades far `above`: a peak at rest is approached with the square of the
 /// frequency, and two decades leave five digits of it.
-fn ends(out: &mut Vec<f64>, time: Time) {
+fn ends(out: &mut Vec<f64>, above: bool) {
     let least = out.iter().copied().filter(|w| *w > 0.0).fold(f64::INFINITY, f64::min);
     let most = out.iter().copied().fold(0.0, f64::max);
     out.extend((1..=4).map(|k| least * 0.1f64.powi(k)));
-    if time == Time::Continuous {
+    if above {
         out.extend((1..=3).map(|k| most * 10f64.powi(k)));
     }
 }
@@ -119,7 +137,7 @@ fn delayed(out: &mut Vec<f64>, delay_s: f64, gain: impl Fn(f64) -> f64) {
     }
     out.sort_by(f64::total_cmp);
     let Some(last) = out.iter().copied().rev().find(|w| gain(*w) > SMALL) else { return };
-    let step = PI / (8.0 * delay_s);
+    let step = PI / (STEPS * delay_s);
     let count = ((last / step) as usize).min(MOST);
     out.extend((1..=count).map(|k| step * k as f64));
 }

@@ -207,6 +207,18 @@ impl Channel {
         }
     }
 
+    /// Gain at infinite frequency: 0 where the response fades there (always, where it is sampled).
+    pub fn at_infinity(&self) -> f64 {
+        let degree = |p: &[f64]| p.iter().rposition(|c| *c != 0.0);
+        let (num, den) = (degree(&self.transfer.num), degree(&self.transfer.den));
+        match (self.time, num, den) {
+            (Time::Continuous, Some(n), Some(d)) if n >= d => {
+                (self.transfer.num[n] / self.transfer.den[d]).abs()
+            }
+            _ => 0.0,
+        }
+    }
+
     /// Loop response on the grid.
     pub fn open(&self, kp: f64, ki: f64) -> Vec<C> {
         (0..self.grid.len()).map(|k| self.open_at(k, kp, ki)).collect()

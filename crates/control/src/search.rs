@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::ControlError;
 use crate::matrix::C;
 use crate::plane::Channel;
-use crate::tune::{Asked, StepRun, Tuned, judged, soon_settled_s};
+use crate::system::Time;
+use crate::tune::{Asked, FINER, StepRun, Tuned, judged, soon_settled_s};
 
 /// Steps in each direction of the plane.
 const RASTER: usize = 28;
@@ -33,6 +34,9 @@ const ROUNDS: usize = 8;
 const DERIVATIVES: usize = 8;
 const RATIO: f64 = 3.0;
 const CLOSER: [f64; 3] = [0.5, 0.25, 0.125];
+/// Factors in a row that keep everything and are no faster, after which the rest is left out, and how many are tried in any case.
+const PAST: usize = 2;
+const UNTRIED: usize = 4;
 /// Size of the derivative part at high frequencies over that of the PI at its crossover.
 const LIFT: f64 = 10.0;
 
@@ -153,8 +157,12 @@ pub fn choose_pid(
     r: StepRun,
 ) -> Result<PidChoice, ControlError> {
     let pi = choose(channels, asked, r);
+    // A plant that keeps a gain at all frequencies bears a derivative of half what the gain margin leaves there.
+    let keeps = channels.iter().map(Channel::at_infinity).fold(0.0, f64::max) * 2.0 * asked.gain_margin;
+    let continuous = channels.iter().any(|c| c.time == Time::Continuous);
+    let finest_s = if continuous { r.step_s / FINER } else { 0.0 };
     let at = |kd: f64, own_s: f64| -> Option<(Choice, f64, f64)> {
-        let filter_s = filter_s.unwrap_or(own_s);
+        let filter_s = filter_s.unwrap_or(own_s.max(kd * keeps));
         let with: Vec<Channel> =
             channels.iter().map(|c| c.with_derivative(kd, filter_s)).collect::<Result<_, _>>().ok()?;
         Some((choose(&with, asked, r).ok()?, kd, filter_s))
@@ -178,15 +186,24 @@ pub fn choose_pid(
         Err(e) => (None, Some(e)),
     };
     let mut about = None;
-    for (kd, own_s) in starts {
+    let mut slower = 0;
+    for (k, (kd, own_s)) in starts.into_iter().enumerate() {
+        // Runs cannot show a finer filter, and a derivative that is past its best no longer does anything.
+        if own_s < finest_s || (k >= UNTRIED && slower >= PAST) {
+            continue;
+        }
         let found = at(kd, own_s);
+        slower += usize::from(found.as_ref().is_some_and(|f| f.0.tuned.violation <= Some(1.0)));
         if better(&found, &best) {
-            (best, about) = (found, Some((kd, own_s)));
+            (best, about, slower) = (found, Some((kd, own_s)), 0);
         }
     }
     for closer in CLOSER {
         let Some((kd, own_s)) = about else { break };
         for factor in [RATIO.powf(closer), RATIO.powf(-closer)] {
+            if own_s * factor < finest_s {
+                continue;
+            }
             let found = at(kd * factor, own_s * factor);
             if better(&found, &best) {
                 (best, about) = (found, Some((kd * factor, own_s * factor)));

@@ -104,7 +104,7 @@ pub struct Tuned {
 }
 
 /// How much finer than a plant's own steps those of its loop are at most.
-const FINER: f64 = 50.0;
+pub(crate) const FINER: f64 = 50.0;
 /// Rows of the first of runs that grow in a search, and of the last.
 const SOON: usize = 400;
 const SEARCHED: usize = 20_000;

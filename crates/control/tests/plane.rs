@@ -202,3 +202,22 @@ fn plants_that_answer_at_once_have_a_plane() {
         assert!((m.gain_up.unwrap() / most - 1.0).abs() < 1e-3, "{kp} {most} {m:?}");
     }
 }
+
+/// A plain delay repeats itself at all frequencies, and with it a loop of a PI or a PID: stable up to `ki = w sin w` at `kp = -cos w`, by
+/// hand, and a search for a PID (whose filter leaves it a gain too) that keeps what is asked.
+#[test]
+fn a_plain_delay_has_gains() {
+    let channel = continuous(&[1.0], &[1.0], 1.0);
+    for kp in [-0.5f64, 0.0, 0.5, 0.9] {
+        let w = (-kp).acos();
+        let ki = channel.stable_ki(kp);
+        assert!(ki.len() == 1 && (ki[0].upper / (w * w.sin()) - 1.0).abs() < 1e-6, "{kp} {ki:?}");
+    }
+    for channel in [channel, continuous(&[1.0, 2.0], &[1.0, 1.0], 0.1)] {
+        let asked = Asked::default();
+        let found = choose_pid(&[channel.clone()], &asked, None, run_of(&[channel])).unwrap();
+        let (own, pi) = (found.choice.tuned.settling_s, found.pi.as_ref().unwrap());
+        assert!(found.choice.kept && asked.kept_by(pi), "{found:?}");
+        assert!(own.unwrap() <= pi.settling_s.unwrap(), "{own:?} {pi:?}");
+    }
+}
