@@ -8,5 +8,7 @@ for script in sensitivities.py estimation.py linear.py neural.py design.py fuel.
     .venv/bin/python "$script" || missed=1
 done
 .venv-selection/bin/python selection.py || missed=1
+[ -x .venv-control/bin/python ] && { .venv-control/bin/python disk_margins.py || missed=1; }
+(cd ../.. && cargo run --quiet --release -p dynocal-control --example control_runtime) || missed=1
 .venv-python/bin/python python_sysidentpy.py || missed=1
 exit "$missed"

@@ -37,8 +37,10 @@ pub const HIGHEST: f64 = 0.4;
 const OVERLAP: f64 = 1.0 / 36.0;
 /// Order of the filter that makes the moving channels nearly white, and the share of white noise that is added to them for it.
 const WHITENING: (usize, f64) = (8, 1e-3);
-/// Deviation of a line over its size, above which it is left out of measured margins.
-const CLEAR: f64 = 0.5;
+/// Deviation of a line over its size, above which it is left out of measured margins: of noise alone one line in three thousand is below it.
+const CLEAR: f64 = 0.35;
+/// Lines on either side that say whether a clear one is no accident.
+const ABOUT: usize = 4;
 /// Correlation of the error of a line with that of the next one: of a product of two spectra under a Hann window.
 const NEIGHBOURS: f64 = 4.0 / 9.0;
 /// Segments that are aimed at where their length is not given.
@@ -396,7 +398,8 @@ impl Response {
 
     /// Gain and phase margin of the loop of one channel under a controller, without a model: the response between its
     /// frequencies has sizes and angles between theirs, its delay of `delay_s` turned out before. `draws` responses about it,
-    /// whose errors are alike at neighbouring frequencies as the window makes them, give the intervals. Lines whose deviation is more than half of their size are left out: margins beyond them are none. That the loop is stable is not asked here: a response says nothing of it.
+    /// whose errors are alike at neighbouring frequencies as the window makes them, give the intervals. Lines whose deviation is more than a third of their size are left out, and those that
+    /// stand alone among such: margins beyond them are none. That the loop is stable is not asked here: a response says nothing of it.
     pub fn margins(
         &self,
         output: usize,
@@ -408,7 +411,14 @@ impl Response {
     ) -> MeasuredMargins {
         // A line that is hardly told from nothing says nothing of where a loop crosses.
         let clear = |k: &usize| self.std_at(*k, output, input) < CLEAR * self.at(*k, output, input).norm();
-        let lines: Vec<usize> = (0..self.frequency_hz.len()).filter(clear).collect();
+        let n = self.frequency_hz.len();
+        let all: Vec<bool> = (0..n).map(|k| clear(&k)).collect();
+        // Of noise alone some lines look clear: one counts where a third of those about it are.
+        let believed = |k: &usize| {
+            let about = &all[k.saturating_sub(ABOUT)..(k + ABOUT + 1).min(n)];
+            all[*k] && 3 * about.iter().filter(|c| **c).count() >= about.len()
+        };
+        let lines: Vec<usize> = (0..n).filter(believed).collect();
         let own: Vec<C> = lines.iter().map(|k| self.at(*k, output, input)).collect();
         let found = self.of(&lines, &own, controller, delay_s);
         let (mut gains, mut phases) = (Vec::new(), Vec::new());

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! PI    least worst settling time over all plants, subject to the margins on all plants
-//! PID   the same for derivative gains kd = f |C(jw)| / w of that PI, w its crossover, with a filter of kd / (10 |C(jw)|)
+//! PID   the same for derivative gains kd = f |C(jw)| / w of that PI, w its crossover, with a filter of kd / (10 |C(jw)|), then with
+//!       others of the best kd
 //! ```
 //!
 //! Candidates are a raster of the area in which gains are stable on all plants, and for a fan of kp, from the ends of its range by
@@ -34,9 +35,13 @@ const ROUNDS: usize = 8;
 const DERIVATIVES: usize = 8;
 const RATIO: f64 = 3.0;
 const CLOSER: [f64; 3] = [0.5, 0.25, 0.125];
+/// The same of its filter alone.
+const CLOSER_FILTER: [f64; 2] = [1.0, 0.5];
 /// Factors in a row that keep everything and are no faster, after which the rest is left out, and how many are tried in any case.
 const PAST: usize = 2;
 const UNTRIED: usize = 4;
+/// Most frequencies of a loop whose derivative part is searched where a PI holds the plant too.
+const LONGEST: usize = 10_000;
 /// Size of the derivative part at high frequencies over that of the PI at its crossover.
 const LIFT: f64 = 10.0;
 
@@ -65,7 +70,7 @@ pub struct Choice {
 pub struct PidChoice {
     /// The plane of the derivative part that was chosen.
     pub choice: Choice,
-    /// Derivative gain in input unit x s per output unit; 0 where no derivative part settles faster.
+    /// Derivative gain in input unit x s per output unit; 0 where no derivative part that was tried settles faster.
     pub kd: f64,
     /// Time constant of its filter in s.
     pub filter_s: f64,
@@ -157,6 +162,7 @@ pub fn choose_pid(
     r: StepRun,
 ) -> Result<PidChoice, ControlError> {
     let pi = choose(channels, asked, r);
+    let alone = pi.is_ok();
     // A plant that keeps a gain at all frequencies bears a derivative of half what the gain margin leaves there.
     let keeps = channels.iter().map(Channel::at_infinity).fold(0.0, f64::max) * 2.0 * asked.gain_margin;
     let continuous = channels.iter().any(|c| c.time == Time::Continuous);
@@ -165,6 +171,10 @@ pub fn choose_pid(
         let filter_s = filter_s.unwrap_or(own_s.max(kd * keeps));
         let with: Vec<Channel> =
             channels.iter().map(|c| c.with_derivative(kd, filter_s)).collect::<Result<_, _>>().ok()?;
+        // Behind so long a delay a derivative earns little, and a search would take minutes.
+        if alone && with.iter().any(|c| c.grid.len() > LONGEST) {
+            return None;
+        }
         Some((choose(&with, asked, r).ok()?, kd, filter_s))
     };
     let better = |a: &Option<(Choice, f64, f64)>, b: &Option<(Choice, f64, f64)>| match (a, b) {
@@ -180,7 +190,7 @@ pub fn choose_pid(
         }
         Err(e) => (by_frequency(&channels[0]), Err(e)),
     };
-    let alone = pi.as_ref().ok().map(|c| c.0.tuned.clone());
+    let plain = pi.as_ref().ok().map(|c| c.0.tuned.clone());
     let (mut best, refused) = match pi {
         Ok(c) => (Some(c), None),
         Err(e) => (None, Some(e)),
@@ -210,10 +220,23 @@ pub fn choose_pid(
             }
         }
     }
+    // The filter alone: how much of a derivative's size at high frequencies margins bear is not known before.
+    for closer in CLOSER_FILTER {
+        let Some((kd, own_s)) = about.filter(|_| filter_s.is_none()) else { break };
+        for factor in [RATIO.powf(closer), RATIO.powf(-closer)] {
+            if own_s * factor < finest_s {
+                continue;
+            }
+            let found = at(kd, own_s * factor);
+            if better(&found, &best) {
+                (best, about) = (found, Some((kd, own_s * factor)));
+            }
+        }
+    }
     let none =
         || ControlError::Unstable { what: "every PID that was tried".into(), poles: "the plane".into() };
     let (choice, kd, filter_s) = best.ok_or_else(|| refused.unwrap_or_else(none))?;
-    Ok(PidChoice { choice, kd, filter_s, pi: alone })
+    Ok(PidChoice { choice, kd, filter_s, pi: plain })
 }
 
 /// What a choice is worth among others.

@@ -1,7 +1,8 @@
 //! Closed loops in time: the referee of every margin, independent of frequencies.
 //!
 //! Sampled loops are difference equations, exact; their delays are whole samples. Continuous loops are integrated by the
-//! classical Runge-Kutta method, delayed inputs read from the past by cubic interpolation.
+//! classical Runge-Kutta method. Of each past step the inputs at its start, middle and end are kept, so that a delay of whole steps reads
+//! them as they were, on the right side of what jumps between steps (a derivative kicks), and any other a parabola within one step.
 
 use crate::closed::Closed;
 use crate::error::ControlError;
@@ -169,45 +170,42 @@ struct Moment<'a> {
     controller: &'a [States],
     p: usize,
     m: usize,
-    /// Inputs (with load) of past rows, rows x m.
+    /// Inputs (with load) of past steps, steps x 3 x m: at the start of each, in the middle and at its end.
     past: Vec<f64>,
     step_s: f64,
 }
 
+/// Side from which a signal is looked at where it jumps between two steps.
+#[derive(Clone, Copy, PartialEq)]
+enum Side {
+    Before,
+    After,
+}
+
 impl Moment<'_> {
-    /// Input `j` at a time in steps, from past rows.
-    fn input(&self, j: usize, at: f64) -> f64 {
-        if at < 0.0 {
+    /// Input `j` at a time in steps, from past steps; nothing before the first.
+    fn input(&self, j: usize, at: f64, side: Side) -> f64 {
+        let whole = at.round();
+        let (k, s) = match ((at - whole).abs() < 1e-6, side) {
+            (true, Side::Before) => (whole - 1.0, 1.0),
+            (true, Side::After) => (whole, 0.0),
+            (false, _) => (at.floor(), at - at.floor()),
+        };
+        if k < 0.0 {
             return 0.0;
         }
-        let rows = self.past.len() / self.m;
-        let value = |k: isize| if k < 0 { 0.0 } else { self.past[(k as usize).min(rows - 1) * self.m + j] };
-        let k = at.floor() as isize;
-        let s = at - k as f64;
-        if s < 1e-9 {
-            return value(k);
-        }
-        // Lagrange through four rows, all of them known, the last not beyond the present.
-        let first = (k - 1).min(rows as isize - 4).max(-3);
-        let at = at - first as f64;
-        (0..4)
-            .map(|i| {
-                let weight: f64 = (0..4)
-                    .filter(|l| *l != i)
-                    .map(|l| (at - f64::from(l)) / (f64::from(i) - f64::from(l)))
-                    .product();
-                weight * value(first + i as isize)
-            })
-            .sum()
+        let value = |part: usize| self.past[(3 * k as usize + part) * self.m + j];
+        let (start, middle, end) = (value(0), value(1), value(2));
+        start + s * (4.0 * middle - 3.0 * start - end + s * 2.0 * (start - 2.0 * middle + end))
     }
 
     /// Outputs and inputs for the states `x` at a time in steps.
-    fn signals(&self, x: &[f64], at: f64, r: &[f64], y: &mut [f64], u: &mut [f64]) {
+    fn signals(&self, x: &[f64], (at, side): (f64, Side), r: &[f64], y: &mut [f64], u: &mut [f64]) {
         for i in 0..self.p {
             y[i] = (0..self.m)
                 .map(|j| {
                     let g = &self.plant[i * self.m + j];
-                    let v = if g.d != 0.0 { self.input(j, at - g.delay_s / self.step_s) } else { 0.0 };
+                    let v = if g.d != 0.0 { self.input(j, at - g.delay_s / self.step_s, side) } else { 0.0 };
                     g.output(x, v)
                 })
                 .sum();
@@ -217,18 +215,35 @@ impl Moment<'_> {
         }
     }
 
-    fn slope(&self, x: &[f64], at: f64, r: &[f64], d: &[f64], work: &mut Work, out: &mut [f64]) {
-        self.signals(x, at, r, &mut work.y, &mut work.u);
+    fn slope(
+        &self,
+        x: &[f64],
+        (at, side): (f64, Side),
+        r: &[f64],
+        d: &[f64],
+        work: &mut Work,
+        out: &mut [f64],
+    ) {
+        self.signals(x, (at, side), r, &mut work.y, &mut work.u);
         for (k, g) in self.plant.iter().enumerate() {
             let j = k % self.m;
-            let v =
-                if g.delay_s > 0.0 { self.input(j, at - g.delay_s / self.step_s) } else { work.u[j] + d[j] };
+            let v = if g.delay_s > 0.0 {
+                self.input(j, at - g.delay_s / self.step_s, side)
+            } else {
+                work.u[j] + d[j]
+            };
             g.slope(x, v, out);
         }
         for (k, g) in self.controller.iter().enumerate() {
             let i = k % self.p;
             g.slope(x, r[i] - work.y[i], out);
         }
+    }
+}
+
+impl Moment<'_> {
+    fn keep(&mut self, u: &[f64], d: &[f64]) {
+        self.past.extend(u.iter().zip(d).map(|(u, d)| u + d));
     }
 }
 
@@ -279,8 +294,8 @@ fn continuous(
             "0: give it to the plant",
         ));
     }
-    let mut moment =
-        Moment { plant: &plant, controller: &controller, p, m, past: Vec::with_capacity(rows * m), step_s };
+    let delayed = plant.iter().any(|g| g.delay_s > 0.0);
+    let mut moment = Moment { plant: &plant, controller: &controller, p, m, past: Vec::new(), step_s };
     let mut x = vec![0.0; n];
     let (mut k, mut between) = (vec![vec![0.0; n]; 4], vec![0.0; n]);
     let (mut r, mut d, mut work) = (vec![0.0; p], vec![0.0; m], Work { y: vec![0.0; p], u: vec![0.0; m] });
@@ -288,21 +303,36 @@ fn continuous(
     for t in 0..rows {
         demand(t, &mut r);
         load(t, &mut d);
-        moment.signals(&x, t as f64, &r, &mut work.y, &mut work.u);
+        let now = t as f64;
+        moment.signals(&x, (now, Side::After), &r, &mut work.y, &mut work.u);
         out.y.extend_from_slice(&work.y);
         out.u.extend_from_slice(&work.u);
-        let (u, past) = (&work.u, &mut moment.past);
-        past.extend(u.iter().zip(&d).map(|(u, d)| u + d));
+        if delayed {
+            moment.keep(&work.u, &d);
+        }
         for (stage, (share, before)) in [(0.0, 0), (0.5, 0), (0.5, 1), (1.0, 2)].into_iter().enumerate() {
             for i in 0..n {
                 between[i] = x[i] + if stage == 0 { 0.0 } else { share * step_s * k[before][i] };
             }
+            let side = if stage == 3 { Side::Before } else { Side::After };
             let mut slope = std::mem::take(&mut k[stage]);
-            moment.slope(&between, t as f64 + share, &r, &d, &mut work, &mut slope);
+            moment.slope(&between, (now + share, side), &r, &d, &mut work, &mut slope);
             k[stage] = slope;
+        }
+        if delayed {
+            // The middle of the step to third order, from the same slopes.
+            for i in 0..n {
+                between[i] = x[i] + step_s / 24.0 * (5.0 * k[0][i] + 4.0 * (k[1][i] + k[2][i]) - k[3][i]);
+            }
+            moment.signals(&between, (now + 0.5, Side::After), &r, &mut work.y, &mut work.u);
+            moment.keep(&work.u, &d);
         }
         for i in 0..n {
             x[i] += step_s / 6.0 * (k[0][i] + 2.0 * k[1][i] + 2.0 * k[2][i] + k[3][i]);
+        }
+        if delayed {
+            moment.signals(&x, (now + 1.0, Side::Before), &r, &mut work.y, &mut work.u);
+            moment.keep(&work.u, &d);
         }
     }
     Ok(out)

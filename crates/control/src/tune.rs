@@ -156,6 +156,7 @@ fn horizon(channel: &Channel) -> (f64, f64) {
             let fast = poles.iter().map(|p| p.norm()).fold(0.0, f64::max);
             let delay = channel.transfer.delay_s;
             let fine = (0.1 / fast).min(if delay > 0.0 { delay / 4.0 } else { f64::INFINITY });
+            let fine = dividing(fine, delay);
             let whole = if slow.is_finite() { 8.0 / slow } else { 0.0 } + 4.0 * delay;
             (fine, whole.max(400.0 * fine))
         }
@@ -166,6 +167,12 @@ fn horizon(channel: &Channel) -> (f64, f64) {
             (sample_time_s, (n + 4.0 * lags).max(50.0) * sample_time_s)
         }
     }
+}
+
+/// The longest step that is no longer than `step_s` and divides a delay: what jumps arrives between two steps.
+fn dividing(step_s: f64, delay_s: f64) -> f64 {
+    let n = (delay_s / step_s - 1e-6).ceil();
+    if delay_s > 0.0 && n.is_finite() { delay_s / n.max(1.0) } else { step_s }
 }
 
 /// Answer of the channel to a unit step: the plant of a loop whose controller is nothing, under a load.
@@ -224,6 +231,7 @@ pub fn followed(channel: &Channel, gains: &PidGains, r: StepRun) -> StepRun {
     let filter_s = if gains.kd != 0.0 { gains.filter_s / 3.0 } else { f64::INFINITY };
     // A plant that keeps its gain at all high frequencies has no last crossover: its delay is what is followed.
     let step_s = r.step_s.min((0.2 / w).max(r.step_s / FINER)).min(filter_s);
+    let step_s = dividing(step_s, channel.transfer.delay_s);
     let whole = r.step_s * r.rows as f64;
     StepRun { step_s, rows: ((whole / step_s).ceil() as usize).clamp(r.rows, (ROWS as usize).max(r.rows)) }
 }
@@ -260,28 +268,36 @@ fn in_loop(channel: &Channel, gains: &PidGains, r: StepRun, of: [f64; 2]) -> Res
 /// Time in s in which a step of the demand settles to 2 % of it. A channel that integrates needs no integral for that: of such a one a
 /// step of a load has to fade to 2 % of its largest effect as well. None: not within the run.
 pub fn settled_s(channel: &Channel, gains: &PidGains, r: StepRun) -> Option<f64> {
-    let (y, r) = step_response(channel, gains, r).ok()?;
-    let demand = settling_s(&y, 1, 0, r.step_s, 1.0, SETTLED)?;
+    settled(channel, gains, r).0
+}
+
+/// That time, with the answer to the step of the demand; without any where the run fails.
+fn settled(channel: &Channel, gains: &PidGains, r: StepRun) -> (Option<f64>, Vec<f64>) {
+    let Ok((y, r)) = step_response(channel, gains, r) else { return (None, Vec::new()) };
+    let demand = settling_s(&y, 1, 0, r.step_s, 1.0, SETTLED);
     if channel.transfer.steady_gain(channel.time).is_finite() {
-        return Some(demand);
+        return (demand, y);
     }
-    let y = in_loop(channel, gains, r, [0.0, 1.0]).ok()?;
-    let largest = y.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let last = y.iter().rposition(|v| v.abs() > SETTLED * largest)?;
-    (last + 1 < y.len()).then(|| demand.max((last + 1) as f64 * r.step_s))
+    let found = demand.and_then(|demand| {
+        let y = in_loop(channel, gains, r, [0.0, 1.0]).ok()?;
+        let largest = y.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let last = y.iter().rposition(|v| v.abs() > SETTLED * largest)?;
+        (last + 1 < y.len()).then(|| demand.max((last + 1) as f64 * r.step_s))
+    });
+    (found, y)
 }
 
 /// The same without runs that are much longer than they have to be: a time is taken once it is a tenth of its run, of which there are
-/// at most `most` rows; with the run that told it.
-fn soon(channel: &Channel, gains: &PidGains, r: StepRun, most: usize) -> (Option<f64>, StepRun) {
+/// at most `most` rows; with the answer that told it.
+fn soon(channel: &Channel, gains: &PidGains, r: StepRun, most: usize) -> (Option<f64>, Vec<f64>) {
     let r = followed(channel, gains, r);
     let most = r.rows.min(most);
     let mut rows = SOON;
     loop {
         let own = StepRun { rows: rows.min(most), ..r };
-        let found = settled_s(channel, gains, own);
-        if own.rows == most || found.is_some_and(|s| s < 0.1 * own.step_s * own.rows as f64) {
-            return (found, own);
+        let found = settled(channel, gains, own);
+        if own.rows == most || found.0.is_some_and(|s| s < 0.1 * own.step_s * own.rows as f64) {
+            return found;
         }
         rows *= 5;
     }
@@ -318,11 +334,9 @@ pub fn judged(rule: &str, gains: &PidGains, channels: &[Channel], asked: &Asked,
         violation,
     };
     for c in channels.iter().flatten() {
-        let told = violation.map(|_| soon(c, gains, r, usize::MAX));
-        let settled = told.as_ref().and_then(|t| t.0);
-        let y = told.and_then(|(_, own)| step_response(c, gains, own).ok());
+        let (settled, y) = violation.map_or((None, Vec::new()), |_| soon(c, gains, r, usize::MAX));
         tuned.settling_s = tuned.settling_s.zip(settled).map(|(a, b)| a.max(b));
-        let top = y.iter().flat_map(|(y, _)| y).copied().fold(f64::NEG_INFINITY, f64::max);
+        let top = y.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         tuned.overshoot = tuned.overshoot.max(if top.is_finite() { top - 1.0 } else { f64::INFINITY });
     }
     tuned

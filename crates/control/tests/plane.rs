@@ -4,7 +4,7 @@ use dynocal_control::plane::Channel;
 use dynocal_control::runtime::PidGains;
 use dynocal_control::search::{choose, choose_pid};
 use dynocal_control::system::{Time, Transfer};
-use dynocal_control::tune::{Asked, Lag, StepRun, judged, lag, settled_s, step_run};
+use dynocal_control::tune::{Asked, Lag, StepRun, judged, lag, settled_s, step_response, step_run};
 use dynocal_numerics::rng::Rng64;
 
 const TIME: Time = Time::Sampled { sample_time_s: 0.1 };
@@ -219,5 +219,38 @@ fn a_plain_delay_has_gains() {
         let (own, pi) = (found.choice.tuned.settling_s, found.pi.as_ref().unwrap());
         assert!(found.choice.kept && asked.kept_by(pi), "{found:?}");
         assert!(own.unwrap() <= pi.settling_s.unwrap(), "{own:?} {pi:?}");
+    }
+}
+
+/// What arrives behind a delay arrives as it left: a derivative kick through `e^-Ls / (s + 1)` is `(kd / T) (e^-t - e^-t/T) / (1/T - 1)`, by
+/// hand until the loop closes, and a run is as good as one eight times as fine afterwards, also where the step does not divide the delay.
+#[test]
+fn a_kick_passes_a_delay_as_it_is() {
+    let channel = continuous(&[1.0], &[1.0, 1.0], 1.0);
+    let (kd, filter) = (0.3, 0.02);
+    let gains = PidGains { kp: 0.0, ki: 0.0, kd, filter_s: filter };
+    let (y, r) = step_response(&channel, &gains, StepRun { step_s: 0.013, rows: 500 }).unwrap();
+    let by_hand = |t: f64| match t < 1.0 {
+        true => 0.0,
+        false => kd / filter * ((1.0 - t).exp() - ((1.0 - t) / filter).exp()) / (1.0 / filter - 1.0),
+    };
+    for (k, y) in y.iter().enumerate().take_while(|(k, _)| (*k as f64) * r.step_s < 2.0) {
+        let expected = by_hand(k as f64 * r.step_s);
+        assert!((y - expected).abs() < 1e-4, "{k}: {y} {expected}");
+    }
+    for channel in
+        [channel, continuous(&[1.0], &[1.0, 0.4, 1.0], 0.2), continuous(&[1.0, 2.0], &[1.0, 1.0], 0.1)]
+    {
+        let asked = Asked::default();
+        let r = run_of(std::slice::from_ref(&channel));
+        let found = choose_pid(std::slice::from_ref(&channel), &asked, None, r).unwrap();
+        let (pid, pi) = (&found.choice.tuned, found.pi.as_ref().unwrap());
+        let own = pid.settling_s.unwrap();
+        let gains = PidGains { kp: pid.kp, ki: pid.ki, kd: found.kd, filter_s: found.filter_s };
+        let step_s = r.step_s.min(if found.kd > 0.0 { found.filter_s } else { 1.0 }) / 8.37;
+        let fine = StepRun { step_s, rows: (3.0 * own / step_s) as usize };
+        let again = settled_s(&channel, &gains, fine).unwrap();
+        assert!((again / own - 1.0).abs() < 0.02, "{own} {again} {gains:?}");
+        assert!(own <= pi.settling_s.unwrap(), "{own} {pi:?}");
     }
 }

@@ -348,6 +348,7 @@ fn the_exported_observer_is_the_one_that_runs() {
     for (front, rear, air) in [
         (f64::NAN, 1.05, 15.0),
         (1.01, f64::NAN, 12.0),
+        (f64::INFINITY, 1.05, 12.0),
         (0.0, 1.0, 12.0),
         (1.01, 1.05, 0.0),
         (1.01, 0.97, f64::NAN),
@@ -415,6 +416,7 @@ fn a_pid_is_tuned_judged_and_delivered() {
         ("kd = 1.0\n", "ki"),
         ("transport_flow = \"air\"\n", "transport_flow_nominal"),
         ("transport_flow = \"air\"\ntransport_flow_nominal = 20.0\n", "predictor"),
+        ("transport_flow_unit = \"g/s\"\n", "transport_flow"),
     ] {
         let refused = parsed(&of(extra), tmp.path()).map(|_| ()).unwrap_err();
         assert!(refused.contains(part), "{part}: {refused}");

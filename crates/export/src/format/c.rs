@@ -109,7 +109,7 @@ impl<'a> Code<'a> {
         if self.package.program.as_ref().is_some_and(Program::remembers) {
             let _ = writeln!(
                 out,
-                " * A NaN input stays in the delayed values until {}_init: check inputs before the step.",
+                " * A NaN input on which the program does not hold stays in the delayed values until {}_init: check inputs before the step.",
                 self.prefix
             );
         }

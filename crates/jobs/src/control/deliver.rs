@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use dynocal_control::predictor::{PredictedModel, TransportFlow};
+use dynocal_control::predictor::PredictedModel;
 use dynocal_control::stored::{Schedule, ScheduleAxis, StoredController, StoredLoop};
 
 use super::load::Loaded;
@@ -26,11 +26,7 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
                 delay_samples: samples,
                 longest_samples: 4 * samples as usize,
                 filter_s: spec.filter_s,
-                flow: spec.flow.as_ref().map(|(channel, nominal)| TransportFlow {
-                    channel: channel.clone(),
-                    unit: "-".into(),
-                    nominal: *nominal,
-                }),
+                flow: spec.flow.clone(),
             }
         });
         StoredLoop {

@@ -1,5 +1,6 @@
 //! Loops of a spec: what each holds, by what, and within which limits.
 
+use dynocal_control::predictor::TransportFlow;
 use dynocal_control::runtime::{ActuatorLimits, PidGains};
 use dynocal_files::spec::Faults;
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,7 @@ pub(super) struct TypedLoop {
     filter_s: f64,
     transport_flow: Option<String>,
     transport_flow_nominal: Option<f64>,
+    transport_flow_unit: Option<String>,
     lower: Option<f64>,
     upper: Option<f64>,
     rate_per_s: Option<f64>,
@@ -48,7 +50,7 @@ pub struct LoopSpec {
     /// Time constant in s of the filter of its prediction error.
     pub filter_s: f64,
     /// Channel of the flow by which that delay goes, and the flow at which it is `extra_delay_s`.
-    pub flow: Option<(String, f64)>,
+    pub flow: Option<TransportFlow>,
     /// Limits of the actuator in the file of the controller.
     pub limits: ActuatorLimits,
     /// Actuator before the first step.
@@ -144,7 +146,14 @@ fn gains(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Op
 }
 
 /// A delay that goes by a flow belongs to a predictor, and has a flow at which it is the one that is given.
-fn flow(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Option<(String, f64)> {
+fn flow(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Option<TransportFlow> {
+    if let (None, Some(unit)) = (&l.transport_flow, &l.transport_flow_unit) {
+        faults.push(
+            &key("transport_flow"),
+            format!("nothing beside the unit {unit}"),
+            "the channel of that flow",
+        );
+    }
     match (&l.transport_flow, l.transport_flow_nominal) {
         (None, None) => None,
         (Some(channel), Some(nominal)) => {
@@ -152,7 +161,8 @@ fn flow(l: &TypedLoop, key: &dyn Fn(&str) -> String, faults: &mut Faults) -> Opt
             if !l.predictor {
                 faults.push(&key("transport_flow"), channel, "`predictor = true` beside it");
             }
-            Some((channel.clone(), nominal))
+            let unit = l.transport_flow_unit.clone().unwrap_or_else(|| "-".into());
+            Some(TransportFlow { channel: channel.clone(), unit, nominal })
         }
         (channel, nominal) => {
             let (missing, found) = match channel {

@@ -200,7 +200,7 @@ fn loci(l: &LoopResult, p: &Plane) -> XyPlot {
         Axis::new(format!("kp x {}", l.sign), ""),
         Axis::new(format!("ki x {}", l.sign), "1/s"),
     )
-    .caption("The set point with the largest Ms, its delay exact, with the derivative part where there is one, a predictor's delay left out as the predictor does; 0 dB is the boundary of stability. The region of a margin is the part below its locus, that of Ms inside its own. The delay margin that is drawn is the one that is asked, else that of the gains.");
+    .caption("The set point with the largest Ms, its delay exact, with the derivative part where there is one, a predictor's delay left out as the predictor does; 0 dB is the boundary of stability. Without a derivative part the region of a margin is the part below its locus; a derivative part that stays as it is while kp and ki move bends the loci of 6 and 12 dB away from that, and only the boundary of stability bounds. That of Ms is inside its own. The delay margin that is drawn is the one that is asked, else that of the gains.");
     // The first is the boundary of stability.
     let curve = |k: usize, name: &str| {
         let (_, x, y) = &p.loci[k];

@@ -3,6 +3,7 @@
 use dynocal_control::disk::DiskMargin;
 use dynocal_control::error::ControlError;
 use dynocal_control::margin::Margins;
+use dynocal_control::predictor::TransportFlow;
 use dynocal_control::response::MeasuredMargins;
 use dynocal_control::runtime::PidGains;
 use dynocal_control::stored::StoredController;
@@ -127,7 +128,7 @@ pub struct PredictorResult {
     pub model: Transfer,
     /// Channel of the flow by which the delay goes, and the flow at which it is `delay_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub flow: Option<(String, f64)>,
+    pub flow: Option<TransportFlow>,
 }
 
 /// What a record shows without a model, and the models that were made of it.

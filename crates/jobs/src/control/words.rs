@@ -144,8 +144,13 @@ fn predicted(l: &LoopResult) -> Option<String> {
             digits(p.delay_s),
             digits(p.gain.0),
             digits(p.gain.1)
-        ) + &p.flow.as_ref().map_or(String::new(), |(channel, nominal)| {
-            format!(" Its delay goes with one over `{channel}`; it is judged at {}.", digits(*nominal))
+        ) + &p.flow.as_ref().map_or(String::new(), |f| {
+            let unit = if f.unit == "-" { String::new() } else { format!(" {}", f.unit) };
+            format!(
+                " Its delay goes with one over `{}`; it is judged at {}{unit}.",
+                f.channel,
+                digits(f.nominal)
+            )
         }),
     )
 }

@@ -29,7 +29,8 @@ pub(super) fn observer(b: &mut Build, s: &OxygenSettings, dt_s: f64) {
     // What a sample tells: 1 where lambda before and flow are numbers that can be, and where lambda behind is one as well.
     let lit = step(b, "lambda_before_is", front, LEAST_LAMBDA);
     let moving = number(b, "air_flow_is", flow);
-    let told = b.node("front_told", Op::Polynomial { terms: vec![term(1.0, &[lit, moving])] });
+    let finite = number(b, "lambda_before_number", front);
+    let told = b.node("front_told", Op::Polynomial { terms: vec![term(1.0, &[lit, finite, moving])] });
     let shown = number(b, "lambda_behind_is", rear);
     let seen = b.node("rear_told", Op::Polynomial { terms: vec![term(1.0, &[told, shown])] });
 

@@ -29,7 +29,7 @@ const MOST_MG: f64 = 120.0;
 /// Distance of lambda from 1 that counts.
 const NEAR: f64 = 0.01;
 /// How the drives are made, for results that are kept.
-pub(super) const METHOD: &str = "identified, loops by line searches";
+pub(super) const METHOD: &str = "identified, loops by line searches, predictors by the flow of the own fuel";
 
 /// What gives the fuel before any feedback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +52,7 @@ pub(super) enum Hold {
     Pi,
     /// The same with a map that learns.
     PiTrim,
-    /// A Smith predictor with transport by flow.
+    /// A Smith predictor with transport by flow: the measured one where air is, else that of the own fuel.
     Smith,
     /// The trim of the dynamic map by the predicted sensor.
     Trim,
@@ -63,15 +63,18 @@ pub(super) enum Hold {
 }
 
 /// All that are compared, with their names.
-pub(super) const FUELLED: [(&str, FuelBy, Hold); 11] = [
+pub(super) const FUELLED: [(&str, FuelBy, Hold); 14] = [
     ("static map", FuelBy::Map, Hold::Nothing),
     ("static map, PI", FuelBy::Map, Hold::Pi),
     ("static map, PI, long-term trim", FuelBy::Map, Hold::PiTrim),
+    ("static map, Smith predictor", FuelBy::Map, Hold::Smith),
     ("dynamic map", FuelBy::Dynamic, Hold::Nothing),
     ("dynamic map, feedback", FuelBy::Dynamic, Hold::Loop),
     ("dynamic map, feedback, rear trim", FuelBy::Dynamic, Hold::LoopRear),
+    ("dynamic map, Smith predictor", FuelBy::Dynamic, Hold::Smith),
     ("production ECU", FuelBy::Ecu, Hold::Nothing),
     ("production ECU, feedback", FuelBy::Ecu, Hold::Loop),
+    ("production ECU, Smith predictor", FuelBy::Ecu, Hold::Smith),
     ("dynamic map, trim by the predicted sensor", FuelBy::Dynamic, Hold::Trim),
     ("measured air, PI", FuelBy::Air, Hold::Pi),
     ("measured air, Smith predictor", FuelBy::Air, Hold::Smith),
@@ -105,6 +108,13 @@ pub(super) struct CycleCase {
     pub(super) drives: Vec<Driven>,
     /// What line searches found: the ECU's extrapolation, the closed loops of the ECU and of the dynamic map, in s.
     pub(super) found_s: [f64; 3],
+}
+
+impl CycleCase {
+    /// The drive of a controller.
+    pub(super) fn drive(&self, title: &str) -> Option<&Driven> {
+        self.drives.iter().find(|d| d.name == title)
+    }
 }
 
 /// The engine of a parameter set after a second of running: means over a cycle are there.

@@ -69,6 +69,8 @@ pub(super) struct Source<'a> {
     /// Deviation of lambda that the rear trim asks for, demand of the last step.
     asked: f64,
     last_nm: f64,
+    /// Air that the fuel of the last steps burns, in g/s, through the lag of the loops: film compensation is no flow.
+    carried_g_s: f64,
     pub(super) told: Told,
 }
 
@@ -143,6 +145,7 @@ impl<'a> Source<'a> {
             cut: false,
             asked: 0.0,
             last_nm: 0.0,
+            carried_g_s: engine.outputs().air_g_s,
             told: Told::default(),
         })
     }
@@ -151,25 +154,21 @@ impl<'a> Source<'a> {
     fn injection_mg(&mut self, y: &Sensed, demand_nm: f64, air_g_s: f64) -> f64 {
         let own = matches!(self.hold, Hold::Trim | Hold::Loop | Hold::LoopRear);
         let shown = Sensed { lambda: y.lambda.filter(|_| own), ..*y };
-        let wanted = 1.0 + self.asked;
-        let base = match &mut self.fuel {
-            Fuel::Dynamic(policy) => return policy.step(&shown, wanted),
-            Fuel::Ecu(ecu) => return ecu.step(&shown, wanted),
-            Fuel::Air => 1e3 * air_g_s * 120.0 / y.speed_rpm / 4.0 / self.engine.params().gas.afr_stoich,
-            Fuel::Map => self.known.fuel.at(y.speed_rpm, demand_nm),
-        };
         let point = [y.speed_rpm, demand_nm];
         let long = if self.hold == Hold::PiTrim { self.trim.at(&point) } else { 0.0 };
-        let short = match (&mut self.beside, y.lambda) {
-            (Loop::Nothing, _) => 0.0,
-            (Loop::Pi(c), Some(lambda)) => c.step(0.0, -(lambda - 1.0)),
-            // Gas of a cut tells nothing: the loop stays where it is.
-            (Loop::Pi(c), None) => c.state().integral,
-            (Loop::Smith(c), lambda) => {
-                c.set_delay((transport_s(air_g_s) + LOOP_S.1) / STEP_S);
-                c.step(0.0, 0.0, lambda.map_or(f64::NAN, |l| l - 1.0))
-            }
+        let short = self.short(y.lambda, air_g_s);
+        let most_mg = |mg: f64| (mg * (1.0 + long + short)).clamp(0.0, MOST_MG);
+        // What a loop beside them adds goes through the film of those that know one.
+        let wanted = (1.0 + self.asked) / (1.0 + short);
+        let afr = self.engine.params().gas.afr_stoich;
+        let mg = match &mut self.fuel {
+            Fuel::Dynamic(policy) => policy.step(&shown, wanted),
+            Fuel::Ecu(ecu) => ecu.step(&shown, wanted),
+            Fuel::Air => most_mg(1e3 * air_g_s * 120.0 / y.speed_rpm / 4.0 / afr),
+            Fuel::Map => most_mg(self.known.fuel.at(y.speed_rpm, demand_nm)),
         };
+        let burns_g_s = 1e-3 * mg * afr * 4.0 * y.speed_rpm / 120.0;
+        self.carried_g_s += (burns_g_s - self.carried_g_s) * STEP_S / LOOP_S.0;
         // Learnt where the demand stands still: elsewhere the map is not to blame.
         let still = (demand_nm - self.last_nm).abs() < 20.0 * STEP_S && y.lambda.is_some();
         if self.hold == Hold::PiTrim && still {
@@ -181,7 +180,22 @@ impl<'a> Source<'a> {
             }
         }
         self.last_nm = demand_nm;
-        (base * (1.0 + long + short)).clamp(0.0, MOST_MG)
+        mg
+    }
+
+    /// Share of fuel that a loop beside the map asks for.
+    fn short(&mut self, lambda: Option<f64>, air_g_s: f64) -> f64 {
+        let flow_g_s = if matches!(self.fuel, Fuel::Air) { air_g_s } else { self.carried_g_s };
+        match (&mut self.beside, lambda) {
+            (Loop::Nothing, _) => 0.0,
+            (Loop::Pi(c), Some(lambda)) => c.step(0.0, -(lambda - 1.0)),
+            // Gas of a cut tells nothing: the loop stays where it is.
+            (Loop::Pi(c), None) => c.state().integral,
+            (Loop::Smith(c), lambda) => {
+                c.set_delay((transport_s(flow_g_s) + LOOP_S.1) / STEP_S);
+                c.step(0.0, 0.0, lambda.map_or(f64::NAN, |l| l - 1.0))
+            }
+        }
     }
 
     /// Sensor, catalyst and sums after a step.
