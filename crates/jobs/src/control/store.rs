@@ -23,6 +23,11 @@ pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobErr
         };
         columns.push((format!("{}_kp", l.output), column(&|g| g.0)));
         columns.push((format!("{}_ki", l.output), column(&|g| g.1)));
+        if l.kd != 0.0 {
+            let all = |v: f64| vec![v; l.scheduled.len()];
+            columns.push((format!("{}_kd", l.output), all(l.kd)));
+            columns.push((format!("{}_filter_s", l.output), all(l.derivative_filter_s)));
+        }
     }
     if !columns.is_empty() {
         let numbers: Vec<f64> = (1..=found.points.len()).map(|k| k as f64).collect();

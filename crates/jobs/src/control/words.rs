@@ -91,8 +91,14 @@ fn gains(found: &Controlled, l: &LoopResult) -> String {
             let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
             format!("{} to {}", digits(low), digits(high))
         };
+        let shared = if l.kd == 0.0 {
+            String::new()
+        } else {
+            let (kd, filter_s) = (digits(l.kd), digits(l.derivative_filter_s));
+            format!(", kd = {kd} s with a filter of {filter_s} s at all of them")
+        };
         return format!(
-            "`{}` by `{}`: gains over {}, kp {}, ki {} 1/s; each set point is judged with its own.",
+            "`{}` by `{}`: gains over {}, kp {}, ki {} 1/s{shared}; each set point is judged with its own.",
             l.output,
             l.input,
             found.schedule.join(" and "),
