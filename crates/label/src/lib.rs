@@ -29,6 +29,7 @@
 pub mod correlation;
 pub mod error;
 pub mod graph;
+pub mod follow;
 pub mod label;
 pub mod linear;
 pub mod nonlinear;

@@ -69,7 +69,7 @@ fn maps(found: &Labelled) -> Section {
             Verdict::Untouched => f64::NAN,
             Verdict::Pulled => 1.0,
             Verdict::Determined => 2.0,
-            Verdict::Locked => 0.0,
+            Verdict::Locked | Verdict::Open => 0.0,
         })
         .collect();
     let visits: Vec<f64> = t.visits.iter().map(|v| if *v > 0.0 { v.round() } else { f64::NAN }).collect();

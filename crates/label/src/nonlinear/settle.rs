@@ -45,8 +45,9 @@ pub(super) fn search(
         let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
         let stands = size(&change) <= STANDS * (STANDS + size(&theta));
         theta = moved;
+        let smooth = fit.smooth;
         fit = told(graph, &theta, &linearise(graph, &theta, targets), &options)?;
-        if stands && round > CHOOSES {
+        if stands && (round > CHOOSES || fit.smooth == smooth) {
             return Ok(Found { fit, steps: begun + round, converged: true });
         }
     }
@@ -86,12 +87,8 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
     let (mut rows, mut target) = (Rows::default(), Vec::with_capacity(at.r.len()));
     for k in 0..at.r.len() {
         rows.start();
-        let mut y = at.r[k];
-        for (c, column) in at.j.iter().enumerate() {
-            rows.push(c, column[k]);
-            y += column[k] * theta[c];
-        }
-        target.push(y);
+        at.j.row(k, &mut |c, v| rows.push(c, v));
+        target.push(at.r[k] + rows.times(k, theta));
     }
     // Samples that follow each other without a gap.
     let (mut segments, mut from) = (Vec::new(), 0);
@@ -107,6 +104,16 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
         segments.push(start..from);
     }
     let problem =
-        Problem { labels: &graph.labels, rows: &rows, target: &target, weights: Some(&at.w), segments };
-    linear::fit(&problem, options)
+        Problem { labels: &graph.labels, rows: &rows, target: &target, weights: Some(&at.w), segments, roles: Vec::new(), bounds: Vec::new() };
+    let mut fit = linear::fit(&problem, options)?;
+    if !fit.open.is_empty() && fit.held.is_empty() {
+        // Along what is open the linear fit is as far off as it likes, and the function bends.
+        let change: Vec<f64> = fit.exact.iter().zip(theta).map(|(a, b)| a - b).collect();
+        let kept = fit.open.without(&change);
+        fit.exact = theta.iter().zip(kept).map(|(t, c)| t + c).collect();
+        if fit.proven.is_none() {
+            fit.values.clone_from(&fit.exact);
+        }
+    }
+    Ok(fit)
 }

@@ -196,6 +196,7 @@ fn cells(found: &Fitted) -> Section {
                 Verdict::Pulled => "pulled",
                 Verdict::Untouched => "untouched",
                 Verdict::Locked => "locked",
+                Verdict::Open => "open",
             };
             table = table.row(vec![
                 Cell::from(l.name.as_str()),
