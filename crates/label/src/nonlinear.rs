@@ -189,8 +189,14 @@ pub fn fit_from(
             *t = base;
         }
     }
+    large::timing::begun(graph, &mut theta, large::timing::sample_s(targets));
     let begun = begin::search(graph, &mut theta, targets, options, interrupt)?;
     settle::search(graph, theta, targets, options, begun, interrupt)
+}
+
+/// Cells that a delay, lag or film is timed by, and shares of a film.
+pub fn times_a_memory(graph: &Graph) -> Vec<bool> {
+    large::times_a_memory(graph)
 }
 
 /// Limits of all labels, on all cells.

@@ -138,6 +138,9 @@ fn film(args: Film) -> Result<Exit, Failure> {
 
 fn fitted(job: &function::Job, common: &Common, progress: Progress) -> Result<Exit, Failure> {
     let (found, folder) = progress.during(|watch| function::run(job, watch))?;
+    for warning in &found.warnings {
+        say(&format!("warning: {warning}"));
+    }
     common.print_summary(&folder.path().join("summary.json"))?;
     if common.shows_text() {
         let mut rows = Vec::new();

@@ -175,7 +175,7 @@ fn stoichiometric(tune: &Tune) -> Option<f64> {
 }
 
 /// Median of what is positive.
-fn median(v: &[f64]) -> Option<f64> {
+pub(super) fn median(v: &[f64]) -> Option<f64> {
     let mut v: Vec<f64> = v.iter().copied().filter(|v| *v > 0.0 && v.is_finite()).collect();
     v.sort_by(f64::total_cmp);
     v.get(v.len() / 2).copied()
