@@ -318,13 +318,7 @@ fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelErro
             *half = f64::INFINITY;
         }
     }
-    for cell in (0..open.len()).flat_map(|k| open.cells(k)) {
-        told.half_width[cell] = f64::INFINITY;
-        if matches!(told.verdicts[cell], Verdict::Determined | Verdict::Pulled) {
-            told.verdicts[cell] = Verdict::Open;
-        }
-    }
-    Ok(Fit {
+    let mut fit = Fit {
         values,
         exact,
         half_width: told.half_width,
@@ -340,7 +334,21 @@ fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelErro
         broken,
         proven,
         open,
-    })
+    };
+    fit.mark_open();
+    Ok(fit)
+}
+
+impl Fit {
+    /// Cells along open directions have no interval.
+    pub(crate) fn mark_open(&mut self) {
+        for cell in (0..self.open.len()).flat_map(|k| self.open.cells(k)).collect::<Vec<_>>() {
+            self.half_width[cell] = f64::INFINITY;
+            if matches!(self.verdicts[cell], Verdict::Determined | Verdict::Pulled) {
+                self.verdicts[cell] = Verdict::Open;
+            }
+        }
+    }
 }
 
 /// Why nothing is fitted: no samples, or no label that they tell of.

@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::LabelError;
 use crate::label::Label;
-use crate::linear::{Fit, Options, Verdict};
+use crate::linear::{Fit, Options};
 use crate::rows::Rows;
 use sensor::Sensor;
 
@@ -199,8 +199,7 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     tell("fitting the table to the first part of the samples");
     let train = used.part(0..cut);
     let judged = table::known(label, &train, &keys.fit)?;
-    let covered: Vec<bool> =
-        judged.verdicts.iter().map(|v| *v != Verdict::Untouched || keys.fit.extrapolate).collect();
+    let covered: Vec<bool> = judged.facts.iter().map(|f| *f >= table::KNOWN).collect();
     let rest = used.part(cut..used.at.len());
     let judgement = judge::of(label, &judged, &covered, &train, &rest, &sensor);
     tell("fitting the table to all samples");

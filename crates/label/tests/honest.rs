@@ -124,7 +124,7 @@ fn a_few_judged_samples_decide_nothing() {
 #[test]
 fn a_table_that_leaves_most_of_lambda_is_refused() {
     let (label, _, mut log) = planted(1, 0.15);
-    log.enrichment.iter_mut().for_each(|g| *g /= 100.0);
+    log.enrichment.iter_mut().for_each(|g| *g *= 100.0);
     let found = run(&label, &[log], &keys(), &|_| ()).unwrap();
     assert_eq!((found.judgement.decision, found.judgement.reason), (Decision::Refuse, Reason::NoEngine));
 }

@@ -424,7 +424,7 @@ fn said(found: &Found, logs: &[Log]) -> Vec<String> {
     }
     if found.judgement.unknown > found.judgement.samples {
         out.push(format!(
-            "{} of the later samples lie in cells that the first part never saw and are not judged: the logs visit other states early and late",
+            "{} of the later samples lie in cells of which the first part has less than one independent measurement, and are not judged: what is written there is what cells around them say",
             found.judgement.unknown
         ));
     }

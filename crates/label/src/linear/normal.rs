@@ -14,7 +14,7 @@ const AS_GOOD: f64 = 3.841_458_820_694_124;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
 const TIE: f64 = 1e-12;
 /// The same of a cell that no data reach.
-const TIE_ALONE: f64 = 1e-8;
+const TIE_ALONE: f64 = 1e-10;
 
 /// Cells with factors, what the fixed cells and the base add, and the number of the label.
 type RoughRow = (Vec<(usize, f64)>, f64, usize);

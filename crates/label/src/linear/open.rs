@@ -62,17 +62,8 @@ pub(super) fn find(normal: &Normal, smooth: f64, map: &[Option<usize>]) -> Open 
     }
     let h = normal.untied(smooth);
     let root: Vec<f64> = (0..n).map(|k| h[k * n + k].max(0.0).sqrt()).collect();
-    let mut a = vec![0.0; n * n];
-    for i in 0..n {
-        for j in i..n {
-            if root[i] > 0.0 && root[j] > 0.0 {
-                let v = h[i * n + j] / (root[i] * root[j]);
-                (a[i * n + j], a[j * n + i]) = (v, v);
-            }
-        }
-    }
     let told: Vec<bool> = (0..n).map(|k| normal.g[k * n + k] > 0.0).collect();
-    let free: Vec<Vec<f64>> = null(a, n).into_iter().filter(|x| nothing(normal, x, &root, &told)).collect();
+    let free: Vec<Vec<f64>> = null(scaled(&h, &root), n).into_iter().filter(|x| nothing(normal, x, &root, &told)).collect();
     let mut vectors: Vec<Vec<f64>> = Vec::new();
     for x in free {
         let mut v: Vec<f64> = map.iter().map(|f| f.map_or(0.0, |f| x[f])).collect();
@@ -88,6 +79,39 @@ pub(super) fn find(normal: &Normal, smooth: f64, map: &[Option<usize>]) -> Open 
     }
     let scale = map.iter().map(|f| f.map_or(0.0, |f| root[f])).collect();
     Open { vectors, scale }
+}
+
+impl Open {
+    /// Directions across several labels of which the data alone tell nothing, `g` their equations (upper triangle) and `owner` the label of
+    /// each cell: what smoothness says of them moves with the labels, as the factor between two curves that are multiplied.
+    pub(crate) fn across(g: &[f64], owner: &[usize]) -> Self {
+        let n = owner.len();
+        if n > MOST {
+            return Self::default();
+        }
+        let root: Vec<f64> = (0..n).map(|k| g[k * n + k].max(0.0).sqrt()).collect();
+        let vectors = null(scaled(g, &root), n).into_iter().filter(|x| {
+            let most = x.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+            let mut labels = (0..n).filter(|k| x[*k].abs() > BELONGS * most).map(|k| owner[k]);
+            labels.next().is_some_and(|first| labels.any(|l| l != first))
+        });
+        Self { vectors: vectors.collect(), scale: root }
+    }
+}
+
+/// A symmetric matrix over its diagonal, both triangles; `root` has the roots of that.
+fn scaled(h: &[f64], root: &[f64]) -> Vec<f64> {
+    let n = root.len();
+    let mut a = vec![0.0; n * n];
+    for i in 0..n {
+        for j in i..n {
+            if root[i] > 0.0 && root[j] > 0.0 {
+                let v = h[i * n + j] / (root[i] * root[j]);
+                (a[i * n + j], a[j * n + i]) = (v, v);
+            }
+        }
+    }
+    a
 }
 
 /// Whether the data say nothing along the scaled direction `x`, of cells that they do reach.

@@ -53,7 +53,7 @@ pub struct Judgement {
     pub samples: usize,
     /// Independent measurements that these are worth.
     pub facts: f64,
-    /// Unseen samples that are left out because they lie in cells without data.
+    /// Unseen samples that are left out because they lie in cells with less than one independent measurement.
     pub unknown: usize,
     /// Root mean square of measured over expected lambda less 1, with the table as it was.
     pub rms_before: f64,

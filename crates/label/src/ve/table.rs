@@ -83,8 +83,15 @@ pub fn known(label: &Label, used: &Used, options: &Options) -> Result<Fit, Label
     let bounds = (0..label.len()).map(|k| {
         (!is[k] && reached(k)).then(|| {
             let all = || around[k].iter().map(|(j, _)| share(*j));
-            let at = |s: f64| (label.base[k] + size(label, k) * s).clamp(label.lower, label.upper);
-            [at(all().fold(f64::INFINITY, f64::min)), at(all().fold(f64::NEG_INFINITY, f64::max))]
+            let at = |s: f64, whole: fn(f64) -> f64| {
+                let v = label.base[k] + size(label, k) * s;
+                // In whole steps, outwards: there must be one.
+                label.step.map_or(v, |step| label.origin + step * whole((v - label.origin) / step)).clamp(label.lower, label.upper)
+            };
+            [
+                at(all().fold(f64::INFINITY, f64::min), f64::floor),
+                at(all().fold(f64::NEG_INFINITY, f64::max), f64::ceil),
+            ]
         })
     });
     let bounds: Vec<Option<[f64; 2]>> = bounds.collect();
