@@ -137,7 +137,12 @@ fn a_clock_that_goes_back_is_a_new_stretch() {
     data[0][300] -= 0.5;
     write(tmp.path(), &data);
     let found = fitted(tmp.path(), LAG).unwrap();
-    assert!((found.fit.values[0] - 0.25).abs() < 0.02 && found.valid, "{:?} {:?}", found.fit.values, found.verdict);
+    assert!(
+        (found.fit.values[0] - 0.25).abs() < 0.02 && found.valid,
+        "{:?} {:?}",
+        found.fit.values,
+        found.verdict
+    );
     for part in ["the stamp of record 301", "goes back once (first at record 801"] {
         assert!(found.warnings.iter().any(|w| w.contains(part)), "{part}: {:?}", found.warnings);
     }
@@ -154,7 +159,11 @@ fn times_start_from_nothing_have_one_unit_and_no_bound() {
     assert!(unit.contains("nodes[2].in") && unit.contains("a time in `ms`"), "{unit}");
     let low = LAG.replace("greatest = 5.0", "greatest = 0.15").replace("base = [1.0]", "base = [0.1]");
     let bound = fitted(tmp.path(), &low).unwrap();
-    assert!(!bound.valid && bound.verdict[0].contains("`TAU` on its greatest value, 0.15 s"), "{:?}", bound.verdict);
+    assert!(
+        !bound.valid && bound.verdict[0].contains("`TAU` on its greatest value, 0.15 s"),
+        "{:?}",
+        bound.verdict
+    );
     assert!(bound.files.iter().all(|f| !f.ends_with(".dcm")));
 }
 
@@ -186,7 +195,11 @@ fn a_weight_does_not_change_what_is_left_of_a_channel() {
     let found = fitted(tmp.path(), &format!("{text}{rows}")).unwrap();
     let left = found.rows[0].3;
     assert!((left - 0.1).abs() < 0.02, "{left}");
-    assert!(found.verdict[1].contains(&format!("by {left:.4} with the fitted labels")), "{:?}", found.verdict);
+    assert!(
+        found.verdict[1].contains(&format!("by {left:.4} with the fitted labels")),
+        "{:?}",
+        found.verdict
+    );
 }
 
 /// An engine with a film, written as the recipe's own function says, with `change` done to fuel, air, speed and lambda.
@@ -210,7 +223,8 @@ fn film(folder: &Path, share: f64, change: &dyn Fn(&mut [Vec<f64>; 4])) -> Resul
     let speed = vec![2000.0; n];
     let air: Vec<f64> = (0..n).map(|k| if (k / 1000) % 2 == 0 { 12.0 } else { 20.0 }).collect();
     // Fuel in steps around what the air needs, in mg for each of four cylinders and cycle.
-    let fuel = (0..n).map(|k| air[k] / 14.7 * 1e3 * 120.0 / (4.0 * 2000.0) * if (k / 150) % 2 == 0 { 1.05 } else { 0.95 });
+    let fuel = (0..n)
+        .map(|k| air[k] / 14.7 * 1e3 * 120.0 / (4.0 * 2000.0) * if (k / 150) % 2 == 0 { 1.05 } else { 0.95 });
     let fuel: Vec<f64> = fuel.collect();
     let graph: &Graph = &job.graph;
     let truth = [share, 0.6, 1.0, 1.5, 0.3, 0.6, 0.08];
@@ -239,9 +253,7 @@ fn the_film_recipe_knows_what_is_no_lambda() {
     let cut = film(tmp.path(), 0.3, &|c| {
         c[0][4000..4200].fill(0.0);
         c[3][4020..4230].fill(7.0);
-        for v in [&mut c[0], &mut c[1], &mut c[2]] {
-            v[..200].fill(0.0);
-        }
+        c[..3].iter_mut().for_each(|v| v[..200].fill(0.0));
     });
     let cut = cut.unwrap();
     println!("{:?} {:.3?}", cut.verdict[0], cut.fit.values);

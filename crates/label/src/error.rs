@@ -33,18 +33,6 @@ pub enum LabelError {
         /// Labels that may be fitted.
         labels: String,
     },
-    /// No cell of which a log tells enough.
-    #[error(
-        "no cell of `{label}` has one independent measurement: {samples} samples count, {correlated:.0} in a row say as much as one; a longer log is needed"
-    )]
-    NoCell {
-        /// Table.
-        label: String,
-        /// Samples that count.
-        samples: usize,
-        /// Samples that say as much as one.
-        correlated: f64,
-    },
     /// A log of which too little counts.
     #[error(
         "found {found} of {samples} samples that count, expected at least {expected}; left out: {left_out}"
@@ -90,7 +78,9 @@ pub enum LabelError {
 
 fn no_influence(samples: usize, labels: &str) -> String {
     match labels {
-        "" => format!("all cells of all labels are locked: nothing is left to fit to the {samples} samples that count"),
+        "" => format!(
+            "all cells of all labels are locked: nothing is left to fit to the {samples} samples that count"
+        ),
         _ => format!(
             "none of the {samples} samples that count depends on {labels} at the values that the search starts from: expected a start from which a change of a label changes the target (a time of 0, or one on a bound, may be none)"
         ),

@@ -208,7 +208,11 @@ impl Label {
                 .collect(),
             base: cells.iter().map(|c| self.base[*c]).collect(),
             locked: cells.iter().map(|c| self.locked[*c]).collect(),
-            sizes: if self.sizes.is_empty() { Vec::new() } else { cells.iter().map(|c| self.sizes[*c]).collect() },
+            sizes: if self.sizes.is_empty() {
+                Vec::new()
+            } else {
+                cells.iter().map(|c| self.sizes[*c]).collect()
+            },
             ..self.clone()
         }
     }

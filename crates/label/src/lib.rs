@@ -28,8 +28,8 @@
 
 pub mod correlation;
 pub mod error;
-pub mod graph;
 pub mod follow;
+pub mod graph;
 pub mod label;
 pub mod linear;
 pub mod nonlinear;

@@ -52,7 +52,15 @@ pub enum Role {
 impl<'a> Problem<'a> {
     /// A problem with independent samples of weight 1.
     pub fn new(labels: &'a [Label], rows: &'a Rows, target: &'a [f64]) -> Self {
-        Self { labels, rows, target, weights: None, segments: Vec::new(), roles: Vec::new(), bounds: Vec::new() }
+        Self {
+            labels,
+            rows,
+            target,
+            weights: None,
+            segments: Vec::new(),
+            roles: Vec::new(),
+            bounds: Vec::new(),
+        }
     }
 
     /// A sum over cells as one over free cells: cells that follow stand for those that they follow.
@@ -200,9 +208,8 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     }
     let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
     // Their base stays where it is: only changes are passed on.
-    let target: Vec<f64> = (0..p.target.len())
-        .map(|k| p.target[k] - p.rows.times(k, &base) + rows.times(k, &base))
-        .collect();
+    let target: Vec<f64> =
+        (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base) + rows.times(k, &base)).collect();
     let inner = Problem {
         rows: &rows,
         target: &target,
@@ -357,7 +364,10 @@ fn nothing_told(p: &Problem, samples: usize) -> LabelError {
         return LabelError::TooFew { found: 0, expected: 1 };
     }
     let open = p.labels.iter().filter(|l| !l.locked.iter().all(|l| *l));
-    LabelError::NothingTold { samples, labels: open.map(|l| format!("`{}`", l.name)).collect::<Vec<_>>().join(", ") }
+    LabelError::NothingTold {
+        samples,
+        labels: open.map(|l| format!("`{}`", l.name)).collect::<Vec<_>>().join(", "),
+    }
 }
 
 fn check(p: &Problem, cells: usize) -> Result<(), LabelError> {
@@ -424,7 +434,11 @@ fn limits(p: &Problem, map: &[Option<usize>], base: &[f64]) -> (Vec<Limit>, Vec<
                 None => format!("`{}`: {side} value {v} {}", l.name, l.unit),
             };
             if lower.is_finite() {
-                out.push(Limit { terms: vec![(f, 1.0)], least: lower - base[from + k], what: what("least", lower) });
+                out.push(Limit {
+                    terms: vec![(f, 1.0)],
+                    least: lower - base[from + k],
+                    what: what("least", lower),
+                });
             }
             if upper.is_finite() {
                 let terms = vec![(f, -1.0)];

@@ -203,7 +203,11 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     let rest = used.part(cut..used.at.len());
     let judgement = judge::of(label, &judged, &covered, &train, &rest, &sensor);
     tell("fitting the table to all samples");
-    let table = table::known(label, &used, &keys.fit)?;
+    let mut table = table::known(label, &used, &keys.fit)?;
+    // Logs that contradict each other leave so much that together they know less than the first part did.
+    if !table::knows(&table) && table::knows(&judged) {
+        table = judged.clone();
+    }
     let residuals = (0..used.at.len())
         .map(|k| {
             let (log, sample) = used.at[k];

@@ -263,11 +263,8 @@ pub(super) fn target(tune: &Tune, definition: Option<&Definition>) -> Option<Lab
     let (z, x, y) =
         (tune.constant(&def.z).ok()?, tune.constant(&def.x.0).ok()?, tune.constant(&def.y.0).ok()?);
     // A table of lambda has values around 1, one of air-fuel ratios around 14.7.
-    let ratio = if z.values.iter().all(|v| *v < 3.0) {
-        1.0
-    } else {
-        stoichiometric(tune).unwrap_or(STOICHIOMETRIC)
-    };
+    let ratio =
+        if z.values.iter().all(|v| *v < 3.0) { 1.0 } else { stoichiometric(tune).unwrap_or(STOICHIOMETRIC) };
     let values: Vec<f64> = z.values.iter().map(|v| v / ratio).collect();
     let axes = vec![Axis::new(&def.x.1, &x.unit, &x.values), Axis::new(&def.y.1, &y.unit, &y.values)];
     let label = Label::new(&def.z, "-", axes, &values);

@@ -176,8 +176,10 @@ impl Film {
         let burnt = add("burnt", Op::Film(injected, share, tau));
         let (gain, afr) = (add("gain", Op::Label(2, vec![])), add("afr", Op::Constant(self.afr)));
         let needed = add("needed", Op::Multiply(vec![burnt, gain, afr]));
-        let (leanest, still) =
-            (add("air over its lambda", Op::Constant(1.0 / AIR_LAMBDA)), add("still", Op::Constant(LEAST_AIR_G_S)));
+        let (leanest, still) = (
+            add("air over its lambda", Op::Constant(1.0 / AIR_LAMBDA)),
+            add("still", Op::Constant(LEAST_AIR_G_S)),
+        );
         let air = add("moving air", Op::Max(air, still));
         let least = add("least", Op::Multiply(vec![air, leanest]));
         let needed = add("burnt at least", Op::Max(needed, least));

@@ -27,7 +27,8 @@ pub(super) fn ordered(time_s: &[f64]) -> Ordered {
             empty += 1;
             continue;
         }
-        let Some(&last) = out.keep.last().filter(|_| out.keep.len() > out.starts[out.starts.len() - 1]) else {
+        let Some(&last) = out.keep.last().filter(|_| out.keep.len() > out.starts[out.starts.len() - 1])
+        else {
             out.keep.push(k);
             continue;
         };
@@ -52,7 +53,11 @@ pub(super) fn ordered(time_s: &[f64]) -> Ordered {
         out.said.push(format!("{empty} records without a stamp are left out"));
     }
     if let Some(first) = stray.first() {
-        let many = if stray.len() == 1 { "record is".into() } else { format!("records, {} in all, are", stray.len()) };
+        let many = if stray.len() == 1 {
+            "record is".into()
+        } else {
+            format!("records, {} in all, are", stray.len())
+        };
         out.said.push(format!(
             "the stamp of record {} ({} s) does not follow the one before: the {many} left out",
             first + 1,
@@ -76,7 +81,9 @@ pub(super) fn ordered(time_s: &[f64]) -> Ordered {
 fn trigger(out: &mut Ordered, time_s: &[f64]) {
     let most = (BEFORE_TRIGGER * time_s.len() as f64) as usize;
     let Some(from) = out.starts.iter().copied().rfind(|s| *s > 0 && *s <= most) else { return };
-    out.said.push(format!("the first {from} records are left out: stamps go back after them, as after a trigger"));
+    out.said.push(format!(
+        "the first {from} records are left out: stamps go back after them, as after a trigger"
+    ));
     out.keep.drain(..from);
     out.starts = out.starts.iter().filter(|s| **s >= from).map(|s| s - from).collect();
 }

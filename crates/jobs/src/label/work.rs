@@ -100,7 +100,9 @@ fn read(job: &Job, notes: &mut Vec<String>, watch: Watch) -> Result<(Vec<Log>, T
             tune = Some(carried.ok_or_else(no_tune)?);
         }
         match logs.iter().find(|l| l.time_s == log.time_s && l.lambda == log.lambda) {
-            Some(same) => notes.push(format!("{}: the same records as {}: they count once", log.name, same.name)),
+            Some(same) => {
+                notes.push(format!("{}: the same records as {}: they count once", log.name, same.name))
+            }
             None => logs.push(log),
         }
         if watch.interrupted() {
@@ -315,6 +317,10 @@ fn verdict(label: &Label, found: &Found, extrapolated: bool) -> Vec<String> {
         percent(j.rms_nearest),
         percent(j.rms_after)
     );
+    let numbers = match j.samples {
+        0 => "No later sample lies in cells of which the fitted part has one independent measurement: nothing judges.".into(),
+        _ => numbers,
+    };
     let count = |v: Verdict| found.table.verdicts.iter().filter(|x| **x == v).count();
     let kept = if extrapolated { "change as their neighbours do" } else { "keep their values" };
     let cells = format!(
@@ -355,7 +361,13 @@ fn doubted(label: &Label, found: &Found) -> Vec<String> {
     if !steep.is_empty() {
         let named = steep.iter().take(NAMED).map(|(high, low, ratio)| {
             let v = &found.table.values;
-            format!("{} at {} beside {} at {} ({ratio:.2} times)", v[*high], place(label, *high), v[*low], place(label, *low))
+            format!(
+                "{} at {} beside {} at {} ({ratio:.2} times)",
+                v[*high],
+                place(label, *high),
+                v[*low],
+                place(label, *low)
+            )
         });
         out.push(format!(
             "the new table is steeper than the one before is anywhere: {}{}; look at these cells before they are driven",

@@ -64,8 +64,7 @@ impl Normal {
                 // A cell that keeps its base has no change: where the change is smoothed that is known of it, as of one that is
                 // locked, and a cell with little data beside it does not run away from it. Of its value nothing is known.
                 let follows = |k: usize| matches!(p.roles.get(k), Some(Role::Follows(_)));
-                let unknown =
-                    |k: usize| map[from + k].is_none() && !locked[from + k] && !follows(from + k);
+                let unknown = |k: usize| map[from + k].is_none() && !locked[from + k] && !follows(from + k);
                 if !options.smooth_change && row.iter().any(|(k, _)| unknown(*k)) {
                     continue;
                 }

@@ -63,7 +63,8 @@ pub(super) fn find(normal: &Normal, smooth: f64, map: &[Option<usize>]) -> Open 
     let h = normal.untied(smooth);
     let root: Vec<f64> = (0..n).map(|k| h[k * n + k].max(0.0).sqrt()).collect();
     let told: Vec<bool> = (0..n).map(|k| normal.g[k * n + k] > 0.0).collect();
-    let free: Vec<Vec<f64>> = null(scaled(&h, &root), n).into_iter().filter(|x| nothing(normal, x, &root, &told)).collect();
+    let free: Vec<Vec<f64>> =
+        null(scaled(&h, &root), n).into_iter().filter(|x| nothing(normal, x, &root, &told)).collect();
     let mut vectors: Vec<Vec<f64>> = Vec::new();
     for x in free {
         let mut v: Vec<f64> = map.iter().map(|f| f.map_or(0.0, |f| x[f])).collect();
@@ -137,9 +138,8 @@ fn null(mut a: Vec<f64>, n: usize) -> Vec<Vec<f64>> {
     // Rows of R in the order of the pivots.
     let mut r: Vec<Vec<f64>> = Vec::new();
     for step in 0..m {
-        let at = (step..m).max_by(|p, q| {
-            a[order[*p] * n + order[*p]].total_cmp(&a[order[*q] * n + order[*q]])
-        });
+        let at =
+            (step..m).max_by(|p, q| a[order[*p] * n + order[*p]].total_cmp(&a[order[*q] * n + order[*q]]));
         order.swap(step, at.unwrap_or(step));
         let p = order[step];
         let pivot = a[p * n + p];

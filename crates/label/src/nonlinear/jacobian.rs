@@ -37,9 +37,7 @@ impl Jacobian {
     /// Diagonal of `J'WJ`.
     pub(super) fn squares(&self, w: &[f64], cells: usize) -> Vec<f64> {
         match self {
-            Jacobian::Columns(j) => {
-                j.iter().map(|j| j.iter().zip(w).map(|(j, w)| w * j * j).sum()).collect()
-            }
+            Jacobian::Columns(j) => j.iter().map(|j| j.iter().zip(w).map(|(j, w)| w * j * j).sum()).collect(),
             Jacobian::Rows(rows) => {
                 let mut out = vec![0.0; cells];
                 for (k, w) in w.iter().enumerate() {

@@ -124,8 +124,15 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
         from += used.len();
         segments.push(start..from);
     }
-    let problem =
-        Problem { labels: &graph.labels, rows: &rows, target: &target, weights: Some(&at.w), segments, roles: Vec::new(), bounds: Vec::new() };
+    let problem = Problem {
+        labels: &graph.labels,
+        rows: &rows,
+        target: &target,
+        weights: Some(&at.w),
+        segments,
+        roles: Vec::new(),
+        bounds: Vec::new(),
+    };
     let mut fit = linear::fit(&problem, options)?;
     if fit.open.is_empty() && graph.labels.len() > 1 {
         fit.open = across(graph, at);

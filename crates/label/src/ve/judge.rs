@@ -99,8 +99,7 @@ pub fn of(
     for k in 0..test.y.len() {
         let (cells, weights) = test.rows.row(k);
         let sum: f64 = weights.iter().sum();
-        let outside: f64 =
-            cells.iter().zip(weights).filter(|(c, _)| !covered[**c]).map(|(_, w)| w).sum();
+        let outside: f64 = cells.iter().zip(weights).filter(|(c, _)| !covered[**c]).map(|(_, w)| w).sum();
         if outside > UNKNOWN * sum {
             unknown += 1;
             continue;
@@ -115,7 +114,8 @@ pub fn of(
         at.push(test.at[k]);
     }
     let n = errors.len().max(1) as f64;
-    let rms = |c: usize| (errors.iter().map(|e| e[c] * e[c]).sum::<f64>() / n).sqrt();
+    // Adding 0 makes 0 of the -0 of an empty sum.
+    let rms = |c: usize| ((errors.iter().map(|e| e[c] * e[c]).sum::<f64>() + 0.0) / n).sqrt();
     let gain: Vec<f64> = errors.iter().map(|e| e[0] * e[0] - e[1] * e[1]).collect();
     let part = Used { at, rows: crate::rows::Rows::default(), y: Vec::new() };
     // A part of a few seconds does not tell how long its samples hang together: at least as long as those of the fit.

@@ -37,7 +37,11 @@ impl Sensor {
 
     /// What lies on the bound of the search.
     pub fn on_bound(&self) -> Option<&'static str> {
-        let parts = [(self.delay_s, "delay"), (self.flow_delay_s, "delay with the flow"), (self.lag_s, "time constant")];
+        let parts = [
+            (self.delay_s, "delay"),
+            (self.flow_delay_s, "delay with the flow"),
+            (self.lag_s, "time constant"),
+        ];
         parts.into_iter().find(|p| p.0 >= MOST_S).map(|p| p.1)
     }
 

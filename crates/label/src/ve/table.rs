@@ -66,14 +66,15 @@ fn within(
 /// known cells that its extension leads to. No value of a known cell is less than the least one of the table as it was, times the share by
 /// which known cells changed in the middle: what lies lower is no engine, but an error that the cell took upon itself.
 ///
+/// Where no cell is known the table is the one that it was.
+///
 /// # Errors
-/// [`LabelError`]: no cell is known, or what the fit says.
+/// [`LabelError`].
 pub fn known(label: &Label, used: &Used, options: &Options) -> Result<Fit, LabelError> {
     let first = fit(label, used, options)?;
     let is: Vec<bool> = first.facts.iter().zip(&label.locked).map(|(f, l)| *f >= KNOWN && !*l).collect();
     if !is.iter().any(|k| *k) {
-        let (samples, correlated) = (used.y.len(), first.correlation_samples);
-        return Err(LabelError::NoCell { label: label.name.clone(), samples, correlated });
+        return Ok(nothing(label, first));
     }
     let least = bounded(label, &first, &is);
     // Shares of known cells as they will be: within their own bound.
@@ -86,7 +87,10 @@ pub fn known(label: &Label, used: &Used, options: &Options) -> Result<Fit, Label
             let at = |s: f64, whole: fn(f64) -> f64| {
                 let v = label.base[k] + size(label, k) * s;
                 // In whole steps, outwards: there must be one.
-                label.step.map_or(v, |step| label.origin + step * whole((v - label.origin) / step)).clamp(label.lower, label.upper)
+                label
+                    .step
+                    .map_or(v, |step| label.origin + step * whole((v - label.origin) / step))
+                    .clamp(label.lower, label.upper)
             };
             [
                 at(all().fold(f64::INFINITY, f64::min), f64::floor),
@@ -101,6 +105,24 @@ pub fn known(label: &Label, used: &Used, options: &Options) -> Result<Fit, Label
     tell(label, &first, &is, &fitted, options.extrapolate, &mut fit);
     fit.facts.clone_from(&first.facts);
     Ok(fit)
+}
+
+/// Where no cell is known nothing changes.
+fn nothing(label: &Label, mut first: Fit) -> Fit {
+    first.values.clone_from(&label.base);
+    first.exact.clone_from(&label.base);
+    for k in (0..label.len()).filter(|k| !label.locked[*k]) {
+        first.verdicts[k] = Verdict::Untouched;
+        first.half_width[k] = f64::INFINITY;
+    }
+    (first.rms[1], first.proven) = (first.rms[0], None);
+    first.held.clear();
+    first
+}
+
+/// Whether any cell has one independent measurement.
+pub fn knows(found: &Fit) -> bool {
+    found.facts.iter().any(|f| *f >= KNOWN)
 }
 
 fn size(label: &Label, k: usize) -> f64 {
@@ -158,8 +180,11 @@ fn tell(label: &Label, first: &Fit, known: &[bool], fitted: &[bool], extrapolate
 pub fn steep(label: &Label, values: &[f64]) -> Vec<(usize, usize, f64)> {
     let mut out = Vec::new();
     for k in 0..label.axes.len() {
-        let pairs: Vec<(usize, usize)> =
-            label.lines(k).iter().flat_map(|l| l.windows(2).map(|w| (w[0], w[1])).collect::<Vec<_>>()).collect();
+        let pairs: Vec<(usize, usize)> = label
+            .lines(k)
+            .iter()
+            .flat_map(|l| l.windows(2).map(|w| (w[0], w[1])).collect::<Vec<_>>())
+            .collect();
         let step = |v: &[f64], (a, b): (usize, usize)| match v[a] > 0.0 && v[b] > 0.0 {
             true => (v[a] / v[b]).ln().abs(),
             false => f64::INFINITY,

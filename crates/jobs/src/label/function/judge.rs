@@ -64,7 +64,8 @@ fn gains(s: &Sides, judging: &[Target]) -> (Vec<f64>, Vec<Range<usize>>) {
     let mut at = 0;
     while at < judging.len() {
         // Rows of one record stand beside each other.
-        let own = judging[at..].iter().take_while(|t| std::ptr::eq(t.record.time_s, judging[at].record.time_s));
+        let own =
+            judging[at..].iter().take_while(|t| std::ptr::eq(t.record.time_s, judging[at].record.time_s));
         let own: Vec<&Target> = own.collect();
         at += own.len();
         let n = own[0].y.len();

@@ -89,7 +89,11 @@ pub(super) fn read(path: &Path, job: &Job, notes: &mut Vec<String>) -> Result<Ve
         }
     }
     match out.is_empty() {
-        true => Err(FilesError::Empty { path: file, expected: "a record with a number in every channel of the function" }.into()),
+        true => Err(FilesError::Empty {
+            path: file,
+            expected: "a record with a number in every channel of the function",
+        }
+        .into()),
         false => Ok(out),
     }
 }

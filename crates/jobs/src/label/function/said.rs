@@ -87,7 +87,8 @@ fn cells(fit: &Fit) -> String {
         count(Verdict::Pulled),
         count(Verdict::Untouched)
     );
-    for (verdict, word) in [(Verdict::Locked, "locked"), (Verdict::Open, "open (only together with others)")] {
+    for (verdict, word) in [(Verdict::Locked, "locked"), (Verdict::Open, "open (only together with others)")]
+    {
         if count(verdict) > 0 {
             out.push_str(&format!(", {} are {word}", count(verdict)));
         }
