@@ -95,19 +95,19 @@ fn gains(s: &Sides, judging: &[Target]) -> (Vec<f64>, Vec<Range<usize>>) {
     (gain, segments)
 }
 
-/// Labels that time a memory (delays, time constants, shares of a film) and lie on a bound, in words: what was found is the bound.
+/// Labels that time a memory (delays, time constants, shares of a film) and lie on their greatest value, in words: what was found is the
+/// bound. On the least one there is none of it, or as good as none, which is an answer, and is warned of as every limit is.
 pub(super) fn on_bound(graph: &Graph, values: &[f64]) -> Vec<String> {
     let times = times_a_memory(graph);
     let (mut out, mut at): (Vec<String>, usize) = (Vec::new(), 0);
     for l in &graph.labels {
-        for (side, bound) in [("least", l.lower), ("greatest", l.upper)] {
-            let on = |k: usize| {
-                let v = values[at + k];
-                !l.locked[k] && times[at + k] && (v - bound).abs() <= ON_BOUND * bound.abs().max(1e-9)
-            };
-            if bound.is_finite() && (0..l.len()).any(on) {
-                out.push(format!("`{}` on its {side} value, {bound} {}", l.name, l.unit));
-            }
+        let bound = l.upper;
+        let on = |k: usize| {
+            let v = values[at + k];
+            !l.locked[k] && times[at + k] && (v - bound).abs() <= ON_BOUND * bound.abs().max(1e-9)
+        };
+        if bound.is_finite() && (0..l.len()).any(on) {
+            out.push(format!("`{}` on its greatest value, {bound} {}", l.name, l.unit));
         }
         at += l.len();
     }
