@@ -50,8 +50,10 @@ pub(super) fn of(s: &Sides, fitted: &[Target], judging: &[Target], fit: &Fit) ->
     let noise = !(evidence > p + COUNTS * (2.0 * p).sqrt());
     let decision = match improvement {
         _ if facts < LEAST => Decision::Keep,
+        // What fits noise is no statement either way.
+        _ if noise => Decision::Keep,
         i if i < -needed => Decision::Refuse,
-        i if i > needed && !noise => Decision::Change,
+        i if i > needed => Decision::Change,
         _ => Decision::Keep,
     };
     Judged { decision, noise, improvement, needed, facts }

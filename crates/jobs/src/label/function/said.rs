@@ -55,7 +55,7 @@ fn decided(c: &Came) -> String {
             "Leave the labels as they are: the samples that judge are worth {:.1} independent measurements, {LEAST:.0} are needed at least. No file is written.",
             j.facts
         ),
-        Decision::Keep if j.noise && j.improvement > j.needed => {
+        Decision::Keep if j.noise => {
             "Leave the labels as they are: the samples that were fitted do not show that the base is wrong (a true one would be improved as much by fitting its noise). No file is written.".into()
         }
         Decision::Keep => format!(
