@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
 /// Integrated autocorrelation time of `residuals` in samples, `tau = 1 + 2 sum_k rho_k`, over the `segments` in which samples follow
 /// each other: n samples are worth n / tau.
 ///
@@ -58,4 +60,22 @@ pub fn freedom(series: &[f64], segments: &[Range<usize>], block: usize) -> f64 {
     let mean = squares.iter().sum::<f64>() / n;
     let variance = squares.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / n;
     if mean > 0.0 && variance > 0.0 { 2.0 * mean * mean * n / variance } else { n }
+}
+
+/// Mean of a series, its standard error, and the independent measurements that it is worth. Samples hang together for as long as the series
+/// says, and for `least` at least.
+pub fn mean_and_error(v: &[f64], segments: &[Range<usize>], least: f64) -> (f64, f64, f64) {
+    let n = v.len() as f64;
+    if v.len() < 3 {
+        return (0.0, 0.0, n / least.max(1.0));
+    }
+    let mean = v.iter().sum::<f64>() / n;
+    let tau = time_samples(v, segments).max(least);
+    let variance = v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, (variance * tau / n).sqrt(), n / tau)
+}
+
+/// One-sided 95 % of Student's distribution.
+pub fn t_one_sided(freedom: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(0.95))
 }

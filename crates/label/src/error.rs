@@ -25,6 +25,14 @@ pub enum LabelError {
         /// Least number.
         expected: usize,
     },
+    /// No label that is not locked has any influence.
+    #[error("{}", no_influence(*samples, labels))]
+    NothingTold {
+        /// Samples that count.
+        samples: usize,
+        /// Labels that may be fitted.
+        labels: String,
+    },
     /// A log of which too little counts.
     #[error(
         "found {found} of {samples} samples that count, expected at least {expected}; left out: {left_out}"
@@ -66,6 +74,17 @@ pub enum LabelError {
     /// The equations have no single solution.
     #[error("the data and the smoothness together do not determine the labels: {0}")]
     Singular(String),
+}
+
+fn no_influence(samples: usize, labels: &str) -> String {
+    match labels {
+        "" => format!(
+            "all cells of all labels are locked: nothing is left to fit to the {samples} samples that count"
+        ),
+        _ => format!(
+            "none of the {samples} samples that count depends on {labels} at the values that the search starts from: expected a start from which a change of a label changes the target (a time of 0, or one on a bound, may be none)"
+        ),
+    }
 }
 
 impl LabelError {

@@ -59,6 +59,10 @@ pub struct Label {
     pub locked: Vec<bool>,
     /// Weight of the base values, in samples: so many measurements that the present value is right.
     pub base_weight: f64,
+    /// Size of each cell in which the roughness is measured, positive; empty for 1. With the base as size the change of a cell counts as
+    /// a share of what was there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sizes: Vec<f64>,
 }
 
 /// A limit `sum_j c_j theta_j >= d` of the cells of one label.
@@ -86,6 +90,7 @@ impl Label {
             origin: 0.0,
             locked: vec![false; base.len()],
             base_weight: 0.0,
+            sizes: Vec::new(),
         }
     }
 
@@ -143,6 +148,14 @@ impl Label {
         if !self.base.iter().all(|v| v.is_finite()) {
             return fail("found a value that is not finite".into());
         }
+        if !self.sizes.is_empty()
+            && (self.sizes.len() != wanted || !self.sizes.iter().all(|s| *s > 0.0 && s.is_finite()))
+        {
+            return fail(format!("found {} sizes, expected {wanted} that are positive", self.sizes.len()));
+        }
+        if let Some(a) = self.axes.iter().find(|a| !(-1..=1).contains(&a.convex)) {
+            return fail(format!("axis `{}`: found convex = {}, expected 1, 0 or -1", a.name, a.convex));
+        }
         if !(self.lower <= self.upper) || self.step.is_some_and(|s| !(s > 0.0 && s.is_finite())) {
             return fail("found limits the wrong way round, or a step that is not positive".into());
         }
@@ -195,6 +208,11 @@ impl Label {
                 .collect(),
             base: cells.iter().map(|c| self.base[*c]).collect(),
             locked: cells.iter().map(|c| self.locked[*c]).collect(),
+            sizes: if self.sizes.is_empty() {
+                Vec::new()
+            } else {
+                cells.iter().map(|c| self.sizes[*c]).collect()
+            },
             ..self.clone()
         }
     }
@@ -213,7 +231,7 @@ impl Label {
     }
 
     /// Lines of cells along axis `k`.
-    fn lines(&self, k: usize) -> Vec<Vec<usize>> {
+    pub(crate) fn lines(&self, k: usize) -> Vec<Vec<usize>> {
         let nx = self.axes.first().map_or(1, |a| a.points.len());
         let ny = self.axes.get(1).map_or(1, |a| a.points.len());
         match k {
@@ -223,7 +241,7 @@ impl Label {
     }
 
     /// Rows of the roughness: `|D theta|^2` is the integral of the squared second derivative along each axis, the axis as a share of
-    /// its range, times its `smooth`, averaged over the lines of the other axis.
+    /// its range, times its `smooth`, averaged over the lines of the other axis; values in shares of `sizes`, where there are some.
     pub fn roughness(&self) -> Vec<Vec<(usize, f64)>> {
         let mut out = Vec::new();
         for (k, axis) in self.axes.iter().enumerate().filter(|(_, a)| a.smooth > 0.0) {
@@ -235,15 +253,21 @@ impl Label {
                     let (a, b) = ((p[i] - p[i - 1]) / range, (p[i + 1] - p[i]) / range);
                     // f'' from three points, over the half intervals around the middle one.
                     let scale = (axis.smooth * 0.5 * (a + b) / lines.len() as f64).sqrt() * 2.0 / (a + b);
+                    let size = |c: usize| self.sizes.get(c).copied().unwrap_or(1.0);
                     out.push(vec![
-                        (line[i - 1], scale / a),
-                        (line[i], -scale * (1.0 / a + 1.0 / b)),
-                        (line[i + 1], scale / b),
+                        (line[i - 1], scale / a / size(line[i - 1])),
+                        (line[i], -scale * (1.0 / a + 1.0 / b) / size(line[i])),
+                        (line[i + 1], scale / b / size(line[i + 1])),
                     ]);
                 }
             }
         }
         out
+    }
+
+    /// Whether cells limit each other: gradient windows or curvature.
+    pub fn is_shaped(&self) -> bool {
+        self.axes.iter().any(|a| a.convex != 0 || a.gradient.iter().any(|g| g.is_finite()))
     }
 
     /// Limits from gradients and convexity.

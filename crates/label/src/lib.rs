@@ -28,6 +28,7 @@
 
 pub mod correlation;
 pub mod error;
+pub mod follow;
 pub mod graph;
 pub mod label;
 pub mod linear;

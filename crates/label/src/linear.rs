@@ -1,6 +1,7 @@
 //! Labels that enter linearly: sparse least squares with smoothness, limits and whole steps.
 
 mod normal;
+mod open;
 mod verdict;
 
 use std::ops::Range;
@@ -14,6 +15,7 @@ use crate::qp;
 use crate::quantise::{self, Steps};
 use crate::rows::Rows;
 use normal::Normal;
+pub use open::Open;
 
 /// Most cells in one fit: the equations are held dense.
 pub const MOST_CELLS: usize = 4000;
@@ -30,12 +32,58 @@ pub struct Problem<'a> {
     pub weights: Option<&'a [f64]>,
     /// Ranges of samples that follow each other in time; none where samples do not depend on each other.
     pub segments: Vec<Range<usize>>,
+    /// What each cell may do; empty: all are fitted where data reach them.
+    pub roles: Vec<Role>,
+    /// Least and greatest value of single cells, in place of those of their label; empty: none.
+    pub bounds: Vec<Option<[f64; 2]>>,
+}
+
+/// What a cell may do in a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Role {
+    /// It is fitted.
+    Fitted,
+    /// It keeps its base.
+    Held,
+    /// Its change is this sum of the changes of fitted cells.
+    Follows(Vec<(usize, f64)>),
 }
 
 impl<'a> Problem<'a> {
     /// A problem with independent samples of weight 1.
     pub fn new(labels: &'a [Label], rows: &'a Rows, target: &'a [f64]) -> Self {
-        Self { labels, rows, target, weights: None, segments: Vec::new() }
+        Self {
+            labels,
+            rows,
+            target,
+            weights: None,
+            segments: Vec::new(),
+            roles: Vec::new(),
+            bounds: Vec::new(),
+        }
+    }
+
+    /// A sum over cells as one over free cells: cells that follow stand for those that they follow.
+    fn over_free(
+        &self,
+        map: &[Option<usize>],
+        terms: impl Iterator<Item = (usize, f64)>,
+    ) -> Vec<(usize, f64)> {
+        let mut out: Vec<(usize, f64)> = Vec::new();
+        let mut add = |cell: usize, v: f64| {
+            let Some(f) = map[cell] else { return };
+            match out.iter_mut().find(|t| t.0 == f) {
+                Some(t) => t.1 += v,
+                None => out.push((f, v)),
+            }
+        };
+        for (k, v) in terms {
+            match self.roles.get(k) {
+                Some(Role::Follows(of)) => of.iter().for_each(|(j, w)| add(*j, v * w)),
+                _ => add(k, v),
+            }
+        }
+        out
     }
 }
 
@@ -51,7 +99,8 @@ pub struct Options {
     pub robust: bool,
     /// Cells with fewer samples than this keep their base.
     pub least_visits: f64,
-    /// Cells without data follow their neighbours instead.
+    /// Cells without data follow their neighbours instead. Where gradients or curvature are limited they follow anyway: at their base
+    /// they would hold cells with data.
     pub extrapolate: bool,
     /// Draws that the intervals come from where a function is too large for its equations to be held, at most 16; without any it
     /// has no intervals.
@@ -83,6 +132,8 @@ pub enum Verdict {
     Untouched,
     /// Locked.
     Locked,
+    /// Only a sum with other cells, or a product, is known: a change of all of them together that nothing tells anything of.
+    Open,
 }
 
 /// A fit.
@@ -117,6 +168,9 @@ pub struct Fit {
     pub broken: Vec<String>,
     /// Whether whole steps were proven best; none without steps.
     pub proven: Option<bool>,
+    /// Changes of the labels that nothing tells anything of.
+    #[serde(skip)]
+    pub open: Open,
 }
 
 /// First cell of each label, and the number of cells.
@@ -140,10 +194,66 @@ pub fn offsets(labels: &[Label]) -> (Vec<usize>, usize) {
 pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     let (_, cells) = offsets(p.labels);
     check(p, cells)?;
+    if !p.roles.iter().any(|r| matches!(r, Role::Follows(_))) {
+        return fitted(p, options, cells);
+    }
+    // What follows stands for what it follows in every row.
+    let mut rows = Rows::default();
+    let alone: Vec<Option<usize>> = (0..cells).map(Some).collect();
+    for k in 0..p.rows.len() {
+        rows.start();
+        let (at, w) = p.rows.row(k);
+        let own = p.over_free(&alone, at.iter().copied().zip(w.iter().copied()));
+        own.into_iter().for_each(|(j, w)| rows.push(j, w));
+    }
+    let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
+    // Their base stays where it is: only changes are passed on.
+    let target: Vec<f64> =
+        (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base) + rows.times(k, &base)).collect();
+    let inner = Problem {
+        rows: &rows,
+        target: &target,
+        segments: p.segments.clone(),
+        roles: p.roles.clone(),
+        bounds: p.bounds.clone(),
+        ..*p
+    };
+    let mut found = fitted(&inner, options, cells)?;
+    found.visits = verdict::visits(p, cells);
+    taken_along(p, &base, &mut found);
+    Ok(found)
+}
+
+/// Values of cells that follow.
+fn taken_along(p: &Problem, base: &[f64], found: &mut Fit) {
+    let (first, _) = offsets(p.labels);
+    for (l, from) in p.labels.iter().zip(first) {
+        for c in from..from + l.len() {
+            let Some(Role::Follows(of)) = p.roles.get(c) else { continue };
+            let moved = |v: &[f64]| of.iter().map(|(j, w)| w * (v[*j] - base[*j])).sum::<f64>();
+            let exact = base[c] + moved(&found.exact);
+            found.exact[c] = exact.clamp(l.lower.min(base[c]), l.upper.max(base[c]));
+            found.values[c] = match l.step {
+                Some(step) => l.origin + step * ((found.exact[c] - l.origin) / step).round(),
+                None => found.exact[c],
+            };
+        }
+    }
+    if found.proven.is_some() {
+        found.values = clean(p.labels, &found.values);
+    }
+}
+
+fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelError> {
     let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
     let visits = verdict::visits(p, cells);
     let locked: Vec<bool> = p.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
-    let free = |k: usize| !locked[k] && (options.extrapolate || visits[k] >= options.least_visits.max(1e-9));
+    let shaped: Vec<bool> =
+        p.labels.iter().flat_map(|l| std::iter::repeat_n(l.is_shaped(), l.len())).collect();
+    let free = |k: usize| {
+        let told = options.extrapolate || shaped[k] || visits[k] >= options.least_visits.max(1e-9);
+        !locked[k] && p.roles.get(k).is_none_or(|r| *r == Role::Fitted) && told
+    };
     let map: Vec<Option<usize>> = {
         let mut count = 0;
         (0..cells)
@@ -178,7 +288,8 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     let whole = |delta: &[f64]| -> Vec<f64> {
         (0..cells).map(|k| base[k] + map[k].map_or(0.0, |f| delta[f])).collect()
     };
-    let (limits, broken) = limits(p.labels, &map, &base);
+    let (limits, broken) = limits(p, &map, &base);
+    let open = open::find(&normal, found.smooth, &map);
     let h = normal.hessian(found.smooth);
     let solved = qp::solve(&h, &normal.right(found.smooth), &limits)?;
     let held = solved.active.iter().map(|(k, _)| limits[*k].what.clone()).collect();
@@ -208,7 +319,13 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
     for (half, f) in told.half_width.iter_mut().zip(&map) {
         *half += f.map_or(0.0, |f| (found.delta[f] - cautious.delta[f]).abs());
     }
-    Ok(Fit {
+    for (k, half) in told.half_width.iter_mut().enumerate() {
+        // A cell that only the limits of others move is not known to any width.
+        if visits[k] <= 0.0 && !options.extrapolate && !locked[k] {
+            *half = f64::INFINITY;
+        }
+    }
+    let mut fit = Fit {
         values,
         exact,
         half_width: told.half_width,
@@ -223,7 +340,34 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         held,
         broken,
         proven,
-    })
+        open,
+    };
+    fit.mark_open();
+    Ok(fit)
+}
+
+impl Fit {
+    /// Cells along open directions have no interval.
+    pub(crate) fn mark_open(&mut self) {
+        for cell in (0..self.open.len()).flat_map(|k| self.open.cells(k)).collect::<Vec<_>>() {
+            self.half_width[cell] = f64::INFINITY;
+            if matches!(self.verdicts[cell], Verdict::Determined | Verdict::Pulled) {
+                self.verdicts[cell] = Verdict::Open;
+            }
+        }
+    }
+}
+
+/// Why nothing is fitted: no samples, or no label that they tell of.
+fn nothing_told(p: &Problem, samples: usize) -> LabelError {
+    if samples == 0 {
+        return LabelError::TooFew { found: 0, expected: 1 };
+    }
+    let open = p.labels.iter().filter(|l| !l.locked.iter().all(|l| *l));
+    LabelError::NothingTold {
+        samples,
+        labels: open.map(|l| format!("`{}`", l.name)).collect::<Vec<_>>().join(", "),
+    }
 }
 
 fn check(p: &Problem, cells: usize) -> Result<(), LabelError> {
@@ -263,15 +407,17 @@ pub(crate) fn huber(residuals: &[f64]) -> Vec<f64> {
     residuals.iter().map(|r| if r.abs() <= knee || knee == 0.0 { 1.0 } else { knee / r.abs() }).collect()
 }
 
+/// What holds a cell with bounds of its own, in words.
+pub const NEIGHBOURS: &str = "a cell that is held at the change of its neighbours";
+
 /// Limits of the free cells as changes from the base, and those that the base breaks where nothing is free.
-fn limits(labels: &[Label], map: &[Option<usize>], base: &[f64]) -> (Vec<Limit>, Vec<String>) {
-    let (first, _) = offsets(labels);
+fn limits(p: &Problem, map: &[Option<usize>], base: &[f64]) -> (Vec<Limit>, Vec<String>) {
+    let (first, _) = offsets(p.labels);
     let (mut out, mut broken) = (Vec::new(), Vec::new());
-    for (l, from) in labels.iter().zip(first) {
+    for (l, from) in p.labels.iter().zip(first) {
         for limit in l.limits() {
             let now: f64 = limit.terms.iter().map(|(k, c)| c * base[from + k]).sum();
-            let terms: Vec<(usize, f64)> =
-                limit.terms.iter().filter_map(|(k, c)| map[from + k].map(|f| (f, *c))).collect();
+            let terms = p.over_free(map, limit.terms.iter().map(|(k, c)| (from + k, *c)));
             let size = limit.terms.iter().map(|(k, c)| (c * base[from + k]).abs()).fold(1e-9, f64::max);
             match terms.is_empty() {
                 true if now < limit.least - 1e-9 * size => broken.push(limit.what),
@@ -281,14 +427,22 @@ fn limits(labels: &[Label], map: &[Option<usize>], base: &[f64]) -> (Vec<Limit>,
         }
         for k in 0..l.len() {
             let Some(f) = map[from + k] else { continue };
-            let what = |side: &str, v: f64| format!("`{}`: {side} value {v} {}", l.name, l.unit);
-            if l.lower.is_finite() {
-                let terms = vec![(f, 1.0)];
-                out.push(Limit { terms, least: l.lower - base[from + k], what: what("least", l.lower) });
+            let own = p.bounds.get(from + k).copied().flatten();
+            let [lower, upper] = own.unwrap_or([l.lower, l.upper]);
+            let what = |side: &str, v: f64| match own {
+                Some(_) => format!("`{}`: {NEIGHBOURS}", l.name),
+                None => format!("`{}`: {side} value {v} {}", l.name, l.unit),
+            };
+            if lower.is_finite() {
+                out.push(Limit {
+                    terms: vec![(f, 1.0)],
+                    least: lower - base[from + k],
+                    what: what("least", lower),
+                });
             }
-            if l.upper.is_finite() {
+            if upper.is_finite() {
                 let terms = vec![(f, -1.0)];
-                out.push(Limit { terms, least: base[from + k] - l.upper, what: what("greatest", l.upper) });
+                out.push(Limit { terms, least: base[from + k] - upper, what: what("greatest", upper) });
             }
         }
     }

@@ -14,6 +14,7 @@
 //! limited, and intervals come from draws.
 
 mod begin;
+mod jacobian;
 pub mod large;
 mod settle;
 
@@ -24,6 +25,8 @@ use crate::error::LabelError;
 use crate::graph::{Graph, Record};
 use crate::label::Limit;
 use crate::linear::{self, Fit};
+use crate::rows::Rows;
+use jacobian::Jacobian;
 
 /// What a node of the function is compared with on one record: a row of the criterion.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,13 +76,13 @@ pub struct Found {
     pub converged: bool,
 }
 
-/// The function at a point: residuals, weights, J column by column.
+/// The function at a point: residuals, weights, J.
 struct Linear {
     /// Samples that count, of each target.
     used: Vec<Vec<usize>>,
     r: Vec<f64>,
     w: Vec<f64>,
-    j: Vec<Vec<f64>>,
+    j: Jacobian,
 }
 
 /// Residuals of the samples that count, with their weights; none where one is no number.
@@ -109,19 +112,30 @@ fn not_finite(graph: &Graph, theta: &[f64], targets: &[Target]) -> LabelError {
 }
 
 fn linearise(graph: &Graph, theta: &[f64], targets: &[Target]) -> Linear {
-    let mut out = Linear { used: Vec::new(), r: Vec::new(), w: Vec::new(), j: vec![Vec::new(); theta.len()] };
-    for t in targets {
-        let (used, node): (Vec<usize>, usize) = (t.counts().collect(), t.node_of(graph));
+    let nodes: Vec<usize> = targets.iter().map(|t| t.node_of(graph)).collect();
+    // Without a memory after a label a sample depends on the cells that it reads, and on no others.
+    let j = match nodes.iter().all(|n| graph.forgets(*n)) {
+        true => Jacobian::Rows(Rows::default()),
+        false => Jacobian::Columns(vec![Vec::new(); theta.len()]),
+    };
+    let mut out = Linear { used: Vec::new(), r: Vec::new(), w: Vec::new(), j };
+    for (t, node) in targets.iter().zip(nodes) {
+        let used: Vec<usize> = t.counts().collect();
         let run = graph.run(theta, &t.record);
         let y = &run.values[node];
         out.r.extend(used.iter().map(|k| t.y[*k] - y[*k]));
         out.w.extend(used.iter().map(|k| t.weights[*k]));
-        let mut unit = vec![0.0; theta.len()];
-        for c in 0..theta.len() {
-            unit[c] = 1.0;
-            let d = graph.tangents(theta, &t.record, &unit, &run);
-            unit[c] = 0.0;
-            out.j[c].extend(used.iter().map(|k| d[node][*k]));
+        match &mut out.j {
+            Jacobian::Rows(rows) => graph.reads(theta, &t.record, &run, node, &used, rows),
+            Jacobian::Columns(columns) => {
+                let mut unit = vec![0.0; theta.len()];
+                for (c, column) in columns.iter_mut().enumerate() {
+                    unit[c] = 1.0;
+                    let d = graph.tangents(theta, &t.record, &unit, &run);
+                    unit[c] = 0.0;
+                    column.extend(used.iter().map(|k| d[node][*k]));
+                }
+            }
         }
         out.used.push(used);
     }
@@ -175,8 +189,14 @@ pub fn fit_from(
             *t = base;
         }
     }
+    large::timing::begun(graph, &mut theta, large::timing::sample_s(targets));
     let begun = begin::search(graph, &mut theta, targets, options, interrupt)?;
     settle::search(graph, theta, targets, options, begun, interrupt)
+}
+
+/// Cells that a delay, lag or film is timed by, and shares of a film.
+pub fn times_a_memory(graph: &Graph) -> Vec<bool> {
+    large::times_a_memory(graph)
 }
 
 /// Limits of all labels, on all cells.

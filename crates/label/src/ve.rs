@@ -16,6 +16,7 @@ pub mod judge;
 pub mod mask;
 pub mod sensor;
 pub mod steps;
+pub mod table;
 
 use std::ops::Range;
 
@@ -23,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::LabelError;
 use crate::label::Label;
-use crate::linear::{self, Fit, Options, Problem};
+use crate::linear::{Fit, Options};
 use crate::rows::Rows;
 use sensor::Sensor;
 
@@ -98,34 +99,6 @@ impl Used {
     }
 }
 
-/// Fits the table to samples; residuals count in shares of the measured lambda.
-///
-/// # Errors
-/// [`LabelError`].
-pub fn fit(label: &Label, used: &Used, options: &Options) -> Result<Fit, LabelError> {
-    let weights: Vec<f64> = used.y.iter().map(|y| 1.0 / (y * y)).collect();
-    let problem = Problem {
-        labels: std::slice::from_ref(label),
-        rows: &used.rows,
-        target: &used.y,
-        weights: Some(&weights),
-        segments: used.segments(),
-    };
-    linear::fit(&problem, options)
-}
-
-/// Fits twice: the first fit says how many samples are one independent measurement, and in the second a cell with fewer than
-/// `least_visits` of those keeps its base. One pass by a cell is no knowledge of it, however many samples it left.
-fn twice(label: &Label, used: &Used, options: &Options) -> Result<Fit, LabelError> {
-    let first = fit(label, used, options)?;
-    let least_visits = options.least_visits * first.correlation_samples;
-    match fit(label, used, &Options { least_visits, ..options.clone() }) {
-        // No cell has as much: what little there is stands, with its intervals.
-        Err(LabelError::TooFew { .. }) => Ok(first),
-        other => other,
-    }
-}
-
 /// What is done.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -182,6 +155,7 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     if label.axes.len() != 2 {
         return Err(LabelError::label(&label.name, "expected a map over speed and load"));
     }
+    let label = &table::prepared(label);
     let all: usize = logs.iter().map(|l| l.time_s.len()).sum();
     let (logs, lost): (Vec<Log>, Vec<usize>) = logs.iter().map(holes::closed).unzip();
     let logs = &logs[..];
@@ -224,10 +198,16 @@ pub fn run(label: &Label, logs: &[Log], keys: &Keys, tell: &dyn Fn(&str)) -> Res
     }
     tell("fitting the table to the first part of the samples");
     let train = used.part(0..cut);
-    let judged = twice(label, &train, &keys.fit)?;
-    let judgement = judge::of(label, &judged, &train, &used.part(cut..used.at.len()));
+    let judged = table::known(label, &train, &keys.fit)?;
+    let covered: Vec<bool> = judged.facts.iter().map(|f| *f >= table::KNOWN).collect();
+    let rest = used.part(cut..used.at.len());
+    let judgement = judge::of(label, &judged, &covered, &train, &rest, &sensor);
     tell("fitting the table to all samples");
-    let table = twice(label, &used, &keys.fit)?;
+    let mut table = table::known(label, &used, &keys.fit)?;
+    // Logs that contradict each other leave so much that together they know less than the first part did.
+    if !table::knows(&table) && table::knows(&judged) {
+        table = judged.clone();
+    }
     let residuals = (0..used.at.len())
         .map(|k| {
             let (log, sample) = used.at[k];

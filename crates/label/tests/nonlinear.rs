@@ -66,8 +66,14 @@ fn a_function_that_is_linear_is_the_linear_fit() {
         label.enter(&mut rows, 0, 1.0, &[*x]);
     }
     let segments = std::iter::once(0..p.y.len()).collect();
-    let problem =
-        Problem { labels: std::slice::from_ref(&label), rows: &rows, target: &p.y, weights: None, segments };
+    let problem = Problem {
+        labels: std::slice::from_ref(&label),
+        rows: &rows,
+        target: &p.y,
+        weights: None,
+        segments,
+        ..Problem::new(&[], &rows, &p.y)
+    };
     let wanted = linear::fit(&problem, &Options::default()).unwrap();
     assert_eq!(found.fit.smooth, wanted.smooth);
     assert!(wanted.smooth > 0.0);

@@ -10,7 +10,7 @@ use dynocal_files::measurement::recording;
 use dynocal_files::table::Cells;
 use dynocal_label::label::{Axis, Label};
 use dynocal_label::linear::Verdict;
-use dynocal_label::ve::judge::Decision;
+use dynocal_label::ve::judge::{Decision, Reason};
 use dynocal_label::ve::mask;
 use dynocal_label::ve::sensor::Sensor;
 use dynocal_label::ve::{Found, Keys, Log, run};
@@ -95,18 +95,23 @@ fn later_parts_of_real_drives_are_explained_better() {
         ("2025-12-02_10.58.15o", Some(0.079)),
         ("2026-02-28_17.53.41", None),
     ];
+    let mut bad = false;
     for (name, asked) in drives {
         let Some((label, log)) = real(name) else { return };
         let found = run(&label, &[log], &Keys::default(), &|_| ()).unwrap();
         say(name, &found);
         let j = &found.judgement;
-        assert_eq!(j.decision, Decision::Change);
-        assert!(j.rms_after < j.rms_before && j.rms_after < j.rms_nearest, "{name}: {j:?}");
-        assert!(asked.is_none_or(|a| j.rms_after <= a), "{name}: {}", j.rms_after);
+        println!("   {:?}, worth {:.1}", j.reason, j.facts);
+        // The third drive idles: its later samples hang together for so long that they are worth five.
+        let few = j.reason == Reason::TooFew && asked.is_none();
+        bad |= j.decision != Decision::Change && !few;
+        bad |= !(j.rms_after < j.rms_before && j.rms_after < j.rms_nearest);
+        bad |= !(asked.is_none_or(|a| j.rms_after <= a));
         let moved = |k: &usize| found.table.values[*k] != label.base[*k];
         let untouched = (0..label.len()).filter(|k| found.table.verdicts[*k] == Verdict::Untouched);
         assert_eq!(untouched.filter(moved).count(), 0, "{name}: an untouched cell moved");
     }
+    assert!(!bad);
 }
 
 #[test]

@@ -256,25 +256,35 @@ const Charts = (function () {
       [1.5 * v[0] - 0.5 * v[1], ...v.slice(1).map((b, i) => 0.5 * (v[i] + b)), 1.5 * v[v.length - 1] - 0.5 * v[v.length - 2]];
     const ex = edges(p.xs), ey = edges(p.ys);
     const x = smooth ? [p.xs[0], p.xs[nx - 1]] : [ex[0], ex[nx]], y = smooth ? [p.ys[0], p.ys[ny - 1]] : [ey[0], ey[ny]];
-    let box;
+    // Where numbers would not fit between breakpoints, all cells are as wide, as in the table of an ECU.
+    const count = (v) => v.map((_, i) => i), half = (v) => [...count(v), v.length].map((i) => i - 0.5);
+    const scaled = { xs: p.xs, ys: p.ys, ex, ey, x, y }, even = { xs: count(p.xs), ys: count(p.ys), ex: half(p.xs), ey: half(p.ys), x: [-0.5, nx - 0.5], y: [-0.5, ny - 0.5] };
+    let box, g = scaled;
     function draw(w) {
       const h = Math.round(Math.min(400, Math.max(240, w * 0.62)));
       const c = surface(canvas, w, h);
       box = { l: 56, t: 6, r: w - 66, b: h - 26 };
-      const px = (v) => box.l + (v - x[0]) / (x[1] - x[0]) * (box.r - box.l);
-      const py = (v) => box.b - (v - y[0]) / (y[1] - y[0]) * (box.b - box.t);
+      const at = (grid) => ({
+        px: (v) => box.l + (v - grid.x[0]) / (grid.x[1] - grid.x[0]) * (box.r - box.l),
+        py: (v) => box.b - (v - grid.y[0]) / (grid.y[1] - grid.y[0]) * (box.b - box.t),
+      });
+      const numbers = p.cell_values && !smooth;
+      g = numbers && !p.overlays.length && !room(c, p, scaled, at(scaled), range) ? even : scaled;
+      const { px, py } = at(g);
       if (smooth) fill(c, box, x, y, (u, v) => bilinear(p, u, v), shade);
-      else cells(c, p, ex, ey, px, py, shade);
+      else cells(c, p, g.ex, g.ey, px, py, shade);
       if (smooth) contour(c, box, p, px, py, ticks(range[0], range[1], 8));
       clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => p.overlays.forEach((o, i) => curve(c, o, over[i % 3], { px, py })));
-      axes(c, box, x, y, false);
-      if (p.cell_values) values(c, p, px, py, shade, smooth, range);
+      if (g === even) breakpoints(c, box, p, px, py);
+      else axes(c, box, x, y, false);
+      if (numbers && room(c, p, g, { px, py }, range)) values(c, p, g, px, py, shade, range);
       bar(c, box, range, shade);
     }
     hover(canvas, () => box, ui, (q) => {
-      const u = x[0] + (q.x - box.l) / (box.r - box.l) * (x[1] - x[0]), v = y[0] + (box.b - q.y) / (box.b - box.t) * (y[1] - y[0]);
-      const at = smooth ? bilinear(p, u, v) : p.zs[cell(ey, v) * nx + cell(ex, u)];
-      return p.x.label + ' ' + short(u, 4) + ' ' + p.x.unit + ', ' + p.y.label + ' ' + short(v, 4) + ' ' + p.y.unit + ': ' + short(at) + ' ' + p.z.unit;
+      const u = g.x[0] + (q.x - box.l) / (box.r - box.l) * (g.x[1] - g.x[0]), v = g.y[0] + (box.b - q.y) / (box.b - box.t) * (g.y[1] - g.y[0]);
+      const i = cell(g.ex, u), j = cell(g.ey, v), at = smooth ? bilinear(p, u, v) : p.zs[j * nx + i];
+      const [cx, cy] = g === even ? [p.xs[i], p.ys[j]] : [u, v];
+      return p.x.label + ' ' + short(cx, 4) + ' ' + p.x.unit + ', ' + p.y.label + ' ' + short(cy, 4) + ' ' + p.y.unit + ': ' + short(at) + ' ' + p.z.unit;
     });
     return { draw, canvas };
   }
@@ -311,20 +321,38 @@ const Charts = (function () {
       c.fillRect(l, t, r - l, b - t);
     }
   }
-  function values(c, p, px, py, shade, smooth, range) {
-    if (smooth) return;
-    const nx = p.xs.length, step = Math.pow(10, Math.floor(Math.log10(range[1] - range[0])) - 2);
-    const text = p.zs.map((z) => (finite(z) ? label(z, step) : ''));
+  const numbers = (p, range) => {
+    const step = Math.pow(10, Math.floor(Math.log10(range[1] - range[0])) - 2);
+    return p.zs.map((z) => (finite(z) ? label(z, step) : ''));
+  };
+  function room(c, p, g, { px, py }, range) {
     const gaps = (v, at) => v.slice(1).map((b, i) => Math.abs(at(b) - at(v[i])));
-    const wide = Math.max(...text.map((t) => c.measureText(t).width));
-    if (Math.min(...gaps(p.xs, px), 1e9) < wide + 4 || Math.min(...gaps(p.ys, py), 1e9) < 15) return; // the cursor reads them
+    const wide = Math.max(...numbers(p, range).map((t) => c.measureText(t).width));
+    return Math.min(...gaps(g.xs, px), 1e9) >= wide + 4 && Math.min(...gaps(g.ys, py), 1e9) >= 13; // else the cursor reads them
+  }
+  function values(c, p, g, px, py, shade, range) {
+    const nx = p.xs.length, text = numbers(p, range);
     c.textAlign = 'center'; c.textBaseline = 'middle';
     p.zs.forEach((z, k) => {
       if (!finite(z)) return;
       const rgb = shade(z);
       c.fillStyle = 0.3 * rgb[0] + 0.59 * rgb[1] + 0.11 * rgb[2] > 140 ? INK : '#fff';
-      c.fillText(text[k], px(p.xs[k % nx]), py(p.ys[Math.floor(k / nx)]));
+      c.fillText(text[k], px(g.xs[k % nx]), py(g.ys[Math.floor(k / nx)]));
     });
+  }
+  // Breakpoints of cells that are all as wide; one that would touch the last is left out.
+  function breakpoints(c, box, p, px, py) {
+    c.fillStyle = SOFT; c.textAlign = 'center'; c.textBaseline = 'top';
+    let end = -1e9;
+    p.xs.forEach((v, i) => {
+      const text = short(v, 5), w = 0.5 * c.measureText(text).width;
+      if (px(i) - w < end + 3) return;
+      c.fillText(text, px(i), box.b + 7);
+      end = px(i) + w;
+    });
+    c.textAlign = 'right'; c.textBaseline = 'middle';
+    p.ys.forEach((v, j) => c.fillText(short(v, 5), box.l - 7, py(j)));
+    c.strokeStyle = FRAME; c.strokeRect(box.l + 0.5, box.t + 0.5, box.r - box.l, box.b - box.t);
   }
   // Marching squares on a refined grid, so that the lines follow the bilinear surface that is filled.
   function contour(c, box, p, px, py, levels) {

@@ -94,6 +94,9 @@ struct Ve {
     /// Cells without data follow their neighbours instead of keeping their values
     #[arg(long)]
     extrapolate: bool,
+    /// Coolant temperature from which samples count, degC
+    #[arg(long, value_name = "DEGC", default_value_t = 71.0, allow_negative_numbers = true)]
+    least_coolant: f64,
     /// Samples in which the ECU enriches count too, by the correction in the log; without it they are left out
     #[arg(long)]
     enriched: bool,
@@ -135,6 +138,9 @@ fn film(args: Film) -> Result<Exit, Failure> {
 
 fn fitted(job: &function::Job, common: &Common, progress: Progress) -> Result<Exit, Failure> {
     let (found, folder) = progress.during(|watch| function::run(job, watch))?;
+    for warning in &found.warnings {
+        say(&format!("warning: {warning}"));
+    }
     common.print_summary(&folder.path().join("summary.json"))?;
     if common.shows_text() {
         let mut rows = Vec::new();
@@ -168,6 +174,7 @@ fn ve(args: &Ve) -> Result<Exit, Failure> {
     job.keys.fit.smooth = args.smooth;
     job.keys.fit.extrapolate = args.extrapolate;
     job.keys.mask.enriched = args.enriched;
+    job.keys.mask.least_coolant_c = args.least_coolant;
     let (found, folder) = progress.during(|watch| label(&job, watch))?;
     for warning in &found.warnings {
         say(&format!("warning: {warning}"));

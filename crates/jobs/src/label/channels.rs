@@ -11,6 +11,7 @@ use dynocal_label::label::{Axis, Label};
 use dynocal_label::ve::Log;
 
 use super::result::LabelJobError;
+use super::stamps;
 
 /// Names of a quantity in logs, with letters and digits only and without `current`.
 struct Names {
@@ -66,24 +67,37 @@ fn may_be_needed(name: &str) -> bool {
     all.iter().any(|n| n.names.contains(&name)) || AIR.iter().chain(&STATE).any(|names| names.contains(&name))
 }
 
-/// Leaves out what lies before stamps that go back; how many records that are.
-fn forward(raster: &mut Raster) -> Option<usize> {
-    let from = 1 + raster.time_s.windows(2).rposition(|w| !(w[1] >= w[0]))?;
-    raster.time_s.drain(..from);
+/// Puts the stamps in order: bad ones go with their records, and what follows a clock that was set back stands behind a hole.
+fn in_order(raster: &mut Raster) -> Vec<String> {
+    let order = stamps::ordered(&raster.time_s);
+    let kept = |v: &[f64]| order.keep.iter().map(|k| v[*k]).collect::<Vec<f64>>();
+    raster.time_s = kept(&raster.time_s);
     for c in &mut raster.columns {
         match &mut c.cells {
-            Cells::Number(v) => drop(v.drain(..from)),
-            Cells::Text(v) => drop(v.drain(..from)),
+            Cells::Number(v) => *v = kept(v),
+            Cells::Text(v) => *v = order.keep.iter().map(|k| v[*k].clone()).collect(),
         }
     }
-    Some(from)
+    for &from in &order.starts[1..] {
+        let shift = raster.time_s[from - 1] + UNKNOWN_S - raster.time_s[from];
+        raster.time_s[from..].iter_mut().for_each(|t| *t += shift);
+    }
+    order.said
 }
 
-/// A log with the tune that it carries, and what was decided on the way.
+/// Time in s between two stretches of which nobody knows how long it was: a hole to all that looks back.
+const UNKNOWN_S: f64 = 2.0 * dynocal_label::ve::mask::GAP_S;
+
+/// A log with the tune that it carries, and what was decided on the way. An air-fuel ratio becomes a lambda by the stoichiometric ratio of
+/// the tune: the `given` one, else that of the log.
 ///
 /// # Errors
 /// [`LabelJobError`]: files, a channel that is missing.
-pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), LabelJobError> {
+pub fn log(
+    path: &Path,
+    given: Option<&Tune>,
+    notes: &mut Vec<String>,
+) -> Result<(Log, Option<Tune>), LabelJobError> {
     let file = path.display().to_string();
     let (source, tune): (Box<dyn Source>, _) = if recognise(path)?.doc.name == "mlg" {
         let mlg = Mlg::open(path)?;
@@ -97,11 +111,7 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     notes.extend(recording.notes.iter().map(|n| format!("{file}: {n}")));
     let raster = recording.rasters.into_iter().max_by_key(|r| r.time_s.len());
     let mut raster = raster.ok_or_else(|| FilesError::Empty { path: file.clone(), expected: "a log" })?;
-    if let Some(from) = forward(&mut raster) {
-        notes.push(format!(
-            "{file}: the first {from} records lie before the trigger and are left out: their stamps go back"
-        ));
-    }
+    notes.extend(in_order(&mut raster).into_iter().map(|n| format!("{file}: {n}")));
     let known: Vec<&str> =
         source.groups().iter().flat_map(|g| &g.channels).map(|c| c.name.as_str()).collect();
     let known = known.join(", ");
@@ -112,14 +122,25 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     let (lambda_name, mut lambda) = needed(&raster, &LAMBDA)?;
     let (_, pulse_ms) = needed(&raster, &PULSE)?;
     if lambda_name.starts_with("afr") {
-        lambda.iter_mut().for_each(|v| *v /= STOICHIOMETRIC);
-        notes.push(format!("{file}: lambda is the air-fuel ratio over {STOICHIOMETRIC}"));
+        let of_tune = given.or(tune.as_ref()).and_then(stoichiometric);
+        let ratio = of_tune.unwrap_or(STOICHIOMETRIC);
+        lambda.iter_mut().for_each(|v| *v /= ratio);
+        notes.push(match of_tune {
+            Some(ratio) => format!("{file}: lambda is the air-fuel ratio over {ratio}, the stoichiometric ratio of the tune"),
+            None => format!(
+                "{file}: lambda is the air-fuel ratio over {STOICHIOMETRIC}, gasoline: the tune does not say another stoichiometric ratio; with another fuel all cells are off by the ratio of the two"
+            ),
+        });
     }
     if let Some(median) = median(&lambda).filter(|m| !(0.4..=3.0).contains(m)) {
         return Err(LabelJobError::Lambda { file, channel: lambda_name, median });
     }
     if load_name != "fuelload" {
         notes.push(format!("{file}: the load is taken from the channel `{load_name}`"));
+    }
+    let (gamma_name, gamma) = needed(&raster, &GAMMA)?;
+    if let Some(median) = median(&gamma).filter(|m| !PERCENT.contains(m)) {
+        return Err(LabelJobError::Correction { file, channel: gamma_name, median });
     }
     let engine = column(&raster, STATE[2]);
     if engine.is_none() {
@@ -129,7 +150,7 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     }
     let log = Log {
         name: path.file_name().map_or(file.clone(), |n| n.to_string_lossy().into_owned()),
-        enrichment: enrichment(&raster, needed(&raster, &GAMMA)?.1),
+        enrichment: enrichment(&raster, gamma),
         target: vec![1.0; raster.time_s.len()],
         coolant_c: coolant(&raster, &file, notes),
         throttle_rate: column(&raster, STATE[1]).map(|c| c.1),
@@ -145,8 +166,16 @@ pub fn log(path: &Path, notes: &mut Vec<String>) -> Result<(Log, Option<Tune>), 
     Ok((log, tune))
 }
 
+/// Medians of the fuel correction that are one in percent: a running engine gets its fuel, and no third of it nor three times as much.
+const PERCENT: std::ops::RangeInclusive<f64> = 33.0..=300.0;
+
+/// Ratio of air to fuel that the tune calls stoichiometric.
+fn stoichiometric(tune: &Tune) -> Option<f64> {
+    tune.constant("stoich").ok()?.values.first().copied().filter(|s| *s > 0.0)
+}
+
 /// Median of what is positive.
-fn median(v: &[f64]) -> Option<f64> {
+pub(super) fn median(v: &[f64]) -> Option<f64> {
     let mut v: Vec<f64> = v.iter().copied().filter(|v| *v > 0.0 && v.is_finite()).collect();
     v.sort_by(f64::total_cmp);
     v.get(v.len() / 2).copied()
@@ -160,6 +189,10 @@ fn coolant(raster: &Raster, file: &str, notes: &mut Vec<String>) -> Option<Vec<f
     let as_c: fn(f64) -> f64 = match unit.as_str() {
         "f" | "degf" | "fahrenheit" => |v| (v - 32.0) / 1.8,
         "k" | "kelvin" => |v| v - 273.15,
+        "" => {
+            notes.push(format!("{file}: the coolant temperature has no unit in the log and counts as degC"));
+            return Some(values.clone());
+        }
         _ => return Some(values.clone()),
     };
     notes.push(format!("{file}: the coolant temperature is logged in `{unit}` and counts as degC"));
@@ -230,15 +263,8 @@ pub(super) fn target(tune: &Tune, definition: Option<&Definition>) -> Option<Lab
     let (z, x, y) =
         (tune.constant(&def.z).ok()?, tune.constant(&def.x.0).ok()?, tune.constant(&def.y.0).ok()?);
     // A table of lambda has values around 1, one of air-fuel ratios around 14.7.
-    let ratio = if z.values.iter().all(|v| *v < 3.0) {
-        1.0
-    } else {
-        tune.constant("stoich")
-            .ok()
-            .and_then(|s| s.values.first().copied())
-            .filter(|s| *s > 0.0)
-            .unwrap_or(STOICHIOMETRIC)
-    };
+    let ratio =
+        if z.values.iter().all(|v| *v < 3.0) { 1.0 } else { stoichiometric(tune).unwrap_or(STOICHIOMETRIC) };
     let values: Vec<f64> = z.values.iter().map(|v| v / ratio).collect();
     let axes = vec![Axis::new(&def.x.1, &x.unit, &x.values), Axis::new(&def.y.1, &y.unit, &y.values)];
     let label = Label::new(&def.z, "-", axes, &values);

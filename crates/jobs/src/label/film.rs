@@ -46,6 +46,15 @@ pub struct Film {
 
 /// Change of air and speed, in shares a second, above which the manifold fills.
 const FILLS: f64 = 0.25;
+/// Fuel of a cylinder and cycle from which it is injected at all, mg.
+const LEAST_FUEL_MG: f64 = 1e-3;
+/// Speed from which the engine runs by itself, rpm; time in s after a fuel cut in which the exhaust holds its air. Both as of the fuel table.
+const LEAST_SPEED_RPM: f64 = 400.0;
+const ECHO_S: f64 = 1.5;
+/// Lambda beyond which there is air and no mixture: what the function says during a cut, so that it stays a number.
+const AIR_LAMBDA: f64 = 10.0;
+/// Air of an engine that stands, g/s, so that delays stay numbers.
+const LEAST_AIR_G_S: f64 = 0.01;
 /// Time in s after which it has filled.
 const FILLED_S: f64 = 0.8;
 
@@ -65,14 +74,15 @@ impl Film {
             slower_than: Some(FILLS),
             for_s: Some(FILLED_S),
         };
-        // A cut of the fuel is no lambda.
-        let fuelled = Condition {
-            channel: self.fuel.clone(),
-            least: Some(1e-3),
+        let above = |channel: &str, least: f64| Condition {
+            channel: channel.into(),
+            least: Some(least),
             greatest: None,
             slower_than: None,
-            for_s: None,
+            for_s: Some(ECHO_S),
         };
+        // A cut of the fuel is no lambda, nor is an engine that stands; the exhaust holds the air of both for a while.
+        let running = [above(&self.fuel, LEAST_FUEL_MG), above(&self.speed, LEAST_SPEED_RPM)];
         let graph = self.graph();
         let node = graph.nodes.len() - 1;
         Ok(Job {
@@ -83,7 +93,8 @@ impl Film {
                 .to_vec(),
             channels,
             rows: vec![Row { node, name: "sensor".into(), target: self.lambda.clone(), weight: 1.0 }],
-            conditions: vec![slow(&self.air), slow(&self.speed), fuelled],
+            conditions: [slow(&self.air), slow(&self.speed)].into_iter().chain(running).collect(),
+            lambda: Some(self.lambda.clone()),
             train: 0.7,
             graph,
             shared: Vec::new(),
@@ -165,7 +176,16 @@ impl Film {
         let burnt = add("burnt", Op::Film(injected, share, tau));
         let (gain, afr) = (add("gain", Op::Label(2, vec![])), add("afr", Op::Constant(self.afr)));
         let needed = add("needed", Op::Multiply(vec![burnt, gain, afr]));
+        let (leanest, still) = (
+            add("air over its lambda", Op::Constant(1.0 / AIR_LAMBDA)),
+            add("still", Op::Constant(LEAST_AIR_G_S)),
+        );
+        let air = add("moving air", Op::Max(air, still));
+        let least = add("least", Op::Multiply(vec![air, leanest]));
+        let needed = add("burnt at least", Op::Max(needed, least));
         let lambda = add("lambda", Op::Divide(air, needed));
+        let slowest = add("slowest", Op::Constant(LEAST_SPEED_RPM));
+        let speed = add("running speed", Op::Max(speed, slowest));
         let (turns, cycles) = (add("120", Op::Constant(120.0)), add("cycles", Op::Label(3, vec![])));
         let cycle_s = add("cycle", Op::Divide(turns, speed));
         let waiting = add("waiting", Op::Multiply(vec![cycles, cycle_s]));

@@ -2,9 +2,12 @@
 
 pub mod build;
 pub mod coarse;
+mod judge;
 mod moves;
 mod outside;
 pub mod page;
+mod record;
+mod said;
 pub mod spec;
 pub mod work;
 
@@ -13,6 +16,7 @@ use dynocal_export::format;
 use dynocal_export::package::Package;
 use dynocal_files::atomic;
 use dynocal_files::run_folder::RunFolder;
+use dynocal_label::ve::judge::Decision;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::watch::Watch;
 
@@ -28,7 +32,7 @@ pub use work::Fitted;
 pub fn run(job: &Job, watch: Watch) -> Result<(Fitted, RunFolder), LabelJobError> {
     let folder = RunFolder::open_at(&job.out, "label", job)?;
     let mut found = work::fit(job, watch)?;
-    if found.valid {
+    if found.valid && found.decision == Decision::Change {
         let package =
             Package { name: "LABELS".into(), characteristics: characteristics(&found), ..Package::default() };
         for file in format::write(&package, "dcm", &format::Keys::default())? {

@@ -49,7 +49,7 @@ struct LookUps {
 }
 
 fn look_ups(path: &Path) -> Result<LookUps, LabelJobError> {
-    let (log, tune) = channels::log(path, &mut Vec::new())?;
+    let (log, tune) = channels::log(path, None, &mut Vec::new())?;
     let tune: Tune = tune.ok_or_else(|| LabelJobError::NoTune { file: path.display().to_string() })?;
     let of = |name: &str| tune.constant(name).map(|c| c.values.clone());
     let table = of("veTable")?;

@@ -11,6 +11,7 @@ pub mod known;
 pub mod page;
 pub mod result;
 pub mod spec;
+mod stamps;
 pub mod store;
 pub mod work;
 

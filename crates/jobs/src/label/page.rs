@@ -32,15 +32,18 @@ pub fn report(found: &Labelled) -> Report {
         report = report.warning(text.as_str());
     }
     let percent = |v: f64| 100.0 * v;
-    report
-        .check(
+    // What nothing judges is no check.
+    if j.samples > 0 {
+        report = report.check(
             Check::new("unseen", "lambda on later, unseen samples with the fitted table (root mean square)")
                 .asked(format!("not above {:.2}", percent(j.rms_before)))
                 .measured(percent(j.rms_after))
                 .unit("%")
                 .holds(found.valid)
-                .note("the demand is the table as it was; a loss counts from 1.6 standard errors on"),
-        )
+                .note("the demand is the table as it was; a loss counts where it is more than chance gives"),
+        );
+    }
+    report
         .section(maps(found))
         .section(intersections(found))
         .section(residuals(found))
@@ -69,7 +72,7 @@ fn maps(found: &Labelled) -> Section {
             Verdict::Untouched => f64::NAN,
             Verdict::Pulled => 1.0,
             Verdict::Determined => 2.0,
-            Verdict::Locked => 0.0,
+            Verdict::Locked | Verdict::Open => 0.0,
         })
         .collect();
     let visits: Vec<f64> = t.visits.iter().map(|v| if *v > 0.0 { v.round() } else { f64::NAN }).collect();

@@ -89,6 +89,18 @@ pub enum LabelJobError {
         /// Middle value.
         median: f64,
     },
+    /// A fuel correction that is no percentage.
+    #[error(
+        "{file}: channel `{channel}` has a median of {median:.3}, expected percent, 33 to 300 of a running engine: 100 is no correction"
+    )]
+    Correction {
+        /// Log.
+        file: String,
+        /// Channel.
+        channel: String,
+        /// Middle value.
+        median: f64,
+    },
     /// A log that is hardly ever where the table is.
     #[error(
         "{file}: {outside:.0} % of {samples} samples with fuel lie outside of `{table}`: found speeds of {speed_rpm:.0?} and loads of {load:.1?}, expected {axes:.0?} (at most {most:.0} % outside): is it the log, the tune and the load of this engine?"

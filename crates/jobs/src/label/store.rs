@@ -42,6 +42,7 @@ fn cells(folder: &RunFolder, found: &Labelled) -> Result<String, LabelJobError> 
             Verdict::Pulled => 1.0,
             Verdict::Determined => 2.0,
             Verdict::Locked => 3.0,
+            Verdict::Open => 4.0,
         })
         .collect();
     let unit = label.unit.as_str();

@@ -6,8 +6,10 @@ use dynocal_export::tune::msq::Tune;
 use dynocal_export::tune::table::TuneTable;
 use dynocal_files::FilesError;
 use dynocal_label::label::Label;
-use dynocal_label::linear::Verdict;
-use dynocal_label::ve::judge::Decision;
+use dynocal_label::linear::{NEIGHBOURS, Verdict};
+use dynocal_label::ve::judge::{Decision, NEEDED, Reason};
+use dynocal_label::ve::sensor::MOST_S;
+use dynocal_label::ve::table::steep;
 use dynocal_label::ve::{Found, Log, run};
 use dynocal_numerics::watch::Watch;
 
@@ -30,29 +32,9 @@ const DRIFT: f64 = 0.02;
 /// [`LabelJobError`]: files, channels, options, a fit that is not possible, an interruption.
 pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
     check(job)?;
-    let definition = match &job.definition {
-        Some(path) => {
-            let bytes = std::fs::read(path).map_err(|e| FilesError::unread(path, &e))?;
-            Some(Definition::parse(&bytes, &[]))
-        }
-        None => None,
-    };
-    let (mut notes, mut logs, mut carried) = (Vec::new(), Vec::new(), Vec::new());
-    for path in &job.logs {
-        watch.note(&format!("reading {}", path.display()));
-        let (log, tune) = channels::log(path, &mut notes)?;
-        logs.push(log);
-        carried.push(tune);
-        if watch.interrupted() {
-            return Err(LabelJobError::Interrupted);
-        }
-    }
-    let tune = match &job.tune {
-        Some(path) => Tune::read(path)?,
-        None => carried.first().cloned().flatten().ok_or_else(|| LabelJobError::NoTune {
-            file: job.logs.first().map(|p| p.display().to_string()).unwrap_or_default(),
-        })?,
-    };
+    let definition = definition(job)?;
+    let mut notes = Vec::new();
+    let (mut logs, tune) = read(job, &mut notes, watch)?;
     let (label, held) = channels::table(&tune, definition.as_ref())?;
     let mut warnings = same_tune(&label, &logs);
     warnings.extend(outside(&label, &logs)?);
@@ -64,12 +46,14 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
             label.unit
         ));
     }
+    warnings.extend(beyond(&label, held.as_ref()));
     targets(job, &tune, definition.as_ref(), &mut logs, &mut warnings)?;
     let found = run(&label, &logs, &job.keys, &|text| watch.note(text))?;
     if watch.interrupted() {
         return Err(LabelJobError::Interrupted);
     }
     warnings.extend(said(&found, &logs));
+    warnings.extend(doubted(&label, &found));
     warnings.extend(notes);
     let change = found.judgement.decision == Decision::Change;
     let values = if change { found.table.values.clone() } else { label.base.clone() };
@@ -78,7 +62,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
         verb: "label",
         name: job.name.clone(),
         valid: found.judgement.decision != Decision::Refuse,
-        verdict: verdict(&label, &found),
+        verdict: verdict(&label, &found, job.keys.fit.extrapolate),
         warnings,
         half_width: found.table.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
         values,
@@ -88,6 +72,45 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Labelled, LabelJobError> {
         found,
         handed,
     })
+}
+
+fn definition(job: &Job) -> Result<Option<Definition>, LabelJobError> {
+    let Some(path) = &job.definition else { return Ok(None) };
+    let bytes = std::fs::read(path).map_err(|e| FilesError::unread(path, &e))?;
+    let found = Definition::parse(&bytes, &[]);
+    if found.labels.is_empty() {
+        return Err(LabelJobError::Option {
+            option: "--ini",
+            found: format!("{} without any label in [Constants]", path.display()),
+            expected: "the definition of an ECU (.ini)",
+        });
+    }
+    Ok(Some(found))
+}
+
+/// Logs, and the tune that is given or that the first of them carries. A log that comes twice counts once.
+fn read(job: &Job, notes: &mut Vec<String>, watch: Watch) -> Result<(Vec<Log>, Tune), LabelJobError> {
+    let mut tune = job.tune.as_ref().map(|path| Tune::read(path)).transpose()?;
+    let mut logs: Vec<Log> = Vec::new();
+    for path in &job.logs {
+        watch.note(&format!("reading {}", path.display()));
+        let (log, carried) = channels::log(path, tune.as_ref(), notes)?;
+        let no_tune = || LabelJobError::NoTune { file: path.display().to_string() };
+        if tune.is_none() {
+            tune = Some(carried.ok_or_else(no_tune)?);
+        }
+        match logs.iter().find(|l| l.time_s == log.time_s && l.lambda == log.lambda) {
+            Some(same) => {
+                notes.push(format!("{}: the same records as {}: they count once", log.name, same.name))
+            }
+            None => logs.push(log),
+        }
+        if watch.interrupted() {
+            return Err(LabelJobError::Interrupted);
+        }
+    }
+    let none = || LabelJobError::NoTune { file: "-".into() };
+    Ok((logs, tune.ok_or_else(none)?))
 }
 
 fn check(job: &Job) -> Result<(), LabelJobError> {
@@ -105,6 +128,27 @@ fn check(job: &Job) -> Result<(), LabelJobError> {
         Some(s) if !(0.0..=1e6).contains(&s) => fail("--smooth", s, "a number from 0 to 1e6"),
         _ => Ok(()),
     }
+}
+
+/// Values of the table as it was that the ECU cannot hold: they are left as they are where nothing changes them.
+fn beyond(label: &Label, held: Option<&dynocal_export::tune::ini::Held>) -> Option<String> {
+    let held = held?;
+    let cells: Vec<(usize, String)> =
+        (0..label.len()).filter_map(|k| held.check(label.base[k]).err().map(|why| (k, why))).collect();
+    let (first, why) = cells.first()?;
+    Some(format!(
+        "`{}` has {} values that the ECU cannot hold, the first at {}: {why}",
+        label.name,
+        cells.len(),
+        place(label, *first)
+    ))
+}
+
+/// Where a cell lies, in words.
+fn place(label: &Label, cell: usize) -> String {
+    let nx = label.axes[0].points.len();
+    let of = |k: usize, i: usize| format!("{} {}", label.axes[k].points[i], label.axes[k].unit);
+    format!("{} / {}", of(0, cell % nx), of(1, cell / nx))
 }
 
 /// Whether the logs were driven with the table that is fitted.
@@ -222,42 +266,71 @@ fn hand_over(
     ])
 }
 
-fn verdict(label: &Label, found: &Found) -> Vec<String> {
+/// The decision and its reason, in words.
+fn decided(label: &Label, found: &Found) -> String {
+    let (j, name) = (&found.judgement, &label.name);
+    let percent = |v: f64| format!("{:.1} %", 100.0 * v);
+    let leave = |why: String| format!("Leave `{name}` as it is: {why} No file is written.");
+    let counts = format!("({:.1} standard errors, {:.1} would count)", j.improvement, j.needed);
+    match j.reason {
+        Reason::Better => format!(
+            "Take the new `{name}`: it explains unseen samples better (the gain is {:.1} times its standard error). What is written was fitted to all samples; what was judged, to the first part of them.",
+            j.improvement
+        ),
+        Reason::Noise => leave(
+            "the samples that were fitted do not show that it is wrong (a true table would be improved as much by fitting its noise).".into(),
+        ),
+        Reason::NoDifference => leave(format!(
+            "on unseen samples no difference between the fitted table and the present one can be shown {counts}."
+        )),
+        Reason::TooFew => leave(format!(
+            "nothing can be said of a new one: the {} later samples in cells that were fitted are worth {:.1} independent measurements, {NEEDED:.0} are needed (a longer log, or a smaller --train).",
+            j.samples, j.facts
+        )),
+        Reason::NearestIsBetter => leave(format!(
+            "the mean of the nearest cell explains unseen samples better ({} left) than the fitted table ({}): what the fit takes for the engine, the sensor or the enrichments is not what they did.",
+            percent(j.rms_nearest),
+            percent(j.rms_after)
+        )),
+        Reason::OnBound => leave(format!(
+            "the {} of the lambda sensor lies on the bound of its search ({MOST_S} s), so that something else was found in its place.",
+            found.sensor.on_bound().unwrap_or("delay")
+        )),
+        Reason::Worse => format!(
+            "The fitted `{name}` is refused: it explains unseen samples worse than the present one {counts}. No file is written."
+        ),
+        Reason::NoEngine => format!(
+            "The fitted `{name}` is refused: measured lambda leaves the expected one by {} even with it, with which no engine runs. Is each channel the quantity and in the unit that it is taken for? No file is written.",
+            percent(j.rms_after)
+        ),
+    }
+}
+
+fn verdict(label: &Label, found: &Found, extrapolated: bool) -> Vec<String> {
     let j = &found.judgement;
     let percent = |v: f64| format!("{:.1} %", 100.0 * v);
     let numbers = format!(
-        "On {} later samples that it was not fitted to, measured lambda leaves the expected one by {} (root mean square) with the table as it was, by {} with the mean of the nearest cell, and by {} with the fitted table.",
+        "On {} later samples that it was not fitted to (worth {:.0} independent measurements), measured lambda leaves the expected one by {} (root mean square) with the table as it was, by {} with the mean of the nearest cell, and by {} with the fitted table.",
         j.samples,
+        j.facts,
         percent(j.rms_before),
         percent(j.rms_nearest),
         percent(j.rms_after)
     );
+    let numbers = match j.samples {
+        0 => "No later sample lies in cells of which the fitted part has one independent measurement: nothing judges.".into(),
+        _ => numbers,
+    };
     let count = |v: Verdict| found.table.verdicts.iter().filter(|x| **x == v).count();
+    let kept = if extrapolated { "change as their neighbours do" } else { "keep their values" };
     let cells = format!(
-        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched (no data, or less than one independent measurement) and keep their values.",
+        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours (with less than one independent measurement a cell changes by no other share of its value than they do), {} are untouched (no data) and {kept}.",
         label.len(),
         count(Verdict::Determined),
         count(Verdict::Pulled),
         count(Verdict::Untouched)
     );
-    let first = match j.decision {
-        Decision::Change => format!(
-            "Take the new `{}`: it explains unseen samples better (the gain is {:.1} times its standard error). What is written was fitted to all samples; what was judged, to the first part of them.",
-            label.name, j.improvement
-        ),
-        Decision::Keep if j.evidence[0] <= j.evidence[1] => format!(
-            "Leave `{}` as it is: the logs do not show that it is wrong (a true table would be improved as much by fitting its noise). No file is written.",
-            label.name
-        ),
-        Decision::Keep => format!(
-            "Leave `{}` as it is: on unseen samples no difference between the fitted table and the present one can be shown ({:.1} standard errors, 1.6 would count). No file is written.",
-            label.name, j.improvement
-        ),
-        Decision::Refuse => format!(
-            "The fitted `{}` is refused: it explains unseen samples worse than the present one ({:.1} standard errors). No file is written.",
-            label.name, j.improvement
-        ),
-    };
+    let first = decided(label, found);
     let s = &found.sensor;
     let flow = match s.flow_delay_s > 0.0 {
         true => format!(
@@ -280,6 +353,60 @@ fn verdict(label: &Label, found: &Found) -> Vec<String> {
     });
     [first, numbers, cells, sensor].into_iter().chain(steps).collect()
 }
+
+/// Cells of the new table that a tuner should look at, and a sensor that steps contradict.
+fn doubted(label: &Label, found: &Found) -> Vec<String> {
+    let mut out = Vec::new();
+    let steep = steep(label, &found.table.values);
+    if !steep.is_empty() {
+        let named = steep.iter().take(NAMED).map(|(high, low, ratio)| {
+            let v = &found.table.values;
+            format!(
+                "{} at {} beside {} at {} ({ratio:.2} times)",
+                v[*high],
+                place(label, *high),
+                v[*low],
+                place(label, *low)
+            )
+        });
+        out.push(format!(
+            "the new table is steeper than the one before is anywhere: {}{}; look at these cells before they are driven",
+            named.collect::<Vec<_>>().join("; "),
+            if steep.len() > NAMED { format!("; and {} more", steep.len() - NAMED) } else { String::new() }
+        ));
+    }
+    let (own, mut held): (Vec<&String>, Vec<&String>) =
+        found.table.held.iter().partition(|h| h.contains(NEIGHBOURS));
+    if !own.is_empty() {
+        out.push(format!(
+            "{} cells with less than one independent measurement would go further than the cells around them, and are held at the change of these",
+            own.len()
+        ));
+    }
+    held.dedup();
+    out.extend(held.into_iter().map(|h| format!("cells of the new table are held by a limit: {h}")));
+    let s = &found.sensor;
+    if let Some(part) = s.on_bound() {
+        out.push(format!(
+            "the {part} of the lambda sensor lies on the bound of the search, {MOST_S} s: it is not known"
+        ));
+    }
+    if let Some(h) = &found.steps {
+        let [low, _, high] = h.quartiles_s;
+        let made = s.delay_s + s.flow_delay_s + s.lag_s * std::f64::consts::LN_2;
+        // Tukey's fences.
+        let fence = 1.5 * (high - low);
+        if made < low - fence || made > high + fence {
+            out.push(format!(
+                "after fuel cuts lambda comes to half of its way back after {low:.2} to {high:.2} s (quartiles), the sensor that was found makes {made:.2} s of it: one of the two is something else"
+            ));
+        }
+    }
+    out
+}
+
+/// Pairs of cells that are named.
+const NAMED: usize = 3;
 
 fn said(found: &Found, logs: &[Log]) -> Vec<String> {
     let mut out = Vec::new();
@@ -309,7 +436,7 @@ fn said(found: &Found, logs: &[Log]) -> Vec<String> {
     }
     if found.judgement.unknown > found.judgement.samples {
         out.push(format!(
-            "{} of the later samples lie in cells that the first part never saw and are not judged: the logs visit other states early and late",
+            "{} of the later samples lie in cells of which the first part has less than one independent measurement, and are not judged: what is written there is what cells around them say",
             found.judgement.unknown
         ));
     }

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::{Graph, Op, Record, place};
+use crate::rows::Rows;
 
 /// Samples that one processor takes at a time.
 const PIECE: usize = 8192;
@@ -254,6 +255,81 @@ impl Graph {
             d.push(dy);
         }
         d
+    }
+
+    /// Whether node `output` has no memory of labels: a sample of it depends on what labels give at the same sample.
+    pub(crate) fn forgets(&self, output: usize) -> bool {
+        let mut on_the_way = vec![false; output + 1];
+        on_the_way[output] = true;
+        for k in (0..=output).rev().filter(|k| self.depends(*k)) {
+            if on_the_way[k] {
+                if self.nodes[k].op.remembers() {
+                    return false;
+                }
+                self.nodes[k].op.inputs().into_iter().for_each(|i| on_the_way[i] = true);
+            }
+        }
+        true
+    }
+
+    /// Rows of the derivative of node `output` with respect to the cells at the samples `used`; only where it [`Graph::forgets`].
+    pub(crate) fn reads(
+        &self,
+        theta: &[f64],
+        record: &Record,
+        run: &Run,
+        output: usize,
+        used: &[usize],
+        rows: &mut Rows,
+    ) {
+        let first = self.first();
+        let read: Vec<(usize, Vec<f64>)> = (0..=output)
+            .filter(|k| matches!(self.nodes[*k].op, Op::Label(..)))
+            .map(|k| (k, self.slope_of(theta, record, run, output, k)))
+            .collect();
+        let mut row: Vec<(usize, f64)> = Vec::new();
+        for &t in used {
+            row.clear();
+            for (k, slope) in read.iter().filter(|(_, s)| s[t] != 0.0) {
+                let Op::Label(l, at) = &self.nodes[*k].op else { continue };
+                let (cells, weights, n) = self.labels[*l].weights(&spot(at, |i| run.values[*i][t]));
+                for c in 0..n {
+                    let (cell, v) = (first[*l] + cells[c], slope[t] * weights[c]);
+                    match row.iter_mut().find(|r| r.0 == cell) {
+                        Some(r) => r.1 += v,
+                        None => row.push((cell, v)),
+                    }
+                }
+            }
+            rows.start();
+            row.iter().for_each(|(c, v)| rows.push(*c, *v));
+        }
+    }
+
+    /// Derivative of node `output` with respect to what node `from` gives at the same sample.
+    fn slope_of(&self, theta: &[f64], record: &Record, run: &Run, output: usize, from: usize) -> Vec<f64> {
+        let (first, n) = (self.first(), record.time_s.len());
+        let still = vec![0.0; theta.len()];
+        let mut d: Vec<Vec<f64>> = vec![Vec::new(); from];
+        let mut reached = vec![false; from];
+        d.push(vec![1.0; n]);
+        reached.push(true);
+        let zeros = vec![0.0; n];
+        for k in from + 1..=output {
+            let inputs = self.nodes[k].op.inputs();
+            reached.push(inputs.iter().any(|i| reached[*i]));
+            if !reached[k] {
+                d.push(Vec::new());
+                continue;
+            }
+            // Nodes beside the way do not change.
+            inputs.iter().filter(|i| !reached[**i]).for_each(|i| d[*i].clone_from(&zeros));
+            let mut dm = 0.0;
+            let dy = (0..n).map(|t| self.tangent(k, t, &still, theta, &first, record, run, &d, &[], &mut dm));
+            let dy = dy.collect();
+            d.push(dy);
+        }
+        if reached[output] { std::mem::take(&mut d[output]) } else { zeros }
     }
 
     pub(super) fn tangent(

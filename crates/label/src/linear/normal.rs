@@ -2,7 +2,7 @@
 
 use dynocal_numerics::linalg;
 
-use super::{Options, Problem, offsets};
+use super::{Options, Problem, Role, offsets};
 use crate::error::LabelError;
 
 /// Bounds of the search for the weight of the roughness, as powers of ten, and its steps.
@@ -13,6 +13,8 @@ const SMOOTH_TO: f64 = 4.0;
 const AS_GOOD: f64 = 3.841_458_820_694_124;
 /// Weight of the base where nothing else holds a cell, as a share of the mean weight of the data.
 const TIE: f64 = 1e-12;
+/// The same of a cell that no data reach.
+const TIE_ALONE: f64 = 1e-10;
 
 /// Cells with factors, what the fixed cells and the base add, and the number of the label.
 type RoughRow = (Vec<(usize, f64)>, f64, usize);
@@ -61,7 +63,8 @@ impl Normal {
             for row in l.roughness() {
                 // A cell that keeps its base has no change: where the change is smoothed that is known of it, as of one that is
                 // locked, and a cell with little data beside it does not run away from it. Of its value nothing is known.
-                let unknown = |k: usize| map[from + k].is_none() && !locked[from + k];
+                let follows = |k: usize| matches!(p.roles.get(k), Some(Role::Follows(_)));
+                let unknown = |k: usize| map[from + k].is_none() && !locked[from + k] && !follows(from + k);
                 if !options.smooth_change && row.iter().any(|(k, _)| unknown(*k)) {
                     continue;
                 }
@@ -70,8 +73,7 @@ impl Normal {
                 } else {
                     row.iter().map(|(k, d)| d * base[from + k]).sum()
                 };
-                let terms: Vec<(usize, f64)> =
-                    row.iter().filter_map(|(k, d)| map[from + k].map(|f| (f, *d))).collect();
+                let terms = p.over_free(map, row.iter().map(|(k, d)| (from + k, *d)));
                 if !terms.is_empty() {
                     rough.push((terms, told, number));
                 }
@@ -147,8 +149,20 @@ impl Normal {
         }
     }
 
-    /// `H = G + lambda P + V`, upper triangle.
+    /// `H = G + lambda P + V`, upper triangle, with a tie to the base where nothing else holds a cell.
     pub(super) fn hessian(&self, smooth: f64) -> Vec<f64> {
+        let n = self.n;
+        let mut h = self.untied(smooth);
+        let mean = (0..n).map(|k| self.g[k * n + k]).sum::<f64>() / n.max(1) as f64;
+        for k in 0..n {
+            // A cell without data that others take along is not to be lost in their rounding.
+            h[k * n + k] += mean * if self.g[k * n + k] > 0.0 { TIE } else { TIE_ALONE };
+        }
+        h
+    }
+
+    /// The same without the tie.
+    pub(super) fn untied(&self, smooth: f64) -> Vec<f64> {
         let n = self.n;
         let mut h = self.g.clone();
         for (terms, _, number) in &self.rough {
@@ -159,10 +173,7 @@ impl Normal {
                 }
             }
         }
-        let mean = (0..n).map(|k| self.g[k * n + k]).sum::<f64>() / n.max(1) as f64;
-        for k in 0..n {
-            h[k * n + k] += self.base_weight[k] + TIE * mean;
-        }
+        (0..n).for_each(|k| h[k * n + k] += self.base_weight[k]);
         h
     }
 
@@ -222,7 +233,7 @@ impl Normal {
             self.gathered = Some(weights.to_vec());
         }
         if self.samples < 1.0 || self.n == 0 {
-            return Err(LabelError::TooFew { found: self.samples as usize, expected: 1 });
+            return Err(super::nothing_told(p, self.samples as usize));
         }
         if let Some(smooth) = smooth {
             return Ok(self.at(smooth, tau)?.0);

@@ -1,7 +1,5 @@
 //! The first stage: Levenberg-Marquardt from the start, with a fixed smoothness.
 
-use dynocal_numerics::linalg;
-
 use super::{
     FIRST_SMOOTH, Linear, MOST_STEPS, Target, all_limits, linearise, not_finite, residuals, size, squares,
 };
@@ -23,12 +21,11 @@ impl Rough {
     /// The roughness of the labels of `graph`, each in the size that the data have on its label at `at`.
     fn new(graph: &Graph, at: &Linear, smooth: f64, change: bool) -> Self {
         let (first, _) = offsets(&graph.labels);
-        let mut rows = Vec::new();
+        let (mut rows, diagonal) = (Vec::new(), at.j.squares(&at.w, graph.base().len()));
         for (l, from) in graph.labels.iter().zip(first) {
             let own: Vec<Vec<(usize, f64)>> = l.roughness();
             let square: f64 = own.iter().flatten().map(|(_, d)| d * d).sum();
-            let of = |c: usize| at.j[c].iter().zip(&at.w).map(|(j, w)| w * j * j).sum::<f64>();
-            let data: f64 = (from..from + l.len()).map(of).sum();
+            let data: f64 = diagonal[from..from + l.len()].iter().sum();
             if !(smooth > 0.0 && square > 0.0 && data > 0.0) {
                 continue;
             }
@@ -114,17 +111,8 @@ pub(super) fn search(
 
 /// `J'WJ` (upper triangle) and `J'Wr`.
 fn normal(at: &Linear, graph: &Graph) -> (Vec<f64>, Vec<f64>) {
-    let n = at.j.len();
     let locked: Vec<bool> = graph.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
-    let (mut h, mut g) = (vec![0.0; n * n], vec![0.0; n]);
-    for a in (0..n).filter(|a| !locked[*a]) {
-        let weighted: Vec<f64> = at.j[a].iter().zip(&at.w).map(|(j, w)| j * w).collect();
-        g[a] = linalg::dot(&weighted, &at.r);
-        for b in (a..n).filter(|b| !locked[*b]) {
-            h[a * n + b] = linalg::dot(&weighted, &at.j[b]);
-        }
-    }
-    (h, g)
+    at.j.normal(&at.w, &at.r, &locked)
 }
 
 /// The step of least damped cost within the limits; a cell that is locked, or that nothing depends on, stays.

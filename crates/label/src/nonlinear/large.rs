@@ -17,7 +17,7 @@
 //! step at most (`timing.rs`). Where samples are many the search begins with the first quarter of each record.
 
 mod system;
-mod timing;
+pub(super) mod timing;
 mod told;
 
 use std::sync::Arc;
@@ -32,6 +32,11 @@ use crate::linear::{self, Options};
 use dynocal_numerics::linalg::{dot, norm2};
 use system::{Exact, Levels, Pairs, System};
 use timing::Timing;
+
+/// Cells that a delay, lag or film is timed by, and shares of a film.
+pub(super) fn times_a_memory(graph: &Graph) -> Vec<bool> {
+    timing::timing(graph)
+}
 
 /// Most steps of a round.
 const MOST_STEPS: usize = 60;

@@ -3,7 +3,7 @@
 use super::{Found, Linear, Target, linearise, residuals, size, squares};
 use crate::error::LabelError;
 use crate::graph::Graph;
-use crate::linear::{self, Fit, Options, Problem};
+use crate::linear::{self, Fit, Open, Options, Problem};
 use crate::rows::Rows;
 
 /// Most rounds.
@@ -12,6 +12,10 @@ const MOST_ROUNDS: usize = 40;
 const CHOOSES: usize = 4;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
+/// Share of what is left, root mean square, by which a change of the labels that counts changes the function.
+const SEEN: f64 = 1e-3;
+/// Rounds in a row in which nothing that counts changes, after which it is only what is open that moves.
+const STILL: usize = 3;
 /// Excess of the cost over what the linear fit says, at which a step is too long for a straight line.
 const STRAIGHT: f64 = 0.1;
 
@@ -34,6 +38,7 @@ pub(super) fn search(
         // The linear fit at a minimum is that minimum.
         return Ok(Found { fit, steps: begun, converged: minimum });
     }
+    let mut still = 0;
     for round in 1..=MOST_ROUNDS {
         if interrupt() {
             break;
@@ -45,12 +50,29 @@ pub(super) fn search(
         let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
         let stands = size(&change) <= STANDS * (STANDS + size(&theta));
         theta = moved;
-        fit = told(graph, &theta, &linearise(graph, &theta, targets), &options)?;
-        if stands && round > CHOOSES {
+        let smooth = fit.smooth;
+        let at = linearise(graph, &theta, targets);
+        let left: f64 = at.r.iter().zip(&at.w).map(|(r, w)| w * r * r).sum();
+        let seen = at.j.square_of(&change, &at.w) > SEEN * SEEN * left;
+        still = if seen { 0 } else { still + 1 };
+        fit = told(graph, &theta, &at, &options)?;
+        if stands && (round > CHOOSES || fit.smooth == smooth) {
+            return Ok(Found { fit, steps: begun + round, converged: true });
+        }
+        if round > CHOOSES && still >= STILL && !stands {
+            // What is measured stands; the labels move along what nothing tells of.
             return Ok(Found { fit, steps: begun + round, converged: true });
         }
     }
     Ok(Found { fit, steps: begun + MOST_ROUNDS, converged: false })
+}
+
+/// What only smoothness holds, across labels.
+fn across(graph: &Graph, at: &Linear) -> Open {
+    let locked: Vec<bool> = graph.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
+    let owner: Vec<usize> =
+        graph.labels.iter().enumerate().flat_map(|(k, l)| std::iter::repeat_n(k, l.len())).collect();
+    Open::across(&at.j.normal(&at.w, &at.r, &locked).0, &owner)
 }
 
 /// The point on the way to `goal` where the function is still nearly as straight as the fit takes it.
@@ -86,12 +108,8 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
     let (mut rows, mut target) = (Rows::default(), Vec::with_capacity(at.r.len()));
     for k in 0..at.r.len() {
         rows.start();
-        let mut y = at.r[k];
-        for (c, column) in at.j.iter().enumerate() {
-            rows.push(c, column[k]);
-            y += column[k] * theta[c];
-        }
-        target.push(y);
+        at.j.row(k, &mut |c, v| rows.push(c, v));
+        target.push(at.r[k] + rows.times(k, theta));
     }
     // Samples that follow each other without a gap.
     let (mut segments, mut from) = (Vec::new(), 0);
@@ -106,7 +124,28 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
         from += used.len();
         segments.push(start..from);
     }
-    let problem =
-        Problem { labels: &graph.labels, rows: &rows, target: &target, weights: Some(&at.w), segments };
-    linear::fit(&problem, options)
+    let problem = Problem {
+        labels: &graph.labels,
+        rows: &rows,
+        target: &target,
+        weights: Some(&at.w),
+        segments,
+        roles: Vec::new(),
+        bounds: Vec::new(),
+    };
+    let mut fit = linear::fit(&problem, options)?;
+    if fit.open.is_empty() && graph.labels.len() > 1 {
+        fit.open = across(graph, at);
+        fit.mark_open();
+    }
+    if !fit.open.is_empty() && fit.held.is_empty() {
+        // Along what is open the linear fit is as far off as it likes, and the function bends.
+        let change: Vec<f64> = fit.exact.iter().zip(theta).map(|(a, b)| a - b).collect();
+        let kept = fit.open.without(&change);
+        fit.exact = theta.iter().zip(kept).map(|(t, c)| t + c).collect();
+        if fit.proven.is_none() {
+            fit.values.clone_from(&fit.exact);
+        }
+    }
+    Ok(fit)
 }

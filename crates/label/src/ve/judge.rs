@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Used;
+use super::sensor::Sensor;
 use crate::correlation;
 use crate::label::Label;
 use crate::linear::Fit;
@@ -19,14 +20,40 @@ pub enum Decision {
     Refuse,
 }
 
+/// Why it is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// Unseen samples are explained better.
+    Better,
+    /// Unseen samples are explained worse.
+    Worse,
+    /// Unseen samples show no difference.
+    NoDifference,
+    /// A true table would be improved as much by fitting its noise.
+    Noise,
+    /// Unseen samples are worth too few independent measurements.
+    TooFew,
+    /// The mean of the nearest cell explains unseen samples better.
+    NearestIsBetter,
+    /// Delay or lag of the sensor lie on the bound of their search.
+    OnBound,
+    /// Lambda is left by more than an engine can run with.
+    NoEngine,
+}
+
 /// Numbers on unseen samples.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Judgement {
     /// What is done.
     pub decision: Decision,
+    /// Why.
+    pub reason: Reason,
     /// Unseen samples whose cells were fitted.
     pub samples: usize,
-    /// Unseen samples that are left out because they lie in cells without data.
+    /// Independent measurements that these are worth.
+    pub facts: f64,
+    /// Unseen samples that are left out because they lie in cells with less than one independent measurement.
     pub unknown: usize,
     /// Root mean square of measured over expected lambda less 1, with the table as it was.
     pub rms_before: f64,
@@ -36,6 +63,8 @@ pub struct Judgement {
     pub rms_nearest: f64,
     /// Improvement of the squared share over its standard error, correlated samples counted as what they are worth.
     pub improvement: f64,
+    /// What it must be to count, either way: one-sided 95 % of Student's distribution with as many facts.
+    pub needed: f64,
     /// What the samples of the fit say against the table as it was, `n ln(rms_before^2 / rms_after^2)` with n the independent ones,
     /// and what a true table would reach in 1 of 20 cases.
     pub evidence: [f64; 2],
@@ -43,13 +72,26 @@ pub struct Judgement {
     pub drift: [f64; 2],
 }
 
-/// Standard errors that an improvement, or a loss, must have to count: one-sided 95 %.
+/// One-sided 95 % of the normal distribution.
 const COUNTS: f64 = 1.645;
 /// Weight of unfitted cells at which a sample is unknown.
 const UNKNOWN: f64 = 0.05;
+/// Independent measurements from which the variance of their gain is known to a quarter, `1 / sqrt(2 (n - 1))`: with fewer a table is not
+/// judged.
+pub const NEEDED: f64 = 10.0;
+/// Share by which measured lambda may leave the expected one: a mixture of half or one and a half times the air that was asked for does
+/// not burn (J. B. Heywood, Internal combustion engine fundamentals, 1988, chapter 9), so that the log is not what it is taken for.
+const MOST_LEFT: f64 = 0.5;
 
-/// Judges `found`, fitted to `train`, on `test`.
-pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
+/// Judges `found`, fitted to `train`, on `test`; samples count where the cells that they read are `covered` by the fit.
+pub fn of(
+    label: &Label,
+    found: &Fit,
+    covered: &[bool],
+    train: &Used,
+    test: &Used,
+    sensor: &Sensor,
+) -> Judgement {
     let nearest = nearest_mean(label, train);
     let mut errors: Vec<[f64; 3]> = Vec::new();
     let mut unknown = 0;
@@ -57,8 +99,7 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
     for k in 0..test.y.len() {
         let (cells, weights) = test.rows.row(k);
         let sum: f64 = weights.iter().sum();
-        let outside: f64 =
-            cells.iter().zip(weights).filter(|(c, _)| found.visits[**c] < 1.0).map(|(_, w)| w).sum();
+        let outside: f64 = cells.iter().zip(weights).filter(|(c, _)| !covered[**c]).map(|(_, w)| w).sum();
         if outside > UNKNOWN * sum {
             unknown += 1;
             continue;
@@ -73,32 +114,47 @@ pub fn of(label: &Label, found: &Fit, train: &Used, test: &Used) -> Judgement {
         at.push(test.at[k]);
     }
     let n = errors.len().max(1) as f64;
-    let rms = |c: usize| (errors.iter().map(|e| e[c] * e[c]).sum::<f64>() / n).sqrt();
+    // Adding 0 makes 0 of the -0 of an empty sum.
+    let rms = |c: usize| ((errors.iter().map(|e| e[c] * e[c]).sum::<f64>() + 0.0) / n).sqrt();
     let gain: Vec<f64> = errors.iter().map(|e| e[0] * e[0] - e[1] * e[1]).collect();
     let part = Used { at, rows: crate::rows::Rows::default(), y: Vec::new() };
-    let (mean_gain, se_gain) = mean_and_error(&gain, &part);
+    // A part of a few seconds does not tell how long its samples hang together: at least as long as those of the fit.
+    let (mean_gain, se_gain, facts) = mean_and_error(&gain, &part, found.correlation_samples);
     let left: Vec<f64> = errors.iter().map(|e| e[1]).collect();
-    let (drift, se_drift) = mean_and_error(&left, &part);
+    let (drift, se_drift, _) = mean_and_error(&left, &part, found.correlation_samples);
     let improvement = if se_gain > 0.0 { mean_gain / se_gain } else { 0.0 };
     let evidence = evidence(found, train.y.len());
-    let decision = if evidence[0] <= evidence[1] {
+    let rms = [rms(0), rms(1), rms(2)];
+    let needed = correlation::t_one_sided(facts - 1.0);
+    let (decision, reason) = if !(rms[1] <= MOST_LEFT) && !errors.is_empty() {
+        (Decision::Refuse, Reason::NoEngine)
+    } else if facts < NEEDED {
+        (Decision::Keep, Reason::TooFew)
+    } else if evidence[0] <= evidence[1] {
         // What it fitted is noise: neither better nor worse is a statement about the engine.
-        Decision::Keep
-    } else if improvement > COUNTS {
-        Decision::Change
-    } else if improvement < -COUNTS {
-        Decision::Refuse
+        (Decision::Keep, Reason::Noise)
+    } else if improvement < -needed {
+        (Decision::Refuse, Reason::Worse)
+    } else if improvement <= needed {
+        (Decision::Keep, Reason::NoDifference)
+    } else if sensor.on_bound().is_some() {
+        (Decision::Keep, Reason::OnBound)
+    } else if rms[1] > rms[2] {
+        (Decision::Keep, Reason::NearestIsBetter)
     } else {
-        Decision::Keep
+        (Decision::Change, Reason::Better)
     };
     Judgement {
         decision,
+        reason,
         samples: errors.len(),
+        facts,
         unknown,
-        rms_before: rms(0),
-        rms_after: rms(1),
-        rms_nearest: rms(2),
+        rms_before: rms[0],
+        rms_after: rms[1],
+        rms_nearest: rms[2],
         improvement,
+        needed,
         evidence,
         drift: [drift, se_drift],
     }
@@ -112,15 +168,9 @@ fn evidence(found: &Fit, samples: usize) -> [f64; 2] {
     [2.0 * n * (found.rms[0] / found.rms[1].max(1e-12)).ln(), p + COUNTS * (2.0 * p).sqrt()]
 }
 
-fn mean_and_error(v: &[f64], part: &Used) -> (f64, f64) {
-    let n = v.len() as f64;
-    if v.len() < 3 {
-        return (0.0, 0.0);
-    }
-    let mean = v.iter().sum::<f64>() / n;
-    let tau = correlation::time_samples(v, &part.segments());
-    let variance = v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    (mean, (variance * tau / n).sqrt())
+/// Mean of a series, its standard error, and the independent measurements that it is worth; samples hang together for `least` at least.
+fn mean_and_error(v: &[f64], part: &Used, least: f64) -> (f64, f64, f64) {
+    correlation::mean_and_error(v, &part.segments(), least)
 }
 
 /// What tuning tools do: every sample corrects the cell that it is nearest to, by the ratio of measured and expected lambda.

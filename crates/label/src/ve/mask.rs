@@ -68,7 +68,7 @@ pub fn of(log: &Log, keys: &Keys) -> Mask {
         })
         .collect();
     let since = since_cut(log, &burning);
-    let (railed, stuck) = (railed(&log.lambda), stuck(log));
+    let (railed, stuck) = (railed(&log.lambda), stuck(&log.time_s, &log.lambda));
     let sensed: Vec<bool> =
         (0..n).map(|k| log.lambda[k].is_finite() && log.lambda[k] > 0.0 && !railed[k] && !stuck[k]).collect();
     let cold = |k: usize| log.coolant_c.as_ref().is_some_and(|c| !(c[k] >= keys.least_coolant_c));
@@ -96,6 +96,12 @@ pub fn of(log: &Log, keys: &Keys) -> Mask {
         .collect();
     let left_out = reasons.iter().zip(counts).map(|((name, _), c)| ((*name).to_string(), c)).collect();
     Mask { use_at, burning, sensed, left_out }
+}
+
+/// Whether the sensor says a lambda: a positive number that is not its rail, and not the same for seconds.
+pub fn sensed(time_s: &[f64], lambda: &[f64]) -> Vec<bool> {
+    let (railed, stuck) = (railed(lambda), stuck(time_s, lambda));
+    (0..lambda.len()).map(|k| lambda[k].is_finite() && lambda[k] > 0.0 && !railed[k] && !stuck[k]).collect()
 }
 
 /// Time since the engine last ran without fuel; a log begins with one that is not known, and so does what follows a hole in it.
@@ -136,13 +142,13 @@ fn railed(lambda: &[f64]) -> Vec<bool> {
 }
 
 /// Stretches in which lambda does not change at all: a sensor that warms up, or none.
-fn stuck(log: &Log) -> Vec<bool> {
-    let n = log.lambda.len();
+fn stuck(time_s: &[f64], lambda: &[f64]) -> Vec<bool> {
+    let n = lambda.len();
     let mut out = vec![false; n];
     let mut from = 0;
     for k in 1..=n {
-        if k == n || log.lambda[k] != log.lambda[from] {
-            if log.time_s[k - 1] - log.time_s[from] >= STUCK_S {
+        if k == n || lambda[k] != lambda[from] {
+            if time_s[k - 1] - time_s[from] >= STUCK_S {
                 out[from..k].fill(true);
             }
             from = k;

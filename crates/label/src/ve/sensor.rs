@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::mask::{GAP_S, Mask};
-use super::{Keys, Log, Used, fit};
+use super::table::fit;
+use super::{Keys, Log, Used};
 use crate::error::LabelError;
 use crate::label::Label;
 use crate::linear::Options;
@@ -11,6 +12,8 @@ use crate::rows::Rows;
 
 /// Flow at which `flow_delay_s` is what it says: speed in rpm times load.
 pub const REFERENCE_FLOW: f64 = 2000.0 * 50.0;
+/// Greatest delay and time constant that are searched, in s.
+pub const MOST_S: f64 = 2.0;
 /// Share of the lag's memory that is cut off.
 const TAIL: f64 = 0.02;
 
@@ -30,6 +33,16 @@ impl Sensor {
     /// Delay at a speed and load.
     pub fn delay(&self, speed_rpm: f64, load: f64) -> f64 {
         self.delay_s + self.flow_delay_s * REFERENCE_FLOW / (speed_rpm * load).max(0.1 * REFERENCE_FLOW)
+    }
+
+    /// What lies on the bound of the search.
+    pub fn on_bound(&self) -> Option<&'static str> {
+        let parts = [
+            (self.delay_s, "delay"),
+            (self.flow_delay_s, "delay with the flow"),
+            (self.lag_s, "time constant"),
+        ];
+        parts.into_iter().find(|p| p.0 >= MOST_S).map(|p| p.1)
     }
 
     fn parts(&self) -> usize {
@@ -157,7 +170,7 @@ pub fn search(
     let mut best = Sensor::default();
     let mut least = score(best).ok_or(LabelError::TooFew { found: 0, expected: 100 })?;
     // From none, and from what steps say: as a delay alone, and half of it as a lag.
-    let step_s = half_height_s.unwrap_or(0.0).clamp(0.0, 2.0);
+    let step_s = half_height_s.unwrap_or(0.0).clamp(0.0, MOST_S);
     let round = |v: f64| (v * 20.0).round() / 20.0;
     let starts = [
         Sensor::default(),
@@ -193,8 +206,9 @@ fn descend(start: Sensor, score: &mut dyn FnMut(Sensor) -> Option<f64>) -> Optio
                 let centre = *part(&mut best.clone());
                 for k in -count..=count {
                     let mut s = best;
-                    let v = ((centre + f64::from(k) * step) * 1000.0).round() / 1000.0;
-                    if !(0.0..=2.0).contains(&v) {
+                    // Adding 0 makes 0 of -0.
+                    let v = ((centre + f64::from(k) * step) * 1000.0).round() / 1000.0 + 0.0;
+                    if !(0.0..=MOST_S).contains(&v) {
                         continue;
                     }
                     *part(&mut s) = v;

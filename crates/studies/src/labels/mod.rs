@@ -186,7 +186,7 @@ fn log(data: Option<&Path>, name: &str) -> Result<PathBuf, StudyError> {
 fn pulse(data: Option<&Path>, around: &Surroundings) -> Result<Pulse, StudyError> {
     let path = log(data, PULSE)?;
     let fail = |e: &dyn std::fmt::Display| refused("pulse", e);
-    let (_, tune) = channels::log(&path, &mut Vec::new()).map_err(|e| fail(&e))?;
+    let (_, tune) = channels::log(&path, None, &mut Vec::new()).map_err(|e| fail(&e))?;
     let tune = tune.ok_or_else(|| refused("pulse", "the log carries no tune"))?;
     let of = |name: &str| tune.constant(name).map(|c| c.values.clone()).map_err(|e| fail(&e));
     let text = include_str!("pulse.toml").replace("REQUIRED", &format!("{:e}", 1e-6 * of("reqFuel")?[0]));
@@ -209,7 +209,7 @@ fn pulse(data: Option<&Path>, around: &Surroundings) -> Result<Pulse, StudyError
 fn enriched(data: Option<&Path>, name: &str, around: &Surroundings) -> Result<Enriched, StudyError> {
     let path = log(data, name)?;
     let fail = |e: &dyn std::fmt::Display| refused(name, e);
-    let (_, tune) = channels::log(&path, &mut Vec::new()).map_err(|e| fail(&e))?;
+    let (_, tune) = channels::log(&path, None, &mut Vec::new()).map_err(|e| fail(&e))?;
     let tune = tune.ok_or_else(|| refused(name, "the log carries no tune"))?;
     let required = tune.constant("reqFuel").map(|c| c.values[0]).map_err(|e| fail(&e))?;
     let text = include_str!("pulse_enriched.toml").replace("REQUIRED", &format!("{:e}", 1e-6 * required));
@@ -349,8 +349,9 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
         ));
     }
     for (name, page, nearest, tune) in DRIVES.iter().filter(|d| results.iter().any(|r| r.name == d.0)) {
-        let d: Option<Drive> = result(results, name);
-        let e: Option<Drive> = result(results, &with_enriched(name));
+        // What nothing judges has no number.
+        let judged = |name: &str| result::<Drive>(results, name).filter(|d| d.samples > 0);
+        let (d, e) = (judged(name), judged(&with_enriched(name)));
         out.push(check(
             format!("ve-{name}-enriched-too"),
             "The same where samples count in which the ECU enriches, as those of the specification do",

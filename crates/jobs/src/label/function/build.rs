@@ -279,6 +279,10 @@ impl Build<'_> {
                 count(1, "what is limited", faults)?;
                 let least = faults.required(&format!("{key}.least"), &n.least, "a number")?;
                 let greatest = faults.required(&format!("{key}.greatest"), &n.greatest, "a number")?;
+                if !(least <= greatest) {
+                    faults.push(&format!("{key}.least"), least, "a value not above `greatest`");
+                    return None;
+                }
                 let (lo, hi) =
                     (self.push(&n.name, Op::Constant(least)), self.push(&n.name, Op::Constant(greatest)));
                 let above = self.push(&n.name, Op::Max(inputs[0], lo));
@@ -372,8 +376,15 @@ impl Build<'_> {
                     }
                     Some(normalise(&model.unit))
                 }
+                Op::Delay(a, time) | Op::Lag(a, time) | Op::Film(a, _, time) => {
+                    if let Some(unit) = of(*time).filter(|u| u != "s") {
+                        let wanted = "a time in `s`: base, limits and axes are not converted";
+                        faults.push(&format!("{key}.in"), format!("a time in `{unit}`"), wanted);
+                    }
+                    of(*a)
+                }
                 Op::Switch(_, a, b) => of(*a).or_else(|| of(*b)),
-                Op::Delay(a, _) | Op::DelayFlow(a, ..) | Op::Lag(a, _) | Op::Film(a, ..) => of(*a),
+                Op::DelayFlow(a, ..) => of(*a),
                 _ => None,
             };
             let last = known + 1 == self.nodes.len();

@@ -5,6 +5,7 @@ use std::path::Path;
 use dynocal_files::atomic;
 use dynocal_label::label::Label;
 use dynocal_label::linear::Verdict;
+use dynocal_label::ve::judge::Decision;
 use dynocal_report::{Axis, Cell, Check, Column, HeatMap, Report, Section, Table, XyPlot, render};
 
 use super::work::Fitted;
@@ -27,16 +28,16 @@ fn report(found: &Fitted) -> Report {
     for text in &found.verdict {
         report = report.verdict(text.as_str());
     }
-    for text in &found.fit.held {
-        report = report.warning(format!("the fit is held by a limit: {text}"));
+    for text in &found.warnings {
+        report = report.warning(text.as_str());
     }
     report = report.check(
         Check::new("unseen", "what the labels leave of later, unseen samples (root mean square)")
             .asked(format!("not above {:.4}", found.unseen_rms[0]))
             .measured(found.unseen_rms[1])
             .unit("")
-            .holds(found.unseen_rms[1] <= found.unseen_rms[0])
-            .note("the demand is the base"),
+            .holds(found.decision != Decision::Refuse)
+            .note("the demand is the base; a loss counts where it is more than its standard error explains"),
     );
     report = report.section(cells(found));
     if found.labels.iter().any(|l| !l.axes.is_empty()) {
@@ -175,11 +176,11 @@ fn cells(found: &Fitted) -> Section {
         Column::text("Label"),
         Column::text("Unit"),
         Column::text("Cell"),
+        Column::text("Verdict"),
         Column::number("Before", ""),
         Column::number("Fitted", ""),
         Column::number("Half width, 95 %", ""),
         Column::number("Independent measurements", "").digits(3),
-        Column::text("Verdict"),
     ];
     let mut table = Table::new(head);
     let mut at = 0;
@@ -196,22 +197,24 @@ fn cells(found: &Fitted) -> Section {
                 Verdict::Pulled => "pulled",
                 Verdict::Untouched => "untouched",
                 Verdict::Locked => "locked",
+                Verdict::Open => "open",
             };
             table = table.row(vec![
                 Cell::from(l.name.as_str()),
                 l.unit.as_str().into(),
                 place.into(),
+                verdict.into(),
                 l.base[k].into(),
                 found.fit.values[at].into(),
                 Cell::from(found.half_width[at]),
                 found.fit.facts[at].into(),
-                verdict.into(),
             ]);
             at += 1;
         }
     }
     let text = "Determined: one independent measurement at the cell itself or more, and they outweigh what ties it to its neighbours and its \
-                base. Pulled: these say more than the data. Untouched: no data, the base stays. Labels that act together may each be \
+                base. Pulled: these say more than the data. Untouched: no data, the base stays, or follows where limits between cells take it along. Open: known only together with other \
+                cells. Intervals hold what noise does, and not what a smoothness that was given bends. Labels that act together may each be \
                 uncertain where their sum is known: that is in the intervals.";
     Section::new("Labels").text(text).block(table)
 }

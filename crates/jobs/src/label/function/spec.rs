@@ -125,7 +125,7 @@ pub struct Condition {
     pub greatest: Option<f64>,
     /// Change that it may have had, in shares of its value a second.
     pub slower_than: Option<f64>,
-    /// Time in s for which it must have been so slow; none for the sample alone.
+    /// Time in s for which all of it must have held before; none for the sample alone.
     pub for_s: Option<f64>,
 }
 
@@ -178,6 +178,8 @@ pub struct Job {
     pub shared: Vec<String>,
     /// Axes that are placed after the fit.
     pub placed: Vec<Placed>,
+    /// Channel among the targets that is a lambda: it must have its size, and its sensor must say one.
+    pub lambda: Option<String>,
     /// Every so many breakpoints of each axis are fitted first; 1 for all at once.
     pub reduce: usize,
     /// The fit.
@@ -212,6 +214,9 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     faults.range("reduce", reduce as f64, 1.0, 64.0, "");
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     conditions(&t.conditions, faults);
+    if let Some(smooth) = t.fit.as_ref().and_then(|f| f.smooth) {
+        faults.range("fit.smooth", smooth, 0.0, 1e6, "");
+    }
     let built = build::graph(t, folder, faults)?;
     if let Err(e) = built.graph.check(built.channels.len()) {
         faults.push("nodes", "a function that cannot be evaluated", e);
@@ -233,6 +238,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         graph: built.graph,
         shared: t.axes.iter().map(|a| a.name.clone()).collect(),
         placed: built.placed,
+        lambda: None,
         reduce,
         fit: t.fit.clone().unwrap_or_default(),
     })
@@ -252,8 +258,9 @@ fn conditions(all: &[Condition], faults: &mut Faults) {
         }
         if let Some(for_s) = c.for_s {
             faults.range(&format!("where[{k}].for_s"), for_s, 0.0, 1e4, "s");
-            if c.slower_than.is_none() {
-                faults.push(&format!("where[{k}].for_s"), for_s, "`slower_than` beside it");
+            if c.slower_than.is_none() && c.least.is_none() && c.greatest.is_none() {
+                let wanted = "`least`, `greatest` or `slower_than` beside it";
+                faults.push(&format!("where[{k}].for_s"), for_s, wanted);
             }
         }
     }

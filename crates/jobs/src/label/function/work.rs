@@ -1,19 +1,17 @@
 //! The work: read records, fit on the first part of each, judge on the rest.
 
-use std::path::Path;
-
-use dynocal_files::FilesError;
-use dynocal_files::measurement::{ReadKeys, open, recording_of};
-use dynocal_files::table::Cells;
 use dynocal_label::graph::{Graph, Op, Record};
 use dynocal_label::label::Label;
 use dynocal_label::linear::Fit;
 use dynocal_label::nonlinear::{self, Target};
+use dynocal_label::ve::judge::Decision;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
 use super::coarse::{self, Chosen};
-use super::spec::{Condition, Job};
+use super::record::{self, Read};
+use super::spec::Job;
+use super::{judge, said};
 use crate::label::result::LabelJobError;
 
 /// A fit of a function, the body of `summary.json`.
@@ -23,10 +21,18 @@ pub struct Fitted {
     pub verb: &'static str,
     /// Name of the run.
     pub name: String,
-    /// Whether the labels may be used: converged, and unseen samples are explained no worse than by the base.
+    /// Whether the labels may be used: converged, no time constant on its bound, and unseen samples are not explained worse than by the
+    /// base.
     pub valid: bool,
+    /// What is done with the labels; none where the search failed.
+    pub decision: Decision,
+    /// Improvement of the squares of unseen samples over its standard error, what it must be to count, and the independent measurements
+    /// that unseen samples are worth.
+    pub improvement: [f64; 3],
     /// What came out, in words.
     pub verdict: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
     /// Labels with their base, on the axes that they have in the end.
     pub labels: Vec<Label>,
     /// Names of the axes that labels share.
@@ -72,22 +78,15 @@ pub struct Left {
     pub residual: Vec<f64>,
 }
 
-struct Read {
-    time_s: Vec<f64>,
-    channels: Vec<Vec<f64>>,
-    targets: Vec<Vec<f64>>,
-    counts: Vec<bool>,
-}
-
 /// Fits in memory.
 ///
 /// # Errors
 /// [`LabelJobError`]: files, channels, the fit, an interruption.
 pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
-    let mut records = Vec::new();
+    let (mut records, mut notes) = (Vec::new(), Vec::new());
     for path in &job.data {
         watch.note(&format!("reading {}", path.display()));
-        records.push(read(path, job)?);
+        records.extend(record::read(path, job, &mut notes)?);
     }
     let (train, test): (Vec<Weights>, Vec<Weights>) = records.iter().map(|r| split(r, job)).unzip();
     let fitted = targets(job, &records, &train);
@@ -117,6 +116,13 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     }
     // The base on all breakpoints is what there was.
     let unseen_rms = [rms(&job.graph, &job.graph.base(), &judging), rms(&graph, &found.fit.values, &judging)];
+    let judged = judge::of(
+        &judge::Sides { before: &job.graph, after: &graph, values: &found.fit.values },
+        &fitted,
+        &judging,
+        &found.fit,
+    );
+    let bounds = judge::on_bound(&graph, &found.fit.values);
     let rows = job.rows.iter().enumerate().map(|(k, row)| {
         // Targets stand record by record, each with all rows.
         let own: Vec<Target> = judging.iter().skip(k).step_by(job.rows.len()).cloned().collect();
@@ -125,7 +131,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
         let (before, after) = (of(&job.graph, &job.graph.base()), of(&graph, &found.fit.values));
         (row.name.clone(), row.target.clone(), before, after)
     });
-    let rows = rows.collect();
+    let rows: Vec<(String, String, f64, f64)> = rows.collect();
     let count = |all: &[Target]| all.iter().flat_map(|t| t.weights).filter(|v| **v > 0.0).count();
     let samples = [count(&fitted), count(&judging)];
     let first = &records[0];
@@ -134,8 +140,20 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     Ok(Fitted {
         verb: "label",
         name: job.name.clone(),
-        valid: found.converged && unseen_rms[1] <= unseen_rms[0],
-        verdict: verdict(job, found.converged, unseen_rms, samples, unseen_rms_full),
+        valid: found.converged && bounds.is_empty() && judged.decision != Decision::Refuse,
+        decision: judged.decision,
+        improvement: [judged.improvement, judged.needed, judged.facts],
+        verdict: said::verdict(&said::Came {
+            converged: found.converged,
+            judged: &judged,
+            bounds: &bounds,
+            rows: &rows,
+            unseen_rms,
+            samples,
+            full: unseen_rms_full,
+            fit: &found.fit,
+        }),
+        warnings: said::warnings(&graph, &found.fit, notes),
         half_width: found.fit.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
         left: left(&graph, &nodes, first, job),
         labels: graph.labels,
@@ -180,115 +198,16 @@ fn left(graph: &Graph, nodes: &[Vec<f64>], record: &Read, job: &Job) -> Left {
 pub fn mean_of(channel: &str, job: &Job) -> Result<f64, LabelJobError> {
     let (mut sum, mut n) = (0.0, 0.0);
     for path in &job.data {
-        let record = read(path, &Job { channels: vec![channel.into()], ..job.clone() })?;
-        for k in (0..record.counts.len()).filter(|k| record.counts[*k]) {
-            sum += record.channels[0][k];
-            n += 1.0;
+        let units = vec![None];
+        let own = Job { channels: vec![channel.into()], units, ..job.clone() };
+        for record in record::read(path, &own, &mut Vec::new())? {
+            for k in (0..record.counts.len()).filter(|k| record.counts[*k]) {
+                sum += record.channels[0][k];
+                n += 1.0;
+            }
         }
     }
     Ok(sum / f64::max(n, 1.0))
-}
-
-fn verdict(job: &Job, converged: bool, rms: [f64; 2], samples: [usize; 2], full: Option<f64>) -> Vec<String> {
-    let first = if !converged {
-        "The search has not converged: the labels must not be used. No file is written."
-    } else if rms[1] <= rms[0] {
-        "The labels may be used: they explain the samples that they were not fitted to no worse than the base."
-    } else {
-        "The labels are refused: they explain the samples that they were not fitted to worse than the base. No file is written."
-    };
-    let what = match job.rows.as_slice() {
-        [row] => format!("`{}` is", row.target),
-        _ => "the weighted sum of all rows is".into(),
-    };
-    let numbers = format!(
-        "On {} later samples {what} left by {:.4} (root mean square) with the base and by {:.4} with the fitted labels; {} samples were fitted.",
-        samples[1], rms[0], rms[1], samples[0]
-    );
-    let mut out = vec![first.into(), numbers];
-    if let Some(full) = full {
-        out.push(format!(
-            "Breakpoints were taken away and placed anew: with all of them the later samples are left by {full:.4}, with those that stay by {:.4}.",
-            rms[1]
-        ));
-    }
-    out
-}
-
-fn read(path: &Path, job: &Job) -> Result<Read, LabelJobError> {
-    let file = path.display().to_string();
-    let targets = job.rows.iter().map(|r| &r.target);
-    let wanted: Vec<&String> =
-        job.channels.iter().chain(targets).chain(job.conditions.iter().map(|c| &c.channel)).collect();
-    let source = open(path, None, &ReadKeys::default())?;
-    let recording = recording_of(source.as_ref(), &|name| wanted.iter().any(|w| *w == name))?;
-    let raster = recording.rasters.into_iter().max_by_key(|r| r.columns.len());
-    let raster = raster.ok_or_else(|| FilesError::Empty { path: file.clone(), expected: "a record" })?;
-    let column = |name: &str| -> Result<Vec<f64>, LabelJobError> {
-        match raster.columns.iter().find(|c| c.name == name).map(|c| &c.cells) {
-            Some(Cells::Number(v)) => Ok(v.clone()),
-            _ => Err(LabelJobError::Channel {
-                file: file.clone(),
-                what: "the function",
-                expected: format!("`{name}` (with numbers, in one raster with the others)"),
-                known: source
-                    .groups()
-                    .iter()
-                    .flat_map(|g| &g.channels)
-                    .map(|c| c.name.as_str())
-                    .collect::<Vec<_>>()
-                    .join(", "),
-            }),
-        }
-    };
-    for (name, unit) in job.channels.iter().zip(&job.units) {
-        let measured = raster.columns.iter().find(|c| c.name == *name).and_then(|c| c.unit.as_ref());
-        if let (Some(unit), Some((measured, _))) = (unit, measured)
-            && unit != measured
-        {
-            return Err(LabelJobError::Unit {
-                file: file.clone(),
-                channel: name.clone(),
-                found: measured.clone(),
-                expected: unit.clone(),
-            });
-        }
-    }
-    let channels = job.channels.iter().map(|c| column(c)).collect::<Result<Vec<_>, _>>()?;
-    let targets = job.rows.iter().map(|r| column(&r.target)).collect::<Result<Vec<_>, _>>()?;
-    let mut counts: Vec<bool> =
-        (0..raster.time_s.len()).map(|k| targets.iter().all(|t| t[k].is_finite())).collect();
-    for c in &job.conditions {
-        let v = column(&c.channel)?;
-        let slow = slow(c, &raster.time_s, &v);
-        counts.iter_mut().zip(v).zip(slow).for_each(|((o, v), slow)| *o &= slow && within(c, v));
-    }
-    Ok(Read { time_s: raster.time_s, channels, targets, counts })
-}
-
-fn within(c: &Condition, v: f64) -> bool {
-    v >= c.least.unwrap_or(f64::NEG_INFINITY) && v <= c.greatest.unwrap_or(f64::INFINITY)
-}
-
-/// Time in s over which a rate is measured: shorter and it is that of the noise.
-const RATE_OVER_S: f64 = 0.1;
-
-/// Whether the channel has been slow for as long as the condition asks.
-fn slow(c: &Condition, time_s: &[f64], v: &[f64]) -> Vec<bool> {
-    let Some(most) = c.slower_than else { return vec![true; v.len()] };
-    let (mut from, mut last_fast) = (0, f64::NEG_INFINITY);
-    (0..v.len())
-        .map(|k| {
-            while from + 1 < k && time_s[k] - time_s[from + 1] >= RATE_OVER_S {
-                from += 1;
-            }
-            let (dt, change) = (time_s[k] - time_s[from], (v[k] - v[from]).abs());
-            if dt > 0.0 && !(change <= most * dt * v[k].abs()) {
-                last_fast = time_s[k];
-            }
-            time_s[k] - last_fast > c.for_s.unwrap_or(0.0)
-        })
-        .collect()
 }
 
 /// Weights of a record, one list for each row of the criterion.
@@ -328,7 +247,7 @@ fn targets<'a>(job: &Job, records: &'a [Read], weights: &'a [Weights]) -> Vec<Ta
 }
 
 /// Root mean square over the samples with a weight, weighted.
-fn rms(graph: &Graph, theta: &[f64], targets: &[Target]) -> f64 {
+pub(super) fn rms(graph: &Graph, theta: &[f64], targets: &[Target]) -> f64 {
     let (mut sum, mut n) = (0.0, 0.0);
     for t in targets {
         let y = &graph.all_values(theta, &t.record)[t.node.unwrap_or(graph.nodes.len() - 1)];

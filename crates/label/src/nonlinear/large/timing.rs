@@ -55,8 +55,24 @@ pub(super) fn seen(graph: &Graph, theta: &[f64], sample_s: f64) -> Vec<f64> {
     all.map(|(v, constant)| if constant { v.max(sample_s) } else { *v }).collect()
 }
 
+/// `theta` with times of a delay, lag or film that are shorter than a sample at one sample, as far as their bounds allow: of a delay of 0 the
+/// function knows no derivative, and of a lag that is far shorter none that counts.
+pub(in crate::nonlinear) fn begun(graph: &Graph, theta: &mut [f64], sample_s: f64) {
+    for node in &graph.nodes {
+        let (Op::Delay(_, time) | Op::Lag(_, time) | Op::Film(_, _, time)) = &node.op else { continue };
+        let Op::Label(l, _) = &graph.nodes[*time].op else { continue };
+        let label = &graph.labels[*l];
+        let from = offsets(&graph.labels).0[*l];
+        for (k, v) in theta[from..from + label.len()].iter_mut().enumerate() {
+            if !label.locked[k] && *v < sample_s {
+                *v = sample_s.min(label.upper);
+            }
+        }
+    }
+}
+
 /// Median time between samples, s.
-pub(super) fn sample_s(targets: &[Target]) -> f64 {
+pub(in crate::nonlinear) fn sample_s(targets: &[Target]) -> f64 {
     let steps = |t: &Target| t.record.time_s.windows(2).map(|w| w[1] - w[0]).collect::<Vec<_>>();
     let mut all: Vec<f64> = targets.iter().flat_map(steps).filter(|dt| *dt > 0.0).collect();
     if all.is_empty() {
@@ -79,7 +95,7 @@ fn constants(graph: &Graph) -> Vec<bool> {
 }
 
 /// Cells of labels that a delay, lag or film is timed by, and of shares of a film.
-fn timing(graph: &Graph) -> Vec<bool> {
+pub(super) fn timing(graph: &Graph) -> Vec<bool> {
     let mut times = vec![false; graph.nodes.len()];
     let mut out = vec![false; graph.base().len()];
     let spans = spans(graph);

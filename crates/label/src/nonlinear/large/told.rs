@@ -5,7 +5,7 @@ use super::system::{Exact, Pairs, System};
 use crate::correlation;
 use crate::error::LabelError;
 use crate::graph::Graph;
-use crate::linear::{Fit, Options, Verdict};
+use crate::linear::{Fit, Open, Options, Verdict};
 
 /// Two-sided 95 % of Student's distribution, by the number of draws that a standard deviation comes from.
 const T95: [f64; 16] = [
@@ -76,6 +76,7 @@ pub(super) fn tell(
         held: held(graph, theta),
         broken: Vec::new(),
         proven,
+        open: Open::default(),
     })
 }
 
