@@ -214,8 +214,8 @@ fn a_plain_delay_has_gains() {
         assert!(ki.len() == 1 && (ki[0].upper / (w * w.sin()) - 1.0).abs() < 1e-6, "{kp} {ki:?}");
     }
     for channel in [channel, continuous(&[1.0, 2.0], &[1.0, 1.0], 0.1)] {
-        let asked = Asked::default();
-        let found = choose_pid(&[channel.clone()], &asked, None, run_of(&[channel])).unwrap();
+        let (asked, own) = (Asked::default(), [channel]);
+        let found = choose_pid(&own, &asked, None, run_of(&own)).unwrap();
         let (own, pi) = (found.choice.tuned.settling_s, found.pi.as_ref().unwrap());
         assert!(found.choice.kept && asked.kept_by(pi), "{found:?}");
         assert!(own.unwrap() <= pi.settling_s.unwrap(), "{own:?} {pi:?}");
