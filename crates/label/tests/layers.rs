@@ -10,6 +10,7 @@ const ORDER: &[&str] = &[
     "error",
     "rows",
     "label",
+    "follow",
     "correlation",
     "qp",
     "quantise",

@@ -18,10 +18,8 @@ const MOST: usize = 1000;
 /// Open directions over the cells.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Open {
-    /// Orthonormal in cells times `scale`.
+    /// Each over the cells, scaled by the roots of the diagonal of their equations.
     vectors: Vec<Vec<f64>>,
-    /// Weight of each cell: the root of the diagonal of its equation.
-    scale: Vec<f64>,
 }
 
 impl Open {
@@ -40,17 +38,6 @@ impl Open {
         let v = &self.vectors[k];
         let most = v.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
         (0..v.len()).filter(|c| v[*c].abs() > BELONGS * most).collect()
-    }
-
-    /// A change without its part along the open directions, of which nothing is known.
-    pub fn without(&self, change: &[f64]) -> Vec<f64> {
-        let mut scaled: Vec<f64> = change.iter().zip(&self.scale).map(|(c, s)| c * s).collect();
-        for v in &self.vectors {
-            let part = linalg::dot(v, &scaled);
-            linalg::axpy(-part, v, &mut scaled);
-        }
-        let back = scaled.iter().zip(&self.scale).zip(change);
-        back.map(|((x, s), c)| if *s > 0.0 { x / s } else { *c }).collect()
     }
 }
 
@@ -78,8 +65,7 @@ pub(super) fn find(normal: &Normal, smooth: f64, map: &[Option<usize>]) -> Open 
             vectors.push(v);
         }
     }
-    let scale = map.iter().map(|f| f.map_or(0.0, |f| root[f])).collect();
-    Open { vectors, scale }
+    Open { vectors }
 }
 
 impl Open {
@@ -96,7 +82,7 @@ impl Open {
             let mut labels = (0..n).filter(|k| x[*k].abs() > BELONGS * most).map(|k| owner[k]);
             labels.next().is_some_and(|first| labels.any(|l| l != first))
         });
-        Self { vectors: vectors.collect(), scale: root }
+        Self { vectors: vectors.collect() }
     }
 }
 

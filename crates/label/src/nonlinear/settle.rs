@@ -138,14 +138,5 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
         fit.open = across(graph, at);
         fit.mark_open();
     }
-    if !fit.open.is_empty() && fit.held.is_empty() {
-        // Along what is open the linear fit is as far off as it likes, and the function bends.
-        let change: Vec<f64> = fit.exact.iter().zip(theta).map(|(a, b)| a - b).collect();
-        let kept = fit.open.without(&change);
-        fit.exact = theta.iter().zip(kept).map(|(t, c)| t + c).collect();
-        if fit.proven.is_none() {
-            fit.values.clone_from(&fit.exact);
-        }
-    }
     Ok(fit)
 }
