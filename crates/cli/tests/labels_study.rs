@@ -22,7 +22,7 @@ fn reduced_length_compares_with_the_tune_and_judges_a_drive() {
     for id in known.into_iter().chain(fitted) {
         assert_eq!(of(id)["holds"], true, "{}", of(id));
     }
-    // A drive with enriched samples is nearer to its limit than two cars are to each other: a miss there is told and ends with 1.
+    // What may miss is the row of a drive with enriched samples; the study tells it and ends with 1.
     let missed: Vec<&str> =
         checks.iter().filter(|c| c["holds"] == false).map(|c| c["id"].as_str().unwrap()).collect();
     assert!(missed.iter().all(|id| id.ends_with("enriched-too")), "{missed:?}");

@@ -201,6 +201,7 @@ const STATIC: [&str; 3] = ["static map, PI", "static map, PI, long-term trim", "
 const ECU: [&str; 2] = ["production ECU, feedback", "production ECU, Smith predictor"];
 const REAR: [&str; 2] = ["dynamic map, feedback, rear trim", "dynamic map, feedback"];
 
+/// Along each cycle, ours against each rival with feedback: differences engine by engine.
 pub(super) fn cycles(all: &[CycleCase]) -> Vec<Check> {
     let mut names: Vec<&str> = all.iter().map(|c| c.cycle.as_str()).collect();
     names.dedup();
