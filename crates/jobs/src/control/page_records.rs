@@ -9,7 +9,7 @@ use super::spec::Decoupler;
 pub(super) fn section(found: &Controlled) -> Section {
     let mut section = Section::new("What the records show")
         .text(format!(
-            "Spectra of the records, without a model, up to {:.4} Hz: 0.4 of the sampling frequency. Frequencies beyond half of it, such as the 500 Hz of the thesis, do not exist in a record. Coherence is the share of an output's power that follows from the inputs (the demands, in closed loop); measured margins are those of one channel with the other loops open, their intervals hold nine tenths of draws. Frequencies at which the deviation is more than half of the response are left out of them: an empty cell is a margin that lies beyond.",
+            "Spectra of the records, without a model, up to {:.4} Hz: 0.4 of the sampling frequency. Frequencies beyond half of it, such as the 500 Hz of the thesis, do not exist in a record. Coherence is the share of an output's power that follows from the inputs (the demands, in closed loop); measured margins are those of one channel with the other loops open, their intervals hold nine tenths of draws. Frequencies at which the deviation is more than a third of the response, or whose neighbours are mostly such, are left out of them: an empty cell is a margin that lies beyond.",
             found.measured.iter().map(|m| m.highest_hz).fold(f64::INFINITY, f64::min)
         ))
         .block(table(found));
