@@ -11,12 +11,17 @@
 //! hysteresis   y = 1 above `high`, 0 below `low`, else as before
 //! ```
 //!
+//! An inverse gives where an increasing curve has a value. Read through the inverse of a curve over its own axis, the breakpoints of other
+//! labels become labels themselves: with p_i the values of the curve and b_i its axis, what lies between p_i and p_(i+1) is read as if
+//! it lay between b_i and b_(i+1).
+//!
 //! A model (a stored one, an FMU) may be a node as well ([`outside`]): its derivative is that of central differences over the record.
 //!
 //! The derivatives go forward in time with the values ([`Graph::forward`]) or backward ([`Graph::gradient`]), for long records over all
 //! processors ([`Graph::products`]); they are those of the
 //! discrete function, and one-sided where it has an edge.
 
+pub mod axes;
 mod backward;
 pub(crate) mod forward;
 pub mod outside;
@@ -26,6 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::LabelError;
 use crate::label::Label;
+pub use axes::FittedAxis;
 use outside::Outside;
 pub use products::Products;
 
@@ -54,6 +60,8 @@ pub enum Op {
     Max(usize, usize),
     /// Label by its number, at the values of nodes.
     Label(usize, Vec<usize>),
+    /// Where a curve that increases, by its number, has the value of the node; its ends for what is beyond.
+    Inverse(usize, usize),
     /// First node, delayed by the second in s.
     Delay(usize, usize),
     /// First node through a pipe: second the flow (a function of channels only), third the volume.
@@ -95,7 +103,7 @@ impl Op {
             Op::Subtract(a, b) | Op::Divide(a, b) | Op::Min(a, b) | Op::Max(a, b) => vec![*a, *b],
             Op::Delay(a, b) | Op::Lag(a, b) => vec![*a, *b],
             Op::DelayFlow(a, b, c) | Op::Film(a, b, c) | Op::Switch(a, b, c) => vec![*a, *b, *c],
-            Op::Integrator(a, ..) | Op::Hysteresis(a, ..) => vec![*a],
+            Op::Integrator(a, ..) | Op::Hysteresis(a, ..) | Op::Inverse(_, a) => vec![*a],
         }
     }
 }
@@ -165,6 +173,14 @@ impl Graph {
                         ));
                     }
                 }
+                Op::Inverse(l, _) => {
+                    let Some(label) = self.labels.get(*l) else {
+                        return fail(format!("there is no label {l}"));
+                    };
+                    if let Err(reason) = invertible(label) {
+                        return fail(reason);
+                    }
+                }
                 Op::DelayFlow(_, flow, _) if self.depends(*flow) => {
                     return fail("the flow of a pipe must be a function of channels only".into());
                 }
@@ -185,7 +201,7 @@ impl Graph {
     /// Whether node `k` is a function of labels.
     fn depends(&self, k: usize) -> bool {
         let op = &self.nodes[k].op;
-        matches!(op, Op::Label(..)) || op.inputs().into_iter().any(|i| self.depends(i))
+        matches!(op, Op::Label(..) | Op::Inverse(..)) || op.inputs().into_iter().any(|i| self.depends(i))
     }
 
     /// The first node that is a model.
@@ -225,6 +241,24 @@ impl Graph {
     fn first(&self) -> Vec<usize> {
         crate::linear::offsets(&self.labels).0
     }
+}
+
+/// Whether a label is a curve that increases and that its gradient keeps increasing, or why not.
+fn invertible(label: &Label) -> Result<(), String> {
+    let name = &label.name;
+    let [axis] = label.axes.as_slice() else {
+        return Err(format!("`{name}` has {} axes, expected the one of a curve", label.axes.len()));
+    };
+    if !label.base.windows(2).all(|w| w[1] > w[0]) {
+        return Err(format!("the base of `{name}` does not increase everywhere: it has no inverse"));
+    }
+    if !(axis.gradient[0] > 0.0) {
+        let found = axis.gradient[0];
+        return Err(format!(
+            "the least gradient of `{name}` is {found}, expected one above 0: else it may lose its inverse"
+        ));
+    }
+    Ok(())
 }
 
 /// Place `s` on increasing stamps: sample below and share of the way to the next; the first sample for what is before it.

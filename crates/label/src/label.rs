@@ -195,6 +195,21 @@ impl Label {
         (0..n).filter(|k| weights[*k] != 0.0).map(|k| weights[k] * values[cells[k]]).sum()
     }
 
+    /// Where a curve with the increasing cells `values` has the value `v` (its ends for what is beyond), and the derivative of that place
+    /// with respect to `v` (0 beyond).
+    pub fn inverse(&self, values: &[f64], v: f64) -> (f64, f64) {
+        let points = &self.axes[0].points;
+        if v.is_nan() {
+            return (f64::NAN, 0.0);
+        }
+        let (i, s) = between(values, v);
+        let (p, h) = (points[i + 1] - points[i], values[i + 1] - values[i]);
+        let inside = v >= values[0] && v < values[values.len() - 1];
+        // At a breakpoint exactly the breakpoint, without rounding.
+        let at = if s == 1.0 { points[i + 1] } else { points[i] + s * p };
+        (at, if inside { p / h } else { 0.0 })
+    }
+
     /// The same label on some of its breakpoints, `kept` by number for each axis, with what it has there.
     pub fn thinned(&self, kept: &[Vec<usize>]) -> Self {
         let nx = self.axes.first().map_or(1, |a| a.points.len());

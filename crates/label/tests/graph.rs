@@ -20,6 +20,8 @@ fn everything() -> Graph {
         &[1.0, 1.4, 0.8, 1.1, 1.3, 0.7, 0.9, 1.6, 1.2],
     );
     let curve = Label::curve("CURVE", "-", "a", "-", &[-1.0, 0.0, 1.0], &[0.3, 0.5, 0.45]);
+    let mut breakpoints = Label::curve("POINTS", "-", "a", "-", &[-1.0, 0.0, 1.5], &[-1.0, 0.2, 1.5]);
+    breakpoints.axes[0].gradient[0] = 0.1;
     let labels = vec![
         map,
         curve,
@@ -27,6 +29,7 @@ fn everything() -> Graph {
         Label::scalar("DELAY", "s", 0.137),
         Label::scalar("VOLUME", "-", 0.61),
         Label::scalar("SHARE", "-", 0.3),
+        breakpoints,
     ];
     graph(
         vec![
@@ -51,8 +54,10 @@ fn everything() -> Graph {
             ("on", Op::Hysteresis(0, -0.2, 0.2)),
             ("choice", Op::Switch(18, 17, 16)),
             ("two", Op::Constant(2.0)),
-            ("more", Op::Add(vec![19, 20])),
-            ("out", Op::Subtract(21, 11)),
+            ("warped", Op::Inverse(6, 0)),
+            ("map on other points", Op::Label(0, vec![21, 1])),
+            ("more", Op::Add(vec![19, 20, 22])),
+            ("out", Op::Subtract(23, 11)),
         ],
         labels,
     )
@@ -126,7 +131,7 @@ fn products_are_those_of_the_derivatives_one_by_one() {
         let size = b.iter().fold(1e-9f64, |s, v| s.max(v.abs()));
         a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-12 * size)
     };
-    for output in [7, 11, 19, 22, 24] {
+    for output in [7, 11, 19, 22, 24, 26] {
         let products = g.products(&theta, &record, output);
         let mut part = g.clone();
         part.nodes.truncate(output + 1);

@@ -187,3 +187,42 @@ fn a_cell_with_little_data_beside_an_untouched_one_does_not_run_away() {
     println!("cell with little data: off by {:.2}, without smoothness by {:.2}", square.sqrt(), alone.sqrt());
     assert!(square.sqrt() < 0.5 * alone.sqrt(), "{} {}", square.sqrt(), alone.sqrt());
 }
+
+/// A step from far away may say that a lag is none; from there nothing leads back. Whatever the start, the lag is found.
+#[test]
+fn a_lag_is_found_from_starts_far_away() {
+    let n = 2000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.05 * f64::from(k)).collect();
+    let mut rng = Rng64::new(4);
+    let mut level = 0.0;
+    let steps: Vec<f64> = (0..n)
+        .map(|k| {
+            level = if k % 40 == 0 { 10.0 * rng.uniform() } else { level };
+            level
+        })
+        .collect();
+    let nodes = vec![
+        node("x", Op::Channel(0)),
+        node("gain", Op::Label(0, vec![])),
+        node("tau", Op::Label(1, vec![])),
+        node("y", Op::Multiply(vec![0, 1])),
+        node("slow", Op::Lag(3, 2)),
+    ];
+    let graph = |tau: f64| {
+        let mut lag = Label::scalar("TAU", "s", tau);
+        (lag.lower, lag.upper) = (0.0, 20.0);
+        Graph { nodes: nodes.clone(), labels: vec![Label::scalar("GAIN", "-", 0.2), lag] }
+    };
+    let weights = vec![1.0; steps.len()];
+    for tau in [0.02, 0.1, 0.6, 3.0] {
+        let record = Record { time_s: &time_s, channels: vec![&steps] };
+        let y = graph(tau).values(&[1.7, tau], &record);
+        for start in [0.0, 0.05, 0.3, 2.0, 20.0] {
+            let target = Target { record: record.clone(), node: None, y: &y, weights: &weights };
+            let found = fit(&graph(start), &[target], &Options::default(), &|| false).unwrap();
+            let near =
+                (found.fit.exact[1] - tau).abs() < 1e-4 * tau && (found.fit.exact[0] - 1.7).abs() < 1e-4;
+            assert!(near && found.converged, "{tau} from {start}: {:?}", found.fit.exact);
+        }
+    }
+}

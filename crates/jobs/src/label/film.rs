@@ -99,6 +99,7 @@ impl Film {
             graph,
             shared: Vec::new(),
             placed: Vec::new(),
+            fitted: Vec::new(),
             reduce: 1,
             fit: Options::default(),
         })

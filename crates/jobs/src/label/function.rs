@@ -1,5 +1,6 @@
 //! Labels of any function that a spec describes: nodes, labels, channels, what it is compared with.
 
+mod axes;
 pub mod build;
 pub mod coarse;
 mod judge;
@@ -49,7 +50,12 @@ pub fn run(job: &Job, watch: Watch) -> Result<(Fitted, RunFolder), LabelJobError
 fn characteristics(found: &Fitted) -> Vec<Characteristic> {
     let mut from = 0;
     let mut out = Vec::new();
-    for l in &found.labels {
+    for (number, l) in found.labels.iter().enumerate() {
+        // Breakpoints that were fitted leave as axes of the labels on them.
+        if found.fitted_axes.iter().any(|a| a.label == number) {
+            from += l.len();
+            continue;
+        }
         // The calibration tools list both axes of a map in one way.
         let shared = l.axes.iter().any(|a| found.shared.contains(&a.name));
         let axis = |a: &dynocal_label::label::Axis| Axis {

@@ -96,6 +96,13 @@ impl Graph {
                     let slopes = slopes(label, &theta[first[*l]..first[*l] + label.len()], &place);
                     at.iter().zip(slopes).for_each(|(i, s)| before[*i][t] += g * s);
                 }
+                Op::Inverse(l, a) => {
+                    let label = &self.labels[*l];
+                    let (at, slope) = label.inverse(&theta[first[*l]..first[*l] + label.len()], x(a));
+                    let (cells, weights, count) = label.weights(&[at]);
+                    (0..count).for_each(|c| out[first[*l] + cells[c]] -= g * slope * weights[c]);
+                    before[*a][t] += g * slope;
+                }
                 Op::Delay(a, d) => {
                     let at = run.places[k][t];
                     spread(&mut before[*a], at, g);

@@ -147,6 +147,10 @@ impl Graph {
                 let label = &self.labels[*l];
                 label.value(&theta[first[*l]..first[*l] + label.len()], &spot(at, v))
             }
+            Op::Inverse(l, x) => {
+                let label = &self.labels[*l];
+                label.inverse(&theta[first[*l]..first[*l] + label.len()], v(x)).0
+            }
             Op::Switch(c, a, b) => v(if v(c) > 0.0 { a } else { b }),
             Op::Delay(..)
             | Op::DelayFlow(..)
@@ -232,7 +236,9 @@ impl Graph {
             // A direction in one label leaves all nodes alone that do not come from it.
             let op = &self.nodes[k].op;
             let own = match op {
-                Op::Label(l, _) => v[first[*l]..first[*l] + self.labels[*l].len()].iter().any(|v| *v != 0.0),
+                Op::Label(l, _) | Op::Inverse(l, _) => {
+                    v[first[*l]..first[*l] + self.labels[*l].len()].iter().any(|v| *v != 0.0)
+                }
                 _ => false,
             };
             reached.push(own || op.inputs().iter().any(|i| reached[*i]));
@@ -284,17 +290,18 @@ impl Graph {
     ) {
         let first = self.first();
         let read: Vec<(usize, Vec<f64>)> = (0..=output)
-            .filter(|k| matches!(self.nodes[*k].op, Op::Label(..)))
+            .filter(|k| matches!(self.nodes[*k].op, Op::Label(..) | Op::Inverse(..)))
             .map(|k| (k, self.slope_of(theta, record, run, output, k)))
             .collect();
         let mut row: Vec<(usize, f64)> = Vec::new();
         for &t in used {
             row.clear();
             for (k, slope) in read.iter().filter(|(_, s)| s[t] != 0.0) {
-                let Op::Label(l, at) = &self.nodes[*k].op else { continue };
-                let (cells, weights, n) = self.labels[*l].weights(&spot(at, |i| run.values[*i][t]));
+                let Some((l, cells, weights, n)) = self.read_cells(*k, t, theta, &first, run) else {
+                    continue;
+                };
                 for c in 0..n {
-                    let (cell, v) = (first[*l] + cells[c], slope[t] * weights[c]);
+                    let (cell, v) = (first[l] + cells[c], slope[t] * weights[c]);
                     match row.iter_mut().find(|r| r.0 == cell) {
                         Some(r) => r.1 += v,
                         None => row.push((cell, v)),
@@ -303,6 +310,31 @@ impl Graph {
             }
             rows.start();
             row.iter().for_each(|(c, v)| rows.push(*c, *v));
+        }
+    }
+
+    /// The label of node `k`, its cells that count at sample `t`, and the derivatives of the node with respect to them; none for others.
+    pub(super) fn read_cells(
+        &self,
+        k: usize,
+        t: usize,
+        theta: &[f64],
+        first: &[usize],
+        run: &Run,
+    ) -> Option<(usize, [usize; 4], [f64; 4], usize)> {
+        match &self.nodes[k].op {
+            Op::Label(l, at) => {
+                let (cells, weights, n) = self.labels[*l].weights(&spot(at, |i| run.values[*i][t]));
+                Some((*l, cells, weights, n))
+            }
+            Op::Inverse(l, x) => {
+                let label = &self.labels[*l];
+                let (at, slope) =
+                    label.inverse(&theta[first[*l]..first[*l] + label.len()], run.values[*x][t]);
+                let (cells, weights, n) = label.weights(&[at]);
+                Some((*l, cells, weights.map(|w| -slope * w), n))
+            }
+            _ => None,
         }
     }
 
@@ -379,6 +411,13 @@ impl Graph {
                 let slopes = slopes(label, &theta[cells.clone()], &place);
                 let own = label.value(&v[cells], &place);
                 own + at.iter().zip(slopes).map(|(i, s)| s * dx(i)).sum::<f64>()
+            }
+            // curve(y) = x: what the curve gains at y is taken from x.
+            Op::Inverse(l, a) => {
+                let label = &self.labels[*l];
+                let cells = first[*l]..first[*l] + label.len();
+                let (at, slope) = label.inverse(&theta[cells.clone()], x(a));
+                slope * (dx(a) - label.value(&v[cells], &[at]))
             }
             Op::Delay(a, delay) => {
                 let (i, s) = run.places[k][t];

@@ -79,7 +79,7 @@ impl<'a> Products<'a> {
             let before = op.inputs().into_iter().filter_map(|i| stage[i]).max();
             stage[k] = match op {
                 Op::Hysteresis(..) => None,
-                Op::Label(..) => Some(before.unwrap_or(0)),
+                Op::Label(..) | Op::Inverse(..) => Some(before.unwrap_or(0)),
                 _ if op.remembers() => before.map(|s| s + 1),
                 _ => before,
             };
@@ -146,8 +146,14 @@ impl<'a> Products<'a> {
         n * p / PARTS..n * (p + 1) / PARTS
     }
 
-    /// Cells around sample `t` of label node `k`, their weights, and how many they are.
+    /// Cells that count at sample `t` of node `k`, which reads label `l`, the derivatives of the node with respect to them, and how many they
+    /// are.
     fn corners(&self, k: usize, l: usize, t: usize) -> ([usize; 4], [f64; 4], usize) {
+        if let Op::Inverse(..) = self.graph.nodes[k].op {
+            let found = self.graph.read_cells(k, t, &self.theta, &self.first, &self.run);
+            let (_, cells, weights, n) = found.unwrap_or((l, [0; 4], [0.0; 4], 0));
+            return (cells.map(|c| c + self.first[l]), weights, n);
+        }
         let at = |i: usize| {
             let look = &self.looks[self.look[k][i]];
             (usize::from(look.below[t]), look.share[t])
@@ -217,12 +223,15 @@ impl<'a> Products<'a> {
         self.front.visits(counts, |sum| self.stage[sum].is_some(), take);
         let own = |k: &usize| self.stage[*k].is_some() && !self.front.taken[*k];
         for k in (0..self.graph.nodes.len()).filter(own) {
-            let Op::Label(l, _) = self.graph.nodes[k].op else { continue };
+            let (Op::Label(l, _) | Op::Inverse(l, _)) = self.graph.nodes[k].op else { continue };
             for t in (0..self.samples()).filter(|t| counts[*t]) {
                 let (cells, weights, n) = self.corners(k, l, t);
-                (0..n)
-                    .filter(|c| weights[*c] != 0.0)
-                    .for_each(|c| take(cells[c], [weights[c], weights[c].powi(2)]));
+                // Shares of a visit: of a label read these are the weights themselves.
+                let all: f64 = weights[..n].iter().map(|w| w.abs()).sum();
+                (0..n).filter(|c| weights[*c] != 0.0).for_each(|c| {
+                    let share = weights[c].abs() / all;
+                    take(cells[c], [share, share * share]);
+                });
             }
         }
     }
@@ -304,7 +313,7 @@ impl<'a> Products<'a> {
     ) {
         let op = &self.graph.nodes[k].op;
         let from = piece.start;
-        if let Op::Label(l, _) = op {
+        if let Op::Label(l, _) | Op::Inverse(l, _) = op {
             let n = self.row(*l);
             match self.plane(k, *l, piece.clone()) {
                 Some(at) => own.iter_mut().zip(at).for_each(|(own, (c, s, r))| {
@@ -362,6 +371,10 @@ impl<'a> Products<'a> {
                 let place: Vec<f64> = at.iter().map(x).collect();
                 slopes(label, &self.theta[self.first[*l]..self.first[*l] + label.len()], &place)[which]
             }
+            Op::Inverse(l, a) => {
+                let label = &self.graph.labels[*l];
+                label.inverse(&self.theta[self.first[*l]..self.first[*l] + label.len()], x(a)).1
+            }
             _ => 0.0,
         }
     }
@@ -418,7 +431,7 @@ impl<'a> Products<'a> {
             }
             for k in (0..m).rev().filter(|k| self.instant(*k, stage)) {
                 let own = std::mem::take(&mut near[k]);
-                if let Op::Label(l, _) = self.graph.nodes[k].op {
+                if let Op::Label(l, _) | Op::Inverse(l, _) = self.graph.nodes[k].op {
                     self.to_cells(k, l, piece.clone(), &own, &mut cells);
                 }
                 self.front.backward(k, &mut tables, piece.clone(), &own);

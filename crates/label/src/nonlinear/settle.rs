@@ -38,7 +38,7 @@ pub(super) fn search(
         // The linear fit at a minimum is that minimum.
         return Ok(Found { fit, steps: begun, converged: minimum });
     }
-    let mut still = 0;
+    let (mut still, mut pace) = (0, Pace { share: 1.0, last: Vec::new() });
     for round in 1..=MOST_ROUNDS {
         if interrupt() {
             break;
@@ -46,14 +46,15 @@ pub(super) fn search(
         if round > CHOOSES && options.smooth.is_none() {
             options.smooth = Some(fit.smooth);
         }
-        let moved = towards(graph, &theta, &fit.exact, targets);
-        let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
-        let stands = size(&change) <= STANDS * (STANDS + size(&theta));
+        let goal = pace.on_the_way(&theta, &fit.exact);
+        let moved = towards(graph, &theta, &goal, targets);
+        // The whole way, however little of it is gone.
+        let stands = size(&pace.last) <= STANDS * (STANDS + size(&theta));
         theta = moved;
         let smooth = fit.smooth;
         let at = linearise(graph, &theta, targets);
         let left: f64 = at.r.iter().zip(&at.w).map(|(r, w)| w * r * r).sum();
-        let seen = at.j.square_of(&change, &at.w) > SEEN * SEEN * left;
+        let seen = at.j.square_of(&pace.last, &at.w) > SEEN * SEEN * left;
         still = if seen { 0 } else { still + 1 };
         fit = told(graph, &theta, &at, &options)?;
         if stands && (round > CHOOSES || fit.smooth == smooth) {
@@ -65,6 +66,26 @@ pub(super) fn search(
         }
     }
     Ok(Found { fit, steps: begun + MOST_ROUNDS, converged: false })
+}
+
+/// How much of the way to what the linear fit says is gone. Where that fit, from the place that it has sent the labels to, sends them back,
+/// whole ways go to and fro for ever.
+struct Pace {
+    share: f64,
+    /// The whole way of the last round.
+    last: Vec<f64>,
+}
+
+impl Pace {
+    /// The point to go to: half as far where the way turns back without having become half as long, else twice as far, up to all of it.
+    fn on_the_way(&mut self, theta: &[f64], goal: &[f64]) -> Vec<f64> {
+        let way: Vec<f64> = goal.iter().zip(theta).map(|(b, a)| b - a).collect();
+        let turns = way.iter().zip(&self.last).map(|(a, b)| a * b).sum::<f64>() < 0.0
+            && size(&way) > 0.5 * size(&self.last);
+        self.share = if turns { 0.5 * self.share } else { (2.0 * self.share).min(1.0) };
+        self.last = way;
+        theta.iter().zip(&self.last).map(|(a, w)| a + self.share * w).collect()
+    }
 }
 
 /// What only smoothness holds, across labels.

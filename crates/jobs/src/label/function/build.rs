@@ -4,17 +4,19 @@ use std::path::Path;
 
 use dynocal_files::spec::Faults;
 use dynocal_files::units::normalise;
-use dynocal_label::graph::{Graph, Node, Op};
+use dynocal_label::graph::{FittedAxis, Graph, Node, Op};
 use dynocal_label::label::{Axis, Label};
 
+use super::axes::{self, Wanted};
 use super::outside;
 use super::spec::{AxisKeys, LabelKeys, NodeKeys, Placed, Typed};
 
 /// What a node may be, with what it takes.
-const OPS: [&str; 19] = [
+const OPS: [&str; 20] = [
     "channel",
     "constant",
     "label",
+    "inverse",
     "add",
     "subtract",
     "multiply",
@@ -39,6 +41,7 @@ pub(super) struct Built {
     pub(super) channels: Vec<String>,
     pub(super) units: Vec<Option<String>>,
     pub(super) placed: Vec<Placed>,
+    pub(super) fitted: Vec<FittedAxis>,
 }
 
 /// The function, and the channels that it reads; files are relative to `folder`; faults are told where there are some.
@@ -75,7 +78,11 @@ pub(super) fn graph(t: &Typed, folder: &Path, faults: &mut Faults) -> Option<Bui
     let labels: Option<Vec<Label>> = labels.into_iter().collect();
     let labels = labels?;
     let graph = Graph { nodes: build.nodes, labels };
-    good.then_some(Built { graph, channels: build.channels, units: build.channel_units, placed })
+    if !good {
+        return None;
+    }
+    let (graph, fitted) = axes::fitted(graph, &wanted(t), &placed, faults);
+    Some(Built { graph, channels: build.channels, units: build.channel_units, placed, fitted })
 }
 
 /// An axis as it is written, or the shared one that it names.
@@ -124,6 +131,26 @@ fn axis(
         [a.least_gradient.unwrap_or(f64::NEG_INFINITY), a.greatest_gradient.unwrap_or(f64::INFINITY)];
     axis.convex = a.convex;
     Some(axis)
+}
+
+/// Axes of which the spec says `fit = true`, with the labels on them.
+fn wanted(t: &Typed) -> Vec<Wanted> {
+    let mut out: Vec<Wanted> = Vec::new();
+    for (l, label) in t.labels.iter().enumerate() {
+        for (k, a) in label.axes.iter().enumerate() {
+            let shared = t.axes.iter().position(|s| a.points.is_none() && s.name == a.name);
+            let key = match shared {
+                Some(s) if t.axes[s].fit || a.fit => format!("axes[{s}].fit"),
+                None if a.fit => format!("labels[{l}].axes[{k}].fit"),
+                _ => continue,
+            };
+            match out.iter_mut().find(|w| shared.is_some() && w.key == key) {
+                Some(w) => w.of.push((l, k)),
+                None => out.push(Wanted { name: a.name.clone(), key, of: vec![(l, k)] }),
+            }
+        }
+    }
+    out
 }
 
 /// Axes that are placed: labels on one of them span two axes in all, which is what is searched in turns.
@@ -250,14 +277,11 @@ impl Build<'_> {
                 let factor = self.push(&n.name, Op::Constant(value));
                 Op::Multiply(vec![inputs[0], factor])
             }
-            "label" => {
-                let name = faults.required(&format!("{key}.label"), &n.label, "the name of a label")?;
-                let known: Vec<String> = self.labels.iter().map(|l| l.name.clone()).collect();
-                let Some(at) = known.iter().position(|l| *l == name) else {
-                    faults.unknown(&format!("{key}.label"), &name, &known);
-                    return None;
-                };
-                Op::Label(at, inputs)
+            "label" => Op::Label(self.named(n, key, faults)?, inputs),
+            "inverse" => {
+                let label = self.named(n, key, faults)?;
+                count(1, "the value of the curve", faults)?;
+                Op::Inverse(label, inputs[0])
             }
             "add" => Op::Add(inputs),
             "multiply" => Op::Multiply(inputs),
@@ -331,6 +355,17 @@ impl Build<'_> {
         Some(())
     }
 
+    /// Number of the label that a node names.
+    fn named(&self, n: &NodeKeys, key: &str, faults: &mut Faults) -> Option<usize> {
+        let name = faults.required(&format!("{key}.label"), &n.label, "the name of a label")?;
+        let known: Vec<String> = self.labels.iter().map(|l| l.name.clone()).collect();
+        let at = known.iter().position(|l| *l == name);
+        if at.is_none() {
+            faults.unknown(&format!("{key}.label"), &name, &known);
+        }
+        at
+    }
+
     /// The unit of the node that was built last: said by the spec or the label, or kept from what enters; what is added, chosen or
     /// looked up must agree.
     fn unit(&mut self, n: &NodeKeys, key: &str, labels: &[Option<Label>], faults: &mut Faults) {
@@ -355,6 +390,17 @@ impl Build<'_> {
                         }
                     }
                     Some(normalise(&label.unit))
+                }
+                Op::Inverse(l, a) => {
+                    let Some(label) = labels.get(*l).and_then(Option::as_ref) else {
+                        self.units.push(None);
+                        continue;
+                    };
+                    if let Some(unit) = of(*a).filter(|u| *u != normalise(&label.unit)) {
+                        let wanted = format!("`{}`, the unit of `{}`", label.unit, label.name);
+                        faults.push(&format!("{key}.in"), format!("a node in `{unit}`"), wanted);
+                    }
+                    label.axes.first().map(|a| normalise(&a.unit))
                 }
                 Op::Add(_) | Op::Subtract(..) | Op::Min(..) | Op::Max(..) => {
                     let units: Vec<String> = op.inputs().into_iter().filter_map(of).collect();

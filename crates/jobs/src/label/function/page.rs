@@ -52,6 +52,12 @@ fn report(found: &Fitted) -> Report {
 /// Curves and maps before and after.
 fn shapes(found: &Fitted) -> Section {
     let mut section = Section::new("Curves and maps");
+    if !found.fitted_axes.is_empty() {
+        section = section.text(
+            "Breakpoints that were fitted with the labels are shown as a curve over what they were; labels on them stand over the new ones, \
+             with what the base has there as \"before\".",
+        );
+    }
     let mut from = 0;
     for l in &found.labels {
         let cells = from..from + l.len();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use dynocal_files::run_folder::RunPlace;
 use dynocal_files::spec::{Faults, LoadError, SpecError};
-use dynocal_label::graph::Graph;
+use dynocal_label::graph::{FittedAxis, Graph};
 use dynocal_label::linear::Options;
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +64,9 @@ pub(super) struct SharedKeys {
     /// Whether they then leave the breakpoints of the fit.
     #[serde(default, rename = "move")]
     pub(super) moves: bool,
+    /// Whether breakpoints are fitted with the labels.
+    #[serde(default)]
+    pub(super) fit: bool,
 }
 
 /// A row of the criterion as it is written.
@@ -85,6 +88,8 @@ pub(super) struct AxisKeys {
     pub(super) place: Option<usize>,
     #[serde(default, rename = "move")]
     pub(super) moves: bool,
+    #[serde(default)]
+    pub(super) fit: bool,
     pub(super) smooth: Option<f64>,
     pub(super) least_gradient: Option<f64>,
     pub(super) greatest_gradient: Option<f64>,
@@ -178,6 +183,8 @@ pub struct Job {
     pub shared: Vec<String>,
     /// Axes that are placed after the fit.
     pub placed: Vec<Placed>,
+    /// Axes that are fitted with the labels on them.
+    pub fitted: Vec<FittedAxis>,
     /// Channel among the targets that is a lambda: it must have its size, and its sensor must say one.
     pub lambda: Option<String>,
     /// Every so many breakpoints of each axis are fitted first; 1 for all at once.
@@ -238,6 +245,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
         graph: built.graph,
         shared: t.axes.iter().map(|a| a.name.clone()).collect(),
         placed: built.placed,
+        fitted: built.fitted,
         lambda: None,
         reduce,
         fit: t.fit.clone().unwrap_or_default(),

@@ -1,6 +1,6 @@
 //! The work: read records, fit on the first part of each, judge on the rest.
 
-use dynocal_label::graph::{Graph, Op, Record};
+use dynocal_label::graph::{FittedAxis, Graph, Op, Record};
 use dynocal_label::label::Label;
 use dynocal_label::linear::Fit;
 use dynocal_label::nonlinear::{self, Target};
@@ -37,6 +37,9 @@ pub struct Fitted {
     pub labels: Vec<Label>,
     /// Names of the axes that labels share.
     pub shared: Vec<String>,
+    /// Axes that were fitted with the labels on them: the label of their breakpoints, and where they are axes, by number.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fitted_axes: Vec<FittedAxis>,
     /// Values, intervals, verdicts.
     pub fit: Fit,
     /// Half widths of the 95 % intervals; none where no data tell of a cell.
@@ -156,8 +159,9 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
         warnings: said::warnings(&graph, &found.fit, notes),
         half_width: found.fit.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
         left: left(&graph, &nodes, first, job),
-        labels: graph.labels,
+        labels: graph.labels_on(&job.fitted, &found.fit.values),
         shared: job.shared.clone(),
+        fitted_axes: job.fitted.clone(),
         fit: found.fit,
         steps: found.steps,
         converged: found.converged,

@@ -92,7 +92,8 @@ struct Found {
 fn fixed(graph: &Graph) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
     for node in &graph.nodes {
-        let own = !matches!(node.op, Op::Label(..)) && node.op.inputs().iter().all(|i| out[*i]);
+        let own =
+            !matches!(node.op, Op::Label(..) | Op::Inverse(..)) && node.op.inputs().iter().all(|i| out[*i]);
         out.push(own);
     }
     out

@@ -39,7 +39,7 @@ impl Products<'_> {
                         _ => self.partial(*k, which, t),
                     };
             }
-            if let Op::Label(label, _) = *op {
+            if let Op::Label(label, _) | Op::Inverse(label, _) = *op {
                 let (cells, weights, count) = self.corners(*k, label, t);
                 take(Read { label, slope, cells, weights, count });
             }

@@ -1,0 +1,140 @@
+//! Axes that are fitted with the labels on them, from a spec to the DCM.
+
+use std::path::Path;
+
+use dynocal_files::atomic;
+use dynocal_files::csv_io::write_columns;
+use dynocal_jobs::label::function::{Fitted, run, spec};
+use dynocal_jobs::place::Overrides;
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::watch::Watch;
+
+fn fitted(folder: &Path, text: &str) -> Result<Fitted, String> {
+    let path = folder.join("spec.toml");
+    atomic::write(&path, text.as_bytes()).unwrap();
+    let over = Overrides { out: Some(folder.join("run")), ..Overrides::default() };
+    let job = spec::read(&path, &over).map_err(|e| e.to_string())?;
+    run(&job, Watch::silent()).map(|f| f.0).map_err(|e| e.to_string())
+}
+
+/// Torque over speed (a corner at 2300 rpm) times a factor over speed and load, with noise.
+fn data(folder: &Path) {
+    let mut rng = Rng64::new(7);
+    let n = 3000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * f64::from(k)).collect();
+    let speed: Vec<f64> = (0..n).map(|_| 1000.0 + 4000.0 * rng.uniform()).collect();
+    let load: Vec<f64> = (0..n).map(|_| rng.uniform()).collect();
+    let y: Vec<f64> = (0..n as usize)
+        .map(|k| {
+            let of = |corner: f64, low: f64, high: f64| {
+                if speed[k] < corner { low * (corner - speed[k]) } else { high * (speed[k] - corner) }
+            };
+            200.0 - of(2300.0, 0.05, 0.02) + load[k] * (50.0 - of(2300.0, 0.02, 0.005)) + 0.5 * rng.normal()
+        })
+        .collect();
+    let columns: [(&str, &str, &[f64]); 4] =
+        [("time", "s", &time_s), ("speed", "rpm", &speed), ("load", "-", &load), ("y", "Nm", &y)];
+    write_columns(&folder.join("data.csv"), &columns).unwrap();
+}
+
+fn text(keys: &str) -> String {
+    format!(
+        r#"data = ["data.csv"]
+target = "y"
+
+[[axes]]
+name = "speed"
+unit = "rpm"
+points = [1000, 3000, 5000]
+{keys}
+
+[[labels]]
+name = "BASE"
+unit = "Nm"
+base = [100]
+axes = [{{ name = "speed" }}]
+
+[[labels]]
+name = "MORE"
+unit = "Nm"
+base = [0]
+locked = [0, 1, 2]
+axes = [{{ name = "speed" }}, {{ name = "load", unit = "-", points = [0, 1] }}]
+
+[[nodes]]
+name = "n"
+op = "channel"
+channel = "speed"
+unit = "rpm"
+
+[[nodes]]
+name = "load"
+op = "channel"
+channel = "load"
+
+[[nodes]]
+name = "base"
+op = "label"
+label = "BASE"
+in = ["n"]
+
+[[nodes]]
+name = "more"
+op = "label"
+label = "MORE"
+in = ["n", "load"]
+
+[[nodes]]
+name = "torque"
+op = "add"
+in = ["base", "more"]
+"#
+    )
+}
+
+#[test]
+fn a_corner_between_breakpoints_is_found_and_delivered() {
+    let tmp = tempfile::tempdir().unwrap();
+    data(tmp.path());
+    let plain = fitted(tmp.path(), &text("")).unwrap();
+    let free = text("fit = true").replace("locked = [0, 1, 2]", "base_weight = 0.001");
+    let found = fitted(tmp.path(), &free).unwrap();
+    assert!(found.valid && found.converged, "{:?}", found.verdict);
+    // Both labels stand on the new breakpoints; the corner is where it was put.
+    let corner = |label: usize| found.labels[label].axes[0].points[1];
+    assert!((corner(0) - 2300.0).abs() < 20.0, "{}", corner(0));
+    assert_eq!(corner(0), corner(1));
+    assert_eq!(found.labels[0].axes[0].points[2], 5000.0);
+    assert!(found.unseen_rms[1] < 0.55 && plain.unseen_rms[1] > 2.0 * found.unseen_rms[1]);
+    // Their own label and its intervals are told; what is written has them as axis.
+    assert_eq!(found.labels[2].name, "speed breakpoints");
+    let half = found.half_width[found.half_width.len() - 2].unwrap();
+    assert!((corner(0) - 2300.0).abs() < half && half < 20.0, "{half}");
+    let dcm = found.files.iter().find(|f| f.ends_with(".dcm")).unwrap();
+    let dcm = std::fs::read_to_string(tmp.path().join("run").join(dcm)).unwrap();
+    assert!(!dcm.contains("breakpoints"), "{dcm}");
+    let written = format!("{}", corner(0));
+    assert!(dcm.contains(&written[..4]), "{written} in {dcm}");
+}
+
+/// Values that are given by definition are given at a place.
+#[test]
+fn a_breakpoint_of_a_locked_cell_stays() {
+    let tmp = tempfile::tempdir().unwrap();
+    data(tmp.path());
+    let found = fitted(tmp.path(), &text("fit = true")).unwrap();
+    assert_eq!(found.labels[0].axes[0].points, [1000.0, 3000.0, 5000.0]);
+}
+
+#[test]
+fn an_axis_is_placed_or_fitted_and_not_both() {
+    let tmp = tempfile::tempdir().unwrap();
+    data(tmp.path());
+    let said = fitted(tmp.path(), &text("fit = true\nplace = 2")).unwrap_err();
+    assert!(said.contains("axes[0].fit") && said.contains("`fit` or `place`"), "{said}");
+    let twice = text("").replace(
+        r#"{ name = "load", unit = "-", points = [0, 1] }"#,
+        r#"{ name = "load", unit = "-", points = [0, 1], fit = "yes" }"#,
+    );
+    assert!(fitted(tmp.path(), &twice).unwrap_err().contains("fit"));
+}
