@@ -202,6 +202,7 @@ fn gains_are_scheduled_over_the_set_points() {
     let file = stored(tmp.path());
     let s = file.loops[0].schedule.as_ref().unwrap();
     assert_eq!(s.axes[0].points, [1000.0, 2000.0, 3000.0]);
+    assert_eq!(s.axes[0].unit, "rpm");
     // The gain of the plant goes with speed: that of the controller with one over it.
     for n in [1000.0, 2000.0, 3000.0] {
         let (kp, ki) = s.at(&[n]);
@@ -223,6 +224,32 @@ fn gains_are_scheduled_over_the_set_points() {
     let refused = work::control(&parsed(&text(&twice), tmp.path()).unwrap(), Watch::silent());
     let refused = refused.map(|_| ()).unwrap_err().to_string();
     assert!(refused.contains("no full grid of 1"), "{refused}");
+    program_is_runtime(&file);
+}
+
+/// A schedule of a PID: proportional and integral gains go with the set point, one derivative part is shared; each set point keeps what is
+/// asked with its own, and the file runs as it is exported.
+#[test]
+fn a_schedule_shares_its_derivative_part() {
+    let tmp = tempfile::tempdir().unwrap();
+    let quantity = |name: &str, unit: &str| Quantity { name: name.into(), unit: unit.into() };
+    let terms = ["u(t-3)*speed(t-1)", "y(t-1)", "y(t-2)"];
+    let structure = dynocal_ident::model::poly::PolyNarx::parse(&["u", "speed"], "y", &terms).unwrap();
+    let inputs = vec![quantity("u", "V"), quantity("speed", "rpm")];
+    let coefficients = [1e-5, 1.8, -0.81];
+    let mut model = StoredModel::new(structure, &coefficients, inputs, quantity("y", "Nm"), 0.1).unwrap();
+    model.initial = Some(dynocal_ident::model::initial::Initial::Rest);
+    json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+    let point = |n: f64| format!("[[points]]\nvalues = {{ u = 1.0, speed = {n:?} }}\n");
+    let all: String = [1000.0, 2000.0].map(point).concat();
+    let keys = "models = [\"model.json\"]\ndraws = 0\nschedule = [\"speed\"]\n";
+    let text = format!("{keys}{LOOP}derivative = true\n{all}");
+    let (own, _) = run(&parsed(&text, tmp.path()).unwrap(), Watch::silent()).unwrap();
+    let l = &own.loops[0];
+    assert!(own.valid && l.kd > 0.0 && l.by_point.len() == 2, "{:?}", own.verdict);
+    let file = stored(tmp.path());
+    assert_eq!((file.loops[0].gains.kd, file.loops[0].gains.filter_s), (l.kd, l.derivative_filter_s));
+    assert_eq!(file.loops[0].schedule.as_ref().unwrap().kp.len(), 2);
     program_is_runtime(&file);
 }
 

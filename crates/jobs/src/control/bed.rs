@@ -1,5 +1,7 @@
 //! Tests about set points on a plant that answers: what is applied, what is measured, what is not linear.
 
+use std::collections::BTreeMap;
+
 use dynocal_control::error::ControlError;
 use dynocal_control::response::odd_multisine;
 use dynocal_ident::excitation::bla::{Level, Realisation, bla};
@@ -83,6 +85,13 @@ pub(super) fn tested(
     };
     let shown = moved.iter().enumerate().map(|(k, m)| distortion(m, &out, k)).collect();
     Ok((out, shown))
+}
+
+/// Units of the channels of a plant.
+pub(super) fn units(spec: &PlantSpec) -> BTreeMap<String, String> {
+    let made = plants::find(&spec.name).and_then(|p| p.make).and_then(|make| make(spec, true).ok());
+    let of = |v: &Variable| (v.name.clone(), v.unit.clone());
+    made.map(|plant| plant.variables().iter().map(of).collect()).unwrap_or_default()
 }
 
 /// The plan: the set point with what moves about it.

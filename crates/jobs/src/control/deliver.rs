@@ -35,7 +35,7 @@ pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Op
             input: l.input.clone(),
             input_unit,
             gains: l.gains(),
-            schedule: schedule(job, l),
+            schedule: schedule(job, loaded, l),
             limits: spec.limits,
             start: spec.start,
             predictor,
@@ -97,14 +97,14 @@ pub(super) fn grid(job: &Job) -> Result<(), ControlJobError> {
     })
 }
 
-fn schedule(job: &Job, l: &LoopResult) -> Option<Schedule> {
+fn schedule(job: &Job, loaded: &Loaded, l: &LoopResult) -> Option<Schedule> {
     if l.by_point.is_empty() {
         return None;
     }
     let places = places(job)?;
     let axis = |(channel, points): (&String, Vec<f64>)| ScheduleAxis {
         channel: channel.clone(),
-        unit: "-".into(),
+        unit: loaded.channels.get(channel).cloned().unwrap_or_else(|| "-".into()),
         points,
     };
     Some(Schedule {

@@ -1,5 +1,7 @@
 //! Linear plants: stored models about their set points with draws, or transfer functions as given.
 
+use std::collections::BTreeMap;
+
 use dynocal_control::error::ControlError;
 use dynocal_control::linear::{about, drawn};
 use dynocal_control::system::{System, Time, Transfer};
@@ -27,6 +29,8 @@ pub(super) struct Loaded {
     pub(super) measured: Vec<Measured>,
     /// Units of outputs and inputs of the loops, where they are known.
     pub(super) units: Vec<(String, String)>,
+    /// Units of the channels that set points give, where they are known.
+    pub(super) channels: BTreeMap<String, String>,
     pub(super) points: Vec<AtPoint>,
     /// What stands between the controllers and all these plants.
     pub(super) decoupler: Option<System>,
@@ -82,6 +86,8 @@ fn plants(job: &Job, watch: Watch) -> Result<Loaded, ControlJobError> {
                 let own = inputs.iter().find(|q| q.name == l.input).map_or("-", |q| q.unit.as_str());
                 (m.user_output().unit, own.to_string())
             };
+            let all = models.iter().flat_map(StoredModel::measured_inputs);
+            out.channels = all.map(|q| (q.name, q.unit)).collect();
             out.units = job.loops.iter().zip(&models).map(|(l, m)| unit(l, m)).collect();
             if job.draws > 0 {
                 for m in models.iter().filter(|m| m.covariance().is_none()) {
@@ -140,7 +146,15 @@ fn models(job: &Job, files: &[std::path::PathBuf]) -> Result<Vec<StoredModel>, C
 impl Loaded {
     pub(super) fn empty(time: Time) -> Self {
         let (points, warnings) = (Vec::new(), Vec::new());
-        Self { time, points, warnings, decoupler: None, measured: Vec::new(), units: Vec::new() }
+        Self {
+            time,
+            points,
+            warnings,
+            decoupler: None,
+            measured: Vec::new(),
+            units: Vec::new(),
+            channels: BTreeMap::new(),
+        }
     }
 
     pub(super) fn add(

@@ -11,7 +11,7 @@ use dynocal_files::dataset::read_dataset;
 use dynocal_ident::stored::{Quantity, StoredModel};
 use dynocal_numerics::watch::Watch;
 
-use super::bed::{Distortion, tested};
+use super::bed::{self, Distortion, tested};
 use super::load::Loaded;
 use super::result::ControlJobError;
 use super::spec::{Job, Plants, Point};
@@ -77,6 +77,7 @@ pub(super) fn from_bed(job: &Job, watch: Watch) -> Result<Loaded, ControlJobErro
         return Ok(Loaded::empty(Time::Continuous));
     };
     let mut loaded = Loaded::empty(Time::Sampled { sample_time_s: test.sample_time_s });
+    loaded.channels = bed::units(plant);
     for (k, p) in points.iter().enumerate() {
         watch.note(&format!("{}: test on the plant", p.name));
         watch.fraction(0.1 * k as f64 / points.len() as f64);

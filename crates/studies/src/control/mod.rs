@@ -166,8 +166,16 @@ fn worth_tasks(o: &Options) -> Vec<Task> {
 /// them.
 const CYCLES: [&str; 5] = ["us06", "wltc_class3b", "udds", "real_drive_tsdc42648", "real_drive_cmap4115766"];
 const MAPPED: &str = "pfi_1_6l";
-const DRIVEN: [&str; 4] =
-    ["pfi_1_6l", "perturbed:pfi_1_6l:1", "perturbed:pfi_1_6l:2", "perturbed:pfi_1_6l:3"];
+const DRIVEN: [&str; 8] = [
+    "pfi_1_6l",
+    "perturbed:pfi_1_6l:1",
+    "perturbed:pfi_1_6l:2",
+    "perturbed:pfi_1_6l:3",
+    "perturbed:pfi_1_6l:4",
+    "perturbed:pfi_1_6l:5",
+    "perturbed:pfi_1_6l:6",
+    "perturbed:pfi_1_6l:7",
+];
 
 /// Model in the loop, where the cycles are given: they are not part of the program.
 fn cycle_tasks(o: &Options) -> Vec<Task> {
