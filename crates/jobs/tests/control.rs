@@ -45,6 +45,9 @@ fn given_gains_are_judged_as_they_are() {
     let slow = found(&format!("[asked]\nsettling_s = 0.5\n{LAG}{plant}"), tmp.path());
     assert!(!slow.valid && slow.verdict[0].contains("no PI"), "{:?}", slow.verdict);
     assert!(slow.together[0].violation.unwrap() <= 1.0);
+    // Any margin is kept by a controller that does nothing, which is no use.
+    let idle = found(&format!("[asked]\ndelay_margin_s = 1e6\n{LAG}{plant}"), tmp.path());
+    assert!(!idle.valid && idle.verdict[0].contains("next to nothing"), "{:?}", idle.verdict);
 }
 
 /// A stored model about a set point is its transfer function, preparation and all; the page is written.

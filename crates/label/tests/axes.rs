@@ -119,6 +119,20 @@ fn an_axis_without_an_inverse_is_refused() {
     assert!(why(&[], 0.1).contains("no axis"), "{}", why(&[], 0.1));
     assert!(why(&[(0, 1)], 0.1).contains("no axis"));
     assert!(why(&[(0, 0)], 0.0).contains("share"));
+    // A limit that would hold over the breakpoints as they were, and a label that is read both ways.
+    let limited = |convex: i8, gradient: [f64; 2]| {
+        let mut graph = graph.clone();
+        (graph.labels[0].axes[0].convex, graph.labels[0].axes[0].gradient) = (convex, gradient);
+        graph.with_fitted_axis("POINTS", &[(0, 0)], 0.1).map(|_| ()).map_err(|e| e.to_string())
+    };
+    assert!(limited(0, [0.0, f64::INFINITY]).is_ok());
+    assert!(limited(1, [f64::NEG_INFINITY, f64::INFINITY]).unwrap_err().contains("curvature"));
+    assert!(limited(0, [f64::NEG_INFINITY, 2.0]).unwrap_err().contains("gradient"));
+    let mut both = graph.clone();
+    both.labels[0].axes[0].gradient[0] = 0.0;
+    both.nodes.push(node("back", Op::Inverse(0, 1)));
+    let said = both.with_fitted_axis("POINTS", &[(0, 0)], 0.1).unwrap_err().to_string();
+    assert!(said.contains("inverse"), "{said}");
     let falling = Label::curve("FALLING", "-", "x", "-", &[0.0, 1.0], &[1.0, 0.0]);
     let nodes = vec![node("x", Op::Channel(0)), node("y", Op::Inverse(0, 0))];
     let said = Graph { nodes, labels: vec![falling] }.check(1).unwrap_err().to_string();

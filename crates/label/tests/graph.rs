@@ -342,3 +342,26 @@ fn an_axis_of_too_many_breakpoints_is_refused_by_its_name() {
     assert!(message.contains("`WIDE`") && message.contains("`count`"), "{message}");
     assert!(message.contains("65537") && message.contains("65536"), "{message}");
 }
+
+/// A curve that is read backwards where it has no value keeps its base: no sample says anything of it.
+#[test]
+fn an_inverse_beyond_the_ends_tells_nothing_of_its_curve() {
+    let mut curve = Label::curve("CURVE", "-", "x", "-", &[0.0, 1.0, 2.0], &[0.0, 1.0, 2.0]);
+    curve.axes[0].gradient[0] = 0.01;
+    let ops = vec![
+        ("v", Op::Channel(0)),
+        ("x", Op::Inverse(0, 0)),
+        ("gain", Op::Label(1, vec![])),
+        ("y", Op::Multiply(vec![1, 2])),
+    ];
+    let g = graph(ops, vec![curve, Label::scalar("GAIN", "-", 1.0)]);
+    let time_s: Vec<f64> = (0..50).map(f64::from).collect();
+    let v: Vec<f64> = time_s.iter().map(|t| 5.0 + t).collect();
+    let y = vec![6.0; 50];
+    let weights = vec![1.0; 50];
+    let record = Record { time_s: &time_s, channels: vec![&v] };
+    let target = Target { record, node: None, y: &y, weights: &weights };
+    let found = fit(&g, &[target], &Options::default(), &|| false).unwrap();
+    assert_eq!(&found.fit.values[..3], [0.0, 1.0, 2.0]);
+    assert!((found.fit.values[3] - 3.0).abs() < 1e-9, "{:?}", found.fit.values);
+}

@@ -30,8 +30,12 @@ pub(super) fn say(found: &mut Controlled) {
 }
 
 fn in_time(found: &Controlled, l: &LoopResult) -> bool {
-    let settled = l.rules.first().and_then(|t| t.settling_s);
-    found.asked.settling_s.is_none_or(|most| settled.is_some_and(|s| s <= most))
+    let Some(own) = l.rules.first() else { return found.asked.settling_s.is_none() };
+    match found.asked.settling_s {
+        Some(most) => own.settling_s.is_some_and(|s| s <= most),
+        // Any margins are kept by a controller that does nothing: what a search found must act.
+        None => own.rule == "given" || own.settling_s.is_some(),
+    }
 }
 
 fn head(found: &Controlled, together: bool) -> String {
@@ -53,10 +57,14 @@ fn head(found: &Controlled, together: bool) -> String {
     } else if !found.checks.iter().all(|c| c.holds) {
         "The gains must not be used: a run contradicts a margin.".into()
     } else {
-        let asked = found.asked.settling_s.unwrap_or(0.0);
-        format!(
-            "The gains keep the margins that are asked {points}{draws}, but no PI that does settles within {asked} s."
-        )
+        match found.asked.settling_s {
+            Some(asked) => format!(
+                "The gains keep the margins that are asked {points}{draws}, but no PI that does settles within {asked} s."
+            ),
+            None => format!(
+                "The gains must not be used: they keep the margins that are asked {points}{draws}, but only by doing next to nothing: a step of the demand does not settle within the run."
+            ),
+        }
     }
 }
 

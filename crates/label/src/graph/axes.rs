@@ -5,8 +5,9 @@
 //! y = M(P^-1(x))                every label M on the axis is read through its inverse
 //! ```
 //!
-//! At p = b nothing has changed. Smoothness, gradients and curvature of M count over b; ends of the axis stay, and so do breakpoints of
-//! locked cells. Intervals between breakpoints stay longer than a share of what they were.
+//! At p = b nothing has changed. Smoothness of M counts over b, as does a gradient that is limited to one sign; other limits of gradients and
+//! curvature would not be those over p, and are refused. Ends of the axis stay, and so do breakpoints of locked cells. Intervals between
+//! breakpoints stay longer than a share of what they were.
 
 use super::{Graph, Node, Op};
 use crate::error::LabelError;
@@ -28,7 +29,8 @@ impl Graph {
     /// longer than the share `least` of what they were. Nodes keep their names; numbers of nodes change.
     ///
     /// # Errors
-    /// [`LabelError::Label`]: no such label or axis, other breakpoints, a share outside of 0 to 1.
+    /// [`LabelError::Label`]: no such label or axis, other breakpoints, a share outside of 0 to 1, limits of gradients (but to one sign) or
+    /// curvature along the axis, a label that is read by an inverse.
     pub fn with_fitted_axis(
         &self,
         name: &str,
@@ -46,6 +48,18 @@ impl Graph {
         }
         if !(least > 0.0 && least < 1.0) {
             return Err(fail("found a least share of the intervals that is not between 0 and 1"));
+        }
+        for (l, k) in of {
+            let (label, axis) = (&self.labels[*l], &self.labels[*l].axes[*k]);
+            if axis.convex != 0 || axis.gradient.iter().any(|g| g.is_finite() && *g != 0.0) {
+                return Err(fail(&format!(
+                    "`{}` has a limit of its curvature or gradient along it, expected none but a gradient of one sign (0): it would hold over breakpoints that are given",
+                    label.name
+                )));
+            }
+            if self.nodes.iter().any(|n| matches!(n.op, Op::Inverse(inverse, _) if inverse == *l)) {
+                return Err(fail(&format!("`{}` is read by an inverse, whose axis is given", label.name)));
+            }
         }
         let mut own = Axis::new(&first.name, &first.unit, &first.points);
         own.smooth = 0.0;

@@ -33,7 +33,8 @@ pub(super) fn visits(p: &Problem, cells: usize) -> Vec<f64> {
         let (at, weight) = p.rows.row(k);
         at.iter().for_each(|j| sums[owner[*j]] = 0.0);
         at.iter().zip(weight).for_each(|(j, w)| sums[owner[*j]] += w.abs());
-        at.iter().zip(weight).for_each(|(j, w)| out[*j] += w.abs() / sums[owner[*j]]);
+        let seen = at.iter().zip(weight).filter(|(j, _)| sums[owner[**j]] > 0.0);
+        seen.for_each(|(j, w)| out[*j] += w.abs() / sums[owner[*j]]);
     }
     out
 }

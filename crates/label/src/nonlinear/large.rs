@@ -117,9 +117,10 @@ pub fn fit(
     graph.check(channels)?;
     if let Some(l) = graph.labels.iter().find(|l| !l.limits().is_empty()) {
         let reason = format!(
-            "gradients and curvature are limited in functions of at most {} cells and {MOST_HELD} cells times samples, found {} cells",
+            "gradients and curvature are limited in functions of at most {} cells and of at most {MOST_HELD} for cells times samples; found {} cells and {} samples",
             super::MOST_CELLS,
-            start.len()
+            start.len(),
+            targets.iter().map(|t| t.counts().count()).sum::<usize>()
         );
         return Err(LabelError::label(&l.name, reason));
     }

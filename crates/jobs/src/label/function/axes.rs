@@ -2,8 +2,11 @@
 
 use dynocal_files::spec::Faults;
 use dynocal_label::graph::{FittedAxis, Graph};
+use dynocal_label::nonlinear::{self, Found, MOST_CELLS, Target};
+use dynocal_numerics::watch::Watch;
 
-use super::spec::Placed;
+use super::spec::{Job, Placed};
+use crate::label::result::LabelJobError;
 
 /// Least length of an interval between breakpoints that are fitted, as a share of what it was.
 const LEAST_INTERVAL: f64 = 0.1;
@@ -32,6 +35,15 @@ pub(super) fn fitted(
             );
             continue;
         }
+        let cells =
+            graph.base().len() + w.of.first().map_or(0, |(l, k)| graph.labels[*l].axes[*k].points.len());
+        if cells > MOST_CELLS {
+            let expected = format!(
+                "a function of at most {MOST_CELLS} cells, those of the breakpoints too, or no `fit`"
+            );
+            faults.push(&w.key, format!("{cells} cells"), expected);
+            continue;
+        }
         let name = format!("{} breakpoints", w.name);
         if graph.labels.iter().any(|l| l.name == name) {
             faults.push(
@@ -50,4 +62,54 @@ pub(super) fn fitted(
         }
     }
     (graph, out)
+}
+
+/// The fit of `graph` from `start`; breakpoints of fitted axes that are not known stay where they were (and are locked), and the rest is fitted
+/// again. A word on each of them.
+///
+/// # Errors
+/// [`LabelJobError`]: those of the fit.
+pub(super) fn fit(
+    job: &Job,
+    graph: &mut Graph,
+    mut start: Vec<f64>,
+    targets: &[Target],
+    watch: Watch,
+) -> Result<(Found, Vec<String>), LabelJobError> {
+    let interrupt = || watch.interrupted();
+    let mut said = Vec::new();
+    loop {
+        let found = nonlinear::fit_from(graph, &start, targets, &job.fit, &interrupt)?;
+        let unknown = unknown(graph, &job.fitted, &found);
+        if unknown.is_empty() || watch.interrupted() {
+            return Ok((found, said));
+        }
+        start.clone_from(&found.fit.exact);
+        for (label, from, k) in unknown {
+            let l = &mut graph.labels[label];
+            l.locked[k] = true;
+            start[from + k] = l.base[k];
+            said.push(format!(
+                "the breakpoint {} {} of `{}` stays: what the data say of it is wider than the interval beside it",
+                l.base[k], l.unit, l.axes[0].name
+            ));
+        }
+    }
+}
+
+/// Breakpoints whose 95 % interval is wider than the shorter of the intervals beside them, or that have none: label, its first cell, cell.
+fn unknown(graph: &Graph, axes: &[FittedAxis], found: &Found) -> Vec<(usize, usize, usize)> {
+    let mut out = Vec::new();
+    for axis in axes {
+        let from: usize = graph.labels[..axis.label].iter().map(|l| l.len()).sum();
+        let label = &graph.labels[axis.label];
+        for k in (0..label.len()).filter(|k| !label.locked[*k]) {
+            let beside = (label.base[k + 1] - label.base[k]).min(label.base[k] - label.base[k - 1]);
+            let half = found.fit.half_width[from + k];
+            if !(2.0 * half <= beside) {
+                out.push((axis.label, from, k));
+            }
+        }
+    }
+    out
 }

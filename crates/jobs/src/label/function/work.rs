@@ -8,6 +8,7 @@ use dynocal_label::ve::judge::Decision;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
+use super::axes;
 use super::coarse::{self, Chosen};
 use super::record::{self, Read};
 use super::spec::Job;
@@ -97,14 +98,15 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     let interrupt = || watch.interrupted();
     let mut start = job.graph.base();
     if job.reduce > 1 {
-        watch.note(&format!("fitting the labels on every {}th breakpoint", job.reduce));
+        watch.note(&format!("fitting the labels on one in {} breakpoints", job.reduce));
         let coarse = coarse::every(&job.graph, job.reduce);
         let found = nonlinear::fit(&coarse, &fitted, &job.fit, &interrupt)?;
         start = coarse::spread(&job.graph, &coarse, &found.fit.exact);
     }
     watch.note("fitting the labels");
     let mut graph = job.graph.clone();
-    let mut found = nonlinear::fit_from(&graph, &start, &fitted, &job.fit, &interrupt)?;
+    let (mut found, stays) = axes::fit(job, &mut graph, start, &fitted, watch)?;
+    notes.extend(stays);
     let (mut chosen, mut unseen_rms_full) = (Vec::new(), None);
     if !job.placed.is_empty() {
         watch.note("placing breakpoints");

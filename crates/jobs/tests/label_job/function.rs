@@ -2,30 +2,14 @@
 
 use std::path::Path;
 
-use dynocal_files::atomic;
 use dynocal_files::csv_io::write_columns;
 use dynocal_files::json;
 use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::poly::PolyNarx;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
-use dynocal_jobs::label::function::{Fitted, run, spec};
-use dynocal_jobs::place::Overrides;
 use dynocal_numerics::rng::Rng64;
-use dynocal_numerics::watch::Watch;
 
-fn fitted(folder: &Path, text: &str) -> Result<Fitted, String> {
-    let path = folder.join("spec.toml");
-    atomic::write(&path, text.as_bytes()).unwrap();
-    let over = Overrides { out: Some(folder.join("run")), ..Overrides::default() };
-    let job = spec::read(&path, &over).map_err(|e| e.to_string())?;
-    run(&job, Watch::silent()).map(|f| f.0).map_err(|e| e.to_string())
-}
-
-/// The labels that were written.
-fn dcm(found: &Fitted, folder: &Path) -> String {
-    let file = found.files.iter().find(|f| f.ends_with(".dcm")).unwrap();
-    std::fs::read_to_string(folder.join("run").join(file)).unwrap()
-}
+use super::{dcm, fitted};
 
 /// Samples that visit every breakpoint of an axis evenly, with the values of `f`.
 fn curve(folder: &Path, points: &[f64], f: &dyn Fn(f64) -> f64) {

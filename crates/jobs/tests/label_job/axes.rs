@@ -2,20 +2,10 @@
 
 use std::path::Path;
 
-use dynocal_files::atomic;
 use dynocal_files::csv_io::write_columns;
-use dynocal_jobs::label::function::{Fitted, run, spec};
-use dynocal_jobs::place::Overrides;
 use dynocal_numerics::rng::Rng64;
-use dynocal_numerics::watch::Watch;
 
-fn fitted(folder: &Path, text: &str) -> Result<Fitted, String> {
-    let path = folder.join("spec.toml");
-    atomic::write(&path, text.as_bytes()).unwrap();
-    let over = Overrides { out: Some(folder.join("run")), ..Overrides::default() };
-    let job = spec::read(&path, &over).map_err(|e| e.to_string())?;
-    run(&job, Watch::silent()).map(|f| f.0).map_err(|e| e.to_string())
-}
+use super::{dcm, fitted};
 
 /// Torque over speed (a corner at 2300 rpm) times a factor over speed and load, with noise.
 fn data(folder: &Path) {
@@ -110,8 +100,7 @@ fn a_corner_between_breakpoints_is_found_and_delivered() {
     assert_eq!(found.labels[2].name, "speed breakpoints");
     let half = found.half_width[found.half_width.len() - 2].unwrap();
     assert!((corner(0) - 2300.0).abs() < half && half < 20.0, "{half}");
-    let dcm = found.files.iter().find(|f| f.ends_with(".dcm")).unwrap();
-    let dcm = std::fs::read_to_string(tmp.path().join("run").join(dcm)).unwrap();
+    let dcm = dcm(&found, tmp.path());
     assert!(!dcm.contains("breakpoints"), "{dcm}");
     let written = format!("{}", corner(0));
     assert!(dcm.contains(&written[..4]), "{written} in {dcm}");
@@ -124,6 +113,44 @@ fn a_breakpoint_of_a_locked_cell_stays() {
     data(tmp.path());
     let found = fitted(tmp.path(), &text("fit = true")).unwrap();
     assert_eq!(found.labels[0].axes[0].points, [1000.0, 3000.0, 5000.0]);
+}
+
+/// Where the labels are straight nothing says where a breakpoint is: it stays, with a word.
+#[test]
+fn a_breakpoint_that_nothing_tells_of_stays() {
+    let tmp = tempfile::tempdir().unwrap();
+    let mut rng = Rng64::new(3);
+    let n = 1000;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * f64::from(k)).collect();
+    let speed: Vec<f64> = (0..n).map(|_| 1000.0 + 4000.0 * rng.uniform()).collect();
+    let load = vec![0.0; speed.len()];
+    let y: Vec<f64> = speed.iter().map(|v| 0.01 * v + 0.5 * rng.normal()).collect();
+    let columns: [(&str, &str, &[f64]); 4] =
+        [("time", "s", &time_s), ("speed", "rpm", &speed), ("load", "-", &load), ("y", "Nm", &y)];
+    write_columns(&tmp.path().join("data.csv"), &columns).unwrap();
+    let free = text("fit = true").replace("locked = [0, 1, 2]", "locked = [0, 3]");
+    let found = fitted(tmp.path(), &free).unwrap();
+    assert_eq!(found.labels[0].axes[0].points, [1000.0, 3000.0, 5000.0]);
+    assert!(
+        found.warnings.iter().any(|w| w.contains("3000 rpm") && w.contains("stays")),
+        "{:?}",
+        found.warnings
+    );
+}
+
+/// Limits that would hold over breakpoints as they were are faults of the spec, as is a function that is too large.
+#[test]
+fn what_an_axis_in_the_fit_cannot_have_is_a_fault() {
+    let tmp = tempfile::tempdir().unwrap();
+    data(tmp.path());
+    let convex = text("fit = true")
+        .replace(r#"axes = [{ name = "speed" }]"#, r#"axes = [{ name = "speed", convex = 1 }]"#);
+    let said = fitted(tmp.path(), &convex).unwrap_err();
+    assert!(said.contains("axes[0].fit") && said.contains("curvature"), "{said}");
+    let points: Vec<f64> = (0..300).map(|k| 1000.0 + 10.0 * f64::from(k)).collect();
+    let large = text("fit = true").replace("[1000, 3000, 5000]", &format!("{points:?}"));
+    let said = fitted(tmp.path(), &large.replace("locked = [0, 1, 2]", "")).unwrap_err();
+    assert!(said.contains("at most 500"), "{said}");
 }
 
 #[test]

@@ -2,23 +2,16 @@
 
 use std::path::Path;
 
-use dynocal_files::atomic;
 use dynocal_files::csv_io::write_columns;
 use dynocal_files::run_folder::RunPlace;
 use dynocal_jobs::label::film::Film;
-use dynocal_jobs::label::function::{Fitted, run, spec};
-use dynocal_jobs::place::{Overrides, Place};
+use dynocal_jobs::label::function::{Fitted, run};
+use dynocal_jobs::place::Place;
 use dynocal_label::graph::{Graph, Record};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
 
-fn fitted(folder: &Path, text: &str) -> Result<Fitted, String> {
-    let path = folder.join("spec.toml");
-    atomic::write(&path, text.as_bytes()).unwrap();
-    let over = Overrides { out: Some(folder.join("run")), ..Overrides::default() };
-    let job = spec::read(&path, &over).map_err(|e| e.to_string())?;
-    run(&job, Watch::silent()).map(|f| f.0).map_err(|e| e.to_string())
-}
+use super::fitted;
 
 const CURVE: &str = r#"data = ["data.csv"]
 target = "y"
