@@ -120,6 +120,10 @@ fn check(job: &Job) -> Result<(), LabelJobError> {
     if !(0.2..=0.9).contains(&job.keys.train) {
         return fail("--train", job.keys.train, "a share from 0.2 to 0.9");
     }
+    let warm = job.keys.mask.least_coolant_c;
+    if !(-100.0..=300.0).contains(&warm) {
+        return fail("--least-coolant", warm, "a temperature in degC from -100 to 300");
+    }
     match job.target_lambda {
         Some(l) if !(0.5..=1.5).contains(&l) => fail("--target", l, "a lambda from 0.5 to 1.5"),
         _ => Ok(()),

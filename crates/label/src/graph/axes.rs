@@ -69,6 +69,11 @@ impl Graph {
         for i in 0..=last {
             breakpoints.locked[i] = i == 0 || i == last || of.iter().any(|at| self.holds(*at, i));
         }
+        if breakpoints.locked.iter().all(|l| *l) {
+            return Err(fail(
+                "every breakpoint stays (the ends, and those of locked cells): there is none to fit",
+            ));
+        }
         let fitted = FittedAxis { label: self.labels.len(), of: of.to_vec() };
         let mut out = self.read_through(&fitted, name);
         out.labels.push(breakpoints);

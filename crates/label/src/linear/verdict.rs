@@ -90,7 +90,7 @@ pub(super) fn tell(
         facts[k] = if each > 0.0 { own / (tau * each) } else { 0.0 };
         verdicts[k] = if visits[k] <= 0.0 {
             Verdict::Untouched
-        } else if facts[k] >= DETERMINED && 2.0 * own >= h[f * n + f] {
+        } else if facts[k] >= DETERMINED && 2.0 * own >= h[f * n + f] && own * inverse[f * n + f] <= ALONE {
             Verdict::Determined
         } else {
             Verdict::Pulled
@@ -98,6 +98,10 @@ pub(super) fn tell(
     }
     Ok(Told { half_width, facts, verdicts, sigma: found.variance.sqrt() })
 }
+
+/// Factor by which the variance of a cell grows because others are not known either, beyond which only sums with them are known: what makes
+/// the cell a number then is what ties it to its neighbours, however weak.
+const ALONE: f64 = 1e4;
 
 /// What each sample says of a free cell.
 struct Influence<'a> {

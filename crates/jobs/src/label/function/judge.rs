@@ -17,6 +17,9 @@ const COUNTS: f64 = 1.645;
 /// Distance from a bound, as a share of it, at which a label lies on it.
 const ON_BOUND: f64 = 1e-6;
 
+/// Least standard error of a gain that counts, as a share of it.
+const SURE: f64 = 1e-6;
+
 /// The function before and after.
 pub(super) struct Sides<'a> {
     pub(super) before: &'a Graph,
@@ -42,7 +45,8 @@ pub(super) fn of(s: &Sides, fitted: &[Target], judging: &[Target], fit: &Fit) ->
     let (gain, segments) = gains(s, judging);
     let (mean, error, facts) = mean_and_error(&gain, &segments, 1.0);
     let needed = t_one_sided(facts - 1.0);
-    let improvement = if error > 0.0 { mean / error } else { 0.0 };
+    // A gain that is the same at every sample has no error to speak of.
+    let improvement = if mean == 0.0 { 0.0 } else { mean / error.max(SURE * mean.abs()) };
     let samples: usize = fitted.iter().map(|t| t.weights.iter().filter(|w| **w > 0.0).count()).sum();
     let (before, after) = (rms(s.before, &s.before.base(), fitted), rms(s.after, s.values, fitted));
     let evidence = 2.0 * samples as f64 / fit.correlation_samples * (before / after.max(1e-300)).ln();

@@ -1,6 +1,6 @@
 //! What came out of a fit, in words.
 
-use dynocal_label::graph::Graph;
+use dynocal_label::graph::{FittedAxis, Graph};
 use dynocal_label::linear::{Fit, Verdict};
 use dynocal_label::ve::judge::{Decision, NEEDED};
 
@@ -98,7 +98,7 @@ fn cells(fit: &Fit) -> String {
 }
 
 /// Warnings: what was left out, what is open, what a limit holds.
-pub(super) fn warnings(graph: &Graph, fit: &Fit, notes: Vec<String>) -> Vec<String> {
+pub(super) fn warnings(graph: &Graph, axes: &[FittedAxis], fit: &Fit, notes: Vec<String>) -> Vec<String> {
     let mut out = Vec::new();
     let label_of = |cell: usize| {
         let mut from = 0;
@@ -126,7 +126,20 @@ pub(super) fn warnings(graph: &Graph, fit: &Fit, notes: Vec<String>) -> Vec<Stri
             if names.len() == 1 { "is" } else { "are" }
         ));
     }
-    let mut held: Vec<String> = fit.held.iter().map(|h| format!("the fit is held by a limit: {h}")).collect();
+    let crossing = |h: &String| {
+        let name = &axes
+            .iter()
+            .map(|a| &graph.labels[a.label])
+            .find(|l| h.starts_with(&format!("`{}`:", l.name)))?
+            .name;
+        let rest = h.rsplit("gradient").next().unwrap_or("");
+        Some(format!(
+            "two of the {name} stand at the least distance that they may have:{}",
+            rest.replace("along", "of")
+        ))
+    };
+    let word = |h: &String| crossing(h).unwrap_or_else(|| format!("the fit is held by a limit: {h}"));
+    let mut held: Vec<String> = fit.held.iter().map(word).collect();
     held.sort();
     held.dedup();
     out.extend(held);

@@ -1,5 +1,7 @@
 //! The work: read records, fit on the first part of each, judge on the rest.
 
+use std::collections::BTreeMap;
+
 use dynocal_label::graph::{FittedAxis, Graph, Op, Record};
 use dynocal_label::label::Label;
 use dynocal_label::linear::Fit;
@@ -14,6 +16,9 @@ use super::record::{self, Read};
 use super::spec::Job;
 use super::{judge, said};
 use crate::label::result::LabelJobError;
+
+/// Share of the samples beyond the ends of an axis that is said.
+const OUTSIDE: f64 = 0.05;
 
 /// A fit of a function, the body of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
@@ -87,14 +92,23 @@ pub struct Left {
 /// # Errors
 /// [`LabelJobError`]: files, channels, the fit, an interruption.
 pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
-    let (mut records, mut notes) = (Vec::new(), Vec::new());
+    let (mut records, mut notes): (Vec<Read>, Vec<String>) = (Vec::new(), Vec::new());
     for path in &job.data {
         watch.note(&format!("reading {}", path.display()));
-        records.extend(record::read(path, job, &mut notes)?);
+        for read in record::read(path, job, &mut notes)? {
+            let same = |r: &Read| {
+                r.time_s == read.time_s && r.targets == read.targets && r.channels == read.channels
+            };
+            match records.iter().any(same) {
+                true => notes.push(format!("{}: the same record again: it counts once", path.display())),
+                false => records.push(read),
+            }
+        }
     }
     let (train, test): (Vec<Weights>, Vec<Weights>) = records.iter().map(|r| split(r, job)).unzip();
     let fitted = targets(job, &records, &train);
     let judging = targets(job, &records, &test);
+    notes.extend(outside(&job.graph, &fitted));
     let interrupt = || watch.interrupted();
     let mut start = job.graph.base();
     if job.reduce > 1 {
@@ -158,7 +172,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
             full: unseen_rms_full,
             fit: &found.fit,
         }),
-        warnings: said::warnings(&graph, &found.fit, notes),
+        warnings: said::warnings(&graph, &job.fitted, &found.fit, notes),
         half_width: found.fit.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
         left: left(&graph, &nodes, first, job),
         labels: graph.labels_on(&job.fitted, &found.fit.values),
@@ -176,6 +190,41 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
         files: Vec::new(),
         drawn: [first.time_s.clone(), first.targets[0].clone(), function],
     })
+}
+
+/// Labels that are read beyond their breakpoints by more than a few of the samples that are fitted: there they keep their edge.
+fn outside(graph: &Graph, fitted: &[Target]) -> Vec<String> {
+    let base = graph.base();
+    // Samples that count, and those beyond the ends, of each axis of each label.
+    let mut counts: BTreeMap<(usize, usize), [usize; 2]> = BTreeMap::new();
+    for t in fitted {
+        let nodes = graph.all_values(&base, &t.record);
+        for node in &graph.nodes {
+            let Op::Label(l, at) = &node.op else { continue };
+            for (k, (input, axis)) in at.iter().zip(&graph.labels[*l].axes).enumerate() {
+                let ends = [axis.points[0], axis.points[axis.points.len() - 1]];
+                let own = counts.entry((*l, k)).or_default();
+                for v in (0..t.y.len()).filter(|s| t.weights[*s] > 0.0).map(|s| nodes[*input][s]) {
+                    own[0] += 1;
+                    own[1] += usize::from(v < ends[0] || v > ends[1]);
+                }
+            }
+        }
+    }
+    let beyond = counts.into_iter().filter(|(_, [all, out])| *out as f64 > OUTSIDE * *all as f64);
+    let word = |((l, k), [all, out]): ((usize, usize), [usize; 2])| {
+        let (label, axis) = (&graph.labels[l], &graph.labels[l].axes[k]);
+        format!(
+            "{:.0} % of the samples lie beyond the breakpoints of `{}` ({} to {} {}), where `{}` keeps its edge: cells there are a mean of all that is beyond",
+            100.0 * out as f64 / all as f64,
+            axis.name,
+            axis.points[0],
+            axis.points[axis.points.len() - 1],
+            axis.unit,
+            label.name
+        )
+    };
+    beyond.map(word).collect()
 }
 
 /// What is left of the first record, over each quantity that enters a label.
