@@ -185,7 +185,8 @@ impl VirtualEngine {
             *old = part;
         }
         let g = &self.params.geometry;
-        let warm = self.params.friction.fmep_pa(s.peak_mean_pa, self.held.piston_speed);
+        let friction = &self.params.friction;
+        let warm = friction.fmep_pa(s.peak_mean_pa, self.held.piston_speed, s.inputs.speed_rpm);
         let fmep = self.held.friction_factor * warm;
         let friction_nm = fmep * 4.0 * g.displacement_m3() / (4.0 * PI);
         let mean_nm = s.work_sum_j / (4.0 * PI) - friction_nm;

@@ -1,4 +1,4 @@
-//! Cam positions over speed and load, as an engine controller would hold them.
+//! Cam positions over speed and load, as an engine controller would hold them: lists at light, part and full load, linear between.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,9 +20,24 @@ pub struct CamSchedule {
     pub part_load_kpa: f64,
     /// Full load \[kPa\].
     pub full_load_kpa: f64,
+    /// Positions towards no load; absent, those of part load hold down to none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub light: Option<LightLoad>,
     /// Added to the lists; absent, nothing is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shift: Option<CamShift>,
+}
+
+/// Positions at light load, where residual gas is what limits a stable burn: phasers stand with little or no overlap there (parked).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightLoad {
+    /// Manifold pressure up to which they hold \[kPa\].
+    pub load_kpa: f64,
+    /// Intake \[deg BTDC firing\], one per speed.
+    pub intake_deg: Vec<f64>,
+    /// Exhaust \[deg ATDC firing\], one per speed.
+    pub exhaust_deg: Vec<f64>,
 }
 
 /// A smooth shift over speed and load, c + a (N/N_c)^q e + b r g for each cam: a bell e = exp(-|dp/w_p|^k - |dN/w_N|^k) about
@@ -104,6 +119,9 @@ impl CamShift {
 /// Ends of the box of both cams \[deg\].
 const BOX_DEG: (f64, f64) = (180.0, 300.0);
 
+/// Time of a phaser \[s\]: a few tenths of a second.
+const PHASER_S: f64 = 0.3;
+
 /// Highest speed of a schedule \[rpm\].
 pub const MOST_RPM: f64 = 20_000.0;
 /// Highest pressure of a schedule \[kPa\].
@@ -114,12 +132,20 @@ impl CamSchedule {
     pub fn at(&self, speed_rpm: f64, map_kpa: f64) -> (f64, f64) {
         let load =
             ((map_kpa - self.part_load_kpa) / (self.full_load_kpa - self.part_load_kpa)).clamp(0.0, 1.0);
-        let over = |part: &[f64], full: &[f64]| {
+        let over = |part: &[f64], full: &[f64], light: Option<&Vec<f64>>| {
             let (a, b) = (self.speed(part, speed_rpm), self.speed(full, speed_rpm));
-            a + load * (b - a)
+            match (&self.light, light) {
+                (Some(l), Some(list)) if map_kpa < self.part_load_kpa => {
+                    let off =
+                        ((self.part_load_kpa - map_kpa) / (self.part_load_kpa - l.load_kpa)).clamp(0.0, 1.0);
+                    a + off * (self.speed(list, speed_rpm) - a)
+                }
+                _ => a + load * (b - a),
+            }
         };
-        let intake = over(&self.intake_part_deg, &self.intake_full_deg);
-        let exhaust = over(&self.exhaust_part_deg, &self.exhaust_full_deg);
+        let light = self.light.as_ref();
+        let intake = over(&self.intake_part_deg, &self.intake_full_deg, light.map(|l| &l.intake_deg));
+        let exhaust = over(&self.exhaust_part_deg, &self.exhaust_full_deg, light.map(|l| &l.exhaust_deg));
         match &self.shift {
             None => (intake, exhaust),
             Some(shift) => {
@@ -128,6 +154,14 @@ impl CamSchedule {
                 (held(intake + i), held(exhaust + e))
             }
         }
+    }
+
+    /// Moves positions (intake, exhaust) \[deg\] towards those of the schedule, as far as phasers turn in a cycle of `cycle_s`.
+    #[must_use]
+    pub fn follow(&self, now: (f64, f64), speed_rpm: f64, map_kpa: f64, cycle_s: f64) -> (f64, f64) {
+        let (intake, exhaust) = self.at(speed_rpm, map_kpa);
+        let share = (cycle_s / PHASER_S).min(1.0);
+        (now.0 + share * (intake - now.0), now.1 + share * (exhaust - now.1))
     }
 
     /// Linear over speed, held at the ends.
@@ -142,14 +176,20 @@ impl CamSchedule {
     /// pressures rising from 0 to [`MOST_KPA`].
     pub fn fits(&self) -> bool {
         let n = self.speed_rpm.len();
-        let lists =
-            [&self.intake_part_deg, &self.exhaust_part_deg, &self.intake_full_deg, &self.exhaust_full_deg];
+        let mut lists = vec![
+            &self.intake_part_deg,
+            &self.exhaust_part_deg,
+            &self.intake_full_deg,
+            &self.exhaust_full_deg,
+        ];
+        lists.extend(self.light.iter().flat_map(|l| [&l.intake_deg, &l.exhaust_deg]));
         n >= 2
             && self.speed_rpm.windows(2).all(|w| w[1] > w[0])
             && self.speed_rpm.iter().all(|v| (0.0..=MOST_RPM).contains(v))
             && lists.iter().all(|l| l.len() == n && l.iter().all(|v| (180.0..=300.0).contains(v)))
             && self.full_load_kpa > self.part_load_kpa
             && self.part_load_kpa >= 0.0
+            && self.light.as_ref().is_none_or(|l| l.load_kpa >= 0.0 && l.load_kpa < self.part_load_kpa)
             && self.full_load_kpa <= MOST_KPA
     }
 }

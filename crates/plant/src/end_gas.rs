@@ -8,7 +8,8 @@
 //!
 //! with `oxygen_exponent` a and `fuel_exponent` b times (Y/Y_0)^-a (phi/phi_0)^-b, Y the share of air in the charge, phi 1/lambda,
 //! at the charge that the correlation was fitted on: phi_0 1.1, 6 % residual gas. Ignition delays of iso-octane give a 1.41, b
-//! 0.77 (He, Donovan, Zigler et al., Combust. Flame 142 (2005), from memory).
+//! 0.77 (He, Donovan, Zigler et al., Combust. Flame 142 (2005), from memory). They were measured at phi 0.25 to 1, so that fuel beyond phi_0
+//! is not taken to shorten the delay: the factor of the fuel stays there at 1, the value of the engine of the correlation.
 //!
 //! 1 is the onset. Valid for the gasoline of the correlation (octane 80 to 100), no two-stage ignition, no cyclic
 //! scatter: it is an index. The burned zone holds what is left of the mean temperature, T_b = (T - (1 - x_b) T_u)/x_b
@@ -50,6 +51,8 @@ impl KnockModel {
     /// // Residual gas slows the end gas down, and so does less fuel.
     /// assert!(k.charge_factor(1.0, 0.20, 14.7) > k.charge_factor(1.0, 0.06, 14.7));
     /// assert!(k.charge_factor(1.0, 0.06, 14.7) > 1.05);
+    /// // More fuel than on that engine does not speed it up: no ignition delay behind the exponents is so rich.
+    /// assert!(k.charge_factor(0.75, 0.06, 14.7) >= 1.0);
     /// ```
     pub fn charge_factor(&self, lambda: f64, residual: f64, afr: f64) -> f64 {
         if self.oxygen_exponent == 0.0 && self.fuel_exponent == 0.0 {
@@ -58,7 +61,7 @@ impl KnockModel {
         let air = |lambda: f64, residual: f64| (1.0 - residual) * lambda * afr / (1.0 + lambda * afr);
         let (phi, rest) = FITTED;
         let oxygen = (air(lambda, residual) / air(1.0 / phi, rest)).max(0.05);
-        oxygen.powf(-self.oxygen_exponent) * (lambda * phi).powf(self.fuel_exponent)
+        oxygen.powf(-self.oxygen_exponent) * (lambda * phi).max(1.0).powf(self.fuel_exponent)
     }
 
     /// Ignition delay \[s\] of end gas at `p_pa`, `t_k`.

@@ -89,7 +89,8 @@ impl Outputs {
             0.25 * s.cylinders.iter().map(|c| f(&c.last)).sum::<f64>()
         };
         let v_d = p.geometry.displacement_m3();
-        let fmep_pa = held.friction_factor * p.friction.fmep_pa(s.peak_mean_pa, held.piston_speed);
+        let fmep_pa =
+            held.friction_factor * p.friction.fmep_pa(s.peak_mean_pa, held.piston_speed, s.inputs.speed_rpm);
         let torque_cycle_nm = s.work_sum_j / (4.0 * PI) - fmep_pa * 4.0 * v_d / (4.0 * PI);
         let fuel_kg_h = 1.2e-4 * held.fuel_share * s.inputs.injection_mg * s.inputs.speed_rpm;
         let power_kw = 1e-3 * torque_cycle_nm * held.omega;

@@ -147,7 +147,9 @@ pub struct HeatTransfer {
     pub law: HeatLaw,
 }
 
-/// Chen-Flynn friction FMEP = a + b p_max + c c_m + d c_m^2 \[C\].
+/// Chen-Flynn friction FMEP = a + b p_max + c c_m + d c_m^2 \[C\], with boundary lubrication e (1 + 500 rpm/N) where e is given: rings and valve
+/// train touch at low speed. Form of that term after Patton, Nitschke and Heywood (SAE 890836) as revised by Sandoval and Heywood (SAE
+/// 2003-01-0725), cited from memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Friction {
@@ -159,14 +161,31 @@ pub struct Friction {
     pub linear_pa_s_m: f64,
     /// Quadratic \[Pa s2/m2\].
     pub quadratic_pa_s2_m2: f64,
+    /// Boundary lubrication e \[Pa\]; 0 leaves it out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub boundary_pa: f64,
+}
+
+/// Speed of the term of boundary lubrication \[rpm\], and the least at which it is read: below, no engine runs.
+const BOUNDARY_RPM: f64 = 500.0;
+const LEAST_RPM: f64 = 100.0;
+
+// The signature is serde's.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 impl Friction {
-    /// FMEP \[Pa\].
-    pub fn fmep_pa(&self, peak_pa: f64, piston_speed_m_s: f64) -> f64 {
-        self.constant_pa
+    /// FMEP \[Pa\] at a mean piston speed \[m/s\] and an engine speed \[rpm\].
+    pub fn fmep_pa(&self, peak_pa: f64, piston_speed_m_s: f64, speed_rpm: f64) -> f64 {
+        let hydrodynamic = self.constant_pa
             + self.peak_share * peak_pa
-            + piston_speed_m_s * (self.linear_pa_s_m + piston_speed_m_s * self.quadratic_pa_s2_m2)
+            + piston_speed_m_s * (self.linear_pa_s_m + piston_speed_m_s * self.quadratic_pa_s2_m2);
+        if self.boundary_pa == 0.0 {
+            return hydrodynamic;
+        }
+        hydrodynamic + self.boundary_pa * (1.0 + BOUNDARY_RPM / speed_rpm.max(LEAST_RPM))
     }
 }
 

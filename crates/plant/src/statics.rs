@@ -28,11 +28,14 @@ pub struct SettleOptions {
     pub lambda: f64,
     /// Simulated time after which the search gives up \[s\].
     pub limit_s: f64,
+    /// Cams follow the schedule of the parameter set, where it has one; otherwise they stay where they are.
+    #[serde(default)]
+    pub cams: bool,
 }
 
 impl Default for SettleOptions {
     fn default() -> Self {
-        Self { torque_nm: 0.005, lambda: 2e-4, limit_s: 20.0 }
+        Self { torque_nm: 0.005, lambda: 2e-4, limit_s: 20.0, cams: false }
     }
 }
 
@@ -143,6 +146,11 @@ pub fn settle(
         u.throttle_deg = (u.throttle_deg + move_deg.clamp(-2.0, 2.0)).clamp(0.0, 90.0);
         let air_mg = 1e6 * 1e-3 * y.air_g_s * cycle_s / 4.0;
         u.injection_mg = (air_mg / (p.gas.afr_stoich * target.lambda)).clamp(0.0, 120.0);
+        if let Some(cams) = p.cams.as_ref().filter(|_| options.cams) {
+            let now = (u.intake_mop_deg_btdc, u.exhaust_mop_deg_atdc);
+            (u.intake_mop_deg_btdc, u.exhaust_mop_deg_atdc) =
+                cams.follow(now, u.speed_rpm, y.map_kpa, cycle_s);
+        }
         engine.set_inputs(u)?;
     }
 }

@@ -46,6 +46,7 @@ fn specified() -> EngineParams {
             peak_share: 0.004,
             linear_pa_s_m: 5000.0,
             quadratic_pa_s2_m2: 90.0,
+            boundary_pa: 0.0,
         },
         torque_lag_s: 0.15,
         stepping: Stepping { cells_per_deg: 2, fixed_cells: 0, max_step_s: 85e-6 },
@@ -111,4 +112,35 @@ fn the_delay_of_knock_is_the_published_one_in_every_set() {
         assert!((knock.delay_s(30.0 * 101_325.0, 900.0) / published - 1.0).abs() < 1e-12);
     }
     assert!(sets >= 3);
+}
+
+/// Towards no load the cams go from part load to the positions of light load, above part load to those of full load.
+#[test]
+fn cams_pass_from_light_over_part_to_full_load() {
+    let cams = EngineParams::named("gtdi_2l").unwrap().cams.unwrap();
+    let light = cams.light.clone().unwrap();
+    let at = |kpa: f64| cams.at(2000.0, kpa);
+    assert_eq!(at(20.0), (light.intake_deg[2], light.exhaust_deg[2]));
+    assert_eq!(at(light.load_kpa), at(20.0));
+    assert_eq!(at(cams.part_load_kpa), (cams.intake_part_deg[2], cams.exhaust_part_deg[2]));
+    assert_eq!(at(300.0), (cams.intake_full_deg[2], cams.exhaust_full_deg[2]));
+    let middle = at(0.5 * (light.load_kpa + cams.part_load_kpa)).0;
+    assert!((middle - 0.5 * (light.intake_deg[2] + cams.intake_part_deg[2])).abs() < 1e-12);
+    // Without them the positions of part load hold down to no load.
+    let without = dynocal_plant::cams::CamSchedule { light: None, ..cams.clone() };
+    assert_eq!(without.at(2000.0, 20.0), at(cams.part_load_kpa));
+    // A light load that is no less than part load is refused.
+    let turned = dynocal_plant::cams::LightLoad { load_kpa: cams.part_load_kpa, ..light };
+    assert!(!dynocal_plant::cams::CamSchedule { light: Some(turned), ..cams }.fits());
+}
+
+/// Boundary lubrication is e (1 + 500 rpm/N) on top of Chen and Flynn, and nothing where it is not given.
+#[test]
+fn boundary_lubrication_weighs_low_speed() {
+    let mut friction = specified().friction;
+    let plain = friction.fmep_pa(50e5, 5.0, 1000.0);
+    assert_eq!(plain, 8000.0 + 0.004 * 50e5 + 5.0 * (5000.0 + 5.0 * 90.0));
+    friction.boundary_pa = 10e3;
+    assert_eq!(friction.fmep_pa(50e5, 5.0, 1000.0), plain + 15e3);
+    assert_eq!(friction.fmep_pa(50e5, 5.0, 500.0), plain + 20e3);
 }

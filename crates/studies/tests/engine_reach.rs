@@ -1,6 +1,8 @@
 //! Points out of reach and the other set, as the study `engine` shows them.
 
-use dynocal_plant::full_load::Barrier;
+use dynocal_plant::engine::VirtualEngine;
+use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load};
+use dynocal_plant::params::EngineParams;
 use dynocal_studies::engine::other::{carried_over, differences};
 use dynocal_studies::engine::reach::beyond;
 
@@ -31,4 +33,18 @@ fn the_other_set_has_another_burn_law_heat_law_timing_bore_sensors_and_fuel() {
     let (other, moved) = (carried_over("other_1_8l").unwrap(), carried_over("perturbed:gtdi_2l:1").unwrap());
     assert!(other.burn_pct > 20.0 && other.burn_pct > 1.5 * moved.burn_pct, "{other:?} {moved:?}");
     assert!(other.torque_pct > 5.0 && other.lambda_pct > 2.0, "{other:?}");
+}
+
+/// Where knock has taken the spark to its latest and the gas is too hot even with the richest mixture, the load gives way to the heat; the
+/// spark must come back with it, or late spark heats the gas and the load falls for ever.
+#[test]
+fn a_load_that_gives_way_to_heat_brings_the_spark_back() {
+    let mut params = EngineParams::named("twin_2l").unwrap();
+    params.knock.as_mut().unwrap().delay_factor = 0.77;
+    let limits =
+        LoadLimits { egt_k: 927.0 + 273.15, least_lambda: 0.65, map_kpa: 260.0, ..LoadLimits::default() };
+    let request = LoadRequest { speed_rpm: 3000.0, torque_nm: 323.0, lambda: 1.0, limits };
+    let found = hold_load(&mut VirtualEngine::new(&params).unwrap(), request).unwrap();
+    assert!(found.settled && found.passed().is_none(), "{found:?}");
+    assert!(found.outputs.torque_nm > 200.0 && found.outputs.ca50_deg < 50.0, "{found:?}");
 }

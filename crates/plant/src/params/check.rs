@@ -43,6 +43,7 @@ impl EngineParams {
             ("friction.peak_share", f.peak_share, 0.0, 0.1),
             ("friction.linear_pa_s_m", f.linear_pa_s_m, 0.0, 1e5),
             ("friction.quadratic_pa_s2_m2", f.quadratic_pa_s2_m2, 0.0, 1e4),
+            ("friction.boundary_pa", f.boundary_pa, 0.0, 1e5),
             ("torque_lag_s", self.torque_lag_s, 1e-4, 10.0),
         ])
     }
@@ -252,7 +253,7 @@ impl EngineParams {
             Some(c) if !c.fits() => Err(PlantError::Parameter {
                 name: "cams.speed_rpm",
                 found: c.speed_rpm.len() as f64,
-                expected: "two or more speeds rising within 0 to 20000 rpm, each list as long, positions of 180 to 300 deg, pressures rising within 0 to 1000 kPa",
+                expected: "two or more speeds rising within 0 to 20000 rpm, each list as long, positions of 180 to 300 deg, pressures (light, part, full) rising within 0 to 1000 kPa",
             }),
             _ => Ok(()),
         }

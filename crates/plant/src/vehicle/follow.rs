@@ -89,7 +89,7 @@ impl SteadyGrid {
             let torque_nm = 0.97 * most_nm * k as f64 / (steps - 1) as f64;
             let spark = spark_guess_deg(speed_rpm, torque_nm).clamp(-5.0, 45.0);
             let target = Target { speed_rpm, torque_nm, lambda: 1.0 };
-            let options = SettleOptions { torque_nm: 0.2, lambda: 2e-3, limit_s: 12.0 };
+            let options = SettleOptions { torque_nm: 0.2, lambda: 2e-3, limit_s: 12.0, cams: false };
             match settle(&mut engine, target, spark, options) {
                 Ok(p) => {
                     row.torque_nm.push(torque_nm);

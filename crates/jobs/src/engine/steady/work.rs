@@ -77,7 +77,8 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
     asked("torque", torque_nm, torque_nm.is_finite(), "a number of Nm")?;
     asked("lambda", at.lambda, (LAMBDAS.0..=LAMBDAS.1).contains(&at.lambda), "0.5 to 2")?;
     let target = Target { speed_rpm, torque_nm, lambda: at.lambda };
-    let options = SettleOptions::default();
+    // The cams that `map` and `full-load` hold there, too.
+    let options = SettleOptions { cams: true, ..SettleOptions::default() };
     let point = match at.spark_deg {
         Some(spark) => settle(engine, target, spark, options)?,
         None => match best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options) {

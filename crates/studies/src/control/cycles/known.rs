@@ -57,7 +57,7 @@ impl FuelMap {
             for k in 0..TORQUES {
                 let torque_nm = most * k as f64 / (TORQUES - 1) as f64;
                 let spark = grid.actuators_deg(speed_rpm, torque_nm).1;
-                let options = SettleOptions { torque_nm: 0.2, lambda: 1e-3, limit_s: 12.0 };
+                let options = SettleOptions { torque_nm: 0.2, lambda: 1e-3, limit_s: 12.0, cams: false };
                 // Points that the engine does not hold are left out.
                 if let Ok(p) = settle(&mut own, Target { speed_rpm, torque_nm, lambda: 1.0 }, spark, options)
                 {
