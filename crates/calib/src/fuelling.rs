@@ -23,6 +23,7 @@
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
+mod cams;
 mod charge;
 mod coolant;
 mod feedback;
@@ -34,6 +35,7 @@ mod policy;
 mod speed_density;
 mod trim;
 
+pub use cams::CamLaw;
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
 pub use feedback::Feedback;
@@ -101,9 +103,9 @@ pub struct Fuelling {
 }
 
 impl Fuelling {
-    /// The charge at a coolant temperature.
-    pub fn air(&self, coolant_c: f64) -> Air<'_> {
-        Air::new(&self.charge, self.coolant.as_ref(), coolant_c)
+    /// The charge at a coolant temperature and places of the cams, if they are measured.
+    pub fn air(&self, coolant_c: f64, cams_deg: Option<[f64; 2]>) -> Air<'_> {
+        Air::new(&self.charge, self.coolant.as_ref(), coolant_c, cams_deg)
     }
 
     /// The film at a coolant temperature.

@@ -57,7 +57,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
     if f.coolant.is_some() && !t.coolant_c.is_empty() {
         let coolant = || vec![axis("FUEL_COOLANT", "degC", "coolant", &t.coolant_c)];
         let film: Vec<_> = t.coolant_c.iter().map(|c| f.film_at(*c)).collect();
-        let factor = t.coolant_c.iter().map(|c| f.air(*c).factor).collect();
+        let factor = t.coolant_c.iter().map(|c| f.air(*c, None).factor).collect();
         all.push(table(
             "FILM_SHARE",
             "share of the fuel that wets the wall",
