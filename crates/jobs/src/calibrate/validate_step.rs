@@ -123,17 +123,17 @@ pub fn validate(
 }
 
 /// The record of the last pass again and again, with other values of the inputs that no loop drives.
-struct OnRecord<'a> {
-    ctx: &'a Context,
+struct OnRecord<'a, 'c> {
+    ctx: &'a Context<'c>,
     folder: &'a Path,
     last: &'a Pass,
     optimum: Dataset,
 }
 
-impl<'a> OnRecord<'a> {
+impl<'a, 'c> OnRecord<'a, 'c> {
     /// None where loops drive every input, or the pass has no record.
     fn of(
-        ctx: &'a Context,
+        ctx: &'a Context<'c>,
         folder: &'a Path,
         last: &'a Pass,
         optimise_folder: &Path,
