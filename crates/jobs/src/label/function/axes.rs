@@ -1,7 +1,7 @@
 //! Axes that are fitted with the labels on them.
 
 use dynocal_files::spec::Faults;
-use dynocal_label::graph::{FittedAxis, Graph};
+use dynocal_label::graph::{FittedAxis, Graph, Op};
 use dynocal_label::nonlinear::{self, Found, MOST_CELLS, Target};
 use dynocal_numerics::watch::Watch;
 
@@ -88,12 +88,21 @@ pub(super) fn fit(
         for (label, from, k) in unknown {
             let l = &mut graph.labels[label];
             l.locked[k] = true;
-            start[from + k] = l.base[k];
+            // Others may have gone past it.
+            start[from..from + l.len()].copy_from_slice(&l.base);
             said.push(format!(
                 "the breakpoint {} {} of `{}` stays: what the data say of it is wider than the interval beside it",
                 l.base[k], l.unit, l.axes[0].name
             ));
         }
+    }
+}
+
+/// The node that says where a label is read: before the inverse of an axis that is fitted.
+pub(super) fn reads(graph: &Graph, axes: &[FittedAxis], node: usize) -> usize {
+    match graph.nodes[node].op {
+        Op::Inverse(l, x) if axes.iter().any(|a| a.label == l) => x,
+        _ => node,
     }
 }
 

@@ -108,7 +108,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     let (train, test): (Vec<Weights>, Vec<Weights>) = records.iter().map(|r| split(r, job)).unzip();
     let fitted = targets(job, &records, &train);
     let judging = targets(job, &records, &test);
-    notes.extend(outside(&job.graph, &fitted));
+    notes.extend(outside(job, &fitted));
     let interrupt = || watch.interrupted();
     let mut start = job.graph.base();
     if job.reduce > 1 {
@@ -193,7 +193,8 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
 }
 
 /// Labels that are read beyond their breakpoints by more than a few of the samples that are fitted: there they keep their edge.
-fn outside(graph: &Graph, fitted: &[Target]) -> Vec<String> {
+fn outside(job: &Job, fitted: &[Target]) -> Vec<String> {
+    let graph = &job.graph;
     let base = graph.base();
     // Samples that count, and those beyond the ends, of each axis of each label.
     let mut counts: BTreeMap<(usize, usize), [usize; 2]> = BTreeMap::new();
@@ -203,8 +204,9 @@ fn outside(graph: &Graph, fitted: &[Target]) -> Vec<String> {
             let Op::Label(l, at) = &node.op else { continue };
             for (k, (input, axis)) in at.iter().zip(&graph.labels[*l].axes).enumerate() {
                 let ends = [axis.points[0], axis.points[axis.points.len() - 1]];
+                let input = axes::reads(graph, &job.fitted, *input);
                 let own = counts.entry((*l, k)).or_default();
-                for v in (0..t.y.len()).filter(|s| t.weights[*s] > 0.0).map(|s| nodes[*input][s]) {
+                for v in (0..t.y.len()).filter(|s| t.weights[*s] > 0.0).map(|s| nodes[input][s]) {
                     own[0] += 1;
                     own[1] += usize::from(v < ends[0] || v > ends[1]);
                 }
@@ -235,6 +237,7 @@ fn left(graph: &Graph, nodes: &[Vec<f64>], record: &Read, job: &Job) -> Left {
     for node in &graph.nodes {
         let Op::Label(l, at) = &node.op else { continue };
         for (i, a) in at.iter().zip(&graph.labels[*l].axes) {
+            let i = &axes::reads(graph, &job.fitted, *i);
             if !out.over.iter().any(|(name, _)| *name == a.name) {
                 out.over.push((a.name.clone(), a.unit.clone()));
                 out.columns.push(of(&nodes[*i]));
