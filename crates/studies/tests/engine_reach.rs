@@ -1,5 +1,8 @@
 //! Points out of reach and the other set, as the study `engine` shows them.
 
+use dynocal_jobs::engine::Engine;
+use dynocal_jobs::engine::steady::{self, At};
+use dynocal_numerics::watch::Watch;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load};
 use dynocal_plant::params::EngineParams;
@@ -47,4 +50,23 @@ fn a_load_that_gives_way_to_heat_brings_the_spark_back() {
     let found = hold_load(&mut VirtualEngine::new(&params).unwrap(), request).unwrap();
     assert!(found.settled && found.passed().is_none(), "{found:?}");
     assert!(found.outputs.torque_nm > 200.0 && found.outputs.ca50_deg < 50.0, "{found:?}");
+}
+
+/// `engine point` below boost has the cams that `engine map` holds there.
+#[test]
+fn a_point_below_boost_has_the_cams_of_the_schedule() {
+    let engine = Engine::named("gtdi_2l").unwrap();
+    let at = At {
+        speed_rpm: 2000.0,
+        torque_nm: Some(40.0),
+        lambda: 1.0,
+        injection_mg: None,
+        throttle_deg: None,
+        spark_deg: None,
+    };
+    let found = steady::run(&engine, &steady::Spec::Point(at), Watch::silent()).unwrap();
+    let (u, map_kpa) = (found.points[0].inputs, found.points[0].outputs.map_kpa);
+    let (intake, exhaust) = engine.params.cams.as_ref().unwrap().at(2000.0, map_kpa);
+    assert!((u.intake_mop_deg_btdc - intake).abs() < 0.1, "{} for {intake}", u.intake_mop_deg_btdc);
+    assert!((u.exhaust_mop_deg_atdc - exhaust).abs() < 0.1, "{} for {exhaust}", u.exhaust_mop_deg_atdc);
 }
