@@ -123,12 +123,12 @@ fn a_breakpoint_that_nothing_tells_of_stays() {
     let n = 1000;
     let time_s: Vec<f64> = (0..n).map(|k| 0.1 * f64::from(k)).collect();
     let speed: Vec<f64> = (0..n).map(|_| 1000.0 + 4000.0 * rng.uniform()).collect();
-    let load = vec![0.0; speed.len()];
+    let load: Vec<f64> = (0..n).map(|_| rng.uniform()).collect();
     let y: Vec<f64> = speed.iter().map(|v| 0.01 * v + 0.5 * rng.normal()).collect();
     let columns: [(&str, &str, &[f64]); 4] =
         [("time", "s", &time_s), ("speed", "rpm", &speed), ("load", "-", &load), ("y", "Nm", &y)];
     write_columns(&tmp.path().join("data.csv"), &columns).unwrap();
-    let free = text("fit = true").replace("locked = [0, 1, 2]", "locked = [0, 3]");
+    let free = text("fit = true").replace("locked = [0, 1, 2]", "base_weight = 0.001");
     let found = fitted(tmp.path(), &free).unwrap();
     assert_eq!(found.labels[0].axes[0].points, [1000.0, 3000.0, 5000.0]);
     assert!(

@@ -1,6 +1,5 @@
 //! The first stage: Levenberg-Marquardt from the start, with a fixed smoothness.
 
-use super::large::timing::{Timing, sample_s};
 use super::{
     FIRST_SMOOTH, Linear, MOST_STEPS, Target, all_limits, linearise, not_finite, residuals, size, squares,
 };
@@ -78,8 +77,6 @@ pub(super) fn search(
     let mut at = linearise(graph, theta, targets);
     let rough = Rough::new(graph, &at, options.smooth.unwrap_or(FIRST_SMOOTH), options.smooth_change);
     let mut cost = squares(&first) + rough.cost(theta);
-    // Far away a film or a lag may be none, and then nothing leads back.
-    let timing = Timing::new(graph, theta, sample_s(targets));
     let (mut mu, mut steps) = (1e-3, 0);
     while steps < MOST_STEPS && !interrupt() {
         steps += 1;
@@ -87,14 +84,12 @@ pub(super) fn search(
         rough.add(theta, &mut h, &mut g);
         let mut tried = 0;
         loop {
-            let mut p = step(&h, &g, mu, theta, &limits)?;
-            let share = timing.share(theta, &p);
-            p.iter_mut().for_each(|p| *p *= share);
+            let p = step(&h, &g, mu, theta, &limits)?;
             let next: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
-            let small = share == 1.0 && size(&p) <= 1e-10 * (1e-10 + size(theta));
+            let small = size(&p) <= 1e-10 * (1e-10 + size(theta));
             let new = residuals(graph, &next, targets).map(|r| squares(&r) + rough.cost(&next));
             if let Some(c) = new.filter(|c| *c < cost) {
-                let done = (share == 1.0 && cost - c <= 1e-14 * cost) || small;
+                let done = cost - c <= 1e-14 * cost || small;
                 (*theta, cost) = (next, c);
                 if done {
                     return Ok((steps, true));

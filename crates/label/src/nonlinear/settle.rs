@@ -1,7 +1,5 @@
 //! The second stage: linear fits around the last values until they reproduce themselves.
 
-use std::collections::VecDeque;
-
 use super::{Found, Linear, Target, linearise, residuals, size, squares};
 use crate::error::LabelError;
 use crate::graph::Graph;
@@ -18,11 +16,6 @@ const STANDS: f64 = 1e-6;
 const SEEN: f64 = 1e-3;
 /// Rounds in a row in which nothing that counts changes, after which it is only what is open that moves.
 const STILL: usize = 3;
-/// Distance of the labels from where they were in each of the last rounds, as a share of the half widths of their 95 % intervals, at which
-/// they have come to rest: a twentieth of a standard error.
-const WITHIN: f64 = 0.025;
-/// Those rounds.
-const LAST: usize = 6;
 /// Excess of the cost over what the linear fit says, at which a step is too long for a straight line.
 const STRAIGHT: f64 = 0.1;
 
@@ -45,8 +38,7 @@ pub(super) fn search(
         // The linear fit at a minimum is that minimum.
         return Ok(Found { fit, steps: begun, converged: minimum });
     }
-    let (mut still, mut pace) = (0, Pace::default());
-    let mut been: VecDeque<Vec<f64>> = VecDeque::new();
+    let mut still = 0;
     for round in 1..=MOST_ROUNDS {
         if interrupt() {
             break;
@@ -54,28 +46,18 @@ pub(super) fn search(
         if round > CHOOSES && options.smooth.is_none() {
             options.smooth = Some(fit.smooth);
         }
-        let goal = pace.on_the_way(&theta, &fit.exact);
-        let moved = towards(graph, &theta, &goal, targets);
-        // The whole way, however little of it is gone.
-        let stands = size(&pace.last) <= STANDS * (STANDS + size(&theta));
+        let moved = towards(graph, &theta, &fit.exact, targets);
+        let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
+        let stands = size(&change) <= STANDS * (STANDS + size(&theta));
         theta = moved;
         let smooth = fit.smooth;
         let at = linearise(graph, &theta, targets);
         let left: f64 = at.r.iter().zip(&at.w).map(|(r, w)| w * r * r).sum();
-        let seen = at.j.square_of(&pace.last, &at.w) > SEEN * SEEN * left;
+        let seen = at.j.square_of(&change, &at.w) > SEEN * SEEN * left;
         still = if seen { 0 } else { still + 1 };
         fit = told(graph, &theta, &at, &options)?;
         if stands && (round > CHOOSES || fit.smooth == smooth) {
             return Ok(Found { fit, steps: begun + round, converged: true });
-        }
-        // A function with corners sends the labels to and fro, far inside of their intervals.
-        let rests = been.len() == LAST && been.iter().all(|b| apart(b, &theta, &fit) <= WITHIN);
-        if round > CHOOSES + LAST && rests {
-            return Ok(Found { fit, steps: begun + round, converged: true });
-        }
-        been.push_back(theta.clone());
-        if been.len() > LAST {
-            been.pop_front();
         }
         if round > CHOOSES && still >= STILL && !stands {
             // What is measured stands; the labels move along what nothing tells of.
@@ -83,40 +65,6 @@ pub(super) fn search(
         }
     }
     Ok(Found { fit, steps: begun + MOST_ROUNDS, converged: false })
-}
-
-/// How much of the way to what the linear fit says is gone. A fit about the place that the last one has sent the labels to may send them
-/// back, where the function has corners for ever: each time that a way turns back the steps become shorter, one over one more than the turns
-/// (H. Kesten, Accelerated stochastic approximation, Ann. Math. Stat. 29 (1958), 41-59).
-#[derive(Default)]
-struct Pace {
-    turns: usize,
-    /// The whole way of the last round.
-    last: Vec<f64>,
-}
-
-impl Pace {
-    /// The point to go to.
-    fn on_the_way(&mut self, theta: &[f64], goal: &[f64]) -> Vec<f64> {
-        let way: Vec<f64> = goal.iter().zip(theta).map(|(b, a)| b - a).collect();
-        let back = way.iter().zip(&self.last).map(|(a, b)| a * b).sum::<f64>() < 0.0;
-        // A way that shortens by itself needs no help.
-        self.turns += usize::from(back && size(&way) > 0.5 * size(&self.last));
-        self.last = way;
-        let share = 1.0 / (1 + self.turns) as f64;
-        theta.iter().zip(&self.last).map(|(a, w)| a + share * w).collect()
-    }
-}
-
-/// Distance of two places in shares of the half widths of the intervals: root mean square over cells that have one.
-fn apart(a: &[f64], b: &[f64], fit: &Fit) -> f64 {
-    let known = a.iter().zip(b).zip(&fit.half_width).filter(|(_, h)| h.is_finite() && **h > 0.0);
-    let squares: Vec<f64> = known.map(|((a, b), h)| ((a - b) / h).powi(2)).collect();
-    if squares.is_empty() {
-        f64::INFINITY
-    } else {
-        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
-    }
 }
 
 /// What only smoothness holds, across labels.
