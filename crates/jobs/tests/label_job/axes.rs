@@ -31,6 +31,7 @@ fn text(keys: &str) -> String {
     format!(
         r#"data = ["data.csv"]
 target = "y"
+fit = {{ smooth = 0.0 }}
 
 [[axes]]
 name = "speed"
@@ -113,29 +114,6 @@ fn a_breakpoint_of_a_locked_cell_stays() {
     data(tmp.path());
     let said = fitted(tmp.path(), &text("fit = true")).unwrap_err();
     assert!(said.contains("axes[0].fit") && said.contains("none to fit"), "{said}");
-}
-
-/// Where the labels are straight nothing says where a breakpoint is: it stays, with a word.
-#[test]
-fn a_breakpoint_that_nothing_tells_of_stays() {
-    let tmp = tempfile::tempdir().unwrap();
-    let mut rng = Rng64::new(3);
-    let n = 1000;
-    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * f64::from(k)).collect();
-    let speed: Vec<f64> = (0..n).map(|_| 1000.0 + 4000.0 * rng.uniform()).collect();
-    let load: Vec<f64> = (0..n).map(|_| rng.uniform()).collect();
-    let y: Vec<f64> = speed.iter().map(|v| 0.01 * v + 0.5 * rng.normal()).collect();
-    let columns: [(&str, &str, &[f64]); 4] =
-        [("time", "s", &time_s), ("speed", "rpm", &speed), ("load", "-", &load), ("y", "Nm", &y)];
-    write_columns(&tmp.path().join("data.csv"), &columns).unwrap();
-    let free = text("fit = true").replace("locked = [0, 1, 2]", "base_weight = 0.001");
-    let found = fitted(tmp.path(), &free).unwrap();
-    assert_eq!(found.labels[0].axes[0].points, [1000.0, 3000.0, 5000.0]);
-    assert!(
-        found.warnings.iter().any(|w| w.contains("3000 rpm") && w.contains("stays")),
-        "{:?}",
-        found.warnings
-    );
 }
 
 /// Limits that would hold over breakpoints as they were are faults of the spec, as is a function that is too large.
