@@ -137,9 +137,8 @@ fn an_axis_is_placed_or_fitted_and_not_both() {
     data(tmp.path());
     let said = fitted(tmp.path(), &text("fit = true\nplace = 2")).unwrap_err();
     assert!(said.contains("axes[0].fit") && said.contains("`fit` or `place`"), "{said}");
-    let twice = text("").replace(
-        r#"{ name = "load", unit = "-", points = [0, 1] }"#,
-        r#"{ name = "load", unit = "-", points = [0, 1], fit = "yes" }"#,
-    );
-    assert!(fitted(tmp.path(), &twice).unwrap_err().contains("fit"));
+    // An axis that labels share moves for all of them or for none.
+    let one = text("").replacen(r#"{ name = "speed" }"#, r#"{ name = "speed", fit = true }"#, 1);
+    let said = fitted(tmp.path(), &one).unwrap_err();
+    assert!(said.contains("labels[0].axes[0].fit") && said.contains("shared axis"), "{said}");
 }

@@ -98,9 +98,10 @@ impl Graph {
                 }
                 Op::Inverse(l, a) => {
                     let label = &self.labels[*l];
-                    let (at, slope) = label.inverse(&theta[first[*l]..first[*l] + label.len()], x(a));
-                    let (cells, weights, count) = label.weights(&[at]);
-                    (0..count).for_each(|c| out[first[*l] + cells[c]] -= g * slope * weights[c]);
+                    let slope = label.inverse(&theta[first[*l]..first[*l] + label.len()], x(a)).1;
+                    if let Some((_, cells, by, count)) = self.read_cells(k, t, theta, first, run) {
+                        (0..count).for_each(|c| out[first[*l] + cells[c]] += g * by[c]);
+                    }
                     before[*a][t] += g * slope;
                 }
                 Op::Delay(a, d) => {

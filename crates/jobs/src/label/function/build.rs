@@ -105,6 +105,9 @@ fn axis(
             if let Some(place) = a.place {
                 faults.push(&format!("{key}.place"), place, "`place` beside the points of the shared axis");
             }
+            if a.fit {
+                faults.push(&format!("{key}.fit"), "true", "`fit` beside the points of the shared axis");
+            }
             (own.unit.clone(), &own.points, own.place, own.moves, true)
         }
     };
@@ -140,7 +143,7 @@ fn wanted(t: &Typed) -> Vec<Wanted> {
         for (k, a) in label.axes.iter().enumerate() {
             let shared = t.axes.iter().position(|s| a.points.is_none() && s.name == a.name);
             let key = match shared {
-                Some(s) if t.axes[s].fit || a.fit => format!("axes[{s}].fit"),
+                Some(s) if t.axes[s].fit => format!("axes[{s}].fit"),
                 None if a.fit => format!("labels[{l}].axes[{k}].fit"),
                 _ => continue,
             };
