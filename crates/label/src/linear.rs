@@ -1,5 +1,6 @@
 //! Labels that enter linearly: sparse least squares with smoothness, limits and whole steps.
 
+pub(crate) mod huber;
 mod normal;
 mod open;
 mod verdict;
@@ -192,10 +193,16 @@ pub fn offsets(labels: &[Label]) -> (Vec<usize>, usize) {
 /// # Errors
 /// [`LabelError`]: labels that contradict themselves or each other, too few samples, numbers that are none.
 pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
+    fit_at(p, options, None)
+}
+
+/// The same; with a place, that is taken for the best values and all the rest is told of it: the minimum of a function, of which the rows are
+/// the derivatives there.
+pub(crate) fn fit_at(p: &Problem, options: &Options, place: Option<&[f64]>) -> Result<Fit, LabelError> {
     let (_, cells) = offsets(p.labels);
     check(p, cells)?;
     if !p.roles.iter().any(|r| matches!(r, Role::Follows(_))) {
-        return fitted(p, options, cells);
+        return fitted(p, options, cells, place);
     }
     // What follows stands for what it follows in every row.
     let mut rows = Rows::default();
@@ -218,7 +225,7 @@ pub fn fit(p: &Problem, options: &Options) -> Result<Fit, LabelError> {
         bounds: p.bounds.clone(),
         ..*p
     };
-    let mut found = fitted(&inner, options, cells)?;
+    let mut found = fitted(&inner, options, cells, place)?;
     found.visits = verdict::visits(p, cells);
     taken_along(p, &base, &mut found);
     Ok(found)
@@ -244,7 +251,12 @@ fn taken_along(p: &Problem, base: &[f64], found: &mut Fit) {
     }
 }
 
-fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelError> {
+fn fitted(
+    p: &Problem,
+    options: &Options,
+    cells: usize,
+    place: Option<&[f64]>,
+) -> Result<Fit, LabelError> {
     let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
     let visits = verdict::visits(p, cells);
     let locked: Vec<bool> = p.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
@@ -276,7 +288,7 @@ fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelErro
     for round in 0..6 {
         let residuals = residuals(p, &map, &offset, &found.delta);
         if options.robust {
-            weights = first.iter().zip(huber(&residuals)).map(|(w, h)| w * h).collect();
+            weights = first.iter().zip(huber::weights(&residuals)).map(|(w, h)| w * h).collect();
         }
         let next = correlation::time_samples(&residuals, &p.segments);
         if !options.robust && round > 0 && (next - tau).abs() < 1e-3 * tau {
@@ -291,7 +303,14 @@ fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelErro
     let (limits, broken) = limits(p, &map, &base);
     let open = open::find(&normal, found.smooth, &map);
     let h = normal.hessian(found.smooth);
-    let solved = qp::solve(&h, &normal.right(found.smooth), &limits)?;
+    let mut solved = qp::solve(&h, &normal.right(found.smooth), &limits)?;
+    if let Some(place) = place {
+        for (c, f) in map.iter().enumerate().filter_map(|(c, f)| Some((c, (*f)?))) {
+            let change = place[c] - base[c];
+            found.delta[f] += change - solved.x[f];
+            solved.x[f] = change;
+        }
+    }
     let held = solved.active.iter().map(|(k, _)| limits[*k].what.clone()).collect();
     let exact = whole(&solved.x);
     let squares = |delta: &[f64]| {
@@ -308,7 +327,11 @@ fn fitted(p: &Problem, options: &Options, cells: usize) -> Result<Fit, LabelErro
         }
         false => (exact.clone(), None),
     };
-    let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
+    let mut cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
+    if options.robust {
+        let left = residuals(p, &map, &offset, &cautious.delta);
+        cautious.variance *= huber::variance(&left, &first, &weights, cautious.parameters);
+    }
     let residuals = residuals(p, &map, &offset, &found.delta);
     let (_, window) = correlation::time_and_window(&residuals, &p.segments);
     let correlated = verdict::Correlated { tau, window, residuals };
@@ -396,15 +419,6 @@ fn residuals(p: &Problem, map: &[Option<usize>], offset: &[f64], delta: &[f64]) 
             offset[k] - at.iter().zip(w).filter_map(|(j, w)| map[*j].map(|f| w * delta[f])).sum::<f64>()
         })
         .collect()
-}
-
-/// Huber's weights, from the median of the absolute residuals.
-pub(crate) fn huber(residuals: &[f64]) -> Vec<f64> {
-    let mut size: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-    size.sort_by(f64::total_cmp);
-    let sigma = 1.4826 * size[size.len() / 2];
-    let knee = 1.345 * sigma;
-    residuals.iter().map(|r| if r.abs() <= knee || knee == 0.0 { 1.0 } else { knee / r.abs() }).collect()
 }
 
 /// What holds a cell with bounds of its own, in words.

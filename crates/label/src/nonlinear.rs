@@ -1,19 +1,19 @@
 //! Labels of a function that is not linear in them: Levenberg-Marquardt with limits, then linear fits that judge smoothness.
 //!
 //! ```text
-//! first    min |J p + r|^2 + mu |D p|^2 + lambda |rough(theta + p)|^2        subject to    the limits of the labels at theta + p
-//! then     theta+ = the linear fit of J theta + r (smoothness by generalised cross-validation, Huber's loss where it is asked for)
+//! step     min |J p + r|^2 + mu |D p|^2 + lambda |rough(theta + p)|^2        subject to    the limits of the labels at theta + p
+//! between  lambda by generalised cross-validation and the knee of Huber's loss, from the linear fit of J theta + r
 //! ```
 //!
 //! J is exact ([`Graph::forward`]), every step a quadratic program ([`crate::qp`]), so that bounds, monotone and convex labels are kept
-//! at every step. The second stage is what [`crate::linear`] does, repeated until its own solution reproduces itself; it is left out
-//! where there is nothing to smooth and no outlier to weigh down. Without a weight of the smoothness the first stage takes 0.01.
+//! at every step, and a step is taken only where it lowers the criterion. The first minimum has the smoothness 0.01 unless one is given; then
+//! a few rounds of some steps choose it, and a last minimum has what they chose. Intervals and verdicts are what [`crate::linear`] tells there.
 //!
 //! A function of more than [`MOST_CELLS`] cells, or whose J would fill a GiB, goes another way ([`large`]): the same criterion, without
 //! J. There the weight of the smoothness is 0.01 unless it is given, whole steps are the nearest ones, gradients and curvature cannot be
 //! limited, and intervals come from draws.
 
-mod begin;
+mod descend;
 mod jacobian;
 pub mod large;
 mod settle;
@@ -26,7 +26,9 @@ use crate::graph::{Graph, Record};
 use crate::label::Limit;
 use crate::linear::{self, Fit};
 use crate::rows::Rows;
+use descend::{Criterion, Reach};
 use jacobian::Jacobian;
+use large::timing::Timing;
 
 /// What a node of the function is compared with on one record: a row of the criterion.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,10 +95,6 @@ fn residuals(graph: &Graph, theta: &[f64], targets: &[Target]) -> Option<Vec<(f6
         out.extend(t.counts().map(|k| (t.y[k] - y[k], t.weights[k])));
     }
     out.iter().all(|r| r.0.is_finite()).then_some(out)
-}
-
-fn squares(r: &[(f64, f64)]) -> f64 {
-    r.iter().map(|(r, w)| w * r * r).sum()
 }
 
 /// The first sample that counts and at which measurement or function are no numbers.
@@ -189,9 +187,21 @@ pub fn fit_from(
             *t = base;
         }
     }
-    large::timing::begun(graph, &mut theta, large::timing::sample_s(targets));
-    let begun = begin::search(graph, &mut theta, targets, options, interrupt)?;
-    settle::search(graph, theta, targets, options, begun, interrupt)
+    if !targets.iter().any(|t| t.counts().next().is_some()) {
+        return Err(LabelError::TooFew { found: 0, expected: cells });
+    }
+    residuals(graph, &theta, targets).ok_or_else(|| not_finite(graph, &theta, targets))?;
+    let sample_s = large::timing::sample_s(targets);
+    large::timing::begun(graph, &mut theta, sample_s);
+    let timing = Timing::new(graph, &theta, sample_s);
+    let reach = Reach::new(&timing, interrupt);
+    // First with a smoothness that no data have chosen yet.
+    let at = linearise(graph, &theta, targets);
+    let locked: Vec<bool> = graph.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
+    let smooth = options.smooth.unwrap_or(FIRST_SMOOTH);
+    let criterion = Criterion::new(graph, &at, locked, smooth, options.smooth_change);
+    let begun = descend::search(graph, &mut theta, targets, &criterion, &reach)?;
+    settle::search(graph, theta, targets, options, begun, &reach)
 }
 
 /// Cells that a delay, lag or film is timed by, and shares of a film.

@@ -340,6 +340,40 @@ fn without_noise_the_truth_comes_back() {
     }
 }
 
+/// One sample in ten is twenty standard deviations off, to either side: the intervals of Huber's fit hold the truth as often as they say, and
+/// are as wide as its values scatter.
+#[test]
+fn robust_intervals_are_as_wide_as_values_scatter() {
+    let x = [0.0, 1.0, 2.0, 3.0];
+    let truth = [5.0, 4.0, 6.0, 5.5];
+    let label = Label::new("C", "-", vec![Axis::new("x", "-", &x)], &[0.0; 4]);
+    let options = Options { robust: true, ..plain() };
+    let (mut inside, mut square, mut width, seeds) = (0usize, 0.0, 0.0, 200);
+    for seed in 0..seeds {
+        let mut rng = Rng64::new(seed);
+        let at: Vec<Vec<f64>> = (0..400).map(|_| vec![rng.uniform_in(0.0, 3.0)]).collect();
+        let y: Vec<f64> = at
+            .iter()
+            .enumerate()
+            .map(|(k, p)| {
+                let scale = if k % 10 == 0 { 2.0 } else { 0.1 };
+                label.value(&truth, p) + scale * rng.normal()
+            })
+            .collect();
+        let rows = rows_of(&label, &at);
+        let found = fit(&Problem::new(std::slice::from_ref(&label), &rows, &y), &options).unwrap();
+        for k in 0..4 {
+            let off = found.exact[k] - truth[k];
+            inside += usize::from(off.abs() <= found.half_width[k]);
+            square += off * off / (4 * seeds) as f64;
+            width += found.half_width[k] / (4 * seeds) as f64;
+        }
+    }
+    let (share, ratio) = (inside as f64 / (4 * seeds) as f64, width / (1.96 * square.sqrt()));
+    println!("{:.1} % inside, {ratio:.3} times as wide as 95 % of what values scatter", 100.0 * share);
+    assert!((0.92..=0.98).contains(&share) && (0.9..=1.15).contains(&ratio), "{share} {ratio}");
+}
+
 #[test]
 fn samples_far_outside_count_less() {
     let label = Label::scalar("S", "-", 0.0);

@@ -192,7 +192,7 @@ fn huber(system: &System, plain: &[Vec<f64>]) -> Vec<Vec<f64>> {
         .zip(plain)
         .flat_map(|(r, w)| r.iter().zip(w).filter(|(_, w)| counts(w)).map(|(r, _)| *r))
         .collect();
-    let mut factors = linear::huber(&left).into_iter();
+    let mut factors = linear::huber::weights(&left).into_iter();
     plain
         .iter()
         .map(|w| w.iter().map(|w| if counts(w) { w * factors.next().unwrap_or(1.0) } else { 0.0 }).collect())

@@ -1,70 +1,109 @@
-//! The second stage: linear fits around the last values until they reproduce themselves.
+//! The second stage: how smooth the labels are and what lies far outside, from linear fits, and a minimum with that.
 
-use super::{Found, Linear, Target, linearise, residuals, size, squares};
+use super::descend::{self, Criterion, Reach};
+use super::{Found, Linear, Target, linearise, residuals, size};
 use crate::error::LabelError;
 use crate::graph::Graph;
 use crate::linear::{self, Fit, Open, Options, Problem};
 use crate::rows::Rows;
 
-/// Most rounds.
-const MOST_ROUNDS: usize = 40;
 /// Rounds after which the weight of the smoothness stays: a search that changes its own target does not end.
 const CHOOSES: usize = 4;
+/// Steps of a round that chooses.
+const FEW: usize = 5;
+/// Most rounds after them, each to a minimum: sizes of the roughness and the knee of the loss follow the labels.
+const FOLLOWS: usize = 5;
 /// Change of the labels, as a share of their size, below which they stand.
 const STANDS: f64 = 1e-6;
-/// Share of what is left, root mean square, by which a change of the labels that counts changes the function.
-const SEEN: f64 = 1e-3;
-/// Rounds in a row in which nothing that counts changes, after which it is only what is open that moves.
-const STILL: usize = 3;
-/// Excess of the cost over what the linear fit says, at which a step is too long for a straight line.
-const STRAIGHT: f64 = 0.1;
+/// The same as a share of the half widths of their 95 % intervals, root mean square: a twentieth of a standard error.
+const WITHIN: f64 = 0.025;
 
-/// From the values of the first stage to those that the linear fit around them gives back.
+/// From the values of the first stage to a minimum of the criterion with the smoothness that the data choose.
 pub(super) fn search(
     graph: &Graph,
     mut theta: Vec<f64>,
     targets: &[Target],
     options: &Options,
     (begun, minimum): (usize, bool),
-    interrupt: &dyn Fn() -> bool,
+    reach: &Reach,
 ) -> Result<Found, LabelError> {
     let smooths = graph.labels.iter().any(|l| !l.roughness().is_empty()) && options.smooth != Some(0.0);
     let mut options = options.clone();
     if !smooths {
         options.smooth = Some(0.0);
     }
-    let mut fit = told(graph, &theta, &linearise(graph, &theta, targets), &options)?;
+    let mut at = linearise(graph, &theta, targets);
+    let mut fit = told(graph, &theta, &at, &options, false)?;
     if !smooths && !options.robust {
-        // The linear fit at a minimum is that minimum.
+        // The linear fit at a minimum is that minimum, but for corners.
+        let cost = |theta: &[f64]| {
+            let r = residuals(graph, theta, targets)?;
+            Some(r.iter().map(|(r, w)| w * r * r).sum::<f64>())
+        };
+        let (there, here) = (cost(&fit.exact).unwrap_or(f64::INFINITY), cost(&theta).unwrap_or(0.0));
+        if minimum && there > here * (1.0 + 1e-3 / at.r.len() as f64) {
+            fit = told(graph, &theta, &at, &options, true)?;
+        }
         return Ok(Found { fit, steps: begun, converged: minimum });
     }
-    let mut still = 0;
-    for round in 1..=MOST_ROUNDS {
-        if interrupt() {
+    let (mut steps, mut converged) = (begun, false);
+    for round in 1..=CHOOSES + FOLLOWS {
+        if (reach.interrupt)() {
             break;
         }
-        if round > CHOOSES && options.smooth.is_none() {
+        let chooses = round <= CHOOSES;
+        if !chooses {
             options.smooth = Some(fit.smooth);
         }
-        let moved = towards(graph, &theta, &fit.exact, targets);
-        let change: Vec<f64> = moved.iter().zip(&theta).map(|(a, b)| a - b).collect();
-        let stands = size(&change) <= STANDS * (STANDS + size(&theta));
-        theta = moved;
+        let before = theta.clone();
+        let criterion = criterion(graph, &mut theta, &at, &fit, &options);
+        let most = if chooses { FEW } else { reach.steps };
+        let (n, minimum) = descend::search(graph, &mut theta, targets, &criterion, &Reach { steps: most, ..*reach })?;
+        steps += n;
+        at = linearise(graph, &theta, targets);
         let smooth = fit.smooth;
-        let at = linearise(graph, &theta, targets);
-        let left: f64 = at.r.iter().zip(&at.w).map(|(r, w)| w * r * r).sum();
-        let seen = at.j.square_of(&change, &at.w) > SEEN * SEEN * left;
-        still = if seen { 0 } else { still + 1 };
-        fit = told(graph, &theta, &at, &options)?;
-        if stands && (round > CHOOSES || fit.smooth == smooth) {
-            return Ok(Found { fit, steps: begun + round, converged: true });
-        }
-        if round > CHOOSES && still >= STILL && !stands {
-            // What is measured stands; the labels move along what nothing tells of.
-            return Ok(Found { fit, steps: begun + round, converged: true });
+        fit = told(graph, &theta, &at, &options, true)?;
+        let stands = near(&before, &theta, &fit);
+        // What follows the labels further than this moves them less than the last round did.
+        if minimum && (!chooses || fit.smooth == smooth) && (stands || round == CHOOSES + FOLLOWS) {
+            converged = true;
+            break;
         }
     }
-    Ok(Found { fit, steps: begun + MOST_ROUNDS, converged: false })
+    Ok(Found { fit, steps, converged })
+}
+
+/// The criterion of the linear fit around `theta`, in which cells that it does not fit are at their base.
+fn criterion(graph: &Graph, theta: &mut [f64], at: &Linear, fit: &Fit, options: &Options) -> Criterion {
+    let mut held = Vec::with_capacity(theta.len());
+    for l in &graph.labels {
+        let shaped = l.is_shaped();
+        for locked in &l.locked {
+            let visits = fit.visits[held.len()];
+            held.push(*locked || !(options.extrapolate || shaped || visits >= options.least_visits.max(1e-9)));
+        }
+    }
+    for ((t, base), held) in theta.iter_mut().zip(graph.base()).zip(&held) {
+        if *held {
+            *t = base;
+        }
+    }
+    let criterion = Criterion::new(graph, at, held, fit.smooth, options.smooth_change);
+    match options.robust {
+        true => criterion.robust(linear::huber::knee(&at.r)),
+        false => criterion,
+    }
+}
+
+/// Whether two places are the same for all that counts.
+fn near(a: &[f64], b: &[f64], fit: &Fit) -> bool {
+    let change: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+    if size(&change) <= STANDS * (STANDS + size(b)) {
+        return true;
+    }
+    let known = change.iter().zip(&fit.half_width).filter(|(_, h)| h.is_finite() && **h > 0.0);
+    let squares: Vec<f64> = known.map(|(c, h)| (c / h).powi(2)).collect();
+    !squares.is_empty() && squares.iter().sum::<f64>() <= WITHIN * WITHIN * squares.len() as f64
 }
 
 /// What only smoothness holds, across labels.
@@ -75,36 +114,15 @@ fn across(graph: &Graph, at: &Linear) -> Open {
     Open::across(&at.j.normal(&at.w, &at.r, &locked).0, &owner)
 }
 
-/// The point on the way to `goal` where the function is still nearly as straight as the fit takes it.
-fn towards(graph: &Graph, theta: &[f64], goal: &[f64], targets: &[Target]) -> Vec<f64> {
-    let here = residuals(graph, theta, targets).unwrap_or_default();
-    let at = |s: f64| -> Vec<f64> { theta.iter().zip(goal).map(|(a, b)| a + s * (b - a)).collect() };
-    let mut share = 1.0;
-    while share > 1e-3 {
-        let point = at(share);
-        if let Some(r) = residuals(graph, &point, targets) {
-            // Smoothness may cost residuals, and limits as well: what must not be is a rise that the straight line does not know.
-            let half = residuals(graph, &at(0.5 * share), targets).unwrap_or_default();
-            let bend = bend(&here, &half, &r);
-            if bend <= STRAIGHT * squares(&here).max(squares(&r)) {
-                return point;
-            }
-        }
-        share *= 0.5;
-    }
-    at(share)
-}
-
-/// Weighted square of how far residuals half way lie from the mean of those at the ends.
-fn bend(a: &[(f64, f64)], half: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
-    if half.len() != a.len() {
-        return f64::INFINITY;
-    }
-    (0..a.len()).map(|k| a[k].1 * (half[k].0 - 0.5 * (a[k].0 + b[k].0)).powi(2)).sum()
-}
-
-/// The linear fit at `theta`: values, intervals, verdicts, smoothness and whole steps.
-fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<Fit, LabelError> {
+/// The linear fit around `theta`: intervals, verdicts, smoothness; its values, or those of `theta` where these are a `minimum`, and whole
+/// steps around them.
+fn told(
+    graph: &Graph,
+    theta: &[f64],
+    at: &Linear,
+    options: &Options,
+    minimum: bool,
+) -> Result<Fit, LabelError> {
     let (mut rows, mut target) = (Rows::default(), Vec::with_capacity(at.r.len()));
     for k in 0..at.r.len() {
         rows.start();
@@ -133,7 +151,7 @@ fn told(graph: &Graph, theta: &[f64], at: &Linear, options: &Options) -> Result<
         roles: Vec::new(),
         bounds: Vec::new(),
     };
-    let mut fit = linear::fit(&problem, options)?;
+    let mut fit = linear::fit_at(&problem, options, minimum.then_some(theta))?;
     if fit.open.is_empty() && graph.labels.len() > 1 {
         fit.open = across(graph, at);
         fit.mark_open();

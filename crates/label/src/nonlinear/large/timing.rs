@@ -18,7 +18,7 @@ const LEAST_START: f64 = 0.01;
 const SEEN: f64 = 0.25;
 
 /// Cells that time a memory.
-pub(super) struct Timing {
+pub(in crate::nonlinear) struct Timing {
     /// Whether each cell does.
     pub(super) times: Vec<bool>,
     /// Value of each cell that counts where its own is smaller, for steps down and up.
@@ -27,13 +27,22 @@ pub(super) struct Timing {
 
 impl Timing {
     /// Of a search from `start`.
-    pub(super) fn new(graph: &Graph, start: &[f64], sample_s: f64) -> Self {
+    pub(in crate::nonlinear) fn new(graph: &Graph, start: &[f64], sample_s: f64) -> Self {
         let (times, constants) = (timing(graph), constants(graph));
         let up = |k: usize| if times[k] { start[k].abs().max(LEAST_START) } else { f64::INFINITY };
         let down = |k: usize| if constants[k] { SEEN * sample_s } else { up(k) };
         let all = 0..start.len();
         let least = [all.clone().map(down).collect(), all.map(up).collect()];
         Self { times, least }
+    }
+
+    /// Share of the step `p` from `theta` that leads no farther than a step may.
+    pub(in crate::nonlinear) fn share(&self, theta: &[f64], p: &[f64]) -> f64 {
+        let most = |(k, p): (usize, &f64)| {
+            let side = usize::from(*p > 0.0);
+            FACTOR * theta[k].abs().max(self.least[side][k]) / p.abs()
+        };
+        p.iter().enumerate().map(most).fold(1.0, f64::min)
     }
 
     /// Brings `next` back to where a step from `theta` may lead; whether it was too far.

@@ -5,7 +5,7 @@ use super::system::{Exact, Pairs, System};
 use crate::correlation;
 use crate::error::LabelError;
 use crate::graph::Graph;
-use crate::linear::{Fit, Open, Options, Verdict};
+use crate::linear::{Fit, Open, Options, Verdict, huber};
 
 /// Two-sided 95 % of Student's distribution, by the number of draws that a standard deviation comes from.
 const T95: [f64; 16] = [
@@ -39,7 +39,12 @@ pub(super) fn tell(
     }
     let (left, weights, tau) = correlated(targets, system);
     let square: f64 = left.iter().zip(&weights).map(|(r, w)| w * r * r).sum();
-    let variance = square / (left.len() as f64 - tau * parameters).max(1.0);
+    let mut variance = square / (left.len() as f64 - tau * parameters).max(1.0);
+    if options.robust {
+        let plain = targets.iter().zip(&system.weights).flat_map(|(t, w)| t.weights.iter().zip(w));
+        let plain: Vec<f64> = plain.filter(|(_, w)| **w > 0.0).map(|(plain, _)| *plain).collect();
+        variance *= huber::variance(&left, &plain, &weights, parameters);
+    }
     let half = |k: usize| match (free[k], draws) {
         (false, _) | (_, 0) => f64::INFINITY,
         _ => T95[draws - 1] * (tau * variance * squares[k]).sqrt(),
