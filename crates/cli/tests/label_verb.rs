@@ -298,3 +298,23 @@ fn faults_of_a_function_are_named_with_line_and_key() {
     refused("target = \"out\"", "target = \"uot\"", &["film.csv", "`uot`"]);
     refused("base = [0.3]", "base = [0.3, 1.0]", &["labels[1]", "found 2 values"]);
 }
+
+/// The shipped example: a drive of the virtual engine, the air charge and the torque structure of it.
+#[test]
+fn the_shipped_example_is_calibrated() {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/labels_gtdi");
+    let dir = tempfile::tempdir().unwrap();
+    for name in ["inputs.csv", "bed.toml", "air_charge.toml", "torque.toml"] {
+        std::fs::copy(shipped.join(name), dir.path().join(name)).unwrap();
+    }
+    let drive = "engine transient inputs.csv --bed bed.toml --parameters gtdi_2l --every-s 0.05 --csv drive.csv";
+    let driven = dynocal(dir.path(), &drive.split(' ').collect::<Vec<_>>());
+    assert_eq!(driven.code, 0, "{}", driven.stderr);
+    for spec in ["air_charge.toml", "torque.toml"] {
+        let found = dynocal(dir.path(), &["label", spec, "--out", spec.trim_end_matches(".toml")]);
+        assert_eq!(found.code, 0, "{spec}: {}{}", found.stdout, found.stderr);
+        assert!(found.stdout.starts_with("The labels may be used"), "{}", found.stdout);
+    }
+    let dcm = std::fs::read_to_string(dir.path().join("torque/LABELS.dcm")).unwrap();
+    assert!(dcm.contains("TORQUE_OPT") && dcm.contains("SENSOR_LAG"), "{dcm}");
+}
