@@ -70,6 +70,25 @@ fn intervals_of_breakpoints_hold_what_is_there() {
     assert!((0.90..=0.99).contains(&share), "{share}");
 }
 
+/// Samples that breakpoints cross are corners of the sum: with noise, and with a smoothness that is searched as well, each search ends.
+#[test]
+fn noisy_breakpoints_come_to_a_minimum_with_any_smoothness() {
+    let (graph, x, y) = curve();
+    let (graph, _) = graph.with_fitted_axis("POINTS", &[(0, 0)], 0.1).unwrap();
+    let time_s: Vec<f64> = (0..x.len()).map(|k| 0.1 * k as f64).collect();
+    let weights = vec![1.0; x.len()];
+    for options in [Options::default(), Options { robust: true, ..plain() }] {
+        for seed in 100..130 {
+            let mut rng = Rng64::new(seed);
+            let noisy: Vec<f64> = y.iter().map(|y| y + 0.5 * rng.normal()).collect();
+            let record = Record { time_s: &time_s, channels: vec![&x] };
+            let target = Target { record, node: None, y: &noisy, weights: &weights };
+            let found = fit(&graph, &[target], &options, &|| false).unwrap();
+            assert!(found.converged, "seed {seed}, robust {}: {} steps", options.robust, found.steps);
+        }
+    }
+}
+
 /// An axis that two maps share moves for both; a breakpoint at a locked cell stays, intervals keep their least share.
 #[test]
 fn a_shared_axis_moves_for_all_labels_and_keeps_what_is_given() {

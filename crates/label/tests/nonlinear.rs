@@ -187,3 +187,44 @@ fn a_cell_with_little_data_beside_an_untouched_one_does_not_run_away() {
     println!("cell with little data: off by {:.2}, without smoothness by {:.2}", square.sqrt(), alone.sqrt());
     assert!(square.sqrt() < 0.5 * alone.sqrt(), "{} {}", square.sqrt(), alone.sqrt());
 }
+
+/// A lag is found from wherever the search starts, far too fast and far too slow.
+#[test]
+fn a_lag_comes_back_from_any_start() {
+    let mut rng = Rng64::new(11);
+    let time_s: Vec<f64> = (0..2000).map(|k| 0.05 * f64::from(k)).collect();
+    let mut level = 0.0;
+    let x: Vec<f64> = (0..2000)
+        .map(|k| {
+            if k % 25 == 0 {
+                level = rng.uniform();
+            }
+            level
+        })
+        .collect();
+    let graph = |start: f64| {
+        let mut tau = Label::scalar("TAU", "s", start);
+        (tau.lower, tau.upper) = (0.001, 100.0);
+        let nodes = vec![
+            node("x", Op::Channel(0)),
+            node("gain", Op::Label(0, vec![])),
+            node("in", Op::Multiply(vec![0, 1])),
+            node("tau", Op::Label(1, vec![])),
+            node("out", Op::Lag(2, 3)),
+        ];
+        Graph { nodes, labels: vec![Label::scalar("GAIN", "-", 1.0), tau] }
+    };
+    let record = Record { time_s: &time_s, channels: vec![&x] };
+    let planted = graph(1.0).values(&[3.0, 0.4], &record);
+    let y: Vec<f64> = planted.iter().map(|v| v + 0.05 * rng.normal()).collect();
+    let weights = vec![1.0; y.len()];
+    for start in [0.001, 0.01, 0.1, 2.0, 10.0, 100.0] {
+        let target = Target { record: record.clone(), node: None, y: &y, weights: &weights };
+        let found = fit(&graph(start), &[target], &Options::default(), &|| false).unwrap();
+        assert!(found.converged, "from {start} s");
+        for (k, truth) in [3.0, 0.4].into_iter().enumerate() {
+            let (value, half) = (found.fit.exact[k], found.fit.half_width[k]);
+            assert!((value - truth).abs() < 2.0 * half && half < 0.1 * truth, "from {start} s: {value} +- {half}");
+        }
+    }
+}
