@@ -307,7 +307,8 @@ fn the_shipped_example_is_calibrated() {
     for name in ["inputs.csv", "bed.toml", "air_charge.toml", "torque.toml"] {
         std::fs::copy(shipped.join(name), dir.path().join(name)).unwrap();
     }
-    let drive = "engine transient inputs.csv --bed bed.toml --parameters gtdi_2l --every-s 0.05 --csv drive.csv";
+    let drive =
+        "engine transient inputs.csv --bed bed.toml --parameters gtdi_2l --every-s 0.05 --csv drive.csv";
     let driven = dynocal(dir.path(), &drive.split(' ').collect::<Vec<_>>());
     assert_eq!(driven.code, 0, "{}", driven.stderr);
     for spec in ["air_charge.toml", "torque.toml"] {

@@ -1,8 +1,9 @@
 //! Labels that enter linearly: sparse least squares with smoothness, limits and whole steps.
 
-pub(crate) mod huber;
+pub mod huber;
 mod normal;
 mod open;
+mod rounds;
 mod verdict;
 
 use std::ops::Range;
@@ -17,6 +18,7 @@ use crate::quantise::{self, Steps};
 use crate::rows::Rows;
 use normal::Normal;
 pub use open::Open;
+use rounds::{Rounds, change, residuals, rounds};
 
 /// Most cells in one fit: the equations are held dense.
 pub const MOST_CELLS: usize = 4000;
@@ -251,13 +253,8 @@ fn taken_along(p: &Problem, base: &[f64], found: &mut Fit) {
     }
 }
 
-fn fitted(
-    p: &Problem,
-    options: &Options,
-    cells: usize,
-    place: Option<&[f64]>,
-) -> Result<Fit, LabelError> {
-    let base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
+fn fitted(p: &Problem, options: &Options, cells: usize, place: Option<&[f64]>) -> Result<Fit, LabelError> {
+    let mut base: Vec<f64> = p.labels.iter().flat_map(|l| l.base.iter().copied()).collect();
     let visits = verdict::visits(p, cells);
     let locked: Vec<bool> = p.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
     let shaped: Vec<bool> =
@@ -277,26 +274,21 @@ fn fitted(
             })
             .collect()
     };
-    let mut weights: Vec<f64> = p.weights.map_or_else(|| vec![1.0; p.target.len()], <[f64]>::to_vec);
-    let offset: Vec<f64> = (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base)).collect();
-    let mut normal = Normal::new(p, &map, &base, &locked, options);
-    let first = weights.clone();
-    // From the smooth side: a fit that follows the noise would leave nothing correlated behind, and think that it may.
-    let mut found = normal.solve(p, &map, &offset, &weights, 1.0, Some(options.smooth.unwrap_or(1.0)))?;
-    // The correlation shows in the residuals, and the smoothness depends on it: a few rounds settle both.
-    let mut tau = 1.0;
-    for round in 0..6 {
-        let residuals = residuals(p, &map, &offset, &found.delta);
-        if options.robust {
-            weights = first.iter().zip(huber::weights(&residuals)).map(|(w, h)| w * h).collect();
-        }
-        let next = correlation::time_samples(&residuals, &p.segments);
-        if !options.robust && round > 0 && (next - tau).abs() < 1e-3 * tau {
-            break;
-        }
-        tau = next;
-        found = normal.solve(p, &map, &offset, &weights, tau, options.smooth)?;
+    if let Some(place) = place {
+        // What nothing depends on there has moved until nothing did.
+        (0..cells).filter(|c| map[*c].is_none() && !locked[*c]).for_each(|c| base[c] = place[c]);
     }
+    let weights: Vec<f64> = p.weights.map_or_else(|| vec![1.0; p.target.len()], <[f64]>::to_vec);
+    let measured: Vec<f64> = (0..p.target.len()).map(|k| p.target[k] - p.rows.times(k, &base)).collect();
+    let mut normal = Normal::new(p, &map, &base, &locked, options);
+    let Rounds { offset, mut found, tau } = rounds(
+        p,
+        options,
+        &map,
+        &mut normal,
+        (&measured, &weights),
+        place.map(|place| change(place, &base, &map)),
+    )?;
     let whole = |delta: &[f64]| -> Vec<f64> {
         (0..cells).map(|k| base[k] + map[k].map_or(0.0, |f| delta[f])).collect()
     };
@@ -305,18 +297,16 @@ fn fitted(
     let h = normal.hessian(found.smooth);
     let mut solved = qp::solve(&h, &normal.right(found.smooth), &limits)?;
     if let Some(place) = place {
-        for (c, f) in map.iter().enumerate().filter_map(|(c, f)| Some((c, (*f)?))) {
-            let change = place[c] - base[c];
-            found.delta[f] += change - solved.x[f];
-            solved.x[f] = change;
-        }
+        let change = change(place, &base, &map);
+        found.delta.iter_mut().zip(&change).zip(&solved.x).for_each(|((d, c), x)| *d += c - x);
+        solved.x = change;
     }
     let held = solved.active.iter().map(|(k, _)| limits[*k].what.clone()).collect();
     let exact = whole(&solved.x);
     let squares = |delta: &[f64]| {
-        let r = residuals(p, &map, &offset, delta);
-        let sum: f64 = first.iter().sum();
-        (r.iter().zip(&first).map(|(r, w)| w * r * r).sum::<f64>() / sum.max(1e-300)).sqrt()
+        let r = residuals(p, &map, &measured, delta);
+        let sum: f64 = weights.iter().sum();
+        (r.iter().zip(&weights).map(|(r, w)| w * r * r).sum::<f64>() / sum.max(1e-300)).sqrt()
     };
     let rms = [squares(&vec![0.0; solved.x.len()]), squares(&solved.x)];
     let steps = steps(p.labels, &map, &base);
@@ -327,11 +317,7 @@ fn fitted(
         }
         false => (exact.clone(), None),
     };
-    let mut cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
-    if options.robust {
-        let left = residuals(p, &map, &offset, &cautious.delta);
-        cautious.variance *= huber::variance(&left, &first, &weights, cautious.parameters);
-    }
+    let cautious = normal.solve(p, &map, &offset, &weights, tau, Some(found.cautious))?;
     let residuals = residuals(p, &map, &offset, &found.delta);
     let (_, window) = correlation::time_and_window(&residuals, &p.segments);
     let correlated = verdict::Correlated { tau, window, residuals };
@@ -341,6 +327,13 @@ fn fitted(
     // The interval reaches as far as that of the cautious fit, which lies elsewhere.
     for (half, f) in told.half_width.iter_mut().zip(&map) {
         *half += f.map_or(0.0, |f| (found.delta[f] - cautious.delta[f]).abs());
+    }
+    let ranges = p.labels.iter().flat_map(|l| std::iter::repeat_n(l.upper - l.lower, l.len()));
+    for (half, range) in told.half_width.iter_mut().zip(ranges) {
+        // Wider than what the cell may be at all is not known.
+        if *half > range {
+            *half = f64::INFINITY;
+        }
     }
     for (k, half) in told.half_width.iter_mut().enumerate() {
         // A cell that only the limits of others move is not known to any width.
@@ -410,15 +403,6 @@ fn check(p: &Problem, cells: usize) -> Result<(), LabelError> {
         Some(index) => Err(LabelError::NotFinite { what: "weights", index }),
         None => Ok(()),
     }
-}
-
-fn residuals(p: &Problem, map: &[Option<usize>], offset: &[f64], delta: &[f64]) -> Vec<f64> {
-    (0..offset.len())
-        .map(|k| {
-            let (at, w) = p.rows.row(k);
-            offset[k] - at.iter().zip(w).filter_map(|(j, w)| map[*j].map(|f| w * delta[f])).sum::<f64>()
-        })
-        .collect()
 }
 
 /// What holds a cell with bounds of its own, in words.

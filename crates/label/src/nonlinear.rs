@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::LabelError;
 use crate::graph::{Graph, Record};
 use crate::label::Limit;
-use crate::linear::{self, Fit};
+use crate::linear::{self, Fit, huber};
 use crate::rows::Rows;
 use descend::{Criterion, Reach};
 use jacobian::Jacobian;
@@ -66,6 +66,10 @@ pub const MOST_CELLS: usize = 500;
 const MOST_STEPS: usize = 100;
 /// Weight of the smoothness until cross-validation has chosen one.
 const FIRST_SMOOTH: f64 = 0.01;
+
+/// Rounds in which the knee of a robust loss comes down, and their steps.
+const ROBUST: usize = 10;
+const FEW: usize = 3;
 
 /// How it went.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -199,7 +203,21 @@ pub fn fit_from(
     let at = linearise(graph, &theta, targets);
     let locked: Vec<bool> = graph.labels.iter().flat_map(|l| l.locked.iter().copied()).collect();
     let smooth = options.smooth.unwrap_or(FIRST_SMOOTH);
-    let criterion = Criterion::new(graph, &at, locked, smooth, options.smooth_change);
+    let criterion = |at: &Linear| Criterion::new(graph, at, locked.clone(), smooth, options.smooth_change);
+    if options.robust {
+        // What lies far outside leads time constants away, and they do not come back: the knee comes down with what is left.
+        for _ in 0..ROBUST {
+            let at = linearise(graph, &theta, targets);
+            let few = Reach { steps: FEW, ..reach };
+            let robust = criterion(&at).robust(huber::knee(&at.r, &at.w));
+            descend::search(graph, &mut theta, targets, &robust, &few)?;
+        }
+    }
+    let at = if options.robust { linearise(graph, &theta, targets) } else { at };
+    let criterion = match options.robust {
+        true => criterion(&at).robust(huber::knee(&at.r, &at.w)),
+        false => criterion(&at),
+    };
     let begun = descend::search(graph, &mut theta, targets, &criterion, &reach)?;
     settle::search(graph, theta, targets, options, begun, &reach)
 }

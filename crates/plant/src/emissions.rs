@@ -17,6 +17,7 @@
 use crate::dissociation::BurnedTable;
 use crate::end_gas::EndGas;
 use crate::equilibrium::FUEL;
+use crate::gas::AIR_ALONE;
 use serde::{Deserialize, Serialize};
 
 /// Constants of the surrogates.
@@ -133,7 +134,8 @@ impl EmissionsModel {
         // Moles of exhaust per mole of fuel, from the mass; carbon per mole of exhaust.
         let fuel_kg = FUEL.0 * 12.011e-3 + FUEL.1 * 1.008e-3;
         let moles = fuel_kg * (1.0 + 14.7 * lambda) / AIR_KG_MOL;
-        let carbon = FUEL.0 / moles;
+        // Without fuel lambda stands at its end.
+        let carbon = if lambda < AIR_ALONE { FUEL.0 / moles } else { 0.0 };
         let survived = self.hydrocarbons.map_or(self.crevice_share, |h| h.share(hidden, lambda));
         let alive = survived * stable + (1.0 - stable);
         EngineOut {

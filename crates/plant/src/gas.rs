@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// Number of gas volumes: four cylinders, charge pipe, intake manifold, exhaust manifold, catalyst.
 pub const VOLUMES: usize = 8;
 
+/// Lambda of air without fuel: the end of its scale.
+pub const AIR_ALONE: f64 = 9.99;
+
 /// Properties of the three species.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -100,13 +103,13 @@ impl GasModel {
     }
 
     /// Relative air/fuel ratio by oxygen balance,
-    /// lambda = (m_a + m_p AFR/(AFR+1)) / (AFR (m_f + m_p/(AFR+1))), saturated at 9.99.
+    /// lambda = (m_a + m_p AFR/(AFR+1)) / (AFR (m_f + m_p/(AFR+1))), saturated at [`AIR_ALONE`].
     pub fn lambda(&self, air_kg: f64, fuel_kg: f64, products_kg: f64) -> f64 {
         let afr = self.afr_stoich;
         let burned_fuel = products_kg / (afr + 1.0);
         let air = air_kg + afr * burned_fuel;
         let fuel = afr * (fuel_kg + burned_fuel);
-        if air >= 9.99 * fuel { 9.99 } else { air / fuel }
+        if air >= AIR_ALONE * fuel { AIR_ALONE } else { air / fuel }
     }
 
     fn mix(&self, m: [f64; 3]) -> [f64; 7] {

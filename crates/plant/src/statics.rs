@@ -8,6 +8,9 @@ use crate::params::EngineParams;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+/// Range in which the spark of least fuel is sought \[deg before top dead centre\]; its early end is that of the input.
+const SPARKS_DEG: (f64, f64) = (-5.0, 55.0);
+
 /// What a steady point is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Target {
@@ -179,7 +182,7 @@ pub fn best_spark(
         let slope = 0.5 * (fuel[2] - fuel[0]);
         let offset = if curvature > 0.0 { -slope / curvature } else { -slope.signum() * 2.0 };
         let before = centre;
-        centre = (centre + width * offset.clamp(-2.0, 2.0)).clamp(-5.0, 50.0);
+        centre = (centre + width * offset.clamp(-2.0, 2.0)).clamp(SPARKS_DEG.0, SPARKS_DEG.1);
         if width < 4.0 && offset.abs() < 0.5 {
             break;
         }

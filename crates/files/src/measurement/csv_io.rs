@@ -135,7 +135,7 @@ pub fn parse_with(file: &str, bytes: &[u8], keys: &CsvKeys) -> Result<Table, Fil
     let mut record = ByteRecord::new();
     let mut units_pending = dialect.unit_row;
     while reader.read_byte_record(&mut record).map_err(malformed)? {
-        let line = record.position().map_or(0, csv::Position::line) + skip as u64;
+        let line = record.position().map_or(0, |at| line_of(body.as_bytes(), at)) + skip as u64;
         if record.len() != columns.len() {
             return Err(FilesError::Ragged {
                 path: file.into(),
@@ -180,6 +180,12 @@ fn below(column: &mut Column, cell: &[u8]) {
     if !bare.is_empty() {
         column.unit = Some((units::normalise(&bare), UnitSource::Bracket));
     }
+}
+
+/// Line that a record begins in. Where lines end with CR LF, a record's position is before the LF of the line above.
+fn line_of(body: &[u8], at: &csv::Position) -> u64 {
+    let above = usize::try_from(at.byte()).is_ok_and(|k| body.get(k) == Some(&b'\n'));
+    at.line() + u64::from(above)
 }
 
 /// The lines with a tab between cells, where blanks stand between them.

@@ -142,3 +142,50 @@ fn an_axis_is_placed_or_fitted_and_not_both() {
     let said = fitted(tmp.path(), &one).unwrap_err();
     assert!(said.contains("labels[0].axes[0].fit") && said.contains("shared axis"), "{said}");
 }
+
+/// Breakpoints far from where they belong, on a curve that starts flat: other placings are tried, and what is left is noise.
+#[test]
+fn breakpoints_are_found_from_a_flat_start_far_away() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut rng = Rng64::new(1);
+    let n = 1500;
+    let time_s: Vec<f64> = (0..n).map(|k| 0.1 * f64::from(k)).collect();
+    let x: Vec<f64> = (0..n).map(|_| 10.0 * rng.uniform()).collect();
+    let of = |x: f64| {
+        if x < 3.0 {
+            2.0 * x / 3.0
+        } else if x < 4.5 {
+            2.0 + 2.0 * (x - 3.0)
+        } else {
+            5.0 + (x - 4.5) / 5.5
+        }
+    };
+    let y: Vec<f64> = x.iter().map(|x| of(*x) + 0.1 * rng.normal()).collect();
+    let columns: [(&str, &str, &[f64]); 3] = [("time", "s", &time_s), ("x", "-", &x), ("y", "-", &y)];
+    write_columns(&dir.path().join("data.csv"), &columns).unwrap();
+    let text = r#"data = ["data.csv"]
+target = "y"
+
+[[labels]]
+name = "C"
+unit = "-"
+base = [1]
+axes = [{ name = "x", unit = "-", points = [0, 6, 8, 10], fit = true }]
+
+[[nodes]]
+name = "x"
+op = "channel"
+channel = "x"
+unit = "-"
+
+[[nodes]]
+name = "c"
+op = "label"
+label = "C"
+in = ["x"]
+"#;
+    let found = fitted(dir.path(), text).unwrap();
+    assert!(found.converged && found.unseen_rms[1] < 0.12, "{:?} {:?}", found.unseen_rms, found.warnings);
+    let points = &found.labels[0].axes[0].points;
+    assert!((points[1] - 3.0).abs() < 0.15 && (points[2] - 4.5).abs() < 0.15, "{points:?}");
+}

@@ -149,6 +149,11 @@ impl Normal {
         }
     }
 
+    /// What was gathered is of other measurements.
+    pub(super) fn forget(&mut self) {
+        self.gathered = None;
+    }
+
     /// `H = G + lambda P + V`, upper triangle, with a tie to the base where nothing else holds a cell.
     pub(super) fn hessian(&self, smooth: f64) -> Vec<f64> {
         let n = self.n;

@@ -12,13 +12,19 @@ use super::{Linear, MOST_STEPS, Target, all_limits, linearise, not_finite, resid
 use crate::error::LabelError;
 use crate::graph::Graph;
 use crate::label::Limit;
-use crate::linear::offsets;
+use crate::linear::{huber, offsets};
 use crate::qp;
 
 /// Steps in a row that together lower the criterion by less than [`LITTLE`] of the variance of a sample, after which it rests: the labels
 /// move by a few hundredths of a standard error then.
 const RESTS: usize = 5;
 const LITTLE: f64 = 1e-3;
+/// Whole steps in a row that change the function by less than this share of what is left, root mean square, after which what is measured
+/// stands, and the labels move along what nothing but the roughness tells of.
+const STILL: usize = 3;
+const SEEN: f64 = 1e-3;
+/// Damping up to which a step is whole.
+const WHOLE: f64 = 1e-3;
 
 /// Cells with factors, what the base gives, weight.
 type RoughRow = (Vec<(usize, f64)>, f64, f64);
@@ -73,21 +79,17 @@ impl Criterion {
         Self { knee: (knee > 0.0).then_some(knee), ..self }
     }
 
-    /// Weight of a residual as a share of its own.
-    fn share(&self, r: f64) -> f64 {
-        self.knee.map_or(1.0, |knee| (knee / r.abs()).min(1.0))
+    /// What the samples have of the cost.
+    fn data(&self, r: &[(f64, f64)]) -> f64 {
+        r.iter().map(|(r, w)| huber::loss(*r, *w, self.knee)).sum()
     }
 
     fn cost(&self, r: &[(f64, f64)], theta: &[f64]) -> f64 {
-        let loss = |r: f64| match self.knee {
-            Some(knee) if r.abs() > knee => knee * (2.0 * r.abs() - knee),
-            _ => r * r,
-        };
         let row = |(row, told, w): &RoughRow| {
             let d = row.iter().map(|(k, c)| c * theta[*k]).sum::<f64>() - told;
             w * d * d
         };
-        r.iter().map(|(r, w)| w * loss(*r)).sum::<f64>()
+        self.data(r)
             + self.rough.iter().map(row).sum::<f64>()
             + self.base.iter().zip(theta).map(|((v, b), t)| v * (t - b) * (t - b)).sum::<f64>()
     }
@@ -95,7 +97,7 @@ impl Criterion {
     /// Upper triangle of half the Hessian without second derivatives of the function, and half of what the cost falls along each cell.
     fn normal(&self, at: &Linear, theta: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let n = theta.len();
-        let w: Vec<f64> = at.w.iter().zip(&at.r).map(|(w, r)| w * self.share(*r)).collect();
+        let w: Vec<f64> = at.w.iter().zip(&at.r).map(|(w, r)| w * huber::share(*r, *w, self.knee)).collect();
         let (mut h, mut g) = at.j.normal(&w, &at.r, &self.held);
         for (row, told, w) in &self.rough {
             let d = row.iter().map(|(k, c)| c * theta[*k]).sum::<f64>() - told;
@@ -131,8 +133,7 @@ impl Criterion {
         }
         let n = theta.len();
         let damped = damped(h, n, 1.0);
-        let diagonal: Vec<f64> =
-            (0..n * n).map(|k| if k % (n + 1) == 0 { damped[k] } else { 0.0 }).collect();
+        let diagonal: Vec<f64> = (0..n * n).map(|k| if k % (n + 1) == 0 { damped[k] } else { 0.0 }).collect();
         let p = qp::solve(&diagonal, &vec![0.0; n], &moved)?.x;
         Ok(Some(theta.iter().zip(&p).map(|(a, b)| a + b).collect()))
     }
@@ -166,8 +167,8 @@ pub(super) fn search(
     }
     let first = residuals(graph, theta, targets).ok_or_else(|| not_finite(graph, theta, targets))?;
     let mut cost = criterion.cost(&first, theta);
-    let mut costs = vec![cost];
-    let (mut mu, mut steps) = (1e-3, 0);
+    let (mut costs, mut here, mut still) = (vec![cost], first, 0);
+    let (mut mu, mut steps) = (WHOLE, 0);
     while steps < reach.steps && !(reach.interrupt)() {
         steps += 1;
         let (h, g) = criterion.normal(&at, theta);
@@ -179,12 +180,18 @@ pub(super) fn search(
             p.iter_mut().for_each(|p| *p *= share);
             let next: Vec<f64> = theta.iter().zip(&p).map(|(a, b)| a + b).collect();
             let small = share == 1.0 && size(&p) <= 1e-10 * (1e-10 + size(theta));
-            let new = residuals(graph, &next, targets).map(|r| criterion.cost(&r, &next));
-            if let Some(c) = new.filter(|c| *c < cost) {
+            let new = residuals(graph, &next, targets).map(|r| (criterion.cost(&r, &next), r));
+            if let Some((c, there)) = new.filter(|(c, _)| *c < cost) {
                 let done = (share == 1.0 && cost - c <= 1e-14 * cost) || small;
-                (*theta, cost) = (next, c);
+                let whole = share == 1.0 && mu <= WHOLE && !criterion.rough.is_empty();
+                still = if whole && apart(&here, &there) <= SEEN * SEEN * criterion.data(&there) {
+                    still + 1
+                } else {
+                    0
+                };
+                (*theta, cost, here) = (next, c, there);
                 costs.push(c);
-                if done || rests(&costs, at.r.len()) {
+                if done || rests(&costs, at.r.len()) || still >= STILL {
                     return Ok((steps, true));
                 }
                 mu = (mu * 0.1).max(1e-12);
@@ -200,6 +207,11 @@ pub(super) fn search(
         }
     }
     Ok((steps, false))
+}
+
+/// Weighted square of the difference of two runs.
+fn apart(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
+    a.iter().zip(b).map(|((a, w), (b, _))| w * (a - b) * (a - b)).sum()
 }
 
 fn rests(costs: &[f64], samples: usize) -> bool {

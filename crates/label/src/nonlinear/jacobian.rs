@@ -24,16 +24,6 @@ impl Jacobian {
         }
     }
 
-    /// Weighted square of `J v`.
-    pub(super) fn square_of(&self, v: &[f64], w: &[f64]) -> f64 {
-        let one = |(k, w): (usize, &f64)| {
-            let mut sum = 0.0;
-            self.row(k, &mut |c, j| sum += j * v[c]);
-            w * sum * sum
-        };
-        w.iter().enumerate().map(one).sum()
-    }
-
     /// Diagonal of `J'WJ`.
     pub(super) fn squares(&self, w: &[f64], cells: usize) -> Vec<f64> {
         match self {

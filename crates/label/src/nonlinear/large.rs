@@ -28,7 +28,7 @@ use crate::graph::Graph;
 use crate::graph::forward::Run;
 use crate::graph::products::Products;
 use crate::graph::products::front::Front;
-use crate::linear::{self, Options};
+use crate::linear::{Options, huber};
 use dynocal_numerics::linalg::{dot, norm2};
 use system::{Exact, Levels, Pairs, System};
 use timing::Timing;
@@ -158,7 +158,7 @@ pub fn fit(
     let plain = weights.clone();
     for _ in 0..if options.robust { ROUNDS } else { 0 } {
         let before = theta.clone();
-        weights = huber(&system, &plain);
+        weights = weighed(&system, &plain);
         drop(system);
         system = search.run(&mut theta, &weights)?;
         if stands(&theta, &before) || interrupt() {
@@ -184,19 +184,13 @@ fn stands(a: &[f64], b: &[f64]) -> bool {
 }
 
 /// Weights of the robust loss, from what is left of all samples.
-fn huber(system: &System, plain: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let counts = |w: &f64| *w > 0.0;
-    let left: Vec<f64> = system
-        .residuals
-        .iter()
-        .zip(plain)
-        .flat_map(|(r, w)| r.iter().zip(w).filter(|(_, w)| counts(w)).map(|(r, _)| *r))
-        .collect();
-    let mut factors = linear::huber::weights(&left).into_iter();
-    plain
-        .iter()
-        .map(|w| w.iter().map(|w| if counts(w) { w * factors.next().unwrap_or(1.0) } else { 0.0 }).collect())
-        .collect()
+fn weighed(system: &System, plain: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let (left, all) = (system.residuals.concat(), plain.concat());
+    let knee = Some(huber::knee(&left, &all));
+    let one = |(r, w): (&Vec<f64>, &Vec<f64>)| {
+        r.iter().zip(w).map(|(r, w)| w * huber::share(*r, *w, knee)).collect()
+    };
+    system.residuals.iter().zip(plain).map(one).collect()
 }
 
 struct Search<'a> {

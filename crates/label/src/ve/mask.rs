@@ -77,7 +77,9 @@ pub fn of(log: &Log, keys: &Keys) -> Mask {
     let enriching = |k: usize| !keys.enriched && log.enriching.as_ref().is_some_and(|e| e[k]);
     let reasons: [(&str, &dyn Fn(usize) -> bool); 7] = [
         ("engine stopped, started, or fuel cut", &|k| !burning[k]),
-        ("echo of a fuel cut or a start", &|k| since[k] < keys.after_cut_s),
+        ("after a fuel cut, a start, a hole in the log or a jump of its clock", &|k| {
+            since[k] < keys.after_cut_s
+        }),
         ("engine cold", &cold),
         ("enrichment of start, warm-up or acceleration active", &enriching),
         ("throttle moves", &moving),

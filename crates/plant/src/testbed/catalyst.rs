@@ -15,6 +15,7 @@
 //! Conserved: energy of gas, brick and reaction; oxygen in, out and stored. Not modelled: single species, water that
 //! condenses, the radial profile, ageing.
 
+use crate::gas::AIR_ALONE;
 use serde::{Deserialize, Serialize};
 
 /// Mass fraction of oxygen in air.
@@ -131,9 +132,9 @@ impl Feed {
     }
 
     /// The same where the engine has no emissions: 3 % of what the fuel of `lhv_j_g` could give (class of a warm engine at
-    /// lambda 1).
+    /// lambda 1); without fuel nothing.
     pub fn unburned_share(lhv_j_g: f64, lambda: f64, afr: f64) -> f64 {
-        0.03 * lhv_j_g / (1.0 + lambda * afr)
+        if lambda < AIR_ALONE { 0.03 * lhv_j_g / (1.0 + lambda * afr) } else { 0.0 }
     }
 }
 

@@ -83,6 +83,8 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
         Some(spark) => settle(engine, target, spark, options)?,
         None => match best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options) {
             Err(PlantError::NotSettled { .. }) => return with_boost(engine, target),
+            // The spark of least fuel knocks: later, as far as `map` and `full-load` go.
+            Ok(p) if p.outputs.knock > LoadLimits::default().knock => return with_boost(engine, target),
             found => found?,
         },
     };

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use dynocal_label::correlation::{mean_and_error, t_one_sided};
 use dynocal_label::graph::Graph;
-use dynocal_label::linear::Fit;
+use dynocal_label::linear::{Fit, huber};
 use dynocal_label::nonlinear::{Target, times_a_memory};
 use dynocal_label::ve::judge::Decision;
 
@@ -25,6 +25,19 @@ pub(super) struct Sides<'a> {
     pub(super) before: &'a Graph,
     pub(super) after: &'a Graph,
     pub(super) values: &'a [f64],
+    /// Knee of the loss, where it is Huber's.
+    pub(super) knee: Option<f64>,
+}
+
+/// The knee of Huber's loss by what the fitted samples are left by.
+pub(super) fn knee(graph: &Graph, values: &[f64], fitted: &[Target]) -> f64 {
+    let (mut left, mut weights) = (Vec::new(), Vec::new());
+    for t in fitted {
+        let y = graph.all_values(values, &t.record).swap_remove(t.node.unwrap_or(graph.nodes.len() - 1));
+        left.extend(t.y.iter().zip(y).map(|(y, f)| y - f));
+        weights.extend_from_slice(t.weights);
+    }
+    huber::knee(&left, &weights)
 }
 
 /// What unseen samples say.
@@ -38,7 +51,7 @@ pub(super) struct Judged {
     pub(super) facts: f64,
 }
 
-/// Judges by the gain of the weighted squares, sample by sample, correlated samples counted as what they are worth; what fits no more than
+/// Judges by the gain of the weighted squares (with a knee of Huber's loss), sample by sample, correlated samples counted as what they are worth; what fits no more than
 /// noise is no statement either way (twice the gain of the log likelihood against the 95 % point of chi-squared with the effective
 /// parameters, as of the fuel table).
 pub(super) fn of(s: &Sides, fitted: &[Target], judging: &[Target], fit: &Fit) -> Judged {
@@ -48,7 +61,8 @@ pub(super) fn of(s: &Sides, fitted: &[Target], judging: &[Target], fit: &Fit) ->
     // A gain that is the same at every sample has no error to speak of.
     let improvement = if mean == 0.0 { 0.0 } else { mean / error.max(SURE * mean.abs()) };
     let samples: usize = fitted.iter().map(|t| t.weights.iter().filter(|w| **w > 0.0).count()).sum();
-    let (before, after) = (rms(s.before, &s.before.base(), fitted), rms(s.after, s.values, fitted));
+    let (before, after) =
+        (rms(s.before, &s.before.base(), fitted, s.knee), rms(s.after, s.values, fitted, s.knee));
     let evidence = 2.0 * samples as f64 / fit.correlation_samples * (before / after.max(1e-300)).ln();
     let p = fit.effective_parameters;
     let noise = !(evidence > p + COUNTS * (2.0 * p).sqrt());
@@ -81,7 +95,8 @@ fn gains(s: &Sides, judging: &[Target]) -> (Vec<f64>, Vec<Range<usize>>) {
             let a = s.before.all_values(&base, &t.record).swap_remove(node(s.before));
             let b = s.after.all_values(s.values, &t.record).swap_remove(node(s.after));
             for k in (0..n).filter(|k| t.weights[*k] > 0.0) {
-                sum[k] += t.weights[k] * ((t.y[k] - a[k]).powi(2) - (t.y[k] - b[k]).powi(2));
+                let loss = |v: f64| huber::loss(t.y[k] - v, t.weights[k], s.knee);
+                sum[k] += loss(a[k]) - loss(b[k]);
                 counts[k] = true;
             }
         }

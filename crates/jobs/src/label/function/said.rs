@@ -17,6 +17,8 @@ pub(super) struct Came<'a> {
     pub(super) samples: [usize; 2],
     pub(super) full: Option<f64>,
     pub(super) fit: &'a Fit,
+    /// Whether the loss is Huber's.
+    pub(super) robust: bool,
 }
 
 /// The verdict, most important first.
@@ -70,9 +72,14 @@ fn numbers(c: &Came) -> String {
         [(_, channel, before, after)] => (format!("`{channel}` is"), *before, *after),
         _ => ("the weighted sum of all rows is".into(), c.unseen_rms[0], c.unseen_rms[1]),
     };
+    let mean = if c.robust {
+        "root of the mean of Huber's loss, in which outliers count less"
+    } else {
+        "root mean square"
+    };
     let few = if c.judged.facts < NEEDED { ", which is few" } else { "" };
     format!(
-        "On {} later samples (worth {:.1} independent measurements{few}) {what} left by {before:.4} (root mean square) with the base and by {after:.4} with the fitted labels; {} samples were fitted.",
+        "On {} later samples (worth {:.1} independent measurements{few}) {what} left by {before:.4} ({mean}) with the base and by {after:.4} with the fitted labels; {} samples were fitted.",
         c.samples[1], c.judged.facts, c.samples[0]
     )
 }
@@ -81,7 +88,7 @@ fn numbers(c: &Came) -> String {
 fn cells(fit: &Fit) -> String {
     let count = |v: Verdict| fit.verdicts.iter().filter(|x| **x == v).count();
     let mut out = format!(
-        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched (no data)",
+        "Of {} cells, {} are determined by the data, {} are pulled by their neighbours, {} are untouched (no sample depends on them)",
         fit.verdicts.len(),
         count(Verdict::Determined),
         count(Verdict::Pulled),
@@ -143,6 +150,31 @@ pub(super) fn warnings(graph: &Graph, axes: &[FittedAxis], fit: &Fit, notes: Vec
     held.sort();
     held.dedup();
     out.extend(held);
+    out.extend(fit.broken.iter().map(|what| format!("a limit is broken by values that stay (locked cells, or cells without data at their base): {what}")));
+    out.extend(gone(graph, fit));
     out.extend(notes);
+    out
+}
+
+/// Labels that the search has led to where no sample depends on them: what is known is that they are no further back.
+fn gone(graph: &Graph, fit: &Fit) -> Vec<String> {
+    let (mut out, mut from) = (Vec::new(), 0);
+    for l in &graph.labels {
+        let own = (0..l.len())
+            .filter(|k| fit.verdicts[from + k] == Verdict::Untouched && fit.exact[from + k] != l.base[*k]);
+        let cells: Vec<usize> = own.collect();
+        if let Some(k) = cells.first() {
+            let which = match cells.len() {
+                1 if l.len() == 1 => {
+                    format!("`{}` went from {} to {:.6} {}", l.name, l.base[*k], fit.exact[from + k], l.unit)
+                }
+                n => format!("{n} cells of `{}` went to values", l.name),
+            };
+            out.push(format!(
+                "{which}, where no sample depends on it any more (a lag or delay of none, a bound that nothing reaches): samples are explained worse with the base, but not by how far it goes"
+            ));
+        }
+        from += l.len();
+    }
     out
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use dynocal_label::graph::{FittedAxis, Graph, Op, Record};
 use dynocal_label::label::Label;
-use dynocal_label::linear::Fit;
+use dynocal_label::linear::{Fit, huber};
 use dynocal_label::nonlinear::{self, Target};
 use dynocal_label::ve::judge::Decision;
 use dynocal_numerics::watch::Watch;
@@ -121,10 +121,10 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     let mut graph = job.graph.clone();
     let (mut found, stays) = axes::fit(job, &mut graph, start, &fitted, watch)?;
     notes.extend(stays);
-    let (mut chosen, mut unseen_rms_full) = (Vec::new(), None);
+    let (mut chosen, mut full_values) = (Vec::new(), None);
     if !job.placed.is_empty() {
         watch.note("placing breakpoints");
-        unseen_rms_full = Some(rms(&graph, &found.fit.values, &judging));
+        full_values = Some((graph.clone(), found.fit.values.clone()));
         let full = graph;
         (graph, chosen) = coarse::place(&full, &job.placed, &found.fit.exact);
         let start = coarse::spread(&graph, &full, &found.fit.exact);
@@ -133,10 +133,13 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
     if watch.interrupted() {
         return Err(LabelJobError::Interrupted);
     }
+    let knee = job.fit.robust.then(|| judge::knee(&graph, &found.fit.values, &fitted));
     // The base on all breakpoints is what there was.
-    let unseen_rms = [rms(&job.graph, &job.graph.base(), &judging), rms(&graph, &found.fit.values, &judging)];
+    let unseen_rms =
+        [rms(&job.graph, &job.graph.base(), &judging, knee), rms(&graph, &found.fit.values, &judging, knee)];
+    let unseen_rms_full = full_values.map(|(graph, values)| rms(&graph, &values, &judging, knee));
     let judged = judge::of(
-        &judge::Sides { before: &job.graph, after: &graph, values: &found.fit.values },
+        &judge::Sides { before: &job.graph, after: &graph, values: &found.fit.values, knee },
         &fitted,
         &judging,
         &found.fit,
@@ -146,7 +149,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
         // Targets stand record by record, each with all rows.
         let own: Vec<Target> = judging.iter().skip(k).step_by(job.rows.len()).cloned().collect();
         // Without the weight: in the unit of the channel.
-        let of = |graph: &Graph, theta: &[f64]| rms(graph, theta, &own) / row.weight.sqrt();
+        let of = |graph: &Graph, theta: &[f64]| rms(graph, theta, &own, knee) / row.weight.sqrt();
         let (before, after) = (of(&job.graph, &job.graph.base()), of(&graph, &found.fit.values));
         (row.name.clone(), row.target.clone(), before, after)
     });
@@ -171,6 +174,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
             samples,
             full: unseen_rms_full,
             fit: &found.fit,
+            robust: job.fit.robust,
         }),
         warnings: said::warnings(&graph, &job.fitted, &found.fit, notes),
         half_width: found.fit.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
@@ -304,13 +308,13 @@ fn targets<'a>(job: &Job, records: &'a [Read], weights: &'a [Weights]) -> Vec<Ta
     out
 }
 
-/// Root mean square over the samples with a weight, weighted.
-pub(super) fn rms(graph: &Graph, theta: &[f64], targets: &[Target]) -> f64 {
+/// Root of the mean loss over the samples with a weight: root mean square, or with residuals beyond the knee counted by Huber's loss.
+pub(super) fn rms(graph: &Graph, theta: &[f64], targets: &[Target], knee: Option<f64>) -> f64 {
     let (mut sum, mut n) = (0.0, 0.0);
     for t in targets {
         let y = &graph.all_values(theta, &t.record)[t.node.unwrap_or(graph.nodes.len() - 1)];
         for k in (0..y.len()).filter(|k| t.weights[*k] > 0.0) {
-            sum += t.weights[k] * (t.y[k] - y[k]).powi(2);
+            sum += huber::loss(t.y[k] - y[k], t.weights[k], knee);
             n += 1.0;
         }
     }
