@@ -69,6 +69,16 @@ fn motored_needs_torque_and_faults_are_named() {
     assert!(code == 0 && (value(&stdout, "lambda") - 0.7).abs() < 0.01, "{stdout} {stderr}");
 }
 
+/// The spark of least fuel would knock: the point is held as a map holds it.
+#[test]
+fn a_point_that_knocks_has_a_later_spark() {
+    let tmp = tempfile::tempdir().unwrap();
+    let args = ["point", "--parameters", "twin_2l", "--speed-rpm", "1500", "--torque-nm", "130"];
+    let (code, stdout, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(value(&stdout, "knock") < 1.05 && value(&stdout, "ca50") > 10.0, "{stdout}");
+}
+
 #[test]
 fn a_boosted_point_is_held_and_a_map_leaves_out_what_is_out_of_reach() {
     let tmp = tempfile::tempdir().unwrap();

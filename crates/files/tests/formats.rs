@@ -182,6 +182,9 @@ fn keys_fix_the_dialect() {
     assert_eq!(table.numbers("b", 0, 2).unwrap(), [1002.0, 1003.0]);
     let ragged = csv_io::parse("a.csv", b"made by x\na,b\n1,2\n1,2\n3\n").unwrap_err().to_string();
     assert!(ragged.contains("line 5: found 1 cells, expected 2"), "{ragged}");
+    let windows = b"made by x\r\na,b\r\n1,2\r\n1,2\r\n3\r\n";
+    let ragged = csv_io::parse("a.csv", windows).unwrap_err().to_string();
+    assert!(ragged.contains("line 5: found 1 cells, expected 2"), "{ragged}");
 }
 
 /// Every unit converts to every other of its dimension and back, and to none of another dimension.

@@ -61,3 +61,15 @@ fn dilution_and_late_spark_lower_nitric_oxide_on_the_thesis_set() {
     let diluted = steady(&mut e, overlap, 2.0, 0.3).unwrap();
     assert!(diluted.residual > base.residual + 0.01 && diluted.no_ppm < base.no_ppm, "{diluted:?}");
 }
+
+/// Without fuel there is no carbon: nothing leaves unburned, and a catalyst has nothing to burn.
+#[test]
+fn a_motored_engine_has_no_hydrocarbons() {
+    for set in PARAMETER_SETS {
+        let params = with_emissions(set.doc.name);
+        let mut e = VirtualEngine::new(&params).unwrap();
+        steady(&mut e, Inputs::default(), 1.0, 0.3).unwrap();
+        let y = steady(&mut e, Inputs { injection_mg: 0.0, ..Inputs::default() }, 6.0, 0.3).unwrap();
+        assert_eq!((y.hc_ppm, y.co_pct), (0.0, 0.0), "{}: lambda {}", set.doc.name, y.lambda);
+    }
+}

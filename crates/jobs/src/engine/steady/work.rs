@@ -3,7 +3,7 @@
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
-use dynocal_plant::full_load::{LoadLimits, LoadRequest, hold_load};
+use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load};
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
 use dynocal_plant::trace::CylinderTrace;
@@ -104,6 +104,16 @@ fn with_boost(engine: &mut VirtualEngine, target: Target) -> Result<Point, Engin
     let found = hold_load(engine, request)?;
     match found.barrier {
         None => Ok(Point { inputs: found.inputs, outputs: found.outputs }),
+        // In reach, for all that is known.
+        Some(Barrier::Time) => Err(PlantError::NotSettled {
+            speed_rpm,
+            torque_nm,
+            spark_deg: found.inputs.spark_deg,
+            time_s: found.time_s,
+            torque_error_nm: torque_nm - found.outputs.torque_nm,
+            lambda_error: lambda - found.outputs.lambda,
+        }
+        .into()),
         Some(barrier) => {
             let (found_nm, reason) = (found.outputs.torque_nm, barrier.reason());
             Err(PlantError::OutOfReach { speed_rpm, torque_nm, found_nm, reason }.into())
