@@ -508,3 +508,16 @@ fn sensors_of_a_bed_delay_lag_and_quantise_what_the_ideal_bed_reads() {
         assert!((y[3] - lag).abs() <= 0.25 + 1e-9 && (y[3] / 0.5).fract() == 0.0, "{} {lag}", y[3]);
     }
 }
+
+/// A limit has a bound, and its bounds are the right way round.
+#[test]
+fn limits_without_a_range_are_refused() {
+    for (min, max, words) in
+        [(None, None, "neither min nor max"), (Some(2.0), Some(1.0), "min 2 above max 1")]
+    {
+        let mut bed = BedOptions::default();
+        bed.limits.push(LimitSettings { what: "knock".into(), min, max, ..LimitSettings::default() });
+        let said = bed.check().unwrap_err().to_string();
+        assert!(said.contains("bed.limits knock") && said.contains(words), "{said}");
+    }
+}

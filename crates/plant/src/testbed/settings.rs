@@ -256,6 +256,16 @@ impl BedOptions {
             for bound in [l.max, l.min].into_iter().flatten() {
                 range(&format!("bed.limits {}", l.what), bound, -1e9, 1e9)?;
             }
+            let bounds = match (l.min, l.max) {
+                (None, None) => Some("neither min nor max".to_string()),
+                (Some(min), Some(max)) if min > max => Some(format!("min {min} above max {max}")),
+                _ => None,
+            };
+            if let Some(found) = bounds {
+                let (key, expected) =
+                    (format!("bed.limits {}", l.what), "min, max or both, min below max".into());
+                return Err(PlantError::Bed { key, found, expected });
+            }
         }
         self.engine.check()
     }
