@@ -1,11 +1,14 @@
 //! Identification from records of a bed.
 
+mod filled;
 mod follow;
 mod record;
 mod search;
+mod worth;
 
 pub use record::TransientRecord;
 
+use super::cams::CamLaw;
 use super::charge::Charge;
 use super::coolant::CoolantLaw;
 use super::filling::Filling;
@@ -14,10 +17,12 @@ use super::trim::Trim;
 use super::{Fuelling, Timing};
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
-use follow::{pressure, richness, shown};
+use filled::filled;
+use follow::{pressure, richness};
 use rayon::prelude::*;
 use record::{charge_at_rest, rested};
 use search::searched;
+use worth::{block, pays};
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -80,6 +85,8 @@ const ROUNDS: usize = 2;
 const FILM: usize = 2;
 const TIMING: usize = 5;
 const LAW: usize = 3;
+/// Parameters of the cams.
+const CAMS: usize = 4;
 
 /// Means of a stretch at rest.
 struct Rested {
@@ -90,6 +97,7 @@ struct Rested {
     fuel: f64,
     coolant_c: f64,
     upstream_kpa: f64,
+    cams_deg: Option<[f64; 2]>,
 }
 
 /// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
@@ -126,16 +134,14 @@ fn identified(
         start.film.share = 0.0;
     }
     let start = filled(records, &rested, start, interrupt)?;
-    // Which correction suits is what the lambda that was measured says.
-    let tries: Vec<Fuelling> = CORRECTIONS
-        .par_iter()
-        .map(|c| {
-            let filling = Filling { correction_per_s: *c, ..start.filling.clone() };
-            mixed(records, Fuelling { filling, ..start.clone() }, interrupt)
-        })
-        .collect::<Result<_, _>>()?;
-    let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
-    let mut found = best.ok_or(FuellingError::Interrupted)?;
+    let mut found = corrected(records, start, interrupt)?;
+    // Cams first: what they do in a transient must not pass for a film.
+    if let Some(moved) = with_cams(records, &rested, &found, interrupt)? {
+        found = moved;
+    }
+    if has_film(&found) && !film_pays(records, &found, interrupt)? {
+        found.film.share = 0.0;
+    }
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for _ in 0..ROUNDS {
         found = filled(records, &rested, found, interrupt)?;
@@ -144,6 +150,23 @@ fn identified(
     found.trim =
         Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
     Ok(found)
+}
+
+/// Which correction of the filling suits is what the lambda that was measured says.
+fn corrected(
+    records: &[TransientRecord<'_>],
+    start: Fuelling,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Fuelling, FuellingError> {
+    let tries: Vec<Fuelling> = CORRECTIONS
+        .par_iter()
+        .map(|c| {
+            let filling = Filling { correction_per_s: *c, ..start.filling.clone() };
+            mixed(records, Fuelling { filling, ..start.clone() }, interrupt)
+        })
+        .collect::<Result<_, _>>()?;
+    let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
+    best.ok_or(FuellingError::Interrupted)
 }
 
 /// The charge from the ends of holds alone, by the pressure that is measured there, and what the coolant makes of it.
@@ -169,6 +192,7 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
             area: Vec::new(),
             gain: 1.0,
             throttle_lag_s: 0.05,
+            throttle_rate_deg_s: None,
             correction_per_s: 0.5,
         },
         film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },
@@ -186,35 +210,6 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
     })
 }
 
-/// Throttle by the rests, gain and lag of the filling by the pressure of the records.
-fn filled(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
-    start: Fuelling,
-    interrupt: &dyn Fn() -> bool,
-) -> Result<Fuelling, FuellingError> {
-    let point = |r: &Rested| {
-        let flow = start.air(r.coolant_c).flow(r.speed_rpm, r.map_kpa);
-        [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
-    };
-    let points: Vec<[f64; 4]> = rested.iter().map(point).collect();
-    let filling = start.filling.of_rest(&points)?;
-    let with = |x: &[f64]| Fuelling {
-        filling: Filling { gain: x[0].exp(), throttle_lag_s: x[1].exp(), ..filling.clone() },
-        ..start.clone()
-    };
-    let errors = |x: &[f64], out: &mut [f64]| {
-        let f = with(x);
-        let shown = records.iter().flat_map(|r| r.map_kpa.iter().zip(shown(r, &f)));
-        out.iter_mut().zip(shown).for_each(|(e, (m, s))| *e = m - s);
-        out.iter().all(|v| v.is_finite())
-    };
-    let samples = length(records);
-    let from = [filling.gain.ln(), filling.throttle_lag_s.ln()];
-    let found = searched("filling", &errors, samples, &from, interrupt)?;
-    Ok(Fuelling { pressure_rms_kpa: (found.cost / samples as f64).sqrt(), ..with(&found.x) })
-}
-
 fn length(records: &[TransientRecord<'_>]) -> usize {
     records.iter().map(|r| r.speed_rpm.len()).sum()
 }
@@ -225,28 +220,129 @@ fn mixed(
     start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
+    mixed_by(records, start, &|_| true, interrupt)
+}
+
+/// The same by the samples of all records that `counts` takes.
+fn mixed_by(
+    records: &[TransientRecord<'_>],
+    start: Fuelling,
+    counts: &dyn Fn(usize) -> bool,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
     let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, &start)).collect();
+    let samples = length(records);
+    let counted = (0..samples).filter(|t| counts(*t)).count();
+    let expected = prior(&start);
     let errors = |x: &[f64], out: &mut [f64]| {
         let f = taken(x, &start);
+        let (out, beside) = out.split_at_mut(samples);
+        beside.iter_mut().zip(&expected).for_each(|(e, (at, weight))| *e = weight * x[*at]);
         let timing = &f.timing;
         if !(f.film.share < 0.95 && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
             return false;
         }
-        let mut out = out.iter_mut();
-        for (r, pressure) in records.iter().zip(&pressures) {
-            let shown = richness(r, &f, pressure);
-            for (e, (lambda, phi)) in out.by_ref().zip(r.lambda.iter().zip(shown)) {
-                *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
-                if !e.is_finite() {
-                    return false;
-                }
-            }
-        }
-        true
+        unexplained(records, &pressures, &f, out);
+        out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
+        out.iter().all(|e| e.is_finite())
     };
+    let rows = samples + expected.len();
+    let found = searched("film and timing", &errors, rows, &given(&start), interrupt)?;
+    Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, &start) })
+}
+
+/// What 1 / lambda is beside that of the model, sample by sample, large errors by their logarithm.
+fn unexplained(records: &[TransientRecord<'_>], pressures: &[Vec<f64>], f: &Fuelling, out: &mut [f64]) {
+    let mut out = out.iter_mut();
+    for (r, pressure) in records.iter().zip(pressures) {
+        let shown = richness(r, f, pressure);
+        // The record first: at its end nothing more is taken of the others.
+        for ((lambda, phi), e) in r.lambda.iter().zip(shown).zip(out.by_ref()) {
+            *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
+        }
+    }
+}
+
+/// The charge with what cams that are not at rest do to it, where that is worth its parameters ([`pays`]).
+fn with_cams(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    found: &Fuelling,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Option<Fuelling>, FuellingError> {
+    let places: Option<Vec<[f64; 2]>> = rested.iter().map(|r| r.cams_deg).collect();
+    let Some(places) = places else { return Ok(None) };
+    let at: Vec<[f64; 2]> = rested.iter().map(|r| found.charge.scaled(r.speed_rpm, r.map_kpa)).collect();
+    let mut law = CamLaw::of_rest(&at, &places)?;
+    for r in records {
+        for t in 0..r.speed_rpm.len() {
+            let Some(cams) = r.cams_deg(t) else { continue };
+            let off = law.off_deg(found.charge.scaled(r.speed_rpm[t], r.map_kpa[t]), cams);
+            law.most_deg = [0, 1].map(|k| law.most_deg[k].max(off[k].abs()));
+        }
+    }
+    let charge = Charge { cams: Some(law), ..found.charge.clone() };
+    // Manifold and charge anew, in turns: a manifold behind a choked throttle passes on what flows in, so that a pressure that is not
+    // corrected hides what cams do to charge and pressure together.
+    let start = Fuelling { charge, ..found.clone() };
+    let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
+    let first = mixed(records, Fuelling { filling, ..start }, interrupt)?;
+    let moved = corrected(records, filled(records, rested, first, interrupt)?, interrupt)?;
+    let [with, without] =
+        [judged_apart(records, &moved, interrupt)?, judged_apart(records, found, interrupt)?];
+    Ok(pays(&without, &with).then_some(moved))
+}
+
+/// What is expected of parameters before any record, as places and weights of rows beside the errors: that slopes over a cam are 0 with a
+/// standard deviation of pi / 360 a degree, at which the volume of a cylinder goes with its crank at most, over its displacement.
+/// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only.
+fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
+    let Some(law) = &f.charge.cams else { return Vec::new() };
+    let from = given(f).len() - f.charge.coefficients.len() - CAMS;
+    let weight = |k: usize| f.rms / (law.most_deg[k % 2] * std::f64::consts::PI / 360.0).max(1e-9);
+    (0..CAMS).map(|k| (from + k, weight(k))).collect()
+}
+
+/// Whether a film is worth its two parameters: its inverse is stable and does not swing at any temperature of the records, and on the
+/// halves of the blocks of the records that did not fit it, it leaves less than a model without a film does that was fitted to
+/// the same halves ([`pays`]).
+fn film_pays(
+    records: &[TransientRecord<'_>],
+    found: &Fuelling,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<bool, FuellingError> {
+    let ends = found.coolant.map_or(vec![0.0], |law| law.range_c.to_vec());
+    if ends.iter().any(|c| found.film_at(*c).inverse_pole(found.sample_time_s) < 0.0) {
+        return Ok(false);
+    }
+    let bare = Fuelling { film: Film { share: 0.0, ..found.film }, ..found.clone() };
+    let [with, without] =
+        [judged_apart(records, found, interrupt)?, judged_apart(records, &bare, interrupt)?];
+    Ok(pays(&without, &with))
+}
+
+/// Errors of a model on each half of the blocks when it is fitted to the other one.
+fn judged_apart(
+    records: &[TransientRecord<'_>],
+    start: &Fuelling,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<f64>, FuellingError> {
     let samples = length(records);
-    let found = searched("film and timing", &errors, samples, &given(&start), interrupt)?;
-    Ok(Fuelling { rms: (found.cost / samples as f64).sqrt(), ..taken(&found.x, &start) })
+    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
+    let half = |odd: usize| {
+        let fitted = mixed_by(records, start.clone(), &|t| block(t, samples) % 2 != odd, interrupt)?;
+        let mut out = vec![0.0; samples];
+        unexplained(records, &pressures, &fitted, &mut out);
+        Ok::<_, FuellingError>(out)
+    };
+    let mut halves = [0, 1].par_iter().map(|odd| half(*odd)).collect::<Result<Vec<_>, _>>()?;
+    let (odd, mut out) = (halves.swap_remove(1), halves.swap_remove(0));
+    for t in 0..samples {
+        if block(t, samples) % 2 == 1 {
+            out[t] = odd[t];
+        }
+    }
+    Ok(out)
 }
 
 impl Fuelling {
@@ -271,7 +367,7 @@ fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     let shown = richness(r, f, &pressure);
     let late = |t: usize| {
         let speed = r.speed_rpm[t];
-        let flow = f.air(r.coolant_c(t)).flow(speed, pressure[t]);
+        let flow = f.air(r.coolant_c(t), r.cams_deg(t)).flow(speed, pressure[t]);
         f.timing.delay_s(speed, flow) + f.timing.sensor_lag_s
     };
     let n = r.lambda.len();
@@ -290,7 +386,7 @@ fn half_k(f: &Fuelling) -> Option<f64> {
     f.coolant.map(|l| 0.5 * (l.range_c[1] - l.range_c[0]))
 }
 
-/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, charge.
+/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, cams, charge.
 fn given(f: &Fuelling) -> Vec<f64> {
     let t = &f.timing;
     let mut x = Vec::new();
@@ -301,6 +397,9 @@ fn given(f: &Fuelling) -> Vec<f64> {
     x.extend([t.transport_cycles, t.transport_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
     if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
         x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
+    }
+    if let Some(l) = &f.charge.cams {
+        x.extend([l.per_deg, l.per_deg_pressure].iter().flat_map(|s| [0, 1].map(|k| s[k] * l.most_deg[k])));
     }
     x.extend(&f.charge.coefficients);
     x
@@ -325,7 +424,13 @@ fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
         [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[TIMING + k] / half);
         from += LAW;
     }
-    let charge = Charge { coefficients: x[from..].to_vec(), ..start.charge.clone() };
+    let mut charge = start.charge.clone();
+    if let Some(l) = &mut charge.cams {
+        let slope = |at: usize| [0, 1].map(|k| x[from + at + k] / l.most_deg[k].max(1e-9));
+        (l.per_deg, l.per_deg_pressure) = (slope(0), slope(2));
+        from += CAMS;
+    }
+    charge.coefficients = x[from..].to_vec();
     Fuelling { film, timing, coolant, charge, ..start.clone() }
 }
 

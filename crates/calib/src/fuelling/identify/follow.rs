@@ -21,7 +21,7 @@ fn followed(r: &TransientRecord<'_>, f: &Fuelling, of: impl Fn(&FillingState, us
     let mut state = FillingState::at_rest(r.map_kpa[0], r.throttle_deg[0], dt);
     let step = |t: usize| {
         let before = r.map_kpa[t.saturating_sub(1)];
-        let air = f.air(r.coolant_c(t));
+        let air = f.air(r.coolant_c(t), r.cams_deg(t));
         let held = (r.speed_rpm[t], r.throttle_deg[t], r.upstream_kpa(t));
         state.step(&f.filling, air, held, before, dt);
         of(&state, t)
@@ -39,7 +39,7 @@ fn between(v: &[f64], t: f64) -> f64 {
 /// 1 / lambda as the sensor would show it, the pressure being what it is.
 pub(super) fn richness(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) -> Vec<f64> {
     let (n, dt, timing): (usize, f64, &Timing) = (r.speed_rpm.len(), r.sample_time_s, &f.timing);
-    let air: Vec<Air<'_>> = (0..n).map(|t| f.air(r.coolant_c(t))).collect();
+    let air: Vec<Air<'_>> = (0..n).map(|t| f.air(r.coolant_c(t), r.cams_deg(t))).collect();
     let mut state = f.film_at(r.coolant_c(0)).at_rest(r.injection[0], r.speed_rpm[0]);
     let in_cylinder: Vec<f64> = (0..n)
         .map(|t| {
@@ -47,7 +47,10 @@ pub(super) fn richness(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) 
             let fuel = f.film_at(r.coolant_c(t)).forward(&mut state, r.injection[t], speed, dt);
             let ahead = (timing.charge_s + timing.charge_cycles * 120.0 / speed) / dt;
             let met = t as f64 + ahead;
-            fuel / air[t].at(between(r.speed_rpm, met), between(pressure, met))
+            // Known a sample after they were.
+            let cams_deg = r.cams_deg.map(|cams| cams.map(|c| between(c, met - 1.0)));
+            let air = Air { cams_deg, ..air[t] };
+            fuel / air.at(between(r.speed_rpm, met), between(pressure, met))
         })
         .collect();
     let follow = -(-dt / timing.sensor_lag_s).exp_m1();
