@@ -1,5 +1,6 @@
 //! Identification from records of a bed.
 
+mod chosen;
 mod filled;
 mod follow;
 mod record;
@@ -8,21 +9,19 @@ mod worth;
 
 pub use record::TransientRecord;
 
-use super::cams::CamLaw;
 use super::charge::Charge;
 use super::coolant::CoolantLaw;
 use super::filling::Filling;
 use super::film::Film;
 use super::trim::Trim;
 use super::{Fuelling, Timing};
+use chosen::chosen;
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
-use filled::filled;
+use filled::{filled, refilled};
 use follow::{pressure, richness};
-use rayon::prelude::*;
 use record::{charge_at_rest, rested};
-use search::searched;
-use worth::{block, pays};
+use search::{Effort, searched};
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -134,38 +133,34 @@ fn identified(
         start.film.share = 0.0;
     }
     let start = filled(records, &rested, start, interrupt)?;
-    let mut found = corrected(records, start, interrupt)?;
-    // Cams first: what they do in a transient must not pass for a film.
-    if let Some(moved) = with_cams(records, &rested, &found, interrupt)? {
-        found = moved;
-    }
-    if has_film(&found) && !film_pays(records, &found, interrupt)? {
-        found.film.share = 0.0;
-    }
+    let found = corrected(records, start, interrupt)?;
+    let mut found = chosen(records, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
-    for _ in 0..ROUNDS {
-        found = filled(records, &rested, found, interrupt)?;
-        found = mixed(records, found, interrupt)?;
+    for round in 1..=ROUNDS {
+        found = refilled(records, &rested, found, interrupt)?;
+        let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
+        found = mixed(records, found, effort, interrupt)?;
     }
     found.trim =
         Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
     Ok(found)
 }
 
-/// Which correction of the filling suits is what the lambda that was measured says.
+/// Which correction of the filling suits is what the lambda that was measured says. Each begins where the one before it ended.
 fn corrected(
     records: &[TransientRecord<'_>],
     start: Fuelling,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let tries: Vec<Fuelling> = CORRECTIONS
-        .par_iter()
-        .map(|c| {
-            let filling = Filling { correction_per_s: *c, ..start.filling.clone() };
-            mixed(records, Fuelling { filling, ..start.clone() }, interrupt)
-        })
-        .collect::<Result<_, _>>()?;
-    let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
+    let mut last = start;
+    let mut best: Option<Fuelling> = None;
+    for correction_per_s in CORRECTIONS {
+        let filling = Filling { correction_per_s, ..last.filling.clone() };
+        last = mixed(records, Fuelling { filling, ..last }, Effort::Compared, interrupt)?;
+        if best.as_ref().is_none_or(|b| last.rms < b.rms) {
+            best = Some(last.clone());
+        }
+    }
     best.ok_or(FuellingError::Interrupted)
 }
 
@@ -218,16 +213,18 @@ fn length(records: &[TransientRecord<'_>]) -> usize {
 fn mixed(
     records: &[TransientRecord<'_>],
     start: Fuelling,
+    effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    mixed_by(records, start, &|_| true, interrupt)
+    mixed_by(records, start, &|_| true, effort, interrupt)
 }
 
 /// The same by the samples of all records that `counts` takes.
 fn mixed_by(
     records: &[TransientRecord<'_>],
     start: Fuelling,
-    counts: &dyn Fn(usize) -> bool,
+    counts: &(dyn Fn(usize) -> bool + Sync),
+    effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
     let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, &start)).collect();
@@ -247,7 +244,7 @@ fn mixed_by(
         out.iter().all(|e| e.is_finite())
     };
     let rows = samples + expected.len();
-    let found = searched("film and timing", &errors, rows, &given(&start), interrupt)?;
+    let found = searched("film and timing", &errors, rows, &given(&start), effort, interrupt)?;
     Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, &start) })
 }
 
@@ -263,36 +260,6 @@ fn unexplained(records: &[TransientRecord<'_>], pressures: &[Vec<f64>], f: &Fuel
     }
 }
 
-/// The charge with what cams that are not at rest do to it, where that is worth its parameters ([`pays`]).
-fn with_cams(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
-    found: &Fuelling,
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Result<Option<Fuelling>, FuellingError> {
-    let places: Option<Vec<[f64; 2]>> = rested.iter().map(|r| r.cams_deg).collect();
-    let Some(places) = places else { return Ok(None) };
-    let at: Vec<[f64; 2]> = rested.iter().map(|r| found.charge.scaled(r.speed_rpm, r.map_kpa)).collect();
-    let mut law = CamLaw::of_rest(&at, &places)?;
-    for r in records {
-        for t in 0..r.speed_rpm.len() {
-            let Some(cams) = r.cams_deg(t) else { continue };
-            let off = law.off_deg(found.charge.scaled(r.speed_rpm[t], r.map_kpa[t]), cams);
-            law.most_deg = [0, 1].map(|k| law.most_deg[k].max(off[k].abs()));
-        }
-    }
-    let charge = Charge { cams: Some(law), ..found.charge.clone() };
-    // Manifold and charge anew, in turns: a manifold behind a choked throttle passes on what flows in, so that a pressure that is not
-    // corrected hides what cams do to charge and pressure together.
-    let start = Fuelling { charge, ..found.clone() };
-    let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
-    let first = mixed(records, Fuelling { filling, ..start }, interrupt)?;
-    let moved = corrected(records, filled(records, rested, first, interrupt)?, interrupt)?;
-    let [with, without] =
-        [judged_apart(records, &moved, interrupt)?, judged_apart(records, found, interrupt)?];
-    Ok(pays(&without, &with).then_some(moved))
-}
-
 /// What is expected of parameters before any record, as places and weights of rows beside the errors: that slopes over a cam are 0 with a
 /// standard deviation of pi / 360 a degree, at which the volume of a cylinder goes with its crank at most, over its displacement.
 /// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only.
@@ -301,48 +268,6 @@ fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
     let from = given(f).len() - f.charge.coefficients.len() - CAMS;
     let weight = |k: usize| f.rms / (law.most_deg[k % 2] * std::f64::consts::PI / 360.0).max(1e-9);
     (0..CAMS).map(|k| (from + k, weight(k))).collect()
-}
-
-/// Whether a film is worth its two parameters: its inverse is stable and does not swing at any temperature of the records, and on the
-/// halves of the blocks of the records that did not fit it, it leaves less than a model without a film does that was fitted to
-/// the same halves ([`pays`]).
-fn film_pays(
-    records: &[TransientRecord<'_>],
-    found: &Fuelling,
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Result<bool, FuellingError> {
-    let ends = found.coolant.map_or(vec![0.0], |law| law.range_c.to_vec());
-    if ends.iter().any(|c| found.film_at(*c).inverse_pole(found.sample_time_s) < 0.0) {
-        return Ok(false);
-    }
-    let bare = Fuelling { film: Film { share: 0.0, ..found.film }, ..found.clone() };
-    let [with, without] =
-        [judged_apart(records, found, interrupt)?, judged_apart(records, &bare, interrupt)?];
-    Ok(pays(&without, &with))
-}
-
-/// Errors of a model on each half of the blocks when it is fitted to the other one.
-fn judged_apart(
-    records: &[TransientRecord<'_>],
-    start: &Fuelling,
-    interrupt: &(dyn Fn() -> bool + Sync),
-) -> Result<Vec<f64>, FuellingError> {
-    let samples = length(records);
-    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
-    let half = |odd: usize| {
-        let fitted = mixed_by(records, start.clone(), &|t| block(t, samples) % 2 != odd, interrupt)?;
-        let mut out = vec![0.0; samples];
-        unexplained(records, &pressures, &fitted, &mut out);
-        Ok::<_, FuellingError>(out)
-    };
-    let mut halves = [0, 1].par_iter().map(|odd| half(*odd)).collect::<Result<Vec<_>, _>>()?;
-    let (odd, mut out) = (halves.swap_remove(1), halves.swap_remove(0));
-    for t in 0..samples {
-        if block(t, samples) % 2 == 1 {
-            out[t] = odd[t];
-        }
-    }
-    Ok(out)
 }
 
 impl Fuelling {

@@ -2,12 +2,12 @@
 
 use super::follow::shown;
 use super::record::TransientRecord;
-use super::search::searched;
+use super::search::{Effort, searched};
 use super::worth::pays;
 use super::{FuellingError, Rested, length};
 use crate::fuelling::Fuelling;
 use crate::fuelling::filling::Filling;
-use rayon::prelude::*;
+use dynocal_numerics::lm::LmOutcome;
 
 /// Rates of the throttle that the search begins from, over that which the lag alone would make of the largest step of the records.
 const RATES: [f64; 3] = [0.5, 0.25, 0.125];
@@ -17,52 +17,104 @@ pub(super) fn filled(
     records: &[TransientRecord<'_>],
     rested: &[Rested],
     start: Fuelling,
-    interrupt: &(dyn Fn() -> bool + Sync),
+    interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let point = |r: &Rested| {
-        let flow = start.air(r.coolant_c, r.cams_deg).flow(r.speed_rpm, r.map_kpa);
-        [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
-    };
-    let points: Vec<[f64; 4]> = rested.iter().map(point).collect();
-    let filling = start.filling.of_rest(&points)?;
-    let with = |x: &[f64]| Fuelling {
-        filling: Filling {
+    let fit = Fit::of(records, rested, start)?;
+    let plain = fit.search("filling", &fit.begin(), Effort::Delivered, interrupt)?;
+    let steps = records.iter().flat_map(|r| r.throttle_deg.windows(2)).map(|w| (w[1] - w[0]).abs());
+    let fastest = (steps.fold(0.0, f64::max) / plain.x[1].exp()).max(1e-6);
+    let mut best: Option<LmOutcome> = None;
+    for share in RATES {
+        let from = [plain.x[0], plain.x[1], (share * fastest).ln()];
+        match fit.search("rate of the throttle", &from, Effort::Delivered, interrupt) {
+            Ok(found) if best.as_ref().is_none_or(|b| found.cost < b.cost) => best = Some(found),
+            // A rate that the records do not tell may run away.
+            Ok(_) | Err(FuellingError::Search { .. }) => {}
+            Err(e) => return Err(e),
+        }
+    }
+    let found = best.filter(|b| pays(&fit.left(&plain.x), &fit.left(&b.x))).unwrap_or(plain);
+    Ok(fit.taken(&found))
+}
+
+/// The same for a charge that has become another: whether the rate of the throttle is limited has been judged.
+pub(super) fn refilled(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    start: Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let rate = start.filling.throttle_rate_deg_s;
+    let fit = Fit::of(records, rested, start)?;
+    let mut from = fit.begin().to_vec();
+    from.extend(rate.map(f64::ln));
+    let found = fit.search("filling", &from, Effort::Delivered, interrupt)?;
+    Ok(fit.taken(&found))
+}
+
+/// A search of gain, lag and maybe rate.
+struct Fit<'a> {
+    records: &'a [TransientRecord<'a>],
+    start: Fuelling,
+}
+
+impl<'a> Fit<'a> {
+    /// With the throttle by the rests.
+    fn of(
+        records: &'a [TransientRecord<'a>],
+        rested: &[Rested],
+        start: Fuelling,
+    ) -> Result<Self, FuellingError> {
+        let point = |r: &Rested| {
+            let flow = start.air(r.coolant_c, r.cams_deg).flow(r.speed_rpm, r.map_kpa);
+            [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
+        };
+        let points: Vec<[f64; 4]> = rested.iter().map(point).collect();
+        let filling = start.filling.of_rest(&points)?;
+        Ok(Self { records, start: Fuelling { filling, ..start } })
+    }
+
+    fn begin(&self) -> [f64; 2] {
+        [self.start.filling.gain.ln(), self.start.filling.throttle_lag_s.ln()]
+    }
+
+    fn with(&self, x: &[f64]) -> Fuelling {
+        let filling = Filling {
             gain: x[0].exp(),
             throttle_lag_s: x[1].exp(),
             throttle_rate_deg_s: x.get(2).map(|rate| rate.exp()),
-            ..filling.clone()
-        },
-        ..start.clone()
-    };
-    let errors = |x: &[f64], out: &mut [f64]| {
-        let f = with(x);
-        let shown = records.iter().flat_map(|r| r.map_kpa.iter().zip(shown(r, &f)));
+            ..self.start.filling.clone()
+        };
+        Fuelling { filling, ..self.start.clone() }
+    }
+
+    /// What was measured beside what the channel would show in kPa; whether all are numbers.
+    fn errors(&self, x: &[f64], out: &mut [f64]) -> bool {
+        let f = self.with(x);
+        let shown = self.records.iter().flat_map(|r| r.map_kpa.iter().zip(shown(r, &f)));
         out.iter_mut().zip(shown).for_each(|(e, (m, s))| *e = m - s);
         out.iter().all(|v| v.is_finite())
-    };
-    let samples = length(records);
-    let from = [filling.gain.ln(), filling.throttle_lag_s.ln()];
-    let plain = searched("filling", &errors, samples, &from, interrupt)?;
-    let steps = records.iter().flat_map(|r| r.throttle_deg.windows(2)).map(|w| (w[1] - w[0]).abs());
-    let fastest = steps.fold(0.0, f64::max) / plain.x[1].exp();
-    let limited = |share: &f64| {
-        let from = [plain.x[0], plain.x[1], (share * fastest.max(1e-6)).ln()];
-        match searched("rate of the throttle", &errors, samples, &from, interrupt) {
-            // A rate that the records do not tell may run away.
-            Err(FuellingError::Search { .. }) => Ok(None),
-            found => found.map(Some),
-        }
-    };
-    let tries = RATES.par_iter().map(limited).collect::<Result<Vec<_>, FuellingError>>()?;
-    let best = tries.into_iter().flatten().min_by(|a, b| a.cost.total_cmp(&b.cost));
-    let left = |x: &[f64]| {
-        let mut out = vec![0.0; samples];
-        errors(x, &mut out);
+    }
+
+    fn left(&self, x: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; length(self.records)];
+        self.errors(x, &mut out);
         out
-    };
-    let found = match best {
-        Some(best) if pays(&left(&plain.x), &left(&best.x)) => best,
-        _ => plain,
-    };
-    Ok(Fuelling { pressure_rms_kpa: (found.cost / samples as f64).sqrt(), ..with(&found.x) })
+    }
+
+    fn search(
+        &self,
+        what: &'static str,
+        from: &[f64],
+        effort: Effort,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<LmOutcome, FuellingError> {
+        let samples = length(self.records);
+        searched(what, &|x, out| self.errors(x, out), samples, from, effort, interrupt)
+    }
+
+    fn taken(&self, found: &LmOutcome) -> Fuelling {
+        let samples = length(self.records) as f64;
+        Fuelling { pressure_rms_kpa: (found.cost / samples).sqrt(), ..self.with(&found.x) }
+    }
 }
