@@ -65,7 +65,8 @@ impl Charge {
         [n, p]
     }
 
-    fn terms(&self, speed_rpm: f64, pressure_kpa: f64) -> [f64; TERMS] {
+    /// Derivatives of [`Charge::at`] by its coefficients.
+    pub(super) fn terms(&self, speed_rpm: f64, pressure_kpa: f64) -> [f64; TERMS] {
         let [n, p] = self.scaled(speed_rpm, pressure_kpa);
         let (nn, np, pp) = (n * n, n * p, p * p);
         [1.0, p, n, nn, np, pp, nn * n, nn * p, n * pp, pp * p, nn * nn, nn * np, nn * pp, np * pp, pp * pp]
@@ -73,7 +74,15 @@ impl Charge {
 
     /// Fuel per cycle that makes lambda 1, in the unit of the injection; with cams at rest.
     pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
-        dynocal_numerics::linalg::dot(&self.terms(speed_rpm, pressure_kpa), &self.coefficients)
+        let Ok(c) = <&[f64; TERMS]>::try_from(self.coefficients.as_slice()) else {
+            return dynocal_numerics::linalg::dot(&self.terms(speed_rpm, pressure_kpa), &self.coefficients);
+        };
+        // Horner: identification asks for it some hundred million times.
+        let [n, p] = self.scaled(speed_rpm, pressure_kpa);
+        let first = c[0] + n * (c[2] + n * (c[3] + n * (c[6] + n * c[10])));
+        let second = c[1] + n * (c[4] + n * (c[7] + n * c[11]));
+        let third = c[5] + n * (c[8] + n * c[12]);
+        first + p * (second + p * (third + p * (c[9] + n * c[13] + p * c[14])))
     }
 
     /// What cams at these places in deg multiply it by: 1 where nothing is known of them.

@@ -19,9 +19,9 @@ use chosen::chosen;
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
 use filled::{filled, refilled};
-use follow::{pressure, richness};
+use follow::{pressure, richness, richness_slopes};
 use record::{charge_at_rest, rested};
-use search::{Effort, searched};
+use search::{Effort, Errors, Slopes, searched};
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -133,30 +133,32 @@ fn identified(
         start.film.share = 0.0;
     }
     let start = filled(records, &rested, start, interrupt)?;
-    let found = corrected(records, start, interrupt)?;
+    let found = corrected(records, &start, interrupt)?;
     let mut found = chosen(records, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
         let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
-        found = mixed(records, found, effort, interrupt)?;
+        found = mixed(records, &found, &found, effort, interrupt)?;
     }
     found.trim =
         Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
     Ok(found)
 }
 
-/// Which correction of the filling suits is what the lambda that was measured says. Each begins where the one before it ended.
+/// Which correction of the filling suits is what the lambda that was measured says. All manifolds are those of the charge of the start;
+/// each search begins where the one before it ended.
 fn corrected(
     records: &[TransientRecord<'_>],
-    start: Fuelling,
+    start: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let mut last = start;
+    let mut last = start.clone();
     let mut best: Option<Fuelling> = None;
     for correction_per_s in CORRECTIONS {
-        let filling = Filling { correction_per_s, ..last.filling.clone() };
-        last = mixed(records, Fuelling { filling, ..last }, Effort::Compared, interrupt)?;
+        let filling = Filling { correction_per_s, ..start.filling.clone() };
+        let tried = Fuelling { filling, ..start.clone() };
+        last = mixed(records, &tried, &last, Effort::Compared, interrupt)?;
         if best.as_ref().is_none_or(|b| last.rms < b.rms) {
             best = Some(last.clone());
         }
@@ -209,30 +211,31 @@ fn length(records: &[TransientRecord<'_>]) -> usize {
     records.iter().map(|r| r.speed_rpm.len()).sum()
 }
 
-/// Film, timing, law and charge, by the lambda of the records.
+/// Film, timing, law and charge, by the lambda of the records: the manifold is that of `start`, the search begins at `from`.
 fn mixed(
     records: &[TransientRecord<'_>],
-    start: Fuelling,
+    start: &Fuelling,
+    from: &Fuelling,
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    mixed_by(records, start, &|_| true, effort, interrupt)
+    mixed_by(records, (start, from), &|_| true, effort, interrupt)
 }
 
 /// The same by the samples of all records that `counts` takes.
 fn mixed_by(
     records: &[TransientRecord<'_>],
-    start: Fuelling,
+    (start, from): (&Fuelling, &Fuelling),
     counts: &(dyn Fn(usize) -> bool + Sync),
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, &start)).collect();
+    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
     let samples = length(records);
     let counted = (0..samples).filter(|t| counts(*t)).count();
-    let expected = prior(&start);
+    let expected = prior(start);
     let errors = |x: &[f64], out: &mut [f64]| {
-        let f = taken(x, &start);
+        let f = taken(x, start);
         let (out, beside) = out.split_at_mut(samples);
         beside.iter_mut().zip(&expected).for_each(|(e, (at, weight))| *e = weight * x[*at]);
         let timing = &f.timing;
@@ -243,9 +246,14 @@ fn mixed_by(
         out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
         out.iter().all(|e| e.is_finite())
     };
+    let slopes = |x: &[f64], out: &mut [Vec<f64>]| {
+        unexplained_slopes(records, &pressures, &taken(x, start), out);
+        out.iter_mut().for_each(|c| (0..samples).filter(|t| !counts(*t)).for_each(|t| c[t] = 0.0));
+    };
     let rows = samples + expected.len();
-    let found = searched("film and timing", &errors, rows, &given(&start), effort, interrupt)?;
-    Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, &start) })
+    let by = (&errors as Errors<'_>, Some((start.charge.coefficients.len(), &slopes as Slopes<'_>)));
+    let found = searched("film and timing", by, rows, &given(from), effort, interrupt)?;
+    Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, start) })
 }
 
 /// What 1 / lambda is beside that of the model, sample by sample, large errors by their logarithm.
@@ -268,6 +276,24 @@ fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
     let from = given(f).len() - f.charge.coefficients.len() - CAMS;
     let weight = |k: usize| f.rms / (law.most_deg[k % 2] * std::f64::consts::PI / 360.0).max(1e-9);
     (0..CAMS).map(|k| (from + k, weight(k))).collect()
+}
+
+/// Its derivatives by the coefficients of the charge, one column each.
+fn unexplained_slopes(
+    records: &[TransientRecord<'_>],
+    pressures: &[Vec<f64>],
+    f: &Fuelling,
+    out: &mut [Vec<f64>],
+) {
+    let mut from = 0;
+    for (r, pressure) in records.iter().zip(pressures) {
+        richness_slopes(r, f, pressure, &mut |t, phi, by| {
+            let e = (1.0 / r.lambda[t] - phi) / ROBUST;
+            let weight = -1.0 / (1.0 + e * e).sqrt();
+            out.iter_mut().zip(by).for_each(|(column, d)| column[from + t] = weight * d);
+        });
+        from += r.lambda.len();
+    }
 }
 
 impl Fuelling {

@@ -22,11 +22,12 @@ pub(super) fn chosen(
     found: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let mut best = Judged { fuelling: found, left: None };
+    let mut best = Judged::of(found);
     // Cams first: what they do in a transient must not pass for a film.
     if let Some(moved) = with_cams(records, rested, &best.fuelling, interrupt)? {
-        let mut moved = Judged { fuelling: moved, left: None };
-        if pays(best.left(records, interrupt)?, moved.left(records, interrupt)?) {
+        let mut moved = Judged::of(moved);
+        let apart = best.left(records, Effort::Compared, interrupt)?;
+        if pays(apart, moved.left(records, Effort::Judged, interrupt)?) {
             best = moved;
         }
     }
@@ -34,30 +35,39 @@ pub(super) fn chosen(
         return Ok(best.fuelling);
     }
     let film = Film { share: 0.0, ..best.fuelling.film };
-    let bare = Fuelling { film, ..best.fuelling.clone() };
-    let bare = mixed(records, bare, Effort::Compared, interrupt)?;
+    let dry = Fuelling { film, ..best.fuelling.clone() };
+    let bare = mixed(records, &dry, &dry, Effort::Compared, interrupt)?;
     if swings(&best.fuelling) {
         return Ok(bare);
     }
-    let mut bare = Judged { fuelling: bare, left: None };
-    let film_pays = pays(bare.left(records, interrupt)?, best.left(records, interrupt)?);
+    // Behind the same manifold: what is judged is the film.
+    let mut bare = Judged { start: dry, ..Judged::of(bare) };
+    let apart = bare.left(records, Effort::Compared, interrupt)?;
+    let film_pays = pays(apart, best.left(records, Effort::Judged, interrupt)?);
     Ok(if film_pays { best.fuelling } else { bare.fuelling })
 }
 
 /// A model that was fitted to all, with its errors on each half of the blocks when it is fitted to the other one: where they are known.
 struct Judged {
+    /// Whose manifold it has.
+    start: Fuelling,
     fuelling: Fuelling,
     left: Option<Vec<f64>>,
 }
 
 impl Judged {
+    fn of(fuelling: Fuelling) -> Self {
+        Self { start: fuelling.clone(), fuelling, left: None }
+    }
+
     fn left(
         &mut self,
         records: &[TransientRecord<'_>],
+        effort: Effort,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<&[f64], FuellingError> {
         if self.left.is_none() {
-            self.left = Some(judged_apart(records, &self.fuelling, interrupt)?);
+            self.left = Some(judged_apart(records, (&self.start, &self.fuelling), effort, interrupt)?);
         }
         Ok(self.left.as_deref().unwrap_or_default())
     }
@@ -65,7 +75,8 @@ impl Judged {
 
 fn judged_apart(
     records: &[TransientRecord<'_>],
-    start: &Fuelling,
+    (start, from): (&Fuelling, &Fuelling),
+    effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Vec<f64>, FuellingError> {
     let samples = length(records);
@@ -74,7 +85,7 @@ fn judged_apart(
     let mut half = vec![0.0; samples];
     for odd in [0, 1] {
         let apart = |t: usize| block(t, samples) % 2 == odd;
-        let fitted = mixed_by(records, start.clone(), &|t| !apart(t), Effort::Judged, interrupt)?;
+        let fitted = mixed_by(records, (start, from), &|t| !apart(t), effort, interrupt)?;
         unexplained(records, &pressures, &fitted, &mut half);
         (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = half[t]);
     }
@@ -110,6 +121,7 @@ fn with_cams(
     // corrected hides what cams do to charge and pressure together.
     let start = Fuelling { charge, ..found.clone() };
     let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
-    let first = mixed(records, Fuelling { filling, ..start }, Effort::Compared, interrupt)?;
-    corrected(records, refilled(records, rested, first, interrupt)?, interrupt).map(Some)
+    let start = Fuelling { filling, ..start };
+    let first = mixed(records, &start, &start, Effort::Compared, interrupt)?;
+    corrected(records, &refilled(records, rested, first, interrupt)?, interrupt).map(Some)
 }

@@ -9,7 +9,7 @@ use crate::fuelling::Fuelling;
 use crate::fuelling::filling::Filling;
 use dynocal_numerics::lm::LmOutcome;
 
-/// Rates of the throttle that the search begins from, over that which the lag alone would make of the largest step of the records.
+/// Rates of the throttle of which the search begins from the best, over that which the lag alone would make of the largest step of the records.
 const RATES: [f64; 3] = [0.5, 0.25, 0.125];
 
 /// Throttle by the rests; gain and lag of the filling, and where it pays the rate of the throttle, by the pressure of the records.
@@ -23,17 +23,16 @@ pub(super) fn filled(
     let plain = fit.search("filling", &fit.begin(), Effort::Delivered, interrupt)?;
     let steps = records.iter().flat_map(|r| r.throttle_deg.windows(2)).map(|w| (w[1] - w[0]).abs());
     let fastest = (steps.fold(0.0, f64::max) / plain.x[1].exp()).max(1e-6);
-    let mut best: Option<LmOutcome> = None;
-    for share in RATES {
-        let from = [plain.x[0], plain.x[1], (share * fastest).ln()];
-        match fit.search("rate of the throttle", &from, Effort::Delivered, interrupt) {
-            Ok(found) if best.as_ref().is_none_or(|b| found.cost < b.cost) => best = Some(found),
-            // A rate that the records do not tell may run away.
-            Ok(_) | Err(FuellingError::Search { .. }) => {}
-            Err(e) => return Err(e),
-        }
-    }
-    let found = best.filter(|b| pays(&fit.left(&plain.x), &fit.left(&b.x))).unwrap_or(plain);
+    let from = RATES.map(|share| [plain.x[0], plain.x[1], (share * fastest).ln()]);
+    let squares = |x: &[f64; 3]| fit.left(x).iter().map(|e| e * e).sum::<f64>();
+    let least = from.iter().min_by(|a, b| squares(a).total_cmp(&squares(b)));
+    let limited = least.map(|x| fit.search("rate of the throttle", x, Effort::Delivered, interrupt));
+    let limited = match limited.transpose() {
+        // A rate that the records do not tell may run away.
+        Err(FuellingError::Search { .. }) => None,
+        found => found?,
+    };
+    let found = limited.filter(|l| pays(&fit.left(&plain.x), &fit.left(&l.x))).unwrap_or(plain);
     Ok(fit.taken(&found))
 }
 
@@ -110,7 +109,7 @@ impl<'a> Fit<'a> {
         interrupt: &dyn Fn() -> bool,
     ) -> Result<LmOutcome, FuellingError> {
         let samples = length(self.records);
-        searched(what, &|x, out| self.errors(x, out), samples, from, effort, interrupt)
+        searched(what, (&|x, out| self.errors(x, out), None), samples, from, effort, interrupt)
     }
 
     fn taken(&self, found: &LmOutcome) -> Fuelling {

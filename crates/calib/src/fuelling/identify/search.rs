@@ -15,7 +15,8 @@ pub(super) enum Effort {
     Delivered,
     /// What only chooses between models: at the limit the best so far, as far as those that are delivered may go.
     Compared,
-    /// The same for a model that starts from its fit to all that a part of is taken: few trials.
+    /// A richer model that has to show on what did not fit it that it is better, from its fit to all: few trials. What they miss
+    /// counts against it.
     Judged,
 }
 
@@ -23,22 +24,28 @@ impl Effort {
     fn evaluations(self) -> usize {
         match self {
             Self::Delivered | Self::Compared => 300,
-            Self::Judged => 30,
+            Self::Judged => 12,
         }
     }
 }
 
-/// Levenberg-Marquardt with forward differences: two and some twenty parameters, each run of the record a few milliseconds.
+/// Errors as a function of parameters; `false` where they are no numbers.
+pub(super) type Errors<'a> = &'a (dyn Fn(&[f64], &mut [f64]) -> bool + Sync);
+/// Derivatives of the errors by the last parameters, as many as there are columns.
+pub(super) type Slopes<'a> = &'a (dyn Fn(&[f64], &mut [Vec<f64>]) + Sync);
+
+/// Levenberg-Marquardt with forward differences, and derivatives by the last parameters where they are given: two and some twenty
+/// parameters, each run of the record a few milliseconds.
 pub(super) fn searched(
     what: &'static str,
-    errors: &(dyn Fn(&[f64], &mut [f64]) -> bool + Sync),
+    (errors, slopes): (Errors<'_>, Option<(usize, Slopes<'_>)>),
     samples: usize,
     start: &[f64],
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<LmOutcome, FuellingError> {
     let columns = vec![vec![0.0; samples]; start.len()];
-    let mut problem = Differences { errors, samples, columns };
+    let mut problem = Differences { errors, slopes, samples, columns };
     // One standard deviation of a parameter changes the cost by 1 / samples of it: steps below a hundredth of that say nothing.
     let cost_tolerance = 0.01 / samples as f64;
     let options = LmOptions { max_evaluations: effort.evaluations(), cost_tolerance, ..LmOptions::default() };
@@ -52,9 +59,10 @@ pub(super) fn searched(
 }
 
 struct Differences<'a> {
-    errors: &'a (dyn Fn(&[f64], &mut [f64]) -> bool + Sync),
+    errors: Errors<'a>,
+    slopes: Option<(usize, Slopes<'a>)>,
     samples: usize,
-    /// Differences of each parameter: independent runs, one by one on the cores that there are.
+    /// Derivatives by each parameter: independent runs, one by one on the cores that there are.
     columns: Vec<Vec<f64>>,
 }
 
@@ -86,9 +94,15 @@ impl LeastSquares for Differences<'_> {
             column.iter_mut().zip(r.iter()).for_each(|(o, r)| *o = (*o - r) / h);
             true
         };
-        // No short circuit: which of the columns are run must not depend on the threads.
-        let finite: Vec<bool> = self.columns.par_iter_mut().enumerate().map(difference).collect();
-        if !finite.iter().all(|f| *f) {
+        let given = self.slopes.map_or(0, |s| s.0);
+        let (differed, exact) = self.columns.split_at_mut(x.len() - given);
+        let differences = || {
+            // No short circuit: which of the columns are run must not depend on the threads.
+            let finite: Vec<bool> = differed.par_iter_mut().enumerate().map(difference).collect();
+            finite.iter().all(|f| *f)
+        };
+        let derivatives = || self.slopes.iter().for_each(|(_, slopes)| slopes(x, exact));
+        if !rayon::join(differences, derivatives).0 {
             return false;
         }
         let n = self.columns.len();

@@ -479,3 +479,36 @@ fn cams_behind_their_schedule_move_the_charge() {
     let found = identify(&[TransientRecord { cams_deg, ..view(&channels) }], &|| false).unwrap();
     assert_eq!(found.charge.cams, None);
 }
+
+/// Derivatives by the coefficients of the charge beside central differences, through film, delay by the flow and lag.
+#[test]
+fn slopes_of_the_mixture_are_those_of_differences() {
+    let truth = truth();
+    let channels = record(&truth, 10);
+    let r = view(&channels);
+    let p = pressure(&r, &truth);
+    let at = |k: usize, h: f64| {
+        let mut f = truth.clone();
+        f.charge.coefficients[k] += h;
+        richness(&r, &f, &p)
+    };
+    let mut slopes = Vec::new();
+    let shown = richness(&r, &truth, &p);
+    follow::richness_slopes(&r, &truth, &p, &mut |t, phi, by| {
+        assert!((phi / shown[t] - 1.0).abs() < 1e-12, "{t}");
+        slopes.push(*by);
+    });
+    const H: f64 = 1e-6;
+    for k in 0..slopes[0].len() {
+        let (up, down) = (at(k, H), at(k, -H));
+        let scale = slopes.iter().map(|s| s[k].abs()).fold(0.0, f64::max);
+        let off: Vec<f64> = slopes
+            .iter()
+            .zip(up.iter().zip(&down))
+            .map(|(s, (u, d))| ((u - d) / (2.0 * H) - s[k]).abs())
+            .collect();
+        // Where the delay ends on a sample the two sides differ.
+        let beyond = off.iter().filter(|o| **o > 1e-5 * scale).count();
+        assert!(beyond * 500 < off.len(), "coefficient {k}: {beyond} of {} differ", off.len());
+    }
+}
