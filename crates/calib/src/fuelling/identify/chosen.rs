@@ -73,6 +73,8 @@ impl Judged {
     }
 }
 
+/// Errors on each half of the blocks of a model that is fitted to the other one, with the manifold of `start`, searched from `from`. A
+/// search that ends at its limit gives its best so far: nothing of it is delivered.
 fn judged_apart(
     records: &[TransientRecord<'_>],
     (start, from): (&Fuelling, &Fuelling),

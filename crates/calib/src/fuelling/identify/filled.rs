@@ -45,9 +45,15 @@ pub(super) fn refilled(
 ) -> Result<Fuelling, FuellingError> {
     let rate = start.filling.throttle_rate_deg_s;
     let fit = Fit::of(records, rested, start)?;
-    let mut from = fit.begin().to_vec();
-    from.extend(rate.map(f64::ln));
-    let found = fit.search("filling", &from, Effort::Delivered, interrupt)?;
+    let [gain, lag] = fit.begin();
+    if let Some(rate) = rate {
+        match fit.search("rate of the throttle", &[gain, lag, rate.ln()], Effort::Delivered, interrupt) {
+            // A rate that the records do not tell any more.
+            Err(FuellingError::Search { .. }) => {}
+            found => return Ok(fit.taken(&found?)),
+        }
+    }
+    let found = fit.search("filling", &[gain, lag], Effort::Delivered, interrupt)?;
     Ok(fit.taken(&found))
 }
 

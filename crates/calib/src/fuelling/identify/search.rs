@@ -112,3 +112,25 @@ impl LeastSquares for Differences<'_> {
         true
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A search without an end: each step takes the same share of the squares. What is delivered must not be of it.
+    #[test]
+    fn a_search_at_its_limit_is_an_error_where_it_would_be_delivered() {
+        let errors: Errors<'_> = &|x, out| {
+            out[0] = (-x[0]).exp();
+            true
+        };
+        let ended = |effort| searched("endless", (errors, None), 1, &[1.0], effort, &|| false);
+        let status = Status::Limit;
+        assert_eq!(ended(Effort::Delivered).unwrap_err(), FuellingError::Search { what: "endless", status });
+        for effort in [Effort::Compared, Effort::Judged] {
+            let found = ended(effort).unwrap();
+            assert!(found.status == status && found.evaluations == effort.evaluations(), "{found:?}");
+            assert!(found.x[0] > 2.0, "{found:?}");
+        }
+    }
+}
