@@ -6,8 +6,9 @@
 //!
 //! ```text
 //! charge    c(N, p)                       fuel per cycle that makes lambda 1: polynomial of degree 4           [`Charge`]
+//! cams      c goes with the distance of the cams from where they rest at N and p, where the records say it   [`CamLaw`]
 //! filling   dp/dt = g (A(theta') psi(p/p0) - c N / 120) + l (p_measured - mean of p over a cycle)              [`Filling`]
-//!           theta' is theta behind a lag; A is a cubic polynomial; psi the flow function of a nozzle
+//!           theta' is theta behind a lag, at a limited rate where the records show a limit; A is a cubic polynomial; psi the flow function of a nozzle
 //! film      df/dt = X q N / 120 - f / tau,   m = (1 - X) q + (120 / N) f / tau                                 [`Film`]
 //! coolant   ln(X / (1 - X)), ln tau and ln c go with its temperature, where the records say it         [`CoolantLaw`]
 //! sensor    phi(t) = m(t) / c(N, p(t + t0 + k 120 / N)),  1 / lambda = phi later by n 120 / N + G / (c N / 120), behind a lag
@@ -17,12 +18,15 @@
 //! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
 //! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
 //! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
-//! leaves the film as it must (inverse of the film). Throttle and filling are taken anew by the charge that the lambda gave, and the
+//! leaves the film as it must (inverse of the film); speed, pressure before the throttle and cams go on by their measured slopes until
+//! then. A limit of the rate, a film and what cams do are kept only where a paired test over blocks of the records says that they pay,
+//! film and cams by blocks that did not fit them, and a film only if its inverse is stable and does not swing. Throttle and filling are taken anew by the charge that the lambda gave, and the
 //! charge by them, twice: the policy has one of each. What the identified charge lacks, the sensor says slowly ([`Trim`]). What is
 //! given: the pressure before the throttle, and that air is a gas of two atoms.
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
+mod cams;
 mod charge;
 mod coolant;
 mod feedback;
@@ -34,6 +38,7 @@ mod policy;
 mod speed_density;
 mod trim;
 
+pub use cams::CamLaw;
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
 pub use feedback::Feedback;
@@ -101,9 +106,9 @@ pub struct Fuelling {
 }
 
 impl Fuelling {
-    /// The charge at a coolant temperature.
-    pub fn air(&self, coolant_c: f64) -> Air<'_> {
-        Air::new(&self.charge, self.coolant.as_ref(), coolant_c)
+    /// The charge at a coolant temperature and places of the cams, if they are measured.
+    pub fn air(&self, coolant_c: f64, cams_deg: Option<[f64; 2]>) -> Air<'_> {
+        Air::new(&self.charge, self.coolant.as_ref(), coolant_c, cams_deg)
     }
 
     /// The film at a coolant temperature.

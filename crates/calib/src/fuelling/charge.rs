@@ -1,5 +1,6 @@
 //! The air charge.
 
+use super::cams::CamLaw;
 use dynocal_numerics::linalg::{LinalgError, least_squares};
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +20,9 @@ pub struct Charge {
     pub pressure_kpa: [f64; 2],
     /// Coefficients in the unit of the injection: 1, p, n, then degree by degree with falling powers of n.
     pub coefficients: Vec<f64>,
+    /// What cams that are not at rest do to it, where the records say it.
+    #[serde(default)]
+    pub cams: Option<CamLaw>,
 }
 
 impl Charge {
@@ -44,7 +48,8 @@ impl Charge {
             let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
             [0.5 * (low + high), (0.5 * (high - low)).max(1e-6 * high.abs()).max(1e-9)]
         };
-        let mut out = Self { speed_rpm: range(0), pressure_kpa: range(1), coefficients: vec![0.0; TERMS] };
+        let mut out =
+            Self { speed_rpm: range(0), pressure_kpa: range(1), coefficients: vec![0.0; TERMS], cams: None };
         let mut rows = Vec::with_capacity(points.len() * TERMS);
         for [n, p, fuel] in points {
             rows.extend(out.terms(*n, *p).iter().map(|t| t / fuel));
@@ -53,16 +58,37 @@ impl Charge {
         Ok(out)
     }
 
-    fn terms(&self, speed_rpm: f64, pressure_kpa: f64) -> [f64; TERMS] {
-        let n = (speed_rpm - self.speed_rpm[0]) / self.speed_rpm[1];
-        let p = (pressure_kpa - self.pressure_kpa[0]) / self.pressure_kpa[1];
+    /// Speed and pressure over the half widths of the record, from its middle.
+    pub(super) fn scaled(&self, speed_rpm: f64, pressure_kpa: f64) -> [f64; 2] {
+        let [n, p] =
+            [(speed_rpm, self.speed_rpm), (pressure_kpa, self.pressure_kpa)].map(|(v, [m, w])| (v - m) / w);
+        [n, p]
+    }
+
+    /// Derivatives of [`Charge::at`] by its coefficients.
+    pub(super) fn terms(&self, speed_rpm: f64, pressure_kpa: f64) -> [f64; TERMS] {
+        let [n, p] = self.scaled(speed_rpm, pressure_kpa);
         let (nn, np, pp) = (n * n, n * p, p * p);
         [1.0, p, n, nn, np, pp, nn * n, nn * p, n * pp, pp * p, nn * nn, nn * np, nn * pp, np * pp, pp * pp]
     }
 
-    /// Fuel per cycle that makes lambda 1, in the unit of the injection.
+    /// Fuel per cycle that makes lambda 1, in the unit of the injection; with cams at rest.
     pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
-        dynocal_numerics::linalg::dot(&self.terms(speed_rpm, pressure_kpa), &self.coefficients)
+        let Ok(c) = <&[f64; TERMS]>::try_from(self.coefficients.as_slice()) else {
+            return dynocal_numerics::linalg::dot(&self.terms(speed_rpm, pressure_kpa), &self.coefficients);
+        };
+        // Horner: identification asks for it some hundred million times.
+        let [n, p] = self.scaled(speed_rpm, pressure_kpa);
+        let first = c[0] + n * (c[2] + n * (c[3] + n * (c[6] + n * c[10])));
+        let second = c[1] + n * (c[4] + n * (c[7] + n * c[11]));
+        let third = c[5] + n * (c[8] + n * c[12]);
+        first + p * (second + p * (third + p * (c[9] + n * c[13] + p * c[14])))
+    }
+
+    /// What cams at these places in deg multiply it by: 1 where nothing is known of them.
+    pub fn cam_factor(&self, speed_rpm: f64, pressure_kpa: f64, cams_deg: Option<[f64; 2]>) -> f64 {
+        let known = self.cams.as_ref().zip(cams_deg);
+        known.map_or(1.0, |(law, cams)| law.factor(self.scaled(speed_rpm, pressure_kpa), cams))
     }
 
     /// Flow of that fuel into one cylinder per second.

@@ -55,28 +55,36 @@ impl CoolantLaw {
     }
 }
 
-/// The charge as it is at a temperature.
+/// The charge as it is at a temperature and places of the cams.
 #[derive(Clone, Copy, Debug)]
 pub struct Air<'a> {
     /// Charge at the temperature of reference.
     pub charge: &'a Charge,
-    /// What it is multiplied by.
+    /// What the coolant multiplies it by.
     pub factor: f64,
+    /// Intake and exhaust cam in deg, where they are measured.
+    pub cams_deg: Option<[f64; 2]>,
 }
 
 impl<'a> Air<'a> {
-    /// By a law, if there is one.
-    pub fn new(charge: &'a Charge, law: Option<&CoolantLaw>, coolant_c: f64) -> Self {
-        Self { charge, factor: law.map_or(1.0, |l| l.charge_factor(coolant_c)) }
+    /// By a law of the coolant, if there is one, at the places of the cams, if they are measured.
+    pub fn new(
+        charge: &'a Charge,
+        law: Option<&CoolantLaw>,
+        coolant_c: f64,
+        cams_deg: Option<[f64; 2]>,
+    ) -> Self {
+        Self { charge, factor: law.map_or(1.0, |l| l.charge_factor(coolant_c)), cams_deg }
     }
 
     /// Fuel per cycle that makes lambda 1, in the unit of the injection.
     pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
-        self.factor * self.charge.at(speed_rpm, pressure_kpa)
+        let cams = self.charge.cam_factor(speed_rpm, pressure_kpa, self.cams_deg);
+        self.factor * cams * self.charge.at(speed_rpm, pressure_kpa)
     }
 
     /// Flow of that fuel into one cylinder per second.
     pub fn flow(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
-        self.factor * self.charge.flow(speed_rpm, pressure_kpa)
+        self.at(speed_rpm, pressure_kpa) * speed_rpm / 120.0
     }
 }

@@ -31,6 +31,9 @@ pub struct Filling {
     pub gain: f64,
     /// Time constant of the throttle in s.
     pub throttle_lag_s: f64,
+    /// Greatest rate of the throttle in deg/s; none where the records show no limit.
+    #[serde(default)]
+    pub throttle_rate_deg_s: Option<f64>,
     /// Correction by the measured pressure in 1/s.
     pub correction_per_s: f64,
 }
@@ -83,8 +86,9 @@ impl Filling {
     ) -> (f64, f64) {
         let h = h_s / STEPS as f64;
         let follow = -(-h / self.throttle_lag_s.max(1e-6)).exp_m1();
+        let most = self.throttle_rate_deg_s.map_or(f64::INFINITY, |rate| rate * h);
         for _ in 0..STEPS {
-            throttle += follow * (command - throttle);
+            throttle += (follow * (command - throttle)).clamp(-most, most);
             let slope =
                 |p: f64| self.gain * (self.inflow(throttle, p, upstream_kpa) - air.flow(speed_rpm, p));
             // Heun: the manifold is fast where the throttle is nearly wide open.
@@ -143,22 +147,23 @@ impl FillingState {
         self.past.push_front(self.pressure_kpa);
     }
 
-    /// Pressure `ahead_s` from now, command and pressure before the throttle being held and the speed going on as it goes
-    /// (`[rpm, rpm/s]`).
+    /// Pressure `ahead_s` from now, the command being held, speed and pressure before the throttle going on as they go
+    /// (`[rpm, rpm/s]`, `[kPa, kPa/s]`).
     pub fn ahead(
         &self,
         filling: &Filling,
         air: Air<'_>,
-        [speed_rpm, slope]: [f64; 2],
-        (command_deg, upstream_kpa): (f64, f64),
+        speed_rpm: [f64; 2],
+        command_deg: f64,
+        upstream_kpa: [f64; 2],
         ahead_s: f64,
         dt_s: f64,
     ) -> f64 {
         let (mut at, mut left) = ((self.pressure_kpa, self.throttle_deg), ahead_s);
         while left > 1e-12 {
             let h = left.min(dt_s);
-            let then_rpm = speed_rpm + slope * (ahead_s - left + 0.5 * h);
-            at = filling.advance(air, at, (then_rpm, command_deg, upstream_kpa), h);
+            let then = |[value, slope]: [f64; 2]| value + slope * (ahead_s - left + 0.5 * h);
+            at = filling.advance(air, at, (then(speed_rpm), command_deg, then(upstream_kpa)), h);
             left -= h;
         }
         at.0

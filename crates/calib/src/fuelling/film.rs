@@ -52,6 +52,28 @@ impl Film {
         injection
     }
 
+    /// The pole of [`Film::inverse`] at a sample time: how much of what is too much on the wall is still too much a sample later,
+    ///
+    /// ```text
+    /// e - (1 - e) X / (1 - X),   e = exp(-dt / tau)
+    /// ```
+    ///
+    /// The inverse is stable within the unit circle, and does not swing where this is not negative, which is X <= e.
+    ///
+    /// ```
+    /// use dynocal_calib::fuelling::Film;
+    /// let film = Film { share: 0.3, tau_s: 0.4 };
+    /// let (mut a, mut b) = (film.at_rest(10.0, 2000.0), film.at_rest(12.0, 2000.0));
+    /// let mut apart = || film.inverse(&mut b, 8.0, 2000.0, 0.01, 60.0) - film.inverse(&mut a, 8.0, 2000.0, 0.01, 60.0);
+    /// let (first, second) = (apart(), apart());
+    /// assert!((second / first - film.inverse_pole(0.01)).abs() < 1e-9);
+    /// assert!(Film { share: 0.7, tau_s: 0.01 }.inverse_pole(0.01) < -1.0);
+    /// ```
+    pub fn inverse_pole(&self, dt_s: f64) -> f64 {
+        let e = (-dt_s / self.tau_s).exp();
+        e - (1.0 - e) * self.share / (1.0 - self.share)
+    }
+
     /// What evaporates in a cycle.
     fn evaporated(&self, state: &FilmState, speed_rpm: f64) -> f64 {
         120.0 / speed_rpm * state.on_wall / self.tau_s

@@ -1,8 +1,11 @@
 //! Identification from records of a bed.
 
+mod chosen;
+mod filled;
 mod follow;
 mod record;
 mod search;
+mod worth;
 
 pub use record::TransientRecord;
 
@@ -12,12 +15,13 @@ use super::filling::Filling;
 use super::film::Film;
 use super::trim::Trim;
 use super::{Fuelling, Timing};
+use chosen::chosen;
 use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
-use follow::{pressure, richness, shown};
-use rayon::prelude::*;
+use filled::{filled, refilled};
+use follow::{pressure, richness, richness_slopes};
 use record::{charge_at_rest, rested};
-use search::searched;
+use search::{Effort, Errors, Slopes, searched};
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -80,6 +84,8 @@ const ROUNDS: usize = 2;
 const FILM: usize = 2;
 const TIMING: usize = 5;
 const LAW: usize = 3;
+/// Parameters of the cams.
+const CAMS: usize = 4;
 
 /// Means of a stretch at rest.
 struct Rested {
@@ -90,6 +96,7 @@ struct Rested {
     fuel: f64,
     coolant_c: f64,
     upstream_kpa: f64,
+    cams_deg: Option<[f64; 2]>,
 }
 
 /// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
@@ -126,24 +133,37 @@ fn identified(
         start.film.share = 0.0;
     }
     let start = filled(records, &rested, start, interrupt)?;
-    // Which correction suits is what the lambda that was measured says.
-    let tries: Vec<Fuelling> = CORRECTIONS
-        .par_iter()
-        .map(|c| {
-            let filling = Filling { correction_per_s: *c, ..start.filling.clone() };
-            mixed(records, Fuelling { filling, ..start.clone() }, interrupt)
-        })
-        .collect::<Result<_, _>>()?;
-    let best = tries.into_iter().min_by(|a, b| a.rms.total_cmp(&b.rms));
-    let mut found = best.ok_or(FuellingError::Interrupted)?;
+    let found = corrected(records, &start, interrupt)?;
+    let mut found = chosen(records, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
-    for _ in 0..ROUNDS {
-        found = filled(records, &rested, found, interrupt)?;
-        found = mixed(records, found, interrupt)?;
+    for round in 1..=ROUNDS {
+        found = refilled(records, &rested, found, interrupt)?;
+        let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
+        found = mixed(records, &found, &found, effort, interrupt)?;
     }
     found.trim =
         Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
     Ok(found)
+}
+
+/// Which correction of the filling suits is what the lambda that was measured says. All manifolds are those of the charge of the start;
+/// each search begins where the one before it ended.
+fn corrected(
+    records: &[TransientRecord<'_>],
+    start: &Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let mut last = start.clone();
+    let mut best: Option<Fuelling> = None;
+    for correction_per_s in CORRECTIONS {
+        let filling = Filling { correction_per_s, ..start.filling.clone() };
+        let tried = Fuelling { filling, ..start.clone() };
+        last = mixed(records, &tried, &last, Effort::Compared, interrupt)?;
+        if best.as_ref().is_none_or(|b| last.rms < b.rms) {
+            best = Some(last.clone());
+        }
+    }
+    best.ok_or(FuellingError::Interrupted)
 }
 
 /// The charge from the ends of holds alone, by the pressure that is measured there, and what the coolant makes of it.
@@ -169,6 +189,7 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
             area: Vec::new(),
             gain: 1.0,
             throttle_lag_s: 0.05,
+            throttle_rate_deg_s: None,
             correction_per_s: 0.5,
         },
         film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },
@@ -186,67 +207,93 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
     })
 }
 
-/// Throttle by the rests, gain and lag of the filling by the pressure of the records.
-fn filled(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
-    start: Fuelling,
-    interrupt: &dyn Fn() -> bool,
-) -> Result<Fuelling, FuellingError> {
-    let point = |r: &Rested| {
-        let flow = start.air(r.coolant_c).flow(r.speed_rpm, r.map_kpa);
-        [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
-    };
-    let points: Vec<[f64; 4]> = rested.iter().map(point).collect();
-    let filling = start.filling.of_rest(&points)?;
-    let with = |x: &[f64]| Fuelling {
-        filling: Filling { gain: x[0].exp(), throttle_lag_s: x[1].exp(), ..filling.clone() },
-        ..start.clone()
-    };
-    let errors = |x: &[f64], out: &mut [f64]| {
-        let f = with(x);
-        let shown = records.iter().flat_map(|r| r.map_kpa.iter().zip(shown(r, &f)));
-        out.iter_mut().zip(shown).for_each(|(e, (m, s))| *e = m - s);
-        out.iter().all(|v| v.is_finite())
-    };
-    let samples = length(records);
-    let from = [filling.gain.ln(), filling.throttle_lag_s.ln()];
-    let found = searched("filling", &errors, samples, &from, interrupt)?;
-    Ok(Fuelling { pressure_rms_kpa: (found.cost / samples as f64).sqrt(), ..with(&found.x) })
-}
-
 fn length(records: &[TransientRecord<'_>]) -> usize {
     records.iter().map(|r| r.speed_rpm.len()).sum()
 }
 
-/// Film, timing, law and charge, by the lambda of the records.
+/// Film, timing, law and charge, by the lambda of the records: the manifold is that of `start`, the search begins at `from`.
 fn mixed(
     records: &[TransientRecord<'_>],
-    start: Fuelling,
+    start: &Fuelling,
+    from: &Fuelling,
+    effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, &start)).collect();
+    mixed_by(records, (start, from), &|_| true, effort, interrupt)
+}
+
+/// The same by the samples of all records that `counts` takes.
+fn mixed_by(
+    records: &[TransientRecord<'_>],
+    (start, from): (&Fuelling, &Fuelling),
+    counts: &(dyn Fn(usize) -> bool + Sync),
+    effort: Effort,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
+    let samples = length(records);
+    let counted = (0..samples).filter(|t| counts(*t)).count();
+    let expected = prior(start);
     let errors = |x: &[f64], out: &mut [f64]| {
-        let f = taken(x, &start);
+        let f = taken(x, start);
+        let (out, beside) = out.split_at_mut(samples);
+        beside.iter_mut().zip(&expected).for_each(|(e, (at, weight))| *e = weight * x[*at]);
         let timing = &f.timing;
         if !(f.film.share < 0.95 && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
             return false;
         }
-        let mut out = out.iter_mut();
-        for (r, pressure) in records.iter().zip(&pressures) {
-            let shown = richness(r, &f, pressure);
-            for (e, (lambda, phi)) in out.by_ref().zip(r.lambda.iter().zip(shown)) {
-                *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
-                if !e.is_finite() {
-                    return false;
-                }
-            }
-        }
-        true
+        unexplained(records, &pressures, &f, out);
+        out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
+        out.iter().all(|e| e.is_finite())
     };
-    let samples = length(records);
-    let found = searched("film and timing", &errors, samples, &given(&start), interrupt)?;
-    Ok(Fuelling { rms: (found.cost / samples as f64).sqrt(), ..taken(&found.x, &start) })
+    let slopes = |x: &[f64], out: &mut [Vec<f64>]| {
+        unexplained_slopes(records, &pressures, &taken(x, start), out);
+        out.iter_mut().for_each(|c| (0..samples).filter(|t| !counts(*t)).for_each(|t| c[t] = 0.0));
+    };
+    let rows = samples + expected.len();
+    let by = (&errors as Errors<'_>, Some((start.charge.coefficients.len(), &slopes as Slopes<'_>)));
+    let found = searched("film and timing", by, rows, &given(from), effort, interrupt)?;
+    Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, start) })
+}
+
+/// What 1 / lambda is beside that of the model, sample by sample, large errors by their logarithm.
+fn unexplained(records: &[TransientRecord<'_>], pressures: &[Vec<f64>], f: &Fuelling, out: &mut [f64]) {
+    let mut out = out.iter_mut();
+    for (r, pressure) in records.iter().zip(pressures) {
+        let shown = richness(r, f, pressure);
+        // The record first: at its end nothing more is taken of the others.
+        for ((lambda, phi), e) in r.lambda.iter().zip(shown).zip(out.by_ref()) {
+            *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
+        }
+    }
+}
+
+/// What is expected of parameters before any record, as places and weights of rows beside the errors: that slopes over a cam are 0 with a
+/// standard deviation of pi / 360 a degree, at which the volume of a cylinder goes with its crank at most, over its displacement.
+/// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only.
+fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
+    let Some(law) = &f.charge.cams else { return Vec::new() };
+    let from = given(f).len() - f.charge.coefficients.len() - CAMS;
+    let weight = |k: usize| f.rms / (law.most_deg[k % 2] * std::f64::consts::PI / 360.0).max(1e-9);
+    (0..CAMS).map(|k| (from + k, weight(k))).collect()
+}
+
+/// Its derivatives by the coefficients of the charge, one column each.
+fn unexplained_slopes(
+    records: &[TransientRecord<'_>],
+    pressures: &[Vec<f64>],
+    f: &Fuelling,
+    out: &mut [Vec<f64>],
+) {
+    let mut from = 0;
+    for (r, pressure) in records.iter().zip(pressures) {
+        richness_slopes(r, f, pressure, &mut |t, phi, by| {
+            let e = (1.0 / r.lambda[t] - phi) / ROBUST;
+            let weight = -1.0 / (1.0 + e * e).sqrt();
+            out.iter_mut().zip(by).for_each(|(column, d)| column[from + t] = weight * d);
+        });
+        from += r.lambda.len();
+    }
 }
 
 impl Fuelling {
@@ -271,7 +318,7 @@ fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     let shown = richness(r, f, &pressure);
     let late = |t: usize| {
         let speed = r.speed_rpm[t];
-        let flow = f.air(r.coolant_c(t)).flow(speed, pressure[t]);
+        let flow = f.air(r.coolant_c(t), r.cams_deg(t)).flow(speed, pressure[t]);
         f.timing.delay_s(speed, flow) + f.timing.sensor_lag_s
     };
     let n = r.lambda.len();
@@ -290,7 +337,7 @@ fn half_k(f: &Fuelling) -> Option<f64> {
     f.coolant.map(|l| 0.5 * (l.range_c[1] - l.range_c[0]))
 }
 
-/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, charge.
+/// The parameters of a search: share (logit), tau, timing (logarithms where they are positive), law, cams, charge.
 fn given(f: &Fuelling) -> Vec<f64> {
     let t = &f.timing;
     let mut x = Vec::new();
@@ -301,6 +348,9 @@ fn given(f: &Fuelling) -> Vec<f64> {
     x.extend([t.transport_cycles, t.transport_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
     if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
         x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
+    }
+    if let Some(l) = &f.charge.cams {
+        x.extend([l.per_deg, l.per_deg_pressure].iter().flat_map(|s| [0, 1].map(|k| s[k] * l.most_deg[k])));
     }
     x.extend(&f.charge.coefficients);
     x
@@ -325,7 +375,13 @@ fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
         [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[TIMING + k] / half);
         from += LAW;
     }
-    let charge = Charge { coefficients: x[from..].to_vec(), ..start.charge.clone() };
+    let mut charge = start.charge.clone();
+    if let Some(l) = &mut charge.cams {
+        let slope = |at: usize| [0, 1].map(|k| x[from + at + k] / l.most_deg[k].max(1e-9));
+        (l.per_deg, l.per_deg_pressure) = (slope(0), slope(2));
+        from += CAMS;
+    }
+    charge.coefficients = x[from..].to_vec();
     Fuelling { film, timing, coolant, charge, ..start.clone() }
 }
 

@@ -7,9 +7,34 @@ use super::film::FilmState;
 use super::trim::TrimState;
 use std::collections::VecDeque;
 
-/// Time that the slope of the speed is taken over in s, and most of the speed that it may change on the way to the air.
+/// Time that slopes of what is measured are taken over in s, and most of a value that they may change on the way to the air.
 const SLOPE_S: f64 = 0.05;
 const MOST_CHANGE: f64 = 0.2;
+
+/// The slope of a measured value: over [`SLOPE_S`], or what there is of it.
+#[derive(Clone, Debug)]
+struct Slope {
+    /// Values of the samples before, newest first.
+    past: VecDeque<f64>,
+    samples: usize,
+}
+
+impl Slope {
+    fn new(dt_s: f64) -> Self {
+        let samples = (SLOPE_S / dt_s).round().max(1.0) as usize;
+        Self { past: VecDeque::with_capacity(samples + 1), samples }
+    }
+
+    /// Change per s up to a new value that goes on for `ahead_s`; held where it would lead too far.
+    fn step(&mut self, value: f64, ahead_s: f64, dt_s: f64) -> f64 {
+        self.past.truncate(self.samples);
+        self.past.push_front(value);
+        let last = self.past.len() - 1;
+        let slope = (value - self.past[last]) / (last.max(1) as f64 * dt_s);
+        let most = MOST_CHANGE * value.abs() / ahead_s.max(dt_s);
+        slope.clamp(-most, most)
+    }
+}
 
 /// What is known at the beginning of a sample.
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +49,8 @@ pub struct Sensed {
     pub upstream_kpa: Option<f64>,
     /// Coolant temperature in degC; any number where nothing was identified of it.
     pub coolant_c: f64,
+    /// Places of intake and exhaust cam in deg, where they are measured.
+    pub cams_deg: Option<[f64; 2]>,
     /// Lambda that the sensor shows; none while it shows nothing: no trim then.
     pub lambda: Option<f64>,
 }
@@ -39,17 +66,27 @@ pub struct FuelPolicy {
     /// A loop in the place of the trim.
     feedback: Option<Feedback>,
     loop_of: FeedbackState,
-    /// Speeds of the samples before, newest first.
-    speeds: VecDeque<f64>,
+    speed: Slope,
+    upstream: Slope,
+    cams: [Slope; 2],
 }
 
 impl FuelPolicy {
     /// Of what was identified, at the sample time of its record; injections stay within 0 and `most`.
     pub fn new(fuelling: Fuelling, most: f64) -> Self {
-        let trim = TrimState::at_rest(fuelling.sample_time_s);
-        let speeds = VecDeque::with_capacity(samples(&fuelling) + 1);
-        let loop_of = FeedbackState::default();
-        Self { fuelling, most, filling: None, film: None, trim, feedback: None, loop_of, speeds }
+        let dt_s = fuelling.sample_time_s;
+        Self {
+            fuelling,
+            most,
+            filling: None,
+            film: None,
+            trim: TrimState::at_rest(dt_s),
+            feedback: None,
+            loop_of: FeedbackState::default(),
+            speed: Slope::new(dt_s),
+            upstream: Slope::new(dt_s),
+            cams: [Slope::new(dt_s), Slope::new(dt_s)],
+        }
     }
 
     /// The same with the lambda loop of an ECU in the place of the trim: engines that are not quite the identified one are farther off than
@@ -57,14 +94,6 @@ impl FuelPolicy {
     #[must_use]
     pub fn with_feedback(self, feedback: Feedback) -> Self {
         Self { feedback: Some(feedback), ..self }
-    }
-
-    /// Change of the speed in rpm/s, over the samples before.
-    fn slope(&mut self, speed_rpm: f64) -> f64 {
-        self.speeds.truncate(samples(&self.fuelling));
-        self.speeds.push_front(speed_rpm);
-        let last = self.speeds.len() - 1;
-        (speed_rpm - self.speeds[last]) / (last.max(1) as f64 * self.fuelling.sample_time_s)
     }
 
     /// The charge that the trim has found over the identified one.
@@ -84,19 +113,25 @@ impl FuelPolicy {
     }
 
     fn stepped(&mut self, y: &Sensed, lambda: Option<f64>) -> f64 {
-        let slope = self.slope(y.speed_rpm);
         let f = &self.fuelling;
         let (dt_s, speed_rpm, throttle_deg) = (f.sample_time_s, y.speed_rpm, y.throttle_deg);
-        let air = f.air(y.coolant_c);
+        let air = f.air(y.coolant_c, y.cams_deg);
         let state = self.filling.get_or_insert_with(|| FillingState::at_rest(y.map_kpa, throttle_deg, dt_s));
         let upstream_kpa = y.upstream_kpa.unwrap_or(f.filling.upstream_kpa);
         state.step(&f.filling, air, (speed_rpm, throttle_deg, upstream_kpa), y.map_kpa, dt_s);
         let now_kpa = state.pressure_kpa();
         let ahead_s = f.timing.ahead_s(speed_rpm);
-        let held = (throttle_deg, upstream_kpa);
-        let pressure = state.ahead(&f.filling, air, [speed_rpm, slope], held, ahead_s, dt_s);
-        let then_rpm =
-            speed_rpm * (1.0 + slope * ahead_s / speed_rpm).clamp(1.0 - MOST_CHANGE, 1.0 + MOST_CHANGE);
+        let speed = [speed_rpm, self.speed.step(speed_rpm, ahead_s, dt_s)];
+        let upstream = [upstream_kpa, self.upstream.step(upstream_kpa, ahead_s, dt_s)];
+        let cams = y.cams_deg.map(|now| {
+            let [a, b] = &mut self.cams;
+            [[now[0], a.step(now[0], ahead_s, dt_s)], [now[1], b.step(now[1], ahead_s, dt_s)]]
+        });
+        // On the way as they are in its middle.
+        let later =
+            |share: f64| f.air(y.coolant_c, cams.map(|c| c.map(|[at, slope]| at + slope * share * ahead_s)));
+        let pressure = state.ahead(&f.filling, later(0.5), speed, throttle_deg, upstream, ahead_s, dt_s);
+        let then_rpm = speed[0] + speed[1] * ahead_s;
         let demanded = lambda.unwrap_or(1.0);
         let factor = match self.feedback {
             Some(_) => {
@@ -110,7 +145,7 @@ impl FuelPolicy {
                 self.trim.factor()
             }
         };
-        let wanted = (factor * air.at(then_rpm, pressure) / demanded).max(0.0);
+        let wanted = (factor * later(1.0).at(then_rpm, pressure) / demanded).max(0.0);
         let film = f.film_at(y.coolant_c);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;
@@ -125,9 +160,4 @@ impl FuelPolicy {
         self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa));
         injection
     }
-}
-
-/// Samples that the slope of the speed is taken over.
-fn samples(f: &Fuelling) -> usize {
-    (SLOPE_S / f.sample_time_s).round().max(1.0) as usize
 }

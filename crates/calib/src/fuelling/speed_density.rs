@@ -71,7 +71,7 @@ pub struct SpeedDensity {
 ///     feedback: None,
 /// };
 /// let mut state = SpeedDensityState::new(ecu, 60.0);
-/// let mut at = |map_kpa| state.step(&Sensed { speed_rpm: 2000.0, throttle_deg: 0.0, map_kpa, upstream_kpa: None, coolant_c: 90.0, lambda: None }, 1.0);
+/// let mut at = |map_kpa| state.step(&Sensed { speed_rpm: 2000.0, throttle_deg: 0.0, map_kpa, upstream_kpa: None, coolant_c: 90.0, cams_deg: None, lambda: None }, 1.0);
 /// assert!((at(40.0) - 10.0).abs() < 1e-4);
 /// // 1 kPa in 10 ms, seen 50 ms ahead.
 /// assert!((at(41.0) - 0.25 * 46.0).abs() < 1e-4);
@@ -117,7 +117,7 @@ impl SpeedDensityState {
         let dt_s = self.ecu.sample_time_s;
         let slope = (self.past[0] - self.past[last]) / (last.max(1) as f64 * dt_s);
         let pressure = (y.map_kpa + self.ecu.ahead_s * slope).clamp(LEAST_KPA, self.ecu.most_kpa);
-        let air = Air::new(&self.ecu.charge, self.ecu.law.as_ref(), y.coolant_c);
+        let air = Air::new(&self.ecu.charge, self.ecu.law.as_ref(), y.coolant_c, y.cams_deg);
         let (now, flow) = (air.at(y.speed_rpm, pressure), air.flow(y.speed_rpm, y.map_kpa));
         let demanded = lambda.unwrap_or(1.0);
         let trim = self.loop_of.factor(self.ecu.feedback, y, (demanded, flow), dt_s);

@@ -84,7 +84,9 @@ struct Fuelled {
     fuel: f64,
     speed_rpm: f64,
     pressure_kpa: f64,
+    /// What the coolant multiplies the charge by.
     factor: f64,
+    cams_deg: Option<[f64; 2]>,
 }
 
 /// What the trim knows at a sample.
@@ -128,7 +130,8 @@ impl TrimState {
         let dt_s = f.sample_time_s;
         let first = self.past.is_empty();
         self.past.truncate(self.longest - 1);
-        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor: air.factor });
+        let (factor, cams_deg) = (air.factor, air.cams_deg);
+        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg });
         let delay = f.timing.delay_s(speed_rpm, air.flow(speed_rpm, pressure_kpa)) / dt_s;
         let (young, part) = (delay as usize, delay.fract());
         let phi = (1.0 - part) * self.phi(f, young) + part * self.phi(f, young + 1);
@@ -145,7 +148,13 @@ impl TrimState {
         let met = (age as f64 - ahead).max(0.0);
         let (young, part) = (met as usize, met.fract());
         let mix = |of: fn(&Fuelled) -> f64| (1.0 - part) * of(at(young)) + part * of(at(young + 1));
-        then.fuel / (then.factor * f.charge.at(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa)))
+        let cams = |k: usize| {
+            let (a, b) = at(young).cams_deg.zip(at(young + 1).cams_deg)?;
+            Some((1.0 - part) * a[k] + part * b[k])
+        };
+        let cams_deg = cams(0).zip(cams(1)).map(|(a, b)| [a, b]);
+        let air = Air { charge: &f.charge, factor: then.factor, cams_deg };
+        then.fuel / air.at(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa))
     }
 }
 

@@ -50,6 +50,11 @@ fn passes(r: &ChainResult) -> String {
     if let Some(fixed) = r.validate.as_ref().and_then(|v| v.result.static_on_record.as_ref()) {
         rows.push(vec!["free inputs of the static map".into(), "-".into(), percent(fixed.ratio)]);
     }
+    if let Some(c) = r.validate.as_ref().and_then(|v| v.result.causality.as_ref()) {
+        let policy = c.policy.map_or("-".into(), percent);
+        rows.push(vec!["free inputs of a causal policy, full form".into(), "-".into(), policy]);
+        rows.push(vec!["free inputs of the delivered map".into(), "-".into(), percent(c.delivered)]);
+    }
     table::render(&["objective against the start record", "promised [%]", "on the plant [%]"], &rows, &[1, 2])
 }
 

@@ -7,7 +7,7 @@ use super::optimise_step::{Miss, Pass};
 use super::run::{ChainResult, STEPS};
 use super::spec::CalibrateSpec;
 use super::store::{RunFile, finished};
-use super::validate_step::StaticOnRecord;
+use super::validate_step::{Causality, StaticOnRecord};
 use super::verdict::{Verdict, stages};
 use crate::design::result::{CriterionLine, SafetyLine};
 use dynocal_calib::gains::Tuned;
@@ -36,6 +36,7 @@ pub(crate) struct Summary<'a> {
     pub(crate) design: Option<Design<'a>>,
     pub(crate) passes: Vec<PassLine<'a>>,
     pub(crate) static_on_record: Option<&'a StaticOnRecord>,
+    pub(crate) causality: Option<&'a Causality>,
     pub(crate) inverse: Option<Inverse<'a>>,
     pub(crate) static_map: Option<&'a [StaticPoint]>,
     pub(crate) lag_s: Option<f64>,
@@ -157,6 +158,7 @@ impl<'a> Summary<'a> {
             }),
             passes: r.optimise.iter().flat_map(|d| &d.result.passes).map(pass).collect(),
             static_on_record: validate.and_then(|v| v.static_on_record.as_ref()),
+            causality: validate.and_then(|v| v.causality.as_ref()),
             inverse: r.invert.as_ref().map(|d| Inverse {
                 pairs: &d.result.pairs,
                 records: &d.result.records,

@@ -7,9 +7,9 @@ use super::lag::{OnModels, best_lag};
 use super::optimise_step::Pass;
 use super::records::{RecordRef, save_records};
 use super::static_search::calibrate_static;
-use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::map::{FeedforwardMap, Rows};
 use dynocal_calib::validate::{MapScore, Scenario, demand_steps, random_points, score};
 use dynocal_ident::data::Dataset;
 use dynocal_ident::stored::StoredModel;
@@ -32,6 +32,22 @@ pub struct StaticOnRecord {
     pub share_of_saving: Option<f64>,
 }
 
+/// The price of causality: the demands of the last pass three times on the plant, by inputs that no loop drives. Each number is the mean
+/// objective over that of the start record, loops holding the demands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Causality {
+    /// The optimum of the pass, which knew the whole record beforehand.
+    pub preview: f64,
+    /// A policy without that: the form with most freedom that was fitted to the optima ([`FULL`]). None where none was.
+    pub policy: Option<f64>,
+    /// The map that is delivered.
+    pub delivered: f64,
+}
+
+/// Structure of the policy without preview: terms over all demands and their past.
+pub const FULL: &str = "structured";
+
 /// What step 6 leaves behind.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -44,6 +60,9 @@ pub struct ValidateResult {
     pub scores: Vec<MapScore>,
     /// The static map's free inputs on the record of the last pass.
     pub static_on_record: Option<StaticOnRecord>,
+    /// The price of causality; none where no input is free of loops.
+    #[serde(default)]
+    pub causality: Option<Causality>,
     /// Measured records of all runs.
     pub records: Vec<RecordRef>,
     /// Bed time of the comparison in s (the static map's stands with it).
@@ -80,7 +99,9 @@ pub fn validate(
     let steps = demand_steps(spec, problem, dt);
     let lag_s = best_lag((&static_map, leader), &OnModels::new(ctx, models));
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
-    let static_on_record = static_on_record(ctx, folder, &static_map, last, optimise_folder)?;
+    let on_record = OnRecord::of(ctx, folder, last, optimise_folder)?;
+    let static_on_record = on_record.as_ref().map(|r| r.static_map(&static_map)).transpose()?;
+    let causality = on_record.as_ref().map(|r| r.causality(inverse)).transpose()?;
     // What is delivered is called so, whatever its structure.
     let mut maps: Vec<NamedMap> =
         vec![(&*inverse.dynamic, DYNAMIC), (&static_map, static_map.name()), (&lagged, lagged.name())];
@@ -98,47 +119,84 @@ pub fn validate(
     let all: Vec<Dataset> = runs.into_iter().flatten().collect();
     let bed_s = all.iter().map(|r| r.len() as f64 * dt + ctx.spec.excite.lead_in_s).sum();
     let records = save_records(folder, &all)?;
-    Ok(ValidateResult { static_map, lag_s, scores, static_on_record, records, bed_s })
+    Ok(ValidateResult { static_map, lag_s, scores, static_on_record, causality, records, bed_s })
 }
 
-fn static_on_record(
-    ctx: &Context,
-    folder: &Path,
-    map: &StaticMap,
-    last: &Pass,
-    optimise_folder: &Path,
-) -> Result<Option<StaticOnRecord>, ChainError> {
-    if ctx.channels.free.is_empty() {
-        return Ok(None);
+/// The record of the last pass again and again, with other values of the inputs that no loop drives.
+struct OnRecord<'a, 'c> {
+    ctx: &'a Context<'c>,
+    folder: &'a Path,
+    last: &'a Pass,
+    optimum: Dataset,
+}
+
+impl<'a, 'c> OnRecord<'a, 'c> {
+    /// None where loops drive every input, or the pass has no record.
+    fn of(
+        ctx: &'a Context<'c>,
+        folder: &'a Path,
+        last: &'a Pass,
+        optimise_folder: &Path,
+    ) -> Result<Option<Self>, ChainError> {
+        if ctx.channels.free.is_empty() {
+            return Ok(None);
+        }
+        let optimum = ctx.load_records(optimise_folder, &last.records)?.into_iter().nth(1);
+        Ok(optimum.map(|optimum| Self { ctx, folder, last, optimum }))
     }
-    let records = ctx.load_records(optimise_folder, &last.records)?;
-    let Some(optimum) = records.get(1) else { return Ok(None) };
-    let reference = ctx.channels.references(optimum)?;
-    let mut actuators = ctx.channels.actuators(optimum)?;
-    let mut u = vec![0.0; actuators.width()];
-    for t in 0..actuators.len() {
-        map.at(reference.row(t), &mut u);
-        // What loops drive stays as optimised: they trim what the other inputs need.
-        ctx.channels.free.iter().for_each(|&k| actuators.row_mut(t)[k] = u[k]);
+
+    /// Mean objective with the free inputs of `by`, which is told the references.
+    fn objective(&self, name: &str, by: impl Fn(&Rows) -> Rows) -> Result<f64, ChainError> {
+        let (ctx, optimum) = (self.ctx, &self.optimum);
+        let drive = by(&ctx.channels.references(optimum)?);
+        let mut actuators = ctx.channels.actuators(optimum)?;
+        for t in 0..actuators.len() {
+            // What loops drive stays as optimised: they trim what the other inputs need.
+            ctx.channels.free.iter().for_each(|&k| actuators.row_mut(t)[k] = drive.row(t)[k]);
+        }
+        let inputs = (0..actuators.width()).map(|k| actuators.column(k)).collect();
+        let given = ctx
+            .channels
+            .given
+            .iter()
+            .map(|g| Ok(optimum.values(g)?.to_vec()))
+            .collect::<Result<_, ChainError>>()?;
+        let demands = self.last.demands.clone();
+        debug_assert!(demands.iter().all(|d| d.len() == actuators.len()));
+        let plan = ctx.plan(name, inputs, given, demands, Tone::Trim);
+        let run = ctx.measure(self.folder, &plan, true)?;
+        save_records(self.folder, std::slice::from_ref(&run))?;
+        super::optimise_step::mean_objective(ctx, &run, self.last.first)
     }
-    let n = actuators.len();
-    let inputs = (0..actuators.width()).map(|k| actuators.column(k)).collect();
-    let given = ctx
-        .channels
-        .given
-        .iter()
-        .map(|g| Ok(optimum.values(g)?.to_vec()))
-        .collect::<Result<_, ChainError>>()?;
-    let demands = last.demands.clone();
-    debug_assert!(demands.iter().all(|d| d.len() == n));
-    let plan = ctx.plan("static_on_record", inputs, given, demands, Tone::Trim);
-    let run = ctx.measure(folder, &plan, true)?;
-    save_records(folder, std::slice::from_ref(&run))?;
-    let objective = super::optimise_step::mean_objective(ctx, &run, last.first)?;
-    let ratio = objective / last.measured_start;
-    let share_of_saving =
-        Some((1.0 - last.measured_ratio) / (1.0 - ratio)).filter(|v| v.is_finite() && ratio < 1.0);
-    Ok(Some(StaticOnRecord { objective, ratio, share_of_saving }))
+
+    fn static_map(&self, map: &StaticMap) -> Result<StaticOnRecord, ChainError> {
+        let steady = |references: &Rows| {
+            let width = self.ctx.channels.inputs.len();
+            let mut out = Rows::from_values(width, vec![0.0; width * references.len()]);
+            (0..references.len()).for_each(|t| map.at(references.row(t), out.row_mut(t)));
+            out
+        };
+        let objective = self.objective("static_on_record", steady)?;
+        let ratio = objective / self.last.measured_start;
+        let share_of_saving =
+            Some((1.0 - self.last.measured_ratio) / (1.0 - ratio)).filter(|v| v.is_finite() && ratio < 1.0);
+        Ok(StaticOnRecord { objective, ratio, share_of_saving })
+    }
+
+    fn causality(&self, inverse: &InvertResult) -> Result<Causality, ChainError> {
+        let ratio = |name: &str, map: &dyn FeedforwardMap| {
+            let drive = |r: &Rows| map.drive(r, self.ctx.spec.sample_time_s);
+            Ok::<f64, ChainError>(self.objective(name, drive)? / self.last.measured_start)
+        };
+        let full = inverse.rivals.iter().find(|m| m.structure() == FULL);
+        // A structured map may be what is delivered: then it is its own full form.
+        let delivered = ratio("delivered_on_record", &*inverse.dynamic)?;
+        let policy = match full {
+            Some(map) => Some(ratio("policy_on_record", &**map)?),
+            None => (inverse.dynamic.structure() == FULL).then_some(delivered),
+        };
+        Ok(Causality { preview: self.last.measured_ratio, policy, delivered })
+    }
 }
 
 fn run_all(

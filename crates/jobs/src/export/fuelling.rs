@@ -57,7 +57,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
     if f.coolant.is_some() && !t.coolant_c.is_empty() {
         let coolant = || vec![axis("FUEL_COOLANT", "degC", "coolant", &t.coolant_c)];
         let film: Vec<_> = t.coolant_c.iter().map(|c| f.film_at(*c)).collect();
-        let factor = t.coolant_c.iter().map(|c| f.air(*c).factor).collect();
+        let factor = t.coolant_c.iter().map(|c| f.air(*c, None).factor).collect();
         all.push(table(
             "FILM_SHARE",
             "share of the fuel that wets the wall",
@@ -104,6 +104,11 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         ),
     ];
     all.extend(scalars.iter().map(|(name, what, unit, v)| table(name, what, unit, vec![], vec![*v])));
+    // Without a limit there is no number for it.
+    let rate = f.filling.throttle_rate_deg_s;
+    all.extend(
+        rate.map(|v| table("THROTTLE_RATE", "greatest rate of the throttle", "deg/s", vec![], vec![v])),
+    );
     let range = |channel: &str, unit: &str, [lower, upper]: [f64; 2]| ValidRange {
         channel: channel.into(),
         unit: unit.into(),

@@ -204,6 +204,7 @@ impl Rig {
                 map_kpa: self.map.of(&y),
                 upstream_kpa: self.boost.map(|b| b.of(&y)),
                 coolant_c: self.coolant.map_or(f64::NAN, |c| c.of(&y)),
+                cams_deg: None,
                 lambda: Some(self.lambda.of(&y)),
             };
             let share = if excite { course.share[t] } else { 0.0 };

@@ -124,6 +124,9 @@ fn identified(found: &Fuelled) -> Section {
         ("lag of the throttle", f.filling.throttle_lag_s, "s"),
         ("error of the manifold pressure", f.pressure_rms_kpa, "kPa"),
     ];
+    if let Some(rate) = f.filling.throttle_rate_deg_s {
+        rows.push(("greatest rate of the throttle", rate, "deg/s"));
+    }
     if let Some(law) = &f.coolant {
         rows.push(("time constant of the film at the coldest coolant", f.film_at(law.range_c[0]).tau_s, "s"));
         rows.push(("and at the warmest", f.film_at(law.range_c[1]).tau_s, "s"));

@@ -61,6 +61,7 @@ impl Record {
             upstream_kpa,
             boost_kpa: self.boost_kpa.as_deref(),
             coolant_c: self.coolant_c.as_deref(),
+            cams_deg: None,
         }
     }
 

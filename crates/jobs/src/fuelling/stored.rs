@@ -86,6 +86,7 @@ mod tests {
                     area: vec![0.0, 1.0, 0.0, 0.0],
                     gain: 1.0,
                     throttle_lag_s: 0.05,
+                    throttle_rate_deg_s: None,
                     correction_per_s: 0.5,
                 },
                 film: Film { share: 0.2, tau_s: 0.3 },

@@ -77,7 +77,9 @@ pub(super) fn warnings(f: &Fuelling, scores: &[Score], seen: &Seen) -> Vec<Strin
         ));
     }
     let of = |of: fn(&Score) -> f64| worst(scores.iter().filter(|s| s.role == "unseen"), of);
-    if of(|s| s.rms) > (1.0 - FILM) * of(|s| s.rms_without_film) {
+    if f.film.share == 0.0 {
+        out.push("no fuel film is delivered: on stretches of the records that did not fit it, a model with one was not surely better (99 %), or its inverse would swing".into());
+    } else if of(|s| s.rms) > (1.0 - FILM) * of(|s| s.rms_without_film) {
         out.push("the records show no fuel film: without one the unseen records are shown as well; share and time constant of the film say little".into());
     }
     if f.trim.is_none() {

@@ -14,7 +14,7 @@
 //! `refine` makes the map again from data of the closed loop until feedback has nothing left to do.
 
 mod bed;
-mod cycles;
+pub(crate) mod cycles;
 mod estimator;
 mod figures;
 mod horizon;
@@ -194,7 +194,9 @@ fn cycle_tasks(o: &Options) -> Vec<Task> {
                 watch.note(&format!("{cycle}: {engine} under {} controllers", cycles::FUELLED.len()));
                 let read = dynocal_jobs::engine::cycle::read(&path, length_s, &|_| {})
                     .map_err(|e| failed(e.to_string()))?;
-                let found = cycles::contest(MAPPED, engine, cycle, &read, &|| watch.interrupted());
+                let found = cycles::contest((MAPPED, engine), &cycles::FUELLED, cycle, &read, &|| {
+                    watch.interrupted()
+                });
                 if watch.interrupted() {
                     return Err(StudyError::Interrupted);
                 }

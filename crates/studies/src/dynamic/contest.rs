@@ -304,5 +304,6 @@ fn view<'a>(course: &'a Course, trace: &'a Trace) -> TransientRecord<'a> {
         upstream_kpa: AMBIENT_KPA,
         boost_kpa: None,
         coolant_c: Some(&trace.coolant_c),
+        cams_deg: None,
     }
 }

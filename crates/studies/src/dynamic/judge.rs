@@ -3,7 +3,7 @@
 use super::contest::{FEEDBACK, LAGGED, OURS, POSSIBLE, PREVIEW, STATIC, UNTRIMMED};
 use super::measures::Measures;
 use super::scenario::{SCENARIOS, Scenario};
-use super::{Case, boost, cases, heating};
+use super::{Case, boost, cases, cycles, heating};
 use crate::asked::Asked;
 use crate::{Check, TaskResult, check};
 
@@ -238,7 +238,8 @@ pub(super) fn reduce(results: &[TaskResult]) -> Vec<Check> {
         .collect();
     checks.extend(boost::checks(results));
     checks.extend(heating::checks(results));
-    let mut read = all.len();
+    checks.extend(cycles::checks(results));
+    let mut read = all.len() + cycles::counted(results);
     for (count, of_it) in [boost::counted(results), heating::counted(results)] {
         read += count;
         failed.extend(of_it);

@@ -1,6 +1,7 @@
 //! Study `dynamic`: controllers of transients on real beds, ours beside rivals that are tuned on the same record.
 //!
-//! Six scenarios of the table of rivals: three with fuel alone, here; the boosted engine in `boost`, the cold catalyst in `heating`. On the port-injection engine the first two: warm, steps of 30 and 70 Nm at 2000 rpm
+//! Seven scenarios of the table of rivals: three with fuel alone, here; the boosted engine in `boost`, the cold catalyst in `heating`,
+//! drive cycles in `cycles`. On the port-injection engine the first two: warm, steps of 30 and 70 Nm at 2000 rpm
 //! and random points; and the steps with the coolant at 20, 50 and 90 degC at the start. On the engine of the thesis and its ideal bed
 //! the sixth: random points and steps over the range that the thesis gives. All controllers take throttle and spark
 //! from the same static map, made by the job `map` on the same bed, so that only the fuel differs. Records of held random points,
@@ -13,6 +14,7 @@
 mod bed;
 mod boost;
 mod contest;
+mod cycles;
 mod heating;
 mod judge;
 mod learned;
@@ -114,7 +116,8 @@ fn tasks(o: &Options) -> Vec<Task> {
         }
     };
     let tips = tips.chain(engines_of(5, heating::ENGINE).into_iter().map(heated));
-    tips.chain(SCENARIOS.iter().flat_map(|s| engines_of(s.number, s.engine)).map(task)).collect()
+    let fuelled = SCENARIOS.iter().flat_map(|s| engines_of(s.number, s.engine)).map(task);
+    tips.chain(fuelled).chain(cycles::tasks(o)).collect()
 }
 
 fn refused(what: &str, reason: String) -> StudyError {

@@ -3,7 +3,7 @@
 use super::contest::{OURS, Row};
 use super::measures::Measures;
 use super::scenario::SCENARIOS;
-use super::{Case, boost, cases, heating};
+use super::{Case, boost, cases, cycles, heating};
 use crate::TaskResult;
 use dynocal_report::{Block, Cell, Column, Details, Report, Section, Table};
 
@@ -29,7 +29,7 @@ pub(super) fn sections(report: Report, results: &[TaskResult]) -> Report {
         }
         report = report.section(section);
     }
-    heating::section(boost::section(report, results), results)
+    cycles::section(heating::section(boost::section(report, results), results), results)
 }
 
 /// Controllers that every case has, with means over the cases.

@@ -66,6 +66,7 @@ fn sensed(y: &Measured, throttle_deg: f64, lambda: bool) -> Sensed {
         map_kpa: y.map_kpa,
         upstream_kpa: None,
         coolant_c: y.coolant_c,
+        cams_deg: None,
         lambda: lambda.then_some(y.lambda),
     }
 }

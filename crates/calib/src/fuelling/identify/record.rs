@@ -25,12 +25,19 @@ pub struct TransientRecord<'a> {
     pub boost_kpa: Option<&'a [f64]>,
     /// Coolant temperature in degC, if it is to count.
     pub coolant_c: Option<&'a [f64]>,
+    /// Places of intake and exhaust cam in deg, after each sample, if they are to count.
+    pub cams_deg: Option<[&'a [f64]; 2]>,
 }
 
 impl TransientRecord<'_> {
     /// Coolant temperature of a sample; any number where it does not count.
     pub(super) fn coolant_c(&self, t: usize) -> f64 {
         self.coolant_c.map_or(0.0, |c| c[t])
+    }
+
+    /// Places of the cams that are known at the begin of a sample.
+    pub(super) fn cams_deg(&self, t: usize) -> Option<[f64; 2]> {
+        self.cams_deg.map(|cams| cams.map(|c| c[t.saturating_sub(1)]))
     }
 
     /// Pressure before the throttle that is known at the begin of a sample.
@@ -62,6 +69,8 @@ fn check_one(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
     ];
     channels.extend(r.coolant_c.map(|c| ("coolant", c, -60.0)));
     channels.extend(r.boost_kpa.map(|b| ("boost", b, 20.0)));
+    let [intake, exhaust] = ["intake cam", "exhaust cam"];
+    channels.extend(r.cams_deg.iter().flat_map(|[i, e]| [(intake, *i, -720.0), (exhaust, *e, -720.0)]));
     let refused =
         |channel, found: String, expected: String| FuellingError::Channel { channel, found, expected };
     for (name, values, least) in channels {
@@ -130,11 +139,12 @@ pub(super) fn check(records: &[TransientRecord<'_>]) -> Result<(), FuellingError
         let of = |r: &TransientRecord<'_>| {
             let given = |is: bool| if is { "with" } else { "without" };
             format!(
-                "samples of {} s, {} kPa before the throttle, {} coolant, {} boost",
+                "samples of {} s, {} kPa before the throttle, {} coolant, {} boost, {} cams",
                 r.sample_time_s,
                 r.upstream_kpa,
                 given(r.coolant_c.is_some()),
-                given(r.boost_kpa.is_some())
+                given(r.boost_kpa.is_some()),
+                given(r.cams_deg.is_some())
             )
         };
         if of(r) != of(first) {
@@ -157,6 +167,7 @@ pub(super) fn rested(records: &[TransientRecord<'_>]) -> Result<Vec<Rested>, Fue
             fuel: mean(&fuel, s),
             coolant_c: r.coolant_c.map_or(0.0, |c| mean(c, s)),
             upstream_kpa: r.boost_kpa.map_or(r.upstream_kpa, |b| mean(b, s)),
+            cams_deg: r.cams_deg.map(|cams| cams.map(|c| mean(c, s))),
         }));
     }
     let expected = TERMS + 5;

@@ -1,3 +1,4 @@
+use super::follow::shown;
 use super::*;
 use crate::fuelling::{FuelPolicy, Sensed};
 use dynocal_numerics::rng::Rng64;
@@ -18,6 +19,7 @@ fn truth() -> Fuelling {
         area,
         gain: 1.4,
         throttle_lag_s: 0.06,
+        throttle_rate_deg_s: None,
         correction_per_s: 0.0,
     };
     let timing = Timing {
@@ -76,6 +78,7 @@ fn heated(f: &Fuelling, holds: usize, seed: u64, start_c: Option<f64>) -> Channe
         upstream_kpa: 101.325,
         boost_kpa: None,
         coolant_c: start_c.map(|_| heat.as_slice()),
+        cams_deg: None,
     };
     let p = pressure(&r, f);
     let shown = shown(&r, f);
@@ -85,7 +88,7 @@ fn heated(f: &Fuelling, holds: usize, seed: u64, start_c: Option<f64>) -> Channe
 }
 
 fn sensed(speed_rpm: f64, throttle_deg: f64, map_kpa: f64, lambda: Option<f64>) -> Sensed {
-    Sensed { speed_rpm, throttle_deg, map_kpa, upstream_kpa: None, coolant_c: 90.0, lambda }
+    Sensed { speed_rpm, throttle_deg, map_kpa, upstream_kpa: None, coolant_c: 90.0, cams_deg: None, lambda }
 }
 
 fn view(c: &Channels) -> TransientRecord<'_> {
@@ -99,6 +102,7 @@ fn view(c: &Channels) -> TransientRecord<'_> {
         upstream_kpa: 101.325,
         boost_kpa: None,
         coolant_c: None,
+        cams_deg: None,
     }
 }
 
@@ -141,6 +145,7 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
         upstream_kpa: 101.325,
         boost_kpa: None,
         coolant_c: None,
+        cams_deg: None,
     };
     // At rest at the first throttle, whatever it began with.
     let p = pressure(&r, &truth);
@@ -247,7 +252,7 @@ fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
         let (film, planted) = (found.film_at(c), truth.film_at(c));
         assert!((film.share / planted.share - 1.0).abs() < 0.05, "{c} degC: {film:?}, planted {planted:?}");
         assert!((film.tau_s / planted.tau_s - 1.0).abs() < 0.05, "{c} degC: {film:?}, planted {planted:?}");
-        let (air, is) = (found.air(c).at(1800.0, 50.0), truth.air(c).at(1800.0, 50.0));
+        let (air, is) = (found.air(c, None).at(1800.0, 50.0), truth.air(c, None).at(1800.0, 50.0));
         assert!((air / is - 1.0).abs() < 3e-3, "{c} degC: {air}, planted {is}");
     }
     // Without the temperatures the same records are one engine that cannot be: the error says so.
@@ -274,6 +279,7 @@ fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Ve
         upstream_kpa: 101.325,
         boost_kpa: None,
         coolant_c: None,
+        cams_deg: None,
     };
     let (p, map) = (pressure(&r, truth), shown(&r, truth));
     let mut given: Vec<f64> = Vec::with_capacity(n);
@@ -346,5 +352,163 @@ fn a_cut_leaves_the_wall_dry() {
         let (first, rest) = (policy.step(&y, 1.0), still.step(&y, 1.0));
         let expected = (1.0 - f.film.share * left) / (1.0 - f.film.share);
         assert!((first / rest - expected).abs() < 0.02, "{cut}: {first} over {rest}, expected {expected}");
+    }
+}
+
+/// A throttle that is slower than its lag on large steps: the pressure says lag and rate; where nothing limits it, it says so.
+#[test]
+fn a_record_gives_the_rate_of_the_throttle_back() {
+    let of = |rate: Option<f64>| {
+        let mut truth = truth();
+        truth.filling.throttle_rate_deg_s = rate;
+        let mut channels = record(&truth, 40);
+        let mut rng = Rng64::stream(23, 0);
+        channels[3].iter_mut().for_each(|map| *map += 0.1 * rng.normal());
+        let records = [view(&channels)];
+        let rested = rested(&records).unwrap();
+        filled(&records, &rested, started(&records, &rested).unwrap(), &|| false).unwrap().filling
+    };
+    let found = of(Some(90.0));
+    let rate = found.throttle_rate_deg_s.expect("a rate");
+    assert!((rate / 90.0 - 1.0).abs() < 0.1, "{rate}");
+    assert!((found.throttle_lag_s / 0.06 - 1.0).abs() < 0.2, "{}", found.throttle_lag_s);
+    assert_eq!(of(None).throttle_rate_deg_s, None);
+}
+
+/// Pressure before a throttle that is wide open rises by 60 kPa/s: the fuel goes with what it will be when its air comes.
+#[test]
+fn the_policy_goes_on_with_the_pressure_before_the_throttle() {
+    let mut truth = truth();
+    truth.film.share = 0.0;
+    let mut policy = FuelPolicy::new(truth.clone(), 60.0);
+    let (speed, n) = (2000.0, 200);
+    let boost: Vec<f64> = (0..n).map(|t| 70.0 + 0.6 * (t as f64 - 100.0).clamp(0.0, 60.0)).collect();
+    let (throttle, speeds, zeros) = (vec![40.0; n], vec![speed; n], vec![0.0; n]);
+    let r = TransientRecord {
+        sample_time_s: DT,
+        speed_rpm: &speeds,
+        throttle_deg: &throttle,
+        injection: &zeros,
+        map_kpa: &vec![69.0; n],
+        lambda: &vec![1.0; n],
+        upstream_kpa: 101.325,
+        boost_kpa: Some(&boost),
+        coolant_c: None,
+        cams_deg: None,
+    };
+    let p = pressure(&r, &truth);
+    let ahead = truth.timing.ahead_s(speed) / DT;
+    let injection = |t: usize, policy: &mut FuelPolicy| {
+        let upstream_kpa = Some(boost[t.saturating_sub(1)]);
+        policy.step(&Sensed { upstream_kpa, ..sensed(speed, 40.0, 69.0, None) }, 1.0)
+    };
+    let given: Vec<f64> = (0..n).map(|t| injection(t, &mut policy)).collect();
+    // While it rises, from when the slope is known.
+    let (mut off, mut held) = (0.0_f64, 0.0_f64);
+    for t in 110..150 {
+        let met = t as f64 + ahead;
+        let then = p[met as usize] + met.fract() * (p[met as usize + 1] - p[met as usize]);
+        let wanted = truth.charge.at(speed, then);
+        off = off.max((given[t] / wanted - 1.0).abs());
+        held = held.max((truth.charge.at(speed, p[t]) / wanted - 1.0).abs());
+    }
+    assert!(off < 0.25 * held && held > 0.02, "{off}, held {held}");
+}
+
+/// A record with a sensor that scatters by 0.3 %.
+fn scattered(mut channels: Channels) -> Channels {
+    let mut rng = Rng64::stream(17, 0);
+    channels[4].iter_mut().for_each(|lambda| *lambda *= 1.0 + 3e-3 * rng.normal());
+    channels
+}
+
+/// Where nothing wets the wall no film is delivered, where something does one is, and its inverse is stable.
+#[test]
+fn a_film_is_kept_only_where_it_pays() {
+    let wet = truth();
+    let dry = Fuelling { film: Film { share: 0.0, tau_s: 1.0 }, ..wet.clone() };
+    let of = |f: &Fuelling| identify(&[view(&scattered(record(f, 40)))], &|| false).unwrap();
+    let found = of(&wet);
+    assert!((found.film.share / wet.film.share - 1.0).abs() < 0.1, "{:?}", found.film);
+    assert!((0.0..1.0).contains(&found.film.inverse_pole(DT)), "{}", found.film.inverse_pole(DT));
+    assert_eq!(of(&dry).film.share, 0.0);
+}
+
+/// Cams that are behind their schedule while the pressure moves: what they do to the charge is found, and where they do nothing,
+/// nothing is found.
+#[test]
+fn cams_behind_their_schedule_move_the_charge() {
+    let plain = truth();
+    let base = record(&plain, 40);
+    let rest_deg = [vec![10.0, 15.0, 3.0, 0.0, 0.0, 0.0], vec![-5.0, 6.0, -4.0, 0.0, 0.0, 0.0]];
+    let mut places = [Vec::new(), Vec::new()];
+    for (k, place) in places.iter_mut().enumerate() {
+        let mut at = None;
+        for (n, p) in base[0].iter().zip(&base[3]) {
+            let [n, p] = plain.charge.scaled(*n, *p);
+            let goal = rest_deg[k][0] + rest_deg[k][1] * p + rest_deg[k][2] * n;
+            let now = at.get_or_insert(goal);
+            *now += DT / 0.3 * (goal - *now);
+            place.push(*now);
+        }
+    }
+    let law = crate::fuelling::CamLaw {
+        rest_deg,
+        most_deg: [40.0; 2],
+        per_deg: [-0.006, 0.002],
+        per_deg_pressure: [0.002, 0.0],
+    };
+    let cams_deg = Some([places[0].as_slice(), &places[1]]);
+    let made = |f: &Fuelling| {
+        let r = TransientRecord { cams_deg, ..view(&base) };
+        let p = pressure(&r, f);
+        let lambda = richness(&r, f, &p).iter().map(|v| 1.0 / v).collect();
+        let [speed, throttle, injection, _, _] = base.clone();
+        scattered([speed, throttle, injection, shown(&r, f), lambda])
+    };
+    let mut moved = plain.clone();
+    moved.charge.cams = Some(law);
+    let channels = made(&moved);
+    let found = identify(&[TransientRecord { cams_deg, ..view(&channels) }], &|| false).unwrap();
+    let blind = identify(&[view(&channels)], &|| false).unwrap();
+    assert!(found.rms < 0.8 * blind.rms, "{} {}", found.rms, blind.rms);
+    // Where the load has risen and the cams have not: both are as far from rest as they go together.
+    let charge = |f: &Fuelling| f.air(0.0, Some([0.0, -9.0])).at(2000.0, 55.0);
+    assert!((charge(&found) / charge(&moved) - 1.0).abs() < 0.01, "{} {}", charge(&found), charge(&moved));
+    let channels = made(&plain);
+    let found = identify(&[TransientRecord { cams_deg, ..view(&channels) }], &|| false).unwrap();
+    assert_eq!(found.charge.cams, None);
+}
+
+/// Derivatives by the coefficients of the charge beside central differences, through film, delay by the flow and lag.
+#[test]
+fn slopes_of_the_mixture_are_those_of_differences() {
+    let truth = truth();
+    let channels = record(&truth, 10);
+    let r = view(&channels);
+    let p = pressure(&r, &truth);
+    let at = |k: usize, h: f64| {
+        let mut f = truth.clone();
+        f.charge.coefficients[k] += h;
+        richness(&r, &f, &p)
+    };
+    let mut slopes = Vec::new();
+    let shown = richness(&r, &truth, &p);
+    follow::richness_slopes(&r, &truth, &p, &mut |t, phi, by| {
+        assert!((phi / shown[t] - 1.0).abs() < 1e-12, "{t}");
+        slopes.push(*by);
+    });
+    const H: f64 = 1e-6;
+    for k in 0..slopes[0].len() {
+        let (up, down) = (at(k, H), at(k, -H));
+        let scale = slopes.iter().map(|s| s[k].abs()).fold(0.0, f64::max);
+        let off: Vec<f64> = slopes
+            .iter()
+            .zip(up.iter().zip(&down))
+            .map(|(s, (u, d))| ((u - d) / (2.0 * H) - s[k]).abs())
+            .collect();
+        // Where the delay ends on a sample the two sides differ.
+        let beyond = off.iter().filter(|o| **o > 1e-5 * scale).count();
+        assert!(beyond * 500 < off.len(), "coefficient {k}: {beyond} of {} differ", off.len());
     }
 }

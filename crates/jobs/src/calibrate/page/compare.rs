@@ -3,8 +3,9 @@
 use super::super::context::Context;
 use super::super::error::ChainError;
 use super::super::summary::Summary;
-use super::super::validate_step::{DYNAMIC, ValidateResult};
-use super::parts::{label, record, unit};
+use super::super::validate_step::{Causality, DYNAMIC, ValidateResult};
+use super::super::verdict::objective_words;
+use super::parts::{change, label, record, unit};
 use dynocal_calib::validate::MapScore;
 use dynocal_files::run_folder::Done;
 use dynocal_ident::data::Dataset;
@@ -53,10 +54,30 @@ pub(super) fn section(
                 .block(Details::new("Actuators of all maps").block(actuators(ctx, scenario, first, &runs)?));
         }
     }
+    if let Some(c) = &r.causality {
+        section = section.heading("The price of causality").block(causality(ctx, c));
+    }
     Ok(section.block(points(ctx, r)).text(format!(
         "Bed time of the static map: {:.0} s; of this comparison: {:.0} s.",
         summary.bed.static_map_s, summary.bed.map_comparison_s
     )))
+}
+
+/// The same demands by an optimum with preview, a policy without it, and the map that is delivered.
+fn causality(ctx: &Context, c: &Causality) -> Table {
+    let head = vec![
+        Column::text("Inputs that no loop drives"),
+        Column::number("Change from the start record", "%").digits(3),
+    ];
+    let table = Table::new(head).caption(format!(
+        "Mean {} on the demands of the last pass, held by loops. From the first to the second: what it costs not to know the future; from there to the third: what tables cost",
+        objective_words(ctx.spec)
+    ));
+    let row = |name: &str, ratio: Option<f64>| vec![Cell::from(name), Cell::from(ratio.map(change))];
+    table
+        .row(row("optimum of the record, with preview", Some(c.preview)))
+        .row(row("causal policy in its full form, without preview", c.policy))
+        .stressed_row(row("map that is delivered", Some(c.delivered)))
 }
 
 /// What each map costs.

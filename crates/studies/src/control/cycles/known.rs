@@ -24,9 +24,9 @@ const LOOP_S: f64 = 1.5;
 /// What the line searches of the ECU try: time of the extrapolation and of the closed loop, in s.
 pub(super) const AHEADS_S: [f64; 6] = [0.0, 0.02, 0.04, 0.06, 0.09, 0.12];
 pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
-/// Pressure before the throttle, and most of an extrapolation, in kPa.
+/// Pressure before the throttle, and most of an extrapolation without and with a compressor, in kPa.
 const AMBIENT_KPA: f64 = 101.325;
-const MOST_KPA: f64 = 100.0;
+const MOST_KPA: (f64, f64) = (100.0, 240.0);
 
 /// Everything that controllers know.
 pub(super) struct Known {
@@ -125,6 +125,8 @@ struct Record {
     injection: Vec<f64>,
     map_kpa: Vec<f64>,
     lambda: Vec<f64>,
+    /// Pressure before the throttle; empty where there is no compressor.
+    boost_kpa: Vec<f64>,
 }
 
 impl Record {
@@ -137,8 +139,9 @@ impl Record {
             map_kpa: &self.map_kpa,
             lambda: &self.lambda,
             upstream_kpa: AMBIENT_KPA,
-            boost_kpa: None,
+            boost_kpa: (!self.boost_kpa.is_empty()).then_some(self.boost_kpa.as_slice()),
             coolant_c: None,
+            cams_deg: None,
         }
     }
 
@@ -146,6 +149,11 @@ impl Record {
     fn off(&self) -> f64 {
         self.lambda.iter().map(|l| (l - 1.0).abs()).sum::<f64>() / self.lambda.len() as f64
     }
+}
+
+/// Pressure before the throttle as a channel shows it, where a compressor makes it.
+pub(super) fn boost_kpa(engine: &VirtualEngine) -> Option<f64> {
+    engine.params().turbocharger.as_ref().map(|_| engine.outputs().boost_kpa)
 }
 
 /// A course under what `fuel` gives for what is sensed and the share by which the fuel is to move.
@@ -164,8 +172,9 @@ fn driven(
             speed_rpm: *speed,
             throttle_deg,
             map_kpa: own.outputs().map_kpa,
-            upstream_kpa: None,
+            upstream_kpa: boost_kpa(&own),
             coolant_c: 0.0,
+            cams_deg: None,
             lambda: sensor.lambda(),
         };
         let injection_mg = fuel(&sensed, course.share[t]).clamp(0.0, MOST_MG);
@@ -180,6 +189,7 @@ fn driven(
         out.throttle_deg.push(throttle_deg);
         out.injection.push(injection_mg);
         out.map_kpa.push(y.map_kpa);
+        out.boost_kpa.extend(boost_kpa(&own));
         out.lambda.push(sensor.shown());
     }
     Ok(out)
@@ -225,7 +235,7 @@ fn measured(mapped: &str, stop: &(dyn Fn() -> bool + Sync)) -> Result<Known, Str
         sample_time_s: STEP_S,
         charge,
         law,
-        most_kpa: MOST_KPA,
+        most_kpa: if boost_kpa(&engine).is_some() { MOST_KPA.1 } else { MOST_KPA.0 },
         ahead_s: 0.0,
         film: Some(Coat { film: fuelling.film, law: fuelling.coolant }),
         feedback: None,

@@ -29,11 +29,11 @@ const MOST_MG: f64 = 120.0;
 /// Distance of lambda from 1 that counts.
 const NEAR: f64 = 0.01;
 /// How the drives are made, for results that are kept.
-pub(super) const METHOD: &str = "identified, loops by line searches, predictors by the flow of the own fuel";
+pub(crate) const METHOD: &str = "identified, loops by line searches, predictors by the flow of the own fuel";
 
 /// What gives the fuel before any feedback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum FuelBy {
+pub(crate) enum FuelBy {
     /// The steady map of demand and speed.
     Map,
     /// The air of the last cycle.
@@ -46,7 +46,7 @@ pub(super) enum FuelBy {
 
 /// What holds lambda.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Hold {
+pub(crate) enum Hold {
     Nothing,
     /// A PI by SIMC for a usual transport.
     Pi,
@@ -63,7 +63,7 @@ pub(super) enum Hold {
 }
 
 /// All that are compared, with their names.
-pub(super) const FUELLED: [(&str, FuelBy, Hold); 14] = [
+pub(crate) const FUELLED: [(&str, FuelBy, Hold); 14] = [
     ("static map", FuelBy::Map, Hold::Nothing),
     ("static map, PI", FuelBy::Map, Hold::Pi),
     ("static map, PI, long-term trim", FuelBy::Map, Hold::PiTrim),
@@ -82,37 +82,37 @@ pub(super) const FUELLED: [(&str, FuelBy, Hold); 14] = [
 
 /// A drive.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Driven {
-    pub(super) name: String,
-    pub(super) fuel_g: f64,
+pub(crate) struct Driven {
+    pub(crate) name: String,
+    pub(crate) fuel_g: f64,
     /// Share of the fuelled time with lambda within 1 %, and mean distance of lambda from 1 over it.
-    pub(super) within: f64,
-    pub(super) off: f64,
+    pub(crate) within: f64,
+    pub(crate) off: f64,
     /// Root of the mean squared distance of the torque from its demand, in Nm, where torque is asked for.
-    pub(super) torque_nm: f64,
+    pub(crate) torque_nm: f64,
     /// Share of the fuelled time with lambda behind the catalyst outside of 1 %, and how often it left it.
-    pub(super) broken: f64,
-    pub(super) breaks: u32,
+    pub(crate) broken: f64,
+    pub(crate) breaks: u32,
     /// Carbon monoxide, hydrocarbons and nitric oxide behind the catalyst in g per km.
-    pub(super) tailpipe_g_km: [f64; 3],
+    pub(crate) tailpipe_g_km: [f64; 3],
     /// Steps outside of the tolerance of the cycle.
-    pub(super) outside: usize,
+    pub(crate) outside: usize,
 }
 
 /// All drives of one engine along the cycle.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct CycleCase {
-    pub(super) cycle: String,
-    pub(super) driven_engine: String,
-    pub(super) length_s: f64,
-    pub(super) drives: Vec<Driven>,
+pub(crate) struct CycleCase {
+    pub(crate) cycle: String,
+    pub(crate) driven_engine: String,
+    pub(crate) length_s: f64,
+    pub(crate) drives: Vec<Driven>,
     /// What line searches found: the ECU's extrapolation, the closed loops of the ECU and of the dynamic map, in s.
-    pub(super) found_s: [f64; 3],
+    pub(crate) found_s: [f64; 3],
 }
 
 impl CycleCase {
     /// The drive of a controller.
-    pub(super) fn drive(&self, title: &str) -> Option<&Driven> {
+    pub(crate) fn drive(&self, title: &str) -> Option<&Driven> {
         self.drives.iter().find(|d| d.name == title)
     }
 }
@@ -126,10 +126,10 @@ fn running(set: &str) -> Result<VirtualEngine, String> {
     Ok(engine)
 }
 
-/// All controllers along the cycle on an engine, maps and models from the engine `mapped`.
-pub(super) fn contest(
-    mapped: &str,
-    driven: &str,
+/// Controllers along the cycle on the engine `driven`, maps and models from the engine `mapped`.
+pub(crate) fn contest(
+    (mapped, driven): (&str, &str),
+    who: &[(&'static str, FuelBy, Hold)],
     name: &str,
     cycle: &DriveCycle,
     stop: &(dyn Fn() -> bool + Sync),
@@ -141,7 +141,7 @@ pub(super) fn contest(
             .map(|d| Driven { name: (*title).into(), ..d })
             .map_err(|e| format!("{title}: {e}"))
     };
-    let drives = FUELLED.par_iter().map(one).collect::<Result<Vec<_>, String>>()?;
+    let drives = who.par_iter().map(one).collect::<Result<Vec<_>, String>>()?;
     let closed_s = |f: Option<Feedback>| f.map_or(f64::NAN, |f| f.closed_s);
     Ok(CycleCase {
         cycle: name.into(),

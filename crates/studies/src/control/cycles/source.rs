@@ -13,7 +13,7 @@ use dynocal_plant::inputs::Inputs;
 use dynocal_plant::testbed::catalyst::{CatalystSettings, CatalystState, Feed};
 use dynocal_plant::vehicle::{Power, PowerSource};
 
-use super::known::Known;
+use super::known::{Known, boost_kpa};
 use super::sensor::{LONGEST, LambdaSensor, transport_s};
 use super::{FuelBy, Hold, MOST_MG, NEAR, SPEEDS_RPM, STEP_S};
 
@@ -260,8 +260,9 @@ impl PowerSource for Source<'_> {
             speed_rpm,
             throttle_deg: 1.0,
             map_kpa: y.map_kpa,
-            upstream_kpa: None,
+            upstream_kpa: boost_kpa(&self.engine),
             coolant_c: 0.0,
+            cams_deg: None,
             lambda: self.sensor.lambda(),
         };
         let inputs = if self.cut {

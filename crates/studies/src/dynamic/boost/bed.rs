@@ -32,6 +32,8 @@ pub(super) struct Shown {
     pub(super) map_kpa: f64,
     pub(super) boost_kpa: f64,
     pub(super) coolant_c: f64,
+    /// Places of the cams in deg.
+    pub(super) cams_deg: [f64; 2],
     pub(super) speed_rpm: f64,
 }
 
@@ -91,6 +93,7 @@ pub(super) struct Trace {
     pub(super) map_kpa: Vec<f64>,
     pub(super) boost_kpa: Vec<f64>,
     pub(super) coolant_c: Vec<f64>,
+    pub(super) cams_deg: [Vec<f64>; 2],
     pub(super) lambda: Vec<f64>,
     /// Knock index as the channel shows it.
     pub(super) knock: Vec<f64>,
@@ -138,6 +141,7 @@ pub(super) fn play(
             map_kpa: y[MAP],
             boost_kpa: y[BOOST],
             coolant_c: y[COOLANT] - ZERO_C,
+            cams_deg: [u[5], u[6]],
             speed_rpm,
         };
         let c = controller.step(*torque, &shown);
@@ -166,6 +170,7 @@ impl Trace {
         self.map_kpa.push(y[MAP]);
         self.boost_kpa.push(y[BOOST]);
         self.coolant_c.push(coolant_c);
+        self.cams_deg.iter_mut().zip(&u[5..]).for_each(|(kept, at)| kept.push(*at));
         self.lambda.push(y[LAMBDA]);
         self.knock.push(y[KNOCK]);
         self.torque_nm.push(y[TORQUE]);

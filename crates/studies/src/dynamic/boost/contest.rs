@@ -329,6 +329,7 @@ fn view<'a>(course: &'a Course, trace: &'a Trace) -> TransientRecord<'a> {
         upstream_kpa: AMBIENT_KPA,
         boost_kpa: Some(&trace.boost_kpa),
         coolant_c: Some(&trace.coolant_c),
+        cams_deg: Some([&trace.cams_deg[0], &trace.cams_deg[1]]),
     }
 }
 

@@ -162,6 +162,7 @@ impl Controller for Driver<'_> {
             map_kpa: y.map_kpa,
             upstream_kpa: Some(y.boost_kpa),
             coolant_c: y.coolant_c,
+            cams_deg: Some(y.cams_deg),
             lambda: lambda.then_some(y.lambda),
         };
         let injection_mg = match &mut self.fuel {

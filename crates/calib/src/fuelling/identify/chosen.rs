@@ -1,0 +1,129 @@
+//! Which of the richer models are worth their parameters.
+
+use super::filled::refilled;
+use super::follow::pressure;
+use super::record::TransientRecord;
+use super::search::Effort;
+use super::worth::{block, pays};
+use super::{CORRECTIONS, FuellingError, Rested, corrected, has_film, length, mixed, mixed_by, unexplained};
+use crate::fuelling::Fuelling;
+use crate::fuelling::cams::CamLaw;
+use crate::fuelling::charge::Charge;
+use crate::fuelling::filling::Filling;
+use crate::fuelling::film::Film;
+
+/// Of a model the one with what cams do to the charge, where they are measured and that is worth its parameters, and without a film
+/// that is not worth its two: on the halves of the blocks of the records that did not fit it the richer model must leave less
+/// than the simpler one does that was fitted to the same halves ([`pays`]). The inverse of a film must be stable besides and not
+/// swing at any temperature of the records.
+pub(super) fn chosen(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    found: Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let mut best = Judged::of(found);
+    // Cams first: what they do in a transient must not pass for a film.
+    if let Some(moved) = with_cams(records, rested, &best.fuelling, interrupt)? {
+        let mut moved = Judged::of(moved);
+        let apart = best.left(records, Effort::Compared, interrupt)?;
+        if pays(apart, moved.left(records, Effort::Judged, interrupt)?) {
+            best = moved;
+        }
+    }
+    if !has_film(&best.fuelling) {
+        return Ok(best.fuelling);
+    }
+    let film = Film { share: 0.0, ..best.fuelling.film };
+    let dry = Fuelling { film, ..best.fuelling.clone() };
+    let bare = mixed(records, &dry, &dry, Effort::Compared, interrupt)?;
+    if swings(&best.fuelling) {
+        return Ok(bare);
+    }
+    // Behind the same manifold: what is judged is the film.
+    let mut bare = Judged { start: dry, ..Judged::of(bare) };
+    let apart = bare.left(records, Effort::Compared, interrupt)?;
+    let film_pays = pays(apart, best.left(records, Effort::Judged, interrupt)?);
+    Ok(if film_pays { best.fuelling } else { bare.fuelling })
+}
+
+/// A model that was fitted to all, with its errors on each half of the blocks when it is fitted to the other one: where they are known.
+struct Judged {
+    /// Whose manifold it has.
+    start: Fuelling,
+    fuelling: Fuelling,
+    left: Option<Vec<f64>>,
+}
+
+impl Judged {
+    fn of(fuelling: Fuelling) -> Self {
+        Self { start: fuelling.clone(), fuelling, left: None }
+    }
+
+    fn left(
+        &mut self,
+        records: &[TransientRecord<'_>],
+        effort: Effort,
+        interrupt: &dyn Fn() -> bool,
+    ) -> Result<&[f64], FuellingError> {
+        if self.left.is_none() {
+            self.left = Some(judged_apart(records, (&self.start, &self.fuelling), effort, interrupt)?);
+        }
+        Ok(self.left.as_deref().unwrap_or_default())
+    }
+}
+
+/// Errors on each half of the blocks of a model that is fitted to the other one, with the manifold of `start`, searched from `from`. A
+/// search that ends at its limit gives its best so far: nothing of it is delivered.
+fn judged_apart(
+    records: &[TransientRecord<'_>],
+    (start, from): (&Fuelling, &Fuelling),
+    effort: Effort,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Vec<f64>, FuellingError> {
+    let samples = length(records);
+    let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
+    let mut out = vec![0.0; samples];
+    let mut half = vec![0.0; samples];
+    for odd in [0, 1] {
+        let apart = |t: usize| block(t, samples) % 2 == odd;
+        let fitted = mixed_by(records, (start, from), &|t| !apart(t), effort, interrupt)?;
+        unexplained(records, &pressures, &fitted, &mut half);
+        (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = half[t]);
+    }
+    Ok(out)
+}
+
+/// Whether the inverse of the film is unstable or swings at a temperature of the records.
+fn swings(found: &Fuelling) -> bool {
+    let ends = found.coolant.map_or(vec![0.0], |law| law.range_c.to_vec());
+    ends.iter().any(|c| found.film_at(*c).inverse_pole(found.sample_time_s) < 0.0)
+}
+
+/// A model with what cams that are not at rest do to the charge; none where they are not measured.
+fn with_cams(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    found: &Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Option<Fuelling>, FuellingError> {
+    let places: Option<Vec<[f64; 2]>> = rested.iter().map(|r| r.cams_deg).collect();
+    let Some(places) = places else { return Ok(None) };
+    let at: Vec<[f64; 2]> = rested.iter().map(|r| found.charge.scaled(r.speed_rpm, r.map_kpa)).collect();
+    let mut law = CamLaw::of_rest(&at, &places)?;
+    for r in records {
+        for t in 0..r.speed_rpm.len() {
+            let Some(cams) = r.cams_deg(t) else { continue };
+            let off = law.off_deg(found.charge.scaled(r.speed_rpm[t], r.map_kpa[t]), cams);
+            law.most_deg = [0, 1].map(|k| law.most_deg[k].max(off[k].abs()));
+        }
+    }
+    let charge = Charge { cams: Some(law), ..found.charge.clone() };
+    // Manifold and charge anew, in turns: a manifold behind a choked throttle passes on what flows in, so that a pressure that is not
+    // corrected hides what cams do to charge and pressure together.
+    let start = Fuelling { charge, ..found.clone() };
+    let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
+    let start = Fuelling { filling, ..start };
+    let first = mixed(records, &start, &start, Effort::Compared, interrupt)?;
+    corrected(records, &refilled(records, rested, first, interrupt)?, interrupt).map(Some)
+}
