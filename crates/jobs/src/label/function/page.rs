@@ -219,7 +219,7 @@ fn cells(found: &Fitted) -> Section {
         }
     }
     let text = "Determined: one independent measurement at the cell itself or more, and they outweigh what ties it to its neighbours and its \
-                base. Pulled: these say more than the data. Untouched: no data, the base stays, or follows where limits between cells take it along. Open: known only together with other \
+                base. Pulled: these say more than the data. Untouched: no sample depends on it; the base stays (unless samples led away from it, which is warned of), or follows where limits between cells take it along. Open: known only together with other \
                 cells. Intervals hold what noise does, and not what a smoothness that was given bends. Labels that act together may each be \
                 uncertain where their sum is known: that is in the intervals.";
     Section::new("Labels").text(text).block(table)

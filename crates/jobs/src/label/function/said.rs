@@ -105,7 +105,13 @@ fn cells(fit: &Fit) -> String {
 }
 
 /// Warnings: what was left out, what is open, what a limit holds.
-pub(super) fn warnings(graph: &Graph, axes: &[FittedAxis], fit: &Fit, notes: Vec<String>) -> Vec<String> {
+pub(super) fn warnings(
+    graph: &Graph,
+    axes: &[FittedAxis],
+    fit: &Fit,
+    extrapolates: bool,
+    notes: Vec<String>,
+) -> Vec<String> {
     let mut out = Vec::new();
     let label_of = |cell: usize| {
         let mut from = 0;
@@ -151,7 +157,9 @@ pub(super) fn warnings(graph: &Graph, axes: &[FittedAxis], fit: &Fit, notes: Vec
     held.dedup();
     out.extend(held);
     out.extend(fit.broken.iter().map(|what| format!("a limit is broken by values that stay (locked cells, or cells without data at their base): {what}")));
-    out.extend(gone(graph, fit));
+    if !extrapolates {
+        out.extend(gone(graph, fit));
+    }
     out.extend(notes);
     out
 }
@@ -163,15 +171,23 @@ fn gone(graph: &Graph, fit: &Fit) -> Vec<String> {
         let own = (0..l.len())
             .filter(|k| fit.verdicts[from + k] == Verdict::Untouched && fit.exact[from + k] != l.base[*k]);
         let cells: Vec<usize> = own.collect();
-        if let Some(k) = cells.first() {
+        // Where gradients or curvature are limited, cells without data follow the others.
+        if let (Some(k), false) = (cells.first(), l.is_shaped()) {
+            let unit = if l.unit == "-" { String::new() } else { format!(" {}", l.unit) };
             let which = match cells.len() {
                 1 if l.len() == 1 => {
-                    format!("`{}` went from {} to {:.6} {}", l.name, l.base[*k], fit.exact[from + k], l.unit)
+                    format!("`{}` went from {} to {:.6}{unit}", l.name, l.base[*k], fit.exact[from + k])
                 }
+                1 => format!(
+                    "a cell of `{}` went from {} to {:.6}{unit}",
+                    l.name,
+                    l.base[*k],
+                    fit.exact[from + k]
+                ),
                 n => format!("{n} cells of `{}` went to values", l.name),
             };
             out.push(format!(
-                "{which}, where no sample depends on it any more (a lag or delay of none, a bound that nothing reaches): samples are explained worse with the base, but not by how far it goes"
+                "{which}, where no sample depends on what it is any more (a lag or delay of none, a bound that nothing reaches): the base explains the samples worse, but how far to go beyond they do not say"
             ));
         }
         from += l.len();

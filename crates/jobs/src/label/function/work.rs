@@ -176,7 +176,7 @@ pub fn fit(job: &Job, watch: Watch) -> Result<Fitted, LabelJobError> {
             fit: &found.fit,
             robust: job.fit.robust,
         }),
-        warnings: said::warnings(&graph, &job.fitted, &found.fit, notes),
+        warnings: said::warnings(&graph, &job.fitted, &found.fit, job.fit.extrapolate, notes),
         half_width: found.fit.half_width.iter().map(|h| h.is_finite().then_some(*h)).collect(),
         left: left(&graph, &nodes, first, job),
         labels: graph.labels_on(&job.fitted, &found.fit.values),
