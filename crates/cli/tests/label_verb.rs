@@ -294,7 +294,7 @@ fn faults_of_a_function_are_named_with_line_and_key() {
         "label = \"TUA\"",
         &["has 1 fault", "nodes[2].label", "expected one of X, TAU"],
     );
-    refused("greatest = 0.9", "greatest = -1.0", &["labels[0]", "wrong way round"]);
+    refused("greatest = 0.9", "greatest = -1.0", &["labels[0]", "a value below `greatest`"]);
     refused("target = \"out\"", "target = \"uot\"", &["film.csv", "`uot`"]);
     refused("base = [0.3]", "base = [0.3, 1.0]", &["labels[1]", "found 2 values"]);
 }

@@ -184,6 +184,15 @@ op = "label"
 label = "C"
 in = ["x"]
 "#;
+    // Bounds that leave no room, and a step that fits nowhere between them.
+    for (keys, words) in
+        [("least = 2\ngreatest = 2", "locked"), ("least = 0\ngreatest = 1\nstep = 2", "a step within 0 to 1")]
+    {
+        let said =
+            fitted(dir.path(), &text.replace("base = [1]", &format!("base = [1]\n{keys}"))).unwrap_err();
+        assert!(said.contains("spec.toml:4: `labels[0].") && said.contains("found 2"), "{said}");
+        assert!(said.contains(words), "{said}");
+    }
     let found = fitted(dir.path(), text).unwrap();
     assert!(found.converged && found.unseen_rms[1] < 0.12, "{:?} {:?}", found.unseen_rms, found.warnings);
     let points = &found.labels[0].axes[0].points;

@@ -198,6 +198,17 @@ fn label(
     let mut out = Label::new(&l.name, &l.unit, axes, &base);
     out.lower = l.least.unwrap_or(f64::NEG_INFINITY);
     out.upper = l.greatest.unwrap_or(f64::INFINITY);
+    if let (Some(least), Some(greatest)) = (l.least, l.greatest) {
+        if least >= greatest {
+            let expected = "a value below `greatest`; cells that are known are `locked`";
+            faults.push(&format!("{key}.least"), least, expected);
+            return None;
+        }
+        if let Some(step) = l.step.filter(|step| *step > greatest - least) {
+            faults.push(&format!("{key}.step"), step, format!("a step within {least} to {greatest}"));
+            return None;
+        }
+    }
     out.step = l.step;
     out.base_weight = l.base_weight;
     for &cell in &l.locked {
