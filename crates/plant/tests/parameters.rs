@@ -144,3 +144,15 @@ fn boundary_lubrication_weighs_low_speed() {
     assert_eq!(friction.fmep_pa(50e5, 5.0, 1000.0), plain + 15e3);
     assert_eq!(friction.fmep_pa(50e5, 5.0, 500.0), plain + 20e3);
 }
+
+/// Whatever the seed, a perturbed engine is one.
+#[test]
+fn every_perturbed_set_is_an_engine() {
+    for set in PARAMETER_SETS {
+        let base = EngineParams::named(set.doc.name).unwrap();
+        for seed in 0..500 {
+            let found = perturb::perturbed(&base, seed);
+            assert!(found.is_ok(), "{} {seed}: {}", set.doc.name, found.unwrap_err());
+        }
+    }
+}

@@ -70,6 +70,8 @@ pub fn perturbed(base: &EngineParams, seed: u64) -> Result<EngineParams, PlantEr
             *value *= factor;
         }
     }
+    // No engine burns more than its fuel.
+    p.burn.efficiency = p.burn.efficiency.min(1.0 - p.burn.efficiency_bump);
     p.check()?;
     Ok(p)
 }
