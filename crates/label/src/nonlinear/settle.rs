@@ -38,10 +38,7 @@ pub(super) fn search(
     let mut fit = told(graph, &theta, &at, &options, false)?;
     if !smooths && !options.robust {
         // The linear fit at a minimum is that minimum, but for corners and for what nothing depends on there.
-        let cost = |theta: &[f64]| {
-            let r = residuals(graph, theta, targets)?;
-            Some(r.iter().map(|(r, w)| w * r * r).sum::<f64>())
-        };
+        let cost = |theta: &[f64]| squares(graph, theta, targets);
         criterion(graph, &mut theta, &at, &fit, &options, targets);
         let (there, here) = (cost(&fit.exact).unwrap_or(f64::INFINITY), cost(&theta).unwrap_or(0.0));
         if minimum && there > here * (1.0 + MINDS / at.r.len() as f64) {
@@ -136,10 +133,7 @@ fn criterion(
 /// by the samples (a lag to none, a floor below all of them): it goes back only where they do not mind.
 fn back(graph: &Graph, theta: &mut Vec<f64>, held: &[bool], fit: &Fit, targets: &[Target]) {
     let base = graph.base();
-    let told = |theta: &[f64]| {
-        let r = residuals(graph, theta, targets)?;
-        Some(r.iter().map(|(r, w)| w * r * r).sum::<f64>())
-    };
+    let told = |theta: &[f64]| squares(graph, theta, targets);
     let (mut gone, mut few) = (Vec::new(), theta.clone());
     for k in (0..theta.len()).filter(|k| held[*k] && theta[*k] != base[*k]) {
         if fit.visits[k] > 1e-9 {
@@ -169,6 +163,11 @@ fn back(graph: &Graph, theta: &mut Vec<f64>, held: &[bool], fit: &Fit, targets: 
             theta[k] = own;
         }
     }
+}
+
+/// Weighted squares of what is left; none where a sample is no number.
+fn squares(graph: &Graph, theta: &[f64], targets: &[Target]) -> Option<f64> {
+    residuals(graph, theta, targets).map(|r| r.iter().map(|(r, w)| w * r * r).sum())
 }
 
 /// Whether two places are the same for all that counts.
