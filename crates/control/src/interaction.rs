@@ -189,6 +189,61 @@ pub fn behind(plant: &System, decoupler: &System, k: usize) -> Result<Transfer, 
     Ok(sum.unwrap_or(Transfer::gain(0.0)))
 }
 
+/// Channel `k` of a sampled plant of two inputs and outputs as its own loop sees it while the other loop is closed by `other`:
+/// `G_kk - G_kj C / (1 + C G_jj) G_jk`. A predictor of loop `k` whose model has the other loop open takes what that one answers for a
+/// disturbance.
+///
+/// ```
+/// use dynocal_control::interaction::beside_closed;
+/// use dynocal_control::system::{System, Time, Transfer};
+/// let lag = |k: f64| Transfer::sampled(&[0.0, 0.5 * k], &[1.0, -0.5]);
+/// let plant = System::new(Time::Sampled { sample_time_s: 0.1 }, 2, 2, vec![lag(1.0), lag(0.4), lag(0.5), lag(1.0)])?;
+/// // An integrating controller holds the other output at rest: the gain is G_00 - G_01 G_10 / G_11.
+/// let seen = beside_closed(&plant, &Transfer::sampled(&[0.1], &[1.0, -1.0]), 0)?;
+/// assert!((seen.steady_gain(plant.time) - 0.8).abs() < 1e-12);
+/// # Ok::<(), dynocal_control::error::ControlError>(())
+/// ```
+///
+/// # Errors
+/// [`ControlError::Shape`]: other than two inputs and outputs, delays that are not of whole samples.
+pub fn beside_closed(plant: &System, other: &Transfer, k: usize) -> Result<Transfer, ControlError> {
+    let refused = |found: String| {
+        ControlError::shape(
+            "channel beside a closed loop",
+            found,
+            "a sampled plant of two inputs and outputs, delays of whole samples",
+        )
+    };
+    if (plant.inputs, plant.outputs) != (2, 2) || k > 1 {
+        return Err(refused(format!("{} inputs, {} outputs, loop {k}", plant.inputs, plant.outputs)));
+    }
+    let j = 1 - k;
+    let c = whole(other.clone(), plant.time);
+    let channel = |o, i| whole(plant.channel(o, i).clone(), plant.time);
+    let [own, there, back, loop_of] = [channel(k, k), channel(j, k), channel(k, j), channel(j, j)];
+    if let Some(late) = [&c, &own, &there, &back, &loop_of].into_iter().find(|g| g.delay_s != 0.0) {
+        return Err(refused(format!("a delay of {} s", late.delay_s)));
+    }
+    // With one denominator for each output, as linear models have it, those of the other output drop out.
+    let shared = there.den == loop_of.den && own.den == back.den;
+    let closed = |g: &Transfer| add(&multiply(&c.den, &g.den), &multiply(&c.num, &g.num));
+    let (num, den) = if shared {
+        let rest = closed(&loop_of);
+        let through = multiply(&multiply(&c.num, &there.num), &back.num);
+        (add(&multiply(&own.num, &rest), &negative(&through)), multiply(&own.den, &rest))
+    } else {
+        let rest = multiply(&multiply(&closed(&loop_of), &there.den), &back.den);
+        let through = multiply(&multiply(&multiply(&c.num, &there.num), &back.num), &loop_of.den);
+        let num = add(&multiply(&own.num, &rest), &negative(&multiply(&through, &own.den)));
+        (num, multiply(&own.den, &rest))
+    };
+    Ok(Transfer { num, den, delay_s: 0.0 })
+}
+
+fn negative(c: &[f64]) -> Vec<f64> {
+    c.iter().map(|v| -v).collect()
+}
+
 /// A sampled channel with its delay as leading zeros, where it is whole.
 fn whole(g: Transfer, time: Time) -> Transfer {
     let Some(samples) = time.sample_time_s().map(|dt_s| g.delay_s / dt_s) else { return g };

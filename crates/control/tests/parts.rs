@@ -353,3 +353,39 @@ fn the_plane_has_a_range_where_its_ends_run_away() {
     let fast = channel(&[1.0], &[1e-3, 1.0], 0.0);
     assert!(fast.stable_ki(1.0).last().unwrap().upper > 1e3, "{:?}", fast.stable_ki(1.0));
 }
+
+/// What a loop sees beside a closed one is what the frequency response says, with shared denominators and without.
+#[test]
+fn a_channel_beside_a_closed_loop_is_the_quotient_of_responses() {
+    use dynocal_control::interaction::beside_closed;
+    use dynocal_control::matrix::{C, ONE};
+    let time = Time::Sampled { sample_time_s: 0.05 };
+    let g = |num: &[f64], a: f64| Transfer::sampled(num, &[1.0, -a]);
+    let shared =
+        vec![g(&[0.0, 0.3], 0.7), g(&[0.0, 0.0, 0.1], 0.7), g(&[0.0, -0.2], 0.5), g(&[0.0, 0.4], 0.5)];
+    let own = vec![g(&[0.0, 0.3], 0.7), g(&[0.0, 0.0, 0.1], 0.6), g(&[0.0, -0.2], 0.8), g(&[0.0, 0.4], 0.5)];
+    let late = shared.iter().map(|c| c.delayed(0.1)).collect();
+    let c = Transfer::sampled(&[0.6, -0.5], &[1.0, -1.0]);
+    for channels in [shared, own, late] {
+        let plant = System::new(time, 2, 2, channels).expect("a system");
+        for k in 0..2 {
+            let seen = beside_closed(&plant, &c, k).expect("whole delays");
+            for w in [0.3, 2.0, 11.0, 50.0] {
+                let at = |o: usize, i: usize| plant.channel(o, i).at(time, w);
+                let (j, cw): (usize, C) = (1 - k, c.at(time, w));
+                let expected = at(k, k) - at(k, j) * cw / (ONE + cw * at(j, j)) * at(j, k);
+                assert!(
+                    (seen.at(time, w) - expected).norm() < 1e-9,
+                    "loop {k} at {w} rad/s: {} {expected}",
+                    seen.at(time, w)
+                );
+            }
+        }
+    }
+    let between =
+        System::new(time, 2, 2, vec![Transfer::sampled(&[0.0, 1.0], &[1.0, -0.5]).delayed(0.02); 4]);
+    let refused = beside_closed(&between.expect("a system"), &c, 0).expect_err("two fifths of a sample");
+    assert!(refused.to_string().contains("0.02"), "{refused}");
+    let single = System::single(time, c.clone()).expect("a system");
+    assert!(beside_closed(&single, &c, 0).is_err());
+}

@@ -10,7 +10,7 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
 /// How tests and measures are made, for results that are kept: behind the first map; margins by pairs of runs.
-pub(super) const METHOD: &str = "under loops, pairs with small kicks";
+pub(super) const METHOD: &str = "under loops, pairs with small kicks, and with a quarter of the scatter";
 /// Interval of control in s.
 pub(super) const SAMPLE_S: f64 = 0.02;
 /// Movements of the test as shares of throttle and fuel.
@@ -104,6 +104,16 @@ pub(super) struct Injected {
 impl Bench {
     /// The bed of a parameter set at its start point, 2000 rpm and 50 Nm, settled.
     pub(super) fn new(engine: &str, seed: u64, start_k: Option<f64>) -> Result<Self, String> {
+        Self::scattering(engine, seed, start_k, 1.0)
+    }
+
+    /// The same with a share of its combustion's scatter.
+    pub(super) fn scattering(
+        engine: &str,
+        seed: u64,
+        start_k: Option<f64>,
+        share: f64,
+    ) -> Result<Self, String> {
         let params = EngineParams::named(engine).map_err(|e| e.to_string())?;
         let mut settings = BedSettings::of_set(engine, &params).map_err(|e| e.to_string())?;
         if settings.options.outputs.is_empty() {
@@ -112,6 +122,8 @@ impl Bench {
         if let (Some(start_k), Some(thermal)) = (start_k, &mut settings.options.engine.warm_up) {
             thermal.start_k = start_k;
         }
+        let scatter = &mut settings.options.engine.scatter;
+        (scatter.heat, scatter.burn) = (share * scatter.heat, share * scatter.burn);
         let mut bed = EngineBed::new(&params, settings).map_err(|e| e.to_string())?;
         bed.reset(seed);
         let inputs = bed.variables().iter().take_while(|v| v.causality == Causality::Input).count();

@@ -5,9 +5,10 @@
 
 use std::collections::VecDeque;
 
+use dynocal_control::interaction::beside_closed;
 use dynocal_control::predictor::{PredictedModel, Predictor};
 use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
-use dynocal_control::system::{System, Transfer};
+use dynocal_control::system::System;
 use serde::{Deserialize, Serialize};
 
 use super::bed::{Bench, Driven, SAMPLE_S};
@@ -76,9 +77,10 @@ impl Rig<'_> {
             Feedback::Map => Running::Map,
             Feedback::Pi(g) => Running::Pi(Pid::new(*g, wide, SAMPLE_S, 0.0).map_err(text)?),
             Feedback::Predicted(g, filter_s) => {
-                let model: Transfer = self.plant.channel(k, k).clone();
+                // The other loop is closed meanwhile.
+                let other = self.gains[1 - k].transfer(self.plant.time);
                 let known = PredictedModel {
-                    model,
+                    model: beside_closed(self.plant, &other, k).map_err(text)?,
                     delay_samples: delay as f64,
                     longest_samples: 2 * delay + 1,
                     filter_s: *filter_s,
