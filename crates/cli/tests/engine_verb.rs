@@ -141,7 +141,7 @@ fn pages_show_the_map_with_its_full_load_and_the_whole_sweep() {
         assert!(z[4].is_null() && z[5].is_null() && z[0] != z[1]);
     }
     let page = std::fs::read_to_string(tmp.path().join("m.html")).unwrap();
-    assert!(page.contains("the same at all points: NO is 0"), "thesis has no model of NO");
+    assert!(page.contains("This engine has no model of: NO, Knock integral."), "zeros nobody computed");
     let hint = page.find("Drag over a plot").unwrap();
     assert!(hint < page.find("<section").unwrap(), "the hint stands before the plots");
 
@@ -266,4 +266,62 @@ fn the_example_of_a_bed_runs() {
     assert!(coolant[n - 1] > coolant[0] + 1.0, "warms up");
     // Readings are multiples of the converter's step.
     assert!(torque.iter().all(|t| ((t / 0.1).round() - t / 0.1).abs() < 1e-6));
+}
+
+/// A settled point says by which inputs it is held, and they hold it; a spark that is given is kept where boost is needed.
+#[test]
+fn a_point_can_be_held_again_by_its_inputs() {
+    let tmp = tempfile::tempdir().unwrap();
+    let boosted = ["point", "--parameters", "gtdi_2l", "--torque-nm", "220"];
+    let (code, stdout, stderr) = engine(tmp.path(), &boosted);
+    assert_eq!(code, 0, "{stderr}");
+    let again = stdout.lines().find_map(|l| l.split_once("dynocal engine ")).expect("the command").1;
+    let args: Vec<&str> = again.split_whitespace().collect();
+    assert!(args.contains(&"--wastegate-mm") && args.contains(&"--intake-cam-deg"), "{again}");
+    let (code, held, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    for (name, most) in [("torque", 0.2), ("map", 0.2), ("lambda", 0.001), ("egt", 1.0)] {
+        assert!((value(&held, name) - value(&stdout, name)).abs() <= most, "{name}: {stdout} {held}");
+    }
+    let spark = ["--spark-deg", "2"];
+    let (code, stdout, stderr) = engine(tmp.path(), &[&boosted[..], &spark[..]].concat());
+    assert_eq!(code, 0, "{stderr}");
+    assert!(value(&stdout, "spark") == 2.0 && (value(&stdout, "torque") - 220.0).abs() < 1.0, "{stdout}");
+    assert!(value(&stdout, "boost") > 110.0, "{stdout}");
+}
+
+/// What an engine does not have is no zero, cannot be moved, limited or recorded.
+#[test]
+fn what_an_engine_lacks_is_absent() {
+    let tmp = tempfile::tempdir().unwrap();
+    let (code, stdout, _) = engine(tmp.path(), &["point", "--torque-nm", "40"]);
+    let shown = |name: &str| {
+        let line = stdout.lines().find(|l| l.split_whitespace().next() == Some(name)).unwrap();
+        line.split_whitespace().nth(1).unwrap().to_owned()
+    };
+    assert_eq!(code, 0);
+    for name in ["knock", "no", "co", "hc", "turbo", "wastegate", "egr"] {
+        assert_eq!(shown(name), "-", "{name}");
+    }
+    for (option, lacked) in [("--wastegate-mm", "turbocharger"), ("--egr-mm", "recirculation")] {
+        let (code, _, stderr) = engine(tmp.path(), &["point", option, "3"]);
+        assert!(code == 2 && stderr.contains(lacked), "{stderr}");
+    }
+    let sweep = ["sweep", "wastegate", "--from", "0", "--to", "9", "--parameters", "pfi_1_6l"];
+    let (code, _, stderr) = engine(tmp.path(), &sweep);
+    assert!(code == 2 && stderr.contains("turbocharger"), "{stderr}");
+    let write = |name: &str, text: &str| {
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap()
+    };
+    write("u.csv", "time_s,throttle_deg\n0,16\n1,16\n");
+    for (bed, key) in
+        [("[[limits]]\nwhat = \"knock\"\nmax = 1.0\n", "bed.limits"), ("outputs = [\"no\"]\n", "bed.outputs")]
+    {
+        write("bed.toml", bed);
+        let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "bed.toml"]);
+        assert!(code == 2 && stderr.contains(key) && stderr.contains("`thesis` has no"), "{stderr}");
+        let known = ["transient", "u.csv", "--bed", "bed.toml", "--parameters", "gtdi_2l"];
+        let (code, _, stderr) = engine(tmp.path(), &known);
+        assert_eq!(code, 0, "{stderr}");
+    }
 }

@@ -179,8 +179,11 @@ struct Controller {
     request: LoadRequest,
     u: Inputs,
     lambda: f64,
-    error_before: Option<f64>,
+    /// Torque in Nm that was left the cycle before, and which of torque, boost, shaft, knock and heat left it (none: surge).
+    error_before: Option<(f64, Option<usize>)>,
     shaft_before: f64,
+    /// A spark that is given: then neither knock nor peak pressure move anything.
+    fixed_spark: bool,
     /// Whether the load gives way to knock or peak pressure, and to the exhaust's temperature: as long as it does, the spark does not
     /// advance and the mixture does not lean, or both would swing.
     gives_way: (bool, bool),
@@ -230,11 +233,17 @@ impl Controller {
         // A throttled engine may stand near surge: nothing is to be had from the wastegate there.
         let surge = surge_ratio(p, y).filter(|_| on_wastegate);
         let error = surge.map_or(free, |s| free.min(SURGE_NM * (s - limits.surge_margin)));
-        let change = error - self.error_before.unwrap_or(error);
-        self.error_before = Some(error);
+        // What holds the torque may change from cycle to cycle: only of the same does a difference say that something moved.
+        let own = [self.request.torque_nm - y.torque_cycle_nm, boost, shaft, knock, hot];
+        let held_by = own.iter().position(|e| *e == error);
+        let change = match self.error_before {
+            Some((before, by)) if by == held_by => error - before,
+            _ => 0.0,
+        };
+        self.error_before = Some((error, held_by));
         if on_wastegate {
             // Flow goes with the square of the diameter: small openings move slowly.
-            let gain = 0.2 + u.wastegate_mm / OPEN_MM;
+            let gain = (0.2 + u.wastegate_mm / OPEN_MM) * weak(p, y);
             let mm = gain * (0.08 * change + 0.04 * cycle_s * error);
             u.wastegate_mm = (u.wastegate_mm - mm.clamp(-1.0, 1.0)).clamp(0.0, OPEN_MM);
             return error.abs() < 0.3 || (error > 0.0 && u.wastegate_mm <= 0.0);
@@ -243,7 +252,7 @@ impl Controller {
         let closed_loop_s = fill_s + 4.0 * cycle_s;
         let d = p.throttle.diameter0_m + p.throttle.slope_m_per_deg * u.throttle_deg;
         let load_nm = self.request.torque_nm.max(0.0) + 25.0;
-        let slope_nm_deg = 2.0 * load_nm * p.throttle.slope_m_per_deg / d;
+        let slope_nm_deg = 2.0 * load_nm * p.throttle.slope_m_per_deg / d * share_of_choked(p, y);
         let deg = (fill_s * change + cycle_s * error) / (closed_loop_s * slope_nm_deg);
         u.throttle_deg = (u.throttle_deg + deg.clamp(-2.0, 2.0)).clamp(0.0, OPEN_DEG);
         let at_end = if error > 0.0 { u.throttle_deg >= OPEN_DEG && !boosted } else { u.throttle_deg <= 0.0 };
@@ -256,7 +265,7 @@ impl Controller {
         let l = &self.request.limits;
         let knock = (KNOCK_NM * (l.knock - y.knock)).min(PEAK_NM * (l.pmax_bar - y.pmax_bar));
         let hot = HOT_NM * (l.egt_k - y.egt_k);
-        let late = self.u.spark_deg <= LATEST_DEG;
+        let late = self.u.spark_deg <= LATEST_DEG && !self.fixed_spark;
         let rich = self.lambda <= self.richest();
         (if late { knock } else { f64::INFINITY }, if rich { hot } else { f64::INFINITY })
     }
@@ -268,6 +277,9 @@ impl Controller {
 
     /// The spark places 50 % burned; knock integral and peak pressure bound it.
     fn spark(&mut self, y: &Outputs) -> bool {
+        if self.fixed_spark {
+            return true;
+        }
         let phase = y.ca50_deg - self.request.limits.ca50_deg;
         let knock = 8.0 * (self.request.limits.knock - y.knock);
         let peak = 0.3 * (self.request.limits.pmax_bar - y.pmax_bar);
@@ -295,12 +307,34 @@ impl Controller {
 /// # Ok::<(), dynocal_plant::error::PlantError>(())
 /// ```
 pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<LoadPoint, PlantError> {
+    hold(engine, request, None)
+}
+
+/// The same with a spark that is given and stays: throttle, wastegate, mixture and cams follow, knock and peak pressure are what they are.
+///
+/// # Errors
+/// As of [`hold_load`], and a spark outside the box.
+pub fn hold_load_at_spark(
+    engine: &mut VirtualEngine,
+    request: LoadRequest,
+    spark_deg: f64,
+) -> Result<LoadPoint, PlantError> {
+    hold(engine, request, Some(spark_deg))
+}
+
+fn hold(
+    engine: &mut VirtualEngine,
+    request: LoadRequest,
+    spark_deg: Option<f64>,
+) -> Result<LoadPoint, PlantError> {
     let p = engine.params().clone();
+    let now = engine.state().inputs;
     let u = Inputs {
         speed_rpm: request.speed_rpm,
         wiebe_m: 2.0,
         burn_duration_deg: None,
-        ..engine.state().inputs
+        spark_deg: spark_deg.unwrap_or(now.spark_deg),
+        ..now
     };
     let mut control = Controller {
         request,
@@ -308,6 +342,7 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
         lambda: request.lambda,
         error_before: None,
         shaft_before: 0.0,
+        fixed_spark: spark_deg.is_some(),
         gives_way: (false, false),
     };
     engine.set_inputs(u)?;
@@ -340,6 +375,30 @@ pub fn hold_load(engine: &mut VirtualEngine, request: LoadRequest) -> Result<Loa
         engine.set_inputs(control.u)?;
     }
 }
+
+/// Share of its choked slope that a wide throttle has. With a flow `A psi(r)` that an engine takes in proportion to the intake pressure,
+/// `d ln r / d ln A = 1 / (1 - d ln psi / d ln r)`, near `r = 1` `2 (1 - r) / (2 - r)`: what an open throttle still moves. Up to a ratio of
+/// [`WIDE`] the controller takes the slope as it is, and never less than [`LEAST_SHARE`].
+fn share_of_choked(p: &EngineParams, y: &Outputs) -> f64 {
+    let before_kpa = if p.turbocharger.is_some() { y.boost_kpa } else { 1e-3 * p.ambient.pressure_pa };
+    let elasticity = |r: f64| 2.0 * (1.0 - r) / (2.0 - r);
+    (elasticity(y.map_kpa / before_kpa) / elasticity(WIDE)).clamp(LEAST_SHARE, 1.0)
+}
+
+/// How much more a wastegate must move where there is little boost: what the turbine gets goes into `pi - 1`, torque with `pi`. Below a
+/// ratio of [`LOW_BOOST`], at most [`MOST_WEAK`].
+fn weak(p: &EngineParams, y: &Outputs) -> f64 {
+    let boost = y.boost_kpa / (1e-3 * p.ambient.pressure_pa) - 1.0;
+    ((LOW_BOOST - 1.0) / boost.max(1e-6)).clamp(1.0, MOST_WEAK)
+}
+
+/// Compressor ratio below which a wastegate moves torque less, and the most by which it is moved more.
+const LOW_BOOST: f64 = 1.2;
+const MOST_WEAK: f64 = 4.0;
+
+/// Ratio of pressures above which a throttle is wide, and the least share of its slope.
+const WIDE: f64 = 0.9;
+const LEAST_SHARE: f64 = 0.2;
 
 /// Torque of a full change of [`surge_ratio`] \[Nm\]: the flow grows with it, the surge flow more slowly.
 const SURGE_NM: f64 = 200.0;

@@ -274,6 +274,29 @@ impl EngineParams {
         Self::named("thesis").expect("the embedded parameter set is valid")
     }
 
+    /// What an input or output of an engine needs and this one lacks, by the name that tables, beds and pages give it; none where it has it. Its
+    /// value would be a zero that nothing computed, or an input that nothing feels.
+    ///
+    /// ```
+    /// use dynocal_plant::params::EngineParams;
+    /// assert_eq!(EngineParams::thesis().lacks("knock"), Some("knock model"));
+    /// assert_eq!(EngineParams::named("gtdi_2l")?.lacks("knock"), None);
+    /// # Ok::<(), dynocal_plant::error::PlantError>(())
+    /// ```
+    pub fn lacks(&self, name: &str) -> Option<&'static str> {
+        match name {
+            "knock" if self.knock.is_none() => Some("knock model"),
+            "no" | "co" | "hc" if self.emissions.is_none() => Some("model of emissions"),
+            "turbo" | "turbo_speed" | "surge" | "wastegate" | "wastegate_bore"
+                if self.turbocharger.is_none() =>
+            {
+                Some("turbocharger")
+            }
+            "egr" | "egr_rate" if self.egr.is_none() => Some("exhaust-gas recirculation"),
+            _ => None,
+        }
+    }
+
     /// Displacement of the whole engine \[m3\].
     pub fn displacement_m3(&self) -> f64 {
         4.0 * self.geometry.displacement_m3()

@@ -62,6 +62,10 @@ fn a_point_below_boost_has_the_cams_of_the_schedule() {
         lambda: 1.0,
         injection_mg: None,
         throttle_deg: None,
+        intake_cam_deg: None,
+        exhaust_cam_deg: None,
+        wastegate_mm: None,
+        egr_mm: None,
         spark_deg: None,
     };
     let found = steady::run(&engine, &steady::Spec::Point(at), Watch::silent()).unwrap();

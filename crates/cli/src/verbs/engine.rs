@@ -83,16 +83,20 @@ enum What {
     Fit(Fit),
 }
 
+/// Inputs that a torque settles by itself.
+const GIVEN: [&str; 6] =
+    ["inj_mg", "throttle_deg", "intake_cam_deg", "exhaust_cam_deg", "wastegate_mm", "egr_mm"];
+
 #[derive(Args, Debug, Clone, Copy)]
 struct At {
     /// Speed
     #[arg(long, default_value_t = 2000.0)]
     speed_rpm: f64,
     /// Brake torque to settle to; throttle and fuel follow, and boost as in full-load where they do not do
-    #[arg(long, allow_negative_numbers = true, conflicts_with_all = ["inj_mg", "throttle_deg"])]
+    #[arg(long, allow_negative_numbers = true, conflicts_with_all = GIVEN)]
     torque_nm: Option<f64>,
     /// Lambda to settle to [default: 1]
-    #[arg(long, requires = "torque_nm", conflicts_with_all = ["inj_mg", "throttle_deg"])]
+    #[arg(long, requires = "torque_nm", conflicts_with_all = GIVEN)]
     lambda: Option<f64>,
     /// Fuel per cylinder and cycle
     #[arg(long)]
@@ -100,6 +104,18 @@ struct At {
     /// Throttle angle
     #[arg(long)]
     throttle_deg: Option<f64>,
+    /// Intake cam, maximum opening before gas-exchange dead centre
+    #[arg(long)]
+    intake_cam_deg: Option<f64>,
+    /// Exhaust cam, maximum opening after gas-exchange dead centre
+    #[arg(long)]
+    exhaust_cam_deg: Option<f64>,
+    /// Bore of the wastegate
+    #[arg(long)]
+    wastegate_mm: Option<f64>,
+    /// Lift of the recirculation valve
+    #[arg(long)]
+    egr_mm: Option<f64>,
     /// Spark advance before firing dead centre; with --torque-nm and without this, the spark of least fuel
     #[arg(long, allow_negative_numbers = true)]
     spark_deg: Option<f64>,
@@ -153,6 +169,10 @@ impl From<At> for steady::At {
             lambda: at.lambda.unwrap_or(1.0),
             injection_mg: at.inj_mg,
             throttle_deg: at.throttle_deg,
+            intake_cam_deg: at.intake_cam_deg,
+            exhaust_cam_deg: at.exhaust_cam_deg,
+            wastegate_mm: at.wastegate_mm,
+            egr_mm: at.egr_mm,
             spark_deg: at.spark_deg,
         }
     }
@@ -176,11 +196,33 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     };
     let found = Progress::new(false).during(|watch| steady::run(&engine, &spec, watch))?;
     show(&found.points)?;
+    if let (Spec::Point(at), [p]) = (&spec, &found.points[..])
+        && at.torque_nm.is_some()
+    {
+        print(&format!("\nagain by its inputs: {}\n", again(&args.parameters, p)))?;
+    }
     if let Some(path) = &files.csv {
         quantities::csv(path, &found.points)?;
     }
     page(files.report.as_deref(), || steady::report(&spec, &engine.set, &found))?;
     Ok(Exit::Done)
+}
+
+/// The command that holds the inputs of a point, in full digits.
+fn again(parameters: &str, p: &Point) -> String {
+    let u = &p.inputs;
+    let options = [
+        ("speed-rpm", u.speed_rpm),
+        ("throttle-deg", u.throttle_deg),
+        ("spark-deg", u.spark_deg),
+        ("inj-mg", u.injection_mg),
+        ("intake-cam-deg", u.intake_mop_deg_btdc),
+        ("exhaust-cam-deg", u.exhaust_mop_deg_atdc),
+        ("wastegate-mm", u.wastegate_mm),
+        ("egr-mm", u.egr_mm),
+    ];
+    let given = options.iter().filter(|(_, v)| v.is_finite());
+    given.fold(format!("dynocal engine point --parameters {parameters}"), |c, (name, v)| format!("{c} --{name} {v}"))
 }
 
 /// Writes the page where one is asked for, and says where it is.

@@ -81,6 +81,14 @@ pub enum EngineJobError {
         /// What is allowed.
         expected: String,
     },
+    /// An input that this engine does not have.
+    #[error("{what}: this engine has no {lacked}")]
+    Lacks {
+        /// Input.
+        what: &'static str,
+        /// What it needs.
+        lacked: &'static str,
+    },
     /// A column in a unit that is not understood.
     #[error("{file}: column {column} is in {found}: expected {expected}")]
     Unit {

@@ -3,6 +3,7 @@
 use dynocal_files::csv_io;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::outputs::Outputs;
+use dynocal_plant::params::EngineParams;
 use serde::Serialize;
 
 use super::EngineJobError;
@@ -14,6 +15,26 @@ pub struct Point {
     pub inputs: Inputs,
     /// What came out.
     pub outputs: Outputs,
+}
+
+impl Point {
+    /// As it is shown: what this engine lacks, and a consumption of no power, are no numbers.
+    pub fn shown(&self, params: &EngineParams) -> Self {
+        let mut p = *self;
+        let has = |name: &str| params.lacks(name).is_none();
+        let clear = |absent: bool, values: &mut [&mut f64]| {
+            if absent {
+                values.iter_mut().for_each(|v| **v = f64::NAN);
+            }
+        };
+        let (u, y) = (&mut p.inputs, &mut p.outputs);
+        clear(!has("wastegate"), &mut [&mut u.wastegate_mm, &mut y.turbo_rpm]);
+        clear(!has("egr"), &mut [&mut u.egr_mm, &mut y.egr_rate]);
+        clear(!has("knock"), &mut [&mut y.knock]);
+        clear(!has("no"), &mut [&mut y.no_ppm, &mut y.co_pct, &mut y.hc_ppm]);
+        clear(!y.bsfc_g_kwh.is_finite(), &mut [&mut y.bsfc_g_kwh]);
+        p
+    }
 }
 
 /// A column of the table of points.
@@ -37,7 +58,10 @@ impl Quantity {
 
     /// The value at a point as text.
     pub fn text(&self, p: &Point) -> String {
-        dynocal_report::significant((self.value)(p), self.digits)
+        match (self.value)(p) {
+            none if none.is_nan() => "-".into(),
+            value => dynocal_report::significant(value, self.digits),
+        }
     }
 }
 

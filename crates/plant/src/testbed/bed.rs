@@ -84,6 +84,7 @@ impl EngineBed {
     pub fn new(params: &EngineParams, settings: BedSettings) -> Result<Self, EngineError> {
         let o = &settings.options;
         o.check()?;
+        o.check_engine(&settings.set_name, params)?;
         let real = &o.engine;
         let mut deviations = Deviations { scatter: real.scatter, ..Deviations::default() };
         if real.fuel_imbalance > 0.0 || real.burn_imbalance > 0.0 {

@@ -12,6 +12,7 @@ use super::sensor::SensorSettings;
 use super::thermal::ThermalSettings;
 use crate::deviations::Scatter;
 use crate::error::PlantError;
+use crate::params::EngineParams;
 use dynocal_ident::data::UnitAfter;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -268,6 +269,23 @@ impl BedOptions {
             }
         }
         self.engine.check()
+    }
+
+    /// Refuses limits and outputs of what the engine does not have: a zero that nothing computes keeps every limit.
+    ///
+    /// # Errors
+    /// [`PlantError::Bed`] naming the first one.
+    pub(super) fn check_engine(&self, set: &str, params: &EngineParams) -> Result<(), PlantError> {
+        let limits = self.limits.iter().map(|l| ("bed.limits", l.what.as_str()));
+        let outputs = self.outputs.iter().map(|n| ("bed.outputs", n.as_str()));
+        match limits.chain(outputs).find_map(|(key, name)| Some((key, name, params.lacks(name)?))) {
+            None => Ok(()),
+            Some((key, name, lacked)) => Err(PlantError::Bed {
+                key: key.into(),
+                found: format!("`{name}`"),
+                expected: format!("what the engine has: `{set}` has no {lacked}"),
+            }),
+        }
     }
 }
 

@@ -141,6 +141,10 @@ fn boosted() -> Result<[f64; 2], EngineJobError> {
             lambda: 1.0,
             injection_mg: None,
             throttle_deg: None,
+            intake_cam_deg: None,
+            exhaust_cam_deg: None,
+            wastegate_mm: None,
+            egr_mm: None,
             spark_deg: None,
         };
         let found = steady::run(&engine, &steady::Spec::Point(at), Watch::silent())?;

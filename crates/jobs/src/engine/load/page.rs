@@ -38,9 +38,13 @@ fn map(report: Report, found: &Loaded) -> Report {
     let mut section = Section::new("Maps").text(
         "Cells are empty where the limits do not allow the torque; the line of full load is the torque that was held where more was asked. Spark, boost and mixture as a controller holds them.",
     );
-    let mut flat = Vec::new();
+    let (mut flat, mut none) = (Vec::new(), Vec::new());
     for (title, name) in MAPS {
         let Some(q) = find(name) else { continue };
+        if found.points().iter().all(|p| (q.value)(p).is_nan()) {
+            none.push(title);
+            continue;
+        }
         match same_everywhere(q, found) {
             Some(value) => flat.push(format!("{title} is {}", with_unit(value, 0, q.unit))),
             None => section = section.block(heat_map(title, q, found)),
@@ -48,6 +52,9 @@ fn map(report: Report, found: &Loaded) -> Report {
     }
     if !flat.is_empty() {
         section = section.text(format!("Not drawn, the same at all points: {}.", flat.join(", ")));
+    }
+    if !none.is_empty() && missed < found.rows.iter().map(Vec::len).sum() {
+        section = section.text(format!("This engine has no model of: {}.", none.join(", ")));
     }
     report.fact("Torques that the limits do not allow", missed as f64).section(section)
 }
@@ -97,6 +104,9 @@ fn full_load(set: &str, found: &Loaded) -> Section {
     let curve = |name: &&str| {
         let q = find(name)?;
         let y: Vec<f64> = points.iter().map(q.value).collect();
+        if y.iter().all(|v| v.is_nan()) {
+            return None;
+        }
         let plot = XyPlot::new(q.name, Axis::new("Speed", "rpm"), Axis::new(q.name, q.unit));
         Some(Block::from(plot.line(set, found.speeds_rpm.clone(), y)))
     };

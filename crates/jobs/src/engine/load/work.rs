@@ -6,7 +6,7 @@ use dynocal_numerics::watch::Watch;
 use dynocal_plant::full_load::{LoadPoint, load_map};
 use rayon::prelude::*;
 
-use super::{Loaded, Spec, What};
+use super::{Loaded, Spec, What, point};
 use crate::engine::{Engine, EngineJobError};
 
 /// Holds every point.
@@ -26,7 +26,11 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Loaded, EngineJ
             return Err(EngineJobError::Interrupted);
         }
         let rows = load_map(&engine.params, &[*speed], &torques_nm, spec.limits)?;
-        let points = rows.into_iter().flatten().collect::<Result<Vec<_>, _>>()?;
+        let mut points = rows.into_iter().flatten().collect::<Result<Vec<_>, _>>()?;
+        for p in &mut points {
+            let shown = point(p).shown(&engine.params);
+            (p.inputs, p.outputs) = (shown.inputs, shown.outputs);
+        }
         let done = finished.fetch_add(1, Ordering::Relaxed) + 1;
         watch.fraction(done as f64 / speeds_rpm.len() as f64);
         Ok(points)

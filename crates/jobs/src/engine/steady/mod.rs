@@ -55,6 +55,14 @@ pub struct At {
     pub injection_mg: Option<f64>,
     /// Throttle angle in deg, where no torque is asked.
     pub throttle_deg: Option<f64>,
+    /// Cams in deg (intake before, exhaust after gas-exchange dead centre), wastegate and recirculation valve in mm, where no torque is asked.
+    pub intake_cam_deg: Option<f64>,
+    /// See above.
+    pub exhaust_cam_deg: Option<f64>,
+    /// See above.
+    pub wastegate_mm: Option<f64>,
+    /// See above.
+    pub egr_mm: Option<f64>,
     /// Spark advance in deg before firing dead centre; with a torque and without this, the spark of least fuel.
     pub spark_deg: Option<f64>,
 }

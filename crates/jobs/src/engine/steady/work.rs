@@ -3,8 +3,9 @@
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
-use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load};
+use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load, hold_load_at_spark};
 use dynocal_plant::inputs::Inputs;
+use dynocal_plant::outputs::Outputs;
 use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
 use dynocal_plant::trace::CylinderTrace;
 
@@ -15,6 +16,9 @@ use crate::engine::{Engine, EngineJobError};
 /// Time at constant inputs before the outputs are averaged, and the time of averaging (thesis 6.6.1) \[s\].
 const SETTLE_S: f64 = 9.0;
 const AVERAGE_S: f64 = 1.0;
+/// Time more that a turbocharger is given, and the share of itself that its speed and the flow of air may move by in two seconds at rest.
+const SPOOL_S: f64 = 60.0;
+const AT_REST: f64 = 1e-4;
 
 /// Holds every point until it is steady.
 ///
@@ -33,6 +37,9 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJ
                 let expected = format!("2 to {MOST_POINTS}");
                 return Err(EngineJobError::Number { name: "points".into(), found: points as f64, expected });
             }
+            if let Some(lacked) = engine.params().lacks(input.name()) {
+                return Err(EngineJobError::Lacks { what: input.name(), lacked });
+            }
             let start = settled(&mut engine, at)?.inputs;
             let mut all = Vec::with_capacity(points);
             for k in 0..points {
@@ -47,11 +54,25 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJ
             all
         }
     };
+    let points = points.iter().map(|p| p.shown(engine.params())).collect();
     Ok(Steady { points, trace: CylinderTrace::record(&mut engine, 0)? })
 }
 
 fn held(engine: &mut VirtualEngine, inputs: Inputs) -> Result<Point, EngineJobError> {
-    Ok(Point { inputs, outputs: steady(engine, inputs, SETTLE_S, AVERAGE_S)? })
+    let mut outputs = steady(engine, inputs, SETTLE_S, AVERAGE_S)?;
+    // A shaft and the pressures about it take longer than a manifold.
+    let mut left_s = if engine.params().turbocharger.is_some() { SPOOL_S } else { 0.0 };
+    while left_s > 0.0 {
+        let before = outputs;
+        outputs = steady(engine, inputs, AVERAGE_S, AVERAGE_S)?;
+        let moved =
+            |of: fn(&Outputs) -> f64| (of(&outputs) - of(&before)).abs() > AT_REST * of(&before).abs();
+        if !moved(|y| y.turbo_rpm) && !moved(|y| y.air_g_s) {
+            break;
+        }
+        left_s -= 2.0 * AVERAGE_S;
+    }
+    Ok(Point { inputs, outputs })
 }
 
 fn asked(name: &str, found: f64, holds: bool, expected: &str) -> Result<(), EngineJobError> {
@@ -70,8 +91,17 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
             throttle_deg: at.throttle_deg.unwrap_or(d.throttle_deg),
             injection_mg: at.injection_mg.unwrap_or(d.injection_mg),
             spark_deg: at.spark_deg.unwrap_or(d.spark_deg),
+            intake_mop_deg_btdc: at.intake_cam_deg.unwrap_or(d.intake_mop_deg_btdc),
+            exhaust_mop_deg_atdc: at.exhaust_cam_deg.unwrap_or(d.exhaust_mop_deg_atdc),
+            wastegate_mm: at.wastegate_mm.unwrap_or(d.wastegate_mm),
+            egr_mm: at.egr_mm.unwrap_or(d.egr_mm),
             ..d
         };
+        for (what, given) in [("wastegate", at.wastegate_mm), ("egr", at.egr_mm)] {
+            if let (Some(lacked), Some(_)) = (engine.params().lacks(what), given) {
+                return Err(EngineJobError::Lacks { what, lacked });
+            }
+        }
         return held(engine, u);
     };
     asked("torque", torque_nm, torque_nm.is_finite(), "a number of Nm")?;
@@ -80,11 +110,16 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
     // The cams that `map` and `full-load` hold there, too.
     let options = SettleOptions { cams: true, ..SettleOptions::default() };
     let point = match at.spark_deg {
-        Some(spark) => settle(engine, target, spark, options)?,
+        Some(spark) => match settle(engine, target, spark, options) {
+            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target, Some(spark)),
+            found => found?,
+        },
         None => match best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options) {
-            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target),
+            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target, None),
             // The spark of least fuel knocks: later, as far as `map` and `full-load` go.
-            Ok(p) if p.outputs.knock > LoadLimits::default().knock => return with_boost(engine, target),
+            Ok(p) if p.outputs.knock > LoadLimits::default().knock => {
+                return with_boost(engine, target, None);
+            }
             found => found?,
         },
     };
@@ -96,12 +131,19 @@ const LAMBDAS: (f64, f64) = (0.5, 2.0);
 
 /// A torque that throttle and best spark alone do not give: with wastegate, knock limit and enrichment as at full load, or
 /// the reason why not.
-fn with_boost(engine: &mut VirtualEngine, target: Target) -> Result<Point, EngineJobError> {
+fn with_boost(
+    engine: &mut VirtualEngine,
+    target: Target,
+    spark_deg: Option<f64>,
+) -> Result<Point, EngineJobError> {
     let Target { speed_rpm, torque_nm, lambda } = target;
     // From the start: the point that did not settle may have left the engine anywhere.
     *engine = VirtualEngine::new(engine.params())?;
     let request = LoadRequest { speed_rpm, torque_nm, lambda, limits: LoadLimits::default() };
-    let found = hold_load(engine, request)?;
+    let found = match spark_deg {
+        Some(spark_deg) => hold_load_at_spark(engine, request, spark_deg)?,
+        None => hold_load(engine, request)?,
+    };
     match found.barrier {
         None => Ok(Point { inputs: found.inputs, outputs: found.outputs }),
         // In reach, for all that is known.
