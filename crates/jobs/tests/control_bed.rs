@@ -179,3 +179,14 @@ fn records_with_gaps_are_named() {
     let said = of("w");
     assert!(said.contains("gap.csv") && said.contains('w'), "{said}");
 }
+
+/// A channel whose sign its own draws do not agree about is told so, and not as two set points that differ.
+#[test]
+fn a_sign_that_a_test_does_not_tell_is_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let text = "[plant]\nname = \"virtual_engine\"\n[test]\nlength_s = 240.0\n\
+[[loops]]\noutput = \"torque\"\ninput = \"throttle\"\nstep = 1.0\n\
+[[loops]]\noutput = \"lambda\"\ninput = \"spark\"\nstep = 1.0\n";
+    let refused = tried(text, tmp.path()).map(|_| ()).unwrap_err();
+    assert!(refused.contains("start: ") && refused.contains("is not known"), "{refused}");
+}

@@ -123,7 +123,7 @@ fn plan(
         let step = l.step.unwrap_or(0.0);
         if at - step < v.min || at + step > v.max {
             return Err(format!(
-                "`{}` moves from {} to {} {}, its range is {} to {}",
+                "`{}` moves from {:.4} to {:.4} {}, its range is {} to {}",
                 l.input,
                 at - step,
                 at + step,

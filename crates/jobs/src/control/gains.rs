@@ -179,6 +179,7 @@ fn slowest(lags: &[Lag]) -> Option<(PidGains, PidGains)> {
 fn sign(loaded: &Loaded, k: usize, l: &LoopSpec) -> Result<f64, ControlJobError> {
     let mut first: Option<(f64, &str)> = None;
     for p in &loaded.points {
+        let mut nominal: Option<f64> = None;
         for s in std::iter::once(&p.nominal).chain(&p.draws) {
             let channel = decouple::channel(loaded, s, k)
                 .map_err(|source| ControlJobError::Point { point: p.name.clone(), source })?;
@@ -186,6 +187,14 @@ fn sign(loaded: &Loaded, k: usize, l: &LoopSpec) -> Result<f64, ControlJobError>
             if !(gain.abs() > 0.0) {
                 let source = ControlError::Model(format!(
                     "`{}` does nothing to `{}` at rest (gain {gain})",
+                    l.input, l.output
+                ));
+                return Err(ControlJobError::Point { point: p.name.clone(), source });
+            }
+            let own = *nominal.get_or_insert(gain);
+            if own.signum() != gain.signum() {
+                let source = ControlError::Model(format!(
+                    "the sign of what `{}` does to `{}` at rest is not known: {own:.3e}, and {gain:.3e} for a draw of the model's parameters; test it with a larger step or for longer, or pair the loops otherwise",
                     l.input, l.output
                 ));
                 return Err(ControlJobError::Point { point: p.name.clone(), source });

@@ -265,7 +265,7 @@ pub enum ControlJobError {
     },
     /// A channel that changes its sign.
     #[error(
-        "the answer of `{output}` to `{input}` at rest is {first} at {at_first} and {second} at {at_second}: no one PI holds both"
+        "the answer of `{output}` to `{input}` at rest is {first:.3e} at {at_first} and {second:.3e} at {at_second}: no one PI holds both"
     )]
     Sign {
         /// Output.
