@@ -26,6 +26,7 @@
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 
+mod adapt;
 mod cams;
 mod charge;
 mod coolant;
@@ -38,6 +39,7 @@ mod policy;
 mod speed_density;
 mod trim;
 
+pub use adapt::{Adaptation, Left};
 pub use cams::CamLaw;
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
@@ -99,6 +101,9 @@ pub struct Fuelling {
     pub coolant: Option<CoolantLaw>,
     /// Trim by the lambda sensor, where one leaves less of the records.
     pub trim: Option<Trim>,
+    /// What is left of the records; none in files that do not say it.
+    #[serde(default)]
+    pub left: Option<Left>,
     /// Root of the mean squared error of 1 / lambda over the record.
     pub rms: f64,
     /// Root of the mean squared error of the pressure over the record in kPa.

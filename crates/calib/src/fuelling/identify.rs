@@ -13,6 +13,7 @@ use super::charge::Charge;
 use super::coolant::CoolantLaw;
 use super::filling::Filling;
 use super::film::Film;
+use super::adapt::Left;
 use super::trim::Trim;
 use super::{Fuelling, Timing};
 use chosen::chosen;
@@ -141,8 +142,9 @@ fn identified(
         let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
         found = mixed(records, &found, &found, effort, interrupt)?;
     }
-    found.trim =
-        Trim::suited(&records.iter().map(|r| residual(r, &found)).collect::<Vec<_>>(), found.sample_time_s);
+    let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
+    found.trim = Trim::suited(&left, found.sample_time_s);
+    found.left = Left::of(&left, found.sample_time_s);
     Ok(found)
 }
 
@@ -202,6 +204,7 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
         },
         coolant,
         trim: None,
+        left: None,
         rms: 0.0,
         pressure_rms_kpa: 0.0,
     })

@@ -1,6 +1,7 @@
 //! The causal policy: fuel for the air that will be there.
 
 use super::Fuelling;
+use super::adapt::{Adaptation, Left};
 use super::feedback::{Feedback, FeedbackState};
 use super::filling::FillingState;
 use super::film::FilmState;
@@ -96,9 +97,25 @@ impl FuelPolicy {
         Self { feedback: Some(feedback), ..self }
     }
 
-    /// The charge that the trim has found over the identified one.
-    pub fn trimmed(&self) -> f64 {
-        self.trim.factor()
+    /// The same with a charge that is learnt over speed and pressure while the engine is driven ([`Adaptation`]), beside the trim and in
+    /// the place of a loop. Records that do not say what was left of them are taken as independent every second.
+    ///
+    /// ```no_run
+    /// # fn f(fuelling: dynocal_calib::fuelling::Fuelling) {
+    /// use dynocal_calib::fuelling::{Adaptation, FuelPolicy};
+    /// let policy = FuelPolicy::new(fuelling, 60.0).adapting(Adaptation::default());
+    /// # }
+    /// ```
+    #[must_use]
+    pub fn adapting(mut self, by: Adaptation) -> Self {
+        let left = self.fuelling.left.unwrap_or(Left { scale: self.fuelling.rms.max(1e-6), apart_s: 1.0 });
+        self.trim.adapt(by, left);
+        Self { feedback: None, ..self }
+    }
+
+    /// The charge at a speed and a pressure that trim and adaptation have found over the identified one.
+    pub fn trimmed(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
+        self.trim.factor(self.fuelling.charge.scaled(speed_rpm, pressure_kpa))
     }
 
     /// The injection of this sample at a demanded lambda; the first call starts at rest. No allocation after it.
@@ -139,10 +156,10 @@ impl FuelPolicy {
                 self.loop_of.factor(self.feedback, y, (demanded, flow), dt_s)
             }
             None => {
-                if let (Some(trim), Some(shown)) = (&f.trim, y.lambda) {
-                    self.trim.measured(trim, shown, dt_s);
+                if let Some(shown) = y.lambda {
+                    self.trim.measured(f.trim.as_ref(), shown, dt_s);
                 }
-                self.trim.factor()
+                self.trim.factor(f.charge.scaled(then_rpm, pressure))
             }
         };
         let wanted = (factor * later(1.0).at(then_rpm, pressure) / demanded).max(0.0);

@@ -13,6 +13,7 @@
 //! T is the one of a row for which k of the record's past says most of what the charge in the cylinder lacks now.
 
 use super::Fuelling;
+use super::adapt::{AdaptState, Adaptation, Left};
 use super::coolant::Air;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -98,24 +99,37 @@ pub(super) struct TrimState {
     /// 1 / lambda that the sensor must show.
     shown: f64,
     k: f64,
+    /// What is learnt over speed and pressure, if anything is to be.
+    adapted: Option<Box<AdaptState>>,
 }
 
 impl TrimState {
     pub(super) fn at_rest(dt_s: f64) -> Self {
         let longest = (DELAY_S / dt_s).ceil() as usize + 2;
-        Self { past: VecDeque::with_capacity(longest), longest, shown: 1.0, k: 0.0 }
+        Self { past: VecDeque::with_capacity(longest), longest, shown: 1.0, k: 0.0, adapted: None }
     }
 
-    /// What the identified charge is to be multiplied by.
-    pub(super) fn factor(&self) -> f64 {
-        self.k.exp()
+    /// The charge is learnt over speed and pressure too.
+    pub(super) fn adapt(&mut self, law: Adaptation, left: Left) {
+        self.adapted = Some(Box::new(AdaptState::new(law, left)));
+    }
+
+    /// What the identified charge is to be multiplied by at a speed and a pressure in half widths of its records.
+    pub(super) fn factor(&self, scaled: [f64; 2]) -> f64 {
+        let learnt = self.adapted.as_ref().map_or(0.0, |a| a.at(scaled));
+        (self.k + learnt).clamp(-MOST, MOST).exp()
     }
 
     /// What the sensor showed at the end of the last sample.
-    pub(super) fn measured(&mut self, trim: &Trim, lambda: f64, dt_s: f64) {
+    pub(super) fn measured(&mut self, trim: Option<&Trim>, lambda: f64, dt_s: f64) {
         let found = (self.shown * lambda).ln();
-        if !self.past.is_empty() && found.is_finite() {
-            self.k = trim.follow(self.k, found, dt_s);
+        if self.past.is_empty() || !found.is_finite() {
+            return;
+        }
+        // The trim follows what is not learnt.
+        let left = self.adapted.as_mut().map_or(found, |a| a.measured(found, dt_s));
+        if let Some(trim) = trim {
+            self.k = trim.follow(self.k, left, dt_s);
         }
     }
 
@@ -137,16 +151,38 @@ impl TrimState {
         let phi = (1.0 - part) * self.phi(f, young) + part * self.phi(f, young + 1);
         let follow = if first { 1.0 } else { -(-dt_s / f.timing.sensor_lag_s).exp_m1() };
         self.shown += follow * (phi - self.shown);
+        if let Some(mut adapted) = self.adapted.take() {
+            let points = [(young, 1.0 - part), (young + 1, part)].map(|(age, share)| (self.met(f, age), share));
+            adapted.passed(points, follow);
+            self.adapted = Some(adapted);
+        }
+    }
+
+    /// Speed and pressure, in half widths of the records, of the air that what was injected `age` samples ago has met.
+    fn met(&self, f: &Fuelling, age: usize) -> [f64; 2] {
+        let (young, part) = self.met_age(f, age);
+        let mix = |of: fn(&Fuelled) -> f64| (1.0 - part) * of(self.ago(young)) + part * of(self.ago(young + 1));
+        f.charge.scaled(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa))
+    }
+
+    /// A sample before; what is older than all as the oldest.
+    fn ago(&self, age: usize) -> &Fuelled {
+        &self.past[age.min(self.past.len() - 1)]
+    }
+
+    /// Samples since what was injected `age` samples ago met its air, and the part of one.
+    fn met_age(&self, f: &Fuelling, age: usize) -> (usize, f64) {
+        let ahead = (f.timing.charge_s + f.timing.charge_cycles * 120.0 / self.ago(age).speed_rpm) / f.sample_time_s;
+        // What is not there yet is as it is now.
+        let met = (age as f64 - ahead).max(0.0);
+        (met as usize, met.fract())
     }
 
     /// 1 / lambda by the identified charge of what was injected `age` samples ago.
     fn phi(&self, f: &Fuelling, age: usize) -> f64 {
-        let at = |age: usize| &self.past[age.min(self.past.len() - 1)];
+        let at = |age: usize| self.ago(age);
         let then = at(age);
-        let ahead = (f.timing.charge_s + f.timing.charge_cycles * 120.0 / then.speed_rpm) / f.sample_time_s;
-        // What is not there yet is as it is now.
-        let met = (age as f64 - ahead).max(0.0);
-        let (young, part) = (met as usize, met.fract());
+        let (young, part) = self.met_age(f, age);
         let mix = |of: fn(&Fuelled) -> f64| (1.0 - part) * of(at(young)) + part * of(at(young + 1));
         let cams = |k: usize| {
             let (a, b) = at(young).cams_deg.zip(at(young + 1).cams_deg)?;

@@ -99,6 +99,7 @@ mod tests {
                 },
                 coolant: None,
                 trim: None,
+                left: None,
                 rms: 0.01,
                 pressure_rms_kpa: 0.1,
             },

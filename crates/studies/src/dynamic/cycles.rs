@@ -19,9 +19,19 @@ const ENGINE: &str = "gtdi_2l";
 const OTHERS: u64 = 2;
 const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
 /// Ours, the production ECU with either feedback, and what is shown beside.
-const OURS: &str = "dynamic map, Smith predictor";
-const RIVALS: [&str; 2] = ["production ECU, feedback", "production ECU, Smith predictor"];
-const BESIDE: [&str; 2] = ["dynamic map, feedback", "static map, PI"];
+const OURS: &str = "dynamic map, adapted, Smith predictor";
+const RIVALS: [&str; 3] = [
+    "production ECU, feedback",
+    "production ECU, Smith predictor",
+    "production ECU, Smith predictor, long-term trim",
+];
+const BESIDE: [&str; 5] = [
+    "dynamic map, Smith predictor",
+    "dynamic map, adapted",
+    "dynamic map, feedback",
+    "static map, PI",
+    "static map, Smith predictor, long-term trim",
+];
 /// Length at reduced length in s.
 const SHORT_S: f64 = 60.0;
 

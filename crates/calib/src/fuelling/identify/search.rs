@@ -87,12 +87,15 @@ impl LeastSquares for Differences<'_> {
         let difference = |(k, column): (usize, &mut Vec<f64>)| {
             let h = STEP * x[k].abs().max(1.0);
             let mut y = x.to_vec();
-            y[k] += h;
-            if !errors(&y, column) {
-                return false;
+            // A search that ended beside a bound begins there again: beyond it there is nothing, before it there is.
+            for h in [h, -h] {
+                y[k] = x[k] + h;
+                if errors(&y, column) {
+                    column.iter_mut().zip(r.iter()).for_each(|(o, r)| *o = (*o - r) / h);
+                    return true;
+                }
             }
-            column.iter_mut().zip(r.iter()).for_each(|(o, r)| *o = (*o - r) / h);
-            true
+            false
         };
         let given = self.slopes.map_or(0, |s| s.0);
         let (differed, exact) = self.columns.split_at_mut(x.len() - given);
@@ -116,6 +119,17 @@ impl LeastSquares for Differences<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Errors that end at a bound: from beside it the slope is that of the other side.
+    #[test]
+    fn a_search_begins_beside_a_bound_too() {
+        let errors: Errors<'_> = &|x, out| {
+            out[0] = x[0] - 1.0;
+            x[0] < 2.0
+        };
+        let found = searched("beside", (errors, None), 1, &[2.0 - 1e-9], Effort::Delivered, &|| false).unwrap();
+        assert!((found.x[0] - 1.0).abs() < 1e-5, "{found:?}");
+    }
 
     /// A search without an end: each step takes the same share of the squares. What is delivered must not be of it.
     #[test]

@@ -5,6 +5,8 @@ use dynocal_numerics::rng::Rng64;
 
 const DT: f64 = 0.01;
 
+mod trimmed;
+
 /// What the record is made with, by the model itself.
 fn truth() -> Fuelling {
     let points: Vec<[f64; 3]> = (0..60)
@@ -38,6 +40,7 @@ fn truth() -> Fuelling {
         timing,
         coolant: None,
         trim: None,
+        left: None,
         rms: 0.0,
         pressure_rms_kpa: 0.0,
     }
@@ -263,56 +266,6 @@ fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
     let mixed = [views[0], blind[1]];
     let e = identify(&mixed, &|| false).unwrap_err().to_string();
     assert!(e.starts_with("record 2 has") && e.contains("without coolant"), "{e}");
-}
-
-/// The mixture in the cylinder of a truth whose injectors give `share` of what is commanded, under a policy.
-fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Vec<f64> {
-    let throttle: Vec<f64> = (0..n).map(|t| if (t / 400) % 2 == 0 { 11.0 } else { 19.0 }).collect();
-    let (speeds, ones) = (vec![2000.0; n], vec![1.0; n]);
-    let r = TransientRecord {
-        sample_time_s: DT,
-        speed_rpm: &speeds,
-        throttle_deg: &throttle,
-        injection: &ones,
-        map_kpa: &vec![40.0; n],
-        lambda: &ones,
-        upstream_kpa: 101.325,
-        boost_kpa: None,
-        coolant_c: None,
-        cams_deg: None,
-    };
-    let (p, map) = (pressure(&r, truth), shown(&r, truth));
-    let mut given: Vec<f64> = Vec::with_capacity(n);
-    for t in 0..n {
-        let so_far = TransientRecord { speed_rpm: &speeds[..t], injection: &given, ..r };
-        let lambda = (t > 1).then(|| 1.0 / richness(&so_far, truth, &p)[t - 1]);
-        given.push(share * policy.step(&sensed(2000.0, throttle[t], map[t.saturating_sub(1)], lambda), 1.0));
-    }
-    let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
-    richness(&TransientRecord { injection: &given, ..r }, &Fuelling { timing: fast, ..truth.clone() }, &p)
-}
-
-/// Injectors that give 3 % less: the trim takes that out, and a step then costs no more than with injectors that give all.
-#[test]
-fn the_trim_takes_out_an_error_and_leaves_the_steps_alone() {
-    let truth = truth();
-    let n = 2000;
-    for time_s in [0.2, 1.0] {
-        let trimmed = Fuelling { trim: Some(Trim { time_s, scale: 5e-3 }), ..truth.clone() };
-        let right = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 1.0, n);
-        let wrong = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 0.97, n);
-        let mut policy = FuelPolicy::new(trimmed, 60.0);
-        let mended = driven(&truth, &mut policy, 0.97, n);
-        // The last 20 samples are met by air that is not in the record.
-        let worst =
-            |phi: &[f64], from: usize| phi[from..n - 20].iter().map(|v| (v - 1.0).abs()).fold(0.0, f64::max);
-        assert!(worst(&wrong, 1900) > 0.028, "{}", worst(&wrong, 1900));
-        assert!(worst(&mended, 1900) < 2e-3, "{time_s} s: {}", worst(&mended, 1900));
-        // The step at 16 s.
-        let (spike, was) = (worst(&mended, 1600), worst(&right, 1600));
-        assert!(spike < was + 3e-3, "{time_s} s: {spike}, without error {was}");
-        assert!((policy.trimmed() - 1.0 / 0.97).abs() < 2e-3, "{}", policy.trimmed());
-    }
 }
 
 /// A cut dries the wall by exp(-t / tau), and the first injection after it gives the wall what it has lost: policy and ECU.

@@ -54,8 +54,14 @@ pub(crate) enum Hold {
     PiTrim,
     /// A Smith predictor with transport by flow: the measured one where air is, else that of the own fuel.
     Smith,
+    /// A Smith predictor with a map that learns.
+    SmithTrim,
     /// The trim of the dynamic map by the predicted sensor.
     Trim,
+    /// The same with a charge that is learnt over speed and pressure.
+    Adapt,
+    /// The learnt charge, with a Smith predictor in the place of the trim.
+    AdaptSmith,
     /// The loop of an ECU, its time constant found by a line search on a record for each way of fuelling.
     Loop,
     /// The same about a lambda that holds the oxygen of the catalyst.
@@ -63,11 +69,12 @@ pub(crate) enum Hold {
 }
 
 /// All that are compared, with their names.
-pub(crate) const FUELLED: [(&str, FuelBy, Hold); 14] = [
+pub(crate) const FUELLED: [(&str, FuelBy, Hold); 18] = [
     ("static map", FuelBy::Map, Hold::Nothing),
     ("static map, PI", FuelBy::Map, Hold::Pi),
     ("static map, PI, long-term trim", FuelBy::Map, Hold::PiTrim),
     ("static map, Smith predictor", FuelBy::Map, Hold::Smith),
+    ("static map, Smith predictor, long-term trim", FuelBy::Map, Hold::SmithTrim),
     ("dynamic map", FuelBy::Dynamic, Hold::Nothing),
     ("dynamic map, feedback", FuelBy::Dynamic, Hold::Loop),
     ("dynamic map, feedback, rear trim", FuelBy::Dynamic, Hold::LoopRear),
@@ -75,7 +82,10 @@ pub(crate) const FUELLED: [(&str, FuelBy, Hold); 14] = [
     ("production ECU", FuelBy::Ecu, Hold::Nothing),
     ("production ECU, feedback", FuelBy::Ecu, Hold::Loop),
     ("production ECU, Smith predictor", FuelBy::Ecu, Hold::Smith),
+    ("production ECU, Smith predictor, long-term trim", FuelBy::Ecu, Hold::SmithTrim),
     ("dynamic map, trim by the predicted sensor", FuelBy::Dynamic, Hold::Trim),
+    ("dynamic map, adapted", FuelBy::Dynamic, Hold::Adapt),
+    ("dynamic map, adapted, Smith predictor", FuelBy::Dynamic, Hold::AdaptSmith),
     ("measured air, PI", FuelBy::Air, Hold::Pi),
     ("measured air, Smith predictor", FuelBy::Air, Hold::Smith),
 ];

@@ -1,6 +1,6 @@
 //! The engine in the car, with what gives its fuel.
 
-use dynocal_calib::fuelling::{FuelPolicy, Sensed, SpeedDensity, SpeedDensityState};
+use dynocal_calib::fuelling::{Adaptation, FuelPolicy, Fuelling, Sensed, SpeedDensity, SpeedDensityState};
 use dynocal_control::oxygen::{OxygenObserver, OxygenSettings};
 use dynocal_control::predictor::{PredictedModel, Predictor};
 use dynocal_control::runtime::{ActuatorLimits, Pid, PidGains};
@@ -88,11 +88,11 @@ fn beside(hold: Hold) -> Result<Loop, String> {
     };
     Ok(match hold {
         Hold::Pi | Hold::PiTrim => Loop::Pi(Pid::new(gains(LOOP_S.2), limits, STEP_S, 0.0).map_err(text)?),
-        Hold::Smith => {
+        Hold::Smith | Hold::SmithTrim | Hold::AdaptSmith => {
             let c = Predictor::new(gains(LOOP_S.1), limits, STEP_S, 0.0, &known).map_err(text)?;
             Loop::Smith(Box::new(c))
         }
-        Hold::Nothing | Hold::Trim | Hold::Loop | Hold::LoopRear => Loop::Nothing,
+        Hold::Nothing | Hold::Trim | Hold::Adapt | Hold::Loop | Hold::LoopRear => Loop::Nothing,
     })
 }
 
@@ -109,7 +109,15 @@ impl<'a> Source<'a> {
             FuelBy::Air => Fuel::Air,
             FuelBy::Dynamic => {
                 let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
-                let policy = if looped { policy.with_feedback(known.feedback) } else { policy };
+                let policy = match hold {
+                    Hold::Loop | Hold::LoopRear => policy.with_feedback(known.feedback),
+                    Hold::Adapt => policy.adapting(Adaptation::default()),
+                    Hold::AdaptSmith => {
+                        let untrimmed = Fuelling { trim: None, ..known.fuelling.clone() };
+                        FuelPolicy::new(untrimmed, MOST_MG).adapting(Adaptation::default())
+                    }
+                    _ => policy,
+                };
                 Fuel::Dynamic(Box::new(policy))
             }
             FuelBy::Ecu => {
@@ -152,14 +160,15 @@ impl<'a> Source<'a> {
 
     /// Fuel of a step at what is sensed, demand in Nm.
     fn injection_mg(&mut self, y: &Sensed, demand_nm: f64, air_g_s: f64) -> f64 {
-        let own = matches!(self.hold, Hold::Trim | Hold::Loop | Hold::LoopRear);
+        let own = !matches!(self.hold, Hold::Nothing | Hold::Pi | Hold::PiTrim | Hold::Smith | Hold::SmithTrim);
         let shown = Sensed { lambda: y.lambda.filter(|_| own), ..*y };
         let point = [y.speed_rpm, demand_nm];
-        let long = if self.hold == Hold::PiTrim { self.trim.at(&point) } else { 0.0 };
+        let learns = matches!(self.hold, Hold::PiTrim | Hold::SmithTrim);
+        let long = if learns { self.trim.at(&point) } else { 0.0 };
         let short = self.short(y.lambda, air_g_s);
         let most_mg = |mg: f64| (mg * (1.0 + long + short)).clamp(0.0, MOST_MG);
         // What a loop beside them adds goes through the film of those that know one.
-        let wanted = (1.0 + self.asked) / (1.0 + short);
+        let wanted = (1.0 + self.asked) / (1.0 + long + short);
         let afr = self.engine.params().gas.afr_stoich;
         let mg = match &mut self.fuel {
             Fuel::Dynamic(policy) => policy.step(&shown, wanted),
@@ -171,7 +180,7 @@ impl<'a> Source<'a> {
         self.carried_g_s += (burns_g_s - self.carried_g_s) * STEP_S / LOOP_S.0;
         // Learnt where the demand stands still: elsewhere the map is not to blame.
         let still = (demand_nm - self.last_nm).abs() < 20.0 * STEP_S && y.lambda.is_some();
-        if self.hold == Hold::PiTrim && still {
+        if learns && still {
             let taken = self.trim.learn(&point, short, STEP_S);
             if let Loop::Pi(c) = &mut self.beside {
                 let mut s = c.state();

@@ -1,0 +1,75 @@
+//! Policies on engines that are not quite the identified one: the trim, and the charge that is learnt.
+
+use super::*;
+use crate::fuelling::{Adaptation, Charge};
+
+/// The mixture in the cylinder of a truth whose injectors give `share` of what is commanded, under a policy.
+fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Vec<f64> {
+    let throttle: Vec<f64> = (0..n).map(|t| if (t / 400) % 2 == 0 { 11.0 } else { 19.0 }).collect();
+    let (speeds, ones) = (vec![2000.0; n], vec![1.0; n]);
+    let r = TransientRecord {
+        sample_time_s: DT,
+        speed_rpm: &speeds,
+        throttle_deg: &throttle,
+        injection: &ones,
+        map_kpa: &vec![40.0; n],
+        lambda: &ones,
+        upstream_kpa: 101.325,
+        boost_kpa: None,
+        coolant_c: None,
+        cams_deg: None,
+    };
+    let (p, map) = (pressure(&r, truth), shown(&r, truth));
+    let mut given: Vec<f64> = Vec::with_capacity(n);
+    for t in 0..n {
+        let so_far = TransientRecord { speed_rpm: &speeds[..t], injection: &given, ..r };
+        let lambda = (t > 1).then(|| 1.0 / richness(&so_far, truth, &p)[t - 1]);
+        given.push(share * policy.step(&sensed(2000.0, throttle[t], map[t.saturating_sub(1)], lambda), 1.0));
+    }
+    let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
+    richness(&TransientRecord { injection: &given, ..r }, &Fuelling { timing: fast, ..truth.clone() }, &p)
+}
+
+/// Injectors that give 3 % less: the trim takes that out, and a step then costs no more than with injectors that give all.
+#[test]
+fn the_trim_takes_out_an_error_and_leaves_the_steps_alone() {
+    let truth = truth();
+    let n = 2000;
+    for time_s in [0.2, 1.0] {
+        let trimmed = Fuelling { trim: Some(Trim { time_s, scale: 5e-3 }), ..truth.clone() };
+        let right = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 1.0, n);
+        let wrong = driven(&truth, &mut FuelPolicy::new(truth.clone(), 60.0), 0.97, n);
+        let mut policy = FuelPolicy::new(trimmed, 60.0);
+        let mended = driven(&truth, &mut policy, 0.97, n);
+        // The last 20 samples are met by air that is not in the record.
+        let worst =
+            |phi: &[f64], from: usize| phi[from..n - 20].iter().map(|v| (v - 1.0).abs()).fold(0.0, f64::max);
+        assert!(worst(&wrong, 1900) > 0.028, "{}", worst(&wrong, 1900));
+        assert!(worst(&mended, 1900) < 2e-3, "{time_s} s: {}", worst(&mended, 1900));
+        // The step at 16 s.
+        let (spike, was) = (worst(&mended, 1600), worst(&right, 1600));
+        assert!(spike < was + 3e-3, "{time_s} s: {spike}, without error {was}");
+        assert!((policy.trimmed(2000.0, 50.0) - 1.0 / 0.97).abs() < 2e-3, "{}", policy.trimmed(2000.0, 50.0));
+    }
+}
+
+/// A truth that breathes otherwise, and otherwise at each load: the trim begins anew after each step, the learnt charge does not.
+#[test]
+fn a_charge_that_is_learnt_costs_nothing_at_the_next_step() {
+    let truth = truth();
+    let c = &truth.charge;
+    let points: Vec<[f64; 3]> = (0..100)
+        .map(|k| (c.speed_rpm, c.pressure_kpa, f64::from(k % 10) / 4.5 - 1.0, f64::from(k / 10) / 4.5 - 1.0))
+        .map(|([n0, nw], [p0, pw], n, p)| (n0 + nw * n, p0 + pw * p, p))
+        .map(|(n, p, share)| [n, p, c.at(n, p) * (0.04 + 0.1 * share).exp()])
+        .collect();
+    let otherwise = Fuelling { charge: Charge::fit(&points).unwrap(), ..truth.clone() };
+    let left = Some(Left { scale: 2e-3, apart_s: 0.2 });
+    let known = Fuelling { trim: Some(Trim { time_s: 0.8, scale: 2e-3 }), left, ..otherwise };
+    let n = 2800;
+    let off = |phi: &[f64]| phi[2400..n - 20].iter().map(|v| (v - 1.0).abs()).sum::<f64>() / (n - 20 - 2400) as f64;
+    let trimmed = off(&driven(&truth, &mut FuelPolicy::new(known.clone(), 60.0), 1.0, n));
+    let mut policy = FuelPolicy::new(known, 60.0).adapting(Adaptation::default());
+    let learnt = off(&driven(&truth, &mut policy, 1.0, n));
+    assert!(learnt < 0.25 * trimmed && learnt < 4e-3, "{learnt} beside {trimmed}");
+}
