@@ -77,6 +77,9 @@ pub enum FuellingError {
 
 /// Corrections of the filling that are tried, in 1/s.
 const CORRECTIONS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
+/// Shares of a film that are searched; a film of less is none.
+const LEAST_SHARE: f64 = 1e-4;
+const MOST_SHARE: f64 = 0.95;
 /// Errors of 1 / lambda beyond this count less and less.
 const ROBUST: f64 = 0.05;
 /// Times that throttle and filling are taken anew by the charge that the mixture gave.
@@ -242,7 +245,9 @@ fn mixed_by(
         let (out, beside) = out.split_at_mut(samples);
         beside.iter_mut().zip(&expected).for_each(|(e, (at, weight))| *e = weight * x[*at]);
         let timing = &f.timing;
-        if !(f.film.share < 0.95 && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
+        // Where nothing tells of a film its share runs away, and one of 0 has other parameters.
+        let share = !has_film(start) || (LEAST_SHARE..MOST_SHARE).contains(&f.film.share);
+        if !(share && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
             return false;
         }
         unexplained(records, &pressures, &f, out);

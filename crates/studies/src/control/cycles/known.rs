@@ -18,6 +18,8 @@ use super::{MOST_MG, SPEEDS_RPM, STEP_S, TORQUES, running};
 const RECORD_S: f64 = 240.0;
 const HOLDS_S: (f64, f64) = (3.0, 6.0);
 const SPEED_RATE: f64 = 1000.0;
+/// Most of the grid's torque that is held.
+const MOST_PART: f64 = 0.95;
 /// Step of the fuel in the middle of a hold as a share, and time constant of the first driver's loop in s.
 const STEP: f64 = 0.08;
 const LOOP_S: f64 = 1.5;
@@ -100,9 +102,12 @@ impl Course {
         let rows = (RECORD_S / STEP_S) as usize;
         let mut out = Self { speed_rpm: Vec::new(), torque_nm: Vec::new(), share: Vec::new() };
         let mut now = SPEEDS_RPM[0];
+        let (slowest, fastest) = (SPEEDS_RPM[0], SPEEDS_RPM[SPEEDS_RPM.len() - 1]);
+        // The corners first, idle among them: what is drawn hardly ever comes there, and a polynomial has no hold without.
+        let mut corners = [(slowest, 0.0), (slowest, MOST_PART), (fastest, MOST_PART), (fastest, 0.0)].into_iter();
         while out.speed_rpm.len() < rows {
-            let speed = rng.uniform_in(SPEEDS_RPM[0], SPEEDS_RPM[SPEEDS_RPM.len() - 1]);
-            let part = rng.uniform_in(0.0, 0.95);
+            let drawn = (rng.uniform_in(slowest, fastest), rng.uniform_in(0.0, MOST_PART));
+            let (speed, part) = corners.next().unwrap_or(drawn);
             let hold = (rng.uniform_in(HOLDS_S.0, HOLDS_S.1) / STEP_S) as usize;
             let step = if rng.uniform() < 0.5 { STEP } else { -STEP };
             for t in 0..hold {
