@@ -77,6 +77,11 @@ impl<'a> Air<'a> {
         Self { charge, factor: law.map_or(1.0, |l| l.charge_factor(coolant_c)), cams_deg }
     }
 
+    /// So many times as much.
+    pub(super) fn times(self, factor: f64) -> Self {
+        Self { factor: factor * self.factor, ..self }
+    }
+
     /// Fuel per cycle that makes lambda 1, in the unit of the injection.
     pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
         let cams = self.charge.cam_factor(speed_rpm, pressure_kpa, self.cams_deg);

@@ -5,6 +5,9 @@ use dynocal_numerics::linalg::{LinalgError, least_squares};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
+/// Most of the logarithm of what leaves a manifold over what is expected, and of its change in a sample.
+const MOST_BALANCE: f64 = 0.5;
+const MOST_BALANCE_STEP: f64 = 0.02;
 /// Terms of the polynomial of the throttle.
 const TERMS: usize = 4;
 /// Ratio of specific heats of air.
@@ -74,6 +77,18 @@ impl Filling {
     /// Flow of a nozzle over that which is choked at the pressure of the record: it goes with the pressure before it.
     fn nozzle(&self, pressure_kpa: f64, upstream_kpa: f64) -> f64 {
         upstream_kpa / self.upstream_kpa * psi(pressure_kpa / upstream_kpa)
+    }
+
+    /// The logarithm of what leaves over what throttle and charge say, after a sample in which the channel showed `error_kpa` more than was
+    /// expected: the observer's second state, with the correction its two poles are together,
+    ///
+    /// ```text
+    /// dp/dt = g (inflow - exp(w) flow) + l e,   dw/dt = -(l / 2)^2 e / (g flow)
+    /// ```
+    pub(super) fn balanced(&self, w: f64, error_kpa: f64, flow: f64, dt_s: f64) -> f64 {
+        let step = (0.5 * self.correction_per_s).powi(2) * error_kpa * dt_s / (self.gain * flow).max(1e-9);
+        let next = w - step.clamp(-MOST_BALANCE_STEP, MOST_BALANCE_STEP);
+        if next.is_finite() { next.clamp(-MOST_BALANCE, MOST_BALANCE) } else { w }
     }
 
     /// Pressure and throttle `h_s` later.

@@ -9,11 +9,11 @@ mod worth;
 
 pub use record::TransientRecord;
 
+use super::adapt::Left;
 use super::charge::Charge;
 use super::coolant::CoolantLaw;
 use super::filling::Filling;
 use super::film::Film;
-use super::adapt::Left;
 use super::trim::Trim;
 use super::{Fuelling, Timing};
 use chosen::chosen;

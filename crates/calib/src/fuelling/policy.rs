@@ -64,6 +64,9 @@ pub struct FuelPolicy {
     filling: Option<FillingState>,
     film: Option<FilmState>,
     trim: TrimState,
+    /// Logarithm of what leaves the manifold over what throttle and charge say, where it is learnt: without it a throttle that is not
+    /// quite the identified one leads the pressure astray, and the air ahead is wrong at rest.
+    balance: Option<f64>,
     /// A loop in the place of the trim.
     feedback: Option<Feedback>,
     loop_of: FeedbackState,
@@ -82,6 +85,7 @@ impl FuelPolicy {
             filling: None,
             film: None,
             trim: TrimState::at_rest(dt_s),
+            balance: None,
             feedback: None,
             loop_of: FeedbackState::default(),
             speed: Slope::new(dt_s),
@@ -110,7 +114,7 @@ impl FuelPolicy {
     pub fn adapting(mut self, by: Adaptation) -> Self {
         let left = self.fuelling.left.unwrap_or(Left { scale: self.fuelling.rms.max(1e-6), apart_s: 1.0 });
         self.trim.adapt(by, left);
-        Self { feedback: None, ..self }
+        Self { feedback: None, balance: Some(0.0), ..self }
     }
 
     /// The charge at a speed and a pressure that trim and adaptation have found over the identified one.
@@ -135,7 +139,13 @@ impl FuelPolicy {
         let air = f.air(y.coolant_c, y.cams_deg);
         let state = self.filling.get_or_insert_with(|| FillingState::at_rest(y.map_kpa, throttle_deg, dt_s));
         let upstream_kpa = y.upstream_kpa.unwrap_or(f.filling.upstream_kpa);
-        state.step(&f.filling, air, (speed_rpm, throttle_deg, upstream_kpa), y.map_kpa, dt_s);
+        if let Some(balance) = &mut self.balance {
+            let error_kpa = y.map_kpa - state.shown_kpa(speed_rpm, dt_s);
+            *balance =
+                f.filling.balanced(*balance, error_kpa, air.flow(speed_rpm, state.pressure_kpa()), dt_s);
+        }
+        let leaves = self.balance.map_or(1.0, f64::exp);
+        state.step(&f.filling, air.times(leaves), (speed_rpm, throttle_deg, upstream_kpa), y.map_kpa, dt_s);
         let now_kpa = state.pressure_kpa();
         let ahead_s = f.timing.ahead_s(speed_rpm);
         let speed = [speed_rpm, self.speed.step(speed_rpm, ahead_s, dt_s)];
@@ -147,7 +157,8 @@ impl FuelPolicy {
         // On the way as they are in its middle.
         let later =
             |share: f64| f.air(y.coolant_c, cams.map(|c| c.map(|[at, slope]| at + slope * share * ahead_s)));
-        let pressure = state.ahead(&f.filling, later(0.5), speed, throttle_deg, upstream, ahead_s, dt_s);
+        let pressure =
+            state.ahead(&f.filling, later(0.5).times(leaves), speed, throttle_deg, upstream, ahead_s, dt_s);
         let then_rpm = speed[0] + speed[1] * ahead_s;
         let demanded = lambda.unwrap_or(1.0);
         let factor = match self.feedback {
@@ -174,7 +185,7 @@ impl FuelPolicy {
             }
         };
         let fuel = film.forward(&mut before, injection, speed_rpm, dt_s);
-        self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa));
+        self.trim.fuelled(f, air, fuel, (speed_rpm, now_kpa), lambda.is_some());
         injection
     }
 }

@@ -23,6 +23,8 @@ const LEAST_S: f64 = 0.1;
 const TRIED: usize = 9;
 /// Most of the trim: a quarter more or less fuel, as sensors and injectors fail beyond.
 const MOST: f64 = 0.223;
+/// Cycles after one without fuel whose gas tells nothing of the charge: residual gas is air, and half of it goes in each.
+const CLEAN_CYCLES: f64 = 10.0;
 /// Longest delay that is followed, in s.
 const DELAY_S: f64 = 2.0;
 
@@ -88,6 +90,8 @@ struct Fuelled {
     /// What the coolant multiplies the charge by.
     factor: f64,
     cams_deg: Option<[f64; 2]>,
+    /// Cycles since the last one without an injection.
+    cycles: f64,
 }
 
 /// What the trim knows at a sample.
@@ -99,6 +103,8 @@ pub(super) struct TrimState {
     /// 1 / lambda that the sensor must show.
     shown: f64,
     k: f64,
+    /// Least cycles since a cut of the gas at the sensor; its lag is within [`CLEAN_CYCLES`].
+    clean: f64,
     /// What is learnt over speed and pressure, if anything is to be.
     adapted: Option<Box<AdaptState>>,
 }
@@ -106,7 +112,14 @@ pub(super) struct TrimState {
 impl TrimState {
     pub(super) fn at_rest(dt_s: f64) -> Self {
         let longest = (DELAY_S / dt_s).ceil() as usize + 2;
-        Self { past: VecDeque::with_capacity(longest), longest, shown: 1.0, k: 0.0, adapted: None }
+        Self {
+            past: VecDeque::with_capacity(longest),
+            longest,
+            shown: 1.0,
+            k: 0.0,
+            clean: CLEAN_CYCLES,
+            adapted: None,
+        }
     }
 
     /// The charge is learnt over speed and pressure too.
@@ -123,7 +136,7 @@ impl TrimState {
     /// What the sensor showed at the end of the last sample.
     pub(super) fn measured(&mut self, trim: Option<&Trim>, lambda: f64, dt_s: f64) {
         let found = (self.shown * lambda).ln();
-        if self.past.is_empty() || !found.is_finite() {
+        if self.past.is_empty() || !found.is_finite() || self.clean < CLEAN_CYCLES {
             return;
         }
         // The trim follows what is not learnt.
@@ -133,26 +146,34 @@ impl TrimState {
         }
     }
 
-    /// This sample puts `fuel` into the cylinder; the sensor moves on by it.
+    /// This sample puts `fuel` into the cylinder, with an injection or from the wall alone; the sensor moves on by it.
     pub(super) fn fuelled(
         &mut self,
         f: &Fuelling,
         air: Air<'_>,
         fuel: f64,
         (speed_rpm, pressure_kpa): (f64, f64),
+        injected: bool,
     ) {
         let dt_s = f.sample_time_s;
         let first = self.past.is_empty();
         self.past.truncate(self.longest - 1);
         let (factor, cams_deg) = (air.factor, air.cams_deg);
-        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg });
+        let before = self.past.front().map_or(CLEAN_CYCLES, |p| p.cycles);
+        let cycles = if injected { before + dt_s * speed_rpm / 120.0 } else { 0.0 };
+        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg, cycles });
         let delay = f.timing.delay_s(speed_rpm, air.flow(speed_rpm, pressure_kpa)) / dt_s;
         let (young, part) = (delay as usize, delay.fract());
         let phi = (1.0 - part) * self.phi(f, young) + part * self.phi(f, young + 1);
         let follow = if first { 1.0 } else { -(-dt_s / f.timing.sensor_lag_s).exp_m1() };
         self.shown += follow * (phi - self.shown);
+        self.clean = self.ago(young + 1).cycles;
         if let Some(mut adapted) = self.adapted.take() {
-            let points = [(young, 1.0 - part), (young + 1, part)].map(|(age, share)| (self.met(f, age), share));
+            let points =
+                [(young, 1.0 - part), (young + 1, part)].map(|(age, share)| (self.met(f, age), share));
+            if first {
+                adapted.begun(delay * dt_s, f.timing.sensor_lag_s);
+            }
             adapted.passed(points, follow);
             self.adapted = Some(adapted);
         }
@@ -161,7 +182,8 @@ impl TrimState {
     /// Speed and pressure, in half widths of the records, of the air that what was injected `age` samples ago has met.
     fn met(&self, f: &Fuelling, age: usize) -> [f64; 2] {
         let (young, part) = self.met_age(f, age);
-        let mix = |of: fn(&Fuelled) -> f64| (1.0 - part) * of(self.ago(young)) + part * of(self.ago(young + 1));
+        let mix =
+            |of: fn(&Fuelled) -> f64| (1.0 - part) * of(self.ago(young)) + part * of(self.ago(young + 1));
         f.charge.scaled(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa))
     }
 
@@ -172,7 +194,8 @@ impl TrimState {
 
     /// Samples since what was injected `age` samples ago met its air, and the part of one.
     fn met_age(&self, f: &Fuelling, age: usize) -> (usize, f64) {
-        let ahead = (f.timing.charge_s + f.timing.charge_cycles * 120.0 / self.ago(age).speed_rpm) / f.sample_time_s;
+        let ahead =
+            (f.timing.charge_s + f.timing.charge_cycles * 120.0 / self.ago(age).speed_rpm) / f.sample_time_s;
         // What is not there yet is as it is now.
         let met = (age as f64 - ahead).max(0.0);
         (met as usize, met.fract())

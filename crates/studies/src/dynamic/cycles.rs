@@ -19,15 +19,15 @@ const ENGINE: &str = "gtdi_2l";
 const OTHERS: u64 = 2;
 const CYCLES: [&str; 2] = ["us06", "wltc_class3b"];
 /// Ours, the production ECU with either feedback, and what is shown beside.
-const OURS: &str = "dynamic map, adapted, Smith predictor";
+const OURS: &str = "dynamic map, Smith predictor";
 const RIVALS: [&str; 3] = [
     "production ECU, feedback",
     "production ECU, Smith predictor",
     "production ECU, Smith predictor, long-term trim",
 ];
 const BESIDE: [&str; 5] = [
-    "dynamic map, Smith predictor",
     "dynamic map, adapted",
+    "dynamic map, adapted, Smith predictor",
     "dynamic map, feedback",
     "static map, PI",
     "static map, Smith predictor, long-term trim",

@@ -127,7 +127,8 @@ mod tests {
             out[0] = x[0] - 1.0;
             x[0] < 2.0
         };
-        let found = searched("beside", (errors, None), 1, &[2.0 - 1e-9], Effort::Delivered, &|| false).unwrap();
+        let found =
+            searched("beside", (errors, None), 1, &[2.0 - 1e-9], Effort::Delivered, &|| false).unwrap();
         assert!((found.x[0] - 1.0).abs() < 1e-5, "{found:?}");
     }
 

@@ -97,14 +97,16 @@ struct Course {
 }
 
 impl Course {
-    fn drawn(grid: &SteadyGrid, stream: u64) -> Self {
+    fn drawn(grid: &SteadyGrid, stream: u64, with_corners: bool) -> Self {
         let mut rng = Rng64::stream(1, stream);
         let rows = (RECORD_S / STEP_S) as usize;
         let mut out = Self { speed_rpm: Vec::new(), torque_nm: Vec::new(), share: Vec::new() };
         let mut now = SPEEDS_RPM[0];
         let (slowest, fastest) = (SPEEDS_RPM[0], SPEEDS_RPM[SPEEDS_RPM.len() - 1]);
         // The corners first, idle among them: what is drawn hardly ever comes there, and a polynomial has no hold without.
-        let mut corners = [(slowest, 0.0), (slowest, MOST_PART), (fastest, MOST_PART), (fastest, 0.0)].into_iter();
+        let mut corners = [(slowest, 0.0), (slowest, MOST_PART), (fastest, MOST_PART), (fastest, 0.0)]
+            .into_iter()
+            .filter(|_| with_corners);
         while out.speed_rpm.len() < rows {
             let drawn = (rng.uniform_in(slowest, fastest), rng.uniform_in(0.0, MOST_PART));
             let (speed, part) = corners.next().unwrap_or(drawn);
@@ -189,7 +191,7 @@ fn driven(
         own.advance_time(STEP_S);
         own.check_state().map_err(|e| e.to_string())?;
         let y = own.outputs();
-        sensor.pass(Some(y.lambda_cycle), y.air_g_s);
+        sensor.pass(Some(y.lambda_cycle), y.air_g_s, *speed);
         out.speed_rpm.push(*speed);
         out.throttle_deg.push(throttle_deg);
         out.injection.push(injection_mg);
@@ -216,7 +218,7 @@ fn measured(mapped: &str, stop: &(dyn Fn() -> bool + Sync)) -> Result<Known, Str
     let engine = running(mapped)?;
     let grid = SteadyGrid::measure(&engine, &SPEEDS_RPM, TORQUES).map_err(|e| e.to_string())?;
     let fuel = FuelMap::measure(&engine, &grid)?;
-    let courses = [Course::drawn(&grid, 51), Course::drawn(&grid, 52)];
+    let courses = [Course::drawn(&grid, 51, true), Course::drawn(&grid, 52, false)];
     let drive = |c: &Course, f: &mut dyn FnMut(&Sensed, f64) -> f64| driven(&engine, &grid, c, f);
     // Fuel that goes with the pressure, corrected slowly: what can be driven before anything is known.
     let inputs = engine.state().inputs;

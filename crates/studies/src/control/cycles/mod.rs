@@ -29,7 +29,8 @@ const MOST_MG: f64 = 120.0;
 /// Distance of lambda from 1 that counts.
 const NEAR: f64 = 0.01;
 /// How the drives are made, for results that are kept.
-pub(crate) const METHOD: &str = "identified from records with corners, loops by line searches, predictors by the flow of the own fuel";
+pub(crate) const METHOD: &str =
+    "identified from records with corners, loops by line searches, predictors by the flow of the own fuel";
 
 /// What gives the fuel before any feedback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

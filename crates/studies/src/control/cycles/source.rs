@@ -160,7 +160,8 @@ impl<'a> Source<'a> {
 
     /// Fuel of a step at what is sensed, demand in Nm.
     fn injection_mg(&mut self, y: &Sensed, demand_nm: f64, air_g_s: f64) -> f64 {
-        let own = !matches!(self.hold, Hold::Nothing | Hold::Pi | Hold::PiTrim | Hold::Smith | Hold::SmithTrim);
+        let own =
+            !matches!(self.hold, Hold::Nothing | Hold::Pi | Hold::PiTrim | Hold::Smith | Hold::SmithTrim);
         let shown = Sensed { lambda: y.lambda.filter(|_| own), ..*y };
         let point = [y.speed_rpm, demand_nm];
         let learns = matches!(self.hold, Hold::PiTrim | Hold::SmithTrim);
@@ -210,7 +211,11 @@ impl<'a> Source<'a> {
     /// Sensor, catalyst and sums after a step.
     fn after(&mut self, demand_nm: f64, fuelled: bool) {
         let y = self.engine.outputs();
-        let lambda = self.sensor.pass(fuelled.then_some(y.lambda_cycle), y.air_g_s);
+        let lambda = self.sensor.pass(
+            fuelled.then_some(y.lambda_cycle),
+            y.air_g_s,
+            self.engine.state().inputs.speed_rpm,
+        );
         let afr = self.engine.params().gas.afr_stoich;
         let feed = Feed {
             gas_g: y.air_g_s.max(0.0) * STEP_S * (1.0 + 1.0 / (afr * lambda)),
