@@ -191,6 +191,9 @@ fn passed(c: &Case, output: &str) -> Option<f64> {
 /// An output, how far it may pass its limit, and the unit.
 type Limit = (&'static str, f64, &'static str);
 
+/// Where fuel is lost: name, what it is, and how much at a point.
+type Lost = (&'static str, &'static str, fn(&Best) -> f64);
+
 fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let mut checks = Vec::new();
     let limits: [(&str, &[Limit]); 2] = [
@@ -216,7 +219,7 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             &|c| most(c.best.iter().map(Best::above)),
         );
         // In the order of the map's making: models that err, caution and room for what they do not know, cells and smoothing.
-        let lost: [(&str, &str, fn(&Best) -> f64); 3] = [
+        let lost: [Lost; 3] = [
             ("models", "the models' own optimum, above the best", |b| b.bold.fuel - b.best.fuel),
             ("caution", "what caution and room within limits add", |b| b.own.fuel - b.bold.fuel),
             ("cells", "what lies between the cells and smoothing add", |b| b.map.fuel - b.own.fuel),

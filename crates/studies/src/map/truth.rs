@@ -200,9 +200,8 @@ impl<'a> Quiet<'a> {
     fn open(&mut self, x: &[f64]) -> Result<f64, String> {
         let found = self.found;
         let layout = &found.layout;
-        let demand =
-            |name: &str| place_of(&layout.problem.demand_names(), name).map(|k| layout.demand(k, &x));
-        let given = |name: &str| place_of(&layout.problem.given_names(), name).map(|k| layout.given(k, &x));
+        let demand = |name: &str| place_of(&layout.problem.demand_names(), name).map(|k| layout.demand(k, x));
+        let given = |name: &str| place_of(&layout.problem.given_names(), name).map(|k| layout.given(k, x));
         let ports = &found.map.ports;
         let reference =
             ports.demands.iter().map(|p| demand(&p.name)).chain(ports.given.iter().map(|p| given(&p.name)));
@@ -219,7 +218,7 @@ impl<'a> Quiet<'a> {
             .given
             .iter()
             .enumerate()
-            .map(|(k, g)| PlanChannel::free(&g.name, &g.unit, vec![layout.given(k, &x); n]));
+            .map(|(k, g)| PlanChannel::free(&g.name, &g.unit, vec![layout.given(k, x); n]));
         let mut plan = Plan::open_loop("maps", layout.sample_time_s, inputs.chain(given).collect());
         plan.outputs = vec![p.demands[0].output.clone()];
         let held = hold(self.plant.as_mut(), &spec, &plan, &[]).map_err(|e| e.to_string())?;
