@@ -40,6 +40,8 @@ const QUANTILE: f64 = 1.959_963_984_540_054;
 
 /// Chooses among `kinds` (name, kind) by the `errors` of `count` folds and learns the choice on all points.
 ///
+/// A fold of the choice is an outer fold of its test and of the intervals as well: each kind is learnt on it once.
+///
 /// # Errors
 /// [`ResponseError`] when no kind can be learnt.
 pub(super) fn choose(
@@ -50,23 +52,26 @@ pub(super) fn choose(
     nested: bool,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Chosen, ResponseError> {
-    let (chosen, errors, absolute) = least(kinds, by, points, count, interrupt)?;
+    let parts = folds(points, count, FoldKind::Interleaved);
+    let Least { best: chosen, errors, absolute, tests } = least(kinds, by, points, &parts, interrupt)?;
     let name = |k: usize| kinds[k].0.clone();
     let (mut rmse, mut same) = (absolute, 0);
     if nested {
         let mut squares = 0.0;
-        let outer = folds(points, count, FoldKind::Interleaved);
-        for held in &outer {
-            let part = without(points, held);
-            let (inner, ..) = least(kinds, by, &part, count, interrupt)?;
+        for (f, held) in parts.iter().enumerate() {
+            let inner = inner_choice(kinds, by, points, held, count, interrupt)?;
             same += usize::from(inner == chosen);
-            squares += squares_of(&*kinds[inner].1, &part, points, held, interrupt)?.0;
+            squares += match &tests[inner] {
+                Ok(tests) => squares_of(&tests[f]).0,
+                // It can be learnt without this fold, but not without another one.
+                Err(_) => squares_of(&tested(&*kinds[inner].1, points, held, interrupt)?).0,
+            };
         }
         rmse = (squares / points.len() as f64).sqrt();
     }
     let each: Vec<String> =
         errors.iter().enumerate().map(|(k, e)| format!("{} {}", name(k), shown(by, *e))).collect();
-    let tested = if nested {
+    let said = if nested {
         format!(
             " The whole choice, tested on points that had no part in it, has an error of {rmse:.4}; {same} of {count} such tests chose the same."
         )
@@ -74,78 +79,97 @@ pub(super) fn choose(
         String::new()
     };
     let words = format!(
-        "`{}`: {} is taken, as it has the least error in the folds ({}).{tested}",
+        "`{}`: {} is taken, as it has the least error in the folds ({}).{said}",
         points.output,
         name(chosen),
         each.join(", ")
     );
-    let widen = widen(&*kinds[chosen].1, points, count, interrupt)?;
+    let widen = tests[chosen].as_ref().map_or(1.0, |tests| widen(tests));
     let learnt = kinds[chosen].1.learn(points, interrupt)?;
     Ok(Chosen { learnt, rmse, widen, words })
+}
+
+/// The kind that would have been chosen without the rows `held`; a single kind is no choice.
+fn inner_choice(
+    kinds: &[(String, Box<dyn Learn>)],
+    by: Errors,
+    points: &Points,
+    held: &[usize],
+    count: usize,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<usize, ResponseError> {
+    if kinds.len() == 1 {
+        return Ok(0);
+    }
+    let part = without(points, held);
+    let inner = folds(&part, count, FoldKind::Interleaved);
+    Ok(least(kinds, by, &part, &inner, interrupt)?.best)
 }
 
 /// By how much intervals are too narrow on held-out points: the smallest factor, at least one, with which `HELD` of them and one
 /// more are inside (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World, 2005: cross-conformal prediction with
 /// normalised errors).
-fn widen(
-    kind: &dyn Learn,
-    points: &Points,
-    count: usize,
-    interrupt: &dyn Fn() -> bool,
-) -> Result<f64, ResponseError> {
-    let mut at = Prediction::new(points.dim());
-    let mut shares = Vec::new();
-    for held in folds(points, count, FoldKind::Interleaved) {
-        let learnt = kind.learn(&without(points, &held), interrupt)?;
-        for i in held {
-            learnt.model.predict(points.row(i), Ask::Variance, &mut at);
-            shares.push((points.y[i] - at.mean).abs() / at.measured_std().max(f64::MIN_POSITIVE));
-        }
-    }
+fn widen(tests: &[Vec<Tested>]) -> f64 {
+    let all = tests.iter().flatten();
+    let mut shares: Vec<f64> = all.map(|t| t.error.abs() / t.deviation.max(f64::MIN_POSITIVE)).collect();
     shares.sort_by(f64::total_cmp);
     let rank = (HELD * (shares.len() + 1) as f64).ceil() as usize;
     let quantile = shares[rank.clamp(1, shares.len()) - 1] / QUANTILE;
-    Ok(if quantile.is_finite() { quantile.max(1.0) } else { 1.0 })
+    if quantile.is_finite() { quantile.max(1.0) } else { 1.0 }
 }
 
-/// The kind of least error in folds, the errors of all, those that cannot be learnt having an infinite one, and the absolute error of
-/// that kind.
+/// A point that had no part in learning.
+struct Tested {
+    measured: f64,
+    /// Measured less predicted.
+    error: f64,
+    /// Standard deviation of that, as the model knows itself.
+    deviation: f64,
+}
+
+/// Which kind errs least on points that were held out, and what all of them did.
+struct Least {
+    best: usize,
+    /// Errors of all kinds; those that cannot be learnt have an infinite one.
+    errors: Vec<f64>,
+    /// Absolute error of the best.
+    absolute: f64,
+    /// Of each kind the points of each fold.
+    tests: Vec<Result<Vec<Vec<Tested>>, ResponseError>>,
+}
+
 fn least(
     kinds: &[(String, Box<dyn Learn>)],
     by: Errors,
     points: &Points,
-    count: usize,
+    parts: &[Vec<usize>],
     interrupt: &dyn Fn() -> bool,
-) -> Result<(usize, Vec<f64>, f64), ResponseError> {
-    let parts = folds(points, count, FoldKind::Interleaved);
-    let (mut errors, mut absolute, mut why) = (Vec::new(), Vec::new(), None);
+) -> Result<Least, ResponseError> {
     let root = |sum: f64| (sum / points.len() as f64).sqrt();
-    for (_, kind) in kinds {
-        let each =
-            parts.iter().map(|held| squares_of(&**kind, &without(points, held), points, held, interrupt));
-        match each.collect::<Result<Vec<_>, ResponseError>>() {
-            Ok(sums) => {
-                let relative = root(sums.iter().map(|s| s.1).sum());
-                absolute.push(root(sums.iter().map(|s| s.0).sum()));
-                errors.push(if by == Errors::Relative { relative } else { absolute[absolute.len() - 1] });
-            }
-            Err(e) => {
-                absolute.push(f64::INFINITY);
-                errors.push(f64::INFINITY);
-                why = Some(e);
-            }
+    let of_kind = |(_, kind): &(String, Box<dyn Learn>)| -> Result<Vec<Vec<Tested>>, ResponseError> {
+        parts.iter().map(|held| tested(&**kind, points, held, interrupt)).collect()
+    };
+    let tests: Vec<_> = kinds.iter().map(of_kind).collect();
+    let error = |tests: &Result<Vec<Vec<Tested>>, ResponseError>| match tests {
+        Ok(tests) => {
+            let sums: Vec<(f64, f64)> = tests.iter().map(|t| squares_of(t)).collect();
+            (root(sums.iter().map(|s| s.0).sum()), root(sums.iter().map(|s| s.1).sum()))
         }
-    }
-    let best = (0..errors.len()).filter(|k| errors[*k].is_finite());
-    match (best.min_by(|a, b| errors[*a].total_cmp(&errors[*b])), why) {
-        (Some(best), _) => Ok((best, errors, absolute[best])),
-        (None, Some(e)) => Err(e),
-        (None, None) => Err(ResponseError::Key {
-            model: "choice",
-            key: "candidates",
-            found: "none whose errors are finite".into(),
-            expected: "at least one".into(),
-        }),
+        Err(_) => (f64::INFINITY, f64::INFINITY),
+    };
+    let both: Vec<(f64, f64)> = tests.iter().map(error).collect();
+    let errors: Vec<f64> = both.iter().map(|e| if by == Errors::Relative { e.1 } else { e.0 }).collect();
+    let finite = (0..errors.len()).filter(|k| errors[*k].is_finite());
+    match finite.min_by(|a, b| errors[*a].total_cmp(&errors[*b])) {
+        Some(best) => Ok(Least { best, absolute: both[best].0, errors, tests }),
+        None => {
+            Err(tests.into_iter().filter_map(Result::err).next_back().unwrap_or_else(|| ResponseError::Key {
+                model: "choice",
+                key: "candidates",
+                found: "none whose errors are finite".into(),
+                expected: "at least one".into(),
+            }))
+        }
     }
 }
 
@@ -154,24 +178,28 @@ fn without(points: &Points, held: &[usize]) -> Points {
     points.rows(&rest)
 }
 
-/// Sums of the squared errors of `kind`, learnt on `part`, at the rows `held`: absolute, and as shares of what was measured.
-fn squares_of(
+/// `kind`, learnt without the rows `held`, at these rows.
+fn tested(
     kind: &dyn Learn,
-    part: &Points,
     points: &Points,
     held: &[usize],
     interrupt: &dyn Fn() -> bool,
-) -> Result<(f64, f64), ResponseError> {
-    let learnt = kind.learn(part, interrupt)?;
+) -> Result<Vec<Tested>, ResponseError> {
+    let learnt = kind.learn(&without(points, held), interrupt)?;
     let mut at = Prediction::new(points.dim());
-    let (mut absolute, mut relative) = (0.0, 0.0);
-    for i in held {
-        learnt.model.predict(points.row(*i), Ask::Mean, &mut at);
-        let error = points.y[*i] - at.mean;
-        absolute += error.powi(2);
-        relative += (error / points.y[*i]).powi(2);
-    }
-    Ok((absolute, relative))
+    let one = |i: &usize| {
+        learnt.model.predict(points.row(*i), Ask::Variance, &mut at);
+        let measured = points.y[*i];
+        Tested { measured, error: measured - at.mean, deviation: at.measured_std() }
+    };
+    Ok(held.iter().map(one).collect())
+}
+
+/// Sums of squared errors: absolute, and as shares of what was measured.
+fn squares_of(tests: &[Tested]) -> (f64, f64) {
+    tests.iter().fold((0.0, 0.0), |(absolute, relative), t| {
+        (absolute + t.error.powi(2), relative + (t.error / t.measured).powi(2))
+    })
 }
 
 #[cfg(test)]
@@ -224,7 +252,34 @@ mod tests {
         let (relative, absolute) = (by(Errors::Relative), by(Errors::Absolute));
         assert!(relative.contains("log is taken") && relative.contains(" %"), "{relative}");
         assert!(absolute.contains("cubic is taken") && !absolute.contains(" %"), "{absolute}");
-        let (_, errors, _) = least(&kinds, Errors::Relative, &points, 5, &|| false).unwrap();
+        let parts = folds(&points, 5, FoldKind::Interleaved);
+        let Least { errors, .. } = least(&kinds, Errors::Relative, &points, &parts, &|| false).unwrap();
         assert!(errors[0] > 0.04 && errors[0] < 0.09 && errors[1] > 0.3, "{errors:?}");
+    }
+
+    /// Counts what is learnt.
+    struct Counted(std::sync::Arc<std::sync::atomic::AtomicUsize>, Box<dyn Learn>);
+
+    impl Learn for Counted {
+        fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
+            self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            self.1.learn(points, interrupt)
+        }
+    }
+
+    /// A single kind is no choice: its folds are the test. They and all points are learnt once; the error is the one of the folds.
+    #[test]
+    fn one_kind_is_learnt_once_for_each_fold() {
+        let x: Vec<f64> = (0..30).map(|i| f64::from(i) / 29.0).collect();
+        let y: Vec<f64> = x.iter().map(|x| (5.0 * x).sin()).collect();
+        let points = Points { inputs: vec!["spark".into()], output: "fuel".into(), x, y };
+        let count = std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0));
+        let (_, one) = kinds().into_iter().last().unwrap();
+        let kinds: Kinds = vec![("counted".into(), Box::new(Counted(count.clone(), one)))];
+        let tested = choose(&kinds, Errors::Absolute, &points, 5, true, &|| false).unwrap();
+        assert_eq!(count.swap(0, std::sync::atomic::Ordering::Relaxed), 6);
+        assert!(tested.words.contains("5 of 5 such tests chose the same"), "{}", tested.words);
+        let plain = choose(&kinds, Errors::Absolute, &points, 5, false, &|| false).unwrap();
+        assert!((tested.rmse - plain.rmse).abs() < 1e-15 && tested.widen == plain.widen);
     }
 }

@@ -2,6 +2,7 @@
 
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Drift};
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::front::Front;
@@ -18,6 +19,8 @@ use super::inverse::Inverse;
 use super::learn::Learned;
 use super::loops::InputLoop;
 use super::refine::Round;
+use super::setting::setting;
+use super::spec::MapSpec;
 use super::sweep::Sweeps;
 
 /// A cell with edits.
@@ -220,4 +223,11 @@ pub struct Mapped {
     /// The maps.
     #[serde(skip)]
     pub map: StaticMap,
+}
+
+impl Mapped {
+    /// Models, limits and weights that the cells were searched with.
+    pub fn setting(&self, spec: &MapSpec) -> Setting<'_> {
+        setting(&self.layout, &self.models, spec)
+    }
 }

@@ -5,6 +5,7 @@
 //! torque with the maps alone, no loop closed. Days of 60 points that follow the optimum stand beside days of 90 points that are all
 //! planned.
 
+mod search;
 mod truth;
 
 use dynocal_jobs::map;
@@ -16,7 +17,7 @@ use serde_json::json;
 
 use crate::asked::Asked;
 use crate::{Check, Options, Study, StudyError, Surroundings, Task, TaskResult, check, result};
-use truth::{Best, Held};
+use truth::{Best, Confirmed, Held};
 
 pub(super) const STUDY: Study = Study {
     doc: MemberDoc {
@@ -104,7 +105,8 @@ fn task(
 ) -> Task {
     Task {
         name: name.clone(),
-        inputs: json!([parameters, seed, counts, plan, e.text]),
+        // The last says what a case records, so that results of another form are not taken over.
+        inputs: json!([parameters, seed, counts, plan, e.text, "confirmed"]),
         run: Box::new(move |around: &Surroundings| {
             let case = case(&name, e.text, &parameters, seed, counts, plan, around)?;
             serde_json::to_value(case)
@@ -155,16 +157,8 @@ fn case(
     case.cells = found.cells.len();
     case.bed_min = found.bed.all_s() / 60.0;
     case.points = found.points.len();
-    let mut truth = truth::Truth::new(&job.spec, &found, around.watch).map_err(refused)?;
-    let places = truth.places(unseen);
-    for at in &places {
-        case.held.push(truth.held(at).map_err(refused)?);
-    }
-    for k in 0..searched.min(places.len()) {
-        // Spread over the unseen points.
-        let at = &places[k * places.len() / searched];
-        case.best.push(truth.best(at).map_err(refused)?);
-    }
+    let truth = truth::Truth::new(&job.spec, &found, around.watch);
+    (case.held, case.best) = truth.judge(unseen, searched).map_err(refused)?;
     Ok(case)
 }
 
@@ -197,6 +191,9 @@ fn passed(c: &Case, output: &str) -> Option<f64> {
 /// An output, how far it may pass its limit, and the unit.
 type Limit = (&'static str, f64, &'static str);
 
+/// Where fuel is lost: name, what it is, and how much at a point.
+type Lost = (&'static str, &'static str, fn(&Best) -> f64);
+
 fn reduce(results: &[TaskResult]) -> Vec<Check> {
     let mut checks = Vec::new();
     let limits: [(&str, &[Limit]); 2] = [
@@ -219,8 +216,21 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
             &format!("{family}: fuel above the best of a direct search, worst point"),
             Asked::AtMost(1.0),
             "%",
-            &|c| most(c.best.iter().map(|b| 100.0 * (b.map / b.best - 1.0))),
+            &|c| most(c.best.iter().map(Best::above)),
         );
+        // In the order of the map's making: models that err, caution and room for what they do not know, cells and smoothing.
+        let lost: [Lost; 3] = [
+            ("models", "the models' own optimum, above the best", |b| b.bold.fuel - b.best.fuel),
+            ("caution", "what caution and room within limits add", |b| b.own.fuel - b.bold.fuel),
+            ("cells", "what lies between the cells and smoothing add", |b| b.map.fuel - b.own.fuel),
+        ];
+        for (id, what, of) in lost {
+            let what = format!("{family}: fuel lost to {id}: {what}, mean of the points");
+            add(&format!("lost-{id}"), &what, Asked::Reported, "%", &|c| {
+                let n = c.best.len() as f64;
+                (n > 0.0).then(|| c.best.iter().map(|b| 100.0 * of(b) / b.best.fuel).sum::<f64>() / n)
+            });
+        }
         add(
             "torque",
             &format!("{family}: torque of the maps alone against the demand, worst point"),
@@ -269,7 +279,7 @@ fn reduce(results: &[TaskResult]) -> Vec<Check> {
 fn above(case: Option<Case>) -> Option<f64> {
     let best = case?.best;
     let n = best.len() as f64;
-    (n > 0.0).then(|| best.iter().map(|b| 100.0 * (b.map / b.best - 1.0)).sum::<f64>() / n)
+    (n > 0.0).then(|| best.iter().map(Best::above).sum::<f64>() / n)
 }
 
 /// What the days that follow the optimum with 60 points lose against those of 90 planned ones: median over the seeds. A day without maps
@@ -299,6 +309,11 @@ fn plans(results: &[TaskResult]) -> Check {
     )
 }
 
+/// The limit with the least room, in words.
+fn room(c: &Confirmed) -> String {
+    format!("{} {:+.1} %", c.limit, 100.0 * c.over)
+}
+
 fn sections(report: Report, results: &[TaskResult]) -> Report {
     EXAMPLES.iter().fold(report, |report, e| {
         let head = vec![
@@ -307,7 +322,10 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
             Column::number("Torque", "Nm").digits(4),
             Column::number("Speed", "rpm").digits(4),
             Column::number("Fuel of the map", "kg/h").digits(5),
+            Column::number("Optimum of the models here", "kg/h").digits(5),
+            Column::number("The same without caution", "kg/h").digits(5),
             Column::number("Best found", "kg/h").digits(5),
+            Column::text("Limit with least room at the best"),
             Column::number("Settings tried", "").digits(4),
         ];
         let mut table = Table::new(head).caption("Fuel against direct search on the engine without scatter");
@@ -322,8 +340,11 @@ fn sections(report: Report, results: &[TaskResult]) -> Report {
                     (c.seed as f64).into(),
                     b.at[0].into(),
                     b.at[1].into(),
-                    b.map.into(),
-                    b.best.into(),
+                    b.map.fuel.into(),
+                    b.own.fuel.into(),
+                    b.bold.fuel.into(),
+                    b.best.fuel.into(),
+                    room(&b.best).into(),
                     (b.tried as f64).into(),
                 ]);
             }
