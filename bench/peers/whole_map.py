@@ -6,6 +6,9 @@
 
 All responses are quadratic functions of two axes and six inputs, so that both sides have the same functions with exact
 derivatives. Peer: `minimize` with `trust-constr`, its Jacobian and Hessians sparse.
+
+Then the same map on what a day gives: Gaussian processes that were learnt from 90 noisy points, limits with 1.28 standard deviations and
+half of one on what is minimised. No peer; the time is ours alone, the true responses judge.
 """
 
 from common import Verdict, measure, ours  # noqa: F401, I001
@@ -51,6 +54,16 @@ def problem():
 
 def value(response, x):
     return response["constant"] + x @ response["gradient"] + 0.5 * np.einsum("ki,ij,kj->k", x, response["hessian"], x)
+
+
+def processes(responses, upper, pairs, starts):
+    """The map on Gaussian processes of 90 points; time, and what the true responses say of it."""
+    rng = np.random.default_rng(2)
+    x = rng.uniform(size=(90, DIM))
+    noisy = [value(r, x) * (1 + 0.003 * rng.normal(size=len(x))) for r in responses]
+    flat = [{**r, "hessian": r["hessian"].ravel()} for r in responses]
+    return ours("whole_map", {"responses": flat, "upper": upper, "dim": DIM, "axes": AXES, "starts": starts.ravel(), "pairs": pairs,
+                              "smooth": SMOOTH, "points": x.ravel(), "values": noisy, "z": 1.28, "caution": 0.5})
 
 
 class Program:
@@ -123,6 +136,12 @@ def main():
     verdict.check("limits kept to 1e-6", program.passed(u) <= 1e-6, f"{program.passed(u):.1e}, peer {program.passed(found.x):.1e}")
     verdict.check("under 10 s", own < 10, f"{own:.3f} s")
     verdict.check("at most 1/10 of the peer's time", own <= peer / 10, f"1/{peer / own:.1f}")
+    learnt = processes(responses, upper, pairs, starts)
+    u = np.array(learnt["x"])[:, AXES:].ravel()
+    seconds = learnt["time"]["cpu_s"]
+    verdict.row(f"dynocal on Gaussian processes, {learnt['iterations']} iterations, {learnt['status']}", seconds)
+    print(f"   true objective {program.objective(u):.6f} ({a:.6f} where the responses are known), limits passed by {program.passed(u):.3f}")
+    verdict.check("under 10 s on Gaussian processes", seconds < 10, f"{seconds:.3f} s")
     verdict.end()
 
 

@@ -230,14 +230,14 @@ pub(super) struct Program<'a, 'b> {
     /// Scale of the objective.
     pub(super) size: f64,
     x: Vec<f64>,
-    /// Point at which the predictions hold.
+    /// Point at which the predictions hold, and whether its derivatives are known.
     known: Vec<f64>,
+    derived: bool,
     at: Vec<Prediction>,
 }
 
-/// Value, gradient and Hessian of a mean plus some standard deviations, over the free factors in shares of their ranges.
+/// Gradient and Hessian of a mean plus some standard deviations, over the free factors in shares of their ranges.
 pub(super) struct Local {
-    pub(super) value: f64,
     pub(super) gradient: Vec<f64>,
     pub(super) hessian: Vec<f64>,
 }
@@ -252,6 +252,7 @@ impl<'a, 'b> Program<'a, 'b> {
             size: here.objective.abs().max(here.objective_deviation).max(1e-9),
             x: start.to_vec(),
             known: Vec::new(),
+            derived: false,
             at: vec![Prediction::new(setting.dim()); setting.models.len()],
         }
     }
@@ -267,28 +268,44 @@ impl<'a, 'b> Program<'a, 'b> {
         self.start[..axes].iter().copied().chain(free).collect()
     }
 
-    pub(super) fn refresh(&mut self, v: &[f64]) {
+    /// Predictions at `v`. A step that is tried needs their values alone; where the search goes on from, all derivatives are asked for
+    /// at once.
+    pub(super) fn refresh(&mut self, v: &[f64], derivatives: bool) {
         let nf = self.free();
-        if self.known == v[..nf] {
+        let known = self.known == v[..nf];
+        if known && (self.derived || !derivatives) {
             return;
         }
-        self.x = self.factors(v);
-        for (m, at) in self.setting.models.iter().zip(&mut self.at) {
-            m.predict(&self.x, Ask::Hessian, at);
+        if !known {
+            self.x = self.factors(v);
+            self.known = v[..nf].to_vec();
         }
-        self.known = v[..nf].to_vec();
+        let ask = if derivatives { Ask::Hessian } else { Ask::Variance };
+        for (m, at) in self.setting.models.iter().zip(&mut self.at) {
+            m.predict(&self.x, ask, at);
+        }
+        self.derived = derivatives;
     }
 
     /// `mean` weights and squared `variance` weights of responses, and how many standard deviations are added.
+    fn value(&self, parts: &[(usize, f64)], deviations: f64, scale: f64) -> f64 {
+        let (mut value, mut variance) = (0.0, FLOOR * scale * scale);
+        for (k, w) in parts {
+            value += w * self.at[*k].mean;
+            variance += w * w * self.at[*k].variance.max(0.0);
+        }
+        value + if deviations == 0.0 { 0.0 } else { deviations * variance.sqrt() }
+    }
+
+    /// Derivatives of [`Program::value`].
     fn local(&self, parts: &[(usize, f64)], deviations: f64, scale: f64) -> Local {
         let (axes, nf, d) = (self.setting.axes, self.free(), self.setting.dim());
         let span = |i: usize| self.setting.ranges[axes + i].width();
-        let (mut value, mut variance) = (0.0, FLOOR * scale * scale);
+        let mut variance = FLOOR * scale * scale;
         let (mut g, mut vg) = (vec![0.0; nf], vec![0.0; nf]);
         let (mut h, mut vh) = (vec![0.0; nf * nf], vec![0.0; nf * nf]);
         for (k, w) in parts {
             let at = &self.at[*k];
-            value += w * at.mean;
             variance += w * w * at.variance.max(0.0);
             for i in 0..nf {
                 g[i] += w * at.gradient[axes + i] * span(i);
@@ -302,7 +319,6 @@ impl<'a, 'b> Program<'a, 'b> {
         }
         if deviations != 0.0 {
             let sd = variance.sqrt();
-            value += deviations * sd;
             for i in 0..nf {
                 g[i] += deviations * vg[i] / (2.0 * sd);
                 for j in 0..nf {
@@ -311,12 +327,21 @@ impl<'a, 'b> Program<'a, 'b> {
                 }
             }
         }
-        Local { value, gradient: g, hessian: h }
+        Local { gradient: g, hessian: h }
     }
 
     fn objective_parts(&self) -> Vec<(usize, f64)> {
         let weights = self.setting.weights.iter().copied().enumerate();
         weights.filter(|(_, w)| *w != 0.0).collect()
+    }
+
+    pub(super) fn objective_value(&self) -> f64 {
+        self.value(&self.objective_parts(), self.setting.caution, self.size)
+    }
+
+    pub(super) fn side_value(&self, s: &Side) -> f64 {
+        let value = self.value(&[(s.response, s.sign)], self.setting.z, s.scale);
+        (value - s.sign * s.limit) / s.scale
     }
 
     pub(super) fn objective_local(&self) -> Local {
@@ -326,7 +351,6 @@ impl<'a, 'b> Program<'a, 'b> {
     /// sign f + z sd - sign limit, in the scale of the limit.
     pub(super) fn side_local(&self, s: &Side) -> Local {
         let mut l = self.local(&[(s.response, s.sign)], self.setting.z, s.scale);
-        l.value = (l.value - s.sign * s.limit) / s.scale;
         l.gradient.iter_mut().for_each(|g| *g /= s.scale);
         l.hessian.iter_mut().for_each(|h| *h /= s.scale);
         l
@@ -370,8 +394,8 @@ impl SparseNlp for Program<'_, '_> {
         if self.elastic {
             return v[self.free() + self.m()..].iter().sum();
         }
-        self.refresh(v);
-        self.objective_local().value / self.size
+        self.refresh(v, false);
+        self.objective_value() / self.size
     }
 
     fn gradient(&mut self, v: &[f64], grad: &mut [f64]) {
@@ -381,17 +405,17 @@ impl SparseNlp for Program<'_, '_> {
             grad[from..].fill(1.0);
             return;
         }
-        self.refresh(v);
+        self.refresh(v, true);
         let l = self.objective_local();
         grad.iter_mut().zip(&l.gradient).for_each(|(g, l)| *g = l / self.size);
     }
 
     fn constraints(&mut self, v: &[f64], c: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, false);
         let (nf, m) = (self.free(), self.m());
         for (k, s) in self.setting.sides.iter().enumerate() {
             let violation = if self.elastic { v[nf + m + k] } else { 0.0 };
-            c[k] = self.side_local(s).value + v[nf + k] - violation;
+            c[k] = self.side_value(s) + v[nf + k] - violation;
         }
     }
 
@@ -409,7 +433,7 @@ impl SparseNlp for Program<'_, '_> {
     }
 
     fn jacobian(&mut self, v: &[f64], values: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, true);
         let mut at = 0;
         for s in &self.setting.sides {
             for g in self.side_local(s).gradient {
@@ -431,7 +455,7 @@ impl SparseNlp for Program<'_, '_> {
     }
 
     fn hessian(&mut self, v: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, true);
         let nf = self.free();
         let mut sum = vec![0.0; nf * nf];
         if !self.elastic && sigma != 0.0 {

@@ -134,9 +134,10 @@ impl<'a, 'b> Whole<'a, 'b> {
         self.nf + self.ns
     }
 
-    fn refresh(&mut self, v: &[f64]) {
+    fn refresh(&mut self, v: &[f64], derivatives: bool) {
         let (block, nf) = (self.block(), self.nf);
-        self.cells.par_iter_mut().enumerate().for_each(|(k, c)| c.refresh(&v[k * block..k * block + nf]));
+        let each = self.cells.par_iter_mut().enumerate();
+        each.for_each(|(k, c)| c.refresh(&v[k * block..k * block + nf], derivatives));
     }
 
     /// Difference of factor i between two cells, as a share of its range.
@@ -144,11 +145,10 @@ impl<'a, 'b> Whole<'a, 'b> {
         v[k * self.block() + i] - v[j * self.block() + i]
     }
 
-    /// Objective of each cell with its weight.
+    /// Derivatives of the objective of each cell with its weight.
     fn objectives(&self) -> Vec<Local> {
         let weighted = |(c, w): (&Program, &f64)| {
             let (mut l, w) = (c.objective_local(), w / c.size);
-            l.value *= w;
             l.gradient.iter_mut().for_each(|g| *g *= w);
             l.hessian.iter_mut().for_each(|h| *h *= w);
             l
@@ -195,8 +195,9 @@ impl SparseNlp for Whole<'_, '_> {
     }
 
     fn objective(&mut self, v: &[f64]) -> f64 {
-        self.refresh(v);
-        let own: f64 = self.objectives().iter().map(|l| l.value).sum();
+        self.refresh(v, false);
+        let of = |(c, w): (&Program, &f64)| c.objective_value() * w / c.size;
+        let own: f64 = self.cells.iter().zip(&self.share).map(of).sum();
         let squares = |(k, j): &(usize, usize)| -> f64 {
             (0..self.nf).map(|i| self.difference(v, *k, *j, i).powi(2)).sum()
         };
@@ -204,7 +205,7 @@ impl SparseNlp for Whole<'_, '_> {
     }
 
     fn gradient(&mut self, v: &[f64], grad: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, true);
         grad.fill(0.0);
         let (block, rho) = (self.block(), self.rho());
         for (k, l) in self.objectives().iter().enumerate() {
@@ -220,11 +221,11 @@ impl SparseNlp for Whole<'_, '_> {
     }
 
     fn constraints(&mut self, v: &[f64], c: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, false);
         let (block, nf, ns) = (self.block(), self.nf, self.ns);
         for (k, cell) in self.cells.iter().enumerate() {
             for (l, s) in cell.setting.sides.iter().enumerate() {
-                c[k * ns + l] = cell.side_local(s).value + v[k * block + nf + l];
+                c[k * ns + l] = cell.side_value(s) + v[k * block + nf + l];
             }
         }
         let (from, rows) = (self.cells.len() * block, self.cells.len() * ns);
@@ -250,7 +251,7 @@ impl SparseNlp for Whole<'_, '_> {
     }
 
     fn jacobian(&mut self, v: &[f64], values: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, true);
         let width = self.nf + 1;
         let ns = self.ns;
         let of_cells = self.cells.len() * ns * width;
@@ -288,7 +289,7 @@ impl SparseNlp for Whole<'_, '_> {
     }
 
     fn hessian(&mut self, v: &[f64], sigma: f64, multipliers: &[f64], values: &mut [f64]) {
-        self.refresh(v);
+        self.refresh(v, true);
         let (nf, ns) = (self.nf, self.ns);
         let each = nf * (nf + 1) / 2;
         let (own, pairs) = values.split_at_mut(self.cells.len() * each);
