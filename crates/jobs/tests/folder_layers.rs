@@ -92,8 +92,8 @@ fn no_file_of_calibrate_uses_one_above_it() {
 /// Lowest first.
 const MAP: &[&str] = &[
     "error", "spec", "budget", "check", "job", "bench", "journal", "choose", "learn", "drive", "sweep",
-    "estimate", "setting", "refine", "inverse", "loops", "result", "edits", "between", "cells", "front",
-    "deliver", "verify", "verdict", "work", "page", "store",
+    "reach", "estimate", "setting", "refine", "inverse", "loops", "result", "edits", "between", "cells",
+    "front", "deliver", "optimum", "verify", "verdict", "work", "page", "store",
 ];
 
 #[test]

@@ -281,6 +281,12 @@ pub fn replace(
     fill(setting, axes, cells);
 }
 
+/// Marks the cells `which` as not reached after all, and fills them.
+pub fn unreached(setting: &Setting, axes: &[Vec<f64>], which: &[usize], cells: &mut [Cell]) {
+    which.iter().for_each(|k| cells[*k].state = CellState::Filled);
+    fill(setting, axes, cells);
+}
+
 /// Fills cells that the bed has not reached from those next to them, ring by ring.
 fn fill(setting: &Setting, axes: &[Vec<f64>], cells: &mut [Cell]) {
     let mut known: Vec<bool> = cells.iter().map(|c| c.state != CellState::Filled).collect();

@@ -1,14 +1,15 @@
 //! A correction over the axes of a map, learnt from what was measured along its lines.
 //!
 //! ```text
-//! minimise over c, d   sum_i w_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  lambda sum_axes ( | D c |^2 + | D d |^2 )
+//! minimise over c, d   sum_i w_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  lambda sum_axes ( | D c |^2 + | D d |^2 )  +  mu | d |^2
 //! ```
 //!
 //! z: place over the axes, r: what was measured less what was expected, s: 1 where it was gone up the axis and -1 where it was gone down,
 //! h: hats of the knots (multilinear between them), D: second differences over the knots, w: weights of the measurements. c is the
 //! correction, d the lag of the way.
 //! `lambda` is the one of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
-//! measurement nearby go on as the others bend, but not beyond what was found where there are some.
+//! measurement nearby go on as the others bend, but not beyond what was found where there are some. Where one way alone was measured `mu`,
+//! which is small, takes it for the correction.
 //!
 //! Reference: P. Craven, G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik 31 (1979), 377.
 
@@ -37,6 +38,8 @@ pub struct Trim {
 /// Weights that are tried, and the one that keeps knots solvable that nothing bears on: both as shares of the mean diagonal.
 const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
 const RIDGE: f64 = 1e-9;
+/// mu, as a share of the mean diagonal.
+const NO_LAG: f64 = 1e-3;
 
 impl Trim {
     /// From what was measured along lines; none where there is nothing, or where it is not finite.
@@ -149,10 +152,11 @@ impl Rows {
 
     fn fit(&self, lambda: f64) -> Option<Fit> {
         let n = self.n;
-        let ridge = RIDGE * (0..n).map(|k| self.gram[k * n + k]).sum::<f64>() / n as f64;
+        let mean = (0..n).map(|k| self.gram[k * n + k]).sum::<f64>() / n as f64;
+        let ridge = |k: usize| if k < n / 2 { RIDGE * mean } else { NO_LAG * mean };
         let mut a: Vec<f64> =
             self.gram.iter().zip(&self.bending).map(|(g, b)| g + lambda * self.scale * b).collect();
-        (0..n).for_each(|k| a[k * n + k] += ridge);
+        (0..n).for_each(|k| a[k * n + k] += ridge(k));
         cholesky(&mut a, n).ok()?;
         let mut values = self.right.clone();
         solve_upper_transposed(&a, n, &mut values).ok()?;
@@ -278,6 +282,30 @@ mod tests {
         assert!((trim.scatter / 0.01 - 1.0).abs() < 0.15, "{}", trim.scatter);
         assert!(Trim::learn(&axes, &Along::default()).is_none());
         assert!(Trim::learn(&axes, &along(&[vec![0.5]], &[1.0], &[f64::NAN])).is_none());
+    }
+
+    /// Where one way alone was measured its lag cannot be told from the correction: it stays with it, and neither runs away.
+    #[test]
+    fn one_way_alone_takes_its_lag_with_it() {
+        let axes = finer(&[vec![0.0, 1.0, 2.0, 3.0]], 1);
+        let both = (0..90).map(|k| (1.2 * f64::from(k % 45) / 44.0, if k < 45 { 1.0 } else { -1.0 }));
+        let up = (0..60).map(|k| (1.2 + 1.8 * f64::from(k) / 59.0, 1.0));
+        let (mut at, mut ways, mut r) = (Vec::new(), Vec::new(), Vec::new());
+        for (x, way) in both.chain(up) {
+            at.push(vec![x]);
+            ways.push(way);
+            r.push(0.1 + 0.03 * (x - 1.2_f64).max(0.0).powi(3) + 0.02 * way);
+        }
+        for lambda in [1e-6, LAMBDAS[0], LAMBDAS[1]] {
+            let trim = Trim::with_lambda(&axes, &along(&at, &ways, &r), lambda).unwrap();
+            let worst = trim.lag.iter().map(|d| d.abs()).fold(0.0, f64::max);
+            assert!(worst < 0.1, "{lambda}: {:?}", trim.lag);
+        }
+        let trim = Trim::learn(&axes, &along(&at, &ways, &r)).unwrap();
+        for x in [1.5, 2.0, 2.5, 3.0] {
+            let missed = trim.at(&[x]) - 0.1 - 0.03 * (x - 1.2_f64).powi(3);
+            assert!((-0.02..0.05).contains(&missed), "{x}: {missed}");
+        }
     }
 
     /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one,

@@ -6,6 +6,7 @@ use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_ident::data::UnitAfter;
 
+use super::reach::channel;
 use super::result::Mapped;
 
 /// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
@@ -31,7 +32,7 @@ pub(super) fn missed(layout: &Layout, cell: &Cell) -> String {
         CellState::Filled => "filled from its neighbours: not reached on the bed".into(),
         CellState::Infeasible | CellState::Edited => {
             let each = cell.optimum.prices.iter().filter(|p| p.passed > 0.0).map(|p| {
-                let r = &layout.responses[p.response];
+                let r = channel(layout, p.response);
                 let (side, limit) = if p.sign > 0.0 { ("above", r.upper) } else { ("below", r.lower) };
                 let unit = UnitAfter(&r.unit);
                 format!("`{}` {:.4}{unit} {side} {}{unit}", r.name, p.passed, limit.unwrap_or(f64::NAN))

@@ -8,6 +8,7 @@ use dynocal_calib::steady::quantise::{multiple, quantise};
 use dynocal_numerics::status::Status;
 
 use super::front::Maps;
+use super::reach::channel;
 use super::result::{Delivered, MapAxis, Passed};
 
 impl Maps<'_> {
@@ -114,7 +115,7 @@ impl Maps<'_> {
             for (p, s) in there.prices.iter().zip(&self.setting.sides) {
                 let share = p.passed / s.scale;
                 if share > LEAST && worst.as_ref().is_none_or(|w| share > w.0) {
-                    let r = &self.layout.responses[p.response];
+                    let r = channel(self.layout, p.response);
                     let (response, unit) = (r.name.clone(), r.unit.clone());
                     worst = Some((share, Passed { response, unit, by: p.passed }));
                 }

@@ -12,6 +12,7 @@ use dynocal_files::dataset;
 use dynocal_ident::data::UnitAfter;
 
 use super::error::MapError;
+use super::reach::channel;
 use super::result::{Edit, Edited, MapAxis, Passed};
 
 /// What a table asks for: number of the cell, and of each edited factor with its value.
@@ -98,7 +99,7 @@ pub(super) fn hold(asked: &[Asked], setting: &Setting, layout: &Layout, cells: &
         let costs = found.objective - cell.optimum.objective;
         let broken = found.prices.iter().zip(&setting.sides).filter(|(p, s)| p.passed > KEPT * s.scale);
         let passed = broken.map(|(p, _)| {
-            let r = &layout.responses[p.response];
+            let r = channel(layout, p.response);
             Passed { response: r.name.clone(), unit: r.unit.clone(), by: p.passed }
         });
         let passed: Vec<Passed> = passed.collect();

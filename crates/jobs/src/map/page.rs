@@ -15,6 +15,7 @@ use super::cells::{actuators, missed, objective_unit};
 use super::error::MapError;
 use super::job::Job;
 use super::learn::Learned;
+use super::reach::channel;
 use super::result::{Delivered, Mapped};
 
 mod extras;
@@ -126,6 +127,12 @@ fn swept(found: &Mapped, mut section: Section) -> Section {
             s.rows,
             s.bed_s / 60.0
         ));
+        if s.at_ends > 0 {
+            section = section.text(format!(
+                "In {} of the windows an input that a loop drives stood at the end of its range, and the demand was not reached: what was reached there was learnt, and the optimum of the cells was sought again.",
+                s.at_ends
+            ));
+        }
     }
     let values = |a: &[f64]| a.len();
     let map = &found.map;
@@ -238,7 +245,7 @@ fn cells(found: &Mapped) -> Section {
         let prices = c.optimum.prices.iter().filter(|p| p.saves > 1e-6 * c.optimum.objective.abs());
         let words: Vec<String> = prices
             .map(|p| {
-                let r = &found.layout.responses[p.response];
+                let r = channel(&found.layout, p.response);
                 let saves = dynocal_report::significant(p.saves, 2);
                 format!("{}: {saves} {} per {}", r.name, objective_unit(found), r.unit)
             })

@@ -138,8 +138,8 @@ impl Refinement<'_> {
         watch: Watch,
     ) -> Next {
         let envelope: Envelope = envelope(self.layout, points);
-        let wide = Setting { caution: HOPE, ..setting(self.layout, models, self.spec) };
-        let setting = setting(self.layout, models, self.spec);
+        let wide = Setting { caution: HOPE, ..setting(self.layout, models, None, self.spec) };
+        let setting = setting(self.layout, models, None, self.spec);
         let reached = |at: &[f64]| envelope.contains(at);
         let seed = self.spec.seed.wrapping_add(round as u64);
         let cells =
@@ -172,7 +172,7 @@ impl Refinement<'_> {
 
     /// What was promised for a batch beside what was measured.
     fn judge(&self, models: &[Learned], batch: &[DayPoint], untried: usize) -> Round {
-        let setting = setting(self.layout, models, self.spec);
+        let setting = setting(self.layout, models, None, self.spec);
         let chosen: Vec<_> = batch.iter().filter(|p| p.purpose == Purpose::Optimum).collect();
         let usable = chosen.iter().filter(|p| p.point.usable).count();
         let kept = chosen.iter().filter(|p| p.point.usable && p.point.touched.is_empty());

@@ -228,6 +228,6 @@ pub struct Mapped {
 impl Mapped {
     /// Models, limits and weights that the cells were searched with.
     pub fn setting(&self, spec: &MapSpec) -> Setting<'_> {
-        setting(&self.layout, &self.models, spec)
+        setting(&self.layout, &self.models, None, spec)
     }
 }

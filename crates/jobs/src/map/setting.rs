@@ -9,6 +9,7 @@ use dynocal_ident::model::response::Response;
 use dynocal_numerics::interval::Interval;
 
 use super::learn::Learned;
+use super::reach::Reach;
 use super::spec::MapSpec;
 
 /// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it.
@@ -24,17 +25,27 @@ pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
     Envelope::of(&reached, &ranges)
 }
 
-/// Models with limits and weights.
-pub(super) fn setting<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
+/// Models with limits and weights; what a demand reaches at the end of its input, where that was met.
+pub(super) fn setting<'a>(
+    layout: &Layout,
+    models: &'a [Learned],
+    reach: Option<&'a Reach>,
+    spec: &MapSpec,
+) -> Setting<'a> {
     let mut sides = Vec::new();
     for (k, r) in layout.responses.iter().enumerate() {
         let scale = models[k].spread.max(f64::MIN_POSITIVE);
-        sides.extend(r.upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
-        sides.extend(r.lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
+        let stays = |upper: bool| reach.is_none_or(|e| !e.replaces(k, upper));
+        let upper = r.upper.filter(|_| stays(true));
+        let lower = r.lower.filter(|_| stays(false));
+        sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
+        sides.extend(lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
     }
+    sides.extend(reach.iter().flat_map(|e| e.sides(models.len())));
+    let reserves = || reach.iter().flat_map(|e| e.responses());
     Setting {
-        models: models.iter().map(|m| m as &dyn Response).collect(),
-        weights: layout.responses.iter().map(|r| r.weight).collect(),
+        models: models.iter().map(|m| m as &dyn Response).chain(reserves()).collect(),
+        weights: layout.responses.iter().map(|r| r.weight).chain(reserves().map(|_| 0.0)).collect(),
         sides,
         z: deviations(spec.optimise.probability),
         caution: spec.optimise.caution,

@@ -9,6 +9,9 @@
 //! w = (d log u / d log y)^-2   weight of r, y: the demand that u holds; where y hardly answers u the loop swings far and that is no matter
 //! ```
 //!
+//! A window counts where all demands were followed and the loop had room, and where the maps still go through it: what lines find at the ends
+//! of the driven inputs is learnt ([`super::reach`]) and may move the optimum.
+//!
 //! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with g, so that the loops have only the rest to
 //! do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
 //! optimum only.
@@ -37,6 +40,8 @@ pub struct Sweeps {
     pub whole: usize,
     /// Windows that were measured.
     pub rows: usize,
+    /// Windows in which a driven input stood at an end of its range: what was reached there was learnt, and the maps made anew.
+    pub at_ends: usize,
     /// Bed time in s.
     pub bed_s: f64,
     /// Lines that ended early, in words.
@@ -63,11 +68,11 @@ struct Line {
 }
 
 /// A window of a sweep.
-struct Window {
+pub(super) struct Window {
     line: usize,
     /// 1: up the first axis; -1: down.
     up: f64,
-    row: SweepRow,
+    pub(super) row: SweepRow,
 }
 
 /// Bed time that the sweeps of a spec take, about.
@@ -79,19 +84,33 @@ pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     lines as f64 * (2.0 * s.pass_s + 0.5 * a.ramp_s + 3.0 * a.window_s + a.average_s)
 }
 
+impl Window {
+    /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
+    pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
+        let mut at = self.row.factors[..layout.axes].to_vec();
+        let mut missed = false;
+        for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
+            if let FactorKind::Demand(l) = f.kind {
+                missed |= self.row.at_end[l] && !self.row.followed[l];
+                at[k] = self.row.asked[l];
+            }
+        }
+        missed.then_some(at)
+    }
+}
+
 impl Lines<'_> {
-    /// Goes along all lines until `bed_s` is used up, and trims the maps of the driven inputs; nothing where the spec asks for none or
-    /// the bed cannot.
+    /// Goes along all lines until `bed_s` is used up; nothing where the spec asks for none or the bed cannot.
     ///
     /// # Errors
     /// [`MapError`].
     pub(super) fn run(
         &self,
         bench: &mut dyn Bench,
-        drives: &mut [Drive],
+        drives: &[Drive],
         bed_s: f64,
         watch: Watch,
-    ) -> Result<Option<Sweeps>, MapError> {
+    ) -> Result<Option<(Sweeps, Vec<Window>)>, MapError> {
         let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
         let lines = self.lines(spec, drives)?;
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
@@ -124,12 +143,28 @@ impl Lines<'_> {
             }
         }
         sweeps.rows = rows.len();
+        sweeps.at_ends = rows.iter().filter(|w| w.row.at_end.contains(&true)).count();
         sweeps.bed_s = bench.used_s() - begun_s;
+        Ok(Some((sweeps, rows)))
+    }
+
+    /// Trims the maps of the driven inputs by what was measured along the lines.
+    ///
+    /// # Errors
+    /// As of [`Drive::at`].
+    pub(super) fn trim(&self, rows: &[Window], drives: &mut [Drive]) -> Result<(), MapError> {
+        let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
         let knots: Vec<Vec<f64>> = self.knots(spec);
-        for (l, d) in drives.iter_mut().enumerate() {
-            self.trim(l, d, &rows, &knots)?;
-        }
-        Ok(Some(sweeps))
+        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
+        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &on_the_maps, &knots))
+    }
+
+    /// Whether the maps go through what was measured in a window.
+    fn goes_through(&self, w: &Window) -> bool {
+        let n = self.layout.axes;
+        let here = interpolate(self.axes, self.cells, &w.row.factors[..n]);
+        let apart = self.layout.factors[n..].iter().zip(w.row.factors[n..].iter().zip(&here[n..]));
+        apart.into_iter().all(|(f, (a, b))| (a - b).abs() <= ASIDE * (f.upper - f.lower))
     }
 
     fn knots(&self, spec: &SweepSpec) -> Vec<Vec<f64>> {
@@ -197,9 +232,16 @@ impl Lines<'_> {
     }
 
     /// Learns the trim of the input of loop `l` from windows with room.
-    fn trim(&self, l: usize, drive: &mut Drive, rows: &[Window], knots: &[Vec<f64>]) -> Result<(), MapError> {
+    fn trim_one(
+        &self,
+        l: usize,
+        drive: &mut Drive,
+        rows: &[&Window],
+        knots: &[Vec<f64>],
+    ) -> Result<(), MapError> {
         let (n, drift) = (self.layout.axes, self.drift.get(l).filter(|d| d.corrected));
-        let used: Vec<&Window> = rows.iter().filter(|w| !w.row.at_end[l]).collect();
+        let room = |w: &&&Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
+        let used: Vec<&Window> = rows.iter().filter(room).copied().collect();
         let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
         let mut missed = Missed::default();
         let say = models_say(self.layout, self.setting, drive, &factors)?;
@@ -220,6 +262,9 @@ impl Lines<'_> {
     }
 }
 
+/// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
+/// within it is less than its map misses.
+const ASIDE: f64 = 0.05;
 /// Share by which a demand is moved to see what its input does.
 const SHARE: f64 = 0.01;
 /// Least slope of an input over its demand, both as shares: what flows goes with at most the square of an opening.

@@ -25,6 +25,12 @@ pub(super) fn share(spec: &MapSpec) -> f64 {
     spec.verify.points as f64 / spec.bed.points.max(1) as f64
 }
 
+/// Bed time in s that a point may take; none where there are no points.
+pub(super) fn longest_s(spec: &MapSpec) -> f64 {
+    let a = &spec.bed.approach;
+    if spec.verify.points == 0 { 0.0 } else { a.ramp_s + a.settle_s + a.average_s }
+}
+
 /// What is verified.
 pub(super) struct Verification<'a> {
     pub(super) spec: &'a MapSpec,
@@ -57,8 +63,7 @@ impl Verification<'_> {
         };
         let tasks = targets.iter().map(task).collect::<Result<Vec<Task>, MapError>>()?;
         // The day ends with these points: none begins that may pass the end of the bed time.
-        let approach = &self.spec.bed.approach;
-        let longest_s = approach.ramp_s + approach.settle_s + approach.average_s;
+        let longest_s = longest_s(self.spec);
         let end = bench.run(tasks.clone(), bed_s - longest_s, points, watch)?;
         let latest = self.wait_longer(bench, &tasks, begun, bed_s - longest_s, points, watch)?;
         let missed = |at: &[f64], note: String| Verified {

@@ -4,10 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dynocal_calib::gains::{self, Tuned};
-use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
-use dynocal_calib::map::{ActuatorPort, Port, Ports};
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
-use dynocal_calib::steady::grid::{self, Cell};
 use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
 use dynocal_calib::steady::plan::DayPlan;
 use dynocal_calib::steady::station::Station;
@@ -21,13 +18,14 @@ use dynocal_plant::plants;
 use super::bench::{self, Bench, OnBed};
 use super::between::Between;
 use super::budget::{Budget, fewest};
-use super::cells::{actuators, end_in_words, missed};
+use super::cells::end_in_words;
 use super::drive;
 use super::error::MapError;
-use super::front::Maps;
 use super::job::Job;
 use super::journal::{Journal, digests};
 use super::learn;
+use super::optimum::{Optimum, static_map};
+use super::reach::Reach;
 use super::refine::{Refined, Refinement};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
@@ -143,43 +141,42 @@ struct Day<'a> {
 
 impl Day<'_> {
     fn run(self, bench: &mut dyn Bench, watch: Watch) -> Result<Mapped, MapError> {
-        let Self { job, layout, mut axes, tuned, first } = self;
+        let Self { job, layout, axes, tuned, first } = self;
         let spec = &job.spec;
         // Edits that do not fit are known before the bed is run.
         spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
         let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-        let points_s = (budget_s - sweep::expected_s(spec, &grid_axes)).max(0.0);
+        // The verification comes last, and none of its points begins that may pass the end of the bed time.
+        let kept_s = sweep::expected_s(spec, &grid_axes) + verify::longest_s(spec);
+        let points_s = (budget_s - kept_s).max(0.0);
         let (mut points, Refined { rounds, end, enough }) =
             measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
         let drift = day::drift(layout, &points);
         let models = learn::learn(layout, &points, &drift, &spec.models, true, watch)?;
         let envelope = envelope(layout, &points);
-        watch.note("the optimum of every cell");
-        let setting = setting(layout, &models, spec);
-        let reached = |at: &[f64]| envelope.contains(at);
-        let mut cells =
-            grid::solve(&setting, &grid_axes, &spec.optimise, &reached, spec.seed, watch.interrupt);
-        let maps = Maps { spec, layout, setting: &setting, axes: &grid_axes };
-        let front = maps.front(&mut cells, watch);
-        let whole = maps.couple(front.as_ref(), &mut cells, watch);
-        let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
-        let edited = spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
-        let edits = edits::hold(&edited.unwrap_or_default(), &setting, layout, &mut cells);
+        let setting = setting(layout, &models, None, spec);
+        let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
         let mut drives = drive::learn(layout, &points, spec, watch)?;
-        let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-        if watch.interrupted() {
-            return Err(MapError::Interrupted);
-        }
         bench.widen_limits(spec.verify.limit);
-        let lines =
-            sweep::Lines { spec, layout, setting: &setting, axes: &grid_axes, cells: &cells, drift: &drift };
-        let until_s = budget_s - verify::share(spec) * points_s;
-        let sweeps = lines.run(bench, &mut drives, until_s, watch)?;
+        let until_s = budget_s - verify::share(spec) * points_s - verify::longest_s(spec);
+        let swept = optimum.lines(spec, layout, &setting, &drift).run(bench, &drives, until_s, watch)?;
+        let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
-        drive::fill(&drives, layout, &mut cells)?;
+        let windows = windows.unwrap_or_default();
+        if let Some(reach) = Reach::learn(layout, &points, &windows, &spec.models, watch)? {
+            let within = super::setting::setting(layout, &models, Some(&reach), spec);
+            optimum.within_reach(spec, layout, (&setting, &within), &windows, watch);
+        }
+        optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
+        drive::fill(&drives, layout, &mut optimum.cells)?;
+        if !windows.is_empty() {
+            optimum.drop_unreached(layout, &setting);
+        }
+        let Optimum { axes, cells, front, whole, delivered, edits, .. } = optimum;
+        let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         watch.note(&format!("{} verification points on the bed", spec.verify.points));
         let verification = verify::Verification {
             spec,
@@ -479,50 +476,4 @@ fn enough(spec: &MapSpec, points: &[DayPoint], end: &DayEnd) -> Result<(), MapEr
     let notes: Vec<String> = notes.iter().take(5).map(|(note, n)| format!("{note} ({n} times)")).collect();
     let end = end_in_words(end);
     Err(MapError::TooFew { usable, measured: learnt().count(), least, end, notes: notes.join("; ") })
-}
-
-/// The maps in the form of the house: demand slow, given channel fast.
-fn static_map(spec: &MapSpec, layout: &Layout, axes: &[MapAxis], cells: &[Cell], bed_s: f64) -> StaticMap {
-    let p = &spec.problem;
-    let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
-    let axis = |known: &[String]| axes.iter().find(|a| known.contains(&a.name));
-    let (demand, given) = (axis(&p.demand_names()), axis(&p.given_names()));
-    // The leading demand and the given channel of a map are its axes: they come first.
-    let first = |name: Option<&MapAxis>, all: Vec<Port>| -> Vec<Port> {
-        let leads = |p: &Port| name.is_some_and(|a| a.name == p.name);
-        let (mut lead, rest): (Vec<Port>, Vec<Port>) = all.into_iter().partition(|p| leads(p));
-        lead.extend(rest);
-        lead
-    };
-    let actuator = |i: &dynocal_calib::problem::InputChannel| ActuatorPort {
-        name: i.name.clone(),
-        unit: i.unit.clone(),
-        lower: i.lower,
-        upper: i.upper,
-    };
-    let ports = Ports {
-        demands: first(demand, p.demands.iter().map(|d| port(&d.output, &d.unit)).collect()),
-        given: first(given, p.given.iter().map(|g| port(&g.name, &g.unit)).collect()),
-        actuators: p.inputs.iter().map(actuator).collect(),
-    };
-    let points = cells.iter().map(|c| {
-        let along = |a: Option<&MapAxis>| {
-            a.and_then(|a| axes.iter().position(|o| o.name == a.name)).map_or(0.0, |k| c.at[k])
-        };
-        StaticPoint {
-            demand: along(demand),
-            given: along(given),
-            actuators: actuators(layout, c),
-            errors: Vec::new(),
-            objective: c.optimum.objective,
-            missed: missed(layout, c),
-        }
-    });
-    StaticMap {
-        ports,
-        demand: demand.map_or(vec![0.0], |a| a.points.clone()),
-        given: given.map_or(vec![0.0], |a| a.points.clone()),
-        points: points.collect(),
-        bed_s,
-    }
 }

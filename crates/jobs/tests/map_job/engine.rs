@@ -18,6 +18,8 @@ pub(crate) enum Fault {
     SwingsIn(f64, f64),
     /// Knock does not depend on anything.
     NoSignal,
+    /// The load saturates as a throttle does ([`saturated`]).
+    Saturates,
 }
 
 /// Torque = load eff(spark, cam), behind a lag of 0.3 s:
@@ -94,7 +96,8 @@ impl Plant for Bench {
         let n = speed / 1000.0 - 1.0;
         let (s0, c0) = (0.7 + 0.2 * n + self.shift, 0.3 + 0.3 * n);
         let eff = 1.0 - 0.2 * (spark - s0).powi(2) - 0.1 * (cam - c0).powi(2);
-        self.torque += (load * eff - self.torque) * (1.0 - (-dt_s / 0.3f64).exp());
+        let load_of = if self.fault == Fault::Saturates { saturated(*load, *cam) } else { *load };
+        self.torque += (load_of * eff - self.torque) * (1.0 - (-dt_s / 0.3f64).exp());
         self.time_s += dt_s;
         let mut scatter = |size: f64| size * self.noise * self.rng.normal();
         let swings = match self.fault {
@@ -109,7 +112,7 @@ impl Plant for Bench {
             _ => 0.2 + 0.006 * self.torque + 0.6 * spark + scatter(0.02),
         };
         y[2] = 500.0 + 3.0 * self.torque - 100.0 * spark + 150.0 * cam + scatter(2.0);
-        y[3] = load + scatter(0.05);
+        y[3] = load_of + scatter(0.05);
         self.shown.copy_from_slice(y);
         Ok(())
     }
@@ -133,6 +136,12 @@ impl Plant for Bench {
     fn describe(&self) -> String {
         "bench".into()
     }
+}
+
+/// What a load does on an engine whose load saturates: 60 at most with the cam at 0, 110 at 1.
+pub(crate) fn saturated(load: f64, cam: f64) -> f64 {
+    let most = 60.0 + 50.0 * cam;
+    most * (1.0 - (-load / most).exp())
 }
 
 /// The best setting: spark limited by knock, cam by heat. On the boundary of heat spark and cam trade, so that both are found from

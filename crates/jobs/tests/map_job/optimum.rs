@@ -6,7 +6,7 @@ use dynocal_calib::steady::grid::{CellState, interpolate};
 use dynocal_jobs::map::job;
 use dynocal_jobs::place::Overrides;
 
-use super::engine::{Bench, DAY, Fault, best, fuel, run_with, text};
+use super::engine::{Bench, DAY, Fault, best, fuel, run_with, saturated, text};
 
 #[test]
 fn maps_are_near_the_known_optimum_and_keep_their_limits() {
@@ -182,4 +182,25 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     // The same day without them.
     let (without, _) = worst("", 1.0);
     assert!(with < without, "{with} {without}");
+}
+
+/// A load that saturates is nearly open before it is at its end, and models of it over the torque do not know where the end is. The lines
+/// find it: no cell is called an optimum whose torque the engine cannot give at the settings of the cell, and some cells lie where that
+/// matters.
+#[test]
+fn no_optimum_lies_where_a_line_found_the_load_at_its_end() {
+    let few = "[models]\ncandidates = [{ kind = \"gaussian_process\" }]\n[bed.sweep]\npass_s = 20.0\n";
+    for seed in 1..4 {
+        let found = run_with(&format!("{DAY}{few}"), seed, Bench::new(0.5, Fault::Saturates)).unwrap();
+        let mut near = 0;
+        for c in found.cells.iter().filter(|c| c.state == CellState::Optimal) {
+            let (spark, cam) = (c.optimum.x[2], c.optimum.x[3]);
+            let n = c.at[1] / 1000.0 - 1.0;
+            let eff = 1.0 - 0.2 * (spark - 0.7 - 0.2 * n).powi(2) - 0.1 * (cam - 0.3 - 0.3 * n).powi(2);
+            let reached = saturated(150.0, cam) * eff;
+            assert!(reached > 0.97 * c.at[0], "seed {seed}, {:?}: {reached} at cam {cam}", c.at);
+            near += usize::from(saturated(150.0, 0.0) * eff < c.at[0]);
+        }
+        assert!(found.cells.iter().any(|c| c.state != CellState::Optimal) || near > 0, "seed {seed}");
+    }
 }

@@ -27,10 +27,15 @@ pub struct SweepRow {
     pub factors: Vec<f64>,
     /// Responses.
     pub responses: Vec<f64>,
+    /// Demands as asked for, by loop.
+    pub asked: Vec<f64>,
     /// Number of the leg in its middle.
     pub leg: usize,
     /// Whether the input of each loop was at an end of its range, by loop.
     pub at_end: Vec<bool>,
+    /// Whether each demand was followed: in the mean it is behind by no more than its course changes over the window; one that is held
+    /// counts as followed. Where it is not, the loop still moves its input, which then says nothing about what holds the demand.
+    pub followed: Vec<bool>,
     /// Bed time at its end, from the begin of the day, in s.
     pub at_s: f64,
 }
@@ -84,7 +89,7 @@ impl Station<'_> {
             let part = played.record.part(k * window, (k + 1) * window, "window".into());
             let at_s = started_s + ((k + 1) * window) as f64 * dt;
             let leg = leg_at(&ways, k * window + window / 2);
-            rows.push(self.row(&plan, &part, leg, at_s)?);
+            rows.push(self.row(&plan, (&part, k * window), leg, at_s)?);
         }
         self.at = reached(from, &ways, played.played);
         let touched = match played.stop.as_ref() {
@@ -94,15 +99,30 @@ impl Station<'_> {
         Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
     }
 
-    fn row(&self, plan: &Plan, part: &Dataset, leg: usize, at_s: f64) -> Result<SweepRow, PlayError> {
+    /// The window `part`, which begins at row `from` of the plan.
+    fn row(
+        &self,
+        plan: &Plan,
+        (part, from): (&Dataset, usize),
+        leg: usize,
+        at_s: f64,
+    ) -> Result<SweepRow, PlayError> {
         let (factors, responses) = means(self.layout, part)?;
-        let mut at_end = Vec::new();
+        let (mut at_end, mut followed, mut demands) = (Vec::new(), Vec::new(), Vec::new());
+        for (k, d) in plan.demands.iter().enumerate() {
+            let (asked, found) = (&d.values[from..from + part.len()], part.values(&d.output)?);
+            let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+            let behind = mean(found) - mean(asked);
+            demands.push(mean(asked));
+            let change = (asked[asked.len() - 1] - asked[0]).abs();
+            followed.push(change == 0.0 || behind.abs() <= change.max(self.tolerances[k].1));
+        }
         for l in &plan.loops {
             let c = plan.channels.iter().find(|c| c.name == l.input);
             let values = part.values(&l.input)?;
             at_end.push(c.is_some_and(|c| values.iter().any(|u| *u <= c.lower || *u >= c.upper)));
         }
-        Ok(SweepRow { factors, responses, leg, at_end, at_s })
+        Ok(SweepRow { factors, responses, asked: demands, leg, at_end, followed, at_s })
     }
 }
 

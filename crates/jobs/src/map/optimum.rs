@@ -1,0 +1,183 @@
+//! The optimum on models: maps over their axes, with all that the spec asks of them; and the same in the form of the house.
+
+use dynocal_calib::map::static_map::{StaticMap, StaticPoint};
+use dynocal_calib::map::{ActuatorPort, Port, Ports};
+use dynocal_calib::steady::cell::{CellOptimum, Setting};
+use dynocal_calib::steady::day::Drift;
+use dynocal_calib::steady::envelope::Envelope;
+use dynocal_calib::steady::front::Front;
+use dynocal_calib::steady::grid::{self, Cell, CellState, corners};
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::quantise::quantise;
+use dynocal_numerics::status::Status;
+use dynocal_numerics::watch::Watch;
+
+use super::cells::{actuators, missed};
+use super::edits;
+use super::error::MapError;
+use super::front::Maps;
+use super::result::{Delivered, Edit, MapAxis};
+use super::spec::MapSpec;
+use super::sweep::{Lines, Window};
+
+/// Maps as the models say.
+pub(super) struct Optimum {
+    pub(super) axes: Vec<MapAxis>,
+    grid_axes: Vec<Vec<f64>>,
+    pub(super) cells: Vec<Cell>,
+    pub(super) front: Option<Front>,
+    pub(super) whole: Option<(Status, usize)>,
+    pub(super) delivered: Option<Delivered>,
+    pub(super) edits: Vec<Edit>,
+}
+
+impl Optimum {
+    /// The optimum of every cell within the envelope, the trade-off, the coupling, breakpoints and steps, and the edits of the user.
+    ///
+    /// # Errors
+    /// [`MapError`] where edits do not fit, or where the user interrupted.
+    pub(super) fn of(
+        spec: &MapSpec,
+        layout: &Layout,
+        setting: &Setting,
+        axes: &[MapAxis],
+        envelope: &Envelope,
+        watch: Watch,
+    ) -> Result<Self, MapError> {
+        watch.note("the optimum of every cell");
+        let mut axes = axes.to_vec();
+        let full: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+        let reached = |at: &[f64]| envelope.contains(at);
+        let mut cells = grid::solve(setting, &full, &spec.optimise, &reached, spec.seed, watch.interrupt);
+        let maps = Maps { spec, layout, setting, axes: &full };
+        let front = maps.front(&mut cells, watch);
+        let whole = maps.couple(front.as_ref(), &mut cells, watch);
+        let delivered = maps.deliver(front.as_ref(), &mut axes, &mut cells);
+        let edited = spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
+        let edits = edits::hold(&edited.unwrap_or_default(), setting, layout, &mut cells);
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        let grid_axes = axes.iter().map(|a| a.points.clone()).collect();
+        Ok(Self { axes, grid_axes, cells, front, whole, delivered, edits })
+    }
+
+    /// Seeks the optimum again of the cells that lines did not reach, `within` what the demand reaches at the end of its input. One that
+    /// has none was not reached.
+    pub(super) fn within_reach(
+        &mut self,
+        spec: &MapSpec,
+        layout: &Layout,
+        (setting, within): (&Setting, &Setting),
+        windows: &[Window],
+        watch: Watch,
+    ) {
+        let missed = windows.iter().filter_map(|w| w.missed(layout));
+        let mut which: Vec<usize> = missed
+            .flat_map(|at| corners(&self.grid_axes, &at))
+            .map(|(k, _)| k)
+            .filter(|k| self.cells[*k].state == CellState::Optimal)
+            .collect();
+        which.sort_unstable();
+        which.dedup();
+        let free = &layout.factors[layout.axes..];
+        let steps: Vec<Option<f64>> =
+            free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
+        let one = |k: &usize| {
+            let cell = &self.cells[*k];
+            let warm = std::slice::from_ref(&cell.optimum.x);
+            let found = within.optimise(&cell.at, spec.optimise.starts, warm, spec.seed, watch.interrupt);
+            let mut found =
+                if steps.iter().any(Option::is_some) { quantise(within, &found, &steps) } else { found };
+            // The reserves are no responses of the cells.
+            found.responses.truncate(layout.responses.len());
+            found.deviations.truncate(layout.responses.len());
+            found
+        };
+        let optima: Vec<CellOptimum> = which.iter().map(one).collect();
+        let lost = which.iter().zip(&optima).filter(|(_, o)| !o.feasible);
+        let lost: Vec<usize> = lost.map(|(k, _)| *k).collect();
+        grid::replace(setting, &self.grid_axes, &which, optima, &mut self.cells);
+        grid::unreached(setting, &self.grid_axes, &lost, &mut self.cells);
+    }
+
+    /// Marks cells as not reached for which the maps of driven inputs, as they stand in the cells, have to go past the end of a range by
+    /// more than their standard deviation: what lines found near there is in them.
+    pub(super) fn drop_unreached(&mut self, layout: &Layout, setting: &Setting) {
+        let past = |c: &Cell| {
+            let each = layout.driven().into_iter().enumerate();
+            let mut each = each.map(|(l, k)| (&layout.problem.inputs[k], l));
+            each.any(|(i, l)| {
+                let (u, sd) = (c.optimum.responses[l], c.optimum.deviations[l]);
+                u - sd > i.upper || u + sd < i.lower
+            })
+        };
+        let optimal = |c: &Cell| c.state == CellState::Optimal;
+        let which: Vec<usize> =
+            (0..self.cells.len()).filter(|k| optimal(&self.cells[*k]) && past(&self.cells[*k])).collect();
+        grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
+    }
+
+    /// Its lines on the bed.
+    pub(super) fn lines<'a>(
+        &'a self,
+        spec: &'a MapSpec,
+        layout: &'a Layout,
+        setting: &'a Setting<'a>,
+        drift: &'a [Drift],
+    ) -> Lines<'a> {
+        Lines { spec, layout, setting, axes: &self.grid_axes, cells: &self.cells, drift }
+    }
+}
+
+/// The maps in the form of the house: demand slow, given channel fast.
+pub(super) fn static_map(
+    spec: &MapSpec,
+    layout: &Layout,
+    axes: &[MapAxis],
+    cells: &[Cell],
+    bed_s: f64,
+) -> StaticMap {
+    let p = &spec.problem;
+    let port = |name: &str, unit: &str| Port { name: name.into(), unit: unit.into() };
+    let axis = |known: &[String]| axes.iter().find(|a| known.contains(&a.name));
+    let (demand, given) = (axis(&p.demand_names()), axis(&p.given_names()));
+    // The leading demand and the given channel of a map are its axes: they come first.
+    let first = |name: Option<&MapAxis>, all: Vec<Port>| -> Vec<Port> {
+        let leads = |p: &Port| name.is_some_and(|a| a.name == p.name);
+        let (mut lead, rest): (Vec<Port>, Vec<Port>) = all.into_iter().partition(|p| leads(p));
+        lead.extend(rest);
+        lead
+    };
+    let actuator = |i: &dynocal_calib::problem::InputChannel| ActuatorPort {
+        name: i.name.clone(),
+        unit: i.unit.clone(),
+        lower: i.lower,
+        upper: i.upper,
+    };
+    let ports = Ports {
+        demands: first(demand, p.demands.iter().map(|d| port(&d.output, &d.unit)).collect()),
+        given: first(given, p.given.iter().map(|g| port(&g.name, &g.unit)).collect()),
+        actuators: p.inputs.iter().map(actuator).collect(),
+    };
+    let points = cells.iter().map(|c| {
+        let along = |a: Option<&MapAxis>| {
+            a.and_then(|a| axes.iter().position(|o| o.name == a.name)).map_or(0.0, |k| c.at[k])
+        };
+        StaticPoint {
+            demand: along(demand),
+            given: along(given),
+            actuators: actuators(layout, c),
+            errors: Vec::new(),
+            objective: c.optimum.objective,
+            missed: missed(layout, c),
+        }
+    });
+    StaticMap {
+        ports,
+        demand: demand.map_or(vec![0.0], |a| a.points.clone()),
+        given: given.map_or(vec![0.0], |a| a.points.clone()),
+        points: points.collect(),
+        bed_s,
+    }
+}
