@@ -50,6 +50,22 @@ fn given_gains_are_judged_as_they_are() {
     assert!(!idle.valid && idle.verdict[0].contains("next to nothing"), "{:?}", idle.verdict);
 }
 
+/// A delay that is a slip of units is refused before anything is searched: margins over it would take hours.
+#[test]
+fn a_delay_of_ten_thousand_lags_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let text = |delay: f64| {
+        format!("{LAG}[[plants]]\nchannels = [[{{ num = [1.0], den = [4.0, 1.0], delay_s = {delay:.1} }}]]\n")
+    };
+    let job = parsed(&text(1e6), tmp.path()).unwrap();
+    let e = work::control(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
+    assert!(
+        e.contains("`y` by `u`") && e.contains("times its lag") && e.contains("unit of its delay"),
+        "{e}"
+    );
+    assert!(found(&text(40.0), tmp.path()).valid);
+}
+
 /// A stored model about a set point is its transfer function, preparation and all; the page is written.
 #[test]
 fn a_stored_model_is_its_transfer_function() {

@@ -6,6 +6,7 @@ use dynocal_control::runtime::PidGains;
 use dynocal_control::search::{Choice, choose, choose_pid};
 use dynocal_control::system::{System, Time};
 use dynocal_control::tune::{self, Lag, StepRun, Tuned, judged, step_run};
+use dynocal_report::significant;
 use rayon::prelude::*;
 
 use super::decouple;
@@ -38,6 +39,10 @@ pub(super) fn seen_by(
     }
 }
 
+/// Delay of a channel over its lag up to which gains are searched: margins and runs of others hold as many samples as the lag asks for over all of
+/// the delay.
+const MOST_DEAD: f64 = 10_000.0;
+
 /// Gains of one loop on its own channel, with those of rules beside.
 pub(super) fn one_loop(
     job: &Job,
@@ -65,6 +70,14 @@ pub(super) fn one_loop(
         .map_err(|e| refused(ControlError::Model(format!("a draw of the parameters: {e}"))))?;
     let lags: Vec<Option<Lag>> = nominal.iter().map(|c| tune::lag(c).ok()).collect();
     let known: Vec<Lag> = lags.iter().flatten().copied().collect();
+    if let Some(l) = known.iter().find(|l| l.dead_s > MOST_DEAD * l.lag_s && l.lag_s > 0.0) {
+        return Err(refused(ControlError::Model(format!(
+            "the channel is late by {} s, {:.0} times its lag of {} s: more than {MOST_DEAD} times is not searched; check the unit of its delay",
+            significant(l.dead_s, 3),
+            l.dead_s / l.lag_s,
+            significant(l.lag_s, 3)
+        ))));
+    }
     let r = step_run(&nominal, &known);
     let mut rules = Vec::new();
     let (choice, nominal) = match l.gains {

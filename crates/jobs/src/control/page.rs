@@ -119,7 +119,7 @@ fn together(found: &Controlled) -> Section {
 
 fn one_loop(found: &Controlled, k: usize, l: &LoopResult, p: &LoopPicture) -> Section {
     let mut section = Section::new(format!("{} by {}", l.output, l.input))
-        .text("The loop on its own channel, the others open. Rules give the smallest gains that they have over the set points; margins are the least over them.")
+        .text("The loop on its own channel, the others open. Rules give the smallest gains that they have over the set points; margins are the least over them. A row in bold misses a margin that is asked.")
         .block(rules(l));
     if let Some(plane) = &p.plane {
         section = section.block(plane_map(l, plane));

@@ -84,8 +84,9 @@ pub(super) fn choose(
         name(chosen),
         each.join(", ")
     );
-    let widen = tests[chosen].as_ref().map_or(1.0, |tests| widen(tests));
     let learnt = kinds[chosen].1.learn(points, interrupt)?;
+    let noise = noise(&learnt, points);
+    let widen = tests[chosen].as_ref().map_or(1.0, |tests| widen(tests, &noise));
     Ok(Chosen { learnt, rmse, widen, words })
 }
 
@@ -106,12 +107,24 @@ fn inner_choice(
     Ok(least(kinds, by, &part, &inner, interrupt)?.best)
 }
 
+/// Standard deviation of a measurement about the function at each point, as the model of all points says.
+fn noise(learnt: &Learnt, points: &Points) -> Vec<f64> {
+    let mut at = Prediction::new(points.dim());
+    let one = |i: usize| {
+        learnt.model.predict(points.row(i), Ask::Variance, &mut at);
+        at.noise.max(0.0).sqrt()
+    };
+    (0..points.len()).map(one).collect()
+}
+
 /// By how much intervals are too narrow on held-out points: the smallest factor, at least one, with which `HELD` of them and one
 /// more are inside (V. Vovk, A. Gammerman, G. Shafer, Algorithmic Learning in a Random World, 2005: cross-conformal prediction with
-/// normalised errors).
-fn widen(tests: &[Vec<Tested>]) -> f64 {
+/// normalised errors). A model of few points may run through all of them and call itself exact: no deviation counts as less than the `noise` that
+/// the model of all points has there, or the factor would be the fault of a model that is not used.
+fn widen(tests: &[Vec<Tested>], noise: &[f64]) -> f64 {
     let all = tests.iter().flatten();
-    let mut shares: Vec<f64> = all.map(|t| t.error.abs() / t.deviation.max(f64::MIN_POSITIVE)).collect();
+    let deviation = |t: &Tested| t.deviation.max(noise[t.row]).max(f64::MIN_POSITIVE);
+    let mut shares: Vec<f64> = all.map(|t| t.error.abs() / deviation(t)).collect();
     shares.sort_by(f64::total_cmp);
     let rank = (HELD * (shares.len() + 1) as f64).ceil() as usize;
     let quantile = shares[rank.clamp(1, shares.len()) - 1] / QUANTILE;
@@ -120,6 +133,7 @@ fn widen(tests: &[Vec<Tested>]) -> f64 {
 
 /// A point that had no part in learning.
 struct Tested {
+    row: usize,
     measured: f64,
     /// Measured less predicted.
     error: f64,
@@ -190,7 +204,7 @@ fn tested(
     let one = |i: &usize| {
         learnt.model.predict(points.row(*i), Ask::Variance, &mut at);
         let measured = points.y[*i];
-        Tested { measured, error: measured - at.mean, deviation: at.measured_std() }
+        Tested { row: *i, measured, error: measured - at.mean, deviation: at.measured_std() }
     };
     Ok(held.iter().map(one).collect())
 }
@@ -255,6 +269,36 @@ mod tests {
         let parts = folds(&points, 5, FoldKind::Interleaved);
         let Least { errors, .. } = least(&kinds, Errors::Relative, &points, &parts, &|| false).unwrap();
         assert!(errors[0] > 0.04 && errors[0] < 0.09 && errors[1] > 0.3, "{errors:?}");
+    }
+
+    /// A fold that runs through its points and calls itself exact does not make the intervals of the model of all points worthless. In six
+    /// inputs forty points are few: a process with long lengths may go through all of them.
+    #[test]
+    fn a_fold_that_thinks_itself_exact_does_not_widen_without_bound() {
+        let kinds: Kinds =
+            vec![("process".into(), learner("gaussian_process", &toml::Table::new()).unwrap())];
+        for seed in 1..7 {
+            let mut rng = dynocal_numerics::rng::Rng64::new(seed);
+            let x: Vec<f64> = (0..480).map(|_| rng.uniform()).collect();
+            let of = |r: &[f64]| 850.0 + 140.0 * r[0] + 230.0 * r[1] - 110.0 * r[2] + 60.0 * r[5];
+            let y: Vec<f64> = x.chunks(6).map(|r| of(r) + 2.0 * rng.normal()).collect();
+            let inputs = (0..6).map(|i| format!("x{i}")).collect();
+            let points = Points { inputs, output: "egt".into(), x, y };
+            let found = choose(&kinds, Errors::Absolute, &points, 2, false, &|| false).unwrap();
+            // 2 K of noise, and what forty points leave of seven coefficients.
+            assert!(found.rmse < 4.0 && found.widen < 4.0, "seed {seed}: {} {}", found.rmse, found.widen);
+        }
+    }
+
+    /// What the folds show is what widens: a deviation that is half of the error.
+    #[test]
+    fn intervals_are_widened_by_what_the_folds_show() {
+        let test =
+            |row, error: f64| Tested { row, measured: 1.0, error, deviation: 0.5 * error.abs() / QUANTILE };
+        let tests = vec![(0..40).map(|i| test(i, 0.1 + 0.01 * i as f64)).collect::<Vec<Tested>>()];
+        assert!((widen(&tests, &[0.0; 40]) - 2.0).abs() < 1e-12);
+        let wide = widen(&tests, &[1.0; 40]);
+        assert!(wide == 1.0, "{wide}");
     }
 
     /// Counts what is learnt.

@@ -150,7 +150,10 @@ impl Day<'_> {
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         // The verification comes last, and none of its points begins that may pass the end of the bed time.
         let kept_s = sweep::expected_s(spec, &grid_axes) + verify::longest_s(spec);
-        let points_s = (budget_s - kept_s).max(0.0);
+        // Its last point is one of the day's, too.
+        let n = spec.bed.points as f64;
+        let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
+        let points_s = ((budget_s - kept_s) / (1.0 - last_s(1.0))).max(0.0);
         let (mut points, Refined { rounds, end, enough }) =
             measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
@@ -161,7 +164,8 @@ impl Day<'_> {
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
         let mut drives = drive::learn(layout, &points, spec, watch)?;
         bench.widen_limits(spec.verify.limit);
-        let until_s = budget_s - verify::share(spec) * points_s - verify::longest_s(spec);
+        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::longest_s(spec);
+        let until_s = budget_s - verify_s;
         let swept = optimum.lines(spec, layout, &setting, &drift).run(bench, &drives, until_s, watch)?;
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
