@@ -60,7 +60,7 @@ fn a_delay_of_ten_thousand_lags_is_refused() {
     let job = parsed(&text(1e6), tmp.path()).unwrap();
     let e = work::control(&job, Watch::silent()).map(|_| ()).unwrap_err().to_string();
     assert!(
-        e.contains("`y` by `u`") && e.contains("times its lag") && e.contains("unit of its delay"),
+        e.contains("plant 1") && e.contains("times its shortest lag") && e.contains("unit of its delay"),
         "{e}"
     );
     assert!(found(&text(40.0), tmp.path()).valid);

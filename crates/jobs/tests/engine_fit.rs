@@ -122,4 +122,11 @@ fn a_map_that_cannot_be_read_is_refused_with_its_reason() {
     assert!(matches!(unit, EngineJobError::Unit { .. }), "{unit}");
     let missing = refused("speed [rpm],torque [Nm],map [kPa]", "2000,60,50", 40);
     assert!(matches!(missing, EngineJobError::Column { what: "lambda", .. }), "{missing}");
+    // What is missing comes before how little there is.
+    let both = refused("speed [rpm],torque [Nm],map [kPa]", "2000,60,50", 2);
+    assert!(matches!(both, EngineJobError::Column { what: "lambda", .. }), "{both}");
+    let wild = refused(head, "2000,60000,1,50", 40);
+    assert!(wild.to_string().contains("torque in Nm"), "{wild}");
+    let cold = refused(&format!("{head},T_before_throttle [K]"), "2000,60,1,50,31", 40);
+    assert!(cold.to_string().contains("is the column in degC?"), "{cold}");
 }

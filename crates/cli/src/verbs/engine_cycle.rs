@@ -22,7 +22,7 @@ pub(crate) struct Cycle {
     /// Units in which the road-load coefficients 34.7, 0.289, 0.01705 of thesis Table 3.3 are read
     #[arg(long, value_enum, default_value_t = Units::LbfMph)]
     road_load: Units,
-    /// Slope of the road
+    /// Slope of the road, rise over distance along the ground (0.05: 5 %)
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     grade: f64,
     /// Write speeds, torque, fuel and engine inputs to this CSV file

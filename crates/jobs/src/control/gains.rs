@@ -39,8 +39,8 @@ pub(super) fn seen_by(
     }
 }
 
-/// Delay of a channel over its lag up to which gains are searched: margins and runs of others hold as many samples as the lag asks for over all of
-/// the delay.
+/// Delay of a continuous channel over its shortest lag up to which gains are searched: margins and runs of more would resolve that lag over all of
+/// the delay, for hours.
 const MOST_DEAD: f64 = 10_000.0;
 
 /// Gains of one loop on its own channel, with those of rules beside.
@@ -56,6 +56,7 @@ pub(super) fn one_loop(
         source,
     };
     alone_at_rest(loaded, k)?;
+    in_time(loaded, k)?;
     let sign = sign(loaded, k, l)?;
     let whole = |s: &System| whole(loaded, s, k, sign);
     let channel = |s: &System| seen_by(job, loaded, s, k, sign);
@@ -70,14 +71,6 @@ pub(super) fn one_loop(
         .map_err(|e| refused(ControlError::Model(format!("a draw of the parameters: {e}"))))?;
     let lags: Vec<Option<Lag>> = nominal.iter().map(|c| tune::lag(c).ok()).collect();
     let known: Vec<Lag> = lags.iter().flatten().copied().collect();
-    if let Some(l) = known.iter().find(|l| l.dead_s > MOST_DEAD * l.lag_s && l.lag_s > 0.0) {
-        return Err(refused(ControlError::Model(format!(
-            "the channel is late by {} s, {:.0} times its lag of {} s: more than {MOST_DEAD} times is not searched; check the unit of its delay",
-            significant(l.dead_s, 3),
-            l.dead_s / l.lag_s,
-            significant(l.lag_s, 3)
-        ))));
-    }
     let r = step_run(&nominal, &known);
     let mut rules = Vec::new();
     let (choice, nominal) = match l.gains {
@@ -173,6 +166,25 @@ fn alone_at_rest(loaded: &Loaded, k: usize) -> Result<(), ControlJobError> {
                 point: p.name.clone(),
                 source: ControlError::Model(text.into()),
             });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses delays that are a slip of units.
+fn in_time(loaded: &Loaded, k: usize) -> Result<(), ControlJobError> {
+    for p in loaded.points.iter().filter(|_| loaded.time == Time::Continuous) {
+        let channel = p.nominal.channel(k, k);
+        let poles = dynocal_control::poly::roots(&channel.den).unwrap_or_default();
+        let fastest = poles.iter().map(|z| z.norm()).fold(0.0, f64::max);
+        if channel.delay_s * fastest > MOST_DEAD {
+            let text = format!(
+                "the channel of a loop is late by {} s, {:.0} times its shortest lag of {} s: more than {MOST_DEAD} times is not searched; check the unit of its delay",
+                significant(channel.delay_s, 3),
+                channel.delay_s * fastest,
+                significant(1.0 / fastest, 3)
+            );
+            return Err(ControlJobError::Point { point: p.name.clone(), source: ControlError::Model(text) });
         }
     }
     Ok(())

@@ -18,7 +18,7 @@ use super::error::MapError;
 use super::front::Maps;
 use super::result::{Delivered, Edit, MapAxis};
 use super::spec::MapSpec;
-use super::sweep::{Lines, Window};
+use super::sweep::Lines;
 
 /// Maps as the models say.
 pub(super) struct Optimum {
@@ -62,24 +62,35 @@ impl Optimum {
         Ok(Self { axes, grid_axes, cells, front, whole, delivered, edits })
     }
 
-    /// Seeks the optimum again of the cells that lines did not reach, `within` what the demand reaches at the end of its input. One that
-    /// has none was not reached.
+    /// Whether cell `k` holds an optimum that is not an edit of the user.
+    fn moves(&self, k: usize) -> bool {
+        let c = &self.cells[k];
+        c.state == CellState::Optimal && !self.edits.iter().any(|e| e.at == c.at)
+    }
+
+    /// Seeks the optimum again of the cells around places that lines `missed`, `within` what the demand reaches at the end of its input. One that
+    /// has none was not reached, and neither was any where cells are coupled; edits stay.
     pub(super) fn within_reach(
         &mut self,
         spec: &MapSpec,
         layout: &Layout,
         (setting, within): (&Setting, &Setting),
-        windows: &[Window],
+        missed: &[Vec<f64>],
         watch: Watch,
     ) {
-        let missed = windows.iter().filter_map(|w| w.missed(layout));
         let mut which: Vec<usize> = missed
-            .flat_map(|at| corners(&self.grid_axes, &at))
+            .iter()
+            .flat_map(|at| corners(&self.grid_axes, at))
             .map(|(k, _)| k)
-            .filter(|k| self.cells[*k].state == CellState::Optimal)
+            .filter(|k| self.moves(*k))
             .collect();
         which.sort_unstable();
         which.dedup();
+        // By themselves cells would break what couples them.
+        if spec.optimise.whole.is_some() || spec.optimise.front.is_some() {
+            grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
+            return;
+        }
         let free = &layout.factors[layout.axes..];
         let steps: Vec<Option<f64>> =
             free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
@@ -112,9 +123,8 @@ impl Optimum {
                 u - sd > i.upper || u + sd < i.lower
             })
         };
-        let optimal = |c: &Cell| c.state == CellState::Optimal;
         let which: Vec<usize> =
-            (0..self.cells.len()).filter(|k| optimal(&self.cells[*k]) && past(&self.cells[*k])).collect();
+            (0..self.cells.len()).filter(|k| self.moves(*k) && past(&self.cells[*k])).collect();
         grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
     }
 

@@ -129,7 +129,7 @@ fn swept(found: &Mapped, mut section: Section) -> Section {
         ));
         if s.at_ends > 0 {
             section = section.text(format!(
-                "In {} of the windows an input that a loop drives stood at the end of its range, and the demand was not reached: what was reached there was learnt, and the optimum of the cells was sought again.",
+                "In {} of the windows an input that a loop drives stood at the end of its range, so that the demand may not have been reached: what was reached there bounds the cells around.",
                 s.at_ends
             ));
         }

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! A window counts where all demands were followed and the loop had room, and where the maps still go through it: what lines find at the ends
-//! of the driven inputs is learnt ([`super::reach`]) and may move the optimum.
+//! of the driven inputs is learnt (`reach.rs`) and may move the optimum.
 //!
 //! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with g, so that the loops have only the rest to
 //! do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
@@ -40,7 +40,7 @@ pub struct Sweeps {
     pub whole: usize,
     /// Windows that were measured.
     pub rows: usize,
-    /// Windows in which a driven input stood at an end of its range: what was reached there was learnt, and the maps made anew.
+    /// Windows in which a driven input stood at an end of its range: what was reached there bounds the cells around.
     pub at_ends: usize,
     /// Bed time in s.
     pub bed_s: f64,

@@ -170,9 +170,12 @@ impl Day<'_> {
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
         let windows = windows.unwrap_or_default();
-        if let Some(reach) = Reach::learn(layout, &points, &windows, &spec.models, watch)? {
+        let missed: Vec<Vec<f64>> = windows.iter().filter_map(|w| w.missed(layout)).collect();
+        if !missed.is_empty()
+            && let Some(reach) = Reach::learn(layout, &points, &windows, &spec.models, watch)?
+        {
             let within = super::setting::setting(layout, &models, Some(&reach), spec);
-            optimum.within_reach(spec, layout, (&setting, &within), &windows, watch);
+            optimum.within_reach(spec, layout, (&setting, &within), &missed, watch);
         }
         optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
         drive::fill(&drives, layout, &mut optimum.cells)?;

@@ -102,14 +102,14 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
     let table = dynocal_files::dataset::read_table(path, None)?;
     let file = path.display().to_string();
     let rows = table.rows();
-    if rows < LEAST_POINTS {
-        let expected = format!("at least {LEAST_POINTS}");
-        return Err(EngineJobError::Number { name: format!("{file}: rows"), found: rows as f64, expected });
-    }
     let mut notes = table.notes.clone();
     let get = |w: &Wanted| find(&file, &table, w);
     let need = |w: &Wanted| get(w)?.ok_or_else(|| missing(&file, &table, w));
     let (speed, intake, lambda, torque) = (need(&SPEED)?, need(&INTAKE)?, need(&LAMBDA)?, need(&TORQUE)?);
+    if rows < LEAST_POINTS {
+        let expected = format!("at least {LEAST_POINTS}");
+        return Err(EngineJobError::Number { name: format!("{file}: rows"), found: rows as f64, expected });
+    }
     let mut or =
         |w: &Wanted, instead: &dyn Fn(usize) -> f64, text: &str| -> Result<Vec<f64>, EngineJobError> {
             Ok(get(w)?.unwrap_or_else(|| {
@@ -129,11 +129,12 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
                 .into(),
         );
     }
-    if intake_cam.is_none() || exhaust_cam.is_none() {
-        notes.push(
-            "no columns intake_cam and exhaust_cam: cams of the schedule, whose constants are inferred"
-                .into(),
-        );
+    let schedule = "cams of the schedule, whose constants are inferred";
+    match (&intake_cam, &exhaust_cam) {
+        (Some(_), Some(_)) => {}
+        (None, None) => notes.push(format!("no columns intake_cam and exhaust_cam: {schedule}")),
+        (Some(_), None) => notes.push(format!("intake_cam is not used without exhaust_cam: {schedule}")),
+        (None, Some(_)) => notes.push(format!("exhaust_cam is not used without intake_cam: {schedule}")),
     }
     let (air, exhaust_k) = (get(&AIR)?, get(&EXHAUST_T)?);
     let (exhaust, system) = (get(&EXHAUST)?, get(&SYSTEM)?);
@@ -166,6 +167,9 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
     check(&file, &table, points, notes)
 }
 
+/// 0 degC in K.
+const ZERO_CELSIUS_K: f64 = 273.15;
+
 /// Values that no point of an engine has.
 fn check(
     file: &str,
@@ -184,6 +188,7 @@ fn check(
             ("ambient pressure in Pa", b.ambient_pa, 5e4, 1.2e5),
             ("ambient temperature in K", b.ambient_k, 230.0, 350.0),
             ("spark in deg", b.spark_deg.unwrap_or(0.0), -10.0, 55.0),
+            ("torque in Nm", m.torque_nm.unwrap_or(0.0), -500.0, 2000.0),
             ("air in kg/s", m.air_kg_s.unwrap_or(0.1), 1e-4, 1.0),
             ("exhaust temperature in K", m.exhaust_k.unwrap_or(900.0), 300.0, 1600.0),
             ("exhaust pressure in Pa", m.exhaust_pa.unwrap_or(1e5), 5e4, 1e6),
@@ -192,7 +197,13 @@ fn check(
         for (name, found, low, high) in rows {
             if !(low..=high).contains(&found) {
                 let name = format!("{file}: {}: {name}", table.place(k));
-                return Err(EngineJobError::Number { name, found, expected: format!("{low} to {high}") });
+                let celsius = name.ends_with(" in K") && (low..=high).contains(&(found + ZERO_CELSIUS_K));
+                let hint = if celsius { "; is the column in degC?" } else { "" };
+                return Err(EngineJobError::Number {
+                    name,
+                    found,
+                    expected: format!("{low} to {high}{hint}"),
+                });
             }
         }
     }
