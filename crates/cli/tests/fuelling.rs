@@ -94,6 +94,8 @@ fn identified_on_a_plant_and_again_from_its_files() {
         assert!(dcm.contains(name), "{name}");
     }
 
+    injects_in_a_calibration(tmp.path());
+
     // A record judges nothing that was identified from it.
     write(tmp.path(), "twice.toml", &FILES.replace("run/unseen.csv", "run/record-2.csv"));
     let o = dynocal(tmp.path(), &["fuelling", "twice.toml", "--out", "twice"]);
@@ -105,6 +107,93 @@ fn identified_on_a_plant_and_again_from_its_files() {
     write(tmp.path(), "bad.json", &bad.to_string());
     let o = dynocal(tmp.path(), &["export", "bad.json", "--to", "dcm", "--out", "out2"]);
     assert!(o.code == 2 && o.stderr.contains("must not be used"), "{}", o.stderr);
+}
+
+/// The shortest calibration of the same bed, with its fuel by what was identified.
+const CALIBRATION: &str = r#"
+[plant]
+parameters = "pfi_1_6l"
+
+[plant.bed]
+outputs = ["coolant"]
+
+[excite]
+record_s = 18.0
+identification_records = 2
+validation_records = 1
+sweep_s = 4.0
+ranges = { torque = [20.0, 70.0], speed = [1400.0, 2600.0], spark = [10.0, 30.0] }
+
+[identify]
+terms = 8
+lags = 4
+
+[design]
+enabled = false
+
+[optimise]
+passes = 1
+record_s = 18.0
+
+[validate.static_map]
+demand = [30.0, 60.0]
+given = [2000.0]
+search = { tolerance = 0.25 }
+
+[validate.scenario]
+demand = [30.0, 60.0]
+given = [1600.0, 2400.0]
+step = [30.0, 60.0]
+points = 4
+point_s = 4.0
+steps = 2
+step_s = 4.0
+
+[validate.fuelling]
+file = "run/fuelling.json"
+channels = { coolant = "coolant" }
+"#;
+
+/// Fuel by measured states holds lambda better than the table of the same map and than an ECU that is tuned on the plant; it leaves
+/// with the maps; files and channels that do not fit are refused before anything runs.
+fn injects_in_a_calibration(folder: &Path) {
+    write(folder, "calibrate.toml", CALIBRATION);
+    let o = dynocal(folder, &["calibrate", "calibrate.toml", "--out", "cal", "--json"]);
+    assert!(o.code == 0 || o.code == 1, "{}{}", o.stdout, o.stderr);
+    let summary = read(&folder.join("cal/summary.json"));
+    let maps = summary["maps"].as_array().unwrap();
+    let steps = maps.iter().filter(|m| m["scenario"].as_str().unwrap().contains("steps"));
+    let integral = |name: &str| {
+        let of = steps.clone().find(|m| m["map"] == name).unwrap_or_else(|| panic!("{name}"));
+        let lambda = of["demands"].as_array().unwrap().iter().find(|d| d["output"] == "lambda").unwrap();
+        lambda["integral_s"].as_f64().unwrap()
+    };
+    let own = integral("dynamic map");
+    for rival in ["same map with its own fuel", "static map with lag", "static map with the fuel of an ECU"] {
+        assert!(own < integral(rival), "{own} against {} of the {rival}", integral(rival));
+    }
+    assert!(summary["fuelled"]["ecu_bed_s"].as_f64().unwrap() > 0.0);
+    assert!(summary["verdict"].as_str().unwrap().contains("with its own fuel it would leave"));
+    let o = dynocal(folder, &["export", "cal", "--to", "dcm", "--out", "maps"]);
+    assert_eq!(o.code, 0, "{}{}", o.stdout, o.stderr);
+    let dcm = std::fs::read_to_string(folder.join("maps/fuelling.dcm")).unwrap();
+    assert!(dcm.contains("FUEL_CHARGE"));
+
+    let said = |from: &str, to: &str| {
+        write(folder, "calibrate.toml", &CALIBRATION.replace(from, to));
+        let o = dynocal(folder, &["calibrate", "calibrate.toml", "--out", "bad"]);
+        assert_eq!(o.code, 2, "{}{}", o.stdout, o.stderr);
+        assert!(!folder.join("bad/steps/01-excite/ident01.csv").exists());
+        o.stderr
+    };
+    let gone = said("run/fuelling.json", "run/fuel.json");
+    assert!(gone.contains("run/fuel.json"), "{gone}");
+    let interval = said("[plant]", "sample_time_s = 0.025\n[plant]");
+    assert!(interval.contains("identified at 0.01 s") && interval.contains("0.025 s"), "{interval}");
+    let channel = said("channels = { coolant = \"coolant\" }", "channels = { coolant = \"water\" }");
+    assert!(channel.contains("validate.fuelling.channels") && channel.contains("`water`"), "{channel}");
+    let lambda = said("channels = { coolant = \"coolant\" }", "channels = { lambda = \"torque\" }");
+    assert!(lambda.contains("validate.fuelling.channels.lambda") && lambda.contains("`torque`"), "{lambda}");
 }
 
 #[test]

@@ -56,6 +56,8 @@ const CALIBRATE: &[&str] = &[
     "loops",
     "model_spec",
     "start_maps",
+    "fuel_driven",
+    "fuelled",
     "given",
     "excited",
     "optimise_start",

@@ -13,8 +13,12 @@ pub(crate) fn results(r: &ChainResult) -> String {
         s if s > 0.0 => format!(", {s:.0} s of it for gains, which a static map needs as well"),
         _ => String::new(),
     };
+    let of_fuel = match r.fuelling_bed_s() {
+        s if s > 0.0 => format!(", {s:.0} s of it for fuel by measured states"),
+        _ => String::new(),
+    };
     text.push_str(&format!(
-        "\nbed time of gains, identification, design, optimisation and points at rest: {:.0} s{gains}\n",
+        "\nbed time of gains, identification, design, optimisation and points at rest: {:.0} s{gains}{of_fuel}\n",
         r.bed_s()
     ));
     text

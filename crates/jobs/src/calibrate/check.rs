@@ -46,6 +46,7 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
         numbers(&table, "", faults);
     }
     s.export.iter().for_each(|e| e.check(faults));
+    fuelling(s, faults);
     shape(s, faults);
     lengths(s, faults);
     counts(s, faults);
@@ -158,6 +159,23 @@ fn shape(s: &CalibrateSpec, faults: &mut Faults) {
             let found: Vec<&str> = s.invert.shape.keys().map(String::as_str).collect();
             faults.push("invert.shape", found.join(", "), format!("the keys of `{}` ({e})", row.doc.name));
         }
+    }
+}
+
+/// Fuel by measured states: from a file or from a spec.
+fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
+    let Some(f) = &s.validate.fuelling else { return };
+    match (&f.file, &f.spec) {
+        (None, None) => faults.push(
+            "validate.fuelling",
+            "neither",
+            "`file`, the fuelling.json of a run of `dynocal fuelling`, or `spec`, a spec of it",
+        ),
+        (Some(_), Some(_)) => faults.push("validate.fuelling", "`file` and `spec`", "one of them"),
+        (None, Some(_)) if f.channels.is_some() => {
+            faults.push("validate.fuelling.channels", "names beside a spec", "none: a spec has its own");
+        }
+        _ => {}
     }
 }
 

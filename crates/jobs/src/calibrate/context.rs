@@ -4,6 +4,8 @@ use super::channels::Channels;
 use super::error::ChainError;
 use super::spec::CalibrateSpec;
 use dynocal_calib::gains::Tuned;
+use dynocal_calib::map::FeedforwardMap;
+use dynocal_calib::validate::Scenario;
 use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
@@ -14,6 +16,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Makes plants: with the sensor noise of the spec, or free of noise.
 pub type PlantFactory<'a> = &'a (dyn Fn(bool) -> Result<Box<dyn Plant>, PlantError> + Sync);
+
+/// Time before a scenario in which the plant comes to rest at its first point, in s.
+pub(super) const SETTLED_S: f64 = 4.0;
 
 /// How loops are used in a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -140,6 +145,17 @@ impl Context<'_> {
     pub(super) fn close_loops_with(&self, tuned: Option<&Tuned>) {
         // Set once: what a finished step has found is what it would find again.
         tuned.into_iter().for_each(|t| drop(self.tuned.set(t.loops.clone())));
+    }
+
+    /// A map through a scenario open loop; the raw demands are recorded beside.
+    pub(super) fn scenario_plan(&self, map: &dyn FeedforwardMap, name: &str, scenario: &Scenario) -> Plan {
+        let drive = map.drive(&scenario.reference, self.spec.sample_time_s);
+        let demands = self.channels.demands.len();
+        let inputs = (0..drive.width()).map(|k| drive.column(k)).collect();
+        let given = (0..self.channels.given.len()).map(|k| scenario.reference.column(demands + k)).collect();
+        let wanted = (0..demands).map(|k| scenario.reference.column(k)).collect();
+        let name = format!("{name}, {}", scenario.name);
+        self.plan(&name, inputs, given, wanted, Tone::Open).settled(SETTLED_S)
     }
 
     /// A plan of inputs that may move, given channels and demands (one column each, in the order of the problem).

@@ -114,6 +114,9 @@ pub enum ChainError {
         "the static map and the comparison of the maps step a plant themselves: on a real bed the chain ends with `dynocal calibrate SPEC --until invert`, which has written the map"
     )]
     NeedsPlant,
+    /// Fuel by measured states.
+    #[error("fuel by measured states (`validate.fuelling`): {0}")]
+    Fuelling(String),
     /// Ctrl-C.
     #[error("interrupted: finished steps are kept, start again with the same folder to go on")]
     Interrupted,

@@ -15,6 +15,8 @@ pub mod error;
 pub mod estimate;
 pub mod excite_step;
 mod excited;
+mod fuel_driven;
+pub mod fuelled;
 mod given;
 pub mod invert_step;
 pub mod job;

@@ -39,34 +39,62 @@ impl Context<'_> {
         models: &[&StoredModel],
     ) -> Result<Dataset, ChainError> {
         self.check_interrupt()?;
-        let mut record = if self.plants.is_some() {
+        let record = if self.plants.is_some() {
             let mut plant = self.plant(noise)?;
-            plant.reset(noise_seed(self.spec.seed, &plan.name));
-            let inputs: Vec<String> = plan.channels.iter().map(|c| c.name.clone()).collect();
-            // Only outputs with an abort rule are watched.
-            let watched =
-                models.iter().filter(|m| plan.limits.iter().any(|l| l.output == m.user_output().name));
-            let views = watched
-                .map(|m| Ok((m.user_output().name, m.over(&inputs)?)))
-                .collect::<Result<Vec<_>, StoredError>>()?;
-            let predictors: Vec<(&str, Predictor)> = views
-                .iter()
-                .map(|(name, v)| (name.as_str(), Predictor { model: v, theta: v.theta() }))
-                .collect();
-            let mut watchdog = supervisor::for_plan(plan, &predictors);
-            let mut asked = plan.clone();
-            asked.outputs.extend(self.meters_of(plant.as_ref()).into_iter().map(|m| m.name));
-            let played = play::play(plant.as_mut(), &asked, &mut watchdog)?;
-            if let Some(stop) = played.stop {
-                let kept = folder.join(format!("{}.stopped.csv", plan.name));
-                csv_io::write_dataset(&kept, &played.record)?;
-                let (record, kept) = (plan.name.clone(), kept.display().to_string());
-                return Err(ChainError::Stopped { record, stop: stop.to_string(), kept });
-            }
-            played.record
+            self.play(folder, plan, plant.as_mut(), models)?
         } else {
             self.measured_by_bed(folder, plan)?
         };
+        self.finished(folder, plan, record)
+    }
+
+    /// The same on a plant that is there.
+    ///
+    /// # Errors
+    /// [`ChainError`].
+    pub fn measure_on(
+        &self,
+        folder: &Path,
+        plan: &Plan,
+        plant: &mut dyn Plant,
+    ) -> Result<Dataset, ChainError> {
+        self.check_interrupt()?;
+        let record = self.play(folder, plan, plant, &[])?;
+        self.finished(folder, plan, record)
+    }
+
+    /// Plays a plan from a reset under the supervisor.
+    fn play(
+        &self,
+        folder: &Path,
+        plan: &Plan,
+        plant: &mut dyn Plant,
+        models: &[&StoredModel],
+    ) -> Result<Dataset, ChainError> {
+        plant.reset(noise_seed(self.spec.seed, &plan.name));
+        let inputs: Vec<String> = plan.channels.iter().map(|c| c.name.clone()).collect();
+        // Only outputs with an abort rule are watched.
+        let watched = models.iter().filter(|m| plan.limits.iter().any(|l| l.output == m.user_output().name));
+        let views = watched
+            .map(|m| Ok((m.user_output().name, m.over(&inputs)?)))
+            .collect::<Result<Vec<_>, StoredError>>()?;
+        let predictors: Vec<(&str, Predictor)> =
+            views.iter().map(|(name, v)| (name.as_str(), Predictor { model: v, theta: v.theta() })).collect();
+        let mut watchdog = supervisor::for_plan(plan, &predictors);
+        let mut asked = plan.clone();
+        asked.outputs.extend(self.meters_of(plant).into_iter().map(|m| m.name));
+        let played = play::play(plant, &asked, &mut watchdog)?;
+        if let Some(stop) = played.stop {
+            let kept = folder.join(format!("{}.stopped.csv", plan.name));
+            csv_io::write_dataset(&kept, &played.record)?;
+            let (record, kept) = (plan.name.clone(), kept.display().to_string());
+            return Err(ChainError::Stopped { record, stop: stop.to_string(), kept });
+        }
+        Ok(played.record)
+    }
+
+    /// Meters named, a loop in a limit cycle refused.
+    fn finished(&self, folder: &Path, plan: &Plan, mut record: Dataset) -> Result<Dataset, ChainError> {
         self.name_meters(plan, &mut record)?;
         self.refuse_oscillation(folder, plan, &record)?;
         record.init_samples = self.spec.identify.init_samples;

@@ -55,7 +55,8 @@ impl ChainResult {
         self.excite.as_ref().and_then(|d| d.result.tuned.as_ref()).map_or(0.0, |t| t.used_s)
     }
 
-    /// Bed time of tests of loops and of identification, design, optimisation records and points at rest in s.
+    /// Bed time of tests of loops, of identification, design and optimisation records, of points at rest and of records that identify
+    /// fuelling, in s.
     pub fn bed_s(&self) -> f64 {
         self.loops_bed_s()
             + self.excite.as_ref().map_or(0.0, |d| d.result.identification_bed_s)
@@ -63,6 +64,13 @@ impl ChainResult {
             + self.optimise.as_ref().map_or(0.0, |d| d.result.bed_s)
             + self.invert.as_ref().map_or(0.0, |d| d.result.refine_s)
             + self.at_rest_bed_s()
+            + self.fuelling_bed_s()
+    }
+
+    /// Bed time of the records that identified who injects, in s; 0 where that came as a file.
+    pub fn fuelling_bed_s(&self) -> f64 {
+        let by = self.validate.as_ref().and_then(|d| d.result.fuelled.as_ref());
+        by.map_or(0.0, |by| by.identification_bed_s)
     }
 
     /// Bed time of the points that the map was moved onto, in s.
@@ -308,7 +316,10 @@ fn step_validate(
     how: How,
 ) -> Result<Option<Done<ValidateResult>>, ChainError> {
     let (invert, optimise) = (needed(&result.invert, "invert")?, needed(&result.optimise, "optimise")?);
-    let inputs = (&ctx.spec.validate, &invert.digest);
+    let files = super::fuelled::files(ctx);
+    let files: Vec<&PathBuf> = files.iter().collect();
+    let before = format!("{}{}", invert.digest, digests(&files)?.concat());
+    let inputs = (&ctx.spec.validate, &before);
     run_step(ctx, folder, how, "validate", &inputs, |path| {
         let last = last_pass(&optimise.result)?;
         let models = last.models.chosen();

@@ -13,6 +13,7 @@ pub use dynocal_plant::plants::PlantSpec;
 use serde::{Deserialize, Serialize};
 
 use crate::export_spec::ExportKeys;
+use crate::fuelling::spec::Channels;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -400,4 +401,22 @@ pub struct CompareSpec {
     pub static_map: StaticSpec,
     /// Scenarios.
     pub scenario: ValidateSpec,
+    /// Fuel by measured states in place of the map's own; none: the map injects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fuelling: Option<FuelledSpec>,
+}
+
+/// Identified fuelling that injects in place of the delivered map: one that is there, or a job that identifies it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FuelledSpec {
+    /// `fuelling.json` of a run of `dynocal fuelling`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// Spec of `dynocal fuelling`, which is run in the step.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spec: Option<PathBuf>,
+    /// Names of the channels of `file` on the plant; a spec has its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channels: Option<Channels>,
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::calibrate::run::{ChainResult, STEPS};
 use crate::calibrate::spec::CalibrateSpec;
+use crate::fuelling::stored::FUELLING_FILE;
 use dynocal_files::FilesError;
 use dynocal_files::json;
 use dynocal_files::run_folder::Done;
@@ -66,6 +67,7 @@ fn what(step: &str, name: &str) -> String {
             )
         }
         "dynamic_map.json" => "the dynamic map that is delivered".into(),
+        FUELLING_FILE => "fuel by measured states, which injects in place of the dynamic map".into(),
         "static_map.json" => "static map that it is compared with".into(),
         "design.toml" => "spec of the design (`dynocal design`)".into(),
         _ if name.ends_with(".toml") => "spec of the model (`dynocal identify`)".into(),

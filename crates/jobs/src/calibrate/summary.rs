@@ -2,6 +2,7 @@
 
 use super::at_rest::AtRest;
 use super::design_step::Gain;
+use super::fuelled::FuelledBy;
 use super::models::{FreeRunScore, OutputModels};
 use super::optimise_step::{Miss, Pass};
 use super::run::{ChainResult, STEPS};
@@ -37,6 +38,8 @@ pub(crate) struct Summary<'a> {
     pub(crate) passes: Vec<PassLine<'a>>,
     pub(crate) static_on_record: Option<&'a StaticOnRecord>,
     pub(crate) causality: Option<&'a Causality>,
+    /// How fuel was given where the map does not inject.
+    pub(crate) fuelled: Option<&'a FuelledBy>,
     pub(crate) inverse: Option<Inverse<'a>>,
     pub(crate) static_map: Option<&'a [StaticPoint]>,
     pub(crate) lag_s: Option<f64>,
@@ -52,7 +55,9 @@ pub(crate) struct BedTimes {
     pub(crate) design_s: f64,
     pub(crate) optimisation_s: f64,
     pub(crate) at_rest_s: f64,
-    /// Gains, identification, design, optimisation and points at rest: what a calibration needs.
+    /// Records that identified who injects.
+    pub(crate) fuelling_s: f64,
+    /// Gains, identification, design, optimisation, points at rest and fuelling: what a calibration needs.
     pub(crate) total_s: f64,
     pub(crate) validation_records_s: f64,
     pub(crate) design_comparison_s: f64,
@@ -159,6 +164,7 @@ impl<'a> Summary<'a> {
             passes: r.optimise.iter().flat_map(|d| &d.result.passes).map(pass).collect(),
             static_on_record: validate.and_then(|v| v.static_on_record.as_ref()),
             causality: validate.and_then(|v| v.causality.as_ref()),
+            fuelled: validate.and_then(|v| v.fuelled.as_ref()),
             inverse: r.invert.as_ref().map(|d| Inverse {
                 pairs: &d.result.pairs,
                 records: &d.result.records,
@@ -184,6 +190,7 @@ fn bed_times(r: &ChainResult) -> BedTimes {
         design_s: design.map_or(0.0, |d| d.bed_s),
         optimisation_s: r.optimise.as_ref().map_or(0.0, |d| d.result.bed_s),
         at_rest_s: r.at_rest_bed_s(),
+        fuelling_s: r.fuelling_bed_s(),
         total_s: r.bed_s(),
         validation_records_s: excite.map_or(0.0, |e| e.validation_bed_s),
         design_comparison_s: design.map_or(0.0, |d| d.comparison_bed_s),

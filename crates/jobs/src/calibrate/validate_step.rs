@@ -2,6 +2,7 @@
 
 use super::context::{Context, Tone};
 use super::error::ChainError;
+use super::fuelled::{Fuelled, FuelledBy};
 use super::invert_step::InvertResult;
 use super::lag::{OnModels, best_lag};
 use super::optimise_step::Pass;
@@ -63,6 +64,9 @@ pub struct ValidateResult {
     /// The price of causality; none where no input is free of loops.
     #[serde(default)]
     pub causality: Option<Causality>,
+    /// How fuel was given where the map does not inject.
+    #[serde(default)]
+    pub fuelled: Option<FuelledBy>,
     /// Measured records of all runs.
     pub records: Vec<RecordRef>,
     /// Bed time of the comparison in s (the static map's stands with it).
@@ -77,6 +81,12 @@ pub const NOT_REFINED: &str = "dynamic map before refinement";
 
 /// Name of the same with one lag in the place of its dynamics.
 pub const ONE_LAG: &str = "same map with one lag";
+
+/// Name of the same with its own fuel, where fuel is given by measured states.
+pub const OWN_FUEL: &str = "same map with its own fuel";
+
+/// Name of the static map with the fuel of a production ECU.
+pub const ECU_FUEL: &str = "static map with the fuel of an ECU";
 
 /// A map with the name that it has in the comparison.
 type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);
@@ -102,24 +112,36 @@ pub fn validate(
     let on_record = OnRecord::of(ctx, folder, last, optimise_folder)?;
     let static_on_record = on_record.as_ref().map(|r| r.static_map(&static_map)).transpose()?;
     let causality = on_record.as_ref().map(|r| r.causality(inverse)).transpose()?;
-    // What is delivered is called so, whatever its structure.
+    let fuelled = Fuelled::of(ctx, folder)?;
+    fuelled.iter().try_for_each(|f| f.keep(folder))?;
+    // What is delivered is called so, whatever its structure and whoever injects.
+    let own = if fuelled.is_some() { OWN_FUEL } else { DYNAMIC };
     let mut maps: Vec<NamedMap> =
-        vec![(&*inverse.dynamic, DYNAMIC), (&static_map, static_map.name()), (&lagged, lagged.name())];
+        vec![(&*inverse.dynamic, own), (&static_map, static_map.name()), (&lagged, lagged.name())];
     maps.extend(inverse.one_lag.as_ref().map(|m| -> NamedMap { (&**m, ONE_LAG) }));
     maps.extend(inverse.before.as_ref().map(|m| -> NamedMap { (&**m, NOT_REFINED) }));
     maps.extend(inverse.rivals.iter().map(|m| -> NamedMap { (&**m, m.name()) }));
-    let names: Vec<&str> = maps.iter().map(|m| m.1).collect();
+    let mut names: Vec<&str> = maps.iter().map(|m| m.1).collect();
     let mut rng = Rng64::stream(ctx.spec.seed, 400);
     let scenarios = [random_points(spec, problem, dt, &mut rng), steps];
-    let runs = run_all(ctx, folder, &maps, &scenarios)?;
+    let mut runs = run_all(ctx, folder, &maps, &scenarios)?;
+    let by = match &fuelled {
+        Some(f) => {
+            names.insert(0, DYNAMIC);
+            names.push(ECU_FUEL);
+            Some(run_fuelled(f, folder, (&*inverse.dynamic, &static_map), (&scenarios, &mut runs))?)
+        }
+        None => None,
+    };
     let mut scores = Vec::new();
     for (scenario, records) in scenarios.iter().zip(&runs) {
         scores.extend(score(spec, problem, scenario, &names, &records.iter().collect::<Vec<_>>())?);
     }
     let all: Vec<Dataset> = runs.into_iter().flatten().collect();
-    let bed_s = all.iter().map(|r| r.len() as f64 * dt + ctx.spec.excite.lead_in_s).sum();
+    let driven_s: f64 = all.iter().map(|r| r.len() as f64 * dt + ctx.spec.excite.lead_in_s).sum();
     let records = save_records(folder, &all)?;
-    Ok(ValidateResult { static_map, lag_s, scores, static_on_record, causality, records, bed_s })
+    let bed_s = driven_s + by.as_ref().map_or(0.0, |b| b.ecu_bed_s);
+    Ok(ValidateResult { static_map, lag_s, scores, static_on_record, causality, fuelled: by, records, bed_s })
 }
 
 /// The record of the last pass again and again, with other values of the inputs that no loop drives.
@@ -230,12 +252,22 @@ fn run_map(
     (map, name): NamedMap,
     scenario: &Scenario,
 ) -> Result<Dataset, ChainError> {
-    let drive = map.drive(&scenario.reference, ctx.spec.sample_time_s);
-    let demands = ctx.channels.demands.len();
-    let inputs = (0..drive.width()).map(|k| drive.column(k)).collect();
-    let given = (0..ctx.channels.given.len()).map(|k| scenario.reference.column(demands + k)).collect();
-    let wanted = (0..demands).map(|k| scenario.reference.column(k)).collect();
-    let name = format!("{name}, {}", scenario.name);
-    let plan = ctx.plan(&name, inputs, given, wanted, Tone::Open).settled(4.0);
-    ctx.measure(folder, &plan, false)
+    ctx.measure(folder, &ctx.scenario_plan(map, name, scenario), false)
+}
+
+/// The delivered map with its fuel by measured states before, and the static map with the fuel of an ECU behind the runs of each
+/// scenario.
+fn run_fuelled(
+    fuelled: &Fuelled,
+    folder: &Path,
+    (delivered, static_map): (&dyn FeedforwardMap, &StaticMap),
+    (scenarios, runs): (&[Scenario], &mut [Vec<Dataset>]),
+) -> Result<FuelledBy, ChainError> {
+    let (ecu, by) = fuelled.ecu(folder, static_map)?;
+    for (scenario, runs) in scenarios.iter().zip(&mut *runs) {
+        runs.insert(0, fuelled.run(folder, (delivered, DYNAMIC), scenario, fuelled.policy())?);
+        runs.push(fuelled.run(folder, (static_map, ECU_FUEL), scenario, fuelled.ecu_fuel(&ecu))?);
+    }
+    let own: Vec<&Dataset> = runs.iter().filter_map(|r| r.first()).collect();
+    Ok(FuelledBy { outside: fuelled.outside(&own)?, ..by })
 }

@@ -10,17 +10,20 @@ use super::models::ModelsResult;
 use super::optimise_step::Pass;
 use super::run::ChainResult;
 use super::spec::CalibrateSpec;
-use super::validate_step::{DYNAMIC, NOT_REFINED, ONE_LAG, ValidateResult};
+use super::validate_step::{DYNAMIC, NOT_REFINED, ONE_LAG, OWN_FUEL, ValidateResult};
 use dynocal_calib::validate::{MOST_OFFSET, MapScore, spent_input};
 use dynocal_ident::data::UnitAfter;
 use dynocal_numerics::status::Status;
 use dynocal_report::{capital, significant, with_unit};
-use rivals::{beaten, beyond_reference, dynamics_pay, of_static, out_of_reach, static_saves_more};
+use rivals::{beaten, beyond_reference, left_with, of_static, out_of_reach, static_saves_more};
 
 /// Difference of promised and measured ratio that is worth a warning, in points.
 const PROMISE_POINTS: f64 = 1.5;
 /// Difference of a meter and what follows from the inputs that is worth a warning, as a share.
 const METER: f64 = 0.01;
+
+/// Share of the samples outside of what fuelling was identified on that is worth a warning.
+const MOST_OUTSIDE: f64 = 0.01;
 
 /// Warnings and what they mean together.
 pub struct Verdict {
@@ -187,6 +190,13 @@ fn comparison(spec: &CalibrateSpec, v: &ValidateResult, f: &mut Findings) {
             first.missed
         ));
     }
+    if let Some(by) = v.fuelled.as_ref().filter(|by| by.outside > MOST_OUTSIDE) {
+        f.notes.push(format!(
+            "In {} % of the comparison speed or throttle lie outside of what `{}` was identified on.",
+            significant(100.0 * by.outside, 2),
+            by.file
+        ));
+    }
     for s in &v.scores {
         let finite = s.objective.is_finite() && s.demands.iter().all(|d| d.rms.is_finite());
         if !finite {
@@ -348,15 +358,19 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
     };
     let own = v.scores.iter().filter(|s| s.map == DYNAMIC);
     let paragraphs = own.map(|own| against_rivals(spec, v, own));
-    std::iter::once(head.to_string()).chain(paragraphs).collect::<Vec<_>>().join("\n")
+    let fuel = v.fuelled.as_ref().map_or(String::new(), |by| {
+        format!(" Its fuel is given by measured states (`{}`), its other inputs by the map.", by.file)
+    });
+    std::iter::once(format!("{head}{fuel}")).chain(paragraphs).collect::<Vec<_>>().join("\n")
 }
 
 /// What the dynamic map is worth in one scenario, in sentences.
 fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> String {
     let of_scenario = || v.scores.iter().filter(|s| s.scenario == own.scenario);
-    // What differs from the delivered map in its dynamics alone is no rival of it: it says what these are worth.
-    let rivals: Vec<&MapScore> =
-        of_scenario().filter(|s| ![DYNAMIC, ONE_LAG, NOT_REFINED].contains(&s.map.as_str())).collect();
+    // What differs from the delivered map in its dynamics or its fuel alone is no rival of it: it says what these are worth.
+    let rivals: Vec<&MapScore> = of_scenario()
+        .filter(|s| ![DYNAMIC, ONE_LAG, NOT_REFINED, OWN_FUEL].contains(&s.map.as_str()))
+        .collect();
     let mut out = Vec::new();
     for d in &own.demands {
         let integrals = rivals
@@ -373,7 +387,11 @@ fn against_rivals(spec: &CalibrateSpec, v: &ValidateResult, own: &MapScore) -> S
             ));
         }
     }
-    out.extend(of_scenario().find(|s| s.map == ONE_LAG).and_then(|plain| dynamics_pay(own, plain)));
+    let own_fuel = of_scenario().find(|s| s.map == OWN_FUEL);
+    out.extend(own_fuel.and_then(|plain| left_with("its own fuel", own, plain)));
+    // Where the map does not inject, its dynamics say little of the further demands.
+    let one_lag = of_scenario().find(|s| s.map == ONE_LAG && own_fuel.is_none());
+    out.extend(one_lag.and_then(|plain| left_with("one lag in the place of its own dynamics", own, plain)));
     if let Some(rival) = rivals.iter().find(|s| s.map == "static map") {
         let unit = match &spec.problem.minimise[..] {
             [one] => spec.problem.unit(&one.channel).unwrap_or("-"),

@@ -32,7 +32,7 @@ use serde_json::Value;
 
 use crate::export_spec::UNITS;
 pub use crate::export_spec::{ExportKeys, ExportSpec};
-use crate::fuelling::stored::{FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
+use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
 pub use controller::controller;
 pub use dynamic_map::dynamic_map;
 pub use lead_lag::lead_lag;
@@ -212,8 +212,9 @@ fn file_name(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
+/// What a calibration delivers: its maps, and what injects in place of them.
 fn is_map(path: &Path) -> bool {
-    ["static_map.json", "dynamic_map.json"].contains(&file_name(path).as_str())
+    ["static_map.json", "dynamic_map.json", FUELLING_FILE].contains(&file_name(path).as_str())
 }
 
 /// `model.json`, or `NAME_model.json` and `model_NAME.json` where there are several.

@@ -1,12 +1,12 @@
 //! A plant that answers, driven over throttle and speed by whatever gives its fuel.
 
 use dynocal_calib::fuelling::{FuelPolicy, Sensed, SpeedDensityState};
-use dynocal_files::units;
-use dynocal_ident::plant::{Causality, Plant, Variable};
+use dynocal_ident::plant::{Causality, Plant};
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants::{self, PlantSpec};
 
+use super::places::{Place, Places, variables};
 use super::records::Record;
 use super::result::FuellingJobError;
 use super::spec::{Channels, Test};
@@ -90,36 +90,11 @@ impl Driver {
     }
 }
 
-/// Where a channel lies, and how its unit becomes ours: `value * scale + offset`.
-#[derive(Clone, Copy)]
-struct Place {
-    at: usize,
-    scale: f64,
-    offset: f64,
-}
-
-impl Place {
-    fn of(self, values: &[f64]) -> f64 {
-        values[self.at] * self.scale + self.offset
-    }
-
-    fn set(self, values: &mut [f64], value: f64) {
-        values[self.at] = (value - self.offset) / self.scale;
-    }
-}
-
 /// A plant with the places of the channels.
 pub(super) struct Rig {
     plant: Box<dyn Plant>,
     start: Vec<f64>,
-    speed: Place,
-    throttle: Place,
-    injection: Place,
-    map: Place,
-    lambda: Place,
-    boost: Option<Place>,
-    coolant: Option<Place>,
-    injection_unit: String,
+    places: Places,
     outputs: usize,
 }
 
@@ -133,29 +108,14 @@ impl Rig {
         let make = plants::find(&spec.name).and_then(|p| p.make);
         let make = make.ok_or_else(|| refused(format!("the plant `{}` does not answer", spec.name)))?;
         let plant = make(spec, true).map_err(|e| refused(e.to_string()))?;
-        let of = |causality: Causality| -> Vec<Variable> {
-            plant.variables().iter().filter(|v| v.causality == causality).cloned().collect()
-        };
-        let (inputs, outputs) = (of(Causality::Input), of(Causality::Output));
+        let places = Places::of(plant.as_ref(), names).map_err(refused)?;
+        let inputs = variables(plant.as_ref(), Causality::Input);
         let mut start: Vec<f64> = inputs.iter().map(|v| v.start).collect();
         for (name, value) in &test.held {
-            start[find(&inputs, name, None, "input")?.at] = *value;
+            start[Place::of(&inputs, name, None, "input").map_err(refused)?.at] = *value;
         }
-        let (boost, coolant) = (names.boost.as_deref(), names.coolant.as_deref());
-        let injection = find(&inputs, &names.injection, None, "input")?;
-        Ok(Self {
-            speed: find(&inputs, &names.speed, Some("rpm"), "input")?,
-            throttle: find(&inputs, &names.throttle, Some("deg"), "input")?,
-            injection,
-            map: find(&outputs, &names.map, Some("kPa"), "output")?,
-            lambda: find(&outputs, &names.lambda, Some("-"), "output")?,
-            boost: boost.map(|b| find(&outputs, b, Some("kPa"), "output")).transpose()?,
-            coolant: coolant.map(|c| find(&outputs, c, Some("degC"), "output")).transpose()?,
-            injection_unit: inputs[injection.at].unit.clone(),
-            outputs: outputs.len(),
-            start,
-            plant,
-        })
+        let outputs = variables(plant.as_ref(), Causality::Output).len();
+        Ok(Self { plant, start, places, outputs })
     }
 
     /// A first driver that begins with the fuel of the plant's start.
@@ -163,11 +123,13 @@ impl Rig {
         self.plant.reset(0);
         let mut y = vec![0.0; self.outputs];
         self.plant.outputs(&mut y).map_err(|e| refused(e.to_string()))?;
-        let map_kpa = self.map.of(&y);
-        let per_kpa = self.injection.of(&self.start) / map_kpa;
+        let map_kpa = self.places.map.get(&y);
+        let per_kpa = self.places.injection.get(&self.start) / map_kpa;
         if !(per_kpa.is_finite() && per_kpa > 0.0) {
-            let text =
-                format!("starts with an injection of {} at {map_kpa} kPa", self.injection.of(&self.start));
+            let text = format!(
+                "starts with an injection of {} at {map_kpa} kPa",
+                self.places.injection.get(&self.start)
+            );
             return Err(refused(format!("the plant {text}: expected fuel and a pressure to begin with")));
         }
         Ok(Driver::First { per_kpa, k: 0.0 })
@@ -185,59 +147,37 @@ impl Rig {
         self.plant.reset(seed);
         let (mut u, mut y) = (self.start.clone(), vec![0.0; self.outputs]);
         self.plant.outputs(&mut y).map_err(|e| refused(e.to_string()))?;
-        let dt_s = test.sample_time_s;
+        let (dt_s, p) = (test.sample_time_s, &self.places);
         let mut out = Record {
             name: name.into(),
             sample_time_s: dt_s,
-            injection_unit: self.injection_unit.clone(),
-            boost_kpa: self.boost.map(|_| Vec::new()),
-            coolant_c: self.coolant.map(|_| Vec::new()),
+            injection_unit: p.injection_unit.clone(),
+            boost_kpa: p.boost.map(|_| Vec::new()),
+            coolant_c: p.coolant.map(|_| Vec::new()),
             ..Record::default()
         };
         for (t, (throttle, speed)) in course.throttle_deg.iter().zip(&course.speed_rpm).enumerate() {
             if t % 100 == 0 && watch.interrupted() {
                 return Err(FuellingJobError::Interrupted);
             }
-            let sensed = Sensed {
-                speed_rpm: *speed,
-                throttle_deg: *throttle,
-                map_kpa: self.map.of(&y),
-                upstream_kpa: self.boost.map(|b| b.of(&y)),
-                coolant_c: self.coolant.map_or(f64::NAN, |c| c.of(&y)),
-                cams_deg: None,
-                lambda: Some(self.lambda.of(&y)),
-            };
+            let sensed = p.sensed((*speed, *throttle), &y);
             let share = if excite { course.share[t] } else { 0.0 };
             let injection = driver.step(&sensed, dt_s, share, most);
-            self.throttle.set(&mut u, *throttle);
-            self.speed.set(&mut u, *speed);
-            self.injection.set(&mut u, injection);
+            p.throttle.set(&mut u, *throttle);
+            p.speed.set(&mut u, *speed);
+            p.injection.set(&mut u, injection);
             self.plant.step(&u, dt_s, &mut y).map_err(|e| refused(e.to_string()))?;
             out.speed_rpm.push(*speed);
             out.throttle_deg.push(*throttle);
             out.injection.push(injection);
-            out.map_kpa.push(self.map.of(&y));
-            out.lambda.push(self.lambda.of(&y));
-            for (place, values) in [(self.boost, &mut out.boost_kpa), (self.coolant, &mut out.coolant_c)] {
+            out.map_kpa.push(p.map.get(&y));
+            out.lambda.push(p.lambda.get(&y));
+            for (place, values) in [(p.boost, &mut out.boost_kpa), (p.coolant, &mut out.coolant_c)] {
                 if let (Some(place), Some(values)) = (place, values) {
-                    values.push(place.of(&y));
+                    values.push(place.get(&y));
                 }
             }
         }
         Ok(out)
     }
-}
-
-/// A channel by name, in a unit or as it is.
-fn find(all: &[Variable], name: &str, unit: Option<&str>, what: &str) -> Result<Place, FuellingJobError> {
-    let Some(at) = all.iter().position(|v| v.name == name) else {
-        let names: Vec<&str> = all.iter().map(|v| v.name.as_str()).collect();
-        return Err(refused(format!("the plant has no {what} `{name}`; it has {}", names.join(", "))));
-    };
-    let own = all[at].unit.as_str();
-    let Some(unit) = unit else { return Ok(Place { at, scale: 1.0, offset: 0.0 }) };
-    let (scale, offset) = units::conversion(own, unit).ok_or_else(|| {
-        refused(format!("`{name}` of the plant is in {own}, expected a unit that converts to {unit}"))
-    })?;
-    Ok(Place { at, scale, offset })
 }

@@ -1,12 +1,14 @@
 //! Fuel by measured states: an air and film model identified from records of a bed, judged on records that it has not seen, and
 //! what an ECU needs of it.
 //!
-//! [`spec`] reads what the user wrote and checks it as a whole, [`records`] reads files, [`bed`] drives a plant that answers,
+//! [`spec`] reads what the user wrote and checks it as a whole, [`records`] reads files, [`places`] finds channels
+//! of a plant, [`bed`] drives a plant that answers,
 //! [`work`] identifies and judges in memory, [`result`] is what comes out, [`page`] draws it, [`store`] writes the run folder.
 //! Equations: `dynocal_calib::fuelling`.
 
 pub mod bed;
 pub mod page;
+pub mod places;
 pub mod records;
 pub mod result;
 pub mod spec;

@@ -9,7 +9,7 @@ use dynocal_files::run_folder::RunFolder;
 use super::page;
 use super::records::Record;
 use super::result::{Fuelled, FuellingJobError, Seen};
-use super::stored::{FUELLING_SCHEMA, FUELLING_VERSION};
+use super::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION};
 use crate::kept;
 
 /// Rows of the table of the throttle.
@@ -22,8 +22,8 @@ const THROTTLE_STEPS: usize = 20;
 /// [`FuellingJobError::Files`], [`FuellingJobError::Page`].
 pub fn write(folder: &RunFolder, found: &Fuelled) -> Result<(), FuellingJobError> {
     let path = folder.path();
-    json::write_versioned(&path.join("fuelling.json"), FUELLING_SCHEMA, FUELLING_VERSION, &found.stored())?;
-    let mut files = vec!["report.html".to_string(), "fuelling.json".into()];
+    json::write_versioned(&path.join(FUELLING_FILE), FUELLING_SCHEMA, FUELLING_VERSION, &found.stored())?;
+    let mut files = vec!["report.html".to_string(), FUELLING_FILE.into()];
     // Records that were read from files stay there.
     if !found.driven.is_empty() {
         for shown in &found.records {

@@ -11,6 +11,9 @@ pub const FUELLING_SCHEMA: &str = "dynocal/fuelling";
 /// See [`FUELLING_SCHEMA`].
 pub const FUELLING_VERSION: u32 = 1;
 
+/// Name of the file in a run folder.
+pub const FUELLING_FILE: &str = "fuelling.json";
+
 /// Places between two breakpoints at which a table is held against the model.
 const BETWEEN: usize = 4;
 

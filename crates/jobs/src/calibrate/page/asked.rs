@@ -89,13 +89,16 @@ pub(super) fn overview(s: &Summary, r: &ChainResult) -> Section {
 
 fn bed(s: &Summary) -> (Table, Bars) {
     let b = &s.bed;
-    let needed = [
+    let mut needed = vec![
         ("gains of the loops", b.loops_s),
         ("identification", b.identification_s),
         ("design", b.design_s),
         ("optimisation", b.optimisation_s),
         ("points at rest", b.at_rest_s),
     ];
+    if s.fuelled.is_some() {
+        needed.push(("fuel by measured states", b.fuelling_s));
+    }
     let beside = [
         ("validation records", b.validation_records_s),
         ("record that the design is compared with", b.design_comparison_s),
@@ -108,7 +111,7 @@ fn bed(s: &Summary) -> (Table, Bars) {
         Column::text("Purpose"),
     ])
     .caption("Bed time, lead-in and settling included");
-    for (name, time_s) in needed {
+    for &(name, time_s) in &needed {
         table = table.row([name.into(), time_s.into(), "calibration".into()]);
     }
     table = table.stressed_row([Cell::from("together"), b.total_s.into(), "calibration".into()]);

@@ -2,14 +2,17 @@
 
 use super::super::context::Context;
 use super::super::error::ChainError;
+use super::super::fuelled::FuelledBy;
 use super::super::summary::Summary;
-use super::super::validate_step::{Causality, DYNAMIC, ValidateResult};
+use super::super::validate_step::{Causality, DYNAMIC, ECU_FUEL, OWN_FUEL, ValidateResult};
 use super::super::verdict::objective_words;
 use super::parts::{change, label, record, unit};
 use dynocal_calib::validate::MapScore;
 use dynocal_files::run_folder::Done;
 use dynocal_ident::data::Dataset;
-use dynocal_report::{Axis, Bars, Cell, Column, Details, Panel, Role, Section, Series, Table, TimePlot};
+use dynocal_report::{
+    Axis, Bars, Cell, Column, Details, Panel, Role, Section, Series, Table, TimePlot, significant,
+};
 
 /// The whole step.
 pub(super) fn section(
@@ -28,6 +31,9 @@ pub(super) fn section(
         "All maps drive the plant open loop. Settling counts from the change of the raw demand, look-ahead included, for every map. The lag of the lagged static map, {:.3} s, is the best of a line search on the identified models.",
         r.lag_s
     ));
+    if let Some(by) = &r.fuelled {
+        section = section.text(fuelled(by));
+    }
     for scenario in scenarios {
         let scores: Vec<&MapScore> = r.scores.iter().filter(|s| s.scenario == scenario).collect();
         section = section.heading(label(scenario)).block(costs(&scores));
@@ -61,6 +67,20 @@ pub(super) fn section(
         "Bed time of the static map: {:.0} s; of this comparison: {:.0} s.",
         summary.bed.static_map_s, summary.bed.map_comparison_s
     )))
+}
+
+/// Who injects, and how the ECU was tuned.
+fn fuelled(by: &FuelledBy) -> String {
+    let closed = by.ecu_closed_s.map_or("no lambda loop, which was no better".to_string(), |s| {
+        format!("a lambda loop of {} s", significant(s, 2))
+    });
+    format!(
+        "The fuel of the {DYNAMIC} is given by measured states every {} ms (`{}`), not by its table of the injection; the {OWN_FUEL} is the same with the table. The {ECU_FUEL} has air charge and film of the same identification, extrapolates the pressure by {} s and has {closed}: the best of two line searches on random points of their own ({:.0} s of bed time).",
+        significant(1e3 * by.interval_s, 3),
+        by.file,
+        significant(by.ecu_ahead_s, 2),
+        by.ecu_bed_s
+    )
 }
 
 /// The same demands by an optimum with preview, a policy without it, and the map that is delivered.

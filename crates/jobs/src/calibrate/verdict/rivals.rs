@@ -61,16 +61,15 @@ pub(super) fn of_static(v: &ValidateResult, own: &MapScore, limit: &LimitScore) 
     }
 }
 
-/// What the delivered dynamics leave of the further demands beside one lag on the same tables, in words.
-pub(super) fn dynamics_pay(own: &MapScore, plain: &MapScore) -> Option<String> {
+/// What is left of the further demands where a part of the delivered map is another one, in words.
+pub(super) fn left_with(part: &str, own: &MapScore, plain: &MapScore) -> Option<String> {
     let one = |(ours, theirs): (&DemandScore, &DemandScore)| {
         let unit = if ours.unit == "-" { "s".to_string() } else { format!("{} s", ours.unit) };
         let (before, after) = (significant(theirs.integral_s, 4), significant(ours.integral_s, 4));
         format!("{before} instead of {after} {unit} of {}", ours.output)
     };
     let all: Vec<String> = own.demands.iter().zip(&plain.demands).skip(1).map(one).collect();
-    (!all.is_empty())
-        .then(|| format!("with one lag in the place of its own dynamics it would leave {}", all.join(", ")))
+    (!all.is_empty()).then(|| format!("with {part} it would leave {}", all.join(", ")))
 }
 
 /// Rivals that are better than the delivered map in the same scenario, in words.

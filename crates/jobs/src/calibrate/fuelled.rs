@@ -1,0 +1,339 @@
+//! The delivered map with its fuel by measured states in place of its own (docs/fuelling.md), beside an ECU that is tuned on the same
+//! plant.
+
+use super::context::{Context, SETTLED_S};
+use super::error::ChainError;
+use super::fuel_driven::{Fuel, FuelDriven, FuelSetting};
+use crate::fuelling::places::Places;
+use crate::fuelling::spec::{Channels, Job, Source};
+use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
+use crate::fuelling::{self, FuellingJobError};
+use crate::place::Overrides;
+use dynocal_calib::fuelling::{Coat, Feedback, FuelPolicy, SpeedDensity, SpeedDensityState};
+use dynocal_calib::map::FeedforwardMap;
+use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::validate::{Scenario, random_points, score};
+use dynocal_files::json;
+use dynocal_ident::data::Dataset;
+use dynocal_numerics::rng::Rng64;
+use dynocal_numerics::watch::Watch;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What line searches of the ECU try: time of the extrapolation, and time constant of the closed lambda loop, in s.
+const AHEADS_S: [f64; 6] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12];
+const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
+/// Stream of the random points that the ECU is tuned on; those of the comparison are others.
+const STREAM: u64 = 402;
+
+/// How the fuel of the comparison was given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FuelledBy {
+    /// Identified fuelling: its file, or the spec of the job that identified it.
+    pub file: String,
+    /// Bed time of the records that identified it, in s; 0 where it came as a file.
+    pub identification_bed_s: f64,
+    /// Interval in which fuel is given, in s.
+    pub interval_s: f64,
+    /// Extrapolation of the pressure by the ECU in s, from a line search on points of its own.
+    pub ecu_ahead_s: f64,
+    /// Time constant of its lambda loop in s, from a second line search; none where no loop is better.
+    pub ecu_closed_s: Option<f64>,
+    /// Bed time of the tuning in s.
+    pub ecu_bed_s: f64,
+    /// Share of the samples of the comparison whose speed or throttle lies outside of what the identification saw.
+    pub outside: f64,
+}
+
+/// What a campaign knows of fuelling before any of it is there: names of channels, and what lambda is demanded.
+struct Asked {
+    channels: Channels,
+    /// Place of lambda among the demands, and its value in all scenarios.
+    demand: (usize, f64),
+    /// Range and unit of the injection.
+    range: (f64, f64),
+    unit: String,
+    /// The job that identifies; none where a file is given.
+    job: Option<Job>,
+}
+
+fn fault(key: &str, found: impl Into<String>, expected: impl Into<String>) -> ChainError {
+    let key = format!("validate.fuelling{key}");
+    ChainError::Spec { key, found: found.into(), expected: expected.into() }
+}
+
+impl Asked {
+    /// None where the spec names no fuelling. A job works in `folder`.
+    fn of(ctx: &Context, folder: &Path) -> Result<Option<Self>, ChainError> {
+        let Some(spec) = &ctx.spec.validate.fuelling else { return Ok(None) };
+        let job = spec.spec.as_deref().map(|path| job(ctx, path, folder)).transpose()?;
+        let channels = match &job {
+            Some(job) => job.channels.clone(),
+            None => spec.channels.clone().unwrap_or_default(),
+        };
+        let (problem, c) = (&ctx.spec.problem, &channels);
+        let demand = problem.demands.iter().position(|d| d.output == c.lambda).filter(|k| *k > 0);
+        let Some(k) = demand else {
+            let known = problem.demand_names().into_iter().skip(1).collect::<Vec<_>>().join(", ");
+            let expected = format!("a demand beside the leading one ({known})");
+            return Err(fault(".channels.lambda", format!("`{}`", c.lambda), expected));
+        };
+        let Some(input) = problem.inputs.iter().find(|i| i.name == c.injection) else {
+            let expected = format!("an input of the problem ({})", problem.input_names().join(", "));
+            return Err(fault(".channels.injection", format!("`{}`", c.injection), expected));
+        };
+        let (range, unit, d) = ((input.lower, input.upper), input.unit.clone(), &problem.demands[k]);
+        // Scenarios hold every demand but the leading one in the middle of its range.
+        Ok(Some(Self { demand: (k, 0.5 * (d.lower + d.upper)), range, unit, channels, job }))
+    }
+
+    /// Places of the channels on the plant.
+    fn places(&self, ctx: &Context) -> Result<Places, ChainError> {
+        let plant = ctx.plant(false)?;
+        Places::of(plant.as_ref(), &self.channels)
+            .map_err(|found| fault(".channels", found, "channels of the plant"))
+    }
+
+    /// Whether fuel that is given every `interval_s` fits.
+    fn interval(&self, ctx: &Context, source: &str, interval_s: f64) -> Result<(), ChainError> {
+        let dt = ctx.spec.sample_time_s;
+        let count = (dt / interval_s).round();
+        if count < 1.0 || (count * interval_s - dt).abs() > 1e-9 {
+            let expected = format!("an interval that divides that of the campaign, {dt} s");
+            return Err(fault("", format!("`{source}`, identified at {interval_s} s"), expected));
+        }
+        Ok(())
+    }
+}
+
+/// The job of a spec, which works in `folder` on the plant of the campaign.
+fn job(ctx: &Context, path: &Path, folder: &Path) -> Result<Job, ChainError> {
+    let over = Overrides { seed: Some(ctx.spec.seed), out: Some(folder.join(FOLDER)) };
+    let job = fuelling::spec::read(path, &over).map_err(|e| ChainError::Fuelling(e.to_string()))?;
+    if let Source::Plant { plant, .. } = &job.source {
+        let own = &ctx.spec.plant;
+        if (&plant.name, &plant.parameters) != (&own.name, &own.parameters) {
+            let found = format!("`{}`, on {} {}", path.display(), plant.name, plant.parameters);
+            return Err(fault(
+                ".spec",
+                found,
+                format!("the plant of the campaign, {} {}", own.name, own.parameters),
+            ));
+        }
+    }
+    Ok(job)
+}
+
+/// Folder of the run that identifies, inside that of the step.
+const FOLDER: &str = "fuelling";
+
+/// What can be known of the fuelling of a spec before anything runs.
+///
+/// # Errors
+/// [`ChainError`]: a file or spec, what must not be used, channels, units, an interval.
+pub(super) fn check(ctx: &Context) -> Result<(), ChainError> {
+    let Some(asked) = Asked::of(ctx, Path::new(""))? else { return Ok(()) };
+    if ctx.plants.is_some() {
+        asked.places(ctx)?;
+    }
+    if let Some(Job { source: Source::Plant { test, .. }, name, .. }) = &asked.job {
+        return asked.interval(ctx, name, test.sample_time_s);
+    }
+    match &ctx.spec.validate.fuelling.as_ref().and_then(|f| f.file.clone()) {
+        Some(file) => usable(ctx, &asked, &file.display().to_string(), &read(file)?),
+        None => Ok(()),
+    }
+}
+
+/// Files that tell what the fuelling of a spec is.
+pub(super) fn files(ctx: &Context) -> Vec<PathBuf> {
+    let Some(spec) = &ctx.spec.validate.fuelling else { return Vec::new() };
+    let mut out: Vec<PathBuf> = spec.file.iter().chain(&spec.spec).cloned().collect();
+    let job = spec.spec.as_deref().and_then(|path| job(ctx, path, Path::new("")).ok());
+    if let Some(Job { source: Source::Files { identification, unseen }, .. }) = job {
+        out.extend(identification.into_iter().chain(unseen));
+    }
+    out
+}
+
+fn read(file: &Path) -> Result<StoredFuelling, ChainError> {
+    Ok(json::read_versioned(file, FUELLING_SCHEMA, FUELLING_VERSION)?)
+}
+
+fn usable(ctx: &Context, asked: &Asked, source: &str, stored: &StoredFuelling) -> Result<(), ChainError> {
+    if !stored.valid {
+        let expected = "identified fuelling that may be used (its report says what it lacks)";
+        return Err(fault("", format!("`{source}`, which must not be used"), expected));
+    }
+    if asked.unit != stored.injection_unit {
+        let found = format!("`{source}`, whose injection is in {}", stored.injection_unit);
+        return Err(fault("", found, format!("{} as in the problem", asked.unit)));
+    }
+    asked.interval(ctx, source, stored.fuelling.sample_time_s)
+}
+
+/// Identified fuelling with its places on the plant of a campaign.
+pub(super) struct Fuelled<'a, 'c> {
+    ctx: &'a Context<'c>,
+    asked: Asked,
+    /// File that it comes from, in words.
+    source: String,
+    stored: StoredFuelling,
+    /// Bed time of its records in s; 0 of a file.
+    bed_s: f64,
+}
+
+impl<'a, 'c> Fuelled<'a, 'c> {
+    /// Reads or identifies it, in a folder inside of `folder`. None where the spec names none.
+    ///
+    /// # Errors
+    /// [`ChainError`]: as [`check`], and what the identification ends with.
+    pub(super) fn of(ctx: &'a Context<'c>, folder: &Path) -> Result<Option<Self>, ChainError> {
+        let (Some(asked), Some(spec)) = (Asked::of(ctx, folder)?, &ctx.spec.validate.fuelling) else {
+            return Ok(None);
+        };
+        let (source, stored, bed_s) = match (&asked.job, &spec.file) {
+            (Some(job), _) => {
+                ctx.watch.note("identifying fuel by measured states");
+                // How far the job is, is not how far the campaign is.
+                let watch = Watch { fraction: &|_| (), ..ctx.watch };
+                let (found, _) = fuelling::run(job, watch).map_err(|e| match e {
+                    FuellingJobError::Interrupted => ChainError::Interrupted,
+                    e => ChainError::Fuelling(e.to_string()),
+                })?;
+                let bed_s = match &job.source {
+                    Source::Plant { test, .. } => 2.0 * test.record_s,
+                    Source::Files { .. } => 0.0,
+                };
+                (spec.spec.iter().map(|p| p.display().to_string()).collect(), found.stored(), bed_s)
+            }
+            (None, Some(file)) => (file.display().to_string(), read(file)?, 0.0),
+            (None, None) => return Ok(None),
+        };
+        usable(ctx, &asked, &source, &stored)?;
+        Ok(Some(Self { ctx, asked, source, stored, bed_s }))
+    }
+
+    /// Writes what injects beside the maps, so that it leaves with them.
+    ///
+    /// # Errors
+    /// [`ChainError::Files`].
+    pub(super) fn keep(&self, folder: &Path) -> Result<(), ChainError> {
+        let path = folder.join(FUELLING_FILE);
+        Ok(json::write_versioned(&path, FUELLING_SCHEMA, FUELLING_VERSION, &self.stored)?)
+    }
+
+    /// Fuel of the identified model.
+    pub(super) fn policy(&self) -> Fuel {
+        Fuel::Policy(Box::new(FuelPolicy::new(self.stored.fuelling.clone(), self.asked.range.1)))
+    }
+
+    /// A map through a scenario, with its fuel by `fuel`; the record has what was injected.
+    ///
+    /// # Errors
+    /// [`ChainError`].
+    pub(super) fn run(
+        &self,
+        folder: &Path,
+        (map, name): (&dyn FeedforwardMap, &str),
+        scenario: &Scenario,
+        fuel: Fuel,
+    ) -> Result<Dataset, ChainError> {
+        let plan = self.ctx.scenario_plan(map, name, scenario);
+        let setting = FuelSetting {
+            fuel,
+            interval_s: self.stored.fuelling.sample_time_s,
+            lambda: self.asked.demand.1,
+            range: self.asked.range,
+        };
+        let mut plant = FuelDriven::new(self.ctx.plant(false)?, self.asked.places(self.ctx)?, setting);
+        let mut record = self.ctx.measure_on(folder, &plan, &mut plant)?;
+        let injection = record.channels.iter_mut().find(|c| c.name == self.asked.channels.injection);
+        if let Some(c) = injection {
+            let given = plant.given(c.values.len());
+            c.values.copy_from_slice(given);
+        }
+        Ok(record)
+    }
+
+    /// The ECU on the static map, tuned on points of its own: extrapolation first, then a lambda loop where one pays.
+    ///
+    /// # Errors
+    /// [`ChainError`].
+    pub(super) fn ecu(
+        &self,
+        folder: &Path,
+        map: &StaticMap,
+    ) -> Result<(SpeedDensity, FuelledBy), ChainError> {
+        let (ctx, f) = (self.ctx, &self.stored.fuelling);
+        let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
+        let points = random_points(spec, problem, dt, &mut Rng64::stream(ctx.spec.seed, STREAM));
+        let plain = SpeedDensity {
+            sample_time_s: f.sample_time_s,
+            charge: f.charge.clone(),
+            law: f.coolant,
+            most_kpa: self.stored.seen.map_kpa[1].max(f.filling.upstream_kpa),
+            ahead_s: 0.0,
+            film: Some(Coat { film: f.film, law: f.coolant }),
+            feedback: None,
+        };
+        let cost = |ecu: &SpeedDensity| -> Result<f64, ChainError> {
+            let run = self.run(folder, (map, "tuning of an ECU"), &points, self.ecu_fuel(ecu))?;
+            let scores = score(spec, problem, &points, &["ECU"], &[&run])?;
+            Ok(scores[0].demands[self.asked.demand.0].mean_error)
+        };
+        let best = |all: Vec<SpeedDensity>| -> Result<(f64, SpeedDensity), ChainError> {
+            let costs: Vec<Result<f64, ChainError>> = all.par_iter().map(&cost).collect();
+            let mut best = (f64::INFINITY, plain.clone());
+            for (ecu, cost) in all.into_iter().zip(costs) {
+                let cost = cost?;
+                if cost < best.0 {
+                    best = (cost, ecu);
+                }
+            }
+            Ok(best)
+        };
+        let open = best(AHEADS_S.iter().map(|s| SpeedDensity { ahead_s: *s, ..plain.clone() }).collect())?;
+        let closed = |s: &f64| SpeedDensity {
+            feedback: Some(Feedback { timing: f.timing, closed_s: *s }),
+            ..open.1.clone()
+        };
+        let closed = best(CLOSED_S.iter().map(closed).collect())?;
+        let ecu = if closed.0 < open.0 { closed.1 } else { open.1 };
+        let runs = (AHEADS_S.len() + CLOSED_S.len()) as f64;
+        let by = FuelledBy {
+            file: self.source.clone(),
+            identification_bed_s: self.bed_s,
+            interval_s: f.sample_time_s,
+            ecu_ahead_s: ecu.ahead_s,
+            ecu_closed_s: ecu.feedback.map(|f| f.closed_s),
+            ecu_bed_s: runs * (points.reference.len() as f64 * dt + SETTLED_S),
+            outside: 0.0,
+        };
+        Ok((ecu, by))
+    }
+
+    /// Fuel of an ECU.
+    pub(super) fn ecu_fuel(&self, ecu: &SpeedDensity) -> Fuel {
+        Fuel::Ecu(Box::new(SpeedDensityState::new(ecu.clone(), self.asked.range.1)))
+    }
+
+    /// Share of the samples whose speed or throttle lies outside of what the identification saw.
+    ///
+    /// # Errors
+    /// [`ChainError`]: a record without the channels.
+    pub(super) fn outside(&self, records: &[&Dataset]) -> Result<f64, ChainError> {
+        let (c, seen) = (&self.asked.channels, &self.stored.seen);
+        let (mut outside, mut all) = (0, 0);
+        for r in records {
+            let within = |v: &f64, [low, high]: [f64; 2]| (low..=high).contains(v);
+            let pairs = r.values(&c.speed)?.iter().zip(r.values(&c.throttle)?);
+            all += r.len();
+            outside +=
+                pairs.filter(|(n, a)| !(within(n, seen.speed_rpm) && within(a, seen.throttle_deg))).count();
+        }
+        Ok(outside as f64 / all.max(1) as f64)
+    }
+}
