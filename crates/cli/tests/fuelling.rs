@@ -149,7 +149,7 @@ point_s = 4.0
 steps = 2
 step_s = 4.0
 
-[validate.fuelling]
+[fuelling]
 file = "run/fuelling.json"
 channels = { coolant = "coolant" }
 "#;
@@ -174,6 +174,7 @@ fn injects_in_a_calibration(folder: &Path) {
     }
     assert!(summary["fuelled"]["ecu_bed_s"].as_f64().unwrap() > 0.0);
     assert!(summary["verdict"].as_str().unwrap().contains("with its own fuel it would leave"));
+    assert!(summary["verdict"].as_str().unwrap().contains("Its fuel is given by measured states"));
     let o = dynocal(folder, &["export", "cal", "--to", "dcm", "--out", "maps"]);
     assert_eq!(o.code, 0, "{}{}", o.stdout, o.stderr);
     let dcm = std::fs::read_to_string(folder.join("maps/fuelling.dcm")).unwrap();
@@ -188,12 +189,24 @@ fn injects_in_a_calibration(folder: &Path) {
     };
     let gone = said("run/fuelling.json", "run/fuel.json");
     assert!(gone.contains("run/fuel.json"), "{gone}");
-    let interval = said("[plant]", "sample_time_s = 0.025\n[plant]");
+    let interval = said("\n[plant]\n", "\nsample_time_s = 0.025\n[plant]\n");
     assert!(interval.contains("identified at 0.01 s") && interval.contains("0.025 s"), "{interval}");
     let channel = said("channels = { coolant = \"coolant\" }", "channels = { coolant = \"water\" }");
-    assert!(channel.contains("validate.fuelling.channels") && channel.contains("`water`"), "{channel}");
+    assert!(channel.contains("fuelling.channels") && channel.contains("`water`"), "{channel}");
+    let both = said("channels = { coolant = \"coolant\" }", "spec = \"plant.toml\"");
+    assert!(both.contains("fuelling") && both.contains("one of them"), "{both}");
+    // A spec drives the plant of the campaign: here one that shows no temperature of the coolant.
+    let spec = CALIBRATION.replace(
+        "file = \"run/fuelling.json\"\nchannels = { coolant = \"coolant\" }",
+        "spec = \"plant.toml\"",
+    );
+    write(folder, "calibrate.toml", &spec.replace("outputs = [\"coolant\"]", ""));
+    let o = dynocal(folder, &["calibrate", "calibrate.toml", "--out", "bad"]);
+    assert!(o.code == 2 && o.stderr.contains("no output `coolant`"), "{}", o.stderr);
+    let bed = said("parameters = \"pfi_1_6l\"", "name = \"bed\"");
+    assert!(bed.contains("`fuelling`") && bed.contains("its ECU injects"), "{bed}");
     let lambda = said("channels = { coolant = \"coolant\" }", "channels = { lambda = \"torque\" }");
-    assert!(lambda.contains("validate.fuelling.channels.lambda") && lambda.contains("`torque`"), "{lambda}");
+    assert!(lambda.contains("fuelling.channels.lambda") && lambda.contains("`torque`"), "{lambda}");
 }
 
 #[test]

@@ -164,16 +164,19 @@ fn shape(s: &CalibrateSpec, faults: &mut Faults) {
 
 /// Fuel by measured states: from a file or from a spec.
 fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
-    let Some(f) = &s.validate.fuelling else { return };
+    let Some(f) = &s.fuelling else { return };
     match (&f.file, &f.spec) {
         (None, None) => faults.push(
-            "validate.fuelling",
+            "fuelling",
             "neither",
             "`file`, the fuelling.json of a run of `dynocal fuelling`, or `spec`, a spec of it",
         ),
-        (Some(_), Some(_)) => faults.push("validate.fuelling", "`file` and `spec`", "one of them"),
+        (Some(_), Some(_)) => faults.push("fuelling", "`file` and `spec`", "one of them"),
+        _ if plants::find(&s.plant.name).is_some_and(|p| p.make.is_none()) => {
+            faults.push("fuelling", "a plant that does not answer", "none: on a bed its ECU injects");
+        }
         (None, Some(_)) if f.channels.is_some() => {
-            faults.push("validate.fuelling.channels", "names beside a spec", "none: a spec has its own");
+            faults.push("fuelling.channels", "names beside a spec", "none: a spec has its own");
         }
         _ => {}
     }

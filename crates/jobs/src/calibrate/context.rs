@@ -3,6 +3,7 @@
 use super::channels::Channels;
 use super::error::ChainError;
 use super::spec::CalibrateSpec;
+use crate::fuelling::stored::StoredFuelling;
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::validate::Scenario;
@@ -10,6 +11,7 @@ use dynocal_ident::pi::PiGains;
 use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_numerics::watch::Watch;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -47,6 +49,27 @@ pub struct Context<'a> {
     pub begun: AtomicUsize,
     /// Loops with the gains that were found on the plant, where the spec has none.
     pub tuned: OnceLock<Vec<PlanLoop>>,
+    /// Identified fuelling, where the spec names one, once it is there.
+    pub fuelling: OnceLock<Identified>,
+}
+
+/// Fuelling that a campaign works with.
+#[derive(Clone, Debug)]
+pub struct Identified {
+    /// Model and ranges.
+    pub stored: StoredFuelling,
+    /// Where it comes from.
+    pub from: FuelledFrom,
+}
+
+/// Where the fuelling of a campaign comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FuelledFrom {
+    /// Its file, or the spec of the job that identified it.
+    pub file: String,
+    /// Bed time of the records that identified it, in s; 0 where it came as a file.
+    pub bed_s: f64,
 }
 
 /// Rough shares of the steps and of the report in the whole time, for progress only.

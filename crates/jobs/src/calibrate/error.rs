@@ -115,7 +115,7 @@ pub enum ChainError {
     )]
     NeedsPlant,
     /// Fuel by measured states.
-    #[error("fuel by measured states (`validate.fuelling`): {0}")]
+    #[error("fuel by measured states (`fuelling`): {0}")]
     Fuelling(String),
     /// Ctrl-C.
     #[error("interrupted: finished steps are kept, start again with the same folder to go on")]

@@ -42,6 +42,7 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
             if stepped { s.plant.name.clone() } else { format!("{}: plans and files", s.plant.name) },
         )
         .line("gains of the loops", gains)
+        .line("fuel", fuel_words(s))
         .line("excite", excitation)
         .line(
             "identify",
@@ -65,6 +66,12 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
         .work(estimated * identification * 2.0 * pool * terms)
         .work(outputs * evaluations * 4.0 * samples(d.record_s) * terms * terms)
         .work(outputs * iterations * 1e3 * samples(o.record_s))
+}
+
+/// Who injects in the delivered map.
+fn fuel_words(s: &CalibrateSpec) -> String {
+    let named = s.fuelling.iter().flat_map(|f| f.spec.iter().chain(&f.file)).next();
+    named.map_or_else(|| "by the map".into(), |file| format!("by measured states, `{}`", file.display()))
 }
 
 /// Outputs that are estimated, and those whose models are given.

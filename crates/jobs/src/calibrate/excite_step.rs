@@ -1,10 +1,10 @@
 //! Step 1: identification and validation records in closed loop.
 
-use super::context::{Context, Tone};
+use super::context::{Context, FuelledFrom, Tone};
 use super::error::ChainError;
 use super::records::{RecordRef, all_measured, save_records};
 use super::signals::{aprbs, sweep};
-use super::{given, loops};
+use super::{fuelled, given, loops};
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::problem::DemandChannel;
 use dynocal_ident::data::Dataset;
@@ -31,6 +31,9 @@ pub struct ExciteResult {
     pub tuned: Option<Tuned>,
     /// How the records followed their demands; empty for records that were there before.
     pub followed: Vec<Followed>,
+    /// Where the fuelling of the campaign comes from, whose model lies beside the records; none where the map injects.
+    #[serde(default)]
+    pub fuelled: Option<FuelledFrom>,
 }
 
 /// A demanded output over all records of the step.
@@ -77,10 +80,12 @@ mod stream {
 /// [`ChainError`].
 pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
+    let fuelled = fuelled::identified(ctx, folder)?;
+    fuelled::inject(ctx, folder, fuelled.as_ref())?;
     let tuned = loops::tuned(ctx, folder)?;
     ctx.close_loops_with(tuned.as_ref());
     if !spec.identification_files.is_empty() {
-        return taken_over(ctx, folder, tuned);
+        return Ok(ExciteResult { fuelled, ..taken_over(ctx, folder, tuned)? });
     }
     let total = spec.identification_records + spec.validation_records;
     let done = AtomicUsize::new(0);
@@ -88,7 +93,7 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
     let records = plans
         .par_iter()
         .map(|plan| {
-            let record = ctx.measure(folder, plan, true)?;
+            let record = fuelled::excited(ctx, folder, plan)?;
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             ctx.fraction(done as f64 / total as f64);
             Ok(record)
@@ -105,6 +110,7 @@ pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> 
         validation_bed_s: bed_s(spec.validation_records),
         tuned,
         followed,
+        fuelled,
     })
 }
 
@@ -123,6 +129,7 @@ fn taken_over(ctx: &Context, folder: &Path, tuned: Option<Tuned>) -> Result<Exci
         validation_bed_s: 0.0,
         tuned,
         followed: Vec::new(),
+        fuelled: None,
     })
 }
 
@@ -146,7 +153,7 @@ fn record_plan(ctx: &Context, k: usize) -> Result<Plan, ChainError> {
 /// [`ChainError`].
 pub fn extra_record(ctx: &Context, folder: &Path, name: &str, number: u64) -> Result<Dataset, ChainError> {
     let stream = stream::IDENTIFICATION + 50 + number;
-    ctx.measure(folder, &excitation(ctx, name, stream, ctx.spec.excite.sweep_s + 0.5)?, true)
+    fuelled::excited(ctx, folder, &excitation(ctx, name, stream, ctx.spec.excite.sweep_s + 0.5)?)
 }
 
 /// Levels on every demand and every free input, displaced by equal parts of the hold time; given channels swept.

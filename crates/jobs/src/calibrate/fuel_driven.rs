@@ -29,8 +29,10 @@ pub(super) struct FuelSetting {
     pub(super) fuel: Fuel,
     /// Interval in which it is given, in s; a step of the plant is a multiple of it.
     pub(super) interval_s: f64,
-    /// Demanded lambda.
-    pub(super) lambda: f64,
+    /// Demanded lambda by step; that of the first before them, that of the last behind.
+    pub(super) lambda: Vec<f64>,
+    /// Steps before the first.
+    pub(super) lead: usize,
     /// Range of the injection in its unit.
     pub(super) range: (f64, f64),
 }
@@ -97,11 +99,14 @@ impl Plant for FuelDriven {
         self.inputs.copy_from_slice(inputs);
         let p = &self.places;
         let driven = (p.speed.get(inputs), p.throttle.get(inputs));
+        let step =
+            self.given.len().saturating_sub(self.now.lead).min(self.now.lambda.len().saturating_sub(1));
+        let demanded = self.now.lambda.get(step).copied().unwrap_or(1.0);
         let (mut lambda, mut injection) = (0.0, 0.0);
         for _ in 0..count as usize {
             let sensed = p.sensed(driven, &self.shown);
             let (low, high) = self.now.range;
-            let fuel = self.now.fuel.step(&sensed, self.now.lambda).clamp(low, high);
+            let fuel = self.now.fuel.step(&sensed, demanded).clamp(low, high);
             p.injection.set(&mut self.inputs, fuel);
             self.plant.step(&self.inputs, interval_s, &mut self.shown)?;
             injection += fuel / count;
@@ -224,7 +229,7 @@ mod tests {
         };
         let places = Places::of(&Toy::new(), &Channels::default()).unwrap();
         let fuel = Fuel::Ecu(Box::new(SpeedDensityState::new(ecu, 60.0)));
-        let setting = FuelSetting { fuel, interval_s: 0.01, lambda: 0.8, range };
+        let setting = FuelSetting { fuel, interval_s: 0.01, lambda: vec![0.8, 1.0], lead: 1, range };
         FuelDriven::new(Box::new(Toy::new()), places, setting)
     }
 
@@ -240,6 +245,15 @@ mod tests {
         let lambda = (20.0 / first + 2.0 * 20.0 / then) / 3.0 + 0.02;
         assert!((y[0] - lambda).abs() < 1e-4, "{y:?} {lambda}");
         assert_eq!(y[1], 60.0);
+        // The first demand of lambda lasts until the lead is over, and goes on with the second.
+        plant.step(&[3.0, 60.0, 2000.0], 0.01, &mut y).unwrap();
+        assert!((plant.given(1)[0] - 15.0 / 0.8).abs() < 1e-3);
+        plant.step(&[3.0, 60.0, 2000.0], 0.01, &mut y).unwrap();
+        assert!((plant.given(1)[0] - 15.0).abs() < 1e-3);
+        plant.step(&[3.0, 60.0, 2000.0], 0.01, &mut y).unwrap();
+        assert!((plant.given(1)[0] - 15.0).abs() < 1e-3);
+        plant.reset(1);
+        plant.step(&[3.0, 60.0, 2000.0], 0.03, &mut y).unwrap();
         // The same again after a reset, whatever is asked of the injection.
         let before = (plant.given(1)[0], y);
         plant.reset(1);

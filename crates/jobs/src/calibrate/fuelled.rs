@@ -1,12 +1,13 @@
 //! The delivered map with its fuel by measured states in place of its own (docs/fuelling.md), beside an ECU that is tuned on the same
 //! plant.
 
-use super::context::{Context, SETTLED_S};
+use super::context::{Context, FuelledFrom, Identified, SETTLED_S};
 use super::error::ChainError;
 use super::fuel_driven::{Fuel, FuelDriven, FuelSetting};
 use crate::fuelling::places::Places;
 use crate::fuelling::spec::{Channels, Job, Source};
 use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
+use crate::fuelling::work::{AHEADS_S, CLOSED_S};
 use crate::fuelling::{self, FuellingJobError};
 use crate::place::Overrides;
 use dynocal_calib::fuelling::{Coat, Feedback, FuelPolicy, SpeedDensity, SpeedDensityState};
@@ -15,15 +16,15 @@ use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::validate::{Scenario, random_points, score};
 use dynocal_files::json;
 use dynocal_ident::data::Dataset;
+use dynocal_ident::plan::Plan;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What line searches of the ECU try: time of the extrapolation, and time constant of the closed lambda loop, in s.
-const AHEADS_S: [f64; 6] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12];
-const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
+/// Shortest interval in which fuel is given, in s: that of `dynocal fuelling`.
+const SHORTEST_S: f64 = 1e-3;
 /// Stream of the random points that the ECU is tuned on; those of the comparison are others.
 const STREAM: u64 = 402;
 
@@ -60,14 +61,14 @@ struct Asked {
 }
 
 fn fault(key: &str, found: impl Into<String>, expected: impl Into<String>) -> ChainError {
-    let key = format!("validate.fuelling{key}");
+    let key = format!("fuelling{key}");
     ChainError::Spec { key, found: found.into(), expected: expected.into() }
 }
 
 impl Asked {
     /// None where the spec names no fuelling. A job works in `folder`.
     fn of(ctx: &Context, folder: &Path) -> Result<Option<Self>, ChainError> {
-        let Some(spec) = &ctx.spec.validate.fuelling else { return Ok(None) };
+        let Some(spec) = &ctx.spec.fuelling else { return Ok(None) };
         let job = spec.spec.as_deref().map(|path| job(ctx, path, folder)).transpose()?;
         let channels = match &job {
             Some(job) => job.channels.clone(),
@@ -100,28 +101,22 @@ impl Asked {
     fn interval(&self, ctx: &Context, source: &str, interval_s: f64) -> Result<(), ChainError> {
         let dt = ctx.spec.sample_time_s;
         let count = (dt / interval_s).round();
-        if count < 1.0 || (count * interval_s - dt).abs() > 1e-9 {
-            let expected = format!("an interval that divides that of the campaign, {dt} s");
+        // What is not a number, or none that a controller could have, is no interval.
+        if !(interval_s >= SHORTEST_S && count >= 1.0 && (count * interval_s - dt).abs() <= 1e-9) {
+            let expected =
+                format!("an interval from {SHORTEST_S} s that divides that of the campaign, {dt} s");
             return Err(fault("", format!("`{source}`, identified at {interval_s} s"), expected));
         }
         Ok(())
     }
 }
 
-/// The job of a spec, which works in `folder` on the plant of the campaign.
+/// The job of a spec, which works in `folder`: what it drives is the plant of the campaign.
 fn job(ctx: &Context, path: &Path, folder: &Path) -> Result<Job, ChainError> {
     let over = Overrides { seed: Some(ctx.spec.seed), out: Some(folder.join(FOLDER)) };
-    let job = fuelling::spec::read(path, &over).map_err(|e| ChainError::Fuelling(e.to_string()))?;
-    if let Source::Plant { plant, .. } = &job.source {
-        let own = &ctx.spec.plant;
-        if (&plant.name, &plant.parameters) != (&own.name, &own.parameters) {
-            let found = format!("`{}`, on {} {}", path.display(), plant.name, plant.parameters);
-            return Err(fault(
-                ".spec",
-                found,
-                format!("the plant of the campaign, {} {}", own.name, own.parameters),
-            ));
-        }
+    let mut job = fuelling::spec::read(path, &over).map_err(|e| ChainError::Fuelling(e.to_string()))?;
+    if let Source::Plant { plant, .. } = &mut job.source {
+        plant.clone_from(&ctx.spec.plant);
     }
     Ok(job)
 }
@@ -141,7 +136,7 @@ pub(super) fn check(ctx: &Context) -> Result<(), ChainError> {
     if let Some(Job { source: Source::Plant { test, .. }, name, .. }) = &asked.job {
         return asked.interval(ctx, name, test.sample_time_s);
     }
-    match &ctx.spec.validate.fuelling.as_ref().and_then(|f| f.file.clone()) {
+    match &ctx.spec.fuelling.as_ref().and_then(|f| f.file.clone()) {
         Some(file) => usable(ctx, &asked, &file.display().to_string(), &read(file)?),
         None => Ok(()),
     }
@@ -149,7 +144,7 @@ pub(super) fn check(ctx: &Context) -> Result<(), ChainError> {
 
 /// Files that tell what the fuelling of a spec is.
 pub(super) fn files(ctx: &Context) -> Vec<PathBuf> {
-    let Some(spec) = &ctx.spec.validate.fuelling else { return Vec::new() };
+    let Some(spec) = &ctx.spec.fuelling else { return Vec::new() };
     let mut out: Vec<PathBuf> = spec.file.iter().chain(&spec.spec).cloned().collect();
     let job = spec.spec.as_deref().and_then(|path| job(ctx, path, Path::new("")).ok());
     if let Some(Job { source: Source::Files { identification, unseen }, .. }) = job {
@@ -174,55 +169,88 @@ fn usable(ctx: &Context, asked: &Asked, source: &str, stored: &StoredFuelling) -
     asked.interval(ctx, source, stored.fuelling.sample_time_s)
 }
 
+/// Reads or identifies what the spec names, before the first step, and keeps it in `folder`. None where it names none.
+///
+/// # Errors
+/// [`ChainError`]: as [`check`], and what the identification ends with.
+pub(super) fn identified(ctx: &Context, folder: &Path) -> Result<Option<FuelledFrom>, ChainError> {
+    let (Some(asked), Some(spec)) = (Asked::of(ctx, folder)?, &ctx.spec.fuelling) else {
+        return Ok(None);
+    };
+    let (from, stored) = match (&asked.job, &spec.file) {
+        (Some(job), _) => {
+            ctx.watch.note("identifying fuel by measured states");
+            // How far the job is, is not how far the campaign is.
+            let watch = Watch { fraction: &|_| (), ..ctx.watch };
+            let (found, _) = fuelling::run(job, watch).map_err(|e| match e {
+                FuellingJobError::Interrupted => ChainError::Interrupted,
+                e => ChainError::Fuelling(e.to_string()),
+            })?;
+            let bed_s = match &job.source {
+                Source::Plant { test, .. } => 2.0 * test.record_s,
+                Source::Files { .. } => 0.0,
+            };
+            let file = spec.spec.iter().map(|p| p.display().to_string()).collect();
+            (FuelledFrom { file, bed_s }, found.stored())
+        }
+        (None, Some(file)) => (FuelledFrom { file: file.display().to_string(), bed_s: 0.0 }, read(file)?),
+        (None, None) => return Ok(None),
+    };
+    usable(ctx, &asked, &from.file, &stored)?;
+    json::write_versioned(&folder.join(FUELLING_FILE), FUELLING_SCHEMA, FUELLING_VERSION, &stored)?;
+    Ok(Some(from))
+}
+
+/// From now on what was identified in the step of `folder` injects.
+///
+/// # Errors
+/// [`ChainError`]: the file.
+pub(super) fn inject(ctx: &Context, folder: &Path, from: Option<&FuelledFrom>) -> Result<(), ChainError> {
+    if let Some(from) = from {
+        let stored = read(&folder.join(FUELLING_FILE))?;
+        // Set once: what a finished step has found is what it would find again.
+        drop(ctx.fuelling.set(Identified { stored, from: from.clone() }));
+    }
+    Ok(())
+}
+
+/// A record of the excitation: with its fuel by measured states where the campaign has them, and lambda as the plan demands it.
+///
+/// # Errors
+/// [`ChainError`].
+pub(super) fn excited(ctx: &Context, folder: &Path, plan: &Plan) -> Result<Dataset, ChainError> {
+    let asked = ctx.spec.fuelling.as_ref().is_some_and(|f| f.excite);
+    let Some(fuelled) = Fuelled::of(ctx)?.filter(|_| asked) else {
+        return ctx.measure(folder, plan, true);
+    };
+    let mut plan = plan.clone();
+    let c = &fuelled.asked.channels;
+    for l in plan.loops.iter_mut().filter(|l| l.input == c.injection) {
+        l.closed = false;
+    }
+    let lambda = plan.demand(&c.lambda).map_or_else(Vec::new, |d| d.values.clone());
+    fuelled.play(folder, &plan, (fuelled.policy(), lambda), true)
+}
+
 /// Identified fuelling with its places on the plant of a campaign.
 pub(super) struct Fuelled<'a, 'c> {
     ctx: &'a Context<'c>,
     asked: Asked,
-    /// File that it comes from, in words.
-    source: String,
-    stored: StoredFuelling,
-    /// Bed time of its records in s; 0 of a file.
-    bed_s: f64,
+    stored: &'a StoredFuelling,
+    from: &'a FuelledFrom,
 }
 
 impl<'a, 'c> Fuelled<'a, 'c> {
-    /// Reads or identifies it, in a folder inside of `folder`. None where the spec names none.
+    /// None where the campaign has none.
     ///
     /// # Errors
-    /// [`ChainError`]: as [`check`], and what the identification ends with.
-    pub(super) fn of(ctx: &'a Context<'c>, folder: &Path) -> Result<Option<Self>, ChainError> {
-        let (Some(asked), Some(spec)) = (Asked::of(ctx, folder)?, &ctx.spec.validate.fuelling) else {
-            return Ok(None);
-        };
-        let (source, stored, bed_s) = match (&asked.job, &spec.file) {
-            (Some(job), _) => {
-                ctx.watch.note("identifying fuel by measured states");
-                // How far the job is, is not how far the campaign is.
-                let watch = Watch { fraction: &|_| (), ..ctx.watch };
-                let (found, _) = fuelling::run(job, watch).map_err(|e| match e {
-                    FuellingJobError::Interrupted => ChainError::Interrupted,
-                    e => ChainError::Fuelling(e.to_string()),
-                })?;
-                let bed_s = match &job.source {
-                    Source::Plant { test, .. } => 2.0 * test.record_s,
-                    Source::Files { .. } => 0.0,
-                };
-                (spec.spec.iter().map(|p| p.display().to_string()).collect(), found.stored(), bed_s)
-            }
-            (None, Some(file)) => (file.display().to_string(), read(file)?, 0.0),
-            (None, None) => return Ok(None),
-        };
-        usable(ctx, &asked, &source, &stored)?;
-        Ok(Some(Self { ctx, asked, source, stored, bed_s }))
-    }
-
-    /// Writes what injects beside the maps, so that it leaves with them.
-    ///
-    /// # Errors
-    /// [`ChainError::Files`].
-    pub(super) fn keep(&self, folder: &Path) -> Result<(), ChainError> {
-        let path = folder.join(FUELLING_FILE);
-        Ok(json::write_versioned(&path, FUELLING_SCHEMA, FUELLING_VERSION, &self.stored)?)
+    /// [`ChainError`]: a spec that cannot be read any more.
+    pub(super) fn of(ctx: &'a Context<'c>) -> Result<Option<Self>, ChainError> {
+        let asked = Asked::of(ctx, Path::new(""))?;
+        let there = ctx.fuelling.get();
+        let with =
+            |(asked, i): (Asked, &'a Identified)| Self { ctx, asked, stored: &i.stored, from: &i.from };
+        Ok(asked.zip(there).map(with))
     }
 
     /// Fuel of the identified model.
@@ -242,14 +270,26 @@ impl<'a, 'c> Fuelled<'a, 'c> {
         fuel: Fuel,
     ) -> Result<Dataset, ChainError> {
         let plan = self.ctx.scenario_plan(map, name, scenario);
+        self.play(folder, &plan, (fuel, vec![self.asked.demand.1]), false)
+    }
+
+    /// Plays a plan with fuel by `fuel` at a demanded lambda; the record has what was injected.
+    fn play(
+        &self,
+        folder: &Path,
+        plan: &Plan,
+        (fuel, lambda): (Fuel, Vec<f64>),
+        noise: bool,
+    ) -> Result<Dataset, ChainError> {
         let setting = FuelSetting {
             fuel,
             interval_s: self.stored.fuelling.sample_time_s,
-            lambda: self.asked.demand.1,
+            lambda,
+            lead: plan.settling_samples().max(1),
             range: self.asked.range,
         };
-        let mut plant = FuelDriven::new(self.ctx.plant(false)?, self.asked.places(self.ctx)?, setting);
-        let mut record = self.ctx.measure_on(folder, &plan, &mut plant)?;
+        let mut plant = FuelDriven::new(self.ctx.plant(noise)?, self.asked.places(self.ctx)?, setting);
+        let mut record = self.ctx.measure_on(folder, plan, &mut plant)?;
         let injection = record.channels.iter_mut().find(|c| c.name == self.asked.channels.injection);
         if let Some(c) = injection {
             let given = plant.given(c.values.len());
@@ -304,8 +344,8 @@ impl<'a, 'c> Fuelled<'a, 'c> {
         let ecu = if closed.0 < open.0 { closed.1 } else { open.1 };
         let runs = (AHEADS_S.len() + CLOSED_S.len()) as f64;
         let by = FuelledBy {
-            file: self.source.clone(),
-            identification_bed_s: self.bed_s,
+            file: self.from.file.clone(),
+            identification_bed_s: self.from.bed_s,
             interval_s: f.sample_time_s,
             ecu_ahead_s: ecu.ahead_s,
             ecu_closed_s: ecu.feedback.map(|f| f.closed_s),

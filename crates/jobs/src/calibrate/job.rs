@@ -101,7 +101,7 @@ fn given_files(spec: &mut CalibrateSpec) -> impl Iterator<Item = &mut PathBuf> {
         .chain(spec.identify.files.values_mut())
         .chain(&mut spec.design.record)
         .chain(&mut spec.plant.file)
-        .chain(spec.validate.fuelling.iter_mut().flat_map(|f| f.file.iter_mut().chain(&mut f.spec)))
+        .chain(spec.fuelling.iter_mut().flat_map(|f| f.file.iter_mut().chain(&mut f.spec)))
         .chain(maps)
         .chain(a2l)
 }
@@ -128,6 +128,7 @@ fn context<'a>(
         watch,
         begun: AtomicUsize::new(0),
         tuned: OnceLock::new(),
+        fuelling: OnceLock::new(),
     }
 }
 

@@ -69,8 +69,8 @@ impl ChainResult {
 
     /// Bed time of the records that identified who injects, in s; 0 where that came as a file.
     pub fn fuelling_bed_s(&self) -> f64 {
-        let by = self.validate.as_ref().and_then(|d| d.result.fuelled.as_ref());
-        by.map_or(0.0, |by| by.identification_bed_s)
+        let from = self.excite.as_ref().and_then(|d| d.result.fuelled.as_ref());
+        from.map_or(0.0, |from| from.bed_s)
     }
 
     /// Bed time of the points that the map was moved onto, in s.
@@ -173,10 +173,15 @@ fn step_excite(
     how: How,
 ) -> Result<Option<Done<ExciteResult>>, ChainError> {
     let e = &ctx.spec.excite;
-    let files: Vec<&PathBuf> = e.identification_files.iter().chain(&e.validation_files).collect();
-    let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?, &ctx.spec.tune);
+    let fuelling = super::fuelled::files(ctx);
+    let files: Vec<&PathBuf> =
+        e.identification_files.iter().chain(&e.validation_files).chain(&fuelling).collect();
+    let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?, &ctx.spec.tune, &ctx.spec.fuelling);
     let done = run_step(ctx, folder, how, "excite", &inputs, |path| excite(ctx, path))?;
     ctx.close_loops_with(done.as_ref().and_then(|d| d.result.tuned.as_ref()));
+    if let Some(d) = &done {
+        super::fuelled::inject(ctx, &d.folder, d.result.fuelled.as_ref())?;
+    }
     Ok(done)
 }
 
@@ -316,10 +321,7 @@ fn step_validate(
     how: How,
 ) -> Result<Option<Done<ValidateResult>>, ChainError> {
     let (invert, optimise) = (needed(&result.invert, "invert")?, needed(&result.optimise, "optimise")?);
-    let files = super::fuelled::files(ctx);
-    let files: Vec<&PathBuf> = files.iter().collect();
-    let before = format!("{}{}", invert.digest, digests(&files)?.concat());
-    let inputs = (&ctx.spec.validate, &before);
+    let inputs = (&ctx.spec.validate, &invert.digest);
     run_step(ctx, folder, how, "validate", &inputs, |path| {
         let last = last_pass(&optimise.result)?;
         let models = last.models.chosen();

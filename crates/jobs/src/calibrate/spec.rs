@@ -46,6 +46,9 @@ pub struct CalibrateSpec {
     pub tune: TuneSpec,
     /// Abort rules of every record that is played: the plan ends before an output passes them, and what was measured is kept.
     pub abort: Vec<PlanLimit>,
+    /// Fuel by measured states in place of the map's own; none: the map injects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fuelling: Option<FuelledSpec>,
     /// Step 1: excitation.
     pub excite: ExciteSpec,
     /// Step 2: models.
@@ -79,6 +82,7 @@ impl Default for CalibrateSpec {
             ],
             tune: TuneSpec::default(),
             abort: Vec::new(),
+            fuelling: None,
             excite: ExciteSpec::default(),
             identify: IdentifySpec::default(),
             design: DesignSpec::default(),
@@ -401,22 +405,27 @@ pub struct CompareSpec {
     pub static_map: StaticSpec,
     /// Scenarios.
     pub scenario: ValidateSpec,
-    /// Fuel by measured states in place of the map's own; none: the map injects.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub fuelling: Option<FuelledSpec>,
 }
 
 /// Identified fuelling that injects in place of the delivered map: one that is there, or a job that identifies it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FuelledSpec {
     /// `fuelling.json` of a run of `dynocal fuelling`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// Spec of `dynocal fuelling`, which is run in the step.
+    /// Spec of `dynocal fuelling`, which is run before the first step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spec: Option<PathBuf>,
+    /// Whether it injects in the records of the excitation, too: lambda then stays near what is demanded.
+    pub excite: bool,
     /// Names of the channels of `file` on the plant; a spec has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Channels>,
+}
+
+impl Default for FuelledSpec {
+    fn default() -> Self {
+        Self { file: None, spec: None, excite: true, channels: None }
+    }
 }

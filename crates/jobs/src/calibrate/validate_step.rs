@@ -112,8 +112,7 @@ pub fn validate(
     let on_record = OnRecord::of(ctx, folder, last, optimise_folder)?;
     let static_on_record = on_record.as_ref().map(|r| r.static_map(&static_map)).transpose()?;
     let causality = on_record.as_ref().map(|r| r.causality(inverse)).transpose()?;
-    let fuelled = Fuelled::of(ctx, folder)?;
-    fuelled.iter().try_for_each(|f| f.keep(folder))?;
+    let fuelled = Fuelled::of(ctx)?;
     // What is delivered is called so, whatever its structure and whoever injects.
     let own = if fuelled.is_some() { OWN_FUEL } else { DYNAMIC };
     let mut maps: Vec<NamedMap> =

@@ -17,8 +17,8 @@ use super::verdict;
 use crate::estimate::Estimate;
 
 /// What line searches of the rival try: time of the extrapolation, and time constant of the closed lambda loop, in s.
-const AHEADS_S: [f64; 6] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12];
-const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
+pub(crate) const AHEADS_S: [f64; 6] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12];
+pub(crate) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Steps of a table over what the records saw.
 const STEPS: usize = 10;
 /// Time at the begin of a course that is not judged, in s: everything starts from the plant's own start.

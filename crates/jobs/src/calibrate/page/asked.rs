@@ -96,7 +96,7 @@ fn bed(s: &Summary) -> (Table, Bars) {
         ("optimisation", b.optimisation_s),
         ("points at rest", b.at_rest_s),
     ];
-    if s.fuelled.is_some() {
+    if s.spec.fuelling.is_some() {
         needed.push(("fuel by measured states", b.fuelling_s));
     }
     let beside = [
