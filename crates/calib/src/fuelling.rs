@@ -111,6 +111,49 @@ pub struct Fuelling {
 }
 
 impl Fuelling {
+    /// What a model that was written by somebody else may lack: as many coefficients as there are terms, a film and times that a
+    /// controller can have.
+    ///
+    /// # Errors
+    /// In words: key, found and expected.
+    pub fn check(&self) -> Result<(), String> {
+        let (c, f) = (&self.charge, &self.filling);
+        for (key, found, expected) in [
+            ("charge.coefficients", c.coefficients.len(), charge::TERMS),
+            ("filling.area", f.area.len(), filling::TERMS),
+        ] {
+            if found != expected {
+                return Err(format!("`{key}`: found {found} numbers, expected {expected}"));
+            }
+        }
+        let positive = |v: f64| v > 0.0;
+        let some = |v: f64| v >= 0.0;
+        for (key, found, fits, expected) in [
+            ("sample_time_s", self.sample_time_s, positive(self.sample_time_s), "a positive number"),
+            ("filling.upstream_kpa", f.upstream_kpa, positive(f.upstream_kpa), "a positive number"),
+            ("filling.gain", f.gain, positive(f.gain), "a positive number"),
+            ("filling.throttle_lag_s", f.throttle_lag_s, some(f.throttle_lag_s), "a number from 0"),
+            (
+                "film.share",
+                self.film.share,
+                (0.0..1.0).contains(&self.film.share),
+                "a number from 0 to below 1",
+            ),
+            ("film.tau_s", self.film.tau_s, positive(self.film.tau_s), "a positive number"),
+            (
+                "timing.sensor_lag_s",
+                self.timing.sensor_lag_s,
+                some(self.timing.sensor_lag_s),
+                "a number from 0",
+            ),
+        ] {
+            if !(fits && found.is_finite()) {
+                return Err(format!("`{key}`: found {found}, expected {expected}"));
+            }
+        }
+        Ok(())
+    }
+
     /// The charge at a coolant temperature and places of the cams, if they are measured.
     pub fn air(&self, coolant_c: f64, cams_deg: Option<[f64; 2]>) -> Air<'_> {
         Air::new(&self.charge, self.coolant.as_ref(), coolant_c, cams_deg)

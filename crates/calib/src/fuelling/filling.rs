@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 const MOST_BALANCE: f64 = 0.5;
 const MOST_BALANCE_STEP: f64 = 0.02;
 /// Terms of the polynomial of the throttle.
-const TERMS: usize = 4;
+pub(super) const TERMS: usize = 4;
 /// Ratio of specific heats of air.
 const GAMMA: f64 = 1.4;
 /// Steps of the integration in a sample.

@@ -162,6 +162,7 @@ fn usable(ctx: &Context, asked: &Asked, source: &str, stored: &StoredFuelling) -
         let expected = "identified fuelling that may be used (its report says what it lacks)";
         return Err(fault("", format!("`{source}`, which must not be used"), expected));
     }
+    stored.check().map_err(|e| ChainError::Fuelling(format!("`{source}`: {e}")))?;
     if asked.unit != stored.injection_unit {
         let found = format!("`{source}`, whose injection is in {}", stored.injection_unit);
         return Err(fault("", found, format!("{} as in the problem", asked.unit)));

@@ -254,6 +254,7 @@ fn of_file(path: &Path, spec: &ExportSpec) -> Result<Made, ExportJobError> {
                     "found a model that must not be used (`valid` is false): its report says why",
                 ));
             }
+            stored.check().map_err(|e| ExportJobError::source(path, e))?;
             fuelling::fuelling(&stored)
         }
         "dynocal/static-map" => {

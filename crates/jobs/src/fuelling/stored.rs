@@ -34,6 +34,24 @@ pub struct StoredFuelling {
 }
 
 impl StoredFuelling {
+    /// Whether what a file holds can be used at all ([`Fuelling::check`]), with ranges that increase.
+    ///
+    /// # Errors
+    /// In words: key, found and expected.
+    pub fn check(&self) -> Result<(), String> {
+        let ranges = [
+            ("speed_rpm", self.seen.speed_rpm),
+            ("map_kpa", self.seen.map_kpa),
+            ("throttle_deg", self.seen.throttle_deg),
+        ];
+        for (key, [low, high]) in ranges {
+            if !(low < high) {
+                return Err(format!("`seen.{key}`: found {low} to {high}, expected numbers that increase"));
+            }
+        }
+        self.fuelling.check()
+    }
+
     /// Charge at the breakpoints, speed fastest, in the unit of the injection.
     pub fn charge(&self) -> Vec<f64> {
         let at = |p: &f64| {
@@ -118,6 +136,30 @@ mod tests {
                 map_kpa: vec![40.0, 60.0, 80.0],
                 coolant_c: vec![],
             },
+        }
+    }
+
+    #[test]
+    fn what_was_written_by_hand_is_named() {
+        let good = stored(|n, p| 1e-4 * n * p);
+        assert_eq!(good.check(), Ok(()));
+        let said = |change: &dyn Fn(&mut StoredFuelling)| {
+            let mut s = good.clone();
+            change(&mut s);
+            s.check().unwrap_err()
+        };
+        type Change = fn(&mut StoredFuelling);
+        let changes: [(&str, Change); 6] = [
+            ("charge.coefficients", |s| s.fuelling.charge.coefficients.clear()),
+            ("filling.area", |s| s.fuelling.filling.area.truncate(1)),
+            ("film.share", |s| s.fuelling.film.share = 1.0),
+            ("film.tau_s", |s| s.fuelling.film.tau_s = -1.0),
+            ("filling.gain", |s| s.fuelling.filling.gain = f64::NAN),
+            ("seen.speed_rpm", |s| s.seen.speed_rpm = [3000.0, 1000.0]),
+        ];
+        for (key, change) in changes {
+            let text = said(&change);
+            assert!(text.starts_with(&format!("`{key}`: found ")) && text.contains("expected"), "{text}");
         }
     }
 
