@@ -4,6 +4,9 @@ use super::{FuellingError, Rested};
 use crate::fuelling::charge::{Charge, TERMS};
 use crate::fuelling::coolant::CoolantLaw;
 
+/// Most of the pressure over that before the throttle: waves and noise show some behind an open throttle that is not boosted.
+const ABOVE: f64 = 1.05;
+
 /// Channels of a record of holds and steps, sampled together.
 #[derive(Clone, Copy, Debug)]
 pub struct TransientRecord<'a> {
@@ -86,13 +89,13 @@ fn check_one(r: &TransientRecord<'_>) -> Result<(), FuellingError> {
         }
     }
     let greatest = r.map_kpa.iter().copied().fold(0.0, f64::max);
-    if r.boost_kpa.is_none() && !(r.upstream_kpa > greatest) {
+    if r.boost_kpa.is_none() && !(ABOVE * r.upstream_kpa > greatest) {
         let found = format!("a pressure of {greatest} kPa");
         return Err(refused(
             "map",
             found,
             format!(
-                "less than the {} kPa before the throttle: give its channel where the engine is boosted",
+                "at most {ABOVE} times the {} kPa before the throttle: give its channel where the engine is boosted",
                 r.upstream_kpa
             ),
         ));

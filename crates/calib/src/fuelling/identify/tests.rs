@@ -185,6 +185,17 @@ fn what_says_too_little_is_refused() {
     assert!(matches!(identify(&[view(&channels)], &|| true), Err(FuellingError::Interrupted)));
 }
 
+/// Behind an open throttle waves and noise show a little more than the pressure before it.
+#[test]
+fn a_little_above_ambient_is_no_boost() {
+    let truth = truth();
+    let channels = record(&truth, 60);
+    let greatest = channels[3].iter().copied().fold(0.0, f64::max);
+    let level = |above: f64| TransientRecord { upstream_kpa: greatest / above, ..view(&channels) };
+    assert!(identify(&[level(1.06)], &|| false).unwrap_err().to_string().contains("1.05 times"));
+    assert!(identify(&[level(1.02)], &|| false).is_ok());
+}
+
 /// A turbocharger that spools up and down before the throttle: measured, it is no error; taken for ambient, it is one.
 #[test]
 fn a_measured_pressure_before_the_throttle_counts() {
