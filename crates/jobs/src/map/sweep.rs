@@ -80,10 +80,9 @@ pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
     let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
     let a = &spec.bed.approach;
-    // There and back, and to the next line with its rest: as long as a point takes in the mean, three quarters of the longest (30 of 41 s
-    // over days of `gtdi_2l`). Too little here is time that the verification lacks.
-    let transit_s = 0.75 * (a.ramp_s + a.settle_s + a.average_s);
-    lines as f64 * (2.0 * s.pass_s + transit_s)
+    // There and back, and to the next line: about half of the range, and half of the longest wait for its rest. Less here is time that the
+    // verification lacks, more is points that are not measured.
+    lines as f64 * (2.0 * s.pass_s + 0.5 * (a.ramp_s + a.settle_s) + a.average_s)
 }
 
 impl Window {
