@@ -75,7 +75,7 @@ fn fuelled(by: &FuelledBy) -> String {
         format!("a lambda loop of {} s", significant(s, 2))
     });
     format!(
-        "The fuel of the {DYNAMIC} is given by measured states every {} ms (`{}`), not by its table of the injection; the {OWN_FUEL} is the same with the table. The {ECU_FUEL} has air charge and film of the same identification, extrapolates the pressure by {} s and has {closed}: the best of two line searches on random points of their own ({:.0} s of bed time).",
+        "The fuel of the {DYNAMIC} is given by measured states every {} ms (`{}`), not by its table of the injection. Its fuel and that of the ECU are no open loop: what is measured comes back into them. The {OWN_FUEL} is the same with the table. The {ECU_FUEL} has air charge and film of the same identification, extrapolates the pressure by {} s and has {closed}: the best of two line searches on random points of their own ({:.0} s of bed time).",
         significant(1e3 * by.interval_s, 3),
         by.file,
         significant(by.ecu_ahead_s, 2),
