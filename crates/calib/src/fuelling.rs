@@ -40,7 +40,7 @@ mod speed_density;
 mod trim;
 
 pub use adapt::{Adaptation, Left};
-pub use cams::CamLaw;
+pub use cams::{CamBends, CamLaw};
 pub use charge::Charge;
 pub use coolant::{Air, CoolantLaw};
 pub use feedback::Feedback;

@@ -155,6 +155,12 @@ pub trait FeedforwardMap: Send + Sync {
         None
     }
 
+    /// The same map with a leading actuator that may go beyond its rest for a while, as `judge` likes it best, and the dynamics of all
+    /// others chosen anew with it: for plants where nothing has to wait for the leader. None as of [`FeedforwardMap::tuned`], or where no lead pays.
+    fn led(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {
+        None
+    }
+
     /// The same map with the plainest dynamics, one lag of all actuators but `leader`, as `judge` likes it best: what shows whether
     /// those of [`FeedforwardMap::tuned`] pay. None where the structure has none.
     fn lagged(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {

@@ -48,8 +48,14 @@ impl Charge {
             let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
             [0.5 * (low + high), (0.5 * (high - low)).max(1e-6 * high.abs()).max(1e-9)]
         };
-        let mut out =
+        let scaled =
             Self { speed_rpm: range(0), pressure_kpa: range(1), coefficients: vec![0.0; TERMS], cams: None };
+        scaled.again(points)
+    }
+
+    /// Coefficients anew, ranges and cams as they are.
+    pub(super) fn again(&self, points: &[[f64; 3]]) -> Result<Self, LinalgError> {
+        let mut out = self.clone();
         let mut rows = Vec::with_capacity(points.len() * TERMS);
         for [n, p, fuel] in points {
             rows.extend(out.terms(*n, *p).iter().map(|t| t / fuel));
@@ -89,6 +95,13 @@ impl Charge {
     pub fn cam_factor(&self, speed_rpm: f64, pressure_kpa: f64, cams_deg: Option<[f64; 2]>) -> f64 {
         let known = self.cams.as_ref().zip(cams_deg);
         known.map_or(1.0, |(law, cams)| law.factor(self.scaled(speed_rpm, pressure_kpa), cams))
+    }
+
+    /// Where the cams rest in deg, and what a degree away from there does to the logarithm of the charge as long as it is small, in 1/deg:
+    /// each of intake and exhaust; none where nothing is known of them.
+    pub fn cams_at(&self, speed_rpm: f64, pressure_kpa: f64) -> Option<[[f64; 2]; 2]> {
+        let at = self.scaled(speed_rpm, pressure_kpa);
+        self.cams.as_ref().map(|law| [law.at_rest_deg(at), law.slopes(at)])
     }
 
     /// Flow of that fuel into one cylinder per second.

@@ -3,6 +3,7 @@
 mod chosen;
 mod filled;
 mod follow;
+mod moved;
 mod record;
 mod search;
 mod worth;
@@ -21,6 +22,7 @@ use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
 use filled::{filled, refilled};
 use follow::{pressure, richness, richness_slopes};
+use moved::moved_at_rest;
 use record::{charge_at_rest, rested};
 use search::{Effort, Errors, Slopes, searched};
 
@@ -88,8 +90,6 @@ const ROUNDS: usize = 2;
 const FILM: usize = 2;
 const TIMING: usize = 5;
 const LAW: usize = 3;
-/// Parameters of the cams.
-const CAMS: usize = 4;
 
 /// Means of a stretch at rest.
 struct Rested {
@@ -182,6 +182,7 @@ pub fn steady_charge(records: &[TransientRecord<'_>]) -> Result<(Charge, Option<
 /// Where the searches begin: the charge at rest, a cycle of transport, as much through volumes, and a film of some cycles.
 fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuelling, FuellingError> {
     let (charge, coolant) = charge_at_rest(records, rested)?;
+    let charge = moved_at_rest(records, rested, (&charge, coolant.as_ref()))?.unwrap_or(charge);
     let speeds = || records.iter().flat_map(|r| r.speed_rpm);
     let cycle_s = 120.0 * speeds().count() as f64 / speeds().sum::<f64>();
     let flow = charge.flow(charge.speed_rpm[0], charge.pressure_kpa[0]).max(1e-9);
@@ -278,12 +279,14 @@ fn unexplained(records: &[TransientRecord<'_>], pressures: &[Vec<f64>], f: &Fuel
 
 /// What is expected of parameters before any record, as places and weights of rows beside the errors: that slopes over a cam are 0 with a
 /// standard deviation of pi / 360 a degree, at which the volume of a cylinder goes with its crank at most, over its displacement.
-/// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only.
+/// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only. Nor do
+/// slopes change by more than they are.
 fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
     let Some(law) = &f.charge.cams else { return Vec::new() };
-    let from = given(f).len() - f.charge.coefficients.len() - CAMS;
-    let weight = |k: usize| f.rms / (law.most_deg[k % 2] * std::f64::consts::PI / 360.0).max(1e-9);
-    (0..CAMS).map(|k| (from + k, weight(k))).collect()
+    let most = law.most_of();
+    let from = given(f).len() - f.charge.coefficients.len() - most.len();
+    let weight = |most_deg: &f64| f.rms / (most_deg * std::f64::consts::PI / 360.0).max(1e-9);
+    most.iter().enumerate().map(|(k, m)| (from + k, weight(m))).collect()
 }
 
 /// Its derivatives by the coefficients of the charge, one column each.
@@ -358,7 +361,7 @@ fn given(f: &Fuelling) -> Vec<f64> {
         x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
     }
     if let Some(l) = &f.charge.cams {
-        x.extend([l.per_deg, l.per_deg_pressure].iter().flat_map(|s| [0, 1].map(|k| s[k] * l.most_deg[k])));
+        x.extend(l.given());
     }
     x.extend(&f.charge.coefficients);
     x
@@ -385,9 +388,7 @@ fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
     }
     let mut charge = start.charge.clone();
     if let Some(l) = &mut charge.cams {
-        let slope = |at: usize| [0, 1].map(|k| x[from + at + k] / l.most_deg[k].max(1e-9));
-        (l.per_deg, l.per_deg_pressure) = (slope(0), slope(2));
-        from += CAMS;
+        from += l.take(&x[from..]);
     }
     charge.coefficients = x[from..].to_vec();
     Fuelling { film, timing, coolant, charge, ..start.clone() }

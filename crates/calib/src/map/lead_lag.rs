@@ -9,7 +9,8 @@
 //!
 //! At rest u = v, so that dynamics never move what holds at rest. The tables come from the structured inverse of the optimal
 //! records at rest; [`LeadLagMap::anchored`] moves them onto points that were measured at rest, and [`LeadLagMap::tuned`] chooses
-//! h and tau(T, N) = tau0 (N0/N)^a (T/T0)^b for every actuator that does not lead, by models of the plant.
+//! h and tau(T, N) = tau0 (N0/N)^a (T/T0)^b for every actuator that does not lead, by models of the plant; [`LeadLagMap::led`] lets the
+//! one that leads go beyond its rest for a while (h > 1), where nothing has to wait for it.
 
 use super::lookup::Corners;
 use super::structured::terms::{self, Scale, Term};
@@ -56,6 +57,12 @@ const LONGEST_S: f64 = 0.6;
 const STEPS: u32 = 30;
 /// Times that the steps of the search of each actuator's own dynamics are halved.
 const HALVINGS: u32 = 4;
+/// Most of a lead: a leading actuator that goes further beyond its rest asks for more than a model of the plant was told.
+const MOST_LEAD: f64 = 4.0;
+/// Steps of its line search.
+const LEAD_STEPS: u32 = 6;
+/// Lags in s at which the lead of the leading actuator is looked for.
+const LED_S: [f64; 3] = [0.05, 0.1, 0.2];
 /// Share of the judged number by which a change must pay.
 const PAYS: f64 = 1e-3;
 
@@ -85,7 +92,7 @@ pub struct LagLaw {
     pub by_given: f64,
     /// Power of (leading demand / middle).
     pub by_demand: f64,
-    /// Time constant of the lead over that of the lag: 0 a lag, 1 at once.
+    /// Time constant of the lead over that of the lag: 0 a lag, 1 at once, above 1 beyond the rest for a while.
     pub lead: f64,
 }
 
@@ -315,6 +322,23 @@ impl LeadLagMap {
         best.0.is_finite().then_some(best)
     }
 
+    /// From a map and what it costs: dynamics of some actuators, each with the most of its lead, by steps that are halved.
+    fn searched(mut best: (f64, Self), judge: Judge, actuators: &[(usize, f64)]) -> (f64, Self) {
+        for halving in 0..HALVINGS {
+            for &(c, most_lead) in actuators {
+                let size = 0.5f64.powi(halving as i32);
+                for law in neighbours(best.1.actuators[c].law, size, most_lead) {
+                    let map = best.1.with(&[(c, law)]);
+                    let value = judge(&map);
+                    if value < (1.0 - PAYS) * best.0 {
+                        best = (value, map);
+                    }
+                }
+            }
+        }
+        best
+    }
+
     /// The map with other dynamics of some actuators.
     fn with(&self, laws: &[(usize, LagLaw)]) -> Self {
         let mut map = self.clone();
@@ -333,15 +357,15 @@ fn mean_of(pairs: &[Pairs], place: usize) -> f64 {
     sum / n.max(1) as f64
 }
 
-/// Changes of a law that the search tries, at steps of `size` (1, then halves of it).
-fn neighbours(law: LagLaw, size: f64) -> impl Iterator<Item = LagLaw> {
+/// Changes of a law that the search tries, at steps of `size` (1, then halves of it), up to a lead.
+fn neighbours(law: LagLaw, size: f64, most_lead: f64) -> impl Iterator<Item = LagLaw> {
     let changes = [(0.03, 0.0, 0.0, 0.0), (0.0, 0.4, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.0, 0.0, 0.0, 0.2)];
     changes.into_iter().flat_map(move |(tau, given, demand, lead)| {
         [size, -size].map(|s| LagLaw {
             tau_s: (law.tau_s + s * tau).clamp(0.0, LONGEST_S),
             by_given: (law.by_given + s * given).clamp(-1.0, 3.0),
             by_demand: (law.by_demand + s * demand).clamp(-1.0, 1.0),
-            lead: (law.lead + s * lead).clamp(0.0, 1.0),
+            lead: (law.lead + s * lead).clamp(0.0, most_lead),
         })
     })
 }
@@ -427,18 +451,31 @@ impl FeedforwardMap for LeadLagMap {
     fn tuned(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
         let followers = self.followers(leader);
         let mut best = self.one_lag(judge, &followers)?;
-        for halving in 0..HALVINGS {
-            for &c in &followers {
-                for law in neighbours(best.1.actuators[c].law, 0.5f64.powi(halving as i32)) {
-                    let map = best.1.with(&[(c, law)]);
-                    let value = judge(&map);
-                    if value < (1.0 - PAYS) * best.0 {
-                        best = (value, map);
-                    }
+        let all: Vec<(usize, f64)> = followers.into_iter().map(|c| (c, 1.0)).collect();
+        best = Self::searched(best, judge, &all);
+        Some(StoredMap::new(best.1))
+    }
+
+    /// From leads of the leading actuator at some lags the best; then lags, powers and leads of all actuators by steps that are halved.
+    fn led(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
+        let plain = judge(self);
+        let mut best = (plain, self.clone());
+        for tau_s in LED_S {
+            for step in 1..=LEAD_STEPS {
+                let lead = 1.0 + (MOST_LEAD - 1.0) * f64::from(step) / f64::from(LEAD_STEPS);
+                let map = self.with(&[(leader, LagLaw { tau_s, lead, ..LagLaw::NONE })]);
+                let value = judge(&map);
+                if value < (1.0 - PAYS) * best.0 {
+                    best = (value, map);
                 }
             }
         }
-        Some(StoredMap::new(best.1))
+        if !(best.0 < plain) {
+            return None;
+        }
+        let most = |c| if c == leader { MOST_LEAD } else { 1.0 };
+        let all: Vec<(usize, f64)> = (0..self.actuators.len()).map(|c| (c, most(c))).collect();
+        Some(StoredMap::new(Self::searched(best, judge, &all).1))
     }
 
     fn lagged(&self, judge: Judge, leader: usize) -> Option<StoredMap> {

@@ -165,6 +165,7 @@ fn shape(s: &CalibrateSpec, faults: &mut Faults) {
 /// Fuel by measured states: from a file or from a spec.
 fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
     let Some(f) = &s.fuelling else { return };
+    f.channels.iter().for_each(|c| c.check("fuelling.channels", faults));
     match (&f.file, &f.spec) {
         (None, None) => faults.push(
             "fuelling",

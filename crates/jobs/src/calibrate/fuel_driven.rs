@@ -83,6 +83,8 @@ impl Plant for FuelDriven {
         self.given.clear();
         // A plant that does not tell is one that a record cannot begin on: playing says so.
         let _ = self.plant.outputs(&mut self.shown);
+        let inputs = variables(self.plant.as_ref(), Causality::Input);
+        self.inputs.iter_mut().zip(inputs).for_each(|(u, v)| *u = v.start);
     }
 
     /// Lambda is the mean over the step, everything else what the last interval gave.
@@ -96,7 +98,6 @@ impl Plant for FuelDriven {
                 self.inputs.len()
             )));
         }
-        self.inputs.copy_from_slice(inputs);
         let p = &self.places;
         let driven = (p.speed.get(inputs), p.throttle.get(inputs));
         let step =
@@ -104,9 +105,11 @@ impl Plant for FuelDriven {
         let demanded = self.now.lambda.get(step).copied().unwrap_or(1.0);
         let (mut lambda, mut injection) = (0.0, 0.0);
         for _ in 0..count as usize {
-            let sensed = p.sensed(driven, &self.shown);
+            // What was commanded in the interval before, as in the records that identified.
+            let sensed = p.sensed(driven, &self.inputs, &self.shown);
             let (low, high) = self.now.range;
             let fuel = self.now.fuel.step(&sensed, demanded).clamp(low, high);
+            self.inputs.copy_from_slice(inputs);
             p.injection.set(&mut self.inputs, fuel);
             self.plant.step(&self.inputs, interval_s, &mut self.shown)?;
             injection += fuel / count;
@@ -272,5 +275,22 @@ mod tests {
         let text = plant.step(&[3.0, 80.0, 2000.0], 0.025, &mut y).unwrap_err().to_string();
         assert!(text.contains("multiple of 0.01 s"), "{text}");
         assert!(plant.restore(&plant.save()).is_err());
+    }
+
+    /// Cams that are inputs are known as they were commanded in the interval before, those of the begin from the start of the plant.
+    #[test]
+    fn cams_are_known_an_interval_later() {
+        let channels = Channels {
+            intake_cam: Some("throttle".into()),
+            exhaust_cam: Some("map".into()),
+            ..Channels::default()
+        };
+        let places = Places::of(&Toy::new(), &channels).unwrap();
+        // An output of that name goes first, else an input.
+        let sensed = places.sensed((2000.0, 10.0), &[3.0, 55.0, 2000.0], &[1.0, 44.0]);
+        assert_eq!(sensed.cams_deg, Some([55.0, 44.0]));
+        let missing = Channels { exhaust_cam: Some("nothing".into()), ..channels };
+        let text = Places::of(&Toy::new(), &missing).unwrap_err();
+        assert!(text.contains("no output or input `nothing`"), "{text}");
     }
 }

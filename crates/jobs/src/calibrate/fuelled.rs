@@ -4,6 +4,7 @@
 use super::context::{Context, FuelledFrom, Identified, SETTLED_S};
 use super::error::ChainError;
 use super::fuel_driven::{Fuel, FuelDriven, FuelSetting};
+use super::fuel_on_model::FuelOnModel;
 use crate::fuelling::places::Places;
 use crate::fuelling::spec::{Channels, Job, Source};
 use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
@@ -252,6 +253,25 @@ impl<'a, 'c> Fuelled<'a, 'c> {
         let with =
             |(asked, i): (Asked, &'a Identified)| Self { ctx, asked, stored: &i.stored, from: &i.from };
         Ok(asked.zip(there).map(with))
+    }
+
+    /// What would inject behind a map, by the identified model alone. None where the model of the manifold does not know all that moves
+    /// it: the pressure before the throttle, or cams.
+    pub(super) fn on_model(&self) -> Option<FuelOnModel<'_>> {
+        let (problem, c) = (&self.ctx.spec.problem, &self.asked.channels);
+        if c.boost.is_some() || self.stored.fuelling.charge.cams.is_some() {
+            return None;
+        }
+        let input = |name: &str| problem.inputs.iter().position(|i| i.name == name);
+        let given = problem.given.iter().position(|g| g.name == c.speed)?;
+        Some(FuelOnModel {
+            fuelling: &self.stored.fuelling,
+            throttle: input(&c.throttle)?,
+            injection: input(&c.injection)?,
+            speed: problem.demands.len() + given,
+            lambda: self.asked.demand.0,
+            most: self.asked.range.1,
+        })
     }
 
     /// Fuel of the identified model.

@@ -4,6 +4,7 @@
 use super::at_rest::{self, AtRest};
 use super::context::Context;
 use super::error::ChainError;
+use super::fuelled::Fuelled;
 use super::lag::OnModels;
 use super::optimise_plan::END_EFFECT;
 use super::records::RecordRef;
@@ -147,13 +148,31 @@ pub fn finished(
         tuned.unwrap_or(map)
     };
     let one_lag = judge.tells().then(|| fitted.dynamic.lagged(&cost, leader)).flatten();
-    let dynamic = tuned(fitted.dynamic);
+    let dynamic = led(ctx, tuned(fitted.dynamic), models, leader)?;
     let mut points = at_rest::measured(ctx, folder, &*dynamic)?;
     let dynamic = at_rest::anchored(dynamic, points.as_mut());
     let one_lag = one_lag.map(|m| at_rest::anchored(m, points.clone().as_mut()));
     let rivals = fitted.rivals.into_iter();
     let rivals = rivals.map(|m| at_rest::anchored(tuned(m), points.clone().as_mut())).collect();
     Ok(InvertResult { dynamic, rivals, one_lag, at_rest: points, ..fitted })
+}
+
+/// Where fuel is given by measured states no lambda waits for the throttle: it may go ahead of its rest, so that the manifold is filled
+/// sooner. As the models say, with the injection that the identified manifold makes of it.
+fn led(
+    ctx: &Context,
+    map: StoredMap,
+    models: &[&StoredModel],
+    leader: usize,
+) -> Result<StoredMap, ChainError> {
+    let fuelled = Fuelled::of(ctx)?;
+    let Some(fuel) = fuelled.as_ref().and_then(Fuelled::on_model) else { return Ok(map) };
+    let judge = OnModels::new(ctx, models).fuelled(fuel);
+    let cost = |map: &dyn FeedforwardMap| match ctx.watch.interrupted() {
+        true => f64::INFINITY,
+        false => judge.cost(map),
+    };
+    Ok(map.led(&cost, leader).unwrap_or(map))
 }
 
 fn pairs_of(

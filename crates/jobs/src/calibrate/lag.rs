@@ -2,6 +2,7 @@
 //! rival, the lagged static map, alike.
 
 use super::context::Context;
+use super::fuel_on_model::FuelOnModel;
 use dynocal_calib::map::lagged::LaggedStaticMap;
 use dynocal_calib::map::static_map::StaticMap;
 use dynocal_calib::map::{FeedforwardMap, Rows};
@@ -29,6 +30,8 @@ pub(super) struct OnModels<'a> {
     models: Vec<(usize, &'a StoredModel)>,
     scenarios: Vec<Scenario>,
     sample_time_s: f64,
+    /// What injects in the place of the map.
+    fuel: Option<FuelOnModel<'a>>,
 }
 
 impl<'a> OnModels<'a> {
@@ -49,7 +52,14 @@ impl<'a> OnModels<'a> {
             let name = m.user_output().name;
             problem.demands.iter().position(|d| d.output == name).map(|k| (k, *m))
         };
-        Self { problem, models: models.iter().filter_map(place).collect(), scenarios, sample_time_s }
+        let models = models.iter().filter_map(place).collect();
+        Self { problem, models, scenarios, sample_time_s, fuel: None }
+    }
+
+    /// The same with the fuel of another: lambda is no longer the map's to hold, and the leading demand counts as any.
+    pub(super) fn fuelled(self, fuel: FuelOnModel<'a>) -> Self {
+        let models = self.models.into_iter().filter(|(k, _)| *k != fuel.lambda).collect();
+        Self { models, fuel: Some(fuel), ..self }
     }
 
     /// Whether a demand other than the leading one has a model: the leading one alone says nothing of what follows it.
@@ -63,17 +73,20 @@ impl<'a> OnModels<'a> {
     /// sum_k w_k sum_t |e_k(t) - mean of e_k at the end of the hold| / (upper_k - lower_k),   e_k = y_k - demand_k
     /// ```
     ///
-    /// from the first step on; w is 1, and 0.05 for the leading demand. What a model is off at rest is not the map's. Infinite
+    /// from the first step on; w is 1, and 0.05 for the leading demand as long as the map injects. What a model is off at rest is not the map's. Infinite
     /// where a model runs away.
     pub(super) fn cost(&self, map: &dyn FeedforwardMap) -> f64 {
         let mut sum = 0.0;
         for scenario in &self.scenarios {
-            let drive = map.drive(&scenario.reference, self.sample_time_s);
+            let mut drive = map.drive(&scenario.reference, self.sample_time_s);
+            if let Some(fuel) = &self.fuel {
+                fuel.inject(&mut drive, &scenario.reference, self.sample_time_s);
+            }
             let record = as_record(self.problem, &drive, scenario, self.sample_time_s);
             for (k, model) in &self.models {
                 let Ok(runs) = model.simulate(&record, None) else { return f64::INFINITY };
                 let d = &self.problem.demands[*k];
-                let weight = if *k == 0 { LEADING } else { 1.0 } / (d.upper - d.lower);
+                let weight = if *k == 0 && self.fuel.is_none() { LEADING } else { 1.0 } / (d.upper - d.lower);
                 sum += runs.iter().map(|r| weight * self.moved(scenario, *k, &r.y)).sum::<f64>();
             }
         }

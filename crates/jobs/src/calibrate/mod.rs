@@ -16,6 +16,7 @@ pub mod estimate;
 pub mod excite_step;
 mod excited;
 mod fuel_driven;
+mod fuel_on_model;
 pub mod fuelled;
 mod given;
 pub mod invert_step;

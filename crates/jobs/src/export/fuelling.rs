@@ -29,6 +29,53 @@ fn table(name: &str, what: &str, unit: &str, axes: Vec<Axis>, values: Vec<f64>) 
     }
 }
 
+/// Names of the cams in tables, and as channels.
+const CAMS: [(&str, &str); 2] = [("INTAKE", "intake_cam"), ("EXHAUST", "exhaust_cam")];
+
+/// What cams do to the charge: it is multiplied by exp of the sum over both of (slope + curve x) x, and of the product of both times
+/// `FUEL_CAMS_BOTH`, with x the distance of a cam from its rest, within its largest distance.
+fn cams(stored: &StoredFuelling) -> Vec<Characteristic> {
+    let (charge, t) = (&stored.fuelling.charge, &stored.tables);
+    let Some(law) = &charge.cams else { return Vec::new() };
+    let over = |what: usize, k: usize| -> Vec<f64> {
+        let at = |n: f64, p: f64| charge.cams_at(n, p).map_or(f64::NAN, |c| c[what][k]);
+        t.map_kpa.iter().flat_map(|p| t.speed_rpm.iter().map(move |n| at(*n, *p))).collect()
+    };
+    let axes =
+        || vec![axis("FUEL_SPEED", "rpm", "speed", &t.speed_rpm), axis("FUEL_MAP", "kPa", "map", &t.map_kpa)];
+    let bends = law.bends.clone().unwrap_or_default();
+    let mut all = Vec::new();
+    for (k, (name, channel)) in CAMS.iter().enumerate() {
+        let of = |what: &str| format!("{channel}: {what}");
+        let named = |what: &str| format!("FUEL_CAM_{name}_{what}");
+        all.push(table(&named("REST"), &of("where it rests"), "deg", axes(), over(0, k)));
+        all.push(table(
+            &named("SLOPE"),
+            &of("logarithm of the charge for a degree"),
+            "1/deg",
+            axes(),
+            over(1, k),
+        ));
+        all.push(table(
+            &named("CURVE"),
+            &of("the same for a degree squared"),
+            "1/deg^2",
+            vec![],
+            vec![bends.per_deg2[k]],
+        ));
+        all.push(table(
+            &named("MOST"),
+            &of("largest distance from rest that counts"),
+            "deg",
+            vec![],
+            vec![law.most_deg[k]],
+        ));
+    }
+    let what = "logarithm of the charge for the product of both distances";
+    all.push(table("FUEL_CAMS_BOTH", what, "1/deg^2", vec![], vec![bends.both]));
+    all
+}
+
 /// Tables and scalars.
 pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
     let (f, unit, t) = (&stored.fuelling, stored.injection_unit.as_str(), &stored.tables);
@@ -83,6 +130,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         ));
         all.push(table("FILM_TAU", "time constant of its evaporation", "s", vec![], vec![f.film.tau_s]));
     }
+    all.extend(cams(stored));
     let scalars = [
         ("FUEL_AHEAD", "from injection to the pressure that counts, constant part", "s", f.timing.charge_s),
         ("FUEL_AHEAD_CYCLES", "the part that goes with the cycle, in cycles", "-", f.timing.charge_cycles),
@@ -115,11 +163,14 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         lower,
         upper,
     };
-    let validity = vec![
+    let mut validity = vec![
         range("speed", "rpm", stored.seen.speed_rpm),
         range("map", "kPa", stored.seen.map_kpa),
         range("throttle", "deg", stored.seen.throttle_deg),
     ];
+    if let (Some(_), Some(ranges)) = (&f.charge.cams, &stored.seen.cams_deg) {
+        validity.extend(CAMS.iter().zip(ranges).map(|((_, channel), r)| range(channel, "deg", *r)));
+    }
     let lost = match stored.loss() {
         Some(loss) => format!("{} %", dynocal_report::significant(100.0 * loss, 3)),
         None => "an unknown share: the charge is not positive everywhere on its axes".into(),
@@ -135,5 +186,49 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         notes: vec![format!(
             "fuelling: interpolation in FUEL_CHARGE loses at most {lost} of the identified charge"
         )],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fuelling::stored::tests::stored;
+    use dynocal_calib::fuelling::{CamBends, CamLaw};
+
+    /// What is said of the tables of the cams gives what the model does, at a breakpoint.
+    #[test]
+    fn tables_of_the_cams_are_the_law() {
+        let mut s = stored(|n, p| 1e-4 * n * p);
+        assert!(!fuelling(&s).package.characteristics.iter().any(|c| c.name.contains("CAM")));
+        s.fuelling.charge.cams = Some(CamLaw {
+            rest_deg: [vec![235.0, 4.0, -3.0, 0.5, 0.0, 0.0], vec![230.0, 0.0, 2.0, 0.0, 1.0, 0.0]],
+            most_deg: [20.0, 18.0],
+            per_deg: [-0.005, 0.002],
+            per_deg_pressure: [0.002, 0.001],
+            bends: Some(CamBends { per_deg_speed: [0.002, -0.001], per_deg2: [-2e-4, -1e-4], both: 1e-4 }),
+        });
+        s.seen.cams_deg = Some([[215.0, 255.0]; 2]);
+        let made = fuelling(&s).package;
+        let of = |name: &str| &made.characteristics.iter().find(|c| c.name == name).unwrap().values;
+        // Breakpoint 1 of the speed, 2 of the pressure; speed fastest.
+        let at = 2 * s.tables.speed_rpm.len() + 1;
+        let cams = [222.0, 241.0];
+        let mut log = 0.0;
+        let mut off = [0.0; 2];
+        for (k, name) in ["INTAKE", "EXHAUST"].iter().enumerate() {
+            let table = |what: &str| of(&format!("FUEL_CAM_{name}_{what}"));
+            let most = table("MOST")[0];
+            let x = (cams[k] - table("REST")[at]).clamp(-most, most);
+            log += (table("SLOPE")[at] + table("CURVE")[0] * x) * x;
+            off[k] = x;
+        }
+        log += of("FUEL_CAMS_BOTH")[0] * off[0] * off[1];
+        let truth = s.fuelling.charge.cam_factor(s.tables.speed_rpm[1], s.tables.map_kpa[2], Some(cams));
+        assert!(
+            (log.exp() / truth - 1.0).abs() < 1e-9 && (truth - 1.0).abs() > 0.01,
+            "{} {truth}",
+            log.exp()
+        );
+        assert!(made.provenance.validity.iter().any(|v| v.channel == "exhaust_cam"));
     }
 }

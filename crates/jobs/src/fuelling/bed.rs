@@ -17,6 +17,8 @@ const SPEED_RATE: f64 = 1000.0;
 const STEP: f64 = 0.08;
 /// Time constant of the loop of a first record in s: slower than any transport.
 const LOOP_S: f64 = 1.5;
+/// Time in s in which an input that is varied goes through its range: cams are not elsewhere at once.
+const MOVED_S: f64 = 0.5;
 /// Most of the logarithm of what that loop corrects.
 const MOST_LOOP: f64 = 1.5;
 
@@ -26,6 +28,8 @@ pub(super) struct Course {
     pub(super) speed_rpm: Vec<f64>,
     /// Share by which a driver that is to excite changes its fuel.
     share: Vec<f64>,
+    /// Inputs that are varied, in their order, each over time.
+    varied: Vec<Vec<f64>>,
 }
 
 impl Course {
@@ -33,7 +37,8 @@ impl Course {
     pub(super) fn drawn(test: &Test, length_s: f64, rng: &mut Rng64) -> Self {
         let dt_s = test.sample_time_s;
         let samples = (length_s / dt_s).round() as usize;
-        let mut out = Self { throttle_deg: Vec::new(), speed_rpm: Vec::new(), share: Vec::new() };
+        let varied = vec![Vec::new(); test.varied.len()];
+        let mut out = Self { throttle_deg: Vec::new(), speed_rpm: Vec::new(), share: Vec::new(), varied };
         let (low, high) = (test.throttle_deg.lower.ln(), test.throttle_deg.upper.ln());
         let mut at_rpm = None;
         while out.throttle_deg.len() < samples {
@@ -50,6 +55,15 @@ impl Course {
                 out.share.push(if (hold / 3..2 * hold / 3).contains(&t) { step } else { 0.0 });
             }
             at_rpm = Some(now);
+            for (range, values) in test.varied.values().zip(&mut out.varied) {
+                let goal = rng.uniform_in(range.lower, range.upper);
+                let most = (range.upper - range.lower) * dt_s / MOVED_S;
+                let mut at = values.last().copied().unwrap_or(goal);
+                for _ in 0..hold {
+                    at += (goal - at).clamp(-most, most);
+                    values.push(at);
+                }
+            }
         }
         out.throttle_deg.truncate(samples);
         out.speed_rpm.truncate(samples);
@@ -95,6 +109,8 @@ pub(super) struct Rig {
     plant: Box<dyn Plant>,
     start: Vec<f64>,
     places: Places,
+    /// Inputs that are varied.
+    varied: Vec<Place>,
     outputs: usize,
 }
 
@@ -114,8 +130,10 @@ impl Rig {
         for (name, value) in &test.held {
             start[Place::of(&inputs, name, None, "input").map_err(refused)?.at] = *value;
         }
+        let varied = test.varied.keys().map(|name| Place::of(&inputs, name, None, "input"));
+        let varied = varied.collect::<Result<_, _>>().map_err(refused)?;
         let outputs = variables(plant.as_ref(), Causality::Output).len();
-        Ok(Self { plant, start, places, outputs })
+        Ok(Self { plant, start, places, varied, outputs })
     }
 
     /// A first driver that begins with the fuel of the plant's start.
@@ -154,18 +172,22 @@ impl Rig {
             injection_unit: p.injection_unit.clone(),
             boost_kpa: p.boost.map(|_| Vec::new()),
             coolant_c: p.coolant.map(|_| Vec::new()),
+            cams_deg: p.cams.map(|_| Default::default()),
             ..Record::default()
         };
         for (t, (throttle, speed)) in course.throttle_deg.iter().zip(&course.speed_rpm).enumerate() {
             if t % 100 == 0 && watch.interrupted() {
                 return Err(FuellingJobError::Interrupted);
             }
-            let sensed = p.sensed((*speed, *throttle), &y);
+            let sensed = p.sensed((*speed, *throttle), &u, &y);
             let share = if excite { course.share[t] } else { 0.0 };
             let injection = driver.step(&sensed, dt_s, share, most);
             p.throttle.set(&mut u, *throttle);
             p.speed.set(&mut u, *speed);
             p.injection.set(&mut u, injection);
+            for (place, values) in self.varied.iter().zip(&course.varied) {
+                place.set(&mut u, values[t]);
+            }
             self.plant.step(&u, dt_s, &mut y).map_err(|e| refused(e.to_string()))?;
             out.speed_rpm.push(*speed);
             out.throttle_deg.push(*throttle);
@@ -176,6 +198,9 @@ impl Rig {
                 if let (Some(place), Some(values)) = (place, values) {
                     values.push(place.get(&y));
                 }
+            }
+            for (cams, values) in p.cams.iter().zip(&mut out.cams_deg) {
+                cams.iter().zip(values).for_each(|(c, v)| v.push(c.get(&u, &y)));
             }
         }
         Ok(out)

@@ -131,6 +131,14 @@ fn identified(found: &Fuelled) -> Section {
         rows.push(("time constant of the film at the coldest coolant", f.film_at(law.range_c[0]).tau_s, "s"));
         rows.push(("and at the warmest", f.film_at(law.range_c[1]).tau_s, "s"));
     }
+    if let Some([_, [intake, exhaust]]) = f.charge.cams_at(f.charge.speed_rpm[0], f.charge.pressure_kpa[0]) {
+        rows.push((
+            "charge for one degree of the intake cam, middle of the records",
+            100.0 * intake,
+            "%/deg",
+        ));
+        rows.push(("and of the exhaust cam", 100.0 * exhaust, "%/deg"));
+    }
     if let Some(trim) = &f.trim {
         rows.push(("time constant of the lambda trim", trim.time_s, "s"));
     }

@@ -44,6 +44,36 @@ impl Place {
     }
 }
 
+/// A place among inputs or among outputs: what is commanded, or what is measured of it.
+#[derive(Clone, Copy, Debug)]
+pub enum Side {
+    /// Commanded.
+    Input(Place),
+    /// Measured.
+    Output(Place),
+}
+
+impl Side {
+    /// An output of that name, or else an input.
+    ///
+    /// # Errors
+    /// As of [`Place::of`].
+    fn of(inputs: &[Variable], outputs: &[Variable], name: &str, unit: &str) -> Result<Self, String> {
+        if outputs.iter().any(|v| v.name == name) {
+            return Place::of(outputs, name, Some(unit), "output").map(Self::Output);
+        }
+        Place::of(inputs, name, Some(unit), "output or input").map(Self::Input)
+    }
+
+    /// The value in our unit.
+    pub fn get(self, inputs: &[f64], outputs: &[f64]) -> f64 {
+        match self {
+            Self::Input(p) => p.get(inputs),
+            Self::Output(p) => p.get(outputs),
+        }
+    }
+}
+
 /// The channels that fuelling reads and sets.
 #[derive(Clone, Debug)]
 pub struct Places {
@@ -63,6 +93,8 @@ pub struct Places {
     pub boost: Option<Place>,
     /// Coolant temperature in degC, an output where there is one.
     pub coolant: Option<Place>,
+    /// Places of intake and exhaust cam in deg, where they count.
+    pub cams: Option<[Side; 2]>,
 }
 
 /// Variables of one direction, in the order of the plant.
@@ -88,18 +120,24 @@ impl Places {
             lambda: output(&names.lambda, "-")?,
             boost: names.boost.as_deref().map(|b| output(b, "kPa")).transpose()?,
             coolant: names.coolant.as_deref().map(|c| output(c, "degC")).transpose()?,
+            cams: match names.cams() {
+                Some([i, e]) => {
+                    Some([Side::of(&inputs, &outputs, i, "deg")?, Side::of(&inputs, &outputs, e, "deg")?])
+                }
+                None => None,
+            },
         })
     }
 
-    /// What a controller knows: speed in rpm and throttle in deg as they are commanded, and the outputs of the sample before.
-    pub fn sensed(&self, (speed_rpm, throttle_deg): (f64, f64), outputs: &[f64]) -> Sensed {
+    /// What a controller knows: speed in rpm and throttle in deg as they are commanded, and inputs and outputs of the sample before.
+    pub fn sensed(&self, (speed_rpm, throttle_deg): (f64, f64), inputs: &[f64], outputs: &[f64]) -> Sensed {
         Sensed {
             speed_rpm,
             throttle_deg,
             map_kpa: self.map.get(outputs),
             upstream_kpa: self.boost.map(|b| b.get(outputs)),
             coolant_c: self.coolant.map_or(f64::NAN, |c| c.get(outputs)),
-            cams_deg: None,
+            cams_deg: self.cams.map(|cams| cams.map(|c| c.get(inputs, outputs))),
             lambda: Some(self.lambda.get(outputs)),
         }
     }

@@ -43,6 +43,9 @@ pub struct Record {
     /// Coolant temperature in degC, where it counts.
     #[serde(skip)]
     pub coolant_c: Option<Vec<f64>>,
+    /// Places of intake and exhaust cam in deg, where they count.
+    #[serde(skip)]
+    pub cams_deg: Option<[Vec<f64>; 2]>,
     /// As it was read from a file.
     #[serde(skip)]
     pub read: Option<Dataset>,
@@ -61,7 +64,7 @@ impl Record {
             upstream_kpa,
             boost_kpa: self.boost_kpa.as_deref(),
             coolant_c: self.coolant_c.as_deref(),
-            cams_deg: None,
+            cams_deg: self.cams_deg.as_ref().map(|[i, e]| [i.as_slice(), e]),
         }
     }
 
@@ -95,6 +98,7 @@ pub(super) fn read(file: &Path, names: &Channels, watch: &Watch) -> Result<Vec<R
     ];
     channels.extend(names.boost.as_ref().map(|b| channel(b, Some("kPa"))));
     channels.extend(names.coolant.as_ref().map(|c| channel(c, Some("degC"))));
+    channels.extend(names.cams().iter().flatten().map(|c| channel(c, Some("deg"))));
     let column = measurement::time_column(&table).map_or("time".into(), |c| c.name.clone());
     let layout = Layout { channels, time: Time::Column { column, unit: None }, ..Layout::default() };
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
@@ -114,6 +118,10 @@ pub(super) fn read(file: &Path, names: &Channels, watch: &Watch) -> Result<Vec<R
                 lambda: of(&names.lambda)?,
                 boost_kpa: names.boost.as_deref().map(of).transpose()?,
                 coolant_c: names.coolant.as_deref().map(of).transpose()?,
+                cams_deg: match names.cams() {
+                    Some([i, e]) => Some([of(i)?, of(e)?]),
+                    None => None,
+                },
                 read: Some(d),
             })
         })

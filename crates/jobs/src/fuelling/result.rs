@@ -107,6 +107,9 @@ pub struct Seen {
     pub throttle_deg: [f64; 2],
     /// Coolant in degC, where it counts.
     pub coolant_c: Option<[f64; 2]>,
+    /// Intake and exhaust cam in deg, where they count.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cams_deg: Option<[[f64; 2]; 2]>,
 }
 
 /// A record with what the model shows of it.

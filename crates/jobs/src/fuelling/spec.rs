@@ -37,6 +37,7 @@ struct TypedTest {
     sample_time_s: Option<f64>,
     hold_s: Option<Interval>,
     held: Option<BTreeMap<String, f64>>,
+    varied: Option<BTreeMap<String, Interval>>,
 }
 
 /// Names of the channels.
@@ -57,6 +58,35 @@ pub struct Channels {
     pub boost: Option<String>,
     /// Coolant temperature; none where it does not count.
     pub coolant: Option<String>,
+    /// Place of the intake cam, as it is measured or commanded; none where cams do not count.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub intake_cam: Option<String>,
+    /// The same of the exhaust cam: both or none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exhaust_cam: Option<String>,
+}
+
+impl Channels {
+    /// Both cams; none where none is named.
+    pub fn cams(&self) -> Option<[&str; 2]> {
+        self.intake_cam.as_deref().zip(self.exhaust_cam.as_deref()).map(|(i, e)| [i, e])
+    }
+
+    /// One cam without the other is a fault; `at` is the key of the table.
+    pub fn check(&self, at: &str, faults: &mut Faults) {
+        for (key, missing, there) in [
+            ("intake_cam", &self.intake_cam, &self.exhaust_cam),
+            ("exhaust_cam", &self.exhaust_cam, &self.intake_cam),
+        ] {
+            if missing.is_none() && there.is_some() {
+                faults.push(
+                    &format!("{at}.{key}"),
+                    "nothing",
+                    "the channel of this cam as well, or none of both",
+                );
+            }
+        }
+    }
 }
 
 impl Default for Channels {
@@ -70,6 +100,8 @@ impl Default for Channels {
             lambda: name("lambda"),
             boost: None,
             coolant: None,
+            intake_cam: None,
+            exhaust_cam: None,
         }
     }
 }
@@ -103,6 +135,8 @@ pub struct Test {
     pub hold_s: Interval,
     /// Other inputs of the plant, by name; as they start where nothing is said.
     pub held: BTreeMap<String, f64>,
+    /// Inputs that get a value of a range with each hold, by name.
+    pub varied: BTreeMap<String, Interval>,
 }
 
 /// Where records come from.
@@ -167,6 +201,7 @@ fn check(t: &Typed, spec: &Path, over: &Overrides, faults: &mut Faults) -> Optio
     let folder = spec.parent().unwrap_or(Path::new(""));
     let place = Place::of(spec, t.name.as_deref(), t.out.as_deref(), over.out.as_deref(), faults);
     let source = source(t, folder, faults);
+    t.channels.iter().for_each(|c| c.check("channels", faults));
     let upstream_kpa = t.upstream_kpa.unwrap_or(101.325);
     faults.range("upstream_kpa", upstream_kpa, 50.0, 400.0, "kPa");
     let most_injection = t.most_injection.unwrap_or(60.0);
@@ -254,7 +289,17 @@ fn checked(t: &TypedTest, plant: &PlantSpec, faults: &mut Faults) -> Test {
         sample_time_s: t.sample_time_s.or(member.and_then(|m| m.sample_time_s)).unwrap_or(0.01),
         hold_s: t.hold_s.unwrap_or(Interval { lower: 3.0, upper: 6.0 }),
         held: t.held.clone().unwrap_or_default(),
+        varied: t.varied.clone().unwrap_or_default(),
     };
+    for (name, r) in &out.varied {
+        let key = format!("test.varied.{name}");
+        if !(r.lower.is_finite() && r.upper.is_finite() && r.lower < r.upper) {
+            faults.push(&key, format!("{} to {}", r.lower, r.upper), "two numbers that increase");
+        }
+        if out.held.contains_key(name) {
+            faults.push(&key, "an input that is held as well", "an input in one of `held` and `varied`");
+        }
+    }
     let ranges = [
         ("test.throttle_deg", out.throttle_deg, 0.1, 90.0, "deg"),
         ("test.speed_rpm", out.speed_rpm, 300.0, 20_000.0, "rpm"),
@@ -270,4 +315,30 @@ fn checked(t: &TypedTest, plant: &PlantSpec, faults: &mut Faults) -> Test {
     faults.range("test.record_s", out.record_s, 60.0, 7200.0, "s");
     faults.range("test.unseen_s", out.unseen_s, 30.0, 7200.0, "s");
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPEC: &str = "[plant]\nparameters = \"gtdi_2l\"\n[plant.bed]\ninputs = [\"intake_cam\", \"exhaust_cam\"]\n[test]\nthrottle_deg = [5.0, 20.0]\nspeed_rpm = [1500.0, 3000.0]\n";
+
+    fn faults(more: &str) -> String {
+        parse("f.toml", &format!("{SPEC}{more}"), &Overrides::default()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn cams_and_varied_inputs_are_read_and_faults_named() {
+        let more = "varied = { intake_cam = [215.0, 255.0] }\n[channels]\nintake_cam = \"intake_cam\"\nexhaust_cam = \"exhaust_cam\"\n";
+        let job = parse("f.toml", &format!("{SPEC}{more}"), &Overrides::default()).unwrap();
+        assert_eq!(job.channels.cams(), Some(["intake_cam", "exhaust_cam"]));
+        let Source::Plant { test, .. } = &job.source else { panic!("{:?}", job.source) };
+        assert_eq!(test.varied["intake_cam"], Interval { lower: 215.0, upper: 255.0 });
+        let text = faults("[channels]\nintake_cam = \"intake_cam\"\n");
+        assert!(text.contains("channels.exhaust_cam") && text.contains("none of both"), "{text}");
+        let text = faults("varied = { intake_cam = [255.0, 215.0] }\n");
+        assert!(text.contains("test.varied.intake_cam"), "{text}");
+        let text = faults("varied = { intake_cam = [215.0, 255.0] }\nheld = { intake_cam = 230.0 }\n");
+        assert!(text.contains("held as well"), "{text}");
+    }
 }

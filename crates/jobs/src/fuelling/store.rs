@@ -60,6 +60,9 @@ fn record(folder: &Path, r: &Record) -> Result<String, FuellingJobError> {
     if let Some(coolant) = &r.coolant_c {
         columns.push(("coolant", "degC", coolant));
     }
+    if let Some([intake, exhaust]) = &r.cams_deg {
+        columns.extend([("intake_cam", "deg", intake.as_slice()), ("exhaust_cam", "deg", exhaust)]);
+    }
     let stem: String =
         r.name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
     Ok(kept::write_columns(folder, &stem, &columns)?)

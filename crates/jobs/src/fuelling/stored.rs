@@ -86,12 +86,12 @@ impl StoredFuelling {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use dynocal_calib::fuelling::{Charge, Filling, Film, Timing};
 
     /// The charge 1e-4 n p: bilinear, so that tables lose nothing; with p squared the loss is that of a chord of a parabola.
-    fn stored(truth: impl Fn(f64, f64) -> f64) -> StoredFuelling {
+    pub(crate) fn stored(truth: impl Fn(f64, f64) -> f64) -> StoredFuelling {
         let points: Vec<[f64; 3]> = (0..100)
             .map(|k| (1000.0 + 300.0 * f64::from(k % 10), 20.0 + 8.0 * f64::from(k / 10)))
             .map(|(n, p)| [n, p, truth(n, p)])
@@ -130,6 +130,7 @@ mod tests {
                 map_kpa: [20.0, 92.0],
                 throttle_deg: [5.0, 40.0],
                 coolant_c: None,
+                cams_deg: None,
             },
             tables: Tables {
                 speed_rpm: vec![1000.0, 2000.0, 3700.0],

@@ -312,11 +312,14 @@ fn seen(records: &[Record]) -> Seen {
         all.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)])
     };
     let coolant = records.iter().all(|r| r.coolant_c.is_some());
+    let cams = records.iter().all(|r| r.cams_deg.is_some());
+    let cam = |k: usize| range(&|r: &Record| r.cams_deg.as_ref().map_or(&[][..], |c| &c[k]));
     Seen {
         speed_rpm: range(&|r| &r.speed_rpm),
         map_kpa: range(&|r| &r.map_kpa),
         throttle_deg: range(&|r| &r.throttle_deg),
         coolant_c: coolant.then(|| range(&|r| r.coolant_c.as_deref().unwrap_or(&[]))),
+        cams_deg: cams.then(|| [cam(0), cam(1)]),
     }
 }
 

@@ -2,12 +2,13 @@
 
 use super::filled::refilled;
 use super::follow::pressure;
+use super::moved::empty_cams;
 use super::record::TransientRecord;
 use super::search::Effort;
 use super::worth::{block, pays};
 use super::{CORRECTIONS, FuellingError, Rested, corrected, has_film, length, mixed, mixed_by, unexplained};
 use crate::fuelling::Fuelling;
-use crate::fuelling::cams::CamLaw;
+use crate::fuelling::cams::CamBends;
 use crate::fuelling::charge::Charge;
 use crate::fuelling::filling::Filling;
 use crate::fuelling::film::Film;
@@ -23,12 +24,21 @@ pub(super) fn chosen(
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
     let mut best = Judged::of(found);
-    // Cams first: what they do in a transient must not pass for a film.
-    if let Some(moved) = with_cams(records, rested, &best.fuelling, interrupt)? {
+    // Cams first: what they do in a transient must not pass for a film. What rests have said of them needs no other proof.
+    let known = best.fuelling.charge.cams.is_some();
+    let moved = if known { None } else { with_cams(records, rested, &best.fuelling, interrupt)? };
+    if let Some(moved) = moved {
         let mut moved = Judged::of(moved);
         let apart = best.left(records, Effort::Compared, interrupt)?;
         if pays(apart, moved.left(records, Effort::Judged, interrupt)?) {
             best = moved;
+            let mut bent = Judged::of(with_bends(records, rested, &best.fuelling, interrupt)?);
+            if pays(
+                best.left(records, Effort::Judged, interrupt)?,
+                bent.left(records, Effort::Judged, interrupt)?,
+            ) {
+                best = bent;
+            }
         }
     }
     if !has_film(&best.fuelling) {
@@ -107,23 +117,37 @@ fn with_cams(
     found: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Option<Fuelling>, FuellingError> {
-    let places: Option<Vec<[f64; 2]>> = rested.iter().map(|r| r.cams_deg).collect();
-    let Some(places) = places else { return Ok(None) };
-    let at: Vec<[f64; 2]> = rested.iter().map(|r| found.charge.scaled(r.speed_rpm, r.map_kpa)).collect();
-    let mut law = CamLaw::of_rest(&at, &places)?;
-    for r in records {
-        for t in 0..r.speed_rpm.len() {
-            let Some(cams) = r.cams_deg(t) else { continue };
-            let off = law.off_deg(found.charge.scaled(r.speed_rpm[t], r.map_kpa[t]), cams);
-            law.most_deg = [0, 1].map(|k| law.most_deg[k].max(off[k].abs()));
-        }
-    }
+    let Some(law) = empty_cams(records, rested, &found.charge)? else { return Ok(None) };
     let charge = Charge { cams: Some(law), ..found.charge.clone() };
     // Manifold and charge anew, in turns: a manifold behind a choked throttle passes on what flows in, so that a pressure that is not
     // corrected hides what cams do to charge and pressure together.
     let start = Fuelling { charge, ..found.clone() };
     let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
     let start = Fuelling { filling, ..start };
+    again(records, rested, start, interrupt).map(Some)
+}
+
+/// The same where straight lines do not say it all.
+fn with_bends(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    found: &Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
+    let mut start = found.clone();
+    if let Some(law) = &mut start.charge.cams {
+        law.bends = Some(CamBends::default());
+    }
+    again(records, rested, start, interrupt)
+}
+
+/// Manifold and charge of a richer model.
+fn again(
+    records: &[TransientRecord<'_>],
+    rested: &[Rested],
+    start: Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Fuelling, FuellingError> {
     let first = mixed(records, &start, &start, Effort::Compared, interrupt)?;
-    corrected(records, &refilled(records, rested, first, interrupt)?, interrupt).map(Some)
+    corrected(records, &refilled(records, rested, first, interrupt)?, interrupt)
 }

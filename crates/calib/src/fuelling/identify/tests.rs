@@ -5,6 +5,7 @@ use dynocal_numerics::rng::Rng64;
 
 const DT: f64 = 0.01;
 
+mod cams;
 mod trimmed;
 
 /// What the record is made with, by the model itself.
@@ -396,52 +397,6 @@ fn a_film_is_kept_only_where_it_pays() {
     assert!((found.film.share / wet.film.share - 1.0).abs() < 0.1, "{:?}", found.film);
     assert!((0.0..1.0).contains(&found.film.inverse_pole(DT)), "{}", found.film.inverse_pole(DT));
     assert_eq!(of(&dry).film.share, 0.0);
-}
-
-/// Cams that are behind their schedule while the pressure moves: what they do to the charge is found, and where they do nothing,
-/// nothing is found.
-#[test]
-fn cams_behind_their_schedule_move_the_charge() {
-    let plain = truth();
-    let base = record(&plain, 40);
-    let rest_deg = [vec![10.0, 15.0, 3.0, 0.0, 0.0, 0.0], vec![-5.0, 6.0, -4.0, 0.0, 0.0, 0.0]];
-    let mut places = [Vec::new(), Vec::new()];
-    for (k, place) in places.iter_mut().enumerate() {
-        let mut at = None;
-        for (n, p) in base[0].iter().zip(&base[3]) {
-            let [n, p] = plain.charge.scaled(*n, *p);
-            let goal = rest_deg[k][0] + rest_deg[k][1] * p + rest_deg[k][2] * n;
-            let now = at.get_or_insert(goal);
-            *now += DT / 0.3 * (goal - *now);
-            place.push(*now);
-        }
-    }
-    let law = crate::fuelling::CamLaw {
-        rest_deg,
-        most_deg: [40.0; 2],
-        per_deg: [-0.006, 0.002],
-        per_deg_pressure: [0.002, 0.0],
-    };
-    let cams_deg = Some([places[0].as_slice(), &places[1]]);
-    let made = |f: &Fuelling| {
-        let r = TransientRecord { cams_deg, ..view(&base) };
-        let p = pressure(&r, f);
-        let lambda = richness(&r, f, &p).iter().map(|v| 1.0 / v).collect();
-        let [speed, throttle, injection, _, _] = base.clone();
-        scattered([speed, throttle, injection, shown(&r, f), lambda])
-    };
-    let mut moved = plain.clone();
-    moved.charge.cams = Some(law);
-    let channels = made(&moved);
-    let found = identify(&[TransientRecord { cams_deg, ..view(&channels) }], &|| false).unwrap();
-    let blind = identify(&[view(&channels)], &|| false).unwrap();
-    assert!(found.rms < 0.8 * blind.rms, "{} {}", found.rms, blind.rms);
-    // Where the load has risen and the cams have not: both are as far from rest as they go together.
-    let charge = |f: &Fuelling| f.air(0.0, Some([0.0, -9.0])).at(2000.0, 55.0);
-    assert!((charge(&found) / charge(&moved) - 1.0).abs() < 0.01, "{} {}", charge(&found), charge(&moved));
-    let channels = made(&plain);
-    let found = identify(&[TransientRecord { cams_deg, ..view(&channels) }], &|| false).unwrap();
-    assert_eq!(found.charge.cams, None);
 }
 
 /// Derivatives by the coefficients of the charge beside central differences, through film, delay by the flow and lag.

@@ -114,3 +114,30 @@ fn dynamics_are_those_that_the_judge_likes_best() {
     );
     assert!(start.tuned(&|_| f64::NAN, 1).is_none());
 }
+
+/// A plant that is a lag of the leading actuator: its exact inverse is a lead. What is judged is better than without one, and at rest
+/// nothing has moved; where the plant is at once, no lead pays.
+#[test]
+fn a_leader_goes_ahead_where_its_plant_is_behind() {
+    let start = map(|t, _| 0.2 * t);
+    let rows = step();
+    let behind = |tau_s: f64| {
+        let rows = rows.clone();
+        move |m: &dyn FeedforwardMap| {
+            let got = m.drive(&rows, 0.03);
+            let mut state = FirstOrder::new(got.row(0)[1]);
+            let error = |(g, r): (&[f64], &[f64])| (state.step(g[1], 0.03, tau_s) - 0.2 * r[0]).abs();
+            got.iter().zip(rows.iter()).map(error).sum::<f64>()
+        }
+    };
+    let judge = behind(0.2);
+    let led = start.led(&judge, 1).unwrap();
+    let (with, without) = (judge(&*led), judge(&start));
+    assert!(with < 0.5 * without, "{with} {without}");
+    let (drive, plain) = (led.drive(&rows, 0.03), start.drive(&rows, 0.03));
+    let (a, b) = (drive.row(drive.len() - 1), plain.row(plain.len() - 1));
+    assert!((a[1] - b[1]).abs() < 1e-3 && a[0] == b[0], "{a:?} {b:?}");
+    let most = drive.column(1).into_iter().fold(0.0, f64::max);
+    assert!(most > 1.2 * b[1], "{most}");
+    assert!(start.led(&behind(0.0), 1).is_none());
+}
