@@ -251,8 +251,14 @@ fn scenarios(
     r: StepRun,
 ) -> Result<Choice, ControlError> {
     let mut left: Vec<&Channel> = draws.iter().collect();
+    let mut before: Option<Choice> = None;
     loop {
-        let found = choose(&seen, &job.asked, r)?;
+        let found = match (choose(&seen, &job.asked, r), before) {
+            (Ok(found), _) => found,
+            // No gains serve the models and these draws together: those of the models stand, and are judged over all draws.
+            (Err(_), Some(before)) => return Ok(before),
+            (Err(e), None) => return Err(e),
+        };
         let of = |c: &&Channel| {
             let m = c.margins(found.tuned.kp, found.tuned.ki);
             m.map_or(f64::INFINITY, |m| job.asked.violation(&m))
@@ -269,6 +275,7 @@ fn scenarios(
         for k in order.iter().rev() {
             left.remove(*k);
         }
+        before = Some(found);
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use dynocal_control::error::ControlError;
-use dynocal_control::linear::{about, drawn};
+use dynocal_control::linear::{AtPoint as Linear, about, drawn};
 use dynocal_control::system::{System, Time, Transfer};
 use dynocal_files::json;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
@@ -173,7 +173,9 @@ impl Loaded {
         let nominal = at(models).map_err(refused)?;
         self.warnings.extend(nominal.warnings.iter().map(|w| format!("{}: {w}", p.name)));
         let mut draws = Vec::new();
-        let mut restless = 0;
+        let (mut restless, mut unstable) = (0, 0);
+        // A factor that numerator and denominator nearly share may lie outside in a draw: that is no plant which came to rest in the test.
+        let runs_away = |found: &Linear| nominal.slowest_pole < 1.0 && found.slowest_pole >= 1.0;
         let unknown =
             |m: &&StoredModel| m.covariance().is_none() || m.parameters.iter().any(|p| p.std_error.is_none());
         let sure = models.iter().filter(unknown).map(|m| m.user_output().name.clone());
@@ -193,6 +195,7 @@ impl Loaded {
             };
             let these: Vec<StoredModel> = models.iter().enumerate().map(own).collect();
             match at(&these) {
+                Ok(found) if runs_away(&found) => unstable += 1,
                 Ok(found) => draws.push(delayed(job, found.system).map_err(refused)?),
                 Err(_) => restless += 1,
             }
@@ -203,6 +206,9 @@ impl Loaded {
                 p.name, job.draws
             ));
         }
+        if unstable > 0 {
+            self.warnings.push(left_out(&p.name, unstable, job.draws));
+        }
         self.points.push(AtPoint {
             name: p.name.clone(),
             nominal: delayed(job, nominal.system).map_err(refused)?,
@@ -210,6 +216,19 @@ impl Loaded {
         });
         Ok(())
     }
+}
+
+/// Draws that are unstable by themselves where the model is not.
+fn left_out(point: &str, unstable: usize, draws: usize) -> String {
+    let many = match 2 * unstable > draws {
+        true => {
+            ": most of them, so that what is judged over draws says little; the test is too short or too noisy for the orders of the model"
+        }
+        false => "",
+    };
+    format!(
+        "{point}: {unstable} of {draws} draws of the parameters are unstable by themselves where the model is stable, and are left out{many}"
+    )
 }
 
 /// With the delay from measurement to actuator, and that which loops have beyond.

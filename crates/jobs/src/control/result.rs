@@ -40,7 +40,7 @@ pub struct Controlled {
     pub sample_time_s: Option<f64>,
     /// Names of the set points.
     pub points: Vec<String>,
-    /// Draws at each set point.
+    /// Draws at each set point that were asked for.
     pub draws: usize,
     /// Factor by which gains were made smaller because loops act on each other (kp by it, ki by its square).
     pub detuned: f64,
@@ -174,6 +174,8 @@ pub struct Together {
     pub violation: Option<f64>,
     /// The same of the nominal model alone.
     pub violation_nominal: Option<f64>,
+    /// Draws of the model that were judged: those that are stable where the model is.
+    pub draws: usize,
     /// Draws that are not stable.
     pub unstable_draws: usize,
 }

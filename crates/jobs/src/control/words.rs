@@ -39,11 +39,7 @@ fn in_time(found: &Controlled, l: &LoopResult) -> bool {
 }
 
 fn head(found: &Controlled, together: bool) -> String {
-    let draws = if found.draws > 0 {
-        format!(" and for {} draws of the model at each", found.draws)
-    } else {
-        String::new()
-    };
+    let draws = judged_draws(found);
     let points = match found.points.len() {
         1 => "at the set point".to_string(),
         n => format!("at all {n} set points"),
@@ -68,6 +64,18 @@ fn head(found: &Controlled, together: bool) -> String {
     }
 }
 
+/// The draws that were judged, where any were asked for.
+fn judged_draws(found: &Controlled) -> String {
+    let each = || found.together.iter().map(|t| t.draws);
+    let (least, most) = (each().min().unwrap_or(0), each().max().unwrap_or(0));
+    match (found.draws, least == most) {
+        (0, _) => String::new(),
+        (_, true) if most == 0 => " (no draw of the model could be judged)".into(),
+        (_, true) => format!(" and for {most} draws of the model at each"),
+        (_, false) => format!(" and for {least} to {most} draws of the model at each"),
+    }
+}
+
 /// Where it fails, and the best that there is.
 fn worst(found: &Controlled) -> String {
     let size = |t: &Together| t.violation.unwrap_or(f64::INFINITY);
@@ -82,7 +90,7 @@ fn worst(found: &Controlled) -> String {
         }
         (None, None) => format!("At {} the loop has {}.", t.point, t.stable),
         (None, Some(_)) => {
-            format!("At {} {} of {} draws are not stable.", t.point, t.unstable_draws, found.draws)
+            format!("At {} {} of {} draws are not stable.", t.point, t.unstable_draws, t.draws)
         }
     }
 }
@@ -201,7 +209,7 @@ fn warn(found: &mut Controlled) {
         if t.loops.is_empty() {
             first.push(format!("{}: the closed loop has {}", t.point, t.stable));
         } else if t.unstable_draws > 0 {
-            first.push(format!("{}: {} of {} draws are not stable", t.point, t.unstable_draws, found.draws));
+            first.push(format!("{}: {} of {} draws are not stable", t.point, t.unstable_draws, t.draws));
         }
     }
     for (point, r) in found.points.iter().zip(&found.relative_gains) {

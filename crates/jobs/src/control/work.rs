@@ -217,6 +217,7 @@ fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> To
         other_disks: other_disks(job, closed),
         violation: all,
         violation_nominal: own,
+        draws: draws.len(),
         unstable_draws: draws.iter().filter(|d| d.is_none()).count(),
     }
 }
