@@ -51,6 +51,8 @@ pub struct Controlled {
     pub decoupler: Option<Decoupled>,
     /// Records: what they show.
     pub measured: Vec<MeasuredResult>,
+    /// What was measured and speaks against the models or their margins, in words; any makes the gains not valid.
+    pub contradicted: Vec<String>,
     /// Loops.
     pub loops: Vec<LoopResult>,
     /// Relative gains at rest, outputs by inputs, for each set point; none where a plant has no steady gains.
@@ -170,6 +172,9 @@ pub struct Together {
     /// Skewed disk margins (1: of S, -1: of T), all places at once, and balanced ones of each loop alone with the others closed, by where
     /// they act.
     pub other_disks: Vec<(String, DiskMargin)>,
+    /// By loop: how its output follows a step of its demand with every loop closed, of the nominal model; empty where the loop is not stable
+    /// or where there is no run.
+    pub steps: Vec<StepResult>,
     /// Largest ratio of asked to had over nominal model and draws: at most 1 keeps everything; none: not stable for all.
     pub violation: Option<f64>,
     /// The same of the nominal model alone.
@@ -178,6 +183,15 @@ pub struct Together {
     pub draws: usize,
     /// Draws that are not stable.
     pub unstable_draws: usize,
+}
+
+/// How an output follows a step of its demand.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepResult {
+    /// Time in s after which it stays within 2 %; none: not within the run.
+    pub settling_s: Option<f64>,
+    /// How far it goes beyond, as a share of the step.
+    pub overshoot: f64,
 }
 
 /// A margin as a run.

@@ -96,10 +96,11 @@ pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     }
     watch.fraction(0.7);
     watch.note("all loops closed together");
-    let (detuned, together) = close(job, &loaded, &mut loops, watch)?;
+    let (detuned, mut together) = close(job, &loaded, &mut loops, watch)?;
     if detuned > 1.0 {
         smaller_rules(&loaded, job, &mut loops)?;
     }
+    super::settle::steps(job, &loaded, &loops, &mut together)?;
     watch.fraction(0.9);
     watch.note("runs that check the margins");
     let checks = checks(job, &loaded, &loops, &together)?;
@@ -134,6 +135,7 @@ fn result(
         schedule: job.schedule.clone(),
         decoupler: decouple::told(job, &loaded),
         measured: deliver::measured(job, &loaded, &loops),
+        contradicted: Vec::new(),
         controller: deliver::controller(job, &loaded, &loops),
         relative_gains: loaded.points.iter().map(relative).collect(),
         loops,
@@ -142,6 +144,7 @@ fn result(
         files: Vec::new(),
         picture,
     };
+    found.contradicted = super::against::measured(&found);
     words::say(&mut found);
     found
 }
@@ -162,7 +165,10 @@ fn close(
             return Err(ControlJobError::Interrupted);
         }
         for (l, a) in loops.iter_mut().zip(&alone) {
-            let smaller = |(kp, ki): (f64, f64)| (kp / detuned, ki / (detuned * detuned));
+            // A predictor's PI cancels the pole of its model: both gains by the same factor go on doing so.
+            let smaller = |(kp, ki): (f64, f64)| {
+                (kp / detuned, ki / if l.predictor.is_some() { detuned } else { detuned * detuned })
+            };
             (l.kp, l.ki) = smaller((a.kp, a.ki));
             l.kd = a.kd / detuned;
             l.by_point = a.by_point.iter().copied().map(smaller).collect();
@@ -215,6 +221,7 @@ fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> To
         outputs: disk_at(Place::Outputs),
         both: disk_at(Place::Both),
         other_disks: other_disks(job, closed),
+        steps: Vec::new(),
         violation: all,
         violation_nominal: own,
         draws: draws.len(),
