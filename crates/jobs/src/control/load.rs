@@ -9,6 +9,7 @@ use dynocal_files::json;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 use dynocal_numerics::watch::Watch;
 
+use super::loop_spec::MOST_LATE;
 use super::records::Measured;
 use super::result::ControlJobError;
 use super::spec::{Job, Plants, Point};
@@ -32,6 +33,8 @@ pub(super) struct Loaded {
     /// Units of the channels that set points give, where they are known.
     pub(super) channels: BTreeMap<String, String>,
     pub(super) points: Vec<AtPoint>,
+    /// Set points at which a model was not identified.
+    pub(super) beyond: Vec<String>,
     /// What stands between the controllers and all these plants.
     pub(super) decoupler: Option<System>,
     pub(super) warnings: Vec<String>,
@@ -153,6 +156,7 @@ impl Loaded {
             decoupler: None,
             measured: Vec::new(),
             units: Vec::new(),
+            beyond: Vec::new(),
             channels: BTreeMap::new(),
         }
     }
@@ -171,6 +175,9 @@ impl Loaded {
             about(&models, &moved, &p.values)
         };
         let nominal = at(models).map_err(refused)?;
+        if !nominal.warnings.is_empty() {
+            self.beyond.push(p.name.clone());
+        }
         self.warnings.extend(nominal.warnings.iter().map(|w| format!("{}: {w}", p.name)));
         let mut draws = Vec::new();
         let (mut restless, mut unstable) = (0, 0);
@@ -250,8 +257,20 @@ fn delayed(job: &Job, plant: System) -> Result<System, ControlError> {
         }
     };
     if let Time::Sampled { sample_time_s } = plant.time {
-        for g in &plant.channels {
-            whole(g.delay_s, sample_time_s)?;
+        for (k, g) in plant.channels.iter().enumerate() {
+            let l = &job.loops[k / plant.inputs];
+            let own = whole(g.delay_s, sample_time_s)? + g.num.len();
+            let found = (own + whole(l.extra_delay_s, sample_time_s)? + job.reaction_samples) as f64;
+            if found > MOST_LATE {
+                return Err(ControlError::Number {
+                    what: format!(
+                        "samples by which `{}` is late; check the unit of its delay, or take longer samples",
+                        l.output
+                    ),
+                    found,
+                    expected: "at most 1000",
+                });
+            }
         }
     }
     let factors = job.loops.iter().map(|l| own(l.extra_delay_s)).collect::<Result<Vec<Transfer>, _>>()?;

@@ -40,6 +40,8 @@ pub struct Controlled {
     pub sample_time_s: Option<f64>,
     /// Names of the set points.
     pub points: Vec<String>,
+    /// Set points that are outside of what the models were identified on.
+    pub beyond: Vec<String>,
     /// Draws at each set point that were asked for.
     pub draws: usize,
     /// Factor by which gains were made smaller because loops act on each other (kp by it, ki by its square).
@@ -61,6 +63,8 @@ pub struct Controlled {
     pub together: Vec<Together>,
     /// Runs that check the margins.
     pub checks: Vec<RunCheck>,
+    /// Margins that could not be run, and why.
+    pub unchecked: Vec<String>,
     /// Files, relative to the run folder.
     pub files: Vec<String>,
     /// The controller as it runs elsewhere; none for continuous plants.

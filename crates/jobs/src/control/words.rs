@@ -21,14 +21,32 @@ pub(super) fn say(found: &mut Controlled) {
     verdict.push(kept(found));
     let failed: Vec<&str> = found.checks.iter().filter(|c| !c.holds).map(|c| c.what.as_str()).collect();
     if found.checks.is_empty() {
-        verdict.push("No margin was checked by a run.".into());
+        verdict.push(match (found.unchecked.first(), found.together.iter().any(|t| t.loops.is_empty())) {
+            (Some(why), _) => {
+                format!("No margin was checked by a run: they stand on frequencies alone. {why}.")
+            }
+            (None, true) => "No margin was checked by a run.".into(),
+            (None, false) => {
+                "No margin was checked by a run: none of the gain and disk margins is ever used up.".into()
+            }
+        });
     } else if failed.is_empty() {
+        let left = match found.unchecked.first() {
+            Some(why) => format!(" {} more could not be run. {why}.", found.unchecked.len()),
+            None => String::new(),
+        };
         verdict.push(format!(
-            "{} runs at and beyond the margins of the tightest set point do as the margins say.",
+            "{} runs at and beyond the margins of the tightest set point do as the margins say.{left}",
             found.checks.len()
         ));
     } else {
         verdict.push(format!("These runs do not do as the margins say: {}.", failed.join("; ")));
+    }
+    if !found.beyond.is_empty() {
+        verdict.push(format!(
+            "At {} the models are outside of what they were identified on: what is said of it is what they would have it, and no record was there.",
+            found.beyond.join(", ")
+        ));
     }
     // The first stands at the head, where nothing worse does.
     let told = verdict[0].clone();
@@ -98,6 +116,8 @@ fn head(found: &Controlled, together: bool) -> String {
     } else if !together {
         let stable = found.together.iter().all(|t| t.violation.is_some());
         let what = if stable { "do not keep what is asked" } else { "are not stable" };
+        let one = found.points.len() == 1;
+        let points = if one { points } else { format!("at each of the {} set points", found.points.len()) };
         format!("The gains must not be used: they {what} {points}{draws}. {}", worst(found)).trim_end().into()
     } else if !found.checks.iter().all(|c| c.holds) {
         "The gains must not be used: a run contradicts a margin.".into()
