@@ -10,7 +10,7 @@ use super::page;
 use super::result::{ControlJobError, Controlled};
 use crate::kept;
 
-/// Writes the gains that each set point alone would have, the controller, measured responses, the page and the summary.
+/// Writes the gains by set point (those of the schedule, else what each alone would have), the controller, measured responses, the page and the summary.
 ///
 /// # Errors
 /// [`ControlJobError::Files`], [`ControlJobError::Page`].
@@ -18,8 +18,14 @@ pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobErr
     let mut files = vec!["report.html".to_string()];
     let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
     for l in found.loops.iter().filter(|l| !l.scheduled.is_empty()) {
+        // With a schedule the rows that are delivered, made smaller as those are.
+        let alone = |g: &Option<(f64, f64)>| g.map(|g| (g.0 * l.sign, g.1 * l.sign));
+        let rows: Vec<Option<(f64, f64)>> = match l.by_point.is_empty() {
+            true => l.scheduled.iter().map(alone).collect(),
+            false => l.by_point.iter().copied().map(Some).collect(),
+        };
         let column = |of: &dyn Fn(&(f64, f64)) -> f64| -> Vec<f64> {
-            l.scheduled.iter().map(|g| g.as_ref().map_or(f64::NAN, |g| of(g) * l.sign)).collect()
+            rows.iter().map(|g| g.as_ref().map_or(f64::NAN, of)).collect()
         };
         columns.push((format!("{}_kp", l.output), column(&|g| g.0)));
         columns.push((format!("{}_ki", l.output), column(&|g| g.1)));

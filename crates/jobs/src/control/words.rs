@@ -114,11 +114,20 @@ fn head(found: &Controlled, together: bool) -> String {
     if found.valid {
         format!("The gains keep the margins that are asked {points}{draws}.")
     } else if !together {
-        let stable = found.together.iter().all(|t| t.violation.is_some());
-        let what = if stable { "do not keep what is asked" } else { "are not stable" };
-        let one = found.points.len() == 1;
-        let points = if one { points } else { format!("at each of the {} set points", found.points.len()) };
-        format!("The gains must not be used: they {what} {points}{draws}. {}", worst(found)).trim_end().into()
+        let unstable = found.together.iter().filter(|t| t.violation.is_none()).count();
+        let (what, failed) = match unstable {
+            0 => (
+                "do not keep what is asked",
+                found.together.iter().filter(|t| t.violation > Some(1.0)).count(),
+            ),
+            n => ("are not stable", n),
+        };
+        let points = match found.points.len() {
+            1 => points,
+            n => format!("at {failed} of {n} set points"),
+        };
+        let with = if draws.is_empty() { "" } else { ", draws of the model included" };
+        format!("The gains must not be used: they {what} {points}{with}. {}", worst(found)).trim_end().into()
     } else if !found.checks.iter().all(|c| c.holds) {
         "The gains must not be used: a run contradicts a margin.".into()
     } else if let Some(first) = found.contradicted.first() {
@@ -337,6 +346,7 @@ fn warn(found: &mut Controlled) {
             ));
         }
     }
+    first.extend(found.unchecked.iter().cloned());
     first.append(&mut found.warnings);
     found.warnings = first;
 }
