@@ -59,6 +59,11 @@ fn tests_that_cannot_be_made_are_named() {
         (String::new(), LOOPS.replace("step = 0.5", "step = 1e9"), "its range is"),
         (String::new(), LOOPS.replace("\"inj\"", "\"fuel\""), "the plant has no input `fuel`"),
         (String::new(), LOOPS.replace("\"torque\"", "\"power\""), "the plant has no output `power`"),
+        (
+            "[test]\nlength_s = 60.0\n".into(),
+            LOOPS.replace("step = 0.5", "step = 0.5\nextra_delay_s = 100.0"),
+            "less than the test lasts",
+        ),
         (point("gear", 3.0), LOOPS.into(), "the plant has no input `gear`"),
         ("models = [\"m.json\"]\n".into(), String::new(), "models"),
     ] {

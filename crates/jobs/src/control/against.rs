@@ -25,6 +25,16 @@ fn one(
             m.point, l.output, digits(r2)
         ));
     }
+    // Off by more than the gain that is asked to be left over.
+    let most = 1.0 - 1.0 / found.asked.gain_margin;
+    if let Some(wrong) = m.wrong[k].filter(|w| *w > most) {
+        out.push(format!(
+            "{}: the model of `{}` is off by {:.0} % of what was measured, where the measurement is sure to a tenth of that",
+            m.point,
+            l.output,
+            100.0 * wrong
+        ));
+    }
     // What the model promises of the same loop, the others open: one that promises less is judged with all loops closed.
     let alone = l.rules.first().filter(|_| l.predictor.is_none() && l.by_point.is_empty());
     let promise = alone.and_then(|t| t.margins.get(point)?.as_ref());

@@ -156,6 +156,8 @@ pub struct MeasuredResult {
     /// By loop: largest distance of the model's channel from the measured one over frequencies whose coherence is above 0.8, in
     /// standard deviations of the measurement.
     pub distance: Vec<Option<f64>>,
+    /// By loop: the same over the size of the response, where it is more than ten standard deviations; none: nowhere.
+    pub wrong: Vec<Option<f64>>,
 }
 
 /// All loops closed together at one set point.

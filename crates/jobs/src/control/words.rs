@@ -16,6 +16,12 @@ pub(super) fn say(found: &mut Controlled) {
     let in_time = (0..found.loops.len()).all(|k| in_time(found, k));
     found.valid = together && checked && in_time && found.contradicted.is_empty();
     let mut verdict = vec![head(found, together)];
+    if !found.beyond.is_empty() {
+        verdict.push(format!(
+            "At {} the models are outside of what they were identified on: what is said of it is what they would have it, and no record was there.",
+            found.beyond.join(", ")
+        ));
+    }
     verdict.extend((0..found.loops.len()).map(|k| gains(found, k)));
     verdict.extend((0..found.loops.len()).filter_map(|k| predicted(found, k)));
     verdict.push(kept(found));
@@ -41,12 +47,6 @@ pub(super) fn say(found: &mut Controlled) {
         ));
     } else {
         verdict.push(format!("These runs do not do as the margins say: {}.", failed.join("; ")));
-    }
-    if !found.beyond.is_empty() {
-        verdict.push(format!(
-            "At {} the models are outside of what they were identified on: what is said of it is what they would have it, and no record was there.",
-            found.beyond.join(", ")
-        ));
     }
     // The first stands at the head, where nothing worse does.
     let told = verdict[0].clone();
