@@ -216,6 +216,11 @@ fn gains_are_scheduled_over_the_set_points() {
     let s = file.loops[0].schedule.as_ref().unwrap();
     assert_eq!(s.axes[0].points, [1000.0, 2000.0, 3000.0]);
     assert_eq!(s.axes[0].unit, "rpm");
+    // The table has the rows that are delivered, in the order of the set points.
+    let table = std::fs::read_to_string(tmp.path().join("run/gains_by_point.csv")).unwrap();
+    assert!(table.contains("y_kp [V/Nm]") && table.contains("y_ki [V/Nm/s]"), "{table}");
+    let second: Vec<f64> = table.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();
+    assert!(second[1] == own.loops[0].by_point[1].0 && second[1] == s.at(&[1000.0]).0, "{table}");
     // The gain of the plant goes with speed: that of the controller with one over it.
     for n in [1000.0, 2000.0, 3000.0] {
         let (kp, ki) = s.at(&[n]);
