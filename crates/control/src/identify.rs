@@ -3,7 +3,8 @@
 //! `A y = sum_i B_i u_i + C e` (ARMAX) by prediction errors, of deviations from the means of the record: a plant that bends has
 //! another mean while it is moved than at rest, and a model without a constant would give what is left of it to a pole slower than
 //! the record. The orders are the first ones of a list, from few parameters to many, whose
-//! free run over the second half of the record, fitted on the first, is not worse than the best one's by more than a standard error: more
+//! free run over the second half of the record, fitted on the first (blocks in turns where a test moves one input after the other, so that
+//! every input moves in both), is not worse than the best one's by more than a standard error: more
 //! parameters than the record asks for give factors that A, B and C have in common, anywhere, and gains at rest that mean nothing. The
 //! model that is given is then fitted on all of the record. What chose the orders is no unseen data.
 //!
@@ -32,6 +33,11 @@ const LASTING: f64 = 0.2;
 /// Mean squared error of a model that comes to rest over that of one that creeps, up to which it is preferred.
 const CREEPS: f64 = 2.0;
 
+/// Most blocks of a record that are fitted and judged in turns.
+const BLOCKS: usize = 64;
+/// Share of an input's movement in the blocks that have more of it, below which the others show nothing of that input.
+const STILL: f64 = 0.01;
+
 /// A model of one output.
 #[derive(Clone, Debug)]
 pub struct Identified {
@@ -39,7 +45,7 @@ pub struct Identified {
     pub model: StoredModel,
     /// Orders of A and B.
     pub orders: (usize, usize),
-    /// Free run over the half that chose the orders, in percent of the output's variance.
+    /// Free run over the half that chose the orders, in percent of the output's variance; at most 0: worse than no model.
     pub selection_r2: f64,
 }
 
@@ -108,6 +114,29 @@ fn centred(x: &[f64]) -> Vec<f64> {
     x.iter().map(|v| v - mean).collect()
 }
 
+/// Blocks of which every other one is fitted, the rest judges: two halves, where they will do. A test that moves one input after the other
+/// leaves halves that each know nothing of an input of the other: then the fewest by which every input moves in both parts. Halves again
+/// where no number does that.
+fn blocks(columns: &[Vec<f64>]) -> usize {
+    let rows = columns.first().map_or(0, Vec::len);
+    let moves = |x: &[f64], blocks: usize, from: usize| -> f64 {
+        let own = (from..blocks).step_by(2).map(|k| {
+            let x = &x[k * rows / blocks..(k + 1) * rows / blocks];
+            let mean = x.iter().sum::<f64>() / x.len() as f64;
+            x.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+        });
+        own.sum()
+    };
+    let in_both = |blocks: usize| {
+        columns.iter().all(|x| {
+            let (a, b) = (moves(x, blocks, 0), moves(x, blocks, 1));
+            a.min(b) >= STILL * a.max(b)
+        })
+    };
+    let counts = (1..).map(|n| 2 * n).take_while(|n| *n <= BLOCKS && (*n == 2 || rows / n >= 4 * INIT));
+    counts.into_iter().find(|n| in_both(*n)).unwrap_or(2)
+}
+
 /// Model of `output` from `inputs` (columns about a point of rest), its orders among `orders` ([`ORDERS`]).
 ///
 /// # Errors
@@ -134,19 +163,24 @@ pub fn identify(
         init_samples: INIT,
         weights: vec![],
     };
-    let (first, second) = (part(0, rows / 2), part(rows / 2, rows));
+    let blocks = blocks(&columns);
+    let turns = |from: usize| -> Vec<Experiment> {
+        let all = (from..blocks).step_by(2);
+        all.map(|k| part(k * rows / blocks, (k + 1) * rows / blocks)).collect()
+    };
+    let (first, second) = (turns(0), turns(1));
     let names: Vec<&str> = inputs.iter().map(|(q, _)| q.name.as_str()).collect();
     let structure = |(na, nb): (usize, usize)| LinearModel::armax(&names, &quantity.name, na, nb, na, 0);
     let mut tried: Vec<Tried> = Vec::new();
     // A quarter of the samples at most are parameters.
     for orders in orders.iter().copied().filter(|(na, nb)| 4 * (2 * na + m * nb) < rows / 2) {
-        let Ok(fit) = fit_linear(&structure(orders), std::slice::from_ref(&first), &Pem::default(), stop)
-        else {
-            continue;
-        };
-        let r2 = 100.0 * fit.score(std::slice::from_ref(&second), Kind::FreeRun, Seen::Selection).r2;
-        let run = fit.output(&second, Kind::FreeRun);
-        let errors: Vec<f64> = second.y.iter().zip(&run).skip(INIT).map(|(y, p)| (y - p).powi(2)).collect();
+        let Ok(fit) = fit_linear(&structure(orders), &first, &Pem::default(), stop) else { continue };
+        let r2 = 100.0 * fit.score(&second, Kind::FreeRun, Seen::Selection).r2;
+        let errors = second.iter().flat_map(|e| {
+            let run = fit.output(e, Kind::FreeRun);
+            e.y.iter().zip(run).skip(INIT).map(|(y, p)| (y - p).powi(2)).collect::<Vec<f64>>()
+        });
+        let errors: Vec<f64> = errors.collect();
         let length = errors.len().div_ceil(STRETCHES);
         let left = errors.chunks(length).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect();
         if r2.is_finite() {

@@ -29,7 +29,7 @@ pub struct AtPoint {
     pub system: System,
     /// Largest size of a pole; 1 and more does not come to rest by itself.
     pub slowest_pole: f64,
-    /// What was said of the point: outside of what a model was identified on.
+    /// What was said of the point: it, or where a model comes to rest at it, is outside of what the model was identified on.
     pub warnings: Vec<String>,
 }
 
@@ -56,6 +56,7 @@ pub fn about(
         }
         warnings.extend(outside(model, point));
         let one = single(model, moved, point)?;
+        warnings.extend(rests_outside(model, one.rest));
         rest.push(one.rest);
         channels.extend(one.channels);
     }
@@ -168,6 +169,20 @@ fn outside(model: &StoredModel, point: &BTreeMap<String, f64>) -> Vec<String> {
         )
     };
     model.seen.iter().filter(beyond).map(words).collect()
+}
+
+/// Inputs may each be in their range while all of them together were never there: the output tells.
+fn rests_outside(model: &StoredModel, rest: f64) -> Option<String> {
+    let output = model.user_output().name;
+    let s = model.seen.iter().find(|s| s.name == output)?;
+    let slack = 1e-9 * (s.maximum - s.minimum).abs();
+    let out = !(rest >= s.minimum - slack && rest <= s.maximum + slack);
+    out.then(|| {
+        format!(
+            "`{output}` comes to rest at {rest:.4} {}, outside of what its model was identified on ({} to {}): no record was near this set point",
+            s.unit, s.minimum, s.maximum
+        )
+    })
 }
 
 /// A model with parameters drawn from their estimated distribution; none where the model keeps no covariance.

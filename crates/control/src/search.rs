@@ -394,8 +394,8 @@ fn bounds(channels: &[Channel]) -> Result<(Interval, Interval), ControlError> {
     for c in channels {
         let ranges = c.kp_ranges();
         let none = || ControlError::Unstable {
-            what: "the channel under every PI".into(),
-            poles: "no range of kp is stable".into(),
+            what: "the channel under every PI that was tried".into(),
+            poles: "no stable range of kp was found".into(),
         };
         let (first, last) = (ranges.first().ok_or_else(none)?, ranges.last().ok_or_else(none)?);
         kp = Interval { lower: kp.lower.max(first.lower), upper: kp.upper.min(last.upper) };

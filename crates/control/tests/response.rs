@@ -210,6 +210,25 @@ fn identified_models_know_how_uncertain_they_are() {
     assert!(text.contains("100 samples"), "{text}");
 }
 
+/// A test that moves one input after the other: its halves know nothing of each other's input, and are not what judges.
+#[test]
+fn inputs_that_move_in_turns_are_both_judged() {
+    use dynocal_control::identify::{ORDERS, identify};
+    use dynocal_ident::stored::Quantity;
+    let quantity = |n: &str| Quantity { name: n.into(), unit: "-".into() };
+    let rows = 2400;
+    let (mut u, _) = record(rows, 0.0, 3);
+    u[0][rows / 2..].fill(0.0);
+    u[1][..rows / 2].fill(0.0);
+    let mut rng = Rng64::new(8);
+    let own = &channels()[1];
+    let parts = (filtered(&own[0], &u[0]), filtered(&own[1], &u[1]));
+    let y: Vec<f64> = parts.0.iter().zip(&parts.1).map(|(a, b)| a + b + 0.02 * rng.normal()).collect();
+    let inputs = [(quantity("a"), u[0].clone()), (quantity("b"), u[1].clone())];
+    let found = identify(&inputs, (quantity("y"), &y), DT_S, &ORDERS, &|| false).unwrap();
+    assert!(found.selection_r2 > 95.0, "{:?}: {}", found.orders, found.selection_r2);
+}
+
 /// An offset, a ripple of three samples and a drift that the inputs do not make: the gain at rest is the plant's, no pole is theirs; a
 /// plant that integrates keeps its own.
 #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 use dynocal_files::json;
 use dynocal_ident::model::initial::Initial;
 use dynocal_ident::model::poly::PolyNarx;
-use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, StoredModel};
+use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, Quantity, Seen, StoredModel};
 use dynocal_jobs::control::{Controlled, run, spec, work};
 use dynocal_jobs::place::Overrides;
 use dynocal_numerics::watch::Watch;
@@ -95,6 +95,83 @@ fn a_stored_model_is_its_transfer_function() {
     close(a.sensitivity, b.sensitivity);
     assert!(own.warnings.iter().any(|w| w.contains("covariance")), "{:?}", own.warnings);
     assert!(folder.path().join("report.html").exists() && folder.path().join("summary.json").exists());
+}
+
+/// Draws that are unstable by themselves are no plant that came to rest in a test: left out, counted, and the rest is judged.
+#[test]
+fn draws_that_run_away_are_left_out_and_counted() {
+    let tmp = tempfile::tempdir().unwrap();
+    let quantity = |name: &str| Quantity { name: name.into(), unit: "-".into() };
+    let structure = PolyNarx::parse(&["u"], "y", &["u(t-2)", "y(t-1)"]).unwrap();
+    let mut model =
+        StoredModel::new(structure, &[0.1, 0.95], vec![quantity("u")], quantity("y"), 0.1).unwrap();
+    model.initial = Some(Initial::Rest);
+    model.parameters[0].std_error = Some(0.001);
+    model.parameters[1].std_error = Some(0.04);
+    model.correlate(&[1e-6, 0.0, 0.0, 0.0016]);
+    // Where an output was seen says whether a point was visited: its rest at u = 1 is 2.
+    let seen = |maximum: f64| Seen { name: "y".into(), unit: "Nm".into(), minimum: -1.0, maximum };
+    let mut of = |maximum: f64| {
+        model.seen = vec![seen(maximum)];
+        json::write_versioned(&tmp.path().join("model.json"), MODEL_SCHEMA, MODEL_VERSION, &model).unwrap();
+        let point = "[[points]]\nname = \"one\"\nvalues = { u = 1.0 }\n";
+        found(&format!("models = [\"model.json\"]\ndraws = 40\n{LAG}{point}"), tmp.path())
+    };
+    let own = of(3.0);
+    let t = &own.together[0];
+    // The pole is above one in a draw of ten.
+    assert!(t.draws < 40 && t.draws > 25 && t.unstable_draws == 0, "{} {}", t.draws, t.unstable_draws);
+    let said = format!("{} of 40 draws of the parameters", 40 - t.draws);
+    assert!(own.warnings.iter().any(|w| w.contains(&said) && w.contains("left out")), "{:?}", own.warnings);
+    assert!(own.verdict[0].contains(&format!("for {} draws", t.draws)), "{:?}", own.verdict);
+    assert!(own.beyond.is_empty());
+    let beyond = of(1.0);
+    assert_eq!(beyond.beyond, ["one"]);
+    assert!(
+        beyond.warnings.iter().any(|w| w.contains("comes to rest at 2.0000 Nm")),
+        "{:?}",
+        beyond.warnings
+    );
+    assert!(beyond.verdict.iter().any(|v| v.contains("no record was there")), "{:?}", beyond.verdict);
+}
+
+/// Outputs that nearly move together: each loop alone settles in a second, both together need minutes, and that is what is asked about.
+#[test]
+fn settling_is_judged_with_every_loop_closed() {
+    let tmp = tempfile::tempdir().unwrap();
+    let lag = |b: f64| format!("{{ num = [0.0, {b}], den = [1.0, -0.9] }}");
+    let plant =
+        format!("[[plants]]\nchannels = [[{}, {}], [{}, {}]]\n", lag(0.1), lag(0.095), lag(0.1), lag(0.1));
+    let loops = "[[loops]]\noutput = \"a\"\ninput = \"u\"\nkp = 0.4\nki = 0.4\n[[loops]]\noutput = \"b\"\ninput = \"v\"\nkp = 0.4\nki = 0.4\n";
+    let own = found(&format!("sample_time_s = 0.1\n[asked]\nsettling_s = 10.0\n{loops}{plant}"), tmp.path());
+    let alone = own.loops[0].rules[0].settling_s.unwrap();
+    let closed = own.together[0].steps[0].settling_s.unwrap();
+    assert!(alone < 10.0 && closed > 50.0, "{alone} {closed}");
+    assert!(!own.valid && own.verdict[0].contains("with all loops closed"), "{:?}", own.verdict);
+    assert!(own.warnings.iter().any(|w| w.contains("is 20.00")), "{:?}", own.warnings);
+}
+
+/// Samples of delay are resolved one by one: thousands of them are refused before the work.
+#[test]
+fn thousands_of_samples_of_delay_are_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant = "[[plants]]\nchannels = [[{ num = [0.0, 0.1], den = [1.0, -0.9] }]]\n";
+    let job =
+        parsed(&format!("sample_time_s = 0.02\n{LAG}extra_delay_s = 100.0\n{plant}"), tmp.path()).unwrap();
+    let e = work::estimate(&job).map(|_| ()).unwrap_err().to_string();
+    assert!(e.contains("samples by which `y` is late") && e.contains("at most 1000"), "{e}");
+}
+
+/// A plant that is unstable by itself is judged under given gains; only a search refuses it.
+#[test]
+fn given_gains_hold_an_unstable_plant() {
+    let tmp = tempfile::tempdir().unwrap();
+    let plant = "[[plants]]\nchannels = [[{ num = [1.0], den = [1.0, -1.0] }]]\n";
+    // s - 1 + 10 + 1 / s: stable; 1 / (1 + 10 / (s - 1)) is at most 1.
+    let own = found(&format!("{LAG}kp = 10.0\nki = 1.0\n{plant}"), tmp.path());
+    assert!(own.together[0].violation.is_some_and(|v| v <= 1.0), "{:?} {:?}", own.verdict, own.together);
+    let job = parsed(&format!("{LAG}{plant}"), tmp.path()).unwrap();
+    assert!(work::control(&job, Watch::silent()).is_err());
 }
 
 /// Two loops that act on each other, searched: what is kept is kept by every set point, and equal for any number of threads.

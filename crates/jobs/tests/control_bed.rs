@@ -44,6 +44,30 @@ fn tests_on_the_bed_give_one_plant() {
     }
 }
 
+/// Steps of one input after the other: each model explains both of its inputs. The gain margin of torque that is measured lies below what its
+/// model promises, with all of its interval: what asks for one between them is refused.
+#[test]
+fn a_measured_margin_refuses_what_its_model_promises() {
+    let tmp = tempfile::tempdir().unwrap();
+    let loops = "[[loops]]\noutput = \"torque\"\ninput = \"throttle\"\nstep = 1.0\nkp = 0.2249\nki = 0.4393\n\
+        [[loops]]\noutput = \"lambda\"\ninput = \"inj\"\nstep = 0.3\nkp = -6.184\nki = -26.38\n";
+    let of = |gain_margin: f64| {
+        let text = format!(
+            "seed = 3\n[plant]\nname = \"virtual_engine\"\nparameters = \"pfi_1_6l\"\n[test]\nlength_s = 60.0\nkind = \"steps\"\n\
+             [asked]\ngain_margin = {gain_margin:?}\n[[points]]\nname = \"P\"\nvalues = {{ speed = 2000.0 }}\n{loops}"
+        );
+        tried(&text, tmp.path()).unwrap()
+    };
+    let own = of(2.0);
+    assert!(own.valid && own.measured[0].models.iter().all(|m| m.1 > 90.0), "{:?}", own.verdict);
+    let asked = 0.5
+        * (own.measured[0].margins[0].gain_up.unwrap().1
+            + own.loops[0].rules[0].margins[0].as_ref().unwrap().gain_up.unwrap());
+    let more = of(asked);
+    assert!(more.together[0].violation.unwrap() <= 1.0, "{:?}", more.verdict);
+    assert!(!more.valid && more.verdict[0].contains("as it was measured"), "{:?}", more.verdict);
+}
+
 #[test]
 fn tests_that_cannot_be_made_are_named() {
     let tmp = tempfile::tempdir().unwrap();
@@ -59,6 +83,11 @@ fn tests_that_cannot_be_made_are_named() {
         (String::new(), LOOPS.replace("step = 0.5", "step = 1e9"), "its range is"),
         (String::new(), LOOPS.replace("\"inj\"", "\"fuel\""), "the plant has no input `fuel`"),
         (String::new(), LOOPS.replace("\"torque\"", "\"power\""), "the plant has no output `power`"),
+        (
+            "[test]\nlength_s = 60.0\n".into(),
+            LOOPS.replace("step = 0.5", "step = 0.5\nextra_delay_s = 100.0"),
+            "less than the test lasts",
+        ),
         (point("gear", 3.0), LOOPS.into(), "the plant has no input `gear`"),
         ("models = [\"m.json\"]\n".into(), String::new(), "models"),
     ] {

@@ -102,6 +102,19 @@ fn records_that_cannot_serve_are_named() {
     record(&tmp.path().join("short.csv"), false, 60, 9.0);
     let short = failed(&format!("records = [\"short.csv\"]\n{LOOP}"));
     assert!(short.contains("short.csv") && short.contains("60 samples"), "{short}");
+    // An output that the input does not move: whatever margins its model promises, it explains nothing.
+    {
+        let mut rng = Rng64::new(11);
+        let rows = 500;
+        let time: Vec<f64> = (0..rows).map(|t| 0.1 * t as f64).collect();
+        let u: Vec<f64> = (0..rows).map(|_| rng.uniform_in(-1.0, 1.0)).collect();
+        let y: Vec<f64> = (0..rows).map(|_| rng.normal()).collect();
+        let columns: [(&str, &str, &[f64]); 3] = [("time", "s", &time), ("u", "V", &u), ("y", "Nm", &y)];
+        dynocal_files::csv_io::write_columns(&tmp.path().join("noise.csv"), &columns).unwrap();
+    }
+    let noise =
+        found(&format!("records = [\"noise.csv\"]\ndraws = 0\n{LOOP}kp = -1e-4\nki = -1e-4\n"), tmp.path());
+    assert!(!noise.valid && noise.verdict[0].contains("explains nothing"), "{:?}", noise.verdict);
     // An actuator at its end opens the loop: said, not refused.
     record(&tmp.path().join("held.csv"), true, 1500, 0.25);
     let held = found(
@@ -159,7 +172,7 @@ fn a_predictor_is_tuned_judged_and_delivered() {
         .unwrap();
         let (mut x, mut past, mut u) = (0.0, vec![0.0; samples + 2], 0.0);
         let mut last: f64 = 0.0;
-        for t in 0..6000 {
+        for t in 0..40_000 {
             // One sample from measurement to actuator, as the job takes it.
             let measured = past[samples];
             let next = c.step(0.0, 1.0, measured);
@@ -167,7 +180,7 @@ fn a_predictor_is_tuned_judged_and_delivered() {
             u = next;
             past.rotate_right(1);
             past[0] = x;
-            if t > 5500 {
+            if t > 39_500 {
                 last = last.max((x - 1.0).abs());
             }
         }
@@ -203,6 +216,11 @@ fn gains_are_scheduled_over_the_set_points() {
     let s = file.loops[0].schedule.as_ref().unwrap();
     assert_eq!(s.axes[0].points, [1000.0, 2000.0, 3000.0]);
     assert_eq!(s.axes[0].unit, "rpm");
+    // The table has the rows that are delivered, in the order of the set points.
+    let table = std::fs::read_to_string(tmp.path().join("run/gains_by_point.csv")).unwrap();
+    assert!(table.contains("y_kp [V/Nm]") && table.contains("y_ki [V/Nm/s]"), "{table}");
+    let second: Vec<f64> = table.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();
+    assert!(second[1] == own.loops[0].by_point[1].0 && second[1] == s.at(&[1000.0]).0, "{table}");
     // The gain of the plant goes with speed: that of the controller with one over it.
     for n in [1000.0, 2000.0, 3000.0] {
         let (kp, ki) = s.at(&[n]);
@@ -311,6 +329,10 @@ fn exported_controllers_are_those_that_run() {
     );
     run(&parsed(&text, tmp.path()).unwrap(), Watch::silent()).unwrap();
     let mut file = stored(tmp.path());
+    // The folder of the run is a source as its file is.
+    let to_c = dynocal_jobs::export::ExportSpec { to: vec!["c".into()], ..Default::default() };
+    let left = dynocal_jobs::export::run(&tmp.path().join("run"), &tmp.path().join("c"), &to_c).unwrap();
+    assert!(left.files.iter().any(|f| f.ends_with("controller.c")), "{:?}", left.files);
     program_is_runtime(&file);
     file.loops[0].predictor.as_mut().unwrap().filter_s = 0.0;
     file.loops[0].predictor.as_mut().unwrap().model =

@@ -1,4 +1,4 @@
-//! `dynocal control`: margins and PI gains of loops around stored models or given transfer functions.
+//! `dynocal control`: margins and PI gains of loops around stored models, records of tests, a plant or given transfer functions.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use crate::terminal::{print, say};
 pub(crate) const VERB: Verb =
     Verb { name: "control", describe: |c| Control::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Tune PI loops around stored models or transfer functions, and prove their margins";
+const ABOUT: &str = "Tune PI and PID loops on models, records of tests, a plant or transfer functions, and prove their margins";
 
 #[derive(Args, Debug)]
 struct Control {

@@ -1,4 +1,4 @@
-//! `dynocal export SOURCE --to FORMAT`: maps and models in the formats of the neighbours.
+//! `dynocal export SOURCE --to FORMAT`: maps, models and controllers in the formats of the neighbours.
 
 use std::path::{Path, PathBuf};
 
@@ -14,12 +14,12 @@ use crate::terminal::{print, say};
 
 pub(crate) const VERB: Verb = Verb { name: "export", describe: |c| Export::augment_args(c.about(ABOUT)), run };
 
-const ABOUT: &str = "Export maps and models: C, DCM, CDFX, A2L, FMU, ONNX, .. (`dynocal list exports`)";
+const ABOUT: &str = "Export maps, models and controllers: C, DCM, CDFX, A2L, FMU, ONNX, .. (`dynocal list exports`)";
 
 #[derive(Args, Debug)]
 struct Export {
-    /// Run folder of `calibrate` (its maps) or `identify` (its models), one of their files, a map file (.json, .dcm, .cdfx,
-    /// .csv), or a spec (.toml) whose plant leaves as FMU
+    /// Run folder of `calibrate` (its maps), `identify` (its models) or `control` (its controller), one of their files, a map
+    /// file (.json, .dcm, .cdfx, .csv), or a spec (.toml) whose plant leaves as FMU
     source: PathBuf,
     /// Formats
     #[arg(long, required = true, num_args = 1.., value_name = "FORMAT",
@@ -85,11 +85,13 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
 
 /// The verdict of a run folder whose results are not valid.
 fn not_valid(source: &Path) -> Option<String> {
-    let text = std::fs::read_to_string(source.join("summary.json")).ok()?;
+    // A controller stands beside the summary of its run.
+    let folder = if source.ends_with("controller.json") { source.parent()? } else { source };
+    let text = std::fs::read_to_string(folder.join("summary.json")).ok()?;
     let summary: serde_json::Value = serde_json::from_str(&text).ok()?;
     if summary.get("valid")?.as_bool()? {
         return None;
     }
-    let verdict = summary.get("verdict").and_then(|v| v.as_str());
+    let verdict = summary.get("verdict").map(|v| v.get(0).unwrap_or(v)).and_then(|v| v.as_str());
     Some(verdict.unwrap_or("its summary says that it is not valid").to_string())
 }

@@ -13,6 +13,9 @@ use super::spec::{Job, LoopSpec, Plants, Point};
 /// Coherence from which a measured point says something of a model.
 const CLEAR: f64 = 0.8;
 
+/// Standard deviations beyond which no scatter of a few hundred frequencies reaches: there the model is wrong.
+const SURE: f64 = 10.0;
+
 /// The controller of sampled plants.
 pub(super) fn controller(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Option<StoredController> {
     // A controller file has loops that each move their own input.
@@ -128,16 +131,19 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
             let c = own(&job.loops[k], l, point, loaded.time).delayed(later);
             seen.margins(k, k, &c, 0.0, job.draws, job.seed)
         };
-        let distance = |k: usize| {
+        // By clear frequency, in standard deviations and over the size of the response.
+        let off = |k: usize| -> Vec<(f64, f64)> {
             let later = job.reaction_samples as f64 * dt_s + job.loops[k].extra_delay_s;
-            let off = |f: usize| {
+            let own = |f: usize| {
                 let w = TAU * r.frequency_hz[f];
                 let model = plant.channel(k, k).delayed(-later).at(loaded.time, w);
-                (model - r.at(f, k, k)).norm() / r.std_at(f, k, k)
+                let distance = (model - r.at(f, k, k)).norm();
+                (distance / r.std_at(f, k, k), distance / r.at(f, k, k).norm())
             };
-            let clear = (0..r.frequency_hz.len()).filter(|f| r.coherence_at(*f, k) > CLEAR);
-            clear.map(off).reduce(f64::max)
+            (0..r.frequency_hz.len()).filter(|f| r.coherence_at(*f, k) > CLEAR).map(own).collect()
         };
+        let distance = |k: usize| off(k).iter().map(|o| o.0).reduce(f64::max);
+        let sure = |k: usize| off(k).iter().filter(|o| o.0 > SURE).map(|o| o.1).reduce(f64::max);
         MeasuredResult {
             point: loaded.points[point].name.clone(),
             segments: r.segments,
@@ -146,6 +152,7 @@ pub(super) fn measured(job: &Job, loaded: &Loaded, loops: &[LoopResult]) -> Vec<
             distortion: m.distortion.clone(),
             margins: loops.iter().enumerate().map(margins).collect(),
             distance: (0..loops.len()).map(distance).collect(),
+            wrong: (0..loops.len()).map(sure).collect(),
         }
     };
     loaded.measured.iter().enumerate().map(one).collect()

@@ -20,6 +20,9 @@ const SCENARIOS: usize = 4;
 /// Draws that are added in a round.
 const ADDED: usize = 5;
 
+/// The row of the PI that a predictor has to beat.
+pub(super) const PI_ALONE: &str = "PI alone, retuned for the whole delay";
+
 /// The channel of a loop, its gain positive.
 fn whole(loaded: &Loaded, plant: &System, k: usize, sign: f64) -> Result<Channel, ControlError> {
     Channel::new(loaded.time, decouple::channel(loaded, plant, k)?.scaled(sign))
@@ -55,7 +58,10 @@ pub(super) fn one_loop(
         input: l.input.clone(),
         source,
     };
-    alone_at_rest(loaded, k)?;
+    // Given gains are judged on any plant.
+    if l.gains.is_none() {
+        alone_at_rest(loaded, k)?;
+    }
     in_time(loaded, k)?;
     let sign = sign(loaded, k, l)?;
     let whole = |s: &System| whole(loaded, s, k, sign);
@@ -77,32 +83,32 @@ pub(super) fn one_loop(
         Some(g) => {
             let own = PidGains { kp: g.kp * sign, ki: g.ki * sign, kd: g.kd * sign, ..g };
             let with = with_derivative(&nominal, own.kd, own.filter_s).map_err(refused)?;
-            rules.push(judged("given", &own, &with, &job.asked, r));
+            rules.push(late(l, judged("given", &own, &with, &job.asked, r)));
             (None, with)
         }
         None => {
             let (found, with, pi) = searched(job, l, nominal, &draws, r).map_err(refused)?;
             let gains = with[0].gains(found.tuned.kp, found.tuned.ki);
-            rules.push(judged("search", &gains, &with, &job.asked, r));
+            rules.push(late(l, judged("search", &gains, &with, &job.asked, r)));
             if let Some(pi) = pi.filter(|_| gains.kd != 0.0) {
                 let alone = PidGains::pi(pi.kp, pi.ki);
-                rules.push(judged("search without a derivative part", &alone, &with, &job.asked, r));
+                rules.push(late(l, judged("search without a derivative part", &alone, &with, &job.asked, r)));
             }
             (Some(found), with)
         }
     };
     if let Some((simc, lambda)) = slowest(&known) {
-        rules.push(judged("SIMC", &simc, &nominal, &job.asked, r));
-        rules.push(judged("lambda tuning", &lambda, &nominal, &job.asked, r));
+        rules.push(late(l, judged("SIMC", &simc, &nominal, &job.asked, r)));
+        rules.push(late(l, judged("lambda tuning", &lambda, &nominal, &job.asked, r)));
     }
     if l.predictor {
-        let late: Vec<Channel> =
+        let whole: Vec<Channel> =
             loaded.points.iter().map(|p| whole(&p.nominal)).collect::<Result<_, _>>().map_err(refused)?;
-        let lags: Vec<Lag> = late.iter().filter_map(|c| tune::lag(c).ok()).collect();
-        let r = step_run(&late, &lags);
-        if let Ok(c) = choose(&late, &job.asked, r) {
+        let lags: Vec<Lag> = whole.iter().filter_map(|c| tune::lag(c).ok()).collect();
+        let r = step_run(&whole, &lags);
+        if let Ok(c) = choose(&whole, &job.asked, r) {
             let gains = PidGains::pi(c.tuned.kp, c.tuned.ki);
-            rules.push(judged("PI alone, retuned for the whole delay", &gains, &late, &job.asked, r));
+            rules.push(judged(PI_ALONE, &gains, &whole, &job.asked, r));
         }
     }
     let own =
@@ -128,6 +134,14 @@ pub(super) fn one_loop(
     let predictor =
         if l.predictor { Some(predictor(job, loaded, k, l, &found).map_err(refused)?) } else { None };
     Ok((LoopResult { predictor, ..found }, choice))
+}
+
+/// Gains of a predictor are judged on its undelayed loop; what is measured settles one delay later.
+fn late(l: &LoopSpec, mut judged: Tuned) -> Tuned {
+    if l.predictor {
+        judged.settling_s = judged.settling_s.map(|s| s + l.extra_delay_s);
+    }
+    judged
 }
 
 fn with_derivative(channels: &[Channel], kd: f64, filter_s: f64) -> Result<Vec<Channel>, ControlError> {
@@ -251,8 +265,14 @@ fn scenarios(
     r: StepRun,
 ) -> Result<Choice, ControlError> {
     let mut left: Vec<&Channel> = draws.iter().collect();
+    let mut before: Option<Choice> = None;
     loop {
-        let found = choose(&seen, &job.asked, r)?;
+        let found = match (choose(&seen, &job.asked, r), before) {
+            (Ok(found), _) => found,
+            // No gains serve the models and these draws together: those of the models stand, and are judged over all draws.
+            (Err(_), Some(before)) => return Ok(before),
+            (Err(e), None) => return Err(e),
+        };
         let of = |c: &&Channel| {
             let m = c.margins(found.tuned.kp, found.tuned.ki);
             m.map_or(f64::INFINITY, |m| job.asked.violation(&m))
@@ -269,6 +289,7 @@ fn scenarios(
         for k in order.iter().rev() {
             left.remove(*k);
         }
+        before = Some(found);
     }
 }
 
@@ -289,7 +310,8 @@ pub(super) fn smaller_rules(
         let lags: Vec<_> = l.lags.iter().flatten().copied().collect();
         let gains = PidGains { kp: l.kp * l.sign, ki: l.ki * l.sign, kd: l.kd * l.sign, ..l.gains() };
         let run = step_run(&channels, &lags);
-        l.rules.insert(0, judged("search, made smaller", &gains, &channels, &job.asked, run));
+        let own = judged("search, made smaller", &gains, &channels, &job.asked, run);
+        l.rules.insert(0, late(&job.loops[k], own));
         if l.predictor.is_some() {
             l.predictor = Some(predictor(job, loaded, k, &job.loops[k], l).map_err(|source| {
                 ControlJobError::Loop { output: l.output.clone(), input: l.input.clone(), source }

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use dynocal_control::error::ControlError;
-use dynocal_control::linear::{about, drawn};
+use dynocal_control::linear::{AtPoint as Linear, about, drawn};
 use dynocal_control::system::{System, Time, Transfer};
 use dynocal_files::json;
 use dynocal_ident::stored::{MODEL_SCHEMA, MODEL_VERSION, StoredModel};
 use dynocal_numerics::watch::Watch;
 
+use super::loop_spec::MOST_LATE;
 use super::records::Measured;
 use super::result::ControlJobError;
 use super::spec::{Job, Plants, Point};
@@ -32,6 +33,8 @@ pub(super) struct Loaded {
     /// Units of the channels that set points give, where they are known.
     pub(super) channels: BTreeMap<String, String>,
     pub(super) points: Vec<AtPoint>,
+    /// Set points at which a model was not identified.
+    pub(super) beyond: Vec<String>,
     /// What stands between the controllers and all these plants.
     pub(super) decoupler: Option<System>,
     pub(super) warnings: Vec<String>,
@@ -153,6 +156,7 @@ impl Loaded {
             decoupler: None,
             measured: Vec::new(),
             units: Vec::new(),
+            beyond: Vec::new(),
             channels: BTreeMap::new(),
         }
     }
@@ -171,9 +175,14 @@ impl Loaded {
             about(&models, &moved, &p.values)
         };
         let nominal = at(models).map_err(refused)?;
+        if !nominal.warnings.is_empty() {
+            self.beyond.push(p.name.clone());
+        }
         self.warnings.extend(nominal.warnings.iter().map(|w| format!("{}: {w}", p.name)));
         let mut draws = Vec::new();
-        let mut restless = 0;
+        let (mut restless, mut unstable) = (0, 0);
+        // A factor that numerator and denominator nearly share may lie outside in a draw: that is no plant which came to rest in the test.
+        let runs_away = |found: &Linear| nominal.slowest_pole < 1.0 && found.slowest_pole >= 1.0;
         let unknown =
             |m: &&StoredModel| m.covariance().is_none() || m.parameters.iter().any(|p| p.std_error.is_none());
         let sure = models.iter().filter(unknown).map(|m| m.user_output().name.clone());
@@ -193,6 +202,7 @@ impl Loaded {
             };
             let these: Vec<StoredModel> = models.iter().enumerate().map(own).collect();
             match at(&these) {
+                Ok(found) if runs_away(&found) => unstable += 1,
                 Ok(found) => draws.push(delayed(job, found.system).map_err(refused)?),
                 Err(_) => restless += 1,
             }
@@ -203,6 +213,9 @@ impl Loaded {
                 p.name, job.draws
             ));
         }
+        if unstable > 0 {
+            self.warnings.push(left_out(&p.name, unstable, job.draws));
+        }
         self.points.push(AtPoint {
             name: p.name.clone(),
             nominal: delayed(job, nominal.system).map_err(refused)?,
@@ -210,6 +223,19 @@ impl Loaded {
         });
         Ok(())
     }
+}
+
+/// Draws that are unstable by themselves where the model is not.
+fn left_out(point: &str, unstable: usize, draws: usize) -> String {
+    let many = match 2 * unstable > draws {
+        true => {
+            ": most of them, so that what is judged over draws says little; the test is too short or too noisy for the orders of the model"
+        }
+        false => "",
+    };
+    format!(
+        "{point}: {unstable} of {draws} draws of the parameters are unstable by themselves where the model is stable, and are left out{many}"
+    )
 }
 
 /// With the delay from measurement to actuator, and that which loops have beyond.
@@ -231,8 +257,20 @@ fn delayed(job: &Job, plant: System) -> Result<System, ControlError> {
         }
     };
     if let Time::Sampled { sample_time_s } = plant.time {
-        for g in &plant.channels {
-            whole(g.delay_s, sample_time_s)?;
+        for (k, g) in plant.channels.iter().enumerate() {
+            let l = &job.loops[k / plant.inputs];
+            let own = whole(g.delay_s, sample_time_s)? + g.num.len();
+            let found = (own + whole(l.extra_delay_s, sample_time_s)? + job.reaction_samples) as f64;
+            if found > MOST_LATE {
+                return Err(ControlError::Number {
+                    what: format!(
+                        "samples by which `{}` is late; check the unit of its delay, or take longer samples",
+                        l.output
+                    ),
+                    found,
+                    expected: "at most 1000",
+                });
+            }
         }
     }
     let factors = job.loops.iter().map(|l| own(l.extra_delay_s)).collect::<Result<Vec<Transfer>, _>>()?;

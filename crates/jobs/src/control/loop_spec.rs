@@ -211,3 +211,23 @@ fn limits(l: &TypedLoop, k: usize, faults: &mut Faults) -> ActuatorLimits {
     }
     ActuatorLimits { lower, upper, rate_per_s: l.rate_per_s }
 }
+
+/// Most samples by which a channel may be late: margins resolve every one of them, and what takes seconds at a hundred takes minutes at thousands.
+pub(super) const MOST_LATE: f64 = 1000.0;
+
+/// Refuses delays that a test of `length_s` cannot show, or that are too many of its samples.
+pub(super) fn within_test(loops: &[LoopSpec], length_s: f64, sample_time_s: f64, faults: &mut Faults) {
+    for (k, l) in loops.iter().enumerate() {
+        let mut push = |expected: String| {
+            let key = format!("loops[{}].extra_delay_s", k + 1);
+            faults.push(&key, format!("{} s", l.extra_delay_s), expected);
+        };
+        if l.extra_delay_s >= length_s {
+            push(format!("less than the test lasts ({length_s} s)"));
+        } else if l.extra_delay_s > MOST_LATE * sample_time_s {
+            push(format!(
+                "at most {MOST_LATE} samples of {sample_time_s} s; check its unit, or take longer samples"
+            ));
+        }
+    }
+}

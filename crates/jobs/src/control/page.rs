@@ -119,7 +119,7 @@ fn together(found: &Controlled) -> Section {
 
 fn one_loop(found: &Controlled, k: usize, l: &LoopResult, p: &LoopPicture) -> Section {
     let mut section = Section::new(format!("{} by {}", l.output, l.input))
-        .text("The loop on its own channel, the others open. Rules give the smallest gains that they have over the set points; margins are the least over them. A row in bold misses a margin that is asked.")
+        .text("The loop on its own channel, the others open. Rules give the smallest gains that they have over the set points; margins are the least over them. A row in bold misses a margin that is asked. Beside a predictor all settling times count its delay.")
         .block(rules(l));
     if let Some(plane) = &p.plane {
         section = section.block(plane_map(l, plane));
@@ -294,7 +294,7 @@ fn schedule(found: &Controlled) -> Section {
     });
     Section::new("Gains over the operating range")
         .text(format!(
-            "Each set point has its own gains, maps over {} in controller.json. Margins are those of each point with its own gains held: between points, and while the point moves, nothing is proved.",
+            "Each set point has its own gains, maps over {} in controller.json and rows of gains_by_point.csv, where `point` is the place in this table. Margins are those of each point with its own gains held: between points, and while the point moves, nothing is proved.",
             found.schedule.join(" and ")
         ))
         .block(table)

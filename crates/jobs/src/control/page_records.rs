@@ -106,7 +106,7 @@ pub(super) fn decoupler(found: &Controlled, d: &Decoupled) -> Section {
         ),
     };
     Section::new("The decoupler")
-        .text(format!("{kind}. It is made for the nominal plant of {}, and all margins are those of the plant with it, at the inputs of the plant itself. Its coefficients are in decoupler.csv; controller.json has loops that each move one input and is not written.", d.point))
+        .text(format!("{kind}. It is made for the nominal plant of {}, and all margins are those of the plant with it: of each loop at the outputs of the plant, disk margins of inputs at the inputs of the plant itself. Its coefficients are in decoupler.csv; controller.json has loops that each move one input and is not written.", d.point))
         .block(table)
 }
 

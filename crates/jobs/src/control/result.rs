@@ -40,7 +40,9 @@ pub struct Controlled {
     pub sample_time_s: Option<f64>,
     /// Names of the set points.
     pub points: Vec<String>,
-    /// Draws at each set point.
+    /// Set points that are outside of what the models were identified on.
+    pub beyond: Vec<String>,
+    /// Draws at each set point that were asked for.
     pub draws: usize,
     /// Factor by which gains were made smaller because loops act on each other (kp by it, ki by its square).
     pub detuned: f64,
@@ -51,6 +53,8 @@ pub struct Controlled {
     pub decoupler: Option<Decoupled>,
     /// Records: what they show.
     pub measured: Vec<MeasuredResult>,
+    /// What was measured and speaks against the models or their margins, in words; any makes the gains not valid.
+    pub contradicted: Vec<String>,
     /// Loops.
     pub loops: Vec<LoopResult>,
     /// Relative gains at rest, outputs by inputs, for each set point; none where a plant has no steady gains.
@@ -59,6 +63,8 @@ pub struct Controlled {
     pub together: Vec<Together>,
     /// Runs that check the margins.
     pub checks: Vec<RunCheck>,
+    /// Margins that could not be run, and why.
+    pub unchecked: Vec<String>,
     /// Files, relative to the run folder.
     pub files: Vec<String>,
     /// The controller as it runs elsewhere; none for continuous plants.
@@ -150,6 +156,8 @@ pub struct MeasuredResult {
     /// By loop: largest distance of the model's channel from the measured one over frequencies whose coherence is above 0.8, in
     /// standard deviations of the measurement.
     pub distance: Vec<Option<f64>>,
+    /// By loop: the same over the size of the response, where it is more than ten standard deviations; none: nowhere.
+    pub wrong: Vec<Option<f64>>,
 }
 
 /// All loops closed together at one set point.
@@ -170,12 +178,26 @@ pub struct Together {
     /// Skewed disk margins (1: of S, -1: of T), all places at once, and balanced ones of each loop alone with the others closed, by where
     /// they act.
     pub other_disks: Vec<(String, DiskMargin)>,
+    /// By loop: how its output follows a step of its demand with every loop closed, of the nominal model; empty where the loop is not stable
+    /// or where there is no run.
+    pub steps: Vec<StepResult>,
     /// Largest ratio of asked to had over nominal model and draws: at most 1 keeps everything; none: not stable for all.
     pub violation: Option<f64>,
     /// The same of the nominal model alone.
     pub violation_nominal: Option<f64>,
+    /// Draws of the model that were judged: those that are stable where the model is.
+    pub draws: usize,
     /// Draws that are not stable.
     pub unstable_draws: usize,
+}
+
+/// How an output follows a step of its demand.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepResult {
+    /// Time in s after which it stays within 2 %; none: not within the run.
+    pub settling_s: Option<f64>,
+    /// How far it goes beyond, as a share of the step.
+    pub overshoot: f64,
 }
 
 /// A margin as a run.

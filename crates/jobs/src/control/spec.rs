@@ -309,6 +309,7 @@ fn tested(plant: &PlantSpec, t: &Typed, loops: &[LoopSpec], faults: &mut Faults)
         );
     }
     let test = test_spec::check(t.test.as_ref(), plant, faults);
+    loop_spec::within_test(loops, test.length_s, test.sample_time_s, faults);
     let mut points = points(t, faults);
     if points.is_empty() {
         points.push(Point { name: "start".into(), values: BTreeMap::new() });

@@ -10,29 +10,41 @@ use super::page;
 use super::result::{ControlJobError, Controlled};
 use crate::kept;
 
-/// Writes the gains that each set point alone would have, the controller, measured responses, the page and the summary.
+/// Writes the gains by set point (those of the schedule, else what each alone would have), the controller, measured responses, the page and the summary.
 ///
 /// # Errors
 /// [`ControlJobError::Files`], [`ControlJobError::Page`].
 pub fn write(folder: &RunFolder, found: &Controlled) -> Result<(), ControlJobError> {
     let mut files = vec!["report.html".to_string()];
-    let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    for l in found.loops.iter().filter(|l| !l.scheduled.is_empty()) {
-        let column = |of: &dyn Fn(&(f64, f64)) -> f64| -> Vec<f64> {
-            l.scheduled.iter().map(|g| g.as_ref().map_or(f64::NAN, |g| of(g) * l.sign)).collect()
+    let mut columns: Vec<(String, String, Vec<f64>)> = Vec::new();
+    for (k, l) in found.loops.iter().enumerate().filter(|(_, l)| !l.scheduled.is_empty()) {
+        // Of the input over the output, where both are known.
+        let known = found.controller.as_ref().and_then(|c| c.loops.get(k));
+        let known = known.filter(|l| l.output_unit != "-" && l.input_unit != "-");
+        let unit = known.map_or("-".to_string(), |l| format!("{}/{}", l.input_unit, l.output_unit));
+        let per_s = if known.is_some() { format!("{unit}/s") } else { "1/s".into() };
+        let times_s = if known.is_some() { format!("{unit}*s") } else { "s".into() };
+        // With a schedule the rows that are delivered, made smaller as those are.
+        let alone = |g: &Option<(f64, f64)>| g.map(|g| (g.0 * l.sign, g.1 * l.sign));
+        let rows: Vec<Option<(f64, f64)>> = match l.by_point.is_empty() {
+            true => l.scheduled.iter().map(alone).collect(),
+            false => l.by_point.iter().copied().map(Some).collect(),
         };
-        columns.push((format!("{}_kp", l.output), column(&|g| g.0)));
-        columns.push((format!("{}_ki", l.output), column(&|g| g.1)));
+        let column = |of: &dyn Fn(&(f64, f64)) -> f64| -> Vec<f64> {
+            rows.iter().map(|g| g.as_ref().map_or(f64::NAN, of)).collect()
+        };
+        columns.push((format!("{}_kp", l.output), unit, column(&|g| g.0)));
+        columns.push((format!("{}_ki", l.output), per_s, column(&|g| g.1)));
         if l.kd != 0.0 {
             let all = |v: f64| vec![v; l.scheduled.len()];
-            columns.push((format!("{}_kd", l.output), all(l.kd)));
-            columns.push((format!("{}_filter_s", l.output), all(l.derivative_filter_s)));
+            columns.push((format!("{}_kd", l.output), times_s, all(l.kd)));
+            columns.push((format!("{}_filter_s", l.output), "s".into(), all(l.derivative_filter_s)));
         }
     }
     if !columns.is_empty() {
         let numbers: Vec<f64> = (1..=found.points.len()).map(|k| k as f64).collect();
         let mut all: Vec<(&str, &str, &[f64])> = vec![("point", "-", &numbers)];
-        all.extend(columns.iter().map(|(name, v)| (name.as_str(), "-", v.as_slice())));
+        all.extend(columns.iter().map(|(name, unit, v)| (name.as_str(), unit.as_str(), v.as_slice())));
         files.push(kept::write_columns(folder.path(), "gains_by_point", &all)?);
     }
     if let Some(c) = &found.controller {

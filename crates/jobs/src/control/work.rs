@@ -33,6 +33,7 @@ const RUN: (f64, usize) = (400.0, 1_000_000);
 /// # Errors
 /// [`ControlJobError`]: models that cannot be read or do not fit.
 pub fn estimate(job: &Job) -> Result<Estimate, ControlJobError> {
+    deliver::grid(job)?;
     // Records are identified by the work itself: what it takes is told without.
     if let Plants::Records { .. } | Plants::Bed { .. } = &job.plants {
         let plan = Estimate::new(&job.name).line("run folder", job.out.display().to_string());
@@ -79,6 +80,7 @@ fn frequencies(plant: &System) -> usize {
 /// # Errors
 /// [`ControlJobError`]: models, set points, loops that no PI makes stable, an interruption.
 pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
+    deliver::grid(job)?;
     watch.note("linear models of the set points");
     let loaded = load(job, watch)?;
     apart_at_rest(&loaded)?;
@@ -96,16 +98,16 @@ pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     }
     watch.fraction(0.7);
     watch.note("all loops closed together");
-    let (detuned, together) = close(job, &loaded, &mut loops, watch)?;
+    let (detuned, mut together) = close(job, &loaded, &mut loops, watch)?;
     if detuned > 1.0 {
         smaller_rules(&loaded, job, &mut loops)?;
     }
+    super::settle::steps(job, &loaded, &loops, &mut together)?;
     watch.fraction(0.9);
     watch.note("runs that check the margins");
-    let checks = checks(job, &loaded, &loops, &together)?;
+    let (checks, unchecked) = checks(job, &loaded, &loops, &together)?;
     let picture = drawn(job, &loaded, &loops, choices)?;
-    deliver::grid(job)?;
-    Ok(result(job, loaded, loops, detuned, together, checks, picture))
+    Ok(result(job, loaded, loops, detuned, together, (checks, unchecked), picture))
 }
 
 fn result(
@@ -114,7 +116,7 @@ fn result(
     loops: Vec<LoopResult>,
     detuned: f64,
     together: Vec<Together>,
-    checks: Vec<RunCheck>,
+    (checks, unchecked): (Vec<RunCheck>, Vec<String>),
     picture: Picture,
 ) -> Controlled {
     let relative =
@@ -129,19 +131,23 @@ fn result(
         disk_margin_asked: job.disk_margin,
         sample_time_s: loaded.time.sample_time_s(),
         points: loaded.points.iter().map(|p| p.name.clone()).collect(),
+        beyond: loaded.beyond.clone(),
         draws: job.draws,
         detuned,
         schedule: job.schedule.clone(),
         decoupler: decouple::told(job, &loaded),
         measured: deliver::measured(job, &loaded, &loops),
+        contradicted: Vec::new(),
         controller: deliver::controller(job, &loaded, &loops),
         relative_gains: loaded.points.iter().map(relative).collect(),
         loops,
         together,
         checks,
+        unchecked,
         files: Vec::new(),
         picture,
     };
+    found.contradicted = super::against::measured(&found);
     words::say(&mut found);
     found
 }
@@ -162,7 +168,10 @@ fn close(
             return Err(ControlJobError::Interrupted);
         }
         for (l, a) in loops.iter_mut().zip(&alone) {
-            let smaller = |(kp, ki): (f64, f64)| (kp / detuned, ki / (detuned * detuned));
+            // A predictor's PI cancels the pole of its model: both gains by the same factor go on doing so.
+            let smaller = |(kp, ki): (f64, f64)| {
+                (kp / detuned, ki / if l.predictor.is_some() { detuned } else { detuned * detuned })
+            };
             (l.kp, l.ki) = smaller((a.kp, a.ki));
             l.kd = a.kd / detuned;
             l.by_point = a.by_point.iter().copied().map(smaller).collect();
@@ -215,8 +224,10 @@ fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> To
         outputs: disk_at(Place::Outputs),
         both: disk_at(Place::Both),
         other_disks: other_disks(job, closed),
+        steps: Vec::new(),
         violation: all,
         violation_nominal: own,
+        draws: draws.len(),
         unstable_draws: draws.iter().filter(|d| d.is_none()).count(),
     }
 }
@@ -262,29 +273,32 @@ fn checks(
     loaded: &Loaded,
     loops: &[LoopResult],
     together: &[Together],
-) -> Result<Vec<RunCheck>, ControlJobError> {
+) -> Result<(Vec<RunCheck>, Vec<String>), ControlJobError> {
     let tightness = |t: &Together| t.violation_nominal.unwrap_or(f64::INFINITY);
     let Some(k) =
         (0..together.len()).max_by(|a, b| tightness(&together[*a]).total_cmp(&tightness(&together[*b])))
     else {
-        return Ok(Vec::new());
+        return Ok((Vec::new(), Vec::new()));
     };
     let (p, t) = (&loaded.points[k], &together[k]);
     let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
     let c = controller(job, loaded, loops, k).map_err(refused)?;
-    let mut out = Vec::new();
+    let (mut out, mut failed) = (Vec::new(), Vec::new());
     let closed = |plant: System| Closed::new(plant, c.clone());
     let mut look = |what: String, plant: System, w: f64, expected_stable: bool| -> Result<(), ControlError> {
         let l = closed(plant)?;
-        // A delay that is no whole number of samples cannot be run.
-        if let Ok(growth) = run_of(&l, w) {
-            let holds = (growth < 0.0) == expected_stable;
-            out.push(RunCheck { point: p.name.clone(), what, growth, expected_stable, holds });
+        match run_of(&l, w) {
+            Ok(growth) => {
+                let holds = (growth < 0.0) == expected_stable;
+                out.push(RunCheck { point: p.name.clone(), what, growth, expected_stable, holds });
+            }
+            // A delay that is no whole number of samples cannot be run.
+            Err(e) => failed.push(format!("{}: {what}: no run ({e})", p.name)),
         }
         Ok(())
     };
     if t.loops.is_empty() {
-        return Ok(Vec::new());
+        return Ok((Vec::new(), Vec::new()));
     }
     for (i, (m, l)) in t.loops.iter().zip(&job.loops).enumerate() {
         let (Some(gain), Some(w)) = (m.gain_up, m.gain_up_rad_s) else { continue };
@@ -304,7 +318,7 @@ fn checks(
         let Some(d) = d.as_ref().filter(|_| job.loops.len() > 1 || place == Place::Outputs) else { continue };
         disk_runs(p, d, place, name, &mut look).map_err(refused)?;
     }
-    Ok(out)
+    Ok((out, failed))
 }
 
 type Look<'a> = dyn FnMut(String, System, f64, bool) -> Result<(), ControlError> + 'a;

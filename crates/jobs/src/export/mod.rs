@@ -189,6 +189,10 @@ fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobErro
     if !source.is_dir() {
         return Ok(vec![of_file(source, spec)?]);
     }
+    let controller = source.join("controller.json");
+    if controller.is_file() {
+        return Ok(vec![of_file(&controller, spec)?]);
+    }
     let mut found: Vec<PathBuf> = Vec::new();
     let steps = source.join("steps");
     let entries = |f: &Path| std::fs::read_dir(f).into_iter().flatten().flatten().map(|e| e.path());
@@ -201,8 +205,8 @@ fn packages(source: &Path, spec: &ExportSpec) -> Result<Vec<Made>, ExportJobErro
         found.retain(|p| is_map(p));
     }
     if found.is_empty() {
-        let reason = "found no map and no model in its steps: expected a finished run of `dynocal calibrate` or \
-                      `dynocal identify`, or a file";
+        let reason = "found no map and no model in its steps and no controller: expected a finished run of `dynocal \
+                      calibrate`, `dynocal identify` or `dynocal control` (sampled loops without a decoupler), or a file";
         return Err(ExportJobError::source(source, reason));
     }
     found.iter().map(|p| of_file(p, spec)).collect()
