@@ -367,19 +367,21 @@ impl EngineBed {
         let flow_g_s = y.air_g_s + y.fuel_kg_h / 3.6;
         if let (Some(settings), Some(c)) = (&o.engine.catalyst, &mut s.catalyst) {
             let gas = &self.engine.params().gas;
+            let (unburned_j_g, heat_j_g_o2) = match self.engine.params().emissions {
+                Some(_) => super::catalyst::Feed::unburned_of(y.co_pct, y.hc_ppm),
+                None => super::catalyst::Feed::unburned_share(
+                    1e-3 * gas.lhv_j_kg,
+                    y.lambda_interval,
+                    gas.afr_stoich,
+                ),
+            };
             let feed = super::catalyst::Feed {
                 gas_g: flow_g_s * h_s,
                 gas_k: y.exhaust_k,
                 lambda: y.lambda_interval,
                 afr: gas.afr_stoich,
-                unburned_j_g: match self.engine.params().emissions {
-                    Some(_) => super::catalyst::Feed::unburned_of(y.co_pct, y.hc_ppm),
-                    None => super::catalyst::Feed::unburned_share(
-                        1e-3 * gas.lhv_j_kg,
-                        y.lambda_interval,
-                        gas.afr_stoich,
-                    ),
-                },
+                unburned_j_g,
+                heat_j_g_o2,
             };
             settings.step(c, &feed, h_s);
         }
