@@ -238,6 +238,13 @@ fn a_transient_from_a_file_on_a_bed() {
     write("bad.csv", "time_s,speed [rpm]\n0,2000\n1,9000\n");
     let (code, _, stderr) = engine(tmp.path(), &["transient", "bad.csv"]);
     assert!(code == 2 && stderr.contains("9000") && stderr.contains("speed"), "{stderr}");
+    write("bad.csv", "time_s,inj [mg]\n0,900\n1,20\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "bad.csv"]);
+    assert!(code == 2 && stderr.contains("bad.csv: line 2: inj = 900 mg"), "{stderr}");
+    write("bad.csv", "time_s,throttle [deg],throttle_deg\n0,16,20\n1,16,20\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "bad.csv"]);
+    assert!(code == 2 && stderr.contains("`throttle` and `throttle_deg` are both"), "{stderr}");
+    write("bad.csv", "time_s,speed [rpm]\n0,2000\n1,9000\n");
     write("soft.toml", "saturate = true\n");
     let (code, stdout, _) = engine(tmp.path(), &["transient", "bad.csv", "--bed", "soft.toml"]);
     assert!(code == 0 && stdout.contains("speed saturated"), "{stdout}");
@@ -324,4 +331,85 @@ fn what_an_engine_lacks_is_absent() {
         let (code, _, stderr) = engine(tmp.path(), &known);
         assert_eq!(code, 0, "{stderr}");
     }
+}
+
+/// What nothing computes or moves, and what stands there twice, is refused with its key.
+#[test]
+fn beds_that_promise_what_is_not_there_are_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap()
+    };
+    write("u.csv", "time_s,throttle_deg\n0,16\n1,16\n");
+    let limit = |what: &str, action: &str| {
+        format!("[[limits]]\nwhat = \"{what}\"\nmax = 2000.0\naction = \"{action}\"\n")
+    };
+    for (bed, part) in [
+        ("outputs = [\"conversion\"]\n".to_owned(), "`engine.catalyst`"),
+        ("outputs = [\"oil\"]\n".to_owned(), "`engine.warm_up`"),
+        (limit("coolant", "report"), "`engine.warm_up`"),
+        (limit("pmax", "open_wastegate"), "turbocharger"),
+        ("outputs = [\"pmax\", \"pmax\"]\n".to_owned(), "every name once"),
+        ("outputs = [\"map\"]\n".to_owned(), "always there"),
+        ("inputs = [\"wiebe_m\", \"wiebe_m\"]\n".to_owned(), "every name once"),
+    ] {
+        write("bed.toml", &bed);
+        let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "bed.toml"]);
+        assert!(code == 2 && stderr.contains(part), "{bed}: {stderr}");
+    }
+}
+
+/// A cut that lasts is shown with its length: the throttle stays where the limit is passed as soon as fuel is back.
+#[test]
+fn a_trip_is_shown_until_it_ends() {
+    let tmp = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        dynocal_files::atomic::write(&tmp.path().join(name), text.as_bytes()).unwrap()
+    };
+    // Intake pressure does not fall without fuel: this trip ends with the throttle.
+    write("u.csv", "time_s,throttle_deg\n0,16\n1,40\n6,10\n8,10\n");
+    write("bed.toml", "[[limits]]\nwhat = \"map\"\nmax = 70.0\naction = \"retard_spark\"\n");
+    let (code, stdout, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "bed.toml"]);
+    assert_eq!(code, 0, "{stderr}");
+    let line = stdout.lines().find(|l| l.contains("map trip")).unwrap();
+    let numbers: Vec<f64> = line.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+    assert!(numbers[0] < 2.0 && numbers[1] > 6.4 && numbers[1] < 7.5 && numbers[2] == 1.0, "{line}");
+}
+
+/// No power, no consumption per power; torques below zero can be asked of a map, and not of full load.
+#[test]
+fn consumption_of_no_power_is_no_number() {
+    let tmp = tempfile::tempdir().unwrap();
+    let (code, stdout, stderr) = engine(tmp.path(), &["point", "--torque-nm", "0"]);
+    let bsfc = stdout.lines().find(|l| l.starts_with("bsfc")).unwrap();
+    assert!(code == 0 && bsfc.split_whitespace().nth(1) == Some("-"), "{stdout} {stderr}");
+    let args = ["map", "--speed-rpm", "2000", "2000", "1", "--torque-nm", "-5", "40", "2", "--csv", "m.csv"];
+    let (code, _, stderr) = engine(tmp.path(), &args);
+    assert_eq!(code, 0, "{stderr}");
+    let table = std::fs::read_to_string(tmp.path().join("m.csv")).unwrap();
+    let mut lines = table.lines();
+    let column = lines.next().unwrap().split(',').position(|c| c.starts_with("bsfc")).unwrap();
+    let bsfc: Vec<f64> =
+        lines.map(|l| l.split(',').nth(column).unwrap().parse().unwrap_or(f64::NAN)).collect();
+    assert!(bsfc[0].is_nan() && bsfc[1] > 200.0 && bsfc[1] < 1000.0, "{bsfc:?}");
+    let (code, _, stderr) = engine(tmp.path(), &["full-load", "--torque-nm", "-50"]);
+    assert!(code == 2 && stderr.contains("-50") && stderr.contains("more than 0 Nm"), "{stderr}");
+}
+
+/// A point that a map would not hold says so.
+#[test]
+fn a_point_past_a_limit_says_so() {
+    let tmp = tempfile::tempdir().unwrap();
+    let at = |args: &[&str]| {
+        let (code, stdout, stderr) =
+            engine(tmp.path(), &[&["point", "--parameters", "gtdi_2l"], args].concat());
+        assert_eq!(code, 0, "{stderr}");
+        (stdout, stderr)
+    };
+    let (stdout, stderr) = at(&["--speed-rpm", "6400", "--torque-nm", "140"]);
+    assert!(value(&stdout, "egt") > 949.85 && stderr.contains("exhaust temperature"), "{stdout} {stderr}");
+    let (_, stderr) = at(&["--torque-nm", "250", "--spark-deg", "25"]);
+    assert!(stderr.contains("warning") && stderr.contains("knock 2"), "{stderr}");
+    let (_, stderr) = at(&["--torque-nm", "60"]);
+    assert!(!stderr.contains("warning"), "{stderr}");
 }

@@ -129,4 +129,9 @@ fn a_map_that_cannot_be_read_is_refused_with_its_reason() {
     assert!(wild.to_string().contains("torque in Nm"), "{wild}");
     let cold = refused(&format!("{head},T_before_throttle [K]"), "2000,60,1,50,31", 40);
     assert!(cold.to_string().contains("is the column in degC?"), "{cold}");
+    let turned = refused(&format!("{head},intake_cam [deg],exhaust_cam [deg]"), "2000,60,1,50,999,250", 40);
+    assert!(turned.to_string().contains("map.csv: line 2: intake_cam in deg 999"), "{turned}");
+    // A folder in which nothing was fitted stays as it was.
+    let out = tmp.path().join("run");
+    assert!(store::fit(&engine, &spec, &out, Watch::silent()).is_err() && !out.exists());
 }

@@ -74,7 +74,8 @@ impl VirtualEngine {
                         exhaust_k: s.t_k[EXHAUST],
                         residual: m.residual,
                     };
-                    m.last.emissions = model.cycle(table, &m.end_gas, m.lambda, m.stable, &hidden);
+                    let mixture = (m.lambda, self.params.gas.afr_stoich);
+                    m.last.emissions = model.cycle(table, &m.end_gas, mixture, m.stable, &hidden);
                 }
                 m.end_gas.t_k = 0.0;
                 m.running_peak_pa = 0.0;

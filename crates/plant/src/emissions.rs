@@ -121,19 +121,19 @@ pub struct EngineOut {
 }
 
 impl EmissionsModel {
-    /// Of a charge of `lambda` of which the share `stable` burns, whose burned zone ended as `zone`.
+    /// Of a charge of `lambda` of which the share `stable` burns, whose burned zone ended as `zone`; `afr` is stoichiometric air over fuel.
     pub fn cycle(
         &self,
         table: &BurnedTable,
         zone: &EndGas,
-        lambda: f64,
+        (lambda, afr): (f64, f64),
         stable: f64,
         hidden: &Hidden,
     ) -> EngineOut {
         let [co, _, _] = table.frozen(lambda);
         // Moles of exhaust per mole of fuel, from the mass; carbon per mole of exhaust.
         let fuel_kg = FUEL.0 * 12.011e-3 + FUEL.1 * 1.008e-3;
-        let moles = fuel_kg * (1.0 + 14.7 * lambda) / AIR_KG_MOL;
+        let moles = fuel_kg * (1.0 + afr * lambda) / AIR_KG_MOL;
         // Without fuel lambda stands at its end.
         let carbon = if lambda < AIR_ALONE { FUEL.0 / moles } else { 0.0 };
         let survived = self.hydrocarbons.map_or(self.crevice_share, |h| h.share(hidden, lambda));

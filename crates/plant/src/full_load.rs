@@ -89,6 +89,8 @@ pub enum Barrier {
     Spark,
     /// Mixture at its richest, exhaust temperature at its limit.
     Mixture,
+    /// Exhaust temperature at its limit, and a richer mixture does not cool it.
+    Heat,
     /// Nothing: the time allowed was too short.
     Time,
 }
@@ -106,6 +108,9 @@ impl Barrier {
             Self::Injection => "the injection stands at the end of its range",
             Self::Spark => "the spark stands at the end of its range",
             Self::Mixture => "the mixture stands at its richest and the exhaust at its limit of temperature",
+            Self::Heat => {
+                "the exhaust stands at its limit of temperature and richer mixture does not cool it"
+            }
             Self::Time => "nothing stands at its limit, the time allowed was too short",
         }
     }
@@ -139,13 +144,27 @@ impl LoadPoint {
     /// Limits that are passed all the same, because what keeps them stands at its end, in words; none where all are kept, to what the
     /// controller leaves: 10 K, 3 kPa, 5 % of knock, 3 % of the others.
     pub fn passed(&self) -> Option<String> {
-        let (y, l) = (&self.outputs, &self.request.limits);
+        self.request.limits.passed(&self.outputs, 1.0)
+    }
+}
+
+impl LoadLimits {
+    /// Limits that outputs pass, in words; none where all are kept. `leave` is the share of what a controller leaves
+    /// ([`LoadPoint::passed`]) that counts as kept: 0 where none has held the point.
+    pub fn passed(&self, y: &Outputs, leave: f64) -> Option<String> {
+        let l = self;
         let all = [
-            ("knock", y.knock, l.knock, 1.05 * l.knock, "-"),
-            ("exhaust temperature", y.egt_k - 273.15, l.egt_k - 273.15, l.egt_k - 263.15, "degC"),
-            ("peak pressure", y.pmax_bar, l.pmax_bar, 1.03 * l.pmax_bar, "bar"),
-            ("intake pressure", y.map_kpa, l.map_kpa, l.map_kpa + 3.0, "kPa"),
-            ("turbocharger", y.turbo_rpm, l.turbo_rpm, 1.03 * l.turbo_rpm, "rpm"),
+            ("knock", y.knock, l.knock, (1.0 + 0.05 * leave) * l.knock, "-"),
+            (
+                "exhaust temperature",
+                y.egt_k - 273.15,
+                l.egt_k - 273.15,
+                l.egt_k - 273.15 + 10.0 * leave,
+                "degC",
+            ),
+            ("peak pressure", y.pmax_bar, l.pmax_bar, (1.0 + 0.03 * leave) * l.pmax_bar, "bar"),
+            ("intake pressure", y.map_kpa, l.map_kpa, l.map_kpa + 3.0 * leave, "kPa"),
+            ("turbocharger", y.turbo_rpm, l.turbo_rpm, (1.0 + 0.03 * leave) * l.turbo_rpm, "rpm"),
         ];
         let beyond = all.iter().filter(|(_, found, _, most, _)| found > most);
         let words: Vec<String> = beyond
@@ -158,7 +177,9 @@ impl LoadPoint {
     }
 }
 
-/// Cycles that must stand still, and over which the outputs are averaged.
+/// Error of the torque in Nm within which a point counts as reached.
+pub const REACHED_NM: f64 = 1.0;
+/// Cycles that must stand still, and after which a change of mixture has passed the exhaust.
 const STILL: usize = 25;
 /// Widest throttle and wastegate.
 const OPEN_DEG: f64 = 90.0;
@@ -187,6 +208,8 @@ struct Controller {
     /// Whether the load gives way to knock or peak pressure, and to the exhaust's temperature: as long as it does, the spark does not
     /// advance and the mixture does not lean, or both would swing.
     gives_way: (bool, bool),
+    /// Whether richer mixture cools the exhaust; none as long as nothing asked.
+    cools: Option<bool>,
 }
 
 impl Controller {
@@ -272,7 +295,30 @@ impl Controller {
 
     /// A mixture that is asked richer than enrichment may make it stays what it is.
     fn richest(&self) -> f64 {
-        self.request.limits.least_lambda.min(self.request.lambda)
+        match self.cools {
+            Some(false) => self.request.lambda,
+            _ => self.request.limits.least_lambda.min(self.request.lambda),
+        }
+    }
+
+    /// Where the mixture stands at its richest for the first time and the exhaust is too hot all the same: whether that cools it at all. Sets
+    /// whose burned gas does not bind the energy of rich mixture grow hotter by it, and the load would give way for ever. Tried on copies
+    /// of the engine, so that the point itself does not feel it.
+    fn ask_whether_rich_cools(&mut self, engine: &VirtualEngine) -> Result<(), PlantError> {
+        let richest = self.richest();
+        let asks = self.cools.is_none() && self.lambda <= richest && richest < self.request.lambda;
+        if !asks || engine.outputs().egt_k <= self.request.limits.egt_k {
+            return Ok(());
+        }
+        let at = |lambda: f64| -> Result<f64, PlantError> {
+            let mut copy = engine.clone();
+            let injection_mg = (self.u.injection_mg * self.lambda / lambda).clamp(0.0, 120.0);
+            copy.set_inputs(Inputs { injection_mg, ..self.u })?;
+            copy.advance_angle(720.0 * STILL as f64);
+            Ok(copy.outputs().egt_k)
+        };
+        self.cools = Some(at(richest)? < at(self.request.lambda)?);
+        Ok(())
     }
 
     /// The spark places 50 % burned; knock integral and peak pressure bound it.
@@ -344,6 +390,7 @@ fn hold(
         shaft_before: 0.0,
         fixed_spark: spark_deg.is_some(),
         gives_way: (false, false),
+        cools: None,
     };
     engine.set_inputs(u)?;
     let start_s = engine.state().time_s;
@@ -352,6 +399,7 @@ fn hold(
         engine.advance_angle(720.0);
         let y = engine.outputs();
         still = if control.cycle(&p, &y) { still + 1 } else { 0 };
+        control.ask_whether_rich_cools(engine)?;
         let time_s = y.time_s - start_s;
         if still >= STILL || time_s > request.limits.time_s {
             let settled = still >= STILL;
@@ -359,10 +407,10 @@ fn hold(
             // Whole cycles, so that pulsation averages out.
             let average_s = 10.0 * 120.0 / request.speed_rpm;
             let outputs = crate::statics::steady(engine, inputs, 0.0, average_s)?;
-            let reached = (outputs.torque_nm - request.torque_nm).abs() < 1.0;
+            let reached = (outputs.torque_nm - request.torque_nm).abs() < REACHED_NM;
             return Ok(LoadPoint {
                 request,
-                barrier: (!reached).then(|| barrier(&p, &request, control.lambda, &inputs, &outputs)),
+                barrier: (!reached).then(|| barrier(&p, &control, &inputs, &outputs)),
                 inputs,
                 outputs,
                 lambda: control.lambda,
@@ -412,7 +460,8 @@ fn surge_ratio(p: &EngineParams, y: &Outputs) -> Option<f64> {
 }
 
 /// What stands in the way of a torque that is not reached.
-fn barrier(p: &EngineParams, r: &LoadRequest, lambda: f64, u: &Inputs, y: &Outputs) -> Barrier {
+fn barrier(p: &EngineParams, control: &Controller, u: &Inputs, y: &Outputs) -> Barrier {
+    let r = &control.request;
     let open = u.throttle_deg >= OPEN_DEG - 0.01;
     if y.torque_nm > r.torque_nm {
         return if u.throttle_deg <= 0.01 { Barrier::ThrottleClosed } else { Barrier::Time };
@@ -423,8 +472,8 @@ fn barrier(p: &EngineParams, r: &LoadRequest, lambda: f64, u: &Inputs, y: &Outpu
         () if open && surge_ratio(p, y).is_some_and(|s| s <= r.limits.surge_margin + 0.02) => Barrier::Surge,
         () if u.injection_mg >= 119.9 => Barrier::Injection,
         () if u.spark_deg <= LATEST_DEG + 0.1 => Barrier::Spark,
-        () if lambda <= r.limits.least_lambda.min(r.lambda) + 1e-9 && y.egt_k >= r.limits.egt_k - 5.0 => {
-            Barrier::Mixture
+        () if control.lambda <= control.richest() + 1e-9 && y.egt_k >= r.limits.egt_k - 5.0 => {
+            if control.cools == Some(false) { Barrier::Heat } else { Barrier::Mixture }
         }
         () if open && p.turbocharger.is_none() => Barrier::ThrottleOpen,
         () if open && u.wastegate_mm <= 0.05 => Barrier::WastegateClosed,

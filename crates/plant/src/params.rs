@@ -7,7 +7,7 @@ mod check;
 pub mod perturb;
 mod sets;
 
-pub use sets::{PARAMETER_SETS, ParameterSet};
+pub use sets::{LIKE_A_SET, PARAMETER_SETS, ParameterSet};
 
 use crate::cams::CamSchedule;
 use crate::combustion::BurnModel;

@@ -5,7 +5,7 @@ pub mod literature;
 
 use crate::bed::{BedSettings, EngineBed};
 use crate::error::PlantError as EngineError;
-use crate::params::{EngineParams, PARAMETER_SETS};
+use crate::params::{EngineParams, LIKE_A_SET, PARAMETER_SETS};
 use crate::testbed::settings::BedOptions;
 use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_numerics::registry::{MemberDoc, ParamDoc};
@@ -182,7 +182,8 @@ fn check_virtual_engine(spec: &PlantSpec) -> Vec<PlantFault> {
     match parameters(&spec.parameters) {
         Ok(_) => {}
         Err(EngineError::ParameterSet { .. }) => {
-            let known = PARAMETER_SETS.iter().map(|s| s.doc.name.to_string()).collect();
+            let names = PARAMETER_SETS.iter().map(|s| s.doc.name);
+            let known = names.chain(LIKE_A_SET).map(str::to_owned).collect();
             faults.push(PlantFault::unknown("plant.parameters", &spec.parameters, known));
         }
         Err(e) => faults.push(PlantFault::new("plant.parameters", &spec.parameters, e)),

@@ -8,8 +8,9 @@ use crate::params::EngineParams;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Range in which the spark of least fuel is sought \[deg before top dead centre\]; its early end is that of the input.
-const SPARKS_DEG: (f64, f64) = (-5.0, 55.0);
+/// Range in which the spark of least fuel is sought \[deg before top dead centre\]; its early end is that of the input, its late end leaves
+/// the steps of the search inside of the input's.
+pub const SPARKS_DEG: (f64, f64) = (-5.0, 55.0);
 
 /// What a steady point is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -158,7 +159,8 @@ pub fn settle(
     }
 }
 
-/// Spark of least fuel at constant torque and lambda, by two parabolas through three settled points each.
+/// Spark of least fuel at constant torque and lambda, by two parabolas through three settled points each. Where the best spark lies at the
+/// early end of [`SPARKS_DEG`], the parabola stands on points before it: no spark outside the range is tried.
 ///
 /// # Errors
 /// As [`settle`].
@@ -168,12 +170,13 @@ pub fn best_spark(
     guess_deg: f64,
     options: SettleOptions,
 ) -> Result<StaticPoint, PlantError> {
-    let mut centre = guess_deg;
+    let mut centre = guess_deg.clamp(SPARKS_DEG.0, SPARKS_DEG.1);
     let mut width = 4.0;
     for _ in 0..6 {
+        let middle = centre.min(SPARKS_DEG.1 - width);
         let mut fuel = [0.0; 3];
         for (i, f) in fuel.iter_mut().enumerate() {
-            let spark = centre + width * (i as f64 - 1.0);
+            let spark = middle + width * (i as f64 - 1.0);
             let point = settle(engine, target, spark, options)?;
             // The remaining torque error, at about 0.18 mg/Nm, is larger than the fuel differences sought.
             *f = point.inputs.injection_mg + 0.18 * (target.torque_nm - point.outputs.torque_cycle_nm);
@@ -182,8 +185,10 @@ pub fn best_spark(
         let slope = 0.5 * (fuel[2] - fuel[0]);
         let offset = if curvature > 0.0 { -slope / curvature } else { -slope.signum() * 2.0 };
         let before = centre;
-        centre = (centre + width * offset.clamp(-2.0, 2.0)).clamp(SPARKS_DEG.0, SPARKS_DEG.1);
-        if width < 4.0 && offset.abs() < 0.5 {
+        centre = (middle + width * offset.clamp(-2.0, 2.0)).clamp(SPARKS_DEG.0, SPARKS_DEG.1);
+        // At the early end the middle cannot follow: there the search ends where it no longer moves.
+        let at_end = middle < before && (centre - before).abs() < 0.5 * width;
+        if width < 4.0 && (offset.abs() < 0.5 || at_end) {
             break;
         }
         width = if (centre - before).abs() < 4.0 { 3.0 } else { 4.0 };

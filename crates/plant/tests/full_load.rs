@@ -42,3 +42,20 @@ fn a_full_load_that_gives_way_to_heat_rests() {
     assert!(point.settled && point.barrier == Some(Barrier::Mixture), "{point:?}");
     assert!((point.outputs.egt_k - point.request.limits.egt_k).abs() < 3.0, "{point:?}");
 }
+
+/// `thesis` grows hotter by rich mixture: the controller notices and holds the temperature by the load alone.
+#[test]
+fn a_set_that_rich_mixture_does_not_cool_is_not_enriched() {
+    let mut engine = VirtualEngine::new(&EngineParams::thesis()).expect("an engine");
+    let limits = LoadLimits { egt_k: 850.0 + 273.15, ..LoadLimits::default() };
+    let full = LoadRequest { limits, ..request(5000.0, 366.0) };
+    let point = hold_load(&mut engine, full).expect("a point");
+    assert!(point.settled && point.barrier == Some(Barrier::Heat) && point.lambda == 1.0, "{point:?}");
+    assert!((point.outputs.egt_k - limits.egt_k).abs() < 3.0, "{point:?}");
+    // As much torque as the same limit leaves where nothing may be enriched at all.
+    let never = LoadLimits { least_lambda: 1.0, ..limits };
+    let mut engine = VirtualEngine::new(&EngineParams::thesis()).expect("an engine");
+    let lean = hold_load(&mut engine, LoadRequest { limits: never, ..full }).expect("a point");
+    let (a, b) = (point.outputs.torque_nm, lean.outputs.torque_nm);
+    assert!((a - b).abs() < 1.0, "{a} Nm and {b} Nm");
+}

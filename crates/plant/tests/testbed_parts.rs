@@ -365,7 +365,8 @@ fn warm_up_conserves_energy_and_reaches_its_steady_state() {
     assert!(cold > 1.5 && cold < 2.5, "cold friction is about twice the warm: {cold}");
 }
 
-const LEAN: Feed = Feed { gas_g: 0.02, gas_k: 900.0, lambda: 1.05, afr: 14.7, unburned_j_g: 100.0 };
+const LEAN: Feed =
+    Feed { gas_g: 0.02, gas_k: 900.0, lambda: 1.05, afr: 14.7, unburned_j_g: 100.0, heat_j_g_o2: 14e3 };
 
 /// Oxygen in gas of `feed` with the lambda behind the catalyst \[g\].
 fn oxygen_out_g(feed: &Feed, lambda: f64) -> f64 {

@@ -15,7 +15,7 @@ use super::engine_map::{FullLoad, Map};
 use super::engine_transient::Transient;
 use crate::failure::{Exit, Failure};
 use crate::progress::Progress;
-use crate::terminal::print;
+use crate::terminal::{print, say};
 use crate::{interrupt, table};
 
 pub(crate) const VERB: Verb =
@@ -205,6 +205,9 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
         quantities::csv(path, &found.points)?;
     }
     page(files.report.as_deref(), || steady::report(&spec, &engine.set, &found))?;
+    for warning in &found.warnings {
+        say(&format!("warning: {warning}"));
+    }
     Ok(Exit::Done)
 }
 

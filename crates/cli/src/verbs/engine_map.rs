@@ -6,11 +6,13 @@ use clap::Args;
 use dynocal_jobs::engine::load::{self, Grid, Loaded, Spec, What};
 use dynocal_jobs::engine::{Engine, quantities};
 use dynocal_plant::full_load::LoadLimits;
+use dynocal_report::significant;
 
 use super::engine::{page, show};
 use crate::failure::{Exit, Failure, exit};
 use crate::progress::Progress;
-use crate::terminal::say;
+use crate::table;
+use crate::terminal::{print, say};
 
 #[derive(Args, Debug)]
 pub(crate) struct Map {
@@ -18,7 +20,7 @@ pub(crate) struct Map {
     #[arg(long, num_args = 3, value_names = ["FROM", "TO", "N"], default_values_t = [1000.0, 5000.0, 9.0])]
     speed_rpm: Vec<f64>,
     /// First, last torque and number of torques
-    #[arg(long, num_args = 3, value_names = ["FROM", "TO", "N"], default_values_t = [20.0, 100.0, 5.0])]
+    #[arg(long, num_args = 3, value_names = ["FROM", "TO", "N"], default_values_t = [20.0, 100.0, 5.0], allow_negative_numbers = true)]
     torque_nm: Vec<f64>,
     #[command(flatten)]
     limits: Limits,
@@ -30,7 +32,7 @@ pub(crate) struct FullLoad {
     #[arg(long, num_args = 3, value_names = ["FROM", "TO", "N"], default_values_t = [1000.0, 5500.0, 10.0])]
     speed_rpm: Vec<f64>,
     /// Torque that is not exceeded
-    #[arg(long, default_value_t = 366.0)]
+    #[arg(long, default_value_t = 366.0, allow_negative_numbers = true)]
     torque_nm: f64,
     #[command(flatten)]
     limits: Limits,
@@ -92,11 +94,25 @@ impl FullLoad {
     }
 }
 
+/// What holds the torque at each speed of full load.
+fn held(found: &Loaded) -> Result<(), Failure> {
+    let rows: Vec<Vec<String>> = found
+        .rows
+        .iter()
+        .flatten()
+        .map(|p| vec![significant(p.request.speed_rpm, 4), load::held_by(p).to_owned()])
+        .collect();
+    Ok(print(&format!("\n{}", table::render(&["speed [rpm]", "held by"], &rows, &[0])))?)
+}
+
 /// Not valid when a point is out of reach or did not come to rest.
 fn finish(engine: &Engine, spec: &Spec, files: &Limits) -> Result<Exit, Failure> {
     let found: Loaded = Progress::new(false).during(|watch| load::run(engine, spec, watch))?;
     let points = found.points();
     show(&points)?;
+    if found.full_load {
+        held(&found)?;
+    }
     if let Some(path) = &files.csv {
         quantities::csv(path, &points)?;
     }

@@ -7,6 +7,7 @@ use dynocal_ident::data::Channel;
 use dynocal_ident::plant::LimitEvent;
 use dynocal_jobs::engine::Engine;
 use dynocal_jobs::engine::transient::{self, Every, Spec, grouped};
+use dynocal_plant::testbed::guard::Trip;
 use dynocal_report::significant;
 
 use super::engine::page;
@@ -56,7 +57,7 @@ impl Transient {
         let found = Progress::new(false).during(|watch| transient::run(engine, &spec, watch))?;
         let rows: Vec<Vec<String>> = found.channels.iter().map(range).collect();
         print(&table::render(&["variable", "unit", "least", "mean", "greatest"], &rows, &[2, 3, 4]))?;
-        print(&events_text(&found.events))?;
+        print(&events_text(&found.events, &found.trips))?;
         if let Some(stop) = &found.stop {
             print(&format!("\nthe plan {stop}\n"))?;
         }
@@ -77,11 +78,11 @@ fn range(c: &Channel) -> Vec<String> {
     vec![c.name.clone(), c.unit.clone(), text(least), text(mean), text(most)]
 }
 
-fn events_text(events: &[LimitEvent]) -> String {
+fn events_text(events: &[LimitEvent], trips: &[Trip]) -> String {
     if events.is_empty() {
         return String::new();
     }
-    let groups = grouped(events);
+    let groups = grouped(events, trips);
     let rows: Vec<Vec<String>> = groups
         .iter()
         .take(SHOWN)

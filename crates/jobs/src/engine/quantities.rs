@@ -1,6 +1,7 @@
 //! What is read at a steady point: the columns of tables, files and pages.
 
 use dynocal_files::csv_io;
+use dynocal_plant::full_load::REACHED_NM;
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::outputs::Outputs;
 use dynocal_plant::params::EngineParams;
@@ -32,7 +33,8 @@ impl Point {
         clear(!has("egr"), &mut [&mut u.egr_mm, &mut y.egr_rate]);
         clear(!has("knock"), &mut [&mut y.knock]);
         clear(!has("no"), &mut [&mut y.no_ppm, &mut y.co_pct, &mut y.hc_ppm]);
-        clear(!y.bsfc_g_kwh.is_finite(), &mut [&mut y.bsfc_g_kwh]);
+        // A torque that cannot be told from none leaves no power that fuel could be related to.
+        clear(y.torque_nm < REACHED_NM, &mut [&mut y.bsfc_g_kwh]);
         p
     }
 }

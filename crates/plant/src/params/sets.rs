@@ -57,6 +57,9 @@ pub static PARAMETER_SETS: &[ParameterSet] = &[
     },
 ];
 
+/// Names that stand for an engine like a set (a set of its own for each seed).
+pub const LIKE_A_SET: [&str; 2] = ["perturbed:SEED", "perturbed:SET:SEED"];
+
 impl EngineParams {
     /// The embedded set of that name, or one like it: `perturbed:SEED`, `perturbed:SET:SEED`.
     ///
@@ -76,7 +79,12 @@ impl EngineParams {
             Some(set) => Self::from_toml(set.text),
             None => Err(PlantError::ParameterSet {
                 found: name.into(),
-                known: PARAMETER_SETS.iter().map(|s| s.doc.name).collect::<Vec<_>>().join(", "),
+                known: PARAMETER_SETS
+                    .iter()
+                    .map(|s| s.doc.name)
+                    .chain(LIKE_A_SET)
+                    .collect::<Vec<_>>()
+                    .join(", "),
             }),
         }
     }

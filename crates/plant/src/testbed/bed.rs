@@ -3,7 +3,7 @@
 use super::bleed::equivalent_angle_deg;
 use super::dynamics::Lag;
 use super::dynamometer::DynoMode;
-use super::guard::{Commands, Found, GuardState};
+use super::guard::{Commands, Found, GuardState, Trip};
 use super::idle::{IdleState, Shaft};
 use super::inputs::{self, EXTRA};
 use super::quantity::{self, QUANTITIES, Readings, STANDARD};
@@ -67,6 +67,9 @@ pub struct EngineBed {
     /// Inputs in force.
     held: Vec<f64>,
     pub(super) events: Vec<LimitEvent>,
+    /// Trips, and for each limit the row of that which lasts.
+    pub(super) trips: Vec<Trip>,
+    tripped: Vec<usize>,
 }
 
 /// How far a step goes.
@@ -130,9 +133,11 @@ impl EngineBed {
             extra,
             outputs,
             sensors,
+            tripped: vec![usize::MAX; limits.len()],
             limits,
             state,
             events: Vec::new(),
+            trips: Vec::new(),
             settings,
         };
         bed.settle()?;
@@ -169,6 +174,17 @@ impl EngineBed {
     /// The engine on the bed (read only: a bed must not be peeked into by a campaign).
     pub fn engine(&self) -> &VirtualEngine {
         &self.engine
+    }
+
+    /// Whether inputs outside their range are held at its end, in place of an error.
+    pub fn saturates(&self) -> bool {
+        self.settings.options.saturate
+    }
+
+    /// Trips since they were last taken, or since the reset, with their lengths: an event tells only that one begins.
+    pub fn take_trips(&mut self) -> Vec<Trip> {
+        self.tripped.fill(usize::MAX);
+        std::mem::take(&mut self.trips)
     }
 
     /// What moves on the bed beside the engine (read only).
@@ -367,19 +383,21 @@ impl EngineBed {
         let flow_g_s = y.air_g_s + y.fuel_kg_h / 3.6;
         if let (Some(settings), Some(c)) = (&o.engine.catalyst, &mut s.catalyst) {
             let gas = &self.engine.params().gas;
+            let (unburned_j_g, heat_j_g_o2) = match self.engine.params().emissions {
+                Some(_) => super::catalyst::Feed::unburned_of(y.co_pct, y.hc_ppm),
+                None => super::catalyst::Feed::unburned_share(
+                    1e-3 * gas.lhv_j_kg,
+                    y.lambda_interval,
+                    gas.afr_stoich,
+                ),
+            };
             let feed = super::catalyst::Feed {
                 gas_g: flow_g_s * h_s,
                 gas_k: y.exhaust_k,
                 lambda: y.lambda_interval,
                 afr: gas.afr_stoich,
-                unburned_j_g: match self.engine.params().emissions {
-                    Some(_) => super::catalyst::Feed::unburned_of(y.co_pct, y.hc_ppm),
-                    None => super::catalyst::Feed::unburned_share(
-                        1e-3 * gas.lhv_j_kg,
-                        y.lambda_interval,
-                        gas.afr_stoich,
-                    ),
-                },
+                unburned_j_g,
+                heat_j_g_o2,
             };
             settings.step(c, &feed, h_s);
         }
@@ -391,7 +409,8 @@ impl EngineBed {
         for ((sensor, settings), &q) in sensors.iter_mut().zip(&self.sensors).zip(&self.outputs) {
             sensor.tick(settings, (QUANTITIES[q].value)(&r), flow_g_s, h_s);
         }
-        for ((guard, limit), &q) in guards.iter_mut().zip(&o.limits).zip(&self.limits) {
+        let limits = guards.iter_mut().zip(&o.limits).zip(&self.limits).zip(&mut self.tripped);
+        for (((guard, limit), &q), tripped) in limits {
             let quantity = &QUANTITIES[q];
             let value = (quantity.value)(&r);
             let known = !quantity.needs_fuel || self.state.fuelled_s >= MIXTURE_S;
@@ -400,7 +419,15 @@ impl EngineBed {
                 let trip = if found == Found::Tripped { " trip" } else { "" };
                 let what = format!("{}{trip}", limit.what);
                 let bound = limit.violated(value).unwrap_or(value);
+                if found == Found::Tripped {
+                    let (from_s, to_s) = (self.state.time_s, self.state.time_s);
+                    *tripped = self.trips.len();
+                    self.trips.push(Trip { what: what.clone(), from_s, to_s });
+                }
                 self.events.push(LimitEvent { time_s: self.state.time_s, what, value, limit: bound });
+            }
+            if let Some(trip) = self.trips.get_mut(*tripped).filter(|_| guard.trip_s > 0.0) {
+                trip.to_s = self.state.time_s;
             }
         }
         self.state.sensors = sensors;

@@ -22,7 +22,12 @@ use serde::{Deserialize, Serialize};
 const OXYGEN: f64 = 0.232;
 /// Heat capacity of exhaust gas \[J/g/K\].
 const CP_J_G_K: f64 = 1.15;
-/// Heat of combustion per mass of oxygen \[J/g\]: within a tenth for CO, H2 and hydrocarbons.
+/// Heat of combustion \[kJ/mol\] and oxygen (O2) that it takes \[mol/mol\]: CO, H2, and one carbon of gasoline (CH1.87). Per gram of oxygen
+/// that is 17.7, 15.1 and 12.8 kJ: which of them lack it is what rich gas can heat.
+const CO: (f64, f64) = (283.0, 0.5);
+const H2: (f64, f64) = (242.0, 0.5);
+const HC: (f64, f64) = (600.0, 1.47);
+/// Heat of combustion per mass of oxygen \[J/g\] where nothing tells one from another.
 const HEAT_J_G_O2: f64 = 14e3;
 /// Cells along the brick.
 pub const CELLS: usize = 10;
@@ -121,20 +126,33 @@ pub struct Feed {
     pub afr: f64,
     /// Heat of combustion of the unburned gas (CO, H2, HC) over the mass of all gas \[J/g\].
     pub unburned_j_g: f64,
+    /// The same over the mass of the oxygen that burning it takes \[J/g\].
+    pub heat_j_g_o2: f64,
 }
 
 impl Feed {
-    /// Heat of combustion \[J/g\] of exhaust with carbon monoxide \[%\] (and a third of it hydrogen) and unburned
-    /// fuel \[ppm C1\].
-    pub fn unburned_of(co_pct: f64, hc_ppm: f64) -> f64 {
-        // kJ/mol: CO 283, H2 242, one carbon of gasoline 600; 28.8 g/mol of exhaust.
-        1e3 * (1e-2 * co_pct * (283.0 + 242.0 / 3.0) + 1e-6 * hc_ppm * 600.0) / 28.8
+    /// Heat of combustion of exhaust with carbon monoxide \[%\] (and a third of it hydrogen) and unburned fuel \[ppm C1\], over the mass of
+    /// the gas and over that of the oxygen it takes \[J/g\].
+    ///
+    /// ```
+    /// use dynocal_plant::testbed::catalyst::Feed;
+    /// let (of_co, of_hc) = (Feed::unburned_of(1.0, 0.0).1, Feed::unburned_of(0.0, 1000.0).1);
+    /// // Three CO and one H2: (3 283 + 242) kJ over 2 mol of oxygen.
+    /// assert!((of_co - 1091e3 / 64.0).abs() < 1.0 && (of_hc / 12.8e3 - 1.0).abs() < 0.01);
+    /// ```
+    pub fn unburned_of(co_pct: f64, hc_ppm: f64) -> (f64, f64) {
+        let (co, hc) = (1e-2 * co_pct, 1e-6 * hc_ppm);
+        let heat_kj = co * (CO.0 + H2.0 / 3.0) + hc * HC.0;
+        let oxygen_g = 32.0 * (co * (CO.1 + H2.1 / 3.0) + hc * HC.1);
+        // 28.8 g/mol of exhaust.
+        (1e3 * heat_kj / 28.8, if oxygen_g > 0.0 { 1e3 * heat_kj / oxygen_g } else { HEAT_J_G_O2 })
     }
 
     /// The same where the engine has no emissions: 3 % of what the fuel of `lhv_j_g` could give (class of a warm engine at
     /// lambda 1); without fuel nothing.
-    pub fn unburned_share(lhv_j_g: f64, lambda: f64, afr: f64) -> f64 {
-        if lambda < AIR_ALONE { 0.03 * lhv_j_g / (1.0 + lambda * afr) } else { 0.0 }
+    pub fn unburned_share(lhv_j_g: f64, lambda: f64, afr: f64) -> (f64, f64) {
+        let heat = if lambda < AIR_ALONE { 0.03 * lhv_j_g / (1.0 + lambda * afr) } else { 0.0 };
+        (heat, HEAT_J_G_O2)
     }
 }
 
@@ -190,7 +208,7 @@ impl CatalystSettings {
         let mut excess = Self::excess_oxygen_g(&feed);
         let unburned_j = gas_g * feed.unburned_j_g.max(0.0);
         // Balance of elements: at lambda 1 there is just the oxygen that the unburned gas needs, rich there is less.
-        let burnable_j = (unburned_j + HEAT_J_G_O2 * excess.min(0.0)).max(0.0);
+        let burnable_j = (unburned_j + feed.heat_j_g_o2 * excess.min(0.0)).max(0.0);
         let mut left_j = burnable_j;
         let cells = CELLS as f64;
         let warm = if mcp > 0.0 { -(-self.gas_brick_w_k * h_s / (cells * mcp)).exp_m1() } else { 0.0 };

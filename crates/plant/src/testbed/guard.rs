@@ -104,6 +104,17 @@ pub enum Found {
     Tripped,
 }
 
+/// A trip of a limit, from the event that tells of it until fuel returns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Trip {
+    /// As in the event.
+    pub what: String,
+    /// Time of the event \[s\].
+    pub from_s: f64,
+    /// Last time at which it lasted \[s\].
+    pub to_s: f64,
+}
+
 /// Time inside after which a trip ends \[s\].
 pub const HOLD_S: f64 = 0.5;
 

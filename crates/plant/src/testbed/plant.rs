@@ -17,6 +17,7 @@ impl Plant for EngineBed {
         self.state.seed = seed;
         self.apply_deviations();
         self.events.clear();
+        self.take_trips();
     }
 
     fn step(&mut self, inputs: &[f64], dt_s: f64, outputs: &mut [f64]) -> Result<(), PlantError> {

@@ -156,10 +156,19 @@ impl BedOptions {
         }
     }
 
-    /// Options by the name of the parameter set: real for the physical engines, ideal for `thesis`.
+    /// Options by the name of the parameter set: real for the physical engines, ideal for `thesis` and sets from files.
     pub fn of_set(name: &str) -> Self {
+        Self::own_real(name).unwrap_or_default()
+    }
+
+    /// The real bed of a parameter set: its own where it has one, otherwise [`Self::real`].
+    pub fn real_of_set(name: &str) -> Self {
+        Self::own_real(name).unwrap_or_else(Self::real)
+    }
+
+    fn own_real(name: &str) -> Option<Self> {
         let set = crate::params::perturb::parse(name).map_or(name, |p| p.0);
-        match set {
+        let bed = match set {
             "gtdi_2l" | "twin_2l" => Self::real(),
             "other_1_8l" => {
                 let mut bed = Self::real();
@@ -174,8 +183,9 @@ impl BedOptions {
                 bed
             }
             "pfi_1_6l" => Self { air_bleed: Some(BleedSettings::default()), ..Self::real() },
-            _ => Self::default(),
-        }
+            _ => return None,
+        };
+        Some(bed)
     }
 
     /// White noise of the sensors, that of torque and lambda together with what the bed adds to them: output and standard
@@ -249,6 +259,14 @@ impl BedOptions {
         }
         for name in &self.outputs {
             known("bed.outputs", name)?;
+            if quantity::find(name).is_some_and(|row| row < quantity::STANDARD) {
+                return Err(twice("bed.outputs", name, "no standard output: they are always there"));
+            }
+        }
+        for (key, names) in [("bed.inputs", &self.inputs), ("bed.outputs", &self.outputs)] {
+            if let Some((_, name)) = names.iter().enumerate().find(|(k, n)| names[..*k].contains(n)) {
+                return Err(twice(key, name, "every name once"));
+            }
         }
         for l in &self.limits {
             known("bed.limits", &l.what)?;
@@ -278,13 +296,41 @@ impl BedOptions {
     pub(super) fn check_engine(&self, set: &str, params: &EngineParams) -> Result<(), PlantError> {
         let limits = self.limits.iter().map(|l| ("bed.limits", l.what.as_str()));
         let outputs = self.outputs.iter().map(|n| ("bed.outputs", n.as_str()));
-        match limits.chain(outputs).find_map(|(key, name)| Some((key, name, params.lacks(name)?))) {
+        // A wastegate that nothing drives stands open, and opening it keeps no limit.
+        let opens = |l: &&LimitSettings| l.action == Action::OpenWastegate;
+        let actions = self.limits.iter().filter(opens).map(|_| ("bed.limits", "wastegate"));
+        let lacked = limits.chain(outputs).chain(actions).find_map(|(key, name)| {
+            Some((key, name, params.lacks(name).map(|l| format!("`{set}` has no {l}"))?))
+        });
+        let lacked = lacked.or_else(|| {
+            let limits = self.limits.iter().map(|l| ("bed.limits", l.what.as_str()));
+            let outputs = self.outputs.iter().map(|n| ("bed.outputs", n.as_str()));
+            limits
+                .chain(outputs)
+                .find_map(|(key, name)| Some((key, name, self.lacks(name, params)?.to_owned())))
+        });
+        match lacked {
             None => Ok(()),
             Some((key, name, lacked)) => Err(PlantError::Bed {
                 key: key.into(),
                 found: format!("`{name}`"),
-                expected: format!("what the engine has: `{set}` has no {lacked}"),
+                expected: format!("what the engine has: {lacked}"),
             }),
+        }
+    }
+
+    /// What a quantity needs of the bed and this one lacks; none where it is computed. Walls at one temperature are constants that the engine
+    /// feels, and gas behind a catalyst that is not there is that before it: these can be read.
+    fn lacks(&self, name: &str, params: &EngineParams) -> Option<&'static str> {
+        match name {
+            "coolant" | "oil" if self.engine.warm_up.is_none() => Some("this bed has no `engine.warm_up`"),
+            "wall" if self.engine.warm_up.is_none() && params.heat.coolant.is_some() => {
+                Some("this bed has no `engine.warm_up`")
+            }
+            "conversion" | "oxygen" if self.engine.catalyst.is_none() => {
+                Some("this bed has no `engine.catalyst`")
+            }
+            _ => None,
         }
     }
 }
@@ -363,6 +409,10 @@ fn known(key: &str, name: &str) -> Result<(), PlantError> {
     }
     let names: Vec<&str> = quantity::quantities().map(|q| q.0).collect();
     Err(unknown(key, name, &names))
+}
+
+fn twice(key: &str, name: &str, expected: &str) -> PlantError {
+    PlantError::Bed { key: key.to_owned(), found: format!("`{name}`"), expected: expected.to_owned() }
 }
 
 fn unknown(key: &str, name: &str, names: &[&str]) -> PlantError {

@@ -6,8 +6,8 @@ use toml::{Table, Value};
 
 impl BedOptions {
     /// The options of parameter set `set` with what `given` says otherwise. Tables merge key by key; `false` in place of
-    /// a table switches that part off, and `real = true` or `real = false` chooses between the real and the ideal bed
-    /// as what the rest is laid over.
+    /// a table switches that part off, and `real = true` or `real = false` chooses between the real bed (that of the set, where
+    /// it has one) and the ideal one as what the rest is laid over.
     ///
     /// # Errors
     /// [`PlantError::Bed`] for unknown keys, wrong types, and values out of range.
@@ -17,13 +17,16 @@ impl BedOptions {
     /// let table: toml::Table = toml::from_str("[dynamometer]\nmode = \"load\"").unwrap();
     /// let o = BedOptions::from_table("thesis", &table)?;
     /// assert_ne!(o.dynamometer.mode, BedOptions::default().dynamometer.mode);
+    /// let real: toml::Table = toml::from_str("real = true").unwrap();
+    /// assert_eq!(BedOptions::from_table("pfi_1_6l", &real)?, BedOptions::of_set("pfi_1_6l"));
+    /// assert_eq!(BedOptions::from_table("thesis", &real)?, BedOptions::real());
     /// # Ok::<(), dynocal_plant::error::PlantError>(())
     /// ```
     pub fn from_table(set: &str, given: &Table) -> Result<Self, PlantError> {
         let mut given = given.clone();
         let base = match given.remove("real") {
             None => Self::of_set(set),
-            Some(Value::Boolean(true)) => Self::real(),
+            Some(Value::Boolean(true)) => Self::real_of_set(set),
             Some(Value::Boolean(false)) => Self::default(),
             Some(other) => return Err(refused("bed.real", &other, "true or false")),
         };

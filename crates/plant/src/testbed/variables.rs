@@ -3,7 +3,7 @@
 use super::dynamometer::DynoMode;
 use super::inputs::EXTRA;
 use super::quantity::QUANTITIES;
-use super::start::BedSettings;
+use super::start::{BedSettings, LAMBDAS};
 use dynocal_ident::plant::{Causality, Variable};
 
 /// Inputs, then outputs with the values that they start from.
@@ -26,7 +26,7 @@ pub(crate) fn variables(
     let limit = o.dynamometer.torque_limit_nm;
     let mut all = vec![
         match o.loops.lambda {
-            true => input("lambda_demand", "-", (0.6, 1.6), values[1]),
+            true => input("lambda_demand", "-", LAMBDAS, values[1]),
             false => input("inj", "mg", (0.0, 120.0), u.injection_mg),
         },
         input("spark", "deg", (-10.0, 55.0), u.spark_deg),

@@ -90,12 +90,14 @@ fn cold_start(params: &EngineParams, later_deg: f64) -> Result<ColdStart, PlantE
         let now = e.state().ledger;
         thermal.step(&mut walls, now.cylinder_heat_j - before.cylinder_heat_j, friction_j, h_s);
         thermal.manifold(&mut walls, &e, now.exhaust_heat_j - before.exhaust_heat_j, h_s);
+        let (unburned_j_g, heat_j_g_o2) = Feed::unburned_of(y.co_pct, y.hc_ppm);
         let feed = Feed {
             gas_g: (y.air_g_s + y.fuel_kg_h / 3.6) * h_s,
             gas_k: y.egt_k,
             lambda: y.lambda_interval,
             afr: params.gas.afr_stoich,
-            unburned_j_g: Feed::unburned_of(y.co_pct, y.hc_ppm),
+            unburned_j_g,
+            heat_j_g_o2,
         };
         catalyst.step(&mut brick, &feed, h_s);
         if t_s < IDLE_S {

@@ -124,7 +124,7 @@ fn stands(
         Barrier::ThrottleClosed => Ok(u.throttle_deg <= 0.01),
         Barrier::Injection => Ok(u.injection_mg >= 119.9),
         Barrier::Spark => Ok(u.spark_deg <= -9.9),
-        Barrier::Mixture => frees(LoadLimits { egt_k: limits.egt_k + 30.0, ..limits }),
+        Barrier::Mixture | Barrier::Heat => frees(LoadLimits { egt_k: limits.egt_k + 30.0, ..limits }),
         Barrier::Time => Ok(false),
     }
 }

@@ -30,7 +30,7 @@ pub fn report(found: &FitResult) -> Report {
 fn check(s: &Score) -> Check {
     let id = format!("fit-{}", s.quantity.replace(' ', "-"));
     Check::new(id, format!("Root mean square error of {} on {} points not fitted", s.quantity, s.points))
-        .asked(format!("at most {} {}", s.asked, s.unit))
+        .asked(format!("at most {}", s.asked))
         .measured(significant(s.judged, 3))
         .unit(s.unit)
         .holds(s.judged <= s.asked)

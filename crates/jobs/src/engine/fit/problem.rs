@@ -33,7 +33,8 @@ pub(super) struct Problem<'a> {
     /// Where each point stood at the last derivatives.
     states: Vec<Option<EngineState>>,
     watch: Watch<'a>,
-    pub(super) evaluations: usize,
+    /// Evaluations so far; the first comes with the derivatives at the start.
+    evaluations: usize,
     pub(super) error: Option<PlantError>,
 }
 
@@ -50,7 +51,7 @@ impl<'a> Problem<'a> {
         };
         let rows = (0..points.len()).flat_map(measured).collect();
         let states = vec![None; points.len()];
-        Self { base: base.clone(), constants, rows, states, watch, evaluations: 0, error: None, points }
+        Self { base: base.clone(), constants, rows, states, watch, evaluations: 1, error: None, points }
     }
 
     /// Number of points that are fitted.

@@ -170,6 +170,9 @@ pub fn read(path: &Path) -> Result<MeasuredMap, EngineJobError> {
 /// 0 degC in K.
 const ZERO_CELSIUS_K: f64 = 273.15;
 
+/// Greatest openings that cams of the engine can have, before and after dead centre \[deg\].
+const MOP_DEG: (f64, f64) = (180.0, 300.0);
+
 /// Values that no point of an engine has.
 fn check(
     file: &str,
@@ -188,6 +191,8 @@ fn check(
             ("ambient pressure in Pa", b.ambient_pa, 5e4, 1.2e5),
             ("ambient temperature in K", b.ambient_k, 230.0, 350.0),
             ("spark in deg", b.spark_deg.unwrap_or(0.0), -10.0, 55.0),
+            ("intake_cam in deg", b.cams_deg.map_or(MOP_DEG.0, |c| c[0]), MOP_DEG.0, MOP_DEG.1),
+            ("exhaust_cam in deg", b.cams_deg.map_or(MOP_DEG.0, |c| c[1]), MOP_DEG.0, MOP_DEG.1),
             ("torque in Nm", m.torque_nm.unwrap_or(0.0), -500.0, 2000.0),
             ("air in kg/s", m.air_kg_s.unwrap_or(0.1), 1e-4, 1.0),
             ("exhaust temperature in K", m.exhaust_k.unwrap_or(900.0), 300.0, 1600.0),

@@ -6,9 +6,13 @@ use dynocal_files::atomic;
 use dynocal_files::run_folder::RunFolder;
 use dynocal_numerics::watch::Watch;
 
+use super::read::read;
 use super::{FitResult, Spec, report, run};
 use crate::engine::{Engine, EngineJobError};
 use crate::kept;
+
+/// What a fit leaves beside its spec and log; the points are a table of one format or the other.
+const RESULTS: [&str; 5] = ["summary.json", "report.html", "fitted.toml", "points.csv", "points.parquet"];
 
 /// Fits and writes `fitted.toml` (a parameter set), the points, the page and the summary.
 ///
@@ -20,8 +24,14 @@ pub fn fit(
     out: &Path,
     watch: Watch,
 ) -> Result<(FitResult, RunFolder), EngineJobError> {
-    // A folder that cannot be written is known before anything is computed.
+    // A map that cannot be read leaves a folder as it was; a folder that cannot be written is known before anything is computed.
+    read(&spec.map)?;
     let folder = RunFolder::open(out, "engine fit", spec)?;
+    // Whatever comes of this fit, what an earlier one has left is no result of it.
+    for name in RESULTS {
+        // What is not there needs no removal.
+        let _ = std::fs::remove_file(folder.path().join(name));
+    }
     let found = run(engine, spec, watch)?;
     if let Some(params) = &found.params {
         atomic::write(&folder.path().join("fitted.toml"), params.to_toml().as_bytes())?;

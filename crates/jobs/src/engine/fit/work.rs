@@ -60,7 +60,7 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<FitResult, Engi
         set: engine.set.clone(),
         constants,
         status: found.status,
-        evaluations: problem.evaluations,
+        evaluations: found.evaluations,
         cost: (first, found.cost / m),
         fitted_points: problem.points(),
         condition,

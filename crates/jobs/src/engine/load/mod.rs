@@ -3,7 +3,7 @@
 mod page;
 mod work;
 
-use dynocal_plant::full_load::{LoadLimits, LoadPoint};
+use dynocal_plant::full_load::{Barrier, LoadLimits, LoadPoint};
 use serde::Serialize;
 
 pub use page::report;
@@ -102,6 +102,11 @@ impl Loaded {
     pub fn valid(&self) -> bool {
         self.warnings.is_empty()
     }
+}
+
+/// What holds the torque of a point, in words.
+pub fn held_by(p: &LoadPoint) -> &'static str {
+    p.barrier.map_or("the torque asked for", Barrier::reason)
 }
 
 fn point(p: &LoadPoint) -> Point {

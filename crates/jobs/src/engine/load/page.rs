@@ -1,9 +1,9 @@
 //! The page of a map or of full load.
 
 use dynocal_plant::full_load::LoadPoint;
-use dynocal_report::{Axis, Block, HeatMap, Report, Section, XyPlot, with_unit};
+use dynocal_report::{Axis, Block, Cell, Column, HeatMap, Report, Section, Table, XyPlot, with_unit};
 
-use super::{Loaded, Spec, What, point};
+use super::{Loaded, Spec, What, held_by, point};
 use crate::engine::quantities::{Quantity, find};
 
 /// What a map shows: title and column.
@@ -36,7 +36,7 @@ pub fn report(spec: &Spec, set: &str, found: &Loaded) -> Report {
 fn map(report: Report, found: &Loaded) -> Report {
     let missed = found.rows.iter().flatten().filter(|p| !p.reached).count();
     let mut section = Section::new("Maps").text(
-        "Cells are empty where the limits do not allow the torque; the line of full load is the torque that was held where more was asked. Spark, boost and mixture as a controller holds them.",
+        "Cells are empty where the limits do not allow the torque, those of BSFC also where there is no brake power; the line of full load is the torque that was held where more was asked. Spark, boost and mixture as a controller holds them.",
     );
     let (mut flat, mut none) = (Vec::new(), Vec::new());
     for (title, name) in MAPS {
@@ -110,5 +110,13 @@ fn full_load(set: &str, found: &Loaded) -> Section {
         let plot = XyPlot::new(q.name, Axis::new("Speed", "rpm"), Axis::new(q.name, q.unit));
         Some(Block::from(plot.line(set, found.speeds_rpm.clone(), y)))
     };
-    CURVES.iter().filter_map(curve).fold(Section::new("Full load"), Section::block)
+    let head = vec![
+        Column::number("Speed", "rpm"),
+        Column::number("Torque", "Nm").digits(4),
+        Column::text("Held by"),
+    ];
+    let held = found.rows.iter().flatten().fold(Table::new(head), |t, p| {
+        t.row(vec![p.request.speed_rpm.into(), p.outputs.torque_nm.into(), Cell::from(held_by(p))])
+    });
+    CURVES.iter().filter_map(curve).fold(Section::new("Full load"), Section::block).block(held)
 }

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use dynocal_numerics::watch::Watch;
-use dynocal_plant::full_load::{LoadPoint, load_map};
+use dynocal_plant::full_load::{Barrier, LoadPoint, load_map};
 use rayon::prelude::*;
 
 use super::{Loaded, Spec, What, point};
@@ -54,9 +54,13 @@ fn finite(spec: &Spec) -> Result<(), EngineJobError> {
         ("--max-pmax-bar", l.pmax_bar),
         ("--max-knock", l.knock),
     ];
-    match all.into_iter().chain(full_load).find(|(_, v)| !v.is_finite()) {
+    if let Some((name, found)) = all.into_iter().chain(full_load).find(|(_, v)| !v.is_finite()) {
+        return Err(EngineJobError::Number { name: name.into(), found, expected: "a number".into() });
+    }
+    match full_load.filter(|(_, v)| *v <= 0.0) {
         Some((name, found)) => {
-            Err(EngineJobError::Number { name: name.into(), found, expected: "a number".into() })
+            let expected = "more than 0 Nm: it bounds the most torque of the engine".into();
+            Err(EngineJobError::Number { name: name.into(), found, expected })
         }
         None => Ok(()),
     }
@@ -69,6 +73,11 @@ fn warning(p: &LoadPoint, full_load: bool) -> Option<String> {
         Some(barrier) if !full_load => {
             let held = p.outputs.torque_nm;
             Some(format!("{n} rpm, {t} Nm is out of reach ({held:.1} Nm were held): {}", barrier.reason()))
+        }
+        // Most torque is asked for, and this is more.
+        Some(Barrier::ThrottleClosed) => {
+            let (held, why) = (p.outputs.torque_nm, Barrier::ThrottleClosed.reason());
+            Some(format!("{n} rpm: {held:.1} Nm were held where {t} Nm were to bound it: {why}"))
         }
         _ if !p.settled => Some(format!("{n} rpm, {t} Nm did not come to rest in {:.0} s", p.time_s)),
         _ => p.passed().map(|limits| {

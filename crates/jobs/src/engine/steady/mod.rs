@@ -126,6 +126,8 @@ impl Input {
 pub struct Steady {
     /// The points, in the order of the sweep.
     pub points: Vec<Point>,
+    /// Limits that a controller would keep and a point at a torque passes, and a best spark that is none.
+    pub warnings: Vec<String>,
     /// First cylinder over one cycle at the last point.
     pub trace: CylinderTrace,
 }

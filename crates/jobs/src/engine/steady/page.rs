@@ -34,6 +34,7 @@ fn sweep(input: Input, points: &[Point]) -> Section {
 pub fn report(spec: &Spec, set: &str, found: &Steady) -> Report {
     let t = &found.trace;
     let mut report = Report::new(title(spec)).subtitle(format!("Virtual engine, parameter set {set}"));
+    report = found.warnings.iter().fold(report, |r, w| r.warning(w.as_str()));
     match (spec, &found.points[..]) {
         (Spec::Sweep { input, .. }, points) => report = report.section(sweep(*input, points)),
         (_, [p]) => report = QUANTITIES.iter().fold(report, |r, q| r.fact(q.title(), q.text(p))),

@@ -6,7 +6,9 @@ use dynocal_plant::error::PlantError;
 use dynocal_plant::full_load::{Barrier, LoadLimits, LoadRequest, hold_load, hold_load_at_spark};
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::outputs::Outputs;
-use dynocal_plant::statics::{SettleOptions, Target, best_spark, settle, spark_guess_deg, steady};
+use dynocal_plant::statics::{
+    SPARKS_DEG, SettleOptions, Target, best_spark, settle, spark_guess_deg, steady,
+};
 use dynocal_plant::trace::CylinderTrace;
 
 use super::{At, MOST_POINTS, Spec, Steady};
@@ -26,8 +28,15 @@ const AT_REST: f64 = 1e-4;
 /// [`EngineJobError`]: inputs out of range, a torque that is not reached, an interruption.
 pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJobError> {
     let mut engine = VirtualEngine::new(&engine.params)?;
+    let mut said = Vec::new();
     let points = match *spec {
-        Spec::Point(at) => vec![settled(&mut engine, at)?],
+        Spec::Point(at) => {
+            let (point, leave) = settled(&mut engine, at)?;
+            if at.torque_nm.is_some() {
+                said = warnings(&at, &point, leave);
+            }
+            vec![point]
+        }
         Spec::Motored { speed_rpm, throttle_deg } => {
             let u = Inputs { speed_rpm, throttle_deg, injection_mg: 0.0, ..Inputs::default() };
             vec![held(&mut engine, u)?]
@@ -40,7 +49,7 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJ
             if let Some(lacked) = engine.params().lacks(input.name()) {
                 return Err(EngineJobError::Lacks { what: input.name(), lacked });
             }
-            let start = settled(&mut engine, at)?.inputs;
+            let start = settled(&mut engine, at)?.0.inputs;
             let mut all = Vec::with_capacity(points);
             for k in 0..points {
                 if watch.interrupted() {
@@ -55,7 +64,7 @@ pub fn run(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Steady, EngineJ
         }
     };
     let points = points.iter().map(|p| p.shown(engine.params())).collect();
-    Ok(Steady { points, trace: CylinderTrace::record(&mut engine, 0)? })
+    Ok(Steady { points, warnings: said, trace: CylinderTrace::record(&mut engine, 0)? })
 }
 
 fn held(engine: &mut VirtualEngine, inputs: Inputs) -> Result<Point, EngineJobError> {
@@ -82,7 +91,8 @@ fn asked(name: &str, found: f64, holds: bool, expected: &str) -> Result<(), Engi
     }
 }
 
-fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> {
+/// A point, and which share of what a controller leaves of its limits may be left: none where no controller has held it.
+fn settled(engine: &mut VirtualEngine, at: At) -> Result<(Point, f64), EngineJobError> {
     let speed_rpm = at.speed_rpm;
     let Some(torque_nm) = at.torque_nm else {
         let d = Inputs::default();
@@ -102,7 +112,7 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
                 return Err(EngineJobError::Lacks { what, lacked });
             }
         }
-        return held(engine, u);
+        return Ok((held(engine, u)?, 0.0));
     };
     asked("torque", torque_nm, torque_nm.is_finite(), "a number of Nm")?;
     asked("lambda", at.lambda, (LAMBDAS.0..=LAMBDAS.1).contains(&at.lambda), "0.5 to 2")?;
@@ -111,19 +121,30 @@ fn settled(engine: &mut VirtualEngine, at: At) -> Result<Point, EngineJobError> 
     let options = SettleOptions { cams: true, ..SettleOptions::default() };
     let point = match at.spark_deg {
         Some(spark) => match settle(engine, target, spark, options) {
-            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target, Some(spark)),
+            Err(PlantError::NotSettled { .. }) => return Ok((with_boost(engine, target, Some(spark))?, 1.0)),
             found => found?,
         },
         None => match best_spark(engine, target, spark_guess_deg(speed_rpm, torque_nm), options) {
-            Err(PlantError::NotSettled { .. }) => return with_boost(engine, target, None),
+            Err(PlantError::NotSettled { .. }) => return Ok((with_boost(engine, target, None)?, 1.0)),
             // The spark of least fuel knocks: later, as far as `map` and `full-load` go.
             Ok(p) if p.outputs.knock > LoadLimits::default().knock => {
-                return with_boost(engine, target, None);
+                return Ok((with_boost(engine, target, None)?, 1.0));
             }
             found => found?,
         },
     };
-    Ok(Point { inputs: point.inputs, outputs: point.outputs })
+    Ok((Point { inputs: point.inputs, outputs: point.outputs }, 0.0))
+}
+
+/// What `map` and `full-load` would not hold at a torque that is held here, and a best spark that is the end of its range.
+fn warnings(at: &At, p: &Point, leave: f64) -> Vec<String> {
+    let passed = LoadLimits::default()
+        .passed(&p.outputs, leave)
+        .map(|l| format!("past what `engine map` holds by spark, mixture and load: {l}"));
+    let early = SPARKS_DEG.1;
+    let at_end = at.spark_deg.is_none() && p.inputs.spark_deg >= early;
+    let end = at_end.then(|| format!("the spark of least fuel stands at the end of its range, {early} deg"));
+    passed.into_iter().chain(end).collect()
 }
 
 /// Lambdas that burn at all.

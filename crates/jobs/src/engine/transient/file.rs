@@ -27,6 +27,36 @@ pub enum DriveFileError {
         /// Inputs of the bed.
         known: String,
     },
+    /// Two columns of the same input.
+    #[error("{file}: columns `{first}` and `{second}` are both `{input}`: expected one")]
+    Twice {
+        /// File.
+        file: String,
+        /// One.
+        first: String,
+        /// The other.
+        second: String,
+        /// Input.
+        input: String,
+    },
+    /// A value outside the range of its input.
+    #[error("{file}: {place}: {column} = {found} {unit}: expected {min} to {max} {unit}")]
+    Range {
+        /// File.
+        file: String,
+        /// Line or row.
+        place: String,
+        /// Column.
+        column: String,
+        /// Value.
+        found: f64,
+        /// Unit of the input.
+        unit: String,
+        /// Its least value.
+        min: f64,
+        /// Its greatest value.
+        max: f64,
+    },
     /// A column in another unit.
     #[error("{file}: column `{column}` is in {found}: expected {expected}")]
     Unit {
@@ -107,6 +137,32 @@ impl Drive {
         let n = self.time_s.len();
         2.0 * self.time_s[n - 1] - self.time_s[n - 2] - self.time_s[0]
     }
+
+    /// Whether every value lies in the range of its input.
+    ///
+    /// # Errors
+    /// [`DriveFileError::Range`] for the first one that does not.
+    pub(super) fn within(&self, data: &Table, inputs: &[Variable]) -> Result<(), DriveFileError> {
+        for row in 0..self.time_s.len() {
+            for (v, column) in inputs.iter().zip(&self.columns) {
+                let Some(found) = column.as_ref().map(|c| c[row]) else { continue };
+                if found < v.min || found > v.max {
+                    let (file, place) = (data.file.clone(), data.place(row));
+                    let (column, unit) = (v.name.clone(), v.unit.clone());
+                    return Err(DriveFileError::Range {
+                        file,
+                        place,
+                        column,
+                        found,
+                        unit,
+                        min: v.min,
+                        max: v.max,
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Column for a name, with or without the unit as a suffix (`speed`, `speed_rpm`).
@@ -134,6 +190,7 @@ pub(super) fn drive(data: &Table, inputs: &[Variable]) -> Result<Drive, EngineJo
         columns: names(&mut data.columns.iter().map(|c| c.name.as_str())),
     })?;
     let mut columns: Vec<Option<Vec<f64>>> = vec![None; inputs.len()];
+    let mut names_of: Vec<Option<&str>> = vec![None; inputs.len()];
     for (i, c) in data.columns.iter().enumerate() {
         let place = inputs.iter().position(|v| v.name == c.name || v.name == stem(&c.name));
         let expected = match place {
@@ -149,6 +206,10 @@ pub(super) fn drive(data: &Table, inputs: &[Variable]) -> Result<Drive, EngineJo
             return Err(DriveFileError::Unit { file: file(), column, found, expected }.into());
         }
         if let Some(k) = place {
+            if let Some(first) = names_of[k].replace(&c.name) {
+                let (first, second, input) = (first.to_owned(), c.name.clone(), inputs[k].name.clone());
+                return Err(DriveFileError::Twice { file: file(), first, second, input }.into());
+            }
             columns[k] = Some(data.numbers(&c.name, 0, data.rows())?.to_vec());
         }
     }

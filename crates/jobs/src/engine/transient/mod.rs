@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use dynocal_ident::data::Channel;
 use dynocal_ident::plant::LimitEvent;
+use dynocal_plant::testbed::guard::Trip;
 use serde::Serialize;
 
 pub use events::{APART_S, EventGroup, grouped};
@@ -63,6 +64,8 @@ pub struct Transient {
     pub channels: Vec<Channel>,
     /// Limits that were touched.
     pub events: Vec<LimitEvent>,
+    /// Trips among them, with their ends.
+    pub trips: Vec<Trip>,
     /// Why a plan ended early.
     pub stop: Option<String>,
     /// Whether the user stopped it.

@@ -28,7 +28,7 @@ pub fn report(spec: &Spec, found: &Transient) -> Report {
     if found.events.is_empty() {
         return report;
     }
-    let groups = grouped(&found.events);
+    let groups = grouped(&found.events, &found.trips);
     let shown = if groups.len() > SHOWN { format!(", the first {SHOWN} are shown") } else { String::new() };
     let said = format!(
         "Limits that were touched: {} events in {} stretches of time{shown}.",

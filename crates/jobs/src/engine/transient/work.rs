@@ -58,6 +58,9 @@ fn driven(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Transient, Engin
     let mut bed = bed(engine, spec, &first)?;
     let inputs = inputs(bed.variables());
     let drive = drive(&data, &inputs)?;
+    if !bed.saturates() {
+        drive.within(&data, &inputs)?;
+    }
     fits(spec, &bed, &inputs, &drive)?;
     bed.reset(spec.seed);
     Ok(record(&mut bed, &drive, spec.every, watch)?)
@@ -108,6 +111,7 @@ fn played(engine: &Engine, spec: &Spec, watch: Watch) -> Result<Transient, Engin
         time_s: (0..found.played).map(|t| t as f64 * plan.sample_time_s).collect(),
         channels: found.record.channels,
         events: found.events,
+        trips: bed.take_trips(),
         stop: found.stop.map(|s| s.to_string()),
         interrupted: watch.interrupted(),
     })
@@ -137,7 +141,7 @@ fn with_line(text: &str, e: &dynocal_plant::error::PlantError) -> String {
     }
 }
 
-/// The bed, settled at the first row of the file where that gives actuators.
+/// The bed, settled at the first row of the file.
 fn bed(
     engine: &Engine,
     spec: &Spec,
@@ -153,20 +157,7 @@ fn bed(
         }
     };
     let set = BedSettings::of_set(&engine.set, &engine.params)?;
-    let mut start = set.start;
-    let fields: [(&str, &mut f64); 4] = [
-        ("inj", &mut start.injection_mg),
-        ("spark", &mut start.spark_deg),
-        ("throttle", &mut start.throttle_deg),
-        ("speed", &mut start.speed_rpm),
-    ];
-    for (name, field) in fields {
-        if let Some(value) = first(name) {
-            *field = value;
-        }
-    }
-    let start = if options.saturate { start.saturated() } else { start };
-    let settings = BedSettings { start, options, ..set };
+    let settings = BedSettings { options, ..set }.at_first(&engine.params, first)?;
     Ok(EngineBed::new(&engine.params, settings)?)
 }
 
@@ -186,6 +177,7 @@ fn record(bed: &mut EngineBed, drive: &Drive, every: Every, watch: Watch) -> Res
         time_s: Vec::new(),
         channels: variables.iter().map(channel).collect(),
         events: Vec::new(),
+        trips: Vec::new(),
         stop: None,
         interrupted: false,
     };
@@ -214,6 +206,7 @@ fn record(bed: &mut EngineBed, drive: &Drive, every: Every, watch: Watch) -> Res
         watch.fraction((bed.time_s() / end_s).min(1.0));
     }
     found.interrupted = watch.interrupted();
+    found.trips = bed.take_trips();
     Ok(found)
 }
 

@@ -217,12 +217,14 @@ impl<'a> Source<'a> {
             self.engine.state().inputs.speed_rpm,
         );
         let afr = self.engine.params().gas.afr_stoich;
+        let (unburned_j_g, heat_j_g_o2) = Feed::unburned_of(y.co_pct, y.hc_ppm);
         let feed = Feed {
             gas_g: y.air_g_s.max(0.0) * STEP_S * (1.0 + 1.0 / (afr * lambda)),
             gas_k: y.exhaust_k,
             lambda,
             afr,
-            unburned_j_g: Feed::unburned_of(y.co_pct, y.hc_ppm),
+            unburned_j_g,
+            heat_j_g_o2,
         };
         let (settings, state) = &mut self.catalyst;
         settings.step(state, &feed, STEP_S);
