@@ -382,9 +382,9 @@ def export(
     extrapolation: str = "clip",
     ts_s: float | None = None,
 ) -> list[Path]:
-    """Writes maps and models in formats of the neighbours (``dynocal.members("exports")``); returns the files.
+    """Writes maps, models and controllers in formats of the neighbours (``dynocal.members("exports")``); returns the files.
 
-    ``source`` is a run of ``calibrate``, ``map`` or ``identify``, one of their files, or a map file.
+    ``source`` is a run of ``calibrate``, ``map``, ``identify`` or ``control``, one of their files, or a map file.
     """
     place = source.folder if isinstance(source, Run) else Path(arguments.path("source", source))
     if not place.exists():
