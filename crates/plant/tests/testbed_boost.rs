@@ -167,3 +167,13 @@ fn a_real_bed_stands_random_inputs_over_the_whole_box_in_every_mode() {
         }
     }
 }
+
+/// A standard output that is named among the others is there once.
+#[test]
+fn a_standard_output_may_be_named() {
+    let outputs = ["egt", "knock"].map(str::to_owned).to_vec();
+    let bed = gtdi(BedOptions { outputs, ..BedOptions::default() });
+    let outputs = bed.variables().iter().filter(|v| v.causality == Causality::Output);
+    let names: Vec<&str> = outputs.map(|v| v.name.as_str()).collect();
+    assert_eq!(names, ["torque", "lambda", "map", "egt", "fuel", "knock"]);
+}

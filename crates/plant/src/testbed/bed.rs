@@ -97,8 +97,9 @@ impl EngineBed {
         deviations.octane = real.octane;
         deviations.fuel_share.iter_mut().for_each(|share| *share *= 1.0 + real.injector_error);
         let extra: Vec<usize> = o.inputs.iter().filter_map(|n| inputs::find(n)).collect();
-        let outputs: Vec<usize> =
-            (0..STANDARD).chain(o.outputs.iter().filter_map(|n| quantity::find(n))).collect();
+        // A standard output that is asked for once more is there already.
+        let beside = o.outputs.iter().filter_map(|n| quantity::find(n)).filter(|q| *q >= STANDARD);
+        let outputs: Vec<usize> = (0..STANDARD).chain(beside).collect();
         let limits: Vec<usize> = o.limits.iter().filter_map(|l| quantity::find(&l.what)).collect();
         let sensors: Vec<SensorSettings> =
             outputs.iter().map(|&q| o.sensors.get(QUANTITIES[q].name).copied().unwrap_or_default()).collect();

@@ -79,7 +79,7 @@ pub struct BedOptions {
     /// Inputs beside the standard four: `intake_cam`, `exhaust_cam`, `wastegate`, `egr`, `wiebe_m`. Cams that are no
     /// inputs follow the schedule of the parameter set, if it has one.
     pub inputs: Vec<String>,
-    /// Quantities to be read beside the five standard outputs.
+    /// Quantities to be read beside the five standard outputs, which may stand here, too.
     pub outputs: Vec<String>,
     /// Dynamometer.
     pub dynamometer: DynoSettings,
@@ -259,9 +259,6 @@ impl BedOptions {
         }
         for name in &self.outputs {
             known("bed.outputs", name)?;
-            if quantity::find(name).is_some_and(|row| row < quantity::STANDARD) {
-                return Err(twice("bed.outputs", name, "no standard output: they are always there"));
-            }
         }
         for (key, names) in [("bed.inputs", &self.inputs), ("bed.outputs", &self.outputs)] {
             if let Some((_, name)) = names.iter().enumerate().find(|(k, n)| names[..*k].contains(n)) {
