@@ -4,6 +4,7 @@
 //! *actuators*, the inputs that may move. Static maps see the present sample only; dynamic maps see the look-ahead that the
 //! filter of the demand buys.
 
+use dynocal_numerics::interval::Interval;
 use serde::{Deserialize, Serialize};
 
 pub mod anchor;
@@ -156,8 +157,9 @@ pub trait FeedforwardMap: Send + Sync {
     }
 
     /// The same map with a leading actuator that may go beyond its rest for a while, as `judge` likes it best, and the dynamics of all
-    /// others chosen anew with it: for plants where nothing has to wait for the leader. None as of [`FeedforwardMap::tuned`], or where no lead pays.
-    fn led(&self, _judge: Judge, _leader: usize) -> Option<structures::StoredMap> {
+    /// others chosen anew with it: for plants where nothing has to wait for the leader. It stays `within` a range on its way, as far as it
+    /// rests there. None as of [`FeedforwardMap::tuned`], or where no lead pays.
+    fn led(&self, _judge: Judge, _leader: usize, _within: Interval) -> Option<structures::StoredMap> {
         None
     }
 

@@ -457,13 +457,18 @@ impl FeedforwardMap for LeadLagMap {
     }
 
     /// From leads of the leading actuator at some lags the best; then lags, powers and leads of all actuators by steps that are halved.
-    fn led(&self, judge: Judge, leader: usize) -> Option<StoredMap> {
+    fn led(&self, judge: Judge, leader: usize, within: Interval) -> Option<StoredMap> {
         let plain = judge(self);
-        let mut best = (plain, self.clone());
+        let mut bounded = self.clone();
+        let rests = Interval::spanning(self.actuators.get(leader)?.base.iter().copied());
+        let port = &mut bounded.ports.actuators[leader];
+        port.lower = port.lower.max(within.lower.min(rests.lower));
+        port.upper = port.upper.min(within.upper.max(rests.upper));
+        let mut best = (plain, bounded.clone());
         for tau_s in LED_S {
             for step in 1..=LEAD_STEPS {
                 let lead = 1.0 + (MOST_LEAD - 1.0) * f64::from(step) / f64::from(LEAD_STEPS);
-                let map = self.with(&[(leader, LagLaw { tau_s, lead, ..LagLaw::NONE })]);
+                let map = bounded.with(&[(leader, LagLaw { tau_s, lead, ..LagLaw::NONE })]);
                 let value = judge(&map);
                 if value < (1.0 - PAYS) * best.0 {
                     best = (value, map);

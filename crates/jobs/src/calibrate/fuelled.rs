@@ -18,6 +18,7 @@ use dynocal_calib::validate::{Scenario, random_points, score};
 use dynocal_files::json;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::Plan;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
@@ -271,6 +272,10 @@ impl<'a, 'c> Fuelled<'a, 'c> {
             speed: problem.demands.len() + given,
             lambda: self.asked.demand.0,
             most: self.asked.range.1,
+            seen_deg: Interval {
+                lower: self.stored.seen.throttle_deg[0],
+                upper: self.stored.seen.throttle_deg[1],
+            },
         })
     }
 

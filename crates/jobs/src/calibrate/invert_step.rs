@@ -148,31 +148,36 @@ pub fn finished(
         tuned.unwrap_or(map)
     };
     let one_lag = judge.tells().then(|| fitted.dynamic.lagged(&cost, leader)).flatten();
-    let dynamic = led(ctx, tuned(fitted.dynamic), models, leader)?;
+    let dynamic = tuned(fitted.dynamic);
     let mut points = at_rest::measured(ctx, folder, &*dynamic)?;
-    let dynamic = at_rest::anchored(dynamic, points.as_mut());
+    let dynamic = led(ctx, at_rest::anchored(dynamic, points.as_mut()), models, leader)?;
     let one_lag = one_lag.map(|m| at_rest::anchored(m, points.clone().as_mut()));
     let rivals = fitted.rivals.into_iter();
     let rivals = rivals.map(|m| at_rest::anchored(tuned(m), points.clone().as_mut())).collect();
     Ok(InvertResult { dynamic, rivals, one_lag, at_rest: points, ..fitted })
 }
 
-/// Where fuel is given by measured states no lambda waits for the throttle: it may go ahead of its rest, so that the manifold is filled
-/// sooner. As the models say, with the injection that the identified manifold makes of it.
+/// Where fuel is given by measured states no lambda waits for the throttle: where it is asked for it goes ahead of its rest, so that the
+/// manifold is filled sooner, within the openings that the identification saw. As the models say, with the injection that the identified
+/// manifold makes of it.
 fn led(
     ctx: &Context,
     map: StoredMap,
     models: &[&StoredModel],
     leader: usize,
 ) -> Result<StoredMap, ChainError> {
+    if !ctx.spec.fuelling.as_ref().is_some_and(|f| f.lead) {
+        return Ok(map);
+    }
     let fuelled = Fuelled::of(ctx)?;
     let Some(fuel) = fuelled.as_ref().and_then(Fuelled::on_model) else { return Ok(map) };
+    let within = fuel.seen_deg;
     let judge = OnModels::new(ctx, models).fuelled(fuel);
     let cost = |map: &dyn FeedforwardMap| match ctx.watch.interrupted() {
         true => f64::INFINITY,
         false => judge.cost(map),
     };
-    Ok(map.led(&cost, leader).unwrap_or(map))
+    Ok(map.led(&cost, leader, within).unwrap_or(map))
 }
 
 fn pairs_of(

@@ -419,6 +419,8 @@ pub struct FuelledSpec {
     pub spec: Option<PathBuf>,
     /// Whether it injects in the records of the excitation, too: lambda then stays near what is demanded.
     pub excite: bool,
+    /// Whether the throttle of the delivered map may go ahead of its rest: sooner there in torque, with larger spikes of lambda.
+    pub lead: bool,
     /// Names of the channels of `file` on the plant; a spec has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Channels>,
@@ -426,6 +428,6 @@ pub struct FuelledSpec {
 
 impl Default for FuelledSpec {
     fn default() -> Self {
-        Self { file: None, spec: None, excite: true, channels: None }
+        Self { file: None, spec: None, excite: true, lead: false, channels: None }
     }
 }

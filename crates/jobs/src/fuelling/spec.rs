@@ -155,7 +155,7 @@ pub enum Source {
         /// Which.
         plant: PlantSpec,
         /// What is driven on it.
-        test: Test,
+        test: Box<Test>,
     },
 }
 
@@ -255,7 +255,7 @@ fn source(t: &Typed, folder: &Path, faults: &mut Faults) -> Option<Source> {
                 );
             }
             let plant = plant.clone().unwrap_or_default();
-            let test = checked(test, &plant, faults);
+            let test = Box::new(checked(test, &plant, faults));
             Some(Source::Plant { plant, test })
         }
         (Some(_), None) => {

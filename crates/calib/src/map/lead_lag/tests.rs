@@ -131,7 +131,8 @@ fn a_leader_goes_ahead_where_its_plant_is_behind() {
         }
     };
     let judge = behind(0.2);
-    let led = start.led(&judge, 1).unwrap();
+    let wide = Interval { lower: -1e3, upper: 1e3 };
+    let led = start.led(&judge, 1, wide).unwrap();
     let (with, without) = (judge(&*led), judge(&start));
     assert!(with < 0.5 * without, "{with} {without}");
     let (drive, plain) = (led.drive(&rows, 0.03), start.drive(&rows, 0.03));
@@ -139,5 +140,10 @@ fn a_leader_goes_ahead_where_its_plant_is_behind() {
     assert!((a[1] - b[1]).abs() < 1e-3 && a[0] == b[0], "{a:?} {b:?}");
     let most = drive.column(1).into_iter().fold(0.0, f64::max);
     assert!(most > 1.2 * b[1], "{most}");
-    assert!(start.led(&behind(0.0), 1).is_none());
+    assert!(start.led(&behind(0.0), 1, wide).is_none());
+    // On its way it stays within a range, but where it rests beyond it.
+    let narrow = start.led(&judge, 1, Interval { lower: 3.0, upper: 15.0 }).unwrap();
+    let way = narrow.drive(&rows, 0.03).column(1);
+    let most = way.iter().copied().fold(0.0, f64::max);
+    assert!((most - 0.2 * 90.0).abs() < 1e-9, "{most}: the tables rest at 18 at most");
 }
