@@ -346,17 +346,20 @@ fn beds_that_promise_what_is_not_there_are_refused() {
     };
     for (bed, part) in [
         ("outputs = [\"conversion\"]\n".to_owned(), "`engine.catalyst`"),
-        ("outputs = [\"oil\"]\n".to_owned(), "`engine.warm_up`"),
+        (limit("oil", "report"), "`engine.warm_up`"),
         (limit("coolant", "report"), "`engine.warm_up`"),
         (limit("pmax", "open_wastegate"), "turbocharger"),
         ("outputs = [\"pmax\", \"pmax\"]\n".to_owned(), "every name once"),
-        ("outputs = [\"map\"]\n".to_owned(), "always there"),
         ("inputs = [\"wiebe_m\", \"wiebe_m\"]\n".to_owned(), "every name once"),
     ] {
         write("bed.toml", &bed);
         let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "bed.toml"]);
         assert!(code == 2 && stderr.contains(part), "{bed}: {stderr}");
     }
+    // A temperature that stands still can be read, and what is always there may be named.
+    write("bed.toml", "outputs = [\"coolant\", \"map\"]\n");
+    let (code, _, stderr) = engine(tmp.path(), &["transient", "u.csv", "--bed", "bed.toml"]);
+    assert_eq!(code, 0, "{stderr}");
 }
 
 /// A cut that lasts is shown with its length: the throttle stays where the limit is passed as soon as fuel is back.

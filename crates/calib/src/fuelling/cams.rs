@@ -51,12 +51,21 @@ fn terms(n: f64, p: f64) -> [f64; TERMS] {
 }
 
 impl CamLaw {
-    /// Where cams rest, from scaled points `(speed, pressure)` and positions; nothing moves the charge yet.
+    /// Where cams rest, from scaled points `(speed, pressure)` and positions: on a surface where that explains half of how they move, at their
+    /// mean otherwise. Nothing moves the charge yet.
     pub(super) fn of_rest(points: &[[f64; 2]], cams_deg: &[[f64; 2]]) -> Result<Self, LinalgError> {
         let rows: Vec<f64> = points.iter().flat_map(|[n, p]| terms(*n, *p)).collect();
-        let fit = |k: usize| {
+        let fit = |k: usize| -> Result<Vec<f64>, LinalgError> {
             let y: Vec<f64> = cams_deg.iter().map(|c| c[k]).collect();
-            least_squares(&rows, points.len(), TERMS, &y, 1e-6).map(|found| found.x)
+            let found = least_squares(&rows, points.len(), TERMS, &y, 1e-6)?.x;
+            let mean = y.iter().sum::<f64>() / y.len().max(1) as f64;
+            let squares =
+                |at: &dyn Fn(usize) -> f64| (0..y.len()).map(|i| (y[i] - at(i)).powi(2)).sum::<f64>();
+            // A surface that explains less than half of what a cam moves is no schedule: it would run away between the holds.
+            let schedule =
+                squares(&|i| dot(&rows[i * TERMS..(i + 1) * TERMS], &found)) < 0.5 * squares(&|_| mean);
+            let still = || [mean].into_iter().chain(std::iter::repeat_n(0.0, TERMS - 1)).collect();
+            Ok(if schedule { found } else { still() })
         };
         Ok(Self {
             rest_deg: [fit(0)?, fit(1)?],

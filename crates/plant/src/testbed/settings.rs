@@ -301,7 +301,9 @@ impl BedOptions {
         });
         let lacked = lacked.or_else(|| {
             let limits = self.limits.iter().map(|l| ("bed.limits", l.what.as_str()));
-            let outputs = self.outputs.iter().map(|n| ("bed.outputs", n.as_str()));
+            // A temperature that stands still can be read; a limit on it would be kept by nothing.
+            let still = |n: &&String| !["coolant", "oil", "wall"].contains(&n.as_str());
+            let outputs = self.outputs.iter().filter(still).map(|n| ("bed.outputs", n.as_str()));
             limits
                 .chain(outputs)
                 .find_map(|(key, name)| Some((key, name, self.lacks(name, params)?.to_owned())))
