@@ -57,6 +57,7 @@ const CALIBRATE: &[&str] = &[
     "model_spec",
     "start_maps",
     "fuel_driven",
+    "fuel_on_model",
     "fuelled",
     "given",
     "excited",

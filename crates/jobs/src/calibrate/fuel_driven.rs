@@ -282,13 +282,15 @@ mod tests {
     fn cams_are_known_an_interval_later() {
         let channels = Channels {
             intake_cam: Some("throttle".into()),
-            exhaust_cam: Some("map".into()),
+            exhaust_cam: Some("throttle".into()),
             ..Channels::default()
         };
         let places = Places::of(&Toy::new(), &channels).unwrap();
-        // An output of that name goes first, else an input.
         let sensed = places.sensed((2000.0, 10.0), &[3.0, 55.0, 2000.0], &[1.0, 44.0]);
-        assert_eq!(sensed.cams_deg, Some([55.0, 44.0]));
+        assert_eq!((sensed.throttle_deg, sensed.cams_deg), (10.0, Some([55.0, 55.0])));
+        let pressure = Channels { exhaust_cam: Some("map".into()), ..channels.clone() };
+        let text = Places::of(&Toy::new(), &pressure).unwrap_err();
+        assert!(text.contains("`map` of the plant is in kPa"), "{text}");
         let missing = Channels { exhaust_cam: Some("nothing".into()), ..channels };
         let text = Places::of(&Toy::new(), &missing).unwrap_err();
         assert!(text.contains("no output or input `nothing`"), "{text}");

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
     use dynocal_calib::fuelling::{Charge, Filling, Film, Timing};
 
-    /// A manifold whose throttle lets as much in as `0.1 mg/s` a degree while choked, and a charge of 2e-3 mg/kPa a cycle at 1500 rpm.
+    /// A throttle of 8 mg/s a degree before the nozzle, and a charge of 0.2 mg/kPa.
     fn fuelling() -> Fuelling {
         let points: Vec<[f64; 3]> = (0..80)
             .map(|k| (1000.0 + 250.0 * f64::from(k % 8), 20.0 + 7.0 * f64::from(k / 8)))
@@ -104,8 +104,8 @@ mod tests {
         }
     }
 
-    /// At rest what leaves is what flows in, 8 mg/s a degree as long as the throttle is choked; lambda divides it; after a step it follows
-    /// the manifold, not the throttle.
+    /// At rest what leaves is what flows in, 8 mg/s a degree times sqrt(1.4) (2 / 2.4)^3 as long as the throttle is choked; lambda divides
+    /// it; after a step it follows the manifold, not the throttle.
     #[test]
     fn the_injection_is_that_of_the_manifold() {
         let f = fuelling();
@@ -125,7 +125,8 @@ mod tests {
             drive.push(&[1.0, if t < 20 { 10.0 } else { 14.0 }]);
         }
         model.inject(&mut drive, &reference, 0.03);
-        let at_rest = |throttle: f64| 8.0 * throttle * 120.0 / 1500.0;
+        let choked = 1.4f64.sqrt() * (2.0f64 / 2.4).powi(3);
+        let at_rest = |throttle: f64| 8.0 * choked * throttle * 120.0 / 1500.0;
         let given = drive.column(0);
         assert!((given[10] / at_rest(10.0) - 1.0).abs() < 0.01, "{} {}", given[10], at_rest(10.0));
         assert!((given[140] / at_rest(14.0) - 1.0).abs() < 0.01, "{} {}", given[140], at_rest(14.0));
