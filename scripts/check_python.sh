@@ -29,7 +29,7 @@ echo "wheel: $(basename "$wheel"), $(($(stat -c %s "$wheel") / 1000000)) MB"
 
 # The source distribution has what the wheel was built of.
 "$place/build/bin/maturin" sdist --out "$wheels" >/dev/null 2>&1
-python3 scripts/sdist.py "$wheels"/dynocal-*.tar.gz target/release/lib_dynocal.d
+python3 scripts/sdist.py "$wheels"/dynocal-*.tar.gz "${CARGO_TARGET_DIR:-target}/release/lib_dynocal.d"
 
 # Whoever has nothing but NumPy.
 rm -rf "$place/bare"
