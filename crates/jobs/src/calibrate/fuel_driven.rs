@@ -277,9 +277,9 @@ mod tests {
         assert!(plant.restore(&plant.save()).is_err());
     }
 
-    /// Cams that are inputs are known as they were commanded in the interval before, those of the begin from the start of the plant.
+    /// Cams are read where their channels lie, in degrees, and what cannot be one is named.
     #[test]
-    fn cams_are_known_an_interval_later() {
+    fn cams_are_read_where_they_lie() {
         let channels = Channels {
             intake_cam: Some("throttle".into()),
             exhaust_cam: Some("throttle".into()),

@@ -68,40 +68,14 @@ impl FuelOnModel<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dynocal_calib::fuelling::{Charge, Filling, Film, Timing};
+    use crate::fuelling::stored::tests::stored;
 
     /// A throttle of 8 mg/s a degree before the nozzle, and a charge of 0.2 mg/kPa.
     fn fuelling() -> Fuelling {
-        let points: Vec<[f64; 3]> = (0..80)
-            .map(|k| (1000.0 + 250.0 * f64::from(k % 8), 20.0 + 7.0 * f64::from(k / 8)))
-            .map(|(n, p)| [n, p, 0.2 * p])
-            .collect();
-        Fuelling {
-            sample_time_s: 0.01,
-            charge: Charge::fit(&points).unwrap(),
-            filling: Filling {
-                upstream_kpa: 101.325,
-                throttle_deg: 1.0,
-                area: vec![0.0, 8.0, 0.0, 0.0],
-                gain: 2.0,
-                throttle_lag_s: 0.05,
-                throttle_rate_deg_s: None,
-                correction_per_s: 0.5,
-            },
-            film: Film { share: 0.0, tau_s: 0.3 },
-            timing: Timing {
-                charge_s: 0.0,
-                charge_cycles: 0.0,
-                transport_cycles: 1.0,
-                transport_fuel: 1.0,
-                sensor_lag_s: 0.1,
-            },
-            coolant: None,
-            trim: None,
-            left: None,
-            rms: 0.01,
-            pressure_rms_kpa: 0.1,
-        }
+        let mut f = stored(|_, p| 0.2 * p).fuelling;
+        (f.filling.area, f.filling.gain) = (vec![0.0, 8.0, 0.0, 0.0], 2.0);
+        (f.film.share, f.timing.charge_cycles) = (0.0, 0.0);
+        f
     }
 
     /// At rest what leaves is what flows in, 8 mg/s a degree times sqrt(1.4) (2 / 2.4)^3 as long as the throttle is choked; lambda divides

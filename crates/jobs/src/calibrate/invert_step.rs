@@ -170,7 +170,12 @@ fn led(
         return Ok(map);
     }
     let fuelled = Fuelled::of(ctx)?;
-    let Some(fuel) = fuelled.as_ref().and_then(Fuelled::on_model) else { return Ok(map) };
+    let Some(fuel) = fuelled.as_ref().and_then(Fuelled::on_model) else {
+        ctx.watch.note(
+            "fuelling.lead: the throttle acts at once, as no model of the manifold knows boost or cams",
+        );
+        return Ok(map);
+    };
     let within = fuel.seen_deg;
     let judge = OnModels::new(ctx, models).fuelled(fuel);
     let cost = |map: &dyn FeedforwardMap| match ctx.watch.interrupted() {
