@@ -34,5 +34,6 @@ pub mod smith;
 pub mod stable;
 pub mod stored;
 pub mod system;
+pub mod trial;
 pub mod trim;
 pub mod tune;

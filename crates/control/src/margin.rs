@@ -40,12 +40,18 @@ pub struct Margins {
     pub gain_up_rad_s: Option<f64>,
     /// Factor below 1 to which the gain may fall; none: any.
     pub gain_down: Option<f64>,
+    /// Frequency at which it is lost, rad/s; none as for the other.
+    #[serde(default)]
+    pub gain_down_rad_s: Option<f64>,
     /// Phase in deg that may be lost or won; none: the loop gain is never 1.
     pub phase_deg: Option<f64>,
     /// Frequency at which the phase margin is, rad/s.
     pub phase_rad_s: Option<f64>,
     /// Delay in s that may be added; none: any.
     pub delay_s: Option<f64>,
+    /// Frequency at which the delay margin is, rad/s.
+    #[serde(default)]
+    pub delay_rad_s: Option<f64>,
     /// Ms, largest |1 / (1 + l)|.
     pub sensitivity: f64,
     /// Its frequency, rad/s.
@@ -83,9 +89,11 @@ pub fn of_response(grid: &[f64], values: &[C], at: &dyn Fn(f64) -> C, nyquist_ra
         gain_up: None,
         gain_up_rad_s: None,
         gain_down: None,
+        gain_down_rad_s: None,
         phase_deg: None,
         phase_rad_s: None,
         delay_s: None,
+        delay_rad_s: None,
         sensitivity: 0.0,
         sensitivity_rad_s: 0.0,
         complementary: 0.0,
@@ -105,7 +113,9 @@ pub fn of_response(grid: &[f64], values: &[C], at: &dyn Fn(f64) -> C, nyquist_ra
         }
     }
     for (w, v) in grid.first().zip(values.first()).into_iter().chain(grid.last().zip(values.last())) {
-        let end = nyquist_rad_s.is_some_and(|end| (w / end - 1.0).abs() < 1e-9) || Some(w) == grid.first();
+        // What integrates has no value at rest: there no gain is too low.
+        let at_rest = || Some(w) == grid.first() && (at(0.1 * w).norm() / v.norm() - 1.0).abs() < 0.1;
+        let end = nyquist_rad_s.is_some_and(|end| (w / end - 1.0).abs() < 1e-9) || at_rest();
         if end && v.im.abs() < 1e-6 * v.norm() {
             found.real(*w, *v);
         }
@@ -134,7 +144,7 @@ impl Margins {
         if factor > 1.0 && self.gain_up.is_none_or(|g| factor < g) {
             (self.gain_up, self.gain_up_rad_s) = (Some(factor), None);
         } else if factor <= 1.0 && self.gain_down.is_none_or(|g| factor > g) {
-            self.gain_down = Some(factor);
+            (self.gain_down, self.gain_down_rad_s) = (Some(factor), None);
         }
     }
 
@@ -149,7 +159,7 @@ impl Margins {
             (self.gain_up, self.gain_up_rad_s) = (Some(factor), Some(w));
         }
         if factor <= 1.0 && self.gain_down.is_none_or(|g| factor > g) {
-            self.gain_down = Some(factor);
+            (self.gain_down, self.gain_down_rad_s) = (Some(factor), Some(w));
         }
     }
 
@@ -165,7 +175,7 @@ impl Margins {
         }
         let delay = phase / w;
         if self.delay_s.is_none_or(|d| delay < d) {
-            self.delay_s = Some(delay);
+            (self.delay_s, self.delay_rad_s) = (Some(delay), Some(w));
         }
     }
 }

@@ -11,10 +11,16 @@ use std::f64::consts::PI;
 
 use crate::disk::{DiskMargin, Place};
 use crate::error::ControlError;
+use crate::margin::Side;
 use crate::system::{System, Time, Transfer};
 
 /// Imaginary share below which a perturbation is a gain: at rest and at half the sampling frequency it is one but for rounding.
 const REAL: f64 = 1e-4;
+
+/// Whether a perturbation `(re, im)` is a gain: then it is one at all frequencies.
+pub fn is_gain(delta: (f64, f64)) -> bool {
+    delta.1.abs() < REAL * delta.0.abs()
+}
 
 /// The stable factor f of a perturbation `(re, im)` at a frequency; none where the disk holds infinity
 /// ((1+sigma)/2 |delta| >= 1) or the frequency is 0.
@@ -24,7 +30,7 @@ pub fn factor(time: Time, skew: f64, delta: (f64, f64), w_rad_s: f64) -> Option<
     if after * size >= 1.0 || !(w_rad_s > 0.0) {
         return None;
     }
-    if delta.1.abs() < REAL * delta.0.abs() {
+    if is_gain(delta) {
         let f = (1.0 + before * delta.0) / (1.0 - after * delta.0);
         return Some(Transfer::gain(f));
     }
@@ -75,6 +81,35 @@ pub fn perturbed(
             plant.before(inputs)?.after(outputs)?
         }
     }))
+}
+
+/// A plant with the perturbation of a disk margin of loop `k` alone ([`crate::disk::of_loop`]), made `share` of its size; none as above.
+///
+/// # Errors
+/// As of [`System::new`].
+pub fn perturbed_loop(
+    plant: &System,
+    (side, k): (Side, usize),
+    found: &DiskMargin,
+    share: f64,
+) -> Result<Option<System>, ControlError> {
+    let Some((re, im)) = found.perturbation.first() else { return Ok(None) };
+    let own = factor(plant.time, found.skew, (re * share, im * share), found.lost_rad_s);
+    own.map(|f| within(plant, (side, k), &f)).transpose()
+}
+
+/// A plant with `own` in loop `k` only.
+///
+/// # Errors
+/// As of [`System::new`].
+pub fn within(plant: &System, (side, k): (Side, usize), own: &Transfer) -> Result<System, ControlError> {
+    let of = |n: usize| -> Vec<Transfer> {
+        (0..n).map(|j| if j == k { own.clone() } else { Transfer::gain(1.0) }).collect()
+    };
+    match side {
+        Side::Inputs => plant.before(&of(plant.inputs)),
+        Side::Outputs => plant.after(&of(plant.outputs)),
+    }
 }
 
 #[cfg(test)]

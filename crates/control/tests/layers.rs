@@ -26,6 +26,7 @@ const ORDER: &[&str] = &[
     "horizon",
     "stored",
     "simulate",
+    "trial",
     "interaction",
     "smith",
     "plane",

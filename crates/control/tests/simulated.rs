@@ -4,31 +4,17 @@ mod common;
 
 use common::{CONTINUOUS, resonant, satellite, simc, third_order, unity};
 use dynocal_control::closed::Closed;
-use dynocal_control::disk::{Place, disk};
+use dynocal_control::disk::{Place, disk, of_loop};
 use dynocal_control::margin::{Side, margins};
-use dynocal_control::perturb::perturbed;
+use dynocal_control::perturb::{perturbed, perturbed_loop};
 use dynocal_control::runtime::PidGains;
-use dynocal_control::simulate::growth;
 use dynocal_control::system::{System, Time, Transfer};
+use dynocal_control::trial::{grows, later, louder, turned};
 use dynocal_numerics::rng::Rng64;
-
-/// Growth of the loop over 400 turns of frequency `w`, and what the argument says.
-fn runs(l: &Closed, w: f64) -> f64 {
-    let delays = l.plant.channels.iter().map(|g| g.delay_s).filter(|d| *d > 0.0);
-    let shortest = delays.fold(f64::INFINITY, f64::min);
-    let fastest = l.plant.channels.iter().flat_map(|g| dynocal_control::poly::roots(&g.den).unwrap());
-    let fastest = fastest.map(|p| p.norm()).fold(w, f64::max);
-    let step = (0.05 / fastest).min(shortest / 4.0);
-    let rows = match l.plant.time {
-        Time::Continuous => (400.0 * 6.3 / w / step) as usize,
-        Time::Sampled { sample_time_s } => (400.0 * 6.3 / (w * sample_time_s)) as usize,
-    };
-    growth(l, step, rows.clamp(4000, 2_000_000)).unwrap()
-}
 
 #[track_caller]
 fn expect(l: &Closed, w: f64, stable: bool, what: &str) {
-    let growth = runs(l, w);
+    let growth = grows(l, w, w).unwrap();
     assert!((growth < 0.0) == stable, "{what}: the run grows by {growth}, expected stable: {stable}");
     assert_eq!(l.is_stable(), stable, "{what}: by the argument {:?}", l.unstable());
 }
@@ -37,27 +23,39 @@ fn with_plant(l: &Closed, plant: System) -> Closed {
     Closed::new(plant, l.controller.clone()).unwrap()
 }
 
-/// Gain and delay margins of one loop.
+/// Gain, phase and delay margins of each loop, the others closed.
 fn classical(l: &Closed, what: &str) {
-    let m = margins(l, Side::Inputs, 0).unwrap();
-    if let (Some(g), Some(w)) = (m.gain_up, m.gain_up_rad_s) {
-        for (share, stable) in [(0.98, true), (1.02, false)] {
-            let plant = l.plant.before(&[Transfer::gain(g * share)]).unwrap();
-            expect(&with_plant(l, plant), w, stable, &format!("{what}: gain {share}"));
+    for (side, k) in sides(l) {
+        let (m, at) = (margins(l, side, k).unwrap(), (side, k));
+        let what = format!("{what}: {side:?} {k}");
+        for (factor, w) in [(m.gain_up, m.gain_up_rad_s), (m.gain_down.map(f64::recip), m.gain_down_rad_s)] {
+            let (Some(g), Some(w)) = (factor, w) else { continue };
+            for (share, stable) in [(0.98, true), (1.02, false)] {
+                let factor = if Some(g) == m.gain_up { g * share } else { 1.0 / (g * share) };
+                let plant = louder(&l.plant, at, factor).unwrap();
+                let w = w.max(0.1 * m.sensitivity_rad_s);
+                expect(&with_plant(l, plant), w, stable, &format!("{what}: gain {share}"));
+            }
+        }
+        if let (Some(p), Some(w)) = (m.phase_deg, m.phase_rad_s) {
+            for (share, stable) in [(0.98, true), (1.02, false)] {
+                // A turned loop is run only: the argument of a pair is not asked for.
+                let growth = grows(&turned(l, at, (p * share).to_radians()).unwrap(), w, w).unwrap();
+                assert!((growth < 0.0) == stable, "{what}: phase {share} grows by {growth}");
+            }
+        }
+        if let (Some(d), Some(w)) = (m.delay_s, m.delay_rad_s) {
+            for (share, stable) in [(0.98, true), (1.02, false)] {
+                let plant = later(&l.plant, at, share * d, w).unwrap();
+                expect(&with_plant(l, plant), w, stable, &format!("{what}: delay {share}"));
+            }
         }
     }
-    if let (Some(d), Some(w)) = (m.delay_s, m.phase_rad_s) {
-        for (share, stable) in [(0.98, true), (1.02, false)] {
-            let mut own = Transfer::gain(1.0);
-            own.delay_s = match l.plant.time.sample_time_s() {
-                // Runs of sampled loops have whole delays only.
-                Some(dt) => dt * if stable { (d / dt).floor() } else { (d / dt).ceil() },
-                None => d * share,
-            };
-            let plant = l.plant.before(&[own]).unwrap();
-            expect(&with_plant(l, plant), w, stable, &format!("{what}: delay {share}"));
-        }
-    }
+}
+
+fn sides(l: &Closed) -> Vec<(Side, usize)> {
+    let of = |side, n: usize| (0..n).map(move |k| (side, k));
+    of(Side::Inputs, l.plant.inputs).chain(of(Side::Outputs, l.plant.outputs)).collect()
 }
 
 /// Disk margins with the perturbation that was found.
@@ -74,6 +72,14 @@ fn disks(l: &Closed, what: &str) {
             );
         }
     }
+    for (side, k) in sides(l) {
+        let d = of_loop(l, side, k, 0.0).unwrap();
+        for (share, stable) in [(0.98, true), (1.02, false)] {
+            let Some(plant) = perturbed_loop(&l.plant, (side, k), &d, share).unwrap() else { continue };
+            let what = format!("{what}: {side:?} {k} alone, {share} of {d:?}");
+            expect(&with_plant(l, plant), d.lost_rad_s, stable, &what);
+        }
+    }
 }
 
 #[test]
@@ -83,6 +89,7 @@ fn published_loops_do_as_their_margins_say() {
     }
     disks(&third_order(), "third order");
     disks(&satellite([1.0, -2.0, 0.0, 1.0]), "satellite");
+    classical(&satellite([1.0, -2.0, 0.0, 1.0]), "satellite");
 }
 
 #[test]
@@ -119,6 +126,7 @@ fn drawn_coupled_loops_do_as_their_margins_say() {
         if l.is_stable() {
             looked_at += 1;
             disks(&l, "drawn");
+            classical(&l, "drawn");
         }
     }
     assert!(looked_at >= 8, "{looked_at}");
@@ -138,7 +146,7 @@ fn the_argument_and_the_run_agree() {
         );
         let g = Transfer::continuous(&[1.0], &[t, 1.0], delay);
         let l = unity(g.times(&PidGains::pi(kp, ki).transfer(CONTINUOUS)), CONTINUOUS);
-        let growth = runs(&l, 1.0);
+        let growth = grows(&l, 1.0, 1.0).unwrap();
         if growth.abs() < 0.2 {
             continue;
         }

@@ -34,7 +34,21 @@ fn given_gains_are_judged_as_they_are() {
         (m.gain_up.unwrap() - std::f64::consts::PI).abs() < 1e-6 && (m.sensitivity - 1.590490).abs() < 1e-6
     );
     assert!(own.valid && own.verdict[0].contains("keep"), "{:?}", own.verdict);
-    assert!(own.checks.len() >= 4 && own.checks.iter().all(|c| c.holds), "{:?}", own.checks);
+    assert!(own.checks.iter().all(|c| c.holds), "{:?}", own.checks);
+    // pi/2 - 1/2 rad; pi - 1 s of delay: each margin that is told is run on both sides of itself.
+    assert!((m.phase_deg.unwrap() - 61.3521).abs() < 1e-4 && own.unchecked.is_empty(), "{:?}", own.unchecked);
+    for what in [
+        "gain margin",
+        "phase margin",
+        "delay margin",
+        "disk margin at",
+        "disk margin of S",
+        "disk margin of T",
+    ] {
+        let of: Vec<bool> =
+            own.checks.iter().filter(|c| c.what.starts_with(what)).map(|c| c.expected_stable).collect();
+        assert_eq!(of, [true, false], "{what}: {:?}", own.checks);
+    }
     // The same without the margin that it lacks.
     let refused = found(&format!("[asked]\nsensitivity = 1.5\n{LAG}kp = 2.0\nki = 0.5\n{plant}"), tmp.path());
     assert!(!refused.valid && refused.verdict[0].contains("must not be used"), "{:?}", refused.verdict);

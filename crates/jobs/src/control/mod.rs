@@ -2,7 +2,7 @@
 //!
 //! [`spec`] reads what the user wrote and checks it as a whole, `load` makes linear plants of models at set points (`records` of
 //! tests, which `bed` makes where a plant answers), [`work`] tunes and judges in memory, [`result`] is what comes out, `deliver`
-//! makes it a controller that runs elsewhere, `settle` and `against` judge steps and what was measured, `words` says it, [`page`] draws it, [`store`] writes the run folder.
+//! makes it a controller that runs elsewhere, `settle` and `against` judge steps and what was measured, `trials` runs each margin, `words` says it, [`page`] draws it, [`store`] writes the run folder.
 
 mod against;
 mod bed;
@@ -22,6 +22,7 @@ mod settle;
 pub mod spec;
 pub mod store;
 mod test_spec;
+mod trials;
 mod words;
 pub mod work;
 

@@ -32,9 +32,7 @@ pub(super) fn say(found: &mut Controlled) {
                 format!("No margin was checked by a run: they stand on frequencies alone. {why}.")
             }
             (None, true) => "No margin was checked by a run.".into(),
-            (None, false) => {
-                "No margin was checked by a run: none of the gain and disk margins is ever used up.".into()
-            }
+            (None, false) => "No margin was checked by a run: none of them is ever used up.".into(),
         });
     } else if failed.is_empty() {
         let left = match found.unchecked.first() {

@@ -1,16 +1,11 @@
 //! The work: tune each loop in the plane, close all together, judge nominal models and draws, run what is promised.
 
-use std::cell::Cell;
-
 use dynocal_control::closed::Closed;
 use dynocal_control::disk::{DiskMargin, Place, disk, of_loop};
-use dynocal_control::error::ControlError;
 use dynocal_control::interaction::relative_gains;
 use dynocal_control::margin::{Side, margins};
-use dynocal_control::perturb::perturbed;
 use dynocal_control::runtime::PidGains;
-use dynocal_control::simulate::growth;
-use dynocal_control::system::{System, Time, Transfer};
+use dynocal_control::system::System;
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
 
@@ -20,13 +15,12 @@ use super::loops::{apart_at_rest, controller};
 use super::picture::{Picture, drawn};
 use super::result::{ControlJobError, Controlled, LoopResult, RunCheck, Together};
 use super::spec::{Job, Plants};
+use super::trials::{DiskAt, checks, other_places};
 use super::{decouple, deliver, words};
 use crate::estimate::Estimate;
 
 /// Growth of F from one look to the next, and most looks.
 const DETUNE: (f64, usize) = (1.06, 80);
-/// Turns of the critical frequency in a run, and most rows.
-const RUN: (f64, usize) = (400.0, 1_000_000);
 
 /// What the job will do, and what it takes.
 ///
@@ -105,7 +99,7 @@ pub fn control(job: &Job, watch: Watch) -> Result<Controlled, ControlJobError> {
     super::settle::steps(job, &loaded, &loops, &mut together)?;
     watch.fraction(0.9);
     watch.note("runs that check the margins");
-    let (checks, unchecked) = checks(job, &loaded, &loops, &together)?;
+    let (checks, unchecked) = checks(job, &loaded, &loops, &together, watch)?;
     let picture = drawn(job, &loaded, &loops, choices)?;
     Ok(result(job, loaded, loops, detuned, together, (checks, unchecked), picture))
 }
@@ -234,23 +228,11 @@ fn at_point(job: &Job, name: &str, closed: &Closed, draws: &[Option<f64>]) -> To
 
 /// Skewed disk margins, and those of each loop alone; none where the loop is not stable.
 fn other_disks(job: &Job, closed: &Closed) -> Vec<(String, DiskMargin)> {
-    let mut out = Vec::new();
-    let several = job.loops.len() > 1;
-    let mut add = |name: String, d: Result<DiskMargin, ControlError>| out.extend(d.ok().map(|d| (name, d)));
-    for (place, name) in
-        [(Place::Inputs, "inputs"), (Place::Outputs, "outputs"), (Place::Both, "inputs and outputs")]
-    {
-        for skew in [1.0, -1.0] {
-            if several || place == Place::Outputs {
-                add(name.into(), disk(closed, place, skew));
-            }
-        }
-    }
-    for (k, l) in job.loops.iter().enumerate().filter(|_| several) {
-        add(format!("`{}` alone, at its input", l.output), of_loop(closed, Side::Inputs, k, 0.0));
-        add(format!("`{}` alone, at its output", l.output), of_loop(closed, Side::Outputs, k, 0.0));
-    }
-    out
+    let of = |at, skew| match at {
+        DiskAt::All(place) => disk(closed, place, skew),
+        DiskAt::One(side, k) => of_loop(closed, side, k, skew),
+    };
+    other_places(job).into_iter().filter_map(|(name, at, skew)| Some((name, of(at, skew).ok()?))).collect()
 }
 
 /// Largest ratio of asked to had: each loop with the others closed, and the disk margin at inputs and outputs where one is asked.
@@ -265,96 +247,4 @@ fn violation(job: &Job, closed: &Closed) -> Option<f64> {
         }
     }
     Some(worst)
-}
-
-/// Runs of the tightest set point: gain margins of each loop, the disk margin with its perturbation.
-fn checks(
-    job: &Job,
-    loaded: &Loaded,
-    loops: &[LoopResult],
-    together: &[Together],
-) -> Result<(Vec<RunCheck>, Vec<String>), ControlJobError> {
-    let tightness = |t: &Together| t.violation_nominal.unwrap_or(f64::INFINITY);
-    let Some(k) =
-        (0..together.len()).max_by(|a, b| tightness(&together[*a]).total_cmp(&tightness(&together[*b])))
-    else {
-        return Ok((Vec::new(), Vec::new()));
-    };
-    let (p, t) = (&loaded.points[k], &together[k]);
-    let refused = |source| ControlJobError::Point { point: p.name.clone(), source };
-    let c = controller(job, loaded, loops, k).map_err(refused)?;
-    let (mut out, mut failed) = (Vec::new(), Vec::new());
-    let closed = |plant: System| Closed::new(plant, c.clone());
-    let mut look = |what: String, plant: System, w: f64, expected_stable: bool| -> Result<(), ControlError> {
-        let l = closed(plant)?;
-        match run_of(&l, w) {
-            Ok(growth) => {
-                let holds = (growth < 0.0) == expected_stable;
-                out.push(RunCheck { point: p.name.clone(), what, growth, expected_stable, holds });
-            }
-            // A delay that is no whole number of samples cannot be run.
-            Err(e) => failed.push(format!("{}: {what}: no run ({e})", p.name)),
-        }
-        Ok(())
-    };
-    if t.loops.is_empty() {
-        return Ok((Vec::new(), Vec::new()));
-    }
-    for (i, (m, l)) in t.loops.iter().zip(&job.loops).enumerate() {
-        let (Some(gain), Some(w)) = (m.gain_up, m.gain_up_rad_s) else { continue };
-        for (share, stable) in [(0.98, true), (1.02, false)] {
-            let own = |j: usize| Transfer::gain(if j == i { gain * share } else { 1.0 });
-            let factors: Vec<Transfer> = (0..job.loops.len()).map(own).collect();
-            let plant = p.nominal.after(&factors).map_err(refused)?;
-            look(format!("gain margin of `{}`, {share} of it", l.output), plant, w, stable)
-                .map_err(refused)?;
-        }
-    }
-    for (d, place, name) in [
-        (&t.inputs, Place::Inputs, "inputs"),
-        (&t.outputs, Place::Outputs, "outputs"),
-        (&t.both, Place::Both, "inputs and outputs"),
-    ] {
-        let Some(d) = d.as_ref().filter(|_| job.loops.len() > 1 || place == Place::Outputs) else { continue };
-        disk_runs(p, d, place, name, &mut look).map_err(refused)?;
-    }
-    Ok((out, failed))
-}
-
-type Look<'a> = dyn FnMut(String, System, f64, bool) -> Result<(), ControlError> + 'a;
-
-/// The guaranteed disk at 0.98, the lost one at 1.02, with the perturbation that was found.
-fn disk_runs(
-    p: &AtPoint,
-    d: &DiskMargin,
-    place: Place,
-    name: &str,
-    look: &mut Look,
-) -> Result<(), ControlError> {
-    let guaranteed = 0.98 * d.alpha / d.alpha_lost;
-    for (share, words, stable) in
-        [(guaranteed, "0.98 of what is guaranteed", true), (1.02, "1.02 of what is lost", false)]
-    {
-        if let Some(plant) = perturbed(&p.nominal, place, d, share)? {
-            look(format!("disk margin at all {name}, {words}"), plant, d.lost_rad_s, stable)?;
-        }
-    }
-    Ok(())
-}
-
-/// Growth of a run that is long against the critical frequency.
-fn run_of(closed: &Closed, w: f64) -> Result<f64, ControlError> {
-    let fastest = Cell::new(w);
-    for g in closed.plant.channels.iter().chain(&closed.controller.channels) {
-        for pole in dynocal_control::poly::roots(&g.den).unwrap_or_default() {
-            fastest.set(fastest.get().max(pole.norm()));
-        }
-    }
-    let delays = closed.plant.channels.iter().map(|g| g.delay_s).filter(|d| *d > 0.0);
-    let step_s = match closed.plant.time {
-        Time::Sampled { sample_time_s } => sample_time_s,
-        Time::Continuous => (0.05 / fastest.get()).min(delays.fold(f64::INFINITY, f64::min) / 4.0),
-    };
-    let rows = (RUN.0 * std::f64::consts::TAU / (w * step_s)) as usize;
-    growth(closed, step_s, rows.clamp(4000, RUN.1))
 }
