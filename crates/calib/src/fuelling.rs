@@ -33,6 +33,7 @@ mod coolant;
 mod feedback;
 mod filling;
 mod film;
+mod foresight;
 mod identify;
 mod learning;
 mod policy;

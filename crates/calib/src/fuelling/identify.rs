@@ -25,6 +25,7 @@ use follow::{pressure, richness, richness_slopes};
 use moved::moved_at_rest;
 use record::{charge_at_rest, rested};
 use search::{Effort, Errors, Slopes, searched};
+use worth::block;
 
 /// Why nothing was identified.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -146,9 +147,32 @@ fn identified(
         found = mixed(records, &found, &found, effort, interrupt)?;
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
-    found.trim = Trim::suited(&left, found.sample_time_s);
     found.left = Left::of(&left, found.sample_time_s);
+    found.trim = Trim::suited(&left_apart(records, &found, interrupt)?, found.sample_time_s);
     Ok(found)
+}
+
+/// What is left of each half of the blocks of the records by the model that is fitted to the other one: a trim has to take out what a model
+/// leaves where it was not fitted, and there errors stay that its fit takes out of its own record.
+fn left_apart(
+    records: &[TransientRecord<'_>],
+    found: &Fuelling,
+    interrupt: &dyn Fn() -> bool,
+) -> Result<Vec<(Vec<f64>, usize)>, FuellingError> {
+    let samples = length(records);
+    let mut out: Vec<(Vec<f64>, usize)> = records.iter().map(|r| residual(r, found)).collect();
+    for odd in [0, 1] {
+        let apart = |t: usize| block(t, samples) % 2 == odd;
+        let fitted = mixed_by(records, (found, found), &|t| !apart(t), Effort::Judged, interrupt)?;
+        let mut first = 0;
+        for (r, (errors, _)) in records.iter().zip(&mut out) {
+            let half = residual(r, &fitted).0;
+            let own = errors.iter_mut().zip(half).enumerate().filter(|(t, _)| apart(first + t));
+            own.for_each(|(_, (e, h))| *e = h);
+            first += r.lambda.len();
+        }
+    }
+    Ok(out)
 }
 
 /// Which correction of the filling suits is what the lambda that was measured says. All manifolds are those of the charge of the start;

@@ -5,6 +5,7 @@ use super::adapt::{Adaptation, Left};
 use super::feedback::{Feedback, FeedbackState};
 use super::filling::FillingState;
 use super::film::FilmState;
+use super::foresight::Foresight;
 use super::trim::TrimState;
 use std::collections::VecDeque;
 
@@ -67,6 +68,8 @@ pub struct FuelPolicy {
     /// Logarithm of what leaves the manifold over what throttle and charge say, where it is learnt: without it a throttle that is not
     /// quite the identified one leads the pressure astray, and the air ahead is wrong at rest.
     balance: Option<f64>,
+    /// Beside the trim: what the air ahead was foreseen to be, and what it became.
+    foresight: Foresight,
     /// A loop in the place of the trim.
     feedback: Option<Feedback>,
     loop_of: FeedbackState,
@@ -86,6 +89,7 @@ impl FuelPolicy {
             film: None,
             trim: TrimState::at_rest(dt_s),
             balance: None,
+            foresight: Foresight::new(dt_s),
             feedback: None,
             loop_of: FeedbackState::default(),
             speed: Slope::new(dt_s),
@@ -173,7 +177,13 @@ impl FuelPolicy {
                 self.trim.factor(f.charge.scaled(then_rpm, pressure))
             }
         };
-        let wanted = (factor * later(1.0).at(then_rpm, pressure) / demanded).max(0.0);
+        let charge = later(1.0).at(then_rpm, pressure);
+        let lacked = match (&f.trim, self.feedback) {
+            (Some(trim), None) => self.foresight.compared(trim, air.at(speed_rpm, now_kpa), ahead_s, dt_s),
+            _ => 1.0,
+        };
+        self.foresight.foreseen(charge);
+        let wanted = (factor * lacked * charge / demanded).max(0.0);
         let film = f.film_at(y.coolant_c);
         let on_wall = self.film.get_or_insert_with(|| film.at_rest(wanted, speed_rpm));
         let mut before = *on_wall;

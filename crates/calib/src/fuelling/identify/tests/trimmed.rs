@@ -53,6 +53,25 @@ fn the_trim_takes_out_an_error_and_leaves_the_steps_alone() {
     }
 }
 
+/// A throttle that gives 6 % more than the identified one, beside a pressure that is measured: the air ahead is foreseen wrong at rest, and
+/// the mixture is right there all the same.
+#[test]
+fn a_wrong_throttle_leaves_nothing_at_rest() {
+    let truth = truth();
+    let area = truth.filling.area.iter().map(|a| a / 1.06).collect();
+    let known = Filling { area, correction_per_s: 4.0, ..truth.filling.clone() };
+    let known = Fuelling { filling: known, ..truth.clone() };
+    let n = 2000;
+    let worst = |phi: &[f64]| phi[1900..n - 20].iter().map(|v| (v - 1.0).abs()).fold(0.0, f64::max);
+    let open = driven(&truth, &mut FuelPolicy::new(known.clone(), 60.0), 1.0, n);
+    assert!(worst(&open) > 4e-3, "{}", worst(&open));
+    for time_s in [0.2, 0.8] {
+        let trimmed = Fuelling { trim: Some(Trim { time_s, scale: 5e-3 }), ..known.clone() };
+        let found = driven(&truth, &mut FuelPolicy::new(trimmed, 60.0), 1.0, n);
+        assert!(worst(&found) < 1e-3, "{time_s} s: {}", worst(&found));
+    }
+}
+
 /// A truth that breathes otherwise, and otherwise at each load: the trim begins anew after each step, the learnt charge has less to do.
 #[test]
 fn a_charge_that_is_learnt_leaves_less_at_the_next_step() {
