@@ -53,6 +53,7 @@ const CALIBRATE: &[&str] = &[
     "error",
     "context",
     "records",
+    "chain",
     "loops",
     "model_spec",
     "start_maps",

@@ -6,6 +6,7 @@
 //! (`design.record`). Every product can be taken out of the run folder and used elsewhere.
 
 pub mod at_rest;
+mod chain;
 pub mod channels;
 mod check;
 pub mod context;
