@@ -59,6 +59,7 @@ const CALIBRATE: &[&str] = &[
     "start_maps",
     "fuel_driven",
     "fuel_on_model",
+    "fuel_plant",
     "fuelled",
     "given",
     "excited",

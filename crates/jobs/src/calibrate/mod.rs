@@ -18,6 +18,7 @@ pub mod excite_step;
 mod excited;
 mod fuel_driven;
 mod fuel_on_model;
+mod fuel_plant;
 pub mod fuelled;
 mod given;
 pub mod invert_step;
