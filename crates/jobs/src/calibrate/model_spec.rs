@@ -51,7 +51,8 @@ fn derived(ctx: &Context, output: &str, records: &[(Dataset, PathBuf)]) -> (Vec<
         |name: &str| records.iter().all(|(d, _)| d.values(name).is_ok_and(|v| v.iter().all(|x| *x > 0.0)));
     let mut derive = ctx.spec.identify.derive.clone();
     let mut names: Vec<String> = derive.iter().map(|d| d.name.clone()).collect();
-    let moves = |g: &&GivenChannel| g.upper > STRAIGHT * g.lower;
+    // Pools that have one channel more for the injection do without a second lambda.
+    let moves = |g: &&GivenChannel| ctx.channels.read.is_empty() || g.upper > STRAIGHT * g.lower;
     for g in ctx.spec.problem.given.iter().filter(|g| g.lower > 0.0 && positive(&g.name)).filter(moves) {
         // Scaled to the order of the channel itself in its middle, so that regressors are of one size.
         derive.push(reciprocal(&g.name, 0.5 * (g.lower + g.upper)));
