@@ -20,6 +20,10 @@ pub struct Channels {
     pub demands: Vec<String>,
     /// Outputs with limits, and others that the objective reads.
     pub others: Vec<String>,
+    /// Outputs that the models of all others may read.
+    pub read: Vec<String>,
+    /// Outputs that are recorded and not modelled.
+    pub watched: Vec<String>,
     /// Derived channels that are minimised: a plant or bed that has a meter for one is asked for it.
     pub meters: Vec<Port>,
     /// What maps read and give.
@@ -62,6 +66,8 @@ impl Channels {
             given: problem.given_names(),
             demands: problem.demand_names(),
             others: problem.other_outputs(),
+            read: Vec::new(),
+            watched: Vec::new(),
             meters: problem.meterable().into_iter().map(|d| port(&d.name, &d.unit)).collect(),
             ports: ports(problem),
         }

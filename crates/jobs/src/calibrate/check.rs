@@ -173,6 +173,16 @@ fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
             "`file`, the fuelling.json of a run of `dynocal fuelling`, or `spec`, a spec of it",
         ),
         (Some(_), Some(_)) => faults.push("fuelling", "`file` and `spec`", "one of them"),
+        _ if f.plant && !f.excite => faults.push(
+            "fuelling.plant",
+            "`plant` without `excite`",
+            "both: records of engine and fuelling as one plant are those in which it injects",
+        ),
+        _ if f.plant && s.invert.refine > 0 => faults.push(
+            "invert.refine",
+            s.invert.refine,
+            "0 with `fuelling.plant`: loops of the engine alone would teach the map",
+        ),
         _ if plants::find(&s.plant.name).is_some_and(|p| p.make.is_none()) => {
             faults.push("fuelling", "a plant that does not answer", "none: on a bed its ECU injects");
         }

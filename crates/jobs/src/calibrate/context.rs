@@ -70,6 +70,19 @@ pub struct FuelledFrom {
     pub file: String,
     /// Bed time of the records that identified it, in s; 0 where it came as a file.
     pub bed_s: f64,
+    /// What it holds, where engine and fuelling are one plant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub governs: Option<Governs>,
+}
+
+/// What fuelling takes out of the hands of a calibration, where engine and fuelling are one plant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Governs {
+    /// Input of the problem that it sets.
+    pub injection: String,
+    /// Demanded output that it holds.
+    pub lambda: String,
 }
 
 /// Rough shares of the steps and of the report in the whole time, for progress only.
@@ -126,6 +139,11 @@ impl Context<'_> {
     /// Whether the plant has sensor noise, as far as the spec says.
     pub fn noisy(&self) -> bool {
         !self.spec.plant.noise_words().is_empty()
+    }
+
+    /// What the fuelling holds, where engine and fuelling are one plant.
+    pub(super) fn governs(&self) -> Option<&Governs> {
+        self.fuelling.get()?.from.governs.as_ref()
     }
 
     /// Values at which the inputs that may move begin: those of the spec, else the plant's own, else the middles of their
@@ -218,6 +236,7 @@ impl Context<'_> {
             .with_limits(self.spec.abort.clone())
             .settled(self.spec.excite.lead_in_s);
         plan.outputs = self.channels.outputs();
+        plan.outputs.extend(self.channels.watched.iter().cloned());
         plan
     }
 }

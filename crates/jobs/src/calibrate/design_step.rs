@@ -96,6 +96,12 @@ pub fn design(
     if !spec.enabled {
         return Ok(nothing(models, "no design was asked for (`design.enabled = false`)"));
     }
+    if !ctx.channels.read.is_empty() {
+        return Ok(nothing(
+            models,
+            "a design knows no models that read each other, as those of engine and fuelling as one plant do",
+        ));
+    }
     let found = match make(ctx, folder, models, identification)? {
         Ok(found) => found,
         Err(reason) => return Ok(nothing(models, &reason)),

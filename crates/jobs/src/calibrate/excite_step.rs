@@ -74,16 +74,19 @@ mod stream {
     pub(super) const VALIDATION: u64 = 200;
 }
 
-/// Runs the step: all records, independent of each other and hence in parallel.
+/// Runs the step: all records, independent of each other and hence in parallel. Fuelling and gains are found on the engine of
+/// `whole`, records are those of the plant of `ctx`: the same, or engine and fuelling as one.
 ///
 /// # Errors
 /// [`ChainError`].
-pub fn excite(ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
+pub fn excite(whole: &Context, ctx: &Context, folder: &Path) -> Result<ExciteResult, ChainError> {
     let spec = &ctx.spec.excite;
-    let fuelled = fuelled::identified(ctx, folder)?;
-    fuelled::inject(ctx, folder, fuelled.as_ref())?;
-    let tuned = loops::tuned(ctx, folder)?;
-    ctx.close_loops_with(tuned.as_ref());
+    let fuelled = fuelled::identified(whole, folder)?;
+    fuelled::inject(whole, folder, fuelled.as_ref())?;
+    let tuned = loops::tuned(whole, folder)?;
+    for c in [whole, ctx] {
+        c.close_loops_with(tuned.as_ref());
+    }
     if !spec.identification_files.is_empty() {
         return Ok(ExciteResult { fuelled, ..taken_over(ctx, folder, tuned)? });
     }

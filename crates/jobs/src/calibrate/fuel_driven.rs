@@ -66,6 +66,12 @@ impl FuelDriven {
         }
     }
 
+    /// From the next step on lambda is demanded to be this.
+    pub(super) fn demand(&mut self, lambda: f64) {
+        self.now.lambda.clear();
+        self.now.lambda.push(lambda);
+    }
+
     /// Mean injection of each of the last `samples` steps.
     pub(super) fn given(&self, samples: usize) -> &[f64] {
         &self.given[self.given.len().saturating_sub(samples)..]
@@ -148,7 +154,7 @@ impl Plant for FuelDriven {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::fuelling::spec::Channels;
     use dynocal_calib::fuelling::{Charge, SpeedDensity};
@@ -214,7 +220,7 @@ mod tests {
     }
 
     /// A charge of a quarter of a mg for a kPa.
-    fn driven(range: (f64, f64)) -> FuelDriven {
+    pub(in super::super) fn driven(range: (f64, f64)) -> FuelDriven {
         let points: Vec<[f64; 3]> = (0..60)
             .map(|k| {
                 let p = 30.0 + 6.0 * f64::from(k / 6);

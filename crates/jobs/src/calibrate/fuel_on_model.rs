@@ -3,7 +3,6 @@
 
 use dynocal_calib::fuelling::{FillingState, FuelPolicy, Fuelling, Sensed};
 use dynocal_calib::map::Rows;
-use dynocal_numerics::interval::Interval;
 
 /// Time in s in which the manifold of the model comes to rest before a scenario.
 const REST_S: f64 = 5.0;
@@ -22,8 +21,6 @@ pub(super) struct FuelOnModel<'a> {
     pub(super) lambda: usize,
     /// Most of an injection.
     pub(super) most: f64,
-    /// Openings of the throttle that the identification saw, in deg.
-    pub(super) seen_deg: Interval,
 }
 
 impl FuelOnModel<'_> {
@@ -83,16 +80,7 @@ mod tests {
     #[test]
     fn the_injection_is_that_of_the_manifold() {
         let f = fuelling();
-        let seen_deg = Interval { lower: 2.0, upper: 40.0 };
-        let model = FuelOnModel {
-            fuelling: &f,
-            throttle: 1,
-            injection: 0,
-            speed: 2,
-            lambda: 1,
-            most: 60.0,
-            seen_deg,
-        };
+        let model = FuelOnModel { fuelling: &f, throttle: 1, injection: 0, speed: 2, lambda: 1, most: 60.0 };
         let (mut reference, mut drive) = (Rows::new(3), Rows::new(2));
         for t in 0..200 {
             reference.push(&[50.0, if t < 150 { 1.0 } else { 0.9 }, 1500.0]);

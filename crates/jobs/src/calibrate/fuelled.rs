@@ -1,10 +1,11 @@
 //! The delivered map with its fuel by measured states in place of its own (docs/fuelling.md), beside an ECU that is tuned on the same
 //! plant.
 
-use super::context::{Context, FuelledFrom, Identified, SETTLED_S};
+use super::context::{Context, FuelledFrom, Governs, Identified, SETTLED_S};
 use super::error::ChainError;
 use super::fuel_driven::{Fuel, FuelDriven, FuelSetting};
 use super::fuel_on_model::FuelOnModel;
+use super::fuel_plant::FuelledPlant;
 use crate::fuelling::places::Places;
 use crate::fuelling::spec::{Channels, Job, Source};
 use crate::fuelling::stored::{FUELLING_FILE, FUELLING_SCHEMA, FUELLING_VERSION, StoredFuelling};
@@ -18,6 +19,7 @@ use dynocal_calib::validate::{Scenario, random_points, score};
 use dynocal_files::json;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::Plan;
+use dynocal_ident::plant::{Plant, PlantError};
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::rng::Rng64;
 use dynocal_numerics::watch::Watch;
@@ -92,6 +94,24 @@ impl Asked {
         Ok(Some(Self { demand: (k, 0.5 * (d.lower + d.upper)), range, unit, channels, job }))
     }
 
+    /// What it holds, where engine and fuelling are one plant.
+    fn governs(&self, ctx: &Context) -> Result<Option<Governs>, ChainError> {
+        if !ctx.spec.fuelling.as_ref().is_some_and(|f| f.plant) {
+            return Ok(None);
+        }
+        let Channels { injection, lambda, .. } = &self.channels;
+        match ctx.spec.loops.iter().find(|l| l.output == *lambda) {
+            Some(l) if l.input == *injection => {
+                Ok(Some(Governs { injection: injection.clone(), lambda: lambda.clone() }))
+            }
+            found => {
+                let found = found.map_or("none".into(), |l| format!("by `{}`", l.input));
+                let expected = format!("a loop of `{lambda}` by `{injection}`, which the fuelling replaces");
+                Err(fault(".plant", format!("a loop {found}"), expected))
+            }
+        }
+    }
+
     /// Places of the channels on the plant.
     fn places(&self, ctx: &Context) -> Result<Places, ChainError> {
         let plant = ctx.plant(false)?;
@@ -110,6 +130,17 @@ impl Asked {
             return Err(fault("", format!("`{source}`, identified at {interval_s} s"), expected));
         }
         Ok(())
+    }
+}
+
+/// What the fuelling of a spec holds, where engine and fuelling are one plant.
+///
+/// # Errors
+/// [`ChainError`]: as [`check`].
+pub(super) fn governs(ctx: &Context) -> Result<Option<Governs>, ChainError> {
+    match Asked::of(ctx, Path::new(""))? {
+        Some(asked) => asked.governs(ctx),
+        None => Ok(None),
     }
 }
 
@@ -180,6 +211,7 @@ pub(super) fn identified(ctx: &Context, folder: &Path) -> Result<Option<FuelledF
     let (Some(asked), Some(spec)) = (Asked::of(ctx, folder)?, &ctx.spec.fuelling) else {
         return Ok(None);
     };
+    let governs = asked.governs(ctx)?;
     let (from, stored) = match (&asked.job, &spec.file) {
         (Some(job), _) => {
             ctx.watch.note("identifying fuel by measured states");
@@ -194,9 +226,11 @@ pub(super) fn identified(ctx: &Context, folder: &Path) -> Result<Option<FuelledF
                 Source::Files { .. } => 0.0,
             };
             let file = spec.spec.iter().map(|p| p.display().to_string()).collect();
-            (FuelledFrom { file, bed_s }, found.stored())
+            (FuelledFrom { file, bed_s, governs }, found.stored())
         }
-        (None, Some(file)) => (FuelledFrom { file: file.display().to_string(), bed_s: 0.0 }, read(file)?),
+        (None, Some(file)) => {
+            (FuelledFrom { file: file.display().to_string(), bed_s: 0.0, governs }, read(file)?)
+        }
         (None, None) => return Ok(None),
     };
     usable(ctx, &asked, &from.file, &stored)?;
@@ -233,6 +267,18 @@ pub(super) fn excited(ctx: &Context, folder: &Path, plan: &Plan) -> Result<Datas
     }
     let lambda = plan.demand(&c.lambda).map_or_else(Vec::new, |d| d.values.clone());
     fuelled.play(folder, &plan, (fuelled.policy(), lambda), true)
+}
+
+/// Engine and fuelling as one plant, once the fuelling is identified.
+///
+/// # Errors
+/// [`PlantError`]: before it is, or a plant without its channels.
+pub(super) fn plant(ctx: &Context, noise: bool) -> Result<Box<dyn Plant>, PlantError> {
+    let call = |e: ChainError| PlantError::Call(e.to_string());
+    match Fuelled::of(ctx).map_err(call)? {
+        Some(fuelled) => Ok(Box::new(fuelled.plant(noise).map_err(call)?)),
+        None => Err(PlantError::Call("engine and fuelling are one plant once that is identified".into())),
+    }
 }
 
 /// Identified fuelling with its places on the plant of a campaign.
@@ -272,10 +318,6 @@ impl<'a, 'c> Fuelled<'a, 'c> {
             speed: problem.demands.len() + given,
             lambda: self.asked.demand.0,
             most: self.asked.range.1,
-            seen_deg: Interval {
-                lower: self.stored.seen.throttle_deg[0],
-                upper: self.stored.seen.throttle_deg[1],
-            },
         })
     }
 
@@ -314,7 +356,7 @@ impl<'a, 'c> Fuelled<'a, 'c> {
             lead: plan.settling_samples().max(1),
             range: self.asked.range,
         };
-        let mut plant = FuelDriven::new(self.ctx.plant(noise)?, self.asked.places(self.ctx)?, setting);
+        let mut plant = self.driven(noise, setting)?;
         let mut record = self.ctx.measure_on(folder, plan, &mut plant)?;
         let injection = record.channels.iter_mut().find(|c| c.name == self.asked.channels.injection);
         if let Some(c) = injection {
@@ -322,6 +364,34 @@ impl<'a, 'c> Fuelled<'a, 'c> {
             c.values.copy_from_slice(given);
         }
         Ok(record)
+    }
+
+    fn driven(&self, noise: bool, setting: FuelSetting) -> Result<FuelDriven, ChainError> {
+        Ok(FuelDriven::new(self.ctx.plant(noise)?, self.asked.places(self.ctx)?, setting))
+    }
+
+    /// Whether engine and fuelling are one plant.
+    pub(super) fn is_plant(&self) -> bool {
+        self.from.governs.is_some()
+    }
+
+    /// Openings of the throttle in deg that the identification saw.
+    pub(super) fn seen_deg(&self) -> Interval {
+        let [lower, upper] = self.stored.seen.throttle_deg;
+        Interval { lower, upper }
+    }
+
+    /// Engine and fuelling as one plant.
+    fn plant(&self, noise: bool) -> Result<FuelledPlant, ChainError> {
+        let (c, d) = (&self.asked.channels, self.asked.demand);
+        let setting = FuelSetting {
+            fuel: self.policy(),
+            interval_s: self.stored.fuelling.sample_time_s,
+            lambda: vec![d.1],
+            lead: 0,
+            range: self.asked.range,
+        };
+        Ok(FuelledPlant::new(self.driven(noise, setting)?, &c.injection, &c.lambda, d.1)?)
     }
 
     /// The ECU on the static map, tuned on points of its own: extrapolation first, then a lambda loop where one pays.

@@ -170,14 +170,20 @@ fn led(
         return Ok(map);
     }
     let fuelled = Fuelled::of(ctx)?;
-    let Some(fuel) = fuelled.as_ref().and_then(Fuelled::on_model) else {
-        ctx.watch.note(
-            "fuelling.lead: the throttle acts at once, as no model of the manifold knows boost or cams",
-        );
-        return Ok(map);
+    let Some(fuelled) = fuelled.as_ref() else { return Ok(map) };
+    let judge = OnModels::new(ctx, models);
+    let judge = match fuelled.on_model() {
+        // Models of engine and fuelling as one plant know what boost and cams do.
+        _ if ctx.governs().is_some() => judge,
+        Some(fuel) => judge.fuelled(fuel),
+        None => {
+            ctx.watch.note(
+                "fuelling.lead: the throttle acts at once, as no model of the manifold knows boost or cams",
+            );
+            return Ok(map);
+        }
     };
-    let within = fuel.seen_deg;
-    let judge = OnModels::new(ctx, models).fuelled(fuel);
+    let within = fuelled.seen_deg();
     let cost = |map: &dyn FeedforwardMap| match ctx.watch.interrupted() {
         true => f64::INFINITY,
         false => judge.cost(map),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicUsize;
 
-use crate::calibrate::context::{Context, PlantFactory};
+use crate::calibrate::context::{Context, Governs, PlantFactory};
 use crate::calibrate::error::ChainError;
 use crate::calibrate::run::{self, ChainResult};
 use crate::calibrate::spec::CalibrateSpec;
@@ -18,7 +18,7 @@ use dynocal_ident::plant::{Plant, PlantError};
 use super::channels::Channels;
 pub use super::store::KIND;
 use super::summary::Summary;
-use super::{check, page, store, verdict};
+use super::{check, fuel_plant, fuelled, page, store, verdict};
 use dynocal_files::spec::LoadError;
 use dynocal_plant::plants;
 
@@ -111,7 +111,12 @@ fn given_files(spec: &mut CalibrateSpec) -> impl Iterator<Item = &mut PathBuf> {
 /// # Errors
 /// [`ChainError`]: the first file that does not fit.
 pub fn check_given(campaign: &Campaign) -> Result<(), ChainError> {
-    super::given::check(&context(&campaign.spec, &campaign.out, None, Watch::silent()))
+    let ctx = context(&campaign.spec, &campaign.out, None, Watch::silent());
+    let governs = fuelled::governs(&ctx)?;
+    let governed = governs.as_ref().map(|by| fuel_plant::spec(&campaign.spec, by));
+    let on = on_plant(&ctx, governs.as_ref().zip(governed.as_ref()), None);
+    super::given::check(on.as_ref().unwrap_or(&ctx))?;
+    fuelled::check(&ctx)
 }
 
 fn context<'a>(
@@ -130,6 +135,20 @@ fn context<'a>(
         tuned: OnceLock::new(),
         fuelling: OnceLock::new(),
     }
+}
+
+/// The campaign on engine and fuelling as one plant, where they are: its spec, and plants of `make` where it has any.
+fn on_plant<'a>(
+    whole: &Context<'a>,
+    governed: Option<(&Governs, &'a CalibrateSpec)>,
+    make: Option<PlantFactory<'a>>,
+) -> Option<Context<'a>> {
+    let (by, spec) = governed?;
+    let (read, watched) = (vec![by.injection.clone()], vec![by.lambda.clone()]);
+    let channels = Channels { read, watched, ..Channels::of(spec) };
+    let plants = make.filter(|_| whole.plants.is_some());
+    let measured = whole.measured.clone();
+    Some(Context { channels, measured, ..context(spec, Path::new(""), plants, whole.watch) })
 }
 
 /// The last step that a campaign can do: the comparison of the maps steps a plant itself, which is not there on a real bed.
@@ -154,7 +173,12 @@ pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, C
     };
     let ctx = context(spec, &campaign.out, make.is_some().then_some(&factory), watch);
     // A search that is stopped inside says so in its own words; to the user it is one thing.
-    let result = run::run(&ctx, &mut folder, until).map_err(|e| match e {
+    let governs = fuelled::governs(&ctx)?;
+    let governed = governs.as_ref().map(|by| fuel_plant::spec(spec, by));
+    let as_one = |noise: bool| fuelled::plant(&ctx, noise);
+    let on = on_plant(&ctx, governs.as_ref().zip(governed.as_ref()), Some(&as_one));
+    let on = on.as_ref().unwrap_or(&ctx);
+    let result = run::run(&ctx, on, &mut folder, until).map_err(|e| match e {
         ChainError::Files(_) | ChainError::NeedsMeasurement { .. } => e,
         _ if watch.interrupted() => ChainError::Interrupted,
         _ => e,
@@ -163,7 +187,7 @@ pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, C
     let verdict = verdict::of(spec, &result);
     let files = store::files(&campaign.out, &result)?;
     let summary = Summary::new(&campaign.name, spec, &result, &verdict, &files);
-    let report = page::write(&campaign.out, &ctx, &summary, &result)?;
+    let report = page::write(&campaign.out, (&ctx, on), &summary, &result)?;
     let summary = folder.write_summary(&summary)?;
     Ok(Finished {
         result,
@@ -183,7 +207,10 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
     let summary = Summary::new(&name, &spec, &result, &verdict, &files);
     // Nothing is run: the report reads records and models of the folder.
     let ctx = context(&spec, path, None, Watch::silent());
-    let report = page::write(path, &ctx, &summary, &result)?;
+    let governs = result.excite.as_ref().and_then(|d| d.result.fuelled.as_ref()?.governs.as_ref());
+    let governed = governs.map(|by| fuel_plant::spec(&spec, by));
+    let on = on_plant(&ctx, governs.zip(governed.as_ref()), None);
+    let report = page::write(path, (&ctx, on.as_ref().unwrap_or(&ctx)), &summary, &result)?;
     let summary_path = path.join("summary.json");
     dynocal_files::json::write_versioned(&summary_path, "dynocal/summary", 1, &summary)?;
     Ok(Finished {

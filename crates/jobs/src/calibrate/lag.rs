@@ -1,6 +1,7 @@
 //! How well a map holds its demands by the identified models: what its dynamics are chosen by, and those of its strong simple
 //! rival, the lagged static map, alike.
 
+use super::chain::put;
 use super::context::Context;
 use super::fuel_on_model::FuelOnModel;
 use dynocal_calib::map::lagged::LaggedStaticMap;
@@ -9,6 +10,7 @@ use dynocal_calib::map::{FeedforwardMap, Rows};
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::validate::{Scenario, demand_steps, random_points};
 use dynocal_ident::data::{Channel, Dataset, Role};
+use dynocal_ident::plan::demand_name;
 use dynocal_ident::stored::StoredModel;
 use dynocal_numerics::rng::Rng64;
 
@@ -32,6 +34,10 @@ pub(super) struct OnModels<'a> {
     sample_time_s: f64,
     /// What injects in the place of the map.
     fuel: Option<FuelOnModel<'a>>,
+    /// Demand of lambda that the models read, where they are of engine and fuelling as one plant.
+    governed: Option<usize>,
+    /// Models of what the others read.
+    read: Vec<&'a StoredModel>,
 }
 
 impl<'a> OnModels<'a> {
@@ -39,7 +45,11 @@ impl<'a> OnModels<'a> {
     pub(super) fn new(ctx: &'a Context, models: &[&'a StoredModel]) -> Self {
         let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
         let points = random_points(spec, problem, dt, &mut Rng64::stream(ctx.spec.seed, STREAM));
-        Self::over(problem, models, vec![demand_steps(spec, problem, dt), points], dt)
+        let plain = Self::over(problem, models, vec![demand_steps(spec, problem, dt), points], dt);
+        let Some(by) = ctx.governs() else { return plain };
+        let governed = problem.demands.iter().position(|d| d.output == by.lambda);
+        let read = models.iter().copied().filter(|m| m.user_output().name == by.injection).collect();
+        Self { governed, read, ..plain }
     }
 
     fn over(
@@ -53,7 +63,7 @@ impl<'a> OnModels<'a> {
             problem.demands.iter().position(|d| d.output == name).map(|k| (k, *m))
         };
         let models = models.iter().filter_map(place).collect();
-        Self { problem, models, scenarios, sample_time_s, fuel: None }
+        Self { problem, models, scenarios, sample_time_s, fuel: None, governed: None, read: Vec::new() }
     }
 
     /// The same with the fuel of another: lambda is no longer the map's to hold, and the leading demand counts as any.
@@ -62,9 +72,15 @@ impl<'a> OnModels<'a> {
         Self { models, fuel: Some(fuel), ..self }
     }
 
-    /// Whether a demand other than the leading one has a model: the leading one alone says nothing of what follows it.
+    /// Whether a demand other than the leading one has a model: the leading one alone says nothing of what follows it, but where that is
+    /// lambda and the fuelling's.
     pub(super) fn tells(&self) -> bool {
-        self.models.iter().any(|(k, _)| *k > 0)
+        self.models.iter().any(|(k, _)| *k > 0 || self.governed.is_some())
+    }
+
+    /// Whether the map has to hold the leading demand alone.
+    fn leads_alone(&self) -> bool {
+        self.fuel.is_some() || self.governed.is_some()
     }
 
     /// What transients of a map cost by the models:
@@ -82,11 +98,19 @@ impl<'a> OnModels<'a> {
             if let Some(fuel) = &self.fuel {
                 fuel.inject(&mut drive, &scenario.reference, self.sample_time_s);
             }
-            let record = as_record(self.problem, &drive, scenario, self.sample_time_s);
+            let mut record = as_record(self.problem, &drive, scenario, self.sample_time_s);
+            if let Some(k) = self.governed {
+                let d = &self.problem.demands[k];
+                let (name, unit, role) = (demand_name(&d.output), d.unit.clone(), Role::Input);
+                record.channels.push(Channel { name, unit, role, values: scenario.reference.column(k) });
+            }
+            if self.read.iter().any(|m| put(m, &mut record).is_err()) {
+                return f64::INFINITY;
+            }
             for (k, model) in &self.models {
                 let Ok(runs) = model.simulate(&record, None) else { return f64::INFINITY };
                 let d = &self.problem.demands[*k];
-                let weight = if *k == 0 && self.fuel.is_none() { LEADING } else { 1.0 } / (d.upper - d.lower);
+                let weight = if *k == 0 && !self.leads_alone() { LEADING } else { 1.0 } / (d.upper - d.lower);
                 sum += runs.iter().map(|r| weight * self.moved(scenario, *k, &r.y)).sum::<f64>();
             }
         }

@@ -6,6 +6,7 @@
 //! (`design.record`). Every product can be taken out of the run folder and used elsewhere.
 
 pub mod at_rest;
+mod chain;
 pub mod channels;
 mod check;
 pub mod context;
@@ -17,6 +18,7 @@ pub mod excite_step;
 mod excited;
 mod fuel_driven;
 mod fuel_on_model;
+mod fuel_plant;
 pub mod fuelled;
 mod given;
 pub mod invert_step;

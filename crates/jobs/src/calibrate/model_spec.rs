@@ -2,6 +2,7 @@
 
 use super::context::Context;
 use super::error::ChainError;
+use dynocal_calib::problem::GivenChannel;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::derived::Derived;
 use dynocal_ident::stored::StoredModel;
@@ -32,6 +33,10 @@ fn reciprocal_name(output: &str) -> String {
     format!("inv_{output}")
 }
 
+/// Ratio of the ends of a positive range over which the reciprocal is no more than a straight line: within 20 % of its middle it differs
+/// from one by 4 %.
+const STRAIGHT: f64 = 1.5;
+
 /// Derived channels of the pools: those of the spec, the reciprocal of every positive given channel (what delays and
 /// fillings scale with is the duration of a cycle), and the reciprocal of an output that stays away from zero.
 fn derived(ctx: &Context, output: &str, records: &[(Dataset, PathBuf)]) -> (Vec<Derived>, Vec<String>, bool) {
@@ -46,7 +51,9 @@ fn derived(ctx: &Context, output: &str, records: &[(Dataset, PathBuf)]) -> (Vec<
         |name: &str| records.iter().all(|(d, _)| d.values(name).is_ok_and(|v| v.iter().all(|x| *x > 0.0)));
     let mut derive = ctx.spec.identify.derive.clone();
     let mut names: Vec<String> = derive.iter().map(|d| d.name.clone()).collect();
-    for g in ctx.spec.problem.given.iter().filter(|g| g.lower > 0.0 && positive(&g.name)) {
+    // Pools that have one channel more for the injection do without a second lambda.
+    let moves = |g: &&GivenChannel| ctx.channels.read.is_empty() || g.upper > STRAIGHT * g.lower;
+    for g in ctx.spec.problem.given.iter().filter(|g| g.lower > 0.0 && positive(&g.name)).filter(moves) {
         // Scaled to the order of the channel itself in its middle, so that regressors are of one size.
         derive.push(reciprocal(&g.name, 0.5 * (g.lower + g.upper)));
         names.push(reciprocal_name(&g.name));
@@ -87,13 +94,20 @@ pub(super) fn candidates(
             .collect();
         return Ok(Candidates { tables, derive });
     }
-    let inputs: Vec<String> = ctx.channels.plant_inputs().into_iter().chain(extra.iter().cloned()).collect();
+    // What flows through the engine is read by the models of all else.
+    let read = ctx.channels.read.iter().filter(|r| *r != output);
+    let inputs: Vec<String> =
+        ctx.channels.plant_inputs().into_iter().chain(read.cloned()).chain(extra.iter().cloned()).collect();
     let (lags, terms) = (ctx.spec.identify.lags.max(1), ctx.spec.identify.terms.max(3));
-    let mut tables = vec![generated(ctx, output, &inputs, &extra, lags, terms)];
+    let mut tables = vec![generated(ctx, (output, Speed::Moves), &inputs, &extra, lags, terms)];
     if invertible {
         // A ratio of two flows is linear in one of them as a reciprocal; its sensor lies behind a transport.
-        let name = reciprocal_name(output);
-        tables.push(generated(ctx, &name, &inputs, &extra, lags + lags.div_ceil(2), terms + terms / 3));
+        let (name, lags) = (reciprocal_name(output), lags + lags.div_ceil(2));
+        tables.push(generated(ctx, (&name, Speed::Moves), &inputs, &extra, lags, terms + terms / 3));
+    }
+    if ctx.channels.read.iter().any(|r| r == output) {
+        // Where others stand on it one that runs away takes them with it.
+        tables.push(generated(ctx, (output, Speed::Stays), &inputs, &extra, lags, terms));
     }
     Ok(Candidates { tables, derive })
 }
@@ -101,10 +115,17 @@ pub(super) fn candidates(
 /// Terms that forward selection takes beyond those that stay.
 const SURPLUS: usize = 30;
 
+/// Whether the speed of a recursion may depend on the channels, or stays: then a model of stable poles is stable everywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Speed {
+    Moves,
+    Stays,
+}
+
 /// A polynomial of selected terms from products of lagged inputs.
 fn generated(
     ctx: &Context,
-    target: &str,
+    (target, speed): (&str, Speed),
     inputs: &[String],
     derived: &[String],
     lags: usize,
@@ -137,7 +158,7 @@ fn generated(
     for k in 1..=2 {
         regressors.push(format!("{target}(t-{k})"));
     }
-    for i in inputs {
+    for i in inputs.iter().filter(|_| speed == Speed::Moves) {
         regressors.push(format!("{target}(t-1)*{i}(t-1)"));
     }
     let pool = table([
@@ -164,7 +185,8 @@ fn generated(
         ("select", Value::Table(select)),
         ("estimator", Value::Table(estimator)),
     ]);
-    CandidateSpec { what: format!("{terms} terms of {target}, simulation error"), model }
+    let plain = if speed == Speed::Stays { ", linear in its past" } else { "" };
+    CandidateSpec { what: format!("{terms} terms of {target}{plain}, simulation error"), model }
 }
 
 /// The chosen polynomial again, with all its terms; none for other kinds of model.
@@ -226,10 +248,15 @@ pub(super) fn spec_text(
         ]))
     };
     let inputs = ctx.channels.plant_inputs();
+    let target = candidate.model.get("target").and_then(Value::as_str).unwrap_or_default();
+    let role = |n: &String| match ctx.channels.read.contains(n) {
+        true if target != n && target != reciprocal_name(n) => "input",
+        _ => "output",
+    };
     let channels: Vec<Value> = inputs
         .iter()
         .map(|n| channel(n, "input"))
-        .chain(ctx.channels.outputs().iter().map(|n| channel(n, "output")))
+        .chain(ctx.channels.outputs().iter().map(|n| channel(n, role(n))))
         .collect();
     let derive = derive.iter().map(Value::try_from).collect::<Result<Vec<_>, _>>().map_err(|e| fault(&e))?;
     let mut validate = spec.validate.clone();

@@ -1,6 +1,7 @@
 //! Models of the outputs of a campaign, by the job `identify`: a spec for every output and candidate, written beside its
 //! result, so that `dynocal identify` can repeat each.
 
+use super::chain::with_read;
 use super::context::Context;
 use super::error::ChainError;
 use super::given;
@@ -123,7 +124,7 @@ impl ModelData<'_> {
 /// # Errors
 /// [`ChainError`].
 pub fn identify_all(ctx: &Context, folder: &Path, data: &ModelData) -> Result<ModelsResult, ChainError> {
-    each_output(ctx, |output| {
+    each_output(ctx, data, |output, data| {
         if let Some(file) = ctx.spec.identify.files.get(output) {
             let model = given::model(ctx, output, file)?;
             return output_models(ctx, output, vec![stored(ctx, file, model, data)?]);
@@ -143,7 +144,7 @@ pub fn identify_again(
     previous: &ModelsResult,
     data: &ModelData,
 ) -> Result<ModelsResult, ChainError> {
-    each_output(ctx, |output| {
+    each_output(ctx, data, |output, data| {
         let Some(old) = previous.outputs.iter().find(|o| o.output == output) else {
             return Err(ChainError::Identify { what: output.into(), reason: "no earlier model".into() });
         };
@@ -168,10 +169,19 @@ pub fn with_predecessors(
     before: &ModelsResult,
     data: &ModelData,
 ) -> Result<ModelsResult, ChainError> {
-    for o in &mut models.outputs {
+    // Those that others read come first among the models.
+    let mut said: Option<Said> = None;
+    for k in 0..models.outputs.len() {
+        if said.is_none() && k > 0 && k == ctx.channels.read.len() {
+            said = Some(Said::of(ctx, &models.outputs[..k], data)?);
+        }
+        let o = &mut models.outputs[k];
         let Some(old) = before.outputs.iter().find(|b| b.output == o.output) else { continue };
         // Scored on what its successor was scored on.
-        let scores = scores(ctx, &old.best().model, data)?;
+        let scores = match &said {
+            Some(said) => scores(ctx, &old.best().model, &said.data())?,
+            None => scores(ctx, &old.best().model, data)?,
+        };
         let old = Candidate {
             choosing_r2: mean_r2(&scores, |s| s.chooses),
             unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
@@ -196,13 +206,49 @@ fn clearly_worse(new: (Option<f64>, f64), old: (Option<f64>, f64)) -> bool {
     score < before - WORSE || (old.1 == 0.0 && new.1 > 0.0 && score < before + WORSE)
 }
 
+/// Outputs that others read first: what reads them is estimated from what was measured, and scored on what they say.
 fn each_output(
     ctx: &Context,
-    job: impl Fn(&str) -> Result<OutputModels, ChainError> + Sync,
+    data: &ModelData,
+    job: impl Fn(&str, &ModelData) -> Result<OutputModels, ChainError> + Sync,
 ) -> Result<ModelsResult, ChainError> {
-    let outputs = ctx.channels.outputs();
-    let found: Vec<Result<OutputModels, ChainError>> = outputs.par_iter().map(|o| job(o)).collect();
-    Ok(ModelsResult { outputs: found.into_iter().collect::<Result<_, _>>()? })
+    let all = |outputs: Vec<String>, data: &ModelData| -> Result<Vec<OutputModels>, ChainError> {
+        let found: Vec<Result<_, ChainError>> = outputs.par_iter().map(|o| job(o, data)).collect();
+        found.into_iter().collect()
+    };
+    if ctx.channels.read.is_empty() {
+        return Ok(ModelsResult { outputs: all(ctx.channels.outputs(), data)? });
+    }
+    let (first, then): (Vec<String>, Vec<String>) =
+        ctx.channels.outputs().into_iter().partition(|o| ctx.channels.read.contains(o));
+    let mut outputs = all(first, data)?;
+    let said = Said::of(ctx, &outputs, data)?;
+    outputs.extend(all(then, &said.data())?);
+    Ok(ModelsResult { outputs })
+}
+
+/// Records in which outputs that other models read are what their models say.
+struct Said {
+    identification: Vec<(Dataset, PathBuf)>,
+    validation: Vec<Dataset>,
+}
+
+impl Said {
+    fn of(ctx: &Context, outputs: &[OutputModels], data: &ModelData) -> Result<Self, ChainError> {
+        let models: Vec<&StoredModel> = outputs.iter().map(|o| &o.best().model).collect();
+        let one = |d: &Dataset| with_read(&ctx.channels, &models, d);
+        let files = data.identification.iter();
+        Ok(Self {
+            identification: files
+                .map(|(d, f)| Ok((one(d)?, f.clone())))
+                .collect::<Result<_, ChainError>>()?,
+            validation: data.validation.iter().map(one).collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn data(&self) -> ModelData<'_> {
+        ModelData { identification: &self.identification, validation: &self.validation }
+    }
 }
 
 fn run_candidates(

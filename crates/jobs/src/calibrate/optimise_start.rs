@@ -1,5 +1,6 @@
 //! The record with which an optimisation begins: demands that the plant can follow, and inputs that roughly give them.
 
+use super::chain::with_read;
 use super::context::Context;
 use super::error::ChainError;
 use super::excited::bounded;
@@ -128,12 +129,14 @@ impl Begin<'_> {
 
     /// What the models say of the demanded outputs; none where one has no model, or runs away.
     fn response(&self, record: &Dataset) -> Option<Vec<Vec<f64>>> {
+        let channels = &self.ctx.channels;
+        let record = with_read(channels, self.models, record).ok()?;
         let of = |d: &String| {
             let model = self.models.iter().find(|m| m.user_output().name == *d)?;
-            let y = model.simulate(record, None).ok()?.into_iter().next()?.y;
+            let y = model.simulate(&record, None).ok()?.into_iter().next()?.y;
             y.iter().all(|v| v.is_finite()).then_some(y)
         };
-        self.ctx.channels.demands.iter().map(of).collect()
+        channels.demands.iter().map(of).collect()
     }
 
     /// Moves the reference against the miss of the response, by one range of the demand beyond it at most; mean square of the miss
@@ -224,13 +227,21 @@ fn record_of(
         init_samples: 0,
         origin: "start rule".into(),
     };
-    for output in ctx.channels.outputs() {
+    // What others read rests first.
+    let (mut outputs, others): (Vec<String>, Vec<String>) =
+        ctx.channels.outputs().into_iter().partition(|o| ctx.channels.read.contains(o));
+    outputs.extend(others);
+    for output in outputs {
         let guess = problem.demands.iter().position(|d| d.output == output).map(|j| demands[j][0]);
         let model = models.iter().find(|m| m.user_output().name == output);
         let at_rest = model.and_then(|m| rest_of(m, &record));
         let value = at_rest.or(guess).unwrap_or(0.0);
         let unit = problem.unit(&output).unwrap_or("-").to_string();
-        channels.push(channel(&output, &unit, Role::Output, vec![value; n]));
+        let rests = channel(&output, &unit, Role::Output, vec![value; n]);
+        if ctx.channels.read.contains(&output) {
+            record.channels.push(rests.clone());
+        }
+        channels.push(rests);
     }
     record.channels = channels;
     record

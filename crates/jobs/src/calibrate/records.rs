@@ -73,8 +73,10 @@ impl Context<'_> {
     ) -> Result<Dataset, ChainError> {
         plant.reset(noise_seed(self.spec.seed, &plan.name));
         let inputs: Vec<String> = plan.channels.iter().map(|c| c.name.clone()).collect();
-        // Only outputs with an abort rule are watched.
-        let watched = models.iter().filter(|m| plan.limits.iter().any(|l| l.output == m.user_output().name));
+        // Only outputs with an abort rule are watched, and by models that read nothing but the plan.
+        let planned = |m: &&&StoredModel| m.inputs.iter().all(|q| !self.channels.read.contains(&q.name));
+        let watched = models.iter().filter(planned);
+        let watched = watched.filter(|m| plan.limits.iter().any(|l| l.output == m.user_output().name));
         let views = watched
             .map(|m| Ok((m.user_output().name, m.over(&inputs)?)))
             .collect::<Result<Vec<_>, StoredError>>()?;
@@ -183,7 +185,8 @@ impl Context<'_> {
     /// # Errors
     /// [`ChainError::Files`].
     pub fn read_record(&self, path: &Path, name: &str) -> Result<Dataset, ChainError> {
-        let (inputs, outputs) = (self.channels.plant_inputs(), self.channels.outputs());
+        let (inputs, mut outputs) = (self.channels.plant_inputs(), self.channels.outputs());
+        outputs.extend(self.channels.watched.iter().cloned());
         let tell = |text: &str| self.watch.note(text);
         let mut d = dataset::read_dataset_told(path, &texts(&inputs), &texts(&outputs), &tell)?;
         d.name = name.into();

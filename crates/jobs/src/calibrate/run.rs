@@ -4,6 +4,7 @@ use super::context::Context;
 use super::design_step::{DesignResult, design};
 use super::error::ChainError;
 use super::excite_step::{ExciteResult, excite};
+use super::fuel_plant::as_asked;
 use super::invert_step::{InvertResult, finished, invert_refined};
 use super::models::{ModelData, ModelsResult, identify_all, save_models};
 use super::optimise_step::{OptimiseResult, Pass, optimise};
@@ -15,6 +16,7 @@ use dynocal_ident::data::Dataset;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 /// Steps of a campaign that measure and compute; the report is the seventh.
 pub const STEPS: [&str; 6] = ["excite", "identify", "design", "optimise", "invert", "validate"];
@@ -79,11 +81,17 @@ impl ChainResult {
     }
 }
 
-/// Runs all steps up to and including `until` (one of [`STEPS`]).
+/// Runs all steps up to and including `until` (one of [`STEPS`]): those up to the optimisation on the plant of `on`, which is that of
+/// `ctx` or engine and fuelling as one.
 ///
 /// # Errors
 /// [`ChainError`]; steps that were finished stay in the folder and are taken over by the next run.
-pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainResult, ChainError> {
+pub fn run(
+    ctx: &Context,
+    on: &Context,
+    folder: &mut RunFolder,
+    until: &str,
+) -> Result<ChainResult, ChainError> {
     let mut result = ChainResult::default();
     let last = STEPS.iter().position(|s| *s == until).ok_or_else(|| ChainError::Spec {
         key: "--until".into(),
@@ -91,21 +99,23 @@ pub fn run(ctx: &Context, folder: &mut RunFolder, until: &str) -> Result<ChainRe
         expected: format!("one of {}", STEPS.join(", ")),
     })?;
     // A fault of a file that is given is told before anything is measured.
-    super::given::check(ctx)?;
+    super::given::check(on)?;
+    super::fuelled::check(ctx)?;
     for (k, step) in STEPS.iter().enumerate() {
         ctx.check_interrupt()?;
         // Later steps that are finished and still belong to these inputs stay part of the run.
         let how = if k <= last { How::Run } else { How::Take };
         if how == How::Run {
+            on.begun.store(k, Ordering::Relaxed);
             ctx.begin(k, STEPS.len() + 1, step);
         }
         let found = match *step {
-            "excite" => kept(step_excite(ctx, folder, how)?, &mut result.excite),
-            "identify" => kept(step_identify(ctx, folder, &result, how)?, &mut result.identify),
-            "design" => kept(step_design(ctx, folder, &result, how)?, &mut result.design),
-            "optimise" => kept(step_optimise(ctx, folder, &result, how)?, &mut result.optimise),
-            "invert" => kept(step_invert(ctx, folder, &result, how)?, &mut result.invert),
-            _ => kept(step_validate(ctx, folder, &result, how)?, &mut result.validate),
+            "excite" => kept(step_excite((ctx, on), folder, how)?, &mut result.excite),
+            "identify" => kept(step_identify(on, folder, &result, how)?, &mut result.identify),
+            "design" => kept(step_design(on, folder, &result, how)?, &mut result.design),
+            "optimise" => kept(step_optimise(on, folder, &result, how)?, &mut result.optimise),
+            "invert" => kept(step_invert((ctx, on), folder, &result, how)?, &mut result.invert),
+            _ => kept(step_validate((ctx, on), folder, &result, how)?, &mut result.validate),
         };
         if !found {
             break;
@@ -168,7 +178,7 @@ fn digests(files: &[&PathBuf]) -> Result<Vec<String>, ChainError> {
 }
 
 fn step_excite(
-    ctx: &Context,
+    (ctx, on): (&Context, &Context),
     folder: &mut RunFolder,
     how: How,
 ) -> Result<Option<Done<ExciteResult>>, ChainError> {
@@ -177,8 +187,10 @@ fn step_excite(
     let files: Vec<&PathBuf> =
         e.identification_files.iter().chain(&e.validation_files).chain(&fuelling).collect();
     let inputs = (e, &ctx.spec.identify.init_samples, digests(&files)?, &ctx.spec.tune, &ctx.spec.fuelling);
-    let done = run_step(ctx, folder, how, "excite", &inputs, |path| excite(ctx, path))?;
-    ctx.close_loops_with(done.as_ref().and_then(|d| d.result.tuned.as_ref()));
+    let done = run_step(ctx, folder, how, "excite", &inputs, |path| excite(ctx, on, path))?;
+    for c in [ctx, on] {
+        c.close_loops_with(done.as_ref().and_then(|d| d.result.tuned.as_ref()));
+    }
     if let Some(d) = &done {
         super::fuelled::inject(ctx, &d.folder, d.result.fuelled.as_ref())?;
     }
@@ -284,7 +296,7 @@ fn last_pass(result: &OptimiseResult) -> Result<&Pass, ChainError> {
 }
 
 fn step_invert(
-    ctx: &Context,
+    (ctx, on): (&Context, &Context),
     folder: &mut RunFolder,
     result: &ChainResult,
     how: How,
@@ -301,10 +313,13 @@ fn step_invert(
             // Without a usable pass the map learns from the last one all the same, and the verdict says so.
             if pass.usable || (!any && pass.pass == last.pass) {
                 // The second record of a pass is the optimum.
-                optima.extend(ctx.load_records(&optimise.folder, &pass.records[1..])?);
+                optima.extend(on.load_records(&optimise.folder, &pass.records[1..])?);
             } else {
                 left_out.push(format!("pass {}: {}", pass.pass, pass.reason));
             }
+        }
+        if let Some(by) = ctx.governs() {
+            optima.iter_mut().for_each(|record| as_asked(record, by));
         }
         let models = last.models.chosen();
         let fitted = invert_refined(ctx, path, optima, &left_out, &models)?;
@@ -315,7 +330,7 @@ fn step_invert(
 }
 
 fn step_validate(
-    ctx: &Context,
+    (ctx, on): (&Context, &Context),
     folder: &mut RunFolder,
     result: &ChainResult,
     how: How,
@@ -325,7 +340,8 @@ fn step_validate(
     run_step(ctx, folder, how, "validate", &inputs, |path| {
         let last = last_pass(&optimise.result)?;
         let models = last.models.chosen();
-        let done = validate(ctx, path, &invert.result, last, &optimise.folder, &models)?;
+        let last = (last, optimise.folder.as_path());
+        let done = validate((ctx, on), path, &invert.result, last, &models)?;
         json::write_versioned(&path.join("static_map.json"), "dynocal/static-map", 2, &done.static_map)?;
         Ok(done)
     })

@@ -421,6 +421,10 @@ pub struct FuelledSpec {
     pub excite: bool,
     /// Whether the throttle of the delivered map may go ahead of its rest: sooner there in torque, with larger spikes of lambda.
     pub lead: bool,
+    /// Whether engine and fuelling are one plant: models, design and optimisation move everything but the injection, which is one more
+    /// output, and the lambda that is demanded is a given channel.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub plant: bool,
     /// Names of the channels of `file` on the plant; a spec has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Channels>,
@@ -428,6 +432,6 @@ pub struct FuelledSpec {
 
 impl Default for FuelledSpec {
     fn default() -> Self {
-        Self { file: None, spec: None, excite: true, lead: false, channels: None }
+        Self { file: None, spec: None, excite: true, lead: false, plant: false, channels: None }
     }
 }

@@ -55,7 +55,7 @@ pub const FULL: &str = "structured";
 pub struct ValidateResult {
     /// The static map.
     pub static_map: StaticMap,
-    /// Time constant of the lagged static map in s, from a line search on the identified models.
+    /// Time constant of the lagged static map in s, from a line search on the identified models; 0 where there is none.
     pub lag_s: f64,
     /// Scores of all maps in all scenarios, the delivered map first.
     pub scores: Vec<MapScore>,
@@ -88,6 +88,9 @@ pub const OWN_FUEL: &str = "same map with its own fuel";
 /// Name of the static map with the fuel of a production ECU.
 pub const ECU_FUEL: &str = "static map with the fuel of an ECU";
 
+/// Name of the static map with the fuel of the delivered one, where engine and fuelling are one plant: what the dynamics are worth.
+pub const SAME_FUEL: &str = "static map with the same fuel";
+
 /// A map with the name that it has in the comparison.
 type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);
 
@@ -96,27 +99,32 @@ type NamedMap<'a> = (&'a dyn FeedforwardMap, &'a str);
 /// # Errors
 /// [`ChainError`].
 pub fn validate(
-    ctx: &Context,
+    (ctx, on): (&Context, &Context),
     folder: &Path,
     inverse: &InvertResult,
-    last: &Pass,
-    optimise_folder: &Path,
+    (last, optimise_folder): (&Pass, &Path),
     models: &[&StoredModel],
 ) -> Result<ValidateResult, ChainError> {
     let static_map = calibrate_static(ctx)?;
     let (spec, problem, dt) = (&ctx.spec.validate.scenario, &ctx.spec.problem, ctx.spec.sample_time_s);
     let leader = ctx.channels.driven.first().copied().unwrap_or(0);
     let steps = demand_steps(spec, problem, dt);
-    let lag_s = best_lag((&static_map, leader), &OnModels::new(ctx, models));
+    // Models of engine and fuelling as one plant do not say how the map's own fuel should wait.
+    let lag_s = match ctx.governs() {
+        Some(_) => 0.0,
+        None => best_lag((&static_map, leader), &OnModels::new(ctx, models)),
+    };
     let lagged = LaggedStaticMap { map: &static_map, tau_s: lag_s, leader };
-    let on_record = OnRecord::of(ctx, folder, last, optimise_folder)?;
+    let on_record = OnRecord::of((ctx, on), folder, last, optimise_folder)?;
     let static_on_record = on_record.as_ref().map(|r| r.static_map(&static_map)).transpose()?;
     let causality = on_record.as_ref().map(|r| r.causality(inverse)).transpose()?;
     let fuelled = Fuelled::of(ctx)?;
     // What is delivered is called so, whatever its structure and whoever injects.
     let own = if fuelled.is_some() { OWN_FUEL } else { DYNAMIC };
-    let mut maps: Vec<NamedMap> =
-        vec![(&*inverse.dynamic, own), (&static_map, static_map.name()), (&lagged, lagged.name())];
+    let mut maps: Vec<NamedMap> = vec![(&*inverse.dynamic, own), (&static_map, static_map.name())];
+    if ctx.governs().is_none() {
+        maps.push((&lagged, lagged.name()));
+    }
     maps.extend(inverse.one_lag.as_ref().map(|m| -> NamedMap { (&**m, ONE_LAG) }));
     maps.extend(inverse.before.as_ref().map(|m| -> NamedMap { (&**m, NOT_REFINED) }));
     maps.extend(inverse.rivals.iter().map(|m| -> NamedMap { (&**m, m.name()) }));
@@ -128,6 +136,7 @@ pub fn validate(
         Some(f) => {
             names.insert(0, DYNAMIC);
             names.push(ECU_FUEL);
+            names.extend(ctx.governs().map(|_| SAME_FUEL));
             Some(run_fuelled(f, folder, (&*inverse.dynamic, &static_map), (&scenarios, &mut runs))?)
         }
         None => None,
@@ -145,7 +154,10 @@ pub fn validate(
 
 /// The record of the last pass again and again, with other values of the inputs that no loop drives.
 struct OnRecord<'a, 'c> {
+    /// What maps give and read.
     ctx: &'a Context<'c>,
+    /// What is played: the same, or engine and fuelling as one plant.
+    on: &'a Context<'c>,
     folder: &'a Path,
     last: &'a Pass,
     optimum: Dataset,
@@ -154,26 +166,27 @@ struct OnRecord<'a, 'c> {
 impl<'a, 'c> OnRecord<'a, 'c> {
     /// None where loops drive every input, or the pass has no record.
     fn of(
-        ctx: &'a Context<'c>,
+        (ctx, on): (&'a Context<'c>, &'a Context<'c>),
         folder: &'a Path,
         last: &'a Pass,
         optimise_folder: &Path,
     ) -> Result<Option<Self>, ChainError> {
-        if ctx.channels.free.is_empty() {
+        if on.channels.free.is_empty() {
             return Ok(None);
         }
-        let optimum = ctx.load_records(optimise_folder, &last.records)?.into_iter().nth(1);
-        Ok(optimum.map(|optimum| Self { ctx, folder, last, optimum }))
+        let optimum = on.load_records(optimise_folder, &last.records)?.into_iter().nth(1);
+        Ok(optimum.map(|optimum| Self { ctx, on, folder, last, optimum }))
     }
 
     /// Mean objective with the free inputs of `by`, which is told the references.
     fn objective(&self, name: &str, by: impl Fn(&Rows) -> Rows) -> Result<f64, ChainError> {
-        let (ctx, optimum) = (self.ctx, &self.optimum);
-        let drive = by(&ctx.channels.references(optimum)?);
+        let (ctx, optimum) = (self.on, &self.optimum);
+        let drive = by(&self.ctx.channels.references(optimum)?);
         let mut actuators = ctx.channels.actuators(optimum)?;
-        for t in 0..actuators.len() {
+        for &k in &ctx.channels.free {
             // What loops drive stays as optimised: they trim what the other inputs need.
-            ctx.channels.free.iter().for_each(|&k| actuators.row_mut(t)[k] = drive.row(t)[k]);
+            let given = self.ctx.channels.inputs.iter().position(|n| *n == ctx.channels.inputs[k]);
+            given.into_iter().for_each(|g| actuators.set_column(k, &drive.column(g)));
         }
         let inputs = (0..actuators.width()).map(|k| actuators.column(k)).collect();
         let given = ctx
@@ -266,6 +279,9 @@ fn run_fuelled(
     for (scenario, runs) in scenarios.iter().zip(&mut *runs) {
         runs.insert(0, fuelled.run(folder, (delivered, DYNAMIC), scenario, fuelled.policy())?);
         runs.push(fuelled.run(folder, (static_map, ECU_FUEL), scenario, fuelled.ecu_fuel(&ecu))?);
+        if fuelled.is_plant() {
+            runs.push(fuelled.run(folder, (static_map, SAME_FUEL), scenario, fuelled.policy())?);
+        }
     }
     let own: Vec<&Dataset> = runs.iter().filter_map(|r| r.first()).collect();
     Ok(FuelledBy { outside: fuelled.outside(&own)?, ..by })

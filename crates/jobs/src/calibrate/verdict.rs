@@ -334,6 +334,9 @@ pub fn stages(r: &ChainResult) -> Vec<(String, &ModelsResult)> {
     out
 }
 
+/// What is said where engine and fuelling are one plant.
+const ONE_PLANT: &str = " Models and optimum are those of engine and fuelling as one plant: the injection is modelled and not moved, and models that read it are scored on what its model says.";
+
 /// One or two sentences at the top of the page.
 fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
     let Some(v) = r.validate.as_ref().map(|d| &d.result) else {
@@ -359,7 +362,9 @@ fn words(spec: &CalibrateSpec, r: &ChainResult, valid: bool) -> String {
     let own = v.scores.iter().filter(|s| s.map == DYNAMIC);
     let paragraphs = own.map(|own| against_rivals(spec, v, own));
     let fuel = v.fuelled.as_ref().map_or(String::new(), |by| {
-        format!(" Its fuel is given by measured states (`{}`), its other inputs by the map.", by.file)
+        let one = spec.fuelling.as_ref().is_some_and(|f| f.plant);
+        let as_one = if one { ONE_PLANT } else { "" };
+        format!(" Its fuel is given by measured states (`{}`), its other inputs by the map.{as_one}", by.file)
     });
     std::iter::once(format!("{head}{fuel}")).chain(paragraphs).collect::<Vec<_>>().join("\n")
 }

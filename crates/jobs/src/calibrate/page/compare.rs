@@ -4,7 +4,7 @@ use super::super::context::Context;
 use super::super::error::ChainError;
 use super::super::fuelled::FuelledBy;
 use super::super::summary::Summary;
-use super::super::validate_step::{Causality, DYNAMIC, ECU_FUEL, OWN_FUEL, ValidateResult};
+use super::super::validate_step::{Causality, DYNAMIC, ECU_FUEL, OWN_FUEL, SAME_FUEL, ValidateResult};
 use super::super::verdict::objective_words;
 use super::parts::{change, label, record, unit};
 use dynocal_calib::validate::MapScore;
@@ -27,9 +27,18 @@ pub(super) fn section(
             scenarios.push(&s.scenario);
         }
     }
+    // Where engine and fuelling are one plant another rival stands in its place.
+    let lag = match r.scores.iter().any(|s| s.map == SAME_FUEL) {
+        true => format!(
+            "The {SAME_FUEL} says what the dynamics of the delivered map are worth: no lag of a static map with its own fuel is searched, as no model says how that should wait."
+        ),
+        false => format!(
+            "The lag of the lagged static map, {:.3} s, is the best of a line search on the identified models.",
+            r.lag_s
+        ),
+    };
     let mut section = Section::new("Comparison of the maps").id("validate").text(format!(
-        "All maps drive the plant open loop. Settling counts from the change of the raw demand, look-ahead included, for every map. The lag of the lagged static map, {:.3} s, is the best of a line search on the identified models.",
-        r.lag_s
+        "All maps drive the plant open loop. Settling counts from the change of the raw demand, look-ahead included, for every map. {lag}"
     ));
     if let Some(by) = &r.fuelled {
         section = section.text(fuelled(by));

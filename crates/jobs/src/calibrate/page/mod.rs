@@ -17,14 +17,15 @@ use super::summary::Summary;
 use dynocal_files::atomic;
 use dynocal_report::{Report, render};
 
-/// Writes `report.html` into the run folder and returns its path.
+/// Writes `report.html` into the run folder and returns its path. Of the contexts the second is that of the records up to the
+/// optimisation.
 pub(crate) fn write(
     run: &Path,
-    ctx: &Context,
+    contexts: (&Context, &Context),
     summary: &Summary,
     result: &ChainResult,
 ) -> Result<PathBuf, ChainError> {
-    let report = build(ctx, summary, result)?;
+    let report = build(contexts, summary, result)?;
     let html =
         render(&report).map_err(|e| ChainError::Identify { what: "report".into(), reason: e.to_string() })?;
     let path = run.join("report.html");
@@ -33,21 +34,21 @@ pub(crate) fn write(
 }
 
 /// Everything, the verdict and warnings first.
-fn build(ctx: &Context, summary: &Summary, r: &ChainResult) -> Result<Report, ChainError> {
+fn build((ctx, on): (&Context, &Context), summary: &Summary, r: &ChainResult) -> Result<Report, ChainError> {
     let mut report = asked::head(summary, r);
     report = report.section(asked::overview(summary, r));
     if let Some(excite) = &r.excite {
-        report = report.section(models::records(ctx, excite, r)?);
+        report = report.section(models::records(on, excite, r)?);
     }
     if let Some(identify) = &r.identify {
         report = report.section(models::fits(&identify.result));
     }
     if let Some(d) = &r.design {
-        report = report.section(design::section(ctx, d)?);
+        report = report.section(design::section(on, d)?);
     }
     if let Some(o) = &r.optimise {
         let fixed = r.validate.as_ref().and_then(|v| v.result.static_on_record.as_ref());
-        report = report.section(optimise::section(ctx, o, fixed)?);
+        report = report.section(optimise::section(on, o, fixed)?);
     }
     if let Some(i) = &r.invert {
         let rival = r.validate.as_ref().map(|v| &v.result.static_map);
