@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use dynocal_numerics::fft::Complex;
 
 use crate::poly;
-use crate::system::{System, Time};
+use crate::system::{System, Time, Transfer};
 
 /// Frequencies in a decade.
 const PER_DECADE: f64 = 40.0;
@@ -36,7 +36,7 @@ pub fn frequencies(plant: &System, controller: &System) -> Vec<f64> {
     }
     let delay_s = plant.delay_s() + controller.delay_s();
     let mut out = match time {
-        Time::Continuous => continuous(&roots, delay_s),
+        Time::Continuous => continuous(&roots, plant.channels.iter().chain(&controller.channels)),
         Time::Sampled { sample_time_s } => sampled(&roots, sample_time_s),
     };
     let gain = |w: f64| plant.at(w).times(&controller.at(w)).norm();
@@ -90,9 +90,11 @@ fn logarithmic(lower: f64, upper: f64) -> Vec<f64> {
     (0..=n).map(|k| lower * (upper / lower).powf(k as f64 / n as f64)).collect()
 }
 
-fn continuous(roots: &[Complex<f64>], delay_s: f64) -> Vec<f64> {
+/// About the roots and every delay: a fast loop's beside that of one that is decades slower.
+fn continuous<'a>(roots: &[Complex<f64>], channels: impl Iterator<Item = &'a Transfer>) -> Vec<f64> {
     let sizes = roots.iter().map(|r| r.norm()).filter(|v| *v > 1e-12 && v.is_finite());
-    let features: Vec<f64> = sizes.chain((delay_s > 0.0).then(|| 1.0 / delay_s)).collect();
+    let delays = channels.filter(|g| g.delay_s > 0.0 && !g.is_zero()).map(|g| 1.0 / g.delay_s);
+    let features: Vec<f64> = sizes.chain(delays).collect();
     let greatest = features.iter().copied().fold(0.0, f64::max);
     let least = features.iter().copied().filter(|v| *v > 1e-12 * greatest).fold(f64::INFINITY, f64::min);
     let (least, greatest) = if greatest > 0.0 { (least, greatest) } else { (1.0, 1.0) };

@@ -43,8 +43,12 @@ pub fn run(
 struct Difference {
     b: Vec<f64>,
     a: Vec<f64>,
-    /// The last inputs and outputs, latest first.
+    /// Samples d before the first coefficient that is not zero.
+    late: usize,
+    /// The last inputs as a ring, and the place of the next one.
     x: Vec<f64>,
+    next: usize,
+    /// The last outputs, latest first.
     y: Vec<f64>,
 }
 
@@ -58,22 +62,37 @@ impl Difference {
                 "a whole number (a run has no others)",
             ));
         }
-        let mut b = vec![0.0; samples.round() as usize];
-        b.extend(g.num.iter().map(|v| v / g.den[0]));
+        let zeros = g.num.iter().take_while(|v| **v == 0.0).count();
+        let b: Vec<f64> = g.num[zeros..].iter().map(|v| v / g.den[0]).collect();
         let a: Vec<f64> = g.den[1..].iter().map(|v| v / g.den[0]).collect();
-        Ok(Self { x: vec![0.0; b.len()], y: vec![0.0; a.len()], a, b })
+        let late = samples.round() as usize + zeros;
+        Ok(Self { x: vec![0.0; late + b.len()], y: vec![0.0; a.len()], next: 0, late, a, b })
+    }
+
+    /// What it answers within a sample.
+    fn at_once(&self) -> f64 {
+        if self.late == 0 { self.b.first().copied().unwrap_or(0.0) } else { 0.0 }
     }
 
     /// What past inputs give.
     fn ahead(&self) -> f64 {
-        let inputs: f64 = self.b[1..].iter().zip(&self.x).map(|(b, x)| b * x).sum();
+        let n = self.x.len();
+        let past = |age: usize| self.x[(self.next + n - age) % n];
+        let inputs: f64 = (0..self.b.len())
+            .map(|k| (k, k + self.late))
+            .filter(|(_, age)| *age > 0)
+            .map(|(k, age)| self.b[k] * past(age))
+            .sum();
         let outputs: f64 = self.a.iter().zip(&self.y).map(|(a, y)| a * y).sum();
         inputs - outputs
     }
 
     fn step(&mut self, x: f64) -> f64 {
-        let y = self.ahead() + self.b[0] * x;
-        push(&mut self.x, x);
+        let y = self.ahead() + self.at_once() * x;
+        if let Some(place) = self.x.get_mut(self.next) {
+            *place = x;
+            self.next = (self.next + 1) % self.x.len();
+        }
         push(&mut self.y, y);
         y
     }
@@ -100,10 +119,10 @@ fn sampled(
     };
     let (mut plant, mut controller) =
         (blocks(&closed.plant, "the plant")?, blocks(&closed.controller, "the controller")?);
-    if let Some(g) = plant.iter().find(|g| g.b[0] != 0.0) {
+    if let Some(g) = plant.iter().find(|g| g.at_once() != 0.0) {
         return Err(ControlError::number(
             "the answer of the plant within its own sample",
-            g.b[0],
+            g.at_once(),
             "0: a run needs a delay of one sample at least",
         ));
     }

@@ -12,6 +12,8 @@
 
 use std::f64::consts::TAU;
 
+use dynocal_numerics::fft::Complex;
+
 use crate::closed::Closed;
 use crate::error::ControlError;
 use crate::margin::Side;
@@ -24,40 +26,99 @@ use crate::system::{System, Time, Transfer};
 const TURNS: (f64, f64) = (400.0, 60.0);
 /// Least and most rows of a run.
 const ROWS: (usize, usize) = (4000, 1_000_000);
+/// Share of the fastest pole below which one is an integrator but for rounding.
+const INTEGRATES: f64 = 1e-9;
 /// Largest step of a continuous run over its fastest pole (and crossing), over its shortest delay: as a rule, and where a run would be too
 /// long otherwise, what the method bears: there poles that are that fast do nothing but follow.
 const STEP: [(f64, f64, f64); 2] = [(0.05, 0.05, 0.25), (0.5, 0.1, 0.5)];
 
+/// Longest delay, and time of the slowest pole, in a run: what answers late must have answered before growth is looked at.
+const SLOW: (f64, f64) = (20.0, 10.0);
+
 /// Natural logarithm of how much a loop's answer to a pulse grows ([`growth`]) over a run that is long against the frequency `w_rad_s`
-/// at which it is critical. Below 0 it fades. `fastest_rad_s` is the highest frequency at which one of its loops has a gain of 1.
+/// at which it is critical, and against everything that is slow in it. Below 0 it fades. `fastest_rad_s` is the highest frequency at which
+/// one of its loops has a gain of 1.
 ///
 /// # Errors
 /// As of [`crate::simulate::run`]; [`ControlError::Number`] where the run that would decide is too long: one loop is too slow for another.
 pub fn grows(closed: &Closed, w_rad_s: f64, fastest_rad_s: f64) -> Result<f64, ControlError> {
-    let steps = |step_s: f64| TURNS.0 * TAU / (w_rad_s * step_s);
+    let speeds = Speeds::of(closed);
+    let turn_s = TAU / w_rad_s;
+    let slow_s = (SLOW.0 * speeds.longest_s).max(SLOW.1 / speeds.slowest_rad_s);
+    let steps = |step_s: f64| (TURNS.0 * turn_s).max(slow_s) / step_s;
     let step_s = match closed.plant.time {
         Time::Sampled { sample_time_s } => sample_time_s,
         Time::Continuous => {
-            let [usual, largest] = STEP.map(|rule| step_s(closed, w_rad_s.max(fastest_rad_s), rule));
+            let [usual, largest] = STEP.map(|rule| speeds.step_s(w_rad_s.max(fastest_rad_s), rule));
             // As fine as the rows go.
             (usual * (steps(usual) / ROWS.1 as f64).max(1.0)).min(largest)
         }
     };
     let rows = (steps(step_s) as usize).clamp(ROWS.0, ROWS.1);
-    let turns = rows as f64 * step_s * w_rad_s / TAU;
+    let (turns, time_s) = (rows as f64 * step_s / turn_s, rows as f64 * step_s);
     if turns < TURNS.1 {
         let what = format!("turns of {w_rad_s:.3e} rad/s within {rows} steps");
         return Err(ControlError::number(what, turns, "60 at least, for a run that decides"));
     }
-    growth(closed, step_s, rows)
+    if time_s < 0.999 * slow_s {
+        let what = format!("time of {rows} steps, in s");
+        return Err(ControlError::number(
+            what,
+            time_s,
+            "20 times the longest delay and ten of the slowest pole",
+        ));
+    }
+    let found = growth(closed, step_s, rows)?;
+    if found.is_nan() || found == f64::NEG_INFINITY {
+        return Err(ControlError::number("growth of a run", found, "a number"));
+    }
+    Ok(found)
 }
 
-fn step_s(closed: &Closed, crossing_rad_s: f64, (pole, crossing, delay): (f64, f64, f64)) -> f64 {
-    let channels = || closed.plant.channels.iter().chain(&closed.controller.channels);
-    let poles = channels().flat_map(|g| roots(&g.den).unwrap_or_default());
-    let delays = channels().map(|g| g.delay_s).filter(|d| *d > 0.0);
-    let shortest = delays.fold(f64::INFINITY, f64::min);
-    (pole / poles.map(|p| p.norm()).fold(0.0, f64::max)).min(crossing / crossing_rad_s).min(delay * shortest)
+/// What is fast and what is slow in a loop.
+struct Speeds {
+    fastest_rad_s: f64,
+    /// Of the poles that are no integrators.
+    slowest_rad_s: f64,
+    shortest_s: f64,
+    longest_s: f64,
+}
+
+impl Speeds {
+    fn of(closed: &Closed) -> Self {
+        let channels =
+            || closed.plant.channels.iter().chain(&closed.controller.channels).filter(|g| !g.is_zero());
+        let time = closed.plant.time;
+        // In q = z^-1 a pole of exp(s dt) stands at exp(-s dt).
+        let speed = |p: Complex<f64>| match time {
+            Time::Continuous => p.norm(),
+            Time::Sampled { sample_time_s } => p.ln().norm() / sample_time_s,
+        };
+        let poles: Vec<f64> = channels()
+            .flat_map(|g| roots(&g.den).unwrap_or_default())
+            .map(speed)
+            .filter(|p| p.is_finite())
+            .collect();
+        let fastest_rad_s = poles.iter().copied().fold(0.0, f64::max);
+        let moving = poles.iter().copied().filter(|p| *p > INTEGRATES * fastest_rad_s);
+        let zeros = |g: &Transfer| match time {
+            Time::Continuous => 0.0,
+            Time::Sampled { sample_time_s } => {
+                sample_time_s * g.num.iter().take_while(|v| **v == 0.0).count() as f64
+            }
+        };
+        let delays = || channels().map(|g| g.delay_s + zeros(g)).filter(|d| *d > 0.0);
+        Self {
+            fastest_rad_s,
+            slowest_rad_s: moving.fold(f64::INFINITY, f64::min),
+            shortest_s: delays().fold(f64::INFINITY, f64::min),
+            longest_s: delays().fold(0.0, f64::max),
+        }
+    }
+
+    fn step_s(&self, crossing_rad_s: f64, (pole, crossing, delay): (f64, f64, f64)) -> f64 {
+        (pole / self.fastest_rad_s).min(crossing / crossing_rad_s).min(delay * self.shortest_s)
+    }
 }
 
 /// The plant with the gain of a loop times `factor`.
@@ -97,7 +158,8 @@ fn between(part: f64, turn: f64) -> Transfer {
     Transfer { num: vec![a, 1.0], den: vec![1.0, a], delay_s: 0.0 }
 }
 
-/// The loop with its signal turned by `phase_rad`, as pairs of real and imaginary parts.
+/// The loop with its signal turned by `phase_rad`, as pairs of real and imaginary parts. The controller turns it: copies of a plant's unstable
+/// pole would drift apart by rounding.
 ///
 /// # Errors
 /// As of [`System::new`].
@@ -105,14 +167,15 @@ pub fn turned(closed: &Closed, (side, k): (Side, usize), phase_rad: f64) -> Resu
     let (sin, cos) = phase_rad.sin_cos();
     let rotation = [[cos, sin], [-sin, cos]];
     let unit = [[1.0, 0.0], [0.0, 1.0]];
-    let plant = paired(&closed.plant, &|output, input| {
+    // Outputs of the controller are inputs of the plant.
+    let controller = paired(&closed.controller, &|output, input| {
         let own = match side {
-            Side::Inputs => input,
-            Side::Outputs => output,
+            Side::Inputs => output,
+            Side::Outputs => input,
         };
         if own == k { rotation } else { unit }
     })?;
-    Ok(Closed::in_time(plant, paired(&closed.controller, &|_, _| unit)?))
+    Ok(Closed::in_time(paired(&closed.plant, &|_, _| unit)?, controller))
 }
 
 /// A system whose signals are pairs: each channel times its two by two gains.

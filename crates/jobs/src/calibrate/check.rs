@@ -183,6 +183,17 @@ fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
             s.invert.refine,
             "0 with `fuelling.plant`: loops of the engine alone would teach the map",
         ),
+        _ if f.plant
+            && !(s.excite.identification_files.is_empty()
+                && s.excite.validation_files.is_empty()
+                && s.identify.files.is_empty()) =>
+        {
+            faults.push(
+                "fuelling.plant",
+                "records or models from files",
+                "none with `plant`: those of the engine alone have another injection, a sample apart",
+            );
+        }
         _ if plants::find(&s.plant.name).is_some_and(|p| p.make.is_none()) => {
             faults.push("fuelling", "a plant that does not answer", "none: on a bed its ECU injects");
         }

@@ -39,6 +39,12 @@ pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> CalibrateSpec {
         let d = problem.demands.remove(k);
         problem.given.push(GivenChannel { name: name.clone(), unit: d.unit, lower: d.lower, upper: d.upper });
     }
+    // What is derived from lambda is derived from the one that is asked for, which is held.
+    for d in problem.derive.iter_mut().chain(&mut s.identify.derive) {
+        if let Some(power) = d.powers.remove(&by.lambda) {
+            *d.powers.entry(name.clone()).or_insert(0) += power;
+        }
+    }
     if let Some(range) = s.excite.ranges.remove(&by.lambda) {
         s.excite.ranges.insert(name, range);
     }
@@ -61,6 +67,17 @@ pub(super) fn as_asked(record: &mut Dataset, by: &Governs) {
             c.values.clone_from(demanded);
         }
     }
+}
+
+/// A record of [`as_asked`] as it was played, for models of that plant: the injection that was applied before a sample. What was before the
+/// first one is not there any more, and the first is taken for it.
+pub(super) fn as_played(record: &Dataset, by: &Governs) -> Dataset {
+    let mut out = record.clone();
+    if let Some(c) = out.channels.iter_mut().find(|c| c.name == by.injection) {
+        let n = c.values.len();
+        c.values.copy_within(..n.saturating_sub(1), 1.min(n));
+    }
+    out
 }
 
 /// The plant: inputs without the injection and with the demanded lambda, outputs with the injection.
@@ -196,6 +213,7 @@ mod tests {
     use super::*;
     use dynocal_files::spec::Faults;
     use dynocal_ident::data::{Channel, Role};
+    use dynocal_ident::derived::Derived;
 
     fn by() -> Governs {
         Governs { injection: "inj".into(), lambda: "lambda".into() }
@@ -208,6 +226,13 @@ mod tests {
         let mut whole = CalibrateSpec { fuelling: Some(FuelledSpec::default()), ..CalibrateSpec::default() };
         whole.excite.ranges.insert("lambda".into(), (0.92, 1.08));
         whole.excite.start.insert("inj".into(), 10.0);
+        let air = Derived {
+            name: "air".into(),
+            unit: "mg".into(),
+            factor: 14.0,
+            powers: [("inj".to_string(), 1), ("lambda".to_string(), 1)].into(),
+        };
+        whole.problem.derive.push(air);
         let s = spec(&whole, &by());
         let mut faults = Faults::default();
         s.problem.check("problem", &mut faults);
@@ -220,7 +245,15 @@ mod tests {
         let inj = &s.problem.limits[0];
         assert_eq!((inj.lower, inj.upper, inj.soft_weight), (Some(1.0), Some(30.0), None));
         assert_eq!(s.excite.ranges["lambda_demand"], (0.92, 1.08));
-        assert_eq!((s.problem.minimise, s.problem.derive), (whole.problem.minimise, whole.problem.derive));
+        assert_eq!(
+            (&s.problem.minimise, &s.problem.derive[0]),
+            (&whole.problem.minimise, &whole.problem.derive[0])
+        );
+        // What reads lambda reads the one that is asked for.
+        assert_eq!(
+            s.problem.derive[1].powers,
+            [("inj".to_string(), 1), ("lambda_demand".to_string(), 1)].into()
+        );
         assert!(s.fuelling.is_none() && s.loops.len() == 1 && s.excite.start.is_empty());
     }
 
@@ -249,6 +282,7 @@ mod tests {
         assert_eq!(record.values("lambda").unwrap(), [0.95, 1.0, 1.05]);
         assert_eq!(record.values("inj").unwrap(), [12.0, 14.0, 14.0]);
         assert_eq!(record.values("torque").unwrap(), [1.0, 2.0, 3.0]);
+        assert_eq!(as_played(&record, &by()).values("inj").unwrap(), [12.0, 12.0, 14.0]);
     }
 
     /// An engine that takes 10 mg at 40 kPa: the plant takes the demanded lambda in the place of an injection, and shows what that makes of

@@ -4,6 +4,7 @@
 use super::at_rest::{self, AtRest};
 use super::context::Context;
 use super::error::ChainError;
+use super::fuel_plant::as_played;
 use super::fuelled::Fuelled;
 use super::lag::OnModels;
 use super::optimise_plan::END_EFFECT;
@@ -202,6 +203,8 @@ fn pairs_of(
         // Noise in the regressors biases an inverse towards zero; the model's free run has none.
         for (k, demand) in ctx.channels.demands.iter().enumerate() {
             let Some(model) = models.iter().find(|m| m.user_output().name == *demand) else { continue };
+            let played = ctx.governs().map(|by| as_played(record, by));
+            let record = played.as_ref().unwrap_or(record);
             if let Some(run) = model.simulate(record, None)?.into_iter().next() {
                 response.set_column(k, &run.y);
             }

@@ -67,6 +67,15 @@ pub struct Candidate {
     pub warnings: Vec<String>,
 }
 
+impl Candidate {
+    /// Takes scores over, with the means that are made of them.
+    fn take(&mut self, scores: Vec<FreeRunScore>) {
+        self.choosing_r2 = mean_r2(&scores, |s| s.chooses);
+        self.unseen_r2 = mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses);
+        self.scores = scores;
+    }
+}
+
 /// All candidates of one output; the chosen one goes on.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -173,7 +182,12 @@ pub fn with_predecessors(
     let mut said: Option<Said> = None;
     for k in 0..models.outputs.len() {
         if said.is_none() && k > 0 && k == ctx.channels.read.len() {
-            said = Some(Said::of(ctx, &models.outputs[..k], data)?);
+            let then = Said::of(ctx, &models.outputs[..k], data)?;
+            // New models were scored on what the new ones of these say, and shall be on those that go on.
+            if models.outputs[..k].iter().any(|o| o.best().earlier) {
+                rescore(ctx, &mut models.outputs[k..], &then.data())?;
+            }
+            said = Some(then);
         }
         let o = &mut models.outputs[k];
         let Some(old) = before.outputs.iter().find(|b| b.output == o.output) else { continue };
@@ -182,14 +196,10 @@ pub fn with_predecessors(
             Some(said) => scores(ctx, &old.best().model, &said.data())?,
             None => scores(ctx, &old.best().model, data)?,
         };
-        let old = Candidate {
-            choosing_r2: mean_r2(&scores, |s| s.chooses),
-            unseen_r2: mean_r2(&scores, |s| s.data == Seen::Unseen && !s.chooses),
-            scores,
-            earlier: true,
-            name: format!("earlier: {}", old.best().name.trim_start_matches("earlier: ")),
-            ..old.best().clone()
-        };
+        let mut old = old.best().clone();
+        old.take(scores);
+        old.earlier = true;
+        old.name = format!("earlier: {}", old.name.trim_start_matches("earlier: "));
         let new = o.best();
         if clearly_worse((new.choosing_r2, new.unstable_share), (old.choosing_r2, old.unstable_share)) {
             o.chosen = o.candidates.len();
@@ -197,6 +207,18 @@ pub fn with_predecessors(
         }
     }
     Ok(models)
+}
+
+/// Scores of all candidates on other records, and the choice by them.
+fn rescore(ctx: &Context, outputs: &mut [OutputModels], data: &ModelData) -> Result<(), ChainError> {
+    for o in outputs {
+        for c in &mut o.candidates {
+            c.take(scores(ctx, &c.model, data)?);
+        }
+        let found: Vec<_> = o.candidates.iter().map(|c| (c.choosing_r2, c.unstable_share)).collect();
+        o.chosen = choose(&found);
+    }
+    Ok(())
 }
 
 /// Score and unstable share of a model against those of its predecessor.

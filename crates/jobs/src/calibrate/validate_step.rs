@@ -2,6 +2,7 @@
 
 use super::context::{Context, Tone};
 use super::error::ChainError;
+use super::fuel_plant::as_asked;
 use super::fuelled::{Fuelled, FuelledBy};
 use super::invert_step::InvertResult;
 use super::lag::{OnModels, best_lag};
@@ -181,7 +182,10 @@ impl<'a, 'c> OnRecord<'a, 'c> {
     /// Mean objective with the free inputs of `by`, which is told the references.
     fn objective(&self, name: &str, by: impl Fn(&Rows) -> Rows) -> Result<f64, ChainError> {
         let (ctx, optimum) = (self.on, &self.optimum);
-        let drive = by(&self.ctx.channels.references(optimum)?);
+        // A map is asked what it was taught: lambda as it was demanded.
+        let mut asked = optimum.clone();
+        self.ctx.governs().iter().for_each(|by| as_asked(&mut asked, by));
+        let drive = by(&self.ctx.channels.references(&asked)?);
         let mut actuators = ctx.channels.actuators(optimum)?;
         for &k in &ctx.channels.free {
             // What loops drive stays as optimised: they trim what the other inputs need.

@@ -5,7 +5,7 @@ use dynocal_control::disk::{DiskMargin, Place};
 use dynocal_control::error::ControlError;
 use dynocal_control::margin::{Margins, Side};
 use dynocal_control::perturb::{is_gain, perturbed, perturbed_loop};
-use dynocal_control::system::System;
+use dynocal_control::system::{System, Time};
 use dynocal_control::trial::{grows, later, louder, turned};
 use dynocal_numerics::watch::Watch;
 use rayon::prelude::*;
@@ -111,6 +111,11 @@ fn island(t: &Trial) -> bool {
     Closed::new(t.closed.plant.clone(), t.closed.controller.clone()).is_ok_and(|c| c.is_stable())
 }
 
+/// Whether a plant in the loop is stable by its frequencies as it should be.
+fn as_expected(base: &Closed, plant: &System, stable: bool) -> bool {
+    Closed::new(plant.clone(), base.controller.clone()).is_ok_and(|c| c.is_stable() == stable)
+}
+
 fn all(job: &Job, base: &Closed, t: &Together) -> Result<Vec<Trial>, ControlError> {
     let mut out = Vec::new();
     for (k, (m, l)) in t.loops.iter().zip(&job.loops).enumerate() {
@@ -161,7 +166,16 @@ fn of_loop(
             add("phase", w, turned(base, at, (phase * share).to_radians())?);
         }
         if let (Some(delay_s), Some(w)) = (m.delay_s, m.delay_rad_s) {
-            add("delay", w, with(later(&base.plant, at, delay_s * share, w)?));
+            match (base.plant.time, later(&base.plant, at, delay_s * share, w)?) {
+                (Time::Sampled { sample_time_s }, plant) if !as_expected(base, &plant, stable) => {
+                    // What stands for part of a sample is late by something else at other frequencies: whole samples are exact.
+                    let whole = (delay_s / sample_time_s).floor() + if stable { 0.0 } else { 1.0 };
+                    let plant = later(&base.plant, at, whole * sample_time_s, w)?;
+                    let name = format!("delay ({whole} of {:.2} samples)", delay_s / sample_time_s);
+                    add(&name, w, with(plant));
+                }
+                (_, plant) => add("delay", w, with(plant)),
+            }
         }
     }
     Ok(())
