@@ -9,6 +9,8 @@
 //!
 //! Crossings are found between frequencies of the grid and refined to rounding; peaks by golden section.
 
+use std::f64::consts::PI;
+
 use serde::{Deserialize, Serialize};
 
 use crate::closed::{Closed, Responses, one_of};
@@ -76,6 +78,9 @@ pub fn margins(closed: &Closed, side: Side, k: usize) -> Result<Margins, Control
     let values: Vec<C> = closed.responses()?.iter().map(open).collect();
     let at = |w: f64| closed.at(w).map_or(C::new(f64::NAN, f64::NAN), |r| open(&r));
     let mut found = of_response(&closed.grid, &values, &at, closed.plant.time.nyquist_rad_s());
+    if let Time::Sampled { sample_time_s } = closed.plant.time {
+        found.at_half_sampling(sample_time_s, at(PI / sample_time_s));
+    }
     if let (Time::Continuous, Some(last)) = (closed.plant.time, closed.grid.last()) {
         found.at_high(*last, closed.plant.delay_s() + closed.controller.delay_s() > 0.0, &at);
     }
@@ -145,6 +150,14 @@ impl Margins {
             (self.gain_up, self.gain_up_rad_s) = (Some(factor), None);
         } else if factor <= 1.0 && self.gain_down.is_none_or(|g| factor > g) {
             (self.gain_down, self.gain_down_rad_s) = (Some(factor), None);
+        }
+    }
+
+    /// A sampled loop with a gain above 1 at half the sampling frequency: one more sample turns its sign there, whatever crossings say of parts
+    /// of a sample, which no sampled loop has.
+    fn at_half_sampling(&mut self, sample_time_s: f64, l: C) {
+        if l.norm() > 1.0 && self.delay_s.is_none_or(|d| d > sample_time_s) {
+            (self.delay_s, self.delay_rad_s) = (Some(sample_time_s), Some(PI / sample_time_s));
         }
     }
 

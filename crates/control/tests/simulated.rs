@@ -115,6 +115,19 @@ fn sampled_loops_do_as_their_margins_say() {
     }
 }
 
+/// 0.35 z^-2 / (1 + 0.7 z^-1) is 1.17 at half the sampling frequency. One more sample makes p = z^3 + 0.7 z^2 + 0.35 of the loop: of an odd
+/// degree and with p(-1) = 0.05 above 0, so a pole lies beyond -1 (E. I. Jury, Theory and Application of the z-Transform Method, 1964).
+#[test]
+fn a_gain_above_one_at_half_the_sampling_frequency_leaves_no_sample() {
+    let time = Time::Sampled { sample_time_s: 0.1 };
+    let l = unity(Transfer::sampled(&[0.0, 0.0, 0.35], &[1.0, 0.7]), time);
+    assert!(l.is_stable());
+    let m = margins(&l, Side::Outputs, 0).unwrap();
+    assert!(m.delay_s.unwrap() <= 0.1, "{m:?}");
+    let one_more = later(&l.plant, (Side::Outputs, 0), 0.1, 1.0).unwrap();
+    expect(&with_plant(&l, one_more), 10.0, false, "one more sample");
+}
+
 /// Two sampled loops that act on each other, drawn at random.
 #[test]
 fn drawn_coupled_loops_do_as_their_margins_say() {

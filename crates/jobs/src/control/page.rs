@@ -338,6 +338,6 @@ fn runs(found: &Controlled) -> Section {
         if c.holds { t.row(row) } else { t.stressed_row(row) }
     });
     Section::new("Margins as runs")
-        .text("The tightest set point in time, independent of frequencies: what a pulse leaves shrinks (negative growth) or grows over the second half of the run. Gain, phase or delay is put into one loop with the others closed; a phase as a pair of real and imaginary part, exact at all frequencies; of a delay what is less than a sample by an all-pass that is late by it at the frequency of the margin. Disks are run with the perturbation that was found.")
+        .text("The tightest set point in time, independent of frequencies: what a pulse leaves shrinks (negative growth) or grows over the second half of the run. Gain, phase or delay is put into one loop with the others closed; a phase as a pair of real and imaginary part, exact at all frequencies; of a delay what is less than a sample by an all-pass that is late by it at the frequency of the margin, or whole samples. Disks are run with the perturbation that was found.")
         .block(table)
 }

@@ -85,7 +85,9 @@ pub(super) fn checks(
     for (t, grown) in trials.into_iter().zip(grown) {
         match grown.ok_or(ControlJobError::Interrupted)? {
             Ok(growth) => {
-                let expected_stable = t.stable || (growth < 0.0 && island(&t));
+                // A pole may only touch the boundary, as long delays have them.
+                let island = || stable_by_frequencies(&t.closed.plant, &t.closed.controller);
+                let expected_stable = t.stable || (growth < 0.0 && island());
                 let what = if expected_stable == t.stable {
                     t.what
                 } else {
@@ -106,14 +108,9 @@ fn crossovers(t: &Together) -> impl Iterator<Item = f64> {
     t.loops.iter().filter_map(|m| m.phase_rad_s)
 }
 
-/// Whether a loop beyond its margin is stable again by its frequencies: a pole that only touched the boundary, as long delays have them.
-fn island(t: &Trial) -> bool {
-    Closed::new(t.closed.plant.clone(), t.closed.controller.clone()).is_ok_and(|c| c.is_stable())
-}
-
-/// Whether a plant in the loop is stable by its frequencies as it should be.
-fn as_expected(base: &Closed, plant: &System, stable: bool) -> bool {
-    Closed::new(plant.clone(), base.controller.clone()).is_ok_and(|c| c.is_stable() == stable)
+/// Whether a plant under a controller is stable by its frequencies.
+fn stable_by_frequencies(plant: &System, controller: &System) -> bool {
+    Closed::new(plant.clone(), controller.clone()).is_ok_and(|c| c.is_stable())
 }
 
 fn all(job: &Job, base: &Closed, t: &Together) -> Result<Vec<Trial>, ControlError> {
@@ -167,12 +164,15 @@ fn of_loop(
         }
         if let (Some(delay_s), Some(w)) = (m.delay_s, m.delay_rad_s) {
             match (base.plant.time, later(&base.plant, at, delay_s * share, w)?) {
-                (Time::Sampled { sample_time_s }, plant) if !as_expected(base, &plant, stable) => {
+                (Time::Sampled { sample_time_s }, plant)
+                    if stable_by_frequencies(&plant, &base.controller) != stable =>
+                {
                     // What stands for part of a sample is late by something else at other frequencies: whole samples are exact.
-                    let whole = (delay_s / sample_time_s).floor() + if stable { 0.0 } else { 1.0 };
+                    let samples = delay_s / sample_time_s;
+                    let whole = (samples - 1e-9).ceil() - if stable { 1.0 } else { 0.0 };
                     let plant = later(&base.plant, at, whole * sample_time_s, w)?;
-                    let name = format!("delay ({whole} of {:.2} samples)", delay_s / sample_time_s);
-                    add(&name, w, with(plant));
+                    let what = format!("delay margin of `{output}`, {whole} samples of {samples:.3}");
+                    out.push(Trial { what, closed: with(plant), w_rad_s: w, stable });
                 }
                 (_, plant) => add("delay", w, with(plant)),
             }
