@@ -129,6 +129,11 @@ impl Faults {
         }
     }
 
+    /// The fault that was found first.
+    pub fn first(&self) -> Option<&Fault> {
+        self.0.first()
+    }
+
     /// Whether there is no fault.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()

@@ -22,7 +22,7 @@ pub struct Channels {
     pub others: Vec<String>,
     /// Outputs that the models of all others may read.
     pub read: Vec<String>,
-    /// Outputs that are recorded and not modelled.
+    /// Outputs that are recorded and not modelled: something else than a loop holds each at the given channel of its demand.
     pub watched: Vec<String>,
     /// Derived channels that are minimised: a plant or bed that has a meter for one is asked for it.
     pub meters: Vec<Port>,

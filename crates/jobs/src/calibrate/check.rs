@@ -52,6 +52,12 @@ pub(crate) fn check(s: &CalibrateSpec, faults: &mut Faults) {
     counts(s, faults);
 }
 
+/// Reports what a spec lacks as that of engine and fuelling as one plant, whose channels are others than those that were written.
+pub(super) fn one_plant(s: &CalibrateSpec, faults: &mut Faults) {
+    s.problem.check("problem", faults);
+    names(s, faults);
+}
+
 /// Every demand has a loop, every loop an input of its own.
 fn loops(s: &CalibrateSpec, faults: &mut Faults) {
     let inputs = s.problem.input_names();
@@ -112,7 +118,9 @@ fn names(s: &CalibrateSpec, faults: &mut Faults) {
         each("optimise.start_maps.maps", m.maps.keys().collect(), inputs.clone());
         each("optimise.start_maps.axes", m.axes.values().collect(), all(&[&demands, &given]));
     }
-    each("identify.models", s.identify.models.keys().collect(), outputs.clone());
+    // The injection is modelled where engine and fuelling are one plant; which input that is its spec says.
+    let injected = if s.fuelling.as_ref().is_some_and(|f| f.plant) { inputs.clone() } else { Vec::new() };
+    each("identify.models", s.identify.models.keys().collect(), all(&[&outputs, &injected]));
     each("identify.files", s.identify.files.keys().collect(), outputs.clone());
     each("validate.scenario.bands", s.validate.scenario.bands.keys().collect(), demands.clone());
     for (key, ranges) in [("excite", &s.excite.ranges), ("optimise", &s.optimise.ranges)] {
@@ -186,6 +194,7 @@ fn fuelling(s: &CalibrateSpec, faults: &mut Faults) {
         _ if f.plant
             && !(s.excite.identification_files.is_empty()
                 && s.excite.validation_files.is_empty()
+                && s.design.record.is_none()
                 && s.identify.files.is_empty()) =>
         {
             faults.push(

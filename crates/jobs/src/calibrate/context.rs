@@ -6,9 +6,10 @@ use super::spec::CalibrateSpec;
 use crate::fuelling::stored::StoredFuelling;
 use dynocal_calib::gains::Tuned;
 use dynocal_calib::map::FeedforwardMap;
+use dynocal_calib::problem::GivenChannel;
 use dynocal_calib::validate::Scenario;
 use dynocal_ident::pi::PiGains;
-use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop};
+use dynocal_ident::plan::{Plan, PlanChannel, PlanDemand, PlanLoop, demand_name};
 use dynocal_ident::plant::{Causality, Plant, PlantError};
 use dynocal_numerics::watch::Watch;
 use serde::{Deserialize, Serialize};
@@ -144,6 +145,15 @@ impl Context<'_> {
     /// What the fuelling holds, where engine and fuelling are one plant.
     pub(super) fn governs(&self) -> Option<&Governs> {
         self.fuelling.get()?.from.governs.as_ref()
+    }
+
+    /// Outputs that something else than a loop holds, each with the given channel of its demand.
+    pub(super) fn held(&self) -> impl Iterator<Item = (&str, &GivenChannel)> {
+        let demand = |output: &String| {
+            let name = demand_name(output);
+            self.spec.problem.given.iter().find(|g| g.name == name)
+        };
+        self.channels.watched.iter().filter_map(move |w| Some((w.as_str(), demand(w)?)))
     }
 
     /// Values at which the inputs that may move begin: those of the spec, else the plant's own, else the middles of their

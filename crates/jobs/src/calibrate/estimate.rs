@@ -34,6 +34,8 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
         ),
         n => format!("{n} files, {} to judge", e.validation_files.len()),
     };
+    // Models of the rest read that of the injection.
+    let one_plant = s.fuelling.as_ref().is_some_and(|f| f.plant);
     let gains = if s.loops.iter().all(|l| l.gains.is_some()) { "as given" } else { "found on the plant" };
     let plan = Estimate::new(&campaign.name)
         .line("run folder", campaign.out.display().to_string())
@@ -52,11 +54,12 @@ pub fn estimate(campaign: &Campaign) -> Estimate {
             "design",
             match &d.record {
                 Some(file) => format!("the record `{}`", file.display()),
+                None if one_plant => "none: no design knows models that read each other".into(),
                 None if d.enabled => format!("{}, criterion {}", records(1, d.record_s), d.criterion),
                 None => "none".into(),
             },
         );
-    let designed = d.enabled && d.record.is_none();
+    let designed = d.enabled && d.record.is_none() && !one_plant;
     let evaluations = if designed { (d.starts * d.max_evaluations) as f64 } else { 0.0 };
     let estimated = outputs - s.identify.files.len() as f64;
     let iterations = (o.passes * o.max_iterations) as f64;

@@ -65,7 +65,20 @@ fn followed(ctx: &Context, plans: &[Plan], records: &[Dataset]) -> Result<Vec<Fo
         let share = mean_error / (d.upper - d.lower);
         Ok(Followed { output: d.output.clone(), unit: d.unit.clone(), mean_error, share })
     };
-    ctx.spec.problem.demands.iter().map(one).collect()
+    let mut out = ctx.spec.problem.demands.iter().map(one).collect::<Result<Vec<_>, ChainError>>()?;
+    // What the fuelling holds, beside the given channel that demands it.
+    for (output, given) in ctx.held() {
+        let (mut sum, mut n) = (0.0, 0usize);
+        for r in records {
+            let demanded = r.values(&given.name)?;
+            sum += r.values(output)?.iter().zip(demanded).map(|(y, d)| y - d).sum::<f64>();
+            n += demanded.len();
+        }
+        let mean_error = sum / n.max(1) as f64;
+        let share = mean_error / (given.upper - given.lower);
+        out.push(Followed { output: output.into(), unit: given.unit.clone(), mean_error, share });
+    }
+    Ok(out)
 }
 
 /// Stream numbers of the random generator: one per record, far apart per purpose.

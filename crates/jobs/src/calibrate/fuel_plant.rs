@@ -8,17 +8,23 @@
 //! Where fuel follows the air, measured lambda says nothing of u any more, and torque no longer depends on an injection that u does not
 //! already decide. Excitation, models, design and optimisation of such a campaign are those of any plant, for a problem without the two.
 
+use super::check;
 use super::context::Governs;
+use super::error::ChainError;
 use super::fuel_driven::FuelDriven;
 use super::spec::CalibrateSpec;
 use dynocal_calib::problem::{GivenChannel, LimitChannel};
+use dynocal_files::spec::Faults;
 use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::demand_name;
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
 
 /// The spec of the campaign on engine and fuelling as one plant: the injection is an output within its bounds, the demanded lambda a
 /// given channel, its loop the fuelling's.
-pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> CalibrateSpec {
+///
+/// # Errors
+/// [`ChainError::Spec`]: keys that name what this plant does not have.
+pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> Result<CalibrateSpec, ChainError> {
     let mut s = whole.clone();
     s.fuelling = None;
     s.loops.retain(|l| l.output != by.lambda);
@@ -50,9 +56,20 @@ pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> CalibrateSpec {
     }
     s.excite.ranges.remove(&by.injection);
     s.excite.start.remove(&by.injection);
-    s.optimise.ranges.remove(&by.lambda);
-    s
+    let mut faults = Faults::default();
+    check::one_plant(&s, &mut faults);
+    match faults.first() {
+        None => Ok(s),
+        Some(f) => Err(ChainError::Spec {
+            key: f.key.clone(),
+            found: f.found.clone(),
+            expected: format!("{}: with `fuelling.plant` {MOVED}", f.expected),
+        }),
+    }
 }
+
+/// What becomes of the channels of the fuelling.
+const MOVED: &str = "the injection is an output, and lambda is given";
 
 /// A record of that plant as a map is taught by it: lambda is what was demanded of it, and the injection is what is applied from a
 /// sample on, where an output is what was applied before it.
@@ -211,7 +228,6 @@ mod tests {
     use super::super::fuel_driven::tests::driven;
     use super::super::spec::FuelledSpec;
     use super::*;
-    use dynocal_files::spec::Faults;
     use dynocal_ident::data::{Channel, Role};
     use dynocal_ident::derived::Derived;
 
@@ -233,10 +249,7 @@ mod tests {
             powers: [("inj".to_string(), 1), ("lambda".to_string(), 1)].into(),
         };
         whole.problem.derive.push(air);
-        let s = spec(&whole, &by());
-        let mut faults = Faults::default();
-        s.problem.check("problem", &mut faults);
-        assert!(faults.is_empty(), "{faults:?}");
+        let s = spec(&whole, &by()).unwrap();
         let channels = Channels::of(&s);
         assert_eq!(channels.inputs, ["spark", "throttle"]);
         assert_eq!((channels.driven, channels.free), (vec![1], vec![0]));
@@ -255,6 +268,44 @@ mod tests {
             [("inj".to_string(), 1), ("lambda_demand".to_string(), 1)].into()
         );
         assert!(s.fuelling.is_none() && s.loops.len() == 1 && s.excite.start.is_empty());
+    }
+
+    /// Keys of what moved are refused, not taken and forgotten; a model of the injection may be asked for.
+    #[test]
+    fn keys_of_what_moved_are_refused() {
+        let whole = || CalibrateSpec {
+            fuelling: Some(FuelledSpec { plant: true, excite: true, ..FuelledSpec::default() }),
+            ..CalibrateSpec::default()
+        };
+        let model = whole().identify.models.values().next().cloned().unwrap_or_default();
+        let refused = |change: &dyn Fn(&mut CalibrateSpec)| {
+            let mut s = whole();
+            change(&mut s);
+            spec(&s, &by()).unwrap_err().to_string()
+        };
+        let text = refused(&|s| {
+            s.optimise.ranges.insert("lambda".into(), (0.9, 1.0));
+        });
+        assert!(text.contains("optimise.ranges = `lambda`") && text.contains("lambda is given"), "{text}");
+        let text = refused(&|s| {
+            s.identify.models.insert("lambda".into(), model.clone());
+        });
+        assert!(text.contains("identify.models = `lambda`: expected one of torque, inj"), "{text}");
+        let limit = |s: &mut CalibrateSpec| {
+            s.problem.limits.push(LimitChannel {
+                output: "lambda_demand".into(),
+                unit: "-".into(),
+                lower: Some(0.9),
+                upper: None,
+                mean_upper: None,
+                soft_weight: None,
+            });
+        };
+        let text = refused(&limit);
+        assert!(text.contains("lambda_demand"), "{text}");
+        let mut s = whole();
+        s.identify.models.insert("inj".into(), model);
+        assert!(spec(&s, &by()).is_ok());
     }
 
     /// A map is taught by what lambda was asked to be, and by the injection that is applied from a sample on.

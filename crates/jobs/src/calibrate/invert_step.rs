@@ -93,7 +93,11 @@ pub fn invert(
         one_lag: None,
         at_rest: None,
         scores,
-        pairs: if simulated { "simulated" } else { "measured" }.into(),
+        pairs: match (simulated, ctx.governs()) {
+            (true, _) => "simulated".into(),
+            (false, None) => "measured".into(),
+            (false, Some(by)) => format!("measured (of {}: demanded)", by.lambda),
+        },
         records: optima.iter().map(|d| d.name.clone()).collect(),
         left_out,
         refined: Vec::new(),

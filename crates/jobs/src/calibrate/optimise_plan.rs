@@ -253,9 +253,11 @@ fn worst(ctx: &Context, optimum: &Optimum) -> f64 {
 /// Range of the demand of an output, else the distance of its limits or the size of the one that it has; 1 where it has neither.
 pub(super) fn range_of(ctx: &Context, output: &str) -> f64 {
     let problem = &ctx.spec.problem;
-    let limit = problem.limits.iter().find(|l| l.output == output);
-    match (problem.demands.iter().find(|d| d.output == output), limit.map(|l| (l.lower, l.upper))) {
-        (Some(d), _) => d.upper - d.lower,
+    let limit = problem.limits.iter().find(|l| l.output == output).map(|l| (l.lower, l.upper));
+    let demanded = problem.demands.iter().find(|d| d.output == output).map(|d| d.upper - d.lower);
+    let held = ctx.held().find(|h| h.0 == output).map(|(_, g)| g.upper - g.lower);
+    match (demanded.or(held), limit) {
+        (Some(range), _) => range,
         (None, Some((Some(lower), Some(upper)))) => upper - lower,
         (None, Some((lower, upper))) => {
             lower.or(upper).map(f64::abs).filter(|size| *size > 0.0).unwrap_or(1.0)

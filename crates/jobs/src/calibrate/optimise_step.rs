@@ -24,8 +24,9 @@ pub struct Miss {
     pub output: String,
     /// Its unit.
     pub unit: String,
-    /// Largest violation of the demand, or of the limits, by the free run of the model.
-    pub violation: f64,
+    /// Largest violation of the demand, or of the limits, by the free run of the model; none for an output without a model, which
+    /// the fuelling holds.
+    pub violation: Option<f64>,
     /// Whether its limits are soft: then they may be passed.
     #[serde(default)]
     pub soft: bool,
@@ -215,7 +216,9 @@ impl Pass {
     /// save saved, and what was measured is near what was demanded.
     fn judge(&mut self, ctx: &Context) {
         let range = |output: &str| range_of(ctx, output);
-        let missed = self.misses.iter().find(|m| !m.soft && !(m.violation <= VIOLATION * range(&m.output)));
+        let most = |m: &Miss| VIOLATION * range(&m.output);
+        let passes = |m: &Miss| !m.soft && m.violation.is_some_and(|v| v.is_nan() || v > most(m));
+        let missed = self.misses.iter().find(|m| passes(m));
         let lead = ctx.channels.demands.first();
         let most_rms = |m: &Miss| range(&m.output) * if Some(&m.output) == lead { FAR_LEAD } else { FAR };
         let beyond = |v: Option<f64>, most: f64| v.is_some_and(|v| v.is_nan() || v.abs() > most);
@@ -229,7 +232,7 @@ impl Pass {
                 "its {} {} by {:.2e}{} on the models",
                 m.output,
                 if demanded { "misses the demand" } else { "passes its limit" },
-                m.violation,
+                m.violation.unwrap_or(f64::NAN),
                 UnitAfter(&m.unit)
             )
         } else if !(self.measured_ratio.is_finite() && self.promised_ratio.is_finite()) {
@@ -281,29 +284,38 @@ pub fn mean_objective(ctx: &Context, run: &Dataset, first: usize) -> Result<f64,
 
 fn misses(ctx: &Context, optimum: &Optimum, run: &Dataset) -> Result<Vec<Miss>, ChainError> {
     let unit = |name: &str| ctx.spec.problem.unit(name).unwrap_or("-").to_string();
-    ctx.channels
-        .outputs()
-        .into_iter()
-        .map(|output| {
-            let demand = optimum.demands.iter().find(|d| d.name == output);
-            let errors: Option<Vec<f64>> = match demand {
-                Some(d) => {
-                    let pairs = run.values(&output)?.iter().zip(&d.values).skip(optimum.first);
-                    Some(pairs.map(|(y, d)| y - d).collect())
-                }
-                None => None,
-            };
-            let mean = |f: &dyn Fn(f64) -> f64| {
-                errors.as_ref().map(|e| e.iter().map(|v| f(*v)).sum::<f64>() / e.len().max(1) as f64)
-            };
-            Ok(Miss {
-                unit: unit(&output),
-                violation: optimum.violation(&output),
-                soft: ctx.spec.problem.limits.iter().any(|l| l.output == output && l.soft_weight.is_some()),
-                measured_rms: mean(&|e| e * e).map(f64::sqrt),
-                measured_mean: mean(&|e| e),
-                output,
-            })
-        })
-        .collect()
+    // Root mean square and mean of measured less demanded.
+    let errors = |output: &str, demand: &[f64]| -> Result<[f64; 2], ChainError> {
+        let pairs = run.values(output)?.iter().zip(demand).skip(optimum.first);
+        let errors: Vec<f64> = pairs.map(|(y, d)| y - d).collect();
+        let n = errors.len().max(1) as f64;
+        let squares = errors.iter().map(|e| e * e).sum::<f64>();
+        Ok([(squares / n).sqrt(), errors.iter().sum::<f64>() / n])
+    };
+    let mut out = Vec::new();
+    for output in ctx.channels.outputs() {
+        let demand = optimum.demands.iter().find(|d| d.name == output);
+        let measured = demand.map(|d| errors(&output, &d.values)).transpose()?;
+        out.push(Miss {
+            unit: unit(&output),
+            violation: Some(optimum.violation(&output)),
+            soft: ctx.spec.problem.limits.iter().any(|l| l.output == output && l.soft_weight.is_some()),
+            measured_rms: measured.map(|m| m[0]),
+            measured_mean: measured.map(|m| m[1]),
+            output,
+        });
+    }
+    // What the fuelling holds has no model that could miss its demand.
+    for (output, given) in ctx.held() {
+        let [rms, mean] = errors(output, run.values(&given.name)?)?;
+        out.push(Miss {
+            output: output.into(),
+            unit: given.unit.clone(),
+            violation: None,
+            soft: false,
+            measured_rms: Some(rms),
+            measured_mean: Some(mean),
+        });
+    }
+    Ok(out)
 }

@@ -145,7 +145,7 @@ fn misses(passes: &[Pass]) -> Table {
             table = table.row([
                 p.pass.into(),
                 m.output.as_str().into(),
-                m.violation.into(),
+                Cell::from(m.violation),
                 Cell::from(m.measured_rms),
                 Cell::from(m.measured_mean),
                 Cell::from(unit(&m.unit)),
