@@ -11,11 +11,12 @@
 //!           theta' is theta behind a lag, at a limited rate where the records show a limit; A is a cubic polynomial; psi the flow function of a nozzle
 //! film      df/dt = X q N / 120 - f / tau,   m = (1 - X) q + (120 / N) f / tau                                 [`Film`]
 //! coolant   ln(X / (1 - X)), ln tau and ln c go with its temperature, where the records say it         [`CoolantLaw`]
-//! sensor    phi(t) = m(t) / c(N, p(t + t0 + k 120 / N)),  1 / lambda = phi later by n 120 / N + G / (c N / 120), behind a lag
+//! sensor    phi(t) = m(t) / c(N, p(t + t0 + k 120 / N)),  1 / lambda = phi later by n 120 / N + G / (c N / 120), behind the lag
+//!           M / (c N / 120) of a volume and that of the sensor
 //! ```
 //!
 //! The steady ends of holds give c and A to begin with, the pressure of the record g and the lag of the throttle, and the lambda
-//! that was measured everything else at once: c, X, tau, t0, k, n, G and the lag of the sensor. So the sensor is a part of what
+//! that was measured everything else at once: c, X, tau, t0, k, n, G, M and the lag of the sensor. So the sensor is a part of what
 //! is identified, and what the policy controls is the mixture in the cylinder and not what the sensor shows of it. The policy
 //! takes the pressure that the filling predicts for the moment at which the present injection meets its air, and injects what
 //! leaves the film as it must (inverse of the film); speed, pressure before the throttle and cams go on by their measured slopes until
@@ -67,7 +68,10 @@ pub struct Timing {
     pub transport_cycles: f64,
     /// Transport through volumes, G: fuel at lambda 1 that goes by meanwhile, in the unit of the injection.
     pub transport_fuel: f64,
-    /// Time constant of mixing and sensor in s.
+    /// Mixing in a volume on the way, M: fuel at lambda 1 that goes by in its time constant, in the unit of the injection; 0: none.
+    #[serde(default)]
+    pub mixing_fuel: f64,
+    /// Time constant of the sensor in s.
     pub sensor_lag_s: f64,
 }
 
@@ -81,6 +85,17 @@ impl Timing {
     /// the unit of the injection per s and cylinder.
     pub fn delay_s(&self, speed_rpm: f64, flow: f64) -> f64 {
         self.transport_cycles * 120.0 / speed_rpm + self.transport_fuel / flow.max(1e-9)
+    }
+
+    /// Time constants of mixing and sensor together in s, at a flow as in [`Timing::delay_s`].
+    pub fn lag_s(&self, flow: f64) -> f64 {
+        self.sensor_lag_s + self.mixing_fuel / flow.max(1e-9)
+    }
+
+    /// What gas in the volume on the way follows in `dt_s` of a step in what flows in, and that by the logarithm of the flow.
+    fn mixed(&self, flow: f64, dt_s: f64) -> (f64, f64) {
+        let passed = dt_s * flow.max(1e-9) / self.mixing_fuel.max(1e-9);
+        (-(-passed).exp_m1(), passed * (-passed).exp())
     }
 }
 
@@ -141,6 +156,7 @@ impl Fuelling {
                 "a number from 0 to below 1",
             ),
             ("film.tau_s", self.film.tau_s, positive(self.film.tau_s), "a positive number"),
+            ("timing.mixing_fuel", self.timing.mixing_fuel, some(self.timing.mixing_fuel), "a number from 0"),
             (
                 "timing.sensor_lag_s",
                 self.timing.sensor_lag_s,

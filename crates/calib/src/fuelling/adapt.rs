@@ -105,7 +105,8 @@ pub(super) struct AdaptState {
     /// Covariance, and that of before anything was seen.
     covariance: Vec<f64>,
     prior: Vec<f64>,
-    /// Weights of the nodes in what the sensor shows.
+    /// Weights of the nodes in the gas of the volume on the way, and in what the sensor shows.
+    mixed: [f64; NODES],
     shown: [f64; NODES],
     /// Time in s before the sensor shows what is known of, time for which errors have been beyond what is expected, and time since
     /// the last step of forgetting.
@@ -131,6 +132,7 @@ impl AdaptState {
             theta: [0.0; NODES],
             covariance: prior.clone(),
             prior,
+            mixed: [0.0; NODES],
             shown: [0.0; NODES],
             blind_s: f64::INFINITY,
             beyond_s: 0.0,
@@ -148,13 +150,16 @@ impl AdaptState {
         self.blind_s = delay_s + LAGS * lag_s;
     }
 
-    /// The sensor moves on by the gas of these points, each with its share; `follow` of its lag.
-    pub(super) fn passed(&mut self, points: [([f64; 2], f64); 2], follow: f64) {
-        self.shown.iter_mut().for_each(|h| *h *= 1.0 - follow);
+    /// The sensor moves on by the gas of these points, each with its share, through the lags of the volume and its own.
+    pub(super) fn passed(&mut self, points: [([f64; 2], f64); 2], [mix, follow]: [f64; 2]) {
+        self.mixed.iter_mut().for_each(|h| *h *= 1.0 - mix);
         for (scaled, share) in points {
             for (k, w) in hats(scaled) {
-                self.shown[k] += follow * share * w;
+                self.mixed[k] += mix * share * w;
             }
+        }
+        for (h, m) in self.shown.iter_mut().zip(&self.mixed) {
+            *h += follow * (m - *h);
         }
     }
 
@@ -230,7 +235,7 @@ mod tests {
                 }
             }
             state.blind_s = 0.0;
-            state.passed([(at, 0.5), (at, 0.5)], 0.2);
+            state.passed([(at, 0.5), (at, 0.5)], [1.0, 0.2]);
             state.measured(surface(at) + 0.01 * rng.normal(), 0.02);
         }
         for seen in [[-0.5, -0.5], [0.0, 0.0], [0.7, -0.6], [-0.8, 0.7]] {
@@ -266,7 +271,7 @@ mod tests {
         let mut state = AdaptState::new(Adaptation::default(), Left { scale: 0.005, apart_s: 0.1 });
         state.begun(0.0, 0.0);
         for _ in 0..500 {
-            state.passed([([0.0, 0.0], 1.0), ([0.0, 0.0], 0.0)], 0.3);
+            state.passed([([0.0, 0.0], 1.0), ([0.0, 0.0], 0.0)], [1.0, 0.3]);
             state.measured(0.03, 0.02);
         }
         let before = state.at([0.0, 0.0]);

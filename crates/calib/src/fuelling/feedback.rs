@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Most of the integral of the feedback.
 const MOST_TRIM: f64 = 0.25;
 
-/// Lambda feedback, proportional and integral by internal model control of a lag (that of the sensor) behind a delay (D. E. Rivera,
+/// Lambda feedback, proportional and integral by internal model control of a lag (that of mixing and sensor) behind a delay (D. E. Rivera,
 /// M. Morari, S. Skogestad, Ind. Eng. Chem. Process Des. Dev. 25, 1986).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Feedback {
@@ -39,6 +39,6 @@ impl FeedbackState {
         let error = shown / lambda - 1.0;
         let per_s = 1.0 / (closed_s + timing.delay_s(y.speed_rpm, flow));
         self.integral = (self.integral + per_s * error * dt_s).clamp(-MOST_TRIM, MOST_TRIM);
-        1.0 + self.integral + per_s * timing.sensor_lag_s * error
+        1.0 + self.integral + per_s * timing.lag_s(flow) * error
     }
 }

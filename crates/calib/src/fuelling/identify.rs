@@ -89,7 +89,7 @@ const ROBUST: f64 = 0.05;
 const ROUNDS: usize = 2;
 /// Parameters of film, timing and the law of the coolant, before those of the charge.
 const FILM: usize = 2;
-const TIMING: usize = 5;
+const TIMING: usize = 6;
 const LAW: usize = 3;
 
 /// Means of a stretch at rest.
@@ -203,7 +203,7 @@ pub fn steady_charge(records: &[TransientRecord<'_>]) -> Result<(Charge, Option<
     charge_at_rest(records, &rested(records)?)
 }
 
-/// Where the searches begin: the charge at rest, a cycle of transport, as much through volumes, and a film of some cycles.
+/// Where the searches begin: the charge at rest, a cycle of transport, as much through volumes, half of it mixed, and a film of some cycles.
 fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuelling, FuellingError> {
     let (charge, coolant) = charge_at_rest(records, rested)?;
     let charge = moved_at_rest(records, rested, (&charge, coolant.as_ref()))?.unwrap_or(charge);
@@ -227,7 +227,8 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
             charge_s: 0.0,
             charge_cycles: 0.5,
             transport_cycles: 1.0,
-            transport_fuel: cycle_s * flow,
+            transport_fuel: 0.5 * cycle_s * flow,
+            mixing_fuel: 0.5 * cycle_s * flow,
             sensor_lag_s: 0.5 * cycle_s,
         },
         coolant,
@@ -354,7 +355,7 @@ fn residual(r: &TransientRecord<'_>, f: &Fuelling) -> (Vec<f64>, usize) {
     let late = |t: usize| {
         let speed = r.speed_rpm[t];
         let flow = f.air(r.coolant_c(t), r.cams_deg(t)).flow(speed, pressure[t]);
-        f.timing.delay_s(speed, flow) + f.timing.sensor_lag_s
+        f.timing.delay_s(speed, flow) + f.timing.lag_s(flow)
     };
     let n = r.lambda.len();
     let late_s = (0..n).map(late).sum::<f64>() / n as f64;
@@ -380,7 +381,7 @@ fn given(f: &Fuelling) -> Vec<f64> {
         x.extend([(f.film.share / (1.0 - f.film.share)).ln(), f.film.tau_s.ln()]);
     }
     x.extend([t.charge_s, t.charge_cycles]);
-    x.extend([t.transport_cycles, t.transport_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
+    x.extend([t.transport_cycles, t.transport_fuel, t.mixing_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
     if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
         x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
     }
@@ -402,7 +403,8 @@ fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
         charge_cycles: x[1],
         transport_cycles: x[2].exp(),
         transport_fuel: x[3].exp(),
-        sensor_lag_s: x[4].exp(),
+        mixing_fuel: x[4].exp(),
+        sensor_lag_s: x[5].exp(),
     };
     let mut from = TIMING;
     let mut coolant = start.coolant;

@@ -100,7 +100,8 @@ pub(super) struct TrimState {
     /// Samples before, newest first.
     past: VecDeque<Fuelled>,
     longest: usize,
-    /// 1 / lambda that the sensor must show.
+    /// 1 / lambda in the volume on the way, and as the sensor must show it.
+    mixed: f64,
     shown: f64,
     k: f64,
     /// Least cycles since a cut of the gas at the sensor; its lag is within [`CLEAN_CYCLES`].
@@ -115,6 +116,7 @@ impl TrimState {
         Self {
             past: VecDeque::with_capacity(longest),
             longest,
+            mixed: 1.0,
             shown: 1.0,
             k: 0.0,
             clean: CLEAN_CYCLES,
@@ -162,19 +164,24 @@ impl TrimState {
         let before = self.past.front().map_or(CLEAN_CYCLES, |p| p.cycles);
         let cycles = if injected { before + dt_s * speed_rpm / 120.0 } else { 0.0 };
         self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg, cycles });
-        let delay = f.timing.delay_s(speed_rpm, air.flow(speed_rpm, pressure_kpa)) / dt_s;
+        let flow = air.flow(speed_rpm, pressure_kpa);
+        let delay = f.timing.delay_s(speed_rpm, flow) / dt_s;
         let (young, part) = (delay as usize, delay.fract());
         let phi = (1.0 - part) * self.phi(f, young) + part * self.phi(f, young + 1);
-        let follow = if first { 1.0 } else { -(-dt_s / f.timing.sensor_lag_s).exp_m1() };
-        self.shown += follow * (phi - self.shown);
+        let [mix, follow] = match first {
+            true => [1.0; 2],
+            false => [f.timing.mixed(flow, dt_s).0, -(-dt_s / f.timing.sensor_lag_s).exp_m1()],
+        };
+        self.mixed += mix * (phi - self.mixed);
+        self.shown += follow * (self.mixed - self.shown);
         self.clean = self.ago(young + 1).cycles;
         if let Some(mut adapted) = self.adapted.take() {
             let points =
                 [(young, 1.0 - part), (young + 1, part)].map(|(age, share)| (self.met(f, age), share));
             if first {
-                adapted.begun(delay * dt_s, f.timing.sensor_lag_s);
+                adapted.begun(delay * dt_s, f.timing.lag_s(flow));
             }
-            adapted.passed(points, follow);
+            adapted.passed(points, [mix, follow]);
             self.adapted = Some(adapted);
         }
     }

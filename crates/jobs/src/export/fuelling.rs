@@ -136,7 +136,13 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         ("FUEL_AHEAD_CYCLES", "the part that goes with the cycle, in cycles", "-", f.timing.charge_cycles),
         ("LAMBDA_CYCLES", "transport to the lambda sensor, in cycles", "-", f.timing.transport_cycles),
         ("LAMBDA_VOLUME", "transport through volumes, as fuel at lambda 1", unit, f.timing.transport_fuel),
-        ("LAMBDA_LAG", "lag of mixing and lambda sensor", "s", f.timing.sensor_lag_s),
+        (
+            "LAMBDA_MIXING",
+            "mixing in a volume, as fuel at lambda 1 in its time constant",
+            unit,
+            f.timing.mixing_fuel,
+        ),
+        ("LAMBDA_LAG", "lag of the lambda sensor", "s", f.timing.sensor_lag_s),
         ("THROTTLE_LAG", "lag of the throttle", "s", f.filling.throttle_lag_s),
         (
             "MAP_GAIN",

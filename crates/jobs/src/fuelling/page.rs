@@ -120,7 +120,12 @@ fn identified(found: &Fuelled) -> Section {
         ("and in cycles", f.timing.charge_cycles, "cycles"),
         ("transport to the sensor", f.timing.transport_cycles, "cycles"),
         ("transport through volumes, as fuel at lambda 1", f.timing.transport_fuel, "unit of the injection"),
-        ("lag of mixing and sensor", f.timing.sensor_lag_s, "s"),
+        (
+            "mixing in a volume, as fuel at lambda 1 in its time constant",
+            f.timing.mixing_fuel,
+            "unit of the injection",
+        ),
+        ("lag of the sensor", f.timing.sensor_lag_s, "s"),
         ("lag of the throttle", f.filling.throttle_lag_s, "s"),
         ("error of the manifold pressure", f.pressure_rms_kpa, "kPa"),
     ];

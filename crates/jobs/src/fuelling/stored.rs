@@ -116,6 +116,7 @@ pub(crate) mod tests {
                     charge_cycles: 0.5,
                     transport_cycles: 1.0,
                     transport_fuel: 1.0,
+                    mixing_fuel: 0.5,
                     sensor_lag_s: 0.1,
                 },
                 coolant: None,

@@ -93,10 +93,10 @@ fn calibrated(done: &job::Finished, report_missing: Vec<String>) -> Result<Calib
     let last = passes.last();
     let outputs = last.map_or(&[][..], |p| &p.models.outputs);
     let mut violations: Vec<(String, f64)> = Vec::new();
-    for m in passes.iter().flat_map(|p| &p.misses) {
+    for (m, violation) in passes.iter().flat_map(|p| &p.misses).filter_map(|m| Some((m, m.violation?))) {
         match violations.iter_mut().find(|(name, _)| *name == m.output) {
-            Some((_, worst)) => *worst = worst.max(m.violation),
-            None => violations.push((m.output.clone(), m.violation)),
+            Some((_, worst)) => *worst = worst.max(violation),
+            None => violations.push((m.output.clone(), violation)),
         }
     }
     let v = r.validate.as_ref().map(|d| &d.result);

@@ -58,11 +58,21 @@ fn in_cylinder(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) -> (Vec<
     (0..r.speed_rpm.len()).map(of).unzip()
 }
 
-/// Samples from an injection until the sensor begins to show it, and those of them that go with one over the flow.
-fn delay(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64], t: usize) -> (f64, f64) {
-    let flow = f.air(r.coolant_c(t), r.cams_deg(t)).flow(r.speed_rpm[t], pressure[t]);
-    let through = f.timing.delay_s(r.speed_rpm[t], flow) - f.timing.delay_s(r.speed_rpm[t], f64::INFINITY);
-    (f.timing.delay_s(r.speed_rpm[t], flow) / r.sample_time_s, through / r.sample_time_s)
+/// What passes between cylinder and sensor in a sample.
+struct Way {
+    /// Samples from an injection until the sensor begins to show it, and those of them that go with one over the flow.
+    late: f64,
+    through: f64,
+    /// What the gas in the volume follows of a step, and that by the logarithm of the flow.
+    mixed: (f64, f64),
+}
+
+fn way(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64], t: usize) -> Way {
+    let (dt, timing, speed) = (r.sample_time_s, &f.timing, r.speed_rpm[t]);
+    let flow = f.air(r.coolant_c(t), r.cams_deg(t)).flow(speed, pressure[t]);
+    let late = timing.delay_s(speed, flow);
+    let through = late - timing.delay_s(speed, f64::INFINITY);
+    Way { late: late / dt, through: through / dt, mixed: timing.mixed(flow, dt) }
 }
 
 /// What follows of a step of a value in a sample.
@@ -74,9 +84,11 @@ fn follow(r: &TransientRecord<'_>, f: &Fuelling) -> f64 {
 pub(super) fn richness(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) -> Vec<f64> {
     let (mixture, _) = in_cylinder(r, f, pressure);
     let follow = follow(r, f);
-    let mut shown = mixture[0];
+    let (mut mixed, mut shown) = (mixture[0], mixture[0]);
     let step = |t: usize| {
-        shown += follow * (between(&mixture, t as f64 - delay(r, f, pressure, t).0) - shown);
+        let way = way(r, f, pressure, t);
+        mixed += way.mixed.0 * (between(&mixture, t as f64 - way.late) - mixed);
+        shown += follow * (mixed - shown);
         shown
     };
     (0..r.speed_rpm.len()).map(step).collect()
@@ -88,7 +100,7 @@ pub(super) fn richness(r: &TransientRecord<'_>, f: &Fuelling, pressure: &[f64]) 
 /// d phi(t - D) = - phi(t - D) T(met) / c(met) + phi' D' T(t) / c(t),   T terms of c, D' part of the delay D that goes with 1 / c
 /// ```
 ///
-/// behind the lag of the sensor.
+/// behind the lag of the volume, which goes with 1 / c too, and that of the sensor.
 pub(super) fn richness_slopes(
     r: &TransientRecord<'_>,
     f: &Fuelling,
@@ -102,15 +114,20 @@ pub(super) fn richness_slopes(
     };
     let slopes: Vec<[f64; TERMS]> = met.iter().zip(&mixture).map(|(at, phi)| over(*at, -phi)).collect();
     let follow = follow(r, f);
+    let (mut mixed, mut mixed_by) = (mixture[0], slopes[0]);
     let (mut shown, mut by) = (mixture[0], slopes[0]);
     for t in 0..r.speed_rpm.len() {
-        let (late, through) = delay(r, f, pressure, t);
+        let Way { late, through, mixed: (share, share_by) } = way(r, f, pressure, t);
         let (k, part, inside) = place(mixture.len(), t as f64 - late);
         let rise = if inside { mixture[k + 1] - mixture[k] } else { 0.0 };
-        shown += follow * (mixture[k] + part * (mixture[k + 1] - mixture[k]) - shown);
-        let later = over([r.speed_rpm[t], pressure[t]], rise * through);
-        for (j, d) in by.iter_mut().enumerate() {
-            *d += follow * (slopes[k][j] + part * (slopes[k + 1][j] - slopes[k][j]) + later[j] - *d);
+        let step = mixture[k] + part * (mixture[k + 1] - mixture[k]) - mixed;
+        // Of the flow of now: the delay of what comes, and how much of it the volume follows.
+        let later = over([r.speed_rpm[t], pressure[t]], share * rise * through + share_by * step);
+        mixed += share * step;
+        shown += follow * (mixed - shown);
+        for (j, (m, d)) in mixed_by.iter_mut().zip(by.iter_mut()).enumerate() {
+            *m += share * (slopes[k][j] + part * (slopes[k + 1][j] - slopes[k][j]) - *m) + later[j];
+            *d += follow * (*m - *d);
         }
         take(t, shown, &by);
     }

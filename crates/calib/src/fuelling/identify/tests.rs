@@ -30,6 +30,7 @@ fn truth() -> Fuelling {
         charge_cycles: 0.6,
         transport_cycles: 1.1,
         transport_fuel: 9.0,
+        mixing_fuel: 6.0,
         sensor_lag_s: 0.08,
     };
     let film = Film { share: 0.25, tau_s: 0.4 };
@@ -123,6 +124,7 @@ fn a_record_of_the_model_gives_the_model_back() {
     near(found.filling.gain, truth.filling.gain, 0.03, "gain");
     near(found.filling.throttle_lag_s, truth.filling.throttle_lag_s, 0.05, "throttle");
     near(found.timing.sensor_lag_s, truth.timing.sensor_lag_s, 0.03, "sensor");
+    near(found.timing.mixing_fuel, truth.timing.mixing_fuel, 0.05, "mixing");
     near(found.timing.ahead_s(2000.0), truth.timing.ahead_s(2000.0), 0.05, "ahead");
     for (n, p) in [(1400.0, 40.0), (2500.0, 60.0)] {
         near(found.charge.at(n, p), truth.charge.at(n, p), 3e-3, "charge");
@@ -156,7 +158,13 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
     let injection: Vec<f64> =
         (0..n).map(|t| policy.step(&sensed(speed, throttle[t], 40.0, None), 1.0)).collect();
     let r = TransientRecord { injection: &injection, ..r };
-    let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
+    let fast = Timing {
+        transport_cycles: 0.0,
+        transport_fuel: 0.0,
+        mixing_fuel: 0.0,
+        sensor_lag_s: 1e-9,
+        ..truth.timing
+    };
     let phi = richness(&r, &Fuelling { timing: fast, ..truth.clone() }, &p);
     // Not the first second: the film of the record begins with another injection. And not what was injected before the step
     // and meets its air after it: that nobody can know.

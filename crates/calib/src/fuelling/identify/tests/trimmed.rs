@@ -26,7 +26,13 @@ fn driven(truth: &Fuelling, policy: &mut FuelPolicy, share: f64, n: usize) -> Ve
         let lambda = (t > 1).then(|| 1.0 / richness(&so_far, truth, &p)[t - 1]);
         given.push(share * policy.step(&sensed(2000.0, throttle[t], map[t.saturating_sub(1)], lambda), 1.0));
     }
-    let fast = Timing { transport_cycles: 0.0, transport_fuel: 0.0, sensor_lag_s: 1e-9, ..truth.timing };
+    let fast = Timing {
+        transport_cycles: 0.0,
+        transport_fuel: 0.0,
+        mixing_fuel: 0.0,
+        sensor_lag_s: 1e-9,
+        ..truth.timing
+    };
     richness(&TransientRecord { injection: &given, ..r }, &Fuelling { timing: fast, ..truth.clone() }, &p)
 }
 
