@@ -22,6 +22,13 @@ fn entrained(last: &CycleRecord, [air, fuel, products]: [f64; 3]) -> f64 {
     1e-6 * last.emissions.no_ppm * products / (air + fuel + products)
 }
 
+/// Recirculated gas over air \[-\], means of the last 720 deg: the charge of a cylinder has drawn both from one manifold.
+fn recirculated_over_air(half_turns: &[Sums; 4]) -> f64 {
+    let sum = |of: fn(&Sums) -> f64| half_turns.iter().map(of).sum::<f64>();
+    let (egr_kg, air_kg) = (sum(|h| h.egr_kg), sum(|h| h.air_kg));
+    if air_kg > 0.0 { egr_kg / air_kg } else { 0.0 }
+}
+
 impl VirtualEngine {
     /// Handle every event up to the present cell.
     #[inline]
@@ -48,6 +55,7 @@ impl VirtualEngine {
                 m.last.gross_work_j = m.work_j;
                 m.last.exchange_work_j = m.exchange_work_j;
                 m.work_j = 0.0;
+                m.blown_down_k = s.t_k[c];
                 // Port injection goes on the closed intake valve, so that the fuel waits for the next induction.
                 if let Some(port) = &self.params.port {
                     let fuel = 1e-6 * u.injection_mg * d.fuel_share[c];
@@ -67,14 +75,18 @@ impl VirtualEngine {
                     ..m.last
                 };
                 if let (Some((model, _)), Some(table)) = (&boosted.emissions, &boosted.table) {
+                    let afr = self.params.gas.afr_stoich;
+                    let air = (1.0 - m.residual) * m.lambda * afr / (1.0 + m.lambda * afr);
+                    let recirculated = (recirculated_over_air(&s.half_turns) * air).min(m.residual);
                     let hidden = Hidden {
                         peak_pa: m.running_peak_pa,
                         trapped_kg: m.trapped_kg,
                         wall_k: self.held.cylinder_wall_k,
-                        exhaust_k: s.t_k[EXHAUST],
-                        residual: m.residual,
+                        blown_down_k: m.blown_down_k,
+                        residual: m.residual - recirculated,
+                        recirculated,
                     };
-                    let mixture = (m.lambda, self.params.gas.afr_stoich);
+                    let mixture = (m.lambda, afr);
                     m.last.emissions = model.cycle(table, &m.end_gas, mixture, m.stable, &hidden);
                 }
                 m.end_gas.t_k = 0.0;

@@ -6,13 +6,17 @@
 //!
 //! What hides is the charge that peak pressure packs into the crevices, p V_c/(R T_w m) of it (Heywood 1988, 11.4.3), and
 //! an oil film that takes `oil_share` of that on a wall of 440 K and 1/e more for each 60 K below. Of it the share
-//! s r(lambda) exp(-(T - 900 K)/700 K) survives late burning in cylinder and port, T that of the exhaust manifold (retard
-//! by 1 deg, 10 K: -1.5 %). r is a table over lambda: HC in ppm measured on a real engine at lambda 0.7 to 1.2 over its value
-//! at 1, less what carbon of the exhaust and exhaust temperature do here at 2000 rpm and 70 Nm. It falls where oxygen appears.
+//! s r(lambda) exp(-(T - 1150 K)/370 K) survives late burning in cylinder and port, T the gas in the cylinder at bottom dead centre,
+//! after blow-down. What is left to burn leaves the walls in the exhaust stroke and burns in that gas, in cylinder and port, before the gas
+//! has lost its heat: oxidation stops below some 1100 K (Heywood 1988, 11.4.3, from memory), which no manifold has at part load. 370 K: retard
+//! by 1 deg heats that gas by 5.6 K here (2000 rpm, 70 Nm) and takes 1.5 % (class -1 to -2, from memory). r is a table
+//! over lambda: HC in ppm measured on a real engine at lambda 0.7 to 1.2 over its value at 1, less what carbon of the exhaust and
+//! temperature do here at 2000 rpm and 70 Nm. It falls where oxygen appears.
 //!
 //! Gas that comes out of crevices and oil leaves the cylinder last, so that what stays as residual gas is richer in HC than
 //! what has left: with `retained` times the mean concentration in a residual share x, the share 1 - `retained` x leaves and
-//! the rest burns in the next cycle. Gas recirculated outside counts as residual gas here.
+//! the rest burns in the next cycle. Gas recirculated outside is no residual gas here: it has left, and has the mean concentration. Of
+//! exhaust of which the share e goes round, e of the HC comes back and burns, so that the concentration falls by 1 - e.
 
 use crate::dissociation::BurnedTable;
 use crate::end_gas::EndGas;
@@ -43,7 +47,7 @@ pub struct Hydrocarbons {
     pub crevice_m3: f64,
     /// What the oil film holds over what the crevices hold, wall at 440 K \[-\].
     pub oil_share: f64,
-    /// Share s that survives at lambda 1 and 900 K \[-\].
+    /// Share s that survives at lambda 1 and 1150 K \[-\].
     pub survival: f64,
     /// Concentration of HC in the gas that stays in the cylinder over the mean of what has left \[-\]; 0: nothing stays.
     #[serde(default)]
@@ -59,20 +63,22 @@ pub struct Hidden {
     pub trapped_kg: f64,
     /// Wall of the cylinder \[K\].
     pub wall_k: f64,
-    /// Gas in the exhaust manifold \[K\].
-    pub exhaust_k: f64,
-    /// Share of residual gas in the charge \[-\].
+    /// Gas in the cylinder after blow-down, at bottom dead centre \[K\].
+    pub blown_down_k: f64,
+    /// Share of the charge that never left the cylinder or flowed back out of a port \[-\].
     pub residual: f64,
+    /// Share of the charge that was recirculated outside \[-\].
+    pub recirculated: f64,
 }
 
-/// Wall of the constants, gas constant \[J/kg/K\] of what hides; temperature of the exhaust and its scale \[K\].
+/// Wall of the constants, gas constant \[J/kg/K\] of what hides; temperature after blow-down and its scale \[K\].
 const WALL_K: f64 = 440.0;
 const R_CHARGE: f64 = 280.0;
-const EXHAUST_K: (f64, f64) = (900.0, 700.0);
+const BLOWN_DOWN_K: (f64, f64) = (1150.0, 370.0);
 /// Least share of HC that leaves the cylinder \[-\]: the form does not hold where nearly all gas stays.
 const LEAST_LEFT: f64 = 0.2;
 /// Survival r over lambda, linear in between and held at the ends.
-const SURVIVAL: [(f64, f64); 5] = [(0.7, 1.57), (0.9, 1.30), (1.0, 1.0), (1.1, 0.61), (1.2, 0.60)];
+const SURVIVAL: [(f64, f64); 5] = [(0.7, 1.12), (0.9, 1.21), (1.0, 1.0), (1.1, 0.56), (1.2, 0.51)];
 
 /// r at a lambda.
 fn survival(lambda: f64) -> f64 {
@@ -82,27 +88,39 @@ fn survival(lambda: f64) -> f64 {
 }
 
 impl Hydrocarbons {
-    /// Share of the fuel that leaves unburned.
+    /// Share of the fuel that leaves unburned, in the concentration of the exhaust: with recirculation less than of the fuel of the charge.
     ///
     /// ```
     /// use dynocal_plant::emissions::{Hidden, Hydrocarbons};
     /// let h = Hydrocarbons { crevice_m3: 1e-6, oil_share: 0.25, survival: 0.16, retained: 0.0 };
-    /// let warm = Hidden { peak_pa: 29e5, trapped_kg: 3e-4, wall_k: 440.0, exhaust_k: 900.0, residual: 0.1 };
+    /// let warm = Hidden {
+    ///     peak_pa: 29e5,
+    ///     trapped_kg: 3e-4,
+    ///     wall_k: 440.0,
+    ///     blown_down_k: 1150.0,
+    ///     residual: 0.1,
+    ///     recirculated: 0.0,
+    /// };
     /// let [rich, one, lean] = [0.9, 1.0, 1.1].map(|lambda| h.share(&warm, lambda));
-    /// assert!(one > 0.008 && one < 0.019 && rich > 1.25 * one && lean < 0.8 * one);
+    /// assert!(one > 0.008 && one < 0.019 && rich > 1.15 * one && lean < 0.8 * one);
     /// let cold = h.share(&Hidden { wall_k: 370.0, ..warm }, 1.0) / one;
     /// assert!(cold > 1.5 && cold < 2.0);
     /// // A third of it stays where the residual gas is richer by a factor of 2.5.
     /// let kept = Hydrocarbons { retained: 2.5, ..h }.share(&Hidden { residual: 0.4 / 3.0, ..warm }, 1.0);
     /// assert!((kept / one - 2.0 / 3.0).abs() < 1e-12);
+    /// // Of what is recirculated nothing stays behind in the cylinder: a ninth of the exhaust goes round.
+    /// let round = h.share(&Hidden { recirculated: 0.1, ..warm }, 1.0) / one;
+    /// assert!((round - 8.0 / 9.0).abs() < 1e-12);
     /// ```
     pub fn share(&self, c: &Hidden, lambda: f64) -> f64 {
         let crevices = c.peak_pa * self.crevice_m3 / (R_CHARGE * c.wall_k * c.trapped_kg.max(1e-6));
         let oil = self.oil_share * ((WALL_K - c.wall_k) / 60.0).min(4.0).exp() * c.wall_k / WALL_K;
         let mixture = survival(lambda);
-        let late = (-(c.exhaust_k - EXHAUST_K.0) / EXHAUST_K.1).exp();
+        let late = (-(c.blown_down_k - BLOWN_DOWN_K.0) / BLOWN_DOWN_K.1).exp();
         let left = (1.0 - self.retained * c.residual).max(LEAST_LEFT);
-        (crevices * (1.0 + oil) * self.survival * mixture * late * left).clamp(0.0, 1.0)
+        // Exhaust that leaves a cylinder is what was not residual gas in it.
+        let out = 1.0 - c.recirculated / (1.0 - c.residual).max(c.recirculated).max(1e-6);
+        (crevices * (1.0 + oil) * self.survival * mixture * late * left * out).clamp(0.0, 1.0)
     }
 }
 

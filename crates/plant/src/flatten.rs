@@ -21,7 +21,9 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
         [&mut c.residual, &mut c.lambda, &mut c.trapped_kg, &mut c.running_peak_pa]
             .into_iter()
             .for_each(&mut *f);
-        [&mut c.running_peak_deg, &mut c.work_j, &mut c.exchange_work_j].into_iter().for_each(&mut *f);
+        [&mut c.running_peak_deg, &mut c.blown_down_k, &mut c.work_j, &mut c.exchange_work_j]
+            .into_iter()
+            .for_each(&mut *f);
         [&mut l.peak_pa, &mut l.peak_deg, &mut l.gross_work_j, &mut l.exchange_work_j]
             .into_iter()
             .for_each(&mut *f);

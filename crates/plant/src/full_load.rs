@@ -5,6 +5,9 @@
 //! knock integral stands in the way, and the cams follow the schedule of the parameter set. Where spark or mixture stand at their end and
 //! knock, peak pressure or exhaust temperature are past their limit all the same, the load gives way.
 
+mod rest;
+
+use self::rest::Span;
 use crate::engine::VirtualEngine;
 use crate::error::PlantError;
 use crate::inputs::Inputs;
@@ -91,6 +94,8 @@ pub enum Barrier {
     Mixture,
     /// Exhaust temperature at its limit, and a richer mixture does not cool it.
     Heat,
+    /// The wastegate still turns, and moves nothing any more.
+    Spent,
     /// Nothing: the time allowed was too short.
     Time,
 }
@@ -111,6 +116,7 @@ impl Barrier {
             Self::Heat => {
                 "the exhaust stands at its limit of temperature and richer mixture does not cool it"
             }
+            Self::Spent => "the wastegate closes on and neither boost nor torque answers",
             Self::Time => "nothing stands at its limit, the time allowed was too short",
         }
     }
@@ -134,7 +140,7 @@ pub struct LoadPoint {
     pub barrier: Option<Barrier>,
     /// The spark stands at the limit of knock or of peak pressure.
     pub knock_limited: bool,
-    /// Everything stood still before the time was over.
+    /// Everything stood still before the time was over, or nothing has moved over its last 10 s.
     pub settled: bool,
     /// Simulated time \[s\].
     pub time_s: f64,
@@ -395,14 +401,18 @@ fn hold(
     engine.set_inputs(u)?;
     let start_s = engine.state().time_s;
     let mut still = 0;
+    let mut span = Span::default();
     loop {
         engine.advance_angle(720.0);
         let y = engine.outputs();
         still = if control.cycle(&p, &y) { still + 1 } else { 0 };
         control.ask_whether_rich_cools(engine)?;
         let time_s = y.time_s - start_s;
+        span.see(request.limits.time_s - time_s, &y);
         if still >= STILL || time_s > request.limits.time_s {
-            let settled = still >= STILL;
+            // A controller that goes on turning what moves nothing is at rest, too.
+            let spent = still < STILL && span.rests();
+            let settled = still >= STILL || spent;
             let inputs = engine.state().inputs;
             // Whole cycles, so that pulsation averages out.
             let average_s = 10.0 * 120.0 / request.speed_rpm;
@@ -410,7 +420,10 @@ fn hold(
             let reached = (outputs.torque_nm - request.torque_nm).abs() < REACHED_NM;
             return Ok(LoadPoint {
                 request,
-                barrier: (!reached).then(|| barrier(&p, &control, &inputs, &outputs)),
+                barrier: (!reached).then(|| match barrier(&p, &control, &inputs, &outputs) {
+                    Barrier::Time if spent && inputs.throttle_deg >= OPEN_DEG => Barrier::Spent,
+                    other => other,
+                }),
                 inputs,
                 outputs,
                 lambda: control.lambda,

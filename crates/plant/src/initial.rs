@@ -28,6 +28,8 @@ pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> En
         trapped_kg: 0.0,
         running_peak_pa: 0.0,
         running_peak_deg: 0.0,
+        // Of a fired cycle, until there has been one.
+        blown_down_k: 1150.0,
         work_j: 0.0,
         exchange_work_j: 0.0,
         last: CycleRecord { peak_pa: 10e5, ..CycleRecord::default() },

@@ -64,6 +64,8 @@ pub struct Cylinder {
     pub running_peak_pa: f64,
     /// Angle of the running peak \[deg ATDC\].
     pub running_peak_deg: f64,
+    /// Gas after blow-down, at bottom dead centre \[K\].
+    pub blown_down_k: f64,
     /// Work since the last mark \[J\].
     pub work_j: f64,
     /// Work of the last gas exchange \[J\].

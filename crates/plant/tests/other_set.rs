@@ -1,7 +1,7 @@
 //! The set that differs in structure: it runs, it balances, and it is another engine than `gtdi_2l`.
 
 use dynocal_plant::engine::VirtualEngine;
-use dynocal_plant::full_load::{LoadLimits, LoadPoint, LoadRequest, hold_load};
+use dynocal_plant::full_load::{Barrier, LoadLimits, LoadPoint, LoadRequest, hold_load};
 use dynocal_plant::heat::{HeatLaw, hohenberg};
 use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
@@ -59,6 +59,14 @@ fn part_load_and_boost_are_held_and_the_first_law_holds() {
     let (_, base) = held("gtdi_2l", 2500.0, 200.0 * displacement("gtdi_2l") / displacement("other_1_8l"));
     // Both may stand at the limit of knock: the spark that it leaves tells them apart.
     assert!(p.knock_limited && p.outputs.ca50_deg > base.outputs.ca50_deg + 2.0, "{p:?} and {base:?}");
+}
+
+/// At full load and 5500 rpm the wastegate has hardly any authority left: the controller goes on turning it, and nothing moves.
+#[test]
+fn full_load_at_high_speed_rests_although_the_wastegate_still_turns() {
+    let (_, p) = held("other_1_8l", 5500.0, 1000.0);
+    assert!(p.settled && !p.reached && p.barrier == Some(Barrier::Spent), "{p:?}");
+    assert!(p.passed().is_none(), "{p:?}");
 }
 
 /// A motored cycle: the heat in the ledger is the integral of Hohenberg's coefficient over the surface.

@@ -265,3 +265,28 @@ fn repeat_points_of_an_hour_tell_the_drift_of_the_sensors_from_the_engine() {
     let share = step / (1.0 - keep * keep);
     assert!((share - 1.0).abs() < 3.0 * (2.0f64 / 88.0).sqrt(), "variance over the planted one: {share}");
 }
+
+/// One key starts everything cold; without it catalyst and walls start at their own temperatures, as before.
+#[test]
+fn a_cold_start_needs_one_key() {
+    use dynocal_plant::error::PlantError;
+    use dynocal_plant::testbed::settings::BedOptions;
+    use dynocal_plant::testbed::state::BedState;
+    let p = EngineParams::named("gtdi_2l").unwrap();
+    let options = |text: &str| BedOptions::from_table("gtdi_2l", &toml::from_str(text).unwrap());
+    let built = |text: &str| -> Result<BedState, PlantError> {
+        let set = BedSettings { options: options(text)?, ..BedSettings::of_set("gtdi_2l", &p).unwrap() };
+        EngineBed::new(&p, set).map(|bed| bed.bed_state().clone())
+    };
+    let one = built("real = true\n[engine]\nstart_k = 268.15").unwrap();
+    let two = built("real = true\n[engine.warm_up]\nstart_k = 268.15\n[engine.catalyst]\nstart_k = 268.15")
+        .unwrap();
+    assert_eq!(one, two);
+    assert_eq!(one.catalyst.unwrap().brick_k[0], 268.15);
+    let (before, real) =
+        (built("real = true\n[engine.warm_up]\nstart_k = 268.15").unwrap(), built("real = true").unwrap());
+    assert_eq!((before.thermal, before.catalyst), (one.thermal, real.catalyst));
+    let refused = built("real = false\n[engine]\nstart_k = 268.15").unwrap_err().to_string();
+    assert!(refused.contains("bed.engine.start_k") && refused.contains("warm_up"), "{refused}");
+    assert!(built("real = true\n[engine]\nstart_k = 20").is_err());
+}

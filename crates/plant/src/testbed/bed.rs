@@ -84,9 +84,10 @@ impl EngineBed {
     ///
     /// # Errors
     /// Errors of the engine and of the options: parameters or start inputs out of range.
-    pub fn new(params: &EngineParams, settings: BedSettings) -> Result<Self, EngineError> {
+    pub fn new(params: &EngineParams, mut settings: BedSettings) -> Result<Self, EngineError> {
+        settings.options.check()?;
+        settings.options.engine = settings.options.engine.begun();
         let o = &settings.options;
-        o.check()?;
         o.check_engine(&settings.set_name, params)?;
         let real = &o.engine;
         let mut deviations = Deviations { scatter: real.scatter, ..Deviations::default() };

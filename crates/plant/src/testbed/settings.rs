@@ -60,6 +60,10 @@ pub struct RealEngine {
     pub burn_imbalance: f64,
     /// Octane number of the fuel in the tank, in place of that of the parameter set.
     pub octane: Option<f64>,
+    /// Temperature of walls, coolant, oil, catalyst and the pipe before it at the start \[K\], in place of the `start_k` of
+    /// `warm_up` and `catalyst`: a cold start by one key.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_k: Option<f64>,
     /// Warm-up of walls, coolant and oil.
     pub warm_up: Option<ThermalSettings>,
     /// Catalyst.
@@ -148,6 +152,7 @@ impl BedOptions {
                 injector_error: 0.0,
                 burn_imbalance: 0.02,
                 octane: None,
+                start_k: None,
                 warm_up: Some(ThermalSettings { start_k: 363.15, ..ThermalSettings::default() }),
                 catalyst: Some(CatalystSettings::default()),
                 idle: Some(IdleSettings::default()),
@@ -335,6 +340,16 @@ impl BedOptions {
 }
 
 impl RealEngine {
+    /// Warm-up and catalyst as they begin: at the one temperature of the start, where it is given.
+    pub(super) fn begun(&self) -> Self {
+        let mut real = *self;
+        if let Some(start_k) = self.start_k {
+            real.warm_up.iter_mut().for_each(|t| t.start_k = start_k);
+            real.catalyst.iter_mut().for_each(|c| c.start_k = start_k);
+        }
+        real
+    }
+
     fn check(&self) -> Result<(), PlantError> {
         range("bed.engine.scatter.heat", self.scatter.heat, 0.0, 0.3)?;
         range("bed.engine.scatter.burn", self.scatter.burn, 0.0, 0.3)?;
@@ -342,6 +357,17 @@ impl RealEngine {
         range("bed.engine.injector_error", self.injector_error, -0.5, 0.5)?;
         range("bed.engine.burn_imbalance", self.burn_imbalance, 0.0, 0.2)?;
         range("bed.engine.octane", self.octane.unwrap_or(95.0), 60.0, 130.0)?;
+        if let Some(start_k) = self.start_k {
+            range("bed.engine.start_k", start_k, 240.0, 400.0)?;
+            if self.warm_up.is_none() && self.catalyst.is_none() {
+                return Err(PlantError::Bed {
+                    key: "bed.engine.start_k".into(),
+                    found: start_k.to_string(),
+                    expected: "none without `engine.warm_up` or `engine.catalyst`: nothing would start at it"
+                        .into(),
+                });
+            }
+        }
         if let Some(t) = &self.warm_up {
             range("bed.engine.warm_up.start_k", t.start_k, 240.0, 400.0)?;
             range("bed.engine.warm_up.ambient_k", t.ambient_k, 230.0, 330.0)?;

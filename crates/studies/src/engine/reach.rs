@@ -15,7 +15,9 @@ use dynocal_numerics::watch::Watch;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::error::PlantError;
 use dynocal_plant::full_load::{Barrier, LoadLimits, LoadPoint, LoadRequest, hold_load};
+use dynocal_plant::inputs::Inputs;
 use dynocal_plant::params::EngineParams;
+use dynocal_plant::statics::steady as run_to_rest;
 use dynocal_report::{Cell, Column, Report, Section, Table};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -33,6 +35,8 @@ const BEYOND: [(&str, f64, f64); 7] = [
 ];
 /// Boosted points within reach of `gtdi_2l`: speed \[rpm\], torque \[Nm\].
 const BOOSTED: [(f64, f64); 3] = [(1500.0, 200.0), (2000.0, 240.0), (3000.0, 300.0)];
+/// By how much a wastegate closes that is said to move nothing any more \[mm\].
+const SPENT_MM: f64 = 2.0;
 /// Torque that a moved limit must set free \[Nm\].
 const FREED_NM: f64 = 2.0;
 
@@ -125,6 +129,13 @@ fn stands(
         Barrier::Injection => Ok(u.injection_mg >= 119.9),
         Barrier::Spark => Ok(u.spark_deg <= -9.9),
         Barrier::Mixture | Barrier::Heat => frees(LoadLimits { egt_k: limits.egt_k + 30.0, ..limits }),
+        Barrier::Spent => {
+            let mut engine = VirtualEngine::new(p)?;
+            run_to_rest(&mut engine, *u, 30.0, 0.6)?;
+            let closer = Inputs { wastegate_mm: (u.wastegate_mm - SPENT_MM).max(0.0), ..*u };
+            let more = run_to_rest(&mut engine, closer, 30.0, 0.6)?;
+            Ok(u.throttle_deg >= 89.9 && more.torque_nm <= at.outputs.torque_nm + FREED_NM)
+        }
         Barrier::Time => Ok(false),
     }
 }
