@@ -18,6 +18,7 @@ pub mod refine;
 pub mod search;
 pub mod station;
 pub mod trim;
+pub mod valleys;
 pub mod whole;
 
 pub use hold::{Held, HoldSpec, hold};

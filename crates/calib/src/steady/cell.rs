@@ -136,6 +136,11 @@ impl Setting<'_> {
         best.unwrap_or_else(|| self.judge(begin.first().map_or(at, |b| b), Status::Infeasible, None))
     }
 
+    /// The local optimum at the axes `at` that is found from the free inputs of `x` (all factors).
+    pub fn local(&self, at: &[f64], x: &[f64], interrupt: &dyn Fn() -> bool) -> CellOptimum {
+        self.solve(&[at, &x[self.axes..]].concat(), false, interrupt)
+    }
+
     /// Feasible before infeasible, then by objective, else by violation.
     pub fn better(&self, a: &CellOptimum, b: &CellOptimum) -> bool {
         match (a.feasible, b.feasible) {

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cell::{CellOptimum, Setting};
 use super::front::FrontSpec;
+use super::valleys;
 use super::whole::{Coupling, Way, solve_whole};
 
 /// How a map is made.
@@ -109,7 +110,7 @@ const SWEEPS: usize = 12;
 const STEPS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
 
 /// Places of the neighbours of cell `k` along each axis.
-fn neighbours(axes: &[Vec<f64>], k: usize) -> Vec<usize> {
+pub(super) fn neighbours(axes: &[Vec<f64>], k: usize) -> Vec<usize> {
     let (mut all, mut stride) = (Vec::new(), 1);
     for axis in axes.iter().rev() {
         let i = (k / stride) % axis.len();
@@ -176,6 +177,9 @@ pub fn solve(
             Cell { at, state, best: setting.cost(&optimum), optimum }
         })
         .collect();
+    if spec.smooth > 0.0 {
+        valleys::agree(setting, axes, spec.smooth, &mut cells, interrupt);
+    }
     smooth(setting, axes, spec, &mut cells);
     fill(setting, axes, &mut cells);
     cells

@@ -1,0 +1,109 @@
+//! Valleys of the cells of a map: which of several local optima a cell holds, where they are worth nearly the same.
+//!
+//! Least fuel may be found in two places of a cell (cams late with the wastegate closed, or early with it open) that differ by less than
+//! the models know. Neighbouring cells that fall into different ones jump between them, the maps go straight through what lies
+//! between, and nothing was ever measured there. So each cell is sought again from where its neighbours stand, and of what is found
+//!
+//! ```text
+//! minimise over the choices   sum_(k,j neighbours) | (x_k - x_j) / (upper - lower) |^2      subject to   J(x_k) <= J_best,k + smooth |J_k|
+//! ```
+//!
+//! J: what is minimised, caution included; all limits kept. Cell by cell in turns (iterated conditional modes): no choice makes the sum larger, so
+//! that it ends.
+//!
+//! Reference: J. Besag, On the statistical analysis of dirty pictures, J. R. Statist. Soc. B 48 (1986), 259.
+
+use rayon::prelude::*;
+
+use super::cell::{CellOptimum, Setting};
+use super::grid::{Cell, CellState, neighbours};
+
+/// Times that cells are sought again from where their neighbours stand by then.
+const ROUNDS: usize = 3;
+/// Turns of the choice in a round.
+const TURNS: usize = 20;
+
+/// Moves optimal cells into the valleys of their neighbours where that costs no more than the share `smooth` of what is minimised and
+/// neighbouring cells come nearer to each other. Whether any was moved.
+pub fn agree(
+    setting: &Setting,
+    axes: &[Vec<f64>],
+    smooth: f64,
+    cells: &mut [Cell],
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> bool {
+    let optimal = |cells: &[Cell], k: usize| cells[k].state == CellState::Optimal;
+    let around: Vec<Vec<usize>> = (0..cells.len())
+        .map(|k| neighbours(axes, k).into_iter().filter(|j| optimal(cells, *j)).collect())
+        .collect();
+    let mut moved = false;
+    for _ in 0..ROUNDS {
+        let now: &[Cell] = cells;
+        let choices: Vec<Vec<CellOptimum>> = (0..now.len())
+            .into_par_iter()
+            .map(|k| match optimal(now, k) {
+                true => choices(setting, &now[k], around[k].iter().map(|j| &now[*j]), smooth, interrupt),
+                false => Vec::new(),
+            })
+            .collect();
+        let changed = choose(setting, &around, &choices, cells);
+        moved |= changed;
+        if !changed || interrupt() {
+            break;
+        }
+    }
+    moved
+}
+
+/// What a cell may hold: what it holds, and the optima that are found from where its neighbours stand, as far as they are good enough.
+fn choices<'a>(
+    setting: &Setting,
+    cell: &Cell,
+    around: impl Iterator<Item = &'a Cell>,
+    smooth: f64,
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Vec<CellOptimum> {
+    let allowed = cell.best + smooth * cell.optimum.objective.abs();
+    let from = |c: &Cell| setting.local(&cell.at, &c.optimum.x, &|| interrupt());
+    let good = |o: &CellOptimum| o.feasible && setting.cost(o) <= allowed;
+    std::iter::once(cell.optimum.clone()).chain(around.map(from).filter(good)).collect()
+}
+
+/// Squared distance of two settings, free inputs in shares of their ranges.
+fn apart(setting: &Setting, a: &[f64], b: &[f64]) -> f64 {
+    let free = setting.axes..setting.dim();
+    free.map(|i| ((a[i] - b[i]) / setting.ranges[i].width().max(f64::MIN_POSITIVE)).powi(2)).sum()
+}
+
+/// Each cell in turn takes the choice that is nearest to its neighbours, until none changes.
+fn choose(
+    setting: &Setting,
+    around: &[Vec<usize>],
+    choices: &[Vec<CellOptimum>],
+    cells: &mut [Cell],
+) -> bool {
+    let mut moved = false;
+    for _ in 0..TURNS {
+        let mut changed = false;
+        for k in 0..cells.len() {
+            let jump = |x: &[f64]| -> f64 {
+                around[k].iter().map(|j| apart(setting, x, &cells[*j].optimum.x)).sum()
+            };
+            let each = choices[k].iter().map(|o| (jump(&o.x), o));
+            let Some((least, o)) = each.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+            // What is the same but for the last digits is no other valley.
+            if least < (1.0 - SAME) * jump(&cells[k].optimum.x) {
+                cells[k].optimum = o.clone();
+                changed = true;
+            }
+        }
+        moved |= changed;
+        if !changed {
+            break;
+        }
+    }
+    moved
+}
+
+/// Share of the jumps to its neighbours by which a choice has to be nearer.
+const SAME: f64 = 1e-3;
