@@ -94,7 +94,10 @@ impl Timing {
 
     /// What gas in the volume on the way follows in `dt_s` of a step in what flows in, and that by the logarithm of the flow.
     fn mixed(&self, flow: f64, dt_s: f64) -> (f64, f64) {
-        let passed = dt_s * flow.max(1e-9) / self.mixing_fuel.max(1e-9);
+        if self.mixing_fuel <= 0.0 {
+            return (1.0, 0.0);
+        }
+        let passed = dt_s * flow.max(1e-9) / self.mixing_fuel;
         (-(-passed).exp_m1(), passed * (-passed).exp())
     }
 }

@@ -408,12 +408,14 @@ fn hold(
         still = if control.cycle(&p, &y) { still + 1 } else { 0 };
         control.ask_whether_rich_cools(engine)?;
         let time_s = y.time_s - start_s;
-        span.see(request.limits.time_s - time_s, &y);
+        span.see(request.limits.time_s - time_s, &y, control.u.wastegate_mm);
         if still >= STILL || time_s > request.limits.time_s {
             // A controller that goes on turning what moves nothing is at rest, too.
-            let spent = still < STILL && span.rests();
-            let settled = still >= STILL || spent;
             let inputs = engine.state().inputs;
+            let spent = still < STILL
+                && inputs.throttle_deg >= OPEN_DEG
+                && span.rests(request.torque_nm - y.torque_cycle_nm);
+            let settled = still >= STILL || spent;
             // Whole cycles, so that pulsation averages out.
             let average_s = 10.0 * 120.0 / request.speed_rpm;
             let outputs = crate::statics::steady(engine, inputs, 0.0, average_s)?;
@@ -421,7 +423,7 @@ fn hold(
             return Ok(LoadPoint {
                 request,
                 barrier: (!reached).then(|| match barrier(&p, &control, &inputs, &outputs) {
-                    Barrier::Time if spent && inputs.throttle_deg >= OPEN_DEG => Barrier::Spent,
+                    Barrier::Time if spent => Barrier::Spent,
                     other => other,
                 }),
                 inputs,

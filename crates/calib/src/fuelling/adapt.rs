@@ -1,7 +1,7 @@
 //! A charge that adapts to the engine that is driven.
 //!
 //! What a model is identified from is one engine; engines of its kind breathe otherwise, and otherwise at each speed and load. One
-//! factor ([`super::Trim`]) cannot follow that. With phi what the sensor must show by the identified charge (transport and lag are in
+//! factor ([`super::Trim`]) cannot follow that. With phi what the sensor must show by the identified charge (transport, mixing and lag are in
 //! it) and lambda what it shows, ln(phi lambda) is the logarithm of the charge over the identified one at the speed and pressure of
 //! the gas at the sensor, whatever the fuel has been: an estimate and no loop. It is taken as
 //!

@@ -1,6 +1,6 @@
 //! Slow trim by the lambda sensor that transients do not spoil.
 //!
-//! What the sensor must show of the fuel that was injected is known from the model, with transport and lag (the predictor of
+//! What the sensor must show of the fuel that was injected is known from the model, with transport, mixing and lag (the predictor of
 //! O. J. M. Smith, Chem. Eng. Progress 53, 1957, 217-219). With phi that prediction by the identified charge, without any trim, and
 //! lambda what is measured, phi lambda is the charge over the identified one, whatever the trim has been: an estimate without a
 //! loop, which no gain makes unstable as long as delays are right. Its logarithm k is followed by
@@ -23,8 +23,11 @@ const LEAST_S: f64 = 0.1;
 const TRIED: usize = 9;
 /// Most of the trim: a quarter more or less fuel, as sensors and injectors fail beyond.
 const MOST: f64 = 0.223;
-/// Cycles after one without fuel whose gas tells nothing of the charge: residual gas is air, and half of it goes in each.
+/// Cycles after one without fuel whose gas tells nothing of the charge: residual gas is air, and half of it goes in each. The lag of the
+/// sensor is within them.
 const CLEAN_CYCLES: f64 = 10.0;
+/// Time constants of the volume on the way that are waited for besides: less than a hundredth of its gas is of the cut then.
+const CLEAN_LAGS: f64 = 5.0;
 /// Longest delay that is followed, in s.
 const DELAY_S: f64 = 2.0;
 
@@ -104,8 +107,9 @@ pub(super) struct TrimState {
     mixed: f64,
     shown: f64,
     k: f64,
-    /// Least cycles since a cut of the gas at the sensor; its lag is within [`CLEAN_CYCLES`].
+    /// Cycles since a cut of the gas that comes to the volume, and those from which on it is believed.
     clean: f64,
+    clean_from: f64,
     /// What is learnt over speed and pressure, if anything is to be.
     adapted: Option<Box<AdaptState>>,
 }
@@ -119,7 +123,8 @@ impl TrimState {
             mixed: 1.0,
             shown: 1.0,
             k: 0.0,
-            clean: CLEAN_CYCLES,
+            clean: f64::INFINITY,
+            clean_from: CLEAN_CYCLES,
             adapted: None,
         }
     }
@@ -138,7 +143,7 @@ impl TrimState {
     /// What the sensor showed at the end of the last sample.
     pub(super) fn measured(&mut self, trim: Option<&Trim>, lambda: f64, dt_s: f64) {
         let found = (self.shown * lambda).ln();
-        if self.past.is_empty() || !found.is_finite() || self.clean < CLEAN_CYCLES {
+        if self.past.is_empty() || !found.is_finite() || self.clean < self.clean_from {
             return;
         }
         // The trim follows what is not learnt.
@@ -161,7 +166,7 @@ impl TrimState {
         let first = self.past.is_empty();
         self.past.truncate(self.longest - 1);
         let (factor, cams_deg) = (air.factor, air.cams_deg);
-        let before = self.past.front().map_or(CLEAN_CYCLES, |p| p.cycles);
+        let before = self.past.front().map_or(f64::INFINITY, |p| p.cycles);
         let cycles = if injected { before + dt_s * speed_rpm / 120.0 } else { 0.0 };
         self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg, cycles });
         let flow = air.flow(speed_rpm, pressure_kpa);
@@ -175,6 +180,9 @@ impl TrimState {
         self.mixed += mix * (phi - self.mixed);
         self.shown += follow * (self.mixed - self.shown);
         self.clean = self.ago(young + 1).cycles;
+        // A time constant of the volume in cycles is its fuel over that of a cycle.
+        let volume = f.timing.mixing_fuel / air.at(speed_rpm, pressure_kpa).max(1e-9);
+        self.clean_from = CLEAN_CYCLES + CLEAN_LAGS * volume;
         if let Some(mut adapted) = self.adapted.take() {
             let points =
                 [(young, 1.0 - part), (young + 1, part)].map(|(age, share)| (self.met(f, age), share));

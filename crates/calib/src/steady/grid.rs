@@ -177,7 +177,7 @@ pub fn solve(
             Cell { at, state, best: setting.cost(&optimum), optimum }
         })
         .collect();
-    if spec.smooth > 0.0 {
+    if spec.smooth > 0.0 && spec.whole.is_none() {
         valleys::agree(setting, axes, spec.smooth, &mut cells, interrupt);
     }
     smooth(setting, axes, spec, &mut cells);

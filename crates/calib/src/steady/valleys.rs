@@ -39,13 +39,16 @@ pub fn agree(
     let mut moved = false;
     for _ in 0..ROUNDS {
         let now: &[Cell] = cells;
-        let choices: Vec<Vec<CellOptimum>> = (0..now.len())
+        let mut choices: Vec<Vec<CellOptimum>> = (0..now.len())
             .into_par_iter()
             .map(|k| match optimal(now, k) {
-                true => choices(setting, &now[k], around[k].iter().map(|j| &now[*j]), smooth, interrupt),
+                true => found(setting, &now[k], around[k].iter().map(|j| &now[*j]), interrupt),
                 false => Vec::new(),
             })
             .collect();
+        for (cell, found) in cells.iter_mut().zip(&mut choices) {
+            good_enough(setting, cell, found, smooth);
+        }
         let changed = choose(setting, &around, &choices, cells);
         moved |= changed;
         if !changed || interrupt() {
@@ -55,18 +58,30 @@ pub fn agree(
     moved
 }
 
-/// What a cell may hold: what it holds, and the optima that are found from where its neighbours stand, as far as they are good enough.
-fn choices<'a>(
+/// What a cell may hold: what it holds, and the optima that are found from where its neighbours stand.
+fn found<'a>(
     setting: &Setting,
     cell: &Cell,
     around: impl Iterator<Item = &'a Cell>,
-    smooth: f64,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Vec<CellOptimum> {
-    let allowed = cell.best + smooth * cell.optimum.objective.abs();
     let from = |c: &Cell| setting.local(&cell.at, &c.optimum.x, &|| interrupt());
-    let good = |o: &CellOptimum| o.feasible && setting.cost(o) <= allowed;
-    std::iter::once(cell.optimum.clone()).chain(around.map(from).filter(good)).collect()
+    let feasible = |o: &CellOptimum| o.feasible;
+    std::iter::once(cell.optimum.clone()).chain(around.map(from).filter(feasible)).collect()
+}
+
+/// Of what a cell may hold that which is good enough beside the best that is known of it by now; what it holds itself may have become too
+/// dear, and then it holds the best.
+fn good_enough(setting: &Setting, cell: &mut Cell, found: &mut Vec<CellOptimum>, smooth: f64) {
+    let Some(best) = found.iter().min_by(|a, b| setting.cost(a).total_cmp(&setting.cost(b))).cloned() else {
+        return;
+    };
+    cell.best = cell.best.min(setting.cost(&best));
+    let allowed = cell.best + smooth * best.objective.abs();
+    if setting.cost(&cell.optimum) > allowed {
+        cell.optimum = best;
+    }
+    found.retain(|o| setting.cost(o) <= allowed);
 }
 
 /// Squared distance of two settings, free inputs in shares of their ranges.

@@ -19,12 +19,29 @@ use dynocal_ident::data::Dataset;
 use dynocal_ident::plan::demand_name;
 use dynocal_ident::plant::{Causality, LimitEvent, Plant, PlantError, PlantState, Variable};
 
-/// The spec of the campaign on engine and fuelling as one plant: the injection is an output within its bounds, the demanded lambda a
-/// given channel, its loop the fuelling's.
+/// The spec of the campaign on engine and fuelling as one plant, checked.
 ///
 /// # Errors
 /// [`ChainError::Spec`]: keys that name what this plant does not have.
-pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> Result<CalibrateSpec, ChainError> {
+pub(super) fn checked(whole: &CalibrateSpec, by: &Governs) -> Result<CalibrateSpec, ChainError> {
+    let s = spec(whole, by);
+    let mut faults = Faults::default();
+    check::one_plant(&s, &mut faults);
+    match faults.first() {
+        None => Ok(s),
+        Some(f) => Err(ChainError::Spec {
+            key: f.key.clone(),
+            found: f.found.clone(),
+            expected: format!("{}: with `fuelling.plant` {MOVED}", f.expected),
+        }),
+    }
+}
+
+/// What becomes of the channels of the fuelling.
+const MOVED: &str = "the injection is an output, and lambda is given (its levels: `excite.ranges`)";
+
+/// The spec of that campaign: the injection is an output within its bounds, the demanded lambda a given channel, its loop the fuelling's.
+pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> CalibrateSpec {
     let mut s = whole.clone();
     s.fuelling = None;
     s.loops.retain(|l| l.output != by.lambda);
@@ -56,20 +73,14 @@ pub(super) fn spec(whole: &CalibrateSpec, by: &Governs) -> Result<CalibrateSpec,
     }
     s.excite.ranges.remove(&by.injection);
     s.excite.start.remove(&by.injection);
-    let mut faults = Faults::default();
-    check::one_plant(&s, &mut faults);
-    match faults.first() {
-        None => Ok(s),
-        Some(f) => Err(ChainError::Spec {
-            key: f.key.clone(),
-            found: f.found.clone(),
-            expected: format!("{}: with `fuelling.plant` {MOVED}", f.expected),
-        }),
+    // The comparison is made with the whole problem.
+    s.validate.scenario.bands.remove(&by.lambda);
+    if let Some(maps) = &mut s.optimise.start_maps {
+        maps.axes.entry(by.lambda.clone()).or_insert_with(|| by.lambda.clone());
+        maps.axes.values_mut().filter(|v| **v == by.lambda).for_each(|v| *v = demand_name(&by.lambda));
     }
+    s
 }
-
-/// What becomes of the channels of the fuelling.
-const MOVED: &str = "the injection is an output, and lambda is given";
 
 /// A record of that plant as a map is taught by it: lambda is what was demanded of it, and the injection is what is applied from a
 /// sample on, where an output is what was applied before it.
@@ -226,7 +237,7 @@ impl Plant for FuelledPlant {
 mod tests {
     use super::super::channels::Channels;
     use super::super::fuel_driven::tests::driven;
-    use super::super::spec::FuelledSpec;
+    use super::super::spec::{FuelledSpec, StartMaps};
     use super::*;
     use dynocal_ident::data::{Channel, Role};
     use dynocal_ident::derived::Derived;
@@ -249,7 +260,7 @@ mod tests {
             powers: [("inj".to_string(), 1), ("lambda".to_string(), 1)].into(),
         };
         whole.problem.derive.push(air);
-        let s = spec(&whole, &by()).unwrap();
+        let s = checked(&whole, &by()).unwrap();
         let channels = Channels::of(&s);
         assert_eq!(channels.inputs, ["spark", "throttle"]);
         assert_eq!((channels.driven, channels.free), (vec![1], vec![0]));
@@ -281,7 +292,7 @@ mod tests {
         let refused = |change: &dyn Fn(&mut CalibrateSpec)| {
             let mut s = whole();
             change(&mut s);
-            spec(&s, &by()).unwrap_err().to_string()
+            checked(&s, &by()).unwrap_err().to_string()
         };
         let text = refused(&|s| {
             s.optimise.ranges.insert("lambda".into(), (0.9, 1.0));
@@ -303,9 +314,17 @@ mod tests {
         };
         let text = refused(&limit);
         assert!(text.contains("lambda_demand"), "{text}");
+        // A band of the comparison is that of the whole problem, an axis of a map that an ECU has may be lambda.
         let mut s = whole();
         s.identify.models.insert("inj".into(), model);
-        assert!(spec(&s, &by()).is_ok());
+        s.validate.scenario.bands.insert("lambda".into(), 0.01);
+        s.optimise.start_maps = Some(StartMaps::default());
+        s.optimise.start_maps.iter_mut().for_each(|m| drop(m.axes.insert("phi".into(), "lambda".into())));
+        let axes = checked(&s, &by()).unwrap().optimise.start_maps.unwrap().axes;
+        assert_eq!(
+            (&axes["phi"], &axes["lambda"]),
+            (&"lambda_demand".to_string(), &"lambda_demand".to_string())
+        );
     }
 
     /// A map is taught by what lambda was asked to be, and by the injection that is applied from a sample on.

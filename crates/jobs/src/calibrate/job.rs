@@ -113,7 +113,7 @@ fn given_files(spec: &mut CalibrateSpec) -> impl Iterator<Item = &mut PathBuf> {
 pub fn check_given(campaign: &Campaign) -> Result<(), ChainError> {
     let ctx = context(&campaign.spec, &campaign.out, None, Watch::silent());
     let governs = fuelled::governs(&ctx)?;
-    let governed = governs.as_ref().map(|by| fuel_plant::spec(&campaign.spec, by)).transpose()?;
+    let governed = governs.as_ref().map(|by| fuel_plant::checked(&campaign.spec, by)).transpose()?;
     let on = on_plant(&ctx, governs.as_ref().zip(governed.as_ref()), None);
     super::given::check(on.as_ref().unwrap_or(&ctx))?;
     fuelled::check(&ctx)
@@ -174,7 +174,7 @@ pub fn run(campaign: &Campaign, until: &str, watch: Watch) -> Result<Finished, C
     let ctx = context(spec, &campaign.out, make.is_some().then_some(&factory), watch);
     // A search that is stopped inside says so in its own words; to the user it is one thing.
     let governs = fuelled::governs(&ctx)?;
-    let governed = governs.as_ref().map(|by| fuel_plant::spec(spec, by)).transpose()?;
+    let governed = governs.as_ref().map(|by| fuel_plant::checked(spec, by)).transpose()?;
     let as_one = |noise: bool| fuelled::plant(&ctx, noise);
     let on = on_plant(&ctx, governs.as_ref().zip(governed.as_ref()), Some(&as_one));
     let on = on.as_ref().unwrap_or(&ctx);
@@ -208,7 +208,7 @@ pub fn rebuild(path: &Path) -> Result<Finished, ChainError> {
     // Nothing is run: the report reads records and models of the folder.
     let ctx = context(&spec, path, None, Watch::silent());
     let governs = result.excite.as_ref().and_then(|d| d.result.fuelled.as_ref()?.governs.as_ref());
-    let governed = governs.map(|by| fuel_plant::spec(&spec, by)).transpose()?;
+    let governed = governs.map(|by| fuel_plant::spec(&spec, by));
     let on = on_plant(&ctx, governs.zip(governed.as_ref()), None);
     let report = page::write(path, (&ctx, on.as_ref().unwrap_or(&ctx)), &summary, &result)?;
     let summary_path = path.join("summary.json");

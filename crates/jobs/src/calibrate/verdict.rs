@@ -90,7 +90,7 @@ fn excitation(r: &ChainResult, f: &mut Findings) {
             f.fault(
                 Status::Infeasible,
                 format!(
-                    "The records do not follow the demand of {}: measured less demanded is {} in the mean, {:.1} times the range of the demand. The plant does not reach it.",
+                    "The records do not follow the demand of {}: measured less demanded is {} in the mean, {:.1} times the range of the demand. The plant, or what holds it there, does not reach it.",
                     d.output,
                     with_unit(d.mean_error, 3, &d.unit),
                     d.share.abs()
