@@ -140,7 +140,7 @@ pub struct LoadPoint {
     pub barrier: Option<Barrier>,
     /// The spark stands at the limit of knock or of peak pressure.
     pub knock_limited: bool,
-    /// Everything stood still before the time was over, or nothing has moved over its last 10 s.
+    /// Everything stood still before the time was over, or over its last 10 s nothing moved but a wastegate that cannot make up what is missing.
     pub settled: bool,
     /// Simulated time \[s\].
     pub time_s: f64,

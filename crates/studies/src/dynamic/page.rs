@@ -92,7 +92,7 @@ fn found(case: &Case) -> String {
     }
     let trim = f.trim.map_or("no trim".into(), |t| format!("trim in {:.1} s", t.time_s));
     format!(
-        "{text}; throttle lag {:.3} s, mixing {:.1} of fuel, sensor lag {:.3} s, air {:.0} ms after the command at 2000 rpm, {trim}; 1 / lambda within {:.4}, pressure within {:.2} kPa (root mean square).",
+        "{text}; throttle lag {:.3} s, mixing {:.1} mg of fuel, sensor lag {:.3} s, air {:.0} ms after the command at 2000 rpm, {trim}; 1 / lambda within {:.4}, pressure within {:.2} kPa (root mean square).",
         f.filling.throttle_lag_s,
         f.timing.mixing_fuel,
         f.timing.sensor_lag_s,

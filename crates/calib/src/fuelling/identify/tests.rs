@@ -48,6 +48,18 @@ fn truth() -> Fuelling {
     }
 }
 
+/// The same engine with a sensor in the cylinder.
+fn in_cylinder(f: &Fuelling) -> Fuelling {
+    let timing = Timing {
+        transport_cycles: 0.0,
+        transport_fuel: 0.0,
+        mixing_fuel: 0.0,
+        sensor_lag_s: 1e-9,
+        ..f.timing
+    };
+    Fuelling { timing, ..f.clone() }
+}
+
 /// Speed, throttle, injection, pressure, lambda.
 type Channels = [Vec<f64>; 5];
 
@@ -158,14 +170,7 @@ fn the_policy_holds_the_mixture_of_its_own_model() {
     let injection: Vec<f64> =
         (0..n).map(|t| policy.step(&sensed(speed, throttle[t], 40.0, None), 1.0)).collect();
     let r = TransientRecord { injection: &injection, ..r };
-    let fast = Timing {
-        transport_cycles: 0.0,
-        transport_fuel: 0.0,
-        mixing_fuel: 0.0,
-        sensor_lag_s: 1e-9,
-        ..truth.timing
-    };
-    let phi = richness(&r, &Fuelling { timing: fast, ..truth.clone() }, &p);
+    let phi = richness(&r, &in_cylinder(&truth), &p);
     // Not the first second: the film of the record begins with another injection. And not what was injected before the step
     // and meets its air after it: that nobody can know.
     let known = 200 - (truth.timing.ahead_s(speed) / DT).ceil() as usize;
