@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 /// Film and charge over the coolant temperature T:
 ///
 /// ```text
-/// ln(X / (1 - X)) and ln tau    linear in T       c(N, p, T) = c(N, p) exp(a (T - T0))
+/// ln(X / (1 - X)) and ln tau    linear in T
+/// c(N, p, T) = c(N, p) exp(a (T - T0)) (1 + (T - T0) (b n + d m)),    n, m: N and p over the half widths of the record
 /// ```
 ///
 /// as evaporation goes with the exponential of a temperature, and the charge with the heat that it takes from the walls. Not
@@ -25,6 +26,9 @@ pub struct CoolantLaw {
     pub tau_per_k: f64,
     /// Slope a of the logarithm of the charge in 1/K.
     pub charge_per_k: f64,
+    /// What is added to that at the ends of the speed and of the pressure of the record, b and d, in 1/K: a fast gas takes less heat.
+    #[serde(default)]
+    pub charge_ends_per_k: [f64; 2],
 }
 
 impl CoolantLaw {
@@ -37,7 +41,7 @@ impl CoolantLaw {
     /// ```
     /// use dynocal_calib::fuelling::{CoolantLaw, Film};
     /// let warm = Film { share: 0.3, tau_s: 0.2 };
-    /// let law = CoolantLaw { at_c: 90.0, range_c: [20.0, 90.0], share_per_k: 0.0, tau_per_k: -0.02, charge_per_k: 0.0 };
+    /// let law = CoolantLaw { at_c: 90.0, range_c: [20.0, 90.0], share_per_k: 0.0, tau_per_k: -0.02, charge_per_k: 0.0, charge_ends_per_k: [0.0; 2] };
     /// let cold = law.film(warm, 40.0);
     /// assert!((cold.tau_s - 0.2 * 1.0_f64.exp()).abs() < 1e-12 && (cold.share - 0.3).abs() < 1e-12);
     /// // Nothing is known below the record.
@@ -49,7 +53,18 @@ impl CoolantLaw {
         Film { share: odds / (1.0 + odds), tau_s: film.tau_s * (self.tau_per_k * by_k).exp() }
     }
 
-    /// The charge over that at `at_c`.
+    /// What the charge over that at `at_c` changes to the ends of speed and pressure.
+    pub fn charge_ends(&self, coolant_c: f64) -> [f64; 2] {
+        self.charge_ends_per_k.map(|v| v * self.beyond_k(coolant_c))
+    }
+
+    /// The charge over that at `at_c`, at a speed and a pressure in half widths of the record.
+    pub fn charge_factor_at(&self, coolant_c: f64, [n, p]: [f64; 2]) -> f64 {
+        let [by_speed, by_pressure] = self.charge_ends(coolant_c);
+        self.charge_factor(coolant_c) * (1.0 + by_speed * n + by_pressure * p)
+    }
+
+    /// The same in the middle of speed and pressure.
     pub fn charge_factor(&self, coolant_c: f64) -> f64 {
         (self.charge_per_k * self.beyond_k(coolant_c)).exp()
     }
@@ -60,8 +75,10 @@ impl CoolantLaw {
 pub struct Air<'a> {
     /// Charge at the temperature of reference.
     pub charge: &'a Charge,
-    /// What the coolant multiplies it by.
+    /// What the coolant multiplies it by in the middle of speed and pressure.
     pub factor: f64,
+    /// What that changes to the ends of speed and pressure.
+    pub ends: [f64; 2],
     /// Intake and exhaust cam in deg, where they are measured.
     pub cams_deg: Option<[f64; 2]>,
 }
@@ -74,7 +91,8 @@ impl<'a> Air<'a> {
         coolant_c: f64,
         cams_deg: Option<[f64; 2]>,
     ) -> Self {
-        Self { charge, factor: law.map_or(1.0, |l| l.charge_factor(coolant_c)), cams_deg }
+        let factor = law.map_or(1.0, |l| l.charge_factor(coolant_c));
+        Self { charge, factor, ends: law.map_or([0.0; 2], |l| l.charge_ends(coolant_c)), cams_deg }
     }
 
     /// So many times as much.
@@ -85,7 +103,12 @@ impl<'a> Air<'a> {
     /// Fuel per cycle that makes lambda 1, in the unit of the injection.
     pub fn at(&self, speed_rpm: f64, pressure_kpa: f64) -> f64 {
         let cams = self.charge.cam_factor(speed_rpm, pressure_kpa, self.cams_deg);
-        self.factor * cams * self.charge.at(speed_rpm, pressure_kpa)
+        let mut factor = self.factor;
+        if self.ends != [0.0; 2] {
+            let [n, p] = self.charge.scaled(speed_rpm, pressure_kpa);
+            factor *= 1.0 + self.ends[0] * n + self.ends[1] * p;
+        }
+        factor * cams * self.charge.at(speed_rpm, pressure_kpa)
     }
 
     /// Flow of that fuel into one cylinder per second.

@@ -37,6 +37,10 @@ pub struct Filling {
     /// Greatest rate of the throttle in deg/s; none where the records show no limit.
     #[serde(default)]
     pub throttle_rate_deg_s: Option<f64>,
+    /// Time constant of the pressure channel in s, beside its mean over a cycle; a sample where it was identified, as records do not tell it
+    /// from the lag of the throttle.
+    #[serde(default)]
+    pub sensor_lag_s: f64,
     /// Correction by the measured pressure in 1/s.
     pub correction_per_s: f64,
 }
@@ -124,13 +128,20 @@ pub struct FillingState {
     throttle_deg: f64,
     /// Pressures of the samples before, newest first.
     past: VecDeque<f64>,
+    /// What the channel shows.
+    shown_kpa: f64,
 }
 
 impl FillingState {
     /// At rest at a measured pressure and a throttle command; samples are `dt_s` apart.
     pub fn at_rest(pressure_kpa: f64, throttle_deg: f64, dt_s: f64) -> Self {
         let samples = (CYCLE_S / dt_s).ceil().max(1.0) as usize;
-        Self { pressure_kpa, throttle_deg, past: std::iter::repeat_n(pressure_kpa, samples).collect() }
+        Self {
+            pressure_kpa,
+            throttle_deg,
+            past: std::iter::repeat_n(pressure_kpa, samples).collect(),
+            shown_kpa: pressure_kpa,
+        }
     }
 
     /// Pressure now in kPa.
@@ -138,10 +149,19 @@ impl FillingState {
         self.pressure_kpa
     }
 
-    /// What a channel shows that is a mean over a cycle.
-    pub fn shown_kpa(&self, speed_rpm: f64, dt_s: f64) -> f64 {
-        let samples = ((120.0 / speed_rpm / dt_s).round() as usize).clamp(1, self.past.len());
-        self.past.iter().take(samples).sum::<f64>() / samples as f64
+    /// What a channel shows that is a mean over a cycle, behind its lag.
+    pub fn shown_kpa(&self) -> f64 {
+        self.shown_kpa
+    }
+
+    /// Mean over the last cycle of what goes in straight lines from sample to sample.
+    fn cycle_kpa(&self, speed_rpm: f64, dt_s: f64) -> f64 {
+        let samples = (120.0 / speed_rpm / dt_s).min((self.past.len() - 1) as f64);
+        let (whole, part) = (samples as usize, samples.fract());
+        let at = |k: usize| self.past[k.min(self.past.len() - 1)];
+        let whole_sum: f64 = (0..whole).map(|k| 0.5 * (at(k) + at(k + 1))).sum();
+        let last = at(whole) + 0.5 * part * (at(whole + 1) - at(whole));
+        (whole_sum + part * last) / samples
     }
 
     /// One sample on: `measured_kpa` is what the channel shows at its beginning, `command_deg` and `upstream_kpa` hold during it.
@@ -153,13 +173,15 @@ impl FillingState {
         measured_kpa: f64,
         dt_s: f64,
     ) {
-        let error = measured_kpa - self.shown_kpa(speed_rpm, dt_s);
+        let error = measured_kpa - self.shown_kpa;
         let corrected = self.pressure_kpa + filling.correction_per_s * dt_s * error;
         let from = (corrected, self.throttle_deg);
         let held = (speed_rpm, command_deg, upstream_kpa);
         (self.pressure_kpa, self.throttle_deg) = filling.advance(air, from, held, dt_s);
         self.past.pop_back();
         self.past.push_front(self.pressure_kpa);
+        let follow = -(-dt_s / filling.sensor_lag_s.max(1e-9)).exp_m1();
+        self.shown_kpa += follow * (self.cycle_kpa(speed_rpm, dt_s) - self.shown_kpa);
     }
 
     /// Pressure `ahead_s` from now, the command being held, speed and pressure before the throttle going on as they go
@@ -182,5 +204,24 @@ impl FillingState {
             left -= h;
         }
         at.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of what goes in a straight line the mean over a cycle is what was half a cycle ago, also where a cycle is no whole number of samples.
+    #[test]
+    fn a_channel_shows_the_mean_over_a_cycle() {
+        let mut state = FillingState::at_rest(0.0, 10.0, 0.01);
+        for (k, p) in state.past.iter_mut().enumerate() {
+            *p = 60.0 - k as f64;
+        }
+        for speed_rpm in [700.0, 1537.0, 2000.0, 2890.0, 11000.0] {
+            let samples = 120.0 / speed_rpm / 0.01;
+            let shown = state.cycle_kpa(speed_rpm, 0.01);
+            assert!((shown - (60.0 - 0.5 * samples)).abs() < 1e-9, "{speed_rpm} rpm: {shown}");
+        }
     }
 }

@@ -83,14 +83,18 @@ const CORRECTIONS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
 /// Shares of a film that are searched; a film of less is none.
 const LEAST_SHARE: f64 = 1e-4;
 const MOST_SHARE: f64 = 0.95;
-/// Errors of 1 / lambda beyond this count less and less.
+/// Errors of 1 / lambda beyond this count less and less while models are chosen.
 const ROBUST: f64 = 0.05;
+/// The last fits take less and less of errors beyond so many standard deviations of what is left (by its median), as no model of mean values
+/// has the first cycles of a large step, and beyond this at least.
+const DEVIATIONS: f64 = 5.0;
+const LEAST_ROBUST: f64 = 1e-3;
 /// Times that throttle and filling are taken anew by the charge that the mixture gave.
 const ROUNDS: usize = 2;
 /// Parameters of film, timing and the law of the coolant, before those of the charge.
 const FILM: usize = 2;
 const TIMING: usize = 6;
-const LAW: usize = 3;
+const LAW: usize = 5;
 
 /// Means of a stretch at rest.
 struct Rested {
@@ -144,12 +148,48 @@ fn identified(
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
         let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
-        found = mixed(records, &found, &found, effort, interrupt)?;
+        let loss = Loss::of_left(records, &found);
+        found = mixed_by(records, (&found, &found), &|_| true, (effort, loss), interrupt)?;
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
     found.left = Left::of(&left, found.sample_time_s);
     found.trim = Trim::suited(&left_apart(records, &found, interrupt)?, found.sample_time_s);
+    // As all fits of models that are compared count errors.
+    let squares =
+        |(errors, _): &(Vec<f64>, usize)| errors.iter().map(|e| Loss::CHOOSING.of(*e).powi(2)).sum::<f64>();
+    found.rms = (left.iter().map(squares).sum::<f64>() / length(records).max(1) as f64).sqrt();
     Ok(found)
+}
+
+/// How errors of 1 / lambda count: c asinh(e / c), large ones by their logarithm.
+#[derive(Clone, Copy)]
+struct Loss {
+    beyond: f64,
+}
+
+impl Loss {
+    /// While models are chosen.
+    const CHOOSING: Self = Self { beyond: ROBUST };
+
+    /// By what a model leaves of the records.
+    fn of_left(records: &[TransientRecord<'_>], f: &Fuelling) -> Self {
+        let mut sizes: Vec<f64> =
+            records.iter().flat_map(|r| residual(r, f).0).map(f64::abs).filter(|e| e.is_finite()).collect();
+        sizes.sort_unstable_by(f64::total_cmp);
+        // Median of the size of a normal variable over its standard deviation.
+        let deviation = sizes.get(sizes.len() / 2).map_or(ROBUST, |e| e / 0.6745);
+        Self { beyond: (DEVIATIONS * deviation).clamp(LEAST_ROBUST, ROBUST) }
+    }
+
+    fn of(self, error: f64) -> f64 {
+        self.beyond * (error / self.beyond).asinh()
+    }
+
+    /// Its derivative.
+    fn slope(self, error: f64) -> f64 {
+        let e = error / self.beyond;
+        1.0 / (1.0 + e * e).sqrt()
+    }
 }
 
 /// What is left of each half of the blocks of the records by the model that is fitted to the other one: a trim has to take out what a model
@@ -161,9 +201,10 @@ fn left_apart(
 ) -> Result<Vec<(Vec<f64>, usize)>, FuellingError> {
     let samples = length(records);
     let mut out: Vec<(Vec<f64>, usize)> = records.iter().map(|r| residual(r, found)).collect();
+    let loss = Loss::of_left(records, found);
     for odd in [0, 1] {
         let apart = |t: usize| block(t, samples) % 2 == odd;
-        let fitted = mixed_by(records, (found, found), &|t| !apart(t), Effort::Judged, interrupt)?;
+        let fitted = mixed_by(records, (found, found), &|t| !apart(t), (Effort::Judged, loss), interrupt)?;
         let mut first = 0;
         for (r, (errors, _)) in records.iter().zip(&mut out) {
             let half = residual(r, &fitted).0;
@@ -220,6 +261,8 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
             gain: 1.0,
             throttle_lag_s: 0.05,
             throttle_rate_deg_s: None,
+            // Searched with the lag of the throttle it takes that over, or gives it its own.
+            sensor_lag_s: records[0].sample_time_s,
             correction_per_s: 0.5,
         },
         film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },
@@ -251,7 +294,7 @@ fn mixed(
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    mixed_by(records, (start, from), &|_| true, effort, interrupt)
+    mixed_by(records, (start, from), &|_| true, (effort, Loss::CHOOSING), interrupt)
 }
 
 /// The same by the samples of all records that `counts` takes.
@@ -259,7 +302,7 @@ fn mixed_by(
     records: &[TransientRecord<'_>],
     (start, from): (&Fuelling, &Fuelling),
     counts: &(dyn Fn(usize) -> bool + Sync),
-    effort: Effort,
+    (effort, loss): (Effort, Loss),
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
     let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
@@ -276,12 +319,12 @@ fn mixed_by(
         if !(share && timing.transport_cycles < 10.0 && timing.charge_s.abs() < 0.5) {
             return false;
         }
-        unexplained(records, &pressures, &f, out);
+        unexplained(records, &pressures, &f, loss, out);
         out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
         out.iter().all(|e| e.is_finite())
     };
     let slopes = |x: &[f64], out: &mut [Vec<f64>]| {
-        unexplained_slopes(records, &pressures, &taken(x, start), out);
+        unexplained_slopes(records, &pressures, &taken(x, start), loss, out);
         out.iter_mut().for_each(|c| (0..samples).filter(|t| !counts(*t)).for_each(|t| c[t] = 0.0));
     };
     let rows = samples + expected.len();
@@ -290,14 +333,20 @@ fn mixed_by(
     Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, start) })
 }
 
-/// What 1 / lambda is beside that of the model, sample by sample, large errors by their logarithm.
-fn unexplained(records: &[TransientRecord<'_>], pressures: &[Vec<f64>], f: &Fuelling, out: &mut [f64]) {
+/// What 1 / lambda is beside that of the model, sample by sample, as it counts.
+fn unexplained(
+    records: &[TransientRecord<'_>],
+    pressures: &[Vec<f64>],
+    f: &Fuelling,
+    loss: Loss,
+    out: &mut [f64],
+) {
     let mut out = out.iter_mut();
     for (r, pressure) in records.iter().zip(pressures) {
         let shown = richness(r, f, pressure);
         // The record first: at its end nothing more is taken of the others.
         for ((lambda, phi), e) in r.lambda.iter().zip(shown).zip(out.by_ref()) {
-            *e = ROBUST * ((1.0 / lambda - phi) / ROBUST).asinh();
+            *e = loss.of(1.0 / lambda - phi);
         }
     }
 }
@@ -319,13 +368,13 @@ fn unexplained_slopes(
     records: &[TransientRecord<'_>],
     pressures: &[Vec<f64>],
     f: &Fuelling,
+    loss: Loss,
     out: &mut [Vec<f64>],
 ) {
     let mut from = 0;
     for (r, pressure) in records.iter().zip(pressures) {
         richness_slopes(r, f, pressure, &mut |t, phi, by| {
-            let e = (1.0 / r.lambda[t] - phi) / ROBUST;
-            let weight = -1.0 / (1.0 + e * e).sqrt();
+            let weight = -loss.slope(1.0 / r.lambda[t] - phi);
             out.iter_mut().zip(by).for_each(|(column, d)| column[from + t] = weight * d);
         });
         from += r.lambda.len();
@@ -383,7 +432,8 @@ fn given(f: &Fuelling) -> Vec<f64> {
     x.extend([t.charge_s, t.charge_cycles]);
     x.extend([t.transport_cycles, t.transport_fuel, t.mixing_fuel, t.sensor_lag_s].map(|v| v.max(1e-9).ln()));
     if let (Some(l), Some(half)) = (&f.coolant, half_k(f)) {
-        x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k].map(|v| v * half));
+        let [by_speed, by_pressure] = l.charge_ends_per_k;
+        x.extend([l.share_per_k, l.tau_per_k, l.charge_per_k, by_speed, by_pressure].map(|v| v * half));
     }
     if let Some(l) = &f.charge.cams {
         x.extend(l.given());
@@ -409,7 +459,9 @@ fn taken(x: &[f64], start: &Fuelling) -> Fuelling {
     let mut from = TIMING;
     let mut coolant = start.coolant;
     if let (Some(l), Some(half)) = (&mut coolant, half_k(start)) {
-        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(|k| x[TIMING + k] / half);
+        let at = |k: usize| x[TIMING + k] / half;
+        [l.share_per_k, l.tau_per_k, l.charge_per_k] = [0, 1, 2].map(at);
+        l.charge_ends_per_k = [3, 4].map(at);
         from += LAW;
     }
     let mut charge = start.charge.clone();

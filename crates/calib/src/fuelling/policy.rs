@@ -144,7 +144,7 @@ impl FuelPolicy {
         let state = self.filling.get_or_insert_with(|| FillingState::at_rest(y.map_kpa, throttle_deg, dt_s));
         let upstream_kpa = y.upstream_kpa.unwrap_or(f.filling.upstream_kpa);
         if let Some(balance) = &mut self.balance {
-            let error_kpa = y.map_kpa - state.shown_kpa(speed_rpm, dt_s);
+            let error_kpa = y.map_kpa - state.shown_kpa();
             *balance =
                 f.filling.balanced(*balance, error_kpa, air.flow(speed_rpm, state.pressure_kpa()), dt_s);
         }

@@ -90,8 +90,9 @@ struct Fuelled {
     fuel: f64,
     speed_rpm: f64,
     pressure_kpa: f64,
-    /// What the coolant multiplies the charge by.
+    /// What the coolant multiplies the charge by, in the middle and to the ends of speed and pressure.
     factor: f64,
+    ends: [f64; 2],
     cams_deg: Option<[f64; 2]>,
     /// Cycles since the last one without an injection.
     cycles: f64,
@@ -165,10 +166,10 @@ impl TrimState {
         let dt_s = f.sample_time_s;
         let first = self.past.is_empty();
         self.past.truncate(self.longest - 1);
-        let (factor, cams_deg) = (air.factor, air.cams_deg);
+        let Air { factor, ends, cams_deg, .. } = air;
         let before = self.past.front().map_or(f64::INFINITY, |p| p.cycles);
         let cycles = if injected { before + dt_s * speed_rpm / 120.0 } else { 0.0 };
-        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, cams_deg, cycles });
+        self.past.push_front(Fuelled { fuel, speed_rpm, pressure_kpa, factor, ends, cams_deg, cycles });
         let flow = air.flow(speed_rpm, pressure_kpa);
         let delay = f.timing.delay_s(speed_rpm, flow) / dt_s;
         let (young, part) = (delay as usize, delay.fract());
@@ -227,7 +228,7 @@ impl TrimState {
             Some((1.0 - part) * a[k] + part * b[k])
         };
         let cams_deg = cams(0).zip(cams(1)).map(|(a, b)| [a, b]);
-        let air = Air { charge: &f.charge, factor: then.factor, cams_deg };
+        let air = Air { charge: &f.charge, factor: then.factor, ends: then.ends, cams_deg };
         then.fuel / air.at(mix(|p| p.speed_rpm), mix(|p| p.pressure_kpa))
     }
 }

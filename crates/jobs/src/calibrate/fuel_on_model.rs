@@ -34,7 +34,7 @@ impl FuelOnModel<'_> {
         let mut manifold: Option<FillingState> = None;
         let mut sample = |throttle_deg: f64, speed_rpm: f64, lambda: f64| {
             let state = manifold.get_or_insert_with(|| FillingState::at_rest(BEGIN_KPA, throttle_deg, dt_s));
-            let map_kpa = state.shown_kpa(speed_rpm, dt_s);
+            let map_kpa = state.shown_kpa();
             let held = (speed_rpm, throttle_deg, f.filling.upstream_kpa);
             // What the channel would show is what the model shows: nothing is corrected.
             state.step(&f.filling, f.air(coolant_c, None), held, map_kpa, dt_s);

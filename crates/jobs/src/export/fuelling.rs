@@ -120,6 +120,17 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
             film.iter().map(|x| x.tau_s).collect(),
         ));
         all.push(table("FUEL_CHARGE_FACTOR", "what the coolant makes of the charge", "-", coolant(), factor));
+        let ends = |k: usize, half: f64| t.coolant_c.iter().map(|c| f.air(*c, None).ends[k] / half).collect();
+        let [middle_rpm, half_rpm] = f.charge.speed_rpm;
+        let [middle_kpa, half_kpa] = f.charge.pressure_kpa;
+        for (name, what, unit, axes, values) in [
+            ("FUEL_CHARGE_BY_SPEED", "what that changes over speed", "1/rpm", coolant(), ends(0, half_rpm)),
+            ("FUEL_CHARGE_BY_MAP", "what that changes over pressure", "1/kPa", coolant(), ends(1, half_kpa)),
+            ("FUEL_CHARGE_SPEED", "speed from which on", "rpm", vec![], vec![middle_rpm]),
+            ("FUEL_CHARGE_MAP", "pressure from which on", "kPa", vec![], vec![middle_kpa]),
+        ] {
+            all.push(table(name, what, unit, axes, values));
+        }
     } else {
         all.push(table(
             "FILM_SHARE",
@@ -150,6 +161,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
             &format!("kPa/{unit}"),
             f.filling.gain,
         ),
+        ("MAP_LAG", "lag of the pressure channel beside its mean over a cycle", "s", f.filling.sensor_lag_s),
         (
             "MAP_CORRECTION",
             "correction of the manifold by the measured pressure",

@@ -108,6 +108,7 @@ pub(crate) mod tests {
                     gain: 1.0,
                     throttle_lag_s: 0.05,
                     throttle_rate_deg_s: None,
+                    sensor_lag_s: 0.0,
                     correction_per_s: 0.5,
                 },
                 film: Film { share: 0.2, tau_s: 0.3 },

@@ -147,6 +147,7 @@ pub(super) fn exact_film(parameters: &str) -> Result<Option<Coat>, EngineError> 
         share_per_k: 0.0,
         tau_per_k: (factor(90.0) / factor(20.0)).ln() / 70.0,
         charge_per_k: 0.0,
+        charge_ends_per_k: [0.0; 2],
     };
     let film = |f: FilmModel| Film { share: f.share, tau_s: f.tau_s * factor(90.0) };
     Ok(params.port.map(|f| Coat { film: film(f), law: Some(law) }))

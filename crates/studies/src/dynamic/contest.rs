@@ -114,12 +114,12 @@ impl Contest<'_> {
         let mut traces: Vec<Trace> = self.records.par_iter().map(plain).collect::<Result<_, String>>()?;
         let first = fuelling::identify(&self.views(&traces), interrupted).map_err(ended)?;
         // Where the mixture is near its demand already, small errors of the model show.
-        let by_ours = |d: &Drive| {
+        let by_ours = |(k, d): (usize, &Drive)| {
             let policy = FuelPolicy::new(first.clone(), MOST_MG);
-            let mut ours = Ours { base: self.base(0.0)?, policy, trimmed: false };
-            play(&d.bed, self.seed + REPEATED, &d.course, &mut ours).map_err(|e| e.to_string())
+            let mut ours = Ours::new(self.base(0.0)?, policy, false);
+            play(&d.bed, self.seed + REPEATED + k as u64, &d.course, &mut ours).map_err(|e| e.to_string())
         };
-        traces.extend(self.repeated.par_iter().map(by_ours).collect::<Result<Vec<_>, String>>()?);
+        traces.extend(self.repeated.par_iter().enumerate().map(by_ours).collect::<Result<Vec<_>, String>>()?);
         let views = self.views(&traces);
         let fuelling = fuelling::identify(&views, interrupted).map_err(ended)?;
         let (charge, law) = fuelling::steady_charge(&views).map_err(ended)?;
@@ -206,7 +206,7 @@ impl Contest<'_> {
             }
             Rival::Ours { trimmed } => {
                 let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
-                Box::new(Ours { base: self.base(0.0)?, policy, trimmed: *trimmed })
+                Box::new(Ours::new(self.base(0.0)?, policy, *trimmed))
             }
         })
     }

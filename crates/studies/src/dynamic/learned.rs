@@ -53,11 +53,8 @@ fn learned(
     let learning = Learning { gain: GAIN, half: HALF, preview };
     let changes: Vec<usize> = std::iter::once(0).chain(d.course.switches.iter().copied()).collect();
     let late = |course: &Course, t: usize| (cycles * 120.0 / course.speed_rpm[t] / SAMPLE_S).round() as usize;
-    let mut ours = Ours {
-        base: of.base(0.0)?,
-        policy: FuelPolicy::new(known.fuelling.clone(), MOST_MG),
-        trimmed: false,
-    };
+    let policy = FuelPolicy::new(known.fuelling.clone(), MOST_MG);
+    let mut ours = Ours::new(of.base(0.0)?, policy, false);
     let seed = of.judged_seed();
     let mut trace: Trace = play(&d.bed, seed, &d.course, &mut ours).map_err(|e| e.to_string())?;
     let mut fuel = trace.injection_mg.clone();

@@ -130,9 +130,10 @@ impl Scenario {
                 judged.push(on(None, random)?);
             }
         }
-        // Drawn last: the courses are those of before. Three records and their repetitions are 600 s at most.
+        // Drawn last: the courses are those of before. Records and what is driven again are 600 s at most.
         let full = if self.starts_c.is_empty() { 60 } else { 26 };
-        let starts = self.starts_c.iter().map(|c| Some(*c)).chain(self.starts_c.is_empty().then_some(None));
+        let warm = std::iter::repeat_n(None, if self.starts_c.is_empty() { 2 } else { 0 });
+        let starts = self.starts_c.iter().map(|c| Some(*c)).chain(warm);
         let repeated = starts
             .map(|c| on(c, Course::random(length(reduced, full, 20), 3.0, &self.range, &mut rng)))
             .collect::<Result<_, _>>()?;

@@ -6,7 +6,9 @@ use super::moved::empty_cams;
 use super::record::TransientRecord;
 use super::search::Effort;
 use super::worth::{block, pays};
-use super::{CORRECTIONS, FuellingError, Rested, corrected, has_film, length, mixed, mixed_by, unexplained};
+use super::{
+    CORRECTIONS, FuellingError, Loss, Rested, corrected, has_film, length, mixed, mixed_by, unexplained,
+};
 use crate::fuelling::Fuelling;
 use crate::fuelling::cams::CamBends;
 use crate::fuelling::charge::Charge;
@@ -97,8 +99,9 @@ fn judged_apart(
     let mut half = vec![0.0; samples];
     for odd in [0, 1] {
         let apart = |t: usize| block(t, samples) % 2 == odd;
-        let fitted = mixed_by(records, (start, from), &|t| !apart(t), effort, interrupt)?;
-        unexplained(records, &pressures, &fitted, &mut half);
+        let by = (effort, Loss::CHOOSING);
+        let fitted = mixed_by(records, (start, from), &|t| !apart(t), by, interrupt)?;
+        unexplained(records, &pressures, &fitted, Loss::CHOOSING, &mut half);
         (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = half[t]);
     }
     Ok(out)

@@ -7,7 +7,7 @@ use crate::fuelling::{Fuelling, Timing};
 
 /// What the pressure channel would show.
 pub(super) fn shown(r: &TransientRecord<'_>, f: &Fuelling) -> Vec<f64> {
-    followed(r, f, |state, t| state.shown_kpa(r.speed_rpm[t], r.sample_time_s))
+    followed(r, f, |state, _| state.shown_kpa())
 }
 
 /// Pressure of the filling, corrected by what was measured.

@@ -40,7 +40,7 @@ pub(super) fn moved_at_rest(
     (charge, law): (&Charge, Option<&CoolantLaw>),
 ) -> Result<Option<Charge>, FuellingError> {
     let Some(empty) = empty_cams(records, rested, charge)? else { return Ok(None) };
-    let points: Vec<Point> = rested.iter().filter_map(|r| Point::of(r, law)).collect();
+    let points: Vec<Point> = rested.iter().filter_map(|r| Point::of(r, (charge, law))).collect();
     let (mut plain, mut moved) = (vec![0.0; points.len()], vec![0.0; points.len()]);
     for fold in 0..FOLDS {
         let some: Vec<Point> =
@@ -64,8 +64,9 @@ struct Point {
 }
 
 impl Point {
-    fn of(r: &Rested, law: Option<&CoolantLaw>) -> Option<Self> {
-        let fuel = r.fuel / law.map_or(1.0, |l| l.charge_factor(r.coolant_c));
+    fn of(r: &Rested, (charge, law): (&Charge, Option<&CoolantLaw>)) -> Option<Self> {
+        let at = charge.scaled(r.speed_rpm, r.map_kpa);
+        let fuel = r.fuel / law.map_or(1.0, |l| l.charge_factor_at(r.coolant_c, at));
         r.cams_deg.map(|cams_deg| Self { speed_rpm: r.speed_rpm, map_kpa: r.map_kpa, fuel, cams_deg })
     }
 

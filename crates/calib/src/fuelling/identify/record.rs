@@ -3,6 +3,7 @@
 use super::{FuellingError, Rested};
 use crate::fuelling::charge::{Charge, TERMS};
 use crate::fuelling::coolant::CoolantLaw;
+use dynocal_numerics::linalg::least_squares;
 
 /// Most of the pressure over that before the throttle: waves and noise show some behind an open throttle that is not boosted.
 const ABOVE: f64 = 1.05;
@@ -51,6 +52,10 @@ impl TransientRecord<'_> {
 
 /// Coolant temperatures count when they differ by this, in K.
 const LEAST_RANGE_K: f64 = 10.0;
+/// Times that charge and law are taken in turn.
+const TURNS: usize = 30;
+/// Ridge beside rows of some 10 K.
+const RIDGE: f64 = 1e-6;
 /// Time without movement after which a sample is at rest, and time that is averaged there, in s.
 pub(super) const STILL_S: f64 = 2.0;
 const MEAN_S: f64 = 0.6;
@@ -191,31 +196,36 @@ fn empty_law(records: &[TransientRecord<'_>]) -> Option<CoolantLaw> {
         share_per_k: 0.0,
         tau_per_k: 0.0,
         charge_per_k: 0.0,
+        charge_ends_per_k: [0.0; 2],
     })
 }
 
-/// Charge and its law by the rests: each in turn with the other held, ten times.
+/// Charge and its law by the rests: each in turn with the other held.
 pub(super) fn charge_at_rest(
     records: &[TransientRecord<'_>],
     rested: &[Rested],
 ) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
-    let mut law = empty_law(records);
-    for _ in 0..10 {
-        let point =
-            |r: &Rested| [r.speed_rpm, r.map_kpa, r.fuel / law.map_or(1.0, |l| l.charge_factor(r.coolant_c))];
-        let charge = Charge::fit(&rested.iter().map(point).collect::<Vec<_>>())?;
-        let Some(found) = &mut law else {
-            return Ok((charge, None));
-        };
-        let (mut above, mut below) = (0.0, 0.0);
+    let first: Vec<[f64; 3]> = rested.iter().map(|r| [r.speed_rpm, r.map_kpa, r.fuel]).collect();
+    let mut charge = Charge::fit(&first)?;
+    let Some(mut law) = empty_law(records) else {
+        return Ok((charge, None));
+    };
+    for _ in 0..TURNS {
+        let mut rows = Vec::with_capacity(3 * rested.len());
+        let mut heat = Vec::with_capacity(rested.len());
         for r in rested {
-            let k = r.coolant_c - found.at_c;
-            above += k * (r.fuel / charge.at(r.speed_rpm, r.map_kpa)).max(1e-3).ln();
-            below += k * k;
+            let k = r.coolant_c - law.at_c;
+            let [n, p] = charge.scaled(r.speed_rpm, r.map_kpa);
+            rows.extend([k, k * n, k * p]);
+            heat.push((r.fuel / charge.at(r.speed_rpm, r.map_kpa)).max(1e-3).ln());
         }
-        found.charge_per_k = above / below.max(1.0);
+        let by = least_squares(&rows, rested.len(), 3, &heat, RIDGE)?.x;
+        (law.charge_per_k, law.charge_ends_per_k) = (by[0], [by[1], by[2]]);
+        let cooled = |r: &Rested| {
+            let heat = law.charge_factor_at(r.coolant_c, charge.scaled(r.speed_rpm, r.map_kpa));
+            [r.speed_rpm, r.map_kpa, r.fuel / heat]
+        };
+        charge = charge.again(&rested.iter().map(cooled).collect::<Vec<_>>())?;
     }
-    let point =
-        |r: &Rested| [r.speed_rpm, r.map_kpa, r.fuel / law.map_or(1.0, |l| l.charge_factor(r.coolant_c))];
-    Ok((Charge::fit(&rested.iter().map(point).collect::<Vec<_>>())?, law))
+    Ok((charge, Some(law)))
 }

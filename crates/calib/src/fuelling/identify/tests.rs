@@ -6,6 +6,7 @@ use dynocal_numerics::rng::Rng64;
 const DT: f64 = 0.01;
 
 mod cams;
+mod spoiled;
 mod trimmed;
 
 /// What the record is made with, by the model itself.
@@ -23,6 +24,7 @@ fn truth() -> Fuelling {
         gain: 1.4,
         throttle_lag_s: 0.06,
         throttle_rate_deg_s: None,
+        sensor_lag_s: DT,
         correction_per_s: 0.0,
     };
     let timing = Timing {
@@ -267,6 +269,7 @@ fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
         share_per_k: -0.006,
         tau_per_k: -0.02,
         charge_per_k: -4e-4,
+        charge_ends_per_k: [4e-4, -6e-4],
     };
     let truth = Fuelling { coolant: Some(law), ..truth() };
     let starts_c = [20.0, 55.0, 90.0];
@@ -282,6 +285,16 @@ fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
         assert!((film.tau_s / planted.tau_s - 1.0).abs() < 0.05, "{c} degC: {film:?}, planted {planted:?}");
         let (air, is) = (found.air(c, None).at(1800.0, 50.0), truth.air(c, None).at(1800.0, 50.0));
         assert!((air / is - 1.0).abs() < 3e-3, "{c} degC: {air}, planted {is}");
+    }
+    // And what it is less in the heat, also to the ends of speed and pressure.
+    for (n, p) in [(1800.0, 50.0), (2600.0, 38.0), (1400.0, 60.0)] {
+        let hot = |f: &Fuelling| f.air(100.0, None).at(n, p) / f.air(25.0, None).at(n, p);
+        assert!(
+            (hot(&found) / hot(&truth) - 1.0).abs() < 1e-2,
+            "{n} rpm, {p} kPa: {}, {}",
+            hot(&found),
+            hot(&truth)
+        );
     }
     // Without the temperatures the same records are one engine that cannot be: the error says so.
     let blind: Vec<TransientRecord<'_>> =
