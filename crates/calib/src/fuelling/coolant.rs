@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```text
 /// ln(X / (1 - X)) and ln tau    linear in T
-/// c(N, p, T) = c(N, p) exp(a (T - T0)) (1 + (T - T0) (b n + d m)),    n, m: N and p over the half widths of the record
+/// c(N, p, T) = c(N, p) exp(a (T - T0)) (1 + (T - T0) (b n + d m)),    n, m: N and p from the middle over the half width of the record
 /// ```
 ///
 /// as evaporation goes with the exponential of a temperature, and the charge with the heat that it takes from the walls. Not
@@ -26,7 +26,8 @@ pub struct CoolantLaw {
     pub tau_per_k: f64,
     /// Slope a of the logarithm of the charge in 1/K.
     pub charge_per_k: f64,
-    /// What is added to that at the ends of the speed and of the pressure of the record, b and d, in 1/K: a fast gas takes less heat.
+    /// What is added to that at the ends of the speed and of the pressure of the record, b and d, in 1/K: gas that is slow or thin takes
+    /// more heat.
     #[serde(default)]
     pub charge_ends_per_k: [f64; 2],
 }

@@ -135,7 +135,7 @@ pub struct FillingState {
 impl FillingState {
     /// At rest at a measured pressure and a throttle command; samples are `dt_s` apart.
     pub fn at_rest(pressure_kpa: f64, throttle_deg: f64, dt_s: f64) -> Self {
-        let samples = (CYCLE_S / dt_s).ceil().max(1.0) as usize;
+        let samples = (CYCLE_S / dt_s).ceil().max(1.0) as usize + 1;
         Self {
             pressure_kpa,
             throttle_deg,
@@ -223,5 +223,9 @@ mod tests {
             let shown = state.cycle_kpa(speed_rpm, 0.01);
             assert!((shown - (60.0 - 0.5 * samples)).abs() < 1e-9, "{speed_rpm} rpm: {shown}");
         }
+        // The longest cycle, coarse samples, and samples that are longer than it: what is there.
+        assert!((state.cycle_kpa(400.0, 0.01) - 45.0).abs() < 1e-9);
+        let coarse = |dt_s| FillingState::at_rest(40.0, 10.0, dt_s).cycle_kpa(420.0, dt_s);
+        assert_eq!([coarse(0.05), coarse(0.4)], [40.0; 2]);
     }
 }

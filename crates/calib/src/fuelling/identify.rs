@@ -3,6 +3,7 @@
 mod chosen;
 mod filled;
 mod follow;
+mod loss;
 mod moved;
 mod record;
 mod search;
@@ -22,6 +23,7 @@ use dynocal_numerics::linalg::LinalgError;
 use dynocal_numerics::status::Status;
 use filled::{filled, refilled};
 use follow::{pressure, richness, richness_slopes};
+use loss::Loss;
 use moved::moved_at_rest;
 use record::{charge_at_rest, rested};
 use search::{Effort, Errors, Slopes, searched};
@@ -83,18 +85,14 @@ const CORRECTIONS: [f64; 5] = [0.1, 0.25, 0.5, 1.0, 2.0];
 /// Shares of a film that are searched; a film of less is none.
 const LEAST_SHARE: f64 = 1e-4;
 const MOST_SHARE: f64 = 0.95;
-/// Errors of 1 / lambda beyond this count less and less while models are chosen.
-const ROBUST: f64 = 0.05;
-/// The last fits take less and less of errors beyond so many standard deviations of what is left (by its median), as no model of mean values
-/// has the first cycles of a large step, and beyond this at least.
-const DEVIATIONS: f64 = 5.0;
-const LEAST_ROBUST: f64 = 1e-3;
 /// Times that throttle and filling are taken anew by the charge that the mixture gave.
 const ROUNDS: usize = 2;
 /// Parameters of film, timing and the law of the coolant, before those of the charge.
 const FILM: usize = 2;
 const TIMING: usize = 6;
 const LAW: usize = 5;
+/// Temperature of a coolant in K: gas that becomes a kelvin warmer is one over that thinner.
+const COOLANT_K: f64 = 340.0;
 
 /// Means of a stretch at rest.
 struct Rested {
@@ -147,49 +145,21 @@ fn identified(
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
-        let effort = if round == ROUNDS { Effort::Delivered } else { Effort::Compared };
         let loss = Loss::of_left(records, &found);
-        found = mixed_by(records, (&found, &found), &|_| true, (effort, loss), interrupt)?;
+        // What is expected before any record is weighed by the errors as they count now.
+        let begun = Fuelling { rms: loss.rms(records, &found), ..found };
+        let by = |effort| mixed_by(records, (&begun, &begun), &|_| true, effort, interrupt);
+        found = match by((if round == ROUNDS { Effort::Delivered } else { Effort::Compared }, loss)) {
+            // Hardly anything tells: then as models are chosen.
+            Err(FuellingError::Search { .. }) => by((Effort::Delivered, Loss::CHOOSING))?,
+            found => found?,
+        };
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
     found.left = Left::of(&left, found.sample_time_s);
     found.trim = Trim::suited(&left_apart(records, &found, interrupt)?, found.sample_time_s);
-    // As all fits of models that are compared count errors.
-    let squares =
-        |(errors, _): &(Vec<f64>, usize)| errors.iter().map(|e| Loss::CHOOSING.of(*e).powi(2)).sum::<f64>();
-    found.rms = (left.iter().map(squares).sum::<f64>() / length(records).max(1) as f64).sqrt();
+    found.rms = Loss::CHOOSING.rms(records, &found);
     Ok(found)
-}
-
-/// How errors of 1 / lambda count: c asinh(e / c), large ones by their logarithm.
-#[derive(Clone, Copy)]
-struct Loss {
-    beyond: f64,
-}
-
-impl Loss {
-    /// While models are chosen.
-    const CHOOSING: Self = Self { beyond: ROBUST };
-
-    /// By what a model leaves of the records.
-    fn of_left(records: &[TransientRecord<'_>], f: &Fuelling) -> Self {
-        let mut sizes: Vec<f64> =
-            records.iter().flat_map(|r| residual(r, f).0).map(f64::abs).filter(|e| e.is_finite()).collect();
-        sizes.sort_unstable_by(f64::total_cmp);
-        // Median of the size of a normal variable over its standard deviation.
-        let deviation = sizes.get(sizes.len() / 2).map_or(ROBUST, |e| e / 0.6745);
-        Self { beyond: (DEVIATIONS * deviation).clamp(LEAST_ROBUST, ROBUST) }
-    }
-
-    fn of(self, error: f64) -> f64 {
-        self.beyond * (error / self.beyond).asinh()
-    }
-
-    /// Its derivative.
-    fn slope(self, error: f64) -> f64 {
-        let e = error / self.beyond;
-        1.0 / (1.0 + e * e).sqrt()
-    }
 }
 
 /// What is left of each half of the blocks of the records by the model that is fitted to the other one: a trim has to take out what a model
@@ -355,12 +325,22 @@ fn unexplained(
 /// standard deviation of pi / 360 a degree, at which the volume of a cylinder goes with its crank at most, over its displacement.
 /// A cam that moves the end of induction cannot move the charge by more, and two cams that move together tell one slope only. Nor do
 /// slopes change by more than they are.
+///
+/// And that the charge falls to the ends of speed and pressure by as much as a gas does that becomes as warm as the coolant, at most: records
+/// that hardly warm up do not tell these slopes.
 fn prior(f: &Fuelling) -> Vec<(usize, f64)> {
-    let Some(law) = &f.charge.cams else { return Vec::new() };
-    let most = law.most_of();
-    let from = given(f).len() - f.charge.coefficients.len() - most.len();
-    let weight = |most_deg: &f64| f.rms / (most_deg * std::f64::consts::PI / 360.0).max(1e-9);
-    most.iter().enumerate().map(|(k, m)| (from + k, weight(m))).collect()
+    let mut out = Vec::new();
+    if let Some(half) = half_k(f) {
+        let first = if has_film(f) { FILM } else { 0 } + TIMING + 3;
+        out.extend([first, first + 1].map(|at| (at, f.rms * COOLANT_K / half)));
+    }
+    if let Some(law) = &f.charge.cams {
+        let most = law.most_of();
+        let from = given(f).len() - f.charge.coefficients.len() - most.len();
+        let weight = |most_deg: &f64| f.rms / (most_deg * std::f64::consts::PI / 360.0).max(1e-9);
+        out.extend(most.iter().enumerate().map(|(k, m)| (from + k, weight(m))));
+    }
+    out
 }
 
 /// Its derivatives by the coefficients of the charge, one column each.

@@ -41,7 +41,7 @@ impl Slope {
 /// What is known at the beginning of a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Sensed {
-    /// Speed in rpm.
+    /// Speed of this sample in rpm, as records have it: one that was measured a sample ago goes on as it went, or fuel is off in ramps.
     pub speed_rpm: f64,
     /// Throttle that is commanded for this sample, in deg.
     pub throttle_deg: f64,

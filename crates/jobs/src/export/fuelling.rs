@@ -123,11 +123,20 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
         let ends = |k: usize, half: f64| t.coolant_c.iter().map(|c| f.air(*c, None).ends[k] / half).collect();
         let [middle_rpm, half_rpm] = f.charge.speed_rpm;
         let [middle_kpa, half_kpa] = f.charge.pressure_kpa;
+        // The charge is FUEL_CHARGE FUEL_CHARGE_FACTOR (1 + BY_SPEED (N - MIDDLE_RPM) + BY_MAP (p - MIDDLE_KPA)).
+        let by_speed = "what a rpm above the middle adds to the factor of the coolant on the charge, over it";
+        let by_map = "what a kPa above the middle adds to the factor of the coolant on the charge, over it";
         for (name, what, unit, axes, values) in [
-            ("FUEL_CHARGE_BY_SPEED", "what that changes over speed", "1/rpm", coolant(), ends(0, half_rpm)),
-            ("FUEL_CHARGE_BY_MAP", "what that changes over pressure", "1/kPa", coolant(), ends(1, half_kpa)),
-            ("FUEL_CHARGE_SPEED", "speed from which on", "rpm", vec![], vec![middle_rpm]),
-            ("FUEL_CHARGE_MAP", "pressure from which on", "kPa", vec![], vec![middle_kpa]),
+            ("FUEL_COOLANT_BY_SPEED", by_speed, "1/rpm", coolant(), ends(0, half_rpm)),
+            ("FUEL_COOLANT_BY_MAP", by_map, "1/kPa", coolant(), ends(1, half_kpa)),
+            ("FUEL_COOLANT_MIDDLE_RPM", "speed at which that adds nothing", "rpm", vec![], vec![middle_rpm]),
+            (
+                "FUEL_COOLANT_MIDDLE_KPA",
+                "pressure at which that adds nothing",
+                "kPa",
+                vec![],
+                vec![middle_kpa],
+            ),
         ] {
             all.push(table(name, what, unit, axes, values));
         }
@@ -211,7 +220,7 @@ pub(super) fn fuelling(stored: &StoredFuelling) -> Made {
 mod tests {
     use super::*;
     use crate::fuelling::stored::tests::stored;
-    use dynocal_calib::fuelling::{CamBends, CamLaw};
+    use dynocal_calib::fuelling::{CamBends, CamLaw, CoolantLaw};
 
     /// What is said of the tables of the cams gives what the model does, at a breakpoint.
     #[test]
@@ -248,5 +257,28 @@ mod tests {
             log.exp()
         );
         assert!(made.provenance.validity.iter().any(|v| v.channel == "exhaust_cam"));
+    }
+
+    /// What is said of the coolant gives the charge of the model, at breakpoints.
+    #[test]
+    fn tables_of_the_coolant_are_the_law() {
+        let mut s = stored(|n, p| 1e-4 * n * p);
+        s.fuelling.coolant = Some(CoolantLaw {
+            at_c: 60.0,
+            range_c: [20.0, 90.0],
+            share_per_k: -1e-3,
+            tau_per_k: -0.02,
+            charge_per_k: -4e-4,
+            charge_ends_per_k: [3e-4, -5e-4],
+        });
+        s.tables.coolant_c = vec![20.0, 55.0, 90.0];
+        let made = fuelling(&s).package;
+        let of = |name: &str| &made.characteristics.iter().find(|c| c.name == name).unwrap().values;
+        let (n, p) = (s.tables.speed_rpm[1], s.tables.map_kpa[2]);
+        let by = of("FUEL_COOLANT_BY_SPEED")[0] * (n - of("FUEL_COOLANT_MIDDLE_RPM")[0])
+            + of("FUEL_COOLANT_BY_MAP")[0] * (p - of("FUEL_COOLANT_MIDDLE_KPA")[0]);
+        let told = of("FUEL_CHARGE_FACTOR")[0] * (1.0 + by);
+        let truth = s.fuelling.air(20.0, None).at(n, p) / s.fuelling.charge.at(n, p);
+        assert!((told / truth - 1.0).abs() < 1e-9 && (by.abs() > 1e-3), "{told} {truth} {by}");
     }
 }

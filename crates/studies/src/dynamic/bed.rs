@@ -168,7 +168,8 @@ pub(super) fn play(
     let mut y = vec![0.0; bed.variables().len() - inputs];
     bed.outputs(&mut y)?;
     let mut out = Trace::default();
-    let mut speed_rpm = u[3];
+    // The bed is at the speed of the course from its first sample on.
+    let mut speed_rpm = course.speed_rpm.first().copied().unwrap_or(u[3]);
     for (torque, speed) in course.torque_nm.iter().zip(&course.speed_rpm) {
         let shown = Measured { map_kpa: y[2], speed_rpm, lambda: y[1], coolant_c: y[COOLANT] - ZERO_C };
         let c = controller.step(*torque, &shown);

@@ -23,6 +23,8 @@ pub(super) const AHEADS_S: [f64; 7] = [0.02, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12];
 pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Beyond the seed of the first records: other disturbances.
 const REPEATED: u64 = 500;
+/// And from one of the records that ours drives to the next one.
+const APART: u64 = 100;
 /// Names of ours: the one that is judged, and the same without what the sensor shows.
 pub(super) const OURS: &str = "identified air and film, lambda trim";
 pub(super) const UNTRIMMED: &str = "identified air and film";
@@ -117,7 +119,8 @@ impl Contest<'_> {
         let by_ours = |(k, d): (usize, &Drive)| {
             let policy = FuelPolicy::new(first.clone(), MOST_MG);
             let mut ours = Ours::new(self.base(0.0)?, policy, false);
-            play(&d.bed, self.seed + REPEATED + k as u64, &d.course, &mut ours).map_err(|e| e.to_string())
+            play(&d.bed, self.seed + REPEATED + APART * k as u64, &d.course, &mut ours)
+                .map_err(|e| e.to_string())
         };
         traces.extend(self.repeated.par_iter().enumerate().map(by_ours).collect::<Result<Vec<_>, String>>()?);
         let views = self.views(&traces);

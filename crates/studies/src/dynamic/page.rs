@@ -79,7 +79,7 @@ fn found(case: &Case) -> String {
         let [cold, warm] = l.range_c.map(|t| (t, f.film_at(t)));
         let factor = l.charge_factor(l.range_c[0]) / l.charge_factor(l.range_c[1]);
         text = format!(
-            "Identified from {:.0} s: film {:.3} and {:.3} s at {:.0} degC, {:.3} and {:.3} s at {:.0} degC; charge there {:.1} % of that",
+            "Identified from {:.0} s: film {:.3} and {:.3} s at {:.0} degC, {:.3} and {:.3} s at {:.0} degC; charge there {:.1} % of that in the middle of speed and pressure",
             case.record_s,
             warm.1.share,
             warm.1.tau_s,

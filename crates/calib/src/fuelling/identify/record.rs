@@ -210,17 +210,21 @@ pub(super) fn charge_at_rest(
     let Some(mut law) = empty_law(records) else {
         return Ok((charge, None));
     };
+    let mut rows = Vec::with_capacity(3 * rested.len());
+    let mut left = Vec::with_capacity(rested.len());
     for _ in 0..TURNS {
-        let mut rows = Vec::with_capacity(3 * rested.len());
-        let mut heat = Vec::with_capacity(rested.len());
+        rows.clear();
+        left.clear();
         for r in rested {
             let k = r.coolant_c - law.at_c;
-            let [n, p] = charge.scaled(r.speed_rpm, r.map_kpa);
-            rows.extend([k, k * n, k * p]);
-            heat.push((r.fuel / charge.at(r.speed_rpm, r.map_kpa)).max(1e-3).ln());
+            let at = charge.scaled(r.speed_rpm, r.map_kpa);
+            rows.extend([k, k * at[0], k * at[1]]);
+            let air = charge.at(r.speed_rpm, r.map_kpa) * law.charge_factor_at(r.coolant_c, at);
+            left.push((r.fuel / air).max(1e-3).ln());
         }
-        let by = least_squares(&rows, rested.len(), 3, &heat, RIDGE)?.x;
-        (law.charge_per_k, law.charge_ends_per_k) = (by[0], [by[1], by[2]]);
+        let by = least_squares(&rows, rested.len(), 3, &left, RIDGE)?.x;
+        law.charge_per_k += by[0];
+        law.charge_ends_per_k.iter_mut().zip(&by[1..]).for_each(|(v, d)| *v += d);
         let cooled = |r: &Rested| {
             let heat = law.charge_factor_at(r.coolant_c, charge.scaled(r.speed_rpm, r.map_kpa));
             [r.speed_rpm, r.map_kpa, r.fuel / heat]

@@ -428,18 +428,31 @@ fn a_film_is_kept_only_where_it_pays() {
 /// Derivatives by the coefficients of the charge beside central differences, through film, delay by the flow and lag.
 #[test]
 fn slopes_of_the_mixture_are_those_of_differences() {
-    let truth = truth();
-    let channels = record(&truth, 10);
-    let r = view(&channels);
-    let p = pressure(&r, &truth);
+    slopes_are_those_of_differences(&truth(), None);
+    let law = CoolantLaw {
+        at_c: 90.0,
+        range_c: [20.0, 115.0],
+        share_per_k: -0.006,
+        tau_per_k: -0.02,
+        charge_per_k: -4e-4,
+        charge_ends_per_k: [4e-4, -6e-4],
+    };
+    slopes_are_those_of_differences(&Fuelling { coolant: Some(law), ..truth() }, Some(40.0));
+}
+
+fn slopes_are_those_of_differences(truth: &Fuelling, start_c: Option<f64>) {
+    let channels = heated(truth, 10, 3, start_c);
+    let heat = coolant(start_c.unwrap_or(90.0), channels[0].len());
+    let r = TransientRecord { coolant_c: start_c.map(|_| heat.as_slice()), ..view(&channels) };
+    let p = pressure(&r, truth);
     let at = |k: usize, h: f64| {
         let mut f = truth.clone();
         f.charge.coefficients[k] += h;
         richness(&r, &f, &p)
     };
     let mut slopes = Vec::new();
-    let shown = richness(&r, &truth, &p);
-    follow::richness_slopes(&r, &truth, &p, &mut |t, phi, by| {
+    let shown = richness(&r, truth, &p);
+    follow::richness_slopes(&r, truth, &p, &mut |t, phi, by| {
         assert!((phi / shown[t] - 1.0).abs() < 1e-12, "{t}");
         slopes.push(*by);
     });
