@@ -7,7 +7,7 @@
 //! ```text
 //! charge    c(N, p)                       fuel per cycle that makes lambda 1: polynomial of degree 4           [`Charge`]
 //! cams      c goes with the distance of the cams from where they rest at N and p, where the records say it   [`CamLaw`]
-//! filling   dp/dt = g (A(theta') psi(p/p0) - c N / 120) + l (p_measured - mean of p over a cycle, a sample late)  [`Filling`]
+//! filling   dp/dt = g (A(theta') psi(p/p0) - c N / 120) + l (p_measured - mean of p over a cycle, prompt or late)   [`Filling`]
 //!           theta' is theta behind a lag, at a limited rate where the records show a limit; A is a cubic polynomial; psi the flow function of a nozzle
 //! film      df/dt = X q N / 120 - f / tau,   m = (1 - X) q + (120 / N) f / tau                                 [`Film`]
 //! coolant   ln(X / (1 - X)), ln tau and ln c go with its temperature, ln c also over N and p, where the records say it [`CoolantLaw`]
@@ -23,7 +23,7 @@
 //! then. A limit of the rate, a film and what cams do are kept only where a paired test over blocks of the records says that they pay,
 //! film and cams by blocks that did not fit them, and a film only if its inverse is stable and does not swing. Throttle and filling are taken anew by the charge that the lambda gave, and the
 //! charge by them, twice: the policy has one of each. What the identified charge lacks, the sensor says slowly ([`Trim`]). What is
-//! given: the pressure before the throttle, the lag of the channel of the manifold, and that air is a gas of two atoms.
+//! given: the pressure before the throttle, that the channel of the manifold is prompt or a sample late, and that air is a gas of two atoms.
 //!
 //! Film: C. F. Aquino, SAE 810494. Filling of a manifold: E. Hendricks and S. C. Sorenson, SAE 900616.
 

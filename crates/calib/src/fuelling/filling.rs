@@ -37,8 +37,8 @@ pub struct Filling {
     /// Greatest rate of the throttle in deg/s; none where the records show no limit.
     #[serde(default)]
     pub throttle_rate_deg_s: Option<f64>,
-    /// Time constant of the pressure channel in s, beside its mean over a cycle; a sample where it was identified, as records do not tell it
-    /// from the lag of the throttle.
+    /// Time constant of the pressure channel in s, beside its mean over a cycle; 0 or a sample where it was identified, as records do
+    /// not tell more of it from the lag of the throttle.
     #[serde(default)]
     pub sensor_lag_s: f64,
     /// Correction by the measured pressure in 1/s.

@@ -231,8 +231,7 @@ fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuellin
             gain: 1.0,
             throttle_lag_s: 0.05,
             throttle_rate_deg_s: None,
-            // Searched with the lag of the throttle it takes that over, or gives it its own.
-            sensor_lag_s: records[0].sample_time_s,
+            sensor_lag_s: 0.0,
             correction_per_s: 0.5,
         },
         film: Film { share: 1.0 / (1.0 + 1.5_f64.exp()), tau_s: 6.0 * cycle_s },

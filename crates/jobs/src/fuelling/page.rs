@@ -126,7 +126,11 @@ fn identified(found: &Fuelled) -> Section {
             "unit of the injection",
         ),
         ("lag of the sensor", f.timing.sensor_lag_s, "s"),
-        ("lag of the pressure channel beside its mean over a cycle, assumed", f.filling.sensor_lag_s, "s"),
+        (
+            "lag of the pressure channel beside its mean over a cycle, 0 or a sample",
+            f.filling.sensor_lag_s,
+            "s",
+        ),
         ("lag of the throttle", f.filling.throttle_lag_s, "s"),
         ("error of the manifold pressure", f.pressure_rms_kpa, "kPa"),
     ];

@@ -19,8 +19,15 @@ pub(super) fn filled(
     start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let fit = Fit::of(records, rested, start)?;
-    let plain = fit.search("filling", &fit.begin(), Effort::Delivered, interrupt)?;
+    // Whether the pressure channel is a sample late: a lag that is searched with that of the throttle takes it over, or gives it its own.
+    let late = |sensor_lag_s: f64| {
+        let filling = Filling { sensor_lag_s, ..start.filling.clone() };
+        let fit = Fit::of(records, rested, Fuelling { filling, ..start.clone() })?;
+        let plain = fit.search("filling", &fit.begin(), Effort::Delivered, interrupt)?;
+        Ok::<_, FuellingError>((fit, plain))
+    };
+    let (prompt, later) = (late(0.0)?, late(start.sample_time_s)?);
+    let (fit, plain) = if later.1.cost < prompt.1.cost { later } else { prompt };
     let steps = records.iter().flat_map(|r| r.throttle_deg.windows(2)).map(|w| (w[1] - w[0]).abs());
     let fastest = (steps.fold(0.0, f64::max) / plain.x[1].exp()).max(1e-6);
     let from = RATES.map(|share| [plain.x[0], plain.x[1], (share * fastest).ln()]);
