@@ -60,15 +60,19 @@ impl CoolantLaw {
     }
 
     /// The charge over that at `at_c`, at a speed and a pressure in half widths of the record.
-    pub fn charge_factor_at(&self, coolant_c: f64, [n, p]: [f64; 2]) -> f64 {
-        let [by_speed, by_pressure] = self.charge_ends(coolant_c);
-        self.charge_factor(coolant_c) * (1.0 + by_speed * n + by_pressure * p)
+    pub fn charge_factor_at(&self, coolant_c: f64, at: [f64; 2]) -> f64 {
+        to_the_ends(self.charge_factor(coolant_c), self.charge_ends(coolant_c), at)
     }
 
     /// The same in the middle of speed and pressure.
     pub fn charge_factor(&self, coolant_c: f64) -> f64 {
         (self.charge_per_k * self.beyond_k(coolant_c)).exp()
     }
+}
+
+/// A factor in the middle of speed and pressure, at a place in half widths from there.
+fn to_the_ends(factor: f64, ends: [f64; 2], [n, p]: [f64; 2]) -> f64 {
+    factor * (1.0 + ends[0] * n + ends[1] * p)
 }
 
 /// The charge as it is at a temperature and places of the cams.
@@ -106,8 +110,7 @@ impl<'a> Air<'a> {
         let cams = self.charge.cam_factor(speed_rpm, pressure_kpa, self.cams_deg);
         let mut factor = self.factor;
         if self.ends != [0.0; 2] {
-            let [n, p] = self.charge.scaled(speed_rpm, pressure_kpa);
-            factor *= 1.0 + self.ends[0] * n + self.ends[1] * p;
+            factor = to_the_ends(factor, self.ends, self.charge.scaled(speed_rpm, pressure_kpa));
         }
         factor * cams * self.charge.at(speed_rpm, pressure_kpa)
     }

@@ -50,6 +50,18 @@ fn truth() -> Fuelling {
     }
 }
 
+/// What a coolant does to it, where it counts.
+fn law() -> CoolantLaw {
+    CoolantLaw {
+        at_c: 90.0,
+        range_c: [20.0, 115.0],
+        share_per_k: -0.006,
+        tau_per_k: -0.02,
+        charge_per_k: -4e-4,
+        charge_ends_per_k: [4e-4, -6e-4],
+    }
+}
+
 /// The same engine with a sensor in the cylinder.
 fn in_cylinder(f: &Fuelling) -> Fuelling {
     let timing = Timing {
@@ -263,15 +275,7 @@ fn a_model_without_a_film_is_one() {
 /// Film and charge over the coolant, from three records that heat up.
 #[test]
 fn records_at_several_temperatures_give_the_law_of_the_coolant_back() {
-    let law = CoolantLaw {
-        at_c: 90.0,
-        range_c: [20.0, 115.0],
-        share_per_k: -0.006,
-        tau_per_k: -0.02,
-        charge_per_k: -4e-4,
-        charge_ends_per_k: [4e-4, -6e-4],
-    };
-    let truth = Fuelling { coolant: Some(law), ..truth() };
+    let truth = Fuelling { coolant: Some(law()), ..truth() };
     let starts_c = [20.0, 55.0, 90.0];
     let channels: Vec<Channels> =
         (7..).zip(starts_c).map(|(seed, c)| heated(&truth, 25, seed, Some(c))).collect();
@@ -429,15 +433,7 @@ fn a_film_is_kept_only_where_it_pays() {
 #[test]
 fn slopes_of_the_mixture_are_those_of_differences() {
     slopes_are_those_of_differences(&truth(), None);
-    let law = CoolantLaw {
-        at_c: 90.0,
-        range_c: [20.0, 115.0],
-        share_per_k: -0.006,
-        tau_per_k: -0.02,
-        charge_per_k: -4e-4,
-        charge_ends_per_k: [4e-4, -6e-4],
-    };
-    slopes_are_those_of_differences(&Fuelling { coolant: Some(law), ..truth() }, Some(40.0));
+    slopes_are_those_of_differences(&Fuelling { coolant: Some(law()), ..truth() }, Some(40.0));
 }
 
 fn slopes_are_those_of_differences(truth: &Fuelling, start_c: Option<f64>) {

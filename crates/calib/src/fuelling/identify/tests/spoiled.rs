@@ -26,10 +26,10 @@ fn first_cycles_that_no_model_has_bend_little() {
     assert!(off(&found) < 0.1, "{found:?}");
 }
 
-/// The lag of the pressure channel is 0 or a sample. Whatever it really is, the charge at rest is right, and fuel meets its air when it does but for
-/// what the channel is later than assumed.
+/// The lag of the pressure channel is 0 or a sample. Whatever it really is, the charge at rest is right, and fuel meets its air when it does
+/// but for what the channel is later.
 #[test]
-fn a_channel_that_is_another_than_assumed_costs_little() {
+fn a_channel_that_is_later_than_a_sample_costs_little() {
     for sensor_lag_s in [0.0, 3.0 * DT] {
         let mut truth = truth();
         truth.filling.sensor_lag_s = sensor_lag_s;
@@ -47,14 +47,7 @@ fn a_channel_that_is_another_than_assumed_costs_little() {
 /// Files from before they were known have neither a lag of the pressure channel nor ends of the charge over the coolant.
 #[test]
 fn older_files_are_read() {
-    let law = CoolantLaw {
-        at_c: 60.0,
-        range_c: [20.0, 90.0],
-        share_per_k: 0.0,
-        tau_per_k: -0.02,
-        charge_per_k: -4e-4,
-        charge_ends_per_k: [0.0; 2],
-    };
+    let law = CoolantLaw { charge_ends_per_k: [0.0; 2], ..law() };
     let mut f = Fuelling { coolant: Some(law), ..truth() };
     f.filling.sensor_lag_s = 0.0;
     let mut json = serde_json::to_value(&f).unwrap();
