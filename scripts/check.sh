@@ -31,11 +31,15 @@ step() {
     local name="$1" before=$SECONDS
     shift
     say "$name"
-    if "$@" </dev/null; then
+    local code=0
+    "$@" </dev/null > >(tee "$work/step.log") 2>&1 || code=$?
+    wait "$!"
+    if [ "$code" = 0 ]; then
         notes+=("ok      $((SECONDS - before)) s  $name")
     else
         failed+=("$name")
-        notes+=("FAILED  $((SECONDS - before)) s  $name")
+        # Of a long output often only the end is kept: what a step said last stands in the summary too.
+        notes+=("FAILED  $((SECONDS - before)) s  $name"$'\n'"$(tail -n 5 "$work/step.log" | cut -c 1-400 | sed 's/^/        /')")
     fi
 }
 

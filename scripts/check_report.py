@@ -10,7 +10,7 @@ Fails (exit code 1, one line per fault on standard error) when
   - the page is wider than the window, at 1400 px or at 390 px,
   - an element loads something from outside the file,
   - a text given with --text, or an element id given with --id, is missing.
-Exit code 2: the check itself could not run (no such file, no Chromium, Chromium did not end).
+Exit code 2: the check itself could not run (no such file, no Chromium, Chromium did not end, or broke off each time).
 Only the standard library is used. The browser is $CHROMIUM, or the first one found on the path.
 """
 
@@ -78,7 +78,8 @@ def browser():
     raise CannotCheck("found no Chromium: install one or set CHROMIUM")
 
 
-def run_browser(url, *options, width=1400, height=1000):
+def run_browser(url, *options, width=1400, height=1000, tries=3):
+    """Runs Chromium on `url`. It is started again when it breaks off: that says nothing about the page."""
     with tempfile.TemporaryDirectory() as profile:
         command = [browser(), *QUIET, f"--user-data-dir={profile}", f"--window-size={width},{height}", *options, url]
         try:
@@ -86,6 +87,8 @@ def run_browser(url, *options, width=1400, height=1000):
         except subprocess.TimeoutExpired as error:
             raise CannotCheck("Chromium did not end within 180 s") from error
         except subprocess.CalledProcessError as error:
+            if tries > 1:
+                return run_browser(url, *options, width=width, height=height, tries=tries - 1)
             raise CannotCheck(f"Chromium ended with {error.returncode}: {error.stderr[-500:]}") from error
 
 
@@ -103,8 +106,9 @@ def console_lines(stderr):
 
 def phone_overflow(url, width):
     """Pixels by which the page is too wide at `width`. The frame asks its page, which counts them itself."""
-    script = "<script>addEventListener('load',()=>setTimeout(()=>{{document.body.dataset.inner=" \
-             "document.querySelector('iframe').contentDocument.body.dataset.overflowPx}},3000))</script>"
+    script = "<script>const look=()=>{{const px=document.querySelector('iframe').contentDocument.body?.dataset.overflowPx;" \
+             "if(px===undefined)setTimeout(look,100);else document.body.dataset.inner=px}};" \
+             "addEventListener('load',()=>setTimeout(look,3000))</script>"
     with tempfile.TemporaryDirectory() as folder:
         outer = pathlib.Path(folder, "frame.html")
         text = (FRAME + script).format(url=html.escape(url), width=width, height=900)
