@@ -9,8 +9,10 @@ use super::bed::{Course, MOST_MG, Trace};
 use super::contest::{Contest, TIPS, tip};
 use super::control::{Fuel, PRODUCTION, Setting};
 
-/// Retards that are tried in deg, and the knock index that a tip-in may show: the onset less what other cycles may add.
+/// Retards that are tried in deg, how often the way back to the one before is halved then, and the knock index that a tip-in may
+/// show: the onset less what other cycles may add.
 const RETARDS_DEG: [f64; 8] = [0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0];
+const HALVINGS: usize = 2;
 const KNOCK: f64 = 0.95;
 /// Wastegate at rest that is tried, in mm, widest first, and moves of the cams in deg.
 const RESTS_MM: [f64; 5] = [14.0, 10.0, 7.0, 4.0, 0.0];
@@ -69,16 +71,28 @@ impl Searched<'_> {
     /// The least retard with which no tip-in shows more knock than it may; the most where none does.
     fn retarded(&self, from: Setting) -> Result<(Setting, f64), String> {
         let mut time_s = 0.0;
-        let mut setting = from;
-        for retard_deg in RETARDS_DEG.iter().step_by(if self.of.reduced { 3 } else { 1 }) {
-            setting.retard_deg = *retard_deg;
-            let (told, s) = self.told(setting)?;
+        let mut knocks = |retard_deg: f64| {
+            let (told, s) = self.told(Setting { retard_deg, ..from })?;
             time_s += s;
-            if told.knock <= KNOCK {
+            Ok::<_, String>(told.knock > KNOCK)
+        };
+        let (stride, halvings) = if self.of.reduced { (3, 0) } else { (1, HALVINGS) };
+        // The most that knocks, and the least that does not.
+        let (mut less, mut enough) = (None, from.retard_deg);
+        for retard_deg in RETARDS_DEG.iter().step_by(stride) {
+            enough = *retard_deg;
+            if !knocks(enough)? {
                 break;
             }
+            less = Some(enough);
         }
-        Ok((setting, time_s))
+        if let Some(mut less) = less.filter(|l| *l < enough) {
+            for _ in 0..halvings {
+                let middle = 0.5 * (less + enough);
+                *(if knocks(middle)? { &mut less } else { &mut enough }) = middle;
+            }
+        }
+        Ok((Setting { retard_deg: enough, ..from }, time_s))
     }
 
     fn best(&self, tried: &[Setting]) -> Result<(Setting, f64), String> {
