@@ -93,6 +93,8 @@ pub fn deviations(probability: f64) -> f64 {
 pub const KEPT: f64 = 1e-6;
 /// Points of a low-discrepancy sequence that starts are chosen from.
 const TRIALS: usize = 128;
+/// Share by which the violations of two starts may differ that have found the same conflict of limits.
+const ALIKE: f64 = 1e-3;
 /// Variance below which a standard deviation has no slope, as a share of the scale squared.
 const FLOOR: f64 = 1e-12;
 
@@ -114,24 +116,28 @@ impl Setting<'_> {
         let mut begin = self.starts(at, starts, seed);
         begin.extend(warm.iter().map(|x| [at, &x[self.axes..]].concat()));
         let mut best: Option<CellOptimum> = None;
-        for start in &begin {
-            let found = self.solve(start, false, interrupt);
+        let keep = |found: CellOptimum, best: &mut Option<CellOptimum>| {
             if best.as_ref().is_none_or(|b| self.better(&found, b)) {
-                best = Some(found);
+                *best = Some(found);
             }
-        }
-        if best.as_ref().is_none_or(|b| !b.feasible) {
-            for start in &begin {
-                let found = self.solve(start, true, interrupt);
-                if best.as_ref().is_none_or(|b| self.better(&found, b)) {
-                    best = Some(found);
-                }
+        };
+        let feasible = |best: &Option<CellOptimum>| best.as_ref().is_some_and(|b| b.feasible);
+        let mut least: Option<f64> = None;
+        for start in &begin {
+            keep(self.solve(start, false, interrupt), &mut best);
+            if feasible(&best) {
+                continue;
             }
             // From where the violations are least the limits may be kept after all.
-            if let Some(least) = best.clone() {
-                let found = self.solve(&least.x, false, interrupt);
-                best = Some(if self.better(&found, &least) { found } else { least });
+            let found = self.solve(start, true, interrupt);
+            let (violation, x) = (self.violation(&found), found.x.clone());
+            keep(found, &mut best);
+            keep(self.solve(&x, false, interrupt), &mut best);
+            // Two starts that end with the same conflict of limits: there is no more to find.
+            if !feasible(&best) && least.is_some_and(|l| (violation - l).abs() <= ALIKE * l) {
+                break;
             }
+            least = Some(violation);
         }
         best.unwrap_or_else(|| self.judge(begin.first().map_or(at, |b| b), Status::Infeasible, None))
     }

@@ -155,10 +155,14 @@ pub fn solve(
         .into_par_iter()
         .map(|k| setting.optimise(&place(axes, k), spec.starts, &[], seed, &|| interrupt()))
         .collect();
-    // A neighbour may have found a better valley.
+    let agree = spec.smooth > 0.0 && spec.whole.is_none();
+    // A neighbour may have found a better valley. Where cells have to agree on their valleys, that is where they begin.
     let second: Vec<CellOptimum> = (0..n)
         .into_par_iter()
         .map(|k| {
+            if agree && first[k].feasible {
+                return first[k].clone();
+            }
             let warm: Vec<Vec<f64>> = neighbours(axes, k).into_iter().map(|j| first[j].x.clone()).collect();
             let found = setting.optimise(&place(axes, k), 1, &warm, seed, &|| interrupt());
             if setting.better(&found, &first[k]) { found } else { first[k].clone() }
@@ -177,7 +181,7 @@ pub fn solve(
             Cell { at, state, best: setting.cost(&optimum), optimum }
         })
         .collect();
-    if spec.smooth > 0.0 && spec.whole.is_none() {
+    if agree {
         valleys::agree(setting, axes, spec.smooth, &mut cells, interrupt);
     }
     smooth(setting, axes, spec, &mut cells);

@@ -37,15 +37,17 @@ pub fn agree(
         .map(|k| neighbours(axes, k).into_iter().filter(|j| optimal(cells, *j)).collect())
         .collect();
     let mut moved = false;
+    let mut choices: Vec<Vec<CellOptimum>> = vec![Vec::new(); cells.len()];
+    // Where each cell stood when its neighbours were sought from there.
+    let mut sought: Vec<Option<Vec<f64>>> = vec![None; cells.len()];
     for _ in 0..ROUNDS {
         let now: &[Cell] = cells;
-        let mut choices: Vec<Vec<CellOptimum>> = (0..now.len())
-            .into_par_iter()
-            .map(|k| match optimal(now, k) {
-                true => found(setting, &now[k], around[k].iter().map(|j| &now[*j]), interrupt),
-                false => Vec::new(),
-            })
-            .collect();
+        let stays = |j: usize| sought[j].as_ref() == Some(&now[j].optimum.x);
+        choices.par_iter_mut().enumerate().filter(|(k, _)| optimal(now, *k)).for_each(|(k, choices)| {
+            let news = around[k].iter().filter(|j| !stays(**j)).map(|j| &now[*j]);
+            choices.extend(found(setting, &now[k], news, interrupt));
+        });
+        sought = now.iter().map(|c| Some(c.optimum.x.clone())).collect();
         for (cell, found) in cells.iter_mut().zip(&mut choices) {
             good_enough(setting, cell, found, smooth);
         }
@@ -58,16 +60,16 @@ pub fn agree(
     moved
 }
 
-/// What a cell may hold: what it holds, and the optima that are found from where its neighbours stand.
+/// What a cell may hold: what it holds, and the optima that are found from where neighbours stand that have moved.
 fn found<'a>(
     setting: &Setting,
     cell: &Cell,
-    around: impl Iterator<Item = &'a Cell>,
+    moved: impl Iterator<Item = &'a Cell>,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Vec<CellOptimum> {
     let from = |c: &Cell| setting.local(&cell.at, &c.optimum.x, &|| interrupt());
     let feasible = |o: &CellOptimum| o.feasible;
-    std::iter::once(cell.optimum.clone()).chain(around.map(from).filter(feasible)).collect()
+    std::iter::once(cell.optimum.clone()).chain(moved.map(from).filter(feasible)).collect()
 }
 
 /// Of what a cell may hold that which is good enough beside the best that is known of it by now; what it holds itself may have become too

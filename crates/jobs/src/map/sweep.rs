@@ -232,6 +232,23 @@ impl Lines<'_> {
         (begin, order.windows(2).map(leg).collect())
     }
 
+    /// What windows say of how loop `l` was answered; nothing where its demand is no axis, or where its map is not relative.
+    fn answers(&self, l: usize, drive: &Drive, used: &[&Window]) -> Vec<Answer> {
+        let place = self.layout.factors[..self.layout.axes]
+            .iter()
+            .position(|f| f.kind == FactorKind::Demand(l))
+            .filter(|_| drive.relative);
+        let Some(k) = place else { return Vec::new() };
+        let one = |w: &&Window| Answer {
+            way: (w.line, w.up > 0.0),
+            at_s: w.row.at_s,
+            asked: w.row.asked[l],
+            got: w.row.factors[k],
+            input: w.row.responses[l],
+        };
+        used.iter().map(one).collect()
+    }
+
     /// Learns the trim of the input of loop `l` from windows with room.
     fn trim_one(
         &self,
@@ -246,7 +263,8 @@ impl Lines<'_> {
         let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
         let mut missed = Missed::default();
         let say = models_say(self.layout, self.setting, drive, &factors)?;
-        let slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        let mut slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        steepen(&mut slopes, &self.answers(l, drive, &used), 1.5 * self.spec.bed.approach.window_s);
         for ((w, model), slope) in used.into_iter().zip(say).zip(slopes) {
             let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s));
             let r = drive.missed_by(w.row.responses[l] - gone, model);
@@ -266,6 +284,8 @@ impl Lines<'_> {
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
 /// within it is less than its map misses.
 const ASIDE: f64 = 0.05;
+/// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
+const ANSWERED: f64 = 0.1;
 /// Share by which a demand is moved to see what its input does.
 const SHARE: f64 = 0.01;
 /// Least slope of an input over its demand, both as shares: what flows goes with at most the square of an opening.
@@ -349,6 +369,37 @@ pub(super) fn slopes(
     Ok(say(SHARE)?.iter().zip(&say(-SHARE)?).map(one).collect())
 }
 
+/// A window as a loop saw it.
+struct Answer {
+    /// Number of the line, and whether it was gone up.
+    way: (usize, bool),
+    /// Bed time in s.
+    at_s: f64,
+    /// Demand as asked for, as it was, and the input that held it.
+    asked: f64,
+    got: f64,
+    input: f64,
+}
+
+/// Takes in place of the map's own slopes those that were measured between windows of one way that are less than `apart_s` apart, where
+/// they are steeper: where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
+/// and what they miss is no matter.
+fn steepen(slopes: &mut [f64], answers: &[Answer], apart_s: f64) {
+    let share = |a: f64, b: f64| (a / b).ln().abs();
+    for (i, w) in answers.windows(2).enumerate() {
+        let (a, b) = (&w[0], &w[1]);
+        let asked = share(b.asked, a.asked);
+        // Not a number where there is no logarithm.
+        if a.way != b.way || b.at_s - a.at_s > apart_s || asked.is_nan() || asked == 0.0 {
+            continue;
+        }
+        let found = share(b.input, a.input) / share(b.got, a.got).max(ANSWERED * asked);
+        if found.is_finite() {
+            slopes[i..=i + 1].iter_mut().for_each(|s| *s = s.max(found));
+        }
+    }
+}
+
 /// What the models expect of all responses.
 pub(super) fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
     let mut at = Prediction::new(factors.len());
@@ -357,4 +408,37 @@ pub(super) fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
         at.mean
     };
     setting.models.iter().map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// y = 1 - exp(-u): gone up as at rest, and come back from the end through u of 6 to 3.5, where y stays what it was.
+    #[test]
+    fn a_loop_that_comes_back_from_where_nothing_answers_counts_little() {
+        let at = |k: usize, up: bool, asked: f64, input: f64| Answer {
+            way: (0, up),
+            at_s: 2.0 * k as f64,
+            asked,
+            got: 1.0 - (-input).exp(),
+            input,
+        };
+        let going: Vec<Answer> =
+            (0..6).map(|k| at(k, true, 0.4 + 0.1 * k as f64, 0.5 + 0.35 * k as f64)).collect();
+        let coming = (6..9).map(|k| at(k, false, 0.98 - 0.05 * (k - 6) as f64, 6.0 - 1.2 * (k - 6) as f64));
+        // The last one is of another time: nothing is measured from it to the one before.
+        let answers: Vec<Answer> = going.into_iter().chain(coming).chain([at(20, false, 0.5, 0.7)]).collect();
+        let mut slopes = vec![1.0; answers.len()];
+        steepen(&mut slopes, &answers, 3.0);
+        // d log u / d log y of the law is (exp(u) - 1) / u: 1.3 where u is 0.5, 4 where it is 2.25.
+        assert!((1.2..1.7).contains(&slopes[0]) && (2.5..4.0).contains(&slopes[5]), "{slopes:?}");
+        assert!(slopes[6..9].iter().all(|s| *s > 10.0), "{slopes:?}");
+        assert_eq!(slopes[9], 1.0);
+        // A demand that stands still says nothing, and what has no logarithm neither.
+        let mut still = [0.1, 0.1];
+        steepen(&mut still, &[at(0, true, 0.5, 0.5), at(1, true, 0.5, 0.9)], 3.0);
+        steepen(&mut still, &[at(0, true, -0.5, 0.5), at(1, true, 0.5, 0.9)], 3.0);
+        assert_eq!(still, [0.1, 0.1]);
+    }
 }

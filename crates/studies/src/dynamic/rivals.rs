@@ -70,13 +70,13 @@ impl Controller for Ecu<'_> {
 /// sample itself, and what is identified from them is off by what the speed has become in the meantime: by 0.3 % of fuel on `pfi_1_6l` at
 /// 1000 rpm/s and samples of 0.01 s. The beds here show the speed without noise; with it a longer slope were needed.
 #[derive(Clone, Copy, Default)]
-struct SpeedNow {
+pub(super) struct SpeedNow {
     before_rpm: Option<f64>,
     now_rpm: f64,
 }
 
 impl SpeedNow {
-    fn step(&mut self, measured_rpm: f64) -> f64 {
+    pub(super) fn step(&mut self, measured_rpm: f64) -> f64 {
         let before = self.before_rpm.replace(measured_rpm).unwrap_or(measured_rpm);
         self.now_rpm = 2.0 * measured_rpm - before;
         self.now_rpm

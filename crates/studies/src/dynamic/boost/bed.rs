@@ -5,6 +5,7 @@ use dynocal_plant::bed::{BedSettings, EngineBed};
 use dynocal_plant::params::EngineParams;
 
 use super::super::bed::SAMPLE_S;
+use super::super::rivals::SpeedNow;
 
 /// Most fuel of an injection in mg.
 pub(super) const MOST_MG: f64 = 80.0;
@@ -34,6 +35,7 @@ pub(super) struct Shown {
     pub(super) coolant_c: f64,
     /// Places of the cams in deg.
     pub(super) cams_deg: [f64; 2],
+    /// Of the sample that begins, as the last one goes on.
     pub(super) speed_rpm: f64,
 }
 
@@ -133,7 +135,9 @@ pub(super) fn play(
     bed.outputs(&mut y).map_err(|e| e.to_string())?;
     let mut out = Trace::default();
     let follow = -(-SAMPLE_S / PHASER_S).exp_m1();
-    let mut speed_rpm = u[3];
+    // The bed is at the speed of the course from its first sample on.
+    let (mut speed_rpm, mut speed_now) =
+        (course.speed_rpm.first().copied().unwrap_or(u[3]), SpeedNow::default());
     for (torque, speed) in course.torque_nm.iter().zip(&course.speed_rpm) {
         let shown = Shown {
             torque_nm: y[TORQUE],
@@ -142,7 +146,7 @@ pub(super) fn play(
             boost_kpa: y[BOOST],
             coolant_c: y[COOLANT] - ZERO_C,
             cams_deg: [u[5], u[6]],
-            speed_rpm,
+            speed_rpm: speed_now.step(speed_rpm),
         };
         let c = controller.step(*torque, &shown);
         let cams = [0, 1].map(|k| u[5 + k] + follow * (c.cams_deg[k] - u[5 + k]));

@@ -33,6 +33,8 @@ const TORQUES_NM: [f64; 10] = [15.0, 33.0, 60.0, 90.0, 120.0, 150.0, 180.0, 210.
 const TORQUE_NM: (f64, f64) = (22.0, 250.0);
 const SPEED_RPM: (f64, f64) = (1600.0, 2150.0);
 const HOLD_S: f64 = 4.0;
+/// Records: the first driver's, and those that ours drives with what it knows by then.
+const RECORDS: usize = 3;
 /// Greatest pressure of an extrapolation in kPa; pressure before a throttle that stands still.
 const MOST_KPA: f64 = 240.0;
 const AMBIENT_KPA: f64 = 101.325;
@@ -116,25 +118,34 @@ impl Contest {
     /// Everything, from the records to the judged rows.
     pub(super) fn run(&self, interrupted: &(dyn Fn() -> bool + Sync)) -> Result<Found, Ended> {
         let mut rng = Rng64::stream(self.seed, 34);
-        let courses = [self.record(&mut rng), self.record(&mut rng)];
+        let count = if self.reduced { 2 } else { RECORDS };
+        let courses: Vec<Course> = (0..count).map(|_| self.record(&mut rng)).collect();
         let mut first = self.driver(None, PRODUCTION, Fuel::First { factor: 0.0 });
         let mut traces = vec![self.played(self.seed, &courses[0], &mut first)?];
-        let start = identified(&courses[..1], &traces, interrupted)?;
+        let mut start = identified(&courses[..1], &traces, interrupted)?;
         // Both search with the same fuel, and the first record's.
         let searched = Searched { of: self, fuelling: &start };
         let (production, production_s) = searched.production()?;
         let (ours, ours_s) = searched.ours(production)?;
-        let policy = FuelPolicy::new(start.clone(), MOST_MG);
-        let mut by_ours =
-            self.driver(Some(&start), ours, Fuel::Policy { policy: Box::new(policy), trimmed: false });
-        let mut second = self.played(self.seed + 500, &courses[1], &mut by_ours)?;
-        // A first identification that drives worse than the first driver must not make the record of the next one.
         let shown = |t: &Trace, c: &Course| integral_s(&t.lambda) / c.length_s();
-        if !(shown(&second, &courses[1]) <= shown(&traces[0], &courses[0])) {
-            let mut again = self.driver(Some(&start), ours, Fuel::First { factor: 0.0 });
-            second = self.played(self.seed + 500, &courses[1], &mut again)?;
+        let by_first = shown(&traces[0], &courses[0]);
+        for (k, course) in courses.iter().enumerate().skip(1) {
+            // Other disturbances than those of any record or tip-in.
+            let seed = self.seed + 400 + 100 * k as u64;
+            let policy = FuelPolicy::new(start.clone(), MOST_MG);
+            let mut by_ours =
+                self.driver(Some(&start), ours, Fuel::Policy { policy: Box::new(policy), trimmed: false });
+            let mut next = self.played(seed, course, &mut by_ours)?;
+            // An identification that drives worse than the first driver must not make the record of the next one.
+            if !(shown(&next, course) <= by_first) {
+                let mut again = self.driver(Some(&start), ours, Fuel::First { factor: 0.0 });
+                next = self.played(seed, course, &mut again)?;
+            }
+            traces.push(next);
+            if k + 1 < courses.len() {
+                start = identified(&courses[..=k], &traces, interrupted)?;
+            }
         }
-        traces.push(second);
         let known = self.known(&courses, &traces, interrupted)?;
         let rows = self.rows(&known, &courses, [production, ours], interrupted)?;
         Ok(Found {
