@@ -32,7 +32,8 @@ step() {
     shift
     say "$name"
     local code=0
-    "$@" </dev/null > >(tee "$work/step.log") 2>&1 || code=$?
+    # In braces the shell itself starts tee, so that it can be waited for.
+    { "$@"; } </dev/null > >(tee "$work/step.log") 2>&1 || code=$?
     wait "$!"
     if [ "$code" = 0 ]; then
         notes+=("ok      $((SECONDS - before)) s  $name")

@@ -5,10 +5,13 @@
     scripts/test_check_report.py /tmp/demo.html
 """
 
+import os
 import pathlib
 import subprocess
 import sys
 import tempfile
+
+from check_report import browser
 
 CHECK = pathlib.Path(__file__).with_name("check_report.py")
 END = "</body>"
@@ -24,9 +27,26 @@ BREAKS = [
 ]
 
 
-def run(page, *options):
-    done = subprocess.run([sys.executable, CHECK, page, *options], capture_output=True, text=True)
+# A browser that breaks off as often as its file has lines, and then is $REAL.
+BROKEN = """#!/bin/sh
+left="$(dirname "$0")/left"
+if [ -s "$left" ]; then sed -i 1d "$left"; exit 139; fi
+exec "$REAL" "$@"
+"""
+
+
+def run(page, *options, **env):
+    done = subprocess.run([sys.executable, CHECK, page, *options], capture_output=True, text=True, env={**os.environ, **env})
     return done.returncode, done.stderr
+
+
+def broken_off(folder, times, real):
+    """The environment of a browser that breaks off so many times."""
+    fake = pathlib.Path(folder, "browser")
+    fake.write_text(BROKEN, encoding="utf-8")
+    fake.chmod(0o755)
+    pathlib.Path(folder, "left").write_text("x\n" * times, encoding="utf-8")
+    return {"CHROMIUM": str(fake), "REAL": real}
 
 
 def main():
@@ -47,7 +67,9 @@ def main():
             assert old in text, f"{name}: the good page does not hold {old!r}"
             page.write_text(text.replace(old, new), encoding="utf-8")
             expect(name, run(page), 1, said)
-    print("\n".join(wrong) or f"check_report.py noticed all {len(BREAKS) + 3} faults")
+        expect("browser breaks off twice", run(good, **broken_off(folder, 2, browser())), 0)
+        expect("browser breaks off always", run(good, **broken_off(folder, 99, browser())), 2, "Chromium ended with 139")
+    print("\n".join(wrong) or f"check_report.py noticed all {len(BREAKS) + 4} faults")
     return 1 if wrong else 0
 
 

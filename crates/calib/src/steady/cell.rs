@@ -8,7 +8,7 @@
 //!
 //! f and v are mean and variance of the models, so that a limit is kept with the probability that is asked for as far as the
 //! models know themselves. Gradients and Hessians are exact; the program is solved by the interior point from several starts.
-//! Where no start is feasible, the sum of the violations, each in its own scale, is made small instead: what remains names the
+//! As long as no start was feasible, the sum of the violations, each in its own scale, is made small instead: what remains names the
 //! limits that conflict, and by how much.
 
 use dynocal_design::points::{MOST_DIMENSIONS, Sobol};
@@ -93,6 +93,8 @@ pub fn deviations(probability: f64) -> f64 {
 pub const KEPT: f64 = 1e-6;
 /// Points of a low-discrepancy sequence that starts are chosen from.
 const TRIALS: usize = 128;
+/// Least violation, in the scales of the limits, above which limits are in conflict.
+const NEARLY: f64 = 1e-3;
 /// Share by which the violations of two starts may differ that have found the same conflict of limits.
 const ALIKE: f64 = 1e-3;
 /// Variance below which a standard deviation has no slope, as a share of the scale squared.
@@ -104,7 +106,8 @@ impl Setting<'_> {
         self.ranges.len()
     }
 
-    /// The optimum at the axes `at`, from `starts` of the best points of a sequence and from `warm` (all factors each).
+    /// The optimum at the axes `at`, from `warm` (all factors each) and from `starts` of the best points of a sequence. While no setting
+    /// keeps all limits, the sequence ends with the first of its points that leads to the least conflict that is known.
     pub fn optimise(
         &self,
         at: &[f64],
@@ -113,8 +116,8 @@ impl Setting<'_> {
         seed: u64,
         interrupt: &dyn Fn() -> bool,
     ) -> CellOptimum {
-        let mut begin = self.starts(at, starts, seed);
-        begin.extend(warm.iter().map(|x| [at, &x[self.axes..]].concat()));
+        let warm = warm.iter().map(|x| ([at, &x[self.axes..]].concat(), true));
+        let sequence = self.starts(at, starts, seed).into_iter().map(|x| (x, false));
         let mut best: Option<CellOptimum> = None;
         let keep = |found: CellOptimum, best: &mut Option<CellOptimum>| {
             if best.as_ref().is_none_or(|b| self.better(&found, b)) {
@@ -122,24 +125,29 @@ impl Setting<'_> {
             }
         };
         let feasible = |best: &Option<CellOptimum>| best.as_ref().is_some_and(|b| b.feasible);
-        let mut least: Option<f64> = None;
-        for start in &begin {
-            keep(self.solve(start, false, interrupt), &mut best);
-            if feasible(&best) {
-                continue;
+        let within = |x: &[f64]| self.violation(&self.judge(x, Status::Stalled, None)) <= KEPT;
+        let mut least = f64::INFINITY;
+        for (start, warm) in warm.chain(sequence) {
+            // A point of the sequence that passes limits is worth little before it is known whether they can be kept.
+            if warm || feasible(&best) || within(&start) {
+                keep(self.solve(&start, false, interrupt), &mut best);
+                if feasible(&best) {
+                    continue;
+                }
             }
-            // From where the violations are least the limits may be kept after all.
-            let found = self.solve(start, true, interrupt);
+            let found = self.solve(&start, true, interrupt);
             let (violation, x) = (self.violation(&found), found.x.clone());
             keep(found, &mut best);
-            keep(self.solve(&x, false, interrupt), &mut best);
-            // Two starts that end with the same conflict of limits: there is no more to find.
-            if !feasible(&best) && least.is_some_and(|l| (violation - l).abs() <= ALIKE * l) {
+            // From where the violations are least the limits may be kept after all.
+            if violation <= NEARLY {
+                keep(self.solve(&x, false, interrupt), &mut best);
+            }
+            if !warm && !feasible(&best) && least.is_finite() && (violation - least).abs() <= ALIKE * least {
                 break;
             }
-            least = Some(violation);
+            least = least.min(violation);
         }
-        best.unwrap_or_else(|| self.judge(begin.first().map_or(at, |b| b), Status::Infeasible, None))
+        best.unwrap_or_else(|| self.judge(at, Status::Infeasible, None))
     }
 
     /// The local optimum at the axes `at` that is found from the free inputs of `x` (all factors).
@@ -163,7 +171,9 @@ impl Setting<'_> {
 
     /// Sum of the violations, each in its scale.
     fn violation(&self, o: &CellOptimum) -> f64 {
-        let sum: f64 = self.sides.iter().zip(&o.prices).map(|(s, p)| (p.passed / s.scale).max(0.0)).sum();
+        // What is no number is no room.
+        let of = |passed: f64| if passed.is_nan() { f64::INFINITY } else { passed.max(0.0) };
+        let sum: f64 = self.sides.iter().zip(&o.prices).map(|(s, p)| of(p.passed / s.scale)).sum();
         if sum.is_finite() { sum } else { f64::INFINITY }
     }
 

@@ -156,7 +156,8 @@ pub fn solve(
         .map(|k| setting.optimise(&place(axes, k), spec.starts, &[], seed, &|| interrupt()))
         .collect();
     let agree = spec.smooth > 0.0 && spec.whole.is_none();
-    // A neighbour may have found a better valley. Where cells have to agree on their valleys, that is where they begin.
+    // A neighbour may have found a better valley. Cells that have to agree on their valleys are sought from their neighbours there, and
+    // the pass is theirs only where they keep no limits.
     let second: Vec<CellOptimum> = (0..n)
         .into_par_iter()
         .map(|k| {

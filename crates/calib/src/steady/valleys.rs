@@ -18,8 +18,8 @@ use rayon::prelude::*;
 use super::cell::{CellOptimum, Setting};
 use super::grid::{Cell, CellState, neighbours};
 
-/// Times that cells are sought again from where their neighbours stand by then.
-const ROUNDS: usize = 3;
+/// Most times that cells are sought again from neighbours that have moved: what one of them found goes on by one cell each time.
+const ROUNDS: usize = 12;
 /// Turns of the choice in a round.
 const TURNS: usize = 20;
 
@@ -40,7 +40,7 @@ pub fn agree(
     let mut choices: Vec<Vec<CellOptimum>> = vec![Vec::new(); cells.len()];
     // Where each cell stood when its neighbours were sought from there.
     let mut sought: Vec<Option<Vec<f64>>> = vec![None; cells.len()];
-    for _ in 0..ROUNDS {
+    for round in 0..ROUNDS {
         let now: &[Cell] = cells;
         let stays = |j: usize| sought[j].as_ref() == Some(&now[j].optimum.x);
         choices.par_iter_mut().enumerate().filter(|(k, _)| optimal(now, *k)).for_each(|(k, choices)| {
@@ -48,10 +48,11 @@ pub fn agree(
             choices.extend(found(setting, &now[k], news, interrupt));
         });
         sought = now.iter().map(|c| Some(c.optimum.x.clone())).collect();
+        let mut changed = false;
         for (cell, found) in cells.iter_mut().zip(&mut choices) {
-            good_enough(setting, cell, found, smooth);
+            changed |= good_enough(setting, cell, found, smooth, round == 0);
         }
-        let changed = choose(setting, &around, &choices, cells);
+        changed |= choose(setting, &around, &choices, cells);
         moved |= changed;
         if !changed || interrupt() {
             break;
@@ -73,17 +74,25 @@ fn found<'a>(
 }
 
 /// Of what a cell may hold that which is good enough beside the best that is known of it by now; what it holds itself may have become too
-/// dear, and then it holds the best.
-fn good_enough(setting: &Setting, cell: &mut Cell, found: &mut Vec<CellOptimum>, smooth: f64) {
+/// dear, and then it holds the best, with which all begin (`first`). Whether it moved.
+fn good_enough(
+    setting: &Setting,
+    cell: &mut Cell,
+    found: &mut Vec<CellOptimum>,
+    smooth: f64,
+    first: bool,
+) -> bool {
     let Some(best) = found.iter().min_by(|a, b| setting.cost(a).total_cmp(&setting.cost(b))).cloned() else {
-        return;
+        return false;
     };
     cell.best = cell.best.min(setting.cost(&best));
     let allowed = cell.best + smooth * best.objective.abs();
-    if setting.cost(&cell.optimum) > allowed {
+    found.retain(|o| setting.cost(o) <= allowed);
+    let dear = setting.cost(&cell.optimum) > if first { setting.cost(&best) } else { allowed };
+    if dear {
         cell.optimum = best;
     }
-    found.retain(|o| setting.cost(o) <= allowed);
+    dear
 }
 
 /// Squared distance of two settings, free inputs in shares of their ranges.

@@ -258,13 +258,21 @@ impl Lines<'_> {
         knots: &[Vec<f64>],
     ) -> Result<(), MapError> {
         let (n, drift) = (self.layout.axes, self.drift.get(l).filter(|d| d.corrected));
-        let room = |w: &&&Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
-        let used: Vec<&Window> = rows.iter().filter(room).copied().collect();
+        let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
+        let used: Vec<&Window> = rows.iter().copied().filter(|w| room(w)).collect();
         let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
         let mut missed = Missed::default();
         let say = models_say(self.layout, self.setting, drive, &factors)?;
         let mut slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
-        steepen(&mut slopes, &self.answers(l, drive, &used), 1.5 * self.spec.bed.approach.window_s);
+        // Between all windows of a way: those beside one that counts may not count themselves.
+        let measured = measured_slopes(&self.answers(l, drive, rows), 1.5 * self.spec.bed.approach.window_s);
+        for (slope, m) in
+            slopes.iter_mut().zip(rows.iter().zip(&measured).filter(|(w, _)| room(w)).map(|(_, m)| m))
+        {
+            if *m > STEEPER * *slope {
+                *slope = *m;
+            }
+        }
         for ((w, model), slope) in used.into_iter().zip(say).zip(slopes) {
             let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s));
             let r = drive.missed_by(w.row.responses[l] - gone, model);
@@ -284,6 +292,8 @@ impl Lines<'_> {
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
 /// within it is less than its map misses.
 const ASIDE: f64 = 0.05;
+/// By how much a measured slope has to be steeper than that of the map to be taken: scatter alone makes it no more.
+const STEEPER: f64 = 2.0;
 /// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
 const ANSWERED: f64 = 0.1;
 /// Share by which a demand is moved to see what its input does.
@@ -381,23 +391,26 @@ struct Answer {
     input: f64,
 }
 
-/// Takes in place of the map's own slopes those that were measured between windows of one way that are less than `apart_s` apart, where
-/// they are steeper: where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
+/// Steepest slope of the input over the demand, both as shares, from each window to those beside it on its way that are no more than `apart_s`
+/// apart; 0 where none is. Where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
 /// and what they miss is no matter.
-fn steepen(slopes: &mut [f64], answers: &[Answer], apart_s: f64) {
+fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
     let share = |a: f64, b: f64| (a / b).ln().abs();
+    let mut slopes = vec![0.0; answers.len()];
     for (i, w) in answers.windows(2).enumerate() {
         let (a, b) = (&w[0], &w[1]);
-        let asked = share(b.asked, a.asked);
+        let (asked, got) = (share(b.asked, a.asked), share(b.got, a.got));
         // Not a number where there is no logarithm.
-        if a.way != b.way || b.at_s - a.at_s > apart_s || asked.is_nan() || asked == 0.0 {
+        let stands = asked.is_nan() || got.is_nan() || asked == 0.0;
+        if a.way != b.way || b.at_s - a.at_s > apart_s || stands {
             continue;
         }
-        let found = share(b.input, a.input) / share(b.got, a.got).max(ANSWERED * asked);
+        let found = share(b.input, a.input) / got.max(ANSWERED * asked);
         if found.is_finite() {
-            slopes[i..=i + 1].iter_mut().for_each(|s| *s = s.max(found));
+            slopes[i..=i + 1].iter_mut().for_each(|s: &mut f64| *s = s.max(found));
         }
     }
+    slopes
 }
 
 /// What the models expect of all responses.
@@ -429,16 +442,19 @@ mod tests {
         let coming = (6..9).map(|k| at(k, false, 0.98 - 0.05 * (k - 6) as f64, 6.0 - 1.2 * (k - 6) as f64));
         // The last one is of another time: nothing is measured from it to the one before.
         let answers: Vec<Answer> = going.into_iter().chain(coming).chain([at(20, false, 0.5, 0.7)]).collect();
-        let mut slopes = vec![1.0; answers.len()];
-        steepen(&mut slopes, &answers, 3.0);
+        let slopes = measured_slopes(&answers, 3.0);
         // d log u / d log y of the law is (exp(u) - 1) / u: 1.3 where u is 0.5, 4 where it is 2.25.
         assert!((1.2..1.7).contains(&slopes[0]) && (2.5..4.0).contains(&slopes[5]), "{slopes:?}");
         assert!(slopes[6..9].iter().all(|s| *s > 10.0), "{slopes:?}");
-        assert_eq!(slopes[9], 1.0);
+        assert_eq!(slopes[9], 0.0);
         // A demand that stands still says nothing, and what has no logarithm neither.
-        let mut still = [0.1, 0.1];
-        steepen(&mut still, &[at(0, true, 0.5, 0.5), at(1, true, 0.5, 0.9)], 3.0);
-        steepen(&mut still, &[at(0, true, -0.5, 0.5), at(1, true, 0.5, 0.9)], 3.0);
-        assert_eq!(still, [0.1, 0.1]);
+        let pair = |asked: f64, got: f64| {
+            let first = Answer { asked, got, ..at(0, true, 0.5, 0.5) };
+            measured_slopes(&[first, at(1, true, 0.5, 0.9)], 3.0)
+        };
+        for (asked, got) in [(0.5, 0.4), (-0.5, 0.4), (0.4, -0.4)] {
+            assert_eq!(pair(asked, got), [0.0, 0.0]);
+        }
+        assert!(pair(0.4, 0.4)[0] > 1.0);
     }
 }

@@ -22,9 +22,9 @@ pub(super) const LAGS_S: [f64; 8] = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.
 pub(super) const AHEADS_S: [f64; 7] = [0.02, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12];
 pub(super) const CLOSED_S: [f64; 5] = [0.3, 0.8, 2.0, 5.0, 12.0];
 /// Beyond the seed of the first records: other disturbances.
-const REPEATED: u64 = 500;
+pub(super) const REPEATED: u64 = 500;
 /// And from one of the records that ours drives to the next one.
-const APART: u64 = 100;
+pub(super) const APART: u64 = 100;
 /// Names of ours: the one that is judged, and the same without what the sensor shows.
 pub(super) const OURS: &str = "identified air and film, lambda trim";
 pub(super) const UNTRIMMED: &str = "identified air and film";

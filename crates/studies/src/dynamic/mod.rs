@@ -94,7 +94,7 @@ fn tasks(o: &Options) -> Vec<Task> {
         let name = format!("3-{}-{seed}", engine.replace(':', "-"));
         Task {
             name: name.clone(),
-            inputs: json!([3, engine, seed, reduced, contest::AHEADS_S, contest::CLOSED_S]),
+            inputs: json!([3, engine, seed, reduced, contest::AHEADS_S, contest::CLOSED_S, boost::TRIED]),
             run: Box::new(move |around: &Surroundings| {
                 let watch = around.watch;
                 watch.note(&format!("{engine}, seed {seed}, scenarios 3 and 4: records, searches, tip-ins"));

@@ -106,7 +106,7 @@ fn task(
     Task {
         name: name.clone(),
         // The last says what a case records, so that results of another form are not taken over.
-        inputs: json!([parameters, seed, counts, plan, e.text, "confirmed"]),
+        inputs: json!([parameters, seed, counts, plan, e.text, "confirmed", truth::WARM_S]),
         run: Box::new(move |around: &Surroundings| {
             let case = case(&name, e.text, &parameters, seed, counts, plan, around)?;
             serde_json::to_value(case)

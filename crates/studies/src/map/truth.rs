@@ -109,8 +109,8 @@ const AVERAGE_S: f64 = 2.0;
 const LONGER: f64 = 3.0;
 /// Wait with the maps alone in s.
 const OPEN_S: f64 = 10.0;
-/// How long an unseen point is held before it is judged, in s: the oil is minutes behind, and warmer oil turns more easily.
-const WARM_S: f64 = 150.0;
+/// How long an unseen point is held before it is judged, in s: the oil is a minute and more behind, and warmer oil turns more easily.
+pub(super) const WARM_S: f64 = 150.0;
 
 impl<'a> Quiet<'a> {
     fn new(spec: &MapSpec, found: &'a Mapped, watch: Watch<'a>) -> Result<Self, String> {
@@ -289,7 +289,7 @@ impl<'a> Truth<'a> {
         order.into_iter().map(|k| places[k].clone()).collect()
     }
 
-    /// The maps at the axes `at`, everything as warm as it stays there; the engine then stands where the loops held it.
+    /// The maps at the axes `at`, everything nearly as warm as it stays there; the engine then stands where the loops held it.
     fn held(&self, engine: &mut Quiet, at: &[f64]) -> Result<Held, String> {
         let x = interpolate(&self.axes, &self.found.cells, at);
         let approach = engine.approach.clone();

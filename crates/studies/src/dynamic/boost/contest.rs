@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::super::bed::SAMPLE_S;
-use super::super::contest::{AHEADS_S, CLOSED_S, Ended};
+use super::super::contest::{AHEADS_S, APART, CLOSED_S, Ended, REPEATED};
 use super::super::measures::integral_s;
 use super::bed::{Course, MOST_MG, Trace, bed, play};
 use super::control::{Driver, Fuel, PRODUCTION, Path, Setting};
@@ -34,7 +34,7 @@ const TORQUE_NM: (f64, f64) = (22.0, 250.0);
 const SPEED_RPM: (f64, f64) = (1600.0, 2150.0);
 const HOLD_S: f64 = 4.0;
 /// Records: the first driver's, and those that ours drives with what it knows by then.
-const RECORDS: usize = 3;
+pub(super) const RECORDS: usize = 3;
 /// Greatest pressure of an extrapolation in kPa; pressure before a throttle that stands still.
 const MOST_KPA: f64 = 240.0;
 const AMBIENT_KPA: f64 = 101.325;
@@ -130,8 +130,7 @@ impl Contest {
         let shown = |t: &Trace, c: &Course| integral_s(&t.lambda) / c.length_s();
         let by_first = shown(&traces[0], &courses[0]);
         for (k, course) in courses.iter().enumerate().skip(1) {
-            // Other disturbances than those of any record or tip-in.
-            let seed = self.seed + 400 + 100 * k as u64;
+            let seed = self.seed + REPEATED + APART * (k - 1) as u64;
             let policy = FuelPolicy::new(start.clone(), MOST_MG);
             let mut by_ours =
                 self.driver(Some(&start), ours, Fuel::Policy { policy: Box::new(policy), trimmed: false });

@@ -12,7 +12,7 @@ use super::control::{Fuel, PRODUCTION, Setting};
 /// Retards that are tried in deg, how often the way back to the one before is halved then, and the knock index that a tip-in may
 /// show: the onset less what other cycles may add.
 const RETARDS_DEG: [f64; 8] = [0.0, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0];
-const HALVINGS: usize = 2;
+pub(super) const HALVINGS: usize = 2;
 const KNOCK: f64 = 0.95;
 /// Wastegate at rest that is tried, in mm, widest first, and moves of the cams in deg.
 const RESTS_MM: [f64; 5] = [14.0, 10.0, 7.0, 4.0, 0.0];
