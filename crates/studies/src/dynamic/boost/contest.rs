@@ -33,11 +33,6 @@ const TORQUES_NM: [f64; 10] = [15.0, 33.0, 60.0, 90.0, 120.0, 150.0, 180.0, 210.
 const TORQUE_NM: (f64, f64) = (22.0, 250.0);
 const SPEED_RPM: (f64, f64) = (1600.0, 2150.0);
 const HOLD_S: f64 = 4.0;
-/// Number of the record in which cams are moved.
-pub(super) const MOVES: usize = 1;
-/// Most that cams are moved from where they are commanded in a hold of the second record, in deg: what searches try. Where the searches
-/// leave the cams alone nothing else tells their charge from the timing of the air.
-const MOVED_DEG: f64 = 8.0;
 /// Records: the first driver's, and those that ours drives with what it knows by then.
 pub(super) const RECORDS: usize = 3;
 /// Greatest pressure of an extrapolation in kPa; pressure before a throttle that stands still.
@@ -139,7 +134,6 @@ impl Contest {
             let policy = FuelPolicy::new(start.clone(), MOST_MG);
             let mut by_ours =
                 self.driver(Some(&start), ours, Fuel::Policy { policy: Box::new(policy), trimmed: false });
-            let course = &self.moved(course, k);
             let mut next = self.played(seed, course, &mut by_ours)?;
             // An identification that drives worse than the first driver must not make the record of the next one.
             if !(shown(&next, course) <= by_first) {
@@ -162,23 +156,6 @@ impl Contest {
             search_s: [production_s, ours_s],
             rows,
         })
-    }
-
-    /// The second record with its cams moved in each hold. Rivals know nothing of cams: theirs are the charges of the others.
-    fn moved(&self, course: &Course, record: usize) -> Course {
-        let mut out = course.clone();
-        if self.reduced || record != MOVES {
-            return out;
-        }
-        let mut rng = Rng64::stream(self.seed, 35);
-        let mut now = [0.0; 2];
-        for t in 0..out.torque_nm.len() {
-            if t == 0 || out.switches.contains(&t) {
-                now = [0, 1].map(|_| rng.uniform_in(-MOVED_DEG, MOVED_DEG));
-            }
-            out.moved_deg.push(now);
-        }
-        out
     }
 
     /// Torques and speeds drawn and held; each other one is a low torque, so that boost is built and let go.
@@ -218,9 +195,7 @@ impl Contest {
     ) -> Result<Known, Ended> {
         let fuelling = identified(courses, traces, interrupted)?;
         let views: Vec<_> = courses.iter().zip(traces).map(|(c, t)| view(c, t)).collect();
-        let others: Vec<_> =
-            (0..views.len()).filter(|k| self.reduced || *k != MOVES).map(|k| views[k]).collect();
-        let (charge, law) = fuelling::steady_charge(&others).map_err(ended)?;
+        let (charge, law) = fuelling::steady_charge(&views).map_err(ended)?;
         let ecu = |charge, law| SpeedDensity {
             sample_time_s: SAMPLE_S,
             charge,
