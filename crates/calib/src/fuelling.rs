@@ -48,7 +48,10 @@ pub use coolant::{Air, CoolantLaw};
 pub use feedback::Feedback;
 pub use filling::{Filling, FillingState};
 pub use film::{Film, FilmState};
-pub use identify::{FuellingError, TransientRecord, identify, identify_without_film, steady_charge};
+pub use identify::{
+    FuellingError, SteadyPoint, TransientRecord, identify, identify_with, identify_without_film,
+    steady_charge, steady_charge_with,
+};
 pub use learning::Learning;
 pub use policy::{FuelPolicy, Sensed};
 pub use speed_density::{Coat, SpeedDensity, SpeedDensityState};

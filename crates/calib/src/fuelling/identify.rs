@@ -7,9 +7,11 @@ mod loss;
 mod moved;
 mod record;
 mod search;
+mod steady;
 mod worth;
 
 pub use record::TransientRecord;
+pub use steady::SteadyPoint;
 
 use super::adapt::Left;
 use super::charge::Charge;
@@ -94,16 +96,11 @@ const LAW: usize = 5;
 /// Temperature of a coolant in K: gas that becomes a kelvin warmer is one over that thinner.
 const COOLANT_K: f64 = 340.0;
 
-/// Means of a stretch at rest.
-struct Rested {
-    speed_rpm: f64,
-    map_kpa: f64,
-    throttle_deg: f64,
-    /// Fuel that would make lambda 1.
-    fuel: f64,
-    coolant_c: f64,
-    upstream_kpa: f64,
-    cams_deg: Option<[f64; 2]>,
+/// What is identified from: records of one engine, and steady points that were measured beside them.
+#[derive(Clone, Copy)]
+struct Measured<'a> {
+    records: &'a [TransientRecord<'a>],
+    steady: &'a [SteadyPoint],
 }
 
 /// Identifies charge, filling, film and timing from records that were made with one engine; where the coolant is given and its
@@ -115,7 +112,26 @@ pub fn identify(
     records: &[TransientRecord<'_>],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    identified(records, true, interrupt)
+    identify_with(records, &[], interrupt)
+}
+
+/// The same with steady points of the engine beside the records: those of its steady map, whose pressures and loads a short record does not
+/// reach. Throttle and charge go by them as by the rests of the records, and in the last searches each counts as a second of a record,
+///
+/// ```text
+/// sum over samples of l(1/lambda - 1/lambda shown)^2  +  sum over points of (1 s / dt) l(fuel / c - 1)^2
+/// ```
+///
+/// with l as all errors count (large ones by their logarithm), and c the charge at the speed, pressure, coolant and cams of the point.
+///
+/// # Errors
+/// [`FuellingError`]; [`FuellingError::Channel`] for a point that is no number, or that has no cams where the records have them.
+pub fn identify_with(
+    records: &[TransientRecord<'_>],
+    steady: &[SteadyPoint],
+    interrupt: &(dyn Fn() -> bool + Sync),
+) -> Result<Fuelling, FuellingError> {
+    identified(Measured { records, steady }, true, interrupt)
 }
 
 /// The same as if all fuel went into the cylinder at once: what a model without a film makes of the records.
@@ -126,29 +142,30 @@ pub fn identify_without_film(
     records: &[TransientRecord<'_>],
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    identified(records, false, interrupt)
+    identified(Measured { records, steady: &[] }, false, interrupt)
 }
 
 fn identified(
-    records: &[TransientRecord<'_>],
+    measured: Measured<'_>,
     with_film: bool,
     interrupt: &(dyn Fn() -> bool + Sync),
 ) -> Result<Fuelling, FuellingError> {
-    let rested = rested(records)?;
+    let records = measured.records;
+    let rested = rested(records, measured.steady)?;
     let mut start = started(records, &rested)?;
     if !with_film {
         start.film.share = 0.0;
     }
     let start = filled(records, &rested, start, interrupt)?;
-    let found = corrected(records, &start, interrupt)?;
-    let mut found = chosen(records, &rested, found, interrupt)?;
+    let found = corrected(measured, &start, interrupt)?;
+    let mut found = chosen(measured, &rested, found, interrupt)?;
     // The policy fills the manifold by the charge that the mixture gave: so must the pressure that this charge was found with.
     for round in 1..=ROUNDS {
         found = refilled(records, &rested, found, interrupt)?;
         let loss = Loss::of_left(records, &found);
         // What is expected before any record is weighed by the errors as they count now.
         let begun = Fuelling { rms: loss.rms(records, &found), ..found };
-        let by = |effort| mixed_by(records, (&begun, &begun), &|_| true, effort, interrupt);
+        let by = |effort| mixed_by(measured, (&begun, &begun), &|_| true, effort, interrupt);
         found = match by((if round == ROUNDS { Effort::Delivered } else { Effort::Compared }, loss)) {
             // Hardly anything tells: then as models are chosen.
             Err(FuellingError::Search { .. }) => by((Effort::Delivered, Loss::CHOOSING))?,
@@ -157,7 +174,7 @@ fn identified(
     }
     let left: Vec<_> = records.iter().map(|r| residual(r, &found)).collect();
     found.left = Left::of(&left, found.sample_time_s);
-    found.trim = Trim::suited(&left_apart(records, &found, interrupt)?, found.sample_time_s);
+    found.trim = Trim::suited(&left_apart(measured, &found, interrupt)?, found.sample_time_s);
     found.rms = Loss::CHOOSING.rms(records, &found);
     Ok(found)
 }
@@ -165,16 +182,17 @@ fn identified(
 /// What is left of each half of the blocks of the records by the model that is fitted to the other one: a trim has to take out what a model
 /// leaves where it was not fitted, and there errors stay that its fit takes out of its own record.
 fn left_apart(
-    records: &[TransientRecord<'_>],
+    measured: Measured<'_>,
     found: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Vec<(Vec<f64>, usize)>, FuellingError> {
+    let records = measured.records;
     let samples = length(records);
     let mut out: Vec<(Vec<f64>, usize)> = records.iter().map(|r| residual(r, found)).collect();
     let loss = Loss::of_left(records, found);
     for odd in [0, 1] {
         let apart = |t: usize| block(t, samples) % 2 == odd;
-        let fitted = mixed_by(records, (found, found), &|t| !apart(t), (Effort::Judged, loss), interrupt)?;
+        let fitted = mixed_by(measured, (found, found), &|t| !apart(t), (Effort::Judged, loss), interrupt)?;
         let mut first = 0;
         for (r, (errors, _)) in records.iter().zip(&mut out) {
             let half = residual(r, &fitted).0;
@@ -189,7 +207,7 @@ fn left_apart(
 /// Which correction of the filling suits is what the lambda that was measured says. All manifolds are those of the charge of the start;
 /// each search begins where the one before it ended.
 fn corrected(
-    records: &[TransientRecord<'_>],
+    measured: Measured<'_>,
     start: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
@@ -198,7 +216,7 @@ fn corrected(
     for correction_per_s in CORRECTIONS {
         let filling = Filling { correction_per_s, ..start.filling.clone() };
         let tried = Fuelling { filling, ..start.clone() };
-        last = mixed(records, &tried, &last, Effort::Compared, interrupt)?;
+        last = mixed(measured, &tried, &last, Effort::Compared, interrupt)?;
         if best.as_ref().is_none_or(|b| last.rms < b.rms) {
             best = Some(last.clone());
         }
@@ -206,18 +224,38 @@ fn corrected(
     best.ok_or(FuellingError::Interrupted)
 }
 
-/// The charge from the ends of holds alone, by the pressure that is measured there, and what the coolant makes of it.
+/// The charge from the ends of holds alone, by the pressure that is measured there, with what cams do to it where the holds tell, and what
+/// the coolant makes of it.
 ///
 /// # Errors
 /// [`FuellingError::Channel`], [`FuellingError::Records`], [`FuellingError::Rests`], [`FuellingError::Linalg`].
 pub fn steady_charge(records: &[TransientRecord<'_>]) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
-    charge_at_rest(records, &rested(records)?)
+    steady_charge_with(records, &[])
+}
+
+/// The same with steady points that were measured beside the records.
+///
+/// # Errors
+/// As of [`steady_charge`]; those of points as of [`identify_with`].
+pub fn steady_charge_with(
+    records: &[TransientRecord<'_>],
+    steady: &[SteadyPoint],
+) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
+    charge_of_rests(records, &rested(records, steady)?)
+}
+
+fn charge_of_rests(
+    records: &[TransientRecord<'_>],
+    rested: &[SteadyPoint],
+) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
+    let (charge, coolant) = charge_at_rest(records, rested)?;
+    let moved = moved_at_rest(records, rested, (&charge, coolant.as_ref()))?;
+    Ok((moved.unwrap_or(charge), coolant))
 }
 
 /// Where the searches begin: the charge at rest, a cycle of transport, as much through volumes, half of it mixed, and a film of some cycles.
-fn started(records: &[TransientRecord<'_>], rested: &[Rested]) -> Result<Fuelling, FuellingError> {
-    let (charge, coolant) = charge_at_rest(records, rested)?;
-    let charge = moved_at_rest(records, rested, (&charge, coolant.as_ref()))?.unwrap_or(charge);
+fn started(records: &[TransientRecord<'_>], rested: &[SteadyPoint]) -> Result<Fuelling, FuellingError> {
+    let (charge, coolant) = charge_of_rests(records, rested)?;
     let speeds = || records.iter().flat_map(|r| r.speed_rpm);
     let cycle_s = 120.0 * speeds().count() as f64 / speeds().sum::<f64>();
     let flow = charge.flow(charge.speed_rpm[0], charge.pressure_kpa[0]).max(1e-9);
@@ -257,18 +295,18 @@ fn length(records: &[TransientRecord<'_>]) -> usize {
 
 /// Film, timing, law and charge, by the lambda of the records: the manifold is that of `start`, the search begins at `from`.
 fn mixed(
-    records: &[TransientRecord<'_>],
+    measured: Measured<'_>,
     start: &Fuelling,
     from: &Fuelling,
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    mixed_by(records, (start, from), &|_| true, (effort, Loss::CHOOSING), interrupt)
+    mixed_by(measured, (start, from), &|_| true, (effort, Loss::CHOOSING), interrupt)
 }
 
 /// The same by the samples of all records that `counts` takes.
 fn mixed_by(
-    records: &[TransientRecord<'_>],
+    Measured { records, steady }: Measured<'_>,
     (start, from): (&Fuelling, &Fuelling),
     counts: &(dyn Fn(usize) -> bool + Sync),
     (effort, loss): (Effort, Loss),
@@ -280,7 +318,9 @@ fn mixed_by(
     let expected = prior(start);
     let errors = |x: &[f64], out: &mut [f64]| {
         let f = taken(x, start);
-        let (out, beside) = out.split_at_mut(samples);
+        let (out, rest) = out.split_at_mut(samples);
+        let (points, beside) = rest.split_at_mut(steady.len());
+        steady::unexplained(steady, &f, loss, points);
         beside.iter_mut().zip(&expected).for_each(|(e, (at, weight))| *e = weight * x[*at]);
         let timing = &f.timing;
         // Where nothing tells of a film its share runs away, and one of 0 has other parameters.
@@ -290,13 +330,15 @@ fn mixed_by(
         }
         unexplained(records, &pressures, &f, loss, out);
         out.iter_mut().enumerate().filter(|(t, _)| !counts(*t)).for_each(|(_, e)| *e = 0.0);
-        out.iter().all(|e| e.is_finite())
+        out.iter().chain(points.iter()).all(|e| e.is_finite())
     };
     let slopes = |x: &[f64], out: &mut [Vec<f64>]| {
-        unexplained_slopes(records, &pressures, &taken(x, start), loss, out);
+        let f = taken(x, start);
+        unexplained_slopes(records, &pressures, &f, loss, out);
         out.iter_mut().for_each(|c| (0..samples).filter(|t| !counts(*t)).for_each(|t| c[t] = 0.0));
+        steady::unexplained_slopes(steady, &f, loss, samples, out);
     };
-    let rows = samples + expected.len();
+    let rows = samples + steady.len() + expected.len();
     let by = (&errors as Errors<'_>, Some((start.charge.coefficients.len(), &slopes as Slopes<'_>)));
     let found = searched("film and timing", by, rows, &given(from), effort, interrupt)?;
     Ok(Fuelling { rms: (found.cost / counted.max(1) as f64).sqrt(), ..taken(&found.x, start) })

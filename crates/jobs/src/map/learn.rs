@@ -120,7 +120,10 @@ pub(super) fn learn(
         watch.note(&format!("response model of {}", r.name));
         let table = table(layout, points, drift, k);
         let refused = |source: ResponseError| MapError::Learn { response: r.name.clone(), source };
-        let by = if r.weight != 0.0 { errors_of(spec.errors, &table.y) } else { Errors::Absolute };
+        let driven = matches!(r.source, ResponseSource::Driven(_));
+        // An opening goes through a decade: a model that is some degrees off everywhere knows nothing of the lower end of its range.
+        let asked = if driven { Errors::Relative } else { spec.errors };
+        let by = if driven || r.weight != 0.0 { errors_of(asked, &table.y) } else { Errors::Absolute };
         let Chosen { learnt, rmse, widen, words } =
             choose(&kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
@@ -141,7 +144,6 @@ pub(super) fn learn(
         };
         let near = |limit: f64| (limit - mean).abs() < 6.0 * spread;
         // The map of an input that a loop drives is trimmed by its loop: a rough model is said, not refused.
-        let driven = matches!(r.source, ResponseSource::Driven(_));
         let matters = !driven && (r.weight != 0.0 || [r.lower, r.upper].into_iter().flatten().any(near));
         if matters && found.explained() < SIGNAL {
             return Err(MapError::NoSignal {

@@ -19,6 +19,7 @@ pub mod inverse;
 pub mod job;
 mod journal;
 mod learn;
+pub mod lines;
 pub mod loops;
 mod optimum;
 pub mod page;
@@ -31,6 +32,7 @@ pub mod store;
 pub mod sweep;
 mod verdict;
 mod verify;
+mod walk;
 pub mod work;
 
 use dynocal_files::run_folder::RunFolder;

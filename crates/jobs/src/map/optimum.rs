@@ -16,9 +16,9 @@ use super::cells::{actuators, missed};
 use super::edits;
 use super::error::MapError;
 use super::front::Maps;
+use super::lines::Lines;
 use super::result::{Delivered, Edit, MapAxis};
 use super::spec::MapSpec;
-use super::sweep::Lines;
 
 /// Maps as the models say.
 pub(super) struct Optimum {

@@ -127,6 +127,12 @@ fn swept(found: &Mapped, mut section: Section) -> Section {
             s.rows,
             s.bed_s / 60.0
         ));
+        if s.again > 0 {
+            section = section.text(format!(
+                "Parts of {} lines were gone along again, as their maps had become others by what the demand was found to reach.",
+                s.again
+            ));
+        }
         if s.at_ends > 0 {
             section = section.text(format!(
                 "In {} of the windows an input that a loop drives stood at the end of its range, so that the demand may not have been reached: what was reached there bounds the cells around.",

@@ -19,8 +19,8 @@ use dynocal_numerics::watch::Watch;
 use super::choose::{Chosen, choose};
 use super::error::MapError;
 use super::learn::kinds;
+use super::lines::Window;
 use super::spec::{Errors, ModelsSpec};
-use super::sweep::Window;
 
 /// What a demand reaches at the ends of its input.
 #[derive(Clone, Debug)]

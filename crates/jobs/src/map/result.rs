@@ -17,11 +17,11 @@ use serde::Serialize;
 use super::drive::Drive;
 use super::inverse::Inverse;
 use super::learn::Learned;
+use super::lines::Sweeps;
 use super::loops::InputLoop;
 use super::refine::Round;
 use super::setting::setting;
 use super::spec::MapSpec;
-use super::sweep::Sweeps;
 
 /// A cell with edits.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -145,10 +145,10 @@ impl Default for BedSpec {
 #[serde(rename_all = "snake_case")]
 pub enum Errors {
     /// Itself.
-    #[default]
     Absolute,
     /// Its share of what was measured: what is minimised differs by few percent between settings, and by multiples over the map.
-    /// Only for outputs that are positive everywhere.
+    /// Only for outputs that are positive everywhere; others by themselves.
+    #[default]
     Relative,
 }
 
@@ -184,8 +184,11 @@ impl Default for ModelsSpec {
         let polynomials =
             [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
         Self {
-            candidates: polynomials.into_iter().chain([kind("gaussian_process")]).collect(),
-            errors: Errors::Absolute,
+            candidates: polynomials
+                .into_iter()
+                .chain([kind("gaussian_process"), log(kind("gaussian_process"))])
+                .collect(),
+            errors: Errors::Relative,
             folds: 5,
             over: BTreeMap::new(),
         }

@@ -12,143 +12,18 @@
 //! A window counts where all demands were followed and the loop had room, and where the maps still go through it: what lines find at the ends
 //! of the driven inputs is learnt (`reach.rs`) and may move the optimum.
 //!
-//! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with g, so that the loops have only the rest to
-//! do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
-//! optimum only.
+//! How the bed goes along the lines: `lines.rs`.
 
 use dynocal_calib::steady::cell::Setting;
-use dynocal_calib::steady::day::Drift;
-use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::{FactorKind, Layout};
-use dynocal_calib::steady::station::{Leg, SweepRow};
 use dynocal_calib::steady::trim::{Along, Trim, finer};
-use dynocal_ident::model::response::{Ask, Prediction};
-use dynocal_numerics::watch::Watch;
-use serde::Serialize;
 
-use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
-use super::spec::{MapSpec, SweepSpec};
-
-/// What the sweeps were.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Sweeps {
-    /// Lines that were planned.
-    pub planned: usize,
-    /// Lines that were gone to their end.
-    pub whole: usize,
-    /// Windows that were measured.
-    pub rows: usize,
-    /// Windows in which a driven input stood at an end of its range: what was reached there bounds the cells around.
-    pub at_ends: usize,
-    /// Bed time in s.
-    pub bed_s: f64,
-    /// Lines that ended early, in words.
-    pub notes: Vec<String>,
-}
-
-/// Maps that are gone along.
-pub(super) struct Lines<'a> {
-    pub(super) spec: &'a MapSpec,
-    pub(super) layout: &'a Layout,
-    pub(super) setting: &'a Setting<'a>,
-    pub(super) axes: &'a [Vec<f64>],
-    pub(super) cells: &'a [Cell],
-    pub(super) drift: &'a [Drift],
-}
-
-/// A line: factors at its nodes along the first axis.
-struct Line {
-    /// Value of the other axis; none where there is none.
-    other: Option<f64>,
-    nodes: Vec<Vec<f64>>,
-    /// What the maps of the driven inputs say at the nodes, by loop.
-    driven: Vec<Vec<f64>>,
-}
-
-/// A window of a sweep.
-pub(super) struct Window {
-    line: usize,
-    /// 1: up the first axis; -1: down.
-    up: f64,
-    pub(super) row: SweepRow,
-}
-
-/// Bed time that the sweeps of a spec take, about.
-pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
-    let Some(s) = &spec.bed.sweep else { return 0.0 };
-    let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
-    let a = &spec.bed.approach;
-    // There and back, and to the next line: about half of the range, and half of the longest wait for its rest. Less here is time that the
-    // verification lacks, more is points that are not measured.
-    lines as f64 * (2.0 * s.pass_s + 0.5 * (a.ramp_s + a.settle_s) + a.average_s)
-}
-
-impl Window {
-    /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
-    pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
-        let mut at = self.row.factors[..layout.axes].to_vec();
-        let mut missed = false;
-        for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
-            if let FactorKind::Demand(l) = f.kind {
-                missed |= self.row.at_end[l] && !self.row.followed[l];
-                at[k] = self.row.asked[l];
-            }
-        }
-        missed.then_some(at)
-    }
-}
+use super::lines::{Lines, Window, models_say};
+use super::spec::SweepSpec;
 
 impl Lines<'_> {
-    /// Goes along all lines until `bed_s` is used up; nothing where the spec asks for none or the bed cannot.
-    ///
-    /// # Errors
-    /// [`MapError`].
-    pub(super) fn run(
-        &self,
-        bench: &mut dyn Bench,
-        drives: &[Drive],
-        bed_s: f64,
-        watch: Watch,
-    ) -> Result<Option<(Sweeps, Vec<Window>)>, MapError> {
-        let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
-        let lines = self.lines(spec, drives)?;
-        watch.note(&format!("{} lines of the maps on the bed", lines.len()));
-        let begun_s = bench.used_s();
-        let mut sweeps = Sweeps { planned: lines.len(), ..Sweeps::default() };
-        let mut rows: Vec<Window> = Vec::new();
-        for (k, line) in lines.iter().enumerate() {
-            if bench.used_s() >= bed_s {
-                sweeps
-                    .notes
-                    .push(format!("{} lines were left out: the bed time was used up", lines.len() - k));
-                break;
-            }
-            watch.fraction(k as f64 / lines.len() as f64);
-            let (from, legs) = self.path(line, bench.stands_at(), spec.pass_s);
-            let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(None) };
-            match &swept.touched {
-                Some(t) => sweeps.notes.push(format!("{} ended early: {}", self.named(line), t.words)),
-                None => sweeps.whole += 1,
-            }
-            let ends: Vec<f64> = [from[0]].into_iter().chain(legs.iter().map(|l| l.to[0])).collect();
-            let up = |leg: usize| (ends[leg + 1] - ends[leg]).signum();
-            let mut way = 0.0;
-            for row in swept.rows {
-                // The first window of a way is not yet behind by all of the lag.
-                let before = std::mem::replace(&mut way, up(row.leg));
-                if before == way {
-                    rows.push(Window { line: k, up: way, row });
-                }
-            }
-        }
-        sweeps.rows = rows.len();
-        sweeps.at_ends = rows.iter().filter(|w| w.row.at_end.contains(&true)).count();
-        sweeps.bed_s = bench.used_s() - begun_s;
-        Ok(Some((sweeps, rows)))
-    }
-
     /// Trims the maps of the driven inputs by what was measured along the lines.
     ///
     /// # Errors
@@ -160,76 +35,11 @@ impl Lines<'_> {
         drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &on_the_maps, &knots))
     }
 
-    /// Whether the maps go through what was measured in a window.
-    fn goes_through(&self, w: &Window) -> bool {
-        let n = self.layout.axes;
-        let here = interpolate(self.axes, self.cells, &w.row.factors[..n]);
-        let apart = self.layout.factors[n..].iter().zip(w.row.factors[n..].iter().zip(&here[n..]));
-        apart.into_iter().all(|(f, (a, b))| (a - b).abs() <= ASIDE * (f.upper - f.lower))
-    }
-
     fn knots(&self, spec: &SweepSpec) -> Vec<Vec<f64>> {
         let one = |(k, a): (usize, &Vec<f64>)| {
             finer(std::slice::from_ref(a), if k == 0 { 1 } else { spec.between })
         };
         self.axes.iter().enumerate().flat_map(one).collect()
-    }
-
-    fn named(&self, line: &Line) -> String {
-        let f = self.layout.factors.get(1);
-        match line.other.zip(f) {
-            Some((v, f)) => format!("the line at {} {v:.0} {}", f.name, f.unit),
-            None => "the line".into(),
-        }
-    }
-
-    /// Lines along the first axis, each as long as all cells around it hold an optimum.
-    fn lines(&self, spec: &SweepSpec, drives: &[Drive]) -> Result<Vec<Line>, MapError> {
-        let others: Vec<Option<f64>> = match self.axes.get(1) {
-            Some(a) => finer(std::slice::from_ref(a), spec.between)[0].iter().map(|v| Some(*v)).collect(),
-            None => vec![None],
-        };
-        let line = |other: Option<f64>| {
-            let place = |t: &f64| -> Vec<f64> { [*t].into_iter().chain(other).collect() };
-            let held = |at: &Vec<f64>| {
-                corners(self.axes, at).iter().all(|(k, _)| self.cells[*k].state == CellState::Optimal)
-            };
-            let all: Vec<Vec<f64>> = self.axes[0].iter().map(place).collect();
-            let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
-            let nodes: Vec<Vec<f64>> =
-                longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
-            let driven = drives
-                .iter()
-                .map(|d| models_say(self.layout, self.setting, d, &nodes))
-                .collect::<Result<_, _>>()?;
-            Ok(Line { other, nodes, driven })
-        };
-        let all: Vec<Line> = others.into_iter().map(line).collect::<Result<_, MapError>>()?;
-        Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
-    }
-
-    /// There and back, beginning at the nearer end.
-    fn path(&self, line: &Line, now: &[f64], pass_s: f64) -> (Vec<f64>, Vec<Leg>) {
-        let mut order: Vec<usize> = (0..line.nodes.len()).collect();
-        let far = |k: usize| (line.nodes[k][0] - now[0]).abs();
-        if far(order.len() - 1) < far(0) {
-            order.reverse();
-        }
-        let begin = line.nodes[order[0]].clone();
-        order.extend(order.clone().into_iter().rev().skip(1));
-        let axis = &self.axes[0];
-        let whole = axis[axis.len() - 1] - axis[0];
-        let leg = |w: &[usize]| {
-            let (a, b) = (&line.nodes[w[0]], &line.nodes[w[1]]);
-            // A model that says nothing there is not fed forward.
-            let change = |d: &Vec<f64>| Some(d[w[1]] - d[w[0]]).filter(|v| v.is_finite()).unwrap_or(0.0);
-            Leg {
-                to: b.clone(),
-                seconds: pass_s * (b[0] - a[0]).abs() / whole,
-                driven: line.driven.iter().map(change).collect(),
-            }
-        };
-        (begin, order.windows(2).map(leg).collect())
     }
 
     /// What windows say of how loop `l` was answered; nothing where its demand is no axis, or where its map is not relative.
@@ -289,9 +99,6 @@ impl Lines<'_> {
     }
 }
 
-/// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
-/// within it is less than its map misses.
-const ASIDE: f64 = 0.05;
 /// By how much a measured slope has to be steeper than that of the map to be taken: scatter alone makes it no more.
 const STEEPER: f64 = 2.0;
 /// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
@@ -321,9 +128,9 @@ impl Missed {
     /// How far each line is from what the others say of it, where there are others on both sides: rms of the trims along it, counted by
     /// what it does to the demand.
     fn between(&self, trim: &Trim) -> Option<f64> {
-        let last = *self.line.iter().max()?;
+        let (first, last) = (*self.line.iter().min()?, *self.line.iter().max()?);
         let (mut sum, mut n) = (0.0, 0.0);
-        for held in 1..last {
+        for held in first + 1..last {
             let without = Trim::with_lambda(&trim.axes, &self.without(held), trim.lambda);
             let Some(without) = without else { continue };
             for i in (0..self.line.len()).filter(|i| self.line[*i] == held) {
@@ -334,21 +141,6 @@ impl Missed {
         }
         (n > 0.0).then(|| (sum / n).sqrt())
     }
-}
-
-/// What the map of a driven input says at factors, all responses being as they are expected there.
-///
-/// # Errors
-/// As of [`Drive::at`].
-pub(super) fn models_say(
-    layout: &Layout,
-    setting: &Setting,
-    drive: &Drive,
-    factors: &[Vec<f64>],
-) -> Result<Vec<f64>, MapError> {
-    let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(setting, x)).collect();
-    let asked: Vec<(&[f64], &[f64])> = factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
-    Ok(drive.at(layout, &asked)?.into_iter().map(|v| v.value).collect())
 }
 
 /// What a share of its demand is in shares of the input of loop `l`, d log u / d log y, as the map says: an error of the input counts by what it
@@ -411,16 +203,6 @@ fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
         }
     }
     slopes
-}
-
-/// What the models expect of all responses.
-pub(super) fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
-    let mut at = Prediction::new(factors.len());
-    let one = |m: &&dyn dynocal_ident::model::response::Response| {
-        m.predict(factors, Ask::Mean, &mut at);
-        at.mean
-    };
-    setting.models.iter().map(one).collect()
 }
 
 #[cfg(test)]

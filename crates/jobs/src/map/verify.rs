@@ -15,7 +15,7 @@ use super::drive::{Drive, Driven};
 use super::error::MapError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
-use super::sweep;
+use super::{lines, sweep};
 
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
@@ -25,10 +25,16 @@ pub(super) fn share(spec: &MapSpec) -> f64 {
     spec.verify.points as f64 / spec.bed.points.max(1) as f64
 }
 
-/// Bed time in s that a point may take; none where there are no points.
-pub(super) fn longest_s(spec: &MapSpec) -> f64 {
+/// Bed time in s that a point may take.
+fn longest_s(spec: &MapSpec) -> f64 {
     let a = &spec.bed.approach;
-    if spec.verify.points == 0 { 0.0 } else { a.ramp_s + a.settle_s + a.average_s }
+    a.ramp_s + a.settle_s + a.average_s
+}
+
+/// Bed time in s that is kept beside that of the points: for the last one, which may take longest, and for one that has to be measured once
+/// more. Nothing where there are no points.
+pub(super) fn spare_s(spec: &MapSpec) -> f64 {
+    if spec.verify.points == 0 { 0.0 } else { 2.0 * longest_s(spec) }
 }
 
 /// What is verified.
@@ -56,7 +62,7 @@ impl Verification<'_> {
         let begun = points.len();
         let task = |x: &Vec<f64>| {
             // What the maps say is fed forward, as an ECU will: the loops have only the rest to do.
-            let say = |d: &Drive| sweep::models_say(self.layout, self.setting, d, std::slice::from_ref(x));
+            let say = |d: &Drive| lines::models_say(self.layout, self.setting, d, std::slice::from_ref(x));
             let driven = self.drives.iter().map(|d| Ok(say(d)?.first().copied().unwrap_or(f64::NAN)));
             let driven = driven.collect::<Result<_, MapError>>()?;
             Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven })
@@ -121,8 +127,9 @@ impl Verification<'_> {
             if found.len() == self.spec.verify.points {
                 break;
             }
-            let ranges = self.layout.factors[..n].iter().zip(sequence.next_point());
-            let at: Vec<f64> = ranges.map(|(f, u)| f.lower + u * (f.upper - f.lower)).collect();
+            // Within the axes: beyond them there is no map.
+            let ranges = self.axes.iter().zip(sequence.next_point());
+            let at: Vec<f64> = ranges.map(|(a, u)| a[0] + u * (a[a.len() - 1] - a[0])).collect();
             let around = corners(self.axes, &at);
             if around.iter().all(|(k, _)| self.cells[*k].state == CellState::Optimal) {
                 found.push(at);

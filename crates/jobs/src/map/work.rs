@@ -24,13 +24,14 @@ use super::error::MapError;
 use super::job::Job;
 use super::journal::{Journal, digests};
 use super::learn;
+use super::lines;
 use super::optimum::{Optimum, static_map};
-use super::reach::Reach;
 use super::refine::{Refined, Refinement};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
-use super::{edits, inverse, loops, sweep, verdict, verify};
+use super::walk::Walk;
+use super::{edits, inverse, loops, verdict, verify};
 
 /// Share of an axis by which points are planned beyond its ends.
 const BEYOND: f64 = 0.05;
@@ -149,7 +150,7 @@ impl Day<'_> {
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         // The verification comes last, and none of its points begins that may pass the end of the bed time.
-        let kept_s = sweep::expected_s(spec, &grid_axes) + verify::longest_s(spec);
+        let kept_s = lines::expected_s(spec, &grid_axes) + verify::spare_s(spec);
         // Its last point is one of the day's, too.
         let n = spec.bed.points as f64;
         let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
@@ -164,19 +165,13 @@ impl Day<'_> {
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
         let mut drives = drive::learn(layout, &points, spec, watch)?;
         bench.widen_limits(spec.verify.limit);
-        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::longest_s(spec);
+        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
         let until_s = budget_s - verify_s;
-        let swept = optimum.lines(spec, layout, &setting, &drift).run(bench, &drives, until_s, watch)?;
+        let walk = Walk { spec, layout, setting: &setting, models: &models, drift: &drift, drives: &drives };
+        let swept = walk.swept(&mut optimum, &points, bench, until_s, watch)?;
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
         let windows = windows.unwrap_or_default();
-        let missed: Vec<Vec<f64>> = windows.iter().filter_map(|w| w.missed(layout)).collect();
-        if !missed.is_empty()
-            && let Some(reach) = Reach::learn(layout, &points, &windows, &spec.models, watch)?
-        {
-            let within = super::setting::setting(layout, &models, Some(&reach), spec);
-            optimum.within_reach(spec, layout, (&setting, &within), &missed, watch);
-        }
         optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
         drive::fill(&drives, layout, &mut optimum.cells)?;
         if !windows.is_empty() {

@@ -125,7 +125,7 @@ fn maps_have_the_breakpoints_and_steps_of_an_ecu() {
 fn the_map_of_a_driven_input_is_that_of_the_closed_form() {
     let found = run_with(DAY, 1, Bench::new(0.0, Fault::None)).unwrap();
     let d = &found.drives[0];
-    assert!(d.input == "load" && d.relative && !d.rough() && d.error < 0.01, "{}", d.words());
+    assert!(d.input == "load" && d.relative && !d.rough() && d.error < 0.02, "{} {}", d.words(), d.choice);
     for c in found.cells.iter().filter(|c| c.state == CellState::Optimal) {
         let load = fuel(c.at[0], c.at[1], c.optimum.x[2], c.optimum.x[3], 0.0);
         let (got, d) = (c.optimum.responses[0], c.optimum.deviations[0]);
@@ -156,7 +156,8 @@ fn the_map_of_a_driven_input_is_that_of_the_closed_form() {
 /// rest is known in closed form.
 #[test]
 fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
-    let few = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 2 }, { kind = \"gaussian_process\" }]\n";
+    // A model that misses something.
+    let few = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 2 }]\n";
     let worst = |more: &str, noise: f64| {
         let found = run_with(&format!("{DAY}{more}{few}"), 4, Bench::new(noise, Fault::None)).unwrap();
         let axes: Vec<Vec<f64>> = found.axes.iter().map(|a| a.points.clone()).collect();
@@ -192,6 +193,8 @@ fn no_optimum_lies_where_a_line_found_the_load_at_its_end() {
     let few = "[models]\ncandidates = [{ kind = \"gaussian_process\" }]\n[bed.sweep]\npass_s = 20.0\n";
     for seed in 1..4 {
         let found = run_with(&format!("{DAY}{few}"), seed, Bench::new(0.5, Fault::Saturates)).unwrap();
+        let s = found.sweeps.as_ref().unwrap();
+        assert!(s.whole <= s.planned && found.bed.all_s() <= 3600.0, "{s:?} {:?}", found.bed);
         let mut near = 0;
         for c in found.cells.iter().filter(|c| c.state == CellState::Optimal) {
             let (spark, cam) = (c.optimum.x[2], c.optimum.x[3]);

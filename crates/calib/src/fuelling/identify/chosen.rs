@@ -3,11 +3,11 @@
 use super::filled::refilled;
 use super::follow::pressure;
 use super::moved::empty_cams;
-use super::record::TransientRecord;
 use super::search::Effort;
 use super::worth::{block, pays};
 use super::{
-    CORRECTIONS, FuellingError, Loss, Rested, corrected, has_film, length, mixed, mixed_by, unexplained,
+    CORRECTIONS, FuellingError, Loss, Measured, SteadyPoint, corrected, has_film, length, mixed, mixed_by,
+    unexplained,
 };
 use crate::fuelling::Fuelling;
 use crate::fuelling::cams::CamBends;
@@ -20,24 +20,24 @@ use crate::fuelling::film::Film;
 /// than the simpler one does that was fitted to the same halves ([`pays`]). The inverse of a film must be stable besides and not
 /// swing at any temperature of the records.
 pub(super) fn chosen(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    measured: Measured<'_>,
+    rested: &[SteadyPoint],
     found: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
     let mut best = Judged::of(found);
     // Cams first: what they do in a transient must not pass for a film. What rests have said of them needs no other proof.
     let known = best.fuelling.charge.cams.is_some();
-    let moved = if known { None } else { with_cams(records, rested, &best.fuelling, interrupt)? };
+    let moved = if known { None } else { with_cams(measured, rested, &best.fuelling, interrupt)? };
     if let Some(moved) = moved {
         let mut moved = Judged::of(moved);
-        let apart = best.left(records, Effort::Compared, interrupt)?;
-        if pays(apart, moved.left(records, Effort::Judged, interrupt)?) {
+        let apart = best.left(measured, Effort::Compared, interrupt)?;
+        if pays(apart, moved.left(measured, Effort::Judged, interrupt)?) {
             best = moved;
-            let mut bent = Judged::of(with_bends(records, rested, &best.fuelling, interrupt)?);
+            let mut bent = Judged::of(with_bends(measured, rested, &best.fuelling, interrupt)?);
             if pays(
-                best.left(records, Effort::Judged, interrupt)?,
-                bent.left(records, Effort::Judged, interrupt)?,
+                best.left(measured, Effort::Judged, interrupt)?,
+                bent.left(measured, Effort::Judged, interrupt)?,
             ) {
                 best = bent;
             }
@@ -48,14 +48,14 @@ pub(super) fn chosen(
     }
     let film = Film { share: 0.0, ..best.fuelling.film };
     let dry = Fuelling { film, ..best.fuelling.clone() };
-    let bare = mixed(records, &dry, &dry, Effort::Compared, interrupt)?;
+    let bare = mixed(measured, &dry, &dry, Effort::Compared, interrupt)?;
     if swings(&best.fuelling) {
         return Ok(bare);
     }
     // Behind the same manifold: what is judged is the film.
     let mut bare = Judged { start: dry, ..Judged::of(bare) };
-    let apart = bare.left(records, Effort::Compared, interrupt)?;
-    let film_pays = pays(apart, best.left(records, Effort::Judged, interrupt)?);
+    let apart = bare.left(measured, Effort::Compared, interrupt)?;
+    let film_pays = pays(apart, best.left(measured, Effort::Judged, interrupt)?);
     Ok(if film_pays { best.fuelling } else { bare.fuelling })
 }
 
@@ -74,12 +74,12 @@ impl Judged {
 
     fn left(
         &mut self,
-        records: &[TransientRecord<'_>],
+        measured: Measured<'_>,
         effort: Effort,
         interrupt: &dyn Fn() -> bool,
     ) -> Result<&[f64], FuellingError> {
         if self.left.is_none() {
-            self.left = Some(judged_apart(records, (&self.start, &self.fuelling), effort, interrupt)?);
+            self.left = Some(judged_apart(measured, (&self.start, &self.fuelling), effort, interrupt)?);
         }
         Ok(self.left.as_deref().unwrap_or_default())
     }
@@ -88,11 +88,12 @@ impl Judged {
 /// Errors on each half of the blocks of a model that is fitted to the other one, with the manifold of `start`, searched from `from`. A
 /// search that ends at its limit gives its best so far: nothing of it is delivered.
 fn judged_apart(
-    records: &[TransientRecord<'_>],
+    measured: Measured<'_>,
     (start, from): (&Fuelling, &Fuelling),
     effort: Effort,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Vec<f64>, FuellingError> {
+    let records = measured.records;
     let samples = length(records);
     let pressures: Vec<Vec<f64>> = records.iter().map(|r| pressure(r, start)).collect();
     let mut out = vec![0.0; samples];
@@ -100,7 +101,7 @@ fn judged_apart(
     for odd in [0, 1] {
         let apart = |t: usize| block(t, samples) % 2 == odd;
         let by = (effort, Loss::CHOOSING);
-        let fitted = mixed_by(records, (start, from), &|t| !apart(t), by, interrupt)?;
+        let fitted = mixed_by(measured, (start, from), &|t| !apart(t), by, interrupt)?;
         unexplained(records, &pressures, &fitted, Loss::CHOOSING, &mut half);
         (0..samples).filter(|t| apart(*t)).for_each(|t| out[t] = half[t]);
     }
@@ -115,25 +116,25 @@ fn swings(found: &Fuelling) -> bool {
 
 /// A model with what cams that are not at rest do to the charge; none where they are not measured.
 fn with_cams(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    measured: Measured<'_>,
+    rested: &[SteadyPoint],
     found: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Option<Fuelling>, FuellingError> {
-    let Some(law) = empty_cams(records, rested, &found.charge)? else { return Ok(None) };
+    let Some(law) = empty_cams(measured.records, rested, &found.charge)? else { return Ok(None) };
     let charge = Charge { cams: Some(law), ..found.charge.clone() };
     // Manifold and charge anew, in turns: a manifold behind a choked throttle passes on what flows in, so that a pressure that is not
     // corrected hides what cams do to charge and pressure together.
     let start = Fuelling { charge, ..found.clone() };
     let filling = Filling { correction_per_s: CORRECTIONS[CORRECTIONS.len() - 1], ..start.filling.clone() };
     let start = Fuelling { filling, ..start };
-    again(records, rested, start, interrupt).map(Some)
+    again(measured, rested, start, interrupt).map(Some)
 }
 
 /// The same where straight lines do not say it all.
 fn with_bends(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    measured: Measured<'_>,
+    rested: &[SteadyPoint],
     found: &Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
@@ -141,16 +142,16 @@ fn with_bends(
     if let Some(law) = &mut start.charge.cams {
         law.bends = Some(CamBends::default());
     }
-    again(records, rested, start, interrupt)
+    again(measured, rested, start, interrupt)
 }
 
 /// Manifold and charge of a richer model.
 fn again(
-    records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    measured: Measured<'_>,
+    rested: &[SteadyPoint],
     start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
-    let first = mixed(records, &start, &start, Effort::Compared, interrupt)?;
-    corrected(records, &refilled(records, rested, first, interrupt)?, interrupt)
+    let first = mixed(measured, &start, &start, Effort::Compared, interrupt)?;
+    corrected(measured, &refilled(measured.records, rested, first, interrupt)?, interrupt)
 }

@@ -4,7 +4,7 @@ use super::follow::shown;
 use super::record::TransientRecord;
 use super::search::{Effort, searched};
 use super::worth::pays;
-use super::{FuellingError, Rested, length};
+use super::{FuellingError, SteadyPoint, length};
 use crate::fuelling::Fuelling;
 use crate::fuelling::filling::Filling;
 use dynocal_numerics::lm::LmOutcome;
@@ -15,7 +15,7 @@ const RATES: [f64; 3] = [0.5, 0.25, 0.125];
 /// Throttle by the rests; gain and lag of the filling, and where it pays the rate of the throttle, by the pressure of the records.
 pub(super) fn filled(
     records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    rested: &[SteadyPoint],
     start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
@@ -46,7 +46,7 @@ pub(super) fn filled(
 /// The same for a charge that has become another: whether the rate of the throttle is limited has been judged.
 pub(super) fn refilled(
     records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    rested: &[SteadyPoint],
     start: Fuelling,
     interrupt: &dyn Fn() -> bool,
 ) -> Result<Fuelling, FuellingError> {
@@ -74,10 +74,10 @@ impl<'a> Fit<'a> {
     /// With the throttle by the rests.
     fn of(
         records: &'a [TransientRecord<'a>],
-        rested: &[Rested],
+        rested: &[SteadyPoint],
         start: Fuelling,
     ) -> Result<Self, FuellingError> {
-        let point = |r: &Rested| {
+        let point = |r: &SteadyPoint| {
             let flow = start.air(r.coolant_c, r.cams_deg).flow(r.speed_rpm, r.map_kpa);
             [flow, r.map_kpa, r.throttle_deg, r.upstream_kpa]
         };

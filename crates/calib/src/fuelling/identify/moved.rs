@@ -2,7 +2,7 @@
 
 use super::record::TransientRecord;
 use super::worth::pays;
-use super::{FuellingError, Rested};
+use super::{FuellingError, SteadyPoint};
 use crate::fuelling::cams::CamLaw;
 use crate::fuelling::charge::Charge;
 use crate::fuelling::coolant::CoolantLaw;
@@ -15,7 +15,7 @@ const FOLDS: usize = 5;
 /// measured.
 pub(super) fn empty_cams(
     records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    rested: &[SteadyPoint],
     charge: &Charge,
 ) -> Result<Option<CamLaw>, FuellingError> {
     let places: Option<Vec<[f64; 2]>> = rested.iter().map(|r| r.cams_deg).collect();
@@ -36,7 +36,7 @@ pub(super) fn empty_cams(
 /// it is better ([`pays`]): cams that follow a schedule tell nothing at rest.
 pub(super) fn moved_at_rest(
     records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    rested: &[SteadyPoint],
     (charge, law): (&Charge, Option<&CoolantLaw>),
 ) -> Result<Option<Charge>, FuellingError> {
     let Some(empty) = empty_cams(records, rested, charge)? else { return Ok(None) };
@@ -64,7 +64,7 @@ struct Point {
 }
 
 impl Point {
-    fn of(r: &Rested, (charge, law): (&Charge, Option<&CoolantLaw>)) -> Option<Self> {
+    fn of(r: &SteadyPoint, (charge, law): (&Charge, Option<&CoolantLaw>)) -> Option<Self> {
         let at = charge.scaled(r.speed_rpm, r.map_kpa);
         let fuel = r.fuel / law.map_or(1.0, |l| l.charge_factor_at(r.coolant_c, at));
         r.cams_deg.map(|cams_deg| Self { speed_rpm: r.speed_rpm, map_kpa: r.map_kpa, fuel, cams_deg })

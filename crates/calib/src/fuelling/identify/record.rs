@@ -1,6 +1,6 @@
 //! The records that are identified from.
 
-use super::{FuellingError, Rested};
+use super::{FuellingError, SteadyPoint, steady};
 use crate::fuelling::charge::{Charge, TERMS};
 use crate::fuelling::coolant::CoolantLaw;
 use dynocal_numerics::linalg::least_squares;
@@ -162,13 +162,17 @@ pub(super) fn check(records: &[TransientRecord<'_>]) -> Result<(), FuellingError
     Ok(())
 }
 
-/// Rests of all records.
-pub(super) fn rested(records: &[TransientRecord<'_>]) -> Result<Vec<Rested>, FuellingError> {
+/// Steady points that are given, then the rests of all records.
+pub(super) fn rested(
+    records: &[TransientRecord<'_>],
+    steady: &[SteadyPoint],
+) -> Result<Vec<SteadyPoint>, FuellingError> {
     check(records)?;
-    let mut out = Vec::new();
+    steady.iter().enumerate().try_for_each(|(k, p)| steady::check(k, p, &records[0]))?;
+    let mut out = steady.to_vec();
     for r in records {
         let fuel: Vec<f64> = r.injection.iter().zip(r.lambda).map(|(q, lambda)| q * lambda).collect();
-        out.extend(rests(r).iter().map(|s| Rested {
+        out.extend(rests(r).iter().map(|s| SteadyPoint {
             speed_rpm: mean(r.speed_rpm, s),
             map_kpa: mean(r.map_kpa, s),
             throttle_deg: mean(r.throttle_deg, s),
@@ -203,7 +207,7 @@ fn empty_law(records: &[TransientRecord<'_>]) -> Option<CoolantLaw> {
 /// Charge and its law by the rests: each in turn with the other held.
 pub(super) fn charge_at_rest(
     records: &[TransientRecord<'_>],
-    rested: &[Rested],
+    rested: &[SteadyPoint],
 ) -> Result<(Charge, Option<CoolantLaw>), FuellingError> {
     let first: Vec<[f64; 3]> = rested.iter().map(|r| [r.speed_rpm, r.map_kpa, r.fuel]).collect();
     let mut charge = Charge::fit(&first)?;
@@ -225,7 +229,7 @@ pub(super) fn charge_at_rest(
         let by = least_squares(&rows, rested.len(), 3, &left, RIDGE)?.x;
         law.charge_per_k += by[0];
         law.charge_ends_per_k.iter_mut().zip(&by[1..]).for_each(|(v, d)| *v += d);
-        let cooled = |r: &Rested| {
+        let cooled = |r: &SteadyPoint| {
             let heat = law.charge_factor_at(r.coolant_c, charge.scaled(r.speed_rpm, r.map_kpa));
             [r.speed_rpm, r.map_kpa, r.fuel / heat]
         };

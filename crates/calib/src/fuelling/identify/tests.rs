@@ -7,6 +7,7 @@ const DT: f64 = 0.01;
 
 mod cams;
 mod spoiled;
+mod steady;
 mod trimmed;
 
 /// What the record is made with, by the model itself.
@@ -135,6 +136,10 @@ fn view(c: &Channels) -> TransientRecord<'_> {
         coolant_c: None,
         cams_deg: None,
     }
+}
+
+fn alone<'a>(records: &'a [TransientRecord<'a>]) -> Measured<'a> {
+    Measured { records, steady: &[] }
 }
 
 #[test]
@@ -360,7 +365,7 @@ fn a_record_gives_the_rate_of_the_throttle_back() {
         let mut rng = Rng64::stream(23, 0);
         channels[3].iter_mut().for_each(|map| *map += 0.1 * rng.normal());
         let records = [view(&channels)];
-        let rested = rested(&records).unwrap();
+        let rested = rested(&records, &[]).unwrap();
         filled(&records, &rested, started(&records, &rested).unwrap(), &|| false).unwrap().filling
     };
     let found = of(Some(90.0));
@@ -475,8 +480,8 @@ fn a_film_that_is_not_there_has_a_least_share() {
     let channels = record(&dry, 20);
     let records = [view(&channels)];
     let begun = Fuelling { film: Film { share: 2.0 * LEAST_SHARE, ..truth.film }, ..truth };
-    let found = mixed(&records, &begun, &begun, Effort::Compared, &|| false).unwrap();
+    let found = mixed(alone(&records), &begun, &begun, Effort::Compared, &|| false).unwrap();
     assert!((LEAST_SHARE..0.02).contains(&found.film.share), "{:?}", found.film);
-    let again = mixed(&records, &begun, &found, Effort::Compared, &|| false).unwrap();
+    let again = mixed(alone(&records), &begun, &found, Effort::Compared, &|| false).unwrap();
     assert!(again.rms <= found.rms * 1.001, "{} {}", again.rms, found.rms);
 }

@@ -69,25 +69,35 @@ pub(super) fn members(of: &str, tables: Vec<toml::Table>) -> Result<Members, Bui
 
 impl Learn for MeanOf {
     fn learn(&self, points: &Points, interrupt: &dyn Fn() -> bool) -> Result<Learnt, ResponseError> {
-        let learnt =
-            self.members.iter().map(|m| m.learn(points, interrupt)).collect::<Result<Vec<_>, _>>()?;
-        let (n, count) = (points.len(), learnt.len() as f64);
-        let mut left_out = LeftOut { residuals: vec![0.0; n], variance: vec![0.0; n] };
-        for i in 0..n {
-            let mean = learnt.iter().map(|l| l.left_out.residuals[i]).sum::<f64>() / count;
-            let spread = |l: &Learnt| l.left_out.variance[i] + (l.left_out.residuals[i] - mean).powi(2);
-            left_out.residuals[i] = mean;
-            left_out.variance[i] = learnt.iter().map(spread).sum::<f64>() / count;
-        }
-        let mut notes: Vec<String> = Vec::new();
-        for note in learnt.iter().flat_map(|l| &l.notes) {
-            if !notes.contains(note) {
-                notes.push(note.clone());
-            }
-        }
-        let models = learnt.into_iter().map(|l| l.model).collect();
-        Ok(Learnt::new(ResponseModel::MeanOf(MeanOfModel { models }), left_out, notes))
+        let learnt = self.members.iter().map(|m| m.learn(points, interrupt)).collect::<Result<_, _>>()?;
+        Ok(together(learnt))
     }
+}
+
+/// Models that were learnt from the same points as one, their mean. A single one stays what it is.
+///
+/// # Panics
+/// Where there is none, or they were learnt from different numbers of points.
+pub fn together(mut learnt: Vec<Learnt>) -> Learnt {
+    if learnt.len() == 1 {
+        return learnt.remove(0);
+    }
+    let (n, count) = (learnt[0].left_out.residuals.len(), learnt.len() as f64);
+    let mut left_out = LeftOut { residuals: vec![0.0; n], variance: vec![0.0; n] };
+    for i in 0..n {
+        let mean = learnt.iter().map(|l| l.left_out.residuals[i]).sum::<f64>() / count;
+        let spread = |l: &Learnt| l.left_out.variance[i] + (l.left_out.residuals[i] - mean).powi(2);
+        left_out.residuals[i] = mean;
+        left_out.variance[i] = learnt.iter().map(spread).sum::<f64>() / count;
+    }
+    let mut notes: Vec<String> = Vec::new();
+    for note in learnt.iter().flat_map(|l| &l.notes) {
+        if !notes.contains(note) {
+            notes.push(note.clone());
+        }
+    }
+    let models = learnt.into_iter().map(|l| l.model).collect();
+    Learnt::new(ResponseModel::MeanOf(MeanOfModel { models }), left_out, notes)
 }
 
 /// Several models of one output.

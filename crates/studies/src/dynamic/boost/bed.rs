@@ -60,6 +60,8 @@ pub(super) trait Controller {
 pub(super) struct Course {
     pub(super) torque_nm: Vec<f64>,
     pub(super) speed_rpm: Vec<f64>,
+    /// Where the phasers are sent in place of where a controller sends them, in deg; nothing where it is empty.
+    pub(super) cams_deg: Vec<[f64; 2]>,
     pub(super) switches: Vec<usize>,
 }
 
@@ -138,7 +140,7 @@ pub(super) fn play(
     // The bed is at the speed of the course from its first sample on.
     let (mut speed_rpm, mut speed_now) =
         (course.speed_rpm.first().copied().unwrap_or(u[3]), SpeedNow::default());
-    for (torque, speed) in course.torque_nm.iter().zip(&course.speed_rpm) {
+    for (t, (torque, speed)) in course.torque_nm.iter().zip(&course.speed_rpm).enumerate() {
         let shown = Shown {
             torque_nm: y[TORQUE],
             lambda: y[LAMBDA],
@@ -149,7 +151,8 @@ pub(super) fn play(
             speed_rpm: speed_now.step(speed_rpm),
         };
         let c = controller.step(*torque, &shown);
-        let cams = [0, 1].map(|k| u[5 + k] + follow * (c.cams_deg[k] - u[5 + k]));
+        let sent_deg = course.cams_deg.get(t).copied().unwrap_or(c.cams_deg);
+        let cams = [0, 1].map(|k| u[5 + k] + follow * (sent_deg[k] - u[5 + k]));
         let injection = c.injection_mg.clamp(0.0, MOST_MG);
         u.copy_from_slice(&[
             injection,

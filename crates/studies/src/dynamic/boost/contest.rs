@@ -3,7 +3,8 @@
 use std::collections::VecDeque;
 
 use dynocal_calib::fuelling::{
-    self, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, SpeedDensityState, TransientRecord,
+    self, Feedback, FuelPolicy, Fuelling, FuellingError, SpeedDensity, SpeedDensityState, SteadyPoint,
+    TransientRecord,
 };
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::EngineBed;
@@ -33,6 +34,8 @@ const TORQUES_NM: [f64; 10] = [15.0, 33.0, 60.0, 90.0, 120.0, 150.0, 180.0, 210.
 const TORQUE_NM: (f64, f64) = (22.0, 250.0);
 const SPEED_RPM: (f64, f64) = (1600.0, 2150.0);
 const HOLD_S: f64 = 4.0;
+/// Number of the record in which cams are moved whatever the load.
+pub(super) const MOVES: usize = 1;
 /// Records: the first driver's, and those that ours drives with what it knows by then.
 pub(super) const RECORDS: usize = 3;
 /// Greatest pressure of an extrapolation in kPa; pressure before a throttle that stands still.
@@ -119,33 +122,24 @@ impl Contest {
     pub(super) fn run(&self, interrupted: &(dyn Fn() -> bool + Sync)) -> Result<Found, Ended> {
         let mut rng = Rng64::stream(self.seed, 34);
         let count = if self.reduced { 2 } else { RECORDS };
-        let courses: Vec<Course> = (0..count).map(|_| self.record(&mut rng)).collect();
+        let mut courses: Vec<Course> = (0..count).map(|_| self.record(&mut rng)).collect();
+        self.move_cams(&mut courses[MOVES]);
         let mut first = self.driver(None, PRODUCTION, Fuel::First { factor: 0.0 });
         let mut traces = vec![self.played(self.seed, &courses[0], &mut first)?];
-        let mut start = identified(&courses[..1], &traces, interrupted)?;
-        // Both search with the same fuel, and the first record's.
-        let searched = Searched { of: self, fuelling: &start };
-        let (production, production_s) = searched.production()?;
-        let (ours, ours_s) = searched.ours(production)?;
-        let shown = |t: &Trace, c: &Course| integral_s(&t.lambda) / c.length_s();
-        let by_first = shown(&traces[0], &courses[0]);
+        let by_first = shown_s(&traces[0], &courses[0]);
+        let mut fuelling = self.identified(&courses[..1], &traces, interrupted)?;
+        let (mut production, mut ours, mut search_s) = (PRODUCTION, PRODUCTION, [0.0; 2]);
         for (k, course) in courses.iter().enumerate().skip(1) {
-            let seed = self.seed + REPEATED + APART * (k - 1) as u64;
-            let policy = FuelPolicy::new(start.clone(), MOST_MG);
-            let mut by_ours =
-                self.driver(Some(&start), ours, Fuel::Policy { policy: Box::new(policy), trimmed: false });
-            let mut next = self.played(seed, course, &mut by_ours)?;
-            // An identification that drives worse than the first driver must not make the record of the next one.
-            if !(shown(&next, course) <= by_first) {
-                let mut again = self.driver(Some(&start), ours, Fuel::First { factor: 0.0 });
-                next = self.played(seed, course, &mut again)?;
-            }
-            traces.push(next);
-            if k + 1 < courses.len() {
-                start = identified(&courses[..=k], &traces, interrupted)?;
+            traces.push(self.next_record(k, course, (&fuelling, ours), by_first)?);
+            fuelling = self.identified(&courses[..=k], &traces, interrupted)?;
+            if k == MOVES {
+                // Both search with the same fuel: that which knows what cams do, or its errors would be taken for theirs.
+                let searched = Searched { of: self, fuelling: &fuelling };
+                (production, search_s[0]) = searched.production()?;
+                (ours, search_s[1]) = searched.ours(production)?;
             }
         }
-        let known = self.known(&courses, &traces, interrupted)?;
+        let known = self.known(fuelling, &courses, &traces)?;
         let rows = self.rows(&known, &courses, [production, ours], interrupted)?;
         Ok(Found {
             fuelling: known.fuelling,
@@ -153,9 +147,38 @@ impl Contest {
             ours,
             steady_s: self.steady.time_s,
             record_s: courses.iter().map(Course::length_s).sum(),
-            search_s: [production_s, ours_s],
+            search_s,
             rows,
         })
+    }
+
+    /// A record that is driven with what was identified. An identification that drives worse than the first driver (`by_first`) must not make the
+    /// record of the next one.
+    fn next_record(
+        &self,
+        k: usize,
+        course: &Course,
+        (fuelling, setting): (&Fuelling, Setting),
+        by_first: f64,
+    ) -> Result<Trace, String> {
+        let seed = self.seed + REPEATED + APART * (k - 1) as u64;
+        let policy = Box::new(FuelPolicy::new(fuelling.clone(), MOST_MG));
+        let by = |fuel| self.played(seed, course, &mut self.driver(Some(fuelling), setting, fuel));
+        let next = by(Fuel::Policy { policy, trimmed: false })?;
+        if shown_s(&next, course) <= by_first { Ok(next) } else { by(Fuel::First { factor: 0.0 }) }
+    }
+
+    /// Cams somewhere within the range of their schedule in each hold, whatever the load: there a phaser is that is behind a load. Cams that follow
+    /// the load tell nothing of what they do from what the load does.
+    fn move_cams(&self, course: &mut Course) {
+        let mut rng = Rng64::stream(self.seed, 35);
+        let ranges = self.steady.cam_ranges_deg();
+        let mut from = 0;
+        for to in &course.switches {
+            let sent = ranges.map(|[low, high]| rng.uniform_in(low, high));
+            course.cams_deg.extend(std::iter::repeat_n(sent, to - from));
+            from = *to;
+        }
     }
 
     /// Torques and speeds drawn and held; each other one is a low torque, so that boost is built and let go.
@@ -187,15 +210,32 @@ impl Contest {
         play(&self.bed, seed, course, driver)
     }
 
-    fn known(
+    /// The shared steady points, at the coolant of the records.
+    fn points(&self, traces: &[Trace]) -> Vec<SteadyPoint> {
+        let coolant = || traces.iter().flat_map(|t| &t.coolant_c);
+        self.steady.points(coolant().sum::<f64>() / coolant().count().max(1) as f64)
+    }
+
+    fn identified(
         &self,
         courses: &[Course],
         traces: &[Trace],
         interrupted: &(dyn Fn() -> bool + Sync),
-    ) -> Result<Known, Ended> {
-        let fuelling = identified(courses, traces, interrupted)?;
+    ) -> Result<Fuelling, Ended> {
         let views: Vec<_> = courses.iter().zip(traces).map(|(c, t)| view(c, t)).collect();
-        let (charge, law) = fuelling::steady_charge(&views).map_err(ended)?;
+        fuelling::identify_with(&views, &self.points(traces), interrupted).map_err(ended)
+    }
+
+    fn known(&self, fuelling: Fuelling, courses: &[Course], traces: &[Trace]) -> Result<Known, Ended> {
+        let views: Vec<_> = courses.iter().zip(traces).map(|(c, t)| view(c, t)).collect();
+        let points = self.points(traces);
+        let (mut charge, mut law) = fuelling::steady_charge_with(&views, &points).map_err(ended)?;
+        if charge.cams.is_none() {
+            // Rests whose cams are moved, and nothing that says what that does: the others alone.
+            let still: Vec<_> = courses.iter().zip(&views).filter(|(c, _)| c.cams_deg.is_empty()).collect();
+            let still: Vec<_> = still.into_iter().map(|(_, v)| *v).collect();
+            (charge, law) = fuelling::steady_charge_with(&still, &points).map_err(ended)?;
+        }
         let ecu = |charge, law| SpeedDensity {
             sample_time_s: SAMPLE_S,
             charge,
@@ -231,7 +271,7 @@ impl Contest {
         }
     }
 
-    /// The best of fuels over the records, by the lambda that the sensor shows.
+    /// The best of fuels over the records, cams by their schedule as they will be driven, by the lambda that the sensor shows.
     fn best(
         &self,
         known: &Known,
@@ -244,6 +284,7 @@ impl Contest {
             .map(|fuelled| {
                 let mut sum = 0.0;
                 for course in courses {
+                    let course = &Course { cams_deg: Vec::new(), ..course.clone() };
                     let mut driver = self.driver(Some(&known.fuelling), setting, self.fuel(known, *fuelled));
                     sum += integral_s(&self.played(self.seed, course, &mut driver)?.lambda);
                 }
@@ -307,6 +348,11 @@ impl Contest {
     }
 }
 
+/// Integral of |lambda - 1| that the sensor shows over the time of a course.
+fn shown_s(trace: &Trace, course: &Course) -> f64 {
+    integral_s(&trace.lambda) / course.length_s()
+}
+
 /// Samples from the command of an injection until its air counts, at the middle speed.
 fn wait(known: &Known) -> usize {
     let middle_rpm = 0.5 * (TIPS[0].0 + TIPS[1].0);
@@ -341,13 +387,4 @@ fn view<'a>(course: &'a Course, trace: &'a Trace) -> TransientRecord<'a> {
         coolant_c: Some(&trace.coolant_c),
         cams_deg: Some([&trace.cams_deg[0], &trace.cams_deg[1]]),
     }
-}
-
-fn identified(
-    courses: &[Course],
-    traces: &[Trace],
-    interrupted: &(dyn Fn() -> bool + Sync),
-) -> Result<Fuelling, Ended> {
-    let views: Vec<_> = courses.iter().zip(traces).map(|(c, t)| view(c, t)).collect();
-    fuelling::identify(&views, interrupted).map_err(ended)
 }

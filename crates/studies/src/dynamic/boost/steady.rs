@@ -1,5 +1,6 @@
 //! What all controllers share: steady points of the engine over torque and speed, held as a controller of a bed holds them.
 
+use dynocal_calib::fuelling::SteadyPoint;
 use dynocal_plant::cams::CamSchedule;
 use dynocal_plant::full_load::{LoadLimits, load_map};
 use dynocal_plant::params::EngineParams;
@@ -54,7 +55,7 @@ impl Steady {
                 let (u, y) = (&p.inputs, &p.outputs);
                 let values = [
                     y.torque_cycle_nm,
-                    u.injection_mg,
+                    u.injection_mg * p.lambda,
                     u.spark_deg,
                     u.throttle_deg,
                     u.wastegate_mm,
@@ -96,6 +97,40 @@ impl Steady {
         let k = n.partition_point(|v| *v <= speed_rpm).clamp(1, n.len() - 1);
         let share = ((speed_rpm - n[k - 1]) / (n[k] - n[k - 1])).clamp(0.0, 1.0);
         (1.0 - share) * row(&self.rows[k - 1]) + share * row(&self.rows[k])
+    }
+
+    /// The points as they are identified from, with the coolant at a temperature in degC.
+    pub(super) fn points(&self, coolant_c: f64) -> Vec<SteadyPoint> {
+        let mut out = Vec::new();
+        for (speed_rpm, row) in self.speed_rpm.iter().zip(&self.rows) {
+            let of = |held: &Held| {
+                let [_, fuel, _, throttle_deg, _, map_kpa, upstream_kpa] = held.values;
+                let cams_deg = Some(self.cams_deg(*speed_rpm, map_kpa));
+                SteadyPoint {
+                    speed_rpm: *speed_rpm,
+                    map_kpa,
+                    throttle_deg,
+                    fuel,
+                    coolant_c,
+                    upstream_kpa,
+                    cams_deg,
+                }
+            };
+            out.extend(row.iter().map(of));
+        }
+        out
+    }
+
+    /// Least and greatest place of intake and exhaust cam over the points, in deg.
+    pub(super) fn cam_ranges_deg(&self) -> [[f64; 2]; 2] {
+        let mut out = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+        for (n, row) in self.speed_rpm.iter().zip(&self.rows) {
+            for held in row {
+                let cams = self.cams_deg(*n, held.values[Of::Map as usize]);
+                out.iter_mut().zip(cams).for_each(|(r, c)| *r = [r[0].min(c), r[1].max(c)]);
+            }
+        }
+        out
     }
 
     /// Cams of the load schedule.

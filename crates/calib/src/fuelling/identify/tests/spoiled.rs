@@ -16,7 +16,7 @@ fn first_cycles_that_no_model_has_bend_little() {
     }
     let records = [view(&spoiled), view(&clean)];
     let found = identify(&records, &|| false).unwrap();
-    let choosing = mixed(&records, &found, &found, Effort::Compared, &|| false).unwrap();
+    let choosing = mixed(alone(&records), &found, &found, Effort::Compared, &|| false).unwrap();
     let off = |f: &Fuelling| {
         let film =
             (f.film.share / truth.film.share).ln().abs() + (f.film.tau_s / truth.film.tau_s).ln().abs();

@@ -1,0 +1,416 @@
+//! Lines of the finished maps on the bed, and how it goes along them.
+//!
+//! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with what their maps expect, so that the loops have
+//! only the rest to do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
+//! optimum only.
+
+use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::day::Drift;
+use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
+use dynocal_calib::steady::layout::{FactorKind, Layout};
+use dynocal_calib::steady::station::{Leg, SweepRow};
+use dynocal_calib::steady::trim::finer;
+use dynocal_ident::model::response::{Ask, Prediction};
+use dynocal_numerics::watch::Watch;
+use serde::Serialize;
+
+use super::bench::Bench;
+use super::drive::Drive;
+use super::error::MapError;
+use super::spec::{MapSpec, SweepSpec};
+
+/// What the sweeps were.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Sweeps {
+    /// Lines that were planned.
+    pub planned: usize,
+    /// Lines that were gone to their end.
+    pub whole: usize,
+    /// Parts of lines that were gone along again, as their maps had become others by what the demand was found to reach.
+    pub again: usize,
+    /// Windows that were measured.
+    pub rows: usize,
+    /// Windows in which a driven input stood at an end of its range: what was reached there bounds the cells around.
+    pub at_ends: usize,
+    /// Bed time in s.
+    pub bed_s: f64,
+    /// Lines that ended early, in words.
+    pub notes: Vec<String>,
+}
+
+/// Maps that are gone along.
+pub(super) struct Lines<'a> {
+    pub(super) spec: &'a MapSpec,
+    pub(super) layout: &'a Layout,
+    pub(super) setting: &'a Setting<'a>,
+    pub(super) axes: &'a [Vec<f64>],
+    pub(super) cells: &'a [Cell],
+    pub(super) drift: &'a [Drift],
+}
+
+/// What sweeps were, and what they measured.
+pub(super) type Gone = (Sweeps, Vec<Window>);
+
+/// A line: factors at its nodes along the first axis.
+pub(super) struct Line {
+    /// Its number along the other axis.
+    number: usize,
+    /// Value of the other axis; none where there is none.
+    other: Option<f64>,
+    nodes: Vec<Vec<f64>>,
+    /// What the maps of the driven inputs say at the nodes, by loop.
+    driven: Vec<Vec<f64>>,
+}
+
+/// A window of a sweep.
+pub(super) struct Window {
+    pub(super) line: usize,
+    /// 1: up the first axis; -1: down.
+    pub(super) up: f64,
+    pub(super) row: SweepRow,
+}
+
+/// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
+/// within it is less than its map misses.
+const ASIDE: f64 = 0.05;
+/// Bed time that the sweeps of a spec take, about.
+pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
+    let Some(s) = &spec.bed.sweep else { return 0.0 };
+    let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
+    lines as f64 * line_s(spec, s) + again_s(spec)
+}
+
+/// Bed time of a line, there and back, with the way to it.
+fn line_s(spec: &MapSpec, s: &SweepSpec) -> f64 {
+    2.0 * s.pass_s + next_line_s(spec)
+}
+
+/// Bed time that is kept for parts of lines that are gone along again ([`Lines::again`]): that of one line.
+fn again_s(spec: &MapSpec) -> f64 {
+    // Only what a demand reaches is found along lines.
+    let demanded = spec.problem.demand_names().iter().any(|d| spec.axes.contains_key(d));
+    spec.bed.sweep.as_ref().filter(|_| demanded).map_or(0.0, |s| line_s(spec, s))
+}
+
+/// Bed time to the next line, about: half of the range, and half of the longest wait for its rest. More would be points that are not
+/// measured; where it takes longer, the lines that are left go faster ([`pass_s`]).
+fn next_line_s(spec: &MapSpec) -> f64 {
+    let a = &spec.bed.approach;
+    0.5 * (a.ramp_s + a.settle_s) + a.average_s
+}
+
+/// How many times as fast as asked a line may be gone along.
+const FASTEST: f64 = 1.5;
+
+/// Time in s in which the first axis is gone through on the next of `lines` that have `left_s` of bed time and are `whole` times as long as the
+/// axis together: as the spec asks, or faster by up to `FASTEST` where time is short, so that neither the last lines nor the verification are left
+/// out.
+fn pass_s(spec: &MapSpec, asked_s: f64, left_s: f64, (lines, whole): (usize, f64)) -> f64 {
+    let there = 0.5 * (left_s - lines as f64 * next_line_s(spec)) / whole.max(f64::MIN_POSITIVE);
+    there.clamp(asked_s / FASTEST, asked_s)
+}
+
+/// Adds the windows of a line that was gone along from `from` on.
+fn keep(line: usize, from: &[f64], legs: &[Leg], found: Vec<SweepRow>, rows: &mut Vec<Window>) {
+    let ends: Vec<f64> = [from[0]].into_iter().chain(legs.iter().map(|l| l.to[0])).collect();
+    let up = |leg: usize| (ends[leg + 1] - ends[leg]).signum();
+    let mut way = 0.0;
+    for row in found {
+        // The first window of a way is not yet behind by all of the lag.
+        let before = std::mem::replace(&mut way, up(row.leg));
+        if before == way {
+            rows.push(Window { line, up: way, row });
+        }
+    }
+}
+
+/// First and last of the nodes whose settings are not `beside` those that had the same leading `axes` before, with one more on either side; none
+/// where all are.
+fn others(
+    nodes: &[Vec<f64>],
+    before: &[Vec<f64>],
+    axes: usize,
+    beside: &dyn Fn(&[f64], &[f64]) -> bool,
+) -> Option<(usize, usize)> {
+    let other = |k: &usize| {
+        let now = &nodes[*k];
+        let same = before.iter().find(|x| x[..axes] == now[..axes]);
+        same.is_none_or(|x| !beside(x, now))
+    };
+    let others: Vec<usize> = (0..nodes.len()).filter(other).collect();
+    Some((others.first()?.saturating_sub(1), (others.last()? + 1).min(nodes.len() - 1)))
+}
+
+impl Window {
+    /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
+    pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
+        let mut at = self.row.factors[..layout.axes].to_vec();
+        let mut missed = false;
+        for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
+            if let FactorKind::Demand(l) = f.kind {
+                missed |= self.row.at_end[l] && !self.row.followed[l];
+                at[k] = self.row.asked[l];
+            }
+        }
+        missed.then_some(at)
+    }
+}
+
+impl Lines<'_> {
+    /// Goes along all lines until `bed_s` is used up, less what is kept to go along parts again; these lines with what was measured, nothing
+    /// where the spec asks for none or the bed cannot.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn run(
+        &self,
+        bench: &mut dyn Bench,
+        drives: &[Drive],
+        bed_s: f64,
+        watch: Watch,
+    ) -> Result<Option<(Gone, Vec<Line>)>, MapError> {
+        let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
+        let lines = self.lines(spec, drives)?;
+        watch.note(&format!("{} lines of the maps on the bed", lines.len()));
+        let bed_s = bed_s - again_s(self.spec);
+        let mut swept = (Sweeps { planned: lines.len(), ..Sweeps::default() }, Vec::new());
+        Ok(if self.go(bench, &lines, bed_s, &mut swept, watch)? { Some((swept, lines)) } else { None })
+    }
+
+    /// Goes along the parts of the lines whose maps are others than those of the lines `before`, until `bed_s` is used up. Windows are added to
+    /// those there are; the number of those before.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn again(
+        &self,
+        bench: &mut dyn Bench,
+        (drives, before): (&[Drive], &[Line]),
+        bed_s: f64,
+        swept: &mut Gone,
+        watch: Watch,
+    ) -> Result<usize, MapError> {
+        let windows = swept.1.len();
+        let Some(spec) = &self.spec.bed.sweep else { return Ok(windows) };
+        let lines = self.lines(spec, drives)?;
+        let parts: Vec<Line> = lines.into_iter().filter_map(|l| self.changed(l, before)).collect();
+        if !parts.is_empty() {
+            watch.note(&format!("{} parts of lines again: their maps are others now", parts.len()));
+            let whole = swept.0.whole;
+            self.go(bench, &parts, bed_s, swept, watch)?;
+            (swept.0.again, swept.0.whole) = (parts.len(), whole);
+        }
+        Ok(windows)
+    }
+
+    /// The part of a line whose free inputs are others than along that of the same number `before`, by more than a window may lie beside the maps,
+    /// with a node on either side; none where nothing is.
+    fn changed(&self, line: Line, before: &[Line]) -> Option<Line> {
+        let old = before.iter().find(|l| l.number == line.number).map_or(&[][..], |l| &l.nodes);
+        let beside = |a: &[f64], b: &[f64]| self.beside(a, b);
+        let (from, to) = others(&line.nodes, old, self.layout.axes, &beside)?;
+        let driven = line.driven.iter().map(|d| d[from..=to].to_vec()).collect();
+        Some(Line { nodes: line.nodes[from..=to].to_vec(), driven, ..line })
+    }
+
+    /// Whether the free inputs of two settings are so near that what was measured at one counts at the other.
+    fn beside(&self, a: &[f64], b: &[f64]) -> bool {
+        let free = self.layout.axes..self.layout.factors.len();
+        free.into_iter().all(|i| {
+            let f = &self.layout.factors[i];
+            (a[i] - b[i]).abs() <= ASIDE * (f.upper - f.lower)
+        })
+    }
+
+    /// Goes along lines until `bed_s` is used up; false where the bed cannot.
+    fn go(
+        &self,
+        bench: &mut dyn Bench,
+        lines: &[Line],
+        bed_s: f64,
+        (sweeps, rows): &mut Gone,
+        watch: Watch,
+    ) -> Result<bool, MapError> {
+        let asked_s = self.spec.bed.sweep.as_ref().map_or(0.0, |s| s.pass_s);
+        let begun_s = bench.used_s();
+        let mut least_s = asked_s;
+        for (k, line) in lines.iter().enumerate() {
+            if bench.used_s() >= bed_s {
+                sweeps.notes.push(format!(
+                    "{} of {} were left out: the bed time was used up",
+                    lines.len() - k,
+                    lines.len()
+                ));
+                break;
+            }
+            watch.fraction(k as f64 / lines.len() as f64);
+            let rest = (lines.len() - k, lines[k..].iter().map(|l| self.length(l)).sum());
+            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s(), rest);
+            least_s = least_s.min(pass_s);
+            let nearer = self.nearer_end(line, bench.stands_at());
+            // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
+            for last in [nearer, !nearer] {
+                let (from, legs) = self.path(line, last, pass_s);
+                let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
+                let soon = swept.rows.last().is_none_or(|r| 4 * r.leg < legs.len());
+                keep(line.number, &from, &legs, swept.rows, rows);
+                let Some(touched) = &swept.touched else {
+                    sweeps.whole += 1;
+                    break;
+                };
+                if !soon || last != nearer || bench.used_s() >= bed_s {
+                    sweeps.notes.push(format!("{} ended early: {}", self.named(line), touched.words));
+                    break;
+                }
+            }
+        }
+        if least_s < asked_s {
+            sweeps.notes.push(format!(
+                "bed time was short: a pass took down to {least_s:.1} s in place of {asked_s} s"
+            ));
+        }
+        sweeps.rows = rows.len();
+        sweeps.at_ends = rows.iter().filter(|w| w.row.at_end.contains(&true)).count();
+        sweeps.bed_s += bench.used_s() - begun_s;
+        Ok(true)
+    }
+
+    /// Whether the maps go through what was measured in a window.
+    pub(super) fn goes_through(&self, w: &Window) -> bool {
+        let here = interpolate(self.axes, self.cells, &w.row.factors[..self.layout.axes]);
+        self.beside(&w.row.factors, &here)
+    }
+
+    /// Length of a line over that of the first axis.
+    fn length(&self, line: &Line) -> f64 {
+        let ends = |first: f64, last: f64| (last - first).abs();
+        let (axis, nodes) = (&self.axes[0], &line.nodes);
+        ends(nodes[0][0], nodes[nodes.len() - 1][0]) / ends(axis[0], axis[axis.len() - 1])
+    }
+
+    fn named(&self, line: &Line) -> String {
+        let f = self.layout.factors.get(1);
+        match line.other.zip(f) {
+            Some((v, f)) => format!("the line at {} {v:.0} {}", f.name, f.unit),
+            None => "the line".into(),
+        }
+    }
+
+    /// Lines along the first axis, each as long as all cells around it hold an optimum.
+    fn lines(&self, spec: &SweepSpec, drives: &[Drive]) -> Result<Vec<Line>, MapError> {
+        let others: Vec<Option<f64>> = match self.axes.get(1) {
+            Some(a) => finer(std::slice::from_ref(a), spec.between)[0].iter().map(|v| Some(*v)).collect(),
+            None => vec![None],
+        };
+        let line = |(number, other): (usize, Option<f64>)| {
+            let place = |t: &f64| -> Vec<f64> { [*t].into_iter().chain(other).collect() };
+            let held = |at: &Vec<f64>| {
+                corners(self.axes, at).iter().all(|(k, _)| self.cells[*k].state == CellState::Optimal)
+            };
+            let all: Vec<Vec<f64>> = self.axes[0].iter().map(place).collect();
+            let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
+            let nodes: Vec<Vec<f64>> =
+                longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
+            let driven = drives
+                .iter()
+                .map(|d| models_say(self.layout, self.setting, d, &nodes))
+                .collect::<Result<_, _>>()?;
+            Ok(Line { number, other, nodes, driven })
+        };
+        let all: Vec<Line> = others.into_iter().enumerate().map(line).collect::<Result<_, MapError>>()?;
+        Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
+    }
+
+    /// Whether the last node of a line is nearer to where the bed stands than the first.
+    fn nearer_end(&self, line: &Line, now: &[f64]) -> bool {
+        let far = |k: usize| (line.nodes[k][0] - now[0]).abs();
+        far(line.nodes.len() - 1) < far(0)
+    }
+
+    /// There and back, beginning at the first node or at the `last`.
+    fn path(&self, line: &Line, last: bool, pass_s: f64) -> (Vec<f64>, Vec<Leg>) {
+        let mut order: Vec<usize> = (0..line.nodes.len()).collect();
+        if last {
+            order.reverse();
+        }
+        let begin = line.nodes[order[0]].clone();
+        order.extend(order.clone().into_iter().rev().skip(1));
+        let axis = &self.axes[0];
+        let whole = axis[axis.len() - 1] - axis[0];
+        let leg = |w: &[usize]| {
+            let (a, b) = (&line.nodes[w[0]], &line.nodes[w[1]]);
+            // A model that says nothing there is not fed forward.
+            let change = |d: &Vec<f64>| Some(d[w[1]] - d[w[0]]).filter(|v| v.is_finite()).unwrap_or(0.0);
+            Leg {
+                to: b.clone(),
+                seconds: pass_s * (b[0] - a[0]).abs() / whole,
+                driven: line.driven.iter().map(change).collect(),
+            }
+        };
+        (begin, order.windows(2).map(leg).collect())
+    }
+}
+
+/// What the map of a driven input says at factors, all responses being as they are expected there.
+///
+/// # Errors
+/// As of [`Drive::at`].
+pub(super) fn models_say(
+    layout: &Layout,
+    setting: &Setting,
+    drive: &Drive,
+    factors: &[Vec<f64>],
+) -> Result<Vec<f64>, MapError> {
+    let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(setting, x)).collect();
+    let asked: Vec<(&[f64], &[f64])> = factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
+    Ok(drive.at(layout, &asked)?.into_iter().map(|v| v.value).collect())
+}
+
+/// What the models expect of all responses.
+fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
+    let mut at = Prediction::new(factors.len());
+    let one = |m: &&dyn dynocal_ident::model::response::Response| {
+        m.predict(factors, Ask::Mean, &mut at);
+        at.mean
+    };
+    setting.models.iter().map(one).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lines take what is asked as long as there is time for all, and share what there is after that.
+    #[test]
+    fn lines_go_faster_where_time_is_short() {
+        let spec = MapSpec::default();
+        let way_s = next_line_s(&spec);
+        for lines in [1, 4] {
+            let of = |each_s: f64| pass_s(&spec, 40.0, lines as f64 * each_s, (lines, lines as f64));
+            assert_eq!(
+                [of(500.0), of(80.0 + way_s), of(30.0), of(-1.0)],
+                [40.0, 40.0, 40.0 / FASTEST, 40.0 / FASTEST]
+            );
+            assert!((of(70.0 + way_s) - 35.0).abs() < 1e-12);
+            // Half lines need half of the time.
+            let half = pass_s(&spec, 40.0, lines as f64 * (40.0 + way_s), (lines, 0.5 * lines as f64));
+            assert!((half - 40.0).abs() < 1e-12, "{half}");
+        }
+    }
+
+    /// What has become another setting is gone along again, from one node before it to one after it, and so is a node that is new.
+    #[test]
+    fn only_what_is_another_setting_is_gone_along_again() {
+        let nodes = |x: [f64; 6]| -> Vec<Vec<f64>> { (0..6).map(|k| vec![k as f64, x[k]]).collect() };
+        let beside = |a: &[f64], b: &[f64]| (a[1] - b[1]).abs() <= 0.05;
+        let before = nodes([0.0; 6]);
+        let of = |x: [f64; 6]| others(&nodes(x), &before, 1, &beside);
+        assert_eq!(of([0.04; 6]), None);
+        assert_eq!(of([0.0, 0.0, 0.0, 0.1, 0.0, 0.0]), Some((2, 4)));
+        assert_eq!(of([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]), Some((0, 1)));
+        assert_eq!(of([0.0, 0.0, 0.1, 0.0, 0.0, 0.1]), Some((1, 5)));
+        // Cells at the end had no optimum before, or the line was not there.
+        assert_eq!(others(&nodes([0.0; 6]), &before[..4], 1, &beside), Some((3, 5)));
+        assert_eq!(others(&nodes([0.0; 6]), &[], 1, &beside), Some((0, 5)));
+    }
+}

@@ -1,0 +1,77 @@
+//! Along the finished maps on the bed, and once more where they had to become others.
+//!
+//! Where lines show that a demand is not reached, its cells are sought again within what is ([`super::reach`]), and the parts of the lines that
+//! are others by it are gone along once more: what was measured there says nothing of the new ones.
+
+use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::day::{DayPoint, Drift};
+use dynocal_calib::steady::layout::Layout;
+use dynocal_numerics::watch::Watch;
+
+use super::bench::Bench;
+use super::drive::Drive;
+use super::error::MapError;
+use super::learn::Learned;
+use super::lines::{Gone, Window};
+use super::optimum::Optimum;
+use super::reach::Reach;
+use super::setting;
+use super::spec::MapSpec;
+
+/// The maps with their models, along which the bed goes.
+pub(super) struct Walk<'a> {
+    pub(super) spec: &'a MapSpec,
+    pub(super) layout: &'a Layout,
+    pub(super) setting: &'a Setting<'a>,
+    pub(super) models: &'a [Learned],
+    pub(super) drift: &'a [Drift],
+    pub(super) drives: &'a [Drive],
+}
+
+impl Walk<'_> {
+    /// Along the lines of the maps; where they show that a demand is not reached, its cells are sought again within what is, and the parts of the
+    /// lines that are others by it are gone along once more.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn swept(
+        &self,
+        optimum: &mut Optimum,
+        points: &[DayPoint],
+        bench: &mut dyn Bench,
+        until_s: f64,
+        watch: Watch,
+    ) -> Result<Option<Gone>, MapError> {
+        let Self { spec, layout, setting, drift, drives, .. } = *self;
+        let lines = optimum.lines(spec, layout, setting, drift);
+        let Some((mut swept, before)) = lines.run(bench, drives, until_s, watch)? else { return Ok(None) };
+        if self.kept_within(optimum, points, &swept.1, 0, watch)? {
+            let lines = optimum.lines(spec, layout, setting, drift);
+            let windows = lines.again(bench, (drives, &before), until_s, &mut swept, watch)?;
+            self.kept_within(optimum, points, &swept.1, windows, watch)?;
+        }
+        Ok(Some(swept))
+    }
+
+    /// Seeks cells again around places that `windows` from number `from` on have missed; whether there were any.
+    fn kept_within(
+        &self,
+        optimum: &mut Optimum,
+        points: &[DayPoint],
+        windows: &[Window],
+        from: usize,
+        watch: Watch,
+    ) -> Result<bool, MapError> {
+        let Self { spec, layout, setting, models, .. } = *self;
+        let missed: Vec<Vec<f64>> = windows[from..].iter().filter_map(|w| w.missed(layout)).collect();
+        if missed.is_empty() {
+            return Ok(false);
+        }
+        let Some(reach) = Reach::learn(layout, points, windows, &spec.models, watch)? else {
+            return Ok(false);
+        };
+        let within = setting::setting(layout, models, Some(&reach), spec);
+        optimum.within_reach(spec, layout, (setting, &within), &missed, watch);
+        Ok(true)
+    }
+}
