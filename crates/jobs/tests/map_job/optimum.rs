@@ -157,7 +157,7 @@ fn the_map_of_a_driven_input_is_that_of_the_closed_form() {
 #[test]
 fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     // A model that misses something.
-    let few = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 2 }]\n";
+    let few = "[models]\ncandidates = [{ kind = \"stepwise_polynomial\", degree = 1 }]\n";
     let worst = |more: &str, noise: f64| {
         let found = run_with(&format!("{DAY}{more}{few}"), 4, Bench::new(noise, Fault::None)).unwrap();
         let axes: Vec<Vec<f64>> = found.axes.iter().map(|a| a.points.clone()).collect();
@@ -178,11 +178,9 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     assert!(s.planned == 5 && s.whole == 5 && s.rows > 5 * 18, "{s:?}");
     assert!(found.bed.sweeps_s >= 5.0 * 20.0 && s.bed_s == found.bed.sweeps_s, "{:?}", found.bed);
     assert!(found.drives[0].trimmed.is_some() && found.drives[0].words().contains("Along the maps"));
-    // 0.5 Nm of scatter of 30 Nm in a sample, ten samples in a window, forty of them along a line.
-    assert!(with < 0.006, "{with}");
-    // The same day without them.
+    // The same day without them misses twice as much at least. 0.5 Nm of scatter of 30 Nm in a sample, ten samples in a window.
     let (without, _) = worst("", 1.0);
-    assert!(with < without, "{with} {without}");
+    assert!(with < 0.01 && with < 0.5 * without, "{with} {without}");
 }
 
 /// A load that saturates is nearly open before it is at its end, and models of it over the torque do not know where the end is. The lines
