@@ -237,7 +237,7 @@ impl Lines<'_> {
         for (k, line) in lines.iter().enumerate() {
             if bench.used_s() >= bed_s {
                 sweeps.notes.push(format!(
-                    "{} of {} were left out: the bed time was used up",
+                    "{} of {} lines or parts of lines were left out: the bed time was used up",
                     lines.len() - k,
                     lines.len()
                 ));
