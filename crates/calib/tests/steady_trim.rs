@@ -1,6 +1,6 @@
 //! A trim learnt from lines whose windows do not all weigh alike.
 
-use dynocal_calib::steady::trim::{Along, Trim, finer};
+use dynocal_calib::steady::trim::{Along, Trim, Way, finer};
 use dynocal_numerics::rng::Rng64;
 
 /// Measurements that scatter ten times as much where they weigh a hundredth do not disturb the others: the scatter is that of weight 1,
@@ -13,7 +13,8 @@ fn what_weighs_little_does_not_disturb() {
     for k in 0..400 {
         let x = 3.0 * rng.uniform();
         let (size, weight) = if x > 2.0 { (0.1, 0.01) } else { (0.01, 1.0) };
-        let way = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let up = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let way = Way { up, since_s: 1e6, before_s: 1e6, window_s: 1.0 };
         weighed.push(vec![x], way, 0.1 * (1.5 * x).sin() + size * rng.normal(), weight);
     }
     let equal = Along { weight: vec![1.0; 400], ..weighed.clone() };

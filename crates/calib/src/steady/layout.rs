@@ -73,6 +73,9 @@ pub struct ResponseChannel {
     pub upper: Option<f64>,
     /// Weight in what is minimised; 0 where it is not.
     pub weight: f64,
+    /// Whether it is recorded only, and slower than a point is held: no point waits for it.
+    #[serde(default)]
+    pub slow: bool,
 }
 
 /// Factors and responses of a problem.
@@ -246,7 +249,8 @@ impl Layout {
             None => return false,
         };
         let name = name.to_string();
-        self.responses.push(ResponseChannel { name, unit, source, lower: None, upper: None, weight: 0.0 });
+        let (lower, upper) = (None, None);
+        self.responses.push(ResponseChannel { name, unit, source, lower, upper, weight: 0.0, slow: false });
         true
     }
 
@@ -299,6 +303,7 @@ fn responses(
             lower: Some(i.lower),
             upper: Some(i.upper),
             weight: weight(&i.name),
+            slow: false,
         });
     }
     let metered = |name: &str, unit: &str| {
@@ -319,6 +324,7 @@ fn responses(
             lower: l.lower,
             upper,
             weight: weight(&l.output),
+            slow: false,
         });
     }
     for m in &problem.minimise {
@@ -329,7 +335,7 @@ fn responses(
         if !there {
             let source = if output { ResponseSource::Output } else { ResponseSource::Derived };
             let (name, weight) = (m.channel.clone(), weight(&m.channel));
-            all.push(ResponseChannel { name, unit, source, lower: None, upper: None, weight });
+            all.push(ResponseChannel { name, unit, source, lower: None, upper: None, weight, slow: false });
         }
     }
     all

@@ -169,7 +169,7 @@ impl<'a> Station<'a> {
         (at, driven): (Vec<f64>, Vec<f64>),
         interrupt: &'a dyn Fn() -> bool,
     ) -> Self {
-        let watched = layout.responses.iter().filter(|r| r.source == ResponseSource::Output);
+        let watched = layout.responses.iter().filter(|r| r.source == ResponseSource::Output && !r.slow);
         let guards = watched.map(|r| {
             let ends = [r.lower, r.upper].into_iter().flatten();
             let size = ends.map(f64::abs).fold(0.0, f64::max);
@@ -212,8 +212,9 @@ impl<'a> Station<'a> {
     /// From now on limits may be passed by a share of their size on the way: what is approached is no exploration any more.
     pub fn widen(&mut self, share: f64) {
         for g in &mut self.guards {
-            g.upper += share * g.upper.abs();
-            g.lower -= share * g.lower.abs();
+            // An open side stays open.
+            g.upper += if g.upper.is_finite() { share * g.upper.abs() } else { 0.0 };
+            g.lower -= if g.lower.is_finite() { share * g.lower.abs() } else { 0.0 };
         }
     }
 

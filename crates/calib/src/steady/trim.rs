@@ -6,8 +6,14 @@
 //!
 //! z: place over the axes, r: what was measured less what was expected, s: 1 where it was gone up the axis and -1 where it was gone down,
 //! h: hats of the knots (multilinear between them), D: second differences over the knots, w: weights of the measurements. c is the
-//! correction, d the lag of the way.
-//! `lambda` is the one of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
+//! correction, d the lag of the way. It is none at rest, and comes with a time constant of its own:
+//!
+//! ```text
+//! tau s' = u - s     u: 1 up, -1 down     s = 0 at the begin of a line
+//! ```
+//!
+//! A window at the begin of a way has not all of the lag yet, and at the ends of the axes there are no other windows of that way.
+//! `lambda` and `tau` are those of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
 //! measurement nearby go on as the others bend, but not beyond what was found where there are some. Where one way alone was measured `mu`,
 //! which is small, takes it for the correction.
 //!
@@ -33,6 +39,8 @@ pub struct Trim {
     pub rest: f64,
     /// Weight of the bending.
     pub lambda: f64,
+    /// Time constant with which the lag comes in s.
+    pub tau_s: f64,
 }
 
 /// Weights that are tried, and the one that keeps knots solvable that nothing bears on: both as shares of the mean diagonal.
@@ -40,31 +48,41 @@ const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
 const RIDGE: f64 = 1e-9;
 /// mu, as a share of the mean diagonal.
 const NO_LAG: f64 = 1e-3;
+/// Time constants of the lag that are tried, as multiples of the longest window.
+const TAUS: [f64; 7] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 
 impl Trim {
     /// From what was measured along lines; none where there is nothing, or where it is not finite.
     pub fn learn(axes: &[Vec<f64>], along: &Along) -> Option<Self> {
-        let rows = Rows::new(axes, along)?;
-        let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l)?)));
-        let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
-        Some(Self::of(axes, along, best, lambda))
+        let longest_s = along.way.iter().map(|w| w.window_s).fold(0.0, f64::max);
+        let of_tau = |share: &f64| {
+            let tau_s = share * longest_s;
+            let rows = Rows::new(axes, along, tau_s)?;
+            let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l)?)));
+            let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
+            Some((best, lambda, tau_s))
+        };
+        let fits = TAUS.iter().filter_map(of_tau);
+        let (best, lambda, tau_s) = fits.min_by(|a, b| a.0.score.total_cmp(&b.0.score))?;
+        Some(Self::of(axes, along, best, (lambda, tau_s)))
     }
 
-    /// The same with a given weight of the bending.
-    pub fn with_lambda(axes: &[Vec<f64>], along: &Along, lambda: f64) -> Option<Self> {
-        let fit = Rows::new(axes, along)?.fit(lambda)?;
-        Some(Self::of(axes, along, fit, lambda))
+    /// The same with a given weight of the bending, and a lag that comes with the time constant `tau_s`.
+    pub fn with(axes: &[Vec<f64>], along: &Along, lambda: f64, tau_s: f64) -> Option<Self> {
+        let fit = Rows::new(axes, along, tau_s)?.fit(lambda)?;
+        Some(Self::of(axes, along, fit, (lambda, tau_s)))
     }
 
-    fn of(axes: &[Vec<f64>], along: &Along, fit: Fit, lambda: f64) -> Self {
+    fn of(axes: &[Vec<f64>], along: &Along, fit: Fit, (lambda, tau_s): (f64, f64)) -> Self {
         let mut values = fit.values;
         let lag = values.split_off(values.len() / 2);
-        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter: fit.scatter, rest: 0.0, lambda };
+        let scatter = fit.scatter;
+        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter, rest: 0.0, lambda, tau_s };
         let found = along.at.iter().map(|z| trim.at(z));
         let (low, high) = found.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         trim.values.iter_mut().for_each(|v| *v = v.clamp(low, high));
         let squares = (0..along.r.len()).map(|i| {
-            let (z, up) = (&along.at[i], along.up[i]);
+            let (z, up) = (&along.at[i], along.way[i].developed(tau_s));
             (along.r[i] - trim.at(z) - up * trim.lag_at(z)).powi(2)
         });
         trim.rest = (squares.sum::<f64>() / along.r.len().max(1) as f64).sqrt();
@@ -76,8 +94,39 @@ impl Trim {
         corners(&self.axes, at).iter().map(|(k, w)| w * self.values[*k]).sum()
     }
 
-    fn lag_at(&self, at: &[f64]) -> f64 {
+    /// Lag of the way at the axes `at`, once it has come.
+    pub fn lag_at(&self, at: &[f64]) -> f64 {
         corners(&self.axes, at).iter().map(|(k, w)| w * self.lag[*k]).sum()
+    }
+}
+
+/// When a window of a line was measured on its way: there from rest, or back.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Way {
+    /// 1: up the axis that was gone along; -1: down; 0: it rested.
+    pub up: f64,
+    /// Time from the begin of the way to that of the window in s.
+    pub since_s: f64,
+    /// How long it had been gone along the other way before in s; none from rest.
+    pub before_s: f64,
+    /// Length of the window in s.
+    pub window_s: f64,
+}
+
+impl Way {
+    /// How far the lag has come in the mean of the window, with the time constant `tau_s`: from 0 at rest to 1 up and -1 down.
+    pub fn developed(&self, tau_s: f64) -> f64 {
+        if tau_s <= 0.0 {
+            return self.up;
+        }
+        let gone = |t: f64| (-t / tau_s).exp();
+        let begun = -self.up * (1.0 - gone(self.before_s));
+        let left = if self.window_s > 0.0 {
+            tau_s / self.window_s * (gone(self.since_s) - gone(self.since_s + self.window_s))
+        } else {
+            gone(self.since_s)
+        };
+        self.up + (begun - self.up) * left
     }
 }
 
@@ -86,8 +135,8 @@ impl Trim {
 pub struct Along {
     /// Places over the axes.
     pub at: Vec<Vec<f64>>,
-    /// Ways: 1 up the axis that was gone along, -1 down.
-    pub up: Vec<f64>,
+    /// On which ways.
+    pub way: Vec<Way>,
     /// Measured less expected.
     pub r: Vec<f64>,
     /// Weights.
@@ -96,9 +145,9 @@ pub struct Along {
 
 impl Along {
     /// One more measurement.
-    pub fn push(&mut self, at: Vec<f64>, up: f64, r: f64, weight: f64) {
+    pub fn push(&mut self, at: Vec<f64>, way: Way, r: f64, weight: f64) {
         self.at.push(at);
-        self.up.push(up);
+        self.way.push(way);
         self.r.push(r);
         self.weight.push(weight);
     }
@@ -124,8 +173,8 @@ struct Fit {
 }
 
 impl Rows {
-    fn new(axes: &[Vec<f64>], along: &Along) -> Option<Self> {
-        let Along { at, up, r, weight } = along;
+    fn new(axes: &[Vec<f64>], along: &Along, tau_s: f64) -> Option<Self> {
+        let Along { at, way, r, weight } = along;
         let knots: usize = axes.iter().map(Vec::len).product();
         let n = 2 * knots;
         if r.is_empty() || n == 0 || !r.iter().chain(weight).chain(at.iter().flatten()).all(|v| v.is_finite())
@@ -133,8 +182,8 @@ impl Rows {
             return None;
         }
         let (mut gram, mut right) = (vec![0.0; n * n], vec![0.0; n]);
-        for (((z, up), r), weight) in at.iter().zip(up).zip(r).zip(weight) {
-            let around = corners(axes, z);
+        for (((z, way), r), weight) in at.iter().zip(way).zip(r).zip(weight) {
+            let (around, up) = (corners(axes, z), way.developed(tau_s));
             let lags: Vec<(usize, f64)> = around.iter().map(|(k, w)| (knots + k, up * w)).collect();
             let around = [around, lags].concat();
             for (k, w) in &around {
@@ -234,8 +283,47 @@ mod tests {
         vec![vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 20.0, 40.0]]
     }
 
+    /// Measured long after the begin of the way.
     fn along(at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Along {
-        Along { at: at.to_vec(), up: up.to_vec(), r: r.to_vec(), weight: vec![1.0; r.len()] }
+        let way = |up: &f64| Way { up: *up, since_s: 1e6, before_s: 1e6, window_s: 1.0 };
+        Along {
+            at: at.to_vec(),
+            way: up.iter().map(way).collect(),
+            r: r.to_vec(),
+            weight: vec![1.0; r.len()],
+        }
+    }
+
+    /// A lag that comes with a time constant, and a correction that bends at the end of the axis, where the lag of the way there is not yet
+    /// there and that of the way back is: both are found. With a lag that is there at once the bend is taken for lag.
+    #[test]
+    fn a_lag_that_comes_is_no_bend_at_the_end() {
+        let (tau_s, window_s, pass_s) = (2.0, 2.0, 40.0);
+        let bent = |x: f64| 0.01 * (1.0 - x).max(0.0) + 0.002 * x;
+        let axes = vec![vec![0.0, 1.0, 2.0, 3.0]];
+        let mut rng = Rng64::new(2);
+        let mut all = Along::default();
+        for (up, before_s) in [(1.0, 0.0), (-1.0, pass_s)] {
+            for k in 0..20 {
+                let since_s = window_s * f64::from(k);
+                let gone = 3.0 * (since_s + 0.5 * window_s) / pass_s;
+                let x = if up > 0.0 { gone } else { 3.0 - gone };
+                let way = Way { up, since_s, before_s, window_s };
+                let r = bent(x) + 0.015 * way.developed(tau_s) + 1e-4 * rng.normal();
+                all.push(vec![x], way, r, 1.0);
+            }
+        }
+        let trim = Trim::learn(&axes, &all).unwrap();
+        assert_eq!(trim.tau_s, tau_s);
+        // Its bend is smoothed a little.
+        assert!((trim.at(&[0.0]) - 0.01).abs() < 1e-3, "{:?}", trim.values);
+        let at_once = Trim::with(&axes, &all, trim.lambda, 0.0).unwrap();
+        assert!((at_once.at(&[0.0]) - 0.01).abs() > 2e-3, "{:?}", at_once.values);
+        // The law itself: nothing at rest, all of it after a while, the other way round after a turn.
+        let way = |since_s, before_s| Way { up: 1.0, since_s, before_s, window_s: 0.0 };
+        assert_eq!(way(0.0, 0.0).developed(2.0), 0.0);
+        assert!((way(2.0, 0.0).developed(2.0) - (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
+        assert!((way(0.0, 1e3).developed(2.0) + 1.0).abs() < 1e-12);
     }
 
     /// What is bilinear is not bent: it is found again whatever its weight, and goes on where nothing was measured, but not beyond
@@ -297,7 +385,7 @@ mod tests {
             r.push(0.1 + 0.03 * (x - 1.2_f64).max(0.0).powi(3) + 0.02 * way);
         }
         for lambda in [1e-6, LAMBDAS[0], LAMBDAS[1]] {
-            let trim = Trim::with_lambda(&axes, &along(&at, &ways, &r), lambda).unwrap();
+            let trim = Trim::with(&axes, &along(&at, &ways, &r), lambda, 0.0).unwrap();
             let worst = trim.lag.iter().map(|d| d.abs()).fold(0.0, f64::max);
             assert!(worst < 0.1, "{lambda}: {:?}", trim.lag);
         }
@@ -322,7 +410,7 @@ mod tests {
         };
         let up: Vec<f64> = (0..120).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let chosen = Trim::learn(&axes, &along(&at, &up, &r)).unwrap();
-        let soft = Trim::with_lambda(&axes, &along(&at, &up, &r), LAMBDAS[0]).unwrap();
+        let soft = Trim::with(&axes, &along(&at, &up, &r), LAMBDAS[0], 0.0).unwrap();
         assert!(
             error(&chosen) < 0.1 && error(&chosen) < 0.6 * error(&soft),
             "{} {}",

@@ -5,10 +5,12 @@
 //! between, and nothing was ever measured there. So each cell is sought again from where its neighbours stand, and of what is found
 //!
 //! ```text
-//! minimise over the choices   sum_(k,j neighbours) | (x_k - x_j) / (upper - lower) |^2      subject to   J(x_k) <= J_best,k + smooth |J_k|
+//! minimise over the choices   sum_(k,j neighbours) | (x_k - x_j) / (upper - lower) |^2
+//! subject to                  J(x_k) <= J_best,k + max(smooth |J_k|, caution sigma_k)
 //! ```
 //!
-//! J: what is minimised, caution included; all limits kept. Cell by cell in turns (iterated conditional modes): no choice makes the sum larger, so
+//! J: what is minimised, caution included; sigma: its standard deviation at the best, since what differs by less than the share of it that is added for
+//! caution is not known to differ; all limits kept. Cell by cell in turns (iterated conditional modes): no choice makes the sum larger, so
 //! that it ends.
 //!
 //! Reference: J. Besag, On the statistical analysis of dirty pictures, J. R. Statist. Soc. B 48 (1986), 259.
@@ -86,7 +88,7 @@ fn good_enough(
         return false;
     };
     cell.best = cell.best.min(setting.cost(&best));
-    let allowed = cell.best + smooth * best.objective.abs();
+    let allowed = cell.best + (smooth * best.objective.abs()).max(setting.caution * best.objective_deviation);
     found.retain(|o| setting.cost(o) <= allowed);
     let dear = setting.cost(&cell.optimum) > if first { setting.cost(&best) } else { allowed };
     if dear {

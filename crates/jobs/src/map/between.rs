@@ -106,7 +106,7 @@ impl Between<'_> {
             .filter(|k| cells[*k].state == CellState::Optimal && own.binary_search(k).is_err())
             .collect();
         let mut between: Vec<Cell> = which.iter().map(|k| cells[*k].clone()).collect();
-        drive::fill(self.drives, self.layout, &mut between)?;
+        drive::fill(self.drives, self.layout, self.setting, &mut between)?;
         which.into_iter().zip(between).for_each(|(k, c)| cells[k] = c);
         Ok(cells)
     }

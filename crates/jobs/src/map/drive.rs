@@ -12,12 +12,16 @@
 //! reached there does not depend on the input any more. Channels that are responses are taken as measured to learn from, and as their
 //! models expect them in the cells: `g` may then have fewer inputs than there are factors (the angle of a throttle follows from the
 //! mass that flows, the pressures on either side, and nothing else).
+//!
+//! What lines along the maps show ([`super::sweep`]) moves the demand at which the model is asked, and not its input: behind a throttle that is
+//! nearly open the same share of torque is a tenth of the opening or all of it.
 
+use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{DayPoint, Purpose};
-use dynocal_calib::steady::grid::Cell;
+use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::station::SteadyPoint;
-use dynocal_calib::steady::trim::Trim;
+use dynocal_calib::steady::trim::{Trim, Way};
 use dynocal_ident::data::{Channel, Dataset, Role};
 use dynocal_ident::model::response::{Ask, Points, Prediction, Response, ResponseModel};
 use dynocal_numerics::watch::Watch;
@@ -62,19 +66,37 @@ pub struct Drive {
     model: ResponseModel,
 }
 
-/// A map that was trimmed by what was measured along it ([`super::sweep`]); shares of the input where the map is relative, else in its unit.
+/// A map that was trimmed by what was measured along it ([`super::sweep`]); shares where the map is relative, else in the unit of the input.
 #[derive(Clone, Debug, Serialize)]
 pub struct Trimmed {
-    /// RMS of what the map missed along the lines before.
+    /// RMS of what the input in the map missed along the lines before.
     pub before: f64,
-    /// Scatter of a window about the trimmed map and the lag of its way: what the map does not follow, and noise.
+    /// Scatter of the input in a window about the trimmed map and the lag of its way: what the map does not follow, noise, and what a slow channel
+    /// did there, as it does wherever the map is used before it has come to rest.
     pub scatter: f64,
     /// The same by what it does to the demand: as a share of it where the map is relative.
     pub held: f64,
     /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
+    /// What was taken out for a channel that is slower than a line, in words.
+    pub slow: Option<String>,
     #[serde(skip)]
     trim: Trim,
+    /// The factor of the demand, where the trim is a share of it; else it adds to what is learnt.
+    #[serde(skip)]
+    demand: Option<usize>,
+}
+
+/// What a loop set in a window along the maps.
+pub(super) struct Set<'a> {
+    /// Axes, and the way along the first of them.
+    pub(super) at: &'a [f64],
+    pub(super) way: Way,
+    /// The input, and what its map says there before and after it was trimmed.
+    pub(super) input: f64,
+    pub(super) said: [f64; 2],
+    /// d log u / d log y of the trimmed map.
+    pub(super) slope: f64,
 }
 
 /// A value with the half width of one standard deviation of a measurement about it.
@@ -266,24 +288,76 @@ impl Drive {
         if self.relative { measured.ln() - expected.ln() } else { measured - expected }
     }
 
-    /// Takes what was measured along the maps: `before` is what they missed there, `between` what a line differs from its neighbours.
-    pub(super) fn take(&mut self, trim: Trim, before: f64, between: Option<f64>) {
-        self.trimmed = Some(Trimmed { before, scatter: trim.rest, held: trim.scatter, between, trim });
+    /// Takes what was measured along the maps; `between`: what a line differs from its neighbours, `slow`: what was taken out for a channel that is
+    /// slower than a line, in words.
+    pub(super) fn take(
+        &mut self,
+        trim: Trim,
+        demand: Option<usize>,
+        between: Option<f64>,
+        slow: Option<String>,
+    ) {
+        let (scatter, held) = (trim.rest, trim.scatter);
+        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, slow, trim, demand });
     }
 
-    /// Values at rows of factors and responses.
+    /// What the map missed before it was trimmed, and what is left, in its input.
+    pub(super) fn compare(&mut self, windows: &[Set]) {
+        let rms = |of: &dyn Fn(&Set) -> f64| {
+            let each = windows.iter().map(of).filter(|v| v.is_finite());
+            let (sum, n) = each.fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
+            f64::sqrt(sum / f64::max(n, 1.0))
+        };
+        let Some(t) = &self.trimmed else { return };
+        let before = rms(&|w| self.missed_by(w.said[1], w.said[0]));
+        // More of the demand by the lag is less of the input that holds it.
+        let left = |w: &Set| {
+            let lag = w.way.developed(t.trim.tau_s) * t.trim.lag_at(w.at);
+            self.missed_by(w.input, w.said[1]) + w.slope * lag
+        };
+        let scatter = if t.demand.is_some() { rms(&left) } else { t.scatter };
+        if let Some(t) = &mut self.trimmed {
+            (t.before, t.scatter) = (before, scatter);
+        }
+    }
+
+    /// What the trim is at the axes `at`; 0 where there is none.
+    pub(super) fn trim_at(&self, at: &[f64]) -> f64 {
+        self.trimmed.as_ref().map_or(0.0, |t| t.trim.at(at))
+    }
+
+    /// Factors at which the model is asked for its input at `x`.
+    fn asked(&self, layout: &Layout, x: &[f64]) -> Vec<f64> {
+        let mut x = x.to_vec();
+        if let Some(k) = self.trimmed.as_ref().and_then(|t| t.demand) {
+            x[k] *= (-self.trim_at(&x[..layout.axes])).exp();
+        }
+        x
+    }
+
+    /// Values at factors, all responses being as the models expect them there.
     ///
     /// # Errors
     /// [`MapError::Over`] where a channel does not follow from factors and responses.
-    pub(super) fn at(&self, layout: &Layout, rows: &[(&[f64], &[f64])]) -> Result<Vec<Driven>, MapError> {
-        let columns = columns(layout, &record(layout, rows), &self.over)?;
+    pub(super) fn at(
+        &self,
+        layout: &Layout,
+        setting: &Setting,
+        factors: &[&[f64]],
+    ) -> Result<Vec<Driven>, MapError> {
+        let asked: Vec<Vec<f64>> = factors.iter().map(|x| self.asked(layout, x)).collect();
+        let expected: Vec<Vec<f64>> = asked.iter().map(|x| expected(setting, x)).collect();
+        let rows: Vec<(&[f64], &[f64])> =
+            asked.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
+        let columns = columns(layout, &record(layout, &rows), &self.over)?;
         let mut at = Prediction::new(self.over.len());
         let one = |i: usize| {
             let of = |(c, log): (&Vec<f64>, &bool)| if *log { c[i].ln() } else { c[i] };
             let x: Vec<f64> = columns.iter().zip(&self.logs).map(of).collect();
             self.model.predict(&x, Ask::Variance, &mut at);
             let (mean, deviation) = match &self.trimmed {
-                Some(t) => (at.mean + t.trim.at(&rows[i].0[..layout.axes]), t.scatter),
+                Some(t) if t.demand.is_some() => (at.mean, t.scatter),
+                Some(t) => (at.mean + t.trim.at(&factors[i][..layout.axes]), t.scatter),
                 None => (at.mean, self.widen * at.measured_std()),
             };
             match self.relative {
@@ -291,7 +365,21 @@ impl Drive {
                 false => Driven { value: mean, deviation },
             }
         };
-        Ok((0..rows.len()).map(one).collect())
+        Ok((0..factors.len()).map(one).collect())
+    }
+
+    /// The values alone.
+    ///
+    /// # Errors
+    /// As of [`Drive::at`].
+    pub(super) fn say(
+        &self,
+        layout: &Layout,
+        setting: &Setting,
+        factors: &[Vec<f64>],
+    ) -> Result<Vec<f64>, MapError> {
+        let factors: Vec<&[f64]> = factors.iter().map(|x| &x[..]).collect();
+        Ok(self.at(layout, setting, &factors)?.into_iter().map(|v| v.value).collect())
     }
 
     /// In words for reports: what it follows from and how well.
@@ -308,25 +396,42 @@ impl Drive {
             format!("; a line differs from what the lines beside it say of it by {} rms", self.in_words(b))
         });
         format!(
-            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}",
+            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}{}",
             self.in_words(t.before),
             self.in_words(t.scatter),
-            self.in_words(t.held)
+            self.in_words(t.held),
+            t.slow.as_deref().unwrap_or_default()
         )
     }
 }
 
+/// What the models expect of all responses.
+fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
+    let mut at = Prediction::new(factors.len());
+    let one = |m: &&dyn Response| {
+        m.predict(factors, Ask::Mean, &mut at);
+        at.mean
+    };
+    setting.models[..].iter().map(one).collect()
+}
+
 /// Puts the values of driven inputs into the cells, in place of what the models of the day expect over the factors. A cell in which a
-/// channel has no logarithm keeps what it has.
+/// channel has no logarithm keeps what it has, and so does one that is filled: models say nothing there.
 ///
 /// # Errors
 /// As of [`Drive::at`].
-pub(super) fn fill(drives: &[Drive], layout: &Layout, cells: &mut [Cell]) -> Result<(), MapError> {
-    let rows: Vec<(&[f64], &[f64])> =
-        cells.iter().map(|c| (&c.optimum.x[..], &c.optimum.responses[..])).collect();
-    let found: Vec<Vec<Driven>> = drives.iter().map(|d| d.at(layout, &rows)).collect::<Result<_, _>>()?;
+pub(super) fn fill(
+    drives: &[Drive],
+    layout: &Layout,
+    setting: &Setting,
+    cells: &mut [Cell],
+) -> Result<(), MapError> {
+    let factors: Vec<&[f64]> = cells.iter().map(|c| &c.optimum.x[..]).collect();
+    let found: Vec<Vec<Driven>> =
+        drives.iter().map(|d| d.at(layout, setting, &factors)).collect::<Result<_, _>>()?;
     for (l, values) in found.into_iter().enumerate() {
-        for (c, v) in cells.iter_mut().zip(values).filter(|(_, v)| v.value.is_finite()) {
+        let known = |(c, v): &(&mut Cell, Driven)| v.value.is_finite() && c.state != CellState::Filled;
+        for (c, v) in cells.iter_mut().zip(values).filter(known) {
             c.optimum.responses[l] = v.value;
             c.optimum.deviations[l] = v.deviation;
         }

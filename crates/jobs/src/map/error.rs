@@ -45,9 +45,11 @@ pub enum MapError {
     Edits(String),
     /// The front asks for a response that there is not.
     #[error(
-        "optimise.front.against: the plant has no output `{name}`, and no derived channel is called so; there are: {known}"
+        "{key}: the plant has no output `{name}`, and no derived channel is called so; there are: {known}"
     )]
-    Front {
+    Response {
+        /// Key of the spec.
+        key: &'static str,
         /// Name.
         name: String,
         /// Outputs that there are, with their units.

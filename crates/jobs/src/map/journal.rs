@@ -87,7 +87,7 @@ impl<'s, 'a> Journal<'s, 'a> {
         watch: Watch<'s>,
     ) -> Result<Self, FilesError> {
         let inputs = digest_of(&(env!("CARGO_PKG_VERSION"), inputs))?;
-        let head = Head { schema: "dynocal/day".into(), schema_version: 1, inputs };
+        let head = Head { schema: "dynocal/day".into(), schema_version: 2, inputs };
         let path = folder.join(FILE);
         let kept = earlier(&path, &head);
         let head = line(&head).unwrap_or_default();

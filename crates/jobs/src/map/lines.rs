@@ -7,10 +7,9 @@
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::Drift;
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
-use dynocal_calib::steady::layout::{FactorKind, Layout};
-use dynocal_calib::steady::station::{Leg, SweepRow};
+use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::Leg;
 use dynocal_calib::steady::trim::finer;
-use dynocal_ident::model::response::{Ask, Prediction};
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
 
@@ -18,6 +17,7 @@ use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
 use super::spec::{MapSpec, SweepSpec};
+use super::windows::{Window, keep};
 
 /// What the sweeps were.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -62,14 +62,6 @@ pub(super) struct Line {
     driven: Vec<Vec<f64>>,
 }
 
-/// A window of a sweep.
-pub(super) struct Window {
-    pub(super) line: usize,
-    /// 1: up the first axis; -1: down.
-    pub(super) up: f64,
-    pub(super) row: SweepRow,
-}
-
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
 /// within it is less than its map misses.
 const ASIDE: f64 = 0.05;
@@ -77,7 +69,7 @@ const ASIDE: f64 = 0.05;
 pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
     let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
-    lines as f64 * line_s(spec, s) + again_s(spec)
+    s.soak_s + lines as f64 * line_s(spec, s) + again_s(spec)
 }
 
 /// Bed time of a line, there and back, with the way to it.
@@ -110,20 +102,6 @@ fn pass_s(spec: &MapSpec, asked_s: f64, left_s: f64, (lines, whole): (usize, f64
     there.clamp(asked_s / FASTEST, asked_s)
 }
 
-/// Adds the windows of a line that was gone along from `from` on.
-fn keep(line: usize, from: &[f64], legs: &[Leg], found: Vec<SweepRow>, rows: &mut Vec<Window>) {
-    let ends: Vec<f64> = [from[0]].into_iter().chain(legs.iter().map(|l| l.to[0])).collect();
-    let up = |leg: usize| (ends[leg + 1] - ends[leg]).signum();
-    let mut way = 0.0;
-    for row in found {
-        // The first window of a way is not yet behind by all of the lag.
-        let before = std::mem::replace(&mut way, up(row.leg));
-        if before == way {
-            rows.push(Window { line, up: way, row });
-        }
-    }
-}
-
 /// First and last of the nodes whose settings are not `beside` those that had the same leading `axes` before, with one more on either side; none
 /// where all are.
 fn others(
@@ -139,21 +117,6 @@ fn others(
     };
     let others: Vec<usize> = (0..nodes.len()).filter(other).collect();
     Some((others.first()?.saturating_sub(1), (others.last()? + 1).min(nodes.len() - 1)))
-}
-
-impl Window {
-    /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
-    pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
-        let mut at = self.row.factors[..layout.axes].to_vec();
-        let mut missed = false;
-        for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
-            if let FactorKind::Demand(l) = f.kind {
-                missed |= self.row.at_end[l] && !self.row.followed[l];
-                at[k] = self.row.asked[l];
-            }
-        }
-        missed.then_some(at)
-    }
 }
 
 impl Lines<'_> {
@@ -174,7 +137,11 @@ impl Lines<'_> {
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
         let bed_s = bed_s - again_s(self.spec);
         let mut swept = (Sweeps { planned: lines.len(), ..Sweeps::default() }, Vec::new());
-        Ok(if self.go(bench, &lines, bed_s, &mut swept, watch)? { Some((swept, lines)) } else { None })
+        Ok(if self.go(bench, (&lines, spec.soak_s), bed_s, &mut swept, watch)? {
+            Some((swept, lines))
+        } else {
+            None
+        })
     }
 
     /// Goes along the parts of the lines whose maps are others than those of the lines `before`, until `bed_s` is used up. Windows are added to
@@ -197,7 +164,7 @@ impl Lines<'_> {
         if !parts.is_empty() {
             watch.note(&format!("{} parts of lines again: their maps are others now", parts.len()));
             let whole = swept.0.whole;
-            self.go(bench, &parts, bed_s, swept, watch)?;
+            self.go(bench, (&parts, 0.0), bed_s, swept, watch)?;
             (swept.0.again, swept.0.whole) = (parts.len(), whole);
         }
         Ok(windows)
@@ -222,18 +189,26 @@ impl Lines<'_> {
         })
     }
 
-    /// Goes along lines until `bed_s` is used up; false where the bed cannot.
+    /// Goes along lines until `bed_s` is used up, beginning at the end of the other axis that is nearer to where the bed stands: oil and walls are a
+    /// minute and more behind. Where that is measured, and the bed rests for `soak_s` at the begin of the first line, it begins at the other end, with the
+    /// least demand: the rest tells most there of what it does ([`super::slow`]). False where the bed cannot.
     fn go(
         &self,
         bench: &mut dyn Bench,
-        lines: &[Line],
+        (lines, soak_s): (&[Line], f64),
         bed_s: f64,
         (sweeps, rows): &mut Gone,
         watch: Watch,
     ) -> Result<bool, MapError> {
         let asked_s = self.spec.bed.sweep.as_ref().map_or(0.0, |s| s.pass_s);
-        let begun_s = bench.used_s();
+        let (begun_s, window_s) = (bench.used_s(), self.spec.bed.approach.window_s);
         let mut least_s = asked_s;
+        let mut lines: Vec<&Line> = lines.iter().collect();
+        let known = soak_s > 0.0 && self.spec.slow().is_some();
+        let mut soak_s = soak_s;
+        if self.nearer_last(&lines, bench.stands_at()) != known {
+            lines.reverse();
+        }
         for (k, line) in lines.iter().enumerate() {
             if bench.used_s() >= bed_s {
                 sweeps.notes.push(format!(
@@ -245,15 +220,21 @@ impl Lines<'_> {
             }
             watch.fraction(k as f64 / lines.len() as f64);
             let rest = (lines.len() - k, lines[k..].iter().map(|l| self.length(l)).sum());
-            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s(), rest);
+            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s() - soak_s, rest);
             least_s = least_s.min(pass_s);
-            let nearer = self.nearer_end(line, bench.stands_at());
+            let nearer = self.nearer_end(line, bench.stands_at()) && !(known && soak_s > 0.0);
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
             for last in [nearer, !nearer] {
-                let (from, legs) = self.path(line, last, pass_s);
+                let (from, mut legs) = self.path(line, last, pass_s);
+                if soak_s > 0.0 {
+                    let driven = vec![0.0; self.layout.loops.len()];
+                    legs.insert(0, Leg { to: from.clone(), seconds: soak_s, driven });
+                }
                 let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
+                // A rest that was begun is not begun once more.
+                soak_s = if swept.rows.is_empty() { soak_s } else { 0.0 };
                 let soon = swept.rows.last().is_none_or(|r| 4 * r.leg < legs.len());
-                keep(line.number, &from, &legs, swept.rows, rows);
+                keep(line.number, (&from, &legs), swept.rows, window_s, rows);
                 let Some(touched) = &swept.touched else {
                     sweeps.whole += 1;
                     break;
@@ -311,14 +292,18 @@ impl Lines<'_> {
             let longest = all.split(|at| !held(at)).max_by_key(|run| run.len()).unwrap_or(&[]);
             let nodes: Vec<Vec<f64>> =
                 longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
-            let driven = drives
-                .iter()
-                .map(|d| models_say(self.layout, self.setting, d, &nodes))
-                .collect::<Result<_, _>>()?;
+            let driven =
+                drives.iter().map(|d| d.say(self.layout, self.setting, &nodes)).collect::<Result<_, _>>()?;
             Ok(Line { number, other, nodes, driven })
         };
         let all: Vec<Line> = others.into_iter().enumerate().map(line).collect::<Result<_, MapError>>()?;
         Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
+    }
+
+    /// Whether the last of the lines is nearer to where the bed stands, along the other axis, than the first.
+    fn nearer_last(&self, lines: &[&Line], now: &[f64]) -> bool {
+        let far = |l: Option<&&Line>| l.and_then(|l| l.other).zip(now.get(1)).map(|(v, now)| (v - now).abs());
+        far(lines.last()).zip(far(lines.first())).is_some_and(|(last, first)| last < first)
     }
 
     /// Whether the last node of a line is nearer to where the bed stands than the first.
@@ -349,31 +334,6 @@ impl Lines<'_> {
         };
         (begin, order.windows(2).map(leg).collect())
     }
-}
-
-/// What the map of a driven input says at factors, all responses being as they are expected there.
-///
-/// # Errors
-/// As of [`Drive::at`].
-pub(super) fn models_say(
-    layout: &Layout,
-    setting: &Setting,
-    drive: &Drive,
-    factors: &[Vec<f64>],
-) -> Result<Vec<f64>, MapError> {
-    let expected: Vec<Vec<f64>> = factors.iter().map(|x| expected(setting, x)).collect();
-    let asked: Vec<(&[f64], &[f64])> = factors.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
-    Ok(drive.at(layout, &asked)?.into_iter().map(|v| v.value).collect())
-}
-
-/// What the models expect of all responses.
-fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
-    let mut at = Prediction::new(factors.len());
-    let one = |m: &&dyn dynocal_ident::model::response::Response| {
-        m.predict(factors, Ask::Mean, &mut at);
-        at.mean
-    };
-    setting.models.iter().map(one).collect()
 }
 
 #[cfg(test)]

@@ -27,12 +27,14 @@ mod reach;
 pub mod refine;
 pub mod result;
 mod setting;
+mod slow;
 pub mod spec;
 pub mod store;
 pub mod sweep;
 mod verdict;
 mod verify;
 mod walk;
+mod windows;
 pub mod work;
 
 use dynocal_files::run_folder::RunFolder;

@@ -128,6 +128,11 @@ impl Optimum {
         grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
     }
 
+    /// Fills cells that were not reached from what their neighbours are now.
+    pub(super) fn refill(&mut self, setting: &Setting) {
+        grid::unreached(setting, &self.grid_axes, &[], &mut self.cells);
+    }
+
     /// Its lines on the bed.
     pub(super) fn lines<'a>(
         &'a self,

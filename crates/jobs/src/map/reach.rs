@@ -19,8 +19,8 @@ use dynocal_numerics::watch::Watch;
 use super::choose::{Chosen, choose};
 use super::error::MapError;
 use super::learn::kinds;
-use super::lines::Window;
 use super::spec::{Errors, ModelsSpec};
+use super::windows::Window;
 
 /// What a demand reaches at the ends of its input.
 #[derive(Clone, Debug)]
@@ -158,6 +158,7 @@ pub(super) fn channel(layout: &Layout, k: usize) -> ResponseChannel {
         lower: Some(0.0),
         upper: None,
         weight: 0.0,
+        slow: false,
     }
 }
 

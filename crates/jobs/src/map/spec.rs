@@ -80,6 +80,13 @@ impl Default for MapSpec {
     }
 }
 
+impl MapSpec {
+    /// The output that is slower than a line; none where nothing is swept, as on a bed that is driven through files.
+    pub fn slow(&self) -> Option<&String> {
+        self.bed.sweep.as_ref().filter(|_| self.plant.name != "bed")?.slow.as_ref()
+    }
+}
+
 /// The day on the bed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -115,11 +122,16 @@ pub struct SweepSpec {
     pub pass_s: f64,
     /// Lines between two neighbouring values of the other axis.
     pub between: usize,
+    /// Rest at the begin of the first line in s: oil is still as the last points left it.
+    pub soak_s: f64,
+    /// An output that is slower than a line (oil): what it is away from where it comes to rest is taken out of what the lines show.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slow: Option<String>,
 }
 
 impl Default for SweepSpec {
     fn default() -> Self {
-        Self { pass_s: 25.0, between: 1 }
+        Self { pass_s: 25.0, between: 1, soak_s: 0.0, slow: None }
     }
 }
 

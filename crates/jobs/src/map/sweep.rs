@@ -4,10 +4,14 @@
 //! stands on a surface of two axes, and the loops find its values by themselves while the bed goes along it:
 //!
 //! ```text
-//! r = log u - log g(q)      u: input as measured, g(q): what its model expects there ([`super::drive`])
-//! u_map = g(q) exp(trim)    trim: r over the axes of the maps without the lag of the way ([`dynocal_calib::steady::trim`])
-//! w = (d log u / d log y)^-2   weight of r, y: the demand that u holds; where y hardly answers u the loop swings far and that is no matter
+//! u_map(y, z) = g(y exp(-e(z)))          u: input, y: the demand that it holds, z: axes, g: what its model expects there ([`super::drive`])
+//! e + (log g - log u) / s = e(z) + s_way d(z)      what a window tells, s = d log g / d log y, 0.5 at least; e(z): over the axes of the maps without the lag of the
+//!                                        way d ([`dynocal_calib::steady::trim`]), found by Newton's method
 //! ```
+//!
+//! e says how much more the demand is at an input than the model says. It is smooth where the input is not: behind a throttle that is nearly open the
+//! demand hardly answers, a share of it is a tenth of the opening or all of it, and what the loop sets there swings far, which is no matter. An input
+//! whose demand is no axis gets a correction of its own, over the axes as well.
 //!
 //! A window counts where all demands were followed and the loop had room, and where the maps still go through it: what lines find at the ends
 //! of the driven inputs is learnt (`reach.rs`) and may move the optimum.
@@ -17,11 +21,14 @@
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_calib::steady::trim::{Along, Trim, finer};
+use dynocal_report::significant;
 
-use super::drive::Drive;
+use super::drive::{Drive, Set};
 use super::error::MapError;
-use super::lines::{Lines, Window, models_say};
+use super::lines::Lines;
+use super::slow::Slow;
 use super::spec::SweepSpec;
+use super::windows::Window;
 
 impl Lines<'_> {
     /// Trims the maps of the driven inputs by what was measured along the lines.
@@ -31,8 +38,13 @@ impl Lines<'_> {
     pub(super) fn trim(&self, rows: &[Window], drives: &mut [Drive]) -> Result<(), MapError> {
         let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
         let knots: Vec<Vec<f64>> = self.knots(spec);
-        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
-        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &on_the_maps, &knots))
+        let through = rows.iter().filter(|w| self.goes_through(w));
+        let (rest, on_the_maps): (Vec<&Window>, Vec<&Window>) = through.partition(|w| w.rests());
+        let place = |name: &String| self.layout.responses.iter().position(|r| r.name == *name);
+        let response = self.spec.slow().and_then(place);
+        let slow = response.and_then(|k| Slow::learn(self.axes, self.leading(), k, rows));
+        let all = Measured { on_the_maps, rest, slow };
+        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &all, &knots))
     }
 
     fn knots(&self, spec: &SweepSpec) -> Vec<Vec<f64>> {
@@ -44,13 +56,9 @@ impl Lines<'_> {
 
     /// What windows say of how loop `l` was answered; nothing where its demand is no axis, or where its map is not relative.
     fn answers(&self, l: usize, drive: &Drive, used: &[&Window]) -> Vec<Answer> {
-        let place = self.layout.factors[..self.layout.axes]
-            .iter()
-            .position(|f| f.kind == FactorKind::Demand(l))
-            .filter(|_| drive.relative);
-        let Some(k) = place else { return Vec::new() };
+        let Some(k) = self.demand(l, drive) else { return Vec::new() };
         let one = |w: &&Window| Answer {
-            way: (w.line, w.up > 0.0),
+            way: (w.line, w.way.up > 0.0),
             at_s: w.row.at_s,
             asked: w.row.asked[l],
             got: w.row.factors[k],
@@ -59,46 +67,196 @@ impl Lines<'_> {
         used.iter().map(one).collect()
     }
 
+    /// The first axis that is a demand.
+    fn leading(&self) -> Option<usize> {
+        let axes = &self.layout.factors[..self.layout.axes];
+        axes.iter().position(|f| matches!(f.kind, FactorKind::Demand(_)))
+    }
+
+    /// The factor of the demand that loop `l` holds; none where it is no axis, where it may be zero, or where the map is not relative.
+    fn demand(&self, l: usize, drive: &Drive) -> Option<usize> {
+        let axes = &self.layout.factors[..self.layout.axes];
+        let place = axes.iter().position(|f| f.kind == FactorKind::Demand(l)).filter(|_| drive.relative);
+        place.filter(|k| self.axes[*k].iter().all(|v| *v > 0.0))
+    }
+
     /// Learns the trim of the input of loop `l` from windows with room.
     fn trim_one(
         &self,
         l: usize,
         drive: &mut Drive,
-        rows: &[&Window],
+        all: &Measured,
         knots: &[Vec<f64>],
     ) -> Result<(), MapError> {
-        let (n, drift) = (self.layout.axes, self.drift.get(l).filter(|d| d.corrected));
         let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
-        let used: Vec<&Window> = rows.iter().copied().filter(|w| room(w)).collect();
-        let factors: Vec<Vec<f64>> = used.iter().map(|w| w.row.factors.clone()).collect();
-        let mut missed = Missed::default();
-        let say = models_say(self.layout, self.setting, drive, &factors)?;
-        let mut slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        let rows = &all.on_the_maps;
         // Between all windows of a way: those beside one that counts may not count themselves.
         let measured = measured_slopes(&self.answers(l, drive, rows), 1.5 * self.spec.bed.approach.window_s);
-        for (slope, m) in
-            slopes.iter_mut().zip(rows.iter().zip(&measured).filter(|(w, _)| room(w)).map(|(_, m)| m))
-        {
-            if *m > STEEPER * *slope {
-                *slope = *m;
-            }
+        let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
+        let used: Vec<(&Window, f64)> =
+            rows.iter().enumerate().filter(|(_, w)| room(w)).map(|(k, w)| (*w, steep(k))).collect();
+        // At an end of another input the engine is led by that, and not by its demands.
+        let led = |w: &Window| room(w) && !w.row.at_end.contains(&true);
+        let rest: Vec<(&Window, f64)> = all.rest.iter().filter(|w| led(w)).map(|w| (*w, 0.0)).collect();
+        let factors: Vec<Vec<f64>> = used.iter().map(|(w, _)| w.row.factors.clone()).collect();
+        let first = drive.say(self.layout, self.setting, &factors)?;
+        let told = Told { l, used: &used, rest: &rest, slow: all.slow.as_ref(), knots };
+        // A model that hardly knows its demand cannot be asked at another one.
+        match self.demand(l, drive) {
+            Some(k) if self.shifted(&told, drive, k)? => {}
+            _ => drop(self.round(&told, drive, None, None)?),
         }
-        for ((w, model), slope) in used.into_iter().zip(say).zip(slopes) {
-            let gone = drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s));
-            let r = drive.missed_by(w.row.responses[l] - gone, model);
-            if r.is_finite() {
-                missed.along.push(w.row.factors[..n].to_vec(), w.up, r, 1.0 / (slope * slope));
+        if drive.trimmed.is_none() {
+            return Ok(());
+        }
+        let last = drive.say(self.layout, self.setting, &factors)?;
+        let slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        let set: Vec<Set> = used
+            .iter()
+            .enumerate()
+            .map(|(i, (w, _))| Set {
+                at: &w.row.factors[..self.layout.axes],
+                way: w.way,
+                input: w.row.responses[l] - self.gone(l, w),
+                said: [first[i], last[i]],
+                slope: slopes[i],
+            })
+            .collect();
+        drive.compare(&set);
+        Ok(())
+    }
+
+    /// Trims the demand `k` at which the model is asked, in some rounds, each of which takes what is left by the slope of the map as it is by then,
+    /// as long as less is left. False, and no trim, where the first leaves no less.
+    fn shifted(&self, told: &Told, drive: &mut Drive, k: usize) -> Result<bool, MapError> {
+        let mut chosen = None;
+        let mut least = self.left(told, drive, Some(k))?;
+        for _ in 0..ROUNDS {
+            let before = drive.clone();
+            let Some(weights) = self.round(told, drive, Some(k), chosen)? else { break };
+            chosen = Some(weights);
+            let left = self.left(told, drive, Some(k))?;
+            if left.is_nan() || left >= least {
+                *drive = before;
+                break;
+            }
+            least = left;
+        }
+        Ok(drive.trimmed.is_some())
+    }
+
+    /// One round: the trim from what windows tell by now, its weight of the bending and time constant found where they are not `chosen`; these two.
+    fn round(
+        &self,
+        told: &Told,
+        drive: &mut Drive,
+        demand: Option<usize>,
+        chosen: Option<(f64, f64)>,
+    ) -> Result<Option<(f64, f64)>, MapError> {
+        let (l, used, rest) = (told.l, told.used, told.rest);
+        let of_rest = self.told(l, drive, rest, demand)?;
+        let of_rest: Vec<(&Window, f64)> =
+            rest.iter().zip(&of_rest).map(|((w, _), (e, _))| (*w, *e)).collect();
+        let slow = told.slow.and_then(|s| Some((s, s.effect(&of_rest)?)));
+        let mut missed = Missed::default();
+        for ((w, _), (e, weight)) in used.iter().zip(self.told(l, drive, used, demand)?) {
+            let e = e - slow.map_or(0.0, |(s, k)| k * s.away(w));
+            if e.is_finite() {
+                missed.along.push(w.row.factors[..self.layout.axes].to_vec(), w.way, e, weight);
                 missed.line.push(w.line);
             }
         }
-        let Some(trim) = Trim::learn(knots, &missed.along) else { return Ok(()) };
-        let error = missed.between(&trim);
-        let squares: f64 = missed.along.at.iter().map(|z| trim.at(z).powi(2)).sum();
-        drive.take(trim, (squares / missed.along.r.len() as f64).sqrt(), error);
-        Ok(())
+        let trim = match chosen {
+            Some((lambda, tau_s)) => Trim::with(told.knots, &missed.along, lambda, tau_s),
+            None => Trim::learn(told.knots, &missed.along),
+        };
+        let Some(trim) = trim else { return Ok(None) };
+        let weights = (trim.lambda, trim.tau_s);
+        let between = missed.between(&trim);
+        drive.take(trim, demand, between, self.slow_in_words(slow, demand));
+        Ok(Some(weights))
+    }
+
+    /// How much of the demand windows miss about the trim that there is: sum of squares by their weights.
+    fn left(&self, told: &Told, drive: &Drive, demand: Option<usize>) -> Result<f64, MapError> {
+        let n = self.layout.axes;
+        let each = self.told(told.l, drive, told.used, demand)?.into_iter().zip(told.used);
+        let square = |((e, weight), (w, _)): ((f64, f64), &(&Window, f64))| {
+            weight * (e - drive.trim_at(&w.row.factors[..n])).powi(2)
+        };
+        Ok(each.map(square).filter(|v| v.is_finite()).sum())
+    }
+
+    /// What drift has done to the input of loop `l` by a window.
+    fn gone(&self, l: usize, w: &Window) -> f64 {
+        let drift = self.drift.get(l).filter(|d| d.corrected);
+        drift.map_or(0.0, |d| d.per_hour / 3600.0 * (w.row.at_s - d.mean_s))
+    }
+
+    /// What windows tell of the trim of the input of loop `l`, that which it has by now included, with their weights. A window is given with
+    /// the slope that was measured beside it.
+    fn told(
+        &self,
+        l: usize,
+        drive: &Drive,
+        windows: &[(&Window, f64)],
+        demand: Option<usize>,
+    ) -> Result<Vec<(f64, f64)>, MapError> {
+        let n = self.layout.axes;
+        let factors: Vec<Vec<f64>> = windows.iter().map(|(w, _)| w.row.factors.clone()).collect();
+        let say = drive.say(self.layout, self.setting, &factors)?;
+        let slopes = slopes(self.layout, self.setting, l, drive, &factors)?;
+        let one = |(((w, steep), model), slope): ((&(&Window, f64), f64), f64)| {
+            let r = drive.missed_by(w.row.responses[l] - self.gone(l, w), model);
+            // More of the input is less of the demand that it stands for.
+            let e = if demand.is_some() { drive.trim_at(&w.row.factors[..n]) - r / slope } else { r };
+            (e, if *steep > STEEPER * slope.abs() { (slope / steep).powi(2) } else { 1.0 })
+        };
+        Ok(windows.iter().zip(say).zip(slopes).map(one).collect())
+    }
+
+    /// What a slow channel does, in words; nothing where none is named.
+    fn slow_in_words(&self, found: Option<(&Slow, f64)>, demand: Option<usize>) -> Option<String> {
+        let name = self.spec.slow()?;
+        let Some((slow, k)) = found else {
+            return Some(format!(
+                "; what `{name}` does was not told by the rest before the first line, so nothing of it is taken out"
+            ));
+        };
+        let does = demand.map_or(String::new(), |d| {
+            let (factor, per) = (&self.layout.factors[d], &self.layout.responses[slow.response].unit);
+            format!(" and does {} {} of `{}` a {per}", significant(k, 2), factor.unit, factor.name)
+        });
+        let takes = significant(slow.tau_s, 2);
+        Some(format!(
+            "; what `{name}` was away from where it comes to rest (it takes {takes} s{does}) is taken out"
+        ))
     }
 }
 
+/// What windows tell of the input of a loop.
+struct Told<'a> {
+    /// The loop.
+    l: usize,
+    /// Windows on the way, with the slopes that were measured beside them, and of the rest.
+    used: &'a [(&'a Window, f64)],
+    rest: &'a [(&'a Window, f64)],
+    slow: Option<&'a Slow>,
+    knots: &'a [Vec<f64>],
+}
+
+/// What was measured along the lines.
+struct Measured<'a> {
+    /// Windows on the way.
+    on_the_maps: Vec<&'a Window>,
+    /// Windows of the rest before.
+    rest: Vec<&'a Window>,
+    /// What is slower than a line.
+    slow: Option<Slow>,
+}
+
+/// Most rounds in which a trim of the demand is found: those of Newton's method for a curve that is smooth.
+const ROUNDS: usize = 4;
 /// By how much a measured slope has to be steeper than that of the map to be taken: scatter alone makes it no more.
 const STEEPER: f64 = 2.0;
 /// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
@@ -120,7 +278,7 @@ impl Missed {
     fn without(&self, held: usize) -> Along {
         let (mut rest, a) = (Along::default(), &self.along);
         for i in (0..a.r.len()).filter(|i| self.line[*i] != held) {
-            rest.push(a.at[i].clone(), a.up[i], a.r[i], a.weight[i]);
+            rest.push(a.at[i].clone(), a.way[i], a.r[i], a.weight[i]);
         }
         rest
     }
@@ -131,7 +289,7 @@ impl Missed {
         let (first, last) = (*self.line.iter().min()?, *self.line.iter().max()?);
         let (mut sum, mut n) = (0.0, 0.0);
         for held in first + 1..last {
-            let without = Trim::with_lambda(&trim.axes, &self.without(held), trim.lambda);
+            let without = Trim::with(&trim.axes, &self.without(held), trim.lambda, trim.tau_s);
             let Some(without) = without else { continue };
             for i in (0..self.line.len()).filter(|i| self.line[*i] == held) {
                 let z = &self.along.at[i];
@@ -161,14 +319,15 @@ pub(super) fn slopes(
     let say = |share: f64| {
         let mut moved = factors.to_vec();
         moved.iter_mut().for_each(|x| x[k] *= 1.0 + share);
-        models_say(layout, setting, drive, &moved)
+        drive.say(layout, setting, &moved)
     };
     let span = (1.0 + SHARE).ln() - (1.0 - SHARE).ln();
-    let one = |(more, less): (&f64, &f64)| {
-        let slope = (more.ln() - less.ln()).abs() / span;
-        if slope.is_finite() { slope.max(STEEP) } else { 1.0 }
-    };
-    Ok(say(SHARE)?.iter().zip(&say(-SHARE)?).map(one).collect())
+    let slopes: Vec<f64> =
+        say(SHARE)?.iter().zip(&say(-SHARE)?).map(|(more, less)| (more.ln() - less.ln()) / span).collect();
+    // An input goes one way with its demand: where a model is flat, its slope has that of most.
+    let way = slopes.iter().filter(|s| s.is_finite()).map(|s| s.signum()).sum::<f64>();
+    let one = |s: &f64| if s.is_finite() { s.abs().max(STEEP).copysign(way) } else { 1.0 };
+    Ok(slopes.iter().map(one).collect())
 }
 
 /// A window as a loop saw it.

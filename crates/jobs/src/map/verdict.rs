@@ -6,6 +6,7 @@ use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
 use super::cells::{end_in_words, missed, objective_unit};
+use super::learn::Learned;
 use super::result::{Mapped, Verified};
 use super::spec::MapSpec;
 
@@ -125,7 +126,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     for v in found.verified.iter().filter(|v| !v.kept) {
         warnings.push(broken(found, spec, v));
     }
-    for d in found.drift.iter().filter(|d| d.corrected) {
+    for d in found.drift.iter().filter(|d| d.corrected && !slow(found, &d.response)) {
         warnings.push(format!(
             "`{}` drifted by {} {} per hour (standard error {}): the points were corrected for it",
             d.response,
@@ -150,7 +151,8 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
-    for m in found.models.iter().filter(|m| m.explained() < ROUGH && !driven(found, &m.response)) {
+    let decides = |m: &&Learned| !slow(found, &m.response) && !driven(found, &m.response);
+    for m in found.models.iter().filter(decides).filter(|m| m.explained() < ROUGH) {
         warnings.push(format!(
             "the model of `{}` is rough: it misses unseen points by {} {} rms where they scatter by {}",
             m.response,
@@ -253,6 +255,11 @@ fn guided(found: &Mapped) -> String {
     format!(", but only under a controller that corrects {}", names.join(" and "))
 }
 
+/// Whether a response is recorded only: a point does not wait for it.
+fn slow(found: &Mapped, name: &str) -> bool {
+    found.layout.responses.iter().any(|r| r.slow && r.name == name)
+}
+
 fn driven(found: &Mapped, name: &str) -> bool {
     found.layout.problem.inputs.iter().any(|i| i.name == name)
 }
@@ -306,7 +313,9 @@ fn place(found: &Mapped, at: &[f64]) -> String {
 
 /// Deviations inside of their intervals or too small to matter, and all of them.
 fn covered(found: &Mapped, verified: &[&Verified]) -> (usize, usize) {
-    let all = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
+    let each = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
+    // What is slow has not come to rest in a point, and nothing is promised of it.
+    let all = || each().filter(|(d, _)| !slow(found, &d.response));
     let inside = all().filter(|(d, m)| {
         let away = (d.measured - d.promised).abs();
         away <= d.half_width.max(SMALL * m.spread)

@@ -15,7 +15,7 @@ use super::drive::{Drive, Driven};
 use super::error::MapError;
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
-use super::{lines, sweep};
+use super::sweep;
 
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
@@ -62,7 +62,7 @@ impl Verification<'_> {
         let begun = points.len();
         let task = |x: &Vec<f64>| {
             // What the maps say is fed forward, as an ECU will: the loops have only the rest to do.
-            let say = |d: &Drive| lines::models_say(self.layout, self.setting, d, std::slice::from_ref(x));
+            let say = |d: &Drive| d.say(self.layout, self.setting, std::slice::from_ref(x));
             let driven = self.drives.iter().map(|d| Ok(say(d)?.first().copied().unwrap_or(f64::NAN)));
             let driven = driven.collect::<Result<_, MapError>>()?;
             Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven })
@@ -143,16 +143,9 @@ impl Verification<'_> {
 
     /// What the inputs that loops drive should be where it was measured, as far as their maps know.
     fn driven(&self, point: &SteadyPoint) -> Vec<Driven> {
-        let mut at = Prediction::new(self.layout.factors.len());
-        let expected = self.setting.models.iter().map(|m| {
-            m.predict(&point.factors, Ask::Mean, &mut at);
-            at.mean
-        });
-        let expected: Vec<f64> = expected.collect();
-        let row = [(&point.factors[..], &expected[..])];
         // What a map cannot say here is left to the models over the factors.
         let one = |d: &Drive| {
-            d.at(self.layout, &row)
+            d.at(self.layout, self.setting, &[&point.factors])
                 .ok()
                 .and_then(|v| v.first().copied())
                 .unwrap_or(Driven { value: f64::NAN, deviation: f64::NAN })

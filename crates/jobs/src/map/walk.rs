@@ -12,11 +12,12 @@ use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
 use super::learn::Learned;
-use super::lines::{Gone, Window};
+use super::lines::Gone;
 use super::optimum::Optimum;
 use super::reach::Reach;
 use super::setting;
 use super::spec::MapSpec;
+use super::windows::Window;
 
 /// The maps with their models, along which the bed goes.
 pub(super) struct Walk<'a> {

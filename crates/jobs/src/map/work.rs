@@ -173,8 +173,10 @@ impl Day<'_> {
         bed.sweeps_s = bench.used_s() - bed.points_s;
         let windows = windows.unwrap_or_default();
         optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
-        drive::fill(&drives, layout, &mut optimum.cells)?;
-        if !windows.is_empty() {
+        drive::fill(&drives, layout, &setting, &mut optimum.cells)?;
+        if windows.is_empty() {
+            optimum.refill(&setting);
+        } else {
             optimum.drop_unreached(layout, &setting);
         }
         let Optimum { axes, cells, front, whole, delivered, edits, .. } = optimum;
@@ -330,15 +332,24 @@ fn has_channels(spec: &MapSpec, variables: &[Variable]) -> Result<(), MapError> 
     Ok(())
 }
 
-/// The response that the front is traced against is measured and modelled, too.
-fn with_front(spec: &MapSpec, layout: &mut Layout, variables: &[Variable]) -> Result<(), MapError> {
-    let Some(front) = &spec.optimise.front else { return Ok(()) };
-    if layout.add_response(&front.against, variables) {
-        return Ok(());
+/// What the front is traced against and what is slower than a line are measured and modelled, too.
+fn with_others(spec: &MapSpec, layout: &mut Layout, variables: &[Variable]) -> Result<(), MapError> {
+    let front = spec.optimise.front.as_ref().map(|f| ("optimise.front.against", &f.against));
+    let slow = spec.slow().map(|name| ("bed.sweep.slow", name));
+    let output =
+        |name: &String| variables.iter().any(|v| v.causality == Causality::Output && v.name == *name);
+    for (key, name) in [front, slow].into_iter().flatten() {
+        let (is_slow, others) = (key == "bed.sweep.slow", layout.responses.len());
+        if (!is_slow || output(name)) && layout.add_response(name, variables) {
+            // One that is limited or minimised, too, stays what it is.
+            layout.responses[others..].iter_mut().for_each(|r| r.slow = is_slow);
+            continue;
+        }
+        let outputs = variables.iter().filter(|v| v.causality == Causality::Output);
+        let known: Vec<String> = outputs.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
+        return Err(MapError::Response { key, name: name.clone(), known: known.join(", ") });
     }
-    let outputs = variables.iter().filter(|v| v.causality == Causality::Output);
-    let known: Vec<String> = outputs.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
-    Err(MapError::Front { name: front.against.clone(), known: known.join(", ") })
+    Ok(())
 }
 
 /// Axes in the order of maps: the demand, then the given channel, which is the fast one.
@@ -393,7 +404,7 @@ fn layout(
             (f.lower, f.upper) = (range.lower, range.upper);
         }
     }
-    with_front(spec, &mut layout, variables)?;
+    with_others(spec, &mut layout, variables)?;
     Ok(layout)
 }
 

@@ -20,6 +20,8 @@ pub(crate) enum Fault {
     NoSignal,
     /// The load saturates as a throttle does ([`saturated`]).
     Saturates,
+    /// Oil is 40 s behind where it comes to rest, and helps by 0.1 Nm a K ([`oil_at_rest`]).
+    Oil,
 }
 
 /// Torque = load eff(spark, cam), behind a lag of 0.3 s:
@@ -37,11 +39,13 @@ pub(crate) struct Bench {
     fault: Fault,
     rng: Rng64,
     torque: f64,
+    oil: f64,
     time_s: f64,
     shown: Vec<f64>,
 }
 
-const OUTPUTS: [(&str, &str); 4] = [("torque", "Nm"), ("knock", "-"), ("heat", "K"), ("fuel", "kg/h")];
+const OUTPUTS: [(&str, &str); 5] =
+    [("torque", "Nm"), ("knock", "-"), ("heat", "K"), ("fuel", "kg/h"), ("oil", "K")];
 
 impl Bench {
     pub(crate) fn new(noise: f64, fault: Fault) -> Self {
@@ -67,8 +71,9 @@ impl Bench {
             fault,
             rng: Rng64::new(0),
             torque: 0.0,
+            oil: OIL_K,
             time_s: 0.0,
-            shown: vec![0.0; 4],
+            shown: vec![0.0; 5],
         }
     }
 
@@ -83,7 +88,7 @@ impl Plant for Bench {
         &self.variables
     }
     fn reset(&mut self, seed: u64) {
-        (self.rng, self.torque, self.time_s) = (Rng64::new(seed), 0.0, 0.0);
+        (self.rng, self.torque, self.oil, self.time_s) = (Rng64::new(seed), 0.0, OIL_K, 0.0);
         self.shown.fill(0.0);
     }
     fn step(&mut self, u: &[f64], dt_s: f64, y: &mut [f64]) -> Result<(), PlantError> {
@@ -97,7 +102,11 @@ impl Plant for Bench {
         let (s0, c0) = (0.7 + 0.2 * n + self.shift, 0.3 + 0.3 * n);
         let eff = 1.0 - 0.2 * (spark - s0).powi(2) - 0.1 * (cam - c0).powi(2);
         let load_of = if self.fault == Fault::Saturates { saturated(*load, *cam) } else { *load };
-        self.torque += (load_of * eff - self.torque) * (1.0 - (-dt_s / 0.3f64).exp());
+        if self.fault == Fault::Oil {
+            self.oil += (oil_at_rest(self.torque, *speed) - self.oil) * (1.0 - (-dt_s / 40.0f64).exp());
+        }
+        let drawn = load_of * eff + 0.1 * (self.oil - OIL_K);
+        self.torque += (drawn - self.torque) * (1.0 - (-dt_s / 0.3f64).exp());
         self.time_s += dt_s;
         let mut scatter = |size: f64| size * self.noise * self.rng.normal();
         let swings = match self.fault {
@@ -113,6 +122,7 @@ impl Plant for Bench {
         };
         y[2] = 500.0 + 3.0 * self.torque - 100.0 * spark + 150.0 * cam + scatter(2.0);
         y[3] = load_of + scatter(0.05);
+        y[4] = self.oil;
         self.shown.copy_from_slice(y);
         Ok(())
     }
@@ -126,16 +136,24 @@ impl Plant for Bench {
         Vec::new()
     }
     fn save(&self) -> PlantState {
-        PlantState([&[self.torque, self.time_s], &self.shown[..]].concat())
+        PlantState([&[self.torque, self.oil, self.time_s], &self.shown[..]].concat())
     }
     fn restore(&mut self, state: &PlantState) -> Result<(), PlantError> {
-        (self.torque, self.time_s) = (state.0[0], state.0[1]);
-        self.shown.copy_from_slice(&state.0[2..]);
+        (self.torque, self.oil, self.time_s) = (state.0[0], state.0[1], state.0[2]);
+        self.shown.copy_from_slice(&state.0[3..]);
         Ok(())
     }
     fn describe(&self) -> String {
         "bench".into()
     }
+}
+
+/// Temperature of the oil at which it does nothing.
+const OIL_K: f64 = 380.0;
+
+/// Where the oil comes to rest.
+pub(crate) fn oil_at_rest(torque: f64, speed: f64) -> f64 {
+    OIL_K + 0.03 * (speed - 1500.0) + 0.05 * (torque - 50.0)
 }
 
 /// What a load does on an engine whose load saturates: 60 at most with the cam at 0, 110 at 1.

@@ -46,6 +46,8 @@ const SEEDS: u64 = 5;
 const OTHERS: u64 = 3;
 const UNSEEN: usize = 50;
 const SEARCHED: usize = 12;
+/// Number of the procedure of job and study: another one where they work otherwise with the same spec.
+const PROCEDURE: u32 = 3;
 /// Pairs of days for the comparison of plans.
 const PAIRS: u64 = 10;
 /// A day whose points follow the optimum beside one that is planned as a whole: name, points, share that follows the optimum.
@@ -103,10 +105,12 @@ fn task(
     counts: (usize, usize),
     plan: Plan,
 ) -> Task {
+    // With all defaults of the job, and what a case records and how the job works: results of another form or procedure are not taken over.
+    let understood = map::job::parse("map.toml", e.text, &Overrides::default());
+    let understood = understood.map_or_else(|_| json!(e.text), |job| json!(job.spec));
     Task {
         name: name.clone(),
-        // The last says what a case records, so that results of another form are not taken over.
-        inputs: json!([parameters, seed, counts, plan, e.text, "confirmed", truth::WARM_S]),
+        inputs: json!([parameters, seed, counts, plan, understood, truth::WARM_S, PROCEDURE]),
         run: Box::new(move |around: &Surroundings| {
             let case = case(&name, e.text, &parameters, seed, counts, plan, around)?;
             serde_json::to_value(case)

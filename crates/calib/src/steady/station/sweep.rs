@@ -52,7 +52,8 @@ pub struct Swept {
 }
 
 impl Station<'_> {
-    /// Goes to `from`, rests there, and goes along `legs`. A limit that is touched on the way there or along it ends the line.
+    /// Goes to `from`, rests there, and goes along `legs`. A limit that is touched on the way there or along it ends the line, and it goes back
+    /// leg by leg until the limits are kept: whatever comes next would begin beyond one, and end there.
     ///
     /// # Errors
     /// As of [`Station::measure`].
@@ -65,6 +66,7 @@ impl Station<'_> {
             let share = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             self.at = between(&origin, from, share);
             let touched = Some(self.touched(stop, self.at.clone())?);
+            self.back_within([origin])?;
             return Ok(Swept { rows: Vec::new(), touched, used_s: self.used_s - begun_s });
         }
         let dt = self.layout.sample_time_s;
@@ -93,10 +95,26 @@ impl Station<'_> {
         }
         self.at = reached(from, &ways, played.played);
         let touched = match played.stop.as_ref() {
-            Some(stop) => Some(self.touched(stop, self.at.clone())?),
+            Some(stop) => {
+                let touched = self.touched(stop, self.at.clone())?;
+                self.back_within(begins(from, &ways, played.played).chain([origin]))?;
+                Some(touched)
+            }
             None => None,
         };
         Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
+    }
+
+    /// Goes back to the first of `places` where all limits are kept, or to the last.
+    fn back_within(&mut self, places: impl IntoIterator<Item = Vec<f64>>) -> Result<(), PlayError> {
+        for place in places {
+            let driven = self.driven.clone();
+            let drive = self.drive(&place, &driven, true)?;
+            if drive.played.stop.is_none_or(|s| s.reason == Reason::Still) {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// The window `part`, which begins at row `from` of the plan.
@@ -138,6 +156,16 @@ fn leg_at(ways: &[(&[f64], usize)], sample: usize) -> usize {
 
 fn between(a: &[f64], b: &[f64], share: f64) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
+}
+
+/// Begins of the leg in which a line ended after so many samples, and of those before it.
+fn begins<'a>(
+    from: &'a [f64],
+    ways: &'a [(&'a [f64], usize)],
+    samples: usize,
+) -> impl Iterator<Item = Vec<f64>> + 'a {
+    let leg = leg_at(ways, samples.saturating_sub(1));
+    (0..=leg).rev().map(move |k| k.checked_sub(1).map_or(from, |before| ways[before].0).to_vec())
 }
 
 /// Factors that are commanded after so many samples.
