@@ -1,5 +1,6 @@
 //! Plans, stops, edits, inverse maps: what a day may be told, and what is made of its maps.
 
+use dynocal_calib::map::FeedforwardMap;
 use dynocal_calib::steady::day::Purpose;
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::{CellState, interpolate};
@@ -263,7 +264,7 @@ fn what_a_slow_channel_does_is_taken_out_of_the_lines() {
         let found = run_with(&day(more), 4, Bench::new(0.2, Fault::Oil)).unwrap();
         let axes: Vec<Vec<f64>> = found.axes.iter().map(|a| a.points.clone()).collect();
         let load = found.map.ports.actuators.iter().position(|a| a.name == "load").unwrap();
-        let mut squares = 0.0;
+        let mut squares: f64 = 0.0;
         for i in 0..=12 {
             let at = [30.0 + 25.0 * f64::from(i % 4) / 3.0, 1100.0 + 800.0 * f64::from(i) / 12.0];
             let x = interpolate(&axes, &found.cells, &at);
