@@ -202,7 +202,8 @@ mod tests {
         for w in &all {
             let (torque, speed) = (w.row.factors[0], w.row.factors[1]);
             let away = (w.row.responses[0] - rests(torque, speed)) / torque;
-            assert!((slow.away(w) - away).abs() < 1.0 / torque, "{torque} {speed}: {} {away}", slow.away(w));
+            // Within a tenth of the 40 K that it is away at the begin: time constants are tried by steps of a half.
+            assert!((slow.away(w) - away).abs() < 4.0 / torque, "{torque} {speed}: {} {away}", slow.away(w));
         }
         // 0.07 Nm a K, told with an error of a tenth where 0.2 % scatter, and not told where it is nothing.
         let told = |k: f64| {
