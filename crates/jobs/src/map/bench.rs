@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
-use dynocal_calib::steady::front::FrontSpec;
 use dynocal_calib::steady::layout::{Factor, Layout};
 use dynocal_calib::steady::station::{Leg, Station, SteadyPoint, Swept, Touched};
 use dynocal_files::FilesError;
@@ -338,7 +337,7 @@ impl<'a> OnBed<'a> {
 /// What a bed has: the channels of the problem, and those of its first record that meter what is minimised or stand against it.
 pub(super) fn variables(
     problem: &CalibrationProblem,
-    front: Option<&FrontSpec>,
+    others: &[&String],
     folder: &Path,
 ) -> Result<Vec<Variable>, MapError> {
     let variable = |name: &str, unit: &str, causality, lower: f64, upper: f64| Variable {
@@ -359,7 +358,7 @@ pub(super) fn variables(
     let mut all: Vec<Variable> = inputs.chain(given).chain(demands).chain(limits).collect();
     let found = measurement::called(&OnBed::measured(folder), "points01");
     let table = found.first().map(|f| dataset::read_table(f, None)).transpose()?;
-    let meters = problem.minimise.iter().map(|m| &m.channel).chain(front.map(|f| &f.against));
+    let meters = problem.minimise.iter().map(|m| &m.channel).chain(others.iter().copied());
     for name in meters {
         let column = table.as_ref().and_then(|t| t.column(name).ok());
         // Before the first record nothing is known of meters: what is not derived is asked for.

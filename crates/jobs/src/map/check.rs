@@ -14,9 +14,6 @@ use super::spec::MapSpec;
 /// Most cells of a map.
 const MOST_CELLS: usize = 10_000;
 
-/// Fewest windows of a rest that tells what a slow channel does.
-const RESTS: f64 = 12.0;
-
 /// Reports every fault of `s`.
 pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("sample_time_s", s.sample_time_s, 0.001, 10.0, "s");
@@ -34,15 +31,6 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.between", s.optimise.between, 0.0, 1.0, "of the inputs that loops drive");
     if let Some(sweep) = &s.bed.sweep {
         faults.range("bed.sweep.pass_s", sweep.pass_s, 1.0, 3600.0, "s");
-        faults.range("bed.sweep.soak_s", sweep.soak_s, 0.0, 3600.0, "s");
-        // What is slow is told by the windows of a rest.
-        let least_s = RESTS * s.bed.approach.window_s;
-        if sweep.slow.is_some() && sweep.soak_s < least_s {
-            let expected = format!(
-                "at least {least_s} s with `bed.sweep.slow`: what it does is told by a rest of {RESTS} windows"
-            );
-            faults.push("bed.sweep.soak_s", sweep.soak_s, &expected);
-        }
         count("bed.sweep.between", sweep.between, 0, 100, faults);
     }
     whole(s, faults);

@@ -71,15 +71,12 @@ pub struct Drive {
 pub struct Trimmed {
     /// RMS of what the input in the map missed along the lines before.
     pub before: f64,
-    /// Scatter of the input in a window about the trimmed map and the lag of its way: what the map does not follow, noise, and what a slow channel
-    /// did there, as it does wherever the map is used before it has come to rest.
+    /// Scatter of the input in a window about the trimmed map and the lag of its way: what the map does not follow, and noise.
     pub scatter: f64,
     /// The same by what it does to the demand: as a share of it where the map is relative.
     pub held: f64,
     /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
-    /// What was taken out for a channel that is slower than a line, in words.
-    pub slow: Option<String>,
     #[serde(skip)]
     trim: Trim,
     /// The factor of the demand, where the trim is a share of it; else it adds to what is learnt.
@@ -288,17 +285,10 @@ impl Drive {
         if self.relative { measured.ln() - expected.ln() } else { measured - expected }
     }
 
-    /// Takes what was measured along the maps; `between`: what a line differs from its neighbours, `slow`: what was taken out for a channel that is
-    /// slower than a line, in words.
-    pub(super) fn take(
-        &mut self,
-        trim: Trim,
-        demand: Option<usize>,
-        between: Option<f64>,
-        slow: Option<String>,
-    ) {
+    /// Takes what was measured along the maps; `between`: what a line differs from its neighbours.
+    pub(super) fn take(&mut self, trim: Trim, demand: Option<usize>, between: Option<f64>) {
         let (scatter, held) = (trim.rest, trim.scatter);
-        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, slow, trim, demand });
+        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, trim, demand });
     }
 
     /// What the map missed before it was trimmed, and what is left, in its input.
@@ -396,11 +386,10 @@ impl Drive {
             format!("; a line differs from what the lines beside it say of it by {} rms", self.in_words(b))
         });
         format!(
-            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}{}",
+            "{learnt}. Along the maps it missed {} rms and was trimmed by what was measured there; what is left scatters by {}, by what it does to the demand {}{between}",
             self.in_words(t.before),
             self.in_words(t.scatter),
-            self.in_words(t.held),
-            t.slow.as_deref().unwrap_or_default()
+            self.in_words(t.held)
         )
     }
 }

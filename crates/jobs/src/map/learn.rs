@@ -33,6 +33,8 @@ pub struct Learned {
     pub widen: f64,
     /// Standard deviation of the measured response over the points.
     pub spread: f64,
+    /// Whether any point stood at the lower and at the upper end of the range of a driven input; both for all other responses.
+    pub met: [bool; 2],
     /// Residuals, sections, effects.
     #[serde(skip)]
     pub page: ScorePage,
@@ -96,6 +98,27 @@ pub(super) fn table(layout: &Layout, points: &[DayPoint], drift: &[Drift], k: us
     }
 }
 
+/// Share of its range within which a driven input stands at an end.
+const AT_END: f64 = 0.01;
+
+/// Whether points, used or not, stood at the ends of the range of response `k`, where that is a driven input. Loops would have gone there had a
+/// demand asked for it: what a model says beyond ends that none has seen is a fault of the model.
+fn met(layout: &Layout, points: &[DayPoint], k: usize) -> [bool; 2] {
+    let ResponseSource::Driven(input) = layout.responses[k].source else { return [true; 2] };
+    let i = &layout.problem.inputs[input];
+    let near = AT_END * (i.upper - i.lower);
+    let stood = |p: &DayPoint| {
+        let (u, held_there) = (p.point.responses[k], p.point.saturated.contains(&i.name));
+        let lower = u - i.lower < i.upper - u;
+        // Not a number where nothing was measured.
+        [
+            u <= i.lower + near || held_there && lower,
+            u >= i.upper - near || held_there && !lower && u.is_finite(),
+        ]
+    };
+    points.iter().map(stood).fold([false; 2], |a, b| [a[0] || b[0], a[1] || b[1]])
+}
+
 /// Least share of the variance that a model has to explain on unseen points, or it has not found anything.
 const SIGNAL: f64 = 0.1;
 
@@ -141,6 +164,7 @@ pub(super) fn learn(
             rmse,
             widen,
             spread,
+            met: met(layout, points, k),
             page,
             model: learnt.model,
         };

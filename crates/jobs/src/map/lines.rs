@@ -69,7 +69,7 @@ const ASIDE: f64 = 0.05;
 pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
     let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
-    s.soak_s + lines as f64 * line_s(spec, s) + again_s(spec)
+    lines as f64 * line_s(spec, s) + again_s(spec)
 }
 
 /// Bed time of a line, there and back, with the way to it.
@@ -137,11 +137,7 @@ impl Lines<'_> {
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
         let bed_s = bed_s - again_s(self.spec);
         let mut swept = (Sweeps { planned: lines.len(), ..Sweeps::default() }, Vec::new());
-        Ok(if self.go(bench, (&lines, spec.soak_s), bed_s, &mut swept, watch)? {
-            Some((swept, lines))
-        } else {
-            None
-        })
+        Ok(if self.go(bench, &lines, bed_s, &mut swept, watch)? { Some((swept, lines)) } else { None })
     }
 
     /// Goes along the parts of the lines whose maps are others than those of the lines `before`, until `bed_s` is used up. Windows are added to
@@ -164,7 +160,7 @@ impl Lines<'_> {
         if !parts.is_empty() {
             watch.note(&format!("{} parts of lines again: their maps are others now", parts.len()));
             let whole = swept.0.whole;
-            self.go(bench, (&parts, 0.0), bed_s, swept, watch)?;
+            self.go(bench, &parts, bed_s, swept, watch)?;
             (swept.0.again, swept.0.whole) = (parts.len(), whole);
         }
         Ok(windows)
@@ -190,12 +186,11 @@ impl Lines<'_> {
     }
 
     /// Goes along lines until `bed_s` is used up, beginning at the end of the other axis that is nearer to where the bed stands: oil and walls are a
-    /// minute and more behind. Where that is measured, and the bed rests for `soak_s` at the begin of the first line, it begins at the other end, with the
-    /// least demand: the rest tells most there of what it does ([`super::slow`]). False where the bed cannot.
+    /// minute and more behind. False where the bed cannot.
     fn go(
         &self,
         bench: &mut dyn Bench,
-        (lines, soak_s): (&[Line], f64),
+        lines: &[Line],
         bed_s: f64,
         (sweeps, rows): &mut Gone,
         watch: Watch,
@@ -204,9 +199,7 @@ impl Lines<'_> {
         let (begun_s, window_s) = (bench.used_s(), self.spec.bed.approach.window_s);
         let mut least_s = asked_s;
         let mut lines: Vec<&Line> = lines.iter().collect();
-        let known = soak_s > 0.0 && self.spec.slow().is_some();
-        let mut soak_s = soak_s;
-        if self.nearer_last(&lines, bench.stands_at()) != known {
+        if self.nearer_last(&lines, bench.stands_at()) {
             lines.reverse();
         }
         for (k, line) in lines.iter().enumerate() {
@@ -220,19 +213,13 @@ impl Lines<'_> {
             }
             watch.fraction(k as f64 / lines.len() as f64);
             let rest = (lines.len() - k, lines[k..].iter().map(|l| self.length(l)).sum());
-            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s() - soak_s, rest);
+            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s(), rest);
             least_s = least_s.min(pass_s);
-            let nearer = self.nearer_end(line, bench.stands_at()) && !(known && soak_s > 0.0);
+            let nearer = self.nearer_end(line, bench.stands_at());
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
             for last in [nearer, !nearer] {
-                let (from, mut legs) = self.path(line, last, pass_s);
-                if soak_s > 0.0 {
-                    let driven = vec![0.0; self.layout.loops.len()];
-                    legs.insert(0, Leg { to: from.clone(), seconds: soak_s, driven });
-                }
+                let (from, legs) = self.path(line, last, pass_s);
                 let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
-                // A rest that was begun is not begun once more.
-                soak_s = if swept.rows.is_empty() { soak_s } else { 0.0 };
                 let soon = swept.rows.last().is_none_or(|r| 4 * r.leg < legs.len());
                 keep(line.number, (&from, &legs), swept.rows, window_s, rows);
                 let Some(touched) = &swept.touched else {

@@ -113,7 +113,7 @@ impl Optimum {
     }
 
     /// Marks cells as not reached for which the maps of driven inputs, as they stand in the cells, have to go past the end of a range by
-    /// more than their standard deviation: what lines found near there is in them.
+    /// more than their standard deviation: what lines found near there is in them. All cells that were not reached are filled again.
     pub(super) fn drop_unreached(&mut self, layout: &Layout, setting: &Setting) {
         let past = |c: &Cell| {
             let each = layout.driven().into_iter().enumerate();
@@ -126,11 +126,6 @@ impl Optimum {
         let which: Vec<usize> =
             (0..self.cells.len()).filter(|k| self.moves(*k) && past(&self.cells[*k])).collect();
         grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
-    }
-
-    /// Fills cells that were not reached from what their neighbours are now.
-    pub(super) fn refill(&mut self, setting: &Setting) {
-        grid::unreached(setting, &self.grid_axes, &[], &mut self.cells);
     }
 
     /// Its lines on the bed.

@@ -101,6 +101,9 @@ fn maps(found: &Mapped) -> Section {
     for d in &found.drives {
         section = section.text(d.words());
     }
+    if let Some(rest) = &found.rest {
+        section = section.text(rest.words());
+    }
     section = swept(found, section);
     let all: Vec<Vec<f64>> = found.cells.iter().map(|c| actuators(&found.layout, c)).collect();
     let mut blocks = Vec::new();

@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::error::MapError;
 use super::learn::{self, Learned};
+use super::rest::{self, at_rest};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
 
@@ -84,9 +85,11 @@ impl Refinement<'_> {
         while points.len() + 1 < self.most {
             let left = self.most - points.len() - 1;
             let drift = day::drift(self.layout, points);
-            let models = learn::learn(self.layout, points, &drift, &self.spec.models, false, watch)?;
+            let rest = rest::learn(self.layout, points, &drift, self.spec, watch)?;
+            let seen = at_rest(rest.as_ref(), points);
+            let models = learn::learn(self.layout, &seen, &drift, &self.spec.models, false, watch)?;
             let Next { targets, untried, worth } =
-                self.targets(&models, points, left, rounds.len(), bench.stands_at(), watch);
+                self.targets(&models, &seen, left, rounds.len(), bench.stands_at(), watch);
             if watch.interrupted() {
                 return Err(MapError::Interrupted);
             }
@@ -101,7 +104,8 @@ impl Refinement<'_> {
                 targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
             tasks.push(self.task(Purpose::Repeat, self.first.to_vec(), &models));
             let end = bench.run(tasks, self.bed_s, points, watch)?;
-            let mut round = self.judge(&models, &points[begun..], untried);
+            let batch = at_rest(rest.as_ref(), &points[begun..]);
+            let mut round = self.judge(&models, &batch, untried);
             (round.at_s, round.left) = (bench.used_s(), worth);
             let enough = round.error.is_some_and(|e| e <= self.spec.bed.refine.tolerance) && untried == 0;
             rounds.push(round);

@@ -20,6 +20,7 @@ use super::learn::Learned;
 use super::lines::Sweeps;
 use super::loops::InputLoop;
 use super::refine::Round;
+use super::rest::Rest;
 use super::setting::setting;
 use super::spec::MapSpec;
 
@@ -209,6 +210,8 @@ pub struct Mapped {
     pub cells: Vec<Cell>,
     /// Gains that were found; none where they were given.
     pub tuned: Option<Tuned>,
+    /// What is known of a channel that is slower than a point; none where none was named.
+    pub rest: Option<Rest>,
     /// Files, relative to the run folder.
     pub files: Vec<String>,
     /// Points of the day.

@@ -25,7 +25,8 @@ pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
     Envelope::of(&reached, &ranges)
 }
 
-/// Models with limits and weights; what a demand reaches at the end of its input, where that was met.
+/// Models with limits and weights; what a demand reaches at the end of its input, where that was met. An end of a driven input at which no point
+/// stood is no limit of the cells.
 pub(super) fn setting<'a>(
     layout: &Layout,
     models: &'a [Learned],
@@ -35,7 +36,8 @@ pub(super) fn setting<'a>(
     let mut sides = Vec::new();
     for (k, r) in layout.responses.iter().enumerate() {
         let scale = models[k].spread.max(f64::MIN_POSITIVE);
-        let stays = |upper: bool| reach.is_none_or(|e| !e.replaces(k, upper));
+        let stays =
+            |upper: bool| models[k].met[usize::from(upper)] && reach.is_none_or(|e| !e.replaces(k, upper));
         let upper = r.upper.filter(|_| stays(true));
         let lower = r.lower.filter(|_| stays(false));
         sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));

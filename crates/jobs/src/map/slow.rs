@@ -1,143 +1,136 @@
-//! A channel that is slower than a line: oil.
+//! Where a channel that is slower than a point comes to rest, and how fast: oil.
 //!
-//! Maps are for an engine that has come to rest, and oil is a minute and more behind whatever is done. Along a line at one speed that follows
-//! one at another it is warmer or colder than it will be, and friction with it: an error that no loop and no way back shows. But the channel
-//! is measured, and lines at many speeds tell where it goes:
+//! Points are held until what their loops hold has come to rest, and lines are gone along in a minute. Oil is a minute and more behind, so that it is
+//! warmer or colder everywhere than it will be. But it is measured, and a day at many places tells where it goes:
 //!
 //! ```text
-//! T(t + h) - T(t) = (1 - exp(-h/tau)) (phi(z)' theta - T(t))      phi: 1, z, z^2, products; tau by least squares along the lines
-//! e = c + k (T - phi(z)' theta) / y                               at the begin of the first line, where all else rests ([`super::sweep`])
+//! T_1 = T_0 exp(-(r + h)/tau) + (1 - exp(-r/tau)) exp(-h/tau) (R(z_0) + R(z_1))/2 + (1 - exp(-h/tau)) R(z_1)
+//! R(z) = phi(z)' theta                       phi: 1, z, z^2, products of the axes z; theta by least squares for each tau
 //! ```
 //!
-//! y: the leading demand; what friction takes of it is the same whatever it is, so that its share goes with 1 / y. That k is the same at all speeds is
-//! an assumption: friction grows with speed, and what the rest shows at one end of the axis is too much or too little at the other, where the channel is
-//! nearer to rest. k is taken where it is told from nothing with three standard errors, those of residuals that follow each other; that all else rests is not tested.
+//! from a point z_0 to the next one z_1, r: time on the way, h: time there; along a line z is the mean of a step, and r is 0. What other factors do to R is left in
+//! what the law misses. What the channel does to the engine: [`super::rest`].
 
+use dynocal_calib::steady::day::DayPoint;
+use dynocal_calib::steady::layout::Layout;
+use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg::least_squares;
 
 use super::windows::Window;
 
-/// Where a slow channel goes, and how fast.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Slow {
-    /// Its number among the responses.
-    pub(super) response: usize,
-    /// Time constant in s.
-    pub(super) tau_s: f64,
-    /// Middle and half width of each axis, and coefficients over them in shares of those.
-    scale: Vec<[f64; 2]>,
-    theta: Vec<f64>,
-    /// The demand that leads, among the factors.
-    demand: Option<usize>,
+/// What a slow channel did from one measurement to the next.
+pub(super) struct Step {
+    /// Time on the way and at its end in s.
+    span_s: [f64; 2],
+    /// The channel before and after.
+    value: [f64; 2],
+    /// Axes before and after.
+    at: [Vec<f64>; 2],
 }
 
 /// Windows over which a change is taken: one alone is mostly noise.
-const STEP: usize = 5;
-/// Time constants that are tried, from three steps on (what is faster is noise, or is behind by none), each longer by half.
-const TAUS: usize = 11;
-const FASTEST: f64 = 3.0;
+const WINDOWS: usize = 5;
+
+/// From one point to the next, as the bed approaches them: `ramp_s` for a factor that goes through its whole range.
+pub(super) fn between_points(
+    layout: &Layout,
+    points: &[DayPoint],
+    response: usize,
+    ramp_s: f64,
+) -> Vec<Step> {
+    let one = |pair: &[DayPoint]| {
+        let (a, b) = (&pair[0].point, &pair[1].point);
+        let gone_s = b.at_s - a.at_s;
+        let shares = layout.factors.iter().zip(a.factors.iter().zip(&b.factors));
+        let far = shares.map(|(f, (x, y))| (y - x).abs() / (f.upper - f.lower)).fold(0.0, f64::max);
+        let ramp_s = (ramp_s * far).min(gone_s);
+        let value = [a.responses[response], b.responses[response]];
+        let at = [a, b].map(|p| p.factors[..layout.axes].to_vec());
+        // Where nothing was measured there is no number.
+        let stands = gone_s > 0.0 && value.iter().chain(at.iter().flatten()).all(|v| v.is_finite());
+        stands.then_some(Step { span_s: [ramp_s, gone_s - ramp_s], value, at })
+    };
+    points.windows(2).filter_map(one).collect()
+}
+
+/// Along lines over the first `axes` factors.
+pub(super) fn along_lines(windows: &[Window], response: usize, axes: usize) -> Vec<Step> {
+    let one = |part: &[Window]| {
+        let (a, b) = (&part[0], &part[WINDOWS]);
+        let gone_s = b.row.at_s - a.row.at_s;
+        let follows = a.line == b.line && gone_s > 0.0 && gone_s < 2.0 * WINDOWS as f64 * a.way.window_s;
+        let mean = |k: usize| part.iter().map(|w| w.row.factors[k]).sum::<f64>() / part.len() as f64;
+        let at: Vec<f64> = (0..axes).map(mean).collect();
+        let value = [a, b].map(|w| w.row.responses[response]);
+        follows.then(|| Step { span_s: [0.0, gone_s], value, at: [at.clone(), at] })
+    };
+    windows.windows(WINDOWS + 1).step_by(WINDOWS).filter_map(one).collect()
+}
+
+/// Where a slow channel comes to rest over the axes, and how fast.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Law {
+    /// Time constant in s.
+    pub(super) tau_s: f64,
+    axes: Vec<Interval>,
+    theta: Vec<f64>,
+}
+
+/// Time constants that are tried, from the shortest step on, each longer by this factor. What is faster has come to rest.
+const TAUS: usize = 24;
+const LONGER: f64 = 1.2;
 /// Share of the changes that the law has to explain.
 const SIGNAL: f64 = 0.5;
-/// Standard errors from which on an effect is told from nothing.
-const TOLD: f64 = 3.0;
-/// Share of a rest in which other things than the slow channel come to rest.
-const BEGIN: f64 = 0.25;
-/// Fewest windows of a rest that tell an effect.
-const FEWEST: usize = 8;
+/// Steps for each coefficient, at least.
+const STEPS: usize = 2;
 
-/// 1, z, z^2 and products of scaled axes.
-fn terms(scale: &[[f64; 2]], at: &[f64]) -> Vec<f64> {
-    let z: Vec<f64> = scale.iter().zip(at).map(|([middle, half], v)| (v - middle) / half).collect();
+/// 1, z, z^2 and products of the axes in shares of half their ranges about their middle.
+fn terms(axes: &[Interval], at: &[f64]) -> Vec<f64> {
+    let half = |r: &Interval| (0.5 * r.width()).max(f64::MIN_POSITIVE);
+    let z: Vec<f64> = axes.iter().zip(at).map(|(r, v)| (v - r.middle()) / half(r)).collect();
     let squares = (0..z.len()).flat_map(|i| (i..z.len()).map(move |j| (i, j)));
     let squares: Vec<f64> = squares.map(|(i, j)| z[i] * z[j]).collect();
     [vec![1.0], z, squares].concat()
 }
 
-impl Slow {
-    /// From windows along lines over `axes`, one of which is the leading `demand`; none where they do not tell where the channel of response
-    /// `response` goes.
-    pub(super) fn learn(
-        axes: &[Vec<f64>],
-        demand: Option<usize>,
-        response: usize,
-        windows: &[Window],
-    ) -> Option<Self> {
-        let scale: Vec<[f64; 2]> = axes
-            .iter()
-            .map(|a| {
-                let (first, last) = (a[0], a[a.len() - 1]);
-                [0.5 * (first + last), (0.5 * (last - first).abs()).max(f64::MIN_POSITIVE)]
-            })
-            .collect();
-        let n = axes.len();
-        let one = |part: &[Window]| -> Option<(f64, f64, f64, Vec<f64>)> {
-            let (a, b) = (&part[0], &part[STEP]);
-            let h_s = b.row.at_s - a.row.at_s;
-            let follows = a.line == b.line && h_s > 0.0 && h_s < 2.0 * STEP as f64 * a.way.window_s;
-            let mean = |k: usize| part.iter().map(|w| w.row.factors[k]).sum::<f64>() / part.len() as f64;
-            let at: Vec<f64> = (0..n).map(mean).collect();
-            let of = |w: &Window| w.row.responses[response];
-            follows.then(|| (h_s, of(a), of(b) - of(a), terms(&scale, &at)))
-        };
-        let steps: Vec<_> = windows.windows(STEP + 1).step_by(STEP).filter_map(one).collect();
-        let (rows, cols) = (steps.len(), steps.first()?.3.len());
-        if rows < 3 * cols {
+impl Law {
+    /// From steps over the ranges of the `axes`; none where they do not tell where the channel goes.
+    pub(super) fn learn(axes: &[Interval], steps: &[Step]) -> Option<Self> {
+        let each: Vec<[Vec<f64>; 2]> =
+            steps.iter().map(|s| [terms(axes, &s.at[0]), terms(axes, &s.at[1])]).collect();
+        let (rows, cols) = (steps.len(), each.first()?[0].len());
+        if rows < STEPS * cols {
             return None;
         }
-        let least_s = steps.iter().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let least_s = steps.iter().map(|s| s.span_s[0] + s.span_s[1]).fold(f64::INFINITY, f64::min);
         let fit = |tau_s: f64| {
-            let gain = |h_s: f64| 1.0 - (-h_s / tau_s).exp();
-            let a: Vec<f64> = steps.iter().flat_map(|s| s.3.iter().map(|t| gain(s.0) * t)).collect();
-            let b: Vec<f64> = steps.iter().map(|s| s.2 + gain(s.0) * s.1).collect();
+            let (mut a, mut b) = (Vec::with_capacity(rows * cols), Vec::with_capacity(rows));
+            for (s, [before, after]) in steps.iter().zip(&each) {
+                let [on_the_way, there] = s.span_s.map(|t| (-t / tau_s).exp());
+                let mid = 0.5 * (1.0 - on_the_way) * there;
+                a.extend(before.iter().zip(after).map(|(x, y)| mid * (x + y) + (1.0 - there) * y));
+                b.push(s.value[1] - s.value[0] * on_the_way * there);
+            }
             let found = least_squares(&a, rows, cols, &b, 0.0).ok()?;
             Some((found.residual_sum_squares, tau_s, found.x))
         };
-        let fits = (0..TAUS).filter_map(|k| fit(FASTEST * least_s * 1.5_f64.powi(k as i32)));
+        let fits = (0..TAUS).filter_map(|k| fit(least_s * LONGER.powi(k as i32)));
         let (rest, tau_s, theta) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        let changes: f64 = steps.iter().map(|s| s.2 * s.2).sum();
+        let changes: f64 = steps.iter().map(|s| (s.value[1] - s.value[0]).powi(2)).sum();
         // By degrees of freedom: few rows follow anything.
         let rest = rest / (rows - cols) as f64;
-        (rest < (1.0 - SIGNAL) * changes / rows as f64).then_some(Self {
-            response,
-            tau_s,
-            scale,
-            theta,
-            demand,
-        })
+        (rest < (1.0 - SIGNAL) * changes / rows as f64).then(|| Self { tau_s, axes: axes.to_vec(), theta })
     }
 
-    /// How far the channel is from where it comes to rest at the axes of a window, over the leading demand.
-    pub(super) fn away(&self, w: &Window) -> f64 {
-        let at = &w.row.factors;
-        let rests: f64 = terms(&self.scale, at).iter().zip(&self.theta).map(|(t, c)| t * c).sum();
-        // A demand that is none has no share.
-        let size = self.demand.map_or(1.0, |k| if at[k] > 0.0 { at[k] } else { f64::NAN });
-        (w.row.responses[self.response] - rests) / size
+    /// Number of axes.
+    pub(super) fn axes(&self) -> usize {
+        self.axes.len()
     }
 
-    /// What it does, from windows of the rest at the begin of a line with what each misses; none where that is not told from nothing.
-    pub(super) fn effect(&self, rest: &[(&Window, f64)]) -> Option<f64> {
-        let last_s = rest.iter().map(|(w, _)| w.way.since_s).fold(0.0, f64::max);
-        let used: Vec<(f64, f64)> = rest
-            .iter()
-            .filter(|(w, e)| w.way.since_s >= BEGIN * last_s && e.is_finite())
-            .map(|(w, e)| (self.away(w), *e))
-            .collect();
-        let n = used.len() as f64;
-        if used.len() < FEWEST {
-            return None;
-        }
-        let mean = |of: &dyn Fn(&(f64, f64)) -> f64| used.iter().map(of).sum::<f64>() / n;
-        let (x, e) = (mean(&|p| p.0), mean(&|p| p.1));
-        let spread: f64 = used.iter().map(|p| (p.0 - x).powi(2)).sum();
-        let k = used.iter().map(|p| (p.0 - x) * (p.1 - e)).sum::<f64>() / spread;
-        let left: Vec<f64> = used.iter().map(|p| p.1 - e - k * (p.0 - x)).collect();
-        let rest: f64 = left.iter().map(|r| r * r).sum();
-        // Windows under a loop are not independent.
-        let next = left.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / rest;
-        let fewer = ((1.0 + next) / (1.0 - next)).max(1.0);
-        let error = (fewer * rest / (n - 2.0) / spread).sqrt();
-        (k.abs() > TOLD * error).then_some(k)
+    /// How far the channel is from where it comes to rest at the axes `at`.
+    pub(super) fn away(&self, at: &[f64], value: f64) -> f64 {
+        let rests: f64 = terms(&self.axes, at).iter().zip(&self.theta).map(|(t, c)| t * c).sum();
+        value - rests
     }
 }
 
@@ -151,29 +144,33 @@ mod tests {
     const TAU_S: f64 = 60.0;
 
     /// Where oil comes to rest: with the speed, and a little with the torque.
-    fn rests(torque: f64, speed: f64) -> f64 {
-        360.0 + 0.012 * (speed - 1000.0) + 0.05 * torque
+    fn rests(at: &[f64]) -> f64 {
+        360.0 + 0.012 * (at[1] - 1000.0) + 0.05 * at[0]
     }
 
-    /// Oil behind that by 60 s along eight lines of 80 s, there and back from 40 to 160 Nm, after a rest of 60 s at the begin of the first; windows of 2 s.
-    /// It is read with noise, and moves by `moves` of its way.
-    fn windows(moves: f64) -> Vec<Window> {
+    fn follow(oil: &mut f64, at: &[f64], h_s: f64) {
+        *oil += (rests(at) - *oil) * (1.0 - (-h_s / TAU_S).exp());
+    }
+
+    fn axes() -> Vec<Interval> {
+        vec![Interval::new(40.0, 160.0), Interval::new(1000.0, 4500.0)]
+    }
+
+    /// Oil behind that by 60 s along eight lines of 80 s, there and back from 40 to 160 Nm; windows of 2 s, read with noise. It `moves` or stands.
+    fn windows(moves: bool) -> Vec<Window> {
         let mut rng = Rng64::new(4);
         let (mut oil, mut at_s, mut all) = (400.0, 0.0, Vec::new());
         for line in 0..8 {
-            let speed = 1000.0 + 500.0 * line as f64;
-            let rest = if line == 0 { 30 } else { 0 };
-            for k in 0..rest + 40 {
-                let (up, torque) = match k {
-                    k if k < rest => (0.0, 40.0),
-                    k if k < rest + 20 => (1.0, 43.0 + 6.0 * (k - rest) as f64),
-                    k => (-1.0, 157.0 - 6.0 * (k - rest - 20) as f64),
-                };
-                oil += moves * (rests(torque, speed) - oil) * (1.0 - (-2.0 / TAU_S).exp());
+            for k in 0..40 {
+                let torque = if k < 20 { 43.0 + 6.0 * k as f64 } else { 157.0 - 6.0 * (k - 20) as f64 };
+                let at = vec![torque, 1000.0 + 500.0 * line as f64];
+                if moves {
+                    follow(&mut oil, &at, 2.0);
+                }
                 at_s += 2.0;
-                let way = Way { up, since_s: 2.0 * k as f64, before_s: 0.0, window_s: 2.0 };
+                let way = Way { up: 1.0, since_s: 2.0 * k as f64, before_s: 0.0, window_s: 2.0 };
                 let row = SweepRow {
-                    factors: vec![torque, speed],
+                    factors: at,
                     responses: vec![oil + 0.02 * rng.normal()],
                     asked: Vec::new(),
                     leg: 0,
@@ -189,40 +186,50 @@ mod tests {
         all
     }
 
-    fn axes() -> Vec<Vec<f64>> {
-        vec![vec![40.0, 160.0], vec![1000.0, 4500.0]]
-    }
-
     #[test]
     fn where_a_slow_channel_goes_is_told_by_lines() {
-        let all = windows(1.0);
-        let slow = Slow::learn(&axes(), Some(0), 0, &all).unwrap();
-        // Time constants are tried by steps of a half.
-        assert!((TAU_S / 1.3..1.3 * TAU_S).contains(&slow.tau_s), "{}", slow.tau_s);
+        let all = windows(true);
+        let law = Law::learn(&axes(), &along_lines(&all, 0, 2)).unwrap();
+        // Time constants are tried by steps of a fifth.
+        assert!((TAU_S / 1.2..1.2 * TAU_S).contains(&law.tau_s), "{}", law.tau_s);
         for w in &all {
-            let (torque, speed) = (w.row.factors[0], w.row.factors[1]);
-            let away = (w.row.responses[0] - rests(torque, speed)) / torque;
-            // Within a tenth of the 40 K that it is away at the begin: time constants are tried by steps of a half.
-            assert!((slow.away(w) - away).abs() < 4.0 / torque, "{torque} {speed}: {} {away}", slow.away(w));
+            let (at, oil) = (&w.row.factors, w.row.responses[0]);
+            // Within a tenth of the 40 K that it is away at the begin.
+            assert!((law.away(at, oil) - (oil - rests(at))).abs() < 4.0, "{at:?}: {}", law.away(at, oil));
         }
-        // 0.07 Nm a K, told with an error of a tenth where 0.2 % scatter, and not told where it is nothing.
-        let told = |k: f64| {
-            let mut rng = Rng64::new(9);
-            let rest = all.iter().filter(|w| w.rests());
-            let each: Vec<(&Window, f64)> =
-                rest.map(|w| (w, 0.01 + k * slow.away(w) + 0.002 * rng.normal())).collect();
-            slow.effect(&each)
-        };
-        assert!((told(0.07).unwrap() - 0.07).abs() < 0.007, "{:?}", told(0.07));
-        assert_eq!(told(0.0), None);
-        assert_eq!(slow.effect(&[]), None);
     }
 
-    /// What does not move, or moves by noise alone, goes nowhere.
+    /// A point of two seconds' ramp and some rest each, at random places.
+    #[test]
+    fn and_by_two_dozen_points() {
+        let mut rng = Rng64::new(8);
+        let (mut oil, mut before) = (390.0, vec![100.0, 2500.0]);
+        let mut steps = Vec::new();
+        for k in 0..24 {
+            let at = vec![rng.uniform_in(40.0, 160.0), rng.uniform_in(1000.0, 4500.0)];
+            let (from, span_s) = (oil, [6.0, 14.0 + f64::from(k % 5)]);
+            for i in 0..60 {
+                let share = (f64::from(i) + 0.5) / 60.0;
+                let on: Vec<f64> = before.iter().zip(&at).map(|(a, b)| a + share * (b - a)).collect();
+                follow(&mut oil, &on, 0.1);
+            }
+            follow(&mut oil, &at, span_s[1]);
+            let value = [from, oil + 0.02 * rng.normal()];
+            steps.push(Step { span_s, value, at: [before, at.clone()] });
+            before = at;
+        }
+        let law = Law::learn(&axes(), &steps).unwrap();
+        assert!((TAU_S / 1.2..1.2 * TAU_S).contains(&law.tau_s), "{}", law.tau_s);
+        for at in [[50.0, 1200.0], [100.0, 4000.0], [150.0, 2000.0]] {
+            assert!(law.away(&at, rests(&at)).abs() < 3.0, "{at:?}: {}", law.away(&at, rests(&at)));
+        }
+    }
+
+    /// What moves by noise alone goes nowhere.
     #[test]
     fn a_channel_that_does_not_follow_is_not_taken() {
-        assert!(Slow::learn(&axes(), Some(0), 0, &windows(0.0)).is_none());
-        assert!(Slow::learn(&axes(), Some(0), 0, &windows(1.0)[..20]).is_none());
-        assert!(Slow::learn(&axes(), Some(0), 0, &[]).is_none());
+        assert!(Law::learn(&axes(), &along_lines(&windows(false), 0, 2)).is_none());
+        assert!(Law::learn(&axes(), &along_lines(&windows(true)[..20], 0, 2)).is_none());
+        assert!(Law::learn(&axes(), &[]).is_none());
     }
 }

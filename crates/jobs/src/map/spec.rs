@@ -81,9 +81,10 @@ impl Default for MapSpec {
 }
 
 impl MapSpec {
-    /// The output that is slower than a line; none where nothing is swept, as on a bed that is driven through files.
-    pub fn slow(&self) -> Option<&String> {
-        self.bed.sweep.as_ref().filter(|_| self.plant.name != "bed")?.slow.as_ref()
+    /// Channels that are measured beside those of the problem: what a front is traced against, and what is slow.
+    pub fn others(&self) -> Vec<&String> {
+        let against = self.optimise.front.as_ref().map(|f| &f.against);
+        against.into_iter().chain(&self.bed.slow).collect()
     }
 }
 
@@ -109,6 +110,9 @@ pub struct BedSpec {
     pub approach: ApproachSpec,
     /// Points that follow the optimum.
     pub refine: RefineSpec,
+    /// An output that is slower than a point (oil): what it is away from where it comes to rest is taken out of what is measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slow: Option<String>,
     /// Lines of the finished maps along which the inputs that loops drive are measured, where it is there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sweep: Option<SweepSpec>,
@@ -122,16 +126,11 @@ pub struct SweepSpec {
     pub pass_s: f64,
     /// Lines between two neighbouring values of the other axis.
     pub between: usize,
-    /// Rest at the begin of the first line in s: oil is still as the last points left it.
-    pub soak_s: f64,
-    /// An output that is slower than a line (oil): what it is away from where it comes to rest is taken out of what the lines show.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub slow: Option<String>,
 }
 
 impl Default for SweepSpec {
     fn default() -> Self {
-        Self { pass_s: 25.0, between: 1, soak_s: 0.0, slow: None }
+        Self { pass_s: 25.0, between: 1 }
     }
 }
 
@@ -147,6 +146,7 @@ impl Default for BedSpec {
             beyond: BTreeMap::new(),
             approach: ApproachSpec::default(),
             refine: RefineSpec::default(),
+            slow: None,
             sweep: None,
         }
     }

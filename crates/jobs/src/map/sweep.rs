@@ -21,12 +21,10 @@
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_calib::steady::trim::{Along, Trim, finer};
-use dynocal_report::significant;
 
 use super::drive::{Drive, Set};
 use super::error::MapError;
 use super::lines::Lines;
-use super::slow::Slow;
 use super::spec::SweepSpec;
 use super::windows::Window;
 
@@ -38,13 +36,8 @@ impl Lines<'_> {
     pub(super) fn trim(&self, rows: &[Window], drives: &mut [Drive]) -> Result<(), MapError> {
         let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
         let knots: Vec<Vec<f64>> = self.knots(spec);
-        let through = rows.iter().filter(|w| self.goes_through(w));
-        let (rest, on_the_maps): (Vec<&Window>, Vec<&Window>) = through.partition(|w| w.rests());
-        let place = |name: &String| self.layout.responses.iter().position(|r| r.name == *name);
-        let response = self.spec.slow().and_then(place);
-        let slow = response.and_then(|k| Slow::learn(self.axes, self.leading(), k, rows));
-        let all = Measured { on_the_maps, rest, slow };
-        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &all, &knots))
+        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
+        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &on_the_maps, &knots))
     }
 
     fn knots(&self, spec: &SweepSpec) -> Vec<Vec<f64>> {
@@ -67,12 +60,6 @@ impl Lines<'_> {
         used.iter().map(one).collect()
     }
 
-    /// The first axis that is a demand.
-    fn leading(&self) -> Option<usize> {
-        let axes = &self.layout.factors[..self.layout.axes];
-        axes.iter().position(|f| matches!(f.kind, FactorKind::Demand(_)))
-    }
-
     /// The factor of the demand that loop `l` holds; none where it is no axis, where it may be zero, or where the map is not relative.
     fn demand(&self, l: usize, drive: &Drive) -> Option<usize> {
         let axes = &self.layout.factors[..self.layout.axes];
@@ -85,22 +72,18 @@ impl Lines<'_> {
         &self,
         l: usize,
         drive: &mut Drive,
-        all: &Measured,
+        rows: &[&Window],
         knots: &[Vec<f64>],
     ) -> Result<(), MapError> {
         let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
-        let rows = &all.on_the_maps;
         // Between all windows of a way: those beside one that counts may not count themselves.
         let measured = measured_slopes(&self.answers(l, drive, rows), 1.5 * self.spec.bed.approach.window_s);
         let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
         let used: Vec<(&Window, f64)> =
             rows.iter().enumerate().filter(|(_, w)| room(w)).map(|(k, w)| (*w, steep(k))).collect();
-        // At an end of another input the engine is led by that, and not by its demands.
-        let led = |w: &Window| room(w) && !w.row.at_end.contains(&true);
-        let rest: Vec<(&Window, f64)> = all.rest.iter().filter(|w| led(w)).map(|w| (*w, 0.0)).collect();
         let factors: Vec<Vec<f64>> = used.iter().map(|(w, _)| w.row.factors.clone()).collect();
         let first = drive.say(self.layout, self.setting, &factors)?;
-        let told = Told { l, used: &used, rest: &rest, slow: all.slow.as_ref(), knots };
+        let told = Told { l, used: &used, knots };
         // A model that hardly knows its demand cannot be asked at another one.
         match self.demand(l, drive) {
             Some(k) if self.shifted(&told, drive, k)? => {}
@@ -153,14 +136,9 @@ impl Lines<'_> {
         demand: Option<usize>,
         chosen: Option<(f64, f64)>,
     ) -> Result<Option<(f64, f64)>, MapError> {
-        let (l, used, rest) = (told.l, told.used, told.rest);
-        let of_rest = self.told(l, drive, rest, demand)?;
-        let of_rest: Vec<(&Window, f64)> =
-            rest.iter().zip(&of_rest).map(|((w, _), (e, _))| (*w, *e)).collect();
-        let slow = told.slow.and_then(|s| Some((s, s.effect(&of_rest)?)));
+        let (l, used) = (told.l, told.used);
         let mut missed = Missed::default();
         for ((w, _), (e, weight)) in used.iter().zip(self.told(l, drive, used, demand)?) {
-            let e = e - slow.map_or(0.0, |(s, k)| k * s.away(w));
             if e.is_finite() {
                 missed.along.push(w.row.factors[..self.layout.axes].to_vec(), w.way, e, weight);
                 missed.line.push(w.line);
@@ -173,7 +151,7 @@ impl Lines<'_> {
         let Some(trim) = trim else { return Ok(None) };
         let weights = (trim.lambda, trim.tau_s);
         let between = missed.between(&trim);
-        drive.take(trim, demand, between, self.slow_in_words(slow, demand));
+        drive.take(trim, demand, between);
         Ok(Some(weights))
     }
 
@@ -214,45 +192,15 @@ impl Lines<'_> {
         };
         Ok(windows.iter().zip(say).zip(slopes).map(one).collect())
     }
-
-    /// What a slow channel does, in words; nothing where none is named.
-    fn slow_in_words(&self, found: Option<(&Slow, f64)>, demand: Option<usize>) -> Option<String> {
-        let name = self.spec.slow()?;
-        let Some((slow, k)) = found else {
-            return Some(format!(
-                "; what `{name}` does was not told by the rest before the first line, so nothing of it is taken out"
-            ));
-        };
-        let does = demand.map_or(String::new(), |d| {
-            let (factor, per) = (&self.layout.factors[d], &self.layout.responses[slow.response].unit);
-            format!(" and does {} {} of `{}` a {per}", significant(k, 2), factor.unit, factor.name)
-        });
-        let takes = significant(slow.tau_s, 2);
-        Some(format!(
-            "; what `{name}` was away from where it comes to rest (it takes {takes} s{does}) is taken out"
-        ))
-    }
 }
 
 /// What windows tell of the input of a loop.
 struct Told<'a> {
     /// The loop.
     l: usize,
-    /// Windows on the way, with the slopes that were measured beside them, and of the rest.
+    /// Windows, with the slopes that were measured beside them.
     used: &'a [(&'a Window, f64)],
-    rest: &'a [(&'a Window, f64)],
-    slow: Option<&'a Slow>,
     knots: &'a [Vec<f64>],
-}
-
-/// What was measured along the lines.
-struct Measured<'a> {
-    /// Windows on the way.
-    on_the_maps: Vec<&'a Window>,
-    /// Windows of the rest before.
-    rest: Vec<&'a Window>,
-    /// What is slower than a line.
-    slow: Option<Slow>,
 }
 
 /// Most rounds in which a trim of the demand is found: those of Newton's method for a curve that is smooth.

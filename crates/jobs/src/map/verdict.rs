@@ -1,7 +1,9 @@
 //! What a steady calibration is worth, in words and checks.
 
+use dynocal_calib::steady::cell::deviations;
 use dynocal_calib::steady::day::{DayEnd, Purpose};
 use dynocal_calib::steady::grid::{Cell, CellState};
+use dynocal_calib::steady::layout::FactorKind;
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
@@ -28,15 +30,15 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     let count = |state: CellState| found.cells.iter().filter(|c| c.state == state).count();
     let (optimal, infeasible, filled) =
         (count(CellState::Optimal), count(CellState::Infeasible), count(CellState::Filled));
-    let n = found.cells.len();
+    let (n, beyond) = (found.cells.len(), beyond_limits(found, spec.optimise.probability));
     let measured: Vec<&Verified> = found.verified.iter().filter(|v| v.measured).collect();
     let kept = measured.iter().filter(|v| v.kept).count();
     let (inside, all) = covered(found, &measured);
     let mut checks = vec![
         Check::new("cells", "cells inside the envelope that keep all limits with the asked probability")
-            .asked(format!("{}", n - filled))
+            .asked(format!("{}", n - filled - beyond))
             .measured(optimal as f64)
-            .holds(infeasible == 0 && optimal > 0),
+            .holds(infeasible == beyond && optimal > 0),
         Check::new("verified", "verification points that were measured and keep limits and promise")
             .asked(format!("{}", spec.verify.points))
             .measured(kept as f64)
@@ -174,16 +176,41 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         100.0 * spec.optimise.probability
     );
     let verified = format!("{kept} of {} verification points keep limits and promise", spec.verify.points);
-    let worth = match (found.valid, filled) {
-        (true, 0) => "The maps can be used",
-        (true, _) => "The maps can be used in the cells that are not marked as filled",
-        (false, _) => "The maps must not be used as they are",
+    let worth = match (found.valid, filled, beyond) {
+        (true, 0, 0) => "The maps can be used",
+        (true, _, 0) => "The maps can be used in the cells that are not marked as filled",
+        (true, ..) => {
+            "The maps can be used in the cells that are not marked as filled, or as not known to keep limits"
+        }
+        (false, ..) => "The maps must not be used as they are",
     };
     let alone = if found.valid { guided(found) } else { String::new() };
     found.verdict =
         format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
     found.warnings = warnings;
+}
+
+/// Cells that are expected to keep all limits, but not with the asked probability, and beyond which, towards more of the demand, no cell holds an
+/// optimum: what is known of the engine ends there, as it does where it was not reached. Others are conflicts of limits, or faults of models.
+fn beyond_limits(found: &Mapped, probability: f64) -> usize {
+    let l = &found.layout;
+    let Some(axis) = l.factors[..l.axes].iter().position(|f| matches!(f.kind, FactorKind::Demand(_))) else {
+        return 0;
+    };
+    let z = deviations(probability);
+    // Reserves are no responses of the cells.
+    let deviation = |c: &Cell, k: usize| c.optimum.deviations.get(k).copied().unwrap_or(0.0);
+    let expected = |c: &&Cell| c.optimum.prices.iter().all(|p| p.passed <= z * deviation(c, p.response));
+    let ends = |c: &&Cell| {
+        let further = |o: &&Cell| {
+            let beside = o.at.iter().zip(&c.at).enumerate().all(|(k, (a, b))| k == axis || a == b);
+            beside && o.at[axis] > c.at[axis]
+        };
+        !found.cells.iter().filter(further).any(|o| o.state == CellState::Optimal)
+    };
+    let infeasible = found.cells.iter().filter(|c| c.state == CellState::Infeasible);
+    infeasible.filter(expected).filter(ends).count()
 }
 
 /// Cells that are held as edited, and what that breaks.

@@ -13,6 +13,7 @@ use super::bench::Bench;
 use super::cells::end_in_words;
 use super::drive::{Drive, Driven};
 use super::error::MapError;
+use super::rest::{Rest, at_rest};
 use super::result::{Deviation, Verified};
 use super::spec::MapSpec;
 use super::sweep;
@@ -46,6 +47,8 @@ pub(super) struct Verification<'a> {
     pub(super) drives: &'a [Drive],
     pub(super) axes: &'a [Vec<f64>],
     pub(super) cells: &'a [Cell],
+    /// What is known of a slow channel: what is promised holds for where it has come to rest.
+    pub(super) rest: Option<&'a Rest>,
 }
 
 impl Verification<'_> {
@@ -80,6 +83,7 @@ impl Verification<'_> {
             objective: None,
             kept: false,
         };
+        let points = at_rest(self.rest, points);
         let one = |(k, at): (usize, &Vec<f64>)| match latest[k].map(|place| &points[place].point) {
             Some(p) if p.usable && p.touched.is_empty() => self.judge(p),
             Some(p) => missed(at, p.note.clone()),

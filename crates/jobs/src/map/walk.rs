@@ -15,6 +15,7 @@ use super::learn::Learned;
 use super::lines::Gone;
 use super::optimum::Optimum;
 use super::reach::Reach;
+use super::rest::Rest;
 use super::setting;
 use super::spec::MapSpec;
 use super::windows::Window;
@@ -27,10 +28,15 @@ pub(super) struct Walk<'a> {
     pub(super) models: &'a [Learned],
     pub(super) drift: &'a [Drift],
     pub(super) drives: &'a [Drive],
+    /// What is known of a slow channel.
+    pub(super) rest: Option<&'a Rest>,
 }
 
+/// What lines showed, the demand as it is where a slow channel has come to rest, and what is known of that by them.
+pub(super) type Walked = (Gone, Option<Rest>);
+
 impl Walk<'_> {
-    /// Along the lines of the maps; where they show that a demand is not reached, its cells are sought again within what is, and the parts of the
+    /// Along the lines of the maps; `points` as they are at rest. Where they show that a demand is not reached, its cells are sought again within what is, and the parts of the
     /// lines that are others by it are gone along once more.
     ///
     /// # Errors
@@ -42,16 +48,20 @@ impl Walk<'_> {
         bench: &mut dyn Bench,
         until_s: f64,
         watch: Watch,
-    ) -> Result<Option<Gone>, MapError> {
+    ) -> Result<Option<Walked>, MapError> {
         let Self { spec, layout, setting, drift, drives, .. } = *self;
         let lines = optimum.lines(spec, layout, setting, drift);
         let Some((mut swept, before)) = lines.run(bench, drives, until_s, watch)? else { return Ok(None) };
+        let rest = self.rest.map(|r| r.along(layout, &swept.1));
+        let to_rest = |windows: &mut [Window]| rest.iter().for_each(|r| r.windows(windows));
+        to_rest(&mut swept.1);
         if self.kept_within(optimum, points, &swept.1, 0, watch)? {
             let lines = optimum.lines(spec, layout, setting, drift);
             let windows = lines.again(bench, (drives, &before), until_s, &mut swept, watch)?;
+            to_rest(&mut swept.1[windows..]);
             self.kept_within(optimum, points, &swept.1, windows, watch)?;
         }
-        Ok(Some(swept))
+        Ok(Some((swept, rest)))
     }
 
     /// Seeks cells again around places that `windows` from number `from` on have missed; whether there were any.

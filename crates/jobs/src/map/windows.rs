@@ -12,11 +12,6 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Whether it was measured at the begin of a line, before it was gone along.
-    pub(super) fn rests(&self) -> bool {
-        self.way.up == 0.0
-    }
-
     /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
     pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
         let mut at = self.row.factors[..layout.axes].to_vec();

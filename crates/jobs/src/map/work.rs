@@ -5,13 +5,10 @@ use std::path::Path;
 
 use dynocal_calib::gains::{self, Tuned};
 use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
-use dynocal_calib::steady::layout::{AxisRange, FactorKind, Layout};
+use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::plan::DayPlan;
 use dynocal_calib::steady::station::Station;
-use dynocal_ident::pi::PiGains;
-use dynocal_ident::plan::PlanLoop;
-use dynocal_ident::plant::{Causality, Plant, Variable};
-use dynocal_numerics::interval::Interval;
+use dynocal_ident::plant::Plant;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
@@ -19,6 +16,7 @@ use super::bench::{self, Bench, OnBed};
 use super::between::Between;
 use super::budget::{Budget, fewest};
 use super::cells::end_in_words;
+use super::channels;
 use super::drive;
 use super::error::MapError;
 use super::job::Job;
@@ -27,14 +25,12 @@ use super::learn;
 use super::lines;
 use super::optimum::{Optimum, static_map};
 use super::refine::{Refined, Refinement};
+use super::rest::{self, at_rest};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
 use super::walk::Walk;
 use super::{edits, inverse, loops, verdict, verify};
-
-/// Share of an axis by which points are planned beyond its ends.
-const BEYOND: f64 = 0.05;
 
 /// All of it on the plant of the spec, or on a bed that is driven through files.
 ///
@@ -78,15 +74,15 @@ pub fn run_on_in(
 ) -> Result<Mapped, MapError> {
     let spec = &job.spec;
     plant.reset(spec.seed);
-    has_channels(spec, plant.variables())?;
-    let axes = axes(spec);
-    let start = start(spec, plant.variables());
+    channels::has_channels(spec, plant.variables())?;
+    let axes = channels::axes(spec);
+    let start = channels::start(spec, plant.variables());
     // What the plant lacks is said before it is run.
-    layout(spec, &axes, None, plant.variables())?;
+    channels::layout(spec, &axes, None, plant.variables())?;
     let tuned = tuned(spec, &axes, &start, plant, watch)?;
-    let layout = layout(spec, &axes, tuned.as_ref(), plant.variables())?;
+    let layout = channels::layout(spec, &axes, tuned.as_ref(), plant.variables())?;
     let interrupt = || watch.interrupted();
-    let first = first(&layout, &start);
+    let first = channels::first(&layout, &start);
     let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
     let beyond = |name: &str| spec.bed.beyond.get(name).copied().unwrap_or(0.0);
     let approach = &spec.bed.approach;
@@ -107,10 +103,10 @@ pub fn run_on_in(
 /// The same on a bed that measures batches of points from files.
 fn on_bed(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
     let spec = &job.spec;
-    let variables = bench::variables(&spec.problem, spec.optimise.front.as_ref(), &job.out)?;
-    let axes = axes(spec);
-    let layout = layout(spec, &axes, None, &variables)?;
-    let first = first(&layout, &start(spec, &variables));
+    let variables = bench::variables(&spec.problem, &spec.others(), &job.out)?;
+    let axes = channels::axes(spec);
+    let layout = channels::layout(spec, &axes, None, &variables)?;
+    let first = channels::first(&layout, &channels::start(spec, &variables));
     let mut bed = OnBed::new(&layout, &job.out, first.clone());
     let day = Day { job, layout: &layout, axes, tuned: None, first };
     day.run(&mut bed, watch)
@@ -125,8 +121,8 @@ pub fn given(job: &Job) -> Result<Vec<(String, usize)>, MapError> {
     if spec.plant.name != "bed" {
         return Ok(Vec::new());
     }
-    let variables = bench::variables(&spec.problem, spec.optimise.front.as_ref(), &job.out)?;
-    let layout = layout(spec, &axes(spec), None, &variables)?;
+    let variables = bench::variables(&spec.problem, &spec.others(), &job.out)?;
+    let layout = channels::layout(spec, &channels::axes(spec), None, &variables)?;
     // No day has more batches than points.
     bench::given(&layout, &job.out, spec.bed.points)
 }
@@ -159,26 +155,34 @@ impl Day<'_> {
             measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
         let drift = day::drift(layout, &points);
-        let models = learn::learn(layout, &points, &drift, &spec.models, true, watch)?;
-        let envelope = envelope(layout, &points);
+        let rest = rest::learn(layout, &points, &drift, spec, watch)?;
+        let seen = at_rest(rest.as_ref(), &points);
+        let models = learn::learn(layout, &seen, &drift, &spec.models, true, watch)?;
+        let envelope = envelope(layout, &seen);
         let setting = setting(layout, &models, None, spec);
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
-        let mut drives = drive::learn(layout, &points, spec, watch)?;
+        let mut drives = drive::learn(layout, &seen, spec, watch)?;
         bench.widen_limits(spec.verify.limit);
         let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
         let until_s = budget_s - verify_s;
-        let walk = Walk { spec, layout, setting: &setting, models: &models, drift: &drift, drives: &drives };
-        let swept = walk.swept(&mut optimum, &points, bench, until_s, watch)?;
+        let walk = Walk {
+            spec,
+            layout,
+            setting: &setting,
+            models: &models,
+            drift: &drift,
+            drives: &drives,
+            rest: rest.as_ref(),
+        };
+        let swept = walk.swept(&mut optimum, &seen, bench, until_s, watch)?;
+        let (swept, along) = swept.unzip();
+        let along = along.flatten().or_else(|| rest.clone());
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
         let windows = windows.unwrap_or_default();
         optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
         drive::fill(&drives, layout, &setting, &mut optimum.cells)?;
-        if windows.is_empty() {
-            optimum.refill(&setting);
-        } else {
-            optimum.drop_unreached(layout, &setting);
-        }
+        optimum.drop_unreached(layout, &setting);
         let Optimum { axes, cells, front, whole, delivered, edits, .. } = optimum;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         watch.note(&format!("{} verification points on the bed", spec.verify.points));
@@ -189,6 +193,7 @@ impl Day<'_> {
             drives: &drives,
             axes: &grid_axes,
             cells: &cells,
+            rest: along.as_ref(),
         };
         let verified = verification.run(bench, budget_s, &mut points, watch)?;
         bed.verify_s = bench.used_s() - bed.points_s - bed.sweeps_s;
@@ -225,6 +230,7 @@ impl Day<'_> {
             verified,
             cells,
             tuned,
+            rest,
             files: Vec::new(),
             points,
             layout: layout.clone(),
@@ -311,128 +317,6 @@ fn make(spec: &MapSpec) -> Result<Box<dyn Plant>, MapError> {
     Ok(make(&spec.plant, true)?)
 }
 
-/// Every channel of the problem is there, in its unit.
-fn has_channels(spec: &MapSpec, variables: &[Variable]) -> Result<(), MapError> {
-    let p = &spec.problem;
-    let inputs = p.inputs.iter().map(|i| (&i.name, &i.unit, Causality::Input));
-    let given = p.given.iter().map(|g| (&g.name, &g.unit, Causality::Input));
-    let demands = p.demands.iter().map(|d| (&d.output, &d.unit, Causality::Output));
-    let derived = |name: &str| p.derive.iter().any(|d| d.name == name);
-    let limits = p.limits.iter().filter(|l| !derived(&l.output));
-    let limits = limits.map(|l| (&l.output, &l.unit, Causality::Output));
-    for (name, unit, causality) in inputs.chain(given).chain(demands).chain(limits) {
-        let all = variables.iter().filter(|v| v.causality == causality);
-        if !all.clone().any(|v| v.name == *name && v.unit == *unit) {
-            let role = if causality == Causality::Input { "input" } else { "output" };
-            let known: Vec<String> = all.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
-            let (name, unit, known) = (name.clone(), unit.clone(), known.join(", "));
-            return Err(MapError::Channel { role, name, unit, known });
-        }
-    }
-    Ok(())
-}
-
-/// What the front is traced against and what is slower than a line are measured and modelled, too.
-fn with_others(spec: &MapSpec, layout: &mut Layout, variables: &[Variable]) -> Result<(), MapError> {
-    let front = spec.optimise.front.as_ref().map(|f| ("optimise.front.against", &f.against));
-    let slow = spec.slow().map(|name| ("bed.sweep.slow", name));
-    let output =
-        |name: &String| variables.iter().any(|v| v.causality == Causality::Output && v.name == *name);
-    for (key, name) in [front, slow].into_iter().flatten() {
-        let (is_slow, others) = (key == "bed.sweep.slow", layout.responses.len());
-        if (!is_slow || output(name)) && layout.add_response(name, variables) {
-            // One that is limited or minimised, too, stays what it is.
-            layout.responses[others..].iter_mut().for_each(|r| r.slow = is_slow);
-            continue;
-        }
-        let outputs = variables.iter().filter(|v| v.causality == Causality::Output);
-        let known: Vec<String> = outputs.map(|v| format!("{} [{}]", v.name, v.unit)).collect();
-        return Err(MapError::Response { key, name: name.clone(), known: known.join(", ") });
-    }
-    Ok(())
-}
-
-/// Axes in the order of maps: the demand, then the given channel, which is the fast one.
-fn axes(spec: &MapSpec) -> Vec<MapAxis> {
-    let (demands, given) = (spec.problem.demand_names(), spec.problem.given_names());
-    let axis = |name: &String| {
-        let points = spec.axes.get(name)?.clone();
-        let unit = spec.problem.unit(name).unwrap_or("-").to_string();
-        Some(MapAxis { name: name.clone(), unit, points })
-    };
-    demands.iter().chain(&given).filter_map(axis).collect()
-}
-
-/// Values of all inputs that may move with which the day begins: of the spec, else the plant's own.
-fn start(spec: &MapSpec, variables: &[Variable]) -> Vec<f64> {
-    let own = |name: &str| {
-        let v = variables.iter().find(|v| v.causality == Causality::Input && v.name == name);
-        v.map(|v| v.start)
-    };
-    let one = |i: &dynocal_calib::problem::InputChannel| {
-        let value = spec.start.get(&i.name).copied().or_else(|| own(&i.name));
-        value.unwrap_or(0.5 * (i.lower + i.upper)).clamp(i.lower, i.upper)
-    };
-    spec.problem.inputs.iter().map(one).collect()
-}
-
-/// The loops in the order of the demands.
-fn closed(spec: &MapSpec, gains: &dyn Fn(&str) -> PiGains) -> Vec<PlanLoop> {
-    let one = |d: &dynocal_calib::problem::DemandChannel| {
-        let l = spec.loops.iter().find(|l| l.output == d.output)?;
-        Some(PlanLoop::closed(&l.output, &l.input, l.gains.unwrap_or_else(|| gains(&l.output))))
-    };
-    spec.problem.demands.iter().filter_map(one).collect()
-}
-
-fn layout(
-    spec: &MapSpec,
-    axes: &[MapAxis],
-    tuned: Option<&Tuned>,
-    variables: &[Variable],
-) -> Result<Layout, MapError> {
-    let found = |output: &str| {
-        let l = tuned.and_then(|t| t.loops.iter().find(|l| l.output == output));
-        l.map_or(PiGains { ki: 0.0, kp: 0.0 }, |l| l.gains)
-    };
-    let ranges: Vec<_> = axes.iter().map(|a| beyond_the_axis(spec, a)).collect();
-    let loops = closed(spec, &found);
-    let mut layout =
-        Layout::new(&spec.problem, loops, &ranges, spec.held.clone(), spec.sample_time_s, variables);
-    for f in &mut layout.factors {
-        if let Some(range) = spec.bed.ranges.get(&f.name) {
-            (f.lower, f.upper) = (range.lower, range.upper);
-        }
-    }
-    with_others(spec, &mut layout, variables)?;
-    Ok(layout)
-}
-
-/// Range in which points are planned: a little beyond the ends of an axis where the problem lets it, so that the outermost cells
-/// lie inside of what was measured.
-fn beyond_the_axis(spec: &MapSpec, axis: &MapAxis) -> AxisRange {
-    let p = &spec.problem;
-    let demand = p.demands.iter().find(|d| d.output == axis.name).map(|d| Interval::new(d.lower, d.upper));
-    let bounds =
-        demand.or(p.given.iter().find(|g| g.name == axis.name).map(|g| Interval::new(g.lower, g.upper)));
-    let AxisRange { name, range } = axis.range();
-    let bounds = bounds.unwrap_or(range);
-    let more = BEYOND * range.width();
-    AxisRange {
-        name,
-        range: Interval::new((range.lower - more).max(bounds.lower), (range.upper + more).min(bounds.upper)),
-    }
-}
-
-/// The first point: axes in their middle, inputs where they begin.
-fn first(layout: &Layout, start: &[f64]) -> Vec<f64> {
-    let one = |(f, centre): (&dynocal_calib::steady::layout::Factor, f64)| match f.kind {
-        FactorKind::Free(k) => start[k].clamp(f.lower, f.upper),
-        _ => centre,
-    };
-    layout.factors.iter().zip(layout.centre()).map(one).collect()
-}
-
 /// Gains at the ends of the axes where the spec gives none.
 fn tuned(
     spec: &MapSpec,
@@ -445,14 +329,14 @@ fn tuned(
         return Ok(None);
     }
     watch.note("gains of the loops");
-    let layout = layout(spec, axes, None, plant.variables())?;
+    let layout = channels::layout(spec, axes, None, plant.variables())?;
     let driven: Vec<f64> = layout.driven().iter().map(|k| start[*k]).collect();
     // The inner part of each axis: its ends may be out of reach.
     let inner = |f: &dynocal_calib::steady::layout::Factor| {
         let room = 0.125 * (f.upper - f.lower);
         [f.lower + room, f.upper - room]
     };
-    let mut corners = vec![first(&layout, start)];
+    let mut corners = vec![channels::first(&layout, start)];
     for k in 0..layout.axes {
         let ends = inner(&layout.factors[k]);
         corners = corners

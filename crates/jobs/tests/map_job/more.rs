@@ -6,6 +6,7 @@ use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid::{CellState, interpolate};
 use dynocal_calib::steady::station::{ApproachSpec, Leg, Station};
 use dynocal_design::points::optimal::{log_determinant, mean_variance};
+use dynocal_ident::model::response::{Ask, Prediction, Response};
 use dynocal_ident::pi::PiGains;
 use dynocal_jobs::map::{Mapped, job, page, work};
 use dynocal_jobs::place::Overrides;
@@ -255,47 +256,48 @@ fn a_day_ends_within_its_bed_time() {
     }
 }
 
-/// Oil is behind along lines at other speeds, and helps by 0.1 Nm a K: maps are for an engine whose oil has come to rest, which is known in closed
-/// form, when it is named as slow, and miss three times as much when it is not. A rest that is too short to tell is refused, and so is a channel that is none.
+/// Oil is behind in points and along lines, and helps by 0.1 Nm a K: maps are for an engine whose oil has come to rest, which is known in closed
+/// form, when it is named as slow, and miss three times as much when it is not. What is no output, or stands still, is refused.
 #[test]
-fn what_a_slow_channel_does_is_taken_out_of_the_lines() {
-    let day = |more: &str| format!("{DAY}[bed.sweep]\npass_s = 15.0\n{more}[optimise]\nbetween = 0.002\n");
+fn what_a_slow_channel_does_is_taken_out() {
+    let day = |more: &str| day(more) + "[bed.sweep]\npass_s = 15.0\n[optimise]\nbetween = 0.002\n";
     let miss = |more: &str| {
         let found = run_with(&day(more), 4, Bench::new(0.2, Fault::Oil)).unwrap();
         let axes: Vec<Vec<f64>> = found.axes.iter().map(|a| a.points.clone()).collect();
         let load = found.map.ports.actuators.iter().position(|a| a.name == "load").unwrap();
-        let mut squares: f64 = 0.0;
+        let (mut squares, mut promised): (f64, f64) = (0.0, 0.0);
         for i in 0..=12 {
             let at = [30.0 + 25.0 * f64::from(i % 4) / 3.0, 1100.0 + 800.0 * f64::from(i) / 12.0];
             let x = interpolate(&axes, &found.cells, &at);
             let rest = fuel(at[0] - 0.1 * (oil_at_rest(at[0], at[1]) - 380.0), at[1], x[2], x[3], 0.0);
             squares += (found.map.steady(&at)[load] / rest - 1.0).powi(2);
+            let model = found.models.iter().find(|m| m.response == "fuel").unwrap();
+            let mut expected = Prediction::new(4);
+            model.predict(&x, Ask::Mean, &mut expected);
+            promised += (expected.mean / rest - 1.0).powi(2);
         }
-        ((squares / 13.0).sqrt(), found)
+        ((squares / 13.0).sqrt(), (promised / 13.0).sqrt(), found)
     };
-    let (with, found) = miss("soak_s = 40.0\nslow = \"oil\"\n");
-    let words = found.drives[0].words();
-    assert!(
-        words.contains("what `oil` was away from where it comes to rest")
-            && words.contains("Nm of `torque` a K"),
-        "{words}"
-    );
+    let (with, fuel_with, found) = miss("slow = \"oil\"");
+    let rest = found.rest.as_ref().unwrap();
+    assert!((rest.effect.unwrap() - 0.1).abs() < 0.02, "{rest:?}");
+    assert!((40.0 / 1.3..1.3 * 40.0).contains(&rest.tau_s.unwrap()), "{rest:?}");
+    assert!(rest.words().contains("Nm less of `torque`"), "{}", rest.words());
     // No point waits for it, and no verdict speaks of it.
     assert!(found.layout.responses.iter().any(|r| r.slow && r.name == "oil"));
     assert!(!found.warnings.iter().any(|w| w.contains("oil")), "{:?}", found.warnings);
-    let (without, other) = miss("");
-    assert!(!other.drives[0].words().contains("oil"));
+    let (without, fuel_without, other) = miss("");
+    assert!(other.rest.is_none());
     assert!(with < 0.01 && with < without / 3.0, "{with} {without}");
-    let refused = |more: &str| match job::parse("map.toml", &text(&day(more)), &Overrides::default()) {
-        Ok(_) => run_with(&day(more), 1, Bench::new(0.2, Fault::Oil)).unwrap_err().to_string(),
-        Err(e) => e.to_string(),
+    assert!(fuel_with < 0.01 && fuel_with < fuel_without / 2.0, "{fuel_with} {fuel_without}");
+    let refused = |name: &str, fault: Fault| {
+        run_with(&day(&format!("slow = \"{name}\"")), 1, Bench::new(0.2, fault)).unwrap_err().to_string()
     };
-    let short = refused("soak_s = 5.0\nslow = \"oil\"\n");
-    assert!(short.contains("bed.sweep.soak_s") && short.contains("12 s"), "{short}");
-    for (name, says) in
-        [("load", "bed.sweep.slow: the plant has no output `load`"), ("water", "no output `water`")]
+    for (name, says) in [("load", "bed.slow: the plant has no output `load`"), ("water", "no output `water`")]
     {
-        let e = refused(&format!("soak_s = 40.0\nslow = \"{name}\"\n"));
+        let e = refused(name, Fault::Oil);
         assert!(e.contains(says) && e.contains("oil [K]"), "{e}");
     }
+    let still = refused("oil", Fault::None);
+    assert!(still.contains("bed.slow: `oil` is 380 K at all points"), "{still}");
 }
