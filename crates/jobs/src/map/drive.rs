@@ -336,7 +336,7 @@ impl Drive {
         factors: &[&[f64]],
     ) -> Result<Vec<Driven>, MapError> {
         let asked: Vec<Vec<f64>> = factors.iter().map(|x| self.asked(layout, x)).collect();
-        let expected: Vec<Vec<f64>> = asked.iter().map(|x| expected(setting, x)).collect();
+        let expected: Vec<Vec<f64>> = asked.iter().map(|x| expected(layout, setting, x)).collect();
         let rows: Vec<(&[f64], &[f64])> =
             asked.iter().zip(&expected).map(|(x, e)| (&x[..], &e[..])).collect();
         let columns = columns(layout, &record(layout, &rows), &self.over)?;
@@ -394,14 +394,17 @@ impl Drive {
     }
 }
 
-/// What the models expect of all responses.
-fn expected(setting: &Setting, factors: &[f64]) -> Vec<f64> {
+/// What the models expect of all responses; no number for one that is slow.
+fn expected(layout: &Layout, setting: &Setting, factors: &[f64]) -> Vec<f64> {
     let mut at = Prediction::new(factors.len());
     let one = |m: &&dyn Response| {
         m.predict(factors, Ask::Mean, &mut at);
         at.mean
     };
-    setting.models[..].iter().map(one).collect()
+    // Behind those of the responses there may be others.
+    let modelled = layout.responses.iter().filter(|r| !r.slow).count();
+    let known = setting.models[..modelled].iter().map(one);
+    known.chain(std::iter::repeat(f64::NAN)).take(layout.responses.len()).collect()
 }
 
 /// Puts the values of driven inputs into the cells, in place of what the models of the day expect over the factors. A cell in which a

@@ -88,18 +88,6 @@ pub enum MapError {
         /// Why.
         source: ResponseError,
     },
-    /// What is called slow stands still.
-    #[error(
-        "bed.slow: `{channel}` is {value} {unit} at all points: it does not move on this bed, leave the key out"
-    )]
-    Still {
-        /// Channel.
-        channel: String,
-        /// Its unit.
-        unit: String,
-        /// What it is.
-        value: f64,
-    },
     /// A response that does not depend on what is moved.
     #[error(
         "`{response}` shows no signal: its model misses unseen points by {rmse:.4} {unit} rms where the {points} measured points scatter by {spread:.4} {unit} themselves. Take it out of the problem, widen the ranges of the inputs, or average longer (`bed.approach.average_s`)"

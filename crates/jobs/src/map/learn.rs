@@ -122,7 +122,7 @@ fn met(layout: &Layout, points: &[DayPoint], k: usize) -> [bool; 2] {
 /// Least share of the variance that a model has to explain on unseen points, or it has not found anything.
 const SIGNAL: f64 = 0.1;
 
-/// Models of all responses; `nested`: the choice of their kinds is tested on points that had no part in it.
+/// Models of all responses but a slow one; `nested`: the choice of their kinds is tested on points that had no part in it.
 ///
 /// # Errors
 /// [`MapError::Learn`], and [`MapError::NoSignal`] for a response that is minimised or may touch its limit and does not depend on
@@ -136,7 +136,8 @@ pub(super) fn learn(
     watch: Watch,
 ) -> Result<Vec<Learned>, MapError> {
     let (kinds, mut all) = (kinds(spec)?, Vec::new());
-    for (k, r) in layout.responses.iter().enumerate() {
+    // What is slow has not come to rest where it was measured: no model expects it. It is the last one.
+    for (k, r) in layout.responses.iter().enumerate().filter(|(_, r)| !r.slow) {
         if watch.interrupted() {
             return Err(MapError::Interrupted);
         }
@@ -147,10 +148,8 @@ pub(super) fn learn(
         // An opening goes through a decade: a model that is some degrees off everywhere knows nothing of the lower end of its range.
         let asked = if driven { Errors::Relative } else { spec.errors };
         let by = if driven || r.weight != 0.0 { errors_of(asked, &table.y) } else { Errors::Absolute };
-        // Nothing is decided by what is recorded only.
-        let kinds = if r.slow { &kinds[..1] } else { &kinds[..] };
         let Chosen { learnt, rmse, widen, words } =
-            choose(kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
+            choose(&kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
         let mean = table.y.iter().sum::<f64>() / n;
         let spread = (table.y.iter().map(|y| (y - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();

@@ -69,12 +69,12 @@ impl Optimum {
     }
 
     /// Seeks the optimum again of the cells around places that lines `missed`, `within` what the demand reaches at the end of its input. One that
-    /// has none was not reached, and neither was any where cells are coupled; edits stay.
+    /// has none was not reached, and neither was any where cells are coupled, or where nothing is known of that end; edits stay.
     pub(super) fn within_reach(
         &mut self,
         spec: &MapSpec,
         layout: &Layout,
-        (setting, within): (&Setting, &Setting),
+        (setting, within): (&Setting, Option<&Setting>),
         missed: &[Vec<f64>],
         watch: Watch,
     ) {
@@ -87,10 +87,11 @@ impl Optimum {
         which.sort_unstable();
         which.dedup();
         // By themselves cells would break what couples them.
-        if spec.optimise.whole.is_some() || spec.optimise.front.is_some() {
+        let coupled = spec.optimise.whole.is_some() || spec.optimise.front.is_some();
+        let Some(within) = within.filter(|_| !coupled) else {
             grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
             return;
-        }
+        };
         let free = &layout.factors[layout.axes..];
         let steps: Vec<Option<f64>> =
             free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
@@ -101,8 +102,8 @@ impl Optimum {
             let mut found =
                 if steps.iter().any(Option::is_some) { quantise(within, &found, &steps) } else { found };
             // The reserves are no responses of the cells.
-            found.responses.truncate(layout.responses.len());
-            found.deviations.truncate(layout.responses.len());
+            found.responses.truncate(setting.models.len());
+            found.deviations.truncate(setting.models.len());
             found
         };
         let optima: Vec<CellOptimum> = which.iter().map(one).collect();

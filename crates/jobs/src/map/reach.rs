@@ -8,7 +8,8 @@
 //! R(x) = T(log u_end, x) - y >= 0                reserve of a cell, with the probability that is asked; less than y at the other end
 //! ```
 //!
-//! It takes the place of the limit `u <= u_end` in the optimum as soon as some point of the day, or a window of a line, stood at that end.
+//! It takes the place of the limit `u <= u_end` in the optimum as soon as some point of the day, or a window of a line, stood at that end. Windows in which the
+//! demand was not followed are learnt from, too.
 
 use dynocal_calib::steady::cell::Side;
 use dynocal_calib::steady::day::{DayPoint, Purpose};
@@ -84,8 +85,9 @@ impl Reach {
             let at_end = p.saturated.contains(&input.name);
             (&p.factors[..], p.responses[driven], at_end)
         });
-        let of_lines = windows.iter().map(|w| &w.row).filter(|r| r.at_end[driven]);
-        let of_lines = of_lines.map(|r| (&r.factors[..], r.responses[driven], true));
+        // Where the demand was not followed it hardly answers its input any more: that the loop had not come to rest is no matter there.
+        let of_lines = windows.iter().map(|w| &w.row).filter(|r| r.at_end[driven] || !r.followed[driven]);
+        let of_lines = of_lines.map(|r| (&r.factors[..], r.responses[driven], r.at_end[driven]));
         let rows: Vec<Row> = of_points.chain(of_lines).collect();
         if !rows.iter().any(|r| r.2) {
             return Ok(None);
@@ -143,14 +145,15 @@ impl Reach {
     }
 }
 
-/// The response number `k` that a price speaks of: one of the layout, or a reserve.
+/// The response number `k` that a price speaks of: one of those with a model, or a reserve.
 pub(super) fn channel(layout: &Layout, k: usize) -> ResponseChannel {
-    if let Some(r) = layout.responses.get(k) {
+    let modelled = || layout.responses.iter().filter(|r| !r.slow);
+    if let Some(r) = modelled().nth(k) {
         return r.clone();
     }
     let axis = layout.factors[..layout.axes].iter().find(|f| matches!(f.kind, FactorKind::Demand(_)));
     let (name, unit) = axis.map_or(("demand", "-"), |f| (&f.name[..], &f.unit[..]));
-    let which = if k == layout.responses.len() { "reserve" } else { "reserve downwards" };
+    let which = if k == modelled().count() { "reserve" } else { "reserve downwards" };
     ResponseChannel {
         name: format!("{name} {which}"),
         unit: unit.into(),

@@ -39,7 +39,9 @@ pub struct Rest {
     pub demand_unit: String,
     /// Time constant in s; none where the points do not tell where the channel comes to rest.
     pub tau_s: Option<f64>,
-    /// How far it was away in the points, root mean square.
+    /// Range of it in the points.
+    pub moved: f64,
+    /// How far it was away from where it comes to rest in the points, root mean square.
     pub away: f64,
     /// What of the demand one unit of it does; none where that is not told from nothing.
     pub effect: Option<f64>,
@@ -57,13 +59,10 @@ const SIZE: f64 = 0.01;
 const HALVED: usize = 3;
 /// Gain in the logarithm of the density from which on an effect is told from nothing: half of three standard errors squared.
 const TOLD: f64 = 4.5;
-/// Share of its size by which a channel has to move to be one.
-const STILL: f64 = 1e-9;
-
 /// What `bed.slow` does, from the points so far; none where it is not asked for, or where no demand is an axis.
 ///
 /// # Errors
-/// [`MapError::Still`]: the channel does not move; [`MapError::Interrupted`].
+/// [`MapError::Interrupted`], keys of the models.
 pub(super) fn learn(
     layout: &Layout,
     points: &[DayPoint],
@@ -78,11 +77,7 @@ pub(super) fn learn(
     let (r, f) = (&layout.responses[k], &layout.factors[d]);
     let usable = points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable);
     let values = || usable.clone().map(|p| p.point.responses[k]);
-    let seen = Interval::spanning(values());
-    if seen.width() <= STILL * seen.middle().abs() {
-        let (channel, unit) = (r.name.clone(), r.unit.clone());
-        return Err(MapError::Still { channel, unit, value: seen.middle() });
-    }
+    let moved = Interval::spanning(values()).width();
     let ranges: Vec<Interval> = axes.iter().map(|f| Interval::new(f.lower, f.upper)).collect();
     let law = Law::learn(&ranges, &between_points(layout, points, k, spec.bed.approach.ramp_s));
     let mut rest = Rest {
@@ -91,6 +86,7 @@ pub(super) fn learn(
         demand: f.name.clone(),
         demand_unit: f.unit.clone(),
         tau_s: law.as_ref().map(|l| l.tau_s),
+        moved,
         away: 0.0,
         effect: None,
         place: (k, d),
@@ -190,12 +186,13 @@ impl Rest {
     /// What was found, in words.
     pub fn words(&self) -> String {
         let Self { channel, demand, .. } = self;
+        let unit = UnitAfter(&self.unit);
         let Some(tau_s) = self.tau_s else {
             return format!(
-                "Where `{channel}` comes to rest is not told by the points, so nothing of what it does is taken out."
+                "`{channel}` moved by {}{unit} in the points: where it comes to rest is not told by that, and nothing of what it does is taken out.",
+                significant(self.moved, 2)
             );
         };
-        let unit = UnitAfter(&self.unit);
         let moves = format!(
             "`{channel}` comes to rest in {} s and was {}{unit} away from that in the points (root mean square).",
             significant(tau_s, 2),

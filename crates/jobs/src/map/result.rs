@@ -19,6 +19,7 @@ use super::inverse::Inverse;
 use super::learn::Learned;
 use super::lines::Sweeps;
 use super::loops::InputLoop;
+use super::reach::Reach;
 use super::refine::Round;
 use super::rest::Rest;
 use super::setting::setting;
@@ -223,6 +224,9 @@ pub struct Mapped {
     /// The region of the axes that was reached.
     #[serde(skip)]
     pub envelope: Envelope,
+    /// What the demand reaches at the ends of its input, as points tell it.
+    #[serde(skip)]
+    pub(super) reach: Option<Reach>,
     /// The maps.
     #[serde(skip)]
     pub map: StaticMap,
@@ -231,6 +235,6 @@ pub struct Mapped {
 impl Mapped {
     /// Models, limits and weights that the cells were searched with.
     pub fn setting(&self, spec: &MapSpec) -> Setting<'_> {
-        setting(&self.layout, &self.models, None, spec)
+        setting(&self.layout, &self.models, self.reach.as_ref(), spec)
     }
 }

@@ -34,10 +34,10 @@ pub(super) fn setting<'a>(
     spec: &MapSpec,
 ) -> Setting<'a> {
     let mut sides = Vec::new();
-    for (k, r) in layout.responses.iter().enumerate() {
-        let scale = models[k].spread.max(f64::MIN_POSITIVE);
+    for (k, (r, model)) in layout.responses.iter().zip(models).enumerate() {
+        let scale = model.spread.max(f64::MIN_POSITIVE);
         let stays =
-            |upper: bool| models[k].met[usize::from(upper)] && reach.is_none_or(|e| !e.replaces(k, upper));
+            |upper: bool| model.met[usize::from(upper)] && reach.is_none_or(|e| !e.replaces(k, upper));
         let upper = r.upper.filter(|_| stays(true));
         let lower = r.lower.filter(|_| stays(false));
         sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
@@ -47,7 +47,13 @@ pub(super) fn setting<'a>(
     let reserves = || reach.iter().flat_map(|e| e.responses());
     Setting {
         models: models.iter().map(|m| m as &dyn Response).chain(reserves()).collect(),
-        weights: layout.responses.iter().map(|r| r.weight).chain(reserves().map(|_| 0.0)).collect(),
+        weights: layout
+            .responses
+            .iter()
+            .zip(models)
+            .map(|(r, _)| r.weight)
+            .chain(reserves().map(|_| 0.0))
+            .collect(),
         sides,
         z: deviations(spec.optimise.probability),
         caution: spec.optimise.caution,

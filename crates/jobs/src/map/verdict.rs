@@ -153,7 +153,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
-    let decides = |m: &&Learned| !slow(found, &m.response) && !driven(found, &m.response);
+    let decides = |m: &&Learned| !driven(found, &m.response);
     for m in found.models.iter().filter(decides).filter(|m| m.explained() < ROUGH) {
         warnings.push(format!(
             "the model of `{}` is rough: it misses unseen points by {} {} rms where they scatter by {}",
@@ -340,9 +340,7 @@ fn place(found: &Mapped, at: &[f64]) -> String {
 
 /// Deviations inside of their intervals or too small to matter, and all of them.
 fn covered(found: &Mapped, verified: &[&Verified]) -> (usize, usize) {
-    let each = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
-    // What is slow has not come to rest in a point, and nothing is promised of it.
-    let all = || each().filter(|(d, _)| !slow(found, &d.response));
+    let all = || verified.iter().flat_map(|v| v.deviations.iter().zip(&found.models));
     let inside = all().filter(|(d, m)| {
         let away = (d.measured - d.promised).abs();
         away <= d.half_width.max(SMALL * m.spread)

@@ -172,7 +172,7 @@ impl Verification<'_> {
         let band = deviations(BAND);
         let (mut all, mut kept) = (Vec::new(), true);
         let (mut promised, mut variance, mut measured) = (0.0, 0.0, 0.0);
-        for (k, r) in self.layout.responses.iter().enumerate() {
+        for (k, r) in self.layout.responses.iter().enumerate().filter(|(_, r)| !r.slow) {
             self.setting.models[k].predict(&point.factors, Ask::Variance, &mut at);
             let value = point.responses[k];
             let above = r.upper.map(|u| (value - u, u.abs()));

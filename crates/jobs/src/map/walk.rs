@@ -18,7 +18,7 @@ use super::reach::Reach;
 use super::rest::Rest;
 use super::setting;
 use super::spec::MapSpec;
-use super::windows::Window;
+use super::windows::{Window, missed};
 
 /// The maps with their models, along which the bed goes.
 pub(super) struct Walk<'a> {
@@ -74,15 +74,13 @@ impl Walk<'_> {
         watch: Watch,
     ) -> Result<bool, MapError> {
         let Self { spec, layout, setting, models, .. } = *self;
-        let missed: Vec<Vec<f64>> = windows[from..].iter().filter_map(|w| w.missed(layout)).collect();
+        let missed = missed(layout, &windows[from..]);
         if missed.is_empty() {
             return Ok(false);
         }
-        let Some(reach) = Reach::learn(layout, points, windows, &spec.models, watch)? else {
-            return Ok(false);
-        };
-        let within = setting::setting(layout, models, Some(&reach), spec);
-        optimum.within_reach(spec, layout, (setting, &within), &missed, watch);
+        let reach = Reach::learn(layout, points, windows, &spec.models, watch)?;
+        let within = reach.as_ref().map(|r| setting::setting(layout, models, Some(r), spec));
+        optimum.within_reach(spec, layout, (setting, within.as_ref()), &missed, watch);
         Ok(true)
     }
 }

@@ -12,18 +12,33 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Axes as they were asked for, where a demand that is one of them was not reached with its input at an end.
-    pub(super) fn missed(&self, layout: &Layout) -> Option<Vec<f64>> {
+    /// Axes as they were asked for, where a demand that is one of them was not followed, and with its input `at_end` where that is asked.
+    fn missed(&self, layout: &Layout, at_end: bool) -> Option<Vec<f64>> {
         let mut at = self.row.factors[..layout.axes].to_vec();
         let mut missed = false;
         for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
             if let FactorKind::Demand(l) = f.kind {
-                missed |= self.row.at_end[l] && !self.row.followed[l];
+                missed |= !self.row.followed[l] && (self.row.at_end[l] || !at_end);
                 at[k] = self.row.asked[l];
             }
         }
         missed.then_some(at)
     }
+}
+
+/// Places, as they were asked for, whose demand `windows` show not to be reached: its input stood at an end, or it was not followed on both sides of a
+/// turn, so that more of the input came too late or to nothing.
+pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<Vec<f64>> {
+    let turn = |k: usize, next: usize| {
+        let pair = windows.get(k).zip(windows.get(next));
+        let turns = |(a, b): &(&Window, &Window)| a.line == b.line && a.way.up * b.way.up < 0.0;
+        pair.filter(turns).is_some_and(|(_, b)| b.missed(layout, false).is_some())
+    };
+    let one = |(k, w): (usize, &Window)| {
+        let turned = turn(k, k + 1) || k > 0 && turn(k, k - 1);
+        w.missed(layout, !turned)
+    };
+    windows.iter().enumerate().filter_map(one).collect()
 }
 
 /// Ways of legs that begin at `from`: 1 up the first axis, -1 down, 0 where it rests, and when each begins in s.
