@@ -29,6 +29,11 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.caution", s.optimise.caution, 0.0, 10.0, "standard deviations");
     faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
     faults.range("optimise.between", s.optimise.between, 0.0, 1.0, "of the inputs that loops drive");
+    if let Some(slow) =
+        s.bed.slow.as_ref().filter(|_| !s.problem.demand_names().iter().any(|d| s.axes.contains_key(d)))
+    {
+        faults.push("bed.slow", slow, "a demand among `axes`: what is slow is told by what it does to one");
+    }
     if let Some(sweep) = &s.bed.sweep {
         faults.range("bed.sweep.pass_s", sweep.pass_s, 1.0, 3600.0, "s");
         count("bed.sweep.between", sweep.between, 0, 100, faults);

@@ -155,7 +155,8 @@ fn channels(layout: &Layout, points: &[&SteadyPoint]) -> Dataset {
     record(layout, &rows)
 }
 
-fn record(layout: &Layout, rows: &[(&[f64], &[f64])]) -> Dataset {
+/// Factors and responses of rows, demands and given channels that are held, as a record.
+pub(super) fn record(layout: &Layout, rows: &[(&[f64], &[f64])]) -> Dataset {
     let channel = |name: &str, unit: &str, values: Vec<f64>| Channel {
         name: name.into(),
         unit: unit.into(),

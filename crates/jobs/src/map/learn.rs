@@ -183,3 +183,57 @@ pub(super) fn learn(
     }
     Ok(all)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_calib::problem::CalibrationProblem;
+    use dynocal_calib::steady::layout::ResponseChannel;
+    use dynocal_calib::steady::station::SteadyPoint;
+
+    /// An end is met where something stood at it, whether the point was used or not, and where that is known by its value alone.
+    #[test]
+    fn an_end_at_which_nothing_stood_is_not_met() {
+        let problem = CalibrationProblem::thesis();
+        let i = problem.inputs[0].clone();
+        let driven = ResponseChannel {
+            name: i.name.clone(),
+            unit: i.unit.clone(),
+            source: ResponseSource::Driven(0),
+            lower: Some(i.lower),
+            upper: Some(i.upper),
+            weight: 0.0,
+            slow: false,
+        };
+        let output = ResponseChannel { source: ResponseSource::Output, ..driven.clone() };
+        let layout = Layout {
+            problem,
+            loops: Vec::new(),
+            factors: Vec::new(),
+            axes: 0,
+            held: std::collections::BTreeMap::new(),
+            responses: vec![driven, output],
+            sample_time_s: 0.1,
+        };
+        let at = |share: f64, saturated: bool| {
+            let point = SteadyPoint {
+                asked: Vec::new(),
+                factors: Vec::new(),
+                responses: vec![i.lower + share * (i.upper - i.lower), 0.0],
+                errors: Vec::new(),
+                usable: false,
+                note: String::new(),
+                touched: Vec::new(),
+                saturated: if saturated { vec![i.name.clone()] } else { Vec::new() },
+                at_s: 0.0,
+                used_s: 0.0,
+            };
+            DayPoint { purpose: Purpose::Plan, point }
+        };
+        let of = |points: &[DayPoint]| met(&layout, points, 0);
+        assert_eq!(of(&[at(0.3, false), at(0.9, false), at(f64::NAN, true)]), [false, false]);
+        assert_eq!(of(&[at(0.3, false), at(0.9, true)]), [false, true]);
+        assert_eq!(of(&[at(0.004, false), at(0.9, false)]), [true, false]);
+        assert_eq!(met(&layout, &[], 1), [true, true]);
+    }
+}

@@ -101,7 +101,7 @@ impl Optimum {
             let found = within.optimise(&cell.at, spec.optimise.starts, warm, spec.seed, watch.interrupt);
             let mut found =
                 if steps.iter().any(Option::is_some) { quantise(within, &found, &steps) } else { found };
-            // The reserves are no responses of the cells.
+            // Cells have as many responses as the setting that they were first sought with.
             found.responses.truncate(setting.models.len());
             found.deviations.truncate(setting.models.len());
             found

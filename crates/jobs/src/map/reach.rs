@@ -9,7 +9,7 @@
 //! ```
 //!
 //! It takes the place of the limit `u <= u_end` in the optimum as soon as some point of the day, or a window of a line, stood at that end. Windows in which the
-//! demand was not followed are learnt from, too.
+//! demand was not reached are learnt from, too.
 
 use dynocal_calib::steady::cell::Side;
 use dynocal_calib::steady::day::{DayPoint, Purpose};
@@ -21,7 +21,7 @@ use super::choose::{Chosen, choose};
 use super::error::MapError;
 use super::learn::kinds;
 use super::spec::{Errors, ModelsSpec};
-use super::windows::Window;
+use super::windows::{Window, missed};
 
 /// What a demand reaches at the ends of its input.
 #[derive(Clone, Debug)]
@@ -61,10 +61,10 @@ struct Reserve {
 type Row<'a> = (&'a [f64], f64, bool);
 
 impl Reach {
-    /// From points and lines; none where no loop holds an axis, or where its input never stood at an end.
+    /// From points and lines; none where no loop holds an axis, where its input never stood at an end, or where no candidate can be learnt.
     ///
     /// # Errors
-    /// [`MapError`] where no candidate can be learnt.
+    /// [`MapError::Interrupted`], keys of the models.
     pub(super) fn learn(
         layout: &Layout,
         points: &[DayPoint],
@@ -85,8 +85,12 @@ impl Reach {
             let at_end = p.saturated.contains(&input.name);
             (&p.factors[..], p.responses[driven], at_end)
         });
-        // Where the demand was not followed it hardly answers its input any more: that the loop had not come to rest is no matter there.
-        let of_lines = windows.iter().map(|w| &w.row).filter(|r| r.at_end[driven] || !r.followed[driven]);
+        // Where the demand was not reached it hardly answers its input any more: that the loop had not come to rest is no matter there.
+        let mut told = missed(layout, windows);
+        told.extend((0..windows.len()).filter(|k| windows[*k].row.at_end[driven]));
+        told.sort_unstable();
+        told.dedup();
+        let of_lines = told.iter().map(|k| &windows[*k].row);
         let of_lines = of_lines.map(|r| (&r.factors[..], r.responses[driven], r.at_end[driven]));
         let rows: Vec<Row> = of_points.chain(of_lines).collect();
         if !rows.iter().any(|r| r.2) {
@@ -104,9 +108,12 @@ impl Reach {
         let y: Vec<f64> = rows.iter().map(|r| r.0[axis]).collect();
         let table = Points { inputs, output: output.clone(), x: rows.iter().flat_map(with).collect(), y };
         watch.note(&format!("what {output} reaches at the ends of {}", input.name));
-        let Chosen { learnt, widen, .. } =
-            choose(&kinds(spec)?, Errors::Absolute, &table, spec.folds, false, watch.interrupt)
-                .map_err(|source| MapError::Learn { response: output, source })?;
+        let found = choose(&kinds(spec)?, Errors::Absolute, &table, spec.folds, false, watch.interrupt);
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        // What cannot be learnt is no end of the day: the limit of the input stays.
+        let Ok(Chosen { learnt, widen, .. }) = found else { return Ok(None) };
         let reserve = |end: f64, sign: f64| {
             let model = learnt.model.clone();
             Reserve { model, widen, axis, end: of(end), sign }

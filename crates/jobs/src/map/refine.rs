@@ -1,7 +1,7 @@
 //! The part of the day that follows the optimum: models and maps so far, the next points, until promises are kept.
 
 use dynocal_calib::steady::cell::Setting;
-use dynocal_calib::steady::day::{self, DayEnd, DayPoint, Purpose, Task};
+use dynocal_calib::steady::day::{DayEnd, DayPoint, Purpose, Task};
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::grid;
 use dynocal_calib::steady::layout::Layout;
@@ -85,9 +85,9 @@ impl Refinement<'_> {
         // A batch ends with a repeat.
         while points.len() + 1 < self.most {
             let left = self.most - points.len() - 1;
-            let drift = day::drift(self.layout, points);
-            let rest = rest::learn(self.layout, points, &drift, self.spec, watch)?;
-            let seen = at_rest(rest.as_ref(), points);
+            let rest = rest::learn(self.layout, points, self.spec, watch)?;
+            let seen = at_rest(rest.as_ref(), self.layout, points);
+            let drift = rest::drift(rest.as_ref(), self.layout, &seen, self.spec, watch)?;
             let models = learn::learn(self.layout, &seen, &drift, &self.spec.models, false, watch)?;
             let reach = Reach::learn(self.layout, &seen, &[], &self.spec.models, watch)?;
             let known = (&models[..], reach.as_ref());
@@ -107,7 +107,7 @@ impl Refinement<'_> {
                 targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
             tasks.push(self.task(Purpose::Repeat, self.first.to_vec(), &models));
             let end = bench.run(tasks, self.bed_s, points, watch)?;
-            let batch = at_rest(rest.as_ref(), &points[begun..]);
+            let batch = at_rest(rest.as_ref(), self.layout, &points[begun..]);
             let mut round = self.judge(&models, &batch, untried);
             (round.at_s, round.left) = (bench.used_s(), worth);
             let enough = round.error.is_some_and(|e| e <= self.spec.bed.refine.tolerance) && untried == 0;

@@ -11,15 +11,17 @@
 //! density that a model without the point gives it, among the candidates' last kind. It is told from nothing where that sum is greater by 4.5, three standard errors of a
 //! parameter. That k is the same everywhere is an assumption: friction grows with the speed, and oil by its temperature.
 
-use dynocal_calib::steady::day::{DayPoint, Drift, Purpose};
-use dynocal_calib::steady::layout::{FactorKind, Layout};
+use dynocal_calib::steady::day::{self, DayPoint, Drift, Purpose};
+use dynocal_calib::steady::layout::{FactorKind, Layout, ResponseSource};
 use dynocal_ident::data::UnitAfter;
-use dynocal_ident::model::response::Learn;
+use dynocal_ident::model::response::{Ask, Learn, Prediction, Response};
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::watch::Watch;
 use dynocal_report::significant;
 use serde::Serialize;
 
+use super::choose::Kinds;
+use super::drive::record;
 use super::error::MapError;
 use super::learn::{kinds, table};
 use super::slow::{Law, along_lines, between_points};
@@ -45,6 +47,9 @@ pub struct Rest {
     pub away: f64,
     /// What of the demand one unit of it does; none where that is not told from nothing.
     pub effect: Option<f64>,
+    /// Whether the times of the points are known.
+    #[serde(skip)]
+    timed: bool,
     /// Number of the channel among the responses, and of the demand among the factors.
     #[serde(skip)]
     place: (usize, usize),
@@ -66,7 +71,6 @@ const TOLD: f64 = 4.5;
 pub(super) fn learn(
     layout: &Layout,
     points: &[DayPoint],
-    drift: &[Drift],
     spec: &MapSpec,
     watch: Watch,
 ) -> Result<Option<Rest>, MapError> {
@@ -79,7 +83,7 @@ pub(super) fn learn(
     let values = || usable.clone().map(|p| p.point.responses[k]);
     let moved = Interval::spanning(values()).width();
     let ranges: Vec<Interval> = axes.iter().map(|f| Interval::new(f.lower, f.upper)).collect();
-    let law = Law::learn(&ranges, &between_points(layout, points, k, spec.bed.approach.ramp_s));
+    let law = Law::learn(&ranges, &between_points(layout, points, k, &spec.bed.approach));
     let mut rest = Rest {
         channel: r.name.clone(),
         unit: r.unit.clone(),
@@ -89,6 +93,7 @@ pub(super) fn learn(
         moved,
         away: 0.0,
         effect: None,
+        timed: points.iter().any(|p| p.point.at_s > 0.0),
         place: (k, d),
         law,
     };
@@ -98,7 +103,7 @@ pub(super) fn learn(
     rest.away = (away.iter().map(|a| a * a).sum::<f64>() / away.len() as f64).sqrt();
     watch.note(&format!("what {} does to {}", r.name, f.name));
     let size = SIZE * (f.upper - f.lower) / rest.away;
-    rest.effect = effect(&rest, layout, points, drift, spec, size, watch)?.filter(|e| *e != 0.0);
+    rest.effect = effect(&rest, layout, points, spec, size, watch)?.filter(|e| *e != 0.0);
     Ok(Some(rest))
 }
 
@@ -107,19 +112,18 @@ fn effect(
     rest: &Rest,
     layout: &Layout,
     points: &[DayPoint],
-    drift: &[Drift],
     spec: &MapSpec,
     size: f64,
     watch: Watch,
 ) -> Result<Option<f64>, MapError> {
     let kinds = kinds(&spec.models)?;
-    let Some((_, kind)) = kinds.last() else { return Ok(None) };
+    let Some(kind) = smooth_kind(&kinds) else { return Ok(None) };
     let score = |effect: f64| {
         if watch.interrupted() {
             return Err(MapError::Interrupted);
         }
-        let there = Rest { effect: Some(effect), ..rest.clone() }.points(points);
-        Ok((effect, score(layout, &there, drift, &**kind, watch)))
+        let there = Rest { effect: Some(effect), ..rest.clone() }.points(layout, points);
+        Ok((effect, score(layout, &there, kind, watch)))
     };
     let first = TRIED.iter().rev().map(|t| -t).chain([0.0]).chain(TRIED);
     let mut all: Vec<(f64, f64)> = first.map(|t| score(t * size)).collect::<Result<_, MapError>>()?;
@@ -135,18 +139,25 @@ fn effect(
     Ok(greatest(&all).map(|k| all[k]).filter(|best| best.1 > none + TOLD).map(|best| best.0))
 }
 
+/// The last Gaussian process among the candidates, which changes little where points move a little; else the last one.
+fn smooth_kind(kinds: &Kinds) -> Option<&dyn Learn> {
+    let process = kinds.iter().rev().find(|(name, _)| name.starts_with("gaussian_process"));
+    process.or(kinds.last()).map(|(_, kind)| &**kind)
+}
+
 /// Sum over points of the logarithm of the density that models without them give to what is minimised; less than any number where one cannot be
 /// learnt.
-fn score(layout: &Layout, points: &[DayPoint], drift: &[Drift], kind: &dyn Learn, watch: Watch) -> f64 {
+fn score(layout: &Layout, points: &[DayPoint], kind: &dyn Learn, watch: Watch) -> f64 {
     let weighed = layout.responses.iter().enumerate().filter(|(_, r)| r.weight != 0.0 && !r.slow);
     let one = |(k, _)| {
-        let Ok(found) = kind.learn(&table(layout, points, drift, k), watch.interrupt) else {
+        let Ok(found) = kind.learn(&table(layout, points, &[], k), watch.interrupt) else {
             return f64::NEG_INFINITY;
         };
         let each = found.left_out.residuals.iter().zip(&found.left_out.variance);
         each.map(|(e, v)| -0.5 * (v.max(f64::MIN_POSITIVE).ln() + e * e / v.max(f64::MIN_POSITIVE))).sum()
     };
-    weighed.map(one).filter(|s: &f64| !s.is_nan()).sum()
+    let sum: f64 = weighed.map(one).sum();
+    if sum.is_nan() { f64::NEG_INFINITY } else { sum }
 }
 
 impl Rest {
@@ -154,15 +165,29 @@ impl Rest {
     fn demand(&self, x: &[f64], value: f64) -> f64 {
         let (_, d) = self.place;
         let (Some(law), Some(effect)) = (&self.law, self.effect) else { return x[d] };
-        x[d] - effect * law.away(&x[..law.axes()], value)
+        let at_rest = x[d] - effect * law.away(&x[..law.axes()], value);
+        // None becomes one of the other sign by it.
+        if x[d] * at_rest > 0.0 { at_rest } else { x[d] }
     }
 
-    /// Points with the demand as it is at rest.
-    pub(super) fn points(&self, points: &[DayPoint]) -> Vec<DayPoint> {
+    /// Points with the demand as it is at rest, and so with what is derived from it.
+    pub(super) fn points(&self, layout: &Layout, points: &[DayPoint]) -> Vec<DayPoint> {
         let mut points = points.to_vec();
         for p in &mut points {
             let p = &mut p.point;
-            p.factors[self.place.1] = self.demand(&p.factors, p.responses[self.place.0]);
+            let mut there = p.factors.clone();
+            there[self.place.1] = self.demand(&p.factors, p.responses[self.place.0]);
+            let derived =
+                layout.responses.iter().enumerate().filter(|(_, r)| r.source == ResponseSource::Derived);
+            for (k, r) in derived {
+                let of = |x: &[f64]| {
+                    let record = record(layout, &[(x, &p.responses)]);
+                    layout.problem.values(&r.name, &record).ok().and_then(|v| v.first().copied())
+                };
+                let share = of(&there).zip(of(&p.factors)).map(|(now, before)| now / before);
+                p.responses[k] *= share.filter(|s| s.is_finite()).unwrap_or(1.0);
+            }
+            p.factors = there;
         }
         points
     }
@@ -180,7 +205,10 @@ impl Rest {
         let ranges = layout.factors[..layout.axes].iter().map(|f| Interval::new(f.lower, f.upper));
         let ranges: Vec<Interval> = ranges.collect();
         let law = Law::learn(&ranges, &along_lines(windows, self.place.0, layout.axes));
-        Self { law: law.or_else(|| self.law.clone()), ..self.clone() }
+        match law {
+            Some(law) => Self { tau_s: Some(law.tau_s), law: Some(law), ..self.clone() },
+            None => self.clone(),
+        }
     }
 
     /// What was found, in words.
@@ -189,8 +217,9 @@ impl Rest {
         let unit = UnitAfter(&self.unit);
         let Some(tau_s) = self.tau_s else {
             return format!(
-                "`{channel}` moved by {}{unit} in the points: where it comes to rest is not told by that, and nothing of what it does is taken out.",
-                significant(self.moved, 2)
+                "`{channel}` moved by {}{unit} in the points: where it comes to rest is not told by that{}, and nothing of what it does is taken out.",
+                significant(self.moved, 2),
+                if self.timed { "" } else { " without the times of the points" }
             );
         };
         let moves = format!(
@@ -213,6 +242,40 @@ impl Rest {
 }
 
 /// Points with the demand as it is where a slow channel has come to rest, where one is known.
-pub(super) fn at_rest(rest: Option<&Rest>, points: &[DayPoint]) -> Vec<DayPoint> {
-    rest.map_or_else(|| points.to_vec(), |r| r.points(points))
+pub(super) fn at_rest(rest: Option<&Rest>, layout: &Layout, points: &[DayPoint]) -> Vec<DayPoint> {
+    rest.map_or_else(|| points.to_vec(), |r| r.points(layout, points))
+}
+
+/// Drift by the repeats among `points`, which are as they are at rest: a demand that is another one by what a slow channel did is no drift. Responses are
+/// taken along their slopes over the demand, by models of them, to the mean demand of the repeats.
+///
+/// # Errors
+/// [`MapError::Interrupted`], keys of the models.
+pub(super) fn drift(
+    rest: Option<&Rest>,
+    layout: &Layout,
+    points: &[DayPoint],
+    spec: &MapSpec,
+    watch: Watch,
+) -> Result<Vec<Drift>, MapError> {
+    let Some(rest) = rest.filter(|r| r.effect.is_some()) else { return Ok(day::drift(layout, points)) };
+    let kinds = kinds(&spec.models)?;
+    let Some(kind) = smooth_kind(&kinds) else { return Ok(day::drift(layout, points)) };
+    let d = rest.place.1;
+    let mut repeats: Vec<DayPoint> =
+        points.iter().filter(|p| p.purpose == Purpose::Repeat && p.point.usable).cloned().collect();
+    let mean = repeats.iter().map(|p| p.point.factors[d]).sum::<f64>() / repeats.len().max(1) as f64;
+    let mut at = Prediction::new(layout.factors.len());
+    for (k, _) in layout.responses.iter().enumerate().filter(|(_, r)| !r.slow) {
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        // What cannot be learnt stays as it was measured.
+        let Ok(found) = kind.learn(&table(layout, points, &[], k), watch.interrupt) else { continue };
+        for p in &mut repeats {
+            found.model.predict(&p.point.factors, Ask::Gradient, &mut at);
+            p.point.responses[k] += at.gradient[d] * (mean - p.point.factors[d]);
+        }
+    }
+    Ok(day::drift(layout, &repeats))
 }

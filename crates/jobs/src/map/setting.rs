@@ -12,7 +12,8 @@ use super::learn::Learned;
 use super::reach::Reach;
 use super::spec::MapSpec;
 
-/// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it.
+/// Hull of the axes that were reached. A demand that was met counts as it was asked for: what it was measured at scatters about it, and what it is worth where a
+/// slow channel has come to rest is within a share of the axis.
 pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
     let used = points.iter().map(|p| &p.point).filter(|p| p.usable);
     let at = |p: &SteadyPoint| {

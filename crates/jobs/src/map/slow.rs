@@ -13,6 +13,7 @@
 
 use dynocal_calib::steady::day::DayPoint;
 use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::station::ApproachSpec;
 use dynocal_numerics::interval::Interval;
 use dynocal_numerics::linalg::least_squares;
 
@@ -31,23 +32,25 @@ pub(super) struct Step {
 /// Windows over which a change is taken: one alone is mostly noise.
 const WINDOWS: usize = 5;
 
-/// From one point to the next, as the bed approaches them: `ramp_s` for a factor that goes through its whole range.
+/// From one point to the next as the bed approaches them. Where far more time went by than a point takes the bed was elsewhere.
 pub(super) fn between_points(
     layout: &Layout,
     points: &[DayPoint],
     response: usize,
-    ramp_s: f64,
+    approach: &ApproachSpec,
 ) -> Vec<Step> {
+    let longest_s = 2.0 * (approach.ramp_s + approach.settle_s + approach.average_s);
     let one = |pair: &[DayPoint]| {
         let (a, b) = (&pair[0].point, &pair[1].point);
         let gone_s = b.at_s - a.at_s;
         let shares = layout.factors.iter().zip(a.factors.iter().zip(&b.factors));
         let far = shares.map(|(f, (x, y))| (y - x).abs() / (f.upper - f.lower)).fold(0.0, f64::max);
-        let ramp_s = (ramp_s * far).min(gone_s);
+        let ramp_s = (approach.ramp_s * far).min(gone_s);
         let value = [a.responses[response], b.responses[response]];
         let at = [a, b].map(|p| p.factors[..layout.axes].to_vec());
         // Where nothing was measured there is no number.
-        let stands = gone_s > 0.0 && value.iter().chain(at.iter().flatten()).all(|v| v.is_finite());
+        let lasts = gone_s > 0.0 && gone_s < longest_s;
+        let stands = lasts && value.iter().chain(at.iter().flatten()).all(|v| v.is_finite());
         stands.then_some(Step { span_s: [ramp_s, gone_s - ramp_s], value, at })
     };
     points.windows(2).filter_map(one).collect()
@@ -76,10 +79,10 @@ pub(super) struct Law {
     theta: Vec<f64>,
 }
 
-/// Time constants that are tried, from the shortest step on, each longer by this factor. What is faster has come to rest.
-const TAUS: usize = 24;
+/// Time constants that are tried, from half of the middle step on, each longer by this factor.
+const TAUS: usize = 28;
 const LONGER: f64 = 1.2;
-/// Share of the changes that the law has to explain.
+/// Share of what it changes, and of what is left without a memory of where it was, that the law has to explain.
 const SIGNAL: f64 = 0.5;
 /// Steps for each coefficient, at least.
 const STEPS: usize = 2;
@@ -102,7 +105,9 @@ impl Law {
         if rows < STEPS * cols {
             return None;
         }
-        let least_s = steps.iter().map(|s| s.span_s[0] + s.span_s[1]).fold(f64::INFINITY, f64::min);
+        let mut spans_s: Vec<f64> = steps.iter().map(|s| s.span_s[0] + s.span_s[1]).collect();
+        spans_s.sort_by(f64::total_cmp);
+        let first_s = 0.5 * spans_s[spans_s.len() / 2];
         let fit = |tau_s: f64| {
             let (mut a, mut b) = (Vec::with_capacity(rows * cols), Vec::with_capacity(rows));
             for (s, [before, after]) in steps.iter().zip(&each) {
@@ -114,12 +119,16 @@ impl Law {
             let found = least_squares(&a, rows, cols, &b, 0.0).ok()?;
             Some((found.residual_sum_squares, tau_s, found.x))
         };
-        let fits = (0..TAUS).filter_map(|k| fit(least_s * LONGER.powi(k as i32)));
+        let taus: Vec<f64> = (0..TAUS).map(|k| first_s * LONGER.powi(k as i32)).collect();
+        let fits = taus.iter().filter_map(|t| fit(*t));
         let (rest, tau_s, theta) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let changes: f64 = steps.iter().map(|s| (s.value[1] - s.value[0]).powi(2)).sum();
-        // By degrees of freedom: few rows follow anything.
-        let rest = rest / (rows - cols) as f64;
-        (rest < (1.0 - SIGNAL) * changes / rows as f64).then(|| Self { tau_s, axes: axes.to_vec(), theta })
+        // What follows at once is not slow, and noise is no memory.
+        let (forgets, ..) = fit(1e-9 * spans_s[0])?;
+        // At an end of what is tried it is no minimum.
+        let inner = tau_s > taus[0] && tau_s < taus[TAUS - 1];
+        let most = (1.0 - SIGNAL) * forgets.min(changes * (rows - cols) as f64 / rows as f64);
+        (inner && rest < most).then(|| Self { tau_s, axes: axes.to_vec(), theta })
     }
 
     /// Number of axes.
@@ -225,9 +234,21 @@ mod tests {
         }
     }
 
-    /// What moves by noise alone goes nowhere.
+    /// What moves by noise alone, or is where it comes to rest at once, is not slow; steps of any length.
     #[test]
     fn a_channel_that_does_not_follow_is_not_taken() {
+        for seed in 0..20 {
+            let mut rng = Rng64::new(seed);
+            let step = |rng: &mut Rng64, moves: f64| {
+                let at = [0, 1].map(|_| vec![rng.uniform_in(40.0, 160.0), rng.uniform_in(1000.0, 4500.0)]);
+                let value = [0, 1].map(|k: usize| 380.0 + moves * (rests(&at[k]) - 380.0) + rng.normal());
+                Step { span_s: [3.0, rng.uniform_in(12.0, 30.0)], value, at }
+            };
+            for moves in [0.0, 1.0] {
+                let steps: Vec<Step> = (0..60).map(|_| step(&mut rng, moves)).collect();
+                assert_eq!(Law::learn(&axes(), &steps), None, "{seed} {moves}");
+            }
+        }
         assert!(Law::learn(&axes(), &along_lines(&windows(false), 0, 2)).is_none());
         assert!(Law::learn(&axes(), &along_lines(&windows(true)[..20], 0, 2)).is_none());
         assert!(Law::learn(&axes(), &[]).is_none());

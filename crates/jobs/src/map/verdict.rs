@@ -1,6 +1,6 @@
 //! What a steady calibration is worth, in words and checks.
 
-use dynocal_calib::steady::cell::deviations;
+use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{DayEnd, Purpose};
 use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::FactorKind;
@@ -30,7 +30,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     let count = |state: CellState| found.cells.iter().filter(|c| c.state == state).count();
     let (optimal, infeasible, filled) =
         (count(CellState::Optimal), count(CellState::Infeasible), count(CellState::Filled));
-    let (n, beyond) = (found.cells.len(), beyond_limits(found, spec.optimise.probability));
+    let (n, beyond) = (found.cells.len(), beyond_limits(found, spec));
     let measured: Vec<&Verified> = found.verified.iter().filter(|v| v.measured).collect();
     let kept = measured.iter().filter(|v| v.kept).count();
     let (inside, all) = covered(found, &measured);
@@ -191,23 +191,22 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     found.warnings = warnings;
 }
 
-/// Cells that are expected to keep all limits, but not with the asked probability, and beyond which, towards more of the demand, no cell holds an
-/// optimum: what is known of the engine ends there, as it does where it was not reached. Others are conflicts of limits, or faults of models.
-fn beyond_limits(found: &Mapped, probability: f64) -> usize {
+/// Cells at the end of the demand that the models expect to keep all limits, but not with the asked probability: at the same place of the other axes there is
+/// an optimum with less of the demand, and none with more. What is known of the engine ends there, as it does where it was not reached. Others are
+/// conflicts of limits, or faults of models.
+fn beyond_limits(found: &Mapped, spec: &MapSpec) -> usize {
     let l = &found.layout;
     let Some(axis) = l.factors[..l.axes].iter().position(|f| matches!(f.kind, FactorKind::Demand(_))) else {
         return 0;
     };
-    let z = deviations(probability);
-    // Reserves are no responses of the cells.
-    let deviation = |c: &Cell, k: usize| c.optimum.deviations.get(k).copied().unwrap_or(0.0);
-    let expected = |c: &&Cell| c.optimum.prices.iter().all(|p| p.passed <= z * deviation(c, p.response));
+    // Driven inputs stand in the cells as their own maps say.
+    let bare = Setting { z: 0.0, ..found.setting(spec) };
+    let expected = |c: &&Cell| bare.judge(&c.optimum.x, c.optimum.status, None).feasible;
     let ends = |c: &&Cell| {
-        let further = |o: &&Cell| {
-            let beside = o.at.iter().zip(&c.at).enumerate().all(|(k, (a, b))| k == axis || a == b);
-            beside && o.at[axis] > c.at[axis]
-        };
-        !found.cells.iter().filter(further).any(|o| o.state == CellState::Optimal)
+        let beside = |o: &&Cell| o.at.iter().zip(&c.at).enumerate().all(|(k, (a, b))| k == axis || a == b);
+        let optimal = found.cells.iter().filter(beside).filter(|o| o.state == CellState::Optimal);
+        let more = |o: &Cell| o.at[axis].abs() > c.at[axis].abs();
+        optimal.clone().any(|o| !more(o)) && !optimal.clone().any(more)
     };
     let infeasible = found.cells.iter().filter(|c| c.state == CellState::Infeasible);
     infeasible.filter(expected).filter(ends).count()

@@ -83,7 +83,7 @@ impl Verification<'_> {
             objective: None,
             kept: false,
         };
-        let points = at_rest(self.rest, points);
+        let points = at_rest(self.rest, self.layout, points);
         let one = |(k, at): (usize, &Vec<f64>)| match latest[k].map(|place| &points[place].point) {
             Some(p) if p.usable && p.touched.is_empty() => self.judge(p),
             Some(p) => missed(at, p.note.clone()),

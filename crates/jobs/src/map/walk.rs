@@ -74,7 +74,8 @@ impl Walk<'_> {
         watch: Watch,
     ) -> Result<bool, MapError> {
         let Self { spec, layout, setting, models, .. } = *self;
-        let missed = missed(layout, &windows[from..]);
+        let found = missed(layout, &windows[from..]);
+        let missed: Vec<Vec<f64>> = found.iter().map(|k| windows[from + k].asked(layout)).collect();
         if missed.is_empty() {
             return Ok(false);
         }

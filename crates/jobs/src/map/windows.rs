@@ -1,6 +1,6 @@
 //! What was measured along lines, window by window.
 
-use dynocal_calib::steady::layout::{FactorKind, Layout};
+use dynocal_calib::steady::layout::{Factor, FactorKind, Layout};
 use dynocal_calib::steady::station::{Leg, SweepRow};
 use dynocal_calib::steady::trim::Way;
 
@@ -12,33 +12,43 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Axes as they were asked for, where a demand that is one of them was not followed, and with its input `at_end` where that is asked.
-    fn missed(&self, layout: &Layout, at_end: bool) -> Option<Vec<f64>> {
+    /// Axes as they were asked for.
+    pub(super) fn asked(&self, layout: &Layout) -> Vec<f64> {
         let mut at = self.row.factors[..layout.axes].to_vec();
-        let mut missed = false;
-        for (k, f) in layout.factors[..layout.axes].iter().enumerate() {
-            if let FactorKind::Demand(l) = f.kind {
-                missed |= !self.row.followed[l] && (self.row.at_end[l] || !at_end);
-                at[k] = self.row.asked[l];
-            }
+        for (k, l) in demands(layout) {
+            at[k] = self.row.asked[l];
         }
-        missed.then_some(at)
+        at
     }
 }
 
-/// Places, as they were asked for, whose demand `windows` show not to be reached: its input stood at an end, or it was not followed on both sides of a
-/// turn, so that more of the input came too late or to nothing.
-pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<Vec<f64>> {
-    let turn = |k: usize, next: usize| {
-        let pair = windows.get(k).zip(windows.get(next));
-        let turns = |(a, b): &(&Window, &Window)| a.line == b.line && a.way.up * b.way.up < 0.0;
-        pair.filter(turns).is_some_and(|(_, b)| b.missed(layout, false).is_some())
+/// Axes that are demands, with their loops.
+fn demands(layout: &Layout) -> Vec<(usize, usize)> {
+    let axes = layout.factors[..layout.axes].iter().enumerate();
+    let demand = |(k, f): (usize, &Factor)| match f.kind {
+        FactorKind::Demand(l) => Some((k, l)),
+        _ => None,
     };
-    let one = |(k, w): (usize, &Window)| {
-        let turned = turn(k, k + 1) || k > 0 && turn(k, k - 1);
-        w.missed(layout, !turned)
+    axes.filter_map(demand).collect()
+}
+
+/// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short before and behind an upper turn, so
+/// that more of the input came too late or to nothing.
+pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
+    let demands = demands(layout);
+    let short = |w: &Window| {
+        let falls =
+            |(k, l): &(usize, usize)| !w.row.followed[*l] && w.row.factors[*k].abs() < w.row.asked[*l].abs();
+        demands.iter().any(falls)
     };
-    windows.iter().enumerate().filter_map(one).collect()
+    let turns = |first: usize| {
+        let Some([a, b]) = windows.get(first..first + 2) else { return false };
+        let turned = a.line == b.line && a.way.up > 0.0 && b.way.up < 0.0;
+        turned && b.row.at_s - a.row.at_s < 3.0 * a.way.window_s && short(a) && short(b)
+    };
+    let at_end = |w: &Window| demands.iter().any(|(_, l)| !w.row.followed[*l] && w.row.at_end[*l]);
+    let one = |k: &usize| at_end(&windows[*k]) || turns(*k) || *k > 0 && turns(k - 1);
+    (0..windows.len()).filter(one).collect()
 }
 
 /// Ways of legs that begin at `from`: 1 up the first axis, -1 down, 0 where it rests, and when each begins in s.
@@ -89,6 +99,7 @@ pub(super) fn keep(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dynocal_calib::problem::CalibrationProblem;
 
     /// A rest of 4 s, 9 s up, 5 s down, in windows of 2 s: the one with the turn is left out, the others know how long it had gone their way, and
     /// the other one before.
@@ -117,5 +128,56 @@ mod tests {
         assert_eq!(of(9), [&up[..], &[(-1.0, 1.0, 9.0), (-1.0, 3.0, 9.0)]].concat());
         assert_eq!(of(6), up);
         assert!(of(0).is_empty() && of(1) == rest[..1]);
+    }
+
+    /// A window of a way `up` that was asked for `asked` and gave `got`, 2 s after the one before.
+    fn window(k: usize, up: f64, asked: f64, got: f64, at_end: bool) -> Window {
+        let way = Way { up, since_s: 0.0, before_s: 0.0, window_s: 2.0 };
+        let row = SweepRow {
+            factors: vec![got],
+            responses: Vec::new(),
+            asked: vec![asked],
+            leg: 0,
+            at_end: vec![at_end],
+            followed: vec![(asked - got).abs() < 5.0],
+            at_s: 2.0 * k as f64,
+        };
+        Window { line: 0, way, row }
+    }
+
+    #[test]
+    fn a_demand_that_falls_short_about_an_upper_turn_was_not_reached() {
+        let f = Factor {
+            name: "y".into(),
+            unit: "Nm".into(),
+            lower: 0.0,
+            upper: 200.0,
+            kind: FactorKind::Demand(0),
+        };
+        let layout = Layout {
+            problem: CalibrationProblem::thesis(),
+            loops: Vec::new(),
+            factors: vec![f],
+            axes: 1,
+            held: std::collections::BTreeMap::new(),
+            responses: Vec::new(),
+            sample_time_s: 0.1,
+        };
+        let there =
+            |top: f64| [(1.0, 120.0, 119.0), (1.0, 140.0, 130.0), (1.0, 160.0, top), (-1.0, 158.0, top)];
+        let of = |all: &[(f64, f64, f64)], at_end: usize| -> Vec<usize> {
+            let one =
+                |(k, (up, asked, got)): (usize, &(f64, f64, f64))| window(k, *up, *asked, *got, k == at_end);
+            missed(&layout, &all.iter().enumerate().map(one).collect::<Vec<_>>())
+        };
+        // On the way a loop may be behind; about the turn it has not come any further; at its end it could not.
+        assert_eq!(of(&there(149.0), 9), [2, 3]);
+        assert_eq!(of(&there(158.0), 9), [0; 0]);
+        assert_eq!(of(&there(158.0), 1), [1]);
+        // Behind a lower turn, on the way back to more, and of another attempt on the line nothing is missed.
+        assert_eq!(of(&[(-1.0, 40.0, 49.0), (1.0, 42.0, 49.0)], 9), [0; 0]);
+        let apart = [window(0, 1.0, 160.0, 149.0, false), window(20, -1.0, 158.0, 149.0, false)];
+        assert!(missed(&layout, &apart).is_empty());
+        assert_eq!(apart[0].asked(&layout), [160.0]);
     }
 }

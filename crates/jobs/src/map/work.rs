@@ -155,9 +155,9 @@ impl Day<'_> {
         let (mut points, Refined { rounds, end, enough }) =
             measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
-        let drift = day::drift(layout, &points);
-        let rest = rest::learn(layout, &points, &drift, spec, watch)?;
-        let seen = at_rest(rest.as_ref(), &points);
+        let rest = rest::learn(layout, &points, spec, watch)?;
+        let seen = at_rest(rest.as_ref(), layout, &points);
+        let drift = rest::drift(rest.as_ref(), layout, &seen, spec, watch)?;
         let models = learn::learn(layout, &seen, &drift, &spec.models, true, watch)?;
         let envelope = envelope(layout, &seen);
         let reach = Reach::learn(layout, &seen, &[], &spec.models, watch)?;
