@@ -15,7 +15,6 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::error::MapError;
 use super::learn::{self, Learned};
-use super::reach::Reach;
 use super::rest::{self, at_rest};
 use super::setting::{envelope, setting};
 use super::spec::MapSpec;
@@ -89,10 +88,8 @@ impl Refinement<'_> {
             let seen = at_rest(rest.as_ref(), self.layout, points);
             let drift = rest::drift(rest.as_ref(), self.layout, &seen, self.spec, watch)?;
             let models = learn::learn(self.layout, &seen, &drift, &self.spec.models, false, watch)?;
-            let reach = Reach::learn(self.layout, &seen, &[], &self.spec.models, watch)?;
-            let known = (&models[..], reach.as_ref());
             let Next { targets, untried, worth } =
-                self.targets(known, &seen, left, rounds.len(), bench.stands_at(), watch);
+                self.targets(&models, &seen, left, rounds.len(), bench.stands_at(), watch);
             if watch.interrupted() {
                 return Err(MapError::Interrupted);
             }
@@ -137,7 +134,7 @@ impl Refinement<'_> {
     /// The next points in an order of short ways.
     fn targets(
         &self,
-        (models, reach): (&[Learned], Option<&Reach>),
+        models: &[Learned],
         points: &[DayPoint],
         left: usize,
         round: usize,
@@ -145,8 +142,8 @@ impl Refinement<'_> {
         watch: Watch,
     ) -> Next {
         let envelope: Envelope = envelope(self.layout, points);
-        let wide = Setting { caution: HOPE, ..setting(self.layout, models, reach, self.spec) };
-        let setting = setting(self.layout, models, reach, self.spec);
+        let wide = Setting { caution: HOPE, ..setting(self.layout, models, None, self.spec) };
+        let setting = setting(self.layout, models, None, self.spec);
         let reached = |at: &[f64]| envelope.contains(at);
         let seed = self.spec.seed.wrapping_add(round as u64);
         let cells =

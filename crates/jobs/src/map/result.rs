@@ -19,7 +19,6 @@ use super::inverse::Inverse;
 use super::learn::Learned;
 use super::lines::Sweeps;
 use super::loops::InputLoop;
-use super::reach::Reach;
 use super::refine::Round;
 use super::rest::Rest;
 use super::setting::setting;
@@ -224,9 +223,6 @@ pub struct Mapped {
     /// The region of the axes that was reached.
     #[serde(skip)]
     pub envelope: Envelope,
-    /// What the demand reaches at the ends of its input, as points tell it.
-    #[serde(skip)]
-    pub(super) reach: Option<Reach>,
     /// The maps.
     #[serde(skip)]
     pub map: StaticMap,
@@ -235,6 +231,6 @@ pub struct Mapped {
 impl Mapped {
     /// Models, limits and weights that the cells were searched with.
     pub fn setting(&self, spec: &MapSpec) -> Setting<'_> {
-        setting(&self.layout, &self.models, self.reach.as_ref(), spec)
+        setting(&self.layout, &self.models, None, spec)
     }
 }

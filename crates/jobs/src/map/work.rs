@@ -24,7 +24,6 @@ use super::journal::{Journal, digests};
 use super::learn;
 use super::lines;
 use super::optimum::{Optimum, static_map};
-use super::reach::Reach;
 use super::refine::{Refined, Refinement};
 use super::rest::{self, at_rest};
 use super::result::{BedTime, MapAxis, Mapped};
@@ -160,8 +159,7 @@ impl Day<'_> {
         let drift = rest::drift(rest.as_ref(), layout, &seen, spec, watch)?;
         let models = learn::learn(layout, &seen, &drift, &spec.models, true, watch)?;
         let envelope = envelope(layout, &seen);
-        let reach = Reach::learn(layout, &seen, &[], &spec.models, watch)?;
-        let setting = setting(layout, &models, reach.as_ref(), spec);
+        let setting = setting(layout, &models, None, spec);
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
         let mut drives = drive::learn(layout, &seen, spec, watch)?;
         bench.widen_limits(spec.verify.limit);
@@ -233,7 +231,6 @@ impl Day<'_> {
             cells,
             tuned,
             rest,
-            reach: reach.clone(),
             files: Vec::new(),
             points,
             layout: layout.clone(),
