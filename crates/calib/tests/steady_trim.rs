@@ -14,7 +14,7 @@ fn what_weighs_little_does_not_disturb() {
         let x = 3.0 * rng.uniform();
         let (size, weight) = if x > 2.0 { (0.1, 0.01) } else { (0.01, 1.0) };
         let up = if k % 2 == 0 { 1.0 } else { -1.0 };
-        let way = Way { up, since_s: 1e6, before_s: 1e6, window_s: 1.0 };
+        let way = Way { up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
         weighed.push(vec![x], way, 0.1 * (1.5 * x).sin() + size * rng.normal(), weight);
     }
     let equal = Along { weight: vec![1.0; 400], ..weighed.clone() };

@@ -9,10 +9,10 @@
 //! correction, d the lag of the way. It is none at rest, and comes with a time constant of its own:
 //!
 //! ```text
-//! tau s' = u - s     u: 1 up, -1 down     s = 0 at the begin of a line
+//! tau s' = u - s     u: 1 up, -1 down, 0 where it rests     s = 0 at the begin of a line
 //! ```
 //!
-//! A window at the begin of a way has not all of the lag yet, and at the ends of the axes there are no other windows of that way.
+//! A window at the begin of a way has not all of the lag yet, and at the ends of the axes there are no other windows of that way; a rest at the turn tells what is at rest there.
 //! `lambda` and `tau` are those of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
 //! measurement nearby go on as the others bend, but not beyond what was found where there are some. Where one way alone was measured `mu`,
 //! which is small, takes it for the correction.
@@ -107,8 +107,8 @@ pub struct Way {
     pub up: f64,
     /// Time from the begin of the way to that of the window in s.
     pub since_s: f64,
-    /// How long it had been gone along the other way before in s; none from rest.
-    pub before_s: f64,
+    /// What was before, oldest first: ways, as `up`, and how long each was gone in s; nothing is a rest.
+    pub before: [(f64, f64); 2],
     /// Length of the window in s.
     pub window_s: f64,
 }
@@ -120,7 +120,7 @@ impl Way {
             return self.up;
         }
         let gone = |t: f64| (-t / tau_s).exp();
-        let begun = -self.up * (1.0 - gone(self.before_s));
+        let begun = self.before.iter().fold(0.0, |s, (up, t)| up + (s - up) * gone(*t));
         let left = if self.window_s > 0.0 {
             tau_s / self.window_s * (gone(self.since_s) - gone(self.since_s + self.window_s))
         } else {
@@ -285,7 +285,7 @@ mod tests {
 
     /// Measured long after the begin of the way.
     fn along(at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Along {
-        let way = |up: &f64| Way { up: *up, since_s: 1e6, before_s: 1e6, window_s: 1.0 };
+        let way = |up: &f64| Way { up: *up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
         Along {
             at: at.to_vec(),
             way: up.iter().map(way).collect(),
@@ -308,7 +308,7 @@ mod tests {
                 let since_s = window_s * f64::from(k);
                 let gone = 3.0 * (since_s + 0.5 * window_s) / pass_s;
                 let x = if up > 0.0 { gone } else { 3.0 - gone };
-                let way = Way { up, since_s, before_s, window_s };
+                let way = Way { up, since_s, before: [(0.0, 0.0), (-up, before_s)], window_s };
                 let r = bent(x) + 0.015 * way.developed(tau_s) + 1e-4 * rng.normal();
                 all.push(vec![x], way, r, 1.0);
             }
@@ -320,10 +320,20 @@ mod tests {
         let at_once = Trim::with(&axes, &all, trim.lambda, 0.0).unwrap();
         assert!((at_once.at(&[0.0]) - 0.01).abs() > 2e-3, "{:?}", at_once.values);
         // The law itself: nothing at rest, all of it after a while, the other way round after a turn.
-        let way = |since_s, before_s| Way { up: 1.0, since_s, before_s, window_s: 0.0 };
+        let way = |since_s, before_s| Way {
+            up: 1.0,
+            since_s,
+            before: [(0.0, 0.0), (-1.0, before_s)],
+            window_s: 0.0,
+        };
         assert_eq!(way(0.0, 0.0).developed(2.0), 0.0);
         assert!((way(2.0, 0.0).developed(2.0) - (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
         assert!((way(0.0, 1e3).developed(2.0) + 1.0).abs() < 1e-12);
+        // And it goes while it rests.
+        let rest = Way { up: 0.0, before: [(0.0, 0.0), (1.0, 1e3)], ..way(2.0, 0.0) };
+        assert!((rest.developed(2.0) - (-1.0_f64).exp()).abs() < 1e-12);
+        let behind = Way { up: -1.0, before: [(1.0, 1e3), (0.0, 2.0)], ..way(0.0, 0.0) };
+        assert!((behind.developed(2.0) - (-1.0_f64).exp()).abs() < 1e-12);
     }
 
     /// What is bilinear is not bent: it is found again whatever its weight, and goes on where nothing was measured, but not beyond

@@ -36,6 +36,7 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     }
     if let Some(sweep) = &s.bed.sweep {
         faults.range("bed.sweep.pass_s", sweep.pass_s, 1.0, 3600.0, "s");
+        faults.range("bed.sweep.turn_s", sweep.turn_s, 0.0, 600.0, "s");
         count("bed.sweep.between", sweep.between, 0, 100, faults);
     }
     whole(s, faults);

@@ -74,7 +74,12 @@ pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
 
 /// Bed time of a line, there and back, with the way to it.
 fn line_s(spec: &MapSpec, s: &SweepSpec) -> f64 {
-    2.0 * s.pass_s + next_line_s(spec)
+    2.0 * s.pass_s + turn_s(spec) + next_line_s(spec)
+}
+
+/// Rest at the turn of a line: what the demand comes to there is neither lag of the way nor a loop that is behind.
+fn turn_s(spec: &MapSpec) -> f64 {
+    spec.bed.sweep.as_ref().map_or(0.0, |s| s.turn_s)
 }
 
 /// Bed time that is kept for parts of lines that are gone along again ([`Lines::again`]): that of one line.
@@ -98,7 +103,8 @@ const FASTEST: f64 = 1.5;
 /// axis together: as the spec asks, or faster by up to `FASTEST` where time is short, so that neither the last lines nor the verification are left
 /// out.
 fn pass_s(spec: &MapSpec, asked_s: f64, left_s: f64, (lines, whole): (usize, f64)) -> f64 {
-    let there = 0.5 * (left_s - lines as f64 * next_line_s(spec)) / whole.max(f64::MIN_POSITIVE);
+    let there =
+        0.5 * (left_s - lines as f64 * (turn_s(spec) + next_line_s(spec))) / whole.max(f64::MIN_POSITIVE);
     there.clamp(asked_s / FASTEST, asked_s)
 }
 
@@ -299,7 +305,7 @@ impl Lines<'_> {
         far(line.nodes.len() - 1) < far(0)
     }
 
-    /// There and back, beginning at the first node or at the `last`.
+    /// There and back, beginning at the first node or at the `last`, with a rest at the turn where one is asked for.
     fn path(&self, line: &Line, last: bool, pass_s: f64) -> (Vec<f64>, Vec<Leg>) {
         let mut order: Vec<usize> = (0..line.nodes.len()).collect();
         if last {
@@ -319,7 +325,15 @@ impl Lines<'_> {
                 driven: line.driven.iter().map(change).collect(),
             }
         };
-        (begin, order.windows(2).map(leg).collect())
+        let mut legs: Vec<Leg> = order.windows(2).map(leg).collect();
+        // Half of them go there.
+        let (turn, seconds) = (legs.len() / 2, turn_s(self.spec));
+        if let Some(there) = legs.get(turn.wrapping_sub(1)).filter(|_| seconds > 0.0) {
+            let driven = vec![0.0; self.layout.loops.len()];
+            let rest = Leg { to: there.to.clone(), seconds, driven };
+            legs.insert(turn, rest);
+        }
+        (begin, legs)
     }
 }
 
@@ -331,7 +345,7 @@ mod tests {
     #[test]
     fn lines_go_faster_where_time_is_short() {
         let spec = MapSpec::default();
-        let way_s = next_line_s(&spec);
+        let way_s = turn_s(&spec) + next_line_s(&spec);
         for lines in [1, 4] {
             let of = |each_s: f64| pass_s(&spec, 40.0, lines as f64 * each_s, (lines, lines as f64));
             assert_eq!(

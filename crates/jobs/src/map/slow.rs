@@ -177,7 +177,7 @@ mod tests {
                     follow(&mut oil, &at, 2.0);
                 }
                 at_s += 2.0;
-                let way = Way { up: 1.0, since_s: 2.0 * k as f64, before_s: 0.0, window_s: 2.0 };
+                let way = Way { up: 1.0, since_s: 2.0 * k as f64, before: [(0.0, 0.0); 2], window_s: 2.0 };
                 let row = SweepRow {
                     factors: at,
                     responses: vec![oil + 0.02 * rng.normal()],

@@ -126,11 +126,13 @@ pub struct SweepSpec {
     pub pass_s: f64,
     /// Lines between two neighbouring values of the other axis.
     pub between: usize,
+    /// Rest at the turn of a line in s: what the demand comes to there is neither lag of the way nor a loop that is behind.
+    pub turn_s: f64,
 }
 
 impl Default for SweepSpec {
     fn default() -> Self {
-        Self { pass_s: 25.0, between: 1 }
+        Self { pass_s: 25.0, between: 1, turn_s: 0.0 }
     }
 }
 

@@ -32,8 +32,8 @@ fn demands(layout: &Layout) -> Vec<(usize, usize)> {
     axes.filter_map(demand).collect()
 }
 
-/// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short before and behind an upper turn, so
-/// that more of the input came too late or to nothing.
+/// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short at the end of a rest at an upper turn, or
+/// before and behind a turn without one, so that more of the input came too late or to nothing.
 pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
     let demands = demands(layout);
     let short = |w: &Window| {
@@ -41,13 +41,18 @@ pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
             |(k, l): &(usize, usize)| !w.row.followed[*l] && w.row.factors[*k].abs() < w.row.asked[*l].abs();
         demands.iter().any(falls)
     };
+    let at_end = |w: &Window| demands.iter().any(|(_, l)| !w.row.followed[*l] && w.row.at_end[*l]);
+    let rested = |k: usize| {
+        let w = &windows[k];
+        let last = windows.get(k + 1).is_none_or(|n| n.line != w.line || n.way.up != 0.0);
+        w.way.up == 0.0 && w.way.before[1].0 > 0.0 && last && short(w)
+    };
     let turns = |first: usize| {
         let Some([a, b]) = windows.get(first..first + 2) else { return false };
         let turned = a.line == b.line && a.way.up > 0.0 && b.way.up < 0.0;
         turned && b.row.at_s - a.row.at_s < 3.0 * a.way.window_s && short(a) && short(b)
     };
-    let at_end = |w: &Window| demands.iter().any(|(_, l)| !w.row.followed[*l] && w.row.at_end[*l]);
-    let one = |k: &usize| at_end(&windows[*k]) || turns(*k) || *k > 0 && turns(k - 1);
+    let one = |k: &usize| at_end(&windows[*k]) || rested(*k) || turns(*k) || *k > 0 && turns(k - 1);
     (0..windows.len()).filter(one).collect()
 }
 
@@ -89,10 +94,13 @@ pub(super) fn keep(
             continue;
         }
         let (up, since) = ways[k];
-        let before = k.checked_sub(1).map(|b| ways[b]).filter(|b| b.0 != 0.0);
-        let before_s = before.map_or(0.0, |b| since - b.1);
+        let gone = |back: usize| {
+            let k = k.checked_sub(back)?;
+            Some((ways[k].0, ways[k + 1].1 - ways[k].1))
+        };
+        let before = [2, 1].map(|back| gone(back).unwrap_or((0.0, 0.0)));
         let since_s = (first_s - since).max(0.0);
-        rows.push(Window { line, way: Way { up, since_s, before_s, window_s }, row });
+        rows.push(Window { line, way: Way { up, since_s, before, window_s }, row });
     }
 }
 
@@ -121,18 +129,22 @@ mod tests {
             let mut rows = Vec::new();
             keep(3, (&[0.0], &legs), (0..count).map(row).collect(), 2.0, &mut rows);
             assert!(rows.iter().all(|w| w.line == 3 && w.way.window_s == 2.0));
-            rows.iter().map(|w| (w.way.up, w.way.since_s, w.way.before_s)).collect::<Vec<_>>()
+            rows.iter().map(|w| (w.way.up, w.way.since_s, w.way.before)).collect::<Vec<_>>()
         };
-        let rest = [(0.0, 0.0, 0.0), (0.0, 2.0, 0.0)];
-        let up = [&rest[..], &[(1.0, 0.0, 0.0), (1.0, 2.0, 0.0), (1.0, 4.0, 0.0), (1.0, 6.0, 0.0)]].concat();
-        assert_eq!(of(9), [&up[..], &[(-1.0, 1.0, 9.0), (-1.0, 3.0, 9.0)]].concat());
+        let none = (0.0, 0.0);
+        let rest = [0.0, 2.0].map(|t| (0.0, t, [none, none]));
+        let up = [0.0, 2.0, 4.0, 6.0].map(|t| (1.0, t, [none, (0.0, 4.0)]));
+        let up = [&rest[..], &up[..]].concat();
+        let down = [1.0, 3.0].map(|t| (-1.0, t, [(0.0, 4.0), (1.0, 9.0)]));
+        assert_eq!(of(9), [&up[..], &down[..]].concat());
         assert_eq!(of(6), up);
         assert!(of(0).is_empty() && of(1) == rest[..1]);
     }
 
     /// A window of a way `up` that was asked for `asked` and gave `got`, 2 s after the one before.
     fn window(k: usize, up: f64, asked: f64, got: f64, at_end: bool) -> Window {
-        let way = Way { up, since_s: 0.0, before_s: 0.0, window_s: 2.0 };
+        let before = [(0.0, 0.0), if up == 0.0 { (1.0, 40.0) } else { (0.0, 0.0) }];
+        let way = Way { up, since_s: 0.0, before, window_s: 2.0 };
         let row = SweepRow {
             factors: vec![got],
             responses: Vec::new(),
@@ -146,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_demand_that_falls_short_about_an_upper_turn_was_not_reached() {
+    fn a_demand_that_falls_short_at_an_upper_turn_was_not_reached() {
         let f = Factor {
             name: "y".into(),
             unit: "Nm".into(),
@@ -163,21 +175,31 @@ mod tests {
             responses: Vec::new(),
             sample_time_s: 0.1,
         };
-        let there =
-            |top: f64| [(1.0, 120.0, 119.0), (1.0, 140.0, 130.0), (1.0, 160.0, top), (-1.0, 158.0, top)];
+        let there = |top: f64| {
+            [
+                (1.0, 120.0, 119.0),
+                (1.0, 140.0, 130.0),
+                (0.0, 160.0, 149.0),
+                (0.0, 160.0, top),
+                (-1.0, 158.0, top),
+            ]
+        };
         let of = |all: &[(f64, f64, f64)], at_end: usize| -> Vec<usize> {
             let one =
                 |(k, (up, asked, got)): (usize, &(f64, f64, f64))| window(k, *up, *asked, *got, k == at_end);
             missed(&layout, &all.iter().enumerate().map(one).collect::<Vec<_>>())
         };
-        // On the way a loop may be behind; about the turn it has not come any further; at its end it could not.
-        assert_eq!(of(&there(149.0), 9), [2, 3]);
+        // On the way a loop may be behind, and at the begin of the rest; at its end it has come no further; with its input at an end it could not.
+        assert_eq!(of(&there(149.0), 9), [3]);
         assert_eq!(of(&there(158.0), 9), [0; 0]);
         assert_eq!(of(&there(158.0), 1), [1]);
-        // Behind a lower turn, on the way back to more, and of another attempt on the line nothing is missed.
-        assert_eq!(of(&[(-1.0, 40.0, 49.0), (1.0, 42.0, 49.0)], 9), [0; 0]);
+        // Above what was asked for nothing is missed, nor about a lower turn.
+        assert_eq!(of(&[(0.0, 40.0, 49.0), (1.0, 42.0, 49.0)], 9), [0; 0]);
+        assert_eq!(of(&[(-1.0, 40.0, 30.0), (1.0, 42.0, 30.0)], 9), [0; 0]);
+        // Without a rest it has come no further before and behind.
+        assert_eq!(of(&[(1.0, 140.0, 130.0), (1.0, 160.0, 149.0), (-1.0, 158.0, 149.0)], 9), [1, 2]);
         let apart = [window(0, 1.0, 160.0, 149.0, false), window(20, -1.0, 158.0, 149.0, false)];
         assert!(missed(&layout, &apart).is_empty());
-        assert_eq!(apart[0].asked(&layout), [160.0]);
+        assert_eq!(window(0, 1.0, 160.0, 149.0, false).asked(&layout), [160.0]);
     }
 }
