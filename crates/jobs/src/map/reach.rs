@@ -113,7 +113,7 @@ impl Reach {
         if watch.interrupted() {
             return Err(MapError::Interrupted);
         }
-        // What cannot be learnt is no end of the day: the limit of the input stays.
+        // What cannot be learnt is no end of the day: the places that lines missed count as not reached.
         let Ok(Chosen { learnt, widen, .. }) = found else { return Ok(None) };
         let reserve = |end: f64, sign: f64| {
             let model = learnt.model.clone();

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! k is the value with which models of what is minimised say best what they have not seen: the greatest sum over points of the logarithm of the
-//! density that a model without the point gives it, among the candidates' last kind. It is told from nothing where that sum is greater by 4.5, three standard errors of a
+//! density that a model without the point gives it, by the last Gaussian process among the candidates (the last kind where there is none). It is told from nothing where that sum is greater by 4.5, three standard errors of a
 //! parameter. That k is the same everywhere is an assumption: friction grows with the speed, and oil by its temperature.
 
 use dynocal_calib::steady::day::{self, DayPoint, Drift, Purpose};
@@ -64,6 +64,7 @@ const SIZE: f64 = 0.01;
 const HALVED: usize = 3;
 /// Gain in the logarithm of the density from which on an effect is told from nothing: half of three standard errors squared.
 const TOLD: f64 = 4.5;
+
 /// What `bed.slow` does, from the points so far; none where it is not asked for, or where no demand is an axis.
 ///
 /// # Errors
@@ -173,6 +174,9 @@ impl Rest {
     /// Points with the demand as it is at rest, and so with what is derived from it.
     pub(super) fn points(&self, layout: &Layout, points: &[DayPoint]) -> Vec<DayPoint> {
         let mut points = points.to_vec();
+        if self.effect.is_none() {
+            return points;
+        }
         for p in &mut points {
             let p = &mut p.point;
             let mut there = p.factors.clone();

@@ -33,8 +33,8 @@ pub struct SweepRow {
     pub leg: usize,
     /// Whether the input of each loop was at an end of its range, by loop.
     pub at_end: Vec<bool>,
-    /// Whether each demand was followed: in the mean it is behind by no more than its course changes over the window; one that is held while others
-    /// change counts as followed. Where it is not, the loop still moves its input, which then says nothing about what holds the demand.
+    /// Whether each demand was followed: in the mean it is behind by no more than its course changes over the window; one that is held while anything
+    /// changes counts as followed. Where it is not, the loop still moves its input, which then says nothing about what holds the demand.
     pub followed: Vec<bool>,
     /// Bed time at its end, from the begin of the day, in s.
     pub at_s: f64,
@@ -128,7 +128,9 @@ impl Station<'_> {
         let (factors, responses) = means(self.layout, part)?;
         let (mut at_end, mut followed, mut demands) = (Vec::new(), Vec::new(), Vec::new());
         let course = |values: &[f64]| (values[values.len() - 1] - values[0]).abs();
-        let rests = plan.demands.iter().all(|d| course(&d.values[from..from + part.len()]) == 0.0);
+        // It rests where nothing that is commanded changes.
+        let commanded = plan.demands.iter().map(|d| &d.values).chain(plan.channels.iter().map(|c| &c.values));
+        let rests = commanded.into_iter().all(|v| course(&v[from..from + part.len()]) == 0.0);
         for (k, d) in plan.demands.iter().enumerate() {
             let (asked, found) = (&d.values[from..from + part.len()], part.values(&d.output)?);
             let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
