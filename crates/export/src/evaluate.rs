@@ -117,6 +117,7 @@ fn shape<R: Real>(shape: Shape, x: R) -> R {
         Shape::Abs => size,
         Shape::Sqrt => positive.call(f64::sqrt, f32::sqrt),
         Shape::Exp => x.call(f64::exp, f32::exp),
+        Shape::Asinh => x.call(f64::asinh, f32::asinh),
         Shape::Sin => x.call(f64::sin, f32::sin),
         Shape::Cos => x.call(f64::cos, f32::cos),
         Shape::Matern32 => {

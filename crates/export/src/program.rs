@@ -96,6 +96,8 @@ pub enum Shape {
     Sqrt,
     /// Exponential.
     Exp,
+    /// Inverse hyperbolic sine.
+    Asinh,
     /// Sine.
     Sin,
     /// Cosine.

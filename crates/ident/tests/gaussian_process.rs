@@ -7,6 +7,7 @@ use dynocal_ident::model::response::gp::likelihood::{Problem, Work};
 use dynocal_ident::model::response::gp::{
     GaussianProcess, GpModel, Kernel, KernelChoice, Mean, OutputChoice,
 };
+use dynocal_ident::model::response::warp::{Warp, WarpChoice};
 use dynocal_ident::model::response::{
     Ask, Learn, Learnt, Points, PointsError, Prediction, Response, ResponseError, ResponseModel,
 };
@@ -329,4 +330,137 @@ fn a_process_of_the_logarithm_is_that_of_logarithms() {
     p.y[3] = -1.0;
     let of_log = GaussianProcess { transform: OutputChoice::Log, ..Default::default() };
     assert!(matches!(of_log.learn(&p, &|| false), Err(ResponseError::Domain { .. })));
+}
+
+/// Engine-like inputs: two sizes and an angle that goes to zero.
+fn sizes(n: usize, seed: u64) -> Points {
+    let mut rng = Rng64::new(seed);
+    let x: Vec<f64> = (0..n)
+        .flat_map(|_| [rng.uniform_in(5.0, 90.0), rng.uniform_in(800.0, 5000.0), rng.uniform_in(0.0, 35.0)])
+        .collect();
+    let f = |x: &[f64]| {
+        (20.0 + x[0]).ln() + (1000.0 / x[1]).powi(2) * (1.0 + (x[2] / 30.0).powi(2)) + 40.0 / x[0]
+    };
+    let y = x.chunks_exact(3).map(f).collect();
+    Points { inputs: ["load", "speed", "spark"].map(String::from).to_vec(), output: "y".into(), x, y }
+}
+
+#[test]
+fn derivatives_of_a_warp_are_those_of_differences_on_both_sides_of_zero() {
+    let p = sizes(40, 30);
+    for choice in [WarpChoice::Sqrt, WarpChoice::Asinh] {
+        let warp = Warp::of(choice, &p);
+        // An angle that goes to zero is no size.
+        assert_eq!(warp.scales[2] == 0.0, choice == WarpChoice::Sqrt);
+        for x in [-30.0, -1.0, 0.0, 0.5, 2.0, 60.0] {
+            let h = 1e-4;
+            let [up, at, down] = [x + h, x, x - h].map(|x| warp.at(0, x));
+            assert!(up[0] > at[0] && at[1] > 0.0, "{choice:?} {x}");
+            assert!(((up[0] - down[0]) / (2.0 * h) / at[1] - 1.0).abs() < 1e-6, "{choice:?} {x}");
+            assert!(((up[1] - down[1]) / (2.0 * h) - at[2]).abs() < 1e-6 * at[1].max(1.0), "{choice:?} {x}");
+        }
+    }
+    let low = p.column(0).fold(f64::INFINITY, f64::min);
+    let warp = Warp::of(WarpChoice::Sqrt, &p);
+    assert!((warp.at(0, low)[0] / low.sqrt() - 1.0).abs() < 0.006);
+}
+
+/// A process over warped inputs is the process over inputs that were warped before, with the derivatives of its own inputs; exact and sparse,
+/// stored and read, and as a formula. It keeps what it says below all points a number.
+#[test]
+fn a_process_over_warped_inputs_is_that_over_inputs_that_were_warped() {
+    let p = sizes(70, 31);
+    for (warp, exact_points) in [(WarpChoice::Sqrt, 3000), (WarpChoice::Asinh, 3000), (WarpChoice::Sqrt, 40)]
+    {
+        let keys = GaussianProcess { warp, starts: 1, exact_points, ..Default::default() };
+        let before = Warp::of(warp, &p);
+        let warped = |x: &[f64]| x.iter().enumerate().map(|(j, x)| before.at(j, *x)[0]).collect::<Vec<_>>();
+        let beside = Points { x: p.x.chunks_exact(3).flat_map(warped).collect(), ..p.clone() };
+        let a = keys.learn(&p, &|| false).unwrap();
+        let b = GaussianProcess { warp: WarpChoice::None, ..keys }.learn(&beside, &|| false).unwrap();
+        let read: ResponseModel = serde_json::from_str(&serde_json::to_string(&a.model).unwrap()).unwrap();
+        let (mut at, mut of, mut again) = (Prediction::new(3), Prediction::new(3), Prediction::new(3));
+        for x in sizes(20, 32).x.chunks_exact(3).chain([[-5.0, 100.0, -3.0].as_slice()]) {
+            a.model.predict(x, Ask::Variance, &mut at);
+            b.model.predict(&warped(x), Ask::Variance, &mut of);
+            read.predict(x, Ask::Variance, &mut again);
+            assert!((at.mean - of.mean).abs() < 1e-9 && (at.variance - of.variance).abs() < 1e-9);
+            assert!((at.mean - again.mean).abs() < 1e-9 && (at.variance - again.variance).abs() < 1e-9);
+            assert!((a.model.formulas()[0].value(x) - at.mean).abs() < 1e-7 * (1.0 + at.mean.abs()));
+        }
+        assert_eq!(a.left_out.residuals.len(), 70);
+        if let ResponseModel::GaussianProcess(a) = &a.model {
+            let moderate = Points {
+                x: p.x.iter().enumerate().map(|(at, x)| x / [50.0, 2500.0, 20.0][at % 3]).collect(),
+                ..p.clone()
+            };
+            let (_, model) = learn(&GaussianProcess { warp, starts: 1, ..Default::default() }, &moderate);
+            common::check_response(&model, &[0.7, 0.9, 0.6], 2e-5, 1e-4, 2e-5, 0.0);
+            assert!(a.describe().contains("of the inputs"), "{}", a.describe());
+        }
+    }
+}
+
+/// With the logarithm of the output, and sparse: derivatives, covariances to first order, a point that is added, and a file that is read.
+#[test]
+fn warps_stand_beside_all_else_that_a_process_has() {
+    let small = |n: usize, seed: u64| {
+        let p = sizes(n, seed);
+        let x = p.x.iter().enumerate().map(|(at, x)| x / [50.0, 2500.0, 20.0][at % 3]).collect();
+        let mut rng = Rng64::new(seed);
+        Points { x, y: p.y.iter().map(|y| (0.1 * y + 0.02 * rng.normal()).exp()).collect(), ..p }
+    };
+    let p = small(70, 35);
+    for warp in [WarpChoice::Sqrt, WarpChoice::Asinh] {
+        let keys = GaussianProcess { warp, transform: OutputChoice::Log, starts: 1, ..Default::default() };
+        let (_, mut model) = learn(&keys, &p);
+        common::check_response(&model, &[0.7, 0.9, 0.6], 2e-5, 1e-4, 2e-5, 0.0);
+        let sparse = GaussianProcess { exact_points: 40, inducing_points: 20, ..keys.clone() }
+            .learn(&p, &|| false)
+            .unwrap();
+        assert!(matches!(sparse.model, ResponseModel::SparseGaussianProcess(_)));
+        common::check_response(&sparse.model, &[0.7, 0.9, 0.6], 2e-5, 1e-4, 2e-5, 0.0);
+        // The covariance of a place with itself is its variance.
+        let (x, mut at) = ([0.7, 0.9, 0.6], Prediction::new(3));
+        model.predict(&x, Ask::Variance, &mut at);
+        assert!((model.covariances(&x, &x)[0] / at.variance - 1.0).abs() < 1e-6);
+        let more = small(3, 36);
+        (0..3).for_each(|i| model.add(more.row(i), more.y[i]).unwrap());
+        let text = serde_json::to_string(&model).unwrap();
+        let read: GpModel = serde_json::from_str(&text).unwrap();
+        let mut again = Prediction::new(3);
+        model.predict(&x, Ask::Variance, &mut at);
+        read.predict(&x, Ask::Variance, &mut again);
+        assert!((at.mean / again.mean - 1.0).abs() < 1e-7 && (at.variance - again.variance).abs() < 1e-7);
+        // A length is what it would be over inputs that are not warped, where the warp is at its mean.
+        assert!(model.lengths().iter().all(|l| *l > 0.0 && l.is_finite()));
+        let wrong = text.replacen("\"scales\":[", "\"scales\":[-1.0,", 1);
+        let error = serde_json::from_str::<GpModel>(&wrong).unwrap_err().to_string();
+        assert!(error.contains("scales of a warp"), "{error}");
+        let long = text.replacen("\"scales\":[", "\"scales\":[1.0,", 1);
+        assert!(serde_json::from_str::<GpModel>(&long).is_err());
+    }
+    // Nothing to warp: the process without one.
+    let mut around = case(40, 2, 0.05, 37);
+    around.x.iter_mut().for_each(|x| *x -= 0.5);
+    let of = |warp| learn(&GaussianProcess { warp, starts: 1, ..Default::default() }, &around).1;
+    assert_eq!(of(WarpChoice::Sqrt), of(WarpChoice::None));
+}
+
+/// Where a response changes faster at small inputs, a warp tells points that it has not seen better, in the mean of some seeds.
+#[test]
+fn a_warp_pays_where_small_inputs_matter_more() {
+    let error = |warp: WarpChoice, seed: u64| {
+        let (_, model) = learn(&GaussianProcess { warp, ..Default::default() }, &sizes(60, seed));
+        let (unseen, mut at) = (sizes(200, seed + 100), Prediction::new(3));
+        let each = (0..200).map(|i| {
+            model.predict(unseen.row(i), Ask::Mean, &mut at);
+            (at.mean - unseen.y[i]).powi(2)
+        });
+        (each.sum::<f64>() / 200.0).sqrt()
+    };
+    let mean = |warp: WarpChoice| ((40..46).map(|seed| error(warp, seed).ln()).sum::<f64>() / 6.0).exp();
+    let [plain, sqrt, asinh] = [WarpChoice::None, WarpChoice::Sqrt, WarpChoice::Asinh].map(mean);
+    println!("root mean square errors: {plain:.5}, {sqrt:.5}, {asinh:.5}");
+    assert!(sqrt < plain && asinh < plain, "{plain} {sqrt} {asinh}");
 }

@@ -312,6 +312,8 @@ fn response_models_run_free_as_the_program() {
         ("gaussian_process", "kernel = \"matern32\"\nmean = \"quadratic\"\nstarts = 1"),
         ("gaussian_process", "kernel = \"matern52\"\nmean = \"zero\"\nstarts = 1"),
         ("gaussian_process", "exact_points = 50\ninducing_points = 20\nstarts = 1"),
+        ("gaussian_process", "warp = \"sqrt\"\nstarts = 1"),
+        ("gaussian_process", "warp = \"asinh\"\ntransform = \"log\"\nstarts = 1"),
         ("local_linear", ""),
         ("local_linear", "quadratic = true\nmost = 3"),
         ("rbf", ""),

@@ -301,6 +301,7 @@ impl Step<'_> {
             Shape::Abs => size,
             Shape::Sqrt => format!("{}({positive})", c("sqrt")),
             Shape::Exp => format!("{}({x})", c("exp")),
+            Shape::Asinh => format!("{}({x})", c("asinh")),
             Shape::Sin => format!("{}({x})", c("sin")),
             Shape::Cos => format!("{}({x})", c("cos")),
             Shape::Matern32 | Shape::Matern52 => {

@@ -166,6 +166,7 @@ impl Graph {
                 return self.op("Sqrt", &[&part], out, &[]);
             }
             Shape::Exp => "Exp",
+            Shape::Asinh => "Asinh",
             Shape::Sin => "Sin",
             Shape::Cos => "Cos",
             Shape::Matern32 | Shape::Matern52 => return self.matern(shape == Shape::Matern52, x, out),

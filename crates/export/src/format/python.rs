@@ -200,6 +200,7 @@ fn function(shape: Shape, x: &str) -> String {
         Shape::Abs => format!("np.abs({x})"),
         Shape::Sqrt => format!("np.sqrt(np.maximum({x}, 0.0))"),
         Shape::Exp => format!("np.exp({x})"),
+        Shape::Asinh => format!("np.arcsinh({x})"),
         Shape::Sin => format!("np.sin({x})"),
         Shape::Cos => format!("np.cos({x})"),
         Shape::Matern32 => {

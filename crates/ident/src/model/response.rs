@@ -38,6 +38,7 @@ pub mod score;
 pub mod sequential;
 mod stepwise;
 pub mod transform;
+pub mod warp;
 
 use std::sync::Arc;
 

@@ -264,6 +264,10 @@ fn least(
     let mut taken = vec![best];
     for k in others {
         let (Some(own), Some(least)) = (&sizes[k], &sizes[best]) else { continue };
+        // One that errs as another to the last digit is the same model, as one whose warp finds nothing to warp: it has no second voice.
+        if taken.iter().any(|t| sizes[*t].as_ref() == Some(own)) {
+            continue;
+        }
         let more: Vec<usize> = taken.iter().copied().chain([k]).collect();
         if not_told_from(own, least) && rms(&joined(&more, &tests), by) <= errors[best] {
             taken = more;

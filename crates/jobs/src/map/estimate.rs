@@ -36,7 +36,14 @@ pub fn estimate(job: &Job) -> Estimate {
     let responses = (s.loops.len() + s.problem.limits.len() + s.problem.minimise.len()) as f64;
     let cells: usize = s.axes.values().map(Vec::len).product();
     let folds = s.models.folds as f64;
-    let fits = responses * s.models.candidates.len() as f64 * (folds * folds + 2.0 * folds + 1.0);
+    // What a polynomial takes is little beside it.
+    let processes = s
+        .models
+        .candidates
+        .iter()
+        .filter(|c| c.get("kind").and_then(|k| k.as_str()) == Some("gaussian_process"));
+    let processes = processes.count().max(1) as f64;
+    let fits = responses * processes * (folds * folds + 2.0 * folds + 1.0);
     let given = s.loops.iter().all(|l| l.gains.is_some());
     Estimate::new(&job.name)
         .line("run folder", job.out.display().to_string())
@@ -55,5 +62,5 @@ pub fn estimate(job: &Job) -> Estimate {
         )
         .line("bed time", format!("at most about {:.0} min", most_s / 60.0))
         .memory(8.0 * points * points * 10.0)
-        .work(fits * 100.0 * points.powi(3) + cells as f64 * s.optimise.starts as f64 * 1e6)
+        .work(fits * 300.0 * points.powi(3) + cells as f64 * s.optimise.starts as f64 * 1e6)
 }

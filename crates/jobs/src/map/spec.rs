@@ -195,13 +195,18 @@ impl Default for ModelsSpec {
             table.insert("transform".into(), "log".into());
             table
         };
+        // And they change faster at small loads and speeds than at large ones. The last one is that by which `bed.slow` is judged.
+        let warped = |warp: &str| {
+            let mut table = log(kind("gaussian_process"));
+            table.insert("warp".into(), warp.into());
+            table
+        };
+        let processes =
+            [kind("gaussian_process"), log(kind("gaussian_process")), warped("sqrt"), warped("asinh")];
         let polynomials =
             [quadratic(), log(quadratic()), kind("stepwise_polynomial"), log(kind("stepwise_polynomial"))];
         Self {
-            candidates: polynomials
-                .into_iter()
-                .chain([kind("gaussian_process"), log(kind("gaussian_process"))])
-                .collect(),
+            candidates: polynomials.into_iter().chain(processes).collect(),
             errors: Errors::Relative,
             folds: 5,
             over: BTreeMap::new(),

@@ -85,6 +85,7 @@ pub(super) fn predict(
         }
     }
     out.work = work;
+    scaling.warp.back(x, ask, out);
 }
 
 fn times(matrix: &[f64], x: &[f64], out: &mut [f64]) {

@@ -2,7 +2,7 @@
 //! their validities.
 //!
 //! ```text
-//! z_j = (x_j - mean_j) / std_j,     m = output_mean + output_std * sum of the parts at z,     y = G(m)
+//! z_j = (w_j(x_j) - mean_j) / std_j, w: the warp,     m = output_mean + output_std * sum of the parts at z,     y = G(m)
 //! y of several = sum of share y
 //! ```
 

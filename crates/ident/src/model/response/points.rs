@@ -214,9 +214,15 @@ impl Points {
     /// # Errors
     /// [`PointsError::Dependent`] with the input and those that it follows from.
     pub fn check_independent(&self) -> Result<(), PointsError> {
-        let scaling = Scaling::of(self);
-        let columns = (0..self.dim())
-            .map(|j| self.column(j).map(|x| (x - scaling.mean[j]) / scaling.std[j]).collect::<Vec<f64>>());
+        self.check_independent_as(&Scaling::of(self))
+    }
+
+    /// The same of the scaled inputs, which may be warped.
+    pub(super) fn check_independent_as(&self, scaling: &Scaling) -> Result<(), PointsError> {
+        let columns = (0..self.dim()).map(|j| {
+            let scaled = |x: f64| (scaling.warp.at(j, x)[0] - scaling.mean[j]) / scaling.std[j];
+            self.column(j).map(scaled).collect::<Vec<f64>>()
+        });
         let mut basis: Vec<Vec<f64>> = Vec::new();
         for (j, mut column) in columns.enumerate() {
             let whole = dot(&column, &column);

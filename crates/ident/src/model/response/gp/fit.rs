@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::super::points::Points;
 use super::super::scaling::Scaling;
 use super::super::transform::Transform;
+use super::super::warp::WarpChoice;
 use super::super::{Learn, Learnt, LeftOut, ResponseError, ResponseModel};
 use super::kernel::Kernel;
 use super::likelihood::{Problem, Work};
@@ -51,6 +52,13 @@ pub(in super::super) const MEMBER: Member<dyn Learn> = Member {
                 unit: "-",
                 default: "\"none\"",
                 what: "none, or log: learnt is the logarithm of the output, so that its errors are relative",
+            },
+            ParamDoc {
+                name: "warp",
+                unit: "-",
+                default: "\"none\"",
+                what: "none; sqrt: inputs that are sizes (positive, not near zero) enter by their roots; asinh: all by their \
+                       inverse hyperbolic sine, for responses that change faster at small inputs",
             },
             ParamDoc {
                 name: "exact_points",
@@ -162,6 +170,8 @@ pub struct GaussianProcess {
     pub noise: NoiseChoice,
     /// Transform of the output.
     pub transform: OutputChoice,
+    /// Warp of the inputs.
+    pub warp: WarpChoice,
     /// Most points that are taken exactly.
     pub exact_points: usize,
     /// Most inducing points of a sparse process above that; 0 refuses instead.
@@ -177,6 +187,7 @@ impl Default for GaussianProcess {
             seed: 0,
             noise: NoiseChoice::Constant,
             transform: OutputChoice::None,
+            warp: WarpChoice::None,
             exact_points: 3000,
             inducing_points: 150,
         }
@@ -188,7 +199,7 @@ impl Learn for GaussianProcess {
         let q = self.mean.count(points.dim());
         points.check(q + points.dim() + 2, "a Gaussian process")?;
         if q > 1 {
-            points.check_independent()?;
+            points.check_independent_as(&Scaling::warped(self.warp, points))?;
         }
         if !(1..=MOST_STARTS).contains(&self.starts) {
             let (key, found, expected) = ("starts", self.starts.to_string(), format!("1 to {MOST_STARTS}"));
@@ -197,7 +208,7 @@ impl Learn for GaussianProcess {
         let transform = self.transform.transform();
         let learnt = Points { y: transform.apply(&points.y)?, ..points.clone() };
         let (measured, points) = (&points.y, &learnt);
-        let scaling = Scaling::of(points);
+        let scaling = Scaling::warped(self.warp, points);
         let data = Scaled::new(&scaling, points, self.mean);
         let sparse = points.len() > self.exact_points;
         if sparse && self.inducing_points == 0 {

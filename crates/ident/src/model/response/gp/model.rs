@@ -71,7 +71,8 @@ impl GpModel {
     /// Factors the matrices.
     pub(super) fn build(stored: Stored) -> Result<Self, ResponseError> {
         let (n, d) = (stored.y.len(), stored.scaling.mean.len());
-        let expected = [(stored.z.len(), n * d), (stored.hyper.log_lengths.len(), d)];
+        let scales = if stored.scaling.warp.fits(d) { d } else { stored.scaling.warp.scales.len() };
+        let expected = [(stored.z.len(), n * d), (stored.hyper.log_lengths.len(), d), (scales, d)];
         if d == 0 || expected.iter().any(|(found, expected)| found != expected) {
             let (found, expected) = expected.into_iter().find(|(f, e)| f != e).unwrap_or((0, 1));
             let source = dynocal_numerics::linalg::LinalgError::Shape {
@@ -123,10 +124,11 @@ impl GpModel {
         &self.stored.hyper
     }
 
-    /// Length of each input in its own unit: how far one must go for the response to change.
+    /// Length of each input in its own unit: how far one must go for the response to change; where an input is warped, at the mean of its warp.
     pub fn lengths(&self) -> Vec<f64> {
-        let scaled = self.stored.hyper.log_lengths.iter().zip(&self.stored.scaling.std);
-        scaled.map(|(l, s)| l.exp() * s).collect()
+        let Scaling { mean, std, warp, .. } = &self.stored.scaling;
+        let logs = self.stored.hyper.log_lengths.iter().enumerate();
+        logs.map(|(j, l)| l.exp() * std[j] / warp.slope_of(j, mean[j])).collect()
     }
 
     /// Standard deviation of the noise, in the unit of the output, or of what its transform gives (its geometric mean over the points

@@ -63,13 +63,15 @@ impl Response for GpModel {
             self.hessians(point, slopes, p, t, k, rest, out);
         }
         out.work = work;
+        self.stored.scaling.warp.back(x, ask, out);
         self.stored.transform.back(ask, out);
     }
 
     fn describe(&self) -> String {
         let of = if self.stored.transform.is_none() { "" } else { " of the logarithm" };
+        let over = self.stored.scaling.warp.words();
         format!(
-            "Gaussian process{of}, {} kernel, {} points, noise {} of the output's standard deviation",
+            "Gaussian process{of}{over}, {} kernel, {} points, noise {} of the output's standard deviation",
             self.stored.kernel.words(),
             self.points(),
             four((self.stored.hyper.signal_variance * self.stored.hyper.noise_ratio).sqrt())

@@ -437,13 +437,15 @@ impl Response for SparseGpModel {
             }
         }
         out.work = work;
+        self.scaling.warp.back(x, ask, out);
         self.transform.back(ask, out);
     }
 
     fn describe(&self) -> String {
         let of = if self.transform.is_none() { "" } else { " of the logarithm" };
+        let over = self.scaling.warp.words();
         format!(
-            "sparse Gaussian process{of}, {} kernel, {} inducing points for {} points",
+            "sparse Gaussian process{of}{over}, {} kernel, {} inducing points for {} points",
             self.kernel.words(),
             self.weights.len(),
             self.points
