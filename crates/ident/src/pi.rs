@@ -40,6 +40,11 @@ impl Pi {
         self.integral
     }
 
+    /// Other gains from the next step on; the integral part stays what it is, and the proportional one changes with its gain.
+    pub fn regain(&mut self, gains: PiGains) {
+        self.gains = gains;
+    }
+
     /// Actuator value for `error` (demand minus measurement) after a step of `dt_s` over the feedforward.
     pub fn step(&mut self, feedforward: f64, error: f64, dt_s: f64) -> f64 {
         let base = feedforward + self.gains.kp * error;

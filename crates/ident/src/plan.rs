@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! u_i(t) = sat( f_i(t) )                                    open
-//! u_i(t) = sat( f_i(t) + kp e(t) + ki sum e dt ),  e = d - y   closed: y follows its demand d by u_i
+//! u_i(t) = sat( f_i(t) + g(t) kp e(t) + ki sum g e dt ),  e = d - y   closed: y follows its demand d by u_i; g: the schedule of the gains, 1
 //! ```
 //!
 //! where `sat` keeps the channel's range and its rate. The same plan is played on the virtual engine
@@ -83,6 +83,9 @@ pub struct PlanLoop {
     pub gains: PiGains,
     /// Whether the loop is closed; an open one is carried along and does nothing.
     pub closed: bool,
+    /// Factor of both gains at each sample, where what the input does to the output is another along the plan; 1 where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub schedule: Vec<f64>,
 }
 
 /// An abort rule: the plan ends before the output passes a limit.
@@ -161,7 +164,13 @@ impl PlanChannel {
 impl PlanLoop {
     /// A closed loop.
     pub fn closed(output: &str, input: &str, gains: PiGains) -> Self {
-        Self { output: output.into(), input: input.into(), gains, closed: true }
+        Self { output: output.into(), input: input.into(), gains, closed: true, schedule: Vec::new() }
+    }
+
+    /// Gains at a sample.
+    pub fn gains_at(&self, sample: usize) -> PiGains {
+        let factor = self.schedule.get(sample).copied().unwrap_or(1.0);
+        PiGains { ki: factor * self.gains.ki, kp: factor * self.gains.kp }
     }
 }
 

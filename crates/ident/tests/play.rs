@@ -84,6 +84,32 @@ fn a_closed_loop_is_the_pi_law_over_its_feedforward() {
     assert_eq!(record.values("u").unwrap(), feedforward);
 }
 
+/// Gains that are scheduled are those gains: a schedule of twos is the loop with both gains twice as large, and one that changes is the law with
+/// the gains of each sample, the integral going on as it is.
+#[test]
+fn a_schedule_multiplies_the_gains_of_each_sample() {
+    let n = 60;
+    let gains = PiGains { ki: 0.4, kp: 0.3 };
+    let record = |gains: PiGains, schedule: Vec<f64>| {
+        let one = PlanLoop { schedule, ..PlanLoop::closed("y", "u", gains) };
+        let plan = Plan::open_loop("a", 0.1, vec![channel(vec![0.0; n])])
+            .with_loops(vec![demand(vec![1.0; n])], vec![one]);
+        play(&mut Lag::new(0.9, 0.2), &plan, &mut Unwatched).unwrap().record
+    };
+    let twice = PiGains { ki: 0.8, kp: 0.6 };
+    assert_eq!(record(gains, vec![2.0; n]), record(twice, Vec::new()));
+    let schedule: Vec<f64> = (0..n).map(|t| 1.0 + (t % 3) as f64).collect();
+    let found = record(gains, schedule.clone());
+    let (mut state, mut integral) = (0.0, 0.0);
+    for (t, u) in found.values("u").unwrap().iter().enumerate() {
+        let e = 1.0 - state;
+        integral += schedule[t] * gains.ki * e * 0.1;
+        let expected = schedule[t] * gains.kp * e + integral;
+        assert!((u - expected).abs() < 1e-12, "row {t}");
+        state = 0.9 * state + 0.2 * u;
+    }
+}
+
 /// A rate limits what is applied, loop or not.
 #[test]
 fn rates_are_kept_by_feedforward_and_loops() {
@@ -112,7 +138,10 @@ fn faults_of_a_plan_and_what_the_plant_lacks_are_said_before_anything_is_played(
             channel(vec![1.0; 3]),
         ],
         demands: vec![demand(vec![0.0; 2])],
-        loops: vec![PlanLoop::closed("z", "v", PiGains { ki: f64::INFINITY, kp: 0.0 })],
+        loops: vec![PlanLoop {
+            schedule: vec![1.0, -1.0],
+            ..PlanLoop::closed("z", "v", PiGains { ki: f64::INFINITY, kp: 0.0 })
+        }],
         limits: vec![PlanLimit { margin: -1.0, ..PlanLimit::between("y", "-", 3.0, 2.0, 0.0) }],
         ..good.clone()
     };
@@ -130,6 +159,7 @@ fn faults_of_a_plan_and_what_the_plant_lacks_are_said_before_anything_is_played(
             "loops[0].input",
             "loops[0].output",
             "loops[0].gains.ki",
+            "loops[0].schedule",
             "limits[0].lower",
             "limits[0].margin",
             "channels[1].name"

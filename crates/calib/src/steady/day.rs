@@ -52,12 +52,14 @@ pub struct Task {
     /// Where the inputs of the loops are expected to stand there, by loop: fed forward on the way, so that the loops have only the rest
     /// to do. A value that is no number, or is not there, is not fed forward.
     pub driven: Vec<f64>,
+    /// Factors of the gains of the loops there, by loop ([`super::station::Station::measure`]); 1 where there is none.
+    pub gains: Vec<f64>,
 }
 
 impl Task {
     /// A point of whose driven inputs nothing is known.
     pub fn new(purpose: Purpose, target: Vec<f64>) -> Self {
-        Self { purpose, target, driven: Vec::new() }
+        Self { purpose, target, driven: Vec::new(), gains: Vec::new() }
     }
 }
 
@@ -102,7 +104,7 @@ pub trait Measures {
 
 impl Measures for Station<'_> {
     fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
-        Station::measure(self, &task.target, &task.driven)
+        Station::measure(self, &task.target, &task.driven, &task.gains)
     }
     fn bed_s(&self) -> f64 {
         self.used_s

@@ -219,11 +219,17 @@ impl<'a> Station<'a> {
     }
 
     /// Goes to `target` and measures there, or as near as the limits allow. `driven` says where the inputs of the loops are expected to
-    /// stand there (by loop, none where it is empty): it is fed forward along the ramp.
+    /// stand there (by loop, none where it is empty): it is fed forward along the ramp. `gains` are factors of the gains of the loops there (by
+    /// loop, 1 where it is empty), where what the inputs do is another than where the loops were tuned; they come in along the ramp.
     ///
     /// # Errors
     /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
-    pub fn measure(&mut self, target: &[f64], driven: &[f64]) -> Result<SteadyPoint, PlayError> {
+    pub fn measure(
+        &mut self,
+        target: &[f64],
+        driven: &[f64],
+        gains: &[f64],
+    ) -> Result<SteadyPoint, PlayError> {
         let (origin, begun_s) = (self.at.clone(), self.used_s);
         let stood = self.driven.clone();
         // Where an input is expected to stand at a share of the way; as it stands where nothing is known.
@@ -239,7 +245,8 @@ impl<'a> Station<'a> {
         let (mut share, mut from, mut touched) = (1.0, 0.0, Vec::new());
         for attempt in 0..=self.spec.backoffs {
             let expected = fed(share, &self.driven);
-            let drive = self.drive(&along(share), &expected, attempt > 0)?;
+            let gains: Vec<f64> = gains.iter().map(|g| between_gains(1.0, *g, share)).collect();
+            let drive = self.drive(&along(share), (&expected, &gains), attempt > 0)?;
             let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) else {
                 return self.point(target, &drive, touched, begun_s);
             };
@@ -250,7 +257,7 @@ impl<'a> Station<'a> {
             (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
         }
         // Back to where it began.
-        self.drive(&origin, &stood, true)?;
+        self.drive(&origin, (&stood, &[]), true)?;
         let note = format!("given up after {} limits on the way", touched.len());
         Ok(SteadyPoint {
             asked: target.to_vec(),
@@ -278,9 +285,14 @@ impl<'a> Station<'a> {
         Ok(Touched { output: stop.output.clone(), value, limit, factors, words: stop.to_string() })
     }
 
-    /// Plays a ramp to `to` and a hold, the inputs of the loops fed forward to `driven`; on the way back limits are watched only once it is
-    /// there.
-    fn drive(&mut self, to: &[f64], driven: &[f64], back: bool) -> Result<Drive, PlayError> {
+    /// Plays a ramp to `to` and a hold, the inputs of the loops fed forward to `driven` and their gains brought to those `gains` times as large;
+    /// on the way back limits are watched only once it is there.
+    fn drive(
+        &mut self,
+        to: &[f64],
+        (driven, gains): (&[f64], &[f64]),
+        back: bool,
+    ) -> Result<Drive, PlayError> {
         let dt = self.layout.sample_time_s;
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
         let spans = self.layout.factors.iter().map(|f| f.upper - f.lower);
@@ -290,6 +302,7 @@ impl<'a> Station<'a> {
         let mut plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
         let change: Vec<f64> = driven.iter().zip(&self.driven).map(|(to, now)| to - now).collect();
         feed_forward(&mut plan, &[(&change, ramp.max(1))]);
+        schedule(&mut plan, &[], &[(gains, ramp.max(1))]);
         let window = samples(self.spec.window_s).max(2);
         let mut watch = Watching::new(
             (&self.guards, &self.tolerances),
@@ -396,6 +409,33 @@ fn feed_forward(plan: &mut Plan, changes: &[(&[f64], usize)]) {
             gone += more;
         }
         rest.for_each(|value| *value = (*value + gone).clamp(lower, upper));
+    }
+}
+
+/// Factor of a gain a share of the way from one to another. What the input does, its inverse, is nearer to straight: gains that came in by even steps
+/// would be too large under way.
+fn between_gains(from: f64, to: f64, share: f64) -> f64 {
+    1.0 / (1.0 / from + share * (1.0 / to - 1.0 / from))
+}
+
+/// Brings the gains of the loops from those `from` times as large (by loop; 1 where there is none) to others over each of some spans of samples;
+/// after the last they stay.
+fn schedule(plan: &mut Plan, from: &[f64], factors: &[(&[f64], usize)]) {
+    let samples = plan.len();
+    let of = |all: &[f64], l: usize| all.get(l).copied().filter(|g| g.is_finite() && *g > 0.0).unwrap_or(1.0);
+    for (l, which) in plan.loops.iter_mut().enumerate() {
+        let mut now = of(from, l);
+        if now == 1.0 && factors.iter().all(|(to, _)| of(to, l) == 1.0) {
+            continue;
+        }
+        let mut course = Vec::with_capacity(samples);
+        for (to, n) in factors {
+            let to = of(to, l);
+            course.extend((1..=*n).map(|k| between_gains(now, to, k as f64 / *n as f64)));
+            now = to;
+        }
+        course.resize(samples, now);
+        which.schedule = course;
     }
 }
 

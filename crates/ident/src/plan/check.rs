@@ -116,6 +116,11 @@ fn loops(f: &mut Faults) {
         for (name, gain) in [("ki", l.gains.ki), ("kp", l.gains.kp)] {
             f.must(gain.is_finite(), format!("{key}.gains.{name}"), gain, "a finite number");
         }
+        if !l.schedule.is_empty() {
+            f.column(&format!("{key}.schedule"), &l.schedule);
+            let wrong = l.schedule.iter().find(|g| **g <= 0.0);
+            f.must(wrong.is_none(), format!("{key}.schedule"), wrong.unwrap_or(&1.0), "positive numbers");
+        }
         let earlier = plan.loops[..k].iter().any(|other| other.closed && l.closed && other.input == l.input);
         f.must(
             !earlier,

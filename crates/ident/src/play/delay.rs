@@ -76,7 +76,7 @@ const LEAST: usize = 50;
 /// Samples by which the output is late in the record of a closed loop, by its own law
 ///
 /// ```text
-/// du(t) = df(t) + kp de(t + s) + ki e(t + s) dt,    e = demand(t) - y(t + s)
+/// du(t) = df(t) + kp de(t + s) + ki e(t + s) dt,    e = demand(t) - y(t + s), gains with their schedule
 /// ```
 ///
 /// on the samples where the input is off its limits: the shift s at which it fits best. None where it explains less than half
@@ -99,10 +99,12 @@ pub fn loop_shift(plan: &Plan, record: &Dataset, closed: &PlanLoop) -> Option<is
     }
     let moved = |t: usize| u[t] - u[t - 1] - (c.values[t] - c.values[t - 1]);
     let total: f64 = rows.iter().map(|t| moved(*t).powi(2)).sum();
-    let gains = closed.gains;
     let left = |s: isize| -> f64 {
         let error = |t: usize| demand[t] - y[(t as isize + s) as usize];
-        let law = |t: usize| gains.kp * (error(t) - error(t - 1)) + gains.ki * error(t) * dt;
+        let law = |t: usize| {
+            let (now, before) = (closed.gains_at(t), closed.gains_at(t - 1));
+            now.kp * error(t) - before.kp * error(t - 1) + now.ki * error(t) * dt
+        };
         rows.iter().map(|t| (moved(*t) - law(*t)).powi(2)).sum()
     };
     let most = most as isize;

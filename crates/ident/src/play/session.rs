@@ -3,13 +3,14 @@
 use super::{Course, LimitDistance, PlayError, Played, Stop, Watchdog};
 use crate::data::{Channel, Dataset, Role};
 use crate::pi::Pi;
-use crate::plan::{Plan, PlanDemand, demand_name};
+use crate::plan::{Plan, PlanDemand, PlanLoop, demand_name};
 use crate::plant::{Causality, LimitEvent, Plant, PlantError, Variable, variable_index};
 use crate::play::Reason;
 
 /// A loop with its places: its demand, and the column of its output.
 struct Closed<'a> {
     pi: Pi,
+    of: &'a PlanLoop,
     demand: &'a PlanDemand,
     column: usize,
 }
@@ -69,7 +70,7 @@ impl<'a> Session<'a> {
             let closed = match pair {
                 Some((l, demand)) => {
                     let pi = Pi::new(l.gains, 0.0, c.lower, c.upper);
-                    Some(Closed { pi, demand, column: output(&l.output)? })
+                    Some(Closed { pi, of: l, demand, column: output(&l.output)? })
                 }
                 None => None,
             };
@@ -162,6 +163,7 @@ impl<'a> Session<'a> {
             let feedforward = c.values[t];
             let wanted = match closed {
                 Some(l) if measured => {
+                    l.pi.regain(l.of.gains_at(t));
                     l.pi.step(feedforward, l.demand.values[t] - self.outputs[l.column], dt)
                 }
                 _ => feedforward,

@@ -233,6 +233,7 @@ impl Context<'_> {
                 input: self.channels.inputs[*input].clone(),
                 gains: self.gains(k, tone),
                 closed: tone != Tone::Open && !demands.is_empty(),
+                schedule: Vec::new(),
             })
             .collect();
         let demands = problem

@@ -37,8 +37,18 @@ struct Head {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(untagged)]
 enum Measured {
-    Point { purpose: Purpose, target: Vec<f64>, point: SteadyPoint },
-    Sweep { from: Vec<f64>, legs: Vec<Leg>, swept: Swept },
+    Point {
+        purpose: Purpose,
+        target: Vec<f64>,
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        gains: Vec<f64>,
+        point: SteadyPoint,
+    },
+    Sweep {
+        from: Vec<f64>,
+        legs: Vec<Leg>,
+        swept: Swept,
+    },
 }
 
 /// What was measured with the place where it left the bed; numbers of the state as their bits, for they need not be finite.
@@ -177,16 +187,16 @@ fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
 
 impl Measures for Journal<'_, '_> {
     fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
-        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, .. } if *p == task.purpose && *t == task.target);
+        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, gains: g, .. } if *p == task.purpose && *t == task.target && *g == task.gains);
         if let Some(Measured::Point { point, .. }) = self.known(same) {
             return Ok(point);
         }
         if !self.live {
             self.begin();
         }
-        let point = self.station.measure(&task.target, &task.driven)?;
-        let (purpose, target) = (task.purpose, task.target.clone());
-        self.keep(Measured::Point { purpose, target, point: point.clone() });
+        let point = self.station.measure(&task.target, &task.driven, &task.gains)?;
+        let (purpose, target, gains) = (task.purpose, task.target.clone(), task.gains.clone());
+        self.keep(Measured::Point { purpose, target, gains, point: point.clone() });
         Ok(point)
     }
     fn bed_s(&self) -> f64 {

@@ -16,6 +16,7 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
+use super::schedule::Schedule;
 use super::spec::{MapSpec, SweepSpec};
 use super::windows::{Window, keep};
 
@@ -60,6 +61,8 @@ pub(super) struct Line {
     nodes: Vec<Vec<f64>>,
     /// What the maps of the driven inputs say at the nodes, by loop.
     driven: Vec<Vec<f64>>,
+    /// Factors of the gains of the loops at the nodes, by loop.
+    gains: Vec<Vec<f64>>,
 }
 
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
@@ -125,6 +128,12 @@ fn others(
     Some((others.first()?.saturating_sub(1), (others.last()? + 1).min(nodes.len() - 1)))
 }
 
+/// Whether a line between two `ends` of the first axis begins at the second: the smaller of them where a demand is gone along, else the one that
+/// is nearer to `now`.
+fn begins_last(demanded: bool, [first, last]: [f64; 2], now: f64) -> bool {
+    if demanded { last.abs() < first.abs() } else { (last - now).abs() < (first - now).abs() }
+}
+
 impl Lines<'_> {
     /// Goes along all lines until `bed_s` is used up, less what is kept to go along parts again; these lines with what was measured, nothing
     /// where the spec asks for none or the bed cannot.
@@ -178,8 +187,9 @@ impl Lines<'_> {
         let old = before.iter().find(|l| l.number == line.number).map_or(&[][..], |l| &l.nodes);
         let beside = |a: &[f64], b: &[f64]| self.beside(a, b);
         let (from, to) = others(&line.nodes, old, self.layout.axes, &beside)?;
-        let driven = line.driven.iter().map(|d| d[from..=to].to_vec()).collect();
-        Some(Line { nodes: line.nodes[from..=to].to_vec(), driven, ..line })
+        let part = |all: &[Vec<f64>]| all.iter().map(|d| d[from..=to].to_vec()).collect();
+        let (driven, gains) = (part(&line.driven), part(&line.gains));
+        Some(Line { nodes: line.nodes[from..=to].to_vec(), driven, gains, ..line })
     }
 
     /// Whether the free inputs of two settings are so near that what was measured at one counts at the other.
@@ -221,9 +231,9 @@ impl Lines<'_> {
             let rest = (lines.len() - k, lines[k..].iter().map(|l| self.length(l)).sum());
             let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s(), rest);
             least_s = least_s.min(pass_s);
-            let nearer = self.nearer_end(line, bench.stands_at());
+            let first = self.begins_last(line, bench.stands_at());
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
-            for last in [nearer, !nearer] {
+            for last in [first, !first] {
                 let (from, legs) = self.path(line, last, pass_s);
                 let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
                 let soon = swept.rows.last().is_none_or(|r| 4 * r.leg < legs.len());
@@ -232,7 +242,7 @@ impl Lines<'_> {
                     sweeps.whole += 1;
                     break;
                 };
-                if !soon || last != nearer || bench.used_s() >= bed_s {
+                if !soon || last != first || bench.used_s() >= bed_s {
                     sweeps.notes.push(format!("{} ended early: {}", self.named(line), touched.words));
                     break;
                 }
@@ -276,6 +286,7 @@ impl Lines<'_> {
             Some(a) => finer(std::slice::from_ref(a), spec.between)[0].iter().map(|v| Some(*v)).collect(),
             None => vec![None],
         };
+        let schedule = Schedule::of(self.layout, self.setting, drives, self.cells)?;
         let line = |(number, other): (usize, Option<f64>)| {
             let place = |t: &f64| -> Vec<f64> { [*t].into_iter().chain(other).collect() };
             let held = |at: &Vec<f64>| {
@@ -287,7 +298,8 @@ impl Lines<'_> {
                 longest.iter().map(|at| interpolate(self.axes, self.cells, at)).collect();
             let driven =
                 drives.iter().map(|d| d.say(self.layout, self.setting, &nodes)).collect::<Result<_, _>>()?;
-            Ok(Line { number, other, nodes, driven })
+            let gains = schedule.at(self.layout, self.setting, drives, &nodes)?;
+            Ok(Line { number, other, nodes, driven, gains })
         };
         let all: Vec<Line> = others.into_iter().enumerate().map(line).collect::<Result<_, MapError>>()?;
         Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
@@ -299,10 +311,11 @@ impl Lines<'_> {
         far(lines.last()).zip(far(lines.first())).is_some_and(|(last, first)| last < first)
     }
 
-    /// Whether the last node of a line is nearer to where the bed stands than the first.
-    fn nearer_end(&self, line: &Line, now: &[f64]) -> bool {
-        let far = |k: usize| (line.nodes[k][0] - now[0]).abs();
-        far(line.nodes.len() - 1) < far(0)
+    /// Whether a line begins at its last node: where less is demanded, for at the other end an input may stand at the end of its range, and its loop
+    /// then comes back from there all along the way; where nothing is demanded along it, nearer to where the bed stands.
+    fn begins_last(&self, line: &Line, now: &[f64]) -> bool {
+        let demanded = self.layout.leading_demand().is_some_and(|(k, _)| k == 0);
+        begins_last(demanded, [line.nodes[0][0], line.nodes[line.nodes.len() - 1][0]], now[0])
     }
 
     /// There and back, beginning at the first node or at the `last`, with a rest at the turn where one is asked for.
@@ -323,6 +336,7 @@ impl Lines<'_> {
                 to: b.clone(),
                 seconds: pass_s * (b[0] - a[0]).abs() / whole,
                 driven: line.driven.iter().map(change).collect(),
+                gains: line.gains.iter().map(|g| g[w[1]]).collect(),
             }
         };
         let mut legs: Vec<Leg> = order.windows(2).map(leg).collect();
@@ -330,7 +344,7 @@ impl Lines<'_> {
         let (turn, seconds) = (legs.len() / 2, turn_s(self.spec));
         if let Some(there) = legs.get(turn.wrapping_sub(1)).filter(|_| seconds > 0.0) {
             let driven = vec![0.0; self.layout.loops.len()];
-            let rest = Leg { to: there.to.clone(), seconds, driven };
+            let rest = Leg { to: there.to.clone(), driven, gains: there.gains.clone(), seconds };
             legs.insert(turn, rest);
         }
         (begin, legs)
@@ -357,6 +371,13 @@ mod tests {
             let half = pass_s(&spec, 40.0, lines as f64 * (40.0 + way_s), (lines, 0.5 * lines as f64));
             assert!((half - 40.0).abs() < 1e-12, "{half}");
         }
+    }
+
+    #[test]
+    fn a_line_along_a_demand_begins_where_less_is_asked_for() {
+        // Wherever the bed stands; of demands below zero the smaller size.
+        assert!(!begins_last(true, [40.0, 160.0], 150.0) && begins_last(true, [-80.0, -10.0], -70.0));
+        assert!(begins_last(false, [40.0, 160.0], 150.0) && !begins_last(false, [40.0, 160.0], 60.0));
     }
 
     /// What has become another setting is gone along again, from one node before it to one after it, and so is a node that is new.

@@ -28,6 +28,7 @@ mod reach;
 pub mod refine;
 pub mod rest;
 pub mod result;
+mod schedule;
 mod setting;
 mod slow;
 pub mod spec;

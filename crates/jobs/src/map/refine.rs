@@ -128,7 +128,7 @@ impl Refinement<'_> {
             at.mean.clamp(i.lower, i.upper)
         };
         let driven = self.layout.driven().iter().enumerate().map(expected).collect();
-        Task { purpose, target, driven }
+        Task { driven, ..Task::new(purpose, target) }
     }
 
     /// The next points in an order of short ways.

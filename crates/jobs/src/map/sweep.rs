@@ -18,13 +18,12 @@
 //!
 //! How the bed goes along the lines: `lines.rs`.
 
-use dynocal_calib::steady::cell::Setting;
-use dynocal_calib::steady::layout::{FactorKind, Layout};
 use dynocal_calib::steady::trim::{Along, Trim, finer};
 
 use super::drive::{Drive, Set};
 use super::error::MapError;
 use super::lines::Lines;
+use super::schedule::slopes;
 use super::spec::SweepSpec;
 use super::windows::Window;
 
@@ -62,8 +61,7 @@ impl Lines<'_> {
 
     /// The factor of the demand that loop `l` holds; none where it is no axis, where it may be zero, or where the map is not relative.
     fn demand(&self, l: usize, drive: &Drive) -> Option<usize> {
-        let axes = &self.layout.factors[..self.layout.axes];
-        let place = axes.iter().position(|f| f.kind == FactorKind::Demand(l)).filter(|_| drive.relative);
+        let place = self.layout.demand_factor(l).filter(|_| drive.relative);
         place.filter(|k| self.axes[*k].iter().all(|v| *v > 0.0))
     }
 
@@ -209,10 +207,6 @@ const ROUNDS: usize = 4;
 const STEEPER: f64 = 2.0;
 /// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
 const ANSWERED: f64 = 0.1;
-/// Share by which a demand is moved to see what its input does.
-const SHARE: f64 = 0.01;
-/// Least slope of an input over its demand, both as shares: what flows goes with at most the square of an opening.
-const STEEP: f64 = 0.5;
 
 /// What a map misses along the lines, with the numbers of the lines.
 #[derive(Default)]
@@ -247,35 +241,6 @@ impl Missed {
         }
         (n > 0.0).then(|| (sum / n).sqrt())
     }
-}
-
-/// What a share of its demand is in shares of the input of loop `l`, d log u / d log y, as the map says: an error of the input counts by what it
-/// does to what the input has to hold. A throttle that is nearly open may be anywhere. 1 where the demand is no factor, or where the map is
-/// not relative.
-///
-/// # Errors
-/// As of [`Drive::at`].
-pub(super) fn slopes(
-    layout: &Layout,
-    setting: &Setting,
-    l: usize,
-    drive: &Drive,
-    factors: &[Vec<f64>],
-) -> Result<Vec<f64>, MapError> {
-    let place = layout.factors.iter().position(|f| f.kind == FactorKind::Demand(l));
-    let Some(k) = place.filter(|_| drive.relative) else { return Ok(vec![1.0; factors.len()]) };
-    let say = |share: f64| {
-        let mut moved = factors.to_vec();
-        moved.iter_mut().for_each(|x| x[k] *= 1.0 + share);
-        drive.say(layout, setting, &moved)
-    };
-    let span = (1.0 + SHARE).ln() - (1.0 - SHARE).ln();
-    let slopes: Vec<f64> =
-        say(SHARE)?.iter().zip(&say(-SHARE)?).map(|(more, less)| (more.ln() - less.ln()) / span).collect();
-    // An input goes one way with its demand: where a model is flat, its slope has that of most.
-    let way = slopes.iter().filter(|s| s.is_finite()).map(|s| s.signum()).sum::<f64>();
-    let one = |s: &f64| if s.is_finite() { s.abs().max(STEEP).copysign(way) } else { 1.0 };
-    Ok(slopes.iter().map(one).collect())
 }
 
 /// A window as a loop saw it.

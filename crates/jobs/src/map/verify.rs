@@ -15,8 +15,8 @@ use super::drive::{Drive, Driven};
 use super::error::MapError;
 use super::rest::{Rest, at_rest};
 use super::result::{Deviation, Verified};
+use super::schedule::{Schedule, slopes};
 use super::spec::MapSpec;
-use super::sweep;
 
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
@@ -63,12 +63,15 @@ impl Verification<'_> {
         let place = |at: Vec<f64>| interpolate(self.axes, self.cells, &at[..self.layout.axes]);
         let targets: Vec<Vec<f64>> = self.places(bench.stands_at()).into_iter().map(place).collect();
         let begun = points.len();
+        let schedule = Schedule::of(self.layout, self.setting, self.drives, self.cells)?;
         let task = |x: &Vec<f64>| {
             // What the maps say is fed forward, as an ECU will: the loops have only the rest to do.
             let say = |d: &Drive| d.say(self.layout, self.setting, std::slice::from_ref(x));
             let driven = self.drives.iter().map(|d| Ok(say(d)?.first().copied().unwrap_or(f64::NAN)));
             let driven = driven.collect::<Result<_, MapError>>()?;
-            Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven })
+            let gains = schedule.at(self.layout, self.setting, self.drives, std::slice::from_ref(x))?;
+            let gains = gains.iter().map(|g| g[0]).collect();
+            Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven, gains })
         };
         let tasks = targets.iter().map(task).collect::<Result<Vec<Task>, MapError>>()?;
         // The day ends with these points: none begins that may pass the end of the bed time.
@@ -161,7 +164,7 @@ impl Verification<'_> {
     fn at_demand(&self, l: usize, point: &SteadyPoint, measured: f64, promised: f64) -> Option<f64> {
         let drive = self.drives.get(l)?;
         let at = std::slice::from_ref(&point.factors);
-        let slope = sweep::slopes(self.layout, self.setting, l, drive, at).ok()?;
+        let slope = slopes(self.layout, self.setting, l, drive, at).ok()?;
         Some(drive.missed_by(measured, promised) / slope.first()?)
     }
 

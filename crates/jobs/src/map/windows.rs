@@ -1,6 +1,6 @@
 //! What was measured along lines, window by window.
 
-use dynocal_calib::steady::layout::{Factor, FactorKind, Layout};
+use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::station::{Leg, SweepRow};
 use dynocal_calib::steady::trim::Way;
 
@@ -15,27 +15,17 @@ impl Window {
     /// Axes as they were asked for.
     pub(super) fn asked(&self, layout: &Layout) -> Vec<f64> {
         let mut at = self.row.factors[..layout.axes].to_vec();
-        for (k, l) in demands(layout) {
+        for (k, l) in layout.demanded() {
             at[k] = self.row.asked[l];
         }
         at
     }
 }
 
-/// Axes that are demands, with their loops.
-fn demands(layout: &Layout) -> Vec<(usize, usize)> {
-    let axes = layout.factors[..layout.axes].iter().enumerate();
-    let demand = |(k, f): (usize, &Factor)| match f.kind {
-        FactorKind::Demand(l) => Some((k, l)),
-        _ => None,
-    };
-    axes.filter_map(demand).collect()
-}
-
-/// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short at the end of a rest at an upper turn, or
-/// before and behind a turn without one, so that more of the input came too late or to nothing.
+/// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short at the end of a
+/// rest at an upper turn, or before and behind a turn without one, so that more of the input came too late or to nothing.
 pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
-    let demands = demands(layout);
+    let demands: Vec<(usize, usize)> = layout.demanded().collect();
     let short = |w: &Window| {
         let falls =
             |(k, l): &(usize, usize)| !w.row.followed[*l] && w.row.factors[*k].abs() < w.row.asked[*l].abs();
@@ -108,12 +98,13 @@ pub(super) fn keep(
 mod tests {
     use super::*;
     use dynocal_calib::problem::CalibrationProblem;
+    use dynocal_calib::steady::layout::{Factor, FactorKind};
 
     /// A rest of 4 s, 9 s up, 5 s down, in windows of 2 s: the one with the turn is left out, the others know how long it had gone their way, and
     /// the other one before.
     #[test]
     fn windows_know_since_when_they_go_their_way() {
-        let leg = |to: f64, seconds| Leg { to: vec![to], driven: Vec::new(), seconds };
+        let leg = |to: f64, seconds| Leg { to: vec![to], driven: Vec::new(), gains: Vec::new(), seconds };
         let legs = [leg(0.0, 4.0), leg(0.5, 4.0), leg(1.0, 5.0), leg(0.0, 5.0)];
         assert_eq!(ways(0.0, &legs), [(0.0, 0.0), (1.0, 4.0), (-1.0, 13.0)]);
         let row = |k: usize| SweepRow {

@@ -209,7 +209,7 @@ fn what_loops_will_set_is_fed_forward() {
         let mut bench = Bench::new(0.0, Fault::None);
         let begin = (vec![30.0, 1500.0, 0.5, 0.5], vec![fuel(30.0, 1500.0, 0.5, 0.5, 0.0)]);
         let mut station = Station::new(&mut bench, &layout, &approach, &|_| 0.0, begin, &|| false);
-        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], driven).unwrap();
+        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], driven, &[]).unwrap();
         assert!(p.usable && p.errors[0].abs() < 0.5, "{p:?}");
         p.used_s
     };
@@ -217,6 +217,25 @@ fn what_loops_will_set_is_fed_forward() {
     let (without, with, rough) = (took(&[]), took(&[known]), took(&[1.1 * known]));
     assert!(with < 0.6 * without && rough < without, "{with} {rough} {without}");
     assert_eq!(took(&[f64::NAN]), without);
+}
+
+/// Gains that come in along the way make a loop that is slow for its place as fast as one that was tuned for it.
+#[test]
+fn gains_that_are_raised_make_a_slow_loop_as_fast() {
+    let mut layout = run_with(DAY, 1, Bench::new(0.0, Fault::None)).unwrap().layout;
+    let approach = ApproachSpec { settle_s: 60.0, window_s: 1.0, average_s: 2.0, ..ApproachSpec::default() };
+    let mut took = |ki: f64, gains: &[f64]| {
+        layout.loops[0].gains = PiGains { ki, kp: ki / 3.0 };
+        let mut bench = Bench::new(0.0, Fault::None);
+        let begin = (vec![30.0, 1500.0, 0.5, 0.5], vec![fuel(30.0, 1500.0, 0.5, 0.5, 0.0)]);
+        let mut station = Station::new(&mut bench, &layout, &approach, &|_| 0.0, begin, &|| false);
+        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], &[], gains).unwrap();
+        assert!(p.usable && p.errors[0].abs() < 0.5, "{p:?}");
+        p.used_s
+    };
+    let (slow, raised, tuned) = (took(0.15, &[]), took(0.15, &[4.0]), took(0.6, &[]));
+    assert!(raised < 0.7 * slow && raised <= 1.25 * tuned, "{slow} {raised} {tuned}");
+    assert_eq!((took(0.15, &[f64::NAN]), took(0.15, &[1.0])), (slow, slow));
 }
 
 /// A line that meets a limit, on the way to it or along it, leaves the bed where the limit is kept: what comes next is not ended by it.
@@ -231,6 +250,7 @@ fn a_line_that_meets_a_limit_goes_back_within_it() {
     let leg = |torque: f64, spark: f64, seconds| Leg {
         to: vec![torque, 1500.0, spark, 0.5],
         driven: vec![0.0],
+        gains: Vec::new(),
         seconds,
     };
     // The first limit is met on the way to the line: knock is 0.2 + 0.006 torque + 0.6 spark, and heat 500 + 3 torque - 100 spark + 150 cam.

@@ -7,7 +7,7 @@ use dynocal_ident::plan::Plan;
 use dynocal_ident::play::{self, Interruptible, PlayError, Reason};
 use serde::{Deserialize, Serialize};
 
-use super::{Station, Touched, Watching, feed_forward, means};
+use super::{Station, Touched, Watching, feed_forward, means, schedule};
 
 /// A straight part of a path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,6 +16,9 @@ pub struct Leg {
     pub to: Vec<f64>,
     /// What the inputs of the loops are expected to change along it, by loop: fed forward, so that the loops have only the rest to do.
     pub driven: Vec<f64>,
+    /// Factors of the gains of the loops at its end, by loop: they go there along it. 1 where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub gains: Vec<f64>,
     /// Time that it takes in s.
     pub seconds: f64,
 }
@@ -61,7 +64,9 @@ impl Station<'_> {
         let begun_s = self.used_s;
         let origin = self.at.clone();
         let driven = self.driven.clone();
-        let drive = self.drive(from, &driven, false)?;
+        // A path that comes back ends with the gains with which it begins.
+        let first = legs.last().filter(|l| l.to == from).map_or(&[][..], |l| &l.gains);
+        let drive = self.drive(from, (&driven, first), false)?;
         if let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) {
             let share = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             self.at = between(&origin, from, share);
@@ -76,6 +81,8 @@ impl Station<'_> {
         let changes: Vec<(&[f64], usize)> =
             legs.iter().zip(&ways).map(|(l, w)| (&l.driven[..], w.1)).collect();
         feed_forward(&mut plan, &changes);
+        let gains: Vec<(&[f64], usize)> = legs.iter().zip(&ways).map(|(l, w)| (&l.gains[..], w.1)).collect();
+        schedule(&mut plan, first, &gains);
         let window = samples(self.spec.window_s).max(2);
         // A plan without a hold is never at rest: only limits are watched.
         let mut watch = Watching::new((&self.guards, &self.tolerances), &plan, plan.len(), window, 1);
@@ -109,7 +116,7 @@ impl Station<'_> {
     fn back_within(&mut self, places: impl IntoIterator<Item = Vec<f64>>) -> Result<(), PlayError> {
         for place in places {
             let driven = self.driven.clone();
-            let drive = self.drive(&place, &driven, true)?;
+            let drive = self.drive(&place, (&driven, &[]), true)?;
             if drive.played.stop.is_none_or(|s| s.reason == Reason::Still) {
                 break;
             }
