@@ -69,7 +69,7 @@ fn setting<'a>(models: Vec<&'a dyn Response>, sides: Vec<Side>, d: usize) -> Set
 }
 
 fn upper(response: usize, limit: f64) -> Side {
-    Side { response, limit, sign: 1.0, scale: 2.0 }
+    Side { response, limit, sign: 1.0, scale: 2.0, caution: 1.0 }
 }
 
 /// minimise (x - 2)^2 + (y - 1)^2 + a subject to x <= 1 + a, -y <= -2: x = 1 + a, y = 2; prices 2 (1 - a) and 2.
@@ -78,7 +78,11 @@ fn two_limits_act_and_their_prices_are_the_multipliers() {
     let fuel = Quadratic::new(5.0, &[1.0, -4.0, -2.0], &[0.0, 2.0, 2.0]);
     let knock = Quadratic::new(0.0, &[-1.0, 1.0, 0.0], &[0.0; 3]);
     let heat = Quadratic::new(0.0, &[0.0, 0.0, 1.0], &[0.0; 3]);
-    let sides = vec![upper(1, 1.0), Side { response: 2, limit: 2.0, sign: -1.0, scale: 0.5 }, upper(2, 40.0)];
+    let sides = vec![
+        upper(1, 1.0),
+        Side { response: 2, limit: 2.0, sign: -1.0, scale: 0.5, caution: 1.0 },
+        upper(2, 40.0),
+    ];
     let s = setting(vec![&fuel, &knock, &heat], sides, 3);
     for a in [-0.5, 0.0, 0.5] {
         let o = s.optimise(&[a], 3, &[], 1, &|| false);
@@ -104,6 +108,10 @@ fn a_limit_is_kept_with_its_standard_deviations() {
     s.z = 1.5;
     let o = s.optimise(&[0.0], 2, &[], 1, &|| false);
     assert!((o.x[1] - 0.7).abs() < 1e-5, "{:?}", o.x);
+    // One that harms nothing is kept as far as it is expected.
+    s.sides[0].caution = 0.0;
+    let o = s.optimise(&[0.0], 2, &[], 1, &|| false);
+    assert!(o.feasible && (o.x[1] - 1.0).abs() < 1e-5, "{:?}", o.x);
     let mut growing = Quadratic::new(0.0, &[0.0, 1.0], &[0.0, 0.0]);
     growing.variance = [0.0, 0.25];
     let mut s = setting(vec![&fuel, &growing], vec![upper(1, 1.0)], 2);
@@ -118,7 +126,7 @@ fn a_limit_is_kept_with_its_standard_deviations() {
 fn limits_that_conflict_are_named_with_their_distance() {
     let fuel = Quadratic::new(0.0, &[0.0, 1.0], &[0.0, 0.0]);
     let x = Quadratic::new(0.0, &[0.0, 1.0], &[0.0, 0.0]);
-    let low = Side { response: 1, limit: 2.0, sign: -1.0, scale: 2.0 };
+    let low = Side { response: 1, limit: 2.0, sign: -1.0, scale: 2.0, caution: 1.0 };
     let s = setting(vec![&fuel, &x], vec![upper(1, -1.0), low], 2);
     let o = s.optimise(&[0.0], 3, &[], 1, &|| false);
     assert!(!o.feasible);

@@ -68,7 +68,13 @@ pub(crate) fn run(input: &Value) -> Result<Value, Box<dyn Error>> {
         None => responses.iter().map(|r| r as &dyn Response).collect(),
     };
     let or_none = |key: &str| input[key].as_f64().unwrap_or(0.0);
-    let side = |(k, limit): (usize, &f64)| Side { response: k + 1, limit: *limit, sign: 1.0, scale: 1.0 };
+    let side = |(k, limit): (usize, &f64)| Side {
+        response: k + 1,
+        limit: *limit,
+        sign: 1.0,
+        scale: 1.0,
+        caution: 1.0,
+    };
     let mut weights = vec![0.0; responses.len()];
     weights[0] = 1.0;
     let setting = Setting {

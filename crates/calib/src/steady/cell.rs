@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! minimise    m(x) + caution sd(x),   m = sum_j w_j f_j(x),   sd^2 = sum_j w_j^2 v_j(x)
-//! subject to  f_l(x) + z sd_l(x) <= upper_l,   f_l(x) - z sd_l(x) >= lower_l,   z = quantile of the asked probability
+//! subject to  f_l(x) + z sd_l(x) <= upper_l,   f_l(x) - z sd_l(x) >= lower_l,   z = quantile of the asked probability (times the caution of the limit)
 //!             lower_i <= x_i <= upper_i,   axes fixed
 //! ```
 //!
@@ -30,6 +30,8 @@ pub struct Side {
     pub sign: f64,
     /// Size in which violations are weighed.
     pub scale: f64,
+    /// Share of the standard deviations [`Setting::z`] that are kept from it: 1, or 0 where passing it harms nothing.
+    pub caution: f64,
 }
 
 /// Models and limits that all cells share.
@@ -212,7 +214,7 @@ impl Setting<'_> {
             response: s.response,
             sign: s.sign,
             saves: saves.map_or(0.0, |l| l[k]),
-            passed: s.sign * (responses[s.response] - s.limit) + self.z * deviations[s.response],
+            passed: s.sign * (responses[s.response] - s.limit) + s.caution * self.z * deviations[s.response],
         });
         let prices: Vec<Price> = prices.collect();
         let feasible = prices.iter().zip(&self.sides).all(|(p, s)| p.passed <= KEPT * s.scale);
@@ -361,7 +363,7 @@ impl<'a, 'b> Program<'a, 'b> {
     }
 
     pub(super) fn side_value(&self, s: &Side) -> f64 {
-        let value = self.value(&[(s.response, s.sign)], self.setting.z, s.scale);
+        let value = self.value(&[(s.response, s.sign)], s.caution * self.setting.z, s.scale);
         (value - s.sign * s.limit) / s.scale
     }
 
@@ -371,7 +373,7 @@ impl<'a, 'b> Program<'a, 'b> {
 
     /// sign f + z sd - sign limit, in the scale of the limit.
     pub(super) fn side_local(&self, s: &Side) -> Local {
-        let mut l = self.local(&[(s.response, s.sign)], self.setting.z, s.scale);
+        let mut l = self.local(&[(s.response, s.sign)], s.caution * self.setting.z, s.scale);
         l.gradient.iter_mut().for_each(|g| *g /= s.scale);
         l.hessian.iter_mut().for_each(|h| *h /= s.scale);
         l

@@ -67,7 +67,7 @@ impl Default for GridSpec {
             probability: 0.9,
             caution: 0.5,
             starts: 4,
-            smooth: 0.002,
+            smooth: 0.001,
             whole: None,
             front: None,
             breakpoints: BTreeMap::new(),

@@ -169,6 +169,24 @@ impl Layout {
         place.map(|k| x[k]).or_else(|| self.held.get(name).copied()).unwrap_or(f64::NAN)
     }
 
+    /// Axes that are demands: number of the factor, and of the demand with its loop.
+    pub fn demanded(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.factors[..self.axes].iter().enumerate().filter_map(|(k, f)| match f.kind {
+            FactorKind::Demand(l) => Some((k, l)),
+            _ => None,
+        })
+    }
+
+    /// The first of them: the demand along which lines go and what is slow acts.
+    pub fn leading_demand(&self) -> Option<(usize, usize)> {
+        self.demanded().next()
+    }
+
+    /// The factor that is the demand of loop `l`; none where that is held.
+    pub fn demand_factor(&self, l: usize) -> Option<usize> {
+        self.demanded().find(|(_, of)| *of == l).map(|(k, _)| k)
+    }
+
     /// Demand number `k` at factors `x`.
     pub fn demand(&self, k: usize, x: &[f64]) -> f64 {
         self.value(&self.problem.demands[k].output, FactorKind::Demand(k), x)

@@ -5,8 +5,8 @@
 //! for what it is: the next models know better, and the optimum moves or stays.
 //!
 //! ```text
-//! half of a batch   cells outside of what was reached, the farthest first: with the setting that is expected to be best there,
-//!                   then with that of the nearest point where no loop stood at an end of its range, then with its neighbours'
+//! half of a batch   cells outside of what was reached, the farthest first: with the setting that is expected to be best there a little within
+//!                   all limits, then with that of the nearest point where no loop stood at an end of its range, then with its neighbours'
 //! the rest          by turns of the map so far (where the optimum is expected) and of the hopeful map (where it may lie: the
 //!                   least m - 2 s); greedy over candidates x of either:  max  s(x) / |m(x)| * d(x)
 //!                   m, s: mean and standard deviation of what is minimised; d: distance to the nearest measured point in shares
@@ -16,7 +16,7 @@
 use dynocal_design::points::Sobol;
 use serde::{Deserialize, Serialize};
 
-use super::cell::Setting;
+use super::cell::{Setting, Side};
 use super::envelope::Envelope;
 use super::grid::{Cell, CellState, corners, interpolate};
 use dynocal_numerics::status::Status;
@@ -107,6 +107,9 @@ pub const HOPE: f64 = -2.0;
 /// Times that the bed is sent to a cell.
 const TRIES: usize = 3;
 
+/// How far within its limits, in their scales, the bed is sent to a cell: exactly at a limit it is passed as often as not, and the point ends before
+/// it is there.
+const WITHIN: f64 = 0.05;
 /// Starts of the search for the setting of a cell that was not reached.
 const STARTS: usize = 8;
 /// Candidates between the cells.
@@ -162,10 +165,24 @@ impl Known<'_> {
         let Cell { at, optimum, .. } = &self.cells[cell];
         let nearest = self.with_room.iter().min_by(|a, b| self.apart(a, at).total_cmp(&self.apart(b, at)));
         match (self.tries(cell), nearest) {
-            (0, _) => self.setting.optimise(at, STARTS, &[], seed, interrupt).x,
+            (0, _) => self.within().optimise(at, STARTS, &[], seed, interrupt).x,
             (1, Some(nearest)) => [at, &nearest[self.setting.axes..]].concat(),
             // A filled cell has the setting of its neighbours.
             _ => optimum.x.clone(),
+        }
+    }
+
+    /// The setting with limits that are a little closer.
+    fn within(&self) -> Setting<'_> {
+        let s = self.setting;
+        let closer =
+            |side: &Side| Side { limit: side.limit - WITHIN * side.sign * side.scale, ..side.clone() };
+        Setting {
+            models: s.models.clone(),
+            weights: s.weights.clone(),
+            sides: s.sides.iter().map(closer).collect(),
+            ranges: s.ranges.clone(),
+            ..*s
         }
     }
 

@@ -14,7 +14,7 @@
 
 use dynocal_calib::steady::cell::Side;
 use dynocal_calib::steady::day::{DayPoint, Purpose};
-use dynocal_calib::steady::layout::{FactorKind, Layout, ResponseChannel, ResponseSource};
+use dynocal_calib::steady::layout::{Layout, ResponseChannel, ResponseSource};
 use dynocal_ident::model::response::{Ask, Points, Prediction, Response, ResponseModel};
 use dynocal_numerics::watch::Watch;
 
@@ -73,12 +73,7 @@ impl Reach {
         spec: &ModelsSpec,
         watch: Watch,
     ) -> Result<Option<Self>, MapError> {
-        let axes = layout.factors[..layout.axes].iter().enumerate();
-        let demand = axes.filter_map(|(k, f)| match f.kind {
-            FactorKind::Demand(l) => Some((k, l)),
-            _ => None,
-        });
-        let Some((axis, driven)) = demand.into_iter().next() else { return Ok(None) };
+        let Some((axis, driven)) = layout.leading_demand() else { return Ok(None) };
         let input = &layout.problem.inputs[layout.driven()[driven]];
         let usable =
             points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable).map(|p| &p.point);
@@ -149,7 +144,13 @@ impl Reach {
     /// Limits of the reserves, which follow `responses` others.
     pub(super) fn sides(&self, responses: usize) -> impl Iterator<Item = Side> {
         let stood = self.ends.iter().enumerate().filter(|(_, e)| e.stood);
-        stood.map(move |(k, _)| Side { response: responses + k, limit: 0.0, sign: -1.0, scale: self.scale })
+        stood.map(move |(k, _)| Side {
+            response: responses + k,
+            limit: 0.0,
+            sign: -1.0,
+            scale: self.scale,
+            caution: 1.0,
+        })
     }
 }
 
@@ -159,7 +160,7 @@ pub(super) fn channel(layout: &Layout, k: usize) -> ResponseChannel {
     if let Some(r) = modelled().nth(k) {
         return r.clone();
     }
-    let axis = layout.factors[..layout.axes].iter().find(|f| matches!(f.kind, FactorKind::Demand(_)));
+    let axis = layout.leading_demand().map(|(k, _)| &layout.factors[k]);
     let (name, unit) = axis.map_or(("demand", "-"), |f| (&f.name[..], &f.unit[..]));
     let which = if k == modelled().count() { "reserve" } else { "reserve downwards" };
     ResponseChannel {

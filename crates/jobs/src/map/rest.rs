@@ -12,7 +12,7 @@
 //! parameter. That k is the same everywhere is an assumption: friction grows with the speed, and oil by its temperature.
 
 use dynocal_calib::steady::day::{self, DayPoint, Drift, Purpose};
-use dynocal_calib::steady::layout::{FactorKind, Layout, ResponseSource};
+use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_ident::data::UnitAfter;
 use dynocal_ident::model::response::{Ask, Learn, Prediction, Response};
 use dynocal_numerics::interval::Interval;
@@ -76,14 +76,13 @@ pub(super) fn learn(
     watch: Watch,
 ) -> Result<Option<Rest>, MapError> {
     let response = layout.responses.iter().position(|r| spec.bed.slow.as_ref() == Some(&r.name));
-    let axes = &layout.factors[..layout.axes];
-    let demand = axes.iter().position(|f| matches!(f.kind, FactorKind::Demand(_)));
-    let Some((k, d)) = response.zip(demand) else { return Ok(None) };
+    let Some((k, (d, _))) = response.zip(layout.leading_demand()) else { return Ok(None) };
     let (r, f) = (&layout.responses[k], &layout.factors[d]);
     let usable = points.iter().filter(|p| p.purpose != Purpose::Verify && p.point.usable);
     let values = || usable.clone().map(|p| p.point.responses[k]);
     let moved = Interval::spanning(values()).width();
-    let ranges: Vec<Interval> = axes.iter().map(|f| Interval::new(f.lower, f.upper)).collect();
+    let axes = layout.factors[..layout.axes].iter();
+    let ranges: Vec<Interval> = axes.map(|f| Interval::new(f.lower, f.upper)).collect();
     let law = Law::learn(&ranges, &between_points(layout, points, k, &spec.bed.approach));
     let mut rest = Rest {
         channel: r.name.clone(),
@@ -140,7 +139,8 @@ fn effect(
     Ok(greatest(&all).map(|k| all[k]).filter(|best| best.1 > none + TOLD).map(|best| best.0))
 }
 
-/// The last Gaussian process among the candidates, which changes little where points move a little; else the last one.
+/// The last Gaussian process among the candidates (of the default ones that of the logarithm over warped inputs), which changes little where points
+/// move a little; else the last one.
 fn smooth_kind(kinds: &Kinds) -> Option<&dyn Learn> {
     let process = kinds.iter().rev().find(|(name, _)| name.starts_with("gaussian_process"));
     process.or(kinds.last()).map(|(_, kind)| &**kind)

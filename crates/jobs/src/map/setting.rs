@@ -3,7 +3,7 @@
 use dynocal_calib::steady::cell::{Setting, Side, deviations};
 use dynocal_calib::steady::day::DayPoint;
 use dynocal_calib::steady::envelope::Envelope;
-use dynocal_calib::steady::layout::Layout;
+use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_calib::steady::station::SteadyPoint;
 use dynocal_ident::model::response::Response;
 use dynocal_numerics::interval::Interval;
@@ -27,7 +27,8 @@ pub(super) fn envelope(layout: &Layout, points: &[DayPoint]) -> Envelope {
 }
 
 /// Models with limits and weights; what a demand reaches at the end of its input, where that was met. An end of a driven input at which no point
-/// stood is no limit of the cells.
+/// stood is no limit of the cells; one at which some did counts as far as models expect it, without room for what they do not know, where lines
+/// along the maps will find it: to pass it harms nothing.
 pub(super) fn setting<'a>(
     layout: &Layout,
     models: &'a [Learned],
@@ -41,8 +42,11 @@ pub(super) fn setting<'a>(
             |upper: bool| model.met[usize::from(upper)] && reach.is_none_or(|e| !e.replaces(k, upper));
         let upper = r.upper.filter(|_| stays(true));
         let lower = r.lower.filter(|_| stays(false));
-        sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale }));
-        sides.extend(lower.map(|limit| Side { response: k, limit, sign: -1.0, scale }));
+        // A model of an opening errs by a quarter of it: room for that would keep cells far from an end which lines along the maps will find.
+        let found_later = matches!(r.source, ResponseSource::Driven(_)) && spec.bed.sweep.is_some();
+        let caution = if found_later { 0.0 } else { 1.0 };
+        sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale, caution }));
+        sides.extend(lower.map(|limit| Side { response: k, limit, sign: -1.0, scale, caution }));
     }
     sides.extend(reach.iter().flat_map(|e| e.sides(models.len())));
     let reserves = || reach.iter().flat_map(|e| e.responses());

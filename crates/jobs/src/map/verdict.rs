@@ -3,7 +3,6 @@
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{DayEnd, Purpose};
 use dynocal_calib::steady::grid::{Cell, CellState};
-use dynocal_calib::steady::layout::FactorKind;
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
@@ -196,9 +195,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
 /// conflicts of limits, or faults of models.
 fn beyond_limits(found: &Mapped, spec: &MapSpec) -> usize {
     let l = &found.layout;
-    let Some(axis) = l.factors[..l.axes].iter().position(|f| matches!(f.kind, FactorKind::Demand(_))) else {
-        return 0;
-    };
+    let Some((axis, _)) = l.leading_demand() else { return 0 };
     // Driven inputs stand in the cells as their own maps say.
     let bare = Setting { z: 0.0, ..found.setting(spec) };
     let expected = |c: &&Cell| bare.judge(&c.optimum.x, c.optimum.status, None).feasible;
