@@ -300,15 +300,7 @@ fn exp_and_tanh_are_within_two_units_of_the_last_place() {
 /// Networks call `exp` and `tanh` of two libraries: near, not equal.
 #[test]
 fn networks_agree() {
-    for shape in [
-        Shape::Tanh,
-        Shape::Sigmoid,
-        Shape::Relu,
-        Shape::Softplus,
-        Shape::Asinh,
-        Shape::Matern32,
-        Shape::Matern52,
-    ] {
+    for shape in common::ACTIVATIONS {
         program_rows::<f64>(&common::network(shape), Precision::Double, shape == Shape::Relu);
     }
 }

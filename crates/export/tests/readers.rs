@@ -170,15 +170,7 @@ fn python_file_runs() {
 #[test]
 fn onnx_by_onnxruntime() {
     let Some(python) = python(&["onnx", "onnxruntime"]) else { return };
-    for shape in [
-        Shape::Tanh,
-        Shape::Sigmoid,
-        Shape::Relu,
-        Shape::Softplus,
-        Shape::Asinh,
-        Shape::Matern32,
-        Shape::Matern52,
-    ] {
+    for shape in common::ACTIVATIONS {
         let package = common::network(shape);
         let tmp = tempfile::tempdir().unwrap();
         save(&package, "onnx", tmp.path());

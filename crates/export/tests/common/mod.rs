@@ -8,6 +8,17 @@ use dynocal_export::characteristic::{Axis, Characteristic};
 use dynocal_export::package::{Package, Provenance, ValidRange};
 use dynocal_export::program::{Factor, Input, Layer, Op, Output, Program, Shape, Start, Tau, Term};
 
+/// Activations of networks that leave in every format.
+pub(crate) const ACTIVATIONS: [Shape; 7] = [
+    Shape::Tanh,
+    Shape::Sigmoid,
+    Shape::Relu,
+    Shape::Softplus,
+    Shape::Asinh,
+    Shape::Matern32,
+    Shape::Matern52,
+];
+
 /// Axis, shared where its name is in capitals.
 pub(crate) fn axis(name: &str, unit: &str, input: &str, points: &[f64]) -> Axis {
     let shared = name.ends_with("_AXIS");
