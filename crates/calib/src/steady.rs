@@ -6,6 +6,7 @@
 
 pub mod breakpoints;
 pub mod cell;
+pub mod corner;
 pub mod day;
 pub mod envelope;
 pub mod front;

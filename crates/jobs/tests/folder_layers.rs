@@ -97,9 +97,9 @@ fn no_file_of_calibrate_uses_one_above_it() {
 /// Lowest first.
 const MAP: &[&str] = &[
     "error", "spec", "budget", "check", "job", "bench", "journal", "choose", "learn", "drive", "schedule",
-    "windows", "slow", "rest", "lines", "sweep", "reach", "estimate", "setting", "refine", "inverse",
-    "loops", "result", "channels", "edits", "between", "cells", "front", "deliver", "optimum", "walk",
-    "verify", "verdict", "work", "page", "store",
+    "windows", "along", "slow", "rest", "lines", "sweep", "reach", "estimate", "setting", "refine",
+    "inverse", "loops", "result", "channels", "edits", "between", "cells", "front", "deliver", "optimum",
+    "walk", "verify", "verdict", "work", "page", "store",
 ];
 
 #[test]

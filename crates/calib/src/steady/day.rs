@@ -16,7 +16,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::layout::Layout;
 use super::plan::DayPlan;
-use super::station::{Station, SteadyPoint};
+use super::station::{Corner, Station, SteadyPoint};
 
 /// Why a point was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,6 +49,8 @@ pub struct Task {
     pub purpose: Purpose,
     /// All factors.
     pub target: Vec<f64>,
+    /// Over which place the bed goes there; none: straight ([`super::corner`]).
+    pub via: Option<Corner>,
     /// Where the inputs of the loops are expected to stand there, by loop: fed forward on the way, so that the loops have only the rest
     /// to do. A value that is no number, or is not there, is not fed forward.
     pub driven: Vec<f64>,
@@ -59,7 +61,7 @@ pub struct Task {
 impl Task {
     /// A point of whose driven inputs nothing is known.
     pub fn new(purpose: Purpose, target: Vec<f64>) -> Self {
-        Self { purpose, target, driven: Vec::new(), gains: Vec::new() }
+        Self { purpose, target, via: None, driven: Vec::new(), gains: Vec::new() }
     }
 }
 
@@ -104,7 +106,7 @@ pub trait Measures {
 
 impl Measures for Station<'_> {
     fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
-        Station::measure(self, &task.target, &task.driven, &task.gains)
+        Station::measure(self, &task.target, task.via.as_ref(), &task.driven, &task.gains)
     }
     fn bed_s(&self) -> f64 {
         self.used_s

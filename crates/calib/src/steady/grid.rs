@@ -23,6 +23,9 @@ pub struct GridSpec {
     pub starts: usize,
     /// Share of what is minimised that a smoother map may cost in a cell; 0: it is left as it is.
     pub smooth: f64,
+    /// What a jump of an input through its whole range from one cell to the next costs, as a share of what is minimised in a cell: nothing is known of
+    /// what lies between two valleys, and the maps go through it.
+    pub jump: f64,
     /// All cells as one program, where it is there; the map is then not smoothed cell by cell.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub whole: Option<WholeSpec>,
@@ -68,6 +71,7 @@ impl Default for GridSpec {
             caution: 0.5,
             starts: 4,
             smooth: 0.001,
+            jump: 0.01,
             whole: None,
             front: None,
             breakpoints: BTreeMap::new(),
@@ -183,7 +187,7 @@ pub fn solve(
         })
         .collect();
     if agree {
-        valleys::agree(setting, axes, spec.smooth, &mut cells, interrupt);
+        valleys::agree(setting, axes, spec, &mut cells, interrupt);
     }
     smooth(setting, axes, spec, &mut cells);
     fill(setting, axes, &mut cells);
@@ -195,6 +199,7 @@ fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Ce
     if spec.smooth <= 0.0 || spec.whole.is_some() {
         return;
     }
+    let went_over: Vec<f64> = cells.iter().map(|c| setting.cost(&c.optimum)).collect();
     for _ in 0..SWEEPS {
         let mut moved = false;
         for k in 0..cells.len() {
@@ -211,7 +216,8 @@ fn smooth(setting: &Setting, axes: &[Vec<f64>], spec: &GridSpec, cells: &mut [Ce
                 |i: usize| around.iter().map(|j| cells[*j].optimum.x[i]).sum::<f64>() / around.len() as f64;
             let target: Vec<f64> =
                 (0..x.len()).map(|i| if i < setting.axes { x[i] } else { mean(i) }).collect();
-            let allowed = cells[k].best + spec.smooth * cells[k].optimum.objective.abs();
+            // One that went over into the valley of its neighbours may cost what it does.
+            let allowed = (cells[k].best + spec.smooth * cells[k].optimum.objective.abs()).max(went_over[k]);
             for step in STEPS {
                 let trial: Vec<f64> = x.iter().zip(&target).map(|(a, b)| a + step * (b - a)).collect();
                 let mut o = setting.judge(&trial, cells[k].optimum.status, None);

@@ -6,7 +6,8 @@
 //!
 //! ```text
 //! half of a batch   cells outside of what was reached, the farthest first: with the setting that is expected to be best there a little within
-//!                   all limits, then with that of the nearest point where no loop stood at an end of its range, then with its neighbours'
+//!                   all limits, then with that of the nearest point where no loop stood at an end of its range, then with its neighbours';
+//!                   where either of these is not expected to keep them, with the best that is farther within
 //! the rest          by turns of the map so far (where the optimum is expected) and of the hopeful map (where it may lie: the
 //!                   least m - 2 s); greedy over candidates x of either:  max  s(x) / |m(x)| * d(x)
 //!                   m, s: mean and standard deviation of what is minimised; d: distance to the nearest measured point in shares
@@ -45,7 +46,7 @@ pub struct RefineSpec {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Left {
-    /// How far the optimum may lie below the map.
+    /// How far the optimum may lie below the map, in each cell by itself: what the map gives for less jumps is in it.
     pub gain: f64,
     /// Half width of the interval of the map.
     pub interval: f64,
@@ -110,6 +111,8 @@ const TRIES: usize = 3;
 /// How far within its limits, in their scales, the bed is sent to a cell: exactly at a limit it is passed as often as not, and the point ends before
 /// it is there.
 const WITHIN: f64 = 0.05;
+/// How much farther for each time that it was sent there and did not come so far.
+const FARTHER: f64 = 0.25;
 /// Starts of the search for the setting of a cell that was not reached.
 const STARTS: usize = 8;
 /// Candidates between the cells.
@@ -164,19 +167,27 @@ impl Known<'_> {
     fn way_to(&self, cell: usize, seed: u64, interrupt: &dyn Fn() -> bool) -> Vec<f64> {
         let Cell { at, optimum, .. } = &self.cells[cell];
         let nearest = self.with_room.iter().min_by(|a, b| self.apart(a, at).total_cmp(&self.apart(b, at)));
-        match (self.tries(cell), nearest) {
-            (0, _) => self.within().optimise(at, STARTS, &[], seed, interrupt).x,
+        let known = match (self.tries(cell), nearest) {
+            (0, _) => return self.within(WITHIN, false).optimise(at, STARTS, &[], seed, interrupt).x,
             (1, Some(nearest)) => [at, &nearest[self.setting.axes..]].concat(),
             // A filled cell has the setting of its neighbours.
             _ => optimum.x.clone(),
+        };
+        if self.within(WITHIN, true).judge(&known, Status::Stalled, None).feasible {
+            return known;
         }
+        self.within(self.tries(cell) as f64 * FARTHER, true).optimise(at, STARTS, &[known], seed, interrupt).x
     }
 
-    /// The setting with limits that are a little closer.
-    fn within(&self) -> Setting<'_> {
+    /// The setting with limits that are closer by a share of their scales; where it is to be `sure`, all with the asked probability: a cell may not have
+    /// been reached for an end that was to be kept in the mean.
+    fn within(&self, share: f64, sure: bool) -> Setting<'_> {
         let s = self.setting;
-        let closer =
-            |side: &Side| Side { limit: side.limit - WITHIN * side.sign * side.scale, ..side.clone() };
+        let closer = |side: &Side| Side {
+            limit: side.limit - share * side.sign * side.scale,
+            caution: if sure { 1.0 } else { side.caution },
+            ..side.clone()
+        };
         Setting {
             models: s.models.clone(),
             weights: s.weights.clone(),

@@ -2,7 +2,7 @@
 //! drifts any more, averaged.
 //!
 //! ```text
-//! x(t) = x_0 + s(t) (x_1 - x_0)                      ramp, s from 0 to 1
+//! x(t) = x_0 + s(t) (x_1 - x_0)                      ramp, s from 0 to 1; or over a corner ([`Corner`])
 //! lower <= mean of y over the window <= upper        watched, else the ramp ends at s = s*
 //! s <- s* - backoff                                  and it is tried again from there
 //! ```
@@ -16,9 +16,12 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::layout::{Layout, ResponseSource};
 
+mod route;
 mod sweep;
 mod watching;
 
+pub use route::Corner;
+use route::{Route, length};
 pub use sweep::{Leg, SweepRow, Swept};
 use watching::Watching;
 
@@ -147,6 +150,12 @@ const RESOLUTION: f64 = 2e-3;
 /// Error of a held demand above which it is missed, as a share of its range.
 const MISSED: f64 = 0.0125;
 
+/// A straight part of a way: where it ends, and where the inputs of the loops are expected there.
+struct Part {
+    to: Vec<f64>,
+    driven: Vec<f64>,
+}
+
 /// Where one plan ended.
 struct Drive {
     played: Played,
@@ -218,46 +227,41 @@ impl<'a> Station<'a> {
         }
     }
 
-    /// Goes to `target` and measures there, or as near as the limits allow. `driven` says where the inputs of the loops are expected to
-    /// stand there (by loop, none where it is empty): it is fed forward along the ramp. `gains` are factors of the gains of the loops there (by
-    /// loop, 1 where it is empty), where what the inputs do is another than where the loops were tuned; they come in along the ramp.
+    /// Goes to `target` and measures there, or as near as the limits allow: straight, or over the corner `via`. `driven` says where the inputs of the
+    /// loops are expected to stand there (by loop, none where it is empty): it is fed forward along the ramp. `gains` are factors of the gains of the
+    /// loops there (by loop, 1 where it is empty), where what the inputs do is another than where the loops were tuned; they come in along the ramp.
     ///
     /// # Errors
     /// [`PlayError`]: the plan does not fit the plant, the plant refused it, or the user interrupted.
     pub fn measure(
         &mut self,
         target: &[f64],
+        via: Option<&Corner>,
         driven: &[f64],
         gains: &[f64],
     ) -> Result<SteadyPoint, PlayError> {
         let (origin, begun_s) = (self.at.clone(), self.used_s);
         let stood = self.driven.clone();
-        // Where an input is expected to stand at a share of the way; as it stands where nothing is known.
-        let fed = |s: f64, now: &[f64]| -> Vec<f64> {
-            let one = |(l, now): (usize, &f64)| match driven.get(l).filter(|d| d.is_finite()) {
-                Some(d) => stood[l] + s * (d - stood[l]),
-                None => *now,
-            };
-            now.iter().enumerate().map(one).collect()
-        };
-        let along =
-            |s: f64| -> Vec<f64> { origin.iter().zip(target).map(|(a, b)| a + s * (b - a)).collect() };
+        let route = Route::new(&self.layout.factors, (&origin, &stood), via, (target, driven));
         let (mut share, mut from, mut touched) = (1.0, 0.0, Vec::new());
         for attempt in 0..=self.spec.backoffs {
-            let expected = fed(share, &self.driven);
+            let part = |s: f64| Part { to: route.at(s), driven: route.driven(s, &self.driven) };
+            let parts: Vec<Part> = route.ends(from, share).into_iter().map(part).collect();
             let gains: Vec<f64> = gains.iter().map(|g| between_gains(1.0, *g, share)).collect();
-            let drive = self.drive(&along(share), (&expected, &gains), attempt > 0)?;
+            let drive = self.drive(&parts, &gains, attempt > 0)?;
             let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) else {
                 return self.point(target, &drive, touched, begun_s);
             };
             let done = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             let reached = from + done * (share - from);
-            touched.push(self.touched(stop, along(reached))?);
-            self.at = along(reached);
+            touched.push(self.touched(stop, route.at(reached))?);
+            self.at = route.at(reached);
             (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
         }
         // Back to where it began.
-        self.drive(&origin, (&stood, &[]), true)?;
+        let part = |s: f64| Part { to: route.at(s), driven: route.driven(s, &stood) };
+        let back: Vec<Part> = route.ends(from, 0.0).into_iter().map(part).collect();
+        self.drive(&back, &[], true)?;
         let note = format!("given up after {} limits on the way", touched.len());
         Ok(SteadyPoint {
             asked: target.to_vec(),
@@ -285,23 +289,28 @@ impl<'a> Station<'a> {
         Ok(Touched { output: stop.output.clone(), value, limit, factors, words: stop.to_string() })
     }
 
-    /// Plays a ramp to `to` and a hold, the inputs of the loops fed forward to `driven` and their gains brought to those `gains` times as large;
-    /// on the way back limits are watched only once it is there.
-    fn drive(
-        &mut self,
-        to: &[f64],
-        (driven, gains): (&[f64], &[f64]),
-        back: bool,
-    ) -> Result<Drive, PlayError> {
+    /// Plays ramps along `parts` and a hold at the end, the inputs of the loops fed forward to where they are expected and their gains brought to those
+    /// `gains` times as large; on the way back limits are watched only once it is there.
+    fn drive(&mut self, parts: &[Part], gains: &[f64], back: bool) -> Result<Drive, PlayError> {
         let dt = self.layout.sample_time_s;
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
-        let spans = self.layout.factors.iter().map(|f| f.upper - f.lower);
-        let ways = self.at.iter().zip(to).zip(spans).map(|((a, b), span)| (b - a).abs() / span);
-        let ramp = samples(self.spec.ramp_s * ways.fold(0.0, f64::max));
-        let hold = samples(self.spec.settle_s + self.spec.average_s);
-        let mut plan = self.layout.plan("point", &self.at, to, &self.driven, ramp, hold);
-        let change: Vec<f64> = driven.iter().zip(&self.driven).map(|(to, now)| to - now).collect();
-        feed_forward(&mut plan, &[(&change, ramp.max(1))]);
+        let mut now = &self.at;
+        let mut ways: Vec<(&[f64], usize)> = Vec::with_capacity(parts.len() + 1);
+        for p in parts {
+            ways.push((&p.to, samples(self.spec.ramp_s * length(&self.layout.factors, now, &p.to))));
+            now = &p.to;
+        }
+        let to = now.clone();
+        let ramp: usize = ways.iter().map(|w| w.1).sum();
+        ways.push((&to, samples(self.spec.settle_s + self.spec.average_s)));
+        let mut plan = self.layout.along("point", &self.at, &ways, &self.driven);
+        let befores = std::iter::once(&self.driven).chain(parts.iter().map(|p| &p.driven));
+        let changes = parts.iter().zip(befores).map(|(p, before)| -> Vec<f64> {
+            p.driven.iter().zip(before).map(|(to, now)| to - now).collect()
+        });
+        let changes: Vec<Vec<f64>> = changes.collect();
+        let spans: Vec<(&[f64], usize)> = changes.iter().zip(&ways).map(|(c, w)| (&c[..], w.1)).collect();
+        feed_forward(&mut plan, &spans);
         schedule(&mut plan, &[], &[(gains, ramp.max(1))]);
         let window = samples(self.spec.window_s).max(2);
         let mut watch = Watching::new(
@@ -323,7 +332,7 @@ impl<'a> Station<'a> {
         let saturated = saturated.map(|(l, _)| l.input.clone()).collect();
         self.used_s += played.used_s;
         self.keep_driven(&plan, &played.record)?;
-        self.at = to.to_vec();
+        self.at = to;
         Ok(Drive { played, ramp, settled, restless, saturated })
     }
 

@@ -13,11 +13,13 @@
 //! ```
 //!
 //! A window at the begin of a way has not all of the lag yet, and at the ends of the axes there are no other windows of that way; a rest at the turn tells what is at rest there.
-//! `lambda` and `tau` are those of least generalised cross-validation, so that scatter is averaged and what is there stays. Knots without a
+//! `lambda` and `tau` are those of least generalised cross-validation, so that scatter is averaged and what is there stays; a parameter counts 1.4 times
+//! there, since windows that follow each other are not independent, and the plain score then follows their scatter. Knots without a
 //! measurement nearby go on as the others bend, but not beyond what was found where there are some. Where one way alone was measured `mu`,
 //! which is small, takes it for the correction.
 //!
-//! Reference: P. Craven, G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik 31 (1979), 377.
+//! References: P. Craven, G. Wahba, Smoothing noisy data with spline functions, Numerische Mathematik 31 (1979), 377; Y.-J. Kim, C. Gu, Smoothing spline
+//! Gaussian regression, J. R. Statist. Soc. B 66 (2004), 337 (the factor).
 
 use dynocal_numerics::linalg::{cholesky, cholesky_inverse, solve_upper, solve_upper_transposed};
 use serde::{Deserialize, Serialize};
@@ -48,17 +50,24 @@ const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
 const RIDGE: f64 = 1e-9;
 /// mu, as a share of the mean diagonal.
 const NO_LAG: f64 = 1e-3;
+/// How many times a parameter counts in the cross-validation.
+const COUNTS: f64 = 1.4;
 /// Time constants of the lag that are tried, as multiples of the longest window.
 const TAUS: [f64; 7] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 
 impl Trim {
     /// From what was measured along lines; none where there is nothing, or where it is not finite.
     pub fn learn(axes: &[Vec<f64>], along: &Along) -> Option<Self> {
+        Self::counting(axes, along, COUNTS)
+    }
+
+    /// The same with a parameter that counts so many times.
+    fn counting(axes: &[Vec<f64>], along: &Along, counts: f64) -> Option<Self> {
         let longest_s = along.way.iter().map(|w| w.window_s).fold(0.0, f64::max);
         let of_tau = |share: &f64| {
             let tau_s = share * longest_s;
             let rows = Rows::new(axes, along, tau_s)?;
-            let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l)?)));
+            let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l, counts)?)));
             let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
             Some((best, lambda, tau_s))
         };
@@ -69,7 +78,7 @@ impl Trim {
 
     /// The same with a given weight of the bending, and a lag that comes with the time constant `tau_s`.
     pub fn with(axes: &[Vec<f64>], along: &Along, lambda: f64, tau_s: f64) -> Option<Self> {
-        let fit = Rows::new(axes, along, tau_s)?.fit(lambda)?;
+        let fit = Rows::new(axes, along, tau_s)?.fit(lambda, COUNTS)?;
         Some(Self::of(axes, along, fit, (lambda, tau_s)))
     }
 
@@ -199,7 +208,7 @@ impl Rows {
         Some(Self { n, count: r.len() as f64, gram, right, square, bending, scale })
     }
 
-    fn fit(&self, lambda: f64) -> Option<Fit> {
+    fn fit(&self, lambda: f64, counts: f64) -> Option<Fit> {
         let n = self.n;
         let mean = (0..n).map(|k| self.gram[k * n + k]).sum::<f64>() / n as f64;
         let ridge = |k: usize| if k < n / 2 { RIDGE * mean } else { NO_LAG * mean };
@@ -223,7 +232,8 @@ impl Rows {
         let rest = (self.square - explained).max(0.0);
         let free = (self.count - used).max(1e-3 * self.count);
         let scatter = (rest / free).sqrt();
-        Some(Fit { values, scatter, score: self.count * rest / (free * free) })
+        let left = (self.count - counts * used).max(1e-3 * self.count);
+        Some(Fit { values, scatter, score: self.count * rest / (left * left) })
     }
 }
 
@@ -404,6 +414,42 @@ mod tests {
             let missed = trim.at(&[x]) - 0.1 - 0.03 * (x - 1.2_f64).powi(3);
             assert!((-0.02..0.05).contains(&missed), "{x}: {missed}");
         }
+    }
+
+    /// Windows that follow each other miss in the same direction: a score that counts a parameter once follows that, and errs more in the mean of ten days.
+    #[test]
+    fn scatter_that_lasts_is_followed_less_where_a_parameter_counts_more() {
+        let axes = finer(&[vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0], vec![0.0, 1.0, 2.0]], 1);
+        let truth = |z: &[f64]| 0.05 * (0.8 * z[0]).sin() * (1.0 + 0.3 * z[1]);
+        let day = |seed: u64| {
+            let mut rng = Rng64::new(seed);
+            let (mut at, mut up, mut r, mut lasts) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
+            for (line, way) in [0.0, 1.0, 2.0].into_iter().flat_map(|line| [(line, 1.0), (line, -1.0)]) {
+                for k in 0..20 {
+                    let gone = 5.0 * (f64::from(k) + 0.5) / 20.0;
+                    // Behind the turn some do not count.
+                    if way < 0.0 && (4..9).contains(&k) {
+                        continue;
+                    }
+                    lasts = 0.7 * lasts + 0.02 * rng.normal();
+                    let z = vec![if way > 0.0 { gone } else { 5.0 - gone }, line];
+                    r.push(truth(&z) + 0.02 * way + lasts);
+                    at.push(z);
+                    up.push(way);
+                }
+            }
+            along(&at, &up, &r)
+        };
+        let error = |counts: f64| -> f64 {
+            let one = |seed: u64| {
+                let t = Trim::counting(&axes, &day(seed), counts).unwrap();
+                let each = places(&axes).into_iter().map(|z| (t.at(&z) - truth(&z)).powi(2));
+                (each.sum::<f64>() / t.values.len() as f64).sqrt()
+            };
+            (1..=10).map(one).sum::<f64>() / 10.0
+        };
+        let (once, more) = (error(1.0), error(COUNTS));
+        assert!(more < once && more < 0.03, "{once} {more}");
     }
 
     /// White noise is no bend: the weight that cross-validation takes leaves less of it than the softest one,

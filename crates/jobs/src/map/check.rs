@@ -28,6 +28,7 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("optimise.probability", s.optimise.probability, 0.5, 0.9999, "");
     faults.range("optimise.caution", s.optimise.caution, 0.0, 10.0, "standard deviations");
     faults.range("optimise.smooth", s.optimise.smooth, 0.0, 0.5, "of what is minimised");
+    faults.range("optimise.jump", s.optimise.jump, 0.0, 0.5, "of what is minimised");
     faults.range("optimise.between", s.optimise.between, 0.0, 1.0, "of the inputs that loops drive");
     if let Some(slow) =
         s.bed.slow.as_ref().filter(|_| !s.problem.demand_names().iter().any(|d| s.axes.contains_key(d)))

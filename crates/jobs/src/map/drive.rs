@@ -105,7 +105,7 @@ pub struct Driven {
     pub deviation: f64,
 }
 
-/// Models of all inputs that loops drive, in the order of the loops.
+/// Models of all inputs that loops drive, in the order of the loops: over each set of channels, that with the least error on points first.
 ///
 /// # Errors
 /// [`MapError`] where no candidate can be learnt.
@@ -114,7 +114,7 @@ pub(super) fn learn(
     points: &[DayPoint],
     spec: &MapSpec,
     watch: Watch,
-) -> Result<Vec<Drive>, MapError> {
+) -> Result<Vec<Vec<Drive>>, MapError> {
     let one = |(l, k): (usize, usize)| {
         if watch.interrupted() {
             return Err(MapError::Interrupted);
@@ -126,17 +126,17 @@ pub(super) fn learn(
         let y: Vec<f64> = used.iter().map(|p| p.responses[l]).collect();
         let mut sets = vec![layout.factor_names()];
         sets.extend(spec.models.over.get(&input.name).cloned());
-        let (mut best, mut why): (Option<Drive>, MapError) = (None, MapError::Interrupted);
+        let (mut all, mut why): (Vec<Drive>, MapError) = (Vec::new(), MapError::Interrupted);
         for over in sets {
             match drive(layout, &columns, over, &y, (&input.name, &input.unit), spec, watch) {
-                Ok(found) if best.as_ref().is_none_or(|b| found.error < b.error) => best = Some(found),
-                Ok(_) => {}
+                Ok(found) => all.push(found),
                 // One set that can be learnt over is enough; channels that are not there are a fault of the spec.
                 Err(e @ MapError::Over { .. }) => return Err(e),
                 Err(e) => why = e,
             }
         }
-        best.ok_or(why)
+        all.sort_by(|a, b| a.error.total_cmp(&b.error));
+        if all.is_empty() { Err(why) } else { Ok(all) }
     };
     layout.driven().into_iter().enumerate().map(one).collect()
 }
@@ -263,6 +263,46 @@ impl Drive {
         let told = swept.and_then(|t| t.between).unwrap_or(self.error);
         let scattered = swept.map_or(0.0, |t| t.held);
         self.verified.unwrap_or(0.0).max(told).max(scattered)
+    }
+
+    /// What lines say of it: how far one is from what those beside it say, else the scatter along them, by what it does to the demand; none where there
+    /// are none.
+    fn along(&self) -> Option<f64> {
+        self.trimmed.as_ref().map(|t| t.between.unwrap_or(t.held)).filter(|v| v.is_finite())
+    }
+
+    /// Takes the place of `first`, which errs less on points, where it errs less along the lines: they go where the maps lie, and are many times as
+    /// many windows as there are points.
+    pub(super) fn rather_than(self, first: &mut Drive) {
+        let Some((own, other)) = self.along().zip(first.along()).filter(|(own, other)| own < other) else {
+            return;
+        };
+        let choice = format!(
+            "{} Taken rather than over {}: lines say less against it ({} and {}, by what it does to the demand).",
+            self.choice,
+            first.over.join(", "),
+            self.in_words(own),
+            self.in_words(other)
+        );
+        *first = Self { choice, ..self };
+    }
+
+    /// Takes the place of the map that was learnt without `points` of the lines, where less is left along them. What is said of its error stays that of
+    /// the other: lines that it was learnt from are no test of it.
+    pub(super) fn in_place_of(self, before: &mut Self, points: usize) {
+        let (Some(new), Some(old)) = (self.trimmed, &before.trimmed) else { return };
+        if new.held.is_nan() || new.held >= old.held {
+            return;
+        }
+        let trimmed = Some(Trimmed { between: old.between, before: old.before, ..new });
+        let choice = format!(
+            "{} Learnt again with {points} points of lines, over {}: {}",
+            before.choice,
+            self.over.join(", "),
+            self.choice
+        );
+        let Self { error, points, .. } = *before;
+        *before = Self { trimmed, choice, error, points, ..self };
     }
 
     /// Takes what the loops set at the verification points less what the map says, by what it does to the demand.

@@ -40,6 +40,8 @@ enum Measured {
     Point {
         purpose: Purpose,
         target: Vec<f64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        via: Option<Vec<f64>>,
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         gains: Vec<f64>,
         point: SteadyPoint,
@@ -187,16 +189,17 @@ fn earlier(path: &Path, head: &Head) -> Vec<Kept> {
 
 impl Measures for Journal<'_, '_> {
     fn measure(&mut self, task: &Task) -> Result<SteadyPoint, PlayError> {
-        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, gains: g, .. } if *p == task.purpose && *t == task.target && *g == task.gains);
+        let over = task.via.as_ref().map(|c| &c.at);
+        let same = |m: &Measured| matches!(m, Measured::Point { purpose: p, target: t, via: v, gains: g, .. } if *p == task.purpose && *t == task.target && v.as_ref() == over && *g == task.gains);
         if let Some(Measured::Point { point, .. }) = self.known(same) {
             return Ok(point);
         }
         if !self.live {
             self.begin();
         }
-        let point = self.station.measure(&task.target, &task.driven, &task.gains)?;
+        let point = self.station.measure(&task.target, task.via.as_ref(), &task.driven, &task.gains)?;
         let (purpose, target, gains) = (task.purpose, task.target.clone(), task.gains.clone());
-        self.keep(Measured::Point { purpose, target, gains, point: point.clone() });
+        self.keep(Measured::Point { purpose, target, via: over.cloned(), gains, point: point.clone() });
         Ok(point)
     }
     fn bed_s(&self) -> f64 {

@@ -128,6 +128,15 @@ fn others(
     Some((others.first()?.saturating_sub(1), (others.last()? + 1).min(nodes.len() - 1)))
 }
 
+/// Whether the free inputs of two settings are so near that what was measured at one counts at the other.
+pub(super) fn beside(layout: &Layout, a: &[f64], b: &[f64]) -> bool {
+    let mut free = layout.axes..layout.factors.len();
+    free.all(|i| {
+        let f = &layout.factors[i];
+        (a[i] - b[i]).abs() <= ASIDE * (f.upper - f.lower)
+    })
+}
+
 /// Whether a line between two `ends` of the first axis begins at the second: the smaller of them where a demand is gone along, else the one that
 /// is nearer to `now`.
 fn begins_last(demanded: bool, [first, last]: [f64; 2], now: f64) -> bool {
@@ -185,20 +194,11 @@ impl Lines<'_> {
     /// with a node on either side; none where nothing is.
     fn changed(&self, line: Line, before: &[Line]) -> Option<Line> {
         let old = before.iter().find(|l| l.number == line.number).map_or(&[][..], |l| &l.nodes);
-        let beside = |a: &[f64], b: &[f64]| self.beside(a, b);
+        let beside = |a: &[f64], b: &[f64]| beside(self.layout, a, b);
         let (from, to) = others(&line.nodes, old, self.layout.axes, &beside)?;
         let part = |all: &[Vec<f64>]| all.iter().map(|d| d[from..=to].to_vec()).collect();
         let (driven, gains) = (part(&line.driven), part(&line.gains));
         Some(Line { nodes: line.nodes[from..=to].to_vec(), driven, gains, ..line })
-    }
-
-    /// Whether the free inputs of two settings are so near that what was measured at one counts at the other.
-    fn beside(&self, a: &[f64], b: &[f64]) -> bool {
-        let free = self.layout.axes..self.layout.factors.len();
-        free.into_iter().all(|i| {
-            let f = &self.layout.factors[i];
-            (a[i] - b[i]).abs() <= ASIDE * (f.upper - f.lower)
-        })
     }
 
     /// Goes along lines until `bed_s` is used up, beginning at the end of the other axis that is nearer to where the bed stands: oil and walls are a
@@ -262,7 +262,7 @@ impl Lines<'_> {
     /// Whether the maps go through what was measured in a window.
     pub(super) fn goes_through(&self, w: &Window) -> bool {
         let here = interpolate(self.axes, self.cells, &w.row.factors[..self.layout.axes]);
-        self.beside(&w.row.factors, &here)
+        beside(self.layout, &w.row.factors, &here)
     }
 
     /// Length of a line over that of the first axis.

@@ -3,6 +3,7 @@
 //! [`spec`] is what the user writes; [`job`] reads it and checks it as a whole; [`work`] measures on the plant, learns, optimises and verifies in
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
+mod along;
 mod bench;
 mod between;
 mod budget;

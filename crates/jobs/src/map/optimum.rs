@@ -6,7 +6,7 @@ use dynocal_calib::steady::cell::{CellOptimum, Setting};
 use dynocal_calib::steady::day::Drift;
 use dynocal_calib::steady::envelope::Envelope;
 use dynocal_calib::steady::front::Front;
-use dynocal_calib::steady::grid::{self, Cell, CellState, corners};
+use dynocal_calib::steady::grid::{self, Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::quantise::quantise;
 use dynocal_numerics::status::Status;
@@ -16,9 +16,10 @@ use super::cells::{actuators, missed};
 use super::edits;
 use super::error::MapError;
 use super::front::Maps;
-use super::lines::Lines;
+use super::lines::{self, Lines};
 use super::result::{Delivered, Edit, MapAxis};
 use super::spec::MapSpec;
+use super::windows::Window;
 
 /// Maps as the models say.
 pub(super) struct Optimum {
@@ -68,16 +69,17 @@ impl Optimum {
         c.state == CellState::Optimal && !self.edits.iter().any(|e| e.at == c.at)
     }
 
-    /// Seeks the optimum again of the cells around places that lines `missed`, `within` what the demand reaches at the end of its input. One that
-    /// has none was not reached, and neither was any where cells are coupled, or where nothing is known of that end; edits stay.
+    /// Seeks the optimum again of the cells around places that lines `missed`: `within` what the demand reaches at the end of its input, else `with_room`
+    /// to that end as far as its model knows. One that has none was not reached, and neither was any where cells are coupled; edits stay. The cells that
+    /// are with room: that they are reached is not known.
     pub(super) fn within_reach(
         &mut self,
         spec: &MapSpec,
         layout: &Layout,
-        (setting, within): (&Setting, Option<&Setting>),
+        (setting, within, with_room): (&Setting, Option<&Setting>, Option<&Setting>),
         missed: &[Vec<f64>],
         watch: Watch,
-    ) {
+    ) -> Vec<usize> {
         let mut which: Vec<usize> = missed
             .iter()
             .flat_map(|at| corners(&self.grid_axes, at))
@@ -88,15 +90,14 @@ impl Optimum {
         which.dedup();
         // By themselves cells would break what couples them.
         let coupled = spec.optimise.whole.is_some() || spec.optimise.front.is_some();
-        let Some(within) = within.filter(|_| !coupled) else {
+        let Some(first) = within.or(with_room).filter(|_| !coupled) else {
             grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
-            return;
+            return Vec::new();
         };
         let free = &layout.factors[layout.axes..];
         let steps: Vec<Option<f64>> =
             free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
-        let one = |k: &usize| {
-            let cell = &self.cells[*k];
+        let sought = |cell: &Cell, within: &Setting| {
             let warm = std::slice::from_ref(&cell.optimum.x);
             let found = within.optimise(&cell.at, spec.optimise.starts, warm, spec.seed, watch.interrupt);
             let mut found =
@@ -106,11 +107,43 @@ impl Optimum {
             found.deviations.truncate(setting.models.len());
             found
         };
-        let optima: Vec<CellOptimum> = which.iter().map(one).collect();
+        let one = |k: &usize| {
+            let found = sought(&self.cells[*k], first);
+            let second = with_room.filter(|_| within.is_some() && !found.feasible);
+            let second = second.map(|room| sought(&self.cells[*k], room)).filter(|o| o.feasible);
+            let known = within.is_some() && second.is_none();
+            (second.unwrap_or(found), known)
+        };
+        let (optima, known): (Vec<CellOptimum>, Vec<bool>) = which.iter().map(one).unzip();
+        let hoped = which.iter().zip(&optima).zip(&known).filter(|((_, o), known)| o.feasible && !**known);
+        let hoped = hoped.map(|((k, _), _)| *k).collect();
         let lost = which.iter().zip(&optima).filter(|(_, o)| !o.feasible);
         let lost: Vec<usize> = lost.map(|(k, _)| *k).collect();
         grid::replace(setting, &self.grid_axes, &which, optima, &mut self.cells);
         grid::unreached(setting, &self.grid_axes, &lost, &mut self.cells);
+        hoped
+    }
+
+    /// Those of the cells `hoped` for that no window shows: each demand followed and each input with room, at the settings of the maps and nearer to the
+    /// cell than to any other. They were not reached.
+    pub(super) fn drop_unshown(
+        &mut self,
+        lines: &[Window],
+        layout: &Layout,
+        setting: &Setting,
+        hoped: &[usize],
+    ) {
+        let shows = |w: &Window, k: usize| {
+            let at = w.asked(layout);
+            let here = interpolate(&self.grid_axes, &self.cells, &at);
+            let near = corners(&self.grid_axes, &at).iter().any(|(j, weight)| *j == k && *weight >= 0.5);
+            near && w.row.followed.iter().all(|f| *f)
+                && !w.row.at_end.contains(&true)
+                && lines::beside(layout, &w.row.factors, &here)
+        };
+        let unshown = hoped.iter().filter(|k| self.moves(**k) && !lines.iter().any(|w| shows(w, **k)));
+        let unshown: Vec<usize> = unshown.copied().collect();
+        grid::unreached(setting, &self.grid_axes, &unshown, &mut self.cells);
     }
 
     /// Marks cells as not reached for which the maps of driven inputs, as they stand in the cells, have to go past the end of a range by

@@ -1,11 +1,13 @@
 //! The part of the day that follows the optimum: models and maps so far, the next points, until promises are kept.
 
 use dynocal_calib::steady::cell::Setting;
+use dynocal_calib::steady::corner::corner;
 use dynocal_calib::steady::day::{DayEnd, DayPoint, Purpose, Task};
 use dynocal_calib::steady::envelope::Envelope;
-use dynocal_calib::steady::grid;
+use dynocal_calib::steady::grid::{self, GridSpec};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::refine::{HOPE, Known, Left};
+use dynocal_calib::steady::station::Corner;
 use dynocal_design::points::short_ways;
 use dynocal_ident::model::response::{Ask, Prediction, Response};
 use dynocal_numerics::status::Status;
@@ -100,9 +102,7 @@ impl Refinement<'_> {
                 break;
             }
             let begun = points.len();
-            let mut tasks: Vec<_> =
-                targets.into_iter().map(|x| self.task(Purpose::Optimum, x, &models)).collect();
-            tasks.push(self.task(Purpose::Repeat, self.first.to_vec(), &models));
+            let tasks = self.tasks(targets, bench.stands_at(), &models);
             let end = bench.run(tasks, self.bed_s, points, watch)?;
             let batch = at_rest(rest.as_ref(), self.layout, &points[begun..]);
             let mut round = self.judge(&models, &batch, untried);
@@ -119,16 +119,29 @@ impl Refinement<'_> {
         Ok(Refined { rounds, end: DayEnd::Done, enough: None })
     }
 
-    /// A point with what the models expect its loops to set: the way there is known better than at the begin of the day.
-    fn task(&self, purpose: Purpose, target: Vec<f64>, models: &[Learned]) -> Task {
-        let mut at = Prediction::new(target.len());
-        let expected = |(l, k): (usize, &usize)| {
-            models[l].predict(&target, Ask::Mean, &mut at);
-            let i = &self.layout.problem.inputs[*k];
-            at.mean.clamp(i.lower, i.upper)
+    /// The points of a batch and a repeat, from where the bed stands `now`: with what the models expect their loops to set, and over places at which
+    /// they expect limits to be kept. The way there is known better than at the begin of the day.
+    fn tasks(&self, targets: Vec<Vec<f64>>, now: &[f64], models: &[Learned]) -> Vec<Task> {
+        let setting = setting(self.layout, models, None, self.spec);
+        let mut at = Prediction::new(now.len());
+        let mut expected = |x: &[f64]| -> Vec<f64> {
+            let one = |(l, k): (usize, &usize)| {
+                models[l].predict(x, Ask::Mean, &mut at);
+                let i = &self.layout.problem.inputs[*k];
+                at.mean.clamp(i.lower, i.upper)
+            };
+            self.layout.driven().iter().enumerate().map(one).collect()
         };
-        let driven = self.layout.driven().iter().enumerate().map(expected).collect();
-        Task { driven, ..Task::new(purpose, target) }
+        let mut from = now.to_vec();
+        let repeat = (Purpose::Repeat, self.first.to_vec());
+        let all = targets.into_iter().map(|x| (Purpose::Optimum, x)).chain([repeat]);
+        let one = |(purpose, target): (Purpose, Vec<f64>)| {
+            let via = corner(&setting, self.layout, &from, &target);
+            let via = via.map(|at| Corner { driven: expected(&at), at, from: from.clone() });
+            from.clone_from(&target);
+            Task { via, driven: expected(&target), ..Task::new(purpose, target) }
+        };
+        all.map(one).collect()
     }
 
     /// The next points in an order of short ways.
@@ -148,8 +161,9 @@ impl Refinement<'_> {
         let seed = self.spec.seed.wrapping_add(round as u64);
         let cells =
             grid::solve(&setting, self.axes, &self.spec.optimise, &reached, self.spec.seed, watch.interrupt);
-        let hopeful =
-            grid::solve(&wide, self.axes, &self.spec.optimise, &reached, self.spec.seed, watch.interrupt);
+        // Where the optimum may lie is asked of each cell by itself.
+        let alone = GridSpec { jump: 0.0, ..self.spec.optimise.clone() };
+        let hopeful = grid::solve(&wide, self.axes, &alone, &reached, self.spec.seed, watch.interrupt);
         let used = || points.iter().filter(|p| p.point.usable);
         let factors = |p: &DayPoint| p.point.factors.clone();
         let measured: Vec<Vec<f64>> = used().map(factors).collect();

@@ -196,7 +196,8 @@ mod tests {
         let points: Vec<DayPoint> = (0..60).map(|k| point(5.0 + 1.5 * f64::from(k))).collect();
         let spec = MapSpec::default();
         let watch = Watch::silent();
-        let drives = drive::learn(&layout, &points, &spec, watch).unwrap();
+        let drives: Vec<_> =
+            drive::learn(&layout, &points, &spec, watch).unwrap().into_iter().flatten().collect();
         let setting = Setting {
             models: vec![&Nothing],
             weights: vec![0.0],

@@ -18,8 +18,10 @@
 //!
 //! How the bed goes along the lines: `lines.rs`.
 
+use dynocal_calib::steady::day::DayPoint;
 use dynocal_calib::steady::trim::{Along, Trim, finer};
 
+use super::along;
 use super::drive::{Drive, Set};
 use super::error::MapError;
 use super::lines::Lines;
@@ -28,15 +30,51 @@ use super::spec::SweepSpec;
 use super::windows::Window;
 
 impl Lines<'_> {
-    /// Trims the maps of the driven inputs by what was measured along the lines.
+    /// Trims the maps of the driven inputs by what was measured along the lines, and takes those over the channels of which lines say least against
+    /// them: those that the bed went along with, or one of the `others` by loop.
     ///
     /// # Errors
     /// As of [`Drive::at`].
-    pub(super) fn trim(&self, rows: &[Window], drives: &mut [Drive]) -> Result<(), MapError> {
+    pub(super) fn trim(
+        &self,
+        rows: &[Window],
+        drives: &mut [Drive],
+        others: Vec<Vec<Drive>>,
+    ) -> Result<(), MapError> {
         let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
         let knots: Vec<Vec<f64>> = self.knots(spec);
         let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
-        drives.iter_mut().enumerate().try_for_each(|(l, d)| self.trim_one(l, d, &on_the_maps, &knots))
+        for (l, (first, others)) in drives.iter_mut().zip(others).enumerate() {
+            self.trim_one(l, first, &on_the_maps, &knots)?;
+            for mut other in others {
+                self.trim_one(l, &mut other, &on_the_maps, &knots)?;
+                other.rather_than(first);
+            }
+        }
+        Ok(())
+    }
+
+    /// Points of the lines along the maps as they are.
+    pub(super) fn points(&self, rows: &[Window]) -> Vec<DayPoint> {
+        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
+        along::points(self.layout, &on_the_maps)
+    }
+
+    /// Puts maps of driven inputs that were learnt with `points` of the lines, too, in the place of those that were not, and trims them.
+    ///
+    /// # Errors
+    /// As of [`Drive::at`].
+    pub(super) fn learnt_again(
+        &self,
+        rows: &[Window],
+        drives: &mut [Drive],
+        mut again: Vec<Vec<Drive>>,
+        points: usize,
+    ) -> Result<(), MapError> {
+        let mut first: Vec<Drive> = again.iter_mut().map(|all| all.remove(0)).collect();
+        self.trim(rows, &mut first, again)?;
+        first.into_iter().zip(drives).for_each(|(new, before)| new.in_place_of(before, points));
+        Ok(())
     }
 
     fn knots(&self, spec: &SweepSpec) -> Vec<Vec<f64>> {

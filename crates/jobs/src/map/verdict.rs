@@ -315,6 +315,10 @@ fn met(found: &Mapped) -> Vec<String> {
         if !p.usable {
             words.push(p.note.clone());
         }
+        if words.is_empty() {
+            let at = place(found, &c.at);
+            return Some(format!("the bed reached {at} at a point, but nothing shows that the maps do"));
+        }
         let reached = place(found, &p.factors[..n]);
         let so_far = if p.usable { format!("; reached: {reached}") } else { String::new() };
         Some(format!(

@@ -1,10 +1,11 @@
 //! The verification run: the finished maps at operating points that no model has seen.
 
 use dynocal_calib::steady::cell::{Setting, deviations};
+use dynocal_calib::steady::corner::corner;
 use dynocal_calib::steady::day::{DayPoint, Purpose, Task};
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
-use dynocal_calib::steady::station::SteadyPoint;
+use dynocal_calib::steady::station::{Corner, SteadyPoint};
 use dynocal_design::points::{Sobol, short_ways};
 use dynocal_ident::model::response::{Ask, Prediction};
 use dynocal_numerics::watch::Watch;
@@ -29,7 +30,8 @@ pub(super) fn share(spec: &MapSpec) -> f64 {
 /// Bed time in s that a point may take.
 fn longest_s(spec: &MapSpec) -> f64 {
     let a = &spec.bed.approach;
-    a.ramp_s + a.settle_s + a.average_s
+    // Over a corner at most.
+    2.0 * a.ramp_s + a.settle_s + a.average_s
 }
 
 /// Bed time in s that is kept beside that of the points: for the last one, which may take longest, and for one that has to be measured once
@@ -64,14 +66,13 @@ impl Verification<'_> {
         let targets: Vec<Vec<f64>> = self.places(bench.stands_at()).into_iter().map(place).collect();
         let begun = points.len();
         let schedule = Schedule::of(self.layout, self.setting, self.drives, self.cells)?;
+        let mut from = bench.stands_at().to_vec();
         let task = |x: &Vec<f64>| {
-            // What the maps say is fed forward, as an ECU will: the loops have only the rest to do.
-            let say = |d: &Drive| d.say(self.layout, self.setting, std::slice::from_ref(x));
-            let driven = self.drives.iter().map(|d| Ok(say(d)?.first().copied().unwrap_or(f64::NAN)));
-            let driven = driven.collect::<Result<_, MapError>>()?;
             let gains = schedule.at(self.layout, self.setting, self.drives, std::slice::from_ref(x))?;
             let gains = gains.iter().map(|g| g[0]).collect();
-            Ok(Task { purpose: Purpose::Verify, target: x.clone(), driven, gains })
+            let via = self.via(&from, x);
+            from.clone_from(x);
+            Ok(Task { purpose: Purpose::Verify, target: x.clone(), via, driven: self.say(x)?, gains })
         };
         let tasks = targets.iter().map(task).collect::<Result<Vec<Task>, MapError>>()?;
         // The day ends with these points: none begins that may pass the end of the bed time.
@@ -93,6 +94,19 @@ impl Verification<'_> {
             None => missed(at, end_in_words(&end)),
         };
         Ok(targets.iter().enumerate().map(one).collect())
+    }
+
+    /// What the maps of the driven inputs say: it is fed forward, as an ECU will, so that the loops have only the rest to do.
+    fn say(&self, x: &[f64]) -> Result<Vec<f64>, MapError> {
+        let one = |d: &Drive| d.say(self.layout, self.setting, &[x.to_vec()]);
+        self.drives.iter().map(|d| Ok(one(d)?.first().copied().unwrap_or(f64::NAN))).collect()
+    }
+
+    /// Over which place the bed goes from one setting to another.
+    fn via(&self, from: &[f64], to: &[f64]) -> Option<Corner> {
+        let over = corner(self.setting, self.layout, from, to);
+        // A place at which the maps say nothing is gone over without them.
+        over.map(|at| Corner { driven: self.say(&at).unwrap_or_default(), at, from: from.to_vec() })
     }
 
     /// Measures points once more that had not come to rest, where points and bed time are left. Where each of them stands among the points
@@ -117,7 +131,14 @@ impl Verification<'_> {
             .take(self.spec.bed.points.saturating_sub(points.len()))
             .collect();
         let before = points.len();
-        bench.run(again.iter().map(|k| tasks[*k].clone()).collect(), until_s, points, watch)?;
+        let mut from = bench.stands_at().to_vec();
+        let task = |k: &usize| {
+            let via = self.via(&from, &tasks[*k].target);
+            from.clone_from(&tasks[*k].target);
+            Task { via, ..tasks[*k].clone() }
+        };
+        let once_more = again.iter().map(task).collect();
+        bench.run(once_more, until_s, points, watch)?;
         for (place, k) in (before..points.len()).zip(again) {
             latest[k] = Some(place);
         }

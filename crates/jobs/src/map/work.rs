@@ -17,7 +17,7 @@ use super::between::Between;
 use super::budget::{Budget, fewest};
 use super::cells::end_in_words;
 use super::channels;
-use super::drive;
+use super::drive::{self, Drive};
 use super::error::MapError;
 use super::job::Job;
 use super::journal::{Journal, digests};
@@ -161,7 +161,8 @@ impl Day<'_> {
         let envelope = envelope(layout, &seen);
         let setting = setting(layout, &models, None, spec);
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
-        let mut drives = drive::learn(layout, &seen, spec, watch)?;
+        let mut learnt = drive::learn(layout, &seen, spec, watch)?;
+        let mut drives: Vec<Drive> = learnt.iter_mut().map(|all| all.remove(0)).collect();
         bench.widen_limits(spec.verify.limit);
         let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
         let until_s = budget_s - verify_s;
@@ -176,11 +177,18 @@ impl Day<'_> {
         };
         let swept = walk.swept(&mut optimum, &seen, bench, until_s, watch)?;
         let (swept, along) = swept.unzip();
-        let along = along.flatten().or_else(|| rest.clone());
+        let rest_along = along.flatten().or_else(|| rest.clone());
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
         let windows = windows.unwrap_or_default();
-        optimum.lines(spec, layout, &setting, &drift).trim(&windows, &mut drives)?;
+        let lines = optimum.lines(spec, layout, &setting, &drift);
+        lines.trim(&windows, &mut drives, learnt)?;
+        let along = lines.points(&windows);
+        if !along.is_empty() {
+            let more = along.len();
+            let again = drive::learn(layout, &[&seen[..], &along[..]].concat(), spec, watch)?;
+            lines.learnt_again(&windows, &mut drives, again, more)?;
+        }
         drive::fill(&drives, layout, &setting, &mut optimum.cells)?;
         optimum.drop_unreached(layout, &setting);
         let Optimum { axes, cells, front, whole, delivered, edits, .. } = optimum;
@@ -193,7 +201,7 @@ impl Day<'_> {
             drives: &drives,
             axes: &grid_axes,
             cells: &cells,
-            rest: along.as_ref(),
+            rest: rest_along.as_ref(),
         };
         let verified = verification.run(bench, budget_s, &mut points, watch)?;
         bed.verify_s = bench.used_s() - bed.points_s - bed.sweeps_s;

@@ -6,3 +6,4 @@ mod faults;
 mod maps;
 mod more;
 mod optimum;
+mod ways;

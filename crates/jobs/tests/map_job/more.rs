@@ -209,7 +209,7 @@ fn what_loops_will_set_is_fed_forward() {
         let mut bench = Bench::new(0.0, Fault::None);
         let begin = (vec![30.0, 1500.0, 0.5, 0.5], vec![fuel(30.0, 1500.0, 0.5, 0.5, 0.0)]);
         let mut station = Station::new(&mut bench, &layout, &approach, &|_| 0.0, begin, &|| false);
-        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], driven, &[]).unwrap();
+        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], None, driven, &[]).unwrap();
         assert!(p.usable && p.errors[0].abs() < 0.5, "{p:?}");
         p.used_s
     };
@@ -229,7 +229,7 @@ fn gains_that_are_raised_make_a_slow_loop_as_fast() {
         let mut bench = Bench::new(0.0, Fault::None);
         let begin = (vec![30.0, 1500.0, 0.5, 0.5], vec![fuel(30.0, 1500.0, 0.5, 0.5, 0.0)]);
         let mut station = Station::new(&mut bench, &layout, &approach, &|_| 0.0, begin, &|| false);
-        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], &[], gains).unwrap();
+        let p = station.measure(&[60.0, 1500.0, 0.5, 0.5], None, &[], gains).unwrap();
         assert!(p.usable && p.errors[0].abs() < 0.5, "{p:?}");
         p.used_s
     };

@@ -176,7 +176,7 @@ impl<'a> Quiet<'a> {
         let everything = |_: &str| f64::INFINITY;
         let now = self.now.clone();
         let mut station = Station::new(self.plant.as_mut(), layout, approach, &everything, now, &interrupt);
-        let point = station.measure(x, &ahead, &[]).map_err(|e| e.to_string())?;
+        let point = station.measure(x, None, &ahead, &[]).map_err(|e| e.to_string())?;
         let driven = (0..layout.loops.len()).map(|k| point.responses[k]).collect();
         self.now = (x.to_vec(), driven);
         Ok(point)

@@ -7,7 +7,7 @@ use dynocal_ident::plan::Plan;
 use dynocal_ident::play::{self, Interruptible, PlayError, Reason};
 use serde::{Deserialize, Serialize};
 
-use super::{Station, Touched, Watching, feed_forward, means, schedule};
+use super::{Part, Station, Touched, Watching, feed_forward, means, schedule};
 
 /// A straight part of a path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,7 +66,7 @@ impl Station<'_> {
         let driven = self.driven.clone();
         // A path that comes back ends with the gains with which it begins.
         let first = legs.last().filter(|l| l.to == from).map_or(&[][..], |l| &l.gains);
-        let drive = self.drive(from, (&driven, first), false)?;
+        let drive = self.drive(&[Part { to: from.to_vec(), driven }], first, false)?;
         if let Some(stop) = drive.played.stop.as_ref().filter(|s| s.reason != Reason::Still) {
             let share = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             self.at = between(&origin, from, share);
@@ -116,7 +116,7 @@ impl Station<'_> {
     fn back_within(&mut self, places: impl IntoIterator<Item = Vec<f64>>) -> Result<(), PlayError> {
         for place in places {
             let driven = self.driven.clone();
-            let drive = self.drive(&place, (&driven, &[]), true)?;
+            let drive = self.drive(&[Part { to: place, driven }], &[], true)?;
             if drive.played.stop.is_none_or(|s| s.reason == Reason::Still) {
                 break;
             }
