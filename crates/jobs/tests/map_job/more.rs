@@ -270,7 +270,7 @@ fn a_line_that_meets_a_limit_goes_back_within_it() {
 /// The bed time is not passed: the last point begins only where there is room for it.
 #[test]
 fn a_day_ends_within_its_bed_time() {
-    for minutes in [10.0, 11.0] {
+    for minutes in [11.0, 12.0] {
         let found = run_with(&day(&format!("minutes = {minutes}")), 4, Bench::new(0.5, Fault::None)).unwrap();
         assert!(found.bed.all_s() <= 60.0 * minutes, "{} of {minutes} min", found.bed.all_s() / 60.0);
     }

@@ -25,8 +25,16 @@ const NEAR: f64 = 0.2;
 
 /// From where the bed stands over at most one corner to a target.
 pub(super) struct Route<'a> {
-    /// Places with the driven inputs that are expected there, and their shares of the way.
-    places: Vec<(f64, &'a [f64], &'a [f64])>,
+    places: Vec<Place<'a>>,
+}
+
+/// A place on the way.
+struct Place<'a> {
+    /// Its share of the way.
+    share: f64,
+    at: &'a [f64],
+    /// The driven inputs that are expected there.
+    driven: &'a [f64],
 }
 
 impl<'a> Route<'a> {
@@ -37,40 +45,41 @@ impl<'a> Route<'a> {
         via: Option<&'a Corner>,
         target: (&'a [f64], &'a [f64]),
     ) -> Self {
-        let mut places = vec![(0.0, origin.0, origin.1)];
+        let place = |share: f64, (at, driven): (&'a [f64], &'a [f64])| Place { share, at, driven };
+        let mut places = vec![place(0.0, origin)];
         if let Some(c) = via {
             let (first, second) = (length(factors, origin.0, &c.at), length(factors, &c.at, target.0));
             // A corner at either end is none; that of another way may be a detour past a limit.
             if first > 0.0 && second > 0.0 && length(factors, origin.0, &c.from) <= NEAR {
-                places.push((first / (first + second), &c.at, &c.driven));
+                places.push(place(first / (first + second), (&c.at, &c.driven)));
             }
         }
-        places.push((1.0, target.0, target.1));
+        places.push(place(1.0, target));
         Self { places }
     }
 
     /// Places on both sides of a share of the way, and how far it is from the first to the second.
-    fn around(&self, s: f64) -> [(&(f64, &'a [f64], &'a [f64]), f64); 2] {
+    fn around(&self, s: f64) -> (&Place<'a>, &Place<'a>, f64) {
         let last = self.places.len() - 1;
-        let k = self.places[1..last].iter().take_while(|p| p.0 <= s).count();
+        let k = self.places[1..last].iter().take_while(|p| p.share <= s).count();
         let (a, b) = (&self.places[k], &self.places[k + 1]);
-        [(a, 0.0), (b, (s - a.0) / (b.0 - a.0))]
+        (a, b, (s - a.share) / (b.share - a.share))
     }
 
     /// Factors at a share of the way.
     pub(super) fn at(&self, s: f64) -> Vec<f64> {
-        let [(a, _), (b, share)] = self.around(s);
-        a.1.iter().zip(b.1).map(|(a, b)| a + share * (b - a)).collect()
+        let (a, b, share) = self.around(s);
+        a.at.iter().zip(b.at).map(|(a, b)| a + share * (b - a)).collect()
     }
 
     /// Where the inputs of the loops are expected at a share of the way; as they stand `now` where nothing is known.
     pub(super) fn driven(&self, s: f64, now: &[f64]) -> Vec<f64> {
-        let [(a, _), (b, share)] = self.around(s);
+        let (a, b, share) = self.around(s);
         let known = |of: &[f64], l: usize| of.get(l).copied().filter(|v| v.is_finite());
-        let one = |(l, now): (usize, &f64)| match known(a.2, l).zip(known(b.2, l)) {
+        let one = |(l, now): (usize, &f64)| match known(a.driven, l).zip(known(b.driven, l)) {
             Some((a, b)) => a + share * (b - a),
             // At the end nothing before it matters.
-            None => known(b.2, l).filter(|_| share >= 1.0).unwrap_or(*now),
+            None => known(b.driven, l).filter(|_| share >= 1.0).unwrap_or(*now),
         };
         now.iter().enumerate().map(one).collect()
     }
@@ -78,7 +87,7 @@ impl<'a> Route<'a> {
     /// Shares at the ends of the straight parts from one share of the way to another, in the order in which they are gone along.
     pub(super) fn ends(&self, from: f64, to: f64) -> Vec<f64> {
         let between = |c: &f64| (from.min(to) < *c) && (*c < from.max(to));
-        let mut all: Vec<f64> = self.places.iter().map(|p| p.0).filter(between).collect();
+        let mut all: Vec<f64> = self.places.iter().map(|p| p.share).filter(between).collect();
         if to < from {
             all.reverse();
         }
