@@ -69,35 +69,38 @@ impl Optimum {
         c.state == CellState::Optimal && !self.edits.iter().any(|e| e.at == c.at)
     }
 
-    /// Seeks the optimum again of the cells around places that lines `missed`: `within` what the demand reaches at the end of its input, else `with_room`
-    /// to that end as far as its model knows. One that has none was not reached, and neither was any where cells are coupled; edits stay. The cells that
-    /// are with room: that they are reached is not known.
+    /// Cells around places, those that hold an optimum which is not an edit of the user.
+    pub(super) fn around(&self, places: &[Vec<f64>]) -> Vec<usize> {
+        let all = places.iter().flat_map(|at| corners(&self.grid_axes, at));
+        let mut which: Vec<usize> = all.map(|(k, _)| k).filter(|k| self.moves(*k)).collect();
+        which.sort_unstable();
+        which.dedup();
+        which
+    }
+
+    /// Seeks the optimum again of the cells around places that lines `missed`, `within` what the demand reaches at the end of its input. One that
+    /// has none was not reached, and neither was any where cells are coupled, or where nothing is known of that end; edits stay. The others: whether they
+    /// are reached lines will show.
     pub(super) fn within_reach(
         &mut self,
         spec: &MapSpec,
         layout: &Layout,
-        (setting, within, with_room): (&Setting, Option<&Setting>, Option<&Setting>),
+        (setting, within): (&Setting, Option<&Setting>),
         missed: &[Vec<f64>],
         watch: Watch,
     ) -> Vec<usize> {
-        let mut which: Vec<usize> = missed
-            .iter()
-            .flat_map(|at| corners(&self.grid_axes, at))
-            .map(|(k, _)| k)
-            .filter(|k| self.moves(*k))
-            .collect();
-        which.sort_unstable();
-        which.dedup();
+        let which = self.around(missed);
         // By themselves cells would break what couples them.
         let coupled = spec.optimise.whole.is_some() || spec.optimise.front.is_some();
-        let Some(first) = within.or(with_room).filter(|_| !coupled) else {
+        let Some(within) = within.filter(|_| !coupled) else {
             grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
             return Vec::new();
         };
         let free = &layout.factors[layout.axes..];
         let steps: Vec<Option<f64>> =
             free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
-        let sought = |cell: &Cell, within: &Setting| {
+        let one = |k: &usize| {
+            let cell = &self.cells[*k];
             let warm = std::slice::from_ref(&cell.optimum.x);
             let found = within.optimise(&cell.at, spec.optimise.starts, warm, spec.seed, watch.interrupt);
             let mut found =
@@ -107,16 +110,8 @@ impl Optimum {
             found.deviations.truncate(setting.models.len());
             found
         };
-        let one = |k: &usize| {
-            let found = sought(&self.cells[*k], first);
-            let second = with_room.filter(|_| within.is_some() && !found.feasible);
-            let second = second.map(|room| sought(&self.cells[*k], room)).filter(|o| o.feasible);
-            let known = within.is_some() && second.is_none();
-            (second.unwrap_or(found), known)
-        };
-        let (optima, known): (Vec<CellOptimum>, Vec<bool>) = which.iter().map(one).unzip();
-        let hoped = which.iter().zip(&optima).zip(&known).filter(|((_, o), known)| o.feasible && !**known);
-        let hoped = hoped.map(|((k, _), _)| *k).collect();
+        let optima: Vec<CellOptimum> = which.iter().map(one).collect();
+        let hoped = which.iter().zip(&optima).filter(|(_, o)| o.feasible).map(|(k, _)| *k).collect();
         let lost = which.iter().zip(&optima).filter(|(_, o)| !o.feasible);
         let lost: Vec<usize> = lost.map(|(k, _)| *k).collect();
         grid::replace(setting, &self.grid_axes, &which, optima, &mut self.cells);

@@ -3,7 +3,7 @@
 use dynocal_calib::steady::cell::{Setting, Side, deviations};
 use dynocal_calib::steady::day::DayPoint;
 use dynocal_calib::steady::envelope::Envelope;
-use dynocal_calib::steady::layout::{Layout, ResponseChannel, ResponseSource};
+use dynocal_calib::steady::layout::{Layout, ResponseSource};
 use dynocal_calib::steady::station::SteadyPoint;
 use dynocal_ident::model::response::Response;
 use dynocal_numerics::interval::Interval;
@@ -37,12 +37,16 @@ pub(super) fn setting<'a>(
 ) -> Setting<'a> {
     let mut sides = Vec::new();
     for (k, (r, model)) in layout.responses.iter().zip(models).enumerate() {
+        let scale = model.spread.max(f64::MIN_POSITIVE);
         let stays =
             |upper: bool| model.met[usize::from(upper)] && reach.is_none_or(|e| !e.replaces(k, upper));
+        let upper = r.upper.filter(|_| stays(true));
+        let lower = r.lower.filter(|_| stays(false));
         // A model of an opening errs by a quarter of it: room for that would keep cells far from an end which lines along the maps will find.
         let found_later = matches!(r.source, ResponseSource::Driven(_)) && spec.bed.sweep.is_some();
         let caution = if found_later { 0.0 } else { 1.0 };
-        sides.extend(sides_of((k, r, model), stays, caution));
+        sides.extend(upper.map(|limit| Side { response: k, limit, sign: 1.0, scale, caution }));
+        sides.extend(lower.map(|limit| Side { response: k, limit, sign: -1.0, scale, caution }));
     }
     sides.extend(reach.iter().flat_map(|e| e.sides(models.len())));
     let reserves = || reach.iter().flat_map(|e| e.responses());
@@ -61,33 +65,4 @@ pub(super) fn setting<'a>(
         ranges: layout.factors.iter().map(|f| Interval::new(f.lower, f.upper)).collect(),
         axes: layout.axes,
     }
-}
-
-/// The limits of response `k` on the sides that stay.
-fn sides_of(
-    (k, r, model): (usize, &ResponseChannel, &Learned),
-    stays: impl Fn(bool) -> bool,
-    caution: f64,
-) -> impl Iterator<Item = Side> {
-    let scale = model.spread.max(f64::MIN_POSITIVE);
-    let upper = r.upper.filter(|_| stays(true)).map(|limit| (limit, 1.0));
-    let lower = r.lower.filter(|_| stays(false)).map(|limit| (limit, -1.0));
-    [upper, lower].into_iter().flatten().map(move |(limit, sign)| Side {
-        response: k,
-        limit,
-        sign,
-        scale,
-        caution,
-    })
-}
-
-/// As [`setting`], with every end of a driven input as a limit that is kept with the asked probability: what a cell can hold where lines have shown that
-/// its loop comes to such an end.
-pub(super) fn with_room<'a>(layout: &Layout, models: &'a [Learned], spec: &MapSpec) -> Setting<'a> {
-    let sides = layout.responses.iter().zip(models).enumerate();
-    let sides = sides.flat_map(|(k, (r, model))| {
-        let driven = matches!(r.source, ResponseSource::Driven(_));
-        sides_of((k, r, model), move |upper| driven || model.met[usize::from(upper)], 1.0)
-    });
-    Setting { sides: sides.collect(), ..setting(layout, models, None, spec) }
 }

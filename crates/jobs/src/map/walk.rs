@@ -55,37 +55,39 @@ impl Walk<'_> {
         let rest = self.rest.map(|r| r.along(layout, &swept.1));
         let to_rest = |windows: &mut [Window]| rest.iter().for_each(|r| r.windows(windows));
         to_rest(&mut swept.1);
-        if let Some(hoped) = self.kept_within(optimum, points, &swept.1, 0, watch)? {
+        if let Some(mut hoped) = self.kept_within(optimum, points, &swept.1, watch)? {
             let lines = optimum.lines(spec, layout, setting, drift);
             let windows = lines.again(bench, (drives, &before), until_s, &mut swept, watch)?;
             to_rest(&mut swept.1[windows..]);
-            self.kept_within(optimum, points, &swept.1, windows, watch)?;
-            optimum.drop_unshown(&swept.1[windows..], layout, setting, &hoped);
+            // What these miss is not sought again: no line would show it any more.
+            hoped.extend(optimum.around(&self.missed(&swept.1, windows)));
+            optimum.drop_unshown(&swept.1, layout, setting, &hoped);
         }
         Ok(Some((swept, rest)))
     }
 
-    /// Seeks cells again around places that `windows` from number `from` on have missed; none where there are none. Where what was reached says too
-    /// little to keep within it, a cell is taken to where its input has room as far as the model of it knows, while lines are to be gone along again:
-    /// those cells, which count only if these show them.
+    /// Places that `windows` from number `from` on have missed.
+    fn missed(&self, windows: &[Window], from: usize) -> Vec<Vec<f64>> {
+        let found = missed(self.layout, &windows[from..]);
+        found.iter().map(|k| windows[from + k].asked(self.layout)).collect()
+    }
+
+    /// Seeks cells again around places that `windows` have missed: those that were found, which count only where lines show them; none where nothing was
+    /// missed.
     fn kept_within(
         &self,
         optimum: &mut Optimum,
         points: &[DayPoint],
         windows: &[Window],
-        from: usize,
         watch: Watch,
     ) -> Result<Option<Vec<usize>>, MapError> {
         let Self { spec, layout, setting, models, .. } = *self;
-        let found = missed(layout, &windows[from..]);
-        let missed: Vec<Vec<f64>> = found.iter().map(|k| windows[from + k].asked(layout)).collect();
+        let missed = self.missed(windows, 0);
         if missed.is_empty() {
             return Ok(None);
         }
         let reach = Reach::learn(layout, points, windows, &spec.models, watch)?;
         let within = reach.as_ref().map(|r| setting::setting(layout, models, Some(r), spec));
-        let with_room = (from == 0).then(|| setting::with_room(layout, models, spec));
-        let settings = (setting, within.as_ref(), with_room.as_ref());
-        Ok(Some(optimum.within_reach(spec, layout, settings, &missed, watch)))
+        Ok(Some(optimum.within_reach(spec, layout, (setting, within.as_ref()), &missed, watch)))
     }
 }
