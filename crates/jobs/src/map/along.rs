@@ -37,6 +37,10 @@ fn between(layout: &Layout, there: &Window, back: &[&&Window]) -> Option<DayPoin
     let below = below.max_by(|a, b| a.row.factors[0].total_cmp(&b.row.factors[0]))?;
     let above = line().filter(|w| w.row.factors[0] >= at);
     let above = above.min_by(|a, b| a.row.factors[0].total_cmp(&b.row.factors[0]))?;
+    // What lies between windows that are farther apart was not followed, or did not count.
+    if (above.row.at_s - below.row.at_s).abs() > 1.5 * there.way.window_s {
+        return None;
+    }
     let (low, high) = (below.row.factors[0], above.row.factors[0]);
     let share = if high > low { (at - low) / (high - low) } else { 0.0 };
     let mean = |of: &dyn Fn(&Window) -> &[f64]| -> Vec<f64> {
@@ -95,7 +99,7 @@ mod tests {
         };
         let window = |line: usize, up: f64, y: f64, fine: [bool; 2]| Window {
             line,
-            way: Way { up, ..Way::default() },
+            way: Way { up, window_s: 6.0, ..Way::default() },
             row: SweepRow {
                 factors: vec![y, 1500.0],
                 responses: vec![0.2 * y + 0.55 * up],
@@ -111,6 +115,12 @@ mod tests {
         all.extend((0..10).map(|k| window(0, -1.0, 97.0 - 6.0 * f64::from(k), fine)));
         all.extend([window(0, 1.0, 100.0, [true, false]), window(0, 1.0, 106.0, [false, true])]);
         all.extend((0..4).map(|k| window(1, 1.0, 40.0 + 6.0 * f64::from(k), fine)));
+        // What lies on both sides of 88 on this way back was not followed: what is between them is a chord.
+        all.push(window(2, 1.0, 88.0, fine));
+        all.extend(
+            [103.0, 97.0, 91.0, 85.0, 79.0, 73.0]
+                .map(|y| window(2, -1.0, y, [true, !(80.0..95.0).contains(&y)])),
+        );
         let found = points(&layout, &all.iter().collect::<Vec<_>>());
         let at: Vec<f64> = found.iter().map(|p| p.point.factors[0].round()).collect();
         assert_eq!(at, [64.0, 76.0, 88.0]);

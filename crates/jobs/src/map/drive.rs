@@ -31,6 +31,7 @@ use super::budget::fewest;
 use super::choose::{Chosen, choose};
 use super::error::MapError;
 use super::learn::kinds;
+use super::shown::{Shown, by_cell};
 use super::spec::{Errors, MapSpec};
 
 /// The map of an input that a loop drives, as a model of it.
@@ -77,6 +78,9 @@ pub struct Trimmed {
     pub held: f64,
     /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
+    /// How far the demand was above what the trimmed map says for its input, counted so, in the mean of the windows next to each cell, the last axis fastest;
+    /// none where no window counts.
+    pub cells: Vec<Option<f64>>,
     #[serde(skip)]
     trim: Trim,
     /// The factor of the demand, where the trim is a share of it; else it adds to what is learnt.
@@ -94,6 +98,8 @@ pub(super) struct Set<'a> {
     pub(super) said: [f64; 2],
     /// d log u / d log y of the trimmed map.
     pub(super) slope: f64,
+    /// Its weight.
+    pub(super) weight: f64,
 }
 
 /// A value with the half width of one standard deviation of a measurement about it.
@@ -329,11 +335,11 @@ impl Drive {
     /// Takes what was measured along the maps; `between`: what a line differs from its neighbours.
     pub(super) fn take(&mut self, trim: Trim, demand: Option<usize>, between: Option<f64>) {
         let (scatter, held) = (trim.rest, trim.scatter);
-        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, trim, demand });
+        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, cells: Vec::new(), trim, demand });
     }
 
-    /// What the map missed before it was trimmed, and what is left, in its input.
-    pub(super) fn compare(&mut self, windows: &[Set]) {
+    /// What the map missed before it was trimmed, and what is left, in its input and in the demand of each cell of the `axes`.
+    pub(super) fn compare(&mut self, axes: &[Vec<f64>], windows: &[Set]) {
         let rms = |of: &dyn Fn(&Set) -> f64| {
             let each = windows.iter().map(of).filter(|v| v.is_finite());
             let (sum, n) = each.fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
@@ -344,11 +350,13 @@ impl Drive {
         // More of the demand by the lag is less of the input that holds it.
         let left = |w: &Set| {
             let lag = w.way.developed(t.trim.tau_s) * t.trim.lag_at(w.at);
-            self.missed_by(w.input, w.said[1]) + w.slope * lag
+            self.missed_by(w.input, w.said[1]) + if t.demand.is_some() { w.slope * lag } else { -lag }
         };
         let scatter = if t.demand.is_some() { rms(&left) } else { t.scatter };
+        let shown: Vec<Shown> = windows.iter().map(|w| (w.at, -left(w) / w.slope, w.weight)).collect();
+        let cells = by_cell(axes, &shown);
         if let Some(t) = &mut self.trimmed {
-            (t.before, t.scatter) = (before, scatter);
+            (t.before, t.scatter, t.cells) = (before, scatter, cells);
         }
     }
 
@@ -471,3 +479,6 @@ pub(super) fn fill(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -31,6 +31,7 @@ pub mod rest;
 pub mod result;
 mod schedule;
 mod setting;
+mod shown;
 mod slow;
 pub mod spec;
 pub mod store;

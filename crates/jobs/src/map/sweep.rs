@@ -14,7 +14,9 @@
 //! whose demand is no axis gets a correction of its own, over the axes as well.
 //!
 //! A window counts where all demands were followed and the loop had room, and where the maps still go through it: what lines find at the ends
-//! of the driven inputs is learnt (`reach.rs`) and may move the optimum.
+//! of the driven inputs is learnt (`reach.rs`) and may move the optimum. Nor does one count in which the demand was there in passing only
+//! (`windows.rs`), or the way back had needlessly much of the input: a throttle that has stood wide open holds with 46 deg what 31 had held before, both are
+//! true, and no smooth map goes through both. What is between them passed for a lag of the way, which goes on beyond where there is one way alone.
 //!
 //! How the bed goes along the lines: `lines.rs`.
 
@@ -27,7 +29,7 @@ use super::error::MapError;
 use super::lines::Lines;
 use super::schedule::slopes;
 use super::spec::SweepSpec;
-use super::windows::Window;
+use super::windows::{Window, in_passing};
 
 impl Lines<'_> {
     /// Trims the maps of the driven inputs by what was measured along the lines, and takes those over the channels of which lines say least against
@@ -43,8 +45,8 @@ impl Lines<'_> {
     ) -> Result<(), MapError> {
         let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
         let knots: Vec<Vec<f64>> = self.knots(spec);
-        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
         for (l, (first, others)) in drives.iter_mut().zip(others).enumerate() {
+            let on_the_maps = self.on_the_maps(rows, &[l]);
             self.trim_one(l, first, &on_the_maps, &knots)?;
             for mut other in others {
                 self.trim_one(l, &mut other, &on_the_maps, &knots)?;
@@ -54,10 +56,19 @@ impl Lines<'_> {
         Ok(())
     }
 
+    /// Windows that the maps go through and in which none of the `loops` holds its demand in passing.
+    fn on_the_maps<'w>(&self, rows: &'w [Window], loops: &[usize]) -> Vec<&'w Window> {
+        let demands = self.layout.demanded().filter(|(_, l)| loops.contains(l));
+        let passing: Vec<Vec<bool>> = demands.map(|d| in_passing(rows, d)).collect();
+        let held = |k: usize| passing.iter().all(|p| !p[k]);
+        let each = rows.iter().enumerate();
+        each.filter(|(k, w)| held(*k) && self.goes_through(w)).map(|(_, w)| w).collect()
+    }
+
     /// Points of the lines along the maps as they are.
     pub(super) fn points(&self, rows: &[Window]) -> Vec<DayPoint> {
-        let on_the_maps: Vec<&Window> = rows.iter().filter(|w| self.goes_through(w)).collect();
-        along::points(self.layout, &on_the_maps)
+        let loops: Vec<usize> = (0..self.layout.loops.len()).collect();
+        along::points(self.layout, &self.on_the_maps(rows, &loops))
     }
 
     /// Puts maps of driven inputs that were learnt with `points` of the lines, too, in the place of those that were not, and trims them.
@@ -113,10 +124,16 @@ impl Lines<'_> {
     ) -> Result<(), MapError> {
         let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
         // Between all windows of a way: those beside one that counts may not count themselves.
-        let measured = measured_slopes(&self.answers(l, drive, rows), 1.5 * self.spec.bed.approach.window_s);
+        let answers = self.answers(l, drive, rows);
+        let measured = measured_slopes(&answers, 1.5 * self.spec.bed.approach.window_s);
         let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
+        let all: Vec<Vec<f64>> = rows.iter().map(|w| w.row.factors.clone()).collect();
+        let way = slopes(self.layout, self.setting, l, drive, &all)?.first().copied().unwrap_or(1.0);
+        let needless = needless(&answers, way);
+        let counts = |k: usize, w: &Window| room(w) && !needless.get(k).copied().unwrap_or(false);
+        let each = rows.iter().enumerate();
         let used: Vec<(&Window, f64)> =
-            rows.iter().enumerate().filter(|(_, w)| room(w)).map(|(k, w)| (*w, steep(k))).collect();
+            each.filter(|(k, w)| counts(*k, w)).map(|(k, w)| (*w, steep(k))).collect();
         let factors: Vec<Vec<f64>> = used.iter().map(|(w, _)| w.row.factors.clone()).collect();
         let first = drive.say(self.layout, self.setting, &factors)?;
         let told = Told { l, used: &used, knots };
@@ -133,15 +150,16 @@ impl Lines<'_> {
         let set: Vec<Set> = used
             .iter()
             .enumerate()
-            .map(|(i, (w, _))| Set {
+            .map(|(i, (w, steep))| Set {
                 at: &w.row.factors[..self.layout.axes],
                 way: w.way,
                 input: w.row.responses[l] - self.gone(l, w),
                 said: [first[i], last[i]],
                 slope: slopes[i],
+                weight: weight(*steep, slopes[i]),
             })
             .collect();
-        drive.compare(&set);
+        drive.compare(self.axes, &set);
         Ok(())
     }
 
@@ -224,10 +242,15 @@ impl Lines<'_> {
             let r = drive.missed_by(w.row.responses[l] - self.gone(l, w), model);
             // More of the input is less of the demand that it stands for.
             let e = if demand.is_some() { drive.trim_at(&w.row.factors[..n]) - r / slope } else { r };
-            (e, if *steep > STEEPER * slope.abs() { (slope / steep).powi(2) } else { 1.0 })
+            (e, weight(*steep, slope))
         };
         Ok(windows.iter().zip(say).zip(slopes).map(one).collect())
     }
+}
+
+/// Weight of a window beside which the input goes `steep` over the demand where its map has a `slope`.
+fn weight(steep: f64, slope: f64) -> f64 {
+    if steep > STEEPER * slope.abs() { (slope / steep).powi(2) } else { 1.0 }
 }
 
 /// What windows tell of the input of a loop.
@@ -315,9 +338,51 @@ fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
     slopes
 }
 
+/// Share by which an input may be beyond what held as much of the demand on the way up.
+const BEYOND: f64 = 0.1;
+
+/// Which windows of the ways back have needlessly much of the input: at least as much of the demand was held with less of it on the way up of the same line.
+/// There the demand is behind the input, so that less had been enough at rest, too: the loop is on its way back from where nothing answers.
+/// `way`: whether the input goes up with the demand (> 0) or down.
+fn needless(answers: &[Answer], way: f64) -> Vec<bool> {
+    let up = || answers.iter().filter(|a| a.way.1);
+    let one = |back: &Answer| {
+        let less = |a: &Answer| way.signum() * (back.input / a.input).ln() > BEYOND;
+        !back.way.1 && up().any(|a| a.way.0 == back.way.0 && a.got >= back.got && less(a))
+    };
+    answers.iter().map(one).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A throttle that has stood wide open: on the way back 46 deg hold what 31 held before, which is needless, and what nothing was shown to hold with less is not.
+    #[test]
+    fn a_way_back_with_needlessly_much_of_the_input_does_not_count() {
+        let at = |line: usize, up: bool, got: f64, input: f64| Answer {
+            way: (line, up),
+            at_s: 0.0,
+            asked: got,
+            got,
+            input,
+        };
+        let up = [(115.0, 24.0), (126.0, 28.0), (131.0, 30.6), (137.0, 32.8)];
+        let back = [(141.0, 49.8), (134.0, 46.0), (125.0, 28.5), (116.0, 23.0)];
+        let all = |way: f64| -> Vec<Answer> {
+            let input = |u: f64| if way > 0.0 { u } else { 1000.0 / u };
+            let there = up.iter().map(|(y, u)| at(0, true, *y, input(*u)));
+            there.chain(back.iter().map(|(y, u)| at(0, false, *y, input(*u)))).collect()
+        };
+        let expected = [false, false, false, false, false, true, false, false];
+        assert_eq!(needless(&all(1.0), 1.0), expected);
+        // An input that goes down with the demand.
+        assert_eq!(needless(&all(-1.0), -4.0), expected);
+        // Of another line nothing is known.
+        let mut apart = all(1.0);
+        apart[4..].iter_mut().for_each(|a| a.way.0 = 1);
+        assert_eq!(needless(&apart, 1.0), [false; 8]);
+    }
 
     /// y = 1 - exp(-u): gone up as at rest, and come back from the end through u of 6 to 3.5, where y stays what it was.
     #[test]

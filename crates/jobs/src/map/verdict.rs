@@ -7,8 +7,10 @@ use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
 use super::cells::{end_in_words, missed, objective_unit};
+use super::drive::Drive;
 use super::learn::Learned;
 use super::result::{Mapped, Verified};
+use super::shown::missing;
 use super::spec::MapSpec;
 
 /// Share of measured deviations that has to lie inside of their 95 % intervals.
@@ -83,6 +85,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         });
     }
     checks.extend(worth(found, spec));
+    checks.extend(found.drives.iter().filter_map(|d| shown(found, spec, d)));
     if let Some((status, iterations)) = found.whole {
         checks.push(
             Check::new("whole", "iterations of the program of all cells together")
@@ -152,6 +155,17 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
+    for (d, cells) in unheld(found, spec) {
+        for (k, missed) in cells.iter().take(10) {
+            warnings.push(format!(
+                "at {} lines showed that the map of `{}` alone misses its demand by {} %: it is {} than asked for",
+                place(found, &found.cells[*k].at),
+                d.input,
+                significant(100.0 * missed.abs(), 2),
+                if *missed > 0.0 { "more" } else { "less" }
+            ));
+        }
+    }
     let decides = |m: &&Learned| !driven(found, &m.response);
     for m in found.models.iter().filter(decides).filter(|m| m.explained() < ROUGH) {
         warnings.push(format!(
@@ -164,7 +178,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     }
     if filled > 0 {
         warnings.push(format!(
-            "{filled} of {n} cells lie outside of what was reached on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
+            "{filled} of {n} cells hold no optimum that the maps were shown to reach on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
         ));
         warnings.extend(met(found));
     }
@@ -183,7 +197,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         }
         (false, ..) => "The maps must not be used as they are",
     };
-    let alone = if found.valid { guided(found) } else { String::new() };
+    let alone = if found.valid { guided(found, spec) } else { String::new() };
     found.verdict =
         format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
@@ -269,13 +283,51 @@ fn verify_drives(found: &mut Mapped) {
 }
 
 /// The verification holds the demands with controllers: a map whose model is rough was not shown to hold one alone.
-fn guided(found: &Mapped) -> String {
+fn guided(found: &Mapped, spec: &MapSpec) -> String {
     let rough = found.drives.iter().filter(|d| d.rough());
     let names: Vec<String> = rough.map(|d| format!("`{}` (missed by {})", d.input, d.missed())).collect();
-    if names.is_empty() {
-        return String::new();
+    if !names.is_empty() {
+        return format!(", but only under a controller that corrects {}", names.join(" and "));
     }
-    format!(", but only under a controller that corrects {}", names.join(" and "))
+    let one = |(d, cells): (&Drive, Vec<(usize, f64)>)| {
+        let most = significant(100.0 * cells[0].1.abs(), 2);
+        let (n, input) = (cells.len(), &d.input);
+        let cells = if n == 1 { "one cell" } else { &format!("{n} cells") };
+        format!(
+            ", in {cells} only under a controller that corrects `{input}` (there lines missed the demand by up to {most} %)"
+        )
+    };
+    unheld(found, spec).into_iter().map(one).collect()
+}
+
+/// Maps of driven inputs that lines show to miss their demand in some cells, though not as a whole.
+fn unheld<'f>(found: &'f Mapped, spec: &MapSpec) -> Vec<(&'f Drive, Vec<(usize, f64)>)> {
+    let one = |d: &'f Drive| {
+        let t = d.trimmed.as_ref().filter(|_| d.relative && !d.rough())?;
+        let cells = missing(&found.cells, &t.cells, spec.verify.demand);
+        (!cells.is_empty()).then_some((d, cells))
+    };
+    found.drives.iter().filter_map(one).collect()
+}
+
+/// What lines show of a map of a driven input, cell by cell.
+fn shown(found: &Mapped, spec: &MapSpec, d: &Drive) -> Option<Check> {
+    let t = d.trimmed.as_ref().filter(|_| d.relative)?;
+    let optimal = || found.cells.iter().zip(&t.cells).filter(|(c, _)| c.state == CellState::Optimal);
+    let near = optimal().filter(|(_, m)| m.is_some()).count();
+    let held = near - missing(&found.cells, &t.cells, spec.verify.demand).len();
+    let what = format!(
+        "cells in which lines show that the map of `{}` alone holds its demand within {} %",
+        d.input,
+        100.0 * spec.verify.demand
+    );
+    let note = format!(
+        "in {} of {} cells with an optimum no window of a line tells",
+        optimal().count() - near,
+        optimal().count()
+    );
+    let check = Check::new(format!("alone-{}", d.input), what).asked(format!("{near}"));
+    Some(check.measured(held as f64).note(note))
 }
 
 /// Whether a response is recorded only: a point does not wait for it.
