@@ -71,7 +71,7 @@ impl Default for GridSpec {
             caution: 0.5,
             starts: 4,
             smooth: 0.001,
-            jump: 0.01,
+            jump: 0.03,
             whole: None,
             front: None,
             breakpoints: BTreeMap::new(),

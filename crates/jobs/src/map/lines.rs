@@ -71,8 +71,12 @@ const ASIDE: f64 = 0.05;
 /// Bed time that the sweeps of a spec take, about.
 pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
-    let lines = axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1);
-    lines as f64 * line_s(spec, s) + again_s(spec)
+    lines(s, axes) as f64 * line_s(spec, s) + again_s(spec, axes)
+}
+
+/// Number of lines of a map.
+fn lines(s: &SweepSpec, axes: &[Vec<f64>]) -> usize {
+    axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1)
 }
 
 /// Bed time of a line, there and back, with the way to it.
@@ -85,11 +89,16 @@ fn turn_s(spec: &MapSpec) -> f64 {
     spec.bed.sweep.as_ref().map_or(0.0, |s| s.turn_s)
 }
 
-/// Bed time that is kept for parts of lines that are gone along again ([`Lines::again`]): that of one line.
-fn again_s(spec: &MapSpec) -> f64 {
+/// Share of the lines for which bed time is kept to go along parts of them again ([`Lines::again`]), one at least: where a demand is not reached at one
+/// place of the other axis it mostly is not beside it, either.
+const AGAIN: f64 = 0.25;
+
+/// Bed time that is kept for parts of lines that are gone along again.
+fn again_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     // Only what a demand reaches is found along lines.
     let demanded = spec.problem.demand_names().iter().any(|d| spec.axes.contains_key(d));
-    spec.bed.sweep.as_ref().filter(|_| demanded).map_or(0.0, |s| line_s(spec, s))
+    let kept = |s: &SweepSpec| (AGAIN * lines(s, axes) as f64).max(1.0) * line_s(spec, s);
+    spec.bed.sweep.as_ref().filter(|_| demanded).map_or(0.0, kept)
 }
 
 /// Bed time to the next line, about: half of the range, and half of the longest wait for its rest. More would be points that are not
@@ -159,7 +168,7 @@ impl Lines<'_> {
         let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
         let lines = self.lines(spec, drives)?;
         watch.note(&format!("{} lines of the maps on the bed", lines.len()));
-        let bed_s = bed_s - again_s(self.spec);
+        let bed_s = bed_s - again_s(self.spec, self.axes);
         let mut swept = (Sweeps { planned: lines.len(), ..Sweeps::default() }, Vec::new());
         Ok(if self.go(bench, &lines, bed_s, &mut swept, watch)? { Some((swept, lines)) } else { None })
     }

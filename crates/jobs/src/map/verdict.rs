@@ -21,6 +21,8 @@ const ROUGH: f64 = 0.8;
 const TAKEN: f64 = 0.002;
 /// Loss of a cell by breakpoints and steps, as a share of what is minimised, above which it is said.
 const LOST: f64 = 0.01;
+/// Share of its range that a free input may go through between two neighbouring cells before it is said.
+const JUMP: f64 = 0.5;
 /// Deviation that is none, as a share of the scatter of the response over the points: what settling leaves.
 const SMALL: f64 = 0.02;
 
@@ -176,6 +178,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             significant(m.spread, 3)
         ));
     }
+    warnings.extend(jumps(found));
     if filled > 0 {
         warnings.push(format!(
             "{filled} of {n} cells hold no optimum that the maps were shown to reach on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
@@ -380,6 +383,35 @@ fn met(found: &Mapped) -> Vec<String> {
         ))
     };
     found.cells.iter().filter(|c| c.state == CellState::Filled).filter_map(one).collect()
+}
+
+/// Neighbouring cells with optima between which a free input goes through most of its range.
+fn jumps(found: &Mapped) -> Vec<String> {
+    let factors = &found.layout.factors[found.layout.axes..];
+    let (last, n) = (found.axes.last().map_or(1, |a| a.points.len()), found.cells.len());
+    let two = found.axes.len() > 1;
+    let beside = |k: usize| {
+        let right = Some(k + 1).filter(|j| j % last != 0);
+        [right, Some(k + last).filter(|_| two)].into_iter().flatten().filter(move |j| *j < n)
+    };
+    let optimal = |k: &usize| found.cells[*k].state == CellState::Optimal;
+    let pairs = (0..n).filter(optimal).flat_map(|k| beside(k).filter(optimal).map(move |j| (k, j)));
+    let one = |(k, j): (usize, usize)| {
+        let (a, b) = (&found.cells[k], &found.cells[j]);
+        let at = |c: &Cell, i: usize| c.optimum.x[found.layout.axes + i];
+        let (i, f) = factors
+            .iter()
+            .enumerate()
+            .find(|(i, f)| (at(a, *i) - at(b, *i)).abs() > JUMP * (f.upper - f.lower))?;
+        let (from, to) = (place(found, &a.at), place(found, &b.at));
+        let (u, v) = (significant(at(a, i), 4), significant(at(b, i), 4));
+        Some(format!(
+            "from {from} to {to} `{}` goes from {u} to {v}{}: what lies between was not measured, and may be worse than either",
+            f.name,
+            UnitAfter(&f.unit)
+        ))
+    };
+    pairs.filter_map(one).take(10).collect()
 }
 
 /// Values of the axes in words.
