@@ -52,9 +52,11 @@ const RIDGE: f64 = 1e-9;
 const NO_LAG: f64 = 1e-3;
 /// How many times a parameter counts in the cross-validation.
 const COUNTS: f64 = 1.4;
-/// Time constants of the lag that are tried, as multiples of the longest window. A lag that comes over a good part of the way is not told from a bend of the
-/// correction, which is where it is: windows at the ends of the axes then tell that both are there, and that they cancel.
-const TAUS: [f64; 4] = [0.0, 0.25, 0.5, 1.0];
+/// Time constants of the lag that are tried, as multiples of the longest window, and the largest as a share of the longest way. A lag that comes over a good
+/// part of a way bends as a correction may: the two cancel where lines were gone there and back, and are both wrong beyond. With a sixteenth 95 % of it have come
+/// after three sixteenths of the way.
+const TAUS: [f64; 7] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+const OF_WAY: f64 = 1.0 / 16.0;
 
 impl Trim {
     /// From what was measured along lines; none where there is nothing, or where it is not finite.
@@ -65,6 +67,7 @@ impl Trim {
     /// The same with a parameter that counts so many times.
     fn counting(axes: &[Vec<f64>], along: &Along, counts: f64) -> Option<Self> {
         let longest_s = along.way.iter().map(|w| w.window_s).fold(0.0, f64::max);
+        let way_s = along.way.iter().map(|w| w.since_s + w.window_s).fold(0.0, f64::max);
         let of_tau = |share: &f64| {
             let tau_s = share * longest_s;
             let rows = Rows::new(axes, along, tau_s)?;
@@ -72,7 +75,7 @@ impl Trim {
             let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
             Some((best, lambda, tau_s))
         };
-        let fits = TAUS.iter().filter_map(of_tau);
+        let fits = TAUS.iter().filter(|share| **share * longest_s <= OF_WAY * way_s).filter_map(of_tau);
         let (best, lambda, tau_s) = fits.min_by(|a, b| a.0.score.total_cmp(&b.0.score))?;
         Some(Self::of(axes, along, best, (lambda, tau_s)))
     }
@@ -326,6 +329,10 @@ mod tests {
         }
         let trim = Trim::learn(&axes, &all).unwrap();
         assert_eq!(trim.tau_s, tau_s);
+        // A lag of a good part of the way is not sought, whatever the windows say: it is not told from a bend.
+        let lagging: Vec<f64> = all.way.iter().map(|w| 0.015 * w.developed(16.0)).collect();
+        let found = Trim::learn(&axes, &Along { r: lagging, ..all.clone() }).unwrap();
+        assert!(found.tau_s <= OF_WAY * pass_s, "{}", found.tau_s);
         // Its bend is smoothed a little.
         assert!((trim.at(&[0.0]) - 0.01).abs() < 1e-3, "{:?}", trim.values);
         let at_once = Trim::with(&axes, &all, trim.lambda, 0.0).unwrap();

@@ -29,10 +29,10 @@ pub(super) fn points(layout: &Layout, windows: &[&Window]) -> Vec<DayPoint> {
     there.filter_map(|w| between(layout, w, &back)).collect()
 }
 
-/// The mean of a window there and of what was measured on the way back at the same place of the same line; none where nothing was on both sides of it.
+/// The mean of a window there and of what was measured on the way back at the same place of the same pass; none where nothing was on both sides of it.
 fn between(layout: &Layout, there: &Window, back: &[&&Window]) -> Option<DayPoint> {
     let at = there.row.factors[0];
-    let line = || back.iter().filter(|w| w.line == there.line);
+    let line = || back.iter().filter(|w| w.pass == there.pass);
     let below = line().filter(|w| w.row.factors[0] <= at);
     let below = below.max_by(|a, b| a.row.factors[0].total_cmp(&b.row.factors[0]))?;
     let above = line().filter(|w| w.row.factors[0] >= at);
@@ -99,6 +99,7 @@ mod tests {
         };
         let window = |line: usize, up: f64, y: f64, fine: [bool; 2]| Window {
             line,
+            pass: line,
             way: Way { up, window_s: 6.0, ..Way::default() },
             row: SweepRow {
                 factors: vec![y, 1500.0],

@@ -78,8 +78,9 @@ pub struct Trimmed {
     pub held: f64,
     /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
-    /// How far the demand was above what the trimmed map says for its input, counted so, in the mean of the windows next to each cell, the last axis fastest;
-    /// none where no window counts.
+    /// Share by which the demand was above what the trimmed map says for its input, the lag of the way taken out, in the mean of the windows next to each cell, the
+    /// last axis fastest; none where no window counts. It is what smoothing leaves of the lines that the map was trimmed by. Empty where the trim is no share of a
+    /// demand.
     pub cells: Vec<Option<f64>>,
     #[serde(skip)]
     trim: Trim,
@@ -98,7 +99,7 @@ pub(super) struct Set<'a> {
     pub(super) said: [f64; 2],
     /// d log u / d log y of the trimmed map.
     pub(super) slope: f64,
-    /// Its weight.
+    /// Weight of its error in the demand.
     pub(super) weight: f64,
 }
 
@@ -294,7 +295,7 @@ impl Drive {
     }
 
     /// Takes the place of the map that was learnt without `points` of the lines, where less is left along them. What is said of its error stays that of
-    /// the other: lines that it was learnt from are no test of it.
+    /// the other: lines that it was learnt from are no test of it. What is left in each cell is its own.
     pub(super) fn in_place_of(self, before: &mut Self, points: usize) {
         let (Some(new), Some(old)) = (self.trimmed, &before.trimmed) else { return };
         if new.held.is_nan() || new.held >= old.held {
@@ -353,8 +354,9 @@ impl Drive {
             self.missed_by(w.input, w.said[1]) + if t.demand.is_some() { w.slope * lag } else { -lag }
         };
         let scatter = if t.demand.is_some() { rms(&left) } else { t.scatter };
+        // More of the input is less of the demand that it stands for; of another input nothing is known in shares of a demand.
         let shown: Vec<Shown> = windows.iter().map(|w| (w.at, -left(w) / w.slope, w.weight)).collect();
-        let cells = by_cell(axes, &shown);
+        let cells = if t.demand.is_some() { by_cell(axes, &shown) } else { Vec::new() };
         if let Some(t) = &mut self.trimmed {
             (t.before, t.scatter, t.cells) = (before, scatter, cells);
         }

@@ -1,11 +1,12 @@
-//! What lines say of each cell: how far the trimmed maps of driven inputs miss their demand there, alone.
+//! What is left of lines in each cell: how far the maps of driven inputs, trimmed by them, miss their demand there, alone.
 //!
 //! ```text
 //! m_k = sum_i w_i m_i / sum_i w_i      i: windows that count and are nearer to cell k than to any other, m_i: share by which the demand there was above what the
 //!                                      map says for its input, without the lag of the way, w_i: their weights
 //! ```
 //!
-//! A trim is smooth; where what lines show is not, it misses cells that they passed. The mean over all windows does not tell.
+//! A trim is smooth; where what lines show is not, it misses cells that they passed. The mean over all windows does not tell. It is no test of the trim: the
+//! windows are those that it was found from.
 
 use dynocal_calib::steady::grid::{Cell, CellState, corners};
 

@@ -187,7 +187,7 @@ mod tests {
                     followed: Vec::new(),
                     at_s,
                 };
-                all.push(Window { line, way, row });
+                all.push(Window { line, pass: line, way, row });
             }
             // The way to the next line.
             at_s += 20.0;

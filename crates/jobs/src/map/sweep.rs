@@ -100,6 +100,7 @@ impl Lines<'_> {
         let Some(k) = self.demand(l, drive) else { return Vec::new() };
         let one = |w: &&Window| Answer {
             way: (w.line, w.way.up > 0.0),
+            rising: w.way.up > 0.0 && w.way.since_s >= w.way.window_s,
             at_s: w.row.at_s,
             asked: w.row.asked[l],
             got: w.row.factors[k],
@@ -128,7 +129,7 @@ impl Lines<'_> {
         let measured = measured_slopes(&answers, 1.5 * self.spec.bed.approach.window_s);
         let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
         let all: Vec<Vec<f64>> = rows.iter().map(|w| w.row.factors.clone()).collect();
-        let way = slopes(self.layout, self.setting, l, drive, &all)?.first().copied().unwrap_or(1.0);
+        let way = slopes(self.layout, self.setting, l, drive, &all)?.iter().sum();
         let needless = needless(&answers, way);
         let counts = |k: usize, w: &Window| room(w) && !needless.get(k).copied().unwrap_or(false);
         let each = rows.iter().enumerate();
@@ -308,6 +309,8 @@ impl Missed {
 struct Answer {
     /// Number of the line, and whether it was gone up.
     way: (usize, bool),
+    /// Whether it had been gone up for a window by then.
+    rising: bool,
     /// Bed time in s.
     at_s: f64,
     /// Demand as asked for, as it was, and the input that held it.
@@ -338,14 +341,15 @@ fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
     slopes
 }
 
-/// Share by which an input may be beyond what held as much of the demand on the way up.
+/// Logarithm of how many times an input may be beyond what reached as much of the demand on the way up: the settings of the two windows may differ as far as maps
+/// go through both.
 const BEYOND: f64 = 0.1;
 
-/// Which windows of the ways back have needlessly much of the input: at least as much of the demand was held with less of it on the way up of the same line.
-/// There the demand is behind the input, so that less had been enough at rest, too: the loop is on its way back from where nothing answers.
-/// `way`: whether the input goes up with the demand (> 0) or down.
+/// Which windows of the ways back, and of rests, have needlessly much of the input: at least as much of the demand was reached with less of it on the way up of the same
+/// line. Where it has been gone up for a while the demand is behind the input, so that less had been enough at rest, too: the loop is on its way back from where
+/// nothing answers. `way`: whether the input goes up with the demand (> 0) or down.
 fn needless(answers: &[Answer], way: f64) -> Vec<bool> {
-    let up = || answers.iter().filter(|a| a.way.1);
+    let up = || answers.iter().filter(|a| a.rising);
     let one = |back: &Answer| {
         let less = |a: &Answer| way.signum() * (back.input / a.input).ln() > BEYOND;
         !back.way.1 && up().any(|a| a.way.0 == back.way.0 && a.got >= back.got && less(a))
@@ -362,6 +366,7 @@ mod tests {
     fn a_way_back_with_needlessly_much_of_the_input_does_not_count() {
         let at = |line: usize, up: bool, got: f64, input: f64| Answer {
             way: (line, up),
+            rising: up,
             at_s: 0.0,
             asked: got,
             got,
@@ -378,6 +383,10 @@ mod tests {
         assert_eq!(needless(&all(1.0), 1.0), expected);
         // An input that goes down with the demand.
         assert_eq!(needless(&all(-1.0), -4.0), expected);
+        // Nor by what was reached when it had just begun to go up.
+        let mut begun = all(1.0);
+        begun[..4].iter_mut().for_each(|a| a.rising = false);
+        assert_eq!(needless(&begun, 1.0), [false; 8]);
         // Of another line nothing is known.
         let mut apart = all(1.0);
         apart[4..].iter_mut().for_each(|a| a.way.0 = 1);
@@ -389,6 +398,7 @@ mod tests {
     fn a_loop_that_comes_back_from_where_nothing_answers_counts_little() {
         let at = |k: usize, up: bool, asked: f64, input: f64| Answer {
             way: (0, up),
+            rising: up,
             at_s: 2.0 * k as f64,
             asked,
             got: 1.0 - (-input).exp(),

@@ -2,14 +2,15 @@
 
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::{DayEnd, Purpose};
-use dynocal_calib::steady::grid::{Cell, CellState};
+use dynocal_calib::steady::grid::{Cell, CellState, neighbours};
+use dynocal_calib::steady::layout::Layout;
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
 use super::cells::{end_in_words, missed, objective_unit};
 use super::drive::Drive;
 use super::learn::Learned;
-use super::result::{Mapped, Verified};
+use super::result::{MapAxis, Mapped, Verified};
 use super::shown::missing;
 use super::spec::MapSpec;
 
@@ -157,17 +158,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
-    for (d, cells) in unheld(found, spec) {
-        for (k, missed) in cells.iter().take(10) {
-            warnings.push(format!(
-                "at {} lines showed that the map of `{}` alone misses its demand by {} %: it is {} than asked for",
-                place(found, &found.cells[*k].at),
-                d.input,
-                significant(100.0 * missed.abs(), 2),
-                if *missed > 0.0 { "more" } else { "less" }
-            ));
-        }
-    }
+    warnings.extend(alone(found, spec));
     let decides = |m: &&Learned| !driven(found, &m.response);
     for m in found.models.iter().filter(decides).filter(|m| m.explained() < ROUGH) {
         warnings.push(format!(
@@ -178,10 +169,10 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             significant(m.spread, 3)
         ));
     }
-    warnings.extend(jumps(found));
+    warnings.extend(jumps(&found.axes, &found.layout, &found.cells));
     if filled > 0 {
         warnings.push(format!(
-            "{filled} of {n} cells hold no optimum that the maps were shown to reach on the bed: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
+            "{filled} of {n} cells lie outside of what was reached on the bed, or were not reached along the maps: they are filled from their neighbours, keep no limit that was checked, and must not be driven"
         ));
         warnings.extend(met(found));
     }
@@ -289,46 +280,61 @@ fn verify_drives(found: &mut Mapped) {
 fn guided(found: &Mapped, spec: &MapSpec) -> String {
     let rough = found.drives.iter().filter(|d| d.rough());
     let names: Vec<String> = rough.map(|d| format!("`{}` (missed by {})", d.input, d.missed())).collect();
+    let mut all = Vec::new();
     if !names.is_empty() {
-        return format!(", but only under a controller that corrects {}", names.join(" and "));
+        all.push(format!("only under a controller that corrects {}", names.join(" and ")));
     }
-    let one = |(d, cells): (&Drive, Vec<(usize, f64)>)| {
+    for (d, cells) in unheld(found, spec) {
         let most = significant(100.0 * cells[0].1.abs(), 2);
-        let (n, input) = (cells.len(), &d.input);
-        let cells = if n == 1 { "one cell" } else { &format!("{n} cells") };
-        format!(
-            ", in {cells} only under a controller that corrects `{input}` (there lines missed the demand by up to {most} %)"
-        )
-    };
-    unheld(found, spec).into_iter().map(one).collect()
+        let n = if cells.len() == 1 { "one cell".into() } else { format!("{} cells", cells.len()) };
+        all.push(format!(
+            "in {n} only under a controller that corrects `{}` (lines missed the demand there by up to {most} %)",
+            d.input
+        ));
+    }
+    if all.is_empty() { String::new() } else { format!(", but {}", all.join(", and ")) }
 }
 
-/// Maps of driven inputs that lines show to miss their demand in some cells, though not as a whole.
+/// Maps of driven inputs that lines leave to miss their demand in some cells, though not as a whole.
 fn unheld<'f>(found: &'f Mapped, spec: &MapSpec) -> Vec<(&'f Drive, Vec<(usize, f64)>)> {
     let one = |d: &'f Drive| {
-        let t = d.trimmed.as_ref().filter(|_| d.relative && !d.rough())?;
+        let t = d.trimmed.as_ref().filter(|_| !d.rough())?;
         let cells = missing(&found.cells, &t.cells, spec.verify.demand);
         (!cells.is_empty()).then_some((d, cells))
     };
     found.drives.iter().filter_map(one).collect()
 }
 
-/// What lines show of a map of a driven input, cell by cell.
+/// The cells of [`unheld`], in words.
+fn alone(found: &Mapped, spec: &MapSpec) -> Vec<String> {
+    let one = |(d, cells): (&Drive, Vec<(usize, f64)>)| {
+        let cell = |(k, missed): &(usize, f64)| {
+            format!(
+                "at {} lines showed that the map of `{}` alone misses its demand by {} %: it is {} than asked for",
+                place(found, &found.cells[*k].at),
+                d.input,
+                significant(100.0 * missed.abs(), 2),
+                if *missed > 0.0 { "more" } else { "less" }
+            )
+        };
+        cells.iter().map(cell).collect::<Vec<_>>()
+    };
+    unheld(found, spec).into_iter().flat_map(one).collect()
+}
+
+/// What lines leave of a map of a driven input, cell by cell.
 fn shown(found: &Mapped, spec: &MapSpec, d: &Drive) -> Option<Check> {
-    let t = d.trimmed.as_ref().filter(|_| d.relative)?;
+    let t = d.trimmed.as_ref().filter(|t| !d.rough() && !t.cells.is_empty())?;
     let optimal = || found.cells.iter().zip(&t.cells).filter(|(c, _)| c.state == CellState::Optimal);
     let near = optimal().filter(|(_, m)| m.is_some()).count();
     let held = near - missing(&found.cells, &t.cells, spec.verify.demand).len();
     let what = format!(
-        "cells in which lines show that the map of `{}` alone holds its demand within {} %",
+        "cells beside lines in which the trimmed map of `{}` misses at most {} % of the demand that they showed, the lag of the way taken out",
         d.input,
-        100.0 * spec.verify.demand
+        significant(100.0 * spec.verify.demand, 3)
     );
-    let note = format!(
-        "in {} of {} cells with an optimum no window of a line tells",
-        optimal().count() - near,
-        optimal().count()
-    );
+    let all = optimal().count();
+    let note = format!("no window of a line tells in {} of {all} cells with an optimum", all - near);
     let check = Check::new(format!("alone-{}", d.input), what).asked(format!("{near}"));
     Some(check.measured(held as f64).note(note))
 }
@@ -385,38 +391,36 @@ fn met(found: &Mapped) -> Vec<String> {
     found.cells.iter().filter(|c| c.state == CellState::Filled).filter_map(one).collect()
 }
 
-/// Neighbouring cells with optima between which a free input goes through most of its range.
-fn jumps(found: &Mapped) -> Vec<String> {
-    let factors = &found.layout.factors[found.layout.axes..];
-    let (last, n) = (found.axes.last().map_or(1, |a| a.points.len()), found.cells.len());
-    let two = found.axes.len() > 1;
-    let beside = |k: usize| {
-        let right = Some(k + 1).filter(|j| j % last != 0);
-        [right, Some(k + last).filter(|_| two)].into_iter().flatten().filter(move |j| *j < n)
-    };
-    let optimal = |k: &usize| found.cells[*k].state == CellState::Optimal;
-    let pairs = (0..n).filter(optimal).flat_map(|k| beside(k).filter(optimal).map(move |j| (k, j)));
+/// Neighbouring cells with optima between which free inputs go through more than half of their ranges.
+fn jumps(axes: &[MapAxis], layout: &Layout, cells: &[Cell]) -> Vec<String> {
+    let values: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
+    let optimal = |k: &usize| cells[*k].state == CellState::Optimal;
+    let later = |k: usize| neighbours(&values, k).into_iter().filter(move |j| *j > k).filter(optimal);
+    let pairs = (0..cells.len()).filter(optimal).flat_map(|k| later(k).map(move |j| (k, j)));
     let one = |(k, j): (usize, usize)| {
-        let (a, b) = (&found.cells[k], &found.cells[j]);
-        let at = |c: &Cell, i: usize| c.optimum.x[found.layout.axes + i];
-        let (i, f) = factors
-            .iter()
-            .enumerate()
-            .find(|(i, f)| (at(a, *i) - at(b, *i)).abs() > JUMP * (f.upper - f.lower))?;
-        let (from, to) = (place(found, &a.at), place(found, &b.at));
-        let (u, v) = (significant(at(a, i), 4), significant(at(b, i), 4));
+        let (a, b) = (&cells[k].optimum.x, &cells[j].optimum.x);
+        let free = layout.factors.iter().enumerate().skip(layout.axes);
+        let words = free.filter(|(i, f)| (a[*i] - b[*i]).abs() > JUMP * (f.upper - f.lower)).map(|(i, f)| {
+            let (u, v) = (significant(a[i], 4), significant(b[i], 4));
+            format!("`{}` goes from {u} to {v}{}", f.name, UnitAfter(&f.unit))
+        });
+        let words: Vec<String> = words.collect();
+        let (from, to) = (at_axes(axes, &cells[k].at), at_axes(axes, &cells[j].at));
+        let words = (!words.is_empty()).then(|| words.join(", "))?;
         Some(format!(
-            "from {from} to {to} `{}` goes from {u} to {v}{}: what lies between was not measured, and may be worse than either",
-            f.name,
-            UnitAfter(&f.unit)
+            "between {from} and {to} {words}: the straight line between two optima is no optimum, and may be worse than either"
         ))
     };
-    pairs.filter_map(one).take(10).collect()
+    pairs.filter_map(one).collect()
 }
 
 /// Values of the axes in words.
 fn place(found: &Mapped, at: &[f64]) -> String {
-    let each = found.axes.iter().zip(at);
+    at_axes(&found.axes, at)
+}
+
+fn at_axes(axes: &[MapAxis], at: &[f64]) -> String {
+    let each = axes.iter().zip(at);
     let each: Vec<String> =
         each.map(|(a, x)| format!("{} {}{}", a.name, significant(*x, 4), UnitAfter(&a.unit))).collect();
     each.join(", ")
@@ -451,4 +455,73 @@ fn broken(found: &Mapped, spec: &MapSpec, v: &Verified) -> String {
         parts.push(format!("what is minimised is {m} where {p} was promised"));
     }
     format!("verification at {at}: {}", parts.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dynocal_calib::problem::CalibrationProblem;
+    use dynocal_calib::steady::cell::CellOptimum;
+    use dynocal_calib::steady::layout::{Factor, FactorKind};
+    use dynocal_numerics::status::Status;
+
+    /// A cam of 40 deg that goes over between two of the cells, beside one that was not reached.
+    #[test]
+    fn an_input_that_goes_through_most_of_its_range_is_named_with_its_cells() {
+        let factor = |name: &str, lower: f64, upper: f64, kind: FactorKind| Factor {
+            name: name.into(),
+            unit: if name == "cam" { "deg".into() } else { String::new() },
+            lower,
+            upper,
+            kind,
+        };
+        let axis = |name: &str, points: &[f64]| MapAxis {
+            name: name.into(),
+            unit: "Nm".into(),
+            points: points.to_vec(),
+        };
+        let layout = |axes: usize| Layout {
+            problem: CalibrationProblem::thesis(),
+            loops: Vec::new(),
+            factors: (0..axes)
+                .map(|k| factor("y", 0.0, 9.0, FactorKind::Given(k)))
+                .chain([factor("cam", 215.0, 255.0, FactorKind::Free(0))])
+                .collect(),
+            axes,
+            held: std::collections::BTreeMap::new(),
+            responses: Vec::new(),
+            sample_time_s: 0.1,
+        };
+        let cell = |at: Vec<f64>, cam: f64, state: CellState| {
+            let x: Vec<f64> = at.iter().copied().chain([cam]).collect();
+            let optimum = CellOptimum {
+                x,
+                responses: Vec::new(),
+                deviations: Vec::new(),
+                objective: 1.0,
+                objective_deviation: 0.0,
+                feasible: true,
+                status: Status::Converged,
+                prices: Vec::new(),
+            };
+            Cell { at, state, optimum, best: 1.0 }
+        };
+        use CellState::{Filled, Optimal};
+        let row = [(215.0, Optimal), (230.0, Optimal), (252.0, Optimal), (215.0, Filled)];
+        let cells: Vec<Cell> = (0..4).map(|k| cell(vec![k as f64], row[k].0, row[k].1)).collect();
+        let found = jumps(&[axis("y", &[0.0, 1.0, 2.0, 3.0])], &layout(1), &cells);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(
+            found[0].starts_with("between y 1.000 Nm and y 2.000 Nm `cam` goes from 230.0 to 252.0 deg:"),
+            "{found:?}"
+        );
+        // Of four cells in a square those that share a side are neighbours, and no others.
+        let square = |cams: [f64; 4]| -> Vec<Cell> {
+            (0..4).map(|k| cell(vec![(k / 2) as f64, (k % 2) as f64], cams[k], Optimal)).collect()
+        };
+        let axes = [axis("y", &[0.0, 1.0]), axis("z", &[0.0, 1.0])];
+        let count = |cams| jumps(&axes, &layout(2), &square(cams)).len();
+        assert_eq!((count([215.0; 4]), count([215.0, 255.0, 215.0, 255.0])), (0, 2));
+        assert_eq!((count([215.0, 235.0, 215.0, 235.0]), count([255.0, 215.0, 215.0, 255.0])), (0, 4));
+    }
 }

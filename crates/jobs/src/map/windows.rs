@@ -7,6 +7,8 @@ use dynocal_calib::steady::trim::Way;
 /// A window of a sweep.
 pub(super) struct Window {
     pub(super) line: usize,
+    /// Which time that the bed went there and back it was, over all lines: parts of lines are gone along again.
+    pub(super) pass: usize,
     pub(super) way: Way,
     pub(super) row: SweepRow,
 }
@@ -46,21 +48,24 @@ pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
     (0..windows.len()).filter(one).collect()
 }
 
-/// Which `windows` hold the demand of loop `l`, factor `k`, in passing: on one way it falls short of what is asked for, is there for some windows, and goes
-/// beyond (or the other way round). There the loop is on its way, and its input is not what the demand takes.
+/// Which `windows` hold the demand of loop `l`, factor `k`, in passing: on one way it falls short of what is asked for, comes nearer, and goes beyond, farther from
+/// window to window (or the other way round). There the loop is on its way, and its input is not what the demand takes.
 pub(super) fn in_passing(windows: &[Window], (k, l): (usize, usize)) -> Vec<bool> {
-    let missed = |w: &Window| (w.row.factors[k] - w.row.asked[l]) * w.row.asked[l].signum();
-    let away = |w: Option<&Window>, line: usize| {
-        w.filter(|w| w.line == line && !w.row.followed[l]).map_or(0.0, |w| missed(w).signum())
-    };
+    let missed = |w: &Window| w.row.factors[k] - w.row.asked[l];
     let run = |a: &Window, b: &Window| {
-        a.line == b.line && a.way.up == b.way.up && a.row.followed[l] && b.row.followed[l]
+        a.pass == b.pass && a.way.up == b.way.up && a.row.followed[l] && b.row.followed[l]
     };
     let (mut found, mut begin) = (Vec::new(), 0);
     for all in windows.chunk_by(run) {
-        let (line, end) = (all[0].line, begin + all.len());
-        let before = begin.checked_sub(1).and_then(|b| windows.get(b));
-        let passes = all[0].row.followed[l] && away(before, line) * away(windows.get(end), line) < 0.0;
+        let end = begin + all.len();
+        // With those before and behind, where these belong to it and were not followed.
+        let around = begin.checked_sub(1).and_then(|first| windows.get(first..=end)).unwrap_or(&[]);
+        let passes = all[0].row.followed[l]
+            && around.iter().all(|w| w.pass == all[0].pass)
+            && [around.first(), around.last()].into_iter().flatten().all(|w| !w.row.followed[l])
+            && around.first().zip(around.last()).is_some_and(|(a, b)| missed(a) * missed(b) < 0.0)
+            && (around.is_sorted_by(|a, b| missed(a) < missed(b))
+                || around.is_sorted_by(|a, b| missed(a) > missed(b)));
         found.extend(all.iter().map(|_| passes));
         begin = end;
     }
@@ -95,6 +100,7 @@ pub(super) fn keep(
         [a, b, ..] => b.at_s - a.at_s,
         _ => window_s,
     };
+    let pass = rows.last().map_or(0, |w| w.pass + 1);
     let Some(begun_s) = found.first().map(|r| r.at_s - window_s) else { return };
     let ways = ways(from[0], legs);
     for row in found {
@@ -111,7 +117,7 @@ pub(super) fn keep(
         };
         let before = [2, 1].map(|back| gone(back).unwrap_or((0.0, 0.0)));
         let since_s = (first_s - since).max(0.0);
-        rows.push(Window { line, way: Way { up, since_s, before, window_s }, row });
+        rows.push(Window { line, pass, way: Way { up, since_s, before, window_s }, row });
     }
 }
 
@@ -166,7 +172,7 @@ mod tests {
             followed: vec![(asked - got).abs() < 5.0],
             at_s: 2.0 * k as f64,
         };
-        Window { line: 0, way, row }
+        Window { line: 0, pass: 0, way, row }
     }
 
     /// A loop that comes back from the end of its input: short, there in passing, beyond, and there again. One that was short and stays there is not
@@ -184,10 +190,13 @@ mod tests {
         assert_eq!(of(&back[..3], -1.0), [false; 3]);
         let rested = [(160.0, 158.0), (150.0, 146.0), (140.0, 142.0), (130.0, 139.0)];
         assert_eq!(of(&rested, 0.0), [false; 4]);
-        // Another line is another story, and below zero less is beyond.
+        // One that was held well after it had fallen short, and went beyond at last.
+        let held = [(160.0, 150.0), (150.0, 149.0), (140.0, 141.0), (130.0, 129.5), (120.0, 128.0)];
+        assert_eq!(of(&held, -1.0), [false; 5]);
+        // Another pass is another story, and below zero less is beyond.
         let mut apart: Vec<Window> = Vec::new();
         for (k, (asked, got)) in back.iter().enumerate() {
-            apart.push(Window { line: k / 3, ..window(k, -1.0, *asked, *got, false) });
+            apart.push(Window { pass: k / 3, ..window(k, -1.0, *asked, *got, false) });
         }
         assert_eq!(in_passing(&apart, (0, 0)), [false; 5]);
         let below: Vec<(f64, f64)> = back.iter().map(|(a, g)| (-a, -g)).collect();

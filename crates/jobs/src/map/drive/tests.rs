@@ -46,6 +46,39 @@ fn trimmed(words: &str, held: f64, between: Option<f64>) -> Drive {
     found
 }
 
+/// u = y with a window that has a tenth more of the input: the demand there was less than the map says for it, by the slope; the lag of the way is none of it.
+#[test]
+fn what_is_left_of_a_window_counts_in_its_cell_by_the_demand() {
+    let axes = [vec![10.0, 50.0, 100.0]];
+    let mut lagging = Along::default();
+    for k in 0..16 {
+        let up = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let way = Way { up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
+        lagging.push(vec![10.0 + 5.0 * f64::from(k)], way, -0.03 * up, 1.0);
+    }
+    let trim = Trim::with(&axes, &lagging, 1e-3, 0.0).unwrap();
+    let of = |slope: f64, share: f64, up: f64, demand: Option<usize>| {
+        let mut drive = trimmed("first.", 0.01, None);
+        drive.take(trim.clone(), demand, None);
+        let way = Way { up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
+        let set = Set { at: &[90.0], way, input: 90.0 * share, said: [90.0, 90.0], slope, weight: 1.0 };
+        drive.compare(&axes, &[set]);
+        drive.trimmed.unwrap().cells
+    };
+    let near = |cells: &[Option<f64>], expected: f64| {
+        assert_eq!((cells.len(), cells[0], cells[1]), (3, None, None));
+        assert!((cells[2].unwrap() - expected).abs() < 1e-3, "{cells:?} {expected}");
+    };
+    let tenth = 1.1f64.ln();
+    near(&of(2.0, 1.1, 0.0, Some(0)), -0.5 * tenth);
+    // An input that falls with the demand.
+    near(&of(-2.0, 1.1, 0.0, Some(0)), 0.5 * tenth);
+    // On the way up the demand is 3 % behind what the input gives at rest: all that there is more of the input.
+    near(&of(2.0, (2.0 * 0.03f64).exp(), 1.0, Some(0)), 0.0);
+    near(&of(2.0, (-2.0 * 0.03f64).exp(), -1.0, Some(0)), 0.0);
+    assert!(of(2.0, 1.1, 0.0, None).is_empty());
+}
+
 /// Of maps over other channels that is taken which lines contradict less, by what they differ among themselves where there are three of them.
 #[test]
 fn lines_choose_between_maps() {
