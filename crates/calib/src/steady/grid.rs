@@ -24,7 +24,7 @@ pub struct GridSpec {
     /// Share of what is minimised that a smoother map may cost in a cell; 0: it is left as it is.
     pub smooth: f64,
     /// What a jump of an input through its whole range from one cell to the next costs, as a share of what is minimised in a cell: nothing is known of
-    /// what lies between two valleys, and the maps go through it. On `gtdi_2l` the intake cam costs 1.5 % of fuel half way, and two to three of torque.
+    /// what lies between two valleys, and the maps go through it. On `gtdi_2l` the intake cam costs 1.5 % of fuel half way, and on two days maps alone missed two to three of torque beside such a jump.
     pub jump: f64,
     /// All cells as one program, where it is there; the map is then not smoothed cell by cell.
     #[serde(skip_serializing_if = "Option::is_none")]
