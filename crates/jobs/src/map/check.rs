@@ -47,7 +47,6 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     count("verify.points", s.verify.points, 0, 10_000, faults);
     faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
     faults.range("verify.objective", s.verify.objective, 0.0, 10.0, "of what is minimised");
-    faults.range("verify.demand", s.verify.demand, 0.0, 10.0, "of the demand");
 }
 
 /// The program of all cells.

@@ -80,7 +80,7 @@ pub struct Trimmed {
     pub between: Option<f64>,
     /// Share by which the demand was above what the trimmed map says for its input, the lag of the way taken out, in the mean of the windows next to each cell, the
     /// last axis fastest; none where no window counts. It is what smoothing leaves of the lines that the map was trimmed by. Empty where the trim is no share of a
-    /// demand.
+    /// demand. By the slope of the map: much too large where the demand hardly answers.
     pub cells: Vec<Option<f64>>,
     #[serde(skip)]
     trim: Trim,

@@ -6,9 +6,10 @@
 //! ```
 //!
 //! A trim is smooth; where what lines show is not, it misses cells that they passed. The mean over all windows does not tell. It is no test of the trim: the
-//! windows are those that it was found from.
+//! windows are those that it was found from. And it is a record, not a verdict: an error of the input counts by the slope of the map, and where the demand hardly
+//! answers that is not steep enough by far (40 % at a cell of `gtdi_2l` around which the engine missed less than 2 %).
 
-use dynocal_calib::steady::grid::{Cell, CellState, corners};
+use dynocal_calib::steady::grid::corners;
 
 /// A window: its place over the axes, the share by which the demand was missed, its weight.
 pub(super) type Shown<'a> = (&'a [f64], f64, f64);
@@ -27,36 +28,11 @@ pub(super) fn by_cell(axes: &[Vec<f64>], windows: &[Shown]) -> Vec<Option<f64>> 
     sums.into_iter().map(|(sum, weight)| (weight > 0.0).then(|| sum / weight)).collect()
 }
 
-/// Cells that hold an optimum and in which a map misses its demand by more than `tolerance`, with the share; the farthest first.
-pub(super) fn missing(cells: &[Cell], shown: &[Option<f64>], tolerance: f64) -> Vec<(usize, f64)> {
-    let optimal = |k: usize| cells[k].state == CellState::Optimal;
-    let each = shown.iter().enumerate().filter_map(|(k, m)| Some((k, (*m)?)));
-    let mut found: Vec<(usize, f64)> = each.filter(|(k, m)| optimal(*k) && m.abs() > tolerance).collect();
-    found.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
-    found
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dynocal_calib::steady::cell::CellOptimum;
-    use dynocal_numerics::status::Status;
 
-    fn cell(at: Vec<f64>, state: CellState) -> Cell {
-        let optimum = CellOptimum {
-            x: Vec::new(),
-            objective: 0.0,
-            objective_deviation: 0.0,
-            responses: Vec::new(),
-            deviations: Vec::new(),
-            prices: Vec::new(),
-            feasible: true,
-            status: Status::Converged,
-        };
-        Cell { at, state, optimum, best: 0.0 }
-    }
-
-    /// Windows count for the nearest cell by their weights; cells beside no window say nothing, and filled ones are not asked.
+    /// Windows count for the nearest cell by their weights; cells beside no window say nothing.
     #[test]
     fn a_cell_is_judged_by_the_windows_next_to_it() {
         let axes = vec![vec![0.0, 10.0, 20.0], vec![1.0, 2.0]];
@@ -66,13 +42,5 @@ mod tests {
         assert_eq!(shown.len(), 6);
         assert!((shown[0].unwrap() - 0.04).abs() < 1e-12 && (shown[5].unwrap() + 0.06).abs() < 1e-12);
         assert!(shown[1..5].iter().all(Option::is_none));
-        let mut cells: Vec<Cell> = (0..6).map(|k| cell(vec![f64::from(k)], CellState::Optimal)).collect();
-        let of = |cells: &[Cell], tolerance: f64| -> Vec<usize> {
-            missing(cells, &shown, tolerance).iter().map(|m| m.0).collect()
-        };
-        assert_eq!(of(&cells, 0.02), [5, 0]);
-        assert_eq!(of(&cells, 0.05), [5]);
-        cells[5].state = CellState::Filled;
-        assert_eq!(of(&cells, 0.02), [0]);
     }
 }

@@ -233,12 +233,10 @@ pub struct VerifySpec {
     pub limit: f64,
     /// Share by which what is minimised may differ from what was promised.
     pub objective: f64,
-    /// Share of a demand by which lines may show the maps alone to miss it in a cell.
-    pub demand: f64,
 }
 
 impl Default for VerifySpec {
     fn default() -> Self {
-        Self { points: 8, limit: 0.03, objective: 0.03, demand: 0.02 }
+        Self { points: 8, limit: 0.03, objective: 0.03 }
     }
 }

@@ -8,10 +8,8 @@ use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Check, significant};
 
 use super::cells::{end_in_words, missed, objective_unit};
-use super::drive::Drive;
 use super::learn::Learned;
 use super::result::{MapAxis, Mapped, Verified};
-use super::shown::missing;
 use super::spec::MapSpec;
 
 /// Share of measured deviations that has to lie inside of their 95 % intervals.
@@ -88,7 +86,6 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         });
     }
     checks.extend(worth(found, spec));
-    checks.extend(found.drives.iter().filter_map(|d| shown(found, spec, d)));
     if let Some((status, iterations)) = found.whole {
         checks.push(
             Check::new("whole", "iterations of the program of all cells together")
@@ -158,7 +155,6 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
         ));
     }
-    warnings.extend(alone(found, spec));
     let decides = |m: &&Learned| !driven(found, &m.response);
     for m in found.models.iter().filter(decides).filter(|m| m.explained() < ROUGH) {
         warnings.push(format!(
@@ -191,7 +187,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         }
         (false, ..) => "The maps must not be used as they are",
     };
-    let alone = if found.valid { guided(found, spec) } else { String::new() };
+    let alone = if found.valid { guided(found) } else { String::new() };
     found.verdict =
         format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
     found.checks = checks;
@@ -277,66 +273,13 @@ fn verify_drives(found: &mut Mapped) {
 }
 
 /// The verification holds the demands with controllers: a map whose model is rough was not shown to hold one alone.
-fn guided(found: &Mapped, spec: &MapSpec) -> String {
+fn guided(found: &Mapped) -> String {
     let rough = found.drives.iter().filter(|d| d.rough());
     let names: Vec<String> = rough.map(|d| format!("`{}` (missed by {})", d.input, d.missed())).collect();
-    let mut all = Vec::new();
-    if !names.is_empty() {
-        all.push(format!("only under a controller that corrects {}", names.join(" and ")));
+    if names.is_empty() {
+        return String::new();
     }
-    for (d, cells) in unheld(found, spec) {
-        let most = significant(100.0 * cells[0].1.abs(), 2);
-        let n = if cells.len() == 1 { "one cell".into() } else { format!("{} cells", cells.len()) };
-        all.push(format!(
-            "in {n} only under a controller that corrects `{}` (lines missed the demand there by up to {most} %)",
-            d.input
-        ));
-    }
-    if all.is_empty() { String::new() } else { format!(", but {}", all.join(", and ")) }
-}
-
-/// Maps of driven inputs that lines leave to miss their demand in some cells, though not as a whole.
-fn unheld<'f>(found: &'f Mapped, spec: &MapSpec) -> Vec<(&'f Drive, Vec<(usize, f64)>)> {
-    let one = |d: &'f Drive| {
-        let t = d.trimmed.as_ref().filter(|_| !d.rough())?;
-        let cells = missing(&found.cells, &t.cells, spec.verify.demand);
-        (!cells.is_empty()).then_some((d, cells))
-    };
-    found.drives.iter().filter_map(one).collect()
-}
-
-/// The cells of [`unheld`], in words.
-fn alone(found: &Mapped, spec: &MapSpec) -> Vec<String> {
-    let one = |(d, cells): (&Drive, Vec<(usize, f64)>)| {
-        let cell = |(k, missed): &(usize, f64)| {
-            format!(
-                "at {} lines showed that the map of `{}` alone misses its demand by {} %: it is {} than asked for",
-                place(found, &found.cells[*k].at),
-                d.input,
-                significant(100.0 * missed.abs(), 2),
-                if *missed > 0.0 { "more" } else { "less" }
-            )
-        };
-        cells.iter().map(cell).collect::<Vec<_>>()
-    };
-    unheld(found, spec).into_iter().flat_map(one).collect()
-}
-
-/// What lines leave of a map of a driven input, cell by cell.
-fn shown(found: &Mapped, spec: &MapSpec, d: &Drive) -> Option<Check> {
-    let t = d.trimmed.as_ref().filter(|t| !d.rough() && !t.cells.is_empty())?;
-    let optimal = || found.cells.iter().zip(&t.cells).filter(|(c, _)| c.state == CellState::Optimal);
-    let near = optimal().filter(|(_, m)| m.is_some()).count();
-    let held = near - missing(&found.cells, &t.cells, spec.verify.demand).len();
-    let what = format!(
-        "cells beside lines in which the trimmed map of `{}` misses at most {} % of the demand that they showed, the lag of the way taken out",
-        d.input,
-        significant(100.0 * spec.verify.demand, 3)
-    );
-    let all = optimal().count();
-    let note = format!("no window of a line tells in {} of {all} cells with an optimum", all - near);
-    let check = Check::new(format!("alone-{}", d.input), what).asked(format!("{near}"));
-    Some(check.measured(held as f64).note(note))
+    format!(", but only under a controller that corrects {}", names.join(" and "))
 }
 
 /// Whether a response is recorded only: a point does not wait for it.
