@@ -20,6 +20,7 @@ pub mod search;
 pub mod station;
 pub mod trim;
 pub mod valleys;
+pub mod way;
 pub mod whole;
 
 pub use hold::{Held, HoldSpec, hold};

@@ -1,20 +1,16 @@
 //! A correction over the axes of a map, learnt from what was measured along its lines.
 //!
 //! ```text
-//! minimise over c, d   sum_i w_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  lambda sum_axes ( | D c |^2 + | D d |^2 )  +  mu | d |^2
+//! minimise over c, d   sum_i w_i ( r_i - sum_k h_k(z_i) (c_k + s_i d_k) )^2  +  sum_axes ( lambda | D c |^2 + kappa | D d |^2 )  +  mu | d |^2
 //! ```
 //!
 //! z: place over the axes, r: what was measured less what was expected, s: 1 where it was gone up the axis and -1 where it was gone down,
 //! h: hats of the knots (multilinear between them), D: second differences over the knots, w: weights of the measurements. c is the
-//! correction, d the lag of the way. It is none at rest, and comes with a time constant of its own:
-//!
-//! ```text
-//! tau s' = u - s     u: 1 up, -1 down, 0 where it rests     s = 0 at the begin of a line
-//! ```
+//! correction, d the lag of the way. It is none at rest, and comes with a time constant `tau` of its own ([`Way::developed`]).
 //!
 //! A window at the begin of a way has not all of the lag yet, and at the ends of the axes there are no other windows of that way; a rest at the turn tells what is at rest there.
-//! `lambda` and `tau` are those of least generalised cross-validation, so that scatter is averaged and what is there stays; a parameter counts 1.4 times
-//! there, since windows that follow each other are not independent, and the plain score then follows their scatter. Knots without a
+//! `lambda`, `kappa >= lambda` and `tau` are those of least generalised cross-validation, sought one after the other, so that scatter is averaged and what is
+//! there stays; a parameter counts 1.4 times there, since windows that follow each other are not independent, and the plain score then follows their scatter. Knots without a
 //! measurement nearby go on as the others bend, but not beyond what was found where there are some. Where one way alone was measured `mu`,
 //! which is small, takes it for the correction.
 //!
@@ -25,6 +21,7 @@ use dynocal_numerics::linalg::{cholesky, cholesky_inverse, solve_upper, solve_up
 use serde::{Deserialize, Serialize};
 
 use super::grid::{corners, place};
+pub use super::way::{Along, Way};
 
 /// A correction over one or two axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,14 +36,29 @@ pub struct Trim {
     pub scatter: f64,
     /// Root mean square of all measurements about both, whatever their weights.
     pub rest: f64,
-    /// Weight of the bending.
+    /// What cross-validation chose.
+    pub choice: Choice,
+}
+
+/// How stiff a trim is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// Weight of the bending of the correction.
     pub lambda: f64,
+    /// Weight of the bending of the lag.
+    pub kappa: f64,
     /// Time constant with which the lag comes in s.
     pub tau_s: f64,
 }
 
-/// Weights that are tried, and the one that keeps knots solvable that nothing bears on: both as shares of the mean diagonal.
-const LAMBDAS: [f64; 9] = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4];
+/// Weights that are tried, two in a decade from the first to the last, and the one that keeps knots solvable that nothing bears on: shares of the mean diagonal.
+const LAMBDAS: [f64; 17] = [
+    1e-4, 3.2e-4, 1e-3, 3.2e-3, 1e-2, 3.2e-2, 0.1, 0.32, 1.0, 3.2, 10.0, 32.0, 100.0, 320.0, 1e3, 3.2e3, 1e4,
+];
+/// How many times as stiff as the correction the lag may be. Where it was measured one way alone a lag that bends as freely takes what is the correction's.
+const STIFFER: [f64; 7] = [1.0, 3.2, 10.0, 32.0, 100.0, 320.0, 1e3];
+/// Most times that all three are sought one after the other.
+const TURNS: usize = 4;
 const RIDGE: f64 = 1e-9;
 /// mu, as a share of the mean diagonal.
 const NO_LAG: f64 = 1e-3;
@@ -57,6 +69,8 @@ const COUNTS: f64 = 1.4;
 /// after three sixteenths of the way.
 const TAUS: [f64; 7] = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 const OF_WAY: f64 = 1.0 / 16.0;
+/// The same as a share of the longest rest, where nothing was measured under way: it has to go while it rests to be told from what stays.
+const OF_REST: f64 = 0.5;
 
 impl Trim {
     /// From what was measured along lines; none where there is nothing, or where it is not finite.
@@ -67,35 +81,35 @@ impl Trim {
     /// The same with a parameter that counts so many times.
     fn counting(axes: &[Vec<f64>], along: &Along, counts: f64) -> Option<Self> {
         let longest_s = along.way.iter().map(|w| w.window_s).fold(0.0, f64::max);
-        let way_s = along.way.iter().map(|w| w.since_s + w.window_s).fold(0.0, f64::max);
-        let of_tau = |share: &f64| {
-            let tau_s = share * longest_s;
-            let rows = Rows::new(axes, along, tau_s)?;
-            let fits = LAMBDAS.iter().filter_map(|l| Some((*l, rows.fit(*l, counts)?)));
-            let (lambda, best) = fits.min_by(|a, b| a.1.score.total_cmp(&b.1.score))?;
-            Some((best, lambda, tau_s))
+        let gone_s = |rests: bool| {
+            let each = along.way.iter().filter(|w| (w.up == 0.0) == rests);
+            each.map(|w| w.since_s + w.window_s).fold(0.0, f64::max)
         };
-        let fits = TAUS.iter().filter(|share| **share * longest_s <= OF_WAY * way_s).filter_map(of_tau);
-        let (best, lambda, tau_s) = fits.min_by(|a, b| a.0.score.total_cmp(&b.0.score))?;
-        Some(Self::of(axes, along, best, (lambda, tau_s)))
+        let (way_s, rest_s) = (gone_s(false), gone_s(true));
+        let most_s = if way_s > 0.0 { OF_WAY * way_s } else { OF_REST * rest_s };
+        let taus = TAUS.iter().map(|share| share * longest_s).filter(|t| *t <= most_s);
+        let rows: Vec<(f64, Rows)> =
+            taus.map(|tau_s| Some((tau_s, Rows::new(axes, along, tau_s)?))).collect::<Option<_>>()?;
+        let (choice, fit) = chosen(&rows, counts)?;
+        Some(Self::of(axes, along, fit, choice))
     }
 
-    /// The same with a given weight of the bending, and a lag that comes with the time constant `tau_s`.
-    pub fn with(axes: &[Vec<f64>], along: &Along, lambda: f64, tau_s: f64) -> Option<Self> {
-        let fit = Rows::new(axes, along, tau_s)?.fit(lambda, COUNTS)?;
-        Some(Self::of(axes, along, fit, (lambda, tau_s)))
+    /// The same with a given choice.
+    pub fn with(axes: &[Vec<f64>], along: &Along, choice: Choice) -> Option<Self> {
+        let fit = Rows::new(axes, along, choice.tau_s)?.fit([choice.lambda, choice.kappa], COUNTS)?;
+        Some(Self::of(axes, along, fit, choice))
     }
 
-    fn of(axes: &[Vec<f64>], along: &Along, fit: Fit, (lambda, tau_s): (f64, f64)) -> Self {
+    fn of(axes: &[Vec<f64>], along: &Along, fit: Fit, choice: Choice) -> Self {
         let mut values = fit.values;
         let lag = values.split_off(values.len() / 2);
         let scatter = fit.scatter;
-        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter, rest: 0.0, lambda, tau_s };
+        let mut trim = Self { axes: axes.to_vec(), values, lag, scatter, rest: 0.0, choice };
         let found = along.at.iter().map(|z| trim.at(z));
         let (low, high) = found.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         trim.values.iter_mut().for_each(|v| *v = v.clamp(low, high));
         let squares = (0..along.r.len()).map(|i| {
-            let (z, up) = (&along.at[i], along.way[i].developed(tau_s));
+            let (z, up) = (&along.at[i], along.way[i].developed(choice.tau_s));
             (along.r[i] - trim.at(z) - up * trim.lag_at(z)).powi(2)
         });
         trim.rest = (squares.sum::<f64>() / along.r.len().max(1) as f64).sqrt();
@@ -113,57 +127,36 @@ impl Trim {
     }
 }
 
-/// When a window of a line was measured on its way: there from rest, or back.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Way {
-    /// 1: up the axis that was gone along; -1: down; 0: it rested.
-    pub up: f64,
-    /// Time from the begin of the way to that of the window in s.
-    pub since_s: f64,
-    /// What was before, oldest first: ways, as `up`, and how long each was gone in s; nothing is a rest.
-    pub before: [(f64, f64); 2],
-    /// Length of the window in s.
-    pub window_s: f64,
-}
-
-impl Way {
-    /// How far the lag has come in the mean of the window, with the time constant `tau_s`: from 0 at rest to 1 up and -1 down.
-    pub fn developed(&self, tau_s: f64) -> f64 {
-        if tau_s <= 0.0 {
-            return self.up;
+/// A choice of least score among those beside it: each of its three values in turn over all that are tried, the others as they are by then, until none changes any more.
+/// The whole grid would take 17 times as long. `rows`: of each time constant.
+fn chosen(rows: &[(f64, Rows)], counts: f64) -> Option<(Choice, Fit)> {
+    let fit = |[l, k, t]: [usize; 3]| {
+        let lambda = LAMBDAS[l];
+        rows.get(t)?.1.fit([lambda, STIFFER[k] * lambda], counts)
+    };
+    let (mut at, sizes) =
+        ([LAMBDAS.len() / 2, STIFFER.len() / 2, 0], [LAMBDAS.len(), STIFFER.len(), rows.len()]);
+    let mut best: Option<Fit> = None;
+    for _ in 0..TURNS {
+        let before = at;
+        for (axis, size) in sizes.into_iter().enumerate() {
+            let from = at;
+            for k in 0..size {
+                let mut other = from;
+                other[axis] = k;
+                let better = |f: &Fit| best.as_ref().is_none_or(|b| f.score < b.score);
+                if let Some(found) = fit(other).filter(better) {
+                    (best, at) = (Some(found), other);
+                }
+            }
         }
-        let gone = |t: f64| (-t / tau_s).exp();
-        let begun = self.before.iter().fold(0.0, |s, (up, t)| up + (s - up) * gone(*t));
-        let left = if self.window_s > 0.0 {
-            tau_s / self.window_s * (gone(self.since_s) - gone(self.since_s + self.window_s))
-        } else {
-            gone(self.since_s)
-        };
-        self.up + (begun - self.up) * left
+        if at == before {
+            break;
+        }
     }
-}
-
-/// What was measured along lines: an entry each.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Along {
-    /// Places over the axes.
-    pub at: Vec<Vec<f64>>,
-    /// On which ways.
-    pub way: Vec<Way>,
-    /// Measured less expected.
-    pub r: Vec<f64>,
-    /// Weights.
-    pub weight: Vec<f64>,
-}
-
-impl Along {
-    /// One more measurement.
-    pub fn push(&mut self, at: Vec<f64>, way: Way, r: f64, weight: f64) {
-        self.at.push(at);
-        self.way.push(way);
-        self.r.push(r);
-        self.weight.push(weight);
-    }
+    let lambda = LAMBDAS[at[0]];
+    let choice = Choice { lambda, kappa: STIFFER[at[1]] * lambda, tau_s: rows.get(at[2])?.0 };
+    Some((choice, best?))
 }
 
 /// The normal equations without their weight of the bending.
@@ -212,12 +205,14 @@ impl Rows {
         Some(Self { n, count: r.len() as f64, gram, right, square, bending, scale })
     }
 
-    fn fit(&self, lambda: f64, counts: f64) -> Option<Fit> {
+    /// With the weights of the bending of correction and lag, and a parameter that counts so many times.
+    fn fit(&self, [lambda, kappa]: [f64; 2], counts: f64) -> Option<Fit> {
         let n = self.n;
         let mean = (0..n).map(|k| self.gram[k * n + k]).sum::<f64>() / n as f64;
         let ridge = |k: usize| if k < n / 2 { RIDGE * mean } else { NO_LAG * mean };
-        let mut a: Vec<f64> =
-            self.gram.iter().zip(&self.bending).map(|(g, b)| g + lambda * self.scale * b).collect();
+        let stiff = |i: usize| self.scale * if i < n * n / 2 { lambda } else { kappa };
+        let each = self.gram.iter().zip(&self.bending).enumerate();
+        let mut a: Vec<f64> = each.map(|(i, (g, b))| g + stiff(i) * b).collect();
         (0..n).for_each(|k| a[k * n + k] += ridge(k));
         cholesky(&mut a, n).ok()?;
         let mut values = self.right.clone();
@@ -297,6 +292,11 @@ mod tests {
         vec![vec![0.0, 1.0, 2.0, 3.0], vec![10.0, 20.0, 40.0]]
     }
 
+    /// As stiff in its lag as in its correction, and a lag that is there at once.
+    fn alike(lambda: f64) -> Choice {
+        Choice { lambda, kappa: lambda, tau_s: 0.0 }
+    }
+
     /// Measured long after the begin of the way.
     fn along(at: &[Vec<f64>], up: &[f64], r: &[f64]) -> Along {
         let way = |up: &f64| Way { up: *up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
@@ -328,14 +328,14 @@ mod tests {
             }
         }
         let trim = Trim::learn(&axes, &all).unwrap();
-        assert_eq!(trim.tau_s, tau_s);
+        assert_eq!(trim.choice.tau_s, tau_s);
         // A lag of a good part of the way is not sought, whatever the windows say: it is not told from a bend.
         let lagging: Vec<f64> = all.way.iter().map(|w| 0.015 * w.developed(16.0)).collect();
         let found = Trim::learn(&axes, &Along { r: lagging, ..all.clone() }).unwrap();
-        assert!(found.tau_s <= OF_WAY * pass_s, "{}", found.tau_s);
+        assert!(found.choice.tau_s <= OF_WAY * pass_s, "{:?}", found.choice);
         // Its bend is smoothed a little.
         assert!((trim.at(&[0.0]) - 0.01).abs() < 1e-3, "{:?}", trim.values);
-        let at_once = Trim::with(&axes, &all, trim.lambda, 0.0).unwrap();
+        let at_once = Trim::with(&axes, &all, Choice { tau_s: 0.0, ..trim.choice }).unwrap();
         assert!((at_once.at(&[0.0]) - 0.01).abs() > 2e-3, "{:?}", at_once.values);
         // The law itself: nothing at rest, all of it after a while, the other way round after a turn.
         let way = |since_s, before_s| Way {
@@ -412,8 +412,8 @@ mod tests {
             ways.push(way);
             r.push(0.1 + 0.03 * (x - 1.2_f64).max(0.0).powi(3) + 0.02 * way);
         }
-        for lambda in [1e-6, LAMBDAS[0], LAMBDAS[1]] {
-            let trim = Trim::with(&axes, &along(&at, &ways, &r), lambda, 0.0).unwrap();
+        for lambda in [1e-6, 1e-4, 1e-3] {
+            let trim = Trim::with(&axes, &along(&at, &ways, &r), alike(lambda)).unwrap();
             let worst = trim.lag.iter().map(|d| d.abs()).fold(0.0, f64::max);
             assert!(worst < 0.1, "{lambda}: {:?}", trim.lag);
         }
@@ -474,7 +474,7 @@ mod tests {
         };
         let up: Vec<f64> = (0..120).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let chosen = Trim::learn(&axes, &along(&at, &up, &r)).unwrap();
-        let soft = Trim::with(&axes, &along(&at, &up, &r), LAMBDAS[0], 0.0).unwrap();
+        let soft = Trim::with(&axes, &along(&at, &up, &r), alike(LAMBDAS[0])).unwrap();
         assert!(
             error(&chosen) < 0.1 && error(&chosen) < 0.6 * error(&soft),
             "{} {}",

@@ -1,10 +1,12 @@
-//! Points of lines: what was measured there and back at the same place, averaged.
+//! Points of lines: what was measured there and back at the same place, averaged, or at rest.
 //!
 //! The lag of the way is opposite there and back, so that the mean of the two is what is at rest, as far as both were followed:
 //!
 //! ```text
 //! p(z) = ( there(z) + back(z) ) / 2        z: a place along the first axis; back: between the two windows around it
 //! ```
+//!
+//! Where lines rest at each value (`bed.sweep.rest_s`) a rest is a point: the mean of those of its windows that count, but for the first, in which the bed comes to it.
 //!
 //! Where a driven input was another there than back by more than a tenth, its loop was still moving it, and the mean says nothing. The others stand where
 //! the maps lie, and are about as many as the points of the day: the maps of driven inputs are learnt again with them. No other response learns from them.
@@ -21,12 +23,43 @@ const ONE_IN: usize = 2;
 /// Share of a driven input by which it may be another there than back.
 const ALIKE: f64 = 0.1;
 
-/// Points of the lines that `windows` were measured along, in their order.
-pub(super) fn points(layout: &Layout, windows: &[&Window]) -> Vec<DayPoint> {
+/// Points of the lines that `windows` were measured along: of each of their `rests`, or of there and back.
+pub(super) fn points(layout: &Layout, windows: &[&Window], rests: bool) -> Vec<DayPoint> {
     let counts = |w: &&&Window| w.row.followed.iter().all(|f| *f) && !w.row.at_end.contains(&true);
+    if rests {
+        let rested = windows.iter().filter(counts).filter(|w| w.way.up == 0.0 && !w.settles());
+        let rested: Vec<&&Window> = rested.collect();
+        return rested.chunk_by(|a, b| a.belongs_to(b)).map(mean).collect();
+    }
     let there = windows.iter().filter(counts).filter(|w| w.way.up > 0.0).step_by(ONE_IN);
     let back: Vec<&&Window> = windows.iter().filter(counts).filter(|w| w.way.up < 0.0).collect();
     there.filter_map(|w| between(layout, w, &back)).collect()
+}
+
+/// The mean of the windows of a rest.
+fn mean(rest: &[&&Window]) -> DayPoint {
+    let of = |values: &dyn Fn(&Window) -> &[f64]| -> Vec<f64> {
+        let one = |k: usize| rest.iter().map(|w| values(w)[k]).sum::<f64>() / rest.len() as f64;
+        (0..values(rest[0]).len()).map(one).collect()
+    };
+    point(of(&|w| &w.row.factors), of(&|w| &w.row.responses), rest[0].row.asked.len(), rest[0].row.at_s)
+}
+
+/// A point of a line.
+fn point(factors: Vec<f64>, responses: Vec<f64>, demands: usize, at_s: f64) -> DayPoint {
+    let point = SteadyPoint {
+        asked: factors.clone(),
+        responses,
+        factors,
+        errors: vec![0.0; demands],
+        usable: true,
+        note: String::new(),
+        touched: Vec::new(),
+        saturated: Vec::new(),
+        at_s,
+        used_s: 0.0,
+    };
+    DayPoint { purpose: Purpose::Optimum, point }
 }
 
 /// The mean of a window there and of what was measured on the way back at the same place of the same pass; none where nothing was on both sides of it.
@@ -54,19 +87,7 @@ fn between(layout: &Layout, there: &Window, back: &[&&Window]) -> Option<DayPoin
         return None;
     }
     let factors = mean(&|w| &w.row.factors);
-    let point = SteadyPoint {
-        asked: factors.clone(),
-        responses,
-        factors,
-        errors: vec![0.0; layout.problem.demands.len()],
-        usable: true,
-        note: String::new(),
-        touched: Vec::new(),
-        saturated: Vec::new(),
-        at_s: there.row.at_s,
-        used_s: 0.0,
-    };
-    Some(DayPoint { purpose: Purpose::Optimum, point })
+    Some(point(factors, responses, layout.problem.demands.len(), there.row.at_s))
 }
 
 #[cfg(test)]
@@ -122,7 +143,24 @@ mod tests {
             [103.0, 97.0, 91.0, 85.0, 79.0, 73.0]
                 .map(|y| window(2, -1.0, y, [true, !(80.0..95.0).contains(&y)])),
         );
-        let found = points(&layout, &all.iter().collect::<Vec<_>>());
+        // A rest is a point by itself: those of its windows that count, but for the first.
+        let rest = |pass: usize, since_s: f64, y: f64, fine: [bool; 2]| {
+            let way = Way { since_s, window_s: 2.0, ..Way::default() };
+            Window { way, ..window(pass, 0.0, y, fine) }
+        };
+        let rests = [
+            rest(7, 0.0, 90.0, fine),
+            rest(7, 2.0, 50.0, fine),
+            rest(7, 4.0, 52.0, fine),
+            rest(8, 2.0, 60.0, fine),
+            rest(8, 4.0, 62.0, [false, true]),
+        ];
+        let rests: Vec<&Window> = rests.iter().collect();
+        let found = points(&layout, &rests, true);
+        let at: Vec<[f64; 2]> = found.iter().map(|p| [p.point.factors[0], p.point.responses[0]]).collect();
+        assert_eq!(at, [[51.0, 10.2], [60.0, 12.0]]);
+        assert!(points(&layout, &rests, false).is_empty());
+        let found = points(&layout, &all.iter().collect::<Vec<_>>(), false);
         let at: Vec<f64> = found.iter().map(|p| p.point.factors[0].round()).collect();
         assert_eq!(at, [64.0, 76.0, 88.0]);
         for p in &found {

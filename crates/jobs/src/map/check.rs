@@ -38,6 +38,18 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     if let Some(sweep) = &s.bed.sweep {
         faults.range("bed.sweep.pass_s", sweep.pass_s, 1.0, 3600.0, "s");
         faults.range("bed.sweep.turn_s", sweep.turn_s, 0.0, 600.0, "s");
+        faults.range("bed.sweep.rest_s", sweep.rest_s, 0.0, 600.0, "s");
+        let least_s = WINDOWS * s.bed.approach.window_s;
+        if sweep.rest_s > 0.0 && sweep.rest_s < least_s {
+            let asked = format!(
+                "0, or {least_s} s and more: {WINDOWS} windows (`bed.approach.window_s`), of which the first and those that a rest loses where bed time is short tell nothing"
+            );
+            faults.push("bed.sweep.rest_s", sweep.rest_s, &asked);
+        }
+        if sweep.rest_s > 0.0 && sweep.turn_s > 0.0 {
+            let none = "0 where lines rest at each value (`rest_s`): nothing is measured on their way back";
+            faults.push("bed.sweep.turn_s", sweep.turn_s, none);
+        }
         count("bed.sweep.between", sweep.between, 0, 100, faults);
     }
     whole(s, faults);
@@ -48,6 +60,9 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
     faults.range("verify.limit", s.verify.limit, 0.0, 1.0, "of the limit");
     faults.range("verify.objective", s.verify.objective, 0.0, 10.0, "of what is minimised");
 }
+
+/// Least number of windows of a rest along a line.
+const WINDOWS: f64 = 4.0;
 
 /// The program of all cells.
 fn whole(s: &MapSpec, faults: &mut Faults) {

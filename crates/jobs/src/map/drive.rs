@@ -350,7 +350,7 @@ impl Drive {
         let before = rms(&|w| self.missed_by(w.said[1], w.said[0]));
         // More of the demand by the lag is less of the input that holds it.
         let left = |w: &Set| {
-            let lag = w.way.developed(t.trim.tau_s) * t.trim.lag_at(w.at);
+            let lag = w.way.developed(t.trim.choice.tau_s) * t.trim.lag_at(w.at);
             self.missed_by(w.input, w.said[1]) + if t.demand.is_some() { w.slope * lag } else { -lag }
         };
         let scatter = if t.demand.is_some() { rms(&left) } else { t.scatter };

@@ -1,8 +1,9 @@
 //! Lines of the finished maps on the bed, and how it goes along them.
 //!
 //! Free inputs follow the maps as an ECU will interpolate them; driven ones are fed forward with what their maps expect, so that the loops have
-//! only the rest to do and outputs that are held stay there. A line ends where a limit is touched, and goes through cells that hold an
-//! optimum only.
+//! only the rest to do and outputs that are held stay there. A line is gone there and back, or
+//! rests at each value of the first axis on the way there (`bed.sweep.rest_s`): then nothing else of it is measured. It ends where a limit is touched, and goes through
+//! cells that hold an optimum only.
 
 use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::Drift;
@@ -71,7 +72,7 @@ const ASIDE: f64 = 0.05;
 /// Bed time that the sweeps of a spec take, about.
 pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     let Some(s) = &spec.bed.sweep else { return 0.0 };
-    lines(s, axes) as f64 * line_s(spec, s) + again_s(spec, axes)
+    lines(s, axes) as f64 * line_s(spec, s, axes) + again_s(spec, axes)
 }
 
 /// Number of lines of a map.
@@ -79,14 +80,19 @@ fn lines(s: &SweepSpec, axes: &[Vec<f64>]) -> usize {
     axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1)
 }
 
-/// Bed time of a line, there and back, with the way to it.
-fn line_s(spec: &MapSpec, s: &SweepSpec) -> f64 {
-    2.0 * s.pass_s + turn_s(spec) + next_line_s(spec)
+/// Bed time of a line with the way to it.
+fn line_s(spec: &MapSpec, s: &SweepSpec, axes: &[Vec<f64>]) -> f64 {
+    along_s(s, (axes.first().map_or(0, Vec::len), 1.0)) + beside_s(spec, s)
 }
 
-/// Rest at the turn of a line: what the demand comes to there is neither lag of the way nor a loop that is behind.
-fn turn_s(spec: &MapSpec) -> f64 {
-    spec.bed.sweep.as_ref().map_or(0.0, |s| s.turn_s)
+/// Bed time as the spec asks along a line through so many values and a share of the first axis: there and back, or there with its rests.
+fn along_s(s: &SweepSpec, (values, share): (usize, f64)) -> f64 {
+    if s.rest_s > 0.0 { s.pass_s * share + values as f64 * s.rest_s } else { 2.0 * s.pass_s * share }
+}
+
+/// Bed time of a line that does not go with its length: the way to it and a rest at the turn, or the way back where nothing is measured on it.
+fn beside_s(spec: &MapSpec, s: &SweepSpec) -> f64 {
+    next_line_s(spec) + if s.rest_s > 0.0 { spec.bed.approach.ramp_s } else { s.turn_s }
 }
 
 /// Share of the lines for which bed time is kept to go along parts of them again ([`Lines::again`]), one at least: where a demand is not reached at one
@@ -97,12 +103,12 @@ const AGAIN: f64 = 0.25;
 fn again_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
     // Only what a demand reaches is found along lines.
     let demanded = spec.problem.demand_names().iter().any(|d| spec.axes.contains_key(d));
-    let kept = |s: &SweepSpec| (AGAIN * lines(s, axes) as f64).max(1.0) * line_s(spec, s);
+    let kept = |s: &SweepSpec| (AGAIN * lines(s, axes) as f64).max(1.0) * line_s(spec, s, axes);
     spec.bed.sweep.as_ref().filter(|_| demanded).map_or(0.0, kept)
 }
 
 /// Bed time to the next line, about: half of the range, and half of the longest wait for its rest. More would be points that are not
-/// measured; where it takes longer, the lines that are left go faster ([`pass_s`]).
+/// measured; where it takes longer, the lines that are left go faster ([`pace`]).
 fn next_line_s(spec: &MapSpec) -> f64 {
     let a = &spec.bed.approach;
     0.5 * (a.ramp_s + a.settle_s) + a.average_s
@@ -111,13 +117,10 @@ fn next_line_s(spec: &MapSpec) -> f64 {
 /// How many times as fast as asked a line may be gone along.
 const FASTEST: f64 = 1.5;
 
-/// Time in s in which the first axis is gone through on the next of `lines` that have `left_s` of bed time and are `whole` times as long as the
-/// axis together: as the spec asks, or faster by up to `FASTEST` where time is short, so that neither the last lines nor the verification are left
-/// out.
-fn pass_s(spec: &MapSpec, asked_s: f64, left_s: f64, (lines, whole): (usize, f64)) -> f64 {
-    let there =
-        0.5 * (left_s - lines as f64 * (turn_s(spec) + next_line_s(spec))) / whole.max(f64::MIN_POSITIVE);
-    there.clamp(asked_s / FASTEST, asked_s)
+/// By how much the times that the spec asks for are shortened on the next of `lines` that have `left_s` of bed time and would take `along_s` together: not at
+/// all, or to a `FASTEST`th where time is short, so that neither the last lines nor the verification are left out.
+fn pace(spec: &MapSpec, s: &SweepSpec, left_s: f64, (lines, along_s): (usize, f64)) -> f64 {
+    ((left_s - lines as f64 * beside_s(spec, s)) / along_s.max(f64::MIN_POSITIVE)).clamp(1.0 / FASTEST, 1.0)
 }
 
 /// First and last of the nodes whose settings are not `beside` those that had the same leading `axes` before, with one more on either side; none
@@ -220,9 +223,11 @@ impl Lines<'_> {
         (sweeps, rows): &mut Gone,
         watch: Watch,
     ) -> Result<bool, MapError> {
-        let asked_s = self.spec.bed.sweep.as_ref().map_or(0.0, |s| s.pass_s);
+        let Some(spec) = &self.spec.bed.sweep else { return Ok(false) };
         let (begun_s, window_s) = (bench.used_s(), self.spec.bed.approach.window_s);
-        let mut least_s = asked_s;
+        let axis = &self.axes[0];
+        let whole = axis[axis.len() - 1] - axis[0];
+        let mut least: f64 = 1.0;
         let mut lines: Vec<&Line> = lines.iter().collect();
         if self.nearer_last(&lines, bench.stands_at()) {
             lines.reverse();
@@ -237,17 +242,29 @@ impl Lines<'_> {
                 break;
             }
             watch.fraction(k as f64 / lines.len() as f64);
-            let rest = (lines.len() - k, lines[k..].iter().map(|l| self.length(l)).sum());
-            let pass_s = pass_s(self.spec, asked_s, bed_s - bench.used_s(), rest);
-            least_s = least_s.min(pass_s);
+            let along = |l: &&Line| along_s(spec, (l.nodes.len(), self.length(l)));
+            let rest = (lines.len() - k, lines[k..].iter().map(along).sum());
+            let pace = pace(self.spec, spec, bed_s - bench.used_s(), rest);
+            least = least.min(pace);
             let first = self.begins_last(line, bench.stands_at());
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
             for last in [first, !first] {
-                let (from, legs) = self.path(line, last, pass_s);
+                let (from, legs) = path((spec, pace), (whole, self.spec.bed.approach.ramp_s), line, last);
                 let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
-                let soon = swept.rows.last().is_none_or(|r| 4 * r.leg < legs.len());
+                let rests = spec.rest_s > 0.0;
+                let there = legs.len() + 1 - line.nodes.len();
+                let last_leg = swept.rows.last().map(|r| r.leg);
+                // In the first half of the way there.
+                let soon = last_leg.is_none_or(|leg| 4 * leg < if rests { 2 * there } else { legs.len() });
+                let before = rows.len();
                 keep(line.number, (&from, &legs), swept.rows, window_s, rows);
-                let Some(touched) = &swept.touched else {
+                if rests {
+                    let gone = rows.split_off(before);
+                    rows.extend(gone.into_iter().filter(|w| w.way.up == 0.0));
+                }
+                // Nothing is measured on the way back from rests.
+                let all = rests && last_leg.is_some_and(|leg| leg >= there);
+                let Some(touched) = swept.touched.as_ref().filter(|_| !all) else {
                     sweeps.whole += 1;
                     break;
                 };
@@ -257,9 +274,10 @@ impl Lines<'_> {
                 }
             }
         }
-        if least_s < asked_s {
+        if least < 1.0 {
             sweeps.notes.push(format!(
-                "bed time was short: a pass took down to {least_s:.1} s in place of {asked_s} s"
+                "bed time was short: lines were gone along up to {:.2} times as fast as asked",
+                1.0 / least
             ));
         }
         sweeps.rows = rows.len();
@@ -326,38 +344,54 @@ impl Lines<'_> {
         let demanded = self.layout.leading_demand().is_some_and(|(k, _)| k == 0);
         begins_last(demanded, [line.nodes[0][0], line.nodes[line.nodes.len() - 1][0]], now[0])
     }
+}
 
-    /// There and back, beginning at the first node or at the `last`, with a rest at the turn where one is asked for.
-    fn path(&self, line: &Line, last: bool, pass_s: f64) -> (Vec<f64>, Vec<Leg>) {
-        let mut order: Vec<usize> = (0..line.nodes.len()).collect();
-        if last {
-            order.reverse();
-        }
-        let begin = line.nodes[order[0]].clone();
-        order.extend(order.clone().into_iter().rev().skip(1));
-        let axis = &self.axes[0];
-        let whole = axis[axis.len() - 1] - axis[0];
-        let leg = |w: &[usize]| {
-            let (a, b) = (&line.nodes[w[0]], &line.nodes[w[1]]);
-            // A model that says nothing there is not fed forward.
-            let change = |d: &Vec<f64>| Some(d[w[1]] - d[w[0]]).filter(|v| v.is_finite()).unwrap_or(0.0);
-            Leg {
-                to: b.clone(),
-                seconds: pass_s * (b[0] - a[0]).abs() / whole,
-                driven: line.driven.iter().map(change).collect(),
-                gains: line.gains.iter().map(|g| g[w[1]]).collect(),
-            }
-        };
-        let mut legs: Vec<Leg> = order.windows(2).map(leg).collect();
-        // Half of them go there.
-        let (turn, seconds) = (legs.len() / 2, turn_s(self.spec));
-        if let Some(there) = legs.get(turn.wrapping_sub(1)).filter(|_| seconds > 0.0) {
-            let driven = vec![0.0; self.layout.loops.len()];
-            let rest = Leg { to: there.to.clone(), driven, gains: there.gains.clone(), seconds };
-            legs.insert(turn, rest);
-        }
-        (begin, legs)
+/// The path along a line, beginning at the first node or at the `last`: there and back, with a rest at the turn where one is asked for; or there with a rest at each
+/// node, and back where limits were kept, in the time of a ramp. `whole`: length of the first axis; `pace`: share of the times that the spec asks for.
+fn path(
+    (spec, pace): (&SweepSpec, f64),
+    (whole, ramp_s): (f64, f64),
+    line: &Line,
+    last: bool,
+) -> (Vec<f64>, Vec<Leg>) {
+    let mut order: Vec<usize> = (0..line.nodes.len()).collect();
+    if last {
+        order.reverse();
     }
+    let begin = line.nodes[order[0]].clone();
+    order.extend(order.clone().into_iter().rev().skip(1));
+    // A model that says nothing there is not fed forward.
+    let change = |a: usize, b: usize| {
+        let one = move |d: &Vec<f64>| Some(d[b] - d[a]).filter(|v| v.is_finite()).unwrap_or(0.0);
+        line.driven.iter().map(one).collect()
+    };
+    let leg = |a: usize, b: usize, seconds: f64| Leg {
+        to: line.nodes[b].clone(),
+        seconds,
+        driven: change(a, b),
+        gains: line.gains.iter().map(|g| g[b]).collect(),
+    };
+    let share = |a: usize, b: usize| (line.nodes[b][0] - line.nodes[a][0]).abs() / whole;
+    let steps = order.len() - 1;
+    let rests = spec.rest_s > 0.0;
+    let mut legs = Vec::new();
+    if rests {
+        legs.push(leg(order[0], order[0], pace * spec.rest_s));
+    }
+    for (k, w) in order.windows(2).enumerate() {
+        let (there, turns) = (2 * k < steps, 2 * (k + 1) == steps);
+        let pass_s = if there || !rests { pace * spec.pass_s } else { ramp_s };
+        legs.push(leg(w[0], w[1], pass_s * share(w[0], w[1])));
+        let rest_s = match rests {
+            true if there => pace * spec.rest_s,
+            false if turns => spec.turn_s,
+            _ => 0.0,
+        };
+        if rest_s > 0.0 {
+            legs.push(leg(w[1], w[1], rest_s));
+        }
+    }
+    (begin, legs)
 }
 
 #[cfg(test)]
@@ -367,19 +401,34 @@ mod tests {
     /// Lines take what is asked as long as there is time for all, and share what there is after that.
     #[test]
     fn lines_go_faster_where_time_is_short() {
-        let spec = MapSpec::default();
-        let way_s = turn_s(&spec) + next_line_s(&spec);
+        let (spec, axes) = (MapSpec::default(), [vec![40.0, 100.0, 160.0]]);
+        let way_s = next_line_s(&spec);
+        let sweep = SweepSpec { pass_s: 40.0, ..SweepSpec::default() };
+        let pass_s = |left_s: f64, (lines, share): (usize, f64)| {
+            40.0 * pace(&spec, &sweep, left_s, (lines, along_s(&sweep, (3, share))))
+        };
         for lines in [1, 4] {
-            let of = |each_s: f64| pass_s(&spec, 40.0, lines as f64 * each_s, (lines, lines as f64));
-            assert_eq!(
-                [of(500.0), of(80.0 + way_s), of(30.0), of(-1.0)],
-                [40.0, 40.0, 40.0 / FASTEST, 40.0 / FASTEST]
-            );
+            let of = |each_s: f64| pass_s(lines as f64 * each_s, (lines, lines as f64));
+            for (found, right) in [of(500.0), of(80.0 + way_s), of(30.0), of(-1.0)].into_iter().zip([
+                40.0,
+                40.0,
+                40.0 / FASTEST,
+                40.0 / FASTEST,
+            ]) {
+                assert!((found - right).abs() < 1e-12, "{found} {right}");
+            }
             assert!((of(70.0 + way_s) - 35.0).abs() < 1e-12);
             // Half lines need half of the time.
-            let half = pass_s(&spec, 40.0, lines as f64 * (40.0 + way_s), (lines, 0.5 * lines as f64));
+            let half = pass_s(lines as f64 * (40.0 + way_s), (lines, 0.5 * lines as f64));
             assert!((half - 40.0).abs() < 1e-12, "{half}");
         }
+        // With rests there is one way of them, and one back in the time of a ramp.
+        let rests = SweepSpec { rest_s: 8.0, pass_s: 16.0, ..sweep };
+        let all_s = 16.0 + 3.0 * 8.0 + spec.bed.approach.ramp_s + way_s;
+        assert!((line_s(&spec, &rests, &axes) - all_s).abs() < 1e-12);
+        let along_s = along_s(&rests, (3, 1.0));
+        assert_eq!(pace(&spec, &rests, all_s, (1, along_s)), 1.0);
+        assert!((pace(&spec, &rests, all_s - 8.0, (1, along_s)) - 0.8).abs() < 1e-12);
     }
 
     /// Eight lines keep the time of two more for what is gone along again, one keeps that of one more, and lines along no demand none.
@@ -387,7 +436,7 @@ mod tests {
     fn time_is_kept_for_a_quarter_of_the_lines() {
         let mut spec = MapSpec::default();
         spec.bed.sweep = Some(SweepSpec { between: 0, ..SweepSpec::default() });
-        let each_s = line_s(&spec, spec.bed.sweep.as_ref().unwrap());
+        let each_s = line_s(&spec, spec.bed.sweep.as_ref().unwrap(), &[vec![40.0, 160.0]]);
         let lines = |spec: &MapSpec, n: usize| {
             let axes = [vec![40.0, 160.0], (0..n).map(|k| k as f64).collect()];
             expected_s(spec, &axes[..if n == 1 { 1 } else { 2 }]) / each_s
@@ -397,6 +446,37 @@ mod tests {
         assert!((lines(&spec, 8) - 10.0).abs() < 1e-9 && (lines(&spec, 1) - 2.0).abs() < 1e-9);
         spec.axes.clear();
         assert!((lines(&spec, 8) - 8.0).abs() < 1e-9);
+    }
+
+    fn line(nodes: &[f64]) -> Line {
+        Line {
+            number: 0,
+            other: None,
+            nodes: nodes.iter().map(|y| vec![*y, 0.1 * y]).collect(),
+            driven: vec![nodes.iter().map(|y| 0.2 * y).collect()],
+            gains: vec![nodes.iter().map(|y| y / 40.0).collect()],
+        }
+    }
+
+    /// With rests: one at each node on the way there, none on the way back, which takes the time of a ramp. Without: there and back at the same pace with a rest at the
+    /// turn. What is fed forward ends where it began.
+    #[test]
+    fn a_line_rests_at_each_node_or_at_its_turn() {
+        let line = line(&[40.0, 70.0, 160.0]);
+        let times = |spec: &SweepSpec, pace: f64, last: bool| -> (f64, Vec<(f64, f64)>) {
+            let (from, legs) = path((spec, pace), (120.0, 12.0), &line, last);
+            let fed: f64 = legs.iter().map(|l| l.driven[0]).sum();
+            assert!(fed.abs() < 1e-9 && legs.iter().all(|l| l.gains[0] == l.to[0] / 40.0));
+            (from[0], legs.iter().map(|l| (l.to[0], l.seconds)).collect())
+        };
+        let rests = SweepSpec { pass_s: 16.0, rest_s: 8.0, ..SweepSpec::default() };
+        let there = [(40.0, 8.0), (70.0, 4.0), (70.0, 8.0), (160.0, 12.0), (160.0, 8.0)];
+        assert_eq!(times(&rests, 1.0, false), (40.0, [&there[..], &[(70.0, 9.0), (40.0, 3.0)]].concat()));
+        let (from, other) = times(&rests, 0.5, true);
+        assert_eq!((from, &other[..2]), (160.0, &[(160.0, 4.0), (70.0, 6.0)][..]));
+        let turns = SweepSpec { pass_s: 40.0, turn_s: 8.0, ..SweepSpec::default() };
+        let all = [(70.0, 10.0), (160.0, 30.0), (160.0, 8.0), (70.0, 30.0), (40.0, 10.0)];
+        assert_eq!(times(&turns, 1.0, false), (40.0, all.to_vec()));
     }
 
     #[test]

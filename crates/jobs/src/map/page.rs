@@ -124,7 +124,7 @@ fn maps(found: &Mapped) -> Section {
 fn swept(found: &Mapped, mut section: Section) -> Section {
     if let Some(s) = &found.sweeps {
         section = section.text(format!(
-            "{} of {} lines of the maps were gone there and back on the bed, loops closed: {} windows in {:.1} min.",
+            "{} of {} lines of the maps were gone along on the bed, loops closed: {} windows in {:.1} min.",
             s.whole,
             s.planned,
             s.rows,

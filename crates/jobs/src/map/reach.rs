@@ -83,7 +83,7 @@ impl Reach {
         });
         // Where the demand was not reached it hardly answers its input any more: that the loop had not come to rest is no matter there.
         let mut told = missed(layout, windows);
-        told.extend((0..windows.len()).filter(|k| windows[*k].row.at_end[driven]));
+        told.extend((0..windows.len()).filter(|k| windows[*k].row.at_end[driven] && !windows[*k].settles()));
         told.sort_unstable();
         told.dedup();
         let of_lines = told.iter().map(|k| &windows[*k].row);

@@ -122,17 +122,19 @@ pub struct BedSpec {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepSpec {
-    /// Time in s in which the whole of the first axis is gone through; every line is gone there and back.
+    /// Time in s in which the whole of the first axis is gone through; every line is gone there and back, or with rests there only.
     pub pass_s: f64,
     /// Lines between two neighbouring values of the other axis.
     pub between: usize,
     /// Rest at the turn of a line in s: what the demand comes to there is neither lag of the way nor a loop that is behind.
     pub turn_s: f64,
+    /// Rest at each value of the first axis in s; with one a line is gone one way only, and what is measured is what stands there at rest. 0: none.
+    pub rest_s: f64,
 }
 
 impl Default for SweepSpec {
     fn default() -> Self {
-        Self { pass_s: 25.0, between: 1, turn_s: 0.0 }
+        Self { pass_s: 25.0, between: 1, turn_s: 0.0, rest_s: 0.0 }
     }
 }
 

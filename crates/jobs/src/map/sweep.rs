@@ -18,6 +18,8 @@
 //! (`windows.rs`), or the way back had needlessly much of the input: a throttle that has stood wide open holds with 46 deg what 31 had held before, both are
 //! true, and no smooth map goes through both. What is between them passed for a lag of the way, which goes on beyond where there is one way alone.
 //!
+//! Of lines that rest at each value of the first axis (`bed.sweep.rest_s`) windows of rests alone count; there is no way back then, and what is needless on one is not sought.
+//!
 //! How the bed goes along the lines: `lines.rs`.
 
 use dynocal_calib::steady::day::DayPoint;
@@ -68,7 +70,8 @@ impl Lines<'_> {
     /// Points of the lines along the maps as they are.
     pub(super) fn points(&self, rows: &[Window]) -> Vec<DayPoint> {
         let loops: Vec<usize> = (0..self.layout.loops.len()).collect();
-        along::points(self.layout, &self.on_the_maps(rows, &loops))
+        let rests = self.spec.bed.sweep.as_ref().is_some_and(|s| s.rest_s > 0.0);
+        along::points(self.layout, &self.on_the_maps(rows, &loops), rests)
     }
 
     /// Puts maps of driven inputs that were learnt with `points` of the lines, too, in the place of those that were not, and trims them.
@@ -100,6 +103,7 @@ impl Lines<'_> {
         let Some(k) = self.demand(l, drive) else { return Vec::new() };
         let one = |w: &&Window| Answer {
             way: (w.line, w.way.up > 0.0),
+            rest: Some((w.pass, w.row.leg)).filter(|_| w.way.up == 0.0),
             rising: w.way.up > 0.0 && w.way.since_s >= w.way.window_s,
             at_s: w.row.at_s,
             asked: w.row.asked[l],
@@ -141,7 +145,7 @@ impl Lines<'_> {
         // A model that hardly knows its demand cannot be asked at another one.
         match self.demand(l, drive) {
             Some(k) if self.shifted(&told, drive, k)? => {}
-            _ => drop(self.round(&told, drive, None, None)?),
+            _ => drop(self.round(&told, drive, None)?),
         }
         if drive.trimmed.is_none() {
             return Ok(());
@@ -167,12 +171,12 @@ impl Lines<'_> {
     /// Trims the demand `k` at which the model is asked, in some rounds, each of which takes what is left by the slope of the map as it is by then,
     /// as long as less is left. False, and no trim, where the first leaves no less.
     fn shifted(&self, told: &Told, drive: &mut Drive, k: usize) -> Result<bool, MapError> {
-        let mut chosen = None;
         let mut least = self.left(told, drive, Some(k))?;
         for _ in 0..ROUNDS {
             let before = drive.clone();
-            let Some(weights) = self.round(told, drive, Some(k), chosen)? else { break };
-            chosen = Some(weights);
+            if !self.round(told, drive, Some(k))? {
+                break;
+            }
             let left = self.left(told, drive, Some(k))?;
             if left.is_nan() || left >= least {
                 *drive = before;
@@ -183,14 +187,9 @@ impl Lines<'_> {
         Ok(drive.trimmed.is_some())
     }
 
-    /// One round: the trim from what windows tell by now, its weight of the bending and time constant found where they are not `chosen`; these two.
-    fn round(
-        &self,
-        told: &Told,
-        drive: &mut Drive,
-        demand: Option<usize>,
-        chosen: Option<(f64, f64)>,
-    ) -> Result<Option<(f64, f64)>, MapError> {
+    /// One round: the trim from what windows tell by now, and how stiff it is; false where they tell nothing. In the first rounds the map is farther off than later,
+    /// and what is chosen for that is too stiff for what is left.
+    fn round(&self, told: &Told, drive: &mut Drive, demand: Option<usize>) -> Result<bool, MapError> {
         let (l, used) = (told.l, told.used);
         let mut missed = Missed::default();
         for ((w, _), (e, weight)) in used.iter().zip(self.told(l, drive, used, demand)?) {
@@ -199,15 +198,10 @@ impl Lines<'_> {
                 missed.line.push(w.line);
             }
         }
-        let trim = match chosen {
-            Some((lambda, tau_s)) => Trim::with(told.knots, &missed.along, lambda, tau_s),
-            None => Trim::learn(told.knots, &missed.along),
-        };
-        let Some(trim) = trim else { return Ok(None) };
-        let weights = (trim.lambda, trim.tau_s);
+        let Some(trim) = Trim::learn(told.knots, &missed.along) else { return Ok(false) };
         let between = missed.between(&trim);
         drive.take(trim, demand, between);
-        Ok(Some(weights))
+        Ok(true)
     }
 
     /// How much of the demand windows miss about the trim that there is: sum of squares by their weights.
@@ -293,7 +287,7 @@ impl Missed {
         let (first, last) = (*self.line.iter().min()?, *self.line.iter().max()?);
         let (mut sum, mut n) = (0.0, 0.0);
         for held in first + 1..last {
-            let without = Trim::with(&trim.axes, &self.without(held), trim.lambda, trim.tau_s);
+            let without = Trim::with(&trim.axes, &self.without(held), trim.choice);
             let Some(without) = without else { continue };
             for i in (0..self.line.len()).filter(|i| self.line[*i] == held) {
                 let z = &self.along.at[i];
@@ -309,6 +303,8 @@ impl Missed {
 struct Answer {
     /// Number of the line, and whether it was gone up.
     way: (usize, bool),
+    /// Which pass and leg it rested on; none where it was under way.
+    rest: Option<(usize, usize)>,
     /// Whether it had been gone up for a window by then.
     rising: bool,
     /// Bed time in s.
@@ -320,7 +316,7 @@ struct Answer {
 }
 
 /// Steepest slope of the input over the demand, both as shares, from each window to those beside it on its way that are no more than `apart_s`
-/// apart; 0 where none is. Where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
+/// apart, or from rest to rest; 0 where none is. Where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
 /// and what they miss is no matter.
 fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
     let share = |a: f64, b: f64| (a / b).ln().abs();
@@ -329,7 +325,8 @@ fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
         let (a, b) = (&w[0], &w[1]);
         let (asked, got) = (share(b.asked, a.asked), share(b.got, a.got));
         // Not a number where there is no logarithm.
-        let stands = asked.is_nan() || got.is_nan() || asked == 0.0;
+        let same_rest = a.rest.is_some() && a.rest == b.rest;
+        let stands = asked.is_nan() || got.is_nan() || asked == 0.0 || same_rest;
         if a.way != b.way || b.at_s - a.at_s > apart_s || stands {
             continue;
         }
@@ -337,6 +334,28 @@ fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
         if found.is_finite() {
             slopes[i..=i + 1].iter_mut().for_each(|s: &mut f64| *s = s.max(found));
         }
+    }
+    let rests: Vec<&[Answer]> = answers.chunk_by(|a, b| a.rest == b.rest).collect();
+    let mut begin = 0;
+    for w in rests.windows(2) {
+        let (a, b) = (&w[0], &w[1]);
+        let end = begin + a.len() + b.len();
+        if a[0].rest.zip(b[0].rest).is_some_and(|(a, b)| a.0 == b.0) {
+            let of = |value: &dyn Fn(&Answer) -> f64| {
+                // The input still moves in the first of several.
+                let mean = |all: &[Answer]| {
+                    let rested = &all[usize::from(all.len() > 1)..];
+                    rested.iter().map(value).sum::<f64>() / rested.len() as f64
+                };
+                share(mean(b), mean(a))
+            };
+            let asked = of(&|a| a.asked);
+            let found = of(&|a| a.input) / of(&|a| a.got).max(ANSWERED * asked);
+            if found.is_finite() && asked > 0.0 {
+                slopes[begin..end].iter_mut().for_each(|s: &mut f64| *s = s.max(found));
+            }
+        }
+        begin += a.len();
     }
     slopes
 }
@@ -366,6 +385,7 @@ mod tests {
     fn a_way_back_with_needlessly_much_of_the_input_does_not_count() {
         let at = |line: usize, up: bool, got: f64, input: f64| Answer {
             way: (line, up),
+            rest: None,
             rising: up,
             at_s: 0.0,
             asked: got,
@@ -393,11 +413,35 @@ mod tests {
         assert_eq!(needless(&apart, 1.0), [false; 8]);
     }
 
+    /// From rest to rest: what the input does there, windows of a rest have in common, and of another pass nothing is known.
+    #[test]
+    fn slopes_go_from_rest_to_rest() {
+        let at = |rest: Option<(usize, usize)>, got: f64, input: f64| Answer {
+            way: (0, false),
+            rest,
+            rising: false,
+            at_s: rest.map_or(0.0, |(pass, leg)| (100 * pass + 10 * leg) as f64),
+            asked: got,
+            got,
+            input,
+        };
+        let rests = [(Some((0, 0)), 100.0, 20.0), (Some((0, 2)), 110.0, 22.0), (Some((0, 4)), 121.0, 44.0)];
+        let pairs = rests.iter().flat_map(|(r, y, u)| [at(*r, *y, *u), at(*r, *y, *u)]);
+        let mut all: Vec<Answer> = pairs.collect();
+        all.push(at(Some((1, 0)), 130.0, 60.0));
+        let slopes = measured_slopes(&all, 0.0);
+        let steep = 2.0_f64.ln() / 1.1_f64.ln();
+        for (found, right) in slopes.iter().zip([1.0, 1.0, steep, steep, steep, steep, 0.0]) {
+            assert!((found - right).abs() < 1e-9, "{slopes:?}");
+        }
+    }
+
     /// y = 1 - exp(-u): gone up as at rest, and come back from the end through u of 6 to 3.5, where y stays what it was.
     #[test]
     fn a_loop_that_comes_back_from_where_nothing_answers_counts_little() {
         let at = |k: usize, up: bool, asked: f64, input: f64| Answer {
             way: (0, up),
+            rest: None,
             rising: up,
             at_s: 2.0 * k as f64,
             asked,

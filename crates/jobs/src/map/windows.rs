@@ -14,6 +14,18 @@ pub(super) struct Window {
 }
 
 impl Window {
+    /// Whether it is of the same rest, or way, as `other`.
+    pub(super) fn belongs_to(&self, other: &Window) -> bool {
+        self.pass == other.pass
+            && self.way.up == other.way.up
+            && (self.way.up != 0.0 || self.row.leg == other.row.leg)
+    }
+
+    /// Whether it is the first of a rest, in which the bed comes to it.
+    pub(super) fn settles(&self) -> bool {
+        self.way.up == 0.0 && self.way.since_s < 0.9 * self.way.window_s
+    }
+
     /// Axes as they were asked for.
     pub(super) fn asked(&self, layout: &Layout) -> Vec<f64> {
         let mut at = self.row.factors[..layout.axes].to_vec();
@@ -25,7 +37,8 @@ impl Window {
 }
 
 /// Numbers of the `windows` whose demand was not reached: it was not followed, and its input stood at an end, or it fell short at the end of a
-/// rest at an upper turn, or before and behind a turn without one, so that more of the input came too late or to nothing.
+/// rest to which more of it was asked, or before and behind an upper turn without one, so that more of the input came too late or to nothing. While the bed comes
+/// to rest an input may touch its end and leave it again.
 pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
     let demands: Vec<(usize, usize)> = layout.demanded().collect();
     let short = |w: &Window| {
@@ -33,10 +46,11 @@ pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
             |(k, l): &(usize, usize)| !w.row.followed[*l] && w.row.factors[*k].abs() < w.row.asked[*l].abs();
         demands.iter().any(falls)
     };
-    let at_end = |w: &Window| demands.iter().any(|(_, l)| !w.row.followed[*l] && w.row.at_end[*l]);
+    let ends = |w: &Window| demands.iter().any(|(_, l)| !w.row.followed[*l] && w.row.at_end[*l]);
+    let at_end = |w: &Window| !w.settles() && ends(w);
     let rested = |k: usize| {
         let w = &windows[k];
-        let last = windows.get(k + 1).is_none_or(|n| n.line != w.line || n.way.up != 0.0);
+        let last = windows.get(k + 1).is_none_or(|next| !next.belongs_to(w));
         w.way.up == 0.0 && w.way.before[1].0 > 0.0 && last && short(w)
     };
     let turns = |first: usize| {
@@ -49,19 +63,19 @@ pub(super) fn missed(layout: &Layout, windows: &[Window]) -> Vec<usize> {
 }
 
 /// Which `windows` hold the demand of loop `l`, factor `k`, in passing: on one way it falls short of what is asked for, comes nearer, and goes beyond, farther from
-/// window to window (or the other way round). There the loop is on its way, and its input is not what the demand takes.
+/// window to window (or the other way round). There the loop is on its way, and its input is not what the demand takes. Of a rest its own windows tell that.
 pub(super) fn in_passing(windows: &[Window], (k, l): (usize, usize)) -> Vec<bool> {
     let missed = |w: &Window| w.row.factors[k] - w.row.asked[l];
-    let run = |a: &Window, b: &Window| {
-        a.pass == b.pass && a.way.up == b.way.up && a.row.followed[l] && b.row.followed[l]
-    };
+    let run = |a: &Window, b: &Window| a.belongs_to(b) && a.row.followed[l] && b.row.followed[l];
     let (mut found, mut begin) = (Vec::new(), 0);
     for all in windows.chunk_by(run) {
         let end = begin + all.len();
         // With those before and behind, where these belong to it and were not followed.
         let around = begin.checked_sub(1).and_then(|first| windows.get(first..=end)).unwrap_or(&[]);
         let passes = all[0].row.followed[l]
-            && around.iter().all(|w| w.pass == all[0].pass)
+            && around
+                .iter()
+                .all(|w| w.pass == all[0].pass && (all[0].way.up != 0.0 || w.belongs_to(&all[0])))
             && [around.first(), around.last()].into_iter().flatten().all(|w| !w.row.followed[l])
             && around.first().zip(around.last()).is_some_and(|(a, b)| missed(a) * missed(b) < 0.0)
             && (around.is_sorted_by(|a, b| missed(a) < missed(b))
@@ -159,6 +173,25 @@ mod tests {
         assert!(of(0).is_empty() && of(1) == rest[..1]);
     }
 
+    fn one_axis() -> Layout {
+        let f = Factor {
+            name: "y".into(),
+            unit: "Nm".into(),
+            lower: 0.0,
+            upper: 200.0,
+            kind: FactorKind::Demand(0),
+        };
+        Layout {
+            problem: CalibrationProblem::thesis(),
+            loops: Vec::new(),
+            factors: vec![f],
+            axes: 1,
+            held: std::collections::BTreeMap::new(),
+            responses: Vec::new(),
+            sample_time_s: 0.1,
+        }
+    }
+
     /// A window of a way `up` that was asked for `asked` and gave `got`, 2 s after the one before.
     fn window(k: usize, up: f64, asked: f64, got: f64, at_end: bool) -> Window {
         let before = [(0.0, 0.0), if up == 0.0 { (1.0, 40.0) } else { (0.0, 0.0) }];
@@ -204,24 +237,33 @@ mod tests {
         assert!(in_passing(&[], (0, 0)).is_empty());
     }
 
+    /// Three rests one after the other: one that stays short was not reached, whatever the input touched while the bed came to the others; none is in passing.
+    #[test]
+    fn a_rest_is_judged_by_its_own_windows() {
+        let rest = |leg: usize, since_s: f64, (asked, got): (f64, f64), at_end: bool| {
+            let w = window(leg, 0.0, asked, got, at_end);
+            let way = Way { since_s, before: [(0.0, 8.0), (1.0, 2.0)], ..w.way };
+            Window { way, row: SweepRow { leg, ..w.row }, ..w }
+        };
+        let all = [
+            rest(0, 0.0, (100.0, 94.0), true),
+            rest(0, 2.0, (100.0, 99.0), false),
+            rest(2, 0.0, (120.0, 108.0), false),
+            rest(2, 2.0, (120.0, 114.0), false),
+            rest(4, 0.0, (140.0, 150.0), false),
+            rest(4, 2.0, (140.0, 141.0), false),
+        ];
+        assert_eq!(missed(&one_axis(), &all), [3]);
+        assert_eq!(in_passing(&all, (0, 0)), [false; 6]);
+        // Without rests of their own: short before, beyond after.
+        let one: Vec<Window> =
+            all.into_iter().map(|w| Window { row: SweepRow { leg: 0, ..w.row }, ..w }).collect();
+        assert!(missed(&one_axis(), &one).is_empty());
+    }
+
     #[test]
     fn a_demand_that_falls_short_at_an_upper_turn_was_not_reached() {
-        let f = Factor {
-            name: "y".into(),
-            unit: "Nm".into(),
-            lower: 0.0,
-            upper: 200.0,
-            kind: FactorKind::Demand(0),
-        };
-        let layout = Layout {
-            problem: CalibrationProblem::thesis(),
-            loops: Vec::new(),
-            factors: vec![f],
-            axes: 1,
-            held: std::collections::BTreeMap::new(),
-            responses: Vec::new(),
-            sample_time_s: 0.1,
-        };
+        let layout = one_axis();
         let there = |top: f64| {
             [
                 (1.0, 120.0, 119.0),

@@ -57,3 +57,27 @@ fn a_held_value_out_of_its_range_is_refused() {
         }
     }
 }
+
+/// A rest along a line has windows of which some count also where time is short, and no line rests at its turn as well.
+#[test]
+fn rests_of_lines_are_long_enough_to_tell_something() {
+    let cases = [
+        ("rest_s = 8.0", None),
+        ("rest_s = 0.0\nturn_s = 4.0", None),
+        ("rest_s = 7.9", Some(("`bed.sweep.rest_s`", "8 s and more"))),
+        ("rest_s = -1.0", Some(("`bed.sweep.rest_s`", "0 to 600 s"))),
+        ("rest_s = nan", Some(("`bed.sweep.rest_s`", "0 to 600 s"))),
+        ("rest_s = 8.0\nturn_s = 4.0", Some(("`bed.sweep.turn_s`", "`rest_s`"))),
+    ];
+    for (keys, fault) in cases {
+        let text = text(&format!("{DAY}[bed.sweep]\n{keys}\n"));
+        match (job::parse("map.toml", &text, &Overrides::default()), fault) {
+            (Ok(_), None) => {}
+            (Err(e), Some((key, expected))) => {
+                let e = e.to_string();
+                assert!(e.contains(key) && e.contains(expected), "{keys}: {e}");
+            }
+            (read, _) => panic!("{keys}: {:?}", read.map(|j| j.name).map_err(|e| e.to_string())),
+        }
+    }
+}

@@ -181,6 +181,13 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     // The same day without them misses twice as much at least. 0.5 Nm of scatter of 30 Nm in a sample, ten samples in a window.
     let (without, _) = worst("", 1.0);
     assert!(with < 0.01 && with < 0.5 * without, "{with} {without}");
+    // With a rest at each of the values in place of a way back: one way, and nothing is measured but rests.
+    let rests = "[bed.sweep]\npass_s = 4.0\nrest_s = 8.0\n[optimise]\nbetween = 0.002\n";
+    let (with, found) = worst(rests, 1.0);
+    let s = found.sweeps.as_ref().unwrap();
+    let rests = 5 * found.axes[0].points.len();
+    assert!(s.planned == 5 && s.whole == 5 && s.rows >= 3 * rests && s.rows <= 4 * rests, "{s:?} {rests}");
+    assert!(with < 0.01 && with < 0.5 * without, "{with} {without}");
 }
 
 /// A load that saturates is nearly open before it is at its end, and models of it over the torque do not know where the end is. The lines

@@ -2,6 +2,12 @@ use super::*;
 use dynocal_calib::problem::CalibrationProblem;
 use dynocal_calib::steady::layout::{Factor, FactorKind};
 use dynocal_calib::steady::trim::Along;
+use dynocal_calib::steady::trim::Choice;
+
+/// As stiff in its lag as in its correction, and a lag that is there at once.
+fn alike(lambda: f64) -> Choice {
+    Choice { lambda, kappa: lambda, tau_s: 0.0 }
+}
 
 /// One axis and no held channel.
 fn layout() -> Layout {
@@ -40,7 +46,7 @@ fn trimmed(words: &str, held: f64, between: Option<f64>) -> Drive {
     let mut found = drive(&layout, &record, over, &y, ("throttle", "deg"), &spec, Watch::silent()).unwrap();
     let mut along = Along::default();
     (0..8).for_each(|k| along.push(vec![10.0 + 10.0 * f64::from(k)], Way::default(), 0.0, 1.0));
-    let trim = Trim::with(&[vec![10.0, 50.0, 100.0]], &along, 1.0, 0.0).unwrap();
+    let trim = Trim::with(&[vec![10.0, 50.0, 100.0]], &along, alike(1.0)).unwrap();
     found.take(Trim { scatter: held, ..trim }, Some(0), between);
     found.choice = words.into();
     found
@@ -56,7 +62,7 @@ fn what_is_left_of_a_window_counts_in_its_cell_by_the_demand() {
         let way = Way { up, since_s: 1e6, before: [(0.0, 0.0); 2], window_s: 1.0 };
         lagging.push(vec![10.0 + 5.0 * f64::from(k)], way, -0.03 * up, 1.0);
     }
-    let trim = Trim::with(&axes, &lagging, 1e-3, 0.0).unwrap();
+    let trim = Trim::with(&axes, &lagging, alike(1e-3)).unwrap();
     let of = |slope: f64, share: f64, up: f64, demand: Option<usize>| {
         let mut drive = trimmed("first.", 0.01, None);
         drive.take(trim.clone(), demand, None);
