@@ -62,9 +62,9 @@ fn a_held_value_out_of_its_range_is_refused() {
 #[test]
 fn rests_of_lines_are_long_enough_to_tell_something() {
     let cases = [
-        ("rest_s = 8.0", None),
+        ("rest_s = 4.0", None),
         ("rest_s = 0.0\nturn_s = 4.0", None),
-        ("rest_s = 7.9", Some(("`bed.sweep.rest_s`", "8 s and more"))),
+        ("rest_s = 3.9", Some(("`bed.sweep.rest_s`", "4 s and more"))),
         ("rest_s = -1.0", Some(("`bed.sweep.rest_s`", "0 to 600 s"))),
         ("rest_s = nan", Some(("`bed.sweep.rest_s`", "0 to 600 s"))),
         ("rest_s = 8.0\nturn_s = 4.0", Some(("`bed.sweep.turn_s`", "`rest_s`"))),

@@ -182,7 +182,7 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
     let (without, _) = worst("", 1.0);
     assert!(with < 0.01 && with < 0.5 * without, "{with} {without}");
     // With a rest at each of the values in place of a way back: one way, and nothing is measured but rests.
-    let rests = "[bed.sweep]\npass_s = 4.0\nrest_s = 8.0\n[optimise]\nbetween = 0.002\n";
+    let rests = "[bed.sweep]\npass_s = 4.0\nrest_s = 4.0\n[optimise]\nbetween = 0.002\n";
     let (with, found) = worst(rests, 1.0);
     let s = found.sweeps.as_ref().unwrap();
     let rests = 5 * found.axes[0].points.len();
