@@ -52,6 +52,7 @@ impl VirtualEngine {
         let [air, fuel, products] = [0, 1, 2].map(|i| s.gas.mass_kg[i][c]);
         match kind {
             EventKind::ExchangeBegins => {
+                m.variation.cycle(m.work_j, m.last.gross_work_j);
                 m.last.gross_work_j = m.work_j;
                 m.last.exchange_work_j = m.exchange_work_j;
                 m.work_j = 0.0;
@@ -130,7 +131,7 @@ impl VirtualEngine {
                     m.bound_j_kg = energy.bound_j_kg * (1.0 / m.lambda - 1.0).clamp(0.0, 2.0);
                 }
                 let limited = all_fuel.min(air / gas.afr_stoich).max(0.0);
-                let scale = d.scatter.cycle(d.seed, s.cycle, c);
+                let scale = d.scatter.of_charge(m.lambda, m.residual).cycle(d.seed, s.cycle, c);
                 let share = self.params.burn.burnable_share(m.lambda)
                     * self.params.burn.dilution_share(m.residual)
                     * scale.heat;

@@ -193,6 +193,23 @@ fn is_zero(x: &f64) -> bool {
     *x == 0.0
 }
 
+/// Laminar flame speed over that without burned gas, S(x) = max(0.22, 1 - 2.06 x^0.77).
+fn residual_factor(residual: f64) -> f64 {
+    (1.0 - 2.06 * residual.max(0.0).powf(0.77)).max(0.22)
+}
+
+/// Laminar flame speed over that at lambda 1, a parabola over the equivalence ratio, 0.12 at least.
+fn mixture_factor(lambda: f64) -> f64 {
+    let parabola = |phi: f64| 30.5 - 54.9 * (phi - 1.21) * (phi - 1.21);
+    (parabola(1.0 / lambda) / parabola(1.0)).max(0.12)
+}
+
+/// By how much the flame of a charge is slower than at lambda 1 with a tenth of burned gas \[-\], by the laminar flame speeds
+/// of the burn sub-model ([`BurnModel`]); 1 there, above 1 where the charge is diluted more.
+pub fn flame_slowness(lambda: f64, residual: f64) -> f64 {
+    residual_factor(0.1) / (residual_factor(residual) * mixture_factor(lambda))
+}
+
 impl BurnModel {
     /// Thesis mode: the burn does not depend on lambda and there is no hard misfire limit.
     pub fn thesis() -> Self {
@@ -236,13 +253,12 @@ impl BurnModel {
 
     /// Wiebe function of the cycle in a cylinder of these dimensions.
     pub fn wiebe(&self, c: &Charge, geometry: &Geometry) -> Wiebe {
-        let s_xr = (1.0 - 2.06 * c.residual.max(0.0).powf(0.77)).max(0.22);
+        let s_xr = residual_factor(c.residual);
         let mut f = (c.speed_rpm / 2000.0).powf(self.speed_exponent)
             * s_xr.powf(-self.residual_exponent)
             * (c.trapped_kg.max(1e-6) / 280e-6).powf(-self.mass_exponent);
         if self.lambda_exponent != 0.0 {
-            let parabola = |phi: f64| 30.5 - 54.9 * (phi - 1.21) * (phi - 1.21);
-            let s_lambda = (parabola(1.0 / c.lambda) / parabola(1.0)).max(0.12);
+            let s_lambda = mixture_factor(c.lambda);
             f *= s_lambda.powf(-self.lambda_exponent);
         }
         // 1.0434 = (ln 2/a)^(1/3) places CA50 for m = 2; the correction is defined with it.

@@ -50,6 +50,8 @@ fn visit(s: &mut EngineState, f: &mut impl FnMut(&mut f64)) {
         [&mut l.knock, &mut l.burned_k, &mut e.no_ppm, &mut e.co_pct, &mut e.hc_ppm]
             .into_iter()
             .for_each(&mut *f);
+        let v = &mut c.variation;
+        [&mut v.mean_j, &mut v.square_j2, &mut v.cycles].into_iter().for_each(&mut *f);
         let film = &mut c.film;
         [&mut film.film_kg, &mut film.airborne_kg, &mut film.time_s].into_iter().for_each(&mut *f);
     }

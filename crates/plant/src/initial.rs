@@ -1,6 +1,7 @@
 //! State of a new engine.
 
 use crate::combustion::Wiebe;
+use crate::deviations::Variation;
 use crate::dissociation::HeldEnergy;
 use crate::end_gas::EndGas;
 use crate::film::Film;
@@ -33,6 +34,7 @@ pub(crate) fn initial_state(p: &EngineParams, grid: &Grid, inputs: Inputs) -> En
         work_j: 0.0,
         exchange_work_j: 0.0,
         last: CycleRecord { peak_pa: 10e5, ..CycleRecord::default() },
+        variation: Variation::default(),
     };
     let nodes = grid.local_nodes(0);
     let mut state = EngineState {

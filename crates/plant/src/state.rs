@@ -1,6 +1,7 @@
 //! The state of the engine: plain numbers, cloned for snapshots.
 
 use crate::combustion::Wiebe;
+use crate::deviations::Variation;
 use crate::dissociation::HeldEnergy;
 use crate::emissions::EngineOut;
 use crate::end_gas::EndGas;
@@ -72,6 +73,9 @@ pub struct Cylinder {
     pub exchange_work_j: f64,
     /// Last complete cycle.
     pub last: CycleRecord,
+    /// Variation of the gross work from cycle to cycle.
+    #[serde(default)]
+    pub variation: Variation,
 }
 
 /// Results of one complete cycle of one cylinder.

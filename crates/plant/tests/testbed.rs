@@ -3,7 +3,6 @@
 use dynocal_ident::plant::{Causality, Plant, PlantError, variable_index};
 use dynocal_numerics::rng::Rng64;
 use dynocal_plant::bed::{BedSettings, EngineBed};
-use dynocal_plant::deviations::Scatter;
 use dynocal_plant::engine::VirtualEngine;
 use dynocal_plant::params::EngineParams;
 use dynocal_plant::testbed::catalyst::CatalystSettings;
@@ -344,42 +343,6 @@ fn inputs_outside_are_refused_or_saturate_as_chosen() {
         soft.step(&[f64::NAN, 19.0, 15.0, 2000.0], 0.03, &mut y),
         Err(PlantError::NonFinite { .. })
     ));
-}
-
-/// Coefficient of variation of the gross IMEP of one cylinder over `n` cycles.
-fn imep_cov(b: &mut EngineBed, cylinder: usize, n: usize) -> f64 {
-    let mut y = outputs(b);
-    let work: Vec<f64> = (0..n)
-        .map(|_| {
-            b.step_angle(&START, 720.0, &mut y).unwrap();
-            b.engine().cycle_log()[cylinder].gross_work_j
-        })
-        .collect();
-    let mean = work.iter().sum::<f64>() / n as f64;
-    (work.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / n as f64).sqrt() / mean
-}
-
-#[test]
-fn burn_scatter_gives_the_stated_cov_of_imep() {
-    let real = |heat, burn| BedOptions {
-        engine: RealEngine { scatter: Scatter { heat, burn }, ..RealEngine::default() },
-        ..BedOptions::default()
-    };
-    assert!(imep_cov(&mut bed(real(0.0, 0.0)), 0, 50) < 1e-3, "without scatter cycles repeat");
-    let n = 600;
-    for heat in [0.015, 0.03] {
-        let mut b = bed(real(heat, 0.0));
-        b.reset(1);
-        let cov = imep_cov(&mut b, 1, n);
-        // Gross work is the heat's work less a nearly constant compression loss, so COV is a little above `heat`;
-        // standard error of a COV from n cycles is 1/sqrt(2n) = 3 %.
-        assert!((cov / heat - 1.0).abs() < 0.2, "{heat}: {cov}");
-    }
-    // The duration alone moves the work by its square only, at the best spark.
-    let mut b = bed(real(0.0, 0.05));
-    b.reset(1);
-    let cov = imep_cov(&mut b, 1, n);
-    assert!(cov > 1e-4 && cov < 0.01, "{cov}");
 }
 
 #[test]

@@ -305,7 +305,7 @@ fn the_film_conserves_fuel_and_answers_a_step_as_a_first_order_lag() {
 
 #[test]
 fn scatter_has_its_variation_and_no_memory() {
-    let s = Scatter { heat: 0.02, burn: 0.1 };
+    let s = Scatter { heat: 0.02, burn: 0.1, dilution: 0.0 };
     let n = 20_000u64;
     let x: Vec<(f64, f64)> =
         (0..n).map(|k| s.cycle(3, k / 4, (k % 4) as usize)).map(|c| (c.heat - 1.0, c.burn - 1.0)).collect();

@@ -62,6 +62,16 @@ pub(crate) static QUANTITIES: &[Quantity] = &[
         r.engine.cycle_log().iter().map(|c| 1e-5 * c.peak_pa).fold(0.0, f64::max)
     }),
     quantity("imep", "bar", (-5.0, 40.0), "Indicated mean effective pressure, gross", |r| r.y.imep_bar),
+    Quantity {
+        needs_fuel: true,
+        ..quantity(
+            "cov_imep",
+            "%",
+            (0.0, 100.0),
+            "Coefficient of variation of the gross IMEP, rms of the cylinders, last 50 cycles",
+            |r| 100.0 * rms_variation(r.engine),
+        )
+    },
     quantity("ca50", "deg", (-60.0, 120.0), "Angle of 50 % burned", |r| r.y.ca50_deg),
     quantity("residual", "-", (0.0, 1.0), "Residual fraction", |r| r.y.residual),
     Quantity {
@@ -127,6 +137,13 @@ fn least_burned_share(engine: &VirtualEngine) -> f64 {
         if limited > 0.0 { c.burnable_kg / limited } else { 1.0 }
     };
     engine.state().cylinders.iter().map(share).fold(1.0, f64::min)
+}
+
+/// Coefficient of variation of the gross work from cycle to cycle, root mean square of the cylinders \[-\];
+/// 1 at most, as without work it has no bound.
+fn rms_variation(engine: &VirtualEngine) -> f64 {
+    let squares = engine.state().cylinders.iter().map(|c| c.variation.coefficient().powi(2));
+    (0.25 * squares.sum::<f64>()).sqrt().min(1.0)
 }
 
 /// Row of a name.

@@ -146,7 +146,7 @@ impl BedOptions {
             wastegate: ActuatorSettings { lag_s: 0.15, rate_per_s: 0.0 },
             sensors: sensors.into_iter().map(|(n, s)| (n.to_owned(), s)).collect(),
             engine: RealEngine {
-                scatter: Scatter { heat: 0.012, burn: 0.05 },
+                scatter: Scatter { heat: 0.012, burn: 0.05, dilution: 0.0 },
                 cylinder_seed: 1,
                 fuel_imbalance: 0.01,
                 injector_error: 0.0,
@@ -334,6 +334,9 @@ impl BedOptions {
             "conversion" | "oxygen" if self.engine.catalyst.is_none() => {
                 Some("this bed has no `engine.catalyst`")
             }
+            "cov_imep" if self.engine.scatter.heat == 0.0 && self.engine.scatter.burn == 0.0 => {
+                Some("this bed has no `engine.scatter`, so that all cycles are alike")
+            }
             _ => None,
         }
     }
@@ -353,6 +356,7 @@ impl RealEngine {
     fn check(&self) -> Result<(), PlantError> {
         range("bed.engine.scatter.heat", self.scatter.heat, 0.0, 0.3)?;
         range("bed.engine.scatter.burn", self.scatter.burn, 0.0, 0.3)?;
+        range("bed.engine.scatter.dilution", self.scatter.dilution, 0.0, 10.0)?;
         range("bed.engine.fuel_imbalance", self.fuel_imbalance, 0.0, 0.2)?;
         range("bed.engine.injector_error", self.injector_error, -0.5, 0.5)?;
         range("bed.engine.burn_imbalance", self.burn_imbalance, 0.0, 0.2)?;
