@@ -86,6 +86,32 @@ fn derivatives_of_every_kind_are_those_of_differences() {
     }
 }
 
+/// Where the first inputs stand still, derivatives with respect to the others are the same to the last bit.
+#[test]
+fn inputs_that_stand_still_change_no_derivative_of_the_others() {
+    let positive = |x: &[f64]| smooth(x).abs() + 2.0;
+    let points = points(40, 3, 5, 0.02, positive);
+    let warped = learner("gaussian_process", &keys("transform = \"log\"\nwarp = \"asinh\"")).unwrap();
+    for kind in all_kinds().into_iter().chain([warped]) {
+        let model = learn(&*kind, &points).model;
+        for first in 0..=3 {
+            let (mut all, mut some) = (Prediction::new(3), Prediction::of_moving(3, first));
+            for x in [[0.2, -0.4, 0.7], [-0.9, 0.1, 0.3]] {
+                model.predict(&x, Ask::Hessian, &mut all);
+                model.predict(&x, Ask::Hessian, &mut some);
+                let (of, what) = ((some.mean, some.variance), model.describe());
+                assert_eq!((all.mean, all.variance), of, "{what}");
+                assert_eq!(all.gradient, some.gradient, "{what}");
+                assert_eq!(all.variance_gradient, some.variance_gradient, "{what}");
+                for at in (0..9).filter(|at| at / 3 >= first && at % 3 >= first) {
+                    assert_eq!(all.hessian[at], some.hessian[at], "{what}");
+                    assert_eq!(all.variance_hessian[at], some.variance_hessian[at], "{what}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn every_kind_is_stored_whole_and_predicts_within_its_left_out_error() {
     let p = points(90, 3, 4, 0.02, smooth);

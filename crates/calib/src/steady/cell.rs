@@ -276,7 +276,8 @@ impl<'a, 'b> Program<'a, 'b> {
             x: start.to_vec(),
             known: Vec::new(),
             derived: false,
-            at: vec![Prediction::new(setting.dim()); setting.models.len()],
+            // The axes of the cell stand still.
+            at: vec![Prediction::of_moving(setting.dim(), setting.axes); setting.models.len()],
         }
     }
 

@@ -80,6 +80,8 @@ pub struct Prediction {
     pub hessian: Vec<f64>,
     /// Hessian of the variance (d x d).
     pub variance_hessian: Vec<f64>,
+    /// First input that moves.
+    moving: usize,
     /// Space that the model computes in.
     work: Vec<f64>,
     /// Predictions of the members of a mean.
@@ -92,6 +94,13 @@ impl Prediction {
         let mut new = Self::default();
         new.fit(d);
         new
+    }
+
+    /// Buffers for d inputs of which those from `first` on move: second derivatives with respect to those before it are not asked for,
+    /// and mean nothing.
+    #[must_use]
+    pub fn of_moving(d: usize, first: usize) -> Self {
+        Self { moving: first, ..Self::new(d) }
     }
 
     /// Makes room for d inputs.

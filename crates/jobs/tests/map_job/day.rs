@@ -174,6 +174,34 @@ fn an_interrupted_day_goes_on_where_it_stopped() {
     assert!(!notes.contains("earlier run") && found != whole, "{notes}");
 }
 
+/// Ctrl-C among the lines, wherever: the day with its lines, whose rests count, is the one that was never interrupted.
+#[test]
+fn an_interrupted_day_goes_on_within_its_lines() {
+    let text = text(&format!("{DAY}[bed.sweep]\npass_s = 4.0\nrest_s = 4.0\n"));
+    let read = job::parse("map.toml", &text, &Overrides { seed: Some(1), out: None }).unwrap();
+    let said =
+        |m: &Mapped| serde_json::to_string(&(&m.points, &m.sweeps, &m.cells, &m.verified, &m.bed)).unwrap();
+    let bench = || Bench::new(0.5, Fault::None);
+    let lines = |folder: &std::path::Path| {
+        std::fs::read_to_string(folder.join("day.jsonl")).map_or(0, |t| t.lines().count())
+    };
+    let first = tempfile::tempdir().unwrap();
+    let found = work::run_on_in(&read, &mut bench(), Some(first.path()), Watch::silent()).unwrap();
+    let (whole, all, verified) = (said(&found), lines(first.path()), found.verified.len());
+    let swept = found.sweeps.unwrap().planned;
+    // Of a head, points, lines and verification points: in the first line, in the last but one, behind the lines.
+    for stop_after in [all - verified - swept, all - verified - 2, all - 1] {
+        let tmp = tempfile::tempdir().unwrap();
+        let stop = || lines(tmp.path()) >= stop_after;
+        let early = Watch { interrupt: &stop, ..Watch::silent() };
+        let e = work::run_on_in(&read, &mut bench(), Some(tmp.path()), early).unwrap_err();
+        assert!(matches!(e, MapError::Interrupted), "{e}");
+        assert!(lines(tmp.path()) < all, "{stop_after} of {all}");
+        let found = work::run_on_in(&read, &mut bench(), Some(tmp.path()), Watch::silent()).unwrap();
+        assert!(said(&found) == whole, "stopped after {stop_after} of {all} lines of the record");
+    }
+}
+
 /// A bed on which every setting gives the same point: copies are no knowledge.
 #[test]
 fn points_that_are_all_the_same_are_refused_with_their_numbers() {

@@ -195,9 +195,10 @@ fn sweeps_along_the_maps_mend_what_the_model_of_a_driven_input_misses() {
 /// matters.
 #[test]
 fn no_optimum_lies_where_a_line_found_the_load_at_its_end() {
-    let few = "[models]\ncandidates = [{ kind = \"gaussian_process\" }]\n[bed.sweep]\npass_s = 20.0\n";
-    for seed in 1..4 {
-        let found = run_with(&format!("{DAY}{few}"), seed, Bench::new(0.5, Fault::Saturates)).unwrap();
+    let few = "[models]\ncandidates = [{ kind = \"gaussian_process\" }]\n[bed.sweep]\n";
+    let (back, rests) = ("pass_s = 20.0\n", "pass_s = 4.0\nrest_s = 4.0\n");
+    for (seed, lines) in [(1, back), (2, back), (3, back), (1, rests), (2, rests)] {
+        let found = run_with(&format!("{DAY}{few}{lines}"), seed, Bench::new(0.5, Fault::Saturates)).unwrap();
         let s = found.sweeps.as_ref().unwrap();
         assert!(s.whole <= s.planned && found.bed.all_s() <= 3600.0, "{s:?} {:?}", found.bed);
         let mut near = 0;

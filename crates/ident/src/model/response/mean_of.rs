@@ -118,6 +118,7 @@ impl Response for MeanOfModel {
         let mut parts = std::mem::take(&mut out.parts);
         for (model, part) in self.models.iter().zip(&mut parts) {
             part.fit(d);
+            part.moving = out.moving;
             model.predict(x, ask, part);
         }
         let average = |of: &dyn Fn(&Prediction) -> f64| parts.iter().map(of).sum::<f64>() / count;

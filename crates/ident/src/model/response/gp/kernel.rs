@@ -72,15 +72,31 @@ impl Kernel {
     /// Correlation with both derivatives.
     pub fn correlation(self, r2: f64) -> Correlation {
         let (value, slope) = self.value_slope(r2);
-        let curvature = match self {
-            Self::SquaredExponential => 0.25 * value,
+        Correlation { value, slope, curvature: self.curvature(r2) }
+    }
+
+    #[inline(always)]
+    fn curvature(self, r2: f64) -> f64 {
+        match self {
+            Self::SquaredExponential => 0.25 * exp(-0.5 * r2),
             Self::Matern32 => {
                 let a = (3.0 * r2).sqrt();
                 if a > 0.0 { 2.25 * exp(-a) / a } else { 0.0 }
             }
             Self::Matern52 => 25.0 / 12.0 * exp(-(5.0 * r2).sqrt()),
-        };
-        Correlation { value, slope, curvature }
+        }
+    }
+
+    /// Turns squared distances into d^2k/d(r^2)^2, in place.
+    #[inline(always)]
+    pub(super) fn curve(self, r2: &mut [f64]) {
+        match self {
+            Self::SquaredExponential => {
+                r2.iter_mut().for_each(|x| *x = Self::SquaredExponential.curvature(*x))
+            }
+            Self::Matern32 => r2.iter_mut().for_each(|x| *x = Self::Matern32.curvature(*x)),
+            Self::Matern52 => r2.iter_mut().for_each(|x| *x = Self::Matern52.curvature(*x)),
+        }
     }
 
     /// Turns squared distances into correlations, in place, and writes the slopes beside them.

@@ -145,12 +145,13 @@ impl GpModel {
         out: &mut Prediction,
     ) {
         let (d, n, q) = (point.len(), p.len(), f.len());
+        let moving = out.moving.min(d);
         let hyper = &self.stored.hyper;
         let w: Vec<f64> = hyper.log_lengths.iter().map(|l| (-2.0 * l).exp()).collect();
         // v_j and t_j, one after the other.
         let (rows_v, rest) = rest.split_at_mut(d * n);
         let (rows_t, h) = rest.split_at_mut(d * q);
-        for j in 0..d {
+        for j in moving..d {
             for i in 0..n {
                 column[i] = 2.0 * slopes[i] * (point[j] - self.columns[j][i]) * w[j];
             }
@@ -161,22 +162,10 @@ impl GpModel {
         }
         out.hessian.fill(0.0);
         out.variance_hessian.fill(0.0);
-        for i in 0..n {
-            let r2: f64 = (0..d).map(|j| (point[j] - self.columns[j][i]).powi(2) * w[j]).sum();
-            let (slope, curvature) = (slopes[i], self.stored.kernel.correlation(r2).curvature);
-            for j in 0..d {
-                for l in j..d {
-                    let (dj, dl) = (point[j] - self.columns[j][i], point[l] - self.columns[l][i]);
-                    let own = if j == l { 2.0 * slope * w[j] } else { 0.0 };
-                    let second = 4.0 * curvature * dj * dl * w[j] * w[l] + own;
-                    out.hessian[j * d + l] += self.factors.weights[i] * second;
-                    out.variance_hessian[j * d + l] -= p[i] * second;
-                }
-            }
-        }
+        pulp::Arch::new().dispatch(Seconds { model: self, point, w: &w, slopes, p, curvatures: column, out });
         let (unit, std) = (self.stored.scaling.output_std, &self.stored.scaling.std);
         let s2 = hyper.signal_variance * unit * unit;
-        for j in 0..d {
+        for j in moving..d {
             for l in j..d {
                 let basis = |of: &[f64]| -> f64 {
                     (0..q).map(|k| of[k] * self.stored.mean.curvature(d, k, j, l)).sum()
@@ -244,6 +233,53 @@ impl pulp::WithSimd for Gradients<'_> {
             let (w, point) = (2.0 * (-2.0 * lengths[j]).exp(), self.point[j]);
             self.out.gradient[j] = w * sum_of(self.by_mean, column, |w, x| w * (point - x));
             self.out.variance_gradient[j] = w * sum_of(self.by_variance, column, |w, x| w * (point - x));
+        }
+    }
+}
+
+/// Sums of the second derivatives of the correlations over the points, for each pair of inputs that move.
+struct Seconds<'a> {
+    model: &'a GpModel,
+    point: &'a [f64],
+    w: &'a [f64],
+    slopes: &'a [f64],
+    p: &'a [f64],
+    /// Space for k'' (n).
+    curvatures: &'a mut [f64],
+    out: &'a mut Prediction,
+}
+
+impl pulp::WithSimd for Seconds<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { model, point, w, slopes, p, curvatures, out } = self;
+        let d = point.len();
+        curvatures.fill(0.0);
+        for ((column, x), w) in model.columns.iter().zip(point).zip(w) {
+            for (r2, xi) in curvatures.iter_mut().zip(column) {
+                *r2 += (x - xi) * (x - xi) * w;
+            }
+        }
+        model.stored.kernel.curve(curvatures);
+        let moving = out.moving.min(d);
+        for (i, (curvature, slope)) in curvatures.iter().zip(slopes).enumerate() {
+            let (of_mean, of_variance) = (model.factors.weights[i], p[i]);
+            let apart = |j: usize| point[j] - model.columns[j][i];
+            for j in moving..d {
+                let by_j = 4.0 * curvature * apart(j);
+                let rows = j * d + j..(j + 1) * d;
+                let (means, variances) = (&mut out.hessian[rows.clone()], &mut out.variance_hessian[rows]);
+                // Of one input there is a second term.
+                let mut own = 2.0 * slope * w[j];
+                for (l, (mean, variance)) in (j..d).zip(means.iter_mut().zip(variances)) {
+                    let second = by_j * apart(l) * w[j] * w[l] + own;
+                    *mean += of_mean * second;
+                    *variance -= of_variance * second;
+                    own = 0.0;
+                }
+            }
         }
     }
 }
