@@ -35,6 +35,7 @@ pub struct Side {
 }
 
 /// Models and limits that all cells share.
+#[derive(Clone)]
 pub struct Setting<'a> {
     /// Models of the responses over the factors.
     pub models: Vec<&'a dyn Response>,

@@ -9,7 +9,7 @@
 //! Where lines rest at each value (`bed.sweep.rest_s`) a rest is a point: the mean of those of its windows that count, but for the first, in which the bed comes to it.
 //!
 //! Where a driven input was another there than back by more than a tenth, its loop was still moving it, and the mean says nothing. The others stand where
-//! the maps lie, and are about as many as the points of the day: the maps of driven inputs are learnt again with them. No other response learns from them.
+//! the maps lie, and are about as many as the points of the day: the maps of driven inputs are learnt again with them, and what is minimised is by those of the first lines.
 
 use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::layout::Layout;

@@ -72,7 +72,7 @@ pub(super) fn swept(found: Result<Swept, PlayError>, watch: Watch) -> Result<Swe
         let words = day::refused(e).map_err(stopped(watch))?;
         let touched =
             Touched { output: String::new(), value: f64::NAN, limit: f64::NAN, factors: Vec::new(), words };
-        Ok(Swept { rows: Vec::new(), touched: Some(touched), used_s: 0.0 })
+        Ok(Swept { rows: Vec::new(), clock_s: None, touched: Some(touched), used_s: 0.0 })
     })
 }
 

@@ -47,6 +47,8 @@ pub(super) struct Chosen {
     /// Factor by which the standard deviations of the model are widened, so that 95 % of the held-out points lie in their intervals.
     pub(super) widen: f64,
     pub(super) words: String,
+    /// Numbers of the kinds that were taken.
+    pub(super) taken: Vec<usize>,
 }
 
 /// Share of held-out points that their intervals have to hold, and its quantile of the normal distribution.
@@ -110,7 +112,7 @@ pub(super) fn choose(
             parts.len()
         );
     }
-    Ok(Chosen { learnt, rmse, widen, words })
+    Ok(Chosen { learnt, rmse, widen, words, taken })
 }
 
 /// What was taken, and why.

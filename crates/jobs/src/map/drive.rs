@@ -86,7 +86,7 @@ pub struct Trimmed {
     trim: Trim,
     /// The factor of the demand, where the trim is a share of it; else it adds to what is learnt.
     #[serde(skip)]
-    demand: Option<usize>,
+    pub(super) demand: Option<usize>,
 }
 
 /// What a loop set in a window along the maps.
@@ -224,7 +224,7 @@ fn drive(
     let mut models = spec.models.clone();
     models.candidates.retain(|c| !relative || c.get("transform").is_none());
     let kinds = kinds(if models.candidates.is_empty() { &spec.models } else { &models })?;
-    let Chosen { learnt, rmse, widen, words } =
+    let Chosen { learnt, rmse, widen, words, .. } =
         choose(&kinds, Errors::Absolute, &points, spec.models.folds, true, watch.interrupt)
             .map_err(|source| MapError::Learn { response: input.into(), source })?;
     Ok(Drive {

@@ -31,7 +31,7 @@ pub fn estimate(job: &Job) -> Estimate {
     // Points that follow models may be approached over a corner.
     let corners_s = (follow + s.verify.points) as f64 * a.ramp_s;
     let most_s =
-        points * (a.ramp_s + a.settle_s + a.average_s) + corners_s + super::lines::expected_s(s, &axes);
+        points * (a.ramp_s + a.settle_s + a.average_s) + corners_s + super::line_time::expected_s(s, &axes);
     let most_s = most_s.min(60.0 * s.bed.minutes);
     let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
     let held: Vec<String> = s.held.iter().map(|(name, v)| format!("{name} = {v}")).collect();

@@ -1,10 +1,11 @@
 //! Response models of the day: one for each response, chosen by nested validation.
 
 use dynocal_calib::steady::day::{DayPoint, Drift, Purpose, corrected};
-use dynocal_calib::steady::layout::{Layout, ResponseSource};
+use dynocal_calib::steady::layout::{Layout, ResponseChannel, ResponseSource};
+use dynocal_ident::model::response::mean_of::together;
 use dynocal_ident::model::response::score::{ScorePage, score_learnt};
 use dynocal_ident::model::response::{
-    Ask, Points, Prediction, Response, ResponseError, ResponseModel, learner,
+    Ask, Learnt, Points, Prediction, Response, ResponseError, ResponseModel, learner,
 };
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
@@ -41,6 +42,9 @@ pub struct Learned {
     /// The model.
     #[serde(skip)]
     pub model: ResponseModel,
+    /// Numbers of the candidates that it is the mean of.
+    #[serde(skip)]
+    pub(super) taken: Vec<usize>,
 }
 
 impl Learned {
@@ -148,7 +152,7 @@ pub(super) fn learn(
         // An opening goes through a decade: a model that is some degrees off everywhere knows nothing of the lower end of its range.
         let asked = if driven { Errors::Relative } else { spec.errors };
         let by = if driven || r.weight != 0.0 { errors_of(asked, &table.y) } else { Errors::Absolute };
-        let Chosen { learnt, rmse, widen, words } =
+        let Chosen { learnt, rmse, widen, words, taken } =
             choose(&kinds, by, &table, spec.folds, nested, watch.interrupt).map_err(refused)?;
         let n = table.len() as f64;
         let mean = table.y.iter().sum::<f64>() / n;
@@ -166,6 +170,7 @@ pub(super) fn learn(
             met: met(layout, points, k),
             page,
             model: learnt.model,
+            taken,
         };
         let near = |limit: f64| (limit - mean).abs() < 6.0 * spread;
         // The map of an input that a loop drives is trimmed by its loop: a rough model is said, not refused.
@@ -184,11 +189,54 @@ pub(super) fn learn(
     Ok(all)
 }
 
+/// Models of what is minimised, of the same kinds learnt once more with points of lines: `points` are all of them, `more` the number of the new ones. The others
+/// stay. What is said of their errors, and how much their intervals are widened, is by points that had no part in it: those of lines stand beside each other, and
+/// folds of them would choose the kind that follows lines.
+///
+/// # Errors
+/// [`MapError::Interrupted`].
+pub(super) fn again(
+    models: &[Learned],
+    layout: &Layout,
+    points: &[DayPoint],
+    more: usize,
+    drift: &[Drift],
+    spec: &ModelsSpec,
+    watch: Watch,
+) -> Result<Vec<Learned>, MapError> {
+    let kinds = kinds(spec)?;
+    let one = |(k, (r, before)): (usize, (&ResponseChannel, &Learned))| {
+        if r.weight == 0.0 {
+            return Ok(before.clone());
+        }
+        watch.note(&format!("response model of {} with what lines showed", r.name));
+        let table = table(layout, points, drift, k);
+        let learnt: Result<Vec<Learnt>, _> =
+            before.taken.iter().map(|kind| kinds[*kind].1.learn(&table, watch.interrupt)).collect();
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
+        }
+        // What cannot be learnt with them stays what it was.
+        let Some(learnt) = learnt.ok().filter(|all| !all.is_empty()).map(together) else {
+            return Ok(before.clone());
+        };
+        let page = score_learnt(&learnt.model, &learnt.left_out, &table, None, None, learnt.notes.clone());
+        Ok(Learned {
+            what: page.what.clone(),
+            choice: format!("{} It was learnt again with {more} points of lines.", before.choice),
+            points: table.len(),
+            page,
+            model: learnt.model,
+            ..before.clone()
+        })
+    };
+    layout.responses.iter().zip(models).enumerate().map(one).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use dynocal_calib::problem::CalibrationProblem;
-    use dynocal_calib::steady::layout::ResponseChannel;
     use dynocal_calib::steady::station::SteadyPoint;
 
     /// An end is met where something stood at it, whether the point was used or not, and where that is known by its value alone.

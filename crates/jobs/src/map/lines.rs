@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
+use super::line_time::{again_s, along_s, beside_s, least_s, pace};
 use super::schedule::Schedule;
 use super::spec::{MapSpec, SweepSpec};
 use super::windows::{Window, keep};
@@ -28,7 +29,7 @@ pub struct Sweeps {
     pub planned: usize,
     /// Lines that were gone to their end.
     pub whole: usize,
-    /// Parts of lines that were gone along again, as their maps had become others by what the demand was found to reach.
+    /// Parts of lines that were gone along again, as their maps had become others by what lines showed.
     pub again: usize,
     /// Windows that were measured.
     pub rows: usize,
@@ -54,7 +55,10 @@ pub(super) struct Lines<'a> {
 pub(super) type Gone = (Sweeps, Vec<Window>);
 
 /// A line: factors at its nodes along the first axis.
+#[derive(Clone)]
 pub(super) struct Line {
+    /// Whether it is a part of one that was gone along before.
+    part: bool,
     /// Its number along the other axis.
     number: usize,
     /// Value of the other axis; none where there is none.
@@ -69,60 +73,6 @@ pub(super) struct Line {
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
 /// within it is less than its map misses.
 const ASIDE: f64 = 0.05;
-/// Bed time that the sweeps of a spec take, about.
-pub(super) fn expected_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
-    let Some(s) = &spec.bed.sweep else { return 0.0 };
-    lines(s, axes) as f64 * line_s(spec, s, axes) + again_s(spec, axes)
-}
-
-/// Number of lines of a map.
-fn lines(s: &SweepSpec, axes: &[Vec<f64>]) -> usize {
-    axes.get(1).map_or(1, |a| (a.len() - 1) * (s.between + 1) + 1)
-}
-
-/// Bed time of a line with the way to it.
-fn line_s(spec: &MapSpec, s: &SweepSpec, axes: &[Vec<f64>]) -> f64 {
-    along_s(s, (axes.first().map_or(0, Vec::len), 1.0)) + beside_s(spec, s)
-}
-
-/// Bed time as the spec asks along a line through so many values and a share of the first axis: there and back, or there with its rests.
-fn along_s(s: &SweepSpec, (values, share): (usize, f64)) -> f64 {
-    if s.rest_s > 0.0 { s.pass_s * share + values as f64 * s.rest_s } else { 2.0 * s.pass_s * share }
-}
-
-/// Bed time of a line that does not go with its length: the way to it and a rest at the turn, or the way back where nothing is measured on it.
-fn beside_s(spec: &MapSpec, s: &SweepSpec) -> f64 {
-    next_line_s(spec) + if s.rest_s > 0.0 { spec.bed.approach.ramp_s } else { s.turn_s }
-}
-
-/// Share of the lines for which bed time is kept to go along parts of them again ([`Lines::again`]), one at least: where a demand is not reached at one
-/// place of the other axis it mostly is not beside it, either. With one of eight lines most days of `gtdi_2l` had left parts out, or hurried along all.
-const AGAIN: f64 = 0.25;
-
-/// Bed time that is kept for parts of lines that are gone along again.
-fn again_s(spec: &MapSpec, axes: &[Vec<f64>]) -> f64 {
-    // Only what a demand reaches is found along lines.
-    let demanded = spec.problem.demand_names().iter().any(|d| spec.axes.contains_key(d));
-    let kept = |s: &SweepSpec| (AGAIN * lines(s, axes) as f64).max(1.0) * line_s(spec, s, axes);
-    spec.bed.sweep.as_ref().filter(|_| demanded).map_or(0.0, kept)
-}
-
-/// Bed time to the next line, about: half of the range, and half of the longest wait for its rest. More would be points that are not
-/// measured; where it takes longer, the lines that are left go faster ([`pace`]).
-fn next_line_s(spec: &MapSpec) -> f64 {
-    let a = &spec.bed.approach;
-    0.5 * (a.ramp_s + a.settle_s) + a.average_s
-}
-
-/// How many times as fast as asked a line may be gone along.
-const FASTEST: f64 = 1.5;
-
-/// By how much the times that the spec asks for are shortened on the next of `lines` that have `left_s` of bed time and would take `along_s` together: not at
-/// all, or to a `FASTEST`th where time is short, so that neither the last lines nor the verification are left out.
-fn pace(spec: &MapSpec, s: &SweepSpec, left_s: f64, (lines, along_s): (usize, f64)) -> f64 {
-    ((left_s - lines as f64 * beside_s(spec, s)) / along_s.max(f64::MIN_POSITIVE)).clamp(1.0 / FASTEST, 1.0)
-}
-
 /// First and last of the nodes whose settings are not `beside` those that had the same leading `axes` before, with one more on either side; none
 /// where all are.
 fn others(
@@ -155,13 +105,26 @@ fn begins_last(demanded: bool, [first, last]: [f64; 2], now: f64) -> bool {
     if demanded { last.abs() < first.abs() } else { (last - now).abs() < (first - now).abs() }
 }
 
+/// When lines have to end.
+struct Until {
+    /// Bed time at which none begins any more, in s.
+    bed_s: f64,
+    /// Of that, for lines which come later.
+    others_s: f64,
+    /// Whether none may go on beyond `bed_s`, either.
+    firm: bool,
+}
+
+/// Of so many lines one is gone along first, the second of each three: what it shows of what is minimised may move the maps before the bed goes along the others.
+const FIRST: usize = 3;
+
 impl Lines<'_> {
-    /// Goes along all lines until `bed_s` is used up, less what is kept to go along parts again; these lines with what was measured, nothing
-    /// where the spec asks for none or the bed cannot.
+    /// Goes along some of the lines, one in [`FIRST`], in their share of the time until `bed_s` less what is kept to go along parts again; these lines with what was
+    /// measured, nothing where the spec asks for none or the bed cannot.
     ///
     /// # Errors
     /// [`MapError`].
-    pub(super) fn run(
+    pub(super) fn begin(
         &self,
         bench: &mut dyn Bench,
         drives: &[Drive],
@@ -169,11 +132,49 @@ impl Lines<'_> {
         watch: Watch,
     ) -> Result<Option<(Gone, Vec<Line>)>, MapError> {
         let Some(spec) = self.spec.bed.sweep.as_ref().filter(|_| bench.goes_on()) else { return Ok(None) };
-        let lines = self.lines(spec, drives)?;
-        watch.note(&format!("{} lines of the maps on the bed", lines.len()));
+        let all = self.lines(spec, drives)?;
+        let planned = all.len();
+        let each = all.into_iter().enumerate();
+        let (first, others): (Vec<_>, Vec<_>) = each.partition(|(k, _)| k % FIRST == FIRST / 2);
+        let lines: Vec<Line> = first.into_iter().map(|(_, l)| l).collect();
+        if !lines.is_empty() {
+            watch.note(&format!("{} of {planned} lines of the maps on the bed", lines.len()));
+        }
+        let others_s = others.iter().map(|(_, l)| self.line_s(spec, l)).sum();
         let bed_s = bed_s - again_s(self.spec, self.axes);
-        let mut swept = (Sweeps { planned: lines.len(), ..Sweeps::default() }, Vec::new());
-        Ok(if self.go(bench, &lines, bed_s, &mut swept, watch)? { Some((swept, lines)) } else { None })
+        let mut swept = (Sweeps { planned, ..Sweeps::default() }, Vec::new());
+        let went = self.go(bench, &lines, Until { bed_s, others_s, firm: false }, &mut swept, watch)?;
+        Ok(went.then_some((swept, lines)))
+    }
+
+    /// Goes along the lines that are not among those `before`, and along the parts of these whose maps are others by now, until `bed_s` is used up, less what is kept to go
+    /// along parts again, of which these take half at most. In the end those `before` are all, as they are now.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn go_on(
+        &self,
+        bench: &mut dyn Bench,
+        (drives, before): (&[Drive], &mut Vec<Line>),
+        bed_s: f64,
+        swept: &mut Gone,
+        watch: Watch,
+    ) -> Result<(), MapError> {
+        let Some(spec) = &self.spec.bed.sweep else { return Ok(()) };
+        let all = self.lines(spec, drives)?;
+        let gone = |l: &Line| before.iter().any(|b| b.number == l.number);
+        let (old, mut lines): (Vec<Line>, Vec<Line>) = all.iter().cloned().partition(gone);
+        let parts: Vec<Line> = old.into_iter().filter_map(|l| self.changed(l, before)).collect();
+        watch.note(&format!("{} lines of the maps on the bed, {} parts again", lines.len(), parts.len()));
+        let (kept_s, parts_s) =
+            (again_s(self.spec, self.axes), parts.iter().map(|l| self.line_s(spec, l)).sum::<f64>());
+        lines.extend(parts);
+        lines.sort_by_key(|l| l.number);
+        let bed_s = bed_s - kept_s + parts_s.min(0.5 * kept_s);
+        self.go(bench, &lines, Until { bed_s, others_s: 0.0, firm: false }, swept, watch)?;
+        swept.0.planned = all.len();
+        *before = all;
+        Ok(())
     }
 
     /// Goes along the parts of the lines whose maps are others than those of the lines `before`, until `bed_s` is used up. Windows are added to
@@ -195,9 +196,7 @@ impl Lines<'_> {
         let parts: Vec<Line> = lines.into_iter().filter_map(|l| self.changed(l, before)).collect();
         if !parts.is_empty() {
             watch.note(&format!("{} parts of lines again: their maps are others now", parts.len()));
-            let whole = swept.0.whole;
-            self.go(bench, &parts, bed_s, swept, watch)?;
-            (swept.0.again, swept.0.whole) = (parts.len(), whole);
+            self.go(bench, &parts, Until { bed_s, others_s: 0.0, firm: true }, swept, watch)?;
         }
         Ok(windows)
     }
@@ -210,16 +209,16 @@ impl Lines<'_> {
         let (from, to) = others(&line.nodes, old, self.layout.axes, &beside)?;
         let part = |all: &[Vec<f64>]| all.iter().map(|d| d[from..=to].to_vec()).collect();
         let (driven, gains) = (part(&line.driven), part(&line.gains));
-        Some(Line { nodes: line.nodes[from..=to].to_vec(), driven, gains, ..line })
+        Some(Line { part: true, nodes: line.nodes[from..=to].to_vec(), driven, gains, ..line })
     }
 
-    /// Goes along lines until `bed_s` is used up, beginning at the end of the other axis that is nearer to where the bed stands: oil and walls are a
-    /// minute and more behind. False where the bed cannot.
+    /// Goes along lines as fast as there is time for them, beginning at the end of the other axis that is nearer to where the bed stands:
+    /// oil and walls are a minute and more behind. False where the bed cannot.
     fn go(
         &self,
         bench: &mut dyn Bench,
         lines: &[Line],
-        bed_s: f64,
+        Until { bed_s, others_s, firm }: Until,
         (sweeps, rows): &mut Gone,
         watch: Watch,
     ) -> Result<bool, MapError> {
@@ -233,7 +232,9 @@ impl Lines<'_> {
             lines.reverse();
         }
         for (k, line) in lines.iter().enumerate() {
-            if bench.used_s() >= bed_s {
+            let least_s =
+                if firm { least_s(self.spec, spec, (line.nodes.len(), self.length(line))) } else { 0.0 };
+            if bench.used_s() + least_s >= bed_s {
                 sweeps.notes.push(format!(
                     "{} of {} lines or parts of lines were left out: the bed time was used up",
                     lines.len() - k,
@@ -244,12 +245,16 @@ impl Lines<'_> {
             watch.fraction(k as f64 / lines.len() as f64);
             let along = |l: &&Line| along_s(spec, (l.nodes.len(), self.length(l)));
             let rest = (lines.len() - k, lines[k..].iter().map(along).sum());
-            let pace = pace(self.spec, spec, bed_s - bench.used_s(), rest);
+            let pace = pace(self.spec, spec, bed_s - others_s - bench.used_s(), rest);
             least = least.min(pace);
+            sweeps.again += usize::from(line.part);
             let first = self.begins_last(line, bench.stands_at());
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
             for last in [first, !first] {
-                let (from, legs) = path((spec, pace), (whole, self.spec.bed.approach.ramp_s), line, last);
+                let (from, mut legs) = path((spec, pace), (whole, self.spec.bed.approach.ramp_s), line, last);
+                // As the bed goes: what is rounded apart from it adds up over a line.
+                let dt = self.layout.sample_time_s;
+                legs.iter_mut().for_each(|l| l.seconds = (l.seconds / dt).round().max(1.0) * dt);
                 let Some(swept) = bench.sweep(&from, &legs, watch)? else { return Ok(false) };
                 let rests = spec.rest_s > 0.0;
                 let there = legs.len() + 1 - line.nodes.len();
@@ -257,7 +262,7 @@ impl Lines<'_> {
                 // In the first half of the way there.
                 let soon = last_leg.is_none_or(|leg| 4 * leg < if rests { 2 * there } else { legs.len() });
                 let before = rows.len();
-                keep(line.number, (&from, &legs), swept.rows, window_s, rows);
+                keep(line.number, (&from, &legs), (swept.rows, swept.clock_s), window_s, rows);
                 if rests {
                     let gone = rows.split_off(before);
                     rows.extend(gone.into_iter().filter(|w| w.way.up == 0.0));
@@ -265,7 +270,7 @@ impl Lines<'_> {
                 // Nothing is measured on the way back from rests.
                 let all = rests && last_leg.is_some_and(|leg| leg >= there);
                 let Some(touched) = swept.touched.as_ref().filter(|_| !all) else {
-                    sweeps.whole += 1;
+                    sweeps.whole += usize::from(!line.part);
                     break;
                 };
                 if !soon || last != first || bench.used_s() >= bed_s {
@@ -290,6 +295,16 @@ impl Lines<'_> {
     pub(super) fn goes_through(&self, w: &Window) -> bool {
         let here = interpolate(self.axes, self.cells, &w.row.factors[..self.layout.axes]);
         beside(self.layout, &w.row.factors, &here)
+    }
+
+    /// Whether the maps, where a demand of the window was asked for, go through it.
+    pub(super) fn asks_for(&self, w: &Window) -> bool {
+        beside(self.layout, &w.row.factors, &interpolate(self.axes, self.cells, &w.asked(self.layout)))
+    }
+
+    /// Bed time of a line with the way to it, as the spec asks.
+    fn line_s(&self, spec: &SweepSpec, line: &Line) -> f64 {
+        along_s(spec, (line.nodes.len(), self.length(line))) + beside_s(self.spec, spec)
     }
 
     /// Length of a line over that of the first axis.
@@ -326,7 +341,7 @@ impl Lines<'_> {
             let driven =
                 drives.iter().map(|d| d.say(self.layout, self.setting, &nodes)).collect::<Result<_, _>>()?;
             let gains = schedule.at(self.layout, self.setting, drives, &nodes)?;
-            Ok(Line { number, other, nodes, driven, gains })
+            Ok(Line { part: false, number, other, nodes, driven, gains })
         };
         let all: Vec<Line> = others.into_iter().enumerate().map(line).collect::<Result<_, MapError>>()?;
         Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
@@ -398,58 +413,9 @@ fn path(
 mod tests {
     use super::*;
 
-    /// Lines take what is asked as long as there is time for all, and share what there is after that.
-    #[test]
-    fn lines_go_faster_where_time_is_short() {
-        let (spec, axes) = (MapSpec::default(), [vec![40.0, 100.0, 160.0]]);
-        let way_s = next_line_s(&spec);
-        let sweep = SweepSpec { pass_s: 40.0, ..SweepSpec::default() };
-        let pass_s = |left_s: f64, (lines, share): (usize, f64)| {
-            40.0 * pace(&spec, &sweep, left_s, (lines, along_s(&sweep, (3, share))))
-        };
-        for lines in [1, 4] {
-            let of = |each_s: f64| pass_s(lines as f64 * each_s, (lines, lines as f64));
-            for (found, right) in [of(500.0), of(80.0 + way_s), of(30.0), of(-1.0)].into_iter().zip([
-                40.0,
-                40.0,
-                40.0 / FASTEST,
-                40.0 / FASTEST,
-            ]) {
-                assert!((found - right).abs() < 1e-12, "{found} {right}");
-            }
-            assert!((of(70.0 + way_s) - 35.0).abs() < 1e-12);
-            // Half lines need half of the time.
-            let half = pass_s(lines as f64 * (40.0 + way_s), (lines, 0.5 * lines as f64));
-            assert!((half - 40.0).abs() < 1e-12, "{half}");
-        }
-        // With rests there is one way of them, and one back in the time of a ramp.
-        let rests = SweepSpec { rest_s: 8.0, pass_s: 16.0, ..sweep };
-        let all_s = 16.0 + 3.0 * 8.0 + spec.bed.approach.ramp_s + way_s;
-        assert!((line_s(&spec, &rests, &axes) - all_s).abs() < 1e-12);
-        let along_s = along_s(&rests, (3, 1.0));
-        assert_eq!(pace(&spec, &rests, all_s, (1, along_s)), 1.0);
-        assert!((pace(&spec, &rests, all_s - 8.0, (1, along_s)) - 0.8).abs() < 1e-12);
-    }
-
-    /// Eight lines keep the time of two more for what is gone along again, one keeps that of one more, and lines along no demand none.
-    #[test]
-    fn time_is_kept_for_a_quarter_of_the_lines() {
-        let mut spec = MapSpec::default();
-        spec.bed.sweep = Some(SweepSpec { between: 0, ..SweepSpec::default() });
-        let each_s = line_s(&spec, spec.bed.sweep.as_ref().unwrap(), &[vec![40.0, 160.0]]);
-        let lines = |spec: &MapSpec, n: usize| {
-            let axes = [vec![40.0, 160.0], (0..n).map(|k| k as f64).collect()];
-            expected_s(spec, &axes[..if n == 1 { 1 } else { 2 }]) / each_s
-        };
-        let demand = spec.problem.demand_names()[0].clone();
-        spec.axes = std::collections::BTreeMap::from([(demand, vec![40.0, 160.0])]);
-        assert!((lines(&spec, 8) - 10.0).abs() < 1e-9 && (lines(&spec, 1) - 2.0).abs() < 1e-9);
-        spec.axes.clear();
-        assert!((lines(&spec, 8) - 8.0).abs() < 1e-9);
-    }
-
     fn line(nodes: &[f64]) -> Line {
         Line {
+            part: false,
             number: 0,
             other: None,
             nodes: nodes.iter().map(|y| vec![*y, 0.1 * y]).collect(),

@@ -4,6 +4,7 @@
 //! memory; [`result`] is what comes out; [`page`] draws it; [`store`] writes the run folder.
 
 mod along;
+mod answers;
 mod bench;
 mod between;
 mod budget;
@@ -21,6 +22,7 @@ pub mod inverse;
 pub mod job;
 mod journal;
 mod learn;
+mod line_time;
 pub mod lines;
 pub mod loops;
 mod optimum;

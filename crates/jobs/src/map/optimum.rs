@@ -11,6 +11,7 @@ use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::quantise::quantise;
 use dynocal_numerics::status::Status;
 use dynocal_numerics::watch::Watch;
+use rayon::prelude::*;
 
 use super::cells::{actuators, missed};
 use super::edits;
@@ -30,6 +31,14 @@ pub(super) struct Optimum {
     pub(super) whole: Option<(Status, usize)>,
     pub(super) delivered: Option<Delivered>,
     pub(super) edits: Vec<Edit>,
+}
+
+/// Standard deviations of what is minimised that are added to it where no point will test it any more.
+const TESTED_NO_MORE: f64 = 2.0;
+
+/// The same where no point will test what is promised any more: an optimum among settings that were never near is not believed.
+pub(super) fn careful<'a>(setting: &Setting<'a>) -> Setting<'a> {
+    Setting { caution: setting.caution.max(TESTED_NO_MORE), ..setting.clone() }
 }
 
 impl Optimum {
@@ -96,9 +105,7 @@ impl Optimum {
             grid::unreached(setting, &self.grid_axes, &which, &mut self.cells);
             return Vec::new();
         };
-        let free = &layout.factors[layout.axes..];
-        let steps: Vec<Option<f64>> =
-            free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect();
+        let steps = Self::steps(spec, layout);
         let one = |k: &usize| {
             let cell = &self.cells[*k];
             let warm = std::slice::from_ref(&cell.optimum.x);
@@ -117,6 +124,72 @@ impl Optimum {
         grid::replace(setting, &self.grid_axes, &which, optima, &mut self.cells);
         grid::unreached(setting, &self.grid_axes, &lost, &mut self.cells);
         hoped
+    }
+
+    /// Seeks cells again with what lines showed of what is minimised, in `setting`, with the care of [`careful`] for what they would move to. Cells move that save more by it than `optimise.smooth` and than
+    /// the jumps to their neighbours cost more by it (`optimise.jump`), or that do not keep their limits where they are; their number. The others stay, as do edits, and
+    /// all where cells are coupled; what is expected there is said anew.
+    pub(super) fn seek_again(
+        &mut self,
+        spec: &MapSpec,
+        layout: &Layout,
+        setting: &Setting,
+        watch: Watch,
+    ) -> usize {
+        let coupled = spec.optimise.whole.is_some() || spec.optimise.front.is_some();
+        let (steps, careful) = (Self::steps(spec, layout), careful(setting));
+        let which: Vec<usize> =
+            (0..self.cells.len()).filter(|k| self.cells[*k].state != CellState::Filled).collect();
+        let one = |k: &usize| {
+            let cell = &self.cells[*k];
+            let mut here = setting.judge(&cell.optimum.x, cell.optimum.status, None);
+            here.prices.iter_mut().zip(&cell.optimum.prices).for_each(|(new, old)| new.saves = old.saves);
+            if coupled || !self.moves(*k) {
+                return (here, None);
+            }
+            let warm = std::slice::from_ref(&cell.optimum.x);
+            let found = careful.optimise(&cell.at, spec.optimise.starts, warm, spec.seed, watch.interrupt);
+            let found =
+                if steps.iter().any(Option::is_some) { quantise(&careful, &found, &steps) } else { found };
+            let there = Some(found).filter(|f| f.feasible);
+            (here, there)
+        };
+        let found: Vec<(CellOptimum, Option<CellOptimum>)> = which.par_iter().map(one).collect();
+        // Jumps where all have moved that may, over those where none has.
+        let (mut now, mut then): (Vec<Vec<f64>>, Vec<Vec<f64>>) =
+            self.cells.iter().map(|c| (c.optimum.x.clone(), c.optimum.x.clone())).unzip();
+        for (k, (here, there)) in which.iter().zip(&found) {
+            now[*k].clone_from(&here.x);
+            then[*k].clone_from(&there.as_ref().unwrap_or(here).x);
+        }
+        let jumps = |k: usize, x: &[Vec<f64>]| -> f64 {
+            let optimal = |j: &usize| self.cells[*j].state == CellState::Optimal;
+            let pair = |j: usize| -> f64 {
+                let share = |i: usize| (x[k][i] - x[j][i]) / setting.ranges[i].width();
+                (setting.axes..setting.dim()).map(|i| share(i).powi(2)).sum()
+            };
+            grid::neighbours(&self.grid_axes, k).into_iter().filter(optimal).map(pair).sum()
+        };
+        let taken = |(k, (here, there)): (&usize, (CellOptimum, Option<CellOptimum>))| {
+            let Some(there) = there else { return (here, false) };
+            let costs =
+                spec.optimise.smooth + spec.optimise.jump * (jumps(*k, &then) - jumps(*k, &now)).max(0.0);
+            // Where a cell stands a line will test it; only what it would move to is a promise.
+            let saves = setting.cost(&here) - careful.cost(&there);
+            let moves = !here.feasible || saves > costs * here.objective.abs();
+            (if moves { there } else { here }, moves)
+        };
+        let taken: Vec<(CellOptimum, bool)> = which.iter().zip(found).map(taken).collect();
+        let moved = taken.iter().filter(|t| t.1).count();
+        let optima = taken.into_iter().map(|t| t.0).collect();
+        grid::replace(setting, &self.grid_axes, &which, optima, &mut self.cells);
+        moved
+    }
+
+    /// Steps of the free inputs in the ECU.
+    fn steps(spec: &MapSpec, layout: &Layout) -> Vec<Option<f64>> {
+        let free = &layout.factors[layout.axes..];
+        free.iter().map(|f| spec.optimise.resolution.get(&f.name).copied()).collect()
     }
 
     /// Those of the cells `hoped` for that no window shows: each demand followed and each input with room, at the settings of the maps and nearer to the

@@ -132,7 +132,7 @@ fn swept(found: &Mapped, mut section: Section) -> Section {
         ));
         if s.again > 0 {
             section = section.text(format!(
-                "Parts of {} lines were gone along again, as their maps had become others by what the demand was found to reach.",
+                "Parts of {} lines were gone along again, as their maps had become others by what lines showed.",
                 s.again
             ));
         }

@@ -181,26 +181,22 @@ impl Rest {
             let p = &mut p.point;
             let mut there = p.factors.clone();
             there[self.place.1] = self.demand(&p.factors, p.responses[self.place.0]);
-            let derived =
-                layout.responses.iter().enumerate().filter(|(_, r)| r.source == ResponseSource::Derived);
-            for (k, r) in derived {
-                let of = |x: &[f64]| {
-                    let record = record(layout, &[(x, &p.responses)]);
-                    layout.problem.values(&r.name, &record).ok().and_then(|v| v.first().copied())
-                };
-                let share = of(&there).zip(of(&p.factors)).map(|(now, before)| now / before);
-                p.responses[k] *= share.filter(|s| s.is_finite()).unwrap_or(1.0);
-            }
+            derive_again(layout, (&p.factors, &there), &mut p.responses);
             p.factors = there;
         }
         points
     }
 
-    /// Windows with the demand as it is at rest.
-    pub(super) fn windows(&self, windows: &mut [Window]) {
+    /// Windows with the demand as it is at rest, and so with what is derived from it.
+    pub(super) fn windows(&self, layout: &Layout, windows: &mut [Window]) {
         for w in windows {
             let row = &mut w.row;
-            row.factors[self.place.1] = self.demand(&row.factors, row.responses[self.place.0]);
+            let mut there = row.factors.clone();
+            there[self.place.1] = self.demand(&row.factors, row.responses[self.place.0]);
+            if self.effect.is_some() {
+                derive_again(layout, (&row.factors, &there), &mut row.responses);
+            }
+            row.factors = there;
         }
     }
 
@@ -242,6 +238,19 @@ impl Rest {
                 "{moves} What that does to `{demand}` is not told from nothing, and nothing is taken out."
             ),
         }
+    }
+}
+
+/// Derived responses as they are where the factors are others (before, then).
+fn derive_again(layout: &Layout, (before, then): (&[f64], &[f64]), responses: &mut [f64]) {
+    let derived = layout.responses.iter().enumerate().filter(|(_, r)| r.source == ResponseSource::Derived);
+    for (k, r) in derived {
+        let of = |x: &[f64]| {
+            let record = record(layout, &[(x, responses)]);
+            layout.problem.values(&r.name, &record).ok().and_then(|v| v.first().copied())
+        };
+        let share = of(then).zip(of(before)).map(|(now, before)| now / before);
+        responses[k] *= share.filter(|s| s.is_finite()).unwrap_or(1.0);
     }
 }
 

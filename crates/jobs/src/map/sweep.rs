@@ -20,13 +20,15 @@
 //!
 //! Of lines that rest at each value of the first axis (`bed.sweep.rest_s`) windows of rests alone count; there is no way back then, and what is needless on one is not sought.
 //!
-//! How the bed goes along the lines: `lines.rs`.
+//! How the bed goes along the lines: `lines.rs`; what the first of them do to the optimum: `walk.rs`.
 
 use dynocal_calib::steady::day::DayPoint;
 use dynocal_calib::steady::trim::{Along, Trim, finer};
+use dynocal_numerics::watch::Watch;
 
 use super::along;
-use super::drive::{Drive, Set};
+use super::answers::{Answer, measured_slopes, needless};
+use super::drive::{self, Drive, Set};
 use super::error::MapError;
 use super::lines::Lines;
 use super::schedule::slopes;
@@ -74,20 +76,43 @@ impl Lines<'_> {
         along::points(self.layout, &self.on_the_maps(rows, &loops), rests)
     }
 
-    /// Puts maps of driven inputs that were learnt with `points` of the lines, too, in the place of those that were not, and trims them.
+    /// Learns maps of driven inputs again with points of the lines, and trims them. They take the place of those that were learnt without where less is left, if that
+    /// pays between lines, too: learnt with and trimmed by every second line alone they have to miss less of the others than those of the points, trimmed by the
+    /// same lines. A model that goes through all that lines showed may go anywhere between them (12 % of torque on a day of `gtdi_2l`).
     ///
     /// # Errors
-    /// As of [`Drive::at`].
-    pub(super) fn learnt_again(
+    /// [`MapError`].
+    pub(super) fn learn_again(
         &self,
         rows: &[Window],
         drives: &mut [Drive],
-        mut again: Vec<Vec<Drive>>,
-        points: usize,
+        learnt: Vec<Vec<Drive>>,
+        points: &[DayPoint],
+        watch: Watch,
     ) -> Result<(), MapError> {
-        let mut first: Vec<Drive> = again.iter_mut().map(|all| all.remove(0)).collect();
-        self.trim(rows, &mut first, again)?;
-        first.into_iter().zip(drives).for_each(|(new, before)| new.in_place_of(before, points));
+        let (known, held): (Vec<Window>, Vec<Window>) = rows.iter().cloned().partition(|w| w.line % 2 == 0);
+        let learn = |rows: &[Window]| -> Result<(Vec<Vec<Drive>>, usize), MapError> {
+            let more = self.points(rows);
+            Ok((drive::learn(self.layout, &[points, &more].concat(), self.spec, watch)?, more.len()))
+        };
+        let trimmed = |mut all: Vec<Vec<Drive>>, rows: &[Window]| -> Result<Vec<Drive>, MapError> {
+            let mut first: Vec<Drive> = all.iter_mut().map(|all| all.remove(0)).collect();
+            self.trim(rows, &mut first, all)?;
+            Ok(first)
+        };
+        let (half, of_known) = learn(&known)?;
+        let others = self.points(&held).len();
+        if of_known == 0 || others == 0 {
+            return Ok(());
+        }
+        let missed = |all, rows| self.missed_by(&held, &trimmed(all, rows)?);
+        let (without, with) = (missed(learnt, &known)?, missed(half, &known)?);
+        let (again, more) = learn(rows)?;
+        for (l, new) in trimmed(again, rows)?.into_iter().enumerate() {
+            if with[l] < without[l] {
+                new.in_place_of(&mut drives[l], more);
+            }
+        }
         Ok(())
     }
 
@@ -127,18 +152,7 @@ impl Lines<'_> {
         rows: &[&Window],
         knots: &[Vec<f64>],
     ) -> Result<(), MapError> {
-        let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
-        // Between all windows of a way: those beside one that counts may not count themselves.
-        let answers = self.answers(l, drive, rows);
-        let measured = measured_slopes(&answers, 1.5 * self.spec.bed.approach.window_s);
-        let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
-        let all: Vec<Vec<f64>> = rows.iter().map(|w| w.row.factors.clone()).collect();
-        let way = slopes(self.layout, self.setting, l, drive, &all)?.iter().sum();
-        let needless = needless(&answers, way);
-        let counts = |k: usize, w: &Window| room(w) && !needless.get(k).copied().unwrap_or(false);
-        let each = rows.iter().enumerate();
-        let used: Vec<(&Window, f64)> =
-            each.filter(|(k, w)| counts(*k, w)).map(|(k, w)| (*w, steep(k))).collect();
+        let used = self.used(l, drive, rows)?;
         let factors: Vec<Vec<f64>> = used.iter().map(|(w, _)| w.row.factors.clone()).collect();
         let first = drive.say(self.layout, self.setting, &factors)?;
         let told = Told { l, used: &used, knots };
@@ -166,6 +180,38 @@ impl Lines<'_> {
             .collect();
         drive.compare(self.axes, &set);
         Ok(())
+    }
+
+    /// Windows of `rows` that tell something of loop `l`, with the slopes that were measured beside them.
+    fn used<'w>(
+        &self,
+        l: usize,
+        drive: &Drive,
+        rows: &[&'w Window],
+    ) -> Result<Vec<(&'w Window, f64)>, MapError> {
+        let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
+        // Between all windows of a way: those beside one that counts may not count themselves.
+        let answers = self.answers(l, drive, rows);
+        let measured = measured_slopes(&answers, 1.5 * self.spec.bed.approach.window_s);
+        let steep = |k: usize| measured.get(k).copied().unwrap_or(0.0);
+        let all: Vec<Vec<f64>> = rows.iter().map(|w| w.row.factors.clone()).collect();
+        let way = slopes(self.layout, self.setting, l, drive, &all)?.iter().sum();
+        let needless = needless(&answers, way);
+        let counts = |k: usize, w: &Window| room(w) && !needless.get(k).copied().unwrap_or(false);
+        let each = rows.iter().enumerate();
+        Ok(each.filter(|(k, w)| counts(*k, w)).map(|(k, w)| (*w, steep(k))).collect())
+    }
+
+    /// How much of the demands trimmed maps of driven inputs miss in windows of lines that had no part in them, by loop: sums of squares. Not a number where that is
+    /// not known.
+    pub(super) fn missed_by(&self, rows: &[Window], drives: &[Drive]) -> Result<Vec<f64>, MapError> {
+        let one = |(l, drive): (usize, &Drive)| {
+            let Some(trimmed) = &drive.trimmed else { return Ok(f64::NAN) };
+            let used = self.used(l, drive, &self.on_the_maps(rows, &[l]))?;
+            let told = Told { l, used: &used, knots: &[] };
+            if used.is_empty() { Ok(f64::NAN) } else { self.left(&told, drive, trimmed.demand) }
+        };
+        drives.iter().enumerate().map(one).collect()
     }
 
     /// Trims the demand `k` at which the model is asked, in some rounds, each of which takes what is left by the slope of the map as it is by then,
@@ -261,8 +307,6 @@ struct Told<'a> {
 const ROUNDS: usize = 4;
 /// By how much a measured slope has to be steeper than that of the map to be taken: scatter alone makes it no more.
 const STEEPER: f64 = 2.0;
-/// Least share of its course that a demand counts as having gone between two windows, where its slope is measured.
-const ANSWERED: f64 = 0.1;
 
 /// What a map misses along the lines, with the numbers of the lines.
 #[derive(Default)]
@@ -296,176 +340,5 @@ impl Missed {
             }
         }
         (n > 0.0).then(|| (sum / n).sqrt())
-    }
-}
-
-/// A window as a loop saw it.
-struct Answer {
-    /// Number of the line, and whether it was gone up.
-    way: (usize, bool),
-    /// Which pass and leg it rested on; none where it was under way.
-    rest: Option<(usize, usize)>,
-    /// Whether it had been gone up for a window by then.
-    rising: bool,
-    /// Bed time in s.
-    at_s: f64,
-    /// Demand as asked for, as it was, and the input that held it.
-    asked: f64,
-    got: f64,
-    input: f64,
-}
-
-/// Steepest slope of the input over the demand, both as shares, from each window to those beside it on its way that are no more than `apart_s`
-/// apart, or from rest to rest; 0 where none is. Where the demand hardly answers any more the loop comes back through inputs that no map at rest goes through,
-/// and what they miss is no matter.
-fn measured_slopes(answers: &[Answer], apart_s: f64) -> Vec<f64> {
-    let share = |a: f64, b: f64| (a / b).ln().abs();
-    let mut slopes = vec![0.0; answers.len()];
-    for (i, w) in answers.windows(2).enumerate() {
-        let (a, b) = (&w[0], &w[1]);
-        let (asked, got) = (share(b.asked, a.asked), share(b.got, a.got));
-        // Not a number where there is no logarithm.
-        let same_rest = a.rest.is_some() && a.rest == b.rest;
-        let stands = asked.is_nan() || got.is_nan() || asked == 0.0 || same_rest;
-        if a.way != b.way || b.at_s - a.at_s > apart_s || stands {
-            continue;
-        }
-        let found = share(b.input, a.input) / got.max(ANSWERED * asked);
-        if found.is_finite() {
-            slopes[i..=i + 1].iter_mut().for_each(|s: &mut f64| *s = s.max(found));
-        }
-    }
-    let rests: Vec<&[Answer]> = answers.chunk_by(|a, b| a.rest == b.rest).collect();
-    let mut begin = 0;
-    for w in rests.windows(2) {
-        let (a, b) = (&w[0], &w[1]);
-        let end = begin + a.len() + b.len();
-        if a[0].rest.zip(b[0].rest).is_some_and(|(a, b)| a.0 == b.0) {
-            let of = |value: &dyn Fn(&Answer) -> f64| {
-                // The input still moves in the first of several.
-                let mean = |all: &[Answer]| {
-                    let rested = &all[usize::from(all.len() > 1)..];
-                    rested.iter().map(value).sum::<f64>() / rested.len() as f64
-                };
-                share(mean(b), mean(a))
-            };
-            let asked = of(&|a| a.asked);
-            let found = of(&|a| a.input) / of(&|a| a.got).max(ANSWERED * asked);
-            if found.is_finite() && asked > 0.0 {
-                slopes[begin..end].iter_mut().for_each(|s: &mut f64| *s = s.max(found));
-            }
-        }
-        begin += a.len();
-    }
-    slopes
-}
-
-/// Logarithm of how many times an input may be beyond what reached as much of the demand on the way up: the settings of the two windows may differ as far as maps
-/// go through both.
-const BEYOND: f64 = 0.1;
-
-/// Which windows of the ways back, and of rests, have needlessly much of the input: at least as much of the demand was reached with less of it on the way up of the same
-/// line. Where it has been gone up for a while the demand is behind the input, so that less had been enough at rest, too: the loop is on its way back from where
-/// nothing answers. `way`: whether the input goes up with the demand (> 0) or down.
-fn needless(answers: &[Answer], way: f64) -> Vec<bool> {
-    let up = || answers.iter().filter(|a| a.rising);
-    let one = |back: &Answer| {
-        let less = |a: &Answer| way.signum() * (back.input / a.input).ln() > BEYOND;
-        !back.way.1 && up().any(|a| a.way.0 == back.way.0 && a.got >= back.got && less(a))
-    };
-    answers.iter().map(one).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A throttle that has stood wide open: on the way back 46 deg hold what 31 held before, which is needless, and what nothing was shown to hold with less is not.
-    #[test]
-    fn a_way_back_with_needlessly_much_of_the_input_does_not_count() {
-        let at = |line: usize, up: bool, got: f64, input: f64| Answer {
-            way: (line, up),
-            rest: None,
-            rising: up,
-            at_s: 0.0,
-            asked: got,
-            got,
-            input,
-        };
-        let up = [(115.0, 24.0), (126.0, 28.0), (131.0, 30.6), (137.0, 32.8)];
-        let back = [(141.0, 49.8), (134.0, 46.0), (125.0, 28.5), (116.0, 23.0)];
-        let all = |way: f64| -> Vec<Answer> {
-            let input = |u: f64| if way > 0.0 { u } else { 1000.0 / u };
-            let there = up.iter().map(|(y, u)| at(0, true, *y, input(*u)));
-            there.chain(back.iter().map(|(y, u)| at(0, false, *y, input(*u)))).collect()
-        };
-        let expected = [false, false, false, false, false, true, false, false];
-        assert_eq!(needless(&all(1.0), 1.0), expected);
-        // An input that goes down with the demand.
-        assert_eq!(needless(&all(-1.0), -4.0), expected);
-        // Nor by what was reached when it had just begun to go up.
-        let mut begun = all(1.0);
-        begun[..4].iter_mut().for_each(|a| a.rising = false);
-        assert_eq!(needless(&begun, 1.0), [false; 8]);
-        // Of another line nothing is known.
-        let mut apart = all(1.0);
-        apart[4..].iter_mut().for_each(|a| a.way.0 = 1);
-        assert_eq!(needless(&apart, 1.0), [false; 8]);
-    }
-
-    /// From rest to rest: what the input does there, windows of a rest have in common, and of another pass nothing is known.
-    #[test]
-    fn slopes_go_from_rest_to_rest() {
-        let at = |rest: Option<(usize, usize)>, got: f64, input: f64| Answer {
-            way: (0, false),
-            rest,
-            rising: false,
-            at_s: rest.map_or(0.0, |(pass, leg)| (100 * pass + 10 * leg) as f64),
-            asked: got,
-            got,
-            input,
-        };
-        let rests = [(Some((0, 0)), 100.0, 20.0), (Some((0, 2)), 110.0, 22.0), (Some((0, 4)), 121.0, 44.0)];
-        let pairs = rests.iter().flat_map(|(r, y, u)| [at(*r, *y, *u), at(*r, *y, *u)]);
-        let mut all: Vec<Answer> = pairs.collect();
-        all.push(at(Some((1, 0)), 130.0, 60.0));
-        let slopes = measured_slopes(&all, 0.0);
-        let steep = 2.0_f64.ln() / 1.1_f64.ln();
-        for (found, right) in slopes.iter().zip([1.0, 1.0, steep, steep, steep, steep, 0.0]) {
-            assert!((found - right).abs() < 1e-9, "{slopes:?}");
-        }
-    }
-
-    /// y = 1 - exp(-u): gone up as at rest, and come back from the end through u of 6 to 3.5, where y stays what it was.
-    #[test]
-    fn a_loop_that_comes_back_from_where_nothing_answers_counts_little() {
-        let at = |k: usize, up: bool, asked: f64, input: f64| Answer {
-            way: (0, up),
-            rest: None,
-            rising: up,
-            at_s: 2.0 * k as f64,
-            asked,
-            got: 1.0 - (-input).exp(),
-            input,
-        };
-        let going: Vec<Answer> =
-            (0..6).map(|k| at(k, true, 0.4 + 0.1 * k as f64, 0.5 + 0.35 * k as f64)).collect();
-        let coming = (6..9).map(|k| at(k, false, 0.98 - 0.05 * (k - 6) as f64, 6.0 - 1.2 * (k - 6) as f64));
-        // The last one is of another time: nothing is measured from it to the one before.
-        let answers: Vec<Answer> = going.into_iter().chain(coming).chain([at(20, false, 0.5, 0.7)]).collect();
-        let slopes = measured_slopes(&answers, 3.0);
-        // d log u / d log y of the law is (exp(u) - 1) / u: 1.3 where u is 0.5, 4 where it is 2.25.
-        assert!((1.2..1.7).contains(&slopes[0]) && (2.5..4.0).contains(&slopes[5]), "{slopes:?}");
-        assert!(slopes[6..9].iter().all(|s| *s > 10.0), "{slopes:?}");
-        assert_eq!(slopes[9], 0.0);
-        // A demand that stands still says nothing, and what has no logarithm neither.
-        let pair = |asked: f64, got: f64| {
-            let first = Answer { asked, got, ..at(0, true, 0.5, 0.5) };
-            measured_slopes(&[first, at(1, true, 0.5, 0.9)], 3.0)
-        };
-        for (asked, got) in [(0.5, 0.4), (-0.5, 0.4), (0.4, -0.4)] {
-            assert_eq!(pair(asked, got), [0.0, 0.0]);
-        }
-        assert!(pair(0.4, 0.4)[0] > 1.0);
     }
 }

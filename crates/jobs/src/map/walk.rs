@@ -1,5 +1,8 @@
 //! Along the finished maps on the bed, and once more where they had to become others.
 //!
+//! Some of the lines come first. What they show of what is minimised is learnt ([`super::learn::again`]), and cells are sought again with it
+//! ([`Optimum::seek_again`]) before the bed goes along the others: an optimum lies where models promise too much, and no point may have tested it.
+//!
 //! Where lines show that a demand is not reached, its cells are sought again within what is ([`super::reach`]), and the parts of the lines that
 //! are others by it are gone along once more: what was measured there says nothing of the new ones.
 
@@ -12,8 +15,8 @@ use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
 use super::learn::Learned;
-use super::lines::Gone;
-use super::optimum::Optimum;
+use super::lines::{Gone, Line};
+use super::optimum::{Optimum, careful};
 use super::reach::Reach;
 use super::rest::Rest;
 use super::setting;
@@ -35,41 +38,89 @@ pub(super) struct Walk<'a> {
 /// What lines showed, the demand as it is where a slow channel has come to rest, and what is known of that by them.
 pub(super) type Walked = (Gone, Option<Rest>);
 
+/// The first lines, as they were measured.
+pub(super) struct Begun {
+    gone: Gone,
+    lines: Vec<Line>,
+    /// What they showed, the demand as it is where a slow channel has come to rest: windows, and points of them.
+    windows: Vec<Window>,
+    pub(super) points: Vec<DayPoint>,
+}
+
 impl Walk<'_> {
-    /// Along the lines of the maps; `points` as they are at rest. Where they show that a demand is not reached, its cells are sought again within what is, and the parts of the
-    /// lines that are others by it are gone along once more.
+    /// Along the first lines of the maps.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn begun(
+        &self,
+        optimum: &Optimum,
+        bench: &mut dyn Bench,
+        until_s: f64,
+        watch: Watch,
+    ) -> Result<Option<Begun>, MapError> {
+        let Self { spec, layout, setting, drift, drives, .. } = *self;
+        let maps = optimum.lines(spec, layout, setting, drift);
+        let Some((gone, lines)) = maps.begin(bench, drives, until_s, watch)? else { return Ok(None) };
+        // What is known of a slow channel is learnt from all lines in the end.
+        let mut windows = gone.1.clone();
+        if let Some(rest) = self.rest {
+            rest.along(layout, &windows).windows(layout, &mut windows);
+        }
+        let points = maps.points(&windows);
+        Ok(Some(Begun { gone, lines, windows, points }))
+    }
+
+    /// Maps of the driven inputs as the first lines trim them: fed forward, they leave the loops less to do on the others.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn fed(&self, optimum: &Optimum, begun: &Begun) -> Result<Vec<Drive>, MapError> {
+        let Self { spec, layout, setting, drift, drives, .. } = *self;
+        let (mut fed, none) = (drives.to_vec(), vec![Vec::new(); drives.len()]);
+        optimum.lines(spec, layout, setting, drift).trim(&begun.windows, &mut fed, none)?;
+        Ok(fed)
+    }
+
+    /// Along the other lines of the maps, and once more along parts whose maps are others by now; `points` as they are at rest. Where lines show that a demand is not
+    /// reached, its cells are sought again within what is.
     ///
     /// # Errors
     /// [`MapError`].
     pub(super) fn swept(
         &self,
         optimum: &mut Optimum,
+        Begun { gone: mut swept, lines: mut before, .. }: Begun,
         points: &[DayPoint],
         bench: &mut dyn Bench,
         until_s: f64,
         watch: Watch,
-    ) -> Result<Option<Walked>, MapError> {
+    ) -> Result<Walked, MapError> {
         let Self { spec, layout, setting, drift, drives, .. } = *self;
         let lines = optimum.lines(spec, layout, setting, drift);
-        let Some((mut swept, before)) = lines.run(bench, drives, until_s, watch)? else { return Ok(None) };
+        lines.go_on(bench, (drives, &mut before), until_s, &mut swept, watch)?;
         let rest = self.rest.map(|r| r.along(layout, &swept.1));
-        let to_rest = |windows: &mut [Window]| rest.iter().for_each(|r| r.windows(windows));
+        let to_rest = |windows: &mut [Window]| rest.iter().for_each(|r| r.windows(layout, windows));
         to_rest(&mut swept.1);
-        if let Some(mut hoped) = self.kept_within(optimum, points, &swept.1, watch)? {
-            let lines = optimum.lines(spec, layout, setting, drift);
-            let windows = lines.again(bench, (drives, &before), until_s, &mut swept, watch)?;
-            to_rest(&mut swept.1[windows..]);
-            // What these miss is not sought again: no line would show it any more.
-            hoped.extend(optimum.around(&self.missed(&swept.1, windows)));
-            optimum.drop_unshown(&swept.1, layout, setting, &hoped);
+        let hoped = self.kept_within(optimum, points, &swept.1, watch)?;
+        if watch.interrupted() {
+            return Err(MapError::Interrupted);
         }
-        Ok(Some((swept, rest)))
+        let lines = optimum.lines(spec, layout, setting, drift);
+        let windows = lines.again(bench, (drives, &before), until_s, &mut swept, watch)?;
+        to_rest(&mut swept.1[windows..]);
+        // What these miss is not sought again: no line would show it any more.
+        let mut unsure = optimum.around(&self.missed(optimum, &swept.1, windows));
+        unsure.extend(hoped.into_iter().flatten());
+        optimum.drop_unshown(&swept.1, layout, setting, &unsure);
+        Ok((swept, rest))
     }
 
-    /// Places that `windows` from number `from` on have missed.
-    fn missed(&self, windows: &[Window], from: usize) -> Vec<Vec<f64>> {
-        let found = missed(self.layout, &windows[from..]);
-        found.iter().map(|k| windows[from + k].asked(self.layout)).collect()
+    /// Places of the maps that `windows` from number `from` on have missed: not those at settings which the maps have left since.
+    fn missed(&self, optimum: &Optimum, windows: &[Window], from: usize) -> Vec<Vec<f64>> {
+        let lines = optimum.lines(self.spec, self.layout, self.setting, self.drift);
+        let found = missed(self.layout, &windows[from..]).into_iter().map(|k| &windows[from + k]);
+        found.filter(|w| lines.asks_for(w)).map(|w| w.asked(self.layout)).collect()
     }
 
     /// Seeks cells again around places that `windows` have missed: those that were found, which count only where lines show them; none where nothing was
@@ -82,12 +133,12 @@ impl Walk<'_> {
         watch: Watch,
     ) -> Result<Option<Vec<usize>>, MapError> {
         let Self { spec, layout, setting, models, .. } = *self;
-        let missed = self.missed(windows, 0);
+        let missed = self.missed(optimum, windows, 0);
         if missed.is_empty() {
             return Ok(None);
         }
         let reach = Reach::learn(layout, points, windows, &spec.models, watch)?;
-        let within = reach.as_ref().map(|r| setting::setting(layout, models, Some(r), spec));
+        let within = reach.as_ref().map(|r| careful(&setting::setting(layout, models, Some(r), spec)));
         Ok(Some(optimum.within_reach(spec, layout, (setting, within.as_ref()), &missed, watch)))
     }
 }

@@ -5,6 +5,7 @@ use dynocal_calib::steady::station::{Leg, SweepRow};
 use dynocal_calib::steady::trim::Way;
 
 /// A window of a sweep.
+#[derive(Clone)]
 pub(super) struct Window {
     pub(super) line: usize,
     /// Which time that the bed went there and back it was, over all lines: parts of lines are gone along again.
@@ -101,21 +102,21 @@ fn ways(from: f64, legs: &[Leg]) -> Vec<(f64, f64)> {
     ways
 }
 
-/// Adds the windows of a line that was gone along from `from` on, with those of a rest; none in which it turned.
+/// Adds the windows of a line that was gone along from `from` on, with those of a rest; none in which it turned. The clock: when it began, and length of a window.
 pub(super) fn keep(
     line: usize,
     (from, legs): (&[f64], &[Leg]),
-    found: Vec<SweepRow>,
+    (found, clock_s): (Vec<SweepRow>, Option<[f64; 2]>),
     window_s: f64,
     rows: &mut Vec<Window>,
 ) {
-    // As long as they came out in whole samples.
-    let window_s = match &found[..] {
-        [a, b, ..] => b.at_s - a.at_s,
-        _ => window_s,
-    };
     let pass = rows.last().map_or(0, |w| w.pass + 1);
-    let Some(begun_s) = found.first().map(|r| r.at_s - window_s) else { return };
+    let [begun_s, window_s] = match (clock_s, &found[..]) {
+        (Some(clock_s), _) => clock_s,
+        (None, [a, b, ..]) => [2.0 * a.at_s - b.at_s, b.at_s - a.at_s],
+        (None, [a]) => [a.at_s - window_s, window_s],
+        (None, []) => return,
+    };
     let ways = ways(from[0], legs);
     for row in found {
         let (last_s, first_s) = (row.at_s - begun_s, row.at_s - begun_s - window_s);
@@ -159,7 +160,7 @@ mod tests {
         };
         let of = |count: usize| {
             let mut rows = Vec::new();
-            keep(3, (&[0.0], &legs), (0..count).map(row).collect(), 2.0, &mut rows);
+            keep(3, (&[0.0], &legs), ((0..count).map(row).collect(), None), 2.0, &mut rows);
             assert!(rows.iter().all(|w| w.line == 3 && w.way.window_s == 2.0));
             rows.iter().map(|w| (w.way.up, w.way.since_s, w.way.before)).collect::<Vec<_>>()
         };
@@ -171,6 +172,13 @@ mod tests {
         assert_eq!(of(9), [&up[..], &down[..]].concat());
         assert_eq!(of(6), up);
         assert!(of(0).is_empty() && of(1) == rest[..1]);
+        // Of a rest that is no whole number of windows those that end with it, by the clock of the path.
+        let legs = [leg(0.0, 5.0), leg(1.0, 1.0), leg(1.0, 5.0)];
+        let ends = [3.0, 5.0, 9.0, 11.0].map(|t| SweepRow { at_s: 100.0 + t, ..row(0) });
+        let mut rows = Vec::new();
+        keep(3, (&[0.0], &legs), (ends.to_vec(), Some([100.0, 2.0])), 2.0, &mut rows);
+        let found: Vec<(f64, f64)> = rows.iter().map(|w| (w.way.up, w.way.since_s)).collect();
+        assert_eq!(found, [(0.0, 1.0), (0.0, 3.0), (0.0, 1.0), (0.0, 3.0)]);
     }
 
     fn one_axis() -> Layout {

@@ -22,12 +22,12 @@ use super::error::MapError;
 use super::job::Job;
 use super::journal::{Journal, digests};
 use super::learn;
-use super::lines;
+use super::line_time;
 use super::optimum::{Optimum, static_map};
 use super::refine::{Refined, Refinement};
 use super::rest::{self, at_rest};
 use super::result::{BedTime, MapAxis, Mapped};
-use super::setting::{envelope, setting};
+use super::setting::{self, envelope};
 use super::spec::MapSpec;
 use super::walk::Walk;
 use super::{edits, inverse, loops, verdict, verify};
@@ -146,7 +146,7 @@ impl Day<'_> {
         let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
         // The verification comes last, and none of its points begins that may pass the end of the bed time.
-        let kept_s = lines::expected_s(spec, &grid_axes) + verify::spare_s(spec);
+        let kept_s = line_time::expected_s(spec, &grid_axes) + verify::spare_s(spec);
         // Its last point is one of the day's, too.
         let n = spec.bed.points as f64;
         let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
@@ -159,9 +159,10 @@ impl Day<'_> {
         let drift = rest::drift(rest.as_ref(), layout, &seen, spec, watch)?;
         let models = learn::learn(layout, &seen, &drift, &spec.models, true, watch)?;
         let envelope = envelope(layout, &seen);
-        let setting = setting(layout, &models, None, spec);
+        let setting = setting::setting(layout, &models, None, spec);
         let mut optimum = Optimum::of(spec, layout, &setting, &axes, &envelope, watch)?;
         let mut learnt = drive::learn(layout, &seen, spec, watch)?;
+        let of_points = learnt.clone();
         let mut drives: Vec<Drive> = learnt.iter_mut().map(|all| all.remove(0)).collect();
         bench.widen_limits(spec.verify.limit);
         let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
@@ -175,7 +176,39 @@ impl Day<'_> {
             drives: &drives,
             rest: rest.as_ref(),
         };
-        let swept = walk.swept(&mut optimum, &seen, bench, until_s, watch)?;
+        let begun = walk.begun(&optimum, bench, until_s, watch)?;
+        // What the first lines show of what is minimised is learnt before the bed goes along the others.
+        let shown = begun.as_ref().map_or(&[][..], |b| &b.points);
+        let models = if shown.is_empty() {
+            models
+        } else {
+            let all = [&seen[..], shown].concat();
+            learn::again(&models, layout, &all, shown.len(), &drift, &spec.models, watch)?
+        };
+        let setting = setting::setting(layout, &models, None, spec);
+        if !shown.is_empty() {
+            let moved = optimum.seek_again(spec, layout, &setting, watch);
+            if watch.interrupted() {
+                return Err(MapError::Interrupted);
+            }
+            watch.note(&format!("{moved} cells are others by what the first lines showed"));
+        }
+        let walk = Walk {
+            spec,
+            layout,
+            setting: &setting,
+            models: &models,
+            drift: &drift,
+            drives: &drives,
+            rest: rest.as_ref(),
+        };
+        let swept = match begun {
+            Some(begun) => {
+                let walk = Walk { drives: &walk.fed(&optimum, &begun)?, ..walk };
+                Some(walk.swept(&mut optimum, begun, &seen, bench, until_s, watch)?)
+            }
+            None => None,
+        };
         let (swept, along) = swept.unzip();
         let rest_along = along.flatten().or_else(|| rest.clone());
         let (sweeps, windows) = swept.unzip();
@@ -183,12 +216,7 @@ impl Day<'_> {
         let windows = windows.unwrap_or_default();
         let lines = optimum.lines(spec, layout, &setting, &drift);
         lines.trim(&windows, &mut drives, learnt)?;
-        let along = lines.points(&windows);
-        if !along.is_empty() {
-            let more = along.len();
-            let again = drive::learn(layout, &[&seen[..], &along[..]].concat(), spec, watch)?;
-            lines.learnt_again(&windows, &mut drives, again, more)?;
-        }
+        lines.learn_again(&windows, &mut drives, of_points, &seen, watch)?;
         drive::fill(&drives, layout, &setting, &mut optimum.cells)?;
         optimum.drop_unreached(layout, &setting);
         let Optimum { axes, cells, front, whole, delivered, edits, .. } = optimum;

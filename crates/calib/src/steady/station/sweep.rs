@@ -46,8 +46,11 @@ pub struct SweepRow {
 /// A line that was swept, as far as the limits allowed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Swept {
-    /// Windows along the way.
+    /// Windows along the way: one behind the other from where it begins to move, and those of a rest up to its end.
     pub rows: Vec<SweepRow>,
+    /// Bed time at which it began, and length of a window, in s; none in what older versions kept, whose windows are one behind the other from the begin on.
+    #[serde(default)]
+    pub clock_s: Option<[f64; 2]>,
     /// The limit that ended it; none where it came to its end.
     pub touched: Option<Touched>,
     /// Bed time in s, the way to its begin counted in.
@@ -72,7 +75,8 @@ impl Station<'_> {
             self.at = between(&origin, from, share);
             let touched = Some(self.touched(stop, self.at.clone())?);
             self.back_within([origin])?;
-            return Ok(Swept { rows: Vec::new(), touched, used_s: self.used_s - begun_s });
+            let used_s = self.used_s - begun_s;
+            return Ok(Swept { rows: Vec::new(), clock_s: None, touched, used_s });
         }
         let dt = self.layout.sample_time_s;
         let samples = |s: f64| (s / dt).round().max(1.0) as usize;
@@ -94,12 +98,13 @@ impl Station<'_> {
         self.used_s += played.used_s;
         self.keep_driven(&plan, &played.record)?;
         let mut rows = Vec::new();
-        for k in 0..played.record.len() / window {
-            let part = played.record.part(k * window, (k + 1) * window, "window".into());
-            let at_s = started_s + ((k + 1) * window) as f64 * dt;
-            let leg = leg_at(&ways, k * window + window / 2);
-            rows.push(self.row(&plan, (&part, k * window), leg, at_s)?);
+        for k in windows(from, &ways, window).take_while(|k| k + window <= played.record.len()) {
+            let part = played.record.part(k, k + window, "window".into());
+            let at_s = started_s + (k + window) as f64 * dt;
+            let leg = leg_at(&ways, k + window / 2);
+            rows.push(self.row(&plan, (&part, k), leg, at_s)?);
         }
+        let clock_s = Some([started_s, window as f64 * dt]);
         self.at = reached(from, &ways, played.played);
         let touched = match played.stop.as_ref() {
             Some(stop) => {
@@ -109,7 +114,7 @@ impl Station<'_> {
             }
             None => None,
         };
-        Ok(Swept { rows, touched, used_s: self.used_s - begun_s })
+        Ok(Swept { rows, clock_s, touched, used_s: self.used_s - begun_s })
     }
 
     /// Goes back to the first of `places` where all limits are kept, or to the last.
@@ -155,6 +160,25 @@ impl Station<'_> {
     }
 }
 
+/// Samples at which windows of a path begin. On the way they stand one behind the other from its begin on; those of a rest end with it, for what counts there is its
+/// end, and a rest of other than whole windows would lose it.
+fn windows(from: &[f64], ways: &[(&[f64], usize)], window: usize) -> impl Iterator<Item = usize> {
+    let (mut begins, mut at, mut now) = (Vec::new(), from, 0);
+    let mut leg = 0;
+    while leg < ways.len() {
+        let rests = ways[leg].0 == at;
+        let begin = now;
+        // To the end of the rest, or of the way.
+        while leg < ways.len() && (ways[leg].0 == at) == rests {
+            (at, now) = (ways[leg].0, now + ways[leg].1);
+            leg += 1;
+        }
+        let first = if rests { begin + (now - begin) % window } else { begin };
+        begins.extend((first..).step_by(window).take_while(|k| k + window <= now));
+    }
+    begins.into_iter()
+}
+
 /// Number of the leg at a sample.
 fn leg_at(ways: &[(&[f64], usize)], sample: usize) -> usize {
     let mut end = 0;
@@ -189,4 +213,21 @@ fn reached(from: &[f64], ways: &[(&[f64], usize)], samples: usize) -> Vec<f64> {
         (left, at) = (left - n, to);
     }
     at.to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// On the way windows follow each other from its begin, there and back as one; those of a rest end with it, and what is shorter than one has none.
+    #[test]
+    fn windows_of_a_rest_end_with_it() {
+        let (a, b, c) = ([0.0], [1.0], [2.0]);
+        let of = |ways: &[(&[f64], usize)]| windows(&a, ways, 4).collect::<Vec<_>>();
+        assert_eq!(of(&[(&b, 5), (&c, 6), (&a, 8)]), [0, 4, 8, 12]);
+        // 10 samples at rest, 3 on the way, 9 at rest, 9 back, 2 at rest.
+        assert_eq!(of(&[(&a, 10), (&b, 3), (&b, 9), (&a, 9), (&a, 2)]), [2, 6, 14, 18, 22, 26]);
+        assert_eq!(of(&[(&a, 8), (&b, 4), (&b, 4), (&b, 4)]), [0, 4, 8, 12, 16]);
+        assert!(of(&[]).is_empty());
+    }
 }
