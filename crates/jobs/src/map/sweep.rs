@@ -107,6 +107,9 @@ impl Lines<'_> {
         }
         let missed = |all, rows| self.missed_by(&held, &trimmed(all, rows)?);
         let (without, with) = (missed(learnt, &known)?, missed(half, &known)?);
+        if !with.iter().zip(&without).any(|(with, without)| with < without) {
+            return Ok(());
+        }
         let (again, more) = learn(rows)?;
         for (l, new) in trimmed(again, rows)?.into_iter().enumerate() {
             if with[l] < without[l] {

@@ -179,13 +179,14 @@ impl Day<'_> {
         let begun = walk.begun(&optimum, bench, until_s, watch)?;
         // What the first lines show of what is minimised is learnt before the bed goes along the others.
         let shown = begun.as_ref().map_or(&[][..], |b| &b.points);
-        let models = if shown.is_empty() {
-            models
+        let again = if shown.is_empty() {
+            None
         } else {
             let all = [&seen[..], shown].concat();
-            learn::again(&models, layout, &all, shown.len(), &drift, &spec.models, watch)?
+            Some(learn::again(&models, layout, &all, shown.len(), &drift, &spec.models, watch)?)
         };
-        let setting = setting::setting(layout, &models, None, spec);
+        let known = again.as_ref().unwrap_or(&models);
+        let setting = setting::setting(layout, known, None, spec);
         if !shown.is_empty() {
             let moved = optimum.seek_again(spec, layout, &setting, watch);
             if watch.interrupted() {
@@ -193,15 +194,7 @@ impl Day<'_> {
             }
             watch.note(&format!("{moved} cells are others by what the first lines showed"));
         }
-        let walk = Walk {
-            spec,
-            layout,
-            setting: &setting,
-            models: &models,
-            drift: &drift,
-            drives: &drives,
-            rest: rest.as_ref(),
-        };
+        let walk = Walk { setting: &setting, models: known, ..walk };
         let swept = match begun {
             Some(begun) => {
                 let walk = Walk { drives: &walk.fed(&optimum, &begun)?, ..walk };
@@ -260,7 +253,7 @@ impl Day<'_> {
             loops: shown,
             verified_cells,
             drift,
-            models,
+            models: again.unwrap_or(models),
             drives,
             sweeps,
             verified,
