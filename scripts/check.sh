@@ -18,6 +18,8 @@ DENY_VERSION=0.20.2
 NEEDED_GB=9
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
+# Where tools are installed that are gone with this run.
+export PATH="$work/tools/bin:$PATH"
 # What the step of the tests leaves: programs and examples.
 built="${CARGO_TARGET_DIR:-target}/release"
 program="$built/dynocal"
@@ -50,6 +52,16 @@ as_root() {
 
 find_browser() { command -v "${CHROMIUM:-chromium}" || command -v chromium-browser || command -v google-chrome; }
 
+# cargo_tool NAME VERSION: a subcommand of cargo, as a wheel that holds the program (seconds), or where there is none for this machine
+# from its sources (minutes).
+cargo_tool() {
+    cargo "$1" --version >/dev/null 2>&1 && return
+    [ -d "$work/tools" ] || python3 -m venv "$work/tools" || return 1
+    "$work/tools/bin/pip" install --quiet --disable-pip-version-check --only-binary :all: --no-deps \
+        "astral-dev-toolchain-cargo-$1==$2" && cargo "$1" --version >/dev/null && return
+    cargo install --quiet --locked "cargo-$1@$2"
+}
+
 install_missing() {
     local packages=()
     command -v cc >/dev/null || packages+=(gcc libc6-dev)
@@ -62,12 +74,7 @@ install_missing() {
     fi
     cargo fmt --version >/dev/null 2>&1 || rustup component add rustfmt || return 1
     cargo clippy --version >/dev/null 2>&1 || rustup component add clippy || return 1
-    if ! cargo nextest --version >/dev/null 2>&1; then
-        cargo install --quiet --locked "cargo-nextest@$NEXTEST_VERSION" || return 1
-    fi
-    if ! cargo deny --version >/dev/null 2>&1; then
-        cargo install --quiet --locked "cargo-deny@$DENY_VERSION" || return 1
-    fi
+    cargo_tool nextest "$NEXTEST_VERSION" && cargo_tool deny "$DENY_VERSION" || return 1
     cargo --version && cargo nextest --version | head -n 1 && python3 --version && echo "browser: $(find_browser)"
 }
 

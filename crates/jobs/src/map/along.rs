@@ -122,6 +122,7 @@ mod tests {
             line,
             pass: line,
             way: Way { up, window_s: 6.0, ..Way::default() },
+            last: false,
             row: SweepRow {
                 factors: vec![y, 1500.0],
                 responses: vec![0.2 * y + 0.55 * up],
@@ -129,6 +130,7 @@ mod tests {
                 leg: 0,
                 at_end: vec![!fine[0]],
                 followed: vec![fine[1]],
+                behind: Vec::new(),
                 at_s: y,
             },
         };

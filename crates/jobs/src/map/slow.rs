@@ -185,9 +185,10 @@ mod tests {
                     leg: 0,
                     at_end: Vec::new(),
                     followed: Vec::new(),
+                    behind: Vec::new(),
                     at_s,
                 };
-                all.push(Window { line, pass: line, way, row });
+                all.push(Window { line, pass: line, way, last: false, row });
             }
             // The way to the next line.
             at_s += 20.0;

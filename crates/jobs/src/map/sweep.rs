@@ -178,7 +178,7 @@ impl Lines<'_> {
                 input: w.row.responses[l] - self.gone(l, w),
                 said: [first[i], last[i]],
                 slope: slopes[i],
-                weight: weight(*steep, slopes[i]),
+                weight: self.weight(w) * weight(*steep, slopes[i]),
             })
             .collect();
         drive.compare(self.axes, &set);
@@ -192,7 +192,7 @@ impl Lines<'_> {
         drive: &Drive,
         rows: &[&'w Window],
     ) -> Result<Vec<(&'w Window, f64)>, MapError> {
-        let room = |w: &Window| !w.row.at_end[l] && w.row.followed.iter().all(|f| *f);
+        let room = |w: &Window| !w.row.at_end[l] && self.weight(w) > 0.0;
         // Between all windows of a way: those beside one that counts may not count themselves.
         let answers = self.answers(l, drive, rows);
         let measured = measured_slopes(&answers, 1.5 * self.spec.bed.approach.window_s);
@@ -263,6 +263,11 @@ impl Lines<'_> {
         Ok(each.map(square).filter(|v| v.is_finite()).sum())
     }
 
+    /// How much a window counts by how well the demands were followed.
+    fn weight(&self, w: &Window) -> f64 {
+        w.weight(&|l| self.layout.demand_factor(l).is_none())
+    }
+
     /// What drift has done to the input of loop `l` by a window.
     fn gone(&self, l: usize, w: &Window) -> f64 {
         let drift = self.drift.get(l).filter(|d| d.corrected);
@@ -286,7 +291,7 @@ impl Lines<'_> {
             let r = drive.missed_by(w.row.responses[l] - self.gone(l, w), model);
             // More of the input is less of the demand that it stands for.
             let e = if demand.is_some() { drive.trim_at(&w.row.factors[..n]) - r / slope } else { r };
-            (e, weight(*steep, slope))
+            (e, self.weight(w) * weight(*steep, slope))
         };
         Ok(windows.iter().zip(say).zip(slopes).map(one).collect())
     }

@@ -39,6 +39,9 @@ pub struct SweepRow {
     /// Whether each demand was followed: in the mean it is behind by no more than its course changes over the window; one that is held while anything
     /// changes counts as followed. Where it is not, the loop still moves its input, which then says nothing about what holds the demand.
     pub followed: Vec<bool>,
+    /// By how much each demand is missed, in units of what still counts as followed; empty in what older versions kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub behind: Vec<f64>,
     /// Bed time at its end, from the begin of the day, in s.
     pub at_s: f64,
 }
@@ -138,7 +141,8 @@ impl Station<'_> {
         at_s: f64,
     ) -> Result<SweepRow, PlayError> {
         let (factors, responses) = means(self.layout, part)?;
-        let (mut at_end, mut followed, mut demands) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut at_end, mut followed, mut missed, mut demands) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let course = |values: &[f64]| (values[values.len() - 1] - values[0]).abs();
         // It rests where nothing that is commanded changes.
         let commanded = plan.demands.iter().map(|d| &d.values).chain(plan.channels.iter().map(|c| &c.values));
@@ -146,17 +150,18 @@ impl Station<'_> {
         for (k, d) in plan.demands.iter().enumerate() {
             let (asked, found) = (&d.values[from..from + part.len()], part.values(&d.output)?);
             let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
-            let behind = mean(found) - mean(asked);
             demands.push(mean(asked));
             let change = course(asked);
-            followed.push(change == 0.0 && !rests || behind.abs() <= change.max(self.tolerances[k].1));
+            let behind = (mean(found) - mean(asked)).abs() / change.max(self.tolerances[k].1);
+            followed.push(change == 0.0 && !rests || behind <= 1.0);
+            missed.push(behind);
         }
         for l in &plan.loops {
             let c = plan.channels.iter().find(|c| c.name == l.input);
             let values = part.values(&l.input)?;
             at_end.push(c.is_some_and(|c| values.iter().any(|u| *u <= c.lower || *u >= c.upper)));
         }
-        Ok(SweepRow { factors, responses, asked: demands, leg, at_end, followed, at_s })
+        Ok(SweepRow { factors, responses, asked: demands, leg, at_end, followed, behind: missed, at_s })
     }
 }
 
