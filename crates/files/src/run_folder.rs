@@ -194,6 +194,17 @@ impl RunFolder {
         fs::File::create_new(&tried).and_then(|_| fs::remove_file(&tried)).map_err(|e| unwritten(path, &e))
     }
 
+    /// Whether the folder held a run of another spec, or of none that is known, before it was opened.
+    ///
+    /// # Errors
+    /// [`FilesError::Read`] where the spec that was just written cannot be read back.
+    pub fn had_another_spec(&self) -> Result<bool, FilesError> {
+        let path = self.path.join("spec.json");
+        let now = fs::read(&path)
+            .map_err(|e| FilesError::Read { path: path.display().to_string(), reason: e.to_string() })?;
+        Ok(self.earlier_spec.as_ref() != Some(&now))
+    }
+
     /// The folder.
     pub fn path(&self) -> &Path {
         &self.path

@@ -116,6 +116,7 @@ const MAP: &[&str] = &[
     "lines",
     "answers",
     "sweep",
+    "halfway",
     "reach",
     "estimate",
     "setting",

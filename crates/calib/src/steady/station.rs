@@ -167,6 +167,14 @@ struct Drive {
     saturated: Vec<String>,
 }
 
+/// Why a point was given up, with the output that was farthest beyond its limit as a share of it.
+fn given_up(touched: &[Touched]) -> String {
+    let beyond = |t: &&Touched| (t.value - t.limit).abs() / t.limit.abs().max(f64::MIN_POSITIVE);
+    let worst = touched.iter().max_by(|a, b| beyond(a).total_cmp(&beyond(b)));
+    let worst = worst.map_or(String::new(), |t| format!(", `{}` beyond its limit of {}", t.output, t.limit));
+    format!("given up after {} limits on the way{worst}", touched.len())
+}
+
 impl<'a> Station<'a> {
     /// At the factors `at` with the driven inputs `driven` (by loop). `beyond` says how far past a limit the bed may go while a
     /// point is approached, by output.
@@ -262,7 +270,7 @@ impl<'a> Station<'a> {
         let part = |s: f64| Part { to: route.at(s), driven: route.driven(s, &stood) };
         let back: Vec<Part> = route.ends(from, 0.0).into_iter().map(part).collect();
         self.drive(&back, &[], true)?;
-        let note = format!("given up after {} limits on the way", touched.len());
+        let note = given_up(&touched);
         Ok(SteadyPoint {
             asked: target.to_vec(),
             factors: vec![f64::NAN; target.len()],

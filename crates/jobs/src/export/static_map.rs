@@ -17,6 +17,33 @@ fn ends(points: &[f64]) -> (f64, f64) {
     (points.first().copied().unwrap_or(0.0), points.last().copied().unwrap_or(0.0))
 }
 
+/// Places that are named in words; of others their number is said.
+const NAMED: usize = 8;
+
+/// Which points were not reached as asked, in words; none where all were.
+fn missed(map: &StaticMap) -> Option<String> {
+    let place = |k: usize| {
+        let given = map.ports.given.first().filter(|_| map.given.len() > 1);
+        let given = given.map(|p| format!("{} {} {}", p.name, map.given[k % map.given.len()], p.unit));
+        let lead = map.ports.demands.first().filter(|_| map.demand.len() > 1);
+        let lead = lead.map(|p| format!("{} {} {}", p.name, map.demand[k / map.given.len()], p.unit));
+        lead.into_iter().chain(given).collect::<Vec<_>>().join(" at ")
+    };
+    let which: Vec<usize> = (0..map.points.len()).filter(|k| !map.points[*k].missed.is_empty()).collect();
+    let named: Vec<String> = which.iter().take(NAMED).map(|k| place(*k)).collect();
+    let more = match which.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        n => format!(", and {n} more"),
+    };
+    (!which.is_empty()).then(|| {
+        let (n, all) = (which.len(), map.points.len());
+        format!(
+            "{n} of {all} values were not reached as asked and must not be driven: {}{more}",
+            named.join(", ")
+        )
+    })
+}
+
 /// Tables on shared axes, x the given channel and y the leading demand; an axis of one point is left out. With a sample
 /// time the program that looks them up goes with them.
 pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
@@ -35,13 +62,17 @@ pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
     };
     let axes: Vec<Axis> = along.iter().map(axis).collect();
     let over = along.iter().map(|a| a.0).collect::<Vec<_>>().join(" and ");
+    let missed = missed(map);
     let characteristics: Vec<Characteristic> = ports
         .actuators
         .iter()
         .enumerate()
         .map(|(k, a)| Characteristic {
             name: format!("{}_MAP", identifier(&a.name).to_uppercase()),
-            description: format!("{} over {over}, steady", a.name),
+            description: match &missed {
+                Some(missed) => format!("{} over {over}, steady; {missed}", a.name),
+                None => format!("{} over {over}, steady", a.name),
+            },
             unit: a.unit.clone(),
             axes: axes.clone(),
             values: map.points.iter().map(|p| p.actuators[k]).collect(),
@@ -63,10 +94,9 @@ pub fn static_map(map: &StaticMap, sample_time_s: Option<f64>) -> Made {
         }
         b.program
     });
-    let missed = map.points.iter().filter(|p| !p.missed.is_empty()).count();
     let mut notes = Vec::new();
-    if missed > 0 {
-        notes.push(format!("static map: {missed} of {} points were not reached as asked", map.points.len()));
+    if let Some(missed) = &missed {
+        notes.push(format!("static map: {missed}"));
     }
     if let Some(held) = ports.demands.get(1..).filter(|d| !d.is_empty()) {
         let names: Vec<&str> = held.iter().map(|p| p.name.as_str()).collect();

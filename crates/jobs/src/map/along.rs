@@ -123,6 +123,7 @@ mod tests {
             pass: line,
             way: Way { up, window_s: 6.0, ..Way::default() },
             last: false,
+            halfway: false,
             row: SweepRow {
                 factors: vec![y, 1500.0],
                 responses: vec![0.2 * y + 0.55 * up],

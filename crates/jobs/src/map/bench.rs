@@ -256,6 +256,7 @@ impl<'a> OnBed<'a> {
         };
         let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
         in_size(&table, &all)?;
+        in_range(&table, &all, self.layout)?;
         let stamps = self.times(&table)?;
         let rows = self.rows(&table, tasks.len())?;
         let mut points = Vec::new();
@@ -391,6 +392,30 @@ fn in_size(table: &Table, all: &Dataset) -> Result<(), MapError> {
     Ok(())
 }
 
+/// How far beyond its range, as a share of it, an input that a loop drives may stand in a record: the loop of a bed that has it keeps it within.
+const BEYOND: f64 = 0.1;
+
+/// Refuses values of driven inputs that no loop of the spec sets: one broken number would be taken for what the engine does.
+fn in_range(table: &Table, all: &Dataset, layout: &Layout) -> Result<(), MapError> {
+    for i in layout.driven().iter().map(|k| &layout.problem.inputs[*k]) {
+        let Some(c) = all.channels.iter().find(|c| c.name == i.name) else { continue };
+        let room = BEYOND * (i.upper - i.lower);
+        if let Some(row) = c.values.iter().position(|v| *v < i.lower - room || *v > i.upper + room) {
+            return Err(MapError::Record(format!(
+                "{}, {}, column `{}`: found {}, expected {} to {} {} as the spec has it",
+                table.file,
+                table.place(row),
+                c.name,
+                c.values[row],
+                i.lower,
+                i.upper,
+                i.unit
+            )));
+        }
+    }
+    Ok(())
+}
+
 /// Reads what is measured so far of a day on a bed, as far as it can be read without running the day: files with their points.
 pub(super) fn given(
     layout: &Layout,
@@ -411,6 +436,7 @@ pub(super) fn given(
             };
             let all = dataset::datasets(&table, &layout, &Select::All)?.remove(0);
             in_size(&table, &all)?;
+            in_range(&table, &all, bed.layout)?;
             let asked = dataset::read_table(&folder.join(format!("{name}.csv")), None)
                 .map_or(table.rows(), |t| t.rows());
             bed.rows(&table, asked)?;

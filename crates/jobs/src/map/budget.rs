@@ -5,7 +5,9 @@
 //! repeats = ceil(planned / block) + 1 + ceil(followed / batch),   learnt = planned + followed
 //! ```
 
+use super::line_time;
 use super::spec::MapSpec;
+use super::verify;
 
 /// Points of a day by what they are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +50,28 @@ impl Budget {
     fn all(&self, s: &MapSpec) -> usize {
         self.before() + s.verify.points
     }
+}
+
+/// Least bed time of a day beside the gains of its loops, in s, and what takes it in words: the lines of the maps, what is kept for the verification, and the fewest
+/// points that models are learnt from, each no longer than it is watched and averaged.
+pub(super) fn least_s(s: &MapSpec) -> (f64, String) {
+    // In the order of maps: the demand, then the given channel.
+    let p = &s.problem;
+    let names = p.demand_names().into_iter().chain(p.given_names());
+    let axes: Vec<Vec<f64>> = names.filter_map(|n| s.axes.get(&n).cloned()).collect();
+    let a = &s.bed.approach;
+    let (lines_s, verify_s) = (line_time::expected_s(s, &axes), verify::spare_s(s));
+    let points_s = fewest(s) as f64 * (2.0 * a.window_s + a.average_s);
+    let all_s = lines_s + verify_s + points_s;
+    let words = format!(
+        "{:.1} min: lines of the maps take {:.1}, the verification keeps {:.1}, {} points to learn from {:.1}",
+        all_s / 60.0,
+        lines_s / 60.0,
+        verify_s / 60.0,
+        fewest(s),
+        points_s / 60.0
+    );
+    (all_s, words)
 }
 
 /// Fewest usable points that models and envelope are learnt from.

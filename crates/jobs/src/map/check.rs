@@ -8,7 +8,7 @@ use dynocal_ident::model::response::learner;
 use dynocal_numerics::interval::Interval;
 use dynocal_plant::plants;
 
-use super::budget::Budget;
+use super::budget::{Budget, least_s};
 use super::spec::MapSpec;
 
 /// Most cells of a map.
@@ -373,7 +373,20 @@ fn bed(s: &MapSpec, faults: &mut Faults) {
     faults.range("bed.refine.tolerance", r.tolerance, 0.0, 1.0, "of what is minimised");
     faults.range("bed.refine.gain", r.gain, 0.0, 1e9, "of what is minimised");
     faults.range("bed.refine.interval", r.interval, 0.0, 1e9, "of what is minimised");
+    let minutes = (0.1..=10_000.0).contains(&s.bed.minutes);
     faults.range("bed.minutes", s.bed.minutes, 0.1, 10_000.0, "min");
+    // Of a bed that is driven through files minutes do not bind.
+    if minutes && s.plant.name != "bed" && s.axes.values().all(|a| a.len() > 1) {
+        let (least_s, words) = least_s(s);
+        if 60.0 * s.bed.minutes < least_s {
+            let tune = if s.loops.iter().all(|l| l.gains.is_some()) {
+                ""
+            } else {
+                ", and gains that are found on the bed come on top"
+            };
+            faults.push("bed.minutes", s.bed.minutes, format!("at least {words}{tune}"));
+        }
+    }
     faults.range("bed.approach.ramp_s", a.ramp_s, 0.0, 3600.0, "s");
     faults.range("bed.approach.settle_s", a.settle_s, 4.0 * s.sample_time_s, 3600.0, "s");
     faults.range("bed.approach.window_s", a.window_s, 2.0 * s.sample_time_s, 0.5 * a.settle_s, "s");

@@ -74,7 +74,10 @@ pub struct Trimmed {
     pub before: f64,
     /// Scatter of the input in a window about the trimmed map and the lag of its way: what the map does not follow, and noise.
     pub scatter: f64,
-    /// The same by what it does to the demand: as a share of it where the map is relative.
+    /// Standard deviation of the input about the trimmed map: the scatter, and between the lines what a line differs from those beside it (`between`, by the median slope of the
+    /// map over its demand).
+    pub deviation: f64,
+    /// The scatter by what it does to the demand: as a share of it where the map is relative.
     pub held: f64,
     /// RMS of what a line differs from what the lines beside it say of it, counted as [`Trimmed::held`]; none with fewer than three lines.
     pub between: Option<f64>,
@@ -336,7 +339,8 @@ impl Drive {
     /// Takes what was measured along the maps; `between`: what a line differs from its neighbours.
     pub(super) fn take(&mut self, trim: Trim, demand: Option<usize>, between: Option<f64>) {
         let (scatter, held) = (trim.rest, trim.scatter);
-        self.trimmed = Some(Trimmed { before: 0.0, scatter, held, between, cells: Vec::new(), trim, demand });
+        let (before, deviation, cells) = (0.0, scatter, Vec::new());
+        self.trimmed = Some(Trimmed { before, scatter, deviation, held, between, cells, trim, demand });
     }
 
     /// What the map missed before it was trimmed, and what is left, in its input and in the demand of each cell of the `axes`.
@@ -354,11 +358,18 @@ impl Drive {
             self.missed_by(w.input, w.said[1]) + if t.demand.is_some() { w.slope * lag } else { -lag }
         };
         let scatter = if t.demand.is_some() { rms(&left) } else { t.scatter };
+        // Between the lines it is known as well as a line is told by those beside it.
+        let mut slopes: Vec<f64> = windows.iter().map(|w| w.slope.abs()).filter(|s| s.is_finite()).collect();
+        slopes.sort_by(f64::total_cmp);
+        let slope =
+            if t.demand.is_some() { slopes.get(slopes.len() / 2).copied().unwrap_or(1.0) } else { 1.0 };
+        let between = t.between.filter(|b| b.is_finite()).map_or(0.0, |b| b * slope);
+        let deviation = scatter.hypot(between);
         // More of the input is less of the demand that it stands for; of another input nothing is known in shares of a demand.
         let shown: Vec<Shown> = windows.iter().map(|w| (w.at, -left(w) / w.slope, w.weight)).collect();
         let cells = if t.demand.is_some() { by_cell(axes, &shown) } else { Vec::new() };
         if let Some(t) = &mut self.trimmed {
-            (t.before, t.scatter, t.cells) = (before, scatter, cells);
+            (t.before, t.scatter, t.deviation, t.cells) = (before, scatter, deviation, cells);
         }
     }
 
@@ -397,8 +408,8 @@ impl Drive {
             let x: Vec<f64> = columns.iter().zip(&self.logs).map(of).collect();
             self.model.predict(&x, Ask::Variance, &mut at);
             let (mean, deviation) = match &self.trimmed {
-                Some(t) if t.demand.is_some() => (at.mean, t.scatter),
-                Some(t) => (at.mean + t.trim.at(&factors[i][..layout.axes]), t.scatter),
+                Some(t) if t.demand.is_some() => (at.mean, t.deviation),
+                Some(t) => (at.mean + t.trim.at(&factors[i][..layout.axes]), t.deviation),
                 None => (at.mean, self.widen * at.measured_std()),
             };
             match self.relative {

@@ -8,7 +8,7 @@ use std::path::Path;
 use dynocal_calib::steady::cell::{KEPT, Setting};
 use dynocal_calib::steady::grid::{Cell, CellState};
 use dynocal_calib::steady::layout::Layout;
-use dynocal_files::dataset;
+use dynocal_files::{dataset, units};
 use dynocal_ident::data::UnitAfter;
 
 use super::error::MapError;
@@ -49,12 +49,23 @@ pub(super) fn read(path: &Path, layout: &Layout, axes: &[MapAxis]) -> Result<Vec
             known.join(", ")
         )));
     }
+    // Values in the unit of the maps, whatever that of the column is.
+    let in_unit = |name: &str, unit: &str| -> Result<(f64, f64), MapError> {
+        let Some((found, _)) = &table.column(name)?.unit else { return Ok((1.0, 0.0)) };
+        units::conversion(found, unit).ok_or_else(|| {
+            MapError::Edits(format!(
+                "{}, column `{name}`: found the unit {found}, expected {unit} or one that converts to it",
+                table.file
+            ))
+        })
+    };
     let n = table.rows();
     let mut all: Vec<Asked> = Vec::new();
     for row in 0..n {
         let mut cell = 0;
         for a in axes {
-            let v = table.numbers(&a.name, row, row + 1)?[0];
+            let (factor, offset) = in_unit(&a.name, &a.unit)?;
+            let v = factor * table.numbers(&a.name, row, row + 1)?[0] + offset;
             let width = a.points[a.points.len() - 1] - a.points[0];
             let Some(i) = a.points.iter().position(|p| (p - v).abs() <= ROUNDING * width) else {
                 let values: Vec<String> = a.points.iter().map(f64::to_string).collect();
@@ -64,7 +75,8 @@ pub(super) fn read(path: &Path, layout: &Layout, axes: &[MapAxis]) -> Result<Vec
         }
         let mut values = Vec::new();
         for (i, f) in free.iter().enumerate().filter(|(_, f)| table.column(&f.name).is_ok()) {
-            let v = table.numbers_or_missing(&f.name, row, row + 1)?[0];
+            let (factor, offset) = in_unit(&f.name, &f.unit)?;
+            let v = factor * table.numbers_or_missing(&f.name, row, row + 1)?[0] + offset;
             if v < f.lower || v > f.upper {
                 return refused(row, &f.name, v, format!("{} to {} {}", f.lower, f.upper, f.unit));
             }

@@ -114,9 +114,21 @@ pub enum MapError {
         /// Points of the smallest day.
         least: usize,
     },
+    /// The bed time does not even reach for the fewest points.
+    #[error(
+        "bed.minutes: found {minutes:.4}, of which the gains of the loops took {gains:.1}, expected at least {least}"
+    )]
+    Minutes {
+        /// Of the spec.
+        minutes: f64,
+        /// For the gains of the loops.
+        gains: f64,
+        /// What is needed beside them, in words.
+        least: String,
+    },
     /// Too few points came from the bed.
     #[error(
-        "{usable} of {measured} measured points can be used, expected at least {least}: {end}. Notes of the points: {notes}"
+        "{usable} of {measured} measured points can be used, expected at least {least}: {end}{}", if notes.is_empty() { String::new() } else { format!(". Notes of the points: {notes}") }
     )]
     TooFew {
         /// Usable points.

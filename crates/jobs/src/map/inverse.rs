@@ -6,13 +6,15 @@
 //! ```
 //!
 //! An ECU needs both: the throttle that a torque takes, and the torque that a driver's throttle asks for. Where f does not rise along
-//! y (or does not fall), one u has several y; the least of them is taken, and it is said. Beyond the ends of a column the inverse is held.
+//! y (or does not fall), one u has several y; the least of them is taken, and it is said. Beyond the ends of a column the inverse is held. Of
+//! all values that the map has the axis takes those between which the inverse is straight with the least error ([`Tables`]), as many as that takes.
 
 use dynocal_calib::map::static_map::StaticMap;
+use dynocal_calib::steady::breakpoints::Tables;
 use serde::Serialize;
 
-/// Times as many values of u as the map has of y, at most.
-const FINER: usize = 2;
+/// Error of the inverse, as a share of what y goes through, above which it takes more values of u.
+const STRAIGHT: f64 = 0.005;
 
 /// The inverse of the map of a driven input.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -48,48 +50,62 @@ pub fn of(map: &StaticMap, name: &str) -> Option<Inverse> {
     if map.demand.len() < 2 {
         return None;
     }
-    let columns: Vec<Vec<f64>> = (0..map.given.len())
-        .map(|g| (0..map.demand.len()).map(|d| map.points[d * map.given.len() + g].actuators[k]).collect())
-        .collect();
-    let ends =
-        columns.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-    if !(ends.1 > ends.0 && ends.0.is_finite() && ends.1.is_finite()) {
-        return None;
-    }
-    // As many values as there are, denser where those of the map are.
-    let mut all: Vec<f64> = columns.iter().flatten().copied().collect();
+    let columns: Vec<Column> = (0..map.given.len()).map(|g| column(map, k, g)).collect();
+    let mut all: Vec<f64> = columns.iter().flat_map(|c| c.u.iter().copied()).collect();
     all.sort_by(f64::total_cmp);
     all.dedup();
-    let n = (FINER * map.demand.len()).min(all.len());
-    let inputs: Vec<f64> = (0..n).map(|i| all[i * (all.len() - 1) / (n - 1)]).collect();
-    let values = inputs.iter().flat_map(|u| columns.iter().map(|c| inverted(c, &map.demand, *u))).collect();
+    if all.len() < 2 || all.iter().any(|u| !u.is_finite()) {
+        return None;
+    }
+    let full: Vec<f64> = all.iter().flat_map(|u| columns.iter().map(|c| c.inverted(*u))).collect();
+    let given = map.ports.given.first();
     let mut found = Inverse {
         input: actuator.name.clone(),
         input_unit: actuator.unit.clone(),
         output: demand.name.clone(),
         output_unit: demand.unit.clone(),
-        given: map.ports.given.first().map_or(String::new(), |g| g.name.clone()),
-        given_unit: map.ports.given.first().map_or(String::new(), |g| g.unit.clone()),
-        inputs,
+        given: given.map_or(String::new(), |g| g.name.clone()),
+        given_unit: given.map_or(String::new(), |g| g.unit.clone()),
+        inputs: all,
         givens: map.given.clone(),
-        values,
+        values: full,
         error: 0.0,
-        several: Vec::new(),
+        several: columns.iter().zip(&map.given).filter(|(c, _)| !c.one_way()).map(|(_, g)| *g).collect(),
     };
-    for (g, column) in columns.iter().enumerate() {
-        let way = (column[column.len() - 1] - column[0]).signum();
-        if column.windows(2).any(|w| (w[1] - w[0]) * way <= 0.0) {
-            found.several.push(map.given[g]);
-            continue;
-        }
-        for (y, u) in map.demand.iter().zip(column) {
-            found.error = found.error.max((found.at(*u, g) - y).abs());
-        }
-    }
+    found.thin(&columns, map.demand.len());
     Some(found)
 }
 
 impl Inverse {
+    /// Leaves out values of the input between which the inverse is straight enough: as many stay as there are of y at first, then half as many more.
+    fn thin(&mut self, columns: &[Column], least: usize) {
+        let (all, full) = (std::mem::take(&mut self.inputs), std::mem::take(&mut self.values));
+        let across = self.givens.len();
+        let y = full.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+        let axes = if across > 1 { vec![all.clone(), self.givens.clone()] } else { vec![all.clone()] };
+        let tables = Tables { axes, layers: vec![full.clone()], weights: vec![1.0; full.len()] };
+        let mut n = least.clamp(2, all.len());
+        loop {
+            let kept = &tables.choose(&[n, across])[0];
+            self.inputs = kept.iter().map(|i| all[*i]).collect();
+            self.values = kept.iter().flat_map(|i| full[i * across..(i + 1) * across].to_vec()).collect();
+            self.error = self.misses(columns);
+            if self.error <= STRAIGHT * (y.1 - y.0) || n == all.len() {
+                return;
+            }
+            n = (n + n.div_ceil(2)).min(all.len());
+        }
+    }
+
+    /// Largest difference of what it gives for the inputs of the map from what they hold, where the map goes one way.
+    fn misses(&self, columns: &[Column]) -> f64 {
+        let one = |(g, c): (usize, &Column)| {
+            let off = c.y.iter().zip(&c.u).map(|(y, u)| (self.at(*u, g) - y).abs());
+            off.fold(0.0, f64::max)
+        };
+        columns.iter().enumerate().filter(|(_, c)| c.one_way()).map(one).fold(0.0, f64::max)
+    }
+
     /// Value at `u` in the column of the other axis number `g`, straight between the values of the input.
     fn at(&self, u: f64, g: usize) -> f64 {
         let columns = self.givens.len();
@@ -118,17 +134,43 @@ impl Inverse {
     }
 }
 
-/// The least y of `along` at which the straight lines through `column` have the value `u`; the nearest end where they have it nowhere.
-fn inverted(column: &[f64], along: &[f64], u: f64) -> f64 {
-    for (w, y) in column.windows(2).zip(along.windows(2)) {
-        let inside = (w[0].min(w[1])..=w[0].max(w[1])).contains(&u);
-        if inside && w[0] != w[1] {
-            return y[0] + (u - w[0]) / (w[1] - w[0]) * (y[1] - y[0]);
-        }
-        if inside {
-            return y[0];
-        }
+/// The map at one place of the other axis, without what was not reached there.
+struct Column {
+    y: Vec<f64>,
+    u: Vec<f64>,
+}
+
+fn column(map: &StaticMap, actuator: usize, given: usize) -> Column {
+    let at = |d: &usize| &map.points[d * map.given.len() + given];
+    let mut all: Vec<usize> = (0..map.demand.len()).filter(|d| at(d).missed.is_empty()).collect();
+    if all.len() < 2 {
+        all = (0..map.demand.len()).collect();
     }
-    let nearest = column.iter().enumerate().min_by(|a, b| (a.1 - u).abs().total_cmp(&(b.1 - u).abs()));
-    nearest.map_or(f64::NAN, |(i, _)| along[i])
+    Column {
+        y: all.iter().map(|d| map.demand[*d]).collect(),
+        u: all.iter().map(|d| at(d).actuators[actuator]).collect(),
+    }
+}
+
+impl Column {
+    /// Whether the input rises, or falls, all the way.
+    fn one_way(&self) -> bool {
+        let way = (self.u[self.u.len() - 1] - self.u[0]).signum();
+        self.u.windows(2).all(|w| (w[1] - w[0]) * way > 0.0)
+    }
+
+    /// The least y at which the straight lines through the column have the value `u`; the nearest end where they have it nowhere.
+    fn inverted(&self, u: f64) -> f64 {
+        for (w, y) in self.u.windows(2).zip(self.y.windows(2)) {
+            let inside = (w[0].min(w[1])..=w[0].max(w[1])).contains(&u);
+            if inside && w[0] != w[1] {
+                return y[0] + (u - w[0]) / (w[1] - w[0]) * (y[1] - y[0]);
+            }
+            if inside {
+                return y[0];
+            }
+        }
+        let nearest = self.u.iter().enumerate().min_by(|a, b| (a.1 - u).abs().total_cmp(&(b.1 - u).abs()));
+        nearest.map_or(f64::NAN, |(i, _)| self.y[i])
+    }
 }

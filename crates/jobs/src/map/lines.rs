@@ -17,6 +17,7 @@ use serde::Serialize;
 use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
+use super::halfway;
 use super::line_time::{again_s, along_s, beside_s, least_s, pace};
 use super::schedule::Schedule;
 use super::spec::{MapSpec, SweepSpec};
@@ -58,16 +59,26 @@ pub(super) type Gone = (Sweeps, Vec<Window>);
 #[derive(Clone)]
 pub(super) struct Line {
     /// Whether it is a part of one that was gone along before.
-    part: bool,
+    pub(super) part: bool,
     /// Its number along the other axis.
-    number: usize,
+    pub(super) number: usize,
     /// Value of the other axis; none where there is none.
-    other: Option<f64>,
-    nodes: Vec<Vec<f64>>,
+    pub(super) other: Option<f64>,
+    pub(super) nodes: Vec<Vec<f64>>,
     /// What the maps of the driven inputs say at the nodes, by loop.
-    driven: Vec<Vec<f64>>,
+    pub(super) driven: Vec<Vec<f64>>,
     /// Factors of the gains of the loops at the nodes, by loop.
-    gains: Vec<Vec<f64>>,
+    pub(super) gains: Vec<Vec<f64>>,
+    /// Where it rests half way to the next node as well: number of the node, and what holds there.
+    pub(super) halves: Vec<(usize, Half)>,
+}
+
+/// A place half way between two nodes: factors, what the maps of the driven inputs say, and factors of the gains, by loop.
+#[derive(Clone)]
+pub(super) struct Half {
+    pub(super) at: Vec<f64>,
+    pub(super) driven: Vec<f64>,
+    pub(super) gains: Vec<f64>,
 }
 
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
@@ -209,7 +220,9 @@ impl Lines<'_> {
         let (from, to) = others(&line.nodes, old, self.layout.axes, &beside)?;
         let part = |all: &[Vec<f64>]| all.iter().map(|d| d[from..=to].to_vec()).collect();
         let (driven, gains) = (part(&line.driven), part(&line.gains));
-        Some(Line { part: true, nodes: line.nodes[from..=to].to_vec(), driven, gains, ..line })
+        let halves = line.halves.into_iter().filter(|(k, _)| (from..to).contains(k));
+        let halves = halves.map(|(k, half)| (k - from, half)).collect();
+        Some(Line { part: true, nodes: line.nodes[from..=to].to_vec(), driven, gains, halves, ..line })
     }
 
     /// Goes along lines as fast as there is time for them, beginning at the end of the other axis that is nearer to where the bed stands:
@@ -227,7 +240,8 @@ impl Lines<'_> {
         let axis = &self.axes[0];
         let whole = axis[axis.len() - 1] - axis[0];
         let mut least: f64 = 1.0;
-        let mut lines: Vec<&Line> = lines.iter().collect();
+        let expanded: Vec<Line> = lines.iter().map(Line::expanded).collect();
+        let mut lines: Vec<&Line> = expanded.iter().collect();
         if self.nearer_last(&lines, bench.stands_at()) {
             lines.reverse();
         }
@@ -264,8 +278,9 @@ impl Lines<'_> {
                 let before = rows.len();
                 keep(line.number, (&from, &legs), (swept.rows, swept.clock_s), window_s, rows);
                 if rests {
-                    let gone = rows.split_off(before);
-                    rows.extend(gone.into_iter().filter(|w| w.way.up == 0.0));
+                    let gone = rows.split_off(before).into_iter().filter(|w| w.way.up == 0.0);
+                    let halfway = |w: &Window| halfway::beside(axis, &legs[w.row.leg]);
+                    rows.extend(gone.map(|w| Window { halfway: halfway(&w), ..w }));
                 }
                 // Nothing is measured on the way back from rests.
                 let all = rests && last_leg.is_some_and(|leg| leg >= there);
@@ -304,7 +319,8 @@ impl Lines<'_> {
 
     /// Bed time of a line with the way to it, as the spec asks.
     fn line_s(&self, spec: &SweepSpec, line: &Line) -> f64 {
-        along_s(spec, (line.nodes.len(), self.length(line))) + beside_s(self.spec, spec)
+        let values = line.nodes.len() + line.halves.len();
+        along_s(spec, (values, self.length(line))) + beside_s(self.spec, spec)
     }
 
     /// Length of a line over that of the first axis.
@@ -341,10 +357,35 @@ impl Lines<'_> {
             let driven =
                 drives.iter().map(|d| d.say(self.layout, self.setting, &nodes)).collect::<Result<_, _>>()?;
             let gains = schedule.at(self.layout, self.setting, drives, &nodes)?;
-            Ok(Line { part: false, number, other, nodes, driven, gains })
+            let line = Line { part: false, number, other, nodes, driven, gains, halves: Vec::new() };
+            if spec.rest_s > 0.0 { self.with_halves(line, drives, &schedule) } else { Ok(line) }
         };
         let all: Vec<Line> = others.into_iter().enumerate().map(line).collect::<Result<_, MapError>>()?;
         Ok(all.into_iter().filter(|l| l.nodes.len() > 1).collect())
+    }
+
+    /// The line with where it rests half way.
+    fn with_halves(&self, line: Line, drives: &[Drive], schedule: &Schedule) -> Result<Line, MapError> {
+        let steep = halfway::held(self.layout, drives).map(|(l, ends)| {
+            let nodes: Vec<(f64, f64)> =
+                line.nodes.iter().zip(&line.driven[l]).map(|(x, u)| (x[0], *u)).collect();
+            halfway::steep(&nodes, ends)
+        });
+        let mut which = steep.unwrap_or_default();
+        which.extend(halfway::jumps(self.layout, &line.nodes));
+        which.sort_unstable();
+        which.dedup();
+        let middle = |k: &usize| -> Vec<f64> {
+            line.nodes[*k].iter().zip(&line.nodes[k + 1]).map(|(a, b)| 0.5 * (a + b)).collect()
+        };
+        let at: Vec<Vec<f64>> = which.iter().map(middle).collect();
+        let driven: Vec<Vec<f64>> =
+            drives.iter().map(|d| d.say(self.layout, self.setting, &at)).collect::<Result<_, _>>()?;
+        let gains = schedule.at(self.layout, self.setting, drives, &at)?;
+        let of = |all: &[Vec<f64>], i: usize| all.iter().map(|v| v[i]).collect::<Vec<f64>>();
+        let each = which.into_iter().zip(at).enumerate();
+        let halves = each.map(|(i, (k, at))| (k, Half { at, driven: of(&driven, i), gains: of(&gains, i) }));
+        Ok(Line { halves: halves.collect(), ..line })
     }
 
     /// Whether the last of the lines is nearer to where the bed stands, along the other axis, than the first.
@@ -421,6 +462,7 @@ mod tests {
             nodes: nodes.iter().map(|y| vec![*y, 0.1 * y]).collect(),
             driven: vec![nodes.iter().map(|y| 0.2 * y).collect()],
             gains: vec![nodes.iter().map(|y| y / 40.0).collect()],
+            halves: Vec::new(),
         }
     }
 

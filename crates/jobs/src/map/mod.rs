@@ -18,6 +18,7 @@ pub mod edits;
 pub mod error;
 pub mod estimate;
 mod front;
+mod halfway;
 pub mod inverse;
 pub mod job;
 mod journal;
@@ -62,9 +63,13 @@ pub const KIND: &str = "map";
 pub fn run(job: &Job, watch: Watch) -> Result<(Mapped, RunFolder), MapError> {
     // A folder that cannot be written is known before the plant is run.
     let folder = RunFolder::open_at(&job.out, KIND, &job.spec)?;
+    // Maps of another spec are not the result of this one, whatever becomes of it.
+    if folder.had_another_spec()? {
+        store::forget(folder.path());
+    }
     let found = work::run_in(job, folder.path(), watch);
-    if let Err(MapError::NeedsMeasurement { .. }) = &found {
-        // What an earlier, shorter day left is not the result of this one.
+    // Nor are those of an earlier, shorter day. What is only interrupted comes to the same again.
+    if found.as_ref().is_err_and(|e| !matches!(e, MapError::Interrupted)) {
         store::forget(folder.path());
     }
     let found = found?;

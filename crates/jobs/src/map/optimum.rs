@@ -205,7 +205,8 @@ impl Optimum {
             let at = w.asked(layout);
             let here = interpolate(&self.grid_axes, &self.cells, &at);
             let near = corners(&self.grid_axes, &at).iter().any(|(j, weight)| *j == k && *weight >= 0.5);
-            near && w.row.followed.iter().all(|f| *f)
+            near && !w.halfway
+                && w.row.followed.iter().all(|f| *f)
                 && !w.row.at_end.contains(&true)
                 && lines::beside(layout, &w.row.factors, &here)
         };

@@ -188,7 +188,7 @@ mod tests {
                     behind: Vec::new(),
                     at_s,
                 };
-                all.push(Window { line, pass: line, way, last: false, row });
+                all.push(Window { line, pass: line, way, last: false, halfway: false, row });
             }
             // The way to the next line.
             at_s += 20.0;

@@ -57,7 +57,17 @@ pub fn write(folder: &RunFolder, job: &Job, mut found: Mapped) -> Result<Mapped,
 
 /// Takes the results of an earlier run away, where there are some.
 pub(super) fn forget(root: &Path) {
-    for name in ["summary.json", "report.html", &format!("{STEP}/static_map.json")] {
+    let mut names: Vec<String> =
+        ["summary.json", "report.html", "envelope.json", "points.csv", "points.json"]
+            .map(String::from)
+            .into();
+    names.push(format!("{STEP}/static_map.json"));
+    let written = std::fs::read_dir(root).into_iter().flatten().flatten();
+    let of_a_response = |n: &String| {
+        n.starts_with("response-") && n.ends_with(".json") || n.starts_with("inverse-") && n.ends_with(".csv")
+    };
+    names.extend(written.map(|f| f.file_name().to_string_lossy().into_owned()).filter(of_a_response));
+    for name in names {
         // What is not there needs no removal.
         let _ = std::fs::remove_file(root.join(name));
     }

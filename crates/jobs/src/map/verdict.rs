@@ -5,9 +5,9 @@ use dynocal_calib::steady::day::{DayEnd, Purpose};
 use dynocal_calib::steady::grid::{Cell, CellState, neighbours};
 use dynocal_calib::steady::layout::Layout;
 use dynocal_ident::data::UnitAfter;
-use dynocal_report::{Check, significant};
+use dynocal_report::{Cell as Value, Check, significant};
 
-use super::cells::{end_in_words, missed, objective_unit};
+use super::cells::{JUMP, end_in_words, missed, objective_unit};
 use super::learn::Learned;
 use super::result::{MapAxis, Mapped, Verified};
 use super::spec::MapSpec;
@@ -20,8 +20,6 @@ const ROUGH: f64 = 0.8;
 const TAKEN: f64 = 0.002;
 /// Loss of a cell by breakpoints and steps, as a share of what is minimised, above which it is said.
 const LOST: f64 = 0.01;
-/// Share of its range that a free input may go through between two neighbouring cells before it is said.
-const JUMP: f64 = 0.5;
 /// Deviation that is none, as a share of the scatter of the response over the points: what settling leaves.
 const SMALL: f64 = 0.02;
 
@@ -44,6 +42,11 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         Check::new("verified", "verification points that were measured and keep limits and promise")
             .asked(format!("{}", spec.verify.points))
             .measured(kept as f64)
+            .note(if spec.verify.points > 0 {
+                ""
+            } else {
+                "`verify.points` is 0: what nothing has tested is not called usable"
+            })
             .holds(spec.verify.points > 0 && kept == spec.verify.points),
     ];
     if all > 0 {
@@ -76,7 +79,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
             Check::new("promise", "error of what was promised for the last batch of points at the optimum")
                 .unit("%")
                 .note(format!(
-                    "{} batches; no more were taken at {} %",
+                    "{} batches; {} % or less ends them before their points are used up",
                     found.rounds.len(),
                     100.0 * spec.bed.refine.tolerance
                 ));
@@ -105,10 +108,10 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
                 let measured = delivered.unwrap_or(t.other / first);
                 check.measured(measured).holds(measured <= share + TAKEN)
             }
-            None => check
-                .measured(least / first)
-                .holds(false)
-                .note(format!("no map within the limits has less of {}", front.against)),
+            None => check.measured(least / first).holds(false).note(format!(
+                "no map within the limits has less of `{}`: what `front.take` asks for is not there",
+                front.against
+            )),
         });
     }
     edited(found, &mut checks, &mut warnings);
@@ -152,7 +155,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     for d in found.drives.iter().filter(|d| d.rough()) {
         let (input, missed) = (&d.input, d.missed());
         warnings.push(format!(
-            "the map of `{input}` alone does not hold its demand: it misses what the bed set by {missed} rms"
+            "the map of `{input}` alone does not hold its demand: with it the demand is missed by {missed} rms, as far as lines and verification tell"
         ));
     }
     let decides = |m: &&Learned| !driven(found, &m.response);
@@ -173,6 +176,8 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         warnings.extend(met(found));
     }
     found.valid = checks.iter().all(|c| c.holds != Some(false));
+    let failed: Vec<&Check> = checks.iter().filter(|c| c.holds == Some(false)).collect();
+    warnings.extend(failed.iter().map(|c| fails(c)));
     let minutes = significant(found.bed.all_s() / 60.0, 3);
     let cells = format!(
         "{optimal} of {n} cells hold an optimum that keeps all limits with {} %",
@@ -187,11 +192,33 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
         }
         (false, ..) => "The maps must not be used as they are",
     };
-    let alone = if found.valid { guided(found) } else { String::new() };
-    found.verdict =
-        format!("{worth}{alone}: {cells}; {verified}; {usable} usable points and {minutes} min of bed time.");
+    let alone = if found.valid {
+        guided(found)
+    } else {
+        let ids: Vec<String> = failed.iter().map(|c| format!("`{}`", c.id)).collect();
+        format!(", as what is asked for does not hold ({})", ids.join(", "))
+    };
+    let edited = match found.edits.len() {
+        0 => String::new(),
+        n => format!("; {n} of the cells stand as they were edited"),
+    };
+    found.verdict = format!(
+        "{worth}{alone}: {cells}{edited}; {verified}; {usable} usable points and {minutes} min of bed time."
+    );
     found.checks = checks;
     found.warnings = warnings;
+}
+
+/// A check that does not hold, in words.
+fn fails(c: &Check) -> String {
+    let unit = UnitAfter(&c.unit);
+    let of = |word: &str, v: &Value| match v {
+        Value::Number(v) => format!("; {word} {}{unit}", significant(*v, 4)),
+        Value::Text(v) => format!("; {word} {v}{unit}"),
+        Value::Empty => String::new(),
+    };
+    let note = if c.note.is_empty() { String::new() } else { format!(" ({})", c.note) };
+    format!("`{}` does not hold: {}{}{}{note}", c.id, c.what, of("asked", &c.asked), of("found", &c.measured))
 }
 
 /// Cells at the end of the demand that the models expect to keep all limits, but not with the asked probability: at the same place of the other axes there is
@@ -229,6 +256,14 @@ fn edited(found: &Mapped, checks: &mut Vec<Check>, warnings: &mut Vec<String>) {
         let at = place(found, &e.at);
         if !e.passed.is_empty() {
             warnings.push(format!("the edit at {at} breaks limits: {}; {}", e.broken(), e.words()));
+        }
+        let of =
+            found.cells.iter().find(|c| c.at == e.at).map_or(f64::NAN, |c| c.optimum.objective - e.costs);
+        if e.costs > LOST * of.abs() {
+            warnings.push(format!(
+                "the edit at {at} costs {} % of what is minimised there, by the models",
+                significant(100.0 * e.costs / of.abs(), 2)
+            ));
         }
         if !e.reached {
             warnings.push(format!("the edit at {at} lies outside of what was reached on the bed: nothing is known of limits there"));

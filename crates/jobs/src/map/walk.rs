@@ -14,8 +14,8 @@ use dynocal_numerics::watch::Watch;
 use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
-use super::learn::Learned;
-use super::lines::{Gone, Line};
+use super::learn::{self, Learned};
+use super::lines::{self, Line};
 use super::optimum::{Optimum, careful};
 use super::reach::Reach;
 use super::rest::Rest;
@@ -36,23 +36,68 @@ pub(super) struct Walk<'a> {
 }
 
 /// What lines showed, the demand as it is where a slow channel has come to rest, and what is known of that by them.
-pub(super) type Walked = (Gone, Option<Rest>);
+pub(super) type Walked = (lines::Gone, Option<Rest>);
 
 /// The first lines, as they were measured.
-pub(super) struct Begun {
-    gone: Gone,
+struct Begun {
+    gone: lines::Gone,
     lines: Vec<Line>,
     /// What they showed, the demand as it is where a slow channel has come to rest: windows, and points of them.
     windows: Vec<Window>,
-    pub(super) points: Vec<DayPoint>,
+    points: Vec<DayPoint>,
+}
+
+/// All that came of going along the maps.
+pub(super) struct Gone {
+    /// The models with what is minimised learnt again; none where the first lines showed nothing of it.
+    pub(super) again: Option<Vec<Learned>>,
+    /// Nothing where the bed cannot, or where no lines are asked for.
+    pub(super) walked: Option<Walked>,
 }
 
 impl Walk<'_> {
+    /// Along the first lines, what they show of what is minimised learnt with the points `seen`, cells sought again with it, and along the others.
+    ///
+    /// # Errors
+    /// [`MapError`].
+    pub(super) fn all(
+        &self,
+        optimum: &mut Optimum,
+        seen: &[DayPoint],
+        bench: &mut dyn Bench,
+        until_s: f64,
+        watch: Watch,
+    ) -> Result<Gone, MapError> {
+        let Self { spec, layout, .. } = *self;
+        let Some(begun) = self.begun(optimum, bench, until_s, watch)? else {
+            return Ok(Gone { again: None, walked: None });
+        };
+        let again = if begun.points.is_empty() {
+            None
+        } else {
+            let (all, shown) = ([seen, &begun.points].concat(), begun.points.len());
+            Some(learn::again(self.models, layout, &all, shown, self.drift, &spec.models, watch)?)
+        };
+        let models = again.as_deref().unwrap_or(self.models);
+        let setting = setting::setting(layout, models, None, spec);
+        if again.is_some() {
+            let moved = optimum.seek_again(spec, layout, &setting, watch);
+            if watch.interrupted() {
+                return Err(MapError::Interrupted);
+            }
+            watch.note(&format!("{moved} cells are others by what the first lines showed"));
+        }
+        let walk = Walk { setting: &setting, models, ..*self };
+        let walk = Walk { drives: &walk.fed(optimum, &begun)?, ..walk };
+        let walked = walk.swept(optimum, begun, seen, bench, until_s, watch)?;
+        Ok(Gone { again, walked: Some(walked) })
+    }
+
     /// Along the first lines of the maps.
     ///
     /// # Errors
     /// [`MapError`].
-    pub(super) fn begun(
+    fn begun(
         &self,
         optimum: &Optimum,
         bench: &mut dyn Bench,
@@ -75,7 +120,7 @@ impl Walk<'_> {
     ///
     /// # Errors
     /// [`MapError`].
-    pub(super) fn fed(&self, optimum: &Optimum, begun: &Begun) -> Result<Vec<Drive>, MapError> {
+    fn fed(&self, optimum: &Optimum, begun: &Begun) -> Result<Vec<Drive>, MapError> {
         let Self { spec, layout, setting, drift, drives, .. } = *self;
         let (mut fed, none) = (drives.to_vec(), vec![Vec::new(); drives.len()]);
         optimum.lines(spec, layout, setting, drift).trim(&begun.windows, &mut fed, none)?;
@@ -87,7 +132,7 @@ impl Walk<'_> {
     ///
     /// # Errors
     /// [`MapError`].
-    pub(super) fn swept(
+    fn swept(
         &self,
         optimum: &mut Optimum,
         Begun { gone: mut swept, lines: mut before, .. }: Begun,
@@ -120,7 +165,7 @@ impl Walk<'_> {
     fn missed(&self, optimum: &Optimum, windows: &[Window], from: usize) -> Vec<Vec<f64>> {
         let lines = optimum.lines(self.spec, self.layout, self.setting, self.drift);
         let found = missed(self.layout, &windows[from..]).into_iter().map(|k| &windows[from + k]);
-        found.filter(|w| lines.asks_for(w)).map(|w| w.asked(self.layout)).collect()
+        found.filter(|w| !w.halfway && lines.asks_for(w)).map(|w| w.asked(self.layout)).collect()
     }
 
     /// Seeks cells again around places that `windows` have missed: those that were found, which count only where lines show them; none where nothing was

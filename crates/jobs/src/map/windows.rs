@@ -13,6 +13,8 @@ pub(super) struct Window {
     pub(super) way: Way,
     /// Whether it is the last of a rest: as near to it as the bed came.
     pub(super) last: bool,
+    /// Whether it is of a rest half way between values of the first axis: whether the demand is reached there says nothing that the value above does not say.
+    pub(super) halfway: bool,
     pub(super) row: SweepRow,
 }
 
@@ -148,7 +150,14 @@ pub(super) fn keep(
         let since_s = (first_s - since).max(0.0);
         let end_s = ways.get(k + 1).map_or(all_s, |next| next.1);
         let last = up == 0.0 && last_s + 0.1 * window_s > end_s;
-        rows.push(Window { line, pass, way: Way { up, since_s, before, window_s }, last, row });
+        rows.push(Window {
+            line,
+            pass,
+            way: Way { up, since_s, before, window_s },
+            last,
+            halfway: false,
+            row,
+        });
     }
 }
 
@@ -250,7 +259,7 @@ mod tests {
             behind: vec![(asked - got).abs() / 5.0],
             at_s: 2.0 * k as f64,
         };
-        Window { line: 0, pass: 0, way, last: false, row }
+        Window { line: 0, pass: 0, way, last: false, halfway: false, row }
     }
 
     /// A loop that comes back from the end of its input: short, there in passing, beyond, and there again. One that was short and stays there is not

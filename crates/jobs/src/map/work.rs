@@ -14,7 +14,7 @@ use dynocal_plant::plants;
 
 use super::bench::{self, Bench, OnBed};
 use super::between::Between;
-use super::budget::{Budget, fewest};
+use super::budget::{Budget, fewest, least_s};
 use super::cells::end_in_words;
 use super::channels;
 use super::drive::{self, Drive};
@@ -29,7 +29,7 @@ use super::rest::{self, at_rest};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{self, envelope};
 use super::spec::MapSpec;
-use super::walk::Walk;
+use super::walk::{Gone, Walk};
 use super::{edits, inverse, loops, verdict, verify};
 
 /// All of it on the plant of the spec, or on a bed that is driven through files.
@@ -143,14 +143,13 @@ impl Day<'_> {
         // Edits that do not fit are known before the bed is run.
         spec.edits.as_ref().map(|file| edits::read(file, layout, &axes)).transpose()?;
         let mut bed = BedTime { gains_s: tuned.as_ref().map_or(0.0, |t| t.used_s), ..BedTime::default() };
-        let budget_s = 60.0 * spec.bed.minutes - bed.gains_s;
         let grid_axes: Vec<Vec<f64>> = axes.iter().map(|a| a.points.clone()).collect();
-        // The verification comes last, and none of its points begins that may pass the end of the bed time.
-        let kept_s = line_time::expected_s(spec, &grid_axes) + verify::spare_s(spec);
-        // Its last point is one of the day's, too.
-        let n = spec.bed.points as f64;
-        let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
-        let points_s = ((budget_s - kept_s) / (1.0 - last_s(1.0))).max(0.0);
+        let Times { budget_s, points_s, until_s } = Times::of(spec, &grid_axes, bed.gains_s);
+        let (least_s, words) = least_s(spec);
+        if spec.plant.name != "bed" && budget_s < least_s {
+            let (minutes, gains) = (spec.bed.minutes, bed.gains_s / 60.0);
+            return Err(MapError::Minutes { minutes, gains, least: words });
+        }
         let (mut points, Refined { rounds, end, enough }) =
             measured(spec, layout, &grid_axes, &first, points_s, bench, watch)?;
         bed.points_s = bench.used_s();
@@ -165,8 +164,6 @@ impl Day<'_> {
         let of_points = learnt.clone();
         let mut drives: Vec<Drive> = learnt.iter_mut().map(|all| all.remove(0)).collect();
         bench.widen_limits(spec.verify.limit);
-        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
-        let until_s = budget_s - verify_s;
         let walk = Walk {
             spec,
             layout,
@@ -176,33 +173,9 @@ impl Day<'_> {
             drives: &drives,
             rest: rest.as_ref(),
         };
-        let begun = walk.begun(&optimum, bench, until_s, watch)?;
-        // What the first lines show of what is minimised is learnt before the bed goes along the others.
-        let shown = begun.as_ref().map_or(&[][..], |b| &b.points);
-        let again = if shown.is_empty() {
-            None
-        } else {
-            let all = [&seen[..], shown].concat();
-            Some(learn::again(&models, layout, &all, shown.len(), &drift, &spec.models, watch)?)
-        };
-        let known = again.as_ref().unwrap_or(&models);
-        let setting = setting::setting(layout, known, None, spec);
-        if !shown.is_empty() {
-            let moved = optimum.seek_again(spec, layout, &setting, watch);
-            if watch.interrupted() {
-                return Err(MapError::Interrupted);
-            }
-            watch.note(&format!("{moved} cells are others by what the first lines showed"));
-        }
-        let walk = Walk { setting: &setting, models: known, ..walk };
-        let swept = match begun {
-            Some(begun) => {
-                let walk = Walk { drives: &walk.fed(&optimum, &begun)?, ..walk };
-                Some(walk.swept(&mut optimum, begun, &seen, bench, until_s, watch)?)
-            }
-            None => None,
-        };
-        let (swept, along) = swept.unzip();
+        let Gone { again, walked } = walk.all(&mut optimum, &seen, bench, until_s, watch)?;
+        let setting = setting::setting(layout, again.as_ref().unwrap_or(&models), None, spec);
+        let (swept, along) = walked.unzip();
         let rest_along = along.flatten().or_else(|| rest.clone());
         let (sweeps, windows) = swept.unzip();
         bed.sweeps_s = bench.used_s() - bed.points_s;
@@ -268,6 +241,31 @@ impl Day<'_> {
         };
         verdict::judge(&mut found, spec);
         Ok(found)
+    }
+}
+
+/// How the bed time of a day is divided, in s.
+struct Times {
+    /// All that there is.
+    budget_s: f64,
+    /// For the points, those of the verification among them.
+    points_s: f64,
+    /// When lines of the maps have to end.
+    until_s: f64,
+}
+
+impl Times {
+    /// What is left of the minutes of a spec after the gains of the loops.
+    fn of(spec: &MapSpec, axes: &[Vec<f64>], gains_s: f64) -> Self {
+        let budget_s = 60.0 * spec.bed.minutes - gains_s;
+        // The verification comes last, and none of its points begins that may pass the end of the bed time.
+        let kept_s = line_time::expected_s(spec, axes) + verify::spare_s(spec);
+        // Its last point is one of the day's, too.
+        let n = spec.bed.points as f64;
+        let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
+        let points_s = ((budget_s - kept_s) / (1.0 - last_s(1.0))).max(0.0);
+        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
+        Self { budget_s, points_s, until_s: budget_s - verify_s }
     }
 }
 

@@ -246,6 +246,17 @@ fn the_run_folder_holds_maps_that_leave_in_the_formats_of_ecus() {
             exported.files
         );
     }
+    // Maps of another spec do not outlive it, whatever becomes of its day.
+    let other = tmp.path().join("other");
+    let copy = Overrides { seed: Some(1), out: Some(other.clone()) };
+    let (first, stalls) =
+        (job::parse("map.toml", &text(DAY), &copy).unwrap(), Overrides { seed: Some(2), ..copy });
+    let folder = RunFolder::open(&first.out, dynocal_jobs::map::KIND, &first.spec).unwrap();
+    let found = store::write(&folder, &first, found).unwrap();
+    drop(folder);
+    let second = job::parse("map.toml", &text(DAY), &stalls).unwrap();
+    assert!(dynocal_jobs::map::run(&second, Watch::silent()).is_err());
+    assert!(!other.join("summary.json").exists() && !other.join("steps/01-map/static_map.json").exists());
     let (maps, _) = export::characteristics(&out).unwrap();
     let spark = maps.iter().find(|m| m.name == "SPARK_MAP").unwrap();
     let expected: Vec<f64> = found.cells.iter().map(|c| c.optimum.x[2].clamp(0.0, 1.0)).collect();

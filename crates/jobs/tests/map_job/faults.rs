@@ -81,3 +81,12 @@ fn rests_of_lines_are_long_enough_to_tell_something() {
         }
     }
 }
+
+/// Bed time that lines and verification take alone is a fault of the spec, and is said with what takes it.
+#[test]
+fn bed_time_that_does_not_reach_for_the_points_is_refused_before_the_bed_runs() {
+    let short = DAY.replacen("[bed]\n", "[bed]\nminutes = 2.0\n", 1);
+    let text = text(&format!("{short}[bed.sweep]\nrest_s = 30.0\n"));
+    let e = job::parse("map.toml", &text, &Overrides::default()).map(|j| j.name).unwrap_err().to_string();
+    assert!(e.contains("`bed.minutes`") && e.contains("lines of the maps take"), "{e}");
+}

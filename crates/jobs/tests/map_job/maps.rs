@@ -70,6 +70,27 @@ fn what_has_two_inverses_is_named() {
     assert!(of(&map([[5.0; 2]; 3]), "throttle").is_none() && of(&map([[5.0; 2]; 3]), "spark").is_none());
 }
 
+/// What was not reached has no part in the inverse, and columns that go through other values of the input are each kept at their ends: throttles of 6 to 17 deg at one
+/// speed and of 15 to 58 at the other.
+#[test]
+fn an_inverse_is_as_good_at_the_ends_of_every_column() {
+    let mut of_two = map([[6.0, 15.0], [8.7, 19.0], [17.0, 58.0]]);
+    let found = of(&of_two, "throttle").unwrap();
+    assert!(found.error <= 0.2, "{found:?}");
+    let at = |found: &dynocal_jobs::map::inverse::Inverse, u: f64, g: usize| {
+        let i = found.inputs.iter().position(|v| *v == u).unwrap();
+        found.values[2 * i + g]
+    };
+    for (u, g, y) in [(6.0, 0, 20.0), (17.0, 0, 60.0), (15.0, 1, 20.0), (58.0, 1, 60.0)] {
+        assert!((at(&found, u, g) - y).abs() <= 0.2, "{u} {y} {found:?}");
+    }
+    // A cell that was filled says 16 deg where less is asked for at 1000 rpm.
+    of_two.points[4].actuators[0] = 5.0;
+    of_two.points[4].missed = "filled from its neighbours".into();
+    let found = of(&of_two, "throttle").unwrap();
+    assert!(found.several.is_empty() && (at(&found, 58.0, 0) - 40.0).abs() < 1e-9, "{found:?}");
+}
+
 /// The worst of what is known is what the map of a driven input misses: on points, between the lines, along them, in the verification.
 #[test]
 fn what_was_measured_along_lines_and_in_the_verification_counts() {

@@ -47,7 +47,7 @@ const OTHERS: u64 = 3;
 const UNSEEN: usize = 50;
 const SEARCHED: usize = 12;
 /// Number of the procedure of job and study: another one where they work otherwise with the same spec.
-const PROCEDURE: u32 = 8;
+const PROCEDURE: u32 = 9;
 /// Pairs of days for the comparison of plans.
 const PAIRS: u64 = 10;
 /// A day whose points follow the optimum beside one that is planned as a whole: name, points, share that follows the optimum.

@@ -11,6 +11,8 @@ use super::{Guard, RESOLUTION};
 const BATCHES: usize = 5;
 const DOUBT: f64 = 2.306;
 const NEAR: f64 = 3.747;
+/// Share of its range within which an input stands at an end.
+const AT_END: f64 = 0.005;
 
 /// Mean of a window, and its variance from the means of batches: samples of a bed are not independent (lags of sensors, loops),
 /// those of batches nearly are.
@@ -116,14 +118,16 @@ impl Watching<'_> {
         self.restless.is_empty()
     }
 
-    /// Whether the input of the loop of demand `k` was at an end of its range all through the last window.
+    /// Whether the input of the loop of demand `k` was at an end of its range all through the last window, or as near to it in the mean as a controller comes that is pushed off
+    /// and on by the noise of its output.
     fn stands_at_an_end(&self, course: &Course, k: usize) -> bool {
         let (place, n) = (self.driven[k], course.rows());
         let c = &self.plan.channels[place];
-        (n - self.window..n).all(|t| {
-            let u = course.input(t)[place];
-            u <= c.lower || u >= c.upper
-        })
+        // Where an end is infinite there is none to stand at.
+        let near = Some(AT_END * (c.upper - c.lower)).filter(|n| n.is_finite()).unwrap_or(0.0);
+        let all = (n - self.window..n).map(|t| course.input(t)[place].clamp(c.lower, c.upper));
+        let mean = all.sum::<f64>() / self.window as f64;
+        mean <= c.lower + near || mean >= c.upper - near
     }
 }
 
