@@ -7,7 +7,6 @@
 
 use super::line_time;
 use super::spec::MapSpec;
-use super::verify;
 
 /// Points of a day by what they are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +51,24 @@ impl Budget {
     }
 }
 
+/// Share of the bed time of all points that the verification takes.
+pub(super) fn verify_share(spec: &MapSpec) -> f64 {
+    spec.verify.points as f64 / spec.bed.points.max(1) as f64
+}
+
+/// Bed time in s that a point may take.
+pub(super) fn longest_s(spec: &MapSpec) -> f64 {
+    let a = &spec.bed.approach;
+    // Over a corner at most.
+    2.0 * a.ramp_s + a.settle_s + a.average_s
+}
+
+/// Bed time in s that is kept beside that of the points: for the last one, which may take longest, and for one that has to be measured once
+/// more. Nothing where there are no points.
+pub(super) fn verify_spare_s(spec: &MapSpec) -> f64 {
+    if spec.verify.points == 0 { 0.0 } else { 2.0 * longest_s(spec) }
+}
+
 /// Least bed time of a day beside the gains of its loops, in s, and what takes it in words: the lines of the maps, what is kept for the verification, and the fewest
 /// points that models are learnt from, each no longer than it is watched and averaged.
 pub(super) fn least_s(s: &MapSpec) -> (f64, String) {
@@ -60,7 +77,7 @@ pub(super) fn least_s(s: &MapSpec) -> (f64, String) {
     let names = p.demand_names().into_iter().chain(p.given_names());
     let axes: Vec<Vec<f64>> = names.filter_map(|n| s.axes.get(&n).cloned()).collect();
     let a = &s.bed.approach;
-    let (lines_s, verify_s) = (line_time::expected_s(s, &axes), verify::spare_s(s));
+    let (lines_s, verify_s) = (line_time::expected_s(s, &axes), verify_spare_s(s));
     let points_s = fewest(s) as f64 * (2.0 * a.window_s + a.average_s);
     let all_s = lines_s + verify_s + points_s;
     let words = format!(

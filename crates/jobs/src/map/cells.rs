@@ -9,9 +9,6 @@ use dynocal_ident::data::UnitAfter;
 use super::reach::channel;
 use super::result::Mapped;
 
-/// Share of its range that a free input may go through between two neighbouring cells before it is said, and measured between them where lines rest.
-pub(super) const JUMP: f64 = 0.5;
-
 /// Values of all inputs that may move at a cell: free ones as optimised, driven ones as the models expect them.
 pub(super) fn actuators(layout: &Layout, cell: &Cell) -> Vec<f64> {
     let driven = layout.driven();

@@ -52,6 +52,9 @@ pub(super) fn check(s: &MapSpec, faults: &mut Faults) {
         }
         count("bed.sweep.between", sweep.between, 0, 100, faults);
     }
+    if let Some(file) = s.edits.as_ref().filter(|f| !f.is_file()) {
+        faults.push("edits", file.display(), "a table that is there");
+    }
     whole(s, faults);
     front(s, faults);
     deliver(s, faults);

@@ -14,10 +14,10 @@
 use dynocal_calib::steady::layout::Layout;
 use dynocal_calib::steady::station::Leg;
 
-use super::cells::JUMP;
 use super::drive::Drive;
-use super::lines::Line;
 
+/// Share of its range that a free input may go through between two neighbouring cells before it is said, and measured between them where lines rest.
+pub(super) const JUMP: f64 = 0.5;
 /// By how much more, in shares, an input has to move than its demand.
 const STEEP: f64 = 2.0;
 
@@ -51,34 +51,6 @@ pub(super) fn jumps(layout: &Layout, nodes: &[Vec<f64>]) -> Vec<usize> {
     nodes.windows(2).enumerate().filter(|(_, pair)| is(pair)).map(|(k, _)| k).collect()
 }
 
-impl Line {
-    /// With its nodes half way among the others.
-    pub(super) fn expanded(&self) -> Self {
-        let merged = |nodes: &[Vec<f64>], halves: &dyn Fn(usize) -> Vec<f64>| -> Vec<Vec<f64>> {
-            let mut all = nodes.to_vec();
-            for (i, (k, _)) in self.halves.iter().enumerate().rev() {
-                all.insert(k + 1, halves(i));
-            }
-            all
-        };
-        // By loop: nodes along the line.
-        let by_loop = |nodes: &[Vec<f64>], half: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f64>> {
-            let one = |(l, values): (usize, &Vec<f64>)| {
-                let values: Vec<Vec<f64>> = values.iter().map(|v| vec![*v]).collect();
-                merged(&values, &|i| vec![half(i, l)]).concat()
-            };
-            nodes.iter().enumerate().map(one).collect()
-        };
-        Self {
-            nodes: merged(&self.nodes, &|i| self.halves[i].1.at.clone()),
-            driven: by_loop(&self.driven, &|i, l| self.halves[i].1.driven[l]),
-            gains: by_loop(&self.gains, &|i, l| self.halves[i].1.gains[l]),
-            halves: Vec::new(),
-            ..*self
-        }
-    }
-}
-
 /// Whether a leg ends beside the values of the first axis.
 pub(super) fn beside(axis: &[f64], leg: &Leg) -> bool {
     !axis.contains(&leg.to[0])
@@ -86,7 +58,6 @@ pub(super) fn beside(axis: &[f64], leg: &Leg) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lines::Half;
     use super::*;
     use dynocal_calib::problem::CalibrationProblem;
     use dynocal_calib::steady::layout::{Factor, FactorKind};
@@ -132,24 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_half_way_stand_between_the_others() {
-        let line = Line {
-            part: false,
-            number: 3,
-            other: None,
-            nodes: [40.0, 60.0, 80.0, 100.0].iter().map(|y| vec![*y]).collect(),
-            driven: vec![vec![4.0, 6.0, 8.0, 20.0], vec![1.0, 2.0, 3.0, 4.0]],
-            gains: vec![vec![1.0; 4], vec![2.0; 4]],
-            halves: vec![
-                (0, Half { at: vec![50.0], driven: vec![5.0, 1.5], gains: vec![1.5, 2.5] }),
-                (2, Half { at: vec![90.0], driven: vec![12.0, 3.5], gains: vec![3.0, 2.5] }),
-            ],
-        };
-        let all = line.expanded();
-        assert_eq!(all.nodes.concat(), [40.0, 50.0, 60.0, 80.0, 90.0, 100.0]);
-        assert_eq!(all.driven, [vec![4.0, 5.0, 6.0, 8.0, 12.0, 20.0], vec![1.0, 1.5, 2.0, 3.0, 3.5, 4.0]]);
-        assert_eq!(all.gains[0], [1.0, 1.5, 1.0, 1.0, 3.0, 1.0]);
-        assert!(all.halves.is_empty() && all.number == 3);
+    fn a_leg_ends_at_a_value_of_the_axis_or_beside_it() {
         let leg = |to: f64| Leg { to: vec![to], driven: Vec::new(), gains: Vec::new(), seconds: 1.0 };
         assert!(beside(&[40.0, 60.0], &leg(50.0)) && !beside(&[40.0, 60.0], &leg(60.0)));
     }

@@ -9,7 +9,6 @@ use dynocal_calib::steady::cell::Setting;
 use dynocal_calib::steady::day::Drift;
 use dynocal_calib::steady::grid::{Cell, CellState, corners, interpolate};
 use dynocal_calib::steady::layout::Layout;
-use dynocal_calib::steady::station::Leg;
 use dynocal_calib::steady::trim::finer;
 use dynocal_numerics::watch::Watch;
 use serde::Serialize;
@@ -18,6 +17,7 @@ use super::bench::Bench;
 use super::drive::Drive;
 use super::error::MapError;
 use super::halfway;
+use super::line::{Half, Line, path};
 use super::line_time::{again_s, along_s, beside_s, least_s, pace};
 use super::schedule::Schedule;
 use super::spec::{MapSpec, SweepSpec};
@@ -38,6 +38,8 @@ pub struct Sweeps {
     pub at_ends: usize,
     /// Bed time in s.
     pub bed_s: f64,
+    /// How many times as fast as asked lines were gone along at most: 1 where there was time enough.
+    pub fastest: f64,
     /// Lines that ended early, in words.
     pub notes: Vec<String>,
 }
@@ -54,32 +56,6 @@ pub(super) struct Lines<'a> {
 
 /// What sweeps were, and what they measured.
 pub(super) type Gone = (Sweeps, Vec<Window>);
-
-/// A line: factors at its nodes along the first axis.
-#[derive(Clone)]
-pub(super) struct Line {
-    /// Whether it is a part of one that was gone along before.
-    pub(super) part: bool,
-    /// Its number along the other axis.
-    pub(super) number: usize,
-    /// Value of the other axis; none where there is none.
-    pub(super) other: Option<f64>,
-    pub(super) nodes: Vec<Vec<f64>>,
-    /// What the maps of the driven inputs say at the nodes, by loop.
-    pub(super) driven: Vec<Vec<f64>>,
-    /// Factors of the gains of the loops at the nodes, by loop.
-    pub(super) gains: Vec<Vec<f64>>,
-    /// Where it rests half way to the next node as well: number of the node, and what holds there.
-    pub(super) halves: Vec<(usize, Half)>,
-}
-
-/// A place half way between two nodes: factors, what the maps of the driven inputs say, and factors of the gains, by loop.
-#[derive(Clone)]
-pub(super) struct Half {
-    pub(super) at: Vec<f64>,
-    pub(super) driven: Vec<f64>,
-    pub(super) gains: Vec<f64>,
-}
 
 /// Share of the range of a free input by which the maps may go past a window that still counts: what cams and the like do to a throttle
 /// within it is less than its map misses.
@@ -239,7 +215,6 @@ impl Lines<'_> {
         let (begun_s, window_s) = (bench.used_s(), self.spec.bed.approach.window_s);
         let axis = &self.axes[0];
         let whole = axis[axis.len() - 1] - axis[0];
-        let mut least: f64 = 1.0;
         let expanded: Vec<Line> = lines.iter().map(Line::expanded).collect();
         let mut lines: Vec<&Line> = expanded.iter().collect();
         if self.nearer_last(&lines, bench.stands_at()) {
@@ -260,7 +235,7 @@ impl Lines<'_> {
             let along = |l: &&Line| along_s(spec, (l.nodes.len(), self.length(l)));
             let rest = (lines.len() - k, lines[k..].iter().map(along).sum());
             let pace = pace(self.spec, spec, bed_s - others_s - bench.used_s(), rest);
-            least = least.min(pace);
+            sweeps.fastest = sweeps.fastest.max(1.0 / pace);
             sweeps.again += usize::from(line.part);
             let first = self.begins_last(line, bench.stands_at());
             // A limit on the way to one end, or soon behind it, says nothing of the rest: once more from the other end.
@@ -293,12 +268,6 @@ impl Lines<'_> {
                     break;
                 }
             }
-        }
-        if least < 1.0 {
-            sweeps.notes.push(format!(
-                "bed time was short: lines were gone along up to {:.2} times as fast as asked",
-                1.0 / least
-            ));
         }
         sweeps.rows = rows.len();
         sweeps.at_ends = rows.iter().filter(|w| w.row.at_end.contains(&true)).count();
@@ -402,90 +371,9 @@ impl Lines<'_> {
     }
 }
 
-/// The path along a line, beginning at the first node or at the `last`: there and back, with a rest at the turn where one is asked for; or there with a rest at each
-/// node, and back where limits were kept, in the time of a ramp. `whole`: length of the first axis; `pace`: share of the times that the spec asks for.
-fn path(
-    (spec, pace): (&SweepSpec, f64),
-    (whole, ramp_s): (f64, f64),
-    line: &Line,
-    last: bool,
-) -> (Vec<f64>, Vec<Leg>) {
-    let mut order: Vec<usize> = (0..line.nodes.len()).collect();
-    if last {
-        order.reverse();
-    }
-    let begin = line.nodes[order[0]].clone();
-    order.extend(order.clone().into_iter().rev().skip(1));
-    // A model that says nothing there is not fed forward.
-    let change = |a: usize, b: usize| {
-        let one = move |d: &Vec<f64>| Some(d[b] - d[a]).filter(|v| v.is_finite()).unwrap_or(0.0);
-        line.driven.iter().map(one).collect()
-    };
-    let leg = |a: usize, b: usize, seconds: f64| Leg {
-        to: line.nodes[b].clone(),
-        seconds,
-        driven: change(a, b),
-        gains: line.gains.iter().map(|g| g[b]).collect(),
-    };
-    let share = |a: usize, b: usize| (line.nodes[b][0] - line.nodes[a][0]).abs() / whole;
-    let steps = order.len() - 1;
-    let rests = spec.rest_s > 0.0;
-    let mut legs = Vec::new();
-    if rests {
-        legs.push(leg(order[0], order[0], pace * spec.rest_s));
-    }
-    for (k, w) in order.windows(2).enumerate() {
-        let (there, turns) = (2 * k < steps, 2 * (k + 1) == steps);
-        let pass_s = if there || !rests { pace * spec.pass_s } else { ramp_s };
-        legs.push(leg(w[0], w[1], pass_s * share(w[0], w[1])));
-        let rest_s = match rests {
-            true if there => pace * spec.rest_s,
-            false if turns => spec.turn_s,
-            _ => 0.0,
-        };
-        if rest_s > 0.0 {
-            legs.push(leg(w[1], w[1], rest_s));
-        }
-    }
-    (begin, legs)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn line(nodes: &[f64]) -> Line {
-        Line {
-            part: false,
-            number: 0,
-            other: None,
-            nodes: nodes.iter().map(|y| vec![*y, 0.1 * y]).collect(),
-            driven: vec![nodes.iter().map(|y| 0.2 * y).collect()],
-            gains: vec![nodes.iter().map(|y| y / 40.0).collect()],
-            halves: Vec::new(),
-        }
-    }
-
-    /// With rests: one at each node on the way there, none on the way back, which takes the time of a ramp. Without: there and back at the same pace with a rest at the
-    /// turn. What is fed forward ends where it began.
-    #[test]
-    fn a_line_rests_at_each_node_or_at_its_turn() {
-        let line = line(&[40.0, 70.0, 160.0]);
-        let times = |spec: &SweepSpec, pace: f64, last: bool| -> (f64, Vec<(f64, f64)>) {
-            let (from, legs) = path((spec, pace), (120.0, 12.0), &line, last);
-            let fed: f64 = legs.iter().map(|l| l.driven[0]).sum();
-            assert!(fed.abs() < 1e-9 && legs.iter().all(|l| l.gains[0] == l.to[0] / 40.0));
-            (from[0], legs.iter().map(|l| (l.to[0], l.seconds)).collect())
-        };
-        let rests = SweepSpec { pass_s: 16.0, rest_s: 8.0, ..SweepSpec::default() };
-        let there = [(40.0, 8.0), (70.0, 4.0), (70.0, 8.0), (160.0, 12.0), (160.0, 8.0)];
-        assert_eq!(times(&rests, 1.0, false), (40.0, [&there[..], &[(70.0, 9.0), (40.0, 3.0)]].concat()));
-        let (from, other) = times(&rests, 0.5, true);
-        assert_eq!((from, &other[..2]), (160.0, &[(160.0, 4.0), (70.0, 6.0)][..]));
-        let turns = SweepSpec { pass_s: 40.0, turn_s: 8.0, ..SweepSpec::default() };
-        let all = [(70.0, 10.0), (160.0, 30.0), (160.0, 8.0), (70.0, 30.0), (40.0, 10.0)];
-        assert_eq!(times(&turns, 1.0, false), (40.0, all.to_vec()));
-    }
 
     #[test]
     fn a_line_along_a_demand_begins_where_less_is_asked_for() {

@@ -23,6 +23,7 @@ pub mod inverse;
 pub mod job;
 mod journal;
 mod learn;
+mod line;
 mod line_time;
 pub mod lines;
 pub mod loops;

@@ -7,7 +7,8 @@ use dynocal_calib::steady::layout::Layout;
 use dynocal_ident::data::UnitAfter;
 use dynocal_report::{Cell as Value, Check, significant};
 
-use super::cells::{JUMP, end_in_words, missed, objective_unit};
+use super::cells::{end_in_words, missed, objective_unit};
+use super::halfway::JUMP;
 use super::learn::Learned;
 use super::result::{MapAxis, Mapped, Verified};
 use super::spec::MapSpec;
@@ -20,6 +21,8 @@ const ROUGH: f64 = 0.8;
 const TAKEN: f64 = 0.002;
 /// Loss of a cell by breakpoints and steps, as a share of what is minimised, above which it is said.
 const LOST: f64 = 0.01;
+/// How many times as fast as asked lines may be gone along before it is said: what is rounded to samples is no hurry.
+const HURRIED: f64 = 1.02;
 /// Deviation that is none, as a share of the scatter of the response over the points: what settling leaves.
 const SMALL: f64 = 0.02;
 
@@ -144,6 +147,11 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     }
     for note in found.sweeps.iter().flat_map(|s| &s.notes) {
         warnings.push(format!("along the maps: {note}"));
+    }
+    for fast in found.sweeps.iter().map(|s| s.fastest).filter(|f| *f >= HURRIED) {
+        warnings.push(format!(
+            "along the maps: bed time was short: lines were gone along up to {fast:.2} times as fast as asked"
+        ));
     }
     if spec.bed.sweep.is_some() && found.sweeps.is_none() {
         let names: Vec<String> = found.drives.iter().map(|d| format!("`{}`", d.input)).collect();

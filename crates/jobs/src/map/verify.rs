@@ -11,6 +11,7 @@ use dynocal_ident::model::response::{Ask, Prediction};
 use dynocal_numerics::watch::Watch;
 
 use super::bench::Bench;
+use super::budget::longest_s;
 use super::cells::end_in_words;
 use super::drive::{Drive, Driven};
 use super::error::MapError;
@@ -21,24 +22,6 @@ use super::spec::MapSpec;
 
 /// Quantile of a two-sided 95 %.
 const BAND: f64 = 0.975;
-
-/// Share of the bed time of all points that the verification takes.
-pub(super) fn share(spec: &MapSpec) -> f64 {
-    spec.verify.points as f64 / spec.bed.points.max(1) as f64
-}
-
-/// Bed time in s that a point may take.
-fn longest_s(spec: &MapSpec) -> f64 {
-    let a = &spec.bed.approach;
-    // Over a corner at most.
-    2.0 * a.ramp_s + a.settle_s + a.average_s
-}
-
-/// Bed time in s that is kept beside that of the points: for the last one, which may take longest, and for one that has to be measured once
-/// more. Nothing where there are no points.
-pub(super) fn spare_s(spec: &MapSpec) -> f64 {
-    if spec.verify.points == 0 { 0.0 } else { 2.0 * longest_s(spec) }
-}
 
 /// What is verified.
 pub(super) struct Verification<'a> {

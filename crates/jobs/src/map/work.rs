@@ -14,7 +14,7 @@ use dynocal_plant::plants;
 
 use super::bench::{self, Bench, OnBed};
 use super::between::Between;
-use super::budget::{Budget, fewest, least_s};
+use super::budget::{Budget, fewest, least_s, verify_share, verify_spare_s};
 use super::cells::end_in_words;
 use super::channels;
 use super::drive::{self, Drive};
@@ -259,12 +259,12 @@ impl Times {
     fn of(spec: &MapSpec, axes: &[Vec<f64>], gains_s: f64) -> Self {
         let budget_s = 60.0 * spec.bed.minutes - gains_s;
         // The verification comes last, and none of its points begins that may pass the end of the bed time.
-        let kept_s = line_time::expected_s(spec, axes) + verify::spare_s(spec);
+        let kept_s = line_time::expected_s(spec, axes) + verify_spare_s(spec);
         // Its last point is one of the day's, too.
         let n = spec.bed.points as f64;
         let last_s = |points_s: f64| if spec.verify.points == 0 { 0.0 } else { points_s / n };
         let points_s = ((budget_s - kept_s) / (1.0 - last_s(1.0))).max(0.0);
-        let verify_s = verify::share(spec) * points_s - last_s(points_s) + verify::spare_s(spec);
+        let verify_s = verify_share(spec) * points_s - last_s(points_s) + verify_spare_s(spec);
         Self { budget_s, points_s, until_s: budget_s - verify_s }
     }
 }
