@@ -13,7 +13,7 @@
 //! demand hardly answers, a share of it is a tenth of the opening or all of it, and what the loop sets there swings far, which is no matter. An input
 //! whose demand is no axis gets a correction of its own, over the axes as well.
 //!
-//! A window counts where all demands were followed (at the end of a rest less, where a held one is missed a little: [`Window::weight`]) and the loop had room, and where the maps still go through it: what lines find at the ends
+//! A window counts where all demands were followed (at the end of a rest less, where a held one is missed a little: `Window::weight`) and the loop had room, and where the maps still go through it: what lines find at the ends
 //! of the driven inputs is learnt (`reach.rs`) and may move the optimum. Nor does one count in which the demand was there in passing only
 //! (`windows.rs`), or the way back had needlessly much of the input: a throttle that has stood wide open holds with 46 deg what 31 had held before, both are
 //! true, and no smooth map goes through both. What is between them passed for a lag of the way, which goes on beyond where there is one way alone.
