@@ -166,6 +166,28 @@ fn table() -> StaticMap {
     StaticMap { ports: ports(), demand, given, points, bed_s: 0.0 }
 }
 
+/// Whoever opens the exported file is told of what was not reached, and why.
+#[test]
+fn what_was_not_reached_is_named_in_the_tables() {
+    let mut map = table();
+    assert!(
+        static_map(&map, None).package.characteristics.iter().all(|c| !c.description.contains("not reached"))
+    );
+    for k in [7, 11] {
+        map.points[k].missed = "filled from its neighbours".into();
+    }
+    let made = static_map(&map, None);
+    let (demand, given) = (map.ports.demands[0].clone(), map.ports.given[0].clone());
+    let at = |t: f64| format!("{} {t} {} at {} 3500 {}", demand.name, demand.unit, given.name, given.unit);
+    let words = format!(
+        "2 of 12 values were not reached as asked: {}, {} (filled from its neighbours)",
+        at(35.0),
+        at(80.0)
+    );
+    assert!(made.package.characteristics.iter().all(|c| c.description.ends_with(&words)));
+    assert!(made.notes.iter().any(|n| n.ends_with(&words)), "{:?}", made.notes);
+}
+
 #[test]
 fn the_static_map_looks_up_as_the_program() {
     let map = table();

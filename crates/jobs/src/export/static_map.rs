@@ -20,7 +20,7 @@ fn ends(points: &[f64]) -> (f64, f64) {
 /// Places that are named in words; of others their number is said.
 const NAMED: usize = 8;
 
-/// Which points were not reached as asked, in words; none where all were.
+/// Which points were not reached as asked and why, in words; none where all were.
 fn missed(map: &StaticMap) -> Option<String> {
     let place = |k: usize| {
         let given = map.ports.given.first().filter(|_| map.given.len() > 1);
@@ -30,18 +30,22 @@ fn missed(map: &StaticMap) -> Option<String> {
         lead.into_iter().chain(given).collect::<Vec<_>>().join(" at ")
     };
     let which: Vec<usize> = (0..map.points.len()).filter(|k| !map.points[*k].missed.is_empty()).collect();
-    let named: Vec<String> = which.iter().take(NAMED).map(|k| place(*k)).collect();
+    // Points with the same reason together.
+    let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
+    for k in which.iter().take(NAMED) {
+        let why = map.points[*k].missed.as_str();
+        match reasons.iter_mut().find(|r| r.0 == why) {
+            Some(r) => r.1.push(place(*k)),
+            None => reasons.push((why, vec![place(*k)])),
+        }
+    }
+    let named: Vec<String> = reasons.iter().map(|(why, at)| format!("{} ({why})", at.join(", "))).collect();
     let more = match which.len().saturating_sub(NAMED) {
         0 => String::new(),
         n => format!(", and {n} more"),
     };
-    (!which.is_empty()).then(|| {
-        let (n, all) = (which.len(), map.points.len());
-        format!(
-            "{n} of {all} values were not reached as asked and must not be driven: {}{more}",
-            named.join(", ")
-        )
-    })
+    let (n, all) = (which.len(), map.points.len());
+    (n > 0).then(|| format!("{n} of {all} values were not reached as asked: {}{more}", named.join(", ")))
 }
 
 /// Tables on shared axes, x the given channel and y the leading demand; an axis of one point is left out. With a sample

@@ -116,7 +116,7 @@ pub enum MapError {
     },
     /// The bed time does not even reach for the fewest points.
     #[error(
-        "bed.minutes: found {minutes:.4}, of which the gains of the loops took {gains:.1}, expected at least {least}"
+        "bed.minutes: found {minutes:.4} min, of which the gains of the loops took {gains:.1}; expected, beside these, at least {least}"
     )]
     Minutes {
         /// Of the spec.

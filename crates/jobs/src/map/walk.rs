@@ -49,7 +49,7 @@ struct Begun {
 }
 
 /// All that came of going along the maps.
-pub(super) struct Gone {
+pub(super) struct AfterLines {
     /// The models with what is minimised learnt again; none where the first lines showed nothing of it.
     pub(super) again: Option<Vec<Learned>>,
     /// Nothing where the bed cannot, or where no lines are asked for.
@@ -68,10 +68,10 @@ impl Walk<'_> {
         bench: &mut dyn Bench,
         until_s: f64,
         watch: Watch,
-    ) -> Result<Gone, MapError> {
+    ) -> Result<AfterLines, MapError> {
         let Self { spec, layout, .. } = *self;
         let Some(begun) = self.begun(optimum, bench, until_s, watch)? else {
-            return Ok(Gone { again: None, walked: None });
+            return Ok(AfterLines { again: None, walked: None });
         };
         let again = if begun.points.is_empty() {
             None
@@ -91,7 +91,7 @@ impl Walk<'_> {
         let walk = Walk { setting: &setting, models, ..*self };
         let walk = Walk { drives: &walk.fed(optimum, &begun)?, ..walk };
         let walked = walk.swept(optimum, begun, seen, bench, until_s, watch)?;
-        Ok(Gone { again, walked: Some(walked) })
+        Ok(AfterLines { again, walked: Some(walked) })
     }
 
     /// Along the first lines of the maps.

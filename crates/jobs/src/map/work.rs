@@ -29,7 +29,7 @@ use super::rest::{self, at_rest};
 use super::result::{BedTime, MapAxis, Mapped};
 use super::setting::{self, envelope};
 use super::spec::MapSpec;
-use super::walk::{Gone, Walk};
+use super::walk::{AfterLines, Walk};
 use super::{edits, inverse, loops, verdict, verify};
 
 /// All of it on the plant of the spec, or on a bed that is driven through files.
@@ -173,7 +173,7 @@ impl Day<'_> {
             drives: &drives,
             rest: rest.as_ref(),
         };
-        let Gone { again, walked } = walk.all(&mut optimum, &seen, bench, until_s, watch)?;
+        let AfterLines { again, walked } = walk.all(&mut optimum, &seen, bench, until_s, watch)?;
         let setting = setting::setting(layout, again.as_ref().unwrap_or(&models), None, spec);
         let (swept, along) = walked.unzip();
         let rest_along = along.flatten().or_else(|| rest.clone());

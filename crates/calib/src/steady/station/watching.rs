@@ -125,7 +125,7 @@ impl Watching<'_> {
         let c = &self.plan.channels[place];
         // Where an end is infinite there is none to stand at.
         let near = Some(AT_END * (c.upper - c.lower)).filter(|n| n.is_finite()).unwrap_or(0.0);
-        let all = (n - self.window..n).map(|t| course.input(t)[place].clamp(c.lower, c.upper));
+        let all = (n - self.window..n).map(|t| course.input(t)[place].max(c.lower).min(c.upper));
         let mean = all.sum::<f64>() / self.window as f64;
         mean <= c.lower + near || mean >= c.upper - near
     }
