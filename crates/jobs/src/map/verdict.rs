@@ -163,7 +163,7 @@ pub(super) fn judge(found: &mut Mapped, spec: &MapSpec) {
     for d in found.drives.iter().filter(|d| d.rough()) {
         let (input, missed) = (&d.input, d.missed());
         warnings.push(format!(
-            "the map of `{input}` alone does not hold its demand: {missed} rms, of the input on points that had no part in it, or of the demand along lines or in the verification where that is more or nearer to the maps"
+            "the map of `{input}` alone does not hold its demand: it errs by {missed} rms, of the demand along lines and in the verification, or, without lines and where that is more, of the input on points that had no part in it"
         ));
     }
     let decides = |m: &&Learned| !driven(found, &m.response);
