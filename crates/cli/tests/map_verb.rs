@@ -155,6 +155,19 @@ fn a_plan_is_shown_without_running_and_faults_are_named() {
         let o = map(tmp.path(), &SPEC.replace(from, to), &[]);
         assert!(o.code == 2 && o.stderr.contains(says), "{to}: {} {}", o.code, o.stderr);
     }
+    // What the plant lacks is said before it is run.
+    let limit = |output: &str, unit: &str| {
+        format!("{SPEC}\n[[problem.limits]]\noutput = \"{output}\"\nunit = \"{unit}\"\nupper = 900.0\n")
+    };
+    for (spec, says) in [
+        (limit("heat", "K"), "no output `heat` in K; there are: "),
+        (limit("egt", "degC"), "no output `egt` in degC; there are: "),
+        (format!("{SPEC}\n[optimise.front]\nagainst = \"soot\"\n"), "`soot`"),
+        (SPEC.replace("[bed]", "[bed]\nslow = \"oli\""), "`oli`"),
+    ] {
+        let o = map(tmp.path(), &spec, &["--check"]);
+        assert!(o.code == 2 && o.stderr.contains(says), "{says}: {} {}", o.code, o.stderr);
+    }
     // In a cell, where the speed is given, fuel is a multiple of the injected mass: there is nothing to trade.
     let o = map(tmp.path(), &format!("{SPEC}\n[optimise.front]\nagainst = \"inj\"\n"), &["--check"]);
     assert!(

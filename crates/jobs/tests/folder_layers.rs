@@ -103,6 +103,8 @@ const MAP: &[&str] = &[
     "check",
     "job",
     "bench",
+    "record",
+    "on_bed",
     "journal",
     "choose",
     "learn",

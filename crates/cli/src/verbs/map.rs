@@ -30,8 +30,10 @@ fn run(matches: &ArgMatches) -> Result<Exit, Failure> {
     let job = job::read(&args.spec, &args.common.overrides())?;
     let mut plan = estimate(&job);
     if args.plan.check {
-        for (file, points) in work::given(&job)? {
-            plan = plan.line("measured", format!("{file}: {points} points"));
+        work::lacks(&job)?;
+        for work::Given { file, points, gaps } in work::given(&job)? {
+            let without = if gaps > 0 { format!(", {gaps} of them without a number somewhere") } else { String::new() };
+            plan = plan.line("measured", format!("{file}: {points} points{without}"));
         }
         return show_plan(&plan, &job.out, "map", &args.common);
     }

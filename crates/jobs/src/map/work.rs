@@ -12,7 +12,7 @@ use dynocal_ident::plant::Plant;
 use dynocal_numerics::watch::Watch;
 use dynocal_plant::plants;
 
-use super::bench::{self, Bench, OnBed};
+use super::bench::Bench;
 use super::between::Between;
 use super::budget::{Budget, fewest, least_s, verify_share, verify_spare_s};
 use super::cells::end_in_words;
@@ -23,6 +23,8 @@ use super::job::Job;
 use super::journal::{Journal, digests};
 use super::learn;
 use super::line_time;
+pub use super::on_bed::Given;
+use super::on_bed::{self, OnBed};
 use super::optimum::{Optimum, static_map};
 use super::refine::{Refined, Refinement};
 use super::rest::{self, at_rest};
@@ -103,7 +105,7 @@ pub fn run_on_in(
 /// The same on a bed that measures batches of points from files.
 fn on_bed(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
     let spec = &job.spec;
-    let variables = bench::variables(&spec.problem, &spec.others(), &job.out)?;
+    let variables = on_bed::variables(&spec.problem, &spec.others(), &job.out)?;
     let axes = channels::axes(spec);
     let layout = channels::layout(spec, &axes, None, &variables)?;
     let first = channels::first(&layout, &channels::start(spec, &variables));
@@ -112,19 +114,36 @@ fn on_bed(job: &Job, watch: Watch) -> Result<Mapped, MapError> {
     day.run(&mut bed, watch)
 }
 
-/// Reads what a bed has measured so far, without running the day: files with the number of their points. Nothing on other plants.
+/// What the plant of a spec lacks, and edits that do not fit, as far as both can be told without a run: nothing of a bed, or of a program that would have to be started.
+///
+/// # Errors
+/// [`MapError`] with what is missing, and what there is.
+pub fn lacks(job: &Job) -> Result<(), MapError> {
+    let spec = &job.spec;
+    if spec.plant.name != "virtual_engine" {
+        return Ok(());
+    }
+    let plant = make(spec)?;
+    channels::has_channels(spec, plant.variables())?;
+    let axes = channels::axes(spec);
+    let layout = channels::layout(spec, &axes, None, plant.variables())?;
+    spec.edits.as_ref().map(|file| edits::read(file, &layout, &axes)).transpose()?;
+    Ok(())
+}
+
+/// Reads what a bed has measured so far, without running the day. Nothing on other plants.
 ///
 /// # Errors
 /// [`MapError`] with file, line and column of what cannot be taken.
-pub fn given(job: &Job) -> Result<Vec<(String, usize)>, MapError> {
+pub fn given(job: &Job) -> Result<Vec<Given>, MapError> {
     let spec = &job.spec;
     if spec.plant.name != "bed" {
         return Ok(Vec::new());
     }
-    let variables = bench::variables(&spec.problem, &spec.others(), &job.out)?;
+    let variables = on_bed::variables(&spec.problem, &spec.others(), &job.out)?;
     let layout = channels::layout(spec, &channels::axes(spec), None, &variables)?;
     // No day has more batches than points.
-    bench::given(&layout, &job.out, spec.bed.points)
+    on_bed::given(&layout, &job.out, spec.bed.points)
 }
 
 /// What a day begins with.

@@ -81,19 +81,36 @@ fn a_bed_measures_the_day_from_files() {
     // What can be said without running the day, `--check` says.
     let e = work::given(&job).unwrap_err().to_string();
     assert!(e.contains("points01.csv, line 2") && e.contains("99"), "{e}");
-    let heat = good.lines().next().unwrap().split(',').position(|h| h == "heat [K]").unwrap();
-    let huge = |(k, line): (usize, &str)| {
-        let mut cells: Vec<&str> = line.split(',').collect();
-        if k == 3 {
-            cells[heat] = "6e300";
-        }
-        cells.join(",")
+    let with = |column: &str, value: &'static str| {
+        let k = good.lines().next().unwrap().split(',').position(|h| h == column).unwrap();
+        let row = move |(row, line): (usize, &str)| {
+            let mut cells: Vec<&str> = line.split(',').collect();
+            if row == 3 {
+                cells[k] = value;
+            }
+            cells.join(",")
+        };
+        good.lines().enumerate().map(row).collect::<Vec<_>>().join("\n")
     };
-    let e = wrong(good.lines().enumerate().map(huge).collect::<Vec<_>>().join("\n"));
+    let e = wrong(with("heat [K]", "6e300"));
     assert!(e.contains("points01.csv, line 4, column `heat`: found 6e300"), "{e}");
+    // What no loop of the spec sets, and no demand comes near to.
+    for (column, value, name) in [("load [kg/h]", "400", "load"), ("torque [Nm]", "-9999", "torque")] {
+        let e = wrong(with(column, value));
+        let says = format!("points01.csv, line 4, column `{name}`: found {value}, expected");
+        assert!(e.contains(&says), "{e}");
+    }
     write(&first, good.clone());
     let given = work::given(&job).unwrap();
     assert_eq!(given.len(), asked.len(), "{given:?}");
+    assert!(given.iter().all(|g| g.gaps == 0), "{given:?}");
+    write(&first, with("heat [K]", "NaN"));
+    assert_eq!(work::given(&job).unwrap()[0].gaps, 1);
+    let twice = out.join("measured/points01.txt");
+    write(&twice, good.clone());
+    let e = work::given(&job).unwrap_err().to_string();
+    assert!(e.contains("are all called like the plan `points01`"), "{e}");
+    std::fs::remove_file(&twice).unwrap();
     let e = wrong(good.replacen("heat [K]", "heat [degC]", 1).replacen("knock", "nock", 1));
     assert!(e.contains("knock"), "{e}");
     // Another unit of time is another unit: 20 min apart, and the next file begins before this one ends.
