@@ -217,13 +217,15 @@ fn a_first_design_uses_the_room_between_its_limits() {
 #[test]
 fn a_steady_calibration_begins_with_a_table_of_points() {
     let tmp = tempfile::tempdir().unwrap();
-    let mut text = String::from("speed [rpm],throttle [deg],inj [mg],spark [deg],torque [Nm],lambda [-]\n");
+    let mut text =
+        String::from("point,speed [rpm],throttle [deg],inj [mg],spark [deg],torque [Nm],lambda [-]\n");
     for k in 0..60_u32 {
         let (n, a, s) = (1000 + 50 * k, 10.0 + f64::from(k * 7 % 30), 15.0 + f64::from(k * 11 % 20));
         let torque = 2.0 * a + 0.3 * s;
         writeln!(
             text,
-            "{n},{a},{:.2},{s},{torque:.2},{:.3}",
+            "{},{n},{a},{:.2},{s},{torque:.2},{:.3}",
+            k + 1,
             0.4 * torque,
             0.99 + 0.0005 * f64::from(k % 40)
         )
@@ -233,6 +235,8 @@ fn a_steady_calibration_begins_with_a_table_of_points() {
     let flags = ["new", "map", "--from", "points.csv", "--output", "torque", "--output", "lambda"];
     let said = ok(tmp.path(), &flags);
     assert!(said.contains("`spark` is optimised in every cell"), "{said}");
+    // The numbers of the points are none that moves.
+    assert!(said.contains("`throttle`, `inj`, `spark` are taken as inputs that may move"), "{said}");
     let spec = std::fs::read_to_string(tmp.path().join("points-map.toml")).unwrap();
     for part in
         ["[axes]", "lambda = 0.99", "output = \"torque\"\ninput = \"throttle\"", "# [optimise.resolution]"]

@@ -159,20 +159,26 @@ struct Part {
 /// Where one plan ended.
 struct Drive {
     played: Played,
-    /// Rows of the ramp.
+    /// Rows of the ramp, and of a window.
     ramp: usize,
+    window: usize,
     settled: bool,
     /// Outputs that did not rest at the end, where it has not settled.
     restless: Vec<String>,
     saturated: Vec<String>,
 }
 
-/// Why a point was given up, with the output that was farthest beyond its limit as a share of it.
-fn given_up(touched: &[Touched]) -> String {
+/// Why a point was given up, with the output that was farthest beyond its limit as a share of it; `begun`: the first was met before anything had moved.
+fn given_up(touched: &[Touched], begun: bool) -> String {
     let beyond = |t: &&Touched| (t.value - t.limit).abs() / t.limit.abs().max(f64::MIN_POSITIVE);
     let worst = touched.iter().max_by(|a, b| beyond(a).total_cmp(&beyond(b)));
     let worst = worst.map_or(String::new(), |t| format!(", `{}` beyond its limit of {}", t.output, t.limit));
-    format!("given up after {} limits on the way{worst}", touched.len())
+    let stood = if begun {
+        ". The first was met before anything had moved: the bed stands outside of its limits, begin the day within them (`start`)"
+    } else {
+        ""
+    };
+    format!("given up after {} limits on the way{worst}{stood}", touched.len())
 }
 
 impl<'a> Station<'a> {
@@ -252,6 +258,7 @@ impl<'a> Station<'a> {
         let stood = self.driven.clone();
         let route = Route::new(&self.layout.factors, (&origin, &stood), via, (target, driven));
         let (mut share, mut from, mut touched) = (1.0, 0.0, Vec::new());
+        let mut begun = false;
         for attempt in 0..=self.spec.backoffs {
             let part = |s: f64| Part { to: route.at(s), driven: route.driven(s, &self.driven) };
             let parts: Vec<Part> = route.ends(from, share).into_iter().map(part).collect();
@@ -263,6 +270,7 @@ impl<'a> Station<'a> {
             let done = (drive.played.played as f64 / drive.ramp.max(1) as f64).min(1.0);
             let reached = from + done * (share - from);
             touched.push(self.touched(stop, route.at(reached))?);
+            begun |= attempt == 0 && drive.played.played <= drive.window;
             self.at = route.at(reached);
             (from, share) = (reached, (reached - self.spec.backoff).max(0.0));
         }
@@ -270,7 +278,7 @@ impl<'a> Station<'a> {
         let part = |s: f64| Part { to: route.at(s), driven: route.driven(s, &stood) };
         let back: Vec<Part> = route.ends(from, 0.0).into_iter().map(part).collect();
         self.drive(&back, &[], true)?;
-        let note = given_up(&touched);
+        let note = given_up(&touched, begun);
         Ok(SteadyPoint {
             asked: target.to_vec(),
             factors: vec![f64::NAN; target.len()],
@@ -341,7 +349,7 @@ impl<'a> Station<'a> {
         self.used_s += played.used_s;
         self.keep_driven(&plan, &played.record)?;
         self.at = to;
-        Ok(Drive { played, ramp, settled, restless, saturated })
+        Ok(Drive { played, ramp, window, settled, restless, saturated })
     }
 
     /// Where the loops left their inputs.

@@ -242,6 +242,9 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
     if lower >= upper {
         return Err(format!("constant, {lower}"));
     }
+    if c.unit.is_none() && counts(&values) {
+        return Err("the number of the row".into());
+    }
     let aside = units::from_parentheses(&c.name);
     let unit = c.unit.as_ref().map(|u| u.0.clone()).or(aside.clone());
     let name = if aside.is_some() { c.name.split('(').next().unwrap_or(&c.name) } else { &c.name };
@@ -257,6 +260,11 @@ fn channel(table: &Table, c: &Column) -> Result<FoundChannel, String> {
         gaps: values.len() - there.len(),
         role: Role::Input,
     })
+}
+
+/// Whether values count the rows, from 0 or 1: points have numbers, and nothing moves with them.
+fn counts(values: &[f64]) -> bool {
+    values.len() > 2 && [0.0, 1.0].contains(&values[0]) && values.windows(2).all(|w| w[1] == w[0] + 1.0)
 }
 
 /// A column of numbers but for some cells, which leave it out: that is a fault of the file rather than a column of words.

@@ -26,6 +26,13 @@ pub(super) fn text(f: &Found, path: &str, wishes: &Wishes) -> Result<Draft, Draf
         });
     }
     let mut notes = f.notes.clone();
+    if wishes.inputs.is_empty() {
+        let names: Vec<String> = roles.inputs.iter().map(|c| format!("`{}`", c.name)).collect();
+        notes.push(format!(
+            "{} are taken as inputs that may move: name those that do with --input, and make limits or outputs of what is only measured.",
+            names.join(", ")
+        ));
+    }
     let mut out = format!(
         "# Every key is explained in docs/map.md. Ranges are those of\n# {path}; those of demands and given channels leave out the outermost hundredth at either end.\n\nseed = 1\n\n[plant]\nname = \"bed\"                 # plans of points are written as files, what is measured is read from RUN/measured\n"
     );

@@ -35,7 +35,9 @@ pub fn estimate(job: &Job) -> Estimate {
     let most_s = most_s.min(60.0 * s.bed.minutes);
     let axes = s.axes.iter().map(|(name, v)| format!("{name} ({})", v.len()));
     let held: Vec<String> = s.held.iter().map(|(name, v)| format!("{name} = {v}")).collect();
-    let limits: Vec<String> = s.problem.limits.iter().map(|l| l.output.clone()).collect();
+    // One without bounds is measured, and limits nothing.
+    let bound = s.problem.limits.iter().filter(|l| l.lower.is_some() || l.upper.is_some());
+    let limits: Vec<String> = bound.map(|l| l.output.clone()).collect();
     let responses = (s.loops.len() + s.problem.limits.len() + s.problem.minimise.len()) as f64;
     let cells: usize = s.axes.values().map(Vec::len).product();
     let folds = s.models.folds as f64;

@@ -2,7 +2,8 @@
 //!
 //! `day.jsonl` in the run folder has a first line with the digest of what the points depend on, and a line for each point with the state
 //! in which the plant was left. A later run takes points over as long as it asks for the same ones in the same order; then the plant
-//! is put back into the state after the last of them, and the day goes on as if it had never been left.
+//! is put back into the state after the last of them, and the day goes on as if it had never been left. Where the earlier day went another way, all of it stays in `day-1.jsonl` (or the next
+//! number): bed time is dear.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -106,10 +107,21 @@ impl<'s, 'a> Journal<'s, 'a> {
         Ok(Self { station, path, head, kept, count: 0, file: None, live: false, watch })
     }
 
-    /// From here on the bed measures: what the earlier run had beyond is not of this day.
+    /// From here on the bed measures: what the earlier run had beyond is not of this day, and stands aside.
     fn begin(&mut self) {
         self.live = true;
         self.kept.truncate(self.count);
+        match set_aside(&self.path, self.count) {
+            Ok(Some((others, path))) => self.watch.note(&format!(
+                "{others} points and lines of an earlier day are not those of this one (another seed, plant, loop, approach or choice of points): they are kept in {}",
+                path.display()
+            )),
+            Ok(None) => {}
+            Err(e) => {
+                self.unkept(&e);
+                return;
+            }
+        }
         if self.count > 0 {
             self.watch.note(&format!("{} points are those of the earlier run", self.count));
         }
@@ -168,6 +180,20 @@ pub(super) fn digests<T: Serialize>(spec: &T) -> Vec<String> {
         }
     }
     found
+}
+
+/// Copies a day of which more than the first `count` points and lines are there to a name of its own; their number, and where they are now.
+fn set_aside(path: &Path, count: usize) -> Result<Option<(usize, PathBuf)>, String> {
+    let Ok(text) = std::fs::read_to_string(path) else { return Ok(None) };
+    let whole = text.lines().skip(1).filter(|l| serde_json::from_str::<serde::de::IgnoredAny>(l).is_ok());
+    let others = whole.count().saturating_sub(count);
+    if others == 0 {
+        return Ok(None);
+    }
+    let named = |k: u32| path.with_file_name(format!("day-{k}.jsonl"));
+    let aside = (1..).map(named).find(|p| !p.exists()).unwrap_or_else(|| named(0));
+    atomic::write(&aside, text.as_bytes()).map_err(|e| e.to_string())?;
+    Ok(Some((others, aside)))
 }
 
 fn line<T: Serialize>(value: &T) -> Option<String> {

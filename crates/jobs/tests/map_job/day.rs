@@ -186,9 +186,14 @@ fn an_interrupted_day_goes_on_where_it_stopped() {
     write(&file, text[..text.len() - 30].to_string());
     let (found, notes) = go_on(1);
     assert!(notes.contains(&format!("{} points are those", points - 1)) && found == whole, "{notes}");
-    // Nothing of another seed is taken.
+    // Nothing of another seed is taken, and nothing of it is lost.
+    let aside = tmp.path().join("day-1.jsonl");
+    assert!(!aside.exists(), "a broken line is no point");
+    let (text, points) = (std::fs::read_to_string(&file).unwrap(), lines() - 1);
     let (found, notes) = go_on(2);
     assert!(!notes.contains("earlier run") && found != whole, "{notes}");
+    assert!(notes.contains(&format!("{points} points and lines of an earlier day")), "{notes}");
+    assert_eq!(std::fs::read_to_string(&aside).unwrap(), text);
 }
 
 /// Ctrl-C among the lines, wherever: the day with its lines, whose rests count, is the one that was never interrupted.

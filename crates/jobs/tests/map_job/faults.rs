@@ -45,6 +45,15 @@ fn an_empty_feasible_region_names_its_limits() {
     assert!((40.0..95.0).contains(&worst), "{worst}");
 }
 
+/// Heat of 675 K where the day begins, and at most 560: the message says that it began outside of its limits, and of which.
+#[test]
+fn a_day_that_begins_outside_of_its_limits_is_said_to_do_so() {
+    let text = text(DAY).replace("upper = 720.0", "upper = 560.0");
+    let job = job::parse("map.toml", &text, &Overrides { seed: Some(1), out: None }).unwrap();
+    let e = work::run_on(&job, &mut Bench::new(0.0, Fault::None), Watch::silent()).unwrap_err().to_string();
+    assert!(e.contains("`heat` beyond its limit of 560") && e.contains("begin the day within them"), "{e}");
+}
+
 /// A value that is held has to lie in the range of its channel.
 #[test]
 fn a_held_value_out_of_its_range_is_refused() {
