@@ -183,6 +183,8 @@ const Charts = (function () {
       s.x.forEach((x, k) => {
         if (!finite(x) || !finite(s.y[k])) return;
         c.beginPath(); c.arc(map.px(x), map.py(s.y[k]), r, 0, 7); c.fill();
+        // On a map a dark point lies on dark colours.
+        if (s.ring) { c.strokeStyle = '#ffffff'; c.lineWidth = 1; c.stroke(); }
       });
       c.globalAlpha = 1;
     }
@@ -273,8 +275,12 @@ const Charts = (function () {
       const { px, py } = at(g);
       if (smooth) fill(c, box, x, y, (u, v) => bilinear(p, u, v), shade);
       else cells(c, p, g.ex, g.ey, px, py, shade);
-      if (smooth) contour(c, box, p, px, py, ticks(range[0], range[1], 8));
-      clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => p.overlays.forEach((o, i) => curve(c, o, over[i % 3], { px, py })));
+      if (smooth) {
+        // A level at an end of the range is the rounding of whatever stands there.
+        const levels = ticks(range[0], range[1], 8), end = 0.01 * (range[1] - range[0]);
+        contour(c, box, p, px, py, { ...levels, at: levels.at.filter((v) => v > range[0] + end && v < range[1] - end) });
+      }
+      clip(c, { l: box.l - 4, t: box.t - 4, r: box.r + 4, b: box.b + 4 }, () => p.overlays.forEach((o, i) => curve(c, { ...o, ring: true }, over[i % 3], { px, py })));
       if (g === even) breakpoints(c, box, p, px, py);
       else axes(c, box, x, y, false);
       if (numbers && room(c, p, g, { px, py }, range)) values(c, p, g, px, py, shade, range);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dynocal_calib::steady::day::{DayPoint, Purpose};
 use dynocal_calib::steady::front::{Front, FrontPoint};
-use dynocal_calib::steady::grid::{Cell, CellState};
+use dynocal_calib::steady::grid::CellState;
 use dynocal_files::atomic;
 use dynocal_report::{
     Axis, Block, Cell as TableCell, Column, Details, HeatMap, Report, Section, Table, XyPlot, XySeries,
@@ -19,6 +19,7 @@ use super::reach::channel;
 use super::result::{Delivered, Mapped};
 
 mod extras;
+mod limits;
 use crate::page::PageError;
 
 /// Writes `report.html` into the run folder.
@@ -200,7 +201,7 @@ fn responses(found: &Mapped) -> Section {
         let title = format!("{}{limit}", capital(&r.name));
         let mut block = drawn(found, &title, Axis::new(r.name.as_str(), r.unit.as_str()), values);
         if let Some(Block::HeatMap(map)) = &mut block {
-            *map = with_limit(found, k, std::mem::take(map));
+            *map = limits::drawn(found, k, std::mem::take(map));
         }
         blocks.extend(block);
     }
@@ -208,24 +209,6 @@ fn responses(found: &Mapped) -> Section {
         section = section.columns(pair.to_vec());
     }
     section
-}
-
-/// The limit of response `k` as a line: at each value of the given channel the least demand at which it acts, that is, has a price.
-fn with_limit(found: &Mapped, k: usize, map: HeatMap) -> HeatMap {
-    let acts = |c: &&Cell| {
-        let small = 1e-6 * c.optimum.objective.abs();
-        c.state == CellState::Optimal && c.optimum.prices.iter().any(|p| p.response == k && p.saves > small)
-    };
-    let (mut x, mut y): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-    for given in found.axes.get(1).map_or(&[][..], |a| &a.points) {
-        let least = found.cells.iter().filter(|c| c.at[1] == *given).filter(acts).map(|c| c.at[0]);
-        let least = least.fold(f64::INFINITY, f64::min);
-        if least.is_finite() {
-            x.push(*given);
-            y.push(least);
-        }
-    }
-    if x.is_empty() { map } else { map.overlay_line("the limit acts from here up", x, y) }
 }
 
 /// Cells with the prices of their limits.
